@@ -1,0 +1,10 @@
+//! One file per command: its arguments, and `run`.
+
+pub mod check;
+pub mod convert;
+pub mod demo;
+pub mod eval;
+pub mod flow;
+pub mod metrics;
+pub mod rasterize;
+pub mod render;

@@ -1,0 +1,68 @@
+//! The `srflow` command. Arguments, progress bars and reports live here; algorithms live in the libraries.
+
+mod commands;
+
+use std::io::Write;
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand};
+
+/// From a head avatar made of 3D Gaussians to a facial optical-flow dataset to evaluated flow.
+#[derive(Parser)]
+#[command(version, propagate_version = true, arg_required_else_help = true)]
+struct Cli {
+    #[command(flatten)]
+    context: Context,
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// What every command takes.
+#[derive(Args, Clone)]
+pub struct Context {
+    /// Print the result as JSON on standard output
+    #[arg(long, global = true)]
+    pub json: bool,
+    /// Number of threads (default: all cores)
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Demo(commands::demo::Demo),
+    Render(commands::render::Render),
+    Flow(commands::flow::Flow),
+    Eval(commands::eval::Eval),
+    Metrics(commands::metrics::Metrics),
+    Convert(commands::convert::Convert),
+    Rasterize(commands::rasterize::Rasterize),
+    Check(commands::check::Check),
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse(); // exits with 2 on wrong usage
+    if let Some(threads) = cli.context.threads
+        && let Err(error) = rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()
+    {
+        eprintln!("error: starting {threads} threads: {error}");
+        return ExitCode::FAILURE;
+    }
+    let result: anyhow::Result<()> = match cli.command {
+        Command::Demo(args) => commands::demo::run(args, &cli.context),
+        Command::Render(args) => commands::render::run(args, &cli.context),
+        Command::Flow(args) => commands::flow::run(args, &cli.context),
+        Command::Eval(args) => commands::eval::run(args, &cli.context),
+        Command::Metrics(args) => commands::metrics::run(args, &cli.context),
+        Command::Convert(args) => commands::convert::run(args, &cli.context),
+        Command::Rasterize(args) => commands::rasterize::run(args, &cli.context),
+        Command::Check(args) => commands::check::run(args, &cli.context),
+    };
+    match result.and_then(|()| Ok(std::io::stdout().flush()?)) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}

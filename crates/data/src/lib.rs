@@ -1,0 +1,1 @@
+//! Optical-flow datasets: generating SRFlow, checking it, and reading the published ones.

@@ -1,0 +1,151 @@
+/// A pixel buffer whose length does not fit its size.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{width}x{height} needs {expected} pixels, the buffer holds {found}")]
+pub struct SizeError {
+    /// Claimed width.
+    pub width: usize,
+    /// Claimed height.
+    pub height: usize,
+    /// `width * height`.
+    pub expected: usize,
+    /// Length of the buffer.
+    pub found: usize,
+}
+
+macro_rules! grid {
+    ($(#[$doc:meta])* $name:ident, $pixel:ty, $blank:expr) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, PartialEq)]
+        pub struct $name {
+            width: usize,
+            height: usize,
+            pixels: Vec<$pixel>,
+        }
+
+        impl $name {
+            /// All pixels at their blank value (zero).
+            pub fn new(width: usize, height: usize) -> Self {
+                Self::filled(width, height, $blank)
+            }
+
+            /// All pixels at `value`.
+            pub fn filled(width: usize, height: usize, value: $pixel) -> Self {
+                Self { width, height, pixels: vec![value; width * height] }
+            }
+
+            /// Takes a row-major buffer.
+            ///
+            /// # Errors
+            /// When the buffer does not hold `width * height` pixels.
+            pub fn from_pixels(width: usize, height: usize, pixels: Vec<$pixel>) -> Result<Self, SizeError> {
+                let expected = width.saturating_mul(height);
+                if pixels.len() != expected {
+                    return Err(SizeError { width, height, expected, found: pixels.len() });
+                }
+                Ok(Self { width, height, pixels })
+            }
+
+            /// Computes each pixel from its column `x` and row `y`.
+            pub fn from_fn(width: usize, height: usize, mut pixel: impl FnMut(usize, usize) -> $pixel) -> Self {
+                let mut pixels = Vec::with_capacity(width * height);
+                for y in 0..height {
+                    for x in 0..width {
+                        pixels.push(pixel(x, y));
+                    }
+                }
+                Self { width, height, pixels }
+            }
+
+            /// Width in pixels.
+            pub fn width(&self) -> usize {
+                self.width
+            }
+
+            /// Height in pixels.
+            pub fn height(&self) -> usize {
+                self.height
+            }
+
+            /// `(width, height)`.
+            pub fn size(&self) -> (usize, usize) {
+                (self.width, self.height)
+            }
+
+            /// The pixel of column `x` and row `y`. Panics when outside, as slices do.
+            pub fn get(&self, x: usize, y: usize) -> $pixel {
+                assert!(x < self.width, "column {x} of {}", self.width);
+                self.pixels[y * self.width + x]
+            }
+
+            /// Sets the pixel of column `x` and row `y`. Panics when outside, as slices do.
+            pub fn set(&mut self, x: usize, y: usize, value: $pixel) {
+                assert!(x < self.width, "column {x} of {}", self.width);
+                self.pixels[y * self.width + x] = value;
+            }
+
+            /// Row `y`. Panics when outside, as slices do.
+            pub fn row(&self, y: usize) -> &[$pixel] {
+                &self.pixels[y * self.width..(y + 1) * self.width]
+            }
+
+            /// All pixels, row-major.
+            pub fn pixels(&self) -> &[$pixel] {
+                &self.pixels
+            }
+
+            /// All pixels, row-major.
+            pub fn pixels_mut(&mut self) -> &mut [$pixel] {
+                &mut self.pixels
+            }
+
+            /// The row-major buffer.
+            pub fn into_pixels(self) -> Vec<$pixel> {
+                self.pixels
+            }
+
+            /// The rectangle of `width` by `height` whose top left pixel is `(left, top)`.
+            /// Panics when it does not lie inside.
+            pub fn crop(&self, left: usize, top: usize, width: usize, height: usize) -> Self {
+                assert!(left + width <= self.width && top + height <= self.height, "crop outside the image");
+                let mut pixels = Vec::with_capacity(width * height);
+                for y in top..top + height {
+                    pixels.extend_from_slice(&self.row(y)[left..left + width]);
+                }
+                Self { width, height, pixels }
+            }
+        }
+    };
+}
+
+grid! {
+    /// An sRGB image, 8 bits a channel, `H x W x 3`.
+    Image, [u8; 3], [0; 3]
+}
+grid! {
+    /// One `f32` a pixel, `H x W`: luminance, alpha, depth.
+    Plane, f32, 0.0
+}
+grid! {
+    /// One truth value a pixel, `H x W`. A mask of the head is `true` on the head.
+    Mask, bool, false
+}
+grid! {
+    /// Optical flow, `H x W x 2` in pixels: `[u, v]`, `u` to the right, `v` down, from frame 1 to frame 2, stored at
+    /// frame 1's pixel. A pixel whose flow is unknown (no ground truth there) holds NaN in both components; every
+    /// other value is finite.
+    FlowField, [f32; 2], [0.0; 2]
+}
+
+impl FlowField {
+    /// Whether the flow of column `x` and row `y` is known.
+    pub fn is_known(&self, x: usize, y: usize) -> bool {
+        let [u, v] = self.get(x, y);
+        u.is_finite() && v.is_finite()
+    }
+
+    /// `true` where the flow is known.
+    pub fn known(&self) -> Mask {
+        let pixels = self.pixels.iter().map(|[u, v]| u.is_finite() && v.is_finite()).collect();
+        Mask { width: self.width, height: self.height, pixels }
+    }
+}

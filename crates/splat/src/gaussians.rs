@@ -1,0 +1,37 @@
+use glam::{Quat, Vec3};
+
+/// A set of 3D Gaussians, one entry of each list per Gaussian. Values are activated: scales are standard deviations in
+/// world units (not their logarithms), opacities are probabilities (not logits), rotations are unit quaternions.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Gaussians {
+    /// Centres in world units.
+    pub positions: Vec<Vec3>,
+    /// Standard deviations along the rotated axes, world units.
+    pub scales: Vec<Vec3>,
+    /// World from Gaussian axes.
+    pub rotations: Vec<Quat>,
+    /// Opacity at the centre, `0..=1`.
+    pub opacities: Vec<f32>,
+    /// Spherical-harmonics degree, 0 to 3.
+    pub sh_degree: usize,
+    /// Spherical-harmonics colour coefficients: `(sh_degree + 1)^2` entries per Gaussian, each `[r, g, b]`; the entry
+    /// of degree 0 first. Colour is `max(0, 0.5 + sum of coefficient times basis)`, as in the 3DGS reference.
+    pub sh: Vec<[f32; 3]>,
+}
+
+impl Gaussians {
+    /// How many Gaussians there are.
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+
+    /// Coefficients per Gaussian: `(sh_degree + 1)^2`.
+    pub fn sh_len(&self) -> usize {
+        (self.sh_degree + 1) * (self.sh_degree + 1)
+    }
+}

@@ -1,0 +1,59 @@
+//! The rule on directions of ARCHITECTURE.md: a crate depends only on crates above it in the pipeline.
+
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+
+/// The pipeline, first to last, as ARCHITECTURE.md lists it.
+const PIPELINE: [&str; 7] = [
+    "srflow-field",
+    "srflow-splat",
+    "srflow-avatar",
+    "srflow-data",
+    "srflow-classical",
+    "srflow-eval",
+    "srflow",
+];
+
+fn metadata() -> Value {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let output = Command::new(env!("CARGO"))
+        .args(["metadata", "--no-deps", "--offline", "--format-version", "1"])
+        .current_dir(root)
+        .output()
+        .expect("cargo runs");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).expect("cargo metadata is JSON")
+}
+
+#[test]
+fn crates_depend_only_on_crates_above_them() {
+    let metadata = metadata();
+    let packages = metadata["packages"].as_array().expect("packages");
+    let rank = |name: &str| PIPELINE.iter().position(|&crate_name| crate_name == name);
+    assert_eq!(packages.len(), PIPELINE.len(), "PIPELINE and ARCHITECTURE.md list every crate");
+    for package in packages {
+        let name = package["name"].as_str().expect("name");
+        let own = rank(name).unwrap_or_else(|| panic!("{name} is missing in PIPELINE and ARCHITECTURE.md"));
+        for dependency in package["dependencies"].as_array().expect("dependencies") {
+            let dependency = dependency["name"].as_str().expect("name");
+            if let Some(other) = rank(dependency) {
+                assert!(other < own, "{name} must not depend on {dependency}, which comes after it");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_architecture_page_lists_every_crate_in_order() {
+    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../ARCHITECTURE.md"))
+        .expect("ARCHITECTURE.md");
+    let rows: Vec<&str> = page
+        .lines()
+        .filter_map(|line| line.strip_prefix("| `srflow"))
+        .filter_map(|rest| rest.split('`').next())
+        .collect();
+    let listed: Vec<String> = rows.iter().map(|rest| format!("srflow{rest}")).collect();
+    assert_eq!(listed, PIPELINE);
+}

@@ -1,6 +1,10 @@
 use std::ops::Range;
 
-use glam::{Quat, Vec3};
+use glam::{Mat3, Quat, Vec3};
+
+mod validation;
+
+pub use validation::HeadModelError;
 
 /// The joints of every head model, in the order of FLAME.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -17,6 +21,20 @@ pub enum Joint {
     RightEye,
 }
 
+impl Joint {
+    /// Every joint, in order.
+    pub const ALL: [Joint; 5] = [Joint::Root, Joint::Neck, Joint::Jaw, Joint::LeftEye, Joint::RightEye];
+
+    /// The joint that carries this one along; none carries the root.
+    pub fn parent(self) -> Option<Joint> {
+        match self {
+            Joint::Root => None,
+            Joint::Neck => Some(Joint::Root),
+            Joint::Jaw | Joint::LeftEye | Joint::RightEye => Some(Joint::Neck),
+        }
+    }
+}
+
 /// What a triangle shows, which decides how it is dressed with Gaussians.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Region {
@@ -30,6 +48,8 @@ pub enum Region {
     Brow,
     /// Rim of an eyelid that carries the lashes.
     LidMargin,
+    /// Wet pink lining of the eyelids, and the caruncle in the inner corner of the eye.
+    InnerLid,
     /// Neck and shoulders.
     Neck,
     /// Eyeball. The iris is found from the eye joint and the rest gaze (+z).
@@ -47,6 +67,32 @@ pub struct Shape {
     pub name: String,
     /// Vertex number and displacement in metres at weight 1; vertices that do not move are left out.
     pub offsets: Vec<(u32, Vec3)>,
+    /// What keeps an in-between weight `w` on a curved path: displacement at its largest, halfway, scaled by
+    /// `4w(1 - w)` between 0 and 1 and absent elsewhere. An eyelid needs it to slide around the eyeball. Empty for
+    /// the purely linear shapes of FLAME and ICT-FaceKit.
+    pub arc: Vec<(u32, Vec3)>,
+}
+
+impl Shape {
+    /// A linear shape.
+    pub fn linear(name: impl Into<String>, offsets: Vec<(u32, Vec3)>) -> Self {
+        Self { name: name.into(), offsets, arc: Vec::new() }
+    }
+
+    fn add_to(&self, vertices: &mut [Vec3], weight: f32) {
+        if weight == 0.0 {
+            return;
+        }
+        for &(vertex, offset) in &self.offsets {
+            vertices[vertex as usize] += offset * weight;
+        }
+        if weight > 0.0 && weight < 1.0 {
+            let bend = 4.0 * weight * (1.0 - weight);
+            for &(vertex, offset) in &self.arc {
+                vertices[vertex as usize] += offset * bend;
+            }
+        }
+    }
 }
 
 /// Which half of the face an action unit moves.
@@ -89,8 +135,11 @@ pub struct HeadModel {
     pub identities: Vec<Shape>,
     /// Expression basis.
     pub expressions: Vec<Shape>,
-    /// Rest position of each [`Joint`], in their order. Root is the parent of Neck, Neck of the others.
+    /// Position of each [`Joint`] in the template.
     pub joints: [Vec3; 5],
+    /// How each joint follows the identity: vertex and weight. A joint is displaced by the weighted sum of these
+    /// vertices' displacements from the template (with the template's joints this is FLAME's joint regressor).
+    pub joint_regressor: [Vec<(u32, f32)>; 5],
     /// Per vertex, the weight of each [`Joint`]; they sum to 1.
     pub skinning: Vec<[f32; 5]>,
     /// Action units in terms of expressions and joints.
@@ -101,12 +150,21 @@ pub struct HeadModel {
     pub eyeballs: [Range<u32>; 2],
 }
 
+/// A head model's template with an identity applied: what [`HeadModel::vertices`] poses.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ShapedHead {
+    /// Vertices at rest, metres.
+    pub vertices: Vec<Vec3>,
+    /// Rest position of each [`Joint`], metres.
+    pub joints: [Vec3; 5],
+}
+
 /// One moment of a head: what [`HeadModel::vertices`] needs beside the identity.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeadPose {
     /// Weight of each expression of the model; shorter than the basis means zero for the rest.
     pub expressions: Vec<f32>,
-    /// Rotation of each [`Joint`] about its rest position.
+    /// Rotation of each [`Joint`] about its rest position, relative to its parent.
     pub joints: [Quat; 5],
     /// Translation of the whole head, metres, after the rotations.
     pub translation: Vec3,
@@ -117,3 +175,137 @@ impl Default for HeadPose {
         Self { expressions: Vec::new(), joints: [Quat::IDENTITY; 5], translation: Vec3::ZERO }
     }
 }
+
+impl HeadModel {
+    /// The template with the identity of the given weights, one per shape of `identities`; fewer mean zero for the
+    /// rest, and weights beyond the basis are ignored.
+    pub fn shaped(&self, identity: &[f32]) -> ShapedHead {
+        let mut vertices = self.template.clone();
+        for (shape, &weight) in self.identities.iter().zip(identity) {
+            shape.add_to(&mut vertices, weight);
+        }
+        let joints = std::array::from_fn(|joint| {
+            let displacement =
+                self.joint_regressor[joint].iter().fold(Vec3::ZERO, |sum, &(vertex, weight)| {
+                    sum + weight * (vertices[vertex as usize] - self.template[vertex as usize])
+                });
+            self.joints[joint] + displacement
+        });
+        ShapedHead { vertices, joints }
+    }
+
+    /// The vertices of `shaped` in `pose`, metres, into `out`, whose memory is used again.
+    ///
+    /// Linear blend skinning as FLAME's: expressions are added to the identity's vertices, the joints turn about
+    /// their rest positions along the chain root, neck, {jaw, eyes}, every vertex follows its joints by their
+    /// weights, and the translation comes last.
+    pub fn vertices(&self, shaped: &ShapedHead, pose: &HeadPose, out: &mut Vec<Vec3>) {
+        out.clone_from(&shaped.vertices);
+        for (shape, &weight) in self.expressions.iter().zip(&pose.expressions) {
+            shape.add_to(out, weight);
+        }
+        let posed_from_rest = joint_transforms(&shaped.joints, pose);
+        for (vertex, weights) in out.iter_mut().zip(&self.skinning) {
+            let mut rotation = Mat3::ZERO;
+            let mut translation = Vec3::ZERO;
+            for (transform, &weight) in posed_from_rest.iter().zip(weights) {
+                if weight != 0.0 {
+                    rotation += transform.rotation * weight;
+                    translation += transform.translation * weight;
+                }
+            }
+            *vertex = rotation * *vertex + translation;
+        }
+    }
+
+    /// The pose in which each of the given action units, (number, side, intensity 0 to 1), is shown.
+    ///
+    /// Units add up, but no expression is driven past its full weight: an eye closed by two units is closed. An
+    /// intensity outside 0 to 1 is brought to the nearer end. [`Side::Both`] of a unit that has halves shows both;
+    /// one side of a unit without halves shows the whole of it.
+    ///
+    /// # Errors
+    /// [`HeadModelError::NoActionUnit`] for a unit that this model does not have.
+    pub fn pose_of_action_units(&self, units: &[(u8, Side, f32)]) -> Result<HeadPose, HeadModelError> {
+        let mut expressions = vec![0.0_f32; self.expressions.len()];
+        let mut full = vec![0.0_f32; self.expressions.len()];
+        let mut turns = [Vec3::ZERO; 5];
+        for &(number, side, intensity) in units {
+            // max before min: a NaN intensity is taken as 0.
+            #[allow(clippy::manual_clamp)]
+            let intensity = intensity.max(0.0).min(1.0);
+            for unit in self.halves(number, side)? {
+                for &(expression, weight) in &unit.expressions {
+                    expressions[expression] += weight * intensity;
+                    if weight.abs() > full[expression].abs() {
+                        full[expression] = weight;
+                    }
+                }
+                for &(joint, turn) in &unit.joints {
+                    turns[joint as usize] += turn * intensity;
+                }
+            }
+        }
+        for (weight, full) in expressions.iter_mut().zip(full) {
+            *weight = weight.clamp(full.min(0.0), full.max(0.0));
+        }
+        Ok(HeadPose { expressions, joints: turns.map(Quat::from_scaled_axis), translation: Vec3::ZERO })
+    }
+
+    /// Number and side of an action unit written as `AU12`, `au12_L`, `12` or `12R`.
+    ///
+    /// # Errors
+    /// [`HeadModelError::UnreadableActionUnit`] for another form, [`HeadModelError::NoActionUnit`] for a unit that
+    /// this model does not have.
+    pub fn action_unit_named(&self, name: &str) -> Result<(u8, Side), HeadModelError> {
+        let unreadable = || HeadModelError::UnreadableActionUnit { name: name.to_owned() };
+        let rest = name.trim().to_ascii_uppercase();
+        let rest = rest.strip_prefix("AU").unwrap_or(&rest);
+        let (digits, side) = match rest.strip_suffix('L') {
+            Some(digits) => (digits, Side::Left),
+            None => rest.strip_suffix('R').map_or((rest, Side::Both), |digits| (digits, Side::Right)),
+        };
+        let digits = digits.strip_suffix('_').unwrap_or(digits);
+        let number = digits.parse::<u8>().map_err(|_| unreadable())?;
+        self.halves(number, side)?;
+        Ok((number, side))
+    }
+
+    /// The listed units that make up one side, or both, of unit `number`.
+    fn halves(&self, number: u8, side: Side) -> Result<Vec<&ActionUnit>, HeadModelError> {
+        let shown = |unit: &ActionUnit| {
+            unit.number == number && (side == Side::Both || unit.side == Side::Both || unit.side == side)
+        };
+        let found: Vec<_> = self.action_units.iter().filter(|unit| shown(unit)).collect();
+        if found.is_empty() {
+            let mut available: Vec<u8> = self.action_units.iter().map(|unit| unit.number).collect();
+            available.sort_unstable();
+            available.dedup();
+            return Err(HeadModelError::NoActionUnit { model: self.name.clone(), number, side, available });
+        }
+        Ok(found)
+    }
+}
+
+/// Where a joint takes a point that follows it alone: `rotation * point + translation`.
+#[derive(Debug, Clone, Copy)]
+struct JointTransform {
+    rotation: Mat3,
+    translation: Vec3,
+}
+
+fn joint_transforms(rest: &[Vec3; 5], pose: &HeadPose) -> [JointTransform; 5] {
+    let mut posed_from_rest = [JointTransform { rotation: Mat3::IDENTITY, translation: pose.translation }; 5];
+    for joint in Joint::ALL {
+        let index = joint as usize;
+        let parent = joint.parent().map_or(posed_from_rest[index], |parent| posed_from_rest[parent as usize]);
+        let turn = Mat3::from_quat(pose.joints[index]);
+        let rotation = parent.rotation * turn;
+        let position = parent.rotation * rest[index] + parent.translation;
+        posed_from_rest[index] = JointTransform { rotation, translation: position - rotation * rest[index] };
+    }
+    posed_from_rest
+}
+
+#[cfg(test)]
+mod tests;

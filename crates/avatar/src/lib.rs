@@ -4,4 +4,6 @@
 
 mod head_model;
 
-pub use head_model::{ActionUnit, HeadModel, HeadPose, Joint, Region, Shape, Side};
+pub use head_model::{
+    ActionUnit, HeadModel, HeadModelError, HeadPose, Joint, Region, Shape, ShapedHead, Side,
+};

@@ -1,0 +1,185 @@
+use super::{HeadModel, Shape, Side};
+
+/// What can be wrong with a head model or with what is asked of it.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum HeadModelError {
+    /// A list that must hold one entry per vertex or triangle does not.
+    #[error(
+        "head model {model}: {list} has {found} entries, expected {expected}; the file is cut short or mixes models"
+    )]
+    Count {
+        /// Name of the model.
+        model: String,
+        /// The list.
+        list: &'static str,
+        /// Entries there are.
+        found: usize,
+        /// Entries there should be.
+        expected: usize,
+    },
+    /// Something points at a vertex, triangle or expression that the model does not have.
+    #[error("head model {model}: {what} refers to number {index}, but there are only {count}")]
+    Index {
+        /// Name of the model.
+        model: String,
+        /// What points there.
+        what: String,
+        /// Where it points.
+        index: usize,
+        /// How many there are.
+        count: usize,
+    },
+    /// A coordinate or weight is not a finite number.
+    #[error("head model {model}: {what} {index} is not a finite number")]
+    NotFinite {
+        /// Name of the model.
+        model: String,
+        /// What holds the number.
+        what: String,
+        /// Which of them.
+        index: usize,
+    },
+    /// The joint weights of a vertex, or the barycentric coordinates of a landmark, do not sum to 1.
+    #[error("head model {model}: the {what} of {index} sum to {sum}, expected 1")]
+    Sum {
+        /// Name of the model.
+        model: String,
+        /// What is summed.
+        what: &'static str,
+        /// Vertex or landmark number.
+        index: usize,
+        /// The sum.
+        sum: f32,
+    },
+    /// The model has no such action unit.
+    #[error("head model {model} has no action unit {number} ({side:?}); it has {}", list(.available))]
+    NoActionUnit {
+        /// Name of the model.
+        model: String,
+        /// Number asked for.
+        number: u8,
+        /// Side asked for.
+        side: Side,
+        /// Numbers there are.
+        available: Vec<u8>,
+    },
+    /// Text that is not the name of an action unit.
+    #[error("`{name}` is not the name of an action unit; write AU12, AU12_L, AU12_R or 12")]
+    UnreadableActionUnit {
+        /// The text.
+        name: String,
+    },
+}
+
+fn list(numbers: &[u8]) -> String {
+    if numbers.is_empty() {
+        return "none".to_owned();
+    }
+    numbers.iter().map(u8::to_string).collect::<Vec<_>>().join(", ")
+}
+
+/// How far a sum of weights read from a file may be from 1.
+const SUM_TOLERANCE: f32 = 1e-3;
+
+impl HeadModel {
+    /// Checks that every number of the model points at something it has, that lists are of equal length where they
+    /// must be, that weights sum to 1 and that coordinates are finite. A model that passes can be shaped and posed
+    /// with any weights without a panic; loaders call it before they hand a model out.
+    ///
+    /// # Errors
+    /// The first fault found.
+    pub fn validate(&self) -> Result<(), HeadModelError> {
+        self.check_count("skinning", self.skinning.len(), self.template.len())?;
+        self.check_count("regions", self.regions.len(), self.triangles.len())?;
+        self.check_finite("vertex", self.template.iter().map(|v| v.is_finite()))?;
+        self.check_finite("joint", self.joints.iter().map(|v| v.is_finite()))?;
+        self.check_indices("a triangle", self.triangles.iter().flatten())?;
+        for shape in self.identities.iter().chain(&self.expressions) {
+            self.check_shape(shape)?;
+        }
+        for follow in &self.joint_regressor {
+            self.check_indices("the joint regressor", follow.iter().map(|(vertex, _)| vertex))?;
+            self.check_finite("weight of the joint regressor", follow.iter().map(|(_, w)| w.is_finite()))?;
+        }
+        for (vertex, weights) in self.skinning.iter().enumerate() {
+            self.check_sum("joint weights", vertex, weights.iter().sum())?;
+        }
+        self.check_action_units()?;
+        self.check_landmarks()?;
+        for range in &self.eyeballs {
+            self.check_index("an eyeball", range.end as usize, self.template.len() + 1)?;
+            self.check_index("an eyeball", range.start as usize, range.end as usize + 1)?;
+        }
+        Ok(())
+    }
+
+    fn check_shape(&self, shape: &Shape) -> Result<(), HeadModelError> {
+        let what = format!("shape {}", shape.name);
+        for offsets in [&shape.offsets, &shape.arc] {
+            self.check_indices(&what, offsets.iter().map(|(vertex, _)| vertex))?;
+            self.check_finite(&what, offsets.iter().map(|(_, offset)| offset.is_finite()))?;
+        }
+        Ok(())
+    }
+
+    fn check_action_units(&self) -> Result<(), HeadModelError> {
+        for unit in &self.action_units {
+            let what = format!("action unit {} ({:?})", unit.number, unit.side);
+            for &(expression, _) in &unit.expressions {
+                self.check_index(&what, expression, self.expressions.len())?;
+            }
+            self.check_finite(&what, unit.expressions.iter().map(|(_, weight)| weight.is_finite()))?;
+            self.check_finite(&what, unit.joints.iter().map(|(_, turn)| turn.is_finite()))?;
+        }
+        Ok(())
+    }
+
+    fn check_landmarks(&self) -> Result<(), HeadModelError> {
+        for (number, &(triangle, barycentric)) in self.landmarks.iter().enumerate() {
+            self.check_index("a landmark", triangle as usize, self.triangles.len())?;
+            self.check_sum("barycentric coordinates", number, barycentric.element_sum())?;
+        }
+        Ok(())
+    }
+
+    fn check_count(&self, list: &'static str, found: usize, expected: usize) -> Result<(), HeadModelError> {
+        if found == expected {
+            return Ok(());
+        }
+        Err(HeadModelError::Count { model: self.name.clone(), list, found, expected })
+    }
+
+    fn check_indices<'a>(
+        &self,
+        what: &str,
+        vertices: impl IntoIterator<Item = &'a u32>,
+    ) -> Result<(), HeadModelError> {
+        vertices
+            .into_iter()
+            .try_for_each(|&vertex| self.check_index(what, vertex as usize, self.template.len()))
+    }
+
+    fn check_index(&self, what: &str, index: usize, count: usize) -> Result<(), HeadModelError> {
+        if index < count {
+            return Ok(());
+        }
+        Err(HeadModelError::Index { model: self.name.clone(), what: what.to_owned(), index, count })
+    }
+
+    fn check_finite(&self, what: &str, finite: impl IntoIterator<Item = bool>) -> Result<(), HeadModelError> {
+        match finite.into_iter().position(|finite| !finite) {
+            None => Ok(()),
+            Some(index) => {
+                Err(HeadModelError::NotFinite { model: self.name.clone(), what: what.to_owned(), index })
+            }
+        }
+    }
+
+    fn check_sum(&self, what: &'static str, index: usize, sum: f32) -> Result<(), HeadModelError> {
+        // Written so that a NaN sum fails too.
+        if (sum - 1.0).abs() <= SUM_TOLERANCE {
+            return Ok(());
+        }
+        Err(HeadModelError::Sum { model: self.name.clone(), what, index, sum })
+    }
+}

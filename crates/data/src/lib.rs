@@ -1,1 +1,3 @@
 //! Optical-flow datasets: generating SRFlow, checking it, and reading the published ones.
+
+pub mod manifest;

@@ -1,5 +1,13 @@
 use glam::{DMat4, DVec2, DVec3};
 
+use crate::CameraError;
+
+/// The most pixels an image may have: 268 million, or 16384 x 16384.
+pub const MAX_PIXELS: usize = 1 << 28;
+
+/// Gaussians whose centre is at this depth or nearer are not seen, in scene units (3DGS reference, `in_frustum`).
+pub const NEAR: f64 = 0.2;
+
 /// A pinhole camera in the OpenCV convention: x right, y down, z forward; an integer coordinate is the centre of a
 /// pixel, so the principal point of a symmetric frustum is `((width - 1) / 2, (height - 1) / 2)`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -24,12 +32,74 @@ impl Camera {
     /// Pixel and depth (camera z) of a world point; `None` at or behind the camera's plane.
     pub fn project(&self, world: DVec3) -> Option<(DVec2, f64)> {
         let point = self.camera_from_world.transform_point3(world);
-        (point.z > 0.0).then(|| {
-            (
-                DVec2::new(self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy),
-                point.z,
-            )
-        })
+        (point.z > 0.0).then(|| (self.pixel(point), point.z))
+    }
+
+    /// Where the camera stands, in world units. The pose must be rigid, see [`Camera::validate`].
+    pub fn position(&self) -> DVec3 {
+        let t = self.camera_from_world.w_axis.truncate();
+        -DVec3::new(
+            self.camera_from_world.x_axis.truncate().dot(t),
+            self.camera_from_world.y_axis.truncate().dot(t),
+            self.camera_from_world.z_axis.truncate().dot(t),
+        )
+    }
+
+    /// Pixel of a point in camera coordinates that lies in front of the camera.
+    pub(crate) fn pixel(&self, point: DVec3) -> DVec2 {
+        DVec2::new(self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy)
+    }
+
+    /// Whether the camera can be rendered with.
+    ///
+    /// # Errors
+    /// When the image is empty or has more than [`MAX_PIXELS`], an intrinsic is not finite, a focal length not
+    /// positive, or the pose is not a rotation (to 1e-4) and a finite translation over the row `0 0 0 1`.
+    pub fn validate(&self) -> Result<(), CameraError> {
+        let (width, height) = (self.width, self.height);
+        if width == 0 || height == 0 {
+            return Err(CameraError::Empty { width, height });
+        }
+        if width.checked_mul(height).is_none_or(|pixels| pixels > MAX_PIXELS) {
+            return Err(CameraError::TooLarge { width, height });
+        }
+        for (name, value) in [("fx", self.fx), ("fy", self.fy)] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(CameraError::FocalLength { name, value });
+            }
+        }
+        if !(self.cx.is_finite() && self.cy.is_finite()) {
+            return Err(CameraError::PrincipalPoint { cx: self.cx, cy: self.cy });
+        }
+        self.validate_pose().map_err(CameraError::NotRigid)
+    }
+
+    fn validate_pose(&self) -> Result<(), String> {
+        const TOLERANCE: f64 = 1e-4;
+        let pose = self.camera_from_world;
+        if !pose.is_finite() {
+            return Err("it holds a number that is not finite".into());
+        }
+        let last = pose.row(3);
+        if last.to_array() != [0.0, 0.0, 0.0, 1.0] {
+            return Err(format!("its last row is {last}, expected [0, 0, 0, 1]"));
+        }
+        let axes = [pose.x_axis.truncate(), pose.y_axis.truncate(), pose.z_axis.truncate()];
+        for (i, a) in axes.iter().enumerate() {
+            for (j, b) in axes.iter().enumerate().take(i + 1) {
+                let expected = if i == j { 1.0 } else { 0.0 };
+                let dot = a.dot(*b);
+                if (dot - expected).abs() > TOLERANCE {
+                    return Err(format!(
+                        "columns {j} and {i} have the inner product {dot}, expected {expected}"
+                    ));
+                }
+            }
+        }
+        if axes[0].cross(axes[1]).dot(axes[2]) < 0.0 {
+            return Err("it mirrors the world (its determinant is -1, expected 1)".into());
+        }
+        Ok(())
     }
 }
 
@@ -42,4 +112,14 @@ pub enum PixelConvention {
     /// `(ndc + 1) * (S - 1) / 2`, as the SRFlow paper writes (its equations for u and v): displacements are smaller
     /// by the factor `(S - 1) / S`.
     Paper,
+}
+
+impl PixelConvention {
+    /// Pixels of this convention per pixel of the image, for an image side of `size` pixels.
+    pub fn scale(self, size: usize) -> f64 {
+        match self {
+            Self::Splat => 1.0,
+            Self::Paper => (size as f64 - 1.0) / size as f64,
+        }
+    }
 }

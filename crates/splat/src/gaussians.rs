@@ -1,5 +1,7 @@
 use glam::{Quat, Vec3};
 
+use crate::{RasterizeError, sh};
+
 /// A set of 3D Gaussians, one entry of each list per Gaussian. Values are activated: scales are standard deviations in
 /// world units (not their logarithms), opacities are probabilities (not logits), rotations are unit quaternions.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -32,6 +34,26 @@ impl Gaussians {
 
     /// Coefficients per Gaussian: `(sh_degree + 1)^2`.
     pub fn sh_len(&self) -> usize {
-        (self.sh_degree + 1) * (self.sh_degree + 1)
+        sh::coefficients(self.sh_degree)
+    }
+
+    /// Checks that the lists belong together; `set` names the set in the error.
+    pub(crate) fn validate(&self, set: &'static str) -> Result<(), RasterizeError> {
+        if self.sh_degree > 3 {
+            return Err(RasterizeError::ShDegree(self.sh_degree));
+        }
+        let lists = [
+            ("scales", self.scales.len(), 1),
+            ("rotations", self.rotations.len(), 1),
+            ("opacities", self.opacities.len(), 1),
+            ("sh", self.sh.len(), self.sh_len()),
+        ];
+        for (list, found, each) in lists {
+            let needed = self.len() * each;
+            if found != needed {
+                return Err(RasterizeError::ListLength { set, list, expected: self.len(), needed, found });
+            }
+        }
+        Ok(())
     }
 }

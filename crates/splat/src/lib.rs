@@ -2,9 +2,19 @@
 //!
 //! One pass over depth-sorted 3D Gaussians gives colour, optical flow, alpha and depth, with the constants of the
 //! 3D Gaussian Splatting reference (Kerbl et al. 2023) and the flow of the SRFlow paper (section III-B).
+//!
+//! [`reference`] is the definition, one pixel at a time in `f64`; [`Rasterizer`] computes the same fast.
 
 mod camera;
+mod error;
+mod frame;
 mod gaussians;
+mod rasterizer;
+pub mod reference;
+mod sh;
 
-pub use camera::{Camera, PixelConvention};
+pub use camera::{Camera, MAX_PIXELS, NEAR, PixelConvention};
+pub use error::{CameraError, RasterizeError};
+pub use frame::{Frame, Outputs, Statistics};
 pub use gaussians::Gaussians;
+pub use rasterizer::{Next, Options, Rasterizer};

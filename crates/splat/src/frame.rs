@@ -1,0 +1,141 @@
+use srflow_field::{FlowField, Image, Mask, Plane};
+
+/// Which outputs a rendering writes. Those not asked for are left empty (size 0x0) and cost nothing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Outputs {
+    /// [`Frame::image`].
+    pub image: bool,
+    /// [`Frame::color`].
+    pub color: bool,
+    /// [`Frame::alpha`].
+    pub alpha: bool,
+    /// [`Frame::depth`].
+    pub depth: bool,
+    /// [`Frame::flow`]; written only when there is a next frame.
+    pub flow: bool,
+    /// [`Frame::depth_next`]; written only when there is a next frame.
+    pub depth_next: bool,
+}
+
+impl Outputs {
+    /// Everything.
+    pub const ALL: Self =
+        Self { image: true, color: true, alpha: true, depth: true, flow: true, depth_next: true };
+    /// The 8-bit image alone.
+    pub const IMAGE: Self =
+        Self { image: true, color: false, alpha: false, depth: false, flow: false, depth_next: false };
+}
+
+impl Default for Outputs {
+    fn default() -> Self {
+        Self::ALL
+    }
+}
+
+/// What one rendering gives, row-major. Keep it and hand it to the next rendering: its buffers are reused.
+///
+/// With `w` the blending weight of a Gaussian at a pixel (its alpha times the transmittance before it):
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    /// Image width in pixels.
+    pub width: usize,
+    /// Image height in pixels.
+    pub height: usize,
+    /// [`Frame::color`] clamped to 0..1 and rounded to 8 bits. Colours of a 3DGS avatar are sRGB values already.
+    pub image: Image,
+    /// `sum w * colour` plus the background seen through, before clamping; 0..1 is the displayable range.
+    pub color: Vec<[f32; 3]>,
+    /// `sum w`, in 0..1.
+    pub alpha: Plane,
+    /// Expected depth `sum w * z / sum w` in scene units, z being the centre's depth in this camera; 0 where nothing
+    /// is seen.
+    pub depth: Plane,
+    /// `sum w * displacement` in pixels, not divided by alpha (SRFlow paper, section III-B).
+    pub flow: FlowField,
+    /// Expected depth of the same Gaussians, with the same weights, after they moved and as the next camera sees them;
+    /// 0 where nothing is seen. A pixel whose `depth_next` is larger than the next frame's own depth at the flow's
+    /// target is occluded there.
+    pub depth_next: Plane,
+    /// What was drawn.
+    pub statistics: Statistics,
+}
+
+/// What one rendering drew.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Statistics {
+    /// Gaussians that could touch a pixel.
+    pub visible: usize,
+    /// (Gaussian, pixel) pairs that were blended.
+    pub blended: u64,
+    /// Visible Gaussians that have no displacement because their next centre is not in front of the next camera's
+    /// near plane or is not finite. They are drawn, with a displacement of zero.
+    pub without_displacement: usize,
+}
+
+impl Default for Frame {
+    fn default() -> Self {
+        Self {
+            width: 0,
+            height: 0,
+            image: Image::new(0, 0),
+            color: Vec::new(),
+            alpha: Plane::new(0, 0),
+            depth: Plane::new(0, 0),
+            flow: FlowField::new(0, 0),
+            depth_next: Plane::new(0, 0),
+            statistics: Statistics::default(),
+        }
+    }
+}
+
+impl Frame {
+    /// An empty frame.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// `true` where alpha is over one half. Needs [`Outputs::alpha`].
+    pub fn mask(&self) -> Mask {
+        let (width, height) = self.alpha.size();
+        let pixels: Vec<bool> = self.alpha.pixels().iter().map(|&alpha| alpha > 0.5).collect();
+        Mask::from_pixels(width, height, pixels).unwrap_or_else(|_| Mask::new(width, height))
+    }
+
+    /// The flow divided by alpha: the mean displacement of what is seen; zero where nothing is seen. Needs
+    /// [`Outputs::flow`] and [`Outputs::alpha`].
+    pub fn flow_normalized(&self) -> FlowField {
+        let mut normalized = self.flow.clone();
+        for ([u, v], &alpha) in normalized.pixels_mut().iter_mut().zip(self.alpha.pixels()) {
+            if alpha > 0.0 {
+                *u /= alpha;
+                *v /= alpha;
+            }
+        }
+        normalized
+    }
+
+    /// Sizes the wanted buffers and empties the others, keeping their memory.
+    pub(crate) fn prepare(&mut self, width: usize, height: usize, outputs: Outputs) {
+        macro_rules! fit {
+            ($field:ident, $type:ident, $blank:expr) => {
+                let (width, height) = if outputs.$field { (width, height) } else { (0, 0) };
+                if self.$field.size() != (width, height) {
+                    let mut pixels = std::mem::replace(&mut self.$field, $type::new(0, 0)).into_pixels();
+                    pixels.resize(width * height, $blank);
+                    self.$field = match $type::from_pixels(width, height, pixels) {
+                        Ok(grid) => grid,
+                        Err(_) => unreachable!("resized to fit"),
+                    };
+                }
+            };
+        }
+        fit!(image, Image, [0; 3]);
+        fit!(alpha, Plane, 0.0);
+        fit!(depth, Plane, 0.0);
+        fit!(flow, FlowField, [0.0; 2]);
+        fit!(depth_next, Plane, 0.0);
+        self.color.resize(if outputs.color { width * height } else { 0 }, [0.0; 3]);
+        (self.width, self.height) = (width, height);
+        self.statistics = Statistics::default();
+    }
+}

@@ -1,0 +1,107 @@
+use glam::DVec3;
+
+/// Coefficients per Gaussian of spherical harmonics of `degree`.
+pub(crate) const fn coefficients(degree: usize) -> usize {
+    (degree + 1) * (degree + 1)
+}
+
+/// The real spherical harmonics of degree 0 to 3 at the unit vector `direction`, in the order and with the signs of
+/// the 3DGS reference (Condon-Shortley phase; order -l..l within a degree). Only the first
+/// [`coefficients`]`(degree)` entries are written; the others are zero.
+pub(crate) fn basis(degree: usize, direction: DVec3) -> [f64; 16] {
+    let DVec3 { x, y, z } = direction;
+    let mut basis = [0.0; 16];
+    basis[0] = 0.282_094_791_773_878_14; // sqrt(1 / pi) / 2
+    if degree >= 1 {
+        const C1: f64 = 0.488_602_511_902_919_9; // sqrt(3 / pi) / 2
+        basis[1] = -C1 * y;
+        basis[2] = C1 * z;
+        basis[3] = -C1 * x;
+    }
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    if degree >= 2 {
+        const C2: f64 = 1.092_548_430_592_079_2; // sqrt(15 / pi) / 2
+        basis[4] = C2 * x * y;
+        basis[5] = -C2 * y * z;
+        basis[6] = 0.315_391_565_252_520_05 * (2.0 * zz - xx - yy); // sqrt(5 / pi) / 4
+        basis[7] = -C2 * x * z;
+        basis[8] = 0.5 * C2 * (xx - yy);
+    }
+    if degree >= 3 {
+        const C33: f64 = 0.590_043_589_926_643_5; // sqrt(35 / (2 pi)) / 4
+        const C32: f64 = 2.890_611_442_640_554; // sqrt(105 / pi) / 2
+        const C31: f64 = 0.457_045_799_464_465_8; // sqrt(21 / (2 pi)) / 4
+        const C30: f64 = 0.373_176_332_590_115_4; // sqrt(7 / pi) / 4
+        basis[9] = -C33 * y * (3.0 * xx - yy);
+        basis[10] = C32 * x * y * z;
+        basis[11] = -C31 * y * (4.0 * zz - xx - yy);
+        basis[12] = C30 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy);
+        basis[13] = -C31 * x * (4.0 * zz - xx - yy);
+        basis[14] = 0.5 * C32 * z * (xx - yy);
+        basis[15] = -C33 * x * (xx - 3.0 * yy);
+    }
+    basis
+}
+
+/// Colour seen along the unit vector `direction` (from the camera to the Gaussian): `max(0, 0.5 + sum)`.
+pub(crate) fn color(degree: usize, sh: &[[f32; 3]], direction: DVec3) -> [f64; 3] {
+    let basis = basis(degree, direction);
+    let mut color = [0.5; 3];
+    for (weight, coefficient) in basis.iter().zip(sh) {
+        for channel in 0..3 {
+            color[channel] += weight * f64::from(coefficient[channel]);
+        }
+    }
+    color.map(|channel| channel.max(0.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Gauss-Legendre in z times equal steps in azimuth integrates polynomials of degree 7 exactly.
+    #[test]
+    fn basis_is_orthonormal_on_the_sphere() {
+        let nodes = [
+            (0.861_136_311_594_052_6, 0.347_854_845_137_453_85),
+            (0.339_981_043_584_856_26, 0.652_145_154_862_546_1),
+        ];
+        let mut gram = [[0.0; 16]; 16];
+        for (node, weight) in nodes.into_iter().flat_map(|(z, w)| [(z, w), (-z, w)]) {
+            for step in 0..8 {
+                let azimuth = std::f64::consts::TAU * (f64::from(step) + 0.3) / 8.0;
+                let r = (1.0_f64 - node * node).sqrt();
+                let values = basis(3, DVec3::new(r * azimuth.cos(), r * azimuth.sin(), node));
+                for i in 0..16 {
+                    for j in 0..16 {
+                        gram[i][j] += weight * std::f64::consts::TAU / 8.0 * values[i] * values[j];
+                    }
+                }
+            }
+        }
+        for (i, row) in gram.iter().enumerate() {
+            for (j, &value) in row.iter().enumerate() {
+                assert!((value - f64::from(u8::from(i == j))).abs() < 1e-12, "<{i},{j}> = {value}");
+            }
+        }
+    }
+
+    /// The signs of the reference: degree 1 is (-y, z, -x); see `computeColorFromSH` in
+    /// graphdeco-inria/diff-gaussian-rasterization cuda_rasterizer/forward.cu.
+    #[test]
+    fn signs_are_those_of_the_reference() {
+        let signs =
+            |direction: DVec3| basis(3, direction.normalize()).map(|v| if v < 0.0 { '-' } else { '+' });
+        let direction = DVec3::new(0.5, 0.3, 0.8);
+        assert_eq!(signs(direction).iter().collect::<String>(), "+-+-+-+-+-+-+-++");
+        assert_eq!(basis(1, direction)[4..], [0.0; 12]);
+    }
+
+    #[test]
+    fn color_is_half_plus_the_sum_and_never_negative() {
+        let sh = [[1.0, 0.0, -3.0]];
+        let [r, g, b] = color(0, &sh, DVec3::Z);
+        assert!((r - 0.782_094_791_773_878_1).abs() < 1e-15);
+        assert_eq!([g, b], [0.5, 0.0]);
+    }
+}

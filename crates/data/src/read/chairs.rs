@@ -1,0 +1,77 @@
+//! FlyingChairs: `data/00001_img1.ppm`, `data/00001_img2.ppm`, `data/00001_flow.flo`, and beside `data/` the file
+//! `FlyingChairs_train_val.txt` with a line per pair in sorted order, 1 for training and 2 for validation.
+//! Layout: SKFlow, core/datasets.py, `FlyingChairs`.
+
+use std::path::Path;
+
+use super::listing::{self, Gaps};
+use super::triplets::triplets;
+use super::{DatasetError, Entry, Reader, Split};
+
+const SPLIT_FILE: &str = "FlyingChairs_train_val.txt";
+
+pub struct FlyingChairs;
+
+impl Reader for FlyingChairs {
+    fn name(&self) -> String {
+        "chairs".to_owned()
+    }
+
+    fn default_split(&self) -> Split {
+        Split::Val
+    }
+
+    fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+        let wanted = match split {
+            Split::All => None,
+            Split::Train => Some(1),
+            Split::Val => Some(2),
+            Split::Test => {
+                let available = "train, val, all";
+                return Err(DatasetError::NoSplit { kind: self.name(), split, available });
+            }
+        };
+        let data = listing::require("chairs", dir, "data")?;
+        let pairs = triplets(&data, gaps)?;
+        if pairs.is_empty() && gaps.is_empty() {
+            return Err(listing::nothing_fits("chairs", &data, "*_img1.ppm", ""));
+        }
+        for pair in pairs.iter().filter(|pair| pair.flow.is_none()) {
+            gaps.push(format!("{} has no flow data/{}_flow.flo", gaps.shown(&pair.frame1), pair.frame));
+        }
+        match wanted {
+            Some(part) if gaps.is_empty() => chosen(dir, pairs, part),
+            _ => Ok(pairs),
+        }
+    }
+}
+
+/// The pairs whose line in the split file holds `part`.
+fn chosen(dir: &Path, pairs: Vec<Entry>, part: u8) -> Result<Vec<Entry>, DatasetError> {
+    let path = dir.join(SPLIT_FILE);
+    if !path.is_file() {
+        let hint = "The list is published beside the dataset and lies beside data/; `--split all` needs none";
+        return Err(listing::nothing_fits("chairs", dir, SPLIT_FILE, hint));
+    }
+    let text =
+        std::fs::read_to_string(&path).map_err(|source| DatasetError::Io { path: path.clone(), source })?;
+    let wrong = |reason| DatasetError::Format { path: path.clone(), reason };
+    let mut parts = Vec::new();
+    for (number, line) in text.lines().enumerate() {
+        match line.trim() {
+            "" => {}
+            "1" => parts.push(1),
+            "2" => parts.push(2),
+            other => return Err(wrong(format!("line {}: expected 1 or 2, found `{other}`", number + 1))),
+        }
+    }
+    if parts.len() != pairs.len() {
+        let reason = format!(
+            "{} lines for {} pairs in data/; it lists one a pair, in sorted order",
+            parts.len(),
+            pairs.len()
+        );
+        return Err(wrong(reason));
+    }
+    Ok(pairs.into_iter().zip(parts).filter(|(_, found)| *found == part).map(|(pair, _)| pair).collect())
+}

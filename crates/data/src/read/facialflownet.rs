@@ -1,0 +1,88 @@
+//! FacialFlowNet: `image/{facial,head}/{train,val,test}/EMOTION/SUBJECT/*.jpg`, `flow/…/*.flo` in the same folders, one fewer than
+//! the images, and `mask/{train,val,test}/EMOTION/SUBJECT/*.npy`. `facial` is the whole motion, `head` that of the head alone.
+//! Images, flows and masks go together by their sorted order.
+//! Layout: RIA1159/FacialFlowNet, core/datasets.py, `FacialFlow`.
+
+use std::path::Path;
+
+use super::listing::{self, Gaps};
+use super::{DatasetError, Entry, Reader, Split, Truth};
+
+pub struct FacialFlowNet {
+    /// `facial` or `head`.
+    pub motion: &'static str,
+}
+
+impl Reader for FacialFlowNet {
+    fn name(&self) -> String {
+        format!("facialflownet-{}", self.motion)
+    }
+
+    fn default_split(&self) -> Split {
+        Split::Test
+    }
+
+    fn truth(&self) -> Truth {
+        Truth { max_flow: 1000.0, ..Truth::default() }
+    }
+
+    fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+        let parts: &[&str] = match split {
+            Split::Train => &["train"],
+            Split::Val => &["val"],
+            Split::Test => &["test"],
+            Split::All => &["train", "val", "test"],
+        };
+        let mut entries = Vec::new();
+        for part in parts {
+            let images = listing::require(&self.name(), dir, &format!("image/{}/{part}", self.motion))?;
+            listing::require(&self.name(), dir, &format!("flow/{}/{part}", self.motion))?;
+            for emotion in listing::folders(&images)? {
+                for subject in listing::folders(&emotion)? {
+                    let place = format!("{part}/{}/{}", listing::name(&emotion), listing::name(&subject));
+                    entries.extend(self.sequence(dir, &place, gaps)?);
+                }
+            }
+        }
+        Ok(entries)
+    }
+}
+
+impl FacialFlowNet {
+    /// The pairs of one subject showing one emotion, e.g. `test/happy/012`.
+    fn sequence(&self, dir: &Path, place: &str, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+        let images =
+            listing::files(&dir.join("image").join(self.motion).join(place), &["jpg", "jpeg", "png"])?;
+        let flow_dir = dir.join("flow").join(self.motion).join(place);
+        let flows = listing::files_if_there(&flow_dir, &["flo"])?;
+        let masks = listing::files_if_there(&dir.join("mask").join(place), &["npy"])?;
+        let pairs = images.len().saturating_sub(1);
+        if flows.len() != pairs {
+            let (found, dir) = (flows.len(), gaps.shown(&flow_dir));
+            gaps.push(format!("{place}: {} images need {pairs} flows, {dir} holds {found}", images.len()));
+            return Ok(Vec::new());
+        }
+        if !masks.is_empty() && masks.len() < pairs {
+            gaps.push(format!(
+                "{place}: {} images need {pairs} masks, mask/{place} holds {}",
+                images.len(),
+                masks.len()
+            ));
+            return Ok(Vec::new());
+        }
+        let mut masks = masks.into_iter();
+        let entry = |(pair, flow): (&[std::path::PathBuf], std::path::PathBuf)| {
+            let [frame1, frame2] = pair else { return None };
+            Some(Entry {
+                scene: place.to_owned(),
+                frame: listing::stem(frame1),
+                frame1: frame1.clone(),
+                frame2: frame2.clone(),
+                flow: Some(flow),
+                mask: masks.next(),
+                occlusion: None,
+            })
+        };
+        Ok(images.windows(2).zip(flows).filter_map(entry).collect())
+    }
+}

@@ -1,0 +1,99 @@
+//! KITTI 2012 and 2015: `training/image_2/000000_{10,11}.png` (2012: `colored_0`), `training/flow_occ/000000_10.png`, where
+//! published `training/flow_noc` with the visible pixels only, and `testing/` without truth.
+//! Layout: ptlflow 0.4.2, data/datasets.py, `KittiDataset`.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use super::listing::{self, Gaps};
+use super::{DatasetError, Entry, Occlusion, Reader, Split, Truth};
+
+pub struct Kitti {
+    /// `2012` or `2015`.
+    pub year: &'static str,
+}
+
+impl Reader for Kitti {
+    fn name(&self) -> String {
+        format!("kitti-{}", self.year)
+    }
+
+    fn default_split(&self) -> Split {
+        Split::All
+    }
+
+    fn truth(&self) -> Truth {
+        Truth { max_flow: 512.0, ..Truth::default() }
+    }
+
+    fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+        let part = match split {
+            Split::Train | Split::All => "training",
+            Split::Test => "testing",
+            Split::Val => {
+                let available = "train (all), test (frames only)";
+                return Err(DatasetError::NoSplit { kind: self.name(), split, available });
+            }
+        };
+        let image_folder = if self.year == "2012" { "colored_0" } else { "image_2" };
+        let frame_dir = listing::require(&self.name(), dir, &format!("{part}/{image_folder}"))?;
+        if split != Split::Test {
+            listing::require(&self.name(), dir, "training/flow_occ")?;
+        }
+        let root = dir.join(part);
+        let entries = scenes(&frame_dir, gaps)?
+            .iter()
+            .filter_map(|scene| entry_of(&root, &frame_dir, scene, split != Split::Test, gaps))
+            .collect();
+        if split != Split::Test {
+            flows_without_frames(&root, &frame_dir, gaps)?;
+        }
+        Ok(entries)
+    }
+}
+
+/// The numbers `SSSSSS` of which `SSSSSS_10.png` or `SSSSSS_11.png` is there. The 20 other frames of KITTI's multi-view
+/// edition have no truth and are left out.
+fn scenes(frame_dir: &Path, gaps: &Gaps) -> Result<BTreeSet<String>, DatasetError> {
+    let scene_of = |path: &Path| {
+        let stem = listing::stem(path);
+        stem.strip_suffix("_10").or_else(|| stem.strip_suffix("_11")).map(str::to_owned)
+    };
+    let scenes: BTreeSet<String> =
+        listing::files(frame_dir, &["png"])?.iter().filter_map(|p| scene_of(p)).collect();
+    if scenes.is_empty() {
+        return Err(listing::nothing_fits(gaps.kind(), frame_dir, "*_10.png", ""));
+    }
+    Ok(scenes)
+}
+
+fn entry_of(root: &Path, frame_dir: &Path, scene: &str, with_flow: bool, gaps: &mut Gaps) -> Option<Entry> {
+    let [frame1, frame2] = [10, 11].map(|frame| frame_dir.join(format!("{scene}_{frame}.png")));
+    let truth = |folder: &str| root.join(folder).join(format!("{scene}_10.png"));
+    let flow = truth("flow_occ");
+    let needed = [Some(&frame1), Some(&frame2), with_flow.then_some(&flow)];
+    let missing: Vec<_> = needed.into_iter().flatten().filter(|path| !path.is_file()).collect();
+    for path in &missing {
+        gaps.push(format!("{scene}: no {}", gaps.shown(path)));
+    }
+    let visible = truth("flow_noc");
+    missing.is_empty().then(|| Entry {
+        scene: String::new(),
+        frame: format!("{scene}_10"),
+        flow: with_flow.then_some(flow),
+        mask: None,
+        occlusion: (with_flow && visible.is_file()).then_some(Occlusion::VisibleFlow(visible)),
+        frame1,
+        frame2,
+    })
+}
+
+fn flows_without_frames(root: &Path, frame_dir: &Path, gaps: &mut Gaps) -> Result<(), DatasetError> {
+    for flow in listing::files(&root.join("flow_occ"), &["png"])? {
+        let frame = frame_dir.join(listing::name(&flow));
+        if !frame.is_file() {
+            gaps.push(format!("{}: no frame {}", gaps.shown(&flow), gaps.shown(&frame)));
+        }
+    }
+    Ok(())
+}

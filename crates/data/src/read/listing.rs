@@ -1,0 +1,235 @@
+//! Folders: what lies in them, in natural order, and what to tell when something does not.
+
+use std::cmp::Ordering;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::error::DatasetError;
+
+/// Endings of the picture files that frames, masks and occlusions come in.
+pub const IMAGES: &[&str] = &["png", "jpg", "jpeg", "ppm", "pgm", "bmp"];
+
+/// Endings of the flow files.
+pub const FLOWS: &[&str] = &["flo", "flo5", "png", "pfm", "npy", "npz"];
+
+/// Compares names as people do: runs of digits by their value, so that `frame10` comes after `frame9`.
+pub fn natural_order(a: &str, b: &str) -> Ordering {
+    let (mut a_rest, mut b_rest) = (a.as_bytes(), b.as_bytes());
+    loop {
+        let (a_part, a_next) = leading_part(a_rest);
+        let (b_part, b_next) = leading_part(b_rest);
+        let order = match (a_part.first(), b_part.first()) {
+            (Some(x), Some(y)) if x.is_ascii_digit() && y.is_ascii_digit() => {
+                let (x, y) = (without_zeros(a_part), without_zeros(b_part));
+                x.len().cmp(&y.len()).then_with(|| x.cmp(y))
+            }
+            (None, None) => return a.cmp(b), // the same but for leading zeros
+            _ => a_part.cmp(b_part),
+        };
+        if order != Ordering::Equal {
+            return order;
+        }
+        (a_rest, b_rest) = (a_next, b_next);
+    }
+}
+
+/// The leading run of digits, or the leading run of anything else, and the rest.
+fn leading_part(text: &[u8]) -> (&[u8], &[u8]) {
+    let digits = text.first().is_some_and(u8::is_ascii_digit);
+    let end = text.iter().position(|c| c.is_ascii_digit() != digits).unwrap_or(text.len());
+    text.split_at(end)
+}
+
+fn without_zeros(digits: &[u8]) -> &[u8] {
+    let start = digits.iter().position(|&c| c != b'0').unwrap_or(digits.len());
+    &digits[start..]
+}
+
+/// Endings of the files that masks come in.
+pub const MASKS: &[&str] = &["png", "jpg", "jpeg", "ppm", "pgm", "bmp", "npy"];
+
+/// The files of `dir` whose name ends in one of `endings` (letters of either case), in natural order. Hidden files are left out.
+pub fn files(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, DatasetError> {
+    let has_ending = |path: &Path| {
+        let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+        endings.iter().any(|e| e.eq_ignore_ascii_case(ending))
+    };
+    Ok(visible(dir)?.into_iter().filter(|path| has_ending(path) && path.is_file()).collect())
+}
+
+/// [`files`], or nothing when the folder is not there.
+pub fn files_if_there(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, DatasetError> {
+    if dir.is_dir() { files(dir, endings) } else { Ok(Vec::new()) }
+}
+
+/// The folders in `dir`, in natural order. Hidden ones are left out.
+pub fn folders(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+    Ok(visible(dir)?.into_iter().filter(|path| path.is_dir()).collect())
+}
+
+fn visible(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+    let failed = |source| DatasetError::Io { path: dir.to_owned(), source };
+    let mut named = Vec::new();
+    for entry in std::fs::read_dir(dir).map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if !name.starts_with('.') {
+            named.push((name, entry.path()));
+        }
+    }
+    named.sort_by(|a, b| natural_order(&a.0, &b.0));
+    Ok(named.into_iter().map(|(_, path)| path).collect())
+}
+
+/// The last part of a path, as text.
+pub fn name(path: &Path) -> String {
+    path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// The last part of a path without its ending, as text.
+pub fn stem(path: &Path) -> String {
+    path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+/// `path` as seen from `dir`, for messages.
+pub fn within(dir: &Path, path: &Path) -> String {
+    path.strip_prefix(dir).unwrap_or(path).display().to_string()
+}
+
+/// The files of a folder by the last number in their names: `OpticalFlowIntoFuture_0006_L.pfm` is 6.
+pub type Numbered = BTreeMap<u64, PathBuf>;
+
+/// The files of `dir` by number. A name without one and a number that occurs twice are gaps.
+pub fn numbered(dir: &Path, endings: &[&str], gaps: &mut Gaps) -> Result<Numbered, DatasetError> {
+    let mut found = Numbered::new();
+    for path in files(dir, endings)? {
+        let Some(number) = last_number(&stem(&path)) else {
+            gaps.push(format!("{}: its name holds no frame number", gaps.shown(&path)));
+            continue;
+        };
+        if let Some(other) = found.get(&number) {
+            gaps.push(format!(
+                "{}: frame {number} is there twice, also as {}",
+                gaps.shown(&path),
+                name(other)
+            ));
+            continue;
+        }
+        found.insert(number, path);
+    }
+    Ok(found)
+}
+
+/// [`numbered`], or nothing when the folder is not there.
+pub fn numbered_if_there(dir: &Path, endings: &[&str], gaps: &mut Gaps) -> Result<Numbered, DatasetError> {
+    if dir.is_dir() { numbered(dir, endings, gaps) } else { Ok(Numbered::new()) }
+}
+
+fn last_number(stem: &str) -> Option<u64> {
+    let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
+    let start = stem[..end]
+        .rfind(|c: char| !c.is_ascii_digit())
+        .map_or(0, |at| at + stem[at..].chars().next().map_or(1, char::len_utf8));
+    stem[start..end].parse().ok()
+}
+
+/// What is missing or left over while a dataset is listed; told all at once at the end.
+pub struct Gaps {
+    kind: String,
+    dir: PathBuf,
+    count: usize,
+    listed: Vec<String>,
+}
+
+impl Gaps {
+    /// How many gaps are named; the rest are counted.
+    const NAMED: usize = 8;
+
+    pub fn new(kind: String, dir: &Path) -> Self {
+        Self { kind, dir: dir.to_owned(), count: 0, listed: Vec::new() }
+    }
+
+    /// `path` as messages about this dataset show it.
+    pub fn shown(&self, path: &Path) -> String {
+        within(&self.dir, path)
+    }
+
+    pub fn push(&mut self, gap: String) {
+        self.count += 1;
+        if self.listed.len() < Self::NAMED {
+            self.listed.push(format!("  {gap}"));
+        }
+    }
+
+    pub fn kind(&self) -> &str {
+        &self.kind
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+
+    /// An error when there were any.
+    pub fn finish(mut self) -> Result<(), DatasetError> {
+        if self.count == 0 {
+            return Ok(());
+        }
+        if self.count > self.listed.len() {
+            self.listed.push(format!("  and {} more", self.count - self.listed.len()));
+        }
+        let listed = self.listed.join("\n");
+        Err(DatasetError::Incomplete { kind: self.kind, dir: self.dir, count: self.count, listed })
+    }
+}
+
+/// Checks that `dir` holds `needed` (a path inside it, `/` between its parts). When it does not, the error says what `dir`
+/// holds, and where `needed` lies when that is one or two levels up or down.
+pub fn require(kind: &str, dir: &Path, needed: &str) -> Result<PathBuf, DatasetError> {
+    let wanted = dir.join(needed);
+    if wanted.exists() {
+        return Ok(wanted);
+    }
+    let hint = elsewhere(dir, needed)
+        .map(|place| format!(". It is under {0}: give {kind}:{0}", place.display()))
+        .unwrap_or_default();
+    let looked_for = wanted.display().to_string();
+    Err(DatasetError::NotThere { kind: kind.to_owned(), looked_for, found: contents(dir), hint })
+}
+
+/// The error for a pattern that no file of `dir` fits.
+pub fn nothing_fits(kind: &str, dir: &Path, pattern: &str, hint: &str) -> DatasetError {
+    DatasetError::NotThere {
+        kind: kind.to_owned(),
+        looked_for: dir.join(pattern).display().to_string(),
+        found: contents(dir),
+        hint: if hint.is_empty() { String::new() } else { format!(". {hint}") },
+    }
+}
+
+/// Where near `dir` a folder holds `needed`.
+fn elsewhere(dir: &Path, needed: &str) -> Option<PathBuf> {
+    let full = std::path::absolute(dir).ok()?;
+    let above = full.ancestors().skip(1).take(2).map(Path::to_owned);
+    let below = folders(dir).unwrap_or_default();
+    let further: Vec<PathBuf> = below.iter().flat_map(|d| folders(d).unwrap_or_default()).collect();
+    above.chain(below).chain(further).find(|place| place.join(needed).exists())
+}
+
+/// What a folder holds, in a few words.
+fn contents(dir: &Path) -> String {
+    const NAMED: usize = 6;
+    if !dir.exists() {
+        return format!("but there is no {}", dir.display());
+    }
+    let found: Vec<String> = match visible(dir) {
+        Ok(paths) => paths.iter().map(|path| name(path)).collect(),
+        Err(error) => return format!("but cannot list {error}"),
+    };
+    match found.len() {
+        0 => format!("but {} is empty", dir.display()),
+        n if n > NAMED => {
+            format!("but {} holds {} and {} more", dir.display(), found[..NAMED].join(", "), n - NAMED)
+        }
+        _ => format!("but {} holds only {}", dir.display(), found.join(", ")),
+    }
+}

@@ -1,0 +1,125 @@
+//! A plain folder of pairs, for people's own data. Three layouts:
+//!
+//! - `NAME_img1.png NAME_img2.png NAME_flow.flo` side by side, as FlyingChairs has them;
+//! - `frames/*.png`, consecutive frames of one sequence in natural order, and `flow/` with a flow of the same name as the
+//!   first frame of each pair;
+//! - the same with a folder per scene: `frames/SCENE/*.png`, `flow/SCENE/*.flo`.
+//!
+//! `mask/` and `occlusion/` (or `_mask`, `_occlusion`) may lie beside `flow/` in the same way. Without any flow the pairs
+//! have no truth. A split `train`, `val` or `test` is a folder of that name that is laid out so.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::listing::{self, Gaps};
+use super::triplets::triplets;
+use super::{DatasetError, Entry, Occlusion, Reader, Split};
+
+pub struct Plain;
+
+impl Reader for Plain {
+    fn name(&self) -> String {
+        "folder".to_owned()
+    }
+
+    fn default_split(&self) -> Split {
+        Split::All
+    }
+
+    fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+        let dir = match split {
+            Split::All => listing::require("folder", dir, "")?,
+            _ => listing::require("folder", dir, &split.to_string())?,
+        };
+        if dir.join("frames").is_dir() {
+            return scenes(&dir, gaps);
+        }
+        let pairs = triplets(&dir, gaps)?;
+        if pairs.is_empty() && gaps.is_empty() {
+            let hint = if dir.join("train").is_dir() || dir.join("test").is_dir() {
+                "It has splits: choose one with --split"
+            } else {
+                "A folder of pairs holds NAME_img1.png, NAME_img2.png, NAME_flow.flo, or frames/ and flow/"
+            };
+            return Err(listing::nothing_fits("folder", &dir, "*_img1.* or frames/", hint));
+        }
+        Ok(pairs)
+    }
+}
+
+fn scenes(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+    let frames = dir.join("frames");
+    let mut scenes = vec![String::new()];
+    scenes.extend(listing::folders(&frames)?.iter().map(|folder| listing::name(folder)));
+    let with_flow = dir.join("flow").is_dir();
+    let mut entries = Vec::new();
+    for scene in &scenes {
+        entries.extend(pairs_of_scene(dir, scene, with_flow, gaps)?);
+    }
+    if entries.is_empty() && gaps.is_empty() {
+        let hint = "A sequence has two frames or more, in frames/ or in frames/SCENE/";
+        return Err(listing::nothing_fits("folder", &frames, "*.png", hint));
+    }
+    Ok(entries)
+}
+
+/// Consecutive frames of one scene, in natural order; the other files go by the name of the first frame.
+fn pairs_of_scene(
+    dir: &Path,
+    scene: &str,
+    with_flow: bool,
+    gaps: &mut Gaps,
+) -> Result<Vec<Entry>, DatasetError> {
+    let mut by_stem = |part: &str, endings: &[&str]| {
+        let folder = dir.join(part).join(scene);
+        if folder.is_dir() { files_by_stem(&folder, endings, gaps) } else { Ok(BTreeMap::new()) }
+    };
+    let mut flows = by_stem("flow", listing::FLOWS)?;
+    let mut masks = by_stem("mask", listing::MASKS)?;
+    let mut occlusions = by_stem("occlusion", listing::IMAGES)?;
+    let frames = listing::files(&dir.join("frames").join(scene), listing::IMAGES)?;
+
+    let mut entries = Vec::new();
+    for pair in frames.windows(2) {
+        let [frame1, frame2] = pair else { continue };
+        let frame = listing::stem(frame1);
+        let flow = flows.remove(&frame);
+        if with_flow && flow.is_none() {
+            let expected = Path::new("flow").join(scene).join(&frame);
+            gaps.push(format!("{} has no flow {}.*", gaps.shown(frame1), expected.display()));
+        }
+        entries.push(Entry {
+            scene: scene.to_owned(),
+            flow,
+            mask: masks.remove(&frame),
+            occlusion: occlusions.remove(&frame).map(Occlusion::Picture),
+            frame,
+            frame1: frame1.clone(),
+            frame2: frame2.clone(),
+        });
+    }
+    for flow in flows.values() {
+        gaps.push(format!("{}: no frame of that name with a next frame after it", gaps.shown(flow)));
+    }
+    Ok(entries)
+}
+
+fn files_by_stem(
+    dir: &Path,
+    endings: &[&str],
+    gaps: &mut Gaps,
+) -> Result<BTreeMap<String, PathBuf>, DatasetError> {
+    let mut found: BTreeMap<String, PathBuf> = BTreeMap::new();
+    for path in listing::files(dir, endings)? {
+        let stem = listing::stem(&path);
+        match found.get(&stem) {
+            Some(other) => {
+                gaps.push(format!("{} is there twice, also as {}", gaps.shown(&path), listing::name(other)))
+            }
+            None => {
+                found.insert(stem, path);
+            }
+        }
+    }
+    Ok(found)
+}

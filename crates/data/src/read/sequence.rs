@@ -1,0 +1,93 @@
+//! Sequences of numbered frames, one flow file a frame: what Sintel, FlyingThings3D, HD1K and Spring have in common.
+
+use std::path::Path;
+
+use super::listing::{Gaps, Numbered};
+use super::{Entry, Occlusion};
+
+/// Way of time that the flow of a pair follows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Direction {
+    /// From frame n to frame n + 1.
+    Forward,
+    /// From frame n + 1 to frame n, with the flow file of frame n + 1.
+    Backward,
+}
+
+impl Direction {
+    /// What a kind's name ends in.
+    pub fn suffix(self) -> &'static str {
+        match self {
+            Self::Forward => "",
+            Self::Backward => "-backward",
+        }
+    }
+}
+
+/// The numbered files of one sequence.
+pub struct Sequence<'a> {
+    /// The sequence's name.
+    pub scene: String,
+    /// The frames.
+    pub frames: Numbered,
+    /// The flow files by the number of the frame they start from; none where no truth is published.
+    pub flows: Option<Numbered>,
+    /// Pictures of what is hidden, numbered as the flows; often empty.
+    pub occlusions: Numbered,
+    /// The folder in which a missing flow should lie.
+    pub flow_dir: &'a Path,
+    /// Whether the dataset also holds a flow out of the sequence, for the frame at its end: it is left alone.
+    pub flow_past_the_end: bool,
+}
+
+impl Sequence<'_> {
+    /// Pairs each frame with its neighbour. A frame or flow without its counterpart is a gap.
+    pub fn pairs(mut self, direction: Direction, gaps: &mut Gaps) -> Vec<Entry> {
+        let mut entries = Vec::new();
+        let mut unused = self.flows.clone().unwrap_or_default();
+        for ((&number, earlier), (&next, later)) in self.frames.iter().zip(self.frames.iter().skip(1)) {
+            if next - number != 1 {
+                gaps.push(format!(
+                    "{}: the next frame is number {next}, not {}",
+                    gaps.shown(earlier),
+                    number + 1
+                ));
+                continue;
+            }
+            let (start, frame1, frame2) = match direction {
+                Direction::Forward => (number, earlier, later),
+                Direction::Backward => (next, later, earlier),
+            };
+            let flow = unused.remove(&start);
+            if self.flows.is_some() && flow.is_none() {
+                gaps.push(format!(
+                    "{} has no flow of number {start} in {}",
+                    gaps.shown(frame1),
+                    gaps.shown(self.flow_dir)
+                ));
+            }
+            entries.push(Entry {
+                scene: self.scene.clone(),
+                frame: super::listing::stem(frame1),
+                frame1: frame1.clone(),
+                frame2: frame2.clone(),
+                flow,
+                mask: None,
+                occlusion: self.occlusions.remove(&start).map(Occlusion::Picture),
+            });
+        }
+        let end = match direction {
+            Direction::Forward => self.frames.last_key_value(),
+            Direction::Backward => self.frames.first_key_value(),
+        };
+        if self.flow_past_the_end
+            && let Some((number, _)) = end
+        {
+            unused.remove(number);
+        }
+        for flow in unused.values() {
+            gaps.push(format!("{}: no pair of frames for this flow", gaps.shown(flow)));
+        }
+        entries
+    }
+}

@@ -1,0 +1,65 @@
+//! MPI Sintel: `training/{clean,final,flow,occlusions}/SCENE/frame_0001.{png,flo}`, and `test/{clean,final}` without truth.
+//! Layout: ptlflow 0.4.2, data/datasets.py, `SintelDataset`.
+
+use std::path::Path;
+
+use super::listing::{self, Gaps};
+use super::sequence::{Direction, Sequence};
+use super::{DatasetError, Entry, Reader, Split};
+
+/// The scenes of the training set that ptlflow keeps for validation (data/Sintel_val.txt).
+const VALIDATION_SCENES: [&str; 6] = ["ambush_2", "bamboo_2", "cave_2", "market_2", "shaman_2", "temple_2"];
+
+pub struct Sintel {
+    /// Rendering pass: `clean` or `final`.
+    pub pass: &'static str,
+}
+
+impl Reader for Sintel {
+    fn name(&self) -> String {
+        format!("sintel-{}", self.pass)
+    }
+
+    fn default_split(&self) -> Split {
+        Split::All
+    }
+
+    fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+        let part = if split == Split::Test { "test" } else { "training" };
+        let frames = listing::require(&self.name(), dir, &format!("{part}/{}", self.pass))?;
+        let root = dir.join(part);
+        if split != Split::Test {
+            listing::require(&self.name(), dir, "training/flow")?;
+        }
+        let mut entries = Vec::new();
+        for folder in listing::folders(&frames)? {
+            let scene = listing::name(&folder);
+            let chosen = match split {
+                Split::Train => !VALIDATION_SCENES.contains(&scene.as_str()),
+                Split::Val => VALIDATION_SCENES.contains(&scene.as_str()),
+                Split::Test | Split::All => true,
+            };
+            if !chosen {
+                continue;
+            }
+            let flow_dir = root.join("flow").join(&scene);
+            let sequence = Sequence {
+                frames: listing::numbered(&folder, &["png"], gaps)?,
+                flows: match split {
+                    Split::Test => None,
+                    _ => Some(listing::numbered_if_there(&flow_dir, &["flo"], gaps)?),
+                },
+                occlusions: listing::numbered_if_there(
+                    &root.join("occlusions").join(&scene),
+                    &["png"],
+                    gaps,
+                )?,
+                flow_dir: &flow_dir,
+                flow_past_the_end: false,
+                scene,
+            };
+            entries.extend(sequence.pairs(Direction::Forward, gaps));
+        }
+        Ok(entries)
+    }
+}

@@ -1,0 +1,69 @@
+//! Spring: `{train,test}/0001/frame_{left,right}/frame_left_0001.png` at 1920x1080 and
+//! `train/0001/flow_{FW,BW}_{left,right}/flow_FW_left_0001.flo5` at 3840x2160, in pixels of the 1920x1080 image; `test` has no
+//! truth. Of each 2x2 block of flow samples the top left one is taken, which puts the truth on the image's grid.
+//! Layout: ptlflow 0.4.2, data/datasets.py, `SpringDataset` (with `subsample`).
+
+use std::path::Path;
+
+use super::listing::{self, Gaps};
+use super::sequence::{Direction, Sequence};
+use super::{DatasetError, Entry, Reader, Split, Truth};
+
+pub struct Spring {
+    /// Camera: `left` or `right`.
+    pub camera: &'static str,
+    /// `FW` or `BW`.
+    pub direction: Direction,
+}
+
+impl Reader for Spring {
+    fn name(&self) -> String {
+        let right = if self.camera == "right" { "-right" } else { "" };
+        format!("spring{}{right}", self.direction.suffix())
+    }
+
+    fn default_split(&self) -> Split {
+        Split::All
+    }
+
+    fn truth(&self) -> Truth {
+        Truth { samples_per_pixel: 2, ..Truth::default() }
+    }
+
+    fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+        let part = match split {
+            Split::Train | Split::All => "train",
+            Split::Test => "test",
+            Split::Val => {
+                let available = "train (all), test (frames only)";
+                return Err(DatasetError::NoSplit { kind: self.name(), split, available });
+            }
+        };
+        let direction = match self.direction {
+            Direction::Forward => "FW",
+            Direction::Backward => "BW",
+        };
+        let mut entries = Vec::new();
+        for folder in listing::folders(&listing::require(&self.name(), dir, part)?)? {
+            let frame_dir = folder.join(format!("frame_{}", self.camera));
+            if !frame_dir.is_dir() {
+                gaps.push(format!("no folder {}", gaps.shown(&frame_dir)));
+                continue;
+            }
+            let flow_dir = folder.join(format!("flow_{direction}_{}", self.camera));
+            let sequence = Sequence {
+                scene: listing::name(&folder),
+                frames: listing::numbered(&frame_dir, &["png"], gaps)?,
+                flows: match split {
+                    Split::Test => None,
+                    _ => Some(listing::numbered_if_there(&flow_dir, &["flo5"], gaps)?),
+                },
+                occlusions: listing::Numbered::new(),
+                flow_dir: &flow_dir,
+                flow_past_the_end: false,
+            };
+            entries.extend(sequence.pairs(self.direction, gaps));
+        }
+        Ok(entries)
+    }
+}

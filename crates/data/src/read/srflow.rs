@@ -1,0 +1,92 @@
+//! SRFlow as `srflow render` writes it: `dataset.json` names the scenes, their splits and their files (see
+//! [`crate::manifest`]).
+
+use std::path::Path;
+
+use super::listing::{self, Gaps};
+use super::sequence::Direction;
+use super::{DatasetError, Entry, Occlusion, Reader, Split};
+use crate::manifest::{MANIFEST_NAME, Manifest, SceneEntry, SceneSplit};
+
+pub struct SrFlow {
+    /// Backward: the flow from the later to the earlier frame, which `srflow render --backward` writes.
+    pub direction: Direction,
+}
+
+impl Reader for SrFlow {
+    fn name(&self) -> String {
+        format!("srflow{}", self.direction.suffix())
+    }
+
+    fn default_split(&self) -> Split {
+        Split::Test
+    }
+
+    fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
+        listing::require(&self.name(), dir, MANIFEST_NAME)?;
+        let manifest = Manifest::read(dir)?;
+        if self.direction == Direction::Backward && !manifest.arguments.backward {
+            let reason =
+                "this dataset has no backward flow; `srflow render --backward` writes one".to_owned();
+            return Err(DatasetError::Format { path: dir.join(MANIFEST_NAME), reason });
+        }
+        let chosen = |scene: &&SceneEntry| match split {
+            Split::Train => scene.split == SceneSplit::Train,
+            Split::Val => scene.split == SceneSplit::Val,
+            Split::Test => scene.split == SceneSplit::Test,
+            Split::All => true,
+        };
+        let mut entries = Vec::new();
+        for scene in manifest.scenes.iter().filter(chosen) {
+            self.scene(&manifest, dir, scene, gaps, &mut entries)?;
+        }
+        Ok(entries)
+    }
+}
+
+impl SrFlow {
+    fn scene(
+        &self,
+        manifest: &Manifest,
+        dir: &Path,
+        scene: &SceneEntry,
+        gaps: &mut Gaps,
+        entries: &mut Vec<Entry>,
+    ) -> Result<(), DatasetError> {
+        // A pair's record is written last: the records tell how many pairs are whole.
+        let records = dir.join(scene.split.to_string()).join("pairs").join(&scene.name);
+        let whole = listing::files_if_there(&records, &["json"])?.len();
+        if u64::from(scene.pairs) > whole as u64 {
+            let advice = "`srflow render` with the same arguments makes the rest";
+            gaps.push(format!("{}: {whole} of {} pairs are there; {advice}", scene.name, scene.pairs));
+            return Ok(());
+        }
+        for pair in 0..scene.pairs {
+            let files = manifest.files(dir, scene, pair);
+            let missing: Vec<_> = files.all().filter(|path| !path.is_file()).collect();
+            for path in &missing {
+                gaps.push(format!("no {}", gaps.shown(path)));
+            }
+            if missing.is_empty() {
+                entries.push(self.entry(manifest, dir, scene, pair));
+            }
+        }
+        Ok(())
+    }
+
+    fn entry(&self, manifest: &Manifest, dir: &Path, scene: &SceneEntry, pair: u32) -> Entry {
+        let files = manifest.files(dir, scene, pair);
+        let (frame1, frame2, flow, mask, occlusion) = match self.direction {
+            Direction::Forward => {
+                (files.frame1, files.frame2, Some(files.flow), Some(files.mask), Some(files.occlusion))
+            }
+            Direction::Backward => {
+                // The mask of frame 2 is written with the pair that starts there; the last frame starts none.
+                let mask = manifest.files(dir, scene, pair.saturating_add(1)).mask;
+                (files.frame2, files.frame1, files.flow_backward, mask.is_file().then_some(mask), None)
+            }
+        };
+        let (scene, frame) = (scene.name.clone(), listing::stem(&frame1));
+        Entry { scene, frame, frame1, frame2, flow, mask, occlusion: occlusion.map(Occlusion::Picture) }
+    }
+}

@@ -45,6 +45,12 @@ macro_rules! grid {
                 Ok(Self { width, height, pixels })
             }
 
+            /// A row-major buffer that was made for this size.
+            pub(crate) fn from_buffer(width: usize, height: usize, pixels: Vec<$pixel>) -> Self {
+                debug_assert_eq!(pixels.len(), width * height);
+                Self { width, height, pixels }
+            }
+
             /// Computes each pixel from its column `x` and row `y`.
             pub fn from_fn(width: usize, height: usize, mut pixel: impl FnMut(usize, usize) -> $pixel) -> Self {
                 let mut pixels = Vec::with_capacity(width * height);

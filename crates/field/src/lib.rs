@@ -3,9 +3,18 @@
 //! Conventions, kept by every crate of the workspace: arrays are row-major; an integer coordinate is the centre
 //! of a pixel; flow is in pixels, `u` to the right and `v` down, from frame 1 to frame 2, stored at frame 1's pixel.
 
+mod atomic_write;
+mod codec;
 mod estimator;
+mod file_error;
 mod grid;
+mod image_file;
 pub mod random;
 
+pub use atomic_write::{PARTIAL_EXTENSION, write_atomically};
+pub use codec::npy::{Array, read_npy, read_npy_plane, write_npy, write_npy_plane};
+pub use codec::{FlowFormat, read_flow, read_flow_as, write_flow, write_flow_as};
 pub use estimator::{EstimateError, FlowEstimator};
+pub use file_error::{FileError, FileProblem};
 pub use grid::{FlowField, Image, Mask, Plane, SizeError};
+pub use image_file::{read_image, read_mask, write_image_png, write_mask_png};

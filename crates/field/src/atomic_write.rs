@@ -1,0 +1,83 @@
+use std::ffi::OsString;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::{FileError, FileProblem};
+
+/// Extension of a file that is being written. One that lies about belongs to a process that was killed.
+pub const PARTIAL_EXTENSION: &str = "partial";
+
+/// Writes a file so that under its name there is never half of it: into `.NAME.PROCESS-COUNT.partial` beside it, which
+/// takes the name when it is complete. When `write` fails, the partial file is removed and the old one stays.
+///
+/// The rename is atomic for other processes and for a kill of this one; nothing is promised for a power cut.
+///
+/// # Errors
+/// When the folder cannot be written to, or with the error of `write`.
+pub fn write_atomically(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<(), FileError> {
+    let failed = |doing| move |error| FileProblem::Io { doing, error }.in_file(path);
+    let partial = partial_path(path).map_err(failed("creating"))?;
+    let file = OpenOptions::new().write(true).create_new(true).open(&partial).map_err(failed("creating"))?;
+    let written = fill(file, write).map_err(failed("writing"));
+    let result =
+        written.and_then(|()| fs::rename(&partial, path).map_err(failed("renaming the finished file")));
+    if result.is_err() {
+        let _ = fs::remove_file(&partial); // the first error is the one to report
+    }
+    result
+}
+
+fn fill(file: File, write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
+    let mut writer = BufWriter::with_capacity(1 << 18, file);
+    write(&mut writer)?;
+    writer.flush()
+}
+
+fn partial_path(path: &Path) -> io::Result<PathBuf> {
+    static COUNT: AtomicU64 = AtomicU64::new(0); // keeps apart the threads of this process
+    let name = path
+        .file_name()
+        .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "expected the name of a file"))?;
+    let mut partial = OsString::from(".");
+    partial.push(name);
+    let count = COUNT.fetch_add(1, Ordering::Relaxed);
+    partial.push(format!(".{}-{count}.{PARTIAL_EXTENSION}", std::process::id()));
+    Ok(path.with_file_name(partial))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).unwrap();
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
+    }
+
+    #[test]
+    fn a_failed_write_leaves_the_old_file_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.bin");
+        write_atomically(&path, |writer| writer.write_all(b"old")).unwrap();
+        let error = write_atomically(&path, |writer| {
+            writer.write_all(b"new, but")?;
+            Err(io::Error::other("the disk is full"))
+        })
+        .unwrap_err();
+        assert!(error.to_string().contains("a.bin: writing: the disk is full"), "{error}");
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(names(folder.path()), ["a.bin"]);
+    }
+
+    #[test]
+    fn a_missing_folder_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = write_atomically(&folder.path().join("no/a.bin"), |_| Ok(())).unwrap_err();
+        assert!(error.to_string().contains("no/a.bin: creating"), "{error}");
+    }
+}

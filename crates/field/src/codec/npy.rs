@@ -1,0 +1,244 @@
+//! NumPy's `.npy`: `\x93NUMPY`, a version, the length of a Python dictionary with `descr`, `fortran_order` and `shape`,
+//! and the values (`numpy/lib/format.py`). Versions 1 to 3 are read, of floating-point numbers of 2, 4 and 8 bytes in
+//! either byte order, and of bytes and truth values; version 1 is written, little-endian `f32`.
+
+use std::io::{self, Read, Write};
+use std::path::Path;
+
+use super::claim::{MAX_PIXELS, blank, check_file_size, check_size};
+use super::samples::{Endian, Sample, read_samples, write_f32_little_endian};
+use super::{check_finite_or_unknown, quote, read_with};
+use crate::{FileError, FileProblem, FlowField, Plane, write_atomically};
+
+pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
+
+/// An array of `f32` of any shape, row-major, as `.npy` files hold them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Array {
+    /// Length of each dimension, outermost first: (H, W) or (H, W, 3) for images.
+    pub shape: Vec<usize>,
+    /// The values, row-major.
+    pub values: Vec<f32>,
+}
+
+/// Reads a `.npy` file of numbers; those that are not `f32` are converted, Fortran order becomes row-major. Values may be
+/// NaN or infinite.
+///
+/// # Errors
+/// When the file cannot be read, holds something other than such an array, or not what its header promises.
+pub fn read_npy(path: &Path) -> Result<Array, FileError> {
+    read_with(path, |reader, len| {
+        let header = Header::read(reader, len)?;
+        let count = header.shape.iter().try_fold(1_u64, |count, side| count.checked_mul(*side));
+        let count = count.filter(|count| *count <= 4 * MAX_PIXELS).ok_or_else(|| {
+            FileProblem::field(
+                "shape",
+                format!("at most {} values", 4 * MAX_PIXELS),
+                format!("{:?}", header.shape),
+            )
+        })?;
+        check_file_size(header.bytes + count * header.sample.bytes() as u64, len)?;
+        let mut values = blank(count as usize)?;
+        read_samples(reader, header.sample, &mut values)?;
+        let shape: Vec<usize> = header.shape.iter().map(|side| *side as usize).collect();
+        if header.fortran_order {
+            values = row_major_from_fortran(&shape, &values);
+        }
+        Ok(Array { shape, values })
+    })
+}
+
+/// Writes a `.npy` file of little-endian `f32`, whole or not at all (see [`write_atomically`]). For an image of three
+/// channels: `write_npy(path, &[height, width, 3], pixels.as_flattened())`.
+///
+/// # Errors
+/// When `shape` does not fit the number of values, or the file cannot be written.
+pub fn write_npy(path: &Path, shape: &[usize], values: &[f32]) -> Result<(), FileError> {
+    if shape.iter().product::<usize>() != values.len() {
+        let found = format!("{} values", values.len());
+        return Err(FileProblem::field("shape", format!("values for {shape:?}"), found).in_file(path));
+    }
+    write_atomically(path, |writer| encode(shape, values, writer))
+}
+
+/// Reads a `.npy` file of shape (H, W).
+///
+/// # Errors
+/// As [`read_npy`], and when the array has another number of dimensions or is empty.
+pub fn read_npy_plane(path: &Path) -> Result<Plane, FileError> {
+    let Array { shape, values } = read_npy(path)?;
+    match shape[..] {
+        [height, width] if width > 0 && height > 0 => Ok(Plane::from_buffer(width, height, values)),
+        _ => {
+            Err(FileProblem::field("shape", "(H, W) of at least one pixel", format!("{shape:?}"))
+                .in_file(path))
+        }
+    }
+}
+
+/// Writes a plane as a `.npy` file of shape (H, W); see [`write_npy`].
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_npy_plane(path: &Path, plane: &Plane) -> Result<(), FileError> {
+    write_npy(path, &[plane.height(), plane.width()], plane.pixels())
+}
+
+pub(super) fn decode_flow(reader: &mut dyn Read, len: u64) -> Result<FlowField, FileProblem> {
+    let header = Header::read(reader, len)?;
+    let [height, width, 2] = header.shape[..] else {
+        return Err(FileProblem::field("shape", "(H, W, 2) for a flow", format!("{:?}", header.shape)));
+    };
+    let (width, height) =
+        check_size(i64::try_from(width).unwrap_or(i64::MAX), i64::try_from(height).unwrap_or(i64::MAX))?;
+    let count = 2 * width as u64 * height as u64;
+    check_file_size(header.bytes + count * header.sample.bytes() as u64, len)?;
+
+    let mut flow = FlowField::from_buffer(width, height, blank(width * height)?);
+    read_samples(reader, header.sample, flow.pixels_mut().as_flattened_mut())?;
+    if header.fortran_order {
+        let columns = flow.pixels().as_flattened();
+        let (u, v) = columns.split_at(width * height);
+        flow = FlowField::from_fn(width, height, |x, y| [u[x * height + y], v[x * height + y]]);
+    }
+    check_finite_or_unknown(&flow)?;
+    Ok(flow)
+}
+
+pub(super) fn encode(shape: &[usize], values: &[f32], writer: &mut impl Write) -> io::Result<()> {
+    writer.write_all(&header_bytes(shape))?;
+    write_f32_little_endian(writer, values)
+}
+
+/// The header of version 1 as NumPy writes it: padded so that the values start at a multiple of 64 bytes.
+fn header_bytes(shape: &[usize]) -> Vec<u8> {
+    let sides: Vec<String> = shape.iter().map(usize::to_string).collect();
+    let comma = if shape.len() == 1 { "," } else { "" };
+    let mut dictionary =
+        format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({}{comma}), }}", sides.join(", "));
+    let unpadded = MAGIC.len() + 4 + dictionary.len() + 1;
+    dictionary.extend(std::iter::repeat_n(' ', unpadded.next_multiple_of(64) - unpadded));
+    dictionary.push('\n');
+    let mut header = MAGIC.to_vec();
+    header.extend([1, 0]);
+    header.extend((dictionary.len() as u16).to_le_bytes());
+    header.extend(dictionary.as_bytes());
+    header
+}
+
+struct Header {
+    /// Length of the header in the file.
+    bytes: u64,
+    sample: Sample,
+    fortran_order: bool,
+    shape: Vec<u64>,
+}
+
+impl Header {
+    /// The longest dictionary that is read. NumPy's own limit is 10000.
+    const MAX_BYTES: u32 = 65_535;
+
+    fn read(reader: &mut dyn Read, len: u64) -> Result<Self, FileProblem> {
+        if len < 10 {
+            return Err(FileProblem::field("header", "at least 10 bytes", format!("a file of {len} bytes")));
+        }
+        let mut start = [0; 8];
+        reader.read_exact(&mut start).map_err(FileProblem::reading)?;
+        let [magic @ .., version, _minor] = start;
+        if magic != MAGIC {
+            return Err(FileProblem::field(
+                "magic",
+                "\"\\x93NUMPY\", the start of a .npy file",
+                quote(&magic),
+            ));
+        }
+        let mut length = [0; 4];
+        let length_bytes = match version {
+            1 => 2,
+            2 | 3 => 4,
+            _ => return Err(FileProblem::field("version", "1, 2 or 3", version.to_string())),
+        };
+        reader.read_exact(&mut length[..length_bytes]).map_err(FileProblem::reading)?;
+        let length = u32::from_le_bytes(length);
+        let bytes = (start.len() + length_bytes) as u64 + u64::from(length);
+        if length > Self::MAX_BYTES || bytes > len {
+            let expected = format!("at most {} bytes, inside the file", Self::MAX_BYTES);
+            return Err(FileProblem::field("header length", expected, length.to_string()));
+        }
+        let mut dictionary = vec![0; length as usize];
+        reader.read_exact(&mut dictionary).map_err(FileProblem::reading)?;
+        Self::parse(&String::from_utf8_lossy(&dictionary), bytes)
+    }
+
+    fn parse(dictionary: &str, bytes: u64) -> Result<Self, FileProblem> {
+        let entry = |key: &'static str| {
+            let quoted = [format!("'{key}':"), format!("\"{key}\":")];
+            let found = quoted.iter().find_map(|quoted| dictionary.split_once(quoted.as_str()));
+            found.map(|(_, value)| value.trim_start()).ok_or_else(|| {
+                FileProblem::field(
+                    key,
+                    "an entry of the header's dictionary",
+                    format!("{:?}", dictionary.trim_end()),
+                )
+            })
+        };
+        let descr = entry("descr")?;
+        let name = descr.strip_prefix(['\'', '"']).and_then(|rest| rest.split(['\'', '"']).next());
+        let sample = match name {
+            Some("<f2") => Sample::F16(Endian::Little),
+            Some(">f2") => Sample::F16(Endian::Big),
+            Some("<f4") => Sample::F32(Endian::Little),
+            Some(">f4") => Sample::F32(Endian::Big),
+            Some("<f8") => Sample::F64(Endian::Little),
+            Some(">f8") => Sample::F64(Endian::Big),
+            Some("|u1" | "|b1") => Sample::U8,
+            _ => {
+                let found = name.map_or("a structured type".to_owned(), |name| format!("'{name}'"));
+                return Err(FileProblem::field(
+                    "descr",
+                    "f2, f4, f8, u1 or b1 (save with dtype float32)",
+                    found,
+                ));
+            }
+        };
+        let order = entry("fortran_order")?;
+        let fortran_order = order.starts_with("True");
+        if !fortran_order && !order.starts_with("False") {
+            return Err(FileProblem::field("fortran_order", "True or False", first_line(order)));
+        }
+        let shape = entry("shape")?;
+        let wrong_shape = || FileProblem::field("shape", "a tuple of lengths", first_line(shape));
+        let (inside, _) = shape.strip_prefix('(').and_then(|s| s.split_once(')')).ok_or_else(wrong_shape)?;
+        let sides = inside.split(',').map(str::trim).filter(|side| !side.is_empty());
+        let shape = sides.map(|side| side.parse().map_err(|_| wrong_shape())).collect::<Result<_, _>>()?;
+        Ok(Self { bytes, sample, fortran_order, shape })
+    }
+}
+
+fn first_line(text: &str) -> String {
+    let line: String = text.chars().take(40).collect();
+    format!("{line:?}")
+}
+
+/// Column-major values, row-major.
+fn row_major_from_fortran(shape: &[usize], values: &[f32]) -> Vec<f32> {
+    let mut row_major = Vec::with_capacity(values.len());
+    let mut position = vec![0; shape.len()];
+    let mut strides = Vec::with_capacity(shape.len());
+    let mut stride = 1;
+    for side in shape {
+        strides.push(stride);
+        stride *= side;
+    }
+    for _ in 0..values.len() {
+        row_major.push(values[position.iter().zip(&strides).map(|(p, s)| p * s).sum::<usize>()]);
+        for axis in (0..shape.len()).rev() {
+            position[axis] += 1;
+            if position[axis] < shape[axis] {
+                break;
+            }
+            position[axis] = 0;
+        }
+    }
+    row_major
+}

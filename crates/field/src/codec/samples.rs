@@ -1,0 +1,143 @@
+//! Blocks of floating-point numbers as files hold them.
+
+use std::io::{self, Read, Write};
+
+use crate::FileProblem;
+
+/// Order of the bytes of a number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Endian {
+    Little,
+    Big,
+}
+
+/// How a file holds a number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Sample {
+    F16(Endian),
+    F32(Endian),
+    F64(Endian),
+    U8,
+}
+
+impl Sample {
+    pub(crate) fn bytes(self) -> usize {
+        match self {
+            Self::F16(_) => 2,
+            Self::F32(_) => 4,
+            Self::F64(_) => 8,
+            Self::U8 => 1,
+        }
+    }
+}
+
+const NATIVE: Endian = if cfg!(target_endian = "little") { Endian::Little } else { Endian::Big };
+
+/// Bytes converted at a time: fits into the second-level cache.
+const BLOCK: usize = 1 << 16;
+
+/// Fills `values` with the next numbers of the file, converted to `f32`.
+pub(crate) fn read_samples(
+    reader: &mut dyn Read,
+    sample: Sample,
+    values: &mut [f32],
+) -> Result<(), FileProblem> {
+    if sample == Sample::F32(NATIVE) {
+        return reader.read_exact(bytemuck::cast_slice_mut(values)).map_err(FileProblem::reading);
+    }
+    let mut block = vec![0; BLOCK];
+    for values in values.chunks_mut(BLOCK / sample.bytes()) {
+        let bytes = &mut block[..values.len() * sample.bytes()];
+        reader.read_exact(bytes).map_err(FileProblem::reading)?;
+        convert_samples(sample, bytes, values);
+    }
+    Ok(())
+}
+
+/// Converts as many numbers as `values` holds.
+pub(crate) fn convert_samples(sample: Sample, bytes: &[u8], values: &mut [f32]) {
+    fn each<const N: usize>(bytes: &[u8], values: &mut [f32], to_f32: impl Fn([u8; N]) -> f32) {
+        for (value, bytes) in values.iter_mut().zip(bytes.as_chunks::<N>().0) {
+            *value = to_f32(*bytes);
+        }
+    }
+    match sample {
+        Sample::F16(Endian::Little) => each::<2>(bytes, values, |b| f32_from_f16(u16::from_le_bytes(b))),
+        Sample::F16(Endian::Big) => each::<2>(bytes, values, |b| f32_from_f16(u16::from_be_bytes(b))),
+        Sample::F32(Endian::Little) => each::<4>(bytes, values, f32::from_le_bytes),
+        Sample::F32(Endian::Big) => each::<4>(bytes, values, f32::from_be_bytes),
+        Sample::F64(Endian::Little) => each::<8>(bytes, values, |b| f64::from_le_bytes(b) as f32),
+        Sample::F64(Endian::Big) => each::<8>(bytes, values, |b| f64::from_be_bytes(b) as f32),
+        Sample::U8 => each::<1>(bytes, values, |b| f32::from(b[0])),
+    }
+}
+
+/// Writes `values` as little-endian `f32`.
+pub(crate) fn write_f32_little_endian(writer: &mut dyn Write, values: &[f32]) -> io::Result<()> {
+    if NATIVE == Endian::Little {
+        return writer.write_all(bytemuck::cast_slice(values));
+    }
+    let mut block = Vec::with_capacity(BLOCK);
+    for values in values.chunks(BLOCK / 4) {
+        block.clear();
+        block.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+        writer.write_all(&block)?;
+    }
+    Ok(())
+}
+
+/// IEEE 754 binary16.
+fn f32_from_f16(bits: u16) -> f32 {
+    let sign = u32::from(bits >> 15) << 31;
+    let exponent = u32::from(bits >> 10) & 0x1f;
+    let fraction = u32::from(bits) & 0x3ff;
+    let magnitude = match exponent {
+        0 => return f32::from_bits(sign | (fraction as f32 / 16_777_216.0).to_bits()), // fraction times 2^-24
+        0x1f => 0x7f80_0000 | fraction << 13,
+        _ => (exponent + 112) << 23 | fraction << 13,
+    };
+    f32::from_bits(sign | magnitude)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn half_precision_follows_the_standard() {
+        let known = [
+            (0x0000, 0.0),
+            (0x8000, -0.0),
+            (0x0001, 2.0_f32.powi(-24)),
+            (0x03ff, 1023.0 * 2.0_f32.powi(-24)),
+            (0x0400, 2.0_f32.powi(-14)),
+            (0x3c00, 1.0),
+            (0xc248, -3.140625),
+            (0x7bff, 65504.0),
+            (0xfc00, f32::NEG_INFINITY),
+        ];
+        for (bits, value) in known {
+            assert_eq!(f32_from_f16(bits).to_bits(), value.to_bits(), "{bits:#06x}");
+        }
+        assert!(f32_from_f16(0x7e00).is_nan());
+    }
+
+    #[test]
+    fn every_layout_of_a_number_reads_as_the_number() {
+        let value = -1.5_f32;
+        let layouts: [(Sample, Vec<u8>); 6] = [
+            (Sample::F16(Endian::Little), vec![0x00, 0xbe]),
+            (Sample::F16(Endian::Big), vec![0xbe, 0x00]),
+            (Sample::F32(Endian::Little), value.to_le_bytes().to_vec()),
+            (Sample::F32(Endian::Big), value.to_be_bytes().to_vec()),
+            (Sample::F64(Endian::Little), f64::from(value).to_le_bytes().to_vec()),
+            (Sample::F64(Endian::Big), f64::from(value).to_be_bytes().to_vec()),
+        ];
+        for (sample, bytes) in layouts {
+            let many = bytes.repeat(20_000); // more than one block
+            let mut values = vec![0.0; 20_000];
+            read_samples(&mut many.as_slice(), sample, &mut values).unwrap();
+            assert!(values.iter().all(|v| *v == value), "{sample:?}");
+        }
+    }
+}

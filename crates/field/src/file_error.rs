@@ -1,0 +1,62 @@
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Why a file could not be read or written: which file, which of its fields, what was expected and what was found.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {problem}", .path.display())]
+pub struct FileError {
+    /// The file.
+    pub path: PathBuf,
+    /// What is wrong with it.
+    pub problem: FileProblem,
+}
+
+/// What is wrong with a file; see [`FileError`].
+#[derive(Debug, thiserror::Error)]
+pub enum FileProblem {
+    /// The operating system refused.
+    #[error("{doing}: {error}")]
+    Io {
+        /// What was being done, e.g. `opening`.
+        doing: &'static str,
+        /// The operating system's answer.
+        error: io::Error,
+    },
+    /// A field of the file does not hold what it must.
+    #[error("{field}: expected {expected}, found {found}")]
+    Field {
+        /// Name of the field, e.g. `magic` or `file size`.
+        field: &'static str,
+        /// What the field must hold, and what to do when it does not.
+        expected: String,
+        /// What it holds.
+        found: String,
+    },
+    /// The value of one pixel cannot stand in the file.
+    #[error("pixel ({x}, {y}): expected {expected}, found {found}")]
+    Pixel {
+        /// Column.
+        x: usize,
+        /// Row.
+        y: usize,
+        /// What the pixel must hold.
+        expected: &'static str,
+        /// What it holds.
+        found: String,
+    },
+}
+
+impl FileProblem {
+    pub(crate) fn field(field: &'static str, expected: impl Into<String>, found: impl Into<String>) -> Self {
+        Self::Field { field, expected: expected.into(), found: found.into() }
+    }
+
+    pub(crate) fn reading(error: io::Error) -> Self {
+        Self::Io { doing: "reading", error }
+    }
+
+    /// The same problem, with the file's name.
+    pub(crate) fn in_file(self, path: &Path) -> FileError {
+        FileError { path: path.to_owned(), problem: self }
+    }
+}

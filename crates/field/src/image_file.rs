@@ -1,0 +1,121 @@
+//! Images and masks on disk.
+
+use std::io::{self, Cursor, Write};
+use std::path::Path;
+
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+
+use crate::codec::{MAX_PIXELS, check_deflated, check_size, read_all, read_with};
+use crate::{FileError, FileProblem, Image, Mask, write_atomically};
+
+/// Reads a PNG, JPEG, PPM/PGM or BMP file; its first bytes say which it is. 16-bit channels are rounded to 8 bits, grey
+/// becomes three equal channels, alpha is dropped.
+///
+/// # Errors
+/// When the file cannot be read, is of another format, or is broken.
+pub fn read_image(path: &Path) -> Result<Image, FileError> {
+    read_with(path, |reader, len| {
+        let pixels = decode(&read_all(reader, len)?)?.into_rgb8();
+        let (width, height) = (pixels.width() as usize, pixels.height() as usize);
+        Ok(Image::from_buffer(width, height, pixels.as_raw().as_chunks().0.to_vec()))
+    })
+}
+
+/// Reads a mask from an image of any format that [`read_image`] takes: `true` where the luminance is over 127.
+///
+/// # Errors
+/// As [`read_image`].
+pub fn read_mask(path: &Path) -> Result<Mask, FileError> {
+    read_with(path, |reader, len| {
+        let pixels = decode(&read_all(reader, len)?)?.into_luma8();
+        let (width, height) = (pixels.width() as usize, pixels.height() as usize);
+        Ok(Mask::from_buffer(width, height, pixels.as_raw().iter().map(|value| *value > 127).collect()))
+    })
+}
+
+/// Writes an image as PNG, quickly rather than small, whole or not at all (see [`write_atomically`]).
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_image_png(path: &Path, image: &Image) -> Result<(), FileError> {
+    write_atomically(path, |writer| {
+        encode_png(writer, image.size(), png::ColorType::Rgb, image.pixels().as_flattened())
+    })
+}
+
+/// Writes a mask as a grey PNG: 255 where it is `true`, 0 elsewhere; see [`write_image_png`].
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_mask_png(path: &Path, mask: &Mask) -> Result<(), FileError> {
+    let grey: Vec<u8> = mask.pixels().iter().map(|inside| if *inside { 255 } else { 0 }).collect();
+    write_atomically(path, |writer| encode_png(writer, mask.size(), png::ColorType::Grayscale, &grey))
+}
+
+fn encode_png(
+    writer: &mut impl Write,
+    (width, height): (usize, usize),
+    color: png::ColorType,
+    bytes: &[u8],
+) -> io::Result<()> {
+    let side = |side| u32::try_from(side).map_err(|_| io::Error::other("a side is beyond 2^32 pixels"));
+    let mut encoder = png::Encoder::new(writer, side(width)?, side(height)?);
+    encoder.set_color(color);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.set_compression(png::Compression::Fastest);
+    let mut rows = encoder.write_header()?;
+    rows.write_image_data(bytes)?;
+    rows.finish()?;
+    Ok(())
+}
+
+fn decode(bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
+    let format = image::guess_format(bytes).ok();
+    let format = match format {
+        Some(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Pnm | ImageFormat::Bmp)) => format,
+        _ => {
+            let start = bytes[..bytes.len().min(8)].escape_ascii();
+            return Err(FileProblem::field("magic", "a PNG, JPEG, PPM or BMP file", format!("\"{start}\"")));
+        }
+    };
+    let broken = |error: image::ImageError| {
+        FileProblem::field("image", format!("a sound {} file", name(format)), error.to_string())
+    };
+    let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+    let mut limits = Limits::default();
+    limits.max_alloc = Some(12 * MAX_PIXELS); // 16-bit RGBA and the decoder's own rows
+    reader.limits(limits);
+    let decoder = reader.into_decoder().map_err(broken)?;
+    let (width, height) = decoder.dimensions();
+    check_size(width.into(), height.into())?;
+    match format {
+        ImageFormat::Png => check_deflated(decoder.total_bytes() / 8, bytes.len() as u64)?, // 1 bit may become 8
+        ImageFormat::Jpeg => check_end_of_jpeg(bytes)?,
+        _ => {}
+    }
+    DynamicImage::from_decoder(decoder).map_err(broken)
+}
+
+/// The decoder fills what is missing of a JPEG with grey, as its peers do; here a file cut short is an error.
+fn check_end_of_jpeg(bytes: &[u8]) -> Result<(), FileProblem> {
+    const START_OF_SCAN: u8 = 0xda;
+    const END_OF_IMAGE: u8 = 0xd9;
+    // Inside a scan a byte 0xff is always escaped, so that the last of these markers is the true one.
+    let last = bytes
+        .windows(2)
+        .rev()
+        .find(|pair| pair[0] == 0xff && matches!(pair[1], START_OF_SCAN | END_OF_IMAGE));
+    match last {
+        Some([_, END_OF_IMAGE]) => Ok(()),
+        _ => Err(FileProblem::field("end of image", "the marker ff d9", "none: the file is cut short")),
+    }
+}
+
+fn name(format: ImageFormat) -> &'static str {
+    match format {
+        ImageFormat::Png => "PNG",
+        ImageFormat::Jpeg => "JPEG",
+        ImageFormat::Bmp => "BMP",
+        _ => "PPM",
+    }
+}

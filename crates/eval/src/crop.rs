@@ -1,0 +1,104 @@
+//! Where the evaluated window lies in a frame.
+
+use srflow_field::Mask;
+
+/// A window of a frame, in pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Window {
+    /// First column.
+    pub left: usize,
+    /// First row.
+    pub top: usize,
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+}
+
+/// A crop that does not fit the frame.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "the crop {}x{} does not fit the frame of {}x{} (WIDTHxHEIGHT): choose a crop that is no larger than the frames",
+    crop.0, crop.1, frame.0, frame.1
+)]
+pub struct CropError {
+    /// Width and height asked for.
+    pub crop: (usize, usize),
+    /// Width and height of the frame.
+    pub frame: (usize, usize),
+}
+
+/// The window of `crop` (width, height) centred on the head: on the centroid of `head`, moved as little as needed to
+/// lie inside the frame. Without a mask, or with an empty one, it is centred on the frame.
+///
+/// # Errors
+/// When the crop is larger than the frame, or has no pixel.
+pub fn head_window(
+    frame: (usize, usize),
+    crop: (usize, usize),
+    head: Option<&Mask>,
+) -> Result<Window, CropError> {
+    let (width, height) = crop;
+    if width > frame.0 || height > frame.1 || width == 0 || height == 0 {
+        return Err(CropError { crop, frame });
+    }
+    let centre = head.filter(|head| head.size() == frame).and_then(centroid);
+    let (x, y) = centre.unwrap_or(((frame.0 as f64 - 1.0) / 2.0, (frame.1 as f64 - 1.0) / 2.0));
+    // The first pixel of a window whose middle is nearest to the centre; a cast of a negative number gives 0.
+    let first = |centre: f64, size: usize, limit: usize| {
+        ((centre - (size as f64 - 1.0) / 2.0).round() as usize).min(limit - size)
+    };
+    Ok(Window { left: first(x, width, frame.0), top: first(y, height, frame.1), width, height })
+}
+
+/// Mean column and row of the pixels that are set; `None` when there is none.
+fn centroid(mask: &Mask) -> Option<(f64, f64)> {
+    let (mut count, mut x_sum, mut y_sum) = (0_u64, 0_u64, 0_u64);
+    for y in 0..mask.height() {
+        for (x, _) in mask.row(y).iter().enumerate().filter(|(_, set)| **set) {
+            count += 1;
+            x_sum += x as u64;
+            y_sum += y as u64;
+        }
+    }
+    (count > 0).then(|| (x_sum as f64 / count as f64, y_sum as f64 / count as f64))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn head_at(centre: (usize, usize)) -> Mask {
+        Mask::from_fn(220, 320, |x, y| x.abs_diff(centre.0) <= 10 && y.abs_diff(centre.1) <= 15)
+    }
+
+    #[test]
+    fn window_is_centred_on_the_head() {
+        let window = head_window((220, 320), (101, 161), Some(&head_at((90, 170)))).unwrap();
+        assert_eq!(window, Window { left: 40, top: 90, width: 101, height: 161 });
+    }
+
+    #[test]
+    fn window_stays_inside_the_frame() {
+        let corner = head_window((220, 320), (120, 160), Some(&head_at((12, 300)))).unwrap();
+        assert_eq!((corner.left, corner.top), (0, 160));
+        let whole = head_window((220, 320), (220, 320), Some(&head_at((12, 300)))).unwrap();
+        assert_eq!((whole.left, whole.top), (0, 0));
+    }
+
+    #[test]
+    fn window_without_a_head_is_in_the_middle() {
+        let empty = Mask::new(220, 320);
+        for head in [None, Some(&empty)] {
+            let window = head_window((220, 320), (120, 160), head).unwrap();
+            assert_eq!((window.left, window.top), (50, 80));
+        }
+    }
+
+    #[test]
+    fn window_larger_than_the_frame_is_an_error_with_both_sizes() {
+        let error = head_window((220, 320), (1200, 1600), None).unwrap_err().to_string();
+        assert!(error.contains("1200x1600") && error.contains("220x320"), "{error}");
+        assert!(head_window((220, 320), (0, 10), None).is_err());
+    }
+}

@@ -1,0 +1,21 @@
+use maud::html;
+
+use super::{Figure, Picture};
+
+/// Two pictures of one size on top of each other with a divider to drag: `left` is seen to the left of it, `right` to
+/// its right. The words are shown in the corners.
+pub fn compare(left: (&Picture, &str), right: (&Picture, &str), caption: &str) -> Figure {
+    Figure(html! {
+        figure {
+            div.compare {
+                (left.0.img())
+                div.after { (right.0.img()) }
+                span.tag.left { (left.1) }
+                span.tag.right { (right.1) }
+                input type="range" min="0" max="100" value="50" aria-label="divider"
+                    oninput="this.parentNode.style.setProperty('--cut', this.value + '%')";
+            }
+            @if !caption.is_empty() { figcaption { (caption) } }
+        }
+    })
+}

@@ -1,0 +1,68 @@
+use maud::html;
+
+use super::Figure;
+use super::charts::{Axis, Chart, Scale, axes, colour_class, framed, place};
+
+/// One line of a chart.
+#[derive(Debug, Clone)]
+pub struct Curve {
+    /// Its name in the key.
+    pub name: String,
+    /// Its points, from left to right; points that are not finite are left out.
+    pub points: Vec<(f64, f64)>,
+    /// A baseline is grey and dashed.
+    pub baseline: bool,
+}
+
+/// Curves over one pair of axes. With `dots`, every point is marked: for few points that were each measured.
+pub fn curves(curves: &[Curve], vertical: Axis, dots: bool, chart: &Chart) -> Figure {
+    let finite = |curve: &Curve| -> Vec<(f64, f64)> {
+        curve.points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
+    };
+    let all: Vec<(f64, f64)> = curves.iter().flat_map(finite).collect();
+    let least = |values: &mut dyn Iterator<Item = f64>| values.fold(f64::INFINITY, f64::min);
+    let most = |values: &mut dyn Iterator<Item = f64>| values.fold(f64::NEG_INFINITY, f64::max);
+    let x = match all.is_empty() {
+        true => Scale::exact(0.0, 1.0),
+        false => {
+            let low = least(&mut all.iter().map(|point| point.0));
+            Scale::exact(low, most(&mut all.iter().map(|point| point.0)).max(low + 1e-9))
+        }
+    };
+    let top = most(&mut all.iter().map(|point| point.1));
+    let y = match vertical {
+        Axis::Linear => Scale::from_zero(top),
+        Axis::Logarithmic => Scale::decades(least(&mut all.iter().map(|p| p.1).filter(|v| *v > 0.0)), top),
+    };
+    let mut series = 0;
+    let classes: Vec<&str> = curves
+        .iter()
+        .map(|curve| {
+            colour_class((!curve.baseline).then(|| {
+                series += 1;
+                series - 1
+            }))
+        })
+        .collect();
+    let line = |points: &[(f64, f64)]| -> String {
+        points.iter().map(|(px, py)| format!("{},{}", place(x.x(*px)), place(y.y(*py)))).collect::<Vec<_>>().join(" ")
+    };
+    let drawing = html! {
+        (axes(&x, &y, chart))
+        @for (curve, class) in curves.iter().zip(&classes) {
+            @let points = finite(curve);
+            g class=(class) {
+                polyline.line points=(line(&points)) {}
+                @if dots {
+                    @for (px, py) in &points { circle.fill cx=(place(x.x(*px))) cy=(place(y.y(*py))) r="3" {} }
+                }
+            }
+        }
+    };
+    let keys = html! {
+        ul.keys {
+            @for (curve, class) in curves.iter().zip(&classes) { li class=(class) { (curve.name) } }
+        }
+    };
+    Figure(framed(chart, keys, drawing))
+}

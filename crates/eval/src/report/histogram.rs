@@ -1,0 +1,38 @@
+use maud::html;
+
+use super::Figure;
+use super::charts::{AREA, Axis, Chart, Scale, axes, framed, place};
+
+/// One bin: values from `low` up to `high`, and how many there are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bin {
+    /// Lower end.
+    pub low: f64,
+    /// Upper end.
+    pub high: f64,
+    /// How many values, or which share of them.
+    pub count: f64,
+}
+
+/// Bins of equal width on the page, the vertical axis linear or logarithmic.
+pub fn histogram(bins: &[Bin], vertical: Axis, chart: &Chart) -> Figure {
+    let filled = || bins.iter().map(|bin| bin.count).filter(|count| count.is_finite() && *count > 0.0);
+    let most = filled().fold(0.0, f64::max);
+    let y = match vertical {
+        Axis::Linear => Scale::from_zero(most),
+        Axis::Logarithmic => Scale::decades(filled().fold(f64::INFINITY, f64::min), most),
+    };
+    let (low, high) = (bins.first().map_or(0.0, |bin| bin.low), bins.last().map_or(1.0, |bin| bin.high));
+    let x = Scale::exact(low, high);
+    let drawing = html! {
+        (axes(&x, &y, chart))
+        g.s1 {
+            @for bin in bins.iter().filter(|bin| bin.count > 0.0) {
+                @let (left, right) = (x.x(bin.low), x.x(bin.high));
+                rect.fill x=(place(left + 0.5)) y=(place(y.y(bin.count)))
+                    width=(place((right - left - 1.0).max(0.6))) height=(place(AREA[3] - y.y(bin.count))) {}
+            }
+        }
+    };
+    Figure(framed(chart, html! {}, drawing))
+}

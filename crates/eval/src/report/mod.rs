@@ -1,0 +1,37 @@
+//! The report: one HTML file that needs nothing beside it. No network, no fonts, no scripts from elsewhere; pictures are
+//! inside as data URIs, charts are SVG.
+//!
+//! A [`Report`] holds [`Section`]s, a section holds [`Figure`]s. A figure can only be made by the functions here, which
+//! escape every text they are given.
+
+mod action_cards;
+mod bars;
+mod charts;
+mod compare;
+mod curves;
+mod facts;
+mod film;
+mod heat;
+mod histogram;
+mod legend;
+mod page;
+mod panels;
+mod picture;
+mod score_table;
+mod shrink;
+
+pub use action_cards::{ActionCard, action_cards};
+pub use bars::{Bar, bars};
+pub use charts::{Axis, Chart};
+pub use compare::compare;
+pub use curves::{Curve, curves};
+pub use facts::{facts, tiles};
+pub use film::{Film, films};
+pub use heat::{error_map, heat};
+pub use histogram::{Bin, histogram};
+pub use legend::{heat_legend, wheel_legend};
+pub use page::{Figure, Report, Section};
+pub use panels::{Panel, panels, side_by_side};
+pub use picture::{Picture, PictureError};
+pub use score_table::score_table;
+pub use shrink::{shrink_flow, shrink_image, shrink_mask, shrink_plane};

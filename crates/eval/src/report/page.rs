@@ -1,0 +1,82 @@
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+/// A part of a page made by one of the figure functions of this module.
+#[derive(Debug, Clone)]
+pub struct Figure(pub(super) Markup);
+
+/// A titled part of a [`Report`].
+#[derive(Debug, Clone)]
+pub struct Section {
+    /// Heading, also the entry in the contents.
+    pub title: String,
+    /// One or two sentences under it.
+    pub lead: String,
+    /// What it shows, from top to bottom.
+    pub figures: Vec<Figure>,
+}
+
+/// A page: title, contents, sections.
+#[derive(Debug, Clone)]
+pub struct Report {
+    /// The large line, also the title of the browser's tab.
+    pub title: String,
+    /// The small line above it.
+    pub kicker: String,
+    /// What this page is, in two or three sentences.
+    pub lead: String,
+    /// What stands above the first section: tiles, a film.
+    pub opening: Vec<Figure>,
+    /// The parts.
+    pub sections: Vec<Section>,
+    /// The last line.
+    pub colophon: String,
+}
+
+impl Report {
+    /// The whole page as HTML 5, also well-formed as XML apart from the document type and void elements.
+    pub fn html(&self) -> String {
+        let contents = self.sections.len() > 1;
+        html! {
+            (DOCTYPE)
+            html lang="en" {
+                head {
+                    meta charset="utf-8";
+                    meta name="viewport" content="width=device-width, initial-scale=1";
+                    meta name="color-scheme" content="light dark";
+                    meta name="generator" content=(concat!("srflow ", env!("CARGO_PKG_VERSION")));
+                    title { (self.title) }
+                    style { (PreEscaped(include_str!("page.css"))) }
+                }
+                body {
+                    header.opening {
+                        p.kicker { (self.kicker) }
+                        h1 { (self.title) }
+                        p.lead { (self.lead) }
+                        @if contents {
+                            nav {
+                                @for (number, section) in self.sections.iter().enumerate() {
+                                    a href={ "#part-" (number + 1) } { (section.title) }
+                                }
+                            }
+                        }
+                        @for figure in &self.opening { (figure.0) }
+                    }
+                    main {
+                        @for (number, section) in self.sections.iter().enumerate() {
+                            section id={ "part-" (number + 1) } {
+                                div.heading {
+                                    span.number { (number + 1) }
+                                    h2 { (section.title) }
+                                    p.lead { (section.lead) }
+                                }
+                                @for figure in &section.figures { (figure.0) }
+                            }
+                        }
+                    }
+                    footer { p { (self.colophon) } }
+                }
+            }
+        }
+        .into_string()
+    }
+}

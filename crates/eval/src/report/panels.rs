@@ -1,0 +1,41 @@
+use maud::{Markup, html};
+
+use super::{Figure, Picture};
+
+/// A picture with its name and a few words.
+#[derive(Debug, Clone)]
+pub struct Panel {
+    /// The picture.
+    pub picture: Picture,
+    /// Its name, e.g. `Flow`.
+    pub title: String,
+    /// What to see in it; may be empty.
+    pub note: String,
+}
+
+/// Pictures in a row, wrapped where the page is narrow, with one caption under all. `least_width` is the width in CSS
+/// pixels below which a picture moves to the next line.
+pub fn panels(panels: &[Panel], least_width: usize, caption: &str) -> Figure {
+    Figure(html! {
+        figure {
+            div.grid style={ "--least:" (least_width) "px" } {
+                @for panel in panels {
+                    div.panel {
+                        div.picture { (panel.picture.img()) }
+                        (title_and_note(&panel.title, &panel.note))
+                    }
+                }
+            }
+            @if !caption.is_empty() { figcaption { (caption) } }
+        }
+    })
+}
+
+/// Figures beside each other where the page is wide enough, under each other where not.
+pub fn side_by_side(figures: Vec<Figure>) -> Figure {
+    Figure(html! { div.sides { @for figure in figures { (figure.0) } } })
+}
+
+pub(super) fn title_and_note(title: &str, note: &str) -> Markup {
+    html! { p { b { (title) } @if !note.is_empty() { " · " (note) } } }
+}

@@ -1,0 +1,129 @@
+//! Pictures that live inside the page, as data URIs.
+
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use maud::{Markup, html};
+use srflow_field::{Image, Plane};
+
+/// A picture ready to be put into the page.
+#[derive(Debug, Clone)]
+pub struct Picture {
+    pub(super) uri: String,
+    pub(super) width: usize,
+    pub(super) height: usize,
+    /// What it shows, for those who do not see it.
+    pub(super) alt: String,
+}
+
+/// A picture that cannot be encoded.
+#[derive(Debug, thiserror::Error)]
+#[error("encoding the picture `{alt}` of {width}x{height}: {reason}")]
+pub struct PictureError {
+    /// What it would have shown.
+    pub alt: String,
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// What the encoder said.
+    pub reason: String,
+}
+
+impl Picture {
+    /// A JPEG of quality 86 without colour subsampling: for rendered or photographed frames and flow colours.
+    ///
+    /// # Errors
+    /// When a side is 0 or over 65535 pixels.
+    pub fn jpeg(image: &Image, alt: &str) -> Result<Self, PictureError> {
+        let error = |reason: String| Self::error(image.size(), alt, reason);
+        let side = |pixels: usize| {
+            u16::try_from(pixels).map_err(|_| error("a JPEG has at most 65535 pixels a side".to_owned()))
+        };
+        let mut bytes = Vec::new();
+        let mut encoder = jpeg_encoder::Encoder::new(&mut bytes, 86);
+        encoder.set_sampling_factor(jpeg_encoder::SamplingFactor::F_1_1);
+        encoder.set_optimized_huffman_tables(true);
+        encoder
+            .encode(
+                image.pixels().as_flattened(),
+                side(image.width())?,
+                side(image.height())?,
+                jpeg_encoder::ColorType::Rgb,
+            )
+            .map_err(|reason| error(reason.to_string()))?;
+        Ok(Self::of("image/jpeg", &bytes, image.size(), alt))
+    }
+
+    /// A grey PNG of shares, 0 black and 1 white: for masks.
+    ///
+    /// # Errors
+    /// When a side is 0 or beyond what PNG holds.
+    pub fn grey(shares: &Plane, alt: &str) -> Result<Self, PictureError> {
+        let grey: Vec<u8> = shares.pixels().iter().map(|share| (share * 255.0 + 0.5) as u8).collect();
+        Self::png(&grey, shares.size(), png::ColorType::Grayscale, alt)
+    }
+
+    /// A colour PNG, every pixel kept: for small pictures and hard edges.
+    ///
+    /// # Errors
+    /// When a side is 0 or beyond what PNG holds.
+    pub fn exact(image: &Image, alt: &str) -> Result<Self, PictureError> {
+        Self::png(image.pixels().as_flattened(), image.size(), png::ColorType::Rgb, alt)
+    }
+
+    fn png(data: &[u8], size: (usize, usize), colour: png::ColorType, alt: &str) -> Result<Self, PictureError> {
+        let write = || -> Result<Vec<u8>, png::EncodingError> {
+            let side = |pixels: usize| u32::try_from(pixels).unwrap_or(0); // 0 is refused by the encoder
+            let mut bytes = Vec::new();
+            let mut encoder = png::Encoder::new(&mut bytes, side(size.0), side(size.1));
+            encoder.set_color(colour);
+            encoder.set_depth(png::BitDepth::Eight);
+            let mut writer = encoder.write_header()?;
+            writer.write_image_data(data)?;
+            writer.finish()?;
+            Ok(bytes)
+        };
+        let bytes = write().map_err(|reason| Self::error(size, alt, reason.to_string()))?;
+        Ok(Self::of("image/png", &bytes, size, alt))
+    }
+
+    fn of(mime: &str, bytes: &[u8], (width, height): (usize, usize), alt: &str) -> Self {
+        let uri = format!("data:{mime};base64,{}", BASE64_STANDARD.encode(bytes));
+        Self { uri, width, height, alt: alt.to_owned() }
+    }
+
+    fn error((width, height): (usize, usize), alt: &str, reason: String) -> PictureError {
+        PictureError { alt: alt.to_owned(), width, height, reason }
+    }
+
+    /// The `img` element.
+    pub(super) fn img(&self) -> Markup {
+        html! { img src=(self.uri) width=(self.width) height=(self.height) alt=(self.alt) decoding="async"; }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn png_keeps_every_pixel() {
+        let image = Image::from_fn(7, 5, |x, y| [x as u8 * 30, y as u8 * 40, 200]);
+        let picture = Picture::exact(&image, "test").unwrap();
+        let encoded = picture.uri.strip_prefix("data:image/png;base64,").unwrap();
+        let bytes = BASE64_STANDARD.decode(encoded).unwrap();
+        let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().unwrap();
+        let mut decoded = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut decoded).unwrap();
+        assert_eq!(decoded, image.pixels().as_flattened());
+    }
+
+    #[test]
+    fn empty_pictures_are_errors_that_name_them() {
+        let empty = Image::new(0, 0);
+        assert!(Picture::jpeg(&empty, "nothing").unwrap_err().to_string().contains("nothing"));
+        assert!(Picture::exact(&empty, "nothing").is_err());
+        let wide = Image::new(70_000, 1);
+        assert!(Picture::jpeg(&wide, "wide").unwrap_err().to_string().contains("65535"));
+    }
+}

@@ -1,0 +1,45 @@
+use maud::{Markup, html};
+
+use super::Figure;
+use crate::table::{Mark, Table};
+
+/// A table as the paper prints it: best bold blue, second blue, third underlined; baselines grey.
+pub fn score_table(table: &Table, caption: &str) -> Figure {
+    let marks = table.marks();
+    Figure(html! {
+        figure {
+            div.panel.plain {
+                div.scroll {
+                    table {
+                        caption { (table.title) }
+                        thead { tr { th { "Methods" } @for column in &table.columns { th { (column.title()) } } } }
+                        tbody {
+                            @for (row, marks) in table.rows.iter().zip(&marks) {
+                                tr class=[row.baseline.then_some("baseline")] {
+                                    td { (row.name) }
+                                    @for ((c, column), mark) in table.columns.iter().enumerate().zip(marks) {
+                                        (cell(&column.show(row.value(c)), *mark))
+                                    }
+                                }
+                            }
+                        }
+                    }
+                }
+                p.marks {
+                    span.best { "best" } span.second { "second" } span.third { "third" }
+                    @if table.rows.iter().any(|row| row.baseline) { span { i { "baseline, not ranked" } } }
+                }
+            }
+            @if !caption.is_empty() { figcaption { (caption) } }
+        }
+    })
+}
+
+fn cell(shown: &str, mark: Option<Mark>) -> Markup {
+    let class = mark.map(|mark| match mark {
+        Mark::Best => "best",
+        Mark::Second => "second",
+        Mark::Third => "third",
+    });
+    html! { td { span class=[class] { (shown) } } }
+}

@@ -1,0 +1,111 @@
+//! Smaller copies for the report, by averaging over the area of each new pixel.
+
+use srflow_field::{FlowField, Image, Mask, Plane};
+
+/// An image no wider than `max_width`, its proportions kept.
+pub fn shrink_image(image: &Image, max_width: usize) -> Image {
+    let size = shrunk(image.size(), max_width);
+    if size == image.size() {
+        return image.clone();
+    }
+    let mean = area_means(image.size(), size, |x, y| Some(image.get(x, y).map(f32::from)));
+    Image::from_fn(size.0, size.1, |x, y| mean[y * size.0 + x].unwrap_or([0.0; 3]).map(|c| (c + 0.5) as u8))
+}
+
+/// A flow no wider than `max_width`: the mean over the known pixels of each area, unknown where there is none. The
+/// values stay in pixels of the full size.
+pub fn shrink_flow(flow: &FlowField, max_width: usize) -> FlowField {
+    let size = shrunk(flow.size(), max_width);
+    let known = |[u, v]: [f32; 2]| (u.is_finite() && v.is_finite()).then_some([u, v]);
+    let mean = area_means(flow.size(), size, |x, y| known(flow.get(x, y)));
+    FlowField::from_fn(size.0, size.1, |x, y| mean[y * size.0 + x].unwrap_or([f32::NAN; 2]))
+}
+
+/// A plane no wider than `max_width`: the mean over the finite pixels of each area, NaN where there is none.
+pub fn shrink_plane(plane: &Plane, max_width: usize) -> Plane {
+    let size = shrunk(plane.size(), max_width);
+    let finite = |value: f32| value.is_finite().then_some([value]);
+    let mean = area_means(plane.size(), size, |x, y| finite(plane.get(x, y)));
+    Plane::from_fn(size.0, size.1, |x, y| mean[y * size.0 + x].map_or(f32::NAN, |[value]| value))
+}
+
+/// The share of set pixels in each area, `0..=1`, no wider than `max_width`.
+pub fn shrink_mask(mask: &Mask, max_width: usize) -> Plane {
+    let size = shrunk(mask.size(), max_width);
+    let mean = area_means(mask.size(), size, |x, y| Some([f32::from(mask.get(x, y))]));
+    Plane::from_fn(size.0, size.1, |x, y| mean[y * size.0 + x].map_or(0.0, |[share]| share))
+}
+
+/// The size after shrinking to `max_width`, at least one pixel each way; never larger than before.
+fn shrunk((width, height): (usize, usize), max_width: usize) -> (usize, usize) {
+    if width <= max_width {
+        return (width, height);
+    }
+    let max_width = max_width.max(1);
+    (max_width, ((height * max_width + width / 2) / width).max(1))
+}
+
+/// The mean of every target pixel's area over the source pixels that have a value, weighted by the overlap.
+fn area_means<const N: usize>(
+    from: (usize, usize),
+    to: (usize, usize),
+    value: impl Fn(usize, usize) -> Option<[f32; N]>,
+) -> Vec<Option<[f32; N]>> {
+    let (columns, rows) = (spans(from.0, to.0), spans(from.1, to.1));
+    let mut means = Vec::with_capacity(to.0 * to.1);
+    for row in &rows {
+        for column in &columns {
+            let (mut sum, mut total) = ([0.0; N], 0.0);
+            for &(y, y_weight) in row {
+                for &(x, x_weight) in column {
+                    let Some(value) = value(x, y) else { continue };
+                    let weight = x_weight * y_weight;
+                    total += weight;
+                    sum.iter_mut().zip(value).for_each(|(sum, value)| *sum += weight * value);
+                }
+            }
+            means.push((total > 0.0).then(|| sum.map(|sum| sum / total)));
+        }
+    }
+    means
+}
+
+/// For each of `to` target pixels, the source pixels (of `from`) that it covers and how much of each.
+fn spans(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
+    let scale = from as f64 / to as f64;
+    let span = |target: usize| {
+        let (start, end) = (target as f64 * scale, (target + 1) as f64 * scale);
+        let overlap = |source: usize| (end.min(source as f64 + 1.0) - start.max(source as f64)) as f32;
+        (start as usize..(end.ceil() as usize).min(from))
+            .map(|source| (source, overlap(source)))
+            .filter(|(_, weight)| *weight > 1e-6)
+            .collect()
+    };
+    (0..to).map(span).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shrinking_averages_areas_and_keeps_proportions() {
+        let image = Image::from_fn(4, 6, |x, _| if x < 2 { [0, 10, 20] } else { [100, 110, 120] });
+        let small = shrink_image(&image, 2);
+        assert_eq!(small.size(), (2, 3));
+        assert_eq!((small.get(0, 0), small.get(1, 2)), ([0, 10, 20], [100, 110, 120]));
+        // 5 pixels into 2: the middle one is shared.
+        let ramp = Plane::from_fn(5, 1, |x, _| x as f32);
+        let halves = shrink_plane(&ramp, 2);
+        assert!((halves.get(0, 0) - (0.0 + 1.0 + 0.5 * 2.0) / 2.5).abs() < 1e-6);
+        assert_eq!(shrink_image(&image, 100), image);
+    }
+
+    #[test]
+    fn sparse_flow_survives_shrinking() {
+        let sparse = FlowField::from_fn(8, 8, |x, y| if (x, y) == (1, 1) { [3.0, -2.0] } else { [f32::NAN; 2] });
+        let small = shrink_flow(&sparse, 2);
+        assert_eq!(small.get(0, 0), [3.0, -2.0]);
+        assert!(!small.is_known(1, 0) && !small.is_known(1, 1));
+    }
+}

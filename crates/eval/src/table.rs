@@ -1,0 +1,369 @@
+//! Tables of scores with the best three of every column marked, as in the SRFlow paper (Table II).
+
+use std::fmt::Write;
+
+use serde::{Deserialize, Serialize};
+
+/// Which way a score is better.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Better {
+    /// Smaller is better: an error.
+    Lower,
+    /// Larger is better: a share of good pixels.
+    Higher,
+}
+
+impl Better {
+    /// The arrow that tables put behind the name of a score.
+    pub fn arrow(self) -> char {
+        match self {
+            Better::Lower => '↓',
+            Better::Higher => '↑',
+        }
+    }
+}
+
+/// One column of a [`Table`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Column {
+    /// Name for machines: the head of the CSV column.
+    pub key: String,
+    /// Name for people, without the arrow.
+    pub header: String,
+    /// Which way is better; `None` for a column that is not ranked.
+    pub better: Option<Better>,
+    /// Digits shown behind the point. Ranks compare what is shown, so that equal numbers carry equal marks.
+    pub decimals: usize,
+}
+
+/// One row of a [`Table`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// What the row is of: the name of a method.
+    pub name: String,
+    /// One value per column, at full precision; `None` where there is nothing to measure.
+    pub values: Vec<Option<f64>>,
+    /// A baseline is shown for orientation and never ranked.
+    pub baseline: bool,
+}
+
+/// How good a value is among its column.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mark {
+    /// Bold blue in the paper.
+    Best,
+    /// Blue in the paper.
+    Second,
+    /// Underlined in the paper.
+    Third,
+}
+
+/// Rows of scores under named columns.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Table {
+    /// What was measured, in a few words.
+    pub title: String,
+    /// The columns, the one of the row names left out.
+    pub columns: Vec<Column>,
+    /// The rows, in the order they are shown.
+    pub rows: Vec<Row>,
+}
+
+/// How [`Table::text`] shows the marks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum TextStyle {
+    /// `**`, `*` and `_` behind the value.
+    Plain,
+    /// Colours and underlines of an ANSI terminal, as the paper prints them.
+    Ansi,
+}
+
+impl Table {
+    /// The mark of every value, `marks[row][column]`.
+    ///
+    /// Equal values share a rank and take up the ranks behind it (1, 1, 3), as in the paper's Table IV. Ranks compare
+    /// rounded values; baselines, missing and non-finite values have none.
+    pub fn marks(&self) -> Vec<Vec<Option<Mark>>> {
+        let mut marks = vec![vec![None; self.columns.len()]; self.rows.len()];
+        for (c, column) in self.columns.iter().enumerate() {
+            let Some(better) = column.better else { continue };
+            // Shown digits as a number, negated where larger is better: smaller is then always better.
+            let key = |row: &Row| -> Option<f64> {
+                let value = row.value(c).filter(|value| value.is_finite() && !row.baseline)?;
+                let shown: f64 = format!("{value:.*}", column.decimals).parse().ok()?;
+                Some(if better == Better::Higher { -shown } else { shown })
+            };
+            let keys: Vec<Option<f64>> = self.rows.iter().map(key).collect();
+            for (r, own) in keys.iter().enumerate() {
+                let Some(own) = own else { continue };
+                marks[r][c] = match keys.iter().flatten().filter(|other| *other < own).count() {
+                    0 => Some(Mark::Best),
+                    1 => Some(Mark::Second),
+                    2 => Some(Mark::Third),
+                    _ => None,
+                };
+            }
+        }
+        marks
+    }
+
+    /// For a terminal: aligned columns under the title, a legend of the marks at the end.
+    pub fn text(&self, style: TextStyle) -> String {
+        let marks = self.marks();
+        let mut cells: Vec<Vec<String>> = vec![self.headers()];
+        for (row, marks) in self.rows.iter().zip(&marks) {
+            let mut line = vec![row.name.clone()];
+            for ((c, column), mark) in self.columns.iter().enumerate().zip(marks) {
+                line.push(format!("{}{}", column.show(row.value(c)), plain_suffix(style, *mark)));
+            }
+            cells.push(line);
+        }
+        let widths: Vec<usize> = (0..=self.columns.len())
+            .map(|c| cells.iter().map(|line| line[c].chars().count()).max().unwrap_or(0))
+            .collect();
+
+        let mut out = format!("{}\n\n", self.title);
+        for (r, line) in cells.iter().enumerate() {
+            for (c, cell) in line.iter().enumerate() {
+                let pad = " ".repeat(widths[c] - cell.chars().count());
+                let mark = (style == TextStyle::Ansi && r > 0 && c > 0).then(|| marks[r - 1][c - 1]).flatten();
+                let (on, off) = mark.map_or(("", ""), ansi);
+                match c {
+                    0 => write!(out, "  {cell}{pad}"),
+                    _ => write!(out, "  {pad}{on}{cell}{off}"),
+                }
+                .expect("writing to a string");
+            }
+            out.truncate(out.trim_end().len());
+            out.push('\n');
+            if r == 0 {
+                let rule = widths.iter().sum::<usize>() + 2 * self.columns.len();
+                out.push_str(&format!("  {}\n", "─".repeat(rule)));
+            }
+        }
+        out.push('\n');
+        out.push_str(&match style {
+            TextStyle::Plain => "  best **   second *   third _\n".to_owned(),
+            TextStyle::Ansi => {
+                let word = |mark, text| format!("{}{text}{}", ansi(mark).0, ansi(mark).1);
+                let [best, second] = [word(Mark::Best, "best"), word(Mark::Second, "second")];
+                format!("  {best}   {second}   {}\n", word(Mark::Third, "third"))
+            }
+        });
+        out
+    }
+
+    /// Comma-separated values at full precision: `method` and the columns' keys, then one line per row. A missing value
+    /// is an empty field.
+    pub fn csv(&self) -> String {
+        let head = std::iter::once("method".to_owned()).chain(self.columns.iter().map(|c| c.key.clone()));
+        let lines = self.rows.iter().map(|row| {
+            let values = (0..self.columns.len()).map(|c| row.value(c).map_or(String::new(), |v| v.to_string()));
+            std::iter::once(row.name.clone()).chain(values).collect::<Vec<_>>()
+        });
+        csv_text(std::iter::once(head.collect()).chain(lines))
+    }
+
+    /// A Markdown table: best bold, second italic, third underlined.
+    pub fn markdown(&self) -> String {
+        let escape = |text: &str| text.replace('|', "\\|");
+        let mut out = format!("| {} |\n|:--", self.headers().iter().map(|h| escape(h)).collect::<Vec<_>>().join(" | "));
+        out.push_str(&"|--:".repeat(self.columns.len()));
+        out.push_str("|\n");
+        for (row, marks) in self.rows.iter().zip(self.marks()) {
+            out.push_str(&format!("| {}", escape(&row.name)));
+            for ((c, column), mark) in self.columns.iter().enumerate().zip(marks) {
+                let shown = column.show(row.value(c));
+                out.push_str(&match mark {
+                    Some(Mark::Best) => format!(" | **{shown}**"),
+                    Some(Mark::Second) => format!(" | *{shown}*"),
+                    Some(Mark::Third) => format!(" | <u>{shown}</u>"),
+                    None => format!(" | {shown}"),
+                });
+            }
+            out.push_str(" |\n");
+        }
+        out
+    }
+
+    /// A LaTeX `tabular` in the paper's own form; needs the packages booktabs, xcolor and ulem.
+    pub fn latex(&self) -> String {
+        let mut out = format!("\\begin{{tabular}}{{l*{{{}}}c}}\n\\toprule\n", self.columns.len());
+        let headers: Vec<String> = self.headers().iter().map(|header| latex_escape(header)).collect();
+        out.push_str(&format!("{} \\\\\n\\midrule\n", headers.join(" & ")));
+        for (row, marks) in self.rows.iter().zip(self.marks()) {
+            out.push_str(&latex_escape(&row.name));
+            for ((c, column), mark) in self.columns.iter().enumerate().zip(marks) {
+                let shown = column.show(row.value(c));
+                out.push_str(&match mark {
+                    Some(Mark::Best) => format!(" & \\textcolor{{blue}}{{\\textbf{{{shown}}}}}"),
+                    Some(Mark::Second) => format!(" & \\textcolor{{blue}}{{{shown}}}"),
+                    Some(Mark::Third) => format!(" & \\uline{{{shown}}}"),
+                    None => format!(" & {shown}"),
+                });
+            }
+            out.push_str(" \\\\\n");
+        }
+        out.push_str("\\bottomrule\n\\end{tabular}\n");
+        out
+    }
+
+    /// `Methods` and the columns' headers with their arrows.
+    fn headers(&self) -> Vec<String> {
+        std::iter::once("Methods".to_owned()).chain(self.columns.iter().map(Column::title)).collect()
+    }
+}
+
+impl Row {
+    /// The value of a column; a row that is too short has none.
+    pub fn value(&self, column: usize) -> Option<f64> {
+        self.values.get(column).copied().flatten()
+    }
+}
+
+impl Column {
+    /// The header with the arrow of the better direction.
+    pub fn title(&self) -> String {
+        match self.better {
+            Some(better) => format!("{} {}", self.header, better.arrow()),
+            None => self.header.clone(),
+        }
+    }
+
+    /// A value as the tables show it; a dash where there is none.
+    pub fn show(&self, value: Option<f64>) -> String {
+        value.map_or("–".to_owned(), |value| format!("{value:.*}", self.decimals))
+    }
+}
+
+/// Lines of fields as CSV (RFC 4180, lines ended by a line feed).
+pub(crate) fn csv_text(lines: impl Iterator<Item = Vec<String>>) -> String {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    for line in lines {
+        writer.write_record(&line).expect("lines of equal length go to memory");
+    }
+    let bytes = writer.into_inner().expect("memory does not fail");
+    String::from_utf8(bytes).expect("fields are strings")
+}
+
+fn plain_suffix(style: TextStyle, mark: Option<Mark>) -> &'static str {
+    // Suffixes of one width keep the decimal points of a column under each other.
+    match (style, mark) {
+        (TextStyle::Ansi, _) => "",
+        (TextStyle::Plain, Some(Mark::Best)) => "**",
+        (TextStyle::Plain, Some(Mark::Second)) => "* ",
+        (TextStyle::Plain, Some(Mark::Third)) => "_ ",
+        (TextStyle::Plain, None) => "  ",
+    }
+}
+
+/// Escape sequences before and after a marked value.
+fn ansi(mark: Mark) -> (&'static str, &'static str) {
+    match mark {
+        Mark::Best => ("\x1b[1;34m", "\x1b[0m"),
+        Mark::Second => ("\x1b[34m", "\x1b[0m"),
+        Mark::Third => ("\x1b[4m", "\x1b[0m"),
+    }
+}
+
+fn latex_escape(text: &str) -> String {
+    let mut out = String::new();
+    for character in text.chars() {
+        match character {
+            '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', character]),
+            '\\' => out.push_str("\\textbackslash{}"),
+            '~' => out.push_str("\\textasciitilde{}"),
+            '^' => out.push_str("\\textasciicircum{}"),
+            '↓' => out.push_str("$\\downarrow$"),
+            '↑' => out.push_str("$\\uparrow$"),
+            _ => out.push(character),
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn table(better: Better, values: &[Option<f64>]) -> Table {
+        let column = Column { key: "epe".into(), header: "EPE".into(), better: Some(better), decimals: 2 };
+        let row = |(i, value): (usize, &Option<f64>)| Row {
+            name: format!("m{i}"),
+            values: vec![*value],
+            baseline: false,
+        };
+        Table {
+            title: "made up".into(),
+            columns: vec![column],
+            rows: values.iter().enumerate().map(row).collect(),
+        }
+    }
+
+    fn marks(better: Better, values: &[Option<f64>]) -> Vec<Option<Mark>> {
+        table(better, values).marks().into_iter().map(|row| row[0]).collect()
+    }
+
+    #[test]
+    fn the_three_best_are_marked_in_either_direction() {
+        use Mark::{Best, Second, Third};
+        let values = [Some(4.0), Some(1.0), Some(3.0), Some(2.0)];
+        assert_eq!(marks(Better::Lower, &values), [None, Some(Best), Some(Third), Some(Second)]);
+        assert_eq!(marks(Better::Higher, &values), [Some(Best), None, Some(Second), Some(Third)]);
+    }
+
+    #[test]
+    fn equal_values_share_a_rank_and_use_up_the_next() {
+        use Mark::{Best, Second, Third};
+        let tied_best = [Some(1.0), Some(1.0), Some(2.0), Some(3.0)];
+        assert_eq!(marks(Better::Lower, &tied_best), [Some(Best), Some(Best), Some(Third), None]);
+        let tied_second = [Some(1.0), Some(2.0), Some(2.0), Some(3.0)];
+        assert_eq!(marks(Better::Lower, &tied_second), [Some(Best), Some(Second), Some(Second), None]);
+        // Equal as shown (two digits), different behind it.
+        assert_eq!(marks(Better::Lower, &[Some(0.1249), Some(0.1201)]), [Some(Best), Some(Best)]);
+    }
+
+    #[test]
+    fn baselines_and_missing_values_take_no_rank() {
+        let values = [Some(0.5), None, Some(f64::NAN), Some(1.0)];
+        assert_eq!(marks(Better::Lower, &values), [Some(Mark::Best), None, None, Some(Mark::Second)]);
+        let mut with_baseline = table(Better::Lower, &values);
+        with_baseline.rows[0].baseline = true;
+        assert_eq!(with_baseline.marks()[0][0], None);
+        assert_eq!(with_baseline.marks()[3][0], Some(Mark::Best));
+    }
+
+    #[test]
+    fn text_lines_up_and_marks() {
+        let text = table(Better::Lower, &[Some(10.0), Some(2.0), None]).text(TextStyle::Plain);
+        assert!(text.contains("EPE ↓"), "{text}");
+        assert!(text.contains("10.00*\n") && text.contains(" 2.00**\n") && text.contains("–"), "{text}");
+        let ansi = table(Better::Lower, &[Some(10.0), Some(2.0)]).text(TextStyle::Ansi);
+        assert!(ansi.contains("\x1b[1;34m2.00\x1b[0m"), "{ansi:?}");
+    }
+
+    #[test]
+    fn csv_keeps_every_bit_and_quotes_names() {
+        let mut table = table(Better::Lower, &[Some(0.1 + 0.2), None]);
+        table.rows[0].name = "a, \"quoted\"\nname".into();
+        let text = table.csv();
+        let mut reader = csv::Reader::from_reader(text.as_bytes());
+        assert_eq!(reader.headers().unwrap(), vec!["method", "epe"]);
+        let records: Vec<_> = reader.records().map(Result::unwrap).collect();
+        assert_eq!(&records[0][0], table.rows[0].name);
+        assert_eq!(records[0][1].parse::<f64>().unwrap(), 0.1 + 0.2);
+        assert_eq!(&records[1][1], "");
+    }
+
+    #[test]
+    fn latex_has_the_marks_of_the_paper_and_escapes() {
+        let mut table = table(Better::Higher, &[Some(1.0), Some(2.0), Some(3.0)]);
+        table.rows[0].name = "a_b%".into();
+        let latex = table.latex();
+        assert!(latex.contains("EPE $\\uparrow$"), "{latex}");
+        assert!(latex.contains("a\\_b\\% & \\uline{1.00}"), "{latex}");
+        assert!(latex.contains("\\textcolor{blue}{\\textbf{3.00}}") && latex.contains("\\textcolor{blue}{2.00}"));
+        assert!(table.markdown().contains("| m2 | **3.00** |"));
+    }
+}

@@ -127,7 +127,8 @@ impl Table {
         for (r, line) in cells.iter().enumerate() {
             for (c, cell) in line.iter().enumerate() {
                 let pad = " ".repeat(widths[c] - cell.chars().count());
-                let mark = (style == TextStyle::Ansi && r > 0 && c > 0).then(|| marks[r - 1][c - 1]).flatten();
+                let mark =
+                    (style == TextStyle::Ansi && r > 0 && c > 0).then(|| marks[r - 1][c - 1]).flatten();
                 let (on, off) = mark.map_or(("", ""), ansi);
                 match c {
                     0 => write!(out, "  {cell}{pad}"),
@@ -159,7 +160,8 @@ impl Table {
     pub fn csv(&self) -> String {
         let head = std::iter::once("method".to_owned()).chain(self.columns.iter().map(|c| c.key.clone()));
         let lines = self.rows.iter().map(|row| {
-            let values = (0..self.columns.len()).map(|c| row.value(c).map_or(String::new(), |v| v.to_string()));
+            let values =
+                (0..self.columns.len()).map(|c| row.value(c).map_or(String::new(), |v| v.to_string()));
             std::iter::once(row.name.clone()).chain(values).collect::<Vec<_>>()
         });
         csv_text(std::iter::once(head.collect()).chain(lines))
@@ -168,7 +170,8 @@ impl Table {
     /// A Markdown table: best bold, second italic, third underlined.
     pub fn markdown(&self) -> String {
         let escape = |text: &str| text.replace('|', "\\|");
-        let mut out = format!("| {} |\n|:--", self.headers().iter().map(|h| escape(h)).collect::<Vec<_>>().join(" | "));
+        let mut out =
+            format!("| {} |\n|:--", self.headers().iter().map(|h| escape(h)).collect::<Vec<_>>().join(" | "));
         out.push_str(&"|--:".repeat(self.columns.len()));
         out.push_str("|\n");
         for (row, marks) in self.rows.iter().zip(self.marks()) {
@@ -363,7 +366,9 @@ mod tests {
         let latex = table.latex();
         assert!(latex.contains("EPE $\\uparrow$"), "{latex}");
         assert!(latex.contains("a\\_b\\% & \\uline{1.00}"), "{latex}");
-        assert!(latex.contains("\\textcolor{blue}{\\textbf{3.00}}") && latex.contains("\\textcolor{blue}{2.00}"));
+        assert!(
+            latex.contains("\\textcolor{blue}{\\textbf{3.00}}") && latex.contains("\\textcolor{blue}{2.00}")
+        );
         assert!(table.markdown().contains("| m2 | **3.00** |"));
     }
 }

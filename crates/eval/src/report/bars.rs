@@ -19,7 +19,8 @@ pub struct Bar {
 /// Horizontal bars from zero, one per line, in the order given.
 pub fn bars(bars: &[Bar], chart: &Chart) -> Figure {
     const LINE: f64 = 46.0;
-    let scale = Scale::from_zero(bars.iter().map(|bar| bar.value).filter(|v| v.is_finite()).fold(0.0, f64::max));
+    let scale =
+        Scale::from_zero(bars.iter().map(|bar| bar.value).filter(|v| v.is_finite()).fold(0.0, f64::max));
     // Room behind the longest bar for its label.
     let length = |value: f64| (scale.share(value) * (WIDTH - 110.0)).max(1.5);
     let mut series = 0;

@@ -143,8 +143,11 @@ pub(super) fn place(value: f64) -> String {
 /// A number with no more digits than it needs.
 pub(super) fn number(value: f64) -> String {
     let size = value.abs();
-    if size >= 1e6 {
-        return format!("{} M", number(value / 1e6));
+    for (unit, letter) in [(1e9, 'G'), (1e6, 'M'), (1e4, 'k')] {
+        if size >= unit {
+            let unit = if letter == 'k' { 1e3 } else { unit };
+            return format!("{} {letter}", number(value / unit));
+        }
     }
     let digits = match size {
         _ if size >= 100.0 || value == 0.0 => 0,
@@ -159,7 +162,11 @@ pub(super) fn number(value: f64) -> String {
 /// The smallest of 1, 2, 2.5, 5 times a power of ten that is not below `least`.
 fn round_step(least: f64) -> f64 {
     let power = 10_f64.powf(least.log10().floor());
-    [1.0, 2.0, 2.5, 5.0, 10.0].into_iter().map(|step| step * power).find(|step| *step >= least * 0.999_999).unwrap_or(least)
+    [1.0, 2.0, 2.5, 5.0, 10.0]
+        .into_iter()
+        .map(|step| step * power)
+        .find(|step| *step >= least * 0.999_999)
+        .unwrap_or(least)
 }
 
 #[cfg(test)]
@@ -188,7 +195,7 @@ mod tests {
 
     #[test]
     fn numbers_have_no_idle_digits() {
-        let shown = [0.0, 0.25, 5.0, 12.5, 1234.0, 2_500_000.0, 0.001].map(number);
-        assert_eq!(shown, ["0", "0.25", "5", "12.5", "1234", "2.5 M", "0.001"]);
+        let shown = [0.0, 0.25, 5.0, 12.5, 1234.0, 25e3, 2.5e6, 0.001].map(number);
+        assert_eq!(shown, ["0", "0.25", "5", "12.5", "1234", "25 k", "2.5 M", "0.001"]);
     }
 }

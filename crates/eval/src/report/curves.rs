@@ -45,7 +45,11 @@ pub fn curves(curves: &[Curve], vertical: Axis, dots: bool, chart: &Chart) -> Fi
         })
         .collect();
     let line = |points: &[(f64, f64)]| -> String {
-        points.iter().map(|(px, py)| format!("{},{}", place(x.x(*px)), place(y.y(*py)))).collect::<Vec<_>>().join(" ")
+        points
+            .iter()
+            .map(|(px, py)| format!("{},{}", place(x.x(*px)), place(y.y(*py))))
+            .collect::<Vec<_>>()
+            .join(" ")
     };
     let drawing = html! {
         (axes(&x, &y, chart))

@@ -26,12 +26,13 @@ impl Film {
                 strip.extend_from_slice(frame.row(y));
             }
         }
-        let strip = Image::from_pixels(width * frames.len(), height, strip).map_err(|error| PictureError {
-            alt: title.to_owned(),
-            width: error.width,
-            height: error.height,
-            reason: "the frames of a film must have one size".to_owned(),
-        })?;
+        let strip =
+            Image::from_pixels(width * frames.len(), height, strip).map_err(|error| PictureError {
+                alt: title.to_owned(),
+                width: error.width,
+                height: error.height,
+                reason: "the frames of a film must have one size".to_owned(),
+            })?;
         let mut strip = Picture::jpeg(&strip, title)?;
         strip.width = width;
         Ok(Self { strip, frames: frames.len(), title: title.to_owned(), note: note.to_owned() })
@@ -56,7 +57,7 @@ pub fn films(films: &[Film], frames_per_second: f64, caption: &str) -> Figure {
         figure {
             div.grid style="--least:200px" {
                 @for film in films {
-                    div.panel {
+                    div.panel style={ "max-width:" (film.strip.width) "px" } {
                         div.film role="img" aria-label=(film.strip.alt) style=(style(film)) {}
                         (title_and_note(&film.title, &film.note))
                     }

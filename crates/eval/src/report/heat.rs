@@ -33,7 +33,8 @@ pub fn error_map(estimate: &FlowField, truth: &FlowField) -> Plane {
 
 /// A plane in heat colours: 0 is black, `max` and above light yellow, NaN grey.
 pub fn heat(plane: &Plane, max: f32) -> Image {
-    let pixels = plane.pixels().iter().map(|value| if value.is_nan() { UNKNOWN } else { colour(value / max) });
+    let pixels =
+        plane.pixels().iter().map(|value| if value.is_nan() { UNKNOWN } else { colour(value / max) });
     Image::from_pixels(plane.width(), plane.height(), pixels.collect()).expect("one colour per pixel")
 }
 

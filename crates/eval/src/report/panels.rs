@@ -13,14 +13,14 @@ pub struct Panel {
     pub note: String,
 }
 
-/// Pictures in a row, wrapped where the page is narrow, with one caption under all. `least_width` is the width in CSS
+/// Pictures in a row, wrapped where the page is narrow and never enlarged, with one caption under all. `least_width` is the width in CSS
 /// pixels below which a picture moves to the next line.
 pub fn panels(panels: &[Panel], least_width: usize, caption: &str) -> Figure {
     Figure(html! {
         figure {
             div.grid style={ "--least:" (least_width) "px" } {
                 @for panel in panels {
-                    div.panel {
+                    div.panel style={ "max-width:" (panel.picture.width) "px" } {
                         div.picture { (panel.picture.img()) }
                         (title_and_note(&panel.title, &panel.note))
                     }

@@ -71,7 +71,12 @@ impl Picture {
         Self::png(image.pixels().as_flattened(), image.size(), png::ColorType::Rgb, alt)
     }
 
-    fn png(data: &[u8], size: (usize, usize), colour: png::ColorType, alt: &str) -> Result<Self, PictureError> {
+    fn png(
+        data: &[u8],
+        size: (usize, usize),
+        colour: png::ColorType,
+        alt: &str,
+    ) -> Result<Self, PictureError> {
         let write = || -> Result<Vec<u8>, png::EncodingError> {
             let side = |pixels: usize| u32::try_from(pixels).unwrap_or(0); // 0 is refused by the encoder
             let mut bytes = Vec::new();

@@ -103,7 +103,8 @@ mod tests {
 
     #[test]
     fn sparse_flow_survives_shrinking() {
-        let sparse = FlowField::from_fn(8, 8, |x, y| if (x, y) == (1, 1) { [3.0, -2.0] } else { [f32::NAN; 2] });
+        let sparse =
+            FlowField::from_fn(8, 8, |x, y| if (x, y) == (1, 1) { [3.0, -2.0] } else { [f32::NAN; 2] });
         let small = shrink_flow(&sparse, 2);
         assert_eq!(small.get(0, 0), [3.0, -2.0]);
         assert!(!small.is_known(1, 0) && !small.is_known(1, 1));

@@ -2,6 +2,8 @@
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
+use image::codecs::jpeg::JpegEncoder;
+use image::{ExtendedColorType, ImageEncoder};
 use maud::{Markup, html};
 use srflow_field::{Image, Plane};
 
@@ -36,20 +38,13 @@ impl Picture {
     /// When a side is 0 or over 65535 pixels.
     pub fn jpeg(image: &Image, alt: &str) -> Result<Self, PictureError> {
         let error = |reason: String| Self::error(image.size(), alt, reason);
-        let side = |pixels: usize| {
-            u16::try_from(pixels).map_err(|_| error("a JPEG has at most 65535 pixels a side".to_owned()))
+        let side = |pixels: usize| u32::try_from(pixels).ok().filter(|side| (1..=65_535).contains(side));
+        let (Some(width), Some(height)) = (side(image.width()), side(image.height())) else {
+            return Err(error("a JPEG has 1 to 65535 pixels a side".to_owned()));
         };
         let mut bytes = Vec::new();
-        let mut encoder = jpeg_encoder::Encoder::new(&mut bytes, 86);
-        encoder.set_sampling_factor(jpeg_encoder::SamplingFactor::F_1_1);
-        encoder.set_optimized_huffman_tables(true);
-        encoder
-            .encode(
-                image.pixels().as_flattened(),
-                side(image.width())?,
-                side(image.height())?,
-                jpeg_encoder::ColorType::Rgb,
-            )
+        JpegEncoder::new_with_quality(&mut bytes, 86)
+            .write_image(image.pixels().as_flattened(), width, height, ExtendedColorType::Rgb8)
             .map_err(|reason| error(reason.to_string()))?;
         Ok(Self::of("image/jpeg", &bytes, image.size(), alt))
     }

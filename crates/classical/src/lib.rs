@@ -1,1 +1,36 @@
-//! Classical optical flow: Gunnar Farneback and TV-L1, with the parameters of OpenCV.
+//! Classical optical flow: Gunnar Farneback and TV-L1, with the parameters and the answers of OpenCV.
+//!
+//! Both methods work on 8-bit luminance, as OpenCV's functions do. Results do not depend on the number of threads.
+
+mod farneback;
+mod luminance;
+mod planar;
+mod resize;
+
+use srflow_field::{EstimateError, FlowField, Image};
+
+pub use farneback::{Farneback, FarnebackParameters};
+
+/// A parameter outside the range in which the method means anything.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{method}: {parameter} must be {expected}, not {found}")]
+pub struct ParameterError {
+    /// Name of the method.
+    pub method: &'static str,
+    /// Name of the parameter, as OpenCV spells it.
+    pub parameter: &'static str,
+    /// The values it may take.
+    pub expected: &'static str,
+    /// The value it had.
+    pub found: f64,
+}
+
+/// Both frames, and the initial flow when there is one, must have the same size.
+fn check_sizes(frame1: &Image, frame2: &Image, initial: Option<&FlowField>) -> Result<(), EstimateError> {
+    let first = frame1.size();
+    let others = [Some(frame2.size()), initial.map(FlowField::size)];
+    match others.into_iter().flatten().find(|size| *size != first) {
+        Some(second) => Err(EstimateError::SizeMismatch { first, second }),
+        None => Ok(()),
+    }
+}

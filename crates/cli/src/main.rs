@@ -1,6 +1,7 @@
 //! The `srflow` command. Arguments, progress bars and reports live here; algorithms live in the libraries.
 
 mod commands;
+mod methods;
 
 use std::io::Write;
 use std::process::ExitCode;

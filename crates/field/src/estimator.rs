@@ -10,6 +10,22 @@ pub trait FlowEstimator: Send + Sync {
     /// # Errors
     /// When the frames differ in size or the method cannot work at that size.
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError>;
+
+    /// Like [`estimate`](Self::estimate), starting from a flow that is already about right, of the frames' size.
+    ///
+    /// # Errors
+    /// Beside those of `estimate`, when the method cannot start from a flow.
+    fn estimate_from(
+        &self,
+        _frame1: &Image,
+        _frame2: &Image,
+        _initial: &FlowField,
+    ) -> Result<FlowField, EstimateError> {
+        Err(EstimateError::Unsupported {
+            method: self.name().to_owned(),
+            reason: "cannot start from an initial flow; leave it out".to_owned(),
+        })
+    }
 }
 
 /// Why a [`FlowEstimator`] gave no flow.

@@ -1,0 +1,180 @@
+//! Gunnar Farneback's method: *Two-Frame Motion Estimation Based on Polynomial Expansion*, SCIA 2003.
+//!
+//! The behaviour is defined by `modules/video/src/optflowgf.cpp` of OpenCV.
+
+mod expansion;
+mod pyramid;
+mod reference;
+
+use srflow_field::{EstimateError, FlowEstimator, FlowField, Image};
+
+use crate::ParameterError;
+use crate::luminance::luminance;
+use crate::planar::PlanarFlow;
+use crate::resize::{resize_linear, shrink_area};
+use expansion::ExpansionKernel;
+
+const NAME: &str = "farneback";
+
+/// Below this many pixels a side no coarser pyramid level is made.
+const SMALLEST_SIDE: f64 = 32.0;
+
+/// The parameters of OpenCV's `calcOpticalFlowFarneback`, under its names. The defaults are those of
+/// `FarnebackOpticalFlow::create`. The flag `OPTFLOW_USE_INITIAL_FLOW` is [`FlowEstimator::estimate_from`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct FarnebackParameters {
+    /// Size of a pyramid level relative to the next finer one, between 0 and 1.
+    pub pyr_scale: f64,
+    /// Number of pyramid levels beside the full-size one; levels under 32 pixels a side are left out.
+    pub levels: usize,
+    /// Side of the averaging window in pixels. Larger is smoother and more robust.
+    pub winsize: usize,
+    /// Iterations at each level.
+    pub iterations: usize,
+    /// Radius in pixels of the neighbourhood that a polynomial is fitted to; 5 or 7 is usual.
+    pub poly_n: usize,
+    /// Standard deviation in pixels of the Gaussian that weights the fit; 1.1 goes with 5 and 1.5 with 7.
+    pub poly_sigma: f64,
+    /// `OPTFLOW_FARNEBACK_GAUSSIAN`: average with a Gaussian of `0.3 * (winsize / 2)` in place of a box.
+    pub gaussian: bool,
+}
+
+impl Default for FarnebackParameters {
+    fn default() -> Self {
+        Self {
+            pyr_scale: 0.5,
+            levels: 5,
+            winsize: 13,
+            iterations: 10,
+            poly_n: 5,
+            poly_sigma: 1.1,
+            gaussian: false,
+        }
+    }
+}
+
+impl FarnebackParameters {
+    fn check(&self) -> Result<(), ParameterError> {
+        let must = |valid: bool, parameter, expected, found| {
+            if valid { Ok(()) } else { Err(ParameterError { method: NAME, parameter, expected, found }) }
+        };
+        let inside = self.pyr_scale > 0.0 && self.pyr_scale < 1.0;
+        must(inside, "pyr_scale", "above 0 and below 1", self.pyr_scale)?;
+        must((1..=1023).contains(&self.winsize), "winsize", "between 1 and 1023", self.winsize as f64)?;
+        must(self.iterations <= 1000, "iterations", "at most 1000", self.iterations as f64)?;
+        must((1..=63).contains(&self.poly_n), "poly_n", "between 1 and 63", self.poly_n as f64)?;
+        let finite = self.poly_sigma >= 0.0 && self.poly_sigma.is_finite();
+        must(finite, "poly_sigma", "0 (for 0.3 poly_n) or more", self.poly_sigma)
+    }
+}
+
+/// Farneback's method with OpenCV's parameters.
+#[derive(Debug, Clone)]
+pub struct Farneback {
+    parameters: FarnebackParameters,
+    kernel: ExpansionKernel,
+    window: Window,
+}
+
+impl Farneback {
+    /// # Errors
+    /// When a parameter is out of its range.
+    pub fn new(parameters: FarnebackParameters) -> Result<Self, ParameterError> {
+        parameters.check()?;
+        let kernel =
+            ExpansionKernel::new(parameters.poly_n, parameters.poly_sigma).ok_or(ParameterError {
+                method: NAME,
+                parameter: "poly_sigma",
+                expected: "large enough that a polynomial can be fitted: about 0.3 poly_n",
+                found: parameters.poly_sigma,
+            })?;
+        let window = Window::new(parameters.winsize, parameters.gaussian);
+        Ok(Self { parameters, kernel, window })
+    }
+
+    fn flow(&self, frame1: &Image, frame2: &Image, initial: Option<&FlowField>) -> FlowField {
+        let frames = [luminance(frame1), luminance(frame2)];
+        let sizes = self.level_sizes(frame1.width(), frame1.height());
+        let mut flow: Option<PlanarFlow> = None;
+        for (scale, width, height) in sizes.into_iter().rev() {
+            let mut level_flow = match (flow, initial) {
+                (Some(coarser), _) => coarser.map(|plane| {
+                    resize_linear(plane, width, height, (1.0 / self.parameters.pyr_scale) as f32)
+                }),
+                (None, Some(initial)) => {
+                    PlanarFlow::from(initial).map(|plane| shrink_area(plane, width, height, scale as f32))
+                }
+                (None, None) => PlanarFlow::zero(width, height),
+            };
+            let [first, second] = frames.each_ref().map(|frame| {
+                let level = pyramid::level(frame, width, height, scale);
+                reference::expand(&level, &self.kernel)
+            });
+            for _ in 0..self.parameters.iterations {
+                level_flow = reference::update(&first, &second, &level_flow, &self.window);
+            }
+            flow = Some(level_flow);
+        }
+        flow.map_or_else(|| FlowField::new(0, 0), FlowField::from)
+    }
+
+    /// Scale, width and height of each level, the full size first.
+    fn level_sizes(&self, width: usize, height: usize) -> Vec<(f64, usize, usize)> {
+        let mut levels = Vec::new();
+        let mut scale = 1.0;
+        for level in 0..=self.parameters.levels {
+            let (level_width, level_height) = (width as f64 * scale, height as f64 * scale);
+            if level > 0 && level_width.min(level_height) < SMALLEST_SIDE {
+                break;
+            }
+            levels.push((
+                scale,
+                level_width.round_ties_even() as usize,
+                level_height.round_ties_even() as usize,
+            ));
+            scale *= self.parameters.pyr_scale;
+        }
+        levels
+    }
+}
+
+/// Weights of the neighbours whose evidence is averaged, by distance along one axis; 0 is the pixel itself.
+#[derive(Debug, Clone)]
+struct Window {
+    weights: Vec<f32>,
+}
+
+impl Window {
+    fn new(winsize: usize, gaussian: bool) -> Self {
+        let radius = winsize / 2;
+        if !gaussian {
+            return Self { weights: vec![1.0 / winsize as f32; radius + 1] };
+        }
+        let sigma = radius as f64 * 0.3;
+        let weight =
+            |k: usize| if k == 0 { 1.0 } else { libm::exp(-((k * k) as f64) / (2.0 * sigma * sigma)) };
+        let sum = 1.0 + 2.0 * (1..=radius).map(weight).sum::<f64>();
+        Self { weights: (0..=radius).map(|k| (weight(k) / sum) as f32).collect() }
+    }
+}
+
+impl FlowEstimator for Farneback {
+    fn name(&self) -> &str {
+        NAME
+    }
+
+    fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
+        crate::check_sizes(frame1, frame2, None)?;
+        Ok(self.flow(frame1, frame2, None))
+    }
+
+    fn estimate_from(
+        &self,
+        frame1: &Image,
+        frame2: &Image,
+        initial: &FlowField,
+    ) -> Result<FlowField, EstimateError> {
+        crate::check_sizes(frame1, frame2, Some(initial))?;
+        Ok(self.flow(frame1, frame2, Some(initial)))
+    }
+}

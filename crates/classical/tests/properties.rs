@@ -1,0 +1,134 @@
+//! What any user may rely on, whatever the frames.
+
+use srflow_classical::{Farneback, FarnebackParameters};
+use srflow_field::random::Key;
+use srflow_field::{EstimateError, FlowEstimator, FlowField, Image};
+
+fn estimators() -> Vec<Box<dyn FlowEstimator>> {
+    let farneback = |parameters| Box::new(Farneback::new(parameters).unwrap()) as Box<dyn FlowEstimator>;
+    vec![
+        farneback(FarnebackParameters::default()),
+        farneback(FarnebackParameters {
+            gaussian: true,
+            winsize: 20,
+            poly_n: 7,
+            ..FarnebackParameters::default()
+        }),
+    ]
+}
+
+/// A smooth texture of several waves, seen through a window whose top left corner is at `(left, top)`.
+fn texture(width: usize, height: usize, (left, top): (f32, f32)) -> Image {
+    let mut random = Key::new(5).stream("texture");
+    let waves: Vec<[f32; 3]> = (0..12)
+        .map(|_| [random.uniform(-0.35, 0.35), random.uniform(-0.35, 0.35), random.uniform(0.0, 6.0)])
+        .collect();
+    Image::from_fn(width, height, |x, y| {
+        let (x, y) = (x as f32 + left, y as f32 + top);
+        let sum: f32 = waves.iter().map(|[fx, fy, phase]| libm::sinf(fx * x + fy * y + phase)).sum();
+        [(127.5 + 25.0 * sum).clamp(0.0, 255.0).round() as u8; 3]
+    })
+}
+
+fn noise(width: usize, height: usize, seed: u64) -> Image {
+    let mut random = Key::new(seed).stream("noise");
+    Image::from_fn(width, height, |_, _| [random.below(256) as u8; 3])
+}
+
+/// Mean distance in pixels between `flow` and one vector, `margin` pixels away from the border.
+fn mean_distance(flow: &FlowField, [u, v]: [f32; 2], margin: usize) -> f32 {
+    let inner = flow.crop(margin, margin, flow.width() - 2 * margin, flow.height() - 2 * margin);
+    let sum: f32 = inner.pixels().iter().map(|pixel| (pixel[0] - u).hypot(pixel[1] - v)).sum();
+    sum / inner.pixels().len() as f32
+}
+
+#[test]
+fn a_constant_image_does_not_move() {
+    for estimator in estimators() {
+        for level in [0, 77, 255] {
+            let frame = Image::filled(90, 70, [level; 3]);
+            let flow = estimator.estimate(&frame, &frame).unwrap();
+            let largest = flow.pixels().iter().flatten().fold(0.0_f32, |a, b| a.max(b.abs()));
+            assert!(largest < 1e-4, "{}: {largest} px at level {level}", estimator.name());
+        }
+    }
+}
+
+#[test]
+fn a_translated_texture_moves_by_the_translation() {
+    for estimator in estimators() {
+        for (u, v) in [(0.0, 0.0), (1.5, -0.75), (-4.0, 3.0)] {
+            let (first, second) = (texture(160, 120, (0.0, 0.0)), texture(160, 120, (-u, -v)));
+            let flow = estimator.estimate(&first, &second).unwrap();
+            let distance = mean_distance(&flow, [u, v], 16);
+            assert!(distance < 0.1, "{}: {distance} px from ({u}, {v})", estimator.name());
+        }
+    }
+}
+
+#[test]
+fn any_size_gives_finite_flow_of_that_size() {
+    let sizes =
+        [(0, 0), (0, 5), (1, 1), (1, 40), (3, 200), (200, 3), (2, 2), (7, 9), (33, 31), (64, 17), (100, 100)];
+    for estimator in estimators() {
+        for (width, height) in sizes {
+            let flow = estimator.estimate(&noise(width, height, 1), &noise(width, height, 2)).unwrap();
+            assert_eq!(flow.size(), (width, height));
+            assert!(
+                flow.pixels().iter().flatten().all(|x| x.is_finite()),
+                "{} {width}x{height}",
+                estimator.name()
+            );
+        }
+    }
+}
+
+#[test]
+fn frames_of_different_sizes_are_an_error() {
+    for estimator in estimators() {
+        let error = estimator.estimate(&noise(20, 30, 1), &noise(30, 20, 1)).unwrap_err();
+        assert!(
+            matches!(error, EstimateError::SizeMismatch { first: (20, 30), second: (30, 20) }),
+            "{error}"
+        );
+        let frame = noise(20, 30, 1);
+        let error = estimator.estimate_from(&frame, &frame, &FlowField::new(20, 31)).unwrap_err();
+        assert!(matches!(error, EstimateError::SizeMismatch { second: (20, 31), .. }), "{error}");
+    }
+}
+
+#[test]
+fn an_initial_flow_leads_where_the_pyramid_does_not_reach() {
+    let [u, v] = [-30.0, 17.0];
+    let (first, second) = (noise(200, 150, 3), noise(280, 210, 3));
+    let (first, second) = (first, {
+        let _ = second;
+        let wide = noise(200, 150, 3);
+        Image::from_fn(200, 150, |x, y| {
+            let (x, y) = (x as f32 - u, y as f32 - v);
+            if x < 200.0 && y >= 0.0 { wide.get(x as usize, y as usize) } else { [128; 3] }
+        })
+    });
+    let estimator =
+        Farneback::new(FarnebackParameters { levels: 0, ..FarnebackParameters::default() }).unwrap();
+    let from_zero = estimator.estimate(&first, &second).unwrap();
+    let initial = FlowField::filled(200, 150, [u + 0.6, v - 0.6]);
+    let from_near = estimator.estimate_from(&first, &second, &initial).unwrap();
+    assert!(mean_distance(&from_zero, [u, v], 40) > 10.0);
+    assert!(mean_distance(&from_near, [u, v], 40) < 0.1);
+}
+
+#[test]
+fn a_parameter_out_of_range_is_named() {
+    let wrong = [
+        (FarnebackParameters { pyr_scale: 1.0, ..Default::default() }, "pyr_scale"),
+        (FarnebackParameters { pyr_scale: f64::NAN, ..Default::default() }, "pyr_scale"),
+        (FarnebackParameters { winsize: 0, ..Default::default() }, "winsize"),
+        (FarnebackParameters { poly_n: 0, ..Default::default() }, "poly_n"),
+        (FarnebackParameters { poly_sigma: 1e-4, ..Default::default() }, "poly_sigma"),
+        (FarnebackParameters { poly_sigma: f64::INFINITY, ..Default::default() }, "poly_sigma"),
+    ];
+    for (parameters, name) in wrong {
+        assert_eq!(Farneback::new(parameters).unwrap_err().parameter, name);
+    }
+}

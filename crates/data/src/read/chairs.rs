@@ -27,7 +27,7 @@ impl Reader for FlyingChairs {
             Split::Train => Some(1),
             Split::Val => Some(2),
             Split::Test => {
-                let available = "train, val, all";
+                let available = "train, val, all".to_owned();
                 return Err(DatasetError::NoSplit { kind: self.name(), split, available });
             }
         };

@@ -1,5 +1,7 @@
 use std::path::PathBuf;
 
+use srflow_field::FileError;
+
 use super::Split;
 use crate::manifest::ManifestError;
 
@@ -30,7 +32,7 @@ pub enum DatasetError {
         /// The split asked for.
         split: Split,
         /// The splits there are.
-        available: &'static str,
+        available: String,
     },
     /// A folder or file that the layout needs is not there, or the folder holds none of the files looked for.
     #[error("{kind}: looked for {looked_for}, {found}{hint}")]
@@ -72,6 +74,22 @@ pub enum DatasetError {
         /// What was expected and found.
         reason: String,
     },
+    /// A file of a pair does not fit frame 1.
+    #[error("{}: expected {}x{} (WIDTHxHEIGHT) to go with {}, found {}x{}", .path.display(), .expected.0, .expected.1,
+        .frame.display(), .found.0, .found.1)]
+    SizeMismatch {
+        /// The file.
+        path: PathBuf,
+        /// Its width and height.
+        found: (usize, usize),
+        /// The file of frame 1.
+        frame: PathBuf,
+        /// Width and height that the file must have.
+        expected: (usize, usize),
+    },
+    /// A picture or flow could not be read.
+    #[error(transparent)]
+    File(#[from] FileError),
     /// `dataset.json` of an SRFlow dataset could not be used.
     #[error(transparent)]
     Manifest(#[from] ManifestError),

@@ -16,7 +16,17 @@ use super::srflow::SrFlow;
 use super::things::FlyingThings3D;
 
 /// The kinds of dataset: name with its options, the default of each choice first, and what it is.
-pub const KINDS: &[(&str, &str)] = &[("folder", "a plain folder of image pairs")];
+pub const KINDS: &[(&str, &str)] = &[
+    ("srflow[-forward|-backward]", "SRFlow, as `srflow render` makes it"),
+    ("folder", "a plain folder of image pairs"),
+    ("chairs", "FlyingChairs"),
+    ("things[-clean|-final][-forward|-backward][-left|-right]", "FlyingThings3D"),
+    ("sintel[-clean|-final]", "MPI Sintel"),
+    ("kitti[-2015|-2012]", "KITTI flow of either year"),
+    ("hd1k", "HD1K"),
+    ("spring[-forward|-backward][-left|-right]", "Spring"),
+    ("facialflownet[-facial|-head]", "FacialFlowNet"),
+];
 
 /// What `--dataset KIND:DIR` says: a kind of dataset and the folder it lies in.
 ///

@@ -31,7 +31,7 @@ impl Reader for Kitti {
             Split::Train | Split::All => "training",
             Split::Test => "testing",
             Split::Val => {
-                let available = "train (all), test (frames only)";
+                let available = "train (all), test (frames only)".to_owned();
                 return Err(DatasetError::NoSplit { kind: self.name(), split, available });
             }
         };

@@ -81,6 +81,18 @@ fn visible(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     Ok(named.into_iter().map(|(_, path)| path).collect())
 }
 
+/// Names as gaps the folders of `dir` that have no counterpart of the same name in `counterpart`. `dir` need not be there.
+pub fn folders_without(dir: &Path, counterpart: &Path, gaps: &mut Gaps) -> Result<(), DatasetError> {
+    let found = if dir.is_dir() { folders(dir)? } else { Vec::new() };
+    for folder in found {
+        let other = counterpart.join(name(&folder));
+        if !other.is_dir() {
+            gaps.push(format!("{}: no folder {}", gaps.shown(&folder), gaps.shown(&other)));
+        }
+    }
+    Ok(())
+}
+
 /// The last part of a path, as text.
 pub fn name(path: &Path) -> String {
     path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()

@@ -1,8 +1,8 @@
 //! Readers: every dataset becomes a list of image pairs, each read when it is asked for.
 //!
-//! [`FlowDataset::open`] lists a dataset's pairs without decoding anything; a [`Sample`] is one of them decoded. What
-//! differs between datasets (where files lie, which of the truth counts) is behind the trait `Reader`, one file per
-//! dataset.
+//! [`FlowDataset::open`] lists a dataset's pairs without decoding anything; [`FlowDataset::read`] decodes one of them, on
+//! as many threads as one likes. What differs between datasets (where files lie, which of the truth counts) is behind the
+//! trait `Reader`, one file per dataset.
 
 mod chairs;
 mod error;
@@ -29,6 +29,7 @@ pub use sample::Sample;
 pub use split::Split;
 
 use listing::Gaps;
+use sample::Truth;
 
 /// One pair of frames of a dataset: its place in it and its files. Nothing is decoded.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -59,7 +60,7 @@ impl Entry {
 /// What tells which pixels of frame 1 are hidden in frame 2.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Occlusion {
-    /// A picture that is not black where the pixel is hidden.
+    /// A picture that is white where the pixel is hidden.
     Picture(PathBuf),
     /// A flow file that holds the visible pixels only: hidden are those which only the entry's own flow knows (KITTI).
     VisibleFlow(PathBuf),
@@ -72,24 +73,7 @@ pub struct FlowDataset {
     dir: PathBuf,
     split: Split,
     entries: Vec<Entry>,
-    #[expect(dead_code, reason = "decoding a pair applies it")]
     truth: Truth,
-}
-
-/// Which of the published truth counts, and on which grid it comes.
-#[derive(Debug, Clone, Copy, PartialEq)]
-struct Truth {
-    /// A pixel with `|u|` or `|v|` at or above this is unknown, in pixels.
-    max_flow: f32,
-    /// Flow samples per image pixel along each axis; of each block the top left one is taken.
-    samples_per_pixel: usize,
-}
-
-impl Default for Truth {
-    /// The rule of ptlflow 0.4.2 (data/datasets.py, `BaseFlowDataset`).
-    fn default() -> Self {
-        Self { max_flow: 10_000.0, samples_per_pixel: 1 }
-    }
 }
 
 /// What sets one dataset apart from the others.
@@ -150,5 +134,14 @@ impl FlowDataset {
     /// The pairs, by scene and in the order of time within each.
     pub fn entries(&self) -> &[Entry] {
         &self.entries
+    }
+
+    /// Decodes one of the dataset's pairs. A pixel of the truth that is too fast to count (10000 px; FlyingThings3D and
+    /// FacialFlowNet 1000; KITTI and HD1K 512) comes as unknown.
+    ///
+    /// # Errors
+    /// When a file cannot be read, is broken, or is not of frame 1's size.
+    pub fn read(&self, entry: &Entry) -> Result<Sample, DatasetError> {
+        self.truth.read(entry)
     }
 }

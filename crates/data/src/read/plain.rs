@@ -52,6 +52,9 @@ fn scenes(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
     let mut scenes = vec![String::new()];
     scenes.extend(listing::folders(&frames)?.iter().map(|folder| listing::name(folder)));
     let with_flow = dir.join("flow").is_dir();
+    for part in ["flow", "mask", "occlusion"] {
+        listing::folders_without(&dir.join(part), &frames, gaps)?;
+    }
     let mut entries = Vec::new();
     for scene in &scenes {
         entries.extend(pairs_of_scene(dir, scene, with_flow, gaps)?);
@@ -100,6 +103,10 @@ fn pairs_of_scene(
     }
     for flow in flows.values() {
         gaps.push(format!("{}: no frame of that name with a next frame after it", gaps.shown(flow)));
+    }
+    let last = frames.last().map(|frame| listing::stem(frame));
+    for (name, file) in masks.iter().chain(&occlusions).filter(|(name, _)| Some(*name) != last.as_ref()) {
+        gaps.push(format!("{}: no frame of the name {name}", gaps.shown(file)));
     }
     Ok(entries)
 }

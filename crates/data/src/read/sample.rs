@@ -1,4 +1,10 @@
-use srflow_field::{FlowField, Image, Mask};
+//! Decoding one pair.
+
+use std::path::Path;
+
+use srflow_field::{FlowField, Image, Mask, read_flow, read_image, read_mask, read_npy};
+
+use super::{DatasetError, Entry, Occlusion};
 
 /// One pair of frames of a dataset, decoded; everything is of the frames' size.
 #[derive(Debug, Clone, PartialEq)]
@@ -13,4 +19,90 @@ pub struct Sample {
     pub mask: Option<Mask>,
     /// `true` where a pixel of frame 1 is hidden in frame 2 or leaves the image, where the dataset says so.
     pub occlusion: Option<Mask>,
+}
+
+/// Which of the published truth counts, and on which grid it comes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Truth {
+    /// A pixel with `|u|` or `|v|` at or above this is unknown, in pixels.
+    pub max_flow: f32,
+    /// Flow samples per image pixel along each axis; of each block the top left one is taken.
+    pub samples_per_pixel: usize,
+}
+
+impl Default for Truth {
+    /// The rule of ptlflow 0.4.2 (data/datasets.py, `BaseFlowDataset`).
+    fn default() -> Self {
+        Self { max_flow: 10_000.0, samples_per_pixel: 1 }
+    }
+}
+
+impl Truth {
+    /// Decodes the files of one pair.
+    pub fn read(self, entry: &Entry) -> Result<Sample, DatasetError> {
+        let frame1 = read_image(&entry.frame1)?;
+        let (width, height) = frame1.size();
+        let fits = |path: &Path, found: (usize, usize), samples: usize| {
+            let expected = (width * samples, height * samples);
+            if found == expected {
+                return Ok(());
+            }
+            Err(DatasetError::SizeMismatch {
+                path: path.to_owned(),
+                found,
+                frame: entry.frame1.clone(),
+                expected,
+            })
+        };
+        let frame2 = read_image(&entry.frame2)?;
+        fits(&entry.frame2, frame2.size(), 1)?;
+
+        let read_truth = |path: &Path| {
+            let published = read_flow(path)?;
+            fits(path, published.size(), self.samples_per_pixel)?;
+            Ok::<_, DatasetError>(self.counted(&published, width, height))
+        };
+        let flow = entry.flow.as_deref().map(read_truth).transpose()?;
+        let mask = entry.mask.as_deref().map(read_any_mask).transpose()?;
+        let occlusion = match (&entry.occlusion, &flow) {
+            (Some(Occlusion::Picture(path)), _) => Some(read_mask(path)?),
+            (Some(Occlusion::VisibleFlow(path)), Some(flow)) => Some(hidden(flow, &read_truth(path)?)),
+            (Some(Occlusion::VisibleFlow(_)), None) | (None, _) => None,
+        };
+        if let (Some(path), Some(mask)) = (&entry.mask, &mask) {
+            fits(path, mask.size(), 1)?;
+        }
+        if let (Some(Occlusion::Picture(path)), Some(occlusion)) = (&entry.occlusion, &occlusion) {
+            fits(path, occlusion.size(), 1)?;
+        }
+        Ok(Sample { frame1, frame2, flow, mask, occlusion })
+    }
+
+    /// The published flow on the image's grid, unknown where it does not count.
+    fn counted(self, published: &FlowField, width: usize, height: usize) -> FlowField {
+        let step = self.samples_per_pixel;
+        FlowField::from_fn(width, height, |x, y| {
+            let [u, v] = published.get(x * step, y * step);
+            if u.abs() < self.max_flow && v.abs() < self.max_flow { [u, v] } else { [f32::NAN; 2] }
+        })
+    }
+}
+
+/// A mask from a picture, or from a `.npy` array of shape (H, W) that is `true` where it is not zero.
+fn read_any_mask(path: &Path) -> Result<Mask, DatasetError> {
+    if !path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("npy")) {
+        return Ok(read_mask(path)?);
+    }
+    let array = read_npy(path)?;
+    let wrong = |reason| DatasetError::Format { path: path.to_owned(), reason };
+    let [height, width] = array.shape[..] else {
+        return Err(wrong(format!("shape {:?}: expected (H, W) for a mask", array.shape)));
+    };
+    let inside = array.values.iter().map(|&value| value != 0.0).collect();
+    Mask::from_pixels(width, height, inside).map_err(|error| wrong(error.to_string()))
+}
+
+/// The pixels whose flow is known, but not among the visible ones.
+fn hidden(flow: &FlowField, visible: &FlowField) -> Mask {
+    Mask::from_fn(flow.width(), flow.height(), |x, y| flow.is_known(x, y) && !visible.is_known(x, y))
 }

@@ -31,6 +31,9 @@ impl Reader for Sintel {
         if split != Split::Test {
             listing::require(&self.name(), dir, "training/flow")?;
         }
+        if split == Split::All {
+            listing::folders_without(&root.join("flow"), &frames, gaps)?;
+        }
         let mut entries = Vec::new();
         for folder in listing::folders(&frames)? {
             let scene = listing::name(&folder);

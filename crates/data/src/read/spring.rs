@@ -35,7 +35,7 @@ impl Reader for Spring {
             Split::Train | Split::All => "train",
             Split::Test => "test",
             Split::Val => {
-                let available = "train (all), test (frames only)";
+                let available = "train (all), test (frames only)".to_owned();
                 return Err(DatasetError::NoSplit { kind: self.name(), split, available });
             }
         };

@@ -36,6 +36,9 @@ impl Reader for SrFlow {
             Split::Test => scene.split == SceneSplit::Test,
             Split::All => true,
         };
+        if !manifest.scenes.iter().any(|scene| chosen(&scene)) {
+            return Err(DatasetError::NoSplit { kind: self.name(), split, available: splits_of(&manifest) });
+        }
         let mut entries = Vec::new();
         for scene in manifest.scenes.iter().filter(chosen) {
             self.scene(&manifest, dir, scene, gaps, &mut entries)?;
@@ -89,4 +92,16 @@ impl SrFlow {
         let (scene, frame) = (scene.name.clone(), listing::stem(&frame1));
         Entry { scene, frame, frame1, frame2, flow, mask, occlusion: occlusion.map(Occlusion::Picture) }
     }
+}
+
+/// The splits that have scenes, with their numbers of pairs.
+fn splits_of(manifest: &Manifest) -> String {
+    let mut parts = Vec::new();
+    for split in SceneSplit::ALL {
+        let pairs: u64 = manifest.scenes_of(split).map(|scene| u64::from(scene.pairs)).sum();
+        if pairs > 0 {
+            parts.push(format!("{split} ({pairs} pairs)"));
+        }
+    }
+    if parts.is_empty() { "none".to_owned() } else { parts.join(", ") }
 }

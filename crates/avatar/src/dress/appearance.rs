@@ -1,0 +1,146 @@
+//! What a person looks like apart from the shape of the head, drawn from the seed.
+
+use glam::Vec3;
+use srflow_field::random::{Key, Stream};
+
+use super::light::linear_from_srgb;
+
+/// How the hair is cut.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum HairStyle {
+    /// Some millimetres of stubble.
+    Buzzed,
+    /// A few centimetres, combed from the crown.
+    Short,
+    /// Combed aside from a parting, over the ears.
+    Medium,
+    /// Tight curls that stand off the head.
+    Curly,
+    /// From a parting down to the neck and the shoulders.
+    Long,
+}
+
+/// Colours are linear sRGB reflectances.
+#[derive(Debug, Clone)]
+pub(super) struct Appearance {
+    pub skin: Vec3,
+    /// 0 the lightest skin, 1 the darkest.
+    pub melanin: f32,
+    pub lips: Vec3,
+    pub hair: Vec3,
+    pub brows: Vec3,
+    pub hair_style: HairStyle,
+    pub iris: Vec3,
+    /// Around the pupil, where many irises are of another colour.
+    pub iris_inner: Vec3,
+    /// 0 none, 1 many.
+    pub freckles: f32,
+    /// 0 shaved or none, 1 some days old.
+    pub stubble: f32,
+    /// How red cheeks, nose and ears are.
+    pub flush: f32,
+    pub garment: Vec3,
+    /// 0 to 1: depth of wrinkles.
+    pub age: f32,
+}
+
+/// Photographs of skin from the lightest to the darkest, sRGB.
+const SKIN_TONES: [[f32; 3]; 7] = [
+    [0.918, 0.765, 0.690],
+    [0.890, 0.714, 0.616],
+    [0.843, 0.647, 0.533],
+    [0.765, 0.557, 0.435],
+    [0.643, 0.443, 0.329],
+    [0.490, 0.325, 0.239],
+    [0.353, 0.231, 0.180],
+];
+
+const HAIR_TONES: [[f32; 3]; 7] = [
+    [0.090, 0.075, 0.070],
+    [0.165, 0.115, 0.090],
+    [0.255, 0.170, 0.120],
+    [0.370, 0.250, 0.165],
+    [0.560, 0.425, 0.275],
+    [0.480, 0.240, 0.130],
+    [0.600, 0.585, 0.570],
+];
+
+/// Outer and inner colour of irises: dark brown, brown, hazel, green, blue, grey.
+const IRISES: [([f32; 3], [f32; 3]); 6] = [
+    ([0.200, 0.115, 0.070], [0.255, 0.150, 0.085]),
+    ([0.340, 0.205, 0.110], [0.430, 0.260, 0.130]),
+    ([0.420, 0.355, 0.190], [0.510, 0.340, 0.150]),
+    ([0.390, 0.450, 0.320], [0.520, 0.430, 0.240]),
+    ([0.360, 0.490, 0.590], [0.500, 0.540, 0.520]),
+    ([0.460, 0.510, 0.530], [0.520, 0.520, 0.470]),
+];
+
+impl Appearance {
+    pub fn of(seed: u64) -> Self {
+        let mut stream = Key::new(seed).stream("appearance");
+        let melanin = stream.unit();
+        let warmth = stream.uniform(-1.0, 1.0);
+        let tone = linear_from_srgb(ramp(&SKIN_TONES, melanin));
+        let skin = tone * Vec3::new(1.0 + 0.03 * warmth, 1.0, 1.0 - 0.05 * warmth);
+        let hair_index = hair_tone(melanin, &mut stream);
+        let hair = linear_from_srgb(Vec3::from_array(HAIR_TONES[hair_index])) * stream.uniform(0.8, 1.2);
+        let (iris, iris_inner) = IRISES[iris_index(melanin, &mut stream)];
+        let lip_depth = stream.uniform(0.35, 0.8);
+        let rose = Vec3::new(0.94, 0.56, 0.56).lerp(Vec3::new(0.80, 0.66, 0.68), melanin);
+        Self {
+            skin,
+            melanin,
+            lips: skin * Vec3::ONE.lerp(rose, lip_depth),
+            hair,
+            brows: if hair_index == 6 { hair * 0.5 } else { hair * 0.8 },
+            hair_style: hair_style(melanin, &mut stream),
+            iris: linear_from_srgb(Vec3::from_array(iris)),
+            iris_inner: linear_from_srgb(Vec3::from_array(iris_inner)),
+            freckles: if melanin < 0.45 && stream.unit() < 0.4 { stream.uniform(0.3, 1.0) } else { 0.0 },
+            stubble: if stream.unit() < 0.38 { stream.uniform(0.3, 1.0) } else { 0.0 },
+            flush: stream.uniform(0.5, 1.2),
+            garment: garment(&mut stream),
+            age: stream.unit(),
+        }
+    }
+}
+
+fn ramp(tones: &[[f32; 3]], t: f32) -> Vec3 {
+    let at = t.clamp(0.0, 1.0) * (tones.len() - 1) as f32;
+    let low = (at as usize).min(tones.len() - 2);
+    Vec3::from_array(tones[low]).lerp(Vec3::from_array(tones[low + 1]), at - low as f32)
+}
+
+fn hair_tone(melanin: f32, stream: &mut Stream) -> usize {
+    let draw = stream.unit();
+    if draw < 0.08 {
+        return 6;
+    }
+    if melanin > 0.55 {
+        return usize::from(draw > 0.7);
+    }
+    [0, 1, 2, 3, 4, 5, 3][(draw * 6.99) as usize]
+}
+
+fn iris_index(melanin: f32, stream: &mut Stream) -> usize {
+    let draw = stream.unit();
+    if melanin > 0.55 { usize::from(draw > 0.7) } else { 1 + (draw * 4.99) as usize }
+}
+
+fn hair_style(melanin: f32, stream: &mut Stream) -> HairStyle {
+    let draw = stream.unit();
+    let curly = if melanin > 0.6 { 0.4 } else { 0.12 };
+    if draw < curly {
+        HairStyle::Curly
+    } else {
+        let styles =
+            [HairStyle::Short, HairStyle::Medium, HairStyle::Long, HairStyle::Short, HairStyle::Buzzed];
+        styles[(((draw - curly) / (1.0 - curly)) * 4.99) as usize]
+    }
+}
+
+fn garment(stream: &mut Stream) -> Vec3 {
+    let garments =
+        [[0.16, 0.17, 0.19], [0.20, 0.24, 0.32], [0.42, 0.42, 0.41], [0.30, 0.18, 0.17], [0.21, 0.27, 0.22]];
+    linear_from_srgb(Vec3::from_array(garments[stream.below(5) as usize]))
+}

@@ -1,0 +1,188 @@
+//! The light that is baked into the colours: a photographer's studio, computed once on the head at rest.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::occlusion::Occluder;
+use super::surface::Surface;
+use crate::Region;
+
+/// Towards the large soft box, up at the viewer's left.
+const KEY_DIRECTION: Vec3 = Vec3::new(-0.50, 0.53, 0.69);
+/// Half angle of the soft box, as the tangent.
+const KEY_RADIUS: f32 = 0.32;
+const KEY_COLOR: Vec3 = Vec3::new(0.80, 0.765, 0.72);
+/// Towards the weak light on the other side.
+const FILL_DIRECTION: Vec3 = Vec3::new(0.76, 0.12, 0.64);
+const FILL_RADIUS: f32 = 0.5;
+const FILL_COLOR: Vec3 = Vec3::new(0.21, 0.225, 0.245);
+/// Light from everywhere, from below and from above.
+const GROUND_COLOR: Vec3 = Vec3::new(0.19, 0.175, 0.165);
+const SKY_COLOR: Vec3 = Vec3::new(0.40, 0.41, 0.43);
+
+const AMBIENT_RAYS: usize = 40;
+const KEY_RAYS: usize = 14;
+const FILL_RAYS: usize = 8;
+
+/// How much of each light reaches a point.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Exposure {
+    /// Part of the sky that is seen, weighted by the cosine, `0..=1`.
+    pub sky: f32,
+    /// Part of the soft box that is seen.
+    pub key: f32,
+    /// Part of the fill light that is seen.
+    pub fill: f32,
+}
+
+impl std::ops::Mul<f32> for Exposure {
+    type Output = Self;
+    fn mul(self, s: f32) -> Self {
+        Self { sky: self.sky * s, key: self.key * s, fill: self.fill * s }
+    }
+}
+
+impl std::ops::Add for Exposure {
+    type Output = Self;
+    fn add(self, o: Self) -> Self {
+        Self { sky: self.sky + o.sky, key: self.key + o.key, fill: self.fill + o.fill }
+    }
+}
+
+/// How a material takes light.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Material {
+    /// Linear sRGB reflectance.
+    pub albedo: Vec3,
+    /// How far light wraps around the edge of the shadow, by channel: what scatters under skin.
+    pub wrap: Vec3,
+    /// Strength and exponent of the sheen.
+    pub sheen: f32,
+    pub gloss: f32,
+}
+
+impl Material {
+    pub fn matt(albedo: Vec3) -> Self {
+        Self { albedo, wrap: Vec3::ZERO, sheen: 0.0, gloss: 1.0 }
+    }
+}
+
+/// The exposure of every vertex of the head at rest.
+pub(super) fn bake(surface: &Surface) -> Vec<Exposure> {
+    let opaque = surface.triangles_of(&[
+        Region::Skin,
+        Region::Scalp,
+        Region::Lips,
+        Region::Brow,
+        Region::LidMargin,
+        Region::InnerLid,
+        Region::Neck,
+        Region::Eyeball,
+    ]);
+    let occluder = Occluder::new(opaque.iter().map(|&t| surface.corners(t)));
+    let mut lit = vec![false; surface.vertices.len()];
+    for v in opaque.iter().flat_map(|&t| surface.model.triangles[t as usize]) {
+        lit[v as usize] = true;
+    }
+    let rays = Rays::new();
+    let mut exposures: Vec<Exposure> = (0..surface.vertices.len())
+        .into_par_iter()
+        .map(|v| match lit[v] {
+            true => rays.exposure(&occluder, surface.vertices[v], surface.normals[v], surface.size),
+            false => Exposure::default(),
+        })
+        .collect();
+    surface.smooth(&mut exposures);
+    exposures
+}
+
+/// Directions to try, the same for every vertex so that neighbours agree.
+struct Rays {
+    /// Over the hemisphere around +z, denser towards the pole as the cosine asks.
+    sky: Vec<Vec3>,
+    key: Vec<Vec3>,
+    fill: Vec<Vec3>,
+}
+
+impl Rays {
+    fn new() -> Self {
+        let sky = spiral(AMBIENT_RAYS).map(|[x, y, r2]| Vec3::new(x, y, (1.0 - r2).max(0.0).sqrt()));
+        let disc = |toward: Vec3, radius: f32, count| {
+            let axis = toward.normalize();
+            let (right, up) = axis.any_orthonormal_pair();
+            spiral(count).map(|[x, y, _]| (axis + (right * x + up * y) * radius).normalize()).collect()
+        };
+        Self {
+            sky: sky.collect(),
+            key: disc(KEY_DIRECTION, KEY_RADIUS, KEY_RAYS),
+            fill: disc(FILL_DIRECTION, FILL_RADIUS, FILL_RAYS),
+        }
+    }
+
+    fn exposure(&self, occluder: &Occluder, p: Vec3, normal: Vec3, size: f32) -> Exposure {
+        let (right, up) = normal.any_orthonormal_pair();
+        // Off the surface far enough that a coarse mesh does not shade itself.
+        let origin = p + normal * (0.0007 * size);
+        let reach = 0.18 * size;
+        let seen = |rays: &[Vec3], world: &dyn Fn(Vec3) -> Vec3| {
+            let free = rays.iter().map(|&d| world(d)).filter(|&d| !occluder.blocks(origin, d, reach));
+            free.count() as f32 / rays.len() as f32
+        };
+        Exposure {
+            sky: seen(&self.sky, &|d| right * d.x + up * d.y + normal * d.z),
+            key: seen(&self.key, &|d| d),
+            fill: seen(&self.fill, &|d| d),
+        }
+    }
+}
+
+/// Points of the unit disc, evenly spread (Vogel's sunflower), each with its squared radius.
+fn spiral(count: usize) -> impl Iterator<Item = [f32; 3]> {
+    const GOLDEN_ANGLE: f32 = 2.399_963_2;
+    (0..count).map(move |i| {
+        let r2 = (i as f32 + 0.5) / count as f32;
+        let angle = i as f32 * GOLDEN_ANGLE;
+        [libm::cosf(angle) * r2.sqrt(), libm::sinf(angle) * r2.sqrt(), r2]
+    })
+}
+
+/// The colour, sRGB in `0..=1`, of a material with this normal under this exposure, seen from the front.
+pub(super) fn shade(material: &Material, normal: Vec3, exposure: &Exposure) -> Vec3 {
+    let (key, fill) = (KEY_DIRECTION.normalize(), FILL_DIRECTION.normalize());
+    // What little light reaches a crease has met skin before, which took its blue away.
+    let sky_seen = Vec3::new(libm::powf(exposure.sky, 0.75), exposure.sky, libm::powf(exposure.sky, 1.15));
+    let sky = GROUND_COLOR.lerp(SKY_COLOR, normal.y * 0.5 + 0.5) * sky_seen;
+    let shadow = |seen: f32| Vec3::new(libm::powf(seen, 0.8), seen, libm::powf(seen, 1.08));
+    let diffuse = sky
+        + KEY_COLOR * shadow(exposure.key) * lambert(normal.dot(key), material.wrap)
+        + FILL_COLOR * shadow(exposure.fill) * lambert(normal.dot(fill), material.wrap);
+    let sheen = material.sheen
+        * (exposure.key * gloss(normal, key, material.gloss)
+            + 0.35 * exposure.fill * gloss(normal, fill, material.gloss));
+    srgb_from_linear(material.albedo * diffuse * 1.12 + Vec3::splat(sheen))
+}
+
+fn lambert(cosine: f32, wrap: Vec3) -> Vec3 {
+    ((Vec3::splat(cosine) + wrap) / (Vec3::ONE + wrap)).max(Vec3::ZERO)
+}
+
+fn gloss(normal: Vec3, light: Vec3, exponent: f32) -> f32 {
+    let half = (light + Vec3::Z).normalize();
+    libm::powf(normal.dot(half).max(0.0), exponent)
+}
+
+/// Linear light to sRGB with a shoulder that keeps highlights from burning out.
+pub(super) fn srgb_from_linear(linear: Vec3) -> Vec3 {
+    let channel = |x: f32| {
+        let x = x.max(0.0);
+        let x = if x > 0.65 { 0.65 + 0.35 * (1.0 - libm::expf(-(x - 0.65) / 0.35)) } else { x };
+        if x <= 0.003_130_8 { x * 12.92 } else { 1.055 * libm::powf(x, 1.0 / 2.4) - 0.055 }
+    };
+    Vec3::new(channel(linear.x), channel(linear.y), channel(linear.z))
+}
+
+/// sRGB to linear light.
+pub(super) fn linear_from_srgb(srgb: Vec3) -> Vec3 {
+    let channel = |x: f32| if x <= 0.040_45 { x / 12.92 } else { libm::powf((x + 0.055) / 1.055, 2.4) };
+    Vec3::new(channel(srgb.x), channel(srgb.y), channel(srgb.z))
+}

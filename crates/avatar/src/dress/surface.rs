@@ -1,0 +1,284 @@
+//! The head at rest as a surface to put Gaussians on.
+
+use std::collections::HashMap;
+
+use glam::{IVec3, Quat, Vec3};
+use srflow_field::random::Stream;
+
+use crate::binding::TriangleFrame;
+use crate::{HeadModel, Joint, Region, ShapedHead};
+
+/// A point of the surface.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct SurfacePoint {
+    pub triangle: u32,
+    /// Barycentric coordinates.
+    pub weights: Vec3,
+    pub position: Vec3,
+    /// Unit length, interpolated between the vertices.
+    pub normal: Vec3,
+}
+
+/// The shaped head at rest.
+pub(super) struct Surface<'a> {
+    pub model: &'a HeadModel,
+    pub vertices: &'a [Vec3],
+    pub joints: &'a [Vec3; 5],
+    /// Of each vertex, unit length.
+    pub normals: Vec<Vec3>,
+    pub frames: Vec<TriangleFrame>,
+    /// The 68 landmarks in dlib's order.
+    pub landmarks: Vec<Vec3>,
+    /// Distance between the centres of the eyes over that of an average adult's: how large this head is.
+    pub size: f32,
+}
+
+/// Metres between the centres of an average adult's eyes.
+const AVERAGE_EYE_DISTANCE: f32 = 0.063;
+
+impl<'a> Surface<'a> {
+    pub fn new(model: &'a HeadModel, shaped: &'a ShapedHead) -> Self {
+        let vertices = &shaped.vertices;
+        let corners = |t: &[u32; 3]| t.map(|v| vertices[v as usize]);
+        let mut normals = vec![Vec3::ZERO; vertices.len()];
+        for triangle in &model.triangles {
+            let [a, b, c] = corners(triangle);
+            for v in triangle {
+                normals[*v as usize] += (b - a).cross(c - a);
+            }
+        }
+        for normal in &mut normals {
+            *normal = normal.normalize_or(Vec3::Y);
+        }
+        let frames = model.triangles.iter().map(|t| {
+            let [a, b, c] = corners(t);
+            TriangleFrame::of(a, b, c)
+        });
+        let landmarks = model.landmarks.iter().map(|&(triangle, weights)| {
+            let [a, b, c] = corners(&model.triangles[triangle as usize]);
+            a * weights.x + b * weights.y + c * weights.z
+        });
+        let eyes = shaped.joints[Joint::LeftEye as usize].distance(shaped.joints[Joint::RightEye as usize]);
+        Self {
+            model,
+            vertices,
+            joints: &shaped.joints,
+            normals,
+            frames: frames.collect(),
+            landmarks: landmarks.collect(),
+            size: (eyes / AVERAGE_EYE_DISTANCE).clamp(0.2, 5.0),
+        }
+    }
+
+    pub fn corners(&self, triangle: u32) -> [Vec3; 3] {
+        self.model.triangles[triangle as usize].map(|v| self.vertices[v as usize])
+    }
+
+    /// Numbers of the triangles of these regions.
+    pub fn triangles_of(&self, regions: &[Region]) -> Vec<u32> {
+        let numbers = 0..self.model.triangles.len() as u32;
+        numbers.filter(|&t| regions.contains(&self.model.regions[t as usize])).collect()
+    }
+
+    pub fn point(&self, triangle: u32, weights: Vec3) -> SurfacePoint {
+        let [a, b, c] = self.corners(triangle);
+        let normal = self.interpolate(&self.normals, triangle, weights).normalize_or(Vec3::Y);
+        SurfacePoint { triangle, weights, position: a * weights.x + b * weights.y + c * weights.z, normal }
+    }
+
+    /// The value at a point of something that is known at the vertices.
+    pub fn interpolate<T>(&self, values: &[T], triangle: u32, weights: Vec3) -> T
+    where
+        T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
+    {
+        let [a, b, c] = self.model.triangles[triangle as usize].map(|v| values[v as usize]);
+        a * weights.x + b * weights.y + c * weights.z
+    }
+
+    /// As [`Self::interpolate`], at a [`SurfacePoint`].
+    pub fn value<T>(&self, values: &[T], point: &SurfacePoint) -> T
+    where
+        T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
+    {
+        self.interpolate(values, point.triangle, point.weights)
+    }
+
+    /// Points scattered over `triangles`, no two nearer than their `spacing` (metres) and hardly a place left for
+    /// another: darts thrown evenly over the area, those too near to an earlier one taken away.
+    pub fn scatter(
+        &self,
+        triangles: &[u32],
+        spacing: impl Fn(&SurfacePoint) -> f32,
+        stream: &mut Stream,
+    ) -> Vec<SurfacePoint> {
+        const DARTS_PER_POINT: f32 = 7.0;
+        let centre = Vec3::splat(1.0 / 3.0);
+        let mut darts = Vec::new();
+        let mut narrowest = f32::MAX;
+        for &t in triangles {
+            let [a, b, c] = self.corners(t);
+            let area = (b - a).cross(c - a).length() * 0.5;
+            let distance = spacing(&self.point(t, centre));
+            if distance <= 0.0 {
+                continue;
+            }
+            narrowest = narrowest.min(distance);
+            let expected = area / (distance * distance) * DARTS_PER_POINT;
+            let count = (expected + stream.unit()).min(1e5) as u32;
+            for _ in 0..count {
+                let (mut u, mut v) = (stream.unit(), stream.unit());
+                if u + v > 1.0 {
+                    (u, v) = (1.0 - u, 1.0 - v);
+                }
+                darts.push(self.point(t, Vec3::new(1.0 - u - v, u, v)));
+            }
+        }
+        shuffle(&mut darts, stream);
+        let mut crowd = Crowd::new(narrowest);
+        darts.retain(|dart| crowd.admit(dart.position, spacing(dart)));
+        darts
+    }
+
+    /// Distance of each vertex to the border between `regions` and all others, metres, positive inside.
+    pub fn signed_distance(&self, regions: &[Region], reach: f32) -> Vec<f32> {
+        let mut inside = vec![0_u8; self.vertices.len()];
+        for (triangle, region) in self.model.triangles.iter().zip(&self.model.regions) {
+            let side = if regions.contains(region) { 1 } else { 2 };
+            for v in triangle {
+                inside[*v as usize] |= side;
+            }
+        }
+        let mut border = Buckets::new(reach);
+        for (v, side) in inside.iter().enumerate() {
+            if *side == 3 {
+                border.insert(self.vertices[v], v as u32);
+            }
+        }
+        let mut distances: Vec<f32> = (0..self.vertices.len())
+            .map(|v| {
+                let p = self.vertices[v];
+                let nearest =
+                    border.near(p).map(|b| self.vertices[b as usize].distance(p)).fold(reach, f32::min);
+                if inside[v] & 1 != 0 { nearest } else { -nearest }
+            })
+            .collect();
+        for _ in 0..2 {
+            self.smooth(&mut distances);
+        }
+        distances
+    }
+
+    /// Each value becomes the mean of its own and its neighbours' mean.
+    pub fn smooth<T>(&self, values: &mut [T])
+    where
+        T: Copy + Default + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
+    {
+        let mut sums = vec![(T::default(), 0.0_f32); values.len()];
+        for triangle in &self.model.triangles {
+            for i in 0..3 {
+                let (v, next) = (triangle[i] as usize, triangle[(i + 1) % 3] as usize);
+                for (to, from) in [(v, next), (next, v)] {
+                    sums[to] = (sums[to].0 + values[from], sums[to].1 + 1.0);
+                }
+            }
+        }
+        for (value, (sum, count)) in values.iter_mut().zip(sums) {
+            if count > 0.0 {
+                *value = *value * 0.5 + sum * (0.5 / count);
+            }
+        }
+    }
+}
+
+fn shuffle<T>(items: &mut [T], stream: &mut Stream) {
+    for i in (1..items.len()).rev() {
+        items.swap(i, stream.below(i as u32 + 1) as usize);
+    }
+}
+
+/// Points by the cube they lie in.
+pub(super) struct Buckets {
+    side: f32,
+    cells: HashMap<IVec3, Vec<u32>>,
+}
+
+impl Buckets {
+    pub fn new(side: f32) -> Self {
+        Self { side, cells: HashMap::new() }
+    }
+
+    pub fn insert(&mut self, p: Vec3, number: u32) {
+        self.cells.entry((p / self.side).floor().as_ivec3()).or_default().push(number);
+    }
+
+    /// Numbers of the points in the cube of `p` and its neighbours, in a fixed order.
+    pub fn near(&self, p: Vec3) -> impl Iterator<Item = u32> {
+        let cell = (p / self.side).floor().as_ivec3();
+        (0..27)
+            .filter_map(move |i| self.cells.get(&(cell + IVec3::new(i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1))))
+            .flatten()
+            .copied()
+    }
+}
+
+/// Points that keep their distance.
+struct Crowd {
+    side: f32,
+    cells: HashMap<IVec3, Vec<Vec3>, std::hash::BuildHasherDefault<CellHasher>>,
+}
+
+impl Crowd {
+    fn new(narrowest: f32) -> Self {
+        Self { side: narrowest.max(1e-5), cells: HashMap::default() }
+    }
+
+    /// Takes the point in unless another is nearer than `distance`.
+    fn admit(&mut self, p: Vec3, distance: f32) -> bool {
+        if distance <= 0.0 {
+            return false;
+        }
+        let low = ((p - distance) / self.side).floor().as_ivec3();
+        let high = ((p + distance) / self.side).floor().as_ivec3();
+        for x in low.x..=high.x {
+            for y in low.y..=high.y {
+                for z in low.z..=high.z {
+                    let neighbours = self.cells.get(&IVec3::new(x, y, z));
+                    if neighbours
+                        .is_some_and(|c| c.iter().any(|q| q.distance_squared(p) < distance * distance))
+                    {
+                        return false;
+                    }
+                }
+            }
+        }
+        self.cells.entry((p / self.side).floor().as_ivec3()).or_default().push(p);
+        true
+    }
+}
+
+/// Mixes the three integers of a cell; the standard hasher takes most of the time of a scatter.
+#[derive(Default)]
+struct CellHasher(u64);
+
+impl std::hash::Hasher for CellHasher {
+    fn finish(&self) -> u64 {
+        self.0 ^ self.0 >> 29
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        for &b in bytes {
+            self.0 = (self.0.rotate_left(5) ^ u64::from(b)).wrapping_mul(0x517C_C1B7_2722_0A95);
+        }
+    }
+
+    fn write_i32(&mut self, i: i32) {
+        self.0 = (self.0.rotate_left(23) ^ u64::from(i as u32)).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    }
+}
+
+/// The rotation whose x axis is `along` and whose z axis is as near to `up` as that allows.
+pub(super) fn rotation_along(along: Vec3, up: Vec3) -> Quat {
+    let x = along.normalize_or(Vec3::X);
+    let y = up.cross(x).try_normalize().unwrap_or_else(|| x.any_orthonormal_vector());
+    Quat::from_mat3(&glam::Mat3::from_cols(x, y, x.cross(y)))
+}

@@ -1,0 +1,443 @@
+//! ICT-FaceKit (Li et al., *Learning Formation of Physically-Based Face Attributes*, CVPR 2020; MIT licence): the
+//! light model's `FaceXModel` folder, read as it is published.
+//!
+//! The published head is in centimetres with our axes. Which vertex belongs to what is fixed by the topology, of
+//! 26,719 vertices, and documented in the README of ICT-FaceKit.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use glam::{DMat4, DVec4, Quat, Vec3};
+use rayon::prelude::*;
+use serde::Deserialize;
+
+use crate::avatar::AvatarError;
+use crate::obj::{read_obj, read_obj_positions};
+use crate::{ActionUnit, HeadModel, Joint, Region, Shape, Side};
+
+const VERTICES: usize = 26_719;
+const METRES_PER_UNIT: f32 = 0.01;
+
+// Vertex ranges of the published topology.
+const HEAD_AND_NECK: Range<u32> = 9409..11248;
+const MOUTH_SOCKET: Range<u32> = 11248..13294;
+const EYE_SOCKETS: Range<u32> = 13294..14062;
+const GUMS_AND_TONGUE: Range<u32> = 14062..17039;
+const TEETH: Range<u32> = 17039..21451;
+const LOWER_TEETH: Range<u32> = 19247..21451;
+const EYEBALLS: [Range<u32>; 2] = [21451..23021, 23021..24591];
+/// The outer shell of each eyeball. The iris below it is not dressed: the shell is painted with one.
+const SCLERAS: [Range<u32>; 2] = [21451..22221, 23021..23791];
+
+/// Offsets shorter than this many metres are rounding of the published files.
+const NEGLIGIBLE_OFFSET: f32 = 2e-6;
+
+#[derive(Deserialize)]
+struct VertexIndices {
+    expressions: Vec<String>,
+    idx_to_landmark_verts: Vec<u32>,
+}
+
+/// Reads the neutral head, every expression that `vertex_indices.json` names and the folder holds, and every
+/// identity. The eyeballs are turned so that they look along +z at rest.
+///
+/// # Errors
+/// A missing or malformed file, or one whose vertices are not those of the published topology, is named.
+pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
+    let indices = read_indices(&dir.join("vertex_indices.json"))?;
+    let neutral_path = dir.join("generic_neutral_mesh.obj");
+    let neutral = read_obj(&neutral_path)?;
+    if neutral.positions.len() != VERTICES {
+        return Err(AvatarError::Topology {
+            path: neutral_path,
+            expected: VERTICES,
+            found: neutral.positions.len(),
+        });
+    }
+    let template: Vec<Vec3> = neutral.positions.iter().map(|&p| p * METRES_PER_UNIT).collect();
+    let expressions = shapes(dir, present(dir, indices.expressions.iter().cloned()), &template)?;
+    let identity_names = (0..1000).map(|i| format!("identity{i:03}"));
+    let identities = shapes(dir, present(dir, identity_names), &template)?;
+
+    let landmark_vertices = landmark_positions(&indices.idx_to_landmark_verts, &template);
+    let (triangles, regions) = dressed_triangles(&neutral.polygons, &template, &landmark_vertices);
+    let landmarks = landmark_triangles(&indices.idx_to_landmark_verts, &triangles);
+    let joints = joints(&template, &landmark_vertices);
+    let skinning = skinning(&template, &joints, &landmark_vertices, &expressions);
+    let mut model = HeadModel {
+        name: "ict".into(),
+        action_units: action_units(&expressions),
+        template,
+        triangles,
+        regions,
+        identities,
+        expressions,
+        joints,
+        joint_regressor: joint_regressor(&indices.idx_to_landmark_verts),
+        skinning,
+        landmarks,
+        eyeballs: EYEBALLS,
+    };
+    face_eyeballs_forward(&mut model);
+    Ok(model)
+}
+
+fn read_indices(path: &Path) -> Result<VertexIndices, AvatarError> {
+    let bytes =
+        std::fs::read(path).map_err(|source| AvatarError::Read { path: path.to_path_buf(), source })?;
+    let malformed =
+        |problem: String, line| AvatarError::Malformed { path: path.to_path_buf(), line, problem };
+    let indices: VertexIndices =
+        serde_json::from_slice(&bytes).map_err(|error| malformed(error.to_string(), error.line()))?;
+    let landmarks = &indices.idx_to_landmark_verts;
+    if landmarks.len() != 68 || landmarks.iter().any(|&v| v as usize >= VERTICES) {
+        let problem = format!("expected 68 landmark vertices below {VERTICES}, found {}", landmarks.len());
+        return Err(malformed(problem, 1));
+    }
+    Ok(indices)
+}
+
+/// The files of these shapes that the folder holds. A name is a file's stem and nothing else.
+fn present(dir: &Path, names: impl Iterator<Item = String>) -> Vec<(String, PathBuf)> {
+    let plain = |name: &str| name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_');
+    names
+        .filter(|name| plain(name))
+        .map(|name| (dir.join(format!("{name}.obj")), name))
+        .filter(|(path, _)| path.is_file())
+        .map(|(path, name)| (name, path))
+        .collect()
+}
+
+fn shapes(dir: &Path, files: Vec<(String, PathBuf)>, template: &[Vec3]) -> Result<Vec<Shape>, AvatarError> {
+    files
+        .into_par_iter()
+        .map(|(name, path)| {
+            let positions = read_obj_positions(&path)?;
+            if positions.len() != template.len() {
+                return Err(AvatarError::VertexCount {
+                    reference: dir.join("generic_neutral_mesh.obj"),
+                    expected: template.len(),
+                    path,
+                    found: positions.len(),
+                });
+            }
+            let offsets = positions
+                .iter()
+                .zip(template)
+                .enumerate()
+                .map(|(v, (&moved, &rest))| (v as u32, moved * METRES_PER_UNIT - rest))
+                .filter(|(_, offset)| offset.length() > NEGLIGIBLE_OFFSET)
+                .collect();
+            Ok(Shape::linear(name, offsets))
+        })
+        .collect()
+}
+
+fn landmark_positions(vertices: &[u32], template: &[Vec3]) -> Vec<Vec3> {
+    vertices.iter().map(|&v| template[v as usize]).collect()
+}
+
+/// Triangles of everything that is dressed, with their regions. The film of tears, the meshes that blend and shade the
+/// eyes and the strips of lashes are left out: they are transparent where they are used.
+fn dressed_triangles(
+    polygons: &[Vec<u32>],
+    template: &[Vec3],
+    landmarks: &[Vec3],
+) -> (Vec<[u32; 3]>, Vec<Region>) {
+    let map = RegionMap::new(landmarks);
+    let mut triangles = Vec::new();
+    let mut regions = Vec::new();
+    for polygon in polygons {
+        for i in 2..polygon.len() {
+            let triangle = [polygon[0], polygon[i - 1], polygon[i]];
+            if let Some(region) = map.region(triangle, template) {
+                triangles.push(triangle);
+                regions.push(region);
+            }
+        }
+    }
+    (triangles, regions)
+}
+
+/// Where the regions lie that the topology does not tell apart.
+struct RegionMap {
+    lips: Vec<Vec3>,
+    brows: [Vec<Vec3>; 2],
+    eyes: [Vec<Vec3>; 2],
+    chin: Vec3,
+    ear: Vec3,
+    brow_height: f32,
+}
+
+impl RegionMap {
+    fn new(landmarks: &[Vec3]) -> Self {
+        Self {
+            lips: landmarks[48..60].to_vec(),
+            brows: [landmarks[17..22].to_vec(), landmarks[22..27].to_vec()],
+            eyes: [landmarks[36..42].to_vec(), landmarks[42..48].to_vec()],
+            chin: landmarks[8],
+            ear: (landmarks[0] + landmarks[16]) * 0.5,
+            brow_height: landmarks[17..27].iter().map(|p| p.y).fold(f32::MIN, f32::max),
+        }
+    }
+
+    fn region(&self, triangle: [u32; 3], template: &[Vec3]) -> Option<Region> {
+        let in_range = |range: &Range<u32>| triangle.iter().all(|v| range.contains(v));
+        if SCLERAS.iter().any(&in_range) {
+            return Some(Region::Eyeball);
+        }
+        if in_range(&TEETH) {
+            return Some(Region::Teeth);
+        }
+        if [GUMS_AND_TONGUE, MOUTH_SOCKET].iter().any(&in_range) {
+            return Some(Region::MouthInside);
+        }
+        if in_range(&EYE_SOCKETS) {
+            return Some(Region::InnerLid);
+        }
+        if !in_range(&(0..HEAD_AND_NECK.end)) {
+            return None;
+        }
+        let [a, b, c] = triangle.map(|v| template[v as usize]);
+        Some(self.skin_region((a + b + c) / 3.0))
+    }
+
+    fn skin_region(&self, p: Vec3) -> Region {
+        let front = p.z > self.ear.z;
+        if front && inside_polygon(p, &self.lips) && p.z > self.lips[0].z - 0.004 {
+            Region::Lips
+        } else if front && self.eyes.iter().any(|eye| inside_polygon(p, eye)) {
+            Region::LidMargin
+        } else if front && self.brows.iter().any(|brow| near_polyline(p, brow, 0.007)) {
+            Region::Brow
+        } else if self.is_neck(p) {
+            Region::Neck
+        } else if self.is_scalp(p) {
+            Region::Scalp
+        } else {
+            Region::Skin
+        }
+    }
+
+    /// Below a plane from under the chin to the nape.
+    fn is_neck(&self, p: Vec3) -> bool {
+        let behind = (self.chin.z - 0.03 - p.z).max(0.0);
+        p.y < self.chin.y - 0.012 + (behind * 0.45).min(0.035)
+    }
+
+    /// Above a hairline over the forehead, before the ears and down to the nape.
+    fn is_scalp(&self, p: Vec3) -> bool {
+        let hairline_height = self.brow_height + 0.052;
+        let forehead = p.z - (self.ear.z - 0.02);
+        if forehead > 0.0 {
+            // From the top of the forehead down to the temples and the sideburns.
+            let side = (p.x.abs() / 0.075).min(1.0);
+            let slope = (1.0 - forehead / 0.085).clamp(0.0, 1.0);
+            p.y > hairline_height + 0.012 * (1.0 - side) - 0.062 * slope * slope
+        } else {
+            let ear = p.x.abs() > 0.076 && p.y < self.ear.y + 0.03 && p.z > self.ear.z - 0.055;
+            !ear && p.y > self.ear.y - 0.055
+        }
+    }
+}
+
+/// Whether a point lies in a polygon, both seen from the front.
+fn inside_polygon(p: Vec3, polygon: &[Vec3]) -> bool {
+    let mut inside = false;
+    for (i, a) in polygon.iter().enumerate() {
+        let b = polygon[(i + 1) % polygon.len()];
+        if (a.y > p.y) != (b.y > p.y) && p.x < (b.x - a.x) * (p.y - a.y) / (b.y - a.y) + a.x {
+            inside = !inside;
+        }
+    }
+    inside
+}
+
+fn near_polyline(p: Vec3, line: &[Vec3], distance: f32) -> bool {
+    line.windows(2).any(|ends| {
+        let along = ends[1] - ends[0];
+        let t = ((p - ends[0]).dot(along) / along.length_squared().max(1e-12)).clamp(0.0, 1.0);
+        (p - ends[0] - along * t).length() < distance
+    })
+}
+
+/// Each landmark is a vertex: the first corner, second or third, of a triangle that has it.
+fn landmark_triangles(vertices: &[u32], triangles: &[[u32; 3]]) -> Vec<(u32, Vec3)> {
+    let corners = [Vec3::X, Vec3::Y, Vec3::Z];
+    vertices
+        .iter()
+        .filter_map(|v| {
+            triangles.iter().enumerate().find_map(|(t, triangle)| {
+                triangle.iter().position(|corner| corner == v).map(|corner| (t as u32, corners[corner]))
+            })
+        })
+        .collect()
+}
+
+fn joints(template: &[Vec3], landmarks: &[Vec3]) -> [Vec3; 5] {
+    let ear_line = (landmarks[0] + landmarks[1] + landmarks[15] + landmarks[16]) * 0.25;
+    let chin = landmarks[8];
+    // The jaw turns about the condyles, a finger before the ear canal; the head about the upper neck.
+    let jaw = Vec3::new(0.0, ear_line.y, ear_line.z - 0.008);
+    let neck = Vec3::new(0.0, chin.y - 0.015, ear_line.z - 0.045);
+    let root = Vec3::new(0.0, chin.y - 0.10, ear_line.z - 0.06);
+    [root, neck, jaw, eye_center(template, 0), eye_center(template, 1)]
+}
+
+/// Eyes follow their eyeball, the jaw and the neck the landmarks before the ears, the root the chin.
+fn joint_regressor(landmarks: &[u32]) -> [Vec<(u32, f32)>; 5] {
+    let mean = |vertices: Vec<u32>| {
+        let weight = 1.0 / vertices.len() as f32;
+        vertices.into_iter().map(|v| (v, weight)).collect::<Vec<_>>()
+    };
+    let ears = || mean([0, 1, 15, 16].map(|i| landmarks[i]).to_vec());
+    [
+        mean(vec![landmarks[8]]),
+        ears(),
+        ears(),
+        mean(SCLERAS[0].clone().collect()),
+        mean(SCLERAS[1].clone().collect()),
+    ]
+}
+
+/// Centre of the sphere through the back of the sclera, by linear least squares. The cornea in front bulges out.
+fn eye_center(template: &[Vec3], eye: usize) -> Vec3 {
+    let vertices = &template[SCLERAS[eye].start as usize..SCLERAS[eye].end as usize];
+    let mean = vertices.iter().sum::<Vec3>() / vertices.len() as f32;
+    let mut normal = DMat4::ZERO;
+    let mut right = DVec4::ZERO;
+    for &v in vertices.iter().filter(|v| v.z < mean.z + 0.003) {
+        let p = (v - mean).as_dvec3();
+        let row = DVec4::new(2.0 * p.x, 2.0 * p.y, 2.0 * p.z, 1.0);
+        normal += DMat4::from_cols(row * row.x, row * row.y, row * row.z, row * row.w);
+        right += row * p.length_squared();
+    }
+    // Published eyeballs are round; made-up ones may be flat, and then their mean must do.
+    let center = (normal.determinant().abs() > 1e-20).then(|| normal.inverse() * right);
+    center
+        .filter(|c| c.is_finite() && c.truncate().length() < 0.01)
+        .map_or(mean, |c| mean + c.truncate().as_vec3())
+}
+
+fn skinning(
+    template: &[Vec3],
+    joints: &[Vec3; 5],
+    landmarks: &[Vec3],
+    expressions: &[Shape],
+) -> Vec<[f32; 5]> {
+    let chin = landmarks[8];
+    let jaw = jaw_weights(template, joints[Joint::Jaw as usize], chin, expressions);
+    template
+        .iter()
+        .enumerate()
+        .map(|(v, p)| {
+            for (eye, joint) in [(0, Joint::LeftEye), (1, Joint::RightEye)] {
+                if EYEBALLS[eye].contains(&(v as u32)) {
+                    let mut weights = [0.0; 5];
+                    weights[joint as usize] = 1.0;
+                    return weights;
+                }
+            }
+            // The nape bends higher than the throat, which keeps the chin on the head.
+            let behind = (chin.z - 0.03 - p.z).max(0.0) * 0.35;
+            let head = smoothstep((p.y - (chin.y - 0.085 + behind)) / 0.085);
+            [1.0 - head, head * (1.0 - jaw[v]), head * jaw[v], 0.0, 0.0]
+        })
+        .collect()
+}
+
+/// How much each vertex moves with the jaw: its way in `jawOpen` against that of a point fixed to the mandible. Without
+/// that file only the lower teeth move.
+fn jaw_weights(template: &[Vec3], jaw: Vec3, chin: Vec3, expressions: &[Shape]) -> Vec<f32> {
+    let mut weights = vec![0.0_f32; template.len()];
+    let lever = |p: Vec3| ((p.y - jaw.y).powi(2) + (p.z - jaw.z).powi(2)).sqrt().max(0.01);
+    if let Some(shape) = expressions.iter().find(|s| s.name == "jawOpen") {
+        let mandible = shape
+            .offsets
+            .iter()
+            .map(|(v, offset)| offset.length() / lever(template[*v as usize]))
+            .fold(0.0, f32::max);
+        for &(v, offset) in &shape.offsets {
+            let p = template[v as usize];
+            let downward = offset.y < 0.0 || p.y < chin.y + 0.06;
+            let turn = offset.length() / lever(p) / mandible.max(1e-6);
+            weights[v as usize] = if downward { smoothstep(turn * 1.15) } else { 0.0 };
+        }
+    }
+    for v in LOWER_TEETH {
+        weights[v as usize] = 1.0;
+    }
+    weights
+}
+
+fn smoothstep(t: f32) -> f32 {
+    let t = t.clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// The published eyes diverge by some degrees, as optical axes do at infinity seen through the cornea; a gaze of zero
+/// must be +z. The cornea is also lowered to what the lids of a forward gaze leave room for.
+fn face_eyeballs_forward(model: &mut HeadModel) {
+    for eye in 0..2 {
+        let center = model.joints[Joint::LeftEye as usize + eye];
+        let shell = SCLERAS[eye].start as usize..SCLERAS[eye].end as usize;
+        let apex = model.template[shell]
+            .iter()
+            .map(|&p| p - center)
+            .fold(Vec3::Z * 1e-6, |far, p| if p.length_squared() > far.length_squared() { p } else { far });
+        let turn = Quat::from_rotation_arc(apex.normalize_or(Vec3::Z), Vec3::Z);
+        for v in EYEBALLS[eye].clone() {
+            let v = v as usize;
+            model.template[v] = center + turn * (model.template[v] - center);
+        }
+    }
+}
+
+/// Action units after the table of ICT-FaceKit's README, of the expressions that are present. `cheekRaiser` stands for
+/// AU 6 beside the table's `cheekSquint`; AU 26 is a dropped jaw, AU 27 the mouth stretched open, AU 25 lips just apart.
+const ACTION_UNITS: &[(u8, &[(&str, f32)])] = &[
+    (1, &[("browInnerUp", 1.0)]),
+    (2, &[("browOuterUp", 1.0)]),
+    (4, &[("browDown", 1.0)]),
+    (5, &[("eyeWide", 1.0)]),
+    (6, &[("cheekRaiser", 1.0), ("cheekSquint", 1.0)]),
+    (7, &[("eyeSquint", 1.0)]),
+    (9, &[("noseSneer", 1.0)]),
+    (10, &[("mouthUpperUp", 1.0)]),
+    (12, &[("mouthSmile", 1.0)]),
+    (14, &[("mouthDimple", 1.0)]),
+    (15, &[("mouthFrown", 1.0)]),
+    (16, &[("mouthLowerDown", 1.0)]),
+    (17, &[("mouthShrugLower", 1.0)]),
+    (18, &[("mouthPucker", 1.0)]),
+    (20, &[("mouthStretch", 1.0)]),
+    (22, &[("mouthFunnel", 1.0)]),
+    (24, &[("mouthPress", 1.0)]),
+    (25, &[("jawOpen", 0.12)]),
+    (26, &[("jawOpen", 0.45)]),
+    (27, &[("jawOpen", 0.9)]),
+    (28, &[("mouthRollLower", 1.0), ("mouthRollUpper", 1.0)]),
+    (29, &[("jawForward", 1.0)]),
+    (33, &[("cheekPuff", 1.0)]),
+    (43, &[("eyeBlink", 1.0)]),
+    (45, &[("eyeBlink", 1.0)]),
+];
+
+fn action_units(expressions: &[Shape]) -> Vec<ActionUnit> {
+    let mut units = Vec::new();
+    for &(number, parts) in ACTION_UNITS {
+        for (side, suffix) in [(Side::Both, ""), (Side::Left, "_L"), (Side::Right, "_R")] {
+            let expressions: Vec<(usize, f32)> = parts
+                .iter()
+                .filter_map(|(stem, weight)| {
+                    let index = expressions.iter().position(|s| s.name == format!("{stem}{suffix}"))?;
+                    Some((index, *weight))
+                })
+                .collect();
+            if !expressions.is_empty() {
+                units.push(ActionUnit { number, side, expressions, joints: Vec::new() });
+            }
+        }
+    }
+    units
+}

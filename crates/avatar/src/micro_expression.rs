@@ -1,0 +1,134 @@
+//! Micro-expressions: brief, weak, involuntary.
+
+use srflow_field::random::Key;
+
+use crate::motion::{available_units, quintic};
+use crate::{HeadModel, HeadModelError, HeadPose, Side};
+
+/// The three classes of the composite micro-expression benchmark (MEGC 2019), with its numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum EmotionClass {
+    /// Anger, disgust, contempt, fear, sadness, repression.
+    Negative = 0,
+    /// Happiness.
+    Positive = 1,
+    /// Surprise.
+    Surprise = 2,
+}
+
+impl EmotionClass {
+    /// Every class, in the order of their numbers.
+    pub const ALL: [EmotionClass; 3] = [Self::Negative, Self::Positive, Self::Surprise];
+
+    /// Action units that micro-expressions of this class usually show (those that CASME II and SAMM were coded with).
+    pub fn action_unit_sets(self) -> &'static [&'static [u8]] {
+        match self {
+            Self::Negative => &[
+                &[4],
+                &[4, 7],
+                &[9],
+                &[4, 9],
+                &[10],
+                &[14],
+                &[15],
+                &[15, 17],
+                &[17],
+                &[20],
+                &[1, 4],
+                &[4, 5],
+            ],
+            Self::Positive => &[&[12], &[6, 12], &[12, 25]],
+            Self::Surprise => &[&[1, 2], &[1, 2, 5], &[5], &[1, 2, 26], &[2, 5]],
+        }
+    }
+}
+
+/// One micro-expression: it rises from the onset to the apex and is gone at the offset.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MicroExpression {
+    /// Its class.
+    pub class: EmotionClass,
+    /// Action units and their intensity at the apex, `0..=1`.
+    pub action_units: Vec<(u8, Side, f32)>,
+    /// Last frame at rest.
+    pub onset: usize,
+    /// Frame of the strongest expression.
+    pub apex: usize,
+    /// First frame at rest again.
+    pub offset: usize,
+}
+
+impl MicroExpression {
+    /// The micro-expression of `class` that `key` stands for, beginning at frame `onset` of a recording of
+    /// `frames_per_second`. Of the class's sets of action units, those are drawn from that the model has whole.
+    ///
+    /// It takes 0.17 to 0.48 s, but never fewer than two frames, so that onset, apex and offset differ.
+    ///
+    /// # Errors
+    /// [`HeadModelError::NoActionUnit`] when the model has none of the class's sets.
+    pub fn random(
+        model: &HeadModel,
+        class: EmotionClass,
+        key: Key,
+        onset: usize,
+        frames_per_second: f32,
+    ) -> Result<Self, HeadModelError> {
+        let available = available_units(model);
+        let has = |set: &&&[u8]| set.iter().all(|number| available.iter().any(|(n, _)| n == number));
+        let sets: Vec<&[u8]> = class.action_unit_sets().iter().filter(has).copied().collect();
+        let mut stream = key.stream("micro-expression");
+        let Some(set) = sets.get(stream.below(sets.len() as u32) as usize) else {
+            let mut numbers: Vec<u8> = available.iter().map(|(n, _)| *n).collect();
+            numbers.dedup();
+            return Err(HeadModelError::NoActionUnit {
+                model: model.name.clone(),
+                number: class.action_unit_sets()[0][0],
+                side: Side::Both,
+                available: numbers,
+            });
+        };
+        let intensity = stream.uniform(0.12, 0.40);
+        // Many micro-expressions show on one side more than on the other.
+        let skew = stream.normal().clamp(-2.0, 2.0) * 0.2;
+        let mut action_units = Vec::new();
+        for &(number, side) in available.iter().filter(|(n, _)| set.contains(n)) {
+            let lean = match side {
+                Side::Both => 1.0,
+                Side::Left => 1.0 + skew,
+                Side::Right => 1.0 - skew,
+            };
+            action_units.push((number, side, intensity * lean));
+        }
+        let seconds = stream.uniform(0.17, 0.48);
+        let length = ((seconds * frames_per_second.clamp(1.0, 1e5)) as usize).max(2);
+        let rise = (length as f32 * stream.uniform(0.3, 0.5)) as usize;
+        let apex = onset + rise.clamp(1, length - 1);
+        Ok(Self { class, action_units, onset, apex, offset: onset + length })
+    }
+
+    /// How far the expression has risen at `frame`: 0 up to the onset and from the offset on, 1 at the apex.
+    pub fn strength(&self, frame: usize) -> f32 {
+        if frame <= self.onset || frame >= self.offset {
+            0.0
+        } else if frame <= self.apex {
+            quintic((frame - self.onset) as f32 / (self.apex - self.onset).max(1) as f32)
+        } else {
+            quintic((self.offset - frame) as f32 / (self.offset - self.apex).max(1) as f32)
+        }
+    }
+
+    /// Action units at `frame`; empty at rest.
+    pub fn action_units_at(&self, frame: usize) -> Vec<(u8, Side, f32)> {
+        let strength = self.strength(frame);
+        let shown = self.action_units.iter().filter(|_| strength > 0.0);
+        shown.map(|&(number, side, intensity)| (number, side, intensity * strength)).collect()
+    }
+
+    /// The head's pose at `frame`.
+    ///
+    /// # Errors
+    /// [`HeadModelError::NoActionUnit`] when `model` lacks one of the units.
+    pub fn pose(&self, model: &HeadModel, frame: usize) -> Result<HeadPose, HeadModelError> {
+        model.pose_of_action_units(&self.action_units_at(frame))
+    }
+}

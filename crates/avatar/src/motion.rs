@@ -1,0 +1,334 @@
+//! Smooth random motion of a face: expressions, speech, blinks, gaze and the neck.
+
+use glam::{EulerRot, Quat};
+use srflow_field::random::{Key, Stream};
+
+use crate::{HeadModel, HeadPose, Joint, Side};
+
+/// One frame of a motion.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Moment {
+    /// What the head model needs.
+    pub pose: HeadPose,
+    /// Action units shown, intensity `0..=1`; those at rest are left out.
+    pub action_units: Vec<(u8, Side, f32)>,
+    /// Where both eyes look relative to the head, radians: to the subject's left and up.
+    pub gaze: [f32; 2],
+}
+
+/// Combinations of action units that people show: emotions (EMFACS prototypes) and moves of conversation. Of each,
+/// those units take part that the head model has.
+const EXPRESSIONS: &[&[(u8, f32)]] = &[
+    &[(6, 0.8), (12, 1.0)],
+    &[(6, 0.6), (12, 0.9), (25, 1.0), (26, 0.4)],
+    &[(12, 0.6)],
+    &[(1, 1.0), (2, 1.0), (5, 0.8), (26, 0.8)],
+    &[(1, 0.8), (2, 0.8)],
+    &[(1, 0.9), (4, 0.6), (15, 0.8)],
+    &[(4, 1.0), (5, 0.4), (7, 0.7), (23, 0.6), (24, 0.5)],
+    &[(4, 0.8), (7, 0.6)],
+    &[(9, 0.9), (10, 0.5), (4, 0.4)],
+    &[(10, 0.8), (15, 0.4), (17, 0.6)],
+    &[(1, 0.8), (2, 0.5), (4, 0.5), (5, 0.8), (20, 0.8), (25, 0.7)],
+    &[(14, 0.9)],
+    &[(15, 0.8), (17, 0.7)],
+    &[(17, 0.7), (24, 0.7)],
+    &[(20, 0.8), (16, 0.4), (25, 0.6)],
+    &[(43, 0.9), (7, 0.4)],
+];
+
+/// Seconds of the way from rest into motion and back at the ends of a sequence.
+const EASE_SECONDS: f32 = 0.6;
+
+/// The motion of one sequence: every frame can be asked for alone. It starts and ends at rest.
+#[derive(Debug, Clone)]
+pub struct Motion {
+    frames: usize,
+    frames_per_second: f32,
+    events: Vec<Event>,
+    blinks: Vec<f32>,
+    fixations: Vec<Fixation>,
+    neck: [Curve; 3],
+    speech: [Curve; 3],
+    available: Vec<(u8, Side)>,
+}
+
+/// An expression that comes, stays and goes.
+#[derive(Debug, Clone)]
+struct Event {
+    start: f32,
+    attack: f32,
+    hold: f32,
+    release: f32,
+    units: Vec<(u8, Side, f32)>,
+    speech: bool,
+}
+
+/// The eyes come to rest on something.
+#[derive(Debug, Clone, Copy)]
+struct Fixation {
+    start: f32,
+    gaze: [f32; 2],
+}
+
+/// Seconds that the eyes take from one fixation to the next: long for a saccade, short for a pursuit.
+const GAZE_SHIFT_SECONDS: f32 = 0.14;
+/// Seconds in which the lids close, and open again.
+const BLINK_SECONDS: [f32; 2] = [0.11, 0.19];
+
+impl Motion {
+    /// The motion that `key` (its scene) stands for, for `frames` frames of this head model.
+    pub fn new(model: &HeadModel, key: Key, frames: usize, frames_per_second: f32) -> Self {
+        let frames_per_second = if frames_per_second.is_finite() { frames_per_second.max(1.0) } else { 24.0 };
+        let seconds = frames as f32 / frames_per_second;
+        let available = available_units(model);
+        let curve = |purpose: &str, knot_seconds: f32, reach: f32| {
+            Curve::random(&mut key.stream(purpose), seconds, knot_seconds, reach)
+        };
+        Self {
+            events: events(&mut key.stream("expressions"), seconds, &available),
+            blinks: blinks(&mut key.stream("blinks"), seconds),
+            fixations: fixations(&mut key.stream("gaze"), seconds),
+            neck: [
+                curve("neck yaw", 0.9, 0.26),
+                curve("neck pitch", 0.8, 0.15),
+                curve("neck roll", 1.1, 0.11),
+            ],
+            speech: [
+                curve("speech jaw", 0.13, 1.0),
+                curve("speech width", 0.19, 1.0),
+                curve("speech lips", 0.16, 1.0),
+            ],
+            available,
+            frames,
+            frames_per_second,
+        }
+    }
+
+    /// Number of frames.
+    pub fn len(&self) -> usize {
+        self.frames
+    }
+
+    /// Whether there is no frame.
+    pub fn is_empty(&self) -> bool {
+        self.frames == 0
+    }
+
+    /// Frame number `frame`, from 0. Before the first and after the last frame the head is at rest.
+    pub fn at(&self, model: &HeadModel, frame: usize) -> Moment {
+        let time = frame as f32 / self.frames_per_second;
+        let ease = self.ease(frame);
+        let gaze = self.gaze(time).map(|angle| angle * ease);
+        let mut units: Vec<(u8, Side, f32)> = Vec::new();
+        for event in &self.events {
+            let strength = event.strength(time) * ease;
+            if strength > 0.0 {
+                let spoken = if event.speech { self.spoken(time) } else { [1.0; 3] };
+                for &(number, side, intensity) in &event.units {
+                    let modulation = if event.speech { spoken[speech_channel(number)] } else { 1.0 };
+                    add_unit(&mut units, number, side, intensity * strength * modulation);
+                }
+            }
+        }
+        let lids = (self.blink(time) * ease).max(-gaze[1] * 0.9).min(1.0);
+        self.add_lids(&mut units, lids, gaze[1]);
+        units.retain(|u| u.2 > 0.0);
+        // Only units that the model has are ever added, so that this cannot fail.
+        let mut pose = model.pose_of_action_units(&units).unwrap_or_default();
+        let [yaw, pitch, roll] = [0, 1, 2].map(|axis| self.neck[axis].at(time) * ease);
+        let turn = |yaw: f32, pitch: f32, roll: f32| Quat::from_euler(EulerRot::YXZ, yaw, -pitch, roll);
+        pose.joints[Joint::Neck as usize] *= turn(yaw, pitch, roll);
+        for eye in [Joint::LeftEye, Joint::RightEye] {
+            pose.joints[eye as usize] *= turn(gaze[0], gaze[1], 0.0);
+        }
+        Moment { pose, action_units: units, gaze }
+    }
+
+    /// 0 at the first and the last frame, 1 between.
+    fn ease(&self, frame: usize) -> f32 {
+        let Some(last) = self.frames.checked_sub(1) else { return 0.0 };
+        let seconds = last as f32 / self.frames_per_second;
+        let ease = EASE_SECONDS.min(seconds * 0.45).max(1e-6);
+        let from_start = frame as f32 / self.frames_per_second;
+        let to_end = last.saturating_sub(frame) as f32 / self.frames_per_second;
+        quintic(from_start / ease) * quintic(to_end / ease)
+    }
+
+    fn blink(&self, time: f32) -> f32 {
+        let [close, open] = BLINK_SECONDS;
+        let closed =
+            |start: f32| quintic((time - start) / close) * quintic((start + close + open - time) / open);
+        self.blinks.iter().map(|&start| closed(start)).fold(0.0, f32::max)
+    }
+
+    fn gaze(&self, time: f32) -> [f32; 2] {
+        let mut gaze = [0.0; 2];
+        for fixation in &self.fixations {
+            let arrived = quintic((time - fixation.start) / GAZE_SHIFT_SECONDS);
+            gaze = [0, 1].map(|axis| gaze[axis] + (fixation.gaze[axis] - gaze[axis]) * arrived);
+        }
+        gaze
+    }
+
+    /// Opening of the jaw, width and rounding of the lips while speaking, `0..=1`.
+    fn spoken(&self, time: f32) -> [f32; 3] {
+        [0, 1, 2].map(|channel| (self.speech[channel].at(time) * 0.9 + 0.45).clamp(0.0, 1.0))
+    }
+
+    /// Lids follow the gaze down, and close to blink; looking up lifts them.
+    fn add_lids(&self, units: &mut Vec<(u8, Side, f32)>, closed: f32, gaze_up: f32) {
+        let number = if self.has(45) { 45 } else { 43 };
+        for &(n, side) in self.available.iter().filter(|(n, _)| *n == number) {
+            add_unit(units, n, side, closed);
+        }
+        if closed <= 0.0 {
+            for &(n, side) in self.available.iter().filter(|(n, _)| *n == 5) {
+                add_unit(units, n, side, (gaze_up * 1.2).clamp(0.0, 0.5));
+            }
+        }
+    }
+
+    fn has(&self, number: u8) -> bool {
+        self.available.iter().any(|(n, _)| *n == number)
+    }
+}
+
+/// All frames of [`Motion`].
+pub fn sequence(model: &HeadModel, key: Key, frames: usize, frames_per_second: f32) -> Vec<Moment> {
+    let motion = Motion::new(model, key, frames, frames_per_second);
+    (0..frames).map(|frame| motion.at(model, frame)).collect()
+}
+
+/// Units by their halves where they have them, as the model lists them.
+pub(crate) fn available_units(model: &HeadModel) -> Vec<(u8, Side)> {
+    model.action_units.iter().map(|unit| (unit.number, unit.side)).collect()
+}
+
+fn add_unit(units: &mut Vec<(u8, Side, f32)>, number: u8, side: Side, intensity: f32) {
+    match units.iter_mut().find(|u| u.0 == number && u.1 == side) {
+        Some(unit) => unit.2 = (unit.2 + intensity).min(1.0),
+        None => units.push((number, side, intensity.clamp(0.0, 1.0))),
+    }
+}
+
+fn events(stream: &mut Stream, seconds: f32, available: &[(u8, Side)]) -> Vec<Event> {
+    let mut events = Vec::new();
+    let mut start = 0.0;
+    while start < seconds {
+        let speech = stream.unit() < 0.3;
+        let event = Event {
+            start,
+            attack: stream.uniform(0.25, 0.7),
+            hold: if speech { stream.uniform(0.8, 2.0) } else { stream.uniform(0.1, 0.9) },
+            release: stream.uniform(0.3, 0.8),
+            units: if speech { speech_units(available) } else { expression_units(stream, available) },
+            speech,
+        };
+        // The next expression may come while this one still fades.
+        start += event.attack + event.hold + event.release * stream.uniform(0.2, 1.3);
+        events.push(event);
+    }
+    events
+}
+
+fn expression_units(stream: &mut Stream, available: &[(u8, Side)]) -> Vec<(u8, Side, f32)> {
+    let set = EXPRESSIONS[stream.below(EXPRESSIONS.len() as u32) as usize];
+    let strength = stream.uniform(0.35, 1.0);
+    let skew = stream.normal().clamp(-2.0, 2.0) * 0.09;
+    let mut units = Vec::new();
+    for &(number, weight) in set {
+        let weight = weight * strength * stream.uniform(0.8, 1.1);
+        for &(n, side) in available.iter().filter(|(n, _)| *n == number) {
+            let lean = match side {
+                Side::Both => 1.0,
+                Side::Left => 1.0 + skew,
+                Side::Right => 1.0 - skew,
+            };
+            units.push((n, side, (weight * lean).clamp(0.0, 1.0)));
+        }
+    }
+    units
+}
+
+/// Jaw, widened and rounded lips: which [`Motion::spoken`] channel moves a unit.
+fn speech_channel(number: u8) -> usize {
+    match number {
+        25 | 26 => 0,
+        20 | 10 | 16 => 1,
+        _ => 2,
+    }
+}
+
+fn speech_units(available: &[(u8, Side)]) -> Vec<(u8, Side, f32)> {
+    const SPEECH: [(u8, f32); 7] =
+        [(25, 0.8), (26, 0.55), (20, 0.3), (10, 0.25), (16, 0.35), (18, 0.5), (17, 0.3)];
+    let listed = |&(number, weight): &(u8, f32)| {
+        let sides = available.iter().filter(move |(n, _)| *n == number);
+        sides.map(move |&(n, side)| (n, side, weight)).collect::<Vec<_>>()
+    };
+    SPEECH.iter().flat_map(listed).collect()
+}
+
+fn blinks(stream: &mut Stream, seconds: f32) -> Vec<f32> {
+    let mut blinks = Vec::new();
+    let mut start = stream.uniform(0.5, 3.0);
+    while start < seconds {
+        blinks.push(start);
+        start += stream.uniform(1.6, 5.5);
+    }
+    blinks
+}
+
+fn fixations(stream: &mut Stream, seconds: f32) -> Vec<Fixation> {
+    let mut fixations = Vec::new();
+    let mut start = stream.uniform(0.3, 1.2);
+    while start < seconds {
+        // Every third look goes back to the camera.
+        let away = if stream.unit() < 0.35 { 0.0 } else { 1.0 };
+        let gaze = [stream.uniform(-0.32, 0.32) * away, stream.uniform(-0.20, 0.16) * away];
+        fixations.push(Fixation { start, gaze });
+        start += stream.uniform(0.5, 1.8);
+    }
+    fixations
+}
+
+impl Event {
+    fn strength(&self, time: f32) -> f32 {
+        let end = self.start + self.attack + self.hold + self.release;
+        quintic((time - self.start) / self.attack) * quintic((end - time) / self.release)
+    }
+}
+
+/// A random curve without frequencies above its knots: a uniform cubic B-spline.
+#[derive(Debug, Clone)]
+struct Curve {
+    knot_seconds: f32,
+    knots: Vec<f32>,
+}
+
+impl Curve {
+    fn random(stream: &mut Stream, seconds: f32, knot_seconds: f32, reach: f32) -> Self {
+        let count = (seconds / knot_seconds).min(1e6) as usize + 4;
+        Self { knot_seconds, knots: (0..count).map(|_| stream.uniform(-reach, reach)).collect() }
+    }
+
+    fn at(&self, time: f32) -> f32 {
+        let position = (time / self.knot_seconds).clamp(0.0, (self.knots.len() - 4) as f32);
+        let first = position as usize;
+        let t = position - first as f32;
+        let basis = [
+            (1.0 - t) * (1.0 - t) * (1.0 - t),
+            3.0 * t * t * t - 6.0 * t * t + 4.0,
+            3.0 * (t + t * t - t * t * t) + 1.0,
+            t * t * t,
+        ];
+        self.knots[first..].iter().zip(basis).map(|(knot, weight)| knot * weight / 6.0).sum()
+    }
+}
+
+/// 0 until 0, 1 from 1, and between them a step whose velocity and acceleration are continuous.
+pub(crate) fn quintic(t: f32) -> f32 {
+    let t = t.clamp(0.0, 1.0);
+    t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
+}

@@ -12,6 +12,29 @@ pub struct SizeError {
     pub found: usize,
 }
 
+/// Two grids that must be of one size are not.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{first_name} is {}x{} and {second_name} {}x{} (WIDTHxHEIGHT): they must be of one size", .first.0, .first.1, .second.0, .second.1)]
+pub struct SizeMismatch {
+    /// What the first is, e.g. `the prediction`.
+    pub first_name: &'static str,
+    /// Width and height of the first.
+    pub first: (usize, usize),
+    /// What the second is.
+    pub second_name: &'static str,
+    /// Width and height of the second.
+    pub second: (usize, usize),
+}
+
+pub(crate) fn check_same_size(
+    first_name: &'static str,
+    first: (usize, usize),
+    second_name: &'static str,
+    second: (usize, usize),
+) -> Result<(), SizeMismatch> {
+    if first == second { Ok(()) } else { Err(SizeMismatch { first_name, first, second_name, second }) }
+}
+
 macro_rules! grid {
     ($(#[$doc:meta])* $name:ident, $pixel:ty, $blank:expr) => {
         $(#[$doc])*

@@ -1,4 +1,8 @@
+use std::ops::Range;
+
 use srflow_field::{FlowField, Image, Mask, Plane};
+
+use crate::strip::to_byte;
 
 /// Which outputs a rendering writes. Those not asked for are left empty (size 0x0) and cost nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -137,5 +141,71 @@ impl Frame {
         self.color.resize(if outputs.color { width * height } else { 0 }, [0.0; 3]);
         (self.width, self.height) = (width, height);
         self.statistics = Statistics::default();
+    }
+}
+
+/// A band of a frame's rows, to be written by one thread. Outputs that are not wanted are empty.
+pub(crate) struct FrameRows<'a> {
+    pub width: usize,
+    pub height: usize,
+    pub image: &'a mut [[u8; 3]],
+    pub color: &'a mut [[f32; 3]],
+    pub alpha: &'a mut [f32],
+    pub depth: &'a mut [f32],
+    pub flow: &'a mut [[f32; 2]],
+    pub depth_next: &'a mut [f32],
+}
+
+impl<'a> FrameRows<'a> {
+    /// All rows of a frame that was prepared.
+    pub(crate) fn all(frame: &'a mut Frame) -> Self {
+        Self {
+            width: frame.width,
+            height: frame.height,
+            image: frame.image.pixels_mut(),
+            color: &mut frame.color,
+            alpha: frame.alpha.pixels_mut(),
+            depth: frame.depth.pixels_mut(),
+            flow: frame.flow.pixels_mut(),
+            depth_next: frame.depth_next.pixels_mut(),
+        }
+    }
+
+    /// The rows before `row`, and the others.
+    pub(crate) fn split_at(self, row: usize) -> (Self, Self) {
+        let width = self.width;
+        let middle = row * width;
+        macro_rules! split {
+            ($($output:ident),*) => {
+                let ($($output),*) = ($(self.$output.split_at_mut(middle.min(self.$output.len()))),*);
+                (
+                    Self { width, height: row, $($output: $output.0),* },
+                    Self { width, height: self.height - row, $($output: $output.1),* },
+                )
+            };
+        }
+        split! { image, color, alpha, depth, flow, depth_next }
+    }
+
+    /// Fills columns `columns` of every row with what is seen where there is no Gaussian.
+    pub(crate) fn fill_background(&mut self, columns: Range<usize>, background: [f32; 3]) {
+        if columns.is_empty() {
+            return;
+        }
+        for y in 0..self.height {
+            let span = y * self.width + columns.start..y * self.width + columns.end;
+            fill(self.image, span.clone(), background.map(to_byte));
+            fill(self.color, span.clone(), background);
+            fill(self.alpha, span.clone(), 0.0);
+            fill(self.depth, span.clone(), 0.0);
+            fill(self.flow, span.clone(), [0.0; 2]);
+            fill(self.depth_next, span, 0.0);
+        }
+    }
+}
+
+fn fill<T: Copy>(output: &mut [T], span: Range<usize>, value: T) {
+    if let Some(pixels) = output.get_mut(span) {
+        pixels.fill(value);
     }
 }

@@ -5,16 +5,24 @@
 //!
 //! [`reference`] is the definition, one pixel at a time in `f64`; [`Rasterizer`] computes the same fast.
 
+mod blending;
 mod camera;
 mod error;
 mod frame;
 mod gaussians;
+mod ordering;
+mod projection;
 mod rasterizer;
 pub mod reference;
 mod sh;
+mod simd;
+mod strip;
 
 pub use camera::{Camera, MAX_PIXELS, NEAR, PixelConvention};
 pub use error::{CameraError, RasterizeError};
 pub use frame::{Frame, Outputs, Statistics};
 pub use gaussians::Gaussians;
 pub use rasterizer::{Next, Options, Rasterizer};
+
+#[cfg(test)]
+mod tests;

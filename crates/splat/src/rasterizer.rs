@@ -1,4 +1,8 @@
-use crate::{Camera, Frame, Gaussians, Outputs, PixelConvention, RasterizeError, reference};
+use crate::frame::FrameRows;
+use crate::ordering::{Bins, DepthOrder};
+use crate::projection::{Splat, TILE, TileRect, project};
+use crate::strip::Scene;
+use crate::{Camera, Frame, Gaussians, Outputs, PixelConvention, RasterizeError, Statistics, simd, strip};
 
 /// How to render.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,12 +34,49 @@ pub struct Next<'a> {
 /// The Gaussian and Flow Rasterizer. It holds working memory that is reused from one rendering to the next; the result
 /// does not depend on what was rendered before, on the number of threads or on the processor.
 #[derive(Debug, Default)]
-pub struct Rasterizer {}
+pub struct Rasterizer {
+    processor: Processor,
+    splats: Vec<Splat>,
+    rects: Vec<TileRect>,
+    order: DepthOrder,
+    strips: Bins,
+    tiles: Vec<Bins>,
+}
+
+/// The instruction set to use.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Processor {
+    #[cfg(target_arch = "x86_64")]
+    Avx512(simd::Avx512),
+    #[cfg(target_arch = "x86_64")]
+    Avx2(simd::Avx2),
+    Portable,
+}
+
+impl Default for Processor {
+    fn default() -> Self {
+        #[cfg(target_arch = "x86_64")]
+        {
+            if let Some(isa) = simd::Avx512::detect() {
+                return Self::Avx512(isa);
+            }
+            if let Some(isa) = simd::Avx2::detect() {
+                return Self::Avx2(isa);
+            }
+        }
+        Self::Portable
+    }
+}
 
 impl Rasterizer {
-    /// A rasterizer.
+    /// A rasterizer that uses the widest instruction set of this processor.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    #[cfg(test)]
+    pub(crate) fn on(processor: Processor) -> Self {
+        Self { processor, ..Self::default() }
     }
 
     /// Renders `gaussians` as `camera` sees them into `frame`, with the flow towards `next` when there is one.
@@ -53,34 +94,103 @@ impl Rasterizer {
         options: &Options,
         frame: &mut Frame,
     ) -> Result<(), RasterizeError> {
-        let pixels = reference::render(gaussians, camera, next, options)?;
-        let mut outputs = options.outputs;
-        outputs.flow &= next.is_some();
-        outputs.depth_next &= next.is_some();
+        validate(gaussians, camera, next)?;
+        let has_next = next.is_some();
+        let wanted = options.outputs;
+        let outputs =
+            Outputs { flow: wanted.flow && has_next, depth_next: wanted.depth_next && has_next, ..wanted };
         frame.prepare(camera.width, camera.height, outputs);
-        for (i, pixel) in pixels.iter().enumerate() {
-            let color = pixel.color.map(|c| c as f32);
-            if outputs.color {
-                frame.color[i] = color;
-            }
-            if outputs.image {
-                frame.image.pixels_mut()[i] = color.map(|c| (c * 255.0 + 0.5) as u8);
-            }
-            if outputs.alpha {
-                frame.alpha.pixels_mut()[i] = pixel.alpha as f32;
-            }
-            if outputs.depth {
-                frame.depth.pixels_mut()[i] = pixel.depth as f32;
-            }
-            if outputs.flow {
-                frame.flow.pixels_mut()[i] = pixel.flow.map(|c| c as f32);
-            }
-            if outputs.depth_next {
-                frame.depth_next.pixels_mut()[i] = pixel.depth_next as f32;
-            }
-            frame.statistics.blended += u64::from(pixel.blended);
-        }
+
+        let without_displacement =
+            project(gaussians, camera, next, options.convention, &mut self.splats, &mut self.rects);
+        let order = self.order.sort(&self.splats, &self.rects);
+        let strips = camera.height.div_ceil(TILE);
+        self.strips.deal(order, strips, |splat| {
+            let rect = self.rects[splat as usize];
+            rect.top..rect.bottom
+        });
+        self.tiles.resize_with(strips, Bins::default);
+
+        let pass = Pass {
+            processor: self.processor,
+            scene: Scene { splats: &self.splats, rects: &self.rects, background: options.background },
+            order,
+            strips: &self.strips,
+            motion: outputs.flow || outputs.depth_next,
+        };
+        let blended = pass.render(0, FrameRows::all(frame), &mut self.tiles);
+        frame.statistics = Statistics { visible: order.len(), blended, without_displacement };
         Ok(())
+    }
+}
+
+/// The blending of one rendering.
+struct Pass<'a> {
+    processor: Processor,
+    scene: Scene<'a>,
+    order: &'a [u32],
+    strips: &'a Bins,
+    /// Whether displacements and next depths are blended too.
+    motion: bool,
+}
+
+impl Pass<'_> {
+    /// Renders the strips of `rows`, the first of which is number `strip`; `tiles` holds the working memory of each.
+    /// Threads take halves of halves: work is balanced and nothing is allocated. Returns the pairs blended.
+    fn render(&self, strip: usize, rows: FrameRows<'_>, tiles: &mut [Bins]) -> u64 {
+        if tiles.len() > 1 {
+            let half = tiles.len() / 2;
+            let (upper, lower) = rows.split_at(half * TILE);
+            let (upper_tiles, lower_tiles) = tiles.split_at_mut(half);
+            let (a, b) = rayon::join(
+                || self.render(strip, upper, upper_tiles),
+                || self.render(strip + half, lower, lower_tiles),
+            );
+            return a + b;
+        }
+        let [tiles] = tiles else { return 0 };
+        if self.motion { self.strip::<7>(strip, rows, tiles) } else { self.strip::<4>(strip, rows, tiles) }
+    }
+
+    fn strip<const CHANNELS: usize>(&self, strip: usize, mut rows: FrameRows<'_>, tiles: &mut Bins) -> u64 {
+        let splats = self.strips.get(strip, self.order);
+        match self.processor {
+            #[cfg(target_arch = "x86_64")]
+            Processor::Avx512(isa) => {
+                #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma")]
+                fn run<const CHANNELS: usize>(
+                    isa: simd::Avx512,
+                    scene: Scene<'_>,
+                    strip: usize,
+                    splats: &[u32],
+                    tiles: &mut Bins,
+                    rows: &mut FrameRows<'_>,
+                ) -> u64 {
+                    strip::render::<CHANNELS>(isa, scene, strip, splats, tiles, rows)
+                }
+                // SAFETY: an `Avx512` exists only where the processor has these instructions.
+                unsafe { run::<CHANNELS>(isa, self.scene, strip, splats, tiles, &mut rows) }
+            }
+            #[cfg(target_arch = "x86_64")]
+            Processor::Avx2(isa) => {
+                #[target_feature(enable = "avx2,fma")]
+                fn run<const CHANNELS: usize>(
+                    isa: simd::Avx2,
+                    scene: Scene<'_>,
+                    strip: usize,
+                    splats: &[u32],
+                    tiles: &mut Bins,
+                    rows: &mut FrameRows<'_>,
+                ) -> u64 {
+                    strip::render::<CHANNELS>(isa, scene, strip, splats, tiles, rows)
+                }
+                // SAFETY: an `Avx2` exists only where the processor has these instructions.
+                unsafe { run::<CHANNELS>(isa, self.scene, strip, splats, tiles, &mut rows) }
+            }
+            Processor::Portable => {
+                strip::render::<CHANNELS>(simd::Portable, self.scene, strip, splats, tiles, &mut rows)
+            }
+        }
     }
 }
 

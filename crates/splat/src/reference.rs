@@ -20,12 +20,13 @@ use crate::{Camera, Gaussians, NEAR, Next, Options, RasterizeError, sh};
 
 /// Added to the diagonal of the projected covariance, px^2: every Gaussian is about a pixel wide at least.
 pub const LOW_PASS: f64 = 0.3;
-/// The most opaque a Gaussian can be at a pixel.
-pub const ALPHA_MAX: f64 = 0.99;
+/// The most opaque a Gaussian can be at a pixel: 0.99 as `f32`, as there. Two such leave a transmittance just under
+/// [`TRANSMITTANCE_MIN`], so the rounding of this constant is seen.
+pub const ALPHA_MAX: f64 = 0.99_f32 as f64;
 /// Alphas under this are skipped.
 pub const ALPHA_MIN: f64 = 1.0 / 255.0;
 /// A pixel is done before the Gaussian that would take its transmittance under this.
-pub const TRANSMITTANCE_MIN: f64 = 1e-4;
+pub const TRANSMITTANCE_MIN: f64 = 1e-4_f32 as f64;
 
 /// One pixel of a rendering; see [`Frame`](crate::Frame) for the meaning of each.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]

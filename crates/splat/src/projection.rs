@@ -1,0 +1,227 @@
+//! From Gaussians to splats: ellipses on the image plane, with what is blended.
+
+use glam::{DMat3, DMat4, DVec2, DVec3, Vec3};
+use rayon::prelude::*;
+
+use crate::blending::LOG2_ALPHA_MIN;
+use crate::reference::{ALPHA_MIN, LOW_PASS};
+use crate::{Camera, Gaussians, NEAR, Next, PixelConvention, sh, simd};
+
+/// Sides of a tile in pixels.
+pub(crate) const TILE: usize = simd::LANES;
+
+/// A Gaussian on the image plane; a cache line.
+///
+/// With `d` the offset from the centre, its alpha there is `2^(log2_opacity - e1^2 - e2^2)`, where
+/// `e1 = xx * d.x + xy * d.y` and `e2 = yy * d.y`. This triangular factor of the inverse covariance keeps its precision
+/// for needles, where the sum of the conic's three terms would cancel, and is never negative.
+#[derive(Debug, Clone, Copy, Default)]
+#[repr(C, align(64))]
+pub(crate) struct Splat {
+    /// In pixels. `f64`, since a pixel coordinate in `f32` is off by up to 1e-4 px.
+    pub center: [f64; 2],
+    /// `xx`, `xy`, `yy` in 1/px.
+    pub factor: [f32; 3],
+    pub log2_opacity: f32,
+    /// Red, green, blue, depth, displacement u and v, depth in the next camera.
+    pub features: [f32; 7],
+}
+
+/// Tiles that a splat can touch: columns `left..right` of rows `top..bottom`; none when it is not drawn.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct TileRect {
+    pub left: u32,
+    pub right: u32,
+    pub top: u32,
+    pub bottom: u32,
+}
+
+impl TileRect {
+    pub(crate) fn is_empty(self) -> bool {
+        self.left >= self.right || self.top >= self.bottom
+    }
+}
+
+/// Projects every Gaussian, in parallel. `splats` and `rects` get one entry per Gaussian; a splat whose rectangle is
+/// empty holds nothing of use. Returns how many are drawn without a displacement though there is a next frame.
+pub(crate) fn project(
+    gaussians: &Gaussians,
+    camera: &Camera,
+    next: Option<Next<'_>>,
+    convention: PixelConvention,
+    splats: &mut Vec<Splat>,
+    rects: &mut Vec<TileRect>,
+) -> usize {
+    const CHUNK: usize = 2048;
+    splats.resize(gaussians.len(), Splat::default());
+    rects.resize(gaussians.len(), TileRect::default());
+    let view = View::new(camera);
+    let motion = next.map(|next| (next.gaussians, Motion::new(next.camera, convention)));
+    splats
+        .par_chunks_mut(CHUNK)
+        .zip(rects.par_chunks_mut(CHUNK))
+        .enumerate()
+        .map(|(chunk, (splats, rects))| {
+            let mut without_displacement = 0;
+            for (i, (splat, rect)) in splats.iter_mut().zip(rects).enumerate() {
+                let index = chunk * CHUNK + i;
+                *rect = view.project(gaussians, index, splat);
+                if rect.is_empty() {
+                    continue;
+                }
+                if let Some((gaussians, motion)) = &motion
+                    && !motion.apply(gaussians.positions[index], splat)
+                {
+                    without_displacement += 1;
+                }
+            }
+            without_displacement
+        })
+        .sum()
+}
+
+/// A camera and what follows from it for all Gaussians.
+struct View {
+    camera: Camera,
+    rotation: DMat3,
+    position: DVec3,
+    /// Bounds of the direction at which the Jacobian is taken; see the notes in [`crate::reference`].
+    clamp_min: DVec2,
+    clamp_max: DVec2,
+}
+
+impl View {
+    fn new(camera: &Camera) -> Self {
+        let size = DVec2::new(camera.width as f64, camera.height as f64);
+        let focal = DVec2::new(camera.fx, camera.fy);
+        let principal = DVec2::new(camera.cx, camera.cy);
+        let margin = 0.15 * size / focal;
+        Self {
+            camera: *camera,
+            rotation: DMat3::from_mat4(camera.camera_from_world),
+            position: camera.position(),
+            clamp_min: (DVec2::splat(-0.5) - principal) / focal - margin,
+            clamp_max: (size - 0.5 - principal) / focal + margin,
+        }
+    }
+
+    /// Fills `splat` but for the motion, and returns the tiles that it can touch.
+    fn project(&self, gaussians: &Gaussians, index: usize, splat: &mut Splat) -> TileRect {
+        let hidden = TileRect::default();
+        let position = gaussians.positions[index].as_dvec3();
+        let point = self.camera.camera_from_world.transform_point3(position);
+        let opacity = f64::from(gaussians.opacities[index]);
+        // Written so that NaN is hidden too.
+        if !(point.z > NEAR && (point.z as f32).is_finite() && position.is_finite() && opacity >= ALPHA_MIN) {
+            return hidden;
+        }
+        let Some(ellipse) = self.ellipse(gaussians, index, point) else { return hidden };
+        let center = self.camera.pixel(point);
+        let log2_opacity = libm::log2(opacity);
+        let Some(rect) = self.tiles(center, &ellipse, log2_opacity) else { return hidden };
+
+        let sh = &gaussians.sh[index * gaussians.sh_len()..][..gaussians.sh_len()];
+        let color = sh::color(gaussians.sh_degree, sh, (position - self.position).normalize());
+        let [r, g, b] = color.map(|channel| channel as f32);
+        if !(sh.as_flattened().iter().all(|c| c.is_finite()) && log2_opacity.is_finite()) {
+            return hidden;
+        }
+        *splat = Splat {
+            center: center.to_array(),
+            factor: ellipse.factor(),
+            log2_opacity: log2_opacity as f32,
+            features: [r, g, b, point.z as f32, 0.0, 0.0, 0.0],
+        };
+        rect
+    }
+
+    /// EWA projection of the covariance at `point`, low-pass filter included; `None` when a parameter is not usable.
+    fn ellipse(&self, gaussians: &Gaussians, index: usize, point: DVec3) -> Option<Ellipse> {
+        let scale = gaussians.scales[index].as_dvec3();
+        let rotation = gaussians.rotations[index].as_dquat();
+        let length = rotation.length();
+        if !(scale.is_finite() && length.is_finite() && length > 0.0) {
+            return None;
+        }
+        let axes = self.rotation * DMat3::from_quat(rotation / length);
+        let direction = (point.truncate() / point.z).clamp(self.clamp_min, self.clamp_max);
+        let (x, y, z) = (axes.row(0), axes.row(1), axes.row(2));
+        let horizontal = (x - direction.x * z) * scale * (self.camera.fx / point.z);
+        let vertical = (y - direction.y * z) * scale * (self.camera.fy / point.z);
+        let xx = horizontal.length_squared();
+        let yy = vertical.length_squared();
+        // The determinant of A A^T is the sum of the squared minors of A: no cancellation for needles.
+        let determinant =
+            horizontal.cross(vertical).length_squared() + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS;
+        Some(Ellipse { xx: xx + LOW_PASS, xy: horizontal.dot(vertical), yy: yy + LOW_PASS, determinant })
+    }
+
+    /// Tiles that meet the bounding box of the pixels with alpha of at least 1/255; `None` when outside the image.
+    fn tiles(&self, center: DVec2, ellipse: &Ellipse, log2_opacity: f64) -> Option<TileRect> {
+        // alpha >= 1/255 where the squared Mahalanobis distance is at most this.
+        let reach = 2.0 * std::f64::consts::LN_2 * (log2_opacity - f64::from(LOG2_ALPHA_MIN)).max(0.0);
+        // A little more than needed, so that no rounding in the blending's f32 can reach a pixel outside.
+        let extent = DVec2::new((reach * ellipse.xx).sqrt(), (reach * ellipse.yy).sqrt()) * 1.0001 + 0.001;
+        let span = |low: f64, high: f64, size: usize| {
+            let low = low.ceil().max(0.0);
+            let high = high.floor().min(size as f64 - 1.0);
+            (low <= high).then(|| ((low as usize / TILE) as u32, (high as usize / TILE) as u32 + 1))
+        };
+        let (left, right) = span(center.x - extent.x, center.x + extent.x, self.camera.width)?;
+        let (top, bottom) = span(center.y - extent.y, center.y + extent.y, self.camera.height)?;
+        Some(TileRect { left, right, top, bottom })
+    }
+}
+
+/// A projected covariance in px^2.
+struct Ellipse {
+    xx: f64,
+    xy: f64,
+    yy: f64,
+    determinant: f64,
+}
+
+impl Ellipse {
+    /// [`Splat::factor`]: the inverse covariance is `2 ln 2` times the factor's transpose times the factor.
+    fn factor(&self) -> [f32; 3] {
+        let unit = (0.5 * std::f64::consts::LOG2_E).sqrt();
+        let xx = (self.yy / self.determinant).sqrt();
+        let xy = -self.xy / (self.yy * self.determinant).sqrt();
+        let yy = 1.0 / self.yy.sqrt();
+        [xx, xy, yy].map(|entry| (unit * entry) as f32)
+    }
+}
+
+/// The camera that the flow leads to.
+struct Motion {
+    camera: Camera,
+    camera_from_world: DMat4,
+    scale: DVec2,
+}
+
+impl Motion {
+    fn new(camera: &Camera, convention: PixelConvention) -> Self {
+        Self {
+            camera: *camera,
+            camera_from_world: camera.camera_from_world,
+            scale: DVec2::new(convention.scale(camera.width), convention.scale(camera.height)),
+        }
+    }
+
+    /// Fills the splat's displacement and next depth; `false` when it has no displacement.
+    fn apply(&self, position: Vec3, splat: &mut Splat) -> bool {
+        let point = self.camera_from_world.transform_point3(position.as_dvec3());
+        let depth = point.z as f32;
+        splat.features[6] = if depth.is_finite() { depth } else { 0.0 };
+        if !(point.is_finite() && point.z > NEAR) {
+            return false;
+        }
+        let displacement = (self.camera.pixel(point) - DVec2::from_array(splat.center)) * self.scale;
+        let [u, v] = [displacement.x as f32, displacement.y as f32];
+        let defined = u.is_finite() && v.is_finite();
+        if defined {
+            splat.features[4..6].copy_from_slice(&[u, v]);
+        }
+        defined
+    }
+}

@@ -1,0 +1,79 @@
+//! The same bits whatever the processor, the number of threads, and what was rendered before.
+
+use glam::DVec3;
+
+use super::scenes::{camera, jittered, moved, random};
+use crate::rasterizer::Processor;
+use crate::{Camera, Frame, Next, Options, Outputs, Rasterizer, simd};
+
+fn wide() -> Camera {
+    Camera { width: 333, height: 217, fx: 300.0, fy: 310.0, cx: 150.0, cy: 110.0, ..camera() }
+}
+
+fn render(rasterizer: &mut Rasterizer, seed: u64, camera: &Camera, outputs: Outputs, frame: &mut Frame) {
+    let gaussians = random(seed, 600, 3);
+    let moved_gaussians = jittered(&gaussians, seed, 0.03);
+    let second = moved(*camera, 0.03, 0.02, DVec3::new(0.1, 0.0, 0.05));
+    let options = Options { background: [0.2, 0.4, 0.6], outputs, ..Options::default() };
+    let next = Next { gaussians: &moved_gaussians, camera: &second };
+    rasterizer.render(&gaussians, camera, Some(next), &options, frame).unwrap();
+}
+
+fn fresh(processor: Processor) -> Frame {
+    let mut frame = Frame::new();
+    render(&mut Rasterizer::on(processor), 1, &wide(), Outputs::ALL, &mut frame);
+    frame
+}
+
+#[test]
+fn every_instruction_set_gives_the_same_bits() {
+    let portable = fresh(Processor::Portable);
+    assert!(portable.statistics.blended > 100_000);
+    #[cfg(target_arch = "x86_64")]
+    {
+        match simd::Avx2::detect() {
+            Some(isa) => assert!(fresh(Processor::Avx2(isa)) == portable, "AVX2 differs"),
+            None => eprintln!("not tested: this processor has no AVX2"),
+        }
+        match simd::Avx512::detect() {
+            Some(isa) => assert!(fresh(Processor::Avx512(isa)) == portable, "AVX-512 differs"),
+            None => eprintln!("not tested: this processor has no AVX-512"),
+        }
+    }
+}
+
+#[test]
+fn the_number_of_threads_does_not_matter() {
+    let frames = [1, 2, 5].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| fresh(Processor::default()))
+    });
+    assert!(frames[0] == frames[1] && frames[1] == frames[2]);
+}
+
+#[test]
+fn earlier_renderings_leave_no_trace() {
+    let expected = fresh(Processor::default());
+    let mut rasterizer = Rasterizer::new();
+    let mut frame = Frame::new();
+    render(&mut rasterizer, 2, &Camera { width: 500, height: 400, ..wide() }, Outputs::ALL, &mut frame);
+    render(&mut rasterizer, 3, &camera(), Outputs::IMAGE, &mut frame);
+    assert_eq!((frame.image.size(), frame.alpha.size(), frame.color.len()), ((83, 57), (0, 0), 0));
+    render(&mut rasterizer, 1, &wide(), Outputs::ALL, &mut frame);
+    assert!(frame == expected);
+}
+
+#[test]
+fn an_output_does_not_depend_on_the_others() {
+    let expected = fresh(Processor::default());
+    let none = Outputs { image: false, ..Outputs::IMAGE };
+    let mut rasterizer = Rasterizer::new();
+    let mut frame = Frame::new();
+    render(&mut rasterizer, 1, &wide(), Outputs::IMAGE, &mut frame);
+    assert!(frame.image == expected.image);
+    render(&mut rasterizer, 1, &wide(), Outputs { alpha: true, depth: true, ..none }, &mut frame);
+    assert!(frame.alpha == expected.alpha && frame.depth == expected.depth);
+    render(&mut rasterizer, 1, &wide(), Outputs { flow: true, color: true, ..none }, &mut frame);
+    assert!(frame.flow == expected.flow && frame.color == expected.color);
+    assert_eq!(frame.depth_next.size(), (0, 0));
+}

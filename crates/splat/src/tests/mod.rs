@@ -1,0 +1,4 @@
+mod invariance;
+mod motion;
+mod scenes;
+mod twin;

@@ -1,0 +1,220 @@
+//! The fast rasterizer against the readable one.
+
+use glam::{DVec3, Quat, Vec3};
+
+use super::scenes::{camera, jittered, moved, push, random, single};
+use crate::reference::{self, Pixel};
+use crate::{Camera, Frame, Gaussians, Next, Options, Rasterizer};
+
+const BACKGROUND: [f32; 3] = [0.1, 0.5, 0.9];
+
+/// Both renderings; without `next` nothing moves.
+fn both(gaussians: &Gaussians, camera: &Camera, next: Option<Next<'_>>) -> (Frame, Vec<Pixel>) {
+    let next = next.or(Some(Next { gaussians, camera }));
+    let options = Options { background: BACKGROUND, ..Options::default() };
+    let mut frame = Frame::new();
+    Rasterizer::new().render(gaussians, camera, next, &options, &mut frame).unwrap();
+    (frame, reference::render(gaussians, camera, next, &options).unwrap())
+}
+
+/// Holds the two together: colour within 2/255 everywhere, flow within 0.01 px and depths within 1e-3 wherever alpha
+/// is over one half. Returns how many pixels are covered that much.
+#[track_caller]
+fn assert_close(frame: &Frame, pixels: &[Pixel]) -> usize {
+    assert_eq!((frame.width * frame.height, frame.color.len()), (pixels.len(), pixels.len()));
+    let mut covered = 0;
+    for (i, pixel) in pixels.iter().enumerate() {
+        let (x, y) = (i % frame.width, i / frame.width);
+        for channel in 0..3 {
+            let (fast, slow) = (frame.color[i][channel], pixel.color[channel]);
+            let byte = frame.image.pixels()[i][channel];
+            assert!(
+                (f64::from(fast) - slow).abs() < 2.0 / 255.0,
+                "colour at ({x}, {y}): {fast}, twin {slow}"
+            );
+            assert!((f64::from(byte) - slow.clamp(0.0, 1.0) * 255.0).abs() < 2.5, "byte at ({x}, {y})");
+        }
+        let alpha = frame.alpha.pixels()[i];
+        assert!((f64::from(alpha) - pixel.alpha).abs() < 1.0 / 255.0, "alpha at ({x}, {y})");
+        if pixel.alpha <= 0.5 {
+            continue;
+        }
+        covered += 1;
+        let depths =
+            [(frame.depth.pixels()[i], pixel.depth), (frame.depth_next.pixels()[i], pixel.depth_next)];
+        for (fast, slow) in depths {
+            assert!((f64::from(fast) - slow).abs() < 1e-3, "depth at ({x}, {y}): {fast}, twin {slow}");
+        }
+        for (fast, slow) in frame.flow.pixels()[i].iter().zip(pixel.flow) {
+            assert!((f64::from(*fast) - slow).abs() < 0.01, "flow at ({x}, {y}): {fast}, twin {slow}");
+        }
+    }
+    covered
+}
+
+#[test]
+fn random_scenes_agree() {
+    let first = camera();
+    let second = moved(first, 0.05, -0.03, DVec3::new(0.05, 0.02, -0.1));
+    let mut covered = 0;
+    for seed in 0..16 {
+        let count = [3, 30, 120, 400][seed as usize % 4];
+        let gaussians = random(seed, count, seed as usize / 4);
+        let next = jittered(&gaussians, seed, 0.02);
+        let (frame, pixels) = both(&gaussians, &first, Some(Next { gaussians: &next, camera: &second }));
+        covered += assert_close(&frame, &pixels);
+        let blended: u64 = pixels.iter().map(|pixel| u64::from(pixel.blended)).sum();
+        let difference = frame.statistics.blended.abs_diff(blended);
+        assert!(difference * 10_000 <= blended, "{} pairs blended, twin {blended}", frame.statistics.blended);
+    }
+    assert!(covered > 20_000, "only {covered} pixels were covered");
+}
+
+#[test]
+fn empty_scene_is_background() {
+    let gaussians = Gaussians::default();
+    let camera = camera();
+    let (frame, pixels) = both(&gaussians, &camera, Some(Next { gaussians: &gaussians, camera: &camera }));
+    assert_eq!(assert_close(&frame, &pixels), 0);
+    assert!(frame.color.iter().all(|color| *color == BACKGROUND));
+    assert!(frame.image.pixels().iter().all(|pixel| *pixel == [26, 128, 230]));
+    assert!(frame.depth.pixels().iter().chain(frame.alpha.pixels()).all(|value| *value == 0.0));
+    assert!(frame.flow.pixels().iter().all(|flow| *flow == [0.0; 2]));
+}
+
+#[test]
+fn gaussians_behind_the_near_plane_are_not_drawn() {
+    for depth in [-3.0, -0.2, 0.0, 0.1, 0.199_999] {
+        let (frame, pixels) = both(&single(Vec3::new(0.0, 0.0, depth), 5.0, 1.0), &camera(), None);
+        assert_close(&frame, &pixels);
+        assert_eq!(frame.statistics.visible, 0, "depth {depth}");
+    }
+}
+
+#[test]
+fn needles_agree_at_every_angle() {
+    let camera = Camera { width: 640, height: 480, fx: 700.0, fy: 700.0, cx: 320.0, cy: 240.0, ..camera() };
+    for step in 0..12 {
+        let angle = step as f32 * 0.27 + 0.01;
+        let mut gaussians = Gaussians::default();
+        let rotation = Quat::from_rotation_z(angle);
+        push(
+            &mut gaussians,
+            Vec3::new(0.02, 0.01, 1.5),
+            Vec3::new(2.0, 1e-5, 1e-5),
+            rotation,
+            0.95,
+            [0.9; 3],
+        );
+        let (frame, pixels) = both(&gaussians, &camera, None);
+        assert!(assert_close(&frame, &pixels) > 300, "angle {angle}");
+    }
+}
+
+#[test]
+fn huge_gaussians_and_those_across_the_border_agree() {
+    let mut gaussians = Gaussians::default();
+    for (i, x) in [-0.45, 0.0, 0.47, 0.9, 3.0].into_iter().enumerate() {
+        let size = [0.05, 0.3, 0.05, 0.4, 2.5][i];
+        push(
+            &mut gaussians,
+            Vec3::new(x, -0.35, 1.0),
+            Vec3::splat(size),
+            Quat::IDENTITY,
+            0.6,
+            [0.2, 0.6, 0.4],
+        );
+    }
+    push(&mut gaussians, Vec3::new(0.0, 0.0, 50.0), Vec3::splat(1e6), Quat::IDENTITY, 0.9, [0.7; 3]);
+    push(&mut gaussians, Vec3::new(1e7, 0.0, 5.0), Vec3::splat(1e7), Quat::IDENTITY, 0.9, [0.3; 3]);
+    let (frame, pixels) = both(&gaussians, &camera(), None);
+    assert_eq!(assert_close(&frame, &pixels), pixels.len());
+}
+
+#[test]
+fn equal_depths_are_drawn_in_order_of_index() {
+    let mut gaussians = Gaussians::default();
+    for i in 0..40 {
+        let color = if i == 0 { [1.0, 0.0, 0.0] } else { [0.0, 0.0, 1.0] };
+        push(&mut gaussians, Vec3::new(0.0, 0.0, 1.0), Vec3::splat(0.2), Quat::IDENTITY, 0.9, color);
+    }
+    let (frame, pixels) = both(&gaussians, &camera(), None);
+    assert_close(&frame, &pixels);
+    let center = frame.color[31 * frame.width + 37];
+    assert!(center[0] > 0.85 && center[2] < 0.15, "the first is in front: {center:?}");
+}
+
+#[test]
+fn a_pixel_is_done_before_its_transmittance_falls_under_the_limit() {
+    let mut gaussians = Gaussians::default();
+    for i in 0..6 {
+        push(
+            &mut gaussians,
+            Vec3::new(0.0, 0.0, 1.0 + i as f32),
+            Vec3::splat(9.0),
+            Quat::IDENTITY,
+            1.0,
+            [0.5; 3],
+        );
+    }
+    let (frame, pixels) = both(&gaussians, &camera(), None);
+    assert_close(&frame, &pixels);
+    // The first leaves a transmittance of 0.01 (alpha is clamped to 0.99), the second would leave less than 1e-4.
+    assert!(pixels.iter().all(|pixel| pixel.blended == 1));
+    assert_eq!(frame.statistics.blended, pixels.len() as u64);
+}
+
+#[test]
+fn parameters_that_are_not_finite_hide_a_gaussian_and_nothing_else() {
+    let good = single(Vec3::new(0.0, 0.0, 1.0), 0.1, 0.8);
+    let (expected, _) = both(&good, &camera(), Some(Next { gaussians: &good, camera: &camera() }));
+    for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        for parameter in 0..14 {
+            let mut gaussians = single(Vec3::new(0.1, 0.0, 0.9), 0.1, 0.8);
+            gaussians.sh_degree = 0;
+            match parameter {
+                0..3 => gaussians.positions[0][parameter] = bad,
+                3..6 => gaussians.scales[0][parameter - 3] = bad,
+                6 => gaussians.opacities[0] = bad,
+                7..10 => gaussians.sh[0][parameter - 7] = bad,
+                _ => {
+                    let mut xyzw = gaussians.rotations[0].to_array();
+                    xyzw[parameter - 10] = bad;
+                    gaussians.rotations[0] = Quat::from_array(xyzw);
+                }
+            }
+            push(
+                &mut gaussians,
+                Vec3::new(0.0, 0.0, 1.0),
+                Vec3::splat(0.1),
+                Quat::IDENTITY,
+                0.8,
+                [1.0, 0.2, 0.1],
+            );
+            let next = Next { gaussians: &gaussians, camera: &camera() };
+            let (frame, pixels) = both(&gaussians, &camera(), Some(next));
+            assert_close(&frame, &pixels);
+            assert_eq!(frame, expected, "parameter {parameter} = {bad}");
+        }
+    }
+}
+
+#[test]
+fn extreme_but_finite_parameters_do_no_harm() {
+    let extremes = [0.0, -0.0, 1e-45, -1e-20, 1e20, -1e30, f32::MAX, f32::MIN];
+    for a in extremes {
+        for b in extremes {
+            let mut gaussians = single(Vec3::new(0.0, 0.0, 1.0), 0.1, 0.5);
+            push(&mut gaussians, Vec3::new(a, b, 1.0), Vec3::splat(0.1), Quat::IDENTITY, 0.5, [0.5; 3]);
+            push(&mut gaussians, Vec3::new(0.0, a, b), Vec3::new(b, a, 0.1), Quat::IDENTITY, 0.5, [0.5; 3]);
+            push(&mut gaussians, Vec3::Z, Vec3::new(a, b, 0.1), Quat::IDENTITY, 0.5, [0.5; 3]);
+            push(&mut gaussians, Vec3::Z, Vec3::splat(0.2), Quat::from_xyzw(a, b, a, b), 0.5, [0.5; 3]);
+            push(&mut gaussians, Vec3::Z, Vec3::splat(0.2), Quat::IDENTITY, a, [b, 0.5, 0.5]);
+            let mut next = gaussians.clone();
+            next.positions.reverse();
+            let (frame, _) = both(&gaussians, &camera(), Some(Next { gaussians: &next, camera: &camera() }));
+            assert!(frame.alpha.pixels().iter().all(|alpha| (0.0..=1.0).contains(alpha)), "{a} {b}");
+            assert!(frame.flow.pixels().iter().flatten().all(|value| !value.is_nan()), "{a} {b}");
+        }
+    }
+}

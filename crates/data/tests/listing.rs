@@ -83,6 +83,8 @@ fn every_option_that_the_list_names_is_taken() {
 fn every_kind_says_what_an_empty_and_a_missing_folder_lack() {
     let empty = TempDir::new().unwrap();
     let missing = empty.path().join("no").join("such");
+    let file = empty.path().with_extension("file");
+    fs::write(&file, "").unwrap();
     for (kind, _) in KINDS {
         let kind = kind.split('[').next().unwrap();
         assert_says(open(kind, empty.path(), None), &[kind, "looked for", "is empty"]);
@@ -102,7 +104,7 @@ fn the_folder_above_or_below_is_pointed_out() {
     assert_says(open("sintel-final", dir.path(), None), &["looked for", "training/final", &advice]);
     assert_says(open("sintel-final", &right.join("training"), None), &[&advice]);
     assert_says(open("sintel-final", &right.join("training/flow"), None), &[&advice]);
-    assert_says(open("sintel-clean", &right, None), &["training/clean", "holds only training"]);
+    assert_says(open("sintel-clean", &right, None), &["training/clean", "training holds only final, flow"]);
 }
 
 #[test]

@@ -5,7 +5,8 @@
 
 use std::path::Path;
 
-use super::listing::{self, Gaps};
+use super::gaps::Gaps;
+use super::listing;
 use super::{DatasetError, Entry, Reader, Split, Truth};
 
 pub struct FacialFlowNet {

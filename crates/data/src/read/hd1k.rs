@@ -5,7 +5,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::listing::{self, Gaps, Numbered};
+use super::gaps::Gaps;
+use super::listing::{self, Numbered};
 use super::sequence::{Direction, Sequence};
 use super::{DatasetError, Entry, Reader, Split, Truth};
 

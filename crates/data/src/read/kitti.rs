@@ -5,7 +5,8 @@
 use std::collections::BTreeSet;
 use std::path::Path;
 
-use super::listing::{self, Gaps};
+use super::gaps::Gaps;
+use super::listing;
 use super::{DatasetError, Entry, Occlusion, Reader, Split, Truth};
 
 pub struct Kitti {

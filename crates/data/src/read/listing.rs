@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use super::error::DatasetError;
+use super::gaps::Gaps;
 
 /// Endings of the picture files that frames, masks and occlusions come in.
 pub const IMAGES: &[&str] = &["png", "jpg", "jpeg", "ppm", "pgm", "bmp"];
@@ -103,11 +104,6 @@ pub fn stem(path: &Path) -> String {
     path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// `path` as seen from `dir`, for messages.
-pub fn within(dir: &Path, path: &Path) -> String {
-    path.strip_prefix(dir).unwrap_or(path).display().to_string()
-}
-
 /// The files of a folder by the last number in their names: `OpticalFlowIntoFuture_0006_L.pfm` is 6.
 pub type Numbered = BTreeMap<u64, PathBuf>;
 
@@ -145,57 +141,8 @@ fn last_number(stem: &str) -> Option<u64> {
     stem[start..end].parse().ok()
 }
 
-/// What is missing or left over while a dataset is listed; told all at once at the end.
-pub struct Gaps {
-    kind: String,
-    dir: PathBuf,
-    count: usize,
-    listed: Vec<String>,
-}
-
-impl Gaps {
-    /// How many gaps are named; the rest are counted.
-    const NAMED: usize = 8;
-
-    pub fn new(kind: String, dir: &Path) -> Self {
-        Self { kind, dir: dir.to_owned(), count: 0, listed: Vec::new() }
-    }
-
-    /// `path` as messages about this dataset show it.
-    pub fn shown(&self, path: &Path) -> String {
-        within(&self.dir, path)
-    }
-
-    pub fn push(&mut self, gap: String) {
-        self.count += 1;
-        if self.listed.len() < Self::NAMED {
-            self.listed.push(format!("  {gap}"));
-        }
-    }
-
-    pub fn kind(&self) -> &str {
-        &self.kind
-    }
-
-    pub fn is_empty(&self) -> bool {
-        self.count == 0
-    }
-
-    /// An error when there were any.
-    pub fn finish(mut self) -> Result<(), DatasetError> {
-        if self.count == 0 {
-            return Ok(());
-        }
-        if self.count > self.listed.len() {
-            self.listed.push(format!("  and {} more", self.count - self.listed.len()));
-        }
-        let listed = self.listed.join("\n");
-        Err(DatasetError::Incomplete { kind: self.kind, dir: self.dir, count: self.count, listed })
-    }
-}
-
 /// Checks that `dir` holds `needed` (a path inside it, `/` between its parts). When it does not, the error says what `dir`
-/// holds, and where `needed` lies when that is one or two levels up or down.
+/// holds on the way there, and where `needed` lies when that is one or two levels up or down.
 pub fn require(kind: &str, dir: &Path, needed: &str) -> Result<PathBuf, DatasetError> {
     let wanted = dir.join(needed);
     if wanted.exists() {
@@ -205,7 +152,8 @@ pub fn require(kind: &str, dir: &Path, needed: &str) -> Result<PathBuf, DatasetE
         .map(|place| format!(". It is under {0}: give {kind}:{0}", place.display()))
         .unwrap_or_default();
     let looked_for = wanted.display().to_string();
-    Err(DatasetError::NotThere { kind: kind.to_owned(), looked_for, found: contents(dir), hint })
+    let reached = wanted.ancestors().find(|place| place.is_dir() && place.starts_with(dir)).unwrap_or(dir);
+    Err(DatasetError::NotThere { kind: kind.to_owned(), looked_for, found: contents(reached), hint })
 }
 
 /// The error for a pattern that no file of `dir` fits.
@@ -243,5 +191,43 @@ fn contents(dir: &Path) -> String {
             format!("but {} holds {} and {} more", dir.display(), found[..NAMED].join(", "), n - NAMED)
         }
         _ => format!("but {} holds only {}", dir.display(), found.join(", ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn digits_compare_by_value() {
+        let mut names = ["a10", "a9", "a010", "a", "b1", "a9b", "10", "9", ""];
+        names.sort_by(|a, b| natural_order(a, b));
+        assert_eq!(names, ["", "9", "10", "a", "a9", "a9b", "a010", "a10", "b1"]);
+    }
+
+    #[test]
+    fn the_last_number_of_a_name_is_its_frame() {
+        let numbers =
+            ["OpticalFlowIntoFuture_0006_L", "000030_0010", "é12é", "7", "none", "", "99999999999999999999"];
+        assert_eq!(numbers.map(last_number), [Some(6), Some(10), Some(12), Some(7), None, None, None]);
+    }
+
+    proptest! {
+        #[test]
+        fn natural_order_is_an_order(names in prop::collection::vec("[a0-1é_-]{0,6}", 3)) {
+            let [a, b, c] = &names[..] else { unreachable!() };
+            prop_assert_eq!(natural_order(a, b), natural_order(b, a).reverse());
+            prop_assert_eq!(natural_order(a, b) == Ordering::Equal, a == b);
+            if natural_order(a, b).is_le() && natural_order(b, c).is_le() {
+                prop_assert!(natural_order(a, c).is_le());
+            }
+        }
+
+        #[test]
+        fn a_name_has_a_number_when_it_has_a_digit(name in ".{0,12}") {
+            prop_assert_eq!(last_number(&name).is_some(), name.bytes().any(|c| c.is_ascii_digit()));
+        }
     }
 }

@@ -7,6 +7,7 @@
 mod chairs;
 mod error;
 mod facialflownet;
+mod gaps;
 mod hd1k;
 mod kind;
 mod kitti;
@@ -28,7 +29,7 @@ pub use kind::{DatasetSpec, KINDS};
 pub use sample::Sample;
 pub use split::Split;
 
-use listing::Gaps;
+use gaps::Gaps;
 use sample::Truth;
 
 /// One pair of frames of a dataset: its place in it and its files. Nothing is decoded.

@@ -11,7 +11,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::listing::{self, Gaps};
+use super::gaps::Gaps;
+use super::listing;
 use super::triplets::triplets;
 use super::{DatasetError, Entry, Occlusion, Reader, Split};
 
@@ -28,13 +29,13 @@ impl Reader for Plain {
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
         let dir = match split {
-            Split::All => listing::require("folder", dir, "")?,
+            Split::All => dir.to_owned(),
             _ => listing::require("folder", dir, &split.to_string())?,
         };
         if dir.join("frames").is_dir() {
             return scenes(&dir, gaps);
         }
-        let pairs = triplets(&dir, gaps)?;
+        let pairs = if dir.is_dir() { triplets(&dir, gaps)? } else { Vec::new() };
         if pairs.is_empty() && gaps.is_empty() {
             let hint = if dir.join("train").is_dir() || dir.join("test").is_dir() {
                 "It has splits: choose one with --split"

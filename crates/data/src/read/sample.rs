@@ -60,7 +60,7 @@ impl Truth {
         let read_truth = |path: &Path| {
             let published = read_flow(path)?;
             fits(path, published.size(), self.samples_per_pixel)?;
-            Ok::<_, DatasetError>(self.counted(&published, width, height))
+            Ok::<_, DatasetError>(self.counted(published, width, height))
         };
         let flow = entry.flow.as_deref().map(read_truth).transpose()?;
         let mask = entry.mask.as_deref().map(read_any_mask).transpose()?;
@@ -79,12 +79,17 @@ impl Truth {
     }
 
     /// The published flow on the image's grid, unknown where it does not count.
-    fn counted(self, published: &FlowField, width: usize, height: usize) -> FlowField {
-        let step = self.samples_per_pixel;
-        FlowField::from_fn(width, height, |x, y| {
-            let [u, v] = published.get(x * step, y * step);
-            if u.abs() < self.max_flow && v.abs() < self.max_flow { [u, v] } else { [f32::NAN; 2] }
-        })
+    fn counted(self, published: FlowField, width: usize, height: usize) -> FlowField {
+        let mut flow = match self.samples_per_pixel {
+            1 => published,
+            step => FlowField::from_fn(width, height, |x, y| published.get(x * step, y * step)),
+        };
+        for pixel in flow.pixels_mut() {
+            if !pixel.iter().all(|component| component.abs() < self.max_flow) {
+                *pixel = [f32::NAN; 2];
+            }
+        }
+        flow
     }
 }
 

@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use super::listing::{Gaps, Numbered};
+use super::gaps::Gaps;
+use super::listing::Numbered;
 use super::{Entry, Occlusion};
 
 /// Way of time that the flow of a pair follows.

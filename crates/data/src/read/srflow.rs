@@ -3,7 +3,8 @@
 
 use std::path::Path;
 
-use super::listing::{self, Gaps};
+use super::gaps::Gaps;
+use super::listing;
 use super::sequence::Direction;
 use super::{DatasetError, Entry, Occlusion, Reader, Split};
 use crate::manifest::{MANIFEST_NAME, Manifest, SceneEntry, SceneSplit};

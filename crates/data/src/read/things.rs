@@ -4,7 +4,8 @@
 
 use std::path::Path;
 
-use super::listing::{self, Gaps};
+use super::gaps::Gaps;
+use super::listing;
 use super::sequence::{Direction, Sequence};
 use super::{DatasetError, Entry, Reader, Split};
 

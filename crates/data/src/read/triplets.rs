@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::listing::{self, Gaps};
+use super::gaps::Gaps;
+use super::listing;
 use super::{DatasetError, Entry, Occlusion};
 
 /// Parts of a triplet by the end of their stem, and the endings that each may have.

@@ -1,10 +1,17 @@
 //! Scoring any estimator over any dataset: tables, panels, curves and the one-file HTML report.
 
 mod crop;
+mod error_curve;
+mod evaluate;
 pub mod report;
+mod results;
 mod table;
 mod zero;
 
 pub use crop::{CropError, Window, head_window};
+pub use evaluate::{
+    Estimate, EvaluateError, Event, OnFailure, PairProblem, ScoredPair, Settings, evaluate,
+};
+pub use results::{Evaluation, Failure, MethodScores, PairScores, Region};
 pub use table::{Better, Column, Mark, Row, Table, TextStyle};
 pub use zero::Zero;

@@ -1,5 +1,5 @@
 use maud::html;
-use srflow_field::Image;
+use srflow_field::{FlowField, Image, flow_colors};
 
 use super::charts::number;
 use super::heat::colour;
@@ -16,6 +16,28 @@ pub fn heat_legend(max: f64, words: &str) -> Result<Figure, PictureError> {
         div.legend {
             img.ramp src=(ramp.uri) alt=(ramp.alt);
             span { "0 to " (number(max)) " px and more. " (words) }
+        }
+    }))
+}
+
+/// The key of flow colours: a disc whose rim is `max` pixels of motion, and what to read from it.
+///
+/// # Errors
+/// When the disc cannot be encoded.
+pub fn wheel_legend(max: f64, words: &str) -> Result<Figure, PictureError> {
+    const RADIUS: f32 = 62.0;
+    let place = |at: usize| (at as f32 - RADIUS) / RADIUS;
+    let side = 2 * RADIUS as usize + 1;
+    // Beyond the rim nothing moves: white corners, which the style sheet rounds away.
+    let disc = FlowField::from_fn(side, side, |x, y| match (place(x), place(y)) {
+        (u, v) if u.hypot(v) <= 1.0 => [u, v],
+        _ => [0.0; 2],
+    });
+    let wheel = Picture::exact(&flow_colors(&disc, Some(1.0)), "colour wheel of flow directions")?;
+    Ok(Figure(html! {
+        div.legend {
+            img.wheel src=(wheel.uri) alt=(wheel.alt);
+            span { "Hue is the direction of motion, saturation its length; the rim is " (number(max)) " px. " (words) }
         }
     }))
 }

@@ -29,7 +29,7 @@ pub use facts::{facts, tiles};
 pub use film::{Film, films};
 pub use heat::{error_map, heat};
 pub use histogram::{Bin, histogram};
-pub use legend::heat_legend;
+pub use legend::{heat_legend, wheel_legend};
 pub use page::{Figure, Report, Section};
 pub use panels::{Panel, panels, side_by_side};
 pub use picture::{Picture, PictureError};

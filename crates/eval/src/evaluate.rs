@@ -1,0 +1,333 @@
+//! Running estimators over the pairs of a dataset and scoring them.
+
+use std::time::Instant;
+
+use srflow_data::read::{DatasetError, FlowDataset, Sample};
+use srflow_field::{EstimateError, FlowEstimator, FlowField, Mask, MeanMetrics, ScoreError, score};
+
+use crate::crop::{CropError, Window, head_window};
+use crate::error_curve::ErrorCurve;
+use crate::results::{Evaluation, Failure, MethodScores, PairScores};
+use crate::zero::Zero;
+
+/// What is evaluated, and how.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Settings {
+    /// Width and height of the window around the head that estimators see and scores count; without it, whole frames.
+    pub crop: Option<(usize, usize)>,
+    /// Score only this many pairs, spread evenly over the dataset.
+    pub limit: Option<usize>,
+    /// What a pair that cannot be scored does to the run.
+    pub on_failure: OnFailure,
+}
+
+/// What happens when a pair cannot be read, cropped or estimated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum OnFailure {
+    /// The run ends with an error that names the pair.
+    #[default]
+    Stop,
+    /// The pair is left out for every method, so that all rows are means over the same pairs, and is listed in
+    /// [`Evaluation::failures`].
+    LeaveOut,
+}
+
+/// What [`evaluate`] tells while it runs.
+#[derive(Debug)]
+pub enum Event<'a> {
+    /// Before the first pair: how many there are.
+    Started {
+        /// Pairs to be scored.
+        pairs: usize,
+    },
+    /// A method begins with a pair.
+    Estimating {
+        /// The method's name.
+        method: &'a str,
+        /// The pair's name.
+        pair: &'a str,
+    },
+    /// A pair was scored by every method.
+    Scored(&'a ScoredPair<'a>),
+    /// A pair was left out.
+    LeftOut(&'a Failure),
+}
+
+/// A pair with everything that was computed for it, for pictures.
+#[derive(Debug)]
+pub struct ScoredPair<'a> {
+    /// Place among the scored pairs, from 0.
+    pub index: usize,
+    /// Name within its dataset.
+    pub name: &'a str,
+    /// Frames, mask and occlusion, cropped.
+    pub sample: &'a Sample,
+    /// The true flow, cropped.
+    pub truth: &'a FlowField,
+    /// What each method computed, in the order of [`Evaluation::methods`]: the baseline first.
+    pub estimates: &'a [Estimate],
+}
+
+/// What one method computed for one pair.
+#[derive(Debug)]
+pub struct Estimate {
+    /// The method's name.
+    pub method: String,
+    /// Its flow.
+    pub flow: FlowField,
+    /// Its scores.
+    pub scores: PairScores,
+}
+
+/// Why an evaluation ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum EvaluateError {
+    /// The split has frames but no true flow.
+    #[error("{dataset}: none of its {pairs} pairs has a true flow to score against; choose a split whose truth is published, e.g. --split train")]
+    NoTruth {
+        /// The dataset and its split.
+        dataset: String,
+        /// How many pairs it has.
+        pairs: usize,
+    },
+    /// A pair could not be scored.
+    #[error("{pair}: {problem}")]
+    Pair {
+        /// The pair's name.
+        pair: String,
+        /// What went wrong.
+        problem: PairProblem,
+    },
+    /// Every pair failed.
+    #[error("no pair of {dataset} could be scored; the first that failed: {first}")]
+    NothingScored {
+        /// The dataset and its split.
+        dataset: String,
+        /// The first failure.
+        first: String,
+    },
+}
+
+/// Why one pair could not be scored.
+#[derive(Debug, thiserror::Error)]
+pub enum PairProblem {
+    /// Its files could not be read.
+    #[error(transparent)]
+    Read(#[from] DatasetError),
+    /// It has no true flow.
+    #[error("there is no true flow to score against")]
+    NoTruth,
+    /// The crop does not fit it.
+    #[error(transparent)]
+    Crop(#[from] CropError),
+    /// A method gave no flow.
+    #[error("{method} gave no flow: {source}")]
+    Estimate {
+        /// The method's name.
+        method: String,
+        /// What it said.
+        source: EstimateError,
+    },
+    /// A method's flow could not be scored.
+    #[error("the flow of {method} could not be scored: {source}")]
+    Score {
+        /// The method's name.
+        method: String,
+        /// What is wrong with it.
+        source: ScoreError,
+    },
+}
+
+/// Scores every method over the pairs of a dataset that have a true flow: per pair, then the mean over pairs, in the whole
+/// window, inside the head's mask and outside occlusions where the dataset has them. The [`Zero`] baseline is scored
+/// first, whether asked for or not.
+///
+/// Pairs run one after the other, each method on the rayon pool it is called from, so that the time of a method is that of
+/// [`FlowEstimator::estimate`] alone. One pair is in memory at a time.
+///
+/// # Errors
+/// When no pair has a truth or none could be scored; with [`OnFailure::Stop`], at the first pair that fails.
+pub fn evaluate(
+    dataset: &FlowDataset,
+    methods: &[&dyn FlowEstimator],
+    settings: Settings,
+    on_event: &mut dyn FnMut(Event<'_>),
+) -> Result<Evaluation, EvaluateError> {
+    let title = format!("{} ({} split)", dataset.name(), dataset.split());
+    if dataset.entries().iter().all(|entry| entry.flow.is_none()) {
+        return Err(EvaluateError::NoTruth { dataset: title, pairs: dataset.entries().len() });
+    }
+    let estimators: Vec<&dyn FlowEstimator> = std::iter::once(&Zero as &dyn FlowEstimator)
+        .chain(methods.iter().copied().filter(|method| method.name() != Zero.name()))
+        .collect();
+    let chosen = spread(dataset.entries().len(), settings.limit);
+    on_event(Event::Started { pairs: chosen.len() });
+
+    let mut sums: Vec<MethodSums> = estimators.iter().map(|estimator| MethodSums::new(*estimator)).collect();
+    let mut failures = Vec::new();
+    let mut scored = 0;
+    for entry in chosen.into_iter().map(|index| &dataset.entries()[index]) {
+        let name = entry.id();
+        let read = || dataset.read(entry).map_err(PairProblem::from);
+        match read().and_then(|sample| estimate_pair(sample, &name, &estimators, settings.crop, on_event)) {
+            Ok((sample, truth, estimates)) => {
+                let pair = ScoredPair { index: scored, name: &name, sample: &sample, truth: &truth, estimates: &estimates };
+                on_event(Event::Scored(&pair));
+                sums.iter_mut().zip(&estimates).for_each(|(sums, estimate)| sums.add(&pair, estimate));
+                scored += 1;
+            }
+            Err(problem) if settings.on_failure == OnFailure::Stop => {
+                return Err(EvaluateError::Pair { pair: name, problem });
+            }
+            Err(problem) => {
+                let failure = Failure { pair: name, reason: problem.to_string() };
+                on_event(Event::LeftOut(&failure));
+                failures.push(failure);
+            }
+        }
+    }
+    match failures.first() {
+        Some(first) if scored == 0 => {
+            let first = format!("{}: {}", first.pair, first.reason);
+            Err(EvaluateError::NothingScored { dataset: title, first })
+        }
+        _ => Ok(Evaluation {
+            dataset: title,
+            folder: dataset.dir().display().to_string(),
+            crop: settings.crop,
+            pairs: scored,
+            methods: sums.into_iter().map(MethodSums::finish).collect(),
+            failures,
+        }),
+    }
+}
+
+/// Runs every method on one pair; the sample comes back cropped, with its truth apart.
+fn estimate_pair(
+    sample: Sample,
+    pair: &str,
+    estimators: &[&dyn FlowEstimator],
+    crop: Option<(usize, usize)>,
+    on_event: &mut dyn FnMut(Event<'_>),
+) -> Result<(Sample, FlowField, Vec<Estimate>), PairProblem> {
+    let mut sample = match crop {
+        Some(crop) => cropped(&sample, head_window(sample.frame1.size(), crop, sample.mask.as_ref())?),
+        None => sample,
+    };
+    let truth = sample.flow.take().ok_or(PairProblem::NoTruth)?;
+    let visible = sample.occlusion.as_ref().map(inverse);
+    let estimates = estimators
+        .iter()
+        .map(|estimator| {
+            let method = estimator.name();
+            on_event(Event::Estimating { method, pair });
+            let start = Instant::now();
+            let flow = estimator
+                .estimate(&sample.frame1, &sample.frame2)
+                .map_err(|source| PairProblem::Estimate { method: method.to_owned(), source })?;
+            let seconds = start.elapsed().as_secs_f64();
+            let scores = scores_of(pair, seconds, &flow, &truth, sample.mask.as_ref(), visible.as_ref())
+                .map_err(|source| PairProblem::Score { method: method.to_owned(), source })?;
+            Ok(Estimate { method: method.to_owned(), flow, scores })
+        })
+        .collect::<Result<Vec<_>, PairProblem>>()?;
+    Ok((sample, truth, estimates))
+}
+
+/// The scores of one flow in every region that the pair has.
+pub(crate) fn scores_of(
+    pair: &str,
+    seconds: f64,
+    flow: &FlowField,
+    truth: &FlowField,
+    head: Option<&Mask>,
+    visible: Option<&Mask>,
+) -> Result<PairScores, ScoreError> {
+    let inside = |mask: Option<&Mask>| match mask {
+        Some(mask) => score(flow, truth, Some(mask)),
+        None => Ok(None),
+    };
+    Ok(PairScores {
+        pair: pair.to_owned(),
+        seconds,
+        whole: score(flow, truth, None)?,
+        head: inside(head)?,
+        visible: inside(visible)?,
+    })
+}
+
+/// `limit` indices spread evenly over `0..count`; all of them when there are no more.
+fn spread(count: usize, limit: Option<usize>) -> Vec<usize> {
+    let wanted = limit.unwrap_or(count).min(count);
+    (0..wanted).map(|i| i * count / wanted).collect()
+}
+
+fn cropped(sample: &Sample, window: Window) -> Sample {
+    let Window { left, top, width, height } = window;
+    Sample {
+        frame1: sample.frame1.crop(left, top, width, height),
+        frame2: sample.frame2.crop(left, top, width, height),
+        flow: sample.flow.as_ref().map(|flow| flow.crop(left, top, width, height)),
+        mask: sample.mask.as_ref().map(|mask| mask.crop(left, top, width, height)),
+        occlusion: sample.occlusion.as_ref().map(|mask| mask.crop(left, top, width, height)),
+    }
+}
+
+fn inverse(mask: &Mask) -> Mask {
+    Mask::from_fn(mask.width(), mask.height(), |x, y| !mask.get(x, y))
+}
+
+/// What is summed over the pairs of one method.
+struct MethodSums {
+    scores: MethodScores,
+    whole: MeanMetrics,
+    head: MeanMetrics,
+    visible: MeanMetrics,
+    curve: ErrorCurve,
+}
+
+impl MethodSums {
+    fn new(estimator: &dyn FlowEstimator) -> Self {
+        let name = estimator.name().to_owned();
+        let baseline = name == Zero.name();
+        Self {
+            scores: MethodScores { name, baseline, ..MethodScores::default() },
+            whole: MeanMetrics::default(),
+            head: MeanMetrics::default(),
+            visible: MeanMetrics::default(),
+            curve: ErrorCurve::default(),
+        }
+    }
+
+    fn add(&mut self, pair: &ScoredPair<'_>, estimate: &Estimate) {
+        self.whole.add(estimate.scores.whole.as_ref());
+        self.head.add(estimate.scores.head.as_ref());
+        self.visible.add(estimate.scores.visible.as_ref());
+        self.curve.add(&estimate.flow, pair.truth);
+        self.scores.pairs.push(estimate.scores.clone());
+    }
+
+    fn finish(self) -> MethodScores {
+        MethodScores {
+            whole: self.whole.mean(),
+            head: self.head.mean(),
+            visible: self.visible.mean(),
+            within: self.curve.mean(),
+            ..self.scores
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_limit_spreads_over_the_dataset() {
+        assert_eq!(spread(10, Some(4)), [0, 2, 5, 7]);
+        assert_eq!(spread(3, Some(9)), [0, 1, 2]);
+        assert_eq!(spread(3, None), [0, 1, 2]);
+        assert_eq!(spread(0, Some(2)), [0; 0]);
+        assert_eq!(spread(5, Some(0)), [0; 0]);
+    }
+}

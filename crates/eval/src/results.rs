@@ -1,0 +1,224 @@
+//! What an evaluation found: data, and its forms as tables.
+
+use serde::{Deserialize, Serialize};
+use srflow_field::Metrics;
+
+use crate::table::{Better, Column, Row, Table, csv_text};
+
+/// The scores of every method over one dataset.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Evaluation {
+    /// The dataset and its split, e.g. `sintel-clean (train split)`.
+    pub dataset: String,
+    /// Its folder.
+    pub folder: String,
+    /// Width and height of the window around the head, when frames were cropped.
+    pub crop: Option<(usize, usize)>,
+    /// How many pairs every row is a mean over.
+    pub pairs: usize,
+    /// The methods, baseline first.
+    pub methods: Vec<MethodScores>,
+    /// Pairs that were left out, for every method.
+    pub failures: Vec<Failure>,
+}
+
+/// One method over all pairs.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct MethodScores {
+    /// The method's name.
+    pub name: String,
+    /// Whether it is a baseline, which is not ranked.
+    pub baseline: bool,
+    /// Mean over pairs of the scores over all pixels with a known truth.
+    pub whole: Option<Metrics>,
+    /// The same inside the head's mask; `None` when the dataset has none.
+    pub head: Option<Metrics>,
+    /// The same over pixels that are not occluded; `None` when the dataset does not say which are.
+    pub visible: Option<Metrics>,
+    /// Mean over pairs of the share of pixels whose end-point error is at most 0.05, 0.10, ... 5 px.
+    pub within: Vec<f64>,
+    /// Each pair.
+    pub pairs: Vec<PairScores>,
+}
+
+/// One method on one pair.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PairScores {
+    /// The pair's name within its dataset.
+    pub pair: String,
+    /// Wall-clock seconds of the estimation alone.
+    pub seconds: f64,
+    /// Over all pixels with a known truth.
+    pub whole: Option<Metrics>,
+    /// Inside the head's mask.
+    pub head: Option<Metrics>,
+    /// Over pixels that are not occluded.
+    pub visible: Option<Metrics>,
+}
+
+/// A pair that was left out.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Failure {
+    /// The pair's name.
+    pub pair: String,
+    /// What went wrong.
+    pub reason: String,
+}
+
+/// Which pixels a score is over.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Region {
+    /// All with a known truth.
+    Whole,
+    /// Those of the head.
+    Head,
+    /// Those that are not occluded.
+    Visible,
+}
+
+impl Region {
+    /// All regions.
+    pub const ALL: [Self; 3] = [Self::Whole, Self::Head, Self::Visible];
+
+    /// In words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Region::Whole => "all pixels",
+            Region::Head => "inside the head mask",
+            Region::Visible => "outside occlusions",
+        }
+    }
+
+    /// For machines.
+    pub fn key(self) -> &'static str {
+        match self {
+            Region::Whole => "whole",
+            Region::Head => "head",
+            Region::Visible => "visible",
+        }
+    }
+}
+
+/// Key, header, direction and value of a score.
+type ScoreColumn = (&'static str, &'static str, Better, fn(&Metrics) -> f64);
+
+/// The scores of the paper's Table II, in its order.
+const SCORES: [ScoreColumn; 6] = [
+    ("epe", "EPE", Better::Lower, |metrics| metrics.epe),
+    ("px1", "px1", Better::Higher, |metrics| metrics.px1),
+    ("px3", "px3", Better::Higher, |metrics| metrics.px3),
+    ("px5", "px5", Better::Higher, |metrics| metrics.px5),
+    ("f1_all", "F1-ALL", Better::Lower, |metrics| metrics.f1_all),
+    ("wauc", "WAUC", Better::Higher, |metrics| metrics.wauc),
+];
+
+impl Evaluation {
+    /// The paper's Table II for one region, with the median seconds per pair behind it; `None` when the dataset has no
+    /// such region.
+    pub fn table(&self, region: Region) -> Option<Table> {
+        self.methods.iter().find_map(|method| method.region(region))?;
+        let score = |(key, header, better, _): &ScoreColumn| Column {
+            key: (*key).to_owned(),
+            header: (*header).to_owned(),
+            better: Some(*better),
+            decimals: 4,
+        };
+        let seconds =
+            Column { key: "seconds".to_owned(), header: "s/pair".to_owned(), better: None, decimals: 3 };
+        let row = |method: &MethodScores| {
+            let metrics = method.region(region);
+            let scores = SCORES.iter().map(|(.., value)| metrics.map(value));
+            Row {
+                name: method.name.clone(),
+                values: scores.chain(std::iter::once(method.median_seconds())).collect(),
+                baseline: method.baseline,
+            }
+        };
+        let crop = self.crop.map_or(String::new(), |(width, height)| format!(", cropped to {width}x{height}"));
+        Some(Table {
+            title: format!("{}, {} pairs{crop}, {}", self.dataset, self.pairs, region.words()),
+            columns: SCORES.iter().map(score).chain(std::iter::once(seconds)).collect(),
+            rows: self.methods.iter().map(row).collect(),
+        })
+    }
+
+    /// The tables of all regions that the dataset has.
+    pub fn tables(&self) -> Vec<Table> {
+        Region::ALL.into_iter().filter_map(|region| self.table(region)).collect()
+    }
+
+    /// Comma-separated values at full precision: one line per method and region, the mean over pairs.
+    pub fn csv(&self) -> String {
+        let head = ["method", "region"].map(str::to_owned).into_iter();
+        let head = head.chain(SCORES.map(|(key, ..)| key.to_owned()));
+        let head = head.chain(["valid_pixels", "median_seconds", "pairs"].map(str::to_owned));
+        let mut lines = vec![head.collect::<Vec<_>>()];
+        for method in &self.methods {
+            for region in Region::ALL {
+                let Some(metrics) = method.region(region) else { continue };
+                let seconds = method.median_seconds().map_or(String::new(), |seconds| seconds.to_string());
+                let mut line = score_fields(&method.name, region, metrics);
+                line.extend([seconds, self.pairs.to_string()]);
+                lines.push(line);
+            }
+        }
+        csv_text(lines.into_iter())
+    }
+
+    /// Comma-separated values at full precision: one line per method, region and pair.
+    pub fn pairs_csv(&self) -> String {
+        let head = ["method", "region"].map(str::to_owned).into_iter();
+        let head = head.chain(SCORES.map(|(key, ..)| key.to_owned()));
+        let head = head.chain(["valid_pixels", "seconds", "pair"].map(str::to_owned));
+        let mut lines = vec![head.collect::<Vec<_>>()];
+        for method in &self.methods {
+            for pair in &method.pairs {
+                for region in Region::ALL {
+                    let Some(metrics) = pair.region(region) else { continue };
+                    let mut line = score_fields(&method.name, region, metrics);
+                    line.extend([pair.seconds.to_string(), pair.pair.clone()]);
+                    lines.push(line);
+                }
+            }
+        }
+        csv_text(lines.into_iter())
+    }
+}
+
+impl MethodScores {
+    /// The mean over pairs in one region.
+    pub fn region(&self, region: Region) -> Option<&Metrics> {
+        match region {
+            Region::Whole => self.whole.as_ref(),
+            Region::Head => self.head.as_ref(),
+            Region::Visible => self.visible.as_ref(),
+        }
+    }
+
+    /// Median over pairs of the seconds of the estimation; `None` without a pair.
+    pub fn median_seconds(&self) -> Option<f64> {
+        let mut seconds: Vec<f64> = self.pairs.iter().map(|pair| pair.seconds).collect();
+        seconds.sort_by(f64::total_cmp);
+        let upper = *seconds.get(seconds.len() / 2)?;
+        let lower = seconds[(seconds.len() - 1) / 2];
+        Some((lower + upper) / 2.0)
+    }
+}
+
+impl PairScores {
+    /// The scores in one region.
+    pub fn region(&self, region: Region) -> Option<&Metrics> {
+        match region {
+            Region::Whole => self.whole.as_ref(),
+            Region::Head => self.head.as_ref(),
+            Region::Visible => self.visible.as_ref(),
+        }
+    }
+}
+
+fn score_fields(method: &str, region: Region, metrics: &Metrics) -> Vec<String> {
+    let names = [method.to_owned(), region.key().to_owned()];
+    let scores = SCORES.iter().map(|(.., value)| value(metrics).to_string());
+    names.into_iter().chain(scores).chain(std::iter::once(metrics.valid_pixels.to_string())).collect()
+}

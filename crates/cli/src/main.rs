@@ -1,7 +1,9 @@
 //! The `srflow` command. Arguments, progress bars and reports live here; algorithms live in the libraries.
 
 mod commands;
+mod machine;
 mod methods;
+mod size;
 
 use std::io::Write;
 use std::process::ExitCode;

@@ -73,6 +73,8 @@ pub struct ScoredPair<'a> {
 pub struct Estimate {
     /// The method's name.
     pub method: String,
+    /// Whether it is the baseline.
+    pub baseline: bool,
     /// Its flow.
     pub flow: FlowField,
     /// Its scores.
@@ -228,7 +230,7 @@ fn estimate_pair(
             let seconds = start.elapsed().as_secs_f64();
             let scores = scores_of(pair, seconds, &flow, &truth, sample.mask.as_ref(), visible.as_ref())
                 .map_err(|source| PairProblem::Score { method: method.to_owned(), source })?;
-            Ok(Estimate { method: method.to_owned(), flow, scores })
+            Ok(Estimate { method: method.to_owned(), baseline: method == Zero.name(), flow, scores })
         })
         .collect::<Result<Vec<_>, PairProblem>>()?;
     Ok((sample, truth, estimates))

@@ -1,12 +1,173 @@
-use clap::Args;
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
 
-use crate::Context;
+use anyhow::{Context as _, bail, ensure};
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use srflow_data::read::{DatasetSpec, FlowDataset, Split};
+use srflow_eval::report::{Figure, pair_figures, score_report};
+use srflow_eval::{Evaluation, Event, OnFailure, Settings, TextStyle, evaluate};
+use srflow_field::{FlowEstimator, write_atomically};
+
+use crate::methods::{self, Method, MethodParameters};
+use crate::size::Size;
+use crate::{Context, machine};
 
 /// Score estimators over a dataset and print the table
 #[derive(Args)]
-pub struct Eval {}
+#[command(after_help = "\
+Scores are those of the SRFlow paper's Table II: computed per pair over the pixels whose true flow is known, then \
+averaged over pairs; also inside the head's mask and outside occlusions where the dataset has them. The baseline `zero` \
+says that nothing moves.
+
+Example: score both classical methods on the paper's crop of a test split, with a report of what they got wrong
+  srflow eval --dataset srflow:out/dataset --split test --method farneback tvl1 --crop 1200x1600 --out out/scores")]
+pub struct Eval {
+    /// Kind of dataset and its folder, e.g. sintel-clean:/data/Sintel; an unknown kind lists all
+    #[arg(long, value_name = "KIND:DIR")]
+    dataset: DatasetSpec,
+    /// Part of the dataset: train, val, test or all [default: the one that results are reported on]
+    #[arg(long)]
+    split: Option<Split>,
+    /// Methods to score
+    #[arg(long, value_enum, required = true, num_args = 1.., value_delimiter = ',')]
+    method: Vec<Method>,
+    /// Window that is estimated and scored, centred on the head (without a mask, on the frame)
+    #[arg(long, value_name = "WIDTHxHEIGHT")]
+    crop: Option<Size>,
+    /// Score only N pairs, spread evenly over the dataset
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    limit: Option<u32>,
+    /// Leave out a pair that cannot be scored, for every method, and go on; the exit code is still 1
+    #[arg(long)]
+    keep_going: bool,
+    /// Also write scores.{txt,csv,json,tex,md}, pairs.csv and report.html into this folder
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Overwrite these files
+    #[arg(long)]
+    force: bool,
+    #[command(flatten)]
+    parameters: MethodParameters,
+}
+
+/// The files that `--out` gets.
+const OUTPUTS: [&str; 7] =
+    ["scores.txt", "scores.csv", "scores.json", "scores.tex", "scores.md", "pairs.csv", "report.html"];
+
+/// How many pairs the report shows as pictures.
+const SHOWN_PAIRS: usize = 4;
 
 /// Runs the command.
-pub fn run(_args: Eval, _context: &Context) -> anyhow::Result<()> {
-    anyhow::bail!("`srflow eval` is not built yet")
+pub fn run(args: Eval, context: &Context) -> anyhow::Result<()> {
+    if let (Some(out), false) = (&args.out, args.force) {
+        let there = OUTPUTS.iter().map(|name| out.join(name)).find(|path| path.exists());
+        ensure!(there.is_none(), "{} is there already; --force overwrites it", there.unwrap_or_default().display());
+    }
+    let dataset = FlowDataset::open(&args.dataset, args.split)?;
+    let mut wanted = args.method.clone();
+    wanted.dedup();
+    let estimators = wanted
+        .into_iter()
+        .map(|method| methods::estimator(method, &args.parameters))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let (evaluation, figures) = scored(&dataset, &estimators, &args)?;
+
+    print(&evaluation, context)?;
+    if let Some(out) = &args.out {
+        write(out, &evaluation, figures)?;
+        if !context.json {
+            println!("\nReport: {}", out.join("report.html").display());
+        }
+    }
+    match evaluation.failures.len() {
+        0 => Ok(()),
+        count => bail!("{count} of {} pairs could not be scored and are in no row", evaluation.pairs + count),
+    }
+}
+
+/// The evaluation, and pictures of a few pairs when there will be a report.
+fn scored(
+    dataset: &FlowDataset,
+    estimators: &[Box<dyn FlowEstimator>],
+    args: &Eval,
+) -> anyhow::Result<(Evaluation, Vec<Figure>)> {
+    let settings = Settings {
+        crop: args.crop.map(|size| (size.width, size.height)),
+        limit: args.limit.map(|limit| limit as usize),
+        on_failure: if args.keep_going { OnFailure::LeaveOut } else { OnFailure::Stop },
+    };
+    let estimators: Vec<&dyn FlowEstimator> = estimators.iter().map(AsRef::as_ref).collect();
+    // Hidden by indicatif itself when standard error is not a terminal.
+    let bar = ProgressBar::new(0).with_style(ProgressStyle::with_template(
+        "{bar:30} {pos}/{len} pairs  {elapsed} elapsed, {eta} to go  {msg}",
+    )?);
+    let mut figures = Vec::new();
+    let mut problem = None;
+    let mut shown_every = 1;
+    let result = evaluate(dataset, &estimators, settings, &mut |event| match event {
+        Event::Started { pairs } => {
+            bar.set_length(pairs as u64);
+            shown_every = pairs.div_ceil(SHOWN_PAIRS).max(1);
+        }
+        Event::Estimating { method, pair } => bar.set_message(format!("{method} on {pair}")),
+        Event::Scored(pair) => {
+            bar.inc(1);
+            if args.out.is_some() && pair.index % shown_every == 0 && problem.is_none() {
+                match pair_figures(pair, 560, "") {
+                    Ok(more) => figures.extend(more),
+                    Err(error) => problem = Some(error),
+                }
+            }
+        }
+        Event::LeftOut(failure) => {
+            bar.inc(1);
+            bar.suspend(|| eprintln!("left out: {}: {}", failure.pair, failure.reason));
+        }
+    });
+    bar.finish_and_clear();
+    let evaluation = result?;
+    match problem {
+        Some(error) => Err(error.into()),
+        None => Ok((evaluation, figures)),
+    }
+}
+
+fn print(evaluation: &Evaluation, context: &Context) -> anyhow::Result<()> {
+    if context.json {
+        println!("{}", serde_json::to_string_pretty(evaluation)?);
+        return Ok(());
+    }
+    let colours = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    print!("{}", tables(evaluation, if colours { TextStyle::Ansi } else { TextStyle::Plain }));
+    Ok(())
+}
+
+fn tables(evaluation: &Evaluation, style: TextStyle) -> String {
+    evaluation.tables().iter().map(|table| table.text(style)).collect::<Vec<_>>().join("\n")
+}
+
+fn write(out: &Path, evaluation: &Evaluation, figures: Vec<Figure>) -> anyhow::Result<()> {
+    std::fs::create_dir_all(out).with_context(|| format!("making the folder {}", out.display()))?;
+    let each = |form: fn(&srflow_eval::Table) -> String| {
+        evaluation.tables().iter().map(form).collect::<Vec<_>>().join("\n")
+    };
+    let contents: [String; 7] = [
+        tables(evaluation, TextStyle::Plain),
+        evaluation.csv(),
+        serde_json::to_string_pretty(evaluation)? + "\n",
+        each(|table| format!("% {}\n{}", table.title, table.latex())),
+        each(|table| format!("{}\n\n{}", table.title, table.markdown())),
+        evaluation.pairs_csv(),
+        score_report(evaluation, &machine::describe(), figures).html(),
+    ];
+    for (name, text) in OUTPUTS.iter().zip(contents) {
+        write_text(&out.join(name), &text)?;
+    }
+    Ok(())
+}
+
+fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
+    write_atomically(path, |file| std::io::Write::write_all(file, text.as_bytes()))
+        .with_context(|| format!("writing {}", path.display()))
 }

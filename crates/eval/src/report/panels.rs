@@ -19,12 +19,19 @@ pub fn panels(panels: &[Panel], least_width: usize, caption: &str) -> Figure {
     Figure(html! {
         figure {
             div.grid style={ "--least:" (least_width) "px" } {
-                @for panel in panels {
-                    div.panel style={ "max-width:" (panel.picture.width) "px" } {
-                        div.picture { (panel.picture.img()) }
-                        (title_and_note(&panel.title, &panel.note))
-                    }
-                }
+                @for panel in panels { (card(panel)) }
+            }
+            @if !caption.is_empty() { figcaption { (caption) } }
+        }
+    })
+}
+
+/// Pictures in columns that stay together: each is shown from top to bottom, and moves to the next line as a whole.
+pub fn columns(columns: &[Vec<Panel>], least_width: usize, caption: &str) -> Figure {
+    Figure(html! {
+        figure {
+            div.grid style={ "--least:" (least_width) "px" } {
+                @for column in columns { div.column { @for panel in column { (card(panel)) } } }
             }
             @if !caption.is_empty() { figcaption { (caption) } }
         }
@@ -34,6 +41,15 @@ pub fn panels(panels: &[Panel], least_width: usize, caption: &str) -> Figure {
 /// Figures beside each other where the page is wide enough, under each other where not.
 pub fn side_by_side(figures: Vec<Figure>) -> Figure {
     Figure(html! { div.sides { @for figure in figures { (figure.0) } } })
+}
+
+fn card(panel: &Panel) -> Markup {
+    html! {
+        div.panel style={ "max-width:" (panel.picture.width) "px" } {
+            div.picture { (panel.picture.img()) }
+            (title_and_note(&panel.title, &panel.note))
+        }
+    }
 }
 
 pub(super) fn title_and_note(title: &str, note: &str) -> Markup {

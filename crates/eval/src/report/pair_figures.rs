@@ -1,0 +1,115 @@
+//! One scored pair as pictures: the frame and the truth, and for every method its flow and where it went wrong.
+
+use srflow_field::{FlowField, Plane, flow_colors};
+
+use super::heat::{error_map, heat};
+use super::legend::{heat_legend, wheel_legend};
+use super::panels::{Panel, columns};
+use super::picture::{Picture, PictureError};
+use super::shrink::{shrink_flow, shrink_image, shrink_mask, shrink_plane};
+use super::{Figure, side_by_side};
+use crate::evaluate::ScoredPair;
+
+/// The frame over the true flow in a first column, then a column per method: its flow over its error. Flow colours and
+/// error colours have one scale for all. Pictures are at most `max_width` pixels wide.
+///
+/// # Errors
+/// When a picture cannot be encoded.
+pub fn pair_figures(pair: &ScoredPair<'_>, max_width: usize, caption: &str) -> Result<Vec<Figure>, PictureError> {
+    let truth = shrink_flow(pair.truth, max_width);
+    let errors: Vec<(usize, Plane)> = pair
+        .estimates
+        .iter()
+        .enumerate()
+        .filter(|(_, estimate)| !estimate.baseline)
+        .map(|(place, estimate)| (place, shrink_plane(&error_map(&estimate.flow, pair.truth), max_width)))
+        .collect();
+    let longest = round_up(share_below(&lengths(&truth), 0.995));
+    let worst = errors.iter().map(|(_, error)| share_below(error, 0.98)).fold(0.0, f64::max);
+    let worst = round_up(worst);
+
+    let panel = |picture, title: &str, note: String| Panel { picture, title: title.to_owned(), note };
+    let flow_picture = |flow: &FlowField, alt: &str| Picture::jpeg(&flow_colors(flow, Some(longest as f32)), alt);
+    let mut all = vec![vec![
+        panel(Picture::jpeg(&shrink_image(&pair.sample.frame1, max_width), "frame 1")?, "Frame 1", pair.name.to_owned()),
+        panel(flow_picture(&truth, "true flow")?, "Truth", String::new()),
+    ]];
+    for (place, error) in &errors {
+        let estimate = &pair.estimates[*place];
+        let epe = estimate.scores.whole.as_ref().map_or(String::new(), |metrics| format!("EPE {:.3} px", metrics.epe));
+        let flow = shrink_flow(&estimate.flow, max_width);
+        all.push(vec![
+            panel(flow_picture(&flow, "estimated flow")?, &estimate.method, String::new()),
+            panel(Picture::jpeg(&heat(error, worst as f32), "end-point error")?, "Error", epe),
+        ]);
+    }
+    Ok(vec![
+        columns(&all, 240, caption),
+        side_by_side(vec![wheel_legend(longest, "Black has no truth.")?, heat_legend(worst, "Grey has no truth.")?]),
+    ])
+}
+
+/// What the dataset holds for one pair: frame, true flow, mask and occlusion, as far as it has them.
+///
+/// # Errors
+/// When a picture cannot be encoded.
+pub fn sample_panels(pair: &ScoredPair<'_>, max_width: usize) -> Result<Vec<Panel>, PictureError> {
+    let truth = shrink_flow(pair.truth, max_width);
+    let longest = round_up(share_below(&lengths(&truth), 0.995));
+    let panel = |picture, title: &str, note: &str| Panel { picture, title: title.to_owned(), note: note.to_owned() };
+    let mut panels = vec![
+        panel(Picture::jpeg(&shrink_image(&pair.sample.frame1, max_width), "frame 1")?, "Frame 1", pair.name),
+        panel(
+            Picture::jpeg(&flow_colors(&truth, Some(longest as f32)), "true flow")?,
+            "Flow",
+            &format!("full colour at {longest} px"),
+        ),
+    ];
+    let grey = |mask, alt: &str| Picture::grey(&shrink_mask(mask, max_width), alt);
+    if let Some(mask) = &pair.sample.mask {
+        panels.push(panel(grey(mask, "mask of the head")?, "Mask", "the head"));
+    }
+    if let Some(occlusion) = &pair.sample.occlusion {
+        panels.push(panel(grey(occlusion, "occluded pixels")?, "Occlusion", "not seen in frame 2"));
+    }
+    Ok(panels)
+}
+
+fn lengths(flow: &FlowField) -> Plane {
+    Plane::from_fn(flow.width(), flow.height(), |x, y| {
+        let [u, v] = flow.get(x, y);
+        u.hypot(v)
+    })
+}
+
+/// The value that this share of the finite values does not exceed; 0 when there is none.
+fn share_below(plane: &Plane, share: f64) -> f64 {
+    let mut values: Vec<f32> = plane.pixels().iter().copied().filter(|value| value.is_finite()).collect();
+    let place = ((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1));
+    match values.is_empty() {
+        true => 0.0,
+        false => f64::from(*values.select_nth_unstable_by(place, f32::total_cmp).1),
+    }
+}
+
+/// The next of 1, 2, 3, 5, 10 times a power of ten, at least 0.1: a scale that people can name.
+fn round_up(value: f64) -> f64 {
+    let value = value.max(0.1);
+    let power = 10_f64.powf(value.log10().floor());
+    let step = [1.0, 2.0, 3.0, 5.0, 10.0].into_iter().find(|step| step * power >= value * 0.999);
+    let scale = step.unwrap_or(10.0) * power;
+    (scale * 1e6).round() / 1e6
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scales_are_round_and_hold_the_values() {
+        assert_eq!([0.0, 0.13, 1.0, 2.2, 4.0, 61.0].map(round_up), [0.1, 0.2, 1.0, 3.0, 5.0, 100.0]);
+        let plane = Plane::from_fn(100, 1, |x, _| if x == 0 { f32::NAN } else { x as f32 });
+        assert_eq!(share_below(&plane, 0.5), 50.0);
+        assert_eq!(share_below(&Plane::filled(2, 2, f32::NAN), 0.5), 0.0);
+    }
+}

@@ -1,0 +1,128 @@
+//! An evaluation as figures: tables, curves, times, and what was left out.
+
+use maud::html;
+
+use super::bars::{Bar, bars};
+use super::charts::{Axis, Chart, number};
+use super::curves::{Curve, curves};
+use super::panels::side_by_side;
+use super::score_table::score_table;
+use super::{Figure, Report, Section};
+use crate::error_curve::PER_PIXEL;
+use crate::results::{Evaluation, MethodScores};
+
+/// The tables of an evaluation, its curves and its times. `machine` says what the times were measured on.
+pub fn score_figures(evaluation: &Evaluation, machine: &str) -> Vec<Figure> {
+    let tables = evaluation.tables();
+    let mut figures: Vec<Figure> = tables
+        .iter()
+        .enumerate()
+        .map(|(place, table)| score_table(table, if place == 0 { TABLE_CAPTION } else { "" }))
+        .collect();
+    let mut charts = vec![error_curves(evaluation)];
+    if evaluation.pairs > 1 {
+        charts.push(pair_curves(evaluation));
+    }
+    charts.push(times(evaluation, machine));
+    figures.push(side_by_side(charts));
+    if !evaluation.failures.is_empty() {
+        figures.push(left_out(evaluation));
+    }
+    figures
+}
+
+/// The page of one evaluation: its tables and charts, then `pairs`, figures of single pairs made by
+/// [`pair_figures`](super::pair_figures).
+pub fn score_report(evaluation: &Evaluation, machine: &str, pairs: Vec<Figure>) -> Report {
+    let mut sections = vec![Section {
+        title: "Scores".to_owned(),
+        lead: "Computed per pair over the pixels whose true flow is known, then averaged over pairs.".to_owned(),
+        figures: score_figures(evaluation, machine),
+    }];
+    if !pairs.is_empty() {
+        sections.push(Section {
+            title: "Pairs".to_owned(),
+            lead: "The truth, what each method made of it, and where it went wrong.".to_owned(),
+            figures: pairs,
+        });
+    }
+    Report {
+        title: evaluation.dataset.clone(),
+        kicker: "srflow eval".to_owned(),
+        lead: format!("{} pairs of {}.", evaluation.pairs, evaluation.folder),
+        opening: Vec::new(),
+        sections,
+        colophon: format!("srflow {} on {machine}.", env!("CARGO_PKG_VERSION")),
+    }
+}
+
+const TABLE_CAPTION: &str = "EPE is the mean end-point error in pixels; px1, px3 and px5 are the shares of pixels \
+    with an error under 1, 3 and 5 pixels; F1-ALL is the percentage of pixels that are wrong by over 3 pixels and 5 % of \
+    the true length; WAUC is the area under the curve of pixels within an error, small errors weighing most. The \
+    baseline “zero” says that nothing moves.";
+
+fn error_curves(evaluation: &Evaluation) -> Figure {
+    let curve = |method: &MethodScores| Curve {
+        name: method.name.clone(),
+        points: std::iter::once((0.0, f64::NAN))
+            .chain(method.within.iter().enumerate().map(|(i, share)| ((i + 1) as f64 / PER_PIXEL, 100.0 * share)))
+            .collect(),
+        baseline: method.baseline,
+    };
+    let chart = Chart {
+        title: "Pixels within an error".to_owned(),
+        x: "end-point error, px".to_owned(),
+        y: "pixels within it, %".to_owned(),
+        caption: "Higher and further left is better. WAUC is the weighted area under this curve.".to_owned(),
+    };
+    curves(&evaluation.methods.iter().map(curve).collect::<Vec<_>>(), Axis::Linear, false, &chart)
+}
+
+fn pair_curves(evaluation: &Evaluation) -> Figure {
+    let curve = |method: &MethodScores| Curve {
+        name: method.name.clone(),
+        points: (1..)
+            .zip(&method.pairs)
+            .filter_map(|(place, pair)| Some((f64::from(place), pair.whole.as_ref()?.epe)))
+            .collect(),
+        baseline: method.baseline,
+    };
+    let chart = Chart {
+        title: "Error pair by pair".to_owned(),
+        x: "pair".to_owned(),
+        y: "EPE, px (logarithmic)".to_owned(),
+        caption: "The baseline is the mean length of the true flow: where motion is small, every method is near it."
+            .to_owned(),
+    };
+    let dots = evaluation.pairs <= 60;
+    curves(&evaluation.methods.iter().map(curve).collect::<Vec<_>>(), Axis::Logarithmic, dots, &chart)
+}
+
+fn times(evaluation: &Evaluation, machine: &str) -> Figure {
+    let bar = |method: &MethodScores| {
+        let seconds = method.median_seconds()?;
+        let label = if seconds < 1.0 { format!("{} ms", number((1e4 * seconds).round() / 10.0)) } else { format!("{seconds:.2} s") };
+        Some(Bar { name: method.name.clone(), value: seconds, label, baseline: method.baseline })
+    };
+    let measured = evaluation.methods.iter().filter(|method| !method.baseline);
+    let chart = Chart {
+        title: "Time per pair".to_owned(),
+        x: String::new(),
+        y: String::new(),
+        caption: format!("Median over {} pairs of the estimation alone, on {machine}.", evaluation.pairs),
+    };
+    bars(&measured.filter_map(bar).collect::<Vec<_>>(), &chart)
+}
+
+fn left_out(evaluation: &Evaluation) -> Figure {
+    Figure(html! {
+        figure {
+            div.panel.plain {
+                h3 { (evaluation.failures.len()) " pairs were left out of every row" }
+                dl.facts {
+                    @for failure in &evaluation.failures { dt { (failure.pair) } dd { (failure.reason) } }
+                }
+            }
+        }
+    })
+}

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use srflow_data::read::{DatasetError, FlowDataset, Sample};
+use srflow_data::read::{DatasetError, FlowDataset, Sample, Split};
 use srflow_field::{EstimateError, FlowEstimator, FlowField, Mask, MeanMetrics, ScoreError, score};
 
 use crate::crop::{CropError, Window, head_window};
@@ -85,7 +85,9 @@ pub struct Estimate {
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluateError {
     /// The split has frames but no true flow.
-    #[error("{dataset}: none of its {pairs} pairs has a true flow to score against; choose a split whose truth is published, e.g. --split train")]
+    #[error(
+        "{dataset}: none of its {pairs} pairs has a true flow to score against; choose a split whose truth is published, e.g. --split train"
+    )]
     NoTruth {
         /// The dataset and its split.
         dataset: String,
@@ -155,7 +157,10 @@ pub fn evaluate(
     settings: Settings,
     on_event: &mut dyn FnMut(Event<'_>),
 ) -> Result<Evaluation, EvaluateError> {
-    let title = format!("{} ({} split)", dataset.name(), dataset.split());
+    let title = match dataset.split() {
+        Split::All => dataset.name().to_owned(),
+        split => format!("{}, {split} split", dataset.name()),
+    };
     if dataset.entries().iter().all(|entry| entry.flow.is_none()) {
         return Err(EvaluateError::NoTruth { dataset: title, pairs: dataset.entries().len() });
     }
@@ -173,7 +178,13 @@ pub fn evaluate(
         let read = || dataset.read(entry).map_err(PairProblem::from);
         match read().and_then(|sample| estimate_pair(sample, &name, &estimators, settings.crop, on_event)) {
             Ok((sample, truth, estimates)) => {
-                let pair = ScoredPair { index: scored, name: &name, sample: &sample, truth: &truth, estimates: &estimates };
+                let pair = ScoredPair {
+                    index: scored,
+                    name: &name,
+                    sample: &sample,
+                    truth: &truth,
+                    estimates: &estimates,
+                };
                 on_event(Event::Scored(&pair));
                 sums.iter_mut().zip(&estimates).for_each(|(sums, estimate)| sums.add(&pair, estimate));
                 scored += 1;

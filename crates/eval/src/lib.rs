@@ -9,9 +9,7 @@ mod table;
 mod zero;
 
 pub use crop::{CropError, Window, head_window};
-pub use evaluate::{
-    Estimate, EvaluateError, Event, OnFailure, PairProblem, ScoredPair, Settings, evaluate,
-};
+pub use evaluate::{Estimate, EvaluateError, Event, OnFailure, PairProblem, ScoredPair, Settings, evaluate};
 pub use results::{Evaluation, Failure, MethodScores, PairScores, Region};
 pub use table::{Better, Column, Mark, Row, Table, TextStyle};
 pub use zero::Zero;

@@ -8,7 +8,7 @@ use crate::table::{Better, Column, Row, Table, csv_text};
 /// The scores of every method over one dataset.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
-    /// The dataset and its split, e.g. `sintel-clean (train split)`.
+    /// The dataset and its split, e.g. `sintel-clean, train split`.
     pub dataset: String,
     /// Its folder.
     pub folder: String,
@@ -135,7 +135,8 @@ impl Evaluation {
                 baseline: method.baseline,
             }
         };
-        let crop = self.crop.map_or(String::new(), |(width, height)| format!(", cropped to {width}x{height}"));
+        let crop =
+            self.crop.map_or(String::new(), |(width, height)| format!(", cropped to {width}x{height}"));
         Some(Table {
             title: format!("{}, {} pairs{crop}, {}", self.dataset, self.pairs, region.words()),
             columns: SCORES.iter().map(score).chain(std::iter::once(seconds)).collect(),

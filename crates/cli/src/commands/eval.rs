@@ -62,7 +62,11 @@ const SHOWN_PAIRS: usize = 4;
 pub fn run(args: Eval, context: &Context) -> anyhow::Result<()> {
     if let (Some(out), false) = (&args.out, args.force) {
         let there = OUTPUTS.iter().map(|name| out.join(name)).find(|path| path.exists());
-        ensure!(there.is_none(), "{} is there already; --force overwrites it", there.unwrap_or_default().display());
+        ensure!(
+            there.is_none(),
+            "{} is there already; --force overwrites it",
+            there.unwrap_or_default().display()
+        );
     }
     let dataset = FlowDataset::open(&args.dataset, args.split)?;
     let mut wanted = args.method.clone();

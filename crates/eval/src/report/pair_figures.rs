@@ -15,7 +15,11 @@ use crate::evaluate::ScoredPair;
 ///
 /// # Errors
 /// When a picture cannot be encoded.
-pub fn pair_figures(pair: &ScoredPair<'_>, max_width: usize, caption: &str) -> Result<Vec<Figure>, PictureError> {
+pub fn pair_figures(
+    pair: &ScoredPair<'_>,
+    max_width: usize,
+    caption: &str,
+) -> Result<Vec<Figure>, PictureError> {
     let truth = shrink_flow(pair.truth, max_width);
     let errors: Vec<(usize, Plane)> = pair
         .estimates
@@ -29,14 +33,23 @@ pub fn pair_figures(pair: &ScoredPair<'_>, max_width: usize, caption: &str) -> R
     let worst = round_up(worst);
 
     let panel = |picture, title: &str, note: String| Panel { picture, title: title.to_owned(), note };
-    let flow_picture = |flow: &FlowField, alt: &str| Picture::jpeg(&flow_colors(flow, Some(longest as f32)), alt);
+    let flow_picture =
+        |flow: &FlowField, alt: &str| Picture::jpeg(&flow_colors(flow, Some(longest as f32)), alt);
     let mut all = vec![vec![
-        panel(Picture::jpeg(&shrink_image(&pair.sample.frame1, max_width), "frame 1")?, "Frame 1", pair.name.to_owned()),
+        panel(
+            Picture::jpeg(&shrink_image(&pair.sample.frame1, max_width), "frame 1")?,
+            "Frame 1",
+            pair.name.to_owned(),
+        ),
         panel(flow_picture(&truth, "true flow")?, "Truth", String::new()),
     ]];
     for (place, error) in &errors {
         let estimate = &pair.estimates[*place];
-        let epe = estimate.scores.whole.as_ref().map_or(String::new(), |metrics| format!("EPE {:.3} px", metrics.epe));
+        let epe = estimate
+            .scores
+            .whole
+            .as_ref()
+            .map_or(String::new(), |metrics| format!("EPE {:.3} px", metrics.epe));
         let flow = shrink_flow(&estimate.flow, max_width);
         all.push(vec![
             panel(flow_picture(&flow, "estimated flow")?, &estimate.method, String::new()),
@@ -45,7 +58,10 @@ pub fn pair_figures(pair: &ScoredPair<'_>, max_width: usize, caption: &str) -> R
     }
     Ok(vec![
         columns(&all, 240, caption),
-        side_by_side(vec![wheel_legend(longest, "Black has no truth.")?, heat_legend(worst, "Grey has no truth.")?]),
+        side_by_side(vec![
+            wheel_legend(longest, "Black has no truth.")?,
+            heat_legend(worst, "Grey has no truth.")?,
+        ]),
     ])
 }
 
@@ -56,7 +72,8 @@ pub fn pair_figures(pair: &ScoredPair<'_>, max_width: usize, caption: &str) -> R
 pub fn sample_panels(pair: &ScoredPair<'_>, max_width: usize) -> Result<Vec<Panel>, PictureError> {
     let truth = shrink_flow(pair.truth, max_width);
     let longest = round_up(share_below(&lengths(&truth), 0.995));
-    let panel = |picture, title: &str, note: &str| Panel { picture, title: title.to_owned(), note: note.to_owned() };
+    let panel =
+        |picture, title: &str, note: &str| Panel { picture, title: title.to_owned(), note: note.to_owned() };
     let mut panels = vec![
         panel(Picture::jpeg(&shrink_image(&pair.sample.frame1, max_width), "frame 1")?, "Frame 1", pair.name),
         panel(

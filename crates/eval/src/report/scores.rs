@@ -36,7 +36,8 @@ pub fn score_figures(evaluation: &Evaluation, machine: &str) -> Vec<Figure> {
 pub fn score_report(evaluation: &Evaluation, machine: &str, pairs: Vec<Figure>) -> Report {
     let mut sections = vec![Section {
         title: "Scores".to_owned(),
-        lead: "Computed per pair over the pixels whose true flow is known, then averaged over pairs.".to_owned(),
+        lead: "Computed per pair over the pixels whose true flow is known, then averaged over pairs."
+            .to_owned(),
         figures: score_figures(evaluation, machine),
     }];
     if !pairs.is_empty() {
@@ -65,7 +66,13 @@ fn error_curves(evaluation: &Evaluation) -> Figure {
     let curve = |method: &MethodScores| Curve {
         name: method.name.clone(),
         points: std::iter::once((0.0, f64::NAN))
-            .chain(method.within.iter().enumerate().map(|(i, share)| ((i + 1) as f64 / PER_PIXEL, 100.0 * share)))
+            .chain(
+                method
+                    .within
+                    .iter()
+                    .enumerate()
+                    .map(|(i, share)| ((i + 1) as f64 / PER_PIXEL, 100.0 * share)),
+            )
             .collect(),
         baseline: method.baseline,
     };
@@ -101,7 +108,11 @@ fn pair_curves(evaluation: &Evaluation) -> Figure {
 fn times(evaluation: &Evaluation, machine: &str) -> Figure {
     let bar = |method: &MethodScores| {
         let seconds = method.median_seconds()?;
-        let label = if seconds < 1.0 { format!("{} ms", number((1e4 * seconds).round() / 10.0)) } else { format!("{seconds:.2} s") };
+        let label = if seconds < 1.0 {
+            format!("{} ms", number((1e4 * seconds).round() / 10.0))
+        } else {
+            format!("{seconds:.2} s")
+        };
         Some(Bar { name: method.name.clone(), value: seconds, label, baseline: method.baseline })
     };
     let measured = evaluation.methods.iter().filter(|method| !method.baseline);

@@ -1,0 +1,186 @@
+//! Evaluation over small datasets on disk whose errors are known.
+
+use std::path::Path;
+
+use srflow_data::read::{DatasetSpec, FlowDataset};
+use srflow_eval::{EvaluateError, Evaluation, Event, OnFailure, Region, Settings, evaluate};
+use srflow_field::{
+    EstimateError, FlowEstimator, FlowField, Image, Mask, write_flow, write_image_png, write_mask_png,
+};
+
+const SIZE: (usize, usize) = (40, 24);
+
+/// Reads the truth that [`write_pair`] hides in the red channel and adds an error: `left` in the left half of the
+/// frame it sees, `right` in the other.
+struct Knowing {
+    left: [f32; 2],
+    right: [f32; 2],
+}
+
+impl FlowEstimator for Knowing {
+    fn name(&self) -> &str {
+        "knowing"
+    }
+
+    fn estimate(&self, frame1: &Image, _frame2: &Image) -> Result<FlowField, EstimateError> {
+        Ok(FlowField::from_fn(frame1.width(), frame1.height(), |x, y| {
+            let error = if x < frame1.width() / 2 { self.left } else { self.right };
+            [f32::from(frame1.get(x, y)[0]) / 4.0 + error[0], error[1]]
+        }))
+    }
+}
+
+/// A pair whose true flow is `(x / 4, 0)` at column `x`, unknown in the first row; the head is the right half, the left
+/// quarter is occluded.
+fn write_pair(dir: &Path, name: &str) {
+    let file = |ending: &str| dir.join(format!("{name}_{ending}"));
+    let frame = Image::from_fn(SIZE.0, SIZE.1, |x, y| [x as u8, y as u8, 7]);
+    write_image_png(&file("img1.png"), &frame).unwrap();
+    write_image_png(&file("img2.png"), &frame).unwrap();
+    let unknown = |y: usize| if y == 0 { f32::NAN } else { 0.0 };
+    let truth = FlowField::from_fn(SIZE.0, SIZE.1, |x, y| [x as f32 / 4.0 + unknown(y), unknown(y)]);
+    write_flow(&file("flow.flo"), &truth).unwrap();
+    write_mask_png(&file("mask.png"), &Mask::from_fn(SIZE.0, SIZE.1, |x, _| x >= SIZE.0 / 2)).unwrap();
+    write_mask_png(&file("occlusion.png"), &Mask::from_fn(SIZE.0, SIZE.1, |x, _| x < SIZE.0 / 4)).unwrap();
+}
+
+fn dataset(dir: &Path, pairs: usize) -> FlowDataset {
+    (0..pairs).for_each(|i| write_pair(dir, &format!("pair{i}")));
+    open(dir)
+}
+
+fn open(dir: &Path) -> FlowDataset {
+    FlowDataset::open(&DatasetSpec { kind: "folder".into(), dir: dir.to_owned() }, None).unwrap()
+}
+
+fn run(
+    dataset: &FlowDataset,
+    method: &dyn FlowEstimator,
+    settings: Settings,
+) -> Result<Evaluation, EvaluateError> {
+    evaluate(dataset, &[method], settings, &mut |_| {})
+}
+
+fn epe(evaluation: &Evaluation, method: usize, region: Region) -> f64 {
+    evaluation.methods[method].region(region).unwrap().epe
+}
+
+#[test]
+fn a_shifted_truth_has_exactly_its_shift_as_error() {
+    let dir = tempfile::tempdir().unwrap();
+    let shifted = Knowing { left: [1.5, 2.0], right: [1.5, 2.0] };
+    let evaluation = run(&dataset(dir.path(), 3), &shifted, Settings::default()).unwrap();
+    assert_eq!(evaluation.pairs, 3);
+    let metrics = evaluation.methods[1].whole.as_ref().unwrap();
+    assert!((metrics.epe - 2.5).abs() < 1e-6, "{metrics:?}");
+    assert_eq!((metrics.px1, metrics.px3, metrics.px5, metrics.f1_all), (0.0, 1.0, 1.0, 0.0));
+    // The first row has no truth.
+    assert_eq!(metrics.valid_pixels, 3 * (SIZE.0 * (SIZE.1 - 1)) as u64);
+    // All pixels lie within 2.5 px, none within 2.45 px.
+    let within = &evaluation.methods[1].within;
+    assert_eq!((within[48], within[49]), (0.0, 1.0));
+}
+
+#[test]
+fn the_baseline_comes_first_and_has_the_length_of_the_flow() {
+    let dir = tempfile::tempdir().unwrap();
+    let exact = Knowing { left: [0.0; 2], right: [0.0; 2] };
+    let evaluation = run(&dataset(dir.path(), 2), &exact, Settings::default()).unwrap();
+    assert!(evaluation.methods[0].baseline && evaluation.methods[0].name == "zero");
+    let mean_length = (0..SIZE.0).map(|x| x as f64 / 4.0).sum::<f64>() / SIZE.0 as f64;
+    assert!((epe(&evaluation, 0, Region::Whole) - mean_length).abs() < 1e-6);
+    assert_eq!(epe(&evaluation, 1, Region::Whole), 0.0);
+}
+
+#[test]
+fn regions_count_their_own_pixels() {
+    let dir = tempfile::tempdir().unwrap();
+    let wrong_on_the_left = Knowing { left: [0.0, 3.0], right: [0.0, 0.0] };
+    let evaluation = run(&dataset(dir.path(), 2), &wrong_on_the_left, Settings::default()).unwrap();
+    assert!((epe(&evaluation, 1, Region::Whole) - 1.5).abs() < 1e-6);
+    assert_eq!(epe(&evaluation, 1, Region::Head), 0.0);
+    assert!((epe(&evaluation, 1, Region::Visible) - 1.0).abs() < 1e-6); // a third of what is not occluded
+    assert_eq!(evaluation.tables().len(), 3);
+}
+
+#[test]
+fn a_crop_is_centred_on_the_head_and_keeps_frames_and_truth_together() {
+    let dir = tempfile::tempdir().unwrap();
+    let exact = Knowing { left: [0.0; 2], right: [0.0; 2] };
+    let settings = Settings { crop: Some((10, 6)), ..Settings::default() };
+    let mut seen = Vec::new();
+    let evaluation = evaluate(&dataset(dir.path(), 1), &[&exact], settings, &mut |event| {
+        if let Event::Scored(pair) = event {
+            seen.push((pair.sample.frame1.size(), pair.sample.frame1.get(0, 0), pair.truth.get(0, 0)));
+        }
+    })
+    .unwrap();
+    // The head covers columns 20 to 39 and all rows: its middle is (29.5, 11.5).
+    assert_eq!(seen, [((10, 6), [25, 9, 7], [6.25, 0.0])]);
+    assert_eq!(epe(&evaluation, 1, Region::Whole), 0.0);
+
+    let too_large = Settings { crop: Some((1200, 1600)), ..Settings::default() };
+    let error = run(&open(dir.path()), &exact, too_large).unwrap_err().to_string();
+    assert!(error.contains("pair0") && error.contains("1200x1600") && error.contains("40x24"), "{error}");
+}
+
+#[test]
+fn a_broken_pair_stops_the_run_or_is_left_out_of_every_row() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dataset(dir.path(), 3);
+    std::fs::write(dir.path().join("pair1_img2.png"), b"not a picture").unwrap();
+    let exact = Knowing { left: [0.0; 2], right: [0.0; 2] };
+    let error = run(&dataset, &exact, Settings::default()).unwrap_err().to_string();
+    assert!(error.contains("pair1") && error.contains("pair1_img2.png"), "{error}");
+
+    let keep_going = Settings { on_failure: OnFailure::LeaveOut, ..Settings::default() };
+    let evaluation = run(&dataset, &exact, keep_going).unwrap();
+    assert_eq!((evaluation.pairs, evaluation.failures.len()), (2, 1));
+    assert_eq!(evaluation.failures[0].pair, "pair1");
+    for method in &evaluation.methods {
+        let names: Vec<&str> = method.pairs.iter().map(|pair| pair.pair.as_str()).collect();
+        assert_eq!(names, ["pair0", "pair2"]);
+    }
+}
+
+#[test]
+fn an_estimator_that_gives_no_numbers_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let broken = Knowing { left: [f32::NAN, 0.0], right: [0.0; 2] };
+    let error = run(&dataset(dir.path(), 1), &broken, Settings::default()).unwrap_err().to_string();
+    assert!(error.contains("knowing") && error.contains("pair0") && error.contains("finite"), "{error}");
+}
+
+#[test]
+fn without_truth_there_is_nothing_to_score() {
+    let dir = tempfile::tempdir().unwrap();
+    let frames = dir.path().join("frames");
+    std::fs::create_dir(&frames).unwrap();
+    for i in 0..3 {
+        write_image_png(&frames.join(format!("{i}.png")), &Image::new(8, 8)).unwrap();
+    }
+    let exact = Knowing { left: [0.0; 2], right: [0.0; 2] };
+    let error = run(&open(dir.path()), &exact, Settings::default()).unwrap_err().to_string();
+    assert!(error.contains("none of its 2 pairs has a true flow"), "{error}");
+}
+
+#[test]
+fn results_survive_json_and_csv() {
+    let dir = tempfile::tempdir().unwrap();
+    let method = Knowing { left: [0.1, 0.7], right: [0.3, 0.2] };
+    let evaluation = run(&dataset(dir.path(), 2), &method, Settings::default()).unwrap();
+    let json = serde_json::to_string(&evaluation).unwrap();
+    assert_eq!(serde_json::from_str::<Evaluation>(&json).unwrap(), evaluation);
+
+    let csv = evaluation.csv();
+    let mut reader = csv::Reader::from_reader(csv.as_bytes());
+    let columns: Vec<String> = reader.headers().unwrap().iter().map(str::to_owned).collect();
+    assert_eq!(columns[..8], ["method", "region", "epe", "px1", "px3", "px5", "f1_all", "wauc"]);
+    let records: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
+    assert_eq!(records.len(), 2 * 3); // methods times regions
+    let head = records.iter().find(|record| &record[0] == "knowing" && &record[1] == "head").unwrap();
+    let expected = evaluation.methods[1].head.unwrap();
+    assert_eq!(head[2].parse::<f64>().unwrap(), expected.epe);
+    assert_eq!(head[7].parse::<f64>().unwrap(), expected.wauc);
+    assert_eq!(evaluation.pairs_csv().lines().count(), 1 + 2 * 3 * 2);
+}

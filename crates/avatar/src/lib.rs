@@ -4,6 +4,7 @@
 
 mod avatar;
 mod binding;
+mod builtin;
 mod dress;
 mod head_model;
 mod ict;

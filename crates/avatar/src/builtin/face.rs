@@ -1,0 +1,69 @@
+//! The soft and bony relief of the face between its openings.
+
+use glam::{Vec2, Vec3};
+
+use super::curves::{bell, curve, dome, smoothstep};
+use super::identity::Plan;
+
+/// Pushes skin at `p` (left half, in front) into shape: brow ridge, orbit, cheekbone, cheek, nasolabial fold, chin.
+pub(super) fn relief(plan: &Plan, p: Vec3) -> Vec3 {
+    let t = &plan.traits;
+    let at = Vec2::new(p.x, p.y);
+    let h = |canon: f32| plan.height(canon);
+    let spot = |x: f32, y: f32, rx: f32, ry: f32| dome(at, Vec2::new(x, y), Vec2::new(rx, ry));
+    let mut push = Vec3::ZERO;
+    let eye = plan.eye;
+
+    // Frontal eminences, brow ridge over the orbit and the smooth glabella between.
+    push.z += 1.5 * spot(28.0, 82.0, 30.0, 26.0);
+    let arch = eye.y + 19.0 - 0.006 * (p.x - 26.0) * (p.x - 26.0);
+    let along = smoothstep(2.0, 16.0, p.x) * (1.0 - smoothstep(42.0, 60.0, p.x));
+    push.z += (2.0 + 1.1 * t.brow_ridge) * bell((p.y - arch) / 11.0) * along;
+    push.z += (0.8 + 0.6 * t.brow_ridge) * spot(0.0, eye.y + 18.0, 16.0, 12.0);
+
+    // Orbit: deepest beside the root of the nose, under the brow and at the outer corner's rim.
+    push.z -= (7.0 + t.eye_depth) * spot(eye.x - 1.0, eye.y + 1.0, 25.0, 19.0);
+    push.z -= 5.0 * spot(15.0, eye.y - 1.0, 11.0, 15.0);
+    push.z -= 1.8 * spot(20.0, eye.y + 9.0, 14.0, 9.0);
+    push.z += 1.5 * spot(52.0, eye.y + 10.0, 12.0, 16.0);
+
+    // Temple, then cheekbone running back to the ear.
+    push += Vec3::new(-2.5, 0.0, -0.8) * spot(66.0, eye.y + 20.0, 16.0, 26.0);
+    let cheekbone = 3.6 + 1.3 * t.cheekbones;
+    push += Vec3::new(0.35, 0.0, 0.9) * cheekbone * spot(43.0, 3.0, 25.0, 19.0);
+    push += Vec3::new(0.9, 0.0, 0.3) * (1.5 + 0.5 * t.cheekbones) * spot(62.0, 6.0, 16.0, 12.0);
+
+    // Front of the cheek beside nose and mouth, and the hollow under the cheekbone.
+    push.z += (1.2 + 0.6 * t.cheek_fullness) * spot(31.0, h(-14.0), 20.0, 20.0);
+    push += Vec3::new(0.6, 0.0, 0.6) * (-2.2 + 1.7 * t.cheek_fullness) * spot(49.0, h(-34.0), 22.0, 28.0);
+
+    // Nasolabial fold from the wing of the nose to beside the corner of the mouth.
+    let fold = fold_distance(plan, at);
+    push.z += -1.1 * bell((fold + 0.5) / 5.0) * fold_strength(plan, at.y)
+        + 0.9 * bell((fold - 6.0) / 8.0) * fold_strength(plan, at.y);
+
+    // Chin: boss, the groove over it, and the flat of the jaw beside it.
+    let boss = h(-74.0);
+    push.z += (3.2 + 0.9 * t.chin_projection) * spot(0.0, boss, 21.0 + 2.0 * t.chin_width, 15.0);
+    push.z += (0.8 + 0.6 * t.chin_width) * spot(12.0, boss - 4.0, 15.0, 12.0);
+    push.z -= 1.6 * spot(0.0, h(-59.0), 20.0, 8.0);
+    push.z -= 1.0 * spot(24.0, h(-66.0), 13.0, 15.0);
+    push
+}
+
+/// Millimetres that `at` lies outward of the nasolabial fold.
+pub(super) fn fold_distance(plan: &Plan, at: Vec2) -> f32 {
+    let line = curve(&[
+        (plan.mouth - 14.0, 33.5),
+        (plan.mouth, 32.0),
+        (plan.mouth + 10.0, 28.0),
+        (plan.nose_base, 23.0),
+        (plan.nose_base + 10.0, 19.0),
+    ]);
+    at.x - line.at(at.y)[0]
+}
+
+fn fold_strength(plan: &Plan, y: f32) -> f32 {
+    smoothstep(plan.mouth - 12.0, plan.mouth + 8.0, y)
+        * (1.0 - smoothstep(plan.nose_base + 4.0, plan.nose_base + 14.0, y))
+}

@@ -1,0 +1,146 @@
+use glam::{Vec2, Vec3};
+use srflow_field::random::Key;
+
+/// What makes one person's head differ from another's: each trait is about normal with mean 0 and deviation 1, held
+/// within two deviations so that every combination stays human.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Traits {
+    pub head_width: f32,
+    pub head_length: f32,
+    pub crown_height: f32,
+    pub forehead_slope: f32,
+    pub brow_ridge: f32,
+    pub cheekbones: f32,
+    pub cheek_fullness: f32,
+    pub face_length: f32,
+    pub jaw_width: f32,
+    pub chin_width: f32,
+    pub chin_projection: f32,
+    pub chin_height: f32,
+    pub nose_length: f32,
+    pub nose_width: f32,
+    pub nose_bridge: f32,
+    pub nose_hump: f32,
+    pub nose_tip: f32,
+    pub nose_turn: f32,
+    pub mouth_width: f32,
+    pub upper_lip: f32,
+    pub lower_lip: f32,
+    pub eye_opening: f32,
+    pub eye_width: f32,
+    pub eye_spacing: f32,
+    pub eye_tilt: f32,
+    pub eye_depth: f32,
+    pub lid_crease: f32,
+    pub ear_size: f32,
+    pub ear_protrusion: f32,
+    pub neck_girth: f32,
+}
+
+impl Traits {
+    /// The traits of the person of `seed`.
+    pub(super) fn of(seed: u64) -> Self {
+        let draw = |purpose: &str| Key::new(seed).stream(purpose).normal().clamp(-2.0, 2.0);
+        // What sets most men's heads apart from most women's moves several traits together.
+        let build = draw("head: build");
+        let with_build = |purpose: &str, share: f32| (0.8 * draw(purpose) + share * build).clamp(-2.0, 2.0);
+        Self {
+            head_width: draw("head: width"),
+            head_length: draw("head: length"),
+            crown_height: draw("head: crown height"),
+            forehead_slope: with_build("head: forehead slope", 0.5),
+            brow_ridge: with_build("head: brow ridge", 0.8),
+            cheekbones: draw("head: cheekbones"),
+            cheek_fullness: with_build("head: cheek fullness", -0.3),
+            face_length: with_build("head: face length", 0.3),
+            jaw_width: with_build("head: jaw width", 0.6),
+            chin_width: with_build("head: chin width", 0.5),
+            chin_projection: with_build("head: chin projection", 0.3),
+            chin_height: with_build("head: chin height", 0.4),
+            nose_length: with_build("head: nose length", 0.2),
+            nose_width: draw("head: nose width"),
+            nose_bridge: draw("head: nose bridge"),
+            nose_hump: with_build("head: nose hump", 0.3),
+            nose_tip: draw("head: nose tip"),
+            nose_turn: with_build("head: nose turn", -0.3),
+            mouth_width: draw("head: mouth width"),
+            upper_lip: with_build("head: upper lip", -0.4),
+            lower_lip: with_build("head: lower lip", -0.3),
+            eye_opening: with_build("head: eye opening", -0.4),
+            eye_width: draw("head: eye width"),
+            eye_spacing: draw("head: eye spacing"),
+            eye_tilt: draw("head: eye tilt"),
+            eye_depth: with_build("head: eye depth", 0.4),
+            lid_crease: with_build("head: lid crease", -0.5),
+            ear_size: with_build("head: ear size", 0.3),
+            ear_protrusion: draw("head: ear protrusion"),
+            neck_girth: with_build("head: neck girth", 0.9),
+        }
+    }
+}
+
+/// Where one person's features lie: the measures that every sculpting stage agrees on, in millimetres, for the left
+/// half (`x >= 0`). +y is up, +z out of the face, and the origin lies between the ears.
+#[derive(Debug, Clone)]
+pub(super) struct Plan {
+    pub traits: Traits,
+    pub eye: Vec3,
+    pub eye_radius: f32,
+    pub inner_canthus: Vec2,
+    pub outer_canthus: Vec2,
+    /// Height of the upper lid's margin over the line between the canthi, and depth of the lower one's under it.
+    pub lid_heights: [f32; 2],
+    /// Height of the lid crease over the upper margin.
+    pub crease: f32,
+    /// Where the nose meets the upper lip.
+    pub nose_base: f32,
+    pub mouth: f32,
+    pub mouth_half_width: f32,
+    /// Heights of the red of the upper and lower lip at the middle.
+    pub lip_heights: [f32; 2],
+    pub chin: f32,
+}
+
+/// Heights of the drawn-from-the-canon face, before a person's proportions: eye, nose base, mouth, chin.
+pub(super) const CANON: [f32; 4] = [28.0, -21.0, -43.0, -88.0];
+
+impl Plan {
+    pub(super) fn new(traits: Traits) -> Self {
+        let t = &traits;
+        let spacing = 31.5 + 0.9 * t.eye_spacing;
+        let width = 29.0 + 0.9 * t.eye_width;
+        let inner = spacing - 0.515 * width;
+        let eye = Vec3::new(spacing, CANON[0], 69.5 - 0.9 * t.eye_depth);
+        let nose_base = CANON[1] - 1.6 * t.nose_length - 0.8 * t.face_length;
+        let mouth = nose_base + (CANON[2] - CANON[1]) - 0.7 * t.face_length;
+        Self {
+            eye,
+            eye_radius: 12.2,
+            inner_canthus: Vec2::new(inner, eye.y - 3.0 - 0.2 * t.eye_tilt),
+            outer_canthus: Vec2::new(inner + width, eye.y - 1.2 + 0.7 * t.eye_tilt),
+            lid_heights: [6.6 + 0.45 * t.eye_opening, 4.2 + 0.3 * t.eye_opening],
+            crease: 4.6 + 0.9 * t.lid_crease,
+            nose_base,
+            mouth,
+            mouth_half_width: 25.0 + 1.3 * t.mouth_width,
+            lip_heights: [7.0 + 1.0 * t.upper_lip, 9.0 + 1.1 * t.lower_lip],
+            chin: mouth + (CANON[3] - CANON[2]) - 1.6 * t.chin_height,
+            traits,
+        }
+    }
+
+    /// Where a height of the canon lies on this person: eyes stay, and what is below moves with nose, mouth and chin.
+    pub(super) fn height(&self, canon: f32) -> f32 {
+        let here = [self.eye.y, self.nose_base, self.mouth, self.chin];
+        if canon >= CANON[0] {
+            return canon;
+        }
+        for i in 0..3 {
+            if canon >= CANON[i + 1] {
+                let t = (CANON[i] - canon) / (CANON[i] - CANON[i + 1]);
+                return here[i] + (here[i + 1] - here[i]) * t;
+            }
+        }
+        canon + here[3] - CANON[3]
+    }
+}

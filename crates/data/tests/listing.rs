@@ -104,6 +104,10 @@ fn the_folder_above_or_below_is_pointed_out() {
     assert_says(open("sintel-final", dir.path(), None), &["looked for", "training/final", &advice]);
     assert_says(open("sintel-final", &right.join("training"), None), &[&advice]);
     assert_says(open("sintel-final", &right.join("training/flow"), None), &[&advice]);
+    let other = tree(["pairs/frames/0.png", "pairs/frames/1.png"]);
+    let advice = format!("give folder:{}", other.path().join("pairs").display());
+    assert_says(open("folder", &other.path().join("pairs/frames"), None), &[&advice]);
+    assert_says(open("folder", other.path(), None), &[&advice]);
     assert_says(open("sintel-clean", &right, None), &["training/clean", "training holds only final, flow"]);
 }
 

@@ -166,8 +166,8 @@ pub fn nothing_fits(kind: &str, dir: &Path, pattern: &str, hint: &str) -> Datase
     }
 }
 
-/// Where near `dir` a folder holds `needed`.
-fn elsewhere(dir: &Path, needed: &str) -> Option<PathBuf> {
+/// Where near `dir` (one or two levels up or down) a folder holds `needed`.
+pub fn elsewhere(dir: &Path, needed: &str) -> Option<PathBuf> {
     let full = std::path::absolute(dir).ok()?;
     let above = full.ancestors().skip(1).take(2).map(Path::to_owned);
     let below = folders(dir).unwrap_or_default();

@@ -37,14 +37,21 @@ impl Reader for Plain {
         }
         let pairs = if dir.is_dir() { triplets(&dir, gaps)? } else { Vec::new() };
         if pairs.is_empty() && gaps.is_empty() {
-            let hint = if dir.join("train").is_dir() || dir.join("test").is_dir() {
-                "It has splits: choose one with --split"
-            } else {
-                "A folder of pairs holds NAME_img1.png, NAME_img2.png, NAME_flow.flo, or frames/ and flow/"
-            };
-            return Err(listing::nothing_fits("folder", &dir, "*_img1.* or frames/", hint));
+            return Err(listing::nothing_fits("folder", &dir, "*_img1.* or frames/", &hint(&dir)));
         }
         Ok(pairs)
+    }
+}
+
+/// What to do about a folder that holds no pairs.
+fn hint(dir: &Path) -> String {
+    if dir.join("train").is_dir() || dir.join("test").is_dir() {
+        return "It has splits: choose one with --split".to_owned();
+    }
+    match listing::elsewhere(dir, "frames") {
+        Some(place) => format!("frames/ is under {0}: give folder:{0}", place.display()),
+        None => "A folder of pairs holds NAME_img1.png, NAME_img2.png, NAME_flow.flo, or frames/ and flow/"
+            .to_owned(),
     }
 }
 

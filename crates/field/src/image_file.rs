@@ -5,7 +5,7 @@ use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
-use crate::codec::{MAX_PIXELS, check_deflated, check_size, read_all, read_with};
+use crate::codec::{MAX_PIXELS, PngOutline, check_size, read_all, read_with};
 use crate::{FileError, FileProblem, Image, Mask, write_atomically};
 
 /// Reads a PNG, JPEG, PPM/PGM or BMP file; its first bytes say which it is. 16-bit channels are rounded to 8 bits, grey
@@ -81,6 +81,11 @@ fn decode(bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
     let broken = |error: image::ImageError| {
         FileProblem::field("image", format!("a sound {} file", name(format)), error.to_string())
     };
+    match format {
+        ImageFormat::Png => PngOutline::read(bytes).map(drop)?,
+        ImageFormat::Jpeg => check_end_of_jpeg(bytes)?,
+        _ => {}
+    }
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut limits = Limits::default();
     limits.max_alloc = Some(12 * MAX_PIXELS); // 16-bit RGBA and the decoder's own rows
@@ -88,11 +93,6 @@ fn decode(bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
     let decoder = reader.into_decoder().map_err(broken)?;
     let (width, height) = decoder.dimensions();
     check_size(width.into(), height.into())?;
-    match format {
-        ImageFormat::Png => check_deflated(decoder.total_bytes() / 8, bytes.len() as u64)?, // 1 bit may become 8
-        ImageFormat::Jpeg => check_end_of_jpeg(bytes)?,
-        _ => {}
-    }
     DynamicImage::from_decoder(decoder).map_err(broken)
 }
 

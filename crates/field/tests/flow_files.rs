@@ -1,24 +1,34 @@
-//! Flow files: what is written is read again, and what is broken is refused in words.
+//! Flow files: what is written is read again, what other programs wrote is read as they meant it, and what is broken is
+//! refused in words.
+
+use std::fs;
+use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;
-use srflow_field::{FlowField, FlowFormat, read_flow, write_flow_as};
+use srflow_field::{FlowField, FlowFormat, read_flow, read_flow_as, write_flow, write_flow_as};
 
-fn component() -> impl Strategy<Value = f32> {
-    prop_oneof![
-        -600.0_f32..600.0,
-        prop::num::f32::NORMAL.prop_filter("in the range of .flo", |x| x.abs() <= 1e9),
-        prop::num::f32::SUBNORMAL,
-        Just(0.0),
-        Just(-0.0),
-    ]
+const FLOAT_FORMATS: [FlowFormat; 4] = [FlowFormat::Flo, FlowFormat::Pfm, FlowFormat::Npy, FlowFormat::Npz];
+
+fn data(name: &str) -> PathBuf {
+    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data")).join(name)
 }
 
-fn flow() -> impl Strategy<Value = FlowField> {
-    let pixel = prop_oneof![4 => [component(), component()], 1 => Just([f32::NAN; 2])];
+fn flow_of(component: impl Strategy<Value = f32> + Clone) -> impl Strategy<Value = FlowField> {
+    let pixel = prop_oneof![4 => [component.clone(), component], 1 => Just([f32::NAN; 2])];
     (1_usize..12, 1_usize..12).prop_flat_map(move |(width, height)| {
         prop::collection::vec(pixel.clone(), width * height)
             .prop_map(move |pixels| FlowField::from_pixels(width, height, pixels).unwrap())
     })
+}
+
+fn any_component() -> impl Strategy<Value = f32> + Clone {
+    prop_oneof![
+        -600.0_f32..600.0,
+        prop::num::f32::NORMAL.prop_map(|x| x.clamp(-1e9, 1e9)),
+        prop::num::f32::SUBNORMAL,
+        Just(0.0),
+        Just(-0.0),
+    ]
 }
 
 /// Bit patterns, so that -0.0 and 0.0 differ; every NaN is the same.
@@ -26,16 +36,338 @@ fn bits(flow: &FlowField) -> Vec<[u32; 2]> {
     flow.pixels().iter().map(|pixel| pixel.map(|x| if x.is_nan() { u32::MAX } else { x.to_bits() })).collect()
 }
 
+/// The bytes of a file of this flow.
+fn encoded(flow: &FlowField, format: FlowFormat) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(format!("flow.{format}"));
+    write_flow(&path, flow).unwrap();
+    fs::read(path).unwrap()
+}
+
+fn read_bytes(folder: &Path, name: &str, bytes: &[u8]) -> Result<FlowField, String> {
+    let path = folder.join(name);
+    fs::write(&path, bytes).unwrap();
+    read_flow(&path).map_err(|error| error.to_string())
+}
+
 proptest! {
+    #![proptest_config(ProptestConfig { cases: 128, failure_persistence: None, ..ProptestConfig::default() })]
+
     #[test]
-    fn float_formats_keep_every_bit(flow in flow()) {
+    fn float_formats_keep_every_bit(flow in flow_of(any_component())) {
         let folder = tempfile::tempdir().unwrap();
-        for format in [FlowFormat::Flo, FlowFormat::Npy] {
-            let path = folder.path().join(format!("flow.{format}"));
-            write_flow_as(&path, &flow, format).unwrap();
-            let again = read_flow(&path).unwrap();
+        for format in FLOAT_FORMATS {
+            let again = read_bytes(folder.path(), "flow.any", &encoded(&flow, format)).unwrap();
             prop_assert_eq!(again.size(), flow.size());
             prop_assert_eq!(bits(&again), bits(&flow), "{}", format);
         }
+    }
+
+    #[test]
+    fn png_keeps_every_step_of_its_grid(steps in flow_of((0_u16..=u16::MAX).prop_map(f32::from))) {
+        for (format, per_pixel) in [(FlowFormat::KittiPng, 64.0), (FlowFormat::Png128, 128.0)] {
+            let flow = FlowField::from_fn(steps.width(), steps.height(), |x, y| {
+                steps.get(x, y).map(|step| (step - 32768.0) / per_pixel)
+            });
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("flow.png");
+            write_flow_as(&path, &flow, format).unwrap();
+            prop_assert_eq!(bits(&read_flow_as(&path, format).unwrap()), bits(&flow));
+        }
+    }
+
+    #[test]
+    fn png_rounds_to_the_nearest_step(flow in flow_of(-200.0_f32..200.0)) {
+        let folder = tempfile::tempdir().unwrap();
+        for (format, largest_error) in [(FlowFormat::KittiPng, 1.0 / 128.0), (FlowFormat::Png128, 1.0 / 256.0)] {
+            let path = folder.path().join(format!("flow.{format}"));
+            write_flow(&path, &flow).unwrap();
+            let again = read_flow(&path).unwrap();
+            prop_assert_eq!(again.known(), flow.known());
+            for (a, b) in again.pixels().as_flattened().iter().zip(flow.pixels().as_flattened()) {
+                prop_assert!(b.is_nan() || (a - b).abs() <= largest_error, "{a} for {b}");
+            }
+        }
+    }
+
+    /// Cut anywhere, a file is refused.
+    #[test]
+    fn files_cut_short_are_refused(flow in flow_of(any_component()), cut in 0.0_f64..1.0) {
+        let folder = tempfile::tempdir().unwrap();
+        for format in FLOAT_FORMATS {
+            let bytes = encoded(&flow, format);
+            let left = &bytes[..(bytes.len() as f64 * cut) as usize];
+            let error = read_bytes(folder.path(), &format!("cut.{format}"), left).unwrap_err();
+            prop_assert!(error.contains(&format!("cut.{format}: ")), "{error}");
+        }
+    }
+
+    #[test]
+    fn something_after_the_data_is_refused(flow in flow_of(-100.0_f32..100.0), tail in prop::collection::vec(any::<u8>(), 1..50)) {
+        let folder = tempfile::tempdir().unwrap();
+        for format in FlowFormat::ALL {
+            let mut bytes = encoded(&flow, format);
+            bytes.extend(&tail);
+            prop_assert!(read_bytes(folder.path(), &format!("long.{format}"), &bytes).is_err(), "{format}");
+        }
+    }
+
+    /// Whatever bytes are changed, reading ends with a flow of a size the file can hold, or an error; it never panics.
+    #[test]
+    fn changed_bytes_never_panic(
+        flow in flow_of(-100.0_f32..100.0),
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+    ) {
+        let folder = tempfile::tempdir().unwrap();
+        for format in FlowFormat::ALL {
+            let mut bytes = encoded(&flow, format);
+            for (index, byte) in &changes {
+                let at = index.index(bytes.len());
+                bytes[at] = *byte;
+            }
+            if let Ok(flow) = read_bytes(folder.path(), &format!("changed.{format}"), &bytes) {
+                prop_assert!(flow.pixels().len() <= 1032 * bytes.len());
+                prop_assert!(flow.pixels().iter().all(|[u, v]| u.is_finite() == v.is_finite()));
+            }
+        }
+    }
+
+    #[test]
+    fn any_bytes_after_a_magic_never_panic(tail in prop::collection::vec(any::<u8>(), 0..300)) {
+        let folder = tempfile::tempdir().unwrap();
+        let one = FlowField::new(1, 1);
+        for format in FlowFormat::ALL {
+            let mut bytes = encoded(&one, format);
+            bytes.truncate(8);
+            bytes.extend(&tail);
+            let _ = read_bytes(folder.path(), &format!("noise.{format}"), &bytes);
+        }
+    }
+}
+
+/// The flow that `tools/golden/field.py` gave to every program.
+fn golden() -> FlowField {
+    read_flow(&data("flow.npy")).unwrap()
+}
+
+#[test]
+fn files_of_other_programs_hold_the_same_flow() {
+    let golden = golden();
+    assert_eq!(golden.size(), (13, 9));
+    let unknown: Vec<usize> =
+        (0..golden.pixels().len()).filter(|i| golden.pixels()[*i][0].is_nan()).collect();
+    assert_eq!(unknown, [2 * 13 + 5, 8 * 13 + 12]);
+    let exact = [
+        "flow_fortran.npy",
+        "flow_f64_big_endian.npy",
+        "flow.npz",
+        "flow_compressed.npz",
+        "flow_opencv.flo",
+        "flow_kitti.png",
+        "flow.pfm",
+    ];
+    for name in exact {
+        let flow = read_flow(&data(name)).unwrap();
+        assert_eq!(bits(&flow), bits(&golden), "{name}");
+    }
+    let half = read_flow(&data("flow_f16.npy")).unwrap();
+    assert_eq!(half.known(), golden.known());
+    for (a, b) in half.pixels().as_flattened().iter().zip(golden.pixels().as_flattened()) {
+        assert!(b.is_nan() || (a - b).abs() <= b.abs() / 2048.0, "{a} for {b}");
+    }
+}
+
+#[test]
+fn the_real_kitti_truth_has_its_known_statistics() {
+    let path =
+        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/real-frames/kitti/flow_gt.png"));
+    if !path.exists() {
+        eprintln!("skipped: {} is not there", path.display());
+        return;
+    }
+    let flow = read_flow(path).unwrap();
+    let known: Vec<[f32; 2]> = flow.pixels().iter().copied().filter(|[u, _]| u.is_finite()).collect();
+    let mean = |channel: usize| {
+        known.iter().map(|pixel| f64::from(pixel[channel])).sum::<f64>() / known.len() as f64
+    };
+    // numpy: rgb = cv2.imread(path, -1)[..., ::-1]; ((rgb[..., :2][rgb[..., 2] > 0] - 32768.0) / 64).mean(0)
+    assert_eq!((flow.size(), known.len()), ((1242, 375), 75_453));
+    assert!(
+        (mean(0) + 29.857_322_811_882_895).abs() < 1e-12 && (mean(1) - 14.984_259_033_769_366).abs() < 1e-12
+    );
+}
+
+fn refusal(name: &str, bytes: &[u8]) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    let error = read_bytes(folder.path(), name, bytes).unwrap_err();
+    error.split_once(name).map(|(_, told)| told.to_owned()).unwrap_or(error)
+}
+
+fn flo(width: i32, height: i32, values: &[f32]) -> Vec<u8> {
+    let mut bytes = b"PIEH".to_vec();
+    bytes.extend(width.to_le_bytes());
+    bytes.extend(height.to_le_bytes());
+    bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+    bytes
+}
+
+#[test]
+fn flo_errors_name_the_field() {
+    let zeros = [0.0; 12];
+    assert_eq!(refusal("a.flo", b""), ": header: expected 12 bytes, found a file of 0 bytes");
+    assert_eq!(
+        refusal("a.flo", b"HEIP\x01\0\0\0\x01\0\0\0\0\0\0\0\0\0\0\0"),
+        ": magic: expected \"PIEH\", the start of a .flo file, found \"HEIP\""
+    );
+    assert_eq!(refusal("a.flo", &flo(0, 3, &[])), ": width: expected at least 1 pixel, found 0");
+    assert_eq!(refusal("a.flo", &flo(2, -3, &zeros)), ": height: expected at least 1 pixel, found -3");
+    let huge = refusal("a.flo", &flo(i32::MAX, i32::MAX, &zeros));
+    assert_eq!(huge, ": size: expected at most 134217728 pixels, found 2147483647x2147483647 (WIDTHxHEIGHT)");
+    assert_eq!(
+        refusal("a.flo", &flo(3, 3, &zeros)),
+        ": file size: expected 84 bytes, as the header promises, found 60 bytes: the file is cut short"
+    );
+    assert_eq!(
+        refusal("a.flo", &flo(3, 1, &zeros)),
+        ": file size: expected 36 bytes, as the header promises, found 60 bytes: something follows the data"
+    );
+}
+
+#[test]
+fn values_that_are_no_flow_are_named_by_their_pixel() {
+    for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+        let mut values = [0.5; 12];
+        values[2 * 4 + 1] = bad; // v of pixel 4: column 1 of row 1 at width 3
+        let told = refusal("a.flo", &flo(3, 2, &values));
+        assert!(told.starts_with(": pixel (1, 1): expected finite numbers"), "{told}");
+
+        let mut pfm = b"PF\n2 2\n-1\n".to_vec();
+        let bottom_right = [0., 0., 0., 1., bad, 0., 0., 0., 0., 0., 0., 0.];
+        pfm.extend(bottom_right.iter().flat_map(|value| value.to_le_bytes()));
+        let told = refusal("a.pfm", &pfm);
+        assert!(told.starts_with(": pixel (1, 1): expected finite numbers"), "{told}");
+    }
+    let half_known = FlowField::from_pixels(2, 1, vec![[0.0, 0.0], [f32::NAN, 1.0]]).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    for format in FlowFormat::ALL {
+        let path = folder.path().join(format!("flow.{format}"));
+        let told = write_flow(&path, &half_known).unwrap_err().to_string();
+        assert!(told.contains("pixel (1, 0): expected finite numbers, or NaN twice"), "{told}");
+        assert!(!path.exists());
+    }
+}
+
+#[test]
+fn what_a_format_cannot_hold_is_named_by_its_pixel() {
+    let folder = tempfile::tempdir().unwrap();
+    let beyond = [
+        (FlowFormat::Flo, 1.1e9),
+        (FlowFormat::KittiPng, 512.0),
+        (FlowFormat::KittiPng, -512.01),
+        (FlowFormat::Png128, 256.0),
+    ];
+    for (format, component) in beyond {
+        let mut flow = FlowField::new(4, 3);
+        flow.set(3, 2, [0.0, component]);
+        let path = folder.path().join(format!("flow.{format}"));
+        let told = write_flow(&path, &flow).unwrap_err().to_string();
+        assert!(told.contains("pixel (3, 2): expected") && !path.exists(), "{told}");
+    }
+}
+
+#[test]
+fn npy_errors_name_the_field() {
+    let with = |dictionary: &str| {
+        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+        bytes.extend((dictionary.len() as u16).to_le_bytes());
+        bytes.extend(dictionary.as_bytes());
+        bytes.extend([0; 16]);
+        refusal("a.npy", &bytes)
+    };
+    let told = with("{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2, 3), }");
+    assert_eq!(told, ": shape: expected (H, W, 2) for a flow, found [1, 2, 3]");
+    let told = with("{'descr': '<i8', 'fortran_order': False, 'shape': (1, 2, 2), }");
+    assert_eq!(told, ": descr: expected f2, f4, f8, u1 or b1 (save with dtype float32), found '<i8'");
+    let told = with("{'descr': '<f4', 'shape': (1, 2, 2), }");
+    assert!(told.starts_with(": fortran_order: expected an entry"), "{told}");
+    let told = with("{'descr': '<f4', 'fortran_order': False, 'shape': (18446744073709551615, 2, 2), }");
+    assert!(told.starts_with(": size: expected at most"), "{told}");
+    let told = with("{'descr': '<f4', 'fortran_order': False, 'shape': (1, -2, 2), }");
+    assert!(told.starts_with(": shape: expected a tuple of lengths"), "{told}");
+    assert_eq!(
+        with("{'descr': '<f4', 'fortran_order': False, 'shape': (9, 9, 2), }"),
+        ": file size: expected 720 bytes, as the header promises, found 88 bytes: the file is cut short"
+    );
+    let told = refusal("a.npy", b"\x93NUMPY\x01\x00\xff\xff{}");
+    assert!(told.starts_with(": header length: expected"), "{told}");
+}
+
+#[test]
+fn pfm_errors_name_the_field() {
+    let told = refusal("a.pfm", b"Pf\n2 2\n-1.0\n0123456789abcdef");
+    assert_eq!(told, ": magic: expected \"PF\", the start of a .pfm file of three channels, found \"Pf\"");
+    let told = refusal("a.pfm", b"PF\n2 two\n-1.0\n");
+    assert_eq!(told, ": height: expected a whole number, found \"two\"");
+    let told = refusal("a.pfm", b"PF\n2 2\n0\n");
+    assert_eq!(told, ": scale: expected a number whose sign is the byte order, such as -1.0, found \"0\"");
+    let told = refusal("a.pfm", b"PF\n99999999999999999999 2\n-1\n");
+    assert!(told.starts_with(": width: expected a whole number"), "{told}");
+}
+
+#[test]
+fn pfm_of_either_byte_order_is_read_from_the_bottom() {
+    let rows_from_below = [[3.0_f32, 4.0, 0.0], [1.0, 2.0, 0.0]];
+    for (scale, big_endian) in [("-1.0", false), ("0.5", true)] {
+        let mut bytes = format!("PF\n1 2\n{scale}\n").into_bytes();
+        let values = rows_from_below.as_flattened().iter();
+        bytes.extend(values.flat_map(|v| if big_endian { v.to_be_bytes() } else { v.to_le_bytes() }));
+        let folder = tempfile::tempdir().unwrap();
+        let flow = read_bytes(folder.path(), "a.pfm", &bytes).unwrap();
+        assert_eq!(flow.pixels(), [[1.0, 2.0], [3.0, 4.0]], "{scale}");
+    }
+}
+
+#[test]
+fn a_picture_is_no_kitti_flow() {
+    let told = fs::read(data("disc_flow_vis.png")).map(|bytes| refusal("a.png", &bytes)).unwrap();
+    assert!(told.contains("pixel format: expected 16-bit RGB") && told.contains("found 8 bits"), "{told}");
+}
+
+#[test]
+fn a_png_that_claims_more_than_deflate_can_hold_is_refused() {
+    let mut bytes = encoded(&FlowField::new(4, 4), FlowFormat::KittiPng);
+    bytes[16..20].copy_from_slice(&10_000_u32.to_be_bytes());
+    bytes[20..24].copy_from_slice(&10_000_u32.to_be_bytes());
+    let told = refusal("a.png", &bytes);
+    assert!(told.starts_with(": compressed data: expected enough for the 600000000 bytes"), "{told}");
+}
+
+#[test]
+fn an_unknown_kind_of_file_lists_the_formats() {
+    let told = refusal("a.txt", b"hello there");
+    assert_eq!(
+        told,
+        ": format: expected a flow file (flo, png, png128, pfm, npy, npz), found neither such an extension nor such a \
+         start: \"hello th\""
+    );
+    let missing = read_flow(Path::new("/nowhere/at/all.flo")).unwrap_err().to_string();
+    assert!(missing.starts_with("/nowhere/at/all.flo: opening: "), "{missing}");
+    let folder = tempfile::tempdir().unwrap();
+    assert!(
+        read_flow(folder.path())
+            .unwrap_err()
+            .to_string()
+            .ends_with(": file: expected a file, found a folder")
+    );
+}
+
+#[test]
+fn the_start_of_a_file_says_more_than_its_extension() {
+    let folder = tempfile::tempdir().unwrap();
+    let flow = FlowField::filled(3, 2, [1.5, -2.0]);
+    for format in [FlowFormat::Flo, FlowFormat::KittiPng, FlowFormat::Pfm, FlowFormat::Npy, FlowFormat::Npz] {
+        let path = folder.path().join("misnamed.flo");
+        write_flow_as(&path, &flow, format).unwrap();
+        assert_eq!(read_flow(&path).unwrap(), flow, "{format}");
     }
 }

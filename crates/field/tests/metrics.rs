@@ -135,6 +135,8 @@ fn slow_twin(prediction: &FlowField, truth: &FlowField) -> Option<Metrics> {
 }
 
 proptest! {
+    #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
+
     /// Errors on and beside every threshold: multiples of 1/20 and their neighbours.
     #[test]
     fn scoring_in_blocks_is_scoring_one_pixel_after_the_other(

@@ -1,12 +1,105 @@
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, bail, ensure};
 use clap::Args;
+use serde::Serialize;
+use srflow_field::{
+    FlowField, FlowFormat, flow_colors, longest_flow, read_flow, write_flow_as, write_image_png,
+};
 
 use crate::Context;
 
 /// Convert a flow between file formats, or draw it in colours
+///
+/// The input's first bytes say its format, the output's extension says what to write: .flo, .png (KITTI's 16-bit PNG),
+/// .png128, .pfm, .flo5, .npy or .npz. Every value and every unknown pixel is kept; .png rounds to 1/64 pixel, .png128 to
+/// 1/128.
 #[derive(Args)]
-pub struct Convert {}
+#[command(after_help = "Examples:
+  srflow convert flow.flo5 flow.flo
+  srflow convert flow.flo colours.png --viz --max 20")]
+pub struct Convert {
+    /// Flow to read
+    #[arg(value_name = "IN")]
+    input: PathBuf,
+    /// File to write
+    #[arg(value_name = "OUT")]
+    output: PathBuf,
+    /// Draw the flow in the colours of Middlebury's wheel (a .png for looking at); unknown pixels are black
+    #[arg(long)]
+    viz: bool,
+    /// Flow of this many pixels has full colour (default: the longest of the picture)
+    #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = positive)]
+    max: Option<f32>,
+    /// Overwrite OUT
+    #[arg(long)]
+    force: bool,
+}
+
+fn positive(text: &str) -> Result<f32, String> {
+    match text.parse() {
+        Ok(number) if number > 0.0 && f32::is_finite(number) => Ok(number),
+        _ => Err("expected a positive number of pixels, such as 20".to_owned()),
+    }
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report {
+    output: PathBuf,
+    width: usize,
+    height: usize,
+    known_pixels: usize,
+    /// Length of the longest known flow in pixels.
+    longest: f32,
+}
 
 /// Runs the command.
-pub fn run(_args: Convert, _context: &Context) -> anyhow::Result<()> {
-    anyhow::bail!("`srflow convert` is not built yet")
+pub fn run(args: Convert, context: &Context) -> anyhow::Result<()> {
+    let target = Target::of(&args.output, args.viz)?;
+    ensure!(
+        args.force || !args.output.exists(),
+        "{}: this file is already there; give --force to overwrite it",
+        args.output.display()
+    );
+    let flow = read_flow(&args.input)?;
+    match target {
+        Target::Picture => write_image_png(&args.output, &flow_colors(&flow, args.max)),
+        Target::Flow(format) => write_flow_as(&args.output, &flow, format),
+    }
+    .with_context(|| format!("converting {}", args.input.display()))?;
+    if context.json {
+        println!("{}", serde_json::to_string(&report(args.output, &flow))?);
+    }
+    Ok(())
+}
+
+enum Target {
+    Picture,
+    Flow(FlowFormat),
+}
+
+impl Target {
+    fn of(output: &Path, viz: bool) -> anyhow::Result<Self> {
+        match FlowFormat::from_path(output) {
+            Some(FlowFormat::KittiPng) if viz => Ok(Self::Picture),
+            _ if viz => bail!("{}: --viz draws a picture: expected a name ending in .png", output.display()),
+            Some(format) => Ok(Self::Flow(format)),
+            None => {
+                let formats = FlowFormat::ALL.map(|format| format!(".{format}")).join(", ");
+                bail!("{}: expected a name ending in one of {formats}", output.display())
+            }
+        }
+    }
+}
+
+fn report(output: PathBuf, flow: &FlowField) -> Report {
+    let known = flow.known();
+    Report {
+        output,
+        width: flow.width(),
+        height: flow.height(),
+        known_pixels: known.pixels().iter().filter(|known| **known).count(),
+        longest: longest_flow(flow),
+    }
 }

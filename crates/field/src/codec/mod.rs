@@ -2,7 +2,11 @@
 
 mod claim;
 mod flo;
+mod kitti_png;
 pub(crate) mod npy;
+mod npz;
+mod pfm;
+mod png_outline;
 mod samples;
 
 use std::fmt;
@@ -13,28 +17,43 @@ use std::str::FromStr;
 
 use crate::{FileError, FileProblem, FlowField, write_atomically};
 
-pub(crate) use claim::{MAX_PIXELS, check_deflated, check_size, read_all};
+pub(crate) use claim::{MAX_PIXELS, check_size, read_all};
+pub(crate) use png_outline::{PNG_MAGIC, PngOutline};
 
 /// A format of flow files.
 ///
-/// Every format keeps every value and every unknown pixel; those of 16-bit PNG keep values on their own grid.
+/// Each keeps every value, bit for bit, and every unknown pixel; except that 16-bit PNG keeps components to the nearest
+/// step of its grid. None holds infinities.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum FlowFormat {
-    /// Middlebury `.flo`: 32-bit floats; unknown pixels hold 1e10.
+    /// Middlebury `.flo`: 32-bit floats; unknown pixels hold 1e10, so that known ones reach to 1e9.
     Flo,
-    /// `.npy` of shape (H, W, 2); unknown pixels hold NaN.
+    /// KITTI's 16-bit PNG with validity: steps of 1/64 pixel (an error of at most 1/128), from -512 to 511.98 pixels.
+    KittiPng,
+    /// The same with steps of 1/128 pixel (an error of at most 1/256), from -256 to 255.99 pixels. Its files end in
+    /// `.png128`; one that ends in `.png` must be read with [`read_flow_as`], as nothing in it tells it from KITTI's.
+    Png128,
+    /// Portable float map of three channels as in FlyingThings3D; unknown pixels hold 1 in the third.
+    Pfm,
+    /// NumPy's `.npy` of shape (H, W, 2), written as `<f4`; unknown pixels hold NaN.
     Npy,
+    /// NumPy's `.npz` with one such array, compressed and named `flow`.
+    Npz,
 }
 
 impl FlowFormat {
     /// Every format.
-    pub const ALL: [Self; 2] = [Self::Flo, Self::Npy];
+    pub const ALL: [Self; 6] = [Self::Flo, Self::KittiPng, Self::Png128, Self::Pfm, Self::Npy, Self::Npz];
 
     /// The extension of its files, which is also its name.
     pub fn extension(self) -> &'static str {
         match self {
             Self::Flo => "flo",
+            Self::KittiPng => "png",
+            Self::Png128 => "png128",
+            Self::Pfm => "pfm",
             Self::Npy => "npy",
+            Self::Npz => "npz",
         }
     }
 
@@ -46,7 +65,13 @@ impl FlowFormat {
 
     /// The format that a file's first bytes speak of.
     fn from_magic(start: &[u8]) -> Option<Self> {
-        let magics: [(&[u8], Self); 2] = [(flo::MAGIC, Self::Flo), (npy::MAGIC, Self::Npy)];
+        let magics: [(&[u8], Self); 5] = [
+            (flo::MAGIC, Self::Flo),
+            (PNG_MAGIC, Self::KittiPng),
+            (pfm::MAGIC, Self::Pfm),
+            (npy::MAGIC, Self::Npy),
+            (npz::MAGIC, Self::Npz),
+        ];
         magics.into_iter().find(|(magic, _)| start.starts_with(magic)).map(|(_, format)| format)
     }
 
@@ -79,14 +104,15 @@ impl FromStr for FlowFormat {
 pub fn read_flow(path: &Path) -> Result<FlowField, FileError> {
     read_with(path, |reader, len| {
         let start = reader.fill_buf().map_err(FileProblem::reading)?;
-        let format =
-            FlowFormat::from_magic(start).or_else(|| FlowFormat::from_path(path)).ok_or_else(|| {
-                FileProblem::field(
-                    "format",
-                    format!("a flow file ({})", FlowFormat::names()),
-                    format!("neither such an extension nor such a start: {}", quote(start)),
-                )
-            })?;
+        let format = match (FlowFormat::from_magic(start), FlowFormat::from_path(path)) {
+            (Some(FlowFormat::KittiPng), Some(FlowFormat::Png128)) => FlowFormat::Png128, // one magic for both
+            (Some(format), _) | (None, Some(format)) => format,
+            (None, None) => {
+                let expected = format!("a flow file ({})", FlowFormat::names());
+                let found = format!("neither such an extension nor such a start: {}", quote(start));
+                return Err(FileProblem::field("format", expected, found));
+            }
+        };
         decode(format, reader, len)
     })
 }
@@ -117,25 +143,35 @@ pub fn write_flow(path: &Path, flow: &FlowField) -> Result<(), FileError> {
 /// # Errors
 /// When the format cannot hold a pixel's value or the file cannot be written.
 pub fn write_flow_as(path: &Path, flow: &FlowField, format: FlowFormat) -> Result<(), FileError> {
-    check_finite_or_unknown(flow).map_err(|problem| problem.in_file(path))?;
+    check_writable(flow, format).map_err(|problem| problem.in_file(path))?;
+    write_atomically(path, |writer| match format {
+        FlowFormat::Flo => flo::encode(flow, writer),
+        FlowFormat::KittiPng => kitti_png::encode(flow, kitti_png::KITTI, writer),
+        FlowFormat::Png128 => kitti_png::encode(flow, kitti_png::PNG128, writer),
+        FlowFormat::Pfm => pfm::encode(flow, writer),
+        FlowFormat::Npy => npy::encode_flow(flow, writer),
+        FlowFormat::Npz => npz::encode(flow, writer),
+    })
+}
+
+fn check_writable(flow: &FlowField, format: FlowFormat) -> Result<(), FileProblem> {
+    check_finite_or_unknown(flow)?;
     match format {
-        FlowFormat::Flo => {
-            flo::check_range(flow).map_err(|problem| problem.in_file(path))?;
-            write_atomically(path, |writer| flo::encode(flow, writer))
-        }
-        FlowFormat::Npy => {
-            let (width, height) = flow.size();
-            write_atomically(path, |writer| {
-                npy::encode(&[height, width, 2], flow.pixels().as_flattened(), writer)
-            })
-        }
+        FlowFormat::Flo => flo::check_range(flow),
+        FlowFormat::KittiPng => kitti_png::check_range(flow, kitti_png::KITTI),
+        FlowFormat::Png128 => kitti_png::check_range(flow, kitti_png::PNG128),
+        FlowFormat::Pfm | FlowFormat::Npy | FlowFormat::Npz => Ok(()),
     }
 }
 
 fn decode(format: FlowFormat, reader: &mut dyn Read, len: u64) -> Result<FlowField, FileProblem> {
     match format {
         FlowFormat::Flo => flo::decode(reader, len),
+        FlowFormat::KittiPng => kitti_png::decode(reader, len, kitti_png::KITTI),
+        FlowFormat::Png128 => kitti_png::decode(reader, len, kitti_png::PNG128),
+        FlowFormat::Pfm => pfm::decode(reader, len),
         FlowFormat::Npy => npy::decode_flow(reader, len),
+        FlowFormat::Npz => npz::decode(reader, len),
     }
 }
 

@@ -105,7 +105,11 @@ pub(super) fn decode_flow(reader: &mut dyn Read, len: u64) -> Result<FlowField, 
     Ok(flow)
 }
 
-pub(super) fn encode(shape: &[usize], values: &[f32], writer: &mut impl Write) -> io::Result<()> {
+pub(super) fn encode_flow(flow: &FlowField, writer: &mut impl Write) -> io::Result<()> {
+    encode(&[flow.height(), flow.width(), 2], flow.pixels().as_flattened(), writer)
+}
+
+fn encode(shape: &[usize], values: &[f32], writer: &mut impl Write) -> io::Result<()> {
     writer.write_all(&header_bytes(shape))?;
     write_f32_little_endian(writer, values)
 }

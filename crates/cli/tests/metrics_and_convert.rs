@@ -1,0 +1,159 @@
+//! `srflow metrics` and `srflow convert` as a user meets them.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use srflow_field::{FlowField, Mask, flow_colors, read_flow, read_image, score, write_flow, write_mask_png};
+
+fn srflow(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_srflow")).current_dir(folder).args(arguments).output().unwrap()
+}
+
+fn code(output: &Output) -> i32 {
+    output.status.code().expect("the program ended by itself")
+}
+
+fn error(output: &Output) -> String {
+    assert_eq!(code(output), 1, "{output:?}");
+    assert!(output.stdout.is_empty(), "{output:?}");
+    let error = String::from_utf8(output.stderr.clone()).unwrap();
+    assert!(error.starts_with("error: ") && !error.contains("panicked"), "{error}");
+    error
+}
+
+fn wavy() -> FlowField {
+    let mut flow = FlowField::from_fn(9, 5, |x, y| [x as f32 * 0.5 - 2.0, y as f32 * 1.25]);
+    flow.set(4, 4, [f32::NAN; 2]);
+    flow
+}
+
+#[test]
+fn metrics_prints_json_with_the_documented_keys() {
+    let folder = tempfile::tempdir().unwrap();
+    let truth = wavy();
+    let prediction = FlowField::from_fn(9, 5, |x, y| [x as f32 * 0.5 - 2.0 + y as f32, y as f32 * 1.25]);
+    let mask = Mask::from_fn(9, 5, |x, _| x > 2);
+    write_flow(&folder.path().join("p.flo"), &prediction).unwrap();
+    write_flow(&folder.path().join("t.png"), &truth).unwrap();
+    write_mask_png(&folder.path().join("m.png"), &mask).unwrap();
+
+    let plain = srflow(folder.path(), &["metrics", "p.flo", "t.png", "--json"]);
+    let masked = srflow(folder.path(), &["metrics", "p.flo", "t.png", "--mask", "m.png", "--json"]);
+    for (output, mask) in [(plain, None), (masked, Some(&mask))] {
+        assert_eq!(code(&output), 0, "{output:?}");
+        let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let scores = score(&prediction, &truth, mask).unwrap().unwrap();
+        assert_eq!(json, serde_json::to_value(scores).unwrap());
+        let keys: Vec<&String> = json.as_object().unwrap().keys().collect();
+        assert_eq!(keys.len(), 7);
+        assert_eq!(json["epe"], scores.epe);
+    }
+}
+
+#[test]
+fn metrics_prints_a_table_for_people() {
+    let folder = tempfile::tempdir().unwrap();
+    write_flow(&folder.path().join("a.flo"), &wavy()).unwrap();
+    let output = srflow(folder.path(), &["metrics", "a.flo", "a.flo"]);
+    let known = FlowField::new(9, 5);
+    write_flow(&folder.path().join("known.flo"), &known).unwrap();
+    // A prediction may be unknown only where the truth is.
+    assert_eq!(code(&output), 0, "{output:?}");
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(text.contains("EPE        0.0000 px") && text.contains("over 44 pixels"), "{text}");
+    let told = error(&srflow(folder.path(), &["metrics", "a.flo", "known.flo"]));
+    assert!(
+        told.contains("scoring a.flo against known.flo: the prediction at pixel (4, 4) is (NaN, NaN)"),
+        "{told}"
+    );
+}
+
+#[test]
+fn metrics_says_what_is_wrong() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    write_flow(&path("a.flo"), &wavy()).unwrap();
+    write_flow(&path("small.flo"), &FlowField::new(2, 2)).unwrap();
+    write_mask_png(&path("nothing.png"), &Mask::new(9, 5)).unwrap();
+    fs::write(path("cut.flo"), &fs::read(path("a.flo")).unwrap()[..50]).unwrap();
+
+    let told = error(&srflow(folder.path(), &["metrics", "cut.flo", "a.flo"]));
+    assert!(told.contains("cut.flo: file size: expected 372 bytes"), "{told}");
+    let told = error(&srflow(folder.path(), &["metrics", "small.flo", "a.flo"]));
+    assert!(told.contains("the prediction is 2x2 and the truth 9x5"), "{told}");
+    let told = error(&srflow(folder.path(), &["metrics", "a.flo", "gone.flo"]));
+    assert!(told.contains("gone.flo: opening"), "{told}");
+    let told =
+        error(&srflow(folder.path(), &["metrics", "a.flo", "a.flo", "--mask", "nothing.png", "--json"]));
+    assert!(told.contains("expected a known pixel of the truth inside the mask, found none"), "{told}");
+    assert_eq!(code(&srflow(folder.path(), &["metrics", "a.flo"])), 2);
+}
+
+#[test]
+fn convert_goes_round_every_format_without_loss() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    write_flow(&path("start.flo"), &wavy()).unwrap();
+    let round = ["start.flo", "a.pfm", "b.png", "c.npy", "e.npz", "f.png128", "end.flo"];
+    for step in round.windows(2) {
+        let output = srflow(folder.path(), &["convert", step[0], step[1]]);
+        assert_eq!(code(&output), 0, "{step:?}: {output:?}");
+    }
+    assert_eq!(fs::read(path("start.flo")).unwrap(), fs::read(path("end.flo")).unwrap());
+}
+
+#[test]
+fn convert_draws_the_colour_wheel() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    write_flow(&path("a.flo"), &wavy()).unwrap();
+    let output = srflow(folder.path(), &["convert", "a.flo", "a.png", "--viz"]);
+    assert_eq!(code(&output), 0, "{output:?}");
+    assert_eq!(read_image(&path("a.png")).unwrap(), flow_colors(&wavy(), None));
+    let output = srflow(folder.path(), &["convert", "a.flo", "b.png", "--viz", "--max", "2.5"]);
+    assert_eq!(code(&output), 0, "{output:?}");
+    assert_eq!(read_image(&path("b.png")).unwrap(), flow_colors(&wavy(), Some(2.5)));
+    assert!(read_flow(&path("b.png")).is_err(), "a picture of a flow is no flow");
+}
+
+#[test]
+fn convert_overwrites_only_with_force() {
+    let folder = tempfile::tempdir().unwrap();
+    write_flow(&folder.path().join("a.flo"), &wavy()).unwrap();
+    fs::write(folder.path().join("b.npy"), "dear").unwrap();
+    let told = error(&srflow(folder.path(), &["convert", "a.flo", "b.npy"]));
+    assert!(told.contains("b.npy") && told.contains("--force"), "{told}");
+    assert_eq!(fs::read(folder.path().join("b.npy")).unwrap(), b"dear");
+    let output = srflow(folder.path(), &["convert", "a.flo", "b.npy", "--force", "--json"]);
+    assert_eq!(code(&output), 0, "{output:?}");
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!((&json["width"], &json["height"], &json["known_pixels"]), (&9.into(), &5.into(), &44.into()));
+    let names: Vec<PathBuf> =
+        fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
+    assert_eq!(names.len(), 2, "nothing is left beside the files: {names:?}");
+}
+
+#[test]
+fn convert_says_what_is_wrong() {
+    let folder = tempfile::tempdir().unwrap();
+    let fast = FlowField::filled(4, 3, [600.0, 0.0]);
+    write_flow(&folder.path().join("fast.flo"), &fast).unwrap();
+    let told = error(&srflow(folder.path(), &["convert", "fast.flo", "fast.png"]));
+    assert!(told.contains("fast.png: pixel (0, 0): expected components from -512"), "{told}");
+    let told = error(&srflow(folder.path(), &["convert", "fast.flo", "fast.xyz"]));
+    assert!(told.contains("fast.xyz: expected a name ending in one of .flo, .png"), "{told}");
+    let told = error(&srflow(folder.path(), &["convert", "fast.flo", "fast.flo5", "--viz"]));
+    assert!(told.contains("expected a name ending in .png"), "{told}");
+    let told = error(&srflow(folder.path(), &["convert", "fast.flo", "no/such/folder.npy"]));
+    assert!(told.contains("no/such/folder.npy: creating"), "{told}");
+    for wrong in ["0", "-1", "nan", "inf", "many"] {
+        let max = format!("--max={wrong}");
+        assert_eq!(code(&srflow(folder.path(), &["convert", "fast.flo", "x.png", "--viz", &max])), 2);
+    }
+    assert_eq!(
+        code(&srflow(folder.path(), &["convert", "fast.flo", "x.png", "--max", "3"])),
+        2,
+        "needs --viz"
+    );
+}

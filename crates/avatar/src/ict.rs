@@ -159,6 +159,25 @@ fn dressed_triangles(
     (triangles, regions)
 }
 
+/// The hairline seen from the side, metres from back to front: [z, y].
+const HAIRLINE: [[f32; 2]; 15] = [
+    [-0.090, -0.035],
+    [-0.040, -0.030],
+    [-0.028, -0.010],
+    [-0.021, 0.025],
+    [-0.017, 0.067],
+    [0.009, 0.069],
+    [0.015, 0.040],
+    [0.019, 0.012],
+    [0.031, 0.014],
+    [0.037, 0.040],
+    [0.045, 0.064],
+    [0.055, 0.083],
+    [0.063, 0.098],
+    [0.073, 0.107],
+    [0.095, 0.114],
+];
+
 /// Where the regions lie that the topology does not tell apart.
 struct RegionMap {
     lips: Vec<Vec3>,
@@ -166,7 +185,6 @@ struct RegionMap {
     eyes: [Vec<Vec3>; 2],
     chin: Vec3,
     ear: Vec3,
-    brow_height: f32,
 }
 
 impl RegionMap {
@@ -177,7 +195,6 @@ impl RegionMap {
             eyes: [landmarks[36..42].to_vec(), landmarks[42..48].to_vec()],
             chin: landmarks[8],
             ear: (landmarks[0] + landmarks[16]) * 0.5,
-            brow_height: landmarks[17..27].iter().map(|p| p.y).fold(f32::MIN, f32::max),
         }
     }
 
@@ -208,7 +225,7 @@ impl RegionMap {
             Region::Lips
         } else if front && self.eyes.iter().any(|eye| inside_polygon(p, eye)) {
             Region::LidMargin
-        } else if front && self.brows.iter().any(|brow| near_polyline(p, brow, 0.007)) {
+        } else if front && self.brows.iter().any(|brow| near_polyline(p + Vec3::Y * 0.003, brow, 0.008)) {
             Region::Brow
         } else if self.is_neck(p) {
             Region::Neck
@@ -225,19 +242,12 @@ impl RegionMap {
         p.y < self.chin.y - 0.012 + (behind * 0.45).min(0.035)
     }
 
-    /// Above a hairline over the forehead, before the ears and down to the nape.
+    /// Above the hairline: over the forehead, down the temples to the sideburns, around the ears, down to the nape.
     fn is_scalp(&self, p: Vec3) -> bool {
-        let hairline_height = self.brow_height + 0.052;
-        let forehead = p.z - (self.ear.z - 0.02);
-        if forehead > 0.0 {
-            // From the top of the forehead down to the temples and the sideburns.
-            let side = (p.x.abs() / 0.075).min(1.0);
-            let slope = (1.0 - forehead / 0.085).clamp(0.0, 1.0);
-            p.y > hairline_height + 0.012 * (1.0 - side) - 0.062 * slope * slope
-        } else {
-            let ear = p.x.abs() > 0.076 && p.y < self.ear.y + 0.03 && p.z > self.ear.z - 0.055;
-            !ear && p.y > self.ear.y - 0.055
-        }
+        let i = HAIRLINE.partition_point(|[z, _]| *z < p.z).clamp(1, HAIRLINE.len() - 1);
+        let ([z0, y0], [z1, y1]) = (HAIRLINE[i - 1], HAIRLINE[i]);
+        let t = ((p.z - z0) / (z1 - z0)).clamp(0.0, 1.0);
+        p.y > y0 + (y1 - y0) * t
     }
 }
 

@@ -20,6 +20,23 @@ const FILL_COLOR: Vec3 = Vec3::new(0.21, 0.225, 0.245);
 const GROUND_COLOR: Vec3 = Vec3::new(0.19, 0.175, 0.165);
 const SKY_COLOR: Vec3 = Vec3::new(0.40, 0.41, 0.43);
 
+/// The lights as hair sees them.
+pub(super) struct HairLights {
+    pub ambient: Vec3,
+    pub key: Vec3,
+    pub key_color: Vec3,
+    pub fill: Vec3,
+    pub fill_color: Vec3,
+}
+
+pub(super) const HAIR_LIGHTS: HairLights = HairLights {
+    ambient: SKY_COLOR,
+    key: KEY_DIRECTION,
+    key_color: KEY_COLOR,
+    fill: FILL_DIRECTION,
+    fill_color: FILL_COLOR,
+};
+
 const AMBIENT_RAYS: usize = 40;
 const KEY_RAYS: usize = 14;
 const FILL_RAYS: usize = 8;

@@ -1,18 +1,24 @@
 //! Dressing a head model with Gaussians: skin, eyes, mouth, brows, lashes and hair.
-
 #![allow(dead_code)]
 
 mod appearance;
+mod brows;
+mod eyes;
+mod hair;
+mod lashes;
 mod light;
+mod mouth;
 mod noise;
 mod occlusion;
 mod skin;
+mod strand;
 mod surface;
 
+use glam::Vec3;
 use srflow_field::random::{Key, Stream};
 
 use crate::binding::{BoundGaussians, Splat};
-use crate::{HeadModel, ShapedHead};
+use crate::{HeadModel, Region, ShapedHead};
 use appearance::Appearance;
 use light::Exposure;
 use surface::{Surface, SurfacePoint};
@@ -28,6 +34,11 @@ pub(crate) fn dress(model: &HeadModel, shaped: &ShapedHead, seed: u64) -> BoundG
         bound: BoundGaussians::default(),
     };
     skin::dress_skin(&mut dressing);
+    eyes::dress_eyes(&mut dressing);
+    mouth::dress_mouth(&mut dressing);
+    brows::dress_brows(&mut dressing);
+    lashes::dress_lashes(&mut dressing);
+    hair::dress_hair(&mut dressing);
     dressing.bound
 }
 
@@ -52,4 +63,73 @@ impl Dressing<'_> {
     fn add(&mut self, triangle: u32, splat: Splat) {
         self.bound.bind(triangle, &self.surface.frames[triangle as usize], &splat);
     }
+}
+
+/// 0 until 0, 1 from 1, smooth between.
+fn smoothstep(t: f32) -> f32 {
+    let t = t.clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// The curve through `points`, at `t` from 0, the first, to 1, the last.
+fn catmull_rom(points: &[Vec3], t: f32) -> Vec3 {
+    let last = points.len() - 1;
+    let at = t.clamp(0.0, 1.0) * last as f32;
+    let i = (at as usize).min(last - 1);
+    let t = at - i as f32;
+    let (p1, p2) = (points[i], points[i + 1]);
+    let p0 = if i > 0 { points[i - 1] } else { p1 * 2.0 - p2 };
+    let p3 = if i + 2 <= last { points[i + 2] } else { p2 * 2.0 - p1 };
+    let (a, b) = (p2 - p0, p0 * 2.0 - p1 * 5.0 + p2 * 4.0 - p3);
+    (p1 * 2.0 + a * t + b * (t * t) + (p1 * 3.0 - p0 - p2 * 3.0 + p3) * (t * t * t)) * 0.5
+}
+
+/// Triangles of these regions whose centroid is within `reach` of `p`.
+fn near_triangles(surface: &Surface, regions: &[Region], p: Vec3, reach: f32) -> Vec<u32> {
+    let mut triangles = surface.triangles_of(regions);
+    triangles.retain(|&t| surface.frames[t as usize].origin.distance(p) < reach);
+    triangles
+}
+
+/// The point of `triangles` that is nearest to `p`.
+fn nearest_point(surface: &Surface, triangles: &[u32], p: Vec3) -> Option<SurfacePoint> {
+    let nearest = triangles.iter().map(|&t| {
+        let weights = nearest_weights(surface.corners(t), p);
+        let [a, b, c] = surface.corners(t);
+        (t, weights, (a * weights.x + b * weights.y + c * weights.z).distance_squared(p))
+    });
+    nearest.min_by(|a, b| a.2.total_cmp(&b.2)).map(|(t, weights, _)| surface.point(t, weights))
+}
+
+/// Barycentric coordinates of the point of a triangle that is nearest to `p` (Ericson, *Real-Time Collision Detection*,
+/// 5.1.5).
+fn nearest_weights([a, b, c]: [Vec3; 3], p: Vec3) -> Vec3 {
+    let (ab, ac) = (b - a, c - a);
+    let (d1, d2) = (ab.dot(p - a), ac.dot(p - a));
+    let (d3, d4) = (ab.dot(p - b), ac.dot(p - b));
+    let (d5, d6) = (ab.dot(p - c), ac.dot(p - c));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return Vec3::X;
+    }
+    if d3 >= 0.0 && d4 <= d3 {
+        return Vec3::Y;
+    }
+    if d6 >= 0.0 && d5 <= d6 {
+        return Vec3::Z;
+    }
+    let (va, vb, vc) = (d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2);
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+        let v = d1 / (d1 - d3).max(f32::MIN_POSITIVE);
+        return Vec3::new(1.0 - v, v, 0.0);
+    }
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+        let w = d2 / (d2 - d6).max(f32::MIN_POSITIVE);
+        return Vec3::new(1.0 - w, 0.0, w);
+    }
+    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
+        let w = (d4 - d3) / ((d4 - d3) + (d5 - d6)).max(f32::MIN_POSITIVE);
+        return Vec3::new(0.0, 1.0 - w, w);
+    }
+    let scale = (va + vb + vc).max(f32::MIN_POSITIVE).recip();
+    Vec3::new(1.0 - (vb + vc) * scale, vb * scale, vc * scale)
 }

@@ -24,18 +24,18 @@ pub(super) fn dress_skin(dressing: &mut Dressing) {
     fine_layer(dressing, &painter);
 }
 
-/// Coarse, opaque Gaussians a little under the surface: nothing shines through when the skin stretches.
+/// Opaque Gaussians a little under the surface: nothing shines through when the skin stretches.
 fn close_surface(dressing: &mut Dressing, painter: &Painter) {
     let surface = dressing.surface;
-    let spacing = |_: &SurfacePoint| 3.4 * MM * surface.size;
+    let spacing = |point: &SurfacePoint| (painter.spacing(point) * 2.1).max(1.3 * MM * surface.size);
     let mut stream = dressing.stream("closing layer");
     let mut triangles = surface.triangles_of(&SKIN);
     triangles.extend(surface.triangles_of(&[Region::InnerLid]));
     for point in surface.scatter(&triangles, spacing, &mut stream) {
-        let sigma = spacing(&point) * 0.72;
+        let sigma = spacing(&point) * 0.62;
         let color = painter.color(&point, dressing.exposure(&point), &mut stream, false);
-        let position = point.position - point.normal * (0.9 * MM * surface.size);
-        dressing.add(point.triangle, flat(position, point.normal, sigma, 0.5 * MM, color, 0.995));
+        let position = point.position - point.normal * (0.3 * spacing(&point));
+        dressing.add(point.triangle, flat(position, point.normal, sigma, 0.1 * sigma, color, 0.99));
     }
 }
 

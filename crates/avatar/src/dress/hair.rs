@@ -1,0 +1,322 @@
+//! Hair on the head: strands grown from the scalp, combed by style, kept off the head and shaded along their length.
+
+use glam::Vec3;
+use srflow_field::random::Stream;
+
+use super::appearance::HairStyle;
+use super::light::Exposure;
+use super::noise::Noise;
+use super::strand::{Strand, add_strand};
+use super::surface::{Buckets, Surface, SurfacePoint};
+use super::{Dressing, smoothstep};
+use crate::{Joint, Region};
+
+const MM: f32 = 1e-3;
+
+/// How a style is grown.
+struct Cut {
+    /// Millimetres between roots.
+    spacing: f32,
+    /// Millimetres of length on top and on the sides.
+    length: [f32; 2],
+    segments: usize,
+    /// Standard deviation across a wisp, millimetres.
+    width: f32,
+    /// How far hair stands off the head at the root, 0 lies flat, 1 stands up.
+    lift: f32,
+    /// Millimetres that the upper layers lie above the scalp.
+    volume: f32,
+    /// How soon a strand turns where it is combed, 0 to 1 per segment.
+    obedience: f32,
+    /// How much it falls.
+    gravity: f32,
+    /// How much it waves.
+    wave: f32,
+    /// Millimetres of the radius of curls.
+    curl: f32,
+    /// Combed aside from a parting rather than away from the crown.
+    parted: f32,
+}
+
+const BUZZED: Cut = Cut {
+    spacing: 1.25,
+    length: [5.0, 3.5],
+    segments: 1,
+    width: 0.10,
+    lift: 0.55,
+    volume: 0.0,
+    obedience: 0.5,
+    gravity: 0.0,
+    wave: 0.1,
+    curl: 0.0,
+    parted: 0.0,
+};
+const SHORT: Cut = Cut {
+    spacing: 2.5,
+    length: [44.0, 17.0],
+    segments: 6,
+    width: 0.27,
+    lift: 0.62,
+    volume: 13.0,
+    obedience: 0.35,
+    gravity: 0.5,
+    wave: 0.3,
+    curl: 0.0,
+    parted: 0.5,
+};
+const MEDIUM: Cut = Cut {
+    spacing: 2.9,
+    length: [125.0, 85.0],
+    segments: 9,
+    width: 0.34,
+    lift: 0.5,
+    volume: 16.0,
+    obedience: 0.45,
+    gravity: 1.0,
+    wave: 0.35,
+    curl: 0.0,
+    parted: 1.0,
+};
+const CURLY: Cut = Cut {
+    spacing: 3.3,
+    length: [78.0, 48.0],
+    segments: 12,
+    width: 0.34,
+    lift: 0.9,
+    volume: 34.0,
+    obedience: 0.12,
+    gravity: 0.0,
+    wave: 0.5,
+    curl: 4.6,
+    parted: 0.0,
+};
+const LONG: Cut = Cut {
+    spacing: 3.3,
+    length: [290.0, 240.0],
+    segments: 15,
+    width: 0.46,
+    lift: 0.35,
+    volume: 16.0,
+    obedience: 0.5,
+    gravity: 1.5,
+    wave: 0.22,
+    curl: 0.0,
+    parted: 1.0,
+};
+
+fn cut(style: HairStyle) -> Cut {
+    match style {
+        HairStyle::Buzzed => BUZZED,
+        HairStyle::Short => SHORT,
+        HairStyle::Medium => MEDIUM,
+        HairStyle::Curly => CURLY,
+        HairStyle::Long => LONG,
+    }
+}
+
+/// Grows the hair.
+pub(super) fn dress_hair(dressing: &mut Dressing) {
+    let surface = dressing.surface;
+    let mut stream = dressing.stream("hair");
+    let growth = Growth::new(dressing, &mut stream);
+    let scalp = surface.triangles_of(&[Region::Scalp]);
+    let fringe = surface.signed_distance(&[Region::Scalp], 0.02);
+    let spacing = growth.cut.spacing * MM * surface.size;
+    for root in surface.scatter(&scalp, |_| spacing, &mut stream) {
+        let inside = surface.value(&fringe, &root) / surface.size;
+        // Sparser and shorter towards the hairline.
+        let density = smoothstep((inside + 1.0 * MM + growth.noise.at(root.position * 180.0) * 2.5 * MM) / (6.0 * MM));
+        if stream.unit() < density {
+            growth.grow(dressing, &root, 0.45 + 0.55 * smoothstep(inside / (16.0 * MM)), &mut stream);
+        }
+    }
+}
+
+struct Growth<'a> {
+    cut: Cut,
+    surface: &'a Surface<'a>,
+    noise: Noise,
+    /// Centre of the cranium and the whorl from which hair is combed.
+    centre: Vec3,
+    whorl: Vec3,
+    /// x of the parting.
+    parting: f32,
+    ears: Vec3,
+    brow_height: f32,
+    body: Body<'a>,
+    /// Triangles that no expression moves.
+    anchors: Vec<u32>,
+}
+
+impl<'a> Growth<'a> {
+    fn new(dressing: &Dressing<'a>, stream: &mut Stream) -> Self {
+        let surface = dressing.surface;
+        let landmarks = &surface.landmarks;
+        let ears = (landmarks[0] + landmarks[16]) * 0.5;
+        let size = surface.size;
+        Self {
+            cut: cut(dressing.appearance.hair_style),
+            surface,
+            noise: Noise::new(stream.bits()),
+            centre: Vec3::new(0.0, ears.y + 0.025 * size, ears.z - 0.03 * size),
+            whorl: Vec3::new(stream.uniform(-0.12, 0.12), 0.86, -0.5).normalize(),
+            parting: (if stream.unit() < 0.75 { 0.028 } else { 0.0 }) * if stream.unit() < 0.5 { -size } else { size },
+            ears,
+            brow_height: landmarks[19].y.max(landmarks[24].y),
+            body: Body::new(surface),
+            anchors: anchors(surface),
+        }
+    }
+
+    fn grow(&self, dressing: &mut Dressing, root: &SurfacePoint, grown: f32, stream: &mut Stream) {
+        let size = self.surface.size;
+        let from_centre = (root.position - self.centre).normalize_or(Vec3::Y);
+        let top = smoothstep((from_centre.y + 0.05) / 0.75);
+        let length = self.cut.length[1] + (self.cut.length[0] - self.cut.length[1]) * top;
+        let length = length * grown * stream.uniform(0.72, 1.1) * MM * size;
+        let layer = stream.unit();
+        let points = self.path(root, length, layer, stream);
+        let tone = stream.uniform(0.72, 1.28) * (1.0 + 0.22 * self.noise.at(root.position * 90.0));
+        let albedo = dressing.appearance.hair * tone;
+        // What lies below the surface of the hair is dark, and so is everything near the root.
+        let depth = 0.45 + 0.55 * layer;
+        let seen = dressing.exposure(root);
+        let exposure = Exposure {
+            sky: (0.25 + 0.75 * seen.sky) * depth,
+            key: (0.45 + 0.55 * seen.key) * depth,
+            fill: (0.4 + 0.6 * seen.fill) * depth,
+        };
+        let root_shade = if self.cut.segments > 1 { 0.45 } else { 0.9 };
+        let strand = Strand {
+            points: &points,
+            width: self.cut.width * MM * size * stream.uniform(0.75, 1.2),
+            taper: 0.5,
+            opacity: if self.cut.segments > 1 { 0.88 } else { 0.75 },
+            albedo: [albedo * root_shade, albedo * 1.12],
+            gloss: 0.55,
+            outward: from_centre,
+        };
+        let triangle = self.anchor(root);
+        add_strand(dressing, triangle, &strand, &exposure);
+    }
+
+    /// The way of a strand from its root to its tip.
+    fn path(&self, root: &SurfacePoint, length: f32, layer: f32, stream: &mut Stream) -> Vec<Vec3> {
+        let size = self.surface.size;
+        let segments = self.cut.segments;
+        let step = length / segments as f32;
+        let (side, up) = root.normal.any_orthonormal_pair();
+        let phase = stream.uniform(0.0, std::f32::consts::TAU);
+        let turn = stream.uniform(0.9, 1.5) * if stream.unit() < 0.5 { -1.0 } else { 1.0 };
+        let mut direction = self.start(root, layer, stream);
+        let mut p = root.position;
+        let mut points = vec![p];
+        for i in 1..=segments {
+            let s = i as f32 / segments as f32;
+            let wave = Vec3::new(
+                self.noise.at(p * 38.0),
+                self.noise.at(p * 38.0 + 31.0),
+                self.noise.at(p * 38.0 + 67.0),
+            );
+            let weight = self.cut.gravity * smoothstep((s + 0.15) / 0.75);
+            let wanted = self.combed(p) * (1.0 - 0.6 * smoothstep(weight)) - Vec3::Y * weight
+                + self.off_the_face(p)
+                + wave * self.cut.wave;
+            direction = direction.lerp(wanted.normalize_or(direction), self.cut.obedience).normalize_or(direction);
+            p += direction * step;
+            // Upper layers ride on the lower ones.
+            let thickness = (0.8 + self.cut.volume * layer * smoothstep(s * 2.5)) * MM * size;
+            p = self.body.laid_on(p, thickness, self.cut.gravity > 0.0);
+            direction = (p - points[i - 1]).normalize_or(direction);
+            points.push(p);
+        }
+        if self.cut.curl > 0.0 {
+            for (i, point) in points.iter_mut().enumerate().skip(1) {
+                let angle = phase + turn * i as f32;
+                let radius = self.cut.curl * MM * size * smoothstep(i as f32 / 3.0);
+                *point += (side * libm::cosf(angle) + up * libm::sinf(angle)) * radius;
+            }
+        }
+        points
+    }
+
+    fn start(&self, root: &SurfacePoint, layer: f32, stream: &mut Stream) -> Vec3 {
+        let jitter = Vec3::new(stream.normal(), stream.normal(), stream.normal()) * 0.13;
+        let lift = self.cut.lift * (0.55 + 0.45 * layer);
+        (root.normal * lift + self.combed(root.position) * (1.0 - lift) + jitter).normalize_or(root.normal)
+    }
+
+    /// Where the comb takes hair at `p`: away from the whorl, or aside from the parting.
+    fn combed(&self, p: Vec3) -> Vec3 {
+        let t = (p - self.centre).normalize_or(Vec3::Y);
+        let away = -(self.whorl - t * t.dot(self.whorl)).normalize_or(Vec3::Z);
+        let side = if p.x > self.parting { 1.0 } else { -1.0 };
+        let aside = Vec3::new(side, 0.0, -0.42);
+        let aside = (aside - t * t.dot(aside)).normalize_or(away);
+        let front = smoothstep((t.z + 0.25) / 0.6);
+        away.lerp(aside, self.cut.parted * (0.35 + 0.65 * front)).normalize_or(away)
+    }
+
+    /// Keeps the face free: back and aside where hair would hang before it.
+    fn off_the_face(&self, p: Vec3) -> Vec3 {
+        let size = self.surface.size;
+        let before_ears = smoothstep((p.z - self.ears.z - 0.005 * size) / (0.03 * size));
+        let below_hairline = smoothstep((self.brow_height + 0.05 * size - p.y) / (0.04 * size));
+        Vec3::new(p.x.signum() * 0.45, 0.0, -1.6) * (before_ears * below_hairline)
+    }
+
+    fn anchor(&self, root: &SurfacePoint) -> u32 {
+        let distance = |t: u32| self.surface.frames[t as usize].origin.distance_squared(root.position);
+        let nearest = self.anchors.iter().copied().min_by(|&a, &b| distance(a).total_cmp(&distance(b)));
+        nearest.unwrap_or(root.triangle)
+    }
+}
+
+/// Scalp that is moved by the neck alone: hair on it keeps its form when the brows rise.
+fn anchors(surface: &Surface) -> Vec<u32> {
+    let mut still = vec![true; surface.vertices.len()];
+    let far = 0.4 * MM * surface.size;
+    for (v, offset) in surface.model.expressions.iter().flat_map(|shape| &shape.offsets) {
+        still[*v as usize] &= offset.length() < far;
+    }
+    for (v, weights) in surface.model.skinning.iter().enumerate() {
+        still[v] &= weights[Joint::Neck as usize] > 0.98;
+    }
+    let mut anchors = surface.triangles_of(&[Region::Scalp]);
+    anchors.retain(|&t| surface.model.triangles[t as usize].iter().all(|&v| still[v as usize]));
+    anchors
+}
+
+/// Skin that hair lies on.
+struct Body<'a> {
+    surface: &'a Surface<'a>,
+    vertices: Buckets,
+}
+
+impl<'a> Body<'a> {
+    fn new(surface: &'a Surface<'a>) -> Self {
+        let mut vertices = Buckets::new(0.015 * surface.size);
+        let mut seen = vec![false; surface.vertices.len()];
+        for t in surface.triangles_of(&super::skin::SKIN) {
+            for v in surface.model.triangles[t as usize] {
+                if !std::mem::replace(&mut seen[v as usize], true) {
+                    vertices.insert(surface.vertices[v as usize], v);
+                }
+            }
+        }
+        Self { surface, vertices }
+    }
+
+    /// `p`, or where it comes to lie `thickness` off the skin when it is nearer or inside. Hair that `clings` and is
+    /// up to some centimetres farther off is drawn half the way back.
+    fn laid_on(&self, p: Vec3, thickness: f32, clings: bool) -> Vec3 {
+        let distance = |v: u32| self.surface.vertices[v as usize].distance_squared(p);
+        let Some(nearest) = self.vertices.near(p).min_by(|&a, &b| distance(a).total_cmp(&distance(b))) else {
+            return p;
+        };
+        let normal = self.surface.normals[nearest as usize];
+        let height = (p - self.surface.vertices[nearest as usize]).dot(normal);
+        let correction = thickness - height;
+        p + normal * if correction < 0.0 && clings { correction * 0.5 } else { correction.max(0.0) }
+    }
+}

@@ -1,0 +1,101 @@
+//! Eyelashes along the rims of the lids.
+
+use glam::Vec3;
+use srflow_field::random::Stream;
+
+use super::strand::{Strand, add_strand};
+use super::{Dressing, catmull_rom, near_triangles, nearest_point};
+use crate::{Joint, Region};
+
+const MM: f32 = 1e-3;
+
+/// One lid: its landmarks from the outer to the inner corner.
+struct Lid {
+    eye: Joint,
+    landmarks: [usize; 4],
+    upper: bool,
+}
+
+const LIDS: [Lid; 4] = [
+    Lid { eye: Joint::RightEye, landmarks: [36, 37, 38, 39], upper: true },
+    Lid { eye: Joint::RightEye, landmarks: [36, 41, 40, 39], upper: false },
+    Lid { eye: Joint::LeftEye, landmarks: [45, 44, 43, 42], upper: true },
+    Lid { eye: Joint::LeftEye, landmarks: [45, 46, 47, 42], upper: false },
+];
+
+/// Grows the lashes of all four lids.
+pub(super) fn dress_lashes(dressing: &mut Dressing) {
+    for (number, lid) in LIDS.iter().enumerate() {
+        let mut stream = dressing.stream(["lashes 0", "lashes 1", "lashes 2", "lashes 3"][number]);
+        let surface = dressing.surface;
+        let eye = surface.joints[lid.eye as usize];
+        let regions = [Region::LidMargin, Region::Skin, Region::InnerLid];
+        let skin = near_triangles(surface, &regions, eye, 0.028 * surface.size);
+        let hairs = if lid.upper { 105 } else { 50 };
+        for i in 0..hairs {
+            let t = 0.02 + 0.86 * (i as f32 + stream.unit()) / hairs as f32;
+            grow(dressing, lid, &skin, t, &mut stream);
+        }
+        if lid.upper {
+            lash_line(dressing, lid, &skin);
+        }
+    }
+}
+
+fn grow(dressing: &mut Dressing, lid: &Lid, skin: &[u32], t: f32, stream: &mut Stream) {
+    let surface = dressing.surface;
+    let size = surface.size;
+    let curve = lid.landmarks.map(|i| surface.landmarks[i]);
+    let Some(root) = nearest_point(surface, skin, catmull_rom(&curve, t)) else { return };
+    // Fanned outward: lashes of the outer corner point to the temple.
+    let temple = (curve[0] - curve[3]).normalize_or(Vec3::X);
+    let fan = temple * (0.62 * (0.62 - t) + stream.normal() * 0.07);
+    let clump = libm::sinf(t * 90.0) * 0.05;
+    let (length, start, curl) = if lid.upper {
+        (8.2 * (1.0 - 0.6 * t), Vec3::new(0.0, -0.10, 0.85), Vec3::new(0.0, 0.72, -0.1))
+    } else {
+        (5.2 * (1.0 - 0.45 * t), Vec3::new(0.0, -0.42, 0.75), Vec3::new(0.0, -0.25, 0.0))
+    };
+    let length = length * stream.uniform(0.75, 1.1) * MM * size;
+    let points: [Vec3; 5] = std::array::from_fn(|i| {
+        let s = i as f32 / 4.0;
+        root.position + ((start + fan + temple * clump) * s + curl * (s * s)) * length
+    });
+    let dark = dressing.appearance.brows.min(Vec3::splat(0.035)) * 0.5;
+    let strand = Strand {
+        points: &points,
+        width: if lid.upper { 0.055 } else { 0.035 } * MM * size,
+        taper: 0.35,
+        opacity: if lid.upper { 0.8 } else { 0.42 },
+        albedo: [dark, dark],
+        gloss: 0.1,
+        outward: Vec3::ZERO,
+    };
+    add_strand(dressing, root.triangle, &strand, &dressing.exposure(&root));
+}
+
+/// The roots close together: a dark line on the rim of the upper lid.
+fn lash_line(dressing: &mut Dressing, lid: &Lid, skin: &[u32]) {
+    let surface = dressing.surface;
+    let size = surface.size;
+    let curve = lid.landmarks.map(|i| surface.landmarks[i]);
+    const STEPS: usize = 70;
+    for step in 0..STEPS {
+        let t = step as f32 / STEPS as f32 * 0.93;
+        let Some(root) = nearest_point(surface, skin, catmull_rom(&curve, t)) else { continue };
+        let next = catmull_rom(&curve, t + 0.03);
+        let points = [root.position, root.position + (next - catmull_rom(&curve, t))];
+        let raised = points.map(|p| p + Vec3::Z * (0.25 * MM * size));
+        let dark = dressing.appearance.brows.min(Vec3::splat(0.03)) * 0.5;
+        let strand = Strand {
+            points: &raised,
+            width: 0.17 * MM * size,
+            taper: 1.0,
+            opacity: 0.42,
+            albedo: [dark, dark],
+            gloss: 0.0,
+            outward: Vec3::ZERO,
+        };
+        add_strand(dressing, root.triangle, &strand, &dressing.exposure(&root));
+    }
+}

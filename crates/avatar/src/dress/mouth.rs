@@ -1,0 +1,64 @@
+//! Teeth, gums, tongue and the dark of the mouth.
+
+use glam::Vec3;
+
+use super::light::{Exposure, Material, shade};
+use super::skin::flat;
+use super::surface::SurfacePoint;
+use super::{Dressing, smoothstep};
+use crate::Region;
+
+const MM: f32 = 1e-3;
+
+/// Dresses the inside of the mouth. It is closed at rest, so that its light is not baked but falls off with the
+/// distance behind the lips.
+pub(super) fn dress_mouth(dressing: &mut Dressing) {
+    teeth(dressing);
+    inside(dressing);
+}
+
+/// Light that comes in through the open mouth.
+fn exposure_behind(dressing: &Dressing, p: Vec3) -> Exposure {
+    let lips = (dressing.surface.landmarks[62] + dressing.surface.landmarks[66]) * 0.5;
+    let depth = ((lips.z - p.z) / dressing.surface.size).max(0.0);
+    let seen = 1.0 - smoothstep((depth - 2.0 * MM) / (34.0 * MM));
+    Exposure { sky: 0.06 + 0.74 * seen, key: 0.65 * seen * seen, fill: 0.6 * seen }
+}
+
+fn teeth(dressing: &mut Dressing) {
+    let surface = dressing.surface;
+    let mut stream = dressing.stream("teeth");
+    let lips = (surface.landmarks[62] + surface.landmarks[66]) * 0.5;
+    let throat = lips - Vec3::Z * (0.045 * surface.size);
+    let mut triangles = surface.triangles_of(&[Region::Teeth]);
+    // The sides towards the tongue are not seen.
+    triangles.retain(|&t| {
+        let frame = surface.frames[t as usize];
+        let normal = frame.rotation * Vec3::Y;
+        let outward = ((frame.origin - throat) * Vec3::new(1.0, 0.0, 1.0)).normalize_or(Vec3::Z);
+        normal.dot(outward) > -0.45
+    });
+    let spacing = |point: &SurfacePoint| {
+        let depth = ((lips.z - point.position.z) / surface.size).max(0.0);
+        (0.62 + 1.1 * smoothstep((depth - 10.0 * MM) / (25.0 * MM))) * MM * surface.size
+    };
+    for point in surface.scatter(&triangles, spacing, &mut stream) {
+        let ivory = Vec3::new(0.70, 0.64, 0.54) * (1.0 + stream.uniform(-0.03, 0.03));
+        let material = Material { albedo: ivory, wrap: Vec3::splat(0.3), sheen: 0.12, gloss: 40.0 };
+        let color = shade(&material, point.normal, &exposure_behind(dressing, point.position));
+        let sigma = spacing(&point) * 0.72;
+        dressing.add(point.triangle, flat(point.position, point.normal, sigma, sigma * 0.2, color, 0.98));
+    }
+}
+
+fn inside(dressing: &mut Dressing) {
+    let surface = dressing.surface;
+    let mut stream = dressing.stream("mouth");
+    let spacing = 1.9 * MM * surface.size;
+    for point in surface.scatter(&surface.triangles_of(&[Region::MouthInside]), |_| spacing, &mut stream) {
+        let flesh = Vec3::new(0.42, 0.13, 0.12) * (1.0 + stream.uniform(-0.1, 0.1));
+        let material = Material { albedo: flesh, wrap: Vec3::new(0.4, 0.2, 0.2), sheen: 0.05, gloss: 25.0 };
+        let color = shade(&material, point.normal, &exposure_behind(dressing, point.position));
+        dressing.add(point.triangle, flat(point.position, point.normal, spacing * 0.75, 0.2 * MM, color, 0.985));
+    }
+}

@@ -93,8 +93,17 @@ impl PosedHead {
 }
 
 impl Avatar {
+    /// The person of `seed` on the built-in head. The seed decides shape, skin, hair and eyes; a seed is the same person
+    /// on every machine.
+    ///
+    /// # Errors
+    /// None that a seed can cause; the built-in head is checked like any other.
+    pub fn builtin(seed: u64) -> Result<Self, AvatarError> {
+        Self::of(HeadModel::builtin(seed), &[], seed)
+    }
+
     /// A person on the head model of the ICT-FaceKit folder `dir` (`FaceXModel` as published, or a part of it). The
-    /// seed decides shape, skin, hair and eyes; seeds of the same number are the same person on every machine.
+    /// seed decides shape, skin, hair and eyes.
     ///
     /// # Errors
     /// Names the file that is missing, malformed or of another topology.

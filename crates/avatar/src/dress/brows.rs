@@ -19,8 +19,12 @@ pub(super) fn dress_brows(dressing: &mut Dressing) {
         let spine = landmarks.map(|i| dressing.surface.landmarks[i]);
         let size = dressing.surface.size;
         // Annotated landmarks run along the upper edge of the brow.
-        let eye = dressing.surface.joints[if name == "right brow" { Joint::RightEye } else { Joint::LeftEye } as usize];
-        let spine = spine.map(|p| p - Vec3::Y * ((p.y - eye.y) * 0.17));
+        let eye = dressing.surface.joints
+            [if name == "right brow" { Joint::RightEye } else { Joint::LeftEye } as usize];
+        let mut spine = spine.map(|p| p - Vec3::Y * ((p.y - eye.y) * 0.17));
+        // Brows are flatter at rest than the line of these landmarks.
+        spine[0].y -= 1.6 * MM * size;
+        spine[4].y += 1.5 * MM * size;
         let middle = spine[2];
         let skin = near_triangles(dressing.surface, &[Region::Brow, Region::Skin], middle, 0.042 * size);
         for _ in 0..HAIRS {
@@ -32,12 +36,16 @@ pub(super) fn dress_brows(dressing: &mut Dressing) {
 fn grow(dressing: &mut Dressing, spine: &[Vec3; 5], skin: &[u32], stream: &mut Stream) {
     let surface = dressing.surface;
     let size = surface.size;
-    let t = stream.unit();
+    // Thin at the inner end, and the tail stops short of the last landmark.
+    let t = 0.93 * (stream.unit() * 0.85 + stream.unit() * 0.15);
     // Across the brow, denser at its middle line.
     let across = (stream.unit() + stream.unit() - 1.0) * 1.1;
-    let half_height = (0.9 + 2.9 * smoothstep((t + 0.12) / 0.35) * (1.0 - 0.95 * smoothstep((t - 0.3) / 0.7))) * MM;
+    let half_height =
+        (0.9 + 2.9 * smoothstep((t + 0.12) / 0.35) * (1.0 - 0.95 * smoothstep((t - 0.3) / 0.7))) * MM;
     let on_spine = catmull_rom(spine, t);
-    let Some(root) = nearest_point(surface, skin, on_spine + Vec3::Y * (across * half_height * size)) else { return };
+    let Some(root) = nearest_point(surface, skin, on_spine + Vec3::Y * (across * half_height * size)) else {
+        return;
+    };
     let direction = direction(spine, t, across, &root, stream);
     let length = (8.5 - 4.0 * t) * stream.uniform(0.7, 1.15) * MM * size;
     let points: [Vec3; 4] = std::array::from_fn(|i| {
@@ -65,7 +73,7 @@ fn direction(spine: &[Vec3; 5], t: f32, across: f32, root: &SurfacePoint, stream
     let up = (root.normal.cross(along).cross(root.normal).cross(root.normal)).normalize_or(Vec3::Y);
     let up = if up.y < 0.0 { -up } else { up };
     let rising = 1.15 * (1.0 - smoothstep(t / 0.35)) + 0.28 * (1.0 - t);
-    let angle = rising - across * 0.38 * smoothstep(t / 0.3) + stream.normal() * 0.13;
+    let angle = rising - across * 0.38 * smoothstep(t / 0.3) + stream.normal() * 0.2;
     let flat = along - root.normal * root.normal.dot(along);
     (flat.normalize_or(along) * libm::cosf(angle) + up * libm::sinf(angle)).normalize_or(along)
 }

@@ -61,7 +61,8 @@ impl Eye {
 }
 
 fn eyeball(dressing: &mut Dressing, eye: &Eye) {
-    let mut stream = dressing.stream(if eye.joint == Joint::LeftEye { "left eyeball" } else { "right eyeball" });
+    let mut stream =
+        dressing.stream(if eye.joint == Joint::LeftEye { "left eyeball" } else { "right eyeball" });
     let size = dressing.surface.size;
     let spacing = |point: &SurfacePoint| {
         let rho = eye.rho(point.position);
@@ -90,11 +91,8 @@ fn eyeball_color(dressing: &Dressing, eye: &Eye, point: &SurfacePoint, stream: &
     let albedo = iris.lerp(sclera, white);
     // The lids' shadow is half of what was baked: the eye will turn under it.
     let seen = dressing.exposure(point);
-    let exposure = Exposure {
-        sky: 0.30 + 0.62 * seen.sky,
-        key: 0.25 + 0.60 * seen.key,
-        fill: 0.35 + 0.55 * seen.fill,
-    };
+    let exposure =
+        Exposure { sky: 0.30 + 0.62 * seen.sky, key: 0.25 + 0.60 * seen.key, fill: 0.35 + 0.55 * seen.fill };
     let round = d.normalize_or(Vec3::Z);
     let wrap = Vec3::splat(0.35);
     shade(&Material { albedo, wrap, sheen: 0.0, gloss: 1.0 }, round, &exposure)
@@ -142,7 +140,11 @@ fn highlight(dressing: &mut Dressing, eye: &Eye) {
     let radius = CORNEA_RADIUS * size;
     let mirror = |half_x: f32, half_y: f32| {
         let depth = radius - (radius * radius * (1.0 - half_x * half_x - half_y * half_y).max(0.0)).sqrt();
-        Vec3::new(eye.centre.x + half_x * radius, eye.centre.y + half_y * radius, apex - depth + 0.35 * MM * size)
+        Vec3::new(
+            eye.centre.x + half_x * radius,
+            eye.centre.y + half_y * radius,
+            apex - depth + 0.35 * MM * size,
+        )
     };
     // A square window of nine.
     for i in 0..9 {
@@ -175,7 +177,10 @@ fn lid_lining(dressing: &mut Dressing) {
         let albedo = pink * (1.0 + stream.uniform(-0.06, 0.06));
         let material = Material { albedo, wrap: Vec3::new(0.4, 0.2, 0.15), sheen: 0.10, gloss: 30.0 };
         let color = shade(&material, point.normal, &exposure);
-        dressing.add(point.triangle, flat(point.position, point.normal, 0.38 * MM * size, 0.05 * MM, color, 0.97));
+        dressing.add(
+            point.triangle,
+            flat(point.position, point.normal, 0.38 * MM * size, 0.05 * MM, color, 0.97),
+        );
     }
     tear_lines(dressing, &mut stream);
 }
@@ -185,7 +190,12 @@ fn tear_lines(dressing: &mut Dressing, stream: &mut Stream) {
     let size = surface.size;
     for (joint, corners) in [(Joint::RightEye, [36, 41, 40, 39]), (Joint::LeftEye, [45, 46, 47, 42])] {
         let eye = surface.joints[joint as usize];
-        let lids = super::near_triangles(surface, &[Region::LidMargin, Region::InnerLid, Region::Skin], eye, 0.024 * size);
+        let lids = super::near_triangles(
+            surface,
+            &[Region::LidMargin, Region::InnerLid, Region::Skin],
+            eye,
+            0.024 * size,
+        );
         let curve = corners.map(|i| surface.landmarks[i]);
         const STEPS: usize = 60;
         for step in 0..STEPS {
@@ -195,7 +205,8 @@ fn tear_lines(dressing: &mut Dressing, stream: &mut Stream) {
             let on_lid = lid.position;
             let inward = (eye - on_lid).normalize_or_zero();
             let position = on_lid + inward * (0.15 * MM * size) + Vec3::Y * (0.35 * MM * size);
-            let along = super::catmull_rom(&curve, (t + 0.02).min(1.0)) - super::catmull_rom(&curve, t - 0.02);
+            let along =
+                super::catmull_rom(&curve, (t + 0.02).min(1.0)) - super::catmull_rom(&curve, t - 0.02);
             let glint = 0.5 + 0.5 * libm::sinf(t * TAU * 1.5 + stream.unit());
             let splat = crate::binding::Splat {
                 position,

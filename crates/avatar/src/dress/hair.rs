@@ -78,10 +78,10 @@ const MEDIUM: Cut = Cut {
     parted: 1.0,
 };
 const CURLY: Cut = Cut {
-    spacing: 3.3,
-    length: [78.0, 48.0],
+    spacing: 3.0,
+    length: [74.0, 46.0],
     segments: 12,
-    width: 0.34,
+    width: 0.42,
     lift: 0.9,
     volume: 34.0,
     obedience: 0.12,
@@ -91,8 +91,8 @@ const CURLY: Cut = Cut {
     parted: 0.0,
 };
 const LONG: Cut = Cut {
-    spacing: 3.3,
-    length: [290.0, 240.0],
+    spacing: 3.2,
+    length: [255.0, 215.0],
     segments: 15,
     width: 0.46,
     lift: 0.35,
@@ -125,7 +125,8 @@ pub(super) fn dress_hair(dressing: &mut Dressing) {
     for root in surface.scatter(&scalp, |_| spacing, &mut stream) {
         let inside = surface.value(&fringe, &root) / surface.size;
         // Sparser and shorter towards the hairline.
-        let density = smoothstep((inside + 1.0 * MM + growth.noise.at(root.position * 180.0) * 2.5 * MM) / (6.0 * MM));
+        let density =
+            smoothstep((inside + 1.0 * MM + growth.noise.at(root.position * 180.0) * 2.5 * MM) / (6.0 * MM));
         if stream.unit() < density {
             growth.grow(dressing, &root, 0.45 + 0.55 * smoothstep(inside / (16.0 * MM)), &mut stream);
         }
@@ -160,7 +161,8 @@ impl<'a> Growth<'a> {
             noise: Noise::new(stream.bits()),
             centre: Vec3::new(0.0, ears.y + 0.025 * size, ears.z - 0.03 * size),
             whorl: Vec3::new(stream.uniform(-0.12, 0.12), 0.86, -0.5).normalize(),
-            parting: (if stream.unit() < 0.75 { 0.028 } else { 0.0 }) * if stream.unit() < 0.5 { -size } else { size },
+            parting: (if stream.unit() < 0.75 { 0.028 } else { 0.0 })
+                * if stream.unit() < 0.5 { -size } else { size },
             ears,
             brow_height: landmarks[19].y.max(landmarks[24].y),
             body: Body::new(surface),
@@ -193,7 +195,7 @@ impl<'a> Growth<'a> {
             taper: 0.5,
             opacity: if self.cut.segments > 1 { 0.88 } else { 0.75 },
             albedo: [albedo * root_shade, albedo * 1.12],
-            gloss: 0.55,
+            gloss: 0.9,
             outward: from_centre,
         };
         let triangle = self.anchor(root);
@@ -222,7 +224,8 @@ impl<'a> Growth<'a> {
             let wanted = self.combed(p) * (1.0 - 0.6 * smoothstep(weight)) - Vec3::Y * weight
                 + self.off_the_face(p)
                 + wave * self.cut.wave;
-            direction = direction.lerp(wanted.normalize_or(direction), self.cut.obedience).normalize_or(direction);
+            direction =
+                direction.lerp(wanted.normalize_or(direction), self.cut.obedience).normalize_or(direction);
             p += direction * step;
             // Upper layers ride on the lower ones.
             let thickness = (0.8 + self.cut.volume * layer * smoothstep(s * 2.5)) * MM * size;

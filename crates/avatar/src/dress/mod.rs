@@ -1,8 +1,8 @@
 //! Dressing a head model with Gaussians: skin, eyes, mouth, brows, lashes and hair.
-#![allow(dead_code)]
 
 mod appearance;
 mod brows;
+mod complexion;
 mod eyes;
 mod hair;
 mod lashes;

@@ -59,6 +59,7 @@ fn inside(dressing: &mut Dressing) {
         let flesh = Vec3::new(0.42, 0.13, 0.12) * (1.0 + stream.uniform(-0.1, 0.1));
         let material = Material { albedo: flesh, wrap: Vec3::new(0.4, 0.2, 0.2), sheen: 0.05, gloss: 25.0 };
         let color = shade(&material, point.normal, &exposure_behind(dressing, point.position));
-        dressing.add(point.triangle, flat(point.position, point.normal, spacing * 0.75, 0.2 * MM, color, 0.985));
+        dressing
+            .add(point.triangle, flat(point.position, point.normal, spacing * 0.75, 0.2 * MM, color, 0.985));
     }
 }

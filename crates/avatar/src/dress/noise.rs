@@ -42,23 +42,6 @@ impl Noise {
         sum / total * 1.5
     }
 
-    /// Distance from `p` to the nearest of scattered points, about one a unit cell, in `0..1.5`.
-    pub fn cellular(&self, p: Vec3) -> f32 {
-        let base = p.floor().as_ivec3();
-        let mut nearest = f32::MAX;
-        for index in 0..27 {
-            let cell = base.wrapping_add(IVec3::new(index % 3 - 1, index / 3 % 3 - 1, index / 9 - 1));
-            let hash = self.hash(cell);
-            let jitter = Vec3::new(
-                (hash & 1023) as f32 / 1024.0,
-                (hash >> 10 & 1023) as f32 / 1024.0,
-                (hash >> 20 & 1023) as f32 / 1024.0,
-            );
-            nearest = nearest.min((cell.as_vec3() + jitter - p).length_squared());
-        }
-        nearest.sqrt()
-    }
-
     fn lattice(&self, cell: IVec3) -> f32 {
         (self.hash(cell) >> 8) as f32 * (2.0 / 16_777_216.0) - 1.0
     }

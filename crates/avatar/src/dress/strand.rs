@@ -57,7 +57,11 @@ fn hair_color(strand: &Strand, tangent: Vec3, s: f32, exposure: &Exposure) -> Ve
         let cosine = tangent.dot(toward);
         let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
         // The far side of the head is in the shadow of the hair around it.
-        let facing = if strand.outward == Vec3::ZERO { 1.0 } else { (strand.outward.dot(toward) * 0.75 + 0.35).clamp(0.0, 1.0) };
+        let facing = if strand.outward == Vec3::ZERO {
+            1.0
+        } else {
+            (strand.outward.dot(toward) * 0.75 + 0.35).clamp(0.0, 1.0)
+        };
         light += color * (sine * seen * facing);
         let half = (toward + Vec3::Z).normalize();
         let along = tangent.dot(half);

@@ -1,6 +1,6 @@
 use glam::{Vec2, Vec3};
 
-use super::curves::{bell, dome, lerp, smoothstep};
+use super::curves::{bell, lerp, smoothstep, twin_dome};
 use super::half::{Mark, Part};
 use super::identity::Plan;
 use super::skin::brow_height;
@@ -55,7 +55,9 @@ pub(super) fn displacement(plan: &Plan, number: u8, p: Vec3, mark: &Mark) -> (Ve
         return (Vec3::ZERO, Vec3::ZERO);
     }
     let roll = place.lid_roll(number);
-    let skin = if mark.part == Part::LidLining { Vec3::ZERO } else { place.pull(number) };
+    let mut skin = if mark.part == Part::LidLining { Vec3::ZERO } else { place.pull(number) };
+    // Sideways movement dies out at the midline, where both halves hold each other.
+    skin.x *= smoothstep(0.0, 9.0, p.x);
     if roll == 0.0 {
         return (skin, Vec3::ZERO);
     }
@@ -83,7 +85,7 @@ impl<'a> Place<'a> {
     }
 
     fn spot(&self, x: f32, y: f32, rx: f32, ry: f32) -> f32 {
-        dome(self.at, Vec2::new(x, y), Vec2::new(rx, ry))
+        twin_dome(self.at, Vec2::new(x, y), Vec2::new(rx, ry))
     }
 
     /// How far the linings of the mouth still follow the lips.
@@ -228,12 +230,13 @@ impl<'a> Place<'a> {
             * (1.0 - smoothstep(plan.nose_base, plan.nose_base + 14.0, self.p.y));
         match number {
             12 => {
-                let pull = spot(2.0, 1.0, 29.0, 24.0);
-                let cheek = self.spot(40.0, -7.0, 24.0, 21.0)
+                // Narrow towards the middle of the lips, so that they bow, and wide in the cheek.
+                let pull = spot(1.0, 1.0, if self.p.x < corner.x { 27.0 } else { 31.0 }, 25.0);
+                let cheek = self.spot(40.0, -7.0, 26.0, 22.0)
                     * smoothstep(2.0, 14.0, eyes::margin(plan, self.p.x, false) - self.p.y);
-                Vec3::new(6.2 * aside, 8.6, -3.4) * pull
+                Vec3::new(6.4 * aside, 7.6, -3.2) * pull
                     + Vec3::new(0.8, 3.4, 3.2) * cheek
-                    + Vec3::Z * crease * (1.6 * bell((fold - 8.0) / 8.0) - 1.2 * bell((fold - 1.0) / 4.0))
+                    + Vec3::Z * crease * (1.2 * bell((fold - 8.0) / 9.0) - 1.0 * bell((fold - 0.5) / 6.0))
             }
             14 => {
                 Vec3::new(3.2 * aside, 1.2, -3.6) * spot(2.0, 0.0, 17.0, 14.0)
@@ -297,6 +300,6 @@ impl<'a> Place<'a> {
 
     /// How far the lid also leaves the eyeball, so that the upper lid closes over the lower.
     fn lid_lift(&self, number: u8) -> f32 {
-        if number == 43 && self.mark.eye > 0.0 { 0.5 } else { 0.0 }
+        if number == 43 && self.mark.eye > 0.0 { 0.35 } else { 0.0 }
     }
 }

@@ -73,6 +73,13 @@ pub(super) fn dome(point: Vec2, center: Vec2, radii: Vec2) -> f32 {
     rest * rest * rest
 }
 
+/// [`dome`] on the left together with its mirror image on the right, so that the sum runs smoothly over the midline. A
+/// dome on the midline counts once.
+pub(super) fn twin_dome(point: Vec2, center: Vec2, radii: Vec2) -> f32 {
+    let here = dome(point, center, radii);
+    if center.x == 0.0 { here } else { here + dome(point * Vec2::new(-1.0, 1.0), center, radii) }
+}
+
 /// [`bell`] of the distance to the segment `a`-`b`, over `radius`.
 pub(super) fn ridge(point: Vec3, a: Vec3, b: Vec3, radius: f32) -> f32 {
     let along = ((point - a).dot(b - a) / (b - a).length_squared()).clamp(0.0, 1.0);

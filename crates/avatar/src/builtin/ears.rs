@@ -6,7 +6,7 @@ use super::identity::Plan;
 use crate::Region;
 
 /// Directions around the ear.
-const AROUND: usize = 56;
+const AROUND: usize = 48;
 
 /// Rings of the front, as shares of the outline, and of the back, with how far they lie behind the outline's plane.
 const FRONT: [f32; 17] =

@@ -6,7 +6,7 @@ use super::identity::Plan;
 use crate::Region;
 
 /// Thickness of the eyelid at its margin, and the film between lid and eyeball.
-const LID_THICKNESS: f32 = 1.7;
+const LID_THICKNESS: f32 = 1.45;
 const FILM: f32 = 0.3;
 
 /// Share of the way from inner to outer canthus.
@@ -44,7 +44,10 @@ fn lid_depth(plan: &Plan, at: Vec2, thickness: f32) -> f32 {
     let depth = if q < STRAIGHT_FROM {
         profile(q)
     } else {
-        profile(STRAIGHT_FROM) - (q - STRAIGHT_FROM) * STRAIGHT_FROM / profile(STRAIGHT_FROM)
+        // Tangent to the eyeball on the temple's side, flatter towards the nose, whose canthus lies forward.
+        let tangent = STRAIGHT_FROM / profile(STRAIGHT_FROM);
+        let slope = lerp(0.55 * tangent, tangent, smoothstep(-9.0, 9.0, at.x - plan.eye.x));
+        profile(STRAIGHT_FROM) - (q - STRAIGHT_FROM) * slope
     };
     plan.eye.z + radius * depth
 }
@@ -63,19 +66,23 @@ pub(super) fn drape(plan: &Plan, p: Vec3) -> Vec3 {
     let mut z = p.z;
     // The fold that hangs over the crease, then the lids, then the crease and the furrow of the lower lid.
     let crease = plan.crease * (0.45 + 0.55 * libm::sqrtf(open));
-    let ends = smoothstep(-0.12, 0.12, (p.x - plan.inner_canthus.x) / 29.0)
-        * (1.0 - smoothstep(1.05, 1.3, (p.x - plan.inner_canthus.x) / 29.0));
+    let width = plan.outer_canthus.x - plan.inner_canthus.x;
+    let across = (p.x - plan.inner_canthus.x) / width;
+    let ends = smoothstep(-0.12, 0.15, across) * (1.0 - smoothstep(0.92, 1.22, across));
+    // Next to their margins the lids lie on the eyeball, whatever the face around does.
+    let outside = (plan.inner_canthus.x - p.x).max(p.x - plan.outer_canthus.x).max(0.0);
+    let held = (1.0 - smoothstep(0.5, 6.5, over.max(under).max(0.0))) * (1.0 - smoothstep(0.0, 9.0, outside));
     if over > 0.0 {
         z += 1.6 * bell((over - crease - 3.2) / 5.0) * ends;
     }
     let lid = lid_depth(plan, at, LID_THICKNESS + 0.06 * over.max(under).max(0.0));
-    z = smooth_max(z, lid, 3.0);
+    z = smooth_max(z, lid, if over > 0.0 { 3.0 } else { lerp(3.0, 7.0, smoothstep(0.0, 4.0, under)) });
+    z = lerp(z, lid, held);
     if over > 0.0 {
         z -= 1.1 * bell((over - crease) / 1.7) * ends;
     }
     if under > 0.0 {
-        z -= 0.45 * bell((under - 6.5) / 2.6) * ends;
-        z += 0.5 * bell((under - 3.0) / 3.0) * ends;
+        z -= 0.5 * bell((under - 8.0) / 4.0) * ends;
     }
     Vec3::new(p.x, p.y, lerp(p.z, z, smoothstep(0.0, 0.25, reach)))
 }

@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3};
 
-use super::curves::{bell, curve, dome, smoothstep};
+use super::curves::{bell, curve, smoothstep, twin_dome};
 use super::identity::Plan;
 
 /// Pushes skin at `p` (left half, in front) into shape: brow ridge, orbit, cheekbone, cheek, nasolabial fold, chin.
@@ -10,7 +10,7 @@ pub(super) fn relief(plan: &Plan, p: Vec3) -> Vec3 {
     let t = &plan.traits;
     let at = Vec2::new(p.x, p.y);
     let h = |canon: f32| plan.height(canon);
-    let spot = |x: f32, y: f32, rx: f32, ry: f32| dome(at, Vec2::new(x, y), Vec2::new(rx, ry));
+    let spot = |x: f32, y: f32, rx: f32, ry: f32| twin_dome(at, Vec2::new(x, y), Vec2::new(rx, ry));
     let mut push = Vec3::ZERO;
     let eye = plan.eye;
 
@@ -21,26 +21,27 @@ pub(super) fn relief(plan: &Plan, p: Vec3) -> Vec3 {
     push.z += (2.0 + 1.1 * t.brow_ridge) * bell((p.y - arch) / 11.0) * along;
     push.z += (0.8 + 0.6 * t.brow_ridge) * spot(0.0, eye.y + 18.0, 16.0, 12.0);
 
-    // Orbit: deepest beside the root of the nose, under the brow and at the outer corner's rim.
-    push.z -= (7.0 + t.eye_depth) * spot(eye.x - 1.0, eye.y + 1.0, 25.0, 19.0);
-    push.z -= 5.0 * spot(15.0, eye.y - 1.0, 11.0, 15.0);
-    push.z -= 1.8 * spot(20.0, eye.y + 9.0, 14.0, 9.0);
+    // The middle of the face lies back between brow and upper jaw; the orbits lie deepest beside the nose's root.
+    push.z -= 7.0 * spot(0.0, eye.y - 8.0, 48.0, 32.0);
+    push.z -= (9.0 + t.eye_depth) * spot(eye.x - 4.0, eye.y + 2.5, 28.0, 19.5);
+    push.z -= 7.0 * spot(16.0, eye.y, 12.0, 15.0);
+    push.z -= 2.6 * spot(21.0, eye.y - 9.0, 14.0, 12.0);
+    push.z -= 1.8 * spot(21.0, eye.y + 10.0, 14.0, 8.0);
     push.z += 1.5 * spot(52.0, eye.y + 10.0, 12.0, 16.0);
 
     // Temple, then cheekbone running back to the ear.
     push += Vec3::new(-2.5, 0.0, -0.8) * spot(66.0, eye.y + 20.0, 16.0, 26.0);
     let cheekbone = 3.6 + 1.3 * t.cheekbones;
-    push += Vec3::new(0.35, 0.0, 0.9) * cheekbone * spot(43.0, 3.0, 25.0, 19.0);
-    push += Vec3::new(0.9, 0.0, 0.3) * (1.5 + 0.5 * t.cheekbones) * spot(62.0, 6.0, 16.0, 12.0);
+    push += Vec3::new(0.35, 0.0, 0.9) * cheekbone * spot(42.0, 2.0, 27.0, 23.0);
+    push += Vec3::new(0.9, 0.0, 0.3) * (1.0 + 0.5 * t.cheekbones) * spot(60.0, 2.0, 24.0, 26.0);
 
     // Front of the cheek beside nose and mouth, and the hollow under the cheekbone.
     push.z += (1.2 + 0.6 * t.cheek_fullness) * spot(31.0, h(-14.0), 20.0, 20.0);
-    push += Vec3::new(0.6, 0.0, 0.6) * (-2.2 + 1.7 * t.cheek_fullness) * spot(49.0, h(-34.0), 22.0, 28.0);
+    push += Vec3::new(0.6, 0.0, 0.6) * (-1.6 + 2.2 * t.cheek_fullness) * spot(48.0, h(-36.0), 26.0, 34.0);
 
     // Nasolabial fold from the wing of the nose to beside the corner of the mouth.
     let fold = fold_distance(plan, at);
-    push.z += -1.1 * bell((fold + 0.5) / 5.0) * fold_strength(plan, at.y)
-        + 0.9 * bell((fold - 6.0) / 8.0) * fold_strength(plan, at.y);
+    push.z += (0.6 * bell((fold - 7.0) / 9.0) - 0.6 * bell(fold / 6.5)) * fold_strength(plan, at.y);
 
     // Chin: boss, the groove over it, and the flat of the jaw beside it.
     let boss = h(-74.0);

@@ -107,24 +107,24 @@ pub(super) const CANON: [f32; 4] = [28.0, -21.0, -43.0, -88.0];
 impl Plan {
     pub(super) fn new(traits: Traits) -> Self {
         let t = &traits;
-        let spacing = 31.5 + 0.9 * t.eye_spacing;
-        let width = 29.0 + 0.9 * t.eye_width;
+        let spacing = 31.5 + 1.2 * t.eye_spacing;
+        let width = 29.0 + 1.0 * t.eye_width;
         let inner = spacing - 0.515 * width;
         let eye = Vec3::new(spacing, CANON[0], 69.5 - 0.9 * t.eye_depth);
-        let nose_base = CANON[1] - 1.6 * t.nose_length - 0.8 * t.face_length;
-        let mouth = nose_base + (CANON[2] - CANON[1]) - 0.7 * t.face_length;
+        let nose_base = CANON[1] - 2.0 * t.nose_length - 1.2 * t.face_length;
+        let mouth = nose_base + (CANON[2] - CANON[1]) - 1.1 * t.face_length;
         Self {
             eye,
             eye_radius: 12.2,
             inner_canthus: Vec2::new(inner, eye.y - 3.0 - 0.2 * t.eye_tilt),
-            outer_canthus: Vec2::new(inner + width, eye.y - 1.2 + 0.7 * t.eye_tilt),
-            lid_heights: [6.6 + 0.45 * t.eye_opening, 4.2 + 0.3 * t.eye_opening],
+            outer_canthus: Vec2::new(inner + width, eye.y - 1.2 + 1.0 * t.eye_tilt),
+            lid_heights: [6.5 + 0.5 * t.eye_opening, 4.2 + 0.3 * t.eye_opening],
             crease: 4.6 + 0.9 * t.lid_crease,
             nose_base,
             mouth,
-            mouth_half_width: 25.0 + 1.3 * t.mouth_width,
-            lip_heights: [7.0 + 1.0 * t.upper_lip, 9.0 + 1.1 * t.lower_lip],
-            chin: mouth + (CANON[3] - CANON[2]) - 1.6 * t.chin_height,
+            mouth_half_width: 25.0 + 1.7 * t.mouth_width,
+            lip_heights: [6.8 + 1.3 * t.upper_lip, 8.8 + 1.4 * t.lower_lip],
+            chin: mouth + (CANON[3] - CANON[2]) - 2.2 * t.chin_height,
             traits,
         }
     }

@@ -82,7 +82,7 @@ pub(super) fn lip_height(plan: &Plan, x: f32, upper: bool) -> f32 {
     let along = (x / plan.mouth_half_width).min(1.0);
     let taper = 1.0 - along * along * along;
     if upper {
-        let bow = 1.1 * bell((x - 5.6) / 5.0) - 0.9 * bell(x / 4.0);
+        let bow = 0.9 * bell((x - 6.0) / 6.0) - 0.9 * bell(x / 5.5);
         (plan.lip_heights[0] + bow) * libm::powf(1.0 - along, 0.75).max(0.0) * (1.0 + 0.9 * along) + 0.9
     } else {
         (plan.lip_heights[1] * libm::powf(taper, 0.8)).max(0.0) + 0.9

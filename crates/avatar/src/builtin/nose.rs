@@ -1,6 +1,6 @@
 use glam::{Vec2, Vec3};
 
-use super::curves::{Spline, bell, curve, dome, smoothstep};
+use super::curves::{Spline, bell, curve, smoothstep, twin_dome};
 use super::identity::Plan;
 
 /// The nose: a ridge raised from the face, a rounded tip, wings and nostrils.
@@ -22,8 +22,8 @@ impl Nose {
         // From the root (at the eyes) to the base; heights are given as shares of that length.
         let y = |share: f32| eye + (base - eye) * share;
         let bridge = 1.3 * t.nose_bridge;
-        let hump = 1.2 * t.nose_hump;
-        let tip = 1.6 * t.nose_tip;
+        let hump = 1.6 * t.nose_hump;
+        let tip = 2.0 * t.nose_tip;
         let turn = t.nose_turn;
         // z of the profile.
         let ridge = curve(&[
@@ -54,7 +54,7 @@ impl Nose {
             (y(-0.15), 15.0),
             (y(-0.5), 20.0),
         ]);
-        let wing = Vec2::new(13.2 + 1.1 * t.nose_width, y(0.84));
+        let wing = Vec2::new(12.2 + 1.3 * t.nose_width, y(0.87));
         Self { ridge, width, base, wing, wing_size: 1.0 + 0.05 * t.nose_width, turn }
     }
 
@@ -72,18 +72,18 @@ impl Nose {
 
         // Wings, rounded, with the crease that sets them off from cheek and tip.
         let size = self.wing_size;
-        let wing = dome(at, self.wing, Vec2::new(8.0, 9.5) * size);
-        push += Vec3::new(1.6, -0.6, 7.5) * wing;
-        let around = (at - self.wing - Vec2::new(-1.0, -0.5)) / Vec2::new(1.0, 1.12) / size;
-        let outside = smoothstep(-4.0, 3.0, around.x + 0.45 * around.y);
-        push.z -= 2.4 * bell((around.length() - 8.2) / 3.0) * outside;
+        let wing = twin_dome(at, self.wing, Vec2::new(8.6, 9.0) * size);
+        push += Vec3::new(1.2, -0.5, 6.0) * wing;
+        let around = (at - self.wing - Vec2::new(-1.5, -0.5)) / Vec2::new(1.0, 1.0) / size;
+        let outside = smoothstep(-2.0, 7.0, around.x + 0.5 * around.y);
+        push.z -= 1.6 * bell((around.length() - 8.8) / 4.2) * outside;
         // Tip: two cartilages under the skin.
-        push.z += 1.6 * dome(at, Vec2::new(3.0, self.base + 9.5 + self.turn), Vec2::new(7.5, 7.5));
+        push.z += 1.6 * twin_dome(at, Vec2::new(3.0, self.base + 9.5 + self.turn), Vec2::new(7.5, 7.5));
         // Underside: pulled down over the lip so that it faces down, then the nostrils pushed up and in.
-        let under = dome(at, Vec2::new(7.0, self.base + 3.2), Vec2::new(11.0, 6.5));
+        let under = twin_dome(at, Vec2::new(7.0, self.base + 3.2), Vec2::new(11.0, 6.5));
         push.y -= (2.2 - 0.8 * self.turn) * under;
-        let nostril = dome(at, Vec2::new(6.6, self.base + 3.6), Vec2::new(4.2, 3.8));
-        push += Vec3::new(0.4, 5.5, -9.0) * nostril;
+        let nostril = twin_dome(at, Vec2::new(6.8, self.base + 2.9), Vec2::new(4.3, 3.2));
+        push += Vec3::new(0.3, 8.0, -5.5) * nostril;
         push
     }
 }

@@ -10,7 +10,7 @@ use super::{eyes, face, mouth, neck};
 use crate::Region;
 
 /// Columns from the middle of the face to the middle of the back, and those where the slits end.
-const COLUMNS: usize = 62;
+const COLUMNS: usize = 57;
 const INNER_CANTHUS: usize = 14;
 const OUTER_CANTHUS: usize = 39;
 const MOUTH_CORNER: usize = 25;
@@ -63,11 +63,11 @@ impl<'a> Grid<'a> {
         let face = |row: &f32| Row { canon: *row, station: skull.station(plan.height(*row)) };
         let mut rows: Vec<Row> = heights.iter().map(face).collect();
         let top = rows[0].station;
-        let crown = (0..13).map(|i| Row { canon: f32::INFINITY, station: top * i as f32 / 13.0 });
+        let crown = (0..10).map(|i| Row { canon: f32::INFINITY, station: top * i as f32 / 10.0 });
         rows.splice(0..0, crown);
         let bottom = rows[rows.len() - 1].station;
-        let below = (1..=20).map(|i| {
-            let t = i as f32 / 20.0;
+        let below = (1..=18).map(|i| {
+            let t = i as f32 / 18.0;
             Row { canon: f32::NEG_INFINITY, station: bottom + (skull.end() - bottom) * t * (0.6 + 0.4 * t) }
         });
         rows.extend(below);
@@ -219,8 +219,8 @@ impl<'a> Grid<'a> {
         let plan = self.plan;
         let front = 1.0 - smoothstep(-20.0, 15.0, -p.z);
         let mut q = p + face::relief(plan, p) * front;
-        let face_z = self.skull.point(self.skull.station(p.y), 0.0).z;
-        q += self.nose.raise(p, face_z);
+        let middle = self.skull.point(self.skull.station(p.y), 0.0);
+        q += self.nose.raise(p, middle.z + face::relief(plan, middle).z);
         let over = p.y - mouth::slit(plan, p.x);
         let over = if over.abs() < 0.02 || over.signum() != mouth_over.signum() {
             0.0_f32.copysign(mouth_over)
@@ -337,20 +337,21 @@ impl<'a> Grid<'a> {
 
 /// Heights of the grid's rows in the canon, from the hairline to the throat: closest along lids, nostrils and lips.
 fn face_rows() -> Vec<f32> {
-    const SPANS: [(f32, f32, usize); 13] = [
-        (77.0, 54.0, 8),
+    const SPANS: [(f32, f32, usize); 14] = [
+        (98.0, 78.0, 7),
+        (78.0, 54.0, 8),
         (54.0, 40.0, 8),
         (40.0, 34.0, 6),
         (34.0, CANON[0], 8),
         (CANON[0], 22.0, 8),
         (22.0, 14.0, 7),
-        (14.0, -6.0, 11),
+        (14.0, -6.0, 10),
         (-6.0, -27.0, 22),
         (-27.0, CANON[2] + CANON_LIP, 6),
         (CANON[2] + CANON_LIP, CANON[2], 8),
         (CANON[2], CANON[2] - CANON_LIP, 8),
         (CANON[2] - CANON_LIP, -58.0, 5),
-        (-58.0, -92.0, 15),
+        (-58.0, -92.0, 13),
     ];
     let mut rows = vec![SPANS[0].0];
     for (from, to, count) in SPANS {
@@ -389,11 +390,11 @@ fn between(x: f32, points: [(f32, f32); 3]) -> f32 {
 }
 
 fn hairline(plan: &Plan, angle: f32) -> f32 {
-    let t = plan.traits;
+    let line = 2.0 * plan.traits.crown_height;
     let line = curve(&[
-        (0.0, 88.0 + 2.0 * t.crown_height),
-        (0.25, 89.0),
-        (0.5, 85.0),
+        (0.0, 88.0 + line),
+        (0.25, 88.5 + line),
+        (0.5, 85.0 + line),
         (0.7, 74.0),
         (0.88, 56.0),
         (1.05, 46.0),

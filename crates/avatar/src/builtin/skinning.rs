@@ -63,7 +63,8 @@ fn lid_share(mark: &Mark) -> f32 {
 /// cheek a line that rises from there to the jaw's joint.
 fn jaw_share(plan: &Plan, p: Vec3, mark: &Mark) -> f32 {
     let along = p.x / plan.mouth_half_width;
-    let corner = smoothstep(0.45, 1.0, along);
+    // So that the open mouth is rounded, not a slot.
+    let corner = 1.0 - libm::powf((1.0 - along * along).max(0.0), 0.65);
     let beyond = smoothstep(plan.mouth_half_width, 64.0, p.x);
     let over = if mark.mouth.is_finite() { mark.mouth } else { p.y - plan.mouth } - 26.0 * beyond;
     let width = lerp(10.0, 34.0, corner);

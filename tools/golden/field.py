@@ -67,9 +67,12 @@ def interoperability():
         file.attrs["note"] = "attributes are passed over"
     with h5py.File(DATA / "contiguous_f16.flo5", "w") as file:
         file.create_dataset("flow", data=with_nan.astype(np.float16))
+    many = np.round(flow(1, 30, 40) * 4) / 4
+    np.save(DATA / "many_chunks.npy", many.astype(np.float16))
     with h5py.File(DATA / "many_chunks.flo5", "w") as file:
-        # Over 64 chunks: the B-tree has two levels.
-        file.create_dataset("flow", data=flow(1, 30, 40), chunks=(3, 4, 2), compression="gzip")
+        file.create_dataset("flow", data=many, chunks=(3, 4, 2), compression="gzip")
+    with h5py.File(DATA / "many_chunks_latest.flo5", "w", libver="latest") as file:
+        file.create_dataset("flow", data=many, chunks=(3, 4, 2), compression="gzip")
     with h5py.File(DATA / "latest.flo5", "w", libver="latest") as file:
         file.create_dataset("flow", data=with_nan, compression="gzip", compression_opts=5)
 

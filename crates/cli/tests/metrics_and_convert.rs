@@ -95,7 +95,7 @@ fn convert_goes_round_every_format_without_loss() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     write_flow(&path("start.flo"), &wavy()).unwrap();
-    let round = ["start.flo", "a.pfm", "b.png", "c.npy", "e.npz", "f.png128", "end.flo"];
+    let round = ["start.flo", "a.pfm", "b.png", "c.npy", "d.flo5", "e.npz", "f.png128", "end.flo"];
     for step in round.windows(2) {
         let output = srflow(folder.path(), &["convert", step[0], step[1]]);
         assert_eq!(code(&output), 0, "{step:?}: {output:?}");

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use proptest::prelude::*;
 use srflow_field::{FlowField, FlowFormat, read_flow, read_flow_as, write_flow, write_flow_as};
 
-const FLOAT_FORMATS: [FlowFormat; 4] = [FlowFormat::Flo, FlowFormat::Pfm, FlowFormat::Npy, FlowFormat::Npz];
+const FLOAT_FORMATS: [FlowFormat; 5] =
+    [FlowFormat::Flo, FlowFormat::Pfm, FlowFormat::Flo5, FlowFormat::Npy, FlowFormat::Npz];
 
 fn data(name: &str) -> PathBuf {
     PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data")).join(name)
@@ -145,6 +146,28 @@ proptest! {
     }
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// The same for the HDF5 files of h5py, which hold more kinds of structures than ours.
+    #[test]
+    fn changed_bytes_of_hdf5_never_panic(
+        which in 0_usize..4,
+        changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
+    ) {
+        let name = ["spring.flo5", "shuffled.flo5", "latest.flo5", "contiguous_f16.flo5"][which];
+        let mut bytes = fs::read(data(name)).unwrap();
+        for (index, byte) in &changes {
+            let at = index.index(bytes.len());
+            bytes[at] = *byte;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        if let Ok(flow) = read_bytes(folder.path(), "changed.flo5", &bytes) {
+            prop_assert!(flow.pixels().len() <= 1032 * bytes.len());
+        }
+    }
+}
+
 /// The flow that `tools/golden/field.py` gave to every program.
 fn golden() -> FlowField {
     read_flow(&data("flow.npy")).unwrap()
@@ -165,15 +188,25 @@ fn files_of_other_programs_hold_the_same_flow() {
         "flow_opencv.flo",
         "flow_kitti.png",
         "flow.pfm",
+        "spring.flo5",
+        "shuffled.flo5",
+        "latest.flo5",
     ];
     for name in exact {
         let flow = read_flow(&data(name)).unwrap();
         assert_eq!(bits(&flow), bits(&golden), "{name}");
     }
-    let half = read_flow(&data("flow_f16.npy")).unwrap();
-    assert_eq!(half.known(), golden.known());
-    for (a, b) in half.pixels().as_flattened().iter().zip(golden.pixels().as_flattened()) {
-        assert!(b.is_nan() || (a - b).abs() <= b.abs() / 2048.0, "{a} for {b}");
+    for name in ["flow_f16.npy", "contiguous_f16.flo5"] {
+        let half = read_flow(&data(name)).unwrap();
+        assert_eq!(half.known(), golden.known(), "{name}");
+        for (a, b) in half.pixels().as_flattened().iter().zip(golden.pixels().as_flattened()) {
+            assert!(b.is_nan() || (a - b).abs() <= b.abs() / 2048.0, "{name}: {a} for {b}");
+        }
+    }
+    // Over 64 chunks: the index of the one has two levels, that of the other is an array.
+    for name in ["many_chunks.flo5", "many_chunks_latest.flo5"] {
+        let flow = read_flow(&data(name)).unwrap();
+        assert_eq!(bits(&flow), bits(&read_flow(&data("many_chunks.npy")).unwrap()), "{name}");
     }
 }
 
@@ -347,7 +380,7 @@ fn an_unknown_kind_of_file_lists_the_formats() {
     let told = refusal("a.txt", b"hello there");
     assert_eq!(
         told,
-        ": format: expected a flow file (flo, png, png128, pfm, npy, npz), found neither such an extension nor such a \
+        ": format: expected a flow file (flo, png, png128, pfm, flo5, npy, npz), found neither such an extension nor such a \
          start: \"hello th\""
     );
     let missing = read_flow(Path::new("/nowhere/at/all.flo")).unwrap_err().to_string();
@@ -365,7 +398,7 @@ fn an_unknown_kind_of_file_lists_the_formats() {
 fn the_start_of_a_file_says_more_than_its_extension() {
     let folder = tempfile::tempdir().unwrap();
     let flow = FlowField::filled(3, 2, [1.5, -2.0]);
-    for format in [FlowFormat::Flo, FlowFormat::KittiPng, FlowFormat::Pfm, FlowFormat::Npy, FlowFormat::Npz] {
+    for format in FlowFormat::ALL.into_iter().filter(|format| *format != FlowFormat::Png128) {
         let path = folder.path().join("misnamed.flo");
         write_flow_as(&path, &flow, format).unwrap();
         assert_eq!(read_flow(&path).unwrap(), flow, "{format}");

@@ -2,6 +2,8 @@
 
 mod claim;
 mod flo;
+mod flo5;
+mod hdf5;
 mod kitti_png;
 pub(crate) mod npy;
 mod npz;
@@ -35,6 +37,8 @@ pub enum FlowFormat {
     Png128,
     /// Portable float map of three channels as in FlyingThings3D; unknown pixels hold 1 in the third.
     Pfm,
+    /// Spring's `.flo5`: HDF5 with the compressed dataset `flow`; unknown pixels hold NaN.
+    Flo5,
     /// NumPy's `.npy` of shape (H, W, 2), written as `<f4`; unknown pixels hold NaN.
     Npy,
     /// NumPy's `.npz` with one such array, compressed and named `flow`.
@@ -43,7 +47,8 @@ pub enum FlowFormat {
 
 impl FlowFormat {
     /// Every format.
-    pub const ALL: [Self; 6] = [Self::Flo, Self::KittiPng, Self::Png128, Self::Pfm, Self::Npy, Self::Npz];
+    pub const ALL: [Self; 7] =
+        [Self::Flo, Self::KittiPng, Self::Png128, Self::Pfm, Self::Flo5, Self::Npy, Self::Npz];
 
     /// The extension of its files, which is also its name.
     pub fn extension(self) -> &'static str {
@@ -52,6 +57,7 @@ impl FlowFormat {
             Self::KittiPng => "png",
             Self::Png128 => "png128",
             Self::Pfm => "pfm",
+            Self::Flo5 => "flo5",
             Self::Npy => "npy",
             Self::Npz => "npz",
         }
@@ -65,10 +71,11 @@ impl FlowFormat {
 
     /// The format that a file's first bytes speak of.
     fn from_magic(start: &[u8]) -> Option<Self> {
-        let magics: [(&[u8], Self); 5] = [
+        let magics: [(&[u8], Self); 6] = [
             (flo::MAGIC, Self::Flo),
             (PNG_MAGIC, Self::KittiPng),
             (pfm::MAGIC, Self::Pfm),
+            (flo5::MAGIC, Self::Flo5),
             (npy::MAGIC, Self::Npy),
             (npz::MAGIC, Self::Npz),
         ];
@@ -149,6 +156,7 @@ pub fn write_flow_as(path: &Path, flow: &FlowField, format: FlowFormat) -> Resul
         FlowFormat::KittiPng => kitti_png::encode(flow, kitti_png::KITTI, writer),
         FlowFormat::Png128 => kitti_png::encode(flow, kitti_png::PNG128, writer),
         FlowFormat::Pfm => pfm::encode(flow, writer),
+        FlowFormat::Flo5 => flo5::encode(flow, writer),
         FlowFormat::Npy => npy::encode_flow(flow, writer),
         FlowFormat::Npz => npz::encode(flow, writer),
     })
@@ -160,7 +168,7 @@ fn check_writable(flow: &FlowField, format: FlowFormat) -> Result<(), FileProble
         FlowFormat::Flo => flo::check_range(flow),
         FlowFormat::KittiPng => kitti_png::check_range(flow, kitti_png::KITTI),
         FlowFormat::Png128 => kitti_png::check_range(flow, kitti_png::PNG128),
-        FlowFormat::Pfm | FlowFormat::Npy | FlowFormat::Npz => Ok(()),
+        FlowFormat::Pfm | FlowFormat::Flo5 | FlowFormat::Npy | FlowFormat::Npz => Ok(()),
     }
 }
 
@@ -170,6 +178,7 @@ fn decode(format: FlowFormat, reader: &mut dyn Read, len: u64) -> Result<FlowFie
         FlowFormat::KittiPng => kitti_png::decode(reader, len, kitti_png::KITTI),
         FlowFormat::Png128 => kitti_png::decode(reader, len, kitti_png::PNG128),
         FlowFormat::Pfm => pfm::decode(reader, len),
+        FlowFormat::Flo5 => flo5::decode(reader, len),
         FlowFormat::Npy => npy::decode_flow(reader, len),
         FlowFormat::Npz => npz::decode(reader, len),
     }

@@ -1,4 +1,7 @@
 //! Optical-flow datasets: generating SRFlow, checking it, and reading the published ones.
 
+pub mod generate;
 pub mod manifest;
 pub mod read;
+pub mod record;
+pub mod statistics;

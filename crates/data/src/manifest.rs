@@ -14,15 +14,21 @@
 //! train/depth/scene-0003/00000.png             depth of frame 0 (--depth)
 //! train/pairs/scene-0003/00000.json            cameras, motion and action units of frames 0 and 1; written last
 //! ```
+//!
+//! A scene of `n` pairs has `n + 1` frames, alphas, masks and depths, and `n` of everything else.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use srflow_field::FlowFormat;
 use srflow_splat::Camera;
 
 /// Name of the file in the dataset's folder.
 pub const MANIFEST_NAME: &str = "dataset.json";
+
+/// Name of the file that sums up a whole dataset.
+pub const STATISTICS_NAME: &str = "statistics.json";
 
 /// Version of the layout and of this file's fields.
 pub const LAYOUT_VERSION: u32 = 1;
@@ -59,7 +65,7 @@ pub struct Arguments {
     pub splits: [f64; 3],
     /// The seed of every random choice.
     pub seed: u64,
-    /// Ending of the flow files, e.g. `npz`.
+    /// How flow is stored; see [`FlowFormat`].
     pub flow_format: String,
     /// Whether there are backward flows.
     pub backward: bool,
@@ -161,9 +167,9 @@ pub struct PairFiles {
     pub flow_backward: Option<PathBuf>,
     /// Alpha of frame 1, 8-bit PNG.
     pub alpha: PathBuf,
-    /// Head mask of frame 1, 1-bit PNG.
+    /// Head mask of frame 1, 8-bit PNG, 0 or 255.
     pub mask: PathBuf,
-    /// Pixels of frame 1 that are not seen in frame 2, 1-bit PNG.
+    /// Pixels of frame 1 that are not seen in frame 2, 8-bit PNG, 0 or 255.
     pub occlusion: PathBuf,
     /// Depth of frame 1, 16-bit PNG.
     pub depth: Option<PathBuf>,
@@ -178,6 +184,26 @@ impl PairFiles {
             .into_iter()
             .chain(&self.flow_backward)
             .chain(&self.depth)
+    }
+}
+
+/// The files of one frame, all of them in the dataset's folder.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FrameFiles {
+    /// The picture, sRGB PNG.
+    pub frame: PathBuf,
+    /// Alpha, 8-bit PNG.
+    pub alpha: PathBuf,
+    /// Head mask, 8-bit PNG, 0 or 255.
+    pub mask: PathBuf,
+    /// Depth, 16-bit PNG.
+    pub depth: Option<PathBuf>,
+}
+
+impl FrameFiles {
+    /// Every file.
+    pub fn all(&self) -> impl Iterator<Item = &PathBuf> {
+        [&self.frame, &self.alpha, &self.mask].into_iter().chain(&self.depth)
     }
 }
 
@@ -238,8 +264,8 @@ impl Manifest {
         if *width == 0 || *height == 0 {
             return Err(format!("size {width}x{height}: expected at least 1x1"));
         }
-        if !plain(flow_format) {
-            return Err(format!("flow_format `{flow_format}`: expected the ending of a flow file, e.g. npz"));
+        if let Err(error) = flow_format.parse::<FlowFormat>() {
+            return Err(format!("flow_format: {error}"));
         }
         match self.scenes.iter().find(|scene| !plain(&scene.name)) {
             Some(scene) => Err(format!("scene name `{}`: expected letters, digits and hyphens", scene.name)),
@@ -257,26 +283,54 @@ impl Manifest {
         self.scenes.iter().map(|scene| u64::from(scene.pairs)).sum()
     }
 
+    /// The folders that each split has, one for each kind of file.
+    pub fn kinds(&self) -> impl Iterator<Item = &'static str> + use<> {
+        let Arguments { backward, depth, .. } = self.arguments;
+        let kinds = ["frames", "flow", "alpha", "mask", "occlusion", "pairs"];
+        kinds.into_iter().chain(backward.then_some("flow_backward")).chain(depth.then_some("depth"))
+    }
+
     /// The files of pair `pair` (frames `pair` and `pair + 1`) of `scene`, in the dataset's folder `dir`. Whether they are
     /// there is not looked at.
     pub fn files(&self, dir: &Path, scene: &SceneEntry, pair: u32) -> PairFiles {
-        let part = dir.join(scene.split.to_string());
-        let file = |kind: &str, frame: u32, ending: &str| {
-            part.join(kind).join(&scene.name).join(format!("{frame:05}.{ending}"))
-        };
-        let flow_ending = &self.arguments.flow_format;
+        let file = |kind: &str, ending: &str| file(dir, scene, kind, pair, ending);
+        let FrameFiles { frame, alpha, mask, depth } = self.frame_files(dir, scene, pair);
+        let flow_ending = self.flow_ending();
         PairFiles {
-            frame1: file("frames", pair, "png"),
-            frame2: file("frames", pair.saturating_add(1), "png"),
-            flow: file("flow", pair, flow_ending),
-            flow_backward: self.arguments.backward.then(|| file("flow_backward", pair, flow_ending)),
-            alpha: file("alpha", pair, "png"),
-            mask: file("mask", pair, "png"),
-            occlusion: file("occlusion", pair, "png"),
-            depth: self.arguments.depth.then(|| file("depth", pair, "png")),
-            record: file("pairs", pair, "json"),
+            frame1: frame,
+            frame2: self.frame_files(dir, scene, pair.saturating_add(1)).frame,
+            flow: file("flow", flow_ending),
+            flow_backward: self.arguments.backward.then(|| file("flow_backward", flow_ending)),
+            alpha,
+            mask,
+            occlusion: file("occlusion", "png"),
+            depth,
+            record: file("pairs", "json"),
         }
     }
+
+    /// The files of frame `frame` of `scene`: a scene has one frame more than pairs.
+    pub fn frame_files(&self, dir: &Path, scene: &SceneEntry, frame: u32) -> FrameFiles {
+        let file = |kind: &str| file(dir, scene, kind, frame, "png");
+        FrameFiles {
+            frame: file("frames"),
+            alpha: file("alpha"),
+            mask: file("mask"),
+            depth: self.arguments.depth.then(|| file("depth")),
+        }
+    }
+
+    fn flow_ending(&self) -> &str {
+        match self.arguments.flow_format.parse::<FlowFormat>() {
+            Ok(format) => format.extension(),
+            // `read` refuses an unknown format; in a manifest made otherwise its name has to do.
+            Err(_) => &self.arguments.flow_format,
+        }
+    }
+}
+
+fn file(dir: &Path, scene: &SceneEntry, kind: &str, frame: u32, ending: &str) -> PathBuf {
+    dir.join(scene.split.to_string()).join(kind).join(&scene.name).join(format!("{frame:05}.{ending}"))
 }
 
 #[cfg(test)]
@@ -295,7 +349,7 @@ mod tests {
                 height: 160,
                 splits: [1.0, 0.0, 0.0],
                 seed: u64::MAX,
-                flow_format: "npz".into(),
+                flow_format: "flo".into(),
                 backward: false,
                 depth: true,
                 background: "#ffffff".into(),
@@ -328,9 +382,12 @@ mod tests {
         let manifest = manifest();
         let files = manifest.files(Path::new("d"), &manifest.scenes[0], 3);
         assert_eq!(files.frame2, Path::new("d/train/frames/scene-0000/00004.png"));
-        assert_eq!(files.flow, Path::new("d/train/flow/scene-0000/00003.npz"));
+        assert_eq!(files.flow, Path::new("d/train/flow/scene-0000/00003.flo"));
         assert_eq!(files.depth.as_deref(), Some(Path::new("d/train/depth/scene-0000/00003.png")));
-        assert_eq!((files.flow_backward.as_ref(), files.all().count()), (None, 8));
+        assert_eq!(files.flow_backward, None);
+        let last = manifest.frame_files(Path::new("d"), &manifest.scenes[0], 4);
+        assert_eq!(last.mask, Path::new("d/train/mask/scene-0000/00004.png"));
+        assert_eq!(last.frame, files.frame2);
     }
 
     #[test]

@@ -1,12 +1,220 @@
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use anyhow::Context as _;
 use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+use srflow_data::generate::{self, Background, Event, Head, Report, Settings, Shard};
+use srflow_data::statistics::Statistics;
+use srflow_field::FlowFormat;
 
 use crate::Context;
 
 /// Render a facial optical-flow dataset with exact flow from a head avatar
 #[derive(Args)]
-pub struct Render {}
+#[command(after_help = "\
+Examples:
+  srflow render --out srflow                            the paper's 27 scenes and 11,161 pairs at 2200x3208
+  srflow render --out tiny --scenes 3 --frames 8 --size 550x802
+  srflow render --out part --shard 2/8                  the second of eight machines; merge the parts by copying
+
+A run that was stopped goes on where it was when the same command is given again. `srflow check` examines the
+dataset; its files are described in docs/dataset.md.")]
+pub struct Render {
+    /// Folder of the dataset
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Whose heads: `builtin`, or `ict:DIR` with ICT-FaceKit's FaceXModel folder
+    #[arg(long, value_name = "HEAD", default_value = "builtin")]
+    head: Head,
+    /// Number of scenes, each with a subject of its own
+    #[arg(long, value_name = "N", default_value_t = 27)]
+    scenes: u32,
+    /// Frame pairs in a scene; the mean of the scenes where it is not whole
+    #[arg(long, value_name = "N", default_value_t = 413.37)]
+    frames: f64,
+    /// Size of the frames, WIDTHxHEIGHT
+    #[arg(long, value_name = "SIZE", default_value = "2200x3208", value_parser = size)]
+    size: (usize, usize),
+    /// Shares of train, val and test scenes
+    #[arg(long, value_name = "SHARES", default_value = "0.61,0.11,0.28", value_parser = shares)]
+    splits: Shares,
+    /// Seed of every random choice
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// How flow is stored
+    #[arg(long, value_name = "FORMAT", default_value_t = FlowFormat::Flo, help = flow_format_help())]
+    flow_format: FlowFormat,
+    /// Write the flow from frame 2 to frame 1 too
+    #[arg(long)]
+    backward: bool,
+    /// Write depth too
+    #[arg(long)]
+    depth: bool,
+    /// What is behind the subject: white, black, #rrggbb, or a folder of images
+    #[arg(long, value_name = "COLOUR|DIR", default_value = "white")]
+    background: Background,
+    /// Make part I of N only
+    #[arg(long, value_name = "I/N", default_value = "1/1", hide_default_value = true)]
+    shard: Shard,
+    /// Delete the dataset that lies in the folder and start anew
+    #[arg(long)]
+    force: bool,
+}
+
+type Shares = [f64; 3];
+
+fn flow_format_help() -> String {
+    format!("How flow is stored: {}", FlowFormat::ALL.map(FlowFormat::extension).join(", "))
+}
+
+fn size(text: &str) -> Result<(usize, usize), String> {
+    let sides = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    sides.ok_or_else(|| format!("`{text}` is not a size; expected WIDTHxHEIGHT, e.g. 550x802"))
+}
+
+fn shares(text: &str) -> Result<Shares, String> {
+    let shares: Option<Vec<f64>> = text.split(',').map(|share| share.trim().parse().ok()).collect();
+    shares
+        .and_then(|shares| shares.try_into().ok())
+        .ok_or_else(|| format!("`{text}` are not three shares; expected TRAIN,VAL,TEST, e.g. 0.61,0.11,0.28"))
+}
 
 /// Runs the command.
-pub fn run(_args: Render, _context: &Context) -> anyhow::Result<()> {
-    anyhow::bail!("`srflow render` is not built yet")
+pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
+    let (width, height) = args.size;
+    let settings = Settings {
+        head: args.head,
+        scenes: args.scenes,
+        frames: args.frames,
+        width,
+        height,
+        splits: args.splits,
+        seed: args.seed,
+        flow_format: args.flow_format,
+        backward: args.backward,
+        depth: args.depth,
+        background: args.background,
+    };
+    let progress = Progress::new();
+    let show = |event| progress.show(event);
+    let result = generate::generate(&settings, &args.out, args.shard, args.force, &show);
+    progress.bar.finish_and_clear();
+    let report = result?;
+    if context.json {
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&summary(&args.out, &report)).context("printing the result")?
+        );
+    } else {
+        print_report(args.shard, &report);
+    }
+    Ok(())
+}
+
+/// A bar on standard error, where that is a terminal.
+struct Progress {
+    bar: ProgressBar,
+    bytes: AtomicU64,
+}
+
+impl Progress {
+    fn new() -> Self {
+        let bar = ProgressBar::new(0);
+        let template = "{wide_bar} {pos}/{len} pairs, {msg}, {eta} left";
+        bar.set_style(
+            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()),
+        );
+        Self { bar, bytes: AtomicU64::new(0) }
+    }
+
+    fn show(&self, event: Event) {
+        match event {
+            Event::Started { pairs, whole } => {
+                self.bar.set_length(pairs);
+                self.bar.set_position(whole);
+                self.bar.reset_eta();
+                self.bar.reset_elapsed();
+            }
+            Event::PairWritten { bytes } => {
+                // Workers report out of order: the most that was reported stands.
+                let bytes = self.bytes.fetch_max(bytes, Ordering::Relaxed).max(bytes);
+                let seconds = self.bar.elapsed().as_secs_f64().max(1e-3);
+                self.bar.set_message(format!("{:.1} MB/s", bytes as f64 / 1e6 / seconds));
+                self.bar.inc(1);
+            }
+        }
+    }
+}
+
+fn summary(out: &std::path::Path, report: &Report) -> serde_json::Value {
+    json!({
+        "dataset": out,
+        "pairs": report.pairs,
+        "made": report.made,
+        "bytes": report.bytes,
+        "seconds": report.seconds,
+        "pairs_per_minute": pairs_per_minute(report),
+        "stages": report.stages,
+        "statistics": report.statistics,
+    })
+}
+
+fn pairs_per_minute(report: &Report) -> f64 {
+    if report.made == 0 { 0.0 } else { 60.0 * report.made as f64 / report.seconds }
+}
+
+fn print_report(shard: Shard, report: &Report) {
+    let Report { pairs, made, bytes, seconds, .. } = report;
+    println!(
+        "{made} of {pairs} pairs made in {seconds:.1} s: {:.1} pairs a minute, {:.1} MB, {:.1} MB/s",
+        pairs_per_minute(report),
+        *bytes as f64 / 1e6,
+        *bytes as f64 / 1e6 / seconds.max(1e-9),
+    );
+    let spent: f64 = report.stages.iter().map(|stage| stage.worker_seconds).sum();
+    if *made > 0 && spent > 0.0 {
+        println!("\nstage       ms/pair  share");
+        for stage in &report.stages {
+            let milliseconds = 1e3 * stage.worker_seconds / *made as f64;
+            println!(
+                "{:<10} {milliseconds:>8.1} {:>5.1}%",
+                stage.stage,
+                100.0 * stage.worker_seconds / spent
+            );
+        }
+    }
+    match &report.statistics {
+        Some(statistics) => print_statistics(statistics),
+        None => println!(
+            "\nPart {shard} is whole. Copy the parts together; `srflow render` with the same arguments and without --shard\n\
+             then writes statistics.json."
+        ),
+    }
+}
+
+/// The paper's Table I, and the histogram of flow magnitudes.
+pub fn print_statistics(statistics: &Statistics) {
+    println!("\nScenes        {}", statistics.scenes);
+    println!("Avg. Frames   {:.0}", statistics.average_frames);
+    println!("Total Frames  {}", statistics.total_frames);
+    println!("Resolution    {}x{}", statistics.width, statistics.height);
+    for part in &statistics.splits {
+        println!("{:<13} {} scenes, {} pairs", part.split.to_string(), part.scenes, part.pairs);
+    }
+    println!(
+        "\nFlow on the head: mean {:.3} px, greatest {:.1} px, {:.2}% occluded",
+        statistics.mean_magnitude,
+        statistics.flow.max,
+        100.0 * statistics.occluded_share
+    );
+    let pixels = statistics.flow.pixels.max(1) as f64;
+    let edges = statistics.bin_edges;
+    for (bin, count) in statistics.flow.histogram.iter().enumerate() {
+        let share = *count as f64 / pixels;
+        let upper = edges.get(bin + 1).map_or("    up".to_owned(), |edge| format!("{edge:>6}"));
+        let bar = "#".repeat((share * 60.0).round() as usize);
+        println!("{:>6} to {upper} px {:>6.2}% {bar}", edges[bin], 100.0 * share);
+    }
 }

@@ -1,0 +1,194 @@
+//! What is behind the subject: a colour, or a still image that is cut and resized to the frame.
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use srflow_field::random::Key;
+use srflow_field::{Image, Plane, read_image};
+
+use super::error::GenerateError;
+use super::settings::list_files;
+
+/// Endings of the image files that are backgrounds.
+const ENDINGS: [&str; 7] = ["png", "jpg", "jpeg", "ppm", "pgm", "pnm", "bmp"];
+
+/// What is behind the subjects.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Background {
+    /// One sRGB colour.
+    Colour([u8; 3]),
+    /// For each scene an image of this folder, drawn at random.
+    Images(PathBuf),
+}
+
+impl FromStr for Background {
+    type Err = String;
+
+    /// `white`, `black`, `#rrggbb`, or the path of a folder.
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "white" => Ok(Self::Colour([255; 3])),
+            "black" => Ok(Self::Colour([0; 3])),
+            _ => match text.strip_prefix('#') {
+                Some(digits) if digits.len() == 6 && digits.bytes().all(|c| c.is_ascii_hexdigit()) => {
+                    let value = u32::from_str_radix(digits, 16).map_err(|error| error.to_string())?;
+                    let [_, r, g, b] = value.to_be_bytes();
+                    Ok(Self::Colour([r, g, b]))
+                }
+                Some(_) => Err(format!("`{text}`: a colour is # and six hexadecimal digits, e.g. #336699")),
+                None => Ok(Self::Images(text.into())),
+            },
+        }
+    }
+}
+
+/// Names and sizes of the image files in a folder, by name.
+pub(super) fn images(dir: &Path) -> Result<Vec<(String, u64)>, GenerateError> {
+    let mut files = list_files(dir, "--background")?;
+    files.retain(|(name, _)| {
+        let ending = name.rsplit_once('.').map_or("", |(_, ending)| ending);
+        ENDINGS.iter().any(|known| known.eq_ignore_ascii_case(ending))
+    });
+    if files.is_empty() {
+        return Err(GenerateError::Argument {
+            argument: "--background",
+            found: dir.display().to_string(),
+            expected: format!("a folder with images ({})", ENDINGS.join(", ")),
+        });
+    }
+    Ok(files)
+}
+
+/// The image of each scene, when backgrounds are images.
+pub(super) fn choose(
+    background: &Background,
+    scenes: usize,
+    seed: u64,
+) -> Result<Vec<Option<String>>, GenerateError> {
+    let Background::Images(dir) = background else { return Ok(vec![None; scenes]) };
+    let images = images(dir)?;
+    let count = u32::try_from(images.len()).unwrap_or(u32::MAX);
+    let pick = |scene| {
+        let chosen = Key::new(seed).scene(scene).stream("background").below(count);
+        images.get(chosen as usize).map(|(name, _)| name.clone())
+    };
+    Ok((0..).take(scenes).map(pick).collect())
+}
+
+/// Reads an image and brings it to `width` by `height`: the largest part of those proportions, from its middle.
+pub(super) fn load(path: &Path, width: usize, height: usize) -> Result<Image, GenerateError> {
+    let image = read_image(path)?;
+    if image.width() == 0 || image.height() == 0 {
+        return Err(GenerateError::Argument {
+            argument: "--background",
+            found: path.display().to_string(),
+            expected: "an image with at least one pixel".into(),
+        });
+    }
+    Ok(fill(&image, width, height))
+}
+
+/// Each pixel is the mean of what it covers when the image shrinks, and bilinear when it grows.
+fn fill(image: &Image, width: usize, height: usize) -> Image {
+    let scale = (image.width() as f64 / width as f64).min(image.height() as f64 / height as f64);
+    let columns = taps(width, image.width(), scale);
+    let rows = taps(height, image.height(), scale);
+    Image::from_fn(width, height, |x, y| {
+        let mut sum = [0.0; 3];
+        for &(row, row_weight) in &rows[y] {
+            for &(column, column_weight) in &columns[x] {
+                let pixel = image.get(column, row);
+                for channel in 0..3 {
+                    sum[channel] += row_weight * column_weight * f64::from(pixel[channel]);
+                }
+            }
+        }
+        sum.map(|value| (value + 0.5) as u8)
+    })
+}
+
+/// For each of `targets` pixels, the source pixels under a tent as wide as the pixel (one source pixel at least), with
+/// weights that sum to 1.
+fn taps(targets: usize, sources: usize, scale: f64) -> Vec<Vec<(usize, f64)>> {
+    let reach = scale.max(1.0);
+    let first = (sources as f64 - scale * targets as f64) / 2.0;
+    let of = |target: usize| {
+        let centre = first + (target as f64 + 0.5) * scale - 0.5;
+        let last = sources - 1;
+        let from = (centre - reach).ceil().clamp(0.0, last as f64) as usize;
+        let to = (centre + reach).floor().clamp(0.0, last as f64) as usize;
+        let weight = |source: usize| (1.0 - (source as f64 - centre).abs() / reach).max(0.0);
+        let sum: f64 = (from..=to).map(weight).sum();
+        if sum > 0.0 {
+            (from..=to).map(|source| (source, weight(source) / sum)).collect()
+        } else {
+            vec![(from, 1.0)]
+        }
+    };
+    (0..targets).map(of).collect()
+}
+
+/// Puts `behind` where a frame over black lets it be seen.
+pub(super) fn composite(frame: &mut Image, alpha: &Plane, behind: &Image) {
+    for ((pixel, &alpha), behind) in frame.pixels_mut().iter_mut().zip(alpha.pixels()).zip(behind.pixels()) {
+        let seen_through = 1.0 - alpha;
+        for (value, &behind) in pixel.iter_mut().zip(behind) {
+            *value = (f32::from(*value) + seen_through * f32::from(behind) + 0.5) as u8;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn colours_and_folders_are_told_apart() {
+        assert_eq!("white".parse(), Ok(Background::Colour([255; 3])));
+        assert_eq!("#0a80fF".parse(), Ok(Background::Colour([10, 128, 255])));
+        assert_eq!("images/indoor".parse(), Ok(Background::Images("images/indoor".into())));
+        for text in ["#12345", "#1234567", "#12345g", "#+12345"] {
+            assert!(text.parse::<Background>().unwrap_err().contains(text));
+        }
+    }
+
+    #[test]
+    fn an_image_keeps_its_middle_and_its_mean() {
+        let gradient = Image::from_fn(400, 100, |x, _| [(x / 2) as u8, 100, 7]);
+        let small = fill(&gradient, 20, 10); // the middle 200x100, ten to one
+        assert_eq!(small.get(5, 5)[1..], [100, 7]);
+        for x in 1..19 {
+            let expected = (100.0 + 10.0 * x as f64 + 4.5) / 2.0;
+            assert!((f64::from(small.get(x, 4)[0]) - expected).abs() <= 1.0, "{x}: {:?}", small.get(x, 4));
+        }
+        let large = fill(&gradient, 800, 400); // the middle 200x100, one to four
+        assert_eq!(large.size(), (800, 400));
+        assert!((i32::from(large.get(400, 200)[0]) - 100).abs() <= 1);
+    }
+
+    #[test]
+    fn the_background_shows_as_much_as_alpha_lets_it() {
+        let mut frame = Image::from_fn(3, 1, |x, _| [[0; 3], [60, 0, 0], [200, 10, 0]][x]);
+        let alpha = Plane::from_fn(3, 1, |x, _| [0.0, 0.5, 1.0][x]);
+        composite(&mut frame, &alpha, &Image::filled(3, 1, [100, 50, 255]));
+        assert_eq!(frame.pixels(), [[100, 50, 255], [110, 25, 128], [200, 10, 0]]);
+    }
+
+    #[test]
+    fn each_scene_draws_its_image_by_its_number() {
+        let dir = tempfile::tempdir().unwrap();
+        for name in ["b.png", "a.JPG", "notes.txt", "c.bmp"] {
+            std::fs::write(dir.path().join(name), "x").unwrap();
+        }
+        let background = Background::Images(dir.path().to_owned());
+        let many = choose(&background, 40, 3).unwrap();
+        assert_eq!(choose(&background, 5, 3).unwrap(), many[..5]);
+        for name in ["a.JPG", "b.png", "c.bmp"] {
+            assert!(many.iter().flatten().any(|chosen| chosen == name));
+        }
+        std::fs::remove_file(dir.path().join("b.png")).unwrap();
+        std::fs::remove_file(dir.path().join("a.JPG")).unwrap();
+        std::fs::remove_file(dir.path().join("c.bmp")).unwrap();
+        assert!(choose(&background, 1, 3).unwrap_err().to_string().contains("a folder with images"));
+    }
+}

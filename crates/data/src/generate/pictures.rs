@@ -1,0 +1,47 @@
+//! Planes of one number a pixel as grey PNG.
+
+use std::io;
+use std::path::Path;
+
+use srflow_field::{FileError, Plane, write_atomically};
+use srflow_splat::Frame;
+
+/// Depth units per metre in a depth picture; 0 is no depth.
+pub const DEPTH_UNITS_PER_METRE: f32 = 10_000.0;
+
+/// Writes alpha with 8 bits, rounded: 0 is 0, 255 is 1. The mask, alpha above one half, is 128 and above.
+pub fn write_alpha(path: &Path, alpha: &Plane, bytes: &mut Vec<u8>) -> Result<(), FileError> {
+    bytes.clear();
+    bytes.extend(alpha.pixels().iter().map(|alpha| (alpha * 255.0 + 0.5) as u8));
+    write_grey(path, alpha.size(), png::BitDepth::Eight, bytes)
+}
+
+/// Writes the depth of the mask with 16 bits in tenths of a millimetre, up to 6.5535 m; 0 outside of the mask.
+pub fn write_depth(path: &Path, frame: &Frame, bytes: &mut Vec<u8>) -> Result<(), FileError> {
+    bytes.clear();
+    let pixels = frame.depth.pixels().iter().zip(frame.alpha.pixels());
+    bytes.extend(pixels.flat_map(|(depth, &alpha)| {
+        let depth = if alpha > 0.5 { depth * DEPTH_UNITS_PER_METRE + 0.5 } else { 0.0 };
+        (depth as u16).to_be_bytes()
+    }));
+    write_grey(path, frame.depth.size(), png::BitDepth::Sixteen, bytes)
+}
+
+fn write_grey(
+    path: &Path,
+    (width, height): (usize, usize),
+    bits: png::BitDepth,
+    bytes: &[u8],
+) -> Result<(), FileError> {
+    let side = |side| u32::try_from(side).map_err(|_| io::Error::other("a side is beyond 2^32 pixels"));
+    write_atomically(path, |writer| {
+        let mut encoder = png::Encoder::new(writer, side(width)?, side(height)?);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(bits);
+        encoder.set_compression(png::Compression::Fastest);
+        let mut rows = encoder.write_header()?;
+        rows.write_image_data(bytes)?;
+        rows.finish()?;
+        Ok(())
+    })
+}

@@ -1,0 +1,90 @@
+//! Where the time goes.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+
+/// What a worker does with its time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Stage {
+    /// Making subjects.
+    Heads,
+    /// Posing the head and moving its Gaussians.
+    Motion,
+    /// Rasterizing.
+    Rasterize,
+    /// Masks, occlusion, statistics and backgrounds.
+    Occlusion,
+    /// Encoding and writing frames.
+    Frames,
+    /// Encoding and writing flow.
+    Flow,
+    /// Encoding and writing alpha, mask, occlusion and depth.
+    Planes,
+    /// Encoding and writing cameras and motion.
+    Records,
+}
+
+impl Stage {
+    /// All of them, in the order in which a pair goes through them.
+    pub const ALL: [Self; 8] = [
+        Self::Heads,
+        Self::Motion,
+        Self::Rasterize,
+        Self::Occlusion,
+        Self::Frames,
+        Self::Flow,
+        Self::Planes,
+        Self::Records,
+    ];
+
+    /// Its name in a table.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Heads => "heads",
+            Self::Motion => "motion",
+            Self::Rasterize => "rasterize",
+            Self::Occlusion => "occlusion",
+            Self::Frames => "frames",
+            Self::Flow => "flow",
+            Self::Planes => "planes",
+            Self::Records => "records",
+        }
+    }
+}
+
+/// Time of all workers together, by stage.
+#[derive(Debug, Default)]
+pub(super) struct Clock {
+    nanoseconds: [AtomicU64; Stage::ALL.len()],
+}
+
+impl Clock {
+    /// Does `work` on the account of `stage`.
+    pub fn time<T>(&self, stage: Stage, work: impl FnOnce() -> T) -> T {
+        let start = Instant::now();
+        let result = work();
+        let spent = u64::try_from(start.elapsed().as_nanos()).unwrap_or(u64::MAX);
+        self.nanoseconds[stage as usize].fetch_add(spent, Ordering::Relaxed);
+        result
+    }
+
+    /// Time spent so far, by stage.
+    pub fn spent(&self) -> Vec<StageTime> {
+        let of = |stage: Stage| {
+            let nanoseconds = self.nanoseconds[stage as usize].load(Ordering::Relaxed);
+            StageTime { stage: stage.name(), worker_seconds: Duration::from_nanos(nanoseconds).as_secs_f64() }
+        };
+        Stage::ALL.map(of).to_vec()
+    }
+}
+
+/// Time of all workers together in one stage.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct StageTime {
+    /// Name of the stage.
+    pub stage: &'static str,
+    /// Seconds, summed over the workers.
+    pub worker_seconds: f64,
+}

@@ -6,6 +6,7 @@ mod farneback;
 mod luminance;
 mod planar;
 mod resize;
+mod simd;
 
 use srflow_field::{EstimateError, FlowField, Image};
 

@@ -2,17 +2,24 @@
 //!
 //! The behaviour is defined by `modules/video/src/optflowgf.cpp` of OpenCV.
 
+mod evidence;
 mod expansion;
 mod pyramid;
+#[cfg(test)]
 mod reference;
+mod strips;
+mod update;
+mod window;
 
 use srflow_field::{EstimateError, FlowEstimator, FlowField, Image};
 
 use crate::ParameterError;
 use crate::luminance::luminance;
 use crate::planar::PlanarFlow;
-use crate::resize::{resize_linear, shrink_area};
-use expansion::ExpansionKernel;
+use crate::resize::{resize_flow_linear, shrink_area};
+use expansion::{Expansion, ExpansionKernel};
+use update::iterate;
+use window::Window;
 
 const NAME: &str = "farneback";
 
@@ -60,7 +67,7 @@ impl FarnebackParameters {
         };
         let inside = self.pyr_scale > 0.0 && self.pyr_scale < 1.0;
         must(inside, "pyr_scale", "above 0 and below 1", self.pyr_scale)?;
-        must((1..=1023).contains(&self.winsize), "winsize", "between 1 and 1023", self.winsize as f64)?;
+        must((2..=1023).contains(&self.winsize), "winsize", "between 2 and 1023", self.winsize as f64)?;
         must(self.iterations <= 1000, "iterations", "at most 1000", self.iterations as f64)?;
         must((1..=63).contains(&self.poly_n), "poly_n", "between 1 and 63", self.poly_n as f64)?;
         let finite = self.poly_sigma >= 0.0 && self.poly_sigma.is_finite();
@@ -97,23 +104,18 @@ impl Farneback {
         let sizes = self.level_sizes(frame1.width(), frame1.height());
         let mut flow: Option<PlanarFlow> = None;
         for (scale, width, height) in sizes.into_iter().rev() {
-            let mut level_flow = match (flow, initial) {
-                (Some(coarser), _) => coarser.map(|plane| {
-                    resize_linear(plane, width, height, (1.0 / self.parameters.pyr_scale) as f32)
-                }),
+            let start = match (flow, initial) {
+                (Some(coarser), _) => {
+                    resize_flow_linear(&coarser, (width, height), (1.0 / self.parameters.pyr_scale) as f32)
+                }
                 (None, Some(initial)) => {
-                    PlanarFlow::from(initial).map(|plane| shrink_area(plane, width, height, scale as f32))
+                    PlanarFlow::from(initial).map(|plane| shrink_area(plane, (width, height), scale as f32))
                 }
                 (None, None) => PlanarFlow::zero(width, height),
             };
-            let [first, second] = frames.each_ref().map(|frame| {
-                let level = pyramid::level(frame, width, height, scale);
-                reference::expand(&level, &self.kernel)
-            });
-            for _ in 0..self.parameters.iterations {
-                level_flow = reference::update(&first, &second, &level_flow, &self.window);
-            }
-            flow = Some(level_flow);
+            let expand = |frame| Expansion::of(&pyramid::level(frame, (width, height), scale), &self.kernel);
+            let [first, second] = frames.each_ref().map(expand);
+            flow = Some(iterate((&first, &second), &start, &self.window, self.parameters.iterations));
         }
         flow.map_or_else(|| FlowField::new(0, 0), FlowField::from)
     }
@@ -135,26 +137,6 @@ impl Farneback {
             scale *= self.parameters.pyr_scale;
         }
         levels
-    }
-}
-
-/// Weights of the neighbours whose evidence is averaged, by distance along one axis; 0 is the pixel itself.
-#[derive(Debug, Clone)]
-struct Window {
-    weights: Vec<f32>,
-}
-
-impl Window {
-    fn new(winsize: usize, gaussian: bool) -> Self {
-        let radius = winsize / 2;
-        if !gaussian {
-            return Self { weights: vec![1.0 / winsize as f32; radius + 1] };
-        }
-        let sigma = radius as f64 * 0.3;
-        let weight =
-            |k: usize| if k == 0 { 1.0 } else { libm::exp(-((k * k) as f64) / (2.0 * sigma * sigma)) };
-        let sum = 1.0 + 2.0 * (1..=radius).map(weight).sum::<f64>();
-        Self { weights: (0..=radius).map(|k| (weight(k) / sum) as f32).collect() }
     }
 }
 

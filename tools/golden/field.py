@@ -142,6 +142,22 @@ def colors():
     cv2.imwrite(str(DATA / "disc_flow_vis_max2.5.png"), beyond)
 
 
+def images():
+    """One small picture in every kind of file that is read; it is [25 x, 36 y, 3 x y] (uint8)."""
+    y, x = np.mgrid[0:7, 0:10]
+    rgb = np.stack([25 * x, 36 * y, 3 * x * y], -1).astype(np.uint8)
+    bgr = np.ascontiguousarray(rgb[..., ::-1])
+    for name in ["image.ppm", "image.bmp", "image.png"]:
+        cv2.imwrite(str(DATA / name), bgr)
+    cv2.imwrite(str(DATA / "image_16bit.png"), bgr.astype(np.uint16) * 257)
+    cv2.imwrite(str(DATA / "image_alpha.png"), np.dstack([bgr, (255 - 25 * x).astype(np.uint8)]))
+    cv2.imwrite(str(DATA / "image_grey.png"), rgb[..., 0])
+    cv2.imwrite(str(DATA / "image.jpg"), bgr, [cv2.IMWRITE_JPEG_QUALITY, 95])
+    cv2.imwrite(str(DATA / "image_progressive.jpg"), bgr, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])
+    for name in ["image", "image_progressive"]:
+        cv2.imwrite(str(DATA / f"{name}_jpg_decoded.png"), cv2.imread(str(DATA / f"{name}.jpg")))
+
+
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         sys.exit(__doc__)
@@ -149,3 +165,4 @@ if __name__ == "__main__":
     interoperability()
     metrics(Path(sys.argv[1]))
     colors()
+    images()

@@ -54,7 +54,8 @@ pub fn read_npy(path: &Path) -> Result<Array, FileError> {
 /// # Errors
 /// When `shape` does not fit the number of values, or the file cannot be written.
 pub fn write_npy(path: &Path, shape: &[usize], values: &[f32]) -> Result<(), FileError> {
-    if shape.iter().product::<usize>() != values.len() {
+    let count = shape.iter().try_fold(1_usize, |count, side| count.checked_mul(*side));
+    if count != Some(values.len()) {
         let found = format!("{} values", values.len());
         return Err(FileProblem::field("shape", format!("values for {shape:?}"), found).in_file(path));
     }

@@ -11,7 +11,7 @@ use super::gaps::Gaps;
 pub const IMAGES: &[&str] = &["png", "jpg", "jpeg", "ppm", "pgm", "bmp"];
 
 /// Endings of the flow files.
-pub const FLOWS: &[&str] = &["flo", "flo5", "png", "pfm", "npy", "npz"];
+pub const FLOWS: &[&str] = &["flo", "flo5", "png", "png128", "pfm", "npy", "npz"];
 
 /// Compares names as people do: runs of digits by their value, so that `frame10` comes after `frame9`.
 pub fn natural_order(a: &str, b: &str) -> Ordering {
@@ -199,6 +199,13 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+
+    #[test]
+    fn every_flow_format_is_looked_for() {
+        for format in srflow_field::FlowFormat::ALL {
+            assert!(FLOWS.contains(&format.extension()), "{format}");
+        }
+    }
 
     #[test]
     fn digits_compare_by_value() {

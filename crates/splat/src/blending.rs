@@ -7,6 +7,9 @@ use crate::simd::{InstructionSet, Row};
 /// `log2(1/255)`.
 pub(crate) const LOG2_ALPHA_MIN: f32 = -7.994_353_3;
 
+/// How many splats ahead memory is asked for.
+const PREFETCH: usize = 6;
+
 /// The sums of one tile; `CHANNELS` of [`Splat::features`] are blended.
 pub(crate) struct Tile<const CHANNELS: usize> {
     pub rows: [TileRow<CHANNELS>; TILE],
@@ -43,18 +46,20 @@ impl<const CHANNELS: usize> Tile<CHANNELS> {
         let mut blended = 0;
         // Bit i: row i has a pixel that is not done.
         let mut live = if height >= TILE { u16::MAX } else { (1 << height) - 1 };
-        for &index in list {
+        for (i, &index) in list.iter().enumerate() {
+            if let Some(&ahead) = list.get(i + PREFETCH) {
+                isa.prefetch(&splats[ahead as usize]);
+            }
             let splat = &splats[index as usize];
             let (stripes, touched) = Stripes::new(isa, splat, left, top);
+            let features: [_; CHANNELS] = std::array::from_fn(|channel| isa.splat(splat.features[channel]));
             let mut rows = touched & live;
             while rows != 0 {
                 let row = rows.trailing_zeros() as usize % TILE;
                 rows &= rows - 1;
-                let (count, done) = self.rows[row].blend(isa, splat, &stripes, row);
+                let (count, done) = self.rows[row].blend(isa, &features, &stripes, row);
                 blended += u64::from(count);
-                if done {
-                    live &= !(1 << row);
-                }
+                live &= !(u16::from(done) << row);
             }
             if live == 0 {
                 break;
@@ -103,7 +108,7 @@ impl<const CHANNELS: usize> TileRow<CHANNELS> {
     fn blend<I: InstructionSet>(
         &mut self,
         isa: I,
-        splat: &Splat,
+        features: &[I::Vector; CHANNELS],
         stripes: &Stripes<I::Vector>,
         row: usize,
     ) -> (u32, bool) {
@@ -119,17 +124,14 @@ impl<const CHANNELS: usize> TileRow<CHANNELS> {
         let enough = isa.at_least(remaining, isa.splat(TRANSMITTANCE_MIN as f32));
         let blended = isa.and(hit, enough);
         let weight = isa.select(blended, isa.mul(transmittance, alpha), isa.splat(0.0));
-        for (sum, &feature) in self.sums.iter_mut().zip(&splat.features) {
-            let total = isa.mul_add(weight, isa.splat(feature), isa.load(sum));
+        for (sum, &feature) in self.sums.iter_mut().zip(features) {
+            let total = isa.mul_add(weight, feature, isa.load(sum));
             isa.store(total, sum);
         }
-        let mut left = isa.select(blended, remaining, transmittance);
         let stopped = isa.and_not(hit, enough);
-        let mut done = false;
-        if isa.bits(stopped) != 0 {
-            left = isa.select(stopped, isa.negative(left), left);
-            done = isa.bits(isa.at_least(left, isa.splat(0.0))) == 0;
-        }
+        let left =
+            isa.select(blended, remaining, isa.select(stopped, isa.negative(transmittance), transmittance));
+        let done = isa.bits(isa.at_least(left, isa.splat(0.0))) == 0;
         isa.store(left, &mut self.transmittance);
         (isa.bits(blended).count_ones(), done)
     }

@@ -5,6 +5,9 @@ use crate::CameraError;
 /// The most pixels an image may have: 268 million, or 16384 x 16384.
 pub const MAX_PIXELS: usize = 1 << 28;
 
+/// The longest side an image may have, in pixels.
+pub const MAX_SIDE: usize = 1 << 19;
+
 /// Gaussians whose centre is at this depth or nearer are not seen, in scene units (3DGS reference, `in_frustum`).
 pub const NEAR: f64 = 0.2;
 
@@ -53,14 +56,14 @@ impl Camera {
     /// Whether the camera can be rendered with.
     ///
     /// # Errors
-    /// When the image is empty or has more than [`MAX_PIXELS`], an intrinsic is not finite, a focal length not
+    /// When the image is empty or is larger than [`MAX_PIXELS`] or [`MAX_SIDE`], an intrinsic is not finite, a focal length not
     /// positive, or the pose is not a rotation (to 1e-4) and a finite translation over the row `0 0 0 1`.
     pub fn validate(&self) -> Result<(), CameraError> {
         let (width, height) = (self.width, self.height);
         if width == 0 || height == 0 {
             return Err(CameraError::Empty { width, height });
         }
-        if width.checked_mul(height).is_none_or(|pixels| pixels > MAX_PIXELS) {
+        if width.max(height) > MAX_SIDE || width * height > MAX_PIXELS {
             return Err(CameraError::TooLarge { width, height });
         }
         for (name, value) in [("fx", self.fx), ("fy", self.fy)] {

@@ -18,7 +18,7 @@ mod sh;
 mod simd;
 mod strip;
 
-pub use camera::{Camera, MAX_PIXELS, NEAR, PixelConvention};
+pub use camera::{Camera, MAX_PIXELS, MAX_SIDE, NEAR, PixelConvention};
 pub use error::{CameraError, RasterizeError};
 pub use frame::{Frame, Outputs, Statistics};
 pub use gaussians::Gaussians;

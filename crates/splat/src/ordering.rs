@@ -1,8 +1,6 @@
 //! Who is drawn where, and in which order.
 
-use std::ops::Range;
-
-use crate::projection::{Splat, TileRect};
+use crate::projection::Placement;
 
 /// Splats sorted front to back.
 #[derive(Debug, Default)]
@@ -10,23 +8,37 @@ pub(crate) struct DepthOrder {
     /// Bits of the depth in the high half, index in the low half.
     keys: Vec<u64>,
     scratch: Vec<u64>,
-    order: Vec<u32>,
+    drawn: Vec<Drawn>,
+}
+
+/// A splat in depth order.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) struct Drawn {
+    /// Index of the splat.
+    pub splat: u32,
+    /// Rows of tiles, as [`Placement::rows`].
+    pub rows: [u16; 2],
+    /// Columns of tiles, as [`Placement::columns`].
+    pub columns: [u16; 2],
 }
 
 impl DepthOrder {
-    /// Indices of the splats that are drawn, by depth as `f32`, equal depths by index.
-    pub(crate) fn sort(&mut self, splats: &[Splat], rects: &[TileRect]) -> &[u32] {
+    /// The splats that are drawn, by depth as `f32`, equal depths by index.
+    pub(crate) fn sort(&mut self, placements: &[Placement]) -> &[Drawn] {
         self.keys.clear();
-        for (index, (splat, rect)) in splats.iter().zip(rects).enumerate() {
-            if !rect.is_empty() {
-                // The bits of positive floats are ordered as the floats are.
-                self.keys.push(u64::from(splat.features[3].to_bits()) << 32 | index as u64);
+        for (index, placement) in placements.iter().enumerate() {
+            if !placement.is_hidden() {
+                self.keys.push(u64::from(placement.depth_bits) << 32 | index as u64);
             }
         }
         sort_by_high_half(&mut self.keys, &mut self.scratch);
-        self.order.clear();
-        self.order.extend(self.keys.iter().map(|&key| key as u32));
-        &self.order
+        self.drawn.clear();
+        self.drawn.extend(self.keys.iter().map(|&key| {
+            let splat = key as u32;
+            let Placement { rows, columns, .. } = placements[splat as usize];
+            Drawn { splat, rows, columns }
+        }));
+        &self.drawn
     }
 }
 
@@ -55,49 +67,65 @@ fn sort_by_high_half(keys: &mut Vec<u64>, scratch: &mut Vec<u64>) {
     }
 }
 
-/// Splats dealt out to bins in a row (strips of the image, tiles of a strip), each splat to all bins of its span.
-#[derive(Debug, Default)]
-pub(crate) struct Bins {
+/// Items dealt out to bins in a row (strips of the image, tiles of a strip), each item to all bins of its span.
+#[derive(Debug)]
+pub(crate) struct Bins<T> {
+    /// Bin `b` is `entries[starts[b]..starts[b + 1]]`.
     starts: Vec<usize>,
-    entries: Vec<u32>,
-    listed: bool,
+    entries: Vec<T>,
 }
 
-impl Bins {
-    /// When splats span more bins than this on average, lists would cost more memory than they save time.
+impl<T> Default for Bins<T> {
+    fn default() -> Self {
+        Self { starts: Vec::new(), entries: Vec::new() }
+    }
+}
+
+impl<T: Copy + Default> Bins<T> {
+    /// When items span more bins than this on average, lists would cost more memory than they save time: every bin
+    /// then holds all items.
     const MAX_MEAN_SPAN: usize = 16;
 
-    /// Deals out `splats`, keeping their order within each bin.
-    pub(crate) fn deal(&mut self, splats: &[u32], bins: usize, span: impl Fn(u32) -> Range<u32>) {
-        // While dealing, `starts[bin + 1]` is where the next entry of `bin` goes.
-        self.starts.clear();
-        self.starts.resize(bins + 2, 0);
-        for &splat in splats {
-            for bin in span(splat) {
-                self.starts[bin as usize + 2] += 1;
-            }
+    /// Deals out `items`, each with its span (first bin, and one past the last), keeping their order within each bin.
+    /// A bin may hold items that do not span it.
+    pub(crate) fn deal(&mut self, bins: usize, items: impl ExactSizeIterator<Item = (T, [u16; 2])> + Clone) {
+        // While dealing, `starts[b + 1]` is where the next entry of bin `b` goes; before that, the difference between
+        // the numbers of entries of bins `b - 1` and `b - 2`.
+        let starts = &mut self.starts;
+        starts.clear();
+        starts.resize(bins + 3, 0);
+        for (_, [first, end]) in items.clone() {
+            starts[usize::from(first) + 2] = starts[usize::from(first) + 2].wrapping_add(1);
+            starts[usize::from(end) + 2] = starts[usize::from(end) + 2].wrapping_sub(1);
         }
-        for bin in 0..bins {
-            self.starts[bin + 2] += self.starts[bin + 1];
+        let (mut count, mut total) = (0_usize, 0);
+        for start in &mut starts[2..] {
+            count = count.wrapping_add(*start);
+            total += count;
+            *start = total;
         }
-        let total = self.starts[bins + 1];
-        self.listed = total <= splats.len() * Self::MAX_MEAN_SPAN;
-        if !self.listed {
+        if total > items.len() * Self::MAX_MEAN_SPAN {
+            self.starts.clear();
+            self.entries.clear();
+            self.entries.extend(items.map(|(item, _)| item));
             return;
         }
-        self.entries.resize(total, 0);
-        for &splat in splats {
-            for bin in span(splat) {
-                let start = &mut self.starts[bin as usize + 1];
-                self.entries[*start] = splat;
+        self.entries.resize(total, T::default());
+        for (item, [first, end]) in items {
+            for start in &mut starts[usize::from(first) + 1..usize::from(end) + 1] {
+                self.entries[*start] = item;
                 *start += 1;
             }
         }
     }
 
-    /// The splats of `bin`, given those that were dealt out; perhaps others of them too.
-    pub(crate) fn get<'a>(&'a self, bin: usize, dealt: &'a [u32]) -> &'a [u32] {
-        if self.listed { &self.entries[self.starts[bin]..self.starts[bin + 1]] } else { dealt }
+    /// The items of bin `bin`.
+    pub(crate) fn get(&self, bin: usize) -> &[T] {
+        if self.starts.is_empty() {
+            &self.entries
+        } else {
+            &self.entries[self.starts[bin]..self.starts[bin + 1]]
+        }
     }
 }
 
@@ -126,22 +154,22 @@ mod tests {
 
     #[test]
     fn bins_hold_what_spans_them_in_order() {
-        let spans = [0..2, 1..4, 3..4, 0..0, 0..4];
-        let splats = [4, 2, 1, 0, 3];
+        let items = [(4, [0, 4]), (2, [3, 4]), (1, [1, 4]), (0, [0, 2]), (3, [2, 2])];
         let mut bins = Bins::default();
         for _ in 0..2 {
-            bins.deal(&splats, 4, |splat| spans[splat as usize].clone());
-            let dealt: Vec<&[u32]> = (0..4).map(|bin| bins.get(bin, &splats)).collect();
+            bins.deal(4, items.iter().copied());
+            let dealt: Vec<&[u32]> = (0..4).map(|bin| bins.get(bin)).collect();
             assert_eq!(dealt, [&[4, 0][..], &[4, 1, 0], &[4, 1], &[4, 2, 1]]);
         }
+        bins.deal(2, [].into_iter());
+        assert!(bins.get(0).is_empty() && bins.get(1).is_empty());
     }
 
     #[test]
-    fn bins_of_very_wide_spans_are_not_listed() {
-        let splats: Vec<u32> = (0..10).collect();
+    fn bins_of_very_wide_spans_are_not_listed_one_by_one() {
         let mut bins = Bins::default();
-        bins.deal(&splats, 100, |_| 0..100);
-        assert_eq!(bins.get(50, &splats), splats);
-        assert!(bins.entries.is_empty());
+        bins.deal(100, (0..10).map(|item| (item, [0, 100])));
+        assert_eq!(bins.entries.len(), 10);
+        assert_eq!(bins.get(50), [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]);
     }
 }

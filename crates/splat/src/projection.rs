@@ -27,46 +27,50 @@ pub(crate) struct Splat {
     pub features: [f32; 7],
 }
 
-/// Tiles that a splat can touch: columns `left..right` of rows `top..bottom`; none when it is not drawn.
+/// When and where a splat is drawn.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(crate) struct TileRect {
-    pub left: u32,
-    pub right: u32,
-    pub top: u32,
-    pub bottom: u32,
+pub(crate) struct Placement {
+    /// Bits of the depth as `f32`, which are ordered as the depths are.
+    pub depth_bits: u32,
+    /// Rows of tiles that it can touch: first, and one past the last. None when it is not drawn.
+    pub rows: [u16; 2],
+    /// Columns of tiles, likewise.
+    pub columns: [u16; 2],
 }
 
-impl TileRect {
-    pub(crate) fn is_empty(self) -> bool {
-        self.left >= self.right || self.top >= self.bottom
+impl Placement {
+    const HIDDEN: Self = Self { depth_bits: 0, rows: [0; 2], columns: [0; 2] };
+
+    pub(crate) fn is_hidden(self) -> bool {
+        self == Self::HIDDEN
     }
 }
 
-/// Projects every Gaussian, in parallel. `splats` and `rects` get one entry per Gaussian; a splat whose rectangle is
-/// empty holds nothing of use. Returns how many are drawn without a displacement though there is a next frame.
+/// Projects every Gaussian, in parallel. `splats` and `placements` get one entry per Gaussian; a hidden splat holds
+/// nothing of use. Returns how many are drawn without a displacement though there is a next frame.
 pub(crate) fn project(
     gaussians: &Gaussians,
     camera: &Camera,
     next: Option<Next<'_>>,
     convention: PixelConvention,
     splats: &mut Vec<Splat>,
-    rects: &mut Vec<TileRect>,
+    placements: &mut Vec<Placement>,
 ) -> usize {
     const CHUNK: usize = 2048;
     splats.resize(gaussians.len(), Splat::default());
-    rects.resize(gaussians.len(), TileRect::default());
+    placements.resize(gaussians.len(), Placement::HIDDEN);
     let view = View::new(camera);
     let motion = next.map(|next| (next.gaussians, Motion::new(next.camera, convention)));
     splats
         .par_chunks_mut(CHUNK)
-        .zip(rects.par_chunks_mut(CHUNK))
+        .zip(placements.par_chunks_mut(CHUNK))
         .enumerate()
-        .map(|(chunk, (splats, rects))| {
+        .map(|(chunk, (splats, placements))| {
             let mut without_displacement = 0;
-            for (i, (splat, rect)) in splats.iter_mut().zip(rects).enumerate() {
+            for (i, (splat, placement)) in splats.iter_mut().zip(placements).enumerate() {
                 let index = chunk * CHUNK + i;
-                *rect = view.project(gaussians, index, splat);
-                if rect.is_empty() {
+                *placement = view.project(gaussians, index, splat).unwrap_or(Placement::HIDDEN);
+                if placement.is_hidden() {
                     continue;
                 }
                 if let Some((gaussians, motion)) = &motion
@@ -105,34 +109,35 @@ impl View {
         }
     }
 
-    /// Fills `splat` but for the motion, and returns the tiles that it can touch.
-    fn project(&self, gaussians: &Gaussians, index: usize, splat: &mut Splat) -> TileRect {
-        let hidden = TileRect::default();
+    /// Fills `splat` but for the motion, and says where it is drawn; `None` when it is not.
+    fn project(&self, gaussians: &Gaussians, index: usize, splat: &mut Splat) -> Option<Placement> {
         let position = gaussians.positions[index].as_dvec3();
         let point = self.camera.camera_from_world.transform_point3(position);
         let opacity = f64::from(gaussians.opacities[index]);
+        let sh = &gaussians.sh[index * gaussians.sh_len()..][..gaussians.sh_len()];
         // Written so that NaN is hidden too.
-        if !(point.z > NEAR && (point.z as f32).is_finite() && position.is_finite() && opacity >= ALPHA_MIN) {
-            return hidden;
+        let drawn = point.z > NEAR && opacity >= ALPHA_MIN;
+        let finite = point.is_finite() && (point.z as f32).is_finite() && opacity.is_finite();
+        if !(drawn && finite && sh.as_flattened().iter().all(|c| c.is_finite())) {
+            return None;
         }
-        let Some(ellipse) = self.ellipse(gaussians, index, point) else { return hidden };
+        let ellipse = self.ellipse(gaussians, index, point)?;
         let center = self.camera.pixel(point);
         let log2_opacity = libm::log2(opacity);
-        let Some(rect) = self.tiles(center, &ellipse, log2_opacity) else { return hidden };
+        let extent = ellipse.extent(log2_opacity);
+        let columns = tiles(center.x, extent.x, self.camera.width)?;
+        let rows = tiles(center.y, extent.y, self.camera.height)?;
 
-        let sh = &gaussians.sh[index * gaussians.sh_len()..][..gaussians.sh_len()];
-        let color = sh::color(gaussians.sh_degree, sh, (position - self.position).normalize());
+        let color = sh::color(gaussians.sh_degree, sh, position - self.position);
         let [r, g, b] = color.map(|channel| channel as f32);
-        if !(sh.as_flattened().iter().all(|c| c.is_finite()) && log2_opacity.is_finite()) {
-            return hidden;
-        }
+        let depth = point.z as f32;
         *splat = Splat {
             center: center.to_array(),
             factor: ellipse.factor(),
             log2_opacity: log2_opacity as f32,
-            features: [r, g, b, point.z as f32, 0.0, 0.0, 0.0],
+            features: [r, g, b, depth, 0.0, 0.0, 0.0],
         };
-        rect
+        Some(Placement { depth_bits: depth.to_bits(), rows, columns })
     }
 
     /// EWA projection of the covariance at `point`, low-pass filter included; `None` when a parameter is not usable.
@@ -155,22 +160,14 @@ impl View {
             horizontal.cross(vertical).length_squared() + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS;
         Some(Ellipse { xx: xx + LOW_PASS, xy: horizontal.dot(vertical), yy: yy + LOW_PASS, determinant })
     }
+}
 
-    /// Tiles that meet the bounding box of the pixels with alpha of at least 1/255; `None` when outside the image.
-    fn tiles(&self, center: DVec2, ellipse: &Ellipse, log2_opacity: f64) -> Option<TileRect> {
-        // alpha >= 1/255 where the squared Mahalanobis distance is at most this.
-        let reach = 2.0 * std::f64::consts::LN_2 * (log2_opacity - f64::from(LOG2_ALPHA_MIN)).max(0.0);
-        // A little more than needed, so that no rounding in the blending's f32 can reach a pixel outside.
-        let extent = DVec2::new((reach * ellipse.xx).sqrt(), (reach * ellipse.yy).sqrt()) * 1.0001 + 0.001;
-        let span = |low: f64, high: f64, size: usize| {
-            let low = low.ceil().max(0.0);
-            let high = high.floor().min(size as f64 - 1.0);
-            (low <= high).then(|| ((low as usize / TILE) as u32, (high as usize / TILE) as u32 + 1))
-        };
-        let (left, right) = span(center.x - extent.x, center.x + extent.x, self.camera.width)?;
-        let (top, bottom) = span(center.y - extent.y, center.y + extent.y, self.camera.height)?;
-        Some(TileRect { left, right, top, bottom })
-    }
+/// Tiles, first and one past the last, of the pixels `center - extent ..= center + extent` of an image side of `size`
+/// pixels; `None` when there is no such pixel.
+fn tiles(center: f64, extent: f64, size: usize) -> Option<[u16; 2]> {
+    let first = (center - extent).ceil().max(0.0);
+    let last = (center + extent).floor().min(size as f64 - 1.0);
+    (first <= last).then(|| [(first as usize / TILE) as u16, (last as usize / TILE) as u16 + 1])
 }
 
 /// A projected covariance in px^2.
@@ -182,6 +179,14 @@ struct Ellipse {
 }
 
 impl Ellipse {
+    /// Half sides in pixels of the box around the pixels whose alpha is at least 1/255.
+    fn extent(&self, log2_opacity: f64) -> DVec2 {
+        // Alpha is that much where the squared Mahalanobis distance is at most this.
+        let reach = 2.0 * std::f64::consts::LN_2 * (log2_opacity - f64::from(LOG2_ALPHA_MIN)).max(0.0);
+        // A little more than needed, so that no rounding in the blending's f32 can reach a pixel outside.
+        DVec2::new((reach * self.xx).sqrt(), (reach * self.yy).sqrt()) * 1.0001 + 0.001
+    }
+
     /// [`Splat::factor`]: the inverse covariance is `2 ln 2` times the factor's transpose times the factor.
     fn factor(&self) -> [f32; 3] {
         let unit = (0.5 * std::f64::consts::LOG2_E).sqrt();

@@ -1,6 +1,6 @@
 use crate::frame::FrameRows;
-use crate::ordering::{Bins, DepthOrder};
-use crate::projection::{Splat, TILE, TileRect, project};
+use crate::ordering::{Bins, DepthOrder, Drawn};
+use crate::projection::{Placement, Splat, TILE, project};
 use crate::strip::Scene;
 use crate::{Camera, Frame, Gaussians, Outputs, PixelConvention, RasterizeError, Statistics, simd, strip};
 
@@ -37,10 +37,10 @@ pub struct Next<'a> {
 pub struct Rasterizer {
     processor: Processor,
     splats: Vec<Splat>,
-    rects: Vec<TileRect>,
+    placements: Vec<Placement>,
     order: DepthOrder,
-    strips: Bins,
-    tiles: Vec<Bins>,
+    strips: Bins<Drawn>,
+    tiles: Vec<Bins<u32>>,
 }
 
 /// The instruction set to use.
@@ -102,19 +102,15 @@ impl Rasterizer {
         frame.prepare(camera.width, camera.height, outputs);
 
         let without_displacement =
-            project(gaussians, camera, next, options.convention, &mut self.splats, &mut self.rects);
-        let order = self.order.sort(&self.splats, &self.rects);
+            project(gaussians, camera, next, options.convention, &mut self.splats, &mut self.placements);
+        let order = self.order.sort(&self.placements);
         let strips = camera.height.div_ceil(TILE);
-        self.strips.deal(order, strips, |splat| {
-            let rect = self.rects[splat as usize];
-            rect.top..rect.bottom
-        });
+        self.strips.deal(strips, order.iter().map(|drawn| (*drawn, drawn.rows)));
         self.tiles.resize_with(strips, Bins::default);
 
         let pass = Pass {
             processor: self.processor,
-            scene: Scene { splats: &self.splats, rects: &self.rects, background: options.background },
-            order,
+            scene: Scene { splats: &self.splats, background: options.background },
             strips: &self.strips,
             motion: outputs.flow || outputs.depth_next,
         };
@@ -128,8 +124,7 @@ impl Rasterizer {
 struct Pass<'a> {
     processor: Processor,
     scene: Scene<'a>,
-    order: &'a [u32],
-    strips: &'a Bins,
+    strips: &'a Bins<Drawn>,
     /// Whether displacements and next depths are blended too.
     motion: bool,
 }
@@ -137,7 +132,7 @@ struct Pass<'a> {
 impl Pass<'_> {
     /// Renders the strips of `rows`, the first of which is number `strip`; `tiles` holds the working memory of each.
     /// Threads take halves of halves: work is balanced and nothing is allocated. Returns the pairs blended.
-    fn render(&self, strip: usize, rows: FrameRows<'_>, tiles: &mut [Bins]) -> u64 {
+    fn render(&self, strip: usize, rows: FrameRows<'_>, tiles: &mut [Bins<u32>]) -> u64 {
         if tiles.len() > 1 {
             let half = tiles.len() / 2;
             let (upper, lower) = rows.split_at(half * TILE);
@@ -152,43 +147,48 @@ impl Pass<'_> {
         if self.motion { self.strip::<7>(strip, rows, tiles) } else { self.strip::<4>(strip, rows, tiles) }
     }
 
-    fn strip<const CHANNELS: usize>(&self, strip: usize, mut rows: FrameRows<'_>, tiles: &mut Bins) -> u64 {
-        let splats = self.strips.get(strip, self.order);
+    fn strip<const CHANNELS: usize>(
+        &self,
+        strip: usize,
+        mut rows: FrameRows<'_>,
+        tiles: &mut Bins<u32>,
+    ) -> u64 {
+        let drawn = self.strips.get(strip);
         match self.processor {
             #[cfg(target_arch = "x86_64")]
             Processor::Avx512(isa) => {
-                #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma")]
+                #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,bmi1,bmi2,popcnt")]
                 fn run<const CHANNELS: usize>(
                     isa: simd::Avx512,
                     scene: Scene<'_>,
                     strip: usize,
-                    splats: &[u32],
-                    tiles: &mut Bins,
+                    drawn: &[Drawn],
+                    tiles: &mut Bins<u32>,
                     rows: &mut FrameRows<'_>,
                 ) -> u64 {
-                    strip::render::<CHANNELS>(isa, scene, strip, splats, tiles, rows)
+                    strip::render::<CHANNELS>(isa, scene, strip, drawn, tiles, rows)
                 }
                 // SAFETY: an `Avx512` exists only where the processor has these instructions.
-                unsafe { run::<CHANNELS>(isa, self.scene, strip, splats, tiles, &mut rows) }
+                unsafe { run::<CHANNELS>(isa, self.scene, strip, drawn, tiles, &mut rows) }
             }
             #[cfg(target_arch = "x86_64")]
             Processor::Avx2(isa) => {
-                #[target_feature(enable = "avx2,fma")]
+                #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt")]
                 fn run<const CHANNELS: usize>(
                     isa: simd::Avx2,
                     scene: Scene<'_>,
                     strip: usize,
-                    splats: &[u32],
-                    tiles: &mut Bins,
+                    drawn: &[Drawn],
+                    tiles: &mut Bins<u32>,
                     rows: &mut FrameRows<'_>,
                 ) -> u64 {
-                    strip::render::<CHANNELS>(isa, scene, strip, splats, tiles, rows)
+                    strip::render::<CHANNELS>(isa, scene, strip, drawn, tiles, rows)
                 }
                 // SAFETY: an `Avx2` exists only where the processor has these instructions.
-                unsafe { run::<CHANNELS>(isa, self.scene, strip, splats, tiles, &mut rows) }
+                unsafe { run::<CHANNELS>(isa, self.scene, strip, drawn, tiles, &mut rows) }
             }
             Processor::Portable => {
-                strip::render::<CHANNELS>(simd::Portable, self.scene, strip, splats, tiles, &mut rows)
+                strip::render::<CHANNELS>(simd::Portable, self.scene, strip, drawn, tiles, &mut rows)
             }
         }
     }

@@ -146,7 +146,7 @@ fn project(
         center,
         conic: inverse(covariance),
         opacity,
-        color: sh::color(gaussians.sh_degree, sh, (position - camera.position()).normalize()),
+        color: sh::color(gaussians.sh_degree, sh, position - camera.position()),
         depth: point.z,
         displacement,
         depth_next,

@@ -43,9 +43,9 @@ pub(crate) fn basis(degree: usize, direction: DVec3) -> [f64; 16] {
     basis
 }
 
-/// Colour seen along the unit vector `direction` (from the camera to the Gaussian): `max(0, 0.5 + sum)`.
+/// Colour seen along `direction` (from the camera to the Gaussian, of any length): `max(0, 0.5 + sum)`.
 pub(crate) fn color(degree: usize, sh: &[[f32; 3]], direction: DVec3) -> [f64; 3] {
-    let basis = basis(degree, direction);
+    let basis = basis(degree, if degree == 0 { direction } else { direction.normalize() });
     let mut color = [0.5; 3];
     for (weight, coefficient) in basis.iter().zip(sh) {
         for channel in 0..3 {

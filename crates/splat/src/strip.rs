@@ -2,38 +2,34 @@
 
 use crate::blending::{Tile, TileRow};
 use crate::frame::FrameRows;
-use crate::ordering::Bins;
-use crate::projection::{Splat, TILE, TileRect};
+use crate::ordering::{Bins, Drawn};
+use crate::projection::{Splat, TILE};
 use crate::simd::InstructionSet;
 
 /// What the strips of one rendering share.
 #[derive(Clone, Copy)]
 pub(crate) struct Scene<'a> {
     pub splats: &'a [Splat],
-    pub rects: &'a [TileRect],
     pub background: [f32; 3],
 }
 
-/// Renders strip number `strip` into `pixels`, from the splats that can touch it, front to back. `CHANNELS` is 4
+/// Renders strip number `strip` into `pixels`, from what is drawn there, front to back. `CHANNELS` is 4
 /// (colour and depth) or 7 (displacement and next depth too). Returns how many (splat, pixel) pairs were blended.
 #[inline(always)]
 pub(crate) fn render<const CHANNELS: usize>(
     isa: impl InstructionSet,
     scene: Scene<'_>,
     strip: usize,
-    splats: &[u32],
-    bins: &mut Bins,
+    drawn: &[Drawn],
+    bins: &mut Bins<u32>,
     pixels: &mut FrameRows<'_>,
 ) -> u64 {
     let tiles = pixels.width.div_ceil(TILE);
-    bins.deal(splats, tiles, |splat| {
-        let rect = scene.rects[splat as usize];
-        rect.left..rect.right
-    });
+    bins.deal(tiles, drawn.iter().map(|drawn| (drawn.splat, drawn.columns)));
     let mut blended = 0;
     let mut empty_from = 0;
     for tile_column in 0..tiles {
-        let list = bins.get(tile_column, splats);
+        let list = bins.get(tile_column);
         if list.is_empty() {
             continue;
         }
@@ -61,50 +57,66 @@ fn write<const CHANNELS: usize>(
     width: usize,
     background: [f32; 3],
 ) {
-    let transmittance = row.transmittance.0.map(f32::abs);
-    let alpha = transmittance.map(|t| 1.0 - t);
-    // An alpha of zero means that nothing was blended, and the sums are zero too.
-    let divisor = alpha.map(|a| if a > 0.0 { a } else { 1.0 });
-    let mean = |channel: usize| -> [f32; TILE] {
-        let sum = &row.sums[channel].0;
-        std::array::from_fn(|i| sum[i] / divisor[i])
-    };
-    let channel = |c: usize| -> [f32; TILE] {
-        let sum = &row.sums[c].0;
-        std::array::from_fn(|i| sum[i] + transmittance[i] * background[c])
-    };
-    let color = [channel(0), channel(1), channel(2)];
+    let mut transmittance = [0.0; TILE];
+    let mut alpha = [0.0; TILE];
+    let mut color = [[0.0; TILE]; 3];
+    for i in 0..TILE {
+        transmittance[i] = row.transmittance.0[i].abs();
+        alpha[i] = 1.0 - transmittance[i];
+        for channel in 0..3 {
+            color[channel][i] = row.sums[channel].0[i] + transmittance[i] * background[channel];
+        }
+    }
     let span = y * pixels.width + left..y * pixels.width + left + width;
     if let Some(out) = pixels.image.get_mut(span.clone()) {
-        let bytes = color.map(|channel| channel.map(to_byte));
-        put(out, &std::array::from_fn(|i| [bytes[0][i], bytes[1][i], bytes[2][i]]));
+        let mut bytes = [[0; TILE]; 3];
+        for channel in 0..3 {
+            for i in 0..TILE {
+                bytes[channel][i] = to_byte(color[channel][i]);
+            }
+        }
+        put(out, |i| [bytes[0][i], bytes[1][i], bytes[2][i]]);
     }
     if let Some(out) = pixels.color.get_mut(span.clone()) {
-        put(out, &std::array::from_fn(|i| [color[0][i], color[1][i], color[2][i]]));
+        put(out, |i| [color[0][i], color[1][i], color[2][i]]);
     }
     if let Some(out) = pixels.alpha.get_mut(span.clone()) {
-        put(out, &alpha);
+        put(out, |i| alpha[i]);
     }
     if let Some(out) = pixels.depth.get_mut(span.clone()) {
-        put(out, &mean(3));
+        put(out, |i| mean(row.sums[3].0[i], alpha[i]));
     }
     if CHANNELS == 7 {
         if let Some(out) = pixels.flow.get_mut(span.clone()) {
-            let (u, v) = (&row.sums[4].0, &row.sums[5].0);
-            put(out, &std::array::from_fn(|i| [u[i], v[i]]));
+            put(out, |i| [row.sums[4].0[i], row.sums[5].0[i]]);
         }
         if let Some(out) = pixels.depth_next.get_mut(span) {
-            put(out, &mean(6));
+            put(out, |i| mean(row.sums[6].0[i], alpha[i]));
         }
     }
 }
 
-/// The first pixels of a tile's row, as many as `out` takes; a whole row by vector copies.
+/// Mean of a feature, given its weighted sum and the sum of the weights; 0 when nothing was blended.
 #[inline(always)]
-fn put<T: Copy>(out: &mut [T], values: &[T; TILE]) {
+fn mean(sum: f32, alpha: f32) -> f32 {
+    sum / if alpha > 0.0 { alpha } else { 1.0 }
+}
+
+/// Writes the pixels of a tile's row, as many as `out` takes. The loop over a whole row has a constant length, and so
+/// becomes vector code.
+#[inline(always)]
+fn put<T>(out: &mut [T], value: impl Fn(usize) -> T) {
     match <&mut [T; TILE]>::try_from(&mut *out) {
-        Ok(out) => *out = *values,
-        Err(_) => out.copy_from_slice(&values[..out.len()]),
+        Ok(out) => {
+            for (i, out) in out.iter_mut().enumerate() {
+                *out = value(i);
+            }
+        }
+        Err(_) => {
+            for (i, out) in out.iter_mut().enumerate() {
+                *out = value(i);
+            }
+        }
     }
 }
 

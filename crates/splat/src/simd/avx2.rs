@@ -2,14 +2,19 @@ use std::arch::x86_64::*;
 
 use super::{InstructionSet, Row};
 
-/// AVX2 with FMA: two vector registers hold sixteen pixels.
+/// AVX2 with FMA, BMI and POPCNT: two vector registers hold sixteen pixels.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Avx2(());
 
 impl Avx2 {
     /// Proof that the processor has it.
     pub(crate) fn detect() -> Option<Self> {
-        (is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")).then_some(Self(()))
+        (is_x86_feature_detected!("avx2")
+            && is_x86_feature_detected!("fma")
+            && is_x86_feature_detected!("bmi1")
+            && is_x86_feature_detected!("bmi2")
+            && is_x86_feature_detected!("popcnt"))
+        .then_some(Self(()))
     }
 }
 
@@ -18,6 +23,11 @@ impl Avx2 {
 impl InstructionSet for Avx2 {
     type Vector = [__m256; 2];
     type Mask = [__m256; 2];
+
+    #[inline(always)]
+    fn prefetch<T>(self, item: &T) {
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(item).cast()) }
+    }
 
     #[inline(always)]
     fn splat(self, value: f32) -> [__m256; 2] {

@@ -2,7 +2,7 @@ use std::arch::x86_64::*;
 
 use super::{InstructionSet, Row};
 
-/// AVX-512 (F, BW, DQ, VL): one vector register holds sixteen pixels.
+/// AVX-512 (F, BW, DQ, VL) with BMI and POPCNT: one vector register holds sixteen pixels.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Avx512(());
 
@@ -12,7 +12,10 @@ impl Avx512 {
         (is_x86_feature_detected!("avx512f")
             && is_x86_feature_detected!("avx512bw")
             && is_x86_feature_detected!("avx512dq")
-            && is_x86_feature_detected!("avx512vl"))
+            && is_x86_feature_detected!("avx512vl")
+            && is_x86_feature_detected!("bmi1")
+            && is_x86_feature_detected!("bmi2")
+            && is_x86_feature_detected!("popcnt"))
         .then_some(Self(()))
     }
 }
@@ -22,6 +25,11 @@ impl Avx512 {
 impl InstructionSet for Avx512 {
     type Vector = __m512;
     type Mask = __mmask16;
+
+    #[inline(always)]
+    fn prefetch<T>(self, item: &T) {
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(item).cast()) }
+    }
 
     #[inline(always)]
     fn splat(self, value: f32) -> __m512 {

@@ -33,6 +33,9 @@ pub(crate) trait InstructionSet: Copy + Send + Sync {
     /// Sixteen truth values.
     type Mask: Copy;
 
+    /// Asks for the cache line at `item`, which will be used soon.
+    fn prefetch<T>(self, item: &T);
+
     /// The same value in every lane.
     fn splat(self, value: f32) -> Self::Vector;
     fn load(self, row: &Row) -> Self::Vector;

@@ -11,6 +11,9 @@ impl InstructionSet for Portable {
     type Mask = [bool; LANES];
 
     #[inline(always)]
+    fn prefetch<T>(self, _item: &T) {}
+
+    #[inline(always)]
     fn splat(self, value: f32) -> [f32; LANES] {
         [value; LANES]
     }

@@ -65,7 +65,7 @@ fn corner_mask() -> Mask {
 
 #[test]
 fn a_plain_folder_in_every_flow_format() {
-    for ending in ["flo", "npy", "npz", "pfm", "png", "png128"] {
+    for ending in ["flo", "npy", "npz", "pfm", "flo5", "png", "png128"] {
         let dir = TempDir::new().unwrap();
         for n in 0..3 {
             put_frame(dir.path(), &format!("frames/{n}.png"), n);
@@ -146,6 +146,19 @@ fn hd1k() {
     }
     put_flow(dir.path(), "hd1k_flow_gt/flow_occ/000004_0010.png", &with_pixel(flow(3), 4, 2, UNKNOWN));
     assert_holds(&samples("hd1k", dir.path())[0], 10, 11, &with_pixel(flow(3), 4, 2, UNKNOWN));
+}
+
+#[test]
+fn spring_takes_the_top_left_sample_of_each_pixel() {
+    let dir = TempDir::new().unwrap();
+    for n in [1, 2] {
+        put_frame(dir.path(), &format!("train/0001/frame_left/frame_left_000{n}.png"), n);
+    }
+    let fine = FlowField::from_fn(2 * WIDTH, 2 * HEIGHT, |x, y| {
+        if x % 2 == 0 && y % 2 == 0 { flow(1).get(x / 2, y / 2) } else { [77.0, 77.0] }
+    });
+    put_flow(dir.path(), "train/0001/flow_FW_left/flow_FW_left_0001.flo5", &fine);
+    assert_holds(&samples("spring", dir.path())[0], 1, 2, &flow(1));
 }
 
 #[test]

@@ -259,7 +259,7 @@ impl<'a> Place<'a> {
         let (upper, lower) = match number {
             5 => (0.20, -0.03),
             6 => (-0.02, 0.10),
-            7 => (-0.09, 0.14),
+            7 => (-0.10, 0.175),
             9 => (0.0, 0.04),
             12 => (0.0, 0.035),
             43 => (0.0, 0.03),
@@ -277,8 +277,14 @@ impl<'a> Place<'a> {
         let above = self.mark.eye > 0.0;
         let distance = (self.p.y - eyes::margin(plan, self.p.x, above)).abs();
         let lining = self.mark.part == Part::LidLining;
-        let fade =
-            if lining { 1.0 } else { 1.0 - smoothstep(1.0, if above { 15.0 } else { 11.0 }, distance) };
+        // The lid's plate turns with its margin; the fold over it, which stands off the eyeball, stays.
+        let off = self.p.distance(plan.eye) - plan.eye_radius;
+        let fade = if lining {
+            1.0
+        } else {
+            (1.0 - smoothstep(1.0, if above { 15.0 } else { 11.0 }, distance))
+                * (1.0 - smoothstep(2.5, 13.0, off))
+        };
         let roll = if above { upper } else { lower };
         let close = if number == 43 && above { self.closing(q) } else { 0.0 };
         (roll * shape + close) * fade

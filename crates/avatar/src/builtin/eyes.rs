@@ -7,7 +7,7 @@ use crate::Region;
 
 /// Thickness of the eyelid at its margin, and the film between lid and eyeball.
 const LID_THICKNESS: f32 = 1.45;
-const FILM: f32 = 0.3;
+const FILM: f32 = 0.45;
 
 /// Share of the way from inner to outer canthus.
 pub(super) fn along_lid(plan: &Plan, x: f32) -> f32 {
@@ -125,7 +125,7 @@ pub(super) fn add_eyeball(half: &mut Half, plan: &Plan) -> std::ops::Range<u32> 
         0.06, 0.12, 0.18, 0.24, 0.30, 0.36, 0.42, 0.47, 0.51, 0.56, 0.63, 0.74, 0.88, 1.05, 1.25, 1.50, 1.80,
         2.15, 2.50, 2.85,
     ];
-    let radius = |angle: f32| plan.eye_radius + 0.75 * bell(angle / 0.62);
+    let radius = |angle: f32| plan.eye_radius + 0.6 * bell(angle / 0.62);
     let mark = Mark::of(Part::Eyeball);
     let first = half.vertex(plan.eye + Vec3::new(0.0, 0.0, radius(0.0)), mark);
     let mut rings: Vec<Vec<u32>> = vec![vec![first; AROUND + 1]];
@@ -155,7 +155,13 @@ pub(super) fn add_caruncle(half: &mut Half, plan: &Plan) {
     let y = 0.5 * (margin(plan, middle, true) + margin(plan, middle, false));
     let at = Vec2::new(middle, y);
     let center = at.extend(lid_depth(plan, at, LID_THICKNESS) - 3.1);
+    let first = half.points.len();
     super::blob::add(half, center, Vec3::new(2.6, 1.9, 2.2), 10, Mark::of(Part::LidLining), Region::InnerLid);
+    // It rests against the eyeball.
+    for point in &mut half.points[first..] {
+        let from_eye = *point - plan.eye;
+        *point = plan.eye + from_eye * ((plan.eye_radius + 0.2) / from_eye.length()).max(1.0);
+    }
 }
 
 /// The outer edge of a lid's margin at `x` and height `y`.

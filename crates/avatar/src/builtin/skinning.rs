@@ -64,7 +64,7 @@ fn lid_share(mark: &Mark) -> f32 {
 fn jaw_share(plan: &Plan, p: Vec3, mark: &Mark) -> f32 {
     let along = p.x / plan.mouth_half_width;
     // So that the open mouth is rounded, not a slot.
-    let corner = 1.0 - libm::powf((1.0 - along * along).max(0.0), 0.65);
+    let corner = 1.0 - libm::powf((1.0 - along * along).max(0.0), 0.7);
     let beyond = smoothstep(plan.mouth_half_width, 64.0, p.x);
     let over = if mark.mouth.is_finite() { mark.mouth } else { p.y - plan.mouth } - 26.0 * beyond;
     let width = lerp(10.0, 34.0, corner);
@@ -72,5 +72,5 @@ fn jaw_share(plan: &Plan, p: Vec3, mark: &Mark) -> f32 {
     let below = 0.5 * (1.0 - side.copysign(over));
     // Throat and angle of the jaw, seen from the joint.
     let angle = libm::atan2f(4.0 - p.y, p.z - 12.0).to_degrees();
-    below * (1.0 - smoothstep(56.0, 88.0, angle))
+    below * (1.0 - smoothstep(56.0, 84.0, angle)) * smoothstep(-12.0, 14.0, p.z)
 }

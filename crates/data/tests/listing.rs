@@ -614,15 +614,11 @@ mod srflow {
         let scenes = [("train", "scene-0000", 2), ("test", "scene-0001", 1)];
         let mut files = Vec::new();
         for (split, scene, pairs) in scenes {
-            files.extend((0..=pairs).map(|n| format!("{split}/frames/{scene}/{n:05}.png")));
+            for part in ["frames", "alpha", "mask"] {
+                files.extend((0..=pairs).map(|n| format!("{split}/{part}/{scene}/{n:05}.png")));
+            }
             for n in 0..pairs {
-                for (part, ending) in [
-                    ("flow", "npz"),
-                    ("alpha", "png"),
-                    ("mask", "png"),
-                    ("occlusion", "png"),
-                    ("pairs", "json"),
-                ] {
+                for (part, ending) in [("flow", "npz"), ("occlusion", "png"), ("pairs", "json")] {
                     files.push(format!("{split}/{part}/{scene}/{n:05}.{ending}"));
                 }
                 if backward {
@@ -676,7 +672,7 @@ mod srflow {
         };
         assert_eq!(listed(&dataset), [line(0, 1), line(1, 2)]);
         assert_eq!(dataset.entries()[0].mask, Some(dir.path().join("train/mask/scene-0000/00001.png")));
-        assert_eq!(dataset.entries()[1].mask, None);
+        assert_eq!(dataset.entries()[1].mask, Some(dir.path().join("train/mask/scene-0000/00002.png")));
         assert_says(
             open("srflow-backward", srflow(false).path(), None),
             &["dataset.json", "no backward flow", "--backward"],

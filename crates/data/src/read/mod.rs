@@ -56,6 +56,15 @@ impl Entry {
     pub fn id(&self) -> String {
         if self.scene.is_empty() { self.frame.clone() } else { format!("{}/{}", self.scene, self.frame) }
     }
+
+    /// The files of the pair.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        let occlusion = self.occlusion.as_ref().map(|occlusion| match occlusion {
+            Occlusion::Picture(path) | Occlusion::VisibleFlow(path) => path,
+        });
+        let optional = [self.flow.as_ref(), self.mask.as_ref(), occlusion];
+        [&self.frame1, &self.frame2].into_iter().chain(optional.into_iter().flatten()).map(PathBuf::as_path)
+    }
 }
 
 /// What tells which pixels of frame 1 are hidden in frame 2.

@@ -66,13 +66,13 @@ impl SrFlow {
             return Ok(());
         }
         for pair in 0..scene.pairs {
-            let files = manifest.files(dir, scene, pair);
-            let missing: Vec<_> = files.all().filter(|path| !path.is_file()).collect();
+            let entry = self.entry(manifest, dir, scene, pair);
+            let missing: Vec<_> = entry.files().filter(|path| !path.is_file()).collect();
             for path in &missing {
                 gaps.push(format!("no {}", gaps.shown(path)));
             }
             if missing.is_empty() {
-                entries.push(self.entry(manifest, dir, scene, pair));
+                entries.push(entry);
             }
         }
         Ok(())
@@ -85,9 +85,8 @@ impl SrFlow {
                 (files.frame1, files.frame2, Some(files.flow), Some(files.mask), Some(files.occlusion))
             }
             Direction::Backward => {
-                // The mask of frame 2 is written with the pair that starts there; the last frame starts none.
-                let mask = manifest.files(dir, scene, pair.saturating_add(1)).mask;
-                (files.frame2, files.frame1, files.flow_backward, mask.is_file().then_some(mask), None)
+                let mask = manifest.frame_files(dir, scene, pair.saturating_add(1)).mask;
+                (files.frame2, files.frame1, files.flow_backward, Some(mask), None)
             }
         };
         let (scene, frame) = (scene.name.clone(), listing::stem(&frame1));

@@ -59,6 +59,9 @@ fn wheel() -> [[f64; 3]; WHEEL_LEN] {
 
 fn color_of(wheel: &[[f64; 3]; WHEEL_LEN], [u, v]: [f32; 2]) -> [u8; 3] {
     let radius = f64::from(length(&[u, v]));
+    if radius == 0.0 {
+        return [255; 3]; // what the rest gives, without the arctangent: much of a picture does not move
+    }
     let turn = libm::atan2f(-v, -u) / std::f32::consts::PI;
     let place = (turn + 1.0) / 2.0 * (WHEEL_LEN - 1) as f32;
     let before = (place as usize).min(WHEEL_LEN - 1);

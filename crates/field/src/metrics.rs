@@ -100,6 +100,7 @@ fn first_not_finite(prediction: &FlowField, truth: &FlowField, inside: impl Fn(u
     let culprit = pixels.find(|(index, (prediction, truth))| {
         is_valid(**truth) && inside(*index) && !end_point_error(**prediction, **truth).is_finite()
     });
+    // There is one: a sum of finite errors is finite in f64.
     let (index, [u, v]) = culprit.map_or((0, [f32::NAN; 2]), |(index, (prediction, _))| (index, *prediction));
     ScoreError::NotFinite { x: index % prediction.width(), y: index / prediction.width(), u, v }
 }

@@ -347,6 +347,62 @@ fn pfm_errors_name_the_field() {
     assert!(told.starts_with(": width: expected a whole number"), "{told}");
 }
 
+/// `bytes` with the first place that holds `from` holding `to`.
+fn replaced(mut bytes: Vec<u8>, from: &[u8], to: &[u8]) -> Vec<u8> {
+    let at = bytes.windows(from.len()).position(|window| window == from).unwrap();
+    bytes[at..at + to.len()].copy_from_slice(to);
+    bytes
+}
+
+#[test]
+fn flo5_errors_name_the_field() {
+    let spring = || fs::read(data("spring.flo5")).unwrap();
+    let contiguous = || fs::read(data("contiguous_f16.flo5")).unwrap();
+    let told = refusal("a.flo5", &replaced(spring(), b"flow\0", b"flux\0"));
+    assert_eq!(told, ": root group: expected a dataset `flow`, found none of this name");
+    let told = refusal("a.flo5", &spring()[..4000]);
+    assert_eq!(
+        told,
+        ": end of file address: expected 4000 as the file has, found 5071: the file is cut short"
+    );
+
+    let shape = |sides: [u64; 3]| sides.map(u64::to_le_bytes).concat();
+    let huge = shape([8192, 16384, 2]);
+    let told = refusal("a.flo5", &replaced(spring(), &shape([9, 13, 2]), &huge));
+    let expected = ": chunks: expected chunks of [9, 13, 2] that tile [8192, 16384, 2], found 1 chunks, 1 of them in place";
+    assert_eq!(told, expected);
+    let told = refusal("a.flo5", &replaced(contiguous(), &shape([9, 13, 2]), &huge));
+    assert_eq!(
+        told,
+        ": file size: expected 536870912 bytes, as the header promises, found 468 bytes: the file is cut short"
+    );
+    let plane = replaced(contiguous(), &shape([9, 13, 2]), &shape([9, 26, 1]));
+    let told = refusal("a.flo5", &plane);
+    assert_eq!(told, ": shape of the dataset `flow`: expected (H, W, 2), found [9, 26, 1]");
+}
+
+/// A tree whose node is its own child would be walked for ever.
+#[test]
+fn a_loop_in_an_hdf5_file_is_refused() {
+    let mut bytes = fs::read(data("many_chunks.flo5")).unwrap();
+    let is_root = |at: &usize| bytes[*at..].starts_with(b"TREE\x01\x01"); // a chunk tree of level 1
+    let root = (0..bytes.len()).find(is_root).unwrap();
+    let first_child = root + 24 + 40;
+    bytes[first_child..first_child + 8].copy_from_slice(&(root as u64).to_le_bytes());
+    let told = refusal("a.flo5", &bytes);
+    assert_eq!(told, ": chunk B-tree: expected nodes that end, found nodes that lead back to each other");
+}
+
+#[test]
+fn a_flow_without_pixels_is_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    for format in FlowFormat::ALL {
+        let path = folder.path().join(format!("flow.{format}"));
+        let told = write_flow(&path, &FlowField::new(0, 5)).unwrap_err().to_string();
+        assert!(told.ends_with(": width: expected at least 1 pixel, found 0") && !path.exists(), "{told}");
+    }
+}
+
 #[test]
 fn pfm_of_either_byte_order_is_read_from_the_bottom() {
     let rows_from_below = [[3.0_f32, 4.0, 0.0], [1.0, 2.0, 0.0]];

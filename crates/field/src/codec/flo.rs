@@ -59,14 +59,10 @@ pub(super) fn check_range(flow: &FlowField) -> Result<(), FileProblem> {
 }
 
 pub(super) fn encode(flow: &FlowField, writer: &mut impl Write) -> io::Result<()> {
-    let side = |side: usize| {
-        i32::try_from(side)
-            .map(i32::to_le_bytes)
-            .map_err(|_| io::Error::other("a side is beyond 2^31 pixels"))
-    };
     writer.write_all(MAGIC)?;
-    writer.write_all(&side(flow.width())?)?;
-    writer.write_all(&side(flow.height())?)?;
+    for side in [flow.width(), flow.height()] {
+        writer.write_all(&(side as i32).to_le_bytes())?; // at most MAX_PIXELS
+    }
     let mut row = vec![0.0; 2 * flow.width()];
     for y in 0..flow.height() {
         for (out, value) in row.iter_mut().zip(flow.row(y).as_flattened()) {

@@ -71,15 +71,15 @@ pub(super) fn check_range(flow: &FlowField, grid: Grid) -> Result<(), FileProble
 }
 
 pub(super) fn encode(flow: &FlowField, grid: Grid, writer: &mut impl Write) -> io::Result<()> {
-    let side = |side| u32::try_from(side).map_err(|_| io::Error::other("a side is beyond 2^32 pixels"));
-    let mut encoder = png::Encoder::new(writer, side(flow.width())?, side(flow.height())?);
+    let (width, height) = flow.size();
+    let mut encoder = png::Encoder::new(writer, width as u32, height as u32); // at most MAX_PIXELS
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Sixteen);
     encoder.set_compression(png::Compression::Fast);
     let mut encoder = encoder.write_header()?;
     let mut rows = encoder.stream_writer()?;
-    let mut row = Vec::with_capacity(6 * flow.width());
-    for y in 0..flow.height() {
+    let mut row = Vec::with_capacity(6 * width);
+    for y in 0..height {
         row.clear();
         for component in flow.row(y) {
             let rgb = match component.map(|component| grid.step(component)) {

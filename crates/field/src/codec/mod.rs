@@ -135,7 +135,7 @@ pub fn read_flow_as(path: &Path, format: FlowFormat) -> Result<FlowField, FileEr
 /// Writes a flow file in the format of its extension; see [`write_flow_as`].
 ///
 /// # Errors
-/// When the extension is that of no format, the format cannot hold a pixel's value, or the file cannot be written.
+/// When the extension is that of no format, and as [`write_flow_as`].
 pub fn write_flow(path: &Path, flow: &FlowField) -> Result<(), FileError> {
     let format = FlowFormat::from_path(path).ok_or_else(|| {
         let found = path.extension().map_or("none".to_owned(), |extension| format!("{extension:?}"));
@@ -148,7 +148,7 @@ pub fn write_flow(path: &Path, flow: &FlowField) -> Result<(), FileError> {
 /// Writes a flow file in a given format, whole or not at all (see [`write_atomically`]).
 ///
 /// # Errors
-/// When the format cannot hold a pixel's value or the file cannot be written.
+/// When the flow has no pixel or more than 2^27, the format cannot hold a pixel's value, or the file cannot be written.
 pub fn write_flow_as(path: &Path, flow: &FlowField, format: FlowFormat) -> Result<(), FileError> {
     check_writable(flow, format).map_err(|problem| problem.in_file(path))?;
     write_atomically(path, |writer| match format {
@@ -163,6 +163,7 @@ pub fn write_flow_as(path: &Path, flow: &FlowField, format: FlowFormat) -> Resul
 }
 
 fn check_writable(flow: &FlowField, format: FlowFormat) -> Result<(), FileProblem> {
+    check_size(flow.width() as i64, flow.height() as i64)?; // what is written can be read again
     check_finite_or_unknown(flow)?;
     match format {
         FlowFormat::Flo => flo::check_range(flow),

@@ -70,11 +70,9 @@ fn array_name(archive: &ZipArchive<Cursor<Vec<u8>>>) -> Result<String, ZipError>
 }
 
 pub(super) fn encode(flow: &FlowField, writer: &mut (impl Write + Seek)) -> io::Result<()> {
-    let large = flow.pixels().len() >= 1 << 28; // of 2 GiB and more: more than plain zip holds
     let options = SimpleFileOptions::default()
         .compression_method(CompressionMethod::Deflated)
-        .compression_level(Some(1))
-        .large_file(large);
+        .compression_level(Some(1));
     let mut archive = ZipWriter::new(writer);
     archive.start_file(NAME, options)?;
     npy::encode_flow(flow, &mut archive)?;

@@ -158,27 +158,20 @@ pub(super) fn chunks_of_layout<'a>(
     fields.one_of("dimensions of chunks", &[4])?;
     let side_bytes = fields.one_of("bytes of a chunk's side", &[1, 2, 3, 4, 5, 6, 7, 8])?;
     let chunk_shape = chunk_shape(&mut fields, side_bytes.into(), sample)?;
+    let unfiltered =
+        chunk_shape.iter().fold(sample.bytes() as u64, |bytes, side| bytes.saturating_mul(*side));
     const SINGLE: u8 = 1;
     let chunks = match fields.one_of("chunk index", &[SINGLE, 3])? {
         SINGLE => {
-            let filtered = if flags == 2 { Some((fields.u64()?, fields.u32()?)) } else { None };
-            let values =
-                chunk_shape.iter().fold(sample.bytes() as u64, |bytes, side| bytes.saturating_mul(*side));
-            let (size, skipped_filters) = filtered.unwrap_or((values, 0));
+            let (size, skipped_filters) =
+                if flags == 2 { (fields.u64()?, fields.u32()?) } else { (unfiltered, 0) };
             let stored = stored_at(file, fields.u64()?, size)?;
             vec![Chunk { offset: [0; 3], stored, skipped_filters }]
         }
         _ => {
             fields.bytes(1)?; // page bits, again in the header of the array
-            let address = fields.u64()?;
-            let bytes = if filters.is_empty() {
-                Some(
-                    chunk_shape.iter().fold(sample.bytes() as u64, |bytes, side| bytes.saturating_mul(*side)),
-                )
-            } else {
-                None
-            };
-            chunks_of_fixed_array(file, address, shape, chunk_shape, bytes)?
+            let unfiltered = filters.is_empty().then_some(unfiltered);
+            chunks_of_fixed_array(file, fields.u64()?, shape, chunk_shape, unfiltered)?
         }
     };
     Ok((chunk_shape, chunks))

@@ -6,13 +6,13 @@ use crate::FileProblem;
 
 /// Message types of section IV.A.2.
 pub(super) mod message {
-    pub(in super::super) const DATASPACE: u16 = 0x01;
-    pub(in super::super) const DATATYPE: u16 = 0x03;
-    pub(in super::super) const LINK: u16 = 0x06;
-    pub(in super::super) const LAYOUT: u16 = 0x08;
-    pub(in super::super) const FILTERS: u16 = 0x0b;
-    pub(in super::super) const CONTINUATION: u16 = 0x10;
-    pub(in super::super) const SYMBOL_TABLE: u16 = 0x11;
+    pub(in crate::codec::hdf5) const DATASPACE: u16 = 0x01;
+    pub(in crate::codec::hdf5) const DATATYPE: u16 = 0x03;
+    pub(in crate::codec::hdf5) const LINK: u16 = 0x06;
+    pub(in crate::codec::hdf5) const LAYOUT: u16 = 0x08;
+    pub(in crate::codec::hdf5) const FILTERS: u16 = 0x0b;
+    pub(in crate::codec::hdf5) const CONTINUATION: u16 = 0x10;
+    pub(in crate::codec::hdf5) const SYMBOL_TABLE: u16 = 0x11;
 }
 
 /// Address of the root group's object header (section II.A).

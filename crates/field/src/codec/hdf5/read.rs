@@ -61,25 +61,34 @@ impl<'a> Dataset<'a> {
 
     /// All values, row-major, into a slice of their number.
     pub(in crate::codec) fn read(&self, values: &mut [f32]) -> Result<(), FileProblem> {
-        let Storage::Chunked { shape, filters, chunks } = &self.storage else {
-            let Storage::Contiguous(bytes) = self.storage else { return Ok(()) };
-            convert_samples(self.sample, bytes, values);
-            return Ok(());
-        };
-        let chunk_bytes = self.chunk_bytes(*shape)?;
+        match &self.storage {
+            Storage::Contiguous(bytes) => {
+                convert_samples(self.sample, bytes, values);
+                Ok(())
+            }
+            Storage::Chunked { shape, filters, chunks } => self.read_chunks(*shape, filters, chunks, values),
+        }
+    }
+
+    fn read_chunks(
+        &self,
+        chunk_shape: [u64; 3],
+        filters: &[Filter],
+        chunks: &[Chunk],
+        values: &mut [f32],
+    ) -> Result<(), FileProblem> {
+        let chunk_bytes = self.chunk_bytes(chunk_shape)?;
         // So many chunks at a time are in memory, decompressed.
         for batch in chunks.chunks(4 * rayon::current_num_threads()) {
-            let decoded: Vec<Vec<f32>> = batch
-                .par_iter()
-                .map(|chunk| {
-                    let bytes = chunk.decode(filters, chunk_bytes, self.sample.bytes())?;
-                    let mut values = vec![0.0; bytes.len() / self.sample.bytes()];
-                    convert_samples(self.sample, &bytes, &mut values);
-                    Ok(values)
-                })
-                .collect::<Result<_, FileProblem>>()?;
+            let decoded = batch.par_iter().map(|chunk| {
+                let bytes = chunk.decode(filters, chunk_bytes, self.sample.bytes())?;
+                let mut values = vec![0.0; bytes.len() / self.sample.bytes()];
+                convert_samples(self.sample, &bytes, &mut values);
+                Ok(values)
+            });
+            let decoded: Vec<Vec<f32>> = decoded.collect::<Result<_, FileProblem>>()?;
             for (chunk, decoded) in batch.iter().zip(&decoded) {
-                place(chunk.offset, decoded, *shape, values, self.shape);
+                place(chunk.offset, decoded, chunk_shape, values, self.shape);
             }
         }
         Ok(())

@@ -16,7 +16,7 @@ const CHUNK_BYTES: usize = 1 << 20;
 const LEVEL: u32 = 2;
 
 /// Writes a file with one dataset of `f32` of shape (H, W, channels) in the root group, in chunks of whole rows, shuffled
-/// and deflated. The bytes do not depend on the number of threads.
+/// and deflated. The bytes do not depend on the number of threads. Every side is under 2^32.
 ///
 /// # Errors
 /// When the writer fails, or the shape does not fit the values.
@@ -85,7 +85,7 @@ impl<'a> Layout<'a> {
         let end = CHUNKS + chunks.iter().map(Vec::len).sum::<usize>();
         self.superblock(&mut file, end);
         self.root_group(&mut file);
-        self.dataset_header(&mut file)?;
+        self.dataset_header(&mut file);
         self.chunk_tree(&mut file, chunks)?;
         Ok(file.0)
     }
@@ -141,7 +141,7 @@ impl<'a> Layout<'a> {
         file.u64(DATASET_HEADER as u64);
     }
 
-    fn dataset_header(&self, file: &mut Bytes) -> io::Result<()> {
+    fn dataset_header(&self, file: &mut Bytes) {
         file.pad_to(DATASET_HEADER);
         file.object_header(5, DATASET_MESSAGES_BYTES);
 
@@ -161,8 +161,7 @@ impl<'a> Layout<'a> {
         file.bytes(&[3, 2, 4]);
         file.u64(CHUNK_TREE as u64);
         for side in [self.chunk_rows, self.shape[1], self.shape[2], 4] {
-            let side = u32::try_from(side).map_err(|_| io::Error::other("a side is beyond 2^32 pixels"))?;
-            file.u32(side);
+            file.u32(side as u32);
         }
         file.bytes(&[0; 5]);
 
@@ -177,7 +176,6 @@ impl<'a> Layout<'a> {
             file.u32(parameter);
             file.u32(0);
         }
-        Ok(())
     }
 
     /// One node of section III.A.1: sizes, offsets and addresses of the chunks.

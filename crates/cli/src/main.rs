@@ -3,6 +3,7 @@
 mod commands;
 mod machine;
 mod methods;
+mod scoring;
 mod size;
 
 use std::io::Write;

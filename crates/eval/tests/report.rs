@@ -60,7 +60,12 @@ fn charts() -> Figure {
     let bar =
         |name: &str, value, baseline| Bar { name: name.into(), value, label: format!("{value} s"), baseline };
     side_by_side(vec![
-        histogram(&bins, Axis::Logarithmic, &chart("Flow magnitude", "length of the flow, px", "pixels")),
+        histogram(
+            &bins,
+            Axis::Linear,
+            Axis::Logarithmic,
+            &chart("Flow magnitude", "length of the flow, px", "pixels"),
+        ),
         curves(
             &[curve("farneback", 2.0, false), curve("tvl1", 3.0, false), curve("zero", 0.4, true)],
             Axis::Linear,
@@ -192,8 +197,13 @@ fn charts_hold_no_numbers_that_are_not() {
         opening: vec![
             curves(&[odd], Axis::Linear, true, &nothing),
             curves(&[], Axis::Logarithmic, true, &nothing),
-            histogram(&[], Axis::Linear, &nothing),
-            histogram(&[Bin { low: 0.0, high: 0.0, count: f64::NAN }], Axis::Logarithmic, &nothing),
+            histogram(&[], Axis::Logarithmic, Axis::Linear, &nothing),
+            histogram(
+                &[Bin { low: 0.0, high: 0.0, count: f64::NAN }],
+                Axis::Logarithmic,
+                Axis::Logarithmic,
+                &nothing,
+            ),
             bars(
                 &[Bar { name: "n".into(), value: f64::NAN, label: String::new(), baseline: false }],
                 &nothing,

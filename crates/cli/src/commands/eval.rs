@@ -3,13 +3,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail, ensure};
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use srflow_data::read::{DatasetSpec, FlowDataset, Split};
-use srflow_eval::report::{Figure, pair_figures, score_report};
-use srflow_eval::{Evaluation, Event, OnFailure, Settings, TextStyle, evaluate};
-use srflow_field::{FlowEstimator, write_atomically};
+use srflow_eval::report::{Figure, score_report};
+use srflow_eval::{Evaluation, OnFailure, Settings, TextStyle};
+use srflow_field::write_atomically;
 
 use crate::methods::{self, Method, MethodParameters};
+use crate::scoring::{self, Pictures};
 use crate::size::Size;
 use crate::{Context, machine};
 
@@ -75,7 +75,13 @@ pub fn run(args: Eval, context: &Context) -> anyhow::Result<()> {
         .into_iter()
         .map(|method| methods::estimator(method, &args.parameters))
         .collect::<anyhow::Result<Vec<_>>>()?;
-    let (evaluation, figures) = scored(&dataset, &estimators, &args)?;
+    let settings = Settings {
+        crop: args.crop.map(|size| (size.width, size.height)),
+        limit: args.limit.map(|limit| limit as usize),
+        on_failure: if args.keep_going { OnFailure::LeaveOut } else { OnFailure::Stop },
+    };
+    let pictures = Pictures { pairs: if args.out.is_some() { SHOWN_PAIRS } else { 0 }, width: 560 };
+    let (evaluation, figures) = scoring::score(&dataset, &estimators, settings, pictures)?;
 
     print(&evaluation, context)?;
     if let Some(out) = &args.out {
@@ -87,53 +93,6 @@ pub fn run(args: Eval, context: &Context) -> anyhow::Result<()> {
     match evaluation.failures.len() {
         0 => Ok(()),
         count => bail!("{count} of {} pairs could not be scored and are in no row", evaluation.pairs + count),
-    }
-}
-
-/// The evaluation, and pictures of a few pairs when there will be a report.
-fn scored(
-    dataset: &FlowDataset,
-    estimators: &[Box<dyn FlowEstimator>],
-    args: &Eval,
-) -> anyhow::Result<(Evaluation, Vec<Figure>)> {
-    let settings = Settings {
-        crop: args.crop.map(|size| (size.width, size.height)),
-        limit: args.limit.map(|limit| limit as usize),
-        on_failure: if args.keep_going { OnFailure::LeaveOut } else { OnFailure::Stop },
-    };
-    let estimators: Vec<&dyn FlowEstimator> = estimators.iter().map(AsRef::as_ref).collect();
-    // Hidden by indicatif itself when standard error is not a terminal.
-    let bar = ProgressBar::new(0).with_style(ProgressStyle::with_template(
-        "{bar:30} {pos}/{len} pairs  {elapsed} elapsed, {eta} to go  {msg}",
-    )?);
-    let mut figures = Vec::new();
-    let mut problem = None;
-    let mut shown_every = 1;
-    let result = evaluate(dataset, &estimators, settings, &mut |event| match event {
-        Event::Started { pairs } => {
-            bar.set_length(pairs as u64);
-            shown_every = pairs.div_ceil(SHOWN_PAIRS).max(1);
-        }
-        Event::Estimating { method, pair } => bar.set_message(format!("{method} on {pair}")),
-        Event::Scored(pair) => {
-            bar.inc(1);
-            if args.out.is_some() && pair.index % shown_every == 0 && problem.is_none() {
-                match pair_figures(pair, 560, "") {
-                    Ok(more) => figures.extend(more),
-                    Err(error) => problem = Some(error),
-                }
-            }
-        }
-        Event::LeftOut(failure) => {
-            bar.inc(1);
-            bar.suspend(|| eprintln!("left out: {}: {}", failure.pair, failure.reason));
-        }
-    });
-    bar.finish_and_clear();
-    let evaluation = result?;
-    match problem {
-        Some(error) => Err(error.into()),
-        None => Ok((evaluation, figures)),
     }
 }
 

@@ -67,6 +67,15 @@ impl Scale {
         Self { axis: Axis::Logarithmic, low: 10_f64.powi(low), high: 10_f64.powi(high), ticks }
     }
 
+    /// From exactly `low` to exactly `high` by their logarithms, with ticks at the decades between.
+    pub(super) fn exact_logarithmic(low: f64, high: f64) -> Self {
+        let low = if low.is_finite() && low > 0.0 { low } else { 1.0 };
+        let high = if high.is_finite() && high > low { high } else { 10.0 * low };
+        let (first, last) = (low.log10().ceil() as i32, high.log10().floor() as i32);
+        let ticks = (first..=last).map(|decade| 10_f64.powi(decade)).collect();
+        Self { axis: Axis::Logarithmic, low, high, ticks }
+    }
+
     /// Where a value lies, 0 at the low end and 1 at the high end, never outside.
     pub(super) fn share(&self, value: f64) -> f64 {
         let share = match self.axis {

@@ -14,16 +14,24 @@ pub struct Bin {
     pub count: f64,
 }
 
-/// Bins of equal width on the page, the vertical axis linear or logarithmic.
-pub fn histogram(bins: &[Bin], vertical: Axis, chart: &Chart) -> Figure {
+/// Bins in rising order; each axis linear or logarithmic. On a logarithmic horizontal axis a bin from 0 is drawn as the half
+/// below its upper end.
+pub fn histogram(bins: &[Bin], horizontal: Axis, vertical: Axis, chart: &Chart) -> Figure {
     let filled = || bins.iter().map(|bin| bin.count).filter(|count| count.is_finite() && *count > 0.0);
     let most = filled().fold(0.0, f64::max);
     let y = match vertical {
         Axis::Linear => Scale::from_zero(most),
         Axis::Logarithmic => Scale::decades(filled().fold(f64::INFINITY, f64::min), most),
     };
-    let (low, high) = (bins.first().map_or(0.0, |bin| bin.low), bins.last().map_or(1.0, |bin| bin.high));
-    let x = Scale::exact(low, high);
+    let (first, last) = (bins.first(), bins.last());
+    let high = last.map_or(1.0, |bin| bin.high);
+    let x = match horizontal {
+        Axis::Linear => Scale::exact(first.map_or(0.0, |bin| bin.low), high),
+        Axis::Logarithmic => Scale::exact_logarithmic(
+            first.map_or(1.0, |bin| if bin.low > 0.0 { bin.low } else { bin.high / 2.0 }),
+            high,
+        ),
+    };
     let drawing = html! {
         (axes(&x, &y, chart))
         g.s1 {

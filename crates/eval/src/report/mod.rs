@@ -33,7 +33,7 @@ pub use heat::{error_map, heat};
 pub use histogram::{Bin, histogram};
 pub use legend::{heat_legend, wheel_legend};
 pub use page::{Figure, Report, Section};
-pub use pair_figures::{pair_figures, sample_panels};
+pub use pair_figures::{flow_scale, pair_figures, sample_panels};
 pub use panels::{Panel, columns, panels, side_by_side};
 pub use picture::{Picture, PictureError};
 pub use score_table::score_table;

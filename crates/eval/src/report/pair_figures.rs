@@ -1,7 +1,9 @@
 //! One scored pair as pictures: the frame and the truth, and for every method its flow and where it went wrong.
 
+use srflow_data::read::Sample;
 use srflow_field::{FlowField, Plane, flow_colors};
 
+use super::charts::number;
 use super::heat::{error_map, heat};
 use super::legend::{heat_legend, wheel_legend};
 use super::panels::{Panel, columns};
@@ -28,7 +30,7 @@ pub fn pair_figures(
         .filter(|(_, estimate)| !estimate.baseline)
         .map(|(place, estimate)| (place, shrink_plane(&error_map(&estimate.flow, pair.truth), max_width)))
         .collect();
-    let longest = round_up(share_below(&lengths(&truth), 0.995));
+    let longest = flow_scale(&truth);
     let worst = errors.iter().map(|(_, error)| share_below(error, 0.98)).fold(0.0, f64::max);
     let worst = round_up(worst);
 
@@ -65,38 +67,38 @@ pub fn pair_figures(
     ])
 }
 
-/// What the dataset holds for one pair: frame, true flow, mask and occlusion, as far as it has them.
+/// What the dataset holds for one pair, called `name`: frame, true flow, mask and occlusion, as far as it has them.
 ///
 /// # Errors
 /// When a picture cannot be encoded.
-pub fn sample_panels(pair: &ScoredPair<'_>, max_width: usize) -> Result<Vec<Panel>, PictureError> {
-    let truth = shrink_flow(pair.truth, max_width);
-    let longest = round_up(share_below(&lengths(&truth), 0.995));
+pub fn sample_panels(sample: &Sample, name: &str, max_width: usize) -> Result<Vec<Panel>, PictureError> {
     let panel =
         |picture, title: &str, note: &str| Panel { picture, title: title.to_owned(), note: note.to_owned() };
-    let mut panels = vec![
-        panel(Picture::jpeg(&shrink_image(&pair.sample.frame1, max_width), "frame 1")?, "Frame 1", pair.name),
-        panel(
-            Picture::jpeg(&flow_colors(&truth, Some(longest as f32)), "true flow")?,
-            "Flow",
-            &format!("full colour at {longest} px"),
-        ),
-    ];
-    let grey = |mask, alt: &str| Picture::grey(&shrink_mask(mask, max_width), alt);
-    if let Some(mask) = &pair.sample.mask {
-        panels.push(panel(grey(mask, "mask of the head")?, "Mask", "the head"));
+    let frame = Picture::jpeg(&shrink_image(&sample.frame1, max_width), "frame 1")?;
+    let mut panels = vec![panel(frame, "Frame", name)];
+    if let Some(flow) = &sample.flow {
+        let flow = shrink_flow(flow, max_width);
+        let longest = flow_scale(&flow);
+        let picture = Picture::jpeg(&flow_colors(&flow, Some(longest as f32)), "true flow to frame 2")?;
+        panels.push(panel(picture, "Flow", &format!("full colour at {} px", number(longest))));
     }
-    if let Some(occlusion) = &pair.sample.occlusion {
+    let grey = |mask, alt: &str| Picture::grey(&shrink_mask(mask, max_width), alt);
+    if let Some(mask) = &sample.mask {
+        panels.push(panel(grey(mask, "mask of the head")?, "Mask", "the head, alpha over one half"));
+    }
+    if let Some(occlusion) = &sample.occlusion {
         panels.push(panel(grey(occlusion, "occluded pixels")?, "Occlusion", "not seen in frame 2"));
     }
     Ok(panels)
 }
 
-fn lengths(flow: &FlowField) -> Plane {
-    Plane::from_fn(flow.width(), flow.height(), |x, y| {
+/// A round length in pixels for the full colour of a flow: all but the longest half percent lies below it.
+pub fn flow_scale(flow: &FlowField) -> f64 {
+    let lengths = Plane::from_fn(flow.width(), flow.height(), |x, y| {
         let [u, v] = flow.get(x, y);
         u.hypot(v)
-    })
+    });
+    round_up(share_below(&lengths, 0.995))
 }
 
 /// The value that this share of the finite values does not exceed; 0 when there is none.

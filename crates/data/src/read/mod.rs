@@ -126,6 +126,15 @@ impl FlowDataset {
         Ok(Self { name, dir: spec.dir.clone(), split, entries, truth: reader.truth() })
     }
 
+    /// A dataset of one pair, whose files may lie anywhere and are not opened yet.
+    pub fn of_pair(frame1: PathBuf, frame2: PathBuf, flow: PathBuf) -> Self {
+        let dir = frame1.parent().unwrap_or(Path::new("")).to_owned();
+        let frame = listing::stem(&frame1);
+        let (scene, flow) = (String::new(), Some(flow));
+        let entry = Entry { scene, frame, frame1, frame2, flow, mask: None, occlusion: None };
+        Self { name: "pair".to_owned(), dir, split: Split::All, entries: vec![entry], truth: Truth::default() }
+    }
+
     /// The kind with the options that matter, e.g. `sintel-clean`.
     pub fn name(&self) -> &str {
         &self.name

@@ -1,0 +1,124 @@
+//! Every action unit of a head: the face at rest, at full intensity, and the flow between the two.
+
+use glam::{DVec3, Vec3};
+use srflow_avatar::{Avatar, HeadPose, PosedHead, Side};
+use srflow_data::generate::{Rig, View};
+use srflow_eval::report::{ActionCard, Picture, flow_scale, shrink_flow, shrink_image};
+use srflow_field::{Image, flow_colors};
+use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, Rasterizer};
+
+/// Size of the rendering and width of the picture on the page: Gaussians far smaller than a pixel look thick, so that the
+/// rendering is larger and shrunk.
+const RENDERED: (usize, usize) = (640, 760);
+const SHOWN_WIDTH: usize = 280;
+
+/// How much closer than a camera of the rig the face is looked at.
+const ZOOM: f64 = 2.1;
+
+/// What FACS calls each unit (Ekman, Friesen and Hager 2002).
+const NAMES: [(u8, &str); 22] = [
+    (1, "inner brow raiser"),
+    (2, "outer brow raiser"),
+    (4, "brow lowerer"),
+    (5, "upper lid raiser"),
+    (6, "cheek raiser"),
+    (7, "lid tightener"),
+    (9, "nose wrinkler"),
+    (10, "upper lip raiser"),
+    (12, "lip corner puller"),
+    (14, "dimpler"),
+    (15, "lip corner depressor"),
+    (16, "lower lip depressor"),
+    (17, "chin raiser"),
+    (18, "lip pucker"),
+    (20, "lip stretcher"),
+    (23, "lip tightener"),
+    (24, "lip pressor"),
+    (25, "lips part"),
+    (26, "jaw drop"),
+    (27, "mouth stretch"),
+    (43, "eyes closed"),
+    (45, "blink"),
+];
+
+/// One card per action unit of the avatar's head, both halves of the face together.
+///
+/// # Errors
+/// When a picture cannot be rendered or encoded.
+pub fn cards(avatar: &Avatar, background: [u8; 3]) -> anyhow::Result<Vec<ActionCard>> {
+    let mut studio = Studio::before(avatar, background);
+    let (mut head, mut rest, mut full) = (PosedHead::default(), Gaussians::default(), Gaussians::default());
+    avatar.gaussians_into(&HeadPose::default(), &mut head, &mut rest);
+    let rest_vertices = head.vertices().to_vec();
+    let at_rest = Picture::jpeg(&studio.photograph(&rest)?, "the face at rest")?;
+
+    let mut numbers: Vec<u8> = avatar.model().action_units.iter().map(|unit| unit.number).collect();
+    numbers.sort_unstable();
+    numbers.dedup();
+    let card = |number: u8| {
+        let pose = avatar.model().pose_of_action_units(&[(number, Side::Both, 1.0)])?;
+        avatar.gaussians_into(&pose, &mut head, &mut full);
+        let furthest = furthest_millimetres(&rest_vertices, head.vertices());
+        let name = NAMES.iter().find(|(known, _)| *known == number).map_or("", |(_, name)| name);
+        let alt = format!("action unit {number}, {name}");
+        Ok(ActionCard {
+            title: format!("AU {number}"),
+            note: format!("{name}, up to {furthest:.1} mm"),
+            rest: at_rest.clone(),
+            full: Picture::jpeg(&studio.photograph(&full)?, &alt)?,
+            flow: Picture::jpeg(&studio.flow(&rest, &full)?, &format!("flow of {alt}"))?,
+        })
+    };
+    numbers.into_iter().map(card).collect()
+}
+
+/// One camera that looks at a face, and what it needs to render.
+struct Studio {
+    camera: Camera,
+    options: Options,
+    rasterizer: Rasterizer,
+    frame: Frame,
+}
+
+impl Studio {
+    fn before(avatar: &Avatar, background: [u8; 3]) -> Self {
+        let mut camera = Rig::new(RENDERED.0, RENDERED.1, face_centre(avatar)).camera(View::default());
+        camera.fx *= ZOOM;
+        camera.fy *= ZOOM;
+        let background = background.map(|channel| f32::from(channel) / 255.0);
+        let options = Options { background, ..Options::default() };
+        Self { camera, options, rasterizer: Rasterizer::new(), frame: Frame::new() }
+    }
+
+    fn photograph(&mut self, gaussians: &Gaussians) -> anyhow::Result<Image> {
+        let options = Options { outputs: Outputs::IMAGE, ..self.options };
+        self.rasterizer.render(gaussians, &self.camera, None, &options, &mut self.frame)?;
+        Ok(shrink_image(&self.frame.image, SHOWN_WIDTH))
+    }
+
+    /// Flow from one set to the other, in colours whose full strength is near its longest.
+    fn flow(&mut self, from: &Gaussians, to: &Gaussians) -> anyhow::Result<Image> {
+        let outputs = Outputs { flow: true, ..Outputs::IMAGE };
+        let options = Options { outputs, ..self.options };
+        let next = Next { gaussians: to, camera: &self.camera };
+        self.rasterizer.render(from, &self.camera, Some(next), &options, &mut self.frame)?;
+        let flow = shrink_flow(&self.frame.flow, SHOWN_WIDTH);
+        Ok(flow_colors(&flow, Some(flow_scale(&flow) as f32)))
+    }
+}
+
+/// Middle of the facial landmarks at rest, metres; the origin for a head without landmarks.
+fn face_centre(avatar: &Avatar) -> DVec3 {
+    let (model, vertices) = (avatar.model(), &avatar.shaped().vertices);
+    let corner = |vertex: u32| vertices.get(vertex as usize).copied().unwrap_or_default();
+    let places = model.landmarks.iter().filter_map(|(triangle, weights)| {
+        let [a, b, c] = *model.triangles.get(*triangle as usize)?;
+        Some((corner(a) * weights.x + corner(b) * weights.y + corner(c) * weights.z).as_dvec3())
+    });
+    places.sum::<DVec3>() / model.landmarks.len().max(1) as f64
+}
+
+/// The longest way of any vertex, in millimetres.
+fn furthest_millimetres(from: &[Vec3], to: &[Vec3]) -> f32 {
+    1e3 * from.iter().zip(to).map(|(from, to)| from.distance(*to)).fold(0.0, f32::max)
+}

@@ -1,0 +1,193 @@
+//! Rendering the demo's two datasets on the road of `srflow render`: stills of three heads at full size, and a smaller
+//! one with more frames.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use indicatif::{ProgressBar, ProgressStyle};
+use srflow_data::generate::{self, Background, Event, FULL_SIZE, Head, Report, Settings, Shard};
+use srflow_data::manifest::Manifest;
+use srflow_data::read::{DatasetSpec, FlowDataset, Sample, Split};
+use srflow_eval::report::{Film, Panel, Picture, flow_scale, sample_panels, shrink_flow, shrink_image};
+use srflow_field::{FlowField, FlowFormat, Image, flow_colors};
+
+/// Behind every head: a warm grey that is calm on a light and on a dark page.
+pub const BACKGROUND: [u8; 3] = [0xdd, 0xda, 0xd4];
+
+/// Three heads, each in two frame pairs at the paper's full size.
+pub const STILLS: Plan = Plan { folder: "stills", scenes: 3, frames: 2, size: FULL_SIZE };
+
+/// The same three heads in motion, a sixteenth of the pixels.
+pub const CLIPS: Plan = Plan { folder: "clips", scenes: 3, frames: 36, size: (550, 802) };
+
+/// What one dataset is to be.
+#[derive(Debug, Clone, Copy)]
+pub struct Plan {
+    /// Folder inside the demo's.
+    pub folder: &'static str,
+    scenes: u32,
+    frames: u32,
+    size: (usize, usize),
+}
+
+/// A dataset that was rendered.
+#[derive(Debug)]
+pub struct Rendered {
+    /// Its folder.
+    pub dir: PathBuf,
+    /// What rendering it took and what it holds.
+    pub report: Report,
+    /// Its pairs.
+    pub dataset: FlowDataset,
+}
+
+impl Plan {
+    /// Renders it, or what is missing of it, with a bar on standard error where that is a terminal.
+    ///
+    /// # Errors
+    /// Those of [`generate::generate`] and of opening the result.
+    pub fn render(self, out: &Path, head: &Head, seed: u64, force: bool) -> anyhow::Result<Rendered> {
+        let settings = Settings {
+            head: head.clone(),
+            scenes: self.scenes,
+            frames: f64::from(self.frames),
+            width: self.size.0,
+            height: self.size.1,
+            splits: [0.0, 0.0, 1.0],
+            seed,
+            flow_format: FlowFormat::Flo,
+            backward: false,
+            depth: false,
+            background: Background::Colour(BACKGROUND),
+        };
+        let dir = out.join(self.folder);
+        let bar = ProgressBar::new(0)
+            .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} pairs  {eta} to go")?);
+        let show = |event| match event {
+            Event::Started { pairs, whole } => {
+                bar.set_length(pairs);
+                bar.set_position(whole);
+            }
+            Event::PairWritten { .. } => bar.inc(1),
+        };
+        let report = generate::generate(&settings, &dir, Shard::WHOLE, force, &show);
+        bar.finish_and_clear();
+        let report = report?;
+        let spec = DatasetSpec { kind: "srflow".to_owned(), dir: dir.clone() };
+        Ok(Rendered { dir, report, dataset: FlowDataset::open(&spec, Some(Split::All))? })
+    }
+
+    /// The command that renders the same dataset.
+    pub fn command(self, head: &Head, seed: u64) -> String {
+        let (width, height) = self.size;
+        let head = match head {
+            Head::Builtin => String::new(),
+            Head::Ict(dir) => format!(" --head ict:{}", dir.display()),
+        };
+        let [r, g, b] = BACKGROUND;
+        format!(
+            "srflow render --out {} --scenes {} --frames {} --size {width}x{height} --splits 0,0,1{head} --seed {seed} \\
+             --background '#{r:02x}{g:02x}{b:02x}'",
+            self.folder, self.scenes, self.frames
+        )
+    }
+}
+
+impl Rendered {
+    /// Seed of the first scene's subject.
+    ///
+    /// # Errors
+    /// When `dataset.json` cannot be read.
+    pub fn first_subject(&self) -> anyhow::Result<u64> {
+        let manifest = Manifest::read(&self.dir)?;
+        let first = manifest.scenes.first().context("the dataset has no scene")?;
+        Ok(first.subject)
+    }
+}
+
+/// One head at full size, as pictures.
+#[derive(Debug)]
+pub struct Still {
+    /// The whole frame.
+    pub portrait: Panel,
+    /// A part of it, pixel for pixel.
+    pub detail: Panel,
+    /// Frame, flow, mask and occlusion.
+    pub panels: Vec<Panel>,
+    /// The frame alone and its flow, for a divider between them.
+    pub over_flow: (Picture, Picture),
+}
+
+/// The first pair of every scene, as pictures.
+///
+/// # Errors
+/// When a file cannot be read or a picture not be encoded.
+pub fn stills(rendered: &Rendered) -> anyhow::Result<Vec<Still>> {
+    let mut stills = Vec::new();
+    let mut scene = None;
+    for entry in rendered.dataset.entries() {
+        if scene == Some(&entry.scene) {
+            continue;
+        }
+        scene = Some(&entry.scene);
+        let sample = rendered.dataset.read(entry)?;
+        stills.push(still(&sample, &format!("head {}", stills.len() + 1))?);
+    }
+    Ok(stills)
+}
+
+fn still(sample: &Sample, name: &str) -> anyhow::Result<Still> {
+    let frame = &sample.frame1;
+    let portrait = shrink_image(frame, 720);
+    let flow = sample.flow.as_ref().map(|flow| shrink_flow(flow, 720)).unwrap_or_else(|| FlowField::new(1, 1));
+    let size = (frame.width().min(720), frame.height().min(620));
+    let window = srflow_eval::head_window(frame.size(), size, sample.mask.as_ref())?;
+    let detail = frame.crop(window.left, window.top, window.width, window.height);
+    let panel = |picture, title: &str, note: String| Panel { picture, title: title.to_owned(), note };
+    Ok(Still {
+        portrait: panel(
+            Picture::jpeg(&portrait, &format!("{name}, whole frame"))?,
+            name,
+            format!("{}×{} pixels", frame.width(), frame.height()),
+        ),
+        detail: panel(
+            Picture::jpeg(&detail, &format!("{name}, detail"))?,
+            name,
+            format!("{}×{} of its pixels, one to one", size.0, size.1),
+        ),
+        panels: sample_panels(sample, name, 560)?,
+        over_flow: (
+            Picture::jpeg(&portrait, "frame")?,
+            Picture::jpeg(&flow_colors(&flow, Some(flow_scale(&flow) as f32)), "flow")?,
+        ),
+    })
+}
+
+/// The first scene as films: the frames, and their flow in colours of one scale.
+///
+/// # Errors
+/// When a file cannot be read or a film not be encoded.
+pub fn films(rendered: &Rendered) -> anyhow::Result<(Vec<Film>, f64)> {
+    const WIDTH: usize = 300;
+    let entries = rendered.dataset.entries();
+    let scene = entries.first().map(|entry| entry.scene.clone()).unwrap_or_default();
+    let (mut frames, mut flows, mut hidden) = (Vec::new(), Vec::new(), Vec::new());
+    for entry in entries.iter().filter(|entry| entry.scene == scene) {
+        let sample = rendered.dataset.read(entry)?;
+        frames.push(shrink_image(&sample.frame1, WIDTH));
+        flows.extend(sample.flow.as_ref().map(|flow| shrink_flow(flow, WIDTH)));
+        hidden.extend(sample.occlusion.as_ref().map(|mask| srflow_eval::report::shrink_mask(mask, WIDTH)));
+    }
+    let longest = flows.iter().map(flow_scale).fold(0.1, f64::max);
+    let flows: Vec<Image> = flows.iter().map(|flow| flow_colors(flow, Some(longest as f32))).collect();
+    let hidden: Vec<Image> = hidden
+        .iter()
+        .map(|share| Image::from_fn(share.width(), share.height(), |x, y| [(share.get(x, y) * 255.0) as u8; 3]))
+        .collect();
+    let films = vec![
+        Film::new(&frames, "Frames", "what a camera sees")?,
+        Film::new(&flows, "Flow", "where every pixel goes next")?,
+        Film::new(&hidden, "Occlusion", "pixels that the next frame hides")?,
+    ];
+    Ok((films, longest))
+}

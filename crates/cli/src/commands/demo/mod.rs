@@ -1,0 +1,199 @@
+//! `srflow demo`: the whole road once, small enough to wait for. One file per stage.
+
+mod action_units;
+mod datasets;
+mod page;
+mod stage;
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use anyhow::{Context as _, ensure};
+use clap::{Args, ValueEnum};
+use serde_json::json;
+use srflow_avatar::Avatar;
+use srflow_data::generate::Head;
+use srflow_data::read::{DatasetSpec, FlowDataset};
+use srflow_eval::report::Figure;
+use srflow_eval::{Evaluation, OnFailure, Settings};
+use srflow_field::{FlowEstimator, write_atomically};
+
+use crate::methods::{self, Method, MethodParameters};
+use crate::scoring::{self, Pictures};
+use crate::{Context, machine};
+use datasets::{CLIPS, STILLS};
+use stage::Stages;
+
+/// Make a small dataset, estimate its flow, score it and show it all in one report
+#[derive(Args)]
+#[command(after_help = "\
+Renders three heads at 2200x3208 and a smaller dataset of the same heads in motion, estimates its flow with every \
+method, scores it and writes one HTML file that needs nothing beside it.
+
+Example: the same road on a real photograph as well, opened when it is done
+  srflow demo --pair frame1.png frame2.png true_flow.png --open")]
+pub struct Demo {
+    /// Folder for the datasets, the scores and report.html
+    #[arg(long, value_name = "DIR", default_value = "srflow-demo")]
+    out: PathBuf,
+    /// Whose heads: `builtin`, or `ict:DIR` with ICT-FaceKit's FaceXModel folder
+    #[arg(long, value_name = "HEAD", default_value = "builtin")]
+    head: Head,
+    /// Seed of every random choice; another seed gives other heads
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// A folder of KITTI 2015, for real photographs with true flow
+    #[arg(long, value_name = "DIR", conflicts_with = "pair")]
+    kitti: Option<PathBuf>,
+    /// Two photographs and the true flow between them
+    #[arg(long, num_args = 3, value_names = ["FRAME1", "FRAME2", "FLOW"])]
+    pair: Option<Vec<PathBuf>>,
+    /// Open the report in the browser
+    #[arg(long)]
+    open: bool,
+    /// Make everything anew where a demo is already
+    #[arg(long)]
+    force: bool,
+}
+
+/// The paper scores 1200 by 1600 pixels around the head.
+const PAPER_CROP: (usize, usize) = (1200, 1600);
+
+/// Runs the command.
+pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
+    let report = args.out.join("report.html");
+    ensure!(
+        args.force || !report.exists(),
+        "{} is there already; --force makes it anew, --out DIR puts it elsewhere",
+        report.display()
+    );
+    let photographs = photographs(&args)?;
+    let estimators = Method::value_variants()
+        .iter()
+        .map(|method| methods::estimator(*method, &MethodParameters::default()))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+
+    let mut stages = Stages::default();
+    let (stills, heads) = stages.run("Rendering three heads at full size", || {
+        let stills = STILLS.render(&args.out, &args.head, args.seed, args.force)?;
+        let heads = datasets::stills(&stills)?;
+        Ok((stills, heads))
+    })?;
+    let (clips, films) = stages.run("Rendering the heads in motion", || {
+        let clips = CLIPS.render(&args.out, &args.head, args.seed, args.force)?;
+        let films = datasets::films(&clips)?;
+        Ok((clips, films))
+    })?;
+    let (gaussians, cards) = stages.run("Showing every action unit", || {
+        let avatar = avatar(&args.head, stills.first_subject()?)?;
+        Ok((avatar.bound().len(), action_units::cards(&avatar, datasets::BACKGROUND)?))
+    })?;
+    let at_full_size = stages.run("Estimating and scoring at full size", || {
+        score(&stills.dataset, &estimators, Some(PAPER_CROP), 3)
+    })?;
+    let in_motion = stages.run("Estimating and scoring the heads in motion", || {
+        score(&clips.dataset, &estimators, None, 12)
+    })?;
+    let on_photographs = stages.run("Estimating and scoring photographs", || {
+        photographs.map(|dataset| score(&dataset, &estimators, None, 2)).transpose()
+    })?;
+
+    for (evaluation, name) in [(&at_full_size.0, "scores-full-size.csv"), (&in_motion.0, "scores-in-motion.csv")] {
+        write_text(&args.out.join(name), &evaluation.csv())?;
+    }
+    let shown = page::Shown {
+        heads,
+        stills,
+        clips,
+        films,
+        gaussians,
+        cards,
+        at_full_size,
+        in_motion,
+        on_photographs,
+        commands: vec![STILLS.command(&args.head, args.seed), CLIPS.command(&args.head, args.seed)],
+        machine: machine::describe(),
+    };
+    write_text(&report, &page::page(&shown, &stages)?.html())?;
+    tell(&report, &shown, &stages, context)?;
+    if args.open {
+        open(&report)?;
+    }
+    Ok(())
+}
+
+/// The photographs that were asked for; what is wrong with them is said before any work.
+fn photographs(args: &Demo) -> anyhow::Result<Option<FlowDataset>> {
+    if let Some(dir) = &args.kitti {
+        let spec = DatasetSpec { kind: "kitti-2015".to_owned(), dir: dir.clone() };
+        return Ok(Some(FlowDataset::open(&spec, None)?));
+    }
+    let Some([frame1, frame2, flow]) = args.pair.as_deref() else { return Ok(None) };
+    let dataset = FlowDataset::of_pair(frame1.clone(), frame2.clone(), flow.clone());
+    dataset.entries().iter().try_for_each(|entry| dataset.read(entry).map(drop))?;
+    Ok(Some(dataset))
+}
+
+fn avatar(head: &Head, seed: u64) -> anyhow::Result<Avatar> {
+    Ok(match head {
+        Head::Builtin => Avatar::builtin(seed)?,
+        Head::Ict(dir) => Avatar::ict(dir, seed)?,
+    })
+}
+
+fn score(
+    dataset: &FlowDataset,
+    estimators: &[Box<dyn FlowEstimator>],
+    crop: Option<(usize, usize)>,
+    pairs: usize,
+) -> anyhow::Result<(Evaluation, Vec<Figure>)> {
+    let settings = Settings { crop, limit: Some(pairs), on_failure: OnFailure::Stop };
+    scoring::score(dataset, estimators, settings, Pictures { pairs: pairs.min(3), width: 480 })
+}
+
+/// Where the report is and how long it took; everything measured with `--json`.
+fn tell(report: &Path, shown: &page::Shown, stages: &Stages, context: &Context) -> anyhow::Result<()> {
+    if context.json {
+        let result = json!({
+            "report": report,
+            "datasets": [shown.stills.dir, shown.clips.dir],
+            "stages": stages.done,
+            "evaluations": {
+                "full_size": shown.at_full_size.0,
+                "in_motion": shown.in_motion.0,
+                "photographs": shown.on_photographs.as_ref().map(|(evaluation, _)| evaluation),
+            },
+        });
+        println!("{}", serde_json::to_string_pretty(&result)?);
+        return Ok(());
+    }
+    for stage in &stages.done {
+        println!("{:>6.1} s  {}", stage.seconds, stage.name);
+    }
+    println!("{:>6.1} s  together\n\nThe report: {}", stages.seconds(), address(report));
+    Ok(())
+}
+
+/// The file as an address that a terminal makes clickable.
+fn address(path: &Path) -> String {
+    let whole = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let text = whole.display().to_string();
+    let text = text.strip_prefix(r"\\?\").unwrap_or(&text).replace('\\', "/").replace(' ', "%20");
+    if text.starts_with('/') { format!("file://{text}") } else { format!("file:///{text}") }
+}
+
+/// Hands the file to the system's browser.
+fn open(path: &Path) -> anyhow::Result<()> {
+    let program = match std::env::consts::OS {
+        "macos" => "open",
+        "windows" => "explorer",
+        _ => "xdg-open",
+    };
+    let started = Command::new(program).arg(path).spawn();
+    started.map(drop).with_context(|| format!("starting `{program}`; open {} yourself", path.display()))
+}
+
+fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
+    write_atomically(path, |file| std::io::Write::write_all(file, text.as_bytes()))
+        .with_context(|| format!("writing {}", path.display()))
+}

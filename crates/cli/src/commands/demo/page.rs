@@ -1,0 +1,240 @@
+//! What the demo's report says, from top to bottom.
+
+use srflow_eval::report::{
+    ActionCard, Axis, Bar, Bin, Chart, Figure, Film, Panel, Report, Section, action_cards, bars, compare, facts,
+    films, histogram, panels, score_figures, side_by_side, tiles, wheel_legend,
+};
+use srflow_eval::Evaluation;
+
+use super::datasets::{Rendered, Still};
+use super::stage::Stages;
+
+/// Everything that the page shows.
+pub struct Shown {
+    /// Three heads at full size.
+    pub heads: Vec<Still>,
+    /// The dataset they are from.
+    pub stills: Rendered,
+    /// The dataset with motion.
+    pub clips: Rendered,
+    /// A scene of it, and the length in pixels of the strongest flow colour.
+    pub films: (Vec<Film>, f64),
+    /// How many Gaussians the first head has.
+    pub gaussians: usize,
+    /// Action units.
+    pub cards: Vec<ActionCard>,
+    /// Scores on the paper's crop of the stills, and pictures of the pairs.
+    pub at_full_size: (Evaluation, Vec<Figure>),
+    /// Scores on the dataset with motion.
+    pub in_motion: (Evaluation, Vec<Figure>),
+    /// Scores on photographs, when there were any.
+    pub on_photographs: Option<(Evaluation, Vec<Figure>)>,
+    /// How to render the same datasets.
+    pub commands: Vec<String>,
+    /// What the times were measured on.
+    pub machine: String,
+}
+
+/// The page.
+///
+/// # Errors
+/// When a picture cannot be encoded.
+pub fn page(shown: &Shown, stages: &Stages) -> anyhow::Result<Report> {
+    let mut sections = vec![heads(shown), pair(shown), action_units(shown), motion(shown), full_size(shown)];
+    sections.extend(photographs(shown));
+    sections.push(making(shown, stages));
+    Ok(Report {
+        kicker: "srflow demo".to_owned(),
+        title: "From a head of Gaussians to evaluated optical flow".to_owned(),
+        lead: "Everything on this page was computed in one run, on this machine, from a seed: heads made of 3D \
+            Gaussians, what cameras see of them, the exact motion of every pixel, what optical-flow methods make of \
+            the same frames, and how wrong they are."
+            .to_owned(),
+        opening: opening(shown, stages)?,
+        sections,
+        colophon: format!("srflow {} · {} · this file needs nothing beside it", env!("CARGO_PKG_VERSION"), shown.machine),
+    })
+}
+
+fn opening(shown: &Shown, stages: &Stages) -> anyhow::Result<Vec<Figure>> {
+    let pairs = shown.stills.report.pairs + shown.clips.report.pairs;
+    let numbers = [
+        (shown.heads.len().to_string(), "heads, none of them a real person's".to_owned()),
+        (shown.gaussians.to_string(), "Gaussians on the first".to_owned()),
+        (pairs.to_string(), "frame pairs with exact flow".to_owned()),
+        (size(&shown.stills), "pixels at full size".to_owned()),
+        (format!("{:.0} s", stages.seconds()), "for everything on this page".to_owned()),
+    ];
+    let (films_of_scene, longest) = &shown.films;
+    Ok(vec![
+        tiles(&numbers),
+        films(films_of_scene, 24.0, ""),
+        wheel_legend(*longest, "The films run back and forth; point at one to hold it.")?,
+    ])
+}
+
+fn heads(shown: &Shown) -> Section {
+    let portraits: Vec<Panel> = shown.heads.iter().map(|head| head.portrait.clone()).collect();
+    let details: Vec<Panel> = shown.heads.iter().map(|head| head.detail.clone()).collect();
+    Section {
+        title: "Three heads".to_owned(),
+        lead: "Each is a triangle mesh dressed in Gaussians, its shape, skin, hair and eyes drawn from one number. The \
+            frames are as large as NeRSemble's, the recordings that the SRFlow paper starts from."
+            .to_owned(),
+        figures: vec![
+            panels(&portraits, 240, "The canonical frontal camera, scaled down for this page."),
+            panels(&details, 320, "The middle of the same frames, one pixel of the frame to one of the page."),
+        ],
+    }
+}
+
+fn pair(shown: &Shown) -> Section {
+    let mut figures = Vec::new();
+    for head in &shown.heads {
+        figures.push(panels(&head.panels, 200, ""));
+    }
+    if let Some(head) = shown.heads.first() {
+        let (frame, flow) = &head.over_flow;
+        figures.push(compare((frame, "frame 1"), (flow, "flow to frame 2"), "Drag the divider."));
+    }
+    Section {
+        title: "What every pair comes with".to_owned(),
+        lead: "Two frames, and for each pixel of the first: where it goes, whether it belongs to the head, and whether \
+            the second frame hides it. The flow is not estimated: it is the motion of the Gaussians themselves, \
+            blended like their colours in the same pass."
+            .to_owned(),
+        figures,
+    }
+}
+
+fn action_units(shown: &Shown) -> Section {
+    Section {
+        title: "Action units".to_owned(),
+        lead: "The muscles of facial expression by their numbers in the Facial Action Coding System, each at full \
+            intensity beside its flow from rest. They combine, and micro-expressions are short, faint episodes of them."
+            .to_owned(),
+        figures: vec![action_cards(
+            &shown.cards,
+            "Millimetres are those of the vertex that moves most. Each flow has its own scale, so that small motion shows.",
+        )],
+    }
+}
+
+fn motion(shown: &Shown) -> Section {
+    let (evaluation, pictures) = &shown.in_motion;
+    let mut figures = pictures.clone();
+    figures.extend(score_figures(evaluation, &shown.machine));
+    Section {
+        title: "Estimators beside the truth".to_owned(),
+        lead: format!(
+            "The same heads in motion before moving cameras, at {}. The methods see the two frames; they never see the flow.",
+            size(&shown.clips)
+        ),
+        figures,
+    }
+}
+
+fn full_size(shown: &Shown) -> Section {
+    let (evaluation, pictures) = &shown.at_full_size;
+    let mut figures = pictures.clone();
+    figures.extend(score_figures(evaluation, &shown.machine));
+    Section {
+        title: "At full size".to_owned(),
+        lead: "The stills, cropped to 1200×1600 pixels around the head as in the paper's evaluation. Seen by one still \
+            camera, only the face moves, and by little."
+            .to_owned(),
+        figures,
+    }
+}
+
+fn photographs(shown: &Shown) -> Option<Section> {
+    let (evaluation, pictures) = shown.on_photographs.as_ref()?;
+    let mut figures = pictures.clone();
+    figures.extend(score_figures(evaluation, &shown.machine));
+    Some(Section {
+        title: "Real photographs".to_owned(),
+        lead: "The same methods, scores and pictures on frames from a camera, whose true flow was measured.".to_owned(),
+        figures,
+    })
+}
+
+fn making(shown: &Shown, stages: &Stages) -> Section {
+    let mut named: Vec<(String, String)> =
+        shown.commands.iter().map(|command| ("The same dataset".to_owned(), command.clone())).collect();
+    named.push(("Machine".to_owned(), shown.machine.clone()));
+    for rendered in [&shown.stills, &shown.clips] {
+        named.push((format!("Rendering {}", size(rendered)), rendering(rendered)));
+    }
+    Section {
+        title: "How it was made".to_owned(),
+        lead: "Frames and flow depend on the seed alone: the same on every machine, whatever the number of threads."
+            .to_owned(),
+        figures: vec![side_by_side(vec![stage_times(stages), magnitudes(&shown.clips)]), facts(&named)],
+    }
+}
+
+fn rendering(rendered: &Rendered) -> String {
+    let report = &rendered.report;
+    if report.made == 0 {
+        return format!("{} pairs, all there from an earlier run", report.pairs);
+    }
+    format!(
+        "{} pairs in {:.1} s, heads, encoding and writing included: {:.1} pairs a minute, {:.1} MB a pair",
+        report.made,
+        report.seconds,
+        60.0 * report.made as f64 / report.seconds.max(1e-9),
+        report.bytes as f64 / 1e6 / report.made as f64
+    )
+}
+
+fn stage_times(stages: &Stages) -> Figure {
+    let stage = |stage: &super::stage::StageTime| Bar {
+        name: stage.name.clone(),
+        value: stage.seconds,
+        label: format!("{:.1} s", stage.seconds),
+        baseline: false,
+    };
+    let chart = Chart {
+        title: "Where the time went".to_owned(),
+        x: String::new(),
+        y: String::new(),
+        caption: "Wall-clock time of each stage of this run.".to_owned(),
+    };
+    bars(&stages.done.iter().map(stage).collect::<Vec<_>>(), &chart)
+}
+
+/// How far the pixels of the heads move.
+fn magnitudes(rendered: &Rendered) -> Figure {
+    let chart = |caption: String| Chart {
+        title: format!("How far pixels move, {}", size(rendered)),
+        x: "length of the flow on the head, px (logarithmic)".to_owned(),
+        y: "pixels, %".to_owned(),
+        caption,
+    };
+    let Some(statistics) = &rendered.report.statistics else {
+        return histogram(&[], Axis::Logarithmic, Axis::Linear, &chart("The dataset is not whole.".to_owned()));
+    };
+    let pixels = statistics.flow.pixels.max(1) as f64;
+    let edges = statistics.bin_edges;
+    let bins: Vec<Bin> = edges
+        .iter()
+        .zip(statistics.flow.histogram)
+        .enumerate()
+        .map(|(i, (low, count))| Bin {
+            low: f64::from(*low),
+            high: f64::from(edges.get(i + 1).copied().unwrap_or(2.0 * low)),
+            count: 100.0 * count as f64 / pixels,
+        })
+        .collect();
+    let caption = format!(
+        "Mean {:.2} px, greatest {:.1} px; {:.2} % of the head's pixels are hidden in the next frame.",
+        statistics.mean_magnitude,
+        statistics.flow.max,
+        100.0 * statistics.occluded_share
+    );
+    histogram(&bins, Axis::Logarithmic, Axis::Linear, &chart(caption))
+}
+
+fn size(rendered: &Rendered) -> String {
+    rendered.report.statistics.as_ref().map_or(String::new(), |all| format!("{}×{}", all.width, all.height))
+}

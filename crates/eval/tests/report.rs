@@ -59,24 +59,27 @@ fn charts() -> Figure {
     };
     let bar =
         |name: &str, value, baseline| Bar { name: name.into(), value, label: format!("{value} s"), baseline };
-    side_by_side(vec![
-        histogram(
-            &bins,
-            Axis::Linear,
-            Axis::Logarithmic,
-            &chart("Flow magnitude", "length of the flow, px", "pixels"),
-        ),
-        curves(
-            &[curve("farneback", 2.0, false), curve("tvl1", 3.0, false), curve("zero", 0.4, true)],
-            Axis::Linear,
-            false,
-            &chart("Pixels within an error", "end-point error, px", "share of pixels, %"),
-        ),
-        bars(
-            &[bar("farneback", 0.35, false), bar("tvl1", 7.0, false), bar("zero", 0.0, true)],
-            &chart("Time per pair", "", ""),
-        ),
-    ])
+    side_by_side(
+        vec![
+            histogram(
+                &bins,
+                Axis::Linear,
+                Axis::Logarithmic,
+                &chart("Flow magnitude", "length of the flow, px", "pixels"),
+            ),
+            curves(
+                &[curve("farneback", 2.0, false), curve("tvl1", 3.0, false), curve("zero", 0.4, true)],
+                Axis::Linear,
+                false,
+                &chart("Pixels within an error", "end-point error, px", "share of pixels, %"),
+            ),
+            bars(
+                &[bar("farneback", 0.35, false), bar("tvl1", 7.0, false), bar("zero", 0.0, true)],
+                &chart("Time per pair", "", ""),
+            ),
+        ],
+        420,
+    )
 }
 
 fn report() -> Report {

@@ -132,7 +132,13 @@ impl FlowDataset {
         let frame = listing::stem(&frame1);
         let (scene, flow) = (String::new(), Some(flow));
         let entry = Entry { scene, frame, frame1, frame2, flow, mask: None, occlusion: None };
-        Self { name: "pair".to_owned(), dir, split: Split::All, entries: vec![entry], truth: Truth::default() }
+        Self {
+            name: "pair".to_owned(),
+            dir,
+            split: Split::All,
+            entries: vec![entry],
+            truth: Truth::default(),
+        }
     }
 
     /// The kind with the options that matter, e.g. `sintel-clean`.

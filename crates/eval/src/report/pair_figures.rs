@@ -6,13 +6,14 @@ use srflow_field::{FlowField, Plane, flow_colors};
 use super::charts::number;
 use super::heat::{error_map, heat};
 use super::legend::{heat_legend, wheel_legend};
-use super::panels::{Panel, columns};
+use super::panels::{Panel, columns, panels};
 use super::picture::{Picture, PictureError};
 use super::shrink::{shrink_flow, shrink_image, shrink_mask, shrink_plane};
 use super::{Figure, side_by_side};
 use crate::evaluate::ScoredPair;
 
-/// The frame over the true flow in a first column, then a column per method: its flow over its error. Flow colours and
+/// The frame over the true flow in a first column, then a column per method: its flow over its error; pictures that are
+/// not upright in rows of two in the same order. Flow colours and
 /// error colours have one scale for all. Pictures are at most `max_width` pixels wide.
 ///
 /// # Errors
@@ -58,13 +59,15 @@ pub fn pair_figures(
             panel(Picture::jpeg(&heat(error, worst as f32), "end-point error")?, "Error", epe),
         ]);
     }
-    Ok(vec![
-        columns(&all, 240, caption),
-        side_by_side(vec![
-            wheel_legend(longest, "Black has no truth.")?,
-            heat_legend(worst, "Grey has no truth.")?,
-        ]),
-    ])
+    // Upright pictures go beside each other; wide ones need the room of half the page.
+    let upright = 5 * pair.truth.height() > 4 * pair.truth.width();
+    let pictures = match upright {
+        true => columns(&all, 240, caption),
+        false => panels(&all.concat(), 420, caption),
+    };
+    let legends =
+        vec![wheel_legend(longest, "Black has no truth.")?, heat_legend(worst, "Grey has no truth.")?];
+    Ok(vec![pictures, side_by_side(legends, 420)])
 }
 
 /// What the dataset holds for one pair, called `name`: frame, true flow, mask and occlusion, as far as it has them.

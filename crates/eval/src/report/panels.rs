@@ -38,9 +38,11 @@ pub fn columns(columns: &[Vec<Panel>], least_width: usize, caption: &str) -> Fig
     })
 }
 
-/// Figures beside each other where the page is wide enough, under each other where not.
-pub fn side_by_side(figures: Vec<Figure>) -> Figure {
-    Figure(html! { div.sides { @for figure in figures { (figure.0) } } })
+/// Figures beside each other where each can be `least_width` CSS pixels wide, under each other where not.
+pub fn side_by_side(figures: Vec<Figure>, least_width: usize) -> Figure {
+    Figure(
+        html! { div.sides style={ "--least:" (least_width) "px" } { @for figure in figures { (figure.0) } } },
+    )
 }
 
 fn card(panel: &Panel) -> Markup {

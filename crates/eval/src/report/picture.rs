@@ -98,7 +98,7 @@ impl Picture {
 
     /// The `img` element.
     pub(super) fn img(&self) -> Markup {
-        html! { img src=(self.uri) width=(self.width) height=(self.height) alt=(self.alt) decoding="async"; }
+        html! { img src=(self.uri) width=(self.width) height=(self.height) alt=(self.alt); }
     }
 }
 

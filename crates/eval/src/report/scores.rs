@@ -24,7 +24,7 @@ pub fn score_figures(evaluation: &Evaluation, machine: &str) -> Vec<Figure> {
         charts.push(pair_curves(evaluation));
     }
     charts.push(times(evaluation, machine));
-    figures.push(side_by_side(charts));
+    figures.push(side_by_side(charts, 420));
     if !evaluation.failures.is_empty() {
         figures.push(left_out(evaluation));
     }

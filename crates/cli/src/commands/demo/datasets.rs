@@ -8,14 +8,18 @@ use indicatif::{ProgressBar, ProgressStyle};
 use srflow_data::generate::{self, Background, Event, FULL_SIZE, Head, Report, Settings, Shard};
 use srflow_data::manifest::Manifest;
 use srflow_data::read::{DatasetSpec, FlowDataset, Sample, Split};
-use srflow_eval::report::{Film, Panel, Picture, flow_scale, sample_panels, shrink_flow, shrink_image};
+use srflow_eval::head_window;
+use srflow_eval::report::{
+    Film, Panel, Picture, flow_scale, sample_panels, shrink_flow, shrink_image, shrink_mask,
+};
 use srflow_field::{FlowField, FlowFormat, Image, flow_colors};
 
 /// Behind every head: a warm grey that is calm on a light and on a dark page.
 pub const BACKGROUND: [u8; 3] = [0xdd, 0xda, 0xd4];
 
-/// Three heads, each in two frame pairs at the paper's full size.
-pub const STILLS: Plan = Plan { folder: "stills", scenes: 3, frames: 2, size: FULL_SIZE };
+/// Three heads, each in one frame pair at the paper's full size. A scene begins and ends before the frontal camera, so
+/// that in a scene of one pair only the face moves.
+pub const STILLS: Plan = Plan { folder: "stills", scenes: 3, frames: 1, size: FULL_SIZE };
 
 /// The same three heads in motion, a sixteenth of the pixels.
 pub const CLIPS: Plan = Plan { folder: "clips", scenes: 3, frames: 36, size: (550, 802) };
@@ -139,9 +143,11 @@ pub fn stills(rendered: &Rendered) -> anyhow::Result<Vec<Still>> {
 fn still(sample: &Sample, name: &str) -> anyhow::Result<Still> {
     let frame = &sample.frame1;
     let portrait = shrink_image(frame, 720);
-    let flow = sample.flow.as_ref().map(|flow| shrink_flow(flow, 720)).unwrap_or_else(|| FlowField::new(1, 1));
+    let flow =
+        sample.flow.as_ref().map(|flow| shrink_flow(flow, 720)).unwrap_or_else(|| FlowField::new(1, 1));
     let size = (frame.width().min(720), frame.height().min(620));
-    let window = srflow_eval::head_window(frame.size(), size, sample.mask.as_ref())?;
+    // The rig looks at the middle of the head, which is between the eyes.
+    let window = head_window(frame.size(), size, None)?;
     let detail = frame.crop(window.left, window.top, window.width, window.height);
     let panel = |picture, title: &str, note: String| Panel { picture, title: title.to_owned(), note };
     Ok(Still {
@@ -155,7 +161,7 @@ fn still(sample: &Sample, name: &str) -> anyhow::Result<Still> {
             name,
             format!("{}×{} of its pixels, one to one", size.0, size.1),
         ),
-        panels: sample_panels(sample, name, 560)?,
+        panels: sample_panels(sample, name, 420)?,
         over_flow: (
             Picture::jpeg(&portrait, "frame")?,
             Picture::jpeg(&flow_colors(&flow, Some(flow_scale(&flow) as f32)), "flow")?,
@@ -168,7 +174,7 @@ fn still(sample: &Sample, name: &str) -> anyhow::Result<Still> {
 /// # Errors
 /// When a file cannot be read or a film not be encoded.
 pub fn films(rendered: &Rendered) -> anyhow::Result<(Vec<Film>, f64)> {
-    const WIDTH: usize = 300;
+    const WIDTH: usize = 366;
     let entries = rendered.dataset.entries();
     let scene = entries.first().map(|entry| entry.scene.clone()).unwrap_or_default();
     let (mut frames, mut flows, mut hidden) = (Vec::new(), Vec::new(), Vec::new());
@@ -176,13 +182,15 @@ pub fn films(rendered: &Rendered) -> anyhow::Result<(Vec<Film>, f64)> {
         let sample = rendered.dataset.read(entry)?;
         frames.push(shrink_image(&sample.frame1, WIDTH));
         flows.extend(sample.flow.as_ref().map(|flow| shrink_flow(flow, WIDTH)));
-        hidden.extend(sample.occlusion.as_ref().map(|mask| srflow_eval::report::shrink_mask(mask, WIDTH)));
+        hidden.extend(sample.occlusion.as_ref().map(|mask| shrink_mask(mask, WIDTH)));
     }
     let longest = flows.iter().map(flow_scale).fold(0.1, f64::max);
     let flows: Vec<Image> = flows.iter().map(|flow| flow_colors(flow, Some(longest as f32))).collect();
     let hidden: Vec<Image> = hidden
         .iter()
-        .map(|share| Image::from_fn(share.width(), share.height(), |x, y| [(share.get(x, y) * 255.0) as u8; 3]))
+        .map(|share| {
+            Image::from_fn(share.width(), share.height(), |x, y| [(share.get(x, y) * 255.0) as u8; 3])
+        })
         .collect();
     let films = vec![
         Film::new(&frames, "Frames", "what a camera sees")?,

@@ -91,14 +91,15 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
     let at_full_size = stages.run("Estimating and scoring at full size", || {
         score(&stills.dataset, &estimators, Some(PAPER_CROP), 3)
     })?;
-    let in_motion = stages.run("Estimating and scoring the heads in motion", || {
-        score(&clips.dataset, &estimators, None, 12)
-    })?;
+    let in_motion = stages
+        .run("Estimating and scoring the heads in motion", || score(&clips.dataset, &estimators, None, 12))?;
     let on_photographs = stages.run("Estimating and scoring photographs", || {
         photographs.map(|dataset| score(&dataset, &estimators, None, 2)).transpose()
     })?;
 
-    for (evaluation, name) in [(&at_full_size.0, "scores-full-size.csv"), (&in_motion.0, "scores-in-motion.csv")] {
+    for (evaluation, name) in
+        [(&at_full_size.0, "scores-full-size.csv"), (&in_motion.0, "scores-in-motion.csv")]
+    {
         write_text(&args.out.join(name), &evaluation.csv())?;
     }
     let shown = page::Shown {
@@ -148,7 +149,7 @@ fn score(
     pairs: usize,
 ) -> anyhow::Result<(Evaluation, Vec<Figure>)> {
     let settings = Settings { crop, limit: Some(pairs), on_failure: OnFailure::Stop };
-    scoring::score(dataset, estimators, settings, Pictures { pairs: pairs.min(3), width: 480 })
+    scoring::score(dataset, estimators, settings, Pictures { pairs: pairs.min(3), width: 380 })
 }
 
 /// Where the report is and how long it took; everything measured with `--json`.

@@ -1,10 +1,10 @@
 //! What the demo's report says, from top to bottom.
 
-use srflow_eval::report::{
-    ActionCard, Axis, Bar, Bin, Chart, Figure, Film, Panel, Report, Section, action_cards, bars, compare, facts,
-    films, histogram, panels, score_figures, side_by_side, tiles, wheel_legend,
-};
 use srflow_eval::Evaluation;
+use srflow_eval::report::{
+    ActionCard, Axis, Bar, Bin, Chart, Figure, Film, Panel, Report, Section, action_cards, bars, compare,
+    facts, films, histogram, panels, score_figures, side_by_side, tiles, wheel_legend,
+};
 
 use super::datasets::{Rendered, Still};
 use super::stage::Stages;
@@ -60,7 +60,7 @@ fn opening(shown: &Shown, stages: &Stages) -> anyhow::Result<Vec<Figure>> {
     let pairs = shown.stills.report.pairs + shown.clips.report.pairs;
     let numbers = [
         (shown.heads.len().to_string(), "heads, none of them a real person's".to_owned()),
-        (shown.gaussians.to_string(), "Gaussians on the first".to_owned()),
+        (thousands(shown.gaussians), "Gaussians on the first".to_owned()),
         (pairs.to_string(), "frame pairs with exact flow".to_owned()),
         (size(&shown.stills), "pixels at full size".to_owned()),
         (format!("{:.0} s", stages.seconds()), "for everything on this page".to_owned()),
@@ -89,19 +89,17 @@ fn heads(shown: &Shown) -> Section {
 }
 
 fn pair(shown: &Shown) -> Section {
-    let mut figures = Vec::new();
-    for head in &shown.heads {
-        figures.push(panels(&head.panels, 200, ""));
-    }
-    if let Some(head) = shown.heads.first() {
+    let sliders = shown.heads.iter().map(|head| {
         let (frame, flow) = &head.over_flow;
-        figures.push(compare((frame, "frame 1"), (flow, "flow to frame 2"), "Drag the divider."));
-    }
+        compare((frame, "frame 1"), (flow, "flow"), "")
+    });
+    let mut figures = vec![side_by_side(sliders.collect(), 260)];
+    figures.extend(shown.heads.iter().map(|head| panels(&head.panels, 200, "")));
     Section {
         title: "What every pair comes with".to_owned(),
         lead: "Two frames, and for each pixel of the first: where it goes, whether it belongs to the head, and whether \
             the second frame hides it. The flow is not estimated: it is the motion of the Gaussians themselves, \
-            blended like their colours in the same pass."
+            blended like their colours in the same pass. Drag the dividers."
             .to_owned(),
         figures,
     }
@@ -153,7 +151,8 @@ fn photographs(shown: &Shown) -> Option<Section> {
     figures.extend(score_figures(evaluation, &shown.machine));
     Some(Section {
         title: "Real photographs".to_owned(),
-        lead: "The same methods, scores and pictures on frames from a camera, whose true flow was measured.".to_owned(),
+        lead: "The same methods, scores and pictures on frames from a camera, whose true flow was measured."
+            .to_owned(),
         figures,
     })
 }
@@ -169,7 +168,7 @@ fn making(shown: &Shown, stages: &Stages) -> Section {
         title: "How it was made".to_owned(),
         lead: "Frames and flow depend on the seed alone: the same on every machine, whatever the number of threads."
             .to_owned(),
-        figures: vec![side_by_side(vec![stage_times(stages), magnitudes(&shown.clips)]), facts(&named)],
+        figures: vec![side_by_side(vec![stage_times(stages), magnitudes(&shown.clips)], 420), facts(&named)],
     }
 }
 
@@ -212,7 +211,12 @@ fn magnitudes(rendered: &Rendered) -> Figure {
         caption,
     };
     let Some(statistics) = &rendered.report.statistics else {
-        return histogram(&[], Axis::Logarithmic, Axis::Linear, &chart("The dataset is not whole.".to_owned()));
+        return histogram(
+            &[],
+            Axis::Logarithmic,
+            Axis::Linear,
+            &chart("The dataset is not whole.".to_owned()),
+        );
     };
     let pixels = statistics.flow.pixels.max(1) as f64;
     let edges = statistics.bin_edges;
@@ -237,4 +241,21 @@ fn magnitudes(rendered: &Rendered) -> Figure {
 
 fn size(rendered: &Rendered) -> String {
     rendered.report.statistics.as_ref().map_or(String::new(), |all| format!("{}×{}", all.width, all.height))
+}
+
+/// A count with a comma before every third digit from the right.
+fn thousands(count: usize) -> String {
+    let digits = count.to_string();
+    let groups: Vec<&str> =
+        digits.as_bytes().rchunks(3).rev().filter_map(|group| str::from_utf8(group).ok()).collect();
+    groups.join(",")
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn counts_are_read_in_threes() {
+        let shown = [0, 999, 1000, 127_448, 11_161_000].map(super::thousands);
+        assert_eq!(shown, ["0", "999", "1,000", "127,448", "11,161,000"]);
+    }
 }

@@ -131,7 +131,9 @@ impl Evaluation {
             let scores = SCORES.iter().map(|(.., value)| metrics.map(value));
             Row {
                 name: method.name.clone(),
-                values: scores.chain(std::iter::once(method.median_seconds())).collect(),
+                values: scores
+                    .chain(std::iter::once(method.median_seconds().filter(|_| !method.baseline)))
+                    .collect(),
                 baseline: method.baseline,
             }
         };

@@ -48,9 +48,13 @@ impl Scale {
         Self { axis: Axis::Linear, low: 0.0, high: count as f64 * step, ticks }
     }
 
-    /// From exactly `low` to exactly `high`.
+    /// From exactly `low` to exactly `high`. Between whole numbers that are further apart than the ticks would be, the
+    /// ticks are whole too: there is no pair 2.5.
     pub(super) fn exact(low: f64, high: f64) -> Self {
-        let step = round_step((high - low).max(1e-9) / 5.0);
+        let mut step = round_step((high - low).max(1e-9) / 5.0);
+        if low.fract() == 0.0 && high.fract() == 0.0 && step > 1.0 && step.fract() != 0.0 {
+            step *= 2.0; // 2.5 becomes 5
+        }
         let first = (low / step - 1e-9).ceil() as i64;
         let last = (high / step + 1e-9).floor() as i64;
         Self { axis: Axis::Linear, low, high, ticks: (first..=last).map(|i| i as f64 * step).collect() }

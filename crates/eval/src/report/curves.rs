@@ -26,7 +26,9 @@ pub fn curves(curves: &[Curve], vertical: Axis, dots: bool, chart: &Chart) -> Fi
         true => Scale::exact(0.0, 1.0),
         false => {
             let low = least(&mut all.iter().map(|point| point.0));
-            Scale::exact(low, most(&mut all.iter().map(|point| point.0)).max(low + 1e-9))
+            let high = most(&mut all.iter().map(|point| point.0)).max(low + 1e-9);
+            // An axis that begins close to zero begins at zero.
+            Scale::exact(if 0.0 < low && low < 0.05 * high { 0.0 } else { low }, high)
         }
     };
     let top = most(&mut all.iter().map(|point| point.1));

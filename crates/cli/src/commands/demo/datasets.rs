@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressStyle};
-use srflow_data::generate::{self, Background, Event, FULL_SIZE, Head, Report, Settings, Shard};
+use srflow_data::generate::{self, Background, Event, Head, Report, Settings, Shard};
 use srflow_data::manifest::Manifest;
 use srflow_data::read::{DatasetSpec, FlowDataset, Sample, Split};
 use srflow_eval::head_window;
@@ -14,24 +14,36 @@ use srflow_eval::report::{
 };
 use srflow_field::{FlowField, FlowFormat, Image, flow_colors};
 
+use crate::size::Size;
+
 /// Behind every head: a warm grey that is calm on a light and on a dark page.
 pub const BACKGROUND: [u8; 3] = [0xdd, 0xda, 0xd4];
 
-/// Three heads, each in one frame pair at the paper's full size. A scene begins and ends before the frontal camera, so
-/// that in a scene of one pair only the face moves.
-pub const STILLS: Plan = Plan { folder: "stills", scenes: 3, frames: 1, size: FULL_SIZE };
+/// How many heads there are, each in a scene of its own.
+const HEADS: u32 = 3;
+
+/// Three heads at full size. Eight pairs are enough that the first of them moves no faster than faces do.
+pub fn stills(size: Size) -> Plan {
+    Plan { folder: "stills", frames: 8, size }
+}
 
 /// The same three heads in motion, a sixteenth of the pixels.
-pub const CLIPS: Plan = Plan { folder: "clips", scenes: 3, frames: 36, size: (550, 802) };
+pub fn clips(full: Size) -> Plan {
+    let quarter = |side: usize| (side / 4).max(16);
+    Plan {
+        folder: "clips",
+        frames: 36,
+        size: Size { width: quarter(full.width), height: quarter(full.height) },
+    }
+}
 
 /// What one dataset is to be.
 #[derive(Debug, Clone, Copy)]
 pub struct Plan {
     /// Folder inside the demo's.
     pub folder: &'static str,
-    scenes: u32,
     frames: u32,
-    size: (usize, usize),
+    size: Size,
 }
 
 /// A dataset that was rendered.
@@ -53,13 +65,13 @@ impl Plan {
     pub fn render(self, out: &Path, head: &Head, seed: u64, force: bool) -> anyhow::Result<Rendered> {
         let settings = Settings {
             head: head.clone(),
-            scenes: self.scenes,
+            scenes: HEADS,
             frames: f64::from(self.frames),
-            width: self.size.0,
-            height: self.size.1,
+            width: self.size.width,
+            height: self.size.height,
             splits: [0.0, 0.0, 1.0],
             seed,
-            flow_format: FlowFormat::Flo,
+            flow_format: FlowFormat::Npz,
             backward: false,
             depth: false,
             background: Background::Colour(BACKGROUND),
@@ -83,16 +95,16 @@ impl Plan {
 
     /// The command that renders the same dataset.
     pub fn command(self, head: &Head, seed: u64) -> String {
-        let (width, height) = self.size;
+        let Size { width, height } = self.size;
         let head = match head {
             Head::Builtin => String::new(),
             Head::Ict(dir) => format!(" --head ict:{}", dir.display()),
         };
         let [r, g, b] = BACKGROUND;
         format!(
-            "srflow render --out {} --scenes {} --frames {} --size {width}x{height} --splits 0,0,1{head} --seed {seed} \\
+            "srflow render --out {} --scenes {} --frames {} --size {width}x{height} --splits 0,0,1{head} --seed {seed} --flow-format npz \\
              --background '#{r:02x}{g:02x}{b:02x}'",
-            self.folder, self.scenes, self.frames
+            self.folder, HEADS, self.frames
         )
     }
 }
@@ -122,11 +134,11 @@ pub struct Still {
     pub over_flow: (Picture, Picture),
 }
 
-/// The first pair of every scene, as pictures.
+/// The first pair of every scene as pictures; it begins before the frontal camera.
 ///
 /// # Errors
 /// When a file cannot be read or a picture not be encoded.
-pub fn stills(rendered: &Rendered) -> anyhow::Result<Vec<Still>> {
+pub fn portraits(rendered: &Rendered) -> anyhow::Result<Vec<Still>> {
     let mut stills = Vec::new();
     let mut scene = None;
     for entry in rendered.dataset.entries() {
@@ -159,7 +171,7 @@ fn still(sample: &Sample, name: &str) -> anyhow::Result<Still> {
         detail: panel(
             Picture::jpeg(&detail, &format!("{name}, detail"))?,
             name,
-            format!("{}×{} of its pixels, one to one", size.0, size.1),
+            format!("{}×{} of its pixels", size.0, size.1),
         ),
         panels: sample_panels(sample, name, 420)?,
         over_flow: (

@@ -12,7 +12,7 @@ use anyhow::{Context as _, ensure};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 use srflow_avatar::Avatar;
-use srflow_data::generate::Head;
+use srflow_data::generate::{FULL_SIZE, Head};
 use srflow_data::read::{DatasetSpec, FlowDataset};
 use srflow_eval::report::Figure;
 use srflow_eval::{Evaluation, OnFailure, Settings};
@@ -20,8 +20,8 @@ use srflow_field::{FlowEstimator, write_atomically};
 
 use crate::methods::{self, Method, MethodParameters};
 use crate::scoring::{self, Pictures};
+use crate::size::Size;
 use crate::{Context, machine};
-use datasets::{CLIPS, STILLS};
 use stage::Stages;
 
 /// Make a small dataset, estimate its flow, score it and show it all in one report
@@ -42,6 +42,9 @@ pub struct Demo {
     /// Seed of every random choice; another seed gives other heads
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
+    /// Size of the large frames, WIDTHxHEIGHT; smaller is faster
+    #[arg(long, value_name = "SIZE", default_value = "2200x3208")]
+    size: Size,
     /// A folder of KITTI 2015, for real photographs with true flow
     #[arg(long, value_name = "DIR", conflicts_with = "pair")]
     kitti: Option<PathBuf>,
@@ -56,8 +59,11 @@ pub struct Demo {
     force: bool,
 }
 
-/// The paper scores 1200 by 1600 pixels around the head.
-const PAPER_CROP: (usize, usize) = (1200, 1600);
+/// The paper scores 1200 by 1600 pixels around the head of frames of 2200 by 3208; the same share of other sizes.
+fn paper_crop(size: Size) -> (usize, usize) {
+    let (full_width, full_height) = FULL_SIZE;
+    ((size.width * 1200 / full_width).max(1), (size.height * 1600 / full_height).max(1))
+}
 
 /// Runs the command.
 pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
@@ -73,14 +79,15 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
         .map(|method| methods::estimator(*method, &MethodParameters::default()))
         .collect::<anyhow::Result<Vec<_>>>()?;
 
+    let (stills_plan, clips_plan) = (datasets::stills(args.size), datasets::clips(args.size));
     let mut stages = Stages::default();
-    let (stills, heads) = stages.run("Rendering three heads at full size", || {
-        let stills = STILLS.render(&args.out, &args.head, args.seed, args.force)?;
-        let heads = datasets::stills(&stills)?;
+    let (stills, heads) = stages.run("Rendering three heads", || {
+        let stills = stills_plan.render(&args.out, &args.head, args.seed, args.force)?;
+        let heads = datasets::portraits(&stills)?;
         Ok((stills, heads))
     })?;
     let (clips, films) = stages.run("Rendering the heads in motion", || {
-        let clips = CLIPS.render(&args.out, &args.head, args.seed, args.force)?;
+        let clips = clips_plan.render(&args.out, &args.head, args.seed, args.force)?;
         let films = datasets::films(&clips)?;
         Ok((clips, films))
     })?;
@@ -89,7 +96,7 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
         Ok((avatar.bound().len(), action_units::cards(&avatar, datasets::BACKGROUND)?))
     })?;
     let at_full_size = stages.run("Estimating and scoring at full size", || {
-        score(&stills.dataset, &estimators, Some(PAPER_CROP), 3)
+        score(&stills.dataset, &estimators, Some(paper_crop(args.size)), 3)
     })?;
     let in_motion = stages
         .run("Estimating and scoring the heads in motion", || score(&clips.dataset, &estimators, None, 12))?;
@@ -112,7 +119,7 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
         at_full_size,
         in_motion,
         on_photographs,
-        commands: vec![STILLS.command(&args.head, args.seed), CLIPS.command(&args.head, args.seed)],
+        commands: vec![stills_plan.command(&args.head, args.seed), clips_plan.command(&args.head, args.seed)],
         machine: machine::describe(),
     };
     write_text(&report, &page::page(&shown, &stages)?.html())?;

@@ -62,7 +62,7 @@ fn opening(shown: &Shown, stages: &Stages) -> anyhow::Result<Vec<Figure>> {
         (shown.heads.len().to_string(), "heads, none of them a real person's".to_owned()),
         (thousands(shown.gaussians), "Gaussians on the first".to_owned()),
         (pairs.to_string(), "frame pairs with exact flow".to_owned()),
-        (size(&shown.stills), "pixels at full size".to_owned()),
+        (size(&shown.stills), "pixels in the large frames".to_owned()),
         (format!("{:.0} s", stages.seconds()), "for everything on this page".to_owned()),
     ];
     let (films_of_scene, longest) = &shown.films;
@@ -78,12 +78,12 @@ fn heads(shown: &Shown) -> Section {
     let details: Vec<Panel> = shown.heads.iter().map(|head| head.detail.clone()).collect();
     Section {
         title: "Three heads".to_owned(),
-        lead: "Each is a triangle mesh dressed in Gaussians, its shape, skin, hair and eyes drawn from one number. The \
-            frames are as large as NeRSemble's, the recordings that the SRFlow paper starts from."
+        lead: "Each is a triangle mesh dressed in Gaussians, its shape, skin, hair and eyes drawn from one number. At \
+            2200×3208 the frames are as large as NeRSemble's, the recordings that the SRFlow paper starts from."
             .to_owned(),
         figures: vec![
             panels(&portraits, 240, "The canonical frontal camera, scaled down for this page."),
-            panels(&details, 320, "The middle of the same frames, one pixel of the frame to one of the page."),
+            panels(&details, 320, "The middle of the same frames."),
         ],
     }
 }
@@ -138,9 +138,10 @@ fn full_size(shown: &Shown) -> Section {
     figures.extend(score_figures(evaluation, &shown.machine));
     Section {
         title: "At full size".to_owned(),
-        lead: "The stills, cropped to 1200×1600 pixels around the head as in the paper's evaluation. Seen by one still \
-            camera, only the face moves, and by little."
-            .to_owned(),
+        lead:
+            "The large frames, cropped around the head to the window of the paper's evaluation, 1200×1600 of \
+            2200×3208 pixels. The same motion is four times as many pixels here as above."
+                .to_owned(),
         figures,
     }
 }

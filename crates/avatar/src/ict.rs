@@ -55,7 +55,8 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
         });
     }
     let template: Vec<Vec3> = neutral.positions.iter().map(|&p| p * METRES_PER_UNIT).collect();
-    let expressions = shapes(dir, present(dir, indices.expressions.iter().cloned()), &template)?;
+    let expressions =
+        shapes(dir, present(dir, expression_names(indices.expressions).into_iter()), &template)?;
     let identity_names = (0..1000).map(|i| format!("identity{i:03}"));
     let identities = shapes(dir, present(dir, identity_names), &template)?;
 
@@ -95,6 +96,20 @@ fn read_indices(path: &Path) -> Result<VertexIndices, AvatarError> {
         return Err(malformed(problem, 1));
     }
     Ok(indices)
+}
+
+/// The listed expressions, and those that only the action units name: the published folder has a `cheekRaiser` that its
+/// own list leaves out.
+fn expression_names(mut names: Vec<String>) -> Vec<String> {
+    for stem in ACTION_UNITS.iter().flat_map(|(_, parts)| parts.iter().map(|(stem, _)| stem)) {
+        for suffix in ["", "_L", "_R"] {
+            let name = format!("{stem}{suffix}");
+            if !names.contains(&name) {
+                names.push(name);
+            }
+        }
+    }
+    names
 }
 
 /// The files of these shapes that the folder holds. A name is a file's stem and nothing else.
@@ -164,10 +179,10 @@ const HAIRLINE: [[f32; 2]; 15] = [
     [-0.090, -0.035],
     [-0.040, -0.030],
     [-0.028, -0.010],
-    [-0.021, 0.025],
-    [-0.017, 0.067],
-    [0.009, 0.069],
-    [0.015, 0.040],
+    [-0.022, 0.020],
+    [-0.017, 0.050],
+    [0.010, 0.052],
+    [0.015, 0.036],
     [0.019, 0.012],
     [0.031, 0.014],
     [0.037, 0.040],

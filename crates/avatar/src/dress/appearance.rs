@@ -85,8 +85,8 @@ impl Appearance {
         let hair_index = hair_tone(melanin, &mut stream);
         let hair = linear_from_srgb(Vec3::from_array(HAIR_TONES[hair_index])) * stream.uniform(0.8, 1.2);
         let (iris, iris_inner) = IRISES[iris_index(melanin, &mut stream)];
-        let lip_depth = stream.uniform(0.35, 0.8);
-        let rose = Vec3::new(0.94, 0.56, 0.56).lerp(Vec3::new(0.80, 0.66, 0.68), melanin);
+        let lip_depth = stream.uniform(0.45, 0.95);
+        let rose = Vec3::new(0.90, 0.44, 0.45).lerp(Vec3::new(0.80, 0.60, 0.62), melanin);
         Self {
             skin,
             melanin,

@@ -23,7 +23,7 @@ pub(super) fn dress_brows(dressing: &mut Dressing) {
             [if name == "right brow" { Joint::RightEye } else { Joint::LeftEye } as usize];
         let mut spine = spine.map(|p| p - Vec3::Y * ((p.y - eye.y) * 0.17));
         // Brows are flatter at rest than the line of these landmarks.
-        spine[0].y -= 1.6 * MM * size;
+        spine[0].y -= 2.4 * MM * size;
         spine[4].y += 1.5 * MM * size;
         let middle = spine[2];
         let skin = near_triangles(dressing.surface, &[Region::Brow, Region::Skin], middle, 0.042 * size);
@@ -72,7 +72,7 @@ fn direction(spine: &[Vec3; 5], t: f32, across: f32, root: &SurfacePoint, stream
     let along = (catmull_rom(spine, t + 0.05) - catmull_rom(spine, t - 0.05)).normalize_or(Vec3::X);
     let up = (root.normal.cross(along).cross(root.normal).cross(root.normal)).normalize_or(Vec3::Y);
     let up = if up.y < 0.0 { -up } else { up };
-    let rising = 1.15 * (1.0 - smoothstep(t / 0.35)) + 0.28 * (1.0 - t);
+    let rising = 0.85 * (1.0 - smoothstep(t / 0.35)) + 0.28 * (1.0 - t);
     let angle = rising - across * 0.38 * smoothstep(t / 0.3) + stream.normal() * 0.2;
     let flat = along - root.normal * root.normal.dot(along);
     (flat.normalize_or(along) * libm::cosf(angle) + up * libm::sinf(angle)).normalize_or(along)

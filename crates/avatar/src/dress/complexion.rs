@@ -20,6 +20,8 @@ pub(super) struct Complexion<'a> {
     /// Distance into the lips and the scalp, metres, at the vertices.
     lips: Vec<f32>,
     scalp: Vec<f32>,
+    /// Distance from the open edge of the model, metres, at the vertices.
+    rim: Vec<f32>,
     blotches: Noise,
     relief: Noise,
 }
@@ -72,6 +74,7 @@ impl<'a> Complexion<'a> {
             places: Places::new(surface),
             lips: surface.signed_distance(&[Region::Lips], 0.02),
             scalp: surface.signed_distance(&[Region::Scalp], 0.03),
+            rim: surface.rim_distance(0.02),
             blotches: Noise::new(stream.bits()),
             relief: Noise::new(stream.bits()),
         }
@@ -79,15 +82,30 @@ impl<'a> Complexion<'a> {
 
     /// Metres between the Gaussians that the eye can resolve here: fine on the face, coarse under hair and cloth.
     pub fn spacing(&self, point: &SurfacePoint) -> f32 {
-        let front = smoothstep((point.position.z / self.surface.size - self.places.ear.z) / (30.0 * MM));
+        let p = point.position / self.surface.size;
+        let front = smoothstep((p.z - self.places.ear.z) / (30.0 * MM));
+        // Finer where cloth or the model ends.
+        let rim = self.surface.value(&self.rim, point) / self.surface.size;
+        let neckline = 1.0 - smoothstep((self.cloth(point).abs() - 3.0 * MM) / (5.0 * MM));
+        let edge = neckline.max(1.0 - smoothstep((rim - 2.0 * MM) / (5.0 * MM)));
         let mm = match self.surface.model.regions[point.triangle as usize] {
             Region::Lips | Region::LidMargin => 0.5,
             Region::Brow => 0.85,
+            Region::Skin if self.is_ear(p) => 0.95,
             Region::Skin => 1.35 - 0.53 * front * smoothstep((point.normal.z + 0.5) / 0.8),
-            Region::Neck => 1.9,
+            Region::Neck => 1.9 - 1.1 * edge,
             _ => 2.5,
         };
         mm * MM * self.surface.size
+    }
+
+    /// Whether a coarse Gaussian here would reach over the edge where the model ends.
+    pub fn is_rim(&self, point: &SurfacePoint) -> bool {
+        self.surface.value(&self.rim, point) < 2.5 * MM * self.surface.size
+    }
+
+    fn is_ear(&self, p: Vec3) -> bool {
+        p.x.abs() > self.places.ear.x + 3.0 * MM && p.z < self.places.ear.z + 2.0 * MM
     }
 
     /// How much of a beard grows here, `0..=1`.
@@ -113,7 +131,7 @@ impl<'a> Complexion<'a> {
     pub fn sun(&self, p: Vec3) -> f32 {
         let p = p / self.surface.size;
         let cheeks: f32 = self.places.cheeks.iter().map(|&c| spot(p, c, 17.0)).sum();
-        (cheeks + 0.9 * spot(p, self.places.nose_tip + Vec3::Y * (15.0 * MM), 14.0) + 0.18).min(1.0)
+        (cheeks + 0.9 * spot(p, self.places.nose_tip + Vec3::Y * (15.0 * MM), 14.0) + 0.06).min(1.0)
     }
 
     /// How open pores are.
@@ -134,9 +152,6 @@ impl<'a> Complexion<'a> {
     /// Distance below the neckline, metres: positive where there is cloth.
     pub fn cloth(&self, point: &SurfacePoint) -> f32 {
         let p = point.position / self.surface.size;
-        if self.surface.model.regions[point.triangle as usize] != Region::Neck {
-            return -1.0;
-        }
         let axis = self.places.ear.z - 40.0 * MM;
         let neckline = self.places.chin.y - 60.0 * MM - 0.42 * (p.z - axis).clamp(-0.06, 0.06);
         neckline - p.y
@@ -146,7 +161,11 @@ impl<'a> Complexion<'a> {
     pub fn position(&self, point: &SurfacePoint) -> Vec3 {
         let cloth = self.cloth(point);
         let collar = 1.0 - smoothstep((cloth - 13.0 * MM) / (2.0 * MM));
-        let thickness = (2.0 + 1.0 * collar) * smoothstep((cloth + 0.5 * MM) / (2.0 * MM));
+        // The seam between the lips is closed at rest, though the model may leave a gap.
+        if self.lip(point) > 0.0 && point.normal.z < 0.55 {
+            return point.position + point.normal * (0.3 * MM * self.surface.size);
+        }
+        let thickness = (2.0 + 1.0 * collar) * smoothstep((cloth + 0.2 * MM) / (0.8 * MM));
         point.position + point.normal * (thickness * MM * self.surface.size)
     }
 
@@ -161,7 +180,7 @@ impl<'a> Complexion<'a> {
         let mut albedo = self.skin_albedo(point, p).lerp(self.lip_albedo(p), lip);
         albedo *= 1.0 - 0.35 * smoothstep((cloth + 5.0 * MM) / (5.0 * MM));
         let normal = if fine {
-            albedo *= 1.0 + stream.uniform(-0.028, 0.028);
+            albedo *= 1.0 + stream.uniform(-0.04, 0.04);
             self.relief_normal(point.normal, p, lip)
         } else {
             point.normal
@@ -220,9 +239,12 @@ impl<'a> Complexion<'a> {
     fn relief_height(&self, p: Vec3, lip: f32) -> f32 {
         let grain = 0.6 * self.relief.fractal(p * 620.0, 2) + 0.25 * self.relief.at(p * 190.0);
         let forehead = smoothstep((p.y - self.places.brow_height - 4.0 * MM) / (8.0 * MM))
+            * (1.0 - smoothstep((p.y - self.places.brow_height - 24.0 * MM) / (16.0 * MM)))
             * (1.0 - smoothstep((p.x.abs() - 35.0 * MM) / (15.0 * MM)));
-        let waver = self.relief.at(p * 45.0) * 1.6;
-        let furrows = libm::sinf((p.y / (9.5 * MM) + waver) * std::f32::consts::TAU) * forehead;
+        let waver = self.relief.at(p * 28.0) * 0.55;
+        let wave = libm::sinf((p.y / (9.5 * MM) + waver) * std::f32::consts::TAU);
+        // Lines are narrow: only the troughs of the wave.
+        let furrows = -libm::powf((0.5 - 0.5 * wave).max(0.0), 4.0) * forehead;
         (grain + 2.2 * self.appearance.age * self.appearance.age * furrows) * (1.0 - lip)
             + 1.3 * lip * self.lip_lines(p)
     }
@@ -233,7 +255,7 @@ impl<'a> Complexion<'a> {
             |axis: Vec3| self.relief_height(p + axis * d, lip) - self.relief_height(p - axis * d, lip);
         let gradient = Vec3::new(slope(Vec3::X), slope(Vec3::Y), slope(Vec3::Z));
         let tangent = gradient - normal * normal.dot(gradient);
-        (normal - tangent * 0.17).normalize_or(normal)
+        (normal - tangent * 0.21).normalize_or(normal)
     }
 
     fn cloth_color(&self, p: Vec3, normal: Vec3, cloth: f32, exposure: &Exposure) -> Vec3 {

@@ -149,7 +149,7 @@ fn highlight(dressing: &mut Dressing, eye: &Eye) {
     // A square window of nine.
     for i in 0..9 {
         let (column, row) = ((i % 3) as f32 - 1.0, (i / 3) as f32 - 1.0);
-        let position = mirror(-0.27 + column * 0.05, 0.30 + row * 0.055);
+        let position = mirror(-0.25 + column * 0.05, 0.19 + row * 0.055);
         let splat = flat(position, Vec3::Z, 0.24 * MM * size, 0.02 * MM, Vec3::new(1.0, 0.99, 0.97), 0.62);
         dressing.add(front, splat);
     }

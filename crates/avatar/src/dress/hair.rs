@@ -52,13 +52,13 @@ const BUZZED: Cut = Cut {
     parted: 0.0,
 };
 const SHORT: Cut = Cut {
-    spacing: 2.5,
+    spacing: 2.25,
     length: [44.0, 17.0],
     segments: 6,
-    width: 0.27,
-    lift: 0.62,
+    width: 0.25,
+    lift: 0.55,
     volume: 13.0,
-    obedience: 0.35,
+    obedience: 0.42,
     gravity: 0.5,
     wave: 0.3,
     curl: 0.0,
@@ -175,7 +175,12 @@ impl<'a> Growth<'a> {
         let from_centre = (root.position - self.centre).normalize_or(Vec3::Y);
         let top = smoothstep((from_centre.y + 0.05) / 0.75);
         let length = self.cut.length[1] + (self.cut.length[0] - self.cut.length[1]) * top;
-        let length = length * grown * stream.uniform(0.72, 1.1) * MM * size;
+        let near_ear = smoothstep(
+            (root.position.distance(self.nearest_ear(root.position)) / size - 30.0 * MM) / (40.0 * MM),
+        );
+        // Short hair is cut around the ears.
+        let trimmed = if self.cut.length[0] < 60.0 { 0.4 + 0.6 * near_ear } else { 1.0 };
+        let length = length * grown * trimmed * stream.uniform(0.72, 1.1) * MM * size;
         let layer = stream.unit();
         let points = self.path(root, length, layer, stream);
         let tone = stream.uniform(0.72, 1.28) * (1.0 + 0.22 * self.noise.at(root.position * 90.0));
@@ -228,7 +233,8 @@ impl<'a> Growth<'a> {
                 direction.lerp(wanted.normalize_or(direction), self.cut.obedience).normalize_or(direction);
             p += direction * step;
             // Upper layers ride on the lower ones.
-            let thickness = (0.8 + self.cut.volume * layer * smoothstep(s * 2.5)) * MM * size;
+            let risen = (self.cut.volume * layer * smoothstep(s * 2.5) * MM * size).min(0.45 * s * length);
+            let thickness = 0.8 * MM * size + risen;
             p = self.body.laid_on(p, thickness, self.cut.gravity > 0.0);
             direction = (p - points[i - 1]).normalize_or(direction);
             points.push(p);
@@ -266,6 +272,11 @@ impl<'a> Growth<'a> {
         let before_ears = smoothstep((p.z - self.ears.z - 0.005 * size) / (0.03 * size));
         let below_hairline = smoothstep((self.brow_height + 0.05 * size - p.y) / (0.04 * size));
         Vec3::new(p.x.signum() * 0.45, 0.0, -1.6) * (before_ears * below_hairline)
+    }
+
+    fn nearest_ear(&self, p: Vec3) -> Vec3 {
+        let landmark = self.surface.landmarks[if p.x < 0.0 { 0 } else { 16 }];
+        landmark - Vec3::Z * (0.02 * self.surface.size)
     }
 
     fn anchor(&self, root: &SurfacePoint) -> u32 {

@@ -31,9 +31,9 @@ pub(super) fn dress_lashes(dressing: &mut Dressing) {
         let eye = surface.joints[lid.eye as usize];
         let regions = [Region::LidMargin, Region::Skin, Region::InnerLid];
         let skin = near_triangles(surface, &regions, eye, 0.028 * surface.size);
-        let hairs = if lid.upper { 105 } else { 50 };
+        let hairs = if lid.upper { 88 } else { 50 };
         for i in 0..hairs {
-            let t = 0.02 + 0.86 * (i as f32 + stream.unit()) / hairs as f32;
+            let t = 0.05 + 0.84 * (i as f32 + stream.unit()) / hairs as f32;
             grow(dressing, lid, &skin, t, &mut stream);
         }
         if lid.upper {
@@ -52,7 +52,7 @@ fn grow(dressing: &mut Dressing, lid: &Lid, skin: &[u32], t: f32, stream: &mut S
     let fan = temple * (0.62 * (0.62 - t) + stream.normal() * 0.07);
     let clump = libm::sinf(t * 90.0) * 0.05;
     let (length, start, curl) = if lid.upper {
-        (8.2 * (1.0 - 0.6 * t), Vec3::new(0.0, -0.10, 0.85), Vec3::new(0.0, 0.72, -0.1))
+        (7.6 * (1.0 - 0.55 * t), Vec3::new(0.0, -0.12, 0.98), Vec3::new(0.0, 0.66, -0.1))
     } else {
         (5.2 * (1.0 - 0.45 * t), Vec3::new(0.0, -0.42, 0.75), Vec3::new(0.0, -0.25, 0.0))
     };
@@ -64,9 +64,9 @@ fn grow(dressing: &mut Dressing, lid: &Lid, skin: &[u32], t: f32, stream: &mut S
     let dark = dressing.appearance.brows.min(Vec3::splat(0.035)) * 0.5;
     let strand = Strand {
         points: &points,
-        width: if lid.upper { 0.055 } else { 0.035 } * MM * size,
+        width: if lid.upper { 0.048 } else { 0.032 } * MM * size,
         taper: 0.35,
-        opacity: if lid.upper { 0.8 } else { 0.42 },
+        opacity: if lid.upper { 0.74 } else { 0.38 },
         albedo: [dark, dark],
         gloss: 0.1,
         outward: Vec3::ZERO,

@@ -40,9 +40,12 @@ fn close_surface(dressing: &mut Dressing, complexion: &Complexion) {
     let mut triangles = surface.triangles_of(&SKIN);
     triangles.extend(surface.triangles_of(&[Region::InnerLid]));
     for point in surface.scatter(&triangles, spacing, &mut stream) {
+        if complexion.is_rim(&point) {
+            continue;
+        }
         let sigma = spacing(&point) * 0.8;
         let color = complexion.color(&point, &dressing.exposure(&point), &mut stream, false);
-        let position = complexion.position(&point) - point.normal * (0.35 * spacing(&point));
+        let position = point.position - point.normal * (0.35 * spacing(&point));
         dressing.add(point.triangle, flat(position, point.normal, sigma, 0.1 * sigma, color, 0.99));
     }
 }

@@ -29,7 +29,8 @@ pub(super) fn add_strand(dressing: &mut Dressing, triangle: u32, strand: &Strand
     for (i, ends) in strand.points.windows(2).enumerate() {
         let along = ends[1] - ends[0];
         let s = (i as f32 + 0.5) / segments as f32;
-        let width = strand.width * (1.0 + (strand.taper - 1.0) * s);
+        let root = if strand.outward == Vec3::ZERO { 1.0 } else { 0.4 + 0.6 * (s * 5.0).min(1.0) };
+        let width = strand.width * root * (1.0 + (strand.taper - 1.0) * s);
         let color = hair_color(strand, along.normalize_or(Vec3::Y), s, exposure);
         // Segments overlap by half, which hides the joints.
         let scale = Vec3::new(along.length() * 0.42, width, width);
@@ -37,7 +38,7 @@ pub(super) fn add_strand(dressing: &mut Dressing, triangle: u32, strand: &Strand
             position: (ends[0] + ends[1]) * 0.5,
             scale,
             rotation: rotation_along(along, Vec3::Z),
-            opacity: strand.opacity * (1.0 - 0.35 * s * s),
+            opacity: strand.opacity * (1.0 - 0.35 * s * s) * (0.4 + 0.6 * root),
             color,
         };
         dressing.add(triangle, splat);

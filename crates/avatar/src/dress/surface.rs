@@ -168,6 +168,29 @@ impl<'a> Surface<'a> {
         distances
     }
 
+    /// Distance of each vertex to the edge where the mesh ends, metres, `reach` at most.
+    pub fn rim_distance(&self, reach: f32) -> Vec<f32> {
+        let mut edges: HashMap<[u32; 2], (u32, bool)> = HashMap::new();
+        for (triangle, region) in self.model.triangles.iter().zip(&self.model.regions) {
+            for i in 0..3 {
+                let (a, b) = (triangle[i], triangle[(i + 1) % 3]);
+                let edge = edges.entry([a.min(b), a.max(b)]).or_default();
+                *edge = (edge.0 + 1, *region == Region::Neck);
+            }
+        }
+        let mut is_rim = vec![false; self.vertices.len()];
+        for (edge, _) in edges.iter().filter(|(_, (count, neck))| *count == 1 && *neck) {
+            edge.iter().for_each(|v| is_rim[*v as usize] = true);
+        }
+        let mut rim = Buckets::new(reach);
+        for (v, p) in self.vertices.iter().enumerate().filter(|(v, _)| is_rim[*v]) {
+            rim.insert(*p, v as u32);
+        }
+        let nearest =
+            |p: &Vec3| rim.near(*p).map(|v| self.vertices[v as usize].distance(*p)).fold(reach, f32::min);
+        self.vertices.iter().map(nearest).collect()
+    }
+
     /// Each value becomes the mean of its own and its neighbours' mean.
     pub fn smooth<T>(&self, values: &mut [T])
     where

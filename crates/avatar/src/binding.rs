@@ -129,3 +129,106 @@ impl BoundGaussians {
             });
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::{DMat3, DVec3};
+    use srflow_field::random::{Key, Stream};
+
+    fn vector(stream: &mut Stream) -> Vec3 {
+        Vec3::new(stream.normal(), stream.normal(), stream.normal())
+    }
+
+    /// GaussianAvatars, `utils/graphics_utils.py` and `scene/gaussian_model.py`, word for word in f64: centroid,
+    /// a0 = norm(v1 - v0), a1 = norm(a0 x (v2 - v0)), a2 = -norm(a1 x a0), R = [a0 | a1 | a2],
+    /// k = (|v1 - v0| + |a2 . (v2 - v0)|) / 2; x' = k R x + T, scale' = k scale, covariance axes R q.
+    fn by_definition(v: [DVec3; 3], x: DVec3, scale: DVec3, q: DMat3) -> (DVec3, DVec3, DMat3) {
+        let centroid = (v[0] + v[1] + v[2]) / 3.0;
+        let a0 = (v[1] - v[0]).normalize();
+        let a1 = a0.cross(v[2] - v[0]).normalize();
+        let a2 = -(a1.cross(a0).normalize());
+        let rotation = DMat3::from_cols(a0, a1, a2);
+        let k = ((v[1] - v[0]).length() + a2.dot(v[2] - v[0]).abs()) / 2.0;
+        (k * (rotation * x) + centroid, k * scale, rotation * q)
+    }
+
+    #[test]
+    fn gaussians_ride_on_triangles_as_gaussian_avatars_defines() {
+        let mut stream = Key::new(3).stream("binding");
+        for _ in 0..200 {
+            let v: [Vec3; 3] = std::array::from_fn(|_| vector(&mut stream));
+            let rest: [Vec3; 3] = std::array::from_fn(|_| vector(&mut stream));
+            let mut bound = BoundGaussians::default();
+            let splat = Splat {
+                position: vector(&mut stream),
+                scale: Vec3::new(0.1, 0.2, 0.3),
+                rotation: Quat::from_scaled_axis(vector(&mut stream)),
+                opacity: 0.5,
+                color: Vec3::new(0.2, 0.5, 0.9),
+            };
+            bound.bind(0, &TriangleFrame::of(rest[0], rest[1], rest[2]), &splat);
+            let frame = TriangleFrame::of(v[0], v[1], v[2]);
+            let (position, scale, rotation) = bound.world(0, &frame);
+            let local = DMat3::from_quat(bound.local.rotations[0].as_dquat());
+            let x = bound.local.positions[0].as_dvec3();
+            let expected = by_definition(v.map(|p| p.as_dvec3()), x, bound.local.scales[0].as_dvec3(), local);
+            // Slivers have large local coordinates: the tolerance grows with them.
+            let reach = 1.0 + f64::from(frame.scale) * x.length();
+            assert!(position.as_dvec3().distance(expected.0) < 1e-5 * reach, "{position} {}", expected.0);
+            assert!(scale.as_dvec3().distance(expected.1) < 1e-5 * (1.0 + expected.1.length()));
+            let axes = DMat3::from_quat(rotation.as_dquat());
+            assert!((axes - expected.2).to_cols_array().iter().all(|d| d.abs() < 1e-4));
+            let (again, ..) = bound.world(0, &TriangleFrame::of(rest[0], rest[1], rest[2]));
+            assert!(again.distance(splat.position) < 1e-3, "at rest a Gaussian is where it was bound");
+        }
+    }
+
+    #[test]
+    fn all_at_once_is_one_by_one() {
+        let mut stream = Key::new(4).stream("binding");
+        let frames: Vec<TriangleFrame> = (0..50)
+            .map(|_| TriangleFrame::of(vector(&mut stream), vector(&mut stream), vector(&mut stream)))
+            .collect();
+        let mut bound = BoundGaussians::default();
+        for _ in 0..20_000 {
+            let splat = Splat {
+                position: vector(&mut stream),
+                scale: vector(&mut stream).abs(),
+                rotation: Quat::from_scaled_axis(vector(&mut stream)),
+                opacity: stream.unit(),
+                color: vector(&mut stream).abs(),
+            };
+            let triangle = stream.below(50);
+            bound.bind(triangle, &frames[triangle as usize], &splat);
+        }
+        let mut out = Gaussians { positions: vec![Vec3::NAN; 7], ..Gaussians::default() };
+        bound.world_into(&frames, &mut out);
+        assert_eq!(out.len(), bound.len());
+        for i in 0..bound.len() {
+            let expected = bound.world(i, &frames[bound.triangles()[i] as usize]);
+            assert_eq!((out.positions[i], out.scales[i], out.rotations[i]), expected);
+        }
+        assert_eq!(out.sh.len(), bound.len());
+        assert_eq!(out.sh_degree, 0);
+    }
+
+    #[test]
+    fn triangles_without_area_give_finite_gaussians() {
+        let (p, q) = (Vec3::new(0.1, 0.2, 0.3), Vec3::new(0.4, 0.2, 0.3));
+        let splat = Splat {
+            position: p,
+            scale: Vec3::splat(0.01),
+            rotation: Quat::IDENTITY,
+            opacity: 1.0,
+            color: Vec3::ONE,
+        };
+        for [a, b, c] in [[p, p, p], [p, q, q], [p, p, q], [p, q, p], [p, q, p.lerp(q, 0.5)]] {
+            let frame = TriangleFrame::of(a, b, c);
+            let mut bound = BoundGaussians::default();
+            bound.bind(0, &frame, &splat);
+            let (position, scale, rotation) = bound.world(0, &frame);
+            assert!(position.is_finite() && scale.is_finite() && rotation.is_normalized(), "{a} {b} {c}");
+        }
+    }
+}

@@ -1,0 +1,220 @@
+//! Dressed heads as a user meets them: whole, without holes, and the same person for the same seed.
+
+use std::path::{Path, PathBuf};
+
+use glam::{DMat4, DVec3, Quat, Vec3};
+use srflow_avatar::{Avatar, AvatarError, HeadPose, Joint, PosedHead, Region, Side};
+use srflow_splat::{Camera, Frame, Gaussians, Options, Rasterizer};
+
+fn ict_folder() -> Option<PathBuf> {
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data"))
+        .join("ict-facekit/FaceXModel");
+    if folder.is_dir() {
+        return Some(folder);
+    }
+    eprintln!("skipped: no ICT-FaceKit at {}", folder.display());
+    None
+}
+
+fn gaussians(avatar: &Avatar, pose: &HeadPose) -> (Gaussians, PosedHead) {
+    let (mut head, mut out) = (PosedHead::default(), Gaussians::default());
+    avatar.gaussians_into(pose, &mut head, &mut out);
+    (out, head)
+}
+
+/// Poses that stretch and fold a face: everything at once, the mouth torn open, a grin, eyes shut, joints far out.
+fn extreme_poses(avatar: &Avatar) -> Vec<HeadPose> {
+    let model = avatar.model();
+    let show = |numbers: &[u8]| {
+        let listed: Vec<(u8, Side, f32)> = model
+            .action_units
+            .iter()
+            .filter(|unit| numbers.is_empty() || numbers.contains(&unit.number))
+            .map(|unit| (unit.number, unit.side, 1.0))
+            .collect();
+        model.pose_of_action_units(&listed).expect("the model's own units")
+    };
+    let mut turned = show(&[26]);
+    turned.joints[Joint::Neck as usize] = Quat::from_rotation_y(0.4) * Quat::from_rotation_x(0.25);
+    turned.joints[Joint::LeftEye as usize] = Quat::from_rotation_y(0.4);
+    turned.joints[Joint::RightEye as usize] = Quat::from_rotation_y(0.4);
+    turned.translation = Vec3::new(0.02, -0.01, 0.03);
+    vec![HeadPose::default(), show(&[]), show(&[26]), show(&[6, 12, 25]), show(&[4, 9, 43]), turned]
+}
+
+fn camera(width: usize, height: usize) -> Camera {
+    let eye = DVec3::new(0.0, 0.0, 1.1);
+    // World x and camera x agree, y and z are turned about.
+    let axes = DMat4::from_cols_array(&[
+        1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0,
+    ]);
+    let focal = width as f64 * 3.4;
+    Camera {
+        width,
+        height,
+        fx: focal,
+        fy: focal,
+        cx: (width as f64 - 1.0) / 2.0,
+        cy: (height as f64 - 1.0) / 2.0,
+        camera_from_world: axes * DMat4::from_translation(-eye),
+    }
+}
+
+/// `true` on pixels that the closed skin of the face covers, kept two pixels away from its outline.
+fn inside_of_face(avatar: &Avatar, vertices: &[Vec3], camera: &Camera) -> Vec<bool> {
+    let (width, height) = (camera.width, camera.height);
+    let mut covered = vec![false; width * height];
+    let model = avatar.model();
+    for (triangle, region) in model.triangles.iter().zip(&model.regions) {
+        if !matches!(region, Region::Skin | Region::Brow | Region::Lips | Region::Scalp | Region::Eyeball) {
+            continue;
+        }
+        let [a, b, c] =
+            triangle.map(|v| camera.project(vertices[v as usize].as_dvec3()).expect("in front").0);
+        let area = (b - a).perp_dot(c - a);
+        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+        for y in low.y.ceil().max(0.0) as usize..=(high.y.floor().min(height as f64 - 1.0)) as usize {
+            for x in low.x.ceil().max(0.0) as usize..=(high.x.floor().min(width as f64 - 1.0)) as usize {
+                let p = glam::DVec2::new(x as f64, y as f64);
+                let sides = [(b - a).perp_dot(p - a), (c - b).perp_dot(p - b), (a - c).perp_dot(p - c)];
+                covered[y * width + x] |= sides.iter().all(|s| s * area >= 0.0);
+            }
+        }
+    }
+    let eroded =
+        |x: usize, y: usize| (y - 2..=y + 2).all(|v| (x - 2..=x + 2).all(|u| covered[v * width + u]));
+    (0..width * height)
+        .map(|i| {
+            let (x, y) = (i % width, i / width);
+            x >= 2 && y >= 2 && x + 2 < width && y + 2 < height && eroded(x, y)
+        })
+        .collect()
+}
+
+fn assert_whole(avatar: &Avatar, name: &str) {
+    let camera = camera(440, 640);
+    let mut rasterizer = Rasterizer::new();
+    let mut frame = Frame::new();
+    let count = avatar.bound().len();
+    assert!((100_000..=200_000).contains(&count), "{name}: {count} Gaussians");
+    for (number, pose) in extreme_poses(avatar).iter().enumerate() {
+        let (gaussians, head) = gaussians(avatar, pose);
+        assert_eq!(gaussians.len(), count);
+        assert!(gaussians.positions.iter().all(|p| p.is_finite()), "{name}, pose {number}: position");
+        assert!(
+            gaussians.scales.iter().all(|s| s.is_finite() && s.min_element() >= 0.0),
+            "{name}, pose {number}"
+        );
+        assert!(gaussians.rotations.iter().all(|q| q.is_normalized()), "{name}, pose {number}: rotation");
+        assert!(gaussians.sh.iter().flatten().all(|c| c.is_finite()), "{name}, pose {number}: colour");
+        rasterizer.render(&gaussians, &camera, None, &Options::default(), &mut frame).expect("renders");
+        let inside = inside_of_face(avatar, head.vertices(), &camera);
+        let face = inside.iter().filter(|inside| **inside).count();
+        assert!(face > 20_000, "{name}, pose {number}: the face covers {face} pixels only");
+        let alphas = frame.alpha.pixels().iter().zip(&inside).filter(|(_, inside)| **inside);
+        let holes = alphas.filter(|(alpha, _)| **alpha < 0.99).count();
+        assert_eq!(holes, 0, "{name}, pose {number}: pixels of {face} that the background shines through");
+    }
+}
+
+#[test]
+fn built_in_heads_are_whole_in_every_pose() {
+    for seed in [1, 8] {
+        assert_whole(&Avatar::builtin(seed).expect("an avatar"), &format!("built-in {seed}"));
+    }
+}
+
+#[test]
+fn ict_heads_are_whole_in_every_pose() {
+    if let Some(folder) = ict_folder() {
+        assert_whole(&Avatar::ict(&folder, 2).expect("an avatar"), "ICT 2");
+    }
+}
+
+#[test]
+fn a_seed_is_a_person() {
+    let rest = HeadPose::default();
+    let one = gaussians(&Avatar::builtin(5).expect("an avatar"), &rest).0;
+    let same = gaussians(&Avatar::builtin(5).expect("an avatar"), &rest).0;
+    let other = gaussians(&Avatar::builtin(6).expect("an avatar"), &rest).0;
+    assert!(one == same, "the same seed gives the same bytes");
+    let mean = |g: &Gaussians| g.sh.iter().map(|c| c[0]).sum::<f32>() / g.len() as f32;
+    assert!((mean(&one) - mean(&other)).abs() > 1e-3 && one.positions != other.positions);
+}
+
+#[test]
+fn eyeballs_turn_and_carry_their_irises() {
+    let avatar = Avatar::builtin(3).expect("an avatar");
+    let mut pose = HeadPose::default();
+    let (rest, _) = gaussians(&avatar, &pose);
+    pose.joints[Joint::LeftEye as usize] = Quat::from_rotation_y(0.3);
+    let (looking, _) = gaussians(&avatar, &pose);
+    let eye = avatar.shaped().joints[Joint::LeftEye as usize];
+    let moved: Vec<usize> =
+        (0..rest.len()).filter(|&i| rest.positions[i].distance(looking.positions[i]) > 1e-3).collect();
+    assert!(moved.len() > 1000, "{} Gaussians moved", moved.len());
+    // The line of sight turns to the subject's left, and nothing else of the face moves.
+    assert!(moved.iter().all(|&i| rest.positions[i].distance(eye) < 0.03));
+    let drift: f32 = moved.iter().map(|&i| looking.positions[i].x - rest.positions[i].x).sum();
+    assert!(drift > 0.0);
+}
+
+fn ict_error(folder: &Path) -> String {
+    match Avatar::ict(folder, 1) {
+        Ok(_) => panic!("{} makes an avatar", folder.display()),
+        Err(error) => error.to_string(),
+    }
+}
+
+#[test]
+fn ict_folders_that_are_not_name_the_file() {
+    let Some(published) = ict_folder() else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let copy = |name: &str| std::fs::copy(published.join(name), folder.path().join(name)).expect("a copy");
+    assert!(ict_error(folder.path()).contains("vertex_indices.json"));
+    copy("vertex_indices.json");
+    let message = ict_error(folder.path());
+    assert!(message.contains("generic_neutral_mesh.obj") && message.contains("FaceXModel"), "{message}");
+    let neutral = folder.path().join("generic_neutral_mesh.obj");
+    std::fs::write(&neutral, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n").expect("written");
+    let message = ict_error(folder.path());
+    assert!(message.contains("3 vertices") && message.contains("26719"), "{message}");
+    std::fs::remove_file(&neutral).expect("removed");
+    copy("generic_neutral_mesh.obj");
+    std::fs::write(folder.path().join("jawOpen.obj"), "v 0 0 0\n").expect("written");
+    let error = Avatar::ict(folder.path(), 1).expect_err("a shape of one vertex");
+    assert!(matches!(error, AvatarError::VertexCount { found: 1, expected: 26_719, .. }), "{error}");
+    assert!(
+        error.to_string().contains("jawOpen.obj") && error.to_string().contains("generic_neutral_mesh.obj")
+    );
+    std::fs::write(
+        folder.path().join("vertex_indices.json"),
+        r#"{"expressions": ["../x"], "idx_to_landmark_verts": [1]}"#,
+    )
+    .expect("written");
+    assert!(ict_error(folder.path()).contains("68 landmark vertices"));
+}
+
+#[test]
+fn ict_action_units_are_those_of_the_files_present() {
+    let Some(folder) = ict_folder() else { return };
+    let avatar = Avatar::ict(&folder, 1).expect("an avatar");
+    let model = avatar.model();
+    for name in [
+        "AU1", "AU2", "AU4", "AU5", "AU6_L", "AU9", "AU12_R", "AU14", "AU15", "AU20", "AU24_L", "AU26",
+        "AU45",
+    ] {
+        assert!(model.action_unit_named(name).is_ok(), "{name}");
+    }
+    // mouthPress_R.obj is not in the folder, nor is any of these.
+    for name in ["AU24_R", "AU10", "AU17"] {
+        assert!(model.action_unit_named(name).is_err(), "{name}");
+    }
+    let smile = model.pose_of_action_units(&[(12, Side::Left, 1.0)]).expect("a smile");
+    let (_, rest) = gaussians(&avatar, &HeadPose::default());
+    let (_, smiling) = gaussians(&avatar, &smile);
+    let corner =
+        |landmark: usize, head: &PosedHead| head.frames()[model.landmarks[landmark].0 as usize].origin;
+    let [right, left] = [48, 54].map(|landmark| corner(landmark, &smiling) - corner(landmark, &rest));
+    assert!(left.y > 0.004 && left.length() > 5.0 * right.length(), "left {left}, right {right}");
+}

@@ -90,7 +90,7 @@ fn micro_expressions_rise_to_their_apex_and_are_gone_within_half_a_second() {
             assert!((micro.offset - micro.onset) as f32 / 200.0 < 0.5);
             let mut numbers: Vec<u8> = micro.action_units.iter().map(|u| u.0).collect();
             numbers.dedup();
-            let coded = class.action_unit_sets().iter().any(|set| *set == numbers.as_slice());
+            let coded = class.action_unit_sets().contains(&numbers.as_slice());
             assert!(coded, "{class:?} shows {numbers:?}");
             assert!(
                 micro.action_units.iter().all(|u| u.2 > 0.0 && u.2 < 0.7),

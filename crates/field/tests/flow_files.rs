@@ -319,8 +319,8 @@ fn npy_errors_name_the_field() {
     };
     let told = with("{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2, 3), }");
     assert_eq!(told, ": shape: expected (H, W, 2) for a flow, found [1, 2, 3]");
-    let told = with("{'descr': '<i8', 'fortran_order': False, 'shape': (1, 2, 2), }");
-    assert_eq!(told, ": descr: expected f2, f4, f8, u1 or b1 (save with dtype float32), found '<i8'");
+    let told = with("{'descr': '<c8', 'fortran_order': False, 'shape': (1, 2, 2), }");
+    assert_eq!(told, ": descr: expected real numbers or truth values (save with dtype float32), found '<c8'");
     let told = with("{'descr': '<f4', 'shape': (1, 2, 2), }");
     assert!(told.starts_with(": fortran_order: expected an entry"), "{told}");
     let told = with("{'descr': '<f4', 'fortran_order': False, 'shape': (18446744073709551615, 2, 2), }");

@@ -1,6 +1,6 @@
 //! NumPy's `.npy`: `\x93NUMPY`, a version, the length of a Python dictionary with `descr`, `fortran_order` and `shape`,
-//! and the values (`numpy/lib/format.py`). Versions 1 to 3 are read, of floating-point numbers of 2, 4 and 8 bytes in
-//! either byte order, and of bytes and truth values; version 1 is written, little-endian `f32`.
+//! and the values (`numpy/lib/format.py`). Versions 1 to 3 are read, of real and whole numbers in either byte order and of
+//! truth values; version 1 is written, little-endian `f32`.
 
 use std::io::{self, Read, Write};
 use std::path::Path;
@@ -115,6 +115,29 @@ fn encode(shape: &[usize], values: &[f32], writer: &mut impl Write) -> io::Resul
     write_f32_little_endian(writer, values)
 }
 
+/// How the numbers of a NumPy type such as `<f4` are held.
+fn sample_of(descr: &str) -> Option<Sample> {
+    let endian = match descr.get(..1)? {
+        ">" => Endian::Big,
+        _ => Endian::Little,
+    };
+    let integer = |bytes, signed| Some(Sample::Integer { bytes, signed, endian });
+    match descr.get(1..)? {
+        "f2" => Some(Sample::F16(endian)),
+        "f4" => Some(Sample::F32(endian)),
+        "f8" => Some(Sample::F64(endian)),
+        "u1" | "b1" => Some(Sample::U8),
+        "i1" => integer(1, true),
+        "i2" => integer(2, true),
+        "i4" => integer(4, true),
+        "i8" => integer(8, true),
+        "u2" => integer(2, false),
+        "u4" => integer(4, false),
+        "u8" => integer(8, false),
+        _ => None,
+    }
+}
+
 /// The header of version 1 as NumPy writes it: padded so that the values start at a multiple of 64 bytes.
 fn header_bytes(shape: &[usize]) -> Vec<u8> {
     let sides: Vec<String> = shape.iter().map(usize::to_string).collect();
@@ -189,23 +212,10 @@ impl Header {
         };
         let descr = entry("descr")?;
         let name = descr.strip_prefix(['\'', '"']).and_then(|rest| rest.split(['\'', '"']).next());
-        let sample = match name {
-            Some("<f2") => Sample::F16(Endian::Little),
-            Some(">f2") => Sample::F16(Endian::Big),
-            Some("<f4") => Sample::F32(Endian::Little),
-            Some(">f4") => Sample::F32(Endian::Big),
-            Some("<f8") => Sample::F64(Endian::Little),
-            Some(">f8") => Sample::F64(Endian::Big),
-            Some("|u1" | "|b1") => Sample::U8,
-            _ => {
-                let found = name.map_or("a structured type".to_owned(), |name| format!("'{name}'"));
-                return Err(FileProblem::field(
-                    "descr",
-                    "f2, f4, f8, u1 or b1 (save with dtype float32)",
-                    found,
-                ));
-            }
-        };
+        let sample = name.and_then(sample_of).ok_or_else(|| {
+            let found = name.map_or("a structured type".to_owned(), |name| format!("'{name}'"));
+            FileProblem::field("descr", "real numbers or truth values (save with dtype float32)", found)
+        })?;
         let order = entry("fortran_order")?;
         let fortran_order = order.starts_with("True");
         if !fortran_order && !order.starts_with("False") {

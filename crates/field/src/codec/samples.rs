@@ -1,4 +1,4 @@
-//! Blocks of floating-point numbers as files hold them.
+//! Blocks of numbers as files hold them.
 
 use std::io::{self, Read, Write};
 
@@ -18,6 +18,12 @@ pub(crate) enum Sample {
     F32(Endian),
     F64(Endian),
     U8,
+    /// A whole number of 1, 2, 4 or 8 bytes.
+    Integer {
+        bytes: usize,
+        signed: bool,
+        endian: Endian,
+    },
 }
 
 impl Sample {
@@ -27,6 +33,7 @@ impl Sample {
             Self::F32(_) => 4,
             Self::F64(_) => 8,
             Self::U8 => 1,
+            Self::Integer { bytes, .. } => bytes,
         }
     }
 }
@@ -69,6 +76,11 @@ pub(crate) fn convert_samples(sample: Sample, bytes: &[u8], values: &mut [f32]) 
         Sample::F64(Endian::Little) => each::<8>(bytes, values, |b| f64::from_le_bytes(b) as f32),
         Sample::F64(Endian::Big) => each::<8>(bytes, values, |b| f64::from_be_bytes(b) as f32),
         Sample::U8 => each::<1>(bytes, values, |b| f32::from(b[0])),
+        Sample::Integer { bytes: size, signed, endian } => {
+            for (value, bytes) in values.iter_mut().zip(bytes.chunks_exact(size)) {
+                *value = f32_from_integer(bytes, signed, endian);
+            }
+        }
     }
 }
 
@@ -84,6 +96,17 @@ pub(crate) fn write_f32_little_endian(writer: &mut dyn Write, values: &[f32]) ->
         writer.write_all(&block)?;
     }
     Ok(())
+}
+
+/// A whole number of at most 8 bytes, to the nearest `f32`.
+fn f32_from_integer(bytes: &[u8], signed: bool, endian: Endian) -> f32 {
+    let push = |number: u64, byte: &u8| number << 8 | u64::from(*byte);
+    let number = match endian {
+        Endian::Little => bytes.iter().rev().fold(0, push),
+        Endian::Big => bytes.iter().fold(0, push),
+    };
+    let unused = 64 - 8 * bytes.len() as u32;
+    if signed { ((number << unused) as i64 >> unused) as f32 } else { number as f32 }
 }
 
 /// IEEE 754 binary16.
@@ -120,6 +143,25 @@ mod tests {
             assert_eq!(f32_from_f16(bits).to_bits(), value.to_bits(), "{bits:#06x}");
         }
         assert!(f32_from_f16(0x7e00).is_nan());
+    }
+
+    #[test]
+    fn whole_numbers_of_every_size_read_as_they_are() {
+        fn read(bytes: &[u8], signed: bool, endian: Endian) -> f32 {
+            let mut values = [0.0];
+            let sample = Sample::Integer { bytes: bytes.len(), signed, endian };
+            read_samples(&mut &bytes[..], sample, &mut values).unwrap();
+            values[0]
+        }
+        for value in [-128_i8, -1, 0, 1, 127] {
+            assert_eq!(read(&value.to_le_bytes(), true, Endian::Little), f32::from(value));
+            assert_eq!(read(&i16::from(value).to_be_bytes(), true, Endian::Big), f32::from(value));
+            assert_eq!(read(&i32::from(value).to_le_bytes(), true, Endian::Little), f32::from(value));
+            assert_eq!(read(&i64::from(value).to_le_bytes(), true, Endian::Little), f32::from(value));
+        }
+        assert_eq!(read(&u16::MAX.to_be_bytes(), false, Endian::Big), 65535.0);
+        assert_eq!(read(&u32::MAX.to_le_bytes(), false, Endian::Little), 4_294_967_296.0);
+        assert_eq!(read(&i64::MIN.to_be_bytes(), true, Endian::Big), -9_223_372_036_854_775_808.0);
     }
 
     #[test]

@@ -368,6 +368,9 @@ fn flo5_errors_name_the_field() {
 
     let shape = |sides: [u64; 3]| sides.map(u64::to_le_bytes).concat();
     let huge = shape([8192, 16384, 2]);
+    let told = refusal("a.flo5", &replaced(spring(), &shape([9, 13, 2]), &shape([9, 12, 2])));
+    let expected = ": chunk shape: expected at least 1 and at most [9, 12, 2] values of 4 bytes, found [9, 13, 2] of 4 bytes";
+    assert_eq!(told, expected);
     let told = refusal("a.flo5", &replaced(spring(), &shape([9, 13, 2]), &huge));
     let expected = ": chunks: expected chunks of [9, 13, 2] that tile [8192, 16384, 2], found 1 chunks, 1 of them in place";
     assert_eq!(told, expected);

@@ -151,13 +151,13 @@ pub(super) fn chunks_of_layout<'a>(
     if version == 3 {
         fields.one_of("dimensions of chunks", &[4])?;
         let tree = fields.u64()?;
-        let chunk_shape = chunk_shape(&mut fields, 4, sample)?;
+        let chunk_shape = chunk_shape(&mut fields, 4, sample, shape)?;
         return Ok((chunk_shape, chunks_of_tree(file, tree)?));
     }
     let flags = fields.one_of("chunk flags", &[0, 2])?;
     fields.one_of("dimensions of chunks", &[4])?;
     let side_bytes = fields.one_of("bytes of a chunk's side", &[1, 2, 3, 4, 5, 6, 7, 8])?;
-    let chunk_shape = chunk_shape(&mut fields, side_bytes.into(), sample)?;
+    let chunk_shape = chunk_shape(&mut fields, side_bytes.into(), sample, shape)?;
     let unfiltered =
         chunk_shape.iter().fold(sample.bytes() as u64, |bytes, side| bytes.saturating_mul(*side));
     const SINGLE: u8 = 1;
@@ -177,14 +177,21 @@ pub(super) fn chunks_of_layout<'a>(
     Ok((chunk_shape, chunks))
 }
 
-fn chunk_shape(fields: &mut Fields, side_bytes: usize, sample: Sample) -> Result<[u64; 3], FileProblem> {
-    let shape = [fields.number(side_bytes)?, fields.number(side_bytes)?, fields.number(side_bytes)?];
+/// A chunk is no larger than the dataset: what lies outside of it would take memory for nothing.
+fn chunk_shape(
+    fields: &mut Fields,
+    side_bytes: usize,
+    sample: Sample,
+    shape: [u64; 3],
+) -> Result<[u64; 3], FileProblem> {
+    let chunk = [fields.number(side_bytes)?, fields.number(side_bytes)?, fields.number(side_bytes)?];
     let element = fields.number(side_bytes)?;
-    if element != sample.bytes() as u64 || shape.contains(&0) {
-        let expected = format!("sides of at least 1 and elements of {} bytes", sample.bytes());
-        return Err(FileProblem::field("chunk shape", expected, format!("{shape:?}, {element} bytes")));
+    let fits = chunk.iter().zip(shape).all(|(chunk, side)| (1..=side).contains(chunk));
+    if fits && element == sample.bytes() as u64 {
+        return Ok(chunk);
     }
-    Ok(shape)
+    let expected = format!("at least 1 and at most {shape:?} values of {} bytes", sample.bytes());
+    Err(FileProblem::field("chunk shape", expected, format!("{chunk:?} of {element} bytes")))
 }
 
 fn stored_at(file: &[u8], address: u64, size: u64) -> Result<&[u8], FileProblem> {

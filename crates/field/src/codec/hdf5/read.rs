@@ -78,8 +78,9 @@ impl<'a> Dataset<'a> {
         values: &mut [f32],
     ) -> Result<(), FileProblem> {
         let chunk_bytes = self.chunk_bytes(chunk_shape)?;
-        // So many chunks at a time are in memory, decompressed.
-        for batch in chunks.chunks(4 * rayon::current_num_threads()) {
+        const DECOMPRESSED_AT_A_TIME: usize = 1 << 26;
+        let batch = (DECOMPRESSED_AT_A_TIME / chunk_bytes).clamp(1, 4 * rayon::current_num_threads());
+        for batch in chunks.chunks(batch) {
             let decoded = batch.par_iter().map(|chunk| {
                 let bytes = chunk.decode(filters, chunk_bytes, self.sample.bytes())?;
                 let mut values = vec![0.0; bytes.len() / self.sample.bytes()];

@@ -7,10 +7,12 @@ mod luminance;
 mod planar;
 mod resize;
 mod simd;
+mod tvl1;
 
 use srflow_field::{EstimateError, FlowField, Image};
 
 pub use farneback::{Farneback, FarnebackParameters};
+pub use tvl1::{TvL1, TvL1Parameters};
 
 /// A parameter outside the range in which the method means anything.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

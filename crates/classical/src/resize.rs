@@ -34,6 +34,11 @@ pub fn resize_linear(input: &Plane, (width, height): (usize, usize), gain: f32) 
     resize(input, (width, height), scale, gain, Rounding::Fused)
 }
 
+/// [`resize_linear`] by a scale (input pixels per output pixel) that is given rather than taken from the sizes.
+pub fn resize_linear_by(input: &Plane, size: (usize, usize), scale: f64, gain: f32) -> Plane {
+    resize(input, size, (scale, scale), gain, Rounding::Fused)
+}
+
 /// `INTER_LINEAR` of a flow of two channels to `width` x `height`, multiplied by `gain`.
 pub fn resize_flow_linear(input: &PlanarFlow, size: (usize, usize), gain: f32) -> PlanarFlow {
     input.map(|plane| resize(plane, size, scales(plane, size), gain, Rounding::Plain))

@@ -1,19 +1,17 @@
 //! What any user may rely on, whatever the frames.
 
-use srflow_classical::{Farneback, FarnebackParameters};
+use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
 use srflow_field::random::Key;
 use srflow_field::{EstimateError, FlowEstimator, FlowField, Image};
 
 fn estimators() -> Vec<Box<dyn FlowEstimator>> {
     let farneback = |parameters| Box::new(Farneback::new(parameters).unwrap()) as Box<dyn FlowEstimator>;
+    let tvl1 = |parameters| Box::new(TvL1::new(parameters).unwrap()) as Box<dyn FlowEstimator>;
     vec![
         farneback(FarnebackParameters::default()),
-        farneback(FarnebackParameters {
-            gaussian: true,
-            winsize: 20,
-            poly_n: 7,
-            ..FarnebackParameters::default()
-        }),
+        farneback(FarnebackParameters { gaussian: true, winsize: 20, poly_n: 7, ..Default::default() }),
+        tvl1(TvL1Parameters::default()),
+        tvl1(TvL1Parameters { gamma: 0.3, median_filtering: 3, scale_step: 0.5, ..Default::default() }),
     ]
 }
 
@@ -100,22 +98,37 @@ fn frames_of_different_sizes_are_an_error() {
 #[test]
 fn an_initial_flow_leads_where_the_pyramid_does_not_reach() {
     let [u, v] = [-30.0, 17.0];
-    let (first, second) = (noise(200, 150, 3), noise(280, 210, 3));
-    let (first, second) = (first, {
-        let _ = second;
-        let wide = noise(200, 150, 3);
-        Image::from_fn(200, 150, |x, y| {
-            let (x, y) = (x as f32 - u, y as f32 - v);
-            if x < 200.0 && y >= 0.0 { wide.get(x as usize, y as usize) } else { [128; 3] }
-        })
+    let first = noise(200, 150, 3);
+    let second = Image::from_fn(200, 150, |x, y| {
+        let (x, y) = (x as f32 - u, y as f32 - v);
+        if x < 200.0 && y >= 0.0 { first.get(x as usize, y as usize) } else { [128; 3] }
     });
-    let estimator =
-        Farneback::new(FarnebackParameters { levels: 0, ..FarnebackParameters::default() }).unwrap();
-    let from_zero = estimator.estimate(&first, &second).unwrap();
-    let initial = FlowField::filled(200, 150, [u + 0.6, v - 0.6]);
-    let from_near = estimator.estimate_from(&first, &second, &initial).unwrap();
-    assert!(mean_distance(&from_zero, [u, v], 40) > 10.0);
-    assert!(mean_distance(&from_near, [u, v], 40) < 0.1);
+    let farneback = Farneback::new(FarnebackParameters { levels: 0, ..Default::default() }).unwrap();
+    let tvl1 = TvL1::new(TvL1Parameters { nscales: 2, ..Default::default() }).unwrap();
+    for estimator in [&farneback as &dyn FlowEstimator, &tvl1] {
+        let from_zero = estimator.estimate(&first, &second).unwrap();
+        let initial = FlowField::filled(200, 150, [u + 0.4, v - 0.4]);
+        let from_near = estimator.estimate_from(&first, &second, &initial).unwrap();
+        assert!(mean_distance(&from_zero, [u, v], 40) > 10.0, "{}", estimator.name());
+        let distance = mean_distance(&from_near, [u, v], 40);
+        assert!(distance < 0.1, "{}: {distance} px", estimator.name());
+    }
+}
+
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    let (first, second) = (texture(500, 230, (0.0, 0.0)), texture(500, 230, (2.3, -1.1)));
+    for estimator in estimators() {
+        let with_threads = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let flow = pool.install(|| estimator.estimate(&first, &second)).unwrap();
+            flow.pixels().iter().flatten().map(|value| value.to_bits()).collect::<Vec<u32>>()
+        };
+        let one = with_threads(1);
+        for threads in [2, 3, 7] {
+            assert!(with_threads(threads) == one, "{}, {threads} threads", estimator.name());
+        }
+    }
 }
 
 #[test]
@@ -130,5 +143,17 @@ fn a_parameter_out_of_range_is_named() {
     ];
     for (parameters, name) in wrong {
         assert_eq!(Farneback::new(parameters).unwrap_err().parameter, name);
+    }
+    let wrong = [
+        (TvL1Parameters { tau: 0.0, ..Default::default() }, "tau"),
+        (TvL1Parameters { lambda: f64::NAN, ..Default::default() }, "lambda"),
+        (TvL1Parameters { theta: -1.0, ..Default::default() }, "theta"),
+        (TvL1Parameters { nscales: 0, ..Default::default() }, "nscales"),
+        (TvL1Parameters { epsilon: -0.1, ..Default::default() }, "epsilon"),
+        (TvL1Parameters { scale_step: 1.0, ..Default::default() }, "scaleStep"),
+        (TvL1Parameters { median_filtering: 4, ..Default::default() }, "medianFiltering"),
+    ];
+    for (parameters, name) in wrong {
+        assert_eq!(TvL1::new(parameters).unwrap_err().parameter, name);
     }
 }

@@ -1,0 +1,347 @@
+//! The iterations between two warps: the data term and the smoothness pull at the flow in turn.
+//!
+//! An iteration reads and writes the whole state, which no cache holds. So several iterations go down the image
+//! together, each a row behind the one before, and a row is read once for all of them. The image is cut into bands
+//! for the threads; a band begins and ends as many rows beyond its own as there are iterations, since an iteration
+//! reaches one row up and down. How rows are cut and iterations are grouped changes no bit of the result.
+
+use rayon::prelude::*;
+
+use super::TvL1Parameters;
+use super::median;
+use super::state::{Layout, Linearized, MARGIN, State, dual_line, value_line};
+use crate::simd::multiversioned;
+
+/// Bytes of the rows that the iterations going down together touch: what a core's second-level cache holds with ease.
+const CACHE: usize = 640 << 10;
+
+/// Bands for each thread, so that one that is done early finds something to do.
+const BANDS_PER_THREAD: usize = 4;
+
+/// Constants of an iteration, in OpenCV's precision.
+#[derive(Debug, Clone, Copy)]
+pub struct Constants {
+    /// `lambda * theta`.
+    pub threshold: f32,
+    pub theta: f32,
+    /// `tau / theta`.
+    pub step: f32,
+    pub gamma: f32,
+}
+
+impl Constants {
+    pub fn new(parameters: &TvL1Parameters) -> Self {
+        Self {
+            threshold: (parameters.lambda * parameters.theta) as f32,
+            theta: parameters.theta as f32,
+            step: (parameters.tau / parameters.theta) as f32,
+            gamma: parameters.gamma as f32,
+        }
+    }
+}
+
+/// The flow of one scale on its way.
+pub struct Relaxation {
+    pub state: State,
+    pub linearized: Linearized,
+    next: State,
+    constants: Constants,
+}
+
+impl Relaxation {
+    pub fn new(state: State, parameters: &TvL1Parameters) -> Self {
+        let linearized = Linearized::new(state.layout);
+        Self { next: state.clone(), linearized, state, constants: Constants::new(parameters) }
+    }
+
+    /// Median filter of every component's values but the brightness change.
+    pub fn filter(&mut self, side: usize) {
+        median::filter(&mut self.next, &self.state, side);
+        std::mem::swap(&mut self.state, &mut self.next);
+    }
+
+    /// Iterates `iterations` times, or until the squared change of the flow summed over the image is `limit` or less.
+    /// Takes and gives the change of the latest iteration.
+    pub fn run(&mut self, iterations: usize, limit: f64, mut change: f64) -> f64 {
+        let mut left = iterations;
+        while left > 0 {
+            let together = self.iterations_together(limit, change).min(left);
+            let changes = self.advance(together);
+            let end = changes.iter().position(|change| *change <= limit);
+            let done = end.map_or(together, |end| end + 1);
+            if done < together {
+                self.advance(done); // from the same state, which `advance` leaves as it was
+            }
+            std::mem::swap(&mut self.state, &mut self.next);
+            change = changes[done - 1];
+            if end.is_some() {
+                return change;
+            }
+            left -= done;
+        }
+        change
+    }
+
+    /// How many iterations to group: few when the end is near, as those beyond it are in vain.
+    fn iterations_together(&self, limit: f64, change: f64) -> usize {
+        let layout = &self.state.layout;
+        let row = size_of::<f32>() * (layout.unknowns() + layout.data());
+        let most = (CACHE / row).saturating_sub(2).max(1);
+        let wanted = if change.is_infinite() || change < 4.0 * limit { 2 } else { 10 };
+        wanted.min(most)
+    }
+
+    /// Writes into `next` the state after `iterations` more, and gives the squared change of each.
+    fn advance(&mut self, iterations: usize) -> Vec<f64> {
+        let layout = self.state.layout;
+        let bands = BANDS_PER_THREAD * rayon::current_num_threads();
+        let band_height = layout.height.div_ceil(bands).max(iterations);
+        let (state, linearized, constants) = (&self.state, &self.linearized, self.constants);
+        let bands = self.next.rows.par_chunks_mut(band_height * layout.unknowns()).enumerate();
+        let changes: Vec<Vec<f64>> = bands
+            .map(|(band, out)| {
+                let start = band * band_height;
+                Band::new(state, linearized, constants, iterations, start).run(out)
+            })
+            .collect();
+        // Row by row, whatever the bands.
+        (0..iterations)
+            .map(|i| changes.iter().flat_map(|rows| rows.iter().skip(i).step_by(iterations)).sum())
+            .collect()
+    }
+}
+
+/// A band of rows while several iterations go down it together.
+struct Band<'a> {
+    state: &'a State,
+    linearized: &'a Linearized,
+    constants: Constants,
+    iterations: usize,
+    /// The first row of the band.
+    start: usize,
+    /// Row `y` is at `y % capacity`.
+    rows: Vec<f32>,
+    capacity: usize,
+    /// One line: how far the data term moves each pixel.
+    pull: Vec<f32>,
+    gamma_line: Vec<f32>,
+    zeros: Vec<f32>,
+}
+
+impl<'a> Band<'a> {
+    fn new(
+        state: &'a State,
+        linearized: &'a Linearized,
+        constants: Constants,
+        iterations: usize,
+        start: usize,
+    ) -> Self {
+        let layout = state.layout;
+        let capacity = iterations + 2;
+        Self {
+            state,
+            linearized,
+            constants,
+            iterations,
+            start,
+            rows: vec![0.0; capacity * layout.unknowns()],
+            capacity,
+            pull: vec![0.0; layout.stride],
+            gamma_line: vec![constants.gamma; layout.stride],
+            zeros: vec![0.0; layout.stride],
+        }
+    }
+
+    /// Writes the band's rows after all iterations into `out`. Gives, row by row, the squared change of each iteration.
+    fn run(mut self, out: &mut [f32]) -> Vec<f64> {
+        let layout = self.state.layout;
+        let end = self.start + out.len() / layout.unknowns();
+        let first = self.start.saturating_sub(self.iterations);
+        let last = (end + self.iterations).min(layout.height);
+        let mut changes = vec![0.0; (end - self.start) * self.iterations];
+        let rows = layout.unknowns();
+        // At step `y` iteration `i` finds the values of row `y - i` and the dual variables of the row above that.
+        for y in first..last + self.iterations {
+            if y < last {
+                let slot = y % self.capacity * rows;
+                self.rows[slot..slot + rows].copy_from_slice(self.state.row(y));
+            }
+            for i in 0..self.iterations {
+                let Some(row) = y.checked_sub(i).filter(|row| *row >= first) else { break };
+                if row < last {
+                    let change = self.update_values(row, row == first);
+                    if (self.start..end).contains(&row) {
+                        changes[(row - self.start) * self.iterations + i] = change;
+                    }
+                }
+                if row > first && row <= last {
+                    self.update_duals(row - 1, row == last);
+                }
+            }
+            let Some(done) = y.checked_sub(self.iterations) else { continue };
+            if (self.start..end).contains(&done) {
+                let slot = done % self.capacity * rows;
+                out[(done - self.start) * rows..][..rows].copy_from_slice(&self.rows[slot..slot + rows]);
+            }
+        }
+        changes
+    }
+
+    fn line(&self, y: usize, line: usize) -> &[f32] {
+        let start = y % self.capacity * self.state.layout.unknowns() + line * self.state.layout.stride;
+        &self.rows[start..start + self.state.layout.stride]
+    }
+
+    /// The values of row `y` from its data and dual variables. Gives their squared change.
+    fn update_values(&mut self, y: usize, no_row_above: bool) -> f64 {
+        let Layout { width, components, stride, .. } = self.state.layout;
+        let [along, down, constant, inverse_square] = self.linearized.lines(y);
+        let mut pull = std::mem::take(&mut self.pull);
+        let brightness = (components == 3).then(|| self.line(y, value_line(2)));
+        find_pull(
+            &mut pull[..MARGIN + width],
+            (along, down, constant, inverse_square),
+            (self.line(y, value_line(0)), self.line(y, value_line(1)), brightness),
+            self.constants,
+        );
+        let mut lanes = [0.0_f32; LANES];
+        for component in 0..components {
+            let gradient = [along, down, &self.gamma_line][component];
+            let line = value_line(component) * stride;
+            let (dual_along, dual_down) =
+                (dual_line(components, component, 0) * stride, dual_line(components, component, 1) * stride);
+            let row_len = self.state.layout.unknowns();
+            let slot = y % self.capacity * row_len;
+            let above_slot = (y + self.capacity - 1) % self.capacity * row_len;
+            let (row, above) = two_rows(&mut self.rows, row_len, slot, above_slot);
+            let above = if no_row_above { &self.zeros[..] } else { &above[dual_down..dual_down + stride] };
+            let (values, duals) = row.split_at_mut(components * stride);
+            let duals_start = components * stride;
+            let along = &duals[dual_along - duals_start..][..stride];
+            let down = &duals[dual_down - duals_start..][..stride];
+            let values = &mut values[line..line + stride];
+            move_values(
+                values,
+                width,
+                (&pull, gradient),
+                [along, down, above],
+                self.constants.theta,
+                &mut lanes,
+            );
+        }
+        self.pull = pull;
+        lanes.iter().map(|lane| f64::from(*lane)).sum()
+    }
+
+    /// The dual variables of row `y` from the values of it and the row below.
+    fn update_duals(&mut self, y: usize, no_row_below: bool) {
+        let Layout { width, components, stride, .. } = self.state.layout;
+        let row_len = self.state.layout.unknowns();
+        let slot = y % self.capacity * row_len;
+        let below_slot = (y + 1) % self.capacity * row_len;
+        let (row, below) = two_rows(&mut self.rows, row_len, slot, below_slot);
+        let (values, duals) = row.split_at_mut(components * stride);
+        for component in 0..components {
+            let value = &values[component * stride..][..stride];
+            let below = if no_row_below { value } else { &below[component * stride..][..stride] };
+            let (along, down) = duals[2 * component * stride..][..2 * stride].split_at_mut(stride);
+            move_duals(along, down, value, below, width, self.constants.step);
+        }
+    }
+}
+
+/// One row to write and another to read.
+fn two_rows(rows: &mut [f32], len: usize, written: usize, read: usize) -> (&mut [f32], &[f32]) {
+    if written < read {
+        let (low, high) = rows.split_at_mut(read);
+        (&mut low[written..written + len], &high[..len])
+    } else {
+        let (low, high) = rows.split_at_mut(written);
+        (&mut high[..len], &low[read..read + len])
+    }
+}
+
+/// Sums of squared changes are kept apart for pixels that a vector holds side by side.
+pub const LANES: usize = 16;
+
+multiversioned! {
+    /// Along the gradient of the residual, the step that takes it to zero or as near as the threshold allows.
+    fn find_pull(
+        pull: &mut [f32],
+        data: (&[f32], &[f32], &[f32], &[f32]),
+        values: (&[f32], &[f32], Option<&[f32]>),
+        constants: Constants,
+    ) {
+        let len = pull.len();
+        let (along, down, constant, inverse_square) = (&data.0[..len], &data.1[..len], &data.2[..len], &data.3[..len]);
+        let (u, v) = (&values.0[..len], &values.1[..len]);
+        for x in MARGIN..len {
+            pull[x] = constant[x] + (along[x] * u[x] + down[x] * v[x]);
+        }
+        if let Some(brightness) = values.2 {
+            for (residual, brightness) in pull[MARGIN..].iter_mut().zip(&brightness[MARGIN..]) {
+                *residual += constants.gamma * brightness;
+            }
+        }
+        for x in MARGIN..len {
+            let step = -pull[x] * inverse_square[x];
+            let step = if step > constants.threshold { constants.threshold } else { step };
+            pull[x] = if step < -constants.threshold { -constants.threshold } else { step };
+        }
+    }
+}
+
+multiversioned! {
+    /// One component's values: moved by the data term and by the divergence of the dual variable.
+    fn move_values(
+        values: &mut [f32],
+        width: usize,
+        data: (&[f32], &[f32]),
+        dual: [&[f32]; 3],
+        theta: f32,
+        lanes: &mut [f32; LANES],
+    ) {
+        let ((pull, gradient), [along, down, above]) = (data, dual);
+        let pixels = MARGIN..MARGIN + width;
+        let (before, along) = (&along[MARGIN - 1..MARGIN - 1 + width], &along[pixels.clone()]);
+        let (down, above) = (&down[pixels.clone()], &above[pixels.clone()]);
+        let (pull, gradient) = (&pull[pixels.clone()], &gradient[pixels.clone()]);
+        let out = &mut values[pixels];
+        let mut sums = *lanes;
+        let move_one = |x: usize, value: &mut f32| {
+            let divergence = (along[x] - before[x]) + (down[x] - above[x]);
+            let moved = (*value + pull[x] * gradient[x]) + theta * divergence;
+            let change = moved - *value;
+            *value = moved;
+            change * change
+        };
+        let whole = width - width % LANES;
+        for start in (0..whole).step_by(LANES) {
+            for lane in 0..LANES {
+                sums[lane] += move_one(start + lane, &mut out[start + lane]);
+            }
+        }
+        for x in whole..width {
+            sums[x - whole] += move_one(x, &mut out[x]);
+        }
+        *lanes = sums;
+        values[MARGIN + width] = values[MARGIN + width - 1]; // so that the gradient at the last column is zero
+    }
+}
+
+multiversioned! {
+    /// One component's dual variable: follows the gradient of the values, and stays within the unit circle.
+    fn move_duals(along: &mut [f32], down: &mut [f32], values: &[f32], below: &[f32], width: usize, step: f32) {
+        let pixels = MARGIN..MARGIN + width;
+        let (here, right) = (&values[pixels.clone()], &values[MARGIN + 1..MARGIN + 1 + width]);
+        let below = &below[pixels.clone()];
+        let (along, down) = (&mut along[pixels.clone()], &mut down[pixels]);
+        for x in 0..width {
+            let (gradient_x, gradient_y) = (right[x] - here[x], below[x] - here[x]);
+            let length = (gradient_x * gradient_x + gradient_y * gradient_y).sqrt();
+            let shrink = 1.0 / (1.0 + step * length);
+            along[x] = (along[x] + step * gradient_x) * shrink;
+            down[x] = (down[x] + step * gradient_y) * shrink;
+        }
+    }
+}

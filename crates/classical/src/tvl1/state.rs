@@ -1,0 +1,113 @@
+//! The unknowns and the data of one scale, row after row: all quantities of a row lie side by side, so that a band of
+//! rows is one piece of memory.
+
+use rayon::prelude::*;
+use srflow_field::Plane;
+
+use crate::planar::PlanarFlow;
+
+/// Numbers before a line's first pixel and after its last, so that neighbours can be read without asking where.
+pub const MARGIN: usize = 8;
+
+/// How a scale's quantities lie in memory.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Layout {
+    pub width: usize,
+    pub height: usize,
+    /// Unknown functions: `u`, `v`, and the brightness change when that is estimated.
+    pub components: usize,
+    /// Numbers from one line to the next.
+    pub stride: usize,
+}
+
+impl Layout {
+    pub fn new(width: usize, height: usize, brightness: bool) -> Self {
+        let stride = (width + 2 * MARGIN).next_multiple_of(16);
+        Self { width, height, components: if brightness { 3 } else { 2 }, stride }
+    }
+
+    /// Numbers of a row's unknowns: of each component its value and the two parts of its dual variable.
+    pub fn unknowns(&self) -> usize {
+        3 * self.components * self.stride
+    }
+
+    /// Numbers of a row's data.
+    pub fn data(&self) -> usize {
+        4 * self.stride
+    }
+}
+
+/// The lines of one row's unknowns. Lines hold [`MARGIN`] numbers before their first pixel.
+pub fn value_line(component: usize) -> usize {
+    component
+}
+
+/// The line of a component's dual variable along the row (`part` 0) or down the column (`part` 1).
+pub fn dual_line(components: usize, component: usize, part: usize) -> usize {
+    components + 2 * component + part
+}
+
+/// The flow and its dual variables.
+#[derive(Debug, Clone)]
+pub struct State {
+    pub layout: Layout,
+    pub rows: Vec<f32>,
+}
+
+impl State {
+    /// The state that starts from a flow, with all dual variables zero.
+    pub fn new(layout: Layout, flow: &PlanarFlow, brightness: Option<&Plane>) -> Self {
+        let mut rows = vec![0.0; layout.unknowns() * layout.height];
+        let planes = [Some(&flow.u), Some(&flow.v), brightness];
+        rows.par_chunks_exact_mut(layout.unknowns()).enumerate().for_each(|(y, row)| {
+            for (line, plane) in row.chunks_exact_mut(layout.stride).zip(planes.iter().flatten()) {
+                line[MARGIN..MARGIN + layout.width].copy_from_slice(plane.row(y));
+            }
+        });
+        Self { layout, rows }
+    }
+
+    pub fn row(&self, y: usize) -> &[f32] {
+        &self.rows[y * self.layout.unknowns()..(y + 1) * self.layout.unknowns()]
+    }
+
+    /// The values of a component in row `y`.
+    pub fn values(&self, y: usize, component: usize) -> &[f32] {
+        let start = value_line(component) * self.layout.stride + MARGIN;
+        &self.row(y)[start..start + self.layout.width]
+    }
+
+    /// The flow, and the brightness change when that is estimated.
+    pub fn into_planes(self) -> (PlanarFlow, Option<Plane>) {
+        let (width, height) = (self.layout.width, self.layout.height);
+        let plane = |component: usize| {
+            let mut plane = Plane::new(width, height);
+            plane.pixels_mut().par_chunks_exact_mut(width).enumerate().for_each(|(y, out)| {
+                out.copy_from_slice(self.values(y, component));
+            });
+            plane
+        };
+        let brightness = (self.layout.components == 3).then(|| plane(2));
+        (PlanarFlow { u: plane(0), v: plane(1) }, brightness)
+    }
+}
+
+/// The residual of the data term as a linear function of the flow: `constant + x u + y v`.
+#[derive(Debug, Clone)]
+pub struct Linearized {
+    pub layout: Layout,
+    /// In each row the lines `x`, `y`, `constant` and `inverse_square`: that of the squared length of `(x, y)`.
+    pub rows: Vec<f32>,
+}
+
+impl Linearized {
+    pub fn new(layout: Layout) -> Self {
+        Self { layout, rows: vec![0.0; layout.data() * layout.height] }
+    }
+
+    /// The lines of row `y`.
+    pub fn lines(&self, y: usize) -> [&[f32]; 4] {
+        let row = &self.rows[y * self.layout.data()..(y + 1) * self.layout.data()];
+        [0, 1, 2, 3].map(|line| &row[line * self.layout.stride..(line + 1) * self.layout.stride])
+    }
+}

@@ -1,0 +1,116 @@
+//! Warping the second frame by the flow, and the residual around it to first order.
+
+use rayon::prelude::*;
+use srflow_field::Plane;
+
+use super::state::{Linearized, MARGIN, State};
+use crate::simd::multiversioned;
+
+/// Zeros around the frame: as far as the interpolation reaches from the last position that is told apart.
+const BORDER: usize = 4;
+
+/// Numbers per pixel: the frame, its derivatives along x and y, and one without meaning.
+const CHANNELS: usize = 4;
+
+/// A frame and its derivatives, ready to be interpolated anywhere; all are zero outside the frame.
+pub struct Warper {
+    width: usize,
+    height: usize,
+    /// Row-major with [`BORDER`] pixels around the frame, [`CHANNELS`] per pixel.
+    pixels: Vec<f32>,
+}
+
+impl Warper {
+    pub fn new(frame: &Plane) -> Self {
+        let (width, height) = frame.size();
+        let row_len = (width + 2 * BORDER) * CHANNELS;
+        let mut pixels = vec![0.0; row_len * (height + 2 * BORDER)];
+        let inside = &mut pixels[BORDER * row_len..(BORDER + height) * row_len];
+        inside.par_chunks_exact_mut(row_len).enumerate().for_each(|(y, out)| {
+            let (above, below) = (frame.row(y.saturating_sub(1)), frame.row((y + 1).min(height - 1)));
+            let row = frame.row(y);
+            let (out, _) = out[BORDER * CHANNELS..].as_chunks_mut::<CHANNELS>();
+            for x in 0..width {
+                let along = 0.5 * (row[(x + 1).min(width - 1)] - row[x.saturating_sub(1)]);
+                out[x] = [row[x], along, 0.5 * (below[x] - above[x]), 0.0];
+            }
+        });
+        Self { width, height, pixels }
+    }
+
+    /// The residual between `first` and the frame warped by the flow of `state`, linear in the flow.
+    pub fn linearize(&self, linearized: &mut Linearized, first: &Plane, state: &State) {
+        let layout = linearized.layout;
+        linearized.rows.par_chunks_exact_mut(layout.data()).enumerate().for_each(|(y, row)| {
+            let (x_line, rest) = row.split_at_mut(layout.stride);
+            let (y_line, rest) = rest.split_at_mut(layout.stride);
+            let (constant, inverse_square) = rest.split_at_mut(layout.stride);
+            let [x_line, y_line, constant, inverse_square] = [x_line, y_line, constant, inverse_square]
+                .map(|line| &mut line[MARGIN..MARGIN + layout.width]);
+            let (u, v) = (state.values(y, 0), state.values(y, 1));
+            warp_row(x_line, y_line, constant, self, y, u, v);
+            complete_row(x_line, y_line, constant, inverse_square, first.row(y), u, v);
+        });
+    }
+}
+
+multiversioned! {
+    /// Interpolates row `y` of the warped frame and its derivatives.
+    fn warp_row(x_line: &mut [f32], y_line: &mut [f32], value: &mut [f32], warper: &Warper, y: usize, u: &[f32], v: &[f32]) {
+        let row_len = (warper.width + 2 * BORDER) * CHANNELS;
+        for x in 0..value.len() {
+            let (at_x, at_y) = (x as f32 + u[x], y as f32 + v[x]);
+            let (left, top) = (at_x.floor(), at_y.floor());
+            let (across, down) = (cubic_weights(at_x - left), cubic_weights(at_y - top));
+            // Further out there is nothing but zeros.
+            let left = left.clamp(-3.0, (warper.width + 1) as f32) as i32;
+            let top = top.clamp(-3.0, (warper.height + 1) as f32) as i32;
+            let mut sums = [0.0_f32; 4 * CHANNELS];
+            for (row, down) in (top + 3..).zip(down) {
+                let start = row as usize * row_len + (left + 3) as usize * CHANNELS;
+                let pixels = &warper.pixels[start..start + 4 * CHANNELS];
+                for i in 0..4 * CHANNELS {
+                    sums[i] += pixels[i] * (across[i / CHANNELS] * down);
+                }
+            }
+            let sum = |channel: usize| sums[channel] + sums[channel + 4] + sums[channel + 8] + sums[channel + 12];
+            value[x] = sum(0);
+            x_line[x] = sum(1);
+            y_line[x] = sum(2);
+        }
+    }
+}
+
+/// Weights of the four pixels around a position `fraction` beyond the second of them: cubic convolution with
+/// `A = -0.75`, as OpenCV's `INTER_CUBIC`.
+#[inline(always)]
+pub fn cubic_weights(fraction: f32) -> [f32; 4] {
+    const A: f32 = -0.75;
+    let (before, after) = (fraction + 1.0, 1.0 - fraction);
+    let outer = ((A * before - 5.0 * A) * before + 8.0 * A) * before - 4.0 * A;
+    let near = ((A + 2.0) * fraction - (A + 3.0)) * fraction * fraction + 1.0;
+    let far = ((A + 2.0) * after - (A + 3.0)) * after * after + 1.0;
+    [outer, near, far, 1.0 - outer - near - far]
+}
+
+/// Stands for the inverse of zero: finite, so that nothing times it is still nothing.
+pub const INVERSE_OF_NOTHING: f32 = 1e30;
+
+multiversioned! {
+    /// Turns the warped frame into the constant part of the residual, and inverts the squared gradient.
+    fn complete_row(
+        x_line: &[f32],
+        y_line: &[f32],
+        value: &mut [f32],
+        inverse_square: &mut [f32],
+        first: &[f32],
+        u: &[f32],
+        v: &[f32],
+    ) {
+        for x in 0..value.len() {
+            value[x] = value[x] - x_line[x] * u[x] - y_line[x] * v[x] - first[x];
+            let square = x_line[x] * x_line[x] + y_line[x] * y_line[x];
+            inverse_square[x] = if square > f32::EPSILON { 1.0 / square } else { INVERSE_OF_NOTHING };
+        }
+    }
+}

@@ -166,11 +166,12 @@ impl Tally {
             return None;
         }
         let pixels = self.pixels as f64;
-        let (mut within, mut area, mut weights) = (0, 0.0, 0.0);
+        // Weights are counted in hundredths: whole numbers, so that a perfect prediction scores 100 exactly.
+        let (mut within, mut area, mut weights) = (0, 0, 0);
         for (step, count) in self.wauc_steps[..WAUC_STEPS].iter().enumerate() {
-            let weight = 1.0 - step as f64 / WAUC_STEPS as f64;
+            let weight = (WAUC_STEPS - step) as u64;
             within += count;
-            area += weight * within as f64;
+            area += weight * within;
             weights += weight;
         }
         Some(Metrics {
@@ -179,7 +180,7 @@ impl Tally {
             px3: self.under_3 as f64 / pixels,
             px5: self.under_5 as f64 / pixels,
             f1_all: 100.0 * self.outliers as f64 / pixels,
-            wauc: 100.0 * area / (pixels * weights),
+            wauc: 100.0 * (area as f64 / (self.pixels * weights) as f64),
             valid_pixels: self.pixels,
         })
     }

@@ -57,7 +57,7 @@ fn metrics_are_those_of_ptlflow() {
 
 #[test]
 fn json_has_the_documented_keys() {
-    let flow = FlowField::filled(2, 2, [1.0, 2.0]);
+    let flow = FlowField::filled(7, 11, [1.0, 2.0]);
     let metrics = score(&flow, &flow, None).unwrap().unwrap();
     let json: BTreeMap<String, f64> = serde_json::from_value(serde_json::to_value(metrics).unwrap()).unwrap();
     let keys: Vec<&str> = json.keys().map(String::as_str).collect();

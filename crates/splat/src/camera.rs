@@ -2,8 +2,8 @@ use glam::{DMat4, DVec2, DVec3};
 
 use crate::CameraError;
 
-/// The most pixels an image may have: 268 million, or 16384 x 16384.
-pub const MAX_PIXELS: usize = 1 << 28;
+/// The most pixels an image may have: 134 million (16384x8192), as for flow files.
+pub const MAX_PIXELS: usize = 1 << 27;
 
 /// The longest side an image may have, in pixels.
 pub const MAX_SIDE: usize = 1 << 19;

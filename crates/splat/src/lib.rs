@@ -11,6 +11,7 @@ mod error;
 mod frame;
 mod gaussians;
 mod ordering;
+mod ply;
 mod projection;
 mod rasterizer;
 pub mod reference;
@@ -22,6 +23,7 @@ pub use camera::{Camera, MAX_PIXELS, MAX_SIDE, NEAR, PixelConvention};
 pub use error::{CameraError, RasterizeError};
 pub use frame::{Frame, Outputs, Statistics};
 pub use gaussians::Gaussians;
+pub use ply::{read_ply, write_ply};
 pub use rasterizer::{Next, Options, Rasterizer};
 
 #[cfg(test)]

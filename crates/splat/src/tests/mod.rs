@@ -1,4 +1,4 @@
 mod invariance;
 mod motion;
-mod scenes;
+pub(crate) mod scenes;
 mod twin;

@@ -52,7 +52,7 @@ pub(super) fn push(
 
 /// `count` Gaussians in front of, beside and behind [`camera`]. Footprints range from under a pixel to the whole
 /// image, shapes from round to needles of 1:300; some opacities are 0, 1, or under 1/255.
-pub(super) fn random(seed: u64, count: usize, sh_degree: usize) -> Gaussians {
+pub(crate) fn random(seed: u64, count: usize, sh_degree: usize) -> Gaussians {
     let mut stream = Key::new(seed).stream("scene");
     let mut gaussians = Gaussians { sh_degree, ..Gaussians::default() };
     for i in 0..count {

@@ -1,0 +1,255 @@
+//! PLY files of 3D Gaussians, as the 3DGS reference writes them and every splat viewer reads them
+//! (ShenhanQian/GaussianAvatars, `scene/gaussian_model.py`, `save_ply` and `load_ply`).
+//!
+//! One element `vertex` with the properties `x y z nx ny nz f_dc_0..2 f_rest_* opacity scale_0..2 rot_0..3`. The file
+//! holds raw parameters: `ln(scale)`, the logit of the opacity, a quaternion `w x y z` of any length, and `f_rest`
+//! channel by channel (all of red, then green, then blue).
+
+mod header;
+
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter, Read, Write};
+use std::path::Path;
+
+use glam::{Quat, Vec3};
+use srflow_field::{FileError, FileProblem, write_atomically};
+
+use crate::{Gaussians, sh};
+use header::{Encoding, Header, Property};
+
+/// Raw values that are read back as exactly 0 and 1 (scale or opacity 0, opacity 1).
+const RAW_ZERO: f64 = -110.0;
+const RAW_ONE: f64 = 20.0;
+
+/// Reads 3D Gaussians; the spherical-harmonics degree follows from the number of `f_rest` properties (0, 9, 24 or 45).
+/// Properties may come in any order and of any type, others (`binding_0`, colours, normals) are passed over; binary of
+/// either byte order and ASCII are read.
+///
+/// # Errors
+/// When the file cannot be read, is not a PLY of 3D Gaussians, is shorter or longer than its header says, or holds a
+/// value that is not finite, a scale too large for `f32`, or a quaternion of length zero; the vertex is named.
+pub fn read_ply(path: &Path) -> Result<Gaussians, FileError> {
+    let in_file = |problem| FileError { path: path.to_owned(), problem };
+    let opened = File::open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
+    let (len, file) = opened.map_err(|error| in_file(FileProblem::Io { doing: "opening", error }))?;
+    decode(&mut BufReader::with_capacity(1 << 18, file), len).map_err(in_file)
+}
+
+/// Writes 3D Gaussians, binary little-endian in the reference's order, whole or not at all
+/// (see [`write_atomically`]).
+///
+/// # Errors
+/// When the lists do not fit together, a value has no raw form (not finite, a negative scale, an opacity outside
+/// 0..=1), or the file cannot be written.
+pub fn write_ply(path: &Path, gaussians: &Gaussians) -> Result<(), FileError> {
+    let in_file = |problem| FileError { path: path.to_owned(), problem };
+    gaussians
+        .validate("the Gaussians")
+        .map_err(|error| in_file(problem("lists", "lists that fit together", error)))?;
+    for index in 0..gaussians.len() {
+        check_activated(gaussians, index).map_err(in_file)?;
+    }
+    write_atomically(path, |writer| encode(gaussians, writer))
+}
+
+fn problem(field: &'static str, expected: impl ToString, found: impl ToString) -> FileProblem {
+    FileProblem::Field { field, expected: expected.to_string(), found: found.to_string() }
+}
+
+fn reading(error: io::Error) -> FileProblem {
+    FileProblem::Io { doing: "reading", error }
+}
+
+/// Where the parameters of a Gaussian stand among the values of a vertex.
+struct Layout {
+    position: [usize; 3],
+    scale: [usize; 3],
+    /// w, x, y, z.
+    rotation: [usize; 4],
+    opacity: usize,
+    sh_degree: usize,
+    /// Of each coefficient, red, green and blue.
+    sh: Vec<[usize; 3]>,
+}
+
+impl Layout {
+    fn new(properties: &[Property]) -> Result<Self, FileProblem> {
+        let find = |name: &str| {
+            properties.iter().position(|property| property.name == name).ok_or_else(|| {
+                let names: Vec<&str> = properties.iter().take(20).map(|p| p.name.as_str()).collect();
+                problem(
+                    "vertex properties",
+                    format!("`{name}`, which every file of 3D Gaussians has"),
+                    format!("{} properties: {}", properties.len(), names.join(" ")),
+                )
+            })
+        };
+        let rest = properties.iter().filter(|property| property.name.starts_with("f_rest_")).count();
+        let sh_degree =
+            (0..=3).find(|&degree| 3 * (sh::coefficients(degree) - 1) == rest).ok_or_else(|| {
+                problem("f_rest", "0, 9, 24 or 45 properties (degree 0 to 3)", format!("{rest} properties"))
+            })?;
+        let per_channel = rest / 3;
+        let mut sh = vec![[find("f_dc_0")?, find("f_dc_1")?, find("f_dc_2")?]];
+        for coefficient in 0..per_channel {
+            let of = |channel: usize| find(&format!("f_rest_{}", channel * per_channel + coefficient));
+            sh.push([of(0)?, of(1)?, of(2)?]);
+        }
+        Ok(Self {
+            position: [find("x")?, find("y")?, find("z")?],
+            scale: [find("scale_0")?, find("scale_1")?, find("scale_2")?],
+            rotation: [find("rot_0")?, find("rot_1")?, find("rot_2")?, find("rot_3")?],
+            opacity: find("opacity")?,
+            sh_degree,
+            sh,
+        })
+    }
+
+    /// Activates the values of vertex number `index` and appends the Gaussian.
+    fn push(&self, gaussians: &mut Gaussians, values: &[f64], index: u64) -> Result<(), FileProblem> {
+        let get = |field: &'static str, at: usize| {
+            let value = values[at] as f32;
+            if value.is_finite() {
+                return Ok(value);
+            }
+            Err(problem(field, "a finite number", format!("{} at vertex {index}", values[at])))
+        };
+        let get3 = |field, [a, b, c]: [usize; 3]| Ok([get(field, a)?, get(field, b)?, get(field, c)?]);
+
+        let position = get3("position", self.position)?;
+        let scale = get3("scale", self.scale)?.map(|raw| libm::exp(f64::from(raw)) as f32);
+        if !scale.iter().all(|scale| scale.is_finite()) {
+            let found = format!("{:?} at vertex {index}", self.scale.map(|at| values[at]));
+            return Err(problem("scale", "logarithms of lengths, under 88", found));
+        }
+        let [w, x, y, z] = self.rotation.map(|at| get("rotation", at));
+        let rotation = [x?, y?, z?, w?].map(f64::from);
+        let length = rotation.iter().map(|part| part * part).sum::<f64>().sqrt();
+        if length == 0.0 {
+            return Err(problem(
+                "rotation",
+                "a quaternion that is not zero",
+                format!("zero at vertex {index}"),
+            ));
+        }
+        let opacity = 1.0 / (1.0 + libm::exp(-f64::from(get("opacity", self.opacity)?)));
+
+        gaussians.positions.push(Vec3::from(position));
+        gaussians.scales.push(Vec3::from(scale));
+        gaussians.rotations.push(Quat::from_array(rotation.map(|part| (part / length) as f32)));
+        gaussians.opacities.push(opacity as f32);
+        for &at in &self.sh {
+            gaussians.sh.push(get3("spherical harmonics", at)?);
+        }
+        Ok(())
+    }
+}
+
+fn decode(reader: &mut impl Read, len: u64) -> Result<Gaussians, FileProblem> {
+    let header = Header::read(reader)?;
+    let vertex = &header.vertex;
+    let layout = Layout::new(&vertex.properties)?;
+    header.check_file_size(len)?;
+    let count = usize::try_from(vertex.count)
+        .map_err(|_| problem("vertex count", "a number that fits in memory", vertex.count))?;
+    let mut gaussians = Gaussians { sh_degree: layout.sh_degree, ..Gaussians::default() };
+    gaussians.positions.reserve_exact(count);
+    gaussians.scales.reserve_exact(count);
+    gaussians.rotations.reserve_exact(count);
+    gaussians.opacities.reserve_exact(count);
+    gaussians.sh.reserve_exact(count.saturating_mul(layout.sh.len()));
+
+    let mut values = vec![0.0; vertex.properties.len()];
+    if header.encoding == Encoding::Ascii {
+        let mut words = header::Words::new(reader);
+        for index in 0..vertex.count {
+            for value in &mut values {
+                *value = words.number(index)?;
+            }
+            layout.push(&mut gaussians, &values, index)?;
+        }
+        return Ok(gaussians);
+    }
+    let mut bytes = vec![0; vertex.bytes()];
+    for index in 0..vertex.count {
+        reader.read_exact(&mut bytes).map_err(reading)?;
+        let mut rest = &bytes[..];
+        for (value, property) in values.iter_mut().zip(&vertex.properties) {
+            let (this, others) = rest.split_at(property.scalar.bytes());
+            *value = property.scalar.decode(this, header.encoding);
+            rest = others;
+        }
+        layout.push(&mut gaussians, &values, index)?;
+    }
+    Ok(gaussians)
+}
+
+fn check_activated(gaussians: &Gaussians, index: usize) -> Result<(), FileProblem> {
+    let sh_len = gaussians.sh_len();
+    let check = |field, holds: bool, expected: &str, value: &dyn std::fmt::Debug| {
+        if holds { Ok(()) } else { Err(problem(field, expected, format!("{value:?} of Gaussian {index}"))) }
+    };
+    let (position, scale) = (gaussians.positions[index], gaussians.scales[index]);
+    let (rotation, opacity) = (gaussians.rotations[index], gaussians.opacities[index]);
+    let sh = &gaussians.sh[index * sh_len..][..sh_len];
+    check("position", position.is_finite(), "finite numbers", &position)?;
+    let lengths = scale.is_finite() && scale.cmpge(Vec3::ZERO).all();
+    check("scale", lengths, "finite lengths, not negative", &scale)?;
+    check(
+        "rotation",
+        rotation.is_finite() && rotation != Quat::from_array([0.0; 4]),
+        "a quaternion",
+        &rotation,
+    )?;
+    check("opacity", (0.0..=1.0).contains(&opacity), "0 to 1", &opacity)?;
+    check("spherical harmonics", sh.as_flattened().iter().all(|c| c.is_finite()), "finite numbers", &sh)
+}
+
+fn encode(gaussians: &Gaussians, writer: &mut BufWriter<File>) -> io::Result<()> {
+    let rest = gaussians.sh_len() - 1;
+    let names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"].map(String::from).into_iter();
+    let names = names.chain((0..3 * rest).map(|i| format!("f_rest_{i}")));
+    let last = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
+    writeln!(writer, "ply\nformat binary_little_endian 1.0\nelement vertex {}", gaussians.len())?;
+    for name in names.chain(last.map(String::from)) {
+        writeln!(writer, "property float {name}")?;
+    }
+    writeln!(writer, "end_header")?;
+
+    let mut values: Vec<f32> = Vec::with_capacity(17 + 3 * rest);
+    for index in 0..gaussians.len() {
+        let sh = &gaussians.sh[index * (rest + 1)..][..rest + 1];
+        values.clear();
+        values.extend(gaussians.positions[index].to_array());
+        values.extend([0.0; 3]);
+        values.extend(sh[0]);
+        for channel in 0..3 {
+            values.extend(sh[1..].iter().map(|coefficient| coefficient[channel]));
+        }
+        values.push(logit(gaussians.opacities[index]));
+        values.extend(gaussians.scales[index].to_array().map(log));
+        let [x, y, z, w] = gaussians.rotations[index].to_array();
+        values.extend([w, x, y, z]);
+        for value in &values {
+            writer.write_all(&value.to_le_bytes())?;
+        }
+    }
+    Ok(())
+}
+
+fn log(scale: f32) -> f32 {
+    if scale == 0.0 { RAW_ZERO as f32 } else { libm::log(f64::from(scale)) as f32 }
+}
+
+fn logit(opacity: f32) -> f32 {
+    let opacity = f64::from(opacity);
+    let raw = match opacity {
+        0.0 => RAW_ZERO,
+        1.0 => RAW_ONE,
+        _ => libm::log(opacity / (1.0 - opacity)),
+    };
+    raw as f32
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,185 @@
+use std::fs;
+
+use super::*;
+use crate::tests::scenes::random;
+
+fn in_memory(bytes: &[u8]) -> Result<Gaussians, FileProblem> {
+    decode(&mut &*bytes, bytes.len() as u64)
+}
+
+#[track_caller]
+fn assert_same(a: &Gaussians, b: &Gaussians) {
+    assert_eq!((a.len(), a.sh_degree), (b.len(), b.sh_degree));
+    assert_eq!((&a.positions, &a.sh), (&b.positions, &b.sh));
+    for i in 0..a.len() {
+        let (s, t) = (a.scales[i], b.scales[i]);
+        assert!((s - t).abs().max_element() <= 1e-5 * s.max_element(), "scale {i}: {s} {t}");
+        assert!((a.opacities[i] - b.opacities[i]).abs() <= 1e-6, "opacity {i}");
+        assert!((a.rotations[i] - b.rotations[i]).length() <= 1e-6, "rotation {i}");
+    }
+}
+
+#[test]
+fn every_degree_survives_writing_and_reading() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    for degree in 0..=3 {
+        let mut gaussians = random(degree as u64, 50, degree);
+        gaussians.opacities[..2].copy_from_slice(&[0.0, 1.0]);
+        gaussians.scales[0] = Vec3::new(0.0, 1e-30, 1e30);
+        write_ply(&path, &gaussians).unwrap();
+        let back = read_ply(&path).unwrap();
+        assert_same(&gaussians, &back);
+        assert_eq!((back.opacities[0], back.opacities[1], back.scales[0].x), (0.0, 1.0, 0.0));
+        let stride = 4 * (17 + 3 * (gaussians.sh_len() - 1));
+        let text = fs::read(&path).unwrap();
+        let header = String::from_utf8_lossy(&text[..text.len() - 50 * stride]).into_owned();
+        assert!(
+            header.starts_with("ply\nformat binary_little_endian 1.0\nelement vertex 50\nproperty float x\n")
+        );
+        assert!(header.ends_with("property float rot_3\nend_header\n"), "{header}");
+    }
+}
+
+/// A file as another program might write it: one Gaussian of degree 1, with other types, another order and more.
+fn foreign(encoding: &str) -> Vec<u8> {
+    let mut header = format!("ply\r\nformat {encoding} 1.0\r\ncomment made elsewhere\nelement vertex 1\n");
+    let mut names: Vec<String> = (0..9).rev().map(|i| format!("f_rest_{i}")).collect();
+    let others =
+        ["opacity", "rot_0", "rot_1", "rot_2", "rot_3", "z", "y", "x", "scale_2", "scale_1", "scale_0"];
+    names.extend(others.map(String::from));
+    names.extend(["f_dc_2", "f_dc_1", "f_dc_0", "binding_0"].map(String::from));
+    let values = [
+        8., 7., 6., 5., 4., 3., 2., 1., 0., 0., 2., 0., 0., 0., 30., 20., 10., -3., -2., -1., 0.3, 0.2, 0.1,
+        7.,
+    ];
+    let mut body = Vec::new();
+    for (name, value) in names.iter().zip(values) {
+        header += &format!("property double {name}\n");
+        match encoding {
+            "ascii" => body.extend(format!("{value} ").bytes()),
+            "binary_big_endian" => body.extend(f64::to_be_bytes(value)),
+            _ => body.extend(f64::to_le_bytes(value)),
+        }
+    }
+    header += "property uchar red\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n";
+    body.extend(if encoding == "ascii" { b"255\n".to_vec() } else { vec![255] });
+    body.extend(b"3 0 0 0\n");
+    [header.into_bytes(), body].concat()
+}
+
+#[test]
+fn other_orders_types_and_encodings_are_read() {
+    for encoding in ["binary_little_endian", "binary_big_endian", "ascii"] {
+        let gaussians = in_memory(&foreign(encoding)).unwrap();
+        assert_eq!(gaussians.positions, [Vec3::new(10.0, 20.0, 30.0)], "{encoding}");
+        assert_eq!(gaussians.rotations, [Quat::IDENTITY]);
+        assert_eq!(gaussians.opacities, [0.5]);
+        assert!((gaussians.scales[0] - Vec3::new(-1.0, -2.0, -3.0).exp()).length() < 1e-6);
+        // Channel by channel: coefficient k of red is f_rest_k, of green f_rest_(3 + k), of blue f_rest_(6 + k).
+        assert_eq!(gaussians.sh, [[0.1, 0.2, 0.3], [0., 3., 6.], [1., 4., 7.], [2., 5., 8.]]);
+    }
+}
+
+#[test]
+fn a_file_cut_anywhere_is_refused_without_a_panic() {
+    for encoding in ["binary_little_endian", "ascii"] {
+        let whole = foreign(encoding);
+        // What is left may be the face, or digits of the last value in ASCII: a shorter number is a number too.
+        let undetected = if encoding == "ascii" { "255\n3 0 0 0\n".len() } else { "3 0 0 0\n".len() };
+        for len in 0..whole.len() - undetected {
+            assert!(in_memory(&whole[..len]).is_err(), "{encoding}, {len} bytes");
+        }
+    }
+}
+
+#[test]
+fn flipped_bytes_never_panic() {
+    let whole = foreign("binary_little_endian");
+    for at in 0..whole.len() {
+        for flip in [1, 0x20, 0x80, 0xFF] {
+            let mut bytes = whole.clone();
+            bytes[at] ^= flip;
+            let _ = in_memory(&bytes);
+        }
+    }
+}
+
+fn message(bytes: &[u8]) -> String {
+    in_memory(bytes).unwrap_err().to_string()
+}
+
+#[test]
+fn errors_say_what_was_expected_and_found() {
+    assert_eq!(message(b"PNG\n"), "magic: expected `ply` on the first line, found \"PNG\"");
+    let text = String::from_utf8(foreign("ascii")).unwrap();
+    let lie = text.replace("element vertex 1\n", "element vertex 9000000000000000000\n");
+    assert!(message(lie.as_bytes()).contains("vertices, found"), "{}", message(lie.as_bytes()));
+    let cloud = text.replace("double opacity", "double confidence");
+    let cloud = message(cloud.as_bytes());
+    assert!(
+        cloud.contains("`opacity`, which every file of 3D Gaussians has, found 25 properties: f_rest_8"),
+        "{cloud}"
+    );
+    let rest = text.replace("double f_rest_8", "double other");
+    assert_eq!(
+        message(rest.as_bytes()),
+        "f_rest: expected 0, 9, 24 or 45 properties (degree 0 to 3), found 8 properties"
+    );
+    let nan = text.replace(" 30 ", " NaN ");
+    assert_eq!(message(nan.as_bytes()), "position: expected a finite number, found NaN at vertex 0");
+    let word = text.replace(" 30 ", " thirty ");
+    assert_eq!(message(word.as_bytes()), "vertex: expected a number, found \"thirty\" at vertex 0");
+    let zero = text.replace("0 2 0 0 0 30", "0 0 0 0 0 30");
+    assert_eq!(
+        message(zero.as_bytes()),
+        "rotation: expected a quaternion that is not zero, found zero at vertex 0"
+    );
+    let large = text.replace(" -3 ", " 300 ");
+    assert!(message(large.as_bytes()).starts_with("scale: expected logarithms of lengths"));
+    let list = text.replace("property double opacity", "property list uchar int opacity");
+    assert!(message(list.as_bytes()).starts_with("header: expected a line of a PLY header"));
+    assert!(message(&[b"ply\n".as_slice(), &[b'x'; 100_000]].concat()).contains("`end_header` within"));
+    let packed = "ply\nformat binary_little_endian 1.0\nelement chunk 3\n";
+    assert!(message(packed.as_bytes()).contains("compressed file must be exported uncompressed"));
+}
+
+#[test]
+fn a_missing_file_is_named() {
+    let error = read_ply(Path::new("/nowhere/a.ply")).unwrap_err().to_string();
+    assert!(error.starts_with("/nowhere/a.ply: opening: "), "{error}");
+}
+
+#[test]
+fn a_longer_file_than_its_header_says_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    write_ply(&path, &random(1, 3, 0)).unwrap();
+    let mut bytes = fs::read(&path).unwrap();
+    bytes.push(0);
+    let len = bytes.len();
+    assert_eq!(
+        message(&bytes),
+        format!("file size: expected {} bytes for 3 vertices, found {len} bytes", len - 1)
+    );
+}
+
+#[test]
+fn what_has_no_raw_form_is_not_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    let spoil: [fn(&mut Gaussians); 5] = [
+        |g| g.positions[2].y = f32::NAN,
+        |g| g.scales[2].x = -1.0,
+        |g| g.opacities[2] = 1.5,
+        |g| g.rotations[2] = Quat::from_array([0.0; 4]),
+        |g| g.sh[2][0] = f32::INFINITY,
+    ];
+    for spoil in spoil {
+        let mut gaussians = random(1, 3, 0);
+        spoil(&mut gaussians);
+        let error = write_ply(&path, &gaussians).unwrap_err().to_string();
+        assert!(error.contains("of Gaussian 2"), "{error}");
+        assert!(!path.exists());
+    }
+}

@@ -20,6 +20,7 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use glam::DMat4;
 use serde::{Deserialize, Serialize};
 use srflow_field::FlowFormat;
 use srflow_splat::Camera;
@@ -108,6 +109,14 @@ impl From<&Camera> for CameraRecord {
     fn from(camera: &Camera) -> Self {
         let Camera { width, height, fx, fy, cx, cy, camera_from_world } = *camera;
         Self { width, height, fx, fy, cx, cy, w2c: camera_from_world.transpose().to_cols_array_2d() }
+    }
+}
+
+impl From<&CameraRecord> for Camera {
+    /// Nothing is checked; see [`Camera::validate`].
+    fn from(record: &CameraRecord) -> Self {
+        let CameraRecord { width, height, fx, fy, cx, cy, w2c } = *record;
+        Self { width, height, fx, fy, cx, cy, camera_from_world: DMat4::from_cols_array_2d(&w2c).transpose() }
     }
 }
 

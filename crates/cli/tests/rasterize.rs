@@ -1,0 +1,139 @@
+//! `srflow rasterize` as a user meets it: on Gaussians made here, and on broken input.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+use srflow_field::{read_flow, read_image, read_mask, read_npy, read_npy_plane};
+use srflow_splat::{Gaussians, write_ply};
+
+const CAMERA: &str = r#"{"width": 60, "height": 40, "fx": 50, "fy": 50, "cx": 29.5, "cy": 19.5,
+    "w2c": [[1,0,0,0], [0,1,0,0], [0,0,1,1], [0,0,0,1]]}"#;
+
+/// `count` red Gaussians, the first at `(x, 0, 0)`.
+fn gaussians(x: f32, count: usize) -> Gaussians {
+    Gaussians {
+        positions: (0..count).map(|i| [x + 0.01 * i as f32, 0.0, 0.0].into()).collect(),
+        scales: vec![[0.1; 3].into(); count],
+        rotations: vec![Default::default(); count],
+        opacities: vec![0.9; count],
+        sh_degree: 0,
+        sh: vec![[1.7, -1.7, -1.7]; count],
+    }
+}
+
+fn scene() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    write_ply(&folder.path().join("a.ply"), &gaussians(0.0, 2)).unwrap();
+    write_ply(&folder.path().join("b.ply"), &gaussians(0.1, 2)).unwrap();
+    write_ply(&folder.path().join("three.ply"), &gaussians(0.0, 3)).unwrap();
+    fs::write(folder.path().join("cam.json"), CAMERA).unwrap();
+    fs::write(folder.path().join("cam2.json"), CAMERA.replace("[0,1,0,0]", "[0,1,0,0.2]")).unwrap();
+    folder
+}
+
+fn rasterize(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_srflow"))
+        .current_dir(folder)
+        .arg("rasterize")
+        .args(arguments)
+        .output()
+        .expect("srflow runs")
+}
+
+#[test]
+fn every_file_is_written_and_the_flow_is_the_motion() {
+    let folder = scene();
+    let arguments =
+        ["a.ply", "--next", "b.ply", "--camera", "cam.json", "--out", "out", "--background", "255,128,0"];
+    let run = rasterize(folder.path(), &[&arguments[..], &["--json"]].concat());
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!((&report["gaussians"], &report["visible"]), (&2.into(), &2.into()));
+
+    let out = folder.path().join("out");
+    let image = read_image(&out.join("color.png")).unwrap();
+    assert_eq!((image.size(), image.get(0, 0)), ((60, 40), [255, 128, 0]));
+    assert!(image.get(30, 20)[0] > 240 && image.get(30, 20)[1] < 20);
+    let color = read_npy(&out.join("color.npy")).unwrap();
+    assert_eq!(color.shape, [40, 60, 3]);
+    assert!((color.values[1] - 128.0 / 255.0).abs() < 1e-6);
+    let alpha = read_npy_plane(&out.join("alpha.npy")).unwrap();
+    let depth = read_npy_plane(&out.join("depth.npy")).unwrap();
+    assert!((depth.get(30, 20) - 1.0).abs() < 1e-5 && depth.get(0, 0) == 0.0);
+    let mask = read_mask(&out.join("mask.png")).unwrap();
+    assert!(mask.get(30, 20) && !mask.get(0, 0));
+
+    // Every centre moves by 0.1 at depth 1: 5 px.
+    let flow = read_flow(&out.join("flow.flo")).unwrap();
+    let normalized = read_flow(&out.join("flow_normalized.flo")).unwrap();
+    assert!((flow.get(30, 20)[0] - 5.0 * alpha.get(30, 20)).abs() < 1e-4);
+    assert!((normalized.get(30, 20)[0] - 5.0).abs() < 1e-4 && normalized.get(30, 20)[1].abs() < 1e-4);
+
+    let again = rasterize(folder.path(), &arguments);
+    assert_eq!(again.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&again.stderr).contains("out/color.png is there already; --force"));
+    let paper =
+        rasterize(folder.path(), &[&arguments[..], &["--force", "--pixel-convention", "paper"]].concat());
+    assert!(paper.status.success());
+    let normalized = read_flow(&out.join("flow_normalized.flo")).unwrap();
+    assert!((normalized.get(30, 20)[0] - 5.0 * 59.0 / 60.0).abs() < 1e-4);
+}
+
+#[test]
+fn the_camera_alone_may_move_or_nothing() {
+    let folder = scene();
+    let run = rasterize(
+        folder.path(),
+        &["a.ply", "--camera", "cam.json", "--camera-next", "cam2.json", "--out", "moved"],
+    );
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let [u, v] = read_flow(&folder.path().join("moved/flow_normalized.flo")).unwrap().get(30, 20);
+    assert!(u.abs() < 1e-4 && (v - 10.0).abs() < 1e-4, "({u}, {v})");
+
+    let run = rasterize(folder.path(), &["a.ply", "--camera", "cam.json", "--out", "still"]);
+    assert!(run.status.success());
+    let flow = read_flow(&folder.path().join("still/flow.flo")).unwrap();
+    assert!(flow.pixels().iter().all(|flow| *flow == [0.0; 2]));
+}
+
+#[test]
+fn broken_input_is_named() {
+    let folder = scene();
+    let dir = folder.path();
+    fs::write(dir.join("cut.ply"), &fs::read(dir.join("a.ply")).unwrap()[..500]).unwrap();
+    let cameras = [
+        ("nokey.json", CAMERA.replace("\"fx\"", "\"f\""), "missing field `fx`"),
+        ("text.json", "hello".to_owned(), "expected a camera with width, height, fx"),
+        ("flat.json", CAMERA.replace("[0,1,0,0]", "[1,0,0,0]"), "not a rigid motion"),
+        ("scaled.json", CAMERA.replace("[0,1,0,0]", "[0,2,0,0]"), "not a rigid motion"),
+        ("empty.json", CAMERA.replace("60", "0"), "0x40"),
+        ("huge.json", CAMERA.replace("60", "4000000000"), "4000000000x40"),
+        ("negative.json", CAMERA.replace("60", "-60"), "invalid value"),
+        ("focal.json", CAMERA.replace("\"fx\": 50", "\"fx\": 0"), "fx is 0"),
+    ];
+    let mut cases = vec![
+        (vec!["cut.ply", "--camera", "cam.json"], "cut.ply", "file size"),
+        (vec!["none.ply", "--camera", "cam.json"], "none.ply", "opening"),
+        (vec!["cam.json", "--camera", "cam.json"], "cam.json", "magic"),
+        (vec!["a.ply", "--camera", "none.json"], "none.json", "No such file"),
+        (
+            vec!["a.ply", "--next", "three.ply", "--camera", "cam.json"],
+            "three.ply",
+            "2 Gaussians and three.ply holds 3",
+        ),
+    ];
+    for (name, text, reason) in &cameras {
+        fs::write(dir.join(name), text).unwrap();
+        cases.push((vec!["a.ply", "--camera", name], name, reason));
+    }
+    for (arguments, file, reason) in cases {
+        let run = rasterize(dir, &[&arguments[..], &["--out", "out"]].concat());
+        let error = String::from_utf8(run.stderr).unwrap();
+        assert_eq!(run.status.code(), Some(1), "{arguments:?}: {error}");
+        assert!(error.contains(file) && error.contains(reason), "{arguments:?}: {error}");
+        assert!(!dir.join("out").exists());
+    }
+    let usage = rasterize(dir, &["a.ply", "--camera", "cam.json", "--out", "out", "--background", "1,2,300"]);
+    assert_eq!(usage.status.code(), Some(2));
+}

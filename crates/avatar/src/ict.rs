@@ -177,8 +177,8 @@ fn dressed_triangles(
 /// The hairline seen from the side, metres from back to front: [z, y].
 const HAIRLINE: [[f32; 2]; 15] = [
     [-0.090, -0.035],
-    [-0.040, -0.030],
-    [-0.028, -0.010],
+    [-0.042, -0.028],
+    [-0.030, 0.002],
     [-0.022, 0.020],
     [-0.017, 0.050],
     [0.010, 0.052],

@@ -235,7 +235,9 @@ impl<'a> Growth<'a> {
             // Upper layers ride on the lower ones.
             let risen = (self.cut.volume * layer * smoothstep(s * 2.5) * MM * size).min(0.45 * s * length);
             let thickness = 0.8 * MM * size + risen;
-            p = self.body.laid_on(p, thickness, self.cut.gravity > 0.0);
+            // It lies on the head, but hangs free below the ears.
+            let clings = self.cut.gravity > 0.0 && p.y > self.ears.y - 0.01 * size;
+            p = self.body.laid_on(p, thickness, clings, step);
             direction = (p - points[i - 1]).normalize_or(direction);
             points.push(p);
         }
@@ -322,8 +324,8 @@ impl<'a> Body<'a> {
     }
 
     /// `p`, or where it comes to lie `thickness` off the skin when it is nearer or inside. Hair that `clings` and is
-    /// up to some centimetres farther off is drawn half the way back.
-    fn laid_on(&self, p: Vec3, thickness: f32, clings: bool) -> Vec3 {
+    /// up to some centimetres farther off is drawn half the way back; none is pushed farther than `step`.
+    fn laid_on(&self, p: Vec3, thickness: f32, clings: bool, step: f32) -> Vec3 {
         let distance = |v: u32| self.surface.vertices[v as usize].distance_squared(p);
         let Some(nearest) = self.vertices.near(p).min_by(|&a, &b| distance(a).total_cmp(&distance(b))) else {
             return p;
@@ -331,6 +333,6 @@ impl<'a> Body<'a> {
         let normal = self.surface.normals[nearest as usize];
         let height = (p - self.surface.vertices[nearest as usize]).dot(normal);
         let correction = thickness - height;
-        p + normal * if correction < 0.0 && clings { correction * 0.5 } else { correction.max(0.0) }
+        p + normal * if correction < 0.0 && clings { correction * 0.5 } else { correction.clamp(0.0, step) }
     }
 }

@@ -114,7 +114,7 @@ impl<'a> Surface<'a> {
         const DARTS_PER_POINT: f32 = 7.0;
         let centre = Vec3::splat(1.0 / 3.0);
         let mut darts = Vec::new();
-        let mut narrowest = f32::MAX;
+        let (mut narrowest, mut widest) = (f32::MAX, 0.0_f32);
         for &t in triangles {
             let [a, b, c] = self.corners(t);
             let area = (b - a).cross(c - a).length() * 0.5;
@@ -122,7 +122,7 @@ impl<'a> Surface<'a> {
             if distance <= 0.0 {
                 continue;
             }
-            narrowest = narrowest.min(distance);
+            (narrowest, widest) = (narrowest.min(distance), widest.max(distance));
             let expected = area / (distance * distance) * DARTS_PER_POINT;
             let count = (expected + stream.unit()).min(1e5) as u32;
             for _ in 0..count {
@@ -134,7 +134,7 @@ impl<'a> Surface<'a> {
             }
         }
         shuffle(&mut darts, stream);
-        let mut crowd = Crowd::new(narrowest);
+        let mut crowd = Crowd::new(narrowest, widest);
         darts.retain(|dart| crowd.admit(dart.position, spacing(dart)));
         darts
     }
@@ -244,15 +244,24 @@ impl Buckets {
     }
 }
 
-/// Points that keep their distance.
+/// Points that keep their distance. Distances differ several times between face and scalp, so that there is a grid for
+/// each octave of them: whatever the distance, a few dozen cells are asked.
 struct Crowd {
-    side: f32,
-    cells: HashMap<IVec3, Vec<Vec3>, std::hash::BuildHasherDefault<CellHasher>>,
+    narrowest: f32,
+    /// Of cells as wide as the narrowest distance, twice that, and so on.
+    octaves: Vec<Grid>,
 }
 
+type Grid = HashMap<IVec3, Vec<Vec3>, std::hash::BuildHasherDefault<CellHasher>>;
+
 impl Crowd {
-    fn new(narrowest: f32) -> Self {
-        Self { side: narrowest.max(1e-5), cells: HashMap::default() }
+    fn new(narrowest: f32, widest: f32) -> Self {
+        let narrowest = narrowest.max(1e-5);
+        let mut octaves = vec![Grid::default()];
+        while narrowest * (1 << octaves.len()) as f32 <= widest && octaves.len() < 16 {
+            octaves.push(Grid::default());
+        }
+        Self { narrowest, octaves }
     }
 
     /// Takes the point in unless another is nearer than `distance`.
@@ -260,12 +269,15 @@ impl Crowd {
         if distance <= 0.0 {
             return false;
         }
-        let low = ((p - distance) / self.side).floor().as_ivec3();
-        let high = ((p + distance) / self.side).floor().as_ivec3();
+        let fits = |octave: &usize| self.side(*octave) <= distance;
+        let octave = (0..self.octaves.len()).rev().find(fits).unwrap_or(0);
+        let side = self.side(octave);
+        let low = ((p - distance) / side).floor().as_ivec3();
+        let high = ((p + distance) / side).floor().as_ivec3();
         for x in low.x..=high.x {
             for y in low.y..=high.y {
                 for z in low.z..=high.z {
-                    let neighbours = self.cells.get(&IVec3::new(x, y, z));
+                    let neighbours = self.octaves[octave].get(&IVec3::new(x, y, z));
                     if neighbours
                         .is_some_and(|c| c.iter().any(|q| q.distance_squared(p) < distance * distance))
                     {
@@ -274,8 +286,15 @@ impl Crowd {
                 }
             }
         }
-        self.cells.entry((p / self.side).floor().as_ivec3()).or_default().push(p);
+        for octave in 0..self.octaves.len() {
+            let cell = (p / self.side(octave)).floor().as_ivec3();
+            self.octaves[octave].entry(cell).or_default().push(p);
+        }
         true
+    }
+
+    fn side(&self, octave: usize) -> f32 {
+        self.narrowest * (1 << octave) as f32
     }
 }
 

@@ -67,7 +67,9 @@ impl SrFlow {
         }
         for pair in 0..scene.pairs {
             let entry = self.entry(manifest, dir, scene, pair);
-            let missing: Vec<_> = entry.files().filter(|path| !path.is_file()).collect();
+            let record = manifest.files(dir, scene, pair).record;
+            let needed = entry.files().chain([record.as_path()]);
+            let missing: Vec<_> = needed.filter(|path| !path.is_file()).collect();
             for path in &missing {
                 gaps.push(format!("no {}", gaps.shown(path)));
             }

@@ -44,7 +44,7 @@ pub struct Render {
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
     /// How flow is stored
-    #[arg(long, value_name = "FORMAT", default_value_t = FlowFormat::Flo, help = flow_format_help())]
+    #[arg(long, value_name = "FORMAT", default_value_t = FlowFormat::Npz16, help = flow_format_help())]
     flow_format: FlowFormat,
     /// Write the flow from frame 2 to frame 1 too
     #[arg(long)]

@@ -17,6 +17,9 @@ use crate::record::FrameRecord;
 /// Frame rate of the motion. NeRSemble records 73 frames a second; expressions at that rate hardly move between frames.
 const FRAMES_PER_SECOND: f32 = 24.0;
 
+/// A scene of fewer frames moves less: it has no time for a whole expression between rest and rest.
+const FRAMES_OF_FULL_MOTION: f32 = 48.0;
+
 /// Fewest frames from one chosen view to the next.
 const FRAMES_BETWEEN_VIEWS: u32 = 80;
 
@@ -113,7 +116,8 @@ impl Scene {
         let t = f64::from(frame) / f64::from(self.pairs.max(1));
         let view = self.camera_path.at(t);
         let subject = self.subject_path.at(t);
-        let moment = self.motion.at(self.avatar.model(), frame as usize);
+        let mut moment = self.motion.at(self.avatar.model(), frame as usize);
+        soften(&mut moment, self.pairs as f32 / FRAMES_OF_FULL_MOTION);
         let mut pose = moment.pose.clone();
         let [yaw, pitch, roll] = subject.map(|degrees| degrees.to_radians() as f32);
         let turn = Quat::from_euler(EulerRot::YXZ, yaw, -pitch, roll);
@@ -153,6 +157,20 @@ impl Scene {
                 .collect(),
         }
     }
+}
+
+/// Shows a moment with a part of its strength.
+fn soften(moment: &mut Moment, strength: f32) {
+    if strength >= 1.0 {
+        return;
+    }
+    moment.pose.expressions.iter_mut().for_each(|weight| *weight *= strength);
+    for rotation in &mut moment.pose.joints {
+        *rotation = Quat::IDENTITY.slerp(*rotation, strength);
+    }
+    moment.pose.translation *= strength;
+    moment.gaze = moment.gaze.map(|angle| angle * strength);
+    moment.action_units.iter_mut().for_each(|(_, _, intensity)| *intensity *= strength);
 }
 
 fn joint_name(joint: Joint) -> &'static str {

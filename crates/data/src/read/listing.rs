@@ -11,7 +11,7 @@ use super::gaps::Gaps;
 pub const IMAGES: &[&str] = &["png", "jpg", "jpeg", "ppm", "pgm", "bmp"];
 
 /// Endings of the flow files.
-pub const FLOWS: &[&str] = &["flo", "flo5", "png", "png128", "pfm", "npy", "npz"];
+pub const FLOWS: &[&str] = &["flo", "flo5", "png", "png128", "pfm", "npy", "npz", "npz16"];
 
 /// Compares names as people do: runs of digits by their value, so that `frame10` comes after `frame9`.
 pub fn natural_order(a: &str, b: &str) -> Ordering {

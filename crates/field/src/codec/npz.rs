@@ -1,4 +1,5 @@
-//! NumPy's `.npz`: a zip archive of `.npy` files. The array named `flow` is read, or the only one there is.
+//! NumPy's `.npz`: a zip archive of `.npy` files. The array named `flow` is read, or the only one there is; an archive of
+//! the arrays of [`super::npz16`] is read as such.
 
 use std::io::{self, Cursor, Read, Seek, Write};
 
@@ -7,7 +8,7 @@ use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 use super::claim::{check_deflated, read_all};
-use super::npy;
+use super::{npy, npz16};
 use crate::{FileProblem, FlowField};
 
 pub(super) const MAGIC: &[u8] = b"PK\x03\x04";
@@ -15,18 +16,16 @@ pub(super) const MAGIC: &[u8] = b"PK\x03\x04";
 const NAME: &str = "flow.npy";
 
 pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<FlowField, FileProblem> {
-    let broken = |error: ZipError| {
-        FileProblem::field(
-            "archive",
-            "a sound .npz file of one array, or with one named `flow`",
-            error.to_string(),
-        )
-    };
     let bytes = read_all(reader, len)?;
     check_end(&bytes)?;
     let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(broken)?;
-    let name = array_name(&archive).map_err(broken)?;
-    let mut array = archive.by_name(&name).map_err(broken)?;
+    let names = archive.file_names().map(|name| name.map(|name| name.into_owned()));
+    let names: Vec<String> = names.collect::<Result<_, _>>().map_err(broken)?;
+    if npz16::is_this(&names) {
+        return npz16::decode(&mut archive);
+    }
+    let name = if let [name] = &names[..] { name } else { NAME };
+    let mut array = archive.by_name(name).map_err(broken)?;
     let size = array.size();
     check_deflated(size, array.compressed_size())?;
     let flow = npy::decode_flow(&mut array, size)?;
@@ -61,12 +60,9 @@ fn check_end(bytes: &[u8]) -> Result<(), FileProblem> {
     Ok(())
 }
 
-fn array_name(archive: &ZipArchive<Cursor<Vec<u8>>>) -> Result<String, ZipError> {
-    let names = archive.file_names().collect::<Result<Vec<_>, _>>()?;
-    match &names[..] {
-        [name] => Ok(name.clone().into_owned()),
-        _ => Ok(NAME.to_owned()),
-    }
+pub(super) fn broken(error: ZipError) -> FileProblem {
+    let expected = "a sound .npz file of one array, or with one named `flow`, or an .npz16 file";
+    FileProblem::field("archive", expected, error.to_string())
 }
 
 pub(super) fn encode(flow: &FlowField, writer: &mut (impl Write + Seek)) -> io::Result<()> {

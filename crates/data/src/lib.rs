@@ -1,5 +1,6 @@
 //! Optical-flow datasets: generating SRFlow, checking it, and reading the published ones.
 
+pub mod check;
 pub mod generate;
 pub mod manifest;
 pub mod read;

@@ -1,12 +1,64 @@
-use clap::Args;
+use std::path::PathBuf;
 
+use anyhow::Context as _;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use srflow_data::check::{self, CheckReport};
+use srflow_data::manifest::Manifest;
+
+use super::render::print_statistics;
 use crate::Context;
 
 /// Open every file of a dataset and report what is wrong
 #[derive(Args)]
-pub struct Check {}
+#[command(after_help = "\
+Example:
+  srflow check srflow --json
+
+Every file is opened and held against dataset.json. Frame 2 is warped back by the flow: on the head, where frame 2
+shows what frame 1 does, little must remain of the difference between the frames. The exit code is 1 when anything
+is wrong.")]
+pub struct Check {
+    /// Folder of a dataset that `srflow render` made
+    #[arg(value_name = "DIR")]
+    dir: PathBuf,
+}
+
+/// Most problems that are listed for people; --json has all.
+const LISTED: usize = 50;
 
 /// Runs the command.
-pub fn run(_args: Check, _context: &Context) -> anyhow::Result<()> {
-    anyhow::bail!("`srflow check` is not built yet")
+pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
+    let pairs = Manifest::read(&args.dir)?.pairs();
+    let bar = ProgressBar::new(pairs);
+    let style = ProgressStyle::with_template("{wide_bar} {pos}/{len} pairs, {eta} left");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    let report = check::check(&args.dir, &|| bar.inc(1));
+    bar.finish_and_clear();
+    let report = report?;
+    if context.json {
+        println!("{}", serde_json::to_string_pretty(&report).context("printing the result")?);
+    } else {
+        print_report(&report);
+    }
+    match report.problems.len() {
+        0 => Ok(()),
+        1 => anyhow::bail!("{}: 1 thing is wrong", args.dir.display()),
+        count => anyhow::bail!("{}: {count} things are wrong", args.dir.display()),
+    }
+}
+
+fn print_report(report: &CheckReport) {
+    for problem in report.problems.iter().take(LISTED) {
+        println!("{}: {}", problem.file.display(), problem.what);
+    }
+    if report.problems.len() > LISTED {
+        println!("... and {} more; --json lists all", report.problems.len() - LISTED);
+    }
+    println!("{} of {} pairs are sound", report.sound, report.pairs);
+    println!(
+        "Difference between the frames on the head: {:.3} levels of 255, {:.3} with frame 2 warped back by the flow",
+        report.residual.unwarped, report.residual.warped
+    );
+    print_statistics(&report.statistics);
 }

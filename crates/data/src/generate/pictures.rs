@@ -9,10 +9,13 @@ use srflow_splat::Frame;
 /// Depth units per metre in a depth picture; 0 is no depth.
 pub const DEPTH_UNITS_PER_METRE: f32 = 10_000.0;
 
-/// Writes alpha with 8 bits, rounded: 0 is 0, 255 is 1. The mask, alpha above one half, is 128 and above.
+/// Writes alpha with 8 bits, rounded: 0 is 0, 255 is 1. The mask, alpha above one half, is exactly 128 and above.
 pub fn write_alpha(path: &Path, alpha: &Plane, bytes: &mut Vec<u8>) -> Result<(), FileError> {
     bytes.clear();
-    bytes.extend(alpha.pixels().iter().map(|alpha| (alpha * 255.0 + 0.5) as u8));
+    bytes.extend(alpha.pixels().iter().map(|&alpha| {
+        let rounded = (alpha * 255.0 + 0.5) as u8;
+        if alpha > 0.5 { rounded.max(128) } else { rounded.min(127) }
+    }));
     write_grey(path, alpha.size(), png::BitDepth::Eight, bytes)
 }
 

@@ -130,7 +130,7 @@ impl PairFindings {
         file: &Path,
         size: (usize, usize),
         read: impl FnOnce(&Path) -> Result<T, srflow_field::FileError>,
-        size_of: impl FnOnce(&T) -> (usize, usize),
+        size_of: impl Fn(&T) -> (usize, usize),
     ) -> Option<T> {
         match read(file) {
             Err(error) => {

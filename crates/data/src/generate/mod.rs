@@ -92,7 +92,7 @@ pub fn generate(
     force: bool,
     on_event: &(dyn Fn(Event) + Sync),
 ) -> Result<Report, GenerateError> {
-    let (manifest, rig, first_subject) = plan(settings)?;
+    let manifest = settings.plan()?;
     folder::claim(dir, &manifest, force)?;
     let part = folder::pairs_of_shard(&manifest, shard);
     folder::tidy(dir, &manifest, &part)?;
@@ -105,14 +105,13 @@ pub fn generate(
     let work = work::Work {
         settings,
         manifest: &manifest,
-        rig: &rig,
+        rig: &settings.rig(),
         dir,
         runs: &folder::cut(missing, run_length(made)),
         total: pairs,
         before: pairs - made,
         clock: &timing::Clock::default(),
         on_event,
-        first_subject: Mutex::new(Some(first_subject)),
         current_scene: Mutex::default(),
         next_run: AtomicUsize::new(0),
         written: AtomicU64::new(0),
@@ -124,20 +123,6 @@ pub fn generate(
     let bytes = work.bytes.into_inner();
     let stages = work.clock.spent();
     Ok(Report { pairs, made, bytes, seconds, stages, statistics: finish(dir, &manifest)? })
-}
-
-/// Checks the settings, makes the first subject and with it the plan: the rig stands about its head.
-fn plan(settings: &Settings) -> Result<(Manifest, Rig, srflow_avatar::Avatar), GenerateError> {
-    let mut manifest = settings.plan()?;
-    let first = manifest.scenes.first().ok_or_else(|| GenerateError::Argument {
-        argument: "--scenes",
-        found: "0".into(),
-        expected: "1 at least".into(),
-    })?;
-    let subject = scene::subject(&settings.head, first)?;
-    let rig = Rig::new(settings.width, settings.height, scene::head_centre(&subject));
-    manifest.rig = rig.cameras();
-    Ok((manifest, rig, subject))
 }
 
 fn count(runs: &[folder::Run]) -> u64 {

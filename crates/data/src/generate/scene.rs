@@ -1,6 +1,6 @@
 //! A scene: one subject in motion before a moving camera. Every frame can be asked for alone.
 
-use glam::{DVec3, EulerRot, Quat, Vec3};
+use glam::{EulerRot, Quat};
 use srflow_avatar::{Avatar, HeadPose, Joint, Moment, Motion, Side};
 use srflow_field::Image;
 use srflow_field::random::{Key, Stream};
@@ -18,7 +18,7 @@ use crate::record::FrameRecord;
 const FRAMES_PER_SECOND: f32 = 24.0;
 
 /// A scene of fewer frames moves less: it has no time for a whole expression between rest and rest.
-const FRAMES_OF_FULL_MOTION: f32 = 48.0;
+const FRAMES_OF_FULL_MOTION: f32 = 24.0;
 
 /// Fewest frames from one chosen view to the next.
 const FRAMES_BETWEEN_VIEWS: u32 = 80;
@@ -54,7 +54,7 @@ pub(super) struct FrameState {
 }
 
 /// Makes the head of a subject.
-pub(super) fn subject(head: &Head, entry: &SceneEntry) -> Result<Avatar, GenerateError> {
+fn subject(head: &Head, entry: &SceneEntry) -> Result<Avatar, GenerateError> {
     let made = match head {
         Head::Builtin => Avatar::builtin(entry.subject),
         Head::Ict(dir) => Avatar::ict(dir, entry.subject),
@@ -62,31 +62,15 @@ pub(super) fn subject(head: &Head, entry: &SceneEntry) -> Result<Avatar, Generat
     made.map_err(|error| GenerateError::Head { scene: entry.name.clone(), reason: error.to_string() })
 }
 
-/// Middle of the head at rest: of the box about what lies above the chin, in metres.
-pub(super) fn head_centre(avatar: &Avatar) -> DVec3 {
-    let model = avatar.model();
-    let vertex = |index: u32| model.template[index as usize].as_dvec3();
-    let landmark = |(triangle, weights): &(u32, Vec3)| -> DVec3 {
-        let corners = model.triangles[*triangle as usize].map(vertex);
-        corners.into_iter().zip(weights.to_array()).map(|(corner, weight)| corner * f64::from(weight)).sum()
-    };
-    let chin = model.landmarks.iter().map(|l| landmark(l).y).fold(f64::INFINITY, f64::min);
-    let above = model.template.iter().map(|vertex| vertex.as_dvec3()).filter(|vertex| vertex.y >= chin);
-    let (low, high) = above.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), vertex| {
-        (low.min(vertex), high.max(vertex))
-    });
-    if low.is_finite() && high.is_finite() { (low + high) / 2.0 } else { DVec3::ZERO }
-}
-
 impl Scene {
-    /// Scene `number` of a dataset, for the subject that it stars.
+    /// Scene `number` of a dataset.
     pub fn new(
         settings: &Settings,
         rig: &Rig,
         number: u32,
         entry: &SceneEntry,
-        avatar: Avatar,
     ) -> Result<Self, GenerateError> {
+        let avatar = subject(&settings.head, entry)?;
         let key = Key::new(settings.seed).scene(number);
         let background = match (&settings.background, &entry.background) {
             (Background::Images(dir), Some(name)) => {

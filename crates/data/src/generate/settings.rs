@@ -4,9 +4,11 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use glam::DVec3;
 use srflow_field::FlowFormat;
 use srflow_field::random::Key;
 
+use super::Rig;
 use super::background::{self, Background};
 use super::error::GenerateError;
 use crate::manifest::{Arguments, LAYOUT_VERSION, Manifest, SceneEntry, SceneSplit};
@@ -99,7 +101,7 @@ impl FromStr for Shard {
 }
 
 impl Settings {
-    /// Checks the settings and lays out the dataset, but for its rig.
+    /// Checks the settings and lays out the dataset.
     ///
     /// # Errors
     /// When a setting is out of range or a folder that it names cannot be read.
@@ -119,9 +121,18 @@ impl Settings {
             layout_version: LAYOUT_VERSION,
             srflow_version: env!("CARGO_PKG_VERSION").to_owned(),
             arguments: self.arguments()?,
-            rig: Vec::new(),
+            rig: self.rig().cameras(),
             scenes: (0..).zip(splits.into_iter().zip(backgrounds)).map(entry).collect(),
         })
+    }
+
+    /// The rig, which stands where it is whoever the subject is: about the middle of a head between chin and crown.
+    pub(super) fn rig(&self) -> Rig {
+        let centre = match self.head {
+            Head::Builtin => DVec3::new(0.0, 0.03, 0.01),
+            Head::Ict(_) => DVec3::new(0.0, 0.035, 0.02),
+        };
+        Rig::new(self.width, self.height, centre)
     }
 
     /// Pairs of the scenes before scene `number`: every scene has the mean, rounded down or up.

@@ -9,7 +9,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use srflow_avatar::{Avatar, PosedHead};
+use srflow_avatar::PosedHead;
 use srflow_field::{FileError, write_atomically, write_flow_as, write_image_png, write_mask_png};
 use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, Rasterizer};
 
@@ -19,7 +19,7 @@ use super::folder::Run;
 use super::occlusion::{occlusion, surface_into};
 use super::pictures::{write_alpha, write_depth};
 use super::rig::Rig;
-use super::scene::{self, FrameState, Scene};
+use super::scene::{FrameState, Scene};
 use super::settings::Settings;
 use super::timing::{Clock, Stage};
 use super::{Event, MAX_WORKERS};
@@ -39,8 +39,6 @@ pub(super) struct Work<'a> {
     pub before: u64,
     pub clock: &'a Clock,
     pub on_event: &'a (dyn Fn(Event) + Sync),
-    /// The subject of the first scene, which is made to plan the dataset.
-    pub first_subject: Mutex<Option<Avatar>>,
     pub current_scene: Mutex<Option<(u32, Arc<Scene>)>>,
     pub next_run: AtomicUsize,
     pub written: AtomicU64,
@@ -98,11 +96,7 @@ impl Work<'_> {
         }
         *current = None; // frees the scene before, unless a worker is still at it
         let entry = &self.manifest.scenes[number as usize];
-        let scene = self.clock.time(Stage::Heads, || {
-            let made = lock(&self.first_subject).take().filter(|_| number == 0);
-            let avatar = made.map_or_else(|| scene::subject(&self.settings.head, entry), Ok)?;
-            Scene::new(self.settings, self.rig, number, entry, avatar)
-        })?;
+        let scene = self.clock.time(Stage::Heads, || Scene::new(self.settings, self.rig, number, entry))?;
         let scene = Arc::new(scene);
         *current = Some((number, Arc::clone(&scene)));
         Ok(scene)

@@ -1,0 +1,339 @@
+//! `srflow render` and `srflow check` as a user meets them: at a tiny size, killed, in parts, on broken data.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::sync::OnceLock;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+const SRFLOW: &str = env!("CARGO_BIN_EXE_srflow");
+
+/// What most tests render: one scene of 7 pairs, for a head takes most of the time.
+const TINY: [&str; 10] =
+    ["--scenes", "1", "--frames", "7", "--size", "110x160", "--seed", "4", "--splits", "1,0,0"];
+
+/// The dataset of [`TINY`], which several tests compare theirs to or copy. It is made once.
+fn whole() -> &'static Path {
+    static WHOLE: OnceLock<PathBuf> = OnceLock::new();
+    WHOLE.get_or_init(|| {
+        let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("render_check");
+        let _ = fs::remove_dir_all(&out); // of an earlier test run
+        let summary: Value = serde_json::from_str(&succeeds(&render(&out, &["--json"]))).unwrap();
+        assert_eq!((&summary["pairs"], &summary["made"]), (&Value::from(7), &Value::from(7)));
+        out
+    })
+}
+
+fn render(out: &Path, more: &[&str]) -> Output {
+    let out = out.to_str().unwrap();
+    Command::new(SRFLOW).args(["render", "--out", out]).args(TINY).args(more).output().unwrap()
+}
+
+fn succeeds(output: &Output) -> String {
+    let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{stdout}\n{}", String::from_utf8_lossy(&output.stderr));
+    stdout
+}
+
+/// Standard error of a command that must fail with exit code `code`.
+fn fails(output: &Output, code: i32) -> String {
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(code), "{stderr}");
+    assert!(!stderr.contains("panicked"), "{stderr}");
+    stderr
+}
+
+/// Every file below a folder, hidden ones too, by its path there.
+fn tree(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut files = BTreeMap::new();
+    let mut folders = vec![dir.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                files.insert(path.strip_prefix(dir).unwrap().to_owned(), fs::read(path).unwrap());
+            }
+        }
+    }
+    files
+}
+
+fn assert_same_tree(a: &Path, b: &Path) {
+    let (a, b) = (tree(a), tree(b));
+    assert_eq!(a.keys().collect::<Vec<_>>(), b.keys().collect::<Vec<_>>());
+    for (path, bytes) in &a {
+        assert!(*bytes == b[path], "{} differs", path.display());
+    }
+}
+
+fn copy_into(from: &Path, to: &Path) {
+    for (path, bytes) in tree(from) {
+        let target = to.join(path);
+        fs::create_dir_all(target.parent().unwrap()).unwrap();
+        fs::write(target, bytes).unwrap();
+    }
+}
+
+fn check(dir: &Path) -> (Output, Value) {
+    let output = Command::new(SRFLOW).args(["check", "--json"]).arg(dir).output().unwrap();
+    let report = serde_json::from_slice(&output.stdout).unwrap_or(Value::Null);
+    (output, report)
+}
+
+#[test]
+fn a_dataset_is_sound_and_explained_by_its_flow() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("data");
+    let arguments =
+        ["--frames", "5", "--size", "220x320", "--backward", "--depth", "--splits", "0,0,1", "--json"];
+    let mut command = Command::new(SRFLOW);
+    command.args(["render", "--scenes", "1", "--out", out.to_str().unwrap()]).args(arguments);
+    let summary: Value = serde_json::from_str(&succeeds(&command.output().unwrap())).unwrap();
+    assert_eq!(summary["statistics"]["average_frames"], 5.0);
+    assert_eq!(summary["statistics"]["scenes"], 1);
+    // 6 frames, alphas, masks and depths; 5 flows, backward flows, occlusions and records; two files for all.
+    assert_eq!(tree(&out).len(), 4 * 6 + 4 * 5 + 2);
+
+    let (output, report) = check(&out);
+    succeeds(&output);
+    assert_eq!((&report["sound"], &report["problems"]), (&Value::from(5), &Value::Array(vec![])));
+    let residual = |name: &str| report["residual"][name].as_f64().unwrap();
+    assert!(residual("warped") * 2.0 < residual("unwarped"), "{}", report["residual"]);
+    assert_eq!(report["statistics"]["flow"]["pixels"], summary["statistics"]["flow"]["pixels"]);
+
+    // Backward flow leads back to where forward flow came from.
+    let file = |kind: &str, ending: &str| out.join(format!("test/{kind}/scene-0000/00002.{ending}"));
+    let forward = srflow_field::read_flow(&file("flow", "npz16")).unwrap();
+    let backward = srflow_field::read_flow(&file("flow_backward", "npz16")).unwrap();
+    let tolerance = srflow_field::Tolerance::Absolute { pixels: 0.3 };
+    let consistent = srflow_field::forward_backward_check(&forward, &backward, tolerance).unwrap();
+    let mask = srflow_field::read_mask(&file("mask", "png")).unwrap();
+    let inside = mask.pixels().iter().filter(|inside| **inside).count();
+    let kept =
+        mask.pixels().iter().zip(consistent.pixels()).filter(|(inside, kept)| **inside && **kept).count();
+    assert!(kept as f64 > 0.9 * inside as f64, "{kept} of {inside}");
+}
+
+#[test]
+fn sequences_start_and_end_before_camera_nine() {
+    let out = whole();
+    let manifest: Value = serde_json::from_slice(&fs::read(out.join("dataset.json")).unwrap()).unwrap();
+    let canonical = &manifest["rig"][8];
+    assert_eq!(canonical["number"], 9);
+    let record = |pair: u32| -> Value {
+        let path = out.join(format!("train/pairs/scene-0000/{pair:05}.json"));
+        serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+    };
+    assert_eq!(record(0)["frame1"]["camera"]["w2c"], canonical["w2c"]);
+    assert_eq!(record(6)["frame2"]["camera"]["w2c"], canonical["w2c"]);
+    assert_ne!(record(3)["frame1"]["camera"]["w2c"], canonical["w2c"]);
+    assert_eq!(record(1)["frame1"], record(0)["frame2"]);
+    assert_eq!(record(0)["frame1"]["camera"]["width"], 110);
+}
+
+#[test]
+fn a_killed_run_goes_on_to_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let killed = dir.path().join("killed");
+    let mut command = Command::new(SRFLOW);
+    command.args(["render", "--threads", "1", "--out", killed.to_str().unwrap()]).args(TINY);
+    let mut child = command.stdout(Stdio::null()).spawn().unwrap();
+    // Killed (SIGKILL) as soon as two pairs are whole.
+    let start = Instant::now();
+    while whole_pairs(&killed) < 2 {
+        assert!(start.elapsed() < Duration::from_secs(300), "no pair was made");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(whole_pairs(&killed) < 7, "all was made before it was killed");
+    // As a kill in the midst of writing would leave it.
+    fs::write(killed.join("train/frames/scene-0000/.00005.png.1-0.partial"), "half").unwrap();
+
+    let rerun = || -> u64 {
+        let summary: Value = serde_json::from_str(&succeeds(&render(&killed, &["--json"]))).unwrap();
+        summary["made"].as_u64().unwrap()
+    };
+    let made = rerun();
+    assert!(made > 0 && made < 7, "{made} of 7 pairs made after the kill");
+    assert_same_tree(whole(), &killed);
+    assert_eq!(rerun(), 0);
+}
+
+/// Pairs with a record, while files come and go.
+fn whole_pairs(dir: &Path) -> usize {
+    let records = fs::read_dir(dir.join("train/pairs/scene-0000")).into_iter().flatten().flatten();
+    records.filter(|entry| entry.path().extension().is_some_and(|ending| ending == "json")).count()
+}
+
+#[test]
+fn parts_merge_by_copying() {
+    let dir = tempfile::tempdir().unwrap();
+    let merged = dir.path().join("merged");
+    for part in ["1/2", "2/2"] {
+        let out = dir.path().join(part.replace('/', "-"));
+        let stdout = succeeds(&render(&out, &["--shard", part]));
+        assert!(stdout.contains(&format!("Part {part} is whole")), "{stdout}");
+        copy_into(&out, &merged);
+    }
+    let mut without_statistics = tree(whole());
+    without_statistics.remove(Path::new("statistics.json")).unwrap();
+    assert_eq!(tree(&merged).keys().collect::<Vec<_>>(), without_statistics.keys().collect::<Vec<_>>());
+    succeeds(&render(&merged, &[]));
+    assert_same_tree(whole(), &merged);
+}
+
+#[test]
+fn another_dataset_is_not_mixed_in() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("data");
+    copy_into(whole(), &out);
+    let before = tree(&out);
+    let error = fails(&render(&out, &["--background", "black"]), 1);
+    assert!(error.contains("made with background \"#ffffff\", asked for is \"#000000\""), "{error}");
+    let error = fails(&render(&out, &["--depth"]), 1);
+    assert!(error.contains("depth false") && error.contains("--force"), "{error}");
+    assert!(tree(&out) == before);
+
+    fs::write(out.join("notes.txt"), "mine").unwrap();
+    succeeds(&render(&out, &["--background", "black", "--shard", "1/7", "--force"]));
+    let after = tree(&out);
+    assert_eq!(after[Path::new("notes.txt")], b"mine");
+    // dataset.json, the notes and the first pair's seven files: nothing is left of the other dataset.
+    assert_eq!(after.len(), 2 + 6);
+    let frame = Path::new("train/frames/scene-0000/00000.png");
+    assert!(before[frame] != after[frame]);
+
+    let other = dir.path().join("other");
+    fs::create_dir(&other).unwrap();
+    fs::write(other.join("thesis.tex"), "x").unwrap();
+    for force in [&[][..], &["--force"]] {
+        let error = fails(&render(&other, force), 1);
+        assert!(error.contains("not empty and holds no dataset.json"), "{error}");
+    }
+}
+
+#[test]
+fn wrong_arguments_are_said_before_any_work() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("data");
+    let cases: [(&[&str], i32, &str); 13] = [
+        (
+            &["--splits", "0.5,0.1,0.1"],
+            1,
+            "--splits 0.5,0.1,0.1: expected three shares from 0 to 1 that sum to 1",
+        ),
+        (&["--splits", "0.5,0.5"], 2, "expected TRAIN,VAL,TEST"),
+        (&["--size", "0x10"], 1, "--size 0x10"),
+        (&["--size", "99999999x99999999"], 1, "--size 99999999x99999999"),
+        (&["--size", "big"], 2, "expected WIDTHxHEIGHT"),
+        (&["--frames", "0"], 1, "--frames 0"),
+        (&["--frames", "nan"], 1, "--frames NaN"),
+        (&["--scenes", "0"], 1, "--scenes 0"),
+        (&["--shard", "3/2"], 2, "expected I/N"),
+        (&["--background", "/no/such/folder"], 1, "--background /no/such/folder"),
+        (&["--background", "#12"], 2, "six hexadecimal digits"),
+        (&["--head", "ict:/no/such/folder"], 1, "--head /no/such/folder"),
+        (&["--flow-format", "jpeg"], 2, "jpeg"),
+    ];
+    for (arguments, code, expected) in cases {
+        let mut command = Command::new(SRFLOW);
+        let output =
+            command.args(["render", "--out", out.to_str().unwrap()]).args(arguments).output().unwrap();
+        let error = fails(&output, code);
+        assert!(error.contains(expected), "{arguments:?}: {error}");
+        assert!(!out.exists(), "{arguments:?} made the folder");
+    }
+    let file = dir.path().join("file");
+    fs::write(&file, "x").unwrap();
+    assert!(fails(&render(&file.join("data"), &[]), 1).contains("file/data"));
+}
+
+/// A limit on the size of files stands for the full disk: both are errors of the write.
+#[cfg(unix)]
+#[test]
+fn a_full_disk_is_said_and_the_dataset_resumes() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("data");
+    let arguments = format!("{SRFLOW} render --out {} {}", out.display(), TINY.join(" "));
+    // Without the signal that a passed limit also sends; 12 blocks of 1024 bytes.
+    let script = format!("trap '' XFSZ; ulimit -f 12; exec {arguments}");
+    let output = Command::new("bash").args(["-c", &script]).output().unwrap();
+    let error = fails(&output, 1);
+    assert!(error.contains(".png: writing:") && error.contains("run the same command again"), "{error}");
+    assert!(tree(&out).keys().all(|path| path.extension().is_some_and(|e| e != "partial")));
+    succeeds(&render(&out, &[]));
+    assert_same_tree(whole(), &out);
+}
+
+#[test]
+fn backgrounds_stand_still_behind_the_head() {
+    let dir = tempfile::tempdir().unwrap();
+    let images = dir.path().join("images");
+    fs::create_dir(&images).unwrap();
+    let picture = srflow_field::Image::from_fn(300, 200, |x, y| [x as u8, y as u8, 200]);
+    srflow_field::write_image_png(&images.join("gradient.png"), &picture).unwrap();
+    let out = dir.path().join("data");
+    succeeds(&render(&out, &["--background", images.to_str().unwrap()]));
+    let at = |kind: &str, frame: u32| out.join(format!("train/{kind}/scene-0000/{frame:05}.png"));
+    let frames: Vec<_> =
+        (0..8).map(|frame| srflow_field::read_image(&at("frames", frame)).unwrap()).collect();
+    let (left, right) = (frames[0].get(1, 3), frames[0].get(108, 3));
+    assert!(right[0] > left[0] + 40 && left[2].abs_diff(200) < 3, "{left:?} {right:?}");
+    assert!(frames.iter().all(|frame| frame.get(1, 3) == left));
+    let flow = srflow_field::read_flow(&out.join("train/flow/scene-0000/00001.npz16")).unwrap();
+    assert_eq!(flow.get(1, 3), [0.0, 0.0]);
+    succeeds(&check(&out).0);
+}
+
+#[test]
+fn what_is_broken_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("data");
+    copy_into(whole(), &out);
+    let file = |path: &str| out.join("train").join(path);
+    let sound = tree(&out);
+    let expect = |path: &str, what: &str| {
+        let (output, report) = check(&out);
+        fails(&output, 1);
+        let problems = report["problems"].as_array().unwrap();
+        let named = problems.iter().any(|problem| {
+            problem["file"] == *file(path).to_str().unwrap()
+                && problem["what"].as_str().unwrap().contains(what)
+        });
+        assert!(named, "{path}: {what}: {problems:?}");
+        for (path, bytes) in &sound {
+            fs::write(out.join(path), bytes).unwrap();
+        }
+    };
+    fs::remove_file(file("flow/scene-0000/00002.npz16")).unwrap();
+    expect("flow/scene-0000/00002.npz16", "missing");
+    let frame = fs::read(file("frames/scene-0000/00007.png")).unwrap();
+    fs::write(file("frames/scene-0000/00007.png"), &frame[..frame.len() / 2]).unwrap();
+    expect("frames/scene-0000/00007.png", "");
+    let small = srflow_field::Mask::new(11, 16);
+    srflow_field::write_mask_png(&file("occlusion/scene-0000/00000.png"), &small).unwrap();
+    expect("occlusion/scene-0000/00000.png", "expected 110x160 as in dataset.json, found 11x16");
+    srflow_field::write_mask_png(&file("mask/scene-0000/00001.png"), &srflow_field::Mask::new(110, 160))
+        .unwrap();
+    expect("mask/scene-0000/00001.png", "differs from alpha");
+    fs::write(file("pairs/scene-0000/00000.json"), "{").unwrap();
+    expect("pairs/scene-0000/00000.json", "");
+    // The flow of another moment: sound as a file, wrong for its frames.
+    let flow = srflow_field::read_flow(&file("flow/scene-0000/00003.npz16")).unwrap();
+    let backwards = flow.pixels().iter().map(|[u, v]| [-u, -v]).collect();
+    let backwards = srflow_field::FlowField::from_pixels(110, 160, backwards).unwrap();
+    srflow_field::write_flow(&file("flow/scene-0000/00003.npz16"), &backwards).unwrap();
+    expect("flow/scene-0000/00003.npz16", "does not explain the frames");
+    fs::write(file("mask/scene-0000/.00001.png.77-3.partial"), "half").unwrap();
+    let (output, report) = check(&out);
+    fails(&output, 1);
+    assert!(report["problems"][0]["file"].as_str().unwrap().ends_with(".00001.png.77-3.partial"));
+    fs::remove_file(out.join("dataset.json")).unwrap();
+    assert!(fails(&check(&out).0, 1).contains("dataset.json"));
+}

@@ -324,11 +324,11 @@ fn what_is_broken_is_named() {
     expect("mask/scene-0000/00001.png", "differs from alpha");
     fs::write(file("pairs/scene-0000/00000.json"), "{").unwrap();
     expect("pairs/scene-0000/00000.json", "");
-    // The flow of another moment: sound as a file, wrong for its frames.
+    // Sound as a file, wrong for its frames.
     let flow = srflow_field::read_flow(&file("flow/scene-0000/00003.npz16")).unwrap();
-    let backwards = flow.pixels().iter().map(|[u, v]| [-u, -v]).collect();
-    let backwards = srflow_field::FlowField::from_pixels(110, 160, backwards).unwrap();
-    srflow_field::write_flow(&file("flow/scene-0000/00003.npz16"), &backwards).unwrap();
+    let wrong = flow.pixels().iter().map(|[u, v]| [u + 7.0, v - 5.0]).collect();
+    let wrong = srflow_field::FlowField::from_pixels(110, 160, wrong).unwrap();
+    srflow_field::write_flow(&file("flow/scene-0000/00003.npz16"), &wrong).unwrap();
     expect("flow/scene-0000/00003.npz16", "does not explain the frames");
     fs::write(file("mask/scene-0000/.00001.png.77-3.partial"), "half").unwrap();
     let (output, report) = check(&out);

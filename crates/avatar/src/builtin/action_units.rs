@@ -306,6 +306,11 @@ impl<'a> Place<'a> {
 
     /// How far the lid also leaves the eyeball, so that the upper lid closes over the lower.
     fn lid_lift(&self, number: u8) -> f32 {
-        if number == 43 && self.mark.eye > 0.0 { 0.35 } else { 0.0 }
+        if number != 43 || self.mark.eye < 0.0 {
+            return 0.0;
+        }
+        // The fold over the lid's plate flattens as it is drawn down.
+        let off = self.p.distance(self.plan.eye) - self.plan.eye_radius;
+        0.35 - 0.55 * (off - 2.5).max(0.0) * (1.0 - smoothstep(2.5, 13.0, off))
     }
 }

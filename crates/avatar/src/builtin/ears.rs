@@ -11,7 +11,8 @@ const AROUND: usize = 48;
 /// Rings of the front, as shares of the outline, and of the back, with how far they lie behind the outline's plane.
 const FRONT: [f32; 17] =
     [0.12, 0.22, 0.32, 0.40, 0.47, 0.53, 0.58, 0.63, 0.68, 0.73, 0.78, 0.83, 0.88, 0.92, 0.955, 0.985, 1.0];
-const BACK: [(f32, f32); 6] = [(0.99, 1.6), (0.95, 3.2), (0.88, 4.2), (0.76, 5.2), (0.60, 9.0), (0.52, 17.0)];
+const BACK: [(f32, f32); 6] =
+    [(0.99, 1.6), (0.95, 3.2), (0.89, 4.8), (0.82, 7.2), (0.75, 11.5), (0.70, 18.0)];
 
 /// Middle of the polar grid in the ear's plane, backward and upward from the tragus.
 const MIDDLE: Vec2 = Vec2::new(13.0, 2.0);
@@ -87,7 +88,10 @@ fn helix(angle: f32) -> f32 {
 }
 
 fn rim(angle: f32, share: f32) -> f32 {
-    3.4 * bell((share - 0.93) / 0.16) * helix(angle) + 1.5
+    // In front, from the root of the helix to the lobule, the edge sinks into the cheek.
+    let degrees = angle.to_degrees();
+    let rooted = smoothstep(150.0, 180.0, degrees) * (1.0 - smoothstep(248.0, 268.0, degrees));
+    3.4 * bell((share - 0.93) / 0.16) * helix(angle) + 1.5 - 6.0 * rooted * smoothstep(0.72, 1.0, share)
 }
 
 /// Height of the ear's front over its plane.
@@ -99,7 +103,7 @@ fn relief(flat: Vec2, share: f32, angle: f32) -> f32 {
     let mut height = rim(angle, share) * smoothstep(0.5, 0.9, share);
     height -= 2.6 * bell((share - 0.77) / 0.15) * helix(angle);
     height += 4.2 * bell((share - 0.56) / 0.20) * antihelix;
-    height -= 12.0 * spot(10.0, -3.0, 12.5, 14.0);
+    height -= 7.5 * spot(10.5, -3.0, 12.0, 14.0);
     height -= 3.5 * spot(9.0, 13.0, 9.0, 7.0);
     height += 6.5 * spot(-0.5, -3.0, 6.0, 7.0);
     height += 5.0 * spot(10.5, -15.5, 7.0, 5.0);

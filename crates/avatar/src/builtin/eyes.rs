@@ -82,7 +82,7 @@ pub(super) fn drape(plan: &Plan, p: Vec3) -> Vec3 {
         z -= 1.1 * bell((over - crease) / 1.7) * ends;
     }
     if under > 0.0 {
-        z -= 0.5 * bell((under - 8.0) / 4.0) * ends;
+        z -= 0.3 * bell((under - 8.0) / 4.5) * ends;
     }
     Vec3::new(p.x, p.y, lerp(p.z, z, smoothstep(0.0, 0.25, reach)))
 }

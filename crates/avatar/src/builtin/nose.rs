@@ -67,7 +67,10 @@ impl Nose {
         }
         let fade =
             (1.0 - smoothstep(top - 20.0, top, p.y)) * smoothstep(self.base - 9.0, self.base - 3.0, p.y);
-        let height = (self.ridge.at(p.y)[0] - face_z) * fade;
+        // The underside rises from the middle towards the wings.
+        let aside = (p.x / 16.0).min(1.0);
+        let rise = 3.2 * aside * aside * bell((p.y - self.base) / 22.0);
+        let height = (self.ridge.at(p.y - rise)[0] - face_z) * fade;
         let mut push = Vec3::new(0.0, 0.0, height * bell(p.x / self.width.at(p.y)[0]));
 
         // Wings, rounded, with the crease that sets them off from cheek and tip.
@@ -82,8 +85,8 @@ impl Nose {
         // Underside: pulled down over the lip so that it faces down, then the nostrils pushed up and in.
         let under = twin_dome(at, Vec2::new(7.0, self.base + 3.2), Vec2::new(11.0, 6.5));
         push.y -= (2.2 - 0.8 * self.turn) * under;
-        let nostril = twin_dome(at, Vec2::new(6.8, self.base + 2.9), Vec2::new(4.3, 3.2));
-        push += Vec3::new(0.3, 8.0, -5.5) * nostril;
+        let nostril = twin_dome(at, Vec2::new(6.8, self.base + 2.9), Vec2::new(4.4, 3.3));
+        push += Vec3::new(0.3, 8.0, -6.0) * nostril;
         push
     }
 }

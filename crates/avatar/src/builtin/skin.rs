@@ -10,7 +10,7 @@ use super::{eyes, face, mouth, neck};
 use crate::Region;
 
 /// Columns from the middle of the face to the middle of the back, and those where the slits end.
-const COLUMNS: usize = 57;
+const COLUMNS: usize = 54;
 const INNER_CANTHUS: usize = 14;
 const OUTER_CANTHUS: usize = 39;
 const MOUTH_CORNER: usize = 25;
@@ -331,7 +331,7 @@ impl<'a> Grid<'a> {
                 (nearest, distance) = (p, d);
             }
         }
-        Vec3::new(nearest.x - 0.8, wanted.y, wanted.z)
+        Vec3::new(nearest.x + 0.6, wanted.y, wanted.z)
     }
 }
 

@@ -286,12 +286,12 @@ impl<'a> Place<'a> {
                 * (1.0 - smoothstep(2.5, 13.0, off))
         };
         let roll = if above { upper } else { lower };
-        let close = if number == 43 && above { self.closing(q) } else { 0.0 };
+        let close = if number == 43 && above { self.closing() } else { 0.0 };
         (roll * shape + close) * fade
     }
 
     /// Angle from the upper margin to where it meets the lower one.
-    fn closing(&self, _q: f32) -> f32 {
+    fn closing(&self) -> f32 {
         let plan = self.plan;
         let x = self.p.x;
         let height = |y: f32| libm::asinf(((y - plan.eye.y) / self.margin_reach(y)).clamp(-1.0, 1.0));

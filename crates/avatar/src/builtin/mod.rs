@@ -36,8 +36,8 @@ const UNMOVED: f32 = 1e-3;
 impl HeadModel {
     /// The built-in head of the person of `seed`.
     ///
-    /// All persons share one topology, so that what is said of one head's vertices and triangles holds for all. The
-    /// identity is in the template; there is no identity basis.
+    /// All persons share one topology: vertex and triangle numbers mean the same place on every head; only hairline and
+    /// brows, that is [`HeadModel::regions`], follow each person. The identity is in the template; there is no basis.
     pub fn builtin(seed: u64) -> Self {
         let plan = Plan::new(Traits::of(seed));
         let mut half = Half::default();

@@ -40,7 +40,7 @@ pub fn score(
         Event::Estimating { method, pair } => bar.set_message(format!("{method} on {pair}")),
         Event::Scored(pair) => {
             bar.inc(1);
-            if problem.is_none() && shown_every.is_some_and(|every| pair.index % every == 0) {
+            if problem.is_none() && shown_every.is_some_and(|every| pair.index % every == every / 2) {
                 match pair_figures(pair, pictures.width, "") {
                     Ok(more) => figures.extend(more),
                     Err(error) => problem = Some(error),

@@ -87,7 +87,7 @@ pub fn sample_panels(sample: &Sample, name: &str, max_width: usize) -> Result<Ve
     }
     let grey = |mask, alt: &str| Picture::grey(&shrink_mask(mask, max_width), alt);
     if let Some(mask) = &sample.mask {
-        panels.push(panel(grey(mask, "mask of the head")?, "Mask", "the head, alpha over one half"));
+        panels.push(panel(grey(mask, "mask of the head")?, "Mask", "where the head is"));
     }
     if let Some(occlusion) = &sample.occlusion {
         panels.push(panel(grey(occlusion, "occluded pixels")?, "Occlusion", "not seen in frame 2"));

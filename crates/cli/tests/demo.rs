@@ -5,7 +5,12 @@ use std::process::{Command, Output};
 
 fn demo(out: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_srflow"));
-    command.args(["demo", "--size", "220x321", "--out"]).arg(out).args(arguments).output().expect("srflow runs")
+    command
+        .args(["demo", "--size", "220x321", "--out"])
+        .arg(out)
+        .args(arguments)
+        .output()
+        .expect("srflow runs")
 }
 
 #[test]

@@ -90,6 +90,7 @@ impl<'a> Complexion<'a> {
         let edge = neckline.max(1.0 - smoothstep((rim - 2.0 * MM) / (5.0 * MM)));
         let mm = match self.surface.model.regions[point.triangle as usize] {
             Region::Lips | Region::LidMargin => 0.5,
+            Region::InnerLid => 0.65,
             Region::Brow => 0.85,
             Region::Skin if self.is_ear(p) => 0.95,
             Region::Skin => 1.35 - 0.53 * front * smoothstep((point.normal.z + 0.5) / 0.8),
@@ -152,8 +153,10 @@ impl<'a> Complexion<'a> {
     /// Distance below the neckline, metres: positive where there is cloth.
     pub fn cloth(&self, point: &SurfacePoint) -> f32 {
         let p = point.position / self.surface.size;
-        let axis = self.places.ear.z - 40.0 * MM;
-        let neckline = self.places.chin.y - 60.0 * MM - 0.42 * (p.z - axis).clamp(-0.06, 0.06);
+        let forward = p.z - (self.places.ear.z - 40.0 * MM);
+        let neckline = self.places.chin.y
+            - 60.0 * MM
+            - 0.42 * forward / (1.0 + forward * forward / (0.07 * 0.07)).sqrt();
         neckline - p.y
     }
 

@@ -29,7 +29,7 @@ pub(super) fn dress_lashes(dressing: &mut Dressing) {
         let mut stream = dressing.stream(["lashes 0", "lashes 1", "lashes 2", "lashes 3"][number]);
         let surface = dressing.surface;
         let eye = surface.joints[lid.eye as usize];
-        let regions = [Region::LidMargin, Region::Skin, Region::InnerLid];
+        let regions = [Region::LidMargin, Region::Skin];
         let skin = near_triangles(surface, &regions, eye, 0.028 * surface.size);
         let hairs = if lid.upper { 88 } else { 50 };
         for i in 0..hairs {
@@ -71,7 +71,10 @@ fn grow(dressing: &mut Dressing, lid: &Lid, skin: &[u32], t: f32, stream: &mut S
         gloss: 0.1,
         outward: Vec3::ZERO,
     };
-    add_strand(dressing, root.triangle, &strand, &dressing.exposure(&root));
+    // The rim itself folds under when the eye shuts; the lid's face just beside it turns as lashes do.
+    let beside = root.position + Vec3::Y * (if lid.upper { 1.0 } else { -1.0 } * MM * size);
+    let triangle = nearest_point(surface, skin, beside).map_or(root.triangle, |lid| lid.triangle);
+    add_strand(dressing, triangle, &strand, &dressing.exposure(&root));
 }
 
 /// The roots close together: a dark line on the rim of the upper lid.

@@ -140,10 +140,15 @@ impl Evaluation {
         let crop =
             self.crop.map_or(String::new(), |(width, height)| format!(", cropped to {width}x{height}"));
         Some(Table {
-            title: format!("{}, {} pairs{crop}, {}", self.dataset, self.pairs, region.words()),
+            title: format!("{}, {}{crop}, {}", self.dataset, self.pairs_in_words(), region.words()),
             columns: SCORES.iter().map(score).chain(std::iter::once(seconds)).collect(),
             rows: self.methods.iter().map(row).collect(),
         })
+    }
+
+    /// `1 pair`, `12 pairs`.
+    pub fn pairs_in_words(&self) -> String {
+        format!("{} pair{}", self.pairs, if self.pairs == 1 { "" } else { "s" })
     }
 
     /// The tables of all regions that the dataset has.

@@ -50,7 +50,7 @@ pub fn score_report(evaluation: &Evaluation, machine: &str, pairs: Vec<Figure>) 
     Report {
         title: evaluation.dataset.clone(),
         kicker: "srflow eval".to_owned(),
-        lead: format!("{} pairs of {}.", evaluation.pairs, evaluation.folder),
+        lead: format!("{} of {}.", evaluation.pairs_in_words(), evaluation.folder),
         opening: Vec::new(),
         sections,
         colophon: format!("srflow {} on {machine}.", env!("CARGO_PKG_VERSION")),
@@ -120,7 +120,10 @@ fn times(evaluation: &Evaluation, machine: &str) -> Figure {
         title: "Time per pair".to_owned(),
         x: String::new(),
         y: String::new(),
-        caption: format!("Median over {} pairs of the estimation alone, on {machine}.", evaluation.pairs),
+        caption: format!(
+            "Median over {} of the estimation alone, on {machine}.",
+            evaluation.pairs_in_words()
+        ),
     };
     bars(&measured.filter_map(bar).collect::<Vec<_>>(), &chart)
 }

@@ -40,7 +40,7 @@ pub struct Demo {
     #[arg(long, value_name = "HEAD", default_value = "builtin")]
     head: Head,
     /// Seed of every random choice; another seed gives other heads
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 5)]
     seed: u64,
     /// Size of the large frames, WIDTHxHEIGHT; smaller is faster
     #[arg(long, value_name = "SIZE", default_value = "2200x3208")]

@@ -66,7 +66,8 @@ def main():
         first, second = (cv2.cvtColor(cv2.imread(str(frames / f)), cv2.COLOR_BGR2GRAY) for f in (one, two))
         write(f"{name}_farneback", farneback().calc(first, second, None), 32)
         flow = tvl1().calc(first, second, None)
-        write(f"{name}_tvl1", flow, 32)
+        if name != "kitti":  # there the test compares errors against the truth
+            write(f"{name}_tvl1", flow, 32)
     truth = cv2.imread(str(frames / "kitti/flow_gt.png"), cv2.IMREAD_UNCHANGED)[..., ::-1].astype(np.float64)
     valid = truth[..., 2] > 0
     error = np.linalg.norm(flow - (truth[..., :2] - 32768) / 64, axis=-1)[valid].mean()

@@ -90,7 +90,6 @@ impl<'a> Complexion<'a> {
         let edge = neckline.max(1.0 - smoothstep((rim - 2.0 * MM) / (5.0 * MM)));
         let mm = match self.surface.model.regions[point.triangle as usize] {
             Region::Lips | Region::LidMargin => 0.5,
-            Region::InnerLid => 0.65,
             Region::Brow => 0.85,
             Region::Skin if self.is_ear(p) => 0.95,
             Region::Skin => 1.35 - 0.53 * front * smoothstep((point.normal.z + 0.5) / 0.8),

@@ -37,9 +37,7 @@ fn close_surface(dressing: &mut Dressing, complexion: &Complexion) {
     let surface = dressing.surface;
     let spacing = |point: &SurfacePoint| (complexion.spacing(point) * 2.0).max(1.2 * MM * surface.size);
     let mut stream = dressing.stream("closing layer");
-    let mut triangles = surface.triangles_of(&SKIN);
-    triangles.extend(surface.triangles_of(&[Region::InnerLid]));
-    for point in surface.scatter(&triangles, spacing, &mut stream) {
+    for point in surface.scatter(&surface.triangles_of(&SKIN), spacing, &mut stream) {
         if complexion.is_rim(&point) {
             continue;
         }

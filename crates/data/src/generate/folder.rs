@@ -229,3 +229,79 @@ fn remove_partial(dir: &Path, abandoned: impl Fn(&str, Duration) -> bool) -> Res
 fn io_error(path: &Path, error: io::Error) -> GenerateError {
     GenerateError::Io { path: path.to_owned(), error }
 }
+
+#[cfg(test)]
+mod tests {
+    use srflow_field::FlowFormat;
+
+    use super::*;
+    use crate::generate::{Background, Head, Settings};
+    use crate::manifest::FrameFiles;
+
+    fn manifest(scenes: u32, frames: f64) -> Manifest {
+        let settings = Settings {
+            head: Head::Builtin,
+            scenes,
+            frames,
+            width: 110,
+            height: 160,
+            splits: [1.0, 0.0, 0.0],
+            seed: 1,
+            flow_format: FlowFormat::Npz16,
+            backward: false,
+            depth: false,
+            background: Background::Colour([255; 3]),
+        };
+        settings.plan().unwrap()
+    }
+
+    fn pairs(runs: &[Run]) -> Vec<(u32, u32)> {
+        runs.iter().flat_map(|run| run.pairs.clone().map(|pair| (run.scene, pair))).collect()
+    }
+
+    #[test]
+    fn parts_are_equal_and_together_the_whole() {
+        let manifest = manifest(5, 7.4);
+        let whole = pairs(&pairs_of_shard(&manifest, Shard::WHOLE));
+        assert_eq!(whole.len() as u64, manifest.pairs());
+        for of in [1, 2, 3, 8, 37, 50] {
+            let parts = (1..=of).map(|number| pairs(&pairs_of_shard(&manifest, Shard { number, of })));
+            let parts: Vec<Vec<(u32, u32)>> = parts.collect();
+            assert_eq!(parts.concat(), whole);
+            let sizes = || parts.iter().map(Vec::len);
+            assert!(sizes().max().unwrap() - sizes().min().unwrap() <= 1);
+        }
+    }
+
+    #[test]
+    fn runs_are_cut_without_loss() {
+        let runs = vec![Run { scene: 0, pairs: 3..11 }, Run { scene: 2, pairs: 0..1 }];
+        let short = cut(runs.clone(), 3);
+        assert_eq!(pairs(&short), pairs(&runs));
+        assert_eq!(short.iter().map(|run| run.pairs.len()).collect::<Vec<_>>(), [3, 3, 2, 1]);
+    }
+
+    #[test]
+    fn a_pair_lacks_what_any_of_its_files_lacks() {
+        let dir = tempfile::tempdir().unwrap();
+        let manifest = manifest(1, 3.0);
+        claim(dir.path(), &manifest, false).unwrap();
+        let everything = pairs_of_shard(&manifest, Shard::WHOLE);
+        tidy(dir.path(), &manifest, &everything).unwrap();
+        let left = || pairs(&missing(dir.path(), &manifest, &everything));
+        assert_eq!(left().len(), 3);
+        let scene = &manifest.scenes[0];
+        for pair in 0..3 {
+            let of_frames = [pair, pair + 1].map(|frame| manifest.frame_files(dir.path(), scene, frame));
+            let files = manifest.files(dir.path(), scene, pair);
+            for file in files.all().chain(of_frames.iter().flat_map(FrameFiles::all)) {
+                fs::write(file, "x").unwrap();
+            }
+        }
+        assert_eq!(left(), []);
+        fs::remove_file(manifest.frame_files(dir.path(), scene, 3).alpha).unwrap();
+        assert_eq!(left(), [(0, 2)]);
+        fs::remove_file(manifest.files(dir.path(), scene, 0).occlusion).unwrap();
+        assert_eq!(left(), [(0, 0), (0, 2)]);
+    }
+}

@@ -220,12 +220,12 @@ impl FrameFiles {
 #[derive(Debug, thiserror::Error)]
 pub enum ManifestError {
     /// There is none, or it could not be read.
-    #[error("{}: {source}; an SRFlow dataset has a dataset.json in its folder, which `srflow render` writes", .path.display())]
+    #[error("{}: {error}; an SRFlow dataset has a dataset.json in its folder, which `srflow render` writes", .path.display())]
     Read {
         /// The file.
         path: PathBuf,
         /// What the system said.
-        source: std::io::Error,
+        error: std::io::Error,
     },
     /// It is not what `srflow render` writes.
     #[error("{}: {reason}", .path.display())]
@@ -245,7 +245,7 @@ impl Manifest {
     pub fn read(dir: &Path) -> Result<Self, ManifestError> {
         let path = dir.join(MANIFEST_NAME);
         let text = std::fs::read_to_string(&path)
-            .map_err(|source| ManifestError::Read { path: path.clone(), source })?;
+            .map_err(|error| ManifestError::Read { path: path.clone(), error })?;
         let content = |reason| ManifestError::Content { path: path.clone(), reason };
         // The version is looked at first, so that a later layout is not reported as a missing field.
         let value: serde_json::Value =

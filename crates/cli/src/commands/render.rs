@@ -15,12 +15,12 @@ use crate::Context;
 #[derive(Args)]
 #[command(after_help = "\
 Examples:
-  srflow render --out srflow                            the paper's 27 scenes and 11,161 pairs at 2200x3208
+  srflow render --out srflow               the paper's 11,161 pairs at 2200x3208
   srflow render --out tiny --scenes 3 --frames 8 --size 550x802
-  srflow render --out part --shard 2/8                  the second of eight machines; merge the parts by copying
+  srflow render --out part --shard 2/8     one of eight parts; merge by copying
 
-A run that was stopped goes on where it was when the same command is given again. `srflow check` examines the
-dataset; its files are described in docs/dataset.md.")]
+The same command given again goes on where a run was stopped. `srflow check`
+examines the dataset; its files are described in docs/dataset.md.")]
 pub struct Render {
     /// Folder of the dataset
     #[arg(long, value_name = "DIR")]

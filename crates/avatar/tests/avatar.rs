@@ -1,6 +1,7 @@
 //! Dressed heads as a user meets them: whole, without holes, and the same person for the same seed.
 
 use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
 
 use glam::{DMat4, DVec3, Quat, Vec3};
 use srflow_avatar::{Avatar, AvatarError, HeadPose, Joint, PosedHead, Region, Side};
@@ -15,6 +16,12 @@ fn ict_folder() -> Option<PathBuf> {
     eprintln!("skipped: no ICT-FaceKit at {}", folder.display());
     None
 }
+
+/// Two built-in people and one of ICT-FaceKit's that the tests share: building takes longer than testing.
+static FIRST: LazyLock<Avatar> = LazyLock::new(|| Avatar::builtin(1).expect("an avatar"));
+static SECOND: LazyLock<Avatar> = LazyLock::new(|| Avatar::builtin(8).expect("an avatar"));
+static ICT: LazyLock<Option<Avatar>> =
+    LazyLock::new(|| ict_folder().map(|folder| Avatar::ict(&folder, 2).expect("an avatar")));
 
 fn gaussians(avatar: &Avatar, pose: &HeadPose) -> (Gaussians, PosedHead) {
     let (mut head, mut out) = (PosedHead::default(), Gaussians::default());
@@ -119,24 +126,23 @@ fn assert_whole(avatar: &Avatar, name: &str) {
 
 #[test]
 fn built_in_heads_are_whole_in_every_pose() {
-    for seed in [1, 8] {
-        assert_whole(&Avatar::builtin(seed).expect("an avatar"), &format!("built-in {seed}"));
-    }
+    assert_whole(&FIRST, "built-in 1");
+    assert_whole(&SECOND, "built-in 8");
 }
 
 #[test]
 fn ict_heads_are_whole_in_every_pose() {
-    if let Some(folder) = ict_folder() {
-        assert_whole(&Avatar::ict(&folder, 2).expect("an avatar"), "ICT 2");
+    if let Some(avatar) = &*ICT {
+        assert_whole(avatar, "ICT 2");
     }
 }
 
 #[test]
 fn a_seed_is_a_person() {
     let rest = HeadPose::default();
-    let one = gaussians(&Avatar::builtin(5).expect("an avatar"), &rest).0;
-    let same = gaussians(&Avatar::builtin(5).expect("an avatar"), &rest).0;
-    let other = gaussians(&Avatar::builtin(6).expect("an avatar"), &rest).0;
+    let one = gaussians(&FIRST, &rest).0;
+    let same = gaussians(&Avatar::builtin(1).expect("an avatar"), &rest).0;
+    let other = gaussians(&SECOND, &rest).0;
     assert!(one == same, "the same seed gives the same bytes");
     let mean = |g: &Gaussians| g.sh.iter().map(|c| c[0]).sum::<f32>() / g.len() as f32;
     assert!((mean(&one) - mean(&other)).abs() > 1e-3 && one.positions != other.positions);
@@ -144,11 +150,11 @@ fn a_seed_is_a_person() {
 
 #[test]
 fn eyeballs_turn_and_carry_their_irises() {
-    let avatar = Avatar::builtin(3).expect("an avatar");
+    let avatar = &*FIRST;
     let mut pose = HeadPose::default();
-    let (rest, _) = gaussians(&avatar, &pose);
+    let (rest, _) = gaussians(avatar, &pose);
     pose.joints[Joint::LeftEye as usize] = Quat::from_rotation_y(0.3);
-    let (looking, _) = gaussians(&avatar, &pose);
+    let (looking, _) = gaussians(avatar, &pose);
     let eye = avatar.shaped().joints[Joint::LeftEye as usize];
     let moved: Vec<usize> =
         (0..rest.len()).filter(|&i| rest.positions[i].distance(looking.positions[i]) > 1e-3).collect();
@@ -197,8 +203,7 @@ fn ict_folders_that_are_not_name_the_file() {
 
 #[test]
 fn ict_action_units_are_those_of_the_files_present() {
-    let Some(folder) = ict_folder() else { return };
-    let avatar = Avatar::ict(&folder, 1).expect("an avatar");
+    let Some(avatar) = &*ICT else { return };
     let model = avatar.model();
     for name in [
         "AU1", "AU2", "AU4", "AU5", "AU6_L", "AU9", "AU12_R", "AU14", "AU15", "AU20", "AU24_L", "AU26",
@@ -211,8 +216,8 @@ fn ict_action_units_are_those_of_the_files_present() {
         assert!(model.action_unit_named(name).is_err(), "{name}");
     }
     let smile = model.pose_of_action_units(&[(12, Side::Left, 1.0)]).expect("a smile");
-    let (_, rest) = gaussians(&avatar, &HeadPose::default());
-    let (_, smiling) = gaussians(&avatar, &smile);
+    let (_, rest) = gaussians(avatar, &HeadPose::default());
+    let (_, smiling) = gaussians(avatar, &smile);
     let corner =
         |landmark: usize, head: &PosedHead| head.frames()[model.landmarks[landmark].0 as usize].origin;
     let [right, left] = [48, 54].map(|landmark| corner(landmark, &smiling) - corner(landmark, &rest));

@@ -11,8 +11,8 @@ const AROUND: usize = 48;
 /// Rings of the front, as shares of the outline, and of the back, with how far they lie behind the outline's plane.
 const FRONT: [f32; 17] =
     [0.12, 0.22, 0.32, 0.40, 0.47, 0.53, 0.58, 0.63, 0.68, 0.73, 0.78, 0.83, 0.88, 0.92, 0.955, 0.985, 1.0];
-const BACK: [(f32, f32); 6] =
-    [(0.99, 1.6), (0.95, 3.2), (0.89, 4.8), (0.82, 7.2), (0.75, 11.5), (0.70, 18.0)];
+const BACK: [(f32, f32); 7] =
+    [(1.006, 0.7), (0.992, 1.7), (0.95, 3.2), (0.89, 4.8), (0.82, 7.2), (0.75, 11.5), (0.70, 18.0)];
 
 /// Middle of the polar grid in the ear's plane, backward and upward from the tragus.
 const MIDDLE: Vec2 = Vec2::new(13.0, 2.0);
@@ -29,7 +29,8 @@ pub(super) fn add(half: &mut Half, plan: &Plan, root: Vec3) {
     let up = (upright + back * lean).normalize();
     let back = (back - up * back.dot(up)).normalize();
     let out = back.cross(up);
-    let place = |flat: Vec2, height: f32| root + (back * flat.x + up * flat.y + out * height) * size;
+    let place =
+        |flat: Vec2, height: f32| root + (back * flat.x + up * flat.y + out * (height + lobule(flat))) * size;
 
     let mark = Mark::of(Part::Ear);
     let middle = half.vertex(place(MIDDLE, relief(MIDDLE, 0.0, 0.0)), mark);
@@ -54,11 +55,16 @@ pub(super) fn add(half: &mut Half, plan: &Plan, root: Vec3) {
     }
 }
 
+/// How far the lobule turns outward from the ear's plane.
+fn lobule(flat: Vec2) -> f32 {
+    4.2 * smoothstep(6.0, 26.0, -flat.y) * smoothstep(4.0, 18.0, flat.x)
+}
+
 /// Distance from the middle to the outline; the angle runs from backward to upward.
 fn outline(angle: f32) -> f32 {
     let points = [
-        (-60.0, 22.5),
-        (-30.0, 20.0),
+        (-58.0, 25.2),
+        (-30.0, 20.8),
         (0.0, 20.5),
         (30.0, 23.5),
         (60.0, 29.0),
@@ -68,12 +74,12 @@ fn outline(angle: f32) -> f32 {
         (160.0, 18.0),
         (185.0, 15.5),
         (210.0, 16.0),
-        (235.0, 21.0),
-        (255.0, 29.5),
+        (235.0, 24.5),
+        (252.0, 30.4),
         (270.0, 31.0),
-        (285.0, 28.0),
-        (300.0, 22.5),
-        (330.0, 20.0),
+        (286.0, 28.8),
+        (302.0, 25.2),
+        (330.0, 20.8),
         (360.0, 20.5),
         (390.0, 23.5),
     ];

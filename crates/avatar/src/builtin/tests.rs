@@ -124,7 +124,7 @@ fn a_seed_always_gives_the_same_head_and_another_seed_another() {
     assert!(apart > 2e-3, "heads differ by {apart} m at most");
 }
 
-/// Sizes of real heads (Farkas 1994, adults, give or take three deviations), in millimetres.
+/// Ranges in millimetres that we chose as plausible for adults; every drawn head keeps within them.
 #[test]
 fn heads_have_human_measures() {
     for seed in 0..12 {

@@ -22,6 +22,8 @@ pub(super) struct Complexion<'a> {
     scalp: Vec<f32>,
     /// Distance from the open edge of the model, metres, at the vertices.
     rim: Vec<f32>,
+    /// How sharply the surface bends at the vertices, 1/m.
+    curvature: Vec<f32>,
     blotches: Noise,
     relief: Noise,
 }
@@ -75,6 +77,7 @@ impl<'a> Complexion<'a> {
             lips: surface.signed_distance(&[Region::Lips], 0.02),
             scalp: surface.signed_distance(&[Region::Scalp], 0.03),
             rim: surface.rim_distance(0.02),
+            curvature: surface.curvature(),
             blotches: Noise::new(stream.bits()),
             relief: Noise::new(stream.bits()),
         }
@@ -91,7 +94,7 @@ impl<'a> Complexion<'a> {
         let mm = match self.surface.model.regions[point.triangle as usize] {
             Region::Lips | Region::LidMargin => 0.5,
             Region::Brow => 0.85,
-            Region::Skin if self.is_ear(p) => 0.95,
+            Region::Skin if self.is_beside_ear(p) => self.ear_spacing(point),
             Region::Skin => 1.35 - 0.53 * front * smoothstep((point.normal.z + 0.5) / 0.8),
             Region::Neck => 1.9 - 1.1 * edge,
             _ => 2.5,
@@ -104,6 +107,28 @@ impl<'a> Complexion<'a> {
         self.surface.value(&self.rim, point) < 2.5 * MM * self.surface.size
     }
 
+    /// Fine enough on the ear that no Gaussian stands off its thin rim by more than a share of a tenth of a millimetre.
+    fn ear_spacing(&self, point: &SurfacePoint) -> f32 {
+        let radius_mm =
+            (self.surface.value(&self.curvature, point) * self.surface.size * MM).max(1e-3).recip();
+        (0.6 * radius_mm.sqrt()).clamp(0.42, 0.95)
+    }
+
+    /// Metres between the larger Gaussians that close the surface. Beside the thin rim of the ear they would show.
+    pub fn closing_spacing(&self, point: &SurfacePoint) -> f32 {
+        let spacing = self.spacing(point);
+        let sharp = self.surface.value(&self.curvature, point) * self.surface.size * MM > 0.22;
+        if sharp && self.is_beside_ear(point.position / self.surface.size) {
+            return spacing * 1.15;
+        }
+        (spacing * 2.0).max(1.2 * MM * self.surface.size)
+    }
+
+    /// The ear and the skin that its lobule hangs from.
+    fn is_beside_ear(&self, p: Vec3) -> bool {
+        p.x.abs() > self.places.ear.x - 8.0 * MM && p.z < self.places.ear.z + 2.0 * MM
+    }
+
     fn is_ear(&self, p: Vec3) -> bool {
         p.x.abs() > self.places.ear.x + 3.0 * MM && p.z < self.places.ear.z + 2.0 * MM
     }
@@ -112,7 +137,7 @@ impl<'a> Complexion<'a> {
     pub fn beard(&self, point: &SurfacePoint) -> f32 {
         let p = point.position / self.surface.size;
         let places = &self.places;
-        if self.lip(point) > 0.0 || p.z < places.ear.z - 12.0 * MM {
+        if self.lip(point) > 0.0 || p.z < places.ear.z - 12.0 * MM || self.is_ear(p) {
             return 0.0;
         }
         let x = p.x.abs();

@@ -11,6 +11,7 @@ mod mouth;
 mod noise;
 mod occlusion;
 mod skin;
+mod specks;
 mod strand;
 mod surface;
 

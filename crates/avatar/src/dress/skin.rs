@@ -1,10 +1,10 @@
-//! Skin: a layer that closes the surface, a finer one that carries colour and relief, and on it pores, freckles, moles
-//! and stubble.
+//! Skin: a layer that closes the surface, a finer one that carries colour and relief, and on it specks and stubble.
 
 use glam::{Quat, Vec3};
 
 use super::Dressing;
 use super::complexion::Complexion;
+use super::specks::{self, Specks};
 use super::strand::{Strand, add_strand};
 use super::surface::SurfacePoint;
 use crate::Region;
@@ -19,95 +19,51 @@ pub(super) const SKIN: [Region; 6] =
 /// Covers the head with skin.
 pub(super) fn dress_skin(dressing: &mut Dressing) {
     let complexion = Complexion::new(dressing);
-    close_surface(dressing, &complexion);
-    fine_layer(dressing, &complexion);
     let face = dressing.surface.triangles_of(&[Region::Skin, Region::Brow]);
-    pores(dressing, &complexion, &face);
-    if dressing.appearance.freckles > 0.0 {
-        freckles(dressing, &complexion, &face);
+    let specks = Specks::new(dressing, &complexion, &face);
+    // Each layer has a random stream of its own, so that they can grow side by side.
+    let here = &*dressing;
+    let (fine, (closing, pores)) = rayon::join(
+        || fine_layer(here, &complexion, &specks),
+        || (closing_layer(here, &complexion), specks::pores(here, &complexion, &face)),
+    );
+    for (triangle, splat) in closing.into_iter().chain(fine).chain(pores).chain(specks.splats()) {
+        dressing.add(triangle, splat);
     }
-    moles(dressing, &complexion, &face);
     if dressing.appearance.stubble > 0.0 {
         stubble(dressing, &complexion);
     }
 }
 
 /// Opaque Gaussians a little under the surface: nothing shines through when the skin stretches.
-fn close_surface(dressing: &mut Dressing, complexion: &Complexion) {
+fn closing_layer(dressing: &Dressing, complexion: &Complexion) -> Vec<(u32, Splat)> {
     let surface = dressing.surface;
-    let spacing = |point: &SurfacePoint| (complexion.spacing(point) * 2.0).max(1.2 * MM * surface.size);
+    let spacing = |point: &SurfacePoint| complexion.closing_spacing(point);
     let mut stream = dressing.stream("closing layer");
-    for point in surface.scatter(&surface.triangles_of(&SKIN), spacing, &mut stream) {
-        if complexion.is_rim(&point) {
-            continue;
-        }
+    let mut points = surface.scatter(&surface.triangles_of(&SKIN), spacing, &mut stream);
+    points.retain(|point| !complexion.is_rim(point));
+    let splat = |point: SurfacePoint| {
         let sigma = spacing(&point) * 0.8;
         let color = complexion.color(&point, &dressing.exposure(&point), &mut stream, false);
         let position = point.position - point.normal * (0.35 * spacing(&point));
-        dressing.add(point.triangle, flat(position, point.normal, sigma, 0.1 * sigma, color, 0.99));
-    }
+        (point.triangle, flat(position, point.normal, sigma, 0.1 * sigma, color, 0.99))
+    };
+    points.into_iter().map(splat).collect()
 }
 
-fn fine_layer(dressing: &mut Dressing, complexion: &Complexion) {
+fn fine_layer(dressing: &Dressing, complexion: &Complexion, specks: &Specks) -> Vec<(u32, Splat)> {
     let surface = dressing.surface;
     let spacing = |point: &SurfacePoint| complexion.spacing(point);
     let mut stream = dressing.stream("fine layer");
-    for point in surface.scatter(&surface.triangles_of(&SKIN), spacing, &mut stream) {
+    let points = surface.scatter(&surface.triangles_of(&SKIN), spacing, &mut stream);
+    let splat = |point: SurfacePoint| {
         let sigma = spacing(&point) * 0.66;
         let color = complexion.color(&point, &dressing.exposure(&point), &mut stream, true);
+        let color = color * specks.tint(point.position);
         let position = complexion.position(&point);
-        dressing.add(point.triangle, flat(position, point.normal, sigma, sigma * 0.15, color, 0.97));
-    }
-}
-
-fn pores(dressing: &mut Dressing, complexion: &Complexion, face: &[u32]) {
-    let surface = dressing.surface;
-    let size = surface.size;
-    let mut stream = dressing.stream("pores");
-    for point in surface.scatter(face, |_| 1.3 * MM * size, &mut stream) {
-        if stream.unit() > complexion.pores(point.position) {
-            continue;
-        }
-        let lit = complexion.color(&point, &dressing.exposure(&point), &mut stream, true);
-        let color = lit * Vec3::new(0.80, 0.72, 0.70);
-        let sigma = stream.uniform(0.11, 0.19) * MM * size;
-        let position = point.position + point.normal * (0.12 * MM * size);
-        dressing.add(point.triangle, flat(position, point.normal, sigma, sigma * 0.2, color, 0.38));
-    }
-}
-
-fn freckles(dressing: &mut Dressing, complexion: &Complexion, face: &[u32]) {
-    let surface = dressing.surface;
-    let size = surface.size;
-    let mut stream = dressing.stream("freckles");
-    for point in surface.scatter(face, |_| 2.3 * MM * size, &mut stream) {
-        let likely = complexion.sun(point.position) * dressing.appearance.freckles;
-        if stream.unit() > likely || complexion.lip(&point) > -2.0 * MM {
-            continue;
-        }
-        let lit = complexion.color(&point, &dressing.exposure(&point), &mut stream, false);
-        let color = lit * Vec3::new(0.78, 0.62, 0.52);
-        let sigma = stream.uniform(0.3, 0.75) * MM * size;
-        let position = point.position + point.normal * (0.14 * MM * size);
-        let opacity = stream.uniform(0.18, 0.5);
-        dressing.add(point.triangle, flat(position, point.normal, sigma, sigma * 0.1, color, opacity));
-    }
-}
-
-fn moles(dressing: &mut Dressing, complexion: &Complexion, face: &[u32]) {
-    let surface = dressing.surface;
-    let size = surface.size;
-    let mut stream = dressing.stream("moles");
-    for point in surface.scatter(face, |_| 16.0 * MM * size, &mut stream) {
-        if stream.unit() > 0.07 || complexion.lip(&point) > -3.0 * MM {
-            continue;
-        }
-        let lit = complexion.color(&point, &dressing.exposure(&point), &mut stream, false);
-        let sigma = stream.uniform(0.35, 0.8) * MM * size;
-        let position = point.position + point.normal * (0.25 * MM * size);
-        let color = lit * Vec3::new(0.48, 0.36, 0.31);
-        dressing.add(point.triangle, flat(position, point.normal, sigma, sigma * 0.5, color, 0.75));
-    }
+        (point.triangle, flat(position, point.normal, sigma, sigma * 0.15, color, 0.97))
+    };
+    points.into_iter().map(splat).collect()
 }
 
 fn stubble(dressing: &mut Dressing, complexion: &Complexion) {

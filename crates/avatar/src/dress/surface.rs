@@ -168,6 +168,22 @@ impl<'a> Surface<'a> {
         distances
     }
 
+    /// How sharply the surface bends at each vertex, 1/m: the most that the normal turns along an edge of the mesh.
+    pub fn curvature(&self) -> Vec<f32> {
+        let shortest = 1e-4 * self.size;
+        let mut bends = vec![0.0_f32; self.vertices.len()];
+        for triangle in &self.model.triangles {
+            for i in 0..3 {
+                let (a, b) = (triangle[i] as usize, triangle[(i + 1) % 3] as usize);
+                let length = self.vertices[a].distance(self.vertices[b]).max(shortest);
+                let bend = self.normals[a].distance(self.normals[b]) / length;
+                (bends[a], bends[b]) = (bends[a].max(bend), bends[b].max(bend));
+            }
+        }
+        self.smooth(&mut bends);
+        bends
+    }
+
     /// Distance of each vertex to the edge where the mesh ends, metres, `reach` at most.
     pub fn rim_distance(&self, reach: f32) -> Vec<f32> {
         let mut edges: HashMap<[u32; 2], (u32, bool)> = HashMap::new();

@@ -243,8 +243,8 @@ impl<'a> Complexion<'a> {
         albedo = albedo.lerp(albedo * Vec3::new(0.62, 0.64, 0.68), 0.55 * beard);
         let hair = match a.hair_style {
             HairStyle::Buzzed => 0.62,
-            HairStyle::Short => 0.8,
-            _ => 0.88,
+            HairStyle::Short => 0.86,
+            _ => 0.95,
         };
         let scalp = self.surface.value(&self.scalp, point) / self.surface.size;
         let ragged = self.blotches.at(p * 300.0) * 2.5 * MM;

@@ -78,16 +78,16 @@ const MEDIUM: Cut = Cut {
     parted: 1.0,
 };
 const CURLY: Cut = Cut {
-    spacing: 3.0,
+    spacing: 3.15,
     length: [74.0, 46.0],
-    segments: 12,
-    width: 0.42,
+    segments: 15,
+    width: 0.36,
     lift: 0.9,
     volume: 34.0,
-    obedience: 0.12,
+    obedience: 0.07,
     gravity: 0.0,
-    wave: 0.5,
-    curl: 4.6,
+    wave: 0.8,
+    curl: 5.2,
     parted: 0.0,
 };
 const LONG: Cut = Cut {
@@ -121,8 +121,8 @@ pub(super) fn dress_hair(dressing: &mut Dressing) {
     let growth = Growth::new(dressing, &mut stream);
     let scalp = surface.triangles_of(&[Region::Scalp]);
     let fringe = surface.signed_distance(&[Region::Scalp], 0.02);
-    let spacing = growth.cut.spacing * MM * surface.size;
-    for root in surface.scatter(&scalp, |_| spacing, &mut stream) {
+    let spacing = |point: &SurfacePoint| growth.spacing(point.position);
+    for root in surface.scatter(&scalp, spacing, &mut stream) {
         let inside = surface.value(&fringe, &root) / surface.size;
         // Sparser and shorter towards the hairline.
         let density =
@@ -170,6 +170,27 @@ impl<'a> Growth<'a> {
         }
     }
 
+    /// Metres between roots: closer beside the parting, where little else covers the scalp.
+    fn spacing(&self, p: Vec3) -> f32 {
+        self.cut.spacing * MM * self.surface.size * (1.0 - 0.45 * self.flattened(p, 12.0))
+    }
+
+    /// How much the parting lays hair flat that grows from `p`, up to `reach` millimetres beside it.
+    fn flattened(&self, p: Vec3, reach: f32) -> f32 {
+        let beside = 1.0 - smoothstep(self.aside_of_parting(p).abs() / (reach * MM));
+        (self.cut.parted * 2.0).min(1.0) * beside * (0.6 + 0.4 * self.front(p))
+    }
+
+    /// Metres of an average head to the left of the parting, which is no straight line.
+    fn aside_of_parting(&self, p: Vec3) -> f32 {
+        (p.x - self.parting) / self.surface.size + 1.8 * MM * self.noise.at(p * 55.0)
+    }
+
+    /// 1 over the forehead, 0 from the crown backward, where a parting has closed.
+    fn front(&self, p: Vec3) -> f32 {
+        smoothstep(((p - self.centre).normalize_or(Vec3::Y).z - 0.1) / 0.45)
+    }
+
     fn grow(&self, dressing: &mut Dressing, root: &SurfacePoint, grown: f32, stream: &mut Stream) {
         let size = self.surface.size;
         let from_centre = (root.position - self.centre).normalize_or(Vec3::Y);
@@ -212,10 +233,10 @@ impl<'a> Growth<'a> {
         let size = self.surface.size;
         let segments = self.cut.segments;
         let step = length / segments as f32;
-        let (side, up) = root.normal.any_orthonormal_pair();
         let phase = stream.uniform(0.0, std::f32::consts::TAU);
-        let turn = stream.uniform(0.9, 1.5) * if stream.unit() < 0.5 { -1.0 } else { 1.0 };
+        let turn = stream.uniform(0.55, 0.9) * if stream.unit() < 0.5 { -1.0 } else { 1.0 };
         let mut direction = self.start(root, layer, stream);
+        let volume = self.cut.volume * (1.0 - 0.8 * self.flattened(root.position, 50.0));
         let mut p = root.position;
         let mut points = vec![p];
         for i in 1..=segments {
@@ -233,7 +254,7 @@ impl<'a> Growth<'a> {
                 direction.lerp(wanted.normalize_or(direction), self.cut.obedience).normalize_or(direction);
             p += direction * step;
             // Upper layers ride on the lower ones.
-            let risen = (self.cut.volume * layer * smoothstep(s * 2.5) * MM * size).min(0.45 * s * length);
+            let risen = (volume * layer * smoothstep(s * 2.5) * MM * size).min(0.45 * s * length);
             let thickness = 0.8 * MM * size + risen;
             // It lies on the head, but hangs free below the ears.
             let clings = self.cut.gravity > 0.0 && p.y > self.ears.y - 0.01 * size;
@@ -242,6 +263,7 @@ impl<'a> Growth<'a> {
             points.push(p);
         }
         if self.cut.curl > 0.0 {
+            let (side, up) = (p - root.position).normalize_or(root.normal).any_orthonormal_pair();
             for (i, point) in points.iter_mut().enumerate().skip(1) {
                 let angle = phase + turn * i as f32;
                 let radius = self.cut.curl * MM * size * smoothstep(i as f32 / 3.0);
@@ -253,7 +275,8 @@ impl<'a> Growth<'a> {
 
     fn start(&self, root: &SurfacePoint, layer: f32, stream: &mut Stream) -> Vec3 {
         let jitter = Vec3::new(stream.normal(), stream.normal(), stream.normal()) * 0.13;
-        let lift = self.cut.lift * (0.55 + 0.45 * layer);
+        let flat = 0.6 * self.flattened(root.position, 20.0);
+        let lift = self.cut.lift * (0.55 + 0.45 * layer) * (1.0 - flat);
         (root.normal * lift + self.combed(root.position) * (1.0 - lift) + jitter).normalize_or(root.normal)
     }
 
@@ -261,7 +284,9 @@ impl<'a> Growth<'a> {
     fn combed(&self, p: Vec3) -> Vec3 {
         let t = (p - self.centre).normalize_or(Vec3::Y);
         let away = -(self.whorl - t * t.dot(self.whorl)).normalize_or(Vec3::Z);
-        let side = if p.x > self.parting { 1.0 } else { -1.0 };
+        // Towards the crown the two sides of the parting run together.
+        let width = (30.0 - 27.5 * self.front(p)) * MM;
+        let side = (self.aside_of_parting(p) / width).clamp(-1.0, 1.0);
         let aside = Vec3::new(side, 0.0, -0.42);
         let aside = (aside - t * t.dot(aside)).normalize_or(away);
         let front = smoothstep((t.z + 0.25) / 0.6);

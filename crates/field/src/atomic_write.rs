@@ -21,15 +21,30 @@ pub fn write_atomically(
     write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<(), FileError> {
     let failed = |doing| move |error| FileProblem::Io { doing, error }.in_file(path);
-    let partial = partial_path(path).map_err(failed("creating"))?;
-    let file = OpenOptions::new().write(true).create_new(true).open(&partial).map_err(failed("creating"))?;
+    let misplaced = |doing| {
+        let advice = "give the path of a file, in a folder that exists and can be written to";
+        move |error| FileProblem::Place { doing, error, advice }.in_file(path)
+    };
+    let partial = partial_path(path).map_err(misplaced("creating"))?;
+    let file =
+        OpenOptions::new().write(true).create_new(true).open(&partial).map_err(misplaced("creating"))?;
     let written = fill(file, write).map_err(failed("writing"));
     let result =
-        written.and_then(|()| fs::rename(&partial, path).map_err(failed("renaming the finished file")));
+        written.and_then(|()| fs::rename(&partial, path).map_err(misplaced("renaming the finished file")));
     if result.is_err() {
         let _ = fs::remove_file(&partial); // the first error is the one to report
     }
     result
+}
+
+/// Makes a folder, and those above it that are missing. One that is there already is left as it is.
+///
+/// # Errors
+/// When a file is in the way or the folder above cannot be written to.
+pub fn create_folder(path: &Path) -> Result<(), FileError> {
+    let advice = "give the path of a folder, or of one that can be made";
+    let failed = |error| FileProblem::Place { doing: "making the folder", error, advice };
+    fs::create_dir_all(path).map_err(|error| failed(error).in_file(path))
 }
 
 fn fill(file: File, write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
@@ -79,5 +94,20 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let error = write_atomically(&folder.path().join("no/a.bin"), |_| Ok(())).unwrap_err();
         assert!(error.to_string().contains("no/a.bin: creating"), "{error}");
+        assert!(error.to_string().contains("in a folder that exists"), "{error}");
+    }
+
+    #[test]
+    fn a_file_in_the_way_of_a_folder_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        fs::write(&file, "x").unwrap();
+        for path in [file.clone(), file.join("below")] {
+            let error = create_folder(&path).unwrap_err().to_string();
+            assert!(error.starts_with(path.to_str().unwrap()), "{error}");
+            assert!(error.contains("give the path of a folder"), "{error}");
+        }
+        create_folder(&folder.path().join("new/below")).unwrap();
+        create_folder(&folder.path().join("new/below")).unwrap();
     }
 }

@@ -22,6 +22,16 @@ pub enum FileProblem {
         /// The operating system's answer.
         error: io::Error,
     },
+    /// The operating system refused to put something there.
+    #[error("{doing}: {error}; {advice}")]
+    Place {
+        /// What was being done, e.g. `creating`.
+        doing: &'static str,
+        /// The operating system's answer.
+        error: io::Error,
+        /// What path to give instead.
+        advice: &'static str,
+    },
     /// A field of the file does not hold what it must.
     #[error("{field}: expected {expected}, found {found}")]
     Field {

@@ -8,6 +8,9 @@ use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use crate::codec::{MAX_PIXELS, PngOutline, check_size, read_all, read_with};
 use crate::{FileError, FileProblem, Image, Mask, write_atomically};
 
+/// Extensions, in lower case, of the files that [`read_image`] takes.
+pub const IMAGE_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "ppm", "pgm", "pnm", "bmp"];
+
 /// Reads a PNG, JPEG, PPM/PGM or BMP file; its first bytes say which it is. 16-bit channels are rounded to 8 bits, grey
 /// becomes three equal channels, alpha is dropped.
 ///

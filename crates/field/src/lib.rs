@@ -14,7 +14,7 @@ mod metrics;
 pub mod random;
 mod warp;
 
-pub use atomic_write::{PARTIAL_EXTENSION, write_atomically};
+pub use atomic_write::{PARTIAL_EXTENSION, create_folder, write_atomically};
 pub use codec::npy::{Array, read_npy, read_npy_plane, write_npy, write_npy_plane};
 pub use codec::{FlowFormat, read_flow, read_flow_as, write_flow, write_flow_as};
 pub use estimator::{EstimateError, FlowEstimator};
@@ -22,6 +22,6 @@ pub use file_error::{FileError, FileProblem};
 pub use flow_colors::{flow_colors, longest_flow};
 pub(crate) use grid::check_same_size;
 pub use grid::{FlowField, Image, Mask, Plane, SizeError, SizeMismatch};
-pub use image_file::{read_image, read_mask, write_image_png, write_mask_png};
+pub use image_file::{IMAGE_EXTENSIONS, read_image, read_mask, write_image_png, write_mask_png};
 pub use metrics::{MAX_SCORED_FLOW, MeanMetrics, Metrics, ScoreError, score};
 pub use warp::{Tolerance, forward_backward_check, warp};

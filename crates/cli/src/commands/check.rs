@@ -15,9 +15,9 @@ use crate::Context;
 Example:
   srflow check srflow --json
 
-Every file is opened and held against dataset.json. Frame 2 is warped back by the flow: on the head, where frame 2
-shows what frame 1 does, little must remain of the difference between the frames. The exit code is 1 when anything
-is wrong.")]
+Every file is opened and held against dataset.json. Frame 2 is warped back by the flow: on the head, \
+where frame 2 shows what frame 1 does, little must remain of the difference between the frames. The exit \
+code is 1 when anything is wrong.")]
 pub struct Check {
     /// Folder of a dataset that `srflow render` made
     #[arg(value_name = "DIR")]

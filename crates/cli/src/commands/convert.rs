@@ -12,8 +12,8 @@ use crate::Context;
 /// Convert a flow between file formats, or draw it in colours
 ///
 /// The input's first bytes say its format, the output's extension says what to write: .flo, .png (KITTI's 16-bit PNG),
-/// .png128, .pfm, .flo5, .npy or .npz. Every value and every unknown pixel is kept; .png rounds to 1/64 pixel, .png128 to
-/// 1/128.
+/// .png128, .pfm, .flo5, .npy, .npz or .npz16. Every value and every unknown pixel is kept; .png rounds to steps of 1/64
+/// pixel, .png128 of 1/128, .npz16 of 1/256 (more where flow is longer than 128 pixels).
 #[derive(Args)]
 #[command(after_help = "Examples:
   srflow convert flow.flo5 flow.flo
@@ -36,7 +36,8 @@ pub struct Convert {
     force: bool,
 }
 
-fn positive(text: &str) -> Result<f32, String> {
+/// A length above 0 in pixels.
+pub fn positive(text: &str) -> Result<f32, String> {
     match text.parse() {
         Ok(number) if number > 0.0 && f32::is_finite(number) => Ok(number),
         _ => Err("expected a positive number of pixels, such as 20".to_owned()),

@@ -6,7 +6,7 @@ use clap::Args;
 use srflow_data::read::{DatasetSpec, FlowDataset, Split};
 use srflow_eval::report::{Figure, score_report};
 use srflow_eval::{Evaluation, OnFailure, Settings, TextStyle};
-use srflow_field::write_atomically;
+use srflow_field::{create_folder, write_atomically};
 
 use crate::methods::{self, Method, MethodParameters};
 use crate::scoring::{self, Pictures};
@@ -21,7 +21,7 @@ averaged over pairs; also inside the head's mask and outside occlusions where th
 says that nothing moves.
 
 Example: score both classical methods on the paper's crop of a test split, with a report of what they got wrong
-  srflow eval --dataset srflow:out/dataset --split test --method farneback tvl1 --crop 1200x1600 --out out/scores")]
+  srflow eval --dataset srflow:srflow --method farneback tvl1 --crop 1200x1600 --out scores")]
 pub struct Eval {
     /// Kind of dataset and its folder, e.g. sintel-clean:/data/Sintel; an unknown kind lists all
     #[arg(long, value_name = "KIND:DIR")]
@@ -80,6 +80,9 @@ pub fn run(args: Eval, context: &Context) -> anyhow::Result<()> {
         limit: args.limit.map(|limit| limit as usize),
         on_failure: if args.keep_going { OnFailure::LeaveOut } else { OnFailure::Stop },
     };
+    if let Some(out) = &args.out {
+        create_folder(out)?; // before the long work, which must not be lost
+    }
     let pictures = Pictures { pairs: if args.out.is_some() { SHOWN_PAIRS } else { 0 }, width: 560 };
     let (evaluation, figures) = scoring::score(&dataset, &estimators, settings, pictures)?;
 
@@ -111,7 +114,6 @@ fn tables(evaluation: &Evaluation, style: TextStyle) -> String {
 }
 
 fn write(out: &Path, evaluation: &Evaluation, figures: Vec<Figure>) -> anyhow::Result<()> {
-    std::fs::create_dir_all(out).with_context(|| format!("making the folder {}", out.display()))?;
     let each = |form: fn(&srflow_eval::Table) -> String| {
         evaluation.tables().iter().map(form).collect::<Vec<_>>().join("\n")
     };

@@ -1,4 +1,3 @@
-use std::cmp::Ordering;
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
@@ -8,16 +7,14 @@ use anyhow::{Context as _, bail, ensure};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
+use srflow_data::read::pictures;
 use srflow_field::{
-    FlowEstimator, FlowField, FlowFormat, Image, flow_colors, read_flow, read_image, write_flow,
-    write_image_png,
+    FlowEstimator, FlowField, FlowFormat, IMAGE_EXTENSIONS, Image, create_folder, flow_colors, read_flow,
+    read_image, write_flow, write_image_png,
 };
 
 use crate::Context;
 use crate::methods::{self, Method, MethodParameters};
-
-/// Extensions of the frames that are looked for in a folder.
-const FRAME_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "ppm", "pgm", "pnm", "bmp"];
 
 /// Estimate optical flow between frames
 #[derive(Args)]
@@ -26,8 +23,8 @@ Examples:
   srflow flow --method farneback frame1.png frame2.png -o flow.flo --viz flow.png
   srflow flow --method farneback video/ -o flows/ --format flo5 --viz colours/
 
-Two frames give one file, in the format of its extension. More frames, or a folder of them in the order of their
-numbers, give a folder: the flow from each frame to the next, under the name of the former.")]
+Two frames give one file, in the format of its extension. More frames, or a folder of them in the \
+order of their numbers, give a folder: the flow from each frame to the next, under the name of the former.")]
 pub struct Flow {
     /// Two frames or more, or a folder of them
     #[arg(required = true, value_name = "FRAME")]
@@ -45,7 +42,7 @@ pub struct Flow {
     #[arg(long, value_name = "OUT")]
     viz: Option<PathBuf>,
     /// Length in pixels of the flow that gets the fullest colour [default: the longest of each flow]
-    #[arg(long, value_name = "PIXELS", requires = "viz")]
+    #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = super::convert::positive)]
     viz_max: Option<f32>,
     /// Start from this flow, for two frames
     #[arg(long, value_name = "FLOW")]
@@ -88,9 +85,6 @@ struct PairReport {
 /// Runs the command.
 pub fn run(args: Flow, context: &Context) -> anyhow::Result<()> {
     let estimator = methods::estimator(args.method, &args.parameters)?;
-    if let Some(max) = args.viz_max {
-        ensure!(max > 0.0 && max.is_finite(), "--viz-max must be above 0, not {max}");
-    }
     let pairs = plan(&args)?;
     if !args.force {
         let outputs = pairs.iter().flat_map(|pair| [Some(&pair.flow), pair.viz.as_ref()]).flatten();
@@ -102,8 +96,7 @@ pub fn run(args: Flow, context: &Context) -> anyhow::Result<()> {
         pairs.iter().flat_map(|pair| [pair.flow.parent(), pair.viz.as_deref().and_then(Path::parent)])
     {
         if let Some(folder) = folder.filter(|folder| !folder.as_os_str().is_empty()) {
-            std::fs::create_dir_all(folder)
-                .with_context(|| format!("{}: making the folder", folder.display()))?;
+            create_folder(folder)?;
         }
     }
 
@@ -137,6 +130,14 @@ fn plan(args: &Flow) -> anyhow::Result<Vec<Pair>> {
         if FlowFormat::from_path(&args.out).is_none() {
             let names = FlowFormat::ALL.map(FlowFormat::extension).join(", ");
             bail!("{}: its extension is no flow format; there are {names}", args.out.display());
+        }
+        if let Some(viz) = &args.viz {
+            let is_png = viz.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
+            ensure!(
+                is_png && !viz.is_dir(),
+                "{}: two frames give one picture: expected the name of a file ending in .png",
+                viz.display()
+            );
         }
         return Ok(vec![Pair {
             frame1: frames[0].clone(),
@@ -186,53 +187,15 @@ fn ends_with_separator(path: &Path) -> bool {
 
 /// The frames in a folder, in the order of the numbers in their names.
 fn frames_of(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
-    let reading = || format!("{}: reading the folder", folder.display());
-    let mut frames = Vec::new();
-    for entry in std::fs::read_dir(folder).with_context(reading)? {
-        let path = entry.with_context(reading)?.path();
-        let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
-        if FRAME_EXTENSIONS.iter().any(|known| extension == *known) && path.is_file() {
-            frames.push(path);
-        }
-    }
-    if frames.len() < 2 {
-        bail!(
-            "{}: two frames or more were looked for (files named *.{}); found {}",
-            folder.display(),
-            FRAME_EXTENSIONS.join(", *."),
-            frames.len()
-        );
-    }
-    let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    frames.sort_by(|a, b| natural_order(&name(a), &name(b)));
+    let frames = pictures(folder)?;
+    ensure!(
+        frames.len() >= 2,
+        "{}: two frames or more were looked for (files named *.{}); found {}",
+        folder.display(),
+        IMAGE_EXTENSIONS.join(", *."),
+        frames.len()
+    );
     Ok(frames)
-}
-
-/// Orders names as people do: runs of digits by their value, so that `frame10` comes after `frame9`.
-fn natural_order(a: &str, b: &str) -> Ordering {
-    let (mut left, mut right) = (a, b);
-    while let (Some(x), Some(y)) = (left.chars().next(), right.chars().next()) {
-        if x.is_ascii_digit() && y.is_ascii_digit() {
-            let ((x, rest_x), (y, rest_y)) = (take_number(left), take_number(right));
-            let by_value = x.len().cmp(&y.len()).then(x.cmp(y));
-            if by_value.is_ne() {
-                return by_value;
-            }
-            (left, right) = (rest_x, rest_y);
-        } else {
-            if x != y {
-                return x.cmp(&y);
-            }
-            (left, right) = (&left[x.len_utf8()..], &right[y.len_utf8()..]);
-        }
-    }
-    left.len().cmp(&right.len()).then(a.cmp(b))
-}
-
-/// The digits at the start of `text` without leading zeros, and what follows them.
-fn take_number(text: &str) -> (&str, &str) {
-    let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
-    (text[..end].trim_start_matches('0'), &text[end..])
 }
 
 /// Estimates and writes the flow of every pair. The next frame is read meanwhile; never more than four are in memory.
@@ -287,6 +250,13 @@ fn estimate_pair(
         pair.frame1.display(),
         pair.frame2.display()
     );
+    if let Some((initial_width, initial_height)) = initial.map(FlowField::size) {
+        ensure!(
+            (initial_width, initial_height) == (width, height),
+            "--initial-flow is {initial_width}x{initial_height}, the frames are {width}x{height} (WIDTHxHEIGHT): \
+             give a flow of the frames' size"
+        );
+    }
     let start = Instant::now();
     let flow = match initial {
         Some(initial) => estimator.estimate_from(frame1, frame2, initial),
@@ -314,16 +284,4 @@ fn progress_bar(pairs: usize) -> ProgressBar {
     let style = ProgressStyle::with_template("{bar:30} {pos}/{len} flows, {per_sec}, {eta} left")
         .unwrap_or_else(|_| ProgressStyle::default_bar());
     ProgressBar::new(pairs as u64).with_style(style)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_are_ordered_by_their_numbers() {
-        let mut names = ["f10.png", "f9.png", "f009b.png", "a2", "f1.png", "f.png", "f01.png", "\u{e9}1"];
-        names.sort_by(|a, b| natural_order(a, b));
-        assert_eq!(names, ["a2", "f.png", "f01.png", "f1.png", "f9.png", "f009b.png", "f10.png", "\u{e9}1"]);
-    }
 }

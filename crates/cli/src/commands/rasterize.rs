@@ -6,7 +6,8 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 use srflow_data::manifest::CameraRecord;
 use srflow_field::{
-    FileError, longest_flow, write_flow, write_image_png, write_mask_png, write_npy, write_npy_plane,
+    FileError, create_folder, longest_flow, write_flow, write_image_png, write_mask_png, write_npy,
+    write_npy_plane,
 };
 use srflow_splat::{Camera, Frame, Next, Options, Outputs, PixelConvention, Rasterizer, read_ply};
 
@@ -22,13 +23,14 @@ use crate::Context;
 /// --camera-next the camera stays; without both the flow is zero.
 #[derive(Args)]
 #[command(after_help = "Example:
-  srflow rasterize frame0.ply --next frame1.ply --camera cam.json --out rendered --background 255,255,255
+  srflow rasterize frame0.ply --next frame1.ply --camera cam.json --out rendered
 
-CAM is a JSON file of a pinhole camera (x right, y down, z forward; an integer coordinate is the centre of a pixel):
+CAM is a JSON file of a pinhole camera (x right, y down, z forward; an integer coordinate is
+the centre of a pixel):
   {\"width\": 550, \"height\": 802, \"fx\": 1200, \"fy\": 1200, \"cx\": 274.5, \"cy\": 400.5,
    \"w2c\": [[1,0,0,0], [0,1,0,0], [0,0,1,1.5], [0,0,0,1]]}
-w2c is the camera's pose as a 4x4 matrix by rows, camera from world. PLY is a file of 3D Gaussian splatting
-(spherical harmonics of degree 0 to 3).")]
+w2c is the camera's pose as a 4x4 matrix by rows, camera from world. PLY is a file of 3D Gaussian
+splatting (spherical harmonics of degree 0 to 3).")]
 pub struct Rasterize {
     /// Gaussians of this frame
     #[arg(value_name = "PLY")]
@@ -116,6 +118,8 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
         );
     }
 
+    create_folder(&args.out)?;
+
     let next = Next {
         gaussians: moved.as_ref().unwrap_or(&gaussians),
         camera: camera_next.as_ref().unwrap_or(&camera),
@@ -131,8 +135,6 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
     let mut frame = Frame::new();
     Rasterizer::new().render(&gaussians, &camera, Some(next), &options, &mut frame)?;
 
-    fs::create_dir_all(&args.out)
-        .with_context(|| format!("{}: making the folder failed", args.out.display()))?;
     write(&frame, &args.out)?;
     if frame.statistics.without_displacement > 0 {
         eprintln!(

@@ -3,13 +3,15 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::Context as _;
 use clap::Args;
+use clap::error::ErrorKind;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
-use srflow_data::generate::{self, Background, Event, Head, Report, Settings, Shard};
+use srflow_data::generate::{self, Background, Event, GenerateError, Head, Report, Settings, Shard};
 use srflow_data::statistics::Statistics;
 use srflow_field::FlowFormat;
 
 use crate::Context;
+use crate::size::Size;
 
 /// Render a facial optical-flow dataset with exact flow from a head avatar
 #[derive(Args)]
@@ -35,8 +37,8 @@ pub struct Render {
     #[arg(long, value_name = "N", default_value_t = 413.37)]
     frames: f64,
     /// Size of the frames, WIDTHxHEIGHT
-    #[arg(long, value_name = "SIZE", default_value = "2200x3208", value_parser = size)]
-    size: (usize, usize),
+    #[arg(long, value_name = "SIZE", default_value = "2200x3208")]
+    size: Size,
     /// Shares of train, val and test scenes
     #[arg(long, value_name = "SHARES", default_value = "0.61,0.11,0.28", value_parser = shares)]
     splits: Shares,
@@ -69,11 +71,6 @@ fn flow_format_help() -> String {
     format!("How flow is stored: {}", FlowFormat::ALL.map(FlowFormat::extension).join(", "))
 }
 
-fn size(text: &str) -> Result<(usize, usize), String> {
-    let sides = text.split_once('x').and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
-    sides.ok_or_else(|| format!("`{text}` is not a size; expected WIDTHxHEIGHT, e.g. 550x802"))
-}
-
 fn shares(text: &str) -> Result<Shares, String> {
     let shares: Option<Vec<f64>> = text.split(',').map(|share| share.trim().parse().ok()).collect();
     shares
@@ -83,13 +80,12 @@ fn shares(text: &str) -> Result<Shares, String> {
 
 /// Runs the command.
 pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
-    let (width, height) = args.size;
     let settings = Settings {
         head: args.head,
         scenes: args.scenes,
         frames: args.frames,
-        width,
-        height,
+        width: args.size.width,
+        height: args.size.height,
         splits: args.splits,
         seed: args.seed,
         flow_format: args.flow_format,
@@ -101,6 +97,9 @@ pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
     let show = |event| progress.show(event);
     let result = generate::generate(&settings, &args.out, args.shard, args.force, &show);
     progress.bar.finish_and_clear();
+    if let Err(error @ GenerateError::Argument { .. }) = &result {
+        clap::Error::raw(ErrorKind::ValueValidation, format!("{error}\n")).exit();
+    }
     let report = result?;
     if context.json {
         println!(

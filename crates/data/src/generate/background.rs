@@ -4,13 +4,10 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use srflow_field::random::Key;
-use srflow_field::{Image, Plane, read_image};
+use srflow_field::{IMAGE_EXTENSIONS, Image, Plane, read_image};
 
 use super::error::GenerateError;
 use super::settings::list_files;
-
-/// Endings of the image files that are backgrounds.
-const ENDINGS: [&str; 7] = ["png", "jpg", "jpeg", "ppm", "pgm", "pnm", "bmp"];
 
 /// What is behind the subjects.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -44,16 +41,16 @@ impl FromStr for Background {
 
 /// Names and sizes of the image files in a folder, by name.
 pub(super) fn images(dir: &Path) -> Result<Vec<(String, u64)>, GenerateError> {
-    let mut files = list_files(dir, "--background")?;
+    let mut files = list_files(dir, "--background", "white, black, #rrggbb or a folder of images")?;
     files.retain(|(name, _)| {
         let ending = name.rsplit_once('.').map_or("", |(_, ending)| ending);
-        ENDINGS.iter().any(|known| known.eq_ignore_ascii_case(ending))
+        IMAGE_EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(ending))
     });
     if files.is_empty() {
         return Err(GenerateError::Argument {
             argument: "--background",
             found: dir.display().to_string(),
-            expected: format!("a folder with images ({})", ENDINGS.join(", ")),
+            expected: format!("a folder with images ({})", IMAGE_EXTENSIONS.join(", ")),
         });
     }
     Ok(files)

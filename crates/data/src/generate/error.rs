@@ -21,7 +21,7 @@ pub enum GenerateError {
         expected: String,
     },
     /// A folder that an argument names cannot be read.
-    #[error("{argument} {}: {error}", .path.display())]
+    #[error("{argument} {}: {error}; expected {expected}", .path.display())]
     Folder {
         /// The argument's name on the command line.
         argument: &'static str,
@@ -29,6 +29,8 @@ pub enum GenerateError {
         path: PathBuf,
         /// What the system said.
         error: io::Error,
+        /// What the argument can be.
+        expected: &'static str,
     },
     /// The output folder holds something else.
     #[error("{}: the folder is not empty and holds no dataset.json; choose a new or empty folder", .0.display())]
@@ -75,7 +77,7 @@ pub enum GenerateError {
         total: u64,
     },
     /// A folder of the dataset could not be made, listed or deleted.
-    #[error("{}: {error}", .path.display())]
+    #[error("{}: {error}; a dataset needs a folder that can be made, read and written to", .path.display())]
     Io {
         /// The folder or file.
         path: PathBuf,

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde_json::Value;
-use srflow_field::{PARTIAL_EXTENSION, write_atomically};
+use srflow_field::{PARTIAL_EXTENSION, create_folder, write_atomically};
 
 use super::error::GenerateError;
 use super::settings::Shard;
@@ -38,7 +38,7 @@ pub(super) fn claim(dir: &Path, manifest: &Manifest, force: bool) -> Result<(), 
     } else if has_visible_entries(dir).map_err(|error| io_error(dir, error))? {
         return Err(GenerateError::NotADataset(dir.to_owned()));
     }
-    fs::create_dir_all(dir).map_err(|error| io_error(dir, error))?;
+    create_folder(dir)?;
     write_atomically(&path, |writer| writer.write_all(planned.as_bytes()))?;
     Ok(())
 }
@@ -197,7 +197,7 @@ pub(super) fn tidy(dir: &Path, manifest: &Manifest, runs: &[Run]) -> Result<(), 
         };
         for kind in manifest.kinds() {
             let folder = scene_folder(dir, scene, kind);
-            fs::create_dir_all(&folder).map_err(|error| io_error(&folder, error))?;
+            create_folder(&folder)?;
             remove_partial(&folder, made_in_run)?;
         }
     }

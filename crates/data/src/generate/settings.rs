@@ -168,7 +168,10 @@ impl Settings {
     fn arguments(&self) -> Result<Arguments, GenerateError> {
         let head = match &self.head {
             Head::Builtin => "builtin".to_owned(),
-            Head::Ict(dir) => format!("ict, {}", fingerprint(&list_files(dir, "--head")?)),
+            Head::Ict(dir) => format!(
+                "ict, {}",
+                fingerprint(&list_files(dir, "--head", "ict: and ICT-FaceKit's FaceXModel folder")?)
+            ),
         };
         let background = match &self.background {
             Background::Colour([r, g, b]) => format!("#{r:02x}{g:02x}{b:02x}"),
@@ -191,8 +194,15 @@ impl Settings {
 }
 
 /// Names and sizes of the files in a folder, by name.
-pub(super) fn list_files(dir: &Path, argument: &'static str) -> Result<Vec<(String, u64)>, GenerateError> {
-    let failed = |error| GenerateError::Folder { argument, path: dir.to_owned(), error };
+///
+/// # Errors
+/// When the folder cannot be read; the error says which `argument` named it and what was `expected` of that.
+pub(super) fn list_files(
+    dir: &Path,
+    argument: &'static str,
+    expected: &'static str,
+) -> Result<Vec<(String, u64)>, GenerateError> {
+    let failed = |error| GenerateError::Folder { argument, path: dir.to_owned(), error, expected };
     let mut files = Vec::new();
     for entry in std::fs::read_dir(dir).map_err(failed)? {
         let entry = entry.map_err(failed)?;

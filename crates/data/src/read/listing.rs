@@ -4,11 +4,13 @@ use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use srflow_field::IMAGE_EXTENSIONS;
+
 use super::error::DatasetError;
 use super::gaps::Gaps;
 
 /// Endings of the picture files that frames, masks and occlusions come in.
-pub const IMAGES: &[&str] = &["png", "jpg", "jpeg", "ppm", "pgm", "bmp"];
+pub const IMAGES: &[&str] = &IMAGE_EXTENSIONS;
 
 /// Endings of the flow files.
 pub const FLOWS: &[&str] = &["flo", "flo5", "png", "png128", "pfm", "npy", "npz", "npz16"];
@@ -56,6 +58,14 @@ pub fn files(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, DatasetError>
         endings.iter().any(|e| e.eq_ignore_ascii_case(ending))
     };
     Ok(visible(dir)?.into_iter().filter(|path| has_ending(path) && path.is_file()).collect())
+}
+
+/// The pictures in `dir`, in natural order: `frame9` before `frame10`. Hidden files are left out.
+///
+/// # Errors
+/// When the folder cannot be read.
+pub fn pictures(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+    files(dir, IMAGES)
 }
 
 /// [`files`], or nothing when the folder is not there.

@@ -26,6 +26,7 @@ use std::path::{Path, PathBuf};
 
 pub use error::DatasetError;
 pub use kind::{DatasetSpec, KINDS};
+pub use listing::pictures;
 pub use sample::Sample;
 pub use split::Split;
 

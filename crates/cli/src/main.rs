@@ -1,14 +1,21 @@
 //! The `srflow` command. Arguments, progress bars and reports live here; algorithms live in the libraries.
 
+/// `println!` for results: standard output that is closed or full is an error, not a panic.
+macro_rules! say {
+    ($($text:tt)*) => { crate::print_line(format_args!($($text)*)) };
+}
+
 mod commands;
 mod machine;
 mod methods;
 mod scoring;
 mod size;
 
-use std::io::Write;
+use std::fmt;
+use std::io::{self, Write};
 use std::process::ExitCode;
 
+use anyhow::Context as _;
 use clap::{Args, Parser, Subcommand};
 
 /// From a head avatar made of 3D Gaussians to a facial optical-flow dataset to evaluated flow.
@@ -62,11 +69,22 @@ fn main() -> ExitCode {
         Command::Rasterize(args) => commands::rasterize::run(args, &cli.context),
         Command::Check(args) => commands::check::run(args, &cli.context),
     };
-    match result.and_then(|()| Ok(std::io::stdout().flush()?)) {
+    match result.and_then(|()| Ok(io::stdout().flush()?)) {
         Ok(()) => ExitCode::SUCCESS,
+        // The reader has seen enough (`| head`): nothing to tell it.
+        Err(error) if is_closed_pipe(&error) => ExitCode::FAILURE,
         Err(error) => {
             eprintln!("error: {error:#}");
             ExitCode::FAILURE
         }
     }
+}
+
+fn print_line(text: fmt::Arguments) -> anyhow::Result<()> {
+    writeln!(io::stdout(), "{text}").context("printing the result")
+}
+
+fn is_closed_pipe(error: &anyhow::Error) -> bool {
+    let cause = error.root_cause().downcast_ref::<io::Error>();
+    cause.is_some_and(|cause| cause.kind() == io::ErrorKind::BrokenPipe)
 }

@@ -157,3 +157,24 @@ fn convert_says_what_is_wrong() {
         "needs --viz"
     );
 }
+
+#[cfg(target_os = "linux")]
+#[test]
+fn an_output_that_cannot_be_printed_is_an_error_and_no_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    write_flow(&folder.path().join("a.flo"), &wavy()).unwrap();
+    let printing_to = |stdout: std::process::Stdio| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_srflow"));
+        let command = command.current_dir(folder.path()).args(["metrics", "a.flo", "a.flo"]);
+        command.stdout(stdout).output().unwrap()
+    };
+    let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let message = error(&printing_to(full.into()));
+    assert!(message.contains("printing the result: No space left"), "{message}");
+
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let closed = printing_to(writer.into());
+    assert_eq!(code(&closed), 1);
+    assert!(closed.stderr.is_empty(), "{closed:?}");
+}

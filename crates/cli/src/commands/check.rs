@@ -37,9 +37,9 @@ pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
     bar.finish_and_clear();
     let report = report?;
     if context.json {
-        println!("{}", serde_json::to_string_pretty(&report).context("printing the result")?);
+        say!("{}", serde_json::to_string_pretty(&report).context("printing the result")?)?;
     } else {
-        print_report(&report);
+        print_report(&report)?;
     }
     match report.problems.len() {
         0 => Ok(()),
@@ -48,17 +48,18 @@ pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
     }
 }
 
-fn print_report(report: &CheckReport) {
+fn print_report(report: &CheckReport) -> anyhow::Result<()> {
     for problem in report.problems.iter().take(LISTED) {
-        println!("{}: {}", problem.file.display(), problem.what);
+        say!("{}: {}", problem.file.display(), problem.what)?;
     }
     if report.problems.len() > LISTED {
-        println!("... and {} more; --json lists all", report.problems.len() - LISTED);
+        say!("... and {} more; --json lists all", report.problems.len() - LISTED)?;
     }
-    println!("{} of {} pairs are sound", report.sound, report.pairs);
-    println!(
+    say!("{} of {} pairs are sound", report.sound, report.pairs)?;
+    say!(
         "Difference between the frames on the head: {:.3} levels of 255, {:.3} with frame 2 warped back by the flow",
-        report.residual.unwarped, report.residual.warped
-    );
-    print_statistics(&report.statistics);
+        report.residual.unwarped,
+        report.residual.warped
+    )?;
+    print_statistics(&report.statistics)
 }

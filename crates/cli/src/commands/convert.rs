@@ -70,7 +70,7 @@ pub fn run(args: Convert, context: &Context) -> anyhow::Result<()> {
     }
     .with_context(|| format!("converting {}", args.input.display()))?;
     if context.json {
-        println!("{}", serde_json::to_string(&report(args.output, &flow))?);
+        say!("{}", serde_json::to_string(&report(args.output, &flow))?)?;
     }
     Ok(())
 }

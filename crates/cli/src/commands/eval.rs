@@ -90,7 +90,7 @@ pub fn run(args: Eval, context: &Context) -> anyhow::Result<()> {
     if let Some(out) = &args.out {
         write(out, &evaluation, figures)?;
         if !context.json {
-            println!("\nReport: {}", out.join("report.html").display());
+            say!("\nReport: {}", out.join("report.html").display())?;
         }
     }
     match evaluation.failures.len() {
@@ -101,11 +101,11 @@ pub fn run(args: Eval, context: &Context) -> anyhow::Result<()> {
 
 fn print(evaluation: &Evaluation, context: &Context) -> anyhow::Result<()> {
     if context.json {
-        println!("{}", serde_json::to_string_pretty(evaluation)?);
+        say!("{}", serde_json::to_string_pretty(evaluation)?)?;
         return Ok(());
     }
     let colours = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-    print!("{}", tables(evaluation, if colours { TextStyle::Ansi } else { TextStyle::Plain }));
+    say!("{}", tables(evaluation, if colours { TextStyle::Ansi } else { TextStyle::Plain }).trim_end())?;
     Ok(())
 }
 

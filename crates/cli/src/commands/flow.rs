@@ -103,10 +103,10 @@ pub fn run(args: Flow, context: &Context) -> anyhow::Result<()> {
     let reports = estimate_all(&pairs, estimator.as_ref(), &args)?;
     if context.json {
         let report = Report { method: estimator.name().to_owned(), pairs: reports };
-        println!("{}", serde_json::to_string_pretty(&report)?);
+        say!("{}", serde_json::to_string_pretty(&report)?)?;
     } else {
         for pair in &reports {
-            println!("{}  {}x{}  {:.3} s", pair.flow.display(), pair.width, pair.height, pair.seconds);
+            say!("{}  {}x{}  {:.3} s", pair.flow.display(), pair.width, pair.height, pair.seconds)?;
         }
     }
     Ok(())

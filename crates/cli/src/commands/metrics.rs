@@ -44,9 +44,9 @@ pub fn run(args: Metrics, context: &Context) -> anyhow::Result<()> {
         );
     };
     if context.json {
-        println!("{}", serde_json::to_string(&scores)?);
+        say!("{}", serde_json::to_string(&scores)?)?;
     } else {
-        print!("{}", table(&scores));
+        say!("{}", table(&scores).trim_end())?;
     }
     Ok(())
 }

@@ -143,7 +143,7 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
         );
     }
     if context.json {
-        println!("{}", serde_json::to_string(&report(&args.out, &frame, gaussians.len()))?);
+        say!("{}", serde_json::to_string(&report(&args.out, &frame, gaussians.len()))?)?;
     }
     Ok(())
 }

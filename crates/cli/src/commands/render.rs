@@ -102,12 +102,12 @@ pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
     }
     let report = result?;
     if context.json {
-        println!(
+        say!(
             "{}",
             serde_json::to_string_pretty(&summary(&args.out, &report)).context("printing the result")?
-        );
+        )?;
     } else {
-        print_report(args.shard, &report);
+        print_report(args.shard, &report)?;
     }
     Ok(())
 }
@@ -164,56 +164,57 @@ fn pairs_per_minute(report: &Report) -> f64 {
     if report.made == 0 { 0.0 } else { 60.0 * report.made as f64 / report.seconds }
 }
 
-fn print_report(shard: Shard, report: &Report) {
+fn print_report(shard: Shard, report: &Report) -> anyhow::Result<()> {
     let Report { pairs, made, bytes, seconds, .. } = report;
-    println!(
+    say!(
         "{made} of {pairs} pairs made in {seconds:.1} s: {:.1} pairs a minute, {:.1} MB, {:.1} MB/s",
         pairs_per_minute(report),
         *bytes as f64 / 1e6,
         *bytes as f64 / 1e6 / seconds.max(1e-9),
-    );
+    )?;
     let spent: f64 = report.stages.iter().map(|stage| stage.worker_seconds).sum();
     if *made > 0 && spent > 0.0 {
-        println!("\nstage       ms/pair  share");
+        say!("\nstage       ms/pair  share")?;
         for stage in &report.stages {
             let milliseconds = 1e3 * stage.worker_seconds / *made as f64;
-            println!(
-                "{:<10} {milliseconds:>8.1} {:>5.1}%",
-                stage.stage,
-                100.0 * stage.worker_seconds / spent
-            );
+            say!("{:<10} {milliseconds:>8.1} {:>5.1}%", stage.stage, 100.0 * stage.worker_seconds / spent)?;
         }
     }
     match &report.statistics {
-        Some(statistics) => print_statistics(statistics),
-        None => println!(
+        Some(statistics) => print_statistics(statistics)?,
+        None => say!(
             "\nPart {shard} is whole. Copy the parts together; `srflow render` with the same arguments and without --shard\n\
              then writes statistics.json."
-        ),
+        )?,
     }
+    Ok(())
 }
 
 /// The paper's Table I, and the histogram of flow magnitudes.
-pub fn print_statistics(statistics: &Statistics) {
-    println!("\nScenes        {}", statistics.scenes);
-    println!("Avg. Frames   {:.0}", statistics.average_frames);
-    println!("Total Frames  {}", statistics.total_frames);
-    println!("Resolution    {}x{}", statistics.width, statistics.height);
+///
+/// # Errors
+/// When standard output cannot be written to.
+pub fn print_statistics(statistics: &Statistics) -> anyhow::Result<()> {
+    say!("\nScenes        {}", statistics.scenes)?;
+    say!("Avg. Frames   {:.0}", statistics.average_frames)?;
+    say!("Total Frames  {}", statistics.total_frames)?;
+    say!("Resolution    {}x{}", statistics.width, statistics.height)?;
     for part in &statistics.splits {
-        println!("{:<13} {} scenes, {} pairs", part.split.to_string(), part.scenes, part.pairs);
+        say!("{:<13} {} scenes, {} pairs", part.split.to_string(), part.scenes, part.pairs)?;
     }
-    println!(
+    say!(
         "\nFlow on the head: mean {:.3} px, greatest {:.1} px, {:.2}% occluded",
         statistics.mean_magnitude,
         statistics.flow.max,
         100.0 * statistics.occluded_share
-    );
+    )?;
     let pixels = statistics.flow.pixels.max(1) as f64;
     let edges = statistics.bin_edges;
     for (bin, count) in statistics.flow.histogram.iter().enumerate() {
         let share = *count as f64 / pixels;
         let upper = edges.get(bin + 1).map_or("    up".to_owned(), |edge| format!("{edge:>6}"));
         let bar = "#".repeat((share * 60.0).round() as usize);
-        println!("{:>6} to {upper} px {:>6.2}% {bar}", edges[bin], 100.0 * share);
+        say!("{:>6} to {upper} px {:>6.2}% {bar}", edges[bin], 100.0 * share)?;
     }
+    Ok(())
 }

@@ -172,13 +172,13 @@ fn tell(report: &Path, shown: &page::Shown, stages: &Stages, context: &Context) 
                 "photographs": shown.on_photographs.as_ref().map(|(evaluation, _)| evaluation),
             },
         });
-        println!("{}", serde_json::to_string_pretty(&result)?);
+        say!("{}", serde_json::to_string_pretty(&result)?)?;
         return Ok(());
     }
     for stage in &stages.done {
-        println!("{:>6.1} s  {}", stage.seconds, stage.name);
+        say!("{:>6.1} s  {}", stage.seconds, stage.name)?;
     }
-    println!("{:>6.1} s  together\n\nThe report: {}", stages.seconds(), address(report));
+    say!("{:>6.1} s  together\n\nThe report: {}", stages.seconds(), address(report))?;
     Ok(())
 }
 

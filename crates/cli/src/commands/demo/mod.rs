@@ -80,7 +80,7 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
         .collect::<anyhow::Result<Vec<_>>>()?;
 
     let (stills_plan, clips_plan) = (datasets::stills(args.size), datasets::clips(args.size));
-    let mut stages = Stages::default();
+    let mut stages = Stages::of(if photographs.is_some() { 6 } else { 5 });
     let (stills, heads) = stages.run("Rendering three heads", || {
         let stills = stills_plan.render(&args.out, &args.head, args.seed, args.force)?;
         let heads = datasets::portraits(&stills)?;
@@ -100,9 +100,11 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
     })?;
     let in_motion = stages
         .run("Estimating and scoring the heads in motion", || score(&clips.dataset, &estimators, None, 12))?;
-    let on_photographs = stages.run("Estimating and scoring photographs", || {
-        photographs.map(|dataset| score(&dataset, &estimators, None, 2)).transpose()
-    })?;
+    let on_photographs = photographs
+        .map(|dataset| {
+            stages.run("Estimating and scoring photographs", || score(&dataset, &estimators, None, 2))
+        })
+        .transpose()?;
 
     for (evaluation, name) in
         [(&at_full_size.0, "scores-full-size.csv"), (&in_motion.0, "scores-in-motion.csv")]

@@ -5,9 +5,6 @@ use std::time::Instant;
 
 use serde::Serialize;
 
-/// How many stages there are, for `2/5`.
-const STAGES: usize = 6;
-
 /// One stage that is over.
 #[derive(Debug, Clone, Serialize)]
 pub struct StageTime {
@@ -18,20 +15,27 @@ pub struct StageTime {
 }
 
 /// The stages that are over.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub struct Stages {
+    /// How many there will be, for `2/5`.
+    count: usize,
     /// In the order in which they ran.
     pub done: Vec<StageTime>,
 }
 
 impl Stages {
+    /// None over yet of `count`.
+    pub fn of(count: usize) -> Self {
+        Self { count, done: Vec::new() }
+    }
+
     /// Runs one stage, announced on standard error where that is a terminal.
     ///
     /// # Errors
     /// Those of `work`.
     pub fn run<T>(&mut self, name: &str, work: impl FnOnce() -> anyhow::Result<T>) -> anyhow::Result<T> {
         if std::io::stderr().is_terminal() {
-            eprintln!("{}/{STAGES}  {name}", self.done.len() + 1);
+            eprintln!("{}/{}  {name}", self.done.len() + 1, self.count);
         }
         let start = Instant::now();
         let result = work()?;

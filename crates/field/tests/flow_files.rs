@@ -439,7 +439,7 @@ fn an_unknown_kind_of_file_lists_the_formats() {
     let told = refusal("a.txt", b"hello there");
     assert_eq!(
         told,
-        ": format: expected a flow file (flo, png, png128, pfm, flo5, npy, npz), found neither such an extension nor such a \
+        ": format: expected a flow file (flo, png, png128, pfm, flo5, npy, npz, npz16), found neither such an extension nor such a \
          start: \"hello th\""
     );
     let missing = read_flow(Path::new("/nowhere/at/all.flo")).unwrap_err().to_string();

@@ -3,5 +3,9 @@
 
 mod shared_mut;
 mod simd;
+#[cfg(test)]
+mod test_values;
 
 pub mod conv2d;
+pub mod correlation;
+pub mod depthwise;

@@ -1,7 +1,7 @@
 use rayon::prelude::*;
 
 use super::forward::{BLOCK, Padded, Plan, Tile, convolve_row, pack_weights};
-use super::{Activation, Conv2dShape};
+use super::{Conv2dShape, Epilogue};
 use crate::shared_mut::SharedMut;
 use crate::simd::{Isa, Simd, dispatch};
 
@@ -54,7 +54,7 @@ pub(super) fn backward_input_with(isa: Isa, grad: &[f32], weight: &[f32], shape:
             padding: [0, 1].map(|i| shape.kernel[i] - 1 - shape.padding[i]),
             ..*shape
         };
-        return super::forward::conv2d_with(isa, grad, &transposed, None, Activation::Identity, &backward);
+        return super::forward::conv2d_with(isa, grad, &transposed, &Epilogue::default(), &backward);
     }
     for remainder_y in 0..shape.stride[0] {
         for remainder_x in 0..shape.stride[1] {
@@ -180,7 +180,6 @@ fn gather(
                     start: [0.0; BLOCK],
                     out_channels: channels.len() / plan.out_channel,
                     columns: plan.columns,
-                    relu: false,
                     out: channels[row * plan.columns..].as_mut_ptr(),
                 };
                 // SAFETY: `isa` is available; the padded gradient holds every tap of every pixel, and the output chunk

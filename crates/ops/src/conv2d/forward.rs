@@ -1,6 +1,6 @@
 use rayon::prelude::*;
 
-use super::{Activation, Conv2dShape};
+use super::{Conv2dShape, Epilogue};
 use crate::shared_mut::SharedMut;
 use crate::simd::{Isa, Simd, dispatch};
 
@@ -11,19 +11,13 @@ const VECTORS: usize = 3;
 /// Output rows of one piece of work: enough to reuse the weights in the first-level cache, few enough to balance.
 const BAND_ROWS: usize = 8;
 
-/// Convolution of `input` with `weight`, plus `bias` per output channel, then `activation`; `[N, C_out, H_out, W_out]`.
+/// Convolution of `input` with `weight`, then the epilogue; `[N, C_out, H_out, W_out]`.
 ///
-/// The sum of an element runs over input channels, then kernel rows, then columns, each step a fused multiply-add, so
-/// the result is the same for every number of threads and every instruction set. Panics when a slice does not fit
-/// `shape`.
-pub fn conv2d(
-    input: &[f32],
-    weight: &[f32],
-    bias: Option<&[f32]>,
-    activation: Activation,
-    shape: &Conv2dShape,
-) -> Vec<f32> {
-    conv2d_with(Isa::best(), input, weight, bias, activation, shape)
+/// The sum of an element starts at the bias and runs over input channels, then kernel rows, then columns, each step a
+/// fused multiply-add, so the result is the same for every number of threads and every instruction set. Panics when a
+/// slice does not fit `shape`.
+pub fn conv2d(input: &[f32], weight: &[f32], epilogue: &Epilogue, shape: &Conv2dShape) -> Vec<f32> {
+    conv2d_with(Isa::best(), input, weight, epilogue, shape)
 }
 
 /// [`conv2d`] with a chosen instruction set, one of [`Isa::available`].
@@ -31,15 +25,12 @@ pub(super) fn conv2d_with(
     isa: Isa,
     input: &[f32],
     weight: &[f32],
-    bias: Option<&[f32]>,
-    activation: Activation,
+    epilogue: &Epilogue,
     shape: &Conv2dShape,
 ) -> Vec<f32> {
     assert_eq!(input.len(), shape.input_len(), "input of {shape:?}");
     assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
-    if let Some(bias) = bias {
-        assert_eq!(bias.len(), shape.out_channels, "bias of {shape:?}");
-    }
+    epilogue.check(shape.out_channels, shape.output_len());
     let [height, width] = shape.output();
     let mut out = vec![0.0; shape.output_len()];
     if out.is_empty() {
@@ -70,29 +61,32 @@ pub(super) fn conv2d_with(
         let first = block * BLOCK;
         let channels = BLOCK.min(shape.out_channels - first);
         let mut start = [0.0; BLOCK];
-        if let Some(bias) = bias {
+        if let Some(bias) = epilogue.bias {
             start[..channels].copy_from_slice(&bias[first..first + channels]);
         }
         let columns = part * piece..plan.columns.min((part + 1) * piece);
         let image = &padded.data()[n * padded.image..][..padded.image];
         for row in band * BAND_ROWS..plan.rows.min((band + 1) * BAND_ROWS) {
+            let at = (n * shape.out_channels + first) * plan.out_channel + row * plan.columns + columns.start;
             let tile = Tile {
                 source: image[row * plan.source_row + columns.start..].as_ptr(),
                 weights: weights[first * plan.channels * plan.taps.len()..].as_ptr(),
                 start,
                 out_channels: channels,
                 columns: columns.len(),
-                relu: activation == Activation::Relu,
-                // SAFETY: inside `out`: channel `first` of image `n`, this row and column.
-                out: unsafe {
-                    target.at((n * shape.out_channels + first) * plan.out_channel
-                        + row * plan.columns
-                        + columns.start)
-                },
+                // SAFETY: channel `first` of image `n`, this row and column.
+                out: unsafe { target.at(at) },
             };
             // SAFETY: `isa` is available; `Padded` holds a border of the kernel's reach around every pixel read, and
             // no two tasks share an output element.
-            unsafe { convolve_row(isa, &plan, &tile) }
+            unsafe {
+                convolve_row(isa, &plan, &tile);
+                for channel in 0..channels {
+                    let at = at + channel * plan.out_channel;
+                    let row = std::slice::from_raw_parts_mut(target.at(at), columns.len());
+                    epilogue.finish(isa, at, row);
+                }
+            }
         }
     });
     out
@@ -205,7 +199,6 @@ pub(super) struct Tile {
     pub(super) start: [f32; BLOCK],
     pub(super) out_channels: usize,
     pub(super) columns: usize,
-    pub(super) relu: bool,
     pub(super) out: *mut f32,
 }
 
@@ -287,9 +280,8 @@ unsafe fn accumulate<S: Simd, const CHANNELS: usize, const V: usize, const PARTI
         }
         for (channel, sums) in sums.iter().enumerate() {
             for (i, &sum) in sums.iter().enumerate() {
-                let value = if tile.relu { S::max(sum, S::splat(0.0)) } else { sum };
                 let to = tile.out.add(channel * plan.out_channel + x + i * S::LANES);
-                if PARTIAL && i == V - 1 { S::store_first(to, value, last) } else { S::store(to, value) }
+                if PARTIAL && i == V - 1 { S::store_first(to, sum, last) } else { S::store(to, sum) }
             }
         }
     }

@@ -5,6 +5,9 @@
 //! loads. A copy of the input with its border of zeros, its columns split by their remainder modulo the stride, makes
 //! every load contiguous. [`mod@reference`] is the definition.
 
+use crate::activation::{Activation, activate};
+use crate::simd::Isa;
+
 mod backward;
 mod forward;
 pub mod reference;
@@ -62,14 +65,40 @@ impl Conv2dShape {
     }
 }
 
-/// What is applied to the sum before it is stored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Activation {
-    /// Nothing.
-    #[default]
-    Identity,
-    /// `max(x, 0)`.
-    Relu,
+/// What becomes of a sum before it is stored: `activation(sum + bias + residual)`.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Epilogue<'a> {
+    /// One number per output channel.
+    pub bias: Option<&'a [f32]>,
+    /// One number per output element.
+    pub residual: Option<&'a [f32]>,
+    /// Applied last.
+    pub activation: Activation,
+}
+
+impl Epilogue<'_> {
+    /// Adds the residual to sums that are still in the cache, and applies the activation. `row` starts at element
+    /// `first` of the output.
+    ///
+    /// # Safety
+    /// `isa` is available.
+    pub(crate) unsafe fn finish(&self, isa: Isa, first: usize, row: &mut [f32]) {
+        let residual = self.residual.map(|residual| &residual[first..first + row.len()]);
+        if residual.is_some() || self.activation != Activation::Identity {
+            // SAFETY: the caller's promise.
+            unsafe { activate(isa, self.activation, residual, row) }
+        }
+    }
+
+    /// Panics when a slice does not fit.
+    pub(crate) fn check(&self, channels: usize, len: usize) {
+        if let Some(bias) = self.bias {
+            assert_eq!(bias.len(), channels, "a bias for each output channel");
+        }
+        if let Some(residual) = self.residual {
+            assert_eq!(residual.len(), len, "a residual for each output element");
+        }
+    }
 }
 
 #[cfg(test)]

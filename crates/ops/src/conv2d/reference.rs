@@ -1,6 +1,6 @@
 //! The definition: plain loops, sums in f64.
 
-use super::{Activation, Conv2dShape};
+use super::{Conv2dShape, Epilogue};
 
 /// Calls `visit(out_channel, in_channel, tap, input_index, output_index)` for each product of the convolution;
 /// both indices are those of the whole buffers.
@@ -39,25 +39,24 @@ fn to_f32(sums: Vec<f64>) -> Vec<f32> {
 }
 
 /// See [`super::conv2d`].
-pub fn conv2d(
-    input: &[f32],
-    weight: &[f32],
-    bias: Option<&[f32]>,
-    activation: Activation,
-    shape: &Conv2dShape,
-) -> Vec<f32> {
-    let [height, width] = shape.output();
-    let mut out: Vec<f64> = (0..shape.output_len())
-        .map(|i| bias.map_or(0.0, |bias| f64::from(bias[i / (height * width) % shape.out_channels])))
-        .collect();
+pub fn conv2d(input: &[f32], weight: &[f32], epilogue: &Epilogue, shape: &Conv2dShape) -> Vec<f32> {
+    let mut sums = vec![0.0; shape.output_len()];
     each_product(shape, |o, c, tap, input_index, output_index| {
         let weight = weight[(o * shape.in_channels + c) * shape.taps() + tap];
-        out[output_index] += f64::from(weight) * f64::from(input[input_index]);
+        sums[output_index] += f64::from(weight) * f64::from(input[input_index]);
     });
-    if activation == Activation::Relu {
-        out.iter_mut().for_each(|x| *x = x.max(0.0));
-    }
-    to_f32(out)
+    let [height, width] = shape.output();
+    finish(sums, epilogue, height * width)
+}
+
+/// Applies the epilogue to planes of `pixels` elements.
+pub(crate) fn finish(sums: Vec<f64>, epilogue: &Epilogue, pixels: usize) -> Vec<f32> {
+    let finish = |(i, sum): (usize, f64)| {
+        let bias = epilogue.bias.map_or(0.0, |bias| bias[i / pixels % bias.len()]);
+        let residual = epilogue.residual.map_or(0.0, |residual| residual[i]);
+        epilogue.activation.reference(sum + f64::from(bias) + f64::from(residual)) as f32
+    };
+    sums.into_iter().enumerate().map(finish).collect()
 }
 
 /// See [`super::conv2d_backward_input`].

@@ -59,11 +59,14 @@ fn each_instruction_set_computes_the_definition() {
         let weight = values(shape.weight_len(), 2);
         let bias = values(shape.out_channels, 3);
         let grad = values(shape.output_len(), 4);
-        let out = reference::conv2d(&input, &weight, Some(&bias), Activation::Relu, &shape);
+        let residual = values(shape.output_len(), 10);
+        let epilogue =
+            Epilogue { bias: Some(&bias), residual: Some(&residual), activation: Activation::Relu };
+        let out = reference::conv2d(&input, &weight, &epilogue, &shape);
         let d_input = reference::conv2d_backward_input(&grad, &weight, &shape);
         let d_weight = reference::conv2d_backward_weight(&input, &grad, &shape);
         for isa in Isa::available() {
-            let found = conv2d_with(isa, &input, &weight, Some(&bias), Activation::Relu, &shape);
+            let found = conv2d_with(isa, &input, &weight, &epilogue, &shape);
             assert_close("output", &shape, isa, &found, &out);
             let found = backward_input_with(isa, &grad, &weight, &shape);
             assert_close("input gradient", &shape, isa, &found, &d_input);
@@ -82,7 +85,7 @@ fn results_do_not_depend_on_threads_and_outputs_not_on_the_instruction_set() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
         pool.install(|| {
             (
-                conv2d(&input, &weight, None, Activation::Identity, &shape),
+                conv2d(&input, &weight, &Epilogue::default(), &shape),
                 conv2d_backward_input(&grad, &weight, &shape),
                 conv2d_backward_weight(&input, &grad, &shape),
                 conv2d_backward_bias(&grad, &shape),
@@ -92,7 +95,7 @@ fn results_do_not_depend_on_threads_and_outputs_not_on_the_instruction_set() {
     assert!(run(1) == run(3));
     let outputs: Vec<_> = Isa::available()
         .into_iter()
-        .map(|isa| conv2d_with(isa, &input, &weight, None, Activation::Identity, &shape))
+        .map(|isa| conv2d_with(isa, &input, &weight, &Epilogue::default(), &shape))
         .collect();
     assert!(outputs.windows(2).all(|pair| pair[0] == pair[1]));
 }
@@ -110,7 +113,7 @@ fn a_kernel_larger_than_the_padded_input_gives_nothing() {
     assert_eq!(shape.output(), [0, 0]);
     let input = values(shape.input_len(), 8);
     let weight = values(shape.weight_len(), 9);
-    assert!(conv2d(&input, &weight, None, Activation::Identity, &shape).is_empty());
+    assert!(conv2d(&input, &weight, &Epilogue::default(), &shape).is_empty());
     assert_eq!(conv2d_backward_input(&[], &weight, &shape), vec![0.0; shape.input_len()]);
     assert_eq!(conv2d_backward_weight(&input, &[], &shape), vec![0.0; shape.weight_len()]);
 }

@@ -2,6 +2,7 @@ use rayon::prelude::*;
 
 use super::DepthwiseShape;
 use super::forward::{depthwise_with, pad};
+use crate::conv2d::Epilogue;
 use crate::simd::{Isa, Simd, dispatch};
 
 /// Kernel rows and columns whose weight gradients are summed together in registers.
@@ -36,7 +37,7 @@ pub(super) fn backward_input_with(
         padding: [0, 1].map(|i| shape.kernel[i] - 1 - shape.padding[i]),
         ..*shape
     };
-    depthwise_with(isa, grad, &turned, None, &backward)
+    depthwise_with(isa, grad, &turned, &Epilogue::default(), &backward)
 }
 
 /// Gradient of the weight from the input and `grad`, the gradient of the output; `[C, 1, kernel]`. It does not depend

@@ -1,6 +1,7 @@
 use rayon::prelude::*;
 
 use super::DepthwiseShape;
+use crate::conv2d::Epilogue;
 use crate::simd::{Isa, Simd, dispatch};
 
 /// Output rows of a register tile.
@@ -8,12 +9,12 @@ const ROWS: usize = 4;
 /// Vectors of pixels of a register tile.
 const VECTORS: usize = 4;
 
-/// Depthwise convolution of `input` with `weight`, plus `bias` per channel; `[N, C, H_out, W_out]`.
+/// Depthwise convolution of `input` with `weight`, then the epilogue; `[N, C, H_out, W_out]`.
 ///
-/// The sum of an element runs over kernel rows, then columns, each step a fused multiply-add, so the result is the same
+/// The sum of an element starts at the bias and runs over kernel rows, then columns, each step a fused multiply-add, so the result is the same
 /// for every number of threads and every instruction set. Panics when a slice does not fit `shape`.
-pub fn depthwise(input: &[f32], weight: &[f32], bias: Option<&[f32]>, shape: &DepthwiseShape) -> Vec<f32> {
-    depthwise_with(Isa::best(), input, weight, bias, shape)
+pub fn depthwise(input: &[f32], weight: &[f32], epilogue: &Epilogue, shape: &DepthwiseShape) -> Vec<f32> {
+    depthwise_with(Isa::best(), input, weight, epilogue, shape)
 }
 
 /// [`depthwise`] with a chosen instruction set, one of [`Isa::available`].
@@ -21,14 +22,12 @@ pub(super) fn depthwise_with(
     isa: Isa,
     input: &[f32],
     weight: &[f32],
-    bias: Option<&[f32]>,
+    epilogue: &Epilogue,
     shape: &DepthwiseShape,
 ) -> Vec<f32> {
     assert_eq!(input.len(), shape.input_len(), "input of {shape:?}");
     assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
-    if let Some(bias) = bias {
-        assert_eq!(bias.len(), shape.channels, "bias of {shape:?}");
-    }
+    epilogue.check(shape.channels, shape.output_len());
     let [height, width] = shape.output();
     let mut out = vec![0.0; shape.output_len()];
     if out.is_empty() {
@@ -44,12 +43,15 @@ pub(super) fn depthwise_with(
             row,
             weight: &weight[channel * taps..][..taps],
             kernel: shape.kernel,
-            start: bias.map_or(0.0, |bias| bias[channel]),
+            start: epilogue.bias.map_or(0.0, |bias| bias[channel]),
             height,
             width,
         };
         // SAFETY: `isa` is available; `pad` made the border that the kernel reads.
-        unsafe { convolve_plane(isa, &task, out) }
+        unsafe {
+            convolve_plane(isa, &task, out);
+            epilogue.finish(isa, plane * height * width, out);
+        }
     });
     out
 }
@@ -165,9 +167,8 @@ unsafe fn accumulate<S: Simd, const R: usize, const V: usize, const PARTIAL: boo
             }
         }
         for (row, sums) in sums.iter().enumerate() {
-            let to = out.as_mut_ptr().add((y + row) * plane.width + x);
             for (i, &sum) in sums.iter().enumerate() {
-                let to = to.add(i * S::LANES);
+                let to = out.as_mut_ptr().add((y + row) * plane.width + x + i * S::LANES);
                 if PARTIAL && i == V - 1 { S::store_first(to, sum, last) } else { S::store(to, sum) }
             }
         }

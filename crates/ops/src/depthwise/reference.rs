@@ -1,6 +1,8 @@
 //! The definition: plain loops, sums in f64.
 
 use super::DepthwiseShape;
+use crate::conv2d::Epilogue;
+use crate::conv2d::reference::finish;
 
 /// Calls `visit(weight_index, input_index, output_index)` for each product of the convolution.
 fn each_product(shape: &DepthwiseShape, mut visit: impl FnMut(usize, usize, usize)) {
@@ -32,13 +34,11 @@ fn to_f32(sums: Vec<f64>) -> Vec<f32> {
 }
 
 /// See [`super::depthwise`].
-pub fn depthwise(input: &[f32], weight: &[f32], bias: Option<&[f32]>, shape: &DepthwiseShape) -> Vec<f32> {
+pub fn depthwise(input: &[f32], weight: &[f32], epilogue: &Epilogue, shape: &DepthwiseShape) -> Vec<f32> {
     let [height, width] = shape.output();
-    let mut out: Vec<f64> = (0..shape.output_len())
-        .map(|i| bias.map_or(0.0, |bias| f64::from(bias[i / (height * width) % shape.channels])))
-        .collect();
-    each_product(shape, |w, i, o| out[o] += f64::from(weight[w]) * f64::from(input[i]));
-    to_f32(out)
+    let mut sums = vec![0.0; shape.output_len()];
+    each_product(shape, |w, i, o| sums[o] += f64::from(weight[w]) * f64::from(input[i]));
+    finish(sums, epilogue, height * width)
 }
 
 /// See [`super::depthwise_backward_input`].

@@ -1,6 +1,8 @@
 use super::backward::{backward_input_with, backward_weight_with};
 use super::forward::depthwise_with;
 use super::*;
+use crate::activation::Activation;
+use crate::conv2d::Epilogue;
 use crate::simd::Isa;
 use crate::test_values::values;
 
@@ -37,7 +39,10 @@ fn each_instruction_set_computes_the_definition() {
         let weight = values(shape.weight_len(), 2);
         let bias = values(shape.channels, 3);
         let grad = values(shape.output_len(), 4);
-        let out = reference::depthwise(&input, &weight, Some(&bias), &shape);
+        let residual = values(shape.output_len(), 10);
+        let epilogue =
+            Epilogue { bias: Some(&bias), residual: Some(&residual), activation: Activation::Gelu };
+        let out = reference::depthwise(&input, &weight, &epilogue, &shape);
         let d_input = reference::depthwise_backward_input(&grad, &weight, &shape);
         let d_weight = reference::depthwise_backward_weight(&input, &grad, &shape);
         for isa in Isa::available() {
@@ -45,7 +50,7 @@ fn each_instruction_set_computes_the_definition() {
                 "output",
                 &shape,
                 isa,
-                &depthwise_with(isa, &input, &weight, Some(&bias), &shape),
+                &depthwise_with(isa, &input, &weight, &epilogue, &shape),
                 &out,
             );
             let found = backward_input_with(isa, &grad, &weight, &shape);
@@ -64,11 +69,16 @@ fn results_do_not_depend_on_threads_and_outputs_not_on_the_instruction_set() {
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
         pool.install(|| {
-            (depthwise(&input, &weight, None, &shape), depthwise_backward_weight(&input, &grad, &shape))
+            (
+                depthwise(&input, &weight, &Epilogue::default(), &shape),
+                depthwise_backward_weight(&input, &grad, &shape),
+            )
         })
     };
     assert!(run(1) == run(3));
-    let outputs: Vec<_> =
-        Isa::available().into_iter().map(|isa| depthwise_with(isa, &input, &weight, None, &shape)).collect();
+    let outputs: Vec<_> = Isa::available()
+        .into_iter()
+        .map(|isa| depthwise_with(isa, &input, &weight, &Epilogue::default(), &shape))
+        .collect();
     assert!(outputs.windows(2).all(|pair| pair[0] == pair[1]));
 }

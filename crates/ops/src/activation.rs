@@ -1,5 +1,8 @@
 //! What is applied to a sum before it is stored, and the vectors that compute it.
 
+use burn::backend::Backend;
+use burn::backend::tensor::FloatTensor;
+
 use crate::simd::{Simd, dispatch};
 
 /// A pointwise function.
@@ -51,6 +54,17 @@ impl Activation {
                 }
             }
         }
+    }
+}
+
+/// The activation by the backend's own operations, each with its gradient.
+pub(crate) fn activate_tensor<B: Backend>(x: FloatTensor<B>, activation: Activation) -> FloatTensor<B> {
+    match activation {
+        Activation::Identity => x,
+        Activation::Relu => B::relu(x),
+        Activation::Gelu => B::gelu(x),
+        Activation::Tanh => B::float_tanh(x),
+        Activation::Sigmoid => B::sigmoid(x),
     }
 }
 

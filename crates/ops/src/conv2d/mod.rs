@@ -11,6 +11,7 @@ use crate::simd::Isa;
 mod backward;
 mod forward;
 pub mod reference;
+pub mod tensor;
 
 pub use backward::{conv2d_backward_bias, conv2d_backward_input, conv2d_backward_weight};
 pub use forward::conv2d;

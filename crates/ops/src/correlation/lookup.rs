@@ -6,7 +6,7 @@ use crate::simd::{Isa, Simd, dispatch};
 
 /// Window of the correlation pyramid around `coords`: `[batch, levels * (2 radius + 1)^2, height, width]`.
 ///
-/// `first` is the feature map of the first image, `[batch, channels, height, width]`; `coords` are positions in the
+/// `first` is the feature map of the first image, `[batch, height, width, channels]`; `coords` are positions in the
 /// second image, `[batch, 2, height, width]`, x then y, in pixels of the finest level. Products are divided by
 /// `sqrt(channels)`; outside of the second image they are zero. The order of a window's entries is the reference's; see
 /// [`super::reference::correlation_lookup`]. Panics when a slice does not fit.
@@ -64,7 +64,8 @@ pub(super) fn lookup_with(
     channels_first(&out, second.batch, entries)
 }
 
-/// Gradients of the two feature maps, both `[batch, channels, height, width]`, from `grad`, that of the window.
+/// Gradient of the first feature map (`[batch, height, width, channels]`) and of each level's features (likewise), from
+/// `grad`, that of the window.
 ///
 /// The positions get none: the networks detach them (`coords1.detach()` in the reference). Rows of the second image are
 /// summed in the order of the first image's pixels, so the result does not depend on the number of threads.
@@ -75,7 +76,7 @@ pub fn correlation_lookup_backward(
     [height, width]: [usize; 2],
     radius: usize,
     grad: &[f32],
-) -> (Vec<f32>, Vec<f32>) {
+) -> (Vec<f32>, Vec<Vec<f32>>) {
     let windows = Windows::new(first, second, coords, [height, width], radius);
     let (entries, reach, channels) = (windows.entries(), windows.reach(), second.channels);
     assert_eq!(grad.len(), second.batch * entries * height * width, "gradient of the window");
@@ -103,12 +104,12 @@ pub fn correlation_lookup_backward(
         });
         d_levels.push(windows.gather_second(number, level, &d_products));
     }
-    (channels_first(&d_first, second.batch, channels), second.backward(d_levels))
+    (d_first, d_levels)
 }
 
 /// What all windows share.
 struct Windows<'a> {
-    first: Vec<f32>,
+    first: &'a [f32],
     coords: &'a [f32],
     channels: usize,
     levels: usize,
@@ -120,7 +121,7 @@ struct Windows<'a> {
 
 impl<'a> Windows<'a> {
     fn new(
-        first: &[f32],
+        first: &'a [f32],
         second: &FeaturePyramid,
         coords: &'a [f32],
         [height, width]: [usize; 2],
@@ -131,7 +132,7 @@ impl<'a> Windows<'a> {
         assert_eq!(first.len(), batch * channels * pixels, "features of {batch}x{channels}x{height}x{width}");
         assert_eq!(coords.len(), batch * 2 * pixels, "positions of {batch}x2x{height}x{width}");
         Self {
-            first: channels_last(first, batch, channels),
+            first,
             coords,
             channels,
             levels: second.levels.len(),

@@ -8,6 +8,7 @@
 mod lookup;
 mod pyramid;
 pub mod reference;
+pub mod tensor;
 
 pub use lookup::{correlation_lookup, correlation_lookup_backward};
 pub use pyramid::FeaturePyramid;

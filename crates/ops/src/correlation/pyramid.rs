@@ -1,25 +1,27 @@
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 
 /// Feature maps of the second image, each level half the size of the one before (average of 2x2, an odd last row or
 /// column left out), with the channels of a pixel side by side.
 #[derive(Debug, Clone)]
-pub struct FeaturePyramid {
+pub struct FeaturePyramid<'a> {
     /// Images.
     pub batch: usize,
     /// Channels.
     pub channels: usize,
-    pub(super) levels: Vec<Level>,
+    pub(super) levels: Vec<Level<'a>>,
 }
 
 /// `[batch, height, width, channels]`.
 #[derive(Debug, Clone)]
-pub(super) struct Level {
+pub(super) struct Level<'a> {
     pub(super) height: usize,
     pub(super) width: usize,
-    pub(super) features: Vec<f32>,
+    pub(super) features: Cow<'a, [f32]>,
 }
 
-impl FeaturePyramid {
+impl<'a> FeaturePyramid<'a> {
     /// From `[batch, channels, height, width]`. Panics when the slice does not fit or there is no level.
     pub fn new(features: &[f32], [batch, channels, height, width]: [usize; 4], levels: usize) -> Self {
         assert_eq!(
@@ -28,7 +30,7 @@ impl FeaturePyramid {
             "features of {batch}x{channels}x{height}x{width}"
         );
         assert!(levels > 0, "a pyramid has a level");
-        let first = Level { height, width, features: channels_last(features, batch, channels) };
+        let first = Level { height, width, features: Cow::Owned(channels_last(features, batch, channels)) };
         let mut pyramid = Self { batch, channels, levels: vec![first] };
         while pyramid.levels.len() < levels {
             let last = &pyramid.levels[pyramid.levels.len() - 1];
@@ -38,9 +40,27 @@ impl FeaturePyramid {
         pyramid
     }
 
+    /// Of levels that lie one after another in `packed`, each `[batch, height, width, channels]`; see [`level_sizes`].
+    pub(super) fn of_packed(
+        packed: &'a [f32],
+        [batch, height, width, channels]: [usize; 4],
+        levels: usize,
+    ) -> Self {
+        let mut rest = packed;
+        let levels = level_sizes([height, width], levels)
+            .into_iter()
+            .map(|[height, width]| {
+                let (features, after) = rest.split_at(batch * height * width * channels);
+                rest = after;
+                Level { height, width, features: Cow::Borrowed(features) }
+            })
+            .collect();
+        Self { batch, channels, levels }
+    }
+
     /// The adjoint of [`FeaturePyramid::new`]: the gradient of the feature map, `[batch, channels, height, width]`, from
     /// that of every level's features.
-    pub(super) fn backward(&self, mut grads: Vec<Vec<f32>>) -> Vec<f32> {
+    pub fn backward(&self, mut grads: Vec<Vec<f32>>) -> Vec<f32> {
         while grads.len() > 1 {
             let Some(coarse) = grads.pop() else { break };
             let level = grads.len();
@@ -50,8 +70,13 @@ impl FeaturePyramid {
     }
 }
 
-impl Level {
-    fn pooled(&self, batch: usize, channels: usize) -> Level {
+/// Height and width of each level over a map of this size; nothing is left of a map once halving it leaves no pixel.
+pub(super) fn level_sizes(finest: [usize; 2], levels: usize) -> Vec<[usize; 2]> {
+    (0..levels).map(|level| finest.map(|size| size.checked_shr(level as u32).unwrap_or(0))).collect()
+}
+
+impl Level<'_> {
+    fn pooled(&self, batch: usize, channels: usize) -> Level<'static> {
         let (height, width) = (self.height / 2, self.width / 2);
         let mut features = vec![0.0; batch * height * width * channels];
         let row = (width * channels).max(1);
@@ -66,7 +91,7 @@ impl Level {
                 }
             }
         });
-        Level { height, width, features }
+        Level { height, width, features: Cow::Owned(features) }
     }
 
     /// Adds the gradient `coarse` of this level to that of the `fine` level it was pooled from.

@@ -1,4 +1,5 @@
 use super::lookup::lookup_with;
+use super::pyramid::{channels_first, channels_last};
 use super::*;
 use crate::simd::Isa;
 use crate::test_values::values;
@@ -45,8 +46,9 @@ fn the_lookup_is_that_of_the_all_pairs_volume() {
         );
         assert!(expected.iter().any(|x| x.abs() > 0.1));
         let pyramid = FeaturePyramid::new(&case.second, case.size, case.levels);
+        let first = channels_last(&case.first, case.size[0], case.size[1]);
         for isa in Isa::available() {
-            let found = lookup_with(isa, &case.first, &pyramid, &case.coords, [height, width], case.radius);
+            let found = lookup_with(isa, &first, &pyramid, &case.coords, [height, width], case.radius);
             assert_eq!(found.len(), expected.len());
             for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {
                 assert!(
@@ -70,8 +72,11 @@ fn the_gradients_are_those_of_the_definition() {
         reference::correlation_lookup(first, second, &case.coords, case.size, case.levels, case.radius)
     };
     let grad = values(lookup(&case.first, &case.second).len(), 4);
-    let (d_first, d_second) =
-        correlation_lookup_backward(&case.first, &pyramid, &case.coords, [height, width], case.radius, &grad);
+    let first = channels_last(&case.first, case.size[0], case.size[1]);
+    let (d_first, d_levels) =
+        correlation_lookup_backward(&first, &pyramid, &case.coords, [height, width], case.radius, &grad);
+    let d_first = channels_first(&d_first, case.size[0], case.size[1]);
+    let d_second = pyramid.backward(d_levels);
     let along = |out: &[f32]| out.iter().zip(&grad).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
     for i in (0..case.first.len()).step_by(7) {
         let mut unit = vec![0.0; case.first.len()];

@@ -7,6 +7,7 @@
 mod backward;
 mod forward;
 pub mod reference;
+pub mod tensor;
 
 pub use backward::{depthwise_backward_input, depthwise_backward_weight};
 pub use forward::depthwise;

@@ -1,0 +1,92 @@
+//! Convolutions with the parameters of PyTorch's `Conv2d`.
+
+use burn::config::Config;
+use burn::module::{Initializer, Module, Param};
+use burn::tensor::{Device, Tensor};
+use srflow_ops::Activation;
+use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
+use srflow_ops::depthwise::tensor::depthwise;
+
+/// Sizes of a [`Conv2d`].
+#[derive(Config, Debug)]
+pub(crate) struct Conv2dConfig {
+    /// Input and output channels.
+    channels: [usize; 2],
+    /// Height and width.
+    kernel: [usize; 2],
+    /// Down and across.
+    #[config(default = "1")]
+    stride: usize,
+    /// One kernel for each channel.
+    #[config(default = "false")]
+    depthwise: bool,
+    /// Add a number to each output channel.
+    #[config(default = "true")]
+    bias: bool,
+    /// PyTorch's default: uniform within `1 / sqrt(fan_in)`.
+    #[config(default = "Initializer::KaimingUniform { gain: 0.577_350_269_189_625_8, fan_out_only: false }")]
+    initializer: Initializer,
+}
+
+/// A convolution whose padding keeps the size (for stride 1 and odd kernels).
+#[derive(Module, Debug)]
+pub(crate) struct Conv2d {
+    weight: Param<Tensor<4>>,
+    bias: Option<Param<Tensor<1>>>,
+    stride: usize,
+    depthwise: bool,
+}
+
+impl Conv2dConfig {
+    pub(crate) fn init(&self, device: &Device) -> Conv2d {
+        let [inputs, outputs] = self.channels;
+        let taps = self.kernel[0] * self.kernel[1];
+        let group = if self.depthwise { 1 } else { inputs };
+        let fans = (Some(group * taps), Some(outputs * taps));
+        let shape = [outputs, group, self.kernel[0], self.kernel[1]];
+        Conv2d {
+            weight: self.initializer.init_with(shape, fans.0, fans.1, device),
+            bias: self.bias.then(|| {
+                let uniform = Initializer::KaimingUniform { gain: 1.0 / 3.0_f64.sqrt(), fan_out_only: false };
+                uniform.init_with([outputs], fans.0, fans.1, device)
+            }),
+            stride: self.stride,
+            depthwise: self.depthwise,
+        }
+    }
+}
+
+impl Conv2d {
+    pub(crate) fn weight(&self) -> Tensor<4> {
+        self.weight.val()
+    }
+
+    pub(crate) fn bias(&self) -> Option<Tensor<1>> {
+        self.bias.as_ref().map(Param::val)
+    }
+
+    /// `activation(conv(x) + bias)`.
+    pub(crate) fn forward(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
+        self.apply(x, self.weight(), Finish::with(activation).bias(self.bias()))
+    }
+
+    /// `activation(conv(x) + bias + residual)`.
+    pub(crate) fn forward_add(&self, x: Tensor<4>, residual: Tensor<4>, activation: Activation) -> Tensor<4> {
+        self.apply(x, self.weight(), Finish::with(activation).bias(self.bias()).residual(residual))
+    }
+
+    /// With another weight of the same kernel.
+    pub(crate) fn apply(&self, x: Tensor<4>, weight: Tensor<4>, finish: Finish) -> Tensor<4> {
+        let [_, _, height, width] = weight.dims();
+        let padding = [height / 2, width / 2];
+        if self.depthwise {
+            depthwise(x, weight, finish, padding)
+        } else {
+            conv2d(x, weight, finish, Conv2dOptions { stride: [self.stride; 2], padding })
+        }
+    }
+}
+
+/// Holds the place of a layer without parameters in a sequence, so that what follows has the reference's number.
+#[derive(Module, Debug)]
+pub(crate) struct NoParameters;

@@ -1,0 +1,121 @@
+//! Feature and context encoder of RAFT (`extractor.py`), to an eighth of the size.
+
+use burn::module::{Initializer, Module};
+use burn::tensor::{Device, Tensor, activation::relu};
+use srflow_ops::Activation;
+
+use super::norm::{Norm, NormKind};
+use super::{Conv2d, Conv2dConfig};
+
+/// Sizes of an [`Encoder`].
+#[derive(Debug, Clone)]
+pub(crate) struct EncoderConfig {
+    /// Of the stem and first layer, the second, the third.
+    channels: [usize; 3],
+    /// Blocks of three convolutions through a quarter of the channels, rather than of two.
+    bottleneck: bool,
+    output: usize,
+    norm: NormKind,
+}
+
+/// Three layers of two residual blocks; the second and third layer halve the size, as the stem does.
+#[derive(Module, Debug)]
+pub(crate) struct Encoder {
+    conv1: Conv2d,
+    norm1: Norm,
+    layer1: Vec<Block>,
+    layer2: Vec<Block>,
+    layer3: Vec<Block>,
+    conv2: Conv2d,
+}
+
+/// A residual block. Where it halves the size, the reference stores the norm of the shortcut twice, as `downsample.1`
+/// and as `norm3` (`norm4` in a bottleneck).
+#[derive(Module, Debug)]
+struct Block {
+    conv1: Conv2d,
+    norm1: Norm,
+    conv2: Conv2d,
+    norm2: Norm,
+    conv3: Option<Conv2d>,
+    norm3: Option<Norm>,
+    downsample: Option<(Conv2d, Norm)>,
+}
+
+fn conv(channels: [usize; 2], kernel: usize) -> Conv2dConfig {
+    Conv2dConfig::new(channels, [kernel; 2])
+        .with_initializer(Initializer::KaimingNormal { gain: std::f64::consts::SQRT_2, fan_out_only: true })
+}
+
+impl EncoderConfig {
+    /// `BasicEncoder`.
+    pub(crate) fn basic(output: usize, norm: NormKind) -> Self {
+        Self { channels: [64, 96, 128], bottleneck: false, output, norm }
+    }
+
+    /// `SmallEncoder`.
+    pub(crate) fn small(output: usize, norm: NormKind) -> Self {
+        Self { channels: [32, 64, 96], bottleneck: true, output, norm }
+    }
+
+    pub(crate) fn init(&self, device: &Device) -> Encoder {
+        let [first, second, third] = self.channels;
+        let layer = |inputs, outputs, stride| {
+            vec![self.block([inputs, outputs], stride, device), self.block([outputs, outputs], 1, device)]
+        };
+        Encoder {
+            conv1: conv([3, first], 7).with_stride(2).init(device),
+            norm1: Norm::new(self.norm, first, device),
+            layer1: layer(first, first, 1),
+            layer2: layer(first, second, 2),
+            layer3: layer(second, third, 2),
+            conv2: conv([third, self.output], 1).init(device),
+        }
+    }
+
+    fn block(&self, [inputs, outputs]: [usize; 2], stride: usize, device: &Device) -> Block {
+        let norm = |channels| Norm::new(self.norm, channels, device);
+        let inner = if self.bottleneck { outputs / 4 } else { outputs };
+        let (first, second) = if self.bottleneck {
+            (conv([inputs, inner], 1), conv([inner, inner], 3).with_stride(stride))
+        } else {
+            (conv([inputs, inner], 3).with_stride(stride), conv([inner, inner], 3))
+        };
+        Block {
+            conv1: first.init(device),
+            norm1: norm(inner),
+            conv2: second.init(device),
+            norm2: norm(inner),
+            conv3: self.bottleneck.then(|| conv([inner, outputs], 1).init(device)),
+            norm3: self.bottleneck.then(|| norm(outputs)),
+            downsample: (stride > 1)
+                .then(|| (conv([inputs, outputs], 1).with_stride(stride).init(device), norm(outputs))),
+        }
+    }
+}
+
+impl Encoder {
+    /// `[batch, output, height / 8, width / 8]` from `[batch, 3, height, width]`.
+    pub(crate) fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let mut x = self.norm1.after(&self.conv1, x, Activation::Relu);
+        for block in self.layer1.iter().chain(&self.layer2).chain(&self.layer3) {
+            x = block.forward(x);
+        }
+        self.conv2.forward(x, Activation::Identity)
+    }
+}
+
+impl Block {
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let mut y = self.norm1.after(&self.conv1, x.clone(), Activation::Relu);
+        y = self.norm2.after(&self.conv2, y, Activation::Relu);
+        if let (Some(conv), Some(norm)) = (&self.conv3, &self.norm3) {
+            y = norm.after(conv, y, Activation::Relu);
+        }
+        let shortcut = match &self.downsample {
+            Some((conv, norm)) => norm.after(conv, x, Activation::Identity),
+            None => x,
+        };
+        relu(shortcut + y)
+    }
+}

@@ -1,0 +1,127 @@
+//! Convolutional gated recurrent units of RAFT (`update.py`).
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use srflow_ops::Activation;
+use srflow_ops::conv2d::tensor::Finish;
+
+use super::{Conv2d, Conv2dConfig};
+
+/// One gated step over a 3x3 neighbourhood.
+#[derive(Module, Debug)]
+pub(crate) struct ConvGru {
+    convz: Conv2d,
+    convr: Conv2d,
+    convq: Conv2d,
+}
+
+/// A gated step along rows, then one along columns.
+#[derive(Module, Debug)]
+pub(crate) struct SepConvGru {
+    convz1: Conv2d,
+    convr1: Conv2d,
+    convq1: Conv2d,
+    convz2: Conv2d,
+    convr2: Conv2d,
+    convq2: Conv2d,
+}
+
+/// A unit whose part of the sums that comes from the context, which no iteration changes, is there already.
+pub(crate) struct PreparedGru<'a> {
+    steps: Vec<PreparedStep<'a>>,
+}
+
+struct PreparedStep<'a> {
+    /// Any of the convolutions: they differ in weight and bias only.
+    conv: &'a Conv2d,
+    hidden: usize,
+    /// Weights of update and reset gate, one below the other, for the hidden state and the input that changes.
+    gates_weight: Tensor<4>,
+    gates_context: Tensor<4>,
+    candidate_weight: Tensor<4>,
+    candidate_context: Tensor<4>,
+}
+
+fn conv(hidden: usize, inputs: usize, kernel: [usize; 2], device: &Device) -> Conv2d {
+    Conv2dConfig::new([hidden + inputs, hidden], kernel).init(device)
+}
+
+impl ConvGru {
+    pub(crate) fn new(hidden: usize, inputs: usize, device: &Device) -> Self {
+        let conv = || conv(hidden, inputs, [3, 3], device);
+        Self { convz: conv(), convr: conv(), convq: conv() }
+    }
+
+    pub(crate) fn prepared(&self, context: &Tensor<4>) -> PreparedGru<'_> {
+        PreparedGru { steps: vec![PreparedStep::new([&self.convz, &self.convr, &self.convq], context)] }
+    }
+}
+
+impl SepConvGru {
+    pub(crate) fn new(hidden: usize, inputs: usize, device: &Device) -> Self {
+        let along_row = || conv(hidden, inputs, [1, 5], device);
+        let along_column = || conv(hidden, inputs, [5, 1], device);
+        Self {
+            convz1: along_row(),
+            convr1: along_row(),
+            convq1: along_row(),
+            convz2: along_column(),
+            convr2: along_column(),
+            convq2: along_column(),
+        }
+    }
+
+    /// The input of a step is `context`, then what is given to [`PreparedGru::step`].
+    pub(crate) fn prepared(&self, context: &Tensor<4>) -> PreparedGru<'_> {
+        let rows = PreparedStep::new([&self.convz1, &self.convr1, &self.convq1], context);
+        let columns = PreparedStep::new([&self.convz2, &self.convr2, &self.convq2], context);
+        PreparedGru { steps: vec![rows, columns] }
+    }
+}
+
+impl PreparedGru<'_> {
+    /// The next hidden state.
+    pub(crate) fn step(&self, mut hidden: Tensor<4>, input: Tensor<4>) -> Tensor<4> {
+        for step in &self.steps {
+            hidden = step.forward(hidden, input.clone());
+        }
+        hidden
+    }
+}
+
+impl<'a> PreparedStep<'a> {
+    fn new([update, reset, candidate]: [&'a Conv2d; 3], context: &Tensor<4>) -> Self {
+        let [hidden, inputs, _, _] = update.weight().dims();
+        let fixed = context.dims()[1];
+        // Input channels: the hidden state, the context, the rest.
+        let changing = |weight: Tensor<4>| {
+            let rest = weight.clone().narrow(1, hidden + fixed, inputs - hidden - fixed);
+            Tensor::cat(vec![weight.narrow(1, 0, hidden), rest], 1)
+        };
+        let of_context = |conv: &Conv2d| {
+            let weight = conv.weight().narrow(1, hidden, fixed);
+            conv.apply(context.clone(), weight, Finish::default().bias(conv.bias()))
+        };
+        Self {
+            conv: update,
+            hidden,
+            gates_weight: Tensor::cat(vec![changing(update.weight()), changing(reset.weight())], 0),
+            gates_context: Tensor::cat(vec![of_context(update), of_context(reset)], 1),
+            candidate_weight: changing(candidate.weight()),
+            candidate_context: of_context(candidate),
+        }
+    }
+
+    fn forward(&self, hidden: Tensor<4>, input: Tensor<4>) -> Tensor<4> {
+        let sum = |state: Tensor<4>, weight: &Tensor<4>, context: &Tensor<4>, activation| {
+            let x = Tensor::cat(vec![state, input.clone()], 1);
+            self.conv.apply(x, weight.clone(), Finish::with(activation).residual(context.clone()))
+        };
+        let gates = sum(hidden.clone(), &self.gates_weight, &self.gates_context, Activation::Sigmoid);
+        let update = gates.clone().narrow(1, 0, self.hidden);
+        let reset = gates.narrow(1, self.hidden, self.hidden);
+        let candidate =
+            sum(reset * hidden.clone(), &self.candidate_weight, &self.candidate_context, Activation::Tanh);
+        hidden.clone() + update * (candidate - hidden)
+    }
+}

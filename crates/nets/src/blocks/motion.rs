@@ -1,0 +1,89 @@
+//! What makes features of flow and correlation, and flow of the hidden state (`update.py` of RAFT).
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use srflow_ops::Activation::{Identity, Relu};
+
+use super::{Conv2d, Conv2dConfig};
+
+fn conv(channels: [usize; 2], kernel: usize, device: &Device) -> Conv2d {
+    Conv2dConfig::new(channels, [kernel; 2]).init(device)
+}
+
+/// Entries of a window of the correlation pyramid.
+pub(crate) fn window_entries(levels: usize, radius: usize) -> usize {
+    levels * (2 * radius + 1) * (2 * radius + 1)
+}
+
+/// `BasicMotionEncoder`: 128 channels, the last two of them the flow.
+#[derive(Module, Debug)]
+pub(crate) struct MotionEncoder {
+    convc1: Conv2d,
+    convc2: Conv2d,
+    convf1: Conv2d,
+    convf2: Conv2d,
+    conv: Conv2d,
+}
+
+impl MotionEncoder {
+    pub(crate) fn new(entries: usize, device: &Device) -> Self {
+        Self {
+            convc1: conv([entries, 256], 1, device),
+            convc2: conv([256, 192], 3, device),
+            convf1: conv([2, 128], 7, device),
+            convf2: conv([128, 64], 3, device),
+            conv: conv([64 + 192, 128 - 2], 3, device),
+        }
+    }
+
+    pub(crate) fn forward(&self, flow: Tensor<4>, windows: Tensor<4>) -> Tensor<4> {
+        let correlation = self.convc2.forward(self.convc1.forward(windows, Relu), Relu);
+        let motion = self.convf2.forward(self.convf1.forward(flow.clone(), Relu), Relu);
+        let out = self.conv.forward(Tensor::cat(vec![correlation, motion], 1), Relu);
+        Tensor::cat(vec![out, flow], 1)
+    }
+}
+
+/// `SmallMotionEncoder`: 82 channels, the last two of them the flow.
+#[derive(Module, Debug)]
+pub(crate) struct SmallMotionEncoder {
+    convc1: Conv2d,
+    convf1: Conv2d,
+    convf2: Conv2d,
+    conv: Conv2d,
+}
+
+impl SmallMotionEncoder {
+    pub(crate) fn new(entries: usize, device: &Device) -> Self {
+        Self {
+            convc1: conv([entries, 96], 1, device),
+            convf1: conv([2, 64], 7, device),
+            convf2: conv([64, 32], 3, device),
+            conv: conv([128, 80], 3, device),
+        }
+    }
+
+    pub(crate) fn forward(&self, flow: Tensor<4>, windows: Tensor<4>) -> Tensor<4> {
+        let correlation = self.convc1.forward(windows, Relu);
+        let motion = self.convf2.forward(self.convf1.forward(flow.clone(), Relu), Relu);
+        let out = self.conv.forward(Tensor::cat(vec![correlation, motion], 1), Relu);
+        Tensor::cat(vec![out, flow], 1)
+    }
+}
+
+/// `FlowHead`: the change of the flow.
+#[derive(Module, Debug)]
+pub(crate) struct FlowHead {
+    conv1: Conv2d,
+    conv2: Conv2d,
+}
+
+impl FlowHead {
+    pub(crate) fn new(inputs: usize, hidden: usize, device: &Device) -> Self {
+        Self { conv1: conv([inputs, hidden], 3, device), conv2: conv([hidden, 2], 3, device) }
+    }
+
+    pub(crate) fn forward(&self, hidden: Tensor<4>) -> Tensor<4> {
+        self.conv2.forward(self.conv1.forward(hidden, Relu), Identity)
+    }
+}

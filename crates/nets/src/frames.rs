@@ -1,0 +1,82 @@
+//! Two frames as a network wants them.
+
+use burn::tensor::Tensor;
+use burn::tensor::ops::PadMode;
+
+/// Two batches of frames, RGB in 0..1, `[batch, 3, height, width]`.
+#[derive(Debug, Clone)]
+pub struct Frames {
+    /// The frames whose pixels the flow is given for.
+    pub first: Tensor<4>,
+    /// The frames that the flow points into.
+    pub second: Tensor<4>,
+}
+
+/// Rows and columns added around a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Border {
+    size: [usize; 2],
+    before: [usize; 2],
+    padded: [usize; 2],
+}
+
+impl Border {
+    /// As few as make height and width multiples of `multiple`, the larger half below and to the right.
+    fn new(size: [usize; 2], multiple: usize) -> Self {
+        let padded = size.map(|size| size.next_multiple_of(multiple));
+        Self { size, before: [0, 1].map(|i| (padded[i] - size[i]) / 2), padded }
+    }
+
+    /// Repeats the outermost rows and columns.
+    fn add(&self, x: Tensor<4>) -> Tensor<4> {
+        if self.padded == self.size {
+            return x;
+        }
+        let [top, left] = self.before;
+        let [bottom, right] = [0, 1].map(|i| self.padded[i] - self.size[i] - self.before[i]);
+        x.pad((left, right, top, bottom), PadMode::Edge)
+    }
+
+    /// Takes away what [`Border::add`] added.
+    pub(crate) fn remove(&self, x: Tensor<4>) -> Tensor<4> {
+        if self.padded == self.size {
+            return x;
+        }
+        x.narrow(2, self.before[0], self.size[0]).narrow(3, self.before[1], self.size[1])
+    }
+}
+
+impl Frames {
+    /// Both frames in -1..1, with a border to sizes of a multiple of `multiple`.
+    ///
+    /// Panics when the frames are empty or differ in size.
+    pub(crate) fn prepared(self, multiple: usize) -> (Tensor<4>, Tensor<4>, Border) {
+        let dims @ [batch, channels, height, width] = self.first.dims();
+        assert_eq!(dims, self.second.dims(), "frames: the size of the second");
+        assert!(
+            channels == 3 && batch * height * width > 0,
+            "frames: [batch, 3, height, width], not {dims:?}"
+        );
+        let border = Border::new([height, width], multiple);
+        let prepare = |frame: Tensor<4>| border.add(frame * 2.0 - 1.0);
+        (prepare(self.first), prepare(self.second), border)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::Device;
+
+    use super::*;
+
+    #[test]
+    fn a_border_repeats_the_edge_and_comes_off_again() {
+        let device = Device::flex();
+        let frame = Tensor::<1>::from_floats([1., 2., 3., 4., 5., 6.], &device).reshape([1, 1, 2, 3]);
+        let border = Border::new([2, 3], 4);
+        let padded = border.add(frame.clone());
+        let numbers: Vec<f32> = padded.clone().into_data().try_to_vec().expect("f32");
+        assert_eq!(numbers, [1., 2., 3., 3., 1., 2., 3., 3., 4., 5., 6., 6., 4., 5., 6., 6.]);
+        assert_eq!(border.remove(padded).into_data(), frame.into_data());
+    }
+}

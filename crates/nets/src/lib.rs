@@ -1,0 +1,21 @@
+//! Optical flow networks: one file per network, `Config` with named presets, `init`, `forward`.
+//!
+//! A network's parameters carry the names that the reference implementation gives them, so that published weights load
+//! without a table of names.
+
+mod blocks;
+mod frames;
+mod gma;
+mod parameters;
+mod raft;
+mod raft_small;
+mod recurrent;
+mod skflow;
+
+pub use frames::Frames;
+pub use gma::{Gma, GmaConfig};
+pub use parameters::{ParameterInfo, Parameters, ParametersError, parameter_infos, with_parameters};
+pub use raft::{Raft, RaftConfig};
+pub use raft_small::{RaftSmall, RaftSmallConfig};
+pub use recurrent::{Estimate, Request};
+pub use skflow::{SkFlow, SkFlowConfig};

@@ -1,0 +1,125 @@
+//! A network's parameters by name.
+
+use std::collections::BTreeMap;
+
+use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
+use burn::tensor::{Tensor, TensorData};
+
+/// Names listed in an error, of however many there are.
+const NAMES_SHOWN: usize = 10;
+
+/// Name and shape of a parameter.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ParameterInfo {
+    /// As the reference implementation calls it, such as `fnet.layer1.0.conv1.weight`.
+    pub name: String,
+    /// Sizes of its dimensions.
+    pub shape: Vec<usize>,
+}
+
+/// Values for parameters, by name.
+pub type Parameters = BTreeMap<String, TensorData>;
+
+/// Why parameters do not fit a network.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("the parameters do not fit the network:{}{}{}", listed("missing", .missing), listed("unknown", .unknown), listed("of another shape", .misshapen))]
+pub struct ParametersError {
+    /// Parameters of the network that were not given.
+    pub missing: Vec<String>,
+    /// Given names that the network does not have.
+    pub unknown: Vec<String>,
+    /// Parameters given in another shape: the name, the shape expected and the shape found.
+    pub misshapen: Vec<String>,
+}
+
+fn listed(what: &str, names: &[String]) -> String {
+    if names.is_empty() {
+        return String::new();
+    }
+    let shown = names[..names.len().min(NAMES_SHOWN)].join(", ");
+    let rest = names.len().saturating_sub(NAMES_SHOWN);
+    let rest = if rest > 0 { format!(" and {rest} more") } else { String::new() };
+    format!("\n  {} {what}: {shown}{rest}", names.len())
+}
+
+/// Every parameter of a network, in the order of its definition.
+pub fn parameter_infos(network: &impl Module) -> Vec<ParameterInfo> {
+    let mut listing = Listing::default();
+    network.visit(&mut listing);
+    listing.found
+}
+
+/// `network` with the given parameters. `parameters` must hold each of the network's and no other, as `f32`.
+pub fn with_parameters<M: Module>(network: M, parameters: Parameters) -> Result<M, ParametersError> {
+    let infos = parameter_infos(&network);
+    let (mut missing, mut misshapen) = (Vec::new(), Vec::new());
+    for ParameterInfo { name, shape } in &infos {
+        match parameters.get(name) {
+            None => missing.push(name.clone()),
+            Some(data) if data.shape().as_slice() != shape => {
+                misshapen.push(format!("{name} (expected {shape:?}, found {:?})", data.shape().as_slice()))
+            }
+            Some(_) => {}
+        }
+    }
+    let known = |name: &String| infos.iter().any(|info| info.name == *name);
+    let unknown: Vec<String> = parameters.keys().filter(|name| !known(name)).cloned().collect();
+    if missing.is_empty() && misshapen.is_empty() && unknown.is_empty() {
+        Ok(network.map(&mut Filling { path: Path::default(), parameters }))
+    } else {
+        Err(ParametersError { missing, unknown, misshapen })
+    }
+}
+
+/// Where in the network a parameter is.
+#[derive(Default)]
+struct Path(Vec<String>);
+
+impl Path {
+    fn name(&self) -> String {
+        self.0.join(".")
+    }
+}
+
+#[derive(Default)]
+struct Listing {
+    path: Path,
+    found: Vec<ParameterInfo>,
+}
+
+impl ModuleVisitor for Listing {
+    fn enter_module(&mut self, name: &str, _: &str) {
+        self.path.0.push(name.to_owned());
+    }
+
+    fn exit_module(&mut self, _: &str, _: &str) {
+        self.path.0.pop();
+    }
+
+    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+        self.found.push(ParameterInfo { name: self.path.name(), shape: param.lazy_shape().to_vec() });
+    }
+}
+
+struct Filling {
+    path: Path,
+    parameters: Parameters,
+}
+
+impl ModuleMapper for Filling {
+    fn enter_module(&mut self, name: &str, _: &str) {
+        self.path.0.push(name.to_owned());
+    }
+
+    fn exit_module(&mut self, _: &str, _: &str) {
+        self.path.0.pop();
+    }
+
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        let Some(data) = self.parameters.remove(&self.path.name()) else { return param };
+        let device = param.lazy_device();
+        let tensor = Tensor::from_data(data, &device);
+        let id = param.id;
+        param.transform_for_load(tensor, id)
+    }
+}

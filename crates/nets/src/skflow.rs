@@ -1,0 +1,166 @@
+//! SKFlow (Sun et al., NeurIPS 2022): <https://arxiv.org/abs/2205.14623>. GMA with super kernels: every part of the update
+//! is a block with large depthwise kernels. Parity with the reference: `PARITY.md`.
+
+use burn::config::Config;
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use srflow_ops::Activation::{Gelu, Identity};
+
+use crate::blocks::{
+    Aggregate, Attention, Conv2d, Conv2dConfig, ConvexMask, Encoder, EncoderConfig, NoParameters, NormKind,
+    convex_mask, convex_upsample, window_entries,
+};
+use crate::frames::Frames;
+use crate::raft::{HIDDEN, correlate, hidden_and_context};
+use crate::recurrent::{Estimate, Loop, Request, STRIDE};
+
+/// The network of the paper.
+#[derive(Config, Debug)]
+pub struct SkFlowConfig {
+    /// Levels of the correlation pyramid.
+    #[config(default = "4")]
+    pub levels: usize,
+    /// Radius of the window that is looked up in each.
+    #[config(default = "4")]
+    pub radius: usize,
+    /// Sides of the depthwise kernels of the motion encoder and the flow head.
+    #[config(default = "[1, 15]")]
+    pub kernels: [usize; 2],
+    /// Sides of the depthwise kernels of the update of the hidden state.
+    #[config(default = "[1, 7]")]
+    pub update_kernels: [usize; 2],
+}
+
+/// See [`SkFlowConfig`].
+#[derive(Module, Debug)]
+pub struct SkFlow {
+    fnet: Encoder,
+    cnet: Encoder,
+    update_block: UpdateBlock,
+    att: Attention,
+    levels: usize,
+    radius: usize,
+}
+
+/// `SKUpdateBlock6_Deep_nopoolres_AllDecoder`.
+#[derive(Module, Debug)]
+struct UpdateBlock {
+    encoder: MotionEncoder,
+    gru: SuperKernelBlock,
+    flow_head: SuperKernelBlock,
+    mask: ConvexMask,
+    aggregator: Aggregate,
+}
+
+/// `SKMotionEncoder6_Deep_nopool_res`: 128 channels, the last two of them the flow.
+#[derive(Module, Debug)]
+struct MotionEncoder {
+    convc1: SuperKernelBlock,
+    convc2: SuperKernelBlock,
+    convf1: Conv2d,
+    convf2: SuperKernelBlock,
+    conv: SuperKernelBlock,
+}
+
+/// `PCBlock4_Deep_nopool_res`.
+#[derive(Module, Debug)]
+struct SuperKernelBlock {
+    conv_list: Vec<Conv2d>,
+    ffn1: (Conv2d, NoParameters, Conv2d),
+    pw: Conv2d,
+    ffn2: (Conv2d, NoParameters, Conv2d),
+}
+
+impl SkFlowConfig {
+    /// With random parameters, as training starts.
+    pub fn init(&self, device: &Device) -> SkFlow {
+        let block = |inputs, outputs| SuperKernelBlock::new([inputs, outputs], self.kernels, device);
+        SkFlow {
+            fnet: EncoderConfig::basic(256, NormKind::Instance).init(device),
+            cnet: EncoderConfig::basic(2 * HIDDEN, NormKind::Batch).init(device),
+            update_block: UpdateBlock {
+                encoder: MotionEncoder {
+                    convc1: block(window_entries(self.levels, self.radius), 256),
+                    convc2: block(256, 192),
+                    convf1: Conv2dConfig::new([2, 128], [1, 1]).init(device),
+                    convf2: block(128, 64),
+                    conv: block(64 + 192, 128 - 2),
+                },
+                gru: SuperKernelBlock::new([128 + 2 * HIDDEN + 128, 128], self.update_kernels, device),
+                flow_head: block(128, 2),
+                mask: convex_mask(HIDDEN, device),
+                aggregator: Aggregate::new(128, device),
+            },
+            att: Attention::new(HIDDEN, device),
+            levels: self.levels,
+            radius: self.radius,
+        }
+    }
+}
+
+impl SkFlow {
+    /// Flow from the first frames to the second. Panics when the frames differ in size.
+    pub fn forward(&self, frames: Frames, request: &Request) -> Estimate {
+        let (first, second, border) = frames.prepared(STRIDE);
+        let (hidden, context) = hidden_and_context(&self.cnet, first.clone(), HIDDEN);
+        let correlation = correlate(&self.fnet, first, second, self.levels);
+        let attention = self.att.forward(context.clone());
+        let block = &self.update_block;
+        let refinement = Loop {
+            correlation: &correlation,
+            radius: self.radius,
+            border,
+            step: |hidden, flow, windows| {
+                let motion = block.encoder.forward(flow, windows);
+                let global = block.aggregator.forward(&attention, motion.clone());
+                let hidden = block.gru.forward(Tensor::cat(vec![hidden, context.clone(), motion, global], 1));
+                (hidden.clone(), block.flow_head.forward(hidden))
+            },
+            upsample: |hidden: &Tensor<4>, flow| convex_upsample(&block.mask, hidden, flow),
+        };
+        refinement.run(hidden, request)
+    }
+}
+
+impl MotionEncoder {
+    fn forward(&self, flow: Tensor<4>, windows: Tensor<4>) -> Tensor<4> {
+        let correlation = self.convc2.forward(self.convc1.forward_activated(windows));
+        let motion = self.convf2.forward(self.convf1.forward(flow.clone(), Identity));
+        let out = self.conv.forward(Tensor::cat(vec![correlation, motion], 1));
+        Tensor::cat(vec![out, flow], 1)
+    }
+}
+
+impl SuperKernelBlock {
+    fn new([inputs, outputs]: [usize; 2], kernels: [usize; 2], device: &Device) -> Self {
+        let wide = inputs + inputs / 2;
+        let pointwise = |inputs, outputs| Conv2dConfig::new([inputs, outputs], [1, 1]).init(device);
+        let depthwise =
+            |side| Conv2dConfig::new([inputs, inputs], [side, side]).with_depthwise(true).init(device);
+        Self {
+            conv_list: kernels.map(depthwise).into(),
+            ffn1: (pointwise(inputs, wide), NoParameters, pointwise(wide, inputs)),
+            pw: pointwise(inputs, inputs),
+            ffn2: (pointwise(inputs, wide), NoParameters, pointwise(wide, outputs)),
+        }
+    }
+
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        self.ffn2.2.forward(self.widened(x), Identity)
+    }
+
+    /// `gelu(forward(x))`.
+    fn forward_activated(&self, x: Tensor<4>) -> Tensor<4> {
+        self.ffn2.2.forward(self.widened(x), Gelu)
+    }
+
+    /// Up to the last convolution.
+    fn widened(&self, mut x: Tensor<4>) -> Tensor<4> {
+        let inner = self.ffn1.0.forward(x.clone(), Gelu);
+        x = self.ffn1.2.forward_add(inner, x, Gelu);
+        for conv in self.conv_list.iter().chain([&self.pw]) {
+            x = conv.forward_add(x.clone(), x, Gelu);
+        }
+        self.ffn2.0.forward(x, Gelu)
+    }
+}

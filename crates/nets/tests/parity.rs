@@ -1,0 +1,165 @@
+//! Every network gives the flow of the reference implementation (ptlflow 0.4.2) from the same parameters.
+//!
+//! Golden values: `tools/parity/nets.py`, whose rules for parameters and frames are repeated here.
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor, TensorData, s};
+use safetensors::SafeTensors;
+use srflow_nets::{
+    Estimate, Frames, GmaConfig, Parameters, RaftConfig, RaftSmallConfig, Request, SkFlowConfig,
+    parameter_infos, with_parameters,
+};
+
+/// Batch, height, width: one that needs no padding, one that does.
+const CASES: [[usize; 3]; 2] = [[1, 128, 160], [2, 133, 150]];
+/// Rows and columns of the flow that are stored.
+const EVERY: isize = 7;
+/// Parts of SKFlow's blocks that are added to their own input.
+const RESIDUAL: [&str; 3] = ["ffn1.2.", "conv_list.", "pw."];
+
+/// Uniform in -1..1, from a hash of the index and the seed.
+fn noise(index: u32, seed: u32) -> f32 {
+    let mut x = index.wrapping_mul(0x9E37_79B9) ^ seed;
+    x = (x ^ (x >> 16)).wrapping_mul(0x85EB_CA6B);
+    x = (x ^ (x >> 13)).wrapping_mul(0xC2B2_AE35);
+    x ^= x >> 16;
+    (x >> 8) as f32 / 8_388_608.0 - 1.0
+}
+
+/// FNV-1a.
+fn name_hash(name: &str) -> u32 {
+    name.bytes().fold(0x811C_9DC5, |value, byte| (value ^ u32::from(byte)).wrapping_mul(0x0100_0193))
+}
+
+/// Weights of variance 1 / fan_in, so that activations keep their size; the rest near what training leaves.
+fn parameter(name: &str, shape: &[usize]) -> Vec<f32> {
+    let count: usize = shape.iter().product();
+    let seed = name_hash(name);
+    let last = name.rsplit('.').next().unwrap_or_default();
+    let fan_in: usize = shape[1..].iter().product();
+    (0..count as u32)
+        .map(|i| {
+            let mut u = noise(i, seed);
+            match last {
+                "running_var" => return 1.0 + 0.5 * u,
+                "gamma" => return 0.5 + 0.25 * u,
+                "weight" if shape.len() == 1 => return 1.0 + 0.25 * u,
+                _ => {}
+            }
+            if RESIDUAL.iter().any(|part| name.contains(part)) {
+                u *= 0.5;
+            }
+            if name.contains("flow_head.ffn2.2.") {
+                u *= 0.25; // keeps SKFlow's flow inside the frame
+            }
+            if last == "weight" { u * (3.0 / fan_in as f64).sqrt() as f32 } else { 0.1 * u }
+        })
+        .collect()
+}
+
+fn filled<M: Module>(network: M) -> M {
+    let parameters: Parameters = parameter_infos(&network)
+        .into_iter()
+        .map(|info| {
+            let values = parameter(&info.name, &info.shape);
+            (info.name, TensorData::new(values, info.shape))
+        })
+        .collect();
+    with_parameters(network, parameters).expect("its own names and shapes")
+}
+
+/// A triangle wave of whole numbers, in 0..1.
+fn wave(n: i64, period: i64) -> f64 {
+    (n.rem_euclid(2 * period) - period).abs() as f64 / period as f64
+}
+
+/// Three waves and some grain, moved by `shift` pixels right and half of it down.
+fn frame([batch, height, width]: [usize; 3], shift: i64, device: &Device) -> Tensor<4> {
+    let mut values = Vec::with_capacity(batch * 3 * height * width);
+    for (n, c) in (0..batch as i64).flat_map(|n| (0..3).map(move |c| (n, c))) {
+        for (y, x) in (0..height as i64).flat_map(|y| (0..width as i64).map(move |x| (y, x))) {
+            let (x, y) = (x - shift + 64, y - shift / 2 + 64);
+            let grain = noise(((x + 331 * y + 7919 * c + 104_729 * n) % (1 << 18)) as u32, 5);
+            let value = 0.25 * wave(x + 2 * y + 5 * c, 13) + 0.25 * wave(3 * x - y + 1000 + 17 * n, 19);
+            values.push((value + 0.3 * wave(x * y / 8 + 3 * c, 29) + 0.1 + 0.1 * f64::from(grain)) as f32);
+        }
+    }
+    Tensor::from_data(TensorData::new(values, [batch, 3, height, width]), device)
+}
+
+fn numbers(tensor: Tensor<4>) -> Vec<f32> {
+    tensor.into_data().try_to_vec().expect("f32")
+}
+
+/// Every 7th row and column.
+fn thinned(flow: Tensor<4>) -> Tensor<4> {
+    flow.slice(s![.., .., ..;EVERY, ..;EVERY])
+}
+
+/// Holds `found` to the stored tensor: mean and largest difference in pixels of the flow's own grid.
+fn assert_close(golden: &SafeTensors, name: &str, found: Tensor<4>, [mean, largest]: [f32; 2]) {
+    let expected = golden.tensor(name).expect("stored");
+    assert_eq!(expected.shape(), found.dims(), "{name}");
+    let expected =
+        expected.data().chunks_exact(4).map(|bytes| f32::from_le_bytes(bytes.try_into().expect("four")));
+    let differences: Vec<f32> = numbers(found).iter().zip(expected).map(|(a, b)| (a - b).abs()).collect();
+    let worst = differences.iter().copied().fold(0.0, f32::max);
+    let average = differences.iter().sum::<f32>() / differences.len() as f32;
+    println!("{name}: mean difference {average:.2e} px, largest {worst:.2e} px");
+    assert!(average <= mean && worst <= largest, "{name}: mean difference {average}, largest {worst}");
+}
+
+fn check(name: &str, forward: impl Fn(Frames, &Request) -> Estimate) {
+    let device = Device::flex();
+    for case @ [batch, height, width] in CASES {
+        let path = format!(
+            "{}/tests/golden/{name}_{batch}x{height}x{width}.safetensors",
+            env!("CARGO_MANIFEST_DIR")
+        );
+        let bytes = std::fs::read(&path).expect(&path);
+        let golden = SafeTensors::deserialize(&bytes).expect(&path);
+        let frames = Frames { first: frame(case, 0, &device), second: frame(case, 4, &device) };
+        let first = forward(frames.clone(), &Request::new(1));
+        assert_close(&golden, "coarse_1", first.coarse, [1e-4, 1e-3]);
+        let last = forward(frames, &Request::new(12));
+        assert_close(&golden, "coarse_12", last.coarse.clone(), [1e-3, 1e-2]);
+        assert_close(&golden, "flow_12", thinned(last.last().clone()), [1e-3, 1e-2]);
+    }
+}
+
+#[test]
+fn raft() {
+    let network = filled(RaftConfig::new().init(&Device::flex()));
+    check("raft", |frames, request| network.forward(frames, request));
+}
+
+#[test]
+fn raft_small() {
+    let network = filled(RaftSmallConfig::new().init(&Device::flex()));
+    check("raft_small", |frames, request| network.forward(frames, request));
+}
+
+#[test]
+fn gma() {
+    let network = filled(GmaConfig::new().init(&Device::flex()));
+    check("gma", |frames, request| network.forward(frames, request));
+}
+
+#[test]
+fn skflow() {
+    let network = filled(SkFlowConfig::new().init(&Device::flex()));
+    check("skflow", |frames, request| network.forward(frames, request));
+}
+
+/// Parameter counts of ptlflow's models, whose batch norm statistics are no parameters there.
+#[test]
+fn the_networks_have_the_references_parameters() {
+    let count = |network: &dyn Fn(&Device) -> Vec<srflow_nets::ParameterInfo>| -> usize {
+        let infos = network(&Device::flex());
+        let learned = infos.iter().filter(|info| !info.name.contains("running_"));
+        learned.map(|info| info.shape.iter().product::<usize>()).sum()
+    };
+    assert_eq!(count(&|device| parameter_infos(&RaftConfig::new().init(device))), 5_257_536);
+    assert_eq!(count(&|device| parameter_infos(&GmaConfig::new().init(device))), 5_879_873);
+    assert_eq!(count(&|device| parameter_infos(&SkFlowConfig::new().init(device))), 6_273_149);
+}

@@ -1,0 +1,288 @@
+use rayon::prelude::*;
+
+use super::{Conv2dShape, Epilogue};
+use crate::shared_mut::SharedMut;
+use crate::simd::{Isa, Simd, dispatch};
+
+/// Output channels of a register tile.
+pub(super) const BLOCK: usize = 8;
+/// Vectors of pixels of a register tile.
+const VECTORS: usize = 3;
+/// Output rows of one piece of work: enough to reuse the weights in the first-level cache, few enough to balance.
+const BAND_ROWS: usize = 8;
+
+/// Convolution of `input` with `weight`, then the epilogue; `[N, C_out, H_out, W_out]`.
+///
+/// The sum of an element starts at the bias and runs over input channels, then kernel rows, then columns, each step a
+/// fused multiply-add, so the result is the same for every number of threads and every instruction set. Panics when a
+/// slice does not fit `shape`.
+pub fn conv2d(input: &[f32], weight: &[f32], epilogue: &Epilogue, shape: &Conv2dShape) -> Vec<f32> {
+    conv2d_with(Isa::best(), input, weight, epilogue, shape)
+}
+
+/// [`conv2d`] with a chosen instruction set, one of [`Isa::available`].
+pub(super) fn conv2d_with(
+    isa: Isa,
+    input: &[f32],
+    weight: &[f32],
+    epilogue: &Epilogue,
+    shape: &Conv2dShape,
+) -> Vec<f32> {
+    assert_eq!(input.len(), shape.input_len(), "input of {shape:?}");
+    assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
+    epilogue.check(shape.out_channels, shape.output_len());
+    let [height, width] = shape.output();
+    let mut out = vec![0.0; shape.output_len()];
+    if out.is_empty() {
+        return out;
+    }
+    let weights = pack_weights(weight, shape.out_channels, shape.in_channels * shape.taps());
+    let blocks = shape.out_channels.div_ceil(BLOCK);
+    let padded = Padded::of(input, shape);
+    let plan = Plan {
+        channels: shape.in_channels,
+        source_channel: padded.channel,
+        source_row: padded.row * shape.stride[0],
+        taps: padded.taps(shape),
+        // A pointwise convolution is one long row: no row ends to lose lanes at.
+        rows: if padded.is_input { 1 } else { height },
+        columns: if padded.is_input { height * width } else { width },
+        out_channel: height * width,
+    };
+    let bands = plan.rows.div_ceil(BAND_ROWS);
+    // One long row is cut into pieces of columns instead.
+    let piece = if padded.is_input { VECTORS * 16 * 16 } else { plan.columns };
+    let pieces = plan.columns.div_ceil(piece);
+    let target = SharedMut::new(&mut out);
+    (0..shape.batch * blocks * bands * pieces).into_par_iter().for_each(|task| {
+        let (task, part) = (task / pieces, task % pieces);
+        let (task, band) = (task / bands, task % bands);
+        let (n, block) = (task / blocks, task % blocks);
+        let first = block * BLOCK;
+        let channels = BLOCK.min(shape.out_channels - first);
+        let mut start = [0.0; BLOCK];
+        if let Some(bias) = epilogue.bias {
+            start[..channels].copy_from_slice(&bias[first..first + channels]);
+        }
+        let columns = part * piece..plan.columns.min((part + 1) * piece);
+        let image = &padded.data()[n * padded.image..][..padded.image];
+        for row in band * BAND_ROWS..plan.rows.min((band + 1) * BAND_ROWS) {
+            let at = (n * shape.out_channels + first) * plan.out_channel + row * plan.columns + columns.start;
+            let tile = Tile {
+                source: image[row * plan.source_row + columns.start..].as_ptr(),
+                weights: weights[first * plan.channels * plan.taps.len()..].as_ptr(),
+                start,
+                out_channels: channels,
+                columns: columns.len(),
+                // SAFETY: channel `first` of image `n`, this row and column.
+                out: unsafe { target.at(at) },
+            };
+            // SAFETY: `isa` is available; `Padded` holds a border of the kernel's reach around every pixel read, and
+            // no two tasks share an output element.
+            unsafe {
+                convolve_row(isa, &plan, &tile);
+                for channel in 0..channels {
+                    let at = at + channel * plan.out_channel;
+                    let row = std::slice::from_raw_parts_mut(target.at(at), columns.len());
+                    epilogue.finish(isa, at, row);
+                }
+            }
+        }
+    });
+    out
+}
+
+/// `[rows, inner]` to blocks of [`BLOCK`] rows (fewer in the last), each `[inner, rows of the block]`.
+pub(super) fn pack_weights(weight: &[f32], rows: usize, inner: usize) -> Vec<f32> {
+    let mut packed = vec![0.0; rows * inner];
+    packed.par_chunks_mut(BLOCK * inner).zip(weight.par_chunks(BLOCK * inner)).for_each(|(to, from)| {
+        let rows = from.len() / inner;
+        for (row, values) in from.chunks_exact(inner).enumerate() {
+            for (i, &value) in values.iter().enumerate() {
+                to[i * rows + row] = value;
+            }
+        }
+    });
+    packed
+}
+
+/// The input with its border of zeros, `[batch, row, channel, column]`: what one output row needs of all channels lies
+/// on few memory pages, where planes of a large image would take a page for each channel and row. For a stride across,
+/// each row holds the columns of remainder 0, then of remainder 1, and so on, so that neighbouring outputs read
+/// neighbouring inputs.
+pub(super) struct Padded<'a> {
+    copy: Vec<f32>,
+    input: &'a [f32],
+    /// The input needed no copy: a pointwise convolution.
+    pub(super) is_input: bool,
+    /// Elements from a row to the next.
+    pub(super) row: usize,
+    /// Elements from a channel to the next.
+    pub(super) channel: usize,
+    /// Elements from an image to the next.
+    pub(super) image: usize,
+    /// Columns of one remainder.
+    phase: usize,
+}
+
+impl<'a> Padded<'a> {
+    pub(super) fn of(input: &'a [f32], shape: &Conv2dShape) -> Self {
+        let [height, width] = shape.input;
+        if shape.kernel == [1, 1] && shape.stride == [1, 1] && shape.padding == [0, 0] {
+            return Self {
+                copy: Vec::new(),
+                input,
+                is_input: true,
+                row: width,
+                channel: height * width,
+                image: shape.in_channels * height * width,
+                phase: width,
+            };
+        }
+        let [pad_y, pad_x] = shape.padding;
+        let stride = shape.stride[1];
+        let phase = (width + 2 * pad_x).div_ceil(stride);
+        let columns = phase * stride;
+        let row = shape.in_channels * columns;
+        let image = (height + 2 * pad_y) * row;
+        let mut copy = vec![0.0; shape.batch * image];
+        copy.par_chunks_mut(row).enumerate().for_each(|(i, to)| {
+            let (n, y) = (i / (height + 2 * pad_y), i % (height + 2 * pad_y));
+            let Some(y) = y.checked_sub(pad_y).filter(|&y| y < height) else { return };
+            for (c, target) in to.chunks_exact_mut(columns).enumerate() {
+                let source = &input[((n * shape.in_channels + c) * height + y) * width..][..width];
+                if stride == 1 {
+                    target[pad_x..pad_x + width].copy_from_slice(source);
+                } else {
+                    for (x, &value) in source.iter().enumerate() {
+                        let column = x + pad_x;
+                        target[column % stride * phase + column / stride] = value;
+                    }
+                }
+            }
+        });
+        Self { copy, input, is_input: false, row, channel: columns, image, phase }
+    }
+
+    pub(super) fn data(&self) -> &[f32] {
+        if self.is_input { self.input } else { &self.copy }
+    }
+
+    /// Where each tap reads, relative to where tap 0 reads.
+    pub(super) fn taps(&self, shape: &Conv2dShape) -> Vec<usize> {
+        let [kernel_height, kernel_width] = shape.kernel;
+        let stride = shape.stride[1];
+        (0..kernel_height * kernel_width)
+            .map(|tap| {
+                let (y, x) = (tap / kernel_width, tap % kernel_width);
+                y * self.row + x % stride * self.phase + x / stride
+            })
+            .collect()
+    }
+}
+
+/// What all rows of a convolution share.
+pub(super) struct Plan {
+    pub(super) channels: usize,
+    pub(super) source_channel: usize,
+    pub(super) source_row: usize,
+    pub(super) taps: Vec<usize>,
+    pub(super) rows: usize,
+    pub(super) columns: usize,
+    pub(super) out_channel: usize,
+}
+
+/// A row (or a piece of it) of up to [`BLOCK`] output channels.
+pub(super) struct Tile {
+    pub(super) source: *const f32,
+    pub(super) weights: *const f32,
+    pub(super) start: [f32; BLOCK],
+    pub(super) out_channels: usize,
+    pub(super) columns: usize,
+    pub(super) out: *mut f32,
+}
+
+dispatch! {
+    /// Computes one [`Tile`].
+    ///
+    /// # Safety
+    /// `isa` is available; the source can be read at every tap of every channel and column, and the output written.
+    pub(super) fn convolve_row = convolve_row_kernel(plan: &Plan, tile: &Tile)
+}
+
+#[inline(always)]
+unsafe fn convolve_row_kernel<S: Simd>(plan: &Plan, tile: &Tile) {
+    macro_rules! by_channels {
+        ($($channels:literal)*) => {
+            match tile.out_channels {
+                // SAFETY: the caller's promise, passed on.
+                $($channels => unsafe { convolve_columns::<S, $channels>(plan, tile) },)*
+                _ => unreachable!("a block has 1 to {BLOCK} channels"),
+            }
+        };
+    }
+    by_channels!(1 2 3 4 5 6 7 8)
+}
+
+#[inline(always)]
+unsafe fn convolve_columns<S: Simd, const CHANNELS: usize>(plan: &Plan, tile: &Tile) {
+    let mut x = 0;
+    // SAFETY: each call covers the columns from `x`, as many as it says, all inside the tile.
+    unsafe {
+        while tile.columns - x >= VECTORS * S::LANES {
+            accumulate::<S, CHANNELS, VECTORS, false>(plan, tile, x, S::LANES);
+            x += VECTORS * S::LANES;
+        }
+        let rest = tile.columns - x;
+        let last = if rest % S::LANES == 0 { S::LANES } else { rest % S::LANES };
+        match (rest.div_ceil(S::LANES), last == S::LANES) {
+            (0, _) => {}
+            (1, true) => accumulate::<S, CHANNELS, 1, false>(plan, tile, x, last),
+            (1, false) => accumulate::<S, CHANNELS, 1, true>(plan, tile, x, last),
+            (2, true) => accumulate::<S, CHANNELS, 2, false>(plan, tile, x, last),
+            (2, false) => accumulate::<S, CHANNELS, 2, true>(plan, tile, x, last),
+            _ => accumulate::<S, CHANNELS, 3, true>(plan, tile, x, last),
+        }
+    }
+}
+
+/// The register tile: `CHANNELS` by `V` vectors from column `x`; of the last vector only `last` lanes when `PARTIAL`.
+#[inline(always)]
+unsafe fn accumulate<S: Simd, const CHANNELS: usize, const V: usize, const PARTIAL: bool>(
+    plan: &Plan,
+    tile: &Tile,
+    x: usize,
+    last: usize,
+) {
+    // SAFETY: the caller's promise: every address below lies in the padded source, the packed weights or the output.
+    unsafe {
+        let mut sums = [[S::splat(0.0); V]; CHANNELS];
+        for (channel, sums) in sums.iter_mut().enumerate() {
+            *sums = [S::splat(tile.start[channel]); V];
+        }
+        let mut weights = tile.weights;
+        for channel in 0..plan.channels {
+            let source = tile.source.add(channel * plan.source_channel + x);
+            for &tap in &plan.taps {
+                let mut pixels = [S::splat(0.0); V];
+                for (i, pixels) in pixels.iter_mut().enumerate() {
+                    let from = source.add(tap + i * S::LANES);
+                    *pixels = if PARTIAL && i == V - 1 { S::load_first(from, last) } else { S::load(from) };
+                }
+                for (channel, sums) in sums.iter_mut().enumerate() {
+                    let weight = S::splat(*weights.add(channel));
+                    for i in 0..V {
+                        sums[i] = S::mul_add(weight, pixels[i], sums[i]);
+                    }
+                }
+                weights = weights.add(CHANNELS);
+            }
+        }
+        for (channel, sums) in sums.iter().enumerate() {
+            for (i, &sum) in sums.iter().enumerate() {
+                let to = tile.out.add(channel * plan.out_channel + x + i * S::LANES);
+                if PARTIAL && i == V - 1 { S::store_first(to, sum, last) } else { S::store(to, sum) }
+            }
+        }
+    }
+}

@@ -1,0 +1,17 @@
+//! Correlation lookup of RAFT (Teed and Deng 2020, section 3.2) without the all-pairs volume.
+//!
+//! RAFT builds the dot products of all pairs of pixels, pools them into a pyramid over the second image, and reads a
+//! window of each level around the current estimate. Pooling the products is pooling the second feature map, and only
+//! the window is ever read; so the products are computed where they are read. The result is the same, the memory is that
+//! of the features, and nothing grows with the square of the pixels. [`mod@reference`] is the definition.
+
+mod lookup;
+mod pyramid;
+pub mod reference;
+pub mod tensor;
+
+pub use lookup::{correlation_lookup, correlation_lookup_backward};
+pub use pyramid::FeaturePyramid;
+
+#[cfg(test)]
+mod tests;

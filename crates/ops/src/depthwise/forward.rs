@@ -1,0 +1,176 @@
+use rayon::prelude::*;
+
+use super::DepthwiseShape;
+use crate::conv2d::Epilogue;
+use crate::simd::{Isa, Simd, dispatch};
+
+/// Output rows of a register tile.
+const ROWS: usize = 4;
+/// Vectors of pixels of a register tile.
+const VECTORS: usize = 4;
+
+/// Depthwise convolution of `input` with `weight`, then the epilogue; `[N, C, H_out, W_out]`.
+///
+/// The sum of an element starts at the bias and runs over kernel rows, then columns, each step a fused multiply-add, so the result is the same
+/// for every number of threads and every instruction set. Panics when a slice does not fit `shape`.
+pub fn depthwise(input: &[f32], weight: &[f32], epilogue: &Epilogue, shape: &DepthwiseShape) -> Vec<f32> {
+    depthwise_with(Isa::best(), input, weight, epilogue, shape)
+}
+
+/// [`depthwise`] with a chosen instruction set, one of [`Isa::available`].
+pub(super) fn depthwise_with(
+    isa: Isa,
+    input: &[f32],
+    weight: &[f32],
+    epilogue: &Epilogue,
+    shape: &DepthwiseShape,
+) -> Vec<f32> {
+    assert_eq!(input.len(), shape.input_len(), "input of {shape:?}");
+    assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
+    epilogue.check(shape.channels, shape.output_len());
+    let [height, width] = shape.output();
+    let mut out = vec![0.0; shape.output_len()];
+    if out.is_empty() {
+        return out;
+    }
+    let taps = shape.kernel[0] * shape.kernel[1];
+    out.par_chunks_mut(height * width).enumerate().for_each_init(Vec::new, |scratch, (plane, out)| {
+        let channel = plane % shape.channels;
+        let source = &input[plane * shape.input[0] * shape.input[1]..][..shape.input[0] * shape.input[1]];
+        let row = pad(source, shape.input, shape.padding, scratch);
+        let task = Plane {
+            source: scratch,
+            row,
+            weight: &weight[channel * taps..][..taps],
+            kernel: shape.kernel,
+            start: epilogue.bias.map_or(0.0, |bias| bias[channel]),
+            height,
+            width,
+        };
+        // SAFETY: `isa` is available; `pad` made the border that the kernel reads.
+        unsafe {
+            convolve_plane(isa, &task, out);
+            epilogue.finish(isa, plane * height * width, out);
+        }
+    });
+    out
+}
+
+/// Copies a plane into `padded` with a border of zeros; the elements from a row to the next.
+pub(super) fn pad(
+    plane: &[f32],
+    [_, width]: [usize; 2],
+    [pad_y, pad_x]: [usize; 2],
+    padded: &mut Vec<f32>,
+) -> usize {
+    let row = width + 2 * pad_x;
+    padded.clear();
+    padded.resize(pad_y * row, 0.0);
+    for source in plane.chunks_exact(width) {
+        padded.resize(padded.len() + pad_x, 0.0);
+        padded.extend_from_slice(source);
+        padded.resize(padded.len() + pad_x, 0.0);
+    }
+    padded.resize(padded.len() + pad_y * row, 0.0);
+    row
+}
+
+/// One channel of one image.
+struct Plane<'a> {
+    source: &'a [f32],
+    row: usize,
+    weight: &'a [f32],
+    kernel: [usize; 2],
+    start: f32,
+    height: usize,
+    width: usize,
+}
+
+dispatch! {
+    /// Computes one [`Plane`].
+    ///
+    /// # Safety
+    /// `isa` is available; the source holds every tap of every pixel of `out`.
+    fn convolve_plane = convolve_plane_kernel(plane: &Plane, out: &mut [f32])
+}
+
+#[inline(always)]
+unsafe fn convolve_plane_kernel<S: Simd>(plane: &Plane, out: &mut [f32]) {
+    let mut y = 0;
+    // SAFETY: the rows from `y`, as many as each call says, lie in the plane.
+    unsafe {
+        while plane.height - y >= ROWS {
+            convolve_rows::<S, ROWS>(plane, y, out);
+            y += ROWS;
+        }
+        while y < plane.height {
+            convolve_rows::<S, 1>(plane, y, out);
+            y += 1;
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn convolve_rows<S: Simd, const R: usize>(plane: &Plane, y: usize, out: &mut [f32]) {
+    let mut x = 0;
+    // SAFETY: the columns from `x`, as many as each call says, lie in the plane.
+    unsafe {
+        while plane.width - x >= VECTORS * S::LANES {
+            accumulate::<S, R, VECTORS, false>(plane, y, x, S::LANES, out);
+            x += VECTORS * S::LANES;
+        }
+        let rest = plane.width - x;
+        let last = if rest % S::LANES == 0 { S::LANES } else { rest % S::LANES };
+        match rest.div_ceil(S::LANES) {
+            0 => {}
+            1 => accumulate::<S, R, 1, true>(plane, y, x, last, out),
+            2 => accumulate::<S, R, 2, true>(plane, y, x, last, out),
+            3 => accumulate::<S, R, 3, true>(plane, y, x, last, out),
+            _ => accumulate::<S, R, 4, true>(plane, y, x, last, out),
+        }
+    }
+}
+
+/// The register tile: `R` rows from `y` by `V` vectors from `x`; of the last vector only `last` lanes when `PARTIAL`.
+#[inline(always)]
+unsafe fn accumulate<S: Simd, const R: usize, const V: usize, const PARTIAL: bool>(
+    plane: &Plane,
+    y: usize,
+    x: usize,
+    last: usize,
+    out: &mut [f32],
+) {
+    let [kernel_height, kernel_width] = plane.kernel;
+    // SAFETY: the caller's promise: every address below lies in the padded source, the weight or the output.
+    unsafe {
+        let mut sums = [[S::splat(plane.start); V]; R];
+        let source = plane.source.as_ptr().add(y * plane.row + x);
+        let weight = plane.weight.as_ptr();
+        for input_row in 0..kernel_height + R - 1 {
+            for kx in 0..kernel_width {
+                let from = source.add(input_row * plane.row + kx);
+                let mut pixels = [S::splat(0.0); V];
+                for (i, pixels) in pixels.iter_mut().enumerate() {
+                    let from = from.add(i * S::LANES);
+                    *pixels = if PARTIAL && i == V - 1 { S::load_first(from, last) } else { S::load(from) };
+                }
+                for (row, sums) in sums.iter_mut().enumerate() {
+                    // Below 0 this wraps to far beyond the kernel: one comparison does for both ends.
+                    let ky = input_row.wrapping_sub(row);
+                    if ky < kernel_height {
+                        let weight = S::splat(*weight.add(ky * kernel_width + kx));
+                        for i in 0..V {
+                            sums[i] = S::mul_add(weight, pixels[i], sums[i]);
+                        }
+                    }
+                }
+            }
+        }
+        for (row, sums) in sums.iter().enumerate() {
+            for (i, &sum) in sums.iter().enumerate() {
+                let to = out.as_mut_ptr().add((y + row) * plane.width + x + i * S::LANES);
+                if PARTIAL && i == V - 1 { S::store_first(to, sum, last) } else { S::store(to, sum) }
+            }
+        }
+    }
+}

@@ -1,0 +1,230 @@
+//! The depthwise convolution on tensors: [`depthwise`] with gradients.
+
+use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
+use burn::backend::autodiff::grads::Gradients;
+use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
+use burn::backend::ops::FloatTensorOps;
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Autodiff, Backend, Dispatch, Flex, TensorMetadata, backend_extension};
+use burn::tensor::ops::ConvOptions;
+use burn::tensor::{Shape, Tensor};
+
+use super::DepthwiseShape;
+use crate::Activation;
+use crate::activation::activate_tensor;
+use crate::conv2d::Epilogue;
+use crate::conv2d::tensor::{Finish, per_channel};
+use crate::flex::{Contiguous, sizes, tensor};
+
+/// Depthwise convolution with its epilogue. The default is Burn's own convolution.
+#[backend_extension(Flex, Autodiff)]
+pub trait DepthwiseOps: Backend {
+    /// `activation(depthwise(input, weight) + bias)`.
+    fn biased_depthwise(
+        input: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        padding: [usize; 2],
+        activation: Activation,
+    ) -> FloatTensor<Self> {
+        let grouped = grouped(&input.shape(), padding);
+        let out = Self::conv2d(input, weight, Some(bias), grouped);
+        activate_tensor::<Self>(out, activation)
+    }
+
+    /// `activation(depthwise(input, weight) + bias + residual)`.
+    fn residual_depthwise(
+        input: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        residual: FloatTensor<Self>,
+        padding: [usize; 2],
+        activation: Activation,
+    ) -> FloatTensor<Self> {
+        let grouped = grouped(&input.shape(), padding);
+        let out = Self::conv2d(input, weight, Some(bias), grouped);
+        activate_tensor::<Self>(Self::float_add(out, residual), activation)
+    }
+}
+
+/// Gradients of a depthwise convolution without epilogue. The defaults are Burn's own.
+#[backend_extension(Flex)]
+pub trait DepthwiseGradOps: Backend {
+    /// Gradient of the input.
+    fn depthwise_input_grad(
+        input: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        padding: [usize; 2],
+    ) -> FloatTensor<Self> {
+        let grouped = grouped(&input.shape(), padding);
+        Self::conv2d_x_backward(input, weight, grad, grouped)
+    }
+
+    /// Gradient of the weight.
+    fn depthwise_weight_grad(
+        input: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        padding: [usize; 2],
+    ) -> FloatTensor<Self> {
+        let grouped = grouped(&input.shape(), padding);
+        Self::conv2d_weight_backward(input, weight, grad, grouped)
+    }
+}
+
+fn shape_of(input: &Shape, weight: &Shape, padding: [usize; 2]) -> DepthwiseShape {
+    let [batch, channels, height, width] = input.dims();
+    let [_, _, kernel_height, kernel_width] = weight.dims();
+    DepthwiseShape { batch, channels, input: [height, width], kernel: [kernel_height, kernel_width], padding }
+}
+
+/// The same to Burn: as many groups as channels.
+fn grouped(input: &Shape, padding: [usize; 2]) -> ConvOptions<2> {
+    ConvOptions::new([1, 1], padding, [1, 1], input.dims::<4>()[1])
+}
+
+fn convolve(
+    input: &FloatTensor<Flex>,
+    weight: &FloatTensor<Flex>,
+    epilogue: &Epilogue,
+    padding: [usize; 2],
+) -> FloatTensor<Flex> {
+    let shape = shape_of(&input.shape(), &weight.shape(), padding);
+    let (input, weight) = (Contiguous::new(input), Contiguous::new(weight));
+    let out = super::depthwise(input.slice(), weight.slice(), epilogue, &shape);
+    let [height, width] = shape.output();
+    tensor(out, [shape.batch, shape.channels, height, width])
+}
+
+impl DepthwiseOps for Flex {
+    fn biased_depthwise(
+        input: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        padding: [usize; 2],
+        activation: Activation,
+    ) -> FloatTensor<Self> {
+        let bias = Contiguous::new(&bias);
+        let epilogue = Epilogue { bias: Some(bias.slice()), residual: None, activation };
+        convolve(&input, &weight, &epilogue, padding)
+    }
+
+    fn residual_depthwise(
+        input: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        residual: FloatTensor<Self>,
+        padding: [usize; 2],
+        activation: Activation,
+    ) -> FloatTensor<Self> {
+        let (bias, residual) = (Contiguous::new(&bias), Contiguous::new(&residual));
+        let epilogue = Epilogue { bias: Some(bias.slice()), residual: Some(residual.slice()), activation };
+        convolve(&input, &weight, &epilogue, padding)
+    }
+}
+
+impl DepthwiseGradOps for Flex {
+    fn depthwise_input_grad(
+        input: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        padding: [usize; 2],
+    ) -> FloatTensor<Self> {
+        let shape = shape_of(&input.shape(), &weight.shape(), padding);
+        let (weight, grad) = (Contiguous::new(&weight), Contiguous::new(&grad));
+        tensor(super::depthwise_backward_input(grad.slice(), weight.slice(), &shape), input.shape())
+    }
+
+    fn depthwise_weight_grad(
+        input: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        padding: [usize; 2],
+    ) -> FloatTensor<Self> {
+        let shape = shape_of(&input.shape(), &weight.shape(), padding);
+        let (input, grad) = (Contiguous::new(&input), Contiguous::new(&grad));
+        tensor(super::depthwise_backward_weight(input.slice(), grad.slice(), &shape), weight.shape())
+    }
+}
+
+/// Backward of the convolution alone; what the epilogue adds and applies are operations of their own here, so that each
+/// has its gradient.
+#[derive(Debug)]
+struct DepthwiseBackward;
+
+impl<B: DepthwiseGradOps> Backward<B, 2> for DepthwiseBackward {
+    type State = (FloatTensor<B>, FloatTensor<B>, [usize; 2]);
+
+    fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let grad = grads.consume::<B>(&ops.node);
+        let (input, weight, padding) = ops.state;
+        let [input_node, weight_node] = ops.parents;
+        if let Some(node) = input_node {
+            let d_input = B::depthwise_input_grad(input.clone(), weight.clone(), grad.clone(), padding);
+            grads.register::<B>(node.id, d_input);
+        }
+        if let Some(node) = weight_node {
+            grads.register::<B>(node.id, B::depthwise_weight_grad(input, weight, grad, padding));
+        }
+    }
+}
+
+fn tracked_depthwise<B: DepthwiseOps + DepthwiseGradOps, C: CheckpointStrategy>(
+    input: FloatTensor<Autodiff<B, C>>,
+    weight: FloatTensor<Autodiff<B, C>>,
+    padding: [usize; 2],
+) -> FloatTensor<Autodiff<B, C>> {
+    let guards = [input.node(), weight.node()];
+    let (input, weight) = (input.into_primitive(), weight.into_primitive());
+    let no_bias = B::float_zeros([sizes::<4>(&weight)[0]].into(), &input.device(), input.dtype().into());
+    let out = B::biased_depthwise(input.clone(), weight.clone(), no_bias, padding, Activation::Identity);
+    match DepthwiseBackward.prepare::<C>(guards).compute_bound().stateful() {
+        OpsKind::Tracked(prep) => prep.finish((input, weight, padding), out),
+        OpsKind::UnTracked(prep) => prep.finish(out),
+    }
+}
+
+impl<B: DepthwiseOps + DepthwiseGradOps, C: CheckpointStrategy> DepthwiseOps for Autodiff<B, C> {
+    fn biased_depthwise(
+        input: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        padding: [usize; 2],
+        activation: Activation,
+    ) -> FloatTensor<Self> {
+        let out = tracked_depthwise::<B, C>(input, weight, padding);
+        activate_tensor::<Self>(Self::float_add(out, per_channel::<Self>(bias)), activation)
+    }
+
+    fn residual_depthwise(
+        input: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        residual: FloatTensor<Self>,
+        padding: [usize; 2],
+        activation: Activation,
+    ) -> FloatTensor<Self> {
+        let out = tracked_depthwise::<B, C>(input, weight, padding);
+        let sum = Self::float_add(Self::float_add(out, per_channel::<Self>(bias)), residual);
+        activate_tensor::<Self>(sum, activation)
+    }
+}
+
+/// Depthwise convolution of `input` (`[batch, channels, height, width]`) with `weight`
+/// (`[channels, 1, kernel_height, kernel_width]`), with stride 1 and `padding` zeros above and below, left and right.
+///
+/// Panics when the sizes do not fit each other.
+pub fn depthwise(input: Tensor<4>, weight: Tensor<4>, finish: Finish, padding: [usize; 2]) -> Tensor<4> {
+    let shape = shape_of(&input.shape(), &weight.shape(), padding);
+    assert_eq!(weight.dims()[..2], [shape.channels, 1], "depthwise: a kernel for each channel");
+    let [height, width] = shape.output();
+    assert!(height > 0 && width > 0, "depthwise: the kernel does not fit the input: {shape:?}");
+    let activation = finish.activation;
+    let (bias, residual) = finish.checked([shape.batch, shape.channels, height, width], &input.device());
+    let (input, weight) = (input.into_dispatch(), weight.into_dispatch());
+    Tensor::from_dispatch(match residual {
+        None => Dispatch::biased_depthwise(input, weight, bias, padding, activation),
+        Some(residual) => Dispatch::residual_depthwise(input, weight, bias, residual, padding, activation),
+    })
+}

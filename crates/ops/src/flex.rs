@@ -1,0 +1,31 @@
+//! Slices of the CPU backend's tensors.
+
+use burn::backend::Flex;
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{TensorMetadata, flex::FlexTensor};
+use burn::tensor::{Shape, TensorData};
+
+/// A tensor whose elements lie in order, copied only where they did not.
+pub(crate) struct Contiguous(FlexTensor);
+
+impl Contiguous {
+    /// Panics when the tensor does not hold `f32`: the kernels know no other type.
+    pub(crate) fn new(tensor: &FloatTensor<Flex>) -> Self {
+        Self(tensor.to_contiguous())
+    }
+
+    pub(crate) fn slice(&self) -> &[f32] {
+        let start = self.0.layout().start_offset();
+        &self.0.storage::<f32>()[start..start + self.0.layout().num_elements()]
+    }
+}
+
+/// A tensor of `values`.
+pub(crate) fn tensor(values: Vec<f32>, shape: impl Into<Shape>) -> FloatTensor<Flex> {
+    FlexTensor::from_data(TensorData::new(values, shape))
+}
+
+/// Sizes of a tensor that the caller has checked to be of rank `D`.
+pub(crate) fn sizes<const D: usize>(tensor: &impl TensorMetadata) -> [usize; D] {
+    tensor.shape().dims()
+}

@@ -1,0 +1,85 @@
+//! Instance normalization (Ulyanov et al. 2016) without learned scale, as RAFT's feature encoder has it, with the
+//! activation that follows. [`mod@reference`] is the definition.
+
+use rayon::prelude::*;
+
+use crate::Activation;
+use crate::activation::activate;
+use crate::simd::Isa;
+
+pub mod reference;
+pub mod tensor;
+
+/// Added to the variance; PyTorch's default.
+const EPSILON: f64 = 1e-5;
+/// Elements summed in f32 before the sum goes on in f64.
+const RUN: usize = 512;
+/// Sums kept side by side, so that they are one or two vectors.
+const LANES: usize = 16;
+
+/// `activation((x - mean) / sqrt(variance + 1e-5))` of each plane of `pixels` elements. Panics when the input is not whole
+/// planes.
+pub fn instance_norm(input: &[f32], pixels: usize, activation: Activation) -> Vec<f32> {
+    assert!(pixels > 0 && input.len().is_multiple_of(pixels), "planes of {pixels} pixels");
+    let isa = Isa::best();
+    let mut out = vec![0.0; input.len()];
+    out.par_chunks_mut(pixels).zip(input.par_chunks(pixels)).for_each(|(to, from)| {
+        let (mean, scale) = statistics(from);
+        for (to, from) in to.iter_mut().zip(from) {
+            *to = (from - mean) * scale;
+        }
+        if activation != Activation::Identity {
+            // SAFETY: `isa` is available.
+            unsafe { activate(isa, activation, None, to) }
+        }
+    });
+    out
+}
+
+/// Gradient of the input of a normalization without activation, from `grad`, that of its output.
+pub fn instance_norm_backward(input: &[f32], grad: &[f32], pixels: usize) -> Vec<f32> {
+    assert!(pixels > 0 && input.len().is_multiple_of(pixels), "planes of {pixels} pixels");
+    assert_eq!(grad.len(), input.len(), "gradient of the output");
+    let mut out = vec![0.0; input.len()];
+    let planes = input.par_chunks(pixels).zip(grad.par_chunks(pixels));
+    out.par_chunks_mut(pixels).zip(planes).for_each(|(to, (from, grad))| {
+        let (mean, scale) = statistics(from);
+        let count = pixels as f64;
+        let mean_grad = (sum(grad, |grad| grad) / count) as f32;
+        let along = sum_pairs(grad, from, |grad, x| grad * (x - mean) * scale);
+        let along = (along / count) as f32;
+        for ((to, x), grad) in to.iter_mut().zip(from).zip(grad) {
+            *to = scale * (grad - mean_grad - (x - mean) * scale * along);
+        }
+    });
+    out
+}
+
+/// The mean of a plane, and one over its standard deviation.
+fn statistics(plane: &[f32]) -> (f32, f32) {
+    let count = plane.len() as f64;
+    let mean = (sum(plane, |x| x) / count) as f32;
+    let variance = sum(plane, |x| (x - mean) * (x - mean)) / count;
+    (mean, (1.0 / (variance + EPSILON).sqrt()) as f32)
+}
+
+fn sum(values: &[f32], of: impl Fn(f32) -> f32) -> f64 {
+    sum_pairs(values, values, |x, _| of(x))
+}
+
+fn sum_pairs(a: &[f32], b: &[f32], of: impl Fn(f32, f32) -> f32) -> f64 {
+    let mut total = 0.0;
+    for (a, b) in a.chunks(RUN).zip(b.chunks(RUN)) {
+        let mut lanes = [0.0_f32; LANES];
+        for (a, b) in a.chunks(LANES).zip(b.chunks(LANES)) {
+            for (lane, (&a, &b)) in lanes.iter_mut().zip(a.iter().zip(b)) {
+                *lane += of(a, b);
+            }
+        }
+        total += lanes.iter().map(|&lane| f64::from(lane)).sum::<f64>();
+    }
+    total
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,76 @@
+//! The normalization on tensors: [`instance_norm`] with its gradient.
+
+use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
+use burn::backend::autodiff::grads::Gradients;
+use burn::backend::autodiff::ops::{Backward, Ops, OpsKind, unary};
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Autodiff, Backend, Dispatch, Flex, TensorMetadata, backend_extension};
+use burn::tensor::{Shape, Tensor};
+
+use crate::Activation;
+use crate::activation::activate_tensor;
+use crate::flex::{Contiguous, tensor};
+
+/// The normalization; see [`instance_norm`].
+#[backend_extension(Flex, Autodiff)]
+pub trait InstanceNormOps: Backend {
+    /// Of the input's shape.
+    fn instance_normalization(input: FloatTensor<Self>, activation: Activation) -> FloatTensor<Self>;
+}
+
+/// Gradient of the normalization without activation.
+pub trait InstanceNormGradOps: Backend {
+    /// Gradient of the input.
+    fn instance_normalization_grad(input: FloatTensor<Self>, grad: FloatTensor<Self>) -> FloatTensor<Self>;
+}
+
+fn pixels(shape: &Shape) -> usize {
+    let [_, _, height, width] = shape.dims();
+    height * width
+}
+
+impl InstanceNormOps for Flex {
+    fn instance_normalization(input: FloatTensor<Self>, activation: Activation) -> FloatTensor<Self> {
+        let shape = input.shape();
+        let input = Contiguous::new(&input);
+        tensor(super::instance_norm(input.slice(), pixels(&shape), activation), shape)
+    }
+}
+
+impl InstanceNormGradOps for Flex {
+    fn instance_normalization_grad(input: FloatTensor<Self>, grad: FloatTensor<Self>) -> FloatTensor<Self> {
+        let shape = input.shape();
+        let (input, grad) = (Contiguous::new(&input), Contiguous::new(&grad));
+        tensor(super::instance_norm_backward(input.slice(), grad.slice(), pixels(&shape)), shape)
+    }
+}
+
+#[derive(Debug)]
+struct InstanceNormBackward;
+
+impl<B: InstanceNormGradOps> Backward<B, 1> for InstanceNormBackward {
+    type State = FloatTensor<B>;
+
+    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
+        unary::<B, _>(ops.parents, ops.node, grads, |grad| B::instance_normalization_grad(ops.state, grad));
+    }
+}
+
+impl<B: InstanceNormOps + InstanceNormGradOps, C: CheckpointStrategy> InstanceNormOps for Autodiff<B, C> {
+    fn instance_normalization(input: FloatTensor<Self>, activation: Activation) -> FloatTensor<Self> {
+        let guards = [input.node()];
+        let input = input.into_primitive();
+        let out = B::instance_normalization(input.clone(), Activation::Identity);
+        let out = match InstanceNormBackward.prepare::<C>(guards).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(input, out),
+            OpsKind::UnTracked(prep) => prep.finish(out),
+        };
+        activate_tensor::<Self>(out, activation)
+    }
+}
+
+/// Each channel of each image (`[batch, channels, height, width]`) less its mean, over its standard deviation, then the
+/// activation. Panics when there are no pixels.
+pub fn instance_norm(input: Tensor<4>, activation: Activation) -> Tensor<4> {
+    Tensor::from_dispatch(Dispatch::instance_normalization(input.into_dispatch(), activation))
+}

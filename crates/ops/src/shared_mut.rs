@@ -1,0 +1,30 @@
+use std::marker::PhantomData;
+
+/// A slice that several threads write at once, each its own elements.
+#[derive(Clone, Copy)]
+pub(crate) struct SharedMut<'a> {
+    start: *mut f32,
+    len: usize,
+    slice: PhantomData<&'a mut [f32]>,
+}
+
+// SAFETY: only pointers are handed out, and using one is the caller's promise that no other thread uses its elements.
+unsafe impl Send for SharedMut<'_> {}
+// SAFETY: as above.
+unsafe impl Sync for SharedMut<'_> {}
+
+impl<'a> SharedMut<'a> {
+    pub(crate) fn new(slice: &'a mut [f32]) -> Self {
+        Self { start: slice.as_mut_ptr(), len: slice.len(), slice: PhantomData }
+    }
+
+    /// The address of element `index`, which must be inside.
+    ///
+    /// # Safety
+    /// What is written through it belongs to the calling thread alone while others write.
+    pub(crate) unsafe fn at(&self, index: usize) -> *mut f32 {
+        assert!(index < self.len, "element {index} of {}", self.len);
+        // SAFETY: inside the slice.
+        unsafe { self.start.add(index) }
+    }
+}

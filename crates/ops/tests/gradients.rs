@@ -1,0 +1,143 @@
+//! Every operation on tensors: its gradients through Burn's automatic differentiation against central differences, and
+//! the fused forward against the one that is taken apart for the gradients.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use srflow_ops::Activation;
+use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
+use srflow_ops::correlation::tensor::Correlation;
+use srflow_ops::depthwise::tensor::depthwise;
+use srflow_ops::instance_norm::tensor::instance_norm;
+use srflow_ops::upsample::tensor::convex_upsample;
+use srflow_ops::warp::tensor::warp;
+
+/// Values in -1..1 that repeat nowhere near.
+fn values(count: usize, seed: u32) -> Vec<f32> {
+    (0..count as u32)
+        .map(|i| {
+            let bits = (i ^ (seed << 20)).wrapping_mul(0x9E37_79B9).rotate_left(13).wrapping_mul(0x85EB_CA6B);
+            (bits >> 8) as f32 / 8_388_608.0 - 1.0
+        })
+        .collect()
+}
+
+fn tensor(values: &[f32], shape: [usize; 4], device: &Device) -> Tensor<4> {
+    Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
+}
+
+fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().try_to_vec().expect("f32")
+}
+
+/// Holds the gradient of `sum(g * operation(inputs))` by each input to its central difference along a random direction,
+/// and the operation with gradients to the one without.
+fn check(shapes: &[[usize; 4]], operation: impl Fn(Vec<Tensor<4>>) -> Tensor<4>) {
+    const STEP: f32 = 1.0 / 256.0;
+    let plain = Device::flex();
+    let tracked = Device::flex().autodiff();
+    let inputs: Vec<Vec<f32>> =
+        shapes.iter().zip(1..).map(|(s, seed)| values(s.iter().product(), seed)).collect();
+    let on = |inputs: &[Vec<f32>], device: &Device| -> Vec<Tensor<4>> {
+        inputs.iter().zip(shapes).map(|(values, &shape)| tensor(values, shape, device)).collect()
+    };
+    let out = operation(on(&inputs, &plain));
+    let weights = values(out.dims().iter().product(), 77);
+    let weighted =
+        |out: Vec<f32>| -> f64 { out.iter().zip(&weights).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum() };
+
+    let leaves: Vec<Tensor<4>> = on(&inputs, &tracked).into_iter().map(Tensor::require_grad).collect();
+    let tracked_out = operation(leaves.clone());
+    for (fused, apart) in numbers(out.clone()).iter().zip(numbers(tracked_out.clone())) {
+        assert!((fused - apart).abs() < 1e-4, "fused {fused}, taken apart {apart}");
+    }
+    let loss = (tracked_out * tensor(&weights, out.dims(), &tracked)).sum();
+    let grads = loss.backward();
+
+    for (number, leaf) in leaves.iter().enumerate() {
+        let grad = numbers(leaf.grad(&grads).expect("a gradient"));
+        assert!(grad.iter().any(|x| x.abs() > 1e-3), "input {number} matters");
+        let direction = values(grad.len(), 50 + number as u32);
+        let along: f64 = grad.iter().zip(&direction).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
+        let moved = |by: f32| {
+            let mut inputs = inputs.clone();
+            for (x, d) in inputs[number].iter_mut().zip(&direction) {
+                *x += by * d;
+            }
+            weighted(numbers(operation(on(&inputs, &plain))))
+        };
+        let expected = (moved(STEP) - moved(-STEP)) / f64::from(2.0 * STEP);
+        let size = grad.iter().map(|x| f64::from(x * x)).sum::<f64>().sqrt();
+        assert!(
+            (along - expected).abs() < 0.01 * size,
+            "input {number}: {along} for {expected} (norm {size})"
+        );
+    }
+}
+
+#[test]
+fn convolution() {
+    for (options, activation) in [
+        (Conv2dOptions { stride: [1, 1], padding: [1, 1] }, Activation::Gelu),
+        (Conv2dOptions { stride: [2, 2], padding: [1, 1] }, Activation::Tanh),
+        (Conv2dOptions { stride: [1, 2], padding: [0, 2] }, Activation::Sigmoid),
+        (Conv2dOptions { stride: [1, 1], padding: [0, 0] }, Activation::Identity),
+    ] {
+        check(&[[2, 3, 7, 9], [5, 3, 3, 3], [1, 1, 1, 5]], |inputs| {
+            let [input, weight, bias] = inputs.try_into().expect("three");
+            let finish = Finish::with(activation).bias(Some(bias.reshape([5])));
+            conv2d(input, weight * 0.3, finish, options)
+        });
+    }
+}
+
+#[test]
+fn convolution_with_something_added() {
+    check(&[[2, 3, 7, 9], [5, 3, 1, 1], [1, 1, 1, 5], [2, 5, 7, 9]], |inputs| {
+        let [input, weight, bias, residual] = inputs.try_into().expect("four");
+        let finish = Finish::with(Activation::Gelu).bias(Some(bias.reshape([5]))).residual(residual);
+        conv2d(input, weight, finish, Conv2dOptions { stride: [1, 1], padding: [0, 0] })
+    });
+}
+
+#[test]
+fn depthwise_convolution() {
+    check(&[[2, 3, 7, 9], [3, 1, 5, 5], [1, 1, 1, 3]], |inputs| {
+        let [input, weight, bias] = inputs.try_into().expect("three");
+        let finish = Finish::with(Activation::Gelu).bias(Some(bias.reshape([3]))).residual(input.clone());
+        depthwise(input, weight * 0.3, finish, [2, 2])
+    });
+}
+
+#[test]
+fn correlation_lookup() {
+    let coords: Vec<f32> = values(2 * 2 * 6 * 7, 9).iter().map(|x| (x + 1.0) * 3.5).collect();
+    check(&[[2, 4, 6, 7], [2, 4, 6, 7]], |inputs| {
+        let [first, second] = inputs.try_into().expect("two");
+        let coords = tensor(&coords, [2, 2, 6, 7], &first.device());
+        Correlation::new(first, second, 3).windows(coords, 2)
+    });
+}
+
+#[test]
+fn upsampling() {
+    check(&[[2, 2, 3, 4], [2, 9 * 16, 3, 4]], |inputs| {
+        let [flow, mask] = inputs.try_into().expect("two");
+        convex_upsample(flow, mask, 0.25, 4)
+    });
+}
+
+#[test]
+fn warping() {
+    check(&[[2, 3, 5, 6], [2, 2, 5, 6]], |inputs| {
+        let [image, flow] = inputs.try_into().expect("two");
+        // Small displacements around half a pixel: no sample passes a whole one, where the derivative jumps.
+        warp(image, flow * 0.4 + 1.5)
+    });
+}
+
+#[test]
+fn normalization() {
+    check(&[[2, 3, 5, 6]], |inputs| {
+        let [input] = inputs.try_into().expect("one");
+        instance_norm(input, Activation::Tanh)
+    });
+}

@@ -1,0 +1,127 @@
+"""Golden values for the networks: runs ptlflow's RAFT, RAFT-S, GMA and SKFlow on a made-up pair of frames.
+
+    pip install ptlflow==0.4.2
+    python tools/parity/nets.py crates/nets/tests/golden
+
+Parameters and frames are not stored: both come from rules over names, shapes and positions, which
+crates/nets/tests/parity.rs repeats. Written for each network and case, as safetensors:
+    coarse_1     flow at an eighth of the padded size after 1 iteration, [batch, 2, height / 8, width / 8]
+    coarse_12    the same after 12 iterations
+    flow_12      flow after 12 iterations at every 7th row and column, [batch, 2, rows, columns]
+"""
+
+import json
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import ptlflow
+import torch
+
+# batch, height, width: one that needs no padding, one that does. The coarsest of four levels must be larger than one
+# pixel, or the reference divides by zero.
+CASES = [(1, 128, 160), (2, 133, 150)]
+NETWORKS = ["raft", "raft_small", "gma", "skflow"]
+EVERY = 7
+# Parts of SKFlow's blocks that are added to their own input, four in a row: full weights would explode.
+RESIDUAL = ["ffn1.2.", "conv_list.", "pw."]
+
+
+def noise(count, seed):
+    """Uniform in -1..1, from a hash of the index and the seed."""
+    with np.errstate(over="ignore"):
+        x = np.arange(count, dtype=np.uint32) * np.uint32(0x9E3779B9) ^ np.uint32(seed)
+        x = (x ^ (x >> np.uint32(16))) * np.uint32(0x85EBCA6B)
+        x = (x ^ (x >> np.uint32(13))) * np.uint32(0xC2B2AE35)
+        x = x ^ (x >> np.uint32(16))
+    return (x >> np.uint32(8)).astype(np.float32) / np.float32(8388608) - np.float32(1)
+
+
+def name_hash(name):
+    """FNV-1a."""
+    value = 0x811C9DC5
+    for byte in name.encode():
+        value = (value ^ byte) * 0x01000193 & 0xFFFFFFFF
+    return value
+
+
+def parameter(name, shape):
+    """Weights of variance 1 / fan_in, so that activations keep their size; the rest near what training leaves."""
+    u = noise(int(np.prod(shape)), name_hash(name)).reshape(shape)
+    last = name.rsplit(".", 1)[-1]
+    if last == "running_var":
+        return np.float32(1) + np.float32(0.5) * u
+    if last == "gamma":
+        return np.float32(0.5) + np.float32(0.25) * u
+    if last == "weight" and len(shape) == 1:
+        return np.float32(1) + np.float32(0.25) * u
+    if any(part in name for part in RESIDUAL):
+        u = u * np.float32(0.5)
+    if "flow_head.ffn2.2." in name:  # keeps SKFlow's flow inside the frame
+        u = u * np.float32(0.25)
+    if last == "weight":
+        return u * np.float32(np.sqrt(3.0 / np.prod(shape[1:])))
+    return np.float32(0.1) * u
+
+
+def wave(n, period):
+    """A triangle wave of whole numbers, in 0..1."""
+    return np.abs(n % (2 * period) - period) / period
+
+
+def frame(batch, height, width, shift):
+    """[batch, 3, height, width] in 0..1: three waves and some grain, moved by `shift` pixels right and half of it down."""
+    n, c, y, x = np.meshgrid(
+        np.arange(batch), np.arange(3), np.arange(height), np.arange(width), indexing="ij"
+    )
+    x, y = x - shift + 64, y - shift // 2 + 64
+    grain = noise(1 << 18, 5)[(x + 331 * y + 7919 * c + 104729 * n) % (1 << 18)].astype(np.float64)
+    value = 0.25 * wave(x + 2 * y + 5 * c, 13) + 0.25 * wave(3 * x - y + 1000 + 17 * n, 19)
+    value = value + 0.3 * wave(x * y // 8 + 3 * c, 29) + 0.1 + 0.1 * grain
+    return value.astype(np.float32)
+
+
+def write_safetensors(path, tensors):
+    header, data = {}, b""
+    for name, array in tensors.items():
+        raw = np.ascontiguousarray(array, dtype="<f4").tobytes()
+        header[name] = {"dtype": "F32", "shape": list(array.shape), "data_offsets": [len(data), len(data) + len(raw)]}
+        data += raw
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    path.write_bytes(struct.pack("<Q", len(text)) + text + data)
+
+
+def main(folder):
+    folder.mkdir(parents=True, exist_ok=True)
+    for network in NETWORKS:
+        model = ptlflow.get_model(network).eval()
+        state = model.state_dict()
+        # What is stored twice is one parameter, named as downsample.1.
+        for name, value in state.items():
+            if value.dtype == torch.float32:
+                source = name
+                for twice in ("norm3.", "norm4."):
+                    owner, _, rest = name.partition(twice)
+                    if rest and f"{owner}downsample.1.{rest}" in state:
+                        source = f"{owner}downsample.1.{rest}"
+                state[name] = torch.from_numpy(np.ascontiguousarray(parameter(source, tuple(value.shape))))
+        model.load_state_dict(state)
+        for batch, height, width in CASES:
+            pair = np.stack([frame(batch, height, width, shift) for shift in (0, 4)], axis=1)
+            images = torch.from_numpy(pair[:, :, ::-1].copy())  # the reference takes BGR
+            out = {}
+            for iterations in (1, 12):
+                model.iters = iterations
+                with torch.no_grad():
+                    result = model({"images": images})
+                out[f"coarse_{iterations}"] = result["flow_small"].numpy()
+            out["flow_12"] = result["flows"][:, 0, :, ::EVERY, ::EVERY].numpy()
+            write_safetensors(folder / f"{network}_{batch}x{height}x{width}.safetensors", out)
+            sizes = {name: round(float(np.abs(value).mean()), 3) for name, value in out.items()}
+            print(network, (batch, height, width), "mean magnitudes", sizes)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

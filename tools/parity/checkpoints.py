@@ -30,7 +30,8 @@ for number, name in enumerate(sorted(state)):
 prefixed = {f"module.{name}": value for name, value in state.items()}
 torch.save(prefixed, folder / "zip.pth")
 torch.save(prefixed, folder / "legacy.pth", _use_new_zipfile_serialization=False)
-torch.save({name: value.half() for name, value in state.items()}, folder / "half.pt")
+half = {name: value.half() if value.is_floating_point() else value for name, value in state.items()}
+torch.save(half, folder / "half.pt")
 lightning = {
     "epoch": 3,
     "state_dict": {f"network.{name}": value for name, value in state.items()},

@@ -6,13 +6,15 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
-const PIPELINE: [&str; 7] = [
+const PIPELINE: [&str; 9] = [
     "srflow-field",
     "srflow-splat",
     "srflow-avatar",
     "srflow-data",
     "srflow-classical",
     "srflow-eval",
+    "srflow-ops",
+    "srflow-nets",
     "srflow",
 ];
 

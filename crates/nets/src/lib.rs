@@ -11,6 +11,7 @@ mod raft;
 mod raft_small;
 mod recurrent;
 mod skflow;
+mod weights;
 
 pub use frames::Frames;
 pub use gma::{Gma, GmaConfig};
@@ -19,3 +20,4 @@ pub use raft::{Raft, RaftConfig};
 pub use raft_small::{RaftSmall, RaftSmallConfig};
 pub use recurrent::{Estimate, Request};
 pub use skflow::{SkFlow, SkFlowConfig};
+pub use weights::{WeightsError, load, read_parameters};

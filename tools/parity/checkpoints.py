@@ -1,0 +1,41 @@
+"""Small checkpoints in every form that PyTorch saves: python tools/parity/checkpoints.py crates/nets/tests/checkpoints
+
+The names are those of a block of RAFT's context encoder, whose shortcut's norm is stored twice.
+"""
+
+import sys
+from pathlib import Path
+
+import torch
+from torch import nn
+
+
+class Block(nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.conv1 = nn.Conv2d(2, 3, 3)
+        self.norm3 = nn.BatchNorm2d(3)
+        self.downsample = nn.Sequential(nn.Conv2d(2, 3, 1), self.norm3)
+
+
+folder = Path(sys.argv[1])
+folder.mkdir(parents=True, exist_ok=True)
+state = Block().state_dict()
+for number, name in enumerate(sorted(state)):
+    if state[name].dtype == torch.float32:
+        # The two copies of the norm get the same values: both names hold the same tensor.
+        values = torch.arange(state[name].numel(), dtype=torch.float32) / 8 + number
+        state[name].copy_(values.reshape(state[name].shape))
+
+prefixed = {f"module.{name}": value for name, value in state.items()}
+torch.save(prefixed, folder / "zip.pth")
+torch.save(prefixed, folder / "legacy.pth", _use_new_zipfile_serialization=False)
+half = {name: value.half() if value.is_floating_point() else value for name, value in state.items()}
+torch.save(half, folder / "half.pt")
+lightning = {
+    "epoch": 3,
+    "state_dict": {f"network.{name}": value for name, value in state.items()},
+    "optimizer_states": [{"state": {0: {"exp_avg": torch.ones(4)}}}],
+    "hyper_parameters": {"lr": 1e-4, "train_avg_length": 6750},
+}
+torch.save(lightning, folder / "lightning.ckpt")

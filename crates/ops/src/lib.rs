@@ -3,6 +3,9 @@
 //! Each is a module of its own: a readable twin that defines it (`reference`), the fast CPU version and its backward on
 //! plain slices, and the operation on Burn's tensors with gradients (`tensor`).
 
+// Kernels walk several arrays in step by one index, as their equations do.
+#![allow(clippy::needless_range_loop)]
+
 mod activation;
 mod flex;
 mod shared_mut;

@@ -234,7 +234,7 @@ unsafe fn convolve_columns<S: Simd, const CHANNELS: usize>(plan: &Plan, tile: &T
             x += VECTORS * S::LANES;
         }
         let rest = tile.columns - x;
-        let last = if rest % S::LANES == 0 { S::LANES } else { rest % S::LANES };
+        let last = if rest.is_multiple_of(S::LANES) { S::LANES } else { rest % S::LANES };
         match (rest.div_ceil(S::LANES), last == S::LANES) {
             (0, _) => {}
             (1, true) => accumulate::<S, CHANNELS, 1, false>(plan, tile, x, last),

@@ -183,7 +183,7 @@ impl<'a> Windows<'a> {
             for pixel in 0..d_products.len() / (self.reach() * self.reach()) {
                 let window = self.window(pixel, number);
                 for (y, xs) in window.inside(level) {
-                    let row = window.feature(level, y, 0_usize.max(xs.start)) / level.width;
+                    let row = window.feature(level, y, xs.start) / level.width;
                     if !own.contains(&row) {
                         continue;
                     }

@@ -120,7 +120,7 @@ unsafe fn convolve_rows<S: Simd, const R: usize>(plane: &Plane, y: usize, out: &
             x += VECTORS * S::LANES;
         }
         let rest = plane.width - x;
-        let last = if rest % S::LANES == 0 { S::LANES } else { rest % S::LANES };
+        let last = if rest.is_multiple_of(S::LANES) { S::LANES } else { rest % S::LANES };
         match rest.div_ceil(S::LANES) {
             0 => {}
             1 => accumulate::<S, R, 1, true>(plane, y, x, last, out),

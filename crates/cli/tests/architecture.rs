@@ -6,7 +6,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
-const PIPELINE: [&str; 9] = [
+const PIPELINE: [&str; 11] = [
     "srflow-field",
     "srflow-splat",
     "srflow-avatar",
@@ -15,6 +15,8 @@ const PIPELINE: [&str; 9] = [
     "srflow-eval",
     "srflow-ops",
     "srflow-nets",
+    "srflow-train",
+    "srflow-mer",
     "srflow",
 ];
 

@@ -1,0 +1,1 @@
+//! Training optical flow networks: losses, regularizers made for skin, trainer, exact resume, ablation.

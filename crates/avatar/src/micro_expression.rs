@@ -1,5 +1,8 @@
 //! Micro-expressions: brief, weak, involuntary.
 
+use std::fmt;
+use std::str::FromStr;
+
 use srflow_field::random::Key;
 
 use crate::motion::{available_units, quintic};
@@ -19,6 +22,15 @@ pub enum EmotionClass {
 impl EmotionClass {
     /// Every class, in the order of their numbers.
     pub const ALL: [EmotionClass; 3] = [Self::Negative, Self::Positive, Self::Surprise];
+
+    /// `negative`, `positive` or `surprise`, as tables and files have it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Negative => "negative",
+            Self::Positive => "positive",
+            Self::Surprise => "surprise",
+        }
+    }
 
     /// Action units that micro-expressions of this class usually show (those that CASME II and SAMM were coded with).
     pub fn action_unit_sets(self) -> &'static [&'static [u8]] {
@@ -40,6 +52,27 @@ impl EmotionClass {
             Self::Positive => &[&[12], &[6, 12], &[12, 25]],
             Self::Surprise => &[&[1, 2], &[1, 2, 5], &[5], &[1, 2, 26], &[2, 5]],
         }
+    }
+}
+
+impl fmt::Display for EmotionClass {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for EmotionClass {
+    type Err = String;
+
+    /// Reads the class's name, in letters of either case, or its number.
+    fn from_str(text: &str) -> Result<Self, String> {
+        let text = text.trim();
+        let is = |class: &Self| class.name().eq_ignore_ascii_case(text) || text == (*class as u8).to_string();
+        Self::ALL.into_iter().find(is).ok_or_else(|| {
+            format!(
+                "`{text}` is not a class; expected negative, positive or surprise, or its number 0, 1 or 2"
+            )
+        })
     }
 }
 

@@ -3,6 +3,7 @@
 pub mod check;
 pub mod generate;
 pub mod manifest;
+pub mod micro_expression;
 pub mod read;
 pub mod record;
 pub mod statistics;

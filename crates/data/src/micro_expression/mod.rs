@@ -1,0 +1,3 @@
+//! Micro-expression datasets: who shows which expression, in which frames.
+
+pub use srflow_avatar::EmotionClass;

@@ -1,0 +1,120 @@
+//! What classifiers see of a clip: the flow from onset to apex and its optical strain.
+
+use srflow_data::micro_expression::EmotionClass;
+use srflow_field::Plane;
+
+/// Width and height of the feature maps, in pixels.
+pub const FEATURE_SIDE: usize = 112;
+
+/// What feature maps show, in the order in which they lie in [`Features::values`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Channel {
+    /// Flow to the right, in pixels of the feature map.
+    U = 0,
+    /// Flow downwards, in pixels of the feature map.
+    V = 1,
+    /// Optical strain.
+    Strain = 2,
+}
+
+/// `u`, `v` and optical strain of one clip, `[3, 112, 112]`, row-major; every value is finite.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Features(Box<[f32]>);
+
+/// Why three planes are no [`Features`].
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum FeatureError {
+    /// A plane is not of the features' size.
+    #[error("feature map {channel:?} is {}x{} (WIDTHxHEIGHT), expected {FEATURE_SIDE}x{FEATURE_SIDE}", .size.0, .size.1)]
+    Size {
+        /// Which plane.
+        channel: Channel,
+        /// Its width and height.
+        size: (usize, usize),
+    },
+    /// A value is infinite or not a number.
+    #[error("feature map {channel:?} holds a value that is not finite at pixel ({x}, {y})")]
+    NotFinite {
+        /// Which plane.
+        channel: Channel,
+        /// Column.
+        x: usize,
+        /// Row.
+        y: usize,
+    },
+}
+
+impl Features {
+    /// Length of [`values`](Self::values).
+    pub const LEN: usize = 3 * FEATURE_SIDE * FEATURE_SIDE;
+
+    /// Puts the three maps together.
+    ///
+    /// # Errors
+    /// When one of them is not 112x112 or holds a value that is not finite.
+    pub fn new(u: &Plane, v: &Plane, strain: &Plane) -> Result<Self, FeatureError> {
+        let mut values = Vec::with_capacity(Self::LEN);
+        for (channel, plane) in [(Channel::U, u), (Channel::V, v), (Channel::Strain, strain)] {
+            if plane.size() != (FEATURE_SIDE, FEATURE_SIDE) {
+                return Err(FeatureError::Size { channel, size: plane.size() });
+            }
+            if let Some(at) = plane.pixels().iter().position(|value| !value.is_finite()) {
+                return Err(FeatureError::NotFinite { channel, x: at % FEATURE_SIDE, y: at / FEATURE_SIDE });
+            }
+            values.extend_from_slice(plane.pixels());
+        }
+        Ok(Self(values.into()))
+    }
+
+    /// All values, `[3, 112, 112]`, row-major.
+    pub fn values(&self) -> &[f32] {
+        &self.0
+    }
+
+    /// One map, `[112, 112]`, row-major.
+    pub fn channel(&self, channel: Channel) -> &[f32] {
+        const AREA: usize = FEATURE_SIDE * FEATURE_SIDE;
+        &self.0[channel as usize * AREA..][..AREA]
+    }
+}
+
+/// One clip as protocols see it. (dataset, subject, clip) names it: clip names repeat across subjects.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sample {
+    /// The dataset's kind, e.g. `casme2`.
+    pub dataset: String,
+    /// The subject as the dataset writes it, e.g. `006`.
+    pub subject: String,
+    /// The clip's name, e.g. `006_1_2`.
+    pub clip: String,
+    /// What it shows.
+    pub class: EmotionClass,
+    /// What is known of its motion.
+    pub features: Features,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn maps_lie_one_after_the_other() {
+        let plane =
+            |value| Plane::from_fn(FEATURE_SIDE, FEATURE_SIDE, |x, y| value + (y * FEATURE_SIDE + x) as f32);
+        let features = Features::new(&plane(0.5), &plane(0.25), &plane(0.0)).unwrap();
+        assert_eq!(features.values().len(), Features::LEN);
+        assert_eq!(features.channel(Channel::V)[..2], [0.25, 1.25]);
+        assert_eq!(features.values()[2 * 112 * 112 + 112], 112.0);
+    }
+
+    #[test]
+    fn other_sizes_and_values_that_are_not_finite_are_refused() {
+        let plane = Plane::new(FEATURE_SIDE, FEATURE_SIDE);
+        let error = Features::new(&plane, &Plane::new(112, 111), &plane).unwrap_err();
+        assert_eq!(error, FeatureError::Size { channel: Channel::V, size: (112, 111) });
+        let mut broken = plane.clone();
+        broken.set(7, 3, f32::NAN);
+        let error = Features::new(&plane, &plane, &broken).unwrap_err();
+        assert_eq!(error, FeatureError::NotFinite { channel: Channel::Strain, x: 7, y: 3 });
+    }
+}

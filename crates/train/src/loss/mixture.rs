@@ -1,0 +1,37 @@
+//! Mixture of two Laplace distributions for each pixel (Wang, Lipson and Deng, *SEA-RAFT*, ECCV 2024, section 3.2).
+
+use burn::tensor::Tensor;
+
+/// What a network says of how sure it is of a flow: for each pixel two Laplace distributions around it, a wide and a narrow one.
+#[derive(Debug, Clone)]
+pub struct LaplaceMixture {
+    /// Logarithms of the weights of the two, up to a common constant: `[batch, 2, height, width]`.
+    pub log_weights: Tensor<4>,
+    /// Logarithms of their scales in pixels, before they are limited: `[batch, 2, height, width]`, the wide one first.
+    pub log_scales: Tensor<4>,
+}
+
+/// `-ln p(difference)` for each component of the flow, `[batch, 2, height, width]`, where
+/// `p(d) = sum_k w_k / (2 b_k) exp(-|d| / b_k)`. Both components of the flow share the weights `w` and the scales `b`.
+pub(super) fn negative_log_likelihood(
+    difference: Tensor<4>,
+    mixture: &LaplaceMixture,
+    [low, high]: [f64; 2],
+) -> Tensor<4> {
+    let distance = difference.abs();
+    let component = |k: usize, low: f64, high: f64| {
+        let log_scale = mixture.log_scales.clone().narrow(1, k, 1).clamp(low, high);
+        let log_weight = mixture.log_weights.clone().narrow(1, k, 1);
+        let log_peak = log_weight.clone() - log_scale.clone() - std::f64::consts::LN_2;
+        (log_weight, log_peak - distance.clone() * (-log_scale).exp())
+    };
+    let (wide_weight, wide) = component(0, 0.0, high);
+    let (narrow_weight, narrow) = component(1, low, 0.0);
+    log_sum_exp(wide_weight, narrow_weight) - log_sum_exp(wide, narrow)
+}
+
+/// `ln(e^a + e^b)`, in a form that neither overflows nor has a kink where `a = b`.
+fn log_sum_exp(a: Tensor<4>, b: Tensor<4>) -> Tensor<4> {
+    let apart = (a.clone() - b.clone()).abs();
+    (a + b + apart.clone()) * 0.5 + (-apart).exp().log1p()
+}

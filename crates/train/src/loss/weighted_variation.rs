@@ -1,0 +1,37 @@
+//! What MIGAR and IGVAR share (the paper's section IV-B3): total variation inside a mask, weighted by the first frame.
+
+use burn::tensor::Tensor;
+
+use super::sobel::sobel;
+use super::{Border, MaskReading, sum};
+
+/// `G` of the paper's equation 13: the magnitude of the frame's standard Sobel gradient, averaged over the colour channels,
+/// `[batch, 1, height, width]` from `[batch, 3, height, width]`.
+pub(super) fn gradient_magnitude(frame: Tensor<4>, border: Border) -> Tensor<4> {
+    let [along_x, along_y] = sobel(frame, border);
+    (along_x.square() + along_y.square()).sqrt().mean_dim(1)
+}
+
+/// `M_total` of the paper's equation 16 from `M_bg`, both `[batch, 1, height, width]` of zeros and ones.
+pub(super) fn total_mask(foreground: Tensor<4>, reading: MaskReading, border: Border) -> Tensor<4> {
+    let [along_x, along_y] = sobel(foreground.clone(), border);
+    let kept = match reading {
+        MaskReading::Interior => along_x.equal_elem(0.0).bool_and(along_y.equal_elem(0.0)),
+        MaskReading::Literal => along_x.greater_elem(0.0).bool_and(along_y.greater_elem(0.0)),
+    };
+    foreground * kept.float()
+}
+
+/// `R_wpp(u) + R_wpp(v)` of the paper's equation 17 for one prediction (`[batch, 2, height, width]`): the flow is set to zero
+/// outside `mask`, and its absolute standard Sobel derivatives are weighted by `weights`, summed over both directions and
+/// both components, and averaged over all pixels of all images. `mask` and `weights` are `[batch, 1, height, width]`.
+pub(super) fn weighted_variation(
+    flow: Tensor<4>,
+    mask: Tensor<4>,
+    weights: Tensor<4>,
+    border: Border,
+) -> Tensor<1> {
+    let [batch, _, height, width] = flow.dims();
+    let [along_x, along_y] = sobel(flow * mask, border);
+    sum((along_x.abs() + along_y.abs()) * weights) / (batch * height * width) as f64
+}

@@ -7,6 +7,7 @@
 #![allow(clippy::needless_range_loop)]
 
 mod activation;
+mod device;
 mod flex;
 mod shared_mut;
 mod simd;
@@ -14,6 +15,7 @@ mod simd;
 mod test_values;
 
 pub use activation::Activation;
+pub use device::{DeviceError, device, device_kinds};
 
 pub mod conv2d;
 pub mod correlation;

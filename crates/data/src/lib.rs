@@ -1,5 +1,6 @@
 //! Optical-flow datasets: generating SRFlow, checking it, and reading the published ones.
 
+pub mod augment;
 pub mod check;
 pub mod generate;
 pub mod manifest;

@@ -1,0 +1,103 @@
+//! Brightness, contrast, saturation and hue, as torchvision's `ColorJitter` changes them on 8-bit pictures (which it leaves to
+//! Pillow), to the last bit.
+
+use srflow_field::Image;
+use srflow_field::random::Stream;
+
+use super::AugmentConfig;
+use super::hue::HueTables;
+
+/// One of the four changes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Change {
+    /// Mixes with black; 1 changes nothing.
+    Brightness(f32),
+    /// Mixes with the mean grey of all pictures; 1 changes nothing.
+    Contrast(f32),
+    /// Mixes with the picture in grey; 1 changes nothing.
+    Saturation(f32),
+    /// Turns the colour circle, in turns.
+    Hue(f32),
+}
+
+/// Changes of colour in the order in which they are made.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct ColorJitter(pub(super) Vec<Change>);
+
+impl ColorJitter {
+    /// The four changes in random order, each by a random amount; what has no amount is left out.
+    pub(super) fn draw(config: &AugmentConfig, stream: &mut Stream) -> Self {
+        let mut factor = |change: f32| stream.uniform((1.0 - change).max(0.0), 1.0 + change);
+        let mut changes = vec![
+            (config.brightness, Change::Brightness(factor(config.brightness))),
+            (config.contrast, Change::Contrast(factor(config.contrast))),
+            (config.saturation, Change::Saturation(factor(config.saturation))),
+            (config.hue, Change::Hue(stream.uniform(-config.hue, config.hue))),
+        ];
+        for last in (1..changes.len()).rev() {
+            changes.swap(last, stream.below(last as u32 + 1) as usize);
+        }
+        Self(changes.into_iter().filter(|(amount, _)| *amount > 0.0).map(|(_, change)| change).collect())
+    }
+
+    /// Changes several pictures as if they were one.
+    pub(super) fn apply(&self, pictures: &mut [&mut Image], hue: &HueTables) {
+        for change in &self.0 {
+            match *change {
+                Change::Brightness(factor) => {
+                    for picture in pictures.iter_mut() {
+                        mix(picture.pixels_mut().as_flattened_mut(), 0, factor);
+                    }
+                }
+                Change::Contrast(factor) => {
+                    let grey = mean_grey(pictures);
+                    for picture in pictures.iter_mut() {
+                        mix(picture.pixels_mut().as_flattened_mut(), grey, factor);
+                    }
+                }
+                Change::Saturation(factor) => {
+                    for pixel in pictures.iter_mut().flat_map(|picture| picture.pixels_mut()) {
+                        let grey = grey(*pixel);
+                        *pixel = pixel.map(|value| mixed(grey, value, factor));
+                    }
+                }
+                Change::Hue(turns) => {
+                    // The circle has 256 steps, of which 255 are a turn, and part of a step is dropped.
+                    let steps = (turns * 255.0) as i32 as u8;
+                    for picture in pictures.iter_mut() {
+                        hue.turn(picture.pixels_mut(), steps);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Pillow's blend of two values: part `factor` of the way from `from` to `to`, or beyond it.
+fn mixed(from: u8, to: u8, factor: f32) -> u8 {
+    // The cast drops the fraction and stops at 0 and 255.
+    (f32::from(from) + factor * f32::from(i16::from(to) - i16::from(from))) as u8
+}
+
+fn mix(values: &mut [u8], from: u8, factor: f32) {
+    for value in values {
+        *value = mixed(from, *value, factor);
+    }
+}
+
+/// ITU-R 601 luminance in 16-bit fixed point.
+fn grey([r, g, b]: [u8; 3]) -> u8 {
+    ((u32::from(r) * 19_595 + u32::from(g) * 38_470 + u32::from(b) * 7_471 + 0x8000) >> 16) as u8
+}
+
+/// The mean of the grey of all pixels, rounded.
+fn mean_grey(pictures: &[&mut Image]) -> u8 {
+    let pixels: usize = pictures.iter().map(|picture| picture.pixels().len()).sum();
+    let row = |row: &[[u8; 3]]| row.iter().map(|pixel| u32::from(grey(*pixel))).sum::<u32>();
+    let sum: u64 = pictures
+        .iter()
+        .flat_map(|picture| picture.pixels().chunks(1 << 16))
+        .map(|chunk| u64::from(row(chunk)))
+        .sum();
+    (sum as f64 / pixels.max(1) as f64 + 0.5) as u8
+}

@@ -1,0 +1,170 @@
+use serde::{Deserialize, Serialize};
+
+use super::AugmentError;
+
+/// How a sample is changed at random before training sees it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AugmentConfig {
+    /// Whether the true flow is known nearly everywhere or only at some pixels.
+    pub truth: TruthDensity,
+    /// Width and height of what comes out, in pixels.
+    pub crop: [usize; 2],
+    /// Limits of the base-2 logarithm of the scale.
+    pub log2_scale: [f32; 2],
+    /// How often a sample is scaled at all.
+    pub scale_probability: f32,
+    /// How often a scaled sample is also stretched, by another factor along each axis.
+    pub stretch_probability: f32,
+    /// Limit of the base-2 logarithm of a stretch, either way.
+    pub max_log2_stretch: f32,
+    /// How often a sample is mirrored left to right.
+    pub horizontal_flip_probability: f32,
+    /// How often a sample is mirrored top to bottom.
+    pub vertical_flip_probability: f32,
+    /// Limit of the change of brightness: the factor lies in `1 - brightness .. 1 + brightness`.
+    pub brightness: f32,
+    /// Limit of the change of contrast, likewise.
+    pub contrast: f32,
+    /// Limit of the change of saturation, likewise.
+    pub saturation: f32,
+    /// Limit of the change of hue, in turns of the colour circle, at most 0.5.
+    pub hue: f32,
+    /// How often the two frames change colour independently.
+    pub asymmetric_probability: f32,
+    /// How often one or two rectangles of frame 2 are painted over, as if something hid them.
+    pub eraser_probability: f32,
+    /// Limits of a rectangle's sides, in pixels of the frame before it is scaled.
+    pub eraser_sides: [u32; 2],
+}
+
+/// How much of the true flow is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TruthDensity {
+    /// Nearly all: scaling interpolates the flow. A pixel is unknown where one that it comes from is.
+    Dense,
+    /// Some pixels (KITTI, HD1K): scaling moves each known pixel to the nearest new one.
+    Sparse,
+}
+
+impl Default for AugmentConfig {
+    /// [`Self::dense`] for the paper's crop.
+    fn default() -> Self {
+        Self::dense([512, 800])
+    }
+}
+
+impl AugmentConfig {
+    /// SKFlow's augmentation for dense truth (core/utils/augmentor.py, `FlowAugmentor`), for a crop of this width and height.
+    pub fn dense(crop: [usize; 2]) -> Self {
+        Self {
+            truth: TruthDensity::Dense,
+            crop,
+            log2_scale: [-0.2, 0.5],
+            scale_probability: 0.8,
+            stretch_probability: 0.8,
+            max_log2_stretch: 0.2,
+            horizontal_flip_probability: 0.5,
+            vertical_flip_probability: 0.1,
+            brightness: 0.4,
+            contrast: 0.4,
+            saturation: 0.4,
+            hue: 0.159_235_67, // 0.5 / 3.14
+            asymmetric_probability: 0.2,
+            eraser_probability: 0.5,
+            eraser_sides: [50, 99],
+        }
+    }
+
+    /// SKFlow's augmentation for sparse truth (`SparseFlowAugmentor`), for a crop of this width and height. It never
+    /// stretches, never mirrors top to bottom, and changes the colours of both frames alike. SKFlow leaves out the
+    /// mirroring for KITTI ([`horizontal_flip_probability`](Self::horizontal_flip_probability) 0) and keeps it for HD1K.
+    pub fn sparse(crop: [usize; 2]) -> Self {
+        Self {
+            truth: TruthDensity::Sparse,
+            stretch_probability: 0.0,
+            vertical_flip_probability: 0.0,
+            brightness: 0.3,
+            contrast: 0.3,
+            saturation: 0.3,
+            hue: 0.095_541_4, // 0.3 / 3.14
+            asymmetric_probability: 0.0,
+            ..Self::dense(crop)
+        }
+    }
+
+    /// A crop at a random place, and nothing else.
+    pub fn crop_only(crop: [usize; 2]) -> Self {
+        Self {
+            scale_probability: 0.0,
+            horizontal_flip_probability: 0.0,
+            vertical_flip_probability: 0.0,
+            brightness: 0.0,
+            contrast: 0.0,
+            saturation: 0.0,
+            hue: 0.0,
+            eraser_probability: 0.0,
+            ..Self::dense(crop)
+        }
+    }
+
+    /// Whether every number makes sense.
+    ///
+    /// # Errors
+    /// Names the first that does not, and what it may be.
+    pub(super) fn check(&self) -> Result<(), AugmentError> {
+        let wrong = |key, found: String, expected| Err(AugmentError::Setting { key, found, expected });
+        if !self.crop.iter().all(|side| (1..=1 << 16).contains(side)) {
+            let [width, height] = self.crop;
+            return wrong(
+                "crop",
+                format!("[{width}, {height}]"),
+                "[WIDTH, HEIGHT], each from 1 to 65536 pixels",
+            );
+        }
+        let [low, high] = self.log2_scale;
+        if !(-8.0 <= low && low <= high && high <= 8.0) {
+            return wrong(
+                "log2_scale",
+                format!("[{low}, {high}]"),
+                "[LOW, HIGH] with -8 <= LOW <= HIGH <= 8",
+            );
+        }
+        if !(0.0..=8.0).contains(&self.max_log2_stretch) {
+            return wrong("max_log2_stretch", self.max_log2_stretch.to_string(), "a number from 0 to 8");
+        }
+        let probabilities = [
+            ("scale_probability", self.scale_probability),
+            ("stretch_probability", self.stretch_probability),
+            ("horizontal_flip_probability", self.horizontal_flip_probability),
+            ("vertical_flip_probability", self.vertical_flip_probability),
+            ("asymmetric_probability", self.asymmetric_probability),
+            ("eraser_probability", self.eraser_probability),
+        ];
+        for (key, value) in probabilities {
+            if !(0.0..=1.0).contains(&value) {
+                return wrong(key, value.to_string(), "a probability from 0 to 1");
+            }
+        }
+        let changes =
+            [("brightness", self.brightness), ("contrast", self.contrast), ("saturation", self.saturation)];
+        for (key, value) in changes {
+            if !(0.0..=100.0).contains(&value) {
+                return wrong(key, value.to_string(), "a number from 0 to 100");
+            }
+        }
+        if !(0.0..=0.5).contains(&self.hue) {
+            return wrong("hue", self.hue.to_string(), "a part of the colour circle from 0 to 0.5");
+        }
+        let [shortest, longest] = self.eraser_sides;
+        if !(1 <= shortest && shortest <= longest && longest <= 1 << 16) {
+            return wrong(
+                "eraser_sides",
+                format!("[{shortest}, {longest}]"),
+                "[SHORTEST, LONGEST] with 1 <= SHORTEST <= LONGEST <= 65536 pixels",
+            );
+        }
+        Ok(())
+    }
+}

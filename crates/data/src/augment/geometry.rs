@@ -1,0 +1,69 @@
+//! Where each pixel of an augmented sample comes from.
+
+use srflow_field::random::Key;
+
+use super::{AugmentConfig, TruthDensity};
+
+/// Scale, then mirror, then crop.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Geometry {
+    /// Size before, `[width, height]`.
+    pub(super) size: [usize; 2],
+    /// Pixels after scaling by pixels before, `[x, y]`.
+    pub(super) scale: [f64; 2],
+    /// Size after scaling, `[width, height]`.
+    pub(super) scaled: [usize; 2],
+    /// Whether x and y are mirrored, after scaling.
+    pub(super) flip: [bool; 2],
+    /// Top left pixel of the crop, `[x, y]`, after mirroring.
+    pub(super) corner: [usize; 2],
+    /// Width and height of the crop.
+    pub(super) crop: [usize; 2],
+}
+
+impl Geometry {
+    pub(super) fn draw(config: &AugmentConfig, (width, height): (usize, usize), key: Key) -> Self {
+        let (size, crop) = ([width, height], config.crop);
+        let scale = draw_scale(config, size, key);
+        let flip = [config.horizontal_flip_probability, config.vertical_flip_probability];
+        let mut stream = key.stream("augment: flip");
+        let flip = flip.map(|probability| stream.unit() < probability);
+        // The size of OpenCV's resize; rounding must not leave less than the crop.
+        let scaled = [0, 1].map(|i| ((size[i] as f64 * scale[i]).round_ties_even() as usize).max(crop[i]));
+        // Sparse truth is missing at the sides and above (KITTI): crops press against both sides and below.
+        let margins = match config.truth {
+            TruthDensity::Dense => [[0, 0], [0, 0]],
+            TruthDensity::Sparse => [[50, 50], [0, 20]],
+        };
+        let mut stream = key.stream("augment: crop");
+        let corner = [0, 1].map(|i| {
+            let [before, after] = margins[i];
+            let room = scaled[i] - crop[i];
+            let places = u32::try_from(before + room + after + 1).unwrap_or(u32::MAX);
+            let place = stream.below(places) as usize;
+            place.saturating_sub(before).min(room)
+        });
+        Self { size, scale, scaled, flip, corner, crop }
+    }
+}
+
+/// Pixels after by pixels before, for x and y; 1 for what is not scaled.
+fn draw_scale(config: &AugmentConfig, size: [usize; 2], key: Key) -> [f64; 2] {
+    let mut stream = key.stream("augment: scale");
+    let [low, high] = config.log2_scale;
+    let log2 = stream.uniform(low, high);
+    let mut log2 = [log2; 2];
+    if stream.unit() < config.stretch_probability {
+        log2 = log2.map(|log2| log2 + stream.uniform(-config.max_log2_stretch, config.max_log2_stretch));
+    }
+    let fits = size[0] >= config.crop[0] && size[1] >= config.crop[1];
+    if fits && stream.unit() >= config.scale_probability {
+        return [1.0; 2];
+    }
+    let spare = match config.truth {
+        TruthDensity::Dense => 8,
+        TruthDensity::Sparse => 1,
+    };
+    let smallest = |i: usize| (config.crop[i] + spare) as f64 / size[i] as f64;
+    log2.map(|log2| libm::exp2(f64::from(log2)).max(smallest(0)).max(smallest(1)))
+}

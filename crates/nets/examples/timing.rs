@@ -4,41 +4,24 @@
 use std::time::Instant;
 
 use burn::tensor::{Device, Distribution, Tensor};
-use srflow_nets::{Frames, GmaConfig, RaftConfig, RaftSmallConfig, Request, SkFlowConfig};
+use srflow_nets::{Architecture, Frames, Request};
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let [network, size, iterations] = arguments.as_slice() else {
-        eprintln!("usage: timing raft|raft_small|gma|skflow HEIGHTxWIDTH ITERATIONS");
+        eprintln!("usage: timing raft|raft-small|gma|skflow HEIGHTxWIDTH ITERATIONS");
         std::process::exit(2);
     };
     let (height, width) = size.split_once('x').expect("HEIGHTxWIDTH");
     let shape = [1, 3, height.parse().expect("height"), width.parse().expect("width")];
     let request = Request::new(iterations.parse().expect("iterations"));
     let device = Device::flex();
+    let network = Architecture::from_name(network).expect("a network").init(&device);
     let frame = || Tensor::<4>::random(shape, Distribution::Uniform(0.0, 1.0), &device);
     let frames = Frames { first: frame(), second: frame() };
-    let run: Box<dyn Fn()> = match network.as_str() {
-        "raft" => {
-            let network = RaftConfig::new().init(&device);
-            Box::new(move || drop(network.forward(frames.clone(), &request)))
-        }
-        "raft_small" => {
-            let network = RaftSmallConfig::new().init(&device);
-            Box::new(move || drop(network.forward(frames.clone(), &request)))
-        }
-        "gma" => {
-            let network = GmaConfig::new().init(&device);
-            Box::new(move || drop(network.forward(frames.clone(), &request)))
-        }
-        _ => {
-            let network = SkFlowConfig::new().init(&device);
-            Box::new(move || drop(network.forward(frames.clone(), &request)))
-        }
-    };
     for _ in 0..3 {
         let start = Instant::now();
-        run();
+        drop(network.forward(frames.clone(), &request));
         println!("{:.2} s", start.elapsed().as_secs_f64());
     }
 }

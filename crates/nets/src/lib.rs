@@ -3,9 +3,11 @@
 //! A network's parameters carry the names that the reference implementation gives them, so that published weights load
 //! without a table of names.
 
+mod architecture;
 mod blocks;
 mod frames;
 mod gma;
+mod network;
 mod parameters;
 mod raft;
 mod raft_small;
@@ -13,11 +15,13 @@ mod recurrent;
 mod skflow;
 mod weights;
 
+pub use architecture::{Architecture, Facts, IterationPresets, PublishedWeights};
 pub use frames::Frames;
 pub use gma::{Gma, GmaConfig};
+pub use network::Network;
 pub use parameters::{ParameterInfo, Parameters, ParametersError, parameter_infos, with_parameters};
 pub use raft::{Raft, RaftConfig};
 pub use raft_small::{RaftSmall, RaftSmallConfig};
 pub use recurrent::{Estimate, Request};
 pub use skflow::{SkFlow, SkFlowConfig};
-pub use weights::{WeightsError, load, read_parameters};
+pub use weights::{WeightsError, load, load_network, read_parameters};

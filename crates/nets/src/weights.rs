@@ -8,10 +8,12 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use burn::module::Module;
-use burn::tensor::{DType, TensorData};
+use burn::tensor::{DType, Device, TensorData};
 use pytorch_reader::{PytorchError, PytorchReader};
 use safetensors::{Dtype, SafeTensorError, SafeTensors};
 
+use crate::architecture::Architecture;
+use crate::network::Network;
 use crate::parameters::{Parameters, ParametersError, with_parameters};
 
 /// Dictionaries that training programs put the weights in, beside other things.
@@ -70,6 +72,15 @@ pub fn load<M: Module>(network: M, path: &Path) -> Result<M, WeightsError> {
     let parameters = read_parameters(path)?;
     with_parameters(network, parameters)
         .map_err(|source| WeightsError::Mismatch { path: path.to_owned(), source })
+}
+
+/// A network of the given architecture with the weights of a checkpoint.
+pub fn load_network(
+    architecture: Architecture,
+    path: &Path,
+    device: &Device,
+) -> Result<Network, WeightsError> {
+    load(architecture.init(device), path)
 }
 
 /// The parameters in a checkpoint, as `f32`, under the names that the reference implementations give them: containers

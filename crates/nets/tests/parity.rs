@@ -2,13 +2,9 @@
 //!
 //! Golden values: `tools/parity/nets.py`, whose rules for parameters and frames are repeated here.
 
-use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData, s};
 use safetensors::SafeTensors;
-use srflow_nets::{
-    Estimate, Frames, GmaConfig, Parameters, RaftConfig, RaftSmallConfig, Request, SkFlowConfig,
-    parameter_infos, with_parameters,
-};
+use srflow_nets::{Architecture, Frames, Network, Parameters, Request, parameter_infos, with_parameters};
 
 /// Batch, height, width: one that needs no padding, one that does.
 const CASES: [[usize; 3]; 2] = [[1, 128, 160], [2, 133, 150]];
@@ -57,7 +53,7 @@ fn parameter(name: &str, shape: &[usize]) -> Vec<f32> {
         .collect()
 }
 
-fn filled<M: Module>(network: M) -> M {
+fn filled(network: Network) -> Network {
     let parameters: Parameters = parameter_infos(&network)
         .into_iter()
         .map(|info| {
@@ -109,8 +105,10 @@ fn assert_close(golden: &SafeTensors, name: &str, found: Tensor<4>, [mean, large
     assert!(average <= mean && worst <= largest, "{name}: mean difference {average}, largest {worst}");
 }
 
-fn check(name: &str, forward: impl Fn(Frames, &Request) -> Estimate) {
+fn check(name: &str, architecture: Architecture) {
     let device = Device::flex();
+    let network = filled(architecture.init(&device));
+    assert_eq!(network.architecture(), architecture);
     for case @ [batch, height, width] in CASES {
         let path = format!(
             "{}/tests/golden/{name}_{batch}x{height}x{width}.safetensors",
@@ -119,9 +117,9 @@ fn check(name: &str, forward: impl Fn(Frames, &Request) -> Estimate) {
         let bytes = std::fs::read(&path).expect(&path);
         let golden = SafeTensors::deserialize(&bytes).expect(&path);
         let frames = Frames { first: frame(case, 0, &device), second: frame(case, 4, &device) };
-        let first = forward(frames.clone(), &Request::new(1));
+        let first = network.forward(frames.clone(), &Request::new(1));
         assert_close(&golden, "coarse_1", first.coarse, [1e-4, 1e-3]);
-        let last = forward(frames, &Request::new(12));
+        let last = network.forward(frames, &Request::new(12));
         assert_close(&golden, "coarse_12", last.coarse.clone(), [1e-3, 1e-2]);
         assert_close(&golden, "flow_12", thinned(last.last().clone()), [1e-3, 1e-2]);
     }
@@ -129,37 +127,33 @@ fn check(name: &str, forward: impl Fn(Frames, &Request) -> Estimate) {
 
 #[test]
 fn raft() {
-    let network = filled(RaftConfig::new().init(&Device::flex()));
-    check("raft", |frames, request| network.forward(frames, request));
+    check("raft", Architecture::Raft);
 }
 
 #[test]
 fn raft_small() {
-    let network = filled(RaftSmallConfig::new().init(&Device::flex()));
-    check("raft_small", |frames, request| network.forward(frames, request));
+    check("raft_small", Architecture::RaftSmall);
 }
 
 #[test]
 fn gma() {
-    let network = filled(GmaConfig::new().init(&Device::flex()));
-    check("gma", |frames, request| network.forward(frames, request));
+    check("gma", Architecture::Gma);
 }
 
 #[test]
 fn skflow() {
-    let network = filled(SkFlowConfig::new().init(&Device::flex()));
-    check("skflow", |frames, request| network.forward(frames, request));
+    check("skflow", Architecture::SkFlow);
 }
 
 /// Parameter counts of ptlflow's models, whose batch norm statistics are no parameters there.
 #[test]
 fn the_networks_have_the_references_parameters() {
-    let count = |network: &dyn Fn(&Device) -> Vec<srflow_nets::ParameterInfo>| -> usize {
-        let infos = network(&Device::flex());
+    let expected = [5_257_536, 990_162, 5_879_873, 6_273_149];
+    for (architecture, expected) in Architecture::ALL.into_iter().zip(expected) {
+        let infos = parameter_infos(&architecture.init(&Device::flex()));
         let learned = infos.iter().filter(|info| !info.name.contains("running_"));
-        learned.map(|info| info.shape.iter().product::<usize>()).sum()
-    };
-    assert_eq!(count(&|device| parameter_infos(&RaftConfig::new().init(device))), 5_257_536);
-    assert_eq!(count(&|device| parameter_infos(&GmaConfig::new().init(device))), 5_879_873);
-    assert_eq!(count(&|device| parameter_infos(&SkFlowConfig::new().init(device))), 6_273_149);
+        let count: usize = learned.map(|info| info.shape.iter().product::<usize>()).sum();
+        assert_eq!(count, expected, "{}", architecture.name());
+        assert_eq!(count, architecture.facts().parameters, "{}", architecture.name());
+    }
 }

@@ -1,0 +1,43 @@
+//! Any of the networks, as one type.
+
+use burn::module::Module;
+
+use crate::{Architecture, Estimate, Frames, Gma, Raft, RaftSmall, Request, SkFlow};
+
+/// A network of any [`Architecture`], made by [`Architecture::init`] or [`load_network`](crate::load_network).
+///
+/// Its parameters have the same names as those of the network inside.
+#[derive(Module, Debug)]
+#[expect(clippy::large_enum_variant, reason = "few are alive at a time, and none is moved in a loop")]
+pub enum Network {
+    /// RAFT.
+    Raft(Raft),
+    /// RAFT-S.
+    RaftSmall(RaftSmall),
+    /// GMA.
+    Gma(Gma),
+    /// SKFlow.
+    SkFlow(SkFlow),
+}
+
+impl Network {
+    /// Which network it is.
+    pub fn architecture(&self) -> Architecture {
+        match self {
+            Self::Raft(_) => Architecture::Raft,
+            Self::RaftSmall(_) => Architecture::RaftSmall,
+            Self::Gma(_) => Architecture::Gma,
+            Self::SkFlow(_) => Architecture::SkFlow,
+        }
+    }
+
+    /// Flow from the first frames to the second. Panics when the frames differ in size.
+    pub fn forward(&self, frames: Frames, request: &Request) -> Estimate {
+        match self {
+            Self::Raft(network) => network.forward(frames, request),
+            Self::RaftSmall(network) => network.forward(frames, request),
+            Self::Gma(network) => network.forward(frames, request),
+            Self::SkFlow(network) => network.forward(frames, request),
+        }
+    }
+}

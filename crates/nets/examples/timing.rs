@@ -5,6 +5,10 @@ use std::time::Instant;
 
 use burn::tensor::{Device, Distribution, Tensor};
 use srflow_nets::{Architecture, Frames, Request};
+use srflow_ops::ReusingAllocator;
+
+#[global_allocator]
+static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();

@@ -4,7 +4,8 @@
 use burn::config::Config;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
-use srflow_ops::Activation::{Gelu, Identity};
+use srflow_ops::Activation::{self, Gelu, Identity};
+use srflow_ops::pointwise::tensor::pointwise_layers;
 
 use crate::blocks::{
     Aggregate, Attention, Conv2d, Conv2dConfig, ConvexMask, Encoder, EncoderConfig, NoParameters, NormKind,
@@ -146,21 +147,38 @@ impl SuperKernelBlock {
     }
 
     fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        self.ffn2.2.forward(self.widened(x), Identity)
+        self.ending_with(x, Identity)
     }
 
     /// `gelu(forward(x))`.
     fn forward_activated(&self, x: Tensor<4>) -> Tensor<4> {
-        self.ffn2.2.forward(self.widened(x), Gelu)
+        self.ending_with(x, Gelu)
     }
 
-    /// Up to the last convolution.
-    fn widened(&self, mut x: Tensor<4>) -> Tensor<4> {
-        let inner = self.ffn1.0.forward(x.clone(), Gelu);
-        x = self.ffn1.2.forward_add(inner, x, Gelu);
-        for conv in self.conv_list.iter().chain([&self.pw]) {
+    fn ending_with(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
+        // What is pointwise is computed in one go, where nothing in between needs to be stored.
+        let (mut x, rest) = match self.conv_list.as_slice() {
+            [first, rest @ ..] if first.is_pointwise() => {
+                let layers = [
+                    self.ffn1.0.layer(None, Gelu),
+                    self.ffn1.2.layer(Some(0), Gelu),
+                    first.layer(Some(2), Gelu),
+                ];
+                (pointwise_layers(x, layers), rest)
+            }
+            all => {
+                let inner = self.ffn1.0.forward(x.clone(), Gelu);
+                (self.ffn1.2.forward_add(inner, x, Gelu), all)
+            }
+        };
+        for conv in rest {
             x = conv.forward_add(x.clone(), x, Gelu);
         }
-        self.ffn2.0.forward(x, Gelu)
+        let layers = [
+            self.pw.layer(Some(0), Gelu),
+            self.ffn2.0.layer(None, Gelu),
+            self.ffn2.2.layer(None, activation),
+        ];
+        pointwise_layers(x, layers)
     }
 }

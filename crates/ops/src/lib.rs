@@ -9,17 +9,24 @@
 mod activation;
 mod device;
 mod flex;
+mod gemm;
+mod reusing_allocator;
 mod shared_mut;
 mod simd;
 #[cfg(test)]
 mod test_values;
+mod weight_cache;
 
 pub use activation::Activation;
 pub use device::{DeviceError, device, device_kinds};
+pub use reusing_allocator::ReusingAllocator;
+pub use weight_cache::WeightCache;
 
+pub mod attention;
 pub mod conv2d;
 pub mod correlation;
 pub mod depthwise;
 pub mod instance_norm;
+pub mod pointwise;
 pub mod upsample;
 pub mod warp;

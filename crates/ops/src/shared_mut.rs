@@ -18,6 +18,18 @@ impl<'a> SharedMut<'a> {
         Self { start: slice.as_mut_ptr(), len: slice.len(), slice: PhantomData }
     }
 
+    /// A vector whose memory nobody touches before `fill` does.
+    ///
+    /// # Safety
+    /// `fill` writes each of the `len` elements, and reads none before.
+    pub(crate) unsafe fn fill_new(len: usize, fill: impl FnOnce(SharedMut)) -> Vec<f32> {
+        let mut out = Vec::with_capacity(len);
+        fill(SharedMut { start: out.as_mut_ptr(), len, slice: PhantomData });
+        // SAFETY: the capacity, and the caller's promise.
+        unsafe { out.set_len(len) }
+        out
+    }
+
     /// The address of element `index`, which must be inside.
     ///
     /// # Safety

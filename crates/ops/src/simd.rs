@@ -10,6 +10,8 @@ pub(crate) trait Simd: Copy + Send + Sync + 'static {
     type Vector: Copy;
     /// Elements of a vector.
     const LANES: usize;
+    /// Rows of a register tile of three vectors each: as many as the registers hold.
+    const TILE_ROWS: usize;
 
     /// All lanes `x`.
     unsafe fn splat(x: f32) -> Self::Vector;
@@ -25,6 +27,8 @@ pub(crate) trait Simd: Copy + Send + Sync + 'static {
     unsafe fn mul_add(a: Self::Vector, b: Self::Vector, c: Self::Vector) -> Self::Vector;
     /// `a + b`.
     unsafe fn add(a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    /// `a - b`.
+    unsafe fn sub(a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// `a * b`.
     unsafe fn mul(a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// `a / b`.
@@ -35,7 +39,59 @@ pub(crate) trait Simd: Copy + Send + Sync + 'static {
     unsafe fn max(a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// The sum of all lanes.
     unsafe fn sum(v: Self::Vector) -> f32;
+
+    /// `p * 2^n`, where `t` is `n + 1.5 * 2^23` and `p` and the result are normal numbers.
+    unsafe fn times_power_of_two(p: Self::Vector, t: Self::Vector) -> Self::Vector;
+
+    /// Element `4 i + j` of the four vectors, one after another, becomes lane `i` of vector `j`.
+    #[inline(always)]
+    unsafe fn deinterleave(v: [Self::Vector; 4]) -> [Self::Vector; 4] {
+        let mut elements = [0.0; 4 * MOST_LANES];
+        let mut sorted = [0.0; 4 * MOST_LANES];
+        // SAFETY: both arrays hold four vectors.
+        unsafe {
+            for (j, v) in v.into_iter().enumerate() {
+                Self::store(elements[j * Self::LANES..].as_mut_ptr(), v);
+            }
+            for (i, four) in elements[..4 * Self::LANES].chunks_exact(4).enumerate() {
+                for j in 0..4 {
+                    sorted[j * Self::LANES + i] = four[j];
+                }
+            }
+            let mut out = v;
+            for (j, out) in out.iter_mut().enumerate() {
+                *out = Self::load(sorted[j * Self::LANES..].as_ptr());
+            }
+            out
+        }
+    }
+
+    /// The inverse of [`Simd::deinterleave`].
+    #[inline(always)]
+    unsafe fn interleave(v: [Self::Vector; 4]) -> [Self::Vector; 4] {
+        let mut elements = [0.0; 4 * MOST_LANES];
+        let mut mixed = [0.0; 4 * MOST_LANES];
+        // SAFETY: both arrays hold four vectors.
+        unsafe {
+            for (j, v) in v.into_iter().enumerate() {
+                Self::store(elements[j * Self::LANES..].as_mut_ptr(), v);
+            }
+            for (i, four) in mixed[..4 * Self::LANES].chunks_exact_mut(4).enumerate() {
+                for j in 0..4 {
+                    four[j] = elements[j * Self::LANES + i];
+                }
+            }
+            let mut out = v;
+            for (j, out) in out.iter_mut().enumerate() {
+                *out = Self::load(mixed[j * Self::LANES..].as_ptr());
+            }
+            out
+        }
+    }
 }
+
+/// [`Simd::LANES`] at most.
+pub(crate) const MOST_LANES: usize = 16;
 
 /// Lanes of plain `f32`, for processors without the instruction sets below.
 #[derive(Clone, Copy)]
@@ -44,6 +100,7 @@ pub(crate) struct Portable;
 impl Simd for Portable {
     type Vector = [f32; 8];
     const LANES: usize = 8;
+    const TILE_ROWS: usize = 4;
 
     #[inline(always)]
     unsafe fn splat(x: f32) -> [f32; 8] {
@@ -87,6 +144,11 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
+    unsafe fn sub(a: [f32; 8], b: [f32; 8]) -> [f32; 8] {
+        std::array::from_fn(|i| a[i] - b[i])
+    }
+
+    #[inline(always)]
     unsafe fn mul(a: [f32; 8], b: [f32; 8]) -> [f32; 8] {
         std::array::from_fn(|i| a[i] * b[i])
     }
@@ -109,6 +171,12 @@ impl Simd for Portable {
     #[inline(always)]
     unsafe fn sum(v: [f32; 8]) -> f32 {
         v.iter().sum()
+    }
+
+    #[inline(always)]
+    unsafe fn times_power_of_two(p: [f32; 8], t: [f32; 8]) -> [f32; 8] {
+        // The lowest bits of `t` are those of `n`: shifted, they are added to the exponent.
+        std::array::from_fn(|i| f32::from_bits(p[i].to_bits().wrapping_add(t[i].to_bits() << 23)))
     }
 }
 
@@ -136,6 +204,7 @@ mod x86 {
     impl Simd for Avx2 {
         type Vector = __m256;
         const LANES: usize = 8;
+        const TILE_ROWS: usize = 4;
 
         #[inline(always)]
         unsafe fn splat(x: f32) -> __m256 {
@@ -173,6 +242,11 @@ mod x86 {
         }
 
         #[inline(always)]
+        unsafe fn sub(a: __m256, b: __m256) -> __m256 {
+            unsafe { _mm256_sub_ps(a, b) }
+        }
+
+        #[inline(always)]
         unsafe fn mul(a: __m256, b: __m256) -> __m256 {
             unsafe { _mm256_mul_ps(a, b) }
         }
@@ -198,6 +272,14 @@ mod x86 {
             unsafe { _mm256_storeu_ps(lanes.as_mut_ptr(), v) }
             lanes.iter().sum()
         }
+
+        #[inline(always)]
+        unsafe fn times_power_of_two(p: __m256, t: __m256) -> __m256 {
+            unsafe {
+                let exponent = _mm256_slli_epi32::<23>(_mm256_castps_si256(t));
+                _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(p), exponent))
+            }
+        }
     }
 
     /// AVX-512 foundation.
@@ -208,6 +290,7 @@ mod x86 {
     impl Simd for Avx512 {
         type Vector = __m512;
         const LANES: usize = 16;
+        const TILE_ROWS: usize = 8;
 
         #[inline(always)]
         unsafe fn splat(x: f32) -> __m512 {
@@ -245,6 +328,11 @@ mod x86 {
         }
 
         #[inline(always)]
+        unsafe fn sub(a: __m512, b: __m512) -> __m512 {
+            unsafe { _mm512_sub_ps(a, b) }
+        }
+
+        #[inline(always)]
         unsafe fn mul(a: __m512, b: __m512) -> __m512 {
             unsafe { _mm512_mul_ps(a, b) }
         }
@@ -267,6 +355,45 @@ mod x86 {
         #[inline(always)]
         unsafe fn sum(v: __m512) -> f32 {
             unsafe { _mm512_reduce_add_ps(v) }
+        }
+
+        #[inline(always)]
+        unsafe fn times_power_of_two(p: __m512, t: __m512) -> __m512 {
+            unsafe {
+                let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(t));
+                _mm512_castsi512_ps(_mm512_add_epi32(_mm512_castps_si512(p), exponent))
+            }
+        }
+
+        #[inline(always)]
+        unsafe fn deinterleave([a, b, c, d]: [__m512; 4]) -> [__m512; 4] {
+            unsafe {
+                // Eight lanes of the first two vectors, then eight of the last two.
+                let every_fourth =
+                    _mm512_setr_epi32(0, 4, 8, 12, 16, 20, 24, 28, 0, 4, 8, 12, 16, 20, 24, 28);
+                let mut sorted = [a; 4];
+                // Not `from_fn`: a closure is not always compiled for the instruction set of its surroundings.
+                for j in 0..4 {
+                    let index = _mm512_add_epi32(every_fourth, _mm512_set1_epi32(j as i32));
+                    let low = _mm512_permutex2var_ps(a, index, b);
+                    sorted[j] = _mm512_mask_blend_ps(0xFF00, low, _mm512_permutex2var_ps(c, index, d));
+                }
+                sorted
+            }
+        }
+
+        #[inline(always)]
+        unsafe fn interleave([a, b, c, d]: [__m512; 4]) -> [__m512; 4] {
+            unsafe {
+                let alternate = _mm512_setr_epi32(0, 16, 0, 16, 1, 17, 1, 17, 2, 18, 2, 18, 3, 19, 3, 19);
+                let mut mixed = [a; 4];
+                for k in 0..4 {
+                    let index = _mm512_add_epi32(alternate, _mm512_set1_epi32(4 * k as i32));
+                    let first = _mm512_permutex2var_ps(a, index, b);
+                    mixed[k] = _mm512_mask_blend_ps(0xCCCC, first, _mm512_permutex2var_ps(c, index, d));
+                }
+                mixed
+            }
         }
     }
 }
@@ -298,6 +425,28 @@ impl Isa {
             }
         }
         isas
+    }
+
+    /// [`Simd::LANES`].
+    pub(crate) fn lanes(self) -> usize {
+        match self {
+            Isa::Portable => Portable::LANES,
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx2 => Avx2::LANES,
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx512 => Avx512::LANES,
+        }
+    }
+
+    /// [`Simd::TILE_ROWS`].
+    pub(crate) fn tile_rows(self) -> usize {
+        match self {
+            Isa::Portable => Portable::TILE_ROWS,
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx2 => Avx2::TILE_ROWS,
+            #[cfg(target_arch = "x86_64")]
+            Isa::Avx512 => Avx512::TILE_ROWS,
+        }
     }
 
     /// The widest instruction set of this processor.
@@ -340,3 +489,41 @@ macro_rules! dispatch {
     };
 }
 pub(crate) use dispatch;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    dispatch! {
+        fn mix = mix_kernel(elements: &[f32], apart: &mut [f32], together: &mut [f32])
+    }
+
+    unsafe fn mix_kernel<S: Simd>(elements: &[f32], apart: &mut [f32], together: &mut [f32]) {
+        // SAFETY: the slices hold four vectors of any instruction set.
+        unsafe {
+            let at = |j: usize| j * S::LANES;
+            let load = |j: usize| S::load(elements[at(j)..].as_ptr());
+            let sorted = S::deinterleave([load(0), load(1), load(2), load(3)]);
+            let mixed = S::interleave(sorted);
+            for j in 0..4 {
+                S::store(apart[at(j)..].as_mut_ptr(), sorted[j]);
+                S::store(together[at(j)..].as_mut_ptr(), mixed[j]);
+            }
+        }
+    }
+
+    #[test]
+    fn every_fourth_element_goes_to_a_vector_of_its_own_and_back() {
+        for isa in Isa::available() {
+            let lanes = isa.lanes();
+            let elements: Vec<f32> = (0..4 * lanes).map(|i| i as f32).collect();
+            let (mut apart, mut together) = (vec![0.0; 4 * lanes], vec![0.0; 4 * lanes]);
+            // SAFETY: `isa` is available.
+            unsafe { mix(isa, &elements, &mut apart, &mut together) }
+            for (at, &element) in apart.iter().enumerate() {
+                assert_eq!(element, (4 * (at % lanes) + at / lanes) as f32, "{isa:?}");
+            }
+            assert_eq!(together, elements, "{isa:?}");
+        }
+    }
+}

@@ -7,3 +7,12 @@ pub(crate) fn values(count: usize, seed: u32) -> Vec<f32> {
         })
         .collect()
 }
+
+/// Holds each element within `tolerance` times the largest expected one (at least one).
+pub(crate) fn assert_close(what: &str, found: &[f32], expected: &[f32], tolerance: f32) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    let scale = expected.iter().fold(1.0_f32, |m, x| m.max(x.abs()));
+    for (i, (found, expected)) in found.iter().zip(expected).enumerate() {
+        assert!((found - expected).abs() <= tolerance * scale, "{what} [{i}]: {found} for {expected}");
+    }
+}

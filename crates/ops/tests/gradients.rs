@@ -3,10 +3,12 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_ops::Activation;
+use srflow_ops::attention::tensor::Attention;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
 use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::instance_norm::tensor::instance_norm;
+use srflow_ops::pointwise::tensor::{LayerOptions, PointwiseLayer, pointwise_layers};
 use srflow_ops::upsample::tensor::convex_upsample;
 use srflow_ops::warp::tensor::warp;
 
@@ -76,15 +78,15 @@ fn check(shapes: &[[usize; 4]], operation: impl Fn(Vec<Tensor<4>>) -> Tensor<4>)
 #[test]
 fn convolution() {
     for (options, activation) in [
-        (Conv2dOptions { stride: [1, 1], padding: [1, 1] }, Activation::Gelu),
-        (Conv2dOptions { stride: [2, 2], padding: [1, 1] }, Activation::Tanh),
-        (Conv2dOptions { stride: [1, 2], padding: [0, 2] }, Activation::Sigmoid),
-        (Conv2dOptions { stride: [1, 1], padding: [0, 0] }, Activation::Identity),
+        (Conv2dOptions::new([1, 1], [1, 1]), Activation::Gelu),
+        (Conv2dOptions::new([2, 2], [1, 1]), Activation::Tanh),
+        (Conv2dOptions::new([1, 2], [0, 2]), Activation::Sigmoid),
+        (Conv2dOptions::new([1, 1], [0, 0]), Activation::Identity),
     ] {
         check(&[[2, 3, 7, 9], [5, 3, 3, 3], [1, 1, 1, 5]], |inputs| {
             let [input, weight, bias] = inputs.try_into().expect("three");
             let finish = Finish::with(activation).bias(Some(bias.reshape([5])));
-            conv2d(input, weight * 0.3, finish, options)
+            conv2d(input, weight * 0.3, finish, options.clone())
         });
     }
 }
@@ -94,7 +96,7 @@ fn convolution_with_something_added() {
     check(&[[2, 3, 7, 9], [5, 3, 1, 1], [1, 1, 1, 5], [2, 5, 7, 9]], |inputs| {
         let [input, weight, bias, residual] = inputs.try_into().expect("four");
         let finish = Finish::with(Activation::Gelu).bias(Some(bias.reshape([5]))).residual(residual);
-        conv2d(input, weight, finish, Conv2dOptions { stride: [1, 1], padding: [0, 0] })
+        conv2d(input, weight, finish, Conv2dOptions::new([1, 1], [0, 0]))
     });
 }
 
@@ -105,6 +107,50 @@ fn depthwise_convolution() {
         let finish = Finish::with(Activation::Gelu).bias(Some(bias.reshape([3]))).residual(input.clone());
         depthwise(input, weight * 0.3, finish, [2, 2])
     });
+}
+
+/// Enough channels for Winograd's way.
+#[test]
+fn convolution_by_fewer_products() {
+    for kernel in [[3, 3], [1, 5], [5, 1]] {
+        check(&[[1, 16, 6, 7], [17, 16, kernel[0], kernel[1]]], |inputs| {
+            let [input, weight] = inputs.try_into().expect("two");
+            let options = Conv2dOptions::new([1, 1], [kernel[0] / 2, kernel[1] / 2]);
+            conv2d(input, weight * 0.2, Finish::with(Activation::Tanh), options)
+        });
+    }
+}
+
+#[test]
+fn pointwise_chain() {
+    let shapes =
+        [[2, 3, 5, 6], [4, 3, 1, 1], [1, 1, 1, 4], [3, 4, 1, 1], [1, 1, 1, 3], [3, 1, 1, 1], [1, 1, 1, 3]];
+    check(&shapes, |inputs| {
+        let [input, first, first_bias, second, second_bias, third, third_bias] =
+            inputs.try_into().expect("seven");
+        let layer = |weight: Tensor<4>, bias: Tensor<4>, scale, add_input_of, activation| PointwiseLayer {
+            bias: bias.flatten(0, 3),
+            options: LayerOptions { scale, add_input_of, activation, ..LayerOptions::default() },
+            weight,
+        };
+        let layers = [
+            layer(first, first_bias, false, None, Activation::Gelu),
+            layer(second, second_bias, false, Some(0), Activation::Tanh),
+            layer(third, third_bias, true, Some(2), Activation::Sigmoid),
+        ];
+        pointwise_layers(input, layers)
+    });
+}
+
+#[test]
+fn attention() {
+    for kept_bytes in [0, usize::MAX] {
+        check(&[[2, 3, 4, 5], [2, 3, 4, 5], [2, 2, 4, 5]], |inputs| {
+            let [queries, keys, values] = inputs.try_into().expect("three");
+            let attention = Attention::new(queries, keys, kept_bytes);
+            attention.gather(values.clone()) + attention.gather(values.tanh())
+        });
+    }
 }
 
 #[test]

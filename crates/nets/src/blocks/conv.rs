@@ -3,9 +3,10 @@
 use burn::config::Config;
 use burn::module::{Initializer, Module, Param};
 use burn::tensor::{Device, Tensor};
-use srflow_ops::Activation;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
 use srflow_ops::depthwise::tensor::depthwise;
+use srflow_ops::pointwise::tensor::{LayerOptions, PointwiseLayer};
+use srflow_ops::{Activation, WeightCache};
 
 /// Sizes of a [`Conv2d`].
 #[derive(Config, Debug)]
@@ -35,6 +36,8 @@ pub(crate) struct Conv2d {
     bias: Option<Param<Tensor<1>>>,
     stride: usize,
     depthwise: bool,
+    #[module(skip)]
+    cache: WeightCache,
 }
 
 impl Conv2dConfig {
@@ -52,6 +55,7 @@ impl Conv2dConfig {
             }),
             stride: self.stride,
             depthwise: self.depthwise,
+            cache: WeightCache::default(),
         }
     }
 }
@@ -67,23 +71,52 @@ impl Conv2d {
 
     /// `activation(conv(x) + bias)`.
     pub(crate) fn forward(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
-        self.apply(x, self.weight(), Finish::with(activation).bias(self.bias()))
+        self.finish(x, Finish::with(activation).bias(self.bias()))
     }
 
     /// `activation(conv(x) + bias + residual)`.
     pub(crate) fn forward_add(&self, x: Tensor<4>, residual: Tensor<4>, activation: Activation) -> Tensor<4> {
-        self.apply(x, self.weight(), Finish::with(activation).bias(self.bias()).residual(residual))
+        self.finish(x, Finish::with(activation).bias(self.bias()).residual(residual))
     }
 
-    /// With another weight of the same kernel.
-    pub(crate) fn apply(&self, x: Tensor<4>, weight: Tensor<4>, finish: Finish) -> Tensor<4> {
+    fn finish(&self, x: Tensor<4>, finish: Finish) -> Tensor<4> {
+        self.apply(x, self.weight(), &self.cache, finish)
+    }
+
+    /// With another weight of the same kernel, and a cache for that.
+    pub(crate) fn apply(
+        &self,
+        x: Tensor<4>,
+        weight: Tensor<4>,
+        cache: &WeightCache,
+        finish: Finish,
+    ) -> Tensor<4> {
         let [_, _, height, width] = weight.dims();
         let padding = [height / 2, width / 2];
         if self.depthwise {
             depthwise(x, weight, finish, padding)
         } else {
-            conv2d(x, weight, finish, Conv2dOptions { stride: [self.stride; 2], padding })
+            conv2d(
+                x,
+                weight,
+                finish,
+                Conv2dOptions { stride: [self.stride; 2], padding, cache: cache.clone() },
+            )
         }
+    }
+
+    /// Whether every output needs only its own pixel.
+    pub(crate) fn is_pointwise(&self) -> bool {
+        self.stride == 1 && self.weight.lazy_shape()[2..] == [1, 1]
+    }
+
+    /// As a layer of a chain, which must be pointwise.
+    pub(crate) fn layer(&self, add_input_of: Option<usize>, activation: Activation) -> PointwiseLayer {
+        let weight = self.weight();
+        let bias = self.bias().unwrap_or_else(|| Tensor::zeros([weight.dims()[0]], &weight.device()));
+        let options =
+            LayerOptions { scale: self.depthwise, add_input_of, activation, cache: self.cache.clone() };
+        PointwiseLayer { weight, bias, options }
     }
 }
 

@@ -2,8 +2,8 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
-use srflow_ops::Activation;
 use srflow_ops::conv2d::tensor::Finish;
+use srflow_ops::{Activation, WeightCache};
 
 use super::{Conv2d, Conv2dConfig};
 
@@ -37,8 +37,10 @@ struct PreparedStep<'a> {
     hidden: usize,
     /// Weights of update and reset gate, one below the other, for the hidden state and the input that changes.
     gates_weight: Tensor<4>,
+    gates_cache: WeightCache,
     gates_context: Tensor<4>,
     candidate_weight: Tensor<4>,
+    candidate_cache: WeightCache,
     candidate_context: Tensor<4>,
 }
 
@@ -100,28 +102,41 @@ impl<'a> PreparedStep<'a> {
         };
         let of_context = |conv: &Conv2d| {
             let weight = conv.weight().narrow(1, hidden, fixed);
-            conv.apply(context.clone(), weight, Finish::default().bias(conv.bias()))
+            conv.apply(context.clone(), weight, &WeightCache::default(), Finish::default().bias(conv.bias()))
         };
         Self {
             conv: update,
             hidden,
             gates_weight: Tensor::cat(vec![changing(update.weight()), changing(reset.weight())], 0),
+            gates_cache: WeightCache::default(),
             gates_context: Tensor::cat(vec![of_context(update), of_context(reset)], 1),
             candidate_weight: changing(candidate.weight()),
+            candidate_cache: WeightCache::default(),
             candidate_context: of_context(candidate),
         }
     }
 
     fn forward(&self, hidden: Tensor<4>, input: Tensor<4>) -> Tensor<4> {
-        let sum = |state: Tensor<4>, weight: &Tensor<4>, context: &Tensor<4>, activation| {
+        let sum = |state: Tensor<4>, weight: &Tensor<4>, cache, context: &Tensor<4>, activation| {
             let x = Tensor::cat(vec![state, input.clone()], 1);
-            self.conv.apply(x, weight.clone(), Finish::with(activation).residual(context.clone()))
+            self.conv.apply(x, weight.clone(), cache, Finish::with(activation).residual(context.clone()))
         };
-        let gates = sum(hidden.clone(), &self.gates_weight, &self.gates_context, Activation::Sigmoid);
+        let gates = sum(
+            hidden.clone(),
+            &self.gates_weight,
+            &self.gates_cache,
+            &self.gates_context,
+            Activation::Sigmoid,
+        );
         let update = gates.clone().narrow(1, 0, self.hidden);
         let reset = gates.narrow(1, self.hidden, self.hidden);
-        let candidate =
-            sum(reset * hidden.clone(), &self.candidate_weight, &self.candidate_context, Activation::Tanh);
+        let candidate = sum(
+            reset * hidden.clone(),
+            &self.candidate_weight,
+            &self.candidate_cache,
+            &self.candidate_context,
+            Activation::Tanh,
+        );
         hidden.clone() + update * (candidate - hidden)
     }
 }

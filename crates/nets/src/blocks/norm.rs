@@ -2,9 +2,9 @@
 
 use burn::module::{Initializer, Module, Param};
 use burn::tensor::{Device, Tensor};
-use srflow_ops::Activation;
 use srflow_ops::conv2d::tensor::Finish;
 use srflow_ops::instance_norm::tensor::instance_norm;
+use srflow_ops::{Activation, WeightCache};
 
 use super::Conv2d;
 
@@ -63,6 +63,6 @@ impl Norm {
         }
         let channels = scale.dims()[0];
         let folded = conv.weight() * scale.reshape([channels, 1, 1, 1]);
-        conv.apply(x, folded, Finish::with(activation).bias(Some(shift)))
+        conv.apply(x, folded, &WeightCache::default(), Finish::with(activation).bias(Some(shift)))
     }
 }

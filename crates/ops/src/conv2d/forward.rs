@@ -1,6 +1,9 @@
 use rayon::prelude::*;
 
+use super::winograd::{self, Scheme};
 use super::{Conv2dShape, Epilogue};
+use crate::gemm::pack_rows;
+use crate::pointwise::{Add, Layer, Map, pointwise};
 use crate::shared_mut::SharedMut;
 use crate::simd::{Isa, Simd, dispatch};
 
@@ -13,9 +16,8 @@ const BAND_ROWS: usize = 8;
 
 /// Convolution of `input` with `weight`, then the epilogue; `[N, C_out, H_out, W_out]`.
 ///
-/// The sum of an element starts at the bias and runs over input channels, then kernel rows, then columns, each step a
-/// fused multiply-add, so the result is the same for every number of threads and every instruction set. Panics when a
-/// slice does not fit `shape`.
+/// The order of an element's sum depends on `shape` alone, and each step is a fused multiply-add, so the result is the same
+/// for every number of threads and every instruction set. Panics when a slice does not fit `shape`.
 pub fn conv2d(input: &[f32], weight: &[f32], epilogue: &Epilogue, shape: &Conv2dShape) -> Vec<f32> {
     conv2d_with(Isa::best(), input, weight, epilogue, shape)
 }
@@ -28,15 +30,79 @@ pub(super) fn conv2d_with(
     epilogue: &Epilogue,
     shape: &Conv2dShape,
 ) -> Vec<f32> {
-    assert_eq!(input.len(), shape.input_len(), "input of {shape:?}");
+    convolve_packed(isa, input, &pack(isa, weight, shape), epilogue, shape)
+}
+
+/// How a convolution is computed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Method {
+    /// As a product of matrices.
+    Pointwise,
+    Winograd(Scheme),
+    /// Tap by tap.
+    Direct,
+}
+
+impl Method {
+    fn of(shape: &Conv2dShape) -> Self {
+        if shape.kernel == [1, 1] && shape.stride == [1, 1] && shape.padding == [0, 0] {
+            return Method::Pointwise;
+        }
+        Scheme::of(shape).map_or(Method::Direct, Method::Winograd)
+    }
+}
+
+/// The weights in the order that [`convolve_packed`] reads them in.
+pub(super) fn pack(isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
+    match Method::of(shape) {
+        Method::Pointwise => {
+            let mut packed = vec![0.0; weight.len()];
+            pack_rows(isa, weight, shape.in_channels, &mut packed);
+            packed
+        }
+        Method::Winograd(scheme) => scheme.pack(isa, weight, shape),
+        Method::Direct => pack_weights(weight, shape.out_channels, shape.in_channels * shape.taps()),
+    }
+}
+
+/// [`conv2d`] with weights from [`pack`] for the same instruction set and shape.
+pub(super) fn convolve_packed(
+    isa: Isa,
+    input: &[f32],
+    packed: &[f32],
+    epilogue: &Epilogue,
+    shape: &Conv2dShape,
+) -> Vec<f32> {
+    assert_eq!(input.len(), shape.input_len(), "input of {shape:?}");
     epilogue.check(shape.out_channels, shape.output_len());
+    if shape.output_len() == 0 {
+        return Vec::new();
+    }
+    match Method::of(shape) {
+        Method::Pointwise => {
+            let layer = Layer {
+                map: Map::Dense(packed),
+                bias: epilogue.bias,
+                add: epilogue.residual.map_or(Add::Nothing, Add::Planes),
+                activation: epilogue.activation,
+            };
+            pointwise(isa, input, [shape.batch, shape.in_channels, shape.input[0] * shape.input[1]], &[layer])
+        }
+        Method::Winograd(scheme) => winograd::convolve(isa, scheme, input, packed, epilogue, shape),
+        Method::Direct => convolve_directly(isa, input, packed, epilogue, shape),
+    }
+}
+
+fn convolve_directly(
+    isa: Isa,
+    input: &[f32],
+    weights: &[f32],
+    epilogue: &Epilogue,
+    shape: &Conv2dShape,
+) -> Vec<f32> {
     let [height, width] = shape.output();
     let mut out = vec![0.0; shape.output_len()];
-    if out.is_empty() {
-        return out;
-    }
-    let weights = pack_weights(weight, shape.out_channels, shape.in_channels * shape.taps());
     let blocks = shape.out_channels.div_ceil(BLOCK);
     let padded = Padded::of(input, shape);
     let plan = Plan {
@@ -44,18 +110,13 @@ pub(super) fn conv2d_with(
         source_channel: padded.channel,
         source_row: padded.row * shape.stride[0],
         taps: padded.taps(shape),
-        // A pointwise convolution is one long row: no row ends to lose lanes at.
-        rows: if padded.is_input { 1 } else { height },
-        columns: if padded.is_input { height * width } else { width },
+        rows: height,
+        columns: width,
         out_channel: height * width,
     };
     let bands = plan.rows.div_ceil(BAND_ROWS);
-    // One long row is cut into pieces of columns instead.
-    let piece = if padded.is_input { VECTORS * 16 * 16 } else { plan.columns };
-    let pieces = plan.columns.div_ceil(piece);
     let target = SharedMut::new(&mut out);
-    (0..shape.batch * blocks * bands * pieces).into_par_iter().for_each(|task| {
-        let (task, part) = (task / pieces, task % pieces);
+    (0..shape.batch * blocks * bands).into_par_iter().for_each(|task| {
         let (task, band) = (task / bands, task % bands);
         let (n, block) = (task / blocks, task % blocks);
         let first = block * BLOCK;
@@ -64,16 +125,15 @@ pub(super) fn conv2d_with(
         if let Some(bias) = epilogue.bias {
             start[..channels].copy_from_slice(&bias[first..first + channels]);
         }
-        let columns = part * piece..plan.columns.min((part + 1) * piece);
         let image = &padded.data()[n * padded.image..][..padded.image];
         for row in band * BAND_ROWS..plan.rows.min((band + 1) * BAND_ROWS) {
-            let at = (n * shape.out_channels + first) * plan.out_channel + row * plan.columns + columns.start;
+            let at = (n * shape.out_channels + first) * plan.out_channel + row * plan.columns;
             let tile = Tile {
-                source: image[row * plan.source_row + columns.start..].as_ptr(),
+                source: image[row * plan.source_row..].as_ptr(),
                 weights: weights[first * plan.channels * plan.taps.len()..].as_ptr(),
                 start,
                 out_channels: channels,
-                columns: columns.len(),
+                columns: plan.columns,
                 // SAFETY: channel `first` of image `n`, this row and column.
                 out: unsafe { target.at(at) },
             };
@@ -83,7 +143,7 @@ pub(super) fn conv2d_with(
                 convolve_row(isa, &plan, &tile);
                 for channel in 0..channels {
                     let at = at + channel * plan.out_channel;
-                    let row = std::slice::from_raw_parts_mut(target.at(at), columns.len());
+                    let row = std::slice::from_raw_parts_mut(target.at(at), plan.columns);
                     epilogue.finish(isa, at, row);
                 }
             }

@@ -1,9 +1,10 @@
 //! Dense 2D convolution (cross-correlation, as in deep learning), forward and backward, on NCHW slices.
 //!
-//! The fast version computes the sum directly, without an im2col matrix: a register tile of 8 output channels by 3
-//! vectors of pixels is kept while all input channels and kernel taps pass by, so that 24 fused multiply-adds need 11
-//! loads. A copy of the input with its border of zeros, its columns split by their remainder modulo the stride, makes
-//! every load contiguous. [`mod@reference`] is the definition.
+//! There are three fast versions. A pointwise convolution is a product of matrices. Small kernels of stride 1 over enough
+//! channels go Winograd's way, which needs a half to a quarter of the products. The rest is summed directly, without an
+//! im2col matrix: a register tile of 8 output channels by 3 vectors of pixels is kept while all input channels and kernel
+//! taps pass by, so that 24 fused multiply-adds need 11 loads; a copy of the input with its border of zeros, its columns
+//! split by their remainder modulo the stride, makes every load contiguous. [`mod@reference`] is the definition.
 
 use crate::activation::{Activation, activate};
 use crate::simd::Isa;
@@ -12,6 +13,7 @@ mod backward;
 mod forward;
 pub mod reference;
 pub mod tensor;
+mod winograd;
 
 pub use backward::{conv2d_backward_bias, conv2d_backward_input, conv2d_backward_weight};
 pub use forward::conv2d;

@@ -9,18 +9,29 @@ use burn::backend::{Autodiff, Backend, Dispatch, DispatchTensor, Flex, TensorMet
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Device, Shape, Tensor};
 
+use super::forward::{convolve_packed, pack};
 use super::{Conv2dShape, Epilogue};
-use crate::Activation;
 use crate::activation::activate_tensor;
 use crate::flex::{Contiguous, sizes, tensor};
+use crate::simd::Isa;
+use crate::{Activation, WeightCache};
 
 /// How a kernel moves over its input.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub struct Conv2dOptions {
     /// Stride down and across.
     pub stride: [usize; 2],
     /// Zeros added above and below, left and right.
     pub padding: [usize; 2],
+    /// Of the weight.
+    pub cache: WeightCache,
+}
+
+impl Conv2dOptions {
+    /// With a cache that no other call shares.
+    pub fn new(stride: [usize; 2], padding: [usize; 2]) -> Self {
+        Self { stride, padding, cache: WeightCache::default() }
+    }
 }
 
 impl From<Conv2dOptions> for ConvOptions<2> {
@@ -82,7 +93,7 @@ pub trait Conv2dGradOps: Backend {
     }
 }
 
-fn shape_of(input: &Shape, weight: &Shape, options: Conv2dOptions) -> Conv2dShape {
+fn shape_of(input: &Shape, weight: &Shape, options: &Conv2dOptions) -> Conv2dShape {
     let [batch, in_channels, height, width] = input.dims();
     let [out_channels, _, kernel_height, kernel_width] = weight.dims();
     Conv2dShape {
@@ -102,9 +113,10 @@ fn convolve(
     epilogue: &Epilogue,
     options: Conv2dOptions,
 ) -> FloatTensor<Flex> {
-    let shape = shape_of(&input.shape(), &weight.shape(), options);
-    let (input, weight) = (Contiguous::new(input), Contiguous::new(weight));
-    let out = super::conv2d(input.slice(), weight.slice(), epilogue, &shape);
+    let shape = shape_of(&input.shape(), &weight.shape(), &options);
+    let isa = Isa::best();
+    let packed = options.cache.get(weight, |weight| pack(isa, weight, &shape));
+    let out = convolve_packed(isa, Contiguous::new(input).slice(), &packed, epilogue, &shape);
     let [height, width] = shape.output();
     tensor(out, [shape.batch, shape.out_channels, height, width])
 }
@@ -143,7 +155,7 @@ impl Conv2dGradOps for Flex {
         grad: FloatTensor<Self>,
         options: Conv2dOptions,
     ) -> FloatTensor<Self> {
-        let shape = shape_of(&input.shape(), &weight.shape(), options);
+        let shape = shape_of(&input.shape(), &weight.shape(), &options);
         let (weight, grad) = (Contiguous::new(&weight), Contiguous::new(&grad));
         tensor(super::conv2d_backward_input(grad.slice(), weight.slice(), &shape), input.shape())
     }
@@ -154,7 +166,7 @@ impl Conv2dGradOps for Flex {
         grad: FloatTensor<Self>,
         options: Conv2dOptions,
     ) -> FloatTensor<Self> {
-        let shape = shape_of(&input.shape(), &weight.shape(), options);
+        let shape = shape_of(&input.shape(), &weight.shape(), &options);
         let (input, grad) = (Contiguous::new(&input), Contiguous::new(&grad));
         tensor(super::conv2d_backward_weight(input.slice(), grad.slice(), &shape), weight.shape())
     }
@@ -173,7 +185,7 @@ impl<B: Conv2dGradOps> Backward<B, 2> for Conv2dBackward {
         let (input, weight, options) = ops.state;
         let [input_node, weight_node] = ops.parents;
         if let Some(node) = input_node {
-            let d_input = B::conv2d_input_grad(input.clone(), weight.clone(), grad.clone(), options);
+            let d_input = B::conv2d_input_grad(input.clone(), weight.clone(), grad.clone(), options.clone());
             grads.register::<B>(node.id, d_input);
         }
         if let Some(node) = weight_node {
@@ -190,7 +202,7 @@ fn tracked_conv2d<B: Conv2dOps + Conv2dGradOps, C: CheckpointStrategy>(
     let guards = [input.node(), weight.node()];
     let (input, weight) = (input.into_primitive(), weight.into_primitive());
     let no_bias = B::float_zeros([sizes::<4>(&weight)[0]].into(), &input.device(), input.dtype().into());
-    let out = B::biased_conv2d(input.clone(), weight.clone(), no_bias, options, Activation::Identity);
+    let out = B::biased_conv2d(input.clone(), weight.clone(), no_bias, options.clone(), Activation::Identity);
     match Conv2dBackward.prepare::<C>(guards).compute_bound().stateful() {
         OpsKind::Tracked(prep) => prep.finish((input, weight, options), out),
         OpsKind::UnTracked(prep) => prep.finish(out),
@@ -276,7 +288,7 @@ impl Finish {
 ///
 /// Panics when the sizes do not fit each other.
 pub fn conv2d(input: Tensor<4>, weight: Tensor<4>, finish: Finish, options: Conv2dOptions) -> Tensor<4> {
-    let shape = shape_of(&input.shape(), &weight.shape(), options);
+    let shape = shape_of(&input.shape(), &weight.shape(), &options);
     assert_eq!(weight.dims()[1], shape.in_channels, "conv2d: channels of the weight and of the input");
     let [height, width] = shape.output();
     assert!(height > 0 && width > 0, "conv2d: the kernel does not fit the input: {shape:?}");

@@ -35,33 +35,111 @@ pub(super) fn lookup_with(
     // Row by row, a pixel's entries side by side; channels go first at the end.
     let mut out = vec![0.0; second.batch * pixels * entries];
     out.par_chunks_mut((width * entries).max(1)).enumerate().for_each(|(row, out)| {
-        let mut products = vec![0.0; windows.reach() * windows.reach()];
-        for (x, out) in out.chunks_exact_mut(entries).enumerate() {
-            let pixel = row * width + x;
+        let mut products = Vec::new();
+        for (group, out) in out.chunks_mut(GROUP * entries).enumerate() {
+            let first = row * width + group * GROUP;
+            let count = out.len() / entries;
             for (number, level) in second.levels.iter().enumerate() {
-                let window = windows.window(pixel, number);
-                products.fill(0.0);
-                for (y, x) in window.inside(level) {
-                    let at = window.feature(level, y, x.start);
-                    let task = Dots {
-                        first: windows.feature(pixel),
-                        second: &level.features[at * second.channels..][..x.len() * second.channels],
-                    };
-                    let to = &mut products[y * windows.reach() + x.start..][..x.len()];
-                    // SAFETY: `isa` is available.
-                    unsafe { dots(isa, &task, to) }
+                let windows_of_group = [0, 1, 2, 3].map(|i| windows.window(first + i.min(count - 1), number));
+                // Neighbours mostly look at nearly the same place: then what is read there serves all of them.
+                let common = Common::of(&windows_of_group);
+                let together = if common.is_small() { count } else { 1 };
+                for start in (0..count).step_by(together) {
+                    let of = &windows_of_group[start..start + together];
+                    let common = Common::of(of);
+                    common.products(isa, &windows, first + start, together, level, &mut products);
+                    for (i, window) in of.iter().enumerate() {
+                        let at = (start + i) * entries + number * windows.side() * windows.side();
+                        let out = &mut out[at..at + windows.side() * windows.side()];
+                        let products = &products[i * common.len()..][common.offset(window)..];
+                        window.interpolate(products, common.columns, windows.scale, out);
+                    }
                 }
-                let side = 2 * radius + 1;
-                window.interpolate(
-                    &products,
-                    radius,
-                    windows.scale,
-                    &mut out[number * side * side..][..side * side],
-                );
             }
         }
     });
     channels_first(&out, second.batch, entries)
+}
+
+/// Neighbouring pixels whose windows are looked up together.
+const GROUP: usize = 4;
+/// Rows and columns that the windows of a group may together have beyond those of one.
+const SPREAD: usize = 4;
+
+/// The smallest rectangle around some windows of one level.
+struct Common {
+    image: usize,
+    left: i64,
+    top: i64,
+    columns: usize,
+    rows: usize,
+    reach: usize,
+}
+
+impl Common {
+    fn of(windows: &[Window]) -> Self {
+        let extent = |start: fn(&Window) -> i64| {
+            let least = windows.iter().map(start).min().unwrap_or(0);
+            let most = windows.iter().map(start).max().unwrap_or(0);
+            (least, most.saturating_sub(least) as usize)
+        };
+        let ((left, wider), (top, higher)) = (extent(|window| window.left), extent(|window| window.top));
+        let reach = windows[0].reach;
+        let (columns, rows) = (reach.saturating_add(wider), reach.saturating_add(higher));
+        Self { image: windows[0].image, left, top, columns, rows, reach }
+    }
+
+    fn is_small(&self) -> bool {
+        self.columns.max(self.rows) <= self.reach + SPREAD
+    }
+
+    fn len(&self) -> usize {
+        self.columns * self.rows
+    }
+
+    /// Where the rectangle's products of a window begin.
+    fn offset(&self, window: &Window) -> usize {
+        (window.top - self.top) as usize * self.columns + (window.left - self.left) as usize
+    }
+
+    /// The products of `count` pixels from `first`, one rectangle after another, zero outside of the level.
+    fn products(
+        &self,
+        isa: Isa,
+        windows: &Windows,
+        first: usize,
+        count: usize,
+        level: &Level,
+        products: &mut Vec<f32>,
+    ) {
+        products.clear();
+        products.resize(count * self.len(), 0.0);
+        let columns = within(self.left, level.width, self.columns);
+        for row in within(self.top, level.height, self.rows) {
+            if columns.is_empty() {
+                return;
+            }
+            let y = (self.top + row as i64) as usize;
+            let x = (self.left + columns.start as i64) as usize;
+            let at = (self.image * level.height + y) * level.width + x;
+            let task = Dots {
+                first: &windows.first[first * windows.channels..][..count * windows.channels],
+                second: &level.features[at * windows.channels..][..columns.len() * windows.channels],
+                channels: windows.channels,
+                step: self.len(),
+            };
+            let out = &mut products[row * self.columns + columns.start..];
+            // SAFETY: `isa` is available.
+            unsafe { dots(isa, &task, out) }
+        }
+    }
+}
+
+/// Which of `reach` positions from `start` lie inside `size`.
+fn within(start: i64, size: usize, reach: usize) -> std::ops::Range<usize> {
+    let low = start.saturating_neg().clamp(0, reach as i64) as usize;
+    let high = (size as i64).saturating_sub(start).clamp(0, reach as i64) as usize;
+    low..high.max(low)
 }
 
 /// Gradient of the first feature map (`[batch, height, width, channels]`) and of each level's features (likewise), from
@@ -146,6 +224,11 @@ impl<'a> Windows<'a> {
         self.levels * (2 * self.radius + 1) * (2 * self.radius + 1)
     }
 
+    /// Entries of a row of a window.
+    fn side(&self) -> usize {
+        2 * self.radius + 1
+    }
+
     /// Whole positions that a window needs in a row: one more than it has entries.
     fn reach(&self) -> usize {
         2 * self.radius + 2
@@ -214,11 +297,6 @@ struct Window {
 impl Window {
     /// The rows, and in each the columns, of the window that lie inside the level.
     fn inside(&self, level: &Level) -> impl Iterator<Item = (usize, std::ops::Range<usize>)> + use<> {
-        let within = |start: i64, size: usize, reach: usize| {
-            let low = start.saturating_neg().clamp(0, reach as i64) as usize;
-            let high = (size as i64).saturating_sub(start).clamp(0, reach as i64) as usize;
-            low..high.max(low)
-        };
         let columns = within(self.left, level.width, self.reach);
         let rows = within(self.top, level.height, self.reach);
         rows.filter(move |_| !columns.is_empty()).map({
@@ -239,14 +317,14 @@ impl Window {
         [(1.0 - x) * (1.0 - y), x * (1.0 - y), (1.0 - x) * y, x * y]
     }
 
-    /// Bilinear samples of the products, in the order of the reference: x is the slower index.
-    fn interpolate(&self, products: &[f32], radius: usize, scale: f32, out: &mut [f32]) {
+    /// Bilinear samples of the products, whose rows are `step` elements apart, in the order of the reference: x is the slower
+    /// index.
+    fn interpolate(&self, products: &[f32], step: usize, scale: f32, out: &mut [f32]) {
         let [a, b, c, d] = self.weights().map(|w| w * scale);
-        let side = 2 * radius + 1;
-        for (i, out) in out.chunks_exact_mut(side).enumerate() {
+        for (i, out) in out.chunks_exact_mut(self.reach - 1).enumerate() {
             for (j, out) in out.iter_mut().enumerate() {
-                let at = j * self.reach + i;
-                let below = at + self.reach;
+                let at = j * step + i;
+                let below = at + step;
                 *out =
                     a * products[at] + b * products[at + 1] + c * products[below] + d * products[below + 1];
             }
@@ -270,14 +348,17 @@ impl Window {
     }
 }
 
-/// A feature of the first image and neighbouring features of the second.
+/// Features of neighbouring pixels of the first image, and of the second.
 struct Dots<'a> {
     first: &'a [f32],
     second: &'a [f32],
+    channels: usize,
+    /// Elements from the products of a pixel of the first image to those of the next.
+    step: usize,
 }
 
 dispatch! {
-    /// The dot product of `first` with each feature of `second`.
+    /// The dot product of each feature of `first` with each of `second`.
     ///
     /// # Safety
     /// `isa` is available.
@@ -286,50 +367,78 @@ dispatch! {
 
 #[inline(always)]
 unsafe fn dots_kernel<S: Simd>(task: &Dots, out: &mut [f32]) {
-    let channels = task.first.len();
-    assert_eq!(task.second.len(), out.len() * channels);
+    let pixels = task.first.len() / task.channels;
+    let positions = task.second.len() / task.channels;
+    assert!(out.len() >= (pixels - 1) * task.step + positions);
     let mut done = 0;
-    // SAFETY: the assertion above: `COUNT` features from `done` lie in `second`.
+    // SAFETY: the assertion above: `COUNT` features from `done` lie in `second`, `PIXELS` in `first`.
     unsafe {
-        while out.len() - done >= 5 {
-            dots_of::<S, 5>(task, done, out);
-            done += 5;
+        if pixels == GROUP {
+            while positions - done >= 4 {
+                dots_of::<S, GROUP, 4>(task, 0, done, out);
+                done += 4;
+            }
+            while done < positions {
+                dots_of::<S, GROUP, 1>(task, 0, done, out);
+                done += 1;
+            }
+            return;
         }
-        while done < out.len() {
-            dots_of::<S, 1>(task, done, out);
-            done += 1;
+        for pixel in 0..pixels {
+            done = 0;
+            while positions - done >= 8 {
+                dots_of::<S, 1, 8>(task, pixel, done, out);
+                done += 8;
+            }
+            while done < positions {
+                dots_of::<S, 1, 1>(task, pixel, done, out);
+                done += 1;
+            }
         }
     }
 }
 
 #[inline(always)]
-unsafe fn dots_of<S: Simd, const COUNT: usize>(task: &Dots, from: usize, out: &mut [f32]) {
-    let channels = task.first.len();
+unsafe fn dots_of<S: Simd, const PIXELS: usize, const COUNT: usize>(
+    task: &Dots,
+    pixel: usize,
+    from: usize,
+    out: &mut [f32],
+) {
+    let channels = task.channels;
     // SAFETY: the caller's promise.
     unsafe {
+        let first = task.first.as_ptr().add(pixel * channels);
         let second = task.second.as_ptr().add(from * channels);
-        let mut sums = [[S::splat(0.0); 2]; COUNT];
+        let mut sums = [[S::splat(0.0); COUNT]; PIXELS];
         let mut c = 0;
-        let mut half = 0;
-        while c < channels {
-            let count = (channels - c).min(S::LANES);
-            let load =
-                |at: *const f32| if count == S::LANES { S::load(at) } else { S::load_first(at, count) };
-            let a = load(task.first.as_ptr().add(c));
-            for (i, sums) in sums.iter_mut().enumerate() {
-                let b = load(second.add(i * channels + c));
-                // Two chains of sums hide the latency of the fused multiply-add.
-                if half == 0 {
-                    sums[0] = S::mul_add(a, b, sums[0])
-                } else {
-                    sums[1] = S::mul_add(a, b, sums[1])
+        while c + S::LANES <= channels {
+            let mut features = [S::splat(0.0); COUNT];
+            for i in 0..COUNT {
+                features[i] = S::load(second.add(i * channels + c));
+            }
+            for p in 0..PIXELS {
+                let a = S::load(first.add(p * channels + c));
+                for i in 0..COUNT {
+                    sums[p][i] = S::mul_add(a, features[i], sums[p][i]);
                 }
             }
-            half ^= 1;
             c += S::LANES;
         }
-        for (i, sums) in sums.iter().enumerate() {
-            out[from + i] = S::sum(S::add(sums[0], sums[1]));
+        if c < channels {
+            let count = channels - c;
+            for p in 0..PIXELS {
+                let a = S::load_first(first.add(p * channels + c), count);
+                for i in 0..COUNT {
+                    let feature = S::load_first(second.add(i * channels + c), count);
+                    sums[p][i] = S::mul_add(a, feature, sums[p][i]);
+                }
+            }
+        }
+        for p in 0..PIXELS {
+            for i in 0..COUNT {
+                out[(pixel + p) * task.step + from + i] = S::sum(sums[p][i]);
+            }
         }
     }
 }

@@ -214,10 +214,12 @@ impl<B: DepthwiseOps + DepthwiseGradOps, C: CheckpointStrategy> DepthwiseOps for
 /// Depthwise convolution of `input` (`[batch, channels, height, width]`) with `weight`
 /// (`[channels, 1, kernel_height, kernel_width]`), with stride 1 and `padding` zeros above and below, left and right.
 ///
-/// Panics when the sizes do not fit each other.
+/// Panics when the sizes do not fit each other or the padding is not smaller than the kernel.
 pub fn depthwise(input: Tensor<4>, weight: Tensor<4>, finish: Finish, padding: [usize; 2]) -> Tensor<4> {
     let shape = shape_of(&input.shape(), &weight.shape(), padding);
     assert_eq!(weight.dims()[..2], [shape.channels, 1], "depthwise: a kernel for each channel");
+    let smaller = shape.padding.iter().zip(shape.kernel).all(|(&padding, kernel)| padding < kernel);
+    assert!(smaller, "depthwise: padding smaller than the kernel: {shape:?}");
     let [height, width] = shape.output();
     assert!(height > 0 && width > 0, "depthwise: the kernel does not fit the input: {shape:?}");
     let activation = finish.activation;

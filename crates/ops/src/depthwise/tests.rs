@@ -4,7 +4,9 @@ use super::*;
 use crate::activation::Activation;
 use crate::conv2d::Epilogue;
 use crate::simd::Isa;
-use crate::test_values::values;
+use crate::test_values::{assert_close, values};
+
+const TOLERANCE: f32 = 2e-6;
 
 fn shape(channels: usize, input: [usize; 2], kernel: [usize; 2], padding: [usize; 2]) -> DepthwiseShape {
     DepthwiseShape { batch: 2, channels, input, kernel, padding }
@@ -21,17 +23,6 @@ fn shapes() -> Vec<DepthwiseShape> {
     ]
 }
 
-fn assert_close(what: &str, shape: &DepthwiseShape, isa: Isa, found: &[f32], expected: &[f32]) {
-    assert_eq!(found.len(), expected.len(), "{what} {shape:?}");
-    let scale = expected.iter().fold(1.0_f32, |m, x| m.max(x.abs()));
-    for (i, (found, expected)) in found.iter().zip(expected).enumerate() {
-        assert!(
-            (found - expected).abs() <= 2e-6 * scale,
-            "{what} {isa:?} {shape:?} [{i}]: {found} for {expected}"
-        );
-    }
-}
-
 #[test]
 fn each_instruction_set_computes_the_definition() {
     for shape in shapes() {
@@ -46,17 +37,12 @@ fn each_instruction_set_computes_the_definition() {
         let d_input = reference::depthwise_backward_input(&grad, &weight, &shape);
         let d_weight = reference::depthwise_backward_weight(&input, &grad, &shape);
         for isa in Isa::available() {
-            assert_close(
-                "output",
-                &shape,
-                isa,
-                &depthwise_with(isa, &input, &weight, &epilogue, &shape),
-                &out,
-            );
-            let found = backward_input_with(isa, &grad, &weight, &shape);
-            assert_close("input gradient", &shape, isa, &found, &d_input);
-            let found = backward_weight_with(isa, &input, &grad, &shape);
-            assert_close("weight gradient", &shape, isa, &found, &d_weight);
+            let check = |what: &str, found: &[f32], expected: &[f32]| {
+                assert_close(&format!("{what}, {isa:?}, {shape:?}"), found, expected, TOLERANCE);
+            };
+            check("output", &depthwise_with(isa, &input, &weight, &epilogue, &shape), &out);
+            check("input gradient", &backward_input_with(isa, &grad, &weight, &shape), &d_input);
+            check("weight gradient", &backward_weight_with(isa, &input, &grad, &shape), &d_weight);
         }
     }
 }

@@ -1,0 +1,491 @@
+//! Convolution with small kernels by fewer multiplications (Winograd 1980; Lavin and Gray 2016): four outputs in a row
+//! cost 6 products for 3 taps instead of 12, and 8 for 5 taps instead of 20.
+//!
+//! Tiles of the input are transformed, multiplied position by position (one product of matrices over the channels for
+//! each of 36 or 8 positions), and transformed back. A block of tiles goes all the way before the next begins.
+
+use rayon::prelude::*;
+
+use super::{Conv2dShape, Epilogue};
+use crate::activation::Activation;
+use crate::gemm::{Product, Start, Steps, multiply, pack_rows, panel_columns};
+use crate::shared_mut::SharedMut;
+use crate::simd::{Isa, Simd, dispatch};
+
+mod transforms;
+
+use transforms::{OUTPUTS, WEIGHTS_3, WEIGHTS_5, input_3, input_5, output_3, output_5};
+
+/// Fewer channels are not worth the transforms.
+const FEWEST_CHANNELS: usize = 16;
+
+/// Which dimensions are transformed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Scheme {
+    /// 3x3.
+    Square,
+    /// 1x5.
+    Row,
+    /// 5x1.
+    Column,
+}
+
+impl Scheme {
+    /// The scheme for a convolution, if there is one.
+    pub(super) fn of(shape: &Conv2dShape) -> Option<Self> {
+        if shape.stride != [1, 1] || shape.in_channels.min(shape.out_channels) < FEWEST_CHANNELS {
+            return None;
+        }
+        match shape.kernel {
+            [3, 3] => Some(Scheme::Square),
+            [1, 5] => Some(Scheme::Row),
+            [5, 1] => Some(Scheme::Column),
+            _ => None,
+        }
+    }
+
+    /// Height and width of a tile's output.
+    fn tile(self) -> [usize; 2] {
+        match self {
+            Scheme::Square => [OUTPUTS, OUTPUTS],
+            Scheme::Row => [1, OUTPUTS],
+            Scheme::Column => [OUTPUTS, 1],
+        }
+    }
+
+    /// Positions of a transformed tile, down and across.
+    fn positions(self) -> [usize; 2] {
+        match self {
+            Scheme::Square => [WEIGHTS_3.len(), WEIGHTS_3.len()],
+            Scheme::Row => [1, WEIGHTS_5.len()],
+            Scheme::Column => [WEIGHTS_5.len(), 1],
+        }
+    }
+
+    /// The transformed weights, for each position in the order of [`pack_rows`].
+    pub(super) fn pack(self, isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
+        let pairs = shape.out_channels * shape.in_channels;
+        let [down, across] = self.positions();
+        let mut packed = vec![0.0; down * across * pairs];
+        packed.par_chunks_mut(pairs).enumerate().for_each(|(position, packed)| {
+            let factors: Vec<f64> = match self {
+                Scheme::Square => {
+                    let (rows, columns) = (WEIGHTS_3[position / across], WEIGHTS_3[position % across]);
+                    rows.iter().flat_map(|row| columns.iter().map(move |column| row * column)).collect()
+                }
+                Scheme::Row | Scheme::Column => WEIGHTS_5[position].to_vec(),
+            };
+            let transformed: Vec<f32> = weight
+                .chunks_exact(factors.len())
+                .map(|taps| {
+                    taps.iter().zip(&factors).map(|(&w, factor)| f64::from(w) * factor).sum::<f64>() as f32
+                })
+                .collect();
+            pack_rows(isa, &transformed, shape.in_channels, packed);
+        });
+        packed
+    }
+}
+
+/// [`super::conv2d`] with weights from [`Scheme::pack`].
+pub(super) fn convolve(
+    isa: Isa,
+    scheme: Scheme,
+    input: &[f32],
+    packed: &[f32],
+    epilogue: &Epilogue,
+    shape: &Conv2dShape,
+) -> Vec<f32> {
+    let [height, width] = shape.output();
+    let [down, across] = scheme.positions();
+    let positions = down * across;
+    let [tile_height, tile_width] = scheme.tile();
+    let grid = [height.div_ceil(tile_height), width.div_ceil(tile_width)];
+    let panel = panel_columns(isa);
+    let panels = (grid[0] * grid[1]).div_ceil(panel);
+    let source = SourceRows::new(isa, scheme, shape);
+    let fill = |target: SharedMut| {
+        let scratch = || Scratch {
+            source: vec![0.0; source.rows * source.row],
+            transformed: vec![0.0; positions * shape.in_channels * panel],
+            products: vec![0.0; positions * shape.out_channels * panel + isa.lanes()],
+        };
+        (0..shape.batch * panels).into_par_iter().for_each_init(scratch, |scratch, task| {
+            let (n, first) = (task / panels, task % panels * panel);
+            let tiles = panel.min(grid[0] * grid[1] - first);
+            let runs = runs(first, tiles, grid[1]);
+            let plane = shape.input[0] * shape.input[1];
+            for channel in 0..shape.in_channels {
+                let plane = &input[(n * shape.in_channels + channel) * plane..][..plane];
+                let task = InputTask {
+                    scheme,
+                    source: &source,
+                    top: first / grid[1] * tile_height,
+                    plane,
+                    size: shape.input,
+                    padding: shape.padding,
+                    runs: &runs,
+                    grid_row: first / grid[1],
+                    out_step: shape.in_channels * panel,
+                };
+                let out = &mut scratch.transformed[channel * panel..];
+                // SAFETY: `isa` is available; the source holds the rows of every run, the output every position.
+                unsafe { transform_input(isa, &task, &mut scratch.source, out) }
+            }
+            for position in 0..positions {
+                let pairs = shape.in_channels * shape.out_channels;
+                let product = Product {
+                    left: packed[position * pairs..][..pairs].as_ptr(),
+                    rows: shape.out_channels,
+                    depth: shape.in_channels,
+                    right: scratch.transformed[position * shape.in_channels * panel..].as_ptr(),
+                    right_panel: 0,
+                    start: Start::Zero,
+                    add: None,
+                    activation: Activation::Identity,
+                    out: scratch.products[position * shape.out_channels * panel..].as_mut_ptr(),
+                    out_steps: Steps { row: panel, panel: 0 },
+                    columns: tiles,
+                };
+                // SAFETY: `isa` is available; both sides are whole panels.
+                unsafe { multiply(isa, &product) }
+            }
+            for channel in 0..shape.out_channels {
+                let at = (n * shape.out_channels + channel) * height * width;
+                let task = OutputTask {
+                    scheme,
+                    products: &scratch.products[channel * panel..],
+                    step: shape.out_channels * panel,
+                    runs: &runs,
+                    size: [height, width],
+                    bias: epilogue.bias.map_or(0.0, |bias| bias[channel]),
+                    residual: epilogue.residual.map(|residual| &residual[at..at + height * width]),
+                    activation: epilogue.activation,
+                    // SAFETY: inside; of this channel this task alone writes the tiles of its runs.
+                    out: unsafe { target.at(at) },
+                };
+                // SAFETY: `isa` is available; the products hold every position, the output the channel's plane.
+                unsafe { transform_output(isa, &task) }
+            }
+        });
+    };
+    // SAFETY: the panels cover every tile, and each tile's outputs that are inside are written.
+    unsafe { SharedMut::fill_new(shape.output_len(), fill) }
+}
+
+struct Scratch {
+    source: Vec<f32>,
+    transformed: Vec<f32>,
+    products: Vec<f32>,
+}
+
+/// Neighbouring tiles of one row of tiles.
+#[derive(Debug, Clone, Copy)]
+struct Run {
+    /// Number of the first tile within the panel.
+    at: usize,
+    row: usize,
+    column: usize,
+    len: usize,
+}
+
+/// The runs of `tiles` tiles from `first`, in a grid of `columns`.
+fn runs(first: usize, tiles: usize, columns: usize) -> Vec<Run> {
+    let mut runs = Vec::new();
+    let mut at = 0;
+    while at < tiles {
+        let (row, column) = ((first + at) / columns, (first + at) % columns);
+        let len = (columns - column).min(tiles - at);
+        runs.push(Run { at, row, column, len });
+        at += len;
+    }
+    runs
+}
+
+/// A band of one channel's rows with a border of zeros. Where tiles lie side by side, each row holds every fourth column,
+/// then those one further, and so on, so that the same position of neighbouring tiles is in neighbouring elements.
+struct SourceRows {
+    rows: usize,
+    row: usize,
+    /// Elements from the columns of one remainder modulo 4 to those of the next; 0 where all stand in order.
+    phase: usize,
+}
+
+impl SourceRows {
+    fn new(isa: Isa, scheme: Scheme, shape: &Conv2dShape) -> Self {
+        let [height, width] = shape.output();
+        let [tile_height, tile_width] = scheme.tile();
+        let columns = width.div_ceil(tile_width);
+        // A panel's tiles touch this many rows of tiles at most.
+        let tile_rows = ((panel_columns(isa) - 1).div_ceil(columns) + 1).min(height.div_ceil(tile_height));
+        let rows = tile_rows * tile_height + shape.kernel[0] - 1;
+        let lanes = isa.lanes();
+        let padded = shape.input[1] + 2 * shape.padding[1];
+        // Beyond the border there is room for what is read and written by whole vectors.
+        if tile_width == 1 {
+            return Self { rows, row: padded.next_multiple_of(lanes) + 2 * lanes, phase: 0 };
+        }
+        let phase = padded.div_ceil(OUTPUTS).next_multiple_of(lanes) + 2 * lanes;
+        Self { rows, row: OUTPUTS * phase, phase }
+    }
+}
+
+struct InputTask<'a> {
+    scheme: Scheme,
+    source: &'a SourceRows,
+    /// The first row of the band, with the border.
+    top: usize,
+    plane: &'a [f32],
+    size: [usize; 2],
+    padding: [usize; 2],
+    runs: &'a [Run],
+    /// The row of tiles that the band begins with.
+    grid_row: usize,
+    /// Elements from a position to the next.
+    out_step: usize,
+}
+
+dispatch! {
+    /// Fills the band `rows` and transforms the tiles of the runs.
+    ///
+    /// # Safety
+    /// `isa` is available; `rows` is as long as the task's [`SourceRows`] say, its borders zero or from an earlier call;
+    /// `out` holds every position.
+    fn transform_input = transform_input_kernel(task: &InputTask, rows: &mut [f32], out: &mut [f32])
+}
+
+#[inline(always)]
+unsafe fn transform_input_kernel<S: Simd>(task: &InputTask, rows: &mut [f32], out: &mut [f32]) {
+    let source = task.source;
+    let [tile_height, _] = task.scheme.tile();
+    let last = task.runs.last().map_or(0, |run| run.row - task.grid_row);
+    let used = (last + 1) * tile_height + task.scheme.reach();
+    for (i, row) in rows.chunks_exact_mut(source.row).take(used).enumerate() {
+        match (task.top + i).checked_sub(task.padding[0]).filter(|&y| y < task.size[0]) {
+            // SAFETY: the caller's promise: a row has room for whole vectors beyond the border.
+            Some(y) => unsafe {
+                fill_row::<S>(
+                    &task.plane[y * task.size[1]..][..task.size[1]],
+                    task.padding[1],
+                    source.phase,
+                    row,
+                )
+            },
+            None => row.fill(0.0),
+        }
+    }
+    for run in task.runs {
+        let top = (run.row - task.grid_row) * tile_height * source.row;
+        for x in (0..run.len).step_by(S::LANES) {
+            let lanes = S::LANES.min(run.len - x);
+            // SAFETY: the caller's promise.
+            unsafe {
+                let from = rows.as_ptr().add(top + run.column + x);
+                let to = out.as_mut_ptr().add(run.at + x);
+                match task.scheme {
+                    Scheme::Square => {
+                        let mut down = [[S::splat(0.0); 6]; 6];
+                        for x in 0..6 {
+                            let from = from.add(x % OUTPUTS * source.phase + x / OUTPUTS);
+                            let mut column = [S::splat(0.0); 6];
+                            for (y, v) in column.iter_mut().enumerate() {
+                                *v = S::load(from.add(y * source.row));
+                            }
+                            let column = input_3::<S>(column);
+                            for y in 0..6 {
+                                down[y][x] = column[y];
+                            }
+                        }
+                        for (y, row) in down.into_iter().enumerate() {
+                            store_positions::<S, 6>(
+                                to.add(6 * y * task.out_step),
+                                task.out_step,
+                                lanes,
+                                input_3::<S>(row),
+                            );
+                        }
+                    }
+                    Scheme::Row => {
+                        let mut row = [S::splat(0.0); 8];
+                        for (x, v) in row.iter_mut().enumerate() {
+                            *v = S::load(from.add(x % OUTPUTS * source.phase + x / OUTPUTS));
+                        }
+                        store_positions::<S, 8>(to, task.out_step, lanes, input_5::<S>(row));
+                    }
+                    Scheme::Column => {
+                        let mut column = [S::splat(0.0); 8];
+                        for (y, v) in column.iter_mut().enumerate() {
+                            *v = S::load(from.add(y * source.row));
+                        }
+                        store_positions::<S, 8>(to, task.out_step, lanes, input_5::<S>(column));
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn store_positions<S: Simd, const N: usize>(
+    to: *mut f32,
+    step: usize,
+    lanes: usize,
+    v: [S::Vector; N],
+) {
+    for (position, v) in v.into_iter().enumerate() {
+        // SAFETY: the caller's promise.
+        unsafe {
+            let to = to.add(position * step);
+            if lanes == S::LANES { S::store(to, v) } else { S::store_first(to, v, lanes) }
+        }
+    }
+}
+
+impl Scheme {
+    /// Input rows that a tile needs beyond its output's.
+    fn reach(self) -> usize {
+        match self {
+            Scheme::Square => 2,
+            Scheme::Row => 0,
+            Scheme::Column => 4,
+        }
+    }
+}
+
+/// Copies a row behind `padding` zeros, in the order of [`SourceRows`].
+#[inline(always)]
+unsafe fn fill_row<S: Simd>(from: &[f32], padding: usize, phase: usize, to: &mut [f32]) {
+    if phase == 0 {
+        to[padding..padding + from.len()].copy_from_slice(from);
+        return;
+    }
+    for (block, from) in from.chunks(OUTPUTS * S::LANES).enumerate() {
+        // SAFETY: vectors end at the chunk's end; the row has room for the zeros beyond.
+        unsafe {
+            let mut v = [S::splat(0.0); OUTPUTS];
+            for (i, v) in v.iter_mut().enumerate() {
+                let count = from.len().saturating_sub(i * S::LANES).min(S::LANES);
+                if count > 0 {
+                    *v = S::load_first(from[i * S::LANES..].as_ptr(), count);
+                }
+            }
+            for (remainder, v) in S::deinterleave(v).into_iter().enumerate() {
+                let column = remainder + padding;
+                let at = column % OUTPUTS * phase + column / OUTPUTS + block * S::LANES;
+                S::store(to[at..at + S::LANES].as_mut_ptr(), v);
+            }
+        }
+    }
+}
+
+struct OutputTask<'a> {
+    scheme: Scheme,
+    products: &'a [f32],
+    /// Elements from a position to the next.
+    step: usize,
+    runs: &'a [Run],
+    size: [usize; 2],
+    bias: f32,
+    residual: Option<&'a [f32]>,
+    activation: Activation,
+    out: *mut f32,
+}
+
+dispatch! {
+    /// Transforms products back and finishes the sums of one channel.
+    ///
+    /// # Safety
+    /// `isa` is available; the products hold every position, the output a plane that no other thread writes these tiles of.
+    fn transform_output = transform_output_kernel(task: &OutputTask)
+}
+
+#[inline(always)]
+unsafe fn transform_output_kernel<S: Simd>(task: &OutputTask) {
+    let [height, width] = task.size;
+    let [tile_height, tile_width] = task.scheme.tile();
+    // SAFETY: the caller's promise; only what lies inside the plane is stored.
+    unsafe {
+        for run in task.runs {
+            for tile in (0..run.len).step_by(S::LANES) {
+                let lanes = S::LANES.min(run.len - tile);
+                let from = task.products.as_ptr().add(run.at + tile);
+                let (y, x) = (run.row * tile_height, (run.column + tile) * tile_width);
+                // The columns that these tiles have; the vectors may reach into tiles of other runs.
+                let end = width.min(x + lanes * tile_width);
+                match task.scheme {
+                    Scheme::Square => {
+                        let mut across = [[S::splat(0.0); 6]; OUTPUTS];
+                        for p in 0..6 {
+                            let column = load_positions::<S, 6>(from.add(p * task.step), 6 * task.step);
+                            let column = output_3::<S>(column);
+                            for i in 0..OUTPUTS {
+                                across[i][p] = column[i];
+                            }
+                        }
+                        for (i, row) in across.into_iter().enumerate() {
+                            if y + i < height {
+                                finish_row::<S>(task, y + i, x, end, output_3::<S>(row));
+                            }
+                        }
+                    }
+                    Scheme::Row => {
+                        let row = output_5::<S>(load_positions::<S, 8>(from, task.step));
+                        finish_row::<S>(task, y, x, end, row);
+                    }
+                    Scheme::Column => {
+                        let column = output_5::<S>(load_positions::<S, 8>(from, task.step));
+                        for (i, v) in column.into_iter().enumerate() {
+                            if y + i < height {
+                                finish::<S>(task, y + i, x, end, v);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn load_positions<S: Simd, const N: usize>(from: *const f32, step: usize) -> [S::Vector; N] {
+    // SAFETY: the caller's promise; products have room for a vector beyond the last tile.
+    unsafe {
+        let mut v = [S::splat(0.0); N];
+        for (position, v) in v.iter_mut().enumerate() {
+            *v = S::load(from.add(position * step));
+        }
+        v
+    }
+}
+
+/// Finishes and stores the outputs of neighbouring tiles in a row.
+#[inline(always)]
+unsafe fn finish_row<S: Simd>(task: &OutputTask, y: usize, x: usize, end: usize, row: [S::Vector; OUTPUTS]) {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let row = S::interleave(row);
+        for i in 0..OUTPUTS {
+            finish::<S>(task, y, x + i * S::LANES, end, row[i]);
+        }
+    }
+}
+
+/// Finishes and stores the columns from `x`, up to `end`, of row `y`.
+#[inline(always)]
+unsafe fn finish<S: Simd>(task: &OutputTask, y: usize, x: usize, end: usize, v: S::Vector) {
+    if x >= end {
+        return;
+    }
+    let lanes = S::LANES.min(end - x);
+    let at = y * task.size[1] + x;
+    // SAFETY: inside the plane.
+    unsafe {
+        let mut v = S::add(v, S::splat(task.bias));
+        if let Some(residual) = task.residual {
+            v = S::add(v, S::load_first(residual.as_ptr().add(at), lanes));
+        }
+        let v = task.activation.apply::<S>(v);
+        let to = task.out.add(at);
+        if lanes == S::LANES { S::store(to, v) } else { S::store_first(to, v, lanes) }
+    }
+}

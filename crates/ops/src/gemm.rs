@@ -1,0 +1,218 @@
+//! Products of matrices: the inner loop of pointwise convolution, of Winograd's convolution and of attention.
+//!
+//! The right side comes in panels, blocks of [`VECTORS`] vectors of columns of all its rows, one row after another. So
+//! every address is read in order, and what a register tile needs lies in the first cache levels.
+
+use crate::activation::Activation;
+use crate::simd::{Isa, MOST_LANES, Simd, dispatch};
+
+/// Vectors of a panel's row.
+const VECTORS: usize = 3;
+/// [`Simd::TILE_ROWS`] at most.
+const MOST_ROWS: usize = 8;
+
+/// Columns of a panel.
+pub(crate) fn panel_columns(isa: Isa) -> usize {
+    VECTORS * isa.lanes()
+}
+
+/// Puts a left side `[rows, depth]` into the order of [`Product::left`]: blocks of a register tile's rows (fewer in the
+/// last), each `[depth, rows of the block]`.
+pub(crate) fn pack_rows(isa: Isa, matrix: &[f32], depth: usize, packed: &mut [f32]) {
+    let block = isa.tile_rows();
+    assert_eq!(matrix.len(), packed.len());
+    if packed.is_empty() {
+        return;
+    }
+    for (to, from) in packed.chunks_mut(block * depth).zip(matrix.chunks(block * depth)) {
+        let rows = from.len() / depth;
+        for (row, values) in from.chunks_exact(depth).enumerate() {
+            for (i, &value) in values.iter().enumerate() {
+                to[i * rows + row] = value;
+            }
+        }
+    }
+}
+
+/// What the sums of a [`Product`] start from.
+#[derive(Clone, Copy)]
+pub(crate) enum Start {
+    Zero,
+    /// A number for each row.
+    PerRow(*const f32),
+    /// What stands in the output.
+    Output,
+}
+
+/// A matrix in memory: elements from a row to the next, and from a panel to the next.
+#[derive(Clone, Copy)]
+pub(crate) struct Steps {
+    pub(crate) row: usize,
+    pub(crate) panel: usize,
+}
+
+/// `out = activation(start + left * right + add)`, column by column of one or more panels.
+pub(crate) struct Product {
+    /// As [`pack_rows`] orders it.
+    pub(crate) left: *const f32,
+    pub(crate) rows: usize,
+    pub(crate) depth: usize,
+    /// Rows of whole panels.
+    pub(crate) right: *const f32,
+    /// Elements from a panel to the next.
+    pub(crate) right_panel: usize,
+    pub(crate) start: Start,
+    pub(crate) add: Option<(*const f32, Steps)>,
+    pub(crate) activation: Activation,
+    pub(crate) out: *mut f32,
+    pub(crate) out_steps: Steps,
+    /// Columns of all panels together; only the last may lack some, and they are not written.
+    pub(crate) columns: usize,
+}
+
+dispatch! {
+    /// Computes one [`Product`].
+    ///
+    /// # Safety
+    /// `isa` is available; every address that the product names can be read or written; no other thread writes them.
+    pub(crate) fn multiply = multiply_kernel(product: &Product)
+}
+
+#[inline(always)]
+unsafe fn multiply_kernel<S: Simd>(product: &Product) {
+    let width = VECTORS * S::LANES;
+    let mut first = 0;
+    while first < product.rows {
+        let rows = S::TILE_ROWS.min(product.rows - first);
+        for panel in 0..product.columns.div_ceil(width) {
+            // A block of the left side stays in the first-level cache while the panels pass by.
+            let columns = width.min(product.columns - panel * width);
+            macro_rules! by_rows {
+                ($($rows:literal)*) => {
+                    match rows {
+                        // SAFETY: the caller's promise, passed on.
+                        $($rows => unsafe { tile::<S, $rows>(product, first, panel, columns) },)*
+                        _ => unreachable!("a tile has 1 to 8 rows"),
+                    }
+                };
+            }
+            by_rows!(1 2 3 4 5 6 7 8)
+        }
+        first += rows;
+    }
+}
+
+/// A register tile's values on their way from the sums to the output.
+#[repr(align(64))]
+struct Tile([f32; MOST_ROWS * VECTORS * MOST_LANES]);
+
+#[inline(always)]
+unsafe fn tile<S: Simd, const ROWS: usize>(product: &Product, first: usize, panel: usize, columns: usize) {
+    let mut tile = Tile([0.0; MOST_ROWS * VECTORS * MOST_LANES]);
+    // SAFETY: the caller's promise; a tile holds the rows' vectors.
+    unsafe {
+        let at = |steps: Steps| first * steps.row + panel * steps.panel;
+        let out = product.out.add(at(product.out_steps));
+        let values = tile.0.as_mut_ptr();
+        match product.start {
+            Start::Zero => {}
+            Start::PerRow(start) => {
+                for i in 0..ROWS * VECTORS {
+                    S::store(values.add(i * S::LANES), S::splat(*start.add(first + i / VECTORS)));
+                }
+            }
+            Start::Output => {
+                each_vector::<S, ROWS>(columns, |i, row, x, lanes| {
+                    let value = S::load_first(out.add(row * product.out_steps.row + x), lanes);
+                    S::store(values.add(i * S::LANES), value);
+                });
+            }
+        }
+        let left = product.left.add(first * product.depth);
+        let right = product.right.add(panel * product.right_panel);
+        match columns.div_ceil(S::LANES) {
+            1 => accumulate::<S, ROWS, 1>(left, right, product.depth, values),
+            2 => accumulate::<S, ROWS, 2>(left, right, product.depth, values),
+            _ => accumulate::<S, ROWS, VECTORS>(left, right, product.depth, values),
+        }
+        if let Some((add, steps)) = product.add {
+            let add = add.add(at(steps));
+            each_vector::<S, ROWS>(columns, |i, row, x, lanes| {
+                let value = S::load_first(add.add(row * steps.row + x), lanes);
+                let values = values.add(i * S::LANES);
+                S::store(values, S::add(S::load(values), value));
+            });
+        }
+        macro_rules! apply {
+            ($($activation:ident)*) => {
+                // Chosen once for the tile, not once for each vector.
+                match product.activation {
+                    Activation::Identity => {}
+                    $(Activation::$activation => {
+                        for i in 0..ROWS * VECTORS {
+                            let values = values.add(i * S::LANES);
+                            S::store(values, Activation::$activation.apply::<S>(S::load(values)));
+                        }
+                    })*
+                }
+            };
+        }
+        apply!(Relu Gelu Tanh Sigmoid);
+        each_vector::<S, ROWS>(columns, |i, row, x, lanes| {
+            let value = S::load(values.add(i * S::LANES));
+            let to = out.add(row * product.out_steps.row + x);
+            if lanes == S::LANES { S::store(to, value) } else { S::store_first(to, value, lanes) }
+        });
+    }
+}
+
+/// Calls `of(number, row, column, lanes)` for each vector of a tile that has columns.
+#[inline(always)]
+fn each_vector<S: Simd, const ROWS: usize>(columns: usize, mut of: impl FnMut(usize, usize, usize, usize)) {
+    for row in 0..ROWS {
+        for v in 0..VECTORS {
+            let x = v * S::LANES;
+            if x < columns {
+                of(row * VECTORS + v, row, x, S::LANES.min(columns - x));
+            }
+        }
+    }
+}
+
+/// `values += left * right` for the first `V` vectors of each row, in registers all the while.
+#[inline(always)]
+unsafe fn accumulate<S: Simd, const ROWS: usize, const V: usize>(
+    mut left: *const f32,
+    mut right: *const f32,
+    depth: usize,
+    values: *mut f32,
+) {
+    // SAFETY: the caller's promise.
+    unsafe {
+        let mut sums = [[S::splat(0.0); V]; ROWS];
+        for row in 0..ROWS {
+            for v in 0..V {
+                sums[row][v] = S::load(values.add((row * VECTORS + v) * S::LANES));
+            }
+        }
+        for _ in 0..depth {
+            let mut columns = [S::splat(0.0); V];
+            for v in 0..V {
+                columns[v] = S::load(right.add(v * S::LANES));
+            }
+            for row in 0..ROWS {
+                let weight = S::splat(*left.add(row));
+                for v in 0..V {
+                    sums[row][v] = S::mul_add(weight, columns[v], sums[row][v]);
+                }
+            }
+            left = left.add(ROWS);
+            right = right.add(VECTORS * S::LANES);
+        }
+        for row in 0..ROWS {
+            for v in 0..V {
+                S::store(values.add((row * VECTORS + v) * S::LANES), sums[row][v]);
+            }
+        }
+    }
+}

@@ -1,0 +1,95 @@
+//! Weights in the order that the kernels read them, kept from one call to the next.
+
+use std::any::Any;
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+
+use burn::backend::TensorMetadata;
+use burn::backend::flex::FlexTensor;
+
+use crate::flex::Contiguous;
+
+/// Keeps what was last made of a weight, for as long as the weight stays the same tensor.
+///
+/// One cache belongs to one use of one weight. Clones share what is kept; with another weight the cache works, but has to
+/// make everything anew.
+#[derive(Clone, Default)]
+pub struct WeightCache(Arc<Mutex<Option<Kept>>>);
+
+struct Kept {
+    /// The weight's memory. A weak reference is enough to tell it from any other, and while there is one, the memory is
+    /// neither changed in place nor taken for something else.
+    source: Weak<dyn Any + Send + Sync>,
+    start: usize,
+    shape: Vec<usize>,
+    made: Arc<Vec<f32>>,
+}
+
+impl fmt::Debug for WeightCache {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("WeightCache")
+    }
+}
+
+impl WeightCache {
+    /// What `make` makes of the weight's elements, or made of them before.
+    pub(crate) fn get(&self, weight: &FlexTensor, make: impl FnOnce(&[f32]) -> Vec<f32>) -> Arc<Vec<f32>> {
+        let start = weight.layout().start_offset();
+        let shape = weight.shape().to_vec();
+        let memory: Arc<dyn Any + Send + Sync> = weight.data_arc();
+        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if weight.is_contiguous()
+            && let Some(kept) = &*kept
+            && std::ptr::addr_eq(kept.source.as_ptr(), Arc::as_ptr(&memory))
+            && kept.start == start
+            && kept.shape == shape
+        {
+            return kept.made.clone();
+        }
+        let made = Arc::new(make(Contiguous::new(weight).slice()));
+        *kept = weight.is_contiguous().then(|| Kept {
+            source: Arc::downgrade(&memory),
+            start,
+            shape,
+            made: made.clone(),
+        });
+        made
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::TensorData;
+
+    use super::*;
+
+    fn weight(values: [f32; 4]) -> FlexTensor {
+        FlexTensor::from_data(TensorData::new(values.to_vec(), [2, 2]))
+    }
+
+    #[test]
+    fn a_weight_is_made_once_until_it_changes() {
+        let cache = WeightCache::default();
+        let mut first = weight([1., 2., 3., 4.]);
+        let twice = |values: &[f32]| values.iter().map(|x| 2.0 * x).collect();
+        assert_eq!(*cache.get(&first, twice), [2., 4., 6., 8.]);
+        let not_again = |_: &[f32]| unreachable!("the weight is the same");
+        assert_eq!(*cache.clone().get(&first.clone(), not_again), [2., 4., 6., 8.]);
+
+        first.storage_mut::<f32>()[0] = 5.0;
+        assert_eq!(*cache.get(&first, twice), [10., 4., 6., 8.]);
+        drop(first);
+        assert_eq!(*cache.get(&weight([0., 1., 0., 1.]), twice), [0., 2., 0., 2.]);
+    }
+
+    #[test]
+    fn views_of_one_memory_are_told_apart() {
+        let cache = WeightCache::default();
+        let whole = weight([1., 2., 3., 4.]);
+        let copy = |values: &[f32]| values.to_vec();
+        assert_eq!(*cache.get(&whole.narrow(0, 0, 1), copy), [1., 2.]);
+        assert_eq!(*cache.get(&whole.narrow(0, 1, 1), copy), [3., 4.]);
+        assert_eq!(*cache.get(&whole.transpose(0, 1), copy), [1., 3., 2., 4.]);
+        assert_eq!(*cache.get(&whole, copy), [1., 2., 3., 4.]);
+    }
+}

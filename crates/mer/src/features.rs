@@ -6,6 +6,8 @@ use srflow_field::Plane;
 /// Width and height of the feature maps, in pixels.
 pub const FEATURE_SIDE: usize = 112;
 
+const AREA: usize = FEATURE_SIDE * FEATURE_SIDE;
+
 /// What feature maps show, in the order in which they lie in [`Features::values`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Channel {
@@ -32,6 +34,12 @@ pub enum FeatureError {
         /// Its width and height.
         size: (usize, usize),
     },
+    /// There are more or fewer values than three maps have.
+    #[error("{found} values, expected 3 x {FEATURE_SIDE} x {FEATURE_SIDE}")]
+    Length {
+        /// How many there are.
+        found: usize,
+    },
     /// A value is infinite or not a number.
     #[error("feature map {channel:?} holds a value that is not finite at pixel ({x}, {y})")]
     NotFinite {
@@ -46,7 +54,7 @@ pub enum FeatureError {
 
 impl Features {
     /// Length of [`values`](Self::values).
-    pub const LEN: usize = 3 * FEATURE_SIDE * FEATURE_SIDE;
+    pub const LEN: usize = 3 * AREA;
 
     /// Puts the three maps together.
     ///
@@ -58,10 +66,23 @@ impl Features {
             if plane.size() != (FEATURE_SIDE, FEATURE_SIDE) {
                 return Err(FeatureError::Size { channel, size: plane.size() });
             }
-            if let Some(at) = plane.pixels().iter().position(|value| !value.is_finite()) {
-                return Err(FeatureError::NotFinite { channel, x: at % FEATURE_SIDE, y: at / FEATURE_SIDE });
-            }
             values.extend_from_slice(plane.pixels());
+        }
+        Self::from_values(values)
+    }
+
+    /// Takes `[3, 112, 112]` values, row-major.
+    ///
+    /// # Errors
+    /// When there are more or fewer, or one of them is not finite.
+    pub fn from_values(values: Vec<f32>) -> Result<Self, FeatureError> {
+        if values.len() != Self::LEN {
+            return Err(FeatureError::Length { found: values.len() });
+        }
+        if let Some(at) = values.iter().position(|value| !value.is_finite()) {
+            let channel = [Channel::U, Channel::V, Channel::Strain][at / AREA];
+            let (x, y) = (at % FEATURE_SIDE, at % AREA / FEATURE_SIDE);
+            return Err(FeatureError::NotFinite { channel, x, y });
         }
         Ok(Self(values.into()))
     }
@@ -73,8 +94,13 @@ impl Features {
 
     /// One map, `[112, 112]`, row-major.
     pub fn channel(&self, channel: Channel) -> &[f32] {
-        const AREA: usize = FEATURE_SIDE * FEATURE_SIDE;
         &self.0[channel as usize * AREA..][..AREA]
+    }
+
+    /// One map as a plane of 112x112.
+    pub fn plane(&self, channel: Channel) -> Plane {
+        let values = self.channel(channel);
+        Plane::from_fn(FEATURE_SIDE, FEATURE_SIDE, |x, y| values[y * FEATURE_SIDE + x])
     }
 }
 
@@ -116,5 +142,6 @@ mod tests {
         broken.set(7, 3, f32::NAN);
         let error = Features::new(&plane, &plane, &broken).unwrap_err();
         assert_eq!(error, FeatureError::NotFinite { channel: Channel::Strain, x: 7, y: 3 });
+        assert_eq!(Features::from_values(vec![0.0; 5]), Err(FeatureError::Length { found: 5 }));
     }
 }

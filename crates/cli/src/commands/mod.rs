@@ -5,6 +5,7 @@ pub mod convert;
 pub mod demo;
 pub mod eval;
 pub mod flow;
+pub mod mer;
 pub mod metrics;
 pub mod rasterize;
 pub mod render;

@@ -143,7 +143,7 @@ pub fn numbered_if_there(dir: &Path, endings: &[&str], gaps: &mut Gaps) -> Resul
     if dir.is_dir() { numbered(dir, endings, gaps) } else { Ok(Numbered::new()) }
 }
 
-fn last_number(stem: &str) -> Option<u64> {
+pub fn last_number(stem: &str) -> Option<u64> {
     let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
     let start = stem[..end]
         .rfind(|c: char| !c.is_ascii_digit())
@@ -186,7 +186,7 @@ pub fn elsewhere(dir: &Path, needed: &str) -> Option<PathBuf> {
 }
 
 /// What a folder holds, in a few words.
-fn contents(dir: &Path) -> String {
+pub fn contents(dir: &Path) -> String {
     const NAMED: usize = 6;
     if !dir.exists() {
         return format!("but there is no {}", dir.display());

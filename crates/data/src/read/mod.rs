@@ -11,7 +11,7 @@ mod gaps;
 mod hd1k;
 mod kind;
 mod kitti;
-mod listing;
+pub(crate) mod listing;
 mod plain;
 mod sample;
 mod sequence;

@@ -1,0 +1,174 @@
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use anyhow::{Context as _, ensure};
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use rayon::prelude::*;
+use serde::Serialize;
+use srflow_data::micro_expression::{ApexRow, Clip, ClipSource, write_apex_list};
+use srflow_mer::{ApexErrors, ApexRule, apex_errors, spot_apex};
+
+use super::face::FaceArgs;
+use super::sources::{SourceArgs, kinds_help};
+use crate::Context;
+use crate::methods::{self, Method, MethodParameters};
+
+/// Spot apex frames, and compare them with the annotated ones
+#[derive(Args)]
+#[command(after_help = format!("\
+Examples:
+  srflow mer apex smic:/data/SMIC --rule ratio --landmarks smic68.csv --out smic_apex.csv
+  srflow mer apex samm:/data/SAMM casme2:/data/CASME2 --rule strain --method farneback
+
+`ratio` finds the frame that differs most from the onset and least from the frame before; `strain` the one to \
+which the flow strains the face most. --out writes a list that --apex-list reads.
+
+{}", kinds_help()))]
+pub struct Apex {
+    /// Datasets
+    #[arg(required = true, value_name = "KIND:DIR")]
+    datasets: Vec<ClipSource>,
+    /// Rule: ratio or strain
+    #[arg(long, value_name = "RULE", default_value_t = ApexRule::Strain)]
+    rule: ApexRule,
+    /// How to estimate the flow, for the rule `strain`
+    #[arg(long, value_enum, default_value = "farneback")]
+    method: Method,
+    /// Write the apex frames as a CSV list
+    #[arg(short, long, value_name = "FILE")]
+    out: Option<PathBuf>,
+    /// Overwrite the list
+    #[arg(long)]
+    force: bool,
+    #[command(flatten)]
+    sources: SourceArgs,
+    #[command(flatten)]
+    face: FaceArgs,
+    #[command(flatten)]
+    parameters: MethodParameters,
+}
+
+#[derive(Serialize)]
+struct Report {
+    rule: &'static str,
+    face: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    method: Option<String>,
+    clips: Vec<ClipReport>,
+    /// Error in frames over the clips with an annotated apex, by dataset.
+    errors: BTreeMap<String, ErrorReport>,
+}
+
+#[derive(Serialize)]
+struct ClipReport {
+    dataset: String,
+    subject: String,
+    clip: String,
+    onset: u64,
+    offset: u64,
+    annotated: Option<u64>,
+    spotted: u64,
+}
+
+#[derive(Serialize)]
+struct ErrorReport {
+    clips: usize,
+    mean_absolute_frames: f64,
+    middle_of_clip_frames: f64,
+}
+
+/// Runs the command.
+pub fn run(args: Apex, context: &Context) -> anyhow::Result<()> {
+    if let Some(path) = &args.out {
+        ensure!(
+            args.force || !path.exists(),
+            "{} exists; give --force to overwrite it, or another name",
+            path.display()
+        );
+    }
+    let face = args.face.crop()?;
+    let estimator = methods::estimator(args.method, &args.parameters)?;
+    let datasets = args.sources.open(args.datasets)?;
+    let clips: Vec<&Clip> = datasets.iter().flat_map(|dataset| &dataset.clips).collect();
+    let bar = ProgressBar::new(clips.len() as u64)
+        .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} clips, {eta} left")?);
+    let spot = |clip: &&Clip| {
+        let apex = spot_apex(clip, args.rule, &face, estimator.as_ref());
+        bar.inc(1);
+        apex.map(|apex| apex.frame)
+    };
+    let spotted: Result<Vec<u64>, _> = clips.par_iter().map(spot).collect::<Vec<_>>().into_iter().collect();
+    bar.finish_and_clear();
+    let spotted = spotted?;
+    if let Some(path) = &args.out {
+        let rows: Vec<ApexRow> =
+            clips.iter().zip(&spotted).map(|(clip, apex)| ApexRow { clip, apex: *apex }).collect();
+        write_apex_list(path, &rows)?;
+    }
+
+    let pairs = || clips.iter().copied().zip(spotted.iter().copied());
+    let mut errors = BTreeMap::new();
+    for dataset in &datasets {
+        let of_dataset = pairs().filter(|(clip, _)| clip.dataset == dataset.name);
+        if let Some(ApexErrors { clips, mean_absolute, of_the_middle }) = apex_errors(of_dataset) {
+            let report = ErrorReport {
+                clips,
+                mean_absolute_frames: mean_absolute,
+                middle_of_clip_frames: of_the_middle,
+            };
+            errors.insert(dataset.name.clone(), report);
+        }
+    }
+    let report = Report {
+        rule: args.rule.name(),
+        face: face.to_string(),
+        method: (args.rule == ApexRule::Strain).then(|| estimator.name().to_owned()),
+        clips: pairs().map(|(clip, spotted)| clip_report(clip, spotted)).collect(),
+        errors,
+    };
+    if context.json {
+        return say!("{}", serde_json::to_string_pretty(&report).context("printing the result")?);
+    }
+    print_report(&report)
+}
+
+fn clip_report(clip: &Clip, spotted: u64) -> ClipReport {
+    let a = &clip.annotation;
+    ClipReport {
+        dataset: clip.dataset.clone(),
+        subject: a.subject.clone(),
+        clip: a.clip.clone(),
+        onset: a.onset,
+        offset: a.offset,
+        annotated: a.apex,
+        spotted,
+    }
+}
+
+fn print_report(report: &Report) -> anyhow::Result<()> {
+    for clip in &report.clips {
+        let annotated = clip.annotated.map_or(String::new(), |apex| format!(", annotated {apex}"));
+        say!(
+            "{}/{}/{}: apex {}{annotated}, onset {}, offset {}",
+            clip.dataset,
+            clip.subject,
+            clip.clip,
+            clip.spotted,
+            clip.onset,
+            clip.offset
+        )?;
+    }
+    for (dataset, errors) in &report.errors {
+        say!(
+            "{dataset}: {:.2} frames from the annotated apex on average over {} clips by {} ({}); the middle of the clip \
+             is {:.2} frames from it",
+            errors.mean_absolute_frames,
+            errors.clips,
+            report.rule,
+            report.face,
+            errors.middle_of_clip_frames
+        )?;
+    }
+    Ok(())
+}

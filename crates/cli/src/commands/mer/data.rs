@@ -1,0 +1,320 @@
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use clap::Args;
+use serde::Serialize;
+use srflow_data::micro_expression::{
+    Annotation, ClassCounts, ClipDataset, ClipSource, DropReason, Dropped, EmotionClass, Labels,
+    MissingFrames, check_distinct, published_counts,
+};
+
+use super::sources::{SourceArgs, kinds_help};
+use crate::Context;
+
+/// List micro-expression datasets: labels, counts, dropped rows and why, missing frames
+#[derive(Args)]
+#[command(after_help = format!("\
+Examples:
+  srflow mer data samm:/data/SAMM casme2-cropped:/data/CASME2 smic:/data/SMIC
+  srflow mer data samm:/data/SAMM --labels-only --clips
+
+Frames are found by their number, from onset to offset. docs/mer.md describes the folders.
+
+{}", kinds_help()))]
+pub struct Data {
+    /// Datasets
+    #[arg(required = true, value_name = "KIND:DIR")]
+    datasets: Vec<ClipSource>,
+    #[command(flatten)]
+    sources: SourceArgs,
+    /// Read the annotations alone; look for no frames
+    #[arg(long)]
+    labels_only: bool,
+    /// List every clip
+    #[arg(long)]
+    clips: bool,
+}
+
+#[derive(Serialize)]
+struct Report {
+    datasets: Vec<DatasetReport>,
+    composite: Counts,
+    subjects: usize,
+}
+
+#[derive(Serialize)]
+struct DatasetReport {
+    name: String,
+    #[serde(skip_serializing_if = "str::is_empty")]
+    form: &'static str,
+    dir: PathBuf,
+    annotations: Option<PathBuf>,
+    counts: Counts,
+    /// Whether the counts are those that the paper lists; none where it lists none.
+    as_published: Option<bool>,
+    subjects: usize,
+    without_apex: usize,
+    /// Clips kept and dropped, by the dataset's own label.
+    labels: BTreeMap<String, LabelReport>,
+    clips: Vec<ClipReport>,
+    dropped: Vec<DropReport>,
+    missing_frames: u64,
+    missing: Vec<MissingReport>,
+}
+
+#[derive(Serialize, Default)]
+struct LabelReport {
+    kept: usize,
+    dropped: usize,
+    class: Option<&'static str>,
+}
+
+#[derive(Serialize)]
+struct Counts {
+    positive: usize,
+    negative: usize,
+    surprise: usize,
+    total: usize,
+}
+
+#[derive(Serialize)]
+struct ClipReport {
+    subject: String,
+    clip: String,
+    class: &'static str,
+    label: String,
+    action_units: String,
+    onset: u64,
+    apex: Option<u64>,
+    offset: u64,
+}
+
+#[derive(Serialize)]
+struct DropReport {
+    subject: String,
+    clip: String,
+    label: String,
+    reason: &'static str,
+}
+
+#[derive(Serialize)]
+struct MissingReport {
+    subject: String,
+    clip: String,
+    folder: PathBuf,
+    frames: u64,
+    ranges: Vec<(u64, u64)>,
+    dropped: bool,
+}
+
+/// What one dataset is shown as.
+struct Listing {
+    source: ClipSource,
+    name: String,
+    form: &'static str,
+    file: Option<PathBuf>,
+    annotations: Vec<Annotation>,
+    dropped: Vec<Dropped>,
+    missing: Vec<MissingFrames>,
+}
+
+/// Runs the command.
+pub fn run(args: Data, context: &Context) -> anyhow::Result<()> {
+    let sources = args.sources.complete(args.datasets)?;
+    let listings = sources
+        .into_iter()
+        .map(|source| list(source, args.labels_only, args.sources.allow_missing))
+        .collect::<anyhow::Result<Vec<Listing>>>()?;
+    check_distinct(listings.iter().map(|listing| listing.name.as_str()))?;
+    if context.json {
+        return say!("{}", serde_json::to_string_pretty(&report(&listings))?);
+    }
+    for listing in &listings {
+        print_listing(listing, args.labels_only, args.clips)?;
+    }
+    if listings.len() > 1 {
+        say!("composite: {}, {} subjects", in_words(total(&listings)), subjects(&listings))?;
+    }
+    Ok(())
+}
+
+fn list(source: ClipSource, labels_only: bool, allow_missing: bool) -> anyhow::Result<Listing> {
+    let context = || format!("reading {source}");
+    if labels_only {
+        let Labels { dataset: name, file, annotations, dropped } =
+            Labels::read(&source).with_context(context)?;
+        return Ok(Listing { source, name, form: "", file, annotations, dropped, missing: Vec::new() });
+    }
+    let dataset = ClipDataset::open(&source, allow_missing).with_context(context)?;
+    let ClipDataset { name, form, file, clips, dropped, missing, .. } = dataset;
+    let annotations = clips.into_iter().map(|clip| clip.annotation).collect();
+    Ok(Listing { source, name, form, file, annotations, dropped, missing })
+}
+
+impl Listing {
+    fn counts(&self) -> ClassCounts {
+        self.annotations.iter().map(|annotation| annotation.class).collect()
+    }
+
+    fn subjects(&self) -> BTreeSet<&str> {
+        self.annotations.iter().map(|annotation| annotation.subject.as_str()).collect()
+    }
+
+    fn as_published(&self) -> Option<bool> {
+        published_counts(&self.name).map(|published| published == self.counts())
+    }
+
+    fn without_apex(&self) -> usize {
+        self.annotations.iter().filter(|annotation| annotation.apex.is_none()).count()
+    }
+
+    fn labels(&self) -> BTreeMap<String, LabelReport> {
+        let mut labels: BTreeMap<String, LabelReport> = BTreeMap::new();
+        for annotation in &self.annotations {
+            let label = labels.entry(annotation.label.clone()).or_default();
+            label.kept += 1;
+            label.class = Some(annotation.class.name());
+        }
+        for row in &self.dropped {
+            labels.entry(row.label.clone()).or_default().dropped += 1;
+        }
+        labels
+    }
+}
+
+fn total(listings: &[Listing]) -> ClassCounts {
+    listings.iter().map(Listing::counts).fold(ClassCounts::default(), |sum, counts| sum + counts)
+}
+
+fn subjects(listings: &[Listing]) -> usize {
+    listings.iter().map(|listing| listing.subjects().len()).sum()
+}
+
+fn in_words(counts: ClassCounts) -> String {
+    let [negative, positive, surprise] = EmotionClass::ALL.map(|class| counts[class]);
+    format!("{} clips: {positive} positive, {negative} negative, {surprise} surprise", counts.total())
+}
+
+fn print_listing(listing: &Listing, labels_only: bool, clips: bool) -> anyhow::Result<()> {
+    let form = if listing.form.is_empty() { String::new() } else { format!(" ({})", listing.form) };
+    say!("{}{form}, {}", listing.name, listing.source)?;
+    if let Some(file) = &listing.file {
+        say!("  annotations  {}", file.display())?;
+    }
+    let published = match listing.as_published() {
+        Some(true) => ", as published".to_owned(),
+        Some(false) => match published_counts(&listing.name) {
+            Some(counts) => format!(" (published: {})", in_words(counts)),
+            None => String::new(),
+        },
+        None => String::new(),
+    };
+    say!("  kept         {}, {} subjects{published}", in_words(listing.counts()), listing.subjects().len())?;
+    for (label, report) in listing.labels() {
+        let class = report.class.map_or(String::new(), |class| format!(" {class}"));
+        let dropped =
+            if report.dropped > 0 { format!(", {} dropped", report.dropped) } else { String::new() };
+        say!("    {label:<12} {:>4} kept{class}{dropped}", report.kept)?;
+    }
+    if listing.without_apex() > 0 {
+        say!("  no apex      {} clips; `srflow mer apex` spots it", listing.without_apex())?;
+    }
+    print_dropped(&listing.dropped)?;
+    if !labels_only {
+        let frames: u64 = listing.missing.iter().map(MissingFrames::count).fold(0, u64::saturating_add);
+        say!("  missing      {frames} frames of {} clips", listing.missing.len())?;
+        for clip in &listing.missing {
+            say!("    {clip}{}", if clip.dropped { ": dropped" } else { "" })?;
+        }
+    }
+    if clips {
+        for a in &listing.annotations {
+            let apex = a.apex.map_or("?".to_owned(), |apex| apex.to_string());
+            say!(
+                "    {}/{} {} {}-{apex}-{} {}",
+                a.subject,
+                a.clip,
+                a.class,
+                a.onset,
+                a.offset,
+                a.action_units
+            )?;
+        }
+    }
+    say!("")
+}
+
+/// Rows that are dropped for the same reason, together.
+fn print_dropped(dropped: &[Dropped]) -> anyhow::Result<()> {
+    let mut by_reason: BTreeMap<DropReason, Vec<&Dropped>> = BTreeMap::new();
+    for row in dropped {
+        by_reason.entry(row.reason).or_default().push(row);
+    }
+    for (reason, rows) in by_reason {
+        say!("  dropped      {}: {reason}", rows.len())?;
+        for rows in rows.chunks(4) {
+            let names: Vec<String> =
+                rows.iter().map(|row| format!("{}/{} ({})", row.subject, row.clip, row.label)).collect();
+            say!("    {}", names.join(", "))?;
+        }
+    }
+    Ok(())
+}
+
+fn report(listings: &[Listing]) -> Report {
+    Report {
+        datasets: listings.iter().map(dataset_report).collect(),
+        composite: total(listings).into(),
+        subjects: subjects(listings),
+    }
+}
+
+fn dataset_report(listing: &Listing) -> DatasetReport {
+    let clip = |a: &Annotation| ClipReport {
+        subject: a.subject.clone(),
+        clip: a.clip.clone(),
+        class: a.class.name(),
+        label: a.label.clone(),
+        action_units: a.action_units.clone(),
+        onset: a.onset,
+        apex: a.apex,
+        offset: a.offset,
+    };
+    let dropped = |row: &Dropped| DropReport {
+        subject: row.subject.clone(),
+        clip: row.clip.clone(),
+        label: row.label.clone(),
+        reason: row.reason.name(),
+    };
+    let missing = |clip: &MissingFrames| MissingReport {
+        subject: clip.subject.clone(),
+        clip: clip.clip.clone(),
+        folder: clip.folder.clone(),
+        frames: clip.count(),
+        ranges: clip.numbers.clone(),
+        dropped: clip.dropped,
+    };
+    DatasetReport {
+        name: listing.name.clone(),
+        form: listing.form,
+        dir: listing.source.dir.clone(),
+        annotations: listing.file.clone(),
+        counts: listing.counts().into(),
+        as_published: listing.as_published(),
+        subjects: listing.subjects().len(),
+        without_apex: listing.without_apex(),
+        labels: listing.labels(),
+        clips: listing.annotations.iter().map(clip).collect(),
+        dropped: listing.dropped.iter().map(dropped).collect(),
+        missing_frames: listing.missing.iter().map(MissingFrames::count).fold(0, u64::saturating_add),
+        missing: listing.missing.iter().map(missing).collect(),
+    }
+}
+
+impl From<ClassCounts> for Counts {
+    fn from(counts: ClassCounts) -> Self {
+        let [negative, positive, surprise] = EmotionClass::ALL.map(|class| counts[class]);
+        Self { positive, negative, surprise, total: counts.total() }
+    }
+}

@@ -1,0 +1,34 @@
+//! `srflow mer`: micro-expression recognition, one file per subcommand.
+
+mod apex;
+mod data;
+mod face;
+mod sources;
+mod strain;
+
+use clap::{Args, Subcommand};
+
+use crate::Context;
+
+/// Micro-expression recognition
+#[derive(Args)]
+pub struct Mer {
+    #[command(subcommand)]
+    command: MerCommand,
+}
+
+#[derive(Subcommand)]
+enum MerCommand {
+    Data(data::Data),
+    Apex(apex::Apex),
+    Strain(strain::Strain),
+}
+
+/// Runs the subcommand.
+pub fn run(args: Mer, context: &Context) -> anyhow::Result<()> {
+    match args.command {
+        MerCommand::Data(args) => data::run(args, context),
+        MerCommand::Apex(args) => apex::run(args, context),
+        MerCommand::Strain(args) => strain::run(args, context),
+    }
+}

@@ -1,0 +1,285 @@
+//! The apex frame of a clip: annotated, or spotted between onset and offset.
+
+use std::fmt;
+use std::str::FromStr;
+
+use srflow_data::micro_expression::Clip;
+use srflow_field::{FlowEstimator, Image, Plane, read_image};
+
+use crate::extract::{ExtractError, ExtractProblem};
+use crate::face::{ClipCrop, FaceCrop, FacePoints};
+use crate::features::FEATURE_SIDE;
+use crate::resize::resize_cubic;
+use crate::strain::{StrainFormula, optical_strain};
+
+/// How an apex is spotted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ApexRule {
+    /// The frame that differs most from the onset and least from the frame before it: the greatest mean of
+    /// `(|I(t) - I(onset)| + 1) / (|I(t) - I(t - 1)| + 1)` over grey values (Quang et al. 2019, who made the list of SMIC's
+    /// apexes so). With the 68 points of dlib it is the mean over their ten cells about mouth, nose, eyes and brows,
+    /// placed by the onset's landmarks; else over the whole picture.
+    Ratio,
+    /// The frame to which the flow from the onset strains the face most: the greatest mean of squared optical strain.
+    Strain,
+}
+
+impl ApexRule {
+    /// Every rule.
+    pub const ALL: [Self; 2] = [Self::Ratio, Self::Strain];
+
+    /// `ratio` or `strain`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ratio => "ratio",
+            Self::Strain => "strain",
+        }
+    }
+}
+
+impl fmt::Display for ApexRule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for ApexRule {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let known = Self::ALL.into_iter().find(|rule| rule.name() == text);
+        known.ok_or_else(|| format!("`{text}` is not a rule of spotting the apex; expected ratio or strain"))
+    }
+}
+
+/// The apex that a rule found in a clip.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SpottedApex {
+    /// Number of the frame.
+    pub frame: u64,
+    /// What the rule says of every frame after the onset.
+    pub scores: Vec<(u64, f64)>,
+}
+
+/// Spots the apex of a clip among its frames after the onset. Of equal frames the first is taken. For
+/// [`ApexRule::Strain`], flow is computed between pictures of 112x112.
+///
+/// # Errors
+/// When a frame cannot be read or cut, or the method gives no flow.
+pub fn spot_apex(
+    clip: &Clip,
+    rule: ApexRule,
+    face: &FaceCrop,
+    estimator: &dyn FlowEstimator,
+) -> Result<SpottedApex, ExtractError> {
+    spot(clip, rule, face, estimator).map_err(|problem| ExtractError { clip: clip.id(), problem })
+}
+
+fn spot(
+    clip: &Clip,
+    rule: ApexRule,
+    face: &FaceCrop,
+    estimator: &dyn FlowEstimator,
+) -> Result<SpottedApex, ExtractProblem> {
+    let annotation = &clip.annotation;
+    let crop = face.of_clip(&clip.dataset, annotation)?;
+    let frame = |number: u64| {
+        let path = clip.frame(number).ok_or(ExtractProblem::NoFrame(number))?;
+        Ok::<_, ExtractProblem>(crop.apply(&read_image(path)?)?)
+    };
+    let onset = frame(annotation.onset)?;
+    let after = clip.frames.range(annotation.onset.saturating_add(1)..).map(|(number, _)| *number);
+    let mut scores = Vec::new();
+    match rule {
+        ApexRule::Ratio => {
+            let onset = grey(&onset);
+            let cells = match face {
+                FaceCrop::Landmarks(landmarks) => cells(landmarks.of_clip(&clip.dataset, annotation)?, &crop),
+                FaceCrop::Whole | FaceCrop::Fixed(_) => Vec::new(),
+            };
+            let mut before = onset.clone();
+            for number in after {
+                let now = grey(&frame(number)?);
+                same_size(clip, number, &onset, &now)?;
+                scores.push((number, difference_ratio(&onset, &before, &now, &cells)));
+                before = now;
+            }
+        }
+        ApexRule::Strain => {
+            let onset = resize_cubic(&onset, (FEATURE_SIDE, FEATURE_SIDE));
+            for number in after {
+                let now = resize_cubic(&frame(number)?, (FEATURE_SIDE, FEATURE_SIDE));
+                let flow = estimator.estimate(&onset, &now)?;
+                let strain = optical_strain(&flow, StrainFormula::Literature);
+                let energy = strain.pixels().iter().map(|&strain| f64::from(strain) * f64::from(strain));
+                scores.push((number, energy.sum::<f64>() / strain.pixels().len() as f64));
+            }
+        }
+    }
+    let mut best = None;
+    for &(number, score) in &scores {
+        if best.is_none_or(|(_, greatest)| score > greatest) {
+            best = Some((number, score));
+        }
+    }
+    match best {
+        Some((frame, _)) => Ok(SpottedApex { frame, scores }),
+        None => Err(ExtractProblem::NoFrame(annotation.onset.saturating_add(1))),
+    }
+}
+
+fn same_size(clip: &Clip, number: u64, onset: &Plane, now: &Plane) -> Result<(), ExtractProblem> {
+    if onset.size() == now.size() {
+        return Ok(());
+    }
+    let path = |number| clip.frame(number).unwrap_or(&clip.folder).to_owned();
+    Err(ExtractProblem::Sizes {
+        onset: path(clip.annotation.onset),
+        onset_size: onset.size(),
+        apex: path(number),
+        apex_size: now.size(),
+    })
+}
+
+/// Rec. 601 luma, as OpenCV's grey pictures have it.
+fn grey(image: &Image) -> Plane {
+    let luma =
+        |[r, g, b]: [u8; 3]| (0.299 * f32::from(r) + 0.587 * f32::from(g) + 0.114 * f32::from(b)).round();
+    Plane::from_fn(image.width(), image.height(), |x, y| luma(image.get(x, y)))
+}
+
+/// A rectangle: columns and rows, the second not included.
+type Cell = [[usize; 2]; 2];
+
+/// Mean over the cells of the mean ratio within each; cells outside of the picture do not count. Without any cell, over
+/// the whole picture.
+fn difference_ratio(onset: &Plane, before: &Plane, now: &Plane, cells: &[Cell]) -> f64 {
+    let whole = [[0, now.width()], [0, now.height()]];
+    let means: Vec<f64> = cells.iter().filter_map(|cell| mean_ratio(onset, before, now, cell)).collect();
+    if means.is_empty() {
+        return mean_ratio(onset, before, now, &whole).unwrap_or_default();
+    }
+    means.iter().sum::<f64>() / means.len() as f64
+}
+
+fn mean_ratio(onset: &Plane, before: &Plane, now: &Plane, [columns, rows]: &Cell) -> Option<f64> {
+    let (right, bottom) = (columns[1].min(now.width()), rows[1].min(now.height()));
+    let (mut sum, mut count) = (0.0, 0_u64);
+    for y in rows[0]..bottom {
+        for x in columns[0]..right {
+            let value = now.get(x, y);
+            let ratio = ((value - onset.get(x, y)).abs() + 1.0) / ((value - before.get(x, y)).abs() + 1.0);
+            sum += f64::from(ratio);
+            count += 1;
+        }
+    }
+    (count > 0).then(|| sum / count as f64)
+}
+
+/// The ten cells about mouth, chin, nose, eyes and brows, half a mouth wide, in the cut picture; none without the 68 points.
+fn cells(face: &FacePoints, crop: &ClipCrop) -> Vec<Cell> {
+    let Some(dlib) = &face.dlib else { return Vec::new() };
+    let at = |index: usize| crop.point(dlib[index]);
+    let [mouth_left, mouth_right, chin] = [at(48), at(54), at(8)];
+    let width = (mouth_right[0] - mouth_left[0]) / 2.0;
+    let half = width / 2.0;
+    let about = |[x, y]: [f64; 2]| [[x - half, x + half], [y - half, y + half]];
+    let (left_eye, right_eye) = (at(36), at(45));
+    let brows = [0, 1].map(|axis| (at(19)[axis] + at(24)[axis]) / 2.0);
+    let beside_nose =
+        |x0: f64, mouth: [f64; 2]| [[x0, x0 + width], [mouth[1] - half - width, mouth[1] - half]];
+    let rectangles = [
+        about(mouth_left),
+        about(mouth_right),
+        [[chin[0] - half, chin[0] + half], [chin[1] - width, chin[1]]],
+        beside_nose(at(31)[0] - width, mouth_left),
+        beside_nose(at(35)[0], mouth_right),
+        [[left_eye[0] - width, left_eye[0]], [left_eye[1] - half, left_eye[1] + half]],
+        [[right_eye[0], right_eye[0] + width], [right_eye[1] - half, right_eye[1] + half]],
+        about(brows),
+        about([brows[0] - width, brows[1]]),
+        about([brows[0] + width, brows[1]]),
+    ];
+    // The cast brings what lies before the picture to its border.
+    rectangles.map(|rectangle| rectangle.map(|range| range.map(|place| place as usize))).to_vec()
+}
+
+/// How far a rule is from the annotated apexes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ApexErrors {
+    /// Clips that were compared.
+    pub clips: usize,
+    /// Mean absolute difference between spotted and annotated apex, in frames.
+    pub mean_absolute: f64,
+    /// The same for always taking the middle between onset and offset: what a rule must beat.
+    pub of_the_middle: f64,
+}
+
+/// Compares spotted apexes with the annotated ones; clips without an annotated apex are passed over. None when that leaves
+/// no clip.
+pub fn apex_errors<'a>(spotted: impl IntoIterator<Item = (&'a Clip, u64)>) -> Option<ApexErrors> {
+    let (mut clips, mut of_rule, mut of_middle) = (0_usize, 0.0, 0.0);
+    for (clip, frame) in spotted {
+        let annotation = &clip.annotation;
+        if let Some(apex) = annotation.apex {
+            let middle = annotation.onset + (annotation.offset - annotation.onset) / 2;
+            clips += 1;
+            of_rule += apex.abs_diff(frame) as f64;
+            of_middle += apex.abs_diff(middle) as f64;
+        }
+    }
+    let mean = |sum: f64| sum / clips as f64;
+    (clips > 0).then(|| ApexErrors { clips, mean_absolute: mean(of_rule), of_the_middle: mean(of_middle) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ratio_is_greatest_where_the_difference_is_and_motion_is_not() {
+        let plane = |value: f32| Plane::filled(8, 8, value);
+        let ratio = |onset, before, now, cells: &[Cell]| {
+            difference_ratio(&plane(onset), &plane(before), &plane(now), cells)
+        };
+        assert_eq!(ratio(10.0, 14.0, 14.0, &[]), 5.0);
+        assert_eq!(ratio(10.0, 13.0, 14.0, &[]), 2.5);
+        assert_eq!(ratio(10.0, 14.0, 14.0, &[[[0, 2], [0, 2]], [[7, 90], [7, 90]], [[50, 60], [0, 2]]]), 5.0);
+    }
+
+    #[test]
+    fn only_the_cells_count() {
+        let onset = Plane::new(8, 8);
+        let now = Plane::from_fn(8, 8, |x, _| if x < 2 { 3.0 } else { 0.0 });
+        let ratio = |cells: &[Cell]| difference_ratio(&onset, &now, &now, cells);
+        assert_eq!(ratio(&[[[0, 2], [0, 8]]]), 4.0);
+        assert_eq!(ratio(&[[[4, 8], [0, 8]]]), 1.0);
+        assert_eq!(ratio(&[[[0, 2], [0, 1]], [[4, 8], [0, 8]]]), 2.5, "each cell counts the same");
+    }
+
+    #[test]
+    fn cells_lie_about_the_parts_of_the_face() {
+        let mut points = [[0.0; 2]; 68];
+        for (index, point) in [
+            (48, [80.0, 150.0]),
+            (54, [120.0, 150.0]),
+            (8, [100.0, 190.0]),
+            (31, [90.0, 120.0]),
+            (35, [110.0, 120.0]),
+        ] {
+            points[index] = point;
+        }
+        points[36] = [70.0, 80.0];
+        points[45] = [130.0, 80.0];
+        points[19] = [75.0, 60.0];
+        points[24] = [125.0, 60.0];
+        let face = FacePoints { eyes: [[75.0, 80.0], [125.0, 80.0]], dlib: Some(Box::new(points)) };
+        let cells = cells(&face, &ClipCrop::Whole);
+        assert_eq!(cells[0], [[70, 90], [140, 160]], "the left corner of the mouth");
+        assert_eq!(cells[2], [[90, 110], [170, 190]], "the chin");
+        assert_eq!(cells[4], [[110, 130], [120, 140]], "right of the nose");
+        assert_eq!(cells[5], [[50, 70], [70, 90]], "outside of the left eye");
+        assert_eq!(cells[8], [[70, 90], [50, 70]], "the left brow");
+        assert_eq!(cells.len(), 10);
+    }
+}

@@ -1,0 +1,240 @@
+//! From a clip to its features: cut, resize, flow from onset to apex, strain.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use rayon::prelude::*;
+use srflow_data::micro_expression::Clip;
+use srflow_field::{EstimateError, FileError, FlowEstimator, FlowField, Image, Plane, read_image};
+
+use crate::cache::FeatureCache;
+use crate::face::{ClipCrop, FaceCrop, FaceError};
+use crate::features::{FEATURE_SIDE, FeatureError, Features, Sample};
+use crate::resize::{resize_cubic, resize_flow};
+use crate::strain::{StrainFormula, optical_strain};
+
+/// Whether pictures or flow are brought to 112x112. The paper does not say; Off-TANet's code resizes before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ResizeOrder {
+    /// Pictures are resized (cubic, as OpenCV), and flow is computed at 112x112.
+    #[default]
+    Before,
+    /// Flow is computed at the pictures' own size and averaged down to 112x112, in pixels of that size.
+    After,
+}
+
+impl ResizeOrder {
+    /// `before` or `after`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Before => "before",
+            Self::After => "after",
+        }
+    }
+}
+
+impl fmt::Display for ResizeOrder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for ResizeOrder {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let known = [Self::Before, Self::After].into_iter().find(|order| order.name() == text);
+        known.ok_or_else(|| format!("`{text}`: expected before or after (the flow)"))
+    }
+}
+
+/// Everything that decides a clip's features beside its pictures and the flow method.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Preparation {
+    /// What of a frame is the face.
+    pub face: FaceCrop,
+    /// Whether pictures or flow are resized.
+    pub resize: ResizeOrder,
+    /// How strain is computed.
+    pub strain: StrainFormula,
+}
+
+impl fmt::Display for Preparation {
+    /// What was done, for results.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { face, resize, strain } = self;
+        write!(f, "{face}, resized to {FEATURE_SIDE}x{FEATURE_SIDE} {resize} the flow, {strain} strain")
+    }
+}
+
+/// A flow method and what tells it from every other: its name, parameters and weights.
+pub struct Method<'a> {
+    /// The estimator.
+    pub estimator: &'a dyn FlowEstimator,
+    /// Its name with every parameter, and a digest of its weights, if it has any: features are cached under it.
+    pub identity: String,
+}
+
+/// Why a clip has no features.
+#[derive(Debug, thiserror::Error)]
+#[error("{clip}: {problem}")]
+pub struct ExtractError {
+    /// The clip, as dataset/subject/clip.
+    pub clip: String,
+    /// What went wrong.
+    pub problem: ExtractProblem,
+}
+
+/// What went wrong with a clip; see [`ExtractError`].
+#[derive(Debug, thiserror::Error)]
+pub enum ExtractProblem {
+    /// No apex is known.
+    #[error(
+        "it has no apex frame; spot it (`--apex ratio` or `--apex strain`) or give a list of apex frames"
+    )]
+    NoApex,
+    /// A frame is not among those that are there.
+    #[error("frame {0} is missing")]
+    NoFrame(u64),
+    /// A frame cannot be read, or the cache cannot be written.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// A frame could not be cut.
+    #[error(transparent)]
+    Face(#[from] FaceError),
+    /// The method gave no flow.
+    #[error(transparent)]
+    Estimate(#[from] EstimateError),
+    /// The method gave a flow that is not finite.
+    #[error(transparent)]
+    Features(#[from] FeatureError),
+    /// Onset and apex differ in size, or hold nothing.
+    #[error("{} is {}x{} and {} {}x{} (WIDTHxHEIGHT): expected frames of one size with at least one pixel", .onset.display(), .onset_size.0, .onset_size.1, .apex.display(), .apex_size.0, .apex_size.1)]
+    Sizes {
+        /// The onset's file.
+        onset: PathBuf,
+        /// Its size.
+        onset_size: (usize, usize),
+        /// The apex's file.
+        apex: PathBuf,
+        /// Its size.
+        apex_size: (usize, usize),
+    },
+}
+
+/// The flow from `onset` to `apex` at the features' size, and its strain.
+///
+/// # Errors
+/// When the method gives no flow, or one that is not finite.
+pub fn features_of_frames(
+    onset: &Image,
+    apex: &Image,
+    estimator: &dyn FlowEstimator,
+    resize: ResizeOrder,
+    strain: StrainFormula,
+) -> Result<Features, ExtractProblem> {
+    const SIZE: (usize, usize) = (FEATURE_SIDE, FEATURE_SIDE);
+    let flow = match resize {
+        ResizeOrder::Before => estimator.estimate(&resize_cubic(onset, SIZE), &resize_cubic(apex, SIZE))?,
+        ResizeOrder::After => resize_flow(&estimator.estimate(onset, apex)?, SIZE),
+    };
+    let [u, v] = components(&flow);
+    Ok(Features::new(&u, &v, &optical_strain(&flow, strain))?)
+}
+
+fn components(flow: &FlowField) -> [Plane; 2] {
+    [0, 1].map(|component| Plane::from_fn(flow.width(), flow.height(), |x, y| flow.get(x, y)[component]))
+}
+
+/// Features of one clip with the given apex, from the cache where it has them.
+fn features_of_clip(
+    clip: &Clip,
+    apex: u64,
+    method: &Method,
+    preparation: &Preparation,
+    cache: Option<&FeatureCache>,
+) -> Result<(Features, bool), ExtractProblem> {
+    let file = |number| clip.frame(number).ok_or(ExtractProblem::NoFrame(number));
+    let (onset, apex) = (file(clip.annotation.onset)?, file(apex)?);
+    let crop = preparation.face.of_clip(&clip.dataset, &clip.annotation)?;
+    let compute = || {
+        let (first, second) = read_pair(onset, apex)?;
+        let (first, second) = (crop.apply(&first)?, crop.apply(&second)?);
+        features_of_frames(&first, &second, method.estimator, preparation.resize, preparation.strain)
+    };
+    let Some(cache) = cache else { return Ok((compute()?, false)) };
+    let key = cache.key(onset, apex, &recipe(method, &crop, preparation))?;
+    if let Some(features) = cache.get(&key) {
+        return Ok((features, true));
+    }
+    let features = compute()?;
+    cache.put(&key, &features)?;
+    Ok((features, false))
+}
+
+fn read_pair(onset: &Path, apex: &Path) -> Result<(Image, Image), ExtractProblem> {
+    let (first, second) = (read_image(onset)?, read_image(apex)?);
+    if first.size() != second.size() || first.pixels().is_empty() {
+        return Err(ExtractProblem::Sizes {
+            onset: onset.to_owned(),
+            onset_size: first.size(),
+            apex: apex.to_owned(),
+            apex_size: second.size(),
+        });
+    }
+    Ok((first, second))
+}
+
+/// Everything beside the pictures that the features follow from. The crop is that of this clip: other rows of a landmark
+/// file may change without harm.
+fn recipe(method: &Method, crop: &ClipCrop, preparation: &Preparation) -> String {
+    format!("{}\n{crop:?}\n{}\n{}", method.identity, preparation.resize, preparation.strain)
+}
+
+/// What [`extract`] tells while it works.
+#[derive(Debug, Clone, Copy)]
+pub struct Extracted<'a> {
+    /// The clip, as dataset/subject/clip.
+    pub clip: &'a str,
+    /// Whether its features were in the cache.
+    pub cached: bool,
+}
+
+/// Features of every clip, in the clips' order; each clip must have an apex.
+///
+/// # Errors
+/// The first clip's, in that order, whose frames cannot be used: none is ever left out.
+pub fn extract(
+    clips: &[Clip],
+    method: &Method,
+    preparation: &Preparation,
+    cache: Option<&FeatureCache>,
+    on_clip: &(dyn Fn(Extracted) + Sync),
+) -> Result<Vec<Sample>, ExtractError> {
+    let of = |clip: &Clip| {
+        let name = clip.id();
+        let Some(apex) = clip.annotation.apex else {
+            return Err(ExtractError { clip: name, problem: ExtractProblem::NoApex });
+        };
+        match features_of_clip(clip, apex, method, preparation, cache) {
+            Ok((features, cached)) => {
+                on_clip(Extracted { clip: &name, cached });
+                Ok(Sample {
+                    dataset: clip.dataset.clone(),
+                    subject: clip.annotation.subject.clone(),
+                    clip: clip.annotation.clip.clone(),
+                    class: clip.annotation.class,
+                    features,
+                })
+            }
+            Err(problem) => Err(ExtractError { clip: name, problem }),
+        }
+    };
+    let results: Vec<Result<Sample, ExtractError>> = match preparation.resize {
+        ResizeOrder::Before => clips.par_iter().map(of).collect(),
+        // Large frames keep all threads busy one pair at a time, with the memory of one.
+        ResizeOrder::After => clips.iter().map(of).collect(),
+    };
+    results.into_iter().collect()
+}

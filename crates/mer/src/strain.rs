@@ -1,0 +1,156 @@
+//! Optical strain: how much the flow stretches and shears the skin.
+
+use std::fmt;
+use std::str::FromStr;
+
+use srflow_field::{FlowField, Image, Plane};
+
+/// How strain is computed from the flow's derivatives `ux`, `uy`, `vx`, `vy`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum StrainFormula {
+    /// `sqrt(ux² + vy² + ½(uy + vx)²)`, the magnitude of the infinitesimal strain tensor (Liong et al., *Subtle expression
+    /// recognition using optical strain weighted features*, ACCV Workshops 2014). Derivatives are per pixel: Sobel / 8.
+    #[default]
+    Literature,
+    /// What Off-TANet's published code computes (`data.py`): `sqrt(ux² + uy² + ½(vx + uy)²)`, with `uy` where the formula
+    /// has `vy`, and derivatives by Sobel without the 1/8. It is deaf to vertical stretching.
+    OffTaNet,
+}
+
+impl StrainFormula {
+    /// Every formula.
+    pub const ALL: [Self; 2] = [Self::Literature, Self::OffTaNet];
+
+    /// `literature` or `off-tanet`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Literature => "literature",
+            Self::OffTaNet => "off-tanet",
+        }
+    }
+}
+
+impl fmt::Display for StrainFormula {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.name())
+    }
+}
+
+impl FromStr for StrainFormula {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let known = Self::ALL.into_iter().find(|formula| formula.name() == text);
+        known.ok_or_else(|| format!("`{text}` is not a strain formula; expected literature or off-tanet"))
+    }
+}
+
+/// Optical strain of a flow, of its size. Derivatives are those of OpenCV's 3x3 `Sobel`, borders mirrored without
+/// repeating the outermost pixel (`BORDER_REFLECT_101`).
+pub fn optical_strain(flow: &FlowField, formula: StrainFormula) -> Plane {
+    let (width, height) = flow.size();
+    Plane::from_fn(width, height, |x, y| {
+        let [[ux, uy], [vx, vy]] = sobel(flow, x, y);
+        match formula {
+            StrainFormula::Literature => {
+                let [ux, uy, vx, vy] = [ux, uy, vx, vy].map(|derivative| derivative / 8.0);
+                (ux * ux + vy * vy + 0.5 * (uy + vx) * (uy + vx)).sqrt()
+            }
+            StrainFormula::OffTaNet => (ux * ux + uy * uy + 0.5 * (vx + uy) * (vx + uy)).sqrt(),
+        }
+    })
+}
+
+/// Eight times the derivatives at a pixel: `[[ux, uy], [vx, vy]]`.
+fn sobel(flow: &FlowField, x: usize, y: usize) -> [[f32; 2]; 2] {
+    let columns = neighbours(x, flow.width());
+    let rows = neighbours(y, flow.height());
+    let mut sums = [[0.0; 2]; 2];
+    for (row, weight_y, sign_y) in [(rows[0], 1.0, -1.0), (rows[1], 2.0, 0.0), (rows[2], 1.0, 1.0)] {
+        for (column, weight_x, sign_x) in
+            [(columns[0], 1.0, -1.0), (columns[1], 2.0, 0.0), (columns[2], 1.0, 1.0)]
+        {
+            let value = flow.get(column, row);
+            for component in 0..2 {
+                sums[component][0] += weight_y * sign_x * value[component];
+                sums[component][1] += weight_x * sign_y * value[component];
+            }
+        }
+    }
+    sums
+}
+
+/// The pixel before, itself and the one after, mirrored at the ends.
+fn neighbours(at: usize, len: usize) -> [usize; 3] {
+    let last = len.saturating_sub(1);
+    let before = if at == 0 { 1.min(last) } else { at - 1 };
+    let after = if at >= last { last.saturating_sub(1) } else { at + 1 };
+    [before, at, after]
+}
+
+/// Strain as a picture: black is none, then red, yellow, and white at `max` or more; without `max` (or when it is not
+/// positive) at the greatest value of the plane.
+pub fn strain_colors(strain: &Plane, max: Option<f32>) -> Image {
+    let greatest = || strain.pixels().iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::max);
+    let max = max.filter(|max| *max > 0.0).unwrap_or_else(greatest).max(f32::MIN_POSITIVE);
+    Image::from_fn(strain.width(), strain.height(), |x, y| {
+        let heat = 3.0 * strain.get(x, y) / max;
+        // The cast brings what is outside 0 to 255, and NaN, to its ends.
+        [heat, heat - 1.0, heat - 2.0].map(|channel| (255.0 * channel.min(1.0)) as u8)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn linear(a: f32, b: f32, c: f32, d: f32) -> FlowField {
+        FlowField::from_fn(9, 7, |x, y| [a * x as f32 + b * y as f32, c * x as f32 + d * y as f32])
+    }
+
+    fn inside(flow: &FlowField, formula: StrainFormula) -> f32 {
+        optical_strain(flow, formula).get(4, 3)
+    }
+
+    #[test]
+    fn a_linear_flow_has_the_strain_of_its_gradient() {
+        let strain = inside(&linear(0.3, 0.1, -0.2, 0.4), StrainFormula::Literature);
+        let expected = (0.3_f32.powi(2) + 0.4_f32.powi(2) + 0.5 * (0.1_f32 - 0.2).powi(2)).sqrt();
+        assert!((strain - expected).abs() < 1e-5, "{strain} {expected}");
+    }
+
+    #[test]
+    fn turning_and_moving_the_head_is_no_strain() {
+        let turned = linear(0.0, -0.05, 0.05, 0.0);
+        assert!(inside(&turned, StrainFormula::Literature) < 1e-6);
+        let moved = FlowField::filled(5, 5, [3.0, -2.0]);
+        assert!(
+            optical_strain(&moved, StrainFormula::Literature).pixels().iter().all(|strain| *strain == 0.0)
+        );
+    }
+
+    #[test]
+    fn off_tanets_slip_misses_vertical_stretching_and_sees_turning() {
+        let stretched = linear(0.0, 0.0, 0.0, 0.4);
+        assert!((inside(&stretched, StrainFormula::Literature) - 0.4).abs() < 1e-6);
+        assert_eq!(inside(&stretched, StrainFormula::OffTaNet), 0.0);
+        assert!(inside(&linear(0.0, -0.05, 0.05, 0.0), StrainFormula::OffTaNet) > 0.3);
+    }
+
+    #[test]
+    fn tiny_flows_have_strain_too() {
+        for size in [(1, 1), (1, 3), (2, 1), (2, 2)] {
+            let strain =
+                optical_strain(&FlowField::filled(size.0, size.1, [1.0, 2.0]), StrainFormula::Literature);
+            assert!(strain.pixels().iter().all(|strain| *strain == 0.0));
+        }
+    }
+
+    #[test]
+    fn colours_rise_from_black_to_white() {
+        let plane = Plane::from_pixels(4, 1, vec![0.0, 1.0, 2.0, 3.0]).unwrap();
+        let colors = strain_colors(&plane, None);
+        assert_eq!(colors.pixels(), [[0, 0, 0], [255, 0, 0], [255, 255, 0], [255, 255, 255]]);
+        assert_eq!(strain_colors(&Plane::new(2, 2), None).get(1, 1), [0; 3]);
+    }
+}

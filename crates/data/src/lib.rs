@@ -8,3 +8,4 @@ pub mod micro_expression;
 pub mod read;
 pub mod record;
 pub mod statistics;
+pub mod synth;

@@ -73,8 +73,22 @@ impl fmt::Display for FaceBox {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Landmarks {
     path: PathBuf,
-    /// By dataset (or empty), subject and clip: the frame (or none) and its points.
-    clips: BTreeMap<(String, String, String), Vec<(Option<u64>, FacePoints)>>,
+    clips: BTreeMap<ClipName, Vec<Row>>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+struct ClipName {
+    /// Empty where the file does not say.
+    dataset: String,
+    subject: String,
+    clip: String,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct Row {
+    /// None where the file does not say.
+    frame: Option<u64>,
+    face: FacePoints,
 }
 
 /// What is known of a face in one frame, pixels.
@@ -171,12 +185,12 @@ impl Landmarks {
                     wrong(format!("row {row}, frame: expected a frame number, found `{text}`"))
                 })?),
             };
-            let key = (
-                dataset.map_or("", |at| &record[at]).to_owned(),
-                record[subject].to_owned(),
-                record[clip].to_owned(),
-            );
-            clips.entry(key).or_default().push((number, face));
+            let key = ClipName {
+                dataset: dataset.map_or("", |at| &record[at]).to_owned(),
+                subject: record[subject].to_owned(),
+                clip: record[clip].to_owned(),
+            };
+            clips.entry(key).or_default().push(Row { frame: number, face });
         }
         Ok(Self { path: path.to_owned(), clips })
     }
@@ -191,13 +205,15 @@ impl Landmarks {
     /// # Errors
     /// When the file has no row of the clip.
     pub fn of_clip(&self, dataset: &str, annotation: &Annotation) -> Result<&FacePoints, FaceError> {
-        let key = |dataset: &str| (dataset.to_owned(), annotation.subject.clone(), annotation.clip.clone());
-        let rows = self.clips.get(&key(dataset)).or_else(|| self.clips.get(&key("")));
-        let at_onset = rows.and_then(|rows| {
-            let onset = rows.iter().find(|(frame, _)| *frame == Some(annotation.onset));
-            onset.or_else(|| rows.iter().find(|(frame, _)| frame.is_none()))
+        let rows_of = |dataset: &str| {
+            let (subject, clip) = (annotation.subject.clone(), annotation.clip.clone());
+            self.clips.get(&ClipName { dataset: dataset.to_owned(), subject, clip })
+        };
+        let at_onset = rows_of(dataset).or_else(|| rows_of("")).and_then(|rows| {
+            let onset = rows.iter().find(|row| row.frame == Some(annotation.onset));
+            onset.or_else(|| rows.iter().find(|row| row.frame.is_none()))
         });
-        at_onset.map(|(_, face)| face).ok_or_else(|| FaceError::NoLandmarks {
+        at_onset.map(|row| &row.face).ok_or_else(|| FaceError::NoLandmarks {
             path: self.path.clone(),
             subject: annotation.subject.clone(),
             clip: annotation.clip.clone(),

@@ -32,6 +32,7 @@ use crate::statistics::{FlowSummary, Statistics};
 pub use background::Background;
 pub use error::GenerateError;
 pub use occlusion::DEPTH_TOLERANCE;
+pub(crate) use path::Path as SmoothPath;
 pub use pictures::DEPTH_UNITS_PER_METRE;
 pub use rig::{CANONICAL_CAMERA, FULL_SIZE, Rig, View};
 pub use settings::{Head, Settings, Shard};

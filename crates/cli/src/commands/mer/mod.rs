@@ -5,6 +5,7 @@ mod data;
 mod face;
 mod sources;
 mod strain;
+mod synth;
 
 use clap::{Args, Subcommand};
 
@@ -20,6 +21,7 @@ pub struct Mer {
 #[derive(Subcommand)]
 enum MerCommand {
     Data(data::Data),
+    Synth(synth::Synth),
     Apex(apex::Apex),
     Strain(strain::Strain),
 }
@@ -28,6 +30,7 @@ enum MerCommand {
 pub fn run(args: Mer, context: &Context) -> anyhow::Result<()> {
     match args.command {
         MerCommand::Data(args) => data::run(args, context),
+        MerCommand::Synth(args) => synth::run(args, context),
         MerCommand::Apex(args) => apex::run(args, context),
         MerCommand::Strain(args) => strain::run(args, context),
     }

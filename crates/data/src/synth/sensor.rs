@@ -1,0 +1,111 @@
+//! What stands between a rendered picture and a recorded one: changing light, and the sensor's noise.
+
+use srflow_field::Image;
+use srflow_field::random::{Key, Stream};
+
+/// Pictures are coded with about this power: light that grows by `g` makes a value grow by `g^(1/2.2)`.
+const CODING_POWER: f32 = 2.2;
+
+/// Standard deviation of the noise in values of 255: in black, and what is added to its square at white.
+const NOISE_IN_BLACK: f32 = 0.9;
+const NOISE_AT_WHITE: f32 = 2.1;
+
+/// Lamps on alternating current of 50 Hz.
+const FLICKER_HZ: f32 = 100.0;
+
+/// How the light of one clip changes, relative to its mean.
+#[derive(Debug, Clone)]
+pub struct Light {
+    /// Of the whole picture, of its left-right and of its top-bottom gradient: strength, cycles per second, phase.
+    waves: [[f32; 3]; 3],
+    flicker: [f32; 2],
+}
+
+impl Light {
+    pub fn random(key: Key, strength: f32) -> Self {
+        let mut stream = key.stream("lighting");
+        let wave = |reach: f32, stream: &mut Stream| {
+            let turn = std::f32::consts::TAU;
+            [strength * reach * stream.uniform(0.3, 1.0), stream.uniform(0.3, 1.5), stream.uniform(0.0, turn)]
+        };
+        let waves = [0.02, 0.012, 0.012].map(|reach| wave(reach, &mut stream));
+        let flicker = [strength * 0.003 * stream.unit(), stream.uniform(0.0, std::f32::consts::TAU)];
+        Self { waves, flicker }
+    }
+
+    /// Factors of the values in the picture's corners are `at(..)`: the whole, the gradient to the right, and downwards.
+    fn at(&self, seconds: f32) -> [f32; 3] {
+        let turn = std::f32::consts::TAU;
+        let mut light =
+            self.waves.map(|[reach, hertz, phase]| reach * libm::sinf(turn * hertz * seconds + phase));
+        light[0] += self.flicker[0] * libm::sinf(turn * FLICKER_HZ * seconds + self.flicker[1]);
+        light
+    }
+
+    /// Lights a picture as it is lit after so many seconds, and adds noise of the given strength keyed by `key`.
+    pub fn record(&self, image: &mut Image, seconds: f32, noise: f32, key: Key) {
+        let (width, height) = image.size();
+        let [whole, right, down] = self.at(seconds);
+        let mut stream = key.stream("sensor noise");
+        let across = |at: usize, len: usize| 2.0 * (at as f32 + 0.5) / len as f32 - 1.0;
+        for y in 0..height {
+            for x in 0..width {
+                let light = 1.0 + whole + right * across(x, width) + down * across(y, height);
+                let gain = libm::powf(light.max(0.0), 1.0 / CODING_POWER);
+                let pixel = image.get(x, y).map(|value| {
+                    let value = f32::from(value) * gain;
+                    let variance =
+                        NOISE_IN_BLACK * NOISE_IN_BLACK + NOISE_AT_WHITE * NOISE_AT_WHITE * value / 255.0;
+                    let disturbance =
+                        if noise > 0.0 { noise * variance.sqrt() * stream.normal() } else { 0.0 };
+                    (value + disturbance + 0.5).clamp(0.0, 255.0) as u8
+                });
+                image.set(x, y, pixel);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn recorded(strength: f32, noise: f32, seconds: f32, frame: u32) -> Image {
+        let mut image = Image::filled(64, 64, [128; 3]);
+        let key = Key::new(3);
+        Light::random(key, strength).record(&mut image, seconds, noise, key.frame(frame));
+        image
+    }
+
+    fn moments(image: &Image) -> (f64, f64) {
+        let values: Vec<f64> = image.pixels().as_flattened().iter().map(|&value| f64::from(value)).collect();
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        let variance =
+            values.iter().map(|value| (value - mean) * (value - mean)).sum::<f64>() / values.len() as f64;
+        (mean, variance.sqrt())
+    }
+
+    #[test]
+    fn without_strength_nothing_changes() {
+        assert_eq!(recorded(0.0, 0.0, 0.3, 4), Image::filled(64, 64, [128; 3]));
+    }
+
+    #[test]
+    fn noise_is_as_strong_as_asked_and_differs_by_frame() {
+        let (mean, deviation) = moments(&recorded(0.0, 1.0, 0.0, 1));
+        assert!((mean - 128.0).abs() < 0.2 && (1.5..2.1).contains(&deviation), "{mean} {deviation}");
+        let (_, stronger) = moments(&recorded(0.0, 3.0, 0.0, 1));
+        assert!((2.7..3.3).contains(&(stronger / deviation)), "{stronger}");
+        assert_ne!(recorded(0.0, 1.0, 0.0, 1), recorded(0.0, 1.0, 0.0, 2));
+        assert_eq!(recorded(0.0, 1.0, 0.0, 1), recorded(0.0, 1.0, 0.0, 1));
+    }
+
+    #[test]
+    fn light_changes_with_time_by_a_few_percent() {
+        let means: Vec<f64> =
+            (0..50).map(|step| moments(&recorded(3.0, 0.0, step as f32 * 0.04, 0)).0).collect();
+        let (low, high) =
+            means.iter().fold((f64::MAX, f64::MIN), |(low, high), &mean| (low.min(mean), high.max(mean)));
+        assert!(high - low > 1.0 && high - low < 20.0, "{low} to {high}");
+    }
+}

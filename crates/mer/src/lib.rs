@@ -1,19 +1,37 @@
 //! Micro-expression recognition: apex, optical strain, classifiers, leave-one-subject-out, metrics and tables.
 
+mod adam;
 mod apex;
 mod cache;
+mod classifier;
 mod extract;
 mod face;
 mod features;
+mod fold;
+mod layers;
+mod loso;
+mod metrics;
+mod predictions;
+mod protocol;
 mod resize;
 mod strain;
+mod summary;
+mod training;
 
 pub use apex::{ApexErrors, ApexRule, SpottedApex, apex_errors, spot_apex};
 pub use cache::{FeatureCache, FeatureKey};
+pub use classifier::{Classifier, OffApexNet, OffTaNet, StstNet, initialized};
 pub use extract::{
     ExtractError, ExtractProblem, Extracted, Method, Preparation, ResizeOrder, extract, features_of_frames,
 };
 pub use face::{ClipCrop, FaceBox, FaceCrop, FaceError, FacePoints, Landmarks};
 pub use features::{Channel, FEATURE_SIDE, FeatureError, Features, Sample};
+pub use layers::Mode;
+pub use loso::{FoldRecord, Loso, LosoError, LosoEvent, leave_one_subject_out};
+pub use metrics::{CLASSES, Confusion, Scores};
+pub use predictions::{Prediction, PredictionsError, Trial, read_predictions, write_predictions};
+pub use protocol::{Protocol, ProtocolError};
 pub use resize::{resize_cubic, resize_flow};
 pub use strain::{StrainFormula, optical_strain, strain_colors};
+pub use summary::{Best, EpochScores, FoldScores, Summary, SummaryError};
+pub use training::{Training, cross_entropy};

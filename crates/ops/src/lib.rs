@@ -13,6 +13,7 @@ mod gemm;
 mod reusing_allocator;
 mod shared_mut;
 mod simd;
+mod sums;
 #[cfg(test)]
 mod test_values;
 mod weight_cache;
@@ -23,6 +24,7 @@ pub use reusing_allocator::ReusingAllocator;
 pub use weight_cache::WeightCache;
 
 pub mod attention;
+pub mod batch_norm;
 pub mod conv2d;
 pub mod correlation;
 pub mod depthwise;

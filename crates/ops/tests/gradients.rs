@@ -4,6 +4,7 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_ops::Activation;
 use srflow_ops::attention::tensor::Attention;
+use srflow_ops::batch_norm::tensor::batch_norm;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
 use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::depthwise::tensor::depthwise;
@@ -185,5 +186,13 @@ fn normalization() {
     check(&[[2, 3, 5, 6]], |inputs| {
         let [input] = inputs.try_into().expect("one");
         instance_norm(input, Activation::Tanh)
+    });
+}
+
+#[test]
+fn batch_normalization() {
+    check(&[[4, 3, 5, 6], [1, 3, 1, 1], [1, 3, 1, 1]], |x| {
+        let [input, weight, bias] = <[Tensor<4>; 3]>::try_from(x).expect("three inputs");
+        batch_norm(input, weight.reshape([3]), bias.reshape([3]), false).output
     });
 }

@@ -4,6 +4,7 @@ use super::forward::{BLOCK, Padded, Plan, Tile, convolve_row, pack_weights};
 use super::{Conv2dShape, Epilogue};
 use crate::shared_mut::SharedMut;
 use crate::simd::{Isa, Simd, dispatch};
+use crate::sums::sum;
 
 /// Kernel taps whose weight gradients are summed together in registers.
 const TAPS: usize = 3;
@@ -13,20 +14,20 @@ const BAND_PIXELS: usize = 4096;
 /// Input channels of one piece of work.
 const CHANNEL_CHUNK: usize = 16;
 
-/// Gradient of the bias: `grad` (`[N, C_out, H_out, W_out]`) summed over images and pixels; `[C_out]`.
-pub fn conv2d_backward_bias(grad: &[f32], shape: &Conv2dShape) -> Vec<f32> {
-    assert_eq!(grad.len(), shape.output_len(), "gradient of {shape:?}");
-    let [height, width] = shape.output();
-    let mut out = vec![0.0; shape.out_channels];
+/// Gradient of the bias: `grad` (`[N, channels, H, W]`, each plane of `pixels` elements) summed over images and pixels;
+/// `[channels]`. Panics when `grad` is not whole images.
+pub fn conv2d_backward_bias(grad: &[f32], channels: usize, pixels: usize) -> Vec<f32> {
+    let mut sums = vec![0.0_f64; channels];
     if grad.is_empty() {
-        return out;
+        return vec![0.0; channels];
     }
-    for image in grad.chunks_exact(shape.out_channels * height * width) {
-        out.par_iter_mut().zip(image.par_chunks_exact(height * width)).for_each(|(sum, channel)| {
-            *sum += channel.iter().map(|&x| f64::from(x)).sum::<f64>() as f32;
-        });
-    }
-    out
+    assert!(grad.len().is_multiple_of(channels * pixels), "images of {channels} planes of {pixels} pixels");
+    sums.par_iter_mut().enumerate().for_each(|(channel, total)| {
+        for plane in grad.chunks_exact(pixels).skip(channel).step_by(channels) {
+            *total += sum(plane, |x| x);
+        }
+    });
+    sums.into_iter().map(|sum| sum as f32).collect()
 }
 
 /// Gradient of the input from `grad`, that of the output; `[N, C_in, H, W]`.

@@ -69,7 +69,7 @@ pub trait Conv2dOps: Backend {
     }
 }
 
-/// Gradients of a convolution without epilogue. The defaults are Burn's own.
+/// Gradients of a convolution with its bias. The defaults are Burn's own.
 #[backend_extension(Flex)]
 pub trait Conv2dGradOps: Backend {
     /// Gradient of the input.
@@ -90,6 +90,13 @@ pub trait Conv2dGradOps: Backend {
         options: Conv2dOptions,
     ) -> FloatTensor<Self> {
         Self::conv2d_weight_backward(input, weight, grad, options.into())
+    }
+
+    /// Gradient of the bias, `[out_channels]`.
+    fn conv2d_bias_grad(grad: FloatTensor<Self>) -> FloatTensor<Self> {
+        let [_, channels, _, _] = sizes(&grad);
+        let sum = [0, 2, 3].into_iter().fold(grad, Self::float_sum_dim);
+        Self::float_reshape(sum, [channels].into())
     }
 }
 
@@ -170,26 +177,36 @@ impl Conv2dGradOps for Flex {
         let (input, grad) = (Contiguous::new(&input), Contiguous::new(&grad));
         tensor(super::conv2d_backward_weight(input.slice(), grad.slice(), &shape), weight.shape())
     }
+
+    fn conv2d_bias_grad(grad: FloatTensor<Self>) -> FloatTensor<Self> {
+        let [_, channels, height, width] = sizes(&grad);
+        let grad = Contiguous::new(&grad);
+        tensor(super::conv2d_backward_bias(grad.slice(), channels, height * width), [channels])
+    }
 }
 
-/// Backward of the convolution alone; what the epilogue adds and applies are operations of their own here, so that each
-/// has its gradient.
+/// Backward of the convolution with its bias; what else the epilogue adds and applies are operations of their own here,
+/// so that each has its gradient.
 #[derive(Debug)]
 struct Conv2dBackward;
 
-impl<B: Conv2dGradOps> Backward<B, 2> for Conv2dBackward {
+impl<B: Conv2dGradOps> Backward<B, 3> for Conv2dBackward {
     type State = (FloatTensor<B>, FloatTensor<B>, Conv2dOptions);
 
-    fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
+    fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
         let grad = grads.consume::<B>(&ops.node);
         let (input, weight, options) = ops.state;
-        let [input_node, weight_node] = ops.parents;
+        let [input_node, weight_node, bias_node] = ops.parents;
         if let Some(node) = input_node {
             let d_input = B::conv2d_input_grad(input.clone(), weight.clone(), grad.clone(), options.clone());
             grads.register::<B>(node.id, d_input);
         }
         if let Some(node) = weight_node {
-            grads.register::<B>(node.id, B::conv2d_weight_grad(input, weight, grad, options));
+            let d_weight = B::conv2d_weight_grad(input, weight, grad.clone(), options);
+            grads.register::<B>(node.id, d_weight);
+        }
+        if let Some(node) = bias_node {
+            grads.register::<B>(node.id, B::conv2d_bias_grad(grad));
         }
     }
 }
@@ -197,22 +214,16 @@ impl<B: Conv2dGradOps> Backward<B, 2> for Conv2dBackward {
 fn tracked_conv2d<B: Conv2dOps + Conv2dGradOps, C: CheckpointStrategy>(
     input: FloatTensor<Autodiff<B, C>>,
     weight: FloatTensor<Autodiff<B, C>>,
+    bias: FloatTensor<Autodiff<B, C>>,
     options: Conv2dOptions,
 ) -> FloatTensor<Autodiff<B, C>> {
-    let guards = [input.node(), weight.node()];
-    let (input, weight) = (input.into_primitive(), weight.into_primitive());
-    let no_bias = B::float_zeros([sizes::<4>(&weight)[0]].into(), &input.device(), input.dtype().into());
-    let out = B::biased_conv2d(input.clone(), weight.clone(), no_bias, options.clone(), Activation::Identity);
+    let guards = [input.node(), weight.node(), bias.node()];
+    let [input, weight, bias] = [input, weight, bias].map(|tensor| tensor.into_primitive());
+    let out = B::biased_conv2d(input.clone(), weight.clone(), bias, options.clone(), Activation::Identity);
     match Conv2dBackward.prepare::<C>(guards).compute_bound().stateful() {
         OpsKind::Tracked(prep) => prep.finish((input, weight, options), out),
         OpsKind::UnTracked(prep) => prep.finish(out),
     }
-}
-
-/// The bias of a convolution, to be added to its output.
-pub(crate) fn per_channel<B: Backend>(bias: FloatTensor<B>) -> FloatTensor<B> {
-    let channels = bias.shape().num_elements();
-    B::float_reshape(bias, [1, channels, 1, 1].into())
 }
 
 impl<B: Conv2dOps + Conv2dGradOps, C: CheckpointStrategy> Conv2dOps for Autodiff<B, C> {
@@ -223,8 +234,7 @@ impl<B: Conv2dOps + Conv2dGradOps, C: CheckpointStrategy> Conv2dOps for Autodiff
         options: Conv2dOptions,
         activation: Activation,
     ) -> FloatTensor<Self> {
-        let out = tracked_conv2d::<B, C>(input, weight, options);
-        activate_tensor::<Self>(Self::float_add(out, per_channel::<Self>(bias)), activation)
+        activate_tensor::<Self>(tracked_conv2d::<B, C>(input, weight, bias, options), activation)
     }
 
     fn residual_conv2d(
@@ -235,9 +245,8 @@ impl<B: Conv2dOps + Conv2dGradOps, C: CheckpointStrategy> Conv2dOps for Autodiff
         options: Conv2dOptions,
         activation: Activation,
     ) -> FloatTensor<Self> {
-        let out = tracked_conv2d::<B, C>(input, weight, options);
-        let sum = Self::float_add(Self::float_add(out, per_channel::<Self>(bias)), residual);
-        activate_tensor::<Self>(sum, activation)
+        let out = tracked_conv2d::<B, C>(input, weight, bias, options);
+        activate_tensor::<Self>(Self::float_add(out, residual), activation)
     }
 }
 

@@ -13,7 +13,7 @@ use super::DepthwiseShape;
 use crate::Activation;
 use crate::activation::activate_tensor;
 use crate::conv2d::Epilogue;
-use crate::conv2d::tensor::{Finish, per_channel};
+use crate::conv2d::tensor::Finish;
 use crate::flex::{Contiguous, sizes, tensor};
 
 /// Depthwise convolution with its epilogue. The default is Burn's own convolution.
@@ -183,6 +183,12 @@ fn tracked_depthwise<B: DepthwiseOps + DepthwiseGradOps, C: CheckpointStrategy>(
         OpsKind::Tracked(prep) => prep.finish((input, weight, padding), out),
         OpsKind::UnTracked(prep) => prep.finish(out),
     }
+}
+
+/// The bias of a convolution, to be added to its output.
+fn per_channel<B: Backend>(bias: FloatTensor<B>) -> FloatTensor<B> {
+    let channels = bias.shape().num_elements();
+    B::float_reshape(bias, [1, channels, 1, 1].into())
 }
 
 impl<B: DepthwiseOps + DepthwiseGradOps, C: CheckpointStrategy> DepthwiseOps for Autodiff<B, C> {

@@ -6,16 +6,13 @@ use rayon::prelude::*;
 use crate::Activation;
 use crate::activation::activate;
 use crate::simd::Isa;
+use crate::sums::{sum, sum_pairs};
 
 pub mod reference;
 pub mod tensor;
 
 /// Added to the variance; PyTorch's default.
 const EPSILON: f64 = 1e-5;
-/// Elements summed in f32 before the sum goes on in f64.
-const RUN: usize = 512;
-/// Sums kept side by side, so that they are one or two vectors.
-const LANES: usize = 16;
 
 /// `activation((x - mean) / sqrt(variance + 1e-5))` of each plane of `pixels` elements. Panics when the input is not whole
 /// planes.
@@ -61,24 +58,6 @@ fn statistics(plane: &[f32]) -> (f32, f32) {
     let mean = (sum(plane, |x| x) / count) as f32;
     let variance = sum(plane, |x| (x - mean) * (x - mean)) / count;
     (mean, (1.0 / (variance + EPSILON).sqrt()) as f32)
-}
-
-fn sum(values: &[f32], of: impl Fn(f32) -> f32) -> f64 {
-    sum_pairs(values, values, |x, _| of(x))
-}
-
-fn sum_pairs(a: &[f32], b: &[f32], of: impl Fn(f32, f32) -> f32) -> f64 {
-    let mut total = 0.0;
-    for (a, b) in a.chunks(RUN).zip(b.chunks(RUN)) {
-        let mut lanes = [0.0_f32; LANES];
-        for (a, b) in a.chunks(LANES).zip(b.chunks(LANES)) {
-            for (lane, (&a, &b)) in lanes.iter_mut().zip(a.iter().zip(b)) {
-                *lane += of(a, b);
-            }
-        }
-        total += lanes.iter().map(|&lane| f64::from(lane)).sum::<f64>();
-    }
-    total
 }
 
 #[cfg(test)]

@@ -1,0 +1,80 @@
+//! Networks that tell a clip's class from its features: one file per network.
+
+mod offapexnet;
+mod offtanet;
+mod ststnet;
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor, TensorData};
+use srflow_field::random::Key;
+use srflow_nets::{ParameterInfo, Parameters, parameter_infos, with_parameters};
+
+pub use offapexnet::OffApexNet;
+pub use offtanet::OffTaNet;
+pub use ststnet::StstNet;
+
+use crate::features::{FEATURE_SIDE, Features};
+use crate::layers::Mode;
+
+/// A network from features to one score per class. Its parameters carry the reference's names, so that
+/// [`srflow_nets::load`] reads published checkpoints.
+pub trait Classifier: Module {
+    /// Its name on the command line.
+    const NAME: &'static str;
+    /// Channels, height and width of its input.
+    const INPUT: [usize; 3];
+
+    /// With nothing learned and nothing random: [`initialized`] or a checkpoint gives the parameters.
+    fn new(device: &Device) -> Self;
+
+    /// Its input, `INPUT` row-major, of a clip.
+    fn input(features: &Features) -> Vec<f32>;
+
+    /// Scores `[batch, 3]`, before any softmax, of inputs `[batch, INPUT...]`.
+    fn scores(&self, inputs: Tensor<4>, mode: &mut Mode) -> Tensor<2>;
+}
+
+/// A network with random parameters by PyTorch's rules for convolutions and linear layers (uniform within
+/// `1 / sqrt(inputs of an output)`), drawn from `key` and `purpose`.
+pub fn initialized<C: Classifier>(device: &Device, key: Key, purpose: &str) -> C {
+    let network = C::new(device);
+    let infos = parameter_infos(&network);
+    let value = |info: &ParameterInfo| {
+        let count: usize = info.shape.iter().product();
+        let (layer, last) = info.name.rsplit_once('.').unwrap_or(("", &info.name));
+        let weight = format!("{layer}.weight");
+        let inputs = infos
+            .iter()
+            .find(|info| info.name == weight && info.shape.len() > 1)
+            .map(|weight| weight.shape[1..].iter().product::<usize>());
+        match (last, inputs) {
+            ("weight" | "bias", Some(inputs)) => {
+                let bound = 1.0 / (inputs as f32).sqrt();
+                let mut stream = key.stream(&format!("{purpose}: {}", info.name));
+                (0..count).map(|_| stream.uniform(-bound, bound)).collect()
+            }
+            ("weight" | "running_var", _) => vec![1.0; count],
+            _ => vec![0.0; count],
+        }
+    };
+    let parameters: Parameters = infos
+        .iter()
+        .map(|info| (info.name.clone(), TensorData::new(value(info), info.shape.clone())))
+        .collect();
+    with_parameters(network, parameters).expect("its own names and shapes")
+}
+
+/// Means of `FACTOR x FACTOR` pixels of the first `channels` feature maps: 112x112 becomes 28x28. Flow stays in pixels of
+/// 112x112.
+fn reduced<const FACTOR: usize>(features: &Features, channels: usize) -> Vec<f32> {
+    let side = FEATURE_SIDE / FACTOR;
+    let mut out = Vec::with_capacity(channels * side * side);
+    for map in features.values().chunks_exact(FEATURE_SIDE * FEATURE_SIDE).take(channels) {
+        for (y, x) in (0..side).flat_map(|y| (0..side).map(move |x| (y, x))) {
+            let rows = map.chunks_exact(FEATURE_SIDE).skip(y * FACTOR).take(FACTOR);
+            let sum: f32 = rows.flat_map(|row| &row[x * FACTOR..][..FACTOR]).sum();
+            out.push(sum / (FACTOR * FACTOR) as f32);
+        }
+    }
+    out
+}

@@ -1,0 +1,72 @@
+//! Off-ApexNet (Gan et al., Signal Processing: Image Communication 2019): one stream for each direction of the flow, no
+//! strain. Reference: `models/off_apexnet.py` of ECNU-Cross-Innovation-Lab/PRICAI2021-Off-TANet. Parity: `PARITY.md`.
+
+use burn::module::Module;
+use burn::tensor::activation::relu;
+use burn::tensor::module::max_pool2d;
+use burn::tensor::ops::MaxPoolOptions;
+use burn::tensor::{Device, Tensor};
+use srflow_ops::Activation;
+
+use super::{Classifier, reduced};
+use crate::features::Features;
+use crate::layers::{Conv2d, Linear, Mode, NoParameters, dropout};
+
+/// The network of 2,664,475 parameters.
+#[derive(Module, Debug)]
+pub struct OffApexNet {
+    cnn1: Stream,
+    cnn2: Stream,
+    dense: (Linear, NoParameters, NoParameters, Linear, NoParameters, NoParameters, Linear),
+}
+
+#[derive(Module, Debug)]
+struct Stream {
+    conv1: Conv2d,
+    conv2: Conv2d,
+}
+
+impl Classifier for OffApexNet {
+    const NAME: &'static str = "off-apexnet";
+    const INPUT: [usize; 3] = [2, 28, 28];
+
+    fn new(device: &Device) -> Self {
+        let stream =
+            || Stream { conv1: Conv2d::new([1, 6], 5, device), conv2: Conv2d::new([6, 16], 5, device) };
+        let linear = |inputs, outputs| Linear::new(inputs, outputs, device);
+        Self {
+            cnn1: stream(),
+            cnn2: stream(),
+            dense: (
+                linear(2 * 16 * 7 * 7, 1024),
+                NoParameters,
+                NoParameters,
+                linear(1024, 1024),
+                NoParameters,
+                NoParameters,
+                linear(1024, 3),
+            ),
+        }
+    }
+
+    fn input(features: &Features) -> Vec<f32> {
+        reduced::<4>(features, 2)
+    }
+
+    fn scores(&self, inputs: Tensor<4>, mode: &mut Mode) -> Tensor<2> {
+        let [u, v] = [0, 1].map(|channel| inputs.clone().narrow(1, channel, 1));
+        let x = Tensor::cat(vec![self.cnn1.forward(u), self.cnn2.forward(v)], 1);
+        let x = dropout(relu(self.dense.0.forward(x)), mode);
+        let x = dropout(relu(self.dense.3.forward(x)), mode);
+        self.dense.6.forward(x)
+    }
+}
+
+impl Stream {
+    /// `[batch, 784]`. The reference has no activation between its convolutions.
+    fn forward(&self, x: Tensor<4>) -> Tensor<2> {
+        let halved = |x| max_pool2d(x, MaxPoolOptions::new([2, 2]));
+        let x = halved(self.conv1.forward(x, Activation::Identity));
+        halved(self.conv2.forward(x, Activation::Identity)).flatten(1, 3)
+    }
+}

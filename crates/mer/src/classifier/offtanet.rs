@@ -1,0 +1,222 @@
+//! Off-TANet (Zhang et al., PRICAI 2021): two residual blocks, then a block with channel, spatial and self-attention, the
+//! "triplet attention". Reference: `models/off_tanet.py` of ECNU-Cross-Innovation-Lab/PRICAI2021-Off-TANet, `net_type`
+//! `ta`. Parity: `PARITY.md`.
+
+use burn::module::Module;
+use burn::tensor::activation::{relu, sigmoid, softmax};
+use burn::tensor::module::{adaptive_avg_pool2d, max_pool2d};
+use burn::tensor::ops::MaxPoolOptions;
+use burn::tensor::{Device, Tensor, TensorData};
+use srflow_ops::Activation;
+use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
+
+use super::Classifier;
+use crate::features::{FEATURE_SIDE, Features};
+use crate::layers::{BatchNorm2d, Conv2d, Linear, Mode, NoParameters, dropout};
+
+/// Channels of the attention block.
+const CHANNELS: usize = 28;
+/// Heads of its self-attention.
+const HEADS: usize = 4;
+/// Height and width of its maps.
+const SIDE: usize = 14;
+
+/// The network of 59,403 parameters.
+#[derive(Module, Debug)]
+pub struct OffTaNet {
+    conv1: (Conv2d, NoParameters, BatchNorm2d),
+    res1: Residual,
+    res2: Residual,
+    eres: EnhancedResidual,
+    dense: (Linear, NoParameters, NoParameters, Linear, NoParameters, NoParameters, Linear),
+}
+
+#[derive(Module, Debug)]
+struct Residual {
+    conv: (Conv2d, BatchNorm2d, NoParameters, Conv2d, BatchNorm2d),
+    botneck: Conv2d,
+}
+
+#[derive(Module, Debug)]
+struct EnhancedResidual {
+    conv1: (Conv2d, BatchNorm2d),
+    conv2: (Conv2d, BatchNorm2d),
+    botneck: Conv2d,
+    spa: SpatialAttention,
+    ca: ChannelAttention,
+    sa: MultiHeadSelfAttention,
+}
+
+#[derive(Module, Debug)]
+struct SpatialAttention {
+    conv1: Conv2d,
+}
+
+#[derive(Module, Debug)]
+struct ChannelAttention {
+    fc1: Conv2d,
+    fc2: Conv2d,
+}
+
+#[derive(Module, Debug)]
+struct MultiHeadSelfAttention {
+    sa_blocks: Vec<SelfAttention>,
+}
+
+#[derive(Module, Debug)]
+struct SelfAttention {
+    w_q: Conv2d,
+    w_k: Conv2d,
+    w_v: Conv2d,
+}
+
+impl Classifier for OffTaNet {
+    const NAME: &'static str = "off-tanet";
+    const INPUT: [usize; 3] = [3, FEATURE_SIDE, FEATURE_SIDE];
+
+    fn new(device: &Device) -> Self {
+        let linear = |inputs, outputs| Linear::new(inputs, outputs, device);
+        Self {
+            conv1: (Conv2d::new([3, 8], 7, device).stride(2), NoParameters, BatchNorm2d::new(8, device)),
+            res1: Residual::new(8, 18, device),
+            res2: Residual::new(18, CHANNELS, device),
+            eres: EnhancedResidual::new(device),
+            dense: (
+                linear(8 * 7 * 7, 64),
+                NoParameters,
+                NoParameters,
+                linear(64, 64),
+                NoParameters,
+                NoParameters,
+                linear(64, 3),
+            ),
+        }
+    }
+
+    fn input(features: &Features) -> Vec<f32> {
+        features.values().to_vec()
+    }
+
+    fn scores(&self, inputs: Tensor<4>, mode: &mut Mode) -> Tensor<2> {
+        let x = self.conv1.0.forward(inputs, Activation::Relu);
+        let x = self.conv1.2.forward(x, mode);
+        let x = self.res1.forward(x, mode);
+        let x = self.res2.forward(x, mode);
+        let x = self.eres.forward(x, mode).flatten(1, 3);
+        let x = dropout(relu(self.dense.0.forward(x)), mode);
+        let x = dropout(relu(self.dense.3.forward(x)), mode);
+        self.dense.6.forward(x)
+    }
+}
+
+impl Residual {
+    fn new(inputs: usize, outputs: usize, device: &Device) -> Self {
+        Self {
+            conv: (
+                Conv2d::new([inputs, outputs], 3, device),
+                BatchNorm2d::new(outputs, device),
+                NoParameters,
+                Conv2d::new([outputs, outputs], 3, device),
+                BatchNorm2d::new(outputs, device),
+            ),
+            botneck: Conv2d::new([inputs, outputs], 1, device),
+        }
+    }
+
+    fn forward(&self, x: Tensor<4>, mode: &Mode) -> Tensor<4> {
+        let shortcut = self.botneck.forward(x.clone(), Activation::Identity);
+        let x = self.conv.1.relu_after(&self.conv.0, x, mode);
+        let x = self.conv.4.relu_after(&self.conv.3, x, mode);
+        halved(shortcut + x)
+    }
+}
+
+impl EnhancedResidual {
+    fn new(device: &Device) -> Self {
+        let pointwise = |inputs, outputs| Conv2d::new([inputs, outputs], 1, device);
+        let head = |_| {
+            let [w_q, w_k, w_v] = std::array::from_fn(|_| pointwise(CHANNELS, CHANNELS / HEADS));
+            SelfAttention { w_q, w_k, w_v }
+        };
+        Self {
+            conv1: (Conv2d::new([CHANNELS, CHANNELS], 3, device), BatchNorm2d::new(CHANNELS, device)),
+            conv2: (Conv2d::new([CHANNELS, 8], 3, device), BatchNorm2d::new(8, device)),
+            botneck: pointwise(CHANNELS, 8),
+            spa: SpatialAttention { conv1: Conv2d::new([2, 1], 3, device).without_bias() },
+            ca: ChannelAttention {
+                fc1: pointwise(CHANNELS, 1).without_bias(),
+                fc2: pointwise(1, CHANNELS).without_bias(),
+            },
+            sa: MultiHeadSelfAttention { sa_blocks: (0..HEADS).map(head).collect() },
+        }
+    }
+
+    fn forward(&self, x: Tensor<4>, mode: &Mode) -> Tensor<4> {
+        let shortcut = self.botneck.forward(x.clone(), Activation::Identity);
+        let x = self.conv1.1.relu_after(&self.conv1.0, x, mode);
+        let x = self.ca.forward(x.clone()) * x;
+        let x = self.spa.forward(x.clone()) * x;
+        let x = self.sa.forward(x);
+        let x = self.conv2.1.relu_after(&self.conv2.0, x, mode);
+        halved(x + shortcut)
+    }
+}
+
+impl ChannelAttention {
+    /// A weight for each channel, `[batch, channels, 1, 1]`.
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let through = |x| self.fc2.forward(self.fc1.forward(x, Activation::Relu), Activation::Identity);
+        let mean = adaptive_avg_pool2d(x.clone(), [1, 1]);
+        let largest = x.max_dim(2).max_dim(3);
+        sigmoid(through(mean) + through(largest))
+    }
+}
+
+impl SpatialAttention {
+    /// A weight for each pixel, `[batch, 1, height, width]`.
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let maps = Tensor::cat(vec![x.clone().mean_dim(1), x.max_dim(1)], 1);
+        self.conv1.forward(maps, Activation::Sigmoid)
+    }
+}
+
+impl MultiHeadSelfAttention {
+    /// Each channel of `q` times the transposed channel of `k` with the code of positions added, softmax over the whole
+    /// map, times `v` pixel by pixel.
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let device = x.device();
+        // One convolution for all heads: queries of every head, then keys, then values.
+        let parts: [fn(&SelfAttention) -> &Conv2d; 3] =
+            [|head| &head.w_q, |head| &head.w_k, |head| &head.w_v];
+        let convs = || parts.iter().flat_map(|part| self.sa_blocks.iter().map(part));
+        let weight = Tensor::cat(convs().map(Conv2d::weight).collect(), 0);
+        let bias = Tensor::cat(convs().filter_map(Conv2d::bias).collect(), 0);
+        let finish = Finish::with(Activation::Identity).bias(Some(bias));
+        let all = conv2d(x, weight, finish, Conv2dOptions::new([1; 2], [0; 2]));
+        let [batch, channels, height, width] = all.dims();
+        let mut parts = all.chunk(3, 1).into_iter();
+        let (Some(q), Some(k), Some(v)) = (parts.next(), parts.next(), parts.next()) else {
+            unreachable!("three chunks of {channels} channels")
+        };
+        // q k^T + q p^T = q (k + p)^T.
+        let positions = Tensor::<2>::from_data(position_code(), &device).unsqueeze();
+        let attention = q.matmul((k + positions).swap_dims(2, 3));
+        let attention = softmax(attention.reshape([batch, channels / 3, height * width]), 2);
+        attention.reshape([batch, channels / 3, height, width]) * v
+    }
+}
+
+/// `p_i + p_j` for row `i` and column `j`: `p` is the sine of `10000^-(i/2 / side)` at even `i`, the cosine at odd.
+fn position_code() -> TensorData {
+    let code = |i: usize| {
+        let angle = 1.0 / 10_000.0_f64.powf((i / 2) as f64 / SIDE as f64);
+        (if i.is_multiple_of(2) { angle.sin() } else { angle.cos() }) as f32
+    };
+    let values: Vec<f32> = (0..SIDE * SIDE).map(|i| code(i % SIDE) + code(i / SIDE)).collect();
+    TensorData::new(values, [SIDE, SIDE])
+}
+
+/// The largest of each 2x2 pixels.
+fn halved(x: Tensor<4>) -> Tensor<4> {
+    max_pool2d(x, MaxPoolOptions::new([2, 2]))
+}

@@ -1,0 +1,115 @@
+//! One fold: train on everybody but one subject, tell that subject's clips.
+
+use std::time::Instant;
+
+use burn::tensor::{Device, Int, Tensor, TensorData};
+use srflow_data::micro_expression::EmotionClass;
+use srflow_field::random::Key;
+
+use crate::classifier::{Classifier, initialized};
+use crate::layers::Mode;
+use crate::metrics::CLASSES;
+use crate::protocol::Protocol;
+use crate::training::Training;
+
+/// A clip as a classifier takes it.
+pub(crate) struct Example {
+    pub(crate) input: Vec<f32>,
+    pub(crate) class: EmotionClass,
+}
+
+/// What training one fold gave.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Trained {
+    /// By recorded epoch, then by clip of the subject.
+    pub(crate) scores: Vec<Vec<[f32; CLASSES]>>,
+    /// By recorded epoch: mean cross-entropy over the training clips during that epoch.
+    pub(crate) losses: Vec<f64>,
+    pub(crate) seconds: f64,
+}
+
+/// The loss became infinite or not a number in this epoch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Diverged {
+    pub(crate) epoch: usize,
+}
+
+/// Trains on `training`, neither of the two empty, and scores `tested`. Random numbers are drawn for `name`, which tells
+/// the fold from others, so that its result does not depend on which folds are run and where.
+pub(crate) fn train_fold<C: Classifier>(
+    name: &str,
+    training: &[&Example],
+    tested: &[&Example],
+    protocol: &Protocol,
+    on_epoch: &dyn Fn(usize),
+) -> Result<Trained, Diverged> {
+    let start = Instant::now();
+    let key = Key::new(protocol.seed);
+    let device = Device::flex().autodiff();
+    let mut network = Training::new(initialized::<C>(&device, key, name));
+    let recorded = protocol.recorded();
+    let (mut scores, mut losses) = (Vec::new(), Vec::new());
+    let mut order: Vec<usize> = (0..training.len()).collect();
+    for epoch in 0..protocol.epochs {
+        let key = key.frame(epoch as u32);
+        shuffle(&mut order, &mut key.stream(&format!("{name}: order")));
+        let mut dropout = key.stream(&format!("{name}: dropout"));
+        let mut sum = 0.0;
+        for batch in order.chunks(protocol.batch) {
+            let examples: Vec<&Example> = batch.iter().map(|&index| training[index]).collect();
+            let labels: Vec<i64> = examples.iter().map(|example| example.class as i64).collect();
+            let labels = Tensor::<1, Int>::from_data(labels.as_slice(), &device);
+            let inputs = stacked::<C>(&examples, &device);
+            let loss = network.step(inputs, labels, protocol.learning_rate(epoch), Some(&mut dropout));
+            if !loss.is_finite() {
+                return Err(Diverged { epoch });
+            }
+            sum += f64::from(loss) * batch.len() as f64;
+        }
+        if recorded.contains(&epoch) {
+            losses.push(sum / training.len() as f64);
+            scores.push(score(network.network(), tested, protocol.batch));
+        }
+        on_epoch(epoch);
+    }
+    Ok(Trained { scores, losses, seconds: start.elapsed().as_secs_f64() })
+}
+
+/// Fisher and Yates's.
+fn shuffle(order: &mut [usize], stream: &mut srflow_field::random::Stream) {
+    for end in (1..order.len()).rev() {
+        order.swap(end, stream.below(end as u32 + 1) as usize);
+    }
+}
+
+fn score<C: Classifier>(network: &C, examples: &[&Example], batch: usize) -> Vec<[f32; CLASSES]> {
+    let network = network.valid();
+    let device = Device::flex();
+    let of_batch = |examples: &[&Example]| {
+        let scores = network.scores(stacked::<C>(examples, &device), &mut Mode::Evaluation);
+        let scores: Vec<f32> = scores.into_data().try_to_vec().expect("scores are f32");
+        scores.as_chunks().0.to_vec()
+    };
+    examples.chunks(batch).flat_map(of_batch).collect()
+}
+
+fn stacked<C: Classifier>(examples: &[&Example], device: &Device) -> Tensor<4> {
+    let [channels, height, width] = C::INPUT;
+    let values: Vec<f32> = examples.iter().flat_map(|example| &example.input).copied().collect();
+    Tensor::from_data(TensorData::new(values, [examples.len(), channels, height, width]), device)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_order_keeps_every_clip() {
+        let mut stream = Key::new(3).stream("test");
+        let mut order: Vec<usize> = (0..50).collect();
+        shuffle(&mut order, &mut stream);
+        assert_ne!(order, (0..50).collect::<Vec<_>>());
+        order.sort_unstable();
+        assert_eq!(order, (0..50).collect::<Vec<_>>());
+    }
+}

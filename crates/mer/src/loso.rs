@@ -1,0 +1,322 @@
+//! Leave one subject out: every subject of every dataset is told once by a classifier that has seen all the others.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use srflow_data::micro_expression::EmotionClass;
+use srflow_field::{FileError, FileProblem, create_folder, write_atomically};
+
+use crate::classifier::Classifier;
+use crate::features::Sample;
+use crate::fold::{Diverged, Example, Trained, train_fold};
+use crate::metrics::CLASSES;
+use crate::predictions::Prediction;
+use crate::protocol::{Protocol, ProtocolError};
+
+/// Goes up when the same protocol and features give other scores.
+const VERSION: u32 = 1;
+
+/// What was told of every clip, and how each fold went.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Loso {
+    /// By dataset, subject, clip, then epoch.
+    pub predictions: Vec<Prediction>,
+    /// By dataset, then subject.
+    pub folds: Vec<FoldRecord>,
+}
+
+/// How one fold went.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FoldRecord {
+    /// The dataset of the subject who is left out.
+    pub dataset: String,
+    /// The subject.
+    pub subject: String,
+    /// The subject's clips.
+    pub clips: usize,
+    /// Classes that no other subject shows: the classifier cannot know them.
+    pub unseen_classes: Vec<&'static str>,
+    /// By recorded epoch: mean cross-entropy over the training clips during that epoch.
+    pub training_losses: Vec<f64>,
+    /// What the training took.
+    pub seconds: f64,
+    /// Whether the result was there from an earlier run.
+    pub resumed: bool,
+}
+
+/// What happens while folds are run, from any thread.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LosoEvent {
+    /// A fold has passed another epoch.
+    Epoch,
+    /// A fold is done; when resumed, none of its epochs was run.
+    Fold {
+        /// The result was there from an earlier run.
+        resumed: bool,
+    },
+}
+
+/// Why there is no result.
+#[derive(Debug, thiserror::Error)]
+pub enum LosoError {
+    /// A value of the protocol cannot be used.
+    #[error(transparent)]
+    Protocol(#[from] ProtocolError),
+    /// Nobody can be left out.
+    #[error("leaving one subject out needs clips of at least 2 subjects; found {}", listed(.0))]
+    Subjects(Vec<String>),
+    /// Two clips cannot be told apart.
+    #[error("{dataset} subject {subject} has two clips called {clip}; give each its own name")]
+    SameClip {
+        /// The dataset.
+        dataset: String,
+        /// The subject.
+        subject: String,
+        /// The name.
+        clip: String,
+    },
+    /// The loss of a fold became infinite or not a number.
+    #[error(
+        "training without {dataset} subject {subject} diverged in epoch {epoch}; try a smaller learning rate"
+    )]
+    Diverged {
+        /// The dataset.
+        dataset: String,
+        /// The subject who is left out.
+        subject: String,
+        /// The epoch.
+        epoch: usize,
+    },
+    /// A finished fold could not be read or written.
+    #[error(transparent)]
+    File(#[from] FileError),
+}
+
+fn listed(subjects: &[String]) -> String {
+    if subjects.is_empty() { "none".to_owned() } else { subjects.join(", ") }
+}
+
+/// Trains one classifier for each subject on all others' samples, and records what it says of the subject's clips.
+///
+/// Folds are spread over as many threads as the current pool has. Each is computed by one thread from its own random
+/// numbers: the result has the same bits whatever the number of threads. Finished folds are kept in `folder`, under names
+/// that follow from protocol, classifier and every sample, and are not run again.
+///
+/// # Errors
+/// When there are no two subjects, two clips share a name, training diverges, or a fold cannot be kept.
+pub fn leave_one_subject_out<C: Classifier>(
+    samples: &[Sample],
+    protocol: &Protocol,
+    folder: Option<&Path>,
+    on_event: &(dyn Fn(LosoEvent) + Sync),
+) -> Result<Loso, LosoError> {
+    protocol.check()?;
+    let samples = sorted(samples)?;
+    let mut folds: BTreeMap<[&str; 2], Vec<usize>> = BTreeMap::new();
+    for (index, sample) in samples.iter().enumerate() {
+        folds.entry([&sample.dataset, &sample.subject]).or_default().push(index);
+    }
+    if folds.len() < 2 {
+        return Err(LosoError::Subjects(
+            folds.keys().map(|[dataset, subject]| format!("{dataset} {subject}")).collect(),
+        ));
+    }
+    let store = match folder {
+        Some(folder) => Some(Store::open::<C>(folder, protocol, &samples)?),
+        None => None,
+    };
+    let examples: Vec<Example> = samples
+        .iter()
+        .map(|sample| Example { input: C::input(&sample.features), class: sample.class })
+        .collect();
+    let folds: Vec<([&str; 2], Vec<usize>)> = folds.into_iter().collect();
+    let run = |&([dataset, subject], ref clips): &([&str; 2], Vec<usize>)| -> Result<Finished, LosoError> {
+        let file = store.as_ref().map(|store| store.file(dataset, subject));
+        if let Some(finished) = file.as_deref().map(read_fold).transpose()?.flatten() {
+            on_event(LosoEvent::Fold { resumed: true });
+            return Ok(finished);
+        }
+        let (tested, training): (Vec<_>, Vec<_>) =
+            (0..examples.len()).partition(|index| clips.contains(index));
+        let of = |indices: Vec<usize>| -> Vec<&Example> { indices.iter().map(|&i| &examples[i]).collect() };
+        let name = format!("{dataset}/{subject}");
+        let trained = train_fold::<C>(&name, &of(training), &of(tested), protocol, &|_| {
+            on_event(LosoEvent::Epoch);
+        });
+        let finished = Finished {
+            trained: trained.map_err(|Diverged { epoch }| LosoError::Diverged {
+                dataset: dataset.to_owned(),
+                subject: subject.to_owned(),
+                epoch,
+            })?,
+            resumed: false,
+        };
+        if let Some(file) = &file {
+            write_fold(file, &name, &finished.trained)?;
+        }
+        on_event(LosoEvent::Fold { resumed: false });
+        Ok(finished)
+    };
+    let finished = each_on_one_thread(&folds, run)?;
+
+    let mut loso = Loso { predictions: Vec::new(), folds: Vec::new() };
+    for (([dataset, subject], clips), Finished { trained, resumed }) in folds.iter().zip(finished) {
+        let seen: BTreeSet<usize> = (0..samples.len())
+            .filter(|index| !clips.contains(index))
+            .map(|index| samples[index].class as usize)
+            .collect();
+        let unseen = EmotionClass::ALL.into_iter().filter(|&class| !seen.contains(&(class as usize)));
+        loso.folds.push(FoldRecord {
+            dataset: (*dataset).to_owned(),
+            subject: (*subject).to_owned(),
+            clips: clips.len(),
+            unseen_classes: unseen.map(EmotionClass::name).collect(),
+            training_losses: trained.losses,
+            seconds: trained.seconds,
+            resumed,
+        });
+        for (position, &index) in clips.iter().enumerate() {
+            let sample = samples[index];
+            for (epoch, scores) in protocol.recorded().into_iter().zip(&trained.scores) {
+                loso.predictions.push(Prediction {
+                    dataset: sample.dataset.clone(),
+                    subject: sample.subject.clone(),
+                    clip: sample.clip.clone(),
+                    truth: sample.class,
+                    epoch,
+                    predicted: Prediction::class_of(&scores[position]),
+                    scores: scores[position],
+                });
+            }
+        }
+    }
+    Ok(loso)
+}
+
+/// By dataset, subject, clip: the result does not depend on the order in which samples are given.
+fn sorted(samples: &[Sample]) -> Result<Vec<&Sample>, LosoError> {
+    let name = |sample: &Sample| [&sample.dataset, &sample.subject, &sample.clip].map(String::clone);
+    let mut sorted: Vec<&Sample> = samples.iter().collect();
+    sorted.sort_by_key(|sample| name(sample));
+    match sorted.windows(2).find(|pair| name(pair[0]) == name(pair[1])) {
+        None => Ok(sorted),
+        Some(pair) => {
+            let [dataset, subject, clip] = name(pair[0]);
+            Err(LosoError::SameClip { dataset, subject, clip })
+        }
+    }
+}
+
+struct Finished {
+    trained: Trained,
+    resumed: bool,
+}
+
+/// `run` of every item, in the items' order, on as many threads as the current pool has; the first error ends it. What
+/// `run` does in parallel stays on its thread.
+fn each_on_one_thread<T: Sync, R: Send, E: Send>(
+    items: &[T],
+    run: impl Fn(&T) -> Result<R, E> + Sync,
+) -> Result<Vec<R>, E> {
+    let next = AtomicUsize::new(0);
+    let stop = AtomicBool::new(false);
+    let results: Mutex<BTreeMap<usize, Result<R, E>>> = Mutex::default();
+    let work = || {
+        // A pool of this thread alone: kernels that split their work find nobody to share it with.
+        let _pool = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build();
+        while !stop.load(Ordering::Relaxed) {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            let Some(item) = items.get(index) else { break };
+            let result = run(item);
+            stop.fetch_or(result.is_err(), Ordering::Relaxed);
+            results.lock().unwrap_or_else(std::sync::PoisonError::into_inner).insert(index, result);
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 0..rayon::current_num_threads().min(items.len()) {
+            scope.spawn(work);
+        }
+    });
+    results.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner).into_values().collect()
+}
+
+/// Finished folds on disk.
+struct Store {
+    folder: PathBuf,
+    /// Digest of protocol, classifier and samples.
+    run: Vec<u8>,
+}
+
+/// A finished fold as it is written. Scores are written as f64, which JSON gives back to the bit.
+#[derive(Serialize, Deserialize)]
+struct FoldFile {
+    fold: String,
+    seconds: f64,
+    training_losses: Vec<f64>,
+    scores: Vec<Vec<[f64; CLASSES]>>,
+}
+
+impl Store {
+    fn open<C: Classifier>(
+        folder: &Path,
+        protocol: &Protocol,
+        samples: &[&Sample],
+    ) -> Result<Self, FileError> {
+        create_folder(folder)?;
+        let mut digest = Sha256::new();
+        digest.update(format!("srflow fold {VERSION}\n{}\n{protocol:?}\n", C::NAME));
+        for sample in samples {
+            let Sample { dataset, subject, clip, class, features } = sample;
+            digest.update(format!("{dataset:?} {subject:?} {clip:?} {class}\n"));
+            features.values().iter().for_each(|value| digest.update(value.to_le_bytes()));
+        }
+        Ok(Self { folder: folder.to_owned(), run: digest.finalize().to_vec() })
+    }
+
+    fn file(&self, dataset: &str, subject: &str) -> PathBuf {
+        let digest = Sha256::new().chain_update(&self.run).chain_update(format!("{dataset:?} {subject:?}"));
+        let name: String = digest.finalize().iter().take(16).map(|byte| format!("{byte:02x}")).collect();
+        self.folder.join(format!("{name}.json"))
+    }
+}
+
+/// A finished fold; none where there is no file, or one that is not whole.
+fn read_fold(path: &Path) -> Result<Option<Finished>, FileError> {
+    let text = match fs::read(path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => {
+            return Err(FileError {
+                path: path.to_owned(),
+                problem: FileProblem::Io { doing: "reading", error },
+            });
+        }
+    };
+    let file: Option<FoldFile> = serde_json::from_slice(&text).ok();
+    Ok(file.map(|file| {
+        let scores =
+            file.scores.into_iter().map(|clips| clips.into_iter().map(|s| s.map(|x| x as f32)).collect());
+        let trained =
+            Trained { scores: scores.collect(), losses: file.training_losses, seconds: file.seconds };
+        Finished { trained, resumed: true }
+    }))
+}
+
+fn write_fold(path: &Path, name: &str, trained: &Trained) -> Result<(), FileError> {
+    let file = FoldFile {
+        fold: name.to_owned(),
+        seconds: trained.seconds,
+        training_losses: trained.losses.clone(),
+        scores: trained.scores.iter().map(|clips| clips.iter().map(|s| s.map(f64::from)).collect()).collect(),
+    };
+    write_atomically(path, |writer| {
+        serde_json::to_writer(&mut *writer, &file)?;
+        writer.flush()
+    })
+}

@@ -1,0 +1,117 @@
+//! What is done to every fold.
+
+use serde::{Deserialize, Serialize};
+
+/// How classifiers are trained: the SRFlow paper's values by default, those of Off-TANet's code where the paper gives
+/// none.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Protocol {
+    /// Passes over the training clips; 201, so that the last has number 200.
+    pub epochs: usize,
+    /// Predictions are recorded after epochs 0, this, twice this and so on, and after the last; 20.
+    pub record_every: usize,
+    /// Clips in a step; 64. The last step of an epoch takes what is left.
+    pub batch: usize,
+    /// Of Adam, at the start; 6.5e-4.
+    pub learning_rate: f64,
+    /// Epochs between two multiplications of the learning rate; 60.
+    pub decay_every: usize,
+    /// What it is multiplied with; 0.3.
+    pub decay: f64,
+    /// Of parameters, order of clips and dropout.
+    pub seed: u64,
+}
+
+/// A value that no training can have.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{name} is {value}; expected {expected}")]
+pub struct ProtocolError {
+    /// Which.
+    pub name: &'static str,
+    /// What was given.
+    pub value: f64,
+    /// What it can be.
+    pub expected: &'static str,
+}
+
+impl Default for Protocol {
+    fn default() -> Self {
+        Self {
+            epochs: 201,
+            record_every: 20,
+            batch: 64,
+            learning_rate: 6.5e-4,
+            decay_every: 60,
+            decay: 0.3,
+            seed: 0,
+        }
+    }
+}
+
+impl Protocol {
+    /// Whether the values can be used.
+    ///
+    /// # Errors
+    /// Names the first that cannot.
+    pub fn check(&self) -> Result<(), ProtocolError> {
+        for (name, value) in [
+            ("number of epochs", self.epochs),
+            ("number of epochs between recordings", self.record_every),
+            ("batch size", self.batch),
+            ("number of epochs between decays", self.decay_every),
+        ] {
+            if value == 0 {
+                return Err(ProtocolError { name, value: 0.0, expected: "at least 1" });
+            }
+        }
+        let range = |name, value: f64, largest: f64, expected| {
+            let fits = value > 0.0 && value <= largest;
+            if fits { Ok(()) } else { Err(ProtocolError { name, value, expected }) }
+        };
+        range("learning rate", self.learning_rate, f64::MAX, "a number above 0")?;
+        range("decay of the learning rate", self.decay, 1.0, "a number above 0, up to 1")
+    }
+
+    /// Epochs after which predictions are recorded, in order.
+    pub fn recorded(&self) -> Vec<usize> {
+        let last = self.epochs.saturating_sub(1);
+        (0..self.epochs).filter(|epoch| epoch.is_multiple_of(self.record_every) || *epoch == last).collect()
+    }
+
+    /// The learning rate of an epoch.
+    pub fn learning_rate(&self, epoch: usize) -> f64 {
+        self.learning_rate * self.decay.powi((epoch / self.decay_every) as i32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_papers_schedule() {
+        let protocol = Protocol::default();
+        protocol.check().unwrap();
+        assert_eq!(protocol.recorded(), [0, 20, 40, 60, 80, 100, 120, 140, 160, 180, 200]);
+        let rates = [0, 59, 60, 119, 120, 200].map(|epoch| protocol.learning_rate(epoch));
+        for (rate, power) in rates.iter().zip([0, 0, 1, 1, 2, 3]) {
+            assert!((rate - 6.5e-4 * 0.3_f64.powi(power)).abs() < 1e-18, "{rates:?}");
+        }
+    }
+
+    #[test]
+    fn the_last_epoch_is_always_recorded() {
+        assert_eq!(Protocol { epochs: 50, ..Protocol::default() }.recorded(), [0, 20, 40, 49]);
+        assert_eq!(Protocol { epochs: 1, ..Protocol::default() }.recorded(), [0]);
+    }
+
+    #[test]
+    fn values_that_make_no_sense_are_named() {
+        let error = Protocol { batch: 0, ..Protocol::default() }.check().unwrap_err().to_string();
+        assert_eq!(error, "batch size is 0; expected at least 1");
+        for rate in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(Protocol { learning_rate: rate, ..Protocol::default() }.check().is_err(), "{rate}");
+        }
+        assert!(Protocol { decay: 1.5, ..Protocol::default() }.check().is_err());
+    }
+}

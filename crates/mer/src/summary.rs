@@ -1,0 +1,216 @@
+//! From predictions to the numbers that are reported.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use srflow_data::micro_expression::EmotionClass;
+
+use crate::metrics::{Confusion, Scores};
+use crate::predictions::Prediction;
+
+/// The scores of one leave-one-subject-out run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Summary {
+    /// By recorded epoch, in order; at least one.
+    pub epochs: Vec<EpochScores>,
+    /// By fold, in order of dataset and subject.
+    pub folds: Vec<FoldScores>,
+}
+
+/// Scores after one epoch.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EpochScores {
+    /// Epochs before this one.
+    pub epoch: usize,
+    /// The paper's metrics, the mean over folds.
+    pub mean: Scores,
+    /// All folds' predictions pooled: MEGC 2019's metrics follow from it.
+    pub pooled: Confusion,
+}
+
+/// One subject's clips.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FoldScores {
+    /// The dataset's kind.
+    pub dataset: String,
+    /// The subject.
+    pub subject: String,
+    /// For each recorded epoch, what was told for what.
+    pub confusions: Vec<Confusion>,
+}
+
+/// The largest value of a metric over the recorded epochs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Best {
+    /// The value.
+    pub value: f64,
+    /// The first epoch that reached it.
+    pub epoch: usize,
+}
+
+/// Why predictions give no scores.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum SummaryError {
+    /// There are none.
+    #[error("no predictions")]
+    Empty,
+    /// A clip was not predicted at an epoch that others were, or twice.
+    #[error(
+        "{dataset} subject {subject} clip {clip} has {count} predictions at epoch {epoch}, expected 1: \
+        the file is not whole"
+    )]
+    Count {
+        /// The dataset's kind.
+        dataset: String,
+        /// The subject.
+        subject: String,
+        /// The clip.
+        clip: String,
+        /// The epoch.
+        epoch: usize,
+        /// Predictions found.
+        count: usize,
+    },
+}
+
+/// Truth and prediction.
+type Told = (EmotionClass, EmotionClass);
+
+impl Summary {
+    /// Scores of a whole run: every clip predicted once at every recorded epoch.
+    ///
+    /// # Errors
+    /// When there are no predictions, or too few or too many of a clip.
+    pub fn of(predictions: &[Prediction]) -> Result<Self, SummaryError> {
+        let epochs: BTreeSet<usize> = predictions.iter().map(|prediction| prediction.epoch).collect();
+        let mut clips: BTreeMap<[&str; 3], BTreeMap<usize, usize>> = BTreeMap::new();
+        let mut folds: BTreeMap<[&str; 2], BTreeMap<usize, Vec<Told>>> = BTreeMap::new();
+        for Prediction { dataset, subject, clip, truth, epoch, predicted, .. } in predictions {
+            *clips.entry([dataset, subject, clip]).or_default().entry(*epoch).or_default() += 1;
+            let fold = folds.entry([dataset, subject]).or_default();
+            fold.entry(*epoch).or_default().push((*truth, *predicted));
+        }
+        for ([dataset, subject, clip], counts) in clips {
+            for &epoch in &epochs {
+                let count = counts.get(&epoch).copied().unwrap_or(0);
+                if count != 1 {
+                    let [dataset, subject, clip] = [dataset, subject, clip].map(str::to_owned);
+                    return Err(SummaryError::Count { dataset, subject, clip, epoch, count });
+                }
+            }
+        }
+        let folds: Vec<FoldScores> = folds
+            .into_iter()
+            .map(|([dataset, subject], epochs)| FoldScores {
+                dataset: dataset.to_owned(),
+                subject: subject.to_owned(),
+                confusions: epochs.into_values().map(Confusion::of).collect(),
+            })
+            .collect();
+        let at = |(index, epoch)| {
+            let confusions = folds.iter().map(|fold: &FoldScores| &fold.confusions[index]);
+            let scores: Vec<Scores> = confusions.clone().map(Confusion::scores).collect();
+            let pooled = confusions.fold(Confusion::default(), Confusion::plus);
+            EpochScores { epoch, mean: Scores::mean(&scores), pooled }
+        };
+        let epochs: Vec<EpochScores> = epochs.into_iter().enumerate().map(at).collect();
+        if epochs.is_empty() { Err(SummaryError::Empty) } else { Ok(Self { epochs, folds }) }
+    }
+
+    /// The paper's result: of each metric (in the order of [`Scores::values`]) the largest mean over folds, each at its
+    /// own epoch. The epochs are chosen by the very clips that are scored, so these numbers are too good.
+    pub fn best(&self) -> [Best; 5] {
+        std::array::from_fn(|metric| {
+            let values = self.epochs.iter().map(|scores| (scores.mean.values()[metric], scores.epoch));
+            let (value, epoch) = values.fold((f64::NEG_INFINITY, 0), |a, b| if b.0 > a.0 { b } else { a });
+            Best { value, epoch }
+        })
+    }
+
+    /// The result after the last epoch, which is fixed before training: no clip that is scored has any say in it.
+    pub fn last(&self) -> &EpochScores {
+        &self.epochs[self.epochs.len() - 1]
+    }
+
+    /// The same clips, every one of them taken for negative.
+    pub fn always_negative(&self) -> EpochScores {
+        let fold = |fold: &FoldScores| {
+            let mut told = Confusion::default();
+            for (row, truth) in told.0.iter_mut().zip(fold.confusions[0].0) {
+                row[EmotionClass::Negative as usize] = truth.iter().sum();
+            }
+            told
+        };
+        let confusions: Vec<Confusion> = self.folds.iter().map(fold).collect();
+        let scores: Vec<Scores> = confusions.iter().map(Confusion::scores).collect();
+        let pooled = confusions.iter().fold(Confusion::default(), Confusion::plus);
+        EpochScores { epoch: 0, mean: Scores::mean(&scores), pooled }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use EmotionClass::{Negative, Positive, Surprise};
+
+    use super::*;
+
+    fn prediction(subject: &str, clip: &str, epoch: usize, said: [EmotionClass; 2]) -> Prediction {
+        Prediction {
+            dataset: "made-up".into(),
+            subject: subject.into(),
+            clip: clip.into(),
+            truth: said[0],
+            epoch,
+            predicted: said[1],
+            scores: [0.0; 3],
+        }
+    }
+
+    /// Two subjects, one of them with a single clip; two epochs.
+    fn run() -> Vec<Prediction> {
+        vec![
+            prediction("1", "a", 0, [Negative, Negative]),
+            prediction("1", "b", 0, [Surprise, Negative]),
+            prediction("2", "a", 0, [Positive, Positive]),
+            prediction("1", "a", 20, [Negative, Surprise]),
+            prediction("1", "b", 20, [Surprise, Surprise]),
+            prediction("2", "a", 20, [Positive, Negative]),
+        ]
+    }
+
+    #[test]
+    fn each_metric_takes_its_own_epoch() {
+        let mut predictions = run();
+        // A third epoch: subject 1 as at first, subject 2 wrong.
+        predictions.push(prediction("1", "a", 40, [Negative, Negative]));
+        predictions.push(prediction("1", "b", 40, [Surprise, Surprise]));
+        predictions.push(prediction("2", "a", 40, [Positive, Negative]));
+        let summary = Summary::of(&predictions).unwrap();
+        let best = summary.best();
+        assert_eq!(best[3], Best { value: 0.75, epoch: 0 }); // accuracy: (1/2 + 1) / 2
+        assert_eq!(best[1], Best { value: 0.75, epoch: 0 }); // recall
+        assert_eq!(best[4], Best { value: 0.5, epoch: 0 }); // geometric mean: first of equals
+        assert_eq!(summary.last().epoch, 40);
+        assert_eq!(summary.last().mean.accuracy, 0.5);
+        assert_eq!(summary.last().pooled, Confusion([[1, 0, 0], [1, 0, 0], [0, 0, 1]]));
+    }
+
+    #[test]
+    fn the_baseline_is_of_the_same_clips() {
+        let summary = Summary::of(&run()).unwrap();
+        let baseline = summary.always_negative();
+        assert_eq!(baseline.pooled, Confusion([[1, 0, 0], [1, 0, 0], [1, 0, 0]]));
+        assert_eq!(baseline.mean.accuracy, 0.25);
+        assert_eq!(summary.folds[1].confusions[0].total(), 1);
+    }
+
+    #[test]
+    fn a_clip_that_is_missing_or_there_twice_is_named() {
+        assert_eq!(Summary::of(&[]), Err(SummaryError::Empty));
+        let mut twice = run();
+        twice.push(twice[1].clone());
+        let error = Summary::of(&twice).unwrap_err().to_string();
+        assert!(error.contains("subject 1 clip b has 2 predictions at epoch 0"), "{error}");
+        let error = Summary::of(&run()[..5]).unwrap_err().to_string();
+        assert!(error.contains("subject 2 clip a has 0 predictions at epoch 20"), "{error}");
+    }
+}

@@ -1,0 +1,48 @@
+//! Teaching one classifier.
+
+use burn::tensor::activation::log_softmax;
+use burn::tensor::{Int, Tensor};
+use srflow_field::random::Stream;
+
+use crate::adam::Adam;
+use crate::classifier::Classifier;
+use crate::layers::Mode;
+
+/// A classifier and its optimizer. The classifier lives on a device with automatic differentiation.
+pub struct Training<C: Classifier> {
+    network: C,
+    adam: Adam,
+}
+
+impl<C: Classifier> Training<C> {
+    /// From a network's present parameters.
+    pub fn new(network: C) -> Self {
+        Self { network, adam: Adam::default() }
+    }
+
+    /// One step of Adam down the cross-entropy of a batch; `inputs` `[batch, C::INPUT...]`, `labels` class numbers. Without
+    /// `dropout` nothing is dropped. Returns the loss before the step.
+    pub fn step(
+        &mut self,
+        inputs: Tensor<4>,
+        labels: Tensor<1, Int>,
+        learning_rate: f64,
+        dropout: Option<&mut Stream>,
+    ) -> f32 {
+        let scores = self.network.scores(inputs, &mut Mode::Training { dropout });
+        let loss = cross_entropy(scores, labels);
+        let gradients = loss.backward();
+        self.network = self.adam.step(self.network.clone(), &gradients, learning_rate);
+        loss.into_scalar()
+    }
+
+    /// The network as trained so far.
+    pub fn network(&self) -> &C {
+        &self.network
+    }
+}
+
+/// Mean over the batch of the negative log-likelihood of the labels, `[1]`; scores `[batch, classes]`.
+pub fn cross_entropy(scores: Tensor<2>, labels: Tensor<1, Int>) -> Tensor<1> {
+    log_softmax(scores, 1).gather(1, labels.unsqueeze_dim(1)).mean().neg()
+}

@@ -1,0 +1,188 @@
+//! Leave-one-subject-out on made-up features.
+
+use std::path::Path;
+use std::sync::Mutex;
+
+use srflow_data::micro_expression::EmotionClass;
+use srflow_field::Plane;
+use srflow_field::random::Key;
+use srflow_mer::{
+    Classifier, FEATURE_SIDE, Features, Loso, LosoEvent, OffTaNet, Protocol, Sample, StstNet, Summary,
+    leave_one_subject_out, read_predictions, write_predictions,
+};
+
+/// Motion that tells the class: down on the left, up on the right, up everywhere; and noise.
+fn sample(dataset: &str, subject: u32, clip: u32, class: EmotionClass) -> Sample {
+    let mut noise = Key::new(9).scene(subject).frame(clip).stream(dataset);
+    let mut map = |motion: &dyn Fn(usize) -> f32| {
+        Plane::from_fn(FEATURE_SIDE, FEATURE_SIDE, |x, _| motion(x) + 0.3 * noise.normal())
+    };
+    let u = map(&|_| 0.0);
+    let v = map(&|x| match class {
+        EmotionClass::Negative => {
+            if x < FEATURE_SIDE / 2 {
+                0.5
+            } else {
+                0.0
+            }
+        }
+        EmotionClass::Positive => {
+            if x < FEATURE_SIDE / 2 {
+                0.0
+            } else {
+                -0.5
+            }
+        }
+        EmotionClass::Surprise => -0.5,
+    });
+    let strain = map(&|_| 0.1);
+    Sample {
+        dataset: dataset.into(),
+        subject: format!("{subject:02}"),
+        clip: format!("clip {clip}"),
+        class,
+        features: Features::new(&u, &v, &strain).unwrap(),
+    }
+}
+
+/// `subjects` of each of two datasets, with two clips of each class; one more with a single clip.
+fn samples(subjects: u32) -> Vec<Sample> {
+    let mut samples = vec![sample("b", 99, 0, EmotionClass::Negative)];
+    for dataset in ["a", "b"] {
+        for subject in 0..subjects {
+            for clip in 0..6 {
+                samples.push(sample(dataset, subject, clip, EmotionClass::ALL[clip as usize % 3]));
+            }
+        }
+    }
+    samples
+}
+
+fn protocol(epochs: usize) -> Protocol {
+    Protocol { epochs, record_every: 2, batch: 8, seed: 5, ..Protocol::default() }
+}
+
+fn run<C: Classifier>(
+    samples: &[Sample],
+    protocol: &Protocol,
+    folder: Option<&Path>,
+    threads: usize,
+) -> (Loso, Vec<LosoEvent>) {
+    let events = Mutex::default();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let log = |event| {
+        Mutex::lock(&events)
+            .map(|mut events: std::sync::MutexGuard<Vec<LosoEvent>>| events.push(event))
+            .unwrap()
+    };
+    let loso = pool.install(|| leave_one_subject_out::<C>(samples, protocol, folder, &log)).unwrap();
+    (loso, events.into_inner().unwrap())
+}
+
+fn count(events: &[LosoEvent], event: LosoEvent) -> usize {
+    events.iter().filter(|other| **other == event).count()
+}
+
+#[test]
+fn a_classifier_learns_what_tells_the_classes() {
+    let protocol = Protocol { learning_rate: 5e-3, ..protocol(16) };
+    let (loso, _) = run::<StstNet>(&samples(4), &protocol, None, 2);
+    assert_eq!(loso.folds.len(), 9);
+    assert_eq!(loso.predictions.len(), 49 * protocol.recorded().len());
+    let summary = Summary::of(&loso.predictions).unwrap();
+    let accuracy = summary.last().mean.accuracy;
+    assert!(
+        accuracy > 0.9,
+        "{accuracy} where always negative has {}",
+        summary.always_negative().mean.accuracy
+    );
+    assert!(loso.folds.iter().all(|fold| fold.training_losses[0] > *fold.training_losses.last().unwrap()));
+}
+
+/// The network that the paper uses, with dropout, batch norms and every kernel that could share its work.
+#[test]
+fn results_have_the_same_bits_on_any_number_of_threads_and_in_any_order() {
+    let mut samples = samples(1);
+    let (one, _) = run::<OffTaNet>(&samples, &protocol(2), None, 1);
+    samples.reverse();
+    let (three, _) = run::<OffTaNet>(&samples, &protocol(2), None, 3);
+    assert_eq!(one.predictions, three.predictions);
+    let losses = |loso: &Loso| loso.folds.iter().map(|fold| fold.training_losses.clone()).collect::<Vec<_>>();
+    assert_eq!(losses(&one), losses(&three));
+    let other = Protocol { seed: 6, ..protocol(2) };
+    assert_ne!(run::<OffTaNet>(&samples, &other, None, 3).0.predictions, one.predictions);
+}
+
+#[test]
+fn finished_folds_are_not_run_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let (samples, protocol) = (samples(2), protocol(3));
+    let (whole, events) = run::<StstNet>(&samples, &protocol, Some(folder.path()), 2);
+    assert_eq!(count(&events, LosoEvent::Fold { resumed: false }), 5);
+    assert_eq!(count(&events, LosoEvent::Epoch), 15);
+
+    // As a killed run leaves it: two folds are missing, of one there is half a file.
+    let mut files: Vec<_> =
+        std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
+    files.sort();
+    assert_eq!(files.len(), 5);
+    std::fs::remove_file(&files[0]).unwrap();
+    std::fs::remove_file(&files[3]).unwrap();
+    let text = std::fs::read(&files[1]).unwrap();
+    std::fs::write(&files[1], &text[..text.len() / 2]).unwrap();
+    let (resumed, events) = run::<StstNet>(&samples, &protocol, Some(folder.path()), 2);
+    assert_eq!(count(&events, LosoEvent::Fold { resumed: true }), 2);
+    assert_eq!(count(&events, LosoEvent::Epoch), 9);
+    assert_eq!(resumed.predictions, whole.predictions);
+
+    // Another seed, another network, other features: other folds.
+    let other = Protocol { seed: 6, ..protocol.clone() };
+    assert_eq!(count(&run::<StstNet>(&samples, &other, Some(folder.path()), 2).1, LosoEvent::Epoch), 15);
+    let mut changed = samples.clone();
+    changed[0] = sample("b", 99, 1, EmotionClass::Negative);
+    changed[0].clip.clone_from(&samples[0].clip);
+    assert_eq!(count(&run::<StstNet>(&changed, &protocol, Some(folder.path()), 2).1, LosoEvent::Epoch), 15);
+}
+
+#[test]
+fn every_number_follows_from_the_predictions_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let (loso, _) = run::<StstNet>(&samples(2), &protocol(3), None, 2);
+    let summary = Summary::of(&loso.predictions).unwrap();
+    let path = folder.path().join("predictions.csv");
+    let trial = srflow_mer::Trial {
+        method: "made up".into(),
+        set: "composite".into(),
+        predictions: loso.predictions,
+    };
+    write_predictions(&path, &[trial]).unwrap();
+    let read = read_predictions(&path).unwrap();
+    assert_eq!(Summary::of(&read[0].predictions).unwrap(), summary);
+    for prediction in &read[0].predictions {
+        assert_eq!(srflow_mer::Prediction::class_of(&prediction.scores), prediction.predicted);
+    }
+}
+
+#[test]
+fn a_class_that_only_one_subject_shows_is_recorded() {
+    let mut samples = samples(1);
+    samples.retain(|sample| sample.class != EmotionClass::Surprise || sample.dataset == "a");
+    let (loso, _) = run::<StstNet>(&samples, &protocol(1), None, 1);
+    let unseen: Vec<_> = loso.folds.iter().map(|fold| fold.unseen_classes.clone()).collect();
+    assert_eq!(unseen, [vec!["surprise"], vec![], vec![]]);
+}
+
+#[test]
+fn what_cannot_be_run_says_why() {
+    let error = |samples: &[Sample], protocol: &Protocol| {
+        leave_one_subject_out::<StstNet>(samples, protocol, None, &|_| {}).unwrap_err().to_string()
+    };
+    let all = samples(1);
+    assert!(error(&[], &protocol(1)).contains("found none"));
+    assert!(error(&all[..1], &protocol(1)).contains("at least 2 subjects; found b 99"));
+    let twice = [all.clone(), all[3..4].to_vec()].concat();
+    assert!(error(&twice, &protocol(1)).contains("subject 00 has two clips called clip 2"));
+    assert!(error(&all, &Protocol { epochs: 0, ..protocol(1) }).contains("number of epochs is 0"));
+    let steep = Protocol { learning_rate: 1e38, ..protocol(8) };
+    assert!(error(&all, &steep).contains("diverged in epoch"));
+}

@@ -1,0 +1,207 @@
+//! The classifiers against their published code, run in PyTorch; `tools/parity/mer_networks.py` repeats the rules for
+//! parameters and inputs and wrote the golden values.
+
+use std::path::PathBuf;
+
+use burn::module::{Module, ModuleVisitor, Param};
+use burn::tensor::{Device, Gradients, Int, Tensor, TensorData};
+use safetensors::SafeTensors;
+use srflow_mer::{Classifier, Mode, OffApexNet, OffTaNet, StstNet, Training, cross_entropy};
+use srflow_nets::{Parameters, load, parameter_infos, with_parameters};
+
+const LABELS: [i64; 5] = [0, 2, 1, 0, 1];
+const LEARNING_RATE: f64 = 6.5e-4;
+/// Biases of convolutions right before a batch norm: they have no gradient.
+const NO_GRADIENT: [&str; 4] = ["conv.0.bias", "conv.3.bias", "eres.conv1.0.bias", "eres.conv2.0.bias"];
+
+/// Uniform in -1..1, from a hash of the index and the seed.
+fn noise(index: u32, seed: u32) -> f32 {
+    let mut x = index.wrapping_mul(0x9E37_79B9) ^ seed;
+    x = (x ^ (x >> 16)).wrapping_mul(0x85EB_CA6B);
+    x = (x ^ (x >> 13)).wrapping_mul(0xC2B2_AE35);
+    x ^= x >> 16;
+    (x >> 8) as f32 / 8_388_608.0 - 1.0
+}
+
+/// FNV-1a.
+fn name_hash(name: &str) -> u32 {
+    name.bytes().fold(0x811C_9DC5, |value, byte| (value ^ u32::from(byte)).wrapping_mul(0x0100_0193))
+}
+
+/// Weights of variance 1 / fan_in, so that activations keep their size; the rest near what training leaves.
+fn parameter(name: &str, shape: &[usize]) -> Vec<f32> {
+    let count: usize = shape.iter().product();
+    let fan_in: usize = shape[1..].iter().product();
+    let rule = |u: f32| match name.rsplit('.').next() {
+        Some("running_var") => 1.0 + 0.5 * u,
+        Some("weight") if shape.len() == 1 => 1.0 + 0.25 * u,
+        Some("weight") => u * (3.0 / fan_in as f64).sqrt() as f32,
+        _ => 0.1 * u,
+    };
+    (0..count as u32).map(|i| rule(noise(i, name_hash(name)))).collect()
+}
+
+fn filled<C: Classifier>(device: &Device) -> C {
+    let network = C::new(device);
+    let fill = |info: srflow_nets::ParameterInfo| {
+        let values = parameter(&info.name, &info.shape);
+        (info.name, TensorData::new(values, info.shape))
+    };
+    let parameters: Parameters = parameter_infos(&network).into_iter().map(fill).collect();
+    with_parameters(network, parameters).expect("its own names and shapes")
+}
+
+fn inputs<C: Classifier>(device: &Device) -> Tensor<4> {
+    let [channels, height, width] = C::INPUT;
+    let shape = [LABELS.len(), channels, height, width];
+    let values: Vec<f32> = (0..shape.iter().product::<usize>() as u32).map(|i| noise(i, 7)).collect();
+    Tensor::from_data(TensorData::new(values, shape), device)
+}
+
+fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().try_to_vec().expect("f32")
+}
+
+struct Golden(Vec<u8>);
+
+impl Golden {
+    fn of(name: &str) -> Self {
+        let path = golden_path(&format!("{name}.safetensors"));
+        Self(std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display())))
+    }
+
+    fn values(&self, name: &str) -> Vec<f32> {
+        let tensors = SafeTensors::deserialize(&self.0).expect("safetensors");
+        let tensor = tensors.tensor(name).unwrap_or_else(|error| panic!("{name}: {error}"));
+        tensor
+            .data()
+            .chunks_exact(4)
+            .map(|bytes| f32::from_le_bytes(bytes.try_into().expect("four")))
+            .collect()
+    }
+
+    fn assert_close(&self, name: &str, found: &[f32], tolerance: f32) {
+        let expected = self.values(name);
+        assert_eq!(expected.len(), found.len(), "{name}");
+        let worst = expected.iter().zip(found).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(worst <= tolerance, "{name}: {found:?} for {expected:?}");
+    }
+
+    /// Sum of squares and first value.
+    fn assert_digest(&self, name: &str, values: &[f32], relative: f32) {
+        let squares = values.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() as f32;
+        let expected = self.values(name);
+        let typical = (expected[0] / values.len() as f32).sqrt();
+        assert!(
+            (squares - expected[0]).abs() <= relative * expected[0].max(1e-9)
+                && (values[0] - expected[1]).abs() <= relative * typical.max(1e-5),
+            "{name}: {squares}, {} for {expected:?}",
+            values[0]
+        );
+    }
+}
+
+fn golden_path(name: &str) -> PathBuf {
+    [env!("CARGO_MANIFEST_DIR"), "tests/golden", name].iter().collect()
+}
+
+/// A parameter or statistic, whatever its rank.
+struct Value {
+    shape: Vec<usize>,
+    values: Vec<f32>,
+    gradient: Option<Vec<f32>>,
+}
+
+struct Visitor<'a, F> {
+    path: Vec<String>,
+    gradients: Option<&'a Gradients>,
+    of: F,
+}
+
+impl<F: FnMut(&str, Value)> ModuleVisitor for Visitor<'_, F> {
+    fn enter_module(&mut self, name: &str, _: &str) {
+        self.path.push(name.to_owned());
+    }
+
+    fn exit_module(&mut self, _: &str, _: &str) {
+        self.path.pop();
+    }
+
+    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+        let tensor = param.val();
+        let gradient = self.gradients.and_then(|gradients| tensor.grad(gradients)).map(numbers);
+        let value = Value { shape: tensor.dims().to_vec(), values: numbers(tensor), gradient };
+        (self.of)(&self.path.join("."), value);
+    }
+}
+
+/// Every parameter and statistic by name.
+fn visit<M: Module>(network: &M, gradients: Option<&Gradients>, of: impl FnMut(&str, Value)) {
+    network.visit(&mut Visitor { path: Vec::new(), gradients, of });
+}
+
+fn check<C: Classifier>(count: usize) {
+    let golden = Golden::of(C::NAME);
+    let plain = Device::flex();
+    let network: C = filled(&plain);
+    let learned = parameter_infos(&network).into_iter().filter(|info| !info.name.contains("running_"));
+    assert_eq!(learned.map(|info| info.shape.iter().product::<usize>()).sum::<usize>(), count);
+    let scores = network.scores(inputs::<C>(&plain), &mut Mode::Evaluation);
+    golden.assert_close("evaluation", &numbers(scores), 2e-5);
+
+    let device = Device::flex().autodiff();
+    let labels = || Tensor::<1, Int>::from_data(LABELS, &device);
+    let network: C = filled(&device);
+    let scores = network.scores(inputs::<C>(&device), &mut Mode::Training { dropout: None });
+    golden.assert_close("training", &numbers(scores.clone()), 2e-5);
+    let loss = cross_entropy(scores, labels());
+    golden.assert_close("loss", &numbers(loss.clone()), 1e-5);
+    let gradients = loss.backward();
+    visit(&network, Some(&gradients), |name, param| {
+        if let Some(gradient) = param.gradient {
+            let tiny = NO_GRADIENT.iter().any(|bias| name.ends_with(bias));
+            if tiny {
+                assert!(gradient.iter().all(|x| x.abs() < 1e-6), "{name}: {gradient:?}");
+            } else {
+                golden.assert_digest(&format!("gradient.{name}"), &gradient, 1e-3);
+            }
+        }
+    });
+
+    let mut training = Training::new(filled::<C>(&device));
+    for step in 0..3 {
+        training.step(inputs::<C>(&device), labels(), LEARNING_RATE * 0.3_f64.powi(step), None);
+    }
+    visit(&training.network().valid(), None, |name, param| {
+        let unit = if name.contains("running_") { 1.0 } else { LEARNING_RATE as f32 };
+        let start = parameter(name, &param.shape);
+        let moved: Vec<f32> =
+            param.values.iter().zip(start).map(|(end, start)| (end - start) / unit).collect();
+        golden.assert_digest(&format!("stepped.{name}"), &moved, 0.02);
+    });
+}
+
+#[test]
+fn off_tanet() {
+    check::<OffTaNet>(59_403);
+}
+
+#[test]
+fn ststnet() {
+    check::<StstNet>(1_683);
+}
+
+#[test]
+fn off_apexnet() {
+    check::<OffApexNet>(2_664_475);
+}
+
+#[test]
+fn a_checkpoint_in_its_published_form_loads() {
+    let device = Device::flex();
+    let network: StstNet = load(StstNet::new(&device), &golden_path("ststnet.pth")).unwrap();
+    let scores = network.scores(inputs::<StstNet>(&device), &mut Mode::Evaluation);
+    Golden::of("ststnet").assert_close("evaluation", &numbers(scores), 2e-5);
+    let error = load(OffTaNet::new(&device), &golden_path("ststnet.pth")).unwrap_err().to_string();
+    assert!(error.contains("conv1.0.weight"), "{error}");
+}

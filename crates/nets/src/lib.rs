@@ -16,6 +16,7 @@ mod skflow;
 mod weights;
 
 pub use architecture::{Architecture, Facts, IterationPresets, PublishedWeights};
+pub use blocks::with_batch_statistics;
 pub use frames::Frames;
 pub use gma::{Gma, GmaConfig};
 pub use network::Network;

@@ -61,6 +61,11 @@ impl Conv2dConfig {
 }
 
 impl Conv2d {
+    #[cfg(test)]
+    pub(crate) fn filled(self, weight: Tensor<4>, bias: Tensor<1>) -> Self {
+        Self { weight: Param::from_tensor(weight), bias: Some(Param::from_tensor(bias)), ..self }
+    }
+
     pub(crate) fn weight(&self) -> Tensor<4> {
         self.weight.val()
     }

@@ -14,4 +14,5 @@ pub(crate) use encoder::{Encoder, EncoderConfig};
 pub(crate) use gru::{ConvGru, SepConvGru};
 pub(crate) use motion::{FlowHead, MotionEncoder, SmallMotionEncoder, window_entries};
 pub(crate) use norm::NormKind;
+pub use norm::with_batch_statistics;
 pub(crate) use upsampler::{ConvexMask, bilinear_upsample, convex_mask, convex_upsample};

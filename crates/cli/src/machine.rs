@@ -8,6 +8,13 @@ pub fn describe() -> String {
     format!("{threads} thread{plural} of {processor}, {}", std::env::consts::OS)
 }
 
+/// The most memory that this process has had, in bytes, as Linux tells it; `None` elsewhere.
+pub fn peak_memory() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/self/status").ok()?;
+    let kilobytes = text.lines().find_map(|line| line.strip_prefix("VmHWM:"))?.trim().strip_suffix(" kB")?;
+    Some(kilobytes.parse::<u64>().ok()? * 1024)
+}
+
 /// The processor's name as Linux tells it; `None` elsewhere.
 fn processor() -> Option<String> {
     let text = std::fs::read_to_string("/proc/cpuinfo").ok()?;

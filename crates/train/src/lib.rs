@@ -1,3 +1,22 @@
 //! Training optical flow networks: losses, regularizers made for skin, trainer, exact resume, ablation.
 
+pub mod ablation;
+pub mod batch;
+pub mod checkpoint;
+pub mod config;
+pub mod journal;
 pub mod loss;
+pub mod optimizer;
+pub mod parameters;
+mod read_ahead;
+pub mod replica;
+mod report;
+mod run;
+pub mod schedule;
+mod tensorboard;
+pub mod training_set;
+mod validation;
+
+pub use report::report;
+pub use run::{Beginning, Event, Outcome, Start, TrainError, config_of_run, train};
+pub use validation::ValidationError;

@@ -1,5 +1,6 @@
 //! One file per command: its arguments, and `run`.
 
+pub mod ablation;
 pub mod check;
 pub mod convert;
 pub mod demo;
@@ -9,3 +10,4 @@ pub mod mer;
 pub mod metrics;
 pub mod rasterize;
 pub mod render;
+pub mod train;

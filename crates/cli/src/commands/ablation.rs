@@ -1,0 +1,157 @@
+use std::io::IsTerminal;
+use std::path::PathBuf;
+
+use anyhow::ensure;
+use clap::Args;
+use srflow_data::read::{FlowDataset, Split};
+use srflow_eval::report::{Report, Section, score_table};
+use srflow_eval::{Table, TextStyle};
+use srflow_field::{create_folder, write_atomically};
+use srflow_ops::device;
+use srflow_train::ablation::{
+    AblationEvent, AblationSettings, Cell, VARIANTS, Variant, ablate, paper_table, spread_table, table,
+};
+use srflow_train::config::{Config, Source};
+
+use super::train::{Overrides, Progress};
+use crate::{Context, machine};
+
+/// Train with each loss of the paper and print its Table V
+#[derive(Args)]
+#[command(after_help = "\
+Each row is trained with each seed, from the same start and on the same data; the last weights are scored on the test \
+split. The same command given again goes on where it was stopped; finished runs are kept.
+
+Example: the table at a size that two CPU cores manage
+  srflow ablation --config cpu-small --data srflow:DIR --seeds 1,2,3 --out runs/ablation")]
+pub struct Ablation {
+    /// Preset or TOML file that all runs share; its loss weights and seed aside [default: skflow]
+    #[arg(long, value_name = "PRESET|FILE")]
+    config: Option<PathBuf>,
+    /// Folder of the runs and the table
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Rows to run
+    #[arg(long, value_name = "ROW", value_delimiter = ',', default_values_t = VARIANTS.map(|row| row.name.to_owned()))]
+    rows: Vec<String>,
+    /// Seeds of every row
+    #[arg(long, value_name = "N", value_delimiter = ',', default_values_t = [1, 2, 3])]
+    seeds: Vec<u64>,
+    /// Dataset to score on, KIND:DIR@SPLIT [default: the test split of the first training dataset]
+    #[arg(long, value_name = "KIND:DIR")]
+    test: Option<Source>,
+    /// Device to train on; several share each batch
+    #[arg(long, value_name = "DEVICE", default_value = "cpu")]
+    device: Vec<String>,
+    #[command(flatten)]
+    overrides: Overrides,
+}
+
+/// Runs the command.
+pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
+    let config = match &args.config {
+        Some(name) => Config::read(name)?,
+        None => Config::default(),
+    };
+    let base = args.overrides.apply(config)?;
+    let variants = args.rows.iter().map(|name| row(name)).collect::<anyhow::Result<Vec<_>>>()?;
+    let mut seeds = args.seeds;
+    seeds.sort_unstable();
+    seeds.dedup();
+    let Some(source) = args.test.as_ref().or(base.data.train.first()) else {
+        anyhow::bail!("--data KIND:DIR is missing: name what to train on");
+    };
+    let split = if args.test.is_some() { source.split } else { Some(Split::Test) };
+    let test = FlowDataset::open(&source.spec, split)?;
+    let devices = args.device.iter().map(|name| device(name)).collect::<Result<Vec<_>, _>>()?;
+    create_folder(&args.out)?;
+
+    let settings = AblationSettings { base, variants, seeds };
+    let runs = settings.variants.len() * settings.seeds.len();
+    let mut number = 0;
+    let mut progress = Progress::new();
+    let result = ablate(&settings, &test, &devices, &args.out, &mut |event| match event {
+        AblationEvent::Cell { variant, seed, done } => {
+            number += 1;
+            let state = if done { ", finished before" } else { "" };
+            progress.line(&format!("run {number} of {runs}: {}, seed {seed}{state}", variant.title));
+        }
+        AblationEvent::Training(event) => progress.show(&event),
+    });
+    progress.finish();
+    let cells = result?;
+    let tables = tables(&settings, &cells, &test);
+    write(&args.out, &cells, &tables)?;
+    if context.json {
+        say!("{}", serde_json::to_string_pretty(&cells)?)?;
+        return Ok(());
+    }
+    let colours = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    let style = if colours { TextStyle::Ansi } else { TextStyle::Plain };
+    for table in &tables {
+        say!("{}", table.text(style))?;
+    }
+    say!("Report: {}", args.out.join("ablation.html").display())
+}
+
+fn row(name: &str) -> anyhow::Result<Variant> {
+    let names = VARIANTS.map(|row| row.name).join(", ");
+    let found = VARIANTS.into_iter().find(|row| row.name == name);
+    ensure!(found.is_some(), "--rows {name}: there is no such row; the rows are {names}");
+    Ok(found.expect("it was found"))
+}
+
+/// Ours, our spread, and the paper's.
+fn tables(settings: &AblationSettings, cells: &[Cell], test: &FlowDataset) -> [Table; 3] {
+    let network = settings.base.network.architecture.facts().title;
+    let steps = cells.first().map_or(0, |cell| cell.steps);
+    let zero = cells.first().map_or(f64::NAN, |cell| cell.zero_epe);
+    let seeds: Vec<String> = settings.seeds.iter().map(u64::to_string).collect();
+    let what = format!(
+        "{network}, {steps} steps, {} ({} split), EPE of zero flow {zero:.4} px",
+        test.name(),
+        test.split()
+    );
+    [
+        table(cells, format!("Ours: mean over seeds {} of {what}", seeds.join(", "))),
+        spread_table(cells, "Ours: standard deviation over the seeds".to_owned()),
+        paper_table(),
+    ]
+}
+
+fn write(out: &std::path::Path, cells: &[Cell], tables: &[Table; 3]) -> anyhow::Result<()> {
+    let each = |form: &dyn Fn(&Table) -> String| tables.iter().map(form).collect::<Vec<_>>().join("\n");
+    let report = Report {
+        title: "Ablation of the regularizers".to_owned(),
+        kicker: "srflow ablation".to_owned(),
+        lead: "The same training with one loss at a time. The paper's numbers are of another size, another dataset and another \
+               length of training: they stand beside ours to compare the order of the rows, not the values."
+            .to_owned(),
+        opening: Vec::new(),
+        sections: vec![
+            Section {
+                title: "Ours".to_owned(),
+                lead: "Means over the seeds, and how far the seeds lie apart: a difference within the spread says nothing."
+                    .to_owned(),
+                figures: vec![score_table(&tables[0], ""), score_table(&tables[1], "")],
+            },
+            Section {
+                title: "The paper's".to_owned(),
+                lead: String::new(),
+                figures: vec![score_table(&tables[2], "")],
+            },
+        ],
+        colophon: format!("Made on {}.", machine::describe()),
+    };
+    let contents = [
+        ("ablation.txt", each(&|table| table.text(TextStyle::Plain))),
+        ("ablation.md", each(&|table| format!("{}\n\n{}", table.title, table.markdown()))),
+        ("ablation.tex", each(&|table| format!("% {}\n{}", table.title, table.latex()))),
+        ("ablation.json", serde_json::to_string_pretty(cells)? + "\n"),
+        ("ablation.html", report.html()),
+    ];
+    for (name, text) in contents {
+        write_atomically(&out.join(name), |file| std::io::Write::write_all(file, text.as_bytes()))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,311 @@
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, ensure};
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+use srflow_field::write_atomically;
+use srflow_ops::device;
+use srflow_train::config::{Config, PRESETS};
+use srflow_train::journal::{Record, StepRecord, read_log};
+use srflow_train::{Beginning, Event, Outcome, Start, config_of_run, report, train};
+
+use crate::{Context, machine};
+
+/// Train an optical flow network
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  srflow train --config cpu-small --data srflow:DIR --out runs/first
+  srflow train --config srflownet-fdr --data srflow:DIR --out runs/fdr --device cuda:0 --device cuda:1
+  srflow train --config skflow --data folder:DIR --crop 384x512 --batch 4 --weights skflow.pth --out runs/mine
+  srflow train --config skflow --set training.weight_decay=1e-5 --print-config
+  srflow train --resume runs/first
+
+docs/training.md is the guide: folders of one's own, what the keys mean, what a run writes.")]
+pub struct Train {
+    /// Preset or TOML file to begin with [default: the paper's retrained SKFlow]
+    #[arg(long, value_name = "PRESET|FILE", help = config_help())]
+    config: Option<PathBuf>,
+    /// Folder of the run
+    #[arg(long, value_name = "DIR", required_unless_present_any = ["resume", "print_config"])]
+    out: Option<PathBuf>,
+    /// Go on with the run in this folder, from its last checkpoint
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "config"])]
+    resume: Option<PathBuf>,
+    /// Print the configuration with every key, and do nothing
+    #[arg(long)]
+    print_config: bool,
+    /// Device to train on; several share each batch
+    #[arg(long, value_name = "DEVICE", default_value = "cpu")]
+    device: Vec<String>,
+    #[command(flatten)]
+    overrides: Overrides,
+}
+
+/// Keys of the configuration; `--set` reaches all of them.
+#[derive(Args, Clone, Default)]
+#[command(next_help_heading = "Instead of the configuration's")]
+pub struct Overrides {
+    /// Dataset to train on, KIND:DIR; several for a mix, KIND:DIR*TIMES
+    #[arg(long, value_name = "KIND:DIR")]
+    data: Vec<String>,
+    /// Dataset to validate on [default: the val split of the training data]
+    #[arg(long, value_name = "KIND:DIR")]
+    validation: Vec<String>,
+    /// Network
+    #[arg(long, value_name = "NAME")]
+    network: Option<String>,
+    /// Weights to start from
+    #[arg(long, value_name = "FILE")]
+    weights: Option<String>,
+    /// Steps, whatever the epochs
+    #[arg(long, value_name = "N")]
+    steps: Option<String>,
+    /// Epochs
+    #[arg(long, value_name = "N")]
+    epochs: Option<String>,
+    /// Pairs in a step
+    #[arg(long, value_name = "N")]
+    batch: Option<String>,
+    /// Size of the crops
+    #[arg(long, value_name = "WIDTHxHEIGHT")]
+    crop: Option<String>,
+    /// Refinements of the network
+    #[arg(long, value_name = "N")]
+    iterations: Option<String>,
+    /// Greatest learning rate
+    #[arg(long, value_name = "RATE")]
+    learning_rate: Option<String>,
+    /// Seed of every random choice
+    #[arg(long, value_name = "N")]
+    seed: Option<String>,
+    /// Any key of the configuration, e.g. training.clip=0.5 or loss.fdr=0.05
+    #[arg(long, value_name = "SECTION.KEY=VALUE")]
+    set: Vec<String>,
+}
+
+fn config_help() -> String {
+    let names: Vec<&str> = PRESETS.iter().map(|preset| preset.name).collect();
+    format!("Preset ({}) or TOML file [default: skflow]", names.join(", "))
+}
+
+impl Overrides {
+    /// The configuration with what was given in its place.
+    pub fn apply(&self, mut config: Config) -> anyhow::Result<Config> {
+        for (key, sources) in [("data.train", &self.data), ("validation.data", &self.validation)] {
+            if !sources.is_empty() {
+                let list = serde_json::to_string(sources)?; // a list of texts is the same in TOML
+                config = config.with_override(&format!("{key}={list}"))?;
+            }
+        }
+        let single = [
+            ("network.architecture", &self.network),
+            ("network.weights", &self.weights),
+            ("training.steps", &self.steps),
+            ("training.epochs", &self.epochs),
+            ("training.batch", &self.batch),
+            ("data.crop", &self.crop),
+            ("training.iterations", &self.iterations),
+            ("training.learning_rate", &self.learning_rate),
+            ("training.seed", &self.seed),
+        ];
+        for (key, value) in single {
+            if let Some(value) = value {
+                config = config.with_override(&format!("{key}={value}"))?;
+            }
+        }
+        if self.epochs.is_some() && self.steps.is_none() {
+            config.training.steps = 0; // the preset's steps would win
+        }
+        for given in &self.set {
+            config = config.with_override(given)?;
+        }
+        Ok(config)
+    }
+
+    fn is_empty(&self) -> bool {
+        let Self {
+            data,
+            validation,
+            network,
+            weights,
+            steps,
+            epochs,
+            batch,
+            crop,
+            iterations,
+            learning_rate,
+            seed,
+            set,
+        } = self;
+        let lists = [data, validation, set];
+        let single = [network, weights, steps, epochs, batch, crop, iterations, learning_rate, seed];
+        lists.iter().all(|list| list.is_empty()) && single.iter().all(|value| value.is_none())
+    }
+}
+
+/// Runs the command.
+pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
+    if args.resume.is_some() {
+        ensure!(
+            args.overrides.is_empty(),
+            "--resume goes on with the configuration that the run began with: leave out what would change it"
+        );
+    }
+    let (config, out, beginning) = match (args.resume, args.out) {
+        (Some(run), _) => (config_of_run(&run)?, run, Beginning::Resume),
+        (None, out) => {
+            let config = match &args.config {
+                Some(name) => Config::read(name)?,
+                None => Config::default(),
+            };
+            (args.overrides.apply(config)?, out.unwrap_or_default(), Beginning::New)
+        }
+    };
+    if args.print_config {
+        config.check()?;
+        say!("{}", config.to_toml().trim_end())?;
+        return Ok(());
+    }
+    let devices = args.device.iter().map(|name| device(name)).collect::<Result<Vec<_>, _>>()?;
+    let mut progress = Progress::new();
+    let result = train(&config, &devices, &out, beginning, &mut |event| progress.show(&event));
+    progress.finish();
+    let outcome = result?;
+    let page = report(&config, &read_log(&out)?, &machine::describe()).html();
+    write_atomically(&out.join("report.html"), |file| std::io::Write::write_all(file, page.as_bytes()))?;
+    print(&out, &outcome, context)
+}
+
+fn print(out: &Path, outcome: &Outcome, context: &Context) -> anyhow::Result<()> {
+    let Outcome { progress, seconds, waiting_share } = outcome;
+    let peak = machine::peak_memory();
+    let best = out.join("best.safetensors");
+    let last = out.join("last.safetensors");
+    if context.json {
+        let summary = json!({
+            "run": out,
+            "steps": progress.step,
+            "skipped": progress.skipped,
+            "best": progress.best,
+            "weights": if progress.best.is_some() { &best } else { &last },
+            "seconds": seconds,
+            "waiting_share": waiting_share,
+            "peak_memory_bytes": peak,
+        });
+        say!("{}", serde_json::to_string_pretty(&summary).context("printing the result")?)?;
+        return Ok(());
+    }
+    say!("{} steps, {} of them skipped, in {seconds:.1} s", progress.step, progress.skipped)?;
+    say!("Waiting for data  {:.1}% of the time", 100.0 * waiting_share)?;
+    if let Some(bytes) = peak {
+        say!("Peak memory       {:.2} GB", bytes as f64 / 1e9)?;
+    }
+    match progress.best {
+        Some(best_step) => {
+            say!(
+                "Best              EPE {:.4} px after step {}: {}",
+                best_step.epe,
+                best_step.step,
+                best.display()
+            )?;
+        }
+        None => say!("Weights           {}", last.display())?,
+    }
+    Ok(())
+}
+
+/// A bar on standard error where that is a terminal; a line now and then where it is not.
+pub struct Progress {
+    bar: ProgressBar,
+    done: u64,
+    steps: u64,
+    began: std::time::Instant,
+    told: std::time::Instant,
+}
+
+/// Time between two lines where standard error is no terminal.
+const LINES_APART: std::time::Duration = std::time::Duration::from_secs(30);
+
+impl Progress {
+    /// Before anything is known.
+    pub fn new() -> Self {
+        let template = "{bar:24} {pos}/{len} {msg}, {eta} left";
+        let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
+        let now = std::time::Instant::now();
+        Self { bar: ProgressBar::new(0).with_style(style), done: 0, steps: 0, began: now, told: now }
+    }
+
+    /// Shows what a run tells.
+    pub fn show(&mut self, event: &Event) {
+        match event {
+            Event::Started(start) => self.start(start),
+            Event::Recorded(record) => self.record(record),
+            Event::Saved { .. } => {}
+        }
+    }
+
+    fn start(&mut self, start: &Start) {
+        self.bar.set_length(start.steps);
+        self.bar.set_position(start.done);
+        self.bar.reset_eta();
+        (self.done, self.steps, self.began) = (start.done, start.steps, std::time::Instant::now());
+        for line in &start.data {
+            self.line(line);
+        }
+        let epochs = start.steps as f64 / start.steps_per_epoch as f64;
+        self.line(&format!(
+            "{} parameters, {} steps ({epochs:.1} epochs), from step {}",
+            start.parameters, start.steps, start.done
+        ));
+    }
+
+    fn record(&mut self, record: &Record) {
+        match record {
+            Record::Step(step) => {
+                let rate = (step.step - self.done) as f64 / self.began.elapsed().as_secs_f64().max(1e-9);
+                let words = in_words(step, rate);
+                self.bar.set_position(step.step);
+                self.bar.set_message(words.clone());
+                if self.bar.is_hidden() && self.told.elapsed() >= LINES_APART {
+                    self.told = std::time::Instant::now();
+                    let left = (self.steps - step.step) as f64 / rate.max(1e-9);
+                    eprintln!("{}/{} {words}, {:.0} min left", step.step, self.steps, left / 60.0);
+                }
+            }
+            Record::Skipped(skipped) => {
+                self.bar.set_position(skipped.step);
+                self.line(&format!(
+                    "step {} skipped: its loss is not finite ({})",
+                    skipped.step,
+                    skipped.samples.join(", ")
+                ));
+            }
+            Record::Validation(scores) => self.line(&format!(
+                "step {}: EPE {:.4} px (zero flow {:.4}), px1 {:.4}, WAUC {:.2} on {}",
+                scores.step,
+                scores.whole.epe,
+                scores.zero_epe,
+                scores.whole.px1,
+                scores.whole.wauc,
+                scores.dataset
+            )),
+        }
+    }
+
+    /// Takes the bar away.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+
+    /// A line above the bar.
+    pub fn line(&self, text: &str) {
+        self.bar.suspend(|| eprintln!("{text}"));
+    }
+}
+
+fn in_words(step: &StepRecord, rate: f64) -> String {
+    let parts: Vec<String> = step.parts.iter().map(|(name, value)| format!("{name} {value:.4}")).collect();
+    format!("{rate:.2} steps/s, loss {:.4} ({}), EPE {:.3} px", step.loss, parts.join(", "), step.epe)
+}

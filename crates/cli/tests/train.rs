@@ -1,0 +1,195 @@
+//! `srflow train` as a user meets it: a folder of pairs, a kill, a resume, and what is wrong with folders and configurations.
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use srflow_field::{FlowField, Image, write_flow, write_image_png};
+
+const SIZE: (usize, usize) = (96, 80);
+
+/// Smooth waves that move by `shift` pixels to the right.
+fn frame(number: usize, shift: f32) -> Image {
+    Image::from_fn(SIZE.0, SIZE.1, |x, y| {
+        let (x, y) = (x as f32 - shift + 31.0 * number as f32, y as f32);
+        let wave = (x * 0.31).sin() + (y * 0.27).sin() + ((x + y) * 0.13).cos() + (x * 0.61 - y * 0.47).sin();
+        [(128.0 + 30.0 * wave) as u8, (128.0 - 20.0 * wave) as u8, (99.0 + 25.0 * wave) as u8]
+    })
+}
+
+fn make_pairs(dir: &Path, count: usize) {
+    std::fs::create_dir_all(dir).unwrap();
+    for i in 0..count {
+        let file = |ending: &str| dir.join(format!("p{i}_{ending}"));
+        let shift = 1.0 + i as f32;
+        write_image_png(&file("img1.png"), &frame(i, 0.0)).unwrap();
+        write_image_png(&file("img2.png"), &frame(i, shift)).unwrap();
+        write_flow(&file("flow.flo"), &FlowField::filled(SIZE.0, SIZE.1, [shift, 0.0])).unwrap();
+    }
+}
+
+fn command(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_srflow"));
+    command.arg("train").args(arguments);
+    command
+}
+
+fn train(arguments: &[&str]) -> Output {
+    command(arguments).output().expect("srflow runs")
+}
+
+/// Exit code and standard error of a run that must fail.
+fn failure(arguments: &[&str]) -> (i32, String) {
+    let output = train(arguments);
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(!error.contains("panicked"), "{error}");
+    (output.status.code().unwrap(), error)
+}
+
+fn succeed(output: &Output) {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// Arguments of a short run of the smallest network.
+fn small<'a>(data: &'a str, out: &'a str) -> Vec<&'a str> {
+    let mut arguments = vec!["--data", data, "--out", out, "--network", "raft-small", "--crop", "64x64"];
+    arguments.extend(["--batch", "2", "--iterations", "2", "--set", "checkpoints.every=2"]);
+    arguments.extend(["--set", "validation.every=4", "--set", "checkpoints.keep=20"]);
+    arguments
+}
+
+fn checkpoint(run: &Path, step: u64) -> PathBuf {
+    run.join(format!("checkpoints/step-{step:08}"))
+}
+
+fn files(folder: &Path) -> Vec<(String, Vec<u8>)> {
+    let mut files: Vec<(String, Vec<u8>)> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap())
+        .map(|entry| (entry.file_name().into_string().unwrap(), std::fs::read(entry.path()).unwrap()))
+        .collect();
+    files.sort();
+    files
+}
+
+fn wait_for(path: &Path, child: &mut Child) {
+    let start = Instant::now();
+    while !path.exists() {
+        assert!(child.try_wait().unwrap().is_none(), "the run ended before it was killed");
+        assert!(start.elapsed() < Duration::from_secs(100), "no {}", path.display());
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+#[test]
+fn a_killed_run_goes_on_to_the_same_bytes() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    make_pairs(&data.join("train"), 5);
+    make_pairs(&data.join("val"), 1);
+    let data = format!("folder:{}", data.display());
+    let [through, killed] = ["through", "killed"].map(|name| dir.path().join(name));
+    const STEPS: u64 = 10;
+    let run = |out: &Path, threads: &str| {
+        let out = out.display().to_string();
+        let mut command = command(&small(&data, &out));
+        command.args(["--steps", &STEPS.to_string(), "--seed", "5", "--threads", threads]);
+        command.stdout(Stdio::null()).stderr(Stdio::null());
+        command
+    };
+    succeed(&run(&through, "2").output().unwrap());
+
+    let mut child = run(&killed, "2").spawn().unwrap();
+    wait_for(&checkpoint(&killed, 2), &mut child);
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(!checkpoint(&killed, STEPS).exists(), "it was killed on its way");
+    let killed_text = killed.display().to_string();
+    let resumed = train(&["--resume", &killed_text, "--threads", "2", "--json"]);
+    succeed(&resumed);
+    assert_eq!(files(&checkpoint(&killed, STEPS)), files(&checkpoint(&through, STEPS)));
+    for name in ["last.safetensors", "best.safetensors", "config.toml"] {
+        let [one, two] = [&through, &killed].map(|run| std::fs::read(run.join(name)).expect(name));
+        assert!(one == two, "{name}");
+    }
+
+    let summary: serde_json::Value = serde_json::from_slice(&resumed.stdout).unwrap();
+    assert_eq!(summary["steps"], STEPS);
+    // The log of the killed run has every step once, as that of the other.
+    let steps = |run: &Path| -> Vec<(u64, f64)> {
+        let text = std::fs::read_to_string(run.join("log.jsonl")).unwrap();
+        let records = text.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+        records
+            .filter(|record| record["kind"] == "step")
+            .map(|record| (record["step"].as_u64().unwrap(), record["loss"].as_f64().unwrap()))
+            .collect()
+    };
+    assert_eq!(steps(&killed), steps(&through));
+    assert_eq!(steps(&killed).len() as u64, STEPS);
+
+    let (code, error) = failure(&small(&data, &killed_text));
+    assert!(code == 1 && error.contains("--resume"), "{error}");
+    let (code, error) = failure(&["--resume", &killed_text, "--batch", "3"]);
+    assert!(code == 1 && error.contains("--resume"), "{error}");
+}
+
+#[test]
+fn wrong_folders_say_what_to_do() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run").display().to_string();
+    let (code, error) = failure(&["--out", &out]);
+    assert!(code == 1 && error.contains("--data"), "{error}");
+
+    let empty = dir.path().join("empty");
+    std::fs::create_dir(&empty).unwrap();
+    let (code, error) = failure(&small(&format!("folder:{}", empty.display()), &out));
+    assert!(code == 1 && error.contains("img1") && error.contains("empty"), "{error}");
+
+    let frames = dir.path().join("unknown/frames");
+    std::fs::create_dir_all(&frames).unwrap();
+    for i in 0..3 {
+        write_image_png(&frames.join(format!("{i}.png")), &frame(i, 0.0)).unwrap();
+    }
+    let unknown = format!("folder:{}", dir.path().join("unknown").display());
+    let (code, error) = failure(&small(&unknown, &out));
+    assert!(code == 1 && error.contains("true flow") && error.contains("docs/training.md"), "{error}");
+
+    let pairs = dir.path().join("pairs");
+    make_pairs(&pairs, 2);
+    let pairs = format!("folder:{}", pairs.display());
+    let (code, error) =
+        failure(&["--data", &pairs, "--out", &out, "--network", "raft-small", "--crop", "512x800"]);
+    assert!(code == 1 && error.contains("p0_img1.png") | error.contains("p1_img1.png"), "{error}");
+    assert!(error.contains("96x80") && error.contains("--crop"), "{error}");
+    let weights = dir.path().join("none.pth").display().to_string();
+    let mut arguments = small(&pairs, &out);
+    arguments.extend(["--weights", &weights]);
+    let (code, error) = failure(&arguments);
+    assert!(code == 1 && error.contains("none.pth"), "{error}");
+}
+
+#[test]
+fn configurations_are_printed_and_their_mistakes_named() {
+    let printed = train(&["--config", "srflownet-fdr", "--set", "training.clip=0.5", "--print-config"]);
+    succeed(&printed);
+    let text = String::from_utf8(printed.stdout).unwrap();
+    for line in ["fdr = 0.05", "clip = 0.5", "crop = \"512x800\"", "learning_rate = 0.000125"] {
+        assert!(text.contains(line), "{line} in {text}");
+    }
+    // What is printed is a configuration.
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("mine.toml");
+    std::fs::write(&file, &text).unwrap();
+    let again = train(&["--config", file.to_str().unwrap(), "--print-config"]);
+    assert_eq!(String::from_utf8(again.stdout).unwrap(), text);
+
+    std::fs::write(&file, "[training]\nbatchsize = 4\n").unwrap();
+    let (code, error) = failure(&["--config", file.to_str().unwrap(), "--print-config"]);
+    assert!(code == 1 && error.contains("mine.toml") && error.contains("line 2"), "{error}");
+    let (code, error) = failure(&["--config", "srflownet", "--print-config"]);
+    assert!(code == 1 && error.contains("srflownet-fdr"), "{error}");
+    let (code, error) = failure(&["--set", "training.batch=none", "--print-config"]);
+    assert!(code == 1 && error.contains("training.batch"), "{error}");
+    let (code, error) = failure(&["--config", "skflow"]);
+    assert!(code == 2 && error.contains("--out"), "{error}");
+}

@@ -1,0 +1,317 @@
+//! The paper's ablation (section V-B): the same training with one regularizer at a time, with several seeds.
+//!
+//! Every cell of the table is a run in a folder of its own, `LOSS-seed-N`. A run that was finished is not run again, one that
+//! was stopped goes on, and the table is made from what the runs left behind.
+
+use std::path::{Path, PathBuf};
+
+use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
+use srflow_data::read::FlowDataset;
+use srflow_eval::{Better, Column, Row, Table};
+use srflow_field::{Metrics, write_atomically};
+
+use crate::checkpoint::Checkpoints;
+use crate::config::Config;
+use crate::loss::{MaskReading, Regularizer};
+use crate::run::{Beginning, Event, TrainError, train};
+
+/// A row of the table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Variant {
+    /// Name in folders and on the command line.
+    pub name: &'static str,
+    /// Name in the table.
+    pub title: &'static str,
+    regularizer: Option<Regularizer>,
+    m_total: MaskReading,
+}
+
+const fn variant(
+    name: &'static str,
+    title: &'static str,
+    regularizer: Option<Regularizer>,
+    m_total: MaskReading,
+) -> Variant {
+    Variant { name, title, regularizer, m_total }
+}
+
+/// The rows that can be run: the paper's, and the regularizers with `M_total` under its literal reading.
+pub const VARIANTS: [Variant; 7] = [
+    variant("skflow", "baseline", None, MaskReading::Interior),
+    variant("tvr", "TVR", Some(Regularizer::Tvr), MaskReading::Interior),
+    variant("fdr", "FDR", Some(Regularizer::Fdr), MaskReading::Interior),
+    variant("migar", "MIGAR", Some(Regularizer::Migar), MaskReading::Interior),
+    variant("igvar", "IGVAR", Some(Regularizer::Igvar), MaskReading::Interior),
+    variant("migar-literal", "MIGAR, literal mask", Some(Regularizer::Migar), MaskReading::Literal),
+    variant("igvar-literal", "IGVAR, literal mask", Some(Regularizer::Igvar), MaskReading::Literal),
+];
+
+impl Variant {
+    /// The configuration of this row with this seed: `base` with its loss and nothing else changed.
+    pub fn config(&self, base: &Config, seed: u64) -> Config {
+        let mut config = base.clone();
+        config.training.seed = seed;
+        for regularizer in Regularizer::ALL {
+            let weight = if Some(regularizer) == self.regularizer { regularizer.paper_weight() } else { 0.0 };
+            config.loss = config.loss.with(regularizer, weight);
+        }
+        config.loss.m_total = self.m_total;
+        config
+    }
+}
+
+/// One finished run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cell {
+    /// Name of the [`Variant`].
+    pub variant: String,
+    /// The seed of every random choice.
+    pub seed: u64,
+    /// Steps of the training.
+    pub steps: u64,
+    /// Scores of the last weights on the test set, over all pixels.
+    pub scores: Metrics,
+    /// Mean end-point error of zero flow there, in pixels.
+    pub zero_epe: f64,
+}
+
+/// What [`ablate`] tells while it runs.
+#[derive(Debug)]
+pub enum AblationEvent<'a> {
+    /// A run begins, goes on or was finished before.
+    Cell {
+        /// The row.
+        variant: Variant,
+        /// Its seed.
+        seed: u64,
+        /// Whether it was finished before.
+        done: bool,
+    },
+    /// What a run tells.
+    Training(Event<'a>),
+}
+
+/// What is run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AblationSettings {
+    /// The training that all runs share; their losses and seeds aside.
+    pub base: Config,
+    /// The rows.
+    pub variants: Vec<Variant>,
+    /// The seeds of each row.
+    pub seeds: Vec<u64>,
+}
+
+/// Why an ablation ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum AblationError {
+    /// A run failed.
+    #[error("{run}: {source}")]
+    Run {
+        /// Its folder.
+        run: String,
+        /// What went wrong.
+        source: Box<TrainError>,
+    },
+    /// The folder of a run holds one with other settings.
+    #[error(
+        "{}: the run that is there has other settings; give the ablation another --out, or delete this folder", .run.display()
+    )]
+    OtherSettings {
+        /// Its folder.
+        run: PathBuf,
+    },
+    /// A result could not be read.
+    #[error("{}: {reason}; delete it to have the run scored anew", .path.display())]
+    Result {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+/// Name of the file with the scores of a finished run.
+const RESULT: &str = "test.json";
+
+/// Trains every row with every seed, in that order, each in a folder of `out`, and scores the last weights on `test`. What is
+/// finished is not run again.
+///
+/// # Errors
+/// At the first run that fails. Those before it are kept.
+pub fn ablate(
+    settings: &AblationSettings,
+    test: &FlowDataset,
+    devices: &[Device],
+    out: &Path,
+    on_event: &mut dyn FnMut(AblationEvent<'_>),
+) -> Result<Vec<Cell>, AblationError> {
+    let mut cells = Vec::new();
+    for &seed in &settings.seeds {
+        for &variant in &settings.variants {
+            let run = out.join(format!("{}-seed-{seed}", variant.name));
+            let config = variant.config(&settings.base, seed);
+            let failed = |source: TrainError| AblationError::Run {
+                run: run.display().to_string(),
+                source: Box::new(source),
+            };
+            let result = run.join(RESULT);
+            let begun = !Checkpoints::of_run(&run).steps().map_err(|error| failed(error.into()))?.is_empty();
+            if begun && crate::run::config_of_run(&run).map_err(failed)? != config {
+                return Err(AblationError::OtherSettings { run });
+            }
+            let done = result.exists();
+            on_event(AblationEvent::Cell { variant, seed, done });
+            if !done {
+                let beginning = if begun { Beginning::Resume } else { Beginning::New };
+                let outcome = train(&config, devices, &run, beginning, &mut |event| {
+                    on_event(AblationEvent::Training(event));
+                })
+                .map_err(failed)?;
+                let scores =
+                    crate::validation::score_weights(&config, &devices[0], &run, test).map_err(failed)?;
+                let cell = Cell {
+                    variant: variant.name.to_owned(),
+                    seed,
+                    steps: outcome.progress.step,
+                    scores: scores.whole,
+                    zero_epe: scores.zero_epe,
+                };
+                let text = serde_json::to_string_pretty(&cell).expect("plain numbers and text") + "\n";
+                write_atomically(&result, |file| std::io::Write::write_all(file, text.as_bytes()))
+                    .map_err(|error| failed(error.into()))?;
+            }
+            cells.push(read_cell(&result)?);
+        }
+    }
+    Ok(cells)
+}
+
+fn read_cell(path: &Path) -> Result<Cell, AblationError> {
+    let wrong = |reason: String| AblationError::Result { path: path.to_owned(), reason };
+    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+    serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))
+}
+
+/// Key, header, direction and value of a score, in the paper's order.
+type Score = (&'static str, &'static str, Better, fn(&Metrics) -> f64);
+
+const SCORES: [Score; 6] = [
+    ("epe", "EPE", Better::Lower, |metrics| metrics.epe),
+    ("px1", "px1", Better::Higher, |metrics| metrics.px1),
+    ("px3", "px3", Better::Higher, |metrics| metrics.px3),
+    ("px5", "px5", Better::Higher, |metrics| metrics.px5),
+    ("f1_all", "F1-ALL", Better::Lower, |metrics| metrics.f1_all),
+    ("wauc", "WAUC", Better::Higher, |metrics| metrics.wauc),
+];
+
+/// The paper's Table V, as printed: SKFlow retrained on SRFlow at 1600x1200 crops, and the four SRFlowNets.
+const PAPER: [(&str, [f64; 6]); 5] = [
+    ("SKFlow+SRFlow", [0.3998, 0.8975, 0.9933, 0.9992, 0.6722, 83.8335]),
+    ("SRFlowNet-TVR", [0.4056, 0.8977, 0.9924, 0.9988, 0.7622, 83.6409]),
+    ("SRFlowNet-FDR", [0.3946, 0.8991, 0.9932, 0.9992, 0.6815, 84.0652]),
+    ("SRFlowNet-MIGAR", [0.3955, 0.8987, 0.9942, 0.9993, 0.5791, 83.9568]),
+    ("SRFlowNet-IGVAR", [0.4000, 0.8993, 0.9927, 0.9989, 0.7270, 83.8422]),
+];
+
+fn columns() -> Vec<Column> {
+    let column = |(key, header, better, _): Score| Column {
+        key: key.to_owned(),
+        header: header.to_owned(),
+        better: Some(better),
+        decimals: 4,
+    };
+    SCORES.map(column).to_vec()
+}
+
+/// Our runs in the form of the paper's Table V: the mean over the seeds.
+pub fn table(cells: &[Cell], title: String) -> Table {
+    Table { title, columns: columns(), rows: rows(cells, "", |values| mean(values)) }
+}
+
+/// The spread of the table: the standard deviation over the seeds (of a sample: divided by their number less one).
+pub fn spread_table(cells: &[Cell], title: String) -> Table {
+    let columns = columns().into_iter().map(|column| Column { better: None, ..column }).collect();
+    Table { title, columns, rows: rows(cells, "± ", deviation) }
+}
+
+/// The paper's Table V, never in one table with ours: other data, other size, other length of training.
+pub fn paper_table() -> Table {
+    let row = |(name, values): (&str, [f64; 6])| Row {
+        name: name.to_owned(),
+        values: values.map(Some).to_vec(),
+        baseline: false,
+    };
+    Table {
+        title: "The paper's Table V (arXiv 2601.06479), as printed".to_owned(),
+        columns: columns(),
+        rows: PAPER.map(row).to_vec(),
+    }
+}
+
+fn rows(cells: &[Cell], prefix: &str, over_seeds: impl Fn(&[f64]) -> Option<f64>) -> Vec<Row> {
+    let of = |variant: &Variant| -> Vec<&Cell> {
+        cells.iter().filter(|cell| cell.variant == variant.name).collect()
+    };
+    VARIANTS
+        .iter()
+        .map(|variant| (variant, of(variant)))
+        .filter(|(_, cells)| !cells.is_empty())
+        .map(|(variant, cells)| {
+            let value = |(.., value): &Score| {
+                over_seeds(&cells.iter().map(|cell| value(&cell.scores)).collect::<Vec<f64>>())
+            };
+            let name = format!("{prefix}{}", variant.title);
+            Row { name, values: SCORES.iter().map(value).collect(), baseline: false }
+        })
+        .collect()
+}
+
+fn mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+}
+
+fn deviation(values: &[f64]) -> Option<f64> {
+    let mean = mean(values).filter(|_| values.len() > 1)?;
+    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+    Some((squares / (values.len() - 1) as f64).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cell(variant: &str, seed: u64, epe: f64) -> Cell {
+        let scores = Metrics { epe, px1: 0.5, px3: 0.9, px5: 1.0, f1_all: 2.0, wauc: 80.0, valid_pixels: 9 };
+        Cell { variant: variant.to_owned(), seed, steps: 4, scores, zero_epe: 2.0 }
+    }
+
+    #[test]
+    fn a_row_is_the_mean_over_its_seeds_and_the_spread_stands_apart() {
+        let cells =
+            [cell("skflow", 1, 1.0), cell("fdr", 1, 0.5), cell("skflow", 2, 2.0), cell("skflow", 3, 3.0)];
+        let ours = table(&cells, "ours".to_owned());
+        let names: Vec<&str> = ours.rows.iter().map(|row| row.name.as_str()).collect();
+        assert_eq!(names, ["baseline", "FDR"]);
+        assert_eq!(ours.rows[0].value(0), Some(2.0));
+        let spread = spread_table(&cells, "spread".to_owned());
+        assert_eq!(spread.rows[0].value(0), Some(1.0));
+        assert_eq!(spread.rows[1].value(0), None); // one seed has no spread
+    }
+
+    #[test]
+    fn a_variant_changes_the_loss_and_the_seed_alone() {
+        let base = Config::default();
+        for variant in VARIANTS {
+            let config = variant.config(&base, 7);
+            let mut back = config.clone();
+            back.training.seed = base.training.seed;
+            back.loss = base.loss.clone();
+            assert_eq!(back, base);
+            let on: Vec<_> = Regularizer::ALL.into_iter().filter(|&r| config.loss.weight(r) > 0.0).collect();
+            assert_eq!(on, variant.regularizer.into_iter().collect::<Vec<_>>());
+        }
+    }
+}

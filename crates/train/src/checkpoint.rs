@@ -1,0 +1,397 @@
+//! Everything that a run needs to go on as if it had never stopped.
+//!
+//! A checkpoint is a folder `step-NNNNNNNN` of three files: `model.safetensors`, the network's parameters under the names
+//! of the reference implementation; `optimizer.safetensors`, what AdamW remembers; `state.json`, where the run is. The
+//! folder is made under another name and renamed when it is whole. There is no random state to keep: every random number
+//! comes from the seed, the step and the place in the batch.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use safetensors::SafeTensors;
+use safetensors::tensor::{Dtype, TensorView};
+use serde::{Deserialize, Serialize};
+use srflow_field::{FileError, PARTIAL_EXTENSION, write_atomically};
+
+use crate::optimizer::AdamWState;
+use crate::parameters::Layout;
+
+/// Name of the folder that checkpoints lie in.
+const FOLDER: &str = "checkpoints";
+const MODEL: &str = "model.safetensors";
+const OPTIMIZER: &str = "optimizer.safetensors";
+const STATE: &str = "state.json";
+/// What the names of the two averages begin with.
+const AVERAGES: [&str; 2] = ["mean.", "square."];
+
+/// Where a run is.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Progress {
+    /// Steps that were taken, those that were skipped among them.
+    pub step: u64,
+    /// Epochs that were finished.
+    pub epoch: u64,
+    /// Steps that were skipped because the loss or the gradients were not finite.
+    pub skipped: u64,
+    /// How many of the last steps were skipped one after the other.
+    pub skipped_in_a_row: u64,
+    /// Steps of the optimizer.
+    pub optimizer_steps: u64,
+    /// The best validation so far.
+    pub best: Option<Best>,
+}
+
+/// The step with the smallest end-point error on the first validation set.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Best {
+    /// After how many steps.
+    pub step: u64,
+    /// Mean end-point error in pixels.
+    pub epe: f64,
+}
+
+/// What a checkpoint holds.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Checkpoint {
+    /// Where the run is.
+    pub progress: Progress,
+    /// The run's configuration as TOML.
+    pub config: String,
+    /// The network's numbers, in the order of its [`Layout`].
+    pub values: Vec<f32>,
+    /// What the optimizer remembers.
+    pub optimizer: AdamWState,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct StateFile {
+    progress: Progress,
+    config: String,
+}
+
+/// Why a checkpoint was not written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum CheckpointError {
+    /// The system refused.
+    #[error("{}: {doing}: {source}", .path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What was being done.
+        doing: &'static str,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// A file could not be put beside the checkpoints.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// A file of the checkpoint does not hold what it must.
+    #[error("{}: {reason}; delete this checkpoint's folder to go on from the one before", .path.display())]
+    Broken {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// There is nothing to go on from.
+    #[error(
+        "{}: no checkpoint is there to go on from; start the run without --resume", .folder.display()
+    )]
+    None {
+        /// Where one was looked for.
+        folder: PathBuf,
+    },
+}
+
+/// The checkpoints of a run.
+pub struct Checkpoints {
+    run: PathBuf,
+    folder: PathBuf,
+}
+
+impl Checkpoints {
+    /// Those of the run in this folder.
+    pub fn of_run(run: &Path) -> Self {
+        Self { run: run.to_owned(), folder: run.join(FOLDER) }
+    }
+
+    /// The steps that there are checkpoints of, in order.
+    ///
+    /// # Errors
+    /// When the folder is there and cannot be listed.
+    pub fn steps(&self) -> Result<Vec<u64>, CheckpointError> {
+        if !self.folder.is_dir() {
+            return Ok(Vec::new());
+        }
+        let mut steps = Vec::new();
+        for name in self.names()? {
+            steps.extend(name.strip_prefix("step-").and_then(|number| number.parse::<u64>().ok()));
+        }
+        steps.sort_unstable();
+        Ok(steps)
+    }
+
+    fn names(&self) -> Result<Vec<String>, CheckpointError> {
+        let failed = io_error(&self.folder, "listing the checkpoints");
+        let entries = fs::read_dir(&self.folder).map_err(&failed)?;
+        entries.map(|entry| Ok(entry.map_err(&failed)?.file_name().to_string_lossy().into_owned())).collect()
+    }
+
+    /// The folder of one step.
+    pub fn path(&self, step: u64) -> PathBuf {
+        self.folder.join(format!("step-{step:08}"))
+    }
+
+    /// Writes a checkpoint, and `last.safetensors` beside the folder of all. One of the same step is replaced.
+    ///
+    /// # Errors
+    /// When a file cannot be written; what was there before stays.
+    pub fn write(&self, checkpoint: &Checkpoint, layout: &Layout) -> Result<(), CheckpointError> {
+        let Checkpoint { progress, config, values, optimizer } = checkpoint;
+        let partial = self.folder.join(format!(".step-{:08}.{PARTIAL_EXTENSION}", progress.step));
+        remove_folder(&partial)?;
+        fs::create_dir_all(&partial).map_err(io_error(&partial, "making the folder"))?;
+        let model = model_bytes(layout, values);
+        let state = StateFile { progress: progress.clone(), config: config.clone() };
+        let state = serde_json::to_string_pretty(&state).expect("plain numbers and text") + "\n";
+        let averages = AVERAGES.into_iter().zip([&optimizer.mean, &optimizer.square]);
+        let optimizer = tensor_bytes(averages.flat_map(|(prefix, values)| {
+            let trained = layout.segments().iter().filter(|segment| segment.trained);
+            trained.map(move |segment| {
+                (format!("{prefix}{}", segment.name), &segment.shape, &values[segment.range.clone()])
+            })
+        }));
+        for (name, bytes) in [(MODEL, &model), (OPTIMIZER, &optimizer), (STATE, &state.into_bytes())] {
+            let path = partial.join(name);
+            fs::write(&path, bytes).map_err(io_error(&path, "writing"))?;
+        }
+        let path = self.path(progress.step);
+        remove_folder(&path)?;
+        fs::rename(&partial, &path).map_err(io_error(&path, "renaming the finished checkpoint"))?;
+        self.write_model("last", &model)
+    }
+
+    /// Writes `best.safetensors` beside the folder of all checkpoints.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub fn write_best(&self, layout: &Layout, values: &[f32]) -> Result<(), CheckpointError> {
+        self.write_model("best", &model_bytes(layout, values))
+    }
+
+    fn write_model(&self, name: &str, bytes: &[u8]) -> Result<(), CheckpointError> {
+        let path = self.run.join(name).with_extension("safetensors");
+        Ok(write_atomically(&path, |file| file.write_all(bytes))?)
+    }
+
+    /// Deletes all but the last `keep` and the one of step `best`, and what a killed run left half made.
+    ///
+    /// # Errors
+    /// When a folder cannot be removed.
+    pub fn prune(&self, keep: usize, best: Option<u64>) -> Result<(), CheckpointError> {
+        let steps = self.steps()?;
+        for &step in steps.iter().rev().skip(keep).filter(|&&step| Some(step) != best) {
+            remove_folder(&self.path(step))?;
+        }
+        Ok(())
+    }
+
+    /// The last checkpoint of the run.
+    ///
+    /// # Errors
+    /// When there is none, or it is broken or of another network.
+    pub fn read_last(&self, layout: &Layout) -> Result<Checkpoint, CheckpointError> {
+        let path = self.last()?;
+        let StateFile { progress, config } = read_state(&path)?;
+        let values = read_tensors(&path.join(MODEL), layout, "", |_| true)?;
+        let [mean, square] = AVERAGES.map(|prefix| {
+            read_tensors(&path.join(OPTIMIZER), layout, prefix, |name| name.starts_with(prefix))
+        });
+        let optimizer = AdamWState { steps: progress.optimizer_steps, mean: mean?, square: square? };
+        Ok(Checkpoint { progress, config, values, optimizer })
+    }
+
+    /// The configuration of the run, from its last checkpoint.
+    ///
+    /// # Errors
+    /// When there is none or it is broken.
+    pub fn read_config(&self) -> Result<String, CheckpointError> {
+        Ok(read_state(&self.last()?)?.config)
+    }
+
+    fn last(&self) -> Result<PathBuf, CheckpointError> {
+        let last = self.steps()?.last().copied();
+        last.map(|step| self.path(step)).ok_or_else(|| CheckpointError::None { folder: self.folder.clone() })
+    }
+}
+
+fn io_error<'a>(path: &'a Path, doing: &'static str) -> impl Fn(std::io::Error) -> CheckpointError + 'a {
+    move |source| CheckpointError::Io { path: path.to_owned(), doing, source }
+}
+
+fn remove_folder(path: &Path) -> Result<(), CheckpointError> {
+    if path.exists() {
+        fs::remove_dir_all(path).map_err(io_error(path, "removing the folder"))?;
+    }
+    Ok(())
+}
+
+fn model_bytes(layout: &Layout, values: &[f32]) -> Vec<u8> {
+    tensor_bytes(
+        layout
+            .segments()
+            .iter()
+            .map(|segment| (segment.name.clone(), &segment.shape, &values[segment.range.clone()])),
+    )
+}
+
+/// A safetensors file: the same bytes for the same tensors.
+fn tensor_bytes<'a>(tensors: impl Iterator<Item = (String, &'a Vec<usize>, &'a [f32])>) -> Vec<u8> {
+    let tensors: Vec<(String, &Vec<usize>, Vec<u8>)> = tensors
+        .map(|(name, shape, values)| {
+            let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+            (name, shape, bytes)
+        })
+        .collect();
+    let views = tensors.iter().map(|(name, shape, bytes)| {
+        let view =
+            TensorView::new(Dtype::F32, shape.to_vec(), bytes).expect("as many bytes as the shape says");
+        (name, view)
+    });
+    safetensors::serialize(views, None).expect("tensors that fit their shapes")
+}
+
+fn read_state(checkpoint: &Path) -> Result<StateFile, CheckpointError> {
+    let path = checkpoint.join(STATE);
+    let text = fs::read_to_string(&path).map_err(io_error(&path, "reading"))?;
+    serde_json::from_str(&text).map_err(|error| CheckpointError::Broken {
+        path,
+        reason: format!("expected the state of a run ({error})"),
+    })
+}
+
+/// The tensors called `prefix` and a name of the layout; those that are not trained may be missing, as the optimizer keeps
+/// nothing of them.
+fn read_tensors(
+    path: &Path,
+    layout: &Layout,
+    prefix: &str,
+    counts: impl Fn(&str) -> bool,
+) -> Result<Vec<f32>, CheckpointError> {
+    let broken = |reason: String| CheckpointError::Broken { path: path.to_owned(), reason };
+    let bytes = fs::read(path).map_err(io_error(path, "reading"))?;
+    let file = SafeTensors::deserialize(&bytes)
+        .map_err(|error| broken(format!("expected a whole safetensors file ({error})")))?;
+    let mut found: BTreeMap<String, TensorView> =
+        file.iter().filter(|(name, _)| counts(name)).map(|(name, view)| (name.to_owned(), view)).collect();
+    let mut values = vec![0.0; layout.len()];
+    for segment in layout.segments() {
+        let name = format!("{prefix}{}", segment.name);
+        let Some(view) = found.remove(&name) else {
+            if segment.trained || prefix.is_empty() {
+                return Err(broken(format!("expected the tensor {name}, found none of that name")));
+            }
+            continue;
+        };
+        if view.dtype() != Dtype::F32 || view.shape() != segment.shape {
+            let found = format!("{:?} {:?}", view.dtype(), view.shape());
+            return Err(broken(format!("{name}: expected F32 {:?}, found {found}", segment.shape)));
+        }
+        for (value, bytes) in values[segment.range.clone()].iter_mut().zip(view.data().chunks_exact(4)) {
+            *value = f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
+        }
+    }
+    match found.keys().next() {
+        Some(name) => Err(broken(format!("found the tensor {name}, which the network does not have"))),
+        None => Ok(values),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::parameters::Segment;
+
+    fn layout() -> Layout {
+        let segment = |name: &str, range: std::ops::Range<usize>, trained| Segment {
+            name: name.to_owned(),
+            shape: vec![range.len()],
+            range,
+            trained,
+        };
+        Layout::from_segments(vec![
+            segment("a.weight", 0..4, true),
+            segment("a.running_mean", 4..6, false),
+            segment("b.bias", 6..7, true),
+        ])
+    }
+
+    fn checkpoint(step: u64) -> Checkpoint {
+        let values: Vec<f32> = (0..7).map(|i| i as f32 + step as f32).collect();
+        let average = |scale: f32| {
+            let of = |(i, value): (usize, &f32)| if (4..6).contains(&i) { 0.0 } else { scale * value };
+            values.iter().enumerate().map(of).collect()
+        };
+        let optimizer = AdamWState { steps: step, mean: average(0.1), square: average(0.01) };
+        let progress = Progress {
+            step,
+            epoch: 0,
+            skipped: 0,
+            skipped_in_a_row: 0,
+            optimizer_steps: step,
+            best: Some(Best { step: 2, epe: 0.1 + 0.2 }),
+        };
+        Checkpoint { progress, config: "[training]\nseed = 3\n".to_owned(), values, optimizer }
+    }
+
+    #[test]
+    fn what_is_written_is_read_and_old_ones_go() {
+        let run = tempfile::tempdir().unwrap();
+        let checkpoints = Checkpoints::of_run(run.path());
+        assert!(matches!(checkpoints.read_last(&layout()), Err(CheckpointError::None { .. })));
+        for step in 1..=6 {
+            checkpoints.write(&checkpoint(step), &layout()).unwrap();
+            checkpoints.prune(2, Some(2)).unwrap();
+        }
+        assert_eq!(checkpoints.steps().unwrap(), [2, 5, 6]);
+        assert_eq!(checkpoints.read_last(&layout()).unwrap(), checkpoint(6));
+        let last = srflow_nets::read_parameters(&run.path().join("last.safetensors")).unwrap();
+        assert_eq!(last.keys().collect::<Vec<_>>(), ["a.running_mean", "a.weight", "b.bias"]);
+    }
+
+    #[test]
+    fn the_same_checkpoint_has_the_same_bytes() {
+        let [one, two] = [0, 1].map(|_| {
+            let run = tempfile::tempdir().unwrap();
+            let checkpoints = Checkpoints::of_run(run.path());
+            checkpoints.write(&checkpoint(1), &layout()).unwrap();
+            [MODEL, OPTIMIZER, STATE].map(|name| fs::read(checkpoints.path(1).join(name)).unwrap())
+        });
+        assert_eq!(one, two);
+    }
+
+    #[test]
+    fn broken_checkpoints_are_errors_that_name_the_file() {
+        let run = tempfile::tempdir().unwrap();
+        let checkpoints = Checkpoints::of_run(run.path());
+        checkpoints.write(&checkpoint(1), &layout()).unwrap();
+        for name in [MODEL, OPTIMIZER, STATE] {
+            let path = checkpoints.path(1).join(name);
+            let whole = fs::read(&path).unwrap();
+            for len in (0..whole.len() - 2).step_by(13) {
+                fs::write(&path, &whole[..len]).unwrap();
+                let message = checkpoints.read_last(&layout()).expect_err("half a file").to_string();
+                assert!(message.contains(name), "{message}");
+            }
+            fs::write(&path, &whole).unwrap();
+        }
+        let other = Layout::from_segments(layout().segments()[..2].to_vec());
+        let message = checkpoints.read_last(&other).expect_err("another network").to_string();
+        assert!(message.contains("b.bias"), "{message}");
+    }
+}

@@ -1,0 +1,84 @@
+use serde::{Deserialize, Serialize};
+use srflow_data::augment::AugmentConfig;
+
+use super::PixelSize;
+
+/// How samples are changed at random before they are used.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct AugmentationConfig {
+    /// Which of SKFlow's two augmentations.
+    pub kind: AugmentationKind,
+    /// Limits of the base-2 logarithm of the scale.
+    pub log2_scale: [f32; 2],
+    /// How often a sample is scaled at all.
+    pub scale_probability: f32,
+    /// How often a sample is mirrored left to right.
+    pub horizontal_flip: f32,
+    /// How often a sample with dense truth is mirrored top to bottom.
+    pub vertical_flip: f32,
+    /// How often one or two rectangles of frame 2 are painted over.
+    pub eraser_probability: f32,
+    /// Limits of a rectangle's sides, in pixels of the frame before it is scaled.
+    pub eraser_sides: [u32; 2],
+    /// How much colours change: 1 as in SKFlow, 0 not at all.
+    pub color: f32,
+}
+
+/// Which of SKFlow's augmentations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum AugmentationKind {
+    /// Sparse for KITTI and HD1K, dense for everything else.
+    Auto,
+    /// For flow that is known nearly everywhere.
+    Dense,
+    /// For flow that is known at some pixels.
+    Sparse,
+    /// A crop at a random place, and nothing else.
+    None,
+}
+
+impl Default for AugmentationConfig {
+    fn default() -> Self {
+        let skflow = AugmentConfig::default();
+        Self {
+            kind: AugmentationKind::Auto,
+            // SKFlow's range for Sintel, the set whose frames resemble SRFlow's most.
+            log2_scale: [-0.2, 0.6],
+            scale_probability: skflow.scale_probability,
+            horizontal_flip: skflow.horizontal_flip_probability,
+            vertical_flip: skflow.vertical_flip_probability,
+            eraser_probability: skflow.eraser_probability,
+            eraser_sides: skflow.eraser_sides,
+            color: 1.0,
+        }
+    }
+}
+
+impl AugmentationConfig {
+    /// What is done to samples of a dataset of that name.
+    pub(crate) fn settings(&self, dataset: &str, crop: PixelSize) -> AugmentConfig {
+        let crop = [crop.width, crop.height];
+        let sparse = match self.kind {
+            AugmentationKind::None => return AugmentConfig::crop_only(crop),
+            AugmentationKind::Auto => dataset.starts_with("kitti") || dataset.starts_with("hd1k"),
+            AugmentationKind::Dense => false,
+            AugmentationKind::Sparse => true,
+        };
+        let skflow = if sparse { AugmentConfig::sparse(crop) } else { AugmentConfig::dense(crop) };
+        AugmentConfig {
+            log2_scale: self.log2_scale,
+            scale_probability: self.scale_probability,
+            horizontal_flip_probability: self.horizontal_flip,
+            vertical_flip_probability: if sparse { 0.0 } else { self.vertical_flip },
+            eraser_probability: self.eraser_probability,
+            eraser_sides: self.eraser_sides,
+            brightness: skflow.brightness * self.color,
+            contrast: skflow.contrast * self.color,
+            saturation: skflow.saturation * self.color,
+            hue: skflow.hue * self.color,
+            ..skflow
+        }
+    }
+}

@@ -1,0 +1,66 @@
+//! Whether the numbers of a configuration make sense.
+
+use super::{Config, ConfigError};
+
+/// Iterations beyond which nobody has gone; a typing mistake would fill the memory.
+const MOST_ITERATIONS: usize = 200;
+
+impl Config {
+    /// Whether every number makes sense. Files and folders are not looked at.
+    ///
+    /// # Errors
+    /// Names the first key whose value does not, and what it may be.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let training = &self.training;
+        let validation = &self.validation;
+        let whole = |key, value: usize, least: usize, most: usize| {
+            let found = value.to_string();
+            Key { key, found, expected: format!("a whole number from {least} to {most}") }
+                .holds((least..=most).contains(&value))
+        };
+        let number = |key, value: f64, expected: &str, fine: bool| {
+            Key { key, found: value.to_string(), expected: expected.to_owned() }
+                .holds(fine && value.is_finite())
+        };
+        whole("data.workers", self.data.workers, 1, 256)?;
+        whole("data.prefetch", self.data.prefetch, 1, 4096)?;
+        whole("training.batch", training.batch, 1, 4096)?;
+        whole("training.accumulate", training.accumulate, 1, training.batch)?;
+        whole("training.iterations", training.iterations, 1, MOST_ITERATIONS)?;
+        whole("validation.iterations", validation.iterations, 0, MOST_ITERATIONS)?;
+        whole("checkpoints.keep", self.checkpoints.keep, 1, 1000)?;
+        whole("training.bad_steps", training.bad_steps.try_into().unwrap_or(usize::MAX), 1, 1_000_000)?;
+        if training.steps == 0 {
+            whole("training.epochs", training.epochs.try_into().unwrap_or(usize::MAX), 1, 1_000_000)?;
+        }
+        let rate = training.learning_rate;
+        number("training.learning_rate", rate, "a number above 0 and at most 1", rate > 0.0 && rate <= 1.0)?;
+        let rising = training.rising;
+        number("training.rising", rising, "a share from 0 to below 1", (0.0..1.0).contains(&rising))?;
+        let decay = training.weight_decay;
+        number("training.weight_decay", decay, "a number from 0 to 1", (0.0..=1.0).contains(&decay))?;
+        number("training.epsilon", training.epsilon, "a number above 0", training.epsilon > 0.0)?;
+        for beta in training.betas {
+            number("training.betas", beta, "two numbers from 0 to below 1", (0.0..1.0).contains(&beta))?;
+        }
+        number("training.clip", training.clip, "a number above 0", training.clip > 0.0)?;
+        self.loss.check()?;
+        Ok(())
+    }
+}
+
+/// A key with its value.
+struct Key {
+    key: &'static str,
+    found: String,
+    expected: String,
+}
+
+impl Key {
+    fn holds(self, fine: bool) -> Result<(), ConfigError> {
+        if fine {
+            return Ok(());
+        }
+        Err(ConfigError::Value { key: self.key, found: self.found, expected: self.expected })
+    }
+}

@@ -1,0 +1,188 @@
+//! What a training run is asked for: one TOML file, every key of which can be overridden.
+
+mod augmentation;
+mod check;
+mod read;
+mod text;
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+use srflow_nets::Architecture;
+
+use crate::loss::LossConfig;
+pub use augmentation::{AugmentationConfig, AugmentationKind};
+pub use read::{ConfigError, PRESETS, Preset};
+pub use text::{PixelSize, Source};
+
+/// A training run. The default is the paper's retrained SKFlow (section V-A1); what the paper leaves open is SKFlow's.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Config {
+    /// What is trained.
+    pub network: NetworkConfig,
+    /// What it is trained on.
+    pub data: DataConfig,
+    /// How pairs are changed before they are used.
+    pub augmentation: AugmentationConfig,
+    /// How long, how fast.
+    pub training: TrainingConfig,
+    /// What is minimised.
+    pub loss: LossConfig,
+    /// How it is scored meanwhile.
+    pub validation: ValidationConfig,
+    /// What is kept.
+    pub checkpoints: CheckpointConfig,
+}
+
+/// What is trained.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NetworkConfig {
+    /// Name of the network, e.g. `skflow`.
+    #[serde(with = "text::architecture")]
+    pub architecture: Architecture,
+    /// Weights to start from, PyTorch or safetensors; empty for random ones.
+    pub weights: PathBuf,
+    /// What batch norm does.
+    pub batch_norm: BatchNorm,
+}
+
+/// Where the statistics of batch norm come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum BatchNorm {
+    /// From the batch, and the running ones follow. For training from random weights.
+    Live,
+    /// The running ones, which stay as they are. For fine-tuning, and for batches too small to tell much.
+    Frozen,
+}
+
+/// What it is trained on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DataConfig {
+    /// Datasets: `KIND:DIR`, `@SPLIT` for another split than `train`, `*TIMES` for a pair to come several times in an
+    /// epoch.
+    #[serde(with = "text::by_texts")]
+    pub train: Vec<Source>,
+    /// Size of the crops, WIDTHxHEIGHT.
+    #[serde(with = "text::by_text")]
+    pub crop: PixelSize,
+    /// Threads that read and augment pairs.
+    pub workers: usize,
+    /// Pairs that are read ahead.
+    pub prefetch: usize,
+}
+
+/// How long, how fast.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainingConfig {
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// Times that every pair is used; what does not fill a batch at the end of an epoch is left out.
+    pub epochs: u64,
+    /// Steps, whatever the epochs; 0 for as many as the epochs take.
+    pub steps: u64,
+    /// Pairs in a step.
+    pub batch: usize,
+    /// Parts that a batch is cut into, one after the other through the network, to save memory.
+    pub accumulate: usize,
+    /// Refinements of the network.
+    pub iterations: usize,
+    /// Keep only the hidden state of each refinement and compute the rest anew on the way back: less memory, more time,
+    /// the same gradients.
+    pub recompute: bool,
+    /// The greatest learning rate of the cycle.
+    pub learning_rate: f64,
+    /// Share of the cycle in which the learning rate rises.
+    pub rising: f64,
+    /// Steps that the cycle is longer than the training.
+    pub extra_steps: u64,
+    /// AdamW's weight decay.
+    pub weight_decay: f64,
+    /// AdamW's epsilon.
+    pub epsilon: f64,
+    /// AdamW's decay rates.
+    pub betas: [f64; 2],
+    /// The greatest norm of all gradients together; longer ones are scaled down.
+    pub clip: f64,
+    /// Steps with a loss that is not finite, one after the other, that end the run. Each is skipped.
+    pub bad_steps: u64,
+}
+
+/// How it is scored meanwhile.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct ValidationConfig {
+    /// Datasets, as in `data.train`; the usual split is `val`. Without any, those of `data.train` that have one. The
+    /// first decides which checkpoint is the best.
+    #[serde(with = "text::by_texts")]
+    pub data: Vec<Source>,
+    /// Steps between two validations; 0 for one at the end of each epoch.
+    pub every: u64,
+    /// Refinements; 0 for as many as in training.
+    pub iterations: usize,
+    /// Size of the window around the head that is scored, WIDTHxHEIGHT; empty for whole frames.
+    #[serde(with = "text::optional_size")]
+    pub crop: Option<PixelSize>,
+    /// Score only so many pairs of each dataset, spread evenly; 0 for all.
+    pub limit: usize,
+}
+
+/// What is kept.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CheckpointConfig {
+    /// Steps between two checkpoints; 0 for one at the end of each epoch. The last step has one in any case.
+    pub every: u64,
+    /// How many of the last ones are kept, beside the best.
+    pub keep: usize,
+}
+
+impl Default for NetworkConfig {
+    fn default() -> Self {
+        Self { architecture: Architecture::SkFlow, weights: PathBuf::new(), batch_norm: BatchNorm::Live }
+    }
+}
+
+impl Default for DataConfig {
+    fn default() -> Self {
+        Self { train: Vec::new(), crop: PixelSize { width: 512, height: 800 }, workers: 2, prefetch: 16 }
+    }
+}
+
+impl Default for TrainingConfig {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            epochs: 45,
+            steps: 0,
+            batch: 8,
+            accumulate: 1,
+            iterations: 12,
+            recompute: false,
+            learning_rate: 1.25e-4,
+            rising: 0.05,
+            extra_steps: 100,
+            weight_decay: 1e-4,
+            epsilon: 1e-8,
+            betas: [0.9, 0.999],
+            clip: 1.0,
+            bad_steps: 10,
+        }
+    }
+}
+
+impl Default for ValidationConfig {
+    fn default() -> Self {
+        Self { data: Vec::new(), every: 0, iterations: 0, crop: None, limit: 0 }
+    }
+}
+
+impl Default for CheckpointConfig {
+    fn default() -> Self {
+        Self { every: 0, keep: 3 }
+    }
+}

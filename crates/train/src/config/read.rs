@@ -1,0 +1,229 @@
+//! Configurations from files, presets and the command line.
+
+use std::path::{Path, PathBuf};
+
+use toml::{Table, Value};
+
+use super::Config;
+use crate::loss::LossError;
+
+/// Why a configuration cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file could not be read.
+    #[error("{}: {source}; give a TOML file or one of the presets: {presets}", .path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+        /// Names of the presets.
+        presets: String,
+    },
+    /// The file is no TOML, has an unknown key, or a value of the wrong kind.
+    #[error("{file}: {reason}")]
+    File {
+        /// The file.
+        file: String,
+        /// The line, the key and what was expected.
+        reason: String,
+    },
+    /// An override names no key or gives it a value of the wrong kind.
+    #[error("--set {given}: {reason}")]
+    Override {
+        /// What was given.
+        given: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// A value makes no sense.
+    #[error("{key} = {found}: expected {expected}")]
+    Value {
+        /// The key, with its section.
+        key: &'static str,
+        /// Its value.
+        found: String,
+        /// What it may be.
+        expected: String,
+    },
+    /// A value of the loss makes no sense.
+    #[error(transparent)]
+    Loss(#[from] LossError),
+}
+
+/// A configuration that comes with the program.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Preset {
+    /// Its name.
+    pub name: &'static str,
+    /// The TOML file.
+    pub text: &'static str,
+}
+
+macro_rules! presets {
+    ($($name:literal),*) => {
+        &[$(Preset { name: $name, text: include_str!(concat!("../../../../configs/", $name, ".toml")) }),*]
+    };
+}
+
+/// The configurations that come with the program: the rows of the paper's Table V, and one that a small computer manages.
+pub const PRESETS: &[Preset] =
+    presets!["skflow", "srflownet-tvr", "srflownet-fdr", "srflownet-migar", "srflownet-igvar", "cpu-small"];
+
+impl Config {
+    /// The preset of that name, else the file at that path.
+    ///
+    /// # Errors
+    /// When there is neither, or the file is no configuration.
+    pub fn read(name: &Path) -> Result<Self, ConfigError> {
+        if let Some(preset) = PRESETS.iter().find(|preset| Path::new(preset.name) == name) {
+            return Self::parse(preset.text, &format!("preset {}", preset.name));
+        }
+        let text = std::fs::read_to_string(name).map_err(|source| ConfigError::Read {
+            path: name.to_owned(),
+            source,
+            presets: PRESETS.iter().map(|preset| preset.name).collect::<Vec<_>>().join(", "),
+        })?;
+        Self::parse(&text, &name.display().to_string())
+    }
+
+    /// A configuration from its text; `file` is what errors call it. What the text leaves out has its default.
+    ///
+    /// # Errors
+    /// Names the line and the key.
+    pub fn parse(text: &str, file: &str) -> Result<Self, ConfigError> {
+        toml::from_str(text).map_err(|error| ConfigError::File {
+            file: file.to_owned(),
+            reason: error.to_string().trim_end().to_owned(),
+        })
+    }
+
+    /// As TOML, with every key.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("a configuration is a table of plain values")
+    }
+
+    /// With another value of one key: `KEY=VALUE`, the key with its section, e.g. `training.batch=4`. A text needs no
+    /// quotes.
+    ///
+    /// # Errors
+    /// When there is no such key or the value is not of its kind.
+    pub fn with_override(&self, given: &str) -> Result<Self, ConfigError> {
+        let wrong = |reason: String| ConfigError::Override { given: given.to_owned(), reason };
+        let (key, value) = given
+            .split_once('=')
+            .ok_or_else(|| wrong("expected KEY=VALUE, e.g. training.batch=4".to_owned()))?;
+        let (key, value) = (key.trim(), value.trim());
+        let mut table = Table::try_from(self).expect("a configuration is a table");
+        let (section, name) = key
+            .split_once('.')
+            .ok_or_else(|| wrong(format!("expected SECTION.KEY; the sections are {}", names(&table))))?;
+        let place = table
+            .get_mut(section)
+            .and_then(Value::as_table_mut)
+            .map(|keys| (names(keys), keys.get_mut(name)));
+        match place {
+            None => return Err(wrong(format!("no section `{section}`; there are {}", names(&table)))),
+            Some((keys, None)) => {
+                return Err(wrong(format!("no key `{name}` in [{section}]; there are {keys}")));
+            }
+            Some((_, Some(place))) => *place = parsed(value),
+        }
+        Self::deserialize_table(table).map_err(wrong)
+    }
+
+    fn deserialize_table(table: Table) -> Result<Self, String> {
+        table.try_into().map_err(|error: toml::de::Error| error.to_string().trim_end().replace('\n', "; "))
+    }
+}
+
+fn names(table: &Table) -> String {
+    table.keys().map(String::as_str).collect::<Vec<_>>().join(", ")
+}
+
+/// A number, truth value or list as TOML has them; anything else is text.
+fn parsed(value: &str) -> Value {
+    let line = format!("value = {value}");
+    match line.parse::<Table>() {
+        Ok(mut table) => table.remove("value").expect("the line has it"),
+        Err(_) => Value::String(value.to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_preset_is_whole_and_makes_sense() {
+        for preset in PRESETS {
+            let config = Config::read(Path::new(preset.name)).expect(preset.name);
+            config.check().expect(preset.name);
+            assert_eq!(Config::parse(&config.to_toml(), "again").expect("its own text"), config);
+        }
+    }
+
+    #[test]
+    fn the_papers_baseline_is_the_default() {
+        let preset = Config::read(Path::new("skflow")).expect("a preset");
+        assert_eq!(preset, Config::default());
+    }
+
+    #[test]
+    fn mistakes_are_named_with_their_line() {
+        let error = Config::parse("[training]\nbatch = 4\nlr = 1\n", "my.toml").expect_err("no key lr");
+        let message = error.to_string();
+        for part in ["my.toml", "line 3", "`lr`", "learning_rate"] {
+            assert!(message.contains(part), "{part} in {message}");
+        }
+        let error = Config::parse("[data]\ncrop = \"512\"\n", "my.toml").expect_err("no size");
+        assert!(
+            error.to_string().contains("line 2") && error.to_string().contains("WIDTHxHEIGHT"),
+            "{error}"
+        );
+        let error =
+            Config::parse("[network]\narchitecture = \"skflo\"\n", "my.toml").expect_err("no network");
+        assert!(error.to_string().contains("raft-small"), "{error}");
+    }
+
+    #[test]
+    fn every_key_can_be_overridden() {
+        let config = Config::default();
+        let table = Table::try_from(&config).expect("a table");
+        for (section, keys) in &table {
+            for (key, value) in keys.as_table().expect("a section") {
+                let text = match value {
+                    Value::String(text) => text.clone(),
+                    other => other.to_string(),
+                };
+                let given = format!("{section}.{key}={text}");
+                let same = config.with_override(&given).unwrap_or_else(|error| panic!("{given}: {error}"));
+                assert_eq!(same, config, "{given}");
+            }
+        }
+        let config = config.with_override("training.learning_rate=1e-3").expect("a number");
+        assert_eq!(config.training.learning_rate, 1e-3);
+        let config = config.with_override("data.train=folder:/data*3").expect("a dataset");
+        assert_eq!(config.data.train[0].times, 3);
+    }
+
+    #[test]
+    fn wrong_overrides_say_what_there_is() {
+        let error = |given: &str| Config::default().with_override(given).expect_err(given).to_string();
+        assert!(error("training.lr=1").contains("learning_rate"), "{}", error("training.lr=1"));
+        assert!(error("train.batch=1").contains("training"));
+        assert!(error("batch").contains("KEY=VALUE"));
+        assert!(error("training.batch=many").contains("training.batch=many"));
+    }
+
+    #[test]
+    fn senseless_numbers_are_named() {
+        for given in
+            ["training.batch=0", "training.clip=-1", "training.rising=1", "loss.gamma=2", "data.workers=0"]
+        {
+            let config = Config::default().with_override(given).expect(given);
+            let message = config.check().expect_err(given).to_string();
+            assert!(message.starts_with(given.split('=').next().expect("a key")), "{message}");
+        }
+    }
+}

@@ -1,0 +1,183 @@
+//! Values that a configuration writes as one word.
+
+use std::fmt;
+use std::str::FromStr;
+
+use srflow_data::read::{DatasetSpec, Split};
+
+/// A size in pixels, written WIDTHxHEIGHT.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PixelSize {
+    /// Width in pixels, at least 1.
+    pub width: usize,
+    /// Height in pixels, at least 1.
+    pub height: usize,
+}
+
+impl fmt::Display for PixelSize {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}x{}", self.width, self.height)
+    }
+}
+
+impl FromStr for PixelSize {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let side = |side: &str| side.parse::<usize>().ok().filter(|pixels| (1..=1 << 16).contains(pixels));
+        let sides = text.split_once('x').map(|(width, height)| (side(width), side(height)));
+        match sides {
+            Some((Some(width), Some(height))) => Ok(Self { width, height }),
+            _ => Err(format!("`{text}`: expected WIDTHxHEIGHT in pixels, e.g. 512x800")),
+        }
+    }
+}
+
+/// A dataset in a mix: `KIND:DIR`, then `@SPLIT` for another split than the usual one, then `*TIMES` for how often each
+/// of its pairs comes in an epoch, e.g. `sintel-clean:/data/Sintel@all*100`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Source {
+    /// Kind and folder.
+    pub spec: DatasetSpec,
+    /// The split asked for.
+    pub split: Option<Split>,
+    /// How often each pair comes in an epoch, at least once.
+    pub times: usize,
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.spec)?;
+        if let Some(split) = self.split {
+            write!(f, "@{split}")?;
+        }
+        if self.times == 1 { Ok(()) } else { write!(f, "*{}", self.times) }
+    }
+}
+
+impl FromStr for Source {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (rest, times) = match text.rsplit_once('*').map(|(rest, times)| (rest, times.parse::<usize>())) {
+            Some((rest, Ok(times))) if (1..=1_000_000).contains(&times) => (rest, times),
+            Some((_, Ok(times))) => {
+                return Err(format!("`{text}`: {times} times is not between 1 and 1000000"));
+            }
+            _ => (text, 1),
+        };
+        let (rest, split) = match rest.rsplit_once('@').map(|(rest, split)| (rest, split.parse())) {
+            Some((rest, Ok(split))) => (rest, Some(split)),
+            _ => (rest, None),
+        };
+        let spec = rest.parse::<DatasetSpec>().map_err(|error| error.to_string())?;
+        Ok(Self { spec, split, times })
+    }
+}
+
+/// Serde for what is written as its `Display` text.
+pub(super) mod by_text {
+    use std::fmt::Display;
+    use std::str::FromStr;
+
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    pub fn serialize<S: Serializer>(value: &impl Display, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(value)
+    }
+
+    pub fn deserialize<'de, D, T>(deserializer: D) -> Result<T, D::Error>
+    where
+        D: Deserializer<'de>,
+        T: FromStr<Err = String>,
+    {
+        String::deserialize(deserializer)?.parse().map_err(Error::custom)
+    }
+}
+
+/// Serde for a list of what is written as its `Display` text; one alone needs no brackets.
+pub(super) mod by_texts {
+    use std::fmt::Display;
+    use std::str::FromStr;
+
+    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum OneOrMore {
+        One(String),
+        More(Vec<String>),
+    }
+
+    pub fn serialize<S: Serializer>(values: &[impl Display], serializer: S) -> Result<S::Ok, S::Error> {
+        values.iter().map(ToString::to_string).collect::<Vec<_>>().serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D, T>(deserializer: D) -> Result<Vec<T>, D::Error>
+    where
+        D: Deserializer<'de>,
+        T: FromStr<Err = String>,
+    {
+        let texts = match OneOrMore::deserialize(deserializer)? {
+            OneOrMore::One(text) => vec![text],
+            OneOrMore::More(texts) => texts,
+        };
+        texts.iter().map(|text| text.parse().map_err(Error::custom)).collect()
+    }
+}
+
+/// Serde for a size that may be left out, as empty text.
+pub(super) mod optional_size {
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    use super::PixelSize;
+
+    pub fn serialize<S: Serializer>(value: &Option<PixelSize>, serializer: S) -> Result<S::Ok, S::Error> {
+        match value {
+            Some(size) => serializer.collect_str(size),
+            None => serializer.serialize_str(""),
+        }
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<PixelSize>, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        if text.is_empty() { Ok(None) } else { text.parse().map(Some).map_err(Error::custom) }
+    }
+}
+
+/// Serde for a network by its name.
+pub(super) mod architecture {
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+    use srflow_nets::Architecture;
+
+    pub fn serialize<S: Serializer>(value: &Architecture, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(value.name())
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Architecture, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        Architecture::from_name(&name).ok_or_else(|| {
+            let names = Architecture::ALL.map(Architecture::name).join(", ");
+            Error::custom(format!("`{name}` is no network; there are {names}"))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sources_are_read_from_the_end() {
+        let source: Source = "sintel-clean:/data/a@b/Sintel@all*100".parse().unwrap();
+        assert_eq!((source.split, source.times), (Some(Split::All), 100));
+        assert_eq!(source.spec.dir.to_str(), Some("/data/a@b/Sintel"));
+        for text in ["folder:/data", "folder:a*b", "srflow:x@val", "kitti:k*200", "folder:/a:b@train*3"] {
+            let source: Source = text.parse().unwrap();
+            assert_eq!(source.to_string(), text);
+        }
+        for wrong in ["", "/data", "folder:x*0", "nothing:/data*3"] {
+            assert!(wrong.parse::<Source>().is_err(), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,234 @@
+//! What a run writes down while it goes: `log.jsonl`, a JSON object a line, and event files for TensorBoard.
+
+use std::fs::{File, OpenOptions};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use srflow_field::{Metrics, write_atomically};
+
+use crate::tensorboard::EventFile;
+
+/// One line of `log.jsonl`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "lowercase", deny_unknown_fields)]
+pub enum Record {
+    /// A step of the optimizer.
+    Step(StepRecord),
+    /// A step that was skipped because the loss or the gradients were not finite.
+    Skipped(SkippedRecord),
+    /// A validation.
+    Validation(ValidationRecord),
+}
+
+/// A step of the optimizer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StepRecord {
+    /// Its number, from 1.
+    pub step: u64,
+    /// The epoch that it is part of, from 1.
+    pub epoch: u64,
+    /// What was minimised, the mean over the batch.
+    pub loss: f64,
+    /// What it is made of: name and value.
+    pub parts: Vec<(String, f64)>,
+    /// Mean end-point error of the last prediction, in pixels.
+    pub epe: f64,
+    /// The learning rate of the step.
+    pub learning_rate: f64,
+    /// Norm of all gradients before they were clipped.
+    pub gradient_norm: f64,
+    /// Wall-clock seconds of the step, waiting for data included.
+    pub seconds: f64,
+    /// Seconds of them in which the device waited for data.
+    pub waited: f64,
+}
+
+/// A step that was skipped.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SkippedRecord {
+    /// Its number, from 1.
+    pub step: u64,
+    /// The first frames of its batch.
+    pub samples: Vec<String>,
+}
+
+/// The scores of one dataset.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ValidationRecord {
+    /// After how many steps.
+    pub step: u64,
+    /// The dataset and its split.
+    pub dataset: String,
+    /// Pairs that were scored.
+    pub pairs: usize,
+    /// Over all pixels with a known truth.
+    pub whole: Metrics,
+    /// Inside the head's mask, where there is one.
+    pub head: Option<Metrics>,
+    /// Mean end-point error in pixels of saying that nothing moves.
+    pub zero_epe: f64,
+}
+
+impl Record {
+    /// The step that it is of.
+    pub fn step(&self) -> u64 {
+        match self {
+            Self::Step(record) => record.step,
+            Self::Skipped(record) => record.step,
+            Self::Validation(record) => record.step,
+        }
+    }
+
+    /// Numbers by the tags that TensorBoard shows them under.
+    fn tagged(&self) -> Vec<(String, f64)> {
+        match self {
+            Self::Step(record) => {
+                let parts = record.parts.iter().map(|(name, value)| (format!("loss/{name}"), *value));
+                let others = [
+                    ("loss/total", record.loss),
+                    ("train/epe", record.epe),
+                    ("train/learning_rate", record.learning_rate),
+                    ("train/gradient_norm", record.gradient_norm),
+                    ("time/seconds_per_step", record.seconds),
+                    ("time/waiting_share", record.waited / record.seconds.max(f64::MIN_POSITIVE)),
+                ];
+                parts.chain(others.map(|(tag, value)| (tag.to_owned(), value))).collect()
+            }
+            Self::Skipped(_) => vec![("train/skipped".to_owned(), 1.0)],
+            Self::Validation(record) => {
+                let of = |region: &'static str, metrics: &Metrics| {
+                    let scores = [
+                        ("epe", metrics.epe),
+                        ("px1", metrics.px1),
+                        ("px3", metrics.px3),
+                        ("px5", metrics.px5),
+                        ("f1_all", metrics.f1_all),
+                        ("wauc", metrics.wauc),
+                    ];
+                    let dataset = record.dataset.replace(", ", " ");
+                    scores.map(|(name, value)| (format!("validation {dataset}/{name}{region}"), value))
+                };
+                let head = record.head.iter().flat_map(|head| of(" head", head));
+                of("", &record.whole).into_iter().chain(head).collect()
+            }
+        }
+    }
+}
+
+/// The log of a run that goes on.
+pub(crate) struct Journal {
+    log: File,
+    events: EventFile,
+}
+
+/// Name of the log in a run's folder.
+const LOG: &str = "log.jsonl";
+/// Name of the folder of event files in a run's folder.
+const EVENTS: &str = "tensorboard";
+
+/// Why the log was not written or read.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {reason}", .path.display())]
+pub struct JournalError {
+    /// The file.
+    pub path: PathBuf,
+    /// What went wrong.
+    pub reason: String,
+}
+
+impl Journal {
+    /// Goes on with the log of the run in this folder from `step` on: later lines, written by a run that was killed before
+    /// its next checkpoint, are taken out.
+    pub(crate) fn open(run: &Path, step: u64) -> Result<Self, JournalError> {
+        let path = run.join(LOG);
+        let failed = |path: &Path, error: &dyn std::fmt::Display| JournalError {
+            path: path.to_owned(),
+            reason: error.to_string(),
+        };
+        if path.exists() {
+            let kept: Vec<Record> =
+                read_whole_lines(&path)?.into_iter().filter(|record| record.step() <= step).collect();
+            write_atomically(&path, |file| kept.iter().try_for_each(|record| write_line(file, record)))
+                .map_err(|error| failed(&path, &error))?;
+        }
+        let log = OpenOptions::new().create(true).append(true).open(&path);
+        let events = run.join(EVENTS);
+        Ok(Self {
+            log: log.map_err(|error| failed(&path, &error))?,
+            events: EventFile::create(&events).map_err(|error| failed(&events, &error))?,
+        })
+    }
+
+    /// Appends a line and the numbers for TensorBoard.
+    pub(crate) fn write(&mut self, record: &Record) -> io::Result<()> {
+        write_line(&mut self.log, record)?;
+        self.events.write(record.step(), &record.tagged())
+    }
+}
+
+fn write_line(file: &mut impl Write, record: &Record) -> io::Result<()> {
+    let mut line = serde_json::to_string(record)?;
+    line.push('\n');
+    file.write_all(line.as_bytes())
+}
+
+/// Everything that the run in this folder has written down.
+///
+/// # Errors
+/// When there is no log, or a line of it is not one of ours.
+pub fn read_log(run: &Path) -> Result<Vec<Record>, JournalError> {
+    read_whole_lines(&run.join(LOG))
+}
+
+/// The last line may have been cut by a kill: it is left out when nothing ends it.
+fn read_whole_lines(path: &Path) -> Result<Vec<Record>, JournalError> {
+    let failed = |reason: String| JournalError { path: path.to_owned(), reason };
+    let text = std::fs::read_to_string(path).map_err(|error| failed(error.to_string()))?;
+    let whole = text.rfind('\n').map_or("", |end| &text[..end]);
+    let record = |(number, line): (usize, &str)| {
+        serde_json::from_str(line).map_err(|error| failed(format!("line {}: {error}", number + 1)))
+    };
+    whole.lines().enumerate().map(record).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn step(step: u64) -> Record {
+        Record::Step(StepRecord {
+            step,
+            epoch: 1,
+            loss: 0.1 + 0.2,
+            parts: vec![("sequence".to_owned(), 0.3)],
+            epe: 1.5,
+            learning_rate: 1e-4,
+            gradient_norm: 2.0,
+            seconds: 0.5,
+            waited: 0.1,
+        })
+    }
+
+    #[test]
+    fn a_log_that_was_cut_goes_on_from_its_checkpoint() {
+        let run = tempfile::tempdir().unwrap();
+        let mut journal = Journal::open(run.path(), 0).unwrap();
+        (1..=5).for_each(|number| journal.write(&step(number)).unwrap());
+        drop(journal);
+        let path = run.path().join(LOG);
+        let text = std::fs::read_to_string(&path).unwrap();
+        std::fs::write(&path, &text[..text.len() - 7]).unwrap();
+        assert_eq!(read_log(run.path()).unwrap().len(), 4);
+
+        let mut journal = Journal::open(run.path(), 3).unwrap();
+        journal.write(&step(4)).unwrap();
+        let skipped = Record::Skipped(SkippedRecord { step: 5, samples: vec!["a.png".to_owned()] });
+        journal.write(&skipped).unwrap();
+        let expected: Vec<Record> = (1..=4).map(step).chain([skipped]).collect();
+        assert_eq!(read_log(run.path()).unwrap(), expected);
+    }
+}

@@ -1,0 +1,210 @@
+//! The gradients of a batch: on one device, or on several at a time.
+//!
+//! Every device has a copy of the network and computes the gradients of its share of the batch; they are added up in host
+//! memory in the order of the devices. The sum is that of the whole batch: each share counts as many samples as it holds.
+//! Batch norm in training takes its statistics from what one device sees at a time, as in PyTorch's data-parallel training
+//! without synchronization; the running statistics of the devices are averaged after each step.
+
+use std::sync::{Mutex, PoisonError};
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use srflow_nets::{Architecture, Network, Request, with_batch_statistics};
+
+use crate::batch::Batch;
+use crate::config::BatchNorm;
+use crate::loss::{LossConfig, LossError, Prediction, losses};
+use crate::parameters::{HostGradients, Layout, filled, numbers};
+
+/// What a pass over a batch is asked for.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PassSettings {
+    /// What is minimised.
+    pub loss: LossConfig,
+    /// Refinements.
+    pub iterations: usize,
+    /// Parts that a share is cut into.
+    pub accumulate: usize,
+    /// Keep hidden states only, and compute the rest anew on the way back.
+    pub recompute: bool,
+}
+
+/// What a pass over a batch gave.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pass {
+    /// The gradients of the mean loss of the batch.
+    pub gradients: HostGradients,
+    /// What the mean loss is made of: the sequence loss and each regularizer that is on.
+    pub losses: BatchLosses,
+}
+
+/// The mean loss of a batch.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct BatchLosses {
+    /// What is minimised.
+    pub total: f64,
+    /// Its parts by name.
+    pub parts: Vec<(&'static str, f64)>,
+    /// Mean end-point error of the last prediction, in pixels.
+    pub epe: f64,
+}
+
+impl BatchLosses {
+    /// Whether every number is finite.
+    pub fn is_finite(&self) -> bool {
+        self.total.is_finite() && self.parts.iter().all(|(_, value)| value.is_finite())
+    }
+
+    fn add(&mut self, other: &Self, weight: f64) {
+        if self.parts.is_empty() {
+            self.parts = other.parts.iter().map(|&(name, _)| (name, 0.0)).collect();
+        }
+        self.total += weight * other.total;
+        self.epe += weight * other.epe;
+        for ((_, sum), (_, value)) in self.parts.iter_mut().zip(&other.parts) {
+            *sum += weight * value;
+        }
+    }
+}
+
+/// Burn draws the parameters of all networks of a device from one sequence: two networks that are made at the same time would
+/// share it.
+static SEEDING: Mutex<()> = Mutex::new(());
+
+/// Copies of a network on devices.
+pub struct Replicas {
+    layout: Layout,
+    copies: Vec<Replica>,
+    settings: PassSettings,
+}
+
+/// A network on one device.
+struct Replica {
+    device: Device,
+    network: Network,
+}
+
+impl Replicas {
+    /// A network with random parameters from `seed`, one copy on each of `devices`, and its numbers.
+    ///
+    /// # Panics
+    /// Without a device.
+    pub fn new(
+        architecture: Architecture,
+        devices: &[Device],
+        seed: u64,
+        batch_norm: BatchNorm,
+        settings: PassSettings,
+    ) -> (Self, Vec<f32>) {
+        let live = batch_norm == BatchNorm::Live;
+        let copy = |device: &Device| {
+            let device = device.clone().autodiff();
+            let network = with_batch_statistics(architecture.init(&device), live);
+            Replica { device, network }
+        };
+        let copies: Vec<Replica> = devices.iter().map(copy).collect();
+        let (layout, values) = {
+            let _alone = SEEDING.lock().unwrap_or_else(PoisonError::into_inner);
+            copies[0].device.seed(seed);
+            Layout::of(&copies[0].network) // parameters are drawn when they are first read
+        };
+        let mut replicas = Self { layout, copies, settings };
+        replicas.fill(&values);
+        (replicas, values)
+    }
+
+    /// Where each tensor lies among the numbers.
+    pub fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// Gives every copy these numbers.
+    pub fn fill(&mut self, values: &[f32]) {
+        for copy in &mut self.copies {
+            let network = copy.network.clone();
+            copy.network = filled(network, &self.layout, values);
+        }
+    }
+
+    /// The network as it is used for estimation, on the first device: batch norm by its running statistics, no gradients.
+    pub fn for_estimation(&self) -> Network {
+        self.copies[0].network.valid()
+    }
+
+    /// The gradients of a batch. The running statistics of live batch norm follow on each device; see
+    /// [`collect_statistics`](Self::collect_statistics).
+    ///
+    /// # Errors
+    /// When the loss does not fit the network.
+    pub fn pass(&self, batch: &Batch) -> Result<Pass, LossError> {
+        let shares = batch.split(self.copies.len());
+        let passes: Vec<Result<Pass, LossError>> = std::thread::scope(|scope| {
+            let (first, others) = self.copies.split_first().expect("a device");
+            let others: Vec<_> = others
+                .iter()
+                .zip(&shares[1..])
+                .map(|(copy, share)| scope.spawn(|| copy.pass(share, &self.layout, &self.settings)))
+                .collect();
+            let first = first.pass(&shares[0], &self.layout, &self.settings);
+            std::iter::once(first)
+                .chain(others.into_iter().map(|other| other.join().expect("a pass that did not panic")))
+                .collect()
+        });
+        let mut passes = passes.into_iter().zip(&shares);
+        let mut sum = Pass { gradients: HostGradients::zero(&self.layout), losses: BatchLosses::default() };
+        passes.try_for_each(|(pass, share)| {
+            let pass = pass?;
+            let weight = share.len() as f64 / batch.len() as f64;
+            sum.gradients.add_host(&pass.gradients, weight as f32);
+            sum.losses.add(&pass.losses, weight);
+            Ok(())
+        })?;
+        Ok(sum)
+    }
+
+    /// Takes over what the passes did to the tensors that are not trained, averaged over the copies.
+    pub fn collect_statistics(&self, values: &mut [f32]) {
+        let copies: Vec<Vec<f32>> = self.copies.iter().map(|copy| Layout::of(&copy.network).1).collect();
+        for segment in self.layout.segments().iter().filter(|segment| !segment.trained) {
+            for i in segment.range.clone() {
+                values[i] = copies.iter().map(|copy| copy[i]).sum::<f32>() / copies.len() as f32;
+            }
+        }
+    }
+}
+
+impl Replica {
+    fn pass(&self, share: &Batch, layout: &Layout, settings: &PassSettings) -> Result<Pass, LossError> {
+        let mut pass = Pass { gradients: HostGradients::zero(layout), losses: BatchLosses::default() };
+        for part in share.split(settings.accumulate) {
+            let weight = part.len() as f64 / share.len() as f64;
+            let losses = self.add_gradients(&part, layout, settings, weight as f32, &mut pass.gradients)?;
+            pass.losses.add(&losses, weight);
+        }
+        Ok(pass)
+    }
+
+    /// Adds the gradients of the mean loss of `batch`, times `weight`.
+    fn add_gradients(
+        &self,
+        batch: &Batch,
+        layout: &Layout,
+        settings: &PassSettings,
+        weight: f32,
+        sum: &mut HostGradients,
+    ) -> Result<BatchLosses, LossError> {
+        let request = Request { every_iteration: true, ..Request::new(settings.iterations) };
+        let estimate = self.network.forward(batch.frames(&self.device), &request);
+        let last = numbers(estimate.last().clone().inner());
+        let predictions: Vec<Prediction> = estimate.flows.into_iter().map(Prediction::from).collect();
+        let losses = losses(&settings.loss, &predictions, &batch.loss_inputs(&self.device))?;
+        let gradients = losses.total.backward();
+        sum.add(&self.network, layout, &gradients, weight);
+        let number = |tensor: Tensor<1>| f64::from(numbers(tensor.inner())[0]);
+        Ok(BatchLosses {
+            total: number(losses.total),
+            parts: losses.parts.into_iter().map(|(name, part)| (name, number(part))).collect(),
+            epe: batch.end_point_error(&last),
+        })
+    }
+}

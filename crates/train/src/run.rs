@@ -1,0 +1,417 @@
+//! A training run, from its first step or its last checkpoint to its end.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+use burn::tensor::Device;
+use srflow_field::{FileError, create_folder, write_atomically};
+use srflow_nets::{ParametersError, WeightsError, read_parameters};
+
+use crate::batch::Batch;
+use crate::checkpoint::{Best, Checkpoint, CheckpointError, Checkpoints, Progress};
+use crate::config::{Config, ConfigError};
+use crate::journal::{Journal, JournalError, Record, SkippedRecord, StepRecord, ValidationRecord};
+use crate::loss::LossError;
+use crate::optimizer::{AdamW, AdamWState, clip_norm};
+use crate::read_ahead::ReadAhead;
+use crate::replica::{PassSettings, Replicas};
+use crate::schedule::OneCycle;
+use crate::training_set::{DataError, TrainingSample, TrainingSet};
+use crate::validation::{Validation, ValidationError};
+
+/// Name of the configuration in a run's folder.
+const CONFIG: &str = "config.toml";
+
+/// Why a run did not begin or ended early.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// The configuration makes no sense.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// The training data cannot be used.
+    #[error(transparent)]
+    Data(#[from] DataError),
+    /// The validation failed.
+    #[error(transparent)]
+    Validation(#[from] ValidationError),
+    /// The weights to start from could not be read.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+    /// The weights to start from are those of another network.
+    #[error("{}: {source}", .path.display())]
+    OtherWeights {
+        /// The file.
+        path: PathBuf,
+        /// What does not fit.
+        source: ParametersError,
+    },
+    /// The loss does not fit the network.
+    #[error(transparent)]
+    Loss(#[from] LossError),
+    /// A checkpoint was not written or read.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// The log was not written or read.
+    #[error(transparent)]
+    Journal(#[from] JournalError),
+    /// A file of the run was not written.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The folder holds another run.
+    #[error(
+        "{}: a run of {steps} steps is there; --resume goes on with it, another --out keeps it", .folder.display()
+    )]
+    AnotherRun {
+        /// The run's folder.
+        folder: PathBuf,
+        /// How far it went.
+        steps: u64,
+    },
+    /// Too many losses in a row were not finite.
+    #[error(
+        "the loss or its gradients were not finite in {in_a_row} steps in a row; the last one, step {step}, had the pairs\n  \
+         {samples}\n{kept}. Look at these pairs, or train with a smaller training.learning_rate"
+    )]
+    NotFinite {
+        /// The last of these steps, from 1.
+        step: u64,
+        /// How many there were.
+        in_a_row: u64,
+        /// The first frames of its batch.
+        samples: String,
+        /// What can be gone on from.
+        kept: String,
+    },
+    /// A thread that reads pairs ended early.
+    #[error("a thread that reads training pairs ended early; what it said is above")]
+    Worker,
+}
+
+/// What [`train`] tells while it runs.
+#[derive(Debug)]
+pub enum Event<'a> {
+    /// Before the first step.
+    Started(&'a Start),
+    /// After each step, skipped ones too, and each validation, in the order of the log.
+    Recorded(&'a Record),
+    /// A checkpoint was written.
+    Saved {
+        /// Its folder.
+        path: &'a Path,
+        /// After how many steps.
+        step: u64,
+    },
+}
+
+/// What a run begins with.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Start {
+    /// Steps that were taken before.
+    pub done: u64,
+    /// Steps of the whole run.
+    pub steps: u64,
+    /// Steps in an epoch.
+    pub steps_per_epoch: u64,
+    /// The training data, a line for each dataset.
+    pub data: Vec<String>,
+    /// Learned numbers of the network.
+    pub parameters: usize,
+}
+
+/// What a run came to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outcome {
+    /// Where it ended.
+    pub progress: Progress,
+    /// Seconds of this process, validation and checkpoints included.
+    pub seconds: f64,
+    /// Share of the steps' time in which the device waited for data.
+    pub waiting_share: f64,
+}
+
+/// How a run begins.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Beginning {
+    /// At step 0, in a folder without a run.
+    New,
+    /// At the last checkpoint of the run in the folder.
+    Resume,
+}
+
+/// The configuration of the run in this folder, to go on with it.
+///
+/// # Errors
+/// When there is no checkpoint or it is broken.
+pub fn config_of_run(run: &Path) -> Result<Config, TrainError> {
+    let text = Checkpoints::of_run(run).read_config()?;
+    Ok(Config::parse(&text, &run.display().to_string())?)
+}
+
+/// Trains as `config` says, on all of `devices` at a time, and writes into the folder `run`: `config.toml`, `log.jsonl`,
+/// `tensorboard/`, `checkpoints/`, `last.safetensors` and, with validation data, `best.safetensors`.
+///
+/// Checkpoints are the same bytes for the same configuration and number of devices, whether the run went through or was
+/// killed and resumed. The weights of `network.weights` are only read at the beginning.
+///
+/// # Errors
+/// See [`TrainError`].
+pub fn train(
+    config: &Config,
+    devices: &[Device],
+    run: &Path,
+    beginning: Beginning,
+    on_event: &mut dyn FnMut(Event<'_>),
+) -> Result<Outcome, TrainError> {
+    config.check()?;
+    let start = Instant::now();
+    let checkpoints = Checkpoints::of_run(run);
+    if let (Beginning::New, Some(&steps)) = (beginning, checkpoints.steps()?.last()) {
+        return Err(TrainError::AnotherRun { folder: run.to_owned(), steps });
+    }
+    let set = Arc::new(TrainingSet::open(config)?);
+    let validation = Validation::open(config)?;
+    let mut trainer = Trainer::new(config, devices, &set)?;
+    match beginning {
+        Beginning::New => trainer.load_weights(&config.network.weights)?,
+        Beginning::Resume => trainer.restore(checkpoints.read_last(trainer.replicas.layout())?),
+    }
+    create_folder(run)?;
+    let text = config.to_toml();
+    write_atomically(&run.join(CONFIG), |file| std::io::Write::write_all(file, text.as_bytes()))?;
+    let mut journal = Journal::open(run, trainer.progress.step)?;
+    let mut record = |record: Record, on_event: &mut dyn FnMut(Event<'_>)| {
+        let written = journal.write(&record);
+        on_event(Event::Recorded(&record));
+        written.map_err(|error| JournalError { path: run.to_owned(), reason: error.to_string() })
+    };
+    on_event(Event::Started(&trainer.start(&set)));
+
+    let batch = config.training.batch;
+    let mut ahead = read_ahead(&set, config, trainer.progress.step);
+    let mut step_seconds = 0.0;
+    while trainer.progress.step < trainer.steps {
+        let (began, waited_before) = (Instant::now(), ahead.waited());
+        let samples: Vec<TrainingSample> = (0..batch)
+            .map(|_| ahead.take().ok_or(TrainError::Worker)?.map_err(Into::into))
+            .collect::<Result<_, TrainError>>()?;
+        let waited = (ahead.waited() - waited_before).as_secs_f64();
+        let samples = Batch::new(&samples);
+        let step = trainer.step(&samples)?;
+        let seconds = began.elapsed().as_secs_f64();
+        step_seconds += seconds;
+        match step {
+            Some(step) => {
+                record(Record::Step(StepRecord { seconds, waited, ..step }), on_event)?;
+            }
+            None => {
+                let (step, in_a_row) = (trainer.progress.step, trainer.progress.skipped_in_a_row);
+                record(Record::Skipped(SkippedRecord { step, samples: samples.names.clone() }), on_event)?;
+                if in_a_row >= config.training.bad_steps {
+                    let samples = samples.names.join("\n  ");
+                    let kept = kept_in_words(&checkpoints)?;
+                    return Err(TrainError::NotFinite { step, in_a_row, samples, kept });
+                }
+            }
+        }
+        let step = trainer.progress.step;
+        let mut is_best = false;
+        if !validation.is_empty() && trainer.due(config.validation.every) {
+            is_best = trainer.validate(&validation, &checkpoints, &mut |scores| record(scores, on_event))?;
+        }
+        if is_best || trainer.due(config.checkpoints.every) {
+            checkpoints.write(&trainer.checkpoint(&text), trainer.replicas.layout())?;
+            checkpoints.prune(config.checkpoints.keep, trainer.progress.best.map(|best| best.step))?;
+            on_event(Event::Saved { path: &checkpoints.path(step), step });
+        }
+    }
+    Ok(Outcome {
+        progress: trainer.progress,
+        seconds: start.elapsed().as_secs_f64(),
+        waiting_share: ahead.waited().as_secs_f64() / f64::max(step_seconds, f64::MIN_POSITIVE),
+    })
+}
+
+fn read_ahead(
+    set: &Arc<TrainingSet>,
+    config: &Config,
+    step: u64,
+) -> ReadAhead<Result<TrainingSample, DataError>> {
+    let (set, batch) = (set.clone(), config.training.batch);
+    let per_step = batch as u64;
+    ReadAhead::new(step * per_step, config.data.workers, config.data.prefetch, move |number| {
+        set.sample(number / per_step, (number % per_step) as usize, batch)
+    })
+}
+
+fn kept_in_words(checkpoints: &Checkpoints) -> Result<String, CheckpointError> {
+    Ok(match checkpoints.steps()?.last() {
+        Some(&step) => format!("The last good checkpoint is {}", checkpoints.path(step).display()),
+        None => "There is no checkpoint yet".to_owned(),
+    })
+}
+
+/// The state of a run and what it needs for a step.
+struct Trainer {
+    replicas: Replicas,
+    values: Vec<f32>,
+    optimizer: AdamW,
+    optimizer_state: AdamWState,
+    schedule: OneCycle,
+    clip: f64,
+    progress: Progress,
+    steps: u64,
+    steps_per_epoch: u64,
+    device: Device,
+}
+
+impl Trainer {
+    fn new(config: &Config, devices: &[Device], set: &TrainingSet) -> Result<Self, TrainError> {
+        let training = &config.training;
+        let settings = PassSettings {
+            loss: config.loss.clone(),
+            iterations: training.iterations,
+            accumulate: training.accumulate,
+            recompute: training.recompute,
+        };
+        let network = &config.network;
+        let (replicas, values) =
+            Replicas::new(network.architecture, devices, training.seed, network.batch_norm, settings);
+        let steps_per_epoch = set.steps_per_epoch(training.batch);
+        let steps = match training.steps {
+            0 => training.epochs.saturating_mul(steps_per_epoch),
+            steps => steps,
+        };
+        Ok(Self {
+            optimizer: AdamW {
+                betas: training.betas,
+                epsilon: training.epsilon,
+                weight_decay: training.weight_decay,
+            },
+            optimizer_state: AdamWState::new(values.len()),
+            schedule: OneCycle {
+                peak: training.learning_rate,
+                total_steps: steps.saturating_add(training.extra_steps),
+                rising: training.rising,
+            },
+            clip: training.clip,
+            progress: Progress::default(),
+            steps,
+            steps_per_epoch,
+            device: devices[0].clone(),
+            replicas,
+            values,
+        })
+    }
+
+    fn start(&self, set: &TrainingSet) -> Start {
+        let trained = self.replicas.layout().segments().iter().filter(|segment| segment.trained);
+        Start {
+            done: self.progress.step,
+            steps: self.steps,
+            steps_per_epoch: self.steps_per_epoch,
+            data: set.describe(),
+            parameters: trained.map(|segment| segment.range.len()).sum(),
+        }
+    }
+
+    fn load_weights(&mut self, path: &Path) -> Result<(), TrainError> {
+        if !path.as_os_str().is_empty() {
+            let parameters = read_parameters(path)?;
+            self.values = self
+                .replicas
+                .layout()
+                .values_of(&parameters)
+                .map_err(|source| TrainError::OtherWeights { path: path.to_owned(), source })?;
+            self.replicas.fill(&self.values);
+        }
+        Ok(())
+    }
+
+    fn restore(&mut self, checkpoint: Checkpoint) {
+        self.replicas.fill(&checkpoint.values);
+        self.values = checkpoint.values;
+        self.optimizer_state = checkpoint.optimizer;
+        self.progress = checkpoint.progress;
+    }
+
+    fn checkpoint(&self, config: &str) -> Checkpoint {
+        Checkpoint {
+            progress: self.progress.clone(),
+            config: config.to_owned(),
+            values: self.values.clone(),
+            optimizer: self.optimizer_state.clone(),
+        }
+    }
+
+    /// Takes a step, or skips it (`None`) when its loss or gradients are not finite.
+    fn step(&mut self, batch: &Batch) -> Result<Option<StepRecord>, TrainError> {
+        let learning_rate = self.schedule.learning_rate(self.progress.step);
+        let mut pass = self.replicas.pass(batch)?;
+        let norm = clip_norm(&mut pass.gradients.values, self.clip);
+        let step = self.progress.step + 1;
+        let epoch = self.progress.step / self.steps_per_epoch + 1;
+        self.progress.step = step;
+        self.progress.epoch = step / self.steps_per_epoch;
+        if !(pass.losses.is_finite() && norm.is_finite()) {
+            self.progress.skipped += 1;
+            self.progress.skipped_in_a_row += 1;
+            self.replicas.fill(&self.values); // the running statistics may have followed
+            return Ok(None);
+        }
+        self.progress.skipped_in_a_row = 0;
+        self.replicas.collect_statistics(&mut self.values);
+        let layout = self.replicas.layout();
+        self.optimizer.step(
+            layout,
+            &mut self.values,
+            &pass.gradients.values,
+            &pass.gradients.reached,
+            learning_rate,
+            &mut self.optimizer_state,
+        );
+        self.progress.optimizer_steps = self.optimizer_state.steps;
+        self.replicas.fill(&self.values);
+        let parts = pass.losses.parts.iter().map(|&(name, value)| (name.to_owned(), value));
+        Ok(Some(StepRecord {
+            step,
+            epoch,
+            loss: pass.losses.total,
+            parts: parts.collect(),
+            epe: pass.losses.epe,
+            learning_rate,
+            gradient_norm: norm,
+            seconds: 0.0,
+            waited: 0.0,
+        }))
+    }
+
+    /// Whether something that is done every `every` steps, or for 0 after each epoch, is done now. It is after the last
+    /// step in any case.
+    fn due(&self, every: u64) -> bool {
+        let every = if every == 0 { self.steps_per_epoch } else { every };
+        self.progress.step.is_multiple_of(every) || self.progress.step == self.steps
+    }
+
+    /// Scores the network; tells whether it is the best so far, which is then written.
+    fn validate(
+        &mut self,
+        validation: &Validation,
+        checkpoints: &Checkpoints,
+        record: &mut dyn FnMut(Record) -> Result<(), JournalError>,
+    ) -> Result<bool, TrainError> {
+        let scores = validation.score(self.replicas.for_estimation(), &self.device)?;
+        let step = self.progress.step;
+        let epe = scores.first().map(|scores| scores.whole.epe);
+        for scores in scores {
+            record(Record::Validation(ValidationRecord { step, ..scores }))?;
+        }
+        let (Some(epe), best) = (epe, self.progress.best) else { return Ok(false) };
+        if best.is_some_and(|best| best.epe <= epe) {
+            return Ok(false);
+        }
+        self.progress.best = Some(Best { step, epe });
+        checkpoints.write_best(self.replicas.layout(), &self.values)?;
+        Ok(true)
+    }
+}

@@ -1,0 +1,153 @@
+//! The gradients of a batch, however it is cut up, and a whole run in the library.
+
+use std::path::Path;
+
+use burn::tensor::Device;
+use srflow_data::read::Sample;
+use srflow_field::{FlowField, Image, Mask, write_flow, write_image_png};
+use srflow_nets::Architecture;
+use srflow_train::batch::Batch;
+use srflow_train::config::{BatchNorm, Config};
+use srflow_train::journal::Record;
+use srflow_train::loss::LossConfig;
+use srflow_train::replica::{Pass, PassSettings, Replicas};
+use srflow_train::training_set::TrainingSample;
+use srflow_train::{Beginning, Event, TrainError, train};
+
+fn frame(size: usize, number: usize, shift: f32) -> Image {
+    Image::from_fn(size, size, |x, y| {
+        let (x, y) = (x as f32 - shift + 13.0 * number as f32, y as f32);
+        let wave = (x * 0.31).sin() + (y * 0.27).sin() + ((x + y) * 0.13).cos();
+        [(128.0 + 30.0 * wave) as u8, (128.0 - 20.0 * wave) as u8, (99.0 + 25.0 * wave) as u8]
+    })
+}
+
+/// Pairs that move by different lengths, the last with pixels whose flow is unknown, all with masks of the head.
+fn batch(count: usize) -> Batch {
+    const SIZE: usize = 64;
+    let samples: Vec<TrainingSample> = (0..count)
+        .map(|i| {
+            let shift = 0.5 + i as f32;
+            let known = |x: usize| i + 1 < count || x % 3 > 0;
+            let flow = |x, _| if known(x) { [shift, 0.25] } else { [f32::NAN; 2] };
+            let sample = Sample {
+                frame1: frame(SIZE, i, 0.0),
+                frame2: frame(SIZE, i, shift),
+                flow: Some(FlowField::from_fn(SIZE, SIZE, flow)),
+                mask: Some(Mask::from_fn(SIZE, SIZE, |x, y| x > 8 + i && y < 50)),
+                occlusion: None,
+            };
+            TrainingSample { name: format!("pair {i}"), sample }
+        })
+        .collect();
+    Batch::new(&samples)
+}
+
+fn pass(
+    architecture: Architecture,
+    devices: usize,
+    accumulate: usize,
+    recompute: bool,
+    batch: &Batch,
+) -> (Pass, Vec<f32>) {
+    let loss = LossConfig { tvr: 0.05, fdr: 0.05, igvar: 0.1, ..LossConfig::default() };
+    let settings = PassSettings { loss, iterations: 3, accumulate, recompute };
+    let devices = vec![Device::flex(); devices];
+    let (replicas, mut values) = Replicas::new(architecture, &devices, 3, BatchNorm::Frozen, settings);
+    let pass = replicas.pass(batch).expect("a loss");
+    replicas.collect_statistics(&mut values);
+    (pass, values)
+}
+
+fn assert_same(one: &Pass, other: &Pass, tolerance: f64) {
+    assert_eq!(one.gradients.reached, other.gradients.reached);
+    let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x * x).sum::<f64>().sqrt();
+    let pairs = || one.gradients.values.iter().zip(&other.gradients.values);
+    let size = norm(&mut pairs().map(|(one, _)| f64::from(*one)));
+    let apart = norm(&mut pairs().map(|(one, other)| f64::from(one - other)));
+    assert!(size > 1e-3, "there are gradients: {size}");
+    assert!(apart < tolerance * size, "{apart} apart, of {size}");
+    assert!((one.losses.total - other.losses.total).abs() < 1e-5 * one.losses.total.abs());
+    let names = |pass: &Pass| pass.losses.parts.iter().map(|part| part.0).collect::<Vec<_>>();
+    assert_eq!(names(one), names(other));
+}
+
+#[test]
+fn two_devices_give_the_gradients_of_the_joined_batch() {
+    let batch = batch(3);
+    let (one, _) = pass(Architecture::RaftSmall, 1, 1, false, &batch);
+    assert_same(&one, &pass(Architecture::RaftSmall, 2, 1, false, &batch).0, 1e-4);
+    // More devices than pairs.
+    assert_same(&one, &pass(Architecture::RaftSmall, 4, 1, false, &batch).0, 1e-4);
+}
+
+#[test]
+fn parts_of_a_batch_give_its_gradients() {
+    let batch = batch(3);
+    let (one, _) = pass(Architecture::RaftSmall, 1, 1, false, &batch);
+    assert_same(&one, &pass(Architecture::RaftSmall, 1, 2, false, &batch).0, 1e-4);
+}
+
+#[test]
+fn a_batch_is_cut_into_parts_of_nearly_equal_size() {
+    let batch = batch(5);
+    let parts = batch.split(3);
+    assert_eq!(parts.iter().map(Batch::len).collect::<Vec<_>>(), [1, 2, 2]);
+    let joined: Vec<f32> = parts.iter().flat_map(|part| part.flow.clone()).collect();
+    assert_eq!(joined, batch.flow);
+    assert_eq!(batch.split(9).len(), 5);
+}
+
+fn make_pairs(dir: &Path, count: usize) {
+    for i in 0..count {
+        let file = |ending: &str| dir.join(format!("p{i}_{ending}"));
+        write_image_png(&file("img1.png"), &frame(80, i, 0.0)).unwrap();
+        write_image_png(&file("img2.png"), &frame(80, i, 2.0)).unwrap();
+        write_flow(&file("flow.flo"), &FlowField::filled(80, 80, [2.0, 0.0])).unwrap();
+    }
+}
+
+fn small_run(dir: &Path) -> Config {
+    let text = format!(
+        "[network]\narchitecture = \"raft-small\"\n[data]\ntrain = \"folder:{}\"\ncrop = \"64x64\"\n\
+         [augmentation]\nkind = \"none\"\n[training]\nsteps = 4\nbatch = 2\niterations = 2\nlearning_rate = 4e-4\n\
+         bad_steps = 2\n[checkpoints]\nevery = 2\n",
+        dir.display()
+    );
+    Config::parse(&text, "test").expect("a configuration")
+}
+
+/// A run whose network has a number that is none: no step can be taken, the pairs are named, and what was there stays.
+#[test]
+fn losses_that_are_not_finite_end_the_run() {
+    let dir = tempfile::tempdir().unwrap();
+    make_pairs(dir.path(), 3);
+    let run = dir.path().join("run");
+    let mut config = small_run(dir.path());
+    let devices = [Device::flex()];
+    train(&config, &devices, &run, Beginning::New, &mut |_| {}).expect("a short run");
+
+    // The same weights, with one that is infinite, for a new run.
+    let good = std::fs::read(run.join("last.safetensors")).unwrap();
+    let mut bytes = good.clone();
+    let at = bytes.len() - 4;
+    bytes[at..].copy_from_slice(&f32::INFINITY.to_le_bytes());
+    config.network.weights = dir.path().join("bad.safetensors");
+    std::fs::write(&config.network.weights, bytes).unwrap();
+    let other = dir.path().join("other");
+    let mut skipped = Vec::new();
+    let result = train(&config, &devices, &other, Beginning::New, &mut |event| {
+        if let Event::Recorded(Record::Skipped(record)) = event {
+            skipped.push(record.clone());
+        }
+    });
+    let Err(error @ TrainError::NotFinite { step: 2, in_a_row: 2, .. }) = result else {
+        panic!("{result:?}")
+    };
+    assert_eq!(skipped.len(), 2);
+    assert_eq!(skipped[1].samples.len(), 2);
+    for sample in &skipped[1].samples {
+        assert!(error.to_string().contains(sample), "{sample} in {error}");
+    }
+    assert!(error.to_string().contains("no checkpoint yet"), "{error}");
+}

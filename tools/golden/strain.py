@@ -5,7 +5,7 @@ Writes crates/mer/tests/data/preprocessing/. Needs numpy and opencv-python:
 
     tools/golden/strain.py
 
-Made with numpy 2.4.6, OpenCV 5.0.0.
+Made with numpy 2.4.6, OpenCV 5.0.0 (4.13 gives the same).
 """
 
 from pathlib import Path

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
+use rayon::prelude::*;
 use srflow_data::micro_expression::Clip;
 use srflow_field::{FlowEstimator, Image, Plane, read_image};
 
@@ -73,6 +74,28 @@ pub fn spot_apex(
     estimator: &dyn FlowEstimator,
 ) -> Result<SpottedApex, ExtractError> {
     spot(clip, rule, face, estimator).map_err(|problem| ExtractError { clip: clip.id(), problem })
+}
+
+/// Spots the apex of every clip that has none and puts it into the clip's annotation; gives how many there were.
+///
+/// # Errors
+/// Those of [`spot_apex`], of the first clip that has one.
+pub fn fill_apexes(
+    clips: &mut [Clip],
+    rule: ApexRule,
+    face: &FaceCrop,
+    estimator: &dyn FlowEstimator,
+) -> Result<usize, ExtractError> {
+    let without = clips.par_iter_mut().filter(|clip| clip.annotation.apex.is_none());
+    let filled = without.map(|clip| {
+        let spotted = spot_apex(clip, rule, face, estimator)?;
+        clip.annotation.apex = Some(spotted.frame);
+        Ok(())
+    });
+    let filled: Vec<Result<(), ExtractError>> = filled.collect();
+    let count = filled.len();
+    filled.into_iter().collect::<Result<(), ExtractError>>()?;
+    Ok(count)
 }
 
 fn spot(

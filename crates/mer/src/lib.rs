@@ -18,7 +18,7 @@ mod strain;
 mod summary;
 mod training;
 
-pub use apex::{ApexErrors, ApexRule, SpottedApex, apex_errors, spot_apex};
+pub use apex::{ApexErrors, ApexRule, SpottedApex, apex_errors, fill_apexes, spot_apex};
 pub use cache::{FeatureCache, FeatureKey};
 pub use classifier::{Classifier, OffApexNet, OffTaNet, StstNet, initialized};
 pub use extract::{

@@ -5,14 +5,12 @@ use srflow_field::{FlowField, Image};
 /// One output pixel along one axis: four input pixels and their weights.
 struct CubicTap {
     sources: [usize; 4],
-    weights: [i32; 4],
+    weights: [f64; 4],
 }
 
-/// Bits after the point of a weight.
-const WEIGHT_BITS: u32 = 11;
-
-/// `cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)` of 8-bit channels (`modules/imgproc/src/resize.cpp`): Keys'
-/// cubic with a = -0.75 and weights of 11 bits, border pixels repeated, no smoothing when the image shrinks.
+/// `cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)` of 8-bit channels, as OpenCV 4.13 and 5.0 compute it on x86-64:
+/// Keys' cubic with a = -0.75 in floating point, border pixels repeated, no smoothing when the image shrinks. (OpenCV's
+/// portable code has weights of 11 bits, which changes a value in twenty by 1.)
 ///
 /// An image without pixels stays as it is.
 pub fn resize_cubic(image: &Image, (width, height): (usize, usize)) -> Image {
@@ -21,47 +19,45 @@ pub fn resize_cubic(image: &Image, (width, height): (usize, usize)) -> Image {
     }
     let columns = cubic_taps(image.width(), width);
     let rows = cubic_taps(image.height(), height);
-    let across = |row: usize, tap: &CubicTap| -> [i32; 3] {
+    let across = |row: usize, tap: &CubicTap| -> [f64; 3] {
         let line = image.row(row);
-        let mut sum = [0; 3];
+        let mut sum = [0.0; 3];
         for (source, weight) in tap.sources.iter().zip(tap.weights) {
             for channel in 0..3 {
-                sum[channel] += weight * i32::from(line[*source][channel]);
+                sum[channel] += weight * f64::from(line[*source][channel]);
             }
         }
         sum
     };
-    let stretched: Vec<Vec<[i32; 3]>> =
+    let stretched: Vec<Vec<[f64; 3]>> =
         (0..image.height()).map(|row| columns.iter().map(|tap| across(row, tap)).collect()).collect();
     Image::from_fn(width, height, |x, y| {
         let tap = &rows[y];
-        let mut sum = [0_i64; 3];
+        let mut sum = [0.0; 3];
         for (source, weight) in tap.sources.iter().zip(tap.weights) {
             for channel in 0..3 {
-                sum[channel] += i64::from(weight) * i64::from(stretched[*source][x][channel]);
+                sum[channel] += weight * stretched[*source][x][channel];
             }
         }
-        sum.map(|sum| ((sum + (1 << (2 * WEIGHT_BITS - 1))) >> (2 * WEIGHT_BITS)).clamp(0, 255) as u8)
+        // The cast brings what a cubic overshoots to 0 and 255.
+        sum.map(|sum| sum.round_ties_even() as u8)
     })
 }
 
 fn cubic_taps(input_len: usize, output_len: usize) -> Vec<CubicTap> {
-    // As OpenCV divides: the ratio of output to input first, then its inverse.
-    let scale = 1.0 / (output_len as f64 / input_len as f64);
+    let scale = input_len as f64 / output_len as f64;
     let last = input_len as i64 - 1;
     let tap = |at: usize| {
-        let position = ((at as f64 + 0.5) * scale - 0.5) as f32;
+        let position = (at as f64 + 0.5) * scale - 0.5;
         let whole = position.floor();
         let sources = [-1, 0, 1, 2].map(|offset| (whole as i64 + offset).clamp(0, last) as usize);
-        let weights = cubic_weights(position - whole)
-            .map(|weight| (weight * (1 << WEIGHT_BITS) as f32).round_ties_even() as i32);
-        CubicTap { sources, weights }
+        CubicTap { sources, weights: cubic_weights(position - whole) }
     };
     (0..output_len).map(tap).collect()
 }
 
-fn cubic_weights(x: f32) -> [f32; 4] {
-    const A: f32 = -0.75;
+fn cubic_weights(x: f64) -> [f64; 4] {
+    const A: f64 = -0.75;
     let w0 = ((A * (x + 1.0) - 5.0 * A) * (x + 1.0) + 8.0 * A) * (x + 1.0) - 4.0 * A;
     let w1 = ((A + 2.0) * x - (A + 3.0)) * x * x + 1.0;
     let w2 = ((A + 2.0) * (1.0 - x) - (A + 3.0)) * (1.0 - x) * (1.0 - x) + 1.0;

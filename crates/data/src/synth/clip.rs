@@ -10,17 +10,17 @@ use super::settings::{ClipPlan, FRAMES_AT_REST, SynthSettings};
 use crate::generate::{Rig, SmoothPath, View};
 
 /// The frame is wider than the face's landmarks by this factor.
-const MARGIN: f64 = 1.45;
+const MARGIN: f64 = 1.18;
 
 /// How far the head turns (yaw, pitch, roll in degrees) and moves (metres) at most within a clip, at drift 1.
-const DRIFT_DEGREES: [f32; 3] = [0.5, 0.4, 0.25];
-const DRIFT_METRES: f32 = 0.0005;
+const DRIFT_DEGREES: [f32; 3] = [0.12, 0.1, 0.08];
+const DRIFT_METRES: f32 = 0.00015;
 
 /// How differently clips of one subject are framed: degrees of azimuth, elevation and roll.
 const VIEW_DEGREES: [f32; 3] = [6.0, 4.0, 2.0];
 
 /// Seconds from one point of the drift to the next.
-const DRIFT_KNOT_SECONDS: f32 = 0.15;
+const DRIFT_KNOT_SECONDS: f32 = 0.25;
 
 pub struct Clip {
     pub expression: MicroExpression,

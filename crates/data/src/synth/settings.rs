@@ -25,9 +25,9 @@ pub struct SynthSettings {
     pub frames_per_second: f32,
     /// Strength of the expressions; 1 is 12 to 40 % of each action unit's full strength.
     pub intensity: f32,
-    /// Sensor noise: 1 is a standard deviation of about 1.5 of 255 in mid-grey, growing with brightness.
+    /// Sensor noise: 1 is a standard deviation of about 1.8 of 255 in mid-grey, growing with brightness.
     pub noise: f32,
-    /// Drift of the head: 1 is up to about half a degree and half a millimetre within a clip.
+    /// Drift of the head: 1 is up to about a tenth of a degree and 0.15 mm to either side within a clip.
     pub drift: f32,
     /// Changes of light: 1 is up to about 2 % slowly, with a gradient over the face, and 0.3 % of flicker at 100 Hz.
     pub lighting: f32,

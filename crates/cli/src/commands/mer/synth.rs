@@ -41,7 +41,7 @@ pub struct Synth {
     /// Sensor noise; 1 is a standard deviation of about 1.8 of 255 in mid-grey, 0 none
     #[arg(long, value_name = "FACTOR", default_value_t = SynthSettings::default().noise)]
     noise: f32,
-    /// Drift of the head; 1 is up to half a degree and half a millimetre, 0 none
+    /// Drift of the head; 1 is up to a tenth of a degree and 0.15 mm to either side, 0 none
     #[arg(long, value_name = "FACTOR", default_value_t = SynthSettings::default().drift)]
     drift: f32,
     /// Changes of light; 1 is up to 2 % with a gradient, and a little flicker, 0 none

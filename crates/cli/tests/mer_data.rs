@@ -1,0 +1,164 @@
+//! `srflow mer data`, `synth`, `apex` and `strain` as a user meets them, from an empty folder.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::LazyLock;
+
+use serde_json::Value;
+use srflow_field::{read_image, read_npy};
+
+fn srflow(folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_srflow"))
+        .current_dir(folder)
+        .arg("mer")
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+fn succeeds(output: &Output) -> String {
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    assert!(output.stderr.is_empty(), "progress is for terminals: {output:?}");
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+fn json(folder: &Path, arguments: &[&str]) -> Value {
+    serde_json::from_str(&succeeds(&srflow(folder, &[arguments, &["--json"]].concat()))).unwrap()
+}
+
+fn fails(output: &Output, code: i32) -> String {
+    assert_eq!(output.status.code(), Some(code), "{output:?}");
+    assert!(output.stdout.is_empty(), "{output:?}");
+    let error = String::from_utf8(output.stderr.clone()).unwrap();
+    assert!(error.starts_with("error: ") && !error.contains("panicked"), "{error}");
+    error
+}
+
+/// Two subjects with two small clips each, made once.
+static SET: LazyLock<tempfile::TempDir> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments =
+        ["synth", "--out", "set", "--subjects", "1", "--clips", "3", "--side", "96", "--fps", "40"];
+    let report = json(folder.path(), &arguments);
+    assert_eq!((&report["clips"], &report["made"]), (&3.into(), &3.into()));
+    folder
+});
+
+/// The published annotation files, where they are beside the repository.
+fn annotations() -> Option<PathBuf> {
+    let above = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors();
+    let found = above.map(|dir| dir.join("shared/data/me-annotations")).find(|dir| dir.is_dir());
+    if found.is_none() {
+        eprintln!("skipped: no shared/data/me-annotations above {}", env!("CARGO_MANIFEST_DIR"));
+    }
+    found
+}
+
+#[test]
+fn a_rendered_set_is_listed() {
+    let set = SET.path();
+    let report = json(set, &["data", "clips:set"]);
+    let dataset = &report["datasets"][0];
+    assert_eq!((&dataset["name"], &dataset["counts"]["total"]), (&"set".into(), &3.into()));
+    assert_eq!((&dataset["missing_frames"], &dataset["without_apex"]), (&0.into(), &0.into()));
+    assert_eq!(dataset["clips"].as_array().unwrap().len(), 3);
+    let text = succeeds(&srflow(set, &["data", "clips:set", "--clips"]));
+    assert!(text.contains("3 clips: 1 positive, 1 negative, 1 surprise, 1 subjects"), "{text}");
+    assert!(text.contains("s01/s01/c01"), "{text}");
+}
+
+#[test]
+fn the_published_annotations_are_listed_with_what_is_dropped() {
+    let Some(dir) = annotations() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let sources: Vec<String> =
+        ["samm", "casme2", "smic"].iter().map(|kind| format!("{kind}:{}", dir.display())).collect();
+    let sources: Vec<&str> = sources.iter().map(String::as_str).collect();
+    let report = json(folder.path(), &[&["data", "--labels-only"], &sources[..]].concat());
+    assert_eq!((&report["composite"]["total"], &report["subjects"]), (&435.into(), &68.into()));
+    assert!(report["datasets"].as_array().unwrap().iter().all(|dataset| dataset["as_published"] == true));
+    let text = succeeds(&srflow(folder.path(), &[&["data", "--labels-only"], &sources[..]].concat()));
+    for told in [
+        "composite: 435 clips: 109 positive, 245 negative, 81 surprise, 68 subjects",
+        "26 positive, 92 negative, 15 surprise, 28 subjects, as published",
+        "1: the apex is not a frame number\n    04/EP12_01f (disgust)",
+    ] {
+        assert!(text.contains(told), "{text}");
+    }
+    let error = fails(&srflow(folder.path(), &["data", sources[0]]), 1);
+    assert!(error.contains("looked for") && error.contains("006/006_1_2"), "{error}");
+}
+
+#[test]
+fn missing_frames_stop_unless_allowed() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("a")).unwrap();
+    fs::write(folder.path().join("clips.csv"), "clip,subject,onset,apex,offset,class\na,1,1,2,4,positive\n")
+        .unwrap();
+    for frame in [1, 2, 4] {
+        fs::write(folder.path().join(format!("a/{frame}.png")), "").unwrap();
+    }
+    let error = fails(&srflow(folder.path(), &["data", "clips:."]), 1);
+    assert!(error.contains("1 frames of 1 clips") && error.contains("1/a: 1 frame: 3"), "{error}");
+    let text = succeeds(&srflow(folder.path(), &["data", "clips:.", "--allow-missing"]));
+    assert!(
+        text.contains("missing      1 frames of 1 clips") && text.contains("1 clips: 1 positive"),
+        "{text}"
+    );
+    let error = fails(&srflow(folder.path(), &["apex", "clips:.", "--allow-missing"]), 1);
+    assert!(error.contains("1.png") && error.contains("magic"), "an unreadable frame is named: {error}");
+}
+
+#[test]
+fn wrong_usage_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = fails(&srflow(folder.path(), &["data", "casme3:x"]), 2);
+    assert!(error.contains("casme2[-raw|-cropped]"), "{error}");
+    let error = fails(&srflow(folder.path(), &["data", "clips:x", "--annotations", "samm:y"]), 1);
+    assert!(error.contains("no dataset of the kind `samm`"), "{error}");
+    let error = fails(&srflow(folder.path(), &["synth", "--out", "x", "--side", "3"]), 2);
+    assert!(error.contains("--side 3: expected 64 to 4096"), "{error}");
+}
+
+#[test]
+fn apexes_are_spotted_and_compared() {
+    let set = SET.path();
+    for (rule, extra) in [("strain", None), ("ratio", Some(["--landmarks", "set/landmarks.csv"]))] {
+        let extra = extra.as_ref().map_or(&[][..], |extra| &extra[..]);
+        let list = format!("{rule}.csv");
+        let arguments = [&["apex", "clips:set", "--rule", rule, "--out", &list], extra].concat();
+        let report = json(set, &arguments);
+        let errors = &report["errors"]["set"];
+        assert_eq!(errors["clips"], 3);
+        assert!(errors["mean_absolute_frames"].as_f64().unwrap() < 8.0, "{errors}");
+        let listed = fs::read_to_string(set.join(&list)).unwrap();
+        let spotted = report["clips"][0]["spotted"].as_u64().unwrap();
+        assert!(listed.lines().nth(1).unwrap().contains(&format!(",{spotted},")), "{listed}");
+        assert!(fails(&srflow(set, &arguments), 1).contains("--force"));
+    }
+}
+
+#[test]
+fn strain_is_written_as_an_array_and_a_picture() {
+    let set = SET.path();
+    let clips = json(set, &["data", "clips:set"]);
+    let clip = &clips["datasets"][0]["clips"][0];
+    let frame =
+        |key: &str| format!("set/{}/{:04}.png", clip["clip"].as_str().unwrap(), clip[key].as_u64().unwrap());
+    let (onset, apex) = (frame("onset"), frame("apex"));
+    let common = ["strain", &onset, &apex, "--force", "-o"];
+    let report = json(set, &[&common[..], &["s.npy", "--viz", "s.png", "--features", "f.npy"]].concat());
+    assert!(report["max_strain"].as_f64().unwrap() > 0.0);
+    let (strain, features) = (read_npy(&set.join("s.npy")).unwrap(), read_npy(&set.join("f.npy")).unwrap());
+    assert_eq!((&strain.shape[..], &features.shape[..]), (&[112, 112][..], &[3, 112, 112][..]));
+    assert_eq!(strain.values, features.values[2 * 112 * 112..]);
+    assert_eq!(read_image(&set.join("s.png")).unwrap().size(), (112, 112));
+
+    json(set, &[&common[..], &["o.npy", "--formula", "off-tanet"]].concat());
+    assert_ne!(read_npy(&set.join("o.npy")).unwrap().values, strain.values);
+    let full = json(set, &[&common[..], &["full.npy", "--size", "full"]].concat());
+    assert_eq!((&full["width"], &full["height"]), (&96.into(), &96.into()));
+    let other = fails(&srflow(set, &["strain", &onset, "s.png", "-o", "x.npy"]), 1);
+    assert!(other.contains("give two frames of one size"), "{other}");
+}

@@ -6,10 +6,14 @@ macro_rules! say {
 }
 
 mod commands;
+mod large_frames;
 mod machine;
 mod methods;
+mod networks;
 mod scoring;
 mod size;
+mod usage;
+mod video;
 
 use std::fmt;
 use std::io::{self, Write};
@@ -17,6 +21,10 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use clap::{Args, Parser, Subcommand};
+use srflow_ops::ReusingAllocator;
+
+#[global_allocator]
+static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();
 
 /// From a head avatar made of 3D Gaussians to a facial optical-flow dataset to evaluated flow.
 #[derive(Parser)]
@@ -81,7 +89,7 @@ fn main() -> ExitCode {
         Err(error) if is_closed_pipe(&error) => ExitCode::FAILURE,
         Err(error) => {
             eprintln!("error: {error:#}");
-            ExitCode::FAILURE
+            if error.is::<usage::UsageError>() { ExitCode::from(2) } else { ExitCode::FAILURE }
         }
     }
 }

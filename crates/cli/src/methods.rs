@@ -1,22 +1,103 @@
 //! The registry behind `--method`: every estimator the program knows, by name.
 
-use clap::{Args, ValueEnum};
+use std::collections::HashMap;
+use std::path::Path;
+use std::str::FromStr;
+
+use clap::Args;
 use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
 use srflow_field::FlowEstimator;
+use srflow_nets::{Architecture, Scaled, Tiled};
+
+use crate::large_frames::LargeFrames;
+use crate::networks::NetworkArgs;
+use crate::usage::wrong_usage;
 
 /// A method of estimating optical flow.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Method {
     /// Gunnar Farneback's polynomial expansion
     Farneback,
     /// TV-L1: total variation smoothness, absolute differences
-    #[value(name = "tvl1")]
     TvL1,
+    /// A network, whose weights come from a checkpoint
+    Network(Architecture),
+}
+
+impl Method {
+    /// Those that need no weights.
+    pub const CLASSICAL: [Self; 2] = [Self::Farneback, Self::TvL1];
+
+    /// As typed.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Farneback => "farneback",
+            Self::TvL1 => "tvl1",
+            Self::Network(architecture) => architecture.name(),
+        }
+    }
+
+    /// The help of an option that takes one method.
+    pub fn help() -> String {
+        format!(
+            "How to estimate the flow: {}; a network with its weights behind it, as in raft=FILE",
+            Self::names()
+        )
+    }
+
+    fn all() -> impl Iterator<Item = Self> {
+        Self::CLASSICAL.into_iter().chain(Architecture::ALL.into_iter().map(Self::Network))
+    }
+
+    /// For the help of `--method`.
+    pub fn names() -> String {
+        Self::all().map(Self::name).collect::<Vec<_>>().join(", ")
+    }
+}
+
+/// A method as `--method` names it: `tvl1`, `skflow`, `skflow=WEIGHTS`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct MethodSpec {
+    /// Which.
+    pub method: Method,
+    /// Weights of its own, a file or a published name.
+    pub weights: Option<String>,
+}
+
+impl From<Method> for MethodSpec {
+    fn from(method: Method) -> Self {
+        Self { method, weights: None }
+    }
+}
+
+impl FromStr for MethodSpec {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (name, weights) = match text.split_once('=') {
+            Some((name, weights)) => (name, Some(weights)),
+            None => (text, None),
+        };
+        let method = Method::all()
+            .find(|method| method.name() == name)
+            .ok_or_else(|| format!("there is no method `{name}`; there are {}", Method::names()))?;
+        match (method, weights) {
+            (_, Some("")) => Err(format!("`{text}` names no weights; expected {name}=FILE")),
+            (Method::Farneback | Method::TvL1, Some(_)) => {
+                Err(format!("{name} has no weights; leave out `=...`"))
+            }
+            _ => Ok(Self { method, weights: weights.map(str::to_owned) }),
+        }
+    }
 }
 
 /// Parameters of the methods. Each is for the methods its heading names and takes their default when absent.
 #[derive(Args, Debug, Clone, Default)]
 pub struct MethodParameters {
+    #[command(flatten)]
+    pub network: NetworkArgs,
+    #[command(flatten)]
+    pub large_frames: LargeFrames,
     #[command(flatten)]
     farneback: FarnebackArgs,
     #[command(flatten)]
@@ -89,14 +170,83 @@ struct TvL1Args {
     median_filtering: Option<usize>,
 }
 
-/// The estimator of that name.
+/// The estimator of one method.
 ///
 /// # Errors
-/// When a parameter is out of its range.
-pub fn estimator(method: Method, parameters: &MethodParameters) -> anyhow::Result<Box<dyn FlowEstimator>> {
-    Ok(match method {
+/// As [`estimators`].
+pub fn estimator(spec: &MethodSpec, parameters: &MethodParameters) -> anyhow::Result<Box<dyn FlowEstimator>> {
+    Ok(estimators(std::slice::from_ref(spec), parameters)?.swap_remove(0))
+}
+
+/// The estimators of these methods, in their order, each once.
+///
+/// # Errors
+/// When a parameter is out of its range or for none of the methods, or weights cannot be loaded.
+pub fn estimators(
+    specs: &[MethodSpec],
+    parameters: &MethodParameters,
+) -> anyhow::Result<Vec<Box<dyn FlowEstimator>>> {
+    let networks = specs.iter().filter(|spec| matches!(spec.method, Method::Network(_)));
+    let without = networks.clone().filter(|spec| spec.weights.is_none()).count();
+    let network = &parameters.network;
+    if let (0, Some(option)) = (networks.count(), network.given()) {
+        wrong_usage!("{option} is for networks, of which --method names none: leave it out");
+    }
+    if network.weights.is_some() && without != 1 {
+        wrong_usage!(
+            "--weights is for one network, and --method names {without} without weights of their own: write \
+             --method NETWORK=WEIGHTS for each"
+        );
+    }
+    let labels = labels(specs);
+    let mut found = Vec::new();
+    for (number, (spec, label)) in specs.iter().zip(labels).enumerate() {
+        if !specs[..number].contains(spec) {
+            found.push(built(spec, label, parameters)?);
+        }
+    }
+    Ok(found)
+}
+
+/// What tables call the methods: a network that is there with several weights has theirs in its name.
+fn labels(specs: &[MethodSpec]) -> Vec<String> {
+    let mut weights_of: HashMap<Method, Vec<&Option<String>>> = HashMap::new();
+    for spec in specs {
+        let known = weights_of.entry(spec.method).or_default();
+        if !known.contains(&&spec.weights) {
+            known.push(&spec.weights);
+        }
+    }
+    let label = |spec: &MethodSpec| match &spec.weights {
+        Some(weights) if weights_of[&spec.method].len() > 1 => {
+            let stem = Path::new(weights).file_stem().unwrap_or_default().to_string_lossy();
+            format!("{} ({stem})", spec.method.name())
+        }
+        _ => spec.method.name().to_owned(),
+    };
+    specs.iter().map(label).collect()
+}
+
+fn built(
+    spec: &MethodSpec,
+    label: String,
+    parameters: &MethodParameters,
+) -> anyhow::Result<Box<dyn FlowEstimator>> {
+    let large_frames = &parameters.large_frames;
+    let estimator: Box<dyn FlowEstimator> = match spec.method {
         Method::Farneback => Box::new(Farneback::new(parameters.farneback.parameters())?),
         Method::TvL1 => Box::new(TvL1::new(parameters.tvl1.parameters())?),
+        Method::Network(architecture) => {
+            Box::new(parameters.network.estimator(architecture, spec.weights.as_deref(), label)?)
+        }
+    };
+    let tiled = match large_frames.tile_size(spec.method, &parameters.network)? {
+        Some(size) => Box::new(Tiled::new(estimator, size, large_frames.tile_overlap)),
+        None => estimator,
+    };
+    Ok(match large_frames.scale {
+        Some(factor) => Box::new(Scaled::new(tiled, factor)?),
+        None => tiled,
     })
 }
 
@@ -131,5 +281,29 @@ impl TvL1Args {
             gamma: self.gamma.unwrap_or(default.gamma),
             median_filtering: self.median_filtering.unwrap_or(default.median_filtering),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn methods_are_named_with_their_weights() {
+        let spec = |text: &str| text.parse::<MethodSpec>();
+        assert_eq!(spec("tvl1"), Ok(Method::TvL1.into()));
+        let skflow = Method::Network(Architecture::SkFlow);
+        assert_eq!(spec("skflow"), Ok(skflow.into()));
+        let weights = Some("a=b/c.ckpt".to_owned());
+        assert_eq!(spec("skflow=a=b/c.ckpt"), Ok(MethodSpec { method: skflow, weights }));
+        assert!(spec("pwc").unwrap_err().contains("farneback, tvl1, raft"));
+        assert!(spec("tvl1=a").is_err() && spec("raft=").is_err() && spec("").is_err());
+    }
+
+    #[test]
+    fn a_network_with_several_weights_has_them_in_its_name() {
+        let specs = ["raft=a/things.ckpt", "raft=b/mine.pth", "gma=things.ckpt", "tvl1", "raft"];
+        let specs: Vec<MethodSpec> = specs.iter().map(|text| text.parse().unwrap()).collect();
+        assert_eq!(labels(&specs), ["raft (things)", "raft (mine)", "gma", "tvl1", "raft"]);
     }
 }

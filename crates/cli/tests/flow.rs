@@ -118,21 +118,21 @@ fn what_cannot_be_done_is_said_and_nothing_is_written() {
     refused(&["frame0.png", "wide.png", "-o", "new.flo"], 1, &["frame0.png is 96x64", "wide.png is 97x64"]);
     refused(&["frame0.png", "broken.png", "-o", "new.flo"], 1, &["broken.png: "]);
     refused(&["frame0.png", "absent.png", "-o", "new.flo"], 1, &["absent.png: "]);
-    refused(&["frame0.png", "-o", "new.flo"], 1, &["one frame has no flow"]);
+    refused(&["frame0.png", "-o", "new.flo"], 2, &["one frame has no flow"]);
     refused(&["empty", "-o", "new"], 1, &["empty: two frames or more were looked for", "*.png", "found 0"]);
     refused(
         &["frame0.png", "frame1.png", "frame2.png", "-o", "new.flo"],
-        1,
-        &["new.flo: 3 frames give 2 flows"],
+        2,
+        &["new.flo: 3 frames give a folder of flows"],
     );
-    refused(&with_pair(&["-o", "new.xyz"]), 1, &["new.xyz", "flo5"]);
+    refused(&with_pair(&["-o", "new.xyz"]), 2, &["new.xyz", "flo5"]);
     refused(
         &with_pair(&["-o", "frame0.png/new.flo"]),
         1,
         &["frame0.png: making the folder", "give the path of"],
     );
-    refused(&with_pair(&["-o", "new.flo", "--viz", "new.jpg"]), 1, &["new.jpg", "ending in .png"]);
-    refused(&with_pair(&["-o", "new.flo", "--viz", "empty"]), 1, &["empty", "ending in .png"]);
+    refused(&with_pair(&["-o", "new.flo", "--viz", "new.jpg"]), 2, &["new.jpg", "ending in .png"]);
+    refused(&with_pair(&["-o", "new.flo", "--viz", "empty"]), 2, &["empty", "ending in .png"]);
     refused(&with_pair(&["-o", "new.flo", "--viz", "new.png", "--viz-max", "0"]), 2, &["positive number"]);
     refused(
         &with_pair(&["-o", "new.flo", "--initial-flow", "other.flo"]),

@@ -249,6 +249,11 @@ fn wrong_arguments_are_said_before_any_work() {
         assert!(error.contains(expected), "{arguments:?}: {error}");
         assert!(!out.exists(), "{arguments:?} made the folder");
     }
+    let head = dir.path().join("head");
+    fs::create_dir(&head).unwrap();
+    fs::write(head.join("generic_neutral_mesh.obj"), "no mesh").unwrap();
+    let error = fails(&render(&out, &["--head", &format!("ict:{}", head.display())]), 1);
+    assert!(error.contains("generic_neutral_mesh.obj") && !out.exists(), "{error}");
     let file = dir.path().join("file");
     fs::write(&file, "x").unwrap();
     assert!(fails(&render(&file.join("data"), &[]), 1).contains("file/data"));

@@ -247,9 +247,14 @@ impl Manifest {
         let text = std::fs::read_to_string(&path)
             .map_err(|error| ManifestError::Read { path: path.clone(), error })?;
         let content = |reason| ManifestError::Content { path: path.clone(), reason };
+        let broken = |reason: String| {
+            content(format!(
+                "{reason}; restore the file from a copy, or delete the folder and render the dataset again"
+            ))
+        };
         // The version is looked at first, so that a later layout is not reported as a missing field.
         let value: serde_json::Value =
-            serde_json::from_str(&text).map_err(|error| content(format!("not JSON: {error}")))?;
+            serde_json::from_str(&text).map_err(|error| broken(format!("not JSON: {error}")))?;
         match value.get("layout_version").and_then(serde_json::Value::as_u64) {
             Some(version) if version == u64::from(LAYOUT_VERSION) => {}
             Some(version) => {
@@ -258,11 +263,11 @@ impl Manifest {
                 )));
             }
             None => {
-                return Err(content("no layout_version: not the dataset.json of an SRFlow dataset".into()));
+                return Err(broken("no layout_version: not the dataset.json of an SRFlow dataset".into()));
             }
         }
-        let manifest: Self = serde_json::from_value(value).map_err(|error| content(error.to_string()))?;
-        manifest.validate().map_err(content)?;
+        let manifest: Self = serde_json::from_value(value).map_err(|error| broken(error.to_string()))?;
+        manifest.validate().map_err(broken)?;
         Ok(manifest)
     }
 
@@ -402,7 +407,8 @@ mod tests {
     #[test]
     fn what_is_wrong_is_said() {
         let error = |text: &str| read(text).unwrap_err();
-        assert!(error("{").contains("dataset.json: not JSON"));
+        let not_json = error("{");
+        assert!(not_json.contains("dataset.json: not JSON") && not_json.contains("restore the file"));
         assert!(error("{}").contains("no layout_version"));
         assert!(error(r#"{"layout_version": 9}"#).contains("layout_version is 9, this program knows 1"));
         assert!(error(r#"{"layout_version": 1}"#).contains("missing field"));

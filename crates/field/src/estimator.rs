@@ -1,4 +1,4 @@
-use crate::{FlowField, Image};
+use crate::{FlowField, Image, forward_interpolate};
 
 /// Anything that computes optical flow between two frames: a classical method or a network.
 pub trait FlowEstimator: Send + Sync {
@@ -25,6 +25,54 @@ pub trait FlowEstimator: Send + Sync {
             method: self.name().to_owned(),
             reason: "cannot start from an initial flow; leave it out".to_owned(),
         })
+    }
+
+    /// Flow along a video. With `warm_start` a pair starts from the flow of the pair before it, moved along itself
+    /// ([`forward_interpolate`]).
+    fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {
+        Box::new(PairByPair { estimator: self, warm_start, last: None, flow: None })
+    }
+}
+
+/// A video, estimated as its frames come. What a method computes of a frame alone, it need not compute twice.
+pub trait FlowSequence {
+    /// The next frames, and the flow to each of them from the one before it. The first frame of the video has none before
+    /// it and gives none. A method that can estimates these pairs at once.
+    ///
+    /// # Errors
+    /// As [`FlowEstimator::estimate`]. A sequence that gave an error goes on from wherever it was.
+    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError>;
+}
+
+/// For methods that work on two frames.
+struct PairByPair<'a, E: ?Sized> {
+    estimator: &'a E,
+    warm_start: bool,
+    last: Option<Image>,
+    flow: Option<FlowField>,
+}
+
+impl<E: FlowEstimator + ?Sized> FlowSequence for PairByPair<'_, E> {
+    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
+        let mut flows = Vec::with_capacity(frames.len());
+        let mut last = self.last.as_ref();
+        for frame in frames {
+            if let Some(last) = last {
+                let flow = match &self.flow {
+                    Some(before) => {
+                        self.estimator.estimate_from(last, frame, &forward_interpolate(before))?
+                    }
+                    None => self.estimator.estimate(last, frame)?,
+                };
+                if self.warm_start {
+                    self.flow = Some(flow.clone());
+                }
+                flows.push(flow);
+            }
+            last = Some(frame);
+        }
+        self.last = frames.last().cloned().or(self.last.take());
+        Ok(flows)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Images and masks on disk.
 
-use std::io::{self, Cursor, Write};
+use std::io::{self, Cursor, Read, Seek, Write};
 use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
@@ -21,6 +21,26 @@ pub fn read_image(path: &Path) -> Result<Image, FileError> {
         let pixels = decode(&read_all(reader, len)?)?.into_rgb8();
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
         Ok(Image::from_buffer(width, height, pixels.as_raw().as_chunks().0.to_vec()))
+    })
+}
+
+/// Width and height of an image file, from its header alone.
+///
+/// # Errors
+/// When the file cannot be read, is of another format, or its header is broken.
+pub fn read_image_size(path: &Path) -> Result<(usize, usize), FileError> {
+    read_with(path, |reader, _| {
+        let mut start = [0; 64];
+        let mut len = 0;
+        while let read @ 1.. = reader.read(&mut start[len..]).map_err(FileProblem::reading)? {
+            len += read;
+        }
+        let format = format_of(&start[..len])?;
+        reader.rewind().map_err(FileProblem::reading)?;
+        let (width, height) = ImageReader::with_format(reader, format)
+            .into_dimensions()
+            .map_err(|error| broken(format, error))?;
+        check_size(width.into(), height.into())
     })
 }
 
@@ -72,18 +92,26 @@ fn encode_png(
     Ok(())
 }
 
-fn decode(bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
-    let format = image::guess_format(bytes).ok();
-    let format = match format {
-        Some(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Pnm | ImageFormat::Bmp)) => format,
-        _ => {
-            let start = bytes[..bytes.len().min(8)].escape_ascii();
-            return Err(FileProblem::field("magic", "a PNG, JPEG, PPM or BMP file", format!("\"{start}\"")));
+/// What the first bytes of a file say.
+fn format_of(start: &[u8]) -> Result<ImageFormat, FileProblem> {
+    match image::guess_format(start).ok() {
+        Some(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Pnm | ImageFormat::Bmp)) => {
+            Ok(format)
         }
-    };
-    let broken = |error: image::ImageError| {
-        FileProblem::field("image", format!("a sound {} file", name(format)), error.to_string())
-    };
+        _ => {
+            let start = start[..start.len().min(8)].escape_ascii();
+            Err(FileProblem::field("magic", "a PNG, JPEG, PPM or BMP file", format!("\"{start}\"")))
+        }
+    }
+}
+
+fn broken(format: ImageFormat, error: image::ImageError) -> FileProblem {
+    FileProblem::field("image", format!("a sound {} file", name(format)), error.to_string())
+}
+
+fn decode(bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
+    let format = format_of(bytes)?;
+    let broken = |error| broken(format, error);
     match format {
         ImageFormat::Png => PngOutline::read(bytes).map(drop)?,
         ImageFormat::Jpeg => check_end_of_jpeg(bytes)?,

@@ -8,6 +8,7 @@ mod codec;
 mod estimator;
 mod file_error;
 mod flow_colors;
+mod forward_interpolate;
 mod grid;
 mod image_file;
 mod metrics;
@@ -17,11 +18,14 @@ mod warp;
 pub use atomic_write::{PARTIAL_EXTENSION, create_folder, write_atomically};
 pub use codec::npy::{Array, read_npy, read_npy_plane, write_npy, write_npy_plane};
 pub use codec::{FlowFormat, read_flow, read_flow_as, write_flow, write_flow_as};
-pub use estimator::{EstimateError, FlowEstimator};
+pub use estimator::{EstimateError, FlowEstimator, FlowSequence};
 pub use file_error::{FileError, FileProblem};
 pub use flow_colors::{flow_colors, longest_flow};
+pub use forward_interpolate::forward_interpolate;
 pub(crate) use grid::check_same_size;
 pub use grid::{FlowField, Image, Mask, Plane, SizeError, SizeMismatch};
-pub use image_file::{IMAGE_EXTENSIONS, read_image, read_mask, write_image_png, write_mask_png};
+pub use image_file::{
+    IMAGE_EXTENSIONS, read_image, read_image_size, read_mask, write_image_png, write_mask_png,
+};
 pub use metrics::{MAX_SCORED_FLOW, MeanMetrics, Metrics, ScoreError, score};
 pub use warp::{Tolerance, forward_backward_check, warp};

@@ -22,7 +22,7 @@ pub(crate) struct Border {
 
 impl Border {
     /// As few as make height and width multiples of `multiple`, the larger half below and to the right.
-    fn new(size: [usize; 2], multiple: usize) -> Self {
+    pub(crate) fn new(size: [usize; 2], multiple: usize) -> Self {
         let padded = size.map(|size| size.next_multiple_of(multiple));
         Self { size, before: [0, 1].map(|i| (padded[i] - size[i]) / 2), padded }
     }
@@ -58,9 +58,13 @@ impl Frames {
             "frames: [batch, 3, height, width], not {dims:?}"
         );
         let border = Border::new([height, width], multiple);
-        let prepare = |frame: Tensor<4>| border.add(frame * 2.0 - 1.0);
-        (prepare(self.first), prepare(self.second), border)
+        (prepared(self.first, border), prepared(self.second, border), border)
     }
+}
+
+/// Frames in -1..1, with a border.
+pub(crate) fn prepared(frames: Tensor<4>, border: Border) -> Tensor<4> {
+    border.add(frames * 2.0 - 1.0)
 }
 
 #[cfg(test)]

@@ -5,18 +5,25 @@
 
 mod architecture;
 mod blocks;
+mod estimator;
+mod features;
 mod frames;
 mod gma;
+mod memory;
 mod network;
 mod parameters;
 mod raft;
 mod raft_small;
 mod recurrent;
+mod scale;
 mod skflow;
+mod tiles;
 mod weights;
 
 pub use architecture::{Architecture, Facts, IterationPresets, PublishedWeights};
 pub use blocks::with_batch_statistics;
+pub use estimator::{NetworkEstimator, SMALLEST_SIDE};
+pub use features::Features;
 pub use frames::Frames;
 pub use gma::{Gma, GmaConfig};
 pub use network::Network;
@@ -24,5 +31,7 @@ pub use parameters::{ParameterInfo, Parameters, ParametersError, parameter_infos
 pub use raft::{Raft, RaftConfig};
 pub use raft_small::{RaftSmall, RaftSmallConfig};
 pub use recurrent::{Estimate, Request};
+pub use scale::{Scaled, scaled_size};
 pub use skflow::{SkFlow, SkFlowConfig};
+pub use tiles::{MemoryNeed, NothingFits, TileSize, Tiled, Tiles};
 pub use weights::{WeightsError, load, load_network, read_parameters};

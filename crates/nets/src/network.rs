@@ -1,8 +1,9 @@
 //! Any of the networks, as one type.
 
 use burn::module::Module;
+use burn::tensor::Tensor;
 
-use crate::{Architecture, Estimate, Frames, Gma, Raft, RaftSmall, Request, SkFlow};
+use crate::{Architecture, Estimate, Features, Frames, Gma, Raft, RaftSmall, Request, SkFlow};
 
 /// A network of any [`Architecture`], made by [`Architecture::init`] or [`load_network`](crate::load_network).
 ///
@@ -28,6 +29,16 @@ impl Network {
             Self::RaftSmall(_) => Architecture::RaftSmall,
             Self::Gma(_) => Architecture::Gma,
             Self::SkFlow(_) => Architecture::SkFlow,
+        }
+    }
+
+    /// Features of frames, RGB in 0..1, `[batch, 3, height, width]`, for [`Request::features`].
+    pub fn features(&self, frames: Tensor<4>) -> Features {
+        match self {
+            Self::Raft(network) => network.features(frames),
+            Self::RaftSmall(network) => network.features(frames),
+            Self::Gma(network) => network.features(frames),
+            Self::SkFlow(network) => network.features(frames),
         }
     }
 

@@ -10,6 +10,7 @@ use crate::blocks::{
     ConvexMask, Encoder, EncoderConfig, FlowHead, MotionEncoder, NormKind, SepConvGru, convex_mask,
     convex_upsample, window_entries,
 };
+use crate::features::Features;
 use crate::frames::Frames;
 use crate::recurrent::{Estimate, Loop, Request, STRIDE};
 
@@ -64,11 +65,16 @@ impl RaftConfig {
 }
 
 impl Raft {
+    /// Features of frames, RGB in 0..1, `[batch, 3, height, width]`, for [`Request::features`].
+    pub fn features(&self, frames: Tensor<4>) -> Features {
+        Features::of(&self.fnet, frames)
+    }
+
     /// Flow from the first frames to the second. Panics when the frames differ in size.
     pub fn forward(&self, frames: Frames, request: &Request) -> Estimate {
         let (first, second, border) = frames.prepared(STRIDE);
         let (hidden, context) = hidden_and_context(&self.cnet, first.clone(), HIDDEN);
-        let correlation = correlate(&self.fnet, first, second, self.levels);
+        let correlation = correlate(&self.fnet, [first, second], self.levels, request);
         let block = &self.update_block;
         let gru = block.gru.prepared(&context);
         let refinement = Loop {
@@ -88,14 +94,12 @@ impl Raft {
 /// Features of both frames, ready to be looked up.
 pub(crate) fn correlate(
     encoder: &Encoder,
-    first: Tensor<4>,
-    second: Tensor<4>,
+    frames: [Tensor<4>; 2],
     levels: usize,
+    request: &Request,
 ) -> Correlation {
-    let batch = first.dims()[0];
-    let features = encoder.forward(Tensor::cat(vec![first, second], 0));
-    let second = features.clone().narrow(0, batch, batch);
-    Correlation::new(features.narrow(0, 0, batch), second, levels)
+    let [first, second] = request.features.clone().unwrap_or_else(|| Features::of_both(encoder, frames));
+    Correlation::new(first.0, second.0, levels)
 }
 
 /// The first hidden state, and what stays the same in every iteration.

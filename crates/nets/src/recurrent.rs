@@ -4,6 +4,7 @@
 use burn::tensor::{Device, Int, Tensor};
 use srflow_ops::correlation::tensor::Correlation;
 
+use crate::features::Features;
 use crate::frames::Border;
 
 /// Pixels of a frame along the side of a pixel of the flow that is refined.
@@ -18,12 +19,14 @@ pub struct Request {
     pub start: Option<Tensor<4>>,
     /// Give the flow after every iteration, as training needs it. Otherwise only the last is upsampled.
     pub every_iteration: bool,
+    /// Features of the first and of the second frames, where they are known already; see [`Features`].
+    pub features: Option<[Features; 2]>,
 }
 
 impl Request {
     /// Only the last flow, from nothing.
     pub fn new(iterations: usize) -> Self {
-        Self { iterations, start: None, every_iteration: false }
+        Self { iterations, start: None, every_iteration: false, features: None }
     }
 }
 

@@ -11,6 +11,7 @@ use crate::blocks::{
     Aggregate, Attention, Conv2d, Conv2dConfig, ConvexMask, Encoder, EncoderConfig, NoParameters, NormKind,
     convex_mask, convex_upsample, window_entries,
 };
+use crate::features::Features;
 use crate::frames::Frames;
 use crate::raft::{HIDDEN, correlate, hidden_and_context};
 use crate::recurrent::{Estimate, Loop, Request, STRIDE};
@@ -100,11 +101,16 @@ impl SkFlowConfig {
 }
 
 impl SkFlow {
+    /// Features of frames, RGB in 0..1, `[batch, 3, height, width]`, for [`Request::features`].
+    pub fn features(&self, frames: Tensor<4>) -> Features {
+        Features::of(&self.fnet, frames)
+    }
+
     /// Flow from the first frames to the second. Panics when the frames differ in size.
     pub fn forward(&self, frames: Frames, request: &Request) -> Estimate {
         let (first, second, border) = frames.prepared(STRIDE);
         let (hidden, context) = hidden_and_context(&self.cnet, first.clone(), HIDDEN);
-        let correlation = correlate(&self.fnet, first, second, self.levels);
+        let correlation = correlate(&self.fnet, [first, second], self.levels, request);
         let attention = self.att.forward(context.clone());
         let block = &self.update_block;
         let refinement = Loop {

@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, bail, ensure};
+use anyhow::{Context as _, ensure};
 use clap::Args;
 use serde::Serialize;
 use srflow_field::{
@@ -8,6 +8,7 @@ use srflow_field::{
 };
 
 use crate::Context;
+use crate::usage::wrong_usage;
 
 /// Convert a flow between file formats, or draw it in colours
 ///
@@ -84,11 +85,13 @@ impl Target {
     fn of(output: &Path, viz: bool) -> anyhow::Result<Self> {
         match FlowFormat::from_path(output) {
             Some(FlowFormat::KittiPng) if viz => Ok(Self::Picture),
-            _ if viz => bail!("{}: --viz draws a picture: expected a name ending in .png", output.display()),
+            _ if viz => {
+                wrong_usage!("{}: --viz draws a picture: expected a name ending in .png", output.display())
+            }
             Some(format) => Ok(Self::Flow(format)),
             None => {
                 let formats = FlowFormat::ALL.map(|format| format!(".{format}")).join(", ");
-                bail!("{}: expected a name ending in one of {formats}", output.display())
+                wrong_usage!("{}: expected a name ending in one of {formats}", output.display())
             }
         }
     }

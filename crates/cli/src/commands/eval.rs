@@ -8,7 +8,7 @@ use srflow_eval::report::{Figure, score_report};
 use srflow_eval::{Evaluation, OnFailure, Settings, TextStyle};
 use srflow_field::{create_folder, write_atomically};
 
-use crate::methods::{self, Method, MethodParameters};
+use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::scoring::{self, Pictures};
 use crate::size::Size;
 use crate::{Context, machine};
@@ -20,8 +20,9 @@ Scores are those of the SRFlow paper's Table II: computed per pair over the pixe
 averaged over pairs; also inside the head's mask and outside occlusions where the dataset has them. The baseline `zero` \
 says that nothing moves.
 
-Example: score both classical methods on the paper's crop of a test split, with a report of what they got wrong
-  srflow eval --dataset srflow:srflow --method farneback tvl1 --crop 1200x1600 --out scores")]
+Examples:
+  srflow eval --dataset srflow:srflow --method farneback tvl1 --crop 1200x1600 --out scores
+  srflow eval --dataset sintel-clean:/data/Sintel --method skflow=skflow-things.ckpt raft=raft.pth raft=mine.pth --iters 12")]
 pub struct Eval {
     /// Kind of dataset and its folder, e.g. sintel-clean:/data/Sintel; an unknown kind lists all
     #[arg(long, value_name = "KIND:DIR")]
@@ -30,8 +31,8 @@ pub struct Eval {
     #[arg(long)]
     split: Option<Split>,
     /// Methods to score
-    #[arg(long, value_enum, required = true, num_args = 1.., value_delimiter = ',')]
-    method: Vec<Method>,
+    #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', help = method_help())]
+    method: Vec<MethodSpec>,
     /// Window that is estimated and scored, centred on the head (without a mask, on the frame)
     #[arg(long, value_name = "WIDTHxHEIGHT")]
     crop: Option<Size>,
@@ -49,6 +50,10 @@ pub struct Eval {
     force: bool,
     #[command(flatten)]
     parameters: MethodParameters,
+}
+
+fn method_help() -> String {
+    format!("Methods to score: {}; networks with their weights, as in skflow=FILE", Method::names())
 }
 
 /// The files that `--out` gets.
@@ -69,12 +74,7 @@ pub fn run(args: Eval, context: &Context) -> anyhow::Result<()> {
         );
     }
     let dataset = FlowDataset::open(&args.dataset, args.split)?;
-    let mut wanted = args.method.clone();
-    wanted.dedup();
-    let estimators = wanted
-        .into_iter()
-        .map(|method| methods::estimator(method, &args.parameters))
-        .collect::<anyhow::Result<Vec<_>>>()?;
+    let estimators = methods::estimators(&args.method, &args.parameters)?;
     let settings = Settings {
         crop: args.crop.map(|size| (size.width, size.height)),
         limit: args.limit.map(|limit| limit as usize),

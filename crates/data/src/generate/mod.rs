@@ -94,6 +94,9 @@ pub fn generate(
     on_event: &(dyn Fn(Event) + Sync),
 ) -> Result<Report, GenerateError> {
     let manifest = settings.plan()?;
+    if let (Head::Ict(_), Some(entry)) = (&settings.head, manifest.scenes.first()) {
+        scene::subject(&settings.head, entry)?; // before anything is written
+    }
     folder::claim(dir, &manifest, force)?;
     let part = folder::pairs_of_shard(&manifest, shard);
     folder::tidy(dir, &manifest, &part)?;

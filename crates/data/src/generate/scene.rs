@@ -54,7 +54,7 @@ pub(super) struct FrameState {
 }
 
 /// Makes the head of a subject.
-fn subject(head: &Head, entry: &SceneEntry) -> Result<Avatar, GenerateError> {
+pub(super) fn subject(head: &Head, entry: &SceneEntry) -> Result<Avatar, GenerateError> {
     let made = match head {
         Head::Builtin => Avatar::builtin(entry.subject),
         Head::Ict(dir) => Avatar::ict(dir, entry.subject),

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context as _, ensure};
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde_json::json;
 use srflow_avatar::Avatar;
 use srflow_data::generate::{FULL_SIZE, Head};
@@ -18,7 +18,7 @@ use srflow_eval::report::Figure;
 use srflow_eval::{Evaluation, OnFailure, Settings};
 use srflow_field::{FlowEstimator, write_atomically};
 
-use crate::methods::{self, Method, MethodParameters};
+use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::scoring::{self, Pictures};
 use crate::size::Size;
 use crate::{Context, machine};
@@ -74,10 +74,8 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
         report.display()
     );
     let photographs = photographs(&args)?;
-    let estimators = Method::value_variants()
-        .iter()
-        .map(|method| methods::estimator(*method, &MethodParameters::default()))
-        .collect::<anyhow::Result<Vec<_>>>()?;
+    let estimators =
+        methods::estimators(&Method::CLASSICAL.map(MethodSpec::from), &MethodParameters::default())?;
 
     let (stills_plan, clips_plan) = (datasets::stills(args.size), datasets::clips(args.size));
     let mut stages = Stages::of(if photographs.is_some() { 6 } else { 5 });

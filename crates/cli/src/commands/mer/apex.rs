@@ -12,7 +12,7 @@ use srflow_mer::{ApexErrors, ApexRule, apex_errors, spot_apex};
 use super::face::FaceArgs;
 use super::sources::{SourceArgs, kinds_help};
 use crate::Context;
-use crate::methods::{self, Method, MethodParameters};
+use crate::methods::{self, Method, MethodParameters, MethodSpec};
 
 /// Spot apex frames, and compare them with the annotated ones
 #[derive(Args)]
@@ -33,8 +33,8 @@ pub struct Apex {
     #[arg(long, value_name = "RULE", default_value_t = ApexRule::Strain)]
     rule: ApexRule,
     /// How to estimate the flow, for the rule `strain`
-    #[arg(long, value_enum, default_value = "farneback")]
-    method: Method,
+    #[arg(long, value_name = "METHOD", default_value = "farneback", help = method_help())]
+    method: MethodSpec,
     /// Write the apex frames as a CSV list
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -47,6 +47,10 @@ pub struct Apex {
     face: FaceArgs,
     #[command(flatten)]
     parameters: MethodParameters,
+}
+
+fn method_help() -> String {
+    format!("For the rule `strain`. {}", Method::help())
 }
 
 #[derive(Serialize)]
@@ -88,7 +92,7 @@ pub fn run(args: Apex, context: &Context) -> anyhow::Result<()> {
         );
     }
     let face = args.face.crop()?;
-    let estimator = methods::estimator(args.method, &args.parameters)?;
+    let estimator = methods::estimator(&args.method, &args.parameters)?;
     let datasets = args.sources.open(args.datasets)?;
     let clips: Vec<&Clip> = datasets.iter().flat_map(|dataset| &dataset.clips).collect();
     let bar = ProgressBar::new(clips.len() as u64)

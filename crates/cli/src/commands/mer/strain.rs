@@ -9,7 +9,7 @@ use srflow_mer::{
 };
 
 use crate::Context;
-use crate::methods::{self, Method, MethodParameters};
+use crate::methods::{self, Method, MethodParameters, MethodSpec};
 
 /// Optical strain between two frames, as classifiers see it
 #[derive(Args)]
@@ -41,8 +41,8 @@ pub struct Strain {
     #[arg(long, value_name = "STRAIN", requires = "viz", value_parser = super::super::convert::positive)]
     viz_max: Option<f32>,
     /// How to estimate the flow
-    #[arg(long, value_enum, default_value = "farneback")]
-    method: Method,
+    #[arg(long, value_name = "METHOD", default_value = "farneback", help = Method::help())]
+    method: MethodSpec,
     /// Formula: literature or off-tanet
     #[arg(long, value_name = "FORMULA", default_value_t = StrainFormula::Literature)]
     formula: StrainFormula,
@@ -74,7 +74,7 @@ struct Report {
 
 /// Runs the command.
 pub fn run(args: Strain, context: &Context) -> anyhow::Result<()> {
-    let estimator = methods::estimator(args.method, &args.parameters)?;
+    let estimator = methods::estimator(&args.method, &args.parameters)?;
     for path in [Some(&args.out), args.features.as_ref(), args.viz.as_ref()].into_iter().flatten() {
         ensure!(
             args.force || !path.exists(),

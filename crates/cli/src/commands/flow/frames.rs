@@ -1,0 +1,148 @@
+//! Where the frames come from.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, ensure};
+use srflow_data::read::pictures;
+use srflow_field::{IMAGE_EXTENSIONS, Image, read_image, read_image_size};
+
+use crate::usage::wrong_usage;
+use crate::video::{self, VideoReader, is_video};
+
+/// Two pictures or more, or a video.
+pub enum Source {
+    Files(Vec<PathBuf>),
+    Video(PathBuf, video::Facts),
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Files(files) => write!(f, "{} frames", files.len()),
+            Self::Video(..) => f.write_str("the frames of a video"),
+        }
+    }
+}
+
+/// A frame and what it is called.
+pub struct Frame {
+    /// For reports.
+    pub label: String,
+    /// What the files of the flow from it are named after.
+    pub stem: String,
+    pub image: Image,
+}
+
+impl Source {
+    /// # Errors
+    /// When there are not two frames. Of pictures every header is read: of their sizes, and that they are pictures, nobody
+    /// learns in the middle of the work.
+    pub fn open(arguments: &[PathBuf]) -> anyhow::Result<Self> {
+        let files = match arguments {
+            [folder] if folder.is_dir() => frames_of(folder)?,
+            [file] if is_video(file) => return Ok(Self::Video(file.clone(), video::facts(file))),
+            [frame] => {
+                wrong_usage!(
+                    "{}: one frame has no flow; give two or more, a folder of frames, or a video",
+                    frame.display()
+                )
+            }
+            frames => frames.to_vec(),
+        };
+        if let Some(video) = files.iter().find(|file| is_video(file)) {
+            wrong_usage!("{}: a video is given alone", video.display());
+        }
+        let mut first = None;
+        for file in &files {
+            let (width, height) = read_image_size(file)?;
+            let (first_width, first_height) = *first.get_or_insert((width, height));
+            ensure!(
+                (first_width, first_height) == (width, height),
+                "the frames differ in size: {} is {first_width}x{first_height}, {} is {width}x{height}; resize or crop one",
+                files[0].display(),
+                file.display()
+            );
+        }
+        Ok(Self::Files(files))
+    }
+
+    /// How many pairs there are, where that can be told.
+    pub fn pairs(&self) -> Option<u64> {
+        match self {
+            Self::Files(files) => Some(files.len() as u64 - 1),
+            Self::Video(_, facts) => Some(facts.frames?.saturating_sub(1)),
+        }
+    }
+
+    /// Names of the first frames of the pairs, as far as they are known; of a video, one stands for all.
+    pub fn stems(&self) -> Vec<String> {
+        match self {
+            Self::Files(files) => files[..files.len() - 1].iter().map(|file| stem(file)).collect(),
+            Self::Video(..) => vec![number(1)],
+        }
+    }
+
+    /// Frames a second, for a video made of them.
+    pub fn rate(&self) -> &str {
+        match self {
+            Self::Video(_, video::Facts { rate: Some(rate), .. }) => rate,
+            _ => "25",
+        }
+    }
+
+    /// Reads the frames in order; `take` says whether it wants more.
+    pub fn read(&self, mut take: impl FnMut(anyhow::Result<Frame>) -> bool) {
+        match self {
+            Self::Files(files) => {
+                for file in files {
+                    let frame = |image| Frame { label: file.display().to_string(), stem: stem(file), image };
+                    if !take(read_image(file).map(frame).map_err(Into::into)) {
+                        return;
+                    }
+                }
+            }
+            Self::Video(path, _) => {
+                if let Err(error) = read_video(path, &mut take) {
+                    take(Err(error));
+                }
+            }
+        }
+    }
+}
+
+fn read_video(path: &Path, take: &mut impl FnMut(anyhow::Result<Frame>) -> bool) -> anyhow::Result<()> {
+    let mut video = VideoReader::open(path)?;
+    let mut count = 0;
+    while let Some(image) = video.next_frame()? {
+        count += 1;
+        let label = format!("{} frame {count}", path.display());
+        if !take(Ok(Frame { label, stem: number(count), image })) {
+            return Ok(());
+        }
+    }
+    ensure!(count >= 2, "{}: two frames or more were looked for; found {count}", path.display());
+    Ok(())
+}
+
+/// Frames of a video are named by their number, from 1.
+fn number(count: u64) -> String {
+    format!("{count:06}")
+}
+
+fn stem(file: &Path) -> String {
+    file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// The frames in a folder, in the order of the numbers in their names.
+fn frames_of(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
+    let frames = pictures(folder).with_context(|| "the folder of the frames")?;
+    ensure!(
+        frames.len() >= 2,
+        "{}: two frames or more were looked for (files named *.{}); found {}",
+        folder.display(),
+        IMAGE_EXTENSIONS.join(", *."),
+        frames.len()
+    );
+    Ok(frames)
+}

@@ -1,0 +1,279 @@
+mod frames;
+mod outputs;
+
+use std::path::PathBuf;
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::time::Instant;
+
+use anyhow::{Context as _, ensure};
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use srflow_field::{
+    FlowEstimator, FlowField, FlowFormat, Image, flow_colors, read_flow, write_flow, write_image_png,
+};
+
+use self::frames::{Frame, Source};
+use self::outputs::Outputs;
+use crate::Context;
+use crate::large_frames::Resolution;
+use crate::methods::{self, Method, MethodParameters, MethodSpec};
+use crate::usage::wrong_usage;
+use crate::video::VideoWriter;
+
+/// Estimate optical flow between frames
+#[derive(Args)]
+#[command(after_help = "\
+Examples:
+  srflow flow --method farneback frame1.png frame2.png -o flow.flo --viz flow.png
+  srflow flow --method farneback video/ -o flows/ --format flo5 --viz colours/
+  srflow flow --method skflow --weights skflow-things.ckpt clip.mp4 -o flows/ --viz colours.mp4 --viz-max 20
+  srflow flow --method raft --weights raft.pth --tile auto 4k1.png 4k2.png -o flow.flo
+
+Two frames give one file, in the format of its extension. More frames, a folder of them in the order of their numbers, or \
+a video give a folder: the flow from each frame to the next, under the name of the former (in a video its number, from 1). \
+Frames are read as they are needed: a sequence of any length takes the memory of a few. Videos are read and written \
+through the program ffmpeg.")]
+pub struct Flow {
+    /// Two frames or more, a folder of them, or a video
+    #[arg(required = true, value_name = "FRAME")]
+    frames: Vec<PathBuf>,
+    /// File of the flow, or folder of the flows
+    #[arg(short, long, value_name = "OUT")]
+    out: PathBuf,
+    /// How to estimate the flow
+    #[arg(long, value_name = "METHOD", help = Method::help())]
+    method: MethodSpec,
+    /// Format of the files in a folder
+    #[arg(long, value_name = "FORMAT", default_value = "flo")]
+    format: FlowFormat,
+    /// Draw the flow in colours too: a PNG file, or a folder of them, or a video
+    #[arg(long, value_name = "OUT")]
+    viz: Option<PathBuf>,
+    /// Length in pixels of the flow that gets the fullest colour [default: the longest of each flow]
+    #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = super::convert::positive)]
+    viz_max: Option<f32>,
+    /// Start from this flow, for two frames
+    #[arg(long, value_name = "FLOW")]
+    initial_flow: Option<PathBuf>,
+    /// In a sequence, start from the flow of the pair before, moved along itself
+    #[arg(long)]
+    warm_start: bool,
+    /// Pairs of a sequence that a network estimates at once
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    batch: u16,
+    /// Overwrite files that exist
+    #[arg(long)]
+    force: bool,
+    #[command(flatten)]
+    parameters: MethodParameters,
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report {
+    method: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    network: Option<NetworkReport>,
+    /// What the method saw of a frame, after `--scale` and `--tile`.
+    resolution: Option<Resolution>,
+    pairs: Vec<PairReport>,
+}
+
+#[derive(Serialize)]
+struct NetworkReport {
+    weights: Option<String>,
+    iterations: usize,
+    device: String,
+    batch: usize,
+    warm_start: bool,
+}
+
+#[derive(Serialize)]
+struct PairReport {
+    frame1: String,
+    frame2: String,
+    flow: PathBuf,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    viz: Option<PathBuf>,
+    width: usize,
+    height: usize,
+    /// Time the estimation took, without reading and writing; of a batch, its pairs' share.
+    seconds: f64,
+}
+
+/// Runs the command.
+pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
+    args.parameters.network.batch = args.batch.into();
+    let network = &args.parameters.network;
+    if args.warm_start && network.batch > 1 {
+        wrong_usage!("--warm-start waits for the pair before, so that --batch is 1: leave one of them out");
+    }
+    let source = Source::open(&args.frames)?;
+    let outputs = Outputs::plan(&args, &source)?;
+    let estimator = methods::estimator(&args.method, &args.parameters)?;
+    outputs.prepare(&source.stems())?;
+
+    let bar = progress_bar(source.pairs());
+    let reports = std::thread::scope(|scope| {
+        let (sender, frames) = sync_channel(1);
+        scope.spawn(|| {
+            let sender = sender; // gone when the last frame is read
+            source.read(|frame| sender.send(frame).is_ok());
+        });
+        let work = Work {
+            args: &args,
+            source: &source,
+            outputs: &outputs,
+            estimator: estimator.as_ref(),
+            bar: &bar,
+        };
+        match &args.initial_flow {
+            Some(initial) => work.pair_from(&frames, &read_flow(initial)?),
+            None => work.along(&frames),
+        }
+    });
+    bar.finish_and_clear();
+    let reports = reports?;
+    if !context.json {
+        for pair in &reports {
+            say!("{}  {}x{}  {:.3} s", pair.flow.display(), pair.width, pair.height, pair.seconds)?;
+        }
+        return Ok(());
+    }
+    let size = reports.first().map(|pair| (pair.width, pair.height));
+    let resolution = size
+        .map(|size| args.parameters.large_frames.resolution(size, args.method.method, network))
+        .transpose()?;
+    let report = Report {
+        method: estimator.name().to_owned(),
+        network: match args.method.method {
+            Method::Network(architecture) => Some(NetworkReport {
+                weights: args.method.weights.clone().or_else(|| network.weights.clone()),
+                iterations: network.iterations(architecture),
+                device: network.device.clone(),
+                batch: network.batch,
+                warm_start: args.warm_start,
+            }),
+            _ => None,
+        },
+        resolution,
+        pairs: reports,
+    };
+    say!("{}", serde_json::to_string_pretty(&report)?)
+}
+
+type Frames = Receiver<anyhow::Result<Frame>>;
+
+/// From frames to files.
+struct Work<'a> {
+    args: &'a Flow,
+    source: &'a Source,
+    outputs: &'a Outputs,
+    estimator: &'a dyn FlowEstimator,
+    bar: &'a ProgressBar,
+}
+
+impl Work<'_> {
+    /// Two frames, from a flow that is given.
+    fn pair_from(&self, frames: &Frames, initial: &FlowField) -> anyhow::Result<Vec<PairReport>> {
+        let next = || frames.recv().context("the thread that reads frames ended early")?;
+        let (first, second) = (next()?, next()?);
+        let ((width, height), (initial_width, initial_height)) = (first.image.size(), initial.size());
+        ensure!(
+            (initial_width, initial_height) == (width, height),
+            "--initial-flow is {initial_width}x{initial_height}, the frames are {width}x{height} (WIDTHxHEIGHT): \
+             give a flow of the frames' size"
+        );
+        let start = Instant::now();
+        let flow = self
+            .estimator
+            .estimate_from(&first.image, &second.image, initial)
+            .with_context(|| format!("{} and {}", first.label, second.label))?;
+        let seconds = start.elapsed().as_secs_f64();
+        Ok(vec![self.write((&first.label, &first.stem), &second.label, &flow, seconds, &mut None)?])
+    }
+
+    /// A sequence, as many pairs at once as `--batch` says.
+    fn along(&self, frames: &Frames) -> anyhow::Result<Vec<PairReport>> {
+        let mut sequence = self.estimator.sequence(self.args.warm_start);
+        let batch = self.args.parameters.network.batch;
+        let mut video = None;
+        let mut reports = Vec::new();
+        // Names of the frame before those that are pushed, and of these.
+        let mut names: Vec<(String, String)> = Vec::new();
+        loop {
+            let wanted = if names.is_empty() { batch + 1 } else { batch };
+            let mut images: Vec<Image> = Vec::with_capacity(wanted);
+            for frame in frames.iter().take(wanted) {
+                let Frame { label, stem, image } = frame?;
+                names.push((label, stem));
+                images.push(image);
+            }
+            if images.is_empty() {
+                break;
+            }
+            let start = Instant::now();
+            let flows = sequence.push(&images).with_context(|| self.labels(&names))?;
+            let seconds = start.elapsed().as_secs_f64() / flows.len().max(1) as f64;
+            for (pair, flow) in names.windows(2).zip(&flows) {
+                let (label, stem) = &pair[0];
+                reports.push(self.write((label, stem), &pair[1].0, flow, seconds, &mut video)?);
+            }
+            names.drain(..names.len() - 1);
+        }
+        video.map_or(Ok(()), VideoWriter::finish)?;
+        Ok(reports)
+    }
+
+    fn labels(&self, names: &[(String, String)]) -> String {
+        match names {
+            [(first, _), .., (last, _)] => format!("{first} to {last}"),
+            [(one, _)] => one.clone(),
+            [] => String::new(),
+        }
+    }
+
+    fn write(
+        &self,
+        (label, stem): (&str, &str),
+        next: &str,
+        flow: &FlowField,
+        seconds: f64,
+        video: &mut Option<VideoWriter>,
+    ) -> anyhow::Result<PairReport> {
+        self.outputs.check_pair(stem)?;
+        let files = self.outputs.pair(stem);
+        write_flow(&files.flow, flow)?;
+        let colours = || flow_colors(flow, self.args.viz_max);
+        if let Some(viz) = &files.viz {
+            write_image_png(viz, &colours())?;
+        }
+        if let Some(path) = self.outputs.video() {
+            let video = match video {
+                Some(video) => video,
+                None => video.insert(VideoWriter::create(path, flow.size(), self.source.rate())?),
+            };
+            video.write(&colours())?;
+        }
+        self.bar.inc(1);
+        Ok(PairReport {
+            frame1: label.to_owned(),
+            frame2: next.to_owned(),
+            flow: files.flow,
+            viz: files.viz,
+            width: flow.width(),
+            height: flow.height(),
+            seconds,
+        })
+    }
+}
+
+/// A bar on standard error with the time left, where the number is known; indicatif hides it when that is no terminal.
+fn progress_bar(pairs: Option<u64>) -> ProgressBar {
+    let (bar, template) = match pairs {
+        Some(pairs) => (ProgressBar::new(pairs), "{bar:30} {pos}/{len} flows, {per_sec}, {eta} left"),
+        None => (ProgressBar::new_spinner(), "{spinner} {pos} flows, {per_sec}, {elapsed}"),
+    };
+    bar.with_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()))
+}

@@ -1,0 +1,159 @@
+//! Where the flows go.
+
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
+
+use anyhow::{bail, ensure};
+use srflow_field::{FlowFormat, create_folder};
+
+use super::Flow;
+use super::frames::Source;
+use crate::usage::wrong_usage;
+use crate::video::is_video;
+
+/// The files that the flows are written to.
+pub struct Outputs {
+    flows: Flows,
+    viz: Option<Viz>,
+    force: bool,
+}
+
+enum Flows {
+    File(PathBuf),
+    Folder(PathBuf, FlowFormat),
+}
+
+/// Where the colours go.
+enum Viz {
+    File(PathBuf),
+    Folder(PathBuf),
+    Video(PathBuf),
+}
+
+/// The files of one pair.
+pub struct PairFiles {
+    pub flow: PathBuf,
+    pub viz: Option<PathBuf>,
+}
+
+impl Outputs {
+    /// Two frames and a name with an extension give a file, everything else a folder.
+    ///
+    /// # Errors
+    /// When `--out` or `--viz` cannot be what the frames give.
+    pub fn plan(args: &Flow, source: &Source) -> anyhow::Result<Self> {
+        let two_files = matches!(source, Source::Files(files) if files.len() == 2 && args.frames.len() == 2);
+        let is_file = two_files
+            && !args.out.is_dir()
+            && args.out.extension().is_some()
+            && !ends_with_separator(&args.out);
+        let (flows, viz) = if is_file { Self::file(args)? } else { Self::folder(args, source)? };
+        Ok(Self { flows, viz, force: args.force })
+    }
+
+    fn file(args: &Flow) -> anyhow::Result<(Flows, Option<Viz>)> {
+        if FlowFormat::from_path(&args.out).is_none() {
+            let names = FlowFormat::ALL.map(FlowFormat::extension).join(", ");
+            wrong_usage!("{}: its extension is no flow format; there are {names}", args.out.display());
+        }
+        if let Some(viz) = &args.viz {
+            let is_png = viz.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
+            if !is_png || viz.is_dir() {
+                wrong_usage!(
+                    "{}: two frames give one picture: expected the name of a file ending in .png",
+                    viz.display()
+                );
+            }
+        }
+        Ok((Flows::File(args.out.clone()), args.viz.clone().map(Viz::File)))
+    }
+
+    fn folder(args: &Flow, source: &Source) -> anyhow::Result<(Flows, Option<Viz>)> {
+        if args.initial_flow.is_some() {
+            wrong_usage!("--initial-flow is for two frames and a file, not for a sequence");
+        }
+        let viz = args.viz.clone().map(|viz| if is_video(&viz) { Viz::Video(viz) } else { Viz::Folder(viz) });
+        let pictures = match &viz {
+            Some(Viz::Folder(folder)) => Some(folder),
+            _ => None,
+        };
+        for folder in [Some(&args.out), pictures].into_iter().flatten() {
+            let like_file = folder.is_file() || FlowFormat::from_path(folder).is_some();
+            if like_file && !folder.is_dir() {
+                wrong_usage!("{}: {source} give a folder of flows, not a file", folder.display());
+            }
+        }
+        if let Source::Files(files) = source {
+            let mut names = HashSet::new();
+            for file in &files[..files.len() - 1] {
+                ensure!(
+                    names.insert(file.file_stem()),
+                    "{}: another frame has the same name, and their flows would overwrite each other; rename one",
+                    file.display()
+                );
+            }
+        }
+        Ok((Flows::Folder(args.out.clone(), args.format), viz))
+    }
+
+    /// The files of the pair whose first frame has this name.
+    pub fn pair(&self, stem: &str) -> PairFiles {
+        let named = |folder: &Path, extension: &str| folder.join(format!("{stem}.{extension}"));
+        PairFiles {
+            flow: match &self.flows {
+                Flows::File(file) => file.clone(),
+                Flows::Folder(folder, format) => named(folder, format.extension()),
+            },
+            viz: match &self.viz {
+                Some(Viz::File(file)) => Some(file.clone()),
+                Some(Viz::Folder(folder)) => Some(named(folder, "png")),
+                Some(Viz::Video(_)) | None => None,
+            },
+        }
+    }
+
+    /// The video of the colours, where one was asked for.
+    pub fn video(&self) -> Option<&Path> {
+        match &self.viz {
+            Some(Viz::Video(file)) => Some(file),
+            _ => None,
+        }
+    }
+
+    /// Makes the folders.
+    ///
+    /// # Errors
+    /// When a folder cannot be made, or a file of one of these pairs is there already and `--force` was not given.
+    pub fn prepare(&self, stems: &[String]) -> anyhow::Result<()> {
+        self.check_free(self.video().map(Path::to_owned))?;
+        for stem in stems {
+            self.check_pair(stem)?;
+        }
+        let files = self.pair("");
+        let parents = [Some(files.flow.as_path()), files.viz.as_deref(), self.video()];
+        for folder in parents.into_iter().flatten().filter_map(Path::parent) {
+            if !folder.as_os_str().is_empty() {
+                create_folder(folder)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// # Errors
+    /// When a file of the pair is there already and `--force` was not given.
+    pub fn check_pair(&self, stem: &str) -> anyhow::Result<()> {
+        let files = self.pair(stem);
+        self.check_free([Some(files.flow), files.viz].into_iter().flatten())
+    }
+
+    fn check_free(&self, files: impl IntoIterator<Item = PathBuf>) -> anyhow::Result<()> {
+        if let (false, Some(existing)) = (self.force, files.into_iter().find(|path| path.exists())) {
+            bail!("{} exists; give --force to overwrite it, or another name", existing.display());
+        }
+        Ok(())
+    }
+}
+
+fn ends_with_separator(path: &Path) -> bool {
+    path.as_os_str().to_string_lossy().ends_with(std::path::is_separator)
+}

@@ -1,0 +1,105 @@
+//! Networks on the command line: weights, iterations, device.
+
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, bail};
+use clap::Args;
+use srflow_nets::{Architecture, NetworkEstimator, load_network};
+use srflow_ops::{device, device_kinds};
+
+use crate::usage::wrong_usage;
+
+/// Where networks are computed when nothing is said.
+const CPU: &str = "cpu";
+
+/// Parameters of networks.
+#[derive(Args, Debug, Clone)]
+#[command(next_help_heading = "Parameters of networks")]
+pub struct NetworkArgs {
+    /// Checkpoint of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as
+    /// things; `srflow models` lists them
+    #[arg(long, value_name = "FILE|NAME")]
+    pub weights: Option<String>,
+    /// Refinements of the flow [default: the network's own, see `srflow models`]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000))]
+    iters: Option<u16>,
+    /// Pairs of frames that are estimated at once, where a command can.
+    #[arg(skip = 1_usize)]
+    pub batch: usize,
+    /// Where to compute
+    #[arg(long, value_name = "DEVICE", default_value = CPU, help = device_help())]
+    pub device: String,
+}
+
+fn device_help() -> String {
+    format!("Where to compute; in this build {}", device_kinds().join(", "))
+}
+
+impl Default for NetworkArgs {
+    fn default() -> Self {
+        Self { weights: None, iters: None, batch: 1, device: CPU.to_owned() }
+    }
+}
+
+impl NetworkArgs {
+    /// The first option that was given.
+    pub fn given(&self) -> Option<&'static str> {
+        [
+            ("--weights", self.weights.is_some()),
+            ("--iters", self.iters.is_some()),
+            ("--batch", self.batch > 1),
+            ("--device", !self.on_cpu()),
+        ]
+        .into_iter()
+        .find_map(|(option, given)| given.then_some(option))
+    }
+
+    pub fn on_cpu(&self) -> bool {
+        self.device == CPU
+    }
+
+    /// Refinements of a network.
+    pub fn iterations(&self, architecture: Architecture) -> usize {
+        self.iters.map_or(architecture.facts().iterations.default, usize::from)
+    }
+
+    /// The network with its weights: its own, or those of `--weights`.
+    ///
+    /// # Errors
+    /// When there are none, or they do not fit it; when there is no such device.
+    pub fn estimator(
+        &self,
+        architecture: Architecture,
+        weights: Option<&str>,
+        label: String,
+    ) -> anyhow::Result<NetworkEstimator> {
+        let name = architecture.name();
+        let Some(weights) = weights.or(self.weights.as_deref()) else {
+            wrong_usage!(
+                "{name} needs weights: give --weights FILE, or --method {name}=FILE; `srflow models` says where \
+                 people get them"
+            );
+        };
+        let device = match device(&self.device) {
+            Ok(device) => device,
+            Err(error) => wrong_usage!("--device: {error}"),
+        };
+        let path = weights_file(architecture, weights)?;
+        let network = load_network(architecture, &path, &device)?;
+        let iterations = NonZeroUsize::new(self.iterations(architecture)).context("no iterations")?;
+        Ok(NetworkEstimator::new(label, network, iterations, device))
+    }
+}
+
+/// The file that `--weights` means.
+fn weights_file(architecture: Architecture, weights: &str) -> anyhow::Result<PathBuf> {
+    let path = Path::new(weights);
+    if path.exists() {
+        return Ok(path.to_owned());
+    }
+    bail!(
+        "{weights}: there is no such file; `srflow models` says where people get weights of {}",
+        architecture.name()
+    )
+}

@@ -1,0 +1,257 @@
+//! Video files, through the programs `ffmpeg` and `ffprobe`.
+
+use std::ffi::OsStr;
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::thread::JoinHandle;
+
+use anyhow::{Context as _, anyhow, bail, ensure};
+use srflow_field::Image;
+
+/// Extensions of video files.
+const EXTENSIONS: [&str; 15] = [
+    "mp4", "m4v", "mov", "avi", "mkv", "webm", "mpg", "mpeg", "wmv", "flv", "ogv", "ts", "3gp", "y4m", "gif",
+];
+/// A side of a frame beyond this is no side of a frame.
+const LONGEST_SIDE: usize = 1 << 16;
+
+/// Whether the name is that of a video file.
+pub fn is_video(path: &Path) -> bool {
+    let extension = path.extension().and_then(OsStr::to_str);
+    extension.is_some_and(|extension| EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(extension)))
+}
+
+/// What `ffprobe` says of a video; nothing where there is no `ffprobe`.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Facts {
+    /// How many frames it has.
+    pub frames: Option<u64>,
+    /// Frames a second, such as `30000/1001`.
+    pub rate: Option<String>,
+}
+
+/// Asks `ffprobe`.
+pub fn facts(path: &Path) -> Facts {
+    let entries = "stream=r_frame_rate,nb_read_packets";
+    let mut command = Command::new("ffprobe");
+    command.args(["-v", "error", "-select_streams", "v:0", "-count_packets", "-show_entries", entries]);
+    command.args(["-of", "default=noprint_wrappers=1"]).arg(path);
+    let Ok(output) = command.stdin(Stdio::null()).stderr(Stdio::null()).output() else {
+        return Facts::default();
+    };
+    let text = String::from_utf8_lossy(&output.stdout);
+    let value = |key: &str| {
+        let mut lines = text.lines().filter_map(|line| line.split_once('='));
+        lines.find(|(found, _)| *found == key).map(|(_, value)| value.to_owned())
+    };
+    Facts {
+        frames: value("nb_read_packets").and_then(|count| count.parse().ok()),
+        rate: value("r_frame_rate").filter(|rate| !rate.starts_with('0')),
+    }
+}
+
+fn not_started(error: io::Error, what: &str) -> anyhow::Error {
+    if error.kind() == io::ErrorKind::NotFound {
+        anyhow!(
+            "{what} takes the program ffmpeg, which is not on the PATH: install it (https://ffmpeg.org), or use a \
+             folder of pictures in place of the video"
+        )
+    } else {
+        anyhow::Error::new(error).context(format!("{what}: starting ffmpeg"))
+    }
+}
+
+/// What a program has to complain of, read while it runs.
+fn complaints(child: &mut Child) -> Option<JoinHandle<String>> {
+    let stderr = child.stderr.take()?;
+    Some(std::thread::spawn(move || {
+        let mut text = Vec::new();
+        let mut lines = BufReader::new(stderr);
+        // The first is the cause; the rest is read so that the program need not wait.
+        _ = lines.by_ref().take(4096).read_to_end(&mut text);
+        _ = io::copy(&mut lines, &mut io::sink());
+        String::from_utf8_lossy(&text).trim().to_owned()
+    }))
+}
+
+fn ended(mut child: Child, complaints: Option<JoinHandle<String>>, what: &str) -> anyhow::Result<()> {
+    let status = child.wait().with_context(|| format!("{what}: waiting for ffmpeg"))?;
+    let said = complaints.and_then(|thread| thread.join().ok()).unwrap_or_default();
+    // It goes on after broken frames, and says so.
+    ensure!(status.success() && said.is_empty(), "{what}: ffmpeg ended with {status} and said: {said}");
+    Ok(())
+}
+
+/// The frames of a video, one after the other.
+pub struct VideoReader {
+    path: PathBuf,
+    child: Option<Child>,
+    stdout: BufReader<ChildStdout>,
+    complaints: Option<JoinHandle<String>>,
+}
+
+impl VideoReader {
+    /// # Errors
+    /// When there is no such file or no `ffmpeg`.
+    pub fn open(path: &Path) -> anyhow::Result<Self> {
+        std::fs::File::open(path).with_context(|| path.display().to_string())?;
+        let mut command = Command::new("ffmpeg");
+        command.args(["-nostdin", "-v", "error", "-i"]).arg(path);
+        // Every frame that is stored, once, whatever its time.
+        command.args(["-map", "0:v:0", "-fps_mode", "passthrough", "-pix_fmt", "rgb24"]);
+        command.args(["-f", "image2pipe", "-c:v", "ppm", "-"]);
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let what = format!("{}: reading a video", path.display());
+        let mut child = command.spawn().map_err(|error| not_started(error, &what))?;
+        let stdout = child.stdout.take().context("ffmpeg has no output")?;
+        let complaints = complaints(&mut child);
+        Ok(Self { path: path.to_owned(), child: Some(child), stdout: BufReader::new(stdout), complaints })
+    }
+
+    /// The next frame; `None` after the last.
+    ///
+    /// # Errors
+    /// When `ffmpeg` fails.
+    pub fn next_frame(&mut self) -> anyhow::Result<Option<Image>> {
+        let what = format!("{}: reading a video", self.path.display());
+        if self.stdout.fill_buf().with_context(|| what.clone())?.is_empty() {
+            let child = self.child.take();
+            child.map_or(Ok(()), |child| ended(child, self.complaints.take(), &what))?;
+            return Ok(None);
+        }
+        read_ppm(&mut self.stdout).with_context(|| what).map(Some)
+    }
+}
+
+impl Drop for VideoReader {
+    fn drop(&mut self) {
+        if let Some(child) = &mut self.child {
+            _ = child.kill();
+            _ = child.wait();
+        }
+    }
+}
+
+/// One picture as `ffmpeg` writes it: `P6`, width, height, 255, each with white space behind it, then the bytes.
+fn read_ppm(reader: &mut impl BufRead) -> anyhow::Result<Image> {
+    let mut word = || -> anyhow::Result<String> {
+        let mut text = Vec::new();
+        for byte in reader.by_ref().bytes().take(12) {
+            match byte? {
+                b' ' | b'\n' => break,
+                byte => text.push(byte),
+            }
+        }
+        Ok(String::from_utf8_lossy(&text).into_owned())
+    };
+    let (magic, width, height, largest) = (word()?, word()?, word()?, word()?);
+    let side = |text: &str| text.parse().ok().filter(|side| (1..=LONGEST_SIDE).contains(side));
+    match (side(&width), side(&height)) {
+        (Some(width), Some(height)) if magic == "P6" && largest == "255" => {
+            let mut bytes = vec![0; 3 * width * height];
+            reader.read_exact(&mut bytes).context("the video ended within a frame")?;
+            Ok(Image::from_pixels(width, height, bytes.as_chunks().0.to_vec())?)
+        }
+        _ => bail!("ffmpeg gave {magic:?} {width:?} {height:?} {largest:?} where a picture was expected"),
+    }
+}
+
+/// A video that is being written, beside its place until it is whole.
+pub struct VideoWriter {
+    path: PathBuf,
+    partial: PathBuf,
+    child: Option<Child>,
+    stdin: Option<ChildStdin>,
+    complaints: Option<JoinHandle<String>>,
+    size: (usize, usize),
+}
+
+impl VideoWriter {
+    /// Of frames of `size`, so many a second (such as `25` or `30000/1001`).
+    ///
+    /// # Errors
+    /// When there is no `ffmpeg`.
+    pub fn create(path: &Path, size: (usize, usize), rate: &str) -> anyhow::Result<Self> {
+        let extension = path.extension().and_then(OsStr::to_str).unwrap_or_default();
+        let partial = path.with_extension(format!("{}.{extension}", srflow_field::PARTIAL_EXTENSION));
+        let mut command = Command::new("ffmpeg");
+        command.args(["-nostdin", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
+        command.args(["-s", &format!("{}x{}", size.0, size.1), "-r", rate, "-i", "-"]);
+        // Most players want chroma at half the size, which an odd side does not have.
+        command.args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"]).arg(&partial);
+        command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
+        let what = format!("{}: writing a video", path.display());
+        let mut child = command.spawn().map_err(|error| not_started(error, &what))?;
+        let stdin = child.stdin.take();
+        let complaints = complaints(&mut child);
+        Ok(Self { path: path.to_owned(), partial, child: Some(child), stdin, complaints, size })
+    }
+
+    /// Adds a frame.
+    ///
+    /// # Errors
+    /// When it is of another size, or `ffmpeg` fails.
+    pub fn write(&mut self, frame: &Image) -> anyhow::Result<()> {
+        ensure!(frame.size() == self.size, "{}: frames of a video are of one size", self.path.display());
+        let written = match &mut self.stdin {
+            Some(stdin) => stdin.write_all(frame.pixels().as_flattened()),
+            None => Ok(()),
+        };
+        if let Err(error) = written {
+            self.close()?; // says why ffmpeg went away
+            return Err(error).with_context(|| format!("{}: writing a video", self.path.display()));
+        }
+        Ok(())
+    }
+
+    /// Waits until the video is whole, and puts it in its place.
+    ///
+    /// # Errors
+    /// When `ffmpeg` fails.
+    pub fn finish(mut self) -> anyhow::Result<()> {
+        self.close()?;
+        std::fs::rename(&self.partial, &self.path).with_context(|| format!("writing {}", self.path.display()))
+    }
+
+    fn close(&mut self) -> anyhow::Result<()> {
+        drop(self.stdin.take());
+        let what = format!("{}: writing a video", self.path.display());
+        self.child.take().map_or(Ok(()), |child| ended(child, self.complaints.take(), &what))
+    }
+}
+
+impl Drop for VideoWriter {
+    fn drop(&mut self) {
+        drop(self.stdin.take());
+        if let Some(child) = &mut self.child {
+            _ = child.kill();
+            _ = child.wait();
+        }
+        _ = std::fs::remove_file(&self.partial); // there only when it is not whole
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_follow_one_another() {
+        let stream = [b"P6\n2 1\n255\nabcdef".as_slice(), b"P6\n1 1\n255\nxyz"].concat();
+        let mut reader = stream.as_slice();
+        assert_eq!(read_ppm(&mut reader).unwrap().pixels(), [*b"abc", *b"def"]);
+        assert_eq!(read_ppm(&mut reader).unwrap().pixels(), [*b"xyz"]);
+        for broken in
+            ["", "P6\n2 1\n255\nabc", "P5\n2 1\n255\nab", "P6\n0 1\n255\n", "P6\n99999999999 1\n255\n"]
+        {
+            assert!(read_ppm(&mut broken.as_bytes()).is_err(), "{broken:?}");
+        }
+    }
+
+    #[test]
+    fn videos_are_known_by_their_names() {
+        assert!(is_video(Path::new("a/clip.MP4")) && is_video(Path::new("clip.mkv")));
+        assert!(!is_video(Path::new("frame.png")) && !is_video(Path::new("mp4")));
+    }
+}

@@ -1,0 +1,271 @@
+//! A network as an estimator of flow between images.
+
+use std::num::NonZeroUsize;
+
+use burn::tensor::{Device, Tensor, TensorData};
+use rayon::prelude::*;
+use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image, forward_interpolate};
+
+use crate::recurrent::STRIDE;
+use crate::tiles::check_sizes;
+use crate::{Estimate, Features, Frames, Network, Request};
+
+/// Sides of a frame under this many pixels are made up to it by repeating the border. The coarsest level of a correlation
+/// pyramid is then two pixels wide; of less the reference implementation gives NaN, or no answer.
+pub const SMALLEST_SIDE: usize = 128;
+
+/// A [`Network`] that estimates flow between images. Frames are taken to RGB in 0..1, whatever else the network wants being
+/// its own matter, and the flow has the size of the frames.
+pub struct NetworkEstimator {
+    name: String,
+    network: Network,
+    iterations: NonZeroUsize,
+    device: Device,
+}
+
+impl NetworkEstimator {
+    /// The network, on the device its parameters are on, under the name that tables are to show.
+    pub fn new(name: impl Into<String>, network: Network, iterations: NonZeroUsize, device: Device) -> Self {
+        Self { name: name.into(), network, iterations, device }
+    }
+
+    fn encoded(&self, frame: &Image) -> Encoded {
+        let frame = Canvas::of(frame.size()).extended(frame);
+        let features = self.network.features(self.tensor(&[&frame]));
+        Encoded { frame, features }
+    }
+
+    /// `[frames, 3, height, width]`.
+    fn tensor(&self, frames: &[&Image]) -> Tensor<4> {
+        let (width, height) = frames[0].size();
+        let pixels = width * height;
+        let mut numbers = vec![0.0_f32; frames.len() * 3 * pixels];
+        for (frame, channels) in frames.iter().zip(numbers.chunks_mut(3 * pixels.max(1))) {
+            for (channel, numbers) in channels.chunks_mut(pixels).enumerate() {
+                let pairs = numbers.par_chunks_mut(width).zip(frame.pixels().par_chunks(width));
+                pairs.for_each(|(numbers, pixels)| {
+                    for (number, pixel) in numbers.iter_mut().zip(pixels) {
+                        *number = f32::from(pixel[channel]) / 255.0;
+                    }
+                });
+            }
+        }
+        Tensor::from_data(TensorData::new(numbers, [frames.len(), 3, height, width]), &self.device)
+    }
+
+    /// From each of the frames to the next.
+    fn forward(&self, video: &[Encoded], start: Option<Tensor<4>>) -> Estimate {
+        let pairs = video.len() - 1;
+        let features = Features::cat(video.iter().map(|encoded| encoded.features.clone()).collect());
+        let images: Vec<&Image> = video.iter().map(|encoded| &encoded.frame).collect();
+        let frames = Frames { first: self.tensor(&images[..pairs]), second: self.tensor(&images[1..]) };
+        let request = Request {
+            start,
+            features: Some([features.clone().narrow(0, pairs), features.narrow(1, pairs)]),
+            ..Request::new(self.iterations.get())
+        };
+        self.network.forward(frames, &request)
+    }
+
+    /// The flows of a batch, as large as the frames were.
+    fn fields(&self, flows: &Tensor<4>, canvas: Canvas) -> Result<Vec<FlowField>, EstimateError> {
+        let [pairs, _, height, width] = flows.dims();
+        let numbers = self.numbers(flows.clone())?;
+        let planes: Vec<&[f32]> = numbers.chunks(width * height).collect();
+        let field = |pair: usize| {
+            let [u, v] = [planes[2 * pair], planes[2 * pair + 1]];
+            let (left, top) = canvas.corner;
+            FlowField::from_fn(canvas.size.0, canvas.size.1, |x, y| {
+                let at = (top + y) * width + left + x;
+                [u[at], v[at]]
+            })
+        };
+        Ok((0..pairs).map(field).collect())
+    }
+
+    fn numbers(&self, tensor: Tensor<4>) -> Result<Vec<f32>, EstimateError> {
+        let unsupported = |reason| EstimateError::Unsupported { method: self.name.clone(), reason };
+        let data = tensor.into_data().convert::<f32>();
+        let numbers: Vec<f32> = data.try_to_vec().map_err(|error| unsupported(format!("{error:?}")))?;
+        if let Some(wrong) = numbers.iter().find(|number| !number.is_finite()) {
+            let reason = format!(
+                "gave {wrong} for a flow: its weights are broken, or do not go with so many iterations; try others"
+            );
+            return Err(unsupported(reason));
+        }
+        Ok(numbers)
+    }
+
+    /// `flow`, of the size of the frames, as the coarse flow that a network refines, in the coarse pixels.
+    fn coarse(&self, flow: &FlowField, canvas: Canvas) -> Tensor<4> {
+        let [width, height] = [canvas.extended.0, canvas.extended.1].map(|side| side.div_ceil(STRIDE));
+        let border = [width * STRIDE - canvas.extended.0, height * STRIDE - canvas.extended.1];
+        let from = |padded: usize, border: usize, corner: usize, side: usize| {
+            (padded.saturating_sub(border / 2).saturating_sub(corner)).min(side - 1)
+        };
+        let mut planes = vec![0.0_f32; 2 * width * height];
+        let (u, v) = planes.split_at_mut(width * height);
+        for (at, (u, v)) in u.iter_mut().zip(v).enumerate() {
+            let (column, row) = (at % width, at / width);
+            let (mut sum, mut count) = ([0.0_f32; 2], 0);
+            for y in row * STRIDE..(row + 1) * STRIDE {
+                for x in column * STRIDE..(column + 1) * STRIDE {
+                    let x = from(x, border[0], canvas.corner.0, canvas.size.0);
+                    let y = from(y, border[1], canvas.corner.1, canvas.size.1);
+                    if flow.is_known(x, y) {
+                        let vector = flow.get(x, y);
+                        sum = [sum[0] + vector[0], sum[1] + vector[1]];
+                        count += 1;
+                    }
+                }
+            }
+            [*u, *v] = sum.map(|sum| sum / (count.max(1) * STRIDE) as f32);
+        }
+        Tensor::from_data(TensorData::new(planes, [1, 2, height, width]), &self.device)
+    }
+
+    /// A coarse flow for the next pair, from that of the pair before.
+    fn moved_on(&self, coarse: &Tensor<4>) -> Result<Tensor<4>, EstimateError> {
+        let dims @ [_, _, height, width] = coarse.dims();
+        let numbers = self.numbers(coarse.clone())?;
+        let (u, v) = numbers.split_at(width * height);
+        let moved = forward_interpolate(&FlowField::from_fn(width, height, |x, y| {
+            let at = y * width + x;
+            [u[at], v[at]]
+        }));
+        let planes = [0, 1].map(|axis| moved.pixels().iter().map(move |vector| vector[axis]));
+        let numbers: Vec<f32> = planes.into_iter().flatten().collect();
+        Ok(Tensor::from_data(TensorData::new(numbers, dims), &self.device))
+    }
+}
+
+impl FlowEstimator for NetworkEstimator {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
+        self.between(frame1, frame2, None)
+    }
+
+    fn estimate_from(
+        &self,
+        frame1: &Image,
+        frame2: &Image,
+        initial: &FlowField,
+    ) -> Result<FlowField, EstimateError> {
+        check_sizes(frame1.size(), initial.size())?;
+        self.between(frame1, frame2, Some(initial))
+    }
+
+    fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {
+        Box::new(NetworkSequence { estimator: self, warm_start, state: None })
+    }
+}
+
+impl NetworkEstimator {
+    fn between(
+        &self,
+        frame1: &Image,
+        frame2: &Image,
+        initial: Option<&FlowField>,
+    ) -> Result<FlowField, EstimateError> {
+        check_sizes(frame1.size(), frame2.size())?;
+        let canvas = Canvas::of(frame1.size());
+        if canvas.is_empty() {
+            return Ok(FlowField::new(canvas.size.0, canvas.size.1));
+        }
+        let start = initial.map(|initial| self.coarse(initial, canvas));
+        let estimate = self.forward(&[self.encoded(frame1), self.encoded(frame2)], start);
+        Ok(self.fields(estimate.last(), canvas)?.remove(0))
+    }
+}
+
+/// A frame and what the network makes of it alone.
+struct Encoded {
+    frame: Image,
+    features: Features,
+}
+
+struct NetworkSequence<'a> {
+    estimator: &'a NetworkEstimator,
+    warm_start: bool,
+    state: Option<State>,
+}
+
+struct State {
+    canvas: Canvas,
+    last: Encoded,
+    /// Of the pair before, for a warm start.
+    coarse: Option<Tensor<4>>,
+}
+
+impl FlowSequence for NetworkSequence<'_> {
+    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
+        let Some(first) = frames.first() else { return Ok(Vec::new()) };
+        let size = self.state.as_ref().map_or(first.size(), |state| state.canvas.size);
+        frames.iter().try_for_each(|frame| check_sizes(size, frame.size()))?;
+        if Canvas::of(size).is_empty() {
+            return Ok(Vec::new());
+        }
+        // A warm start waits for the pair before.
+        let at_once = if self.warm_start { 1 } else { frames.len() };
+        let mut flows = Vec::with_capacity(frames.len());
+        for frames in frames.chunks(at_once) {
+            flows.extend(self.next(frames)?);
+        }
+        Ok(flows)
+    }
+}
+
+impl NetworkSequence<'_> {
+    /// Pairs that are estimated at once. `frames` is not empty, its frames of one size.
+    fn next(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
+        let canvas = Canvas::of(frames[0].size());
+        let (last, coarse) = match self.state.take() {
+            Some(state) => (Some(state.last), state.coarse),
+            None => (None, None),
+        };
+        // One frame after the other: the encoder is where memory is needed most.
+        let mut video: Vec<Encoded> = last.into_iter().collect();
+        video.extend(frames.iter().map(|frame| self.estimator.encoded(frame)));
+        let (mut flows, mut next_coarse) = (Ok(Vec::new()), None);
+        if video.len() > 1 {
+            let start = coarse.map(|coarse| self.estimator.moved_on(&coarse)).transpose()?;
+            let estimate = self.estimator.forward(&video, start);
+            flows = self.estimator.fields(estimate.last(), canvas);
+            next_coarse = self.warm_start.then_some(estimate.coarse);
+        }
+        self.state = video.pop().map(|last| State { canvas, last, coarse: next_coarse });
+        flows
+    }
+}
+
+/// Where a frame lies in what the network sees.
+#[derive(Debug, Clone, Copy)]
+struct Canvas {
+    size: (usize, usize),
+    extended: (usize, usize),
+    corner: (usize, usize),
+}
+
+impl Canvas {
+    fn of(size: (usize, usize)) -> Self {
+        let extended = (size.0.max(SMALLEST_SIDE), size.1.max(SMALLEST_SIDE));
+        Self { size, extended, corner: ((extended.0 - size.0) / 2, (extended.1 - size.1) / 2) }
+    }
+
+    fn is_empty(&self) -> bool {
+        self.size.0 == 0 || self.size.1 == 0
+    }
+
+    fn extended(&self, frame: &Image) -> Image {
+        if self.extended == self.size {
+            return frame.clone();
+        }
+        let inside = |place: usize, corner: usize, side: usize| place.saturating_sub(corner).min(side - 1);
+        Image::from_fn(self.extended.0, self.extended.1, |x, y| {
+            frame.get(inside(x, self.corner.0, self.size.0), inside(y, self.corner.1, self.size.1))
+        })
+    }
+}

@@ -1,0 +1,442 @@
+//! Frames that are too large for the memory there is, tile by tile.
+//!
+//! A tile is the same rectangle of both frames. Its flow is estimated as if there were nothing around it, so that what is
+//! seen from farther away is lost: motion that leaves the tile by more than the overlap, the attention of GMA and SKFlow to
+//! the rest of the frame, and the rest of the frame in the normalization of the features. Where tiles overlap, their flows
+//! are blended by weights that fall smoothly towards the edge of each.
+
+use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image};
+
+/// Tiles start at multiples of this, where the pixels of a network's coarse flow do in the whole frame.
+const ALIGNMENT: usize = 8;
+/// Part of an overlap, at the edge of each of the two tiles, where that tile counts for nothing.
+const MARGIN: f32 = 1.0 / 8.0;
+
+/// How large tiles are.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum TileSize {
+    /// Width and height in pixels; a frame that is not larger is one tile.
+    Fixed(usize, usize),
+    /// As few, alike and nearly square tiles as fit, each, into so much memory.
+    Fitting {
+        /// What estimating takes.
+        need: MemoryNeed,
+        /// What there is, in bytes.
+        bytes: u64,
+    },
+}
+
+/// Memory that estimating takes at its peak, beside what the program takes anyway.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MemoryNeed {
+    /// Whatever the size, in bytes.
+    pub fixed: u64,
+    /// Bytes for each pixel of a frame.
+    pub per_pixel: u64,
+}
+
+impl MemoryNeed {
+    /// For a frame, or tile, of so many pixels.
+    pub fn bytes(&self, pixels: usize) -> u64 {
+        self.fixed.saturating_add(self.per_pixel.saturating_mul(pixels as u64))
+    }
+
+    /// What so many pairs at once take.
+    pub fn of_batch(&self, pairs: usize) -> Self {
+        Self { fixed: self.fixed, per_pixel: self.per_pixel.saturating_mul(pairs as u64) }
+    }
+}
+
+/// The tiles of a frame, of one size.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Tiles {
+    frame: (usize, usize),
+    across: Vec<usize>,
+    down: Vec<usize>,
+    size: (usize, usize),
+}
+
+/// No tile, however small, fits into the memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{} MB of memory are free, and the smallest tile of {}x{} pixels takes {} MB: free some, or scale the frames down",
+    .free / 1_000_000, .smallest.0, .smallest.1, .needed.div_ceil(1_000_000)
+)]
+pub struct NothingFits {
+    /// Width and height.
+    pub smallest: (usize, usize),
+    /// Bytes that it takes.
+    pub needed: u64,
+    /// Bytes that there are.
+    pub free: u64,
+}
+
+impl Tiles {
+    /// The smallest side of a tile that is chosen to fit.
+    const SMALLEST_SIDE: usize = 256;
+
+    /// Lays tiles over a frame of `(width, height)`, evenly, neighbours sharing about `overlap` pixels or more. The overlap
+    /// is at most half of a tile's side.
+    ///
+    /// # Errors
+    /// When the tiles are to fit into a memory that is too small.
+    pub fn new(frame: (usize, usize), size: TileSize, overlap: usize) -> Result<Self, NothingFits> {
+        let (width, height) = match size {
+            TileSize::Fixed(width, height) => (width, height),
+            TileSize::Fitting { need, bytes } => Self::fitting(frame, overlap, need, bytes)?,
+        };
+        let side = |side: usize, frame: usize| side.max(2 * ALIGNMENT).min(frame);
+        let size = (side(width, frame.0), side(height, frame.1));
+        Ok(Self {
+            frame,
+            across: starts(frame.0, size.0, overlap),
+            down: starts(frame.1, size.1, overlap),
+            size,
+        })
+    }
+
+    /// Tries one tile, then two, and so on; of the ways to lay so many, the one whose tiles are smallest.
+    fn fitting(
+        frame: (usize, usize),
+        overlap: usize,
+        need: MemoryNeed,
+        bytes: u64,
+    ) -> Result<(usize, usize), NothingFits> {
+        let side = |length: usize, count: usize| match count {
+            1 => length,
+            _ => (length + (count - 1) * overlap).div_ceil(count).next_multiple_of(ALIGNMENT),
+        };
+        let large_enough = |side: usize, length: usize| side >= Self::SMALLEST_SIDE.min(length);
+        let most = [frame.0, frame.1].map(|length| length.div_ceil(Self::SMALLEST_SIDE / 2).max(1));
+        for count in 1..=most[0] * most[1] {
+            let grids = (1..=count).filter(|across| count.is_multiple_of(*across));
+            let sizes = grids.filter_map(|across| {
+                let down = count / across;
+                let (width, height) = (side(frame.0, across), side(frame.1, down));
+                let square = (width <= 2 * height || down == 1) && (height <= 2 * width || across == 1);
+                let fair = large_enough(width, frame.0) && large_enough(height, frame.1);
+                (square && fair).then_some((width, height))
+            });
+            if let Some((width, height)) = sizes.min_by_key(|(width, height)| width * height)
+                && need.bytes(width * height) <= bytes
+            {
+                return Ok((width, height));
+            }
+        }
+        let smallest = (frame.0.min(Self::SMALLEST_SIDE), frame.1.min(Self::SMALLEST_SIDE));
+        Err(NothingFits { smallest, needed: need.bytes(smallest.0 * smallest.1), free: bytes })
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.across.len() * self.down.len()
+    }
+
+    /// Width and height of each.
+    pub fn size(&self) -> (usize, usize) {
+        self.size
+    }
+
+    /// Left and top of each.
+    fn corners(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        self.down.iter().flat_map(|top| self.across.iter().map(move |left| (*left, *top)))
+    }
+}
+
+/// Where tiles of `size` pixels begin along `length` pixels.
+fn starts(length: usize, size: usize, overlap: usize) -> Vec<usize> {
+    if length <= size {
+        return vec![0];
+    }
+    // What alignment takes off an overlap is less than this.
+    let overlap = overlap.clamp(ALIGNMENT, size / 2);
+    let count = (length - overlap).div_ceil(size - overlap);
+    let last = length - size;
+    let start =
+        |i: usize| if i + 1 == count { last } else { (i * last / (count - 1)) / ALIGNMENT * ALIGNMENT };
+    let mut starts: Vec<usize> = (0..count).map(start).collect();
+    starts.dedup();
+    starts
+}
+
+/// What a pixel of a tile counts, along one axis: 1 inside, falling to 0 towards an edge that another tile overlaps.
+fn weights(starts: &[usize], number: usize, size: usize) -> Vec<f32> {
+    let overlap = |before: usize, after: usize| (before + size).saturating_sub(after) as f32;
+    let left = number.checked_sub(1).map(|before| overlap(starts[before], starts[number]));
+    let right = starts.get(number + 1).map(|after| overlap(starts[number], *after));
+    let rise = |place: f32, overlap: Option<f32>| match overlap {
+        Some(overlap) if overlap > 0.0 => {
+            let part = ((place / overlap - MARGIN) / (1.0 - 2.0 * MARGIN)).clamp(0.0, 1.0);
+            part * part * (3.0 - 2.0 * part)
+        }
+        _ => 1.0,
+    };
+    let weight = |i: usize| {
+        let place = i as f32 + 0.5;
+        rise(place, left) * rise(size as f32 - place, right)
+    };
+    (0..size).map(weight).collect()
+}
+
+/// Flows of tiles, put together.
+struct Blend<'a> {
+    tiles: &'a Tiles,
+    sums: FlowField,
+    weights: Vec<f32>,
+}
+
+impl<'a> Blend<'a> {
+    fn new(tiles: &'a Tiles) -> Self {
+        let (width, height) = tiles.frame;
+        Self { tiles, sums: FlowField::new(width, height), weights: vec![0.0; width * height] }
+    }
+
+    /// Adds the flow of tile `number`.
+    fn add(&mut self, number: usize, flow: &FlowField) {
+        let (across, down) = (&self.tiles.across, &self.tiles.down);
+        let (column, row) = (number % across.len(), number / across.len());
+        let (width, height) = self.tiles.size;
+        let (along, below) = (weights(across, column, width), weights(down, row, height));
+        for (y, below) in below.iter().enumerate() {
+            let start = (down[row] + y) * self.tiles.frame.0 + across[column];
+            let sums = &mut self.sums.pixels_mut()[start..start + width];
+            let totals = &mut self.weights[start..start + width];
+            for (((sum, total), vector), along) in sums.iter_mut().zip(totals).zip(flow.row(y)).zip(&along) {
+                let weight = along * below;
+                *total += weight;
+                *sum = [sum[0] + weight * vector[0], sum[1] + weight * vector[1]];
+            }
+        }
+    }
+
+    fn finish(mut self) -> FlowField {
+        for (sum, total) in self.sums.pixels_mut().iter_mut().zip(&self.weights) {
+            *sum = sum.map(|part| part / total);
+        }
+        self.sums
+    }
+}
+
+/// An estimator that works on tiles.
+pub struct Tiled {
+    estimator: Box<dyn FlowEstimator>,
+    size: TileSize,
+    overlap: usize,
+}
+
+impl Tiled {
+    /// `estimator` on tiles of `size`, neighbours sharing about `overlap` pixels or more.
+    pub fn new(estimator: Box<dyn FlowEstimator>, size: TileSize, overlap: usize) -> Self {
+        Self { estimator, size, overlap }
+    }
+
+    fn tiles(&self, frame: (usize, usize)) -> Result<Tiles, EstimateError> {
+        Tiles::new(frame, self.size, self.overlap).map_err(|problem| EstimateError::Unsupported {
+            method: self.name().to_owned(),
+            reason: problem.to_string(),
+        })
+    }
+
+    fn blended(
+        &self,
+        [frame1, frame2]: [&Image; 2],
+        estimate: impl Fn(&Image, &Image, (usize, usize)) -> Result<FlowField, EstimateError>,
+    ) -> Result<FlowField, EstimateError> {
+        check_sizes(frame1.size(), frame2.size())?;
+        let tiles = self.tiles(frame1.size())?;
+        if tiles.count() == 1 {
+            return estimate(frame1, frame2, (0, 0));
+        }
+        let (width, height) = tiles.size();
+        let mut blend = Blend::new(&tiles);
+        for (number, (left, top)) in tiles.corners().enumerate() {
+            let tile = |frame: &Image| frame.crop(left, top, width, height);
+            blend.add(number, &estimate(&tile(frame1), &tile(frame2), (left, top))?);
+        }
+        Ok(blend.finish())
+    }
+}
+
+pub(crate) fn check_sizes(first: (usize, usize), second: (usize, usize)) -> Result<(), EstimateError> {
+    if first == second { Ok(()) } else { Err(EstimateError::SizeMismatch { first, second }) }
+}
+
+impl FlowEstimator for Tiled {
+    fn name(&self) -> &str {
+        self.estimator.name()
+    }
+
+    fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
+        self.blended([frame1, frame2], |tile1, tile2, _| self.estimator.estimate(tile1, tile2))
+    }
+
+    fn estimate_from(
+        &self,
+        frame1: &Image,
+        frame2: &Image,
+        initial: &FlowField,
+    ) -> Result<FlowField, EstimateError> {
+        check_sizes(frame1.size(), initial.size())?;
+        self.blended([frame1, frame2], |tile1, tile2, (left, top)| {
+            let initial = initial.crop(left, top, tile1.width(), tile1.height());
+            self.estimator.estimate_from(tile1, tile2, &initial)
+        })
+    }
+
+    fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {
+        Box::new(TiledSequence { tiled: self, warm_start, state: None })
+    }
+}
+
+/// Every tile is a video of its own.
+struct TiledSequence<'a> {
+    tiled: &'a Tiled,
+    warm_start: bool,
+    state: Option<(Tiles, Vec<Box<dyn FlowSequence + 'a>>)>,
+}
+
+impl FlowSequence for TiledSequence<'_> {
+    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
+        let Some(first) = frames.first() else { return Ok(Vec::new()) };
+        if self.state.is_none() {
+            let tiles = self.tiled.tiles(first.size())?;
+            let sequence = |_| self.tiled.estimator.sequence(self.warm_start);
+            let sequences = (0..tiles.count()).map(sequence).collect();
+            self.state = Some((tiles, sequences));
+        }
+        let Some((tiles, sequences)) = &mut self.state else { return Ok(Vec::new()) };
+        frames.iter().try_for_each(|frame| check_sizes(tiles.frame, frame.size()))?;
+        if let [sequence] = sequences.as_mut_slice() {
+            return sequence.push(frames);
+        }
+        let (width, height) = tiles.size();
+        let mut blends: Vec<Blend> = Vec::new();
+        for (number, ((left, top), sequence)) in tiles.corners().zip(sequences).enumerate() {
+            let cut: Vec<Image> = frames.iter().map(|frame| frame.crop(left, top, width, height)).collect();
+            let flows = sequence.push(&cut)?;
+            blends.resize_with(flows.len(), || Blend::new(tiles));
+            for (blend, flow) in blends.iter_mut().zip(&flows) {
+                blend.add(number, flow);
+            }
+        }
+        Ok(blends.into_iter().map(Blend::finish).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The red channel is x, green y: a tile can say where it lies.
+    struct Places;
+
+    impl FlowEstimator for Places {
+        fn name(&self) -> &str {
+            "places"
+        }
+
+        fn estimate(&self, frame1: &Image, _: &Image) -> Result<FlowField, EstimateError> {
+            let flow = |x, y| frame1.get(x, y).map(f32::from);
+            Ok(FlowField::from_fn(frame1.width(), frame1.height(), |x, y| [flow(x, y)[0], flow(x, y)[1]]))
+        }
+    }
+
+    /// Gives each call its number: neighbouring tiles disagree.
+    struct Counting(std::sync::atomic::AtomicUsize);
+
+    impl FlowEstimator for Counting {
+        fn name(&self) -> &str {
+            "counting"
+        }
+
+        fn estimate(&self, frame1: &Image, _: &Image) -> Result<FlowField, EstimateError> {
+            let number = self.0.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            Ok(FlowField::filled(frame1.width(), frame1.height(), [number as f32, 0.0]))
+        }
+    }
+
+    fn places(width: usize, height: usize) -> Image {
+        Image::from_fn(width, height, |x, y| [x as u8, y as u8, 0])
+    }
+
+    #[test]
+    fn tiles_that_agree_give_what_the_whole_gives() {
+        for (size, tile, overlap) in
+            [((250, 131), (64, 48), 16), ((65, 240), (64, 64), 40), ((100, 90), (30, 31), 1)]
+        {
+            let frame = places(size.0, size.1);
+            let whole = Places.estimate(&frame, &frame).expect("flow");
+            let tiled = Tiled::new(Box::new(Places), TileSize::Fixed(tile.0, tile.1), overlap);
+            let found = tiled.estimate(&frame, &frame).expect("flow");
+            let mut sequence = tiled.sequence(false);
+            assert_eq!(sequence.push(std::slice::from_ref(&frame)).expect("none before it"), []);
+            let moving = sequence.push(&[frame.clone(), frame.clone()]).expect("flows");
+            for flow in [&found, &moving[0], &moving[1]] {
+                let far = |a: &[f32; 2], b: &[f32; 2]| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
+                let worst =
+                    whole.pixels().iter().zip(flow.pixels()).map(|(a, b)| far(a, b)).fold(0.0, f32::max);
+                assert!(worst < 1e-3, "{size:?} in {tile:?}: {worst} px");
+            }
+        }
+    }
+
+    /// From one tile's flow to the next there is no step.
+    #[test]
+    fn tiles_that_disagree_are_blended_smoothly() {
+        let frame = Image::new(200, 20);
+        let estimator = Counting(0.into());
+        let tiled = Tiled::new(Box::new(estimator), TileSize::Fixed(80, 80), 20);
+        let flow = tiled.estimate(&frame, &frame).expect("flow");
+        let row = flow.row(10);
+        assert_eq!((row[0], row[100], row[199]), ([0.0, 0.0], [1.0, 0.0], [2.0, 0.0]));
+        let steps = row.windows(2).map(|pair| pair[1][0] - pair[0][0]);
+        let (least, most) =
+            steps.fold((0.0_f32, 0.0_f32), |(least, most), step| (least.min(step), most.max(step)));
+        assert!(least >= -1e-6 && most < 0.15, "steps from {least} to {most}");
+    }
+
+    #[test]
+    fn tiles_cover_the_frame_and_share_their_overlap() {
+        for (length, size, overlap) in
+            [(3840, 1000, 128), (2160, 1000, 128), (1001, 1000, 64), (512, 512, 64), (700, 100, 90)]
+        {
+            let starts = starts(length, size, overlap);
+            assert_eq!((starts[0], starts[starts.len() - 1] + size), (0, length));
+            for pair in starts.windows(2) {
+                let shared = pair[0] + size - pair[1];
+                let wanted = overlap.min(size / 2);
+                assert!(pair[1] > pair[0] && shared + ALIGNMENT > wanted, "{length} {size}: {starts:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn tiles_are_as_large_as_the_memory_allows() {
+        let need = MemoryNeed { fixed: 100_000_000, per_pixel: 600 };
+        let tiles = |bytes| Tiles::new((3840, 2160), TileSize::Fitting { need, bytes }, 128);
+        assert_eq!(tiles(6_000_000_000).expect("fits whole").count(), 1);
+        let mut last = 1;
+        for bytes in [3_000_000_000, 1_500_000_000, 800_000_000, 400_000_000] {
+            let tiles = tiles(bytes).expect("fits in tiles");
+            let (width, height) = tiles.size();
+            assert!(need.bytes(width * height) <= bytes, "{width}x{height} in {bytes}");
+            assert!(tiles.count() > last && width < 2 * height && height < 2 * width, "{tiles:?}");
+            last = tiles.count();
+        }
+        let error = tiles(120_000_000).expect_err("too little").to_string();
+        assert!(error.contains("120 MB") && error.contains("256x256"), "{error}");
+    }
+
+    #[test]
+    fn frames_of_different_sizes_are_an_error() {
+        let tiled = Tiled::new(Box::new(Places), TileSize::Fixed(16, 16), 4);
+        let (one, other) = (Image::new(40, 30), Image::new(41, 30));
+        assert!(matches!(tiled.estimate(&one, &other), Err(EstimateError::SizeMismatch { .. })));
+        assert!(matches!(
+            tiled.estimate_from(&one, &one, &FlowField::new(41, 30)),
+            Err(EstimateError::SizeMismatch { .. })
+        ));
+        let result = tiled.sequence(false).push(&[one, other]);
+        assert!(matches!(result, Err(EstimateError::SizeMismatch { .. })));
+    }
+}

@@ -1,0 +1,201 @@
+//! Networks as estimators of flow between images.
+
+use std::num::NonZeroUsize;
+
+use burn::module::{Module, ModuleMapper, Param};
+use burn::tensor::{Device, Tensor, TensorData};
+use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, forward_interpolate};
+use srflow_nets::{Architecture, Frames, Network, NetworkEstimator, Request, Scaled, TileSize, Tiled};
+
+const ITERATIONS: usize = 3;
+
+fn network() -> Network {
+    Architecture::RaftSmall.init(&Device::flex())
+}
+
+fn estimator(network: &Network) -> NetworkEstimator {
+    let iterations = NonZeroUsize::new(ITERATIONS).expect("some");
+    NetworkEstimator::new("raft-small", network.clone(), iterations, Device::flex())
+}
+
+/// A texture that moves by 3 pixels right and 1 down in each frame.
+fn frame(size: (usize, usize), number: usize) -> Image {
+    Image::from_fn(size.0, size.1, |x, y| {
+        let (x, y) = (x as f32 - 3.0 * number as f32, y as f32 - number as f32);
+        let wave = |a: f32, b: f32| ((a * x + b * y).sin() * 60.0 + 128.0) as u8;
+        [wave(0.31, 0.12), wave(-0.17, 0.4), wave(0.07, 0.23)]
+    })
+}
+
+fn video(size: (usize, usize), frames: usize) -> Vec<Image> {
+    (0..frames).map(|number| frame(size, number)).collect()
+}
+
+/// RGB in 0..1, channels first.
+fn tensor(image: &Image) -> Tensor<4> {
+    let channel = |channel: usize| image.pixels().iter().map(move |pixel| f32::from(pixel[channel]) / 255.0);
+    let numbers: Vec<f32> = (0..3).flat_map(channel).collect();
+    Tensor::from_data(TensorData::new(numbers, [1, 3, image.height(), image.width()]), &Device::flex())
+}
+
+fn field(flow: Tensor<4>) -> FlowField {
+    let [_, _, height, width] = flow.dims();
+    let numbers: Vec<f32> = flow.into_data().try_to_vec().expect("f32");
+    let (u, v) = numbers.split_at(width * height);
+    FlowField::from_fn(width, height, |x, y| [u[y * width + x], v[y * width + x]])
+}
+
+fn assert_near(found: &FlowField, expected: &FlowField, what: &str) {
+    assert_eq!(found.size(), expected.size(), "{what}");
+    let pairs = found.pixels().as_flattened().iter().zip(expected.pixels().as_flattened());
+    let far = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    let longest = expected.pixels().as_flattened().iter().fold(0.0, |most: f32, value| most.max(value.abs()));
+    assert!(far <= 1e-4 + 1e-4 * longest && longest > 1e-3, "{what}: {far} px apart of {longest}");
+}
+
+/// The same flow as the network gives for the tensors, in frames that need a border.
+#[test]
+fn an_estimate_is_what_the_network_gives() {
+    let network = network();
+    let (first, second) = (frame((203, 150), 0), frame((203, 150), 1));
+    let frames = Frames { first: tensor(&first), second: tensor(&second) };
+    let expected = network.forward(frames, &Request::new(ITERATIONS));
+    let found = estimator(&network).estimate(&first, &second).expect("flow");
+    assert_near(&found, &field(expected.last().clone()), "estimate");
+}
+
+/// However many frames are given at once.
+#[test]
+fn a_sequence_gives_the_flow_of_every_pair() {
+    let network = network();
+    let estimator = estimator(&network);
+    let frames = video((140, 131), 5);
+    let pairs: Vec<FlowField> =
+        frames.windows(2).map(|pair| estimator.estimate(&pair[0], &pair[1]).expect("flow")).collect();
+    for pieces in [vec![5], vec![1, 1, 1, 1, 1], vec![2, 3], vec![1, 4]] {
+        let mut sequence = estimator.sequence(false);
+        let (mut rest, mut flows) = (frames.as_slice(), Vec::new());
+        for piece in &pieces {
+            let (now, later) = rest.split_at(*piece);
+            rest = later;
+            flows.extend(sequence.push(now).expect("flows"));
+        }
+        assert_eq!(flows.len(), 4);
+        for (number, (found, expected)) in flows.iter().zip(&pairs).enumerate() {
+            assert_near(found, expected, &format!("pair {number} of {pieces:?}"));
+        }
+    }
+}
+
+/// The second pair starts from the coarse flow of the first, moved along itself, as in RAFT's evaluation on Sintel.
+#[test]
+fn a_warm_start_is_the_coarse_flow_moved_along_itself() {
+    let network = network();
+    let frames = video((136, 128), 3);
+    let pair = |n: usize| Frames { first: tensor(&frames[n]), second: tensor(&frames[n + 1]) };
+    let first = network.forward(pair(0), &Request::new(ITERATIONS));
+    let moved = forward_interpolate(&field(first.coarse));
+    let numbers: Vec<f32> =
+        (0..2).flat_map(|axis| moved.pixels().iter().map(move |vector| vector[axis])).collect();
+    let start = Tensor::from_data(TensorData::new(numbers, [1, 2, 16, 17]), &Device::flex());
+    let cold = network.forward(pair(1), &Request::new(ITERATIONS));
+    let expected = network.forward(pair(1), &Request { start: Some(start), ..Request::new(ITERATIONS) });
+
+    let estimator = estimator(&network);
+    let flows = estimator.sequence(true).push(&frames).expect("flows");
+    assert_near(&flows[0], &field(first.flows[0].clone()), "the first has nothing to start from");
+    let expected = field(expected.last().clone());
+    assert_near(&flows[1], &expected, "the second starts from the first");
+    assert!(field(cold.last().clone()) != expected, "the start makes a difference");
+}
+
+/// Also where the frame gets a border, and where it is made up to the smallest size.
+#[test]
+fn an_initial_flow_becomes_the_coarse_start() {
+    let network = network();
+    let estimator = estimator(&network);
+    for (size, grid) in [((136, 128), [16, 17]), ((131, 150), [19, 17]), ((60, 50), [16, 16])] {
+        let (first, second) = (frame(size, 0), frame(size, 1));
+        let found = estimator.estimate_from(&first, &second, &FlowField::filled(size.0, size.1, [4.0, -2.0]));
+        let start = TensorData::new(
+            [0.5, -0.25].into_iter().flat_map(|part| vec![part; grid[0] * grid[1]]).collect::<Vec<f32>>(),
+            [1, 2, grid[0], grid[1]],
+        );
+        let larger = |image: &Image| {
+            let (width, height) = (size.0.max(128), size.1.max(128));
+            let inside = |place: usize, larger: usize, side: usize| {
+                place.saturating_sub((larger - side) / 2).min(side - 1)
+            };
+            Image::from_fn(width, height, |x, y| {
+                image.get(inside(x, width, size.0), inside(y, height, size.1))
+            })
+        };
+        let frames = Frames { first: tensor(&larger(&first)), second: tensor(&larger(&second)) };
+        let request =
+            Request { start: Some(Tensor::from_data(start, &Device::flex())), ..Request::new(ITERATIONS) };
+        let whole = field(network.forward(frames, &request).last().clone());
+        let corner = ((whole.width() - size.0) / 2, (whole.height() - size.1) / 2);
+        let expected = whole.crop(corner.0, corner.1, size.0, size.1);
+        assert_near(&found.expect("flow"), &expected, &format!("{size:?}"));
+    }
+    let (first, second) = (frame((130, 128), 0), frame((130, 128), 1));
+    let error = estimator.estimate_from(&first, &second, &FlowField::new(128, 128)).expect_err("other size");
+    assert!(matches!(error, EstimateError::SizeMismatch { .. }), "{error}");
+}
+
+#[test]
+fn frames_of_any_size_have_a_flow() {
+    let network = network();
+    let estimator = estimator(&network);
+    for size in [(1, 1), (16, 16), (1, 130), (127, 9), (129, 128)] {
+        let flow = estimator.estimate(&frame(size, 0), &frame(size, 1)).expect("flow");
+        assert_eq!(flow.size(), size);
+        assert!(flow.pixels().as_flattened().iter().all(|value| value.is_finite()));
+    }
+    assert_eq!(estimator.estimate(&Image::new(0, 0), &Image::new(0, 0)).expect("nothing").size(), (0, 0));
+    let error = estimator.estimate(&frame((130, 128), 0), &frame((128, 130), 0)).expect_err("other size");
+    assert!(matches!(error, EstimateError::SizeMismatch { .. }), "{error}");
+    let mut sequence = estimator.sequence(false);
+    assert!(sequence.push(&[frame((130, 128), 0), frame((128, 130), 0)]).is_err());
+}
+
+/// One tile is the frame; several give a flow, the same in a sequence.
+#[test]
+fn tiles_and_scales_of_a_network() {
+    let network = network();
+    let size = (300, 160);
+    let frames = video(size, 3);
+    let boxed = || Box::new(estimator(&network));
+    let whole = Tiled::new(boxed(), TileSize::Fixed(300, 200), 64);
+    let expected = estimator(&network).estimate(&frames[0], &frames[1]).expect("flow");
+    assert_near(&whole.estimate(&frames[0], &frames[1]).expect("flow"), &expected, "one tile");
+
+    let tiled = Tiled::new(boxed(), TileSize::Fixed(192, 128), 64);
+    let scaled =
+        Scaled::new(Box::new(Tiled::new(boxed(), TileSize::Fixed(160, 128), 32)), 0.75).expect("in range");
+    for estimator in [&tiled as &dyn FlowEstimator, &scaled] {
+        let flows = estimator.sequence(false).push(&frames).expect("flows");
+        for (number, pair) in frames.windows(2).enumerate() {
+            let expected = estimator.estimate(&pair[0], &pair[1]).expect("flow");
+            assert_near(&flows[number], &expected, "in a sequence");
+        }
+        let warm = estimator.sequence(true).push(&frames).expect("flows");
+        assert_near(&warm[0], &flows[0], "nothing to start from");
+        assert!(warm[1] != flows[1], "each tile starts from its own flow");
+    }
+}
+
+struct Broken;
+
+impl ModuleMapper for Broken {
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        param.map(|tensor| tensor * f32::NAN)
+    }
+}
+
+#[test]
+fn a_flow_of_no_numbers_is_an_error() {
+    let network = network().map(&mut Broken);
+    let error = estimator(&network).estimate(&frame((128, 128), 0), &frame((128, 128), 1)).expect_err("NaN");
+    assert!(error.to_string().contains("raft-small: gave NaN for a flow"), "{error}");
+}

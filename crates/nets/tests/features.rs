@@ -1,0 +1,32 @@
+//! What a network makes of a frame alone serves both pairs the frame is in.
+
+use burn::tensor::{Device, Distribution, Tensor};
+use srflow_nets::{Features, Frames, RaftSmallConfig, Request};
+
+fn numbers(tensor: Tensor<4>) -> Vec<f32> {
+    tensor.into_data().try_to_vec().expect("f32")
+}
+
+/// Frames of a size that needs padding, two pairs at once: the features of each frame computed on its own.
+#[test]
+fn known_features_give_the_same_flow() {
+    let device = Device::flex();
+    let network = RaftSmallConfig::new().init(&device);
+    let video = Tensor::<4>::random([3, 3, 125, 133], Distribution::Uniform(0.0, 1.0), &device);
+    let frames = Frames { first: video.clone().narrow(0, 0, 2), second: video.clone().narrow(0, 1, 2) };
+    let known: Vec<Features> = (0..3).map(|n| network.features(video.clone().narrow(0, n, 1))).collect();
+    let known = Features::cat(known);
+    assert_eq!(known.frames(), 3);
+    let features = Some([known.clone().narrow(0, 2), known.narrow(1, 2)]);
+
+    let expected = network.forward(frames.clone(), &Request::new(3));
+    let found = network.forward(frames.clone(), &Request { features: features.clone(), ..Request::new(3) });
+    let (expected, found) = (numbers(expected.last().clone()), numbers(found.last().clone()));
+    let difference = expected.iter().zip(&found).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    let largest = expected.iter().copied().fold(0.0, |largest: f32, value| largest.max(value.abs()));
+    assert!(difference <= 1e-4 && largest > 0.01, "differ by {difference} px of {largest} px");
+
+    let swapped = features.map(|[first, second]| [second, first]);
+    let other = network.forward(frames, &Request { features: swapped, ..Request::new(3) });
+    assert!(numbers(other.last().clone()) != expected, "the features are what is looked up");
+}

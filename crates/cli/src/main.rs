@@ -59,6 +59,7 @@ enum Command {
     Metrics(commands::metrics::Metrics),
     Convert(commands::convert::Convert),
     Rasterize(commands::rasterize::Rasterize),
+    Models(commands::models::Models),
     Check(commands::check::Check),
 }
 
@@ -81,6 +82,7 @@ fn main() -> ExitCode {
         Command::Metrics(args) => commands::metrics::run(args, &cli.context),
         Command::Convert(args) => commands::convert::run(args, &cli.context),
         Command::Rasterize(args) => commands::rasterize::run(args, &cli.context),
+        Command::Models(args) => commands::models::run(args, &cli.context),
         Command::Check(args) => commands::check::run(args, &cli.context),
     };
     match result.and_then(|()| Ok(io::stdout().flush()?)) {

@@ -44,6 +44,8 @@ pub struct Facts {
     pub authors: &'static str,
     /// Licence of the authors' code, as their repository states it; weights are published under no other.
     pub licence: &'static str,
+    /// Networks whose parameters have the same names and shapes, so that a file does not tell whose they are.
+    pub lookalikes: &'static [&'static str],
     /// Weights that can be had by name.
     pub published: &'static [PublishedWeights],
 }
@@ -79,6 +81,7 @@ const RAFT: Facts = Facts {
     iterations: IterationPresets { default: 32, authors: 32, training: 12 },
     authors: "https://github.com/princeton-vl/RAFT",
     licence: "BSD-3-Clause",
+    lookalikes: &[],
     published: &[
         PublishedWeights {
             trained_on: "chairs",
@@ -124,6 +127,7 @@ const GMA: Facts = Facts {
     iterations: IterationPresets { default: 32, authors: 32, training: 12 },
     authors: "https://github.com/zacjiang/GMA",
     licence: "WTFPL",
+    lookalikes: &[],
     published: &[
         PublishedWeights {
             trained_on: "chairs",
@@ -157,6 +161,7 @@ const SKFLOW: Facts = Facts {
     iterations: IterationPresets { default: 32, authors: 15, training: 12 },
     authors: "https://github.com/littlespray/SKFlow",
     licence: "MIT",
+    lookalikes: &["MemFlow"],
     published: &[
         PublishedWeights {
             trained_on: "things",
@@ -175,6 +180,13 @@ const SKFLOW: Facts = Facts {
         },
     ],
 };
+
+impl PublishedWeights {
+    /// The name of the file.
+    pub fn file_name(&self) -> &'static str {
+        self.url.rsplit('/').next().unwrap_or(self.url)
+    }
+}
 
 impl Architecture {
     /// Every network.
@@ -221,7 +233,7 @@ mod tests {
         for architecture in Architecture::ALL {
             assert_eq!(Architecture::from_name(architecture.name()), Some(architecture));
             for weights in architecture.facts().published {
-                let file = weights.url.rsplit('/').next().expect("a file");
+                let file = weights.file_name();
                 let network = architecture.name().replace('-', "_");
                 assert_eq!(file, format!("{network}-{}-{}.ckpt", weights.trained_on, &weights.sha256[..8]));
             }

@@ -5,8 +5,10 @@
 
 mod architecture;
 mod blocks;
+mod checkpoint;
 mod estimator;
 mod features;
+mod fit;
 mod frames;
 mod gma;
 mod memory;
@@ -22,16 +24,20 @@ mod weights;
 
 pub use architecture::{Architecture, Facts, IterationPresets, PublishedWeights};
 pub use blocks::with_batch_statistics;
+pub use checkpoint::{Checkpoint, Format};
 pub use estimator::{NetworkEstimator, SMALLEST_SIDE};
 pub use features::Features;
+pub use fit::{Fit, fits};
 pub use frames::Frames;
 pub use gma::{Gma, GmaConfig};
 pub use network::Network;
-pub use parameters::{ParameterInfo, Parameters, ParametersError, parameter_infos, with_parameters};
+pub use parameters::{
+    ParameterInfo, Parameters, ParametersError, parameter_infos, parameters, with_parameters,
+};
 pub use raft::{Raft, RaftConfig};
 pub use raft_small::{RaftSmall, RaftSmallConfig};
 pub use recurrent::{Estimate, Request};
 pub use scale::{Scaled, scaled_size};
 pub use skflow::{SkFlow, SkFlowConfig};
 pub use tiles::{MemoryNeed, NothingFits, TileSize, Tiled, Tiles};
-pub use weights::{WeightsError, load, load_network, read_parameters};
+pub use weights::{WeightsError, load, load_network, read_parameters, save_parameters};

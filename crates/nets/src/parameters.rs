@@ -49,23 +49,40 @@ pub fn parameter_infos(network: &impl Module) -> Vec<ParameterInfo> {
     listing.found
 }
 
+/// Every parameter of a network with its values, as `f32`.
+pub fn parameters(network: &impl Module) -> Parameters {
+    let mut reading = Reading::default();
+    network.visit(&mut reading);
+    reading.found
+}
+
 /// `network` with the given parameters. `parameters` must hold each of the network's and no other, as `f32`.
 pub fn with_parameters<M: Module>(network: M, parameters: Parameters) -> Result<M, ParametersError> {
-    let infos = parameter_infos(&network);
+    let given: Vec<ParameterInfo> = parameters
+        .iter()
+        .map(|(name, data)| ParameterInfo { name: name.clone(), shape: data.shape().to_vec() })
+        .collect();
+    compare(&parameter_infos(&network), &given)?;
+    Ok(network.map(&mut Filling { path: Path::default(), parameters }))
+}
+
+/// Holds names and shapes to those of a network.
+pub(crate) fn compare(expected: &[ParameterInfo], given: &[ParameterInfo]) -> Result<(), ParametersError> {
+    let mut given: BTreeMap<&str, &[usize]> =
+        given.iter().map(|info| (info.name.as_str(), info.shape.as_slice())).collect();
     let (mut missing, mut misshapen) = (Vec::new(), Vec::new());
-    for ParameterInfo { name, shape } in &infos {
-        match parameters.get(name) {
+    for ParameterInfo { name, shape } in expected {
+        match given.remove(name.as_str()) {
             None => missing.push(name.clone()),
-            Some(data) if data.shape().as_slice() != shape => {
-                misshapen.push(format!("{name} (expected {shape:?}, found {:?})", data.shape().as_slice()))
+            Some(found) if found != shape => {
+                misshapen.push(format!("{name} (expected {shape:?}, found {found:?})"))
             }
             Some(_) => {}
         }
     }
-    let known = |name: &String| infos.iter().any(|info| info.name == *name);
-    let unknown: Vec<String> = parameters.keys().filter(|name| !known(name)).cloned().collect();
+    let unknown: Vec<String> = given.into_keys().map(|name| name.escape_debug().to_string()).collect();
     if missing.is_empty() && misshapen.is_empty() && unknown.is_empty() {
-        Ok(network.map(&mut Filling { path: Path::default(), parameters }))
+        Ok(())
     } else {
         Err(ParametersError { missing, unknown, misshapen })
     }
@@ -115,6 +132,26 @@ impl ModuleVisitor for Listing {
 
     fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
         self.found.push(ParameterInfo { name: self.path.name(), shape: param.lazy_shape().to_vec() });
+    }
+}
+
+#[derive(Default)]
+struct Reading {
+    path: Path,
+    found: Parameters,
+}
+
+impl ModuleVisitor for Reading {
+    fn enter_module(&mut self, name: &str, container: &str) {
+        self.path.enter(name, container);
+    }
+
+    fn exit_module(&mut self, _: &str, container: &str) {
+        self.path.exit(container);
+    }
+
+    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+        self.found.insert(self.path.name(), param.val().into_data().convert::<f32>());
     }
 }
 

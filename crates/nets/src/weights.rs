@@ -1,80 +1,77 @@
-//! Checkpoint files of other programs, told apart by their content.
-//!
-//! PyTorch files (zip, legacy, and the `.ckpt` of Lightning, which is one with the weights under `state_dict`) are pickles:
-//! they are parsed, never executed. Safetensors files are read as they are.
+//! Networks with the weights of a checkpoint, and checkpoints of networks.
 
-use std::fs::File;
-use std::io::Read;
+use std::collections::BTreeMap;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use burn::module::Module;
-use burn::tensor::{DType, Device, TensorData};
-use pytorch_reader::{PytorchError, PytorchReader};
-use safetensors::{Dtype, SafeTensorError, SafeTensors};
+use burn::tensor::Device;
+use safetensors::tensor::{Dtype, SafeTensorError, TensorView};
+use srflow_field::{FileError, write_atomically};
 
 use crate::architecture::Architecture;
+use crate::checkpoint::{Checkpoint, Format};
+use crate::fit::{Fit, fits};
 use crate::network::Network;
-use crate::parameters::{Parameters, ParametersError, with_parameters};
-
-/// Dictionaries that training programs put the weights in, beside other things.
-const CONTAINERS: [&str; 3] = ["state_dict.", "model_state_dict.", "model."];
-/// What wrappers of a network put before every name.
-const PREFIXES: [&str; 3] = ["module.", "network.", "model."];
+use crate::parameters::{Parameters, ParametersError, compare, parameter_infos, parameters, with_parameters};
 
 /// Why a checkpoint was not loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum WeightsError {
     /// The file could not be read.
-    #[error("{}: {source}", .path.display())]
+    #[error("{}: {error}", .path.display())]
     Read {
         /// The file.
         path: PathBuf,
         /// What the system says.
-        source: std::io::Error,
+        error: io::Error,
     },
-    /// The file starts as a safetensors file and is none.
-    #[error("{}: not a whole safetensors file ({source}); fetch or save it again", .path.display())]
-    Safetensors {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        source: SafeTensorError,
-    },
-    /// The file is neither safetensors nor a PyTorch checkpoint, or a broken one.
+    /// The file is no checkpoint.
     #[error(
-        "{}: expected weights as PyTorch (.pth, .pt, .ckpt) or safetensors file, but {source}",
+        "{}: expected weights as PyTorch (.pth, .pt, .ckpt), safetensors or burnpack file, found {found}",
         .path.display()
     )]
-    Pytorch {
+    Unrecognized {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
-        source: PytorchError,
+        /// What it seems to be.
+        found: String,
     },
-    /// A checkpoint without a single tensor of numbers.
+    /// The file starts as a checkpoint and cannot be read as one.
+    #[error(
+        "{}: expected a whole {format} file, but {problem}; fetch it again, or save the network's state_dict anew",
+        .path.display()
+    )]
+    Broken {
+        /// The file.
+        path: PathBuf,
+        /// What it starts as.
+        format: Format,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// A checkpoint without a single tensor of floating-point numbers.
     #[error("{}: holds no weights", .path.display())]
     Empty {
         /// The file.
         path: PathBuf,
     },
     /// The weights are those of another network.
-    #[error("{}: {source}", .path.display())]
+    #[error("{}: {difference}\n  {nearest}", .path.display())]
     Mismatch {
         /// The file.
         path: PathBuf,
         /// The names.
-        source: ParametersError,
+        difference: ParametersError,
+        /// The network that fits best.
+        nearest: Box<Fit>,
     },
 }
 
-/// `network` with the weights of a checkpoint.
-pub fn load<M: Module>(network: M, path: &Path) -> Result<M, WeightsError> {
-    let parameters = read_parameters(path)?;
-    with_parameters(network, parameters)
-        .map_err(|source| WeightsError::Mismatch { path: path.to_owned(), source })
-}
-
 /// A network of the given architecture with the weights of a checkpoint.
+///
+/// # Errors
+/// See [`load`].
 pub fn load_network(
     architecture: Architecture,
     path: &Path,
@@ -83,98 +80,45 @@ pub fn load_network(
     load(architecture.init(device), path)
 }
 
-/// The parameters in a checkpoint, as `f32`, under the names that the reference implementations give them: containers
-/// and prefixes taken off, counters and index tables left out, what is stored twice taken once.
+/// `network` with the weights of a checkpoint: PyTorch (zip, legacy, Lightning), safetensors or burnpack, told apart by
+/// content.
+///
+/// # Errors
+/// When the file cannot be read, or its parameters are not those of the network, each and no other.
+pub fn load<M: Module>(network: M, path: &Path) -> Result<M, WeightsError> {
+    let checkpoint = Checkpoint::open(path)?;
+    let infos = checkpoint.parameters();
+    let mismatch = |difference| WeightsError::Mismatch {
+        path: path.to_owned(),
+        difference,
+        nearest: Box::new(fits(&infos).swap_remove(0)),
+    };
+    compare(&parameter_infos(&network), &infos).map_err(mismatch)?;
+    with_parameters(network, checkpoint.read()?).map_err(mismatch)
+}
+
+/// The parameters in a checkpoint, as `f32`; see [`Checkpoint`].
+///
+/// # Errors
+/// When the file cannot be read or is no checkpoint.
 pub fn read_parameters(path: &Path) -> Result<Parameters, WeightsError> {
-    let read_error = |source| WeightsError::Read { path: path.to_owned(), source };
-    let mut start = Vec::new();
-    let file = File::open(path).map_err(read_error)?;
-    file.take(9).read_to_end(&mut start).map_err(read_error)?;
-    // Eight bytes of length, then JSON. No PyTorch file has a brace there.
-    let found = if start.get(8) == Some(&b'{') { read_safetensors(path)? } else { read_pytorch(path)? };
-    let parameters = once(without_prefix(without_container(found)));
-    if parameters.is_empty() {
-        return Err(WeightsError::Empty { path: path.to_owned() });
-    }
-    Ok(parameters)
+    Checkpoint::open(path)?.read()
 }
 
-fn read_safetensors(path: &Path) -> Result<Parameters, WeightsError> {
-    let bytes = std::fs::read(path).map_err(|source| WeightsError::Read { path: path.to_owned(), source })?;
-    let file = SafeTensors::deserialize(&bytes)
-        .map_err(|source| WeightsError::Safetensors { path: path.to_owned(), source })?;
-    let tensors = file.iter().filter_map(|(name, tensor)| {
-        let dtype = match tensor.dtype() {
-            Dtype::F64 => DType::F64,
-            Dtype::F32 => DType::F32,
-            Dtype::F16 => DType::F16,
-            Dtype::BF16 => DType::BF16,
-            _ => return None,
-        };
-        Some((name.to_owned(), numbers(tensor.data().to_vec(), tensor.shape(), dtype)))
-    });
-    Ok(tensors.collect())
-}
-
-fn read_pytorch(path: &Path) -> Result<Parameters, WeightsError> {
-    let reader =
-        PytorchReader::new(path).map_err(|source| WeightsError::Pytorch { path: path.to_owned(), source })?;
-    let mut found = Parameters::new();
-    for (name, tensor) in reader.into_tensors() {
-        let dtype = match tensor.dtype() {
-            pytorch_reader::DType::F64 => DType::F64,
-            pytorch_reader::DType::F32 => DType::F32,
-            pytorch_reader::DType::F16 => DType::F16,
-            pytorch_reader::DType::BF16 => DType::BF16,
-            _ => continue,
-        };
-        let bytes = tensor.read().map_err(|source| WeightsError::Read { path: path.to_owned(), source })?;
-        found.insert(name, numbers(bytes, tensor.shape(), dtype));
-    }
-    Ok(found)
-}
-
-fn numbers(bytes: Vec<u8>, shape: &[usize], dtype: DType) -> TensorData {
-    TensorData::from_bytes_vec(bytes, shape.to_vec(), dtype).convert::<f32>()
-}
-
-/// Only what the first container that is there holds.
-fn without_container(found: Parameters) -> Parameters {
-    for container in CONTAINERS {
-        let inside = found.keys().any(|name| name.starts_with(container));
-        let outside = found.keys().any(|name| !name.starts_with(container));
-        if inside && (outside || container != "model.") {
-            let kept = found
-                .into_iter()
-                .filter_map(|(name, data)| Some((name.strip_prefix(container)?.to_owned(), data)));
-            return kept.collect();
-        }
-    }
-    found
-}
-
-/// Takes off prefixes that every name has.
-fn without_prefix(mut found: Parameters) -> Parameters {
-    while let Some(prefix) = PREFIXES
-        .iter()
-        .find(|prefix| !found.is_empty() && found.keys().all(|name| name.starts_with(**prefix)))
-    {
-        found = found.into_iter().map(|(name, data)| (name[prefix.len()..].to_owned(), data)).collect();
-    }
-    found
-}
-
-/// Leaves out the second copy of a shortcut's norm: `downsample.1`, and as the last numbered norm of the block.
-fn once(mut found: Parameters) -> Parameters {
-    let shortcuts: Vec<(String, String)> = found
-        .keys()
-        .filter_map(|name| name.split_once("downsample.1."))
-        .map(|(block, rest)| (block.to_owned(), rest.to_owned()))
-        .collect();
-    for (block, rest) in shortcuts {
-        if found.remove(&format!("{block}norm4.{rest}")).is_none() {
-            found.remove(&format!("{block}norm3.{rest}"));
-        }
-    }
-    found
+/// Writes the parameters of a network as a safetensors file, under the reference's names, as `f32`: whole or not at all.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn save_parameters(network: &impl Module, path: &Path) -> Result<(), FileError> {
+    let parameters = parameters(network);
+    write_atomically(path, |writer| {
+        let views: Result<BTreeMap<&str, TensorView>, SafeTensorError> = parameters
+            .iter()
+            .map(|(name, data)| {
+                Ok((name.as_str(), TensorView::new(Dtype::F32, data.shape().to_vec(), data.as_bytes())?))
+            })
+            .collect();
+        let bytes = views.and_then(|views| safetensors::serialize(views, None)).map_err(io::Error::other)?;
+        writer.write_all(&bytes)
+    })
 }

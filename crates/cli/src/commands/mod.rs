@@ -8,6 +8,7 @@ pub mod eval;
 pub mod flow;
 pub mod mer;
 pub mod metrics;
+pub mod models;
 pub mod rasterize;
 pub mod render;
 pub mod train;

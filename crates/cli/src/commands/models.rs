@@ -1,0 +1,197 @@
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use serde::Serialize;
+use srflow_nets::{Architecture, Checkpoint, Facts, Fit, ParameterInfo, ParametersError, fits};
+
+use crate::Context;
+
+/// List the networks, or say what a file of weights is
+///
+/// Without a command: every network with its parameters, the multiple that frames are padded to, the iterations, the
+/// licence of its authors' code, and the weights that ptlflow publishes for it.
+#[derive(Args)]
+#[command(after_help = "Examples:
+  srflow models
+  srflow models inspect skflow-things.ckpt --json")]
+pub struct Models {
+    #[command(subcommand)]
+    action: Option<Action>,
+}
+
+#[derive(Subcommand)]
+enum Action {
+    Inspect(Inspect),
+}
+
+/// Say what a file of weights is
+///
+/// What kind of file it is, whose parameters it holds, or which network they are nearest to and what is missing.
+#[derive(Args)]
+#[command(after_help = "Example:
+  srflow models inspect skflow-things.ckpt")]
+struct Inspect {
+    /// Weights: PyTorch (.pth, .pt, .ckpt), safetensors or burnpack
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+}
+
+/// Runs the command.
+pub fn run(args: Models, context: &Context) -> anyhow::Result<()> {
+    match args.action {
+        None => list(context),
+        Some(Action::Inspect(args)) => inspect(args, context),
+    }
+}
+
+#[derive(Serialize)]
+struct Listed {
+    name: &'static str,
+    title: &'static str,
+    paper: &'static str,
+    parameters: usize,
+    padding: usize,
+    iterations: ListedIterations,
+    authors: &'static str,
+    licence: &'static str,
+    weights: Vec<ListedWeights>,
+}
+
+#[derive(Serialize)]
+struct ListedIterations {
+    default: usize,
+    authors: usize,
+    training: usize,
+}
+
+#[derive(Serialize)]
+struct ListedWeights {
+    name: String,
+    file: &'static str,
+    url: &'static str,
+    sha256: &'static str,
+}
+
+impl Listed {
+    fn new(facts: &Facts) -> Self {
+        let iterations = facts.iterations;
+        let weights = facts.published.iter().map(|weights| ListedWeights {
+            name: format!("{}-{}", facts.name, weights.trained_on),
+            file: weights.file_name(),
+            url: weights.url,
+            sha256: weights.sha256,
+        });
+        Self {
+            name: facts.name,
+            title: facts.title,
+            paper: facts.paper,
+            parameters: facts.parameters,
+            padding: facts.padding,
+            iterations: ListedIterations {
+                default: iterations.default,
+                authors: iterations.authors,
+                training: iterations.training,
+            },
+            authors: facts.authors,
+            licence: facts.licence,
+            weights: weights.collect(),
+        }
+    }
+}
+
+fn list(context: &Context) -> anyhow::Result<()> {
+    let networks = Architecture::ALL.map(|architecture| Listed::new(architecture.facts()));
+    if context.json {
+        return say!("{}", serde_json::to_string_pretty(&networks)?);
+    }
+    say!("name        parameters  padding  iterations  licence       weights")?;
+    for network in &networks {
+        let Listed { name, parameters, padding, iterations, licence, weights, .. } = network;
+        let weights: Vec<&str> = weights.iter().map(|weights| weights.name.as_str()).collect();
+        let (iterations, weights) = (iterations.default, weights.join(", "));
+        say!("{name:<10}  {parameters:>10}  {padding:>7}  {iterations:>10}  {licence:<12}  {weights}")?;
+    }
+    say!("\nPapers, and the authors' code and weights:")?;
+    for Listed { name, paper, authors, .. } in &networks {
+        say!("  {name:<10}  {paper}  {authors}")?;
+    }
+    say!("\nWeights are ptlflow's; --json has their addresses.")
+}
+
+#[derive(Serialize)]
+struct Inspected<'a> {
+    file: String,
+    format: String,
+    container: Option<&'a str>,
+    prefix: &'a str,
+    types: Vec<String>,
+    tensors: usize,
+    /// Learned numbers, as PyTorch counts parameters.
+    parameters: usize,
+    network: Option<&'static str>,
+    lookalikes: &'static [&'static str],
+    nearest: Vec<Near>,
+    missing: &'a [String],
+    unknown: &'a [String],
+    misshapen: &'a [String],
+}
+
+#[derive(Serialize)]
+struct Near {
+    network: &'static str,
+    matching: usize,
+    expected: usize,
+}
+
+fn inspect(args: Inspect, context: &Context) -> anyhow::Result<()> {
+    let checkpoint = Checkpoint::open(&args.file)?;
+    let infos = checkpoint.parameters();
+    let fits = fits(&infos);
+    let best = &fits[0];
+    let types = checkpoint.types();
+    if context.json {
+        let whole = best.difference.is_none().then_some(best.architecture);
+        let names = |of: fn(&ParametersError) -> &[String]| best.difference.as_ref().map_or(&[][..], of);
+        let inspected = Inspected {
+            file: args.file.display().to_string(),
+            format: checkpoint.format().to_string(),
+            container: checkpoint.container(),
+            prefix: checkpoint.prefix(),
+            types,
+            tensors: infos.len(),
+            parameters: learned(&infos),
+            network: whole.map(Architecture::name),
+            lookalikes: whole.map_or(&[], |architecture| architecture.facts().lookalikes),
+            nearest: fits.iter().map(Near::from).collect(),
+            missing: names(|difference| &difference.missing),
+            unknown: names(|difference| &difference.unknown),
+            misshapen: names(|difference| &difference.misshapen),
+        };
+        return say!("{}", serde_json::to_string_pretty(&inspected)?);
+    }
+    say!("{}: {}", args.file.display(), checkpoint.format())?;
+    if let Some(container) = checkpoint.container() {
+        say!("  parameters under {container}")?;
+    }
+    if !checkpoint.prefix().is_empty() {
+        say!("  {} taken off every name", checkpoint.prefix())?;
+    }
+    say!("  {} tensors, {} parameters, {}", infos.len(), learned(&infos), types.join(" and "))?;
+    say!("  {best}")?;
+    if let Some(difference) = &best.difference {
+        say!("  {difference}")?;
+    }
+    Ok(())
+}
+
+/// Without the statistics of batch norm, which are stored but not learned.
+fn learned(infos: &[ParameterInfo]) -> usize {
+    let learned = infos.iter().filter(|info| !info.name.contains("running_"));
+    learned.map(|info| info.shape.iter().product::<usize>()).sum()
+}
+
+impl From<&Fit> for Near {
+    fn from(fit: &Fit) -> Self {
+        Self { network: fit.architecture.name(), matching: fit.matching, expected: fit.expected }
+    }
+}

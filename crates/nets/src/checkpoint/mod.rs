@@ -1,0 +1,244 @@
+//! Checkpoint files of other programs, told apart by their content.
+//!
+//! PyTorch files are pickles: they are parsed, never executed. Opening a file reads the names, types and shapes of its
+//! tensors; every size it claims is checked against the length of the file before memory is taken.
+
+mod burnpack;
+mod naming;
+mod pytorch;
+mod safetensors;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+use burn::tensor::{DType, TensorData};
+
+use crate::parameters::{ParameterInfo, Parameters};
+use crate::weights::WeightsError;
+
+/// Tensors of an honest checkpoint may share bytes, or be deflated, but not claim so many times the length of the file.
+const MOST_CLAIMED: u64 = 8;
+/// Bytes of a file that tell what it is.
+const START: u64 = 262;
+/// Longest account of a problem that is repeated: libraries print whole objects of a file.
+const PROBLEM_CHARS: usize = 300;
+
+/// What kind of file a checkpoint is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// Of `torch.save` since PyTorch 1.6, and of Lightning (`.ckpt`).
+    PytorchZip,
+    /// Of `torch.save` before PyTorch 1.6, or with `_use_new_zipfile_serialization=False`.
+    PytorchLegacy,
+    /// Of Hugging Face, and of [`save_parameters`](crate::save_parameters).
+    Safetensors,
+    /// Of Burn.
+    Burnpack,
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::PytorchZip => "PyTorch (zip)",
+            Self::PytorchLegacy => "PyTorch (legacy)",
+            Self::Safetensors => "safetensors",
+            Self::Burnpack => "burnpack",
+        })
+    }
+}
+
+/// A checkpoint file, opened: its parameters under the names that the reference implementations give them, none of
+/// them read yet. Containers and prefixes are taken off, counters and index tables left out, what is stored twice is
+/// there once.
+#[derive(Debug)]
+pub struct Checkpoint {
+    path: PathBuf,
+    format: Format,
+    container: Option<&'static str>,
+    prefix: String,
+    tensors: BTreeMap<String, StoredTensor>,
+}
+
+/// A tensor in a file.
+#[derive(Debug)]
+struct StoredTensor {
+    dtype: DType,
+    shape: Vec<usize>,
+    bytes: StoredBytes,
+}
+
+/// Where the bytes of a tensor are.
+#[derive(Debug)]
+enum StoredBytes {
+    /// So many, from there on.
+    Range {
+        file: Rc<File>,
+        start: u64,
+        len: usize,
+    },
+    Pytorch(pytorch_reader::Tensor),
+    Memory(Vec<u8>),
+}
+
+impl Checkpoint {
+    /// Opens a file and reads what it holds, but no values.
+    ///
+    /// # Errors
+    /// When the file cannot be read, is no checkpoint or a broken one, or holds no tensor of floating-point numbers.
+    pub fn open(path: &Path) -> Result<Self, WeightsError> {
+        let read_error = |error| WeightsError::Read { path: path.to_owned(), error };
+        let mut file = File::open(path).map_err(read_error)?;
+        let len = file.metadata().map_err(read_error)?.len();
+        let mut start = Vec::new();
+        (&mut file).take(START).read_to_end(&mut start).map_err(read_error)?;
+        let Some(format) = format_of(&start) else {
+            return Err(WeightsError::Unrecognized { path: path.to_owned(), found: described(&start) });
+        };
+        let broken = |problem: String| WeightsError::Broken {
+            path: path.to_owned(),
+            format,
+            problem: shortened(&problem),
+        };
+        let found = match format {
+            Format::PytorchZip | Format::PytorchLegacy => pytorch::tensors(path, format, len),
+            Format::Safetensors => safetensors::tensors(file, len),
+            Format::Burnpack => burnpack::tensors(file, len),
+        };
+        let named = naming::reference_names(found.map_err(broken)?);
+        if named.tensors.is_empty() {
+            return Err(WeightsError::Empty { path: path.to_owned() });
+        }
+        let claimed = named.tensors.values().map(StoredTensor::byte_len).fold(0, u64::saturating_add);
+        if claimed > len.saturating_mul(MOST_CLAIMED) {
+            return Err(broken(format!("its tensors claim {claimed} bytes, the file has {len}")));
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            format,
+            container: named.container,
+            prefix: named.prefix,
+            tensors: named.tensors,
+        })
+    }
+
+    /// What kind of file it is.
+    pub fn format(&self) -> Format {
+        self.format
+    }
+
+    /// The dictionary of the file that holds the parameters, such as `state_dict`, where they are not at its root.
+    pub fn container(&self) -> Option<&str> {
+        self.container
+    }
+
+    /// What stood before every name and is taken off, such as `module.`; empty when nothing did.
+    pub fn prefix(&self) -> &str {
+        &self.prefix
+    }
+
+    /// Types of the stored numbers, such as `F32`.
+    pub fn types(&self) -> Vec<String> {
+        let types: BTreeSet<String> =
+            self.tensors.values().map(|tensor| format!("{:?}", tensor.dtype)).collect();
+        types.into_iter().collect()
+    }
+
+    /// Names and shapes, by name.
+    pub fn parameters(&self) -> Vec<ParameterInfo> {
+        let info = |(name, tensor): (&String, &StoredTensor)| ParameterInfo {
+            name: name.clone(),
+            shape: tensor.shape.clone(),
+        };
+        self.tensors.iter().map(info).collect()
+    }
+
+    /// Reads the values, as `f32`.
+    ///
+    /// # Errors
+    /// When the file ends before them or cannot be read.
+    pub fn read(self) -> Result<Parameters, WeightsError> {
+        let Self { path, format, tensors, .. } = self;
+        let read = |(name, tensor): (String, StoredTensor)| {
+            let data = tensor.read().map_err(|error| match error.kind() {
+                io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => {
+                    let problem = match format {
+                        Format::PytorchZip | Format::PytorchLegacy => error.to_string(), // names the tensor
+                        Format::Safetensors | Format::Burnpack => format!("{name}: {error}"),
+                    };
+                    WeightsError::Broken { path: path.clone(), format, problem: shortened(&problem) }
+                }
+                _ => WeightsError::Read { path: path.clone(), error },
+            })?;
+            Ok((name, data))
+        };
+        tensors.into_iter().map(read).collect()
+    }
+}
+
+impl StoredTensor {
+    fn byte_len(&self) -> u64 {
+        let numbers = self.shape.iter().map(|&size| size as u64).fold(1, u64::saturating_mul);
+        numbers.saturating_mul(self.dtype.size() as u64)
+    }
+
+    fn read(self) -> io::Result<TensorData> {
+        let expected = self.byte_len();
+        let bytes = match self.bytes {
+            StoredBytes::Range { file, start, len } => {
+                let mut bytes = vec![0; len];
+                (&*file).seek(SeekFrom::Start(start))?;
+                (&*file).read_exact(&mut bytes)?;
+                bytes
+            }
+            StoredBytes::Pytorch(tensor) => tensor.read()?,
+            StoredBytes::Memory(bytes) => bytes,
+        };
+        if bytes.len() as u64 != expected {
+            let problem = format!("expected {expected} bytes, found {}", bytes.len());
+            return Err(io::Error::new(io::ErrorKind::InvalidData, problem));
+        }
+        Ok(TensorData::from_bytes_vec(bytes, self.shape, self.dtype).convert::<f32>())
+    }
+}
+
+/// What a file is, by its first bytes. A broken one is what it seems to be.
+fn format_of(start: &[u8]) -> Option<Format> {
+    if start.starts_with(b"PK\x03\x04") || start.starts_with(b"PK\x05\x06") {
+        Some(Format::PytorchZip)
+    } else if start.starts_with(&burn_pack::MAGIC_NUMBER.to_le_bytes()) {
+        Some(Format::Burnpack)
+    } else if start.get(8) == Some(&b'{') {
+        // Eight bytes of length, then JSON. No pickle has a brace there.
+        Some(Format::Safetensors)
+    } else if start.first() == Some(&0x80) {
+        Some(Format::PytorchLegacy) // the opcode PROTO, with which every pickle of torch.save starts
+    } else {
+        None
+    }
+}
+
+/// The start of a file for people to recognize.
+fn described(start: &[u8]) -> String {
+    if start.is_empty() {
+        return "an empty file".into();
+    }
+    if start.get(257..) == Some(b"ustar") {
+        return "a tar file, as PyTorch before 0.1.10 wrote".into();
+    }
+    let text = String::from_utf8_lossy(&start[..start.len().min(24)]);
+    format!("a file that starts with \"{}\"", text.escape_debug())
+}
+
+/// As much as people read, and nothing that steers a terminal.
+fn shortened(problem: &str) -> String {
+    let mut chars = problem.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c });
+    let mut kept: String = chars.by_ref().take(PROBLEM_CHARS).collect();
+    if chars.next().is_some() {
+        kept.push_str("...");
+    }
+    kept
+}

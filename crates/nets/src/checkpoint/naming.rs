@@ -1,0 +1,106 @@
+//! From the names in a file to those of the reference implementations.
+
+use std::collections::BTreeMap;
+
+/// Dictionaries that training programs put the weights in, beside other things.
+const CONTAINERS: [&str; 4] = ["state_dict", "model_state_dict", "model", "network"];
+/// What wrappers of a network put before every name: `DataParallel`, trainers, `torch.compile`.
+const PREFIXES: [&str; 5] = ["module.", "network.", "model.", "net.", "_orig_mod."];
+
+/// Tensors under the reference's names.
+pub(super) struct Named<T> {
+    /// The dictionary they were in, where it is not the root of the file.
+    pub(super) container: Option<&'static str>,
+    /// What stood before every name.
+    pub(super) prefix: String,
+    pub(super) tensors: BTreeMap<String, T>,
+}
+
+/// Takes off container and prefixes, and what is stored twice.
+pub(super) fn reference_names<T>(found: BTreeMap<String, T>) -> Named<T> {
+    let (container, found) = without_container(found);
+    let (prefix, found) = without_prefix(found);
+    Named { container, prefix, tensors: once(found) }
+}
+
+/// Only what the first container that is there holds.
+fn without_container<T>(found: BTreeMap<String, T>) -> (Option<&'static str>, BTreeMap<String, T>) {
+    for container in CONTAINERS {
+        let inside = |name: &str| Some(name.strip_prefix(container)?.strip_prefix('.')?.to_owned());
+        let held = found.keys().filter(|name| inside(name).is_some()).count();
+        // `model.` and `network.` before every name are what a wrapper puts there.
+        let wrapper = held == found.len() && PREFIXES.contains(&format!("{container}.").as_str());
+        if held > 0 && !wrapper {
+            let kept = found.into_iter().filter_map(|(name, tensor)| Some((inside(&name)?, tensor)));
+            return (Some(container), kept.collect());
+        }
+    }
+    (None, found)
+}
+
+/// Takes off prefixes that every name has.
+fn without_prefix<T>(mut found: BTreeMap<String, T>) -> (String, BTreeMap<String, T>) {
+    let mut taken = String::new();
+    while let Some(prefix) = PREFIXES
+        .iter()
+        .find(|prefix| !found.is_empty() && found.keys().all(|name| name.starts_with(**prefix)))
+    {
+        found = found.into_iter().map(|(name, tensor)| (name[prefix.len()..].to_owned(), tensor)).collect();
+        taken.push_str(prefix);
+    }
+    (taken, found)
+}
+
+/// Leaves out the second copy of a shortcut's norm: `downsample.1`, and as the last numbered norm of the block.
+fn once<T>(mut found: BTreeMap<String, T>) -> BTreeMap<String, T> {
+    let shortcuts: Vec<(String, String)> = found
+        .keys()
+        .filter_map(|name| name.split_once("downsample.1."))
+        .map(|(block, rest)| (block.to_owned(), rest.to_owned()))
+        .collect();
+    for (block, rest) in shortcuts {
+        if found.remove(&format!("{block}norm4.{rest}")).is_none() {
+            found.remove(&format!("{block}norm3.{rest}"));
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn named(names: &[&str]) -> (Option<&'static str>, String, Vec<String>) {
+        let found = names.iter().map(|name| (name.to_string(), ())).collect();
+        let Named { container, prefix, tensors } = reference_names(found);
+        (container, prefix, tensors.into_keys().collect())
+    }
+
+    #[test]
+    fn containers_and_prefixes_come_off() {
+        let plain = || vec!["cnet.weight".to_string(), "fnet.weight".to_string()];
+        assert_eq!(named(&["fnet.weight", "cnet.weight"]), (None, String::new(), plain()));
+        assert_eq!(
+            named(&["module.model.fnet.weight", "module.model.cnet.weight"]),
+            (None, "module.model.".into(), plain())
+        );
+        assert_eq!(
+            named(&[
+                "state_dict._orig_mod.fnet.weight",
+                "state_dict._orig_mod.cnet.weight",
+                "optimizer.0.exp_avg"
+            ]),
+            (Some("state_dict"), "_orig_mod.".into(), plain())
+        );
+        assert_eq!(
+            named(&["model.fnet.weight", "model.cnet.weight", "ema.fnet.weight"]),
+            (Some("model"), String::new(), plain())
+        );
+    }
+
+    #[test]
+    fn a_prefix_of_some_names_is_a_part_of_the_network() {
+        let names = vec!["head.weight".to_string(), "net.weight".to_string()];
+        assert_eq!(named(&["net.weight", "head.weight"]), (None, String::new(), names));
+    }
+}

@@ -1,0 +1,50 @@
+//! Safetensors: eight bytes of length, a JSON table of the tensors, their bytes without gaps.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::rc::Rc;
+
+use burn::tensor::DType;
+use safetensors::Dtype;
+use safetensors::tensor::Metadata;
+
+use super::{StoredBytes, StoredTensor};
+
+/// Bytes before the table.
+const LENGTH: u64 = 8;
+
+/// Reads the table alone, and holds it to the length of the file. The values are read by ranges.
+pub(super) fn tensors(mut file: File, len: u64) -> Result<BTreeMap<String, StoredTensor>, String> {
+    let mut table_len = [0; LENGTH as usize];
+    file.seek(SeekFrom::Start(0)).map_err(|error| error.to_string())?;
+    file.read_exact(&mut table_len).map_err(|error| error.to_string())?;
+    let table_len = u64::from_le_bytes(table_len);
+    let after = len.saturating_sub(LENGTH);
+    if table_len > after {
+        return Err(format!("its table claims {table_len} bytes, the file has {after} left"));
+    }
+    let mut table = Vec::new();
+    (&mut file).take(table_len).read_to_end(&mut table).map_err(|error| error.to_string())?;
+    let table: Metadata =
+        serde_json::from_slice(&table).map_err(|error| format!("in its table of tensors: {error}"))?;
+    let (claimed, left) = (table.data_len() as u64, after - table_len);
+    if claimed != left {
+        return Err(format!("its tensors claim {claimed} bytes, the file has {left} left"));
+    }
+    let file = Rc::new(file);
+    let found = table.tensors().into_iter().filter_map(|(name, info)| {
+        let dtype = match info.dtype {
+            Dtype::F64 => DType::F64,
+            Dtype::F32 => DType::F32,
+            Dtype::F16 => DType::F16,
+            Dtype::BF16 => DType::BF16,
+            _ => return None,
+        };
+        let (start, end) = info.data_offsets;
+        let start_in_file = LENGTH + table_len + start as u64;
+        let bytes = StoredBytes::Range { file: file.clone(), start: start_in_file, len: end - start };
+        Some((name, StoredTensor { dtype, shape: info.shape.clone(), bytes }))
+    });
+    Ok(found.collect())
+}

@@ -1,0 +1,66 @@
+//! Which network parameters are those of.
+
+use std::fmt;
+
+use burn::tensor::Device;
+
+use crate::architecture::Architecture;
+use crate::parameters::{ParameterInfo, ParametersError, compare, parameter_infos};
+
+/// How well parameters fit a network.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Fit {
+    /// The network.
+    pub architecture: Architecture,
+    /// Parameters that the network has.
+    pub expected: usize,
+    /// Those of them that are given in the right shape.
+    pub matching: usize,
+    /// What is wrong; nothing when the parameters are those of the network, each and no other.
+    pub difference: Option<ParametersError>,
+}
+
+impl fmt::Display for Fit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { architecture, expected, matching, difference } = self;
+        let name = architecture.name();
+        match difference {
+            None => write!(f, "they are the parameters of {name}{}", lookalikes(*architecture)),
+            Some(_) if *matching == 0 => {
+                f.write_str("no network known here has parameters of these names and shapes")
+            }
+            Some(_) => write!(
+                f,
+                "the nearest network is {name}: {matching} of its {expected} parameters are there in its shape"
+            ),
+        }
+    }
+}
+
+/// Whose weights cannot be told from the network's own.
+fn lookalikes(architecture: Architecture) -> String {
+    match architecture.facts().lookalikes {
+        [] => String::new(),
+        others => format!(" (or of {}, whose have the same names and shapes)", others.join(", ")),
+    }
+}
+
+/// How well the parameters fit each network, the best first.
+pub fn fits(given: &[ParameterInfo]) -> Vec<Fit> {
+    let mut fits = Architecture::ALL.map(|architecture| fit(architecture, given));
+    fits.sort_by_key(|fit| {
+        let wrong = fit.difference.as_ref().map_or(0, |difference| {
+            difference.missing.len() + difference.unknown.len() + difference.misshapen.len()
+        });
+        (fit.matching == 0, wrong)
+    });
+    fits.into()
+}
+
+fn fit(architecture: Architecture, given: &[ParameterInfo]) -> Fit {
+    let infos = parameter_infos(&architecture.init(&Device::flex()));
+    let difference = compare(&infos, given).err();
+    let wrong =
+        difference.as_ref().map_or(0, |difference| difference.missing.len() + difference.misshapen.len());
+    Fit { architecture, expected: infos.len(), matching: infos.len() - wrong, difference }
+}

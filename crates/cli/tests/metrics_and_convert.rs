@@ -4,7 +4,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use srflow_field::{FlowField, Mask, flow_colors, read_flow, read_image, score, write_flow, write_mask_png};
+use srflow_field::{
+    FlowField, Image, Mask, flow_colors, read_flow, read_image, score, write_flow, write_image_png,
+    write_mask_png,
+};
 
 fn srflow(folder: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_srflow")).current_dir(folder).args(arguments).output().unwrap()
@@ -71,6 +74,77 @@ fn metrics_prints_a_table_for_people() {
         told.contains("scoring a.flo against known.flo: the prediction at pixel (4, 4) is (NaN, NaN)"),
         "{told}"
     );
+}
+
+/// A constant flow varies nowhere but at the outline of a masked head, where MIGAR and IGVAR set it to zero.
+#[test]
+fn metrics_prints_the_regularizers_of_one_flow() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    write_flow(&path("constant.flo"), &FlowField::filled(9, 7, [1.5, -2.0])).unwrap();
+    write_flow(&path("step.flo"), &FlowField::from_fn(9, 7, |x, _| [if x < 4 { 0.0 } else { 1.0 }, 0.0]))
+        .unwrap();
+    write_image_png(&path("grey.png"), &Image::filled(9, 7, [90; 3])).unwrap();
+    write_mask_png(&path("head.png"), &Mask::from_fn(9, 7, |x, y| x > 1 && y > 1)).unwrap();
+
+    let values = |flow: &str, more: &[&str]| -> Vec<serde_json::Value> {
+        let arguments =
+            [&["metrics", flow, "--image", "grey.png", "--regularizers", "--json"], more].concat();
+        let output = srflow(folder.path(), &arguments);
+        assert_eq!(code(&output), 0, "{output:?}");
+        let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert!(json.get("epe").is_none(), "no truth, no score: {json}");
+        json["regularizers"].as_array().unwrap().clone()
+    };
+    let of = |found: &[serde_json::Value]| -> Vec<f64> {
+        found.iter().map(|value| value["value"].as_f64().unwrap()).collect()
+    };
+    let constant = values("constant.flo", &[]);
+    let names: Vec<&str> = constant.iter().map(|value| value["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["tvr", "fdr", "migar", "igvar"]);
+    assert_eq!(of(&constant), [0.0; 4]);
+    // A grey frame has no gradient: every weight is 1, whatever the base.
+    assert_eq!(constant[2]["weights"]["pixels"], 63);
+    assert_eq!(constant[2]["weights"]["mean_weight"], 1.0);
+    assert_eq!(constant[3]["weights"]["log_base"], 1.0);
+
+    // A step of 1 px along 7 rows: both Sobel columns beside it give 4 of 8, the difference gives 1.
+    let step = of(&values("step.flo", &[]));
+    let expected = [0.05 * 7.0 / 63.0, 0.05 * 7.0 / 63.0, 8.0 * 7.0 / 63.0, 8.0 * 7.0 / 63.0];
+    for (found, expected) in step.iter().zip(expected) {
+        assert!((found - expected).abs() < 1e-6, "{step:?}");
+    }
+    let masked = of(&values("constant.flo", &["--mask", "head.png"]));
+    assert!(masked[..2] == [0.0; 2] && masked[2] > 0.0 && masked[2] == masked[3], "{masked:?}");
+    let literal = of(&values("constant.flo", &["--mask", "head.png", "--m-total", "literal"]));
+    assert!(literal[2] != masked[2], "{literal:?}");
+
+    let output =
+        srflow(folder.path(), &["metrics", "step.flo", "step.flo", "--image", "grey.png", "--regularizers"]);
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(text.contains("EPE        0.0000 px") && text.contains("\nTVR     5.5556e-3\n"), "{text}");
+    assert!(text.contains("IGVAR   8.8889e-1   base e^1.000, mean weight 1.000e0 over 63 pixels"), "{text}");
+}
+
+#[test]
+fn metrics_says_what_the_regularizers_need() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    write_flow(&path("a.flo"), &wavy()).unwrap();
+    write_flow(&path("b.flo"), &FlowField::new(9, 5)).unwrap();
+    write_image_png(&path("small.png"), &Image::new(3, 2)).unwrap();
+    write_image_png(&path("frame.png"), &Image::new(9, 5)).unwrap();
+    let run = |flow: &str, image: &str| {
+        srflow(folder.path(), &["metrics", flow, "--image", image, "--regularizers", "--json"])
+    };
+    assert_eq!(
+        error(&run("b.flo", "small.png")),
+        "error: regularizers of b.flo over small.png: the flow is 9x5 and the first frame 3x2 (WIDTHxHEIGHT): they must \
+         be of one size\n"
+    );
+    assert!(error(&run("a.flo", "frame.png")).contains("the flow at pixel (4, 4) is (NaN, NaN)"));
+    assert_eq!(code(&srflow(folder.path(), &["metrics", "a.flo"])), 2, "neither a truth nor --regularizers");
+    assert_eq!(code(&srflow(folder.path(), &["metrics", "a.flo", "--regularizers"])), 2, "no image");
 }
 
 #[test]

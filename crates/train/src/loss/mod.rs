@@ -7,6 +7,7 @@ mod fdr;
 mod igvar;
 mod migar;
 mod mixture;
+mod of_flow;
 mod sequence;
 mod sobel;
 mod tvr;
@@ -16,10 +17,11 @@ use burn::tensor::Tensor;
 
 pub use config::{Border, LossConfig, MaskReading, Regularizer, SequenceKind};
 pub use mixture::LaplaceMixture;
+pub use of_flow::{FlowRegularizer, ImageWeights, RegularizerError, regularizers_of_flow};
 
 use fdr::flow_difference;
 use tvr::total_variation;
-use weighted_variation::{gradient_magnitude, total_mask, weighted_variation};
+use weighted_variation::{gradient_magnitude, total_mask, weighted_variation, weights};
 
 /// What a network gives after one iteration.
 #[derive(Debug, Clone)]
@@ -49,6 +51,16 @@ pub struct LossInputs {
     /// `M_bg`: 1 on the head in the first frame, 0 on background, `[batch, 1, height, width]`. Without one, every pixel is
     /// of the head.
     pub foreground: Option<Tensor<4>>,
+}
+
+impl LossInputs {
+    /// `M_bg` of zeros and ones.
+    fn foreground_or_all(&self) -> Tensor<4> {
+        match &self.foreground {
+            Some(mask) => mask.clone().greater_elem(0.5).float(),
+            None => Tensor::ones(self.valid.dims(), &self.valid.device()),
+        }
+    }
 }
 
 /// The loss of a batch.
@@ -104,9 +116,10 @@ pub fn losses(
 ) -> Result<Losses, LossError> {
     check_sizes(predictions, inputs);
     let truth = sequence::Truth::new(config, inputs);
-    let sequence = over_predictions(config.gamma, predictions, |prediction| truth.loss(prediction))?;
-    let mut parts = vec![("sequence", sequence)];
-    parts.extend(regularizers(config, predictions, inputs)?);
+    let sequence =
+        predictions.iter().map(|prediction| truth.loss(prediction)).collect::<Result<Vec<_>, _>>()?;
+    let mut parts = vec![("sequence", over_iterations(config.gamma, sequence))];
+    parts.extend(regularizers(config, predictions, inputs));
     let total = parts.iter().map(|(_, part)| part.clone()).reduce(|sum, part| sum + part);
     let total = total.expect("the sequence loss is there");
     Ok(Losses { total, parts })
@@ -117,50 +130,57 @@ fn regularizers(
     config: &LossConfig,
     predictions: &[Prediction],
     inputs: &LossInputs,
-) -> Result<Vec<(&'static str, Tensor<1>)>, LossError> {
-    let [batch, _, height, width] = inputs.truth.dims();
+) -> Vec<(&'static str, Tensor<1>)> {
     let border = config.border;
-    let foreground = match &inputs.foreground {
-        Some(mask) => mask.clone().greater_elem(0.5).float(),
-        None => Tensor::ones([batch, 1, height, width], &inputs.truth.device()),
+    let foreground = inputs.foreground_or_all();
+    let over_flows = |loss: &dyn Fn(Tensor<4>) -> Tensor<1>| {
+        over_iterations(config.gamma, predictions.iter().map(|prediction| loss(prediction.flow.clone())))
     };
-    let gradient = || gradient_magnitude(inputs.first_frame.clone() * config.image_max, border);
-    let mut parts = Vec::new();
-    for regularizer in Regularizer::ALL {
-        let weight = config.weight(regularizer);
-        if weight == 0.0 {
-            continue;
-        }
-        let weighted = |weights: Tensor<4>| {
-            let mask = total_mask(foreground.clone(), config.m_total, border);
-            over_predictions(config.gamma, predictions, move |prediction| {
-                let flow = prediction.flow.clone();
-                Ok(weighted_variation(flow, mask.clone(), weights.clone(), border))
-            })
+    let weighted = |base| {
+        let mask = total_mask(foreground.clone(), config.m_total, border);
+        let (weights, _) = pixel_weights(base, config, &inputs.first_frame, &foreground);
+        over_flows(&|flow| weighted_variation(flow, mask.clone(), weights.clone(), border))
+    };
+    let on = Regularizer::ALL.into_iter().filter(|regularizer| config.weight(*regularizer) != 0.0);
+    let part = |regularizer: Regularizer| {
+        let loss = match regularizer {
+            Regularizer::Tvr => over_flows(&|flow| total_variation(flow, border)),
+            Regularizer::Fdr => over_flows(&|flow| flow_difference(flow, foreground.clone())),
+            Regularizer::Migar => weighted(WeightBase::Mean),
+            Regularizer::Igvar => weighted(WeightBase::Variance),
         };
-        let part = match regularizer {
-            Regularizer::Tvr => over_predictions(config.gamma, predictions, |prediction| {
-                Ok(total_variation(prediction.flow.clone(), border))
-            }),
-            Regularizer::Fdr => over_predictions(config.gamma, predictions, |prediction| {
-                Ok(flow_difference(prediction.flow.clone(), foreground.clone()))
-            }),
-            Regularizer::Migar => weighted(migar::weights(gradient())),
-            Regularizer::Igvar => weighted(igvar::weights(gradient(), foreground.clone())),
-        };
-        parts.push((regularizer.name(), part? * weight));
-    }
-    Ok(parts)
+        (regularizer.name(), loss * config.weight(regularizer))
+    };
+    on.map(part).collect()
 }
 
-/// `sum_i gamma^(n - 1 - i) loss(prediction i)`.
-fn over_predictions(
-    gamma: f64,
-    predictions: &[Prediction],
-    loss: impl Fn(&Prediction) -> Result<Tensor<1>, LossError>,
-) -> Result<Tensor<1>, LossError> {
-    let [first, rest @ ..] = predictions else { panic!("a loss needs a prediction") };
-    rest.iter().try_fold(loss(first)?, |sum, prediction| Ok(sum * gamma + loss(prediction)?))
+/// What the base of the weights of MIGAR and IGVAR is made of.
+#[derive(Debug, Clone, Copy)]
+enum WeightBase {
+    /// MIGAR's.
+    Mean,
+    /// IGVAR's.
+    Variance,
+}
+
+/// The weight of each pixel, `[batch, 1, height, width]`, and the logarithm of the base, `[batch, 1, 1, 1]`.
+fn pixel_weights(
+    base: WeightBase,
+    config: &LossConfig,
+    first_frame: &Tensor<4>,
+    foreground: &Tensor<4>,
+) -> (Tensor<4>, Tensor<4>) {
+    let gradient = gradient_magnitude(first_frame.clone(), config.border) * config.image_max;
+    let log_base = match base {
+        WeightBase::Mean => migar::log_base(gradient.clone()),
+        WeightBase::Variance => igvar::log_base(gradient.clone(), foreground.clone()),
+    };
+    (weights(gradient, log_base.clone()), log_base)
+}
+
+/// `sum_i gamma^(n - 1 - i) loss_i`.
+fn over_iterations(gamma: f64, losses: impl IntoIterator<Item = Tensor<1>>) -> Tensor<1> {
+    losses.into_iter().reduce(|sum, loss| sum * gamma + loss).expect("a loss needs a prediction")
 }
 
 /// The sum of all elements, row by row: in an order that does not depend on the threads.
@@ -171,6 +191,7 @@ fn sum(x: Tensor<4>) -> Tensor<1> {
 fn check_sizes(predictions: &[Prediction], inputs: &LossInputs) {
     let [batch, _, height, width] = inputs.truth.dims();
     assert!(batch * height * width > 0, "a loss needs a pixel");
+    assert!(!predictions.is_empty(), "a loss needs a prediction");
     let check = |name: &str, tensor: &Tensor<4>, channels: usize| {
         assert_eq!(tensor.dims(), [batch, channels, height, width], "the size of {name}");
     };

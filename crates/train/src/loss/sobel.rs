@@ -14,10 +14,11 @@ pub(super) fn sobel(image: Tensor<4>, border: Border) -> [Tensor<4>; 2] {
         Border::Zero => PadMode::Constant(0.0),
     };
     let image = image.pad((1, 1, 1, 1), outside);
-    let [left, centre, right] = [0, 1, 2].map(|from| image.clone().narrow(3, from, width));
+    // Differences first: of nearly equal values they are exact, and sums of them lose nothing.
+    let columns = |x: &Tensor<4>| [0, 1, 2].map(|from| x.clone().narrow(3, from, width));
     let rows = |x: &Tensor<4>| [0, 1, 2].map(|from| x.clone().narrow(2, from, height));
-    let [above, beside, below] = rows(&(right.clone() - left.clone()));
-    let along_x = above + beside * 2.0 + below;
-    let [above, _, below] = rows(&(left + centre * 2.0 + right));
-    [along_x, below - above]
+    let smooth = |[before, at, after]: [Tensor<4>; 3]| before + at * 2.0 + after;
+    let [left, _, right] = columns(&image);
+    let [above, _, below] = rows(&image);
+    [smooth(rows(&(right - left))), smooth(columns(&(below - above)))]
 }

@@ -12,6 +12,12 @@ pub(super) fn gradient_magnitude(frame: Tensor<4>, border: Border) -> Tensor<4> 
     (along_x.square() + along_y.square()).sqrt().mean_dim(1)
 }
 
+/// `w = base^-G` of the paper's equation 15, from the logarithm of the base (`[batch, 1, 1, 1]`). Computed as `exp(-G ln base)`:
+/// with frames in 0..255, MIGAR's base itself overflows `f32` where the mean of `G` is above 88. A weight below 1e-45 is zero.
+pub(super) fn weights(gradient: Tensor<4>, log_base: Tensor<4>) -> Tensor<4> {
+    (-gradient * log_base).exp()
+}
+
 /// `M_total` of the paper's equation 16 from `M_bg`, both `[batch, 1, height, width]` of zeros and ones.
 pub(super) fn total_mask(foreground: Tensor<4>, reading: MaskReading, border: Border) -> Tensor<4> {
     let [along_x, along_y] = sobel(foreground.clone(), border);

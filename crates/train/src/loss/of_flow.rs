@@ -1,0 +1,130 @@
+//! The regularizers of one flow, for looking at.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use serde::Serialize;
+use srflow_field::{FlowField, Image, Mask, SizeMismatch};
+
+use super::{
+    LossConfig, LossInputs, Prediction, Regularizer, WeightBase, pixel_weights, regularizers, total_mask,
+};
+
+/// The value of one regularizer.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FlowRegularizer {
+    /// Which one.
+    pub name: Regularizer,
+    /// What it adds to the loss with the paper's weight.
+    pub value: f64,
+    /// How MIGAR and IGVAR weight the pixels; nothing for the others.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weights: Option<ImageWeights>,
+}
+
+/// The weights that an image gives its pixels.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ImageWeights {
+    /// Natural logarithm of the base.
+    pub log_base: f64,
+    /// The mean weight of the pixels of `M_total`; 0 when it has none.
+    pub mean_weight: f64,
+    /// How many pixels `M_total` has.
+    pub pixels: usize,
+}
+
+/// Why a flow has no regularizers.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum RegularizerError {
+    /// The flow, the frame and the mask differ in size.
+    #[error(transparent)]
+    SizeMismatch(#[from] SizeMismatch),
+    /// There is no pixel.
+    #[error("the flow is {}x{} (WIDTHxHEIGHT): expected at least one pixel", .0.0, .0.1)]
+    Empty((usize, usize)),
+    /// The flow is not known everywhere.
+    #[error(
+        "the flow at pixel ({x}, {y}) is ({u}, {v}): a regularizer needs every pixel; an estimated flow has them"
+    )]
+    Unknown {
+        /// Column.
+        x: usize,
+        /// Row.
+        y: usize,
+        /// Component to the right.
+        u: f32,
+        /// Component down.
+        v: f32,
+    },
+}
+
+/// The four regularizers of one flow, as they enter the loss of a single prediction with the paper's weights. `head` is `M_bg`;
+/// without one, every pixel counts. Of `config` the reading of `M_total`, the border and the image's range matter.
+///
+/// # Errors
+/// When the sizes differ, or the flow is empty or not known everywhere.
+pub fn regularizers_of_flow(
+    config: &LossConfig,
+    flow: &FlowField,
+    frame1: &Image,
+    head: Option<&Mask>,
+) -> Result<Vec<FlowRegularizer>, RegularizerError> {
+    let size @ (width, height) = flow.size();
+    let others = [("the first frame", Some(frame1.size())), ("the mask", head.map(Mask::size))];
+    for (second_name, second) in others {
+        if let Some(second) = second.filter(|second| *second != size) {
+            return Err(SizeMismatch { first_name: "the flow", first: size, second_name, second }.into());
+        }
+    }
+    if width == 0 || height == 0 {
+        return Err(RegularizerError::Empty(size));
+    }
+    if let Some(at) = flow.pixels().iter().position(|[u, v]| !(u.is_finite() && v.is_finite())) {
+        let [u, v] = flow.pixels()[at];
+        return Err(RegularizerError::Unknown { x: at % width, y: at / width, u, v });
+    }
+    let flow = planes(size, flow.pixels(), |component| component);
+    let inputs = LossInputs {
+        valid: Tensor::ones([1, 1, height, width], &flow.device()),
+        truth: flow.clone(),
+        first_frame: planes(size, frame1.pixels(), |value| f32::from(value) / 255.0),
+        foreground: head.map(|head| {
+            let inside: Vec<[bool; 1]> = head.pixels().iter().map(|inside| [*inside]).collect();
+            planes(size, &inside, |inside| f32::from(u8::from(inside)))
+        }),
+    };
+    let with_all =
+        |config: LossConfig, regularizer: Regularizer| config.with(regularizer, regularizer.paper_weight());
+    let config = Regularizer::ALL.into_iter().fold(config.clone(), with_all);
+    let parts = regularizers(&config, &[Prediction::from(flow)], &inputs);
+    let foreground = inputs.foreground_or_all();
+    let mask = total_mask(foreground.clone(), config.m_total, config.border);
+    let weights_of = |base| {
+        let (weights, log_base) = pixel_weights(base, &config, &inputs.first_frame, &foreground);
+        let pixels = mask.clone().into_data().iter::<f32>().filter(|inside| *inside > 0.5).count();
+        let mean_weight = first((weights * mask.clone()).sum()) / pixels.max(1) as f64;
+        ImageWeights { log_base: first(log_base.reshape([1])), mean_weight, pixels }
+    };
+    let described = Regularizer::ALL.into_iter().zip(parts).map(|(name, (_, value))| FlowRegularizer {
+        name,
+        value: first(value),
+        weights: match name {
+            Regularizer::Tvr | Regularizer::Fdr => None,
+            Regularizer::Migar => Some(weights_of(WeightBase::Mean)),
+            Regularizer::Igvar => Some(weights_of(WeightBase::Variance)),
+        },
+    });
+    Ok(described.collect())
+}
+
+/// `[1, N, height, width]` of a grid of pixels.
+fn planes<T: Copy, const N: usize>(
+    (width, height): (usize, usize),
+    pixels: &[[T; N]],
+    value: impl Fn(T) -> f32,
+) -> Tensor<4> {
+    let values: Vec<f32> = (0..N).flat_map(|c| pixels.iter().map(move |pixel| pixel[c])).map(value).collect();
+    Tensor::from_data(TensorData::new(values, [1, N, height, width]), &Device::flex())
+}
+
+fn first(x: Tensor<1>) -> f64 {
+    x.into_data().iter::<f64>().next().unwrap_or(f64::NAN)
+}

@@ -1,0 +1,360 @@
+//! The losses have the values and the gradients that the paper's equations have in PyTorch (`tools/parity/losses.py`), and
+//! stay finite where there is nothing to learn.
+
+use burn::tensor::{Device, Tensor, TensorData};
+use safetensors::SafeTensors;
+use srflow_train::loss::{
+    Border, LaplaceMixture, LossConfig, LossError, LossInputs, MaskReading, Prediction, Regularizer,
+    SequenceKind, losses,
+};
+
+const PREDICTIONS: usize = 3;
+
+fn golden() -> Vec<u8> {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/losses.safetensors");
+    std::fs::read(path).expect(path)
+}
+
+fn stored(file: &SafeTensors, name: &str) -> (Vec<f32>, Vec<usize>) {
+    let tensor = file.tensor(name).expect(name);
+    let values = tensor.data().as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+    (values, tensor.shape().to_vec())
+}
+
+fn tensor(file: &SafeTensors, name: &str, device: &Device) -> Tensor<4> {
+    let (values, shape) = stored(file, name);
+    Tensor::from_data(TensorData::new(values, shape), device)
+}
+
+fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().try_to_vec().expect("f32")
+}
+
+fn number(tensor: Tensor<1>) -> f32 {
+    numbers(tensor)[0]
+}
+
+fn inputs(file: &SafeTensors, device: &Device) -> LossInputs {
+    LossInputs {
+        truth: tensor(file, "truth", device),
+        valid: tensor(file, "valid", device),
+        first_frame: tensor(file, "first_frame", device),
+        foreground: Some(tensor(file, "foreground", device)),
+    }
+}
+
+/// The stored predictions as leaves of the gradient's graph.
+fn predictions(file: &SafeTensors, device: &Device) -> Vec<Prediction> {
+    let leaf = |name: &str, i: usize| tensor(file, &format!("{name}_{i}"), device).require_grad();
+    (0..PREDICTIONS)
+        .map(|i| Prediction {
+            flow: leaf("flow", i),
+            mixture: Some(LaplaceMixture {
+                log_weights: leaf("log_weights", i),
+                log_scales: leaf("log_scales", i),
+            }),
+        })
+        .collect()
+}
+
+/// Holds the part of this name (or the total) and its gradients to a stored case.
+fn check(case: &str, part: &str, config: &LossConfig) {
+    let bytes = golden();
+    let file = SafeTensors::deserialize(&bytes).expect("safetensors");
+    let device = Device::flex().autodiff();
+    let predictions = predictions(&file, &device);
+    let losses = losses(config, &predictions, &inputs(&file, &device)).expect("a loss");
+    let loss = match part {
+        "total" => losses.total,
+        _ => losses.parts.into_iter().find(|(name, _)| *name == part).expect(part).1,
+    };
+    let expected = stored(&file, &format!("{case}.value")).0[0];
+    let found = number(loss.clone());
+    assert!((found - expected).abs() <= 1e-5 * expected.abs(), "{case}: {found} for {expected}");
+
+    let grads = loss.backward();
+    for (i, prediction) in predictions.iter().enumerate() {
+        let mixture = prediction.mixture.as_ref().expect("stored");
+        let leaves = [
+            ("flow", &prediction.flow),
+            ("log_weights", &mixture.log_weights),
+            ("log_scales", &mixture.log_scales),
+        ];
+        for (leaf, tensor) in leaves {
+            let name = format!("{case}.{leaf}_{i}");
+            if file.tensor(&name).is_err() {
+                assert!(tensor.grad(&grads).is_none(), "{name}: a gradient that the loss does not have");
+                continue;
+            }
+            let expected = stored(&file, &name).0;
+            let found = numbers(tensor.grad(&grads).expect("a gradient"));
+            let largest = expected.iter().fold(0.0_f32, |largest, x| largest.max(x.abs()));
+            assert!(largest > 0.0, "{name}: a case without a gradient checks nothing");
+            for (at, (found, expected)) in found.iter().zip(&expected).enumerate() {
+                assert!((found - expected).abs() <= 1e-4 * largest, "{name}, {at}: {found} for {expected}");
+            }
+        }
+    }
+}
+
+/// One regularizer with the paper's weight.
+fn only(regularizer: Regularizer) -> LossConfig {
+    LossConfig::default().with(regularizer, regularizer.paper_weight())
+}
+
+#[test]
+fn sequence_losses_are_those_of_the_references() {
+    for (case, sequence) in
+        [("l1", SequenceKind::L1), ("l2", SequenceKind::L2), ("mixture", SequenceKind::MixtureOfLaplace)]
+    {
+        check(case, "sequence", &LossConfig { sequence, ..LossConfig::default() });
+    }
+}
+
+#[test]
+fn regularizers_are_the_papers_equations() {
+    let zero = |regularizer| LossConfig { border: Border::Zero, ..only(regularizer) };
+    let unit = |regularizer| LossConfig { image_max: 1.0, ..only(regularizer) };
+    let literal = |regularizer| LossConfig { m_total: MaskReading::Literal, ..only(regularizer) };
+    check("tvr replicate", "tvr", &only(Regularizer::Tvr));
+    check("tvr zero", "tvr", &zero(Regularizer::Tvr));
+    check("fdr", "fdr", &only(Regularizer::Fdr));
+    check("migar replicate", "migar", &only(Regularizer::Migar));
+    check("migar zero", "migar", &LossConfig { image_max: 1.0, ..zero(Regularizer::Migar) });
+    check("migar unit", "migar", &unit(Regularizer::Migar));
+    check("migar literal", "migar", &literal(Regularizer::Migar));
+    check("igvar replicate", "igvar", &only(Regularizer::Igvar));
+    check("igvar zero", "igvar", &zero(Regularizer::Igvar));
+    check("igvar unit", "igvar", &unit(Regularizer::Igvar));
+    check("igvar literal", "igvar", &literal(Regularizer::Igvar));
+}
+
+/// Everything that the paper combines or does not.
+fn all() -> LossConfig {
+    Regularizer::ALL.into_iter().fold(LossConfig::default(), |config, r| config.with(r, r.paper_weight()))
+}
+
+#[test]
+fn the_total_is_the_sum_of_the_parts() {
+    check("all", "total", &all());
+    let bytes = golden();
+    let file = SafeTensors::deserialize(&bytes).expect("safetensors");
+    let device = Device::flex().autodiff();
+    let found = losses(&all(), &predictions(&file, &device), &inputs(&file, &device)).expect("a loss");
+    let names: Vec<&str> = found.parts.iter().map(|(name, _)| *name).collect();
+    assert_eq!(names, ["sequence", "tvr", "fdr", "migar", "igvar"]);
+    let sum: f32 = found.parts.into_iter().map(|(_, part)| number(part)).sum();
+    let total = number(found.total);
+    assert!((sum - total).abs() < 1e-4 * total, "{sum} for {total}");
+}
+
+/// Along a random direction. A few absolute values change their sign within the step, each of which moves the difference.
+#[test]
+fn gradients_are_the_differences_of_the_values() {
+    let bytes = golden();
+    let file = SafeTensors::deserialize(&bytes).expect("safetensors");
+    let mixture = LossConfig { sequence: SequenceKind::MixtureOfLaplace, ..LossConfig::default() };
+    let l2 = LossConfig { sequence: SequenceKind::L2, ..LossConfig::default() };
+    for config in [all(), l2, mixture] {
+        let tracked = Device::flex().autodiff();
+        let leaves = predictions(&file, &tracked);
+        let grads = losses(&config, &leaves, &inputs(&file, &tracked)).expect("a loss").total.backward();
+        let device = Device::flex().autodiff();
+        let direction = tensor(&file, "log_scales_0", &device);
+        let flow = leaves[1].flow.grad(&grads).expect("a gradient");
+        let along = number((flow * direction.clone()).sum());
+        let moved = |by: f32| {
+            let mut moved = predictions(&file, &device);
+            moved[1].flow = moved[1].flow.clone() + direction.clone() * by;
+            number(losses(&config, &moved, &inputs(&file, &device)).expect("a loss").total)
+        };
+        const STEP: f32 = 1.0 / 512.0;
+        let expected = (moved(STEP) - moved(-STEP)) / (2.0 * STEP);
+        let size = number(leaves[1].flow.grad(&grads).expect("a gradient").square().sum().sqrt());
+        assert!(size > 0.01, "a flat loss checks nothing");
+        assert!((along - expected).abs() < 0.1 * size, "{along} for {expected} (norm {size})");
+    }
+}
+
+/// A flow of one value everywhere.
+fn constant(value: f32, [height, width]: [usize; 2], channels: usize, device: &Device) -> Tensor<4> {
+    Tensor::full([1, channels, height, width], value, device)
+}
+
+/// All losses and their gradient for a constant prediction of a constant frame.
+fn of_constants(
+    size: [usize; 2],
+    [flow, truth, valid, head]: [f32; 4],
+    config: &LossConfig,
+) -> (Vec<f32>, Vec<f32>) {
+    let device = Device::flex().autodiff();
+    let leaf = constant(flow, size, 2, &device).require_grad();
+    let mixture = LaplaceMixture {
+        log_weights: constant(0.0, size, 2, &device),
+        log_scales: constant(0.0, size, 2, &device),
+    };
+    let prediction = Prediction { flow: leaf.clone(), mixture: Some(mixture) };
+    let inputs = LossInputs {
+        truth: constant(truth, size, 2, &device),
+        valid: constant(valid, size, 1, &device),
+        first_frame: constant(0.7, size, 3, &device),
+        foreground: Some(constant(head, size, 1, &device)),
+    };
+    let losses = losses(config, &[prediction], &inputs).expect("a loss");
+    let grads = losses.total.clone().backward();
+    let parts = losses.parts.into_iter().map(|(_, part)| number(part)).collect();
+    (parts, numbers(leaf.grad(&grads).expect("a gradient")))
+}
+
+#[test]
+fn constant_images_and_flows_have_no_variation() {
+    for size in [[7, 9], [1, 9], [9, 1], [1, 1], [2, 2]] {
+        let (parts, grad) = of_constants(size, [3.0, 1.0, 1.0, 1.0], &all());
+        assert!((parts[0] - 2.0).abs() < 1e-6, "{size:?}: {parts:?}");
+        assert_eq!(parts[1..], [0.0; 4], "{size:?}");
+        let expected = 1.0 / (2 * size[0] * size[1]) as f32;
+        assert!(grad.iter().all(|x| (x - expected).abs() < 1e-6), "{size:?}: {grad:?}");
+    }
+}
+
+#[test]
+fn what_cannot_be_learnt_from_has_neither_loss_nor_gradient() {
+    let kinds = [SequenceKind::L1, SequenceKind::L2, SequenceKind::MixtureOfLaplace];
+    for (sequence, size) in
+        kinds.into_iter().flat_map(|kind| [[6, 5], [1, 5], [1, 1]].map(|size| (kind, size)))
+    {
+        let config = LossConfig { sequence, ..all() };
+        // No valid pixel, whatever the truth holds; no pixel of the head.
+        for truth in [0.0, f32::NAN, f32::INFINITY] {
+            let (parts, grad) = of_constants(size, [3.0, truth, 0.0, 0.0], &config);
+            assert!(
+                parts.iter().chain(&grad).all(|x| *x == 0.0),
+                "{sequence:?} {size:?}: {parts:?}, {grad:?}"
+            );
+        }
+        // An unknown truth that claims to be valid.
+        let (parts, grad) = of_constants(size, [3.0, f32::NAN, 1.0, 1.0], &config);
+        assert!(parts.iter().chain(&grad).all(|x| *x == 0.0), "{sequence:?} {size:?}: {parts:?}, {grad:?}");
+    }
+    // Zero flow that is right: the distance has no slope there, and none is made up.
+    for sequence in [SequenceKind::L1, SequenceKind::L2] {
+        let (parts, grad) =
+            of_constants([4, 4], [0.0; 4].map(|x| x + 0.0), &LossConfig { sequence, ..all() });
+        assert!(parts[0] < 2e-6 && grad.iter().all(|x| *x == 0.0), "{sequence:?}: {parts:?}, {grad:?}");
+        let (parts, grad) = of_constants([4, 4], [0.0, 0.0, 1.0, 1.0], &LossConfig { sequence, ..all() });
+        assert!(parts[0] < 2e-6 && grad.iter().all(|x| *x == 0.0), "{sequence:?}: {parts:?}, {grad:?}");
+    }
+}
+
+/// With frames in 0..255, the base of MIGAR's weights overflows and the weights underflow: the loss must not notice.
+#[test]
+fn the_harshest_frames_give_finite_weights() {
+    let device = Device::flex().autodiff();
+    let [height, width] = [8, 10];
+    let checkers: Vec<f32> = (0..3 * height * width)
+        .map(|i| if (i % width / 2 + i / width / 2) % 2 == 0 { 1.0 } else { 0.0 })
+        .collect();
+    let first_frame = Tensor::from_data(TensorData::new(checkers, [1, 3, height, width]), &device);
+    let ramp: Vec<f32> = (0..2 * height * width).map(|i| (i * i) as f32).collect();
+    let flow = Tensor::<4>::from_data(TensorData::new(ramp, [1, 2, height, width]), &device).require_grad();
+    let inputs = LossInputs {
+        truth: constant(0.0, [height, width], 2, &device),
+        valid: constant(1.0, [height, width], 1, &device),
+        first_frame,
+        foreground: None,
+    };
+    let losses = losses(&all(), &[flow.clone().into()], &inputs).expect("a loss");
+    let grad = numbers(flow.grad(&losses.total.clone().backward()).expect("a gradient"));
+    let parts: Vec<f32> = losses.parts.into_iter().map(|(_, part)| number(part)).collect();
+    assert!(parts.iter().chain(&grad).all(|x| x.is_finite()), "{parts:?}");
+}
+
+/// By hand: of a head of 3x3 pixels in 5x6 the middle alone has no gradient of the mask. A flow of 2 is 2 there and 0 around.
+#[test]
+fn a_mask_keeps_the_inside_of_the_head() {
+    let device = Device::flex().autodiff();
+    let [height, width] = [5, 6];
+    let inside = |i: usize| (1..4).contains(&(i / width)) && (1..4).contains(&(i % width));
+    let head: Vec<f32> = (0..height * width).map(|i| if inside(i) { 1.0 } else { 0.0 }).collect();
+    let inputs = LossInputs {
+        truth: constant(0.0, [height, width], 2, &device),
+        valid: constant(1.0, [height, width], 1, &device),
+        first_frame: constant(0.5, [height, width], 3, &device),
+        foreground: Some(Tensor::from_data(TensorData::new(head, [1, 1, height, width]), &device)),
+    };
+    let value = |config: &LossConfig, part: &str| {
+        let flow = constant(2.0, [height, width], 2, &device);
+        let losses = losses(config, &[flow.into()], &inputs).expect("a loss");
+        number(losses.parts.into_iter().find(|(name, _)| *name == part).expect(part).1)
+    };
+    // The kernel's absolute values sum to 8; for x and y, and for u and v.
+    let expected = 2.0 * 8.0 * 2.0 * 2.0 / (height * width) as f32;
+    for (part, regularizer) in [("migar", Regularizer::Migar), ("igvar", Regularizer::Igvar)] {
+        let found = value(&only(regularizer), part);
+        assert!((found - expected).abs() < 1e-5, "{part}: {found} for {expected}");
+    }
+    // As printed, it is the pixel at the top left corner alone, whose derivatives reach as far.
+    let literal = LossConfig { m_total: MaskReading::Literal, ..only(Regularizer::Migar) };
+    assert!((value(&literal, "migar") - expected).abs() < 1e-5);
+    assert_eq!(value(&all(), "tvr"), 0.0);
+    assert_eq!(value(&all(), "fdr"), 0.0);
+}
+
+#[test]
+fn without_a_mask_every_pixel_is_of_the_head() {
+    let bytes = golden();
+    let file = SafeTensors::deserialize(&bytes).expect("safetensors");
+    let device = Device::flex().autodiff();
+    let with = |foreground| LossInputs { foreground, ..inputs(&file, &device) };
+    let total = |inputs: LossInputs| {
+        number(losses(&all(), &predictions(&file, &device), &inputs).expect("a loss").total)
+    };
+    let whole = Tensor::ones(inputs(&file, &device).valid.dims(), &device);
+    assert_eq!(total(with(None)), total(with(Some(whole))));
+    assert_ne!(total(with(None)), total(inputs(&file, &device)));
+}
+
+#[test]
+fn later_predictions_count_more() {
+    let device = Device::flex().autodiff();
+    let size = [4, 4];
+    let inputs = LossInputs {
+        truth: constant(0.0, size, 2, &device),
+        valid: constant(1.0, size, 1, &device),
+        first_frame: constant(0.0, size, 3, &device),
+        foreground: None,
+    };
+    let flows = [1.0, 10.0, 100.0].map(|flow| constant(flow, size, 2, &device).into());
+    let config = LossConfig { gamma: 0.5, ..LossConfig::default() };
+    assert_eq!(number(losses(&config, &flows, &inputs).expect("a loss").total), 0.25 + 5.0 + 100.0);
+}
+
+#[test]
+fn settings_that_make_no_sense_are_named() {
+    let told = |config: LossConfig| config.check().expect_err("wrong").to_string();
+    assert_eq!(all().check(), Ok(()));
+    assert_eq!(
+        told(LossConfig { gamma: 1.5, ..all() }),
+        "loss.gamma = 1.5: expected a number above 0 and at most 1"
+    );
+    assert_eq!(told(LossConfig { tvr: f64::NAN, ..all() }), "loss.tvr = NaN: expected a weight of 0 or more");
+    assert_eq!(told(all().with(Regularizer::Igvar, -1.0)), "loss.igvar = -1: expected a weight of 0 or more");
+    assert!(told(LossConfig { image_max: 0.0, ..all() }).starts_with("loss.image_max = 0: expected 255"));
+    assert!(told(LossConfig { max_magnitude: 0.0, ..all() }).starts_with("loss.max_magnitude = 0:"));
+    assert!(
+        told(LossConfig { log_scale_range: [1.0, 2.0], ..all() })
+            .starts_with("loss.log_scale_range = [1, 2]:")
+    );
+
+    let device = Device::flex().autodiff();
+    let flow = constant(0.0, [2, 2], 2, &device);
+    let inputs = LossInputs {
+        truth: flow.clone(),
+        valid: constant(1.0, [2, 2], 1, &device),
+        first_frame: constant(0.0, [2, 2], 3, &device),
+        foreground: None,
+    };
+    let mixture = LossConfig { sequence: SequenceKind::MixtureOfLaplace, ..LossConfig::default() };
+    let error = losses(&mixture, &[flow.into()], &inputs).expect_err("no mixture");
+    assert_eq!(error, LossError::NoMixture);
+}

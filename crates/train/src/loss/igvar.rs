@@ -11,5 +11,5 @@ pub(super) fn log_base(gradient: Tensor<4>, foreground: Tensor<4>) -> Tensor<4> 
     let count = foreground.clone().sum_dims(&[2, 3]).clamp_min(1.0);
     let mean = |x: Tensor<4>| (x * foreground.clone()).sum_dims(&[2, 3]) / count.clone();
     let deviation = gradient.clone() - mean(gradient);
-    (mean(deviation.square()) / 100.0).clamp_min(std::f64::consts::E).log()
+    (mean(deviation.square()) / 100.0).log().clamp_min(1.0)
 }

@@ -4,7 +4,7 @@
     python3 tools/bench/memory.py raft=raft.pth skflow=skflow.pth
 
 Prints the peak of the process at each size in MB, without that of a frame of 128x128, and the straight line that none of
-them passes: what `Architecture::memory_need` says, a tenth added. One iteration: more take no more. The weights may be
+them passes: it must stay under what `Architecture::memory_need` says. One iteration: more take no more. The weights may be
 random, the frames are noise. Needs numpy and pillow.
 """
 

@@ -1,10 +1,14 @@
 //! Seconds per pair of frames: `cargo run --release -p srflow-nets --example timing -- raft 512x800 32`
-//! (HEIGHTxWIDTH, iterations). Threads: `RAYON_NUM_THREADS`.
+//! (HEIGHTxWIDTH, iterations) with random parameters and frames. Threads: `RAYON_NUM_THREADS`.
+//!
+//! More arguments, as `tools/bench/nets.py` gives them: repeats, weights, a file of both frames and one for the flow, each
+//! plain `f32`, `[2, 3, height, width]` in 0..1 and `[2, height, width]`.
 
+use std::path::Path;
 use std::time::Instant;
 
-use burn::tensor::{Device, Distribution, Tensor};
-use srflow_nets::{Architecture, Frames, Request};
+use burn::tensor::{Device, Distribution, Tensor, TensorData};
+use srflow_nets::{Architecture, Frames, Request, load};
 use srflow_ops::ReusingAllocator;
 
 #[global_allocator]
@@ -12,20 +16,41 @@ static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();
 
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [network, size, iterations] = arguments.as_slice() else {
-        eprintln!("usage: timing raft|raft-small|gma|skflow HEIGHTxWIDTH ITERATIONS");
-        std::process::exit(2);
+    let (network, size, iterations, rest) = match arguments.as_slice() {
+        [network, size, iterations, rest @ ..] if matches!(rest.len(), 0 | 1 | 4) => {
+            (network, size, iterations, rest)
+        }
+        _ => {
+            eprintln!(
+                "usage: timing raft|raft-small|gma|skflow HEIGHTxWIDTH ITERATIONS [REPEATS [WEIGHTS FRAMES FLOW]]"
+            );
+            std::process::exit(2);
+        }
     };
     let (height, width) = size.split_once('x').expect("HEIGHTxWIDTH");
     let shape = [1, 3, height.parse().expect("height"), width.parse().expect("width")];
     let request = Request::new(iterations.parse().expect("iterations"));
+    let repeats: usize = rest.first().map_or(3, |repeats| repeats.parse().expect("repeats"));
     let device = Device::flex();
-    let network = Architecture::from_name(network).expect("a network").init(&device);
+    let mut network = Architecture::from_name(network).expect("a network").init(&device);
     let frame = || Tensor::<4>::random(shape, Distribution::Uniform(0.0, 1.0), &device);
-    let frames = Frames { first: frame(), second: frame() };
-    for _ in 0..3 {
+    let mut frames = Frames { first: frame(), second: frame() };
+    if let [_, weights, pixels, _] = rest {
+        network = load(network, Path::new(weights)).expect("weights");
+        let bytes = std::fs::read(pixels).expect("frames");
+        let numbers = bytes.chunks_exact(4).map(|bytes| f32::from_le_bytes(bytes.try_into().expect("four")));
+        let numbers: Vec<f32> = numbers.collect();
+        let both = Tensor::from_data(TensorData::new(numbers, [2, 3, shape[2], shape[3]]), &device);
+        frames = Frames { first: both.clone().narrow(0, 0, 1), second: both.narrow(0, 1, 1) };
+    }
+    for repeat in 0..repeats {
         let start = Instant::now();
-        drop(network.forward(frames.clone(), &request));
-        println!("{:.2} s", start.elapsed().as_secs_f64());
+        let estimate = network.forward(frames.clone(), &request);
+        println!("{:.4} s", start.elapsed().as_secs_f64());
+        if let ([_, _, _, flow], true) = (rest, repeat + 1 == repeats) {
+            let numbers: Vec<f32> = estimate.last().clone().into_data().try_to_vec().expect("f32");
+            let bytes: Vec<u8> = numbers.into_iter().flat_map(f32::to_le_bytes).collect();
+            std::fs::write(flow, bytes).expect("the flow is written");
+        }
     }
 }

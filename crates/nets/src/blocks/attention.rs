@@ -10,7 +10,7 @@ use super::{Conv2d, Conv2dConfig};
 
 /// Of the weights between all pairs of pixels, which no iteration changes, as many are kept; the rest is computed anew
 /// each time.
-const KEPT_BYTES: usize = 768 << 20;
+const KEPT_BYTES: usize = 1 << 30;
 /// Positions that the reference has an embedding for, in each direction.
 const POSITIONS: usize = 2 * 160 - 1;
 

@@ -1,7 +1,7 @@
 use rayon::prelude::*;
 
 use super::winograd::{self, Scheme};
-use super::{Conv2dShape, Epilogue};
+use super::{Conv2dShape, Epilogue, panels};
 use crate::gemm::pack_rows;
 use crate::pointwise::{Add, Layer, Map, pointwise};
 use crate::shared_mut::SharedMut;
@@ -39,6 +39,8 @@ enum Method {
     /// As a product of matrices.
     Pointwise,
     Winograd(Scheme),
+    /// As a product of matrices, the inputs under each tap copied side by side.
+    Panels,
     /// Tap by tap.
     Direct,
 }
@@ -48,7 +50,12 @@ impl Method {
         if shape.kernel == [1, 1] && shape.stride == [1, 1] && shape.padding == [0, 0] {
             return Method::Pointwise;
         }
-        Scheme::of(shape).map_or(Method::Direct, Method::Winograd)
+        match Scheme::of(shape) {
+            Some(scheme) => Method::Winograd(scheme),
+            // Copies are worth their while when many output channels use them.
+            None if shape.out_channels >= BLOCK => Method::Panels,
+            None => Method::Direct,
+        }
     }
 }
 
@@ -56,9 +63,9 @@ impl Method {
 pub(super) fn pack(isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
     match Method::of(shape) {
-        Method::Pointwise => {
+        Method::Pointwise | Method::Panels => {
             let mut packed = vec![0.0; weight.len()];
-            pack_rows(isa, weight, shape.in_channels, &mut packed);
+            pack_rows(isa, weight, shape.in_channels * shape.taps(), &mut packed);
             packed
         }
         Method::Winograd(scheme) => scheme.pack(isa, weight, shape),
@@ -90,6 +97,7 @@ pub(super) fn convolve_packed(
             pointwise(isa, input, [shape.batch, shape.in_channels, shape.input[0] * shape.input[1]], &[layer])
         }
         Method::Winograd(scheme) => winograd::convolve(isa, scheme, input, packed, epilogue, shape),
+        Method::Panels => panels::convolve(isa, input, packed, epilogue, shape),
         Method::Direct => convolve_directly(isa, input, packed, epilogue, shape),
     }
 }

@@ -1,8 +1,8 @@
 //! Dense 2D convolution (cross-correlation, as in deep learning), forward and backward, on NCHW slices.
 //!
-//! There are three fast versions. A pointwise convolution is a product of matrices. Small kernels of stride 1 over enough
-//! channels go Winograd's way, which needs a half to a quarter of the products. The rest is summed directly, without an
-//! im2col matrix: a register tile of 8 output channels by 3 vectors of pixels is kept while all input channels and kernel
+//! There are four fast versions. A pointwise convolution is a product of matrices. Small kernels of stride 1 over enough
+//! channels go Winograd's way, which needs a half to a quarter of the products. Others are a product of matrices too, whose
+//! right side is made in pieces that stay in the cache. Those with few output channels are summed directly: a register tile of 8 output channels by 3 vectors of pixels is kept while all input channels and kernel
 //! taps pass by, so that 24 fused multiply-adds need 11 loads; a copy of the input with its border of zeros, its columns
 //! split by their remainder modulo the stride, makes every load contiguous. [`mod@reference`] is the definition.
 
@@ -11,6 +11,7 @@ use crate::simd::Isa;
 
 mod backward;
 mod forward;
+mod panels;
 pub mod reference;
 pub mod tensor;
 mod winograd;

@@ -1,0 +1,138 @@
+#!/usr/bin/env python3
+"""Times srflow's networks against ptlflow's (PyTorch), in turn, on the same weights, frames, iterations and threads.
+
+    pip install ptlflow==0.4.2
+    cargo build --release -p srflow-nets --example timing
+    python3 tools/bench/nets.py [--networks raft gma skflow] [--sizes 800x512] [--iterations 32] [--threads 2] [--repeats 3]
+
+Weights are random, as ptlflow makes a new model (a fixed seed), saved and loaded by both. The second frame is the first,
+a made texture, moved by a smooth flow of a few pixels. Each side runs in a process of its own; times are those of
+estimating, model and frames already in memory, the median of the repeats (each process runs all of its own); memory is
+the most that the process ever held. Prints a Markdown table: seconds and GB of both, how many times as fast ours is, and
+mean and largest difference of the two flows in pixels, beside the mean length of the flow.
+"""
+
+import argparse
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+SEED = 7
+
+
+def texture(height, width, y, x):
+    """Waves of several lengths at real positions, [3, height, width] in 0..1."""
+    random = np.random.default_rng(SEED)
+    image = np.zeros((3, height, width))
+    for length in (7, 12, 21, 45, 110):
+        for channel in range(3):
+            for _ in range(3):
+                angle, phase = random.uniform(0, 2 * np.pi, 2)
+                image[channel] += np.sin(2 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / length + phase)
+    return (0.5 + image / 30).clip(0, 1)
+
+
+def frames(height, width):
+    """Both frames, [2, 3, height, width] RGB in 0..1."""
+    y, x = np.mgrid[0:height, 0:width].astype(np.float64)
+    u = 3 * np.sin(x / 170) + 2 * np.cos(y / 130)
+    v = 2 * np.cos(x / 210) - 3 * np.sin(y / 190)
+    return np.stack([texture(height, width, y, x), texture(height, width, y - v, x - u)]).astype("<f4")
+
+
+def run(command, environment):
+    """The lines that a process printed, and the most memory it held in GB."""
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+    lines = process.stdout.read().splitlines()
+    _, status, usage = os.wait4(process.pid, 0)
+    if status != 0:
+        sys.exit(f"failed: {' '.join(map(str, command))}")
+    return lines, usage.ru_maxrss * 1024 / 1e9
+
+
+def reference(network, iterations, threads, repeats, weights, pixels, out, height, width):
+    """What the process of ptlflow's side does."""
+    import ptlflow
+    import torch
+
+    torch.set_num_threads(threads)
+    model = ptlflow.get_model(network).eval()
+    model.load_state_dict(torch.load(weights, weights_only=True))
+    model.iters = iterations
+    pair = np.fromfile(pixels, "<f4").reshape(1, 2, 3, height, width)[:, :, ::-1].copy()  # ptlflow takes BGR
+    images = torch.from_numpy(pair)
+    for _ in range(repeats):
+        start = time.perf_counter()
+        with torch.no_grad():
+            flow = model({"images": images})["flows"]
+        print(time.perf_counter() - start)
+    flow.numpy().astype("<f4").tofile(out)
+
+
+def save_weights(network, path):
+    import ptlflow
+    import torch
+
+    torch.manual_seed(SEED)
+    torch.save(ptlflow.get_model(network).state_dict(), path)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--networks", nargs="+", default=["raft", "gma", "skflow"], help="ptlflow's names")
+    parser.add_argument("--sizes", nargs="+", default=["800x512"], help="WIDTHxHEIGHT")
+    parser.add_argument("--iterations", type=int, default=32)
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--timing", default=str(ROOT / "target/release/examples/timing"), help="our side")
+    parser.add_argument("--side", nargs=9, help=argparse.SUPPRESS)
+    parser.add_argument("--weights", nargs=2, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.side:
+        network, iterations, threads, repeats, weights, pixels, out, height, width = args.side
+        reference(network, int(iterations), int(threads), int(repeats), weights, pixels, out, int(height), int(width))
+        return
+    if args.weights:
+        save_weights(*args.weights)
+        return
+
+    environment = dict(os.environ, RAYON_NUM_THREADS=str(args.threads), OMP_NUM_THREADS=str(args.threads))
+    print(f"{platform.machine()}, {args.threads} threads, {args.iterations} iterations, median of {args.repeats}\n")
+    print("| network | width x height | ours | ptlflow | times as fast | ours, GB | ptlflow, GB | difference, px | largest | mean flow |")
+    print("|---|---|---|---|---|---|---|---|---|---|")
+    with tempfile.TemporaryDirectory() as folder:
+        weights, pixels, ours, theirs = (str(Path(folder) / name) for name in ("weights.pth", "frames", "ours", "theirs"))
+        for network in args.networks:
+            run([sys.executable, __file__, "--weights", network, weights], environment)
+            for size in args.sizes:
+                width, height = map(int, size.split("x"))
+                frames(height, width).tofile(pixels)
+                common = [str(args.repeats), weights, pixels]
+                lines, our_memory = run(
+                    [args.timing, network.replace("_", "-"), f"{height}x{width}", str(args.iterations), *common, ours],
+                    environment,
+                )
+                our_seconds = statistics.median(float(line.split()[0]) for line in lines if line.endswith(" s"))
+                side = [network, str(args.iterations), str(args.threads), *common, theirs, str(height), str(width)]
+                lines, their_memory = run([sys.executable, __file__, "--side", *side], environment)
+                their_seconds = statistics.median(map(float, lines[-args.repeats :]))
+                a, b = (np.fromfile(path, "<f4").reshape(2, height, width) for path in (ours, theirs))
+                difference = np.linalg.norm(a - b, axis=0)
+                print(
+                    f"| {network} | {size} | {our_seconds:.2f} s | {their_seconds:.2f} s | {their_seconds / our_seconds:.2f} | "
+                    f"{our_memory:.2f} | {their_memory:.2f} | {difference.mean():.1e} | {difference.max():.1e} | "
+                    f"{np.linalg.norm(b, axis=0).mean():.2f} |",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()

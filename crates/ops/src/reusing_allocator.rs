@@ -9,9 +9,9 @@ use std::sync::{Mutex, PoisonError};
 /// Smaller blocks are the system's business.
 const SMALLEST: usize = 128 << 10;
 /// Bytes kept in all.
-const KEPT_BYTES: usize = 320 << 20;
+const KEPT_BYTES: usize = 384 << 20;
 /// Blocks kept in all.
-const KEPT_BLOCKS: usize = 64;
+const KEPT_BLOCKS: usize = 512;
 /// Of every block that may be kept; what a cache line and a vector want.
 const ALIGNMENT: usize = 64;
 /// From here on blocks are made of huge pages.

@@ -10,7 +10,7 @@ use super::{Conv2dShape, Epilogue};
 use crate::activation::Activation;
 use crate::gemm::{Product, Start, Steps, multiply, pack_rows, panel_columns};
 use crate::shared_mut::SharedMut;
-use crate::simd::{Isa, Simd, dispatch};
+use crate::simd::{Isa, MOST_LANES, Simd, dispatch};
 
 mod transforms;
 
@@ -120,12 +120,10 @@ pub(super) fn convolve(
                 let task = InputTask {
                     scheme,
                     source: &source,
-                    top: first / grid[1] * tile_height,
                     plane,
                     size: shape.input,
                     padding: shape.padding,
                     runs: &runs,
-                    grid_row: first / grid[1],
                     out_step: shape.in_channels * panel,
                 };
                 let out = &mut scratch.transformed[channel * panel..];
@@ -202,85 +200,75 @@ fn runs(first: usize, tiles: usize, columns: usize) -> Vec<Run> {
     runs
 }
 
-/// A band of one channel's rows with a border of zeros. Where tiles lie side by side, each row holds every fourth column,
-/// then those one further, and so on, so that the same position of neighbouring tiles is in neighbouring elements.
+/// The rows of one channel that a run of tiles reads, with a border of zeros. Where tiles lie side by side, each row holds
+/// every fourth column, then those one further, and so on, so that the same position of neighbouring tiles is in
+/// neighbouring elements.
 struct SourceRows {
     rows: usize,
     row: usize,
     /// Elements from the columns of one remainder modulo 4 to those of the next; 0 where all stand in order.
     phase: usize,
+    /// Columns that a tile reads beyond its output's.
+    reach: usize,
 }
 
 impl SourceRows {
     fn new(isa: Isa, scheme: Scheme, shape: &Conv2dShape) -> Self {
-        let [height, width] = shape.output();
         let [tile_height, tile_width] = scheme.tile();
-        let columns = width.div_ceil(tile_width);
-        // A panel's tiles touch this many rows of tiles at most.
-        let tile_rows = ((panel_columns(isa) - 1).div_ceil(columns) + 1).min(height.div_ceil(tile_height));
-        let rows = tile_rows * tile_height + shape.kernel[0] - 1;
-        let lanes = isa.lanes();
-        let padded = shape.input[1] + 2 * shape.padding[1];
-        // Beyond the border there is room for what is read and written by whole vectors.
+        let rows = tile_height + shape.kernel[0] - 1;
+        let reach = shape.kernel[1] - 1;
+        // There is room for what is read and written by whole vectors.
+        let columns = (panel_columns(isa) * tile_width + reach).next_multiple_of(OUTPUTS * isa.lanes());
+        let room = 2 * isa.lanes();
         if tile_width == 1 {
-            return Self { rows, row: padded.next_multiple_of(lanes) + 2 * lanes, phase: 0 };
+            return Self { rows, row: columns + room, phase: 0, reach };
         }
-        let phase = padded.div_ceil(OUTPUTS).next_multiple_of(lanes) + 2 * lanes;
-        Self { rows, row: OUTPUTS * phase, phase }
+        let phase = columns / OUTPUTS + room;
+        Self { rows, row: OUTPUTS * phase, phase, reach }
     }
 }
 
 struct InputTask<'a> {
     scheme: Scheme,
     source: &'a SourceRows,
-    /// The first row of the band, with the border.
-    top: usize,
     plane: &'a [f32],
     size: [usize; 2],
     padding: [usize; 2],
     runs: &'a [Run],
-    /// The row of tiles that the band begins with.
-    grid_row: usize,
     /// Elements from a position to the next.
     out_step: usize,
 }
 
 dispatch! {
-    /// Fills the band `rows` and transforms the tiles of the runs.
+    /// Transforms the tiles of the runs; `rows` is scratch.
     ///
     /// # Safety
-    /// `isa` is available; `rows` is as long as the task's [`SourceRows`] say, its borders zero or from an earlier call;
-    /// `out` holds every position.
+    /// `isa` is available; `rows` is as long as the task's [`SourceRows`] say; `out` holds every position.
     fn transform_input = transform_input_kernel(task: &InputTask, rows: &mut [f32], out: &mut [f32])
 }
 
 #[inline(always)]
 unsafe fn transform_input_kernel<S: Simd>(task: &InputTask, rows: &mut [f32], out: &mut [f32]) {
     let source = task.source;
-    let [tile_height, _] = task.scheme.tile();
-    let last = task.runs.last().map_or(0, |run| run.row - task.grid_row);
-    let used = (last + 1) * tile_height + task.scheme.reach();
-    for (i, row) in rows.chunks_exact_mut(source.row).take(used).enumerate() {
-        match (task.top + i).checked_sub(task.padding[0]).filter(|&y| y < task.size[0]) {
-            // SAFETY: the caller's promise: a row has room for whole vectors beyond the border.
-            Some(y) => unsafe {
-                fill_row::<S>(
-                    &task.plane[y * task.size[1]..][..task.size[1]],
-                    task.padding[1],
-                    source.phase,
-                    row,
-                )
-            },
-            None => row.fill(0.0),
-        }
-    }
+    let [tile_height, tile_width] = task.scheme.tile();
+    let [height, width] = task.size;
     for run in task.runs {
-        let top = (run.row - task.grid_row) * tile_height * source.row;
+        let columns = run.len * tile_width + source.reach;
+        for (i, row) in rows.chunks_exact_mut(source.row).enumerate() {
+            match (run.row * tile_height + i).checked_sub(task.padding[0]).filter(|&y| y < height) {
+                // SAFETY: the caller's promise.
+                Some(y) => unsafe {
+                    let from = &task.plane[y * width..][..width];
+                    fill_row::<S>(from, run.column * tile_width, task.padding[1], columns, source.phase, row)
+                },
+                None => row.fill(0.0),
+            }
+        }
         for x in (0..run.len).step_by(S::LANES) {
             let lanes = S::LANES.min(run.len - x);
             // SAFETY: the caller's promise.
             unsafe {
-                let from = rows.as_ptr().add(top + run.column + x);
+                let from = rows.as_ptr().add(x);
                 let to = out.as_mut_ptr().add(run.at + x);
                 match task.scheme {
                     Scheme::Square => {
@@ -341,38 +329,45 @@ unsafe fn store_positions<S: Simd, const N: usize>(
     }
 }
 
-impl Scheme {
-    /// Input rows that a tile needs beyond its output's.
-    fn reach(self) -> usize {
-        match self {
-            Scheme::Square => 2,
-            Scheme::Row => 0,
-            Scheme::Column => 4,
-        }
-    }
-}
+/// Most columns of a run, and room for whole vectors.
+const LINE: usize = 4 * MOST_LANES * OUTPUTS;
 
-/// Copies a row behind `padding` zeros, in the order of [`SourceRows`].
+/// Copies `columns` columns of a row with `padding` zeros on both sides, from column `first` of that, in the order of
+/// [`SourceRows`].
 #[inline(always)]
-unsafe fn fill_row<S: Simd>(from: &[f32], padding: usize, phase: usize, to: &mut [f32]) {
+unsafe fn fill_row<S: Simd>(
+    from: &[f32],
+    first: usize,
+    padding: usize,
+    columns: usize,
+    phase: usize,
+    to: &mut [f32],
+) {
+    let zeros = padding.saturating_sub(first).min(columns);
+    let start = (first + zeros - padding).min(from.len());
+    let count = (columns - zeros).min(from.len() - start);
+    let fill = |to: &mut [f32]| {
+        to[..zeros].fill(0.0);
+        to[zeros..zeros + count].copy_from_slice(&from[start..start + count]);
+        to[zeros + count..columns].fill(0.0);
+    };
     if phase == 0 {
-        to[padding..padding + from.len()].copy_from_slice(from);
-        return;
+        return fill(to);
     }
-    for (block, from) in from.chunks(OUTPUTS * S::LANES).enumerate() {
-        // SAFETY: vectors end at the chunk's end; the row has room for the zeros beyond.
+    let mut line = [0.0; LINE];
+    fill(&mut line);
+    for block in 0..columns.div_ceil(OUTPUTS * S::LANES) {
+        // SAFETY: the line and the row have room for whole vectors.
         unsafe {
+            let at = line[block * OUTPUTS * S::LANES..][..OUTPUTS * S::LANES].as_ptr();
             let mut v = [S::splat(0.0); OUTPUTS];
             for (i, v) in v.iter_mut().enumerate() {
-                let count = from.len().saturating_sub(i * S::LANES).min(S::LANES);
-                if count > 0 {
-                    *v = S::load_first(from[i * S::LANES..].as_ptr(), count);
-                }
+                *v = S::load(at.add(i * S::LANES));
             }
-            for (remainder, v) in S::deinterleave(v).into_iter().enumerate() {
-                let column = remainder + padding;
-                let at = column % OUTPUTS * phase + column / OUTPUTS + block * S::LANES;
-                S::store(to[at..at + S::LANES].as_mut_ptr(), v);
+            let v = S::deinterleave(v);
+            for remainder in 0..OUTPUTS {
+                let at = remainder * phase + block * S::LANES;
+                S::store(to[at..at + S::LANES].as_mut_ptr(), v[remainder]);
             }
         }
     }

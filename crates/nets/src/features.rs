@@ -19,10 +19,9 @@ impl Features {
     }
 
     /// Of the frames of both sides of as many pairs, already prepared.
-    pub(crate) fn of_both(encoder: &Encoder, [first, second]: [Tensor<4>; 2]) -> [Self; 2] {
-        let batch = first.dims()[0];
-        let both = Self(encoder.forward(Tensor::cat(vec![first, second], 0)));
-        [both.clone().narrow(0, batch), both.narrow(batch, batch)]
+    pub(crate) fn of_both(encoder: &Encoder, frames: [Tensor<4>; 2]) -> [Self; 2] {
+        // One after the other: both at once would double the memory, which is at its highest here.
+        frames.map(|frames| Self(encoder.forward(frames)))
     }
 
     /// Those of several batches of frames of one size, as one.

@@ -82,6 +82,8 @@ fn the_published_annotations_are_listed_with_what_is_dropped() {
     for told in [
         "composite: 435 clips: 109 positive, 245 negative, 81 surprise, 68 subjects",
         "26 positive, 92 negative, 15 surprise, 28 subjects, as published",
+        "negative     65 negative, 1 surprise\n",
+        "disgust      61 negative, 2 dropped\n",
         "1: the apex is not a frame number\n    04/EP12_01f (disgust)",
     ] {
         assert!(text.contains(told), "{text}");

@@ -1,4 +1,4 @@
-//! Optical-flow datasets: generating SRFlow, checking it, and reading the published ones.
+//! Datasets: generating and checking SRFlow, rendering micro-expression sets, and reading the published ones of both kinds.
 
 pub mod augment;
 pub mod check;

@@ -65,9 +65,9 @@ struct DatasetReport {
 
 #[derive(Serialize, Default)]
 struct LabelReport {
-    kept: usize,
+    /// By class.
+    kept: BTreeMap<&'static str, usize>,
     dropped: usize,
-    class: Option<&'static str>,
 }
 
 #[derive(Serialize)]
@@ -173,8 +173,7 @@ impl Listing {
         let mut labels: BTreeMap<String, LabelReport> = BTreeMap::new();
         for annotation in &self.annotations {
             let label = labels.entry(annotation.label.clone()).or_default();
-            label.kept += 1;
-            label.class = Some(annotation.class.name());
+            *label.kept.entry(annotation.class.name()).or_default() += 1;
         }
         for row in &self.dropped {
             labels.entry(row.label.clone()).or_default().dropped += 1;
@@ -212,10 +211,12 @@ fn print_listing(listing: &Listing, labels_only: bool, clips: bool) -> anyhow::R
     };
     say!("  kept         {}, {} subjects{published}", in_words(listing.counts()), listing.subjects().len())?;
     for (label, report) in listing.labels() {
-        let class = report.class.map_or(String::new(), |class| format!(" {class}"));
-        let dropped =
-            if report.dropped > 0 { format!(", {} dropped", report.dropped) } else { String::new() };
-        say!("    {label:<12} {:>4} kept{class}{dropped}", report.kept)?;
+        let mut parts: Vec<String> =
+            report.kept.iter().map(|(class, clips)| format!("{clips} {class}")).collect();
+        if report.dropped > 0 {
+            parts.push(format!("{} dropped", report.dropped));
+        }
+        say!("    {label:<12} {}", parts.join(", "))?;
     }
     if listing.without_apex() > 0 {
         say!("  no apex      {} clips; `srflow mer apex` spots it", listing.without_apex())?;

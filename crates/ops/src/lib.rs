@@ -7,6 +7,8 @@
 #![allow(clippy::needless_range_loop)]
 
 mod activation;
+#[cfg(feature = "cube")]
+mod cube;
 mod device;
 mod flex;
 mod gemm;

@@ -1,5 +1,6 @@
-//! Every operation on tensors: its gradients through Burn's automatic differentiation against central differences, and
-//! the fused forward against the one that is taken apart for the gradients.
+//! Every operation on tensors: its gradients through Burn's automatic differentiation against central differences, the
+//! fused forward against the one that is taken apart for the gradients, and another device against the processor.
+//! `SRFLOW_TEST_DEVICE` names the device; see docs/devices.md.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_ops::Activation;
@@ -31,32 +32,57 @@ fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     tensor.into_data().try_to_vec().expect("f32")
 }
 
+fn test_device() -> Device {
+    let name = std::env::var("SRFLOW_TEST_DEVICE");
+    srflow_ops::device(name.as_deref().unwrap_or("cpu")).expect("the device of SRFLOW_TEST_DEVICE")
+}
+
+/// Panics when the largest difference is not small beside the largest number.
+fn assert_close(what: &str, found: &[f32], expected: &[f32]) {
+    assert_eq!(found.len(), expected.len(), "{what}");
+    let size = expected.iter().fold(1.0_f32, |size, x| size.max(x.abs()));
+    let worst = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    println!("{what}: largest difference {worst:.1e} beside {size:.1e}");
+    assert!(worst < 2e-5 * size, "{what}: {worst} beside {size}");
+}
+
 /// Holds the gradient of `sum(g * operation(inputs))` by each input to its central difference along a random direction,
-/// and the operation with gradients to the one without.
+/// the operation with gradients to the one without, and both on the tested device to the processor's.
 fn check(shapes: &[[usize; 4]], operation: impl Fn(Vec<Tensor<4>>) -> Tensor<4>) {
     const STEP: f32 = 1.0 / 256.0;
-    let plain = Device::flex();
-    let tracked = Device::flex().autodiff();
+    let plain = test_device();
+    let processor = Device::flex();
     let inputs: Vec<Vec<f32>> =
         shapes.iter().zip(1..).map(|(s, seed)| values(s.iter().product(), seed)).collect();
     let on = |inputs: &[Vec<f32>], device: &Device| -> Vec<Tensor<4>> {
         inputs.iter().zip(shapes).map(|(values, &shape)| tensor(values, shape, device)).collect()
     };
     let out = operation(on(&inputs, &plain));
+    assert_close("output", &numbers(out.clone()), &numbers(operation(on(&inputs, &processor))));
     let weights = values(out.dims().iter().product(), 77);
     let weighted =
         |out: Vec<f32>| -> f64 { out.iter().zip(&weights).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum() };
 
-    let leaves: Vec<Tensor<4>> = on(&inputs, &tracked).into_iter().map(Tensor::require_grad).collect();
+    let leaves_on = |device: &Device| -> Vec<Tensor<4>> {
+        on(&inputs, &device.clone().autodiff()).into_iter().map(Tensor::require_grad).collect()
+    };
+    let loss_of = |out: Tensor<4>| {
+        let weights = tensor(&weights, out.dims(), &out.device());
+        (out * weights).sum()
+    };
+    let leaves = leaves_on(&plain);
     let tracked_out = operation(leaves.clone());
     for (fused, apart) in numbers(out.clone()).iter().zip(numbers(tracked_out.clone())) {
         assert!((fused - apart).abs() < 1e-4, "fused {fused}, taken apart {apart}");
     }
-    let loss = (tracked_out * tensor(&weights, out.dims(), &tracked)).sum();
-    let grads = loss.backward();
+    let grads = loss_of(tracked_out).backward();
+    let processor_leaves = leaves_on(&processor);
+    let processor_grads = loss_of(operation(processor_leaves.clone())).backward();
 
     for (number, leaf) in leaves.iter().enumerate() {
         let grad = numbers(leaf.grad(&grads).expect("a gradient"));
+        let expected = processor_leaves[number].grad(&processor_grads).expect("a gradient");
+        assert_close(&format!("gradient of input {number}"), &grad, &numbers(expected));
         assert!(grad.iter().any(|x| x.abs() > 1e-3), "input {number} matters");
         let direction = values(grad.len(), 50 + number as u32);
         let along: f64 = grad.iter().zip(&direction).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
@@ -154,14 +180,18 @@ fn attention() {
     }
 }
 
+/// Numbers of channels that vectors divide and that they do not; positions inside, across every border and far outside.
 #[test]
 fn correlation_lookup() {
-    let coords: Vec<f32> = values(2 * 2 * 6 * 7, 9).iter().map(|x| (x + 1.0) * 3.5).collect();
-    check(&[[2, 4, 6, 7], [2, 4, 6, 7]], |inputs| {
-        let [first, second] = inputs.try_into().expect("two");
-        let coords = tensor(&coords, [2, 2, 6, 7], &first.device());
-        Correlation::new(first, second, 3).windows(coords, 2)
-    });
+    for (channels, radius, levels) in [(4, 2, 3), (3, 4, 2)] {
+        let mut coords: Vec<f32> = values(2 * 2 * 6 * 7, 9).iter().map(|x| 3.0 + x * 7.0).collect();
+        (coords[5], coords[60]) = (-1e9, 3e38);
+        check(&[[2, channels, 6, 7], [2, channels, 6, 7]], |inputs| {
+            let [first, second] = inputs.try_into().expect("two");
+            let coords = tensor(&coords, [2, 2, 6, 7], &first.device());
+            Correlation::new(first, second, levels).windows(coords, radius)
+        });
+    }
 }
 
 #[test]

@@ -41,7 +41,7 @@ impl From<Conv2dOptions> for ConvOptions<2> {
 }
 
 /// Dense convolution with its epilogue. The default is Burn's own convolution.
-#[backend_extension(Flex, Autodiff)]
+#[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
 pub trait Conv2dOps: Backend {
     /// `activation(conv(input, weight) + bias)`.
     fn biased_conv2d(
@@ -70,7 +70,6 @@ pub trait Conv2dOps: Backend {
 }
 
 /// Gradients of a convolution with its bias. The defaults are Burn's own.
-#[backend_extension(Flex)]
 pub trait Conv2dGradOps: Backend {
     /// Gradient of the input.
     fn conv2d_input_grad(
@@ -99,6 +98,12 @@ pub trait Conv2dGradOps: Backend {
         Self::float_reshape(sum, [channels].into())
     }
 }
+
+#[cfg(feature = "cube")]
+impl Conv2dOps for burn_cubecl::CubeBackend {}
+
+#[cfg(feature = "cube")]
+impl Conv2dGradOps for burn_cubecl::CubeBackend {}
 
 fn shape_of(input: &Shape, weight: &Shape, options: &Conv2dOptions) -> Conv2dShape {
     let [batch, in_channels, height, width] = input.dims();

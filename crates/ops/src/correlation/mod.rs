@@ -5,6 +5,8 @@
 //! the window is ever read; so the products are computed where they are read. The result is the same, the memory is that
 //! of the features, and nothing grows with the square of the pixels. [`mod@reference`] is the definition.
 
+#[cfg(feature = "cube")]
+mod cube;
 mod lookup;
 mod pyramid;
 pub mod reference;

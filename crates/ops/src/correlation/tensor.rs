@@ -15,7 +15,7 @@ use crate::flex::{Contiguous, sizes, tensor};
 
 /// The lookup. `first` is `[batch, height, width, channels]`; `second` its pyramid, packed as [`Correlation`] does;
 /// `coords` `[batch, 2, height, width]`.
-#[backend_extension(Flex, Autodiff)]
+#[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
 pub trait CorrelationOps: Backend {
     /// `[batch, levels * (2 radius + 1)^2, height, width]`.
     fn correlation_windows(

@@ -17,7 +17,7 @@ use crate::conv2d::tensor::Finish;
 use crate::flex::{Contiguous, sizes, tensor};
 
 /// Depthwise convolution with its epilogue. The default is Burn's own convolution.
-#[backend_extension(Flex, Autodiff)]
+#[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
 pub trait DepthwiseOps: Backend {
     /// `activation(depthwise(input, weight) + bias)`.
     fn biased_depthwise(
@@ -48,7 +48,6 @@ pub trait DepthwiseOps: Backend {
 }
 
 /// Gradients of a depthwise convolution without epilogue. The defaults are Burn's own.
-#[backend_extension(Flex)]
 pub trait DepthwiseGradOps: Backend {
     /// Gradient of the input.
     fn depthwise_input_grad(
@@ -72,6 +71,12 @@ pub trait DepthwiseGradOps: Backend {
         Self::conv2d_weight_backward(input, weight, grad, grouped)
     }
 }
+
+#[cfg(feature = "cube")]
+impl DepthwiseOps for burn_cubecl::CubeBackend {}
+
+#[cfg(feature = "cube")]
+impl DepthwiseGradOps for burn_cubecl::CubeBackend {}
 
 fn shape_of(input: &Shape, weight: &Shape, padding: [usize; 2]) -> DepthwiseShape {
     let [batch, channels, height, width] = input.dims();

@@ -8,6 +8,7 @@ use crate::activation::activate;
 use crate::simd::Isa;
 use crate::sums::{sum, sum_pairs};
 
+mod composed;
 pub mod reference;
 pub mod tensor;
 

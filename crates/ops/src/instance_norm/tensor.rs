@@ -7,22 +7,33 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, Flex, TensorMetadata, backend_extension};
 use burn::tensor::{Shape, Tensor};
 
+use super::composed::{gradient, normalized};
 use crate::Activation;
 use crate::activation::activate_tensor;
 use crate::flex::{Contiguous, tensor};
 
 /// The normalization; see [`instance_norm`].
-#[backend_extension(Flex, Autodiff)]
+#[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
 pub trait InstanceNormOps: Backend {
     /// Of the input's shape.
-    fn instance_normalization(input: FloatTensor<Self>, activation: Activation) -> FloatTensor<Self>;
+    fn instance_normalization(input: FloatTensor<Self>, activation: Activation) -> FloatTensor<Self> {
+        normalized::<Self>(input, activation)
+    }
 }
 
 /// Gradient of the normalization without activation.
 pub trait InstanceNormGradOps: Backend {
     /// Gradient of the input.
-    fn instance_normalization_grad(input: FloatTensor<Self>, grad: FloatTensor<Self>) -> FloatTensor<Self>;
+    fn instance_normalization_grad(input: FloatTensor<Self>, grad: FloatTensor<Self>) -> FloatTensor<Self> {
+        gradient::<Self>(input, grad)
+    }
 }
+
+#[cfg(feature = "cube")]
+impl InstanceNormOps for burn_cubecl::CubeBackend {}
+
+#[cfg(feature = "cube")]
+impl InstanceNormGradOps for burn_cubecl::CubeBackend {}
 
 fn pixels(shape: &Shape) -> usize {
     let [_, _, height, width] = shape.dims();

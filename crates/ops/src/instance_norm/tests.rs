@@ -1,4 +1,7 @@
+use burn::backend::Flex;
+
 use super::*;
+use crate::flex::{Contiguous, tensor};
 use crate::test_values::values;
 
 /// Planes whose mean is far larger than their spread.
@@ -18,6 +21,22 @@ fn the_fast_version_is_the_definition() {
             }
         }
     }
+}
+
+#[test]
+fn the_version_of_other_devices_is_the_fast_one() {
+    let shape = [2, 3, 5, 7];
+    let (input, grad) = (values(210, 1), values(210, 2));
+    let check = |found: &_, expected: Vec<f32>| {
+        for (found, expected) in Contiguous::new(found).slice().iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-5, "{found} for {expected}");
+        }
+    };
+    let out = composed::normalized::<Flex>(tensor(input.clone(), shape), Activation::Relu);
+    check(&out, instance_norm(&input, 35, Activation::Relu));
+    let d_input =
+        composed::gradient::<Flex>(tensor(input.clone(), shape), tensor(grad.clone(), shape));
+    check(&d_input, instance_norm_backward(&input, &grad, 35));
 }
 
 /// Central differences of the definition.

@@ -2,6 +2,7 @@
 //! coarse neighbours, with weights that the network predicts. [`mod@reference`] is the definition.
 
 mod backward;
+mod composed;
 mod forward;
 pub mod reference;
 pub mod tensor;

@@ -8,10 +8,11 @@ use burn::backend::{Autodiff, Backend, Dispatch, Flex, TensorMetadata, backend_e
 use burn::tensor::{Shape, Tensor};
 
 use super::UpsampleShape;
+use super::composed::{gradients, upsampled};
 use crate::flex::{Contiguous, tensor};
 
 /// The upsampling; see [`convex_upsample`].
-#[backend_extension(Flex, Autodiff)]
+#[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
 pub trait UpsampleOps: Backend {
     /// Fine flow.
     fn convex_upsampling(
@@ -19,7 +20,10 @@ pub trait UpsampleOps: Backend {
         mask: FloatTensor<Self>,
         scale: f32,
         factor: usize,
-    ) -> FloatTensor<Self>;
+    ) -> FloatTensor<Self> {
+        let shape = shape_of(&flow.shape(), factor);
+        upsampled::<Self>(flow, mask, scale, &shape)
+    }
 }
 
 /// Gradients of the upsampling.
@@ -31,8 +35,17 @@ pub trait UpsampleGradOps: Backend {
         grad: FloatTensor<Self>,
         scale: f32,
         factor: usize,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>);
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let shape = shape_of(&flow.shape(), factor);
+        gradients::<Self>(flow, mask, scale, grad, &shape)
+    }
 }
+
+#[cfg(feature = "cube")]
+impl UpsampleOps for burn_cubecl::CubeBackend {}
+
+#[cfg(feature = "cube")]
+impl UpsampleGradOps for burn_cubecl::CubeBackend {}
 
 fn shape_of(flow: &Shape, factor: usize) -> UpsampleShape {
     let [batch, _, height, width] = flow.dims();

@@ -1,4 +1,7 @@
+use burn::backend::Flex;
+
 use super::*;
+use crate::flex::{Contiguous, tensor};
 use crate::test_values::values;
 
 const SHAPES: [UpsampleShape; 2] = [
@@ -16,6 +19,34 @@ fn the_fast_version_is_the_definition() {
         for (found, expected) in found.iter().zip(&expected) {
             assert!((found - expected).abs() < 1e-5, "{found} for {expected}");
         }
+    }
+}
+
+#[test]
+fn the_version_of_other_devices_is_the_fast_one() {
+    for shape in SHAPES {
+        let (flow, mask) = (values(shape.flow_len(), 1), values(shape.mask_len(), 2));
+        let grad = values(shape.output_len(), 3);
+        let UpsampleShape { batch, coarse: [height, width], factor } = shape;
+        let inputs = || {
+            let mask = tensor(mask.clone(), [batch, NEIGHBOURS * factor * factor, height, width]);
+            (tensor(flow.clone(), [batch, 2, height, width]), mask)
+        };
+        let check = |found: &_, expected: Vec<f32>| {
+            for (found, expected) in Contiguous::new(found).slice().iter().zip(expected) {
+                assert!((found - expected).abs() < 1e-5, "{found} for {expected}");
+            }
+        };
+        let (flow_tensor, mask_tensor) = inputs();
+        let out = composed::upsampled::<Flex>(flow_tensor, mask_tensor, 5.0, &shape);
+        check(&out, convex_upsample(&flow, &mask, 5.0, &shape));
+        let (flow_tensor, mask_tensor) = inputs();
+        let grad_tensor = tensor(grad.clone(), [batch, 2, height * factor, width * factor]);
+        let (d_flow, d_mask) =
+            composed::gradients::<Flex>(flow_tensor, mask_tensor, 0.25, grad_tensor, &shape);
+        let (expected_flow, expected_mask) = convex_upsample_backward(&flow, &mask, 0.25, &grad, &shape);
+        check(&d_flow, expected_flow);
+        check(&d_mask, expected_mask);
     }
 }
 

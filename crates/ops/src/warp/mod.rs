@@ -2,6 +2,8 @@
 //! with `align_corners=True` and zeros as padding). [`mod@reference`] is the definition.
 
 mod backward;
+#[cfg(feature = "cube")]
+mod cube;
 mod forward;
 pub mod reference;
 pub mod tensor;

@@ -11,7 +11,7 @@ use super::WarpShape;
 use crate::flex::{Contiguous, tensor};
 
 /// The warp; see [`warp`].
-#[backend_extension(Flex, Autodiff)]
+#[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
 pub trait WarpOps: Backend {
     /// Of the image's shape.
     fn warped(image: FloatTensor<Self>, flow: FloatTensor<Self>) -> FloatTensor<Self>;

@@ -1,0 +1,315 @@
+//! The lookup on CubeCL devices.
+//!
+//! Layouts: first map `[batch, height, width, channels]`; pyramid of the second, its levels one after another, each
+//! `[batch, height, width, channels]`; positions `[batch, 2, height, width]`; windows
+//! `[batch, levels * side^2, height, width]`. With the channels of a pixel side by side, the threads that share a product
+//! read one run of memory.
+
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::FloatTensor;
+use burn_cubecl::CubeBackend;
+use burn_cubecl::cubecl::{self, prelude::*};
+
+use super::tensor::{CorrelationGradOps, CorrelationOps};
+use crate::cube::{AtomicAdd, ByExchange, InOneStep, adds_in_one_step, contiguous, cubes, empty, zeros};
+
+/// Threads of a cube.
+const UNITS: usize = 128;
+/// Threads that share a product.
+const LANES: usize = 4;
+/// Channels that a thread reads at once, where their number allows it.
+const VECTOR: usize = 4;
+/// The most neighbouring pixels of a cube: what they write of one entry of the window fills a sector of 32 bytes.
+const GROUP: usize = 8;
+/// Numbers that a cube keeps in shared memory: 16 KiB, which every device has.
+const SHARED: usize = 4096;
+
+impl CorrelationOps for CubeBackend {
+    fn correlation_windows(
+        first: FloatTensor<Self>,
+        second: FloatTensor<Self>,
+        coords: FloatTensor<Self>,
+        levels: usize,
+        radius: usize,
+    ) -> FloatTensor<Self> {
+        let (first, second, coords) = (contiguous(first), contiguous(second), contiguous(coords));
+        let [batch, height, width, channels] = first.shape().dims();
+        let (side, reach) = (2 * radius + 1, 2 * radius + 2);
+        let out = empty(&first, [batch, levels * side * side, height, width]);
+        let group = (SHARED / (reach * reach * LANES)).clamp(1, GROUP);
+        let client = first.client.clone();
+        let (count, dim) = cubes(&client, (batch * height * width).div_ceil(group) * levels, UNITS);
+        lookup_kernel::launch(
+            &client,
+            count,
+            dim,
+            if channels.is_multiple_of(VECTOR) { VECTOR } else { 1 },
+            first.into_tensor_arg(),
+            second.into_tensor_arg(),
+            coords.into_tensor_arg(),
+            out.clone().into_tensor_arg(),
+            levels,
+            1.0 / (channels as f32).sqrt(),
+            radius,
+            group,
+        );
+        out
+    }
+}
+
+impl CorrelationGradOps for CubeBackend {
+    fn correlation_windows_grad(
+        first: FloatTensor<Self>,
+        second: FloatTensor<Self>,
+        coords: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        levels: usize,
+        radius: usize,
+    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let (first, second) = (contiguous(first), contiguous(second));
+        let (coords, grad) = (contiguous(coords), contiguous(grad));
+        let [batch, height, width, channels] = first.shape().dims();
+        let (d_first, d_second) = (zeros(&first, first.shape()), zeros(&second, second.shape()));
+        let client = first.client.clone();
+        let launch = match adds_in_one_step(&client) {
+            true => gradient_kernel::launch::<InOneStep>,
+            false => gradient_kernel::launch::<ByExchange>,
+        };
+        let (count, dim) = cubes(&client, batch * height * width, UNITS);
+        launch(
+            &client,
+            count,
+            dim,
+            first.into_tensor_arg(),
+            second.into_tensor_arg(),
+            coords.into_tensor_arg(),
+            grad.into_tensor_arg(),
+            d_first.clone().into_tensor_arg(),
+            d_second.clone().into_tensor_arg(),
+            levels,
+            1.0 / (channels as f32).sqrt(),
+            radius,
+        );
+        (d_first, d_second)
+    }
+}
+
+/// A level of the pyramid.
+#[derive(CubeType)]
+struct Level {
+    /// Its first number.
+    start: usize,
+    height: usize,
+    width: usize,
+    /// Its pixels for each of the finest level.
+    scale: f32,
+}
+
+/// Levels are halved until the wanted one; `numbers` is how many an image pixel has, of all images.
+#[cube]
+fn level_of(height: usize, width: usize, numbers: usize, number: usize) -> Level {
+    let mut start = 0;
+    let mut level_height = height;
+    let mut level_width = width;
+    let mut scale = 1.0;
+    for _ in 0..number {
+        start += level_height * level_width * numbers;
+        level_height /= 2;
+        level_width /= 2;
+        scale *= 0.5;
+    }
+    Level { start, height: level_height, width: level_width, scale }
+}
+
+/// Where the window of a pixel lies in a level: a whole position in the upper left corner, and the fraction.
+#[derive(CubeType)]
+struct Window {
+    left: f32,
+    top: f32,
+    right: f32,
+    below: f32,
+}
+
+/// Pixel `at` of image `n`.
+#[cube]
+fn window_of(
+    coords: &Tensor<f32>,
+    n: usize,
+    at: usize,
+    pixels: usize,
+    scale: f32,
+    #[comptime] radius: usize,
+) -> Window {
+    let x = coords[n * 2 * pixels + at] * scale;
+    let y = coords[(n * 2 + 1) * pixels + at] * scale;
+    let reach = f32::cast_from(radius);
+    Window { left: x.floor() - reach, top: y.floor() - reach, right: x - x.floor(), below: y - y.floor() }
+}
+
+/// Compared as numbers, before any cast: a position may be anything, NaN too.
+#[cube]
+fn inside(x: f32, y: f32, level: &Level) -> bool {
+    x >= 0.0 && y >= 0.0 && x < f32::cast_from(level.width) && y < f32::cast_from(level.height)
+}
+
+/// A cube computes one level's windows of `group` pixels: first the dot products at the `reach^2` whole positions of each,
+/// `LANES` threads to a product, each with every `LANES`-th vector of the channels; then the bilinear samples of them.
+#[cube(launch)]
+fn lookup_kernel<N: Size>(
+    first: &Tensor<Vector<f32, N>>,
+    second: &Tensor<Vector<f32, N>>,
+    coords: &Tensor<f32>,
+    out: &mut Tensor<f32>,
+    levels: usize,
+    scale: f32,
+    #[comptime] radius: usize,
+    #[comptime] group: usize,
+) {
+    let side = comptime!(2 * radius + 1);
+    let reach = comptime!(2 * radius + 2);
+    let products = comptime!(reach * reach * group);
+    let (batch, height, width) = (first.shape(0), first.shape(1), first.shape(2));
+    let vectors = first.shape(3) / first.vector_size();
+    let pixels = height * width;
+    let groups = (batch * pixels + group - 1) / group;
+    let number = CUBE_POS / groups;
+    if number >= levels {
+        terminate!();
+    }
+    let first_pixel = CUBE_POS % groups * group;
+    let level = level_of(height, width, batch * vectors, number);
+
+    let mut shares = Shared::new_slice(comptime!(products * LANES));
+    let unit = UNIT_POS as usize;
+    let lane = unit % LANES;
+    let mut product = unit / LANES;
+    while product < products {
+        let pixel = first_pixel + product / (reach * reach);
+        let position = product % (reach * reach);
+        let mut sum = Vector::<f32, N>::new(0.0);
+        if pixel < batch * pixels {
+            let n = pixel / pixels;
+            let window = window_of(coords, n, pixel % pixels, pixels, level.scale, radius);
+            let x = window.left + f32::cast_from(position % reach);
+            let y = window.top + f32::cast_from(position / reach);
+            if inside(x, y, &level) {
+                let row = n * level.height + usize::cast_from(y);
+                let there = level.start + (row * level.width + usize::cast_from(x)) * vectors;
+                let here = pixel * vectors;
+                let mut c = lane;
+                while c < vectors {
+                    sum += first[here + c] * second[there + c];
+                    c += LANES;
+                }
+            }
+        }
+        let mut share = 0.0;
+        #[unroll]
+        for i in 0..sum.vector_size() {
+            share += sum.extract(i);
+        }
+        shares[product * LANES + lane] = share;
+        product += UNITS / LANES;
+    }
+    sync_cube();
+
+    // Neighbouring threads write neighbouring pixels of one entry.
+    let mut index = unit;
+    while index < side * side * group {
+        let pixel = first_pixel + index % group;
+        let entry = index / group;
+        if pixel < batch * pixels {
+            let n = pixel / pixels;
+            let at = pixel % pixels;
+            let window = window_of(coords, n, at, pixels, level.scale, radius);
+            // The reference's order: x is the slower index.
+            let corner = index % group * (reach * reach) + entry % side * reach + entry / side;
+            let mut corners = Array::<f32>::new(4usize);
+            #[unroll]
+            for k in 0..4usize {
+                let mut sum = 0.0;
+                #[unroll]
+                for lane in 0..LANES {
+                    sum += shares[(corner + k / 2 * reach + k % 2) * LANES + lane];
+                }
+                corners[k] = sum;
+            }
+            let upper = corners[0] * (1.0 - window.right) + corners[1] * window.right;
+            let lower = corners[2] * (1.0 - window.right) + corners[3] * window.right;
+            let sample = upper * (1.0 - window.below) + lower * window.below;
+            let channel = (n * levels + number) * side * side + entry;
+            out[channel * pixels + at] = sample * scale;
+        }
+        index += UNITS;
+    }
+}
+
+/// A cube computes the gradients of one pixel's windows: level by level, first those of the dot products, then, each thread
+/// with its channels, the pixel's own features and those of the second map, which other cubes add to as well.
+#[cube(launch)]
+fn gradient_kernel<A: AtomicAdd>(
+    first: &Tensor<f32>,
+    second: &Tensor<f32>,
+    coords: &Tensor<f32>,
+    grad: &Tensor<f32>,
+    d_first: &mut Tensor<f32>,
+    d_second: &mut Tensor<Atomic<A::Cell>>,
+    levels: usize,
+    scale: f32,
+    #[comptime] radius: usize,
+) {
+    let side = comptime!(2 * radius + 1);
+    let reach = comptime!(2 * radius + 2);
+    let (batch, height, width, channels) = (first.shape(0), first.shape(1), first.shape(2), first.shape(3));
+    let pixels = height * width;
+    let pixel = CUBE_POS;
+    if pixel >= batch * pixels {
+        terminate!();
+    }
+    let n = pixel / pixels;
+    let at = pixel % pixels;
+    let unit = UNIT_POS as usize;
+    let mut d_products = Shared::new_slice(comptime!(reach * reach));
+    for number in 0..levels {
+        let level = level_of(height, width, batch * channels, number);
+        let window = window_of(coords, n, at, pixels, level.scale, radius);
+        let mut position = unit;
+        while position < reach * reach {
+            let column = position % reach;
+            let row = position / reach;
+            let mut sum = 0.0;
+            // The samples that this product is the upper left, upper right, lower left and lower right corner of.
+            #[unroll]
+            for k in 0..4usize {
+                let (i, j) = (column - k % 2, row - k / 2);
+                if column >= k % 2 && i < side && row >= k / 2 && j < side {
+                    let channel = (n * levels + number) * side * side + i * side + j;
+                    let across = if k % 2 == 0 { 1.0 - window.right } else { window.right };
+                    let down = if k / 2 == 0 { 1.0 - window.below } else { window.below };
+                    sum += across * down * grad[channel * pixels + at];
+                }
+            }
+            d_products[position] = sum * scale;
+            position += UNITS;
+        }
+        sync_cube();
+        let mut c = unit;
+        while c < channels {
+            let own = first[pixel * channels + c];
+            let mut sum = 0.0;
+            for position in 0..reach * reach {
+                let x = window.left + f32::cast_from(position % reach);
+                let y = window.top + f32::cast_from(position / reach);
+                if inside(x, y, &level) {
+                    let row = n * level.height + usize::cast_from(y);
+                    let there = level.start + (row * level.width + usize::cast_from(x)) * channels + c;
+                    sum += d_products[position] * second[there];
+                    A::add(&mut d_second[there], d_products[position] * own);
+                }
+            }
+            d_first[pixel * channels + c] += sum;
+            c += UNITS;
+        }
+        sync_cube();
+    }
+}

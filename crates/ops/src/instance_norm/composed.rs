@@ -1,0 +1,42 @@
+//! The normalization and its gradient by a backend's own operations, for devices that have no kernel of it.
+
+use burn::backend::Backend;
+use burn::backend::TensorMetadata;
+use burn::backend::tensor::FloatTensor;
+
+use super::EPSILON;
+use crate::Activation;
+use crate::activation::activate_tensor;
+
+/// See [`super::instance_norm`].
+pub(super) fn normalized<B: Backend>(input: FloatTensor<B>, activation: Activation) -> FloatTensor<B> {
+    let shape = input.shape();
+    let (normal, _) = standardized::<B>(planes::<B>(input));
+    activate_tensor::<B>(B::float_reshape(normal, shape), activation)
+}
+
+/// See [`super::instance_norm_backward`].
+pub(super) fn gradient<B: Backend>(input: FloatTensor<B>, grad: FloatTensor<B>) -> FloatTensor<B> {
+    let shape = input.shape();
+    let (normal, scale) = standardized::<B>(planes::<B>(input));
+    let grad = planes::<B>(grad);
+    let mean = B::float_mean_dim(grad.clone(), 1);
+    let along = B::float_mean_dim(B::float_mul(grad.clone(), normal.clone()), 1);
+    let removed = B::float_add(mean, B::float_mul(normal, along));
+    B::float_reshape(B::float_mul(B::float_sub(grad, removed), scale), shape)
+}
+
+/// One row for each channel of each image.
+fn planes<B: Backend>(x: FloatTensor<B>) -> FloatTensor<B> {
+    let [batch, channels, height, width] = x.shape().dims();
+    B::float_reshape(x, [batch * channels, height * width].into())
+}
+
+/// Each row less its mean, over its standard deviation; and one over that deviation.
+fn standardized<B: Backend>(rows: FloatTensor<B>) -> (FloatTensor<B>, FloatTensor<B>) {
+    let mean = B::float_mean_dim(rows.clone(), 1);
+    let centred = B::float_sub(rows, mean);
+    let variance = B::float_mean_dim(B::float_mul(centred.clone(), centred.clone()), 1);
+    let scale = B::float_recip(B::float_sqrt(B::float_add_scalar(variance, EPSILON.into())));
+    (B::float_mul(centred, scale.clone()), scale)
+}

@@ -1,0 +1,102 @@
+//! The upsampling and its gradients by a backend's own operations, for devices that have no kernel of it. One neighbour
+//! after another, so that nothing larger than the mask is made.
+
+use std::ops::Range;
+
+use burn::backend::tensor::FloatTensor;
+use burn::backend::{Backend, TensorMetadata};
+use burn::tensor::{Shape, Slice};
+
+use super::{NEIGHBOURS, UpsampleShape};
+
+/// See [`super::convex_upsample`].
+pub(super) fn upsampled<B: Backend>(
+    flow: FloatTensor<B>,
+    mask: FloatTensor<B>,
+    scale: f32,
+    shape: &UpsampleShape,
+) -> FloatTensor<B> {
+    let UpsampleShape { batch, coarse: [height, width], factor } = *shape;
+    let weights = weights::<B>(mask, scale, shape);
+    let bordered = bordered::<B>(flow, shape);
+    let term = |k| {
+        B::float_mul(weight::<B>(&weights, shape, k), B::float_slice(bordered.clone(), &shifted(shape, k)))
+    };
+    let sum = (1..NEIGHBOURS).fold(term(0), |sum, k| B::float_add(sum, term(k)));
+    // [batch, 2, i, j, height, width] to [batch, 2, height, i, width, j].
+    let sum = B::float_reshape(sum, [batch, 2, factor, factor, height, width].into());
+    let sum = B::float_permute(sum, &[0, 1, 4, 2, 5, 3]);
+    let fine = B::float_reshape(sum, [batch, 2, height * factor, width * factor].into());
+    B::float_mul_scalar(fine, (factor as f32).into())
+}
+
+/// See [`super::convex_upsample_backward`].
+pub(super) fn gradients<B: Backend>(
+    flow: FloatTensor<B>,
+    mask: FloatTensor<B>,
+    scale: f32,
+    grad: FloatTensor<B>,
+    shape: &UpsampleShape,
+) -> (FloatTensor<B>, FloatTensor<B>) {
+    let UpsampleShape { batch, coarse: [height, width], factor } = *shape;
+    let mask_shape = mask.shape();
+    let flow_shape = flow.shape();
+    let weights = weights::<B>(mask, scale, shape);
+    let grad = B::float_reshape(grad, [batch, 2, height, factor, width, factor].into());
+    let grad = B::float_permute(grad, &[0, 1, 3, 5, 2, 4]);
+    let grad = B::float_reshape(grad, [batch, 2, factor * factor, height, width].into());
+    let grad = B::float_mul_scalar(grad, (factor as f32).into());
+    let bordered = bordered::<B>(flow, shape);
+    let mut d_bordered =
+        B::float_zeros(bordered.shape(), &bordered.device(), bordered.dtype().into());
+    let mut along = Vec::with_capacity(NEIGHBOURS);
+    for k in 0..NEIGHBOURS {
+        let place = shifted(shape, k);
+        let neighbour = B::float_slice(bordered.clone(), &place);
+        along.push(B::float_sum_dim(B::float_mul(grad.clone(), neighbour), 1));
+        let given = B::float_sum_dim(B::float_mul(grad.clone(), weight::<B>(&weights, shape, k)), 2);
+        let given = B::float_add(B::float_slice(d_bordered.clone(), &place), given);
+        d_bordered = B::float_slice_assign(d_bordered, &place, given);
+    }
+    let along = B::float_cat(along, 1);
+    let mean = B::float_sum_dim(B::float_mul(weights.clone(), along.clone()), 1);
+    let d_mask = B::float_mul(weights, B::float_sub(along, mean));
+    let d_mask = B::float_mul_scalar(B::float_reshape(d_mask, mask_shape), scale.into());
+    let inside = B::float_slice(d_bordered, &shifted(shape, NEIGHBOURS / 2));
+    (B::float_reshape(inside, flow_shape), d_mask)
+}
+
+/// `softmax(scale * mask)` over the neighbours: `[batch, 9, factor^2, height, width]`.
+fn weights<B: Backend>(mask: FloatTensor<B>, scale: f32, shape: &UpsampleShape) -> FloatTensor<B> {
+    let UpsampleShape { batch, coarse: [height, width], factor } = *shape;
+    let mask = B::float_reshape(mask, [batch, NEIGHBOURS, factor * factor, height, width].into());
+    B::softmax(B::float_mul_scalar(mask, scale.into()), 1)
+}
+
+/// The weights of neighbour `k`: `[batch, 1, factor^2, height, width]`.
+fn weight<B: Backend>(weights: &FloatTensor<B>, shape: &UpsampleShape, k: usize) -> FloatTensor<B> {
+    let UpsampleShape { batch, coarse: [height, width], factor } = *shape;
+    B::float_slice(weights.clone(), &slices([0..batch, k..k + 1, 0..factor * factor, 0..height, 0..width]))
+}
+
+/// The flow with a border of zeros: `[batch, 2, 1, height + 2, width + 2]`.
+fn bordered<B: Backend>(flow: FloatTensor<B>, shape: &UpsampleShape) -> FloatTensor<B> {
+    let UpsampleShape { batch, coarse: [height, width], .. } = *shape;
+    let zeros = B::float_zeros(
+        Shape::new([batch, 2, 1, height + 2, width + 2]),
+        &flow.device(),
+        flow.dtype().into(),
+    );
+    let flow = B::float_reshape(flow, [batch, 2, 1, height, width].into());
+    B::float_slice_assign(zeros, &shifted(shape, NEIGHBOURS / 2), flow)
+}
+
+/// Where the `k`-th neighbours of all pixels are in what has a border.
+fn shifted(shape: &UpsampleShape, k: usize) -> [Slice; 5] {
+    let UpsampleShape { batch, coarse: [height, width], .. } = *shape;
+    slices([0..batch, 0..2, 0..1, k / 3..k / 3 + height, k % 3..k % 3 + width])
+}
+
+fn slices(ranges: [Range<usize>; 5]) -> [Slice; 5] {
+    ranges.map(Slice::from)
+}

@@ -3,6 +3,8 @@
 //! Golden values: `tools/parity/nets.py`, whose rules for parameters and frames are repeated here. `SRFLOW_TEST_DEVICE`
 //! names the device; see docs/devices.md.
 
+use std::sync::LazyLock;
+
 use burn::tensor::{Device, Tensor, TensorData, s};
 use safetensors::SafeTensors;
 use srflow_nets::{Architecture, Frames, Network, Parameters, Request, parameter_infos, with_parameters};
@@ -14,10 +16,11 @@ const EVERY: isize = 7;
 /// Parts of SKFlow's blocks that are added to their own input.
 const RESIDUAL: [&str; 3] = ["ffn1.2.", "conv_list.", "pw."];
 
-fn test_device() -> Device {
+/// Found once: to ask drivers for their devices takes time.
+static DEVICE: LazyLock<Device> = LazyLock::new(|| {
     let name = std::env::var("SRFLOW_TEST_DEVICE");
     srflow_ops::device(name.as_deref().unwrap_or("cpu")).expect("the device of SRFLOW_TEST_DEVICE")
-}
+});
 
 /// Uniform in -1..1, from a hash of the index and the seed.
 fn noise(index: u32, seed: u32) -> f32 {
@@ -112,7 +115,7 @@ fn assert_close(golden: &SafeTensors, name: &str, found: Tensor<4>, [mean, large
 }
 
 fn check(name: &str, architecture: Architecture) {
-    let device = test_device();
+    let device = DEVICE.clone();
     let network = filled(architecture.init(&device));
     assert_eq!(network.architecture(), architecture);
     // Another device may be a software one, which takes a minute for what the processor does in a second.

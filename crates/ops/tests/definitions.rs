@@ -1,6 +1,8 @@
 //! Every operation on tensors against its definition, with sizes as the networks have them and flows that leave the image.
 //! `SRFLOW_TEST_DEVICE` names the device; see docs/devices.md.
 
+use std::sync::LazyLock;
+
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_ops::Activation;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
@@ -25,11 +27,14 @@ fn values(count: usize, seed: u32) -> Vec<f32> {
         .collect()
 }
 
-fn tensor<const D: usize>(values: &[f32], shape: [usize; D]) -> Tensor<D> {
+/// Found once: to ask drivers for their devices takes time.
+static DEVICE: LazyLock<Device> = LazyLock::new(|| {
     let name = std::env::var("SRFLOW_TEST_DEVICE");
-    let device: Device =
-        srflow_ops::device(name.as_deref().unwrap_or("cpu")).expect("the device of SRFLOW_TEST_DEVICE");
-    Tensor::from_data(TensorData::new(values.to_vec(), shape), &device)
+    srflow_ops::device(name.as_deref().unwrap_or("cpu")).expect("the device of SRFLOW_TEST_DEVICE")
+});
+
+fn tensor<const D: usize>(values: &[f32], shape: [usize; D]) -> Tensor<D> {
+    Tensor::from_data(TensorData::new(values.to_vec(), shape), &*DEVICE)
 }
 
 fn assert_close(what: &str, found: Tensor<4>, expected: &[f32]) {
@@ -49,7 +54,8 @@ fn correlation_windows() {
     let (first, second) = (values(batch * channels * 117, 1), values(batch * channels * 117, 2));
     let mut coords: Vec<f32> = values(batch * 2 * 117, 3).iter().map(|x| 6.0 + x * 12.0).collect();
     (coords[7], coords[20], coords[130]) = (1e9, -3e38, 5.0);
-    let expected = correlation::reference::correlation_lookup(&first, &second, &coords, shape, levels, radius);
+    let expected =
+        correlation::reference::correlation_lookup(&first, &second, &coords, shape, levels, radius);
     let found = Correlation::new(tensor(&first, shape), tensor(&second, shape), levels)
         .windows(tensor(&coords, [batch, 2, height, width]), radius);
     assert_close("correlation windows", found, &expected);
@@ -78,22 +84,20 @@ fn dense_convolution() {
     };
     let [input, weight, bias, residual] =
         [shape.input_len(), shape.weight_len(), 24, shape.output_len()].map(|len| values(len, len as u32));
-    let epilogue =
-        Epilogue { bias: Some(&bias), residual: Some(&residual), activation: Activation::Gelu };
+    let epilogue = Epilogue { bias: Some(&bias), residual: Some(&residual), activation: Activation::Gelu };
     let expected = conv2d::reference::conv2d(&input, &weight, &epilogue, &shape);
     let [height, width] = shape.output();
     let finish = Finish::with(Activation::Gelu)
         .bias(Some(tensor(&bias, [24])))
         .residual(tensor(&residual, [2, 24, height, width]));
-    let options = Conv2dOptions { stride: shape.stride, padding: shape.padding };
+    let options = Conv2dOptions::new(shape.stride, shape.padding);
     let found = conv2d(tensor(&input, [2, 19, 11, 14]), tensor(&weight, [24, 19, 3, 3]), finish, options);
     assert_close("convolution", found, &expected);
 }
 
 #[test]
 fn large_depthwise_convolution() {
-    let shape =
-        DepthwiseShape { batch: 2, channels: 6, input: [12, 19], kernel: [15, 15], padding: [7, 7] };
+    let shape = DepthwiseShape { batch: 2, channels: 6, input: [12, 19], kernel: [15, 15], padding: [7, 7] };
     let (input, weight) = (values(shape.input_len(), 1), values(shape.weight_len(), 2));
     let bias = values(6, 3);
     let epilogue = Epilogue { bias: Some(&bias), residual: None, activation: Activation::Sigmoid };

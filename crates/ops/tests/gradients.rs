@@ -2,6 +2,8 @@
 //! fused forward against the one that is taken apart for the gradients, and another device against the processor.
 //! `SRFLOW_TEST_DEVICE` names the device; see docs/devices.md.
 
+use std::sync::LazyLock;
+
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_ops::Activation;
 use srflow_ops::attention::tensor::Attention;
@@ -32,25 +34,26 @@ fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     tensor.into_data().try_to_vec().expect("f32")
 }
 
-fn test_device() -> Device {
+/// Found once: to ask drivers for their devices takes time.
+static DEVICE: LazyLock<Device> = LazyLock::new(|| {
     let name = std::env::var("SRFLOW_TEST_DEVICE");
     srflow_ops::device(name.as_deref().unwrap_or("cpu")).expect("the device of SRFLOW_TEST_DEVICE")
-}
+});
 
 /// Panics when the largest difference is not small beside the largest number.
-fn assert_close(what: &str, found: &[f32], expected: &[f32]) {
+fn assert_close(what: &str, found: &[f32], expected: &[f32], tolerance: f32) {
     assert_eq!(found.len(), expected.len(), "{what}");
     let size = expected.iter().fold(1.0_f32, |size, x| size.max(x.abs()));
     let worst = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     println!("{what}: largest difference {worst:.1e} beside {size:.1e}");
-    assert!(worst < 2e-5 * size, "{what}: {worst} beside {size}");
+    assert!(worst < tolerance * size, "{what}: {worst} beside {size}");
 }
 
 /// Holds the gradient of `sum(g * operation(inputs))` by each input to its central difference along a random direction,
 /// the operation with gradients to the one without, and both on the tested device to the processor's.
 fn check(shapes: &[[usize; 4]], operation: impl Fn(Vec<Tensor<4>>) -> Tensor<4>) {
     const STEP: f32 = 1.0 / 256.0;
-    let plain = test_device();
+    let plain = DEVICE.clone();
     let processor = Device::flex();
     let inputs: Vec<Vec<f32>> =
         shapes.iter().zip(1..).map(|(s, seed)| values(s.iter().product(), seed)).collect();
@@ -58,7 +61,8 @@ fn check(shapes: &[[usize; 4]], operation: impl Fn(Vec<Tensor<4>>) -> Tensor<4>)
         inputs.iter().zip(shapes).map(|(values, &shape)| tensor(values, shape, device)).collect()
     };
     let out = operation(on(&inputs, &plain));
-    assert_close("output", &numbers(out.clone()), &numbers(operation(on(&inputs, &processor))));
+    let on_processor = operation(on(&inputs, &processor));
+    assert_close("output", &numbers(out.clone()), &numbers(on_processor), 2e-5);
     let weights = values(out.dims().iter().product(), 77);
     let weighted =
         |out: Vec<f32>| -> f64 { out.iter().zip(&weights).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum() };
@@ -82,7 +86,8 @@ fn check(shapes: &[[usize; 4]], operation: impl Fn(Vec<Tensor<4>>) -> Tensor<4>)
     for (number, leaf) in leaves.iter().enumerate() {
         let grad = numbers(leaf.grad(&grads).expect("a gradient"));
         let expected = processor_leaves[number].grad(&processor_grads).expect("a gradient");
-        assert_close(&format!("gradient of input {number}"), &grad, &numbers(expected));
+        // Elsewhere Burn approximates the derivative of Gelu.
+        assert_close(&format!("gradient of input {number}"), &grad, &numbers(expected), 2e-3);
         assert!(grad.iter().any(|x| x.abs() > 1e-3), "input {number} matters");
         let direction = values(grad.len(), 50 + number as u32);
         let along: f64 = grad.iter().zip(&direction).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();

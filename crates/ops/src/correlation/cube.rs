@@ -69,7 +69,7 @@ impl CorrelationGradOps for CubeBackend {
         let (first, second) = (contiguous(first), contiguous(second));
         let (coords, grad) = (contiguous(coords), contiguous(grad));
         let [batch, height, width, channels] = first.shape().dims();
-        let (d_first, d_second) = (zeros(&first, first.shape()), zeros(&second, second.shape()));
+        let (d_first, d_second) = (empty(&first, first.shape()), zeros(&second, second.shape()));
         let client = first.client.clone();
         let launch = match adds_in_one_step(&client) {
             true => gradient_kernel::launch::<InOneStep>,
@@ -86,8 +86,8 @@ impl CorrelationGradOps for CubeBackend {
             grad.into_tensor_arg(),
             d_first.clone().into_tensor_arg(),
             d_second.clone().into_tensor_arg(),
-            levels,
             1.0 / (channels as f32).sqrt(),
+            levels,
             radius,
         );
         (d_first, d_second)
@@ -244,8 +244,8 @@ fn lookup_kernel<N: Size>(
     }
 }
 
-/// A cube computes the gradients of one pixel's windows: level by level, first those of the dot products, then, each thread
-/// with its channels, the pixel's own features and those of the second map, which other cubes add to as well.
+/// A cube computes the gradients of one pixel's windows: first those of the dot products of all levels, then, each thread
+/// with its channels, those of the pixel's own features and of the second map's, which other cubes add to as well.
 #[cube(launch)]
 fn gradient_kernel<A: AtomicAdd>(
     first: &Tensor<f32>,
@@ -254,12 +254,13 @@ fn gradient_kernel<A: AtomicAdd>(
     grad: &Tensor<f32>,
     d_first: &mut Tensor<f32>,
     d_second: &mut Tensor<Atomic<A::Cell>>,
-    levels: usize,
     scale: f32,
+    #[comptime] levels: usize,
     #[comptime] radius: usize,
 ) {
     let side = comptime!(2 * radius + 1);
     let reach = comptime!(2 * radius + 2);
+    let area = comptime!(reach * reach);
     let (batch, height, width, channels) = (first.shape(0), first.shape(1), first.shape(2), first.shape(3));
     let pixels = height * width;
     let pixel = CUBE_POS;
@@ -269,47 +270,51 @@ fn gradient_kernel<A: AtomicAdd>(
     let n = pixel / pixels;
     let at = pixel % pixels;
     let unit = UNIT_POS as usize;
-    let mut d_products = Shared::new_slice(comptime!(reach * reach));
-    for number in 0..levels {
+    let mut d_products = Shared::new_slice(comptime!(levels * area));
+    let mut product = unit;
+    while product < levels * area {
+        let number = product / area;
+        let column = product % area % reach;
+        let row = product % area / reach;
         let level = level_of(height, width, batch * channels, number);
         let window = window_of(coords, n, at, pixels, level.scale, radius);
-        let mut position = unit;
-        while position < reach * reach {
-            let column = position % reach;
-            let row = position / reach;
-            let mut sum = 0.0;
-            // The samples that this product is the upper left, upper right, lower left and lower right corner of.
-            #[unroll]
-            for k in 0..4usize {
-                let (i, j) = (column - k % 2, row - k / 2);
-                if column >= k % 2 && i < side && row >= k / 2 && j < side {
-                    let channel = (n * levels + number) * side * side + i * side + j;
-                    let across = if k % 2 == 0 { 1.0 - window.right } else { window.right };
-                    let down = if k / 2 == 0 { 1.0 - window.below } else { window.below };
-                    sum += across * down * grad[channel * pixels + at];
-                }
+        let mut sum = 0.0;
+        // The samples that this product is the upper left, upper right, lower left and lower right corner of.
+        #[unroll]
+        for k in 0..4usize {
+            let (i, j) = (column - k % 2, row - k / 2);
+            if column >= k % 2 && i < side && row >= k / 2 && j < side {
+                let channel = (n * levels + number) * side * side + i * side + j;
+                let across = if k % 2 == 0 { 1.0 - window.right } else { window.right };
+                let down = if k / 2 == 0 { 1.0 - window.below } else { window.below };
+                sum += across * down * grad[channel * pixels + at];
             }
-            d_products[position] = sum * scale;
-            position += UNITS;
         }
-        sync_cube();
-        let mut c = unit;
-        while c < channels {
-            let own = first[pixel * channels + c];
-            let mut sum = 0.0;
-            for position in 0..reach * reach {
+        d_products[product] = sum * scale;
+        product += UNITS;
+    }
+    sync_cube();
+
+    let mut c = unit;
+    while c < channels {
+        let own = first[pixel * channels + c];
+        let mut sum = 0.0;
+        for number in 0..levels {
+            let level = level_of(height, width, batch * channels, number);
+            let window = window_of(coords, n, at, pixels, level.scale, radius);
+            for position in 0..area {
                 let x = window.left + f32::cast_from(position % reach);
                 let y = window.top + f32::cast_from(position / reach);
                 if inside(x, y, &level) {
                     let row = n * level.height + usize::cast_from(y);
                     let there = level.start + (row * level.width + usize::cast_from(x)) * channels + c;
-                    sum += d_products[position] * second[there];
-                    A::add(&mut d_second[there], d_products[position] * own);
+                    let d_product = d_products[number * area + position];
+                    sum += d_product * second[there];
+                    A::add(&mut d_second[there], d_product * own);
                 }
             }
-            d_first[pixel * channels + c] += sum;
-            c += UNITS;
         }
-        sync_cube();
+        d_first[pixel * channels + c] = sum;
+        c += UNITS;
     }
 }

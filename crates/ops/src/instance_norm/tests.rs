@@ -34,8 +34,7 @@ fn the_version_of_other_devices_is_the_fast_one() {
     };
     let out = composed::normalized::<Flex>(tensor(input.clone(), shape), Activation::Relu);
     check(&out, instance_norm(&input, 35, Activation::Relu));
-    let d_input =
-        composed::gradient::<Flex>(tensor(input.clone(), shape), tensor(grad.clone(), shape));
+    let d_input = composed::gradient::<Flex>(tensor(input.clone(), shape), tensor(grad.clone(), shape));
     check(&d_input, instance_norm_backward(&input, &grad, 35));
 }
 

@@ -38,7 +38,7 @@ pub struct PointwiseLayer {
 }
 
 /// The chain. The default computes one layer after another.
-#[backend_extension(Flex, Autodiff)]
+#[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
 pub trait PointwiseOps: Backend + Conv2dOps + DepthwiseOps {
     /// See [`pointwise_layers`].
     #[allow(clippy::too_many_arguments)] // tensors can only be passed one by one
@@ -70,6 +70,9 @@ pub trait PointwiseOps: Backend + Conv2dOps + DepthwiseOps {
         x
     }
 }
+
+#[cfg(feature = "cube")]
+impl PointwiseOps for burn_cubecl::CubeBackend {}
 
 impl PointwiseOps for Flex {
     fn three_pointwise_layers(

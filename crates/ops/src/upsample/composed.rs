@@ -47,8 +47,7 @@ pub(super) fn gradients<B: Backend>(
     let grad = B::float_reshape(grad, [batch, 2, factor * factor, height, width].into());
     let grad = B::float_mul_scalar(grad, (factor as f32).into());
     let bordered = bordered::<B>(flow, shape);
-    let mut d_bordered =
-        B::float_zeros(bordered.shape(), &bordered.device(), bordered.dtype().into());
+    let mut d_bordered = B::float_zeros(bordered.shape(), &bordered.device(), bordered.dtype().into());
     let mut along = Vec::with_capacity(NEIGHBOURS);
     for k in 0..NEIGHBOURS {
         let place = shifted(shape, k);
@@ -82,11 +81,8 @@ fn weight<B: Backend>(weights: &FloatTensor<B>, shape: &UpsampleShape, k: usize)
 /// The flow with a border of zeros: `[batch, 2, 1, height + 2, width + 2]`.
 fn bordered<B: Backend>(flow: FloatTensor<B>, shape: &UpsampleShape) -> FloatTensor<B> {
     let UpsampleShape { batch, coarse: [height, width], .. } = *shape;
-    let zeros = B::float_zeros(
-        Shape::new([batch, 2, 1, height + 2, width + 2]),
-        &flow.device(),
-        flow.dtype().into(),
-    );
+    let zeros =
+        B::float_zeros(Shape::new([batch, 2, 1, height + 2, width + 2]), &flow.device(), flow.dtype().into());
     let flow = B::float_reshape(flow, [batch, 2, 1, height, width].into());
     B::float_slice_assign(zeros, &shifted(shape, NEIGHBOURS / 2), flow)
 }

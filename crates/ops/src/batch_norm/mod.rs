@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use crate::sums::{sum, sum_pairs};
 
+mod composed;
 pub mod reference;
 pub mod tensor;
 

@@ -7,11 +7,11 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, AutodiffBackend, Backend, Dispatch, Flex, TensorMetadata, backend_extension};
 use burn::tensor::Tensor;
 
-use super::{Affine, BatchNormShape, Statistics};
+use super::{Affine, BatchNormShape, Statistics, composed};
 use crate::flex::{Contiguous, sizes, tensor};
 
 /// The normalization; see [`batch_norm`].
-#[backend_extension(Flex, Autodiff)]
+#[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
 pub trait BatchNormOps: Backend {
     /// The normalized input, and each channel's mean and variance, which have no gradient.
     fn batch_normalization(
@@ -19,7 +19,9 @@ pub trait BatchNormOps: Backend {
         weight: FloatTensor<Self>,
         bias: FloatTensor<Self>,
         relu: bool,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>);
+    ) -> (FloatTensor<Self>, FloatTensor<Self>, FloatTensor<Self>) {
+        composed::normalized::<Self>(input, weight, bias, relu)
+    }
 }
 
 /// What the backward needs of the forward.
@@ -36,8 +38,17 @@ pub struct Forward<B: Backend> {
 /// Gradients of the normalization.
 pub trait BatchNormGradOps: Backend {
     /// Of input, weight and bias.
-    fn batch_normalization_grad(forward: Forward<Self>, grad: FloatTensor<Self>) -> [FloatTensor<Self>; 3];
+    fn batch_normalization_grad(forward: Forward<Self>, grad: FloatTensor<Self>) -> [FloatTensor<Self>; 3] {
+        let Forward { input, weight, bias, mean, variance, relu } = forward;
+        composed::gradients::<Self>([input, weight, bias, mean, variance], relu, grad)
+    }
 }
+
+#[cfg(feature = "cube")]
+impl BatchNormOps for burn_cubecl::CubeBackend {}
+
+#[cfg(feature = "cube")]
+impl BatchNormGradOps for burn_cubecl::CubeBackend {}
 
 fn shape_of(input: &impl TensorMetadata) -> BatchNormShape {
     let [batch, channels, height, width] = sizes(input);

@@ -14,10 +14,12 @@ mod forward;
 mod panels;
 pub mod reference;
 pub mod tensor;
+mod weight_gradient;
 mod winograd;
 
-pub use backward::{conv2d_backward_bias, conv2d_backward_input, conv2d_backward_weight};
+pub use backward::{conv2d_backward_bias, conv2d_backward_input};
 pub use forward::conv2d;
+pub use weight_gradient::conv2d_backward_weight;
 
 /// Sizes of a convolution. Layouts: input `[batch, in_channels, height, width]`, weight
 /// `[out_channels, in_channels, kernel_height, kernel_width]`, output `[batch, out_channels, out_height, out_width]`.

@@ -1,5 +1,6 @@
-use super::backward::{backward_input_with, backward_weight_with};
+use super::backward::backward_input_with;
 use super::forward::conv2d_with;
+use super::weight_gradient::backward_weight_with;
 use super::*;
 use crate::simd::Isa;
 use crate::test_values::{assert_close, values};
@@ -38,6 +39,7 @@ fn shapes() -> Vec<Conv2dShape> {
         shape([2, 3], [6, 5], [3, 2], 3, [2, 1]),
         shape([2, 1], [4, 4], [1, 1], 1, [2, 2]),
         shape([20, 8], [3, 100], [3, 3], 1, [0, 0]),
+        shape([51, 9], [2, 530], [1, 1], 1, [0, 0]),
     ]
 }
 

@@ -1,0 +1,169 @@
+//! The gradient of a convolution's weight: a product of matrices, the output's gradient times the patches of the input.
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use super::Conv2dShape;
+use super::forward::Padded;
+use crate::activation::Activation;
+use crate::gemm::{Product, Start, Steps, multiply, pack_rows, panel_columns};
+use crate::shared_mut::SharedMut;
+use crate::simd::Isa;
+
+/// Pixels whose products are summed before the sums go to memory: as many as keep a panel of patches in the second-level
+/// cache.
+const BLOCK_PIXELS: usize = 256;
+/// Pixels that are turned around at a time, so that what is written stays in the first-level cache.
+const TURNED_PIXELS: usize = 16;
+
+/// Gradient of the weight from the input and `grad`, the gradient of the output; `[C_out, C_in, kernel]`.
+///
+/// Pixels are summed in blocks of fixed size, in order, so the result does not depend on the number of threads. Panics when a
+/// slice does not fit `shape`.
+pub fn conv2d_backward_weight(input: &[f32], grad: &[f32], shape: &Conv2dShape) -> Vec<f32> {
+    backward_weight_with(Isa::best(), input, grad, shape)
+}
+
+/// [`conv2d_backward_weight`] with a chosen instruction set, one of [`Isa::available`].
+pub(super) fn backward_weight_with(isa: Isa, input: &[f32], grad: &[f32], shape: &Conv2dShape) -> Vec<f32> {
+    assert_eq!(input.len(), shape.input_len(), "input of {shape:?}");
+    assert_eq!(grad.len(), shape.output_len(), "gradient of {shape:?}");
+    let mut out = vec![0.0; shape.weight_len()];
+    if out.is_empty() || grad.is_empty() {
+        return out;
+    }
+    let patches = Patches::of(input, shape);
+    let blocks = blocks(shape);
+    let left = packed_gradient(isa, grad, shape, &blocks);
+    let columns = shape.in_channels * patches.taps.len();
+    let width = panel_columns(isa);
+    let longest = blocks.iter().map(Block::pixels).max().unwrap_or(0);
+    let target = SharedMut::new(&mut out);
+    let panel = || vec![0.0; longest * width];
+    (0..columns.div_ceil(width)).into_par_iter().for_each_init(panel, |panel, number| {
+        let own = number * width..columns.min((number + 1) * width);
+        for block in &blocks {
+            patches.turn(block, own.clone(), width, panel);
+            let product = Product {
+                left: left[shape.out_channels * block.before..].as_ptr(),
+                rows: shape.out_channels,
+                depth: block.pixels(),
+                right: panel.as_ptr(),
+                right_panel: block.pixels() * width,
+                start: Start::Output,
+                add: None,
+                activation: Activation::Identity,
+                // SAFETY: inside; these columns are this task's.
+                out: unsafe { target.at(own.start) },
+                out_steps: Steps { row: columns, panel: width },
+                columns: own.len(),
+            };
+            // SAFETY: `isa` is available; the left side holds the block of every output channel, the panel its pixels, and
+            // the output these columns of every output channel.
+            unsafe { multiply(isa, &product) }
+        }
+    });
+    out
+}
+
+/// Pixels of one image of the output.
+struct Block {
+    image: usize,
+    rows: Range<usize>,
+    columns: Range<usize>,
+    /// Pixels of all blocks before.
+    before: usize,
+}
+
+impl Block {
+    fn pixels(&self) -> usize {
+        self.rows.len() * self.columns.len()
+    }
+}
+
+/// All pixels: whole rows together where they are short, rows cut in pieces where they are long.
+fn blocks(shape: &Conv2dShape) -> Vec<Block> {
+    let [height, width] = shape.output();
+    let rows_together = (BLOCK_PIXELS / width).max(1);
+    let columns_together = width.min(BLOCK_PIXELS);
+    let mut blocks = Vec::new();
+    let mut before = 0;
+    for image in 0..shape.batch {
+        for top in (0..height).step_by(rows_together) {
+            for left in (0..width).step_by(columns_together) {
+                let rows = top..height.min(top + rows_together);
+                let columns = left..width.min(left + columns_together);
+                let block = Block { image, rows, columns, before };
+                before += block.pixels();
+                blocks.push(block);
+            }
+        }
+    }
+    blocks
+}
+
+/// The output's gradient, block by block as [`Product::left`] wants it.
+fn packed_gradient(isa: Isa, grad: &[f32], shape: &Conv2dShape, blocks: &[Block]) -> Vec<f32> {
+    let [height, width] = shape.output();
+    let channels = shape.out_channels;
+    let mut packed = vec![0.0; grad.len()];
+    let mut rest = packed.as_mut_slice();
+    let mut targets = Vec::with_capacity(blocks.len());
+    for block in blocks {
+        let (target, others) = rest.split_at_mut(channels * block.pixels());
+        targets.push((block, target));
+        rest = others;
+    }
+    targets.into_par_iter().for_each_init(Vec::new, |rows, (block, target)| {
+        rows.clear();
+        for channel in 0..channels {
+            let plane = &grad[(block.image * channels + channel) * height * width..][..height * width];
+            for row in block.rows.clone() {
+                rows.extend_from_slice(&plane[row * width..][block.columns.clone()]);
+            }
+        }
+        pack_rows(isa, rows, block.pixels(), target);
+    });
+    packed
+}
+
+/// What the weight's elements are multiplied with: for each input channel and tap an image of the output's size.
+struct Patches<'a> {
+    padded: Padded<'a>,
+    taps: Vec<usize>,
+    source_row: usize,
+}
+
+impl<'a> Patches<'a> {
+    fn of(input: &'a [f32], shape: &Conv2dShape) -> Self {
+        let padded = Padded::of(input, shape);
+        let taps = padded.taps(shape);
+        let source_row = padded.row * shape.stride[0];
+        Self { padded, taps, source_row }
+    }
+
+    /// The images of `columns` (channel by channel, tap by tap), a row of `panel` for each pixel of the block.
+    fn turn(&self, block: &Block, columns: Range<usize>, width: usize, panel: &mut [f32]) {
+        let pixels = block.columns.len();
+        for (row, panel) in block.rows.clone().zip(panel.chunks_mut(pixels * width)) {
+            for first in (0..pixels).step_by(TURNED_PIXELS) {
+                let count = TURNED_PIXELS.min(pixels - first);
+                let panel = &mut panel[first * width..][..count * width];
+                for (i, column) in columns.clone().enumerate() {
+                    let (channel, tap) = (column / self.taps.len(), column % self.taps.len());
+                    let start = block.image * self.padded.image
+                        + channel * self.padded.channel
+                        + row * self.source_row
+                        + self.taps[tap]
+                        + block.columns.start
+                        + first;
+                    let source = &self.padded.data()[start..start + count];
+                    for (to, &value) in panel[i..].iter_mut().step_by(width).zip(source) {
+                        *to = value;
+                    }
+                }
+            }
+        }
+    }
+}

@@ -9,9 +9,10 @@ use crate::blocks::{
     Aggregate, Attention, ConvexMask, Encoder, EncoderConfig, FlowHead, MotionEncoder, NormKind, SepConvGru,
     convex_mask, convex_upsample, window_entries,
 };
+use crate::encoded::Encoded;
 use crate::features::Features;
 use crate::frames::Frames;
-use crate::raft::{HIDDEN, correlate, hidden_and_context};
+use crate::raft::{HIDDEN, correlate, encode, hidden_and_context};
 use crate::recurrent::{Estimate, Loop, Request, STRIDE};
 
 /// The network of the paper: one head, attention to content only.
@@ -71,10 +72,15 @@ impl Gma {
         Features::of(&self.fnet, frames)
     }
 
+    /// What refinements start from and read. Panics when the frames differ in size.
+    pub fn encode(&self, frames: Frames) -> Encoded {
+        encode(&self.cnet, &self.fnet, frames, HIDDEN)
+    }
+
     /// Flow from the first frames to the second. Panics when the frames differ in size.
     pub fn forward(&self, frames: Frames, request: &Request) -> Estimate {
         let (first, second, border) = frames.prepared(STRIDE);
-        let (hidden, context) = hidden_and_context(&self.cnet, first.clone(), HIDDEN);
+        let (hidden, context) = hidden_and_context(&self.cnet, first.clone(), HIDDEN, request);
         let correlation = correlate(&self.fnet, [first, second], self.levels, request);
         let block = &self.update_block;
         let gru = block.gru.prepared(&context);

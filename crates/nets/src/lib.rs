@@ -6,6 +6,7 @@
 mod architecture;
 mod blocks;
 mod checkpoint;
+mod encoded;
 mod estimator;
 mod features;
 mod fit;
@@ -25,6 +26,7 @@ mod weights;
 pub use architecture::{Architecture, Facts, IterationPresets, PublishedWeights};
 pub use blocks::with_batch_statistics;
 pub use checkpoint::{Checkpoint, Format};
+pub use encoded::Encoded;
 pub use estimator::{NetworkEstimator, SMALLEST_SIDE};
 pub use features::Features;
 pub use fit::{Fit, fits};

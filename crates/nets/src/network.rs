@@ -3,7 +3,7 @@
 use burn::module::Module;
 use burn::tensor::Tensor;
 
-use crate::{Architecture, Estimate, Features, Frames, Gma, Raft, RaftSmall, Request, SkFlow};
+use crate::{Architecture, Encoded, Estimate, Features, Frames, Gma, Raft, RaftSmall, Request, SkFlow};
 
 /// A network of any [`Architecture`], made by [`Architecture::init`] or [`load_network`](crate::load_network).
 ///
@@ -39,6 +39,16 @@ impl Network {
             Self::RaftSmall(network) => network.features(frames),
             Self::Gma(network) => network.features(frames),
             Self::SkFlow(network) => network.features(frames),
+        }
+    }
+
+    /// What refinements start from and read. Panics when the frames differ in size.
+    pub fn encode(&self, frames: Frames) -> Encoded {
+        match self {
+            Self::Raft(network) => network.encode(frames),
+            Self::RaftSmall(network) => network.encode(frames),
+            Self::Gma(network) => network.encode(frames),
+            Self::SkFlow(network) => network.encode(frames),
         }
     }
 

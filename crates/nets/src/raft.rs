@@ -10,6 +10,7 @@ use crate::blocks::{
     ConvexMask, Encoder, EncoderConfig, FlowHead, MotionEncoder, NormKind, SepConvGru, convex_mask,
     convex_upsample, window_entries,
 };
+use crate::encoded::Encoded;
 use crate::features::Features;
 use crate::frames::Frames;
 use crate::recurrent::{Estimate, Loop, Request, STRIDE};
@@ -70,10 +71,15 @@ impl Raft {
         Features::of(&self.fnet, frames)
     }
 
+    /// What refinements start from and read. Panics when the frames differ in size.
+    pub fn encode(&self, frames: Frames) -> Encoded {
+        encode(&self.cnet, &self.fnet, frames, HIDDEN)
+    }
+
     /// Flow from the first frames to the second. Panics when the frames differ in size.
     pub fn forward(&self, frames: Frames, request: &Request) -> Estimate {
         let (first, second, border) = frames.prepared(STRIDE);
-        let (hidden, context) = hidden_and_context(&self.cnet, first.clone(), HIDDEN);
+        let (hidden, context) = hidden_and_context(&self.cnet, first.clone(), HIDDEN, request);
         let correlation = correlate(&self.fnet, [first, second], self.levels, request);
         let block = &self.update_block;
         let gru = block.gru.prepared(&context);
@@ -98,8 +104,18 @@ pub(crate) fn correlate(
     levels: usize,
     request: &Request,
 ) -> Correlation {
-    let [first, second] = request.features.clone().unwrap_or_else(|| Features::of_both(encoder, frames));
+    let encoded = request.encoded.clone().map(|encoded| encoded.features.map(Features));
+    let known = encoded.or_else(|| request.features.clone());
+    let [first, second] = known.unwrap_or_else(|| Features::of_both(encoder, frames));
     Correlation::new(first.0, second.0, levels)
+}
+
+/// What refinements start from and read, with `hidden` channels of the hidden state.
+pub(crate) fn encode(context: &Encoder, features: &Encoder, frames: Frames, hidden: usize) -> Encoded {
+    let (first, second, _) = frames.prepared(STRIDE);
+    let features = Features::of_both(features, [first.clone(), second]).map(|features| features.0);
+    let (hidden, context) = hidden_and_context(context, first, hidden, &Request::new(1));
+    Encoded { hidden, context, features }
 }
 
 /// The first hidden state, and what stays the same in every iteration.
@@ -107,7 +123,11 @@ pub(crate) fn hidden_and_context(
     encoder: &Encoder,
     first: Tensor<4>,
     hidden: usize,
+    request: &Request,
 ) -> (Tensor<4>, Tensor<4>) {
+    if let Some(encoded) = &request.encoded {
+        return (encoded.hidden.clone(), encoded.context.clone());
+    }
     let both = encoder.forward(first);
     let context = both.dims()[1] - hidden;
     (both.clone().narrow(1, 0, hidden).tanh(), relu(both.narrow(1, hidden, context)))

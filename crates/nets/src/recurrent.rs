@@ -4,6 +4,7 @@
 use burn::tensor::{Device, Int, Tensor};
 use srflow_ops::correlation::tensor::Correlation;
 
+use crate::encoded::Encoded;
 use crate::features::Features;
 use crate::frames::Border;
 
@@ -21,12 +22,14 @@ pub struct Request {
     pub every_iteration: bool,
     /// Features of the first and of the second frames, where they are known already; see [`Features`].
     pub features: Option<[Features; 2]>,
+    /// Everything that is known of the frames before they are refined: of them only the size is taken then.
+    pub encoded: Option<Encoded>,
 }
 
 impl Request {
     /// Only the last flow, from nothing.
     pub fn new(iterations: usize) -> Self {
-        Self { iterations, start: None, every_iteration: false, features: None }
+        Self { iterations, start: None, every_iteration: false, features: None, encoded: None }
     }
 }
 
@@ -37,6 +40,8 @@ pub struct Estimate {
     pub flows: Vec<Tensor<4>>,
     /// The last flow at an eighth of the (padded) size, in its own pixels: a start for the next pair of frames.
     pub coarse: Tensor<4>,
+    /// The hidden state behind it.
+    pub hidden: Tensor<4>,
 }
 
 impl Estimate {
@@ -85,7 +90,7 @@ where
                 flows.push(self.border.remove((self.upsample)(&hidden, flow.clone())));
             }
         }
-        Estimate { flows, coarse: flow }
+        Estimate { flows, coarse: flow, hidden }
     }
 }
 

@@ -11,9 +11,10 @@ use crate::blocks::{
     Aggregate, Attention, Conv2d, Conv2dConfig, ConvexMask, Encoder, EncoderConfig, NoParameters, NormKind,
     convex_mask, convex_upsample, window_entries,
 };
+use crate::encoded::Encoded;
 use crate::features::Features;
 use crate::frames::Frames;
-use crate::raft::{HIDDEN, correlate, hidden_and_context};
+use crate::raft::{HIDDEN, correlate, encode, hidden_and_context};
 use crate::recurrent::{Estimate, Loop, Request, STRIDE};
 
 /// The network of the paper.
@@ -106,10 +107,15 @@ impl SkFlow {
         Features::of(&self.fnet, frames)
     }
 
+    /// What refinements start from and read. Panics when the frames differ in size.
+    pub fn encode(&self, frames: Frames) -> Encoded {
+        encode(&self.cnet, &self.fnet, frames, HIDDEN)
+    }
+
     /// Flow from the first frames to the second. Panics when the frames differ in size.
     pub fn forward(&self, frames: Frames, request: &Request) -> Estimate {
         let (first, second, border) = frames.prepared(STRIDE);
-        let (hidden, context) = hidden_and_context(&self.cnet, first.clone(), HIDDEN);
+        let (hidden, context) = hidden_and_context(&self.cnet, first.clone(), HIDDEN, request);
         let correlation = correlate(&self.fnet, [first, second], self.levels, request);
         let attention = self.att.forward(context.clone());
         let block = &self.update_block;

@@ -9,6 +9,7 @@ pub mod loss;
 pub mod optimizer;
 pub mod parameters;
 mod read_ahead;
+mod recompute;
 pub mod replica;
 mod report;
 mod run;

@@ -13,8 +13,9 @@ use srflow_nets::{Architecture, Network, Request, with_batch_statistics};
 
 use crate::batch::Batch;
 use crate::config::BatchNorm;
-use crate::loss::{LossConfig, LossError, Prediction, losses};
+use crate::loss::{LossConfig, LossError, Losses, Prediction, losses};
 use crate::parameters::{HostGradients, Layout, filled, numbers};
+use crate::recompute;
 
 /// What a pass over a batch is asked for.
 #[derive(Debug, Clone, PartialEq)]
@@ -55,7 +56,14 @@ impl BatchLosses {
         self.total.is_finite() && self.parts.iter().all(|(_, value)| value.is_finite())
     }
 
-    fn add(&mut self, other: &Self, weight: f64) {
+    /// Without an end-point error.
+    pub(crate) fn of(losses: &Losses) -> Self {
+        let number = |tensor: &Tensor<1>| f64::from(numbers(tensor.clone().inner())[0]);
+        let parts = losses.parts.iter().map(|(name, part)| (*name, number(part)));
+        Self { total: number(&losses.total), parts: parts.collect(), epe: 0.0 }
+    }
+
+    pub(crate) fn add(&mut self, other: &Self, weight: f64) {
         if self.parts.is_empty() {
             self.parts = other.parts.iter().map(|&(name, _)| (name, 0.0)).collect();
         }
@@ -193,6 +201,9 @@ impl Replica {
         weight: f32,
         sum: &mut HostGradients,
     ) -> Result<BatchLosses, LossError> {
+        if settings.recompute {
+            return recompute::add_gradients(&self.network, batch, layout, settings, weight, sum);
+        }
         let request = Request { every_iteration: true, ..Request::new(settings.iterations) };
         let estimate = self.network.forward(batch.frames(&self.device), &request);
         let last = numbers(estimate.last().clone().inner());
@@ -200,11 +211,6 @@ impl Replica {
         let losses = losses(&settings.loss, &predictions, &batch.loss_inputs(&self.device))?;
         let gradients = losses.total.backward();
         sum.add(&self.network, layout, &gradients, weight);
-        let number = |tensor: Tensor<1>| f64::from(numbers(tensor.inner())[0]);
-        Ok(BatchLosses {
-            total: number(losses.total),
-            parts: losses.parts.into_iter().map(|(name, part)| (name, number(part))).collect(),
-            epe: batch.end_point_error(&last),
-        })
+        Ok(BatchLosses { epe: batch.end_point_error(&last), ..BatchLosses::of(&losses) })
     }
 }

@@ -81,6 +81,18 @@ fn two_devices_give_the_gradients_of_the_joined_batch() {
     assert_same(&one, &pass(Architecture::RaftSmall, 4, 1, false, &batch).0, 1e-4);
 }
 
+/// The attention of GMA and SKFlow is begun without effect (`gamma` is 0): the gradients of its other numbers are zero.
+#[test]
+fn recomputed_refinements_give_the_same_gradients() {
+    let batch = batch(2);
+    for architecture in [Architecture::RaftSmall, Architecture::Raft, Architecture::SkFlow] {
+        let (kept, _) = pass(architecture, 1, 1, false, &batch);
+        let (recomputed, _) = pass(architecture, 1, 1, true, &batch);
+        assert_same(&kept, &recomputed, 1e-3);
+        assert!((kept.losses.epe - recomputed.losses.epe).abs() < 1e-3);
+    }
+}
+
 #[test]
 fn parts_of_a_batch_give_its_gradients() {
     let batch = batch(3);

@@ -229,7 +229,7 @@ fn columns() -> Vec<Column> {
 
 /// Our runs in the form of the paper's Table V: the mean over the seeds.
 pub fn table(cells: &[Cell], title: String) -> Table {
-    Table { title, columns: columns(), rows: rows(cells, "", |values| mean(values)) }
+    Table { title, columns: columns(), rows: rows(cells, "", mean) }
 }
 
 /// The spread of the table: the standard deviation over the seeds (of a sample: divided by their number less one).

@@ -28,7 +28,7 @@ fn batch(count: usize) -> Batch {
     let samples: Vec<TrainingSample> = (0..count)
         .map(|i| {
             let shift = 0.5 + i as f32;
-            let known = |x: usize| i + 1 < count || x % 3 > 0;
+            let known = |x: usize| i + 1 < count || !x.is_multiple_of(3);
             let flow = |x, _| if known(x) { [shift, 0.25] } else { [f32::NAN; 2] };
             let sample = Sample {
                 frame1: frame(SIZE, i, 0.0),

@@ -113,7 +113,7 @@ pub struct TrainingConfig {
 }
 
 /// How it is scored meanwhile.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ValidationConfig {
     /// Datasets, as in `data.train`; the usual split is `val`. Without any, those of `data.train` that have one. The
@@ -172,12 +172,6 @@ impl Default for TrainingConfig {
             clip: 1.0,
             bad_steps: 10,
         }
-    }
-}
-
-impl Default for ValidationConfig {
-    fn default() -> Self {
-        Self { data: Vec::new(), every: 0, iterations: 0, crop: None, limit: 0 }
     }
 }
 

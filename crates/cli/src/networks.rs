@@ -1,11 +1,12 @@
 //! Networks on the command line: weights, iterations, device.
 
 use std::num::NonZeroUsize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
-use anyhow::{Context as _, bail};
+use anyhow::Context as _;
 use clap::Args;
-use srflow_nets::{Architecture, NetworkEstimator, load_network};
+use indicatif::{ProgressBar, ProgressStyle};
+use srflow_nets::{Architecture, NetworkEstimator, find_weights, load_network, weights_folder};
 use srflow_ops::{device, device_kinds};
 
 use crate::usage::wrong_usage;
@@ -92,14 +93,18 @@ impl NetworkArgs {
     }
 }
 
-/// The file that `--weights` means.
-fn weights_file(architecture: Architecture, weights: &str) -> anyhow::Result<PathBuf> {
-    let path = Path::new(weights);
-    if path.exists() {
-        return Ok(path.to_owned());
-    }
-    bail!(
-        "{weights}: there is no such file; `srflow models` says where people get weights of {}",
-        architecture.name()
-    )
+/// The file that `--weights` means, fetched when it is a name that was not used before.
+pub fn weights_file(architecture: Architecture, weights: &str) -> anyhow::Result<PathBuf> {
+    let folder = weights_folder();
+    let bar = ProgressBar::no_length().with_style(ProgressStyle::with_template(
+        "{spinner} weights {bytes} of {total_bytes}  {bytes_per_sec}  ETA {eta}",
+    )?);
+    let found = find_weights(weights.as_ref(), Some(architecture), folder.as_deref(), &mut |done, len| {
+        if let Some(len) = len {
+            bar.set_length(len);
+        }
+        bar.set_position(done);
+    });
+    bar.finish_and_clear();
+    found.with_context(|| format!("weights of {} (`srflow models` lists what there is)", architecture.name()))
 }

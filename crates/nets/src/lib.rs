@@ -15,6 +15,7 @@ mod gma;
 mod memory;
 mod network;
 mod parameters;
+mod published;
 mod raft;
 mod raft_small;
 mod recurrent;
@@ -36,6 +37,7 @@ pub use network::Network;
 pub use parameters::{
     ParameterInfo, Parameters, ParametersError, parameter_infos, parameters, with_parameters,
 };
+pub use published::{PublishedError, find_weights, published, published_names, weights_folder};
 pub use raft::{Raft, RaftConfig};
 pub use raft_small::{RaftSmall, RaftSmallConfig};
 pub use recurrent::{Estimate, Request};

@@ -2,14 +2,16 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use serde::Serialize;
-use srflow_nets::{Architecture, Checkpoint, Facts, Fit, ParameterInfo, ParametersError, fits};
+use srflow_nets::{
+    Architecture, Checkpoint, Facts, Fit, ParameterInfo, ParametersError, fits, weights_folder,
+};
 
 use crate::Context;
 
 /// List the networks, or say what a file of weights is
 ///
 /// Without a command: every network with its parameters, the multiple that frames are padded to, the iterations, the
-/// licence of its authors' code, and the weights that ptlflow publishes for it.
+/// licence of its authors' code, and the weights that are fetched by name.
 #[derive(Args)]
 #[command(after_help = "Examples:
   srflow models
@@ -104,7 +106,7 @@ fn list(context: &Context) -> anyhow::Result<()> {
     if context.json {
         return say!("{}", serde_json::to_string_pretty(&networks)?);
     }
-    say!("name        parameters  padding  iterations  licence       weights")?;
+    say!("name        parameters  padding  iterations  licence       weights by name")?;
     for network in &networks {
         let Listed { name, parameters, padding, iterations, licence, weights, .. } = network;
         let weights: Vec<&str> = weights.iter().map(|weights| weights.name.as_str()).collect();
@@ -115,7 +117,9 @@ fn list(context: &Context) -> anyhow::Result<()> {
     for Listed { name, paper, authors, .. } in &networks {
         say!("  {name:<10}  {paper}  {authors}")?;
     }
-    say!("\nWeights are ptlflow's; --json has their addresses.")
+    let folder =
+        weights_folder().map_or("(none: set SRFLOW_CACHE)".into(), |folder| folder.display().to_string());
+    say!("\nWeights by name are ptlflow's; --json has their addresses. They are kept in {folder}")
 }
 
 #[derive(Serialize)]

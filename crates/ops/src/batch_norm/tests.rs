@@ -1,4 +1,7 @@
+use burn::backend::Flex;
+
 use super::*;
+use crate::flex::{Contiguous, tensor};
 use crate::test_values::values;
 
 const SHAPE: BatchNormShape = BatchNormShape { batch: 4, channels: 3, pixels: 37 };
@@ -24,6 +27,35 @@ fn the_fast_version_is_the_definition() {
         }
         assert_eq!(found.contains(&0.0), relu);
         assert!(statistics.mean.windows(2).all(|pair| (pair[1] - pair[0] - 20.0).abs() < 0.5));
+    }
+}
+
+#[test]
+fn the_version_of_other_devices_is_the_fast_one() {
+    let input = values(SHAPE.batch * SHAPE.channels * SHAPE.pixels, 1);
+    let grad = values(input.len(), 2);
+    let map = |values: &[f32]| tensor(values.to_vec(), [SHAPE.batch, SHAPE.channels, 1, SHAPE.pixels]);
+    let per_channel = |values: &[f32]| tensor(values.to_vec(), [SHAPE.channels]);
+    let check = |found: &_, expected: &[f32]| {
+        for (found, expected) in Contiguous::new(found).slice().iter().zip(expected) {
+            assert!((found - expected).abs() < 2e-5 * expected.abs().max(1.0), "{found} for {expected}");
+        }
+    };
+    for relu in [false, true] {
+        let affine = affine(relu);
+        let (weight, bias) = (per_channel(affine.weight), per_channel(affine.bias));
+        let (out, mean, variance) =
+            composed::normalized::<Flex>(map(&input), weight.clone(), bias.clone(), relu);
+        let (expected, statistics) = batch_norm(&input, &affine, &SHAPE);
+        check(&out, &expected);
+        check(&mean, &statistics.mean);
+        check(&variance, &statistics.variance);
+        let saved = [map(&input), weight, bias, mean, variance];
+        let [d_input, d_weight, d_bias] = composed::gradients::<Flex>(saved, relu, map(&grad));
+        let expected = batch_norm_backward(&input, &grad, &affine, &statistics, &SHAPE);
+        check(&d_input, &expected.input);
+        check(&d_weight, &expected.weight);
+        check(&d_bias, &expected.bias);
     }
 }
 

@@ -1,0 +1,290 @@
+//! Published weights by name: fetched once, kept in a folder, checked by their SHA-256.
+
+use std::env;
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use sha2::{Digest, Sha256};
+use srflow_field::{FileError, FileProblem, create_folder, write_atomically};
+
+use crate::architecture::{Architecture, PublishedWeights};
+
+/// More than any network here takes.
+const MAX_DOWNLOAD_BYTES: u64 = 4 << 30;
+/// Of waiting for a server to answer.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Why weights were not found.
+#[derive(Debug, thiserror::Error)]
+pub enum PublishedError {
+    /// Neither a file nor a name.
+    #[error("{given}: expected a file of weights or a name, found neither; the names are {}", published_names().join(", "))]
+    Unknown {
+        /// What was asked for.
+        given: String,
+    },
+    /// No folder to keep weights in.
+    #[error("no folder to keep weights in is known: set SRFLOW_CACHE to one")]
+    NoFolder,
+    /// The file could not be fetched.
+    #[error("fetching {url}: {problem}\n  without a network, fetch it elsewhere and put it there as {}", .path.display())]
+    Fetch {
+        /// Where it is.
+        url: String,
+        /// Where it would be kept.
+        path: PathBuf,
+        /// What happened.
+        problem: String,
+    },
+    /// The kept file is not the published one.
+    #[error("{}: expected a file whose SHA-256 starts with {expected}, found {found}; remove it, and it is fetched again", .path.display())]
+    Changed {
+        /// The file.
+        path: PathBuf,
+        /// How the digest must start.
+        expected: String,
+        /// The digest.
+        found: String,
+    },
+    /// The kept file could not be read.
+    #[error("{}: {error}", .path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        error: io::Error,
+    },
+    /// The folder could not be made.
+    #[error("{0}")]
+    Folder(FileError),
+}
+
+/// Every name, such as `skflow-things`.
+pub fn published_names() -> Vec<String> {
+    let of = |architecture: Architecture| {
+        let published = architecture.facts().published.iter();
+        published.map(move |weights| format!("{}-{}", architecture.name(), weights.trained_on))
+    };
+    Architecture::ALL.into_iter().flat_map(of).collect()
+}
+
+/// The weights of a name such as `skflow-things`, or `things` where the network is known, and whose they are.
+pub fn published(
+    architecture: Option<Architecture>,
+    name: &str,
+) -> Option<(Architecture, &'static PublishedWeights)> {
+    let of = |owner: Architecture| {
+        let trained_on = match name.strip_prefix(owner.name()).and_then(|rest| rest.strip_prefix('-')) {
+            Some(trained_on) => trained_on,
+            None if architecture == Some(owner) => name,
+            None => return None,
+        };
+        let mut published = owner.facts().published.iter();
+        Some((owner, published.find(|weights| weights.trained_on == trained_on)?))
+    };
+    Architecture::ALL.into_iter().find_map(of)
+}
+
+/// Where weights are kept: `weights` in the folder of the environment variable `SRFLOW_CACHE`, or `srflow/weights` in the
+/// user's cache (`XDG_CACHE_HOME`, `~/.cache`, on Windows `LOCALAPPDATA`).
+pub fn weights_folder() -> Option<PathBuf> {
+    let folder = |name: &str| env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    if let Some(cache) = folder("SRFLOW_CACHE") {
+        return Some(cache.join("weights"));
+    }
+    let cache = folder("XDG_CACHE_HOME")
+        .or_else(|| folder("LOCALAPPDATA"))
+        .or_else(|| Some(folder("HOME")?.join(".cache")))?;
+    Some(cache.join("srflow").join("weights"))
+}
+
+/// The file that `given` stands for: itself, where it is a file; or published weights by name (see [`published`]), which
+/// are fetched unless they are kept in `folder` (see [`weights_folder`]) already. `progress` hears of bytes fetched so
+/// far and in all, where that is known.
+///
+/// # Errors
+/// When `given` is neither, when there is no network, or when the file is not the published one.
+pub fn find_weights(
+    given: &Path,
+    architecture: Option<Architecture>,
+    folder: Option<&Path>,
+    progress: &mut dyn FnMut(u64, Option<u64>),
+) -> Result<PathBuf, PublishedError> {
+    if given.exists() {
+        return Ok(given.to_owned());
+    }
+    let found = given.to_str().and_then(|name| published(architecture, name));
+    let Some((_, weights)) = found else {
+        return Err(PublishedError::Unknown { given: given.display().to_string() });
+    };
+    let path = folder.ok_or(PublishedError::NoFolder)?.join(weights.file_name());
+    kept_or_fetched(weights.url, weights.sha256, &path, progress)?;
+    Ok(path)
+}
+
+fn kept_or_fetched(
+    url: &str,
+    sha256: &str,
+    path: &Path,
+    progress: &mut dyn FnMut(u64, Option<u64>),
+) -> Result<(), PublishedError> {
+    if !path.exists() {
+        if let Some(folder) = path.parent() {
+            create_folder(folder).map_err(PublishedError::Folder)?;
+        }
+        fetch(url, sha256, path, progress).map_err(|problem| PublishedError::Fetch {
+            url: url.to_owned(),
+            path: path.to_owned(),
+            problem,
+        })?;
+        return Ok(());
+    }
+    let digest = File::open(path).and_then(digest);
+    let found = digest.map_err(|error| PublishedError::Read { path: path.to_owned(), error })?;
+    if found.starts_with(sha256) {
+        return Ok(());
+    }
+    Err(PublishedError::Changed { path: path.to_owned(), expected: sha256.to_owned(), found })
+}
+
+/// The file takes its name when it is whole and its digest is right.
+fn fetch(
+    url: &str,
+    sha256: &str,
+    path: &Path,
+    progress: &mut dyn FnMut(u64, Option<u64>),
+) -> Result<(), String> {
+    let config = ureq::Agent::config_builder()
+        .timeout_connect(Some(PATIENCE))
+        .timeout_recv_response(Some(PATIENCE))
+        .user_agent(concat!("srflow/", env!("CARGO_PKG_VERSION")))
+        .build();
+    let mut response =
+        ureq::Agent::new_with_config(config).get(url).call().map_err(|error| error.to_string())?;
+    let len = response.body().content_length();
+    let mut body = response.body_mut().as_reader().take(MAX_DOWNLOAD_BYTES);
+    let written = write_atomically(path, |writer| {
+        let (mut hash, mut done, mut buffer) = (Sha256::new(), 0, vec![0; 1 << 16]);
+        loop {
+            let count = body.read(&mut buffer)?;
+            if count == 0 {
+                break;
+            }
+            hash.update(&buffer[..count]);
+            writer.write_all(&buffer[..count])?;
+            done += count as u64;
+            progress(done, len);
+        }
+        let found = hexadecimal(hash);
+        if found.starts_with(sha256) {
+            return Ok(());
+        }
+        let problem =
+            format!("expected a file whose SHA-256 starts with {sha256}, found {done} bytes of {found}");
+        Err(io::Error::new(io::ErrorKind::InvalidData, problem))
+    });
+    written.map_err(|error| match error.problem {
+        FileProblem::Io { error, .. } => error.to_string(),
+        problem => problem.to_string(),
+    })
+}
+
+fn digest(mut file: File) -> io::Result<String> {
+    let mut hash = Sha256::new();
+    io::copy(&mut file, &mut hash)?;
+    Ok(hexadecimal(hash))
+}
+
+fn hexadecimal(hash: Sha256) -> String {
+    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{BufRead, BufReader};
+    use std::net::{SocketAddr, TcpListener};
+    use std::thread::{self, JoinHandle};
+
+    use super::*;
+
+    /// What `sha256sum` says of "weights".
+    const DIGEST: &str = "9a129038d9a00aed0cf6a7ea059ca50a";
+
+    /// Answers one request with so many bytes promised and `body` sent.
+    fn serve(status: &'static str, promised: usize, body: &'static [u8]) -> (SocketAddr, JoinHandle<String>) {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        let answer = move || {
+            let (mut stream, _) = listener.accept().unwrap();
+            let lines = BufReader::new(stream.try_clone().unwrap()).lines().map(Result::unwrap);
+            let request: Vec<String> = lines.take_while(|line| !line.is_empty()).collect();
+            let head =
+                format!("HTTP/1.1 {status}\r\nContent-Length: {promised}\r\nConnection: close\r\n\r\n");
+            stream.write_all(head.as_bytes()).unwrap();
+            stream.write_all(body).unwrap();
+            request[0].clone()
+        };
+        (address, thread::spawn(answer))
+    }
+
+    fn entries(folder: &Path) -> Vec<String> {
+        let entries = std::fs::read_dir(folder).unwrap();
+        entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
+    }
+
+    #[test]
+    fn a_file_is_fetched_once_and_checked() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new/folder/a.ckpt");
+        let (address, server) = serve("200 OK", 7, b"weights");
+        let url = format!("http://{address}/weights1/a.ckpt");
+        let mut heard = Vec::new();
+        kept_or_fetched(&url, DIGEST, &path, &mut |done, len| heard.push((done, len))).unwrap();
+        assert_eq!(server.join().unwrap(), "GET /weights1/a.ckpt HTTP/1.1");
+        assert_eq!(std::fs::read(&path).unwrap(), b"weights");
+        assert_eq!(heard, [(7, Some(7))]);
+        // Nobody listens any more.
+        kept_or_fetched(&url, DIGEST, &path, &mut |_, _| panic!("fetched again")).unwrap();
+        std::fs::write(&path, "weight").unwrap();
+        let error = kept_or_fetched(&url, DIGEST, &path, &mut |_, _| ()).unwrap_err();
+        assert!(matches!(error, PublishedError::Changed { .. }), "{error}");
+        assert!(error.to_string().contains("remove it"), "{error}");
+    }
+
+    #[test]
+    fn nothing_is_left_of_a_failed_fetch_and_the_message_says_what_to_do() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.ckpt");
+        let cases = [
+            ("404 Not Found", 0, &b""[..], "404"),
+            ("200 OK", 12, b"weights", "end"),
+            ("200 OK", 6, b"tampered", "SHA-256 starts with 9a129038"),
+        ];
+        for (status, promised, body, said) in cases {
+            let (address, server) = serve(status, promised, body);
+            let url = format!("http://{address}/a.ckpt");
+            let error = kept_or_fetched(&url, DIGEST, &path, &mut |_, _| ()).unwrap_err().to_string();
+            server.join().unwrap();
+            assert!(error.contains(&url) && error.contains(said), "{error}");
+            assert!(error.ends_with(&format!("put it there as {}", path.display())), "{error}");
+            assert!(entries(folder.path()).is_empty(), "{status}");
+        }
+    }
+
+    #[test]
+    fn names_are_whole_or_short_where_the_network_is_known() {
+        let file = |architecture, name| Some(published(architecture, name)?.1.file_name());
+        assert_eq!(file(None, "skflow-things"), Some("skflow-things-f84e6538.ckpt"));
+        assert_eq!(file(None, "raft-small-things"), Some("raft_small-things-b7d9f997.ckpt"));
+        assert_eq!(file(Some(Architecture::Gma), "kitti"), Some("gma-kitti-8ca3ec80.ckpt"));
+        assert_eq!(file(None, "things"), None);
+        assert_eq!(file(Some(Architecture::SkFlow), "chairs"), None);
+        for name in published_names() {
+            assert!(published(None, &name).is_some(), "{name}");
+        }
+        let error = find_weights("nothing.pth".as_ref(), None, None, &mut |_, _| ()).unwrap_err();
+        assert!(error.to_string().contains("raft-chairs, raft-things"), "{error}");
+    }
+}

@@ -23,6 +23,29 @@ pub struct FeatureCache {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FeatureKey(String);
 
+/// SHA-256 of a file in hexadecimal digits: tells weights apart in a method's identity.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn file_digest(path: &Path) -> Result<String, FileError> {
+    Ok(hexadecimal(&sha256(path)?))
+}
+
+fn sha256(path: &Path) -> Result<Vec<u8>, FileError> {
+    let failed = |error: io::Error| FileError {
+        path: path.to_owned(),
+        problem: FileProblem::Io { doing: "reading", error },
+    };
+    let mut digest = Sha256::new();
+    let mut file = std::fs::File::open(path).map_err(failed)?;
+    io::copy(&mut file, &mut digest).map_err(failed)?;
+    Ok(digest.finalize().to_vec())
+}
+
+fn hexadecimal(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
 impl FeatureCache {
     /// The cache in `folder`, which is made when it is not there.
     ///
@@ -41,17 +64,10 @@ impl FeatureCache {
         let mut digest = Sha256::new();
         digest.update(format!("srflow features {VERSION}\n{recipe}\n"));
         for path in [onset, apex] {
-            let failed = |error: io::Error| FileError {
-                path: path.to_owned(),
-                problem: FileProblem::Io { doing: "reading", error },
-            };
             // Of each picture its own digest, so that bytes cannot move from one to the other.
-            let mut picture = Sha256::new();
-            let mut file = std::fs::File::open(path).map_err(failed)?;
-            io::copy(&mut file, &mut picture).map_err(failed)?;
-            digest.update(picture.finalize());
+            digest.update(sha256(path)?);
         }
-        Ok(FeatureKey(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect()))
+        Ok(FeatureKey(hexadecimal(&digest.finalize())))
     }
 
     /// The features of a key, when they are there and whole.

@@ -13,13 +13,15 @@ mod loso;
 mod metrics;
 mod predictions;
 mod protocol;
+mod report;
 mod resize;
+mod results;
 mod strain;
 mod summary;
 mod training;
 
 pub use apex::{ApexErrors, ApexRule, SpottedApex, apex_errors, fill_apexes, spot_apex};
-pub use cache::{FeatureCache, FeatureKey};
+pub use cache::{FeatureCache, FeatureKey, file_digest};
 pub use classifier::{Classifier, OffApexNet, OffTaNet, StstNet, initialized};
 pub use extract::{
     ExtractError, ExtractProblem, Extracted, Method, Preparation, ResizeOrder, extract, features_of_frames,
@@ -31,7 +33,9 @@ pub use loso::{FoldRecord, Loso, LosoError, LosoEvent, leave_one_subject_out};
 pub use metrics::{CLASSES, Confusion, Scores};
 pub use predictions::{Prediction, PredictionsError, Trial, read_predictions, write_predictions};
 pub use protocol::{Protocol, ProtocolError};
+pub use report::{ReportParts, report};
 pub use resize::{resize_cubic, resize_flow};
+pub use results::{METRICS, Outcome, OutcomeRecord, confusion_table, fold_table, score_tables};
 pub use strain::{StrainFormula, optical_strain, strain_colors};
 pub use summary::{Best, EpochScores, FoldScores, Summary, SummaryError};
 pub use training::{Training, cross_entropy};

@@ -3,6 +3,7 @@
 mod apex;
 mod data;
 mod face;
+mod run;
 mod sources;
 mod strain;
 mod synth;
@@ -24,6 +25,7 @@ enum MerCommand {
     Synth(synth::Synth),
     Apex(apex::Apex),
     Strain(strain::Strain),
+    Run(run::Run),
 }
 
 /// Runs the subcommand.
@@ -33,5 +35,6 @@ pub fn run(args: Mer, context: &Context) -> anyhow::Result<()> {
         MerCommand::Synth(args) => synth::run(args, context),
         MerCommand::Apex(args) => apex::run(args, context),
         MerCommand::Strain(args) => strain::run(args, context),
+        MerCommand::Run(args) => run::run(args, context),
     }
 }

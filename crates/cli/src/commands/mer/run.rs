@@ -1,0 +1,409 @@
+use std::collections::BTreeMap;
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, ensure};
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use srflow_data::micro_expression::{Clip, ClipDataset, ClipSource};
+use srflow_eval::{Table, TextStyle};
+use srflow_field::{create_folder, write_atomically};
+use srflow_mer::{
+    ApexRule, Classifier, FeatureCache, Loso, LosoError, LosoEvent, OffApexNet, OffTaNet, Outcome,
+    OutcomeRecord, Preparation, Protocol, ReportParts, ResizeOrder, Sample, StrainFormula, StstNet, Trial,
+    extract, file_digest, fold_table, leave_one_subject_out, report, score_tables, spot_apex,
+    write_predictions,
+};
+
+use super::face::FaceArgs;
+use super::sources::{SourceArgs, kinds_help};
+use crate::methods::{self, Method, MethodParameters, MethodSpec};
+use crate::{Context, machine};
+
+/// Recognize micro-expressions leaving one subject out, and write the paper's tables
+#[derive(Args)]
+#[command(after_help = format!("\
+Examples:
+  srflow mer run --data samm:/data/SAMM casme2:/data/CASME2 smic:/data/SMIC --method farneback tvl1 --out results
+  srflow mer run --data clips:rendered --method tvl1 --sets each --out results
+
+Each dataset is divided into its subjects, and so are all of them together (`composite`). For each subject a classifier \
+is trained on all others and tells the subject's clips. A run that was killed goes on where it was: give the same \
+command again. docs/mer.md says what every number is.
+
+{}", kinds_help()))]
+pub struct Run {
+    /// Datasets
+    #[arg(long, required = true, num_args = 1.., value_name = "KIND:DIR")]
+    data: Vec<ClipSource>,
+    /// How to estimate the flow from onset to apex
+    #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', help = method_help())]
+    method: Vec<MethodSpec>,
+    /// What tells a clip's class from its features
+    #[arg(long, value_enum, default_value = "off-tanet")]
+    classifier: ClassifierKind,
+    /// Train on each dataset, on all together, or both
+    #[arg(long, value_enum, default_value = "both")]
+    sets: Sets,
+    /// Folder for tables.{txt,csv,tex,md}, folds.csv, predictions.csv, results.json and report.html
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Overwrite these files
+    #[arg(long)]
+    force: bool,
+    /// Folder where features are kept for other runs [default: features in --out]
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+    /// Spot the apex of clips that have none: ratio or strain
+    #[arg(long, value_name = "RULE")]
+    apex: Option<ApexRule>,
+    /// Formula of the optical strain: literature or off-tanet
+    #[arg(long, value_name = "FORMULA", default_value_t = StrainFormula::Literature)]
+    strain: StrainFormula,
+    /// Bring the frames to 112x112 before the flow is estimated, or the flow after
+    #[arg(long, value_name = "ORDER", default_value_t = ResizeOrder::Before)]
+    resize: ResizeOrder,
+    /// Passes over the training clips
+    #[arg(long, value_name = "N", default_value_t = Protocol::default().epochs)]
+    epochs: usize,
+    /// Epochs between two recordings of what is told
+    #[arg(long, value_name = "N", default_value_t = Protocol::default().record_every)]
+    record_every: usize,
+    /// Clips in a training step
+    #[arg(long, value_name = "N", default_value_t = Protocol::default().batch)]
+    batch: usize,
+    /// Learning rate of Adam at the start; it falls to 0.3 of itself every 60 epochs
+    #[arg(long, value_name = "RATE", default_value_t = Protocol::default().learning_rate)]
+    learning_rate: f64,
+    /// Seed of the classifiers' parameters, the order of clips and dropout
+    #[arg(long, value_name = "SEED", default_value_t = 0)]
+    seed: u64,
+    #[command(flatten)]
+    sources: SourceArgs,
+    #[command(flatten)]
+    face: FaceArgs,
+    #[command(flatten)]
+    parameters: MethodParameters,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ClassifierKind {
+    /// Off-TANet: u, v and strain at 112x112
+    #[value(name = "off-tanet")]
+    OffTa,
+    /// STSTNet: u, v and strain at 28x28
+    #[value(name = "ststnet")]
+    Stst,
+    /// Off-ApexNet: u and v at 28x28
+    #[value(name = "off-apexnet")]
+    OffApex,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Sets {
+    /// Each dataset by itself
+    Each,
+    /// All datasets as one
+    Composite,
+    /// Each by itself, then all as one where there are several
+    Both,
+}
+
+const COMPOSITE: &str = "composite";
+/// The files that `--out` gets; the last is written when all others are.
+const OUTPUTS: [&str; 8] = [
+    "tables.txt",
+    "tables.csv",
+    "tables.tex",
+    "tables.md",
+    "folds.csv",
+    "predictions.csv",
+    "report.html",
+    "results.json",
+];
+
+#[derive(Serialize)]
+struct Results {
+    data: Vec<DataRecord>,
+    methods: Vec<String>,
+    classifier: &'static str,
+    preparation: String,
+    apex: Option<&'static str>,
+    protocol: Protocol,
+    machine: String,
+    outcomes: Vec<OutcomeRecord>,
+}
+
+#[derive(Serialize)]
+struct DataRecord {
+    dataset: String,
+    form: &'static str,
+    clips: usize,
+    subjects: usize,
+    dropped: usize,
+    clips_with_missing_frames: Vec<String>,
+    spotted_apexes: usize,
+}
+
+/// Runs the command.
+pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
+    let there = OUTPUTS.iter().map(|name| args.out.join(name)).find(|path| path.exists());
+    if let (Some(path), false) = (&there, args.force) {
+        anyhow::bail!("{} is there already; --force overwrites it", path.display());
+    }
+    let protocol = Protocol {
+        epochs: args.epochs,
+        record_every: args.record_every,
+        batch: args.batch,
+        learning_rate: args.learning_rate,
+        seed: args.seed,
+        ..Protocol::default()
+    };
+    protocol.check()?;
+    let preparation = Preparation { face: args.face.crop()?, resize: args.resize, strain: args.strain };
+    let mut wanted: Vec<&MethodSpec> = Vec::new();
+    for spec in &args.method {
+        if !wanted.contains(&spec) {
+            wanted.push(spec);
+        }
+    }
+    let estimators = methods::estimators(&args.method, &args.parameters)?;
+    let identities = wanted
+        .iter()
+        .map(|spec| identity(spec, &args.parameters))
+        .collect::<anyhow::Result<Vec<String>>>()?;
+    let mut datasets = args.sources.open(args.data.clone())?;
+    ensure!(
+        datasets.len() > 1 || args.sets != Sets::Composite,
+        "--sets composite needs several datasets; give more KIND:DIR, or --sets each"
+    );
+    create_folder(&args.out)?; // before the long work, which must not be lost
+    let cache = FeatureCache::open(&args.cache.clone().unwrap_or_else(|| args.out.join("features")))?;
+    let spotted = match args.apex {
+        Some(rule) => spot_missing(&mut datasets, rule, &preparation, estimators[0].as_ref())?,
+        None => BTreeMap::new(),
+    };
+    let data: Vec<DataRecord> = datasets.iter().map(|dataset| data_record(dataset, &spotted)).collect();
+    let clips: Vec<Clip> = datasets.iter().flat_map(|dataset| dataset.clips.iter().cloned()).collect();
+
+    let (mut samples, mut trials, mut outcomes) = (Vec::new(), Vec::new(), Vec::new());
+    for (estimator, identity) in estimators.iter().zip(identities) {
+        let name = estimator.name().to_owned();
+        let bar = progress(clips.len(), &format!("{name}: features"))?;
+        let method = srflow_mer::Method { estimator: estimator.as_ref(), identity };
+        samples.push((name, extract(&clips, &method, &preparation, Some(&cache), &|_| bar.inc(1))?));
+        bar.finish_and_clear();
+    }
+    for (set, members) in sets(&datasets, args.sets) {
+        for (method, samples) in &samples {
+            let of_set = |sample: &&Sample| members.contains(&sample.dataset);
+            let samples: Vec<Sample> = samples.iter().filter(of_set).cloned().collect();
+            let loso = train(
+                args.classifier,
+                &samples,
+                &protocol,
+                &args.out.join("folds"),
+                &format!("{set}, {method}"),
+            )
+            .with_context(|| format!("{set}, {method}"))?;
+            outcomes.push(Outcome::of(method, &set, &loso)?);
+            trials.push(Trial { method: method.clone(), set: set.clone(), predictions: loso.predictions });
+        }
+    }
+
+    let results = Results {
+        data,
+        methods: samples.iter().map(|(name, _)| name.clone()).collect(),
+        classifier: args.classifier.name(),
+        preparation: preparation.to_string(),
+        apex: args.apex.map(ApexRule::name),
+        protocol,
+        machine: machine::describe(),
+        outcomes: outcomes.iter().map(Outcome::record).collect(),
+    };
+    let parts = ReportParts {
+        outcomes: &outcomes,
+        trials: &trials,
+        samples: &samples,
+        facts: facts(&results, &args.parameters),
+        machine: results.machine.clone(),
+    };
+    write(&args.out, &results, &parts)?;
+    if context.json {
+        return say!("{}", serde_json::to_string_pretty(&results)?);
+    }
+    let colours = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
+    let style = if colours { TextStyle::Ansi } else { TextStyle::Plain };
+    say!("{}", joined(&tables(&outcomes), |table| table.text(style)).trim_end())?;
+    say!("\nReport: {}", args.out.join("report.html").display())
+}
+
+fn method_help() -> String {
+    format!(
+        "How to estimate the flow from onset to apex: {}; networks with their weights, as in skflow=FILE",
+        Method::names()
+    )
+}
+
+/// What tells a method from every other: its name, its parameters and the bytes of its weights.
+fn identity(spec: &MethodSpec, parameters: &MethodParameters) -> anyhow::Result<String> {
+    let weights = match spec.method {
+        Method::Network(_) => spec.weights.as_ref().or(parameters.network.weights.as_ref()),
+        Method::Farneback | Method::TvL1 => None,
+    };
+    let weights = weights.map(|path| file_digest(Path::new(path))).transpose()?.unwrap_or_default();
+    Ok(format!("{} {parameters:?} {weights}", spec.method.name()))
+}
+
+/// The named sets of datasets that are divided into subjects.
+fn sets(datasets: &[ClipDataset], wanted: Sets) -> Vec<(String, Vec<String>)> {
+    let names: Vec<String> = datasets.iter().map(|dataset| dataset.name.clone()).collect();
+    let mut sets: Vec<(String, Vec<String>)> = Vec::new();
+    if wanted != Sets::Composite {
+        sets.extend(names.iter().map(|name| (name.clone(), vec![name.clone()])));
+    }
+    if wanted != Sets::Each && names.len() > 1 {
+        sets.push((COMPOSITE.to_owned(), names));
+    }
+    sets
+}
+
+/// Gives an apex to clips that have none; how many by dataset.
+fn spot_missing(
+    datasets: &mut [ClipDataset],
+    rule: ApexRule,
+    preparation: &Preparation,
+    estimator: &dyn srflow_field::FlowEstimator,
+) -> anyhow::Result<BTreeMap<String, usize>> {
+    let mut spotted = BTreeMap::new();
+    for dataset in datasets {
+        for clip in dataset.clips.iter_mut().filter(|clip| clip.annotation.apex.is_none()) {
+            clip.annotation.apex = Some(spot_apex(clip, rule, &preparation.face, estimator)?.frame);
+            *spotted.entry(dataset.name.clone()).or_default() += 1;
+        }
+    }
+    Ok(spotted)
+}
+
+fn data_record(dataset: &ClipDataset, spotted: &BTreeMap<String, usize>) -> DataRecord {
+    let missing = dataset.missing.iter();
+    DataRecord {
+        dataset: dataset.name.clone(),
+        form: dataset.form,
+        clips: dataset.clips.len(),
+        subjects: dataset.subjects().len(),
+        dropped: dataset.dropped.len(),
+        clips_with_missing_frames: missing
+            .map(|missing| format!("{}/{}", missing.subject, missing.clip))
+            .collect(),
+        spotted_apexes: spotted.get(&dataset.name).copied().unwrap_or(0),
+    }
+}
+
+fn train(
+    classifier: ClassifierKind,
+    samples: &[Sample],
+    protocol: &Protocol,
+    folder: &Path,
+    what: &str,
+) -> anyhow::Result<Loso> {
+    let subjects: std::collections::BTreeSet<_> =
+        samples.iter().map(|sample| (&sample.dataset, &sample.subject)).collect();
+    let bar = progress(subjects.len() * protocol.epochs, what)?;
+    let on_event = |event| match event {
+        LosoEvent::Epoch => bar.inc(1),
+        LosoEvent::Fold { resumed: true } => bar.inc(protocol.epochs as u64),
+        LosoEvent::Fold { resumed: false } => {}
+    };
+    let loso: Result<Loso, LosoError> = match classifier {
+        ClassifierKind::OffTa => {
+            leave_one_subject_out::<OffTaNet>(samples, protocol, Some(folder), &on_event)
+        }
+        ClassifierKind::Stst => leave_one_subject_out::<StstNet>(samples, protocol, Some(folder), &on_event),
+        ClassifierKind::OffApex => {
+            leave_one_subject_out::<OffApexNet>(samples, protocol, Some(folder), &on_event)
+        }
+    };
+    bar.finish_and_clear();
+    Ok(loso?)
+}
+
+impl ClassifierKind {
+    fn name(self) -> &'static str {
+        match self {
+            Self::OffTa => OffTaNet::NAME,
+            Self::Stst => StstNet::NAME,
+            Self::OffApex => OffApexNet::NAME,
+        }
+    }
+}
+
+fn progress(steps: usize, what: &str) -> anyhow::Result<ProgressBar> {
+    let style = ProgressStyle::with_template("{msg} {bar:30} {pos}/{len}, {eta} left")?;
+    Ok(ProgressBar::new(steps as u64).with_style(style).with_message(what.to_owned()))
+}
+
+fn facts(results: &Results, parameters: &MethodParameters) -> Vec<(String, String)> {
+    let mut facts: Vec<(String, String)> = Vec::new();
+    for data in &results.data {
+        let mut text =
+            format!("{} clips of {} subjects, {} rows left out", data.clips, data.subjects, data.dropped);
+        if data.spotted_apexes > 0 {
+            text += &format!(", apex of {} clips spotted", data.spotted_apexes);
+        }
+        if !data.clips_with_missing_frames.is_empty() {
+            text += &format!(", frames missing in {}", data.clips_with_missing_frames.join(", "));
+        }
+        facts.push((data.dataset.clone(), text));
+    }
+    let Protocol { epochs, record_every, batch, learning_rate, decay_every, decay, seed } = &results.protocol;
+    facts.push(("Frames".to_owned(), results.preparation.clone()));
+    facts.push(("Flow".to_owned(), format!("{}; {parameters:?}", results.methods.join(", "))));
+    facts.push(("Classifier".to_owned(), results.classifier.to_owned()));
+    facts.push((
+        "Training".to_owned(),
+        format!(
+            "{epochs} epochs, recorded every {record_every}, batch {batch}, Adam {learning_rate}, times {decay} every \
+             {decay_every} epochs, seed {seed}"
+        ),
+    ));
+    facts
+}
+
+fn tables(outcomes: &[Outcome]) -> Vec<Table> {
+    let mut tables = Vec::new();
+    let mut rest = outcomes;
+    while let Some(first) = rest.first() {
+        let of_set = rest.iter().take_while(|outcome| outcome.set == first.set).count();
+        tables.extend(score_tables(&rest[..of_set].iter().collect::<Vec<_>>()));
+        rest = &rest[of_set..];
+    }
+    tables
+}
+
+fn joined(tables: &[Table], form: impl Fn(&Table) -> String) -> String {
+    tables.iter().map(form).collect::<Vec<_>>().join("\n")
+}
+
+fn write(out: &Path, results: &Results, parts: &ReportParts) -> anyhow::Result<()> {
+    let tables = tables(parts.outcomes);
+    let folds: Vec<Table> = parts.outcomes.iter().map(fold_table).collect();
+    let titled = |table: &Table| format!("# {}\n{}", table.title, table.csv());
+    let texts = [
+        ("tables.txt", joined(&tables, |table| table.text(TextStyle::Plain))),
+        ("tables.csv", joined(&tables, titled)),
+        ("tables.tex", joined(&tables, |table| format!("% {}\n{}", table.title, table.latex()))),
+        ("tables.md", joined(&tables, |table| format!("{}\n\n{}", table.title, table.markdown()))),
+        ("folds.csv", joined(&folds, titled)),
+        ("report.html", report(parts)?.html()),
+    ];
+    write_predictions(&out.join("predictions.csv"), parts.trials)?;
+    let json = ("results.json", serde_json::to_string_pretty(results)? + "\n");
+    for (name, text) in texts.into_iter().chain([json]) {
+        let path = out.join(name);
+        write_atomically(&path, |file| std::io::Write::write_all(file, text.as_bytes()))
+            .with_context(|| format!("writing {}", path.display()))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,266 @@
+//! Runs as tables: the SRFlow paper's (best three marked), those of a fixed epoch, confusions and folds.
+
+use serde::Serialize;
+use srflow_data::micro_expression::EmotionClass;
+use srflow_eval::{Better, Column, Row, Table};
+
+use crate::loso::{FoldRecord, Loso};
+use crate::metrics::{CLASSES, Confusion, Scores};
+use crate::summary::{EpochScores, Summary, SummaryError};
+
+/// Keys and headers of the paper's metrics, in its order.
+pub const METRICS: [(&str, &str); 5] =
+    [("p_m", "P_M"), ("r_m", "R_M"), ("f1_m", "F1_M"), ("f1_mu", "F1_μ"), ("g_m", "G_M")];
+
+/// One method's leave-one-subject-out run over one set of clips.
+#[derive(Debug, Clone)]
+pub struct Outcome {
+    /// The flow method.
+    pub method: String,
+    /// A dataset's name, or `composite`.
+    pub set: String,
+    /// How each fold went.
+    pub folds: Vec<FoldRecord>,
+    /// The scores.
+    pub summary: Summary,
+}
+
+impl Outcome {
+    /// Scores a run.
+    ///
+    /// # Errors
+    /// When its predictions are not whole.
+    pub fn of(method: &str, set: &str, loso: &Loso) -> Result<Self, SummaryError> {
+        let summary = Summary::of(&loso.predictions)?;
+        Ok(Self { method: method.to_owned(), set: set.to_owned(), folds: loso.folds.clone(), summary })
+    }
+
+    /// All numbers, for machines.
+    pub fn record(&self) -> OutcomeRecord {
+        let metric = |((key, _), best): (&(&'static str, &str), crate::summary::Best)| BestRecord {
+            metric: key,
+            value: best.value,
+            epoch: best.epoch,
+        };
+        OutcomeRecord {
+            method: self.method.clone(),
+            set: self.set.clone(),
+            best: METRICS.iter().zip(self.summary.best()).map(metric).collect(),
+            last: EpochRecord::of(self.summary.last()),
+            epochs: self.summary.epochs.iter().map(EpochRecord::of).collect(),
+            always_negative: EpochRecord::of(&self.summary.always_negative()),
+            folds: self.folds.clone(),
+        }
+    }
+}
+
+/// [`Outcome`] as it is written.
+#[derive(Debug, Clone, Serialize)]
+pub struct OutcomeRecord {
+    method: String,
+    set: String,
+    best: Vec<BestRecord>,
+    last: EpochRecord,
+    epochs: Vec<EpochRecord>,
+    always_negative: EpochRecord,
+    folds: Vec<FoldRecord>,
+}
+
+#[derive(Debug, Clone, Serialize)]
+struct BestRecord {
+    metric: &'static str,
+    value: f64,
+    epoch: usize,
+}
+
+#[derive(Debug, Clone, Serialize)]
+struct EpochRecord {
+    epoch: usize,
+    p_m: f64,
+    r_m: f64,
+    f1_m: f64,
+    f1_mu: f64,
+    g_m: f64,
+    uf1: f64,
+    uar: f64,
+    /// `[truth][predicted]`, negative, positive, surprise.
+    confusion: [[usize; CLASSES]; CLASSES],
+}
+
+impl EpochRecord {
+    fn of(scores: &EpochScores) -> Self {
+        let Scores { precision, recall, f1, accuracy, g_mean } = scores.mean;
+        Self {
+            epoch: scores.epoch,
+            p_m: precision,
+            r_m: recall,
+            f1_m: f1,
+            f1_mu: accuracy,
+            g_m: g_mean,
+            uf1: scores.pooled.uf1(),
+            uar: scores.pooled.uar(),
+            confusion: scores.pooled.0,
+        }
+    }
+}
+
+/// Two tables of the outcomes of one set: the paper's, in which each metric takes its own best epoch, and one after the
+/// last epoch, with MEGC 2019's metrics. In both stands what always saying "negative" gives, unranked. `outcomes` are of
+/// one set and not empty.
+pub fn score_tables(outcomes: &[&Outcome]) -> Vec<Table> {
+    let Some(first) = outcomes.first() else { return Vec::new() };
+    let column = |key: &str, header: &str| Column {
+        key: key.to_owned(),
+        header: header.to_owned(),
+        better: Some(Better::Higher),
+        decimals: 4,
+    };
+    let row = |name: &str, values: Vec<f64>, baseline| Row {
+        name: name.to_owned(),
+        values: values.into_iter().map(Some).collect(),
+        baseline,
+    };
+    let paper: Vec<Column> = METRICS.iter().map(|(key, header)| column(key, header)).collect();
+    let mut all = paper.clone();
+    all.extend([column("uf1", "UF1"), column("uar", "UAR")]);
+    let at_epoch = |scores: &EpochScores| {
+        let pooled = [scores.pooled.uf1(), scores.pooled.uar()];
+        [scores.mean.values().as_slice(), &pooled].concat()
+    };
+    let negative = first.summary.always_negative();
+    let mut best: Vec<Row> = outcomes
+        .iter()
+        .map(|o| row(&o.method, o.summary.best().map(|best| best.value).to_vec(), false))
+        .collect();
+    best.push(row(ALWAYS_NEGATIVE, negative.mean.values().to_vec(), true));
+    let mut last: Vec<Row> =
+        outcomes.iter().map(|o| row(&o.method, at_epoch(o.summary.last()), false)).collect();
+    last.push(row(ALWAYS_NEGATIVE, at_epoch(&negative), true));
+    let counted = format!(
+        "{}: {} clips, {} subjects",
+        first.set,
+        first.summary.last().pooled.total(),
+        first.summary.folds.len()
+    );
+    vec![
+        Table { title: format!("{counted}; each metric at its best epoch"), columns: paper, rows: best },
+        Table {
+            title: format!("{counted}; after epoch {}, fixed beforehand", first.summary.last().epoch),
+            columns: all,
+            rows: last,
+        },
+    ]
+}
+
+const ALWAYS_NEGATIVE: &str = "always negative";
+
+/// What was told for what after the last epoch, all folds together.
+pub fn confusion_table(outcome: &Outcome) -> Table {
+    let last = outcome.summary.last();
+    let column = |class: EmotionClass| Column {
+        key: class.name().to_owned(),
+        header: format!("told {class}"),
+        better: None,
+        decimals: 0,
+    };
+    let Confusion(counts) = last.pooled;
+    let row = |class: EmotionClass| Row {
+        name: class.name().to_owned(),
+        values: counts[class as usize].iter().map(|&count| Some(count as f64)).collect(),
+        baseline: false,
+    };
+    Table {
+        title: format!(
+            "{}, {}: clips of each class and what they were told to be",
+            outcome.set, outcome.method
+        ),
+        columns: EmotionClass::ALL.map(column).to_vec(),
+        rows: EmotionClass::ALL.map(row).to_vec(),
+    }
+}
+
+/// Each subject's scores after the last epoch, one row a fold.
+pub fn fold_table(outcome: &Outcome) -> Table {
+    let column = |key: &str, header: &str, decimals| Column {
+        key: key.to_owned(),
+        header: header.to_owned(),
+        better: None,
+        decimals,
+    };
+    let mut columns = vec![column("clips", "clips", 0)];
+    columns.extend(METRICS.iter().map(|(key, header)| column(key, header, 4)));
+    columns.push(column("training_loss", "training loss", 4));
+    let rows = outcome.summary.folds.iter().zip(&outcome.folds).map(|(fold, record)| {
+        let last = fold.confusions[fold.confusions.len() - 1];
+        let mut values = vec![Some(last.total() as f64)];
+        values.extend(last.scores().values().map(Some));
+        values.push(record.training_losses.last().copied());
+        Row { name: format!("{} {}", fold.dataset, fold.subject), values, baseline: false }
+    });
+    Table {
+        title: format!(
+            "{}, {}: subjects after epoch {}",
+            outcome.set,
+            outcome.method,
+            outcome.summary.last().epoch
+        ),
+        columns,
+        rows: rows.collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::predictions::Prediction;
+
+    fn outcome(method: &str, said: EmotionClass) -> Outcome {
+        let prediction = |subject: &str, clip: &str, truth, epoch, predicted| Prediction {
+            dataset: "made-up".into(),
+            subject: subject.into(),
+            clip: clip.into(),
+            truth,
+            epoch,
+            predicted,
+            scores: [0.0; CLASSES],
+        };
+        let mut predictions = Vec::new();
+        for epoch in [0, 20] {
+            let said = if epoch == 0 { EmotionClass::Negative } else { said };
+            predictions.push(prediction("1", "a", EmotionClass::Negative, epoch, said));
+            predictions.push(prediction("2", "b", EmotionClass::Positive, epoch, said));
+            predictions.push(prediction("2", "c", EmotionClass::Positive, epoch, said));
+        }
+        let fold = |subject: &str, clips| FoldRecord {
+            dataset: "made-up".into(),
+            subject: subject.into(),
+            clips,
+            unseen_classes: Vec::new(),
+            training_losses: vec![1.0, 0.5],
+            seconds: 1.0,
+            resumed: false,
+        };
+        let loso = Loso { predictions, folds: vec![fold("1", 1), fold("2", 2)] };
+        Outcome::of(method, "made-up", &loso).unwrap()
+    }
+
+    #[test]
+    fn tables_hold_each_metric_at_its_best_and_at_the_last_epoch() {
+        let (a, b) = (outcome("a", EmotionClass::Positive), outcome("b", EmotionClass::Surprise));
+        let tables = score_tables(&[&a, &b]);
+        let accuracy = |table: usize| tables[table].rows.iter().map(|row| row.values[3]).collect::<Vec<_>>();
+        assert_eq!(accuracy(0), [Some(0.5), Some(0.5), Some(0.5)]);
+        assert_eq!(accuracy(1), [Some(0.5), Some(0.0), Some(0.5)]);
+        assert!(
+            tables[1].rows[2].baseline && tables[1].title.contains("3 clips, 2 subjects; after epoch 20")
+        );
+        // Two of the three clips are positive and told so: recalls 0, 1 and none.
+        assert_eq!(tables[1].rows[0].values[6], Some(1.0 / 3.0));
+        assert_eq!(confusion_table(&a).rows[1].values, [Some(0.0), Some(2.0), Some(0.0)]);
+        assert_eq!(fold_table(&b).rows[1].values[..2], [Some(2.0), Some(0.0)]);
+        assert_eq!(fold_table(&b).rows[1].values.last(), Some(&Some(0.5)));
+        let json = serde_json::to_value(a.record()).unwrap();
+        assert_eq!(json["best"][3]["metric"], "f1_mu");
+        assert_eq!(json["last"]["confusion"][1], serde_json::json!([0, 2, 0]));
+    }
+}

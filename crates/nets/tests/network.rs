@@ -1,0 +1,171 @@
+//! What a network promises beside its flow: what a request asks for, and gradients.
+
+use burn::module::{Module, ModuleVisitor, Param};
+use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use srflow_nets::{Architecture, Frames, Network, Parameters, Request, parameter_infos, with_parameters};
+
+/// Values in -1..1 that repeat nowhere near.
+fn values(count: usize, seed: u32) -> Vec<f32> {
+    (0..count as u32)
+        .map(|i| {
+            let bits = (i ^ (seed << 20)).wrapping_mul(0x9E37_79B9).rotate_left(13).wrapping_mul(0x85EB_CA6B);
+            (bits >> 8) as f32 / 8_388_608.0 - 1.0
+        })
+        .collect()
+}
+
+/// Parameters that keep activations at their size.
+fn parameters(network: &Network) -> Parameters {
+    let infos = parameter_infos(network).into_iter().zip(1..);
+    infos
+        .map(|(info, seed)| {
+            let fan_in: usize = info.shape[1..].iter().product();
+            let numbers = values(info.shape.iter().product(), seed).into_iter().map(|x| {
+                if info.shape.len() == 1 && !info.name.ends_with("bias") {
+                    1.0 + 0.25 * x
+                } else {
+                    x * (1.5 / fan_in as f32).sqrt()
+                }
+            });
+            let numbers: Vec<f32> = numbers.collect();
+            (info.name, TensorData::new(numbers, info.shape))
+        })
+        .collect()
+}
+
+fn network(architecture: Architecture, device: &Device) -> Network {
+    let network = architecture.init(device);
+    let parameters = parameters(&network);
+    with_parameters(network, parameters).expect("its own names and shapes")
+}
+
+fn frames(device: &Device) -> Frames {
+    let frame = |seed| {
+        let numbers = values(3 * 64 * 72, seed).into_iter().map(|x| 0.5 + 0.5 * x).collect::<Vec<f32>>();
+        Tensor::from_data(TensorData::new(numbers, [1, 3, 64, 72]), device)
+    };
+    Frames { first: frame(1), second: frame(2) }
+}
+
+fn numbers(tensor: &Tensor<4>) -> Vec<f32> {
+    tensor.clone().into_data().try_to_vec().expect("f32")
+}
+
+#[test]
+fn every_iteration_gives_the_flow_of_that_many_iterations() {
+    let device = Device::flex();
+    for architecture in [Architecture::Raft, Architecture::RaftSmall, Architecture::SkFlow] {
+        let network = network(architecture, &device);
+        let all = Request { every_iteration: true, ..Request::new(3) };
+        let all = network.forward(frames(&device), &all);
+        assert_eq!(all.flows.len(), 3);
+        for (iterations, flow) in (1..).zip(&all.flows) {
+            let alone = network.forward(frames(&device), &Request::new(iterations));
+            assert_eq!(alone.flows.len(), 1);
+            assert!(numbers(alone.last()) == numbers(flow), "{architecture:?}, {iterations} iterations");
+        }
+    }
+}
+
+#[test]
+fn the_flow_starts_where_the_request_says() {
+    let device = Device::flex();
+    let network = network(Architecture::Raft, &device);
+    let from = |start: Option<Tensor<4>>| {
+        network.forward(frames(&device), &Request { start, ..Request::new(1) }).coarse
+    };
+    let zero = Tensor::<4>::zeros([1, 2, 8, 9], &device);
+    assert!(numbers(&from(None)) == numbers(&from(Some(zero.clone()))));
+    let moved = numbers(&from(Some(zero + 5.0)));
+    let difference = moved.iter().zip(numbers(&from(None))).map(|(a, b)| a - b);
+    // One iteration changes the flow by little: most of the start is still there.
+    let mean = difference.sum::<f32>() / moved.len() as f32;
+    assert!((mean - 5.0).abs() < 2.5, "moved by {mean} on average");
+}
+
+/// The gradient of one parameter, by name.
+struct GradientOf<'a> {
+    name: &'a str,
+    path: Vec<String>,
+    grads: &'a Gradients,
+    found: Option<Vec<f32>>,
+}
+
+impl ModuleVisitor for GradientOf<'_> {
+    fn enter_module(&mut self, name: &str, _: &str) {
+        self.path.push(name.to_owned());
+    }
+
+    fn exit_module(&mut self, _: &str, _: &str) {
+        self.path.pop();
+    }
+
+    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+        if self.path.join(".") == self.name {
+            let grad = param.val().grad(self.grads).expect("a gradient");
+            self.found = Some(grad.into_data().try_to_vec().expect("f32"));
+        }
+    }
+}
+
+/// Central differences along a random direction. One iteration: later ones look up where the detached flow points.
+#[test]
+fn gradients_of_parameters_are_those_of_the_flow() {
+    let plain = Device::flex();
+    let tracked = Device::flex().autodiff();
+    let weights = values(2 * 64 * 72, 3);
+    let weighted = |flow: &Tensor<4>| -> f64 {
+        numbers(flow).iter().zip(&weights).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
+    };
+    let cases: [(Architecture, &[&str]); 2] = [
+        (
+            Architecture::Raft,
+            &[
+                "fnet.layer2.0.conv1.weight",
+                "cnet.layer3.0.downsample.1.weight",
+                "update_block.gru.convq2.weight",
+            ],
+        ),
+        (
+            Architecture::SkFlow,
+            &[
+                "att.to_qk.weight",
+                "update_block.aggregator.gamma",
+                "update_block.gru.ffn1.0.weight",
+                "update_block.gru.conv_list.1.weight",
+            ],
+        ),
+    ];
+    for (architecture, names) in cases {
+        let network = network(architecture, &tracked);
+        let estimate = network.forward(frames(&tracked), &Request::new(1));
+        let weight = Tensor::from_data(TensorData::new(weights.clone(), [1, 2, 64, 72]), &tracked);
+        let grads = (estimate.last().clone() * weight).sum().backward();
+        for name in names {
+            let mut visitor = GradientOf { name, path: Vec::new(), grads: &grads, found: None };
+            network.visit(&mut visitor);
+            let grad = visitor.found.expect("the parameter");
+            let norm = grad.iter().map(|x| f64::from(x * x)).sum::<f64>().sqrt();
+            assert!(norm > 0.0, "{name} matters");
+            // Along the gradient itself, where the change is largest against rounding.
+            let moved = |by: f64| {
+                let other = architecture.init(&plain);
+                let mut parameters = parameters(&other);
+                let data = parameters.get_mut(*name).expect("the parameter");
+                let shape = data.shape().clone();
+                let numbers: Vec<f32> = data.try_to_vec().expect("f32");
+                let numbers: Vec<f32> = numbers
+                    .iter()
+                    .zip(&grad)
+                    .map(|(x, g)| (f64::from(*x) + by * f64::from(*g) / norm) as f32)
+                    .collect();
+                *data = TensorData::new(numbers, shape);
+                let other = with_parameters(other, parameters).expect("its own names and shapes");
+                weighted(other.forward(frames(&plain), &Request::new(1)).last())
+            };
+            let step = 1e-2;
+            let found = (moved(step) - moved(-step)) / (2.0 * step);
+            assert!((found - norm).abs() < 0.03 * norm, "{architecture:?} {name}: {norm} for {found}");
+        }
+    }
+}

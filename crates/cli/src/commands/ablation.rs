@@ -13,7 +13,7 @@ use srflow_train::ablation::{
 };
 use srflow_train::config::{Config, Source};
 
-use super::train::{Overrides, Progress};
+use super::train::{Overrides, Progress, find_weights};
 use crate::{Context, machine};
 
 /// Train with each loss of the paper and print its Table V
@@ -53,7 +53,8 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
         Some(name) => Config::read(name)?,
         None => Config::default(),
     };
-    let base = args.overrides.apply(config)?;
+    let mut base = args.overrides.apply(config)?;
+    find_weights(&mut base)?;
     let variants = args.rows.iter().map(|name| row(name)).collect::<anyhow::Result<Vec<_>>>()?;
     let mut seeds = args.seeds;
     seeds.sort_unstable();

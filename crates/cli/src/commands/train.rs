@@ -10,6 +10,7 @@ use srflow_train::config::{Config, PRESETS};
 use srflow_train::journal::{Record, StepRecord, read_log};
 use srflow_train::{Beginning, Event, Outcome, Start, config_of_run, report, train};
 
+use crate::networks::weights_file;
 use crate::{Context, machine};
 
 /// Train an optical flow network
@@ -56,8 +57,8 @@ pub struct Overrides {
     /// Network
     #[arg(long, value_name = "NAME")]
     network: Option<String>,
-    /// Weights to start from
-    #[arg(long, value_name = "FILE")]
+    /// Weights to start from: a file, or the name of published ones, such as things
+    #[arg(long, value_name = "FILE|NAME")]
     weights: Option<String>,
     /// Steps, whatever the epochs
     #[arg(long, value_name = "N")]
@@ -153,7 +154,7 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
             "--resume goes on with the configuration that the run began with: leave out what would change it"
         );
     }
-    let (config, out, beginning) = match (args.resume, args.out) {
+    let (mut config, out, beginning) = match (args.resume, args.out) {
         (Some(run), _) => (config_of_run(&run)?, run, Beginning::Resume),
         (None, out) => {
             let config = match &args.config {
@@ -168,6 +169,9 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
         say!("{}", config.to_toml().trim_end())?;
         return Ok(());
     }
+    if beginning == Beginning::New {
+        find_weights(&mut config)?;
+    }
     let devices = args.device.iter().map(|name| device(name)).collect::<Result<Vec<_>, _>>()?;
     let mut progress = Progress::new();
     let result = train(&config, &devices, &out, beginning, &mut |event| progress.show(&event));
@@ -176,6 +180,15 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
     let page = report(&config, &read_log(&out)?, &machine::describe()).html();
     write_atomically(&out.join("report.html"), |file| std::io::Write::write_all(file, page.as_bytes()))?;
     print(&out, &outcome, context)
+}
+
+/// Published weights that are named, and not a file, are fetched.
+pub fn find_weights(config: &mut Config) -> anyhow::Result<()> {
+    let network = &mut config.network;
+    if let Some(weights) = network.weights.to_str().filter(|weights| !weights.is_empty()) {
+        network.weights = weights_file(network.architecture, weights)?;
+    }
+    Ok(())
 }
 
 fn print(out: &Path, outcome: &Outcome, context: &Context) -> anyhow::Result<()> {

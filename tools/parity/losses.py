@@ -8,13 +8,12 @@ Writes crates/train/tests/golden/losses.safetensors: the inputs in float32; for 
 the network predicts, computed in float64 from those inputs. Made with torch 2.11.
 """
 
-import json
 import math
-import struct
 from pathlib import Path
 
 import torch
 import torch.nn.functional as F
+from golden import write_safetensors
 
 FILE = Path(__file__).resolve().parents[2] / "crates/train/tests/golden/losses.safetensors"
 BATCH, HEIGHT, WIDTH, PREDICTIONS = 2, 9, 12, 3
@@ -175,19 +174,8 @@ def main():
     case("igvar literal", lambda flow: igvar(flow, inputs, "replicate", reading="literal"))
     every = [tvr, fdr, migar, igvar]
     case("all", lambda flow: l1(flow, inputs) + sum(loss(flow, inputs, "replicate") for loss in every))
-    write_safetensors(out)
-
-
-def write_safetensors(tensors):
-    header, data = {}, b""
-    for name, tensor in tensors.items():
-        raw = tensor.detach().float().contiguous().numpy().tobytes()
-        header[name] = {"dtype": "F32", "shape": list(tensor.shape), "data_offsets": [len(data), len(data) + len(raw)]}
-        data += raw
-    text = json.dumps(header).encode()
-    text += b" " * (-len(text) % 8)
     FILE.parent.mkdir(parents=True, exist_ok=True)
-    FILE.write_bytes(struct.pack("<Q", len(text)) + text + data)
+    write_safetensors(FILE, {name: tensor.detach().float().numpy() for name, tensor in out.items()})
 
 
 if __name__ == "__main__":

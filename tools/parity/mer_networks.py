@@ -23,13 +23,12 @@ steps; it is kept out of the steps. Beside them `ststnet.pth`, STSTNet's paramet
 """
 
 import importlib.util
-import json
-import struct
 import sys
 from pathlib import Path
 
 import numpy as np
 import torch
+from golden import name_hash, noise, write_safetensors
 from torch import nn
 from torch.nn import functional as F
 
@@ -171,24 +170,6 @@ LABELS = [0, 2, 1, 0, 1]
 NO_GRADIENT = ["conv.0.bias", "conv.3.bias", "eres.conv1.0.bias", "eres.conv2.0.bias"]
 
 
-def noise(count, seed):
-    """Uniform in -1..1, from a hash of the index and the seed."""
-    with np.errstate(over="ignore"):
-        x = np.arange(count, dtype=np.uint32) * np.uint32(0x9E3779B9) ^ np.uint32(seed)
-        x = (x ^ (x >> np.uint32(16))) * np.uint32(0x85EBCA6B)
-        x = (x ^ (x >> np.uint32(13))) * np.uint32(0xC2B2AE35)
-        x = x ^ (x >> np.uint32(16))
-    return (x >> np.uint32(8)).astype(np.float32) / np.float32(8388608) - np.float32(1)
-
-
-def name_hash(name):
-    """FNV-1a."""
-    value = 0x811C9DC5
-    for byte in name.encode():
-        value = (value ^ byte) * 0x01000193 & 0xFFFFFFFF
-    return value
-
-
 def parameter(name, shape):
     """Weights of variance 1 / fan_in, so that activations keep their size; the rest near what training leaves."""
     u = noise(int(np.prod(shape)), name_hash(name)).reshape(shape)
@@ -234,17 +215,6 @@ def compare(name, network, inputs, folder):
         with torch.no_grad():
             difference = (published(inputs) - network(inputs)).abs().max()
         print(f"{name}, {mode}: largest difference from the published code {float(difference):.1e}")
-
-
-def write_safetensors(path, tensors):
-    header, data = {}, b""
-    for name, array in tensors.items():
-        raw = np.ascontiguousarray(array, dtype="<f4").tobytes()
-        header[name] = {"dtype": "F32", "shape": list(array.shape), "data_offsets": [len(data), len(data) + len(raw)]}
-        data += raw
-    text = json.dumps(header).encode()
-    text += b" " * (-len(text) % 8)
-    path.write_bytes(struct.pack("<Q", len(text)) + text + data)
 
 
 def main(folder, published=None):

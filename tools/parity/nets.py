@@ -10,14 +10,13 @@ crates/nets/tests/parity.rs repeats. Written for each network and case, as safet
     flow_12      flow after 12 iterations at every 7th row and column, [batch, 2, rows, columns]
 """
 
-import json
-import struct
 import sys
 from pathlib import Path
 
 import numpy as np
 import ptlflow
 import torch
+from golden import name_hash, noise, write_safetensors
 
 # batch, height, width: one that needs no padding, one that does. The coarsest of four levels must be larger than one
 # pixel, or the reference divides by zero.
@@ -26,24 +25,6 @@ NETWORKS = ["raft", "raft_small", "gma", "skflow"]
 EVERY = 7
 # Parts of SKFlow's blocks that are added to their own input, four in a row: full weights would explode.
 RESIDUAL = ["ffn1.2.", "conv_list.", "pw."]
-
-
-def noise(count, seed):
-    """Uniform in -1..1, from a hash of the index and the seed."""
-    with np.errstate(over="ignore"):
-        x = np.arange(count, dtype=np.uint32) * np.uint32(0x9E3779B9) ^ np.uint32(seed)
-        x = (x ^ (x >> np.uint32(16))) * np.uint32(0x85EBCA6B)
-        x = (x ^ (x >> np.uint32(13))) * np.uint32(0xC2B2AE35)
-        x = x ^ (x >> np.uint32(16))
-    return (x >> np.uint32(8)).astype(np.float32) / np.float32(8388608) - np.float32(1)
-
-
-def name_hash(name):
-    """FNV-1a."""
-    value = 0x811C9DC5
-    for byte in name.encode():
-        value = (value ^ byte) * 0x01000193 & 0xFFFFFFFF
-    return value
 
 
 def parameter(name, shape):
@@ -80,17 +61,6 @@ def frame(batch, height, width, shift):
     value = 0.25 * wave(x + 2 * y + 5 * c, 13) + 0.25 * wave(3 * x - y + 1000 + 17 * n, 19)
     value = value + 0.3 * wave(x * y // 8 + 3 * c, 29) + 0.1 + 0.1 * grain
     return value.astype(np.float32)
-
-
-def write_safetensors(path, tensors):
-    header, data = {}, b""
-    for name, array in tensors.items():
-        raw = np.ascontiguousarray(array, dtype="<f4").tobytes()
-        header[name] = {"dtype": "F32", "shape": list(array.shape), "data_offsets": [len(data), len(data) + len(raw)]}
-        data += raw
-    text = json.dumps(header).encode()
-    text += b" " * (-len(text) % 8)
-    path.write_bytes(struct.pack("<Q", len(text)) + text + data)
 
 
 def main(folder):

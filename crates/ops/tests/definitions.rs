@@ -5,6 +5,8 @@ use std::sync::LazyLock;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_ops::Activation;
+use srflow_ops::attention;
+use srflow_ops::attention::tensor::Attention;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
 use srflow_ops::conv2d::{self, Conv2dShape, Epilogue};
 use srflow_ops::correlation;
@@ -122,4 +124,21 @@ fn convex_upsampling() {
     let expected = upsample::reference::convex_upsample(&flow, &mask, 2.0, &shape);
     let found = convex_upsample(tensor(&flow, [2, 2, 5, 7]), tensor(&mask, [2, 576, 5, 7]), 2.0, 8);
     assert_close("convex upsampling", found, &expected);
+}
+
+/// So many pixels that a matrix of all pairs is cut into pieces, where there is one.
+#[test]
+fn attention_to_many_pixels() {
+    let (shape @ [_, _, height, width], pixels) = ([1, 3, 64, 65], 64 * 65);
+    let [queries, keys] =
+        [1, 2].map(|seed| -> Vec<f32> { values(3 * pixels, seed).iter().map(|x| 3.0 * x).collect() });
+    let sought = values(2 * pixels, 3);
+    let expected = attention::reference::attention(&queries, &keys, &sought, pixels);
+    for device in [DEVICE.clone(), DEVICE.clone().autodiff()] {
+        let tensor =
+            |values: &[f32], shape| Tensor::from_data(TensorData::new(values.to_vec(), shape), &device);
+        let attention = Attention::new(tensor(&queries, shape), tensor(&keys, shape), 0);
+        let found = attention.gather(tensor(&sought, [1, 2, height, width]));
+        assert_close(if device.is_autodiff() { "attention, tracked" } else { "attention" }, found, &expected);
+    }
 }

@@ -118,9 +118,7 @@ fn check(name: &str, architecture: Architecture) {
     let device = DEVICE.clone();
     let network = filled(architecture.init(&device));
     assert_eq!(network.architecture(), architecture);
-    // Another device may be a software one, which takes a minute for what the processor does in a second.
-    let cases = if device == Device::flex() { &CASES[..] } else { &CASES[..1] };
-    for &case @ [batch, height, width] in cases {
+    for &case @ [batch, height, width] in &CASES {
         let path = format!(
             "{}/tests/golden/{name}_{batch}x{height}x{width}.safetensors",
             env!("CARGO_MANIFEST_DIR")
@@ -130,6 +128,11 @@ fn check(name: &str, architecture: Architecture) {
         let frames = Frames { first: frame(case, 0, &device), second: frame(case, 4, &device) };
         let first = network.forward(frames.clone(), &Request::new(1));
         assert_close(&golden, "coarse_1", first.coarse, [1e-4, 1e-3]);
+        // Another device may be a software one, which takes minutes for what the processor does in seconds: there one
+        // iteration has to do for the batch with borders.
+        if device != Device::flex() && case != CASES[0] {
+            continue;
+        }
         let last = network.forward(frames, &Request::new(12));
         assert_close(&golden, "coarse_12", last.coarse.clone(), [1e-3, 1e-2]);
         assert_close(&golden, "flow_12", thinned(last.last().clone()), [1e-3, 1e-2]);

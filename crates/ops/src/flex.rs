@@ -20,6 +20,14 @@ impl Contiguous {
     }
 }
 
+/// The tensor with its elements changed, in place where nobody else has them.
+pub(crate) fn with_elements(tensor: FloatTensor<Flex>, change: impl FnOnce(&mut [f32])) -> FloatTensor<Flex> {
+    let mut tensor = tensor.to_contiguous();
+    let (start, count) = (tensor.layout().start_offset(), tensor.layout().num_elements());
+    change(&mut tensor.storage_mut::<f32>()[start..start + count]);
+    tensor
+}
+
 /// A tensor of `values`.
 pub(crate) fn tensor(values: Vec<f32>, shape: impl Into<Shape>) -> FloatTensor<Flex> {
     FlexTensor::from_data(TensorData::new(values, shape))

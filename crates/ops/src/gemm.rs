@@ -25,11 +25,47 @@ pub(crate) fn pack_rows(isa: Isa, matrix: &[f32], depth: usize, packed: &mut [f3
         return;
     }
     for (to, from) in packed.chunks_mut(block * depth).zip(matrix.chunks(block * depth)) {
-        let rows = from.len() / depth;
-        for (row, values) in from.chunks_exact(depth).enumerate() {
-            for (i, &value) in values.iter().enumerate() {
-                to[i * rows + row] = value;
+        // SAFETY: the instruction set is one of this processor's.
+        unsafe { pack_block(isa, from, depth, to) }
+    }
+}
+
+dispatch! {
+    /// One block of [`pack_rows`].
+    ///
+    /// # Safety
+    /// `isa` is available.
+    fn pack_block = pack_block_kernel(from: &[f32], depth: usize, to: &mut [f32])
+}
+
+#[inline(always)]
+unsafe fn pack_block_kernel<S: Simd>(from: &[f32], depth: usize, to: &mut [f32]) {
+    let rows = from.len() / depth;
+    let mut first = 0;
+    if rows * 2 == S::LANES {
+        // Two vectors of each row make a square.
+        let mut square = [0.0; MOST_LANES * MOST_LANES];
+        while first + 2 * S::LANES <= depth {
+            let mut sources = [std::ptr::null(); MOST_LANES];
+            for row in 0..rows {
+                let values = &from[row * depth + first..][..2 * S::LANES];
+                sources[row] = values.as_ptr();
+                sources[rows + row] = values[S::LANES..].as_ptr();
             }
+            // SAFETY: each source is a vector long, and the square holds its columns.
+            unsafe { S::transpose(&sources, square.as_mut_ptr(), S::LANES) }
+            let (left, right) = to[first * rows..][..2 * S::LANES * rows].split_at_mut(S::LANES * rows);
+            let halves = left.chunks_exact_mut(rows).zip(right.chunks_exact_mut(rows));
+            for ((left, right), values) in halves.zip(square.chunks_exact(S::LANES)) {
+                left.copy_from_slice(&values[..rows]);
+                right.copy_from_slice(&values[rows..]);
+            }
+            first += 2 * S::LANES;
+        }
+    }
+    for (row, values) in from.chunks_exact(depth).enumerate() {
+        for (i, &value) in values.iter().enumerate().skip(first) {
+            to[i * rows + row] = value;
         }
     }
 }

@@ -6,7 +6,6 @@
 // Kernels walk several arrays in step by one index, as their equations do.
 #![allow(clippy::needless_range_loop)]
 
-mod activation;
 #[cfg(feature = "cube")]
 mod cube;
 mod device;
@@ -18,6 +17,7 @@ mod simd;
 mod sums;
 #[cfg(test)]
 mod test_values;
+mod tracked;
 mod weight_cache;
 
 pub use activation::Activation;
@@ -25,6 +25,7 @@ pub use device::{DeviceError, device, device_kinds};
 pub use reusing_allocator::ReusingAllocator;
 pub use weight_cache::WeightCache;
 
+pub mod activation;
 pub mod attention;
 pub mod batch_norm;
 pub mod conv2d;

@@ -4,14 +4,15 @@
 //! page of the next one costs a fault: a quarter of the time of a network's refinement.
 
 use std::alloc::{GlobalAlloc, Layout, System};
+use std::ptr;
 use std::sync::{Mutex, PoisonError};
 
 /// Smaller blocks are the system's business.
 const SMALLEST: usize = 128 << 10;
-/// Bytes kept in all.
+/// Bytes that may be kept however little is in use.
 const KEPT_BYTES: usize = 384 << 20;
-/// Blocks kept in all.
-const KEPT_BLOCKS: usize = 512;
+/// Sizes of blocks: eight between a power of two and the next.
+const SIZES: usize = 8 * usize::BITS as usize;
 /// Of every block that may be kept; what a cache line and a vector want.
 const ALIGNMENT: usize = 64;
 /// From here on blocks are made of huge pages.
@@ -19,28 +20,60 @@ const HUGE: usize = 4 << 20;
 const HUGE_PAGE: usize = 2 << 20;
 
 /// Use as `#[global_allocator] static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();`.
+///
+/// Free blocks are kept as long as they are no more than 384 MiB, or together with what is in use no more than five quarters
+/// of what was once in use: a step of training frees most of what it took, and the next takes the same sizes again, if not
+/// all at the same time.
 #[derive(Debug)]
 pub struct ReusingAllocator {
     kept: Mutex<Kept>,
 }
 
-/// Free blocks, oldest first.
+/// What stands at the beginning of a free block: its neighbours in the list of its size and in that of all by age.
+#[derive(Debug, Clone, Copy)]
+struct Free {
+    size: usize,
+    /// Freed before and after, of this size.
+    below: *mut Free,
+    above: *mut Free,
+    /// Freed before and after, of any.
+    older: *mut Free,
+    newer: *mut Free,
+}
+
 #[derive(Debug)]
 struct Kept {
-    /// Address and size.
-    blocks: [(usize, usize); KEPT_BLOCKS],
-    count: usize,
+    /// The block of each size that was freed last.
+    last: [*mut Free; SIZES],
+    oldest: *mut Free,
+    newest: *mut Free,
     bytes: usize,
+    in_use: usize,
+    most_in_use: usize,
 }
+
+// SAFETY: the pointers lead to free blocks, which belong to nobody else.
+unsafe impl Send for Kept {}
 
 impl ReusingAllocator {
     /// Keeping nothing yet.
     pub const fn new() -> Self {
-        Self { kept: Mutex::new(Kept { blocks: [(0, 0); KEPT_BLOCKS], count: 0, bytes: 0 }) }
+        let none = ptr::null_mut();
+        let kept =
+            Kept { last: [none; SIZES], oldest: none, newest: none, bytes: 0, in_use: 0, most_in_use: 0 };
+        Self { kept: Mutex::new(kept) }
     }
 
     fn with_kept<T>(&self, of: impl FnOnce(&mut Kept) -> T) -> T {
         of(&mut self.kept.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Gives blocks back that are more than may be kept.
+    fn give_back(&self) {
+        while let Some((address, size)) = self.with_kept(Kept::take_surplus) {
+            // SAFETY: made by `alloc` with this layout; nobody else holds a block that was kept.
+            unsafe { System.dealloc(address, Layout::from_size_align_unchecked(size, alignment(size))) }
+        }
     }
 }
 
@@ -51,36 +84,83 @@ impl Default for ReusingAllocator {
 }
 
 impl Kept {
-    /// The oldest block.
-    fn pop_oldest(&mut self) -> Option<(usize, usize)> {
-        (self.count > 0).then(|| self.take(0))
+    /// A block of this size, if there is one; it counts as in use from now on, kept or yet to be made.
+    fn take(&mut self, size: usize) -> Option<*mut u8> {
+        self.in_use += size;
+        self.most_in_use = self.most_in_use.max(self.in_use);
+        let block = self.last[size_number(size)];
+        // SAFETY: what the lists lead to is free.
+        (!block.is_null()).then(|| unsafe { self.unlink(block) })
     }
 
-    fn take(&mut self, index: usize) -> (usize, usize) {
-        let block = self.blocks[index];
-        self.blocks.copy_within(index + 1..self.count, index);
-        self.count -= 1;
-        self.bytes -= block.1;
-        block
-    }
-
-    /// The block of this size that was freed last.
-    fn take_fitting(&mut self, size: usize) -> Option<usize> {
-        let fitting = self.blocks[..self.count].iter().enumerate().filter(|(_, block)| block.1 == size);
-        let index = fitting.map(|(index, _)| index).next_back()?;
-        Some(self.take(index).0)
-    }
-
-    /// Whether there is room for the block now.
-    fn push(&mut self, block: (usize, usize)) -> bool {
-        let room = self.count < KEPT_BLOCKS && self.bytes + block.1 <= KEPT_BYTES;
-        if room {
-            self.blocks[self.count] = block;
-            self.count += 1;
-            self.bytes += block.1;
+    fn take_surplus(&mut self) -> Option<(*mut u8, usize)> {
+        let allowed = KEPT_BYTES.max(self.most_in_use + self.most_in_use / 4 - self.in_use);
+        if self.bytes <= allowed || self.oldest.is_null() {
+            return None;
         }
-        room
+        // SAFETY: as in `take`.
+        unsafe {
+            let size = (*self.oldest).size;
+            Some((self.unlink(self.oldest), size))
+        }
     }
+
+    /// Keeps a block that was in use.
+    ///
+    /// # Safety
+    /// It is free, has this size and the alignment of blocks.
+    unsafe fn push(&mut self, address: *mut u8, size: usize) {
+        self.in_use -= size;
+        self.bytes += size;
+        let block = address.cast::<Free>();
+        let below = self.last[size_number(size)];
+        let free = Free { size, below, above: ptr::null_mut(), older: self.newest, newer: ptr::null_mut() };
+        // SAFETY: the block is large enough and free, and so are those that the lists lead to.
+        unsafe {
+            block.write(free);
+            if let Some(below) = below.as_mut() {
+                below.above = block;
+            }
+            match self.newest.as_mut() {
+                Some(newest) => newest.newer = block,
+                None => self.oldest = block,
+            }
+        }
+        self.last[size_number(size)] = block;
+        self.newest = block;
+    }
+
+    /// # Safety
+    /// The block is in the lists.
+    unsafe fn unlink(&mut self, block: *mut Free) -> *mut u8 {
+        // SAFETY: the caller's promise; what the lists lead to is free.
+        unsafe {
+            let Free { size, below, above, older, newer } = block.read();
+            if let Some(below) = below.as_mut() {
+                below.above = above;
+            }
+            match above.as_mut() {
+                Some(above) => above.below = below,
+                None => self.last[size_number(size)] = below,
+            }
+            match older.as_mut() {
+                Some(older) => older.newer = newer,
+                None => self.oldest = newer,
+            }
+            match newer.as_mut() {
+                Some(newer) => newer.older = older,
+                None => self.newest = older,
+            }
+            self.bytes -= size;
+        }
+        block.cast()
+    }
+}
+
+/// Among the sizes that blocks have.
+fn size_number(size: usize) -> usize {
+    let power = size.ilog2() as usize;
+    8 * power + (size >> (power - 3)) - 8
 }
 
 /// The layout of the block that serves `layout`, if that is not left to the system. Sizes are rounded up to one of eight between a
@@ -117,9 +197,10 @@ unsafe impl GlobalAlloc for ReusingAllocator {
             // SAFETY: the caller's promise.
             return unsafe { System.alloc(layout) };
         };
-        if let Some(address) = self.with_kept(|kept| kept.take_fitting(block.size())) {
-            return address as *mut u8;
+        if let Some(address) = self.with_kept(|kept| kept.take(block.size())) {
+            return address;
         }
+        self.give_back();
         // SAFETY: the size is not zero.
         let address = unsafe { System.alloc(block) };
         if !address.is_null() && block.size() >= HUGE {
@@ -133,17 +214,9 @@ unsafe impl GlobalAlloc for ReusingAllocator {
             // SAFETY: the caller's promise.
             return unsafe { System.dealloc(address, layout) };
         };
-        if block.size() > KEPT_BYTES / 2 {
-            // SAFETY: made by `alloc` with this layout.
-            return unsafe { System.dealloc(address, block) };
-        }
-        while !self.with_kept(|kept| kept.push((address as usize, block.size()))) {
-            let Some((oldest, size)) = self.with_kept(Kept::pop_oldest) else { continue };
-            // SAFETY: made by `alloc` with this layout; nobody else holds a block that was kept.
-            unsafe {
-                System.dealloc(oldest as *mut u8, Layout::from_size_align_unchecked(size, alignment(size)))
-            }
-        }
+        // SAFETY: made by `alloc` with this layout, and free from now on.
+        self.with_kept(|kept| unsafe { kept.push(address, block.size()) });
+        self.give_back();
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
@@ -184,24 +257,56 @@ mod tests {
             assert_ne!(second, third);
             allocator.dealloc(second, shorter);
             allocator.dealloc(third, layout);
-            assert_eq!(allocator.with_kept(|kept| kept.count), 2);
+            let (bytes, in_use) = allocator.with_kept(|kept| (kept.bytes, kept.in_use));
+            assert_eq!((bytes, in_use), (6 << 20, 0));
         }
     }
 
     #[test]
-    fn what_is_kept_is_bounded() {
+    fn little_more_is_kept_than_was_in_use() {
         let allocator = ReusingAllocator::new();
-        let layouts: Vec<Layout> = (0..2 * KEPT_BLOCKS)
-            .map(|i| Layout::from_size_align((i % 7 + 1) << 20, 64).expect("valid"))
-            .collect();
+        let layouts: Vec<Layout> =
+            (0..1000).map(|i| Layout::from_size_align((i % 7 + 1) << 20, 64).expect("valid")).collect();
+        let held = || allocator.with_kept(|kept| kept.bytes + kept.in_use);
         // SAFETY: as above.
         unsafe {
-            let blocks: Vec<*mut u8> = layouts.iter().map(|&layout| allocator.alloc(layout)).collect();
-            for (&block, &layout) in blocks.iter().zip(&layouts) {
-                allocator.dealloc(block, layout);
-            }
+            let take = || -> Vec<*mut u8> { layouts.iter().map(|&layout| allocator.alloc(layout)).collect() };
+            let free = |blocks: &[*mut u8]| {
+                for (&block, &layout) in blocks.iter().zip(&layouts) {
+                    allocator.dealloc(block, layout);
+                }
+            };
+            let blocks = take();
+            let most = held();
+            assert!(most > 2 * KEPT_BYTES);
+            free(&blocks);
+            assert_eq!(held(), most, "all is kept for the next step");
+            let mut again = take();
+            assert_eq!(held(), most, "which takes the same");
+            free(&again);
+            let mut before = blocks;
+            (before.sort(), again.sort());
+            assert_eq!(before, again);
+
+            let other = Layout::from_size_align(900 << 20, 64).expect("valid");
+            let large = allocator.alloc(other);
+            assert!(held() <= most + most / 4, "another size takes the place of what is kept");
+            allocator.dealloc(large, other);
+            assert!(held() <= most + most / 4);
         }
-        let (count, bytes) = allocator.with_kept(|kept| (kept.count, kept.bytes));
-        assert!(count <= KEPT_BLOCKS && bytes <= KEPT_BYTES && bytes > KEPT_BYTES / 2);
+    }
+
+    #[test]
+    fn little_in_use_still_keeps_some() {
+        let allocator = ReusingAllocator::new();
+        let layout = Layout::from_size_align(160 << 20, 64).expect("valid");
+        // SAFETY: as above.
+        unsafe {
+            let blocks = [0; 3].map(|_| allocator.alloc(layout));
+            allocator.with_kept(|kept| kept.most_in_use = 0);
+            blocks.map(|block| allocator.dealloc(block, layout));
+        }
+        let bytes = allocator.with_kept(|kept| kept.bytes);
+        assert!(bytes <= KEPT_BYTES && bytes > KEPT_BYTES / 3);
     }
 }

@@ -37,11 +37,24 @@ pub(crate) trait Simd: Copy + Send + Sync + 'static {
     unsafe fn min(a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// The larger of each lane.
     unsafe fn max(a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    /// `then` where `v` is positive, zero elsewhere.
+    unsafe fn where_positive(v: Self::Vector, then: Self::Vector) -> Self::Vector;
     /// The sum of all lanes.
     unsafe fn sum(v: Self::Vector) -> f32;
 
     /// `p * 2^n`, where `t` is `n + 1.5 * 2^23` and `p` and the result are normal numbers.
     unsafe fn times_power_of_two(p: Self::Vector, t: Self::Vector) -> Self::Vector;
+
+    /// Writes element `i` of every `from`, of which there are `LANES`, to `to + i * step`, for `LANES` elements.
+    #[inline(always)]
+    unsafe fn transpose(from: &[*const f32; MOST_LANES], to: *mut f32, step: usize) {
+        for (column, from) in from.iter().take(Self::LANES).enumerate() {
+            for row in 0..Self::LANES {
+                // SAFETY: the caller gives this memory.
+                unsafe { *to.add(row * step + column) = *from.add(row) }
+            }
+        }
+    }
 
     /// Element `4 i + j` of the four vectors, one after another, becomes lane `i` of vector `j`.
     #[inline(always)]
@@ -169,6 +182,11 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
+    unsafe fn where_positive(v: [f32; 8], then: [f32; 8]) -> [f32; 8] {
+        std::array::from_fn(|i| if v[i] > 0.0 { then[i] } else { 0.0 })
+    }
+
+    #[inline(always)]
     unsafe fn sum(v: [f32; 8]) -> f32 {
         v.iter().sum()
     }
@@ -267,6 +285,11 @@ mod x86 {
         }
 
         #[inline(always)]
+        unsafe fn where_positive(v: __m256, then: __m256) -> __m256 {
+            unsafe { _mm256_and_ps(_mm256_cmp_ps::<_CMP_GT_OQ>(v, _mm256_setzero_ps()), then) }
+        }
+
+        #[inline(always)]
         unsafe fn sum(v: __m256) -> f32 {
             let mut lanes = [0.0_f32; 8];
             unsafe { _mm256_storeu_ps(lanes.as_mut_ptr(), v) }
@@ -353,6 +376,11 @@ mod x86 {
         }
 
         #[inline(always)]
+        unsafe fn where_positive(v: __m512, then: __m512) -> __m512 {
+            unsafe { _mm512_maskz_mov_ps(_mm512_cmp_ps_mask::<_CMP_GT_OQ>(v, _mm512_setzero_ps()), then) }
+        }
+
+        #[inline(always)]
         unsafe fn sum(v: __m512) -> f32 {
             unsafe { _mm512_reduce_add_ps(v) }
         }
@@ -362,6 +390,26 @@ mod x86 {
             unsafe {
                 let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(t));
                 _mm512_castsi512_ps(_mm512_add_epi32(_mm512_castps_si512(p), exponent))
+            }
+        }
+
+        #[inline(always)]
+        unsafe fn transpose(from: &[*const f32; 16], to: *mut f32, step: usize) {
+            unsafe {
+                // Interleaving every fourth row, then what that gives, brings all rows' elements together.
+                let mut quarters = [[_mm512_setzero_ps(); 4]; 4];
+                for j in 0..4 {
+                    let (a, b) = (_mm512_loadu_ps(from[j]), _mm512_loadu_ps(from[j + 4]));
+                    let (c, d) = (_mm512_loadu_ps(from[j + 8]), _mm512_loadu_ps(from[j + 12]));
+                    quarters[j] = Self::interleave([a, b, c, d]);
+                }
+                for k in 0..4 {
+                    let [a, b, c, d] = quarters;
+                    let rows = Self::interleave([a[k], b[k], c[k], d[k]]);
+                    for m in 0..4 {
+                        _mm512_storeu_ps(to.add((4 * k + m) * step), rows[m]);
+                    }
+                }
             }
         }
 
@@ -508,6 +556,31 @@ mod tests {
             for j in 0..4 {
                 S::store(apart[at(j)..].as_mut_ptr(), sorted[j]);
                 S::store(together[at(j)..].as_mut_ptr(), mixed[j]);
+            }
+        }
+    }
+
+    dispatch! {
+        fn turn = turn_kernel(from: &[*const f32; MOST_LANES], to: &mut [f32], step: usize)
+    }
+
+    unsafe fn turn_kernel<S: Simd>(from: &[*const f32; MOST_LANES], to: &mut [f32], step: usize) {
+        // SAFETY: the slices are long enough for any instruction set.
+        unsafe { S::transpose(from, to.as_mut_ptr(), step) }
+    }
+
+    #[test]
+    fn rows_become_columns() {
+        let elements: Vec<f32> = (0..MOST_LANES * 20).map(|i| i as f32).collect();
+        let from: [*const f32; MOST_LANES] = std::array::from_fn(|i| elements[i * 20..].as_ptr());
+        for isa in Isa::available() {
+            let mut to = vec![-1.0; MOST_LANES * 17];
+            // SAFETY: `isa` is available.
+            unsafe { turn(isa, &from, &mut to, 17) }
+            for (i, &found) in to.iter().enumerate() {
+                let (row, column) = (i / 17, i % 17);
+                let inside = row < isa.lanes() && column < isa.lanes();
+                assert_eq!(found, if inside { elements[column * 20 + row] } else { -1.0 }, "{isa:?}");
             }
         }
     }

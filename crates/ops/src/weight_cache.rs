@@ -11,10 +11,18 @@ use crate::flex::Contiguous;
 
 /// Keeps what was last made of a weight, for as long as the weight stays the same tensor.
 ///
-/// One cache belongs to one use of one weight. Clones share what is kept; with another weight the cache works, but has to
+/// One cache belongs to one layer's weight, and keeps a version for each [`Pass`]. Clones share what is kept; with another weight the cache works, but has to
 /// make everything anew.
 #[derive(Clone, Default)]
-pub struct WeightCache(Arc<Mutex<Option<Kept>>>);
+pub struct WeightCache(Arc<Mutex<[Option<Kept>; 2]>>);
+
+/// What a weight is ordered for.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Pass {
+    Forward,
+    /// The gradient of the input.
+    Backward,
+}
 
 struct Kept {
     /// The weight's memory. A weak reference is enough to tell it from any other, and while there is one, the memory is
@@ -33,13 +41,19 @@ impl fmt::Debug for WeightCache {
 
 impl WeightCache {
     /// What `make` makes of the weight's elements, or made of them before.
-    pub(crate) fn get(&self, weight: &FlexTensor, make: impl FnOnce(&[f32]) -> Vec<f32>) -> Arc<Vec<f32>> {
+    pub(crate) fn get(
+        &self,
+        pass: Pass,
+        weight: &FlexTensor,
+        make: impl FnOnce(&[f32]) -> Vec<f32>,
+    ) -> Arc<Vec<f32>> {
         let start = weight.layout().start_offset();
         let shape = weight.shape().to_vec();
         let memory: Arc<dyn Any + Send + Sync> = weight.data_arc();
-        let mut kept = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut both = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let kept = &mut both[pass as usize];
         if weight.is_contiguous()
-            && let Some(kept) = &*kept
+            && let Some(kept) = kept.as_ref()
             && std::ptr::addr_eq(kept.source.as_ptr(), Arc::as_ptr(&memory))
             && kept.start == start
             && kept.shape == shape
@@ -72,14 +86,17 @@ mod tests {
         let cache = WeightCache::default();
         let mut first = weight([1., 2., 3., 4.]);
         let twice = |values: &[f32]| values.iter().map(|x| 2.0 * x).collect();
-        assert_eq!(*cache.get(&first, twice), [2., 4., 6., 8.]);
+        assert_eq!(*cache.get(Pass::Forward, &first, twice), [2., 4., 6., 8.]);
         let not_again = |_: &[f32]| unreachable!("the weight is the same");
-        assert_eq!(*cache.clone().get(&first.clone(), not_again), [2., 4., 6., 8.]);
+        assert_eq!(*cache.clone().get(Pass::Forward, &first.clone(), not_again), [2., 4., 6., 8.]);
+        let thrice = |values: &[f32]| values.iter().map(|x| 3.0 * x).collect();
+        assert_eq!(*cache.get(Pass::Backward, &first, thrice), [3., 6., 9., 12.]);
+        assert_eq!(*cache.get(Pass::Forward, &first, not_again), [2., 4., 6., 8.]);
 
         first.storage_mut::<f32>()[0] = 5.0;
-        assert_eq!(*cache.get(&first, twice), [10., 4., 6., 8.]);
+        assert_eq!(*cache.get(Pass::Forward, &first, twice), [10., 4., 6., 8.]);
         drop(first);
-        assert_eq!(*cache.get(&weight([0., 1., 0., 1.]), twice), [0., 2., 0., 2.]);
+        assert_eq!(*cache.get(Pass::Forward, &weight([0., 1., 0., 1.]), twice), [0., 2., 0., 2.]);
     }
 
     #[test]
@@ -87,9 +104,9 @@ mod tests {
         let cache = WeightCache::default();
         let whole = weight([1., 2., 3., 4.]);
         let copy = |values: &[f32]| values.to_vec();
-        assert_eq!(*cache.get(&whole.narrow(0, 0, 1), copy), [1., 2.]);
-        assert_eq!(*cache.get(&whole.narrow(0, 1, 1), copy), [3., 4.]);
-        assert_eq!(*cache.get(&whole.transpose(0, 1), copy), [1., 3., 2., 4.]);
-        assert_eq!(*cache.get(&whole, copy), [1., 2., 3., 4.]);
+        assert_eq!(*cache.get(Pass::Forward, &whole.narrow(0, 0, 1), copy), [1., 2.]);
+        assert_eq!(*cache.get(Pass::Forward, &whole.narrow(0, 1, 1), copy), [3., 4.]);
+        assert_eq!(*cache.get(Pass::Forward, &whole.transpose(0, 1), copy), [1., 3., 2., 4.]);
+        assert_eq!(*cache.get(Pass::Forward, &whole, copy), [1., 2., 3., 4.]);
     }
 }

@@ -1,8 +1,9 @@
 //! Feature and context encoder of RAFT (`extractor.py`), to an eighth of the size.
 
 use burn::module::{Initializer, Module};
-use burn::tensor::{Device, Tensor, activation::relu};
+use burn::tensor::{Device, Tensor};
 use srflow_ops::Activation;
+use srflow_ops::activation::tensor::activated_sum;
 
 use super::norm::{Norm, NormKind};
 use super::{Conv2d, Conv2dConfig};
@@ -116,6 +117,6 @@ impl Block {
             Some((conv, norm)) => norm.after(conv, x, Activation::Identity),
             None => x,
         };
-        relu(shortcut + y)
+        activated_sum(shortcut, y, Activation::Relu)
     }
 }

@@ -1,8 +1,9 @@
 //! What normalizes the output of an encoder's convolution.
 
 use burn::module::{Flag, Initializer, Module, ModuleMapper, Param, RunningState};
-use burn::tensor::activation::{gelu, relu, sigmoid};
+use burn::tensor::activation::{gelu, sigmoid};
 use burn::tensor::{Device, Tensor};
+use srflow_ops::batch_norm::tensor::batch_norm;
 use srflow_ops::conv2d::tensor::Finish;
 use srflow_ops::instance_norm::tensor::instance_norm;
 use srflow_ops::{Activation, WeightCache};
@@ -78,16 +79,15 @@ impl Norm {
         };
         if self.batch_statistics.val().is_enabled() {
             let y = conv.forward(x, Activation::Identity);
-            follow(mean, variance, y.clone().detach());
-            let channels = weight.val().dims()[0];
-            let per_channel = |x: Tensor<1>| x.reshape([1, channels, 1, 1]);
-            let y = normalized(y) * per_channel(weight.val()) + per_channel(bias.val());
+            let [batch, _, height, width] = y.dims();
+            let rectify = activation == Activation::Relu;
+            let y = batch_norm(y, weight.val(), bias.val(), rectify);
+            follow(mean, variance, [y.mean, y.variance], batch * height * width);
             return match activation {
-                Activation::Identity => y,
-                Activation::Relu => relu(y),
-                Activation::Gelu => gelu(y),
-                Activation::Tanh => y.tanh(),
-                Activation::Sigmoid => sigmoid(y),
+                Activation::Identity | Activation::Relu => y.output,
+                Activation::Gelu => gelu(y.output),
+                Activation::Tanh => y.output.tanh(),
+                Activation::Sigmoid => sigmoid(y.output),
             };
         }
         let scale = weight.val() / (variance.value() + EPSILON).sqrt();
@@ -101,22 +101,16 @@ impl Norm {
     }
 }
 
-/// Each channel with mean 0 and variance 1 over all images: that of one image as high as all together.
-fn normalized(y: Tensor<4>) -> Tensor<4> {
-    let [batch, channels, height, width] = y.dims();
-    let y = y.swap_dims(0, 1).reshape([1, channels, batch * height, width]);
-    instance_norm(y, Activation::Identity).reshape([channels, batch, height, width]).swap_dims(0, 1)
-}
-
-/// Moves the running statistics towards those of `y`; the variance is the unbiased one, as in PyTorch.
-fn follow(mean: &RunningState<Tensor<1>>, variance: &RunningState<Tensor<1>>, y: Tensor<4>) {
-    let [batch, channels, height, width] = y.dims();
-    let count = batch * height * width;
-    let batch_mean = y.clone().mean_dims(&[0, 2, 3]);
-    let squares = (y - batch_mean.clone()).square().mean_dims(&[0, 2, 3]).reshape([channels]);
-    let unbiased = squares * (count as f64 / (count - 1).max(1) as f64);
-    for (running, found) in [(mean, batch_mean.reshape([channels])), (variance, unbiased)] {
-        running.update(running.value() * (1.0 - MOMENTUM) + found * MOMENTUM);
+/// Moves the running statistics towards those of a batch; the variance becomes the unbiased one, as in PyTorch.
+fn follow(
+    running_mean: &RunningState<Tensor<1>>,
+    running_variance: &RunningState<Tensor<1>>,
+    [mean, variance]: [Tensor<1>; 2],
+    count: usize,
+) {
+    let unbiased = variance * (count as f64 / (count - 1).max(1) as f64);
+    for (running, found) in [(running_mean, mean), (running_variance, unbiased)] {
+        running.update((running.value() * (1.0 - MOMENTUM) + found * MOMENTUM).detach());
         running.value_sync();
     }
 }

@@ -7,7 +7,7 @@
 
 use rayon::prelude::*;
 
-use crate::activation::Activation;
+use crate::activation::{Activation, exp};
 use crate::gemm::{Product, Start, Steps, multiply, pack_rows, panel_columns};
 use crate::shared_mut::SharedMut;
 use crate::simd::{Isa, Simd, dispatch};
@@ -287,29 +287,6 @@ impl AttentionWeights {
 struct Block {
     scores: *mut f32,
     rows: usize,
-}
-
-/// `exp(x)` for `x` of at most 0, relative error under 2e-7; under -87 it is `exp(-87)`, which a sum does not notice.
-#[inline(always)]
-unsafe fn exp<S: Simd>(x: S::Vector) -> S::Vector {
-    /// Added to a small number, it leaves the nearest integer in the lowest bits.
-    const ROUND: f32 = 12_582_912.0;
-    /// Least squares of the relative error on Chebyshev nodes of half a power of two to each side.
-    const TERMS: [f32; 6] = [1.0, 1.0, 0.5, 1.0 / 6.0, 1.0 / 24.0, 1.0 / 120.0];
-    // SAFETY: the caller's promise.
-    unsafe {
-        let x = S::max(x, S::splat(-87.0));
-        let t = S::mul_add(x, S::splat(std::f32::consts::LOG2_E), S::splat(ROUND));
-        let n = S::sub(t, S::splat(ROUND));
-        // ln 2 in two parts: the first times n is exact.
-        let r = S::mul_add(n, S::splat(-355.0 / 512.0), x);
-        let r = S::mul_add(n, S::splat(2.121_944_4e-4), r);
-        let mut sum = S::splat(1.0 / 720.0);
-        for &term in TERMS.iter().rev() {
-            sum = S::mul_add(sum, r, S::splat(term));
-        }
-        S::times_power_of_two(sum, t)
-    }
 }
 
 dispatch! {

@@ -1,6 +1,6 @@
 use rayon::prelude::*;
 
-use super::forward::{BLOCK, Plan, Tile, convolve_row, pack_weights};
+use super::forward::{BLOCK, Plan, Tile, convolve_packed, convolve_row, pack, pack_weights};
 use super::{Conv2dShape, Epilogue};
 use crate::simd::Isa;
 use crate::sums::sum;
@@ -31,49 +31,99 @@ pub fn conv2d_backward_input(grad: &[f32], weight: &[f32], shape: &Conv2dShape) 
 
 /// [`conv2d_backward_input`] with a chosen instruction set, one of [`Isa::available`].
 pub(super) fn backward_input_with(isa: Isa, grad: &[f32], weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
-    assert_eq!(grad.len(), shape.output_len(), "gradient of {shape:?}");
+    backward_input_packed(isa, grad, &pack_backward(isa, weight, shape), None, shape)
+}
+
+/// Whether the gradient of the input is one convolution, and which.
+fn as_convolution(shape: &Conv2dShape) -> Option<Conv2dShape> {
+    let one = shape.stride == [1, 1] && shape.kernel.iter().zip(shape.padding).all(|(&k, p)| p < k);
+    one.then(|| Conv2dShape {
+        in_channels: shape.out_channels,
+        out_channels: shape.in_channels,
+        input: shape.output(),
+        padding: [0, 1].map(|i| shape.kernel[i] - 1 - shape.padding[i]),
+        ..*shape
+    })
+}
+
+/// The weights in the order that [`backward_input_packed`] reads them in.
+pub(super) fn pack_backward(isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
+    match as_convolution(shape) {
+        Some(backward) => pack(isa, &turn_around(weight, shape, [0, 0]), &backward),
+        None => remainders(shape).flat_map(|remainder| turn_around(weight, shape, remainder)).collect(),
+    }
+}
+
+/// [`conv2d_backward_input`] plus `add`, with weights from [`pack_backward`] for the same instruction set and shape.
+pub(super) fn backward_input_packed(
+    isa: Isa,
+    grad: &[f32],
+    packed: &[f32],
+    add: Option<&[f32]>,
+    shape: &Conv2dShape,
+) -> Vec<f32> {
+    assert_eq!(grad.len(), shape.output_len(), "gradient of {shape:?}");
+    if shape.input_len() == 0 || grad.is_empty() {
+        return add.map_or_else(|| vec![0.0; shape.input_len()], <[f32]>::to_vec);
+    }
+    if let Some(backward) = as_convolution(shape) {
+        let epilogue = Epilogue { residual: add, ..Epilogue::default() };
+        return convolve_packed(isa, grad, packed, &epilogue, &backward);
+    }
     let mut out = vec![0.0; shape.input_len()];
-    if out.is_empty() || grad.is_empty() {
-        return out;
+    let mut rest = packed;
+    for remainder in remainders(shape) {
+        let taps = taps_of(shape, remainder);
+        let (turned, others) = rest.split_at(shape.in_channels * shape.out_channels * taps[0] * taps[1]);
+        backward_remainder(isa, grad, turned, shape, remainder, &mut out);
+        rest = others;
     }
-    if shape.stride == [1, 1] && shape.kernel.iter().zip(shape.padding).all(|(&k, p)| p < k) {
-        let transposed = turn_around(weight, shape, 0..shape.kernel[0], 0..shape.kernel[1], [1, 1]);
-        let backward = Conv2dShape {
-            in_channels: shape.out_channels,
-            out_channels: shape.in_channels,
-            input: shape.output(),
-            padding: [0, 1].map(|i| shape.kernel[i] - 1 - shape.padding[i]),
-            ..*shape
-        };
-        return super::forward::conv2d_with(isa, grad, &transposed, &Epilogue::default(), &backward);
-    }
-    for remainder_y in 0..shape.stride[0] {
-        for remainder_x in 0..shape.stride[1] {
-            backward_remainder(isa, grad, weight, shape, [remainder_y, remainder_x], &mut out);
-        }
+    if let Some(add) = add {
+        out.par_iter_mut().zip(add).for_each(|(out, add)| *out += add);
     }
     out
 }
 
-/// The taps of `rows` and `columns` at every `step`, last first, and input and output channels exchanged:
-/// `[C_in, C_out, taps down, taps across]`.
-fn turn_around(
-    weight: &[f32],
-    shape: &Conv2dShape,
-    rows: std::ops::Range<usize>,
-    columns: std::ops::Range<usize>,
-    step: [usize; 2],
-) -> Vec<f32> {
-    let mut out = Vec::with_capacity(weight.len());
-    for c in 0..shape.in_channels {
-        for o in 0..shape.out_channels {
-            let taps = &weight[(o * shape.in_channels + c) * shape.taps()..][..shape.taps()];
-            for y in rows.clone().step_by(step[0]).rev() {
-                out.extend(columns.clone().step_by(step[1]).rev().map(|x| taps[y * shape.kernel[1] + x]));
+/// Remainders of the input's row and column modulo the stride.
+fn remainders(shape: &Conv2dShape) -> impl Iterator<Item = [usize; 2]> {
+    let [down, across] = shape.stride;
+    (0..down).flat_map(move |y| (0..across).map(move |x| [y, x]))
+}
+
+/// Taps, down and across, that pixels of a remainder meet.
+fn taps_of(shape: &Conv2dShape, remainder: [usize; 2]) -> [usize; 2] {
+    [0, 1].map(|i| (remainder[i]..shape.kernel[i]).step_by(shape.stride[i]).len())
+}
+
+/// The taps of a remainder, last first, and input and output channels exchanged: `[C_in, C_out, taps down, taps across]`.
+fn turn_around(weight: &[f32], shape: &Conv2dShape, remainder: [usize; 2]) -> Vec<f32> {
+    /// Channels of a square that is turned in the cache.
+    const SQUARE: usize = 16;
+    let [down, across] = taps_of(shape, remainder);
+    let taps = down * across;
+    let mut out = vec![0.0; shape.in_channels * shape.out_channels * taps];
+    if taps == 0 {
+        return out;
+    }
+    let row = shape.out_channels * taps;
+    out.par_chunks_mut(SQUARE * row).enumerate().for_each(|(square, out)| {
+        for first in (0..shape.out_channels).step_by(SQUARE) {
+            for (c, out) in out.chunks_exact_mut(row).enumerate() {
+                let c = square * SQUARE + c;
+                for o in first..shape.out_channels.min(first + SQUARE) {
+                    let from = &weight[(o * shape.in_channels + c) * shape.taps()..][..shape.taps()];
+                    let to = &mut out[o * taps..][..taps];
+                    for (y, to) in to.chunks_exact_mut(across).rev().enumerate() {
+                        let from = &from[(remainder[0] + y * shape.stride[0]) * shape.kernel[1]..];
+                        for (x, to) in to.iter_mut().rev().enumerate() {
+                            *to = from[remainder[1] + x * shape.stride[1]];
+                        }
+                    }
+                }
             }
         }
-    }
+    });
     out
 }
 
@@ -81,12 +131,12 @@ fn turn_around(
 fn backward_remainder(
     isa: Isa,
     grad: &[f32],
-    weight: &[f32],
+    turned: &[f32],
     shape: &Conv2dShape,
     remainder: [usize; 2],
     out: &mut [f32],
 ) {
-    let taps = [0, 1].map(|i| (remainder[i]..shape.kernel[i]).step_by(shape.stride[i]).len());
+    let taps = taps_of(shape, remainder);
     if taps.contains(&0) {
         return; // no tap reaches these pixels: their gradient is zero
     }
@@ -99,14 +149,7 @@ fn backward_remainder(
     if count.contains(&0) {
         return;
     }
-    let transposed = turn_around(
-        weight,
-        shape,
-        remainder[0]..shape.kernel[0],
-        remainder[1]..shape.kernel[1],
-        shape.stride,
-    );
-    let gathered = gather(isa, grad, &transposed, shape, taps, first_q, count);
+    let gathered = gather(isa, grad, turned, shape, taps, first_q, count);
     let [height, width] = shape.input;
     let [stride_y, stride_x] = shape.stride;
     out.par_chunks_mut(height * width).zip(gathered.par_chunks(count[0] * count[1])).for_each(
@@ -127,7 +170,7 @@ fn backward_remainder(
 fn gather(
     isa: Isa,
     grad: &[f32],
-    transposed: &[f32],
+    turned: &[f32],
     shape: &Conv2dShape,
     taps: [usize; 2],
     first_q: [usize; 2],
@@ -160,7 +203,7 @@ fn gather(
         out_channel: count[0] * count[1],
     };
     let inner = plan.channels * plan.taps.len();
-    let weights = pack_weights(transposed, shape.in_channels, inner);
+    let weights = pack_weights(turned, shape.in_channels, inner);
     let mut out = vec![0.0; shape.batch * shape.in_channels * plan.out_channel];
     out.par_chunks_mut(shape.in_channels * plan.out_channel).enumerate().for_each(|(n, image)| {
         image.par_chunks_mut(BLOCK * plan.out_channel).enumerate().for_each(|(block, channels)| {

@@ -1,19 +1,19 @@
 //! The convolution on tensors: [`conv2d`] with gradients.
 
-use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
-use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::ops::FloatTensorOps;
+use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, DispatchTensor, Flex, TensorMetadata, backend_extension};
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Device, Shape, Tensor};
 
+use super::backward::{backward_input_packed, pack_backward};
 use super::forward::{convolve_packed, pack};
 use super::{Conv2dShape, Epilogue};
 use crate::activation::activate_tensor;
-use crate::flex::{Contiguous, sizes, tensor};
+use crate::flex::{Contiguous, tensor};
 use crate::simd::Isa;
+use crate::tracked::{Convolution, EpilogueGradOps, tracked};
+use crate::weight_cache::Pass;
 use crate::{Activation, WeightCache};
 
 /// How a kernel moves over its input.
@@ -69,16 +69,21 @@ pub trait Conv2dOps: Backend {
     }
 }
 
-/// Gradients of a convolution with its bias. The defaults are Burn's own.
+/// Gradients of a convolution without epilogue. The defaults are Burn's own.
 pub trait Conv2dGradOps: Backend {
-    /// Gradient of the input.
+    /// Gradient of the input, plus `add`.
     fn conv2d_input_grad(
         input: FloatTensor<Self>,
         weight: FloatTensor<Self>,
         grad: FloatTensor<Self>,
+        add: Option<FloatTensor<Self>>,
         options: Conv2dOptions,
     ) -> FloatTensor<Self> {
-        Self::conv2d_x_backward(input, weight, grad, options.into())
+        let d_input = Self::conv2d_x_backward(input, weight, grad, options.into());
+        match add {
+            None => d_input,
+            Some(add) => Self::float_add(d_input, add),
+        }
     }
 
     /// Gradient of the weight.
@@ -89,13 +94,6 @@ pub trait Conv2dGradOps: Backend {
         options: Conv2dOptions,
     ) -> FloatTensor<Self> {
         Self::conv2d_weight_backward(input, weight, grad, options.into())
-    }
-
-    /// Gradient of the bias, `[out_channels]`.
-    fn conv2d_bias_grad(grad: FloatTensor<Self>) -> FloatTensor<Self> {
-        let [_, channels, _, _] = sizes(&grad);
-        let sum = [0, 2, 3].into_iter().fold(grad, Self::float_sum_dim);
-        Self::float_reshape(sum, [channels].into())
     }
 }
 
@@ -127,7 +125,7 @@ fn convolve(
 ) -> FloatTensor<Flex> {
     let shape = shape_of(&input.shape(), &weight.shape(), &options);
     let isa = Isa::best();
-    let packed = options.cache.get(weight, |weight| pack(isa, weight, &shape));
+    let packed = options.cache.get(Pass::Forward, weight, |weight| pack(isa, weight, &shape));
     let out = convolve_packed(isa, Contiguous::new(input).slice(), &packed, epilogue, &shape);
     let [height, width] = shape.output();
     tensor(out, [shape.batch, shape.out_channels, height, width])
@@ -165,11 +163,15 @@ impl Conv2dGradOps for Flex {
         input: FloatTensor<Self>,
         weight: FloatTensor<Self>,
         grad: FloatTensor<Self>,
+        add: Option<FloatTensor<Self>>,
         options: Conv2dOptions,
     ) -> FloatTensor<Self> {
         let shape = shape_of(&input.shape(), &weight.shape(), &options);
-        let (weight, grad) = (Contiguous::new(&weight), Contiguous::new(&grad));
-        tensor(super::conv2d_backward_input(grad.slice(), weight.slice(), &shape), input.shape())
+        let isa = Isa::best();
+        let packed = options.cache.get(Pass::Backward, &weight, |weight| pack_backward(isa, weight, &shape));
+        let (grad, add) = (Contiguous::new(&grad), add.as_ref().map(Contiguous::new));
+        let add = add.as_ref().map(Contiguous::slice);
+        tensor(backward_input_packed(isa, grad.slice(), &packed, add, &shape), input.shape())
     }
 
     fn conv2d_weight_grad(
@@ -182,56 +184,48 @@ impl Conv2dGradOps for Flex {
         let (input, grad) = (Contiguous::new(&input), Contiguous::new(&grad));
         tensor(super::conv2d_backward_weight(input.slice(), grad.slice(), &shape), weight.shape())
     }
+}
 
-    fn conv2d_bias_grad(grad: FloatTensor<Self>) -> FloatTensor<Self> {
-        let [_, channels, height, width] = sizes(&grad);
-        let grad = Contiguous::new(&grad);
-        tensor(super::conv2d_backward_bias(grad.slice(), channels, height * width), [channels])
+impl<B: Conv2dOps + Conv2dGradOps> Convolution<B> for Conv2dOptions {
+    fn forward(
+        self,
+        input: FloatTensor<B>,
+        weight: FloatTensor<B>,
+        bias: FloatTensor<B>,
+        residual: Option<FloatTensor<B>>,
+        activation: Activation,
+    ) -> FloatTensor<B> {
+        match residual {
+            None => B::biased_conv2d(input, weight, bias, self, activation),
+            Some(residual) => B::residual_conv2d(input, weight, bias, residual, self, activation),
+        }
+    }
+
+    fn input_grad(
+        self,
+        input: FloatTensor<B>,
+        weight: FloatTensor<B>,
+        grad: FloatTensor<B>,
+        add: Option<FloatTensor<B>>,
+    ) -> FloatTensor<B> {
+        B::conv2d_input_grad(input, weight, grad, add, self)
+    }
+
+    fn weight_grad(
+        self,
+        input: FloatTensor<B>,
+        weight: FloatTensor<B>,
+        grad: FloatTensor<B>,
+    ) -> FloatTensor<B> {
+        B::conv2d_weight_grad(input, weight, grad, self)
     }
 }
 
-/// Backward of the convolution with its bias; what else the epilogue adds and applies are operations of their own here,
-/// so that each has its gradient.
-#[derive(Debug)]
-struct Conv2dBackward;
-
-impl<B: Conv2dGradOps> Backward<B, 3> for Conv2dBackward {
-    type State = (FloatTensor<B>, FloatTensor<B>, Conv2dOptions);
-
-    fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        let (input, weight, options) = ops.state;
-        let [input_node, weight_node, bias_node] = ops.parents;
-        if let Some(node) = input_node {
-            let d_input = B::conv2d_input_grad(input.clone(), weight.clone(), grad.clone(), options.clone());
-            grads.register::<B>(node.id, d_input);
-        }
-        if let Some(node) = weight_node {
-            let d_weight = B::conv2d_weight_grad(input, weight, grad.clone(), options);
-            grads.register::<B>(node.id, d_weight);
-        }
-        if let Some(node) = bias_node {
-            grads.register::<B>(node.id, B::conv2d_bias_grad(grad));
-        }
-    }
-}
-
-fn tracked_conv2d<B: Conv2dOps + Conv2dGradOps, C: CheckpointStrategy>(
-    input: FloatTensor<Autodiff<B, C>>,
-    weight: FloatTensor<Autodiff<B, C>>,
-    bias: FloatTensor<Autodiff<B, C>>,
-    options: Conv2dOptions,
-) -> FloatTensor<Autodiff<B, C>> {
-    let guards = [input.node(), weight.node(), bias.node()];
-    let [input, weight, bias] = [input, weight, bias].map(|tensor| tensor.into_primitive());
-    let out = B::biased_conv2d(input.clone(), weight.clone(), bias, options.clone(), Activation::Identity);
-    match Conv2dBackward.prepare::<C>(guards).compute_bound().stateful() {
-        OpsKind::Tracked(prep) => prep.finish((input, weight, options), out),
-        OpsKind::UnTracked(prep) => prep.finish(out),
-    }
-}
-
-impl<B: Conv2dOps + Conv2dGradOps, C: CheckpointStrategy> Conv2dOps for Autodiff<B, C> {
+impl<B, C> Conv2dOps for Autodiff<B, C>
+where
+    B: Conv2dOps + Conv2dGradOps + EpilogueGradOps,
+    C: CheckpointStrategy,
+{
     fn biased_conv2d(
         input: FloatTensor<Self>,
         weight: FloatTensor<Self>,
@@ -239,7 +233,7 @@ impl<B: Conv2dOps + Conv2dGradOps, C: CheckpointStrategy> Conv2dOps for Autodiff
         options: Conv2dOptions,
         activation: Activation,
     ) -> FloatTensor<Self> {
-        activate_tensor::<Self>(tracked_conv2d::<B, C>(input, weight, bias, options), activation)
+        tracked::<B, C>(options, [input, weight, bias], None, activation)
     }
 
     fn residual_conv2d(
@@ -250,8 +244,7 @@ impl<B: Conv2dOps + Conv2dGradOps, C: CheckpointStrategy> Conv2dOps for Autodiff
         options: Conv2dOptions,
         activation: Activation,
     ) -> FloatTensor<Self> {
-        let out = tracked_conv2d::<B, C>(input, weight, bias, options);
-        activate_tensor::<Self>(Self::float_add(out, residual), activation)
+        tracked::<B, C>(options, [input, weight, bias], Some(residual), activation)
     }
 }
 

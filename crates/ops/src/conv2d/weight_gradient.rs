@@ -9,13 +9,11 @@ use super::forward::Padded;
 use crate::activation::Activation;
 use crate::gemm::{Product, Start, Steps, multiply, pack_rows, panel_columns};
 use crate::shared_mut::SharedMut;
-use crate::simd::Isa;
+use crate::simd::{Isa, MOST_LANES, Simd, dispatch};
 
 /// Pixels whose products are summed before the sums go to memory: as many as keep a panel of patches in the second-level
 /// cache.
 const BLOCK_PIXELS: usize = 256;
-/// Pixels that are turned around at a time, so that what is written stays in the first-level cache.
-const TURNED_PIXELS: usize = 16;
 
 /// Gradient of the weight from the input and `grad`, the gradient of the output; `[C_out, C_in, kernel]`.
 ///
@@ -44,7 +42,8 @@ pub(super) fn backward_weight_with(isa: Isa, input: &[f32], grad: &[f32], shape:
     (0..columns.div_ceil(width)).into_par_iter().for_each_init(panel, |panel, number| {
         let own = number * width..columns.min((number + 1) * width);
         for block in &blocks {
-            patches.turn(block, own.clone(), width, panel);
+            // SAFETY: `isa` is available.
+            unsafe { turn(isa, &patches, block, own.clone(), width, panel) }
             let product = Product {
                 left: left[shape.out_channels * block.before..].as_ptr(),
                 rows: shape.out_channels,
@@ -143,27 +142,67 @@ impl<'a> Patches<'a> {
         Self { padded, taps, source_row }
     }
 
-    /// The images of `columns` (channel by channel, tap by tap), a row of `panel` for each pixel of the block.
-    fn turn(&self, block: &Block, columns: Range<usize>, width: usize, panel: &mut [f32]) {
-        let pixels = block.columns.len();
-        for (row, panel) in block.rows.clone().zip(panel.chunks_mut(pixels * width)) {
-            for first in (0..pixels).step_by(TURNED_PIXELS) {
-                let count = TURNED_PIXELS.min(pixels - first);
-                let panel = &mut panel[first * width..][..count * width];
-                for (i, column) in columns.clone().enumerate() {
-                    let (channel, tap) = (column / self.taps.len(), column % self.taps.len());
-                    let start = block.image * self.padded.image
-                        + channel * self.padded.channel
-                        + row * self.source_row
-                        + self.taps[tap]
-                        + block.columns.start
-                        + first;
-                    let source = &self.padded.data()[start..start + count];
-                    for (to, &value) in panel[i..].iter_mut().step_by(width).zip(source) {
-                        *to = value;
+    /// Address of the first pixel of a row of the block in the image of a column (channel by channel, tap by tap).
+    fn source(&self, block: &Block, row: usize, column: usize) -> *const f32 {
+        let (channel, tap) = (column / self.taps.len(), column % self.taps.len());
+        let start = block.image * self.padded.image
+            + channel * self.padded.channel
+            + row * self.source_row
+            + self.taps[tap]
+            + block.columns.start;
+        self.padded.data()[start..start + block.columns.len()].as_ptr()
+    }
+}
+
+dispatch! {
+    /// The images of `columns`, a row of `panel` for each pixel of the block, which is `width` long.
+    ///
+    /// # Safety
+    /// `isa` is available.
+    fn turn = turn_kernel(patches: &Patches, block: &Block, columns: Range<usize>, width: usize, panel: &mut [f32])
+}
+
+#[inline(always)]
+unsafe fn turn_kernel<S: Simd>(
+    patches: &Patches,
+    block: &Block,
+    columns: Range<usize>,
+    width: usize,
+    panel: &mut [f32],
+) {
+    let pixels = block.columns.len();
+    for (row, panel) in block.rows.clone().zip(panel.chunks_mut(pixels * width)) {
+        let mut column = columns.start;
+        while column < columns.end {
+            let together = S::LANES.min(columns.end - column);
+            let mut sources = [std::ptr::null(); MOST_LANES];
+            for (i, source) in sources.iter_mut().enumerate().take(together) {
+                *source = patches.source(block, row, column + i);
+            }
+            let mut pixel = 0;
+            while pixel < pixels {
+                let count = S::LANES.min(pixels - pixel);
+                let to = &mut panel[pixel * width + column - columns.start..];
+                if count == S::LANES && together == S::LANES {
+                    let mut from = sources;
+                    for from in from.iter_mut().take(together) {
+                        // SAFETY: every source holds the row's pixels.
+                        *from = unsafe { from.add(pixel) };
+                    }
+                    assert!(to.len() >= (S::LANES - 1) * width + S::LANES);
+                    // SAFETY: as above, and the panel holds the square.
+                    unsafe { S::transpose(&from, to.as_mut_ptr(), width) }
+                } else {
+                    for (i, source) in sources.iter().enumerate().take(together) {
+                        for j in 0..count {
+                            // SAFETY: as above.
+                            to[j * width + i] = unsafe { *source.add(pixel + j) };
+                        }
                     }
                 }
+                pixel += count;
             }
+            column += together;
         }
     }
 }

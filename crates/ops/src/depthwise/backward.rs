@@ -12,14 +12,25 @@ const TAPS_ACROSS: usize = 5;
 /// Gradient of the input from `grad`, that of the output: the convolution of `grad` with the kernel turned around.
 /// Panics when a slice does not fit `shape` or the padding is not smaller than the kernel.
 pub fn depthwise_backward_input(grad: &[f32], weight: &[f32], shape: &DepthwiseShape) -> Vec<f32> {
-    backward_input_with(Isa::best(), grad, weight, shape)
+    backward_input_with(Isa::best(), grad, weight, None, shape)
 }
 
-/// [`depthwise_backward_input`] with a chosen instruction set, one of [`Isa::available`].
+/// [`depthwise_backward_input`], plus `add`.
+pub(super) fn backward_input_adding(
+    grad: &[f32],
+    weight: &[f32],
+    add: Option<&[f32]>,
+    shape: &DepthwiseShape,
+) -> Vec<f32> {
+    backward_input_with(Isa::best(), grad, weight, add, shape)
+}
+
+/// [`backward_input_adding`] with a chosen instruction set, one of [`Isa::available`].
 pub(super) fn backward_input_with(
     isa: Isa,
     grad: &[f32],
     weight: &[f32],
+    add: Option<&[f32]>,
     shape: &DepthwiseShape,
 ) -> Vec<f32> {
     assert!(
@@ -27,7 +38,7 @@ pub(super) fn backward_input_with(
         "padding smaller than the kernel: {shape:?}"
     );
     if grad.is_empty() {
-        return vec![0.0; shape.input_len()];
+        return add.map_or_else(|| vec![0.0; shape.input_len()], <[f32]>::to_vec);
     }
     let taps = shape.kernel[0] * shape.kernel[1];
     let turned: Vec<f32> =
@@ -37,7 +48,7 @@ pub(super) fn backward_input_with(
         padding: [0, 1].map(|i| shape.kernel[i] - 1 - shape.padding[i]),
         ..*shape
     };
-    depthwise_with(isa, grad, &turned, &Epilogue::default(), &backward)
+    depthwise_with(isa, grad, &turned, &Epilogue { residual: add, ..Epilogue::default() }, &backward)
 }
 
 /// Gradient of the weight from the input and `grad`, the gradient of the output; `[C, 1, kernel]`. It does not depend

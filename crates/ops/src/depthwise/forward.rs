@@ -2,6 +2,7 @@ use rayon::prelude::*;
 
 use super::DepthwiseShape;
 use crate::conv2d::Epilogue;
+use crate::shared_mut::SharedMut;
 use crate::simd::{Isa, Simd, dispatch};
 
 /// Output rows of a register tile.
@@ -29,12 +30,9 @@ pub(super) fn depthwise_with(
     assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
     epilogue.check(shape.channels, shape.output_len());
     let [height, width] = shape.output();
-    let mut out = vec![0.0; shape.output_len()];
-    if out.is_empty() {
-        return out;
-    }
     let taps = shape.kernel[0] * shape.kernel[1];
-    out.par_chunks_mut(height * width).enumerate().for_each_init(Vec::new, |scratch, (plane, out)| {
+    let planes = if height * width == 0 { 0 } else { shape.batch * shape.channels };
+    let compute = |scratch: &mut Vec<f32>, plane: usize, out: &mut [f32]| {
         let channel = plane % shape.channels;
         let source = &input[plane * shape.input[0] * shape.input[1]..][..shape.input[0] * shape.input[1]];
         let row = pad(source, shape.input, shape.padding, scratch);
@@ -52,8 +50,17 @@ pub(super) fn depthwise_with(
             convolve_plane(isa, &task, out);
             epilogue.finish(isa, plane * height * width, out);
         }
-    });
-    out
+    };
+    let fill = |target: SharedMut| {
+        (0..planes).into_par_iter().for_each_init(Vec::new, |scratch, plane| {
+            // SAFETY: inside, and this task's alone.
+            let out =
+                unsafe { std::slice::from_raw_parts_mut(target.at(plane * height * width), height * width) };
+            compute(scratch, plane, out);
+        });
+    };
+    // SAFETY: the planes are all there is, and each is written whole.
+    unsafe { SharedMut::fill_new(shape.output_len(), fill) }
 }
 
 /// Copies a plane into `padded` with a border of zeros; the elements from a row to the next.

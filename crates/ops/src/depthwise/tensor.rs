@@ -1,20 +1,19 @@
 //! The depthwise convolution on tensors: [`depthwise`] with gradients.
 
-use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
-use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::ops::FloatTensorOps;
+use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, Flex, TensorMetadata, backend_extension};
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Shape, Tensor};
 
 use super::DepthwiseShape;
+use super::backward::backward_input_adding;
 use crate::Activation;
 use crate::activation::activate_tensor;
 use crate::conv2d::Epilogue;
 use crate::conv2d::tensor::Finish;
-use crate::flex::{Contiguous, sizes, tensor};
+use crate::flex::{Contiguous, tensor};
+use crate::tracked::{Convolution, EpilogueGradOps, tracked};
 
 /// Depthwise convolution with its epilogue. The default is Burn's own convolution.
 #[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
@@ -49,15 +48,20 @@ pub trait DepthwiseOps: Backend {
 
 /// Gradients of a depthwise convolution without epilogue. The defaults are Burn's own.
 pub trait DepthwiseGradOps: Backend {
-    /// Gradient of the input.
+    /// Gradient of the input, plus `add`.
     fn depthwise_input_grad(
         input: FloatTensor<Self>,
         weight: FloatTensor<Self>,
         grad: FloatTensor<Self>,
+        add: Option<FloatTensor<Self>>,
         padding: [usize; 2],
     ) -> FloatTensor<Self> {
         let grouped = grouped(&input.shape(), padding);
-        Self::conv2d_x_backward(input, weight, grad, grouped)
+        let d_input = Self::conv2d_x_backward(input, weight, grad, grouped);
+        match add {
+            None => d_input,
+            Some(add) => Self::float_add(d_input, add),
+        }
     }
 
     /// Gradient of the weight.
@@ -134,11 +138,14 @@ impl DepthwiseGradOps for Flex {
         input: FloatTensor<Self>,
         weight: FloatTensor<Self>,
         grad: FloatTensor<Self>,
+        add: Option<FloatTensor<Self>>,
         padding: [usize; 2],
     ) -> FloatTensor<Self> {
         let shape = shape_of(&input.shape(), &weight.shape(), padding);
-        let (weight, grad) = (Contiguous::new(&weight), Contiguous::new(&grad));
-        tensor(super::depthwise_backward_input(grad.slice(), weight.slice(), &shape), input.shape())
+        let (weight, grad, add) =
+            (Contiguous::new(&weight), Contiguous::new(&grad), add.as_ref().map(Contiguous::new));
+        let add = add.as_ref().map(Contiguous::slice);
+        tensor(backward_input_adding(grad.slice(), weight.slice(), add, &shape), input.shape())
     }
 
     fn depthwise_weight_grad(
@@ -153,50 +160,50 @@ impl DepthwiseGradOps for Flex {
     }
 }
 
-/// Backward of the convolution alone; what the epilogue adds and applies are operations of their own here, so that each
-/// has its gradient.
-#[derive(Debug)]
-struct DepthwiseBackward;
+/// A depthwise convolution by its padding.
+#[derive(Debug, Clone)]
+struct Depthwise([usize; 2]);
 
-impl<B: DepthwiseGradOps> Backward<B, 2> for DepthwiseBackward {
-    type State = (FloatTensor<B>, FloatTensor<B>, [usize; 2]);
+impl<B: DepthwiseOps + DepthwiseGradOps> Convolution<B> for Depthwise {
+    fn forward(
+        self,
+        input: FloatTensor<B>,
+        weight: FloatTensor<B>,
+        bias: FloatTensor<B>,
+        residual: Option<FloatTensor<B>>,
+        activation: Activation,
+    ) -> FloatTensor<B> {
+        match residual {
+            None => B::biased_depthwise(input, weight, bias, self.0, activation),
+            Some(residual) => B::residual_depthwise(input, weight, bias, residual, self.0, activation),
+        }
+    }
 
-    fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        let (input, weight, padding) = ops.state;
-        let [input_node, weight_node] = ops.parents;
-        if let Some(node) = input_node {
-            let d_input = B::depthwise_input_grad(input.clone(), weight.clone(), grad.clone(), padding);
-            grads.register::<B>(node.id, d_input);
-        }
-        if let Some(node) = weight_node {
-            grads.register::<B>(node.id, B::depthwise_weight_grad(input, weight, grad, padding));
-        }
+    fn input_grad(
+        self,
+        input: FloatTensor<B>,
+        weight: FloatTensor<B>,
+        grad: FloatTensor<B>,
+        add: Option<FloatTensor<B>>,
+    ) -> FloatTensor<B> {
+        B::depthwise_input_grad(input, weight, grad, add, self.0)
+    }
+
+    fn weight_grad(
+        self,
+        input: FloatTensor<B>,
+        weight: FloatTensor<B>,
+        grad: FloatTensor<B>,
+    ) -> FloatTensor<B> {
+        B::depthwise_weight_grad(input, weight, grad, self.0)
     }
 }
 
-fn tracked_depthwise<B: DepthwiseOps + DepthwiseGradOps, C: CheckpointStrategy>(
-    input: FloatTensor<Autodiff<B, C>>,
-    weight: FloatTensor<Autodiff<B, C>>,
-    padding: [usize; 2],
-) -> FloatTensor<Autodiff<B, C>> {
-    let guards = [input.node(), weight.node()];
-    let (input, weight) = (input.into_primitive(), weight.into_primitive());
-    let no_bias = B::float_zeros([sizes::<4>(&weight)[0]].into(), &input.device(), input.dtype().into());
-    let out = B::biased_depthwise(input.clone(), weight.clone(), no_bias, padding, Activation::Identity);
-    match DepthwiseBackward.prepare::<C>(guards).compute_bound().stateful() {
-        OpsKind::Tracked(prep) => prep.finish((input, weight, padding), out),
-        OpsKind::UnTracked(prep) => prep.finish(out),
-    }
-}
-
-/// The bias of a convolution, to be added to its output.
-fn per_channel<B: Backend>(bias: FloatTensor<B>) -> FloatTensor<B> {
-    let channels = bias.shape().num_elements();
-    B::float_reshape(bias, [1, channels, 1, 1].into())
-}
-
-impl<B: DepthwiseOps + DepthwiseGradOps, C: CheckpointStrategy> DepthwiseOps for Autodiff<B, C> {
+impl<B, C> DepthwiseOps for Autodiff<B, C>
+where
+    B: DepthwiseOps + DepthwiseGradOps + EpilogueGradOps,
+    C: CheckpointStrategy,
+{
     fn biased_depthwise(
         input: FloatTensor<Self>,
         weight: FloatTensor<Self>,
@@ -204,8 +211,7 @@ impl<B: DepthwiseOps + DepthwiseGradOps, C: CheckpointStrategy> DepthwiseOps for
         padding: [usize; 2],
         activation: Activation,
     ) -> FloatTensor<Self> {
-        let out = tracked_depthwise::<B, C>(input, weight, padding);
-        activate_tensor::<Self>(Self::float_add(out, per_channel::<Self>(bias)), activation)
+        tracked::<B, C>(Depthwise(padding), [input, weight, bias], None, activation)
     }
 
     fn residual_depthwise(
@@ -216,9 +222,7 @@ impl<B: DepthwiseOps + DepthwiseGradOps, C: CheckpointStrategy> DepthwiseOps for
         padding: [usize; 2],
         activation: Activation,
     ) -> FloatTensor<Self> {
-        let out = tracked_depthwise::<B, C>(input, weight, padding);
-        let sum = Self::float_add(Self::float_add(out, per_channel::<Self>(bias)), residual);
-        activate_tensor::<Self>(sum, activation)
+        tracked::<B, C>(Depthwise(padding), [input, weight, bias], Some(residual), activation)
     }
 }
 

@@ -41,7 +41,7 @@ fn each_instruction_set_computes_the_definition() {
                 assert_close(&format!("{what}, {isa:?}, {shape:?}"), found, expected, TOLERANCE);
             };
             check("output", &depthwise_with(isa, &input, &weight, &epilogue, &shape), &out);
-            check("input gradient", &backward_input_with(isa, &grad, &weight, &shape), &d_input);
+            check("input gradient", &backward_input_with(isa, &grad, &weight, None, &shape), &d_input);
             check("weight gradient", &backward_weight_with(isa, &input, &grad, &shape), &d_weight);
         }
     }

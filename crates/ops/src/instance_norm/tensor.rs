@@ -9,8 +9,8 @@ use burn::tensor::{Shape, Tensor};
 
 use super::composed::{gradient, normalized};
 use crate::Activation;
-use crate::activation::activate_tensor;
 use crate::flex::{Contiguous, tensor};
+use crate::tracked::{EpilogueGradOps, kept_and_output};
 
 /// The normalization; see [`instance_norm`].
 #[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
@@ -57,26 +57,40 @@ impl InstanceNormGradOps for Flex {
 }
 
 #[derive(Debug)]
-struct InstanceNormBackward;
+struct InstanceNormBackward(Activation);
 
-impl<B: InstanceNormGradOps> Backward<B, 1> for InstanceNormBackward {
-    type State = FloatTensor<B>;
+impl<B: InstanceNormGradOps + EpilogueGradOps> Backward<B, 1> for InstanceNormBackward {
+    /// The input and what the derivative of the activation needs.
+    type State = (FloatTensor<B>, Option<FloatTensor<B>>);
 
     fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
-        unary::<B, _>(ops.parents, ops.node, grads, |grad| B::instance_normalization_grad(ops.state, grad));
+        let (input, kept) = ops.state;
+        unary::<B, _>(ops.parents, ops.node, grads, |grad| {
+            let grad = match kept {
+                Some(kept) => B::sums_grad(grad, kept, self.0),
+                None => grad,
+            };
+            B::instance_normalization_grad(input, grad)
+        });
     }
 }
 
-impl<B: InstanceNormOps + InstanceNormGradOps, C: CheckpointStrategy> InstanceNormOps for Autodiff<B, C> {
+impl<B, C> InstanceNormOps for Autodiff<B, C>
+where
+    B: InstanceNormOps + InstanceNormGradOps + EpilogueGradOps,
+    C: CheckpointStrategy,
+{
     fn instance_normalization(input: FloatTensor<Self>, activation: Activation) -> FloatTensor<Self> {
         let guards = [input.node()];
         let input = input.into_primitive();
-        let out = B::instance_normalization(input.clone(), Activation::Identity);
-        let out = match InstanceNormBackward.prepare::<C>(guards).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish(input, out),
-            OpsKind::UnTracked(prep) => prep.finish(out),
-        };
-        activate_tensor::<Self>(out, activation)
+        match InstanceNormBackward(activation).prepare::<C>(guards).compute_bound().stateful() {
+            OpsKind::UnTracked(prep) => prep.finish(B::instance_normalization(input, activation)),
+            OpsKind::Tracked(prep) => {
+                let run = |applied| B::instance_normalization(input.clone(), applied);
+                let (kept, out) = kept_and_output::<B>(activation, run);
+                prep.finish((input, kept), out)
+            }
+        }
     }
 }
 

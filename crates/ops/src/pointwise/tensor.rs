@@ -11,6 +11,8 @@ use crate::depthwise::tensor::{DepthwiseGradOps, DepthwiseOps};
 use crate::flex::{Contiguous, sizes, tensor};
 use crate::gemm::pack_rows;
 use crate::simd::Isa;
+use crate::tracked::EpilogueGradOps;
+use crate::weight_cache::Pass;
 use crate::{Activation, WeightCache};
 
 /// What a layer does beside multiplying with its weight.
@@ -89,7 +91,7 @@ impl PointwiseOps for Flex {
         let weights = [first_weight, second_weight, third_weight];
         let biases = [&first_bias, &second_bias, &third_bias].map(Contiguous::new);
         let packed = [0, 1, 2].map(|i| {
-            options[i].cache.get(&weights[i], |weight| {
+            options[i].cache.get(Pass::Forward, &weights[i], |weight| {
                 let mut packed = vec![0.0; weight.len()];
                 let depth = if options[i].scale { 1 } else { sizes::<4>(&weights[i])[1] };
                 if options[i].scale {
@@ -116,7 +118,7 @@ impl PointwiseOps for Flex {
 
 impl<B, C> PointwiseOps for Autodiff<B, C>
 where
-    B: Conv2dOps + Conv2dGradOps + DepthwiseOps + DepthwiseGradOps,
+    B: Conv2dOps + Conv2dGradOps + DepthwiseOps + DepthwiseGradOps + EpilogueGradOps,
     C: CheckpointStrategy,
 {
 }

@@ -66,6 +66,14 @@ impl Scheme {
     pub(super) fn pack(self, isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
         let pairs = shape.out_channels * shape.in_channels;
         let [down, across] = self.positions();
+        // Tap by tap, so that a position is a sum of whole planes.
+        let taps = weight.len() / pairs.max(1);
+        let mut planes = vec![0.0; weight.len()];
+        planes.par_chunks_mut(pairs).enumerate().for_each(|(tap, plane)| {
+            for (to, &value) in plane.iter_mut().zip(weight[tap..].iter().step_by(taps)) {
+                *to = value;
+            }
+        });
         let mut packed = vec![0.0; down * across * pairs];
         packed.par_chunks_mut(pairs).enumerate().for_each(|(position, packed)| {
             let factors: Vec<f64> = match self {
@@ -75,12 +83,15 @@ impl Scheme {
                 }
                 Scheme::Row | Scheme::Column => WEIGHTS_5[position].to_vec(),
             };
-            let transformed: Vec<f32> = weight
-                .chunks_exact(factors.len())
-                .map(|taps| {
-                    taps.iter().zip(&factors).map(|(&w, factor)| f64::from(w) * factor).sum::<f64>() as f32
-                })
-                .collect();
+            let mut sums = vec![0.0_f64; pairs];
+            for (factor, plane) in factors.iter().zip(planes.chunks_exact(pairs)) {
+                if *factor != 0.0 {
+                    for (sum, &value) in sums.iter_mut().zip(plane) {
+                        *sum += factor * f64::from(value);
+                    }
+                }
+            }
+            let transformed: Vec<f32> = sums.iter().map(|&sum| sum as f32).collect();
             pack_rows(isa, &transformed, shape.in_channels, packed);
         });
         packed

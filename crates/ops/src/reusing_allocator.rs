@@ -304,7 +304,9 @@ mod tests {
         unsafe {
             let blocks = [0; 3].map(|_| allocator.alloc(layout));
             allocator.with_kept(|kept| kept.most_in_use = 0);
-            blocks.map(|block| allocator.dealloc(block, layout));
+            for block in blocks {
+                allocator.dealloc(block, layout);
+            }
         }
         let bytes = allocator.with_kept(|kept| kept.bytes);
         assert!(bytes <= KEPT_BYTES && bytes > KEPT_BYTES / 3);

@@ -33,9 +33,9 @@ pub(crate) trait Simd: Copy + Send + Sync + 'static {
     unsafe fn mul(a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// `a / b`.
     unsafe fn div(a: Self::Vector, b: Self::Vector) -> Self::Vector;
-    /// The smaller of each lane.
+    /// The smaller of each lane; `b` where one of them is not a number.
     unsafe fn min(a: Self::Vector, b: Self::Vector) -> Self::Vector;
-    /// The larger of each lane.
+    /// The larger of each lane; `b` where one of them is not a number.
     unsafe fn max(a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// `then` where `v` is positive, zero elsewhere.
     unsafe fn where_positive(v: Self::Vector, then: Self::Vector) -> Self::Vector;

@@ -74,7 +74,7 @@ impl Activation {
         unsafe {
             match self {
                 Activation::Identity => x,
-                Activation::Relu => S::max(x, S::splat(0.0)),
+                Activation::Relu => S::max(S::splat(0.0), x),
                 Activation::Gelu => {
                     let half = S::mul(S::splat(0.5), x);
                     S::mul_add(half, erf::<S>(S::mul(S::splat(std::f32::consts::FRAC_1_SQRT_2), x)), half)
@@ -220,7 +220,7 @@ unsafe fn activate_kernel<S: Simd>(activation: Activation, residual: Option<&[f3
 unsafe fn odd_rational<S: Simd>(x: S::Vector, limit: f32, p: &[f32], q: &[f32]) -> S::Vector {
     // SAFETY: the caller's promise.
     unsafe {
-        let x = S::max(S::min(x, S::splat(limit)), S::splat(-limit));
+        let x = S::max(S::splat(-limit), S::min(S::splat(limit), x));
         let square = S::mul(x, x);
         let polynomial = |coefficients: &[f32]| {
             let mut sum = S::splat(0.0);
@@ -297,6 +297,21 @@ pub(crate) unsafe fn exp<S: Simd>(x: S::Vector) -> S::Vector {
 mod tests {
     use super::*;
     use crate::simd::Isa;
+
+    /// Or a network that has gone wrong would look well.
+    #[test]
+    fn what_is_not_a_number_stays_so() {
+        for activation in
+            [Activation::Identity, Activation::Relu, Activation::Gelu, Activation::Tanh, Activation::Sigmoid]
+        {
+            for isa in Isa::available() {
+                let mut out = [f32::NAN; 19];
+                // SAFETY: `isa` is available.
+                unsafe { activate(isa, activation, None, &mut out) }
+                assert!(out.iter().all(|x| x.is_nan()), "{activation:?} {isa:?}");
+            }
+        }
+    }
 
     #[test]
     fn vectors_compute_the_derivative() {

@@ -133,6 +133,34 @@ fn a_killed_run_goes_on_to_the_same_bytes() {
     assert!(code == 1 && error.contains("--resume"), "{error}");
 }
 
+/// Frames here are smaller than those that networks take as they are.
+#[test]
+fn validation_scores_what_evaluation_does() {
+    let dir = tempfile::tempdir().unwrap();
+    make_pairs(&dir.path().join("train"), 2);
+    make_pairs(&dir.path().join("val"), 2);
+    let data = format!("folder:{}", dir.path().display());
+    let run = dir.path().join("run");
+    let out = run.display().to_string();
+    let short = ["--steps", "2", "--set", "validation.every=2"];
+    succeed(&train(&[small(&data, &out), short.to_vec()].concat()));
+    let log = std::fs::read_to_string(run.join("log.jsonl")).unwrap();
+    let records = log.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+    let validation = records.filter(|record| record["kind"] == "validation").last().expect("validated");
+
+    let method = format!("raft-small={}", run.join("last.safetensors").display());
+    let output = Command::new(env!("CARGO_BIN_EXE_srflow"))
+        .args(["eval", "--json", "--split", "val", "--dataset", &data, "--method", &method, "--iters", "2"])
+        .output()
+        .unwrap();
+    succeed(&output);
+    let evaluation: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let [zero, network] = &evaluation["methods"].as_array().unwrap()[..] else { panic!("two methods") };
+    assert_eq!(validation["pairs"], 2);
+    assert_eq!(validation["whole"], network["whole"]);
+    assert_eq!(validation["zero_epe"], zero["whole"]["epe"]);
+}
+
 #[test]
 fn wrong_folders_say_what_to_do() {
     let dir = tempfile::tempdir().unwrap();

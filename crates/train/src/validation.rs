@@ -1,23 +1,22 @@
 //! Scoring a network while it is trained.
 
+use std::num::NonZeroUsize;
 use std::path::Path;
 
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::Device;
 use srflow_data::read::{DatasetError, FlowDataset, Split};
 use srflow_eval::{Evaluation, OnFailure, Settings, evaluate};
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image};
-use srflow_nets::{Frames, Network, Request, load_network};
+use srflow_nets::{Network, NetworkEstimator, load_network};
 
 use crate::config::{Config, Source};
 use crate::journal::ValidationRecord;
-use crate::parameters::numbers;
 use crate::run::TrainError;
 
 /// The datasets that are scored.
 pub(crate) struct Validation {
     datasets: Vec<FlowDataset>,
     settings: Settings,
-    iterations: usize,
+    iterations: NonZeroUsize,
 }
 
 /// Why a network could not be scored.
@@ -52,10 +51,9 @@ impl Validation {
         };
         let crop = config.validation.crop.map(|crop| (crop.width, crop.height));
         let limit = (config.validation.limit > 0).then_some(config.validation.limit);
-        let iterations = match config.validation.iterations {
-            0 => config.training.iterations,
-            iterations => iterations,
-        };
+        // A checked configuration trains with at least one.
+        let iterations = [config.validation.iterations, config.training.iterations];
+        let iterations = iterations.into_iter().find_map(NonZeroUsize::new).unwrap_or(NonZeroUsize::MIN);
         let settings = Settings { crop, limit, on_failure: OnFailure::Stop };
         Ok(Self { datasets, settings, iterations })
     }
@@ -71,7 +69,8 @@ impl Validation {
         network: Network,
         device: &Device,
     ) -> Result<Vec<ValidationRecord>, ValidationError> {
-        let network = InTraining { network, device: device.clone(), iterations: self.iterations };
+        let name = "the network in training";
+        let network = NetworkEstimator::new(name, network, self.iterations, device.clone());
         self.datasets
             .iter()
             .map(|dataset| {
@@ -127,41 +126,5 @@ fn scores(evaluation: Evaluation) -> Result<ValidationRecord, ValidationError> {
             dataset: evaluation.dataset,
         }),
         _ => Err(ValidationError::NoPixel { dataset: evaluation.dataset }),
-    }
-}
-
-struct InTraining {
-    network: Network,
-    device: Device,
-    iterations: usize,
-}
-
-impl FlowEstimator for InTraining {
-    fn name(&self) -> &str {
-        "the network in training"
-    }
-
-    fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        let (first, second) = (frame1.size(), frame2.size());
-        if first != second {
-            return Err(EstimateError::SizeMismatch { first, second });
-        }
-        let (width, height) = first;
-        let tensor = |frame: &Image| {
-            let planes = (0..3).flat_map(|channel| {
-                frame.pixels().iter().map(move |pixel| f32::from(pixel[channel]) / 255.0)
-            });
-            let data = TensorData::new(planes.collect::<Vec<f32>>(), [1, 3, height, width]);
-            Tensor::<4>::from_data(data, &self.device)
-        };
-        let frames = Frames { first: tensor(frame1), second: tensor(frame2) };
-        let estimate = self.network.forward(frames, &Request::new(self.iterations));
-        let planes = numbers(estimate.last().clone());
-        let (u, v) = planes.split_at(width * height);
-        let flow = u.iter().zip(v).map(|(&u, &v)| [u, v]).collect();
-        FlowField::from_pixels(width, height, flow).map_err(|error| EstimateError::Unsupported {
-            method: self.name().to_owned(),
-            reason: error.to_string(),
-        })
     }
 }

@@ -183,6 +183,13 @@ fn attention() {
             attention.gather(values.clone()) + attention.gather(values.tanh())
         });
     }
+    // Queries and keys are constants, as when the encoder is not trained.
+    let [queries, keys] = [5, 6].map(|seed| values(3 * 17 * 19, seed));
+    check(&[[1, 2, 17, 19]], |inputs| {
+        let [values] = inputs.try_into().expect("one");
+        let [queries, keys] = [&queries, &keys].map(|x| tensor(x, [1, 3, 17, 19], &values.device().inner()));
+        Attention::new(queries, keys, 0).gather(values)
+    });
 }
 
 /// Numbers of channels that vectors divide and that they do not; positions inside, across every border and far outside.

@@ -11,6 +11,9 @@ use super::{Conv2d, Conv2dConfig};
 /// Of the weights between all pairs of pixels, which no iteration changes, as many are kept; the rest is computed anew
 /// each time.
 const KEPT_BYTES: usize = 1 << 30;
+/// With gradients, where most of a step is spent elsewhere: frames of 256x192 keep all, and at 800x512, where a map takes
+/// 164 MB and as much for the gradients of values, computing all of them anew is about 2 % of a step.
+const KEPT_BYTES_IN_TRAINING: usize = 1 << 28;
 /// Positions that the reference has an embedding for, in each direction.
 const POSITIONS: usize = 2 * 160 - 1;
 
@@ -56,7 +59,8 @@ impl Attention {
         let dim = context.dims()[1];
         let both = self.to_qk.forward(context, Activation::Identity);
         let queries = both.clone().narrow(1, 0, dim) * (dim as f64).powf(-0.5);
-        AttentionMap::new(queries, both.narrow(1, dim, dim), KEPT_BYTES)
+        let kept_bytes = if both.is_autodiff() { KEPT_BYTES_IN_TRAINING } else { KEPT_BYTES };
+        AttentionMap::new(queries, both.narrow(1, dim, dim), kept_bytes)
     }
 }
 

@@ -1,14 +1,10 @@
 //! The definition, in f64.
 
-/// `softmax_j(q_i . k_j)` of one image: `[pixels i, pixels j]`. Queries and keys are `[channels, pixels]`.
+/// Scores `q_i . k_j` of one image, `[pixels i, pixels j]`, to `softmax_j`. Queries and keys are `[channels, pixels]`.
 fn weights(queries: &[f32], keys: &[f32], pixels: usize) -> Vec<f64> {
     let mut weights = Vec::with_capacity(pixels * pixels);
     for i in 0..pixels {
-        let score = |j: usize| -> f64 {
-            let pairs = queries.chunks_exact(pixels).zip(keys.chunks_exact(pixels));
-            pairs.map(|(q, k)| f64::from(q[i]) * f64::from(k[j])).sum()
-        };
-        let scores: Vec<f64> = (0..pixels).map(score).collect();
+        let scores: Vec<f64> = (0..pixels).map(|j| product(queries, i, keys, j, pixels)).collect();
         let most = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let sum: f64 = scores.iter().map(|score| (score - most).exp()).sum();
         weights.extend(scores.iter().map(|score| (score - most).exp() / sum));
@@ -16,15 +12,48 @@ fn weights(queries: &[f32], keys: &[f32], pixels: usize) -> Vec<f64> {
     weights
 }
 
-/// See [`super::attention`]; one image.
-pub fn attention(queries: &[f32], keys: &[f32], values: &[f32], pixels: usize) -> Vec<f32> {
-    let weights = weights(queries, keys, pixels);
+/// `a_i . b_j`, of `[channels, pixels]` each.
+fn product(a: &[f32], i: usize, b: &[f32], j: usize, pixels: usize) -> f64 {
+    let planes = a.chunks_exact(pixels).zip(b.chunks_exact(pixels));
+    planes.map(|(a, b)| f64::from(a[i]) * f64::from(b[j])).sum()
+}
+
+/// `out_i = sum_j weight(i, j) x_j` for each channel of `x`, `[channels, pixels]`.
+fn weighted(x: &[f32], pixels: usize, weight: impl Fn(usize, usize) -> f64) -> Vec<f32> {
     let of = |plane: &[f32], i: usize| -> f64 {
-        weights[i * pixels..][..pixels].iter().zip(plane).map(|(w, &v)| w * f64::from(v)).sum()
+        plane.iter().enumerate().map(|(j, &x)| weight(i, j) * f64::from(x)).sum()
     };
-    let planes = values.chunks_exact(pixels);
+    let planes = x.chunks_exact(pixels);
     planes
         .flat_map(|plane| (0..pixels).map(move |i| (plane, i)))
         .map(|(plane, i)| of(plane, i) as f32)
         .collect()
+}
+
+/// See [`super::attention`]; one image.
+pub fn attention(queries: &[f32], keys: &[f32], values: &[f32], pixels: usize) -> Vec<f32> {
+    let weights = weights(queries, keys, pixels);
+    weighted(values, pixels, |i, j| weights[i * pixels + j])
+}
+
+/// See [`super::attention_backward`]; one image.
+pub fn attention_backward(
+    queries: &[f32],
+    keys: &[f32],
+    values: &[f32],
+    grad: &[f32],
+    pixels: usize,
+) -> [Vec<f32>; 3] {
+    let weights = weights(queries, keys, pixels);
+    let mut scores = Vec::with_capacity(weights.len());
+    for (i, weights) in weights.chunks_exact(pixels).enumerate() {
+        let of_weights: Vec<f64> = (0..pixels).map(|j| product(grad, i, values, j, pixels)).collect();
+        let mean: f64 = weights.iter().zip(&of_weights).map(|(weight, of)| weight * of).sum();
+        scores.extend(weights.iter().zip(&of_weights).map(|(weight, of)| weight * (of - mean)));
+    }
+    [
+        weighted(keys, pixels, |i, j| scores[i * pixels + j]),
+        weighted(queries, pixels, |j, i| scores[i * pixels + j]),
+        weighted(grad, pixels, |j, i| weights[i * pixels + j]),
+    ]
 }

@@ -1,13 +1,18 @@
 //! Attention on tensors: [`Attention`], with gradients.
 
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
+use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
+use burn::backend::autodiff::grads::Gradients;
+use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
-use burn::backend::{Backend, Dispatch, Flex, TensorMetadata, backend_extension};
+use burn::backend::{Autodiff, Backend, Dispatch, Flex, TensorMetadata, backend_extension};
 use burn::tensor::activation::softmax;
 use burn::tensor::{Device, Tensor};
+use rayon::prelude::*;
 
-use super::AttentionWeights;
+use super::backward::Gathered;
+use super::weights::AttentionWeights;
 use crate::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
 use crate::flex::{Contiguous, sizes, tensor};
 use crate::simd::Isa;
@@ -15,53 +20,236 @@ use crate::simd::Isa;
 /// The largest piece of the matrix of all pairs, where it is computed as a matrix.
 const PIECE_BYTES: usize = 64 << 20;
 
-/// What the kernel found out about queries and keys, once for all values.
+/// What the kernel found out about queries and keys, once for all values, and what it needs for their gradients.
 #[derive(Debug, Clone)]
 pub struct Prepared {
     kept_bytes: usize,
-    images: Arc<OnceLock<Vec<AttentionWeights>>>,
+    images: Arc<OnceLock<Images>>,
+    /// Of every gathering whose gradient has come.
+    gathered: Arc<Mutex<Vec<[FloatTensor<Flex>; 3]>>>,
+}
+
+#[derive(Debug)]
+struct Images {
+    queries: FloatTensor<Flex>,
+    keys: FloatTensor<Flex>,
+    weights: Vec<AttentionWeights>,
 }
 
 /// The kernel.
-#[backend_extension(Flex)]
+#[backend_extension(Flex, Autodiff)]
 pub trait AttentionOps: Backend {
-    /// Queries and keys are `[batch, channels, height, width]`, the same in every call with one `prepared`.
-    fn gather_by_attention(
+    /// Prepares gathering by queries and keys, `[batch, channels, height, width]` each. The number returned stands for the
+    /// weights where gradients are tracked, and is zero.
+    fn attention_weights(
         queries: FloatTensor<Self>,
         keys: FloatTensor<Self>,
+        prepared: Prepared,
+    ) -> FloatTensor<Self>;
+
+    /// `weights` are those that `prepared` was prepared with.
+    fn gather_by_attention(
+        weights: FloatTensor<Self>,
         values: FloatTensor<Self>,
         prepared: Prepared,
     ) -> FloatTensor<Self>;
 }
 
+/// Gradients of the kernel. Those of the weights are never formed: what they follow from is collected until all has been
+/// gathered.
+pub trait AttentionGradOps: Backend {
+    /// Gradient of the values. Where queries or keys want one too (`collect`), what it needs is set aside.
+    fn gather_by_attention_grad(
+        values: FloatTensor<Self>,
+        gathered: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        prepared: Prepared,
+        collect: bool,
+    ) -> FloatTensor<Self>;
+
+    /// Gradients of queries and keys, from what was set aside.
+    fn attention_weights_grad(prepared: Prepared) -> (FloatTensor<Self>, FloatTensor<Self>);
+}
+
+impl Images {
+    /// `of` the queries, the keys, the weights and the number of each image.
+    fn map<T: Send>(&self, of: impl Fn([&[f32]; 2], &AttentionWeights, usize) -> T + Sync) -> Vec<T> {
+        let (queries, keys) = (Contiguous::new(&self.queries), Contiguous::new(&self.keys));
+        let image = queries.slice().len() / self.weights.len();
+        let pairs = queries.slice().par_chunks_exact(image).zip(keys.slice().par_chunks_exact(image));
+        let images = pairs.zip(&self.weights).enumerate();
+        images.map(|(number, ((queries, keys), weights))| of([queries, keys], weights, number)).collect()
+    }
+}
+
+impl Prepared {
+    fn new(kept_bytes: usize) -> Self {
+        Self { kept_bytes, images: Arc::default(), gathered: Arc::default() }
+    }
+
+    fn images(&self) -> &Images {
+        self.images.get().expect("gathering follows the weights it goes by")
+    }
+}
+
+/// Image number `n` of a tensor of `batch` images.
+fn image(tensor: &Contiguous, batch: usize, n: usize) -> &[f32] {
+    let len = tensor.slice().len() / batch;
+    &tensor.slice()[n * len..][..len]
+}
+
 impl AttentionOps for Flex {
-    fn gather_by_attention(
+    fn attention_weights(
         queries: FloatTensor<Self>,
         keys: FloatTensor<Self>,
-        values: FloatTensor<Self>,
         prepared: Prepared,
     ) -> FloatTensor<Self> {
         let [batch, _, height, width] = sizes(&queries);
-        let pixels = height * width;
-        let images = prepared.images.get_or_init(|| {
-            let (queries, keys) = (Contiguous::new(&queries), Contiguous::new(&keys));
-            let image = queries.slice().len() / batch;
-            let pairs = queries.slice().chunks_exact(image).zip(keys.slice().chunks_exact(image));
+        prepared.images.get_or_init(|| {
+            let (q, k) = (Contiguous::new(&queries), Contiguous::new(&keys));
             let kept_bytes = prepared.kept_bytes / batch;
-            pairs.map(|(q, k)| AttentionWeights::new(Isa::best(), q, k, pixels, kept_bytes)).collect()
+            let weights = |n| {
+                let (queries, keys) = (image(&q, batch, n), image(&k, batch, n));
+                AttentionWeights::new(Isa::best(), queries, keys, height * width, kept_bytes)
+            };
+            let weights = (0..batch).into_par_iter().map(weights).collect();
+            Images { queries, keys, weights }
         });
+        tensor(vec![0.0], [1])
+    }
+
+    fn gather_by_attention(
+        _weights: FloatTensor<Self>,
+        values: FloatTensor<Self>,
+        prepared: Prepared,
+    ) -> FloatTensor<Self> {
         let shape = values.shape();
+        let [batch, _, _, _] = sizes(&values);
         let values = Contiguous::new(&values);
-        let planes = values.slice().chunks_exact(values.slice().len() / batch);
-        let gathered: Vec<Vec<f32>> = images.iter().zip(planes).map(|(image, v)| image.gather(v)).collect();
+        let weights = prepared.images().weights.par_iter().enumerate();
+        let gathered: Vec<Vec<f32>> =
+            weights.map(|(n, weights)| weights.gather(image(&values, batch, n))).collect();
         tensor(gathered.concat(), shape)
+    }
+}
+
+impl AttentionGradOps for Flex {
+    fn gather_by_attention_grad(
+        values: FloatTensor<Self>,
+        gathered: FloatTensor<Self>,
+        grad: FloatTensor<Self>,
+        prepared: Prepared,
+        collect: bool,
+    ) -> FloatTensor<Self> {
+        let shape = values.shape();
+        let [batch, _, _, _] = sizes(&values);
+        let of_output = Contiguous::new(&grad);
+        let of_values = prepared.images().map(|[queries, keys], weights, n| {
+            weights.gather_backward(queries, keys, image(&of_output, batch, n))
+        });
+        if collect {
+            let mut all = prepared.gathered.lock().unwrap_or_else(PoisonError::into_inner);
+            all.push([values, gathered, grad]);
+        }
+        tensor(of_values.concat(), shape)
+    }
+
+    fn attention_weights_grad(prepared: Prepared) -> (FloatTensor<Self>, FloatTensor<Self>) {
+        let all = std::mem::take(&mut *prepared.gathered.lock().unwrap_or_else(PoisonError::into_inner));
+        let all: Vec<[Contiguous; 3]> =
+            all.iter().map(|tensors| tensors.each_ref().map(Contiguous::new)).collect();
+        let images = prepared.images();
+        let gradients = images.map(|[queries, keys], weights, n| {
+            let of_image = |tensor| image(tensor, images.weights.len(), n);
+            let gathered: Vec<Gathered> = all
+                .iter()
+                .map(|[values, gathered, grad]| Gathered {
+                    values: of_image(values),
+                    gathered: of_image(gathered),
+                    grad: of_image(grad),
+                })
+                .collect();
+            weights.backward(queries, keys, &gathered)
+        });
+        let (of_queries, of_keys): (Vec<_>, Vec<_>) =
+            gradients.into_iter().map(|[queries, keys]| (queries, keys)).unzip();
+        let shape = images.queries.shape();
+        (tensor(of_queries.concat(), shape.clone()), tensor(of_keys.concat(), shape))
+    }
+}
+
+#[derive(Debug)]
+struct WeightsBackward;
+
+impl<B: AttentionGradOps> Backward<B, 2> for WeightsBackward {
+    type State = Prepared;
+
+    fn backward(self, ops: Ops<Prepared, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
+        grads.consume::<B>(&ops.node);
+        let (of_queries, of_keys) = B::attention_weights_grad(ops.state);
+        for (node, grad) in ops.parents.into_iter().zip([of_queries, of_keys]) {
+            if let Some(node) = node {
+                grads.register::<B>(node.id, grad);
+            }
+        }
+    }
+}
+
+#[derive(Debug)]
+struct GatherBackward;
+
+impl<B: AttentionGradOps> Backward<B, 2> for GatherBackward {
+    /// Weights, values and what was gathered of them.
+    type State = ([FloatTensor<B>; 3], Prepared);
+
+    fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let grad = grads.consume::<B>(&ops.node);
+        let ([weights, values, gathered], prepared) = ops.state;
+        let [of_weights, of_values] = ops.parents;
+        let d_values = B::gather_by_attention_grad(values, gathered, grad, prepared, of_weights.is_some());
+        if let Some(node) = of_weights {
+            // The zero that stands for the weights stands for their gradient as well.
+            grads.register::<B>(node.id, weights);
+        }
+        if let Some(node) = of_values {
+            grads.register::<B>(node.id, d_values);
+        }
+    }
+}
+
+impl<B: AttentionOps + AttentionGradOps, C: CheckpointStrategy> AttentionOps for Autodiff<B, C> {
+    fn attention_weights(
+        queries: FloatTensor<Self>,
+        keys: FloatTensor<Self>,
+        prepared: Prepared,
+    ) -> FloatTensor<Self> {
+        let guards = [queries.node(), keys.node()];
+        let out = B::attention_weights(queries.into_primitive(), keys.into_primitive(), prepared.clone());
+        match WeightsBackward.prepare::<C>(guards).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(prepared, out),
+            OpsKind::UnTracked(prep) => prep.finish(out),
+        }
+    }
+
+    fn gather_by_attention(
+        weights: FloatTensor<Self>,
+        values: FloatTensor<Self>,
+        prepared: Prepared,
+    ) -> FloatTensor<Self> {
+        let guards = [weights.node(), values.node()];
+        let (weights, values) = (weights.into_primitive(), values.into_primitive());
+        let out = B::gather_by_attention(weights.clone(), values.clone(), prepared.clone());
+        match GatherBackward.prepare::<C>(guards).compute_bound().stateful() {
+            OpsKind::Tracked(prep) => prep.finish(([weights, values, out.clone()], prepared), out),
+            OpsKind::UnTracked(prep) => prep.finish(out),
+        }
     }
 }
 
 /// Which pixels of an image take how much of which: `softmax_j(q_i . k_j)`.
 ///
-/// On the CPU, without gradients, the pairs are computed block by block in the cache. Elsewhere the matrix is cut into
-/// pieces; with gradients all of them stand in memory, since backward needs them.
+/// On the CPU the pairs are computed block by block in the cache, for the gradients once more. Elsewhere the matrix is cut
+/// into pieces; with gradients all of them stand in memory, since backward needs them.
 #[derive(Debug)]
 pub struct Attention {
     size: [usize; 4],
@@ -70,9 +258,9 @@ pub struct Attention {
 
 #[derive(Debug)]
 enum Way {
-    /// Queries and keys.
+    /// The tensor that stands for the weights.
     Kernel {
-        pairs: Box<[Tensor<4>; 2]>,
+        weights: Tensor<1>,
         prepared: Prepared,
     },
     Pieces(Vec<ImagePieces>),
@@ -97,16 +285,17 @@ fn product(x: Tensor<4>, weight: Tensor<4>) -> Tensor<4> {
 
 impl Attention {
     /// From queries and keys, each `[batch, channels, height, width]`. Weights that take no more than `kept_bytes` are kept
-    /// from one gathering to the next (with gradients, all are). Panics when the sizes differ.
+    /// from one gathering to the next (with gradients elsewhere than on the CPU, all are). Panics when the sizes differ.
     pub fn new(queries: Tensor<4>, keys: Tensor<4>, kept_bytes: usize) -> Self {
         assert_eq!(queries.dims(), keys.dims(), "attention: as many keys as queries");
         let size @ [batch, _, _, _] = queries.dims();
         let autodiff = queries.is_autodiff() || keys.is_autodiff();
-        let way = if !autodiff && queries.device() == Device::flex() {
-            Way::Kernel {
-                pairs: Box::new([queries, keys]),
-                prepared: Prepared { kept_bytes, images: Arc::default() },
-            }
+        let way = if queries.device() == Device::flex() {
+            // The gradients of values want their weights in another order: half for each.
+            let prepared = Prepared::new(if autodiff { kept_bytes / 2 } else { kept_bytes });
+            let (queries, keys) = (queries.into_dispatch(), keys.into_dispatch());
+            let weights = Dispatch::attention_weights(queries, keys, prepared.clone());
+            Way::Kernel { weights: Tensor::from_dispatch(weights), prepared }
         } else {
             let kept_bytes = if autodiff { usize::MAX } else { kept_bytes / batch };
             let image = |n| {
@@ -122,31 +311,18 @@ impl Attention {
         let ([batch, _, height, width], [of, _, rows, columns]) = (self.size, values.dims());
         assert_eq!([of, rows, columns], [batch, height, width], "attention: values of the same pixels");
         match &self.way {
-            Way::Kernel { pairs, prepared } if !values.is_autodiff() => {
-                let [queries, keys] = pairs.as_ref().clone();
-                Tensor::from_dispatch(Dispatch::gather_by_attention(
-                    queries.into_dispatch(),
-                    keys.into_dispatch(),
-                    values.into_dispatch(),
-                    prepared.clone(),
-                ))
+            Way::Kernel { weights, prepared } => Tensor::from_dispatch(Dispatch::gather_by_attention(
+                weights.clone().into_dispatch(),
+                values.into_dispatch(),
+                prepared.clone(),
+            )),
+            Way::Pieces(images) => {
+                let images = images.iter().enumerate();
+                let gathered = images.map(|(n, image)| image.gather(values.clone().narrow(0, n, 1)));
+                Tensor::cat(gathered.collect(), 0)
             }
-            // Constant queries and keys, but values with gradients.
-            Way::Kernel { pairs, .. } => {
-                let image = |n| {
-                    let [queries, keys] = pairs.as_ref().clone().map(|x| x.narrow(0, n, 1));
-                    ImagePieces::new(queries, keys, usize::MAX)
-                };
-                gather_from_pieces(&(0..batch).map(image).collect::<Vec<_>>(), values)
-            }
-            Way::Pieces(images) => gather_from_pieces(images, values),
         }
     }
-}
-
-fn gather_from_pieces(images: &[ImagePieces], values: Tensor<4>) -> Tensor<4> {
-    let images = images.iter().enumerate();
-    Tensor::cat(images.map(|(n, image)| image.gather(values.clone().narrow(0, n, 1))).collect(), 0)
 }
 
 impl ImagePieces {

@@ -1,4 +1,5 @@
 use super::*;
+use crate::gemm::panel_columns;
 use crate::test_values::{assert_close, values};
 
 const CHANNELS: usize = 9;
@@ -18,22 +19,88 @@ fn each_instruction_set_computes_the_definition_whatever_is_kept() {
         for isa in Isa::available() {
             for kept_bytes in [0, 4 * panel_columns(isa) * 4 * pixels, usize::MAX] {
                 let weights = AttentionWeights::new(isa, &queries, &keys, pixels, kept_bytes);
-                let what = format!("{pixels} pixels, {isa:?}, {} panels kept", weights.kept_panels);
+                let what = format!("{pixels} pixels, {isa:?}, {kept_bytes} bytes allowed");
                 assert_close(&what, &weights.gather(&values), &expected, 5e-6);
             }
         }
     }
 }
 
+/// Gradients of what is gathered twice, of other values the second time.
 #[test]
-fn kept_weights_stay_within_the_bytes_allowed() {
-    let [queries, keys, _] = image(450);
+fn each_instruction_set_computes_the_gradients_of_the_definition_whatever_is_kept() {
+    for pixels in [1, 30, 131, 450] {
+        let [queries, keys, first] = image(pixels);
+        let of = |seed: u32| values(VALUE_CHANNELS * pixels, seed);
+        let gatherings = [(first, of(4)), (of(5), of(6))];
+        let expected = gatherings
+            .each_ref()
+            .map(|(values, grad)| reference::attention_backward(&queries, &keys, values, grad, pixels));
+        let sum = |of: usize| -> Vec<f32> {
+            expected[0][of].iter().zip(&expected[1][of]).map(|(a, b)| a + b).collect()
+        };
+        for isa in Isa::available() {
+            for kept_bytes in [0, 4 * panel_columns(isa) * 4 * pixels, usize::MAX] {
+                let what = format!("{pixels} pixels, {isa:?}, {kept_bytes} bytes allowed");
+                let weights = AttentionWeights::new(isa, &queries, &keys, pixels, kept_bytes);
+                let outs = gatherings.each_ref().map(|(values, _)| weights.gather(values));
+                let gathered: Vec<Gathered> = gatherings
+                    .iter()
+                    .zip(&outs)
+                    .map(|((values, grad), gathered)| Gathered { values, gathered, grad })
+                    .collect();
+                let [d_queries, d_keys] = weights.backward(&queries, &keys, &gathered);
+                assert_close(&format!("queries, {what}"), &d_queries, &sum(0), 1e-5);
+                assert_close(&format!("keys, {what}"), &d_keys, &sum(1), 1e-5);
+                for (expected, (_, grad)) in expected.iter().zip(&gatherings) {
+                    let found = weights.gather_backward(&queries, &keys, grad);
+                    assert_close(&format!("values, {what}"), &found, &expected[2], 5e-6);
+                }
+                let in_strips = weights.backward_in_strips(&queries, &keys, &gathered, 0);
+                assert!(in_strips == [d_queries, d_keys], "strips, {what}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_gradient_is_the_slope_of_what_is_gathered() {
+    const STEP: f32 = 1.0 / 128.0;
+    let pixels = 60;
+    let inputs = [1, 2, 3].map(|seed| values(CHANNELS * pixels, seed));
+    let grad = values(CHANNELS * pixels, 4);
+    let gather = |[queries, keys, values]: &[Vec<f32>; 3]| -> f64 {
+        let out = attention(queries, keys, values, [1, CHANNELS, pixels]);
+        out.iter().zip(&grad).map(|(out, grad)| f64::from(*out) * f64::from(*grad)).sum()
+    };
+    let [queries, keys, vals] = &inputs;
+    let gradients = attention_backward(queries, keys, vals, &grad, [1, CHANNELS, pixels]);
+    for (input, gradient) in gradients.iter().enumerate() {
+        let direction = values(CHANNELS * pixels, 5 + input as u32);
+        let moved = |by: f32| {
+            let mut inputs = inputs.clone();
+            inputs[input].iter_mut().zip(&direction).for_each(|(x, d)| *x += by * d);
+            gather(&inputs)
+        };
+        let slope = (moved(STEP) - moved(-STEP)) / f64::from(2.0 * STEP);
+        let along: f64 = gradient.iter().zip(&direction).map(|(g, d)| f64::from(*g) * f64::from(*d)).sum();
+        let size = gradient.iter().map(|g| f64::from(g * g)).sum::<f64>().sqrt();
+        assert!((along - slope).abs() < 1e-3 * size, "input {input}: {along} for {slope} (norm {size})");
+    }
+}
+
+#[test]
+fn kept_weights_stay_within_the_bytes_allowed_and_so_do_those_for_gradients() {
+    let [queries, keys, values] = image(450);
     let isa = Isa::best();
     let panel = panel_columns(isa) * 450 * size_of::<f32>();
+    let group = panels::PANELS * panel;
     for panels in [0, 3, 4, 7, 8] {
         let weights = AttentionWeights::new(isa, &queries, &keys, 450, panels * panel);
-        assert!(weights.kept.len() * size_of::<f32>() <= panels * panel);
-        assert!(weights.kept_panels + PANELS > panels);
+        let once = weights.kept_bytes();
+        assert!(once <= panels * panel && once + group > panels * panel, "{once} of {panels} panels");
+        weights.gather_backward(&queries, &keys, &values);
+        assert_eq!(weights.kept_bytes(), 2 * once);
     }
 }
 
@@ -53,15 +120,23 @@ fn images_do_not_see_each_other_and_results_do_not_depend_on_threads() {
     let pixels = 300;
     let [mut queries, mut keys, mut values] = image(pixels);
     let alone = attention(&queries, &keys, &values, [1, CHANNELS, pixels]);
+    let gradients_alone = attention_backward(&queries, &keys, &values, &values, [1, CHANNELS, pixels]);
     for x in [&mut queries, &mut keys, &mut values] {
         let other: Vec<f32> = x.iter().map(|x| 0.5 - x).collect();
         x.extend(other);
     }
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
-        pool.install(|| attention(&queries, &keys, &values, [2, CHANNELS, pixels]))
+        let sizes = [2, CHANNELS, pixels];
+        pool.install(|| {
+            let gradients = attention_backward(&queries, &keys, &values, &values, sizes);
+            (attention(&queries, &keys, &values, sizes), gradients)
+        })
     };
-    let both = with(1);
-    assert!(both == with(3));
+    let (both, gradients) = with(1);
+    assert!((both.clone(), gradients.clone()) == with(3));
     assert!(both[..alone.len()] == alone);
+    for (both, alone) in gradients.iter().zip(gradients_alone) {
+        assert!(both[..alone.len()] == alone);
+    }
 }

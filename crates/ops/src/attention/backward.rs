@@ -1,0 +1,159 @@
+//! Gradients of queries and keys.
+//!
+//! With `w_ij` the weights, `g_i` the gradient of what pixel `i` gathered and `v_j` the values, the gradient of the score
+//! of `i` and `j` is `w_ij (g_i . v_j - g_i . out_i)`. Several gatherings with the same weights differ in `g` and `v` only: the
+//! sum of their products is formed block by block, so that one pass serves all of them and no gradient of the weights is
+//! stored. Queries and keys each want the gradients of scores gathered along another side; a strip of them, some
+//! queries with all keys, is therefore stored, used for both, and replaced by the next.
+
+use rayon::prelude::*;
+
+use super::AttentionWeights;
+use super::panels::{BLOCK, Group, PANELS, blocks, channels_as_rows};
+use super::softmax::{Block, to_score_gradients};
+use super::weights::{Gathering, Pairs};
+use crate::gemm::{Start, panel_columns};
+use crate::shared_mut::SharedMut;
+
+/// Gradients of scores that are stored at a time. The gradients do not depend on it.
+const STRIP_BYTES: usize = 32 << 20;
+
+/// Values, what was gathered of them, and its gradient, each `[channels, pixels]`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Gathered<'a> {
+    pub(crate) values: &'a [f32],
+    pub(crate) gathered: &'a [f32],
+    pub(crate) grad: &'a [f32],
+}
+
+impl AttentionWeights {
+    /// Gradients of queries and keys (those the weights are of) from all that was gathered.
+    pub(crate) fn backward(&self, queries: &[f32], keys: &[f32], gathered: &[Gathered]) -> [Vec<f32>; 2] {
+        self.backward_in_strips(queries, keys, gathered, STRIP_BYTES)
+    }
+
+    pub(super) fn backward_in_strips(
+        &self,
+        queries: &[f32],
+        keys: &[f32],
+        gathered: &[Gathered],
+        strip_bytes: usize,
+    ) -> [Vec<f32>; 2] {
+        let (isa, pixels) = (self.isa, self.pixels);
+        let width = panel_columns(isa);
+        let (mut d_queries, mut d_keys) = (vec![0.0; queries.len()], vec![0.0; keys.len()]);
+        if gathered.is_empty() {
+            return [d_queries, d_keys];
+        }
+        let products: Vec<Pairs> =
+            gathered.iter().map(|of| Pairs::new(isa, of.grad, of.values, pixels)).collect();
+        let means = self.mean_gradients(gathered);
+        let packed_keys = channels_as_rows(isa, keys, pixels, BLOCK);
+        // A group of queries is one block for the keys.
+        let packed_queries = channels_as_rows(isa, queries, pixels, PANELS * width);
+
+        let groups = Group::count(isa, pixels);
+        let group_len = PANELS * width * pixels;
+        let strip_groups = (strip_bytes / size_of::<f32>() / group_len).clamp(1, groups);
+        let mut strip = vec![0.0; strip_groups * group_len];
+        for first_group in (0..groups).step_by(strip_groups) {
+            let strip_groups = strip_groups.min(groups - first_group);
+            let of_queries =
+                Gathering { isa, pixels, values: &packed_keys, out: SharedMut::new(&mut d_queries) };
+            strip.par_chunks_mut(group_len).take(strip_groups).enumerate().for_each_init(
+                || vec![0.0; PANELS * BLOCK * width],
+                |scratch, (number, gradients)| {
+                    let group = Group::of(isa, first_group + number, pixels);
+                    for block @ (first, _) in blocks(pixels) {
+                        let gradients = &mut gradients[first * width..];
+                        self.score_gradients(&products, &means, group, block, gradients, scratch);
+                        // SAFETY: the group's pixels are this task's.
+                        unsafe { of_queries.add(group, block, gradients.as_ptr(), pixels * width) }
+                    }
+                },
+            );
+            let of_keys =
+                Gathering { isa, pixels, values: &packed_queries, out: SharedMut::new(&mut d_keys) };
+            (0..groups).into_par_iter().for_each_init(
+                || vec![0.0; PANELS * width * PANELS * width],
+                |turned, number| {
+                    let group = Group::of(isa, number, pixels);
+                    for (number, gradients) in strip.chunks_exact(group_len).take(strip_groups).enumerate() {
+                        let from = Group::of(isa, first_group + number, pixels);
+                        turn(gradients, pixels, from, group, width, turned);
+                        let block = (from.first * width, from.columns);
+                        // SAFETY: the group's pixels are this task's.
+                        unsafe { of_keys.add(group, block, turned.as_ptr(), PANELS * width * width) }
+                    }
+                },
+            );
+        }
+        [d_queries, d_keys]
+    }
+
+    /// `g_i . out_i`, summed over what was gathered, for each query; zero for what the last panel lacks.
+    fn mean_gradients(&self, gathered: &[Gathered]) -> Vec<f32> {
+        let width = panel_columns(self.isa);
+        let mut means = vec![0.0; self.pixels.div_ceil(width) * width];
+        means.par_chunks_mut(PANELS * width).enumerate().for_each(|(number, means)| {
+            let group = Group::of(self.isa, number, self.pixels);
+            let pixels = group.first * width..group.first * width + group.columns;
+            for of in gathered {
+                let planes = of.grad.chunks_exact(self.pixels).zip(of.gathered.chunks_exact(self.pixels));
+                for (grad, gathered) in planes {
+                    let pairs = grad[pixels.clone()].iter().zip(&gathered[pixels.clone()]);
+                    for (mean, (grad, gathered)) in means.iter_mut().zip(pairs) {
+                        *mean = grad.mul_add(*gathered, *mean);
+                    }
+                }
+            }
+        });
+        means
+    }
+
+    /// Gradients of the scores of the block's pixels and a group's: `[block, columns]` at the start of `out`, panel after
+    /// panel as the kept weights lie.
+    fn score_gradients(
+        &self,
+        products: &[Pairs],
+        means: &[f32],
+        group: Group,
+        block: (usize, usize),
+        out: &mut [f32],
+        scratch: &mut [f32],
+    ) {
+        let width = panel_columns(self.isa);
+        let panel_len = self.pixels * width;
+        assert!(out.len() >= (group.panels - 1) * panel_len + block.1 * width);
+        let out = out.as_mut_ptr();
+        let (weights, step) = self.of_queries(group, block, scratch);
+        // SAFETY: `out` holds the block's rows of each panel; the weights lie as `of_queries` says.
+        unsafe {
+            for (number, products) in products.iter().enumerate() {
+                let start = if number == 0 { Start::Zero } else { Start::Output };
+                products.multiply(group, block, start, out, panel_len);
+            }
+            for panel in 0..group.panels {
+                let means = &means[(group.first + panel) * width..][..width];
+                let block = Block { scores: out.add(panel * panel_len), rows: block.1 };
+                to_score_gradients(self.isa, block, weights.add(panel * step), means);
+            }
+        }
+    }
+}
+
+/// From panels of the group `from`, each `[pixels, columns]`, the pixels of the group `to` as the columns of panels, each
+/// `[columns of from, columns]`.
+fn turn(panels: &[f32], pixels: usize, from: Group, to: Group, width: usize, turned: &mut [f32]) {
+    for (panel, turned) in turned.chunks_exact_mut(PANELS * width * width).take(to.panels).enumerate() {
+        let first = (to.first + panel) * width;
+        for column in 0..width.min(pixels - first) {
+            for (number, rows) in turned.chunks_exact_mut(width * width).take(from.panels).enumerate() {
+                let values = &panels[(number * pixels + first + column) * width..][..width];
+                for (row, &value) in rows.chunks_exact_mut(width).zip(values) {
+                    row[column] = value;
+                }
+            }
+        }
+    }
+}

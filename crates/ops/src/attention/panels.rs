@@ -1,0 +1,81 @@
+//! How the sides of attention's products lie in memory, and into what pieces the work is cut.
+
+use rayon::prelude::*;
+
+use crate::gemm::{pack_rows, panel_columns};
+use crate::simd::Isa;
+
+/// Panels of pixels of one piece of work.
+pub(super) const PANELS: usize = 4;
+/// Pixels that are attended to at a time; a multiple of every register tile.
+pub(super) const BLOCK: usize = 256;
+
+/// `[rows, pixels]` to panels `[rows, columns]`; what the last panel lacks is zero.
+pub(super) fn to_panels(isa: Isa, matrix: &[f32], pixels: usize) -> Vec<f32> {
+    let width = panel_columns(isa);
+    let rows = matrix.len() / pixels;
+    let mut panels = vec![0.0; pixels.div_ceil(width) * rows * width];
+    panels.par_chunks_mut(rows * width).enumerate().for_each(|(number, panel)| {
+        let first = number * width;
+        let count = width.min(pixels - first);
+        for (to, from) in panel.chunks_exact_mut(width).zip(matrix.chunks_exact(pixels)) {
+            to[..count].copy_from_slice(&from[first..first + count]);
+        }
+    });
+    panels
+}
+
+/// `[channels, pixels]` as a left side with a row for each pixel.
+pub(super) fn pixels_as_rows(isa: Isa, matrix: &[f32], pixels: usize) -> Vec<f32> {
+    let channels = matrix.len() / pixels;
+    let mut packed = vec![0.0; matrix.len()];
+    packed.par_chunks_mut(BLOCK * channels).enumerate().for_each(|(block, packed)| {
+        let first = block * BLOCK;
+        let rows: Vec<f32> = (first..first + packed.len() / channels)
+            .flat_map(|pixel| matrix[pixel..].iter().step_by(pixels).copied())
+            .collect();
+        pack_rows(isa, &rows, channels, packed);
+    });
+    packed
+}
+
+/// `[channels, pixels]` as a left side with a row for each channel, `block` pixels by `block` pixels.
+pub(super) fn channels_as_rows(isa: Isa, matrix: &[f32], pixels: usize, block: usize) -> Vec<f32> {
+    let channels = matrix.len() / pixels;
+    let mut packed = vec![0.0; matrix.len()];
+    packed.par_chunks_mut(block * channels).enumerate().for_each(|(number, packed)| {
+        let depth = packed.len() / channels;
+        let rows: Vec<f32> = matrix
+            .chunks_exact(pixels)
+            .flat_map(|plane| plane[number * block..number * block + depth].iter().copied())
+            .collect();
+        pack_rows(isa, &rows, depth, packed);
+    });
+    packed
+}
+
+/// The columns of panels from `first`, at most [`PANELS`] of them.
+#[derive(Clone, Copy)]
+pub(super) struct Group {
+    pub(super) first: usize,
+    pub(super) panels: usize,
+    pub(super) columns: usize,
+}
+
+impl Group {
+    pub(super) fn of(isa: Isa, number: usize, pixels: usize) -> Self {
+        let width = panel_columns(isa);
+        let first = number * PANELS;
+        let columns = (PANELS * width).min(pixels - first * width);
+        Self { first, panels: columns.div_ceil(width), columns }
+    }
+
+    pub(super) fn count(isa: Isa, pixels: usize) -> usize {
+        pixels.div_ceil(PANELS * panel_columns(isa))
+    }
+}
+
+/// Blocks of `pixels`: the first pixel and how many.
+pub(super) fn blocks(pixels: usize) -> impl Iterator<Item = (usize, usize)> {
+    (0..pixels).step_by(BLOCK).map(move |first| (first, BLOCK.min(pixels - first)))
+}

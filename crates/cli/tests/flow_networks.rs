@@ -211,6 +211,36 @@ fn tables_name_networks_by_their_weights() {
     assert!(error.contains("--method NETWORK=WEIGHTS"), "{error}");
 }
 
+#[test]
+fn scores_are_the_same_however_many_pairs_at_once() {
+    let dir = data().join("three-pairs");
+    fs::create_dir(&dir).unwrap();
+    for pair in 0..3 {
+        for (name, number) in [("img1", pair), ("img2", pair + 1)] {
+            write_image_png(&dir.join(format!("{pair}_{name}.png")), &frame(number)).unwrap();
+        }
+        let truth = FlowField::filled(SIZE.0, SIZE.1, [2.0, 0.0]);
+        write_flow(&dir.join(format!("{pair}_flow.flo")), &truth).unwrap();
+    }
+    let epes = |batch: &str| -> Vec<f64> {
+        let eval = ["eval", "--dataset", "folder:three-pairs", "--method", "raft-small=one.safetensors"];
+        let text = succeeds(&srflow(&[&eval[..], &["--iters", "2", "--json", "--batch", batch]].concat()));
+        let evaluation: Value = serde_json::from_str(&text).unwrap();
+        let pairs = evaluation["methods"][1]["pairs"].as_array().unwrap();
+        pairs.iter().map(|pair| pair["whole"]["epe"].as_f64().unwrap()).collect()
+    };
+    let alone = epes("1");
+    assert_eq!(alone.len(), 3);
+    for batch in ["2", "3", "8"] {
+        for (together, alone) in epes(batch).iter().zip(&alone) {
+            assert!((together - alone).abs() < 1e-4, "batch {batch}: {together} for {alone}");
+        }
+    }
+    let error =
+        fails(&srflow(&["eval", "--dataset", "folder:three-pairs", "--method", "tvl1", "--batch", "2"]), 2);
+    assert!(error.contains("--batch is for networks"), "{error}");
+}
+
 /// `ffmpeg` and `ffprobe` that give three frames, whatever they are asked for, and keep what they are given.
 #[cfg(unix)]
 #[test]

@@ -1,9 +1,10 @@
 //! Running estimators over the pairs of a dataset and scoring them.
 
+use std::num::NonZeroUsize;
 use std::time::Instant;
 
-use srflow_data::read::{DatasetError, FlowDataset, Sample, Split};
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Mask, MeanMetrics, ScoreError, score};
+use srflow_data::read::{DatasetError, Entry, FlowDataset, Sample, Split};
+use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, Mask, MeanMetrics, ScoreError, score};
 
 use crate::crop::{CropError, Window, head_window};
 use crate::error_curve::ErrorCurve;
@@ -19,6 +20,8 @@ pub struct Settings {
     pub limit: Option<usize>,
     /// What a pair that cannot be scored does to the run.
     pub on_failure: OnFailure,
+    /// Pairs of one size that a method estimates at once, where it can; without it, one.
+    pub batch: Option<NonZeroUsize>,
 }
 
 /// What happens when a pair cannot be read, cropped or estimated.
@@ -40,11 +43,11 @@ pub enum Event<'a> {
         /// Pairs to be scored.
         pairs: usize,
     },
-    /// A method begins with a pair.
+    /// A method begins with a pair, or with several at once.
     Estimating {
         /// The method's name.
         method: &'a str,
-        /// The pair's name.
+        /// The name of the first of them.
         pair: &'a str,
     },
     /// A pair was scored by every method.
@@ -146,8 +149,9 @@ pub enum PairProblem {
 /// window, inside the head's mask and outside occlusions where the dataset has them. The [`Zero`] baseline is scored
 /// first, whether asked for or not.
 ///
-/// Pairs run one after the other, each method on the rayon pool it is called from, so that the time of a method is that of
-/// [`FlowEstimator::estimate`] alone. One pair is in memory at a time.
+/// Pairs run one after the other, or batch after batch, each method on the rayon pool it is called from, so that the time of
+/// a method is that of estimating alone; of a batch, the pair's share. One pair or batch is in memory at a time. Pairs of
+/// different sizes are never in one batch.
 ///
 /// # Errors
 /// When no pair has a truth or none could be scored; with [`OnFailure::Stop`], at the first pair that fails.
@@ -173,29 +177,46 @@ pub fn evaluate(
     let mut sums: Vec<MethodSums> = estimators.iter().map(|estimator| MethodSums::new(*estimator)).collect();
     let mut failures = Vec::new();
     let mut scored = 0;
-    for entry in chosen.into_iter().map(|index| &dataset.entries()[index]) {
-        let name = entry.id();
-        let read = || dataset.read(entry).map_err(PairProblem::from);
-        match read().and_then(|sample| estimate_pair(sample, &name, &estimators, settings.crop, on_event)) {
-            Ok((sample, truth, estimates)) => {
-                let pair = ScoredPair {
-                    index: scored,
-                    name: &name,
-                    sample: &sample,
-                    truth: &truth,
-                    estimates: &estimates,
-                };
-                on_event(Event::Scored(&pair));
-                sums.iter_mut().zip(&estimates).for_each(|(sums, estimate)| sums.add(&pair, estimate));
-                scored += 1;
+    let most = settings.batch.map_or(1, NonZeroUsize::get);
+    let mut entries = chosen.into_iter().map(|index| &dataset.entries()[index]).peekable();
+    let mut next: Option<Outcome<Pair>> = None;
+    while next.is_some() || entries.peek().is_some() {
+        let mut batch: Vec<Outcome<Pair>> = next.take().into_iter().collect();
+        while batch.len() < most
+            && let Some(entry) = entries.next()
+        {
+            let read = (entry.id(), Pair::read(dataset, entry, settings.crop));
+            let size = |(_, pair): &Outcome<Pair>| pair.as_ref().ok().map(Pair::size);
+            let sizes: Vec<_> = batch.iter().chain([&read]).filter_map(size).collect();
+            if sizes.iter().all(|size| *size == sizes[0]) {
+                batch.push(read);
+            } else {
+                next = Some(read);
+                break;
             }
-            Err(problem) if settings.on_failure == OnFailure::Stop => {
-                return Err(EvaluateError::Pair { pair: name, problem });
-            }
-            Err(problem) => {
-                let failure = Failure { pair: name, reason: problem.to_string() };
-                on_event(Event::LeftOut(&failure));
-                failures.push(failure);
+        }
+        for (name, outcome) in estimate_batch(batch, &estimators, on_event) {
+            match outcome {
+                Ok((pair, estimates)) => {
+                    let pair = ScoredPair {
+                        index: scored,
+                        name: &name,
+                        sample: &pair.sample,
+                        truth: &pair.truth,
+                        estimates: &estimates,
+                    };
+                    on_event(Event::Scored(&pair));
+                    sums.iter_mut().zip(&estimates).for_each(|(sums, estimate)| sums.add(&pair, estimate));
+                    scored += 1;
+                }
+                Err(problem) if settings.on_failure == OnFailure::Stop => {
+                    return Err(EvaluateError::Pair { pair: name, problem });
+                }
+                Err(problem) => {
+                    let failure = Failure { pair: name, reason: problem.to_string() };
+                    on_event(Event::LeftOut(&failure));
+                    failures.push(failure);
+                }
             }
         }
     }
@@ -215,36 +236,93 @@ pub fn evaluate(
     }
 }
 
-/// Runs every method on one pair; the sample comes back cropped, with its truth apart.
-fn estimate_pair(
+/// A pair's name, and what became of it.
+type Outcome<T> = (String, Result<T, PairProblem>);
+
+/// A sample, cropped, and its truth apart.
+struct Pair {
     sample: Sample,
-    pair: &str,
+    truth: FlowField,
+}
+
+impl Pair {
+    fn read(dataset: &FlowDataset, entry: &Entry, crop: Option<(usize, usize)>) -> Result<Self, PairProblem> {
+        let sample = dataset.read(entry)?;
+        let mut sample = match crop {
+            Some(crop) => cropped(&sample, head_window(sample.frame1.size(), crop, sample.mask.as_ref())?),
+            None => sample,
+        };
+        let truth = sample.flow.take().ok_or(PairProblem::NoTruth)?;
+        Ok(Self { sample, truth })
+    }
+
+    fn frames(&self) -> [&Image; 2] {
+        [&self.sample.frame1, &self.sample.frame2]
+    }
+
+    fn size(&self) -> [(usize, usize); 2] {
+        self.frames().map(Image::size)
+    }
+}
+
+/// Runs every method on pairs of one size. A pair that a method fails on is not given to the methods after it.
+fn estimate_batch(
+    batch: Vec<Outcome<Pair>>,
     estimators: &[&dyn FlowEstimator],
-    crop: Option<(usize, usize)>,
     on_event: &mut dyn FnMut(Event<'_>),
-) -> Result<(Sample, FlowField, Vec<Estimate>), PairProblem> {
-    let mut sample = match crop {
-        Some(crop) => cropped(&sample, head_window(sample.frame1.size(), crop, sample.mask.as_ref())?),
-        None => sample,
-    };
-    let truth = sample.flow.take().ok_or(PairProblem::NoTruth)?;
+) -> Vec<Outcome<(Pair, Vec<Estimate>)>> {
+    let mut batch: Vec<Outcome<(Pair, Vec<Estimate>)>> =
+        batch.into_iter().map(|(name, pair)| (name, pair.map(|pair| (pair, Vec::new())))).collect();
+    for estimator in estimators {
+        let method = estimator.name();
+        let pairs = || batch.iter().filter_map(|(name, pair)| Some((name, &pair.as_ref().ok()?.0)));
+        let Some((pair, _)) = pairs().next() else { break };
+        on_event(Event::Estimating { method, pair });
+        let frames: Vec<[&Image; 2]> = pairs().map(|(_, pair)| pair.frames()).collect();
+        let mut flows = timed_flows(*estimator, &frames).into_iter();
+        for (name, outcome) in &mut batch {
+            if let Ok((pair, estimates)) = outcome
+                && let Some(flow) = flows.next()
+            {
+                match scored(name, method, pair, flow) {
+                    Ok(estimate) => estimates.push(estimate),
+                    Err(problem) => *outcome = Err(problem),
+                }
+            }
+        }
+    }
+    batch
+}
+
+/// The flow of each pair and the seconds it took. Where a batch fails, its pairs are estimated alone, so that those that
+/// have a flow get it.
+fn timed_flows(
+    estimator: &dyn FlowEstimator,
+    pairs: &[[&Image; 2]],
+) -> Vec<Result<(FlowField, f64), EstimateError>> {
+    let start = Instant::now();
+    match estimator.estimate_pairs(pairs) {
+        Ok(flows) => {
+            let seconds = start.elapsed().as_secs_f64() / pairs.len() as f64;
+            flows.into_iter().map(|flow| Ok((flow, seconds))).collect()
+        }
+        Err(problem) if pairs.len() == 1 => vec![Err(problem)],
+        Err(_) => pairs.chunks(1).flat_map(|pair| timed_flows(estimator, pair)).collect(),
+    }
+}
+
+fn scored(
+    name: &str,
+    method: &str,
+    Pair { sample, truth }: &Pair,
+    flow: Result<(FlowField, f64), EstimateError>,
+) -> Result<Estimate, PairProblem> {
+    let (flow, seconds) =
+        flow.map_err(|source| PairProblem::Estimate { method: method.to_owned(), source })?;
     let visible = sample.occlusion.as_ref().map(inverse);
-    let estimates = estimators
-        .iter()
-        .map(|estimator| {
-            let method = estimator.name();
-            on_event(Event::Estimating { method, pair });
-            let start = Instant::now();
-            let flow = estimator
-                .estimate(&sample.frame1, &sample.frame2)
-                .map_err(|source| PairProblem::Estimate { method: method.to_owned(), source })?;
-            let seconds = start.elapsed().as_secs_f64();
-            let scores = scores_of(pair, seconds, &flow, &truth, sample.mask.as_ref(), visible.as_ref())
-                .map_err(|source| PairProblem::Score { method: method.to_owned(), source })?;
-            Ok(Estimate { method: method.to_owned(), baseline: method == Zero.name(), flow, scores })
-        })
-        .collect::<Result<Vec<_>, PairProblem>>()?;
-    Ok((sample, truth, estimates))
+    let scores = scores_of(name, seconds, &flow, truth, sample.mask.as_ref(), visible.as_ref())
+        .map_err(|source| PairProblem::Score { method: method.to_owned(), source })?;
+    Ok(Estimate { method: method.to_owned(), baseline: method == Zero.name(), flow, scores })
 }
 
 /// The scores of one flow in every region that the pair has.

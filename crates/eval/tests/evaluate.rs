@@ -1,6 +1,8 @@
 //! Evaluation over small datasets on disk whose errors are known.
 
+use std::num::NonZeroUsize;
 use std::path::Path;
+use std::sync::Mutex;
 
 use srflow_data::read::{DatasetSpec, FlowDataset};
 use srflow_eval::{EvaluateError, Evaluation, Event, OnFailure, Region, Settings, evaluate};
@@ -140,6 +142,72 @@ fn a_broken_pair_stops_the_run_or_is_left_out_of_every_row() {
     for method in &evaluation.methods {
         let names: Vec<&str> = method.pairs.iter().map(|pair| pair.pair.as_str()).collect();
         assert_eq!(names, ["pair0", "pair2"]);
+    }
+}
+
+/// Says how many pairs it got at once, and cannot estimate frames whose first pixel is [`REFUSED`].
+struct Counting(Mutex<Vec<usize>>);
+
+const REFUSED: [u8; 3] = [9, 8, 7];
+
+impl FlowEstimator for Counting {
+    fn name(&self) -> &str {
+        "counting"
+    }
+
+    fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
+        Ok(self.estimate_pairs(&[[frame1, frame2]])?.remove(0))
+    }
+
+    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
+        self.0.lock().unwrap().push(pairs.len());
+        let flow = |[frame1, _]: &[&Image; 2]| match frame1.get(0, 0) {
+            REFUSED => {
+                Err(EstimateError::Unsupported { method: "counting".into(), reason: "refused".into() })
+            }
+            _ => Knowing { left: [0.25, 0.0], right: [0.5, 0.0] }.estimate(frame1, frame1),
+        };
+        pairs.iter().map(flow).collect()
+    }
+}
+
+/// Also beside pairs of another size, pairs that cannot be read, and pairs without a flow.
+#[test]
+fn scores_do_not_depend_on_how_many_pairs_are_estimated_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let pairs = dataset(dir.path(), 9);
+    std::fs::write(dir.path().join("pair1_img2.png"), b"not a picture").unwrap();
+    for name in ["pair4_img1.png", "pair4_img2.png"] {
+        write_image_png(&dir.path().join(name), &Image::filled(SIZE.0, SIZE.1, REFUSED)).unwrap();
+    }
+    for (name, ending) in [("pair6", "mask.png"), ("pair6", "occlusion.png")] {
+        std::fs::remove_file(dir.path().join(format!("{name}_{ending}"))).unwrap();
+    }
+    for name in ["pair6_img1.png", "pair6_img2.png"] {
+        write_image_png(&dir.path().join(name), &Image::new(16, 8)).unwrap();
+    }
+    write_flow(&dir.path().join("pair6_flow.flo"), &FlowField::new(16, 8)).unwrap();
+    let run = |batch: usize| {
+        let counting = Counting(Mutex::default());
+        let settings = Settings {
+            on_failure: OnFailure::LeaveOut,
+            batch: NonZeroUsize::new(batch),
+            ..Settings::default()
+        };
+        let mut evaluation = run(&open(pairs.dir()), &counting, settings).unwrap();
+        let scores = evaluation.methods.iter_mut().flat_map(|method| &mut method.pairs);
+        scores.for_each(|pair| pair.seconds = 0.0);
+        (evaluation, counting.0.into_inner().unwrap())
+    };
+    let (alone, counts) = run(1);
+    assert_eq!((alone.pairs, counts), (7, vec![1; 8]));
+    let failed: Vec<&str> = alone.failures.iter().map(|failure| failure.pair.as_str()).collect();
+    assert_eq!(failed, ["pair1", "pair4"]);
+    // A batch with a pair that has no flow is estimated pair by pair.
+    for (batch, expected) in [(2, vec![1, 2, 2, 1, 1, 1, 2]), (20, vec![5, 1, 1, 1, 1, 1, 1, 2])] {
+        let (together, counts) = run(batch);
+        assert_eq!(counts, expected, "batch {batch}");
+        assert_eq!(together, alone, "batch {batch}");
     }
 }
 

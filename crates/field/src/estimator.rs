@@ -11,6 +11,14 @@ pub trait FlowEstimator: Send + Sync {
     /// When the frames differ in size or the method cannot work at that size.
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError>;
 
+    /// The flow of each of these pairs, all of one size. A method that can estimates them at once.
+    ///
+    /// # Errors
+    /// As [`estimate`](Self::estimate), when one of the pairs has no flow.
+    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
+        pairs.iter().map(|[frame1, frame2]| self.estimate(frame1, frame2)).collect()
+    }
+
     /// Like [`estimate`](Self::estimate), starting from a flow that is already about right, of the frames' size.
     ///
     /// # Errors

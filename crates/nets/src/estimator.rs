@@ -53,15 +53,15 @@ impl NetworkEstimator {
         Tensor::from_data(TensorData::new(numbers, [frames.len(), 3, height, width]), &self.device)
     }
 
-    /// From each of the frames to the next.
-    fn forward(&self, video: &[Encoded], start: Option<Tensor<4>>) -> Estimate {
-        let pairs = video.len() - 1;
-        let features = Features::cat(video.iter().map(|encoded| encoded.features.clone()).collect());
-        let images: Vec<&Image> = video.iter().map(|encoded| &encoded.frame).collect();
-        let frames = Frames { first: self.tensor(&images[..pairs]), second: self.tensor(&images[1..]) };
+    /// From the first `pairs` frames to the last.
+    fn forward(&self, frames: &[Encoded], pairs: usize, start: Option<Tensor<4>>) -> Estimate {
+        let features = Features::cat(frames.iter().map(|encoded| encoded.features.clone()).collect());
+        let images: Vec<&Image> = frames.iter().map(|encoded| &encoded.frame).collect();
+        let second = frames.len() - pairs;
+        let frames = Frames { first: self.tensor(&images[..pairs]), second: self.tensor(&images[second..]) };
         let request = Request {
             start,
-            features: Some([features.clone().narrow(0, pairs), features.narrow(1, pairs)]),
+            features: Some([features.clone().narrow(0, pairs), features.narrow(second, pairs)]),
             ..Request::new(self.iterations.get())
         };
         self.network.forward(frames, &request)
@@ -145,7 +145,11 @@ impl FlowEstimator for NetworkEstimator {
     }
 
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        self.between(frame1, frame2, None)
+        Ok(self.estimate_pairs(&[[frame1, frame2]])?.remove(0))
+    }
+
+    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
+        self.between(pairs, None)
     }
 
     fn estimate_from(
@@ -155,7 +159,7 @@ impl FlowEstimator for NetworkEstimator {
         initial: &FlowField,
     ) -> Result<FlowField, EstimateError> {
         check_sizes(frame1.size(), initial.size())?;
-        self.between(frame1, frame2, Some(initial))
+        Ok(self.between(&[[frame1, frame2]], Some(initial))?.remove(0))
     }
 
     fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {
@@ -164,20 +168,23 @@ impl FlowEstimator for NetworkEstimator {
 }
 
 impl NetworkEstimator {
+    /// The initial flow is that of a pair alone.
     fn between(
         &self,
-        frame1: &Image,
-        frame2: &Image,
+        pairs: &[[&Image; 2]],
         initial: Option<&FlowField>,
-    ) -> Result<FlowField, EstimateError> {
-        check_sizes(frame1.size(), frame2.size())?;
-        let canvas = Canvas::of(frame1.size());
+    ) -> Result<Vec<FlowField>, EstimateError> {
+        let Some([first, _]) = pairs.first() else { return Ok(Vec::new()) };
+        let canvas = Canvas::of(first.size());
+        pairs.as_flattened().iter().try_for_each(|frame| check_sizes(canvas.size, frame.size()))?;
         if canvas.is_empty() {
-            return Ok(FlowField::new(canvas.size.0, canvas.size.1));
+            return Ok(vec![FlowField::new(canvas.size.0, canvas.size.1); pairs.len()]);
         }
         let start = initial.map(|initial| self.coarse(initial, canvas));
-        let estimate = self.forward(&[self.encoded(frame1), self.encoded(frame2)], start);
-        Ok(self.fields(estimate.last(), canvas)?.remove(0))
+        let encoded: Vec<Encoded> =
+            [0, 1].iter().flat_map(|of| pairs.iter().map(|pair| self.encoded(pair[*of]))).collect();
+        let estimate = self.forward(&encoded, pairs.len(), start);
+        self.fields(estimate.last(), canvas)
     }
 }
 
@@ -232,7 +239,7 @@ impl NetworkSequence<'_> {
         let (mut flows, mut next_coarse) = (Ok(Vec::new()), None);
         if video.len() > 1 {
             let start = coarse.map(|coarse| self.estimator.moved_on(&coarse)).transpose()?;
-            let estimate = self.estimator.forward(&video, start);
+            let estimate = self.estimator.forward(&video, video.len() - 1, start);
             flows = self.estimator.fields(estimate.last(), canvas);
             next_coarse = self.warm_start.then_some(estimate.coarse);
         }

@@ -45,9 +45,17 @@ impl FlowEstimator for Scaled {
     }
 
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        check_sizes(frame1.size(), frame2.size())?;
-        let flow = self.estimator.estimate(&self.smaller(frame1), &self.smaller(frame2))?;
-        Ok(resize_flow(&flow, frame1.size()))
+        Ok(self.estimate_pairs(&[[frame1, frame2]])?.remove(0))
+    }
+
+    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
+        let Some([first, _]) = pairs.first() else { return Ok(Vec::new()) };
+        pairs.as_flattened().iter().try_for_each(|frame| check_sizes(first.size(), frame.size()))?;
+        let smaller: Vec<[Image; 2]> =
+            pairs.iter().map(|pair| pair.map(|frame| self.smaller(frame))).collect();
+        let smaller: Vec<[&Image; 2]> = smaller.iter().map(|pair| pair.each_ref()).collect();
+        let flows = self.estimator.estimate_pairs(&smaller)?;
+        Ok(flows.iter().map(|flow| resize_flow(flow, first.size())).collect())
     }
 
     fn estimate_from(

@@ -237,23 +237,29 @@ impl Tiled {
         })
     }
 
+    /// Calls `estimate` with the same tile of every pair, and where it lies.
     fn blended(
         &self,
-        [frame1, frame2]: [&Image; 2],
-        estimate: impl Fn(&Image, &Image, (usize, usize)) -> Result<FlowField, EstimateError>,
-    ) -> Result<FlowField, EstimateError> {
-        check_sizes(frame1.size(), frame2.size())?;
-        let tiles = self.tiles(frame1.size())?;
+        pairs: &[[&Image; 2]],
+        estimate: impl Fn(&[[&Image; 2]], (usize, usize)) -> Result<Vec<FlowField>, EstimateError>,
+    ) -> Result<Vec<FlowField>, EstimateError> {
+        let Some([first, _]) = pairs.first() else { return Ok(Vec::new()) };
+        pairs.as_flattened().iter().try_for_each(|frame| check_sizes(first.size(), frame.size()))?;
+        let tiles = self.tiles(first.size())?;
         if tiles.count() == 1 {
-            return estimate(frame1, frame2, (0, 0));
+            return estimate(pairs, (0, 0));
         }
         let (width, height) = tiles.size();
-        let mut blend = Blend::new(&tiles);
+        let mut blends: Vec<Blend> = pairs.iter().map(|_| Blend::new(&tiles)).collect();
         for (number, (left, top)) in tiles.corners().enumerate() {
-            let tile = |frame: &Image| frame.crop(left, top, width, height);
-            blend.add(number, &estimate(&tile(frame1), &tile(frame2), (left, top))?);
+            let cut: Vec<[Image; 2]> =
+                pairs.iter().map(|pair| pair.map(|frame| frame.crop(left, top, width, height))).collect();
+            let cut: Vec<[&Image; 2]> = cut.iter().map(|pair| pair.each_ref()).collect();
+            for (blend, flow) in blends.iter_mut().zip(estimate(&cut, (left, top))?) {
+                blend.add(number, &flow);
+            }
         }
-        Ok(blend.finish())
+        Ok(blends.into_iter().map(Blend::finish).collect())
     }
 }
 
@@ -267,7 +273,11 @@ impl FlowEstimator for Tiled {
     }
 
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        self.blended([frame1, frame2], |tile1, tile2, _| self.estimator.estimate(tile1, tile2))
+        Ok(self.estimate_pairs(&[[frame1, frame2]])?.remove(0))
+    }
+
+    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
+        self.blended(pairs, |tiles, _| self.estimator.estimate_pairs(tiles))
     }
 
     fn estimate_from(
@@ -277,10 +287,14 @@ impl FlowEstimator for Tiled {
         initial: &FlowField,
     ) -> Result<FlowField, EstimateError> {
         check_sizes(frame1.size(), initial.size())?;
-        self.blended([frame1, frame2], |tile1, tile2, (left, top)| {
-            let initial = initial.crop(left, top, tile1.width(), tile1.height());
-            self.estimator.estimate_from(tile1, tile2, &initial)
-        })
+        let flows = self.blended(&[[frame1, frame2]], |tiles, (left, top)| {
+            let estimate = |[tile1, tile2]: &[&Image; 2]| {
+                let initial = initial.crop(left, top, tile1.width(), tile1.height());
+                self.estimator.estimate_from(tile1, tile2, &initial)
+            };
+            tiles.iter().map(estimate).collect()
+        });
+        Ok(flows?.remove(0))
     }
 
     fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {

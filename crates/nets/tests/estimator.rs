@@ -87,6 +87,28 @@ fn a_sequence_gives_the_flow_of_every_pair() {
     }
 }
 
+/// Alone, in tiles and scaled.
+#[test]
+fn pairs_at_once_get_the_flow_of_each() {
+    let network = network();
+    let boxed = || Box::new(estimator(&network));
+    let tiled = Tiled::new(boxed(), TileSize::Fixed(128, 128), 64);
+    let scaled = Scaled::new(boxed(), 0.9).expect("in range");
+    let frames = video((170, 140), 4);
+    let pairs = [[&frames[0], &frames[1]], [&frames[3], &frames[0]], [&frames[1], &frames[1]]];
+    for estimator in [&estimator(&network) as &dyn FlowEstimator, &tiled, &scaled] {
+        let flows = estimator.estimate_pairs(&pairs).expect("flows");
+        assert_eq!(flows.len(), pairs.len());
+        for (flow, [first, second]) in flows.iter().zip(pairs) {
+            assert_near(flow, &estimator.estimate(first, second).expect("flow"), "one of several");
+        }
+        assert!(estimator.estimate_pairs(&[]).expect("nothing").is_empty());
+        let smaller = frame((160, 140), 0);
+        let error = estimator.estimate_pairs(&[pairs[0], [&smaller, &smaller]]).expect_err("two sizes");
+        assert!(matches!(error, EstimateError::SizeMismatch { .. }), "{error}");
+    }
+}
+
 /// The second pair starts from the coarse flow of the first, moved along itself, as in RAFT's evaluation on Sintel.
 #[test]
 fn a_warm_start_is_the_coarse_flow_moved_along_itself() {

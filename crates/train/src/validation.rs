@@ -54,7 +54,7 @@ impl Validation {
         // A checked configuration trains with at least one.
         let iterations = [config.validation.iterations, config.training.iterations];
         let iterations = iterations.into_iter().find_map(NonZeroUsize::new).unwrap_or(NonZeroUsize::MIN);
-        let settings = Settings { crop, limit, on_failure: OnFailure::Stop };
+        let settings = Settings { crop, limit, on_failure: OnFailure::Stop, batch: None };
         Ok(Self { datasets, settings, iterations })
     }
 

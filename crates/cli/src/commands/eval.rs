@@ -1,4 +1,5 @@
 use std::io::IsTerminal;
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail, ensure};
@@ -39,6 +40,10 @@ pub struct Eval {
     /// Score only N pairs, spread evenly over the dataset
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     limit: Option<u32>,
+    /// Pairs that a network estimates at once, where neighbours in the dataset are of one size; the scores are the same, the
+    /// time of a pair is its share
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    batch: u16,
     /// Leave out a pair that cannot be scored, for every method, and go on; the exit code is still 1
     #[arg(long)]
     keep_going: bool,
@@ -64,7 +69,8 @@ const OUTPUTS: [&str; 7] =
 const SHOWN_PAIRS: usize = 4;
 
 /// Runs the command.
-pub fn run(args: Eval, context: &Context) -> anyhow::Result<()> {
+pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
+    args.parameters.network.batch = args.batch.into();
     if let (Some(out), false) = (&args.out, args.force) {
         let there = OUTPUTS.iter().map(|name| out.join(name)).find(|path| path.exists());
         ensure!(
@@ -79,6 +85,7 @@ pub fn run(args: Eval, context: &Context) -> anyhow::Result<()> {
         crop: args.crop.map(|size| (size.width, size.height)),
         limit: args.limit.map(|limit| limit as usize),
         on_failure: if args.keep_going { OnFailure::LeaveOut } else { OnFailure::Stop },
+        batch: NonZeroUsize::new(args.batch.into()),
     };
     if let Some(out) = &args.out {
         create_folder(out)?; // before the long work, which must not be lost

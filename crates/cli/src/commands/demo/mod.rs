@@ -155,7 +155,7 @@ fn score(
     crop: Option<(usize, usize)>,
     pairs: usize,
 ) -> anyhow::Result<(Evaluation, Vec<Figure>)> {
-    let settings = Settings { crop, limit: Some(pairs), on_failure: OnFailure::Stop };
+    let settings = Settings { crop, limit: Some(pairs), on_failure: OnFailure::Stop, batch: None };
     scoring::score(dataset, estimators, settings, Pictures { pairs: pairs.min(3), width: 380 })
 }
 

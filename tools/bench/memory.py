@@ -1,7 +1,8 @@
 """Peak memory of `srflow flow` with networks, by size of the frames.
 
     cargo build --release
-    python3 tools/bench/memory.py raft=raft.pth skflow=skflow.pth
+    python3 tools/bench/weights.py weights
+    python3 tools/bench/memory.py raft=weights/raft.pth skflow=weights/skflow.pth
 
 Prints the peak of the process at each size in MB, without that of a frame of 128x128, and the straight line that none of
 them passes: it must stay under what `Architecture::memory_need` says. One iteration: more take no more. The weights may be
@@ -35,6 +36,7 @@ def main():
     parser.add_argument("method", nargs="+", help="NETWORK=WEIGHTS")
     parser.add_argument("--srflow", default=ROOT / "target/release/srflow")
     parser.add_argument("--sizes", nargs="+", default=["x".join(map(str, size)) for size in SIZES])
+    parser.add_argument("--iterations", default="1")
     parser.add_argument("--tile", help="as srflow flow takes it")
     args = parser.parse_args()
     sizes = [tuple(map(int, size.split("x"))) for size in args.sizes]
@@ -48,7 +50,7 @@ def main():
                 if not frame.exists():
                     noise = random.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8)
                     Image.fromarray(noise).save(frame, compress_level=0)
-            command = [args.srflow, "flow", "--method", method, "--iters", "1", "--force", "-o", folder / "flow.flo"]
+            command = [args.srflow, "flow", "--method", method, "--iters", args.iterations, "--force", "-o", folder / "flow.flo"]
             tile = ["--tile", args.tile] if args.tile else []
             return peak_bytes([*command, *tile, *frames])
 

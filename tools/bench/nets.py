@@ -23,9 +23,9 @@ import time
 from pathlib import Path
 
 import numpy as np
+from weights import SEED, random_state
 
 ROOT = Path(__file__).resolve().parents[2]
-SEED = 7
 
 
 def texture(height, width, y, x):
@@ -78,11 +78,9 @@ def reference(network, iterations, threads, repeats, weights, pixels, out, heigh
 
 
 def save_weights(network, path):
-    import ptlflow
     import torch
 
-    torch.manual_seed(SEED)
-    torch.save(ptlflow.get_model(network).state_dict(), path)
+    torch.save(random_state(network), path)
 
 
 def main():

@@ -32,6 +32,7 @@ pub mod conv2d;
 pub mod correlation;
 pub mod depthwise;
 pub mod instance_norm;
+pub mod max_pool;
 pub mod pointwise;
 pub mod upsample;
 pub mod warp;

@@ -3,10 +3,9 @@
 
 use burn::module::Module;
 use burn::tensor::activation::relu;
-use burn::tensor::module::max_pool2d;
-use burn::tensor::ops::MaxPoolOptions;
 use burn::tensor::{Device, Tensor};
 use srflow_ops::Activation;
+use srflow_ops::max_pool::tensor::max_pool;
 
 use super::{Classifier, reduced};
 use crate::features::Features;
@@ -65,8 +64,7 @@ impl Classifier for OffApexNet {
 impl Stream {
     /// `[batch, 784]`. The reference has no activation between its convolutions.
     fn forward(&self, x: Tensor<4>) -> Tensor<2> {
-        let halved = |x| max_pool2d(x, MaxPoolOptions::new([2, 2]));
-        let x = halved(self.conv1.forward(x, Activation::Identity));
-        halved(self.conv2.forward(x, Activation::Identity)).flatten(1, 3)
+        let x = max_pool(self.conv1.forward(x, Activation::Identity));
+        max_pool(self.conv2.forward(x, Activation::Identity)).flatten(1, 3)
     }
 }

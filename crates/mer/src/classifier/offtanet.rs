@@ -4,11 +4,11 @@
 
 use burn::module::Module;
 use burn::tensor::activation::{relu, sigmoid, softmax};
-use burn::tensor::module::{adaptive_avg_pool2d, max_pool2d};
-use burn::tensor::ops::MaxPoolOptions;
+use burn::tensor::module::adaptive_avg_pool2d;
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_ops::Activation;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
+use srflow_ops::max_pool::tensor::max_pool;
 
 use super::Classifier;
 use crate::features::{FEATURE_SIDE, Features};
@@ -127,7 +127,7 @@ impl Residual {
         let shortcut = self.botneck.forward(x.clone(), Activation::Identity);
         let x = self.conv.1.relu_after(&self.conv.0, x, mode);
         let x = self.conv.4.relu_after(&self.conv.3, x, mode);
-        halved(shortcut + x)
+        max_pool(shortcut + x)
     }
 }
 
@@ -158,7 +158,7 @@ impl EnhancedResidual {
         let x = self.spa.forward(x.clone()) * x;
         let x = self.sa.forward(x);
         let x = self.conv2.1.relu_after(&self.conv2.0, x, mode);
-        halved(x + shortcut)
+        max_pool(x + shortcut)
     }
 }
 
@@ -214,9 +214,4 @@ fn position_code() -> TensorData {
     };
     let values: Vec<f32> = (0..SIDE * SIDE).map(|i| code(i % SIDE) + code(i / SIDE)).collect();
     TensorData::new(values, [SIDE, SIDE])
-}
-
-/// The largest of each 2x2 pixels.
-fn halved(x: Tensor<4>) -> Tensor<4> {
-    max_pool2d(x, MaxPoolOptions::new([2, 2]))
 }

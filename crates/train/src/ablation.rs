@@ -108,12 +108,12 @@ pub struct AblationSettings {
 #[derive(Debug, thiserror::Error)]
 pub enum AblationError {
     /// A run failed.
-    #[error("{run}: {source}")]
+    #[error("{run}: {error}")]
     Run {
         /// Its folder.
         run: String,
         /// What went wrong.
-        source: Box<TrainError>,
+        error: Box<TrainError>,
     },
     /// The folder of a run holds one with other settings.
     #[error(
@@ -153,9 +153,9 @@ pub fn ablate(
         for &variant in &settings.variants {
             let run = out.join(format!("{}-seed-{seed}", variant.name));
             let config = variant.config(&settings.base, seed);
-            let failed = |source: TrainError| AblationError::Run {
+            let failed = |error: TrainError| AblationError::Run {
                 run: run.display().to_string(),
-                source: Box::new(source),
+                error: Box::new(error),
             };
             let result = run.join(RESULT);
             let begun = !Checkpoints::of_run(&run).steps().map_err(|error| failed(error.into()))?.is_empty();

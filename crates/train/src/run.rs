@@ -39,12 +39,12 @@ pub enum TrainError {
     #[error(transparent)]
     Weights(#[from] WeightsError),
     /// The weights to start from are those of another network.
-    #[error("{}: {source}", .path.display())]
+    #[error("{}: {error}", .path.display())]
     OtherWeights {
         /// The file.
         path: PathBuf,
         /// What does not fit.
-        source: ParametersError,
+        error: ParametersError,
     },
     /// The loss does not fit the network.
     #[error(transparent)]
@@ -322,7 +322,7 @@ impl Trainer {
                 .replicas
                 .layout()
                 .values_of(&parameters)
-                .map_err(|source| TrainError::OtherWeights { path: path.to_owned(), source })?;
+                .map_err(|error| TrainError::OtherWeights { path: path.to_owned(), error })?;
             self.replicas.fill(&self.values);
         }
         Ok(())
@@ -415,3 +415,6 @@ impl Trainer {
         Ok(true)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -163,3 +163,49 @@ fn losses_that_are_not_finite_end_the_run() {
     }
     assert!(error.to_string().contains("no checkpoint yet"), "{error}");
 }
+
+/// A run whose network leaves the numbers after its second step, which has a checkpoint.
+#[test]
+fn the_last_good_checkpoint_stays_and_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    make_pairs(dir.path(), 3);
+    let run = dir.path().join("run");
+    let config = small_run(dir.path());
+    let devices = [Device::flex()];
+    train(&config, &devices, &run, Beginning::New, &mut |_| {}).expect("a short run");
+    std::fs::remove_dir_all(run.join("checkpoints/step-00000004")).unwrap();
+    let model = run.join("checkpoints/step-00000002/model.safetensors");
+    let mut bytes = std::fs::read(&model).unwrap();
+    let at = bytes.len() - 4;
+    bytes[at..].copy_from_slice(&f32::INFINITY.to_le_bytes());
+    std::fs::write(&model, &bytes).unwrap();
+
+    let result = train(&config, &devices, &run, Beginning::Resume, &mut |_| {});
+    let Err(TrainError::NotFinite { step: 4, in_a_row: 2, kept, .. }) = &result else { panic!("{result:?}") };
+    assert_eq!(
+        kept,
+        &format!("The last good checkpoint is {}", run.join("checkpoints/step-00000002").display())
+    );
+    assert_eq!(std::fs::read(&model).unwrap(), bytes);
+    assert!(!run.join("checkpoints/step-00000004").exists(), "nothing is written of what is not finite");
+}
+
+#[test]
+fn a_run_gives_the_same_weights_on_any_number_of_threads() {
+    let dir = tempfile::tempdir().unwrap();
+    make_pairs(dir.path(), 3);
+    for architecture in [Architecture::RaftSmall, Architecture::SkFlow] {
+        let mut config = small_run(dir.path());
+        config.network.architecture = architecture;
+        config.training.steps = 2;
+        config.loss = LossConfig { tvr: 0.05, fdr: 0.05, igvar: 0.1, ..LossConfig::default() };
+        let weights = |threads: usize| {
+            let run = dir.path().join(format!("{architecture:?}-{threads}"));
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            let train = || train(&config, &[Device::flex()], &run, Beginning::New, &mut |_| {});
+            pool.install(train).expect("a short run");
+            std::fs::read(run.join("last.safetensors")).expect("weights")
+        };
+        assert!(weights(1) == weights(3), "{architecture:?}");
+    }
+}

@@ -11,12 +11,12 @@ use crate::loss::LossError;
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// The file could not be read.
-    #[error("{}: {source}; give a TOML file or one of the presets: {presets}", .path.display())]
+    #[error("{}: {error}; give a TOML file or one of the presets: {presets}", .path.display())]
     Read {
         /// The file.
         path: PathBuf,
         /// What the system says.
-        source: std::io::Error,
+        error: std::io::Error,
         /// Names of the presets.
         presets: String,
     },
@@ -79,9 +79,9 @@ impl Config {
         if let Some(preset) = PRESETS.iter().find(|preset| Path::new(preset.name) == name) {
             return Self::parse(preset.text, &format!("preset {}", preset.name));
         }
-        let text = std::fs::read_to_string(name).map_err(|source| ConfigError::Read {
+        let text = std::fs::read_to_string(name).map_err(|error| ConfigError::Read {
             path: name.to_owned(),
-            source,
+            error,
             presets: PRESETS.iter().map(|preset| preset.name).collect::<Vec<_>>().join(", "),
         })?;
         Self::parse(&text, &name.display().to_string())

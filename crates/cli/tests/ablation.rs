@@ -1,0 +1,101 @@
+//! `srflow ablation` as a user meets it: the table, the paper's beside it, and a run that was stopped.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant, SystemTime};
+
+use srflow_field::{FlowField, Image, write_flow, write_image_png};
+
+/// Pairs for training and pairs to score on.
+fn make_data(folder: &Path) -> String {
+    for (split, count) in [("train", 2), ("test", 1)] {
+        let dir = folder.join(split);
+        std::fs::create_dir_all(&dir).unwrap();
+        for i in 0..count {
+            let frame = |shift: f32| {
+                Image::from_fn(72, 64, |x, y| {
+                    let wave = ((x as f32 - shift) * 0.31).sin() + (y as f32 * 0.27 + i as f32).sin();
+                    [(128.0 + 50.0 * wave) as u8; 3]
+                })
+            };
+            let file = |ending: &str| dir.join(format!("p{i}_{ending}"));
+            write_image_png(&file("img1.png"), &frame(0.0)).unwrap();
+            write_image_png(&file("img2.png"), &frame(1.5)).unwrap();
+            write_flow(&file("flow.flo"), &FlowField::filled(72, 64, [1.5, 0.0])).unwrap();
+        }
+    }
+    format!("folder:{}", folder.display())
+}
+
+fn command(data: &str, out: &Path, rows: &str, more: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_srflow"));
+    command.args(["ablation", "--config", "cpu-small", "--data", data, "--rows", rows, "--seeds", "1,2"]);
+    command.args(["--crop", "64x64", "--batch", "1", "--iterations", "1", "--steps", "2"]);
+    command.args(["--set", "checkpoints.every=1", "--out"]).arg(out).args(more);
+    command
+}
+
+fn succeed(mut command: Command) -> Output {
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+const RUNS: [&str; 4] = ["skflow-seed-1", "skflow-seed-2", "fdr-seed-1", "fdr-seed-2"];
+
+fn results(out: &Path) -> Vec<(PathBuf, SystemTime)> {
+    let files = RUNS.iter().map(|run| out.join(run).join("test.json")).filter(|path| path.exists());
+    files.map(|path| (path.clone(), path.metadata().unwrap().modified().unwrap())).collect()
+}
+
+#[test]
+fn the_table_stands_beside_the_papers_and_a_stopped_run_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = make_data(&folder.path().join("data"));
+    let [through, stopped] = ["through", "stopped"].map(|name| folder.path().join(name));
+    let output = succeed(command(&data, &through, "skflow,fdr", &[]));
+    let text = String::from_utf8(output.stdout).unwrap();
+    let ours = text.find("Ours: mean over seeds 1, 2 of RAFT-S, 2 steps").expect(&text);
+    let spread = text.find("Ours: standard deviation over the seeds").expect(&text);
+    let paper = text.find("The paper's Table V").expect(&text);
+    assert!(ours < spread && spread < paper, "{text}");
+    assert!(text[ours..paper].contains("FDR") && !text[..paper].contains("TVR"), "only what was run: {text}");
+    assert!(text[paper..].contains("SRFlowNet-TVR") && text[paper..].contains("0.4056"), "{text}");
+    let json: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(through.join("ablation.json")).unwrap()).unwrap();
+    let epe = |cell: &serde_json::Value| cell["scores"]["epe"].as_f64().unwrap();
+    let cells = json.as_array().unwrap();
+    assert_eq!(cells.len(), 4);
+    assert!(cells.iter().all(|cell| epe(cell).is_finite() && cell["zero_epe"] == 1.5), "{json}");
+    let mean = |variant: &str| -> f64 {
+        cells.iter().filter(|cell| cell["variant"] == variant).map(epe).sum::<f64>() / 2.0
+    };
+    assert!(text[ours..spread].contains(&format!("{:.4}", mean("fdr"))), "{text}");
+
+    // The same, killed while the first row is trained.
+    let mut child = command(&data, &stopped, "skflow,fdr", &[]).stdout(Stdio::null()).spawn().unwrap();
+    let start = Instant::now();
+    while !stopped.join(RUNS[0]).join("checkpoints/step-00000001").exists() {
+        assert!(start.elapsed() < Duration::from_secs(60), "no checkpoint");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let finished = results(&stopped);
+    assert!(finished.len() < RUNS.len(), "it was killed on its way");
+    succeed(command(&data, &stopped, "skflow,fdr", &[]));
+    let read = |out: &Path, name: &str| std::fs::read(out.join(name)).unwrap();
+    assert_eq!(read(&stopped, "ablation.json"), read(&through, "ablation.json"));
+    let now = results(&stopped);
+    assert!(finished.iter().all(|result| now.contains(result)), "what was finished is not run again");
+
+    // Once more: nothing is left to do.
+    succeed(command(&data, &stopped, "skflow,fdr", &["--json"]));
+    assert_eq!(results(&stopped), now);
+    let refused = command(&data, &stopped, "skflow", &["--learning-rate", "1e-5"]).output().unwrap();
+    let error = String::from_utf8(refused.stderr).unwrap();
+    assert!(
+        !refused.status.success() && error.contains("skflow-seed-1") && error.contains("--out"),
+        "{error}"
+    );
+}

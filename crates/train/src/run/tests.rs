@@ -1,0 +1,58 @@
+//! A step that cannot be taken.
+
+use srflow_field::{FlowField, Image, write_flow, write_image_png};
+
+use super::*;
+
+fn trainer(dir: &Path) -> (Trainer, Batch, Batch) {
+    for i in 0..2 {
+        let frame = |shift: f32| {
+            Image::from_fn(64, 64, |x, y| {
+                let wave = ((x as f32 - shift) * 0.31).sin() + (y as f32 * 0.27 + i as f32).sin();
+                [(128.0 + 50.0 * wave) as u8; 3]
+            })
+        };
+        let file = |ending: &str| dir.join(format!("p{i}_{ending}"));
+        write_image_png(&file("img1.png"), &frame(0.0)).unwrap();
+        write_image_png(&file("img2.png"), &frame(1.0)).unwrap();
+        write_flow(&file("flow.flo"), &FlowField::filled(64, 64, [1.0, 0.0])).unwrap();
+    }
+    let text = format!(
+        "[network]\narchitecture = \"raft-small\"\n[data]\ntrain = \"folder:{}\"\ncrop = \"64x64\"\n\
+         [augmentation]\nkind = \"none\"\n[training]\nsteps = 9\nbatch = 1\niterations = 2\n",
+        dir.display()
+    );
+    let config = Config::parse(&text, "test").unwrap();
+    let set = Arc::new(TrainingSet::open(&config).unwrap());
+    let batch = Batch::new(&[set.sample(0, 0, 1).unwrap()]);
+    let mut broken = batch.clone();
+    broken.first[7] = f32::NAN;
+    (Trainer::new(&config, &[Device::flex()], &set).unwrap(), batch, broken)
+}
+
+#[test]
+fn a_skipped_step_leaves_no_trace_in_what_is_learned() {
+    let dir = tempfile::tempdir().unwrap();
+    let (mut steady, batch, _) = trainer(dir.path());
+    let (mut disturbed, _, broken) = trainer(dir.path());
+    for trainer in [&mut steady, &mut disturbed] {
+        assert!(trainer.step(&batch).unwrap().is_some());
+    }
+    let before = disturbed.checkpoint("");
+    for in_a_row in 1..=2 {
+        assert!(disturbed.step(&broken).unwrap().is_none());
+        let Progress { step, skipped, skipped_in_a_row, .. } = disturbed.progress;
+        assert_eq!((step, skipped, skipped_in_a_row), (1 + in_a_row, in_a_row, in_a_row));
+    }
+    let after = disturbed.checkpoint("");
+    assert_eq!((&after.values, &after.optimizer), (&before.values, &before.optimizer));
+
+    // The next step sees the network as if nothing had been there.
+    let [expected, found] =
+        [&mut steady, &mut disturbed].map(|trainer| trainer.step(&batch).unwrap().unwrap());
+    assert_eq!((found.loss, found.gradient_norm), (expected.loss, expected.gradient_norm));
+    assert_eq!((found.step, expected.step), (4, 2));
+    assert_eq!((disturbed.progress.skipped, disturbed.progress.skipped_in_a_row), (2, 0));
+    assert_ne!(disturbed.checkpoint("").values, before.values, "training goes on");
+    assert!(disturbed.values.iter().all(|value| value.is_finite()));
+}

@@ -81,6 +81,11 @@ impl FromStr for Tile {
 }
 
 impl LargeFrames {
+    /// Whether frames are not taken as they are.
+    pub fn given(&self) -> bool {
+        self.tile.is_some() || self.scale.is_some()
+    }
+
     /// How large tiles are to be; `None` for frames as they are.
     ///
     /// # Errors

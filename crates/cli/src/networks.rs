@@ -65,6 +65,21 @@ impl NetworkArgs {
         self.iters.map_or(architecture.facts().iterations.default, usize::from)
     }
 
+    /// The file of a network's weights: its own, or those of `--weights`.
+    ///
+    /// # Errors
+    /// When there are none, or they cannot be found.
+    pub fn weights_of(&self, architecture: Architecture, own: Option<&str>) -> anyhow::Result<PathBuf> {
+        let name = architecture.name();
+        match own.or(self.weights.as_deref()) {
+            Some(weights) => weights_file(architecture, weights),
+            None => wrong_usage!(
+                "{name} needs weights: give --weights FILE, or --method {name}=FILE; `srflow models` says where \
+                 people get them"
+            ),
+        }
+    }
+
     /// The network with its weights: its own, or those of `--weights`.
     ///
     /// # Errors
@@ -75,18 +90,11 @@ impl NetworkArgs {
         weights: Option<&str>,
         label: String,
     ) -> anyhow::Result<NetworkEstimator> {
-        let name = architecture.name();
-        let Some(weights) = weights.or(self.weights.as_deref()) else {
-            wrong_usage!(
-                "{name} needs weights: give --weights FILE, or --method {name}=FILE; `srflow models` says where \
-                 people get them"
-            );
-        };
         let device = match device(&self.device) {
             Ok(device) => device,
             Err(error) => wrong_usage!("--device: {error}"),
         };
-        let path = weights_file(architecture, weights)?;
+        let path = self.weights_of(architecture, weights)?;
         let network = load_network(architecture, &path, &device)?;
         let iterations = NonZeroUsize::new(self.iterations(architecture)).context("no iterations")?;
         Ok(NetworkEstimator::new(label, network, iterations, device))

@@ -117,6 +117,8 @@ fn wrong_usage_is_told() {
     let folder = tempfile::tempdir().unwrap();
     let error = fails(&srflow(folder.path(), &["data", "casme3:x"]), 2);
     assert!(error.contains("casme2[-raw|-cropped]"), "{error}");
+    let error = fails(&srflow(folder.path(), &["data", "samm:nowhere"]), 1);
+    assert!(error.contains("nowhere: ") && error.matches("os error").count() <= 1, "told once: {error}");
     let error = fails(&srflow(folder.path(), &["data", "clips:x", "--annotations", "samm:y"]), 1);
     assert!(error.contains("no dataset of the kind `samm`"), "{error}");
     let error = fails(&srflow(folder.path(), &["synth", "--out", "x", "--side", "3"]), 2);

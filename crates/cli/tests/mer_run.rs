@@ -1,7 +1,8 @@
 //! `srflow mer run` from clips on disk to tables, resumed and refused.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use srflow_field::{Image, write_image_png};
 
@@ -26,14 +27,19 @@ fn write_clips(folder: &Path) {
     std::fs::write(folder.join("clips.csv"), lines.join("\n") + "\n").unwrap();
 }
 
-fn run(clips: &Path, out: &Path, more: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_srflow"))
+fn command(clips: &Path, out: &Path, epochs: [&str; 2], more: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_srflow"));
+    command
         .args(["mer", "run", "--data", &format!("clips:{}", clips.display()), "--out"])
         .arg(out)
-        .args(["--method", "farneback", "--classifier", "ststnet", "--epochs", "3", "--record-every", "2"])
-        .args(more)
-        .output()
-        .unwrap()
+        .args(["--method", "farneback", "--classifier", "ststnet"])
+        .args(["--epochs", epochs[0], "--record-every", epochs[1]])
+        .args(more);
+    command
+}
+
+fn run(clips: &Path, out: &Path, more: &[&str]) -> Output {
+    command(clips, out, ["3", "2"], more).output().unwrap()
 }
 
 fn text(bytes: &[u8]) -> &str {
@@ -75,10 +81,130 @@ fn clips_become_tables_and_a_second_run_gives_the_same_bytes() {
     let json: serde_json::Value = serde_json::from_slice(&again.stdout).unwrap();
     assert_eq!(json["outcomes"][0]["folds"][0]["resumed"], true);
     assert_eq!(read("predictions.csv"), predictions);
+    assert_recomputed(&out);
     // From nothing, on another number of threads.
     let elsewhere = folder.path().join("elsewhere");
     assert!(run(&clips, &elsewhere, &["--threads", "3"]).status.success());
     assert_eq!(std::fs::read_to_string(elsewhere.join("predictions.csv")).unwrap(), predictions);
+}
+
+fn tables(arguments: &[&Path]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_srflow")).args(["mer", "tables"]).args(arguments).output().unwrap()
+}
+
+/// Every table of a finished run follows from its predictions.
+fn assert_recomputed(out: &Path) {
+    let read = |folder: &Path, name: &str| std::fs::read_to_string(folder.join(name)).unwrap();
+    let again = out.join("again");
+    let predictions = out.join("predictions.csv");
+    let output = tables(&[&predictions, Path::new("--out"), &again]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert_eq!(text(&output.stdout), read(out, "tables.txt"));
+    for name in ["tables.txt", "tables.csv", "tables.tex", "tables.md", "confusions.csv"] {
+        assert_eq!(read(&again, name), read(out, name), "{name}");
+    }
+    // The training loss, which stands last in a line, follows from no prediction.
+    let without_loss = |line: &str| line.rsplit_once(',').unwrap().0.to_owned();
+    let lines = |text: String| text.lines().map(without_loss).collect::<Vec<_>>();
+    assert_eq!(lines(read(&again, "folds.csv")), lines(read(out, "folds.csv")));
+
+    let json = tables(&[&predictions, Path::new("--json")]);
+    let mut found: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+    let mut results: serde_json::Value = serde_json::from_str(&read(out, "results.json")).unwrap();
+    results["outcomes"][0].as_object_mut().unwrap().remove("folds").unwrap();
+    assert_eq!(found["outcomes"].take(), results["outcomes"].take());
+
+    let refused = tables(&[&predictions, Path::new("--out"), &again]);
+    assert!(text(&refused.stderr).contains("--force"), "{}", text(&refused.stderr));
+}
+
+#[test]
+fn predictions_that_give_no_tables_say_why() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("predictions.csv");
+    let head =
+        "method,set,dataset,subject,clip,truth,epoch,predicted,score_negative,score_positive,score_surprise";
+    let line = "tvl1,samm,samm,006,006_1_2,positive,0,negative,1,0.5,0";
+    let whole = format!("{head}\n{line}\n");
+    let error = |contents: &str| {
+        std::fs::write(&path, contents).unwrap();
+        let output = tables(&[&path]);
+        assert_eq!(output.status.code(), Some(1), "{}", text(&output.stdout));
+        assert!(output.stdout.is_empty());
+        text(&output.stderr).to_owned()
+    };
+    for (contents, expected) in [
+        (String::new(), "holds no predictions"),
+        (whole.replace("truth", "label"), "no column truth"),
+        (whole.replace("positive,0", "happy,0"), "line 2: `happy`"),
+        (
+            format!("{whole}{line}\n"),
+            "samm, tvl1: samm subject 006 clip 006_1_2 has 2 predictions at epoch 0",
+        ),
+    ] {
+        let error = error(&contents);
+        assert!(error.contains("predictions.csv") && error.contains(expected), "{error}");
+    }
+    let gone = tables(&[&folder.path().join("gone.csv")]);
+    assert!(text(&gone.stderr).contains("gone.csv"), "{}", text(&gone.stderr));
+}
+
+#[test]
+fn a_killed_run_goes_on_to_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let clips = folder.path().join("faces");
+    std::fs::create_dir(&clips).unwrap();
+    write_clips(&clips);
+    let [through, killed] = ["through", "killed"].map(|name| folder.path().join(name));
+    let longer =
+        |out, more: &[&str]| command(&clips, out, ["80", "40"], &[&["--threads", "1"], more].concat());
+    assert!(longer(&through, &[]).output().unwrap().status.success());
+
+    let mut child = longer(&killed, &[]).stdout(Stdio::null()).spawn().unwrap();
+    let finished = |out: &Path| {
+        let files = std::fs::read_dir(out.join("folds")).into_iter().flatten().filter_map(Result::ok);
+        files.filter(|file| file.path().extension() == Some("json".as_ref())).count()
+    };
+    let start = Instant::now();
+    while finished(&killed) == 0 {
+        assert!(start.elapsed() < Duration::from_secs(100), "no fold is finished");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let left = finished(&killed);
+    let resumed = longer(&killed, &["--force", "--json"]).output().unwrap();
+    let json: serde_json::Value = serde_json::from_slice(&resumed.stdout).unwrap();
+    let folds = json["outcomes"][0]["folds"].as_array().unwrap();
+    assert_eq!(folds.iter().filter(|fold| fold["resumed"] == true).count(), left);
+    let predictions = |out: &Path| std::fs::read(out.join("predictions.csv")).unwrap();
+    assert_eq!(predictions(&killed), predictions(&through));
+}
+
+#[test]
+fn what_cannot_be_learned_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let clips = folder.path().join("faces");
+    std::fs::create_dir(&clips).unwrap();
+    write_clips(&clips);
+    let table = std::fs::read_to_string(clips.join("clips.csv")).unwrap();
+    let without = |word: &str| -> String {
+        table.lines().filter(|line| !line.contains(word)).map(|line| format!("{line}\n")).collect()
+    };
+    std::fs::write(clips.join("clips.csv"), without("ben-surprise")).unwrap();
+    let out = folder.path().join("alone");
+    let alone = run(&clips, &out, &[]);
+    assert!(
+        text(&alone.stdout).contains("left to learn from: faces anna (surprise)."),
+        "{}",
+        text(&alone.stdout)
+    );
+    let folds = std::fs::read_to_string(out.join("folds.csv")).unwrap();
+    assert!(folds.contains("faces,farneback,faces,carl,1,2,"), "a subject with one clip is a fold: {folds}");
+
+    std::fs::write(clips.join("clips.csv"), without("surprise")).unwrap();
+    let absent = run(&clips, &folder.path().join("absent"), &[]);
+    assert!(text(&absent.stdout).contains("faces: no clip shows surprise."), "{}", text(&absent.stdout));
 }
 
 #[test]
@@ -90,13 +216,21 @@ fn what_cannot_be_run_says_why() {
     let missing = run(&clips, &out, &[]);
     assert_eq!(missing.status.code(), Some(1));
     assert!(text(&missing.stderr).contains("clips.csv"), "{}", text(&missing.stderr));
+    assert_eq!(text(&missing.stderr).matches("looked for").count(), 1, "{}", text(&missing.stderr));
     write_clips(&clips);
+    let frame = clips.join("ben-positive/2.png");
+    let whole = std::fs::read(&frame).unwrap();
+    std::fs::write(&frame, &whole[..whole.len() / 2]).unwrap();
+    let broken = run(&clips, &out, &[]);
+    let error = text(&broken.stderr);
+    assert!(error.contains("faces/ben/ben-positive: ") && error.contains("2.png"), "{error}");
+    std::fs::write(&frame, whole).unwrap();
     let table = std::fs::read_to_string(clips.join("clips.csv")).unwrap();
     let alone: Vec<&str> =
         table.lines().filter(|line| !line.contains("ben") && !line.contains("carl")).collect();
     std::fs::write(clips.join("clips.csv"), alone.join("\n")).unwrap();
     let alone = run(&clips, &out, &[]);
-    assert!(text(&alone.stderr).contains("at least 2 subjects; found faces anna"), "{}", text(&alone.stderr));
+    assert!(text(&alone.stderr).contains("at least 2 subjects; found 1"), "{}", text(&alone.stderr));
     let wrong = run(&clips, &out, &["--batch", "0"]);
     assert!(text(&wrong.stderr).contains("batch size is 0"), "{}", text(&wrong.stderr));
     let single = run(&clips, &out, &["--sets", "composite"]);

@@ -108,7 +108,12 @@ impl Table {
         marks
     }
 
-    /// For a terminal: aligned columns under the title, a legend of the marks at the end.
+    /// Whether any column is ranked: rows of such a table are methods.
+    pub fn ranked(&self) -> bool {
+        self.columns.iter().any(|column| column.better.is_some())
+    }
+
+    /// For a terminal: aligned columns under the title, and a legend of the marks at the end where there are any.
     pub fn text(&self, style: TextStyle) -> String {
         let marks = self.marks();
         let mut cells: Vec<Vec<String>> = vec![self.headers()];
@@ -142,6 +147,9 @@ impl Table {
                 let rule = widths.iter().sum::<usize>() + 2 * self.columns.len();
                 out.push_str(&format!("  {}\n", "─".repeat(rule)));
             }
+        }
+        if !self.ranked() {
+            return out;
         }
         out.push('\n');
         out.push_str(&match style {
@@ -212,9 +220,14 @@ impl Table {
         out
     }
 
-    /// `Methods` and the columns' headers with their arrows.
+    /// What stands over the names of the rows.
+    pub(crate) fn row_header(&self) -> &'static str {
+        if self.ranked() { "Methods" } else { "" }
+    }
+
+    /// That of the rows and the columns' headers with their arrows.
     fn headers(&self) -> Vec<String> {
-        std::iter::once("Methods".to_owned()).chain(self.columns.iter().map(Column::title)).collect()
+        std::iter::once(self.row_header().to_owned()).chain(self.columns.iter().map(Column::title)).collect()
     }
 }
 
@@ -314,6 +327,19 @@ mod tests {
         let values = [Some(4.0), Some(1.0), Some(3.0), Some(2.0)];
         assert_eq!(marks(Better::Lower, &values), [None, Some(Best), Some(Third), Some(Second)]);
         assert_eq!(marks(Better::Higher, &values), [Some(Best), None, Some(Second), Some(Third)]);
+    }
+
+    #[test]
+    fn a_table_without_ranks_has_no_legend_of_them() {
+        let ranked = table(Better::Lower, &[Some(1.0)]);
+        let mut counts = ranked.clone();
+        counts.columns[0].better = None;
+        assert!(
+            ranked.text(TextStyle::Plain).contains("Methods")
+                && ranked.text(TextStyle::Plain).contains("best")
+        );
+        let text = counts.text(TextStyle::Plain);
+        assert!(text.contains("m0") && !text.contains("Methods") && !text.contains("best"), "{text}");
     }
 
     #[test]

@@ -16,6 +16,7 @@ mod protocol;
 mod report;
 mod resize;
 mod results;
+mod results_csv;
 mod strain;
 mod summary;
 mod training;
@@ -35,7 +36,10 @@ pub use predictions::{Prediction, PredictionsError, Trial, read_predictions, wri
 pub use protocol::{Protocol, ProtocolError};
 pub use report::{ReportParts, report};
 pub use resize::{resize_cubic, resize_flow};
-pub use results::{METRICS, Outcome, OutcomeRecord, confusion_table, fold_table, score_tables};
+pub use results::{
+    METRICS, Outcome, OutcomeRecord, by_set, confusion_table, fold_table, score_tables, unseen_classes,
+};
+pub use results_csv::{confusions_csv, folds_csv, scores_csv};
 pub use strain::{StrainFormula, optical_strain, strain_colors};
 pub use summary::{Best, EpochScores, FoldScores, Summary, SummaryError};
 pub use training::{Training, cross_entropy};

@@ -54,9 +54,14 @@ pub struct FoldRecord {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LosoEvent {
     /// A fold has passed another epoch.
-    Epoch,
+    Epoch {
+        /// The clips that it was trained on.
+        clips: usize,
+    },
     /// A fold is done; when resumed, none of its epochs was run.
     Fold {
+        /// The clips that it is trained on in each epoch.
+        clips: usize,
         /// The result was there from an earlier run.
         resumed: bool,
     },
@@ -138,16 +143,17 @@ pub fn leave_one_subject_out<C: Classifier>(
     let folds: Vec<([&str; 2], Vec<usize>)> = folds.into_iter().collect();
     let run = |&([dataset, subject], ref clips): &([&str; 2], Vec<usize>)| -> Result<Finished, LosoError> {
         let file = store.as_ref().map(|store| store.file(dataset, subject));
-        if let Some(finished) = file.as_deref().map(read_fold).transpose()?.flatten() {
-            on_event(LosoEvent::Fold { resumed: true });
-            return Ok(finished);
-        }
         let (tested, training): (Vec<_>, Vec<_>) =
             (0..examples.len()).partition(|index| clips.contains(index));
+        let clips = training.len();
+        if let Some(finished) = file.as_deref().map(read_fold).transpose()?.flatten() {
+            on_event(LosoEvent::Fold { clips, resumed: true });
+            return Ok(finished);
+        }
         let of = |indices: Vec<usize>| -> Vec<&Example> { indices.iter().map(|&i| &examples[i]).collect() };
         let name = format!("{dataset}/{subject}");
         let trained = train_fold::<C>(&name, &of(training), &of(tested), protocol, &|_| {
-            on_event(LosoEvent::Epoch);
+            on_event(LosoEvent::Epoch { clips });
         });
         let finished = Finished {
             trained: trained.map_err(|Diverged { epoch }| LosoError::Diverged {
@@ -160,7 +166,7 @@ pub fn leave_one_subject_out<C: Classifier>(
         if let Some(file) = &file {
             write_fold(file, &name, &finished.trained)?;
         }
-        on_event(LosoEvent::Fold { resumed: false });
+        on_event(LosoEvent::Fold { clips, resumed: false });
         Ok(finished)
     };
     let finished = each_on_one_thread(&folds, run)?;

@@ -1,6 +1,6 @@
 //! What classifiers said, clip by clip, and the file that keeps it: every number of the results follows from it.
 
-use std::collections::BTreeMap;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -43,14 +43,31 @@ pub struct Trial {
 #[derive(Debug, thiserror::Error)]
 pub enum PredictionsError {
     /// It is no CSV file, or a line lacks a column or holds something else in it.
-    #[error("{}: {source}; expected a predictions.csv as `srflow mer run` writes it", .path.display())]
+    #[error("{}: {error}; expected a predictions.csv as `srflow mer run` writes it", .path.display())]
     Csv {
         /// The file.
         path: PathBuf,
         /// What is wrong, and in which line.
-        source: csv::Error,
+        error: csv::Error,
     },
-    /// A class of another name.
+    /// The head names other columns.
+    #[error(
+        "{}: there is no column {}; expected a predictions.csv as `srflow mer run` writes it, with the columns {}",
+        .path.display(), .missing.join(", "), COLUMNS.join(", ")
+    )]
+    Columns {
+        /// The file.
+        path: PathBuf,
+        /// The columns that are not there.
+        missing: Vec<&'static str>,
+    },
+    /// There is not a single prediction.
+    #[error("{}: it holds no predictions; expected a predictions.csv as `srflow mer run` writes it", .path.display())]
+    Empty {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A class of another name, or one that the scores do not say.
     #[error("{}: line {line}: {reason}", .path.display())]
     Class {
         /// The file.
@@ -70,6 +87,21 @@ impl Prediction {
         EmotionClass::ALL[best]
     }
 }
+
+/// The columns of the file; their order is free.
+const COLUMNS: [&str; 11] = [
+    "method",
+    "set",
+    "dataset",
+    "subject",
+    "clip",
+    "truth",
+    "epoch",
+    "predicted",
+    "score_negative",
+    "score_positive",
+    "score_surprise",
+];
 
 /// A line of the file.
 #[derive(Serialize, Deserialize)]
@@ -116,38 +148,59 @@ pub fn write_predictions(path: &Path, trials: &[Trial]) -> Result<(), FileError>
     })
 }
 
-/// Reads what [`write_predictions`] wrote; trials by set, then method.
+/// Reads what [`write_predictions`] wrote; trials in the order in which the file names them first.
 ///
 /// # Errors
-/// When the file cannot be read or holds something else.
+/// When the file cannot be read, is empty or holds something else.
 pub fn read_predictions(path: &Path) -> Result<Vec<Trial>, PredictionsError> {
-    let broken = |source| PredictionsError::Csv { path: path.to_owned(), source };
+    let broken = |error| PredictionsError::Csv { path: path.to_owned(), error };
     let mut reader = csv::Reader::from_path(path).map_err(broken)?;
     let head = reader.headers().map_err(broken)?.clone();
-    let mut trials: BTreeMap<(String, String), Vec<Prediction>> = BTreeMap::new();
+    if head.is_empty() {
+        return Err(PredictionsError::Empty { path: path.to_owned() });
+    }
+    let missing: Vec<&str> =
+        COLUMNS.into_iter().filter(|column| !head.iter().any(|name| name == *column)).collect();
+    if !missing.is_empty() {
+        return Err(PredictionsError::Columns { path: path.to_owned(), missing });
+    }
+    let mut trials: Vec<Trial> = Vec::new();
+    let mut numbers: HashMap<[String; 2], usize> = HashMap::new();
     let mut record = csv::StringRecord::new();
     while reader.read_record(&mut record).map_err(broken)? {
         let line: Line = record.deserialize(Some(&head)).map_err(broken)?;
-        let class = |name: &str| {
-            let number = record.position().map_or(0, csv::Position::line);
-            name.parse().map_err(|reason| PredictionsError::Class {
-                path: path.to_owned(),
-                line: number,
-                reason,
-            })
+        let refused = |reason| {
+            let line = record.position().map_or(0, csv::Position::line);
+            PredictionsError::Class { path: path.to_owned(), line, reason }
         };
-        trials.entry((line.set.to_owned(), line.method.to_owned())).or_default().push(Prediction {
+        let class = |name: &str| name.parse().map_err(refused);
+        let (truth, predicted) = (class(line.truth)?, class(line.predicted)?);
+        let scores = [line.score_negative, line.score_positive, line.score_surprise];
+        let told = Prediction::class_of(&scores);
+        if told != predicted {
+            return Err(refused(format!(
+                "predicted is {predicted}, but the largest score is that of {told}"
+            )));
+        }
+        let number = *numbers.entry([line.set.to_owned(), line.method.to_owned()]).or_insert_with(|| {
+            trials.push(Trial {
+                method: line.method.to_owned(),
+                set: line.set.to_owned(),
+                predictions: Vec::new(),
+            });
+            trials.len() - 1
+        });
+        trials[number].predictions.push(Prediction {
             dataset: line.dataset.to_owned(),
             subject: line.subject.to_owned(),
             clip: line.clip.to_owned(),
-            truth: class(line.truth)?,
+            truth,
             epoch: line.epoch,
-            predicted: class(line.predicted)?,
-            scores: [line.score_negative, line.score_positive, line.score_surprise],
+            predicted,
+            scores,
         });
     }
-    let trial = |((set, method), predictions)| Trial { method, set, predictions };
-    Ok(trials.into_iter().map(trial).collect())
+    if trials.is_empty() { Err(PredictionsError::Empty { path: path.to_owned() }) } else { Ok(trials) }
 }
 
 #[cfg(test)]
@@ -180,8 +233,9 @@ mod tests {
     fn a_file_gives_back_every_bit() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("predictions.csv");
-        write_predictions(&path, &[trial()]).unwrap();
-        assert_eq!(read_predictions(&path).unwrap(), [trial()]);
+        let first = Trial { method: "zero".into(), ..trial() };
+        write_predictions(&path, &[first.clone(), trial()]).unwrap();
+        assert_eq!(read_predictions(&path).unwrap(), [first, trial()], "in the file's order");
     }
 
     #[test]
@@ -193,9 +247,23 @@ mod tests {
         std::fs::write(&path, text.replace("c,positive", "c,happy")).unwrap();
         let error = read_predictions(&path).unwrap_err().to_string();
         assert!(error.contains("line 3") && error.contains("happy"), "{error}");
-        std::fs::write(&path, "a,b\n1,2\n").unwrap();
+        std::fs::write(&path, text.replace("c,positive,20,negative", "c,positive,20,surprise")).unwrap();
         let error = read_predictions(&path).unwrap_err().to_string();
-        assert!(error.contains("missing field `method`"), "{error}");
+        assert!(
+            error.contains("line 3: predicted is surprise, but") && error.contains("negative"),
+            "{error}"
+        );
+        std::fs::write(&path, text.replace("c,positive,20", "c,positive,twenty")).unwrap();
+        let error = read_predictions(&path).unwrap_err().to_string();
+        assert!(error.contains("line: 3"), "{error}");
+        std::fs::write(&path, text.replace("truth", "class").replace("epoch", "step")).unwrap();
+        let error = read_predictions(&path).unwrap_err().to_string();
+        assert!(error.contains("no column truth, epoch;"), "{error}");
+        for nothing in ["", text.lines().next().unwrap()] {
+            std::fs::write(&path, nothing).unwrap();
+            let error = read_predictions(&path).unwrap_err().to_string();
+            assert!(error.contains("holds no predictions"), "{error}");
+        }
         assert!(read_predictions(&folder.path().join("no.csv")).is_err());
     }
 }

@@ -8,7 +8,7 @@ use srflow_field::{FlowField, flow_colors};
 
 use crate::features::{Channel, FEATURE_SIDE, Sample};
 use crate::predictions::Trial;
-use crate::results::{Outcome, confusion_table, fold_table, score_tables};
+use crate::results::{Outcome, by_set, confusion_table, fold_table, score_tables, unseen_classes};
 use crate::strain::strain_colors;
 
 /// Clips shown for each method and set.
@@ -33,15 +33,9 @@ pub struct ReportParts<'a> {
 /// # Errors
 /// When a picture cannot be encoded.
 pub fn report(parts: &ReportParts) -> Result<Report, PictureError> {
-    let mut sets: Vec<&str> = Vec::new();
-    for outcome in parts.outcomes {
-        if !sets.contains(&outcome.set.as_str()) {
-            sets.push(&outcome.set);
-        }
-    }
     let mut sections = Vec::new();
-    for set in sets {
-        let outcomes: Vec<&Outcome> = parts.outcomes.iter().filter(|outcome| outcome.set == set).collect();
+    for outcomes in by_set(parts.outcomes) {
+        let set = &outcomes[0].set;
         let mut figures: Vec<Figure> =
             score_tables(&outcomes).iter().map(|table| score_table(table, TABLE_CAPTION)).collect();
         figures.push(side_by_side(vec![accuracies(&outcomes), losses(&outcomes)], 420));
@@ -49,13 +43,17 @@ pub fn report(parts: &ReportParts) -> Result<Report, PictureError> {
             outcomes.iter().map(|outcome| score_table(&confusion_table(outcome), "")).collect(),
             380,
         ));
-        figures.extend(outcomes.iter().map(|outcome| score_table(&fold_table(outcome), &unseen(outcome))));
-        for trial in parts.trials.iter().filter(|trial| trial.set == set) {
+        figures.extend(
+            outcomes.iter().map(|outcome| {
+                score_table(&fold_table(outcome), &unseen_classes(outcome).unwrap_or_default())
+            }),
+        );
+        for trial in parts.trials.iter().filter(|trial| trial.set == *set) {
             if let Some((_, samples)) = parts.samples.iter().find(|(method, _)| *method == trial.method) {
                 figures.push(clips(trial, samples)?);
             }
         }
-        sections.push(Section { title: set.to_owned(), lead: SECTION_LEAD.to_owned(), figures });
+        sections.push(Section { title: set.clone(), lead: SECTION_LEAD.to_owned(), figures });
     }
     sections.push(Section {
         title: "How it was made".to_owned(),
@@ -117,21 +115,6 @@ fn losses(outcomes: &[&Outcome]) -> Figure {
 
 fn chart(title: &str, y: &str) -> Chart {
     Chart { title: title.to_owned(), x: "epoch".to_owned(), y: y.to_owned(), caption: String::new() }
-}
-
-/// Subjects that show what nobody else does.
-fn unseen(outcome: &Outcome) -> String {
-    let unseen = outcome.folds.iter().filter(|fold| !fold.unseen_classes.is_empty());
-    let named: Vec<String> = unseen
-        .map(|fold| format!("{} {} ({})", fold.dataset, fold.subject, fold.unseen_classes.join(", ")))
-        .collect();
-    match named.is_empty() {
-        true => String::new(),
-        false => format!(
-            "Left out, these subjects leave no example of a class to learn from: {}.",
-            named.join("; ")
-        ),
-    }
 }
 
 /// Clips spread over the set, after the last epoch.

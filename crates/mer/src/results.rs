@@ -6,7 +6,8 @@ use srflow_eval::{Better, Column, Row, Table};
 
 use crate::loso::{FoldRecord, Loso};
 use crate::metrics::{CLASSES, Confusion, Scores};
-use crate::summary::{EpochScores, Summary, SummaryError};
+use crate::predictions::Trial;
+use crate::summary::{EpochScores, FoldScores, Summary, SummaryError};
 
 /// Keys and headers of the paper's metrics, in its order.
 pub const METRICS: [(&str, &str); 5] =
@@ -19,7 +20,7 @@ pub struct Outcome {
     pub method: String,
     /// A dataset's name, or `composite`.
     pub set: String,
-    /// How each fold went.
+    /// How each fold was trained; none where only the predictions are known.
     pub folds: Vec<FoldRecord>,
     /// The scores.
     pub summary: Summary,
@@ -33,6 +34,16 @@ impl Outcome {
     pub fn of(method: &str, set: &str, loso: &Loso) -> Result<Self, SummaryError> {
         let summary = Summary::of(&loso.predictions)?;
         Ok(Self { method: method.to_owned(), set: set.to_owned(), folds: loso.folds.clone(), summary })
+    }
+
+    /// Scores predictions whose training is not known.
+    ///
+    /// # Errors
+    /// When they are not whole.
+    pub fn of_trial(trial: &Trial) -> Result<Self, SummaryError> {
+        let Trial { method, set, predictions } = trial;
+        let summary = Summary::of(predictions)?;
+        Ok(Self { method: method.clone(), set: set.clone(), folds: Vec::new(), summary })
     }
 
     /// All numbers, for machines.
@@ -63,6 +74,7 @@ pub struct OutcomeRecord {
     last: EpochRecord,
     epochs: Vec<EpochRecord>,
     always_negative: EpochRecord,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     folds: Vec<FoldRecord>,
 }
 
@@ -102,6 +114,18 @@ impl EpochRecord {
             confusion: scores.pooled.0,
         }
     }
+}
+
+/// Outcomes of one set together; sets and outcomes in the order in which they are met.
+pub fn by_set(outcomes: &[Outcome]) -> Vec<Vec<&Outcome>> {
+    let mut sets: Vec<Vec<&Outcome>> = Vec::new();
+    for outcome in outcomes {
+        match sets.iter_mut().find(|set| set[0].set == outcome.set) {
+            Some(set) => set.push(outcome),
+            None => sets.push(vec![outcome]),
+        }
+    }
+    sets
 }
 
 /// Two tables of the outcomes of one set: the paper's, in which each metric takes its own best epoch, and one after the
@@ -152,7 +176,35 @@ pub fn score_tables(outcomes: &[&Outcome]) -> Vec<Table> {
     ]
 }
 
-const ALWAYS_NEGATIVE: &str = "always negative";
+/// Name of the row of the baseline.
+pub(crate) const ALWAYS_NEGATIVE: &str = "always negative";
+
+/// Classes that cannot be learned: those that no clip of the set shows, and for each subject those that nobody else shows.
+/// `None` where there are none, or where the training is not known.
+pub fn unseen_classes(outcome: &Outcome) -> Option<String> {
+    let Confusion(counts) = outcome.summary.last().pooled;
+    let shown = |class: EmotionClass| counts[class as usize].iter().sum::<usize>() > 0;
+    let absent: Vec<&str> =
+        EmotionClass::ALL.into_iter().filter(|class| !shown(*class)).map(EmotionClass::name).collect();
+    let alone = |fold: &FoldRecord| {
+        let classes: Vec<&str> =
+            fold.unseen_classes.iter().copied().filter(|class| !absent.contains(class)).collect();
+        (!classes.is_empty()).then(|| format!("{} {} ({})", fold.dataset, fold.subject, classes.join(", ")))
+    };
+    let alone: Vec<String> = outcome.folds.iter().filter_map(alone).collect();
+    let mut notes = Vec::new();
+    if !absent.is_empty() {
+        notes.push(format!("{}: no clip shows {}.", outcome.set, absent.join(" or ")));
+    }
+    if !alone.is_empty() {
+        notes.push(format!(
+            "{}: without these subjects no example of a class is left to learn from: {}.",
+            outcome.set,
+            alone.join("; ")
+        ));
+    }
+    (!notes.is_empty()).then(|| notes.join(" "))
+}
 
 /// What was told for what after the last epoch, all folds together.
 pub fn confusion_table(outcome: &Outcome) -> Table {
@@ -179,7 +231,7 @@ pub fn confusion_table(outcome: &Outcome) -> Table {
     }
 }
 
-/// Each subject's scores after the last epoch, one row a fold.
+/// Each subject's scores after the last epoch, one row a fold; the training loss stands beside them where it is known.
 pub fn fold_table(outcome: &Outcome) -> Table {
     let column = |key: &str, header: &str, decimals| Column {
         key: key.to_owned(),
@@ -189,14 +241,19 @@ pub fn fold_table(outcome: &Outcome) -> Table {
     };
     let mut columns = vec![column("clips", "clips", 0)];
     columns.extend(METRICS.iter().map(|(key, header)| column(key, header, 4)));
-    columns.push(column("training_loss", "training loss", 4));
-    let rows = outcome.summary.folds.iter().zip(&outcome.folds).map(|(fold, record)| {
+    let row = |fold: &FoldScores| {
         let last = fold.confusions[fold.confusions.len() - 1];
         let mut values = vec![Some(last.total() as f64)];
         values.extend(last.scores().values().map(Some));
-        values.push(record.training_losses.last().copied());
         Row { name: format!("{} {}", fold.dataset, fold.subject), values, baseline: false }
-    });
+    };
+    let mut rows: Vec<Row> = outcome.summary.folds.iter().map(row).collect();
+    if !outcome.folds.is_empty() {
+        columns.push(column("training_loss", "training loss", 4));
+        for (row, fold) in rows.iter_mut().zip(&outcome.folds) {
+            row.values.push(fold.training_losses.last().copied());
+        }
+    }
     Table {
         title: format!(
             "{}, {}: subjects after epoch {}",
@@ -205,7 +262,7 @@ pub fn fold_table(outcome: &Outcome) -> Table {
             outcome.summary.last().epoch
         ),
         columns,
-        rows: rows.collect(),
+        rows,
     }
 }
 
@@ -213,6 +270,7 @@ pub fn fold_table(outcome: &Outcome) -> Table {
 mod tests {
     use super::*;
     use crate::predictions::Prediction;
+    use crate::results_csv::{confusions_csv, folds_csv, scores_csv};
 
     fn outcome(method: &str, said: EmotionClass) -> Outcome {
         let prediction = |subject: &str, clip: &str, truth, epoch, predicted| Prediction {
@@ -259,6 +317,22 @@ mod tests {
         assert_eq!(confusion_table(&a).rows[1].values, [Some(0.0), Some(2.0), Some(0.0)]);
         assert_eq!(fold_table(&b).rows[1].values[..2], [Some(2.0), Some(0.0)]);
         assert_eq!(fold_table(&b).rows[1].values.last(), Some(&Some(0.5)));
+        let both = [a.clone(), b];
+        let scores = scores_csv(&both);
+        let lines: Vec<&str> = scores.lines().collect();
+        assert_eq!(lines.len(), 1 + 2 * 2 + 1, "{scores}");
+        assert!(
+            lines[2].starts_with("made-up,a,last,20,") && lines[1].starts_with("made-up,a,best,,"),
+            "{scores}"
+        );
+        assert!(lines[5].starts_with("made-up,always negative,last,,"), "{scores}");
+        assert_eq!(confusions_csv(&both).lines().nth(2), Some("made-up,a,20,positive,0,2,0"));
+        assert_eq!(folds_csv(&both).lines().nth(2), Some("made-up,a,made-up,2,2,20,1.0,1.0,1.0,1.0,1.0,0.5"));
+        let mut alone = a.clone();
+        assert_eq!(unseen_classes(&a).as_deref(), Some("made-up: no clip shows surprise."));
+        alone.folds[1].unseen_classes = vec!["positive", "surprise"];
+        let note = unseen_classes(&alone).unwrap();
+        assert!(note.ends_with("left to learn from: made-up 2 (positive)."), "{note}");
         let json = serde_json::to_value(a.record()).unwrap();
         assert_eq!(json["best"][3]["metric"], "f1_mu");
         assert_eq!(json["last"]["confusion"][1], serde_json::json!([0, 2, 0]));

@@ -70,6 +70,23 @@ pub enum SummaryError {
         /// Predictions found.
         count: usize,
     },
+    /// A clip shows one class here and another there.
+    #[error(
+        "{dataset} subject {subject} clip {clip} is {first} in one prediction and {second} in another: \
+        a clip shows one class"
+    )]
+    Truth {
+        /// The dataset's kind.
+        dataset: String,
+        /// The subject.
+        subject: String,
+        /// The clip.
+        clip: String,
+        /// What it shows in its first prediction.
+        first: EmotionClass,
+        /// What it shows in a later one.
+        second: EmotionClass,
+    },
 }
 
 /// Truth and prediction.
@@ -79,13 +96,19 @@ impl Summary {
     /// Scores of a whole run: every clip predicted once at every recorded epoch.
     ///
     /// # Errors
-    /// When there are no predictions, or too few or too many of a clip.
+    /// When there are no predictions, too few or too many of a clip, or two truths of one.
     pub fn of(predictions: &[Prediction]) -> Result<Self, SummaryError> {
         let epochs: BTreeSet<usize> = predictions.iter().map(|prediction| prediction.epoch).collect();
         let mut clips: BTreeMap<[&str; 3], BTreeMap<usize, usize>> = BTreeMap::new();
+        let mut truths: BTreeMap<[&str; 3], EmotionClass> = BTreeMap::new();
         let mut folds: BTreeMap<[&str; 2], BTreeMap<usize, Vec<Told>>> = BTreeMap::new();
         for Prediction { dataset, subject, clip, truth, epoch, predicted, .. } in predictions {
             *clips.entry([dataset, subject, clip]).or_default().entry(*epoch).or_default() += 1;
+            let first = *truths.entry([dataset, subject, clip]).or_insert(*truth);
+            if first != *truth {
+                let [dataset, subject, clip] = [dataset, subject, clip].map(String::clone);
+                return Err(SummaryError::Truth { dataset, subject, clip, first, second: *truth });
+            }
             let fold = folds.entry([dataset, subject]).or_default();
             fold.entry(*epoch).or_default().push((*truth, *predicted));
         }
@@ -204,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn a_clip_that_is_missing_or_there_twice_is_named() {
+    fn a_clip_that_is_missing_or_there_twice_or_doubtful_is_named() {
         assert_eq!(Summary::of(&[]), Err(SummaryError::Empty));
         let mut twice = run();
         twice.push(twice[1].clone());
@@ -212,5 +235,9 @@ mod tests {
         assert!(error.contains("subject 1 clip b has 2 predictions at epoch 0"), "{error}");
         let error = Summary::of(&run()[..5]).unwrap_err().to_string();
         assert!(error.contains("subject 2 clip a has 0 predictions at epoch 20"), "{error}");
+        let mut doubtful = run();
+        doubtful[5].truth = Surprise;
+        let error = Summary::of(&doubtful).unwrap_err().to_string();
+        assert!(error.contains("subject 2 clip a is positive in one prediction and surprise"), "{error}");
     }
 }

@@ -32,7 +32,7 @@ pub struct Eval {
     #[arg(long)]
     split: Option<Split>,
     /// Methods to score
-    #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', help = method_help())]
+    #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', help = Method::help_of_several("Methods to score"))]
     method: Vec<MethodSpec>,
     /// Window that is estimated and scored, centred on the head (without a mask, on the frame)
     #[arg(long, value_name = "WIDTHxHEIGHT")]
@@ -55,10 +55,6 @@ pub struct Eval {
     force: bool,
     #[command(flatten)]
     parameters: MethodParameters,
-}
-
-fn method_help() -> String {
-    format!("Methods to score: {}; networks with their weights, as in skflow=FILE", Method::names())
 }
 
 /// The files that `--out` gets.

@@ -55,7 +55,7 @@ fn chosen(dir: &Path, pairs: Vec<Entry>, part: u8) -> Result<Vec<Entry>, Dataset
         return Err(listing::nothing_fits("chairs", dir, SPLIT_FILE, hint));
     }
     let text =
-        std::fs::read_to_string(&path).map_err(|source| DatasetError::Io { path: path.clone(), source })?;
+        std::fs::read_to_string(&path).map_err(|error| DatasetError::Io { path: path.clone(), error })?;
     let wrong = |reason| DatasetError::Format { path: path.clone(), reason };
     let mut parts = Vec::new();
     for (number, line) in text.lines().enumerate() {

@@ -59,12 +59,12 @@ pub enum DatasetError {
         listed: String,
     },
     /// A file or folder could not be opened.
-    #[error("{}: {source}", .path.display())]
+    #[error("{}: {error}", .path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
         /// What the system said.
-        source: std::io::Error,
+        error: std::io::Error,
     },
     /// A text file does not say what its format needs.
     #[error("{}: {reason}", .path.display())]

@@ -79,7 +79,7 @@ pub fn folders(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
 }
 
 fn visible(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
-    let failed = |source| DatasetError::Io { path: dir.to_owned(), source };
+    let failed = |error| DatasetError::Io { path: dir.to_owned(), error };
     let mut named = Vec::new();
     for entry in std::fs::read_dir(dir).map_err(failed)? {
         let entry = entry.map_err(failed)?;

@@ -12,7 +12,7 @@ pub fn score_table(table: &Table, caption: &str) -> Figure {
                 div.scroll {
                     table {
                         caption { (table.title) }
-                        thead { tr { th { "Methods" } @for column in &table.columns { th { (column.title()) } } } }
+                        thead { tr { th { (table.row_header()) } @for column in &table.columns { th { (column.title()) } } } }
                         tbody {
                             @for (row, marks) in table.rows.iter().zip(&marks) {
                                 tr class=[row.baseline.then_some("baseline")] {
@@ -25,10 +25,10 @@ pub fn score_table(table: &Table, caption: &str) -> Figure {
                         }
                     }
                 }
-                p.marks {
+                @if table.ranked() { p.marks {
                     span.best { "best" } span.second { "second" } span.third { "third" }
                     @if table.rows.iter().any(|row| row.baseline) { span { i { "baseline, not ranked" } } }
-                }
+                } }
             }
             @if !caption.is_empty() { figcaption { (caption) } }
         }

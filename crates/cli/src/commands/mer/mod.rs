@@ -3,10 +3,12 @@
 mod apex;
 mod data;
 mod face;
+mod progress;
 mod run;
 mod sources;
 mod strain;
 mod synth;
+mod tables;
 
 use clap::{Args, Subcommand};
 
@@ -26,6 +28,7 @@ enum MerCommand {
     Apex(apex::Apex),
     Strain(strain::Strain),
     Run(run::Run),
+    Tables(tables::Tables),
 }
 
 /// Runs the subcommand.
@@ -36,5 +39,6 @@ pub fn run(args: Mer, context: &Context) -> anyhow::Result<()> {
         MerCommand::Apex(args) => apex::run(args, context),
         MerCommand::Strain(args) => strain::run(args, context),
         MerCommand::Run(args) => run::run(args, context),
+        MerCommand::Tables(args) => tables::run(args, context),
     }
 }

@@ -1,24 +1,22 @@
 use std::collections::BTreeMap;
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, ensure};
 use clap::{Args, ValueEnum};
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use srflow_data::micro_expression::{Clip, ClipDataset, ClipSource};
-use srflow_eval::{Table, TextStyle};
-use srflow_field::{create_folder, write_atomically};
+use srflow_field::create_folder;
 use srflow_mer::{
-    ApexRule, Classifier, FeatureCache, Loso, LosoError, LosoEvent, OffApexNet, OffTaNet, Outcome,
-    OutcomeRecord, Preparation, Protocol, ReportParts, ResizeOrder, Sample, StrainFormula, StstNet, Trial,
-    extract, file_digest, fold_table, leave_one_subject_out, report, score_tables, spot_apex,
-    write_predictions,
+    ApexRule, Classifier, FeatureCache, Loso, LosoError, OffApexNet, OffTaNet, Outcome, OutcomeRecord,
+    Preparation, Protocol, ReportParts, ResizeOrder, Sample, StrainFormula, StstNet, Trial, by_set, extract,
+    leave_one_subject_out, report, spot_apex, unseen_classes, write_predictions,
 };
 
 use super::face::FaceArgs;
+use super::progress::{TrainingProgress, feature_progress};
 use super::sources::{SourceArgs, kinds_help};
-use crate::methods::{self, Method, MethodParameters, MethodSpec};
+use super::tables::{TABLE_FILES, print_scores, write_tables, write_text};
+use crate::methods::{self, Method, MethodParameters, MethodRecord, MethodSpec};
 use crate::{Context, machine};
 
 /// Recognize micro-expressions leaving one subject out, and write the paper's tables
@@ -26,11 +24,16 @@ use crate::{Context, machine};
 #[command(after_help = format!("\
 Examples:
   srflow mer run --data samm:/data/SAMM casme2:/data/CASME2 smic:/data/SMIC --method farneback tvl1 --out results
-  srflow mer run --data clips:rendered --method tvl1 --sets each --out results
+  srflow mer run --data clips:rendered --method tvl1 SRFlowNet:skflow=best.safetensors --out results
+  srflow mer run --data clips:rendered --method tvl1 --epochs 21 --out first-look
 
 Each dataset is divided into its subjects, and so are all of them together (`composite`). For each subject a classifier \
-is trained on all others and tells the subject's clips. A run that was killed goes on where it was: give the same \
-command again. docs/mer.md says what every number is.
+is trained on all others and tells the subject's clips. docs/mer.md says what every number is.
+
+That takes its time: with the 201 epochs of the paper's protocol, SAMM, CASME II, SMIC-HS and the composite are about \
+seven hours of two CPU cores for each method. For a first look, --epochs 21 takes a tenth of that, --classifier ststnet \
+much less, --sets each leaves out the composite. The bar shows when all will be done. A run may be killed at any time: \
+the same command goes on after the folds that were finished, and features are never computed twice.
 
 {}", kinds_help()))]
 pub struct Run {
@@ -38,7 +41,7 @@ pub struct Run {
     #[arg(long, required = true, num_args = 1.., value_name = "KIND:DIR")]
     data: Vec<ClipSource>,
     /// How to estimate the flow from onset to apex
-    #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', help = method_help())]
+    #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', help = Method::help_of_several("How to estimate the flow from onset to apex"))]
     method: Vec<MethodSpec>,
     /// What tells a clip's class from its features
     #[arg(long, value_enum, default_value = "off-tanet")]
@@ -46,7 +49,7 @@ pub struct Run {
     /// Train on each dataset, on all together, or both
     #[arg(long, value_enum, default_value = "both")]
     sets: Sets,
-    /// Folder for tables.{txt,csv,tex,md}, folds.csv, predictions.csv, results.json and report.html
+    /// Folder for tables.{txt,csv,tex,md}, folds.csv, confusions.csv, predictions.csv, results.json and report.html
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Overwrite these files
@@ -111,22 +114,13 @@ enum Sets {
 }
 
 const COMPOSITE: &str = "composite";
-/// The files that `--out` gets; the last is written when all others are.
-const OUTPUTS: [&str; 8] = [
-    "tables.txt",
-    "tables.csv",
-    "tables.tex",
-    "tables.md",
-    "folds.csv",
-    "predictions.csv",
-    "report.html",
-    "results.json",
-];
+/// The files that `--out` gets beside [`TABLE_FILES`]; the last is written when all others are.
+const OUTPUTS: [&str; 3] = ["predictions.csv", "report.html", "results.json"];
 
 #[derive(Serialize)]
 struct Results {
     data: Vec<DataRecord>,
-    methods: Vec<String>,
+    methods: Vec<MethodRecord>,
     classifier: &'static str,
     preparation: String,
     apex: Option<&'static str>,
@@ -148,7 +142,8 @@ struct DataRecord {
 
 /// Runs the command.
 pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
-    let there = OUTPUTS.iter().map(|name| args.out.join(name)).find(|path| path.exists());
+    let mut files = TABLE_FILES.iter().chain(&OUTPUTS).map(|name| args.out.join(name));
+    let there = files.find(|path| path.exists());
     if let (Some(path), false) = (&there, args.force) {
         anyhow::bail!("{} is there already; --force overwrites it", path.display());
     }
@@ -162,22 +157,22 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
     };
     protocol.check()?;
     let preparation = Preparation { face: args.face.crop()?, resize: args.resize, strain: args.strain };
-    let mut wanted: Vec<&MethodSpec> = Vec::new();
-    for spec in &args.method {
-        if !wanted.contains(&spec) {
-            wanted.push(spec);
-        }
-    }
     let estimators = methods::estimators(&args.method, &args.parameters)?;
-    let identities = wanted
-        .iter()
-        .map(|spec| identity(spec, &args.parameters))
-        .collect::<anyhow::Result<Vec<String>>>()?;
+    let methods = methods::records(&args.method, &args.parameters)?;
     let mut datasets = args.sources.open(args.data.clone())?;
     ensure!(
         datasets.len() > 1 || args.sets != Sets::Composite,
         "--sets composite needs several datasets; give more KIND:DIR, or --sets each"
     );
+    let sets = sets(&datasets, args.sets);
+    for (set, members) in &sets {
+        let of_set = datasets.iter().filter(|dataset| members.contains(&dataset.name));
+        let subjects: usize = of_set.map(|dataset| dataset.subjects().len()).sum();
+        ensure!(
+            subjects >= 2,
+            "{set}: leaving one subject out needs clips of at least 2 subjects; found {subjects}"
+        );
+    }
     create_folder(&args.out)?; // before the long work, which must not be lost
     let cache = FeatureCache::open(&args.cache.clone().unwrap_or_else(|| args.out.join("features")))?;
     let spotted = match args.apex {
@@ -188,33 +183,35 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
     let clips: Vec<Clip> = datasets.iter().flat_map(|dataset| dataset.clips.iter().cloned()).collect();
 
     let (mut samples, mut trials, mut outcomes) = (Vec::new(), Vec::new(), Vec::new());
-    for (estimator, identity) in estimators.iter().zip(identities) {
-        let name = estimator.name().to_owned();
-        let bar = progress(clips.len(), &format!("{name}: features"))?;
-        let method = srflow_mer::Method { estimator: estimator.as_ref(), identity };
-        samples.push((name, extract(&clips, &method, &preparation, Some(&cache), &|_| bar.inc(1))?));
+    for (estimator, record) in estimators.iter().zip(&methods) {
+        let bar = feature_progress(clips.len(), &record.name)?;
+        let method = srflow_mer::Method { estimator: estimator.as_ref(), identity: record.identity() };
+        let of_method = extract(&clips, &method, &preparation, Some(&cache), &|_| bar.inc(1))?;
+        samples.push((record.name.clone(), of_method));
         bar.finish_and_clear();
     }
-    for (set, members) in sets(&datasets, args.sets) {
+    let progress = TrainingProgress::new(protocol.epochs)?;
+    for (_, members) in &sets {
+        for (_, samples) in &samples {
+            progress.expect(samples.iter().filter(|sample| members.contains(&sample.dataset)));
+        }
+    }
+    for (set, members) in &sets {
         for (method, samples) in &samples {
-            let of_set = |sample: &&Sample| members.contains(&sample.dataset);
-            let samples: Vec<Sample> = samples.iter().filter(of_set).cloned().collect();
-            let loso = train(
-                args.classifier,
-                &samples,
-                &protocol,
-                &args.out.join("folds"),
-                &format!("{set}, {method}"),
-            )
-            .with_context(|| format!("{set}, {method}"))?;
-            outcomes.push(Outcome::of(method, &set, &loso)?);
+            let of_set = samples.iter().filter(|sample| members.contains(&sample.dataset));
+            let of_set: Vec<Sample> = of_set.cloned().collect();
+            progress.bar.set_message(format!("{set}, {method}"));
+            let loso = train(args.classifier, &of_set, &protocol, &args.out.join("folds"), &progress)
+                .with_context(|| format!("{set}, {method}"))?;
+            outcomes.push(Outcome::of(method, set, &loso)?);
             trials.push(Trial { method: method.clone(), set: set.clone(), predictions: loso.predictions });
         }
     }
+    progress.bar.finish_and_clear();
 
     let results = Results {
         data,
-        methods: samples.iter().map(|(name, _)| name.clone()).collect(),
+        methods,
         classifier: args.classifier.name(),
         preparation: preparation.to_string(),
         apex: args.apex.map(ApexRule::name),
@@ -226,34 +223,20 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
         outcomes: &outcomes,
         trials: &trials,
         samples: &samples,
-        facts: facts(&results, &args.parameters),
+        facts: facts(&results),
         machine: results.machine.clone(),
     };
     write(&args.out, &results, &parts)?;
     if context.json {
         return say!("{}", serde_json::to_string_pretty(&results)?);
     }
-    let colours = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-    let style = if colours { TextStyle::Ansi } else { TextStyle::Plain };
-    say!("{}", joined(&tables(&outcomes), |table| table.text(style)).trim_end())?;
+    print_scores(&outcomes)?;
+    for of_set in by_set(&outcomes) {
+        if let Some(note) = unseen_classes(of_set[0]) {
+            say!("\n{note}")?;
+        }
+    }
     say!("\nReport: {}", args.out.join("report.html").display())
-}
-
-fn method_help() -> String {
-    format!(
-        "How to estimate the flow from onset to apex: {}; networks with their weights, as in skflow=FILE",
-        Method::names()
-    )
-}
-
-/// What tells a method from every other: its name, its parameters and the bytes of its weights.
-fn identity(spec: &MethodSpec, parameters: &MethodParameters) -> anyhow::Result<String> {
-    let weights = match spec.method {
-        Method::Network(_) => spec.weights.as_ref().or(parameters.network.weights.as_ref()),
-        Method::Farneback | Method::TvL1 => None,
-    };
-    let weights = weights.map(|path| file_digest(Path::new(path))).transpose()?.unwrap_or_default();
-    Ok(format!("{} {parameters:?} {weights}", spec.method.name()))
 }
 
 /// The named sets of datasets that are divided into subjects.
@@ -306,16 +289,9 @@ fn train(
     samples: &[Sample],
     protocol: &Protocol,
     folder: &Path,
-    what: &str,
+    progress: &TrainingProgress,
 ) -> anyhow::Result<Loso> {
-    let subjects: std::collections::BTreeSet<_> =
-        samples.iter().map(|sample| (&sample.dataset, &sample.subject)).collect();
-    let bar = progress(subjects.len() * protocol.epochs, what)?;
-    let on_event = |event| match event {
-        LosoEvent::Epoch => bar.inc(1),
-        LosoEvent::Fold { resumed: true } => bar.inc(protocol.epochs as u64),
-        LosoEvent::Fold { resumed: false } => {}
-    };
+    let on_event = |event| progress.show(event);
     let loso: Result<Loso, LosoError> = match classifier {
         ClassifierKind::OffTa => {
             leave_one_subject_out::<OffTaNet>(samples, protocol, Some(folder), &on_event)
@@ -325,7 +301,6 @@ fn train(
             leave_one_subject_out::<OffApexNet>(samples, protocol, Some(folder), &on_event)
         }
     };
-    bar.finish_and_clear();
     Ok(loso?)
 }
 
@@ -339,12 +314,7 @@ impl ClassifierKind {
     }
 }
 
-fn progress(steps: usize, what: &str) -> anyhow::Result<ProgressBar> {
-    let style = ProgressStyle::with_template("{msg} {bar:30} {pos}/{len}, {eta} left")?;
-    Ok(ProgressBar::new(steps as u64).with_style(style).with_message(what.to_owned()))
-}
-
-fn facts(results: &Results, parameters: &MethodParameters) -> Vec<(String, String)> {
+fn facts(results: &Results) -> Vec<(String, String)> {
     let mut facts: Vec<(String, String)> = Vec::new();
     for data in &results.data {
         let mut text =
@@ -359,7 +329,7 @@ fn facts(results: &Results, parameters: &MethodParameters) -> Vec<(String, Strin
     }
     let Protocol { epochs, record_every, batch, learning_rate, decay_every, decay, seed } = &results.protocol;
     facts.push(("Frames".to_owned(), results.preparation.clone()));
-    facts.push(("Flow".to_owned(), format!("{}; {parameters:?}", results.methods.join(", "))));
+    facts.extend(results.methods.iter().map(|method| (method.name.clone(), method.description())));
     facts.push(("Classifier".to_owned(), results.classifier.to_owned()));
     facts.push((
         "Training".to_owned(),
@@ -371,39 +341,9 @@ fn facts(results: &Results, parameters: &MethodParameters) -> Vec<(String, Strin
     facts
 }
 
-fn tables(outcomes: &[Outcome]) -> Vec<Table> {
-    let mut tables = Vec::new();
-    let mut rest = outcomes;
-    while let Some(first) = rest.first() {
-        let of_set = rest.iter().take_while(|outcome| outcome.set == first.set).count();
-        tables.extend(score_tables(&rest[..of_set].iter().collect::<Vec<_>>()));
-        rest = &rest[of_set..];
-    }
-    tables
-}
-
-fn joined(tables: &[Table], form: impl Fn(&Table) -> String) -> String {
-    tables.iter().map(form).collect::<Vec<_>>().join("\n")
-}
-
 fn write(out: &Path, results: &Results, parts: &ReportParts) -> anyhow::Result<()> {
-    let tables = tables(parts.outcomes);
-    let folds: Vec<Table> = parts.outcomes.iter().map(fold_table).collect();
-    let titled = |table: &Table| format!("# {}\n{}", table.title, table.csv());
-    let texts = [
-        ("tables.txt", joined(&tables, |table| table.text(TextStyle::Plain))),
-        ("tables.csv", joined(&tables, titled)),
-        ("tables.tex", joined(&tables, |table| format!("% {}\n{}", table.title, table.latex()))),
-        ("tables.md", joined(&tables, |table| format!("{}\n\n{}", table.title, table.markdown()))),
-        ("folds.csv", joined(&folds, titled)),
-        ("report.html", report(parts)?.html()),
-    ];
+    write_tables(out, parts.outcomes)?;
     write_predictions(&out.join("predictions.csv"), parts.trials)?;
-    let json = ("results.json", serde_json::to_string_pretty(results)? + "\n");
-    for (name, text) in texts.into_iter().chain([json]) {
-        let path = out.join(name);
-        write_atomically(&path, |file| std::io::Write::write_all(file, text.as_bytes()))
-            .with_context(|| format!("writing {}", path.display()))?;
-    }
-    Ok(())
+    write_text(&out.join("report.html"), &report(parts)?.html())?;
+    write_text(&out.join("results.json"), &(serde_json::to_string_pretty(results)? + "\n"))
 }

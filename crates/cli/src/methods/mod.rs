@@ -1,7 +1,8 @@
 //! The registry behind `--method`: every estimator the program knows, by name.
 
-use std::collections::HashMap;
-use std::path::Path;
+mod labels;
+mod record;
+
 use std::str::FromStr;
 
 use clap::Args;
@@ -12,6 +13,8 @@ use srflow_nets::{Architecture, Scaled, Tiled};
 use crate::large_frames::LargeFrames;
 use crate::networks::NetworkArgs;
 use crate::usage::wrong_usage;
+use labels::labels;
+pub use record::{MethodRecord, records};
 
 /// A method of estimating optical flow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -45,6 +48,15 @@ impl Method {
         )
     }
 
+    /// The help of an option that takes several, after `what` they are for.
+    pub fn help_of_several(what: &str) -> String {
+        format!(
+            "{what}: {}; networks with their weights, as in skflow=FILE; NAME:METHOD gives a row of the tables its \
+             name, as in SRFlowNet:skflow=FILE",
+            Self::names()
+        )
+    }
+
     fn all() -> impl Iterator<Item = Self> {
         Self::CLASSICAL.into_iter().chain(Architecture::ALL.into_iter().map(Self::Network))
     }
@@ -55,9 +67,11 @@ impl Method {
     }
 }
 
-/// A method as `--method` names it: `tvl1`, `skflow`, `skflow=WEIGHTS`.
+/// A method as `--method` names it: `tvl1`, `skflow`, `skflow=WEIGHTS`, `LABEL:skflow=WEIGHTS`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MethodSpec {
+    /// What tables call it.
+    pub label: Option<String>,
     /// Which.
     pub method: Method,
     /// Weights of its own, a file or a published name.
@@ -66,7 +80,7 @@ pub struct MethodSpec {
 
 impl From<Method> for MethodSpec {
     fn from(method: Method) -> Self {
-        Self { method, weights: None }
+        Self { label: None, method, weights: None }
     }
 }
 
@@ -78,15 +92,22 @@ impl FromStr for MethodSpec {
             Some((name, weights)) => (name, Some(weights)),
             None => (text, None),
         };
+        let (label, name) = match name.rsplit_once(':') {
+            Some((label, name)) => (Some(label), name),
+            None => (None, name),
+        };
         let method = Method::all()
             .find(|method| method.name() == name)
             .ok_or_else(|| format!("there is no method `{name}`; there are {}", Method::names()))?;
+        if label.is_some_and(|label| label.trim().is_empty()) {
+            return Err(format!("`{text}` begins with an empty name; expected NAME:{name}"));
+        }
         match (method, weights) {
             (_, Some("")) => Err(format!("`{text}` names no weights; expected {name}=FILE")),
             (Method::Farneback | Method::TvL1, Some(_)) => {
                 Err(format!("{name} has no weights; leave out `=...`"))
             }
-            _ => Ok(Self { method, weights: weights.map(str::to_owned) }),
+            _ => Ok(Self { label: label.map(str::to_owned), method, weights: weights.map(str::to_owned) }),
         }
     }
 }
@@ -198,33 +219,27 @@ pub fn estimators(
              --method NETWORK=WEIGHTS for each"
         );
     }
-    let labels = labels(specs);
-    let mut found = Vec::new();
-    for (number, (spec, label)) in specs.iter().zip(labels).enumerate() {
-        if !specs[..number].contains(spec) {
-            found.push(built(spec, label, parameters)?);
+    let specs = distinct(specs);
+    let labels = labels(&specs);
+    for (number, label) in labels.iter().enumerate() {
+        if labels[..number].contains(label) {
+            wrong_usage!(
+                "two methods are called {label}: give one another name, as in --method NAME:skflow=FILE"
+            );
         }
     }
-    Ok(found)
+    specs.into_iter().zip(labels).map(|(spec, label)| built(spec, label, parameters)).collect()
 }
 
-/// What tables call the methods: a network that is there with several weights has theirs in its name.
-fn labels(specs: &[MethodSpec]) -> Vec<String> {
-    let mut weights_of: HashMap<Method, Vec<&Option<String>>> = HashMap::new();
+/// Each once, in the order in which they are given.
+fn distinct(specs: &[MethodSpec]) -> Vec<&MethodSpec> {
+    let mut found: Vec<&MethodSpec> = Vec::new();
     for spec in specs {
-        let known = weights_of.entry(spec.method).or_default();
-        if !known.contains(&&spec.weights) {
-            known.push(&spec.weights);
+        if !found.contains(&spec) {
+            found.push(spec);
         }
     }
-    let label = |spec: &MethodSpec| match &spec.weights {
-        Some(weights) if weights_of[&spec.method].len() > 1 => {
-            let stem = Path::new(weights).file_stem().unwrap_or_default().to_string_lossy();
-            format!("{} ({stem})", spec.method.name())
-        }
-        _ => spec.method.name().to_owned(),
-    };
-    specs.iter().map(label).collect()
+    found
 }
 
 fn built(
@@ -295,15 +310,21 @@ mod tests {
         let skflow = Method::Network(Architecture::SkFlow);
         assert_eq!(spec("skflow"), Ok(skflow.into()));
         let weights = Some("a=b/c.ckpt".to_owned());
-        assert_eq!(spec("skflow=a=b/c.ckpt"), Ok(MethodSpec { method: skflow, weights }));
+        let with_weights = MethodSpec { label: None, method: skflow, weights };
+        assert_eq!(spec("skflow=a=b/c.ckpt"), Ok(with_weights.clone()));
+        let labelled = MethodSpec { label: Some("Ours: 3".to_owned()), ..with_weights };
+        assert_eq!(spec("Ours: 3:skflow=a=b/c.ckpt"), Ok(labelled));
+        assert_eq!(spec("tvl1").unwrap().label, None);
         assert!(spec("pwc").unwrap_err().contains("farneback, tvl1, raft"));
+        assert!(spec("a:pwc").unwrap_err().contains("no method `pwc`"));
         assert!(spec("tvl1=a").is_err() && spec("raft=").is_err() && spec("").is_err());
+        assert!(spec(":tvl1").unwrap_err().contains("empty name"));
     }
 
     #[test]
-    fn a_network_with_several_weights_has_them_in_its_name() {
-        let specs = ["raft=a/things.ckpt", "raft=b/mine.pth", "gma=things.ckpt", "tvl1", "raft"];
-        let specs: Vec<MethodSpec> = specs.iter().map(|text| text.parse().unwrap()).collect();
-        assert_eq!(labels(&specs), ["raft (things)", "raft (mine)", "gma", "tvl1", "raft"]);
+    fn two_methods_of_one_name_are_refused() {
+        let specs = ["a:tvl1", "a:farneback"].map(|text| text.parse().unwrap());
+        let error = estimators(&specs, &MethodParameters::default()).err().unwrap().to_string();
+        assert!(error.contains("called a:"), "{error}");
     }
 }

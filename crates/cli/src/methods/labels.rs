@@ -1,0 +1,66 @@
+//! What tables call the methods.
+
+use std::collections::{HashMap, HashSet};
+use std::path::Path;
+
+use super::{Method, MethodSpec};
+
+/// The methods' labels; where one has none its name. A network that is there with several weights has theirs in its
+/// name, with as many folders before it as tell them apart.
+pub fn labels(specs: &[&MethodSpec]) -> Vec<String> {
+    let mut weights_of: HashMap<Method, Vec<&str>> = HashMap::new();
+    let mut unnamed: HashMap<Method, usize> = HashMap::new();
+    for spec in specs.iter().filter(|spec| spec.label.is_none()) {
+        *unnamed.entry(spec.method).or_default() += 1;
+        weights_of.entry(spec.method).or_default().extend(spec.weights.as_deref());
+    }
+    let label = |spec: &&MethodSpec| match (&spec.label, &spec.weights) {
+        (Some(label), _) => label.clone(),
+        (None, Some(weights)) if unnamed[&spec.method] > 1 => {
+            format!("{} ({})", spec.method.name(), told_apart(weights, &weights_of[&spec.method]))
+        }
+        _ => spec.method.name().to_owned(),
+    };
+    specs.iter().map(label).collect()
+}
+
+/// The shortest end of a path, without the file's extension, by which all of these paths differ; where none does, the path.
+fn told_apart(path: &str, paths: &[&str]) -> String {
+    let end = |path: &str, folders: usize| {
+        let whole = Path::new(path).with_extension("");
+        let parts: Vec<_> = whole.components().map(|part| part.as_os_str().to_string_lossy()).collect();
+        parts[parts.len().saturating_sub(folders + 1)..].join("/")
+    };
+    let longest = paths.iter().map(|path| Path::new(path).components().count()).max().unwrap_or(0);
+    let differ = |folders: &usize| {
+        let ends: HashSet<String> = paths.iter().map(|path| end(path, *folders)).collect();
+        ends.len() == paths.len()
+    };
+    (0..longest).find(differ).map_or_else(|| path.to_owned(), |folders| end(path, folders))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::distinct;
+    use super::*;
+
+    fn names(texts: &[&str]) -> Vec<String> {
+        let specs: Vec<MethodSpec> = texts.iter().map(|text| text.parse().unwrap()).collect();
+        labels(&distinct(&specs))
+    }
+
+    #[test]
+    fn a_network_with_several_weights_has_them_in_its_name() {
+        let found =
+            names(&["raft=a/things.ckpt", "raft=b/mine.pth", "gma=things.ckpt", "tvl1", "raft", "tvl1"]);
+        assert_eq!(found, ["raft (things)", "raft (mine)", "gma", "tvl1", "raft"]);
+        // What training writes is always called the same.
+        let found =
+            names(&["skflow=runs/a/best.safetensors", "skflow=runs/b/best.safetensors", "skflow=things"]);
+        assert_eq!(found, ["skflow (a/best)", "skflow (b/best)", "skflow (things)"]);
+        let found = names(&["SRFlowNet:skflow=a/best.safetensors", "skflow=b/best.safetensors", "TV:tvl1"]);
+        assert_eq!(found, ["SRFlowNet", "skflow", "TV"]);
+        let found = names(&["raft=best.ckpt", "raft=best.pth"]);
+        assert_eq!(found, ["raft (best.ckpt)", "raft (best.pth)"]);
+    }
+}

@@ -1,0 +1,99 @@
+//! What results say of the methods that made them.
+
+use serde::Serialize;
+use srflow_mer::file_digest;
+
+use super::labels::labels;
+use super::{Method, MethodParameters, MethodSpec, distinct};
+
+/// One method, with everything that its flow of two frames follows from.
+#[derive(Debug, Clone, Serialize)]
+pub struct MethodRecord {
+    /// What tables call it.
+    pub name: String,
+    method: &'static str,
+    parameters: String,
+    /// The file of a network's weights.
+    weights: Option<String>,
+    /// SHA-256 of that file.
+    sha256: Option<String>,
+}
+
+impl MethodRecord {
+    /// Tells the flow from every other method's: whatever it is called and wherever its weights lie.
+    pub fn identity(&self) -> String {
+        let Self { name: _, method, parameters, weights: _, sha256 } = self;
+        format!("{method} {parameters} {}", sha256.as_deref().unwrap_or_default())
+    }
+
+    /// For people.
+    pub fn description(&self) -> String {
+        let weights = match (&self.weights, &self.sha256) {
+            (Some(weights), Some(sha256)) => format!(", weights {weights} (SHA-256 {sha256})"),
+            _ => String::new(),
+        };
+        format!("{}, {}{weights}", self.method, self.parameters)
+    }
+}
+
+/// Of each method once, in their order, as [`super::estimators`] has them.
+///
+/// # Errors
+/// When weights cannot be found or read.
+pub fn records(specs: &[MethodSpec], parameters: &MethodParameters) -> anyhow::Result<Vec<MethodRecord>> {
+    let specs = distinct(specs);
+    let labels = labels(&specs);
+    specs.into_iter().zip(labels).map(|(spec, name)| record(spec, name, parameters)).collect()
+}
+
+fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> anyhow::Result<MethodRecord> {
+    let MethodParameters { network, large_frames, farneback, tvl1 } = parameters;
+    let (mut own, weights) = match spec.method {
+        Method::Farneback => (format!("{:?}", farneback.parameters()), None),
+        Method::TvL1 => (format!("{:?}", tvl1.parameters()), None),
+        Method::Network(architecture) => (
+            format!("{} iterations on {}", network.iterations(architecture), network.device),
+            Some(network.weights_of(architecture, spec.weights.as_deref())?),
+        ),
+    };
+    if large_frames.given() {
+        own += &format!(", {large_frames:?}");
+    }
+    Ok(MethodRecord {
+        name,
+        method: spec.method.name(),
+        parameters: own,
+        sha256: weights.as_deref().map(file_digest).transpose()?,
+        weights: weights.map(|path| path.display().to_string()),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_identity_follows_from_what_the_flow_follows_from() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str, bytes: &str| {
+            std::fs::write(folder.path().join(name), bytes).unwrap();
+            folder.path().join(name).display().to_string()
+        };
+        let (a, same, other) = (file("a.pth", "a"), file("same.pth", "a"), file("other.pth", "b"));
+        let specs =
+            [format!("raft={a}"), format!("x:raft={same}"), format!("raft={other}"), format!("gma={a}")];
+        let specs: Vec<MethodSpec> =
+            specs.iter().map(String::as_str).chain(["tvl1"]).map(|text| text.parse().unwrap()).collect();
+        let of = |parameters: &MethodParameters| -> Vec<String> {
+            records(&specs, parameters).unwrap().iter().map(MethodRecord::identity).collect()
+        };
+        let plain = of(&MethodParameters::default());
+        assert_eq!(plain[0], plain[1], "neither name nor place of the weights");
+        assert!(plain[0] != plain[2] && plain[0] != plain[3]);
+        let mut parameters = MethodParameters::default();
+        parameters.tvl1.tau = Some(0.125);
+        let changed = of(&parameters);
+        assert_eq!(plain[..4], changed[..4], "parameters of other methods");
+        assert_ne!(plain[4], changed[4]);
+    }
+}

@@ -4,9 +4,9 @@
     python3 tools/bench/weights.py weights
     python3 tools/bench/memory.py raft=weights/raft.pth skflow=weights/skflow.pth
 
-Prints the peak of the process at each size in MB, without that of a frame of 128x128, and the straight line that none of
-them passes: it must stay under what `Architecture::memory_need` says. One iteration: more take no more. The weights may be
-random, the frames are noise. Needs numpy and pillow.
+Prints the peak of the process at each size in MB, without that of a frame of 128x128, and a straight line that none of them
+passes once the attention's kept weights are off: `Architecture::memory_need` is such a line and these weights. One
+iteration: more take no more. The weights may be random, the frames are noise. Needs numpy and pillow.
 """
 
 import argparse
@@ -20,7 +20,13 @@ import numpy as np
 from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[2]
-SIZES = [(512, 384), (1024, 768), (1600, 1200), (2048, 1536)]
+SIZES = [
+    *[(320, 256), (512, 384), (640, 480), (800, 512), (1024, 768), (1280, 720)],
+    *[(1280, 960), (1600, 1200), (2048, 1536), (3840, 2160)],
+]
+# All pixels of the coarse flow attend to each other; of the weights this much is kept.
+ATTENDING = ["gma", "skflow"]
+MOST_WEIGHTS = 1 << 30
 
 
 def peak_bytes(command):
@@ -59,6 +65,8 @@ def main():
             found = [(width * height, peak(method, (width, height)) - base) for width, height in sizes]
             for (width, height), (pixels, more) in zip(sizes, found):
                 print(f"{method.split('=')[0]} {width}x{height}: {more / 1e6:.0f} MB, {more / pixels:.0f} B/pixel")
+            if method.split("=")[0] in ATTENDING:
+                found = [(pixels, more - min(4 * (pixels // 64) ** 2, MOST_WEIGHTS)) for pixels, more in found]
             if len(found) > 1:
                 slope = max(0.0, (found[-1][1] - found[0][1]) / (found[-1][0] - found[0][0]))
                 fixed = max(more - slope * pixels for pixels, more in found)

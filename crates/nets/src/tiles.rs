@@ -7,6 +7,8 @@
 
 use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image};
 
+use crate::recurrent::STRIDE;
+
 /// Tiles start at multiples of this, where the pixels of a network's coarse flow do in the whole frame.
 const ALIGNMENT: usize = 8;
 /// Part of an overlap, at the edge of each of the two tiles, where that tile counts for nothing.
@@ -33,17 +35,27 @@ pub struct MemoryNeed {
     pub fixed: u64,
     /// Bytes for each pixel of a frame.
     pub per_pixel: u64,
+    /// Pairs of frames in which every pixel of the coarse flow attends to every other, with a weight of 4 bytes; 0 where none
+    /// does.
+    pub attending: u64,
+    /// Bytes of these weights that are kept at most.
+    pub most_weights: u64,
 }
 
 impl MemoryNeed {
     /// For a frame, or tile, of so many pixels.
     pub fn bytes(&self, pixels: usize) -> u64 {
-        self.fixed.saturating_add(self.per_pixel.saturating_mul(pixels as u64))
+        let pixels = pixels as u64;
+        let coarse = pixels.div_ceil((STRIDE * STRIDE) as u64);
+        let weights = self.attending.saturating_mul(4).saturating_mul(coarse.saturating_mul(coarse));
+        let each = self.per_pixel.saturating_mul(pixels);
+        self.fixed.saturating_add(each).saturating_add(weights.min(self.most_weights))
     }
 
     /// What so many pairs at once take.
     pub fn of_batch(&self, pairs: usize) -> Self {
-        Self { fixed: self.fixed, per_pixel: self.per_pixel.saturating_mul(pairs as u64) }
+        let times = |bytes: u64| bytes.saturating_mul(pairs as u64);
+        Self { per_pixel: times(self.per_pixel), attending: times(self.attending), ..*self }
     }
 }
 
@@ -426,7 +438,7 @@ mod tests {
 
     #[test]
     fn tiles_are_as_large_as_the_memory_allows() {
-        let need = MemoryNeed { fixed: 100_000_000, per_pixel: 600 };
+        let need = MemoryNeed { fixed: 100_000_000, per_pixel: 600, attending: 0, most_weights: 0 };
         let tiles = |bytes| Tiles::new((3840, 2160), TileSize::Fitting { need, bytes }, 128);
         assert_eq!(tiles(6_000_000_000).expect("fits whole").count(), 1);
         let mut last = 1;

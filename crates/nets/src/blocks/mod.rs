@@ -8,7 +8,7 @@ mod motion;
 mod norm;
 mod upsampler;
 
-pub(crate) use attention::{Aggregate, Attention};
+pub(crate) use attention::{Aggregate, Attention, KEPT_BYTES};
 pub(crate) use conv::{Conv2d, Conv2dConfig, NoParameters};
 pub(crate) use encoder::{Encoder, EncoderConfig};
 pub(crate) use gru::{ConvGru, SepConvGru};

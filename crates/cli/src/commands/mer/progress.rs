@@ -22,7 +22,7 @@ impl TrainingProgress {
     pub fn new(epochs: usize) -> anyhow::Result<Self> {
         let style =
             ProgressStyle::with_template("{msg}: training {bar:30} {percent}% in {elapsed}, ETA {eta}")?;
-        Ok(Self { bar: ProgressBar::new(0).with_style(style), epochs })
+        Ok(Self { bar: ProgressBar::new(0).with_style(style).with_message("classifiers"), epochs })
     }
 
     /// Counts in a set, each of whose subjects is left out once.

@@ -145,8 +145,8 @@ fn validation_scores_what_evaluation_does() {
     let short = ["--steps", "2", "--set", "validation.every=2"];
     succeed(&train(&[small(&data, &out), short.to_vec()].concat()));
     let log = std::fs::read_to_string(run.join("log.jsonl")).unwrap();
-    let records = log.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
-    let validation = records.filter(|record| record["kind"] == "validation").last().expect("validated");
+    let mut records = log.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+    let validation = records.rfind(|record| record["kind"] == "validation").expect("validated");
 
     let method = format!("raft-small={}", run.join("last.safetensors").display());
     let output = Command::new(env!("CARGO_BIN_EXE_srflow"))

@@ -260,7 +260,7 @@ pub struct Attention {
 enum Way {
     /// The tensor that stands for the weights.
     Kernel {
-        weights: Tensor<1>,
+        weights: Box<Tensor<1>>,
         prepared: Prepared,
     },
     Pieces(Vec<ImagePieces>),
@@ -295,7 +295,7 @@ impl Attention {
             let prepared = Prepared::new(if autodiff { kept_bytes / 2 } else { kept_bytes });
             let (queries, keys) = (queries.into_dispatch(), keys.into_dispatch());
             let weights = Dispatch::attention_weights(queries, keys, prepared.clone());
-            Way::Kernel { weights: Tensor::from_dispatch(weights), prepared }
+            Way::Kernel { weights: Box::new(Tensor::from_dispatch(weights)), prepared }
         } else {
             let kept_bytes = if autodiff { usize::MAX } else { kept_bytes / batch };
             let image = |n| {
@@ -312,7 +312,7 @@ impl Attention {
         assert_eq!([of, rows, columns], [batch, height, width], "attention: values of the same pixels");
         match &self.way {
             Way::Kernel { weights, prepared } => Tensor::from_dispatch(Dispatch::gather_by_attention(
-                weights.clone().into_dispatch(),
+                weights.as_ref().clone().into_dispatch(),
                 values.into_dispatch(),
                 prepared.clone(),
             )),

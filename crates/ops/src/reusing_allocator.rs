@@ -285,7 +285,8 @@ mod tests {
             assert_eq!(held(), most, "which takes the same");
             free(&again);
             let mut before = blocks;
-            (before.sort(), again.sort());
+            before.sort();
+            again.sort();
             assert_eq!(before, again);
 
             let other = Layout::from_size_align(900 << 20, 64).expect("valid");

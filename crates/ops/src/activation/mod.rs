@@ -115,7 +115,7 @@ impl Activation {
 }
 
 /// Of the normal distribution: `1 / sqrt(2 pi)`.
-const DENSITY_AT_ZERO: f32 = 0.398_942_28;
+const DENSITY_AT_ZERO: f32 = 0.398_942_3;
 /// Elements of a piece of work.
 const PIECE: usize = 16 << 10;
 

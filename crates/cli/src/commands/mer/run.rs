@@ -31,7 +31,7 @@ Each dataset is divided into its subjects, and so are all of them together (`com
 is trained on all others and tells the subject's clips. docs/mer.md says what every number is.
 
 That takes its time: with the 201 epochs of the paper's protocol, SAMM, CASME II, SMIC-HS and the composite are about \
-seven hours of two CPU cores for each method. For a first look, --epochs 21 takes a tenth of that, --classifier ststnet \
+five hours of two CPU cores for each method. For a first look, --epochs 21 takes a tenth of that, --classifier ststnet \
 much less, --sets each leaves out the composite. The bar shows when all will be done. A run may be killed at any time: \
 the same command goes on after the folds that were finished, and features are never computed twice.
 

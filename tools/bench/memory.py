@@ -26,7 +26,7 @@ SIZES = [
 ]
 # All pixels of the coarse flow attend to each other; of the weights this much is kept.
 ATTENDING = ["gma", "skflow"]
-MOST_WEIGHTS = 1 << 30
+MOST_WEIGHTS = 800 << 20
 
 
 def peak_bytes(command):

@@ -19,8 +19,8 @@ const SIZES: [(usize, usize); 10] = [
 const PEAKS: [(Architecture, &[u64]); 4] = [
     (Architecture::Raft, &[49, 109, 189, 259, 492, 529, 602, 761, 1179, 3001]),
     (Architecture::RaftSmall, &[0, 33, 63, 98, 235, 264, 356, 566, 681, 1642]),
-    (Architecture::Gma, &[50, 150, 294, 440, 1125, 1397, 1727, 1901, 2219]),
-    (Architecture::SkFlow, &[56, 159, 302, 442, 1135, 1390, 1695, 1885, 2117, 3584]),
+    (Architecture::Gma, &[51, 150, 293, 440, 1123, 1397, 1490, 1702, 2064]),
+    (Architecture::SkFlow, &[58, 159, 302, 443, 1135, 1390, 1458, 1687, 1905, 3318]),
 ];
 
 #[test]

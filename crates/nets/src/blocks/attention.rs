@@ -10,7 +10,7 @@ use super::{Conv2d, Conv2dConfig};
 
 /// Of the weights between all pairs of pixels, which no iteration changes, as many are kept; the rest is computed anew
 /// each time.
-pub(crate) const KEPT_BYTES: usize = 1 << 30;
+pub(crate) const KEPT_BYTES: usize = 800 << 20;
 /// With gradients, where most of a step is spent elsewhere: frames of 256x192 keep all, and at 800x512, where a map takes
 /// 164 MB and as much for the gradients of values, computing all of them anew is about 2 % of a step.
 const KEPT_BYTES_IN_TRAINING: usize = 1 << 28;

@@ -114,6 +114,15 @@ def skflow_block():
     case("skflow block", shapes, lambda x: functional_call(block, {k: x[k] for k in x if k != "input"}, x["input"]))
 
 
+def gru():
+    """What the reference's ConvGRU does between its convolutions; update gates before reset gates."""
+    gates, hidden = (2, 6, 4, 5), (2, 3, 4, 5)
+    case("gru reset", {"gates": gates, "hidden": hidden}, lambda x: x["gates"][:, 3:] * x["hidden"])
+    step = lambda z, h, q: (1 - z) * h + z * q
+    update = lambda x: step(x["gates"][:, :3], x["hidden"], x["candidate"])
+    case("gru update", {"gates": gates, "hidden": hidden, "candidate": hidden}, update)
+
+
 def main(path):
     for activation in ACTIVATIONS:
         for residual in (False, True):
@@ -136,6 +145,7 @@ def main(path):
     case("upsample", {"flow": (2, 2, 3, 4), "mask": (2, 9 * 64, 3, 4)}, upsample)
     attention()
     skflow_block()
+    gru()
     for name, activation in ACTIVATIONS.items():
         normalize = lambda x: activation(F.instance_norm(x["input"], eps=1e-5))
         case(f"instance norm {name}", {"input": (2, 3, 5, 6)}, normalize)

@@ -31,6 +31,7 @@ pub mod batch_norm;
 pub mod conv2d;
 pub mod correlation;
 pub mod depthwise;
+pub mod gru;
 pub mod instance_norm;
 pub mod max_pool;
 pub mod pointwise;

@@ -11,6 +11,7 @@ use srflow_ops::batch_norm::tensor::batch_norm;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
 use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::depthwise::tensor::depthwise;
+use srflow_ops::gru;
 use srflow_ops::instance_norm::tensor::instance_norm;
 use srflow_ops::pointwise::tensor::{LayerOptions, PointwiseLayer, pointwise_layers};
 use srflow_ops::upsample::tensor::convex_upsample;
@@ -219,6 +220,14 @@ fn warping() {
         let [image, flow] = inputs.try_into().expect("two");
         // Small displacements around half a pixel: no sample passes a whole one, where the derivative jumps.
         warp(image, flow * 0.4 + 1.5)
+    });
+}
+
+#[test]
+fn gated_recurrent_unit() {
+    check(&[[2, 6, 4, 5], [2, 3, 4, 5], [2, 3, 4, 5]], |inputs| {
+        let [gates, hidden, candidate] = inputs.try_into().expect("three");
+        gru::tensor::update(gates.clone(), hidden.clone(), gru::tensor::reset(gates, hidden) + candidate)
     });
 }
 

@@ -13,6 +13,7 @@ use srflow_ops::batch_norm::tensor::batch_norm;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
 use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::depthwise::tensor::depthwise;
+use srflow_ops::gru;
 use srflow_ops::instance_norm::tensor::instance_norm;
 use srflow_ops::pointwise::tensor::{LayerOptions, PointwiseLayer, pointwise_layers};
 use srflow_ops::upsample::tensor::convex_upsample;
@@ -293,6 +294,20 @@ fn skflow_block() {
         let x = pointwise_layers(input, first);
         let finish = Finish::with(Activation::Gelu).bias(Some(between.bias)).residual(x.clone());
         pointwise_layers(depthwise(x, between.weight, finish, [7, 7]), last)
+    });
+}
+
+/// Update gates before reset gates.
+#[test]
+fn gated_recurrent_unit() {
+    let (gates, hidden) = (("gates", [2, 6, 4, 5]), ("hidden", [2, 3, 4, 5]));
+    check("gru reset", &[gates, hidden], |inputs| {
+        let [gates, hidden] = inputs.try_into().expect("two");
+        gru::tensor::reset(gates, hidden)
+    });
+    check("gru update", &[gates, hidden, ("candidate", [2, 3, 4, 5])], |inputs| {
+        let [gates, hidden, candidate] = inputs.try_into().expect("three");
+        gru::tensor::update(gates, hidden, candidate)
     });
 }
 

@@ -1,13 +1,11 @@
 use burn::module::{Initializer, Module, Param, RunningState};
 use burn::tensor::{Device, Tensor, activation::relu};
-use srflow_ops::batch_norm::tensor::{Normalized, batch_norm};
+use srflow_ops::batch_norm::tensor::batch_norm;
 
 use super::{Conv2d, Mode};
 
 /// Added to the variance; PyTorch's default.
 const EPSILON: f64 = 1e-5;
-/// Share of a batch's statistics in the running ones; PyTorch's default.
-const MOMENTUM: f64 = 0.1;
 
 /// PyTorch's `BatchNorm2d`.
 #[derive(Module, Debug)]
@@ -41,22 +39,18 @@ impl BatchNorm2d {
 
     /// Of `x + offset`, `offset` one number a channel.
     fn normalized(&self, x: Tensor<4>, offset: Option<Tensor<1>>, rectify: bool, mode: &Mode) -> Tensor<4> {
-        let [batch, channels, height, width] = x.dims();
+        let [_, channels, _, _] = x.dims();
         match mode {
             Mode::Training { .. } => {
-                let Normalized { output, mean, variance } =
-                    batch_norm(x, self.weight.val(), self.bias.val(), rectify);
-                let mean = match offset {
-                    Some(offset) => mean + offset.detach(),
-                    None => mean,
-                };
-                let count = (batch * height * width) as f64;
-                let unbiased = variance * (count / (count - 1.0).max(1.0));
-                for (running, found) in [(&self.running_mean, mean), (&self.running_var, unbiased)] {
-                    let value = running.value_sync() * (1.0 - MOMENTUM) + found * MOMENTUM;
-                    running.update(value.detach());
+                let mut norm = batch_norm(x, self.weight.val(), self.bias.val(), rectify);
+                if let Some(offset) = offset {
+                    norm.mean = norm.mean + offset.detach();
                 }
-                output
+                let found = norm.running(self.running_mean.value_sync(), self.running_var.value_sync());
+                for (running, found) in [&self.running_mean, &self.running_var].into_iter().zip(found) {
+                    running.update(found);
+                }
+                norm.output
             }
             Mode::Evaluation => {
                 let scale = self.weight.val() / (self.running_var.value_sync() + EPSILON).sqrt();

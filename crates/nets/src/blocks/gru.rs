@@ -3,6 +3,7 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use srflow_ops::conv2d::tensor::Finish;
+use srflow_ops::gru::tensor::{reset, update};
 use srflow_ops::{Activation, WeightCache};
 
 use super::{Conv2d, Conv2dConfig};
@@ -34,7 +35,6 @@ pub(crate) struct PreparedGru<'a> {
 struct PreparedStep<'a> {
     /// Any of the convolutions: they differ in weight and bias only.
     conv: &'a Conv2d,
-    hidden: usize,
     /// Weights of update and reset gate, one below the other, for the hidden state and the input that changes.
     gates_weight: Tensor<4>,
     gates_cache: WeightCache,
@@ -106,7 +106,6 @@ impl<'a> PreparedStep<'a> {
         };
         Self {
             conv: update,
-            hidden,
             gates_weight: Tensor::cat(vec![changing(update.weight()), changing(reset.weight())], 0),
             gates_cache: WeightCache::default(),
             gates_context: Tensor::cat(vec![of_context(update), of_context(reset)], 1),
@@ -128,15 +127,13 @@ impl<'a> PreparedStep<'a> {
             &self.gates_context,
             Activation::Sigmoid,
         );
-        let update = gates.clone().narrow(1, 0, self.hidden);
-        let reset = gates.narrow(1, self.hidden, self.hidden);
         let candidate = sum(
-            reset * hidden.clone(),
+            reset(gates.clone(), hidden.clone()),
             &self.candidate_weight,
             &self.candidate_cache,
             &self.candidate_context,
             Activation::Tanh,
         );
-        hidden.clone() + update * (candidate - hidden)
+        update(gates, hidden, candidate)
     }
 }

@@ -12,8 +12,6 @@ use super::Conv2d;
 
 /// Added to the variance; PyTorch's default.
 const EPSILON: f64 = 1e-5;
-/// How much a batch adds to the running statistics; PyTorch's default.
-const MOMENTUM: f64 = 0.1;
 
 /// Which normalization an encoder has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -79,10 +77,12 @@ impl Norm {
         };
         if self.batch_statistics.val().is_enabled() {
             let y = conv.forward(x, Activation::Identity);
-            let [batch, _, height, width] = y.dims();
-            let rectify = activation == Activation::Relu;
-            let y = batch_norm(y, weight.val(), bias.val(), rectify);
-            follow(mean, variance, [y.mean, y.variance], batch * height * width);
+            let y = batch_norm(y, weight.val(), bias.val(), activation == Activation::Relu);
+            let found = y.running(mean.value(), variance.value());
+            for (running, found) in [mean, variance].into_iter().zip(found) {
+                running.update(found);
+                running.value_sync();
+            }
             return match activation {
                 Activation::Identity | Activation::Relu => y.output,
                 Activation::Gelu => gelu(y.output),
@@ -98,20 +98,6 @@ impl Norm {
         let channels = scale.dims()[0];
         let folded = conv.weight() * scale.reshape([channels, 1, 1, 1]);
         conv.apply(x, folded, &WeightCache::default(), Finish::with(activation).bias(Some(shift)))
-    }
-}
-
-/// Moves the running statistics towards those of a batch; the variance becomes the unbiased one, as in PyTorch.
-fn follow(
-    running_mean: &RunningState<Tensor<1>>,
-    running_variance: &RunningState<Tensor<1>>,
-    [mean, variance]: [Tensor<1>; 2],
-    count: usize,
-) {
-    let unbiased = variance * (count as f64 / (count - 1).max(1) as f64);
-    for (running, found) in [(running_mean, mean), (running_variance, unbiased)] {
-        running.update((running.value() * (1.0 - MOMENTUM) + found * MOMENTUM).detach());
-        running.value_sync();
     }
 }
 

@@ -10,6 +10,9 @@ use burn::tensor::Tensor;
 use super::{Affine, BatchNormShape, Statistics, composed};
 use crate::flex::{Contiguous, sizes, tensor};
 
+/// Share of a batch's statistics in the running ones; PyTorch's default.
+const MOMENTUM: f64 = 0.1;
+
 /// The normalization; see [`batch_norm`].
 #[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
 pub trait BatchNormOps: Backend {
@@ -131,6 +134,19 @@ pub struct Normalized {
     pub mean: Tensor<1>,
     /// Mean square distance of each channel from it, without gradient.
     pub variance: Tensor<1>,
+}
+
+impl Normalized {
+    /// The running mean and variance after this batch: moved by a tenth, as in PyTorch, towards its mean and its variance without
+    /// bias. Without gradient.
+    pub fn running(&self, mean: Tensor<1>, variance: Tensor<1>) -> [Tensor<1>; 2] {
+        let [batch, _, height, width] = self.output.dims();
+        let count = (batch * height * width) as f64;
+        let unbiased = self.variance.clone() * (count / (count - 1.0).max(1.0));
+        let moved =
+            |running: Tensor<1>, found: Tensor<1>| (running * (1.0 - MOMENTUM) + found * MOMENTUM).detach();
+        [moved(mean, self.mean.clone()), moved(variance, unbiased)]
+    }
 }
 
 /// Each channel of `input` (`[batch, channels, height, width]`) less its mean over batch and pixels, over its standard

@@ -15,17 +15,7 @@ pub fn depthwise_backward_input(grad: &[f32], weight: &[f32], shape: &DepthwiseS
     backward_input_with(Isa::best(), grad, weight, None, shape)
 }
 
-/// [`depthwise_backward_input`], plus `add`.
-pub(super) fn backward_input_adding(
-    grad: &[f32],
-    weight: &[f32],
-    add: Option<&[f32]>,
-    shape: &DepthwiseShape,
-) -> Vec<f32> {
-    backward_input_with(Isa::best(), grad, weight, add, shape)
-}
-
-/// [`backward_input_adding`] with a chosen instruction set, one of [`Isa::available`].
+/// [`depthwise_backward_input`], plus `add`, with a chosen instruction set, one of [`Isa::available`].
 pub(super) fn backward_input_with(
     isa: Isa,
     grad: &[f32],

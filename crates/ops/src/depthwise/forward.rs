@@ -32,31 +32,28 @@ pub(super) fn depthwise_with(
     let [height, width] = shape.output();
     let taps = shape.kernel[0] * shape.kernel[1];
     let planes = if height * width == 0 { 0 } else { shape.batch * shape.channels };
-    let compute = |scratch: &mut Vec<f32>, plane: usize, out: &mut [f32]| {
-        let channel = plane % shape.channels;
-        let source = &input[plane * shape.input[0] * shape.input[1]..][..shape.input[0] * shape.input[1]];
-        let row = pad(source, shape.input, shape.padding, scratch);
-        let task = Plane {
-            source: scratch,
-            row,
-            weight: &weight[channel * taps..][..taps],
-            kernel: shape.kernel,
-            start: epilogue.bias.map_or(0.0, |bias| bias[channel]),
-            height,
-            width,
-        };
-        // SAFETY: `isa` is available; `pad` made the border that the kernel reads.
-        unsafe {
-            convolve_plane(isa, &task, out);
-            epilogue.finish(isa, plane * height * width, out);
-        }
-    };
     let fill = |target: SharedMut| {
         (0..planes).into_par_iter().for_each_init(Vec::new, |scratch, plane| {
-            // SAFETY: inside, and this task's alone.
-            let out =
-                unsafe { std::slice::from_raw_parts_mut(target.at(plane * height * width), height * width) };
-            compute(scratch, plane, out);
+            let channel = plane % shape.channels;
+            let source = &input[plane * shape.input[0] * shape.input[1]..][..shape.input[0] * shape.input[1]];
+            let row = pad(source, shape.input, shape.padding, scratch);
+            let task = Plane {
+                source: scratch,
+                row,
+                weight: &weight[channel * taps..][..taps],
+                kernel: shape.kernel,
+                start: epilogue.bias.map_or(0.0, |bias| bias[channel]),
+                height,
+                width,
+            };
+            // SAFETY: the plane is inside and this task's alone; `isa` is available; `pad` made the border that the kernel
+            // reads.
+            unsafe {
+                let first = plane * height * width;
+                let out = std::slice::from_raw_parts_mut(target.at(first), height * width);
+                convolve_plane(isa, &task, out);
+                epilogue.finish(isa, first, out);
+            }
         });
     };
     // SAFETY: the planes are all there is, and each is written whole.

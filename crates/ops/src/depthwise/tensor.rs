@@ -7,12 +7,13 @@ use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Shape, Tensor};
 
 use super::DepthwiseShape;
-use super::backward::backward_input_adding;
+use super::backward::backward_input_with;
 use crate::Activation;
 use crate::activation::activate_tensor;
 use crate::conv2d::Epilogue;
 use crate::conv2d::tensor::Finish;
 use crate::flex::{Contiguous, tensor};
+use crate::simd::Isa;
 use crate::tracked::{Convolution, EpilogueGradOps, tracked};
 
 /// Depthwise convolution with its epilogue. The default is Burn's own convolution.
@@ -145,7 +146,8 @@ impl DepthwiseGradOps for Flex {
         let (weight, grad, add) =
             (Contiguous::new(&weight), Contiguous::new(&grad), add.as_ref().map(Contiguous::new));
         let add = add.as_ref().map(Contiguous::slice);
-        tensor(backward_input_adding(grad.slice(), weight.slice(), add, &shape), input.shape())
+        let d_input = backward_input_with(Isa::best(), grad.slice(), weight.slice(), add, &shape);
+        tensor(d_input, input.shape())
     }
 
     fn depthwise_weight_grad(

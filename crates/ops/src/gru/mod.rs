@@ -1,0 +1,145 @@
+//! What a gated recurrent unit (RAFT's `update.py`) does between its convolutions: the reset gate on the hidden state, and
+//! the step from the hidden state towards the candidate. The convolutions and their sigmoid and tanh are
+//! [`crate::conv2d`]'s. [`mod@reference`] is the definition.
+//!
+//! Gates come as the convolution that makes both gives them: `[batch, 2 channels, height, width]`, update gates before reset
+//! gates.
+
+use rayon::prelude::*;
+
+pub mod reference;
+pub mod tensor;
+
+/// Sizes of the hidden state, `[batch, channels, height, width]`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct GruSize {
+    /// Images.
+    pub batch: usize,
+    /// Channels.
+    pub channels: usize,
+    /// Height times width.
+    pub pixels: usize,
+}
+
+impl GruSize {
+    /// Elements of the hidden state.
+    pub fn hidden_len(self) -> usize {
+        self.batch * self.channels * self.pixels
+    }
+
+    /// Panics when a slice does not fit.
+    fn check(self, gates: &[f32], of_hidden_size: &[&[f32]]) {
+        assert_eq!(gates.len(), 2 * self.hidden_len(), "gates of {self:?}");
+        for slice in of_hidden_size {
+            assert_eq!(slice.len(), self.hidden_len(), "hidden state of {self:?}");
+        }
+    }
+
+    /// Elements of an image's update gates, or its reset gates, or its hidden state.
+    fn image(self) -> usize {
+        (self.channels * self.pixels).max(1)
+    }
+
+    /// Update gates and reset gates of each image.
+    fn halves(self, gates: &[f32]) -> impl Iterator<Item = (&[f32], &[f32])> {
+        gates.chunks_exact(2 * self.image()).map(move |both| both.split_at(self.image()))
+    }
+}
+
+/// Elements of a piece of work.
+const PIECE: usize = 16 << 10;
+
+/// `reset * hidden`. Panics when a slice does not fit.
+pub fn reset(gates: &[f32], hidden: &[f32], size: GruSize) -> Vec<f32> {
+    size.check(gates, &[hidden]);
+    let mut out = vec![0.0; hidden.len()];
+    let images = out.chunks_mut(size.image()).zip(hidden.chunks(size.image()));
+    for ((out, hidden), (_, reset)) in images.zip(size.halves(gates)) {
+        let pieces = out.par_chunks_mut(PIECE).zip(hidden.par_chunks(PIECE)).zip(reset.par_chunks(PIECE));
+        pieces.for_each(|((out, hidden), reset)| {
+            for ((out, hidden), reset) in out.iter_mut().zip(hidden).zip(reset) {
+                *out = reset * hidden;
+            }
+        });
+    }
+    out
+}
+
+/// Gradients of gates and hidden state from that of [`reset`]'s output. Panics when a slice does not fit.
+pub fn reset_backward(gates: &[f32], hidden: &[f32], grad: &[f32], size: GruSize) -> [Vec<f32>; 2] {
+    size.check(gates, &[hidden, grad]);
+    let (mut d_gates, mut d_hidden) = (vec![0.0; gates.len()], vec![0.0; hidden.len()]);
+    let image = size.image();
+    let outs = d_gates.chunks_mut(2 * image).zip(d_hidden.chunks_mut(image));
+    let ins = hidden.chunks(image).zip(grad.chunks(image)).zip(size.halves(gates));
+    for ((d_gates, d_hidden), ((hidden, grad), (_, reset))) in outs.zip(ins) {
+        let outs = d_gates[image..].par_chunks_mut(PIECE).zip(d_hidden.par_chunks_mut(PIECE));
+        let ins = hidden.par_chunks(PIECE).zip(grad.par_chunks(PIECE)).zip(reset.par_chunks(PIECE));
+        outs.zip(ins).for_each(|((d_reset, d_hidden), ((hidden, grad), reset))| {
+            for i in 0..grad.len() {
+                d_reset[i] = grad[i] * hidden[i];
+                d_hidden[i] = grad[i] * reset[i];
+            }
+        });
+    }
+    [d_gates, d_hidden]
+}
+
+/// `hidden + update * (candidate - hidden)`. Panics when a slice does not fit.
+pub fn update(gates: &[f32], hidden: &[f32], candidate: &[f32], size: GruSize) -> Vec<f32> {
+    size.check(gates, &[hidden, candidate]);
+    let mut out = vec![0.0; hidden.len()];
+    let image = size.image();
+    let ins = hidden.chunks(image).zip(candidate.chunks(image)).zip(size.halves(gates));
+    for (out, ((hidden, candidate), (update, _))) in out.chunks_mut(image).zip(ins) {
+        let ins = hidden.par_chunks(PIECE).zip(candidate.par_chunks(PIECE)).zip(update.par_chunks(PIECE));
+        out.par_chunks_mut(PIECE).zip(ins).for_each(|(out, ((hidden, candidate), update))| {
+            for i in 0..out.len() {
+                out[i] = hidden[i] + update[i] * (candidate[i] - hidden[i]);
+            }
+        });
+    }
+    out
+}
+
+/// Gradients of gates, hidden state and candidate from that of [`update`]'s output. Panics when a slice does not fit.
+pub fn update_backward(
+    gates: &[f32],
+    hidden: &[f32],
+    candidate: &[f32],
+    grad: &[f32],
+    size: GruSize,
+) -> [Vec<f32>; 3] {
+    size.check(gates, &[hidden, candidate, grad]);
+    let mut d_gates = vec![0.0; gates.len()];
+    let (mut d_hidden, mut d_candidate) = (vec![0.0; hidden.len()], vec![0.0; hidden.len()]);
+    let image = size.image();
+    let outs =
+        d_gates.chunks_mut(2 * image).zip(d_hidden.chunks_mut(image)).zip(d_candidate.chunks_mut(image));
+    let ins =
+        hidden.chunks(image).zip(candidate.chunks(image)).zip(grad.chunks(image)).zip(size.halves(gates));
+    for (((d_gates, d_hidden), d_candidate), (((hidden, candidate), grad), (update, _))) in outs.zip(ins) {
+        let outs = d_gates[..image]
+            .par_chunks_mut(PIECE)
+            .zip(d_hidden.par_chunks_mut(PIECE))
+            .zip(d_candidate.par_chunks_mut(PIECE));
+        let ins = hidden
+            .par_chunks(PIECE)
+            .zip(candidate.par_chunks(PIECE))
+            .zip(grad.par_chunks(PIECE))
+            .zip(update.par_chunks(PIECE));
+        outs.zip(ins).for_each(
+            |(((d_update, d_hidden), d_candidate), (((hidden, candidate), grad), update))| {
+                for i in 0..grad.len() {
+                    d_update[i] = grad[i] * (candidate[i] - hidden[i]);
+                    d_hidden[i] = grad[i] * (1.0 - update[i]);
+                    d_candidate[i] = grad[i] * update[i];
+                }
+            },
+        );
+    }
+    [d_gates, d_hidden, d_candidate]
+}
+
+#[cfg(test)]
+mod tests;

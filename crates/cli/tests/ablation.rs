@@ -41,7 +41,7 @@ fn succeed(mut command: Command) -> Output {
     output
 }
 
-const RUNS: [&str; 4] = ["skflow-seed-1", "skflow-seed-2", "fdr-seed-1", "fdr-seed-2"];
+const RUNS: [&str; 4] = ["none-seed-1", "none-seed-2", "fdr-seed-1", "fdr-seed-2"];
 
 fn results(out: &Path) -> Vec<(PathBuf, SystemTime)> {
     let files = RUNS.iter().map(|run| out.join(run).join("test.json")).filter(|path| path.exists());
@@ -53,7 +53,7 @@ fn the_table_stands_beside_the_papers_and_a_stopped_run_goes_on() {
     let folder = tempfile::tempdir().unwrap();
     let data = make_data(&folder.path().join("data"));
     let [through, stopped] = ["through", "stopped"].map(|name| folder.path().join(name));
-    let output = succeed(command(&data, &through, "skflow,fdr", &[]));
+    let output = succeed(command(&data, &through, "none,fdr", &[]));
     let text = String::from_utf8(output.stdout).unwrap();
     let ours = text.find("Ours: mean over seeds 1, 2 of RAFT-S, 2 steps").expect(&text);
     let spread = text.find("Ours: standard deviation over the seeds").expect(&text);
@@ -73,7 +73,7 @@ fn the_table_stands_beside_the_papers_and_a_stopped_run_goes_on() {
     assert!(text[ours..spread].contains(&format!("{:.4}", mean("fdr"))), "{text}");
 
     // The same, killed while the first row is trained.
-    let mut child = command(&data, &stopped, "skflow,fdr", &[]).stdout(Stdio::null()).spawn().unwrap();
+    let mut child = command(&data, &stopped, "none,fdr", &[]).stdout(Stdio::null()).spawn().unwrap();
     let start = Instant::now();
     while !stopped.join(RUNS[0]).join("checkpoints/step-00000001").exists() {
         assert!(start.elapsed() < Duration::from_secs(60), "no checkpoint");
@@ -83,19 +83,29 @@ fn the_table_stands_beside_the_papers_and_a_stopped_run_goes_on() {
     child.wait().unwrap();
     let finished = results(&stopped);
     assert!(finished.len() < RUNS.len(), "it was killed on its way");
-    succeed(command(&data, &stopped, "skflow,fdr", &[]));
+    succeed(command(&data, &stopped, "none,fdr", &[]));
     let read = |out: &Path, name: &str| std::fs::read(out.join(name)).unwrap();
     assert_eq!(read(&stopped, "ablation.json"), read(&through, "ablation.json"));
     let now = results(&stopped);
     assert!(finished.iter().all(|result| now.contains(result)), "what was finished is not run again");
 
     // Once more: nothing is left to do.
-    succeed(command(&data, &stopped, "skflow,fdr", &["--json"]));
+    succeed(command(&data, &stopped, "none,fdr", &["--json"]));
     assert_eq!(results(&stopped), now);
-    let refused = command(&data, &stopped, "skflow", &["--learning-rate", "1e-5"]).output().unwrap();
+    let refused = command(&data, &stopped, "none", &["--learning-rate", "1e-5"]).output().unwrap();
     let error = String::from_utf8(refused.stderr).unwrap();
-    assert!(
-        !refused.status.success() && error.contains("skflow-seed-1") && error.contains("--out"),
-        "{error}"
-    );
+    assert!(!refused.status.success() && error.contains("none-seed-1") && error.contains("--out"), "{error}");
+
+    // What the others start from, once for all seeds.
+    let without = command(&data, &folder.path().join("start"), "start", &[]).output().unwrap();
+    let error = String::from_utf8(without.stderr).unwrap();
+    assert!(!without.status.success() && error.contains("--weights"), "{error}");
+    let weights = through.join("fdr-seed-2/last.safetensors");
+    let more = ["--json", "--weights", weights.to_str().unwrap()];
+    let output = succeed(command(&data, &folder.path().join("start"), "start", &more));
+    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let start = json.as_array().unwrap();
+    assert_eq!(start.len(), 1);
+    assert_eq!(start[0]["steps"], 0);
+    assert_eq!(start[0]["scores"], cells[3]["scores"], "the same weights on the same pairs");
 }

@@ -82,6 +82,33 @@ proptest! {
         prop_assert!(residual < 1.5, "{}", residual);
     }
 
+    /// Frame 2 is cropped elsewhere. Without a mask the whole flow is known; with one, what is outside is not.
+    #[test]
+    fn the_flow_of_a_shifted_sample_leads_to_frame_2(seed in any::<u64>(), sparse in any::<bool>(), masked in any::<bool>()) {
+        let crop = [64, 48];
+        let config = if sparse { AugmentConfig::sparse(crop) } else { AugmentConfig::dense(crop) };
+        let config = AugmentConfig { shift_probability: 1.0, max_shift: 12, ..moving_only(config) };
+        let still = AugmentConfig { shift_probability: 0.0, ..config.clone() };
+        let before = Sample { mask: moving(120, 100).mask.filter(|_| masked), ..moving(120, 100) };
+        let (after, still) = (apply(config, before.clone(), Key::new(seed)), apply(still, before, Key::new(seed)));
+        prop_assert_eq!(&after.frame1, &still.frame1);
+        let (flow, still_flow) = (after.flow.as_ref().expect("a flow"), still.flow.as_ref().expect("a flow"));
+        let added: Vec<[f32; 2]> = flow.pixels().iter().zip(still_flow.pixels())
+            .map(|(a, b)| [a[0] - b[0], a[1] - b[1]])
+            .filter(|added| added[0].is_finite())
+            .collect();
+        prop_assert!(added.iter().all(|a| (0..2).all(|c| a[c].abs() < 12.01 && (a[c] - added[0][c]).abs() < 1e-3)));
+        let unmoved = added.first() == Some(&[0.0; 2]);
+        for (index, pixel) in flow.pixels().iter().enumerate() {
+            let shown = unmoved || after.mask.as_ref().is_none_or(|mask| mask.pixels()[index]);
+            prop_assert_eq!(pixel[0].is_finite(), shown && still_flow.pixels()[index][0].is_finite());
+        }
+        if !masked {
+            let residual = warp_residual(&after);
+            prop_assert!(residual < 1.5, "{}", residual);
+        }
+    }
+
     /// Where frame 1 is white is where the mask is true, and the other mask is its opposite.
     #[test]
     fn masks_go_along(seed in any::<u64>()) {
@@ -195,6 +222,13 @@ fn changes_happen_as_often_as_configured() {
     let tenths = AugmentConfig { vertical_flip_probability: 0.1, ..still.clone() };
     assert!((15..50).contains(&count(tenths, &mirrored(1))));
     let scaled = AugmentConfig { scale_probability: 0.8, log2_scale: [0.5, 0.6], ..still.clone() };
+    let shifts =
+        AugmentConfig { shift_probability: 0.3, max_shift: 1000, ..AugmentConfig::crop_only([30, 20]) };
+    let differ = |sample: &Sample| {
+        let (flow, frame1) = (sample.flow.as_ref().expect("a flow"), sample.frame1.get(0, 0));
+        !(0..31).any(|x| (0..31).any(|y| before.frame1.get(x, y) == frame1 && flow.get(0, 0) == motion(x, y)))
+    };
+    assert!((60..120).contains(&count(shifts, &differ)));
     let grew = |sample: &Sample| sample.flow.as_ref().is_some_and(|flow| flow.get(0, 0) != motion(0, 0));
     assert!((215..265).contains(&count(scaled, &grew)));
     let hidden = AugmentConfig { eraser_probability: 0.5, ..still.clone() };

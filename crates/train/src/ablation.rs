@@ -15,6 +15,7 @@ use crate::checkpoint::Checkpoints;
 use crate::config::Config;
 use crate::loss::{MaskReading, Regularizer};
 use crate::run::{Beginning, Event, TrainError, train};
+use crate::validation::score_weights;
 
 /// A row of the table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,6 +24,8 @@ pub struct Variant {
     pub name: &'static str,
     /// Name in the table.
     pub title: &'static str,
+    /// Whether it is trained at all, or the weights that the others start from are scored.
+    pub trained: bool,
     regularizer: Option<Regularizer>,
     m_total: MaskReading,
 }
@@ -33,12 +36,13 @@ const fn variant(
     regularizer: Option<Regularizer>,
     m_total: MaskReading,
 ) -> Variant {
-    Variant { name, title, regularizer, m_total }
+    Variant { name, title, trained: true, regularizer, m_total }
 }
 
 /// The rows that can be run: the paper's, and the regularizers with `M_total` under its literal reading.
-pub const VARIANTS: [Variant; 7] = [
-    variant("skflow", "baseline", None, MaskReading::Interior),
+pub const VARIANTS: [Variant; 8] = [
+    Variant { trained: false, ..variant("start", "before training", None, MaskReading::Interior) },
+    variant("none", "no regularizer", None, MaskReading::Interior),
     variant("tvr", "TVR", Some(Regularizer::Tvr), MaskReading::Interior),
     variant("fdr", "FDR", Some(Regularizer::Fdr), MaskReading::Interior),
     variant("migar", "MIGAR", Some(Regularizer::Migar), MaskReading::Interior),
@@ -61,7 +65,7 @@ impl Variant {
     }
 }
 
-/// One finished run.
+/// One scored run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Cell {
@@ -69,7 +73,7 @@ pub struct Cell {
     pub variant: String,
     /// The seed of every random choice.
     pub seed: u64,
-    /// Steps of the training.
+    /// Steps of the training; 0 where there was none.
     pub steps: u64,
     /// Scores of the last weights on the test set, over all pixels.
     pub scores: Metrics,
@@ -137,7 +141,7 @@ pub enum AblationError {
 const RESULT: &str = "test.json";
 
 /// Trains every row with every seed, in that order, each in a folder of `out`, and scores the last weights on `test`. What is
-/// finished is not run again.
+/// finished is not run again. A row that is not [`trained`](Variant::trained) needs weights in the configuration.
 ///
 /// # Errors
 /// At the first run that fails. Those before it are kept.
@@ -157,6 +161,19 @@ pub fn ablate(
                 run: run.display().to_string(),
                 error: Box::new(error),
             };
+            let score = |weights: &Path, steps: u64| -> Result<Cell, AblationError> {
+                let scores = score_weights(&config, &devices[0], weights, test).map_err(failed)?;
+                let variant = variant.name.to_owned();
+                Ok(Cell { variant, seed, steps, scores: scores.whole, zero_epe: scores.zero_epe })
+            };
+            if !variant.trained {
+                // Without training no seed changes anything.
+                if Some(&seed) == settings.seeds.first() {
+                    on_event(AblationEvent::Cell { variant, seed, done: false });
+                    cells.push(score(&config.network.weights, 0)?);
+                }
+                continue;
+            }
             let result = run.join(RESULT);
             let begun = !Checkpoints::of_run(&run).steps().map_err(|error| failed(error.into()))?.is_empty();
             if begun && crate::run::config_of_run(&run).map_err(failed)? != config {
@@ -170,15 +187,7 @@ pub fn ablate(
                     on_event(AblationEvent::Training(event));
                 })
                 .map_err(failed)?;
-                let scores =
-                    crate::validation::score_weights(&config, &devices[0], &run, test).map_err(failed)?;
-                let cell = Cell {
-                    variant: variant.name.to_owned(),
-                    seed,
-                    steps: outcome.progress.step,
-                    scores: scores.whole,
-                    zero_epe: scores.zero_epe,
-                };
+                let cell = score(&run.join("last.safetensors"), outcome.progress.step)?;
                 let text = serde_json::to_string_pretty(&cell).expect("plain numbers and text") + "\n";
                 write_atomically(&result, |file| std::io::Write::write_all(file, text.as_bytes()))
                     .map_err(|error| failed(error.into()))?;
@@ -291,11 +300,10 @@ mod tests {
 
     #[test]
     fn a_row_is_the_mean_over_its_seeds_and_the_spread_stands_apart() {
-        let cells =
-            [cell("skflow", 1, 1.0), cell("fdr", 1, 0.5), cell("skflow", 2, 2.0), cell("skflow", 3, 3.0)];
+        let cells = [cell("none", 1, 1.0), cell("fdr", 1, 0.5), cell("none", 2, 2.0), cell("none", 3, 3.0)];
         let ours = table(&cells, "ours".to_owned());
         let names: Vec<&str> = ours.rows.iter().map(|row| row.name.as_str()).collect();
-        assert_eq!(names, ["baseline", "FDR"]);
+        assert_eq!(names, ["no regularizer", "FDR"]);
         assert_eq!(ours.rows[0].value(0), Some(2.0));
         let spread = spread_table(&cells, "spread".to_owned());
         assert_eq!(spread.rows[0].value(0), Some(1.0));

@@ -81,15 +81,15 @@ impl Validation {
     }
 }
 
-/// The scores of a finished run's last weights on `dataset`, as `config` validates.
+/// The scores of the weights in a file on `dataset`, as `config` validates.
 pub(crate) fn score_weights(
     config: &Config,
     device: &Device,
-    run: &Path,
+    weights: &Path,
     dataset: &FlowDataset,
 ) -> Result<ValidationRecord, TrainError> {
     let validation = Validation { datasets: vec![dataset.clone()], ..Validation::open(config)? };
-    let network = load_network(config.network.architecture, &run.join("last.safetensors"), device)?;
+    let network = load_network(config.network.architecture, weights, device)?;
     let scores = validation.score(network, device)?;
     Ok(scores.into_iter().next().expect("one dataset was scored"))
 }

@@ -1,7 +1,7 @@
 use std::io::IsTerminal;
 use std::path::PathBuf;
 
-use anyhow::ensure;
+use anyhow::{Context as _, ensure};
 use clap::Args;
 use srflow_data::read::{FlowDataset, Split};
 use srflow_eval::report::{Report, Section, score_table};
@@ -31,8 +31,9 @@ pub struct Ablation {
     /// Folder of the runs and the table
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Rows to run
-    #[arg(long, value_name = "ROW", value_delimiter = ',', default_values_t = VARIANTS.map(|row| row.name.to_owned()))]
+    /// Rows to run: start (not trained; needs --weights), none, tvr, fdr, migar, igvar, migar-literal, igvar-literal
+    /// [default: all; start with --weights only]
+    #[arg(long, value_name = "ROW", value_delimiter = ',', hide_default_value = true)]
     rows: Vec<String>,
     /// Seeds of every row
     #[arg(long, value_name = "N", value_delimiter = ',', default_values_t = [1, 2, 3])]
@@ -55,7 +56,7 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
     };
     let mut base = args.overrides.apply(config)?;
     find_weights(&mut base)?;
-    let variants = args.rows.iter().map(|name| row(name)).collect::<anyhow::Result<Vec<_>>>()?;
+    let variants = rows(&args.rows, !base.network.weights.as_os_str().is_empty())?;
     let mut seeds = args.seeds;
     seeds.sort_unstable();
     seeds.dedup();
@@ -68,7 +69,8 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
     create_folder(&args.out)?;
 
     let settings = AblationSettings { base, variants, seeds };
-    let runs = settings.variants.len() * settings.seeds.len();
+    let trained = settings.variants.iter().filter(|variant| variant.trained).count();
+    let runs = trained * settings.seeds.len() + settings.variants.len() - trained;
     let mut number = 0;
     let mut progress = Progress::new();
     let result = ablate(&settings, &test, &devices, &args.out, &mut |event| match event {
@@ -95,17 +97,26 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
     say!("Report: {}", args.out.join("ablation.html").display())
 }
 
-fn row(name: &str) -> anyhow::Result<Variant> {
-    let names = VARIANTS.map(|row| row.name).join(", ");
-    let found = VARIANTS.into_iter().find(|row| row.name == name);
-    ensure!(found.is_some(), "--rows {name}: there is no such row; the rows are {names}");
-    Ok(found.expect("it was found"))
+/// The rows of these names; of no names, all that can be run.
+fn rows(names: &[String], has_weights: bool) -> anyhow::Result<Vec<Variant>> {
+    if names.is_empty() {
+        return Ok(VARIANTS.into_iter().filter(|row| row.trained || has_weights).collect());
+    }
+    let row = |name: &String| {
+        let row = VARIANTS.into_iter().find(|row| row.name == name);
+        let known = VARIANTS.map(|row| row.name).join(", ");
+        let row =
+            row.with_context(|| format!("--rows {name}: there is no such row; the rows are {known}"))?;
+        ensure!(row.trained || has_weights, "--rows {name}: give the weights to score, --weights FILE");
+        Ok(row)
+    };
+    names.iter().map(row).collect()
 }
 
 /// Ours, our spread, and the paper's.
 fn tables(settings: &AblationSettings, cells: &[Cell], test: &FlowDataset) -> [Table; 3] {
     let network = settings.base.network.architecture.facts().title;
-    let steps = cells.first().map_or(0, |cell| cell.steps);
+    let steps = cells.iter().map(|cell| cell.steps).max().unwrap_or(0);
     let zero = cells.first().map_or(f64::NAN, |cell| cell.zero_epe);
     let seeds: Vec<String> = settings.seeds.iter().map(u64::to_string).collect();
     let what = format!(

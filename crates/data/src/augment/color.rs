@@ -57,8 +57,11 @@ impl ColorJitter {
                 }
                 Change::Saturation(factor) => {
                     for pixel in pictures.iter_mut().flat_map(|picture| picture.pixels_mut()) {
-                        let grey = grey(*pixel);
-                        *pixel = pixel.map(|value| mixed(grey, value, factor));
+                        // What is grey stays so; much of a rendered frame is.
+                        if !is_grey(*pixel) {
+                            let grey = grey(*pixel);
+                            *pixel = pixel.map(|value| mixed(grey, value, factor));
+                        }
                     }
                 }
                 Change::Hue(turns) => {
@@ -80,9 +83,15 @@ fn mixed(from: u8, to: u8, factor: f32) -> u8 {
 }
 
 fn mix(values: &mut [u8], from: u8, factor: f32) {
+    let mixed: [u8; 256] = std::array::from_fn(|value| mixed(from, value as u8, factor));
     for value in values {
-        *value = mixed(from, *value, factor);
+        *value = mixed[usize::from(*value)];
     }
+}
+
+/// Whether a colour has neither hue nor saturation.
+pub(super) fn is_grey([r, g, b]: [u8; 3]) -> bool {
+    r == g && g == b
 }
 
 /// ITU-R 601 luminance in 16-bit fixed point.

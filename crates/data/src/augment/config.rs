@@ -22,6 +22,10 @@ pub struct AugmentConfig {
     pub horizontal_flip_probability: f32,
     /// How often a sample is mirrored top to bottom.
     pub vertical_flip_probability: f32,
+    /// How often the crop of frame 2 is taken somewhere else than that of frame 1, which adds one motion to the whole flow.
+    pub shift_probability: f32,
+    /// How far at most, along each axis, in pixels after scaling.
+    pub max_shift: u32,
     /// Limit of the change of brightness: the factor lies in `1 - brightness .. 1 + brightness`.
     pub brightness: f32,
     /// Limit of the change of contrast, likewise.
@@ -67,6 +71,8 @@ impl AugmentConfig {
             max_log2_stretch: 0.2,
             horizontal_flip_probability: 0.5,
             vertical_flip_probability: 0.1,
+            shift_probability: 0.0,
+            max_shift: 16,
             brightness: 0.4,
             contrast: 0.4,
             saturation: 0.4,
@@ -139,6 +145,7 @@ impl AugmentConfig {
             ("stretch_probability", self.stretch_probability),
             ("horizontal_flip_probability", self.horizontal_flip_probability),
             ("vertical_flip_probability", self.vertical_flip_probability),
+            ("shift_probability", self.shift_probability),
             ("asymmetric_probability", self.asymmetric_probability),
             ("eraser_probability", self.eraser_probability),
         ];
@@ -146,6 +153,9 @@ impl AugmentConfig {
             if !(0.0..=1.0).contains(&value) {
                 return wrong(key, value.to_string(), "a probability from 0 to 1");
             }
+        }
+        if self.max_shift > 1 << 16 {
+            return wrong("max_shift", self.max_shift.to_string(), "at most 65536 pixels");
         }
         let changes =
             [("brightness", self.brightness), ("contrast", self.contrast), ("saturation", self.saturation)];

@@ -45,6 +45,22 @@ impl Geometry {
         });
         Self { size, scale, scaled, flip, corner, crop }
     }
+
+    /// The same for frame 2, whose crop may lie somewhere else, and what that adds to u and v.
+    pub(super) fn shifted(&self, config: &AugmentConfig, key: Key) -> (Self, [f32; 2]) {
+        let mut stream = key.stream("augment: shift");
+        if stream.unit() >= config.shift_probability {
+            return (self.clone(), [0.0; 2]);
+        }
+        let corner = [0, 1].map(|i| {
+            let room = self.scaled[i] - self.crop[i];
+            let most = config.max_shift as usize;
+            let place = self.corner[i] + stream.below(2 * config.max_shift + 1) as usize;
+            place.saturating_sub(most).min(room)
+        });
+        let added = [0, 1].map(|i| self.corner[i] as f32 - corner[i] as f32);
+        (Self { corner, ..self.clone() }, added)
+    }
 }
 
 /// Pixels after by pixels before, for x and y; 1 for what is not scaled.

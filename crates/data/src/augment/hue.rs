@@ -1,5 +1,7 @@
 //! Turning the hue through Pillow's 8-bit HSV, whose conversions lose a little each way.
 
+use super::color::is_grey;
+
 /// Both conversions as tables over their few different inputs.
 #[derive(Debug, Clone)]
 pub(super) struct HueTables {
@@ -48,7 +50,9 @@ impl HueTables {
     /// Turns the hue of each pixel by this many 255ths of a turn. Even none changes a pixel a little.
     pub(super) fn turn(&self, pixels: &mut [[u8; 3]], steps: u8) {
         for pixel in pixels {
-            *pixel = self.turned(*pixel, steps);
+            if !is_grey(*pixel) {
+                *pixel = self.turned(*pixel, steps);
+            }
         }
     }
 

@@ -13,8 +13,8 @@ mod sparse;
 #[cfg(test)]
 mod tests;
 
-use srflow_field::SizeMismatch;
 use srflow_field::random::Key;
+use srflow_field::{FlowField, Mask, SizeMismatch};
 
 pub use config::{AugmentConfig, TruthDensity};
 
@@ -68,7 +68,7 @@ impl Augmentation {
 
     /// A sample of the crop's size. The same sample and key give the same bytes.
     ///
-    /// The flow is scaled and mirrored with the frames; masks go along. A frame that is smaller than the crop is always
+    /// The flow is scaled, mirrored and shifted with the frames; masks go along with frame 1. A frame that is smaller than the crop is always
     /// scaled, so that the crop fits.
     ///
     /// # Errors
@@ -87,16 +87,31 @@ impl Augmentation {
         }
         eraser::erase(frame2, &self.config, &mut key.stream("augment: eraser"));
         let geometry = Geometry::draw(&self.config, sample.frame1.size(), key);
+        let (of_frame2, shift) = geometry.shifted(&self.config, key);
+        let mask = sample.mask.as_ref().map(|mask| geometry.mask(mask));
+        let mut flow = sample.flow.as_ref().map(|flow| match self.config.truth {
+            TruthDensity::Dense => geometry.dense_flow(flow),
+            TruthDensity::Sparse => geometry.sparse_flow(flow),
+        });
+        if let Some(flow) = flow.as_mut().filter(|_| shift != [0.0; 2]) {
+            add_shift(flow, shift, mask.as_ref());
+        }
         Ok(Sample {
             frame1: geometry.frame(&sample.frame1),
-            frame2: geometry.frame(&sample.frame2),
-            flow: sample.flow.as_ref().map(|flow| match self.config.truth {
-                TruthDensity::Dense => geometry.dense_flow(flow),
-                TruthDensity::Sparse => geometry.sparse_flow(flow),
-            }),
-            mask: sample.mask.as_ref().map(|mask| geometry.mask(mask)),
+            frame2: of_frame2.frame(&sample.frame2),
+            flow,
+            mask,
             occlusion: sample.occlusion.as_ref().map(|occlusion| geometry.mask(occlusion)),
         })
+    }
+}
+
+/// Adds a motion to the whole flow. Outside the mask it becomes unknown: an even background does not show how it moves, and
+/// must not be learned to move.
+fn add_shift(flow: &mut FlowField, shift: [f32; 2], mask: Option<&Mask>) {
+    for (index, pixel) in flow.pixels_mut().iter_mut().enumerate() {
+        let shown = mask.is_none_or(|mask| mask.pixels()[index]);
+        *pixel = if shown { [pixel[0] + shift[0], pixel[1] + shift[1]] } else { [f32::NAN; 2] };
     }
 }
 

@@ -17,6 +17,10 @@ pub struct AugmentationConfig {
     pub horizontal_flip: f32,
     /// How often a sample with dense truth is mirrored top to bottom.
     pub vertical_flip: f32,
+    /// How often frame 2 is cropped somewhere else than frame 1, which adds one motion to the whole flow; not SKFlow's.
+    pub shift_probability: f32,
+    /// How far at most, in pixels of the crop.
+    pub max_shift: u32,
     /// How often one or two rectangles of frame 2 are painted over.
     pub eraser_probability: f32,
     /// Limits of a rectangle's sides, in pixels of the frame before it is scaled.
@@ -49,6 +53,8 @@ impl Default for AugmentationConfig {
             scale_probability: skflow.scale_probability,
             horizontal_flip: skflow.horizontal_flip_probability,
             vertical_flip: skflow.vertical_flip_probability,
+            shift_probability: skflow.shift_probability,
+            max_shift: skflow.max_shift,
             eraser_probability: skflow.eraser_probability,
             eraser_sides: skflow.eraser_sides,
             color: 1.0,
@@ -72,6 +78,8 @@ impl AugmentationConfig {
             scale_probability: self.scale_probability,
             horizontal_flip_probability: self.horizontal_flip,
             vertical_flip_probability: if sparse { 0.0 } else { self.vertical_flip },
+            shift_probability: self.shift_probability,
+            max_shift: self.max_shift,
             eraser_probability: self.eraser_probability,
             eraser_sides: self.eraser_sides,
             brightness: skflow.brightness * self.color,

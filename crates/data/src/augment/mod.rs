@@ -27,7 +27,7 @@ use hue::HueTables;
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum AugmentError {
     /// A number of the configuration makes no sense.
-    #[error("augment.{key} = {found}: expected {expected}")]
+    #[error("augmentation.{key} = {found}: expected {expected}")]
     Setting {
         /// The key in the configuration.
         key: &'static str,

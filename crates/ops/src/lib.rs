@@ -11,6 +11,7 @@ mod cube;
 mod device;
 mod flex;
 mod gemm;
+mod gradients;
 mod reusing_allocator;
 mod shared_mut;
 mod simd;

@@ -108,6 +108,16 @@ pub struct AblationSettings {
     pub seeds: Vec<u64>,
 }
 
+impl AblationSettings {
+    /// What is run and scored, in this order: every row with every seed. What is not trained comes once, since no seed changes
+    /// it.
+    pub fn runs(&self) -> Vec<(Variant, u64)> {
+        let all =
+            self.seeds.iter().flat_map(|&seed| self.variants.iter().map(move |&variant| (variant, seed)));
+        all.filter(|(variant, seed)| variant.trained || Some(seed) == self.seeds.first()).collect()
+    }
+}
+
 /// Why an ablation ended early.
 #[derive(Debug, thiserror::Error)]
 pub enum AblationError {
@@ -153,47 +163,40 @@ pub fn ablate(
     on_event: &mut dyn FnMut(AblationEvent<'_>),
 ) -> Result<Vec<Cell>, AblationError> {
     let mut cells = Vec::new();
-    for &seed in &settings.seeds {
-        for &variant in &settings.variants {
-            let run = out.join(format!("{}-seed-{seed}", variant.name));
-            let config = variant.config(&settings.base, seed);
-            let failed = |error: TrainError| AblationError::Run {
-                run: run.display().to_string(),
-                error: Box::new(error),
-            };
-            let score = |weights: &Path, steps: u64| -> Result<Cell, AblationError> {
-                let scores = score_weights(&config, &devices[0], weights, test).map_err(failed)?;
-                let variant = variant.name.to_owned();
-                Ok(Cell { variant, seed, steps, scores: scores.whole, zero_epe: scores.zero_epe })
-            };
-            if !variant.trained {
-                // Without training no seed changes anything.
-                if Some(&seed) == settings.seeds.first() {
-                    on_event(AblationEvent::Cell { variant, seed, done: false });
-                    cells.push(score(&config.network.weights, 0)?);
-                }
-                continue;
-            }
-            let result = run.join(RESULT);
-            let begun = !Checkpoints::of_run(&run).steps().map_err(|error| failed(error.into()))?.is_empty();
-            if begun && crate::run::config_of_run(&run).map_err(failed)? != config {
-                return Err(AblationError::OtherSettings { run });
-            }
-            let done = result.exists();
-            on_event(AblationEvent::Cell { variant, seed, done });
-            if !done {
-                let beginning = if begun { Beginning::Resume } else { Beginning::New };
-                let outcome = train(&config, devices, &run, beginning, &mut |event| {
-                    on_event(AblationEvent::Training(event));
-                })
-                .map_err(failed)?;
-                let cell = score(&run.join("last.safetensors"), outcome.progress.step)?;
-                let text = serde_json::to_string_pretty(&cell).expect("plain numbers and text") + "\n";
-                write_atomically(&result, |file| std::io::Write::write_all(file, text.as_bytes()))
-                    .map_err(|error| failed(error.into()))?;
-            }
-            cells.push(read_cell(&result)?);
+    for (variant, seed) in settings.runs() {
+        let run = out.join(format!("{}-seed-{seed}", variant.name));
+        let config = variant.config(&settings.base, seed);
+        let failed =
+            |error: TrainError| AblationError::Run { run: run.display().to_string(), error: Box::new(error) };
+        let score = |weights: &Path, steps: u64| -> Result<Cell, AblationError> {
+            let scores = score_weights(&config, &devices[0], weights, test).map_err(failed)?;
+            let variant = variant.name.to_owned();
+            Ok(Cell { variant, seed, steps, scores: scores.whole, zero_epe: scores.zero_epe })
+        };
+        if !variant.trained {
+            on_event(AblationEvent::Cell { variant, seed, done: false });
+            cells.push(score(&config.network.weights, 0)?);
+            continue;
         }
+        let result = run.join(RESULT);
+        let begun = !Checkpoints::of_run(&run).steps().map_err(|error| failed(error.into()))?.is_empty();
+        if begun && crate::run::config_of_run(&run).map_err(failed)? != config {
+            return Err(AblationError::OtherSettings { run });
+        }
+        let done = result.exists();
+        on_event(AblationEvent::Cell { variant, seed, done });
+        if !done {
+            let beginning = if begun { Beginning::Resume } else { Beginning::New };
+            let outcome = train(&config, devices, &run, beginning, &mut |event| {
+                on_event(AblationEvent::Training(event));
+            })
+            .map_err(failed)?;
+            let cell = score(&run.join("last.safetensors"), outcome.progress.step)?;
+            let text = serde_json::to_string_pretty(&cell).expect("plain numbers and text") + "\n";
+            write_atomically(&result, |file| std::io::Write::write_all(file, text.as_bytes()))
+                .map_err(|error| failed(error.into()))?;
+        }
+        cells.push(read_cell(&result)?);
     }
     Ok(cells)
 }

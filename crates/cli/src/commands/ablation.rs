@@ -33,7 +33,7 @@ pub struct Ablation {
     out: PathBuf,
     /// Rows to run: start (not trained; needs --weights), none, tvr, fdr, migar, igvar, migar-literal, igvar-literal
     /// [default: all; start with --weights only]
-    #[arg(long, value_name = "ROW", value_delimiter = ',', hide_default_value = true)]
+    #[arg(long, value_name = "ROW", value_delimiter = ',')]
     rows: Vec<String>,
     /// Seeds of every row
     #[arg(long, value_name = "N", value_delimiter = ',', default_values_t = [1, 2, 3])]
@@ -69,8 +69,7 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
     create_folder(&args.out)?;
 
     let settings = AblationSettings { base, variants, seeds };
-    let trained = settings.variants.iter().filter(|variant| variant.trained).count();
-    let runs = trained * settings.seeds.len() + settings.variants.len() - trained;
+    let runs = settings.runs().len();
     let mut number = 0;
     let mut progress = Progress::new();
     let result = ablate(&settings, &test, &devices, &args.out, &mut |event| match event {

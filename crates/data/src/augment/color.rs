@@ -83,9 +83,9 @@ fn mixed(from: u8, to: u8, factor: f32) -> u8 {
 }
 
 fn mix(values: &mut [u8], from: u8, factor: f32) {
-    let mixed: [u8; 256] = std::array::from_fn(|value| mixed(from, value as u8, factor));
+    let table: [u8; 256] = std::array::from_fn(|value| mixed(from, value as u8, factor));
     for value in values {
-        *value = mixed[usize::from(*value)];
+        *value = table[usize::from(*value)];
     }
 }
 

@@ -68,8 +68,8 @@ impl Augmentation {
 
     /// A sample of the crop's size. The same sample and key give the same bytes.
     ///
-    /// The flow is scaled, mirrored and shifted with the frames; masks go along with frame 1. A frame that is smaller than the crop is always
-    /// scaled, so that the crop fits.
+    /// The flow is scaled, mirrored and shifted with the frames; masks go along with frame 1. A frame that is smaller than the
+    /// crop is always scaled, so that the crop fits.
     ///
     /// # Errors
     /// When the frames are empty, or a part of the sample is not of their size.

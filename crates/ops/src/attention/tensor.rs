@@ -15,6 +15,7 @@ use super::backward::Gathered;
 use super::weights::AttentionWeights;
 use crate::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
 use crate::flex::{Contiguous, sizes, tensor};
+use crate::gradients;
 use crate::simd::Isa;
 
 /// The largest piece of the matrix of all pairs, where it is computed as a matrix.
@@ -185,13 +186,7 @@ impl<B: AttentionGradOps> Backward<B, 2> for WeightsBackward {
     type State = Prepared;
 
     fn backward(self, ops: Ops<Prepared, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
-        grads.consume::<B>(&ops.node);
-        let (of_queries, of_keys) = B::attention_weights_grad(ops.state);
-        for (node, grad) in ops.parents.into_iter().zip([of_queries, of_keys]) {
-            if let Some(node) = node {
-                grads.register::<B>(node.id, grad);
-            }
-        }
+        gradients::register::<B, _, 2>(ops, grads, |prepared, _| B::attention_weights_grad(prepared).into());
     }
 }
 

@@ -9,6 +9,7 @@ use burn::tensor::Tensor;
 
 use super::{Affine, BatchNormShape, Statistics, composed};
 use crate::flex::{Contiguous, sizes, tensor};
+use crate::gradients;
 
 /// Share of a batch's statistics in the running ones; PyTorch's default.
 const MOMENTUM: f64 = 0.1;
@@ -94,13 +95,7 @@ impl<B: BatchNormGradOps> Backward<B, 3> for BatchNormBackward {
     type State = Forward<B>;
 
     fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        let gradients = B::batch_normalization_grad(ops.state, grad);
-        for (node, gradient) in ops.parents.into_iter().zip(gradients) {
-            if let Some(node) = node {
-                grads.register::<B>(node.id, gradient);
-            }
-        }
+        gradients::register::<B, _, 3>(ops, grads, B::batch_normalization_grad);
     }
 }
 

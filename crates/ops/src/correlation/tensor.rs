@@ -12,6 +12,7 @@ use burn::tensor::ops::AvgPoolOptions;
 use super::pyramid::level_sizes;
 use super::{FeaturePyramid, correlation_lookup, correlation_lookup_backward};
 use crate::flex::{Contiguous, sizes, tensor};
+use crate::gradients;
 
 /// The lookup. `first` is `[batch, height, width, channels]`; `second` its pyramid, packed as [`Correlation`] does;
 /// `coords` `[batch, 2, height, width]`.
@@ -95,14 +96,9 @@ impl<B: CorrelationGradOps> Backward<B, 2> for WindowsBackward {
     type State = ([FloatTensor<B>; 3], usize, usize);
 
     fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        let ([first, second, coords], levels, radius) = ops.state;
-        let (d_first, d_second) = B::correlation_windows_grad(first, second, coords, grad, levels, radius);
-        for (node, grad) in ops.parents.into_iter().zip([d_first, d_second]) {
-            if let Some(node) = node {
-                grads.register::<B>(node.id, grad);
-            }
-        }
+        gradients::register::<B, _, 2>(ops, grads, |([first, second, coords], levels, radius), grad| {
+            B::correlation_windows_grad(first, second, coords, grad, levels, radius).into()
+        });
     }
 }
 

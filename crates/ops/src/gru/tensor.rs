@@ -9,6 +9,7 @@ use burn::tensor::{Slice, Tensor};
 
 use super::GruSize;
 use crate::flex::{Contiguous, sizes, tensor};
+use crate::gradients;
 
 /// The steps. The defaults are made of Burn's operations.
 #[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
@@ -134,13 +135,9 @@ impl<B: GruGradOps> Backward<B, 2> for ResetBackward {
     type State = [FloatTensor<B>; 2];
 
     fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        let [gates, hidden] = ops.state;
-        for (node, gradient) in ops.parents.into_iter().zip(B::gru_reset_grad(gates, hidden, grad)) {
-            if let Some(node) = node {
-                grads.register::<B>(node.id, gradient);
-            }
-        }
+        gradients::register::<B, _, 2>(ops, grads, |[gates, hidden], grad| {
+            B::gru_reset_grad(gates, hidden, grad)
+        });
     }
 }
 
@@ -151,14 +148,9 @@ impl<B: GruGradOps> Backward<B, 3> for UpdateBackward {
     type State = [FloatTensor<B>; 3];
 
     fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        let [gates, hidden, candidate] = ops.state;
-        let gradients = B::gru_update_grad(gates, hidden, candidate, grad);
-        for (node, gradient) in ops.parents.into_iter().zip(gradients) {
-            if let Some(node) = node {
-                grads.register::<B>(node.id, gradient);
-            }
-        }
+        gradients::register::<B, _, 3>(ops, grads, |[gates, hidden, candidate], grad| {
+            B::gru_update_grad(gates, hidden, candidate, grad)
+        });
     }
 }
 

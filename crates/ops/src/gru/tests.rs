@@ -1,5 +1,6 @@
 use super::reference;
 use super::{GruSize, reset, reset_backward, update, update_backward};
+use crate::test_values::{assert_close, values};
 
 const SIZES: [GruSize; 4] = [
     GruSize { batch: 1, channels: 1, pixels: 1 },
@@ -8,19 +9,14 @@ const SIZES: [GruSize; 4] = [
     GruSize { batch: 0, channels: 3, pixels: 4 },
 ];
 
-fn values(count: usize, seed: usize) -> Vec<f32> {
-    (0..count).map(|i| ((i * 7919 + seed * 104_729) % 2048) as f32 / 1024.0 - 1.0).collect()
-}
-
 fn wide(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&x| f64::from(x)).collect()
 }
 
-fn assert_close(what: &str, found: &[f32], expected: &[f64]) {
-    assert_eq!(found.len(), expected.len(), "{what}");
-    for (i, (&found, expected)) in found.iter().zip(expected).enumerate() {
-        assert!((f64::from(found) - expected).abs() < 1e-6, "{what}, {i}: {found} for {expected}");
-    }
+/// Within 1e-6: nothing here is larger than 3.
+fn assert_near(what: &str, found: &[f32], expected: &[f64]) {
+    let expected: Vec<f32> = expected.iter().map(|&x| x as f32).collect();
+    assert_close(what, found, &expected, 3e-7);
 }
 
 #[test]
@@ -29,9 +25,9 @@ fn steps_are_those_of_the_definition() {
         let len = size.hidden_len();
         let (gates, hidden, candidate) = (values(2 * len, 1), values(len, 2), values(len, 3));
         let (gates64, hidden64, candidate64) = (wide(&gates), wide(&hidden), wide(&candidate));
-        assert_close("reset", &reset(&gates, &hidden, size), &reference::reset(&gates64, &hidden64, size));
+        assert_near("reset", &reset(&gates, &hidden, size), &reference::reset(&gates64, &hidden64, size));
         let expected = reference::update(&gates64, &hidden64, &candidate64, size);
-        assert_close("update", &update(&gates, &hidden, &candidate, size), &expected);
+        assert_near("update", &update(&gates, &hidden, &candidate, size), &expected);
     }
 }
 
@@ -58,11 +54,11 @@ fn gradients_are_those_of_the_definition() {
         let [gates, hidden, candidate] = inputs.each_ref();
         let of_reset = |x: &[Vec<f64>; 3]| reference::reset(&x[0], &x[1], size);
         for (number, found) in reset_backward(gates, hidden, &grad, size).iter().enumerate() {
-            assert_close("gradient of reset", found, &slopes(number, &of_reset));
+            assert_near("gradient of reset", found, &slopes(number, &of_reset));
         }
         let of_update = |x: &[Vec<f64>; 3]| reference::update(&x[0], &x[1], &x[2], size);
         for (number, found) in update_backward(gates, hidden, candidate, &grad, size).iter().enumerate() {
-            assert_close("gradient of update", found, &slopes(number, &of_update));
+            assert_near("gradient of update", found, &slopes(number, &of_update));
         }
     }
 }

@@ -10,6 +10,7 @@ use burn::tensor::{Shape, Tensor};
 use super::UpsampleShape;
 use super::composed::{gradients, upsampled};
 use crate::flex::{Contiguous, tensor};
+use crate::gradients;
 
 /// The upsampling; see [`convex_upsample`].
 #[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
@@ -90,14 +91,9 @@ impl<B: UpsampleGradOps> Backward<B, 2> for UpsampleBackward {
     type State = (FloatTensor<B>, FloatTensor<B>, f32, usize);
 
     fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        let (flow, mask, scale, factor) = ops.state;
-        let (d_flow, d_mask) = B::convex_upsampling_grad(flow, mask, grad, scale, factor);
-        for (node, grad) in ops.parents.into_iter().zip([d_flow, d_mask]) {
-            if let Some(node) = node {
-                grads.register::<B>(node.id, grad);
-            }
-        }
+        gradients::register::<B, _, 2>(ops, grads, |(flow, mask, scale, factor), grad| {
+            B::convex_upsampling_grad(flow, mask, grad, scale, factor).into()
+        });
     }
 }
 

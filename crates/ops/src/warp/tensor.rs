@@ -9,6 +9,7 @@ use burn::tensor::{Shape, Tensor};
 
 use super::WarpShape;
 use crate::flex::{Contiguous, tensor};
+use crate::gradients;
 
 /// The warp; see [`warp`].
 #[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
@@ -61,14 +62,9 @@ impl<B: WarpGradOps> Backward<B, 2> for WarpBackward {
     type State = (FloatTensor<B>, FloatTensor<B>);
 
     fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let grad = grads.consume::<B>(&ops.node);
-        let (image, flow) = ops.state;
-        let (d_image, d_flow) = B::warped_grad(image, flow, grad);
-        for (node, grad) in ops.parents.into_iter().zip([d_image, d_flow]) {
-            if let Some(node) = node {
-                grads.register::<B>(node.id, grad);
-            }
-        }
+        gradients::register::<B, _, 2>(ops, grads, |(image, flow), grad| {
+            B::warped_grad(image, flow, grad).into()
+        });
     }
 }
 

@@ -8,6 +8,9 @@ crates/nets/tests/parity.rs repeats. Written for each network and case, as safet
     coarse_1     flow at an eighth of the padded size after 1 iteration, [batch, 2, height / 8, width / 8]
     coarse_12    the same after 12 iterations
     flow_12      flow after 12 iterations at every 7th row and column, [batch, 2, rows, columns]
+and of a training step, for the mean over all numbers of (flow - [4, 2])^2, weighted with 0.8 towards the last of 3
+iterations, with the running statistics of batch norm (running) and with those of the batch (batch):
+    running/NAME, batch/NAME   the gradient of a parameter, 17 numbers of it: see `samples`
 """
 
 import sys
@@ -46,6 +49,15 @@ def parameter(name, shape):
     return np.float32(0.1) * u
 
 
+def one_name(name, state):
+    """What is stored twice is one parameter, named as downsample.1."""
+    for twice in ("norm3.", "norm4."):
+        owner, _, rest = name.partition(twice)
+        if rest and f"{owner}downsample.1.{rest}" in state:
+            return f"{owner}downsample.1.{rest}"
+    return name
+
+
 def wave(n, period):
     """A triangle wave of whole numbers, in 0..1."""
     return np.abs(n % (2 * period) - period) / period
@@ -63,20 +75,39 @@ def frame(batch, height, width, shift):
     return value.astype(np.float32)
 
 
+def samples(gradient):
+    """The root of the mean square, and 16 numbers at equal distances."""
+    flat = gradient.ravel().astype(np.float64)
+    return np.append(np.sqrt(np.mean(flat**2)), flat[np.arange(16) * flat.size // 16])
+
+
+def gradients(model, images, batch_statistics):
+    """By parameter, after a backward pass of the training loss."""
+    model.iters = 3
+    model.train()
+    for module in model.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            module.train(batch_statistics)
+            module.momentum = 0.0  # the running statistics stay
+    model.zero_grad()
+    flows = model({"images": images})["flow_preds"]
+    truth = torch.tensor([4.0, 2.0]).reshape(1, 2, 1, 1)
+    sum(0.8 ** (2 - i) * ((flow - truth) ** 2).mean() for i, flow in enumerate(flows)).backward()
+    model.eval()
+    state = model.state_dict()
+    parameters = [(one_name(name, state), value) for name, value in model.named_parameters()]
+    return {name: value.grad.numpy() for name, value in parameters if value.grad is not None}
+
+
 def main(folder):
     folder.mkdir(parents=True, exist_ok=True)
     for network in NETWORKS:
         model = ptlflow.get_model(network).eval()
         state = model.state_dict()
-        # What is stored twice is one parameter, named as downsample.1.
         for name, value in state.items():
             if value.dtype == torch.float32:
-                source = name
-                for twice in ("norm3.", "norm4."):
-                    owner, _, rest = name.partition(twice)
-                    if rest and f"{owner}downsample.1.{rest}" in state:
-                        source = f"{owner}downsample.1.{rest}"
-                state[name] = torch.from_numpy(np.ascontiguousarray(parameter(source, tuple(value.shape))))
+                values = parameter(one_name(name, state), tuple(value.shape))
+                state[name] = torch.from_numpy(np.ascontiguousarray(values))
         model.load_state_dict(state)
         for batch, height, width in CASES:
             pair = np.stack([frame(batch, height, width, shift) for shift in (0, 4)], axis=1)
@@ -88,8 +119,11 @@ def main(folder):
                     result = model({"images": images})
                 out[f"coarse_{iterations}"] = result["flow_small"].numpy()
             out["flow_12"] = result["flows"][:, 0, :, ::EVERY, ::EVERY].numpy()
+            for kind, batch_statistics in [("running", False), ("batch", True)]:
+                for name, gradient in gradients(model, images, batch_statistics).items():
+                    out[f"{kind}/{name}"] = samples(gradient)
             write_safetensors(folder / f"{network}_{batch}x{height}x{width}.safetensors", out)
-            sizes = {name: round(float(np.abs(value).mean()), 3) for name, value in out.items()}
+            sizes = {name: round(float(np.abs(value).mean()), 3) for name, value in out.items() if "/" not in name}
             print(network, (batch, height, width), "mean magnitudes", sizes)
 
 

@@ -1,13 +1,18 @@
-//! Every network gives the flow of the reference implementation (ptlflow 0.4.2) from the same parameters.
+//! Every network gives the flow of the reference implementation (ptlflow 0.4.2) from the same parameters, and in training
+//! the gradients.
 //!
 //! Golden values: `tools/parity/nets.py`, whose rules for parameters and frames are repeated here. `SRFLOW_TEST_DEVICE`
 //! names the device; see docs/devices.md.
 
 use std::sync::LazyLock;
 
-use burn::tensor::{Device, Tensor, TensorData, s};
+use burn::module::{Module, ModuleVisitor, Param};
+use burn::tensor::{Device, Gradients, Tensor, TensorData, s};
 use safetensors::SafeTensors;
-use srflow_nets::{Architecture, Frames, Network, Parameters, Request, parameter_infos, with_parameters};
+use srflow_nets::{
+    Architecture, Frames, Network, Parameters, Request, parameter_infos, with_batch_statistics,
+    with_parameters,
+};
 
 /// Batch, height, width: one that needs no padding, one that does.
 const CASES: [[usize; 3]; 2] = [[1, 128, 160], [2, 133, 150]];
@@ -92,8 +97,13 @@ fn frame([batch, height, width]: [usize; 3], shift: i64, device: &Device) -> Ten
     Tensor::from_data(TensorData::new(values, [batch, 3, height, width]), device)
 }
 
-fn numbers(tensor: Tensor<4>) -> Vec<f32> {
+fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     tensor.into_data().try_to_vec().expect("f32")
+}
+
+fn stored(golden: &SafeTensors, name: &str) -> Vec<f32> {
+    let tensor = golden.tensor(name).expect(name);
+    tensor.data().as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
 }
 
 /// Every 7th row and column.
@@ -103,28 +113,28 @@ fn thinned(flow: Tensor<4>) -> Tensor<4> {
 
 /// Holds `found` to the stored tensor: mean and largest difference in pixels of the flow's own grid.
 fn assert_close(golden: &SafeTensors, name: &str, found: Tensor<4>, [mean, largest]: [f32; 2]) {
-    let expected = golden.tensor(name).expect("stored");
-    assert_eq!(expected.shape(), found.dims(), "{name}");
-    let expected =
-        expected.data().chunks_exact(4).map(|bytes| f32::from_le_bytes(bytes.try_into().expect("four")));
-    let differences: Vec<f32> = numbers(found).iter().zip(expected).map(|(a, b)| (a - b).abs()).collect();
+    assert_eq!(golden.tensor(name).expect(name).shape(), found.dims(), "{name}");
+    let differences: Vec<f32> =
+        numbers(found).iter().zip(stored(golden, name)).map(|(a, b)| (a - b).abs()).collect();
     let worst = differences.iter().copied().fold(0.0, f32::max);
     let average = differences.iter().sum::<f32>() / differences.len() as f32;
     println!("{name}: mean difference {average:.2e} px, largest {worst:.2e} px");
     assert!(average <= mean && worst <= largest, "{name}: mean difference {average}, largest {worst}");
 }
 
+fn read_golden(name: &str, [batch, height, width]: [usize; 3]) -> Vec<u8> {
+    let file = format!("tests/golden/{name}_{batch}x{height}x{width}.safetensors");
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(&file);
+    std::fs::read(path).expect(&file)
+}
+
 fn check(name: &str, architecture: Architecture) {
     let device = DEVICE.clone();
     let network = filled(architecture.init(&device));
     assert_eq!(network.architecture(), architecture);
-    for &case @ [batch, height, width] in &CASES {
-        let path = format!(
-            "{}/tests/golden/{name}_{batch}x{height}x{width}.safetensors",
-            env!("CARGO_MANIFEST_DIR")
-        );
-        let bytes = std::fs::read(&path).expect(&path);
-        let golden = SafeTensors::deserialize(&bytes).expect(&path);
+    for case in CASES {
+        let bytes = read_golden(name, case);
+        let golden = SafeTensors::deserialize(&bytes).expect(name);
         let frames = Frames { first: frame(case, 0, &device), second: frame(case, 4, &device) };
         let first = network.forward(frames.clone(), &Request::new(1));
         assert_close(&golden, "coarse_1", first.coarse, [1e-4, 1e-3]);
@@ -139,24 +149,94 @@ fn check(name: &str, architecture: Architecture) {
     }
 }
 
+/// The gradients of a network's parameters, in the order of its definition.
+struct Collected<'a> {
+    gradients: &'a Gradients,
+    of_parameters: Vec<Option<Vec<f32>>>,
+}
+
+impl ModuleVisitor for Collected<'_> {
+    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+        self.of_parameters.push(param.val().grad(self.gradients).map(numbers));
+    }
+}
+
+/// By parameter, after a backward pass of the mean of `(flow - [4, 2])^2`, weighted with 0.8 towards the last of 3 iterations.
+fn gradients(network: &Network, frames: Frames) -> Vec<(String, Option<Vec<f32>>)> {
+    let device = frames.first.device();
+    let request = Request { every_iteration: true, ..Request::new(3) };
+    let truth = Tensor::<1>::from_data([4.0, 2.0], &device).reshape([1, 2, 1, 1]);
+    let flows = network.forward(frames, &request).flows;
+    let of_one = |(i, flow): (usize, Tensor<4>)| {
+        (flow - truth.clone()).powi_scalar(2).mean() * 0.8_f64.powi(2 - i as i32)
+    };
+    let gradients = flows.into_iter().enumerate().map(of_one).reduce(|a, b| a + b).expect("3").backward();
+    let mut collected = Collected { gradients: &gradients, of_parameters: Vec::new() };
+    network.visit(&mut collected);
+    let names = parameter_infos(network).into_iter().map(|info| info.name);
+    names.zip(collected.of_parameters).collect()
+}
+
+/// Holds the gradients of all parameters to the stored numbers. Distances are root mean squares, relative to that of all the
+/// gradient's numbers: a noise of 1e-7 in the frames, which moves some sums to the other side of a ReLU's kink, changes single
+/// numbers of the reference's gradients by up to 0.2 of it. What an instance norm takes away again has a gradient of rounding
+/// errors only.
+fn check_gradients(name: &str, architecture: Architecture) {
+    let device = DEVICE.clone().autodiff();
+    for case in CASES {
+        let bytes = read_golden(name, case);
+        let golden = SafeTensors::deserialize(&bytes).expect(name);
+        for (kind, batch_statistics) in [("running", false), ("batch", true)] {
+            // Made anew: a pass with the batch's statistics moves the running ones, which clones share.
+            let network = with_batch_statistics(filled(architecture.init(&device)), batch_statistics);
+            let frames = Frames { first: frame(case, 0, &device), second: frame(case, 4, &device) };
+            let mut distances = Vec::new();
+            for (parameter, gradient) in gradients(&network, frames) {
+                let key = format!("{kind}/{parameter}");
+                let Some(gradient) = gradient else {
+                    assert!(golden.tensor(&key).is_err(), "{key}: no gradient");
+                    continue;
+                };
+                let numbers = stored(&golden, &key);
+                let (size, expected) = numbers.split_first().expect("17 numbers");
+                let found = (0..expected.len()).map(|i| gradient[i * gradient.len() / expected.len()]);
+                let square = found.zip(expected).map(|(found, expected)| (found - expected).powi(2));
+                let distance = (square.sum::<f32>() / expected.len() as f32).sqrt() / size.max(1e-2);
+                assert!(distance < 0.2, "{case:?}, {key}: {distance}");
+                distances.push(distance);
+            }
+            let stored = golden.names().iter().filter(|key| key.starts_with(kind)).count();
+            assert_eq!(distances.len(), stored, "{case:?}, {kind}");
+            let mean = distances.iter().sum::<f32>() / distances.len() as f32;
+            let worst = distances.iter().copied().fold(0.0, f32::max);
+            println!("{name} {case:?}, {kind}: {stored} gradients, mean {mean:.2e}, worst {worst:.2e}");
+            assert!(mean < 1e-2, "{case:?}, {kind}: {mean}");
+        }
+    }
+}
+
 #[test]
 fn raft() {
     check("raft", Architecture::Raft);
+    check_gradients("raft", Architecture::Raft);
 }
 
 #[test]
 fn raft_small() {
     check("raft_small", Architecture::RaftSmall);
+    check_gradients("raft_small", Architecture::RaftSmall);
 }
 
 #[test]
 fn gma() {
     check("gma", Architecture::Gma);
+    check_gradients("gma", Architecture::Gma);
 }
 
 #[test]
 fn skflow() {
     check("skflow", Architecture::SkFlow);
+    check_gradients("skflow", Architecture::SkFlow);
 }
 
 /// Parameter counts of ptlflow's models, whose batch norm statistics are no parameters there.

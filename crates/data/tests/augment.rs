@@ -70,7 +70,7 @@ proptest! {
         let config = if sparse { AugmentConfig::sparse(crop) } else { AugmentConfig::dense(crop) };
         // A flip that is as likely as none, and stretches that are easily seen.
         let config = AugmentConfig {
-            vertical_flip_probability: if sparse { 0.0 } else { 0.5 },
+            vertical_flip: if sparse { 0.0 } else { 0.5 },
             max_log2_stretch: 0.5,
             ..moving_only(config)
         };
@@ -169,11 +169,8 @@ proptest! {
 
 #[test]
 fn mirroring_twice_gives_the_sample_back() {
-    let config = AugmentConfig {
-        horizontal_flip_probability: 1.0,
-        vertical_flip_probability: 1.0,
-        ..AugmentConfig::crop_only([50, 40])
-    };
+    let config =
+        AugmentConfig { horizontal_flip: 1.0, vertical_flip: 1.0, ..AugmentConfig::crop_only([50, 40]) };
     for truth in [TruthDensity::Dense, TruthDensity::Sparse] {
         let augmentation =
             Augmentation::new(AugmentConfig { truth, ..config.clone() }).expect("a configuration");
@@ -217,9 +214,9 @@ fn changes_happen_as_often_as_configured() {
             sample.flow.as_ref().is_some_and(|flow| flow.get(30, 25)[axis] * motion(30, 25)[axis] < 0.0)
         }
     };
-    let halves = AugmentConfig { horizontal_flip_probability: 0.5, ..still.clone() };
+    let halves = AugmentConfig { horizontal_flip: 0.5, ..still.clone() };
     assert!((120..180).contains(&count(halves, &mirrored(0))));
-    let tenths = AugmentConfig { vertical_flip_probability: 0.1, ..still.clone() };
+    let tenths = AugmentConfig { vertical_flip: 0.1, ..still.clone() };
     assert!((15..50).contains(&count(tenths, &mirrored(1))));
     let scaled = AugmentConfig { scale_probability: 0.8, log2_scale: [0.5, 0.6], ..still.clone() };
     let shifts =

@@ -19,9 +19,9 @@ pub struct AugmentConfig {
     /// Limit of the base-2 logarithm of a stretch, either way.
     pub max_log2_stretch: f32,
     /// How often a sample is mirrored left to right.
-    pub horizontal_flip_probability: f32,
+    pub horizontal_flip: f32,
     /// How often a sample is mirrored top to bottom.
-    pub vertical_flip_probability: f32,
+    pub vertical_flip: f32,
     /// How often the crop of frame 2 is taken somewhere else than that of frame 1, which adds one motion to the whole flow.
     pub shift_probability: f32,
     /// How far at most, along each axis, in pixels after scaling.
@@ -69,8 +69,8 @@ impl AugmentConfig {
             scale_probability: 0.8,
             stretch_probability: 0.8,
             max_log2_stretch: 0.2,
-            horizontal_flip_probability: 0.5,
-            vertical_flip_probability: 0.1,
+            horizontal_flip: 0.5,
+            vertical_flip: 0.1,
             shift_probability: 0.0,
             max_shift: 16,
             brightness: 0.4,
@@ -85,12 +85,12 @@ impl AugmentConfig {
 
     /// SKFlow's augmentation for sparse truth (`SparseFlowAugmentor`), for a crop of this width and height. It never
     /// stretches, never mirrors top to bottom, and changes the colours of both frames alike. SKFlow leaves out the
-    /// mirroring for KITTI ([`horizontal_flip_probability`](Self::horizontal_flip_probability) 0) and keeps it for HD1K.
+    /// mirroring for KITTI ([`horizontal_flip`](Self::horizontal_flip) 0) and keeps it for HD1K.
     pub fn sparse(crop: [usize; 2]) -> Self {
         Self {
             truth: TruthDensity::Sparse,
             stretch_probability: 0.0,
-            vertical_flip_probability: 0.0,
+            vertical_flip: 0.0,
             brightness: 0.3,
             contrast: 0.3,
             saturation: 0.3,
@@ -104,8 +104,8 @@ impl AugmentConfig {
     pub fn crop_only(crop: [usize; 2]) -> Self {
         Self {
             scale_probability: 0.0,
-            horizontal_flip_probability: 0.0,
-            vertical_flip_probability: 0.0,
+            horizontal_flip: 0.0,
+            vertical_flip: 0.0,
             brightness: 0.0,
             contrast: 0.0,
             saturation: 0.0,
@@ -143,8 +143,8 @@ impl AugmentConfig {
         let probabilities = [
             ("scale_probability", self.scale_probability),
             ("stretch_probability", self.stretch_probability),
-            ("horizontal_flip_probability", self.horizontal_flip_probability),
-            ("vertical_flip_probability", self.vertical_flip_probability),
+            ("horizontal_flip", self.horizontal_flip),
+            ("vertical_flip", self.vertical_flip),
             ("shift_probability", self.shift_probability),
             ("asymmetric_probability", self.asymmetric_probability),
             ("eraser_probability", self.eraser_probability),

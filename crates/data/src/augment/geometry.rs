@@ -25,7 +25,7 @@ impl Geometry {
     pub(super) fn draw(config: &AugmentConfig, (width, height): (usize, usize), key: Key) -> Self {
         let (size, crop) = ([width, height], config.crop);
         let scale = draw_scale(config, size, key);
-        let flip = [config.horizontal_flip_probability, config.vertical_flip_probability];
+        let flip = [config.horizontal_flip, config.vertical_flip];
         let mut stream = key.stream("augment: flip");
         let flip = flip.map(|probability| stream.unit() < probability);
         // The size of OpenCV's resize; rounding must not leave less than the crop.

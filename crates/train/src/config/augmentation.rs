@@ -51,8 +51,8 @@ impl Default for AugmentationConfig {
             // SKFlow's range for Sintel, the set whose frames resemble SRFlow's most.
             log2_scale: [-0.2, 0.6],
             scale_probability: skflow.scale_probability,
-            horizontal_flip: skflow.horizontal_flip_probability,
-            vertical_flip: skflow.vertical_flip_probability,
+            horizontal_flip: skflow.horizontal_flip,
+            vertical_flip: skflow.vertical_flip,
             shift_probability: skflow.shift_probability,
             max_shift: skflow.max_shift,
             eraser_probability: skflow.eraser_probability,
@@ -76,8 +76,8 @@ impl AugmentationConfig {
         AugmentConfig {
             log2_scale: self.log2_scale,
             scale_probability: self.scale_probability,
-            horizontal_flip_probability: self.horizontal_flip,
-            vertical_flip_probability: if sparse { 0.0 } else { self.vertical_flip },
+            horizontal_flip: self.horizontal_flip,
+            vertical_flip: if sparse { 0.0 } else { self.vertical_flip },
             shift_probability: self.shift_probability,
             max_shift: self.max_shift,
             eraser_probability: self.eraser_probability,

@@ -67,8 +67,15 @@ macro_rules! presets {
 }
 
 /// The configurations that come with the program: the rows of the paper's Table V, and one that a small computer manages.
-pub const PRESETS: &[Preset] =
-    presets!["skflow", "srflownet-tvr", "srflownet-fdr", "srflownet-migar", "srflownet-igvar", "cpu-small"];
+pub const PRESETS: &[Preset] = presets![
+    "skflow",
+    "srflownet-tvr",
+    "srflownet-fdr",
+    "srflownet-migar",
+    "srflownet-igvar",
+    "cpu-small",
+    "cpu-srflownet"
+];
 
 impl Config {
     /// The preset of that name, else the file at that path.
@@ -92,10 +99,8 @@ impl Config {
     /// # Errors
     /// Names the line and the key.
     pub fn parse(text: &str, file: &str) -> Result<Self, ConfigError> {
-        toml::from_str(text).map_err(|error| ConfigError::File {
-            file: file.to_owned(),
-            reason: error.to_string().trim_end().to_owned(),
-        })
+        toml::from_str(text)
+            .map_err(|error| ConfigError::File { file: file.to_owned(), reason: in_words(&error) })
     }
 
     /// As TOML, with every key.
@@ -133,8 +138,21 @@ impl Config {
     }
 
     fn deserialize_table(table: Table) -> Result<Self, String> {
-        table.try_into().map_err(|error: toml::de::Error| error.to_string().trim_end().replace('\n', "; "))
+        table.try_into().map_err(|error| in_words(&error).replace('\n', "; "))
     }
+}
+
+/// Without the names of Rust's types.
+fn in_words(error: &toml::de::Error) -> String {
+    let mut reason = error.to_string().trim_end().to_owned();
+    for (types, words) in
+        [(&["u32", "u64", "usize"][..], "a whole number from 0"), (&["f32", "f64"], "a number")]
+    {
+        for name in types {
+            reason = reason.replace(&format!("expected {name}"), &format!("expected {words}"));
+        }
+    }
+    reason
 }
 
 fn names(table: &Table) -> String {
@@ -214,6 +232,10 @@ mod tests {
         assert!(error("train.batch=1").contains("training"));
         assert!(error("batch").contains("KEY=VALUE"));
         assert!(error("training.batch=many").contains("training.batch=many"));
+        for given in ["training.batch=many", "training.batch=-1", "augmentation.max_shift=1.5"] {
+            assert!(error(given).contains("expected a whole number from 0"), "{}", error(given));
+        }
+        assert!(error("loss.fdr=some").contains("expected a number"), "{}", error("loss.fdr=some"));
     }
 
     #[test]

@@ -66,7 +66,7 @@ macro_rules! presets {
     };
 }
 
-/// The configurations that come with the program: the rows of the paper's Table V, and one that a small computer manages.
+/// The configurations that come with the program: the rows of the paper's Table V, and two that a small computer manages.
 pub const PRESETS: &[Preset] = presets![
     "skflow",
     "srflownet-tvr",

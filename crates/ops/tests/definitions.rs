@@ -7,8 +7,8 @@ use burn::tensor::{Device, Tensor, TensorData};
 use srflow_ops::Activation;
 use srflow_ops::attention;
 use srflow_ops::attention::tensor::Attention;
-use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
-use srflow_ops::conv2d::{self, Conv2dShape, Epilogue};
+use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
+use srflow_ops::conv2d::{self, Conv2dShape};
 use srflow_ops::correlation;
 use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::depthwise::tensor::depthwise;
@@ -86,14 +86,15 @@ fn dense_convolution() {
     };
     let [input, weight, bias, residual] =
         [shape.input_len(), shape.weight_len(), 24, shape.output_len()].map(|len| values(len, len as u32));
-    let epilogue = Epilogue { bias: Some(&bias), residual: Some(&residual), activation: Activation::Gelu };
+    let epilogue =
+        conv2d::Epilogue { bias: Some(&bias), residual: Some(&residual), activation: Activation::Gelu };
     let expected = conv2d::reference::conv2d(&input, &weight, &epilogue, &shape);
     let [height, width] = shape.output();
-    let finish = Finish::with(Activation::Gelu)
+    let epilogue = Epilogue::with(Activation::Gelu)
         .bias(Some(tensor(&bias, [24])))
         .residual(tensor(&residual, [2, 24, height, width]));
     let options = Conv2dOptions::new(shape.stride, shape.padding);
-    let found = conv2d(tensor(&input, [2, 19, 11, 14]), tensor(&weight, [24, 19, 3, 3]), finish, options);
+    let found = conv2d(tensor(&input, [2, 19, 11, 14]), tensor(&weight, [24, 19, 3, 3]), epilogue, options);
     assert_close("convolution", found, &expected);
 }
 
@@ -102,10 +103,10 @@ fn large_depthwise_convolution() {
     let shape = DepthwiseShape { batch: 2, channels: 6, input: [12, 19], kernel: [15, 15], padding: [7, 7] };
     let (input, weight) = (values(shape.input_len(), 1), values(shape.weight_len(), 2));
     let bias = values(6, 3);
-    let epilogue = Epilogue { bias: Some(&bias), residual: None, activation: Activation::Sigmoid };
+    let epilogue = conv2d::Epilogue { bias: Some(&bias), residual: None, activation: Activation::Sigmoid };
     let expected = depthwise::reference::depthwise(&input, &weight, &epilogue, &shape);
-    let finish = Finish::with(Activation::Sigmoid).bias(Some(tensor(&bias, [6])));
-    let found = depthwise(tensor(&input, [2, 6, 12, 19]), tensor(&weight, [6, 1, 15, 15]), finish, [7, 7]);
+    let epilogue = Epilogue::with(Activation::Sigmoid).bias(Some(tensor(&bias, [6])));
+    let found = depthwise(tensor(&input, [2, 6, 12, 19]), tensor(&weight, [6, 1, 15, 15]), epilogue, [7, 7]);
     assert_close("depthwise convolution", found, &expected);
 }
 

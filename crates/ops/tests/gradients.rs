@@ -8,7 +8,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use srflow_ops::Activation;
 use srflow_ops::attention::tensor::Attention;
 use srflow_ops::batch_norm::tensor::batch_norm;
-use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
+use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::gru;
@@ -117,8 +117,8 @@ fn convolution() {
     ] {
         check(&[[2, 3, 7, 9], [5, 3, 3, 3], [1, 1, 1, 5]], |inputs| {
             let [input, weight, bias] = inputs.try_into().expect("three");
-            let finish = Finish::with(activation).bias(Some(bias.reshape([5])));
-            conv2d(input, weight * 0.3, finish, options.clone())
+            let epilogue = Epilogue::with(activation).bias(Some(bias.reshape([5])));
+            conv2d(input, weight * 0.3, epilogue, options.clone())
         });
     }
 }
@@ -127,8 +127,8 @@ fn convolution() {
 fn convolution_with_something_added() {
     check(&[[2, 3, 7, 9], [5, 3, 1, 1], [1, 1, 1, 5], [2, 5, 7, 9]], |inputs| {
         let [input, weight, bias, residual] = inputs.try_into().expect("four");
-        let finish = Finish::with(Activation::Gelu).bias(Some(bias.reshape([5]))).residual(residual);
-        conv2d(input, weight, finish, Conv2dOptions::new([1, 1], [0, 0]))
+        let epilogue = Epilogue::with(Activation::Gelu).bias(Some(bias.reshape([5]))).residual(residual);
+        conv2d(input, weight, epilogue, Conv2dOptions::new([1, 1], [0, 0]))
     });
 }
 
@@ -136,8 +136,8 @@ fn convolution_with_something_added() {
 fn depthwise_convolution() {
     check(&[[2, 3, 7, 9], [3, 1, 5, 5], [1, 1, 1, 3]], |inputs| {
         let [input, weight, bias] = inputs.try_into().expect("three");
-        let finish = Finish::with(Activation::Gelu).bias(Some(bias.reshape([3]))).residual(input.clone());
-        depthwise(input, weight * 0.3, finish, [2, 2])
+        let epilogue = Epilogue::with(Activation::Gelu).bias(Some(bias.reshape([3]))).residual(input.clone());
+        depthwise(input, weight * 0.3, epilogue, [2, 2])
     });
 }
 
@@ -148,7 +148,7 @@ fn convolution_by_fewer_products() {
         check(&[[1, 16, 6, 7], [17, 16, kernel[0], kernel[1]]], |inputs| {
             let [input, weight] = inputs.try_into().expect("two");
             let options = Conv2dOptions::new([1, 1], [kernel[0] / 2, kernel[1] / 2]);
-            conv2d(input, weight * 0.2, Finish::with(Activation::Tanh), options)
+            conv2d(input, weight * 0.2, Epilogue::with(Activation::Tanh), options)
         });
     }
 }

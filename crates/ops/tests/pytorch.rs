@@ -10,7 +10,7 @@ use safetensors::SafeTensors;
 use srflow_ops::Activation;
 use srflow_ops::attention::tensor::Attention;
 use srflow_ops::batch_norm::tensor::batch_norm;
-use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
+use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::gru;
@@ -115,10 +115,10 @@ fn check(case: &str, shapes: &[(&str, [usize; 4])], operation: impl Fn(Vec<Tenso
 }
 
 /// What is applied to the sums, from the inputs behind input and weight: the bias, then perhaps something to add.
-fn finish(inputs: &mut Vec<Tensor<4>>, activation: Activation) -> Finish {
+fn epilogue_of(inputs: &mut Vec<Tensor<4>>, activation: Activation) -> Epilogue {
     let residual = (inputs.len() == 4).then(|| inputs.remove(3));
-    let finish = Finish::with(activation).bias(Some(inputs.remove(2).flatten(0, 3)));
-    residual.into_iter().fold(finish, Finish::residual)
+    let epilogue = Epilogue::with(activation).bias(Some(inputs.remove(2).flatten(0, 3)));
+    residual.into_iter().fold(epilogue, Epilogue::residual)
 }
 
 fn check_conv2d(
@@ -135,9 +135,9 @@ fn check_conv2d(
         shapes.push(("residual", [input[0], weight[0], size[0], size[1]]));
     }
     check(&format!("conv2d {name}"), &shapes, |mut inputs| {
-        let finish = finish(&mut inputs, activation);
+        let epilogue = epilogue_of(&mut inputs, activation);
         let [input, weight] = inputs.try_into().expect("two");
-        conv2d(input, weight, finish, Conv2dOptions::new(stride, padding))
+        conv2d(input, weight, epilogue, Conv2dOptions::new(stride, padding))
     });
 }
 
@@ -159,9 +159,9 @@ fn check_depthwise(
         shapes.push(("residual", [batch, channels, size[0], size[1]]));
     }
     check(&format!("depthwise {name}"), &shapes, |mut inputs| {
-        let finish = finish(&mut inputs, activation);
+        let epilogue = epilogue_of(&mut inputs, activation);
         let [input, weight] = inputs.try_into().expect("two");
-        depthwise(input, weight, finish, padding)
+        depthwise(input, weight, epilogue, padding)
     });
 }
 
@@ -292,8 +292,8 @@ fn skflow_block() {
             layer(false, None, Activation::Identity),
         ];
         let x = pointwise_layers(input, first);
-        let finish = Finish::with(Activation::Gelu).bias(Some(between.bias)).residual(x.clone());
-        pointwise_layers(depthwise(x, between.weight, finish, [7, 7]), last)
+        let epilogue = Epilogue::with(Activation::Gelu).bias(Some(between.bias)).residual(x.clone());
+        pointwise_layers(depthwise(x, between.weight, epilogue, [7, 7]), last)
     });
 }
 

@@ -7,7 +7,7 @@ use burn::tensor::activation::{relu, sigmoid, softmax};
 use burn::tensor::module::adaptive_avg_pool2d;
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_ops::Activation;
-use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
+use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::max_pool::tensor::max_pool;
 
 use super::Classifier;
@@ -191,8 +191,8 @@ impl MultiHeadSelfAttention {
         let convs = || parts.iter().flat_map(|part| self.sa_blocks.iter().map(part));
         let weight = Tensor::cat(convs().map(Conv2d::weight).collect(), 0);
         let bias = Tensor::cat(convs().filter_map(Conv2d::bias).collect(), 0);
-        let finish = Finish::with(Activation::Identity).bias(Some(bias));
-        let all = conv2d(x, weight, finish, Conv2dOptions::new([1; 2], [0; 2]));
+        let epilogue = Epilogue::with(Activation::Identity).bias(Some(bias));
+        let all = conv2d(x, weight, epilogue, Conv2dOptions::new([1; 2], [0; 2]));
         let [batch, channels, height, width] = all.dims();
         let mut parts = all.chunk(3, 1).into_iter();
         let (Some(q), Some(k), Some(v)) = (parts.next(), parts.next(), parts.next()) else {

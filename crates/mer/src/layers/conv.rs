@@ -1,7 +1,7 @@
 use burn::module::{Initializer, Module, Param};
 use burn::tensor::{Device, Tensor};
 use srflow_ops::Activation;
-use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
+use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 
 /// PyTorch's `Conv2d` with a square kernel.
 #[derive(Module, Debug)]
@@ -46,16 +46,16 @@ impl Conv2d {
 
     /// `activation(conv(x) + bias)`.
     pub(crate) fn forward(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
-        self.apply(x, Finish::with(activation).bias(self.bias()))
+        self.apply(x, Epilogue::with(activation).bias(self.bias()))
     }
 
     /// `conv(x)`, the bias left out.
     pub(crate) fn forward_without_bias(&self, x: Tensor<4>) -> Tensor<4> {
-        self.apply(x, Finish::default())
+        self.apply(x, Epilogue::default())
     }
 
-    fn apply(&self, x: Tensor<4>, finish: Finish) -> Tensor<4> {
+    fn apply(&self, x: Tensor<4>, epilogue: Epilogue) -> Tensor<4> {
         let options = Conv2dOptions::new([self.stride; 2], [self.padding; 2]);
-        conv2d(x, self.weight(), finish, options)
+        conv2d(x, self.weight(), epilogue, options)
     }
 }

@@ -3,7 +3,7 @@
 use burn::config::Config;
 use burn::module::{Initializer, Module, Param};
 use burn::tensor::{Device, Tensor};
-use srflow_ops::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
+use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::pointwise::tensor::{LayerOptions, PointwiseLayer};
 use srflow_ops::{Activation, WeightCache};
@@ -76,16 +76,16 @@ impl Conv2d {
 
     /// `activation(conv(x) + bias)`.
     pub(crate) fn forward(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
-        self.finish(x, Finish::with(activation).bias(self.bias()))
+        self.with_epilogue(x, Epilogue::with(activation).bias(self.bias()))
     }
 
     /// `activation(conv(x) + bias + residual)`.
     pub(crate) fn forward_add(&self, x: Tensor<4>, residual: Tensor<4>, activation: Activation) -> Tensor<4> {
-        self.finish(x, Finish::with(activation).bias(self.bias()).residual(residual))
+        self.with_epilogue(x, Epilogue::with(activation).bias(self.bias()).residual(residual))
     }
 
-    fn finish(&self, x: Tensor<4>, finish: Finish) -> Tensor<4> {
-        self.apply(x, self.weight(), &self.cache, finish)
+    fn with_epilogue(&self, x: Tensor<4>, epilogue: Epilogue) -> Tensor<4> {
+        self.apply(x, self.weight(), &self.cache, epilogue)
     }
 
     /// With another weight of the same kernel, and a cache for that.
@@ -94,17 +94,17 @@ impl Conv2d {
         x: Tensor<4>,
         weight: Tensor<4>,
         cache: &WeightCache,
-        finish: Finish,
+        epilogue: Epilogue,
     ) -> Tensor<4> {
         let [_, _, height, width] = weight.dims();
         let padding = [height / 2, width / 2];
         if self.depthwise {
-            depthwise(x, weight, finish, padding)
+            depthwise(x, weight, epilogue, padding)
         } else {
             conv2d(
                 x,
                 weight,
-                finish,
+                epilogue,
                 Conv2dOptions { stride: [self.stride; 2], padding, cache: cache.clone() },
             )
         }

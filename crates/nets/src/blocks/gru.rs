@@ -2,7 +2,7 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
-use srflow_ops::conv2d::tensor::Finish;
+use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::gru::tensor::{reset, update};
 use srflow_ops::{Activation, WeightCache};
 
@@ -102,7 +102,12 @@ impl<'a> PreparedStep<'a> {
         };
         let of_context = |conv: &Conv2d| {
             let weight = conv.weight().narrow(1, hidden, fixed);
-            conv.apply(context.clone(), weight, &WeightCache::default(), Finish::default().bias(conv.bias()))
+            conv.apply(
+                context.clone(),
+                weight,
+                &WeightCache::default(),
+                Epilogue::default().bias(conv.bias()),
+            )
         };
         Self {
             conv: update,
@@ -118,7 +123,7 @@ impl<'a> PreparedStep<'a> {
     fn forward(&self, hidden: Tensor<4>, input: Tensor<4>) -> Tensor<4> {
         let sum = |state: Tensor<4>, weight: &Tensor<4>, cache, context: &Tensor<4>, activation| {
             let x = Tensor::cat(vec![state, input.clone()], 1);
-            self.conv.apply(x, weight.clone(), cache, Finish::with(activation).residual(context.clone()))
+            self.conv.apply(x, weight.clone(), cache, Epilogue::with(activation).residual(context.clone()))
         };
         let gates = sum(
             hidden.clone(),

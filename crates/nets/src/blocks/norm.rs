@@ -4,7 +4,7 @@ use burn::module::{Flag, Initializer, Module, ModuleMapper, Param, RunningState}
 use burn::tensor::activation::{gelu, sigmoid};
 use burn::tensor::{Device, Tensor};
 use srflow_ops::batch_norm::tensor::batch_norm;
-use srflow_ops::conv2d::tensor::Finish;
+use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::instance_norm::tensor::instance_norm;
 use srflow_ops::{Activation, WeightCache};
 
@@ -97,7 +97,7 @@ impl Norm {
         }
         let channels = scale.dims()[0];
         let folded = conv.weight() * scale.reshape([channels, 1, 1, 1]);
-        conv.apply(x, folded, &WeightCache::default(), Finish::with(activation).bias(Some(shift)))
+        conv.apply(x, folded, &WeightCache::default(), Epilogue::with(activation).bias(Some(shift)))
     }
 }
 

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use super::backward::Gathered;
 use super::weights::AttentionWeights;
-use crate::conv2d::tensor::{Conv2dOptions, Finish, conv2d};
+use crate::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use crate::flex::{Contiguous, sizes, tensor};
 use crate::gradients;
 use crate::simd::Isa;
@@ -275,7 +275,7 @@ struct ImagePieces {
 
 /// A product of matrices: `weight` `[outputs, inputs, 1, 1]`, `x` `[1, inputs, 1, columns]`.
 fn product(x: Tensor<4>, weight: Tensor<4>) -> Tensor<4> {
-    conv2d(x, weight, Finish::default(), Conv2dOptions::new([1, 1], [0, 0]))
+    conv2d(x, weight, Epilogue::default(), Conv2dOptions::new([1, 1], [0, 0]))
 }
 
 impl Attention {

@@ -6,9 +6,9 @@ use burn::backend::{Autodiff, Backend, Dispatch, DispatchTensor, Flex, TensorMet
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Device, Shape, Tensor};
 
+use super::Conv2dShape;
 use super::backward::{backward_input_packed, pack_backward};
 use super::forward::{convolve_packed, pack};
-use super::{Conv2dShape, Epilogue};
 use crate::activation::activate_tensor;
 use crate::flex::{Contiguous, tensor};
 use crate::simd::Isa;
@@ -120,7 +120,7 @@ fn shape_of(input: &Shape, weight: &Shape, options: &Conv2dOptions) -> Conv2dSha
 fn convolve(
     input: &FloatTensor<Flex>,
     weight: &FloatTensor<Flex>,
-    epilogue: &Epilogue,
+    epilogue: &super::Epilogue,
     options: Conv2dOptions,
 ) -> FloatTensor<Flex> {
     let shape = shape_of(&input.shape(), &weight.shape(), &options);
@@ -140,7 +140,7 @@ impl Conv2dOps for Flex {
         activation: Activation,
     ) -> FloatTensor<Self> {
         let bias = Contiguous::new(&bias);
-        let epilogue = Epilogue { bias: Some(bias.slice()), residual: None, activation };
+        let epilogue = super::Epilogue { bias: Some(bias.slice()), residual: None, activation };
         convolve(&input, &weight, &epilogue, options)
     }
 
@@ -153,7 +153,8 @@ impl Conv2dOps for Flex {
         activation: Activation,
     ) -> FloatTensor<Self> {
         let (bias, residual) = (Contiguous::new(&bias), Contiguous::new(&residual));
-        let epilogue = Epilogue { bias: Some(bias.slice()), residual: Some(residual.slice()), activation };
+        let epilogue =
+            super::Epilogue { bias: Some(bias.slice()), residual: Some(residual.slice()), activation };
         convolve(&input, &weight, &epilogue, options)
     }
 }
@@ -250,7 +251,7 @@ where
 
 /// What becomes of a convolution's sums: `activation(sum + bias + residual)`.
 #[derive(Debug, Clone, Default)]
-pub struct Finish {
+pub struct Epilogue {
     /// One number per output channel, `[out_channels]`.
     pub bias: Option<Tensor<1>>,
     /// One number per output element, of the output's shape.
@@ -259,7 +260,7 @@ pub struct Finish {
     pub activation: Activation,
 }
 
-impl Finish {
+impl Epilogue {
     /// Only an activation.
     pub fn with(activation: Activation) -> Self {
         Self { activation, ..Self::default() }
@@ -294,13 +295,14 @@ impl Finish {
 /// (`[out_channels, in_channels, kernel_height, kernel_width]`): `[batch, out_channels, out_height, out_width]`.
 ///
 /// Panics when the sizes do not fit each other.
-pub fn conv2d(input: Tensor<4>, weight: Tensor<4>, finish: Finish, options: Conv2dOptions) -> Tensor<4> {
+pub fn conv2d(input: Tensor<4>, weight: Tensor<4>, epilogue: Epilogue, options: Conv2dOptions) -> Tensor<4> {
     let shape = shape_of(&input.shape(), &weight.shape(), &options);
     assert_eq!(weight.dims()[1], shape.in_channels, "conv2d: channels of the weight and of the input");
     let [height, width] = shape.output();
     assert!(height > 0 && width > 0, "conv2d: the kernel does not fit the input: {shape:?}");
-    let activation = finish.activation;
-    let (bias, residual) = finish.checked([shape.batch, shape.out_channels, height, width], &input.device());
+    let activation = epilogue.activation;
+    let (bias, residual) =
+        epilogue.checked([shape.batch, shape.out_channels, height, width], &input.device());
     let (input, weight) = (input.into_dispatch(), weight.into_dispatch());
     Tensor::from_dispatch(match residual {
         None => Dispatch::biased_conv2d(input, weight, bias, options, activation),

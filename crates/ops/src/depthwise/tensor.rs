@@ -10,8 +10,8 @@ use super::DepthwiseShape;
 use super::backward::backward_input_with;
 use crate::Activation;
 use crate::activation::activate_tensor;
-use crate::conv2d::Epilogue;
-use crate::conv2d::tensor::Finish;
+use crate::conv2d;
+use crate::conv2d::tensor::Epilogue;
 use crate::flex::{Contiguous, tensor};
 use crate::simd::Isa;
 use crate::tracked::{Convolution, EpilogueGradOps, tracked};
@@ -97,7 +97,7 @@ fn grouped(input: &Shape, padding: [usize; 2]) -> ConvOptions<2> {
 fn convolve(
     input: &FloatTensor<Flex>,
     weight: &FloatTensor<Flex>,
-    epilogue: &Epilogue,
+    epilogue: &conv2d::Epilogue,
     padding: [usize; 2],
 ) -> FloatTensor<Flex> {
     let shape = shape_of(&input.shape(), &weight.shape(), padding);
@@ -116,7 +116,7 @@ impl DepthwiseOps for Flex {
         activation: Activation,
     ) -> FloatTensor<Self> {
         let bias = Contiguous::new(&bias);
-        let epilogue = Epilogue { bias: Some(bias.slice()), residual: None, activation };
+        let epilogue = conv2d::Epilogue { bias: Some(bias.slice()), residual: None, activation };
         convolve(&input, &weight, &epilogue, padding)
     }
 
@@ -129,7 +129,8 @@ impl DepthwiseOps for Flex {
         activation: Activation,
     ) -> FloatTensor<Self> {
         let (bias, residual) = (Contiguous::new(&bias), Contiguous::new(&residual));
-        let epilogue = Epilogue { bias: Some(bias.slice()), residual: Some(residual.slice()), activation };
+        let epilogue =
+            conv2d::Epilogue { bias: Some(bias.slice()), residual: Some(residual.slice()), activation };
         convolve(&input, &weight, &epilogue, padding)
     }
 }
@@ -232,15 +233,15 @@ where
 /// (`[channels, 1, kernel_height, kernel_width]`), with stride 1 and `padding` zeros above and below, left and right.
 ///
 /// Panics when the sizes do not fit each other or the padding is not smaller than the kernel.
-pub fn depthwise(input: Tensor<4>, weight: Tensor<4>, finish: Finish, padding: [usize; 2]) -> Tensor<4> {
+pub fn depthwise(input: Tensor<4>, weight: Tensor<4>, epilogue: Epilogue, padding: [usize; 2]) -> Tensor<4> {
     let shape = shape_of(&input.shape(), &weight.shape(), padding);
     assert_eq!(weight.dims()[..2], [shape.channels, 1], "depthwise: a kernel for each channel");
     let smaller = shape.padding.iter().zip(shape.kernel).all(|(&padding, kernel)| padding < kernel);
     assert!(smaller, "depthwise: padding smaller than the kernel: {shape:?}");
     let [height, width] = shape.output();
     assert!(height > 0 && width > 0, "depthwise: the kernel does not fit the input: {shape:?}");
-    let activation = finish.activation;
-    let (bias, residual) = finish.checked([shape.batch, shape.channels, height, width], &input.device());
+    let activation = epilogue.activation;
+    let (bias, residual) = epilogue.checked([shape.batch, shape.channels, height, width], &input.device());
     let (input, weight) = (input.into_dispatch(), weight.into_dispatch());
     Tensor::from_dispatch(match residual {
         None => Dispatch::biased_depthwise(input, weight, bias, padding, activation),

@@ -17,5 +17,5 @@ pub use binding::{BoundGaussians, TriangleFrame};
 pub use head_model::{
     ActionUnit, HeadModel, HeadModelError, HeadPose, Joint, Region, Shape, ShapedHead, Side,
 };
-pub use micro_expression::{EmotionClass, MicroExpression};
+pub use micro_expression::MicroExpression;
 pub use motion::{Moment, Motion};

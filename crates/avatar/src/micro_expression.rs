@@ -1,86 +1,13 @@
 //! Micro-expressions: brief, weak, involuntary.
 
-use std::fmt;
-use std::str::FromStr;
-
 use srflow_field::random::Key;
 
 use crate::motion::{available_units, quintic};
 use crate::{HeadModel, HeadModelError, HeadPose, Side};
 
-/// The three classes of the composite micro-expression benchmark (MEGC 2019), with its numbers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum EmotionClass {
-    /// Anger, disgust, contempt, fear, sadness, repression.
-    Negative = 0,
-    /// Happiness.
-    Positive = 1,
-    /// Surprise.
-    Surprise = 2,
-}
-
-impl EmotionClass {
-    /// Every class, in the order of their numbers.
-    pub const ALL: [EmotionClass; 3] = [Self::Negative, Self::Positive, Self::Surprise];
-
-    /// `negative`, `positive` or `surprise`, as tables and files have it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Negative => "negative",
-            Self::Positive => "positive",
-            Self::Surprise => "surprise",
-        }
-    }
-
-    /// Action units that micro-expressions of this class usually show (those that CASME II and SAMM were coded with).
-    pub fn action_unit_sets(self) -> &'static [&'static [u8]] {
-        match self {
-            Self::Negative => &[
-                &[4],
-                &[4, 7],
-                &[9],
-                &[4, 9],
-                &[10],
-                &[14],
-                &[15],
-                &[15, 17],
-                &[17],
-                &[20],
-                &[1, 4],
-                &[4, 5],
-            ],
-            Self::Positive => &[&[12], &[6, 12], &[12, 25]],
-            Self::Surprise => &[&[1, 2], &[1, 2, 5], &[5], &[1, 2, 26], &[2, 5]],
-        }
-    }
-}
-
-impl fmt::Display for EmotionClass {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
-    }
-}
-
-impl FromStr for EmotionClass {
-    type Err = String;
-
-    /// Reads the class's name, in letters of either case, or its number.
-    fn from_str(text: &str) -> Result<Self, String> {
-        let text = text.trim();
-        let is = |class: &Self| class.name().eq_ignore_ascii_case(text) || text == (*class as u8).to_string();
-        Self::ALL.into_iter().find(is).ok_or_else(|| {
-            format!(
-                "`{text}` is not a class; expected negative, positive or surprise, or its number 0, 1 or 2"
-            )
-        })
-    }
-}
-
 /// One micro-expression: it rises from the onset to the apex and is gone at the offset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MicroExpression {
-    /// Its class.
-    pub class: EmotionClass,
     /// Action units and their intensity at the apex, `0..=1`.
     pub action_units: Vec<(u8, Side, f32)>,
     /// Last frame at rest.
@@ -92,30 +19,30 @@ pub struct MicroExpression {
 }
 
 impl MicroExpression {
-    /// The micro-expression of `class` that `key` stands for, beginning at frame `onset` of a recording of
-    /// `frames_per_second`. Of the class's sets of action units, those are drawn from that the model has whole.
+    /// The micro-expression that `key` stands for, beginning at frame `onset` of a recording of `frames_per_second`. It
+    /// shows one of the `sets` of action units, drawn from those that the model has whole.
     ///
     /// It takes 0.17 to 0.48 s, but never fewer than two frames, so that onset, apex and offset differ.
     ///
     /// # Errors
-    /// [`HeadModelError::NoActionUnit`] when the model has none of the class's sets.
+    /// [`HeadModelError::NoActionUnit`] when the model has none of the sets whole.
     pub fn random(
         model: &HeadModel,
-        class: EmotionClass,
+        sets: &[&[u8]],
         key: Key,
         onset: usize,
         frames_per_second: f32,
     ) -> Result<Self, HeadModelError> {
         let available = available_units(model);
         let has = |set: &&&[u8]| set.iter().all(|number| available.iter().any(|(n, _)| n == number));
-        let sets: Vec<&[u8]> = class.action_unit_sets().iter().filter(has).copied().collect();
+        let shown: Vec<&[u8]> = sets.iter().filter(has).copied().collect();
         let mut stream = key.stream("micro-expression");
-        let Some(set) = sets.get(stream.below(sets.len() as u32) as usize) else {
+        let Some(set) = shown.get(stream.below(shown.len() as u32) as usize) else {
             let mut numbers: Vec<u8> = available.iter().map(|(n, _)| *n).collect();
             numbers.dedup();
             return Err(HeadModelError::NoActionUnit {
                 model: model.name.clone(),
-                number: class.action_unit_sets()[0][0],
+                number: sets.first().and_then(|set| set.first()).copied().unwrap_or_default(),
                 side: Side::Both,
                 available: numbers,
             });
@@ -136,7 +63,7 @@ impl MicroExpression {
         let length = ((seconds * frames_per_second.clamp(1.0, 1e5)) as usize).max(2);
         let rise = (length as f32 * stream.uniform(0.3, 0.5)) as usize;
         let apex = onset + rise.clamp(1, length - 1);
-        Ok(Self { class, action_units, onset, apex, offset: onset + length })
+        Ok(Self { action_units, onset, apex, offset: onset + length })
     }
 
     /// How far the expression has risen at `frame`: 0 up to the onset and from the offset on, 1 at the apex.

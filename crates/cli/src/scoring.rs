@@ -1,10 +1,10 @@
 //! An evaluation with a progress bar and pictures of a few of its pairs.
 
 use indicatif::{ProgressBar, ProgressStyle};
-use srflow_data::read::FlowDataset;
 use srflow_eval::report::{Figure, pair_figures};
 use srflow_eval::{Evaluation, Event, Settings, evaluate};
 use srflow_field::FlowEstimator;
+use srflow_read::flow::FlowDataset;
 
 /// Which pairs become pictures.
 #[derive(Debug, Clone, Copy)]

@@ -6,11 +6,12 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
-const PIPELINE: [&str; 11] = [
+const PIPELINE: [&str; 12] = [
     "srflow-field",
     "srflow-splat",
     "srflow-avatar",
-    "srflow-data",
+    "srflow-read",
+    "srflow-render",
     "srflow-classical",
     "srflow-eval",
     "srflow-ops",
@@ -45,6 +46,41 @@ fn crates_depend_only_on_crates_above_them() {
             if let Some(other) = rank(dependency) {
                 assert!(other < own, "{name} must not depend on {dependency}, which comes after it");
             }
+        }
+    }
+}
+
+/// Evaluating and training must not compile the renderer.
+#[test]
+fn what_reads_datasets_does_not_depend_on_what_renders_them() {
+    let metadata = metadata();
+    let packages = metadata["packages"].as_array().expect("packages");
+    let dependencies_of = |name: &str| -> Vec<&str> {
+        let package =
+            packages.iter().find(|package| package["name"] == name).expect("a crate of the workspace");
+        let dependencies = package["dependencies"].as_array().expect("dependencies");
+        let normal = dependencies.iter().filter(|dependency| dependency["kind"].is_null());
+        normal
+            .filter_map(|dependency| dependency["name"].as_str())
+            .filter(|name| PIPELINE.contains(name))
+            .collect()
+    };
+    for name in ["srflow-read", "srflow-eval", "srflow-nets", "srflow-train", "srflow-mer"] {
+        let mut reached = vec![name];
+        let mut next = 0;
+        while let Some(&at) = reached.get(next) {
+            next += 1;
+            for dependency in dependencies_of(at) {
+                if !reached.contains(&dependency) {
+                    reached.push(dependency);
+                }
+            }
+        }
+        for renderer in ["srflow-splat", "srflow-avatar", "srflow-render"] {
+            assert!(
+                !reached.contains(&renderer),
+                "{name} must not depend on {renderer}; it reaches {reached:?}"
+            );
         }
     }
 }

@@ -3,8 +3,8 @@
 use std::num::NonZeroUsize;
 use std::time::Instant;
 
-use srflow_data::read::{DatasetError, Entry, FlowDataset, Sample, Split};
 use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, Mask, MeanMetrics, ScoreError, score};
+use srflow_read::flow::{DatasetError, Entry, FlowDataset, Sample, Split};
 
 use crate::crop::{CropError, Window, head_window};
 use crate::error_curve::ErrorCurve;

@@ -4,11 +4,11 @@ use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::Mutex;
 
-use srflow_data::read::{DatasetSpec, FlowDataset};
 use srflow_eval::{EvaluateError, Evaluation, Event, OnFailure, Region, Settings, evaluate};
 use srflow_field::{
     EstimateError, FlowEstimator, FlowField, Image, Mask, write_flow, write_image_png, write_mask_png,
 };
+use srflow_read::flow::{DatasetSpec, FlowDataset};
 
 const SIZE: (usize, usize) = (40, 24);
 

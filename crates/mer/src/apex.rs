@@ -4,8 +4,8 @@ use std::fmt;
 use std::str::FromStr;
 
 use rayon::prelude::*;
-use srflow_data::micro_expression::Clip;
 use srflow_field::{FlowEstimator, Image, Plane, read_image};
+use srflow_read::micro_expression::Clip;
 
 use crate::extract::{ExtractError, ExtractProblem};
 use crate::face::{ClipCrop, FaceCrop, FacePoints};

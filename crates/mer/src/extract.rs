@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use rayon::prelude::*;
-use srflow_data::micro_expression::Clip;
 use srflow_field::{EstimateError, FileError, FlowEstimator, FlowField, Image, Plane, read_image};
+use srflow_read::micro_expression::Clip;
 
 use crate::cache::FeatureCache;
 use crate::face::{ClipCrop, FaceCrop, FaceError};

@@ -8,8 +8,8 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use srflow_data::micro_expression::Annotation;
 use srflow_field::Image;
+use srflow_read::micro_expression::Annotation;
 
 /// What is done to the frames of every clip before flow is computed.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -361,7 +361,7 @@ fn bilinear(image: &Image, x: f64, y: f64) -> [u8; 3] {
 
 #[cfg(test)]
 mod tests {
-    use srflow_data::micro_expression::EmotionClass;
+    use srflow_read::micro_expression::EmotionClass;
 
     use super::*;
 

@@ -1,7 +1,7 @@
 //! What classifiers see of a clip: the flow from onset to apex and its optical strain.
 
-use srflow_data::micro_expression::EmotionClass;
 use srflow_field::Plane;
+use srflow_read::micro_expression::EmotionClass;
 
 /// Width and height of the feature maps, in pixels.
 pub const FEATURE_SIDE: usize = 112;

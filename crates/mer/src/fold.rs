@@ -3,8 +3,8 @@
 use std::time::Instant;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
-use srflow_data::micro_expression::EmotionClass;
 use srflow_field::random::Key;
+use srflow_read::micro_expression::EmotionClass;
 
 use crate::classifier::{Classifier, initialized};
 use crate::layers::Mode;

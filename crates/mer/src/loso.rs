@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use srflow_data::micro_expression::EmotionClass;
 use srflow_field::{FileError, FileProblem, create_folder, write_atomically};
+use srflow_read::micro_expression::EmotionClass;
 
 use crate::classifier::Classifier;
 use crate::features::Sample;

@@ -1,6 +1,6 @@
 //! Scores of classification: those of the SRFlow paper, per fold, and MEGC 2019's, pooled.
 
-use srflow_data::micro_expression::EmotionClass;
+use srflow_read::micro_expression::EmotionClass;
 
 /// Number of classes.
 pub const CLASSES: usize = EmotionClass::ALL.len();

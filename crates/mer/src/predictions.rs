@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use srflow_data::micro_expression::EmotionClass;
 use srflow_field::{FileError, write_atomically};
+use srflow_read::micro_expression::EmotionClass;
 
 use crate::metrics::CLASSES;
 

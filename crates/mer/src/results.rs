@@ -1,8 +1,8 @@
 //! Runs as tables: the SRFlow paper's (best three marked), those of a fixed epoch, confusions and folds.
 
 use serde::Serialize;
-use srflow_data::micro_expression::EmotionClass;
 use srflow_eval::{Better, Column, Row, Table};
+use srflow_read::micro_expression::EmotionClass;
 
 use crate::loso::{FoldRecord, Loso};
 use crate::metrics::{CLASSES, Confusion, Scores};

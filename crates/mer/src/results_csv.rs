@@ -1,7 +1,7 @@
 //! Results as CSV: one row for each number of a table, so that any program can read them.
 
 use serde::Serialize;
-use srflow_data::micro_expression::EmotionClass;
+use srflow_read::micro_expression::EmotionClass;
 
 use crate::metrics::Scores;
 use crate::results::{ALWAYS_NEGATIVE, Outcome, by_set};

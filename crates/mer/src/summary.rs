@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use srflow_data::micro_expression::EmotionClass;
+use srflow_read::micro_expression::EmotionClass;
 
 use crate::metrics::{Confusion, Scores};
 use crate::predictions::Prediction;

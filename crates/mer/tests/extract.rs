@@ -3,12 +3,12 @@
 use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use srflow_data::micro_expression::{Annotation, Clip, ClipDataset, EmotionClass, write_plain};
 use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, write_image_png};
 use srflow_mer::{
     ApexRule, Channel, FaceCrop, FeatureCache, Landmarks, Method, Preparation, ResizeOrder, apex_errors,
     extract, fill_apexes, spot_apex,
 };
+use srflow_read::micro_expression::{Annotation, Clip, ClipDataset, EmotionClass, write_plain};
 
 /// Takes the change of brightness for a stretching flow, and counts how often it is asked.
 #[derive(Default)]

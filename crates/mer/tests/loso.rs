@@ -3,13 +3,13 @@
 use std::path::Path;
 use std::sync::Mutex;
 
-use srflow_data::micro_expression::EmotionClass;
 use srflow_field::Plane;
 use srflow_field::random::Key;
 use srflow_mer::{
     Classifier, FEATURE_SIDE, Features, Loso, LosoEvent, OffTaNet, Protocol, Sample, StstNet, Summary,
     leave_one_subject_out, read_predictions, write_predictions,
 };
+use srflow_read::micro_expression::EmotionClass;
 
 /// Motion that tells the class: down on the left, up on the right, up everywhere; and noise.
 fn sample(dataset: &str, subject: u32, clip: u32, class: EmotionClass) -> Sample {

@@ -7,9 +7,9 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
-use srflow_data::read::FlowDataset;
 use srflow_eval::{Better, Column, Row, Table};
 use srflow_field::{Metrics, write_atomically};
+use srflow_read::flow::FlowDataset;
 
 use crate::checkpoint::Checkpoints;
 use crate::config::Config;

@@ -7,9 +7,9 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use srflow_data::augment::{AugmentError, Augmentation};
-use srflow_data::read::{DatasetError, FlowDataset, Sample, Split};
 use srflow_field::random::Key;
+use srflow_read::augment::{AugmentError, Augmentation};
+use srflow_read::flow::{DatasetError, FlowDataset, Sample, Split};
 
 use crate::config::{Config, PixelSize, Source};
 

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use burn::tensor::Device;
-use srflow_data::read::Sample;
 use srflow_field::{FlowField, Image, Mask, write_flow, write_image_png};
 use srflow_nets::Architecture;
+use srflow_read::flow::Sample;
 use srflow_train::batch::Batch;
 use srflow_train::config::{BatchNorm, Config};
 use srflow_train::journal::Record;

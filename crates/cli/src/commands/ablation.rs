@@ -3,11 +3,11 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, ensure};
 use clap::Args;
-use srflow_data::read::{FlowDataset, Split};
 use srflow_eval::report::{Report, Section, score_table};
 use srflow_eval::{Table, TextStyle};
 use srflow_field::{create_folder, write_atomically};
 use srflow_ops::device;
+use srflow_read::flow::{FlowDataset, Split};
 use srflow_train::ablation::{
     AblationEvent, AblationSettings, Cell, VARIANTS, Variant, ablate, paper_table, spread_table, table,
 };

@@ -3,8 +3,8 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use srflow_data::check::{self, CheckReport};
-use srflow_data::manifest::Manifest;
+use srflow_read::manifest::Manifest;
+use srflow_render::check::{self, CheckReport};
 
 use super::render::print_statistics;
 use crate::Context;

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail, ensure};
 use clap::Args;
-use srflow_data::read::{DatasetSpec, FlowDataset, Split};
 use srflow_eval::report::{Figure, score_report};
 use srflow_eval::{Evaluation, OnFailure, Settings, TextStyle};
 use srflow_field::{create_folder, write_atomically};
+use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
 
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::scoring::{self, Pictures};

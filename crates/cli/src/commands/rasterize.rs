@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, ensure};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
-use srflow_data::manifest::CameraRecord;
 use srflow_field::{
     FileError, create_folder, longest_flow, write_flow, write_image_png, write_mask_png, write_npy,
     write_npy_plane,
 };
+use srflow_read::manifest::CameraRecord;
+use srflow_render::camera::camera_from_record;
 use srflow_splat::{Camera, Frame, Next, Options, Outputs, PixelConvention, Rasterizer, read_ply};
 
 use crate::Context;
@@ -156,7 +157,7 @@ fn read_camera(path: &Path) -> anyhow::Result<Camera> {
             path.display()
         )
     })?;
-    let camera = Camera::from(&record);
+    let camera = camera_from_record(&record);
     camera.validate().with_context(|| path.display().to_string())?;
     Ok(camera)
 }

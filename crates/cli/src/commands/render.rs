@@ -6,9 +6,9 @@ use clap::Args;
 use clap::error::ErrorKind;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
-use srflow_data::generate::{self, Background, Event, GenerateError, Head, Report, Settings, Shard};
-use srflow_data::statistics::Statistics;
 use srflow_field::FlowFormat;
+use srflow_render::generate::{self, Background, Event, GenerateError, Head, Report, Settings, Shard};
+use srflow_render::statistics::Statistics;
 
 use crate::Context;
 use crate::size::Size;

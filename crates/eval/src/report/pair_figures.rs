@@ -1,7 +1,7 @@
 //! One scored pair as pictures: the frame and the truth, and for every method its flow and where it went wrong.
 
-use srflow_data::read::Sample;
 use srflow_field::{FlowField, Plane, flow_colors};
+use srflow_read::flow::Sample;
 
 use super::charts::number;
 use super::heat::{error_map, heat};

@@ -1,5 +1,5 @@
 use serde::{Deserialize, Serialize};
-use srflow_data::augment::AugmentConfig;
+use srflow_read::augment::AugmentConfig;
 
 use super::PixelSize;
 

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use srflow_data::read::{DatasetSpec, Split};
+use srflow_read::flow::{DatasetSpec, Split};
 
 /// A size in pixels, written WIDTHxHEIGHT.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -2,9 +2,9 @@
 
 use glam::{DVec3, Vec3};
 use srflow_avatar::{Avatar, HeadPose, PosedHead, Side};
-use srflow_data::generate::{Rig, View};
 use srflow_eval::report::{ActionCard, Picture, flow_scale, shrink_flow, shrink_image};
 use srflow_field::{Image, flow_colors};
+use srflow_render::generate::{Rig, View};
 use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, Rasterizer};
 
 /// Size of the rendering and width of the picture on the page: Gaussians far smaller than a pixel look thick, so that the

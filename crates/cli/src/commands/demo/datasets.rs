@@ -5,14 +5,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressStyle};
-use srflow_data::generate::{self, Background, Event, Head, Report, Settings, Shard};
-use srflow_data::manifest::Manifest;
-use srflow_data::read::{DatasetSpec, FlowDataset, Sample, Split};
 use srflow_eval::head_window;
 use srflow_eval::report::{
     Film, Panel, Picture, flow_scale, sample_panels, shrink_flow, shrink_image, shrink_mask,
 };
 use srflow_field::{FlowField, FlowFormat, Image, flow_colors};
+use srflow_read::flow::{DatasetSpec, FlowDataset, Sample, Split};
+use srflow_read::manifest::Manifest;
+use srflow_render::generate::{self, Background, Event, Head, Report, Settings, Shard};
 
 use crate::size::Size;
 

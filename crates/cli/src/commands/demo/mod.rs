@@ -12,11 +12,11 @@ use anyhow::{Context as _, ensure};
 use clap::Args;
 use serde_json::json;
 use srflow_avatar::Avatar;
-use srflow_data::generate::{FULL_SIZE, Head};
-use srflow_data::read::{DatasetSpec, FlowDataset};
 use srflow_eval::report::Figure;
 use srflow_eval::{Evaluation, OnFailure, Settings};
 use srflow_field::{FlowEstimator, write_atomically};
+use srflow_read::flow::{DatasetSpec, FlowDataset};
+use srflow_render::generate::{FULL_SIZE, Head};
 
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::scoring::{self, Pictures};

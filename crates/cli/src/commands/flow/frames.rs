@@ -4,8 +4,8 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, ensure};
-use srflow_data::read::pictures;
 use srflow_field::{IMAGE_EXTENSIONS, Image, read_image, read_image_size};
+use srflow_read::flow::pictures;
 
 use crate::usage::wrong_usage;
 use crate::video::{self, VideoReader, is_video};

@@ -6,8 +6,8 @@ use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
 use serde::Serialize;
-use srflow_data::micro_expression::{ApexRow, Clip, ClipSource, write_apex_list};
 use srflow_mer::{ApexErrors, ApexRule, apex_errors, spot_apex};
+use srflow_read::micro_expression::{ApexRow, Clip, ClipSource, write_apex_list};
 
 use super::face::FaceArgs;
 use super::sources::{SourceArgs, kinds_help};

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use clap::Args;
 use serde::Serialize;
-use srflow_data::micro_expression::{
+use srflow_read::micro_expression::{
     Annotation, ClassCounts, ClipDataset, ClipSource, DropReason, Dropped, EmotionClass, Labels,
     MissingFrames, check_distinct, published_counts,
 };

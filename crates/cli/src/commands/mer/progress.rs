@@ -49,8 +49,8 @@ impl TrainingProgress {
 
 #[cfg(test)]
 mod tests {
-    use srflow_data::micro_expression::EmotionClass;
     use srflow_mer::Features;
+    use srflow_read::micro_expression::EmotionClass;
 
     use super::*;
 

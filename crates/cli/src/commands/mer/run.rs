@@ -4,13 +4,13 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, ensure};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
-use srflow_data::micro_expression::{Clip, ClipDataset, ClipSource};
 use srflow_field::create_folder;
 use srflow_mer::{
     ApexRule, Classifier, FeatureCache, Loso, LosoError, OffApexNet, OffTaNet, Outcome, OutcomeRecord,
     Preparation, Protocol, ReportParts, ResizeOrder, Sample, StrainFormula, StstNet, Trial, by_set, extract,
     leave_one_subject_out, report, spot_apex, unseen_classes, write_predictions,
 };
+use srflow_read::micro_expression::{Clip, ClipDataset, ClipSource};
 
 use super::face::FaceArgs;
 use super::progress::{TrainingProgress, feature_progress};

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, bail};
 use clap::Args;
-use srflow_data::micro_expression::{CLIP_KINDS, ClipDataset, ClipSource, check_distinct};
+use srflow_read::micro_expression::{CLIP_KINDS, ClipDataset, ClipSource, check_distinct};
 
 /// Where annotations lie, and what to do about missing frames.
 #[derive(Args, Debug, Clone, Default)]

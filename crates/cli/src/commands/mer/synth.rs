@@ -4,8 +4,8 @@ use anyhow::Context as _;
 use clap::Args;
 use clap::error::ErrorKind;
 use indicatif::{ProgressBar, ProgressStyle};
-use srflow_data::synth::{SynthError, SynthEvent, SynthReport, SynthSettings, synthesize};
 use srflow_field::FlowFormat;
+use srflow_render::synth::{SynthError, SynthEvent, SynthReport, SynthSettings, synthesize};
 
 use crate::Context;
 

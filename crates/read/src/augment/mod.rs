@@ -1,0 +1,141 @@
+//! Random changes of a sample that leave its flow true: colour, patches painted over, scale, mirroring, crop.
+//!
+//! What SKFlow trains with (core/utils/augmentor.py, which is RAFT's), in its order. Every choice is drawn from a key
+//! ([`srflow_field::random`]): a sample can be made alone, in any order, on any number of threads, and is bit-identical.
+
+mod color;
+mod config;
+mod eraser;
+mod geometry;
+mod hue;
+mod resample;
+mod sparse;
+#[cfg(test)]
+mod tests;
+
+use srflow_field::random::Key;
+use srflow_field::{FlowField, Mask, SizeMismatch};
+
+pub use config::{AugmentConfig, TruthDensity};
+
+use crate::flow::Sample;
+use color::ColorJitter;
+use geometry::Geometry;
+use hue::HueTables;
+
+/// Why a sample was not augmented.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum AugmentError {
+    /// A number of the configuration makes no sense.
+    #[error("augmentation.{key} = {found}: expected {expected}")]
+    Setting {
+        /// The key in the configuration.
+        key: &'static str,
+        /// Its value.
+        found: String,
+        /// What it may be.
+        expected: &'static str,
+    },
+    /// The frames have no pixel.
+    #[error("the frames are {}x{} (WIDTHxHEIGHT): expected at least one pixel", .0.0, .0.1)]
+    Empty((usize, usize)),
+    /// The parts of a sample differ in size.
+    #[error(transparent)]
+    SizeMismatch(#[from] SizeMismatch),
+}
+
+/// Changes samples at random.
+#[derive(Debug, Clone)]
+pub struct Augmentation {
+    config: AugmentConfig,
+    hue: HueTables,
+}
+
+impl Augmentation {
+    /// Changes as `config` says.
+    ///
+    /// # Errors
+    /// When a number of it makes no sense.
+    pub fn new(config: AugmentConfig) -> Result<Self, AugmentError> {
+        config.check()?;
+        Ok(Self { config, hue: HueTables::new() })
+    }
+
+    /// What it changes and how much.
+    pub fn config(&self) -> &AugmentConfig {
+        &self.config
+    }
+
+    /// A sample of the crop's size. The same sample and key give the same bytes.
+    ///
+    /// The flow is scaled, mirrored and shifted with the frames; masks go along with frame 1. A frame that is smaller than the
+    /// crop is always scaled, so that the crop fits.
+    ///
+    /// # Errors
+    /// When the frames are empty, or a part of the sample is not of their size.
+    pub fn apply(&self, mut sample: Sample, key: Key) -> Result<Sample, AugmentError> {
+        check_sizes(&sample)?;
+        let Sample { frame1, frame2, .. } = &mut sample;
+        if key.stream("augment: asymmetric").unit() < self.config.asymmetric_probability {
+            ColorJitter::draw(&self.config, &mut key.stream("augment: color 1"))
+                .apply(&mut [frame1], &self.hue);
+            ColorJitter::draw(&self.config, &mut key.stream("augment: color 2"))
+                .apply(&mut [frame2], &self.hue);
+        } else {
+            let jitter = ColorJitter::draw(&self.config, &mut key.stream("augment: color 1"));
+            jitter.apply(&mut [frame1, frame2], &self.hue);
+        }
+        eraser::erase(frame2, &self.config, &mut key.stream("augment: eraser"));
+        let geometry = Geometry::draw(&self.config, sample.frame1.size(), key);
+        let (of_frame2, shift) = geometry.shifted(&self.config, key);
+        let mask = sample.mask.as_ref().map(|mask| geometry.mask(mask));
+        let mut flow = sample.flow.as_ref().map(|flow| match self.config.truth {
+            TruthDensity::Dense => geometry.dense_flow(flow),
+            TruthDensity::Sparse => geometry.sparse_flow(flow),
+        });
+        if let Some(flow) = flow.as_mut().filter(|_| shift != [0.0; 2]) {
+            add_shift(flow, shift, mask.as_ref());
+        }
+        Ok(Sample {
+            frame1: geometry.frame(&sample.frame1),
+            frame2: of_frame2.frame(&sample.frame2),
+            flow,
+            mask,
+            occlusion: sample.occlusion.as_ref().map(|occlusion| geometry.mask(occlusion)),
+        })
+    }
+}
+
+/// Adds a motion to the whole flow. Outside the mask it becomes unknown: an even background does not show how it moves, and
+/// must not be learned to move.
+fn add_shift(flow: &mut FlowField, shift: [f32; 2], mask: Option<&Mask>) {
+    for (index, pixel) in flow.pixels_mut().iter_mut().enumerate() {
+        let shown = mask.is_none_or(|mask| mask.pixels()[index]);
+        *pixel = if shown { [pixel[0] + shift[0], pixel[1] + shift[1]] } else { [f32::NAN; 2] };
+    }
+}
+
+fn check_sizes(sample: &Sample) -> Result<(), AugmentError> {
+    let frame = sample.frame1.size();
+    if frame.0 == 0 || frame.1 == 0 {
+        return Err(AugmentError::Empty(frame));
+    }
+    let others = [
+        ("frame 2", Some(sample.frame2.size())),
+        ("the flow", sample.flow.as_ref().map(|flow| flow.size())),
+        ("the mask", sample.mask.as_ref().map(|mask| mask.size())),
+        ("the occlusion", sample.occlusion.as_ref().map(|occlusion| occlusion.size())),
+    ];
+    for (name, size) in others {
+        if let Some(size) = size.filter(|size| *size != frame) {
+            return Err(SizeMismatch {
+                first_name: "frame 1",
+                first: frame,
+                second_name: name,
+                second: size,
+            }
+            .into());
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,405 @@
+//! `dataset.json`: everything needed to read an SRFlow dataset and to make it again.
+//!
+//! The layout is that of a plain folder of scenes, once per split:
+//!
+//! ```text
+//! dataset.json                                 this file
+//! statistics.json                              once the dataset is whole
+//! train/frames/scene-0003/00000.png            frame 0 of scene 3
+//! train/flow/scene-0003/00000.npz16            flow from frame 0 to frame 1
+//! train/flow_backward/scene-0003/00000.npz16   flow from frame 1 to frame 0, at frame 1's pixels (--backward)
+//! train/alpha/scene-0003/00000.png             alpha of frame 0
+//! train/mask/scene-0003/00000.png              alpha of frame 0 above one half
+//! train/occlusion/scene-0003/00000.png         pixels of frame 0 that frame 1 does not show
+//! train/depth/scene-0003/00000.png             depth of frame 0 (--depth)
+//! train/pairs/scene-0003/00000.json            cameras, motion and action units of frames 0 and 1; written last
+//! ```
+//!
+//! A scene of `n` pairs has `n + 1` frames, alphas, masks and depths, and `n` of everything else.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use srflow_field::FlowFormat;
+
+/// Name of the file in the dataset's folder.
+pub const MANIFEST_NAME: &str = "dataset.json";
+
+/// Name of the file that sums up a whole dataset.
+pub const STATISTICS_NAME: &str = "statistics.json";
+
+/// Version of the layout and of this file's fields.
+pub const LAYOUT_VERSION: u32 = 1;
+
+/// What `dataset.json` holds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// [`LAYOUT_VERSION`] of the program that made the dataset.
+    pub layout_version: u32,
+    /// Version of srflow that made the dataset; another version may make other bytes.
+    pub srflow_version: String,
+    /// What the dataset was asked to be.
+    pub arguments: Arguments,
+    /// The calibrated cameras. Sequences start and end with camera 9, which faces the subject.
+    pub rig: Vec<RigCamera>,
+    /// The scenes, by their number.
+    pub scenes: Vec<SceneEntry>,
+}
+
+/// The arguments that decide a dataset's bytes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Arguments {
+    /// `builtin`, or `ict` with a fingerprint of the files read.
+    pub head: String,
+    /// How many scenes.
+    pub scenes: u32,
+    /// Mean number of frame pairs in a scene.
+    pub frames: f64,
+    /// Frame width in pixels.
+    pub width: usize,
+    /// Frame height in pixels.
+    pub height: usize,
+    /// Shares of train, val and test scenes.
+    pub splits: [f64; 3],
+    /// The seed of every random choice.
+    pub seed: u64,
+    /// How flow is stored; see [`FlowFormat`].
+    pub flow_format: String,
+    /// Whether there are backward flows.
+    pub backward: bool,
+    /// Whether there are depth maps.
+    pub depth: bool,
+    /// `#rrggbb`, or `images` with a fingerprint of the files in the folder.
+    pub background: String,
+}
+
+/// One camera of the rig.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RigCamera {
+    /// Its number, from 1.
+    pub number: u32,
+    /// Intrinsics and extrinsics.
+    #[serde(flatten)]
+    pub camera: CameraRecord,
+}
+
+/// A camera as files hold it: the fields of `cam.json`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CameraRecord {
+    /// Image width in pixels.
+    pub width: usize,
+    /// Image height in pixels.
+    pub height: usize,
+    /// Horizontal focal length in pixels.
+    pub fx: f64,
+    /// Vertical focal length in pixels.
+    pub fy: f64,
+    /// Column of the principal point in pixels.
+    pub cx: f64,
+    /// Row of the principal point in pixels.
+    pub cy: f64,
+    /// Camera from world, 4x4, by rows.
+    pub w2c: [[f64; 4]; 4],
+}
+
+/// The part of the dataset that a scene belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum SceneSplit {
+    /// For training.
+    Train,
+    /// For choosing among what was trained.
+    Val,
+    /// For the final score.
+    Test,
+}
+
+impl SceneSplit {
+    /// All of them, in the order of `--splits`.
+    pub const ALL: [Self; 3] = [Self::Train, Self::Val, Self::Test];
+}
+
+impl fmt::Display for SceneSplit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Train => "train",
+            Self::Val => "val",
+            Self::Test => "test",
+        })
+    }
+}
+
+/// One scene: a subject in motion.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SceneEntry {
+    /// Name of its folders, e.g. `scene-0003`.
+    pub name: String,
+    /// The part of the dataset that it belongs to.
+    pub split: SceneSplit,
+    /// Seed of the subject's identity.
+    pub subject: u64,
+    /// Number of frame pairs; there is one frame more.
+    pub pairs: u32,
+    /// File name of the background image, when backgrounds are images.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub background: Option<String>,
+}
+
+/// The files of one pair, all of them in the dataset's folder.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PairFiles {
+    /// First frame, sRGB PNG.
+    pub frame1: PathBuf,
+    /// Second frame.
+    pub frame2: PathBuf,
+    /// Flow from frame 1 to frame 2.
+    pub flow: PathBuf,
+    /// Flow from frame 2 to frame 1, at frame 2's pixels.
+    pub flow_backward: Option<PathBuf>,
+    /// Alpha of frame 1, 8-bit PNG.
+    pub alpha: PathBuf,
+    /// Head mask of frame 1, 8-bit PNG, 0 or 255.
+    pub mask: PathBuf,
+    /// Pixels of frame 1 that are not seen in frame 2, 8-bit PNG, 0 or 255.
+    pub occlusion: PathBuf,
+    /// Depth of frame 1, 16-bit PNG.
+    pub depth: Option<PathBuf>,
+    /// Cameras, motion and action units of both frames.
+    pub record: PathBuf,
+}
+
+impl PairFiles {
+    /// Every file.
+    pub fn all(&self) -> impl Iterator<Item = &PathBuf> {
+        [&self.frame1, &self.frame2, &self.flow, &self.alpha, &self.mask, &self.occlusion, &self.record]
+            .into_iter()
+            .chain(&self.flow_backward)
+            .chain(&self.depth)
+    }
+}
+
+/// The files of one frame, all of them in the dataset's folder.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FrameFiles {
+    /// The picture, sRGB PNG.
+    pub frame: PathBuf,
+    /// Alpha, 8-bit PNG.
+    pub alpha: PathBuf,
+    /// Head mask, 8-bit PNG, 0 or 255.
+    pub mask: PathBuf,
+    /// Depth, 16-bit PNG.
+    pub depth: Option<PathBuf>,
+}
+
+impl FrameFiles {
+    /// Every file.
+    pub fn all(&self) -> impl Iterator<Item = &PathBuf> {
+        [&self.frame, &self.alpha, &self.mask].into_iter().chain(&self.depth)
+    }
+}
+
+/// Why `dataset.json` could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ManifestError {
+    /// There is none, or it could not be read.
+    #[error("{}: {error}; an SRFlow dataset has a dataset.json in its folder, which `srflow render` writes", .path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        error: std::io::Error,
+    },
+    /// It is not what `srflow render` writes.
+    #[error("{}: {reason}", .path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// The field, what was expected and what was found.
+        reason: String,
+    },
+}
+
+impl Manifest {
+    /// Reads `dataset.json` from the dataset's folder.
+    ///
+    /// # Errors
+    /// When it is missing, is not JSON of the expected fields, or names folders outside of the dataset.
+    pub fn read(dir: &Path) -> Result<Self, ManifestError> {
+        let path = dir.join(MANIFEST_NAME);
+        let text = std::fs::read_to_string(&path)
+            .map_err(|error| ManifestError::Read { path: path.clone(), error })?;
+        let content = |reason| ManifestError::Content { path: path.clone(), reason };
+        let broken = |reason: String| {
+            content(format!(
+                "{reason}; restore the file from a copy, or delete the folder and render the dataset again"
+            ))
+        };
+        // The version is looked at first, so that a later layout is not reported as a missing field.
+        let value: serde_json::Value =
+            serde_json::from_str(&text).map_err(|error| broken(format!("not JSON: {error}")))?;
+        match value.get("layout_version").and_then(serde_json::Value::as_u64) {
+            Some(version) if version == u64::from(LAYOUT_VERSION) => {}
+            Some(version) => {
+                return Err(content(format!(
+                    "layout_version is {version}, this program knows {LAYOUT_VERSION}; read it with the srflow that made it"
+                )));
+            }
+            None => {
+                return Err(broken("no layout_version: not the dataset.json of an SRFlow dataset".into()));
+            }
+        }
+        let manifest: Self = serde_json::from_value(value).map_err(|error| broken(error.to_string()))?;
+        manifest.validate().map_err(broken)?;
+        Ok(manifest)
+    }
+
+    fn validate(&self) -> Result<(), String> {
+        let plain =
+            |name: &str| !name.is_empty() && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-');
+        let Arguments { width, height, flow_format, .. } = &self.arguments;
+        if *width == 0 || *height == 0 {
+            return Err(format!("size {width}x{height}: expected at least 1x1"));
+        }
+        if let Err(error) = flow_format.parse::<FlowFormat>() {
+            return Err(format!("flow_format: {error}"));
+        }
+        match self.scenes.iter().find(|scene| !plain(&scene.name)) {
+            Some(scene) => Err(format!("scene name `{}`: expected letters, digits and hyphens", scene.name)),
+            None => Ok(()),
+        }
+    }
+
+    /// The scenes of one part, by their number.
+    pub fn scenes_of(&self, split: SceneSplit) -> impl Iterator<Item = &SceneEntry> {
+        self.scenes.iter().filter(move |scene| scene.split == split)
+    }
+
+    /// Pairs of all scenes.
+    pub fn pairs(&self) -> u64 {
+        self.scenes.iter().map(|scene| u64::from(scene.pairs)).sum()
+    }
+
+    /// The folders that each split has, one for each kind of file.
+    pub fn kinds(&self) -> impl Iterator<Item = &'static str> + use<> {
+        let Arguments { backward, depth, .. } = self.arguments;
+        let kinds = ["frames", "flow", "alpha", "mask", "occlusion", "pairs"];
+        kinds.into_iter().chain(backward.then_some("flow_backward")).chain(depth.then_some("depth"))
+    }
+
+    /// The files of pair `pair` (frames `pair` and `pair + 1`) of `scene`, in the dataset's folder `dir`. Whether they are
+    /// there is not looked at.
+    pub fn files(&self, dir: &Path, scene: &SceneEntry, pair: u32) -> PairFiles {
+        let file = |kind: &str, ending: &str| file(dir, scene, kind, pair, ending);
+        let FrameFiles { frame, alpha, mask, depth } = self.frame_files(dir, scene, pair);
+        let flow_ending = self.flow_ending();
+        PairFiles {
+            frame1: frame,
+            frame2: self.frame_files(dir, scene, pair.saturating_add(1)).frame,
+            flow: file("flow", flow_ending),
+            flow_backward: self.arguments.backward.then(|| file("flow_backward", flow_ending)),
+            alpha,
+            mask,
+            occlusion: file("occlusion", "png"),
+            depth,
+            record: file("pairs", "json"),
+        }
+    }
+
+    /// The files of frame `frame` of `scene`: a scene has one frame more than pairs.
+    pub fn frame_files(&self, dir: &Path, scene: &SceneEntry, frame: u32) -> FrameFiles {
+        let file = |kind: &str| file(dir, scene, kind, frame, "png");
+        FrameFiles {
+            frame: file("frames"),
+            alpha: file("alpha"),
+            mask: file("mask"),
+            depth: self.arguments.depth.then(|| file("depth")),
+        }
+    }
+
+    fn flow_ending(&self) -> &str {
+        match self.arguments.flow_format.parse::<FlowFormat>() {
+            Ok(format) => format.extension(),
+            // `read` refuses an unknown format; in a manifest made otherwise its name has to do.
+            Err(_) => &self.arguments.flow_format,
+        }
+    }
+}
+
+fn file(dir: &Path, scene: &SceneEntry, kind: &str, frame: u32, ending: &str) -> PathBuf {
+    dir.join(scene.split.to_string()).join(kind).join(&scene.name).join(format!("{frame:05}.{ending}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn manifest() -> Manifest {
+        Manifest {
+            layout_version: LAYOUT_VERSION,
+            srflow_version: "0.1.0".into(),
+            arguments: Arguments {
+                head: "builtin".into(),
+                scenes: 1,
+                frames: 4.0,
+                width: 110,
+                height: 160,
+                splits: [1.0, 0.0, 0.0],
+                seed: u64::MAX,
+                flow_format: "flo".into(),
+                backward: false,
+                depth: true,
+                background: "#ffffff".into(),
+            },
+            rig: vec![],
+            scenes: vec![SceneEntry {
+                name: "scene-0000".into(),
+                split: SceneSplit::Train,
+                subject: 1,
+                pairs: 4,
+                background: None,
+            }],
+        }
+    }
+
+    fn read(text: &str) -> Result<Manifest, String> {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::write(dir.path().join(MANIFEST_NAME), text).unwrap();
+        Manifest::read(dir.path()).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn what_was_written_is_read() {
+        let manifest = manifest();
+        assert_eq!(read(&serde_json::to_string_pretty(&manifest).unwrap()).unwrap(), manifest);
+    }
+
+    #[test]
+    fn files_follow_the_layout() {
+        let manifest = manifest();
+        let files = manifest.files(Path::new("d"), &manifest.scenes[0], 3);
+        assert_eq!(files.frame2, Path::new("d/train/frames/scene-0000/00004.png"));
+        assert_eq!(files.flow, Path::new("d/train/flow/scene-0000/00003.flo"));
+        assert_eq!(files.depth.as_deref(), Some(Path::new("d/train/depth/scene-0000/00003.png")));
+        assert_eq!(files.flow_backward, None);
+        let last = manifest.frame_files(Path::new("d"), &manifest.scenes[0], 4);
+        assert_eq!(last.mask, Path::new("d/train/mask/scene-0000/00004.png"));
+        assert_eq!(last.frame, files.frame2);
+    }
+
+    #[test]
+    fn what_is_wrong_is_said() {
+        let error = |text: &str| read(text).unwrap_err();
+        let not_json = error("{");
+        assert!(not_json.contains("dataset.json: not JSON") && not_json.contains("restore the file"));
+        assert!(error("{}").contains("no layout_version"));
+        assert!(error(r#"{"layout_version": 9}"#).contains("layout_version is 9, this program knows 1"));
+        assert!(error(r#"{"layout_version": 1}"#).contains("missing field"));
+        let mut outside = manifest();
+        outside.scenes[0].name = "../../etc".into();
+        assert!(error(&serde_json::to_string(&outside).unwrap()).contains("scene name `../../etc`"));
+        assert!(
+            Manifest::read(Path::new("/nowhere")).unwrap_err().to_string().contains("/nowhere/dataset.json")
+        );
+    }
+}

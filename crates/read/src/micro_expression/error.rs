@@ -1,0 +1,127 @@
+use std::path::{Path, PathBuf};
+
+use srflow_field::FileError;
+
+use super::frames::MissingFrames;
+use crate::flow::DatasetError;
+
+/// Why a micro-expression dataset could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum MicroExpressionError {
+    /// The text is not `KIND:DIR`.
+    #[error("`{found}`: expected KIND:DIR, e.g. samm:/data/SAMM. Kinds: {known}")]
+    NotKindAndFolder {
+        /// What was given.
+        found: String,
+        /// The kinds there are.
+        known: String,
+    },
+    /// No annotation file fits.
+    #[error("{kind}: looked for {expected} in {}; {found}", .dir.display())]
+    NoAnnotations {
+        /// Kind of dataset.
+        kind: &'static str,
+        /// The dataset's folder.
+        dir: PathBuf,
+        /// What the file is.
+        expected: &'static str,
+        /// What there is instead, and what to do.
+        found: String,
+    },
+    /// A spreadsheet or table cannot be read.
+    #[error("{}: {reason}", .path.display())]
+    Table {
+        /// The file.
+        path: PathBuf,
+        /// What was expected and found.
+        reason: String,
+    },
+    /// The columns of a table are not those of this dataset.
+    #[error("{}: expected {kind}'s columns ({expected}); {found}", .path.display())]
+    Columns {
+        /// The file.
+        path: PathBuf,
+        /// Kind of dataset.
+        kind: &'static str,
+        /// The columns needed.
+        expected: String,
+        /// What there is instead, and what to do.
+        found: String,
+    },
+    /// A row does not hold what it must.
+    #[error("{}, row {row}: {reason}", .path.display())]
+    Row {
+        /// The file.
+        path: PathBuf,
+        /// Number of the row in the file, from 1.
+        row: usize,
+        /// What was expected and found.
+        reason: String,
+    },
+    /// Two rows name the same clip.
+    #[error("{}: subject {subject}, clip {clip} is there twice; keep one of the rows", .path.display())]
+    Twice {
+        /// The file.
+        path: PathBuf,
+        /// The subject.
+        subject: String,
+        /// The clip.
+        clip: String,
+    },
+    /// No clip's folder lies where it should.
+    #[error("{kind}: looked for {looked_for}; {found}")]
+    NoFolders {
+        /// Kind of dataset.
+        kind: &'static str,
+        /// The first clip's folder.
+        looked_for: String,
+        /// What there is instead, and what to do.
+        found: String,
+    },
+    /// Frames are missing, and that was not allowed.
+    #[error(
+        "{dataset}: {frames} frames of {clips} clips are missing below {}:\n{listed}\ncopy them there, or go on without them with --allow-missing",
+        .root.display()
+    )]
+    Missing {
+        /// Name of the dataset.
+        dataset: String,
+        /// The folder of the subjects' folders.
+        root: PathBuf,
+        /// How many frames.
+        frames: u64,
+        /// Of how many clips.
+        clips: usize,
+        /// The first of them, one clip a line.
+        listed: String,
+    },
+    /// Two datasets of one name.
+    #[error("two datasets are called `{0}`; give each once, plain ones in folders of different names")]
+    SameName(String),
+    /// A folder could not be listed.
+    #[error(transparent)]
+    Folder(#[from] DatasetError),
+    /// A file could not be written.
+    #[error(transparent)]
+    File(#[from] FileError),
+}
+
+impl MicroExpressionError {
+    /// How many clips are named; the rest are counted.
+    const NAMED: usize = 8;
+
+    pub(super) fn missing(dataset: &str, root: &Path, missing: &[MissingFrames]) -> Self {
+        let mut listed: Vec<String> =
+            missing.iter().take(Self::NAMED).map(|clip| format!("  {clip}")).collect();
+        if missing.len() > Self::NAMED {
+            listed.push(format!("  and {} more clips", missing.len() - Self::NAMED));
+        }
+        Self::Missing {
+            dataset: dataset.to_owned(),
+            root: root.to_owned(),
+            frames: missing.iter().map(MissingFrames::count).fold(0, u64::saturating_add),
+            clips: missing.len(),
+            listed: listed.join("\n"),
+        }
+    }
+}

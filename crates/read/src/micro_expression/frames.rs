@@ -1,0 +1,188 @@
+//! Where clips' frames lie, and which of them are missing.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use super::{Annotation, Clip, DropReason, Dropped, MicroExpressionError};
+use crate::flow::DatasetError;
+use crate::flow::listing;
+
+/// The folders of a dataset's clips, in the annotations' order; they need not exist.
+pub struct ClipFolders {
+    pub folders: Vec<PathBuf>,
+    /// The folder that holds the subjects' folders.
+    pub root: PathBuf,
+    /// Which published form of the dataset it is.
+    pub form: &'static str,
+}
+
+/// The first of `places` below `dir` (name and form) in which the folder of any clip lies.
+pub fn below(
+    kind: &'static str,
+    dir: &Path,
+    places: &[(&str, &'static str)],
+    annotations: &[Annotation],
+    folder: impl Fn(&Path, &Annotation) -> PathBuf,
+) -> Result<ClipFolders, MicroExpressionError> {
+    for &(place, form) in places {
+        let root = if place.is_empty() { dir.to_owned() } else { dir.join(place) };
+        let folders: Vec<PathBuf> = annotations.iter().map(|annotation| folder(&root, annotation)).collect();
+        if folders.iter().any(|folder| folder.is_dir()) {
+            return Ok(ClipFolders { folders, root, form });
+        }
+    }
+    let first = annotations.first().map(|annotation| folder(Path::new(""), annotation)).unwrap_or_default();
+    let hint = match listing::elsewhere(dir, &first.display().to_string()) {
+        Some(place) => format!("It is under {0}: give {kind}:{0}", place.display()),
+        None => "Give the folder that holds the subjects' folders".to_owned(),
+    };
+    Err(MicroExpressionError::NoFolders {
+        kind,
+        looked_for: dir.join(first).display().to_string(),
+        found: format!("{}. {hint}", listing::contents(dir)),
+    })
+}
+
+/// Pictures of a folder by the last number in their names, however many digits it has.
+pub fn numbered_frames(folder: &Path) -> Result<BTreeMap<u64, PathBuf>, MicroExpressionError> {
+    let mut frames = BTreeMap::new();
+    for path in listing::pictures(folder)? {
+        // A picture without a number is not of the recording.
+        let Some(number) = listing::last_number(&listing::stem(&path)) else { continue };
+        if let Some(other) = frames.insert(number, path.clone()) {
+            let other = listing::name(&other);
+            let reason = format!("frame {number} is there twice, also as {other}; keep one of the two");
+            return Err(DatasetError::Format { path, reason }.into());
+        }
+    }
+    Ok(frames)
+}
+
+/// What became of a dataset's annotations.
+pub struct Located {
+    pub clips: Vec<Clip>,
+    pub dropped: Vec<Dropped>,
+    pub missing: Vec<MissingFrames>,
+}
+
+/// Finds the frames of each annotation in its folder.
+pub fn locate(
+    dataset: &str,
+    annotations: Vec<Annotation>,
+    found: &ClipFolders,
+) -> Result<Located, MicroExpressionError> {
+    let mut located = Located { clips: Vec::new(), dropped: Vec::new(), missing: Vec::new() };
+    for (annotation, folder) in annotations.into_iter().zip(&found.folders) {
+        let mut frames = if folder.is_dir() { numbered_frames(folder)? } else { BTreeMap::new() };
+        frames.retain(|number, _| (annotation.onset..=annotation.offset).contains(number));
+        let gaps = gaps(&frames, annotation.onset, annotation.offset);
+        let essential = [Some(annotation.onset), annotation.apex];
+        let whole = essential.into_iter().flatten().all(|number| frames.contains_key(&number));
+        let usable = whole && frames.len() > 1;
+        if !gaps.is_empty() {
+            located.missing.push(MissingFrames {
+                subject: annotation.subject.clone(),
+                clip: annotation.clip.clone(),
+                folder: folder.clone(),
+                numbers: gaps,
+                dropped: !usable,
+            });
+        }
+        if usable {
+            located.clips.push(Clip {
+                dataset: dataset.to_owned(),
+                annotation,
+                folder: folder.clone(),
+                frames,
+            });
+        } else {
+            let Annotation { subject, clip, label, .. } = annotation;
+            located.dropped.push(Dropped { subject, clip, label, reason: DropReason::FramesMissing });
+        }
+    }
+    Ok(located)
+}
+
+/// The numbers from `first` to `last` that are not there, as inclusive ranges: what a table claims is never counted up.
+fn gaps(frames: &BTreeMap<u64, PathBuf>, first: u64, last: u64) -> Vec<(u64, u64)> {
+    let mut gaps = Vec::new();
+    let mut next = first;
+    for &number in frames.range(first..=last).map(|(number, _)| number) {
+        if number > next {
+            gaps.push((next, number - 1));
+        }
+        next = number.saturating_add(1);
+    }
+    if next <= last && !frames.contains_key(&last) {
+        gaps.push((next, last));
+    }
+    gaps
+}
+
+/// The frames of one clip that are not on disk.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct MissingFrames {
+    /// The subject.
+    pub subject: String,
+    /// The clip.
+    pub clip: String,
+    /// The folder in which they were looked for.
+    pub folder: PathBuf,
+    /// Their numbers, as inclusive ranges.
+    pub numbers: Vec<(u64, u64)>,
+    /// Whether onset or apex is among them, so that the clip cannot be used.
+    pub dropped: bool,
+}
+
+impl MissingFrames {
+    /// How many.
+    pub fn count(&self) -> u64 {
+        let counts = self.numbers.iter().map(|(first, last)| (last - first).saturating_add(1));
+        counts.fold(0, u64::saturating_add)
+    }
+}
+
+impl fmt::Display for MissingFrames {
+    /// `006/006_1_2: 3 frames: 5562, 5570-5571`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        const NAMED: usize = 6;
+        let plural = if self.count() == 1 { "" } else { "s" };
+        write!(f, "{}/{}: {} frame{plural}: ", self.subject, self.clip, self.count())?;
+        for (at, (first, last)) in self.numbers.iter().take(NAMED).enumerate() {
+            let comma = if at == 0 { "" } else { ", " };
+            if first == last { write!(f, "{comma}{first}")? } else { write!(f, "{comma}{first}-{last}")? }
+        }
+        if self.numbers.len() > NAMED {
+            write!(f, " and {} more gaps", self.numbers.len() - NAMED)?;
+        }
+        if !self.folder.is_dir() {
+            write!(f, " (there is no {})", self.folder.display())?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn gaps_and_frames_are_all_numbers(present in prop::collection::btree_set(0_u64..40, 0..40), first in 0_u64..30, length in 0_u64..20) {
+            let last = first + length;
+            let frames: BTreeMap<u64, PathBuf> = present.iter().map(|&number| (number, PathBuf::new())).collect();
+            let missing: Vec<u64> = gaps(&frames, first, last).into_iter().flat_map(|(a, b)| a..=b).collect();
+            let expected: Vec<u64> = (first..=last).filter(|number| !present.contains(number)).collect();
+            prop_assert_eq!(missing, expected);
+        }
+    }
+
+    #[test]
+    fn a_table_that_claims_too_much_takes_no_time() {
+        let gaps = gaps(&BTreeMap::from([(u64::MAX, PathBuf::new())]), 0, u64::MAX);
+        assert_eq!(gaps, [(0, u64::MAX - 1)]);
+    }
+}

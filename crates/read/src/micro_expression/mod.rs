@@ -1,0 +1,161 @@
+//! Micro-expression datasets: who shows which expression, in which frames.
+//!
+//! [`Labels::read`] reads a dataset's annotations and keeps the clips of the three classes, telling why each other row is
+//! dropped; [`ClipDataset::open`] finds the kept clips' frames too. What differs between datasets is in one file each.
+
+mod annotation;
+mod apex_list;
+mod casme2;
+mod class;
+mod composite;
+mod error;
+mod frames;
+mod plain;
+mod samm;
+mod sheet;
+mod smic;
+mod source;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+pub use annotation::{Annotation, DropReason, Dropped};
+pub use apex_list::{ApexRow, write_apex_list};
+pub use class::EmotionClass;
+pub use composite::{ClassCounts, check_distinct, published_counts};
+pub use error::MicroExpressionError;
+pub use frames::MissingFrames;
+pub use plain::{PLAIN_COLUMNS, PLAIN_NAME, write_plain};
+pub use source::{CLIP_KINDS, ClipKind, ClipSource, Release};
+
+use frames::{Located, locate};
+
+/// What a dataset's annotations say.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Labels {
+    /// Name of the dataset, e.g. `casme2`; of a plain one that of its folder.
+    pub dataset: String,
+    /// The annotation file; none where the folders' names say everything.
+    pub file: Option<PathBuf>,
+    /// The clips of the three classes, in the file's order.
+    pub annotations: Vec<Annotation>,
+    /// The rows that are none of them.
+    pub dropped: Vec<Dropped>,
+}
+
+impl Labels {
+    /// Reads the annotations; no frame is looked for.
+    ///
+    /// # Errors
+    /// When there is no annotation file, it is another dataset's, or one of its rows cannot be read.
+    pub fn read(source: &ClipSource) -> Result<Self, MicroExpressionError> {
+        let labels = match source.kind {
+            ClipKind::Samm => samm::read(source),
+            ClipKind::Casme2(_) => casme2::read(source),
+            ClipKind::Smic => smic::read(source),
+            ClipKind::Clips => plain::read(source),
+        }?;
+        let mut seen = BTreeSet::new();
+        for annotation in &labels.annotations {
+            if !seen.insert((&annotation.subject, &annotation.clip)) {
+                return Err(MicroExpressionError::Twice {
+                    path: labels.file.clone().unwrap_or_else(|| source.dir.clone()),
+                    subject: annotation.subject.clone(),
+                    clip: annotation.clip.clone(),
+                });
+            }
+        }
+        Ok(labels)
+    }
+
+    /// Clips of each class.
+    pub fn counts(&self) -> ClassCounts {
+        self.annotations.iter().map(|annotation| annotation.class).collect()
+    }
+}
+
+/// One clip and where its frames lie.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Clip {
+    /// Name of the dataset.
+    pub dataset: String,
+    /// Who, what and when.
+    pub annotation: Annotation,
+    /// Folder of the frames.
+    pub folder: PathBuf,
+    /// The frames from onset to offset that are there, by their number.
+    pub frames: BTreeMap<u64, PathBuf>,
+}
+
+impl Clip {
+    /// `dataset/subject/clip`: names the clip among all datasets.
+    pub fn id(&self) -> String {
+        format!("{}/{}/{}", self.dataset, self.annotation.subject, self.annotation.clip)
+    }
+
+    /// The file of a frame between onset and offset, when it is there.
+    pub fn frame(&self, number: u64) -> Option<&Path> {
+        self.frames.get(&number).map(PathBuf::as_path)
+    }
+}
+
+/// A dataset whose clips are found, ready to be read.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ClipDataset {
+    /// Name of the dataset, e.g. `casme2`; of a plain one that of its folder.
+    pub name: String,
+    /// Which of its published forms was found: `raw`, `cropped`, `extended` or `short`; empty where there is but one.
+    pub form: &'static str,
+    /// The dataset's folder.
+    pub dir: PathBuf,
+    /// The annotation file; none where the folders' names say everything.
+    pub file: Option<PathBuf>,
+    /// The clips whose onset and apex frames are there.
+    pub clips: Vec<Clip>,
+    /// Rows that are left out, by their label or because their frames are missing.
+    pub dropped: Vec<Dropped>,
+    /// Every clip of which a frame between onset and offset is missing.
+    pub missing: Vec<MissingFrames>,
+}
+
+impl ClipDataset {
+    /// Reads the annotations and finds the frames. With `allow_missing`, clips go on without frames that are missing, and
+    /// those without onset or apex are dropped; [`missing`](Self::missing) names all of them.
+    ///
+    /// # Errors
+    /// Those of [`Labels::read`]; when no clip's folder is found, or when frames are missing and that is not allowed.
+    pub fn open(source: &ClipSource, allow_missing: bool) -> Result<Self, MicroExpressionError> {
+        let mut labels = Labels::read(source)?;
+        let annotations = std::mem::take(&mut labels.annotations);
+        let found = match source.kind {
+            ClipKind::Samm => samm::folders(&source.dir, &annotations),
+            ClipKind::Casme2(release) => casme2::folders(&source.dir, release, &annotations),
+            ClipKind::Smic => smic::folders(&source.dir, &annotations),
+            ClipKind::Clips => plain::folders(source, &annotations),
+        }?;
+        let Located { clips, dropped, missing } = locate(&labels.dataset, annotations, &found)?;
+        if !missing.is_empty() && !allow_missing {
+            return Err(MicroExpressionError::missing(&labels.dataset, &found.root, &missing));
+        }
+        labels.dropped.extend(dropped);
+        Ok(Self {
+            name: labels.dataset,
+            form: found.form,
+            dir: source.dir.clone(),
+            file: labels.file,
+            clips,
+            dropped: labels.dropped,
+            missing,
+        })
+    }
+
+    /// Clips of each class.
+    pub fn counts(&self) -> ClassCounts {
+        self.clips.iter().map(|clip| clip.annotation.class).collect()
+    }
+
+    /// The subjects that have a clip.
+    pub fn subjects(&self) -> BTreeSet<&str> {
+        self.clips.iter().map(|clip| clip.annotation.subject.as_str()).collect()
+    }
+}

@@ -1,0 +1,281 @@
+//! Annotation tables: spreadsheets as they are published, and CSV files.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use calamine::{DataRef, Reader, Xlsx};
+
+use super::source::ClipSource;
+use super::{ClipKind, MicroExpressionError};
+use crate::flow::listing;
+
+/// Greater files are no annotation spreadsheets; the published ones are below 0.1 MB.
+const MAX_BYTES: u64 = 64 << 20;
+
+/// Rows and columns that are looked at.
+const MAX_ROWS: u32 = 100_000;
+const MAX_COLUMNS: u32 = 256;
+
+/// The header is looked for in so many rows.
+const HEADER_ROWS: u32 = 40;
+
+/// What a published spreadsheet looks like.
+#[derive(Debug)]
+pub struct Form {
+    pub kind: ClipKind,
+    /// What it is and how it is called, for messages.
+    pub called: &'static str,
+    /// Columns that the header row must name, as it spells them.
+    pub columns: &'static [&'static str],
+}
+
+/// Every form, so that mixed-up files can be told.
+const FORMS: [&Form; 3] = [&super::samm::FORM, &super::casme2::FORM, &super::smic::FORM];
+
+/// A table whose columns have names.
+#[derive(Debug)]
+pub struct Table {
+    pub path: PathBuf,
+    columns: BTreeMap<String, u32>,
+    rows: Vec<(usize, BTreeMap<u32, String>)>,
+}
+
+/// One row of a table.
+#[derive(Debug, Clone, Copy)]
+pub struct Row<'a> {
+    table: &'a Table,
+    number: usize,
+    cells: &'a BTreeMap<u32, String>,
+}
+
+impl Table {
+    /// The rows below the header that hold anything.
+    pub fn rows(&self) -> impl Iterator<Item = Row<'_>> {
+        self.rows.iter().map(|(number, cells)| Row { table: self, number: *number, cells })
+    }
+
+    fn of(path: &Path, columns: BTreeMap<String, u32>, rows: Rows, header: u32) -> Self {
+        let below = rows.into_iter().filter(|(row, _)| *row > header);
+        Self {
+            path: path.to_owned(),
+            columns,
+            rows: below.map(|(row, cells)| (row as usize + 1, cells)).collect(),
+        }
+    }
+}
+
+impl<'a> Row<'a> {
+    /// The text of a column, without spaces around it; empty when the cell or the column is.
+    pub fn text(self, column: &str) -> &'a str {
+        let at = self.table.columns.get(&header_key(column));
+        at.and_then(|at| self.cells.get(at)).map_or("", |text| text.trim())
+    }
+
+    /// The frame number of a column.
+    pub fn frame(self, column: &str) -> Result<u64, MicroExpressionError> {
+        let text = self.text(column);
+        text.parse().map_err(|_| self.wrong(format!("{column}: expected a frame number, found `{text}`")))
+    }
+
+    /// The text of a column that must hold some.
+    pub fn filled(self, column: &str) -> Result<&'a str, MicroExpressionError> {
+        match self.text(column) {
+            "" => Err(self.wrong(format!("{column}: expected a value, found an empty cell"))),
+            text => Ok(text),
+        }
+    }
+
+    /// The error that this row is wrong.
+    pub fn wrong(self, reason: String) -> MicroExpressionError {
+        MicroExpressionError::Row { path: self.table.path.clone(), row: self.number, reason }
+    }
+}
+
+/// Text of the cells by row and column, both from 0; empty cells are left out.
+type Rows = BTreeMap<u32, BTreeMap<u32, String>>;
+
+/// Reads the spreadsheet that `source` names, or the one in its folder that is of this form.
+pub fn read_spreadsheet(form: &Form, source: &ClipSource) -> Result<Table, MicroExpressionError> {
+    if let Some(path) = &source.annotations {
+        return read_form(form, path);
+    }
+    match spreadsheet_in(form, &source.dir)? {
+        Some(table) => Ok(table),
+        None => Err(none_fits(form, &source.dir)),
+    }
+}
+
+/// The spreadsheet of this form in a folder, when there is one.
+pub fn spreadsheet_in(form: &Form, dir: &Path) -> Result<Option<Table>, MicroExpressionError> {
+    let mut fitting: Vec<Table> = Vec::new();
+    let spreadsheets = listing::files(dir, &["xlsx"])?;
+    // Names that begin with ~$ are locks that an office program left.
+    for path in spreadsheets.iter().filter(|path| !listing::name(path).starts_with("~$")) {
+        match read_form(form, path) {
+            Ok(table) => fitting.push(table),
+            Err(MicroExpressionError::Columns { .. }) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    if let [first, second, ..] = &fitting[..] {
+        let found = format!(
+            "both {} and {} fit: name one with --annotations {}:FILE",
+            listing::name(&first.path),
+            listing::name(&second.path),
+            form.kind.name()
+        );
+        return Err(no_annotations(form, dir, found));
+    }
+    Ok(fitting.pop())
+}
+
+fn none_fits(form: &Form, dir: &Path) -> MicroExpressionError {
+    let spreadsheets = listing::files(dir, &["xlsx"]).unwrap_or_default();
+    let names: Vec<String> = spreadsheets.iter().map(|path| listing::name(path)).collect();
+    let there = match &names[..] {
+        [] => "no spreadsheet is there".to_owned(),
+        [only] => match read_form(form, &spreadsheets[0]) {
+            Err(error) => format!("{only} is not it: {error}"),
+            Ok(_) => String::new(),
+        },
+        _ => format!("none of {} is it", names.join(", ")),
+    };
+    no_annotations(
+        form,
+        dir,
+        format!("{there}. Put it there, or name it with --annotations {}:FILE", form.kind.name()),
+    )
+}
+
+fn no_annotations(form: &Form, dir: &Path, found: String) -> MicroExpressionError {
+    MicroExpressionError::NoAnnotations {
+        kind: form.kind.name(),
+        dir: dir.to_owned(),
+        expected: form.called,
+        found,
+    }
+}
+
+/// Reads a spreadsheet of one form: the first sheet that has its header row.
+fn read_form(form: &Form, path: &Path) -> Result<Table, MicroExpressionError> {
+    let sheets = read_sheets(path)?;
+    for rows in &sheets {
+        if let Some((header, columns)) = header_of(rows, form.columns) {
+            return Ok(Table::of(path, columns, rows.clone(), header));
+        }
+    }
+    let fits = |other: &&&Form| sheets.iter().any(|rows| header_of(rows, other.columns).is_some());
+    let found = match FORMS.iter().find(fits) {
+        Some(other) => format!("these are those of {}; give the file of {}", other.called, form.called),
+        None => match sheets.iter().flat_map(BTreeMap::values).find(|row| row.len() > 2) {
+            Some(row) => {
+                let cells: Vec<&str> = row.values().take(8).map(String::as_str).collect();
+                format!("the first full row holds {}", cells.join(", "))
+            }
+            None => "its sheets are empty".to_owned(),
+        },
+    };
+    Err(MicroExpressionError::Columns {
+        path: path.to_owned(),
+        kind: form.kind.name(),
+        expected: form.columns.join(", "),
+        found,
+    })
+}
+
+/// The row that names all `columns`, and where each of its names stands.
+fn header_of(rows: &Rows, columns: &[&str]) -> Option<(u32, BTreeMap<String, u32>)> {
+    rows.range(..HEADER_ROWS).find_map(|(row, cells)| {
+        let mut named = BTreeMap::new();
+        for (column, text) in cells {
+            named.entry(header_key(text)).or_insert(*column);
+        }
+        columns.iter().all(|column| named.contains_key(&header_key(column))).then_some((*row, named))
+    })
+}
+
+/// Spaces inside count: `Onset Frame` is SAMM's and `OnsetFrame` CASME II's.
+fn header_key(text: &str) -> String {
+    text.trim().trim_start_matches('\u{feff}').to_lowercase()
+}
+
+/// The sheets of a workbook, cell by cell: a sheet's claimed extent is never taken as memory.
+fn read_sheets(path: &Path) -> Result<Vec<Rows>, MicroExpressionError> {
+    let wrong = |reason: String| MicroExpressionError::Table { path: path.to_owned(), reason };
+    let size = std::fs::metadata(path).map_err(|error| wrong(error.to_string()))?.len();
+    if size > MAX_BYTES {
+        return Err(wrong(format!(
+            "expected a spreadsheet below {} MB, found {} MB",
+            MAX_BYTES >> 20,
+            size >> 20
+        )));
+    }
+    let broken = |error: calamine::XlsxError| wrong(format!("expected a sound .xlsx spreadsheet: {error}"));
+    let mut workbook: Xlsx<_> = calamine::open_workbook(path).map_err(broken)?;
+    let mut sheets = Vec::new();
+    for name in workbook.sheet_names() {
+        let mut rows = Rows::new();
+        let mut cells = workbook.worksheet_cells_reader(&name).map_err(broken)?;
+        while let Some(cell) = cells.next_cell().map_err(broken)? {
+            let (row, column) = cell.get_position();
+            if row < MAX_ROWS && column < MAX_COLUMNS {
+                let text = cell_text(cell.get_value());
+                if !text.trim().is_empty() {
+                    rows.entry(row).or_default().insert(column, text);
+                }
+            }
+        }
+        sheets.push(rows);
+    }
+    Ok(sheets)
+}
+
+fn cell_text(value: &DataRef) -> String {
+    match value {
+        DataRef::Int(number) => number.to_string(),
+        // Displays whole numbers without a fraction, so that frame numbers read as such.
+        DataRef::Float(number) => number.to_string(),
+        DataRef::String(text) => text.clone(),
+        DataRef::SharedString(text) => (*text).to_owned(),
+        DataRef::Bool(value) => value.to_string(),
+        DataRef::DateTime(time) => time.as_f64().to_string(),
+        DataRef::DateTimeIso(text) | DataRef::DurationIso(text) => text.clone(),
+        DataRef::Error(_) | DataRef::Empty => String::new(),
+    }
+}
+
+/// Reads a CSV file whose first row names at least `columns`.
+pub fn read_csv(kind: &'static str, path: &Path, columns: &[&str]) -> Result<Table, MicroExpressionError> {
+    let wrong = |reason: String| MicroExpressionError::Table { path: path.to_owned(), reason };
+    let mut reader = csv::ReaderBuilder::new()
+        .has_headers(false)
+        .flexible(true)
+        .from_path(path)
+        .map_err(|error| wrong(error.to_string()))?;
+    let mut rows = Rows::new();
+    for record in reader.records() {
+        let record = record.map_err(|error| wrong(format!("expected a CSV table: {error}")))?;
+        let line = record.position().map_or(1, csv::Position::line);
+        let cells = (0..).zip(&record).filter(|(_, text)| !text.trim().is_empty());
+        let cells: BTreeMap<u32, String> = cells.map(|(at, text)| (at, text.to_owned())).collect();
+        if !cells.is_empty() {
+            rows.insert(u32::try_from(line.saturating_sub(1)).unwrap_or(u32::MAX), cells);
+        }
+    }
+    let header = rows.first_key_value().map(|(row, cells)| (*row, cells.clone())).unwrap_or_default();
+    let first = Rows::from([header]);
+    match header_of(&first, columns) {
+        Some((header, names)) => Ok(Table::of(path, names, rows, header)),
+        None => Err(MicroExpressionError::Columns {
+            path: path.to_owned(),
+            kind,
+            expected: columns.join(", "),
+            found: match first.first_key_value() {
+                Some((_, cells)) if !cells.is_empty() => {
+                    format!("its first row holds {}", cells.values().cloned().collect::<Vec<_>>().join(", "))
+                }
+                _ => "it is empty".to_owned(),
+            },
+        }),
+    }
+}

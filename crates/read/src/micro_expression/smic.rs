@@ -1,0 +1,262 @@
+//! SMIC-HS (Li et al. 2013), the extended recordings or the short ones.
+//!
+//! Extended: spreadsheet `SMIC-HS-E_annotation.xlsx`, sheet HS; frames `SMIC_HS_E/sSS/CLIP/imageFRAME.jpg`. Short: frames
+//! `HS/SUBJECT/micro/CLASS/CLIP/*`, from onset to offset. A subject below 10 is `1` in clip names of the one and `01` in
+//! those of the other, so that names are compared by their parts.
+//!
+//! The class is that of the clip's name: the spreadsheet's column calls s18_sur_03 negative. There is no annotated apex;
+//! a list of apex frames, as CapsuleNet for micro-expressions (Quang et al. 2019) published it, is read when it is there.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use super::frames::{ClipFolders, numbered_frames};
+use super::sheet::{Form, Table, read_csv, read_spreadsheet, spreadsheet_in};
+use super::{
+    Annotation, ClipKind, ClipSource, DropReason, Dropped, EmotionClass, Labels, MicroExpressionError,
+};
+use crate::flow::listing;
+
+pub const FORM: Form = Form {
+    kind: ClipKind::Smic,
+    called: "SMIC-HS's annotations (SMIC-HS-E_annotation.xlsx)",
+    columns: &["Subject", "Filename", "OnsetF", "OffsetF", "Onset2F", "Emotion"],
+};
+
+/// Names under which the list of apex frames is published.
+const APEX_LISTS: [&str; 2] = ["smic_apex.csv", "data_apex.csv"];
+
+/// The clips of MEGC2019's list that CapsuleNet, and the paper with it, leave out.
+const NOT_IN_APEX_LIST: [Key; 7] = [
+    Key { subject: 1, class: EmotionClass::Negative, number: 2 },
+    Key { subject: 3, class: EmotionClass::Negative, number: 3 },
+    Key { subject: 3, class: EmotionClass::Negative, number: 20 },
+    Key { subject: 4, class: EmotionClass::Negative, number: 5 },
+    Key { subject: 4, class: EmotionClass::Negative, number: 6 },
+    Key { subject: 2, class: EmotionClass::Surprise, number: 5 },
+    Key { subject: 9, class: EmotionClass::Surprise, number: 2 },
+];
+
+/// What a clip's name says, e.g. `s01_ne_02` and `s1_ne_02`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+struct Key {
+    subject: u32,
+    class: EmotionClass,
+    number: u32,
+}
+
+impl Key {
+    fn of(clip: &str) -> Option<Self> {
+        let mut parts = clip.trim().split('_');
+        let subject = parts.next()?.strip_prefix(['s', 'S'])?.parse().ok()?;
+        let class = match parts.next()? {
+            "ne" => EmotionClass::Negative,
+            "po" => EmotionClass::Positive,
+            "sur" => EmotionClass::Surprise,
+            _ => return None,
+        };
+        let number = parts.next()?.parse().ok()?;
+        parts.next().is_none().then_some(Self { subject, class, number })
+    }
+
+    /// For maps; classes have no order of their own.
+    fn order(self) -> (u32, u8, u32) {
+        (self.subject, self.class as u8, self.number)
+    }
+}
+
+pub fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
+    let (file, mut annotations, dropped) = if source.annotations.is_some() {
+        of_table(read_spreadsheet(&FORM, source)?)?
+    } else if let Some(table) = spreadsheet_in(&FORM, &source.dir)? {
+        of_table(table)?
+    } else if let Some(root) = short_root(&source.dir)? {
+        of_short_clips(&root)?
+    } else {
+        of_table(read_spreadsheet(&FORM, source)?)?
+    };
+    let beside = || APEX_LISTS.iter().map(|name| source.dir.join(name)).find(|path| path.is_file());
+    if let Some(list) = source.apex_list.clone().or_else(beside) {
+        add_apexes(&list, &mut annotations)?;
+    }
+    Ok(Labels { dataset: "smic".to_owned(), file, annotations, dropped })
+}
+
+type Read = (Option<PathBuf>, Vec<Annotation>, Vec<Dropped>);
+
+fn of_table(table: Table) -> Result<Read, MicroExpressionError> {
+    let (mut annotations, mut dropped) = (Vec::new(), Vec::new());
+    for row in table.rows() {
+        let clip = row.filled("Filename")?.to_owned();
+        let label = row.text("Emotion").to_owned();
+        let Some(key) = Key::of(&clip) else {
+            return Err(row.wrong(format!("Filename: expected a name like s20_ne_01, found `{clip}`")));
+        };
+        let subject = row.filled("Subject")?;
+        if subject.trim_start_matches(['s', 'S']).parse() != Ok(key.subject) {
+            return Err(row.wrong(format!("subject `{subject}` has a clip called {clip}")));
+        }
+        let subject = format!("{:02}", key.subject);
+        if NOT_IN_APEX_LIST.contains(&key) {
+            dropped.push(Dropped { subject, clip, label, reason: DropReason::NotInApexList });
+            continue;
+        }
+        let (onset, offset) = (row.frame("OnsetF")?, row.frame("OffsetF")?);
+        if offset <= onset {
+            return Err(row.wrong(format!("OffsetF: expected a frame after OnsetF {onset}, found {offset}")));
+        }
+        annotations.push(Annotation {
+            subject,
+            clip,
+            class: key.class,
+            label,
+            action_units: String::new(),
+            onset,
+            apex: None,
+            offset,
+        });
+    }
+    Ok((Some(table.path), annotations, dropped))
+}
+
+/// The folder of the subjects' folders of the short recordings, when they are there.
+fn short_root(dir: &Path) -> Result<Option<PathBuf>, MicroExpressionError> {
+    for place in ["", "HS", "SMIC_all_cropped/HS", "SMIC_all_raw/HS"] {
+        let root = dir.join(place);
+        if root.is_dir() && listing::folders(&root)?.iter().any(|subject| subject.join("micro").is_dir()) {
+            return Ok(Some(root));
+        }
+    }
+    Ok(None)
+}
+
+/// The clips' folders of the short recordings.
+fn short_clips(root: &Path) -> Result<Vec<(Key, PathBuf)>, MicroExpressionError> {
+    let mut clips = Vec::new();
+    for subject in listing::folders(root)?.iter().map(|subject| subject.join("micro")) {
+        let classes = if subject.is_dir() { listing::folders(&subject)? } else { Vec::new() };
+        for class in &classes {
+            let folders = listing::folders(class)?;
+            clips
+                .extend(folders.into_iter().filter_map(|clip| Some((Key::of(&listing::name(&clip))?, clip))));
+        }
+    }
+    Ok(clips)
+}
+
+fn of_short_clips(root: &Path) -> Result<Read, MicroExpressionError> {
+    let (mut annotations, mut dropped) = (Vec::new(), Vec::new());
+    for (key, folder) in short_clips(root)? {
+        let (subject, clip) = (format!("{:02}", key.subject), listing::name(&folder));
+        let label = folder.parent().map(listing::name).unwrap_or_default();
+        if NOT_IN_APEX_LIST.contains(&key) {
+            dropped.push(Dropped { subject, clip, label, reason: DropReason::NotInApexList });
+            continue;
+        }
+        let frames = numbered_frames(&folder)?;
+        let (Some((&onset, _)), Some((&offset, _))) = (frames.first_key_value(), frames.last_key_value())
+        else {
+            dropped.push(Dropped { subject, clip, label, reason: DropReason::FramesMissing });
+            continue;
+        };
+        annotations.push(Annotation {
+            subject,
+            clip,
+            class: key.class,
+            label,
+            action_units: String::new(),
+            onset,
+            apex: None,
+            offset,
+        });
+    }
+    Ok((None, annotations, dropped))
+}
+
+/// Takes the apex of each clip from a list with the columns data, clip and apex_frame; other datasets' rows are left.
+fn add_apexes(list: &Path, annotations: &mut [Annotation]) -> Result<(), MicroExpressionError> {
+    let table = read_csv("smic", list, &["data", "clip", "apex_frame"])?;
+    let mut apexes = BTreeMap::new();
+    for row in table.rows().filter(|row| row.text("data").eq_ignore_ascii_case("smic")) {
+        let Some(key) = Key::of(row.text("clip")) else {
+            return Err(
+                row.wrong(format!("clip: expected a name like s20_ne_01, found `{}`", row.text("clip")))
+            );
+        };
+        apexes.insert(key.order(), (row, row.frame("apex_frame")?));
+    }
+    for annotation in annotations {
+        let apex = Key::of(&annotation.clip).and_then(|key| apexes.get(&key.order()));
+        if let Some(&(row, apex)) = apex {
+            let Annotation { onset, offset, clip, .. } = annotation;
+            if apex <= *onset || apex > *offset {
+                return Err(row.wrong(format!(
+                    "apex_frame: expected a frame after the onset {onset} and not after the offset {offset} of {clip}, \
+                     found {apex}"
+                )));
+            }
+            annotation.apex = Some(apex);
+        }
+    }
+    Ok(())
+}
+
+pub fn folders(dir: &Path, annotations: &[Annotation]) -> Result<ClipFolders, MicroExpressionError> {
+    let mut found = BTreeMap::new();
+    let (root, form) = match short_root(dir)? {
+        Some(root) => {
+            found.extend(short_clips(&root)?.into_iter().map(|(key, folder)| (key.order(), folder)));
+            (root, "short")
+        }
+        None => {
+            let places = ["", "SMIC_HS_E", "HS_long/SMIC_HS_E"].map(|place| dir.join(place));
+            let holds_clips = |root: &&PathBuf| !extended_clips(root).unwrap_or_default().is_empty();
+            let Some(root) = places.iter().find(holds_clips) else {
+                let found = listing::contents(dir);
+                return Err(MicroExpressionError::NoFolders {
+                    kind: "smic",
+                    looked_for: format!(
+                        "{} or {}",
+                        places[2].join("s01/s1_ne_01").display(),
+                        dir.join("HS/s1/micro/negative").display()
+                    ),
+                    found: format!("{found}. Give the folder that holds HS_long or HS"),
+                });
+            };
+            found.extend(extended_clips(root)?.into_iter().map(|(key, folder)| (key.order(), folder)));
+            (root.clone(), "extended")
+        }
+    };
+    let expected =
+        |annotation: &Annotation| root.join(format!("s{}", annotation.subject)).join(&annotation.clip);
+    let folder = |annotation: &Annotation| {
+        let key = Key::of(&annotation.clip).map(Key::order);
+        key.and_then(|key| found.get(&key)).cloned().unwrap_or_else(|| expected(annotation))
+    };
+    Ok(ClipFolders { folders: annotations.iter().map(folder).collect(), root: root.clone(), form })
+}
+
+fn extended_clips(root: &Path) -> Result<Vec<(Key, PathBuf)>, MicroExpressionError> {
+    let mut clips = Vec::new();
+    let subjects = if root.is_dir() { listing::folders(root)? } else { Vec::new() };
+    for subject in &subjects {
+        let folders = listing::folders(subject)?;
+        clips.extend(folders.into_iter().filter_map(|clip| Some((Key::of(&listing::name(&clip))?, clip))));
+    }
+    Ok(clips)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_with_and_without_zeros_are_the_same_clip() {
+        let key = Key::of("s01_sur_03").unwrap();
+        assert_eq!(key, Key::of("s1_sur_03").unwrap());
+        assert_eq!((key.subject, key.class, key.number), (1, EmotionClass::Surprise, 3));
+        for name in ["", "s1", "1_ne_01", "s1_xx_01", "s1_ne_", "s1_ne_01_x", "sx_ne_01"] {
+            assert_eq!(Key::of(name), None, "{name}");
+        }
+    }
+}

@@ -1,0 +1,377 @@
+//! Micro-expression datasets: the published annotations give the published counts, and folders are read as they come.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use srflow_field::{Image, write_image_png};
+use srflow_read::micro_expression::{
+    Annotation, ClassCounts, ClipDataset, ClipSource, DropReason, EmotionClass, Labels, published_counts,
+    write_plain,
+};
+
+/// The published annotation files, where they are beside the repository.
+fn annotations() -> Option<PathBuf> {
+    let above = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors();
+    let found = above.map(|dir| dir.join("shared/data/me-annotations")).find(|dir| dir.is_dir());
+    if found.is_none() {
+        eprintln!("skipped: no shared/data/me-annotations above {}", env!("CARGO_MANIFEST_DIR"));
+    }
+    found
+}
+
+fn source(text: &str) -> ClipSource {
+    text.parse().unwrap()
+}
+
+fn read(kind: &str, dir: &Path) -> Labels {
+    Labels::read(&source(&format!("{kind}:{}", dir.display()))).unwrap()
+}
+
+fn dropped(labels: &Labels, reason: DropReason) -> usize {
+    labels.dropped.iter().filter(|row| row.reason == reason).count()
+}
+
+#[test]
+fn samm_gives_the_published_counts() {
+    let Some(dir) = annotations() else { return };
+    let labels = read("samm", &dir);
+    assert_eq!(labels.counts(), ClassCounts::new(26, 92, 15));
+    assert_eq!(Some(labels.counts()), published_counts("samm"));
+    assert_eq!((labels.dropped.len(), dropped(&labels, DropReason::Label)), (26, 26));
+    let subjects: BTreeSet<&str> = labels.annotations.iter().map(|a| a.subject.as_str()).collect();
+    assert_eq!(subjects.len(), 28);
+    assert!(subjects.contains("006") && !subjects.contains("025"));
+    let first = &labels.annotations[0];
+    let frames = (first.onset, first.apex, first.offset);
+    assert_eq!(
+        (first.clip.as_str(), first.label.as_str(), frames),
+        ("006_1_2", "Anger", (5562, Some(5588), 5632))
+    );
+    assert_eq!((first.action_units.as_str(), labels.annotations[1].action_units.as_str()), ("4+7", "4"));
+}
+
+#[test]
+fn casme2_gives_the_published_counts() {
+    let Some(dir) = annotations() else { return };
+    let labels = read("casme2", &dir);
+    assert_eq!(labels.counts(), ClassCounts::new(32, 88, 25));
+    let subjects: BTreeSet<&str> = labels.annotations.iter().map(|a| a.subject.as_str()).collect();
+    assert_eq!(subjects.len(), 24);
+    let row = |reason| labels.dropped.iter().find(|row| row.reason == reason).unwrap();
+    let unknown = row(DropReason::ApexUnknown);
+    assert_eq!((unknown.subject.as_str(), unknown.clip.as_str()), ("04", "EP12_01f"));
+    let still = row(DropReason::ApexNotAfterOnset);
+    assert_eq!((still.subject.as_str(), still.clip.as_str()), ("05", "EP09_05f"));
+    assert_eq!(dropped(&labels, DropReason::Label), 99 + 7 + 2, "others, sadness and fear");
+    assert_eq!(labels.annotations.len() + labels.dropped.len(), 255);
+}
+
+#[test]
+fn smic_goes_by_the_names_of_its_clips_and_takes_the_published_apexes() {
+    let Some(dir) = annotations() else { return };
+    let labels = read("smic", &dir);
+    assert_eq!(labels.counts(), ClassCounts::new(51, 65, 41));
+    let subjects: BTreeSet<&str> = labels.annotations.iter().map(|a| a.subject.as_str()).collect();
+    assert_eq!(subjects.len(), 16);
+    let mislabelled = labels.annotations.iter().find(|a| a.clip == "s18_sur_03").unwrap();
+    assert_eq!((mislabelled.class, mislabelled.label.as_str()), (EmotionClass::Surprise, "negative"));
+    assert!(labels.annotations.iter().all(|a| a.apex.is_some_and(|apex| apex > a.onset && apex <= a.offset)));
+    let first = labels.annotations.iter().find(|a| a.clip == "s20_ne_01").unwrap();
+    assert_eq!(first.apex, Some(17_581_046));
+}
+
+#[test]
+fn the_composite_is_the_papers() {
+    let Some(dir) = annotations() else { return };
+    let all = ["samm", "casme2", "smic"].map(|kind| read(kind, &dir));
+    let counts = all.iter().map(Labels::counts).fold(ClassCounts::default(), |sum, counts| sum + counts);
+    assert_eq!(counts, ClassCounts::new(109, 245, 81));
+    let subjects: BTreeSet<(&str, &str)> = all
+        .iter()
+        .flat_map(|labels| labels.annotations.iter().map(|a| (labels.dataset.as_str(), a.subject.as_str())))
+        .collect();
+    assert_eq!(subjects.len(), 68);
+}
+
+/// The list that CapsuleNet was published with holds onset, apex and class of each of the 435 clips.
+#[test]
+fn every_clip_agrees_with_the_published_list() {
+    let Some(dir) = annotations() else { return };
+    let mut rows = csv::Reader::from_path(dir.join("data_apex.csv")).unwrap();
+    let mut listed = BTreeSet::new();
+    for row in rows.records() {
+        let row = row.unwrap();
+        // The list writes samm 6 and casme2 sub01.
+        let subject: u32 = row[1].trim_start_matches("sub").parse().unwrap();
+        let class = if &row[2] == "s18_sur_03" { "2" } else { &row[3] };
+        listed.insert(format!("{} {subject} {} {class} {} {}", &row[0], &row[2], &row[4], &row[5]));
+    }
+    let mut read_here = BTreeSet::new();
+    for kind in ["samm", "casme2", "smic"] {
+        for a in read(kind, &dir).annotations {
+            let subject: u32 = a.subject.parse().unwrap();
+            let apex = a.apex.unwrap();
+            read_here.insert(format!("{kind} {subject} {} {} {} {apex}", a.clip, a.class as u8, a.onset));
+        }
+    }
+    assert_eq!(listed.len(), 435);
+    assert_eq!(listed, read_here);
+}
+
+#[test]
+fn mixed_up_spreadsheets_are_told_apart() {
+    let Some(dir) = annotations() else { return };
+    let file = |name: &str| Some(dir.join(name));
+    let samm = file("SAMM_Micro_FACS_Codes_v2.xlsx");
+    let given = |kind: &str, annotations| {
+        let source = ClipSource { annotations, ..source(&format!("{kind}:nowhere")) };
+        Labels::read(&source).unwrap_err().to_string()
+    };
+    let error = given("casme2", samm.clone());
+    assert!(error.contains("those of SAMM") && error.contains("OnsetFrame"), "{error}");
+    let error = given("samm", file("CASME2-coding-20140508.xlsx"));
+    assert!(error.contains("those of CASME II"), "{error}");
+    let error = given("smic", samm);
+    assert!(error.contains("those of SAMM"), "{error}");
+    let error = given("casme2", file("CASME2-ObjectiveClasses.xlsx"));
+    assert!(error.contains("ApexFrame") && error.contains("Objective Class"), "{error}");
+    let error = given("samm", file("smic_apex.csv"));
+    assert!(error.contains("smic_apex.csv: expected a sound .xlsx"), "{error}");
+}
+
+#[test]
+fn a_wrong_root_is_told_what_was_looked_for() {
+    let empty = tempfile::tempdir().unwrap();
+    for kind in ["samm", "casme2", "smic"] {
+        let error =
+            Labels::read(&source(&format!("{kind}:{}", empty.path().display()))).unwrap_err().to_string();
+        assert!(error.contains(".xlsx") && error.contains("--annotations"), "{error}");
+    }
+    let error = Labels::read(&source(&format!("clips:{}", empty.path().display()))).unwrap_err().to_string();
+    assert!(error.contains("clips.csv") && error.contains("is empty"), "{error}");
+    let error = Labels::read(&source("samm:/no/such/folder")).unwrap_err().to_string();
+    assert!(error.contains("/no/such/folder"), "{error}");
+}
+
+/// Empty files are enough: nothing is decoded when frames are found.
+fn touch(folder: &Path, names: impl IntoIterator<Item = String>) {
+    fs::create_dir_all(folder).unwrap();
+    for name in names {
+        fs::write(folder.join(name), "").unwrap();
+    }
+}
+
+/// All frames of every clip of the three datasets, named as they are published.
+fn frames_of(kind: &str, labels: &Labels, root: &Path) {
+    for (at, a) in labels.annotations.iter().enumerate() {
+        let numbers = a.onset..=a.offset;
+        match kind {
+            "samm" => {
+                let digits = if at % 4 == 0 { 4 } else { 5 }; // as the clips do
+                let name = |n| format!("{}_{n:0digits$}.jpg", a.subject);
+                touch(&root.join(&a.subject).join(&a.clip), numbers.map(name));
+            }
+            "casme2-raw" => {
+                let folder = root.join("CASME2_RAW_selected").join(format!("sub{}", a.subject)).join(&a.clip);
+                touch(&folder, numbers.map(|n| format!("img{n}.jpg")));
+            }
+            "casme2-cropped" => {
+                let folder = root.join("Cropped_original").join(format!("sub{}", a.subject)).join(&a.clip);
+                touch(&folder, numbers.map(|n| format!("reg_img{n}.jpg")));
+            }
+            "smic" => {
+                let folder = root.join("HS_long/SMIC_HS_E").join(format!("s{}", a.subject)).join(&a.clip);
+                touch(&folder, numbers.map(|n| format!("image{n:06}.jpg")));
+            }
+            "smic-short" => {
+                let class = ["negative", "positive", "surprise"][a.class as usize];
+                let subject = a.clip.split('_').next().unwrap();
+                let folder = root.join("HS").join(subject).join("micro").join(class).join(&a.clip);
+                touch(&folder, numbers.map(|n| format!("image{n:06}.jpg")));
+            }
+            _ => unreachable!(),
+        }
+    }
+}
+
+/// The first clips of each subject: enough to see that folders are found.
+fn few(mut labels: Labels) -> Labels {
+    let mut seen = BTreeSet::new();
+    labels.annotations.retain(|a| seen.insert(a.subject.clone()) && seen.len() <= 6);
+    labels
+}
+
+#[test]
+fn every_published_layout_is_found() {
+    let Some(dir) = annotations() else { return };
+    for (kind, text, form) in [
+        ("samm", "samm", ""),
+        ("casme2-raw", "casme2", "raw"),
+        ("casme2-cropped", "casme2-cropped", "cropped"),
+        ("smic", "smic", "extended"),
+        ("smic-short", "smic", "short"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let source = ClipSource {
+            annotations: (kind != "smic-short").then(|| {
+                let name = match &text[..4] {
+                    "samm" => "SAMM_Micro_FACS_Codes_v2.xlsx",
+                    "casm" => "CASME2-coding-20140508.xlsx",
+                    _ => "SMIC-HS-E_annotation.xlsx",
+                };
+                dir.join(name)
+            }),
+            apex_list: Some(dir.join("data_apex.csv")),
+            ..source(&format!("{text}:{}", folder.path().display()))
+        };
+        let labels = few(read(&text[..text.find('-').unwrap_or(text.len())], &dir));
+        frames_of(kind, &labels, folder.path());
+        let dataset = ClipDataset::open(&source, true).unwrap_or_else(|error| panic!("{kind}: {error}"));
+        assert_eq!((dataset.clips.len(), dataset.form), (labels.annotations.len(), form), "{kind}");
+        for clip in &dataset.clips {
+            let a = labels
+                .annotations
+                .iter()
+                .find(|a| (&a.subject, &a.clip) == (&clip.annotation.subject, &clip.annotation.clip));
+            let a = a.unwrap_or_else(|| panic!("{kind}: {} was not made", clip.id()));
+            if kind != "smic-short" {
+                assert_eq!(&clip.annotation, a, "{kind}");
+            }
+            assert_eq!(clip.frames.len() as u64, a.offset - a.onset + 1);
+            assert!(clip.frame(a.apex.unwrap()).is_some_and(Path::is_file));
+            assert_eq!(clip.frame(a.offset + 1), None);
+        }
+    }
+}
+
+#[test]
+fn both_releases_of_casme2_want_a_choice() {
+    let Some(dir) = annotations() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let labels = few(read("casme2", &dir));
+    frames_of("casme2-raw", &labels, folder.path());
+    frames_of("casme2-cropped", &labels, folder.path());
+    let open = |kind: &str| {
+        let source = source(&format!("{kind}:{}", folder.path().display()));
+        ClipDataset::open(
+            &ClipSource { annotations: Some(dir.join("CASME2-coding-20140508.xlsx")), ..source },
+            true,
+        )
+    };
+    let error = open("casme2").unwrap_err().to_string();
+    assert!(error.contains("casme2-raw:") && error.contains("casme2-cropped:"), "{error}");
+    assert_eq!(open("casme2-raw").unwrap().form, "raw");
+    let cropped = open("casme2-cropped").unwrap();
+    assert!(cropped.clips[0].frames.values().all(|path| path.to_str().unwrap().contains("/reg_img")));
+}
+
+fn row(clip: &str, subject: &str, class: EmotionClass, frames: (u64, Option<u64>, u64)) -> Annotation {
+    Annotation {
+        subject: subject.to_owned(),
+        clip: clip.to_owned(),
+        class,
+        label: class.name().to_owned(),
+        action_units: "1+2".to_owned(),
+        onset: frames.0,
+        apex: frames.1,
+        offset: frames.2,
+    }
+}
+
+#[test]
+fn plain_clips_are_read_back_as_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path().join("mine");
+    let rows = [
+        row("anna/first clip", "anna", EmotionClass::Surprise, (3, Some(5), 9)),
+        row("ben/1", "ben, the second", EmotionClass::Negative, (0, None, 4)),
+    ];
+    for a in &rows {
+        touch(&root.join(&a.clip), (0..12).map(|n| format!("frame{n:03}.png")));
+    }
+    write_plain(&root.join("clips.csv"), &rows).unwrap();
+    for given in [root.clone(), root.join("clips.csv")] {
+        let dataset = ClipDataset::open(&source(&format!("clips:{}", given.display())), false).unwrap();
+        assert_eq!(dataset.name, "mine");
+        assert_eq!(dataset.clips.iter().map(|clip| clip.annotation.clone()).collect::<Vec<_>>(), rows);
+        assert_eq!(dataset.clips[0].id(), "mine/anna/anna/first clip");
+        assert_eq!(dataset.clips[0].frames.keys().copied().collect::<Vec<_>>(), [3, 4, 5, 6, 7, 8, 9]);
+    }
+}
+
+#[test]
+fn rows_that_cannot_be_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let error_of = |text: &str| {
+        fs::write(folder.path().join("clips.csv"), text).unwrap();
+        Labels::read(&source(&format!("clips:{}", folder.path().display()))).unwrap_err().to_string()
+    };
+    let header = "clip,subject,onset,apex,offset,class\n";
+    for (row, told) in [
+        ("a,s,5,5,9,positive\n", "row 3: expected onset < apex <= offset, found onset 5, apex 5"),
+        ("a,s,5,7,6,positive\n", "row 3"),
+        ("a,s,x,7,9,positive\n", "onset: expected a frame number, found `x`"),
+        ("a,s,1,7,9,happy\n", "`happy` is not a class"),
+        ("a,,1,7,9,2\n", "subject: expected a value"),
+        ("good,s,1,2,3,0\n", "clip good is there twice"),
+        ("a,s,1,7,99999999999999999999999,0\n", "offset: expected a frame number"),
+    ] {
+        let error = error_of(&format!("{header}good,s,1,2,3,negative\n{row}"));
+        assert!(error.contains(told) && error.contains("clips.csv"), "{error}");
+    }
+    let error = error_of("clip,subject,onset,apex,class\n");
+    assert!(error.contains("offset") && error.contains("its first row holds clip, subject"), "{error}");
+    assert!(error_of("").contains("it is empty"));
+}
+
+#[test]
+fn missing_frames_are_named_and_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let rows = [
+        row("a", "1", EmotionClass::Positive, (10, Some(15), 20)),
+        row("b", "1", EmotionClass::Negative, (10, Some(15), 20)),
+        row("gone", "2", EmotionClass::Negative, (1, Some(2), 3)),
+        row("whole", "2", EmotionClass::Surprise, (1, Some(2), 3)),
+    ];
+    let without = |skipped: &[u64]| {
+        let numbers: Vec<u64> = (0..30).filter(|n| !skipped.contains(n)).collect();
+        numbers.into_iter().map(|n| format!("img{n}.jpg"))
+    };
+    touch(&folder.path().join("a"), without(&[12, 13, 17]));
+    touch(&folder.path().join("b"), without(&[15]));
+    touch(&folder.path().join("whole"), without(&[]));
+    write_plain(&folder.path().join("clips.csv"), &rows).unwrap();
+    let source = source(&format!("clips:{}", folder.path().display()));
+
+    let error = ClipDataset::open(&source, false).unwrap_err().to_string();
+    for told in [
+        "7 frames of 3 clips",
+        "1/a: 3 frames: 12-13, 17",
+        "1/b: 1 frame: 15",
+        "2/gone: 3 frames: 1-3 (there is no",
+    ] {
+        assert!(error.contains(told), "{error}");
+    }
+    assert!(error.contains("--allow-missing"), "{error}");
+
+    let dataset = ClipDataset::open(&source, true).unwrap();
+    let kept: Vec<&str> = dataset.clips.iter().map(|clip| clip.annotation.clip.as_str()).collect();
+    assert_eq!(kept, ["a", "whole"], "b has no apex");
+    assert_eq!(
+        dataset.missing.iter().map(|m| (m.clip.as_str(), m.count(), m.dropped)).collect::<Vec<_>>(),
+        [("a", 3, false), ("b", 1, true), ("gone", 3, true),]
+    );
+    assert!(dataset.dropped.iter().all(|row| row.reason == DropReason::FramesMissing));
+}
+
+#[test]
+fn a_frame_that_is_there_twice_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    write_plain(&folder.path().join("clips.csv"), &[row("a", "1", EmotionClass::Positive, (1, Some(2), 3))])
+        .unwrap();
+    touch(&folder.path().join("a"), (1..4).map(|n| format!("img{n}.jpg")));
+    write_image_png(&folder.path().join("a/img02.png"), &Image::new(4, 4)).unwrap();
+    let error = ClipDataset::open(&source(&format!("clips:{}", folder.path().display())), true).unwrap_err();
+    assert!(error.to_string().contains("frame 2 is there twice"), "{error}");
+}

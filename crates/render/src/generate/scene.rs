@@ -1,0 +1,247 @@
+//! A scene: one subject in motion before a moving camera. Every frame can be asked for alone.
+
+use glam::{EulerRot, Quat};
+use srflow_avatar::{Avatar, HeadPose, Joint, Moment, Motion, Side};
+use srflow_field::Image;
+use srflow_field::random::{Key, Stream};
+use srflow_splat::Camera;
+
+use super::background::{self, Background};
+use super::error::GenerateError;
+use super::path::Path;
+use super::rig::{Rig, View};
+use super::settings::{Head, Settings};
+use crate::camera::record_from_camera;
+use crate::record::FrameRecord;
+use srflow_read::manifest::SceneEntry;
+
+/// Frame rate of the motion. NeRSemble records 73 frames a second; expressions at that rate hardly move between frames.
+const FRAMES_PER_SECOND: f32 = 24.0;
+
+/// A scene of fewer frames moves less: it has no time for a whole expression between rest and rest.
+const FRAMES_OF_FULL_MOTION: f32 = 24.0;
+
+/// Fewest frames from one chosen view to the next.
+const FRAMES_BETWEEN_VIEWS: u32 = 80;
+
+/// The fastest turn of a scene, in degrees a frame, is drawn between these, evenly in its logarithm: some scenes are
+/// nearly still and some whirl. One degree moves the nose by about 13 px at full size.
+const CAMERA_SPEEDS: (f32, f32) = (0.2, 1.4);
+const SUBJECT_SPEEDS: (f32, f32) = (0.1, 0.8);
+
+/// How far the camera rolls and the subject yaws, pitches and rolls, in degrees.
+const CAMERA_ROLL: f32 = 6.0;
+const SUBJECT_TURN: [f32; 3] = [22.0, 11.0, 8.0];
+
+/// One subject in motion before a moving camera.
+pub(super) struct Scene {
+    pub avatar: Avatar,
+    /// What is behind the subject, when it is an image.
+    pub background: Option<Image>,
+    pairs: u32,
+    rig: Rig,
+    motion: Motion,
+    camera_path: Path<3>,
+    subject_path: Path<3>,
+}
+
+/// Everything about one frame but its pixels.
+pub(super) struct FrameState {
+    pub camera: Camera,
+    pub pose: HeadPose,
+    view: [f64; 3],
+    subject: [f64; 3],
+    moment: Moment,
+}
+
+/// Makes the head of a subject.
+pub(super) fn subject(head: &Head, entry: &SceneEntry) -> Result<Avatar, GenerateError> {
+    let made = match head {
+        Head::Builtin => Avatar::builtin(entry.subject),
+        Head::Ict(dir) => Avatar::ict(dir, entry.subject),
+    };
+    made.map_err(|error| GenerateError::Head { scene: entry.name.clone(), reason: error.to_string() })
+}
+
+impl Scene {
+    /// Scene `number` of a dataset.
+    pub fn new(
+        settings: &Settings,
+        rig: &Rig,
+        number: u32,
+        entry: &SceneEntry,
+    ) -> Result<Self, GenerateError> {
+        let avatar = subject(&settings.head, entry)?;
+        let key = Key::new(settings.seed).scene(number);
+        let background = match (&settings.background, &entry.background) {
+            (Background::Images(dir), Some(name)) => {
+                Some(background::load(&dir.join(name), settings.width, settings.height)?)
+            }
+            _ => None,
+        };
+        let motion = Motion::new(avatar.model(), key, entry.pairs as usize + 1, FRAMES_PER_SECOND);
+        Ok(Self {
+            avatar,
+            background,
+            pairs: entry.pairs,
+            rig: rig.clone(),
+            motion,
+            camera_path: camera_path(&mut key.stream("camera"), entry.pairs),
+            subject_path: subject_path(&mut key.stream("subject turns"), entry.pairs),
+        })
+    }
+
+    /// Number of frame pairs.
+    pub fn pairs(&self) -> u32 {
+        self.pairs
+    }
+
+    /// What frame `frame` shows; the first and the last are seen by camera 9 with the subject unturned.
+    pub fn frame(&self, frame: u32) -> FrameState {
+        let t = f64::from(frame) / f64::from(self.pairs.max(1));
+        let view = self.camera_path.at(t);
+        let subject = self.subject_path.at(t);
+        let mut moment = self.motion.at(self.avatar.model(), frame as usize);
+        soften(&mut moment, self.pairs as f32 / FRAMES_OF_FULL_MOTION);
+        let mut pose = moment.pose.clone();
+        let [yaw, pitch, roll] = subject.map(|degrees| degrees.to_radians() as f32);
+        let turn = Quat::from_euler(EulerRot::YXZ, yaw, -pitch, roll);
+        let root = &mut pose.joints[Joint::Root as usize];
+        *root = (turn * *root).normalize();
+        let [azimuth, elevation, roll] = view;
+        let camera = self.rig.camera(View { azimuth, elevation, roll });
+        FrameState { camera, pose, view, subject, moment }
+    }
+
+    /// What is written down of a frame.
+    pub fn record(&self, frame: u32, state: &FrameState) -> FrameRecord {
+        let model = self.avatar.model();
+        let weights = model.expressions.iter().zip(&state.pose.expressions);
+        let joints = [Joint::Root, Joint::Neck, Joint::Jaw, Joint::LeftEye, Joint::RightEye];
+        FrameRecord {
+            frame,
+            camera: record_from_camera(&state.camera),
+            view: state.view,
+            subject: state.subject,
+            expressions: weights
+                .filter(|(_, weight)| **weight != 0.0)
+                .map(|(shape, weight)| (shape.name.clone(), *weight))
+                .collect(),
+            joints: joints
+                .into_iter()
+                .zip(state.pose.joints)
+                .map(|(joint, rotation)| (joint_name(joint).to_owned(), rotation.to_array()))
+                .collect(),
+            translation: state.pose.translation.to_array(),
+            gaze: state.moment.gaze,
+            action_units: state
+                .moment
+                .action_units
+                .iter()
+                .map(|&(number, side, intensity)| (unit_name(number, side), intensity))
+                .collect(),
+        }
+    }
+}
+
+/// Shows a moment with a part of its strength.
+fn soften(moment: &mut Moment, strength: f32) {
+    if strength >= 1.0 {
+        return;
+    }
+    moment.pose.expressions.iter_mut().for_each(|weight| *weight *= strength);
+    for rotation in &mut moment.pose.joints {
+        *rotation = Quat::IDENTITY.slerp(*rotation, strength);
+    }
+    moment.pose.translation *= strength;
+    moment.gaze = moment.gaze.map(|angle| angle * strength);
+    moment.action_units.iter_mut().for_each(|(_, _, intensity)| *intensity *= strength);
+}
+
+fn joint_name(joint: Joint) -> &'static str {
+    match joint {
+        Joint::Root => "root",
+        Joint::Neck => "neck",
+        Joint::Jaw => "jaw",
+        Joint::LeftEye => "left_eye",
+        Joint::RightEye => "right_eye",
+    }
+}
+
+fn unit_name(number: u8, side: Side) -> String {
+    match side {
+        Side::Both => format!("AU{number}"),
+        Side::Left => format!("AU{number}_L"),
+        Side::Right => format!("AU{number}_R"),
+    }
+}
+
+/// From camera 9 past randomly chosen cameras of the rig and back.
+fn camera_path(stream: &mut Stream, pairs: u32) -> Path<3> {
+    let views: Vec<View> = Rig::views().map(|(_, view)| view).collect();
+    let points = (0..stops(stream, pairs)).map(|_| {
+        let view = views[stream.below(views.len() as u32) as usize];
+        [view.azimuth, view.elevation, f64::from(stream.uniform(-CAMERA_ROLL, CAMERA_ROLL))]
+    });
+    let points: Vec<[f64; 3]> = points.collect();
+    from_rest_to_rest(points, pairs, speed(stream, CAMERA_SPEEDS))
+}
+
+/// From the rest pose through random turns and back.
+fn subject_path(stream: &mut Stream, pairs: u32) -> Path<3> {
+    let points = (0..stops(stream, pairs))
+        .map(|_| SUBJECT_TURN.map(|reach| f64::from(stream.uniform(-reach, reach))))
+        .collect();
+    from_rest_to_rest(points, pairs, speed(stream, SUBJECT_SPEEDS))
+}
+
+/// How many points a path has between its ends.
+fn stops(stream: &mut Stream, pairs: u32) -> u32 {
+    let most = (pairs / FRAMES_BETWEEN_VIEWS).max(1);
+    let fewest = (most / 3).max(1);
+    fewest + stream.below(most - fewest + 1)
+}
+
+fn speed(stream: &mut Stream, (slowest, fastest): (f32, f32)) -> f64 {
+    f64::from(slowest * libm::powf(fastest / slowest, stream.unit()))
+}
+
+/// A path through `points` that starts and ends at zero. It is shrunk until no frame turns by more than `speed` degrees.
+fn from_rest_to_rest(points: Vec<[f64; 3]>, pairs: u32, speed: f64) -> Path<3> {
+    let rest = [0.0; 3];
+    let path = Path::through([vec![rest], points, vec![rest]].concat());
+    let fastest = path.greatest_step(pairs);
+    if fastest > speed { path.scaled(speed / fastest) } else { path }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_start_and_end_at_camera_nine_and_keep_their_speed() {
+        for scene in 0..40 {
+            for pairs in [1, 2, 4, 39, 413] {
+                let stream = || Key::new(5).scene(scene).stream("test");
+                let (camera, subject) =
+                    (camera_path(&mut stream(), pairs), subject_path(&mut stream(), pairs));
+                for path in [&camera, &subject] {
+                    assert_eq!((path.at(0.0), path.at(1.0)), ([0.0; 3], [0.0; 3]));
+                }
+                assert!(camera.greatest_step(pairs) <= f64::from(CAMERA_SPEEDS.1) * 1.0001);
+                assert!(subject.greatest_step(pairs) <= f64::from(SUBJECT_SPEEDS.1) * 1.0001);
+            }
+        }
+    }
+
+    #[test]
+    fn long_scenes_are_seen_from_many_sides() {
+        let widest = |scene| {
+            let path = camera_path(&mut Key::new(5).scene(scene).stream("test"), 413);
+            (0..=413).map(|frame| path.at(f64::from(frame) / 413.0)[0].abs()).fold(0.0, f64::max)
+        };
+        let angles: Vec<f64> = (0..27).map(widest).collect();
+        assert!(angles.iter().filter(|angle| **angle > 15.0).count() > 9, "{angles:?}");
+        assert!(angles.iter().all(|angle| *angle < 70.0), "{angles:?}");
+    }
+}

@@ -1,0 +1,339 @@
+//! What a dataset is asked to be, checked before any work starts, and the plan that follows from it.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use glam::DVec3;
+use srflow_field::FlowFormat;
+use srflow_field::random::Key;
+
+use super::Rig;
+use super::background::{self, Background};
+use super::error::GenerateError;
+use srflow_read::manifest::{Arguments, LAYOUT_VERSION, Manifest, SceneEntry, SceneSplit};
+
+/// The most scenes and the most pairs in a scene: names have room for so many digits.
+const MAX_SCENES: u32 = 10_000;
+const MAX_PAIRS: f64 = 99_999.0;
+
+/// Smallest and greatest side of a frame, in pixels.
+const SIDES: std::ops::RangeInclusive<usize> = 16..=16_384;
+
+/// Which head models the subjects are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Head {
+    /// The head that is made by code.
+    Builtin,
+    /// ICT-FaceKit, read from its published folder.
+    Ict(PathBuf),
+}
+
+impl FromStr for Head {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once(':') {
+            None if text == "builtin" => Ok(Self::Builtin),
+            Some(("ict", dir)) if !dir.is_empty() => Ok(Self::Ict(dir.into())),
+            _ => Err(format!("`{text}` is not a head; expected `builtin` or `ict:DIR`")),
+        }
+    }
+}
+
+/// What a dataset is asked to be.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Settings {
+    /// Whose heads.
+    pub head: Head,
+    /// How many scenes, each with a subject of its own.
+    pub scenes: u32,
+    /// Mean number of frame pairs in a scene; `scenes * frames`, rounded, are spread as evenly as possible.
+    pub frames: f64,
+    /// Frame width in pixels.
+    pub width: usize,
+    /// Frame height in pixels.
+    pub height: usize,
+    /// Shares of train, val and test; they sum to 1.
+    pub splits: [f64; 3],
+    /// The seed of every random choice.
+    pub seed: u64,
+    /// How flow is stored.
+    pub flow_format: FlowFormat,
+    /// Whether backward flow is written too.
+    pub backward: bool,
+    /// Whether depth is written too.
+    pub depth: bool,
+    /// What is behind the subject.
+    pub background: Background,
+}
+
+/// One of several parts that a dataset is made in, each perhaps on a machine of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Shard {
+    /// Number of the part, from 1.
+    pub number: u32,
+    /// How many parts there are.
+    pub of: u32,
+}
+
+impl Shard {
+    /// The whole dataset.
+    pub const WHOLE: Self = Self { number: 1, of: 1 };
+}
+
+impl fmt::Display for Shard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.number, self.of)
+    }
+}
+
+impl FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parsed = text.split_once('/').and_then(|(number, of)| {
+            let (number, of) = (number.parse().ok()?, of.parse().ok()?);
+            (1 <= number && number <= of).then_some(Self { number, of })
+        });
+        parsed.ok_or_else(|| format!("`{text}` is not a part; expected I/N with I from 1 to N, e.g. 2/3"))
+    }
+}
+
+impl Settings {
+    /// Checks the settings and lays out the dataset.
+    ///
+    /// # Errors
+    /// When a setting is out of range or a folder that it names cannot be read.
+    pub(super) fn plan(&self) -> Result<Manifest, GenerateError> {
+        self.validate()?;
+        let scenes = self.scenes as usize;
+        let splits = assign_splits(scenes, self.splits, self.seed);
+        let backgrounds = background::choose(&self.background, scenes, self.seed)?;
+        let entry = |(number, (split, background)): (u32, (SceneSplit, Option<String>))| SceneEntry {
+            name: format!("scene-{number:04}"),
+            split,
+            subject: u64::from(Key::new(self.seed).scene(number).stream("subject").bits()),
+            pairs: self.pairs_before(number + 1) - self.pairs_before(number),
+            background,
+        };
+        Ok(Manifest {
+            layout_version: LAYOUT_VERSION,
+            srflow_version: env!("CARGO_PKG_VERSION").to_owned(),
+            arguments: self.arguments()?,
+            rig: self.rig().cameras(),
+            scenes: (0..).zip(splits.into_iter().zip(backgrounds)).map(entry).collect(),
+        })
+    }
+
+    /// The rig, which stands where it is whoever the subject is: about the middle of a head between chin and crown.
+    pub(super) fn rig(&self) -> Rig {
+        let centre = match self.head {
+            Head::Builtin => DVec3::new(0.0, 0.03, 0.01),
+            Head::Ict(_) => DVec3::new(0.0, 0.035, 0.02),
+        };
+        Rig::new(self.width, self.height, centre)
+    }
+
+    /// Pairs of the scenes before scene `number`: every scene has the mean, rounded down or up.
+    fn pairs_before(&self, number: u32) -> u32 {
+        let total = (f64::from(self.scenes) * self.frames).round() as u64;
+        (u64::from(number) * total / u64::from(self.scenes)) as u32
+    }
+
+    fn validate(&self) -> Result<(), GenerateError> {
+        let wrong = |argument, found: String, expected: String| {
+            Err(GenerateError::Argument { argument, found, expected })
+        };
+        if !(1..=MAX_SCENES).contains(&self.scenes) {
+            return wrong("--scenes", self.scenes.to_string(), format!("1 to {MAX_SCENES}"));
+        }
+        if !(1.0..=MAX_PAIRS).contains(&self.frames) {
+            return wrong("--frames", self.frames.to_string(), format!("1 to {MAX_PAIRS}"));
+        }
+        if !(SIDES.contains(&self.width) && SIDES.contains(&self.height)) {
+            let (low, high) = (SIDES.start(), SIDES.end());
+            let found = format!("{}x{}", self.width, self.height);
+            return wrong("--size", found, format!("{low}x{low} to {high}x{high} (WIDTHxHEIGHT)"));
+        }
+        let sum: f64 = self.splits.iter().sum();
+        if self.splits.iter().any(|share| !(0.0..=1.0).contains(share)) || (sum - 1.0).abs() > 1e-6 {
+            let [train, val, test] = self.splits;
+            let found = format!("{train},{val},{test}");
+            return wrong("--splits", found, format!("three shares from 0 to 1 that sum to 1, not {sum:.6}"));
+        }
+        Ok(())
+    }
+
+    fn arguments(&self) -> Result<Arguments, GenerateError> {
+        let head = match &self.head {
+            Head::Builtin => "builtin".to_owned(),
+            Head::Ict(dir) => format!(
+                "ict, {}",
+                fingerprint(&list_files(dir, "--head", "ict: and ICT-FaceKit's FaceXModel folder")?)
+            ),
+        };
+        let background = match &self.background {
+            Background::Colour([r, g, b]) => format!("#{r:02x}{g:02x}{b:02x}"),
+            Background::Images(dir) => format!("images, {}", fingerprint(&background::images(dir)?)),
+        };
+        Ok(Arguments {
+            head,
+            scenes: self.scenes,
+            frames: self.frames,
+            width: self.width,
+            height: self.height,
+            splits: self.splits,
+            seed: self.seed,
+            flow_format: self.flow_format.extension().to_owned(),
+            backward: self.backward,
+            depth: self.depth,
+            background,
+        })
+    }
+}
+
+/// Names and sizes of the files in a folder, by name.
+///
+/// # Errors
+/// When the folder cannot be read; the error says which `argument` named it and what was `expected` of that.
+pub(super) fn list_files(
+    dir: &Path,
+    argument: &'static str,
+    expected: &'static str,
+) -> Result<Vec<(String, u64)>, GenerateError> {
+    let failed = |error| GenerateError::Folder { argument, path: dir.to_owned(), error, expected };
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(dir).map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        let metadata = std::fs::metadata(entry.path()).map_err(failed)?;
+        if metadata.is_file() {
+            files.push((entry.file_name().to_string_lossy().into_owned(), metadata.len()));
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+/// A short text that differs when the names or sizes of files differ (FNV-1a), wherever they lie.
+fn fingerprint(files: &[(String, u64)]) -> String {
+    let text: String = files.iter().map(|(name, size)| format!("{name} {size}\n")).collect();
+    let hash = text
+        .bytes()
+        .fold(0xcbf2_9ce4_8422_2325_u64, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01b3));
+    format!("{} files, fingerprint {hash:016x}", files.len())
+}
+
+/// The part that each scene belongs to: numbers by largest remainder, scenes drawn at random.
+fn assign_splits(scenes: usize, shares: [f64; 3], seed: u64) -> Vec<SceneSplit> {
+    let counts = largest_remainder(scenes, shares);
+    let mut assigned: Vec<SceneSplit> = SceneSplit::ALL
+        .into_iter()
+        .zip(counts)
+        .flat_map(|(split, n)| std::iter::repeat_n(split, n))
+        .collect();
+    let mut stream = Key::new(seed).stream("splits");
+    for last in (1..assigned.len()).rev() {
+        assigned.swap(last, stream.below(last as u32 + 1) as usize);
+    }
+    assigned
+}
+
+/// `total` things shared out in whole numbers: each share rounded down, and what is left to the largest remainders.
+fn largest_remainder(total: usize, shares: [f64; 3]) -> [usize; 3] {
+    let exact = shares.map(|share| share * total as f64);
+    let mut counts = exact.map(|x| x as usize);
+    let mut order = [0, 1, 2];
+    order.sort_by(|&a, &b| exact[b].fract().total_cmp(&exact[a].fract()).then(a.cmp(&b)));
+    let left = total - counts.iter().sum::<usize>().min(total);
+    for &part in order.iter().cycle().take(left) {
+        counts[part] += 1;
+    }
+    counts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn settings() -> Settings {
+        Settings {
+            head: Head::Builtin,
+            scenes: 27,
+            frames: 413.37,
+            width: 2200,
+            height: 3208,
+            splits: [0.61, 0.11, 0.28],
+            seed: 1,
+            flow_format: FlowFormat::Flo,
+            backward: false,
+            depth: false,
+            background: Background::Colour([255; 3]),
+        }
+    }
+
+    fn plan(settings: &Settings) -> Result<Manifest, String> {
+        settings.plan().map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn the_defaults_are_the_papers_table() {
+        let manifest = plan(&settings()).unwrap();
+        assert_eq!((manifest.scenes.len(), manifest.pairs()), (27, 11_161));
+        assert!(manifest.scenes.iter().all(|scene| scene.pairs == 413 || scene.pairs == 414));
+        let count = |split| manifest.scenes_of(split).count();
+        assert_eq!(SceneSplit::ALL.map(count), [16, 3, 8]);
+    }
+
+    #[test]
+    fn a_scene_does_not_depend_on_how_many_there_are() {
+        let few = plan(&Settings { scenes: 3, frames: 5.0, ..settings() }).unwrap();
+        let many = plan(&settings()).unwrap();
+        for (a, b) in few.scenes.iter().zip(&many.scenes) {
+            assert_eq!((&a.name, a.subject, a.pairs), (&b.name, b.subject, 5));
+        }
+        let mut subjects: Vec<u64> = many.scenes.iter().map(|scene| scene.subject).collect();
+        subjects.sort_unstable();
+        subjects.dedup();
+        assert_eq!(subjects.len(), 27);
+    }
+
+    #[test]
+    fn shares_become_whole_numbers_that_sum() {
+        assert_eq!(largest_remainder(3, [0.61, 0.11, 0.28]), [2, 0, 1]);
+        assert_eq!(largest_remainder(1, [0.0, 0.0, 1.0]), [0, 0, 1]);
+        assert_eq!(largest_remainder(7, [1.0, 0.0, 0.0]), [7, 0, 0]);
+        for total in 0..200 {
+            assert_eq!(
+                largest_remainder(total, [0.3333333, 0.3333333, 0.3333334]).iter().sum::<usize>(),
+                total
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_before_any_work() {
+        let error = |settings: Settings| plan(&settings).unwrap_err();
+        let base = settings;
+        assert!(error(Settings { scenes: 0, ..base() }).contains("--scenes 0: expected 1 to 10000"));
+        assert!(error(Settings { frames: 0.0, ..base() }).contains("--frames 0"));
+        assert!(error(Settings { frames: f64::NAN, ..base() }).contains("--frames NaN"));
+        assert!(error(Settings { width: 0, ..base() }).contains("--size 0x3208"));
+        assert!(error(Settings { height: 1 << 40, ..base() }).contains("to 16384x16384"));
+        assert!(error(Settings { splits: [0.5, 0.1, 0.1], ..base() }).contains("sum to 1, not 0.7"));
+        assert!(error(Settings { splits: [1.5, -0.5, 0.0], ..base() }).contains("from 0 to 1"));
+        let images = Background::Images("/nowhere".into());
+        assert!(error(Settings { background: images, ..base() }).contains("--background /nowhere"));
+        assert!(error(Settings { head: Head::Ict("/nowhere".into()), ..base() }).contains("--head /nowhere"));
+    }
+
+    #[test]
+    fn texts_are_read_as_they_are_written() {
+        assert_eq!("2/3".parse(), Ok(Shard { number: 2, of: 3 }));
+        for text in ["3/2", "0/2", "1/0", "2", "a/b", "-1/2", "1/2/3"] {
+            assert!(text.parse::<Shard>().unwrap_err().contains(text));
+        }
+        assert_eq!("ict:/a:b".parse(), Ok(Head::Ict("/a:b".into())));
+        assert!("flame".parse::<Head>().is_err() && "ict:".parse::<Head>().is_err());
+    }
+}

@@ -1,0 +1,185 @@
+//! One clip: a head that shows a micro-expression and drifts a little before a camera that stands still.
+
+use glam::{DVec3, EulerRot, Quat, Vec3};
+use srflow_avatar::{Avatar, HeadModelError, HeadPose, Joint, MicroExpression, PosedHead, Side};
+use srflow_field::random::{Key, Stream};
+use srflow_read::micro_expression::EmotionClass;
+use srflow_splat::{Camera, Gaussians};
+
+use super::sensor::Light;
+use super::settings::{ClipPlan, FRAMES_AT_REST, SynthSettings};
+use crate::generate::{Rig, SmoothPath, View};
+
+/// The frame is wider than the face's landmarks by this factor.
+const MARGIN: f64 = 1.18;
+
+/// How far the head turns (yaw, pitch, roll in degrees) and moves (metres) at most within a clip, at drift 1.
+const DRIFT_DEGREES: [f32; 3] = [0.12, 0.1, 0.08];
+const DRIFT_METRES: f32 = 0.00015;
+
+/// How differently clips of one subject are framed: degrees of azimuth, elevation and roll.
+const VIEW_DEGREES: [f32; 3] = [6.0, 4.0, 2.0];
+
+/// Seconds from one point of the drift to the next.
+const DRIFT_KNOT_SECONDS: f32 = 0.25;
+
+/// Action units that micro-expressions of a class usually show (those that CASME II and SAMM were coded with).
+fn action_unit_sets(class: EmotionClass) -> &'static [&'static [u8]] {
+    match class {
+        EmotionClass::Negative => {
+            &[&[4], &[4, 7], &[9], &[4, 9], &[10], &[14], &[15], &[15, 17], &[17], &[20], &[1, 4], &[4, 5]]
+        }
+        EmotionClass::Positive => &[&[12], &[6, 12], &[12, 25]],
+        EmotionClass::Surprise => &[&[1, 2], &[1, 2, 5], &[5], &[1, 2, 26], &[2, 5]],
+    }
+}
+
+pub struct Clip {
+    pub expression: MicroExpression,
+    pub camera: Camera,
+    pub light: Light,
+    pub key: Key,
+    drift: SmoothPath<6>,
+    frames: usize,
+}
+
+impl Clip {
+    pub fn new(avatar: &Avatar, settings: &SynthSettings, plan: &ClipPlan) -> Result<Self, HeadModelError> {
+        let key = Key::new(settings.seed).scene(plan.number);
+        let mut expression = MicroExpression::random(
+            avatar.model(),
+            action_unit_sets(plan.class),
+            key,
+            FRAMES_AT_REST,
+            settings.frames_per_second,
+        )?;
+        for (_, _, intensity) in &mut expression.action_units {
+            *intensity = (*intensity * settings.intensity).clamp(0.0, 1.0);
+        }
+        let frames = expression.offset + FRAMES_AT_REST + 1;
+        Ok(Self {
+            camera: camera(avatar, settings.side, &mut key.stream("framing")),
+            light: Light::random(key, settings.lighting),
+            drift: drift(&mut key.stream("drift"), settings, frames),
+            expression,
+            key,
+            frames,
+        })
+    }
+
+    /// Number of frames.
+    pub fn len(&self) -> usize {
+        self.frames
+    }
+
+    /// The head's pose at a frame.
+    pub fn pose(&self, avatar: &Avatar, frame: usize) -> Result<HeadPose, HeadModelError> {
+        let mut pose = self.expression.pose(avatar.model(), frame)?;
+        let [yaw, pitch, roll, x, y, z] =
+            self.drift.at(frame as f64 / (self.frames - 1).max(1) as f64).map(|value| value as f32);
+        let turn = Quat::from_euler(EulerRot::YXZ, yaw.to_radians(), -pitch.to_radians(), roll.to_radians());
+        let root = &mut pose.joints[Joint::Root as usize];
+        *root = (turn * *root).normalize();
+        pose.translation += Vec3::new(x, y, z);
+        Ok(pose)
+    }
+
+    /// Where the 68 landmarks of dlib are seen in a posed head, in pixels.
+    pub fn landmarks(&self, avatar: &Avatar, head: &PosedHead) -> Vec<[f64; 2]> {
+        let seen = landmarks(avatar, head.vertices()).map(|point| self.camera.project(point));
+        // The face is before the camera: a landmark without a pixel would be one behind it.
+        seen.map(|seen| seen.map_or([0.0; 2], |(pixel, _)| pixel.to_array())).collect()
+    }
+
+    /// Action units at the apex, by name.
+    pub fn action_units(&self) -> impl Iterator<Item = (String, f32)> {
+        let name = |number: u8, side: Side| match side {
+            Side::Both => format!("AU{number}"),
+            Side::Left => format!("AU{number}_L"),
+            Side::Right => format!("AU{number}_R"),
+        };
+        self.expression
+            .action_units
+            .iter()
+            .map(move |&(number, side, intensity)| (name(number, side), intensity))
+    }
+
+    /// Numbers of the action units as datasets write them: `1+2`.
+    pub fn coded_units(&self) -> String {
+        let mut numbers: Vec<u8> = self.expression.action_units.iter().map(|unit| unit.0).collect();
+        numbers.dedup();
+        let numbers: Vec<String> = numbers.iter().map(u8::to_string).collect();
+        numbers.join("+")
+    }
+
+    /// The Gaussians of a frame into `out`.
+    pub fn gaussians(
+        &self,
+        avatar: &Avatar,
+        frame: usize,
+        head: &mut PosedHead,
+        out: &mut Gaussians,
+    ) -> Result<(), HeadModelError> {
+        avatar.gaussians_into(&self.pose(avatar, frame)?, head, out);
+        Ok(())
+    }
+}
+
+fn landmarks<'a>(avatar: &'a Avatar, vertices: &'a [Vec3]) -> impl Iterator<Item = DVec3> + 'a {
+    avatar.model().landmarks.iter().map(|&(triangle, weights)| {
+        let corners = avatar.model().triangles[triangle as usize].map(|vertex| vertices[vertex as usize]);
+        (corners[0] * weights.x + corners[1] * weights.y + corners[2] * weights.z).as_dvec3()
+    })
+}
+
+/// A camera at one metre whose square frame the face fills.
+fn camera(avatar: &Avatar, side: usize, stream: &mut Stream) -> Camera {
+    let at_rest: Vec<DVec3> = landmarks(avatar, &avatar.shaped().vertices).collect();
+    let low = at_rest.iter().copied().fold(DVec3::INFINITY, DVec3::min);
+    let high = at_rest.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
+    let extent = (high - low).x.max((high - low).y) * MARGIN;
+    // The landmarks end at the brows; the middle of the face lies higher than theirs.
+    let centre = (low + high) / 2.0 + DVec3::Y * 0.08 * extent;
+    let [azimuth, elevation, roll] = VIEW_DEGREES.map(|reach| f64::from(stream.uniform(-reach, reach)));
+    let shift = [0, 1].map(|_| f64::from(stream.uniform(-0.03, 0.03)) * side as f64);
+    let mut camera = Rig::new(side, side, centre).camera(View { azimuth, elevation, roll });
+    camera.fx = side as f64 / extent;
+    camera.fy = camera.fx;
+    camera.cx += shift[0];
+    camera.cy += shift[1];
+    camera
+}
+
+/// Slow turns and shifts of the head, which go on through the whole clip.
+fn drift(stream: &mut Stream, settings: &SynthSettings, frames: usize) -> SmoothPath<6> {
+    let seconds = frames as f32 / settings.frames_per_second;
+    let knots = (seconds / DRIFT_KNOT_SECONDS).ceil().clamp(1.0, 1000.0) as usize + 1;
+    let reach = |axis: usize| if axis < 3 { DRIFT_DEGREES[axis] } else { DRIFT_METRES };
+    let points = (0..knots + 1).map(|_| {
+        std::array::from_fn(|axis| f64::from(settings.drift * reach(axis) * stream.uniform(-1.0, 1.0)))
+    });
+    SmoothPath::through(points.collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use srflow_avatar::HeadModel;
+
+    use super::*;
+
+    #[test]
+    fn the_built_in_head_shows_units_of_the_class() {
+        let model = HeadModel::builtin(1);
+        for class in EmotionClass::ALL {
+            for scene in 0..40 {
+                let key = Key::new(3).scene(scene);
+                let sets = action_unit_sets(class);
+                let shown =
+                    MicroExpression::random(&model, sets, key, 20, 200.0).expect("units of the class");
+                let mut numbers: Vec<u8> = shown.action_units.iter().map(|unit| unit.0).collect();
+                numbers.dedup();
+                assert!(sets.contains(&numbers.as_slice()), "{class:?} shows {numbers:?}");
+            }
+        }
+    }
+}

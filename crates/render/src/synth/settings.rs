@@ -1,0 +1,181 @@
+//! What a set of micro-expressions is asked to be, and the plan that follows from it.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use srflow_field::FlowFormat;
+use srflow_field::random::Key;
+use srflow_read::micro_expression::EmotionClass;
+
+use super::error::SynthError;
+
+/// Frames at rest before the onset and after the offset.
+pub(super) const FRAMES_AT_REST: usize = 3;
+
+/// What is asked for. Strengths of the disturbances are factors: 0 is none, 1 about what published recordings have.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SynthSettings {
+    /// How many people.
+    pub subjects: u32,
+    /// Clips of each; the classes take turns.
+    pub clips_per_subject: u32,
+    /// Width and height of the frames, in pixels.
+    pub side: usize,
+    /// Frames per second.
+    pub frames_per_second: f32,
+    /// Strength of the expressions; 1 is 12 to 40 % of each action unit's full strength.
+    pub intensity: f32,
+    /// Sensor noise: 1 is a standard deviation of about 1.8 of 255 in mid-grey, growing with brightness.
+    pub noise: f32,
+    /// Drift of the head: 1 is up to about a tenth of a degree and 0.15 mm to either side within a clip.
+    pub drift: f32,
+    /// Changes of light: 1 is up to about 2 % slowly, with a gradient over the face, and 0.3 % of flicker at 100 Hz.
+    pub lighting: f32,
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// Ending of the true flow's files.
+    pub flow_format: String,
+}
+
+impl Default for SynthSettings {
+    fn default() -> Self {
+        Self {
+            subjects: 12,
+            clips_per_subject: 6,
+            side: 256,
+            frames_per_second: 200.0,
+            intensity: 1.0,
+            noise: 1.0,
+            drift: 1.0,
+            lighting: 1.0,
+            seed: 1,
+            flow_format: FlowFormat::Flo.extension().to_owned(),
+        }
+    }
+}
+
+/// One clip of the plan.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct ClipPlan {
+    /// Its number among all clips; random choices are keyed by it.
+    pub number: u32,
+    /// Its subject's number.
+    pub subject: u32,
+    pub class: EmotionClass,
+    /// Its subject's name, e.g. `s03`.
+    pub subject_name: String,
+    /// Its folder and name, e.g. `s03/c05`.
+    pub name: String,
+}
+
+impl ClipPlan {
+    pub fn folder(&self, dir: &Path) -> PathBuf {
+        dir.join(&self.name)
+    }
+
+    /// The file of the true flow from onset to apex, beside the clip's folder.
+    pub fn flow(&self, dir: &Path, format: FlowFormat) -> PathBuf {
+        dir.join(format!("{}_flow.{}", self.name, format.extension()))
+    }
+
+    /// What is known of the clip; written last.
+    pub fn record(&self, dir: &Path) -> PathBuf {
+        dir.join(format!("{}.json", self.name))
+    }
+}
+
+impl SynthSettings {
+    /// Checks the settings and lists the clips, by subject.
+    pub(super) fn plan(&self) -> Result<Vec<ClipPlan>, SynthError> {
+        let wrong = |argument, found: String, expected: &str| {
+            Err(SynthError::Argument { argument, found, expected: expected.to_owned() })
+        };
+        if !(1..=1000).contains(&self.subjects) {
+            return wrong("--subjects", self.subjects.to_string(), "1 to 1000");
+        }
+        if !(1..=1000).contains(&self.clips_per_subject) {
+            return wrong("--clips", self.clips_per_subject.to_string(), "1 to 1000");
+        }
+        if !(64..=4096).contains(&self.side) {
+            return wrong("--side", self.side.to_string(), "64 to 4096 pixels");
+        }
+        if !(10.0..=2000.0).contains(&self.frames_per_second) {
+            return wrong("--fps", self.frames_per_second.to_string(), "10 to 2000 frames per second");
+        }
+        for (argument, value, most, expected) in [
+            ("--intensity", self.intensity, 2.5, "above 0 to 2.5"),
+            ("--noise", self.noise, 50.0, "0 to 50"),
+            ("--drift", self.drift, 20.0, "0 to 20"),
+            ("--lighting", self.lighting, 20.0, "0 to 20"),
+        ] {
+            let least_fits = if argument == "--intensity" { value > 0.0 } else { value >= 0.0 };
+            if !(least_fits && value <= most) {
+                return wrong(argument, value.to_string(), expected);
+            }
+        }
+        self.flow_format()?;
+        let clip = |number: u32| {
+            let (subject, within) = (number / self.clips_per_subject, number % self.clips_per_subject);
+            // Each subject begins with another class, so that odd numbers of clips come out even over the subjects.
+            let class = EmotionClass::ALL[((within + subject) % 3) as usize];
+            let subject_name = format!("s{:02}", subject + 1);
+            let name = format!("{subject_name}/c{:02}", within + 1);
+            ClipPlan { number, subject, class, subject_name, name }
+        };
+        Ok((0..self.subjects * self.clips_per_subject).map(clip).collect())
+    }
+
+    pub(super) fn flow_format(&self) -> Result<FlowFormat, SynthError> {
+        FlowFormat::ALL.into_iter().find(|format| format.extension() == self.flow_format).ok_or_else(|| {
+            SynthError::Argument {
+                argument: "--flow-format",
+                found: self.flow_format.clone(),
+                expected: FlowFormat::ALL.map(FlowFormat::extension).join(", "),
+            }
+        })
+    }
+
+    /// Seed of a subject's head.
+    pub(super) fn head_of(&self, subject: u32) -> u64 {
+        u64::from(Key::new(self.seed).scene(subject).stream("subject").bits())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn classes_are_even_and_names_are_unique() {
+        for clips_per_subject in [1, 2, 3, 4, 7] {
+            let settings = SynthSettings { subjects: 6, clips_per_subject, ..SynthSettings::default() };
+            let plan = settings.plan().unwrap();
+            let count = |class| plan.iter().filter(|clip| clip.class == class).count() as u32;
+            for class in EmotionClass::ALL {
+                assert_eq!(count(class), 2 * clips_per_subject, "{clips_per_subject}");
+            }
+            let names: std::collections::BTreeSet<&str> =
+                plan.iter().map(|clip| clip.name.as_str()).collect();
+            assert_eq!(names.len(), plan.len());
+        }
+    }
+
+    #[test]
+    fn settings_out_of_range_are_named() {
+        let default = SynthSettings::default;
+        for (settings, argument) in [
+            (SynthSettings { subjects: 0, ..default() }, "--subjects"),
+            (SynthSettings { clips_per_subject: 1001, ..default() }, "--clips"),
+            (SynthSettings { side: 20, ..default() }, "--side"),
+            (SynthSettings { frames_per_second: f32::NAN, ..default() }, "--fps"),
+            (SynthSettings { intensity: 0.0, ..default() }, "--intensity"),
+            (SynthSettings { noise: -1.0, ..default() }, "--noise"),
+            (SynthSettings { drift: f32::INFINITY, ..default() }, "--drift"),
+            (SynthSettings { lighting: f32::NAN, ..default() }, "--lighting"),
+            (SynthSettings { flow_format: "gif".to_owned(), ..default() }, "--flow-format"),
+        ] {
+            let error = settings.plan().unwrap_err().to_string();
+            assert!(error.starts_with(argument), "{error}");
+        }
+    }
+}

@@ -1,0 +1,126 @@
+//! A rendered micro-expression set: whole, the same on any number of threads, and with flow that is the motion.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+
+use srflow_field::{read_flow, read_image};
+use srflow_read::micro_expression::{ClassCounts, ClipDataset};
+use srflow_render::synth::{SynthError, SynthEvent, SynthSettings, synthesize};
+
+/// Small and short: the heads take longer than the frames.
+fn settings() -> SynthSettings {
+    SynthSettings {
+        subjects: 1,
+        clips_per_subject: 3,
+        side: 64,
+        frames_per_second: 25.0,
+        ..SynthSettings::default()
+    }
+}
+
+fn make(settings: &SynthSettings, dir: &Path, threads: usize) -> Result<usize, SynthError> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    let events = Mutex::new(Vec::new());
+    let report =
+        pool.install(|| synthesize(settings, dir, false, &|event| events.lock().unwrap().push(event)))?;
+    let events = events.into_inner().unwrap();
+    assert_eq!(events[0], SynthEvent::Started { clips: report.clips, whole: report.clips - report.made });
+    assert_eq!(events.len(), 1 + report.made);
+    Ok(report.made)
+}
+
+/// Every file below a folder and its bytes.
+fn contents(dir: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut found = Vec::new();
+    let mut folders = vec![dir.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                folders.push(path);
+            } else {
+                found.push((path.strip_prefix(dir).unwrap().to_owned(), fs::read(&path).unwrap()));
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+#[test]
+fn a_set_is_whole_and_the_same_however_it_is_made() {
+    let folder = tempfile::tempdir().unwrap();
+    let (one, two) = (folder.path().join("one"), folder.path().join("two"));
+    assert_eq!(make(&settings(), &one, 1).unwrap(), 3);
+    assert_eq!(make(&settings(), &two, 2).unwrap(), 3);
+    let whole = contents(&one);
+    assert_eq!(whole, contents(&two), "the bytes do not depend on the threads");
+
+    // As if it had been killed within the second clip.
+    fs::remove_file(one.join("s01/c02.json")).unwrap();
+    fs::remove_file(one.join("s01/c02/0004.png")).unwrap();
+    fs::remove_file(one.join("clips.csv")).unwrap();
+    assert_eq!(make(&settings(), &one, 2).unwrap(), 1);
+    assert_eq!(contents(&one), whole);
+    assert_eq!(make(&settings(), &one, 2).unwrap(), 0);
+
+    let dataset = ClipDataset::open(&format!("clips:{}", one.display()).parse().unwrap(), false).unwrap();
+    assert_eq!(dataset.counts(), ClassCounts::new(1, 1, 1));
+    let landmarks = fs::read_to_string(one.join("landmarks.csv")).unwrap();
+    assert_eq!(landmarks.lines().count(), 4);
+    for clip in &dataset.clips {
+        let a = &clip.annotation;
+        assert!(!a.action_units.is_empty() && a.apex.is_some_and(|apex| a.onset < apex && apex < a.offset));
+        assert_eq!(clip.frames.len() as u64, a.offset - a.onset + 1);
+        let flow = read_flow(&one.join(format!("{}_flow.flo", a.clip))).unwrap();
+        let onset = read_image(clip.frame(a.onset).unwrap()).unwrap();
+        assert_eq!((flow.size(), onset.size()), ((64, 64), (64, 64)));
+        let longest = flow.pixels().iter().map(|[u, v]| u.hypot(*v)).fold(0.0, f32::max);
+        assert!(longest > 0.05 && longest < 6.0, "{longest} px: a micro-expression");
+    }
+}
+
+#[test]
+fn without_disturbance_only_the_expression_moves() {
+    let folder = tempfile::tempdir().unwrap();
+    let still = SynthSettings { noise: 0.0, drift: 0.0, lighting: 0.0, clips_per_subject: 1, ..settings() };
+    make(&still, folder.path(), 2).unwrap();
+    let dataset =
+        ClipDataset::open(&format!("clips:{}", folder.path().display()).parse().unwrap(), false).unwrap();
+    let clip = &dataset.clips[0];
+    let frame = |number| read_image(clip.frame(number).unwrap()).unwrap();
+    let a = &clip.annotation;
+    let (onset, apex) = (frame(a.onset), frame(a.apex.unwrap()));
+    assert_eq!(onset, frame(a.offset), "the face is back at rest");
+    let flow = read_flow(&folder.path().join(format!("{}_flow.flo", a.clip))).unwrap();
+    let (mut moved, mut changed_where_still) = (0, 0);
+    for y in 0..64 {
+        for x in 0..64 {
+            let [u, v] = flow.get(x, y);
+            moved += usize::from(u.hypot(v) > 0.1);
+            let change = (0..3).map(|c| onset.get(x, y)[c].abs_diff(apex.get(x, y)[c])).max().unwrap();
+            changed_where_still += usize::from(u.hypot(v) < 1e-4 && change > 8);
+        }
+    }
+    assert!(moved > 20 && moved < 64 * 64 / 2, "{moved} pixels move");
+    assert!(changed_where_still < 10, "{changed_where_still} pixels change without flow");
+}
+
+#[test]
+fn another_folder_is_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("thesis.tex"), "x").unwrap();
+    let error = make(&settings(), folder.path(), 1).unwrap_err();
+    assert!(matches!(error, SynthError::NotASet(_)), "{error}");
+
+    let set = folder.path().join("set");
+    fs::create_dir(&set).unwrap();
+    fs::write(
+        set.join("synth.json"),
+        serde_json::to_string(&SynthSettings { seed: 9, ..settings() }).unwrap(),
+    )
+    .unwrap();
+    let error = make(&settings(), &set, 1).unwrap_err().to_string();
+    assert!(error.contains("seed 9, asked for is 1") && error.contains("--force"), "{error}");
+}

@@ -11,5 +11,5 @@ mod zero;
 pub use crop::{CropError, Window, head_window};
 pub use evaluate::{Estimate, EvaluateError, Event, OnFailure, PairProblem, ScoredPair, Settings, evaluate};
 pub use results::{Evaluation, Failure, MethodScores, PairScores, Region};
-pub use table::{Better, Column, Mark, Row, Table, TextStyle};
+pub use table::{Better, Column, Mark, Row, Table, TextStyle, latex_escape, latex_file};
 pub use zero::Zero;

@@ -198,10 +198,10 @@ impl Table {
         out
     }
 
-    /// A LaTeX `tabular` in the paper's own form; needs the packages booktabs, xcolor and ulem.
+    /// A LaTeX `tabular` in the paper's own form; needs the packages of [`latex_file`].
     pub fn latex(&self) -> String {
         let mut out = format!("\\begin{{tabular}}{{l*{{{}}}c}}\n\\toprule\n", self.columns.len());
-        let headers: Vec<String> = self.headers().iter().map(|header| latex_escape(header)).collect();
+        let headers: Vec<String> = self.headers().iter().map(|header| latex_header(header)).collect();
         out.push_str(&format!("{} \\\\\n\\midrule\n", headers.join(" & ")));
         for (row, marks) in self.rows.iter().zip(self.marks()) {
             out.push_str(&latex_escape(&row.name));
@@ -283,7 +283,28 @@ fn ansi(mark: Mark) -> (&'static str, &'static str) {
     }
 }
 
-fn latex_escape(text: &str) -> String {
+/// A file for `\input`: the packages that its tables need as a comment, then each `tabular` under its title as a comment.
+pub fn latex_file(tables: impl IntoIterator<Item = (String, String)>) -> String {
+    const PACKAGES: &str =
+        "% \\usepackage{booktabs}\n% \\usepackage[table]{xcolor}\n% \\usepackage[normalem]{ulem}\n";
+    let one_line = |title: &str| title.split_whitespace().collect::<Vec<_>>().join(" ");
+    let tables = tables.into_iter().map(|(title, tabular)| format!("\n% {}\n{tabular}", one_line(&title)));
+    std::iter::once(PACKAGES.to_owned()).chain(tables).collect()
+}
+
+/// `F1_μ ↑` as `$F1_\mu$ $\uparrow$`: a symbol with a subscript is set as mathematics.
+fn latex_header(header: &str) -> String {
+    let (symbol, rest) = header.split_once(' ').unwrap_or((header, ""));
+    let rest = if rest.is_empty() { String::new() } else { format!(" {}", latex_escape(rest)) };
+    match symbol.split_once('_') {
+        Some((base, "μ")) => format!("${}_\\mu${rest}", latex_escape(base)),
+        Some((base, sub)) if sub.len() == 1 => format!("${}_{sub}${rest}", latex_escape(base)),
+        _ => latex_escape(header),
+    }
+}
+
+/// Text for LaTeX; characters that stock pdflatex has no glyph for are left as they are.
+pub fn latex_escape(text: &str) -> String {
     let mut out = String::new();
     for character in text.chars() {
         match character {
@@ -291,8 +312,13 @@ fn latex_escape(text: &str) -> String {
             '\\' => out.push_str("\\textbackslash{}"),
             '~' => out.push_str("\\textasciitilde{}"),
             '^' => out.push_str("\\textasciicircum{}"),
+            '<' => out.push_str("\\textless{}"),
+            '>' => out.push_str("\\textgreater{}"),
+            '|' => out.push_str("\\textbar{}"),
             '↓' => out.push_str("$\\downarrow$"),
             '↑' => out.push_str("$\\uparrow$"),
+            'μ' | 'µ' => out.push_str("$\\mu$"),
+            _ if character.is_control() => out.push(' '),
             _ => out.push(character),
         }
     }
@@ -396,5 +422,16 @@ mod tests {
             latex.contains("\\textcolor{blue}{\\textbf{3.00}}") && latex.contains("\\textcolor{blue}{2.00}")
         );
         assert!(table.markdown().contains("| m2 | **3.00** |"));
+        table.columns[0].header = "F1_μ".into();
+        assert!(table.latex().contains("& $F1_\\mu$ $\\uparrow$ \\\\"), "{}", table.latex());
+    }
+
+    #[test]
+    fn a_latex_file_names_its_packages_and_keeps_titles_in_comments() {
+        let file = latex_file([("two\nlines".to_owned(), "\\begin{tabular}".to_owned())]);
+        assert!(
+            file.starts_with("% \\usepackage{booktabs}\n")
+                && file.ends_with("\n% two lines\n\\begin{tabular}")
+        );
     }
 }

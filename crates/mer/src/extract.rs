@@ -159,8 +159,7 @@ fn features_of_clip(
     let (onset, apex) = (file(clip.annotation.onset)?, file(apex)?);
     let crop = preparation.face.of_clip(&clip.dataset, &clip.annotation)?;
     let compute = || {
-        let (first, second) = read_pair(onset, apex)?;
-        let (first, second) = (crop.apply(&first)?, crop.apply(&second)?);
+        let [first, second] = read_faces(onset, apex, &crop)?;
         features_of_frames(&first, &second, method.estimator, preparation.resize, preparation.strain)
     };
     let Some(cache) = cache else { return Ok((compute()?, false)) };
@@ -173,7 +172,21 @@ fn features_of_clip(
     Ok((features, false))
 }
 
-fn read_pair(onset: &Path, apex: &Path) -> Result<(Image, Image), ExtractProblem> {
+/// The faces in a clip's onset and apex frames, as features are computed from them but in the frames' own size.
+///
+/// # Errors
+/// When the clip has no apex, or a frame cannot be read or cut.
+pub(crate) fn faces_of_clip(clip: &Clip, face: &FaceCrop) -> Result<[Image; 2], ExtractError> {
+    let faces = || {
+        let apex = clip.annotation.apex.ok_or(ExtractProblem::NoApex)?;
+        let file = |number| clip.frame(number).ok_or(ExtractProblem::NoFrame(number));
+        let crop = face.of_clip(&clip.dataset, &clip.annotation)?;
+        read_faces(file(clip.annotation.onset)?, file(apex)?, &crop)
+    };
+    faces().map_err(|problem| ExtractError { clip: clip.id(), problem })
+}
+
+fn read_faces(onset: &Path, apex: &Path, crop: &ClipCrop) -> Result<[Image; 2], ExtractProblem> {
     let (first, second) = (read_image(onset)?, read_image(apex)?);
     if first.size() != second.size() || first.pixels().is_empty() {
         return Err(ExtractProblem::Sizes {
@@ -183,7 +196,7 @@ fn read_pair(onset: &Path, apex: &Path) -> Result<(Image, Image), ExtractProblem
             apex_size: second.size(),
         });
     }
-    Ok((first, second))
+    Ok([crop.apply(&first)?, crop.apply(&second)?])
 }
 
 /// Everything beside the pictures that the features follow from. The crop is that of this clip: other rows of a landmark

@@ -34,10 +34,11 @@ pub use loso::{FoldRecord, Loso, LosoError, LosoEvent, leave_one_subject_out};
 pub use metrics::{CLASSES, Confusion, Scores};
 pub use predictions::{Prediction, PredictionsError, Trial, read_predictions, write_predictions};
 pub use protocol::{Protocol, ProtocolError};
-pub use report::{ReportParts, report};
+pub use report::{ReportError, ReportParts, report};
 pub use resize::{resize_cubic, resize_flow};
 pub use results::{
-    METRICS, Outcome, OutcomeRecord, by_set, confusion_table, fold_table, score_tables, unseen_classes,
+    METRICS, Outcome, OutcomeRecord, by_set, confusion_latex, confusion_title, fold_table, score_tables,
+    unseen_classes,
 };
 pub use results_csv::{confusions_csv, folds_csv, scores_csv};
 pub use strain::{StrainFormula, optical_strain, strain_colors};

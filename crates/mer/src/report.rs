@@ -1,18 +1,23 @@
-//! The page of a run: scores, curves, confusions, subjects, and clips with their flow, strain and prediction.
+//! The page of a run: scores, curves, confusion matrices, subjects, and clips with face, flow, strain and prediction.
 
 use srflow_eval::report::{
-    Axis, Chart, Curve, Figure, Panel, Picture, PictureError, Report, Section, columns, curves, facts,
-    score_table, side_by_side,
+    Axis, Chart, Curve, Figure, Picture, PictureError, Report, Section, Strip, color_scale, confusion_matrix,
+    curves, facts, flow_scale, ramp_legend, score_table, shrink_image, side_by_side, strips, wheel_legend,
 };
-use srflow_field::{FlowField, flow_colors};
+use srflow_field::{FlowField, Plane, flow_colors};
+use srflow_read::micro_expression::{Clip, EmotionClass};
 
+use crate::extract::{ExtractError, faces_of_clip};
+use crate::face::FaceCrop;
 use crate::features::{Channel, FEATURE_SIDE, Sample};
-use crate::predictions::Trial;
-use crate::results::{Outcome, by_set, confusion_table, fold_table, score_tables, unseen_classes};
+use crate::predictions::{Prediction, Trial};
+use crate::results::{ALWAYS_NEGATIVE, Outcome, by_set, fold_table, score_tables, unseen_classes};
 use crate::strain::strain_colors;
 
 /// Clips shown for each method and set.
 const SHOWN_CLIPS: usize = 8;
+/// Greatest width of a face, in pixels: sharp at twice the size at which it is shown.
+const FACE_WIDTH: usize = 224;
 
 /// What a page is made of.
 pub struct ReportParts<'a> {
@@ -22,27 +27,39 @@ pub struct ReportParts<'a> {
     pub trials: &'a [Trial],
     /// The features of each method.
     pub samples: &'a [(String, Vec<Sample>)],
+    /// The clips that the features are of, on disk.
+    pub clips: &'a [Clip],
+    /// How faces were cut out of their frames.
+    pub face: &'a FaceCrop,
     /// How the run was made: names and values.
     pub facts: Vec<(String, String)>,
     /// What the times were measured on.
     pub machine: String,
 }
 
+/// Why there is no page.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// A picture cannot be encoded.
+    #[error(transparent)]
+    Picture(#[from] PictureError),
+    /// A frame of a clip that is shown cannot be read.
+    #[error(transparent)]
+    Clip(#[from] ExtractError),
+}
+
 /// The page of one run.
 ///
 /// # Errors
-/// When a picture cannot be encoded.
-pub fn report(parts: &ReportParts) -> Result<Report, PictureError> {
+/// When a frame cannot be read or a picture not be encoded.
+pub fn report(parts: &ReportParts) -> Result<Report, ReportError> {
     let mut sections = Vec::new();
     for outcomes in by_set(parts.outcomes) {
         let set = &outcomes[0].set;
         let mut figures: Vec<Figure> =
             score_tables(&outcomes).iter().map(|table| score_table(table, TABLE_CAPTION)).collect();
         figures.push(side_by_side(vec![accuracies(&outcomes), losses(&outcomes)], 420));
-        figures.push(side_by_side(
-            outcomes.iter().map(|outcome| score_table(&confusion_table(outcome), "")).collect(),
-            380,
-        ));
+        figures.push(side_by_side(outcomes.iter().map(|outcome| confusion(outcome)).collect(), 420));
         figures.extend(
             outcomes.iter().map(|outcome| {
                 score_table(&fold_table(outcome), &unseen_classes(outcome).unwrap_or_default())
@@ -50,7 +67,7 @@ pub fn report(parts: &ReportParts) -> Result<Report, PictureError> {
         );
         for trial in parts.trials.iter().filter(|trial| trial.set == *set) {
             if let Some((_, samples)) = parts.samples.iter().find(|(method, _)| *method == trial.method) {
-                figures.push(clips(trial, samples)?);
+                figures.extend(clips(parts, trial, samples)?);
             }
         }
         sections.push(Section { title: set.clone(), lead: SECTION_LEAD.to_owned(), figures });
@@ -58,26 +75,38 @@ pub fn report(parts: &ReportParts) -> Result<Report, PictureError> {
     sections.push(Section {
         title: "How it was made".to_owned(),
         lead:
-            "Everything that decides the numbers above; predictions.csv has what every clip was told to be."
+            "Everything that the numbers above depend on; predictions.csv has the prediction for each clip."
                 .to_owned(),
         figures: vec![facts(&parts.facts)],
     });
     Ok(Report {
         title: "Micro-expression recognition".to_owned(),
         kicker: "srflow mer run".to_owned(),
-        lead: "Every subject's clips are told by a classifier that was trained on all others.".to_owned(),
+        lead: "Each subject's clips are classified by a model trained on all other subjects.".to_owned(),
         opening: Vec::new(),
         sections,
         colophon: format!("srflow {} on {}.", env!("CARGO_PKG_VERSION"), parts.machine),
     })
 }
 
-const SECTION_LEAD: &str = "Scores are computed for each subject and averaged over subjects, as in the SRFlow paper; \
-    UF1 and UAR are MEGC 2019's, of all subjects' predictions pooled.";
+const SECTION_LEAD: &str = "Scores are computed for each held-out subject and averaged over subjects, as in the SRFlow \
+    paper; UF1 and UAR are MEGC 2019's, computed from the pooled predictions.";
 
-const TABLE_CAPTION: &str = "P, R and F1 are macro averages over the classes that a subject shows or is told to show, \
-    F1_μ is the share of clips told right, G the geometric mean of the recalls. The best epoch is chosen by the clips that \
-    are scored; the last epoch is not.";
+const TABLE_CAPTION: &str = "P, R and F1 are macro averages over the classes among a subject's labels and predictions, F1_μ \
+    is the accuracy, G the geometric mean of the recalls. The best epoch is chosen on the test clips themselves and is \
+    optimistic; the last epoch is fixed before training.";
+
+fn confusion(outcome: &Outcome) -> Figure {
+    let last = outcome.summary.last();
+    let chart = Chart {
+        title: format!("{}: confusion matrix after epoch {}", outcome.method, last.epoch),
+        x: "predicted class".to_owned(),
+        y: "true class".to_owned(),
+        caption: String::new(),
+    };
+    let classes = EmotionClass::ALL.map(|class| class.name().to_owned());
+    confusion_matrix(&classes, &last.pooled.0.map(|row| row.to_vec()), &chart)
+}
 
 fn accuracies(outcomes: &[&Outcome]) -> Figure {
     let mut lines: Vec<Curve> = outcomes
@@ -91,9 +120,9 @@ fn accuracies(outcomes: &[&Outcome]) -> Figure {
     if let Some(first) = outcomes.first() {
         let accuracy = first.summary.always_negative().mean.accuracy;
         let points = first.summary.epochs.iter().map(|e| (e.epoch as f64, accuracy)).collect();
-        lines.push(Curve { name: "always negative".to_owned(), points, baseline: true });
+        lines.push(Curve { name: ALWAYS_NEGATIVE.to_owned(), points, baseline: true });
     }
-    curves(&lines, Axis::Linear, true, &chart("Clips told right", "mean over subjects"))
+    curves(&lines, Axis::Linear, true, &chart("Accuracy", "mean over subjects"))
 }
 
 fn losses(outcomes: &[&Outcome]) -> Figure {
@@ -117,39 +146,76 @@ fn chart(title: &str, y: &str) -> Chart {
     Chart { title: title.to_owned(), x: "epoch".to_owned(), y: y.to_owned(), caption: String::new() }
 }
 
-/// Clips spread over the set, after the last epoch.
-fn clips(trial: &Trial, samples: &[Sample]) -> Result<Figure, PictureError> {
+/// Clips spread over the set, after the last epoch; flow and strain have one scale for all of them.
+fn clips(parts: &ReportParts, trial: &Trial, samples: &[Sample]) -> Result<Vec<Figure>, ReportError> {
     let last = trial.predictions.iter().map(|prediction| prediction.epoch).max();
-    let of_last: Vec<_> = trial.predictions.iter().filter(|p| Some(p.epoch) == last).collect();
+    let of_last: Vec<&Prediction> = trial.predictions.iter().filter(|p| Some(p.epoch) == last).collect();
     let every = of_last.len().div_ceil(SHOWN_CLIPS).max(1);
-    let mut shown = Vec::new();
-    for prediction in of_last.into_iter().step_by(every) {
-        let of_clip = |sample: &&Sample| {
-            (&sample.dataset, &sample.subject, &sample.clip)
-                == (&prediction.dataset, &prediction.subject, &prediction.clip)
+    let shown: Vec<Shown> = of_last
+        .into_iter()
+        .step_by(every)
+        .filter_map(|prediction| Shown::of(prediction, samples, parts.clips))
+        .collect();
+    let flow_max = shown.iter().map(|clip| flow_scale(&clip.flow)).fold(0.1, f64::max);
+    let strains = shown.iter().flat_map(|clip| clip.strain.pixels().iter().copied());
+    let strain_max = color_scale(strains, 1e-6);
+
+    let strip = |clip: &Shown| -> Result<Strip, ReportError> {
+        let Prediction { dataset, subject, clip: name, truth, predicted, .. } = clip.prediction;
+        let name = format!("{dataset} {subject} {name}");
+        let [onset, apex] = faces_of_clip(clip.clip, parts.face)?;
+        let face =
+            |image, alt: &str| Picture::jpeg(&shrink_image(image, FACE_WIDTH), &format!("{alt} of {name}"));
+        let flow = flow_colors(&clip.flow, Some(flow_max as f32));
+        let strain = strain_colors(&clip.strain, Some(strain_max as f32));
+        let pictures = vec![
+            (face(&onset, "onset")?, "onset".to_owned()),
+            (face(&apex, "apex")?, "apex".to_owned()),
+            (Picture::exact(&flow, &format!("flow of {name}"))?, "flow".to_owned()),
+            (Picture::exact(&strain, &format!("strain of {name}"))?, "strain".to_owned()),
+        ];
+        let note = if truth == predicted {
+            format!("{truth}, correctly classified")
+        } else {
+            format!("{truth}, classified as {predicted}")
         };
-        let Some(sample) = samples.iter().find(of_clip) else { continue };
+        Ok(Strip { title: name, note, pictures })
+    };
+    let shown: Vec<Strip> = shown.iter().map(strip).collect::<Result<_, _>>()?;
+    let caption = format!(
+        "{}: {} clips from every part of the set, each with the faces at onset and apex, the flow between them, its strain, \
+         and the prediction after the last epoch.",
+        trial.method,
+        shown.len()
+    );
+    let ramp = strain_colors(&Plane::from_fn(256, 1, |x, _| x as f32 / 255.0), Some(1.0));
+    let strain_words = format!("Optical strain, 0 to {strain_max} and more.");
+    let legends = vec![
+        wheel_legend(flow_max, "Pixels are those of the 112x112 feature map.")?,
+        ramp_legend(&ramp, "colours of strain, from black through red and yellow to white", &strain_words)?,
+    ];
+    Ok(vec![strips(&shown, 420, &caption), side_by_side(legends, 420)])
+}
+
+/// What is shown of a clip.
+struct Shown<'a> {
+    prediction: &'a Prediction,
+    clip: &'a Clip,
+    flow: FlowField,
+    strain: Plane,
+}
+
+impl<'a> Shown<'a> {
+    /// None where the prediction is of a clip without features or frames.
+    fn of(prediction: &'a Prediction, samples: &[Sample], clips: &'a [Clip]) -> Option<Self> {
+        let named = (&prediction.dataset, &prediction.subject, &prediction.clip);
+        let sample =
+            samples.iter().find(|sample| (&sample.dataset, &sample.subject, &sample.clip) == named)?;
+        let of_clip =
+            |clip: &&Clip| (&clip.dataset, &clip.annotation.subject, &clip.annotation.clip) == named;
         let [u, v, strain] =
             [Channel::U, Channel::V, Channel::Strain].map(|channel| sample.features.plane(channel));
         let flow = FlowField::from_fn(FEATURE_SIDE, FEATURE_SIDE, |x, y| [u.get(x, y), v.get(x, y)]);
-        let name = format!("{} {} {}", sample.dataset, sample.subject, sample.clip);
-        let right = if prediction.predicted == prediction.truth { "right" } else { "wrong" };
-        shown.push(vec![
-            Panel {
-                picture: Picture::exact(&flow_colors(&flow, None), &format!("flow of {name}"))?,
-                title: name.clone(),
-                note: "flow".to_owned(),
-            },
-            Panel {
-                picture: Picture::exact(&strain_colors(&strain, None), &format!("strain of {name}"))?,
-                title: right.to_owned(),
-                note: format!("strain; {} told {}", prediction.truth, prediction.predicted),
-            },
-        ]);
+        Some(Self { prediction, clip: clips.iter().find(of_clip)?, flow, strain })
     }
-    let caption = format!(
-        "{}: features of clips from every part of the set, and what they were told to be; each picture has its own scale.",
-        trial.method
-    );
-    Ok(columns(&shown, 112, &caption))
 }

@@ -1,7 +1,7 @@
-//! Runs as tables: the SRFlow paper's (best three marked), those of a fixed epoch, confusions and folds.
+//! Runs as tables: the SRFlow paper's (best three marked), those of a fixed epoch, confusion matrices and folds.
 
 use serde::Serialize;
-use srflow_eval::{Better, Column, Row, Table};
+use srflow_eval::{Better, Column, Row, Table, latex_escape};
 use srflow_read::micro_expression::EmotionClass;
 
 use crate::loso::{FoldRecord, Loso};
@@ -128,38 +128,47 @@ pub fn by_set(outcomes: &[Outcome]) -> Vec<Vec<&Outcome>> {
     sets
 }
 
-/// Two tables of the outcomes of one set: the paper's, in which each metric takes its own best epoch, and one after the
-/// last epoch, with MEGC 2019's metrics. In both stands what always saying "negative" gives, unranked. `outcomes` are of
-/// one set and not empty.
+/// Two tables of the outcomes of one set: the paper's, in which each metric takes its own best epoch, and one after each
+/// method's last epoch, with MEGC 2019's metrics. Where methods were trained for different numbers of epochs, the second has
+/// a column for them. Both have an unranked row for always predicting "negative". `outcomes` are of one set and not empty.
 pub fn score_tables(outcomes: &[&Outcome]) -> Vec<Table> {
     let Some(first) = outcomes.first() else { return Vec::new() };
-    let column = |key: &str, header: &str| Column {
+    let ranked = |&(key, header): &(&str, &str)| Column {
         key: key.to_owned(),
         header: header.to_owned(),
         better: Some(Better::Higher),
         decimals: 4,
     };
-    let row = |name: &str, values: Vec<f64>, baseline| Row {
-        name: name.to_owned(),
-        values: values.into_iter().map(Some).collect(),
-        baseline,
-    };
-    let paper: Vec<Column> = METRICS.iter().map(|(key, header)| column(key, header)).collect();
-    let mut all = paper.clone();
-    all.extend([column("uf1", "UF1"), column("uar", "UAR")]);
+    let row =
+        |name: &str, values: Vec<Option<f64>>, baseline| Row { name: name.to_owned(), values, baseline };
+    let paper: Vec<Column> = METRICS.iter().map(ranked).collect();
+    let pooled = [("uf1", "UF1"), ("uar", "UAR")];
+    let mut all: Vec<Column> = METRICS.iter().chain(&pooled).map(ranked).collect();
     let at_epoch = |scores: &EpochScores| {
         let pooled = [scores.pooled.uf1(), scores.pooled.uar()];
-        [scores.mean.values().as_slice(), &pooled].concat()
+        scores.mean.values().into_iter().chain(pooled).map(Some).collect::<Vec<_>>()
     };
     let negative = first.summary.always_negative();
     let mut best: Vec<Row> = outcomes
         .iter()
-        .map(|o| row(&o.method, o.summary.best().map(|best| best.value).to_vec(), false))
+        .map(|o| row(&o.method, o.summary.best().map(|best| Some(best.value)).to_vec(), false))
         .collect();
-    best.push(row(ALWAYS_NEGATIVE, negative.mean.values().to_vec(), true));
+    best.push(row(ALWAYS_NEGATIVE, negative.mean.values().map(Some).to_vec(), true));
     let mut last: Vec<Row> =
         outcomes.iter().map(|o| row(&o.method, at_epoch(o.summary.last()), false)).collect();
     last.push(row(ALWAYS_NEGATIVE, at_epoch(&negative), true));
+
+    let epoch = first.summary.last().epoch;
+    let after = if outcomes.iter().all(|outcome| outcome.summary.last().epoch == epoch) {
+        format!("after epoch {epoch}")
+    } else {
+        all.insert(0, plain_column("epoch", "epoch", 0));
+        let epochs = outcomes.iter().map(|outcome| Some(outcome.summary.last().epoch as f64));
+        for (row, epoch) in last.iter_mut().zip(epochs.chain([None])) {
+            row.values.insert(0, epoch);
+        }
+        "after each method's last epoch".to_owned()
+    };
     let counted = format!(
         "{}: {} clips, {} subjects",
         first.set,
@@ -168,12 +177,13 @@ pub fn score_tables(outcomes: &[&Outcome]) -> Vec<Table> {
     );
     vec![
         Table { title: format!("{counted}; each metric at its best epoch"), columns: paper, rows: best },
-        Table {
-            title: format!("{counted}; after epoch {}, fixed beforehand", first.summary.last().epoch),
-            columns: all,
-            rows: last,
-        },
+        Table { title: format!("{counted}; {after}, fixed beforehand"), columns: all, rows: last },
     ]
+}
+
+/// A column without ranks.
+fn plain_column(key: &str, header: &str, decimals: usize) -> Column {
+    Column { key: key.to_owned(), header: header.to_owned(), better: None, decimals }
 }
 
 /// Name of the row of the baseline.
@@ -206,41 +216,30 @@ pub fn unseen_classes(outcome: &Outcome) -> Option<String> {
     (!notes.is_empty()).then(|| notes.join(" "))
 }
 
-/// What was told for what after the last epoch, all folds together.
-pub fn confusion_table(outcome: &Outcome) -> Table {
-    let last = outcome.summary.last();
-    let column = |class: EmotionClass| Column {
-        key: class.name().to_owned(),
-        header: format!("told {class}"),
-        better: None,
-        decimals: 0,
-    };
-    let Confusion(counts) = last.pooled;
-    let row = |class: EmotionClass| Row {
-        name: class.name().to_owned(),
-        values: counts[class as usize].iter().map(|&count| Some(count as f64)).collect(),
-        baseline: false,
-    };
-    Table {
-        title: format!(
-            "{}, {}: clips of each class and what they were told to be",
-            outcome.set, outcome.method
-        ),
-        columns: EmotionClass::ALL.map(column).to_vec(),
-        rows: EmotionClass::ALL.map(row).to_vec(),
+/// The title of an outcome's confusion matrix, e.g. `samm, tvl1: confusion matrix after epoch 200`.
+pub fn confusion_title(outcome: &Outcome) -> String {
+    let Outcome { set, method, summary, .. } = outcome;
+    format!("{set}, {method}: confusion matrix after epoch {}", summary.last().epoch)
+}
+
+/// The confusion matrix after the last epoch, all folds pooled, as a LaTeX `tabular`: a row for each true class, a column for
+/// each predicted one, clips in the cells, shaded by their share of the row.
+pub fn confusion_latex(outcome: &Outcome) -> String {
+    let names = EmotionClass::ALL.map(|class| latex_escape(class.name()));
+    let mut out = format!("\\begin{{tabular}}{{l*{{{}}}r}}\n\\toprule\n", names.len());
+    out += &format!("true\\textbackslash predicted & {} \\\\\n\\midrule\n", names.join(" & "));
+    for (name, counts) in names.iter().zip(outcome.summary.last().pooled.0) {
+        let clips = counts.iter().sum::<usize>().max(1);
+        let cell = |count: &usize| format!(" & \\cellcolor{{blue!{}}}{count}", 60 * count / clips);
+        out += &format!("{name}{} \\\\\n", counts.iter().map(cell).collect::<String>());
     }
+    out + "\\bottomrule\n\\end{tabular}\n"
 }
 
 /// Each subject's scores after the last epoch, one row a fold; the training loss stands beside them where it is known.
 pub fn fold_table(outcome: &Outcome) -> Table {
-    let column = |key: &str, header: &str, decimals| Column {
-        key: key.to_owned(),
-        header: header.to_owned(),
-        better: None,
-        decimals,
-    };
-    let mut columns = vec![column("clips", "clips", 0)];
-    columns.extend(METRICS.iter().map(|(key, header)| column(key, header, 4)));
+    let mut columns = vec![plain_column("clips", "clips", 0)];
+    columns.extend(METRICS.iter().map(|(key, header)| plain_column(key, header, 4)));
     let row = |fold: &FoldScores| {
         let last = fold.confusions[fold.confusions.len() - 1];
         let mut values = vec![Some(last.total() as f64)];
@@ -249,7 +248,7 @@ pub fn fold_table(outcome: &Outcome) -> Table {
     };
     let mut rows: Vec<Row> = outcome.summary.folds.iter().map(row).collect();
     if !outcome.folds.is_empty() {
-        columns.push(column("training_loss", "training loss", 4));
+        columns.push(plain_column("training_loss", "training loss", 4));
         for (row, fold) in rows.iter_mut().zip(&outcome.folds) {
             row.values.push(fold.training_losses.last().copied());
         }
@@ -312,9 +311,11 @@ mod tests {
         assert!(
             tables[1].rows[2].baseline && tables[1].title.contains("3 clips, 2 subjects; after epoch 20")
         );
-        // Two of the three clips are positive and told so: recalls 0, 1 and none.
+        // Two of the three clips are positive and predicted so: recalls 0, 1 and none.
         assert_eq!(tables[1].rows[0].values[6], Some(1.0 / 3.0));
-        assert_eq!(confusion_table(&a).rows[1].values, [Some(0.0), Some(2.0), Some(0.0)]);
+        let latex = confusion_latex(&a);
+        let shaded = "positive & \\cellcolor{blue!0}0 & \\cellcolor{blue!60}2 & \\cellcolor{blue!0}0 \\\\\n";
+        assert!(latex.contains(shaded), "{latex}");
         assert_eq!(fold_table(&b).rows[1].values[..2], [Some(2.0), Some(0.0)]);
         assert_eq!(fold_table(&b).rows[1].values.last(), Some(&Some(0.5)));
         let both = [a.clone(), b];
@@ -336,5 +337,17 @@ mod tests {
         let json = serde_json::to_value(a.record()).unwrap();
         assert_eq!(json["best"][3]["metric"], "f1_mu");
         assert_eq!(json["last"]["confusion"][1], serde_json::json!([0, 2, 0]));
+    }
+
+    #[test]
+    fn methods_of_different_runs_have_their_own_last_epochs() {
+        let (long, mut short) =
+            (outcome("long", EmotionClass::Positive), outcome("short", EmotionClass::Positive));
+        short.summary.epochs.truncate(1);
+        let table = &score_tables(&[&long, &short])[1];
+        assert!(table.title.contains("after each method's last epoch"), "{}", table.title);
+        let epochs: Vec<Option<f64>> = table.rows.iter().map(|row| row.values[0]).collect();
+        assert_eq!((table.columns[0].header.as_str(), epochs), ("epoch", vec![Some(20.0), Some(0.0), None]));
+        assert_eq!(table.columns.len(), table.rows[0].values.len());
     }
 }

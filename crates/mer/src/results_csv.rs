@@ -44,9 +44,9 @@ struct ConfusionLine<'a> {
     method: &'a str,
     epoch: usize,
     truth: &'a str,
-    told_negative: usize,
-    told_positive: usize,
-    told_surprise: usize,
+    predicted_negative: usize,
+    predicted_positive: usize,
+    predicted_surprise: usize,
 }
 
 /// The rows of [`crate::score_tables`]: `scored` is `best`, where each metric has its own epoch, or `last`.
@@ -124,22 +124,22 @@ pub fn folds_csv(outcomes: &[Outcome]) -> String {
     text(&lines)
 }
 
-/// What clips of each class were told to be after the last epoch, all folds together.
+/// Confusion matrices after the last epoch, all folds pooled: a line for each true class.
 pub fn confusions_csv(outcomes: &[Outcome]) -> String {
     let mut lines = Vec::new();
     for Outcome { method, set, summary, .. } in outcomes {
         let last = summary.last();
         for (truth, counts) in EmotionClass::ALL.iter().zip(last.pooled.0) {
-            let [told_negative, told_positive, told_surprise] = counts;
+            let [predicted_negative, predicted_positive, predicted_surprise] = counts;
             let truth = truth.name();
             lines.push(ConfusionLine {
                 set,
                 method,
                 epoch: last.epoch,
                 truth,
-                told_negative,
-                told_positive,
-                told_surprise,
+                predicted_negative,
+                predicted_positive,
+                predicted_surprise,
             });
         }
     }

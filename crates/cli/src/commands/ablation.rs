@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, ensure};
 use clap::Args;
 use srflow_eval::report::{Report, Section, score_table};
-use srflow_eval::{Table, TextStyle};
+use srflow_eval::{Table, TextStyle, latex_file};
 use srflow_field::{create_folder, write_atomically};
 use srflow_ops::device;
 use srflow_read::flow::{FlowDataset, Split};
@@ -157,7 +157,7 @@ fn write(out: &std::path::Path, cells: &[Cell], tables: &[Table; 3]) -> anyhow::
     let contents = [
         ("ablation.txt", each(&|table| table.text(TextStyle::Plain))),
         ("ablation.md", each(&|table| format!("{}\n\n{}", table.title, table.markdown()))),
-        ("ablation.tex", each(&|table| format!("% {}\n{}", table.title, table.latex()))),
+        ("ablation.tex", latex_file(tables.iter().map(|table| (table.title.clone(), table.latex())))),
         ("ablation.json", serde_json::to_string_pretty(cells)? + "\n"),
         ("ablation.html", report.html()),
     ];

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, bail, ensure};
 use clap::Args;
 use srflow_eval::report::{Figure, score_report};
-use srflow_eval::{Evaluation, OnFailure, Settings, TextStyle};
+use srflow_eval::{Evaluation, OnFailure, Settings, TextStyle, latex_file};
 use srflow_field::{create_folder, write_atomically};
 use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
 
@@ -124,7 +124,7 @@ fn write(out: &Path, evaluation: &Evaluation, figures: Vec<Figure>) -> anyhow::R
         tables(evaluation, TextStyle::Plain),
         evaluation.csv(),
         serde_json::to_string_pretty(evaluation)? + "\n",
-        each(|table| format!("% {}\n{}", table.title, table.latex())),
+        latex_file(evaluation.tables().iter().map(|table| (table.title.clone(), table.latex()))),
         each(|table| format!("{}\n\n{}", table.title, table.markdown())),
         evaluation.pairs_csv(),
         score_report(evaluation, &machine::describe(), figures).html(),

@@ -37,5 +37,5 @@ pub fn bars(bars: &[Bar], chart: &Chart) -> Figure {
             }
         }
     };
-    Figure(framed_at(chart, html! {}, drawing, (bars.len() as f64 * LINE).max(LINE)))
+    Figure(framed_at(chart, &[], drawing, (bars.len() as f64 * LINE).max(LINE)))
 }

@@ -2,6 +2,8 @@
 
 use maud::{Markup, html};
 
+use super::standalone::download;
+
 /// Size of a chart in SVG units, which are CSS pixels on a wide page.
 pub(super) const WIDTH: f64 = 520.0;
 pub(super) const HEIGHT: f64 = 270.0;
@@ -118,18 +120,21 @@ pub(super) fn axes(x: &Scale, y: &Scale, chart: &Chart) -> Markup {
     }
 }
 
-/// The frame of a chart: title, what the vertical axis is, the drawing, the caption.
-pub(super) fn framed(chart: &Chart, keys: Markup, drawing: Markup) -> Markup {
+/// The frame of a chart: title, keys of its series (name and colour class), the drawing, the caption.
+pub(super) fn framed(chart: &Chart, keys: &[(&str, &str)], drawing: Markup) -> Markup {
     framed_at(chart, keys, drawing, HEIGHT)
 }
 
 /// [`framed`] at a height of its own.
-pub(super) fn framed_at(chart: &Chart, keys: Markup, drawing: Markup, height: f64) -> Markup {
+pub(super) fn framed_at(chart: &Chart, keys: &[(&str, &str)], drawing: Markup, height: f64) -> Markup {
     html! {
         figure {
             div.panel.plain {
+                (download(chart, keys, &drawing, height))
                 h3 { (chart.title) }
-                (keys)
+                @if !keys.is_empty() {
+                    ul.keys { @for (name, class) in keys { li class=(class) { (name) } } }
+                }
                 svg viewBox={ "0 0 " (WIDTH) " " (place(height)) } role="img" aria-label=(chart.title) {
                     (drawing)
                 }

@@ -65,10 +65,7 @@ pub fn curves(curves: &[Curve], vertical: Axis, dots: bool, chart: &Chart) -> Fi
             }
         }
     };
-    let keys = html! {
-        ul.keys {
-            @for (curve, class) in curves.iter().zip(&classes) { li class=(class) { (curve.name) } }
-        }
-    };
-    Figure(framed(chart, keys, drawing))
+    let keys: Vec<(&str, &str)> =
+        curves.iter().zip(&classes).map(|(curve, class)| (curve.name.as_str(), *class)).collect();
+    Figure(framed(chart, &keys, drawing))
 }

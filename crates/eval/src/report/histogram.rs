@@ -42,5 +42,5 @@ pub fn histogram(bins: &[Bin], horizontal: Axis, vertical: Axis, chart: &Chart) 
             }
         }
     };
-    Figure(framed(chart, html! {}, drawing))
+    Figure(framed(chart, &[], drawing))
 }

@@ -11,13 +11,17 @@ use super::{Figure, Picture, PictureError};
 /// When the ramp cannot be encoded.
 pub fn heat_legend(max: f64, words: &str) -> Result<Figure, PictureError> {
     let ramp = Image::from_fn(256, 1, |x, _| colour(x as f32 / 255.0));
-    let ramp = Picture::exact(&ramp, "error colours, from black to light yellow")?;
-    Ok(Figure(html! {
-        div.legend {
-            img.ramp src=(ramp.uri) alt=(ramp.alt);
-            span { "0 to " (number(max)) " px and more. " (words) }
-        }
-    }))
+    let words = format!("0 to {} px and more. {words}", number(max));
+    ramp_legend(&ramp, "error colours, from black to light yellow", &words)
+}
+
+/// The key of a colour scale: `ramp` is one pixel high, its colours from the lower to the upper end.
+///
+/// # Errors
+/// When the ramp cannot be encoded.
+pub fn ramp_legend(ramp: &Image, alt: &str, words: &str) -> Result<Figure, PictureError> {
+    let ramp = Picture::exact(ramp, alt)?;
+    Ok(Figure(html! { div.legend { img.ramp src=(ramp.uri) alt=(ramp.alt); span { (words) } } }))
 }
 
 /// The key of flow colours: a disc whose rim is `max` pixels of motion, and what to read from it.

@@ -33,7 +33,7 @@ pub fn pair_figures(
         .collect();
     let longest = flow_scale(&truth);
     let worst = errors.iter().map(|(_, error)| share_below(error, 0.98)).fold(0.0, f64::max);
-    let worst = round_up(worst);
+    let worst = round_up(worst.max(0.1));
 
     let panel = |picture, title: &str, note: String| Panel { picture, title: title.to_owned(), note };
     let flow_picture =
@@ -97,11 +97,14 @@ pub fn sample_panels(sample: &Sample, name: &str, max_width: usize) -> Result<Ve
 
 /// A round length in pixels for the full colour of a flow: all but the longest half percent lies below it.
 pub fn flow_scale(flow: &FlowField) -> f64 {
-    let lengths = Plane::from_fn(flow.width(), flow.height(), |x, y| {
-        let [u, v] = flow.get(x, y);
-        u.hypot(v)
-    });
-    round_up(share_below(&lengths, 0.995))
+    color_scale(flow.pixels().iter().map(|[u, v]| u.hypot(*v)), 0.1)
+}
+
+/// A round upper end of a colour scale, at least `least`: all but the greatest half percent of the values lies below it.
+pub fn color_scale(values: impl IntoIterator<Item = f32>, least: f64) -> f64 {
+    let values: Vec<f32> = values.into_iter().collect();
+    let plane = Plane::from_fn(values.len(), 1, |x, _| values[x]);
+    round_up(share_below(&plane, 0.995).max(least))
 }
 
 /// The value that this share of the finite values does not exceed; 0 when there is none.
@@ -114,9 +117,8 @@ fn share_below(plane: &Plane, share: f64) -> f64 {
     }
 }
 
-/// The next of 1, 2, 3, 5, 10 times a power of ten, at least 0.1: a scale that people can name.
+/// The next of 1, 2, 3, 5, 10 times a power of ten of a positive value: a scale that people can name.
 fn round_up(value: f64) -> f64 {
-    let value = value.max(0.1);
     let power = 10_f64.powf(value.log10().floor());
     let step = [1.0, 2.0, 3.0, 5.0, 10.0].into_iter().find(|step| step * power >= value * 0.999);
     let scale = step.unwrap_or(10.0) * power;
@@ -129,7 +131,7 @@ mod tests {
 
     #[test]
     fn scales_are_round_and_hold_the_values() {
-        assert_eq!([0.0, 0.13, 1.0, 2.2, 4.0, 61.0].map(round_up), [0.1, 0.2, 1.0, 3.0, 5.0, 100.0]);
+        assert_eq!([0.1, 0.13, 1.0, 2.2, 4.0, 61.0].map(round_up), [0.1, 0.2, 1.0, 3.0, 5.0, 100.0]);
         let plane = Plane::from_fn(100, 1, |x, _| if x == 0 { f32::NAN } else { x as f32 });
         assert_eq!(share_below(&plane, 0.5), 50.0);
         assert_eq!(share_below(&Plane::filled(2, 2, f32::NAN), 0.5), 0.0);

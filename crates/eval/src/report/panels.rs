@@ -45,6 +45,36 @@ pub fn side_by_side(figures: Vec<Figure>, least_width: usize) -> Figure {
     )
 }
 
+/// Several pictures of one thing beside each other.
+#[derive(Debug, Clone)]
+pub struct Strip {
+    /// What it is of.
+    pub title: String,
+    /// What to see in it; may be empty.
+    pub note: String,
+    /// The pictures, each with a word under it.
+    pub pictures: Vec<(Picture, String)>,
+}
+
+/// Cards of pictures in a row, as many cards beside each other as can be `least_width` CSS pixels wide.
+pub fn strips(strips: &[Strip], least_width: usize, caption: &str) -> Figure {
+    Figure(html! {
+        figure {
+            div.grid style={ "--least:" (least_width) "px" } {
+                @for strip in strips {
+                    div.panel {
+                        div.strip {
+                            @for (picture, word) in &strip.pictures { div { (picture.img()) span { (word) } } }
+                        }
+                        (title_and_note(&strip.title, &strip.note))
+                    }
+                }
+            }
+            @if !caption.is_empty() { figcaption { (caption) } }
+        }
+    })
+}
+
 fn card(panel: &Panel) -> Markup {
     html! {
         div.panel style={ "max-width:" (panel.picture.width) "px" } {

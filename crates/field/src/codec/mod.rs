@@ -6,7 +6,7 @@ mod flo5;
 mod hdf5;
 mod kitti_png;
 pub(crate) mod npy;
-mod npz;
+pub(crate) mod npz;
 mod npz16;
 mod pfm;
 mod png_outline;

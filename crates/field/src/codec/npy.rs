@@ -110,8 +110,8 @@ pub(super) fn encode_flow(flow: &FlowField, writer: &mut impl Write) -> io::Resu
     encode(&[flow.height(), flow.width(), 2], flow.pixels().as_flattened(), writer)
 }
 
-fn encode(shape: &[usize], values: &[f32], writer: &mut impl Write) -> io::Result<()> {
-    writer.write_all(&header_bytes(shape))?;
+pub(super) fn encode(shape: &[usize], values: &[f32], writer: &mut impl Write) -> io::Result<()> {
+    writer.write_all(&header_bytes("<f4", shape))?;
     write_f32_little_endian(writer, values)
 }
 
@@ -139,11 +139,11 @@ fn sample_of(descr: &str) -> Option<Sample> {
 }
 
 /// The header of version 1 as NumPy writes it: padded so that the values start at a multiple of 64 bytes.
-fn header_bytes(shape: &[usize]) -> Vec<u8> {
+pub(super) fn header_bytes(descr: &str, shape: &[usize]) -> Vec<u8> {
     let sides: Vec<String> = shape.iter().map(usize::to_string).collect();
     let comma = if shape.len() == 1 { "," } else { "" };
     let mut dictionary =
-        format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({}{comma}), }}", sides.join(", "));
+        format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({}{comma}), }}", sides.join(", "));
     let unpadded = MAGIC.len() + 4 + dictionary.len() + 1;
     dictionary.extend(std::iter::repeat_n(' ', unpadded.next_multiple_of(64) - unpadded));
     dictionary.push('\n');

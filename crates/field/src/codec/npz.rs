@@ -1,7 +1,9 @@
 //! NumPy's `.npz`: a zip archive of `.npy` files. The array named `flow` is read, or the only one there is; an archive of
-//! the arrays of [`super::npz16`] is read as such.
+//! the arrays of [`super::npz16`] is read as such. [`write_npz`] writes archives of several arrays, text among them, for
+//! programs in Python.
 
 use std::io::{self, Cursor, Read, Seek, Write};
+use std::path::Path;
 
 use zip::result::ZipError;
 use zip::write::SimpleFileOptions;
@@ -9,7 +11,7 @@ use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 use super::claim::{check_deflated, read_all};
 use super::{npy, npz16};
-use crate::{FileProblem, FlowField};
+use crate::{FileError, FileProblem, FlowField, write_atomically};
 
 pub(super) const MAGIC: &[u8] = b"PK\x03\x04";
 
@@ -65,13 +67,135 @@ pub(super) fn broken(error: ZipError) -> FileProblem {
     FileProblem::field("archive", expected, error.to_string())
 }
 
+/// An array of a `.npz` archive: its shape, empty for a single value, and its values, row-major.
+#[derive(Debug, Clone)]
+pub enum NpzArray<'a> {
+    /// `float32`.
+    Float(&'a [usize], &'a [f32]),
+    /// `int64`.
+    Integer(&'a [usize], &'a [i64]),
+    /// Unicode of the width of the longest text (`<U`), which NumPy reads without pickle.
+    Text(&'a [usize], &'a [&'a str]),
+}
+
+/// Writes named arrays as one compressed `.npz` archive that `numpy.load` reads as it is, whole or not at all (see
+/// [`write_atomically`]).
+///
+/// # Errors
+/// When an array's shape does not fit its number of values, or the file cannot be written.
+pub fn write_npz(path: &Path, arrays: &[(&str, NpzArray)]) -> Result<(), FileError> {
+    for (_, array) in arrays {
+        let (shape, found) = array.extent();
+        if shape.iter().try_fold(1_usize, |count, side| count.checked_mul(*side)) != Some(found) {
+            let found = format!("{found} values");
+            return Err(FileProblem::field("shape", format!("values for {shape:?}"), found).in_file(path));
+        }
+    }
+    write_atomically(path, |writer| {
+        let mut archive = ZipWriter::new(writer);
+        for (name, array) in arrays {
+            archive
+                .start_file(format!("{name}.npy"), options().large_file(array.bytes() > MAX_PLAIN_BYTES))?;
+            array.encode(&mut archive)?;
+        }
+        archive.finish()?;
+        Ok(())
+    })
+}
+
+/// Longer arrays are written as zip64.
+const MAX_PLAIN_BYTES: usize = 0xF000_0000;
+
+impl NpzArray<'_> {
+    fn extent(&self) -> (&[usize], usize) {
+        match self {
+            Self::Float(shape, values) => (shape, values.len()),
+            Self::Integer(shape, values) => (shape, values.len()),
+            Self::Text(shape, values) => (shape, values.len()),
+        }
+    }
+
+    fn bytes(&self) -> usize {
+        let each = match self {
+            Self::Float(..) => 4,
+            Self::Integer(..) => 8,
+            Self::Text(_, values) => 4 * width(values),
+        };
+        self.extent().1.saturating_mul(each)
+    }
+
+    fn encode(&self, writer: &mut impl Write) -> io::Result<()> {
+        match self {
+            Self::Float(shape, values) => npy::encode(shape, values, writer),
+            Self::Integer(shape, values) => {
+                writer.write_all(&npy::header_bytes("<i8", shape))?;
+                values.iter().try_for_each(|value| writer.write_all(&value.to_le_bytes()))
+            }
+            Self::Text(shape, values) => {
+                let width = width(values);
+                writer.write_all(&npy::header_bytes(&format!("<U{width}"), shape))?;
+                for text in *values {
+                    let padded = text.chars().map(u32::from).chain(std::iter::repeat(0)).take(width);
+                    let bytes: Vec<u8> = padded.flat_map(u32::to_le_bytes).collect();
+                    writer.write_all(&bytes)?;
+                }
+                Ok(())
+            }
+        }
+    }
+}
+
+/// Characters of the longest text; NumPy has no text of none.
+fn width(texts: &[&str]) -> usize {
+    texts.iter().map(|text| text.chars().count()).max().unwrap_or(0).max(1)
+}
+
+fn options() -> SimpleFileOptions {
+    SimpleFileOptions::default().compression_method(CompressionMethod::Deflated).compression_level(Some(1))
+}
+
 pub(super) fn encode(flow: &FlowField, writer: &mut (impl Write + Seek)) -> io::Result<()> {
-    let options = SimpleFileOptions::default()
-        .compression_method(CompressionMethod::Deflated)
-        .compression_level(Some(1));
     let mut archive = ZipWriter::new(writer);
-    archive.start_file(NAME, options)?;
+    archive.start_file(NAME, options())?;
     npy::encode_flow(flow, &mut archive)?;
     archive.finish()?;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arrays_of_numbers_and_text_are_written_as_numpy_has_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.npz");
+        let arrays = [
+            ("x", NpzArray::Float(&[2, 1], &[0.5, -1.0])),
+            ("y", NpzArray::Integer(&[2], &[7, -1])),
+            ("name", NpzArray::Text(&[2], &["aé", ""])),
+            ("one", NpzArray::Text(&[], &["{}"])),
+        ];
+        write_npz(&path, &arrays).unwrap();
+        let mut archive = ZipArchive::new(std::fs::File::open(&path).unwrap()).unwrap();
+        let mut read = |name: &str| {
+            let mut bytes = Vec::new();
+            archive.by_name(name).unwrap().read_to_end(&mut bytes).unwrap();
+            let (header, values) = bytes.split_at(128.min(bytes.len()).next_multiple_of(64));
+            (String::from_utf8_lossy(header).into_owned(), values.to_vec())
+        };
+        let (header, values) = read("x.npy");
+        assert!(header.contains("'<f4'") && header.contains("(2, 1)"), "{header}");
+        assert_eq!(values, [0.5_f32.to_le_bytes(), (-1.0_f32).to_le_bytes()].concat());
+        let (header, values) = read("y.npy");
+        assert!(header.contains("'<i8'") && header.contains("(2,)"), "{header}");
+        assert_eq!(values, [7_i64.to_le_bytes(), (-1_i64).to_le_bytes()].concat());
+        let (header, values) = read("name.npy");
+        assert!(header.contains("'<U2'"), "{header}");
+        assert_eq!(values, [0x61_u32, 0xE9, 0, 0].map(u32::to_le_bytes).concat());
+        assert!(read("one.npy").0.contains("'shape': ()"));
+
+        let wrong = write_npz(&path, &[("x", NpzArray::Float(&[3], &[0.0]))]).unwrap_err().to_string();
+        assert!(wrong.contains("values for [3], found 1 values"), "{wrong}");
+    }
 }

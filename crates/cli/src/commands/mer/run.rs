@@ -223,6 +223,8 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
         outcomes: &outcomes,
         trials: &trials,
         samples: &samples,
+        clips: &clips,
+        face: &preparation.face,
         facts: facts(&results),
         machine: results.machine.clone(),
     };

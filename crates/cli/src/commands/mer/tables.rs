@@ -4,15 +4,16 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, ensure};
 use clap::Args;
 use serde::Serialize;
-use srflow_eval::{Table, TextStyle};
+use srflow_eval::{Table, TextStyle, latex_file};
 use srflow_field::{create_folder, write_atomically};
 use srflow_mer::{
-    Outcome, OutcomeRecord, by_set, confusions_csv, folds_csv, read_predictions, score_tables, scores_csv,
+    Outcome, OutcomeRecord, by_set, confusion_latex, confusion_title, confusions_csv, folds_csv,
+    read_predictions, score_tables, scores_csv,
 };
 
 use crate::Context;
 
-/// Compute every table anew from the predictions of a run
+/// Recompute every table from the predictions of a run
 #[derive(Args)]
 #[command(after_help = "\
 The file is predictions.csv as `srflow mer run` writes it, or anybody's with the same columns: method, set, dataset, \
@@ -85,7 +86,7 @@ pub fn write_tables(folder: &Path, outcomes: &[Outcome]) -> anyhow::Result<()> {
     let texts: [String; 6] = [
         joined(&scores, |table| table.text(TextStyle::Plain)),
         scores_csv(outcomes),
-        joined(&scores, |table| format!("% {}\n{}", table.title, table.latex())),
+        latex(&scores, outcomes),
         joined(&scores, |table| format!("{}\n\n{}", table.title, table.markdown())),
         folds_csv(outcomes),
         confusions_csv(outcomes),
@@ -104,6 +105,12 @@ pub fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
 
 fn scores(outcomes: &[Outcome]) -> Vec<Table> {
     by_set(outcomes).iter().flat_map(|of_set| score_tables(of_set)).collect()
+}
+
+fn latex(scores: &[Table], outcomes: &[Outcome]) -> String {
+    let scores = scores.iter().map(|table| (table.title.clone(), table.latex()));
+    let confusions = outcomes.iter().map(|outcome| (confusion_title(outcome), confusion_latex(outcome)));
+    latex_file(scores.chain(confusions))
 }
 
 fn joined(tables: &[Table], form: impl Fn(&Table) -> String) -> String {

@@ -2,7 +2,7 @@
 
     python tools/parity/batch_norm.py
 
-Made with PyTorch 2.11. Printed are the arrays of the test in crates/nets/src/blocks/norm.rs.
+Made with PyTorch 2.11. Printed are the arrays of the test in crates/nn/src/layers/batch_norm.rs.
 """
 
 import torch

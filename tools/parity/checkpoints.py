@@ -1,4 +1,4 @@
-"""Small checkpoints in every form that PyTorch saves: python tools/parity/checkpoints.py crates/nets/tests/checkpoints
+"""Small checkpoints in every form that PyTorch saves: python tools/parity/checkpoints.py crates/nn/tests/checkpoints
 
 The names are those of a block of RAFT's context encoder, whose shortcut's norm is stored twice.
 """

@@ -6,7 +6,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
-const PIPELINE: [&str; 12] = [
+const PIPELINE: [&str; 13] = [
     "srflow-field",
     "srflow-splat",
     "srflow-avatar",
@@ -15,6 +15,7 @@ const PIPELINE: [&str; 12] = [
     "srflow-classical",
     "srflow-eval",
     "srflow-ops",
+    "srflow-nn",
     "srflow-nets",
     "srflow-train",
     "srflow-mer",

@@ -10,7 +10,8 @@ use burn::tensor::Device;
 use safetensors::tensor::{Dtype, TensorView};
 use serde_json::Value;
 use srflow_field::{FlowField, Image, read_flow, read_image, write_flow, write_image_png};
-use srflow_nets::{Architecture, parameter_infos};
+use srflow_nets::Architecture;
+use srflow_nn::parameter_infos;
 
 const SIZE: (usize, usize) = (150, 133);
 

@@ -46,7 +46,7 @@ fn a_file_of_weights_is_described() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("mine.safetensors");
     let network = srflow_nets::Architecture::SkFlow.init(&Default::default());
-    srflow_nets::save_parameters(&network, &path).unwrap();
+    srflow_nn::save_parameters(&network, &path).unwrap();
     let path = path.to_str().unwrap();
     let text = succeeds(&["inspect", path]);
     assert!(text.contains("mine.safetensors: safetensors"), "{text}");

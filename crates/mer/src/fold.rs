@@ -7,7 +7,6 @@ use srflow_field::random::Key;
 use srflow_read::micro_expression::EmotionClass;
 
 use crate::classifier::{Classifier, initialized};
-use crate::layers::Mode;
 use crate::metrics::CLASSES;
 use crate::protocol::Protocol;
 use crate::training::Training;
@@ -86,7 +85,7 @@ fn score<C: Classifier>(network: &C, examples: &[&Example], batch: usize) -> Vec
     let network = network.valid();
     let device = Device::flex();
     let of_batch = |examples: &[&Example]| {
-        let scores = network.scores(stacked::<C>(examples, &device), &mut Mode::Evaluation);
+        let scores = network.scores(stacked::<C>(examples, &device), None);
         let scores: Vec<f32> = scores.into_data().try_to_vec().expect("scores are f32");
         scores.as_chunks().0.to_vec()
     };

@@ -1,6 +1,5 @@
 //! Micro-expression recognition: apex, optical strain, classifiers, leave-one-subject-out, metrics and tables.
 
-mod adam;
 mod apex;
 mod cache;
 mod classifier;
@@ -8,7 +7,6 @@ mod extract;
 mod face;
 mod features;
 mod fold;
-mod layers;
 mod loso;
 mod metrics;
 mod predictions;
@@ -29,7 +27,6 @@ pub use extract::{
 };
 pub use face::{ClipCrop, FaceBox, FaceCrop, FaceError, FacePoints, Landmarks};
 pub use features::{Channel, FEATURE_SIDE, FeatureError, Features, Sample};
-pub use layers::Mode;
 pub use loso::{FoldRecord, Loso, LosoError, LosoEvent, leave_one_subject_out};
 pub use metrics::{CLASSES, Confusion, Scores};
 pub use predictions::{Prediction, PredictionsError, Trial, read_predictions, write_predictions};

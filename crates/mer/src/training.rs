@@ -1,23 +1,26 @@
-//! Teaching one classifier.
+//! Training one classifier.
 
 use burn::tensor::activation::log_softmax;
 use burn::tensor::{Int, Tensor};
 use srflow_field::random::Stream;
+use srflow_nn::{AdamW, ModuleAdamW, Rounding, with_batch_statistics};
 
-use crate::adam::Adam;
 use crate::classifier::Classifier;
-use crate::layers::Mode;
+
+/// Adam with PyTorch's defaults.
+const ADAM: AdamW =
+    AdamW { betas: [0.9, 0.999], epsilon: 1e-8, weight_decay: 0.0, rounding: Rounding::Grouped };
 
 /// A classifier and its optimizer. The classifier lives on a device with automatic differentiation.
 pub struct Training<C: Classifier> {
     network: C,
-    adam: Adam,
+    adam: ModuleAdamW,
 }
 
 impl<C: Classifier> Training<C> {
     /// From a network's present parameters.
     pub fn new(network: C) -> Self {
-        Self { network, adam: Adam::default() }
+        Self { network: with_batch_statistics(network, true), adam: ModuleAdamW::new(ADAM) }
     }
 
     /// One step of Adam down the cross-entropy of a batch; `inputs` `[batch, C::INPUT...]`, `labels` class numbers. Without
@@ -29,7 +32,7 @@ impl<C: Classifier> Training<C> {
         learning_rate: f64,
         dropout: Option<&mut Stream>,
     ) -> f32 {
-        let scores = self.network.scores(inputs, &mut Mode::Training { dropout });
+        let scores = self.network.scores(inputs, dropout);
         let loss = cross_entropy(scores, labels);
         let gradients = loss.backward();
         self.network = self.adam.step(self.network.clone(), &gradients, learning_rate);

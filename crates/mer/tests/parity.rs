@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::{Device, Gradients, Int, Tensor, TensorData};
 use safetensors::SafeTensors;
-use srflow_mer::{Classifier, Mode, OffApexNet, OffTaNet, StstNet, Training, cross_entropy};
-use srflow_nets::{Parameters, load, parameter_infos, with_parameters};
+use srflow_mer::{Classifier, OffApexNet, OffTaNet, StstNet, Training, cross_entropy};
+use srflow_nn::{Parameters, load, parameter_infos, with_batch_statistics, with_parameters};
 
 const LABELS: [i64; 5] = [0, 2, 1, 0, 1];
 const LEARNING_RATE: f64 = 6.5e-4;
@@ -43,7 +43,7 @@ fn parameter(name: &str, shape: &[usize]) -> Vec<f32> {
 
 fn filled<C: Classifier>(device: &Device) -> C {
     let network = C::new(device);
-    let fill = |info: srflow_nets::ParameterInfo| {
+    let fill = |info: srflow_nn::ParameterInfo| {
         let values = parameter(&info.name, &info.shape);
         (info.name, TensorData::new(values, info.shape))
     };
@@ -146,13 +146,13 @@ fn check<C: Classifier>(count: usize) {
     let network: C = filled(&plain);
     let learned = parameter_infos(&network).into_iter().filter(|info| !info.name.contains("running_"));
     assert_eq!(learned.map(|info| info.shape.iter().product::<usize>()).sum::<usize>(), count);
-    let scores = network.scores(inputs::<C>(&plain), &mut Mode::Evaluation);
+    let scores = network.scores(inputs::<C>(&plain), None);
     golden.assert_close("evaluation", &numbers(scores), 2e-5);
 
     let device = Device::flex().autodiff();
     let labels = || Tensor::<1, Int>::from_data(LABELS, &device);
-    let network: C = filled(&device);
-    let scores = network.scores(inputs::<C>(&device), &mut Mode::Training { dropout: None });
+    let network = with_batch_statistics(filled::<C>(&device), true);
+    let scores = network.scores(inputs::<C>(&device), None);
     golden.assert_close("training", &numbers(scores.clone()), 2e-5);
     let loss = cross_entropy(scores, labels());
     golden.assert_close("loss", &numbers(loss.clone()), 1e-5);
@@ -200,7 +200,7 @@ fn off_apexnet() {
 fn a_checkpoint_in_its_published_form_loads() {
     let device = Device::flex();
     let network: StstNet = load(StstNet::new(&device), &golden_path("ststnet.pth")).unwrap();
-    let scores = network.scores(inputs::<StstNet>(&device), &mut Mode::Evaluation);
+    let scores = network.scores(inputs::<StstNet>(&device), None);
     Golden::of("ststnet").assert_close("evaluation", &numbers(scores), 2e-5);
     let error = load(OffTaNet::new(&device), &golden_path("ststnet.pth")).unwrap_err().to_string();
     assert!(error.contains("conv1.0.weight"), "{error}");

@@ -8,7 +8,8 @@ use std::path::Path;
 use std::time::Instant;
 
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
-use srflow_nets::{Architecture, Frames, Request, load};
+use srflow_nets::{Architecture, Frames, Request};
+use srflow_nn::load;
 use srflow_ops::ReusingAllocator;
 
 #[global_allocator]

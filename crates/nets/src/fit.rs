@@ -1,11 +1,13 @@
-//! Which network parameters are those of.
+//! Which network parameters are those of, and networks with the weights of a file.
 
 use std::fmt;
+use std::path::Path;
 
 use burn::tensor::Device;
+use srflow_nn::{Checkpoint, ParameterInfo, ParametersError, WeightsError, compare, load, parameter_infos};
 
 use crate::architecture::Architecture;
-use crate::parameters::{ParameterInfo, ParametersError, compare, parameter_infos};
+use crate::network::Network;
 
 /// How well parameters fit a network.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -63,4 +65,24 @@ fn fit(architecture: Architecture, given: &[ParameterInfo]) -> Fit {
     let wrong =
         difference.as_ref().map_or(0, |difference| difference.missing.len() + difference.misshapen.len());
     Fit { architecture, expected: infos.len(), matching: infos.len() - wrong, difference }
+}
+
+/// A network of the given architecture with the weights of a checkpoint. When they are another's, the error says which
+/// network fits best.
+///
+/// # Errors
+/// Those of [`load`].
+pub fn load_network(
+    architecture: Architecture,
+    path: &Path,
+    device: &Device,
+) -> Result<Network, WeightsError> {
+    load(architecture.init(device), path).map_err(|error| match error {
+        WeightsError::Mismatch { path, difference, .. } => {
+            let nearest = Checkpoint::open(&path).map(|file| fits(&file.parameters()).swap_remove(0));
+            let hint = nearest.map_or_else(|_| String::new(), |nearest| format!("\n  {nearest}"));
+            WeightsError::Mismatch { path, difference, hint }
+        }
+        other => other,
+    })
 }

@@ -5,7 +5,6 @@
 
 mod architecture;
 mod blocks;
-mod checkpoint;
 mod encoded;
 mod estimator;
 mod features;
@@ -14,7 +13,6 @@ mod frames;
 mod gma;
 mod memory;
 mod network;
-mod parameters;
 mod published;
 mod raft;
 mod raft_small;
@@ -22,21 +20,15 @@ mod recurrent;
 mod scale;
 mod skflow;
 mod tiles;
-mod weights;
 
 pub use architecture::{Architecture, Facts, IterationPresets, PublishedWeights};
-pub use blocks::with_batch_statistics;
-pub use checkpoint::{Checkpoint, Format};
 pub use encoded::Encoded;
 pub use estimator::{NetworkEstimator, SMALLEST_SIDE};
 pub use features::Features;
-pub use fit::{Fit, fits};
+pub use fit::{Fit, fits, load_network};
 pub use frames::Frames;
 pub use gma::{Gma, GmaConfig};
 pub use network::Network;
-pub use parameters::{
-    ParameterInfo, Parameters, ParametersError, parameter_infos, parameters, with_parameters,
-};
 pub use published::{PublishedError, find_weights, published, published_names, weights_folder};
 pub use raft::{Raft, RaftConfig};
 pub use raft_small::{RaftSmall, RaftSmallConfig};
@@ -44,4 +36,3 @@ pub use recurrent::{Estimate, Request};
 pub use scale::{Scaled, scaled_size};
 pub use skflow::{SkFlow, SkFlowConfig};
 pub use tiles::{MemoryNeed, NothingFits, TileSize, Tiled, Tiles};
-pub use weights::{WeightsError, load, load_network, read_parameters, save_parameters};

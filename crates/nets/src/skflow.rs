@@ -4,12 +4,13 @@
 use burn::config::Config;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
+use srflow_nn::layers::{Conv2d, Conv2dConfig, NoParameters};
 use srflow_ops::Activation::{self, Gelu, Identity};
 use srflow_ops::pointwise::tensor::pointwise_layers;
 
 use crate::blocks::{
-    Aggregate, Attention, Conv2d, Conv2dConfig, ConvexMask, Encoder, EncoderConfig, NoParameters, NormKind,
-    convex_mask, convex_upsample, window_entries,
+    Aggregate, Attention, ConvexMask, Encoder, EncoderConfig, NormKind, convex_mask, convex_upsample,
+    window_entries,
 };
 use crate::encoded::Encoded;
 use crate::features::Features;

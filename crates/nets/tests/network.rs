@@ -2,7 +2,8 @@
 
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
-use srflow_nets::{Architecture, Frames, Network, Parameters, Request, parameter_infos, with_parameters};
+use srflow_nets::{Architecture, Frames, Network, Request};
+use srflow_nn::{Parameters, parameter_infos, with_parameters};
 
 /// Values in -1..1 that repeat nowhere near.
 fn values(count: usize, seed: u32) -> Vec<f32> {

@@ -9,10 +9,8 @@ use std::sync::LazyLock;
 use burn::module::{Module, ModuleVisitor, Param};
 use burn::tensor::{Device, Gradients, Tensor, TensorData, s};
 use safetensors::SafeTensors;
-use srflow_nets::{
-    Architecture, Frames, Network, Parameters, Request, parameter_infos, with_batch_statistics,
-    with_parameters,
-};
+use srflow_nets::{Architecture, Frames, Network, Request};
+use srflow_nn::{Parameters, parameter_infos, with_batch_statistics, with_parameters};
 
 /// Batch, height, width: one that needs no padding, one that does.
 const CASES: [[usize; 3]; 2] = [[1, 128, 160], [2, 133, 150]];

@@ -1,126 +1,42 @@
-//! Checkpoints as other programs save them. The files of `tests/checkpoints` are made by `tools/parity/checkpoints.py`.
+//! Weights in the network that they belong to, and in another.
 
-use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use burn::tensor::{Device, TensorData};
-use burn_pack::{Bytes, DType};
-use safetensors::tensor::{Dtype, TensorView};
-use srflow_nets::{
-    Architecture, Checkpoint, Format, ParameterInfo, Parameters, WeightsError, fits, load_network,
-    parameters, read_parameters, save_parameters, with_parameters,
-};
-use tempfile::TempDir;
-use zip::write::SimpleFileOptions;
+use srflow_nets::{Architecture, Network, fits, load_network};
+use srflow_nn::{Checkpoint, ParameterInfo, parameters, save_parameters, with_parameters};
 
-fn checkpoint(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/checkpoints").join(name)
-}
-
-/// A folder, and a file in it that is yet to be written.
-fn scratch() -> (TempDir, PathBuf) {
+/// Saves a network's parameters and hands their file to `check`.
+fn with_saved(architecture: Architecture, check: impl FnOnce(&Network, &Path)) {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("weights");
-    (folder, path)
-}
-
-fn numbers(data: &TensorData) -> Vec<f32> {
-    data.clone().try_to_vec().expect("f32")
-}
-
-fn bytes_of(numbers: &[f32]) -> Vec<u8> {
-    numbers.iter().flat_map(|x| x.to_le_bytes()).collect()
-}
-
-/// Names without prefix, no counter (`num_batches_tracked`), the shortcut's norm once.
-const NAMES: [&str; 8] = [
-    "conv1.bias",
-    "conv1.weight",
-    "downsample.0.bias",
-    "downsample.0.weight",
-    "downsample.1.bias",
-    "downsample.1.running_mean",
-    "downsample.1.running_var",
-    "downsample.1.weight",
-];
-
-#[test]
-fn every_form_of_a_pytorch_file_gives_the_same_parameters() {
-    let expected = read_parameters(&checkpoint("zip.pth")).expect("zip.pth");
-    assert_eq!(expected.keys().collect::<Vec<_>>(), NAMES);
-    assert_eq!(expected["conv1.weight"].shape().as_slice(), [3, 2, 3, 3]);
-    assert_eq!(numbers(&expected["conv1.bias"]), [0.0, 0.125, 0.25]);
-    for name in ["legacy.pth", "half.pt", "lightning.ckpt"] {
-        let found = read_parameters(&checkpoint(name)).expect(name);
-        assert!(found == expected, "{name}");
-    }
+    let network = architecture.init(&Device::flex());
+    save_parameters(&network, &path).expect(architecture.name());
+    check(&network, &path);
 }
 
 #[test]
-fn a_file_says_what_it_is_before_its_values_are_read() {
-    let said = |name: &str| {
-        let file = Checkpoint::open(&checkpoint(name)).expect(name);
-        let container = file.container().map(str::to_owned);
-        (file.format(), container, file.prefix().to_owned(), file.types().join(" "))
-    };
-    let types = |types: &str| types.to_owned();
-    assert_eq!(said("zip.pth"), (Format::PytorchZip, None, "module.".into(), types("F32")));
-    assert_eq!(said("legacy.pth"), (Format::PytorchLegacy, None, "module.".into(), types("F32")));
-    assert_eq!(said("half.pt"), (Format::PytorchZip, None, String::new(), types("F16")));
-    let state_dict = Some("state_dict".to_owned());
-    assert_eq!(said("lightning.ckpt"), (Format::PytorchZip, state_dict, "network.".into(), types("F32")));
-}
-
-#[test]
-fn safetensors_and_burnpack_are_told_apart_by_content() {
-    let (_folder, path) = scratch();
-    let bytes = bytes_of(&[1.5, -2.0]);
-    let view = TensorView::new(Dtype::F32, vec![2], &bytes).expect("a view");
-    std::fs::write(&path, safetensors::serialize([("module.a.bias", view)], None).expect("bytes"))
-        .expect("written");
-    let found = read_parameters(&path).expect("safetensors");
-    assert_eq!(numbers(&found["a.bias"]), [1.5, -2.0]);
-
-    // Burn's path of a parameter starts with the variant of an enum.
-    std::fs::write(&path, burnpack("Raft.a.bias", &bytes)).expect("written");
-    assert_eq!(Checkpoint::open(&path).expect("burnpack").format(), Format::Burnpack);
-    let found = read_parameters(&path).expect("burnpack");
-    assert_eq!(numbers(&found["a.bias"]), [1.5, -2.0]);
-}
-
-fn burnpack(name: &str, bytes: &[u8]) -> Vec<u8> {
-    let bytes = Bytes::from_bytes_vec(bytes.to_vec());
-    let tensor = burn_pack::Tensor::new(name.into(), DType::F32, vec![2], None, bytes);
-    burn_pack::Writer::new(vec![tensor]).into_bytes().expect("a pack").to_vec()
-}
-
-#[test]
-fn what_is_saved_is_loaded_again() {
-    let device = Device::flex();
+fn what_is_saved_is_loaded_again_and_recognized() {
     for architecture in Architecture::ALL {
-        let (folder, path) = scratch();
         let name = architecture.name();
-        let network = architecture.init(&device);
-        save_parameters(&network, &path).expect(name);
-        assert_eq!(Checkpoint::open(&path).expect(name).format(), Format::Safetensors);
-        let loaded = load_network(architecture, &path, &device).expect(name);
-        assert!(parameters(&loaded) == parameters(&network), "{name}");
-        let fits = fits(&Checkpoint::open(&path).expect(name).parameters());
-        assert_eq!((fits[0].architecture, &fits[0].difference), (architecture, &None));
-        let error = save_parameters(&network, &folder.path().join("no/weights")).expect_err("no folder");
-        assert!(error.to_string().contains("no/weights: creating"), "{error}");
+        with_saved(architecture, |network, path| {
+            let loaded = load_network(architecture, path, &Device::flex()).expect(name);
+            assert!(parameters(&loaded) == parameters(network), "{name}");
+            let fits = fits(&Checkpoint::open(path).expect(name).parameters());
+            assert_eq!((fits[0].architecture, &fits[0].difference), (architecture, &None));
+        });
     }
 }
 
 #[test]
 fn weights_of_another_network_are_named() {
-    let (_folder, path) = scratch();
     let device = Device::flex();
-    save_parameters(&Architecture::Gma.init(&device), &path).expect("saved");
-    let error = load_network(Architecture::Raft, &path, &device).expect_err("GMA is no RAFT").to_string();
-    assert!(error.contains("weights: the parameters do not fit the network"), "{error}");
-    assert!(error.contains("unknown: att."), "{error}");
-    assert!(error.ends_with("they are the parameters of gma"), "{error}");
+    with_saved(Architecture::Gma, |_, path| {
+        let error = load_network(Architecture::Raft, path, &device).expect_err("GMA is no RAFT").to_string();
+        assert!(error.contains("weights: the parameters do not fit the network"), "{error}");
+        assert!(error.contains("unknown: att."), "{error}");
+        assert!(error.ends_with("they are the parameters of gma"), "{error}");
+    });
 
     let mut given = parameters(&Architecture::SkFlow.init(&device));
     given.remove("update_block.gru.pw.bias");
@@ -143,7 +59,12 @@ fn weights_of_another_network_are_named() {
 #[test]
 fn ten_names_are_listed_and_the_rest_counted() {
     let device = Device::flex();
-    let error = load_network(Architecture::Raft, &checkpoint("zip.pth"), &device).expect_err("no RAFT");
+    let error = load_network(
+        Architecture::Raft,
+        &Path::new(env!("CARGO_MANIFEST_DIR")).join("../nn/tests/checkpoints/zip.pth"),
+        &device,
+    )
+    .expect_err("no RAFT");
     let message = error.to_string();
     let count = parameters(&Architecture::Raft.init(&device)).len();
     assert!(message.contains("zip.pth"), "{message}");
@@ -151,112 +72,4 @@ fn ten_names_are_listed_and_the_rest_counted() {
     assert!(message.contains(&format!("and {} more", count - 10)), "{message}");
     assert!(message.contains("8 unknown: conv1.bias"), "{message}");
     assert!(message.ends_with("no network known here has parameters of these names and shapes"), "{message}");
-}
-
-/// Whole files of every format.
-fn whole_files() -> Vec<(&'static str, Vec<u8>)> {
-    let bytes = bytes_of(&[1.5, -2.0]);
-    let view = TensorView::new(Dtype::F32, vec![2], &bytes).expect("a view");
-    let read = |name: &'static str| (name, std::fs::read(checkpoint(name)).expect(name));
-    vec![
-        read("zip.pth"),
-        read("legacy.pth"),
-        read("lightning.ckpt"),
-        ("safetensors", safetensors::serialize([("a.bias", view)], None).expect("bytes")),
-        ("burnpack", burnpack("a.bias", &bytes)),
-    ]
-}
-
-#[test]
-fn a_file_cut_short_is_an_error() {
-    let (_folder, path) = scratch();
-    for (name, whole) in whole_files() {
-        for len in (0..whole.len()).step_by(13) {
-            std::fs::write(&path, &whole[..len]).expect("written");
-            assert!(read_parameters(&path).is_err(), "{name} cut to {len} of {} bytes", whole.len());
-        }
-    }
-}
-
-/// A changed byte of a value cannot be noticed in every format. Whatever is noticed is an error and no crash, and what is
-/// read is no more than the file holds.
-#[test]
-fn a_changed_byte_is_no_crash() {
-    let (_folder, path) = scratch();
-    for (name, whole) in whole_files() {
-        let mut errors = 0;
-        for (at, change) in (0..whole.len()).step_by(3).zip([0x01, 0x80, 0xff].into_iter().cycle()) {
-            let mut changed = whole.clone();
-            changed[at] ^= change;
-            std::fs::write(&path, &changed).expect("written");
-            match read_parameters(&path) {
-                Ok(found) => assert!(byte_count(&found) <= 8 * whole.len(), "{name}, byte {at}"),
-                Err(error) => {
-                    errors += 1;
-                    assert!(error.to_string().len() < 4000, "{error}");
-                }
-            }
-        }
-        assert!(errors > 0, "{name}");
-    }
-}
-
-fn byte_count(parameters: &Parameters) -> usize {
-    parameters.values().map(|data| data.as_bytes().len()).sum()
-}
-
-/// The error of reading a file of this content.
-fn refused(content: &[u8]) -> String {
-    let (_folder, path) = scratch();
-    std::fs::write(&path, content).expect("written");
-    let error = read_parameters(&path).expect_err("refused");
-    error.to_string().split_once("weights: ").expect("the name of the file").1.to_owned()
-}
-
-#[test]
-fn claims_are_held_to_the_length_of_the_file() {
-    let error = read_parameters(&checkpoint("expanded.pth")).expect_err("a gigabyte").to_string();
-    assert!(error.contains("its tensors claim 1073741824 bytes, the file has 1584"), "{error}");
-
-    let error = refused(b"\xff\xff\xff\xff\xff\xff\xff\x7f{}");
-    assert!(error.contains("its table claims 9223372036854775807 bytes, the file has 2 left"), "{error}");
-    let safetensors =
-        |table: &str| [&(table.len() as u64).to_le_bytes()[..], table.as_bytes(), &[0; 8]].concat();
-    let error = refused(&safetensors(
-        r#"{"a":{"dtype":"F32","shape":[1099511627776],"data_offsets":[0,4398046511104]}}"#,
-    ));
-    assert!(error.contains("its tensors claim 4398046511104 bytes, the file has 8 left"), "{error}");
-    let error = refused(&safetensors(
-        r#"{"a":{"dtype":"F32","shape":[4611686018427387904,4],"data_offsets":[0,8]}}"#,
-    ));
-    assert!(error.contains("overflow"), "{error}");
-
-    let error = refused(b"NRUB\x01\x00\xff\xff\xff\x05");
-    assert!(error.starts_with("expected a whole burnpack file"), "{error}");
-}
-
-/// A deflated pickle of a few kilobytes that would fill the memory.
-#[test]
-fn a_pickle_that_swells_is_an_error() {
-    let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
-    archive.start_file("archive/data.pkl", SimpleFileOptions::default()).expect("an entry");
-    let lists = vec![b']'; 1 << 20];
-    for _ in 0..32 {
-        archive.write_all(&lists).expect("deflated");
-    }
-    let bomb = archive.finish().expect("a zip file").into_inner();
-    assert!(bomb.len() < 1 << 17);
-    let error = refused(&bomb);
-    assert!(error.contains("its data.pkl claims 33554432 bytes"), "{error}");
-}
-
-#[test]
-fn what_is_no_checkpoint_is_said_to_be_none() {
-    let error = refused(b"<!DOCTYPE html>\n<html>");
-    assert!(error.contains("found a file that starts with \"<!DOCTYPE html>\\n<html>\""), "{error}");
-    assert!(refused(b"").contains("found an empty file"));
-    let tar = [&[b'x'; 257][..], b"ustar"].concat();
-    assert!(refused(&tar).contains("found a tar file, as PyTorch before 0.1.10 wrote"));
-    let (folder, _) = scratch();
-    assert!(matches!(read_parameters(folder.path()), Err(WeightsError::Read { .. })));
 }

@@ -5,18 +5,14 @@
 //! folder is made under another name and renamed when it is whole. There is no random state to keep: every random number
 //! comes from the seed, the step and the place in the batch.
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use safetensors::SafeTensors;
-use safetensors::tensor::{Dtype, TensorView};
+use burn::tensor::DType;
 use serde::{Deserialize, Serialize};
 use srflow_field::{FileError, PARTIAL_EXTENSION, write_atomically};
-
-use crate::optimizer::AdamWState;
-use crate::parameters::Layout;
+use srflow_nn::{AdamWState, Layout, WeightsError, read_safetensors, safetensors_bytes};
 
 /// Name of the folder that checkpoints lie in.
 const FOLDER: &str = "checkpoints";
@@ -160,10 +156,14 @@ impl Checkpoints {
         let state = StateFile { progress: progress.clone(), config: config.clone() };
         let state = serde_json::to_string_pretty(&state).expect("plain numbers and text") + "\n";
         let averages = AVERAGES.into_iter().zip([&optimizer.mean, &optimizer.square]);
-        let optimizer = tensor_bytes(averages.flat_map(|(prefix, values)| {
+        let optimizer = safetensors_bytes(averages.flat_map(|(prefix, values)| {
             let trained = layout.segments().iter().filter(|segment| segment.trained);
             trained.map(move |segment| {
-                (format!("{prefix}{}", segment.name), &segment.shape, &values[segment.range.clone()])
+                (
+                    format!("{prefix}{}", segment.name),
+                    segment.shape.as_slice(),
+                    &values[segment.range.clone()],
+                )
             })
         }));
         for (name, bytes) in [(MODEL, &model), (OPTIMIZER, &optimizer), (STATE, &state.into_bytes())] {
@@ -242,28 +242,12 @@ fn remove_folder(path: &Path) -> Result<(), CheckpointError> {
 }
 
 fn model_bytes(layout: &Layout, values: &[f32]) -> Vec<u8> {
-    tensor_bytes(
+    safetensors_bytes(
         layout
             .segments()
             .iter()
-            .map(|segment| (segment.name.clone(), &segment.shape, &values[segment.range.clone()])),
+            .map(|segment| (segment.name.clone(), segment.shape.as_slice(), &values[segment.range.clone()])),
     )
-}
-
-/// A safetensors file: the same bytes for the same tensors.
-fn tensor_bytes<'a>(tensors: impl Iterator<Item = (String, &'a Vec<usize>, &'a [f32])>) -> Vec<u8> {
-    let tensors: Vec<(String, &Vec<usize>, Vec<u8>)> = tensors
-        .map(|(name, shape, values)| {
-            let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-            (name, shape, bytes)
-        })
-        .collect();
-    let views = tensors.iter().map(|(name, shape, bytes)| {
-        let view =
-            TensorView::new(Dtype::F32, shape.to_vec(), bytes).expect("as many bytes as the shape says");
-        (name, view)
-    });
-    safetensors::serialize(views, None).expect("tensors that fit their shapes")
 }
 
 fn read_state(checkpoint: &Path) -> Result<StateFile, CheckpointError> {
@@ -284,30 +268,32 @@ fn read_tensors(
     counts: impl Fn(&str) -> bool,
 ) -> Result<Vec<f32>, CheckpointError> {
     let broken = |reason: String| CheckpointError::Broken { path: path.to_owned(), reason };
-    let bytes = fs::read(path).map_err(io_error(path, "reading"))?;
-    let file = SafeTensors::deserialize(&bytes)
-        .map_err(|error| broken(format!("expected a whole safetensors file ({error})")))?;
-    let mut found: BTreeMap<String, TensorView> =
-        file.iter().filter(|(name, _)| counts(name)).map(|(name, view)| (name.to_owned(), view)).collect();
+    let mut found = read_safetensors(path).map_err(|error| match error {
+        WeightsError::Read { error, .. } => io_error(path, "reading")(error),
+        WeightsError::Broken { problem, .. } => {
+            broken(format!("expected a whole safetensors file, but {problem}"))
+        }
+        other => broken(other.to_string()),
+    })?;
+    found.retain(|name, _| counts(name));
     let mut values = vec![0.0; layout.len()];
     for segment in layout.segments() {
         let name = format!("{prefix}{}", segment.name);
-        let Some(view) = found.remove(&name) else {
+        let Some(data) = found.remove(&name) else {
             if segment.trained || prefix.is_empty() {
                 return Err(broken(format!("expected the tensor {name}, found none of that name")));
             }
             continue;
         };
-        if view.dtype() != Dtype::F32 || view.shape() != segment.shape {
-            let found = format!("{:?} {:?}", view.dtype(), view.shape());
+        if data.dtype() != DType::F32 || data.shape().as_slice() != segment.shape {
+            let found = format!("{:?} {:?}", data.dtype(), data.shape().as_slice());
             return Err(broken(format!("{name}: expected F32 {:?}, found {found}", segment.shape)));
         }
-        for (value, bytes) in values[segment.range.clone()].iter_mut().zip(view.data().chunks_exact(4)) {
-            *value = f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
-        }
+        let data = data.as_slice::<f32>().map_err(|error| broken(format!("{name}: {error:?}")))?;
+        values[segment.range.clone()].copy_from_slice(data);
     }
     match found.keys().next() {
-        Some(name) => Err(broken(format!("found the tensor {name}, which the network does not have"))),
+        Some(name) => Err(broken(format!("found the tensor {name:?}, which the network does not have"))),
         None => Ok(values),
     }
 }
@@ -315,7 +301,7 @@ fn read_tensors(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::parameters::Segment;
+    use srflow_nn::Segment;
 
     fn layout() -> Layout {
         let segment = |name: &str, range: std::ops::Range<usize>, trained| Segment {
@@ -360,7 +346,7 @@ mod tests {
         }
         assert_eq!(checkpoints.steps().unwrap(), [2, 5, 6]);
         assert_eq!(checkpoints.read_last(&layout()).unwrap(), checkpoint(6));
-        let last = srflow_nets::read_parameters(&run.path().join("last.safetensors")).unwrap();
+        let last = srflow_nn::read_parameters(&run.path().join("last.safetensors")).unwrap();
         assert_eq!(last.keys().collect::<Vec<_>>(), ["a.running_mean", "a.weight", "b.bias"]);
     }
 

@@ -6,8 +6,6 @@ pub mod checkpoint;
 pub mod config;
 pub mod journal;
 pub mod loss;
-pub mod optimizer;
-pub mod parameters;
 mod read_ahead;
 mod recompute;
 pub mod replica;

@@ -9,10 +9,10 @@
 use burn::module::Module;
 use burn::tensor::Tensor;
 use srflow_nets::{Encoded, Network, Request};
+use srflow_nn::{HostGradients, Layout, numbers};
 
 use crate::batch::Batch;
 use crate::loss::{LossError, Prediction, losses};
-use crate::parameters::{HostGradients, Layout, numbers};
 use crate::replica::{BatchLosses, PassSettings};
 
 /// Adds the gradients of the mean loss of `batch`, times `weight`.

@@ -9,12 +9,12 @@ use std::sync::{Mutex, PoisonError};
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
-use srflow_nets::{Architecture, Network, Request, with_batch_statistics};
+use srflow_nets::{Architecture, Network, Request};
+use srflow_nn::{HostGradients, Layout, filled, numbers, with_batch_statistics};
 
 use crate::batch::Batch;
 use crate::config::BatchNorm;
 use crate::loss::{LossConfig, LossError, Losses, Prediction, losses};
-use crate::parameters::{HostGradients, Layout, filled, numbers};
 use crate::recompute;
 
 /// What a pass over a batch is asked for.

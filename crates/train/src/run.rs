@@ -6,14 +6,13 @@ use std::time::Instant;
 
 use burn::tensor::Device;
 use srflow_field::{FileError, create_folder, write_atomically};
-use srflow_nets::{ParametersError, WeightsError, read_parameters};
+use srflow_nn::{AdamW, AdamWState, ParametersError, Rounding, WeightsError, clip_norm, read_parameters};
 
 use crate::batch::Batch;
 use crate::checkpoint::{Best, Checkpoint, CheckpointError, Checkpoints, Progress};
 use crate::config::{Config, ConfigError};
 use crate::journal::{Journal, JournalError, Record, SkippedRecord, StepRecord, ValidationRecord};
 use crate::loss::LossError;
-use crate::optimizer::{AdamW, AdamWState, clip_norm};
 use crate::read_ahead::ReadAhead;
 use crate::replica::{PassSettings, Replicas};
 use crate::schedule::OneCycle;
@@ -287,6 +286,7 @@ impl Trainer {
                 betas: training.betas,
                 epsilon: training.epsilon,
                 weight_decay: training.weight_decay,
+                rounding: Rounding::Pytorch,
             },
             optimizer_state: AdamWState::new(values.len()),
             schedule: OneCycle {

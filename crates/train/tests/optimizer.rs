@@ -1,7 +1,6 @@
 //! AdamW, clipping and the schedule against PyTorch; golden values by `tools/parity/optimizer.py`.
 
-use srflow_train::optimizer::{AdamW, AdamWState, clip_norm};
-use srflow_train::parameters::{Layout, Segment};
+use srflow_nn::{AdamW, AdamWState, Layout, Rounding, Segment, clip_norm};
 use srflow_train::schedule::OneCycle;
 
 const SIZES: [usize; 2] = [7, 40];
@@ -55,7 +54,7 @@ fn steps_and_clipping_are_pytorchs() {
             .collect(),
     );
     let mut values: Vec<f32> = sizes.iter().zip([3, 4, 9]).flat_map(|(&s, seed)| tensor(s, seed)).collect();
-    let adamw = AdamW { betas: [0.9, 0.999], epsilon: 1e-8, weight_decay: 1e-2 };
+    let adamw = AdamW { betas: [0.9, 0.999], epsilon: 1e-8, weight_decay: 1e-2, rounding: Rounding::Pytorch };
     let schedule = OneCycle { peak: 1e-2, total_steps: 20, rising: 0.3 };
     let mut state = AdamWState::new(values.len());
     let golden = golden();

@@ -2,9 +2,8 @@ use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
 use serde::Serialize;
-use srflow_nets::{
-    Architecture, Checkpoint, Facts, Fit, ParameterInfo, ParametersError, fits, weights_folder,
-};
+use srflow_nets::{Architecture, Facts, Fit, fits, weights_folder};
+use srflow_nn::{Checkpoint, ParameterInfo, ParametersError};
 
 use crate::Context;
 

@@ -6,32 +6,32 @@ mod ststnet;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
-use srflow_field::random::Key;
-use srflow_nets::{ParameterInfo, Parameters, parameter_infos, with_parameters};
+use srflow_field::random::{Key, Stream};
+use srflow_nn::{ParameterInfo, Parameters, parameter_infos, with_parameters};
 
 pub use offapexnet::OffApexNet;
 pub use offtanet::OffTaNet;
 pub use ststnet::StstNet;
 
 use crate::features::{FEATURE_SIDE, Features};
-use crate::layers::Mode;
 
 /// A network from features to one score per class. Its parameters carry the reference's names, so that
-/// [`srflow_nets::load`] reads published checkpoints.
+/// [`srflow_nn::load`] reads published checkpoints.
 pub trait Classifier: Module {
     /// Its name on the command line.
     const NAME: &'static str;
     /// Channels, height and width of its input.
     const INPUT: [usize; 3];
 
-    /// With nothing learned and nothing random: [`initialized`] or a checkpoint gives the parameters.
+    /// With nothing learned: [`initialized`] or a checkpoint gives the parameters.
     fn new(device: &Device) -> Self;
 
     /// Its input, `INPUT` row-major, of a clip.
     fn input(features: &Features) -> Vec<f32>;
 
-    /// Scores `[batch, 3]`, before any softmax, of inputs `[batch, INPUT...]`.
-    fn scores(&self, inputs: Tensor<4>, mode: &mut Mode) -> Tensor<2>;
+    /// Scores `[batch, 3]`, before any softmax, of inputs `[batch, INPUT...]`. Without a stream nothing is dropped; batch norms
+    /// go by [`srflow_nn::with_batch_statistics`].
+    fn scores(&self, inputs: Tensor<4>, dropout: Option<&mut Stream>) -> Tensor<2>;
 }
 
 /// A network with random parameters by PyTorch's rules for convolutions and linear layers (uniform within

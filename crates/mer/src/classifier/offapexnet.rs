@@ -4,12 +4,13 @@
 use burn::module::Module;
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
+use srflow_field::random::Stream as RandomStream;
+use srflow_nn::layers::{Conv2d, Conv2dConfig, Linear, NoParameters, dropout};
 use srflow_ops::Activation;
 use srflow_ops::max_pool::tensor::max_pool;
 
 use super::{Classifier, reduced};
 use crate::features::Features;
-use crate::layers::{Conv2d, Linear, Mode, NoParameters, dropout};
 
 /// The network of 2,664,475 parameters.
 #[derive(Module, Debug)]
@@ -30,8 +31,8 @@ impl Classifier for OffApexNet {
     const INPUT: [usize; 3] = [2, 28, 28];
 
     fn new(device: &Device) -> Self {
-        let stream =
-            || Stream { conv1: Conv2d::new([1, 6], 5, device), conv2: Conv2d::new([6, 16], 5, device) };
+        let conv = |channels| Conv2dConfig::new(channels, [5, 5]).init(device);
+        let stream = || Stream { conv1: conv([1, 6]), conv2: conv([6, 16]) };
         let linear = |inputs, outputs| Linear::new(inputs, outputs, device);
         Self {
             cnn1: stream(),
@@ -52,11 +53,11 @@ impl Classifier for OffApexNet {
         reduced::<4>(features, 2)
     }
 
-    fn scores(&self, inputs: Tensor<4>, mode: &mut Mode) -> Tensor<2> {
+    fn scores(&self, inputs: Tensor<4>, mut random: Option<&mut RandomStream>) -> Tensor<2> {
         let [u, v] = [0, 1].map(|channel| inputs.clone().narrow(1, channel, 1));
         let x = Tensor::cat(vec![self.cnn1.forward(u), self.cnn2.forward(v)], 1);
-        let x = dropout(relu(self.dense.0.forward(x)), mode);
-        let x = dropout(relu(self.dense.3.forward(x)), mode);
+        let x = dropout(relu(self.dense.0.forward(x)), random.as_deref_mut());
+        let x = dropout(relu(self.dense.3.forward(x)), random);
         self.dense.6.forward(x)
     }
 }

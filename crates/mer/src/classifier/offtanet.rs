@@ -6,13 +6,14 @@ use burn::module::Module;
 use burn::tensor::activation::{relu, sigmoid, softmax};
 use burn::tensor::module::adaptive_avg_pool2d;
 use burn::tensor::{Device, Tensor, TensorData};
+use srflow_field::random::Stream;
+use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, Linear, NoParameters, dropout};
 use srflow_ops::Activation;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::max_pool::tensor::max_pool;
 
 use super::Classifier;
 use crate::features::{FEATURE_SIDE, Features};
-use crate::layers::{BatchNorm2d, Conv2d, Linear, Mode, NoParameters, dropout};
 
 /// Channels of the attention block.
 const CHANNELS: usize = 28;
@@ -24,7 +25,7 @@ const SIDE: usize = 14;
 /// The network of 59,403 parameters.
 #[derive(Module, Debug)]
 pub struct OffTaNet {
-    conv1: (Conv2d, NoParameters, BatchNorm2d),
+    conv1: (Conv2d, NoParameters, BatchNorm),
     res1: Residual,
     res2: Residual,
     eres: EnhancedResidual,
@@ -33,14 +34,14 @@ pub struct OffTaNet {
 
 #[derive(Module, Debug)]
 struct Residual {
-    conv: (Conv2d, BatchNorm2d, NoParameters, Conv2d, BatchNorm2d),
+    conv: (Conv2d, BatchNorm, NoParameters, Conv2d, BatchNorm),
     botneck: Conv2d,
 }
 
 #[derive(Module, Debug)]
 struct EnhancedResidual {
-    conv1: (Conv2d, BatchNorm2d),
-    conv2: (Conv2d, BatchNorm2d),
+    conv1: (Conv2d, BatchNorm),
+    conv2: (Conv2d, BatchNorm),
     botneck: Conv2d,
     spa: SpatialAttention,
     ca: ChannelAttention,
@@ -70,6 +71,10 @@ struct SelfAttention {
     w_v: Conv2d,
 }
 
+fn conv(channels: [usize; 2], kernel: usize) -> Conv2dConfig {
+    Conv2dConfig::new(channels, [kernel; 2])
+}
+
 impl Classifier for OffTaNet {
     const NAME: &'static str = "off-tanet";
     const INPUT: [usize; 3] = [3, FEATURE_SIDE, FEATURE_SIDE];
@@ -77,7 +82,7 @@ impl Classifier for OffTaNet {
     fn new(device: &Device) -> Self {
         let linear = |inputs, outputs| Linear::new(inputs, outputs, device);
         Self {
-            conv1: (Conv2d::new([3, 8], 7, device).stride(2), NoParameters, BatchNorm2d::new(8, device)),
+            conv1: (conv([3, 8], 7).with_stride(2).init(device), NoParameters, BatchNorm::new(8, device)),
             res1: Residual::new(8, 18, device),
             res2: Residual::new(18, CHANNELS, device),
             eres: EnhancedResidual::new(device),
@@ -97,14 +102,14 @@ impl Classifier for OffTaNet {
         features.values().to_vec()
     }
 
-    fn scores(&self, inputs: Tensor<4>, mode: &mut Mode) -> Tensor<2> {
+    fn scores(&self, inputs: Tensor<4>, mut random: Option<&mut Stream>) -> Tensor<2> {
         let x = self.conv1.0.forward(inputs, Activation::Relu);
-        let x = self.conv1.2.forward(x, mode);
-        let x = self.res1.forward(x, mode);
-        let x = self.res2.forward(x, mode);
-        let x = self.eres.forward(x, mode).flatten(1, 3);
-        let x = dropout(relu(self.dense.0.forward(x)), mode);
-        let x = dropout(relu(self.dense.3.forward(x)), mode);
+        let x = self.conv1.2.forward(x);
+        let x = self.res1.forward(x);
+        let x = self.res2.forward(x);
+        let x = self.eres.forward(x).flatten(1, 3);
+        let x = dropout(relu(self.dense.0.forward(x)), random.as_deref_mut());
+        let x = dropout(relu(self.dense.3.forward(x)), random);
         self.dense.6.forward(x)
     }
 }
@@ -113,51 +118,50 @@ impl Residual {
     fn new(inputs: usize, outputs: usize, device: &Device) -> Self {
         Self {
             conv: (
-                Conv2d::new([inputs, outputs], 3, device),
-                BatchNorm2d::new(outputs, device),
+                conv([inputs, outputs], 3).init(device),
+                BatchNorm::new(outputs, device),
                 NoParameters,
-                Conv2d::new([outputs, outputs], 3, device),
-                BatchNorm2d::new(outputs, device),
+                conv([outputs, outputs], 3).init(device),
+                BatchNorm::new(outputs, device),
             ),
-            botneck: Conv2d::new([inputs, outputs], 1, device),
+            botneck: conv([inputs, outputs], 1).init(device),
         }
     }
 
-    fn forward(&self, x: Tensor<4>, mode: &Mode) -> Tensor<4> {
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let shortcut = self.botneck.forward(x.clone(), Activation::Identity);
-        let x = self.conv.1.relu_after(&self.conv.0, x, mode);
-        let x = self.conv.4.relu_after(&self.conv.3, x, mode);
+        let x = self.conv.1.relu_after(&self.conv.0, x);
+        let x = self.conv.4.relu_after(&self.conv.3, x);
         max_pool(shortcut + x)
     }
 }
 
 impl EnhancedResidual {
     fn new(device: &Device) -> Self {
-        let pointwise = |inputs, outputs| Conv2d::new([inputs, outputs], 1, device);
         let head = |_| {
-            let [w_q, w_k, w_v] = std::array::from_fn(|_| pointwise(CHANNELS, CHANNELS / HEADS));
+            let [w_q, w_k, w_v] = std::array::from_fn(|_| conv([CHANNELS, CHANNELS / HEADS], 1).init(device));
             SelfAttention { w_q, w_k, w_v }
         };
         Self {
-            conv1: (Conv2d::new([CHANNELS, CHANNELS], 3, device), BatchNorm2d::new(CHANNELS, device)),
-            conv2: (Conv2d::new([CHANNELS, 8], 3, device), BatchNorm2d::new(8, device)),
-            botneck: pointwise(CHANNELS, 8),
-            spa: SpatialAttention { conv1: Conv2d::new([2, 1], 3, device).without_bias() },
+            conv1: (conv([CHANNELS, CHANNELS], 3).init(device), BatchNorm::new(CHANNELS, device)),
+            conv2: (conv([CHANNELS, 8], 3).init(device), BatchNorm::new(8, device)),
+            botneck: conv([CHANNELS, 8], 1).init(device),
+            spa: SpatialAttention { conv1: conv([2, 1], 3).with_bias(false).init(device) },
             ca: ChannelAttention {
-                fc1: pointwise(CHANNELS, 1).without_bias(),
-                fc2: pointwise(1, CHANNELS).without_bias(),
+                fc1: conv([CHANNELS, 1], 1).with_bias(false).init(device),
+                fc2: conv([1, CHANNELS], 1).with_bias(false).init(device),
             },
             sa: MultiHeadSelfAttention { sa_blocks: (0..HEADS).map(head).collect() },
         }
     }
 
-    fn forward(&self, x: Tensor<4>, mode: &Mode) -> Tensor<4> {
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let shortcut = self.botneck.forward(x.clone(), Activation::Identity);
-        let x = self.conv1.1.relu_after(&self.conv1.0, x, mode);
+        let x = self.conv1.1.relu_after(&self.conv1.0, x);
         let x = self.ca.forward(x.clone()) * x;
         let x = self.spa.forward(x.clone()) * x;
         let x = self.sa.forward(x);
-        let x = self.conv2.1.relu_after(&self.conv2.0, x, mode);
+        let x = self.conv2.1.relu_after(&self.conv2.0, x);
         max_pool(x + shortcut)
     }
 }

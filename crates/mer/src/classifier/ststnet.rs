@@ -5,11 +5,12 @@ use burn::module::Module;
 use burn::tensor::module::{avg_pool2d, max_pool2d};
 use burn::tensor::ops::{AvgPoolOptions, MaxPoolOptions};
 use burn::tensor::{Device, Tensor};
+use srflow_field::random::Stream;
+use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, Linear, dropout};
 use srflow_ops::Activation;
 
 use super::{Classifier, reduced};
 use crate::features::Features;
-use crate::layers::{BatchNorm2d, Conv2d, Linear, Mode, dropout};
 
 /// Channels of the three streams.
 const STREAMS: [usize; 3] = [3, 5, 8];
@@ -20,9 +21,9 @@ pub struct StstNet {
     conv1: Conv2d,
     conv2: Conv2d,
     conv3: Conv2d,
-    bn1: BatchNorm2d,
-    bn2: BatchNorm2d,
-    bn3: BatchNorm2d,
+    bn1: BatchNorm,
+    bn2: BatchNorm,
+    bn3: BatchNorm,
     fc: Linear,
 }
 
@@ -31,8 +32,9 @@ impl Classifier for StstNet {
     const INPUT: [usize; 3] = [3, 28, 28];
 
     fn new(device: &Device) -> Self {
-        let [conv1, conv2, conv3] = STREAMS.map(|channels| Conv2d::new([3, channels], 3, device).padding(2));
-        let [bn1, bn2, bn3] = STREAMS.map(|channels| BatchNorm2d::new(channels, device));
+        let [conv1, conv2, conv3] = STREAMS
+            .map(|channels| Conv2dConfig::new([3, channels], [3, 3]).with_padding(Some([2, 2])).init(device));
+        let [bn1, bn2, bn3] = STREAMS.map(|channels| BatchNorm::new(channels, device));
         let fc = Linear::new(5 * 5 * STREAMS.iter().sum::<usize>(), 3, device);
         Self { conv1, conv2, conv3, bn1, bn2, bn3, fc }
     }
@@ -41,11 +43,11 @@ impl Classifier for StstNet {
         reduced::<4>(features, 3)
     }
 
-    fn scores(&self, inputs: Tensor<4>, mode: &mut Mode) -> Tensor<2> {
+    fn scores(&self, inputs: Tensor<4>, mut random: Option<&mut Stream>) -> Tensor<2> {
         let streams = [(&self.conv1, &self.bn1), (&self.conv2, &self.bn2), (&self.conv3, &self.bn3)];
         let streams = streams.map(|(conv, norm)| {
-            let x = norm.forward(conv.forward(inputs.clone(), Activation::Relu), mode);
-            dropout(max_pool2d(x, MaxPoolOptions::new([3, 3]).with_padding([1, 1])), mode)
+            let x = norm.forward(conv.forward(inputs.clone(), Activation::Relu));
+            dropout(max_pool2d(x, MaxPoolOptions::new([3, 3]).with_padding([1, 1])), random.as_deref_mut())
         });
         let x = avg_pool2d(Tensor::cat(streams.into(), 1), AvgPoolOptions::new([2, 2]));
         self.fc.forward(x.flatten(1, 3))

@@ -3,10 +3,9 @@
 
 use burn::module::{Initializer, Module, Param};
 use burn::tensor::{Device, Tensor};
+use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation;
 use srflow_ops::attention::tensor::Attention as AttentionMap;
-
-use super::{Conv2d, Conv2dConfig};
 
 /// Of the weights between all pairs of pixels, which no iteration changes, as many are kept; the rest is computed anew
 /// each time.

@@ -2,11 +2,26 @@
 
 use burn::module::{Initializer, Module};
 use burn::tensor::{Device, Tensor};
+use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, NoParameters};
 use srflow_ops::Activation;
 use srflow_ops::activation::tensor::activated_sum;
+use srflow_ops::instance_norm::tensor::instance_norm;
 
-use super::norm::{Norm, NormKind};
-use super::{Conv2d, Conv2dConfig};
+/// Which normalization an encoder has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum NormKind {
+    None,
+    Instance,
+    Batch,
+}
+
+/// What normalizes the output of a convolution. The variant is no part of a parameter's name.
+#[derive(Module, Debug)]
+enum Norm {
+    None(NoParameters),
+    Instance(NoParameters),
+    Batch(BatchNorm),
+}
 
 /// Sizes of an [`Encoder`].
 #[derive(Debug, Clone)]
@@ -91,6 +106,25 @@ impl EncoderConfig {
             norm3: self.bottleneck.then(|| norm(outputs)),
             downsample: (stride > 1)
                 .then(|| (conv([inputs, outputs], 1).with_stride(stride).init(device), norm(outputs))),
+        }
+    }
+}
+
+impl Norm {
+    fn new(kind: NormKind, channels: usize, device: &Device) -> Self {
+        match kind {
+            NormKind::None => Self::None(NoParameters),
+            NormKind::Instance => Self::Instance(NoParameters),
+            NormKind::Batch => Self::Batch(BatchNorm::new(channels, device)),
+        }
+    }
+
+    /// `activation(norm(conv(x)))`.
+    fn after(&self, conv: &Conv2d, x: Tensor<4>, activation: Activation) -> Tensor<4> {
+        match self {
+            Self::None(_) => conv.forward(x, activation),
+            Self::Instance(_) => instance_norm(conv.forward(x, Activation::Identity), activation),
+            Self::Batch(norm) => norm.after(conv, x, activation),
         }
     }
 }

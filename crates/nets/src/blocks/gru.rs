@@ -2,11 +2,10 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
+use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::gru::tensor::{reset, update};
 use srflow_ops::{Activation, WeightCache};
-
-use super::{Conv2d, Conv2dConfig};
 
 /// One gated step over a 3x3 neighbourhood.
 #[derive(Module, Debug)]

@@ -1,10 +1,10 @@
 //! From the flow that is refined to the flow of every pixel.
 
 use burn::tensor::{Device, Tensor};
+use srflow_nn::layers::{Conv2d, Conv2dConfig, NoParameters};
 use srflow_ops::Activation;
 use srflow_ops::upsample::tensor;
 
-use super::{Conv2d, Conv2dConfig, NoParameters};
 use crate::recurrent::STRIDE;
 
 /// What the reference multiplies the weights with "to balance gradients".

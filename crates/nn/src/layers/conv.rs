@@ -8,9 +8,9 @@ use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::pointwise::tensor::{LayerOptions, PointwiseLayer};
 use srflow_ops::{Activation, WeightCache};
 
-/// Sizes of a [`Conv2d`].
+/// A [`Conv2d`] to be.
 #[derive(Config, Debug)]
-pub(crate) struct Conv2dConfig {
+pub struct Conv2dConfig {
     /// Input and output channels.
     channels: [usize; 2],
     /// Height and width.
@@ -18,30 +18,44 @@ pub(crate) struct Conv2dConfig {
     /// Down and across.
     #[config(default = "1")]
     stride: usize,
+    /// Zeros above and below, left and right; by default as many as keep the size for stride 1 and odd kernels.
+    padding: Option<[usize; 2]>,
     /// One kernel for each channel.
     #[config(default = "false")]
     depthwise: bool,
     /// Add a number to each output channel.
     #[config(default = "true")]
     bias: bool,
-    /// PyTorch's default: uniform within `1 / sqrt(fan_in)`.
-    #[config(default = "Initializer::KaimingUniform { gain: 0.577_350_269_189_625_8, fan_out_only: false }")]
+    /// Of the weight.
+    #[config(default = "weight_initializer()")]
     initializer: Initializer,
 }
 
-/// A convolution whose padding keeps the size (for stride 1 and odd kernels).
+/// PyTorch's default for weights: uniform within `1 / sqrt(fan_in)`.
+pub(super) fn weight_initializer() -> Initializer {
+    Initializer::KaimingUniform { gain: 0.577_350_269_189_625_8, fan_out_only: false }
+}
+
+/// PyTorch's default for biases: uniform within `1 / sqrt(fan_in)`.
+pub(super) fn bias_initializer() -> Initializer {
+    Initializer::KaimingUniform { gain: 1.0 / 3.0_f64.sqrt(), fan_out_only: false }
+}
+
+/// PyTorch's `Conv2d`, dense or with one kernel for each channel, and what the networks do right after one.
 #[derive(Module, Debug)]
-pub(crate) struct Conv2d {
+pub struct Conv2d {
     weight: Param<Tensor<4>>,
     bias: Option<Param<Tensor<1>>>,
     stride: usize,
+    padding: [usize; 2],
     depthwise: bool,
     #[module(skip)]
     cache: WeightCache,
 }
 
 impl Conv2dConfig {
-    pub(crate) fn init(&self, device: &Device) -> Conv2d {
+    /// With random parameters, drawn when they are first read.
+    pub fn init(&self, device: &Device) -> Conv2d {
         let [inputs, outputs] = self.channels;
         let taps = self.kernel[0] * self.kernel[1];
         let group = if self.depthwise { 1 } else { inputs };
@@ -49,11 +63,9 @@ impl Conv2dConfig {
         let shape = [outputs, group, self.kernel[0], self.kernel[1]];
         Conv2d {
             weight: self.initializer.init_with(shape, fans.0, fans.1, device),
-            bias: self.bias.then(|| {
-                let uniform = Initializer::KaimingUniform { gain: 1.0 / 3.0_f64.sqrt(), fan_out_only: false };
-                uniform.init_with([outputs], fans.0, fans.1, device)
-            }),
+            bias: self.bias.then(|| bias_initializer().init_with([outputs], fans.0, fans.1, device)),
             stride: self.stride,
+            padding: self.padding.unwrap_or(self.kernel.map(|side| side / 2)),
             depthwise: self.depthwise,
             cache: WeightCache::default(),
         }
@@ -62,25 +74,32 @@ impl Conv2dConfig {
 
 impl Conv2d {
     #[cfg(test)]
-    pub(crate) fn filled(self, weight: Tensor<4>, bias: Tensor<1>) -> Self {
+    pub(super) fn filled(self, weight: Tensor<4>, bias: Tensor<1>) -> Self {
         Self { weight: Param::from_tensor(weight), bias: Some(Param::from_tensor(bias)), ..self }
     }
 
-    pub(crate) fn weight(&self) -> Tensor<4> {
+    /// `[outputs, inputs, height, width]`; inputs 1 for a depthwise convolution.
+    pub fn weight(&self) -> Tensor<4> {
         self.weight.val()
     }
 
-    pub(crate) fn bias(&self) -> Option<Tensor<1>> {
+    /// `[outputs]`.
+    pub fn bias(&self) -> Option<Tensor<1>> {
         self.bias.as_ref().map(Param::val)
     }
 
     /// `activation(conv(x) + bias)`.
-    pub(crate) fn forward(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
+    pub fn forward(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
         self.with_epilogue(x, Epilogue::with(activation).bias(self.bias()))
     }
 
+    /// `conv(x)`, the bias left out.
+    pub(super) fn forward_without_bias(&self, x: Tensor<4>) -> Tensor<4> {
+        self.with_epilogue(x, Epilogue::default())
+    }
+
     /// `activation(conv(x) + bias + residual)`.
-    pub(crate) fn forward_add(&self, x: Tensor<4>, residual: Tensor<4>, activation: Activation) -> Tensor<4> {
+    pub fn forward_add(&self, x: Tensor<4>, residual: Tensor<4>, activation: Activation) -> Tensor<4> {
         self.with_epilogue(x, Epilogue::with(activation).bias(self.bias()).residual(residual))
     }
 
@@ -89,34 +108,28 @@ impl Conv2d {
     }
 
     /// With another weight of the same kernel, and a cache for that.
-    pub(crate) fn apply(
+    pub fn apply(
         &self,
         x: Tensor<4>,
         weight: Tensor<4>,
         cache: &WeightCache,
         epilogue: Epilogue,
     ) -> Tensor<4> {
-        let [_, _, height, width] = weight.dims();
-        let padding = [height / 2, width / 2];
+        let Self { stride, padding, .. } = *self;
         if self.depthwise {
             depthwise(x, weight, epilogue, padding)
         } else {
-            conv2d(
-                x,
-                weight,
-                epilogue,
-                Conv2dOptions { stride: [self.stride; 2], padding, cache: cache.clone() },
-            )
+            conv2d(x, weight, epilogue, Conv2dOptions { stride: [stride; 2], padding, cache: cache.clone() })
         }
     }
 
     /// Whether every output needs only its own pixel.
-    pub(crate) fn is_pointwise(&self) -> bool {
+    pub fn is_pointwise(&self) -> bool {
         self.stride == 1 && self.weight.lazy_shape()[2..] == [1, 1]
     }
 
     /// As a layer of a chain, which must be pointwise.
-    pub(crate) fn layer(&self, add_input_of: Option<usize>, activation: Activation) -> PointwiseLayer {
+    pub fn layer(&self, add_input_of: Option<usize>, activation: Activation) -> PointwiseLayer {
         let weight = self.weight();
         let bias = self.bias().unwrap_or_else(|| Tensor::zeros([weight.dims()[0]], &weight.device()));
         let options =
@@ -124,7 +137,3 @@ impl Conv2d {
         PointwiseLayer { weight, bias, options }
     }
 }
-
-/// Holds the place of a layer without parameters in a sequence, so that what follows has the reference's number.
-#[derive(Module, Debug)]
-pub(crate) struct NoParameters;

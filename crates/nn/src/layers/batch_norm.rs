@@ -1,11 +1,10 @@
-//! What normalizes the output of an encoder's convolution.
+//! PyTorch's `BatchNorm2d` and its running statistics.
 
 use burn::module::{Flag, Initializer, Module, ModuleMapper, Param, RunningState};
-use burn::tensor::activation::{gelu, sigmoid};
+use burn::tensor::activation::{gelu, relu, sigmoid};
 use burn::tensor::{Device, Tensor};
 use srflow_ops::batch_norm::tensor::batch_norm;
 use srflow_ops::conv2d::tensor::Epilogue;
-use srflow_ops::instance_norm::tensor::instance_norm;
 use srflow_ops::{Activation, WeightCache};
 
 use super::Conv2d;
@@ -13,30 +12,19 @@ use super::Conv2d;
 /// Added to the variance; PyTorch's default.
 const EPSILON: f64 = 1e-5;
 
-/// Which normalization an encoder has.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum NormKind {
-    None,
-    Instance,
-    Batch,
-}
-
-/// A normalization and, for batch norm, its parameters under PyTorch's names.
-///
-/// Batch norm uses the running statistics, unless [`with_batch_statistics`] says otherwise.
+/// Normalizes each channel by the running statistics, or by those of the batch; see [`with_batch_statistics`].
 #[derive(Module, Debug)]
-pub(crate) struct Norm {
-    weight: Option<Param<Tensor<1>>>,
-    bias: Option<Param<Tensor<1>>>,
-    running_mean: Option<RunningState<Tensor<1>>>,
-    running_var: Option<RunningState<Tensor<1>>>,
-    instance: bool,
+pub struct BatchNorm {
+    weight: Param<Tensor<1>>,
+    bias: Param<Tensor<1>>,
+    running_mean: RunningState<Tensor<1>>,
+    running_var: RunningState<Tensor<1>>,
     batch_statistics: Param<Flag>,
 }
 
 /// Sets whether batch norm takes mean and variance from the batch (`true`, as PyTorch's modules do in training) or from the
-/// running statistics (`false`). With the first, every forward pass also moves the running statistics towards those of its
-/// batch.
+/// running statistics (`false`, as all are made). With the first, every forward pass also moves the running statistics
+/// towards those of its batch. [`Module::valid`] gives a network with `false`.
 pub fn with_batch_statistics<M: Module>(network: M, batch_statistics: bool) -> M {
     struct Setting(bool);
 
@@ -49,55 +37,86 @@ pub fn with_batch_statistics<M: Module>(network: M, batch_statistics: bool) -> M
     network.map(&mut Setting(batch_statistics))
 }
 
-impl Norm {
-    pub(crate) fn new(kind: NormKind, channels: usize, device: &Device) -> Self {
-        let parameter = |initializer: Initializer| -> Option<Param<Tensor<1>>> {
-            (kind == NormKind::Batch).then(|| initializer.init([channels], device))
-        };
-        let statistic = |value: Tensor<1>| (kind == NormKind::Batch).then(|| RunningState::new(value));
+impl BatchNorm {
+    /// Weight 1, bias 0; running mean 0, variance 1.
+    pub fn new(channels: usize, device: &Device) -> Self {
         Self {
-            weight: parameter(Initializer::Ones),
-            bias: parameter(Initializer::Zeros),
-            running_mean: statistic(Tensor::zeros([channels], device)),
-            running_var: statistic(Tensor::ones([channels], device)),
-            instance: kind == NormKind::Instance,
+            weight: Initializer::Ones.init([channels], device),
+            bias: Initializer::Zeros.init([channels], device),
+            running_mean: RunningState::new(Tensor::zeros([channels], device)),
+            running_var: RunningState::new(Tensor::ones([channels], device)),
             batch_statistics: Param::from_bool(false),
         }
     }
 
-    /// `activation(norm(conv(x)))`. Batch norm by running statistics is folded into the convolution.
-    pub(crate) fn after(&self, conv: &Conv2d, x: Tensor<4>, activation: Activation) -> Tensor<4> {
-        if self.instance {
-            return instance_norm(conv.forward(x, Activation::Identity), activation);
-        }
-        let (Some(weight), Some(bias), Some(mean), Some(variance)) =
-            (&self.weight, &self.bias, &self.running_mean, &self.running_var)
-        else {
-            return conv.forward(x, activation);
-        };
+    /// `norm(x)`.
+    pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        self.normalized(x, None, false)
+    }
+
+    /// `relu(norm(conv(x)))`. The norm takes away whatever the convolution's bias adds, so that with the batch's statistics
+    /// the bias is only seen by the running mean and has no gradient.
+    pub fn relu_after(&self, conv: &Conv2d, x: Tensor<4>) -> Tensor<4> {
+        self.normalized(conv.forward_without_bias(x), conv.bias(), true)
+    }
+
+    /// `activation(norm(conv(x)))`. Running statistics are folded into the convolution; with the batch's, its bias has the
+    /// rounding errors for a gradient that PyTorch gives it.
+    pub fn after(&self, conv: &Conv2d, x: Tensor<4>, activation: Activation) -> Tensor<4> {
         if self.batch_statistics.val().is_enabled() {
             let y = conv.forward(x, Activation::Identity);
-            let y = batch_norm(y, weight.val(), bias.val(), activation == Activation::Relu);
-            let found = y.running(mean.value(), variance.value());
-            for (running, found) in [mean, variance].into_iter().zip(found) {
-                running.update(found);
-                running.value_sync();
-            }
+            let y = self.by_the_batch(y, None, activation == Activation::Relu);
             return match activation {
-                Activation::Identity | Activation::Relu => y.output,
-                Activation::Gelu => gelu(y.output),
-                Activation::Tanh => y.output.tanh(),
-                Activation::Sigmoid => sigmoid(y.output),
+                Activation::Identity | Activation::Relu => y,
+                Activation::Gelu => gelu(y),
+                Activation::Tanh => y.tanh(),
+                Activation::Sigmoid => sigmoid(y),
             };
         }
-        let scale = weight.val() / (variance.value() + EPSILON).sqrt();
-        let mut shift = bias.val() - mean.value() * scale.clone();
+        let [scale, mut shift] = self.scale_and_shift(None);
         if let Some(bias) = conv.bias() {
             shift = shift + bias * scale.clone();
         }
         let channels = scale.dims()[0];
         let folded = conv.weight() * scale.reshape([channels, 1, 1, 1]);
         conv.apply(x, folded, &WeightCache::default(), Epilogue::with(activation).bias(Some(shift)))
+    }
+
+    /// Of `x + offset`, `offset` one number a channel.
+    fn normalized(&self, x: Tensor<4>, offset: Option<Tensor<1>>, rectify: bool) -> Tensor<4> {
+        if self.batch_statistics.val().is_enabled() {
+            return self.by_the_batch(x, offset, rectify);
+        }
+        let [scale, shift] = self.scale_and_shift(offset);
+        let channels = x.dims()[1];
+        let of_channels = |values: Tensor<1>| values.reshape([1, channels, 1, 1]);
+        let output = x * of_channels(scale) + of_channels(shift);
+        if rectify { relu(output) } else { output }
+    }
+
+    /// Of `x + offset` by its own statistics, which go into the running ones.
+    fn by_the_batch(&self, x: Tensor<4>, offset: Option<Tensor<1>>, rectify: bool) -> Tensor<4> {
+        let mut norm = batch_norm(x, self.weight.val(), self.bias.val(), rectify);
+        if let Some(offset) = offset {
+            norm.mean = norm.mean + offset.detach();
+        }
+        let found = norm.running(self.running_mean.value(), self.running_var.value());
+        for (running, found) in [&self.running_mean, &self.running_var].into_iter().zip(found) {
+            running.update(found);
+            running.value_sync();
+        }
+        norm.output
+    }
+
+    /// The norm of `x + offset` by the running statistics is `x * scale + shift`.
+    fn scale_and_shift(&self, offset: Option<Tensor<1>>) -> [Tensor<1>; 2] {
+        let scale = self.weight.val() / (self.running_var.value() + EPSILON).sqrt();
+        let centre = match offset {
+            Some(offset) => self.running_mean.value() - offset,
+            None => self.running_mean.value(),
+        };
+        let shift = self.bias.val() - centre * scale.clone();
+        [scale, shift]
     }
 }
 
@@ -106,7 +125,7 @@ mod tests {
     use burn::tensor::TensorData;
 
     use super::*;
-    use crate::blocks::Conv2dConfig;
+    use crate::layers::Conv2dConfig;
 
     const OUT: [f32; 6] = [0.0, 0.794589, 0.583567, 0.067639, 0.0, 0.0];
     const MEAN: [f32; 3] = [-0.087306, -0.140868, -0.190465];
@@ -135,9 +154,9 @@ mod tests {
         let device = Device::flex().autodiff();
         let conv = Conv2dConfig::new([2, 3], [1, 1]).init(&device);
         let conv = conv.filled(numbers([3, 2, 1, 1], 1, &device), numbers([3], 2, &device));
-        let mut norm = Norm::new(NormKind::Batch, 3, &device);
-        norm.weight = Some(Param::from_tensor(numbers([3], 3, &device)));
-        norm.bias = Some(Param::from_tensor(numbers([3], 4, &device)));
+        let mut norm = BatchNorm::new(3, &device);
+        norm.weight = Param::from_tensor(numbers([3], 3, &device));
+        norm.bias = Param::from_tensor(numbers([3], 4, &device));
         let norm = with_batch_statistics(norm, true);
         norm.after(&conv, numbers([2, 2, 3, 4], 5, &device), Activation::Relu);
         let x = numbers([2, 2, 3, 4], 6, &device).require_grad();
@@ -145,11 +164,11 @@ mod tests {
         let at = |x: Tensor<4>| x.narrow(2, 1, 1).narrow(3, 2, 1);
         assert_close("output", at(out.clone()), &OUT);
         let grads = (out * numbers([2, 3, 3, 4], 7, &device)).sum().backward();
-        assert_close("running mean", norm.running_mean.as_ref().expect("there").value(), &MEAN);
-        assert_close("running variance", norm.running_var.as_ref().expect("there").value(), &VARIANCE);
+        assert_close("running mean", norm.running_mean.value(), &MEAN);
+        assert_close("running variance", norm.running_var.value(), &VARIANCE);
         assert_close("gradient of x", at(x.grad(&grads).expect("a gradient")), &X_GRADIENT);
         assert_close("of the convolution", conv.weight().grad(&grads).expect("a gradient"), &CONV_GRADIENT);
-        let weight = norm.weight.as_ref().expect("there").val();
+        let weight = norm.weight.val();
         assert_close("of the weight", weight.grad(&grads).expect("a gradient"), &WEIGHT_GRADIENT);
     }
 
@@ -158,7 +177,7 @@ mod tests {
     fn running_statistics_come_to_those_of_the_batch() {
         let device = Device::flex();
         let conv = Conv2dConfig::new([2, 3], [1, 1]).init(&device);
-        let norm = with_batch_statistics(Norm::new(NormKind::Batch, 3, &device), true);
+        let norm = with_batch_statistics(BatchNorm::new(3, &device), true);
         let x = numbers([2, 2, 30, 40], 5, &device);
         for _ in 0..200 {
             norm.after(&conv, x.clone(), Activation::Identity);

@@ -1,15 +1,18 @@
-//! Safetensors: eight bytes of length, a JSON table of the tensors, their bytes without gaps.
+//! Safetensors: eight bytes of length, a JSON table of the tensors, their bytes without gaps. Our own checkpoints are.
 
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
+use std::path::Path;
 use std::rc::Rc;
 
 use burn::tensor::DType;
 use safetensors::Dtype;
-use safetensors::tensor::Metadata;
+use safetensors::tensor::{Metadata, TensorView};
 
-use super::{StoredBytes, StoredTensor};
+use super::{Format, StoredBytes, StoredTensor, read_all};
+use crate::parameters::Parameters;
+use crate::weights::WeightsError;
 
 /// Bytes before the table.
 const LENGTH: u64 = 8;
@@ -47,4 +50,33 @@ pub(super) fn tensors(mut file: File, len: u64) -> Result<BTreeMap<String, Store
         Some((name, StoredTensor { dtype, shape: info.shape.clone(), bytes }))
     });
     Ok(found.collect())
+}
+
+/// The tensors of floating-point numbers in a safetensors file, under the names and in the types that they have there.
+///
+/// # Errors
+/// When the file cannot be read or is not a whole one.
+pub fn read_safetensors(path: &Path) -> Result<Parameters, WeightsError> {
+    let read_error = |error| WeightsError::Read { path: path.to_owned(), error };
+    let file = File::open(path).map_err(read_error)?;
+    let len = file.metadata().map_err(read_error)?.len();
+    let tensors =
+        tensors(file, len).map_err(|problem| WeightsError::broken(path, Format::Safetensors, &problem))?;
+    read_all(path, Format::Safetensors, tensors)
+}
+
+/// A safetensors file of tensors with their names, shapes and values: the same bytes for the same tensors in any order.
+///
+/// # Panics
+/// When a shape does not hold as many values, or a name is there twice.
+pub fn safetensors_bytes<'a>(tensors: impl IntoIterator<Item = (String, &'a [usize], &'a [f32])>) -> Vec<u8> {
+    let bytes_of = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect();
+    let tensors: Vec<(String, &[usize], Vec<u8>)> =
+        tensors.into_iter().map(|(name, shape, values)| (name, shape, bytes_of(values))).collect();
+    let views = tensors.iter().map(|(name, shape, bytes)| {
+        let view =
+            TensorView::new(Dtype::F32, shape.to_vec(), bytes).expect("as many values as the shape says");
+        (name, view)
+    });
+    safetensors::serialize(views, None).expect("tensors that fit their shapes")
 }

@@ -7,7 +7,8 @@ use std::ops::Range;
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Gradients, Tensor, TensorData};
-use srflow_nets::{Parameters, ParametersError, parameter_infos};
+
+use crate::parameters::{ParameterInfo, Parameters, ParametersError, compare, parameter_infos};
 
 /// Where each tensor of a network lies.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -55,27 +56,18 @@ impl Layout {
     /// # Errors
     /// When one is missing, is of another shape, or there is one that the network does not have.
     pub fn values_of(&self, parameters: &Parameters) -> Result<Vec<f32>, ParametersError> {
-        let mut error = ParametersError { missing: Vec::new(), unknown: Vec::new(), misshapen: Vec::new() };
-        let mut values = vec![0.0; self.len()];
-        for Segment { name, shape, range, .. } in &self.segments {
-            match parameters.get(name) {
-                None => error.missing.push(name.clone()),
-                Some(data) if data.shape().as_slice() != shape => {
-                    let found = data.shape();
-                    error
-                        .misshapen
-                        .push(format!("{name} (expected {shape:?}, found {:?})", found.as_slice()));
-                }
-                Some(data) => {
-                    let data = data.clone().convert::<f32>().try_to_vec::<f32>().expect("converted to f32");
-                    values[range.clone()].copy_from_slice(&data);
-                }
-            }
+        let info =
+            |name: &String, shape: &[usize]| ParameterInfo { name: name.clone(), shape: shape.to_vec() };
+        let expected: Vec<_> =
+            self.segments.iter().map(|segment| info(&segment.name, &segment.shape)).collect();
+        let given: Vec<_> = parameters.iter().map(|(name, data)| info(name, &data.shape())).collect();
+        compare(&expected, &given)?;
+        let mut values = Vec::with_capacity(self.len());
+        for Segment { name, .. } in &self.segments {
+            let data = parameters[name].clone().convert::<f32>();
+            values.extend(data.try_to_vec::<f32>().expect("converted to f32"));
         }
-        let known = |name: &String| self.segments.iter().any(|segment| segment.name == *name);
-        error.unknown = parameters.keys().filter(|name| !known(name)).cloned().collect();
-        let fits = error.missing.is_empty() && error.unknown.is_empty() && error.misshapen.is_empty();
-        if fits { Ok(values) } else { Err(error) }
+        Ok(values)
     }
 
     /// How many numbers there are.
@@ -178,6 +170,6 @@ impl ModuleVisitor for Adding<'_> {
 }
 
 /// The numbers of a tensor in host memory.
-pub(crate) fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+pub fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     tensor.into_data().convert::<f32>().try_to_vec().expect("converted to f32")
 }

@@ -66,8 +66,11 @@ pub fn with_parameters<M: Module>(network: M, parameters: Parameters) -> Result<
     Ok(network.map(&mut Filling { path: Path::default(), parameters }))
 }
 
-/// Holds names and shapes to those of a network.
-pub(crate) fn compare(expected: &[ParameterInfo], given: &[ParameterInfo]) -> Result<(), ParametersError> {
+/// Whether `given` are the parameters of a network that expects `expected`, each and no other.
+///
+/// # Errors
+/// What is missing, unknown or of another shape.
+pub fn compare(expected: &[ParameterInfo], given: &[ParameterInfo]) -> Result<(), ParametersError> {
     let mut given: BTreeMap<&str, &[usize]> =
         given.iter().map(|info| (info.name.as_str(), info.shape.as_slice())).collect();
     let (mut missing, mut misshapen) = (Vec::new(), Vec::new());

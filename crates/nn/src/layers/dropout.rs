@@ -1,12 +1,11 @@
 use burn::tensor::{Tensor, TensorData};
+use srflow_field::random::Stream;
 
-use super::Mode;
-
-/// Sets half of the values to zero and doubles the others; in evaluation, nothing.
+/// Sets half of the values to zero and doubles the others, as `stream` chooses; without a stream, nothing.
 ///
-/// The choice comes from the mode's stream, not from the backend, so that it does not depend on what other threads draw.
-pub(crate) fn dropout<const D: usize>(x: Tensor<D>, mode: &mut Mode) -> Tensor<D> {
-    let Mode::Training { dropout: Some(stream) } = mode else { return x };
+/// The choice does not come from the backend's generator: it does not depend on what other threads draw.
+pub fn dropout<const D: usize>(x: Tensor<D>, stream: Option<&mut Stream>) -> Tensor<D> {
+    let Some(stream) = stream else { return x };
     let shape = x.shape();
     let mut mask = Vec::with_capacity(shape.num_elements());
     while mask.len() < shape.num_elements() {
@@ -29,12 +28,12 @@ mod tests {
     fn half_of_the_values_go_and_the_mean_stays() {
         let x = Tensor::<2>::ones([100, 101], &Device::flex());
         let mut stream = Key::new(1).stream("test");
-        let dropped = dropout(x.clone(), &mut Mode::Training { dropout: Some(&mut stream) });
+        let dropped = dropout(x.clone(), Some(&mut stream));
         let values: Vec<f32> = dropped.into_data().try_to_vec().unwrap();
         assert!(values.iter().all(|&value| value == 0.0 || value == 2.0));
         let kept = values.iter().filter(|&&value| value > 0.0).count();
         assert!((4_800..5_300).contains(&kept), "{kept} of 10100");
-        let kept: Vec<f32> = dropout(x.clone(), &mut Mode::Evaluation).into_data().try_to_vec().unwrap();
+        let kept: Vec<f32> = dropout(x, None).into_data().try_to_vec().unwrap();
         assert!(kept.iter().all(|&value| value == 1.0));
     }
 }

@@ -8,6 +8,8 @@ mod naming;
 mod pytorch;
 mod safetensors;
 
+pub use safetensors::{read_safetensors, safetensors_bytes};
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::fs::File;
@@ -98,11 +100,7 @@ impl Checkpoint {
         let Some(format) = format_of(&start) else {
             return Err(WeightsError::Unrecognized { path: path.to_owned(), found: described(&start) });
         };
-        let broken = |problem: String| WeightsError::Broken {
-            path: path.to_owned(),
-            format,
-            problem: shortened(&problem),
-        };
+        let broken = |problem: String| WeightsError::broken(path, format, &problem);
         let found = match format {
             Format::PytorchZip | Format::PytorchLegacy => pytorch::tensors(path, format, len),
             Format::Safetensors => safetensors::tensors(file, len),
@@ -161,21 +159,38 @@ impl Checkpoint {
     /// # Errors
     /// When the file ends before them or cannot be read.
     pub fn read(self) -> Result<Parameters, WeightsError> {
-        let Self { path, format, tensors, .. } = self;
-        let read = |(name, tensor): (String, StoredTensor)| {
-            let data = tensor.read().map_err(|error| match error.kind() {
-                io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => {
-                    let problem = match format {
-                        Format::PytorchZip | Format::PytorchLegacy => error.to_string(), // names the tensor
-                        Format::Safetensors | Format::Burnpack => format!("{name}: {error}"),
-                    };
-                    WeightsError::Broken { path: path.clone(), format, problem: shortened(&problem) }
+        let parameters = read_all(&self.path, self.format, self.tensors)?;
+        Ok(parameters.into_iter().map(|(name, data)| (name, data.convert::<f32>())).collect())
+    }
+}
+
+/// The values of all tensors, in the types that they are stored in.
+fn read_all(
+    path: &Path,
+    format: Format,
+    tensors: BTreeMap<String, StoredTensor>,
+) -> Result<Parameters, WeightsError> {
+    let read = |(name, tensor): (String, StoredTensor)| {
+        let data = tensor.read().map_err(|error| match error.kind() {
+            io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => match format {
+                // PyTorch's names the tensor.
+                Format::PytorchZip | Format::PytorchLegacy => {
+                    WeightsError::broken(path, format, &error.to_string())
                 }
-                _ => WeightsError::Read { path: path.clone(), error },
-            })?;
-            Ok((name, data))
-        };
-        tensors.into_iter().map(read).collect()
+                Format::Safetensors | Format::Burnpack => {
+                    WeightsError::broken(path, format, &format!("{name}: {error}"))
+                }
+            },
+            _ => WeightsError::Read { path: path.to_owned(), error },
+        })?;
+        Ok((name, data))
+    };
+    tensors.into_iter().map(read).collect()
+}
+
+impl WeightsError {
+    fn broken(path: &Path, format: Format, problem: &str) -> Self {
+        Self::Broken { path: path.to_owned(), format, problem: shortened(problem) }
     }
 }
 
@@ -201,7 +216,7 @@ impl StoredTensor {
             let problem = format!("expected {expected} bytes, found {}", bytes.len());
             return Err(io::Error::new(io::ErrorKind::InvalidData, problem));
         }
-        Ok(TensorData::from_bytes_vec(bytes, self.shape, self.dtype).convert::<f32>())
+        Ok(TensorData::from_bytes_vec(bytes, self.shape, self.dtype))
     }
 }
 

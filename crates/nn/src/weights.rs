@@ -1,18 +1,12 @@
-//! Networks with the weights of a checkpoint, and checkpoints of networks.
+//! Networks with the parameters of a checkpoint, and checkpoints of networks.
 
-use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use burn::module::Module;
-use burn::tensor::Device;
-use safetensors::tensor::{Dtype, SafeTensorError, TensorView};
 use srflow_field::{FileError, write_atomically};
 
-use crate::architecture::Architecture;
-use crate::checkpoint::{Checkpoint, Format};
-use crate::fit::{Fit, fits};
-use crate::network::Network;
+use crate::checkpoint::{Checkpoint, Format, safetensors_bytes};
 use crate::parameters::{Parameters, ParametersError, compare, parameter_infos, parameters, with_parameters};
 
 /// Why a checkpoint was not loaded.
@@ -57,27 +51,15 @@ pub enum WeightsError {
         path: PathBuf,
     },
     /// The weights are those of another network.
-    #[error("{}: {difference}\n  {nearest}", .path.display())]
+    #[error("{}: {difference}{hint}", .path.display())]
     Mismatch {
         /// The file.
         path: PathBuf,
         /// The names.
         difference: ParametersError,
-        /// The network that fits best.
-        nearest: Box<Fit>,
+        /// What the caller knows beside, such as whose parameters they are; on a line of its own.
+        hint: String,
     },
-}
-
-/// A network of the given architecture with the weights of a checkpoint.
-///
-/// # Errors
-/// See [`load`].
-pub fn load_network(
-    architecture: Architecture,
-    path: &Path,
-    device: &Device,
-) -> Result<Network, WeightsError> {
-    load(architecture.init(device), path)
 }
 
 /// `network` with the weights of a checkpoint: PyTorch (zip, legacy, Lightning), safetensors or burnpack, told apart by
@@ -88,11 +70,8 @@ pub fn load_network(
 pub fn load<M: Module>(network: M, path: &Path) -> Result<M, WeightsError> {
     let checkpoint = Checkpoint::open(path)?;
     let infos = checkpoint.parameters();
-    let mismatch = |difference| WeightsError::Mismatch {
-        path: path.to_owned(),
-        difference,
-        nearest: Box::new(fits(&infos).swap_remove(0)),
-    };
+    let mismatch =
+        |difference| WeightsError::Mismatch { path: path.to_owned(), difference, hint: String::new() };
     compare(&parameter_infos(&network), &infos).map_err(mismatch)?;
     with_parameters(network, checkpoint.read()?).map_err(mismatch)
 }
@@ -111,14 +90,10 @@ pub fn read_parameters(path: &Path) -> Result<Parameters, WeightsError> {
 /// When the file cannot be written.
 pub fn save_parameters(network: &impl Module, path: &Path) -> Result<(), FileError> {
     let parameters = parameters(network);
-    write_atomically(path, |writer| {
-        let views: Result<BTreeMap<&str, TensorView>, SafeTensorError> = parameters
-            .iter()
-            .map(|(name, data)| {
-                Ok((name.as_str(), TensorView::new(Dtype::F32, data.shape().to_vec(), data.as_bytes())?))
-            })
-            .collect();
-        let bytes = views.and_then(|views| safetensors::serialize(views, None)).map_err(io::Error::other)?;
-        writer.write_all(&bytes)
-    })
+    let tensors = parameters.iter().map(|(name, data)| {
+        let values = data.as_slice::<f32>().expect("parameters are f32");
+        (name.clone(), data.shape().as_slice(), values)
+    });
+    let bytes = safetensors_bytes(tensors);
+    write_atomically(path, |writer| writer.write_all(&bytes))
 }

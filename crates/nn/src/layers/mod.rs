@@ -1,0 +1,17 @@
+//! Layers with PyTorch's parameters: names, shapes and initial distributions.
+
+mod batch_norm;
+mod conv;
+mod dropout;
+mod linear;
+
+use burn::module::Module;
+
+pub use batch_norm::{BatchNorm, with_batch_statistics};
+pub use conv::{Conv2d, Conv2dConfig};
+pub use dropout::dropout;
+pub use linear::Linear;
+
+/// A layer without parameters in a sequence: the layers after it have the reference's numbers in their names.
+#[derive(Module, Debug)]
+pub struct NoParameters;

@@ -1,0 +1,18 @@
+//! What networks are built from, trained with and stored in: layers, parameters under the names of the reference
+//! implementations, checkpoint files, AdamW.
+
+mod checkpoint;
+mod host;
+pub mod layers;
+mod optimizer;
+mod parameters;
+mod weights;
+
+pub use checkpoint::{Checkpoint, Format, read_safetensors, safetensors_bytes};
+pub use host::{HostGradients, Layout, Segment, filled, numbers};
+pub use layers::with_batch_statistics;
+pub use optimizer::{AdamW, AdamWState, ModuleAdamW, Rounding, clip_norm, norm};
+pub use parameters::{
+    ParameterInfo, Parameters, ParametersError, compare, parameter_infos, parameters, with_parameters,
+};
+pub use weights::{WeightsError, load, read_parameters, save_parameters};

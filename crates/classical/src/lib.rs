@@ -6,7 +6,6 @@ mod farneback;
 mod luminance;
 mod planar;
 mod resize;
-mod simd;
 mod tvl1;
 
 use srflow_field::{EstimateError, FlowField, Image};

@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use srflow_field::Plane;
 
 use crate::planar::PlanarFlow;
-use crate::simd::multiversioned;
+use srflow_simd::multiversioned;
 
 /// Where one output pixel reads along one axis: between `near` and `far`, at `weight` of the way.
 #[derive(Debug, Clone, Copy, PartialEq)]

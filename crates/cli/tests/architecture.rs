@@ -6,8 +6,9 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
-const PIPELINE: [&str; 13] = [
+const PIPELINE: [&str; 14] = [
     "srflow-field",
+    "srflow-simd",
     "srflow-splat",
     "srflow-avatar",
     "srflow-read",

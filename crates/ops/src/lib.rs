@@ -10,11 +10,8 @@
 mod cube;
 mod device;
 mod flex;
-mod gemm;
 mod gradients;
 mod reusing_allocator;
-mod shared_mut;
-mod simd;
 mod sums;
 #[cfg(test)]
 mod test_values;

@@ -1,11 +1,23 @@
-//! The inner loop: blends splats front to back into one tile, a row of sixteen pixels at a time.
+//! The inner loop: blends splats front to back into one tile, a row of sixteen pixels at a time: one vector, or two.
+
+use srflow_simd::{Simd, exp2};
 
 use crate::projection::{Splat, TILE};
 use crate::reference::{ALPHA_MAX, TRANSMITTANCE_MIN};
-use crate::simd::{InstructionSet, Row};
 
 /// `log2(1/255)`.
 pub(crate) const LOG2_ALPHA_MIN: f32 = -7.994_353_3;
+
+/// Sixteen numbers, aligned for whole-vector access.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[repr(C, align(64))]
+pub(crate) struct Row(pub [f32; TILE]);
+
+/// `0, 1, ... 15`.
+const INDEX: Row = Row([0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.]);
+
+/// Vectors of a row at most.
+const MAX_VECTORS: usize = 2;
 
 /// How many splats ahead memory is asked for.
 const PREFETCH: usize = 6;
@@ -37,7 +49,7 @@ impl<const CHANNELS: usize> Tile<CHANNELS> {
     #[inline(always)]
     pub(crate) fn blend(
         &mut self,
-        isa: impl InstructionSet,
+        s: impl Simd,
         splats: &[Splat],
         list: &[u32],
         (left, top): (usize, usize),
@@ -48,16 +60,16 @@ impl<const CHANNELS: usize> Tile<CHANNELS> {
         let mut live = if height >= TILE { u16::MAX } else { (1 << height) - 1 };
         for (i, &index) in list.iter().enumerate() {
             if let Some(&ahead) = list.get(i + PREFETCH) {
-                isa.prefetch(&splats[ahead as usize]);
+                s.prefetch(&splats[ahead as usize]);
             }
             let splat = &splats[index as usize];
-            let (stripes, touched) = Stripes::new(isa, splat, left, top);
-            let features: [_; CHANNELS] = std::array::from_fn(|channel| isa.splat(splat.features[channel]));
+            let (stripes, touched) = Stripes::new(s, splat, left, top);
+            let features: [_; CHANNELS] = std::array::from_fn(|channel| s.splat(splat.features[channel]));
             let mut rows = touched & live;
             while rows != 0 {
                 let row = rows.trailing_zeros() as usize % TILE;
                 rows &= rows - 1;
-                let (count, done) = self.rows[row].blend(isa, &features, &stripes, row);
+                let (count, done) = self.rows[row].blend(s, &features, &stripes, row);
                 blended += u64::from(count);
                 live &= !(u16::from(done) << row);
             }
@@ -72,7 +84,7 @@ impl<const CHANNELS: usize> Tile<CHANNELS> {
 /// A splat's alpha along the rows of a tile: at column `x` of row `i` it is
 /// `2^(peaks[i] - (slope[x] + shear[i])^2)`.
 struct Stripes<V> {
-    slope: V,
+    slope: [V; MAX_VECTORS],
     shear: Row,
     peaks: Row,
 }
@@ -80,24 +92,31 @@ struct Stripes<V> {
 impl<V: Copy> Stripes<V> {
     /// The stripes in the tile at pixel `(left, top)`, and the rows (as bits) in which alpha may reach 1/255.
     #[inline(always)]
-    fn new<I: InstructionSet<Vector = V>>(isa: I, splat: &Splat, left: usize, top: usize) -> (Self, u16) {
+    fn new<S: Simd<Vector = V>>(s: S, splat: &Splat, left: usize, top: usize) -> (Self, u16) {
         let [xx, xy, yy] = splat.factor;
         let dx = (left as f64 - splat.center[0]) as f32;
-        let dy = isa.add(isa.splat((top as f64 - splat.center[1]) as f32), isa.load(&Row::INDEX));
-        let slope = isa.mul(isa.add(isa.splat(dx), isa.load(&Row::INDEX)), isa.splat(xx));
-        let shear = isa.mul(dy, isa.splat(xy));
-        let e2 = isa.mul(dy, isa.splat(yy));
-        let peaks = isa.neg_mul_add(e2, e2, isa.splat(splat.log2_opacity));
-        // The column nearest to the ridge, at the first or last column or between: the same operations as
-        // for the pixels, so that rounding cannot tell them apart.
-        let first = isa.add(isa.splat(dx * xx), shear);
-        let last = isa.add(isa.splat((dx + (TILE - 1) as f32) * xx), shear);
-        let nearest = isa.max(isa.max(first, isa.sub(isa.splat(0.0), last)), isa.splat(0.0));
-        let best = isa.neg_mul_add(nearest, nearest, peaks);
-        let touched = isa.bits(isa.at_least(best, isa.splat(LOG2_ALPHA_MIN)));
-        let mut stripes = Self { slope, shear: Row([0.0; TILE]), peaks: Row([0.0; TILE]) };
-        isa.store(shear, &mut stripes.shear);
-        isa.store(peaks, &mut stripes.peaks);
+        let dy = s.splat((top as f64 - splat.center[1]) as f32);
+        let mut stripes =
+            Self { slope: [s.splat(0.0); MAX_VECTORS], shear: Row([0.0; TILE]), peaks: Row([0.0; TILE]) };
+        let mut touched = 0;
+        for vector in 0..TILE / S::LANES {
+            let at = vector * S::LANES;
+            let index = s.read(&INDEX.0[at..]);
+            stripes.slope[vector] = s.mul(s.add(s.splat(dx), index), s.splat(xx));
+            let dy = s.add(dy, index);
+            let shear = s.mul(dy, s.splat(xy));
+            let e2 = s.mul(dy, s.splat(yy));
+            let peaks = s.neg_mul_add(e2, e2, s.splat(splat.log2_opacity));
+            // The column nearest to the ridge, at the first or last column or between: the same operations as
+            // for the pixels, so that rounding cannot tell them apart.
+            let first = s.add(s.splat(dx * xx), shear);
+            let last = s.add(s.splat((dx + (TILE - 1) as f32) * xx), shear);
+            let nearest = s.max(s.max(first, s.sub(s.splat(0.0), last)), s.splat(0.0));
+            let best = s.neg_mul_add(nearest, nearest, peaks);
+            touched |= s.bits(s.at_least(best, s.splat(LOG2_ALPHA_MIN))) << at;
+            s.write(shear, &mut stripes.shear.0[at..]);
+            s.write(peaks, &mut stripes.peaks.0[at..]);
+        }
         (stripes, touched)
     }
 }
@@ -105,34 +124,39 @@ impl<V: Copy> Stripes<V> {
 impl<const CHANNELS: usize> TileRow<CHANNELS> {
     /// Blends a splat into row number `row`. Returns how many pixels took part, and whether all pixels are done.
     #[inline(always)]
-    fn blend<I: InstructionSet>(
+    fn blend<S: Simd>(
         &mut self,
-        isa: I,
-        features: &[I::Vector; CHANNELS],
-        stripes: &Stripes<I::Vector>,
+        s: S,
+        features: &[S::Vector; CHANNELS],
+        stripes: &Stripes<S::Vector>,
         row: usize,
     ) -> (u32, bool) {
-        let e1 = isa.add(stripes.slope, isa.splat(stripes.shear.0[row]));
-        let log2_alpha = isa.neg_mul_add(e1, e1, isa.splat(stripes.peaks.0[row]));
-        let hit = isa.at_least(log2_alpha, isa.splat(LOG2_ALPHA_MIN));
-        // Misses are not used, but must stay in the range of exp2.
-        let alpha = isa.exp2(isa.max(log2_alpha, isa.splat(-10.0)));
-        let alpha = isa.min(alpha, isa.splat(ALPHA_MAX as f32));
+        let (mut count, mut done) = (0, true);
+        for vector in 0..TILE / S::LANES {
+            let at = vector * S::LANES;
+            let e1 = s.add(stripes.slope[vector], s.splat(stripes.shear.0[row]));
+            let log2_alpha = s.neg_mul_add(e1, e1, s.splat(stripes.peaks.0[row]));
+            let hit = s.at_least(log2_alpha, s.splat(LOG2_ALPHA_MIN));
+            // Misses are not used, but must stay in the range of exp2.
+            let alpha = exp2(s, s.max(log2_alpha, s.splat(-10.0)));
+            let alpha = s.min(alpha, s.splat(ALPHA_MAX as f32));
 
-        let transmittance = isa.load(&self.transmittance);
-        let remaining = isa.neg_mul_add(transmittance, alpha, transmittance);
-        let enough = isa.at_least(remaining, isa.splat(TRANSMITTANCE_MIN as f32));
-        let blended = isa.and(hit, enough);
-        let weight = isa.select(blended, isa.mul(transmittance, alpha), isa.splat(0.0));
-        for (sum, &feature) in self.sums.iter_mut().zip(features) {
-            let total = isa.mul_add(weight, feature, isa.load(sum));
-            isa.store(total, sum);
+            let transmittance = s.read(&self.transmittance.0[at..]);
+            let remaining = s.neg_mul_add(transmittance, alpha, transmittance);
+            let enough = s.at_least(remaining, s.splat(TRANSMITTANCE_MIN as f32));
+            let blended = s.and(hit, enough);
+            let weight = s.select(blended, s.mul(transmittance, alpha), s.splat(0.0));
+            for (sum, &feature) in self.sums.iter_mut().zip(features) {
+                let total = s.mul_add(weight, feature, s.read(&sum.0[at..]));
+                s.write(total, &mut sum.0[at..]);
+            }
+            let stopped = s.and_not(hit, enough);
+            let stopped = s.select(stopped, s.negative(transmittance), transmittance);
+            let left = s.select(blended, remaining, stopped);
+            s.write(left, &mut self.transmittance.0[at..]);
+            count += s.bits(blended).count_ones();
+            done &= s.bits(s.at_least(left, s.splat(0.0))) == 0;
         }
-        let stopped = isa.and_not(hit, enough);
-        let left =
-            isa.select(blended, remaining, isa.select(stopped, isa.negative(transmittance), transmittance));
-        let done = isa.bits(isa.at_least(left, isa.splat(0.0))) == 0;
-        isa.store(left, &mut self.transmittance);
-        (isa.bits(blended).count_ones(), done)
+        (count, done)
     }
 }

@@ -16,7 +16,6 @@ mod projection;
 mod rasterizer;
 pub mod reference;
 mod sh;
-mod simd;
 mod strip;
 
 pub use camera::{Camera, MAX_PIXELS, MAX_SIDE, NEAR, PixelConvention};

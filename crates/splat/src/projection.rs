@@ -5,10 +5,10 @@ use rayon::prelude::*;
 
 use crate::blending::LOG2_ALPHA_MIN;
 use crate::reference::{ALPHA_MIN, LOW_PASS};
-use crate::{Camera, Gaussians, NEAR, Next, PixelConvention, sh, simd};
+use crate::{Camera, Gaussians, NEAR, Next, PixelConvention, sh};
 
 /// Sides of a tile in pixels.
-pub(crate) const TILE: usize = simd::LANES;
+pub(crate) const TILE: usize = 16;
 
 /// A Gaussian on the image plane; a cache line.
 ///

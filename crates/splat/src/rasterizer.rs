@@ -1,8 +1,10 @@
+use srflow_simd::{Isa, dispatch};
+
 use crate::frame::FrameRows;
 use crate::ordering::{Bins, DepthOrder, Drawn};
 use crate::projection::{Placement, Splat, TILE, project};
-use crate::strip::Scene;
-use crate::{Camera, Frame, Gaussians, Outputs, PixelConvention, RasterizeError, Statistics, simd, strip};
+use crate::strip::{Scene, render};
+use crate::{Camera, Frame, Gaussians, Outputs, PixelConvention, RasterizeError, Statistics};
 
 /// How to render.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -35,37 +37,13 @@ pub struct Next<'a> {
 /// does not depend on what was rendered before, on the number of threads or on the processor.
 #[derive(Debug, Default)]
 pub struct Rasterizer {
-    processor: Processor,
+    /// The widest, unless a test chose another.
+    isa: Option<Isa>,
     splats: Vec<Splat>,
     placements: Vec<Placement>,
     order: DepthOrder,
     strips: Bins<Drawn>,
     tiles: Vec<Bins<u32>>,
-}
-
-/// The instruction set to use.
-#[derive(Debug, Clone, Copy)]
-pub(crate) enum Processor {
-    #[cfg(target_arch = "x86_64")]
-    Avx512(simd::Avx512),
-    #[cfg(target_arch = "x86_64")]
-    Avx2(simd::Avx2),
-    Portable,
-}
-
-impl Default for Processor {
-    fn default() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        {
-            if let Some(isa) = simd::Avx512::detect() {
-                return Self::Avx512(isa);
-            }
-            if let Some(isa) = simd::Avx2::detect() {
-                return Self::Avx2(isa);
-            }
-        }
-        Self::Portable
-    }
 }
 
 impl Rasterizer {
@@ -75,8 +53,8 @@ impl Rasterizer {
     }
 
     #[cfg(test)]
-    pub(crate) fn on(processor: Processor) -> Self {
-        Self { processor, ..Self::default() }
+    pub(crate) fn on(isa: Isa) -> Self {
+        Self { isa: Some(isa), ..Self::default() }
     }
 
     /// Renders `gaussians` as `camera` sees them into `frame`, with the flow towards `next` when there is one.
@@ -109,7 +87,7 @@ impl Rasterizer {
         self.tiles.resize_with(strips, Bins::default);
 
         let pass = Pass {
-            processor: self.processor,
+            isa: self.isa.unwrap_or_else(Isa::best),
             scene: Scene { splats: &self.splats, background: options.background },
             strips: &self.strips,
             motion: outputs.flow || outputs.depth_next,
@@ -122,7 +100,7 @@ impl Rasterizer {
 
 /// The blending of one rendering.
 struct Pass<'a> {
-    processor: Processor,
+    isa: Isa,
     scene: Scene<'a>,
     strips: &'a Bins<Drawn>,
     /// Whether displacements and next depths are blended too.
@@ -154,44 +132,19 @@ impl Pass<'_> {
         tiles: &mut Bins<u32>,
     ) -> u64 {
         let drawn = self.strips.get(strip);
-        match self.processor {
-            #[cfg(target_arch = "x86_64")]
-            Processor::Avx512(isa) => {
-                #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,bmi1,bmi2,popcnt")]
-                fn run<const CHANNELS: usize>(
-                    isa: simd::Avx512,
-                    scene: Scene<'_>,
-                    strip: usize,
-                    drawn: &[Drawn],
-                    tiles: &mut Bins<u32>,
-                    rows: &mut FrameRows<'_>,
-                ) -> u64 {
-                    strip::render::<CHANNELS>(isa, scene, strip, drawn, tiles, rows)
-                }
-                // SAFETY: an `Avx512` exists only where the processor has these instructions.
-                unsafe { run::<CHANNELS>(isa, self.scene, strip, drawn, tiles, &mut rows) }
-            }
-            #[cfg(target_arch = "x86_64")]
-            Processor::Avx2(isa) => {
-                #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt")]
-                fn run<const CHANNELS: usize>(
-                    isa: simd::Avx2,
-                    scene: Scene<'_>,
-                    strip: usize,
-                    drawn: &[Drawn],
-                    tiles: &mut Bins<u32>,
-                    rows: &mut FrameRows<'_>,
-                ) -> u64 {
-                    strip::render::<CHANNELS>(isa, scene, strip, drawn, tiles, rows)
-                }
-                // SAFETY: an `Avx2` exists only where the processor has these instructions.
-                unsafe { run::<CHANNELS>(isa, self.scene, strip, drawn, tiles, &mut rows) }
-            }
-            Processor::Portable => {
-                strip::render::<CHANNELS>(simd::Portable, self.scene, strip, drawn, tiles, &mut rows)
-            }
-        }
+        render_strip::<CHANNELS>(self.isa, self.scene, strip, drawn, tiles, &mut rows)
     }
+}
+
+dispatch! {
+    /// See [`render`].
+    fn render_strip<const CHANNELS: usize> = render(
+        scene: Scene<'_>,
+        strip: usize,
+        drawn: &[Drawn],
+        tiles: &mut Bins<u32>,
+        rows: &mut FrameRows<'_>,
+    ) -> u64
 }
 
 /// Checks what every engine relies on.

@@ -1,10 +1,11 @@
 //! A row of tiles: deals its splats out to the tiles, blends each tile and writes its pixels.
 
+use srflow_simd::Simd;
+
 use crate::blending::{Tile, TileRow};
 use crate::frame::FrameRows;
 use crate::ordering::{Bins, Drawn};
 use crate::projection::{Splat, TILE};
-use crate::simd::InstructionSet;
 
 /// What the strips of one rendering share.
 #[derive(Clone, Copy)]
@@ -17,7 +18,7 @@ pub(crate) struct Scene<'a> {
 /// (colour and depth) or 7 (displacement and next depth too). Returns how many (splat, pixel) pairs were blended.
 #[inline(always)]
 pub(crate) fn render<const CHANNELS: usize>(
-    isa: impl InstructionSet,
+    s: impl Simd,
     scene: Scene<'_>,
     strip: usize,
     drawn: &[Drawn],
@@ -37,7 +38,7 @@ pub(crate) fn render<const CHANNELS: usize>(
         let width = TILE.min(pixels.width - left);
         let mut tile = Tile::<CHANNELS>::new(width);
         let corner = (left, strip * TILE);
-        blended += tile.blend(isa, scene.splats, list, corner, pixels.height);
+        blended += tile.blend(s, scene.splats, list, corner, pixels.height);
         pixels.fill_background(empty_from..left, scene.background);
         empty_from = left + width;
         for (y, row) in tile.rows.iter().enumerate().take(pixels.height) {

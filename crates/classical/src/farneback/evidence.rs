@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use super::expansion::{COEFFICIENTS, Expansion};
 use super::strips::StripedFlow;
-use crate::simd::multiversioned;
+use srflow_simd::multiversioned;
 
 /// Numbers of evidence per pixel, in this order: `G_yy`, `G_xy`, `G_xx`, `h_y`, `h_x`.
 pub const CHANNELS: usize = 5;

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use srflow_field::Plane;
 
-use crate::simd::multiversioned;
+use srflow_simd::multiversioned;
 
 /// Numbers that describe the fit at one pixel, in this order: `b_x`, `b_y`, `A_xx`, `A_yy`, `2 A_xy`. `c` is not kept.
 pub const COEFFICIENTS: usize = 5;

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use srflow_field::Plane;
 
 use crate::resize::resize_linear;
-use crate::simd::multiversioned;
+use srflow_simd::multiversioned;
 
 /// `frame` blurred for `scale` (level pixels per frame pixel) and resized to `size`.
 pub fn level(frame: &Plane, size: (usize, usize), scale: f64) -> Plane {

@@ -9,7 +9,7 @@ use super::expansion::Expansion;
 use super::strips::{Strip, StripedFlow};
 use super::window::{Averager, Window};
 use crate::planar::PlanarFlow;
-use crate::simd::multiversioned;
+use srflow_simd::multiversioned;
 
 /// More than one, so that threads that are done early find something to do.
 const STRIPS_PER_THREAD: usize = 2;

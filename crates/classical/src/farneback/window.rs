@@ -1,7 +1,7 @@
 //! Averaging evidence over the window around each pixel.
 
 use super::evidence::{CHANNELS, EvidenceRows};
-use crate::simd::multiversioned;
+use srflow_simd::multiversioned;
 
 /// The window that evidence is averaged over: `2 * radius + 1` pixels a side.
 #[derive(Debug, Clone)]

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::state::{MARGIN, State, value_line};
-use crate::simd::multiversioned;
+use srflow_simd::multiversioned;
 
 /// Pixels that are filtered together.
 const BLOCK: usize = 16;

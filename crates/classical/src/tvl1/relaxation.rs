@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use super::TvL1Parameters;
 use super::median;
 use super::state::{Layout, Linearized, MARGIN, State, dual_line, value_line};
-use crate::simd::multiversioned;
+use srflow_simd::multiversioned;
 
 /// Bytes of the rows that the iterations going down together touch: what a core's second-level cache holds with ease.
 const CACHE: usize = 640 << 10;

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use srflow_field::Plane;
 
 use super::state::{Linearized, MARGIN, State};
-use crate::simd::multiversioned;
+use srflow_simd::multiversioned;
 
 /// Zeros around the frame: as far as the interpolation reaches from the last position that is told apart.
 const BORDER: usize = 4;

@@ -7,13 +7,12 @@
 //! queries with all keys, is therefore stored, used for both, and replaced by the next.
 
 use rayon::prelude::*;
+use srflow_simd::{SharedMut, Start, panel_columns};
 
 use super::AttentionWeights;
 use super::panels::{BLOCK, Group, PANELS, blocks, channels_as_rows};
 use super::softmax::{Block, to_score_gradients};
 use super::weights::{Gathering, Pairs};
-use crate::gemm::{Start, panel_columns};
-use crate::shared_mut::SharedMut;
 
 /// Gradients of scores that are stored at a time. The gradients do not depend on it.
 const STRIP_BYTES: usize = 32 << 20;

@@ -5,7 +5,8 @@
 //! do the gradients. As many weights as are allowed for are kept, since the networks gather different values with the same
 //! weights many times. [`mod@reference`] is the definition.
 
-use crate::simd::Isa;
+use srflow_simd::Isa;
+
 use backward::Gathered;
 use weights::AttentionWeights;
 

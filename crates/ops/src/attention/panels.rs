@@ -1,9 +1,7 @@
 //! How the sides of attention's products lie in memory, and into what pieces the work is cut.
 
 use rayon::prelude::*;
-
-use crate::gemm::{pack_rows, panel_columns};
-use crate::simd::Isa;
+use srflow_simd::{Isa, pack_rows, panel_columns};
 
 /// Panels of pixels of one piece of work.
 pub(super) const PANELS: usize = 4;

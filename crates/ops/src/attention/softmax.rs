@@ -1,7 +1,6 @@
 //! What stands between scores and weights: the exponential, its sums, and the way back.
 
-use crate::activation::exp;
-use crate::simd::{Simd, dispatch};
+use srflow_simd::{Simd, dispatch, exp};
 
 /// Numbers of one panel for neighbouring pixels, `[rows, columns of the panel]`.
 #[derive(Clone, Copy)]
@@ -14,28 +13,28 @@ dispatch! {
     /// Raises `most` to the largest score of each column, and adds `exp(score - most)` to `sums`, which are scaled to that.
     ///
     /// # Safety
-    /// `isa` is available; the block can be read; both slices are as long as a panel is wide.
-    pub(super) fn add_to_sums = add_to_sums_kernel(block: Block, most: &mut [f32], sums: &mut [f32])
+    /// the block can be read; both slices are as long as a panel is wide.
+    pub(super) unsafe fn add_to_sums = add_to_sums_kernel(block: Block, most: &mut [f32], sums: &mut [f32])
 }
 
 #[inline(always)]
-unsafe fn add_to_sums_kernel<S: Simd>(block: Block, most: &mut [f32], sums: &mut [f32]) {
+unsafe fn add_to_sums_kernel<S: Simd>(s: S, block: Block, most: &mut [f32], sums: &mut [f32]) {
     let width = most.len();
     for x in (0..width).step_by(S::LANES) {
         // SAFETY: the caller's promise.
         unsafe {
-            let before = S::load(most[x..].as_ptr());
+            let before = s.load(most[x..].as_ptr());
             let mut largest = before;
             for row in 0..block.rows {
-                largest = S::max(largest, S::load(block.scores.add(row * width + x)));
+                largest = s.max(largest, s.load(block.scores.add(row * width + x)));
             }
             // Before the first block the difference is infinite, and the sum zero.
-            let mut sum = S::mul(S::load(sums[x..].as_ptr()), exp::<S>(S::sub(before, largest)));
+            let mut sum = s.mul(s.load(sums[x..].as_ptr()), exp(s, s.sub(before, largest)));
             for row in 0..block.rows {
-                sum = S::add(sum, exp::<S>(S::sub(S::load(block.scores.add(row * width + x)), largest)));
+                sum = s.add(sum, exp(s, s.sub(s.load(block.scores.add(row * width + x)), largest)));
             }
-            S::store(most[x..].as_mut_ptr(), largest);
-            S::store(sums[x..].as_mut_ptr(), sum);
+            s.store(most[x..].as_mut_ptr(), largest);
+            s.store(sums[x..].as_mut_ptr(), sum);
         }
     }
 }
@@ -53,29 +52,29 @@ dispatch! {
     /// Scores to weights, `exp(score - most) * share`.
     ///
     /// # Safety
-    /// `isa` is available; the block can be written; `width` is that of a panel, and `normal` as long as the panel is wide
+    /// the block can be written; `width` is that of a panel, and `normal` as long as the panel is wide
     /// or the block has rows.
-    pub(super) fn weigh = weigh_kernel(block: Block, width: usize, normal: Normal)
+    pub(super) unsafe fn weigh = weigh_kernel(block: Block, width: usize, normal: Normal)
 }
 
 #[inline(always)]
-unsafe fn weigh_kernel<S: Simd>(block: Block, width: usize, normal: Normal) {
+unsafe fn weigh_kernel<S: Simd>(s: S, block: Block, width: usize, normal: Normal) {
     // SAFETY: the caller's promise.
     unsafe {
         match normal {
             Normal::OfColumns { most, share } => {
                 for x in (0..width).step_by(S::LANES) {
-                    let (most, share) = (S::load(most[x..].as_ptr()), S::load(share[x..].as_ptr()));
+                    let (most, share) = (s.load(most[x..].as_ptr()), s.load(share[x..].as_ptr()));
                     for row in 0..block.rows {
-                        weigh_vector::<S>(block.scores.add(row * width + x), most, share);
+                        weigh_vector(s, block.scores.add(row * width + x), most, share);
                     }
                 }
             }
             Normal::OfRows { most, share } => {
                 for row in 0..block.rows {
-                    let (most, share) = (S::splat(most[row]), S::splat(share[row]));
+                    let (most, share) = (s.splat(most[row]), s.splat(share[row]));
                     for x in (0..width).step_by(S::LANES) {
-                        weigh_vector::<S>(block.scores.add(row * width + x), most, share);
+                        weigh_vector(s, block.scores.add(row * width + x), most, share);
                     }
                 }
             }
@@ -84,9 +83,9 @@ unsafe fn weigh_kernel<S: Simd>(block: Block, width: usize, normal: Normal) {
 }
 
 #[inline(always)]
-unsafe fn weigh_vector<S: Simd>(at: *mut f32, most: S::Vector, share: S::Vector) {
+unsafe fn weigh_vector<S: Simd>(s: S, at: *mut f32, most: S::Vector, share: S::Vector) {
     // SAFETY: the caller's promise.
-    unsafe { S::store(at, S::mul(exp::<S>(S::sub(S::load(at), most)), share)) }
+    unsafe { s.store(at, s.mul(exp(s, s.sub(s.load(at), most)), share)) }
 }
 
 dispatch! {
@@ -94,21 +93,21 @@ dispatch! {
     /// gradients by their weights.
     ///
     /// # Safety
-    /// `isa` is available; the block can be written and as many `weights` read; `mean` is as long as a panel is wide.
-    pub(super) fn to_score_gradients = to_score_gradients_kernel(block: Block, weights: *const f32, mean: &[f32])
+    /// the block can be written and as many `weights` read; `mean` is as long as a panel is wide.
+    pub(super) unsafe fn to_score_gradients = to_score_gradients_kernel(block: Block, weights: *const f32, mean: &[f32])
 }
 
 #[inline(always)]
-unsafe fn to_score_gradients_kernel<S: Simd>(block: Block, weights: *const f32, mean: &[f32]) {
+unsafe fn to_score_gradients_kernel<S: Simd>(s: S, block: Block, weights: *const f32, mean: &[f32]) {
     let width = mean.len();
     for x in (0..width).step_by(S::LANES) {
         // SAFETY: the caller's promise.
         unsafe {
-            let mean = S::load(mean[x..].as_ptr());
+            let mean = s.load(mean[x..].as_ptr());
             for row in 0..block.rows {
                 let at = block.scores.add(row * width + x);
-                let weight = S::load(weights.add(row * width + x));
-                S::store(at, S::mul(weight, S::sub(S::load(at), mean)));
+                let weight = s.load(weights.add(row * width + x));
+                s.store(at, s.mul(weight, s.sub(s.load(at), mean)));
             }
         }
     }

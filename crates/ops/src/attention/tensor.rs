@@ -10,13 +10,13 @@ use burn::backend::{Autodiff, Backend, Dispatch, Flex, TensorMetadata, backend_e
 use burn::tensor::activation::softmax;
 use burn::tensor::{Device, Tensor};
 use rayon::prelude::*;
+use srflow_simd::Isa;
 
 use super::backward::Gathered;
 use super::weights::AttentionWeights;
 use crate::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use crate::flex::{Contiguous, sizes, tensor};
 use crate::gradients;
-use crate::simd::Isa;
 
 /// The largest piece of the matrix of all pairs, where it is computed as a matrix.
 const PIECE_BYTES: usize = 64 << 20;

@@ -1,5 +1,6 @@
+use srflow_simd::panel_columns;
+
 use super::*;
-use crate::gemm::panel_columns;
 use crate::test_values::{assert_close, values};
 
 const CHANNELS: usize = 9;
@@ -16,7 +17,7 @@ fn each_instruction_set_computes_the_definition_whatever_is_kept() {
     for pixels in [1, 30, 131, 450] {
         let [queries, keys, values] = image(pixels);
         let expected = reference::attention(&queries, &keys, &values, pixels);
-        for isa in Isa::available() {
+        for isa in Isa::to_test() {
             for kept_bytes in [0, 4 * panel_columns(isa) * 4 * pixels, usize::MAX] {
                 let weights = AttentionWeights::new(isa, &queries, &keys, pixels, kept_bytes);
                 let what = format!("{pixels} pixels, {isa:?}, {kept_bytes} bytes allowed");
@@ -39,7 +40,7 @@ fn each_instruction_set_computes_the_gradients_of_the_definition_whatever_is_kep
         let sum = |of: usize| -> Vec<f32> {
             expected[0][of].iter().zip(&expected[1][of]).map(|(a, b)| a + b).collect()
         };
-        for isa in Isa::available() {
+        for isa in Isa::to_test() {
             for kept_bytes in [0, 4 * panel_columns(isa) * 4 * pixels, usize::MAX] {
                 let what = format!("{pixels} pixels, {isa:?}, {kept_bytes} bytes allowed");
                 let weights = AttentionWeights::new(isa, &queries, &keys, pixels, kept_bytes);

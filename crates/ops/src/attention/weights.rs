@@ -3,13 +3,10 @@
 use std::sync::OnceLock;
 
 use rayon::prelude::*;
+use srflow_simd::{Activation, Isa, Product, SharedMut, Start, Steps, multiply, panel_columns};
 
 use super::panels::{BLOCK, Group, PANELS, blocks, channels_as_rows, pixels_as_rows, to_panels};
 use super::softmax::{Block, Normal, add_to_sums, weigh};
-use crate::activation::Activation;
-use crate::gemm::{Product, Start, Steps, multiply, panel_columns};
-use crate::shared_mut::SharedMut;
-use crate::simd::Isa;
 
 /// How much of each pixel every pixel of one image takes.
 #[derive(Debug)]
@@ -196,7 +193,7 @@ impl AttentionWeights {
                     let group = Group::of(isa, number, pixels);
                     let keep = group.first < kept_panels;
                     for block @ (first, len) in blocks(pixels) {
-                        // SAFETY: `isa` is available; kept weights of this group, or the scratch, belong to this task.
+                        // SAFETY: kept weights of this group, or the scratch, belong to this task.
                         unsafe {
                             let (out, step) = if keep {
                                 (kept.at(group.first * panel_len + first * width), panel_len)
@@ -276,7 +273,7 @@ impl AttentionWeights {
     /// `out` can be written.
     unsafe fn compute(&self, side: &Side, group: Group, block: (usize, usize), out: *mut f32, step: usize) {
         let width = panel_columns(self.isa);
-        // SAFETY: the caller's promise; `isa` is available.
+        // SAFETY: the caller's promise.
         unsafe {
             side.scores.multiply(group, block, Start::Zero, out, step);
             for panel in 0..group.panels {

@@ -1,8 +1,8 @@
 use rayon::prelude::*;
+use srflow_simd::Isa;
 
 use super::forward::{BLOCK, Plan, Tile, convolve_packed, convolve_row, pack, pack_weights};
 use super::{Conv2dShape, Epilogue};
-use crate::simd::Isa;
 use crate::sums::sum;
 
 /// Gradient of the bias: `grad` (`[N, channels, H, W]`, each plane of `pixels` elements) summed over images and pixels;
@@ -29,7 +29,7 @@ pub fn conv2d_backward_input(grad: &[f32], weight: &[f32], shape: &Conv2dShape) 
     backward_input_with(Isa::best(), grad, weight, shape)
 }
 
-/// [`conv2d_backward_input`] with a chosen instruction set, one of [`Isa::available`].
+/// [`conv2d_backward_input`] with a chosen instruction set.
 pub(super) fn backward_input_with(isa: Isa, grad: &[f32], weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     backward_input_packed(isa, grad, &pack_backward(isa, weight, shape), None, shape)
 }
@@ -217,7 +217,7 @@ fn gather(
                     columns: plan.columns,
                     out: channels[row * plan.columns..].as_mut_ptr(),
                 };
-                // SAFETY: `isa` is available; the padded gradient holds every tap of every pixel, and the output chunk
+                // SAFETY: the padded gradient holds every tap of every pixel, and the output chunk
                 // holds all its channels.
                 unsafe { convolve_row(isa, &plan, &tile) }
             }

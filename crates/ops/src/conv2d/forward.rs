@@ -1,11 +1,9 @@
 use rayon::prelude::*;
+use srflow_simd::{Isa, SharedMut, Simd, dispatch, pack_rows};
 
 use super::winograd::{self, Scheme};
 use super::{Conv2dShape, Epilogue, panels};
-use crate::gemm::pack_rows;
 use crate::pointwise::{Add, Layer, Map, pointwise};
-use crate::shared_mut::SharedMut;
-use crate::simd::{Isa, Simd, dispatch};
 
 /// Output channels of a register tile.
 pub(super) const BLOCK: usize = 8;
@@ -22,7 +20,7 @@ pub fn conv2d(input: &[f32], weight: &[f32], epilogue: &Epilogue, shape: &Conv2d
     conv2d_with(Isa::best(), input, weight, epilogue, shape)
 }
 
-/// [`conv2d`] with a chosen instruction set, one of [`Isa::available`].
+/// [`conv2d`] with a chosen instruction set.
 pub(super) fn conv2d_with(
     isa: Isa,
     input: &[f32],
@@ -145,7 +143,7 @@ fn convolve_directly(
                 // SAFETY: channel `first` of image `n`, this row and column.
                 out: unsafe { target.at(at) },
             };
-            // SAFETY: `isa` is available; `Padded` holds a border of the kernel's reach around every pixel read, and
+            // SAFETY: `Padded` holds a border of the kernel's reach around every pixel read, and
             // no two tasks share an output element.
             unsafe {
                 convolve_row(isa, &plan, &tile);
@@ -274,17 +272,17 @@ dispatch! {
     /// Computes one [`Tile`].
     ///
     /// # Safety
-    /// `isa` is available; the source can be read at every tap of every channel and column, and the output written.
-    pub(super) fn convolve_row = convolve_row_kernel(plan: &Plan, tile: &Tile)
+    /// the source can be read at every tap of every channel and column, and the output written.
+    pub(super) unsafe fn convolve_row = convolve_row_kernel(plan: &Plan, tile: &Tile)
 }
 
 #[inline(always)]
-unsafe fn convolve_row_kernel<S: Simd>(plan: &Plan, tile: &Tile) {
+unsafe fn convolve_row_kernel<S: Simd>(s: S, plan: &Plan, tile: &Tile) {
     macro_rules! by_channels {
         ($($channels:literal)*) => {
             match tile.out_channels {
                 // SAFETY: the caller's promise, passed on.
-                $($channels => unsafe { convolve_columns::<S, $channels>(plan, tile) },)*
+                $($channels => unsafe { convolve_columns::<S, $channels>(s, plan, tile) },)*
                 _ => unreachable!("a block has 1 to {BLOCK} channels"),
             }
         };
@@ -293,23 +291,23 @@ unsafe fn convolve_row_kernel<S: Simd>(plan: &Plan, tile: &Tile) {
 }
 
 #[inline(always)]
-unsafe fn convolve_columns<S: Simd, const CHANNELS: usize>(plan: &Plan, tile: &Tile) {
+unsafe fn convolve_columns<S: Simd, const CHANNELS: usize>(s: S, plan: &Plan, tile: &Tile) {
     let mut x = 0;
     // SAFETY: each call covers the columns from `x`, as many as it says, all inside the tile.
     unsafe {
         while tile.columns - x >= VECTORS * S::LANES {
-            accumulate::<S, CHANNELS, VECTORS, false>(plan, tile, x, S::LANES);
+            accumulate::<S, CHANNELS, VECTORS, false>(s, plan, tile, x, S::LANES);
             x += VECTORS * S::LANES;
         }
         let rest = tile.columns - x;
         let last = if rest.is_multiple_of(S::LANES) { S::LANES } else { rest % S::LANES };
         match (rest.div_ceil(S::LANES), last == S::LANES) {
             (0, _) => {}
-            (1, true) => accumulate::<S, CHANNELS, 1, false>(plan, tile, x, last),
-            (1, false) => accumulate::<S, CHANNELS, 1, true>(plan, tile, x, last),
-            (2, true) => accumulate::<S, CHANNELS, 2, false>(plan, tile, x, last),
-            (2, false) => accumulate::<S, CHANNELS, 2, true>(plan, tile, x, last),
-            _ => accumulate::<S, CHANNELS, 3, true>(plan, tile, x, last),
+            (1, true) => accumulate::<S, CHANNELS, 1, false>(s, plan, tile, x, last),
+            (1, false) => accumulate::<S, CHANNELS, 1, true>(s, plan, tile, x, last),
+            (2, true) => accumulate::<S, CHANNELS, 2, false>(s, plan, tile, x, last),
+            (2, false) => accumulate::<S, CHANNELS, 2, true>(s, plan, tile, x, last),
+            _ => accumulate::<S, CHANNELS, 3, true>(s, plan, tile, x, last),
         }
     }
 }
@@ -317,6 +315,7 @@ unsafe fn convolve_columns<S: Simd, const CHANNELS: usize>(plan: &Plan, tile: &T
 /// The register tile: `CHANNELS` by `V` vectors from column `x`; of the last vector only `last` lanes when `PARTIAL`.
 #[inline(always)]
 unsafe fn accumulate<S: Simd, const CHANNELS: usize, const V: usize, const PARTIAL: bool>(
+    s: S,
     plan: &Plan,
     tile: &Tile,
     x: usize,
@@ -324,23 +323,23 @@ unsafe fn accumulate<S: Simd, const CHANNELS: usize, const V: usize, const PARTI
 ) {
     // SAFETY: the caller's promise: every address below lies in the padded source, the packed weights or the output.
     unsafe {
-        let mut sums = [[S::splat(0.0); V]; CHANNELS];
+        let mut sums = [[s.splat(0.0); V]; CHANNELS];
         for (channel, sums) in sums.iter_mut().enumerate() {
-            *sums = [S::splat(tile.start[channel]); V];
+            *sums = [s.splat(tile.start[channel]); V];
         }
         let mut weights = tile.weights;
         for channel in 0..plan.channels {
             let source = tile.source.add(channel * plan.source_channel + x);
             for &tap in &plan.taps {
-                let mut pixels = [S::splat(0.0); V];
+                let mut pixels = [s.splat(0.0); V];
                 for (i, pixels) in pixels.iter_mut().enumerate() {
                     let from = source.add(tap + i * S::LANES);
-                    *pixels = if PARTIAL && i == V - 1 { S::load_first(from, last) } else { S::load(from) };
+                    *pixels = if PARTIAL && i == V - 1 { s.load_first(from, last) } else { s.load(from) };
                 }
                 for (channel, sums) in sums.iter_mut().enumerate() {
-                    let weight = S::splat(*weights.add(channel));
+                    let weight = s.splat(*weights.add(channel));
                     for i in 0..V {
-                        sums[i] = S::mul_add(weight, pixels[i], sums[i]);
+                        sums[i] = s.mul_add(weight, pixels[i], sums[i]);
                     }
                 }
                 weights = weights.add(CHANNELS);
@@ -349,7 +348,7 @@ unsafe fn accumulate<S: Simd, const CHANNELS: usize, const V: usize, const PARTI
         for (channel, sums) in sums.iter().enumerate() {
             for (i, &sum) in sums.iter().enumerate() {
                 let to = tile.out.add(channel * plan.out_channel + x + i * S::LANES);
-                if PARTIAL && i == V - 1 { S::store_first(to, sum, last) } else { S::store(to, sum) }
+                if PARTIAL && i == V - 1 { s.store_first(to, sum, last) } else { s.store(to, sum) }
             }
         }
     }

@@ -6,8 +6,7 @@
 //! taps pass by, so that 24 fused multiply-adds need 11 loads; a copy of the input with its border of zeros, its columns
 //! split by their remainder modulo the stride, makes every load contiguous. [`mod@reference`] is the definition.
 
-use crate::activation::{Activation, activate};
-use crate::simd::Isa;
+use srflow_simd::{Activation, Isa, activate};
 
 mod backward;
 mod forward;
@@ -85,14 +84,10 @@ pub struct Epilogue<'a> {
 impl Epilogue<'_> {
     /// Adds the residual to sums that are still in the cache, and applies the activation. `row` starts at element
     /// `first` of the output.
-    ///
-    /// # Safety
-    /// `isa` is available.
-    pub(crate) unsafe fn finish(&self, isa: Isa, first: usize, row: &mut [f32]) {
+    pub(crate) fn finish(&self, isa: Isa, first: usize, row: &mut [f32]) {
         let residual = self.residual.map(|residual| &residual[first..first + row.len()]);
         if residual.is_some() || self.activation != Activation::Identity {
-            // SAFETY: the caller's promise.
-            unsafe { activate(isa, self.activation, residual, row) }
+            activate(isa, self.activation, residual, row);
         }
     }
 

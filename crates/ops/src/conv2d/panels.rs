@@ -4,13 +4,11 @@
 use std::ops::Range;
 
 use rayon::prelude::*;
+use srflow_simd::{Isa, Product, SharedMut, Start, Steps, multiply, panel_columns};
 
 use super::{Conv2dShape, Epilogue};
-use crate::gemm::{Product, Start, Steps, multiply, panel_columns};
-use crate::shared_mut::SharedMut;
-use crate::simd::Isa;
 
-/// [`super::conv2d`] with weights `[out_channels, in_channels * taps]` in the order of [`crate::gemm::pack_rows`].
+/// [`super::conv2d`] with weights `[out_channels, in_channels * taps]` in the order of [`srflow_simd::pack_rows`].
 pub(super) fn convolve(
     isa: Isa,
     input: &[f32],
@@ -47,7 +45,7 @@ pub(super) fn convolve(
                     out_steps: steps,
                     columns: count,
                 };
-                // SAFETY: `isa` is available; the panel is whole, output and residual have these columns in each channel.
+                // SAFETY: the panel is whole, output and residual have these columns in each channel.
                 unsafe { multiply(isa, &product) }
             },
         );

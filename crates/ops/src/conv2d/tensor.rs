@@ -5,13 +5,13 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, DispatchTensor, Flex, TensorMetadata, backend_extension};
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Device, Shape, Tensor};
+use srflow_simd::Isa;
 
 use super::Conv2dShape;
 use super::backward::{backward_input_packed, pack_backward};
 use super::forward::{convolve_packed, pack};
 use crate::activation::activate_tensor;
 use crate::flex::{Contiguous, tensor};
-use crate::simd::Isa;
 use crate::tracked::{Convolution, EpilogueGradOps, tracked};
 use crate::weight_cache::Pass;
 use crate::{Activation, WeightCache};

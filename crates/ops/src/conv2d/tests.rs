@@ -1,8 +1,9 @@
+use srflow_simd::Isa;
+
 use super::backward::backward_input_with;
 use super::forward::conv2d_with;
 use super::weight_gradient::backward_weight_with;
 use super::*;
-use crate::simd::Isa;
 use crate::test_values::{assert_close, values};
 
 fn shape(
@@ -73,7 +74,7 @@ fn each_instruction_set_computes_the_definition() {
         let out = reference::conv2d(&input, &weight, &epilogue, &shape);
         let d_input = reference::conv2d_backward_input(&grad, &weight, &shape);
         let d_weight = reference::conv2d_backward_weight(&input, &grad, &shape);
-        for isa in Isa::available() {
+        for isa in Isa::to_test() {
             let check = |what: &str, found: &[f32], expected: &[f32]| {
                 assert_close(&format!("{what}, {isa:?}, {shape:?}"), found, expected, tolerance);
             };
@@ -108,7 +109,7 @@ fn check_that_results_do_not_depend_on_the_machine(shape: Conv2dShape) {
         })
     };
     assert!(run(1) == run(3));
-    let outputs: Vec<_> = Isa::available()
+    let outputs: Vec<_> = Isa::to_test()
         .into_iter()
         .map(|isa| conv2d_with(isa, &input, &weight, &Epilogue::default(), &shape))
         .collect();

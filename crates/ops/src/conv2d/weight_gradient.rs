@@ -3,13 +3,13 @@
 use std::ops::Range;
 
 use rayon::prelude::*;
+use srflow_simd::{
+    Activation, Isa, MAX_LANES, Product, SharedMut, Simd, Start, Steps, dispatch, multiply, pack_rows,
+    panel_columns,
+};
 
 use super::Conv2dShape;
 use super::forward::Padded;
-use crate::activation::Activation;
-use crate::gemm::{Product, Start, Steps, multiply, pack_rows, panel_columns};
-use crate::shared_mut::SharedMut;
-use crate::simd::{Isa, MOST_LANES, Simd, dispatch};
 
 /// Pixels whose products are summed before the sums go to memory: as many as keep a panel of patches in the second-level
 /// cache.
@@ -23,7 +23,7 @@ pub fn conv2d_backward_weight(input: &[f32], grad: &[f32], shape: &Conv2dShape) 
     backward_weight_with(Isa::best(), input, grad, shape)
 }
 
-/// [`conv2d_backward_weight`] with a chosen instruction set, one of [`Isa::available`].
+/// [`conv2d_backward_weight`] with a chosen instruction set.
 pub(super) fn backward_weight_with(isa: Isa, input: &[f32], grad: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     assert_eq!(input.len(), shape.input_len(), "input of {shape:?}");
     assert_eq!(grad.len(), shape.output_len(), "gradient of {shape:?}");
@@ -42,8 +42,7 @@ pub(super) fn backward_weight_with(isa: Isa, input: &[f32], grad: &[f32], shape:
     (0..columns.div_ceil(width)).into_par_iter().for_each_init(panel, |panel, number| {
         let own = number * width..columns.min((number + 1) * width);
         for block in &blocks {
-            // SAFETY: `isa` is available.
-            unsafe { turn(isa, &patches, block, own.clone(), width, panel) }
+            turn(isa, &patches, block, own.clone(), width, panel);
             let product = Product {
                 left: left[shape.out_channels * block.before..].as_ptr(),
                 rows: shape.out_channels,
@@ -58,7 +57,7 @@ pub(super) fn backward_weight_with(isa: Isa, input: &[f32], grad: &[f32], shape:
                 out_steps: Steps { row: columns, panel: width },
                 columns: own.len(),
             };
-            // SAFETY: `isa` is available; the left side holds the block of every output channel, the panel its pixels, and
+            // SAFETY: the left side holds the block of every output channel, the panel its pixels, and
             // the output these columns of every output channel.
             unsafe { multiply(isa, &product) }
         }
@@ -156,14 +155,12 @@ impl<'a> Patches<'a> {
 
 dispatch! {
     /// The images of `columns`, a row of `panel` for each pixel of the block, which is `width` long.
-    ///
-    /// # Safety
-    /// `isa` is available.
     fn turn = turn_kernel(patches: &Patches, block: &Block, columns: Range<usize>, width: usize, panel: &mut [f32])
 }
 
 #[inline(always)]
-unsafe fn turn_kernel<S: Simd>(
+fn turn_kernel<S: Simd>(
+    s: S,
     patches: &Patches,
     block: &Block,
     columns: Range<usize>,
@@ -175,7 +172,7 @@ unsafe fn turn_kernel<S: Simd>(
         let mut column = columns.start;
         while column < columns.end {
             let together = S::LANES.min(columns.end - column);
-            let mut sources = [std::ptr::null(); MOST_LANES];
+            let mut sources = [std::ptr::null(); MAX_LANES];
             for (i, source) in sources.iter_mut().enumerate().take(together) {
                 *source = patches.source(block, row, column + i);
             }
@@ -191,7 +188,7 @@ unsafe fn turn_kernel<S: Simd>(
                     }
                     assert!(to.len() >= (S::LANES - 1) * width + S::LANES);
                     // SAFETY: as above, and the panel holds the square.
-                    unsafe { S::transpose(&from, to.as_mut_ptr(), width) }
+                    unsafe { s.transpose(&from, to.as_mut_ptr(), width) }
                 } else {
                     for (i, source) in sources.iter().enumerate().take(together) {
                         for j in 0..count {

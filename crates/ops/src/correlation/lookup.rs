@@ -1,8 +1,8 @@
 use rayon::prelude::*;
+use srflow_simd::{Isa, Simd, dispatch};
 
 use super::FeaturePyramid;
 use super::pyramid::{Level, channels_first, channels_last};
-use crate::simd::{Isa, Simd, dispatch};
 
 /// Window of the correlation pyramid around `coords`: `[batch, levels * (2 radius + 1)^2, height, width]`.
 ///
@@ -20,7 +20,7 @@ pub fn correlation_lookup(
     lookup_with(Isa::best(), first, second, coords, [height, width], radius)
 }
 
-/// [`correlation_lookup`] with a chosen instruction set, one of [`Isa::available`].
+/// [`correlation_lookup`] with a chosen instruction set.
 pub(super) fn lookup_with(
     isa: Isa,
     first: &[f32],
@@ -129,8 +129,7 @@ impl Common {
                 step: self.len(),
             };
             let out = &mut products[row * self.columns + columns.start..];
-            // SAFETY: `isa` is available.
-            unsafe { dots(isa, &task, out) }
+            dots(isa, &task, out)
         }
     }
 }
@@ -359,14 +358,11 @@ struct Dots<'a> {
 
 dispatch! {
     /// The dot product of each feature of `first` with each of `second`.
-    ///
-    /// # Safety
-    /// `isa` is available.
     fn dots = dots_kernel(task: &Dots, out: &mut [f32])
 }
 
 #[inline(always)]
-unsafe fn dots_kernel<S: Simd>(task: &Dots, out: &mut [f32]) {
+fn dots_kernel<S: Simd>(s: S, task: &Dots, out: &mut [f32]) {
     let pixels = task.first.len() / task.channels;
     let positions = task.second.len() / task.channels;
     assert!(out.len() >= (pixels - 1) * task.step + positions);
@@ -375,11 +371,11 @@ unsafe fn dots_kernel<S: Simd>(task: &Dots, out: &mut [f32]) {
     unsafe {
         if pixels == GROUP {
             while positions - done >= 4 {
-                dots_of::<S, GROUP, 4>(task, 0, done, out);
+                dots_of::<S, GROUP, 4>(s, task, 0, done, out);
                 done += 4;
             }
             while done < positions {
-                dots_of::<S, GROUP, 1>(task, 0, done, out);
+                dots_of::<S, GROUP, 1>(s, task, 0, done, out);
                 done += 1;
             }
             return;
@@ -387,11 +383,11 @@ unsafe fn dots_kernel<S: Simd>(task: &Dots, out: &mut [f32]) {
         for pixel in 0..pixels {
             done = 0;
             while positions - done >= 8 {
-                dots_of::<S, 1, 8>(task, pixel, done, out);
+                dots_of::<S, 1, 8>(s, task, pixel, done, out);
                 done += 8;
             }
             while done < positions {
-                dots_of::<S, 1, 1>(task, pixel, done, out);
+                dots_of::<S, 1, 1>(s, task, pixel, done, out);
                 done += 1;
             }
         }
@@ -400,6 +396,7 @@ unsafe fn dots_kernel<S: Simd>(task: &Dots, out: &mut [f32]) {
 
 #[inline(always)]
 unsafe fn dots_of<S: Simd, const PIXELS: usize, const COUNT: usize>(
+    s: S,
     task: &Dots,
     pixel: usize,
     from: usize,
@@ -410,17 +407,17 @@ unsafe fn dots_of<S: Simd, const PIXELS: usize, const COUNT: usize>(
     unsafe {
         let first = task.first.as_ptr().add(pixel * channels);
         let second = task.second.as_ptr().add(from * channels);
-        let mut sums = [[S::splat(0.0); COUNT]; PIXELS];
+        let mut sums = [[s.splat(0.0); COUNT]; PIXELS];
         let mut c = 0;
         while c + S::LANES <= channels {
-            let mut features = [S::splat(0.0); COUNT];
+            let mut features = [s.splat(0.0); COUNT];
             for i in 0..COUNT {
-                features[i] = S::load(second.add(i * channels + c));
+                features[i] = s.load(second.add(i * channels + c));
             }
             for p in 0..PIXELS {
-                let a = S::load(first.add(p * channels + c));
+                let a = s.load(first.add(p * channels + c));
                 for i in 0..COUNT {
-                    sums[p][i] = S::mul_add(a, features[i], sums[p][i]);
+                    sums[p][i] = s.mul_add(a, features[i], sums[p][i]);
                 }
             }
             c += S::LANES;
@@ -428,16 +425,16 @@ unsafe fn dots_of<S: Simd, const PIXELS: usize, const COUNT: usize>(
         if c < channels {
             let count = channels - c;
             for p in 0..PIXELS {
-                let a = S::load_first(first.add(p * channels + c), count);
+                let a = s.load_first(first.add(p * channels + c), count);
                 for i in 0..COUNT {
-                    let feature = S::load_first(second.add(i * channels + c), count);
-                    sums[p][i] = S::mul_add(a, feature, sums[p][i]);
+                    let feature = s.load_first(second.add(i * channels + c), count);
+                    sums[p][i] = s.mul_add(a, feature, sums[p][i]);
                 }
             }
         }
         for p in 0..PIXELS {
             for i in 0..COUNT {
-                out[(pixel + p) * task.step + from + i] = S::sum(sums[p][i]);
+                out[(pixel + p) * task.step + from + i] = s.sum(sums[p][i]);
             }
         }
     }

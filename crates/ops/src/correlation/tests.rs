@@ -1,7 +1,8 @@
+use srflow_simd::Isa;
+
 use super::lookup::lookup_with;
 use super::pyramid::{channels_first, channels_last};
 use super::*;
-use crate::simd::Isa;
 use crate::test_values::values;
 
 struct Case {
@@ -47,7 +48,7 @@ fn the_lookup_is_that_of_the_all_pairs_volume() {
         assert!(expected.iter().any(|x| x.abs() > 0.1));
         let pyramid = FeaturePyramid::new(&case.second, case.size, case.levels);
         let first = channels_last(&case.first, case.size[0], case.size[1]);
-        for isa in Isa::available() {
+        for isa in Isa::to_test() {
             let found = lookup_with(isa, &first, &pyramid, &case.coords, [height, width], case.radius);
             assert_eq!(found.len(), expected.len());
             for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {

@@ -1,9 +1,9 @@
 use rayon::prelude::*;
+use srflow_simd::{Isa, Simd, dispatch};
 
 use super::DepthwiseShape;
 use super::forward::{depthwise_with, pad};
 use crate::conv2d::Epilogue;
-use crate::simd::{Isa, Simd, dispatch};
 
 /// Kernel rows and columns whose weight gradients are summed together in registers.
 const TAPS_DOWN: usize = 4;
@@ -15,7 +15,7 @@ pub fn depthwise_backward_input(grad: &[f32], weight: &[f32], shape: &DepthwiseS
     backward_input_with(Isa::best(), grad, weight, None, shape)
 }
 
-/// [`depthwise_backward_input`], plus `add`, with a chosen instruction set, one of [`Isa::available`].
+/// [`depthwise_backward_input`], plus `add`, with a chosen instruction set.
 pub(super) fn backward_input_with(
     isa: Isa,
     grad: &[f32],
@@ -47,7 +47,7 @@ pub fn depthwise_backward_weight(input: &[f32], grad: &[f32], shape: &DepthwiseS
     backward_weight_with(Isa::best(), input, grad, shape)
 }
 
-/// [`depthwise_backward_weight`] with a chosen instruction set, one of [`Isa::available`].
+/// [`depthwise_backward_weight`] with a chosen instruction set.
 pub(super) fn backward_weight_with(
     isa: Isa,
     input: &[f32],
@@ -75,7 +75,7 @@ pub(super) fn backward_weight_with(
                 pad(grad, [height, width], [TAPS_DOWN - 1, 0], padded_grad);
                 let task =
                     WeightPlane { source, row, grad: padded_grad, height, width, kernel: shape.kernel };
-                // SAFETY: `isa` is available; both planes have the borders that the kernel reads.
+                // SAFETY: both planes have the borders that the kernel reads.
                 unsafe { add_weight_gradient(isa, &task, out) }
             }
         },
@@ -98,12 +98,12 @@ dispatch! {
     /// Adds the weight gradient of one [`WeightPlane`].
     ///
     /// # Safety
-    /// `isa` is available; both planes have their borders, and `out` holds the kernel.
-    fn add_weight_gradient = add_weight_gradient_kernel(plane: &WeightPlane, out: &mut [f32])
+    /// both planes have their borders, and `out` holds the kernel.
+    unsafe fn add_weight_gradient = add_weight_gradient_kernel(plane: &WeightPlane, out: &mut [f32])
 }
 
 #[inline(always)]
-unsafe fn add_weight_gradient_kernel<S: Simd>(plane: &WeightPlane, out: &mut [f32]) {
+unsafe fn add_weight_gradient_kernel<S: Simd>(s: S, plane: &WeightPlane, out: &mut [f32]) {
     let [kernel_height, kernel_width] = plane.kernel;
     for ky in (0..kernel_height).step_by(TAPS_DOWN) {
         let down = TAPS_DOWN.min(kernel_height - ky);
@@ -111,11 +111,11 @@ unsafe fn add_weight_gradient_kernel<S: Simd>(plane: &WeightPlane, out: &mut [f3
         // SAFETY: the taps from `(ky, kx)`, as many as each call says, belong to the kernel.
         unsafe {
             while kernel_width - kx >= TAPS_ACROSS {
-                sum_taps::<S, TAPS_ACROSS>(plane, ky, down, kx, out);
+                sum_taps::<S, TAPS_ACROSS>(s, plane, ky, down, kx, out);
                 kx += TAPS_ACROSS;
             }
             while kx < kernel_width {
-                sum_taps::<S, 1>(plane, ky, down, kx, out);
+                sum_taps::<S, 1>(s, plane, ky, down, kx, out);
                 kx += 1;
             }
         }
@@ -125,6 +125,7 @@ unsafe fn add_weight_gradient_kernel<S: Simd>(plane: &WeightPlane, out: &mut [f3
 /// The taps of `down` kernel rows from `ky` and `T` columns from `kx`.
 #[inline(always)]
 unsafe fn sum_taps<S: Simd, const T: usize>(
+    s: S,
     plane: &WeightPlane,
     ky: usize,
     down: usize,
@@ -133,7 +134,7 @@ unsafe fn sum_taps<S: Simd, const T: usize>(
 ) {
     // SAFETY: the caller's promise: every address below lies in the padded input or gradient.
     unsafe {
-        let mut sums = [[S::splat(0.0); T]; TAPS_DOWN];
+        let mut sums = [[s.splat(0.0); T]; TAPS_DOWN];
         // Input row `ky + i` meets gradient row `i - d` at tap row `ky + d`.
         for i in 0..plane.height + down - 1 {
             let source = plane.source.as_ptr().add((ky + i) * plane.row + kx);
@@ -142,16 +143,16 @@ unsafe fn sum_taps<S: Simd, const T: usize>(
             while x < plane.width {
                 let count = (plane.width - x).min(S::LANES);
                 let load = |from: *const f32| {
-                    if count == S::LANES { S::load(from) } else { S::load_first(from, count) }
+                    if count == S::LANES { s.load(from) } else { s.load_first(from, count) }
                 };
-                let mut grads = [S::splat(0.0); TAPS_DOWN];
+                let mut grads = [s.splat(0.0); TAPS_DOWN];
                 for (d, grads) in grads.iter_mut().enumerate() {
                     *grads = load(grad.add((TAPS_DOWN - 1 - d) * plane.width + x));
                 }
                 for t in 0..T {
                     let pixels = load(source.add(x + t));
                     for d in 0..TAPS_DOWN {
-                        sums[d][t] = S::mul_add(grads[d], pixels, sums[d][t]);
+                        sums[d][t] = s.mul_add(grads[d], pixels, sums[d][t]);
                     }
                 }
                 x += S::LANES;
@@ -159,7 +160,7 @@ unsafe fn sum_taps<S: Simd, const T: usize>(
         }
         for (d, sums) in sums.iter().enumerate().take(down) {
             for (t, &sum) in sums.iter().enumerate() {
-                out[(ky + d) * plane.kernel[1] + kx + t] += S::sum(sum);
+                out[(ky + d) * plane.kernel[1] + kx + t] += s.sum(sum);
             }
         }
     }

@@ -1,9 +1,8 @@
 use rayon::prelude::*;
+use srflow_simd::{Isa, SharedMut, Simd, dispatch};
 
 use super::DepthwiseShape;
 use crate::conv2d::Epilogue;
-use crate::shared_mut::SharedMut;
-use crate::simd::{Isa, Simd, dispatch};
 
 /// Output rows of a register tile.
 const ROWS: usize = 4;
@@ -18,7 +17,7 @@ pub fn depthwise(input: &[f32], weight: &[f32], epilogue: &Epilogue, shape: &Dep
     depthwise_with(Isa::best(), input, weight, epilogue, shape)
 }
 
-/// [`depthwise`] with a chosen instruction set, one of [`Isa::available`].
+/// [`depthwise`] with a chosen instruction set.
 pub(super) fn depthwise_with(
     isa: Isa,
     input: &[f32],
@@ -46,7 +45,7 @@ pub(super) fn depthwise_with(
                 height,
                 width,
             };
-            // SAFETY: the plane is inside and this task's alone; `isa` is available; `pad` made the border that the kernel
+            // SAFETY: the plane is inside and this task's alone; `pad` made the border that the kernel
             // reads.
             unsafe {
                 let first = plane * height * width;
@@ -94,43 +93,43 @@ dispatch! {
     /// Computes one [`Plane`].
     ///
     /// # Safety
-    /// `isa` is available; the source holds every tap of every pixel of `out`.
-    fn convolve_plane = convolve_plane_kernel(plane: &Plane, out: &mut [f32])
+    /// the source holds every tap of every pixel of `out`.
+    unsafe fn convolve_plane = convolve_plane_kernel(plane: &Plane, out: &mut [f32])
 }
 
 #[inline(always)]
-unsafe fn convolve_plane_kernel<S: Simd>(plane: &Plane, out: &mut [f32]) {
+unsafe fn convolve_plane_kernel<S: Simd>(s: S, plane: &Plane, out: &mut [f32]) {
     let mut y = 0;
     // SAFETY: the rows from `y`, as many as each call says, lie in the plane.
     unsafe {
         while plane.height - y >= ROWS {
-            convolve_rows::<S, ROWS>(plane, y, out);
+            convolve_rows::<S, ROWS>(s, plane, y, out);
             y += ROWS;
         }
         while y < plane.height {
-            convolve_rows::<S, 1>(plane, y, out);
+            convolve_rows::<S, 1>(s, plane, y, out);
             y += 1;
         }
     }
 }
 
 #[inline(always)]
-unsafe fn convolve_rows<S: Simd, const R: usize>(plane: &Plane, y: usize, out: &mut [f32]) {
+unsafe fn convolve_rows<S: Simd, const R: usize>(s: S, plane: &Plane, y: usize, out: &mut [f32]) {
     let mut x = 0;
     // SAFETY: the columns from `x`, as many as each call says, lie in the plane.
     unsafe {
         while plane.width - x >= VECTORS * S::LANES {
-            accumulate::<S, R, VECTORS, false>(plane, y, x, S::LANES, out);
+            accumulate::<S, R, VECTORS, false>(s, plane, y, x, S::LANES, out);
             x += VECTORS * S::LANES;
         }
         let rest = plane.width - x;
         let last = if rest.is_multiple_of(S::LANES) { S::LANES } else { rest % S::LANES };
         match rest.div_ceil(S::LANES) {
             0 => {}
-            1 => accumulate::<S, R, 1, true>(plane, y, x, last, out),
-            2 => accumulate::<S, R, 2, true>(plane, y, x, last, out),
-            3 => accumulate::<S, R, 3, true>(plane, y, x, last, out),
-            _ => accumulate::<S, R, 4, true>(plane, y, x, last, out),
+            1 => accumulate::<S, R, 1, true>(s, plane, y, x, last, out),
+            2 => accumulate::<S, R, 2, true>(s, plane, y, x, last, out),
+            3 => accumulate::<S, R, 3, true>(s, plane, y, x, last, out),
+            _ => accumulate::<S, R, 4, true>(s, plane, y, x, last, out),
         }
     }
 }
@@ -138,6 +137,7 @@ unsafe fn convolve_rows<S: Simd, const R: usize>(plane: &Plane, y: usize, out: &
 /// The register tile: `R` rows from `y` by `V` vectors from `x`; of the last vector only `last` lanes when `PARTIAL`.
 #[inline(always)]
 unsafe fn accumulate<S: Simd, const R: usize, const V: usize, const PARTIAL: bool>(
+    s: S,
     plane: &Plane,
     y: usize,
     x: usize,
@@ -147,24 +147,24 @@ unsafe fn accumulate<S: Simd, const R: usize, const V: usize, const PARTIAL: boo
     let [kernel_height, kernel_width] = plane.kernel;
     // SAFETY: the caller's promise: every address below lies in the padded source, the weight or the output.
     unsafe {
-        let mut sums = [[S::splat(plane.start); V]; R];
+        let mut sums = [[s.splat(plane.start); V]; R];
         let source = plane.source.as_ptr().add(y * plane.row + x);
         let weight = plane.weight.as_ptr();
         for input_row in 0..kernel_height + R - 1 {
             for kx in 0..kernel_width {
                 let from = source.add(input_row * plane.row + kx);
-                let mut pixels = [S::splat(0.0); V];
+                let mut pixels = [s.splat(0.0); V];
                 for (i, pixels) in pixels.iter_mut().enumerate() {
                     let from = from.add(i * S::LANES);
-                    *pixels = if PARTIAL && i == V - 1 { S::load_first(from, last) } else { S::load(from) };
+                    *pixels = if PARTIAL && i == V - 1 { s.load_first(from, last) } else { s.load(from) };
                 }
                 for (row, sums) in sums.iter_mut().enumerate() {
                     // Below 0 this wraps to far beyond the kernel: one comparison does for both ends.
                     let ky = input_row.wrapping_sub(row);
                     if ky < kernel_height {
-                        let weight = S::splat(*weight.add(ky * kernel_width + kx));
+                        let weight = s.splat(*weight.add(ky * kernel_width + kx));
                         for i in 0..V {
-                            sums[i] = S::mul_add(weight, pixels[i], sums[i]);
+                            sums[i] = s.mul_add(weight, pixels[i], sums[i]);
                         }
                     }
                 }
@@ -173,7 +173,7 @@ unsafe fn accumulate<S: Simd, const R: usize, const V: usize, const PARTIAL: boo
         for (row, sums) in sums.iter().enumerate() {
             for (i, &sum) in sums.iter().enumerate() {
                 let to = out.as_mut_ptr().add((y + row) * plane.width + x + i * S::LANES);
-                if PARTIAL && i == V - 1 { S::store_first(to, sum, last) } else { S::store(to, sum) }
+                if PARTIAL && i == V - 1 { s.store_first(to, sum, last) } else { s.store(to, sum) }
             }
         }
     }

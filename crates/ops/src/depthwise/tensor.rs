@@ -5,6 +5,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, Flex, TensorMetadata, backend_extension};
 use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Shape, Tensor};
+use srflow_simd::Isa;
 
 use super::DepthwiseShape;
 use super::backward::backward_input_with;
@@ -13,7 +14,6 @@ use crate::activation::activate_tensor;
 use crate::conv2d;
 use crate::conv2d::tensor::Epilogue;
 use crate::flex::{Contiguous, tensor};
-use crate::simd::Isa;
 use crate::tracked::{Convolution, EpilogueGradOps, tracked};
 
 /// Depthwise convolution with its epilogue. The default is Burn's own convolution.

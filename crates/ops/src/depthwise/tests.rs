@@ -1,9 +1,9 @@
+use srflow_simd::{Activation, Isa};
+
 use super::backward::{backward_input_with, backward_weight_with};
 use super::forward::depthwise_with;
 use super::*;
-use crate::activation::Activation;
 use crate::conv2d::Epilogue;
-use crate::simd::Isa;
 use crate::test_values::{assert_close, values};
 
 const TOLERANCE: f32 = 2e-6;
@@ -36,7 +36,7 @@ fn each_instruction_set_computes_the_definition() {
         let out = reference::depthwise(&input, &weight, &epilogue, &shape);
         let d_input = reference::depthwise_backward_input(&grad, &weight, &shape);
         let d_weight = reference::depthwise_backward_weight(&input, &grad, &shape);
-        for isa in Isa::available() {
+        for isa in Isa::to_test() {
             let check = |what: &str, found: &[f32], expected: &[f32]| {
                 assert_close(&format!("{what}, {isa:?}, {shape:?}"), found, expected, TOLERANCE);
             };
@@ -62,7 +62,7 @@ fn results_do_not_depend_on_threads_and_outputs_not_on_the_instruction_set() {
         })
     };
     assert!(run(1) == run(3));
-    let outputs: Vec<_> = Isa::available()
+    let outputs: Vec<_> = Isa::to_test()
         .into_iter()
         .map(|isa| depthwise_with(isa, &input, &weight, &Epilogue::default(), &shape))
         .collect();

@@ -2,10 +2,9 @@
 //! activation that follows. [`mod@reference`] is the definition.
 
 use rayon::prelude::*;
+use srflow_simd::{Isa, activate};
 
 use crate::Activation;
-use crate::activation::activate;
-use crate::simd::Isa;
 use crate::sums::{sum, sum_pairs};
 
 mod composed;
@@ -27,8 +26,7 @@ pub fn instance_norm(input: &[f32], pixels: usize, activation: Activation) -> Ve
             *to = (from - mean) * scale;
         }
         if activation != Activation::Identity {
-            // SAFETY: `isa` is available.
-            unsafe { activate(isa, activation, None, to) }
+            activate(isa, activation, None, to);
         }
     });
     out

@@ -5,11 +5,9 @@
 //! definition.
 
 use rayon::prelude::*;
-
-use crate::activation::Activation;
-use crate::gemm::{Product, Start, Steps, multiply, panel_columns};
-use crate::shared_mut::SharedMut;
-use crate::simd::{Isa, Simd, dispatch};
+use srflow_simd::{
+    Activation, Isa, Product, SharedMut, Simd, Start, Steps, dispatch, multiply, panel_columns,
+};
 
 pub mod reference;
 pub mod tensor;
@@ -20,7 +18,7 @@ const PANELS: usize = 2;
 /// Weights of a layer.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Map<'a> {
-    /// `[outputs, inputs]`, in the order of [`crate::gemm::pack_rows`].
+    /// `[outputs, inputs]`, in the order of [`srflow_simd::pack_rows`].
     Dense(&'a [f32]),
     /// A factor for each channel.
     Scale(&'a [f32]),
@@ -107,7 +105,7 @@ pub(crate) fn pointwise(
                     out_steps,
                     columns,
                 };
-                // SAFETY: `isa` is available; states hold whole panels, the output and the addend these columns.
+                // SAFETY: states hold whole panels, the output and the addend these columns.
                 unsafe {
                     match layer.map {
                         Map::Dense(_) => multiply(isa, &product),
@@ -166,36 +164,36 @@ dispatch! {
     ///
     /// # Safety
     /// As for [`multiply`].
-    fn scale = scale_kernel(product: &Product)
+    unsafe fn scale = scale_kernel(product: &Product)
 }
 
 #[inline(always)]
-unsafe fn scale_kernel<S: Simd>(product: &Product) {
+unsafe fn scale_kernel<S: Simd>(s: S, product: &Product) {
     // SAFETY: the caller's promise.
     unsafe {
         let width = product.right_panel / product.depth;
         for panel in 0..product.columns.div_ceil(width) {
             let columns = width.min(product.columns - panel * width);
             for row in 0..product.rows {
-                let factor = S::splat(*product.left.add(row));
+                let factor = s.splat(*product.left.add(row));
                 let start = match product.start {
-                    Start::PerRow(start) => S::splat(*start.add(row)),
-                    Start::Zero | Start::Output => S::splat(0.0),
+                    Start::PerRow(start) => s.splat(*start.add(row)),
+                    Start::Zero | Start::Output => s.splat(0.0),
                 };
                 let right = product.right.add(panel * product.right_panel + row * width);
                 let out = product.out.add(panel * product.out_steps.panel + row * product.out_steps.row);
                 for x in (0..columns).step_by(S::LANES) {
                     let lanes = S::LANES.min(columns - x);
-                    let mut sum = S::mul_add(factor, S::load(right.add(x)), start);
+                    let mut sum = s.mul_add(factor, s.load(right.add(x)), start);
                     if let Some((add, steps)) = product.add {
                         let add = add.add(panel * steps.panel + row * steps.row + x);
-                        sum = S::add(sum, S::load_first(add, lanes));
+                        sum = s.add(sum, s.load_first(add, lanes));
                     }
-                    let value = product.activation.apply::<S>(sum);
+                    let value = product.activation.apply(s, sum);
                     if lanes == S::LANES {
-                        S::store(out.add(x), value)
+                        s.store(out.add(x), value)
                     } else {
-                        S::store_first(out.add(x), value, lanes)
+                        s.store_first(out.add(x), value, lanes)
                     }
                 }
             }

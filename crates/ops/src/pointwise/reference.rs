@@ -1,6 +1,6 @@
 //! The definition: layer after layer, pixel by pixel, sums in f64.
 
-use crate::activation::Activation;
+use srflow_simd::Activation;
 
 /// Weights of a [`Layer`].
 #[derive(Debug, Clone)]

@@ -4,13 +4,12 @@ use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Dispatch, Flex, backend_extension};
 use burn::tensor::Tensor;
+use srflow_simd::{Isa, pack_rows};
 
 use super::{Add, Layer, Map, pointwise};
 use crate::conv2d::tensor::{Conv2dGradOps, Conv2dOps, Conv2dOptions};
 use crate::depthwise::tensor::{DepthwiseGradOps, DepthwiseOps};
 use crate::flex::{Contiguous, sizes, tensor};
-use crate::gemm::pack_rows;
-use crate::simd::Isa;
 use crate::tracked::EpilogueGradOps;
 use crate::weight_cache::Pass;
 use crate::{Activation, WeightCache};

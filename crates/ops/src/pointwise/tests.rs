@@ -1,5 +1,6 @@
+use srflow_simd::pack_rows;
+
 use super::*;
-use crate::gemm::pack_rows;
 use crate::test_values::{assert_close, values};
 
 const PIXELS: usize = 131;
@@ -85,7 +86,7 @@ fn each_instruction_set_computes_the_definition() {
     for count in 1..=3 {
         let layers = &layers(2)[..count];
         let expected = expected(&input, layers);
-        for isa in Isa::available() {
+        for isa in Isa::to_test() {
             assert_close(
                 &format!("{count} layers, {isa:?}"),
                 &run(isa, &input, layers, None),
@@ -105,7 +106,7 @@ fn planes_are_added_to_the_last_sums() {
     let planes = values(2 * 19 * PIXELS, 9);
     let mut sums = expected(&input, &layers);
     sums.iter_mut().zip(&planes).for_each(|(sum, plane)| *sum += plane);
-    for isa in Isa::available() {
+    for isa in Isa::to_test() {
         assert_close(&format!("{isa:?}"), &run(isa, &input, &layers, Some(&planes)), &sums, 3e-6);
     }
 }

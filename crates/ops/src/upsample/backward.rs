@@ -1,8 +1,8 @@
 use rayon::prelude::*;
+use srflow_simd::SharedMut;
 
 use super::forward::{Neighbours, weights};
 use super::{NEIGHBOURS, UpsampleShape};
-use crate::shared_mut::SharedMut;
 
 /// Gradients of the flow and of the mask from `grad`, that of the output. Panics when a slice does not fit `shape`.
 pub fn convex_upsample_backward(

@@ -1,7 +1,7 @@
 use rayon::prelude::*;
+use srflow_simd::SharedMut;
 
 use super::{Corners, WarpShape};
-use crate::shared_mut::SharedMut;
 
 /// `image` sampled at each pixel displaced by `flow`. Panics when a slice does not fit `shape`.
 pub fn warp(image: &[f32], flow: &[f32], shape: &WarpShape) -> Vec<f32> {

@@ -1,10 +1,10 @@
 //! The same bits whatever the processor, the number of threads, and what was rendered before.
 
 use glam::DVec3;
+use srflow_simd::{Isa, Portable};
 
 use super::scenes::{camera, jittered, moved, random};
-use crate::rasterizer::Processor;
-use crate::{Camera, Frame, Next, Options, Outputs, Rasterizer, simd};
+use crate::{Camera, Frame, Next, Options, Outputs, Rasterizer};
 
 fn wide() -> Camera {
     Camera { width: 333, height: 217, fx: 300.0, fy: 310.0, cx: 150.0, cy: 110.0, ..camera() }
@@ -19,26 +19,18 @@ fn render(rasterizer: &mut Rasterizer, seed: u64, camera: &Camera, outputs: Outp
     rasterizer.render(&gaussians, camera, Some(next), &options, frame).unwrap();
 }
 
-fn fresh(processor: Processor) -> Frame {
+fn fresh(isa: Isa) -> Frame {
     let mut frame = Frame::new();
-    render(&mut Rasterizer::on(processor), 1, &wide(), Outputs::ALL, &mut frame);
+    render(&mut Rasterizer::on(isa), 1, &wide(), Outputs::ALL, &mut frame);
     frame
 }
 
 #[test]
 fn every_instruction_set_gives_the_same_bits() {
-    let portable = fresh(Processor::Portable);
+    let portable = fresh(Isa::Portable(Portable));
     assert!(portable.statistics.blended > 100_000);
-    #[cfg(target_arch = "x86_64")]
-    {
-        match simd::Avx2::detect() {
-            Some(isa) => assert!(fresh(Processor::Avx2(isa)) == portable, "AVX2 differs"),
-            None => eprintln!("not tested: this processor has no AVX2"),
-        }
-        match simd::Avx512::detect() {
-            Some(isa) => assert!(fresh(Processor::Avx512(isa)) == portable, "AVX-512 differs"),
-            None => eprintln!("not tested: this processor has no AVX-512"),
-        }
+    for isa in Isa::to_test() {
+        assert!(fresh(isa) == portable, "{isa:?} differs");
     }
 }
 
@@ -46,14 +38,14 @@ fn every_instruction_set_gives_the_same_bits() {
 fn the_number_of_threads_does_not_matter() {
     let frames = [1, 2, 5].map(|threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| fresh(Processor::default()))
+        pool.install(|| fresh(Isa::best()))
     });
     assert!(frames[0] == frames[1] && frames[1] == frames[2]);
 }
 
 #[test]
 fn earlier_renderings_leave_no_trace() {
-    let expected = fresh(Processor::default());
+    let expected = fresh(Isa::best());
     let mut rasterizer = Rasterizer::new();
     let mut frame = Frame::new();
     render(&mut rasterizer, 2, &Camera { width: 500, height: 400, ..wide() }, Outputs::ALL, &mut frame);
@@ -65,7 +57,7 @@ fn earlier_renderings_leave_no_trace() {
 
 #[test]
 fn an_output_does_not_depend_on_the_others() {
-    let expected = fresh(Processor::default());
+    let expected = fresh(Isa::best());
     let none = Outputs { image: false, ..Outputs::IMAGE };
     let mut rasterizer = Rasterizer::new();
     let mut frame = Frame::new();

@@ -5,12 +5,12 @@
 //! each of 36 or 8 positions), and transformed back. A block of tiles goes all the way before the next begins.
 
 use rayon::prelude::*;
+use srflow_simd::{
+    Activation, Isa, MAX_LANES, Product, SharedMut, Simd, Start, Steps, dispatch, multiply, pack_rows,
+    panel_columns,
+};
 
 use super::{Conv2dShape, Epilogue};
-use crate::activation::Activation;
-use crate::gemm::{Product, Start, Steps, multiply, pack_rows, panel_columns};
-use crate::shared_mut::SharedMut;
-use crate::simd::{Isa, MOST_LANES, Simd, dispatch};
 
 mod transforms;
 
@@ -138,7 +138,7 @@ pub(super) fn convolve(
                     out_step: shape.in_channels * panel,
                 };
                 let out = &mut scratch.transformed[channel * panel..];
-                // SAFETY: `isa` is available; the source holds the rows of every run, the output every position.
+                // SAFETY: the source holds the rows of every run, the output every position.
                 unsafe { transform_input(isa, &task, &mut scratch.source, out) }
             }
             for position in 0..positions {
@@ -156,7 +156,7 @@ pub(super) fn convolve(
                     out_steps: Steps { row: panel, panel: 0 },
                     columns: tiles,
                 };
-                // SAFETY: `isa` is available; both sides are whole panels.
+                // SAFETY: both sides are whole panels.
                 unsafe { multiply(isa, &product) }
             }
             for channel in 0..shape.out_channels {
@@ -173,7 +173,7 @@ pub(super) fn convolve(
                     // SAFETY: inside; of this channel this task alone writes the tiles of its runs.
                     out: unsafe { target.at(at) },
                 };
-                // SAFETY: `isa` is available; the products hold every position, the output the channel's plane.
+                // SAFETY: the products hold every position, the output the channel's plane.
                 unsafe { transform_output(isa, &task) }
             }
         });
@@ -254,12 +254,12 @@ dispatch! {
     /// Transforms the tiles of the runs; `rows` is scratch.
     ///
     /// # Safety
-    /// `isa` is available; `rows` is as long as the task's [`SourceRows`] say; `out` holds every position.
-    fn transform_input = transform_input_kernel(task: &InputTask, rows: &mut [f32], out: &mut [f32])
+    /// `rows` is as long as the task's [`SourceRows`] say; `out` holds every position.
+    unsafe fn transform_input = transform_input_kernel(task: &InputTask, rows: &mut [f32], out: &mut [f32])
 }
 
 #[inline(always)]
-unsafe fn transform_input_kernel<S: Simd>(task: &InputTask, rows: &mut [f32], out: &mut [f32]) {
+unsafe fn transform_input_kernel<S: Simd>(s: S, task: &InputTask, rows: &mut [f32], out: &mut [f32]) {
     let source = task.source;
     let [tile_height, tile_width] = task.scheme.tile();
     let [height, width] = task.size;
@@ -270,7 +270,7 @@ unsafe fn transform_input_kernel<S: Simd>(task: &InputTask, rows: &mut [f32], ou
                 // SAFETY: the caller's promise.
                 Some(y) => unsafe {
                     let from = &task.plane[y * width..][..width];
-                    fill_row::<S>(from, run.column * tile_width, task.padding[1], columns, source.phase, row)
+                    fill_row(s, from, run.column * tile_width, task.padding[1], columns, source.phase, row)
                 },
                 None => row.fill(0.0),
             }
@@ -283,40 +283,41 @@ unsafe fn transform_input_kernel<S: Simd>(task: &InputTask, rows: &mut [f32], ou
                 let to = out.as_mut_ptr().add(run.at + x);
                 match task.scheme {
                     Scheme::Square => {
-                        let mut down = [[S::splat(0.0); 6]; 6];
+                        let mut down = [[s.splat(0.0); 6]; 6];
                         for x in 0..6 {
                             let from = from.add(x % OUTPUTS * source.phase + x / OUTPUTS);
-                            let mut column = [S::splat(0.0); 6];
+                            let mut column = [s.splat(0.0); 6];
                             for (y, v) in column.iter_mut().enumerate() {
-                                *v = S::load(from.add(y * source.row));
+                                *v = s.load(from.add(y * source.row));
                             }
-                            let column = input_3::<S>(column);
+                            let column = input_3(s, column);
                             for y in 0..6 {
                                 down[y][x] = column[y];
                             }
                         }
                         for (y, row) in down.into_iter().enumerate() {
                             store_positions::<S, 6>(
+                                s,
                                 to.add(6 * y * task.out_step),
                                 task.out_step,
                                 lanes,
-                                input_3::<S>(row),
+                                input_3(s, row),
                             );
                         }
                     }
                     Scheme::Row => {
-                        let mut row = [S::splat(0.0); 8];
+                        let mut row = [s.splat(0.0); 8];
                         for (x, v) in row.iter_mut().enumerate() {
-                            *v = S::load(from.add(x % OUTPUTS * source.phase + x / OUTPUTS));
+                            *v = s.load(from.add(x % OUTPUTS * source.phase + x / OUTPUTS));
                         }
-                        store_positions::<S, 8>(to, task.out_step, lanes, input_5::<S>(row));
+                        store_positions::<S, 8>(s, to, task.out_step, lanes, input_5(s, row));
                     }
                     Scheme::Column => {
-                        let mut column = [S::splat(0.0); 8];
+                        let mut column = [s.splat(0.0); 8];
                         for (y, v) in column.iter_mut().enumerate() {
-                            *v = S::load(from.add(y * source.row));
+                            *v = s.load(from.add(y * source.row));
                         }
-                        store_positions::<S, 8>(to, task.out_step, lanes, input_5::<S>(column));
+                        store_positions::<S, 8>(s, to, task.out_step, lanes, input_5(s, column));
                     }
                 }
             }
@@ -326,6 +327,7 @@ unsafe fn transform_input_kernel<S: Simd>(task: &InputTask, rows: &mut [f32], ou
 
 #[inline(always)]
 unsafe fn store_positions<S: Simd, const N: usize>(
+    s: S,
     to: *mut f32,
     step: usize,
     lanes: usize,
@@ -335,18 +337,19 @@ unsafe fn store_positions<S: Simd, const N: usize>(
         // SAFETY: the caller's promise.
         unsafe {
             let to = to.add(position * step);
-            if lanes == S::LANES { S::store(to, v) } else { S::store_first(to, v, lanes) }
+            if lanes == S::LANES { s.store(to, v) } else { s.store_first(to, v, lanes) }
         }
     }
 }
 
 /// Most columns of a run, and room for whole vectors.
-const LINE: usize = 4 * MOST_LANES * OUTPUTS;
+const LINE: usize = 4 * MAX_LANES * OUTPUTS;
 
 /// Copies `columns` columns of a row with `padding` zeros on both sides, from column `first` of that, in the order of
 /// [`SourceRows`].
 #[inline(always)]
 unsafe fn fill_row<S: Simd>(
+    s: S,
     from: &[f32],
     first: usize,
     padding: usize,
@@ -371,14 +374,14 @@ unsafe fn fill_row<S: Simd>(
         // SAFETY: the line and the row have room for whole vectors.
         unsafe {
             let at = line[block * OUTPUTS * S::LANES..][..OUTPUTS * S::LANES].as_ptr();
-            let mut v = [S::splat(0.0); OUTPUTS];
+            let mut v = [s.splat(0.0); OUTPUTS];
             for (i, v) in v.iter_mut().enumerate() {
-                *v = S::load(at.add(i * S::LANES));
+                *v = s.load(at.add(i * S::LANES));
             }
-            let v = S::deinterleave(v);
+            let v = s.deinterleave(v);
             for remainder in 0..OUTPUTS {
                 let at = remainder * phase + block * S::LANES;
-                S::store(to[at..at + S::LANES].as_mut_ptr(), v[remainder]);
+                s.store(to[at..at + S::LANES].as_mut_ptr(), v[remainder]);
             }
         }
     }
@@ -401,12 +404,12 @@ dispatch! {
     /// Transforms products back and finishes the sums of one channel.
     ///
     /// # Safety
-    /// `isa` is available; the products hold every position, the output a plane that no other thread writes these tiles of.
-    fn transform_output = transform_output_kernel(task: &OutputTask)
+    /// the products hold every position, the output a plane that no other thread writes these tiles of.
+    unsafe fn transform_output = transform_output_kernel(task: &OutputTask)
 }
 
 #[inline(always)]
-unsafe fn transform_output_kernel<S: Simd>(task: &OutputTask) {
+unsafe fn transform_output_kernel<S: Simd>(s: S, task: &OutputTask) {
     let [height, width] = task.size;
     let [tile_height, tile_width] = task.scheme.tile();
     // SAFETY: the caller's promise; only what lies inside the plane is stored.
@@ -420,29 +423,29 @@ unsafe fn transform_output_kernel<S: Simd>(task: &OutputTask) {
                 let end = width.min(x + lanes * tile_width);
                 match task.scheme {
                     Scheme::Square => {
-                        let mut across = [[S::splat(0.0); 6]; OUTPUTS];
+                        let mut across = [[s.splat(0.0); 6]; OUTPUTS];
                         for p in 0..6 {
-                            let column = load_positions::<S, 6>(from.add(p * task.step), 6 * task.step);
-                            let column = output_3::<S>(column);
+                            let column = load_positions::<S, 6>(s, from.add(p * task.step), 6 * task.step);
+                            let column = output_3(s, column);
                             for i in 0..OUTPUTS {
                                 across[i][p] = column[i];
                             }
                         }
                         for (i, row) in across.into_iter().enumerate() {
                             if y + i < height {
-                                finish_row::<S>(task, y + i, x, end, output_3::<S>(row));
+                                finish_row(s, task, y + i, x, end, output_3(s, row));
                             }
                         }
                     }
                     Scheme::Row => {
-                        let row = output_5::<S>(load_positions::<S, 8>(from, task.step));
-                        finish_row::<S>(task, y, x, end, row);
+                        let row = output_5(s, load_positions::<S, 8>(s, from, task.step));
+                        finish_row(s, task, y, x, end, row);
                     }
                     Scheme::Column => {
-                        let column = output_5::<S>(load_positions::<S, 8>(from, task.step));
+                        let column = output_5(s, load_positions::<S, 8>(s, from, task.step));
                         for (i, v) in column.into_iter().enumerate() {
                             if y + i < height {
-                                finish::<S>(task, y + i, x, end, v);
+                                finish(s, task, y + i, x, end, v);
                             }
                         }
                     }
@@ -453,12 +456,12 @@ unsafe fn transform_output_kernel<S: Simd>(task: &OutputTask) {
 }
 
 #[inline(always)]
-unsafe fn load_positions<S: Simd, const N: usize>(from: *const f32, step: usize) -> [S::Vector; N] {
+unsafe fn load_positions<S: Simd, const N: usize>(s: S, from: *const f32, step: usize) -> [S::Vector; N] {
     // SAFETY: the caller's promise; products have room for a vector beyond the last tile.
     unsafe {
-        let mut v = [S::splat(0.0); N];
+        let mut v = [s.splat(0.0); N];
         for (position, v) in v.iter_mut().enumerate() {
-            *v = S::load(from.add(position * step));
+            *v = s.load(from.add(position * step));
         }
         v
     }
@@ -466,19 +469,26 @@ unsafe fn load_positions<S: Simd, const N: usize>(from: *const f32, step: usize)
 
 /// Finishes and stores the outputs of neighbouring tiles in a row.
 #[inline(always)]
-unsafe fn finish_row<S: Simd>(task: &OutputTask, y: usize, x: usize, end: usize, row: [S::Vector; OUTPUTS]) {
+unsafe fn finish_row<S: Simd>(
+    s: S,
+    task: &OutputTask,
+    y: usize,
+    x: usize,
+    end: usize,
+    row: [S::Vector; OUTPUTS],
+) {
     // SAFETY: the caller's promise.
     unsafe {
-        let row = S::interleave(row);
+        let row = s.interleave(row);
         for i in 0..OUTPUTS {
-            finish::<S>(task, y, x + i * S::LANES, end, row[i]);
+            finish(s, task, y, x + i * S::LANES, end, row[i]);
         }
     }
 }
 
 /// Finishes and stores the columns from `x`, up to `end`, of row `y`.
 #[inline(always)]
-unsafe fn finish<S: Simd>(task: &OutputTask, y: usize, x: usize, end: usize, v: S::Vector) {
+unsafe fn finish<S: Simd>(s: S, task: &OutputTask, y: usize, x: usize, end: usize, v: S::Vector) {
     if x >= end {
         return;
     }
@@ -486,12 +496,12 @@ unsafe fn finish<S: Simd>(task: &OutputTask, y: usize, x: usize, end: usize, v: 
     let at = y * task.size[1] + x;
     // SAFETY: inside the plane.
     unsafe {
-        let mut v = S::add(v, S::splat(task.bias));
+        let mut v = s.add(v, s.splat(task.bias));
         if let Some(residual) = task.residual {
-            v = S::add(v, S::load_first(residual.as_ptr().add(at), lanes));
+            v = s.add(v, s.load_first(residual.as_ptr().add(at), lanes));
         }
-        let v = task.activation.apply::<S>(v);
+        let v = task.activation.apply(s, v);
         let to = task.out.add(at);
-        if lanes == S::LANES { S::store(to, v) } else { S::store_first(to, v, lanes) }
+        if lanes == S::LANES { s.store(to, v) } else { s.store_first(to, v, lanes) }
     }
 }

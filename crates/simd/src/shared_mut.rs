@@ -2,7 +2,7 @@ use std::marker::PhantomData;
 
 /// A slice that several threads write at once, each its own elements.
 #[derive(Clone, Copy)]
-pub(crate) struct SharedMut<'a> {
+pub struct SharedMut<'a> {
     start: *mut f32,
     len: usize,
     slice: PhantomData<&'a mut [f32]>,
@@ -14,7 +14,7 @@ unsafe impl Send for SharedMut<'_> {}
 unsafe impl Sync for SharedMut<'_> {}
 
 impl<'a> SharedMut<'a> {
-    pub(crate) fn new(slice: &'a mut [f32]) -> Self {
+    pub fn new(slice: &'a mut [f32]) -> Self {
         Self { start: slice.as_mut_ptr(), len: slice.len(), slice: PhantomData }
     }
 
@@ -22,7 +22,7 @@ impl<'a> SharedMut<'a> {
     ///
     /// # Safety
     /// `fill` writes each of the `len` elements, and reads none before.
-    pub(crate) unsafe fn fill_new(len: usize, fill: impl FnOnce(SharedMut)) -> Vec<f32> {
+    pub unsafe fn fill_new(len: usize, fill: impl FnOnce(SharedMut)) -> Vec<f32> {
         let mut out = Vec::with_capacity(len);
         fill(SharedMut { start: out.as_mut_ptr(), len, slice: PhantomData });
         // SAFETY: the capacity, and the caller's promise.
@@ -34,7 +34,7 @@ impl<'a> SharedMut<'a> {
     ///
     /// # Safety
     /// What is written through it belongs to the calling thread alone while others write.
-    pub(crate) unsafe fn at(&self, index: usize) -> *mut f32 {
+    pub unsafe fn at(&self, index: usize) -> *mut f32 {
         assert!(index < self.len, "element {index} of {}", self.len);
         // SAFETY: inside the slice.
         unsafe { self.start.add(index) }

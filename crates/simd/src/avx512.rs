@@ -1,0 +1,196 @@
+use std::arch::x86_64::*;
+
+use crate::{Avx2, MAX_LANES, Simd};
+
+/// AVX-512 (F, BW, DQ, VL), and all of AVX2.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Avx512(());
+
+impl Avx512 {
+    /// Proof that the processor has it, all that [`crate::dispatch!`] compiles for.
+    pub fn detect() -> Option<Self> {
+        (Avx2::detect().is_some()
+            && is_x86_feature_detected!("avx512f")
+            && is_x86_feature_detected!("avx512bw")
+            && is_x86_feature_detected!("avx512dq")
+            && is_x86_feature_detected!("avx512vl"))
+        .then_some(Self(()))
+    }
+}
+
+// SAFETY of every block below: `self` exists only if `detect` found the instructions; memory is the caller's promise.
+#[allow(clippy::undocumented_unsafe_blocks)] // said once, above
+impl Simd for Avx512 {
+    type Vector = __m512;
+    type Mask = __mmask16;
+    const LANES: usize = 16;
+    const TILE_ROWS: usize = 8;
+
+    #[inline(always)]
+    fn prefetch<T>(self, item: &T) {
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(item).cast()) }
+    }
+
+    #[inline(always)]
+    fn splat(self, x: f32) -> __m512 {
+        unsafe { _mm512_set1_ps(x) }
+    }
+
+    #[inline(always)]
+    unsafe fn load(self, from: *const f32) -> __m512 {
+        unsafe { _mm512_loadu_ps(from) }
+    }
+
+    #[inline(always)]
+    unsafe fn load_first(self, from: *const f32, count: usize) -> __m512 {
+        unsafe { _mm512_maskz_loadu_ps(((1_u32 << count) - 1) as __mmask16, from) }
+    }
+
+    #[inline(always)]
+    unsafe fn store(self, to: *mut f32, v: __m512) {
+        unsafe { _mm512_storeu_ps(to, v) }
+    }
+
+    #[inline(always)]
+    unsafe fn store_first(self, to: *mut f32, v: __m512, count: usize) {
+        unsafe { _mm512_mask_storeu_ps(to, ((1_u32 << count) - 1) as __mmask16, v) }
+    }
+
+    #[inline(always)]
+    fn add(self, a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_add_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn sub(self, a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_sub_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn mul(self, a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_mul_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn div(self, a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_div_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn mul_add(self, a: __m512, b: __m512, c: __m512) -> __m512 {
+        unsafe { _mm512_fmadd_ps(a, b, c) }
+    }
+
+    #[inline(always)]
+    fn neg_mul_add(self, a: __m512, b: __m512, c: __m512) -> __m512 {
+        unsafe { _mm512_fnmadd_ps(a, b, c) }
+    }
+
+    #[inline(always)]
+    fn min(self, a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_min_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn max(self, a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_max_ps(a, b) }
+    }
+
+    #[inline(always)]
+    fn negative(self, a: __m512) -> __m512 {
+        unsafe { _mm512_or_ps(a, _mm512_set1_ps(-0.0)) }
+    }
+
+    #[inline(always)]
+    fn scale_by_power_of_two(self, a: __m512, rounded: __m512) -> __m512 {
+        unsafe {
+            let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(rounded));
+            _mm512_castsi512_ps(_mm512_add_epi32(_mm512_castps_si512(a), exponent))
+        }
+    }
+
+    #[inline(always)]
+    fn at_least(self, a: __m512, b: __m512) -> __mmask16 {
+        unsafe { _mm512_cmp_ps_mask::<_CMP_GE_OQ>(a, b) }
+    }
+
+    #[inline(always)]
+    fn greater(self, a: __m512, b: __m512) -> __mmask16 {
+        unsafe { _mm512_cmp_ps_mask::<_CMP_GT_OQ>(a, b) }
+    }
+
+    #[inline(always)]
+    fn and(self, a: __mmask16, b: __mmask16) -> __mmask16 {
+        a & b
+    }
+
+    #[inline(always)]
+    fn and_not(self, a: __mmask16, b: __mmask16) -> __mmask16 {
+        a & !b
+    }
+
+    #[inline(always)]
+    fn select(self, mask: __mmask16, a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_mask_blend_ps(mask, b, a) }
+    }
+
+    #[inline(always)]
+    fn bits(self, mask: __mmask16) -> u16 {
+        mask
+    }
+
+    #[inline(always)]
+    fn sum(self, v: __m512) -> f32 {
+        unsafe { _mm512_reduce_add_ps(v) }
+    }
+
+    #[inline(always)]
+    unsafe fn transpose(self, from: &[*const f32; MAX_LANES], to: *mut f32, step: usize) {
+        unsafe {
+            // Interleaving every fourth row, then what that gives, brings all rows' elements together.
+            let mut quarters = [[_mm512_setzero_ps(); 4]; 4];
+            for j in 0..4 {
+                let (a, b) = (_mm512_loadu_ps(from[j]), _mm512_loadu_ps(from[j + 4]));
+                let (c, d) = (_mm512_loadu_ps(from[j + 8]), _mm512_loadu_ps(from[j + 12]));
+                quarters[j] = self.interleave([a, b, c, d]);
+            }
+            for k in 0..4 {
+                let [a, b, c, d] = quarters;
+                let rows = self.interleave([a[k], b[k], c[k], d[k]]);
+                for m in 0..4 {
+                    _mm512_storeu_ps(to.add((4 * k + m) * step), rows[m]);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn deinterleave(self, [a, b, c, d]: [__m512; 4]) -> [__m512; 4] {
+        unsafe {
+            // Eight lanes of the first two vectors, then eight of the last two.
+            let every_fourth = _mm512_setr_epi32(0, 4, 8, 12, 16, 20, 24, 28, 0, 4, 8, 12, 16, 20, 24, 28);
+            let mut sorted = [a; 4];
+            // Not `from_fn`: a closure is not always compiled for the instruction set of its surroundings.
+            for j in 0..4 {
+                let index = _mm512_add_epi32(every_fourth, _mm512_set1_epi32(j as i32));
+                let low = _mm512_permutex2var_ps(a, index, b);
+                sorted[j] = _mm512_mask_blend_ps(0xFF00, low, _mm512_permutex2var_ps(c, index, d));
+            }
+            sorted
+        }
+    }
+
+    #[inline(always)]
+    fn interleave(self, [a, b, c, d]: [__m512; 4]) -> [__m512; 4] {
+        unsafe {
+            let alternate = _mm512_setr_epi32(0, 16, 0, 16, 1, 17, 1, 17, 2, 18, 2, 18, 3, 19, 3, 19);
+            let mut mixed = [a; 4];
+            for k in 0..4 {
+                let index = _mm512_add_epi32(alternate, _mm512_set1_epi32(4 * k as i32));
+                let first = _mm512_permutex2var_ps(a, index, b);
+                mixed[k] = _mm512_mask_blend_ps(0xCCCC, first, _mm512_permutex2var_ps(c, index, d));
+            }
+            mixed
+        }
+    }
+}

@@ -1,0 +1,37 @@
+//! Vector instructions behind one interface, products of matrices on slices, and writing one buffer from several threads.
+//!
+//! A kernel is written once over [`Simd`] (or as plain loops, which the compiler vectorises) and compiled for every
+//! instruction set by [`dispatch!`] or [`multiversioned!`]. An [`Isa`] holds a token that only detection makes, so that code
+//! compiled for an instruction set runs only where the processor has it.
+//!
+//! Every lane operation is the IEEE one, multiply-adds are fused on every instruction set, and nothing is reordered: an
+//! element of a result depends on the order of its own operations, never on the width of the vectors. Only
+//! [`Simd::sum`], which adds lanes, does.
+
+// Kernels walk several arrays in step by one index, as their equations do.
+#![allow(clippy::needless_range_loop)]
+#![allow(missing_docs)]
+
+mod activation;
+#[cfg(target_arch = "x86_64")]
+mod avx2;
+#[cfg(target_arch = "x86_64")]
+mod avx512;
+mod functions;
+mod isa;
+mod portable;
+mod product;
+mod shared_mut;
+mod vector;
+
+pub use activation::{Activation, Keeps, activate, activated, activation_backward};
+#[cfg(target_arch = "x86_64")]
+pub use avx2::Avx2;
+#[cfg(target_arch = "x86_64")]
+pub use avx512::Avx512;
+pub use functions::{exp, exp2};
+pub use isa::Isa;
+pub use portable::Portable;
+pub use product::{Product, Start, Steps, multiply, pack_rows, panel_columns};
+pub use shared_mut::SharedMut;
+pub use vector::{MAX_LANES, Simd};

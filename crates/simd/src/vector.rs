@@ -1,0 +1,269 @@
+/// An instruction set for `f32` vectors, as a value that exists only where the processor has it.
+///
+/// Methods are inlined into their caller, which has to be compiled for the instruction set: see [`crate::dispatch!`].
+pub trait Simd: Copy + Send + Sync + 'static {
+    /// [`Self::LANES`] numbers.
+    type Vector: Copy;
+    /// [`Self::LANES`] truth values.
+    type Mask: Copy;
+    /// Numbers of a vector.
+    const LANES: usize;
+    /// Rows of a register tile of three vectors each: as many as the registers hold.
+    const TILE_ROWS: usize;
+
+    /// Asks for the cache line at `item`, which will be used soon.
+    fn prefetch<T>(self, item: &T);
+
+    /// The same value in every lane.
+    fn splat(self, x: f32) -> Self::Vector;
+
+    /// Reads `LANES` elements.
+    ///
+    /// # Safety
+    /// They can be read.
+    unsafe fn load(self, from: *const f32) -> Self::Vector;
+
+    /// Reads the first `count` (at most `LANES`) elements; the other lanes are zero and their memory is not touched.
+    ///
+    /// # Safety
+    /// `count` elements can be read.
+    unsafe fn load_first(self, from: *const f32, count: usize) -> Self::Vector;
+
+    /// Writes `LANES` elements.
+    ///
+    /// # Safety
+    /// They can be written.
+    unsafe fn store(self, to: *mut f32, v: Self::Vector);
+
+    /// Writes the first `count` (at most `LANES`) lanes; memory beyond is not touched.
+    ///
+    /// # Safety
+    /// `count` elements can be written.
+    unsafe fn store_first(self, to: *mut f32, v: Self::Vector, count: usize);
+
+    /// The first `LANES` elements of a slice that has as many.
+    #[inline(always)]
+    fn read(self, from: &[f32]) -> Self::Vector {
+        assert!(from.len() >= Self::LANES);
+        // SAFETY: the slice holds a vector.
+        unsafe { self.load(from.as_ptr()) }
+    }
+
+    /// Puts a vector into the first `LANES` elements of a slice that has as many.
+    #[inline(always)]
+    fn write(self, v: Self::Vector, to: &mut [f32]) {
+        assert!(to.len() >= Self::LANES);
+        // SAFETY: the slice holds a vector.
+        unsafe { self.store(to.as_mut_ptr(), v) }
+    }
+
+    fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn sub(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn mul(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    fn div(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    /// `a * b + c`, rounded once.
+    fn mul_add(self, a: Self::Vector, b: Self::Vector, c: Self::Vector) -> Self::Vector;
+    /// `c - a * b`, rounded once.
+    fn neg_mul_add(self, a: Self::Vector, b: Self::Vector, c: Self::Vector) -> Self::Vector;
+    /// The smaller; `b` when either is NaN.
+    fn min(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    /// The larger; `b` when either is NaN.
+    fn max(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    /// `-|a|`.
+    fn negative(self, a: Self::Vector) -> Self::Vector;
+    /// `a * 2^n`, where `rounded` is `n + 1.5 * 2^23`, while `a` and the result are normal numbers.
+    fn scale_by_power_of_two(self, a: Self::Vector, rounded: Self::Vector) -> Self::Vector;
+
+    /// `a >= b`; false when either is NaN.
+    fn at_least(self, a: Self::Vector, b: Self::Vector) -> Self::Mask;
+    /// `a > b`; false when either is NaN.
+    fn greater(self, a: Self::Vector, b: Self::Vector) -> Self::Mask;
+    fn and(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// `a` and not `b`.
+    fn and_not(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
+    /// `a` where `mask` holds, `b` elsewhere.
+    fn select(self, mask: Self::Mask, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    /// Lane `i` is bit `i`.
+    fn bits(self, mask: Self::Mask) -> u16;
+
+    /// The sum of all lanes; in its last bits it depends on the instruction set.
+    fn sum(self, v: Self::Vector) -> f32;
+
+    /// Writes element `i` of every `from`, of which there are `LANES`, to `to + i * step`, for `LANES` elements.
+    ///
+    /// # Safety
+    /// `LANES` elements of every source can be read, and `LANES` rows of the target be written.
+    #[inline(always)]
+    unsafe fn transpose(self, from: &[*const f32; MAX_LANES], to: *mut f32, step: usize) {
+        for (column, from) in from.iter().take(Self::LANES).enumerate() {
+            for row in 0..Self::LANES {
+                // SAFETY: the caller gives this memory.
+                unsafe { *to.add(row * step + column) = *from.add(row) }
+            }
+        }
+    }
+
+    /// Element `4 i + j` of the four vectors, one after another, becomes lane `i` of vector `j`.
+    #[inline(always)]
+    fn deinterleave(self, v: [Self::Vector; 4]) -> [Self::Vector; 4] {
+        let mut elements = [0.0; 4 * MAX_LANES];
+        let mut sorted = [0.0; 4 * MAX_LANES];
+        for (j, v) in v.into_iter().enumerate() {
+            self.write(v, &mut elements[j * Self::LANES..]);
+        }
+        for (i, four) in elements[..4 * Self::LANES].chunks_exact(4).enumerate() {
+            for j in 0..4 {
+                sorted[j * Self::LANES + i] = four[j];
+            }
+        }
+        let mut out = v;
+        for (j, out) in out.iter_mut().enumerate() {
+            *out = self.read(&sorted[j * Self::LANES..]);
+        }
+        out
+    }
+
+    /// The inverse of [`Simd::deinterleave`].
+    #[inline(always)]
+    fn interleave(self, v: [Self::Vector; 4]) -> [Self::Vector; 4] {
+        let mut elements = [0.0; 4 * MAX_LANES];
+        let mut mixed = [0.0; 4 * MAX_LANES];
+        for (j, v) in v.into_iter().enumerate() {
+            self.write(v, &mut elements[j * Self::LANES..]);
+        }
+        for (i, four) in mixed[..4 * Self::LANES].chunks_exact_mut(4).enumerate() {
+            for j in 0..4 {
+                four[j] = elements[j * Self::LANES + i];
+            }
+        }
+        let mut out = v;
+        for (j, out) in out.iter_mut().enumerate() {
+            *out = self.read(&mixed[j * Self::LANES..]);
+        }
+        out
+    }
+}
+
+/// [`Simd::LANES`] at most.
+pub const MAX_LANES: usize = 16;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Isa, Portable, dispatch};
+
+    dispatch! {
+        fn mix = mix_kernel(elements: &[f32], apart: &mut [f32], together: &mut [f32])
+    }
+
+    fn mix_kernel<S: Simd>(s: S, elements: &[f32], apart: &mut [f32], together: &mut [f32]) {
+        let read = |j: usize| s.read(&elements[j * S::LANES..]);
+        let sorted = s.deinterleave([read(0), read(1), read(2), read(3)]);
+        let mixed = s.interleave(sorted);
+        for j in 0..4 {
+            s.write(sorted[j], &mut apart[j * S::LANES..]);
+            s.write(mixed[j], &mut together[j * S::LANES..]);
+        }
+    }
+
+    #[test]
+    fn every_fourth_element_goes_to_a_vector_of_its_own_and_back() {
+        for isa in Isa::to_test() {
+            let lanes = isa.lanes();
+            let elements: Vec<f32> = (0..4 * lanes).map(|i| i as f32).collect();
+            let (mut apart, mut together) = (vec![0.0; 4 * lanes], vec![0.0; 4 * lanes]);
+            mix(isa, &elements, &mut apart, &mut together);
+            for (at, &element) in apart.iter().enumerate() {
+                assert_eq!(element, (4 * (at % lanes) + at / lanes) as f32, "{isa:?}");
+            }
+            assert_eq!(together, elements, "{isa:?}");
+        }
+    }
+
+    dispatch! {
+        fn transpose = transpose_kernel(from: &[[f32; MAX_LANES]; MAX_LANES], to: &mut [f32], step: usize)
+    }
+
+    fn transpose_kernel<S: Simd>(s: S, from: &[[f32; MAX_LANES]; MAX_LANES], to: &mut [f32], step: usize) {
+        assert!(step >= MAX_LANES && to.len() >= MAX_LANES * step);
+        // SAFETY: sources and target are long enough for any instruction set.
+        unsafe { s.transpose(&from.each_ref().map(|row| row.as_ptr()), to.as_mut_ptr(), step) }
+    }
+
+    #[test]
+    fn rows_become_columns() {
+        let from: [[f32; MAX_LANES]; MAX_LANES] =
+            std::array::from_fn(|row| std::array::from_fn(|column| (row * 20 + column) as f32));
+        for isa in Isa::to_test() {
+            let mut to = vec![-1.0; MAX_LANES * 17];
+            transpose(isa, &from, &mut to, 17);
+            for (i, &found) in to.iter().enumerate() {
+                let (row, column) = (i / 17, i % 17);
+                let inside = row < isa.lanes() && column < isa.lanes();
+                assert_eq!(found, if inside { from[column][row] } else { -1.0 }, "{isa:?}");
+            }
+        }
+    }
+
+    dispatch! {
+        fn all_operations = all_operations_kernel(values: &[[f32; MAX_LANES]; 3], out: &mut Vec<[f32; MAX_LANES]>)
+    }
+
+    fn all_operations_kernel<S: Simd>(s: S, values: &[[f32; MAX_LANES]; 3], out: &mut Vec<[f32; MAX_LANES]>) {
+        let mut apply = |operation: &dyn Fn(S::Vector, S::Vector, S::Vector) -> S::Vector| {
+            let mut row = [0.0; MAX_LANES];
+            for first in (0..MAX_LANES).step_by(S::LANES) {
+                let [a, b, c] = values.each_ref().map(|row| s.read(&row[first..]));
+                s.write(operation(a, b, c), &mut row[first..]);
+            }
+            out.push(row);
+        };
+        apply(&|a, b, _| s.add(a, b));
+        apply(&|a, b, _| s.sub(a, b));
+        apply(&|a, b, _| s.mul(a, b));
+        apply(&|a, b, _| s.div(a, b));
+        apply(&|a, b, c| s.mul_add(a, b, c));
+        apply(&|a, b, c| s.neg_mul_add(a, b, c));
+        apply(&|a, b, _| s.min(a, b));
+        apply(&|a, b, _| s.max(a, b));
+        apply(&|a, _, _| s.negative(a));
+        apply(&|a, b, c| s.select(s.at_least(a, b), a, c));
+        apply(&|a, b, c| s.select(s.greater(a, b), a, c));
+        apply(&|a, b, c| s.select(s.and(s.at_least(a, b), s.at_least(b, c)), a, c));
+        apply(&|a, b, c| s.select(s.and_not(s.at_least(a, b), s.at_least(b, c)), a, c));
+        let mut bits = 0;
+        for first in (0..MAX_LANES).step_by(S::LANES) {
+            let [a, b, _] = values.each_ref().map(|row| s.read(&row[first..]));
+            bits |= u32::from(s.bits(s.at_least(a, b))) << first;
+        }
+        out.push([bits as f32; MAX_LANES]);
+    }
+
+    /// On numbers, zeros of both signs, infinities and NaN in every position.
+    #[test]
+    fn every_operation_gives_the_same_bits_on_every_instruction_set() {
+        let kinds = [1.5, -0.3, 0.0, -0.0, f32::NAN, f32::INFINITY, f32::NEG_INFINITY, 1e-40, 3e38];
+        for turn in 0..kinds.len() * kinds.len() {
+            let (second, third) = (turn % kinds.len(), turn / kinds.len());
+            let values = [
+                std::array::from_fn(|i| kinds[i % kinds.len()]),
+                std::array::from_fn(|i| kinds[(i + second) % kinds.len()]),
+                std::array::from_fn(|i| kinds[(i + third) % kinds.len()]),
+            ];
+            let mut expected = Vec::new();
+            all_operations(Isa::Portable(Portable), &values, &mut expected);
+            for isa in Isa::to_test() {
+                let mut found = Vec::new();
+                all_operations(isa, &values, &mut found);
+                for (operation, (found, expected)) in found.iter().zip(&expected).enumerate() {
+                    for (found, expected) in found.iter().zip(expected) {
+                        // The sign and the payload of a NaN that an operation makes are the processor's choice.
+                        let same =
+                            found.to_bits() == expected.to_bits() || found.is_nan() && expected.is_nan();
+                        assert!(same, "{isa:?}, operation {operation}: {found} for {expected} of {values:?}");
+                    }
+                }
+            }
+        }
+    }
+}

@@ -8,8 +8,7 @@ use srflow_avatar::{Avatar, AvatarError, HeadPose, Joint, PosedHead, Region, Sid
 use srflow_splat::{Camera, Frame, Gaussians, Options, Rasterizer};
 
 fn ict_folder() -> Option<PathBuf> {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data"))
-        .join("ict-facekit/FaceXModel");
+    let folder = Path::new("../../../shared/data").join("ict-facekit/FaceXModel");
     if folder.is_dir() {
         return Some(folder);
     }

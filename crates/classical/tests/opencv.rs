@@ -27,7 +27,7 @@ fn synthetic(frame: i64) -> Image {
 }
 
 fn golden(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name)
+    Path::new("tests/data").join(name)
 }
 
 /// Mean distance in pixels between `flow` and OpenCV's, which holds every `step`-th pixel.
@@ -45,7 +45,7 @@ fn distance(flow: &FlowField, name: &str, step: usize) -> f32 {
 }
 
 fn real_frame(name: &str) -> Option<Image> {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/real-frames"));
+    let folder = Path::new("../../../shared/data/real-frames");
     if !folder.is_dir() {
         eprintln!("skipped: no real frames in {}", folder.display());
         return None;
@@ -103,7 +103,7 @@ fn real_frames_move_as_in_opencv() {
 
 /// The end-point error is no worse than that of OpenCV's TV-L1.
 fn check_kitti_error(flow: &FlowField) {
-    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/real-frames"));
+    let folder = Path::new("../../../shared/data/real-frames");
     let truth = read_flow(&folder.join("kitti/flow_gt.png")).unwrap();
     let known = truth.pixels().iter().zip(flow.pixels()).filter(|([u, v], _)| u.is_finite() && v.is_finite());
     let errors: Vec<f64> = known.map(|([u, v], [x, y])| f64::from((x - u).hypot(y - v))).collect();

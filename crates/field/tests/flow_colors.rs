@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use srflow_field::{FlowField, Image, flow_colors, longest_flow, read_flow, read_image};
 
 fn data(name: &str) -> PathBuf {
-    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data")).join(name)
+    PathBuf::from("tests/data").join(name)
 }
 
 /// The arctangents of two libraries may differ in the last bit, and with it a channel by one level.

@@ -11,7 +11,7 @@ const FLOAT_FORMATS: [FlowFormat; 5] =
     [FlowFormat::Flo, FlowFormat::Pfm, FlowFormat::Flo5, FlowFormat::Npy, FlowFormat::Npz];
 
 fn data(name: &str) -> PathBuf {
-    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data")).join(name)
+    PathBuf::from("tests/data").join(name)
 }
 
 fn flow_of(component: impl Strategy<Value = f32> + Clone) -> impl Strategy<Value = FlowField> {
@@ -212,8 +212,7 @@ fn files_of_other_programs_hold_the_same_flow() {
 
 #[test]
 fn the_real_kitti_truth_has_its_known_statistics() {
-    let path =
-        Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data/real-frames/kitti/flow_gt.png"));
+    let path = Path::new("../../../shared/data/real-frames/kitti/flow_gt.png");
     if !path.exists() {
         eprintln!("skipped: {} is not there", path.display());
         return;

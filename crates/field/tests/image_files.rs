@@ -10,7 +10,7 @@ use srflow_field::{
 };
 
 fn data(name: &str) -> PathBuf {
-    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data")).join(name)
+    PathBuf::from("tests/data").join(name)
 }
 
 const KINDS: [&str; 8] = [

@@ -52,7 +52,7 @@ fn justified(file_bytes: usize) -> usize {
 #[test]
 fn changed_headers_take_no_memory() {
     let folder = tempfile::tempdir().unwrap();
-    let data = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data"));
+    let data = PathBuf::from("tests/data");
     let names = [
         "flow.npy",
         "flow_f16.npy",

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use srflow_field::{FlowField, Mask, MeanMetrics, Metrics, ScoreError, read_flow, read_mask, score};
 
 fn data(name: &str) -> PathBuf {
-    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/data")).join(name)
+    PathBuf::from("tests/data").join(name)
 }
 
 /// ptlflow sums in `f32`.

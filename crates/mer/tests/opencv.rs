@@ -6,7 +6,7 @@ use srflow_field::{Array, FlowField, Image, Plane, read_npy, read_npy_plane};
 use srflow_mer::{StrainFormula, optical_strain, resize_cubic};
 
 fn golden(name: &str) -> std::path::PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/preprocessing").join(name)
+    Path::new("tests/data/preprocessing").join(name)
 }
 
 fn picture(name: &str) -> Image {

@@ -102,7 +102,7 @@ impl Golden {
 }
 
 fn golden_path(name: &str) -> PathBuf {
-    [env!("CARGO_MANIFEST_DIR"), "tests/golden", name].iter().collect()
+    ["tests/golden", name].iter().collect()
 }
 
 /// A parameter or statistic, whatever its rank.

@@ -37,8 +37,7 @@ fn predictions(path: &Path) -> Vec<Prediction> {
 
 #[test]
 fn always_saying_negative_scores_as_in_the_paper() {
-    let path =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/data/me-annotations/data_apex.csv");
+    let path = Path::new("../../../shared/data/me-annotations/data_apex.csv");
     if !path.exists() {
         eprintln!("skipped: no annotations at {}", path.display());
         return;

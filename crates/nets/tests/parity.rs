@@ -122,7 +122,7 @@ fn assert_close(golden: &SafeTensors, name: &str, found: Tensor<4>, [mean, large
 
 fn read_golden(name: &str, [batch, height, width]: [usize; 3]) -> Vec<u8> {
     let file = format!("tests/golden/{name}_{batch}x{height}x{width}.safetensors");
-    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(&file);
+    let path = std::path::Path::new(&file);
     std::fs::read(path).expect(&file)
 }
 

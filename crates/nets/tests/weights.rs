@@ -59,12 +59,8 @@ fn weights_of_another_network_are_named() {
 #[test]
 fn ten_names_are_listed_and_the_rest_counted() {
     let device = Device::flex();
-    let error = load_network(
-        Architecture::Raft,
-        &Path::new(env!("CARGO_MANIFEST_DIR")).join("../nn/tests/checkpoints/zip.pth"),
-        &device,
-    )
-    .expect_err("no RAFT");
+    let error = load_network(Architecture::Raft, Path::new("../nn/tests/checkpoints/zip.pth"), &device)
+        .expect_err("no RAFT");
     let message = error.to_string();
     let count = parameters(&Architecture::Raft.init(&device)).len();
     assert!(message.contains("zip.pth"), "{message}");

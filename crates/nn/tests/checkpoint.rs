@@ -14,7 +14,7 @@ use tempfile::TempDir;
 use zip::write::SimpleFileOptions;
 
 fn checkpoint(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/checkpoints").join(name)
+    Path::new("tests/checkpoints").join(name)
 }
 
 /// A folder, and a file in it that is yet to be written.

@@ -36,7 +36,7 @@ static DEVICE: LazyLock<Device> = LazyLock::new(|| {
 });
 
 static GOLDEN: LazyLock<Vec<u8>> = LazyLock::new(|| {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/pytorch.safetensors");
+    let path = "tests/golden/pytorch.safetensors";
     std::fs::read(path).expect(path)
 });
 

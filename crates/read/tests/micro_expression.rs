@@ -12,10 +12,10 @@ use srflow_read::micro_expression::{
 
 /// The published annotation files, where they are beside the repository.
 fn annotations() -> Option<PathBuf> {
-    let above = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors();
-    let found = above.map(|dir| dir.join("shared/data/me-annotations")).find(|dir| dir.is_dir());
+    let here = std::env::current_dir().unwrap();
+    let found = here.ancestors().map(|dir| dir.join("shared/data/me-annotations")).find(|dir| dir.is_dir());
     if found.is_none() {
-        eprintln!("skipped: no shared/data/me-annotations above {}", env!("CARGO_MANIFEST_DIR"));
+        eprintln!("skipped: no shared/data/me-annotations above {}", here.display());
     }
     found
 }

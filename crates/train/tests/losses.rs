@@ -11,7 +11,7 @@ use srflow_train::loss::{
 const PREDICTIONS: usize = 3;
 
 fn golden() -> Vec<u8> {
-    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/golden/losses.safetensors");
+    let path = "tests/golden/losses.safetensors";
     std::fs::read(path).expect(path)
 }
 

@@ -7,7 +7,7 @@ use super::*;
 
 /// Golden data: `tools/parity/augment.py`.
 fn golden(name: &str) -> PathBuf {
-    PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("tests/data/augment").join(name)
+    Path::new("tests/data/augment").join(name)
 }
 
 fn picture(name: &str) -> Image {

@@ -2,12 +2,12 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 
 use serde_json::Value;
 
 fn models(arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_srflow"));
+    let mut command = crate::srflow();
     command.arg("models").args(arguments).output().unwrap()
 }
 
@@ -23,7 +23,7 @@ fn json(arguments: &[&str]) -> Value {
 }
 
 fn checkpoint(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../nets/tests/checkpoints").join(name)
+    Path::new("../nn/tests/checkpoints").join(name)
 }
 
 #[test]

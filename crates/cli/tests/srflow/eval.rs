@@ -1,7 +1,7 @@
 //! `srflow eval` as a user meets it: on a folder made here, and on what is wrong with folders.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 use srflow_field::{FlowField, Image, Mask, write_flow, write_image_png, write_mask_png};
 
@@ -29,7 +29,7 @@ fn make_pairs(dir: &Path, count: usize) {
 }
 
 fn eval(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_srflow")).arg("eval").args(arguments).output().expect("srflow runs")
+    crate::srflow().arg("eval").args(arguments).output().expect("srflow runs")
 }
 
 fn folder(dir: &Path) -> String {

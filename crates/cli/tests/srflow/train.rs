@@ -29,7 +29,7 @@ fn make_pairs(dir: &Path, count: usize) {
 }
 
 fn command(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_srflow"));
+    let mut command = crate::srflow();
     command.arg("train").args(arguments);
     command
 }
@@ -149,7 +149,7 @@ fn validation_scores_what_evaluation_does() {
     let validation = records.rfind(|record| record["kind"] == "validation").expect("validated");
 
     let method = format!("raft-small={}", run.join("last.safetensors").display());
-    let output = Command::new(env!("CARGO_BIN_EXE_srflow"))
+    let output = crate::srflow()
         .args(["eval", "--json", "--split", "val", "--dataset", &data, "--method", &method, "--iters", "2"])
         .output()
         .unwrap();

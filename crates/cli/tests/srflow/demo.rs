@@ -1,10 +1,10 @@
 //! `srflow demo` with small frames: the whole road, and what stops it before it starts.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 fn demo(out: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_srflow"));
+    let mut command = crate::srflow();
     command
         .args(["demo", "--size", "220x321", "--out"])
         .arg(out)
@@ -39,7 +39,7 @@ fn the_whole_road_ends_in_one_page() {
     assert_eq!(again.status.code(), Some(1));
     assert!(error.contains("report.html") && error.contains("--force"), "{error}");
     let dataset = format!("srflow:{}", out.join("clips").display());
-    let eval = Command::new(env!("CARGO_BIN_EXE_srflow"))
+    let eval = crate::srflow()
         .args(["eval", "--dataset", &dataset, "--method", "farneback", "--limit", "1"])
         .output()
         .unwrap();

@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 
 use srflow_field::{
     FlowField, Image, Mask, flow_colors, read_flow, read_image, score, write_flow, write_image_png,
@@ -10,7 +10,7 @@ use srflow_field::{
 };
 
 fn srflow(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_srflow")).current_dir(folder).args(arguments).output().unwrap()
+    crate::srflow().current_dir(folder).args(arguments).output().unwrap()
 }
 
 fn code(output: &Output) -> i32 {
@@ -242,7 +242,7 @@ fn an_output_that_cannot_be_printed_is_an_error_and_no_panic() {
     let folder = tempfile::tempdir().unwrap();
     write_flow(&folder.path().join("a.flo"), &wavy()).unwrap();
     let printing_to = |stdout: std::process::Stdio| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_srflow"));
+        let mut command = crate::srflow();
         let command = command.current_dir(folder.path()).args(["metrics", "a.flo", "a.flo"]);
         command.stdout(stdout).output().unwrap()
     };

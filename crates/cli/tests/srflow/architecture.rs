@@ -1,6 +1,5 @@
 //! The rule on directions of ARCHITECTURE.md: a crate depends only on crates above it in the pipeline.
 
-use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
@@ -23,20 +22,24 @@ const PIPELINE: [&str; 14] = [
     "srflow",
 ];
 
-fn metadata() -> Value {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-    let output = Command::new(env!("CARGO"))
-        .args(["metadata", "--no-deps", "--offline", "--format-version", "1"])
-        .current_dir(root)
-        .output()
-        .expect("cargo runs");
+fn cargo(arguments: &[&str]) -> Vec<u8> {
+    let program = std::env::var_os("CARGO").expect("cargo runs the tests");
+    let output = Command::new(program).args(arguments).current_dir("../..").output().expect("cargo runs");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    serde_json::from_slice(&output.stdout).expect("cargo metadata is JSON")
+    output.stdout
+}
+
+/// `cargo metadata` for the processor and system that the tests run on.
+pub(crate) fn metadata(more: &[&str]) -> Value {
+    let version = String::from_utf8(cargo(&["-vV"])).expect("text");
+    let host = version.lines().find_map(|line| line.strip_prefix("host: ")).expect("cargo names its host");
+    let arguments = [&["metadata", "--format-version", "1", "--filter-platform", host], more].concat();
+    serde_json::from_slice(&cargo(&arguments)).expect("cargo metadata is JSON")
 }
 
 #[test]
 fn crates_depend_only_on_crates_above_them() {
-    let metadata = metadata();
+    let metadata = metadata(&["--no-deps", "--offline"]);
     let packages = metadata["packages"].as_array().expect("packages");
     let rank = |name: &str| PIPELINE.iter().position(|&crate_name| crate_name == name);
     assert_eq!(packages.len(), PIPELINE.len(), "PIPELINE and ARCHITECTURE.md list every crate");
@@ -55,7 +58,7 @@ fn crates_depend_only_on_crates_above_them() {
 /// Evaluating and training must not compile the renderer.
 #[test]
 fn what_reads_datasets_does_not_depend_on_what_renders_them() {
-    let metadata = metadata();
+    let metadata = metadata(&["--no-deps", "--offline"]);
     let packages = metadata["packages"].as_array().expect("packages");
     let dependencies_of = |name: &str| -> Vec<&str> {
         let package =
@@ -89,8 +92,7 @@ fn what_reads_datasets_does_not_depend_on_what_renders_them() {
 
 #[test]
 fn the_architecture_page_lists_every_crate_in_order() {
-    let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../ARCHITECTURE.md"))
-        .expect("ARCHITECTURE.md");
+    let page = std::fs::read_to_string("../../ARCHITECTURE.md").expect("ARCHITECTURE.md");
     let rows: Vec<&str> = page
         .lines()
         .filter_map(|line| line.strip_prefix("| `srflow"))

@@ -9,8 +9,6 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
-const SRFLOW: &str = env!("CARGO_BIN_EXE_srflow");
-
 /// What most tests render: one scene of 7 pairs, for a head takes most of the time.
 const TINY: [&str; 10] =
     ["--scenes", "1", "--frames", "7", "--size", "110x160", "--seed", "4", "--splits", "1,0,0"];
@@ -19,7 +17,7 @@ const TINY: [&str; 10] =
 fn whole() -> &'static Path {
     static WHOLE: OnceLock<PathBuf> = OnceLock::new();
     WHOLE.get_or_init(|| {
-        let out = Path::new(env!("CARGO_TARGET_TMPDIR")).join("render_check");
+        let out = crate::binary().with_file_name("dataset-of-tests");
         let _ = fs::remove_dir_all(&out); // of an earlier test run
         let summary: Value = serde_json::from_str(&succeeds(&render(&out, &["--json"]))).unwrap();
         assert_eq!((&summary["pairs"], &summary["made"]), (&Value::from(7), &Value::from(7)));
@@ -29,7 +27,7 @@ fn whole() -> &'static Path {
 
 fn render(out: &Path, more: &[&str]) -> Output {
     let out = out.to_str().unwrap();
-    Command::new(SRFLOW).args(["render", "--out", out]).args(TINY).args(more).output().unwrap()
+    crate::srflow().args(["render", "--out", out]).args(TINY).args(more).output().unwrap()
 }
 
 fn succeeds(output: &Output) -> String {
@@ -80,7 +78,7 @@ fn copy_into(from: &Path, to: &Path) {
 }
 
 fn check(dir: &Path) -> (Output, Value) {
-    let output = Command::new(SRFLOW).args(["check", "--json"]).arg(dir).output().unwrap();
+    let output = crate::srflow().args(["check", "--json"]).arg(dir).output().unwrap();
     let report = serde_json::from_slice(&output.stdout).unwrap_or(Value::Null);
     (output, report)
 }
@@ -91,7 +89,7 @@ fn a_dataset_is_sound_and_explained_by_its_flow() {
     let out = dir.path().join("data");
     let arguments =
         ["--frames", "5", "--size", "220x320", "--backward", "--depth", "--splits", "0,0,1", "--json"];
-    let mut command = Command::new(SRFLOW);
+    let mut command = crate::srflow();
     command.args(["render", "--scenes", "1", "--out", out.to_str().unwrap()]).args(arguments);
     let summary: Value = serde_json::from_str(&succeeds(&command.output().unwrap())).unwrap();
     assert_eq!(summary["statistics"]["average_frames"], 5.0);
@@ -140,7 +138,7 @@ fn sequences_start_and_end_before_camera_nine() {
 fn a_killed_run_goes_on_to_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
     let killed = dir.path().join("killed");
-    let mut command = Command::new(SRFLOW);
+    let mut command = crate::srflow();
     command.args(["render", "--threads", "1", "--out", killed.to_str().unwrap()]).args(TINY);
     let mut child = command.stdout(Stdio::null()).spawn().unwrap();
     // Killed (SIGKILL) as soon as two pairs are whole.
@@ -242,7 +240,7 @@ fn wrong_arguments_are_said_before_any_work() {
         (&["--flow-format", "jpeg"], 2, "jpeg"),
     ];
     for (arguments, code, expected) in cases {
-        let mut command = Command::new(SRFLOW);
+        let mut command = crate::srflow();
         let output =
             command.args(["render", "--out", out.to_str().unwrap()]).args(arguments).output().unwrap();
         let error = fails(&output, code);
@@ -265,7 +263,8 @@ fn wrong_arguments_are_said_before_any_work() {
 fn a_full_disk_is_said_and_the_dataset_resumes() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("data");
-    let arguments = format!("{SRFLOW} render --out {} {}", out.display(), TINY.join(" "));
+    let arguments =
+        format!("{} render --out {} {}", crate::binary().display(), out.display(), TINY.join(" "));
     // Without the signal that a passed limit also sends; 12 blocks of 1024 bytes.
     let script = format!("trap '' XFSZ; ulimit -f 12; exec {arguments}");
     let output = Command::new("bash").args(["-c", &script]).output().unwrap();

@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 use srflow_field::{read_flow, read_image, read_mask, read_npy, read_npy_plane};
 use srflow_splat::{Gaussians, write_ply};
@@ -33,12 +33,7 @@ fn scene() -> tempfile::TempDir {
 }
 
 fn rasterize(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_srflow"))
-        .current_dir(folder)
-        .arg("rasterize")
-        .args(arguments)
-        .output()
-        .expect("srflow runs")
+    crate::srflow().current_dir(folder).arg("rasterize").args(arguments).output().expect("srflow runs")
 }
 
 #[test]

@@ -2,19 +2,14 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 use std::sync::LazyLock;
 
 use serde_json::Value;
 use srflow_field::{read_image, read_npy};
 
 fn srflow(folder: &Path, arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_srflow"))
-        .current_dir(folder)
-        .arg("mer")
-        .args(arguments)
-        .output()
-        .unwrap()
+    crate::srflow().current_dir(folder).arg("mer").args(arguments).output().unwrap()
 }
 
 fn succeeds(output: &Output) -> String {
@@ -47,10 +42,10 @@ static SET: LazyLock<tempfile::TempDir> = LazyLock::new(|| {
 
 /// The published annotation files, where they are beside the repository.
 fn annotations() -> Option<PathBuf> {
-    let above = Path::new(env!("CARGO_MANIFEST_DIR")).ancestors();
-    let found = above.map(|dir| dir.join("shared/data/me-annotations")).find(|dir| dir.is_dir());
+    let here = std::env::current_dir().unwrap();
+    let found = here.ancestors().map(|dir| dir.join("shared/data/me-annotations")).find(|dir| dir.is_dir());
     if found.is_none() {
-        eprintln!("skipped: no shared/data/me-annotations above {}", env!("CARGO_MANIFEST_DIR"));
+        eprintln!("skipped: no shared/data/me-annotations above {}", here.display());
     }
     found
 }

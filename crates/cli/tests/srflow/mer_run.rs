@@ -28,7 +28,7 @@ fn write_clips(folder: &Path) {
 }
 
 fn command(clips: &Path, out: &Path, epochs: [&str; 2], more: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_srflow"));
+    let mut command = crate::srflow();
     command
         .args(["mer", "run", "--data", &format!("clips:{}", clips.display()), "--out"])
         .arg(out)
@@ -89,7 +89,7 @@ fn clips_become_tables_and_a_second_run_gives_the_same_bytes() {
 }
 
 fn tables(arguments: &[&Path]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_srflow")).args(["mer", "tables"]).args(arguments).output().unwrap()
+    crate::srflow().args(["mer", "tables"]).args(arguments).output().unwrap()
 }
 
 /// Every table of a finished run follows from its predictions.

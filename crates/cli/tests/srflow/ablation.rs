@@ -28,7 +28,7 @@ fn make_data(folder: &Path) -> String {
 }
 
 fn command(data: &str, out: &Path, rows: &str, more: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_srflow"));
+    let mut command = crate::srflow();
     command.args(["ablation", "--config", "cpu-small", "--data", data, "--rows", rows, "--seeds", "1,2"]);
     command.args(["--crop", "64x64", "--batch", "1", "--iterations", "1", "--steps", "2"]);
     command.args(["--set", "checkpoints.every=1", "--out"]).arg(out).args(more);

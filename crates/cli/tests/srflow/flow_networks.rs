@@ -3,7 +3,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 use std::sync::OnceLock;
 
 use burn::tensor::Device;
@@ -65,7 +65,7 @@ fn data() -> &'static Path {
 }
 
 fn srflow(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_srflow")).current_dir(data()).args(arguments).output().unwrap()
+    crate::srflow().current_dir(data()).args(arguments).output().unwrap()
 }
 
 /// `srflow flow` with RAFT-S, two iterations.
@@ -267,7 +267,7 @@ fn videos_go_through_ffmpeg() {
     program("ffprobe", "echo r_frame_rate=30/1; echo nb_read_packets=3");
     let run = |path: &str, more: &[&str]| {
         let raft = ["flow", "--method", "raft-small=one.safetensors", "--iters", "2", "clip.mp4"];
-        let mut command = Command::new(env!("CARGO_BIN_EXE_srflow"));
+        let mut command = crate::srflow();
         command.current_dir(data()).env("PATH", path).args(raft).args(more).output().unwrap()
     };
     let path = format!("{}:/usr/bin:/bin", dir.display());

@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 use serde_json::Value;
 use srflow_field::{Image, flow_colors, read_flow, read_image, write_flow, write_image_png};
@@ -28,7 +28,7 @@ fn write_frames(folder: &Path, numbers: impl IntoIterator<Item = usize>) {
 }
 
 fn flow(folder: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_srflow"));
+    let mut command = crate::srflow();
     command.current_dir(folder).args(["flow", "--method", "farneback"]).args(arguments).output().unwrap()
 }
 

@@ -91,7 +91,7 @@ impl BoundGaussians {
     }
 
     /// World Gaussian number `i` on a triangle in `frame`: `x' = k R x + T`, `scale' = k scale`, `q' = q_R q`. This is
-    /// the definition; [`Self::world_into`] does the same for all of them at once.
+    /// the definition; `world_into` does the same for all of them at once.
     pub fn world(&self, i: usize, frame: &TriangleFrame) -> (Vec3, Vec3, Quat) {
         (
             frame.point(self.local.positions[i]),

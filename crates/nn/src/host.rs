@@ -60,7 +60,7 @@ impl Layout {
             |name: &String, shape: &[usize]| ParameterInfo { name: name.clone(), shape: shape.to_vec() };
         let expected: Vec<_> =
             self.segments.iter().map(|segment| info(&segment.name, &segment.shape)).collect();
-        let given: Vec<_> = parameters.iter().map(|(name, data)| info(name, &data.shape())).collect();
+        let given: Vec<_> = parameters.iter().map(|(name, data)| info(name, data.shape())).collect();
         compare(&expected, &given)?;
         let mut values = Vec::with_capacity(self.len());
         for Segment { name, .. } in &self.segments {

@@ -11,7 +11,7 @@ use crate::flex::Contiguous;
 
 /// Keeps what was last made of a weight, for as long as the weight stays the same tensor.
 ///
-/// One cache belongs to one layer's weight, and keeps a version for each [`Pass`]. Clones share what is kept; with another weight the cache works, but has to
+/// One cache belongs to one layer's weight, and keeps a version for each pass. Clones share what is kept; with another weight the cache works, but has to
 /// make everything anew.
 #[derive(Clone, Default)]
 pub struct WeightCache(Arc<Mutex<[Option<Kept>; 2]>>);

@@ -10,6 +10,7 @@ mod large_frames;
 mod machine;
 mod methods;
 mod networks;
+mod output;
 mod scoring;
 mod size;
 mod usage;

@@ -1,7 +1,7 @@
 //! A report of made-up numbers: whole, well-formed, and in need of nothing beside it.
 
 use srflow_eval::report::{
-    ActionCard, Axis, Bar, Bin, Chart, Curve, Figure, Film, Panel, Picture, Report, Section, action_cards,
+    ActionCard, Axis, Bar, Bin, Chart, Curve, Figure, Film, Page, Panel, Picture, Section, action_cards,
     bars, compare, curves, facts, films, heat, heat_legend, histogram, panels, score_table, side_by_side,
     tiles,
 };
@@ -82,7 +82,7 @@ fn charts() -> Figure {
     )
 }
 
-fn report() -> Report {
+fn report() -> Page {
     let photo = |hue, words: &str| Picture::jpeg(&blob(260, 380, hue), words).unwrap();
     let panel = |title: &str, picture| Panel { picture, title: title.into(), note: "a few words".into() };
     let error = Plane::from_fn(260, 380, |x, y| if y > 370 { f32::NAN } else { (x * y) as f32 / 40_000.0 });
@@ -115,7 +115,7 @@ fn report() -> Report {
     ];
     let section =
         |title: &str, figures| Section { title: title.into(), lead: "Two sentences.".into(), figures };
-    Report {
+    Page {
         title: "A report of made-up numbers".into(),
         kicker: "srflow test".into(),
         lead: HOSTILE.into(),
@@ -196,7 +196,7 @@ fn charts_hold_no_numbers_that_are_not() {
     let nothing = chart("t", "x", "y");
     let odd =
         Curve { name: "odd".into(), points: vec![(f64::NAN, 1.0), (0.0, f64::INFINITY)], baseline: false };
-    let report = Report {
+    let report = Page {
         opening: vec![
             curves(&[odd], Axis::Linear, true, &nothing),
             curves(&[], Axis::Logarithmic, true, &nothing),

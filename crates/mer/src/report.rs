@@ -1,7 +1,7 @@
 //! The page of a run: scores, curves, confusion matrices, subjects, and clips with face, flow, strain and prediction.
 
 use srflow_eval::report::{
-    Axis, Chart, Curve, Figure, Picture, PictureError, Report, Section, Strip, color_scale, confusion_matrix,
+    Axis, Chart, Curve, Figure, Page, Picture, PictureError, Section, Strip, color_scale, confusion_matrix,
     curves, facts, flow_scale, ramp_legend, score_table, shrink_image, side_by_side, strips, wheel_legend,
 };
 use srflow_field::{FlowField, Plane, flow_colors};
@@ -52,7 +52,7 @@ pub enum ReportError {
 ///
 /// # Errors
 /// When a frame cannot be read or a picture not be encoded.
-pub fn report(parts: &ReportParts) -> Result<Report, ReportError> {
+pub fn report(parts: &ReportParts) -> Result<Page, ReportError> {
     let mut sections = Vec::new();
     for outcomes in by_set(parts.outcomes) {
         let set = &outcomes[0].set;
@@ -79,7 +79,7 @@ pub fn report(parts: &ReportParts) -> Result<Report, ReportError> {
                 .to_owned(),
         figures: vec![facts(&parts.facts)],
     });
-    Ok(Report {
+    Ok(Page {
         title: "Micro-expression recognition".to_owned(),
         kicker: "srflow mer run".to_owned(),
         lead: "Each subject's clips are classified by a model trained on all other subjects.".to_owned(),

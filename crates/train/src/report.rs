@@ -1,6 +1,6 @@
 //! A run as a page: curves of losses and scores, and what the run was asked for.
 
-use srflow_eval::report::{Axis, Chart, Curve, Figure, Report, Section, curves, facts, tiles};
+use srflow_eval::report::{Axis, Chart, Curve, Figure, Page, Section, curves, facts, tiles};
 
 use crate::config::Config;
 use crate::journal::{Record, StepRecord, ValidationRecord};
@@ -9,7 +9,7 @@ use crate::journal::{Record, StepRecord, ValidationRecord};
 const POINTS: usize = 300;
 
 /// The page of a run that wrote down these records. `machine` says what it ran on.
-pub fn report(config: &Config, records: &[Record], machine: &str) -> Report {
+pub fn report(config: &Config, records: &[Record], machine: &str) -> Page {
     let steps: Vec<&StepRecord> = records
         .iter()
         .filter_map(|record| if let Record::Step(step) = record { Some(step) } else { None })
@@ -28,7 +28,7 @@ pub fn report(config: &Config, records: &[Record], machine: &str) -> Report {
         figures: vec![facts(&configuration(config))],
     });
     let network = config.network.architecture.facts().title;
-    Report {
+    Page {
         title: format!("Training {network}"),
         kicker: "srflow train".to_owned(),
         lead: format!("{} on {}.", network, sources(config)),

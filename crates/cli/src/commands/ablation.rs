@@ -1,11 +1,10 @@
-use std::io::IsTerminal;
 use std::path::PathBuf;
 
 use anyhow::{Context as _, ensure};
 use clap::Args;
-use srflow_eval::report::{Report, Section, score_table};
-use srflow_eval::{Table, TextStyle, latex_file};
-use srflow_field::{create_folder, write_atomically};
+use srflow_eval::report::{Page, Section, score_table};
+use srflow_eval::{Table, TextStyle};
+use srflow_field::create_folder;
 use srflow_ops::device;
 use srflow_read::flow::{FlowDataset, Split};
 use srflow_train::ablation::{
@@ -14,6 +13,7 @@ use srflow_train::ablation::{
 use srflow_train::config::{Config, Source};
 
 use super::train::{Overrides, Progress, find_weights};
+use crate::output::{joined, latex, markdown, print_tables, write_text};
 use crate::{Context, machine};
 
 /// Train with each loss of the paper and print its Table V
@@ -88,12 +88,8 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
         say!("{}", serde_json::to_string_pretty(&cells)?)?;
         return Ok(());
     }
-    let colours = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-    let style = if colours { TextStyle::Ansi } else { TextStyle::Plain };
-    for table in &tables {
-        say!("{}", table.text(style))?;
-    }
-    say!("Report: {}", args.out.join("ablation.html").display())
+    print_tables(&tables)?;
+    say!("\nReport: {}", args.out.join("ablation.html").display())
 }
 
 /// The rows of these names; of no names, all that can be run.
@@ -131,8 +127,7 @@ fn tables(settings: &AblationSettings, cells: &[Cell], test: &FlowDataset) -> [T
 }
 
 fn write(out: &std::path::Path, cells: &[Cell], tables: &[Table; 3]) -> anyhow::Result<()> {
-    let each = |form: &dyn Fn(&Table) -> String| tables.iter().map(form).collect::<Vec<_>>().join("\n");
-    let report = Report {
+    let report = Page {
         title: "Ablation of the regularizers".to_owned(),
         kicker: "srflow ablation".to_owned(),
         lead: "The same training with one loss at a time. The paper's numbers are of another size, another dataset and another \
@@ -155,14 +150,14 @@ fn write(out: &std::path::Path, cells: &[Cell], tables: &[Table; 3]) -> anyhow::
         colophon: format!("Made on {}.", machine::describe()),
     };
     let contents = [
-        ("ablation.txt", each(&|table| table.text(TextStyle::Plain))),
-        ("ablation.md", each(&|table| format!("{}\n\n{}", table.title, table.markdown()))),
-        ("ablation.tex", latex_file(tables.iter().map(|table| (table.title.clone(), table.latex())))),
+        ("ablation.txt", joined(tables, |table| table.text(TextStyle::Plain))),
+        ("ablation.md", markdown(tables)),
+        ("ablation.tex", latex(tables)),
         ("ablation.json", serde_json::to_string_pretty(cells)? + "\n"),
         ("ablation.html", report.html()),
     ];
     for (name, text) in contents {
-        write_atomically(&out.join(name), |file| std::io::Write::write_all(file, text.as_bytes()))?;
+        write_text(&out.join(name), &text)?;
     }
     Ok(())
 }

@@ -1,6 +1,6 @@
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, ensure};
+use anyhow::Context as _;
 use clap::Args;
 use serde::Serialize;
 use srflow_field::{
@@ -8,6 +8,7 @@ use srflow_field::{
 };
 
 use crate::Context;
+use crate::output::ensure_free;
 use crate::usage::wrong_usage;
 
 /// Convert a flow between file formats, or draw it in colours
@@ -47,7 +48,7 @@ pub fn positive(text: &str) -> Result<f32, String> {
 
 /// What `--json` prints.
 #[derive(Serialize)]
-struct Report {
+struct Converted {
     output: PathBuf,
     width: usize,
     height: usize,
@@ -59,11 +60,7 @@ struct Report {
 /// Runs the command.
 pub fn run(args: Convert, context: &Context) -> anyhow::Result<()> {
     let target = Target::of(&args.output, args.viz)?;
-    ensure!(
-        args.force || !args.output.exists(),
-        "{}: this file is already there; give --force to overwrite it",
-        args.output.display()
-    );
+    ensure_free([&args.output], args.force)?;
     let flow = read_flow(&args.input)?;
     match target {
         Target::Picture => write_image_png(&args.output, &flow_colors(&flow, args.max)),
@@ -71,7 +68,7 @@ pub fn run(args: Convert, context: &Context) -> anyhow::Result<()> {
     }
     .with_context(|| format!("converting {}", args.input.display()))?;
     if context.json {
-        say!("{}", serde_json::to_string(&report(args.output, &flow))?)?;
+        say!("{}", serde_json::to_string(&converted(args.output, &flow))?)?;
     }
     Ok(())
 }
@@ -97,9 +94,9 @@ impl Target {
     }
 }
 
-fn report(output: PathBuf, flow: &FlowField) -> Report {
+fn converted(output: PathBuf, flow: &FlowField) -> Converted {
     let known = flow.known();
-    Report {
+    Converted {
         output,
         width: flow.width(),
         height: flow.height(),

@@ -1,15 +1,15 @@
-use std::io::IsTerminal;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, bail, ensure};
+use anyhow::bail;
 use clap::Args;
 use srflow_eval::report::{Figure, score_report};
-use srflow_eval::{Evaluation, OnFailure, Settings, TextStyle, latex_file};
-use srflow_field::{create_folder, write_atomically};
+use srflow_eval::{Evaluation, OnFailure, Settings, TextStyle};
+use srflow_field::create_folder;
 use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
 
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
+use crate::output::{ensure_free, joined, latex, markdown, print_tables, write_text};
 use crate::scoring::{self, Pictures};
 use crate::size::Size;
 use crate::{Context, machine};
@@ -67,13 +67,8 @@ const SHOWN_PAIRS: usize = 4;
 /// Runs the command.
 pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     args.parameters.network.batch = args.batch.into();
-    if let (Some(out), false) = (&args.out, args.force) {
-        let there = OUTPUTS.iter().map(|name| out.join(name)).find(|path| path.exists());
-        ensure!(
-            there.is_none(),
-            "{} is there already; --force overwrites it",
-            there.unwrap_or_default().display()
-        );
+    if let Some(out) = &args.out {
+        ensure_free(OUTPUTS.map(|name| out.join(name)), args.force)?;
     }
     let dataset = FlowDataset::open(&args.dataset, args.split)?;
     let estimators = methods::estimators(&args.method, &args.parameters)?;
@@ -107,25 +102,17 @@ fn print(evaluation: &Evaluation, context: &Context) -> anyhow::Result<()> {
         say!("{}", serde_json::to_string_pretty(evaluation)?)?;
         return Ok(());
     }
-    let colours = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-    say!("{}", tables(evaluation, if colours { TextStyle::Ansi } else { TextStyle::Plain }).trim_end())?;
-    Ok(())
-}
-
-fn tables(evaluation: &Evaluation, style: TextStyle) -> String {
-    evaluation.tables().iter().map(|table| table.text(style)).collect::<Vec<_>>().join("\n")
+    print_tables(&evaluation.tables())
 }
 
 fn write(out: &Path, evaluation: &Evaluation, figures: Vec<Figure>) -> anyhow::Result<()> {
-    let each = |form: fn(&srflow_eval::Table) -> String| {
-        evaluation.tables().iter().map(form).collect::<Vec<_>>().join("\n")
-    };
+    let tables = evaluation.tables();
     let contents: [String; 7] = [
-        tables(evaluation, TextStyle::Plain),
+        joined(&tables, |table| table.text(TextStyle::Plain)),
         evaluation.csv(),
         serde_json::to_string_pretty(evaluation)? + "\n",
-        latex_file(evaluation.tables().iter().map(|table| (table.title.clone(), table.latex()))),
-        each(|table| format!("{}\n\n{}", table.title, table.markdown())),
+        latex(&tables),
+        markdown(&tables),
         evaluation.pairs_csv(),
         score_report(evaluation, &machine::describe(), figures).html(),
     ];
@@ -133,9 +120,4 @@ fn write(out: &Path, evaluation: &Evaluation, figures: Vec<Figure>) -> anyhow::R
         write_text(&out.join(name), &text)?;
     }
     Ok(())
-}
-
-fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
-    write_atomically(path, |file| std::io::Write::write_all(file, text.as_bytes()))
-        .with_context(|| format!("writing {}", path.display()))
 }

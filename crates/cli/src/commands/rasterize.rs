@@ -13,6 +13,7 @@ use srflow_render::camera::camera_from_record;
 use srflow_splat::{Camera, Frame, Next, Options, Outputs, PixelConvention, Rasterizer, read_ply};
 
 use crate::Context;
+use crate::output::ensure_free;
 
 /// Rasterize a file of 3D Gaussians: colour, flow, alpha and depth
 ///
@@ -76,7 +77,7 @@ fn background(text: &str) -> Result<[u8; 3], String> {
 
 /// What `--json` prints.
 #[derive(Serialize)]
-struct Report<'a> {
+struct Rendered<'a> {
     out: &'a Path,
     files: [&'static str; 7],
     width: usize,
@@ -99,11 +100,7 @@ const FILES: [&str; 7] =
 
 /// Runs the command.
 pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
-    if !args.force
-        && let Some(there) = FILES.iter().map(|name| args.out.join(name)).find(|path| path.exists())
-    {
-        anyhow::bail!("{} is there already; --force overwrites it", there.display());
-    }
+    ensure_free(FILES.map(|name| args.out.join(name)), args.force)?;
     let camera = read_camera(&args.camera)?;
     let camera_next = args.camera_next.as_deref().map(read_camera).transpose()?;
     let gaussians = read_ply(&args.gaussians)?;
@@ -144,7 +141,7 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
         );
     }
     if context.json {
-        say!("{}", serde_json::to_string(&report(&args.out, &frame, gaussians.len()))?)?;
+        say!("{}", serde_json::to_string(&rendered(&args.out, &frame, gaussians.len()))?)?;
     }
     Ok(())
 }
@@ -172,8 +169,8 @@ fn write(frame: &Frame, out: &Path) -> Result<(), FileError> {
     write_flow(&out.join("flow_normalized.flo"), &frame.flow_normalized())
 }
 
-fn report<'a>(out: &'a Path, frame: &Frame, gaussians: usize) -> Report<'a> {
-    Report {
+fn rendered<'a>(out: &'a Path, frame: &Frame, gaussians: usize) -> Rendered<'a> {
+    Rendered {
         out,
         files: FILES,
         width: frame.width,

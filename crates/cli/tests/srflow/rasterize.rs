@@ -67,7 +67,7 @@ fn every_file_is_written_and_the_flow_is_the_motion() {
 
     let again = rasterize(folder.path(), &arguments);
     assert_eq!(again.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&again.stderr).contains("out/color.png is there already; --force"));
+    assert!(String::from_utf8_lossy(&again.stderr).contains("out/color.png exists; give --force"));
     let paper =
         rasterize(folder.path(), &[&arguments[..], &["--force", "--pixel-convention", "paper"]].concat());
     assert!(paper.status.success());

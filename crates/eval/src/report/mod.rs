@@ -1,7 +1,7 @@
 //! The report: one HTML file that needs nothing beside it. No network, no fonts, no scripts from elsewhere; pictures are
 //! inside as data URIs, charts are SVG.
 //!
-//! A [`Report`] holds [`Section`]s, a section holds [`Figure`]s. A figure can only be made by the functions here, which
+//! A [`Page`] holds [`Section`]s, a section holds [`Figure`]s. A figure can only be made by the functions here, which
 //! escape every text they are given.
 
 mod action_cards;
@@ -35,7 +35,7 @@ pub use film::{Film, films};
 pub use heat::{error_map, heat};
 pub use histogram::{Bin, histogram};
 pub use legend::{heat_legend, ramp_legend, wheel_legend};
-pub use page::{Figure, Report, Section};
+pub use page::{Figure, Page, Section};
 pub use pair_figures::{color_scale, flow_scale, pair_figures, sample_panels};
 pub use panels::{Panel, Strip, columns, panels, side_by_side, strips};
 pub use picture::{Picture, PictureError};

@@ -4,7 +4,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 #[derive(Debug, Clone)]
 pub struct Figure(pub(super) Markup);
 
-/// A titled part of a [`Report`].
+/// A titled part of a [`Page`].
 #[derive(Debug, Clone)]
 pub struct Section {
     /// Heading, also the entry in the contents.
@@ -17,7 +17,7 @@ pub struct Section {
 
 /// A page: title, contents, sections.
 #[derive(Debug, Clone)]
-pub struct Report {
+pub struct Page {
     /// The large line, also the title of the browser's tab.
     pub title: String,
     /// The small line above it.
@@ -32,7 +32,7 @@ pub struct Report {
     pub colophon: String,
 }
 
-impl Report {
+impl Page {
     /// The whole page as HTML 5, also well-formed as XML apart from the document type and void elements.
     pub fn html(&self) -> String {
         let contents = self.sections.len() > 1;

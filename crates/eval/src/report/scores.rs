@@ -7,7 +7,7 @@ use super::charts::{Axis, Chart, number};
 use super::curves::{Curve, curves};
 use super::panels::side_by_side;
 use super::score_table::score_table;
-use super::{Figure, Report, Section};
+use super::{Figure, Page, Section};
 use crate::error_curve::PER_PIXEL;
 use crate::results::{Evaluation, MethodScores};
 
@@ -33,7 +33,7 @@ pub fn score_figures(evaluation: &Evaluation, machine: &str) -> Vec<Figure> {
 
 /// The page of one evaluation: its tables and charts, then `pairs`, figures of single pairs made by
 /// [`pair_figures`](super::pair_figures).
-pub fn score_report(evaluation: &Evaluation, machine: &str, pairs: Vec<Figure>) -> Report {
+pub fn score_report(evaluation: &Evaluation, machine: &str, pairs: Vec<Figure>) -> Page {
     let mut sections = vec![Section {
         title: "Scores".to_owned(),
         lead: "Computed per pair over the pixels whose true flow is known, then averaged over pairs."
@@ -47,7 +47,7 @@ pub fn score_report(evaluation: &Evaluation, machine: &str, pairs: Vec<Figure>) 
             figures: pairs,
         });
     }
-    Report {
+    Page {
         title: evaluation.dataset.clone(),
         kicker: "srflow eval".to_owned(),
         lead: format!("{} of {}.", evaluation.pairs_in_words(), evaluation.folder),

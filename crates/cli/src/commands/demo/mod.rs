@@ -8,17 +8,18 @@ mod stage;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context as _, ensure};
+use anyhow::Context as _;
 use clap::Args;
 use serde_json::json;
 use srflow_avatar::Avatar;
 use srflow_eval::report::Figure;
 use srflow_eval::{Evaluation, OnFailure, Settings};
-use srflow_field::{FlowEstimator, write_atomically};
+use srflow_field::FlowEstimator;
 use srflow_read::flow::{DatasetSpec, FlowDataset};
 use srflow_render::generate::{FULL_SIZE, Head};
 
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
+use crate::output::{ensure_free, write_text};
 use crate::scoring::{self, Pictures};
 use crate::size::Size;
 use crate::{Context, machine};
@@ -68,11 +69,7 @@ fn paper_crop(size: Size) -> (usize, usize) {
 /// Runs the command.
 pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
     let report = args.out.join("report.html");
-    ensure!(
-        args.force || !report.exists(),
-        "{} is there already; --force makes it anew, --out DIR puts it elsewhere",
-        report.display()
-    );
+    ensure_free([&report], args.force)?;
     let photographs = photographs(&args)?;
     let estimators =
         methods::estimators(&Method::CLASSICAL.map(MethodSpec::from), &MethodParameters::default())?;
@@ -199,9 +196,4 @@ fn open(path: &Path) -> anyhow::Result<()> {
     };
     let started = Command::new(program).arg(path).spawn();
     started.map(drop).with_context(|| format!("starting `{program}`; open {} yourself", path.display()))
-}
-
-fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
-    write_atomically(path, |file| std::io::Write::write_all(file, text.as_bytes()))
-        .with_context(|| format!("writing {}", path.display()))
 }

@@ -2,7 +2,7 @@
 
 use srflow_eval::Evaluation;
 use srflow_eval::report::{
-    ActionCard, Axis, Bar, Bin, Chart, Figure, Film, Panel, Report, Section, action_cards, bars, compare,
+    ActionCard, Axis, Bar, Bin, Chart, Figure, Film, Page, Panel, Section, action_cards, bars, compare,
     facts, films, histogram, panels, score_figures, side_by_side, tiles, wheel_legend,
 };
 
@@ -39,11 +39,11 @@ pub struct Shown {
 ///
 /// # Errors
 /// When a picture cannot be encoded.
-pub fn page(shown: &Shown, stages: &Stages) -> anyhow::Result<Report> {
+pub fn page(shown: &Shown, stages: &Stages) -> anyhow::Result<Page> {
     let mut sections = vec![heads(shown), pair(shown), action_units(shown), motion(shown), full_size(shown)];
     sections.extend(photographs(shown));
     sections.push(making(shown, stages));
-    Ok(Report {
+    Ok(Page {
         kicker: "srflow demo".to_owned(),
         title: "From a head of Gaussians to evaluated optical flow".to_owned(),
         lead: "Everything on this page was computed in one run, on this machine, from a seed: heads made of 3D \

@@ -71,17 +71,17 @@ pub struct Flow {
 
 /// What `--json` prints.
 #[derive(Serialize)]
-struct Report {
+struct Estimated {
     method: String,
     #[serde(skip_serializing_if = "Option::is_none")]
-    network: Option<NetworkReport>,
+    network: Option<NetworkUsed>,
     /// What the method saw of a frame, after `--scale` and `--tile`.
     resolution: Option<Resolution>,
-    pairs: Vec<PairReport>,
+    pairs: Vec<EstimatedPair>,
 }
 
 #[derive(Serialize)]
-struct NetworkReport {
+struct NetworkUsed {
     weights: Option<String>,
     iterations: usize,
     device: String,
@@ -90,7 +90,7 @@ struct NetworkReport {
 }
 
 #[derive(Serialize)]
-struct PairReport {
+struct EstimatedPair {
     frame1: String,
     frame2: String,
     flow: PathBuf,
@@ -145,10 +145,10 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     let resolution = size
         .map(|size| args.parameters.large_frames.resolution(size, args.method.method, network))
         .transpose()?;
-    let report = Report {
+    let estimated = Estimated {
         method: estimator.name().to_owned(),
         network: match args.method.method {
-            Method::Network(architecture) => Some(NetworkReport {
+            Method::Network(architecture) => Some(NetworkUsed {
                 weights: args.method.weights.clone().or_else(|| network.weights.clone()),
                 iterations: network.iterations(architecture),
                 device: network.device.clone(),
@@ -160,7 +160,7 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
         resolution,
         pairs: reports,
     };
-    say!("{}", serde_json::to_string_pretty(&report)?)
+    say!("{}", serde_json::to_string_pretty(&estimated)?)
 }
 
 type Frames = Receiver<anyhow::Result<Frame>>;
@@ -176,7 +176,7 @@ struct Work<'a> {
 
 impl Work<'_> {
     /// Two frames, from a flow that is given.
-    fn pair_from(&self, frames: &Frames, initial: &FlowField) -> anyhow::Result<Vec<PairReport>> {
+    fn pair_from(&self, frames: &Frames, initial: &FlowField) -> anyhow::Result<Vec<EstimatedPair>> {
         let next = || frames.recv().context("the thread that reads frames ended early")?;
         let (first, second) = (next()?, next()?);
         let ((width, height), (initial_width, initial_height)) = (first.image.size(), initial.size());
@@ -195,7 +195,7 @@ impl Work<'_> {
     }
 
     /// A sequence, as many pairs at once as `--batch` says.
-    fn along(&self, frames: &Frames) -> anyhow::Result<Vec<PairReport>> {
+    fn along(&self, frames: &Frames) -> anyhow::Result<Vec<EstimatedPair>> {
         let mut sequence = self.estimator.sequence(self.args.warm_start);
         let batch = self.args.parameters.network.batch;
         let mut video = None;
@@ -241,7 +241,7 @@ impl Work<'_> {
         flow: &FlowField,
         seconds: f64,
         video: &mut Option<VideoWriter>,
-    ) -> anyhow::Result<PairReport> {
+    ) -> anyhow::Result<EstimatedPair> {
         self.outputs.check_pair(stem)?;
         let files = self.outputs.pair(stem);
         write_flow(&files.flow, flow)?;
@@ -257,7 +257,7 @@ impl Work<'_> {
             video.write(&colours())?;
         }
         self.bar.inc(1);
-        Ok(PairReport {
+        Ok(EstimatedPair {
             frame1: label.to_owned(),
             frame2: next.to_owned(),
             flow: files.flow,

@@ -3,11 +3,12 @@
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
-use anyhow::{bail, ensure};
+use anyhow::ensure;
 use srflow_field::{FlowFormat, create_folder};
 
 use super::Flow;
 use super::frames::Source;
+use crate::output::ensure_free;
 use crate::usage::wrong_usage;
 use crate::video::is_video;
 
@@ -147,10 +148,7 @@ impl Outputs {
     }
 
     fn check_free(&self, files: impl IntoIterator<Item = PathBuf>) -> anyhow::Result<()> {
-        if let (false, Some(existing)) = (self.force, files.into_iter().find(|path| path.exists())) {
-            bail!("{} exists; give --force to overwrite it, or another name", existing.display());
-        }
-        Ok(())
+        ensure_free(files, self.force)
     }
 }
 

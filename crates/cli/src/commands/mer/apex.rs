@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use anyhow::{Context as _, ensure};
+use anyhow::Context as _;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use rayon::prelude::*;
@@ -13,6 +13,7 @@ use super::face::FaceArgs;
 use super::sources::{SourceArgs, kinds_help};
 use crate::Context;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
+use crate::output::ensure_free;
 
 /// Spot apex frames, and compare them with the annotated ones
 #[derive(Args)]
@@ -54,18 +55,18 @@ fn method_help() -> String {
 }
 
 #[derive(Serialize)]
-struct Report {
+struct SpottedApexes {
     rule: &'static str,
     face: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     method: Option<String>,
-    clips: Vec<ClipReport>,
+    clips: Vec<SpottedClip>,
     /// Error in frames over the clips with an annotated apex, by dataset.
-    errors: BTreeMap<String, ErrorReport>,
+    errors: BTreeMap<String, SpottingErrors>,
 }
 
 #[derive(Serialize)]
-struct ClipReport {
+struct SpottedClip {
     dataset: String,
     subject: String,
     clip: String,
@@ -76,7 +77,7 @@ struct ClipReport {
 }
 
 #[derive(Serialize)]
-struct ErrorReport {
+struct SpottingErrors {
     clips: usize,
     mean_absolute_frames: f64,
     middle_of_clip_frames: f64,
@@ -84,13 +85,7 @@ struct ErrorReport {
 
 /// Runs the command.
 pub fn run(args: Apex, context: &Context) -> anyhow::Result<()> {
-    if let Some(path) = &args.out {
-        ensure!(
-            args.force || !path.exists(),
-            "{} exists; give --force to overwrite it, or another name",
-            path.display()
-        );
-    }
+    ensure_free(&args.out, args.force)?;
     let face = args.face.crop()?;
     let estimator = methods::estimator(&args.method, &args.parameters)?;
     let datasets = args.sources.open(args.datasets)?;
@@ -116,30 +111,30 @@ pub fn run(args: Apex, context: &Context) -> anyhow::Result<()> {
     for dataset in &datasets {
         let of_dataset = pairs().filter(|(clip, _)| clip.dataset == dataset.name);
         if let Some(ApexErrors { clips, mean_absolute, of_the_middle }) = apex_errors(of_dataset) {
-            let report = ErrorReport {
+            let of_dataset = SpottingErrors {
                 clips,
                 mean_absolute_frames: mean_absolute,
                 middle_of_clip_frames: of_the_middle,
             };
-            errors.insert(dataset.name.clone(), report);
+            errors.insert(dataset.name.clone(), of_dataset);
         }
     }
-    let report = Report {
+    let spotted = SpottedApexes {
         rule: args.rule.name(),
         face: face.to_string(),
         method: (args.rule == ApexRule::Strain).then(|| estimator.name().to_owned()),
-        clips: pairs().map(|(clip, spotted)| clip_report(clip, spotted)).collect(),
+        clips: pairs().map(|(clip, spotted)| spotted_clip(clip, spotted)).collect(),
         errors,
     };
     if context.json {
-        return say!("{}", serde_json::to_string_pretty(&report).context("printing the result")?);
+        return say!("{}", serde_json::to_string_pretty(&spotted).context("printing the result")?);
     }
-    print_report(&report)
+    print(&spotted)
 }
 
-fn clip_report(clip: &Clip, spotted: u64) -> ClipReport {
+fn spotted_clip(clip: &Clip, spotted: u64) -> SpottedClip {
     let a = &clip.annotation;
-    ClipReport {
+    SpottedClip {
         dataset: clip.dataset.clone(),
         subject: a.subject.clone(),
         clip: a.clip.clone(),
@@ -150,8 +145,8 @@ fn clip_report(clip: &Clip, spotted: u64) -> ClipReport {
     }
 }
 
-fn print_report(report: &Report) -> anyhow::Result<()> {
-    for clip in &report.clips {
+fn print(spotted: &SpottedApexes) -> anyhow::Result<()> {
+    for clip in &spotted.clips {
         let annotated = clip.annotated.map_or(String::new(), |apex| format!(", annotated {apex}"));
         say!(
             "{}/{}/{}: apex {}{annotated}, onset {}, offset {}",
@@ -163,14 +158,14 @@ fn print_report(report: &Report) -> anyhow::Result<()> {
             clip.offset
         )?;
     }
-    for (dataset, errors) in &report.errors {
+    for (dataset, errors) in &spotted.errors {
         say!(
             "{dataset}: {:.2} frames from the annotated apex on average over {} clips by {} ({}); the middle of the clip \
              is {:.2} frames from it",
             errors.mean_absolute_frames,
             errors.clips,
-            report.rule,
-            report.face,
+            spotted.rule,
+            spotted.face,
             errors.middle_of_clip_frames
         )?;
     }

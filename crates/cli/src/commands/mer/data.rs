@@ -37,14 +37,14 @@ pub struct Data {
 }
 
 #[derive(Serialize)]
-struct Report {
-    datasets: Vec<DatasetReport>,
+struct Listed {
+    datasets: Vec<ListedDataset>,
     composite: Counts,
     subjects: usize,
 }
 
 #[derive(Serialize)]
-struct DatasetReport {
+struct ListedDataset {
     name: String,
     #[serde(skip_serializing_if = "str::is_empty")]
     form: &'static str,
@@ -56,15 +56,15 @@ struct DatasetReport {
     subjects: usize,
     without_apex: usize,
     /// Clips kept and dropped, by the dataset's own label.
-    labels: BTreeMap<String, LabelReport>,
-    clips: Vec<ClipReport>,
-    dropped: Vec<DropReport>,
+    labels: BTreeMap<String, LabelCounts>,
+    clips: Vec<ListedClip>,
+    dropped: Vec<DroppedRow>,
     missing_frames: u64,
-    missing: Vec<MissingReport>,
+    missing: Vec<ClipWithGaps>,
 }
 
 #[derive(Serialize, Default)]
-struct LabelReport {
+struct LabelCounts {
     /// By class.
     kept: BTreeMap<&'static str, usize>,
     dropped: usize,
@@ -79,7 +79,7 @@ struct Counts {
 }
 
 #[derive(Serialize)]
-struct ClipReport {
+struct ListedClip {
     subject: String,
     clip: String,
     class: &'static str,
@@ -91,7 +91,7 @@ struct ClipReport {
 }
 
 #[derive(Serialize)]
-struct DropReport {
+struct DroppedRow {
     subject: String,
     clip: String,
     label: String,
@@ -99,7 +99,7 @@ struct DropReport {
 }
 
 #[derive(Serialize)]
-struct MissingReport {
+struct ClipWithGaps {
     subject: String,
     clip: String,
     folder: PathBuf,
@@ -169,8 +169,8 @@ impl Listing {
         self.annotations.iter().filter(|annotation| annotation.apex.is_none()).count()
     }
 
-    fn labels(&self) -> BTreeMap<String, LabelReport> {
-        let mut labels: BTreeMap<String, LabelReport> = BTreeMap::new();
+    fn labels(&self) -> BTreeMap<String, LabelCounts> {
+        let mut labels: BTreeMap<String, LabelCounts> = BTreeMap::new();
         for annotation in &self.annotations {
             let label = labels.entry(annotation.label.clone()).or_default();
             *label.kept.entry(annotation.class.name()).or_default() += 1;
@@ -263,16 +263,16 @@ fn print_dropped(dropped: &[Dropped]) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn report(listings: &[Listing]) -> Report {
-    Report {
+fn report(listings: &[Listing]) -> Listed {
+    Listed {
         datasets: listings.iter().map(dataset_report).collect(),
         composite: total(listings).into(),
         subjects: subjects(listings),
     }
 }
 
-fn dataset_report(listing: &Listing) -> DatasetReport {
-    let clip = |a: &Annotation| ClipReport {
+fn dataset_report(listing: &Listing) -> ListedDataset {
+    let clip = |a: &Annotation| ListedClip {
         subject: a.subject.clone(),
         clip: a.clip.clone(),
         class: a.class.name(),
@@ -282,13 +282,13 @@ fn dataset_report(listing: &Listing) -> DatasetReport {
         apex: a.apex,
         offset: a.offset,
     };
-    let dropped = |row: &Dropped| DropReport {
+    let dropped = |row: &Dropped| DroppedRow {
         subject: row.subject.clone(),
         clip: row.clip.clone(),
         label: row.label.clone(),
         reason: row.reason.name(),
     };
-    let missing = |clip: &MissingFrames| MissingReport {
+    let missing = |clip: &MissingFrames| ClipWithGaps {
         subject: clip.subject.clone(),
         clip: clip.clip.clone(),
         folder: clip.folder.clone(),
@@ -296,7 +296,7 @@ fn dataset_report(listing: &Listing) -> DatasetReport {
         ranges: clip.numbers.clone(),
         dropped: clip.dropped,
     };
-    DatasetReport {
+    ListedDataset {
         name: listing.name.clone(),
         form: listing.form,
         dir: listing.source.dir.clone(),

@@ -15,8 +15,9 @@ use srflow_read::micro_expression::{Clip, ClipDataset, ClipSource};
 use super::face::FaceArgs;
 use super::progress::{TrainingProgress, feature_progress};
 use super::sources::{SourceArgs, kinds_help};
-use super::tables::{TABLE_FILES, print_scores, write_tables, write_text};
+use super::tables::{TABLE_FILES, print_scores, write_tables};
 use crate::methods::{self, Method, MethodParameters, MethodRecord, MethodSpec};
+use crate::output::{ensure_free, write_text};
 use crate::{Context, machine};
 
 /// Recognize micro-expressions leaving one subject out, and write the paper's tables
@@ -142,11 +143,7 @@ struct DataRecord {
 
 /// Runs the command.
 pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
-    let mut files = TABLE_FILES.iter().chain(&OUTPUTS).map(|name| args.out.join(name));
-    let there = files.find(|path| path.exists());
-    if let (Some(path), false) = (&there, args.force) {
-        anyhow::bail!("{} is there already; --force overwrites it", path.display());
-    }
+    ensure_free(TABLE_FILES.iter().chain(&OUTPUTS).map(|name| args.out.join(name)), args.force)?;
     let protocol = Protocol {
         epochs: args.epochs,
         record_every: args.record_every,

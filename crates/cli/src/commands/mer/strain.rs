@@ -10,6 +10,7 @@ use srflow_mer::{
 
 use crate::Context;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
+use crate::output::ensure_free;
 
 /// Optical strain between two frames, as classifiers see it
 #[derive(Args)]
@@ -60,7 +61,7 @@ pub struct Strain {
 }
 
 #[derive(Serialize)]
-struct Report {
+struct Strained {
     output: PathBuf,
     method: String,
     formula: &'static str,
@@ -75,13 +76,8 @@ struct Report {
 /// Runs the command.
 pub fn run(args: Strain, context: &Context) -> anyhow::Result<()> {
     let estimator = methods::estimator(&args.method, &args.parameters)?;
-    for path in [Some(&args.out), args.features.as_ref(), args.viz.as_ref()].into_iter().flatten() {
-        ensure!(
-            args.force || !path.exists(),
-            "{} exists; give --force to overwrite it, or another name",
-            path.display()
-        );
-    }
+    let outputs = [Some(&args.out), args.features.as_ref(), args.viz.as_ref()];
+    ensure_free(outputs.into_iter().flatten(), args.force)?;
     let (onset, apex) = (read_image(&args.onset)?, read_image(&args.apex)?);
     ensure!(
         onset.size() == apex.size() && !onset.pixels().is_empty(),
@@ -108,7 +104,7 @@ pub fn run(args: Strain, context: &Context) -> anyhow::Result<()> {
         write_image_png(path, &strain_colors(&strain, args.viz_max))?;
     }
     let pixels = strain.pixels();
-    let report = Report {
+    let strained = Strained {
         output: args.out,
         method: estimator.name().to_owned(),
         formula: args.formula.name(),
@@ -119,14 +115,14 @@ pub fn run(args: Strain, context: &Context) -> anyhow::Result<()> {
         max_strain: pixels.iter().copied().fold(0.0, f32::max),
     };
     if context.json {
-        return say!("{}", serde_json::to_string(&report).context("printing the result")?);
+        return say!("{}", serde_json::to_string(&strained).context("printing the result")?);
     }
     say!(
         "{}: {}x{}, mean strain {:.5}, greatest {:.5}",
-        report.output.display(),
-        report.width,
-        report.height,
-        report.mean_strain,
-        report.max_strain
+        strained.output.display(),
+        strained.width,
+        strained.height,
+        strained.mean_strain,
+        strained.max_strain
     )
 }

@@ -1,17 +1,17 @@
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, ensure};
+use anyhow::Context as _;
 use clap::Args;
 use serde::Serialize;
 use srflow_eval::{Table, TextStyle, latex_file};
-use srflow_field::{create_folder, write_atomically};
+use srflow_field::create_folder;
 use srflow_mer::{
     Outcome, OutcomeRecord, by_set, confusion_latex, confusion_title, confusions_csv, folds_csv,
     read_predictions, score_tables, scores_csv,
 };
 
 use crate::Context;
+use crate::output::{ensure_free, joined, markdown, print_tables, write_text};
 
 /// Recompute every table from the predictions of a run
 #[derive(Args)]
@@ -40,19 +40,14 @@ pub const TABLE_FILES: [&str; 6] =
     ["tables.txt", "tables.csv", "tables.tex", "tables.md", "folds.csv", "confusions.csv"];
 
 #[derive(Serialize)]
-struct Report {
+struct Outcomes {
     outcomes: Vec<OutcomeRecord>,
 }
 
 /// Runs the command.
 pub fn run(args: Tables, context: &Context) -> anyhow::Result<()> {
-    if let (Some(out), false) = (&args.out, args.force) {
-        let there = TABLE_FILES.iter().map(|name| out.join(name)).find(|path| path.exists());
-        ensure!(
-            there.is_none(),
-            "{} is there already; --force overwrites it",
-            there.unwrap_or_default().display()
-        );
+    if let Some(out) = &args.out {
+        ensure_free(TABLE_FILES.map(|name| out.join(name)), args.force)?;
     }
     let trials = read_predictions(&args.predictions)?;
     let outcomes = trials
@@ -67,17 +62,15 @@ pub fn run(args: Tables, context: &Context) -> anyhow::Result<()> {
         write_tables(out, &outcomes)?;
     }
     if context.json {
-        let report = Report { outcomes: outcomes.iter().map(Outcome::record).collect() };
-        return say!("{}", serde_json::to_string_pretty(&report)?);
+        let outcomes = Outcomes { outcomes: outcomes.iter().map(Outcome::record).collect() };
+        return say!("{}", serde_json::to_string_pretty(&outcomes)?);
     }
     print_scores(&outcomes)
 }
 
 /// Prints the score tables of every set.
 pub fn print_scores(outcomes: &[Outcome]) -> anyhow::Result<()> {
-    let colours = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
-    let style = if colours { TextStyle::Ansi } else { TextStyle::Plain };
-    say!("{}", joined(&scores(outcomes), |table| table.text(style)).trim_end())
+    print_tables(&scores(outcomes))
 }
 
 /// Writes [`TABLE_FILES`].
@@ -87,7 +80,7 @@ pub fn write_tables(folder: &Path, outcomes: &[Outcome]) -> anyhow::Result<()> {
         joined(&scores, |table| table.text(TextStyle::Plain)),
         scores_csv(outcomes),
         latex(&scores, outcomes),
-        joined(&scores, |table| format!("{}\n\n{}", table.title, table.markdown())),
+        markdown(&scores),
         folds_csv(outcomes),
         confusions_csv(outcomes),
     ];
@@ -95,12 +88,6 @@ pub fn write_tables(folder: &Path, outcomes: &[Outcome]) -> anyhow::Result<()> {
         write_text(&folder.join(name), &text)?;
     }
     Ok(())
-}
-
-/// Writes a text file whole or not at all.
-pub fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
-    write_atomically(path, |file| std::io::Write::write_all(file, text.as_bytes()))
-        .with_context(|| format!("writing {}", path.display()))
 }
 
 fn scores(outcomes: &[Outcome]) -> Vec<Table> {
@@ -111,8 +98,4 @@ fn latex(scores: &[Table], outcomes: &[Outcome]) -> String {
     let scores = scores.iter().map(|table| (table.title.clone(), table.latex()));
     let confusions = outcomes.iter().map(|outcome| (confusion_title(outcome), confusion_latex(outcome)));
     latex_file(scores.chain(confusions))
-}
-
-fn joined(tables: &[Table], form: impl Fn(&Table) -> String) -> String {
-    tables.iter().map(form).collect::<Vec<_>>().join("\n")
 }

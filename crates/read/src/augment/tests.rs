@@ -1,4 +1,4 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use srflow_field::{FlowField, Image, read_flow, read_image};
 

@@ -4,8 +4,8 @@ use proptest::prelude::*;
 use rayon::prelude::*;
 use srflow_field::random::Key;
 use srflow_field::{FlowField, Image, Mask, warp};
-use srflow_read::augment::{AugmentConfig, Augmentation, TruthDensity};
-use srflow_read::flow::Sample;
+use srflow_read::augment::{AugmentConfig, Augmentation};
+use srflow_read::flow::{Sample, TruthDensity};
 
 /// Smooth everywhere, so that interpolation changes it little.
 fn texture([x, y]: [f32; 2]) -> [u8; 3] {

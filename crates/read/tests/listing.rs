@@ -68,14 +68,22 @@ fn kinds_take_their_options_in_any_order_and_no_others() {
 
 #[test]
 fn every_option_that_the_list_names_is_taken() {
-    for (kind, _) in KINDS {
-        let mut parts = kind.split('[');
-        let name = parts.next().unwrap();
-        for choice in parts {
-            for option in choice.trim_end_matches(']').split('|') {
-                assert!(format!("{name}{option}:dir").parse::<DatasetSpec>().is_ok(), "{name}{option}");
-            }
+    for kind in &KINDS {
+        for option in kind.options.iter().copied().flatten() {
+            let text = format!("{}-{option}:dir", kind.name);
+            assert!(text.parse::<DatasetSpec>().is_ok(), "{text}");
         }
+    }
+}
+
+#[test]
+fn the_page_on_datasets_lists_every_kind_with_its_options() {
+    let page = fs::read_to_string("../../docs/datasets.md").unwrap();
+    for kind in &KINDS {
+        let options: Vec<String> =
+            kind.options.iter().map(|choices| format!("`{}`", choices.join("`, `"))).collect();
+        let row = format!("| `{}` | {} |", kind.name, options.join("; ")).replace("|  |", "| |");
+        assert!(page.contains(&row), "docs/datasets.md lacks {row}");
     }
 }
 
@@ -85,8 +93,7 @@ fn every_kind_says_what_an_empty_and_a_missing_folder_lack() {
     let missing = empty.path().join("no").join("such");
     let file = empty.path().with_extension("file");
     fs::write(&file, "").unwrap();
-    for (kind, _) in KINDS {
-        let kind = kind.split('[').next().unwrap();
+    for kind in KINDS.iter().map(|kind| kind.name) {
         assert_says(open(kind, empty.path(), None), &[kind, "looked for", "is empty"]);
         assert_says(
             open(kind, &missing, None),

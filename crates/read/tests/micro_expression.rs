@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use srflow_field::{Image, write_image_png};
 use srflow_read::micro_expression::{
-    Annotation, ClassCounts, ClipDataset, ClipSource, DropReason, EmotionClass, Labels, published_counts,
-    write_plain,
+    Annotation, CLIP_KINDS, ClassCounts, ClipDataset, ClipSource, DropReason, EmotionClass, Labels,
+    published_counts, write_plain,
 };
 
 /// The published annotation files, where they are beside the repository.
@@ -374,4 +374,16 @@ fn a_frame_that_is_there_twice_is_refused() {
     write_image_png(&folder.path().join("a/img02.png"), &Image::new(4, 4)).unwrap();
     let error = ClipDataset::open(&source(&format!("clips:{}", folder.path().display())), true).unwrap_err();
     assert!(error.to_string().contains("frame 2 is there twice"), "{error}");
+}
+
+#[test]
+fn the_page_on_micro_expressions_lists_every_kind() {
+    let page = fs::read_to_string("../../docs/mer.md").unwrap();
+    for kind in &CLIP_KINDS {
+        let releases = kind.releases.iter().map(|release| format!("{}-{release}", kind.name));
+        for word in releases.chain([kind.name.to_owned()]) {
+            assert!(page.contains(&format!("| `{word}` |")), "docs/mer.md lacks {word}");
+            assert_eq!(source(&format!("{word}:dir")).to_string(), format!("{word}:dir"));
+        }
+    }
 }

@@ -196,7 +196,7 @@ impl Part {
                 advice: NO_TRUTH_ADVICE,
             });
         }
-        let settings = config.augmentation.settings(dataset.name(), config.data.crop);
+        let settings = config.augmentation.settings(dataset.density(), config.data.crop);
         let augmentation = Augmentation::new(settings).map_err(DataError::Settings)?;
         Ok(Self { dataset, with_truth, times: source.times, augmentation })
     }

@@ -1,12 +1,14 @@
 use serde::{Deserialize, Serialize};
 
 use super::AugmentError;
+use crate::flow::TruthDensity;
 
 /// How a sample is changed at random before training sees it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AugmentConfig {
-    /// Whether the true flow is known nearly everywhere or only at some pixels.
+    /// Dense: scaling interpolates the flow, and a pixel is unknown where one that it comes from is. Sparse: scaling moves
+    /// each known pixel to the nearest new one.
     pub truth: TruthDensity,
     /// Width and height of what comes out, in pixels.
     pub crop: [usize; 2],
@@ -40,16 +42,6 @@ pub struct AugmentConfig {
     pub eraser_probability: f32,
     /// Limits of a rectangle's sides, in pixels of the frame before it is scaled.
     pub eraser_sides: [u32; 2],
-}
-
-/// How much of the true flow is known.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum TruthDensity {
-    /// Nearly all: scaling interpolates the flow. A pixel is unknown where one that it comes from is.
-    Dense,
-    /// Some pixels (KITTI, HD1K): scaling moves each known pixel to the nearest new one.
-    Sparse,
 }
 
 impl Default for AugmentConfig {

@@ -2,7 +2,8 @@
 
 use srflow_field::random::Key;
 
-use super::{AugmentConfig, TruthDensity};
+use super::AugmentConfig;
+use crate::flow::TruthDensity;
 
 /// Scale, then mirror, then crop.
 #[derive(Debug, Clone, PartialEq)]

@@ -16,9 +16,9 @@ mod tests;
 use srflow_field::random::Key;
 use srflow_field::{FlowField, Mask, SizeMismatch};
 
-pub use config::{AugmentConfig, TruthDensity};
+pub use config::AugmentConfig;
 
-use crate::flow::Sample;
+use crate::flow::{Sample, TruthDensity};
 use color::ColorJitter;
 use geometry::Geometry;
 use hue::HueTables;

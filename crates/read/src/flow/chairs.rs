@@ -7,9 +7,12 @@ use std::path::Path;
 use super::gaps::Gaps;
 use super::listing;
 use super::triplets::triplets;
-use super::{DatasetError, Entry, Reader, Split};
+use super::{DatasetError, Entry, Kind, Reader, Split};
 
 const SPLIT_FILE: &str = "FlyingChairs_train_val.txt";
+
+pub(super) const KIND: Kind =
+    Kind { name: "chairs", options: &[], about: "FlyingChairs", reader: |_| Box::new(FlyingChairs) };
 
 pub struct FlyingChairs;
 

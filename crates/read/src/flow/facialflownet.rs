@@ -7,7 +7,14 @@ use std::path::Path;
 
 use super::gaps::Gaps;
 use super::listing;
-use super::{DatasetError, Entry, Reader, Split, Truth};
+use super::{DatasetError, Entry, Kind, Reader, Split, Truth};
+
+pub(super) const KIND: Kind = Kind {
+    name: "facialflownet",
+    options: &[&["facial", "head"]],
+    about: "FacialFlowNet",
+    reader: |chosen| Box::new(FacialFlowNet { motion: chosen[0] }),
+};
 
 pub struct FacialFlowNet {
     /// `facial` or `head`.

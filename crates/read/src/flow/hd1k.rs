@@ -8,10 +8,12 @@ use std::path::{Path, PathBuf};
 use super::gaps::Gaps;
 use super::listing::{self, Numbered};
 use super::sequence::{Direction, Sequence};
-use super::{DatasetError, Entry, Reader, Split, Truth};
+use super::{DatasetError, Entry, Kind, Reader, Split, Truth, TruthDensity};
 
 /// The sequences that ptlflow keeps for validation (data/Hd1k_val.txt) start here.
 const FIRST_VALIDATION_SEQUENCE: u64 = 30;
+
+pub(super) const KIND: Kind = Kind { name: "hd1k", options: &[], about: "HD1K", reader: |_| Box::new(Hd1k) };
 
 pub struct Hd1k;
 
@@ -25,7 +27,7 @@ impl Reader for Hd1k {
     }
 
     fn truth(&self) -> Truth {
-        Truth { max_flow: 512.0, ..Truth::default() }
+        Truth { max_flow: 512.0, density: TruthDensity::Sparse, ..Truth::default() }
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {

@@ -2,36 +2,49 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use super::Reader;
-use super::chairs::FlyingChairs;
 use super::error::DatasetError;
-use super::facialflownet::FacialFlowNet;
-use super::hd1k::Hd1k;
-use super::kitti::Kitti;
-use super::plain::Plain;
-use super::sequence::Direction;
-use super::sintel::Sintel;
-use super::spring::Spring;
-use super::srflow::SrFlow;
-use super::things::FlyingThings3D;
+use super::{Reader, chairs, facialflownet, hd1k, kitti, plain, sintel, spring, srflow, things};
 
-/// The kinds of dataset: name with its options, the default of each choice first, and what it is.
-pub const KINDS: &[(&str, &str)] = &[
-    ("srflow[-forward|-backward]", "SRFlow, as `srflow render` makes it"),
-    ("folder", "a plain folder of image pairs"),
-    ("chairs", "FlyingChairs"),
-    ("things[-clean|-final][-forward|-backward][-left|-right]", "FlyingThings3D"),
-    ("sintel[-clean|-final]", "MPI Sintel"),
-    ("kitti[-2015|-2012]", "KITTI flow of either year"),
-    ("hd1k", "HD1K"),
-    ("spring[-forward|-backward][-left|-right]", "Spring"),
-    ("facialflownet[-facial|-head]", "FacialFlowNet"),
+/// A kind of dataset, as `--dataset KIND:DIR` names it.
+pub struct Kind {
+    /// The word that it begins with, e.g. `sintel`.
+    pub name: &'static str,
+    /// The options that may follow, each after a hyphen: one of every list, whose first is the default.
+    pub options: &'static [&'static [&'static str]],
+    /// What it is, in a few words.
+    pub about: &'static str,
+    /// Its reader, given one choice of every list.
+    pub(super) reader: fn(&[&'static str]) -> Box<dyn Reader>,
+}
+
+/// The kinds of dataset.
+pub static KINDS: [Kind; 9] = [
+    srflow::KIND,
+    plain::KIND,
+    chairs::KIND,
+    things::KIND,
+    sintel::KIND,
+    kitti::KIND,
+    hd1k::KIND,
+    spring::KIND,
+    facialflownet::KIND,
 ];
+
+impl fmt::Display for Kind {
+    /// `things[-clean|-final][-forward|-backward][-left|-right]`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)?;
+        for choices in self.options {
+            write!(f, "[-{}]", choices.join("|-"))?;
+        }
+        Ok(())
+    }
+}
 
 /// What `--dataset KIND:DIR` says: a kind of dataset and the folder it lies in.
 ///
 /// A kind is a name followed by options, in any order, each after a hyphen: `sintel-final`, `things-clean-backward-right`.
-/// An option left out takes its default, the first of its choices in [`KINDS`].
+/// An option left out takes its default; [`KINDS`] lists them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DatasetSpec {
     /// Kind of dataset, e.g. `sintel-clean`.
@@ -62,82 +75,37 @@ impl FromStr for DatasetSpec {
 }
 
 /// The reader that a kind names.
-pub(super) fn reader_of(kind: &str) -> Result<Box<dyn Reader>, DatasetError> {
-    let mut options = Options::new(kind);
-    let reader: Box<dyn Reader> = match options.name {
-        "srflow" => Box::new(SrFlow { direction: options.direction() }),
-        "chairs" => Box::new(FlyingChairs),
-        "things" => Box::new(FlyingThings3D {
-            pass: options.choose(&["clean", "final"]),
-            direction: options.direction(),
-            camera: options.choose(&["left", "right"]),
-        }),
-        "sintel" => Box::new(Sintel { pass: options.choose(&["clean", "final"]) }),
-        "kitti" => Box::new(Kitti { year: options.choose(&["2015", "2012"]) }),
-        "hd1k" => Box::new(Hd1k),
-        "spring" => {
-            Box::new(Spring { direction: options.direction(), camera: options.choose(&["left", "right"]) })
-        }
-        "facialflownet" => Box::new(FacialFlowNet { motion: options.choose(&["facial", "head"]) }),
-        "folder" => Box::new(Plain),
-        _ => {
-            return Err(DatasetError::UnknownKind {
-                kind: kind.to_owned(),
-                reason: format!("there is none of that name. Kinds: {}", known_kinds()),
-            });
-        }
+pub(super) fn reader_of(text: &str) -> Result<Box<dyn Reader>, DatasetError> {
+    let unknown = |reason| DatasetError::UnknownKind { kind: text.to_owned(), reason };
+    let mut words = text.split('-');
+    let name = words.next().unwrap_or_default();
+    let Some(kind) = KINDS.iter().find(|kind| kind.name == name) else {
+        return Err(unknown(format!("there is none of that name. Kinds: {}", known_kinds())));
     };
-    options.finish()?;
-    Ok(reader)
+    let mut left: Vec<&str> = words.collect();
+    let mut choose = |choices: &&[&'static str]| {
+        let given =
+            choices.iter().find_map(|choice| Some((left.iter().position(|word| word == choice)?, *choice)));
+        given.map_or(choices[0], |(at, choice)| {
+            left.remove(at);
+            choice
+        })
+    };
+    let chosen: Vec<&'static str> = kind.options.iter().map(&mut choose).collect();
+    match left.first() {
+        None => Ok((kind.reader)(&chosen)),
+        Some(word) if kind.options.is_empty() => {
+            Err(unknown(format!("`{word}` is not an option here; {name} takes none")))
+        }
+        Some(word) => {
+            let offered: Vec<String> = kind.options.iter().map(|choices| choices.join("|")).collect();
+            let offered = offered.join(", ");
+            Err(unknown(format!("`{word}` is not an option here; {name} takes one of each: {offered}")))
+        }
+    }
 }
 
 fn known_kinds() -> String {
-    let names: Vec<&str> = KINDS.iter().map(|(kind, _)| *kind).collect();
+    let names: Vec<String> = KINDS.iter().map(Kind::to_string).collect();
     names.join(", ")
-}
-
-/// The options of a kind, taken one after the other by the reader that knows them.
-struct Options<'a> {
-    kind: &'a str,
-    name: &'a str,
-    left: Vec<&'a str>,
-    offered: Vec<String>,
-}
-
-impl<'a> Options<'a> {
-    fn new(kind: &'a str) -> Self {
-        let mut words = kind.split('-');
-        Self { kind, name: words.next().unwrap_or_default(), left: words.collect(), offered: Vec::new() }
-    }
-
-    /// The one of `choices` that was given, or the first.
-    fn choose(&mut self, choices: &[&'static str]) -> &'static str {
-        self.offered.push(choices.join("|"));
-        for &choice in choices {
-            if let Some(at) = self.left.iter().position(|word| *word == choice) {
-                self.left.remove(at);
-                return choice;
-            }
-        }
-        choices.first().copied().unwrap_or_default()
-    }
-
-    fn direction(&mut self) -> Direction {
-        match self.choose(&["forward", "backward"]) {
-            "backward" => Direction::Backward,
-            _ => Direction::Forward,
-        }
-    }
-
-    /// Refuses what no choice took.
-    fn finish(self) -> Result<(), DatasetError> {
-        let Some(first) = self.left.first() else { return Ok(()) };
-        let offered = if self.offered.is_empty() {
-            format!("{} takes none", self.name)
-        } else {
-            format!("{} takes one of each: {}", self.name, self.offered.join(", "))
-        };
-        let reason = format!("`{first}` is not an option here; {offered}");
-        Err(DatasetError::UnknownKind { kind: self.kind.to_owned(), reason })
-    }
 }

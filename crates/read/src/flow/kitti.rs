@@ -7,7 +7,14 @@ use std::path::Path;
 
 use super::gaps::Gaps;
 use super::listing;
-use super::{DatasetError, Entry, Occlusion, Reader, Split, Truth};
+use super::{DatasetError, Entry, Kind, Occlusion, Reader, Split, Truth, TruthDensity};
+
+pub(super) const KIND: Kind = Kind {
+    name: "kitti",
+    options: &[&["2015", "2012"]],
+    about: "KITTI flow of either year",
+    reader: |chosen| Box::new(Kitti { year: chosen[0] }),
+};
 
 pub struct Kitti {
     /// `2012` or `2015`.
@@ -24,7 +31,7 @@ impl Reader for Kitti {
     }
 
     fn truth(&self) -> Truth {
-        Truth { max_flow: 512.0, ..Truth::default() }
+        Truth { max_flow: 512.0, density: TruthDensity::Sparse, ..Truth::default() }
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {

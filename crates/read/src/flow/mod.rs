@@ -25,9 +25,9 @@ mod triplets;
 use std::path::{Path, PathBuf};
 
 pub use error::DatasetError;
-pub use kind::{DatasetSpec, KINDS};
+pub use kind::{DatasetSpec, KINDS, Kind};
 pub use listing::pictures;
-pub use sample::Sample;
+pub use sample::{Sample, TruthDensity};
 pub use split::Split;
 
 use gaps::Gaps;
@@ -160,6 +160,11 @@ impl FlowDataset {
     /// The pairs, by scene and in the order of time within each.
     pub fn entries(&self) -> &[Entry] {
         &self.entries
+    }
+
+    /// How much of the true flow is known, as the dataset's reader says.
+    pub fn density(&self) -> TruthDensity {
+        self.truth.density
     }
 
     /// Decodes one of the dataset's pairs. A pixel of the truth that is too fast to count (10000 px; FlyingThings3D and

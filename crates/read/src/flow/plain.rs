@@ -14,7 +14,14 @@ use std::path::{Path, PathBuf};
 use super::gaps::Gaps;
 use super::listing;
 use super::triplets::triplets;
-use super::{DatasetError, Entry, Occlusion, Reader, Split};
+use super::{DatasetError, Entry, Kind, Occlusion, Reader, Split};
+
+pub(super) const KIND: Kind = Kind {
+    name: "folder",
+    options: &[],
+    about: "a plain folder of image pairs",
+    reader: |_| Box::new(Plain),
+};
 
 pub struct Plain;
 

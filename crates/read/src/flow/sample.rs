@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use serde::{Deserialize, Serialize};
 use srflow_field::{FlowField, Image, Mask, read_flow, read_image, read_mask, read_npy};
 
 use super::{DatasetError, Entry, Occlusion};
@@ -28,12 +29,23 @@ pub(super) struct Truth {
     pub max_flow: f32,
     /// Flow samples per image pixel along each axis; of each block the top left one is taken.
     pub samples_per_pixel: usize,
+    pub density: TruthDensity,
+}
+
+/// How much of the true flow is known.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TruthDensity {
+    /// Nearly all of it.
+    Dense,
+    /// Some pixels, as a laser scanner or a tracker measures them (KITTI, HD1K).
+    Sparse,
 }
 
 impl Default for Truth {
     /// The rule of ptlflow 0.4.2 (data/datasets.py, `BaseFlowDataset`).
     fn default() -> Self {
-        Self { max_flow: 10_000.0, samples_per_pixel: 1 }
+        Self { max_flow: 10_000.0, samples_per_pixel: 1, density: TruthDensity::Dense }
     }
 }
 

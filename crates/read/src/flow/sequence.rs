@@ -16,6 +16,14 @@ pub enum Direction {
 }
 
 impl Direction {
+    /// What a kind of dataset offers.
+    pub const CHOICES: &[&str] = &["forward", "backward"];
+
+    /// The one of [`CHOICES`](Self::CHOICES) that is `chosen`.
+    pub fn of(chosen: &str) -> Self {
+        if chosen == "backward" { Self::Backward } else { Self::Forward }
+    }
+
     /// What a kind's name ends in.
     pub fn suffix(self) -> &'static str {
         match self {

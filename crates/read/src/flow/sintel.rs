@@ -6,10 +6,17 @@ use std::path::Path;
 use super::gaps::Gaps;
 use super::listing;
 use super::sequence::{Direction, Sequence};
-use super::{DatasetError, Entry, Reader, Split};
+use super::{DatasetError, Entry, Kind, Reader, Split};
 
 /// The scenes of the training set that ptlflow keeps for validation (data/Sintel_val.txt).
 const VALIDATION_SCENES: [&str; 6] = ["ambush_2", "bamboo_2", "cave_2", "market_2", "shaman_2", "temple_2"];
+
+pub(super) const KIND: Kind = Kind {
+    name: "sintel",
+    options: &[&["clean", "final"]],
+    about: "MPI Sintel",
+    reader: |chosen| Box::new(Sintel { pass: chosen[0] }),
+};
 
 pub struct Sintel {
     /// Rendering pass: `clean` or `final`.

@@ -8,7 +8,14 @@ use std::path::Path;
 use super::gaps::Gaps;
 use super::listing;
 use super::sequence::{Direction, Sequence};
-use super::{DatasetError, Entry, Reader, Split, Truth};
+use super::{DatasetError, Entry, Kind, Reader, Split, Truth};
+
+pub(super) const KIND: Kind = Kind {
+    name: "spring",
+    options: &[Direction::CHOICES, &["left", "right"]],
+    about: "Spring",
+    reader: |chosen| Box::new(Spring { direction: Direction::of(chosen[0]), camera: chosen[1] }),
+};
 
 pub struct Spring {
     /// Camera: `left` or `right`.

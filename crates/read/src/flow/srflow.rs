@@ -6,8 +6,15 @@ use std::path::Path;
 use super::gaps::Gaps;
 use super::listing;
 use super::sequence::Direction;
-use super::{DatasetError, Entry, Occlusion, Reader, Split};
+use super::{DatasetError, Entry, Kind, Occlusion, Reader, Split};
 use crate::manifest::{MANIFEST_NAME, Manifest, SceneEntry, SceneSplit};
+
+pub(super) const KIND: Kind = Kind {
+    name: "srflow",
+    options: &[Direction::CHOICES],
+    about: "SRFlow, as `srflow render` makes it",
+    reader: |chosen| Box::new(SrFlow { direction: Direction::of(chosen[0]) }),
+};
 
 pub struct SrFlow {
     /// Backward: the flow from the later to the earlier frame, which `srflow render --backward` writes.

@@ -7,7 +7,16 @@ use std::path::Path;
 use super::gaps::Gaps;
 use super::listing;
 use super::sequence::{Direction, Sequence};
-use super::{DatasetError, Entry, Reader, Split};
+use super::{DatasetError, Entry, Kind, Reader, Split, Truth};
+
+pub(super) const KIND: Kind = Kind {
+    name: "things",
+    options: &[&["clean", "final"], Direction::CHOICES, &["left", "right"]],
+    about: "FlyingThings3D",
+    reader: |chosen| {
+        Box::new(FlyingThings3D { pass: chosen[0], direction: Direction::of(chosen[1]), camera: chosen[2] })
+    },
+};
 
 pub struct FlyingThings3D {
     /// Rendering pass: `clean` or `final`.
@@ -28,8 +37,8 @@ impl Reader for FlyingThings3D {
         Split::Test
     }
 
-    fn truth(&self) -> super::Truth {
-        super::Truth { max_flow: 1000.0, ..Default::default() }
+    fn truth(&self) -> Truth {
+        Truth { max_flow: 1000.0, ..Truth::default() }
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {

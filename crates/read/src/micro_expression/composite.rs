@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::ops::{Add, Index};
 
-use super::{EmotionClass, MicroExpressionError};
+use super::{CLIP_KINDS, EmotionClass, MicroExpressionError};
 
 /// Clips of each class.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -56,14 +56,9 @@ impl fmt::Display for ClassCounts {
     }
 }
 
-/// Clips of each class that the paper (its table of the micro-expression datasets) counts in a dataset, where it does.
+/// Clips of each class that the paper counts in a dataset, where it does.
 pub fn published_counts(dataset: &str) -> Option<ClassCounts> {
-    match dataset {
-        "samm" => Some(ClassCounts::new(26, 92, 15)),
-        "casme2" => Some(ClassCounts::new(32, 88, 25)),
-        "smic" => Some(ClassCounts::new(51, 65, 41)),
-        _ => None,
-    }
+    CLIP_KINDS.iter().find(|kind| kind.name == dataset)?.published
 }
 
 /// Checks that datasets can be one: subjects are told apart by their dataset's name.

@@ -7,6 +7,7 @@ mod annotation;
 mod apex_list;
 mod casme2;
 mod class;
+mod coded;
 mod composite;
 mod error;
 mod frames;
@@ -26,7 +27,7 @@ pub use composite::{ClassCounts, check_distinct, published_counts};
 pub use error::MicroExpressionError;
 pub use frames::MissingFrames;
 pub use plain::{PLAIN_COLUMNS, PLAIN_NAME, write_plain};
-pub use source::{CLIP_KINDS, ClipKind, ClipSource, Release};
+pub use source::{CLIP_KINDS, ClipKind, ClipSource};
 
 use frames::{Located, locate};
 
@@ -49,12 +50,7 @@ impl Labels {
     /// # Errors
     /// When there is no annotation file, it is another dataset's, or one of its rows cannot be read.
     pub fn read(source: &ClipSource) -> Result<Self, MicroExpressionError> {
-        let labels = match source.kind {
-            ClipKind::Samm => samm::read(source),
-            ClipKind::Casme2(_) => casme2::read(source),
-            ClipKind::Smic => smic::read(source),
-            ClipKind::Clips => plain::read(source),
-        }?;
+        let labels = (source.kind.labels)(source)?;
         let mut seen = BTreeSet::new();
         for annotation in &labels.annotations {
             if !seen.insert((&annotation.subject, &annotation.clip)) {
@@ -127,12 +123,7 @@ impl ClipDataset {
     pub fn open(source: &ClipSource, allow_missing: bool) -> Result<Self, MicroExpressionError> {
         let mut labels = Labels::read(source)?;
         let annotations = std::mem::take(&mut labels.annotations);
-        let found = match source.kind {
-            ClipKind::Samm => samm::folders(&source.dir, &annotations),
-            ClipKind::Casme2(release) => casme2::folders(&source.dir, release, &annotations),
-            ClipKind::Smic => smic::folders(&source.dir, &annotations),
-            ClipKind::Clips => plain::folders(source, &annotations),
-        }?;
+        let found = (source.kind.folders)(source, &annotations)?;
         let Located { clips, dropped, missing } = locate(&labels.dataset, annotations, &found)?;
         if !missing.is_empty() && !allow_missing {
             return Err(MicroExpressionError::missing(&labels.dataset, &found.root, &missing));

@@ -10,8 +10,18 @@ use srflow_field::write_atomically;
 
 use super::frames::ClipFolders;
 use super::sheet::read_csv;
-use super::{Annotation, ClipSource, Labels, MicroExpressionError};
+use super::{Annotation, ClipKind, ClipSource, Labels, MicroExpressionError};
 use crate::flow::listing;
+
+pub(super) const KIND: ClipKind = ClipKind {
+    name: "clips",
+    releases: &[],
+    about: "anybody's clips, listed in a clips.csv",
+    published: None,
+    form: None,
+    labels: read,
+    folders,
+};
 
 /// Name of the CSV file.
 pub const PLAIN_NAME: &str = "clips.csv";
@@ -28,7 +38,7 @@ fn file_of(source: &ClipSource) -> PathBuf {
     }
 }
 
-pub fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
+fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
     let file = file_of(source);
     if !file.is_file() {
         return Err(MicroExpressionError::NoAnnotations {
@@ -71,7 +81,7 @@ fn name_of(file: &Path) -> String {
     full.parent().map(listing::name).filter(|name| !name.is_empty()).unwrap_or_else(|| "clips".to_owned())
 }
 
-pub fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolders, MicroExpressionError> {
+fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolders, MicroExpressionError> {
     let root = file_of(source).parent().unwrap_or(Path::new("")).to_owned();
     let folders: Vec<PathBuf> = annotations.iter().map(|annotation| root.join(&annotation.clip)).collect();
     if let Some(first) = folders.first()
@@ -86,7 +96,7 @@ pub fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFo
     Ok(ClipFolders { folders, root, form: "" })
 }
 
-/// Writes a CSV file that [`ClipKind::Clips`](super::ClipKind::Clips) reads, whole or not at all.
+/// Writes a CSV file that the kind `clips` reads, whole or not at all.
 ///
 /// # Errors
 /// When it cannot be written.

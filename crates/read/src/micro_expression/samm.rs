@@ -5,14 +5,23 @@
 
 use std::path::Path;
 
+use super::coded::{self, Coding};
 use super::frames::{ClipFolders, below};
-use super::sheet::{Form, read_spreadsheet};
-use super::{
-    Annotation, ClipKind, ClipSource, DropReason, Dropped, EmotionClass, Labels, MicroExpressionError,
+use super::sheet::Form;
+use super::{Annotation, ClassCounts, ClipKind, ClipSource, EmotionClass, MicroExpressionError};
+
+pub(super) const KIND: ClipKind = ClipKind {
+    name: "samm",
+    releases: &[],
+    about: "SAMM",
+    published: Some(ClassCounts::new(26, 92, 15)),
+    form: Some(&FORM),
+    labels: |source| coded::read(&CODING, source),
+    folders,
 };
 
-pub const FORM: Form = Form {
-    kind: ClipKind::Samm,
+static FORM: Form = Form {
+    kind: "samm",
     called: "SAMM's annotations (SAMM_Micro_FACS_Codes_v2.xlsx)",
     columns: &[
         "Subject",
@@ -26,48 +35,26 @@ pub const FORM: Form = Form {
     ],
 };
 
-/// Digits of a subject's name.
-const SUBJECT_DIGITS: usize = 3;
+const CODING: Coding = Coding {
+    form: &FORM,
+    frames: ["Onset Frame", "Apex Frame", "Offset Frame"],
+    subject_digits: 3,
+    emotions: &[
+        ("anger", Some(EmotionClass::Negative)),
+        ("contempt", Some(EmotionClass::Negative)),
+        ("disgust", Some(EmotionClass::Negative)),
+        ("fear", Some(EmotionClass::Negative)),
+        ("sadness", Some(EmotionClass::Negative)),
+        ("happiness", Some(EmotionClass::Positive)),
+        ("surprise", Some(EmotionClass::Surprise)),
+        ("other", None),
+        ("others", None),
+    ],
+    emotions_called: "SAMM's eight",
+    apex_may_be_unknown: false,
+};
 
-pub fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
-    let table = read_spreadsheet(&FORM, source)?;
-    let (mut annotations, mut dropped) = (Vec::new(), Vec::new());
-    for row in table.rows() {
-        let subject = format!("{:0>SUBJECT_DIGITS$}", row.filled("Subject")?);
-        let clip = row.filled("Filename")?.to_owned();
-        let label = row.filled("Estimated Emotion")?.to_owned();
-        let class = match label.to_lowercase().as_str() {
-            "anger" | "contempt" | "disgust" | "fear" | "sadness" => EmotionClass::Negative,
-            "happiness" => EmotionClass::Positive,
-            "surprise" => EmotionClass::Surprise,
-            "other" | "others" => {
-                dropped.push(Dropped { subject, clip, label, reason: DropReason::Label });
-                continue;
-            }
-            _ => return Err(row.wrong(format!("Estimated Emotion: `{label}` is none of SAMM's eight"))),
-        };
-        let (onset, apex, offset) =
-            (row.frame("Onset Frame")?, row.frame("Apex Frame")?, row.frame("Offset Frame")?);
-        if apex <= onset {
-            dropped.push(Dropped { subject, clip, label, reason: DropReason::ApexNotAfterOnset });
-            continue;
-        }
-        let action_units = row.text("Action Units").to_owned();
-        annotations.push(Annotation {
-            subject,
-            clip,
-            class,
-            label,
-            action_units,
-            onset,
-            apex: Some(apex),
-            offset: offset.max(apex),
-        });
-    }
-    Ok(Labels { dataset: "samm".to_owned(), file: Some(table.path), annotations, dropped })
-}
-
-pub fn folders(dir: &Path, annotations: &[Annotation]) -> Result<ClipFolders, MicroExpressionError> {
+fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolders, MicroExpressionError> {
     let folder = |root: &Path, annotation: &Annotation| root.join(&annotation.subject).join(&annotation.clip);
-    below("samm", dir, &[("", ""), ("SAMM", "")], annotations, folder)
+    below("samm", &source.dir, &[("", ""), ("SAMM", "")], annotations, folder)
 }

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use calamine::{DataRef, Reader, Xlsx};
 
-use super::source::ClipSource;
-use super::{ClipKind, MicroExpressionError};
+use super::MicroExpressionError;
+use super::source::{CLIP_KINDS, ClipSource};
 use crate::flow::listing;
 
 /// Greater files are no annotation spreadsheets; the published ones are below 0.1 MB.
@@ -22,15 +22,13 @@ const HEADER_ROWS: u32 = 40;
 /// What a published spreadsheet looks like.
 #[derive(Debug)]
 pub struct Form {
-    pub kind: ClipKind,
+    /// The dataset's kind.
+    pub kind: &'static str,
     /// What it is and how it is called, for messages.
     pub called: &'static str,
     /// Columns that the header row must name, as it spells them.
     pub columns: &'static [&'static str],
 }
-
-/// Every form, so that mixed-up files can be told.
-const FORMS: [&Form; 3] = [&super::samm::FORM, &super::casme2::FORM, &super::smic::FORM];
 
 /// A table whose columns have names.
 #[derive(Debug)]
@@ -122,7 +120,7 @@ pub fn spreadsheet_in(form: &Form, dir: &Path) -> Result<Option<Table>, MicroExp
             "both {} and {} fit: name one with --annotations {}:FILE",
             listing::name(&first.path),
             listing::name(&second.path),
-            form.kind.name()
+            form.kind
         );
         return Err(no_annotations(form, dir, found));
     }
@@ -143,17 +141,12 @@ fn none_fits(form: &Form, dir: &Path) -> MicroExpressionError {
     no_annotations(
         form,
         dir,
-        format!("{there}. Put it there, or name it with --annotations {}:FILE", form.kind.name()),
+        format!("{there}. Put it there, or name it with --annotations {}:FILE", form.kind),
     )
 }
 
 fn no_annotations(form: &Form, dir: &Path, found: String) -> MicroExpressionError {
-    MicroExpressionError::NoAnnotations {
-        kind: form.kind.name(),
-        dir: dir.to_owned(),
-        expected: form.called,
-        found,
-    }
+    MicroExpressionError::NoAnnotations { kind: form.kind, dir: dir.to_owned(), expected: form.called, found }
 }
 
 /// Reads a spreadsheet of one form: the first sheet that has its header row.
@@ -164,8 +157,8 @@ fn read_form(form: &Form, path: &Path) -> Result<Table, MicroExpressionError> {
             return Ok(Table::of(path, columns, rows.clone(), header));
         }
     }
-    let fits = |other: &&&Form| sheets.iter().any(|rows| header_of(rows, other.columns).is_some());
-    let found = match FORMS.iter().find(fits) {
+    let fits = |other: &&Form| sheets.iter().any(|rows| header_of(rows, other.columns).is_some());
+    let found = match CLIP_KINDS.iter().filter_map(|kind| kind.form).find(fits) {
         Some(other) => format!("these are those of {}; give the file of {}", other.called, form.called),
         None => match sheets.iter().flat_map(BTreeMap::values).find(|row| row.len() > 2) {
             Some(row) => {
@@ -177,7 +170,7 @@ fn read_form(form: &Form, path: &Path) -> Result<Table, MicroExpressionError> {
     };
     Err(MicroExpressionError::Columns {
         path: path.to_owned(),
-        kind: form.kind.name(),
+        kind: form.kind,
         expected: form.columns.join(", "),
         found,
     })

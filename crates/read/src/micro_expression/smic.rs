@@ -13,12 +13,23 @@ use std::path::{Path, PathBuf};
 use super::frames::{ClipFolders, numbered_frames};
 use super::sheet::{Form, Table, read_csv, read_spreadsheet, spreadsheet_in};
 use super::{
-    Annotation, ClipKind, ClipSource, DropReason, Dropped, EmotionClass, Labels, MicroExpressionError,
+    Annotation, ClassCounts, ClipKind, ClipSource, DropReason, Dropped, EmotionClass, Labels,
+    MicroExpressionError,
 };
 use crate::flow::listing;
 
-pub const FORM: Form = Form {
-    kind: ClipKind::Smic,
+pub(super) const KIND: ClipKind = ClipKind {
+    name: "smic",
+    releases: &[],
+    about: "SMIC-HS, extended or short",
+    published: Some(ClassCounts::new(51, 65, 41)),
+    form: Some(&FORM),
+    labels: read,
+    folders,
+};
+
+static FORM: Form = Form {
+    kind: "smic",
     called: "SMIC-HS's annotations (SMIC-HS-E_annotation.xlsx)",
     columns: &["Subject", "Filename", "OnsetF", "OffsetF", "Onset2F", "Emotion"],
 };
@@ -59,14 +70,18 @@ impl Key {
         parts.next().is_none().then_some(Self { subject, class, number })
     }
 
+    fn subject_name(self) -> String {
+        format!("{:02}", self.subject)
+    }
+
     /// For maps; classes have no order of their own.
     fn order(self) -> (u32, u8, u32) {
         (self.subject, self.class as u8, self.number)
     }
 }
 
-pub fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
-    let (file, mut annotations, dropped) = if source.annotations.is_some() {
+fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
+    let Rows { file, mut annotations, dropped } = if source.annotations.is_some() {
         of_table(read_spreadsheet(&FORM, source)?)?
     } else if let Some(table) = spreadsheet_in(&FORM, &source.dir)? {
         of_table(table)?
@@ -82,10 +97,35 @@ pub fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
     Ok(Labels { dataset: "smic".to_owned(), file, annotations, dropped })
 }
 
-type Read = (Option<PathBuf>, Vec<Annotation>, Vec<Dropped>);
+/// What a spreadsheet or the clips' folders say.
+#[derive(Default)]
+struct Rows {
+    file: Option<PathBuf>,
+    annotations: Vec<Annotation>,
+    dropped: Vec<Dropped>,
+}
 
-fn of_table(table: Table) -> Result<Read, MicroExpressionError> {
-    let (mut annotations, mut dropped) = (Vec::new(), Vec::new());
+impl Rows {
+    fn keep(&mut self, key: Key, clip: String, label: String, onset: u64, offset: u64) {
+        self.annotations.push(Annotation {
+            subject: key.subject_name(),
+            clip,
+            class: key.class,
+            label,
+            action_units: String::new(),
+            onset,
+            apex: None,
+            offset,
+        });
+    }
+
+    fn drop(&mut self, key: Key, clip: String, label: String, reason: DropReason) {
+        self.dropped.push(Dropped { subject: key.subject_name(), clip, label, reason });
+    }
+}
+
+fn of_table(table: Table) -> Result<Rows, MicroExpressionError> {
+    let mut rows = Rows::default();
     for row in table.rows() {
         let clip = row.filled("Filename")?.to_owned();
         let label = row.text("Emotion").to_owned();
@@ -96,27 +136,18 @@ fn of_table(table: Table) -> Result<Read, MicroExpressionError> {
         if subject.trim_start_matches(['s', 'S']).parse() != Ok(key.subject) {
             return Err(row.wrong(format!("subject `{subject}` has a clip called {clip}")));
         }
-        let subject = format!("{:02}", key.subject);
         if NOT_IN_APEX_LIST.contains(&key) {
-            dropped.push(Dropped { subject, clip, label, reason: DropReason::NotInApexList });
+            rows.drop(key, clip, label, DropReason::NotInApexList);
             continue;
         }
         let (onset, offset) = (row.frame("OnsetF")?, row.frame("OffsetF")?);
         if offset <= onset {
             return Err(row.wrong(format!("OffsetF: expected a frame after OnsetF {onset}, found {offset}")));
         }
-        annotations.push(Annotation {
-            subject,
-            clip,
-            class: key.class,
-            label,
-            action_units: String::new(),
-            onset,
-            apex: None,
-            offset,
-        });
+        rows.keep(key, clip, label, onset, offset);
     }
-    Ok((Some(table.path), annotations, dropped))
+    rows.file = Some(table.path);
+    Ok(rows)
 }
 
 /// The folder of the subjects' folders of the short recordings, when they are there.
@@ -134,43 +165,50 @@ fn short_root(dir: &Path) -> Result<Option<PathBuf>, MicroExpressionError> {
 fn short_clips(root: &Path) -> Result<Vec<(Key, PathBuf)>, MicroExpressionError> {
     let mut clips = Vec::new();
     for subject in listing::folders(root)?.iter().map(|subject| subject.join("micro")) {
-        let classes = if subject.is_dir() { listing::folders(&subject)? } else { Vec::new() };
-        for class in &classes {
-            let folders = listing::folders(class)?;
-            clips
-                .extend(folders.into_iter().filter_map(|clip| Some((Key::of(&listing::name(&clip))?, clip))));
+        for class in folders_if_there(&subject)? {
+            clips.extend(clips_in(&class)?);
         }
     }
     Ok(clips)
 }
 
-fn of_short_clips(root: &Path) -> Result<Read, MicroExpressionError> {
-    let (mut annotations, mut dropped) = (Vec::new(), Vec::new());
+/// The clips' folders of the extended recordings.
+fn extended_clips(root: &Path) -> Result<Vec<(Key, PathBuf)>, MicroExpressionError> {
+    let mut clips = Vec::new();
+    for subject in folders_if_there(root)? {
+        clips.extend(clips_in(&subject)?);
+    }
+    Ok(clips)
+}
+
+/// The folders of `dir` that are named as clips are.
+fn clips_in(dir: &Path) -> Result<impl Iterator<Item = (Key, PathBuf)> + use<>, MicroExpressionError> {
+    let folders = listing::folders(dir)?;
+    Ok(folders.into_iter().filter_map(|clip| Some((Key::of(&listing::name(&clip))?, clip))))
+}
+
+fn folders_if_there(dir: &Path) -> Result<Vec<PathBuf>, MicroExpressionError> {
+    Ok(if dir.is_dir() { listing::folders(dir)? } else { Vec::new() })
+}
+
+fn of_short_clips(root: &Path) -> Result<Rows, MicroExpressionError> {
+    let mut rows = Rows::default();
     for (key, folder) in short_clips(root)? {
-        let (subject, clip) = (format!("{:02}", key.subject), listing::name(&folder));
+        let clip = listing::name(&folder);
         let label = folder.parent().map(listing::name).unwrap_or_default();
         if NOT_IN_APEX_LIST.contains(&key) {
-            dropped.push(Dropped { subject, clip, label, reason: DropReason::NotInApexList });
+            rows.drop(key, clip, label, DropReason::NotInApexList);
             continue;
         }
         let frames = numbered_frames(&folder)?;
         let (Some((&onset, _)), Some((&offset, _))) = (frames.first_key_value(), frames.last_key_value())
         else {
-            dropped.push(Dropped { subject, clip, label, reason: DropReason::FramesMissing });
+            rows.drop(key, clip, label, DropReason::FramesMissing);
             continue;
         };
-        annotations.push(Annotation {
-            subject,
-            clip,
-            class: key.class,
-            label,
-            action_units: String::new(),
-            onset,
-            apex: None,
-            offset,
-        });
+        rows.keep(key, clip, label, onset, offset);
     }
-    Ok((None, annotations, dropped))
+    Ok(rows)
 }
 
 /// Takes the apex of each clip from a list with the columns data, clip and apex_frame; other datasets' rows are left.
@@ -201,7 +239,8 @@ fn add_apexes(list: &Path, annotations: &mut [Annotation]) -> Result<(), MicroEx
     Ok(())
 }
 
-pub fn folders(dir: &Path, annotations: &[Annotation]) -> Result<ClipFolders, MicroExpressionError> {
+fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolders, MicroExpressionError> {
+    let dir = &source.dir;
     let mut found = BTreeMap::new();
     let (root, form) = match short_root(dir)? {
         Some(root) => {
@@ -234,16 +273,6 @@ pub fn folders(dir: &Path, annotations: &[Annotation]) -> Result<ClipFolders, Mi
         key.and_then(|key| found.get(&key)).cloned().unwrap_or_else(|| expected(annotation))
     };
     Ok(ClipFolders { folders: annotations.iter().map(folder).collect(), root: root.clone(), form })
-}
-
-fn extended_clips(root: &Path) -> Result<Vec<(Key, PathBuf)>, MicroExpressionError> {
-    let mut clips = Vec::new();
-    let subjects = if root.is_dir() { listing::folders(root)? } else { Vec::new() };
-    for subject in &subjects {
-        let folders = listing::folders(subject)?;
-        clips.extend(folders.into_iter().filter_map(|clip| Some((Key::of(&listing::name(&clip))?, clip))));
-    }
-    Ok(clips)
 }
 
 #[cfg(test)]

@@ -2,55 +2,55 @@ use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use super::MicroExpressionError;
+use super::frames::ClipFolders;
+use super::sheet::Form;
+use super::{Annotation, ClassCounts, Labels, MicroExpressionError, casme2, plain, samm, smic};
 
-/// The kinds of micro-expression dataset and what they are.
-pub const CLIP_KINDS: &[(&str, &str)] = &[
-    ("samm", "SAMM"),
-    ("casme2[-raw|-cropped]", "CASME II, the raw or the cropped release (default: the one that is there)"),
-    ("smic", "SMIC-HS, extended or short"),
-    ("clips", "anybody's clips, listed in a clips.csv"),
-];
-
-/// A kind of micro-expression dataset.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ClipKind {
-    /// SAMM.
-    Samm,
-    /// CASME II; without a release, the one that is there.
-    Casme2(Option<Release>),
-    /// SMIC-HS.
-    Smic,
-    /// Clips listed in a CSV file.
-    Clips,
+/// A kind of micro-expression dataset: how it is named and read.
+#[derive(Debug)]
+pub struct ClipKind {
+    /// The word that `KIND:DIR` begins with, e.g. `casme2`.
+    pub name: &'static str,
+    /// The releases that may follow it after a hyphen; without one, the release that is there is read.
+    pub releases: &'static [&'static str],
+    /// What it is, in a few words.
+    pub about: &'static str,
+    /// Clips of each class that the paper (its table of the micro-expression datasets) counts.
+    pub published: Option<ClassCounts>,
+    /// Its annotation spreadsheet, where it has one.
+    pub(super) form: Option<&'static Form>,
+    /// Reads its annotations.
+    pub(super) labels: fn(&ClipSource) -> Result<Labels, MicroExpressionError>,
+    /// Finds the folders of the clips of these annotations.
+    pub(super) folders: fn(&ClipSource, &[Annotation]) -> Result<ClipFolders, MicroExpressionError>,
 }
 
-/// A release of CASME II.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Release {
-    /// Whole frames: `CASME2_RAW_selected`.
-    Raw,
-    /// Aligned faces: `Cropped_original`.
-    Cropped,
-}
+/// The kinds of micro-expression dataset.
+pub static CLIP_KINDS: [ClipKind; 4] = [samm::KIND, casme2::KIND, smic::KIND, plain::KIND];
 
-impl ClipKind {
-    /// The name before the options, e.g. `casme2`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Samm => "samm",
-            Self::Casme2(_) => "casme2",
-            Self::Smic => "smic",
-            Self::Clips => "clips",
-        }
+impl fmt::Display for ClipKind {
+    /// `casme2[-raw|-cropped]`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)?;
+        if self.releases.is_empty() { Ok(()) } else { write!(f, "[-{}]", self.releases.join("|-")) }
     }
 }
+
+impl PartialEq for ClipKind {
+    fn eq(&self, other: &Self) -> bool {
+        self.name == other.name
+    }
+}
+
+impl Eq for ClipKind {}
 
 /// A micro-expression dataset on disk, as `KIND:DIR` names it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ClipSource {
-    /// Kind of dataset.
-    pub kind: ClipKind,
+    /// How it is named and read.
+    pub kind: &'static ClipKind,
+    /// The one of the kind's releases that was asked for.
+    pub release: Option<&'static str>,
     /// Its folder, in which annotations and frames are looked for; of plain clips it may be the CSV file.
     pub dir: PathBuf,
     /// The annotation file, when it lies elsewhere.
@@ -65,31 +65,27 @@ impl FromStr for ClipSource {
     /// Reads `KIND:DIR`; the folder may hold further colons. Nothing is opened.
     fn from_str(text: &str) -> Result<Self, MicroExpressionError> {
         let wrong = || {
-            let known: Vec<&str> = CLIP_KINDS.iter().map(|(kind, _)| *kind).collect();
+            let known: Vec<String> = CLIP_KINDS.iter().map(ClipKind::to_string).collect();
             MicroExpressionError::NotKindAndFolder { found: text.to_owned(), known: known.join(", ") }
         };
-        let (kind, dir) = text.split_once(':').filter(|(_, dir)| !dir.is_empty()).ok_or_else(wrong)?;
-        let kind = match kind {
-            "samm" => ClipKind::Samm,
-            "casme2" => ClipKind::Casme2(None),
-            "casme2-raw" => ClipKind::Casme2(Some(Release::Raw)),
-            "casme2-cropped" => ClipKind::Casme2(Some(Release::Cropped)),
-            "smic" => ClipKind::Smic,
-            "clips" => ClipKind::Clips,
-            _ => return Err(wrong()),
-        };
-        Ok(Self { kind, dir: dir.into(), annotations: None, apex_list: None })
+        let (word, dir) = text.split_once(':').filter(|(_, dir)| !dir.is_empty()).ok_or_else(wrong)?;
+        let (name, release) =
+            word.split_once('-').map_or((word, None), |(name, release)| (name, Some(release)));
+        let kind = CLIP_KINDS.iter().find(|kind| kind.name == name).ok_or_else(wrong)?;
+        let known =
+            |word: &str| kind.releases.iter().find(|known| **known == word).copied().ok_or_else(wrong);
+        let release = release.map(known).transpose()?;
+        Ok(Self { kind, release, dir: dir.into(), annotations: None, apex_list: None })
     }
 }
 
 impl fmt::Display for ClipSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let release = match self.kind {
-            ClipKind::Casme2(Some(Release::Raw)) => "-raw",
-            ClipKind::Casme2(Some(Release::Cropped)) => "-cropped",
-            _ => "",
-        };
-        write!(f, "{}{release}:{}", self.kind.name(), self.dir.display())
+        f.write_str(self.kind.name)?;
+        if let Some(release) = self.release {
+            write!(f, "-{release}")?;
+        }
+        write!(f, ":{}", self.dir.display())
     }
 }
 

@@ -1,5 +1,6 @@
 use serde::{Deserialize, Serialize};
 use srflow_read::augment::AugmentConfig;
+use srflow_read::flow::TruthDensity;
 
 use super::PixelSize;
 
@@ -33,7 +34,7 @@ pub struct AugmentationConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum AugmentationKind {
-    /// Sparse for KITTI and HD1K, dense for everything else.
+    /// Sparse for datasets whose truth is sparse (KITTI, HD1K), dense for all others.
     Auto,
     /// For flow that is known nearly everywhere.
     Dense,
@@ -63,12 +64,12 @@ impl Default for AugmentationConfig {
 }
 
 impl AugmentationConfig {
-    /// What is done to samples of a dataset of that name.
-    pub(crate) fn settings(&self, dataset: &str, crop: PixelSize) -> AugmentConfig {
+    /// What is done to samples whose truth is dense or sparse.
+    pub(crate) fn settings(&self, truth: TruthDensity, crop: PixelSize) -> AugmentConfig {
         let crop = [crop.width, crop.height];
         let sparse = match self.kind {
             AugmentationKind::None => return AugmentConfig::crop_only(crop),
-            AugmentationKind::Auto => dataset.starts_with("kitti") || dataset.starts_with("hd1k"),
+            AugmentationKind::Auto => truth == TruthDensity::Sparse,
             AugmentationKind::Dense => false,
             AugmentationKind::Sparse => true,
         };

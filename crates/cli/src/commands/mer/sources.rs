@@ -27,7 +27,7 @@ impl SourceArgs {
             let Some((kind, file)) = text.split_once(':').filter(|(_, file)| !file.is_empty()) else {
                 bail!("--annotations {text}: expected KIND:FILE, e.g. samm:SAMM_Micro_FACS_Codes_v2.xlsx");
             };
-            let Some(source) = sources.iter_mut().find(|source| source.kind.name() == kind) else {
+            let Some(source) = sources.iter_mut().find(|source| source.kind.name == kind) else {
                 bail!("--annotations {text}: no dataset of the kind `{kind}` is given");
             };
             source.annotations = Some(file.into());
@@ -55,6 +55,7 @@ impl SourceArgs {
 
 /// Help of an argument that takes datasets.
 pub fn kinds_help() -> String {
-    let kinds: Vec<String> = CLIP_KINDS.iter().map(|(kind, what)| format!("  {kind:<22} {what}")).collect();
+    let kinds: Vec<String> =
+        CLIP_KINDS.iter().map(|kind| format!("  {:<22} {}", kind.to_string(), kind.about)).collect();
     format!("Kinds of dataset:\n{}", kinds.join("\n"))
 }

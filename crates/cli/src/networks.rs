@@ -72,7 +72,7 @@ impl NetworkArgs {
     pub fn weights_of(&self, architecture: Architecture, own: Option<&str>) -> anyhow::Result<PathBuf> {
         let name = architecture.name();
         match own.or(self.weights.as_deref()) {
-            Some(weights) => weights_file(architecture, weights),
+            Some(weights) => weights_file(Some(architecture), weights),
             None => wrong_usage!(
                 "{name} needs weights: give --weights FILE, or --method {name}=FILE; `srflow models` says where \
                  people get them"
@@ -102,17 +102,23 @@ impl NetworkArgs {
 }
 
 /// The file that `--weights` means, fetched when it is a name that was not used before.
-pub fn weights_file(architecture: Architecture, weights: &str) -> anyhow::Result<PathBuf> {
+///
+/// # Errors
+/// When it is neither a file nor a name, or cannot be fetched.
+pub fn weights_file(architecture: Option<Architecture>, weights: &str) -> anyhow::Result<PathBuf> {
     let folder = weights_folder();
     let bar = ProgressBar::no_length().with_style(ProgressStyle::with_template(
         "{spinner} weights {bytes} of {total_bytes}  {bytes_per_sec}  ETA {eta}",
     )?);
-    let found = find_weights(weights.as_ref(), Some(architecture), folder.as_deref(), &mut |done, len| {
+    let found = find_weights(weights.as_ref(), architecture, folder.as_deref(), &mut |done, len| {
         if let Some(len) = len {
             bar.set_length(len);
         }
         bar.set_position(done);
     });
     bar.finish_and_clear();
-    found.with_context(|| format!("weights of {} (`srflow models` lists what there is)", architecture.name()))
+    found.with_context(|| {
+        let of = architecture.map_or(String::new(), |architecture| format!(" of {}", architecture.name()));
+        format!("weights{of} (`srflow models` lists what there is)")
+    })
 }

@@ -12,6 +12,7 @@ mod forward_interpolate;
 mod grid;
 mod image_file;
 mod metrics;
+mod parse_words;
 pub mod random;
 mod warp;
 
@@ -29,4 +30,5 @@ pub use image_file::{
     IMAGE_EXTENSIONS, read_image, read_image_size, read_mask, write_image_png, write_mask_png,
 };
 pub use metrics::{MAX_SCORED_FLOW, MeanMetrics, Metrics, ScoreError, score};
+pub use parse_words::parse_error_in_words;
 pub use warp::{Tolerance, forward_backward_check, warp};

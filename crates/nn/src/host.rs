@@ -1,6 +1,6 @@
 //! A network's numbers in host memory, one tensor behind the other.
 //!
-//! The optimizer, checkpoints and the exchange between devices work on these; a device holds a copy that is filled anew
+//! The optimizer, checkpoints and the exchange between devices work on these; a device holds a copy that is filled again
 //! after every step.
 
 use std::ops::Range;
@@ -8,7 +8,7 @@ use std::ops::Range;
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Gradients, Tensor, TensorData};
 
-use crate::parameters::{ParameterInfo, Parameters, ParametersError, compare, parameter_infos};
+use crate::parameters::parameter_infos;
 
 /// Where each tensor of a network lies.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -49,25 +49,6 @@ impl Layout {
     /// The tensors.
     pub fn segments(&self) -> &[Segment] {
         &self.segments
-    }
-
-    /// The numbers of all tensors from their values by name.
-    ///
-    /// # Errors
-    /// When one is missing, is of another shape, or there is one that the network does not have.
-    pub fn values_of(&self, parameters: &Parameters) -> Result<Vec<f32>, ParametersError> {
-        let info =
-            |name: &String, shape: &[usize]| ParameterInfo { name: name.clone(), shape: shape.to_vec() };
-        let expected: Vec<_> =
-            self.segments.iter().map(|segment| info(&segment.name, &segment.shape)).collect();
-        let given: Vec<_> = parameters.iter().map(|(name, data)| info(name, data.shape())).collect();
-        compare(&expected, &given)?;
-        let mut values = Vec::with_capacity(self.len());
-        for Segment { name, .. } in &self.segments {
-            let data = parameters[name].clone().convert::<f32>();
-            values.extend(data.try_to_vec::<f32>().expect("converted to f32"));
-        }
-        Ok(values)
     }
 
     /// How many numbers there are.

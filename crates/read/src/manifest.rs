@@ -249,7 +249,8 @@ impl Manifest {
                 return Err(broken("no layout_version: not the dataset.json of an SRFlow dataset".into()));
             }
         }
-        let manifest: Self = serde_json::from_value(value).map_err(|error| broken(error.to_string()))?;
+        let manifest: Self = serde_json::from_value(value)
+            .map_err(|error| broken(srflow_field::parse_error_in_words(&error)))?;
         manifest.validate().map_err(broken)?;
         Ok(manifest)
     }

@@ -60,6 +60,6 @@ impl PairRecord {
     pub fn read(path: &Path) -> Result<Self, RecordError> {
         let failed = |reason| RecordError { path: path.to_owned(), reason };
         let text = std::fs::read_to_string(path).map_err(|error| failed(error.to_string()))?;
-        serde_json::from_str(&text).map_err(|error| failed(error.to_string()))
+        serde_json::from_str(&text).map_err(|error| failed(srflow_field::parse_error_in_words(&error)))
     }
 }

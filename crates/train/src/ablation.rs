@@ -1,63 +1,67 @@
 //! The paper's ablation (section V-B): the same training with one regularizer at a time, with several seeds.
 //!
 //! Every cell of the table is a run in a folder of its own, `LOSS-seed-N`. A run that was finished is not run again, one that
-//! was stopped goes on, and the table is made from what the runs left behind.
+//! was stopped continues, and the table is made from the files of the runs.
 
 use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 use srflow_eval::{Better, Column, Row, Table};
-use srflow_field::{Metrics, write_atomically};
+use srflow_field::{Metrics, parse_error_in_words, write_atomically};
 use srflow_read::flow::FlowDataset;
 
 use crate::checkpoint::Checkpoints;
 use crate::config::Config;
-use crate::loss::{MaskReading, Regularizer};
+use crate::loss::{MaskReading, REGULARIZERS, Regularizer};
 use crate::run::{Beginning, Event, TrainError, train};
 use crate::validation::score_weights;
 
 /// A row of the table.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Variant {
     /// Name in folders and on the command line.
-    pub name: &'static str,
+    pub name: String,
     /// Name in the table.
-    pub title: &'static str,
-    /// Whether it is trained at all, or the weights that the others start from are scored.
+    pub title: String,
+    /// Whether it is trained; otherwise the weights that the others start from are scored.
     pub trained: bool,
-    regularizer: Option<Regularizer>,
+    regularizer: Option<&'static Regularizer>,
     m_total: MaskReading,
 }
 
-const fn variant(
-    name: &'static str,
-    title: &'static str,
-    regularizer: Option<Regularizer>,
-    m_total: MaskReading,
-) -> Variant {
-    Variant { name, title, trained: true, regularizer, m_total }
+/// The rows that can be run: the paper's, and the regularizers that look at `M_total` with its literal reading.
+pub fn variants() -> Vec<Variant> {
+    let plain = |name: &str, title: &str, trained| Variant {
+        name: name.to_owned(),
+        title: title.to_owned(),
+        trained,
+        regularizer: None,
+        m_total: MaskReading::Interior,
+    };
+    let with = |regularizer: &'static Regularizer| Variant {
+        regularizer: Some(regularizer),
+        ..plain(regularizer.name, regularizer.title, true)
+    };
+    let literal = |regularizer: &'static Regularizer| Variant {
+        name: format!("{}-literal", regularizer.name),
+        title: format!("{}, literal mask", regularizer.title),
+        m_total: MaskReading::Literal,
+        ..with(regularizer)
+    };
+    let mut rows = vec![plain("start", "before training", false), plain("none", "no regularizer", true)];
+    rows.extend(REGULARIZERS.iter().map(with));
+    rows.extend(REGULARIZERS.iter().filter(|regularizer| regularizer.reads_total_mask()).map(literal));
+    rows
 }
-
-/// The rows that can be run: the paper's, and the regularizers with `M_total` under its literal reading.
-pub const VARIANTS: [Variant; 8] = [
-    Variant { trained: false, ..variant("start", "before training", None, MaskReading::Interior) },
-    variant("none", "no regularizer", None, MaskReading::Interior),
-    variant("tvr", "TVR", Some(Regularizer::Tvr), MaskReading::Interior),
-    variant("fdr", "FDR", Some(Regularizer::Fdr), MaskReading::Interior),
-    variant("migar", "MIGAR", Some(Regularizer::Migar), MaskReading::Interior),
-    variant("igvar", "IGVAR", Some(Regularizer::Igvar), MaskReading::Interior),
-    variant("migar-literal", "MIGAR, literal mask", Some(Regularizer::Migar), MaskReading::Literal),
-    variant("igvar-literal", "IGVAR, literal mask", Some(Regularizer::Igvar), MaskReading::Literal),
-];
 
 impl Variant {
     /// The configuration of this row with this seed: `base` with its loss and nothing else changed.
     pub fn config(&self, base: &Config, seed: u64) -> Config {
         let mut config = base.clone();
         config.training.seed = seed;
-        for regularizer in Regularizer::ALL {
-            let weight = if Some(regularizer) == self.regularizer { regularizer.paper_weight() } else { 0.0 };
+        for regularizer in REGULARIZERS {
+            let weight = if Some(regularizer) == self.regularizer { regularizer.paper_weight } else { 0.0 };
             config.loss = config.loss.with(regularizer, weight);
         }
         config.loss.m_total = self.m_total;
@@ -81,19 +85,19 @@ pub struct Cell {
     pub zero_epe: f64,
 }
 
-/// What [`ablate`] tells while it runs.
+/// What [`ablate`] reports while it runs.
 #[derive(Debug)]
 pub enum AblationEvent<'a> {
-    /// A run begins, goes on or was finished before.
+    /// A run begins, continues or was finished before.
     Cell {
         /// The row.
-        variant: Variant,
+        variant: &'a Variant,
         /// Its seed.
         seed: u64,
         /// Whether it was finished before.
         done: bool,
     },
-    /// What a run tells.
+    /// What a run reports.
     Training(Event<'a>),
 }
 
@@ -112,8 +116,10 @@ impl AblationSettings {
     /// What is run and scored, in this order: every row with every seed. What is not trained comes once, since no seed changes
     /// it.
     pub fn runs(&self) -> Vec<(Variant, u64)> {
-        let all =
-            self.seeds.iter().flat_map(|&seed| self.variants.iter().map(move |&variant| (variant, seed)));
+        let all = self
+            .seeds
+            .iter()
+            .flat_map(|&seed| self.variants.iter().map(move |variant| (variant.clone(), seed)));
         all.filter(|(variant, seed)| variant.trained || Some(seed) == self.seeds.first()).collect()
     }
 }
@@ -131,14 +137,14 @@ pub enum AblationError {
     },
     /// The folder of a run holds one with other settings.
     #[error(
-        "{}: the run that is there has other settings; give the ablation another --out, or delete this folder", .run.display()
+        "{}: this folder holds a run with other settings; give the ablation another --out, or delete the folder", .run.display()
     )]
     OtherSettings {
         /// Its folder.
         run: PathBuf,
     },
     /// A result could not be read.
-    #[error("{}: {reason}; delete it to have the run scored anew", .path.display())]
+    #[error("{}: {reason}; delete it to have the run scored again", .path.display())]
     Result {
         /// The file.
         path: PathBuf,
@@ -170,11 +176,11 @@ pub fn ablate(
             |error: TrainError| AblationError::Run { run: run.display().to_string(), error: Box::new(error) };
         let score = |weights: &Path, steps: u64| -> Result<Cell, AblationError> {
             let scores = score_weights(&config, &devices[0], weights, test).map_err(failed)?;
-            let variant = variant.name.to_owned();
+            let variant = variant.name.clone();
             Ok(Cell { variant, seed, steps, scores: scores.whole, zero_epe: scores.zero_epe })
         };
         if !variant.trained {
-            on_event(AblationEvent::Cell { variant, seed, done: false });
+            on_event(AblationEvent::Cell { variant: &variant, seed, done: false });
             cells.push(score(&config.network.weights, 0)?);
             continue;
         }
@@ -184,10 +190,10 @@ pub fn ablate(
             return Err(AblationError::OtherSettings { run });
         }
         let done = result.exists();
-        on_event(AblationEvent::Cell { variant, seed, done });
+        on_event(AblationEvent::Cell { variant: &variant, seed, done });
         if !done {
             let beginning = if begun { Beginning::Resume } else { Beginning::New };
-            let outcome = train(&config, devices, &run, beginning, &mut |event| {
+            let outcome = train(&config, devices, &run, beginning, None, &mut |event| {
                 on_event(AblationEvent::Training(event));
             })
             .map_err(failed)?;
@@ -204,7 +210,7 @@ pub fn ablate(
 fn read_cell(path: &Path) -> Result<Cell, AblationError> {
     let wrong = |reason: String| AblationError::Result { path: path.to_owned(), reason };
     let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
-    serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))
+    serde_json::from_str(&text).map_err(|error| wrong(parse_error_in_words(&error)))
 }
 
 /// Key, header, direction and value of a score, in the paper's order.
@@ -265,12 +271,11 @@ pub fn paper_table() -> Table {
 }
 
 fn rows(cells: &[Cell], prefix: &str, over_seeds: impl Fn(&[f64]) -> Option<f64>) -> Vec<Row> {
-    let of = |variant: &Variant| -> Vec<&Cell> {
-        cells.iter().filter(|cell| cell.variant == variant.name).collect()
-    };
-    VARIANTS
+    variants()
         .iter()
-        .map(|variant| (variant, of(variant)))
+        .map(|variant| {
+            (variant, cells.iter().filter(|cell| cell.variant == variant.name).collect::<Vec<&Cell>>())
+        })
         .filter(|(_, cells)| !cells.is_empty())
         .map(|(variant, cells)| {
             let value = |(.., value): &Score| {
@@ -316,13 +321,13 @@ mod tests {
     #[test]
     fn a_variant_changes_the_loss_and_the_seed_alone() {
         let base = Config::default();
-        for variant in VARIANTS {
+        for variant in variants() {
             let config = variant.config(&base, 7);
             let mut back = config.clone();
             back.training.seed = base.training.seed;
             back.loss = base.loss.clone();
             assert_eq!(back, base);
-            let on: Vec<_> = Regularizer::ALL.into_iter().filter(|&r| config.loss.weight(r) > 0.0).collect();
+            let on: Vec<_> = REGULARIZERS.iter().filter(|entry| config.loss.weight(entry) > 0.0).collect();
             assert_eq!(on, variant.regularizer.into_iter().collect::<Vec<_>>());
         }
     }

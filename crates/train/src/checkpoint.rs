@@ -1,4 +1,4 @@
-//! Everything that a run needs to go on as if it had never stopped.
+//! Everything that a run needs to continue as if it had never stopped.
 //!
 //! A checkpoint is a folder `step-NNNNNNNN` of three files: `model.safetensors`, the network's parameters under the names
 //! of the reference implementation; `optimizer.safetensors`, what AdamW remembers; `state.json`, where the run is. The
@@ -11,14 +11,16 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::DType;
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileError, PARTIAL_EXTENSION, write_atomically};
+use srflow_field::{FileError, PARTIAL_EXTENSION, create_folder, parse_error_in_words, write_atomically};
 use srflow_nn::{AdamWState, Layout, WeightsError, read_safetensors, safetensors_bytes};
 
-/// Name of the folder that checkpoints lie in.
+/// Name of the folder of checkpoints in a run's folder.
 const FOLDER: &str = "checkpoints";
 const MODEL: &str = "model.safetensors";
 const OPTIMIZER: &str = "optimizer.safetensors";
 const STATE: &str = "state.json";
+/// What the names of unfinished checkpoints begin with.
+const UNFINISHED: &str = ".step-";
 /// What the names of the two averages begin with.
 const AVERAGES: [&str; 2] = ["mean.", "square."];
 
@@ -87,16 +89,16 @@ pub enum CheckpointError {
     #[error(transparent)]
     File(#[from] FileError),
     /// A file of the checkpoint does not hold what it must.
-    #[error("{}: {reason}; delete this checkpoint's folder to go on from the one before", .path.display())]
+    #[error("{}: {reason}; delete this checkpoint's folder to continue from the one before", .path.display())]
     Broken {
         /// The file.
         path: PathBuf,
         /// What is wrong with it.
         reason: String,
     },
-    /// There is nothing to go on from.
+    /// There is no checkpoint.
     #[error(
-        "{}: no checkpoint is there to go on from; start the run without --resume", .folder.display()
+        "{}: found no checkpoint to continue from; start the run without --resume", .folder.display()
     )]
     None {
         /// Where one was looked for.
@@ -119,23 +121,17 @@ impl Checkpoints {
     /// The steps that there are checkpoints of, in order.
     ///
     /// # Errors
-    /// When the folder is there and cannot be listed.
+    /// When the folder exists and cannot be listed.
     pub fn steps(&self) -> Result<Vec<u64>, CheckpointError> {
         if !self.folder.is_dir() {
             return Ok(Vec::new());
         }
         let mut steps = Vec::new();
-        for name in self.names()? {
+        for name in names(&self.folder)? {
             steps.extend(name.strip_prefix("step-").and_then(|number| number.parse::<u64>().ok()));
         }
         steps.sort_unstable();
         Ok(steps)
-    }
-
-    fn names(&self) -> Result<Vec<String>, CheckpointError> {
-        let failed = io_error(&self.folder, "listing the checkpoints");
-        let entries = fs::read_dir(&self.folder).map_err(&failed)?;
-        entries.map(|entry| Ok(entry.map_err(&failed)?.file_name().to_string_lossy().into_owned())).collect()
     }
 
     /// The folder of one step.
@@ -146,12 +142,9 @@ impl Checkpoints {
     /// Writes a checkpoint, and `last.safetensors` beside the folder of all. One of the same step is replaced.
     ///
     /// # Errors
-    /// When a file cannot be written; what was there before stays.
+    /// When a file cannot be written; what was there before stays, and nothing half written does.
     pub fn write(&self, checkpoint: &Checkpoint, layout: &Layout) -> Result<(), CheckpointError> {
         let Checkpoint { progress, config, values, optimizer } = checkpoint;
-        let partial = self.folder.join(format!(".step-{:08}.{PARTIAL_EXTENSION}", progress.step));
-        remove_folder(&partial)?;
-        fs::create_dir_all(&partial).map_err(io_error(&partial, "making the folder"))?;
         let model = model_bytes(layout, values);
         let state = StateFile { progress: progress.clone(), config: config.clone() };
         let state = serde_json::to_string_pretty(&state).expect("plain numbers and text") + "\n";
@@ -166,14 +159,30 @@ impl Checkpoints {
                 )
             })
         }));
-        for (name, bytes) in [(MODEL, &model), (OPTIMIZER, &optimizer), (STATE, &state.into_bytes())] {
-            let path = partial.join(name);
-            fs::write(&path, bytes).map_err(io_error(&path, "writing"))?;
+        let files = [(MODEL, &model), (OPTIMIZER, &optimizer), (STATE, &state.into_bytes())];
+        let partial = self.folder.join(format!("{UNFINISHED}{:08}.{PARTIAL_EXTENSION}", progress.step));
+        let written = self.write_folder(&partial, &self.path(progress.step), &files);
+        if written.is_err() {
+            let _ = fs::remove_dir_all(&partial); // the first error is the one to report
         }
-        let path = self.path(progress.step);
-        remove_folder(&path)?;
-        fs::rename(&partial, &path).map_err(io_error(&path, "renaming the finished checkpoint"))?;
+        written?;
         self.write_model("last", &model)
+    }
+
+    /// Into `partial`, which takes the name `path` when it is complete.
+    fn write_folder(
+        &self,
+        partial: &Path,
+        path: &Path,
+        files: &[(&str, &Vec<u8>)],
+    ) -> Result<(), CheckpointError> {
+        remove_folder(partial)?;
+        create_folder(partial)?;
+        for (name, bytes) in files {
+            write_atomically(&partial.join(name), |file| file.write_all(bytes))?;
+        }
+        remove_folder(path)?;
+        fs::rename(partial, path).map_err(io_error(path, "renaming the finished checkpoint"))
     }
 
     /// Writes `best.safetensors` beside the folder of all checkpoints.
@@ -189,14 +198,33 @@ impl Checkpoints {
         Ok(write_atomically(&path, |file| file.write_all(bytes))?)
     }
 
-    /// Deletes all but the last `keep` and the one of step `best`, and what a killed run left half made.
+    /// Deletes all but the last `keep` and the one of step `best`, and what a killed run left unfinished.
     ///
     /// # Errors
-    /// When a folder cannot be removed.
+    /// When a file or folder cannot be removed.
     pub fn prune(&self, keep: usize, best: Option<u64>) -> Result<(), CheckpointError> {
         let steps = self.steps()?;
         for &step in steps.iter().rev().skip(keep).filter(|&&step| Some(step) != best) {
             remove_folder(&self.path(step))?;
+        }
+        self.remove_unfinished()
+    }
+
+    /// Deletes what a killed run left unfinished: checkpoints, and files beside them. Nobody else may write into the run's
+    /// folder meanwhile.
+    ///
+    /// # Errors
+    /// When a file or folder cannot be removed.
+    pub fn remove_unfinished(&self) -> Result<(), CheckpointError> {
+        for folder in [&self.run, &self.folder].into_iter().filter(|folder| folder.is_dir()) {
+            let partial =
+                |name: &String| name.starts_with('.') && name.ends_with(&format!(".{PARTIAL_EXTENSION}"));
+            for path in names(folder)?.iter().filter(|name| partial(name)).map(|name| folder.join(name)) {
+                match path.is_dir() {
+                    true => remove_folder(&path)?,
+                    false => fs::remove_file(&path).map_err(io_error(&path, "removing the file"))?,
+                }
+            }
         }
         Ok(())
     }
@@ -230,6 +258,12 @@ impl Checkpoints {
     }
 }
 
+fn names(folder: &Path) -> Result<Vec<String>, CheckpointError> {
+    let failed = io_error(folder, "listing the folder");
+    let entries = fs::read_dir(folder).map_err(&failed)?;
+    entries.map(|entry| Ok(entry.map_err(&failed)?.file_name().to_string_lossy().into_owned())).collect()
+}
+
 fn io_error<'a>(path: &'a Path, doing: &'static str) -> impl Fn(std::io::Error) -> CheckpointError + 'a {
     move |source| CheckpointError::Io { path: path.to_owned(), doing, source }
 }
@@ -255,7 +289,7 @@ fn read_state(checkpoint: &Path) -> Result<StateFile, CheckpointError> {
     let text = fs::read_to_string(&path).map_err(io_error(&path, "reading"))?;
     serde_json::from_str(&text).map_err(|error| CheckpointError::Broken {
         path,
-        reason: format!("expected the state of a run ({error})"),
+        reason: format!("expected the state of a run ({})", parse_error_in_words(&error)),
     })
 }
 
@@ -348,6 +382,38 @@ mod tests {
         assert_eq!(checkpoints.read_last(&layout()).unwrap(), checkpoint(6));
         let last = srflow_nn::read_parameters(&run.path().join("last.safetensors")).unwrap();
         assert_eq!(last.keys().collect::<Vec<_>>(), ["a.running_mean", "a.weight", "b.bias"]);
+    }
+
+    fn listed(folder: &Path) -> Vec<String> {
+        let mut names = names(folder).unwrap();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn what_a_killed_run_left_unfinished_goes() {
+        let run = tempfile::tempdir().unwrap();
+        let checkpoints = Checkpoints::of_run(run.path());
+        checkpoints.write(&checkpoint(1), &layout()).unwrap();
+        let [before, beside] = [run.path(), &run.path().join(FOLDER)].map(listed);
+        let unfinished = run.path().join(FOLDER).join(".step-00000002.partial");
+        fs::create_dir(&unfinished).unwrap();
+        fs::write(unfinished.join(MODEL), "half").unwrap();
+        fs::write(run.path().join(".last.safetensors.77-3.partial"), "half").unwrap();
+        checkpoints.prune(3, None).unwrap();
+        assert_eq!([run.path(), &run.path().join(FOLDER)].map(listed), [before, beside]);
+        assert_eq!(checkpoints.read_last(&layout()).unwrap(), checkpoint(1));
+    }
+
+    #[test]
+    fn a_checkpoint_that_cannot_be_written_leaves_nothing() {
+        let run = tempfile::tempdir().unwrap();
+        let checkpoints = Checkpoints::of_run(run.path());
+        checkpoints.write(&checkpoint(1), &layout()).unwrap();
+        fs::write(checkpoints.path(2), "a file in the way").unwrap();
+        let error = checkpoints.write(&checkpoint(2), &layout()).expect_err("a file in the way").to_string();
+        assert!(error.contains("step-00000002"), "{error}");
+        assert_eq!(listed(&run.path().join(FOLDER)), ["step-00000001", "step-00000002"]);
     }
 
     #[test]

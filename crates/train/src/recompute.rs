@@ -27,18 +27,18 @@ pub(crate) fn add_gradients(
     let device = &network.devices()[0];
     let frames = batch.frames(device);
     let inputs = batch.loss_inputs(device);
-    let encoded = network.encode(frames.clone());
-    let plain = Tensors::of(&encoded).map(Tensor::inner);
+    let tracked = parts(network.encode(frames.clone()));
+    let plain = tracked.clone().map(Tensor::inner);
     let (states, last) = states(network, batch, &plain, settings.iterations);
 
     let mut losses_of_batch = BatchLosses { epe: batch.end_point_error(&last), ..BatchLosses::default() };
     // Of the hidden state after the refinement, and of what all refinements read.
-    let mut gradient = Tensors([None, None, None, None]);
+    let mut gradient: [Option<Tensor<4>>; 4] = [None, None, None, None];
     for (iteration, (hidden, coarse)) in states.into_iter().enumerate().rev() {
-        let [_, context, first, second] = plain.0.clone();
-        let leaves = Tensors([hidden, context, first, second]).map(|x| Tensor::from_inner(x).require_grad());
+        let [_, context, first, second] = plain.clone();
+        let leaves = [hidden, context, first, second].map(|x| Tensor::from_inner(x).require_grad());
         let request = Request {
-            encoded: Some(leaves.clone().encoded()),
+            encoded: Some(encoded(leaves.clone())),
             start: coarse.map(Tensor::from_inner),
             ..Request::new(1)
         };
@@ -48,12 +48,12 @@ pub(crate) fn add_gradients(
         let share = settings.loss.gamma.powi((settings.iterations - 1 - iteration) as i32);
         losses_of_batch.add(&BatchLosses::of(&of_one), share);
         let mut total = of_one.total * share;
-        if let Some(after) = gradient.0[0].take() {
+        if let Some(after) = gradient[0].take() {
             total = total + (estimate.hidden * Tensor::from_inner(after)).sum();
         }
         let gradients = total.backward();
         sum.add(network, layout, &gradients, weight);
-        for (sum, leaf) in gradient.0.iter_mut().zip(&leaves.0) {
+        for (sum, leaf) in gradient.iter_mut().zip(&leaves) {
             let more = leaf.grad(&gradients);
             *sum = match (sum.take(), more) {
                 (Some(sum), Some(more)) => Some(sum + more),
@@ -61,9 +61,10 @@ pub(crate) fn add_gradients(
             };
         }
     }
-    let through_encoders = Tensors::of(&encoded).0.into_iter().zip(gradient.0);
-    let total = through_encoders
-        .filter_map(|(encoded, gradient)| Some((encoded * Tensor::from_inner(gradient?)).sum()))
+    let total = tracked
+        .into_iter()
+        .zip(gradient)
+        .filter_map(|(part, gradient)| Some((part * Tensor::from_inner(gradient?)).sum()))
         .reduce(|sum, more| sum + more);
     if let Some(total) = total {
         sum.add(network, layout, &total.backward(), weight);
@@ -78,19 +79,19 @@ type State = (Tensor<4>, Option<Tensor<4>>);
 fn states(
     network: &Network,
     batch: &Batch,
-    plain: &Tensors<Tensor<4>>,
+    plain: &[Tensor<4>; 4],
     iterations: usize,
 ) -> (Vec<State>, Vec<f32>) {
     let network = network.valid();
-    let [mut hidden, context, first, second] = plain.0.clone();
+    let [mut hidden, context, first, second] = plain.clone();
     let frames = batch.frames(&hidden.device());
     let mut coarse = None;
     let mut states = Vec::with_capacity(iterations);
     let mut last = Vec::new();
     for iteration in 1..=iterations {
         states.push((hidden.clone(), coarse.clone()));
-        let before = Tensors([hidden, context.clone(), first.clone(), second.clone()]);
-        let request = Request { encoded: Some(before.encoded()), start: coarse, ..Request::new(1) };
+        let before = encoded([hidden, context.clone(), first.clone(), second.clone()]);
+        let request = Request { encoded: Some(before), start: coarse, ..Request::new(1) };
         let estimate = network.forward(frames.clone(), &request);
         if iteration == iterations {
             last = numbers(estimate.last().clone());
@@ -100,24 +101,12 @@ fn states(
     (states, last)
 }
 
-/// Hidden state, context, and features of the first and the second frames, or something of each.
-#[derive(Clone)]
-struct Tensors<T>([T; 4]);
-
-impl<T> Tensors<T> {
-    fn map<U>(self, change: impl Fn(T) -> U) -> Tensors<U> {
-        Tensors(self.0.map(change))
-    }
+/// Hidden state, context, and features of the first and the second frames.
+fn parts(encoded: Encoded) -> [Tensor<4>; 4] {
+    let Encoded { hidden, context, features: [first, second] } = encoded;
+    [hidden, context, first, second]
 }
 
-impl Tensors<Tensor<4>> {
-    fn of(encoded: &Encoded) -> Self {
-        let Encoded { hidden, context, features: [first, second] } = encoded.clone();
-        Self([hidden, context, first, second])
-    }
-
-    fn encoded(self) -> Encoded {
-        let [hidden, context, first, second] = self.0;
-        Encoded { hidden, context, features: [first, second] }
-    }
+fn encoded([hidden, context, first, second]: [Tensor<4>; 4]) -> Encoded {
+    Encoded { hidden, context, features: [first, second] }
 }

@@ -13,7 +13,6 @@ use srflow_nets::{Architecture, Network, Request};
 use srflow_nn::{HostGradients, Layout, filled, numbers, with_batch_statistics};
 
 use crate::batch::Batch;
-use crate::config::BatchNorm;
 use crate::loss::{LossConfig, LossError, Losses, Prediction, losses};
 use crate::recompute;
 
@@ -26,7 +25,7 @@ pub struct PassSettings {
     pub iterations: usize,
     /// Parts that a share is cut into.
     pub accumulate: usize,
-    /// Keep hidden states only, and compute the rest anew on the way back.
+    /// Keep hidden states only, and compute the rest again on the way back.
     pub recompute: bool,
 }
 
@@ -35,7 +34,7 @@ pub struct PassSettings {
 pub struct Pass {
     /// The gradients of the mean loss of the batch.
     pub gradients: HostGradients,
-    /// What the mean loss is made of: the sequence loss and each regularizer that is on.
+    /// The mean loss, the sequence loss and each regularizer that is on.
     pub losses: BatchLosses,
 }
 
@@ -93,7 +92,8 @@ struct Replica {
 }
 
 impl Replicas {
-    /// A network with random parameters from `seed`, one copy on each of `devices`, and its numbers.
+    /// A network with random parameters from `seed`, one copy on each of `devices`, and its numbers. Batch norm takes its
+    /// statistics from the batch where it is live.
     ///
     /// # Panics
     /// Without a device.
@@ -101,13 +101,12 @@ impl Replicas {
         architecture: Architecture,
         devices: &[Device],
         seed: u64,
-        batch_norm: BatchNorm,
+        live_batch_norm: bool,
         settings: PassSettings,
     ) -> (Self, Vec<f32>) {
-        let live = batch_norm == BatchNorm::Live;
         let copy = |device: &Device| {
             let device = device.clone().autodiff();
-            let network = with_batch_statistics(architecture.init(&device), live);
+            let network = with_batch_statistics(architecture.init(&device), live_batch_norm);
             Replica { device, network }
         };
         let copies: Vec<Replica> = devices.iter().map(copy).collect();

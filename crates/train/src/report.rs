@@ -3,7 +3,7 @@
 use srflow_eval::report::{Axis, Chart, Curve, Figure, Page, Section, curves, facts, tiles};
 
 use crate::config::Config;
-use crate::journal::{Record, StepRecord, ValidationRecord};
+use crate::training_log::{Record, StepRecord, ValidationRecord};
 
 /// Points of a curve of steps; more are averaged together.
 const POINTS: usize = 300;

@@ -6,16 +6,18 @@ use std::time::Instant;
 
 use burn::tensor::Device;
 use srflow_field::{FileError, create_folder, write_atomically};
-use srflow_nn::{AdamW, AdamWState, ParametersError, Rounding, WeightsError, clip_norm, read_parameters};
+use srflow_nets::load_network;
+use srflow_nn::{AdamW, AdamWState, Layout, Rounding, WeightsError, clip_norm};
 
 use crate::batch::Batch;
 use crate::checkpoint::{Best, Checkpoint, CheckpointError, Checkpoints, Progress};
 use crate::config::{Config, ConfigError};
-use crate::journal::{Journal, JournalError, Record, SkippedRecord, StepRecord, ValidationRecord};
 use crate::loss::LossError;
-use crate::read_ahead::ReadAhead;
+use crate::prefetch::Prefetcher;
 use crate::replica::{PassSettings, Replicas};
+use crate::run_lock::{LockError, RunLock};
 use crate::schedule::OneCycle;
+use crate::training_log::{LogError, Record, SkippedRecord, StepRecord, TrainingLog, ValidationRecord};
 use crate::training_set::{DataError, TrainingSample, TrainingSet};
 use crate::validation::{Validation, ValidationError};
 
@@ -34,17 +36,12 @@ pub enum TrainError {
     /// The validation failed.
     #[error(transparent)]
     Validation(#[from] ValidationError),
-    /// The weights to start from could not be read.
+    /// The weights to start from could not be read or are those of another network.
     #[error(transparent)]
     Weights(#[from] WeightsError),
-    /// The weights to start from are those of another network.
-    #[error("{}: {error}", .path.display())]
-    OtherWeights {
-        /// The file.
-        path: PathBuf,
-        /// What does not fit.
-        error: ParametersError,
-    },
+    /// Another process trains in the folder.
+    #[error(transparent)]
+    Lock(#[from] LockError),
     /// The loss does not fit the network.
     #[error(transparent)]
     Loss(#[from] LossError),
@@ -53,13 +50,14 @@ pub enum TrainError {
     Checkpoint(#[from] CheckpointError),
     /// The log was not written or read.
     #[error(transparent)]
-    Journal(#[from] JournalError),
+    Log(#[from] LogError),
     /// A file of the run was not written.
     #[error(transparent)]
     File(#[from] FileError),
     /// The folder holds another run.
     #[error(
-        "{}: a run of {steps} steps is there; --resume goes on with it, another --out keeps it", .folder.display()
+        "{0}: this folder holds a run of {steps} steps; continue it with --resume {0}, or choose another --out",
+        .folder.display()
     )]
     AnotherRun {
         /// The run's folder.
@@ -69,8 +67,8 @@ pub enum TrainError {
     },
     /// Too many losses in a row were not finite.
     #[error(
-        "the loss or its gradients were not finite in {in_a_row} steps in a row; the last one, step {step}, had the pairs\n  \
-         {samples}\n{kept}. Look at these pairs, or train with a smaller training.learning_rate"
+        "the loss or its gradients were not finite in {in_a_row} consecutive steps; the last one, step {step}, had the pairs\n  \
+         {samples}\n{kept}. Check these pairs, or lower training.learning_rate"
     )]
     NotFinite {
         /// The last of these steps, from 1.
@@ -79,15 +77,15 @@ pub enum TrainError {
         in_a_row: u64,
         /// The first frames of its batch.
         samples: String,
-        /// What can be gone on from.
+        /// The last checkpoint, in words.
         kept: String,
     },
     /// A thread that reads pairs ended early.
-    #[error("a thread that reads training pairs ended early; what it said is above")]
+    #[error("a thread that reads training pairs ended early; its message is above")]
     Worker,
 }
 
-/// What [`train`] tells while it runs.
+/// What [`train`] reports while it runs.
 #[derive(Debug)]
 pub enum Event<'a> {
     /// Before the first step.
@@ -114,15 +112,21 @@ pub struct Start {
     pub steps_per_epoch: u64,
     /// The training data, a line for each dataset.
     pub data: Vec<String>,
+    /// The validation data, likewise; none where no dataset has any.
+    pub validation: Vec<String>,
+    /// Whether the network has batch norm, and it keeps the statistics that it starts with.
+    pub frozen_batch_norm: bool,
     /// Learned numbers of the network.
     pub parameters: usize,
 }
 
-/// What a run came to.
+/// The result of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outcome {
     /// Where it ended.
     pub progress: Progress,
+    /// Whether it was stopped on request, before its last step.
+    pub stopped: bool,
     /// Seconds of this process, validation and checkpoints included.
     pub seconds: f64,
     /// Share of the steps' time in which the device waited for data.
@@ -138,7 +142,7 @@ pub enum Beginning {
     Resume,
 }
 
-/// The configuration of the run in this folder, to go on with it.
+/// The configuration of the run in this folder.
 ///
 /// # Errors
 /// When there is no checkpoint or it is broken.
@@ -150,8 +154,9 @@ pub fn config_of_run(run: &Path) -> Result<Config, TrainError> {
 /// Trains as `config` says, on all of `devices` at a time, and writes into the folder `run`: `config.toml`, `log.jsonl`,
 /// `tensorboard/`, `checkpoints/`, `last.safetensors` and, with validation data, `best.safetensors`.
 ///
-/// Checkpoints are the same bytes for the same configuration and number of devices, whether the run went through or was
-/// killed and resumed. The weights of `network.weights` are only read at the beginning.
+/// With `stop_after` it stops after that step, with a checkpoint of it. Checkpoints are the same bytes for the same
+/// configuration and number of devices, whether the run went through or was stopped or killed and resumed. The weights of
+/// `network.weights` are only read at the beginning.
 ///
 /// # Errors
 /// See [`TrainError`].
@@ -160,41 +165,48 @@ pub fn train(
     devices: &[Device],
     run: &Path,
     beginning: Beginning,
+    stop_after: Option<u64>,
     on_event: &mut dyn FnMut(Event<'_>),
 ) -> Result<Outcome, TrainError> {
     config.check()?;
     let start = Instant::now();
     let checkpoints = Checkpoints::of_run(run);
-    if let (Beginning::New, Some(&steps)) = (beginning, checkpoints.steps()?.last()) {
-        return Err(TrainError::AnotherRun { folder: run.to_owned(), steps });
-    }
     let set = Arc::new(TrainingSet::open(config)?);
     let validation = Validation::open(config)?;
-    let mut trainer = Trainer::new(config, devices, &set)?;
-    match beginning {
-        Beginning::New => trainer.load_weights(&config.network.weights)?,
-        Beginning::Resume => trainer.restore(checkpoints.read_last(trainer.replicas.layout())?),
+    let mut trainer = Trainer::new(config, devices, &set);
+    if beginning == Beginning::New {
+        trainer.load_weights(config)?;
     }
     create_folder(run)?;
+    let _lock = RunLock::take(run)?;
+    match (beginning, checkpoints.steps()?.last()) {
+        (Beginning::New, None) => {}
+        (Beginning::New, Some(&steps)) => {
+            return Err(TrainError::AnotherRun { folder: run.to_owned(), steps });
+        }
+        (Beginning::Resume, _) => trainer.restore(checkpoints.read_last(trainer.replicas.layout())?),
+    }
+    checkpoints.remove_unfinished()?;
     let text = config.to_toml();
     write_atomically(&run.join(CONFIG), |file| std::io::Write::write_all(file, text.as_bytes()))?;
-    let mut journal = Journal::open(run, trainer.progress.step)?;
+    let mut log = TrainingLog::open(run, trainer.progress.step)?;
     let mut record = |record: Record, on_event: &mut dyn FnMut(Event<'_>)| {
-        let written = journal.write(&record);
+        let written = log.write(&record);
         on_event(Event::Recorded(&record));
-        written.map_err(|error| JournalError { path: run.to_owned(), reason: error.to_string() })
+        written.map_err(|error| LogError { path: run.to_owned(), reason: error.to_string() })
     };
-    on_event(Event::Started(&trainer.start(&set)));
+    on_event(Event::Started(&trainer.start(config, &set, &validation)));
 
     let batch = config.training.batch;
-    let mut ahead = read_ahead(&set, config, trainer.progress.step);
+    let mut prefetcher = prefetcher(&set, config, trainer.progress.step);
     let mut step_seconds = 0.0;
-    while trainer.progress.step < trainer.steps {
-        let (began, waited_before) = (Instant::now(), ahead.waited());
+    let last = stop_after.map_or(trainer.steps, |step| step.min(trainer.steps));
+    while trainer.progress.step < last {
+        let (began, waited_before) = (Instant::now(), prefetcher.waited());
         let samples: Vec<TrainingSample> = (0..batch)
-            .map(|_| ahead.take().ok_or(TrainError::Worker)?.map_err(Into::into))
+            .map(|_| prefetcher.take().ok_or(TrainError::Worker)?.map_err(Into::into))
             .collect::<Result<_, TrainError>>()?;
-        let waited = (ahead.waited() - waited_before).as_secs_f64();
+        let waited = (prefetcher.waited() - waited_before).as_secs_f64();
         let samples = Batch::new(&samples);
         let step = trainer.step(&samples)?;
         let seconds = began.elapsed().as_secs_f64();
@@ -218,27 +230,28 @@ pub fn train(
         if !validation.is_empty() && trainer.due(config.validation.every) {
             is_best = trainer.validate(&validation, &checkpoints, &mut |scores| record(scores, on_event))?;
         }
-        if is_best || trainer.due(config.checkpoints.every) {
+        if is_best || step == last || trainer.due(config.checkpoints.every) {
             checkpoints.write(&trainer.checkpoint(&text), trainer.replicas.layout())?;
             checkpoints.prune(config.checkpoints.keep, trainer.progress.best.map(|best| best.step))?;
             on_event(Event::Saved { path: &checkpoints.path(step), step });
         }
     }
     Ok(Outcome {
+        stopped: trainer.progress.step < trainer.steps,
         progress: trainer.progress,
         seconds: start.elapsed().as_secs_f64(),
-        waiting_share: ahead.waited().as_secs_f64() / f64::max(step_seconds, f64::MIN_POSITIVE),
+        waiting_share: prefetcher.waited().as_secs_f64() / f64::max(step_seconds, f64::MIN_POSITIVE),
     })
 }
 
-fn read_ahead(
+fn prefetcher(
     set: &Arc<TrainingSet>,
     config: &Config,
     step: u64,
-) -> ReadAhead<Result<TrainingSample, DataError>> {
+) -> Prefetcher<Result<TrainingSample, DataError>> {
     let (set, batch) = (set.clone(), config.training.batch);
     let per_step = batch as u64;
-    ReadAhead::new(step * per_step, config.data.workers, config.data.prefetch, move |number| {
+    Prefetcher::new(step * per_step, config.data.workers, config.data.prefetch, move |number| {
         set.sample(number / per_step, (number % per_step) as usize, batch)
     })
 }
@@ -265,7 +278,7 @@ struct Trainer {
 }
 
 impl Trainer {
-    fn new(config: &Config, devices: &[Device], set: &TrainingSet) -> Result<Self, TrainError> {
+    fn new(config: &Config, devices: &[Device], set: &TrainingSet) -> Self {
         let training = &config.training;
         let settings = PassSettings {
             loss: config.loss.clone(),
@@ -274,14 +287,14 @@ impl Trainer {
             recompute: training.recompute,
         };
         let network = &config.network;
-        let (replicas, values) =
-            Replicas::new(network.architecture, devices, training.seed, network.batch_norm, settings);
+        let live = network.has_live_batch_norm();
+        let (replicas, values) = Replicas::new(network.architecture, devices, training.seed, live, settings);
         let steps_per_epoch = set.steps_per_epoch(training.batch);
         let steps = match training.steps {
             0 => training.epochs.saturating_mul(steps_per_epoch),
             steps => steps,
         };
-        Ok(Self {
+        Self {
             optimizer: AdamW {
                 betas: training.betas,
                 epsilon: training.epsilon,
@@ -301,28 +314,29 @@ impl Trainer {
             device: devices[0].clone(),
             replicas,
             values,
-        })
+        }
     }
 
-    fn start(&self, set: &TrainingSet) -> Start {
-        let trained = self.replicas.layout().segments().iter().filter(|segment| segment.trained);
+    fn start(&self, config: &Config, set: &TrainingSet, validation: &Validation) -> Start {
+        // What is not trained are the statistics of batch norm.
+        let (trained, statistics): (Vec<_>, Vec<_>) =
+            self.replicas.layout().segments().iter().partition(|segment| segment.trained);
         Start {
+            validation: validation.describe(),
+            frozen_batch_norm: !statistics.is_empty() && !config.network.has_live_batch_norm(),
             done: self.progress.step,
             steps: self.steps,
             steps_per_epoch: self.steps_per_epoch,
             data: set.describe(),
-            parameters: trained.map(|segment| segment.range.len()).sum(),
+            parameters: trained.iter().map(|segment| segment.range.len()).sum(),
         }
     }
 
-    fn load_weights(&mut self, path: &Path) -> Result<(), TrainError> {
-        if !path.as_os_str().is_empty() {
-            let parameters = read_parameters(path)?;
-            self.values = self
-                .replicas
-                .layout()
-                .values_of(&parameters)
-                .map_err(|error| TrainError::OtherWeights { path: path.to_owned(), error })?;
+    fn load_weights(&mut self, config: &Config) -> Result<(), TrainError> {
+        let weights = &config.network.weights;
+        if !weights.as_os_str().is_empty() {
+            let network = load_network(config.network.architecture, weights, &self.device)?;
+            (_, self.values) = Layout::of(&network);
             self.replicas.fill(&self.values);
         }
         Ok(())
@@ -393,12 +407,12 @@ impl Trainer {
         self.progress.step.is_multiple_of(every) || self.progress.step == self.steps
     }
 
-    /// Scores the network; tells whether it is the best so far, which is then written.
+    /// Scores the network; says whether it is the best so far, which is then written.
     fn validate(
         &mut self,
         validation: &Validation,
         checkpoints: &Checkpoints,
-        record: &mut dyn FnMut(Record) -> Result<(), JournalError>,
+        record: &mut dyn FnMut(Record) -> Result<(), LogError>,
     ) -> Result<bool, TrainError> {
         let scores = validation.score(self.replicas.for_estimation(), &self.device)?;
         let step = self.progress.step;

@@ -87,7 +87,7 @@ fn record(data: &[u8]) -> Vec<u8> {
     out
 }
 
-/// The checksum of TFRecord: CRC-32C, turned and moved, so that data that holds its own checksum is told apart.
+/// The checksum of TFRecord: CRC-32C, rotated and offset, so that data may hold checksums of its own.
 fn masked_crc32c(data: &[u8]) -> u32 {
     crc32c(data).rotate_right(15).wrapping_add(0xA282_EAD8)
 }

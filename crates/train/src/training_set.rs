@@ -1,4 +1,4 @@
-//! The pairs that are trained on: a mix of datasets, shuffled anew in every epoch, each pair augmented.
+//! The pairs that are trained on: a mix of datasets, shuffled in every epoch, each pair augmented.
 //!
 //! Which pair comes when, and how it is changed, depends on the seed, the step and the place in the batch alone. Any
 //! sample can be made on its own, on any thread, in any order.
@@ -91,7 +91,7 @@ struct Part {
 /// A pair as training sees it.
 #[derive(Debug, Clone)]
 pub struct TrainingSample {
-    /// File of the first frame: tells which pair it is.
+    /// File of the first frame, which identifies the pair.
     pub name: String,
     /// Augmented and cropped.
     pub sample: Sample,
@@ -185,7 +185,7 @@ impl TrainingSet {
 
 impl Part {
     fn open(source: &Source, config: &Config) -> Result<Self, DataError> {
-        let dataset = open_for_training(source)?;
+        let dataset = open_dataset(source, Split::Train)?;
         let entries = dataset.entries();
         let with_truth: Vec<usize> = (0..entries.len()).filter(|&i| entries[i].flow.is_some()).collect();
         if with_truth.is_empty() {
@@ -206,19 +206,21 @@ impl Part {
     }
 }
 
-/// The split asked for, else `train`, else all pairs of a dataset that knows no splits.
-fn open_for_training(source: &Source) -> Result<FlowDataset, DatasetError> {
+/// The split asked for, else the `usual` one, else all pairs of a dataset without splits.
+pub(crate) fn open_dataset(source: &Source, usual: Split) -> Result<FlowDataset, DatasetError> {
     if source.split.is_some() {
         return FlowDataset::open(&source.spec, source.split);
     }
-    let error = match FlowDataset::open(&source.spec, Some(Split::Train)) {
+    let error = match FlowDataset::open(&source.spec, Some(usual)) {
         Ok(dataset) => return Ok(dataset),
         Err(error) => error,
     };
     match FlowDataset::open(&source.spec, None) {
         Ok(dataset) if dataset.split() == Split::All => Ok(dataset),
-        // A plain folder need not have a folder `train`: what is wrong is what is wrong with the folder itself.
-        Err(plain) if source.spec.kind == "folder" && !source.spec.dir.join("train").is_dir() => Err(plain),
+        // A plain folder need not have a folder of the split: the problem is that of the folder itself.
+        Err(plain) if source.spec.kind == "folder" && !source.spec.dir.join(usual.to_string()).is_dir() => {
+            Err(plain)
+        }
         _ => Err(error),
     }
 }

@@ -9,8 +9,9 @@ use srflow_nets::{Network, NetworkEstimator, load_network};
 use srflow_read::flow::{DatasetError, FlowDataset, Split};
 
 use crate::config::{Config, Source};
-use crate::journal::ValidationRecord;
 use crate::run::TrainError;
+use crate::training_log::ValidationRecord;
+use crate::training_set::open_dataset;
 
 /// The datasets that are scored.
 pub(crate) struct Validation {
@@ -47,7 +48,12 @@ impl Validation {
                 .filter_map(|source| val_split(source).transpose())
                 .collect::<Result<_, _>>()?
         } else {
-            config.validation.data.iter().map(open).collect::<Result<_, _>>()?
+            config
+                .validation
+                .data
+                .iter()
+                .map(|source| open_dataset(source, Split::Val))
+                .collect::<Result<_, _>>()?
         };
         let crop = config.validation.crop.map(|crop| (crop.width, crop.height));
         let limit = (config.validation.limit > 0).then_some(config.validation.limit);
@@ -56,6 +62,14 @@ impl Validation {
         let iterations = iterations.into_iter().find_map(NonZeroUsize::new).unwrap_or(NonZeroUsize::MIN);
         let settings = Settings { crop, limit, on_failure: OnFailure::Stop, batch: None };
         Ok(Self { datasets, settings, iterations })
+    }
+
+    /// Each dataset with its split and pairs.
+    pub(crate) fn describe(&self) -> Vec<String> {
+        let words = |dataset: &FlowDataset| {
+            format!("{} ({}): {} pairs", dataset.name(), dataset.split(), dataset.entries().len())
+        };
+        self.datasets.iter().map(words).collect()
     }
 
     /// Whether there is nothing to score.
@@ -92,15 +106,6 @@ pub(crate) fn score_weights(
     let network = load_network(config.network.architecture, weights, device)?;
     let scores = validation.score(network, device)?;
     Ok(scores.into_iter().next().expect("one dataset was scored"))
-}
-
-/// The split asked for, else `val`, else all pairs of a dataset that knows no splits.
-fn open(source: &Source) -> Result<FlowDataset, DatasetError> {
-    let wanted = source.split.unwrap_or(Split::Val);
-    FlowDataset::open(&source.spec, Some(wanted)).or_else(|error| {
-        let whole = FlowDataset::open(&source.spec, None).ok();
-        whole.filter(|whole| source.split.is_none() && whole.split() == Split::All).ok_or(error)
-    })
 }
 
 /// The split `val` of a training dataset, if it has one.

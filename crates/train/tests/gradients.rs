@@ -7,10 +7,10 @@ use srflow_field::{FlowField, Image, Mask, write_flow, write_image_png};
 use srflow_nets::Architecture;
 use srflow_read::flow::Sample;
 use srflow_train::batch::Batch;
-use srflow_train::config::{BatchNorm, Config};
-use srflow_train::journal::Record;
+use srflow_train::config::Config;
 use srflow_train::loss::LossConfig;
 use srflow_train::replica::{Pass, PassSettings, Replicas};
+use srflow_train::training_log::Record;
 use srflow_train::training_set::TrainingSample;
 use srflow_train::{Beginning, Event, TrainError, train};
 
@@ -53,7 +53,7 @@ fn pass(
     let loss = LossConfig { tvr: 0.05, fdr: 0.05, igvar: 0.1, ..LossConfig::default() };
     let settings = PassSettings { loss, iterations: 3, accumulate, recompute };
     let devices = vec![Device::flex(); devices];
-    let (replicas, mut values) = Replicas::new(architecture, &devices, 3, BatchNorm::Frozen, settings);
+    let (replicas, mut values) = Replicas::new(architecture, &devices, 3, false, settings);
     let pass = replicas.pass(batch).expect("a loss");
     replicas.collect_statistics(&mut values);
     (pass, values)
@@ -137,7 +137,7 @@ fn losses_that_are_not_finite_end_the_run() {
     let run = dir.path().join("run");
     let mut config = small_run(dir.path());
     let devices = [Device::flex()];
-    train(&config, &devices, &run, Beginning::New, &mut |_| {}).expect("a short run");
+    train(&config, &devices, &run, Beginning::New, None, &mut |_| {}).expect("a short run");
 
     // The same weights, with one that is infinite, for a new run.
     let good = std::fs::read(run.join("last.safetensors")).unwrap();
@@ -148,7 +148,7 @@ fn losses_that_are_not_finite_end_the_run() {
     std::fs::write(&config.network.weights, bytes).unwrap();
     let other = dir.path().join("other");
     let mut skipped = Vec::new();
-    let result = train(&config, &devices, &other, Beginning::New, &mut |event| {
+    let result = train(&config, &devices, &other, Beginning::New, None, &mut |event| {
         if let Event::Recorded(Record::Skipped(record)) = event {
             skipped.push(record.clone());
         }
@@ -172,7 +172,7 @@ fn the_last_good_checkpoint_stays_and_is_named() {
     let run = dir.path().join("run");
     let config = small_run(dir.path());
     let devices = [Device::flex()];
-    train(&config, &devices, &run, Beginning::New, &mut |_| {}).expect("a short run");
+    train(&config, &devices, &run, Beginning::New, None, &mut |_| {}).expect("a short run");
     std::fs::remove_dir_all(run.join("checkpoints/step-00000004")).unwrap();
     let model = run.join("checkpoints/step-00000002/model.safetensors");
     let mut bytes = std::fs::read(&model).unwrap();
@@ -180,7 +180,7 @@ fn the_last_good_checkpoint_stays_and_is_named() {
     bytes[at..].copy_from_slice(&f32::INFINITY.to_le_bytes());
     std::fs::write(&model, &bytes).unwrap();
 
-    let result = train(&config, &devices, &run, Beginning::Resume, &mut |_| {});
+    let result = train(&config, &devices, &run, Beginning::Resume, None, &mut |_| {});
     let Err(TrainError::NotFinite { step: 4, in_a_row: 2, kept, .. }) = &result else { panic!("{result:?}") };
     assert_eq!(
         kept,
@@ -202,7 +202,7 @@ fn a_run_gives_the_same_weights_on_any_number_of_threads() {
         let weights = |threads: usize| {
             let run = dir.path().join(format!("{architecture:?}-{threads}"));
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-            let train = || train(&config, &[Device::flex()], &run, Beginning::New, &mut |_| {});
+            let train = || train(&config, &[Device::flex()], &run, Beginning::New, None, &mut |_| {});
             pool.install(train).expect("a short run");
             std::fs::read(run.join("last.safetensors")).expect("weights")
         };

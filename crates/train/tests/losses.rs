@@ -4,8 +4,8 @@
 use burn::tensor::{Device, Tensor, TensorData};
 use safetensors::SafeTensors;
 use srflow_train::loss::{
-    Border, LaplaceMixture, LossConfig, LossError, LossInputs, MaskReading, Prediction, Regularizer,
-    SequenceKind, losses,
+    Border, LaplaceMixture, LossConfig, LossError, LossInputs, MaskReading, Prediction, REGULARIZERS,
+    SEQUENCE_LOSSES, SequenceLoss, losses,
 };
 
 const PREDICTIONS: usize = 3;
@@ -98,40 +98,44 @@ fn check(case: &str, part: &str, config: &LossConfig) {
 }
 
 /// One regularizer with the paper's weight.
-fn only(regularizer: Regularizer) -> LossConfig {
-    LossConfig::default().with(regularizer, regularizer.paper_weight())
+fn only(name: &str) -> LossConfig {
+    let regularizer = REGULARIZERS.iter().find(|entry| entry.name == name).expect(name);
+    LossConfig::default().with(regularizer, regularizer.paper_weight)
+}
+
+fn sequence(name: &str) -> &'static SequenceLoss {
+    SEQUENCE_LOSSES.iter().find(|entry| entry.name == name).expect(name)
 }
 
 #[test]
 fn sequence_losses_are_those_of_the_references() {
-    for (case, sequence) in
-        [("l1", SequenceKind::L1), ("l2", SequenceKind::L2), ("mixture", SequenceKind::MixtureOfLaplace)]
-    {
-        check(case, "sequence", &LossConfig { sequence, ..LossConfig::default() });
+    for (case, name) in [("l1", "l1"), ("l2", "l2"), ("mixture", "mixture-of-laplace")] {
+        check(case, "sequence", &LossConfig { sequence: sequence(name), ..LossConfig::default() });
     }
 }
 
 #[test]
 fn regularizers_are_the_papers_equations() {
-    let zero = |regularizer| LossConfig { border: Border::Zero, ..only(regularizer) };
-    let unit = |regularizer| LossConfig { image_max: 1.0, ..only(regularizer) };
-    let literal = |regularizer| LossConfig { m_total: MaskReading::Literal, ..only(regularizer) };
-    check("tvr replicate", "tvr", &only(Regularizer::Tvr));
-    check("tvr zero", "tvr", &zero(Regularizer::Tvr));
-    check("fdr", "fdr", &only(Regularizer::Fdr));
-    check("migar replicate", "migar", &only(Regularizer::Migar));
-    check("migar zero", "migar", &LossConfig { image_max: 1.0, ..zero(Regularizer::Migar) });
-    check("migar unit", "migar", &unit(Regularizer::Migar));
-    check("migar literal", "migar", &literal(Regularizer::Migar));
-    check("igvar replicate", "igvar", &only(Regularizer::Igvar));
-    check("igvar zero", "igvar", &zero(Regularizer::Igvar));
-    check("igvar unit", "igvar", &unit(Regularizer::Igvar));
-    check("igvar literal", "igvar", &literal(Regularizer::Igvar));
+    let zero = |name| LossConfig { border: Border::Zero, ..only(name) };
+    let unit = |name| LossConfig { image_max: 1.0, ..only(name) };
+    let literal = |name| LossConfig { m_total: MaskReading::Literal, ..only(name) };
+    check("tvr replicate", "tvr", &only("tvr"));
+    check("tvr zero", "tvr", &zero("tvr"));
+    check("fdr", "fdr", &only("fdr"));
+    check("migar replicate", "migar", &only("migar"));
+    check("migar zero", "migar", &LossConfig { image_max: 1.0, ..zero("migar") });
+    check("migar unit", "migar", &unit("migar"));
+    check("migar literal", "migar", &literal("migar"));
+    check("igvar replicate", "igvar", &only("igvar"));
+    check("igvar zero", "igvar", &zero("igvar"));
+    check("igvar unit", "igvar", &unit("igvar"));
+    check("igvar literal", "igvar", &literal("igvar"));
 }
 
 /// Everything that the paper combines or does not.
 fn all() -> LossConfig {
-    Regularizer::ALL.into_iter().fold(LossConfig::default(), |config, r| config.with(r, r.paper_weight()))
+    let with = |config: LossConfig, regularizer| config.with(regularizer, regularizer.paper_weight);
+    REGULARIZERS.iter().fold(LossConfig::default(), with)
 }
 
 #[test]
@@ -153,8 +157,8 @@ fn the_total_is_the_sum_of_the_parts() {
 fn gradients_are_the_differences_of_the_values() {
     let bytes = golden();
     let file = SafeTensors::deserialize(&bytes).expect("safetensors");
-    let mixture = LossConfig { sequence: SequenceKind::MixtureOfLaplace, ..LossConfig::default() };
-    let l2 = LossConfig { sequence: SequenceKind::L2, ..LossConfig::default() };
+    let mixture = LossConfig { sequence: sequence("mixture-of-laplace"), ..LossConfig::default() };
+    let l2 = LossConfig { sequence: sequence("l2"), ..LossConfig::default() };
     for config in [all(), l2, mixture] {
         let tracked = Device::flex().autodiff();
         let leaves = predictions(&file, &tracked);
@@ -219,9 +223,8 @@ fn constant_images_and_flows_have_no_variation() {
 
 #[test]
 fn what_cannot_be_learnt_from_has_neither_loss_nor_gradient() {
-    let kinds = [SequenceKind::L1, SequenceKind::L2, SequenceKind::MixtureOfLaplace];
     for (sequence, size) in
-        kinds.into_iter().flat_map(|kind| [[6, 5], [1, 5], [1, 1]].map(|size| (kind, size)))
+        SEQUENCE_LOSSES.iter().flat_map(|loss| [[6, 5], [1, 5], [1, 1]].map(|size| (loss, size)))
     {
         let config = LossConfig { sequence, ..all() };
         // No valid pixel, whatever the truth holds; no pixel of the head.
@@ -237,7 +240,7 @@ fn what_cannot_be_learnt_from_has_neither_loss_nor_gradient() {
         assert!(parts.iter().chain(&grad).all(|x| *x == 0.0), "{sequence:?} {size:?}: {parts:?}, {grad:?}");
     }
     // Zero flow that is right: the distance has no slope there, and none is made up.
-    for sequence in [SequenceKind::L1, SequenceKind::L2] {
+    for sequence in [sequence("l1"), sequence("l2")] {
         let (parts, grad) =
             of_constants([4, 4], [0.0; 4].map(|x| x + 0.0), &LossConfig { sequence, ..all() });
         assert!(parts[0] < 2e-6 && grad.iter().all(|x| *x == 0.0), "{sequence:?}: {parts:?}, {grad:?}");
@@ -289,12 +292,12 @@ fn a_mask_keeps_the_inside_of_the_head() {
     };
     // The kernel's absolute values sum to 8; for x and y, and for u and v.
     let expected = 2.0 * 8.0 * 2.0 * 2.0 / (height * width) as f32;
-    for (part, regularizer) in [("migar", Regularizer::Migar), ("igvar", Regularizer::Igvar)] {
-        let found = value(&only(regularizer), part);
+    for part in ["migar", "igvar"] {
+        let found = value(&only(part), part);
         assert!((found - expected).abs() < 1e-5, "{part}: {found} for {expected}");
     }
     // As printed, it is the pixel at the top left corner alone, whose derivatives reach as far.
-    let literal = LossConfig { m_total: MaskReading::Literal, ..only(Regularizer::Migar) };
+    let literal = LossConfig { m_total: MaskReading::Literal, ..only("migar") };
     assert!((value(&literal, "migar") - expected).abs() < 1e-5);
     assert_eq!(value(&all(), "tvr"), 0.0);
     assert_eq!(value(&all(), "fdr"), 0.0);
@@ -331,18 +334,24 @@ fn later_predictions_count_more() {
 
 #[test]
 fn settings_that_make_no_sense_are_named() {
-    let told = |config: LossConfig| config.check().expect_err("wrong").to_string();
+    let message = |config: LossConfig| config.check().expect_err("wrong").to_string();
     assert_eq!(all().check(), Ok(()));
     assert_eq!(
-        told(LossConfig { gamma: 1.5, ..all() }),
+        message(LossConfig { gamma: 1.5, ..all() }),
         "loss.gamma = 1.5: expected a number above 0 and at most 1"
     );
-    assert_eq!(told(LossConfig { tvr: f64::NAN, ..all() }), "loss.tvr = NaN: expected a weight of 0 or more");
-    assert_eq!(told(all().with(Regularizer::Igvar, -1.0)), "loss.igvar = -1: expected a weight of 0 or more");
-    assert!(told(LossConfig { image_max: 0.0, ..all() }).starts_with("loss.image_max = 0: expected 255"));
-    assert!(told(LossConfig { max_magnitude: 0.0, ..all() }).starts_with("loss.max_magnitude = 0:"));
+    assert_eq!(
+        message(LossConfig { tvr: f64::NAN, ..all() }),
+        "loss.tvr = NaN: expected a weight of 0 or more"
+    );
+    assert_eq!(
+        message(LossConfig { igvar: -1.0, ..all() }),
+        "loss.igvar = -1: expected a weight of 0 or more"
+    );
+    assert!(message(LossConfig { image_max: 0.0, ..all() }).starts_with("loss.image_max = 0: expected 255"));
+    assert!(message(LossConfig { max_magnitude: 0.0, ..all() }).starts_with("loss.max_magnitude = 0:"));
     assert!(
-        told(LossConfig { log_scale_range: [1.0, 2.0], ..all() })
+        message(LossConfig { log_scale_range: [1.0, 2.0], ..all() })
             .starts_with("loss.log_scale_range = [1, 2]:")
     );
 
@@ -354,7 +363,7 @@ fn settings_that_make_no_sense_are_named() {
         first_frame: constant(0.0, [2, 2], 3, &device),
         foreground: None,
     };
-    let mixture = LossConfig { sequence: SequenceKind::MixtureOfLaplace, ..LossConfig::default() };
+    let mixture = LossConfig { sequence: sequence("mixture-of-laplace"), ..LossConfig::default() };
     let error = losses(&mixture, &[flow.into()], &inputs).expect_err("no mixture");
     assert_eq!(error, LossError::NoMixture);
 }

@@ -8,7 +8,7 @@ use srflow_field::create_folder;
 use srflow_ops::device;
 use srflow_read::flow::{FlowDataset, Split};
 use srflow_train::ablation::{
-    AblationEvent, AblationSettings, Cell, VARIANTS, Variant, ablate, paper_table, spread_table, table,
+    AblationEvent, AblationSettings, Cell, Variant, ablate, paper_table, spread_table, table, variants,
 };
 use srflow_train::config::{Config, Source};
 
@@ -20,7 +20,7 @@ use crate::{Context, machine};
 #[derive(Args)]
 #[command(after_help = "\
 Each row is trained with each seed, from the same start and on the same data; the last weights are scored on the test \
-split. The same command given again goes on where it was stopped; finished runs are kept.
+split. The same command again continues where it was stopped; finished runs are kept.
 
 Example: the table at a size that two CPU cores manage
   srflow ablation --config cpu-small --data srflow:DIR --seeds 1,2,3 --out runs/ablation")]
@@ -31,9 +31,8 @@ pub struct Ablation {
     /// Folder of the runs and the table
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Rows to run: start (not trained; needs --weights), none, tvr, fdr, migar, igvar, migar-literal, igvar-literal
-    /// [default: all; start with --weights only]
-    #[arg(long, value_name = "ROW", value_delimiter = ',')]
+    /// Rows to run
+    #[arg(long, value_name = "ROW", value_delimiter = ',', help = rows_help())]
     rows: Vec<String>,
     /// Seeds of every row
     #[arg(long, value_name = "N", value_delimiter = ',', default_values_t = [1, 2, 3])]
@@ -46,6 +45,14 @@ pub struct Ablation {
     device: Vec<String>,
     #[command(flatten)]
     overrides: Overrides,
+}
+
+fn rows_help() -> String {
+    format!("Rows to run: {} [default: all; start, which is not trained, with --weights only]", row_names())
+}
+
+fn row_names() -> String {
+    variants().into_iter().map(|row| row.name).collect::<Vec<_>>().join(", ")
 }
 
 /// Runs the command.
@@ -95,13 +102,12 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
 /// The rows of these names; of no names, all that can be run.
 fn rows(names: &[String], has_weights: bool) -> anyhow::Result<Vec<Variant>> {
     if names.is_empty() {
-        return Ok(VARIANTS.into_iter().filter(|row| row.trained || has_weights).collect());
+        return Ok(variants().into_iter().filter(|row| row.trained || has_weights).collect());
     }
     let row = |name: &String| {
-        let row = VARIANTS.into_iter().find(|row| row.name == name);
-        let known = VARIANTS.map(|row| row.name).join(", ");
-        let row =
-            row.with_context(|| format!("--rows {name}: there is no such row; the rows are {known}"))?;
+        let row = variants().into_iter().find(|row| row.name == *name);
+        let row = row
+            .with_context(|| format!("--rows {name}: there is no such row; the rows are {}", row_names()))?;
         ensure!(row.trained || has_weights, "--rows {name}: give the weights to score, --weights FILE");
         Ok(row)
     };
@@ -137,7 +143,7 @@ fn write(out: &std::path::Path, cells: &[Cell], tables: &[Table; 3]) -> anyhow::
         sections: vec![
             Section {
                 title: "Ours".to_owned(),
-                lead: "Means over the seeds, and how far the seeds lie apart: a difference within the spread says nothing."
+                lead: "Means over the seeds, and their standard deviation: a difference within the spread says nothing."
                     .to_owned(),
                 figures: vec![score_table(&tables[0], ""), score_table(&tables[1], "")],
             },

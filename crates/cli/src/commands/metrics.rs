@@ -4,7 +4,7 @@ use anyhow::{Context as _, bail};
 use clap::Args;
 use serde::Serialize;
 use srflow_field::{FlowField, Mask, Metrics as Scores, read_flow, read_image, read_mask, score};
-use srflow_train::loss::{FlowRegularizer, LossConfig, MaskReading, Regularizer, regularizers_of_flow};
+use srflow_train::loss::{FlowRegularizer, LossConfig, MaskReading, regularizers_of_flow};
 
 use crate::Context;
 
@@ -122,17 +122,11 @@ fn table(scores: &Scores) -> String {
 }
 
 fn regularizer_line(regularizer: &FlowRegularizer) -> String {
-    let name = match regularizer.name {
-        Regularizer::Tvr => "TVR",
-        Regularizer::Fdr => "FDR",
-        Regularizer::Migar => "MIGAR",
-        Regularizer::Igvar => "IGVAR",
-    };
     let weights = regularizer.weights.as_ref().map(|weights| {
         format!(
             "   base e^{:.3}, mean weight {:.3e} over {} pixels",
             weights.log_base, weights.mean_weight, weights.pixels
         )
     });
-    format!("{name:6}  {:9.4e}{}", regularizer.value, weights.unwrap_or_default())
+    format!("{:6}  {:9.4e}{}", regularizer.title, regularizer.value, weights.unwrap_or_default())
 }

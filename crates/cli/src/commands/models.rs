@@ -1,20 +1,24 @@
 use std::path::PathBuf;
 
+use anyhow::ensure;
 use clap::{Args, Subcommand};
 use serde::Serialize;
-use srflow_nets::{Architecture, Facts, Fit, fits, weights_folder};
-use srflow_nn::{Checkpoint, ParameterInfo, ParametersError};
+use srflow_nets::{Architecture, Facts, Fit, fits, load_network, weights_folder};
+use srflow_nn::{Checkpoint, ParameterInfo, ParametersError, save_parameters, save_pytorch};
 
 use crate::Context;
+use crate::networks::weights_file;
+use crate::usage::wrong_usage;
 
-/// List the networks, or say what a file of weights is
+/// List the networks, say what a file of weights is, or export one
 ///
 /// Without a command: every network with its parameters, the multiple that frames are padded to, the iterations, the
 /// licence of its authors' code, and the weights that are fetched by name.
 #[derive(Args)]
 #[command(after_help = "Examples:
   srflow models
-  srflow models inspect skflow-things.ckpt --json")]
+  srflow models inspect skflow-things.ckpt --json
+  srflow models export runs/first/best.safetensors -o raft.ckpt")]
 pub struct Models {
     #[command(subcommand)]
     action: Option<Action>,
@@ -23,6 +27,7 @@ pub struct Models {
 #[derive(Subcommand)]
 enum Action {
     Inspect(Inspect),
+    Export(Export),
 }
 
 /// Say what a file of weights is
@@ -37,11 +42,32 @@ struct Inspect {
     file: PathBuf,
 }
 
+/// Write weights for PyTorch, or as safetensors
+///
+/// A .ckpt, .pt or .pth file is a Lightning checkpoint that torch.load reads, also with weights_only=True, and that
+/// ptlflow loads into its network of the same name: get_model("raft", ckpt_path="raft.ckpt"). The parameters carry the
+/// names of the reference implementations.
+#[derive(Args)]
+#[command(after_help = "Example:
+  srflow models export runs/first/best.safetensors -o raft.ckpt")]
+struct Export {
+    /// Weights of one of the networks: a file, or the name of published ones, such as skflow-things
+    #[arg(value_name = "FILE|NAME")]
+    weights: String,
+    /// The file to write: .ckpt, .pt or .pth (PyTorch), or .safetensors
+    #[arg(short, long, value_name = "FILE")]
+    out: PathBuf,
+    /// Replace the file if it exists
+    #[arg(long)]
+    force: bool,
+}
+
 /// Runs the command.
 pub fn run(args: Models, context: &Context) -> anyhow::Result<()> {
     match args.action {
         None => list(context),
         Some(Action::Inspect(args)) => inspect(args, context),
+        Some(Action::Export(args)) => export(args, context),
     }
 }
 
@@ -183,6 +209,35 @@ fn inspect(args: Inspect, context: &Context) -> anyhow::Result<()> {
     say!("  {best}")?;
     if let Some(difference) = &best.difference {
         say!("  {difference}")?;
+    }
+    Ok(())
+}
+
+fn export(args: Export, context: &Context) -> anyhow::Result<()> {
+    let Export { weights, out, force } = args;
+    let extension = out.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+    let pytorch = match extension {
+        "ckpt" | "pt" | "pth" => true,
+        "safetensors" => false,
+        _ => wrong_usage!("{}: expected a name that ends in .ckpt, .pt, .pth or .safetensors", out.display()),
+    };
+    ensure!(force || !out.exists(), "{}: this file exists; --force replaces it", out.display());
+    let path = weights_file(None, &weights)?;
+    let architecture = fits(&Checkpoint::open(&path)?.parameters())[0].architecture;
+    let network = load_network(architecture, &path, &Default::default())?;
+    match pytorch {
+        true => save_pytorch(&network, &out)?,
+        false => save_parameters(&network, &out)?,
+    }
+    let name = architecture.name();
+    if context.json {
+        let exported = serde_json::json!({ "file": out, "network": name });
+        return say!("{}", serde_json::to_string_pretty(&exported)?);
+    }
+    say!("{}: weights of {name}", out.display())?;
+    if pytorch {
+        let model = name.replace('-', "_"); // ptlflow's name
+        say!("  ptlflow.get_model(\"{model}\", ckpt_path=\"{}\")", out.display())?;
     }
     Ok(())
 }

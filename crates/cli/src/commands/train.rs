@@ -1,4 +1,5 @@
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, ensure};
 use clap::Args;
@@ -7,7 +8,7 @@ use serde_json::json;
 use srflow_field::write_atomically;
 use srflow_ops::device;
 use srflow_train::config::{Config, PRESETS};
-use srflow_train::journal::{Record, StepRecord, read_log};
+use srflow_train::training_log::{Record, StepRecord, read_log};
 use srflow_train::{Beginning, Event, Outcome, Start, config_of_run, report, train};
 
 use crate::networks::weights_file;
@@ -23,7 +24,7 @@ Examples:
   srflow train --config skflow --set training.weight_decay=1e-5 --print-config
   srflow train --resume runs/first
 
-docs/training.md is the guide: folders of one's own, what the keys mean, what a run writes.")]
+docs/training.md is the guide: your own data, what the keys mean, what a run writes.")]
 pub struct Train {
     /// Preset or TOML file to begin with [default: the paper's retrained SKFlow]
     #[arg(long, value_name = "PRESET|FILE", help = config_help())]
@@ -31,12 +32,15 @@ pub struct Train {
     /// Folder of the run
     #[arg(long, value_name = "DIR", required_unless_present_any = ["resume", "print_config"])]
     out: Option<PathBuf>,
-    /// Go on with the run in this folder, from its last checkpoint
+    /// Continue the run in this folder from its last checkpoint
     #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "config"])]
     resume: Option<PathBuf>,
-    /// Print the configuration with every key, and do nothing
+    /// Print the configuration with every key as TOML, with --json as JSON, and do nothing else
     #[arg(long)]
     print_config: bool,
+    /// Stop after this step with a checkpoint, exit code 75; --resume continues
+    #[arg(long, value_name = "N")]
+    stop_after_step: Option<u64>,
     /// Device to train on; several share each batch
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     device: Vec<String>,
@@ -146,12 +150,15 @@ impl Overrides {
     }
 }
 
+/// Exit code of a run that was stopped on request.
+const STOPPED: i32 = 75;
+
 /// Runs the command.
 pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
     if args.resume.is_some() {
         ensure!(
             args.overrides.is_empty(),
-            "--resume goes on with the configuration that the run began with: leave out what would change it"
+            "--resume continues with the configuration that the run began with: leave out what would change it"
         );
     }
     let (mut config, out, beginning) = match (args.resume, args.out) {
@@ -166,17 +173,23 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
     };
     if args.print_config {
         config.check()?;
-        say!("{}", config.to_toml().trim_end())?;
-        return Ok(());
+        let text = if context.json { serde_json::to_string_pretty(&config)? } else { config.to_toml() };
+        return say!("{}", text.trim_end());
     }
     if beginning == Beginning::New {
         find_weights(&mut config)?;
     }
     let devices = args.device.iter().map(|name| device(name)).collect::<Result<Vec<_>, _>>()?;
     let mut progress = Progress::new();
-    let result = train(&config, &devices, &out, beginning, &mut |event| progress.show(&event));
+    let result =
+        train(&config, &devices, &out, beginning, args.stop_after_step, &mut |event| progress.show(&event));
     progress.finish();
     let outcome = result?;
+    if outcome.stopped {
+        print(&out, &outcome, context)?;
+        std::io::Write::flush(&mut std::io::stdout())?;
+        std::process::exit(STOPPED);
+    }
     let page = report(&config, &read_log(&out)?, &machine::describe()).html();
     write_atomically(&out.join("report.html"), |file| std::io::Write::write_all(file, page.as_bytes()))?;
     print(&out, &outcome, context)
@@ -186,13 +199,13 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
 pub fn find_weights(config: &mut Config) -> anyhow::Result<()> {
     let network = &mut config.network;
     if let Some(weights) = network.weights.to_str().filter(|weights| !weights.is_empty()) {
-        network.weights = weights_file(network.architecture, weights)?;
+        network.weights = weights_file(Some(network.architecture), weights)?;
     }
     Ok(())
 }
 
 fn print(out: &Path, outcome: &Outcome, context: &Context) -> anyhow::Result<()> {
-    let Outcome { progress, seconds, waiting_share } = outcome;
+    let Outcome { progress, stopped, seconds, waiting_share } = outcome;
     let peak = machine::peak_memory();
     let best = out.join("best.safetensors");
     let last = out.join("last.safetensors");
@@ -200,6 +213,7 @@ fn print(out: &Path, outcome: &Outcome, context: &Context) -> anyhow::Result<()>
         let summary = json!({
             "run": out,
             "steps": progress.step,
+            "stopped": stopped,
             "skipped": progress.skipped,
             "best": progress.best,
             "weights": if progress.best.is_some() { &best } else { &last },
@@ -224,7 +238,13 @@ fn print(out: &Path, outcome: &Outcome, context: &Context) -> anyhow::Result<()>
                 best.display()
             )?;
         }
-        None => say!("Weights           {}", last.display())?,
+        None => {
+            say!("Weights           {}", last.display())?;
+            say!("                  no best.safetensors: nothing was validated")?;
+        }
+    }
+    if *stopped {
+        say!("Stopped on request; srflow train --resume {} continues", out.display())?;
     }
     Ok(())
 }
@@ -234,23 +254,28 @@ pub struct Progress {
     bar: ProgressBar,
     done: u64,
     steps: u64,
-    began: std::time::Instant,
-    told: std::time::Instant,
+    began: Instant,
+    /// When the last line was printed where there is no bar.
+    printed: Option<Instant>,
 }
 
 /// Time between two lines where standard error is no terminal.
-const LINES_APART: std::time::Duration = std::time::Duration::from_secs(30);
+const LINES_APART: Duration = Duration::from_secs(30);
 
 impl Progress {
-    /// Before anything is known.
     pub fn new() -> Self {
         let template = "{bar:24} {pos}/{len} {msg}, {eta} left";
         let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-        let now = std::time::Instant::now();
-        Self { bar: ProgressBar::new(0).with_style(style), done: 0, steps: 0, began: now, told: now }
+        Self {
+            bar: ProgressBar::new(0).with_style(style),
+            done: 0,
+            steps: 0,
+            began: Instant::now(),
+            printed: None,
+        }
     }
 
-    /// Shows what a run tells.
+    /// Shows an event of a run.
     pub fn show(&mut self, event: &Event) {
         match event {
             Event::Started(start) => self.start(start),
@@ -263,9 +288,23 @@ impl Progress {
         self.bar.set_length(start.steps);
         self.bar.set_position(start.done);
         self.bar.reset_eta();
-        (self.done, self.steps, self.began) = (start.done, start.steps, std::time::Instant::now());
+        (self.done, self.steps, self.began, self.printed) = (start.done, start.steps, Instant::now(), None);
         for line in &start.data {
             self.line(line);
+        }
+        for line in &start.validation {
+            self.line(&format!("validation: {line}"));
+        }
+        if start.validation.is_empty() {
+            self.line(
+                "validation: none, as no training dataset has a val split with pairs; there will be no best.safetensors, \
+                 only last.safetensors (name a dataset with --validation)",
+            );
+        }
+        if start.frozen_batch_norm {
+            self.line(
+                "batch norm: frozen at the statistics of the weights (--set network.batch_norm=live lets them follow)",
+            );
         }
         let epochs = start.steps as f64 / start.steps_per_epoch as f64;
         self.line(&format!(
@@ -281,10 +320,17 @@ impl Progress {
                 let words = in_words(step, rate);
                 self.bar.set_position(step.step);
                 self.bar.set_message(words.clone());
-                if self.bar.is_hidden() && self.told.elapsed() >= LINES_APART {
-                    self.told = std::time::Instant::now();
+                // The first step and the last have a line in any case.
+                let due = self.printed.is_none_or(|printed| printed.elapsed() >= LINES_APART);
+                if self.bar.is_hidden() && (due || step.step == self.steps) {
+                    self.printed = Some(Instant::now());
                     let left = (self.steps - step.step) as f64 / rate.max(1e-9);
-                    eprintln!("{}/{} {words}, {:.0} min left", step.step, self.steps, left / 60.0);
+                    self.line(&format!(
+                        "step {}/{}: {words}, {:.0} min left",
+                        step.step,
+                        self.steps,
+                        left / 60.0
+                    ));
                 }
             }
             Record::Skipped(skipped) => {

@@ -90,3 +90,32 @@ fn what_is_no_checkpoint_is_an_error() {
     }
     assert_eq!(models(&["inspect"]).status.code(), Some(2));
 }
+
+#[test]
+fn exported_weights_are_the_same_to_the_bit() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    for architecture in srflow_nets::Architecture::ALL {
+        let own = path("own.safetensors");
+        srflow_nn::save_parameters(&architecture.init(&Default::default()), own.as_ref()).unwrap();
+        let (exported, back) = (path("exported.ckpt"), path("back.safetensors"));
+        let text = succeeds(&["export", &own, "-o", &exported, "--force"]);
+        assert!(text.contains(&format!("weights of {}", architecture.name())), "{text}");
+        assert_eq!(json(&["inspect", &exported])["container"], "state_dict");
+        let read = |path: &str| srflow_nn::read_parameters(path.as_ref()).unwrap();
+        assert!(read(&exported) == read(&own), "{}", architecture.name());
+        succeeds(&["export", &exported, "-o", &back, "--force"]);
+        assert!(fs::read(&back).unwrap() == fs::read(&own).unwrap(), "{}", architecture.name());
+    }
+    let refused = models(&["export", &path("own.safetensors"), "-o", &path("exported.ckpt")]);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(String::from_utf8(refused.stderr).unwrap().contains("--force"));
+    assert_eq!(
+        models(&["export", &path("own.safetensors"), "-o", &path("weights.onnx")]).status.code(),
+        Some(2)
+    );
+    let other = checkpoint("zip.pth");
+    let other = models(&["export", other.to_str().unwrap(), "-o", &path("other.ckpt")]);
+    assert_eq!(other.status.code(), Some(1));
+    assert!(String::from_utf8(other.stderr).unwrap().contains("no network known here"));
+}

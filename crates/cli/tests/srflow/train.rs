@@ -1,8 +1,7 @@
 //! `srflow train` as a user meets it: a folder of pairs, a kill, a resume, and what is wrong with folders and configurations.
 
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
-use std::time::{Duration, Instant};
+use std::process::{Command, Output};
 
 use srflow_field::{FlowField, Image, write_flow, write_image_png};
 
@@ -72,15 +71,6 @@ fn files(folder: &Path) -> Vec<(String, Vec<u8>)> {
     files
 }
 
-fn wait_for(path: &Path, child: &mut Child) {
-    let start = Instant::now();
-    while !path.exists() {
-        assert!(child.try_wait().unwrap().is_none(), "the run ended before it was killed");
-        assert!(start.elapsed() < Duration::from_secs(100), "no {}", path.display());
-        std::thread::sleep(Duration::from_millis(2));
-    }
-}
-
 #[test]
 fn a_killed_run_goes_on_to_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
@@ -90,23 +80,27 @@ fn a_killed_run_goes_on_to_the_same_bytes() {
     let data = format!("folder:{}", data.display());
     let [through, killed] = ["through", "killed"].map(|name| dir.path().join(name));
     const STEPS: u64 = 10;
-    let run = |out: &Path, threads: &str| {
+    let run = |out: &Path, more: &[&str]| {
         let out = out.display().to_string();
         let mut command = command(&small(&data, &out));
-        command.args(["--steps", &STEPS.to_string(), "--seed", "5", "--threads", threads]);
-        command.stdout(Stdio::null()).stderr(Stdio::null());
-        command
+        command.args(["--steps", &STEPS.to_string(), "--seed", "5", "--threads", "2"]).args(more);
+        command.output().unwrap()
     };
-    succeed(&run(&through, "2").output().unwrap());
+    succeed(&run(&through, &[]));
 
-    let mut child = run(&killed, "2").spawn().unwrap();
-    wait_for(&checkpoint(&killed, 2), &mut child);
-    child.kill().unwrap();
-    child.wait().unwrap();
-    assert!(!checkpoint(&killed, STEPS).exists(), "it was killed on its way");
+    let stopped = run(&killed, &["--stop-after-step", "7"]);
+    assert_eq!(stopped.status.code(), Some(75), "{}", String::from_utf8_lossy(&stopped.stderr));
+    assert!(String::from_utf8_lossy(&stopped.stdout).contains("--resume"));
+    assert!(!killed.join("report.html").exists(), "it is not finished");
+    // As a kill after step 7 would have left it: the log is ahead of the last checkpoint, which is that of step 6, half a
+    // checkpoint, and the lock of a process that died.
+    std::fs::rename(checkpoint(&killed, 7), killed.join("checkpoints/.step-00000007.partial")).unwrap();
+    std::fs::remove_file(killed.join("checkpoints/.step-00000007.partial/state.json")).unwrap();
+    std::fs::write(killed.join(".lock"), "process 1 on elsewhere\n").unwrap();
     let killed_text = killed.display().to_string();
     let resumed = train(&["--resume", &killed_text, "--threads", "2", "--json"]);
     succeed(&resumed);
+    assert!(!killed.join("checkpoints/.step-00000007.partial").exists());
     assert_eq!(files(&checkpoint(&killed, STEPS)), files(&checkpoint(&through, STEPS)));
     for name in ["last.safetensors", "best.safetensors", "config.toml"] {
         let [one, two] = [&through, &killed].map(|run| std::fs::read(run.join(name)).expect(name));
@@ -131,6 +125,54 @@ fn a_killed_run_goes_on_to_the_same_bytes() {
     assert!(code == 1 && error.contains("--resume"), "{error}");
     let (code, error) = failure(&["--resume", &killed_text, "--batch", "3"]);
     assert!(code == 1 && error.contains("--resume"), "{error}");
+}
+
+#[test]
+fn a_folder_that_another_process_trains_in_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    make_pairs(dir.path(), 2);
+    let (data, out) = (format!("folder:{}", dir.path().display()), dir.path().join("run"));
+    std::fs::create_dir(&out).unwrap();
+    std::fs::write(out.join(".lock"), "process 4711 on elsewhere\n").unwrap();
+    let lock = std::fs::File::open(out.join(".lock")).unwrap();
+    lock.lock().unwrap();
+    let (code, error) = failure(&small(&data, &out.display().to_string()));
+    assert_eq!(code, 1);
+    assert!(error.contains("process 4711 on elsewhere") && error.contains("another folder"), "{error}");
+    assert!(!out.join("config.toml").exists(), "nothing of the other's is touched");
+}
+
+/// Without a split `val`, with weights of one network for another and for the same.
+#[test]
+fn what_a_run_begins_with_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    make_pairs(dir.path(), 2);
+    let data = format!("folder:{}", dir.path().display());
+    let out = dir.path().join("run").display().to_string();
+    let weights = dir.path().join("raft.safetensors");
+    let network = srflow_nets::Architecture::Raft.init(&Default::default());
+    srflow_nn::save_parameters(&network, &weights).unwrap();
+    let mut arguments = small(&data, &out);
+    arguments.extend(["--steps", "1", "--weights", weights.to_str().unwrap()]);
+    let (code, error) = failure(&arguments);
+    assert!(code == 1 && error.contains("they are the parameters of raft"), "{error}");
+    assert!(!Path::new(&out).exists(), "no run was begun");
+
+    let network = arguments.iter().position(|argument| *argument == "raft-small").unwrap();
+    arguments[network] = "raft";
+    let run = train(&arguments);
+    succeed(&run);
+    let lines = String::from_utf8(run.stderr).unwrap();
+    assert!(lines.contains("validation: none") && lines.contains("no best.safetensors"), "{lines}");
+    assert!(lines.contains("batch norm: frozen"), "{lines}");
+    assert!(lines.contains("step 1/1: ") && lines.contains("loss ") && lines.contains(" left"), "{lines}");
+    assert!(String::from_utf8(run.stdout).unwrap().contains("no best.safetensors"));
+    let statistics = |path: &Path| {
+        let parameters = srflow_nn::read_parameters(path).unwrap().into_iter();
+        parameters.filter(|(name, _)| name.contains("running_")).map(|(_, data)| data).collect::<Vec<_>>()
+    };
+    let kept = statistics(&Path::new(&out).join("last.safetensors"));
+    assert!(!kept.is_empty() && kept == statistics(&weights));
 }
 
 /// Frames here are smaller than those that networks take as they are.
@@ -211,6 +253,10 @@ fn configurations_are_printed_and_their_mistakes_named() {
     let again = train(&["--config", file.to_str().unwrap(), "--print-config"]);
     assert_eq!(String::from_utf8(again.stdout).unwrap(), text);
 
+    let json = train(&["--config", file.to_str().unwrap(), "--print-config", "--json"]);
+    let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+    assert_eq!((&json["loss"]["fdr"], &json["data"]["crop"]), (&0.05.into(), &"512x800".into()));
+
     std::fs::write(&file, "[training]\nbatchsize = 4\n").unwrap();
     let (code, error) = failure(&["--config", file.to_str().unwrap(), "--print-config"]);
     assert!(code == 1 && error.contains("mine.toml") && error.contains("line 2"), "{error}");
@@ -218,6 +264,8 @@ fn configurations_are_printed_and_their_mistakes_named() {
     assert!(code == 1 && error.contains("srflownet-fdr"), "{error}");
     let (code, error) = failure(&["--set", "training.batch=none", "--print-config"]);
     assert!(code == 1 && error.contains("training.batch"), "{error}");
+    let (code, error) = failure(&["--set", "loss.sequence=mixture-of-laplace", "--print-config"]);
+    assert!(code == 1 && error.contains("SEA-RAFT") && error.contains("\"l1\""), "{error}");
     let (code, error) = failure(&["--config", "skflow"]);
     assert!(code == 2 && error.contains("--out"), "{error}");
 }

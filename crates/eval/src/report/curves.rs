@@ -27,8 +27,9 @@ pub fn curves(curves: &[Curve], vertical: Axis, dots: bool, chart: &Chart) -> Fi
         false => {
             let low = least(&mut all.iter().map(|point| point.0));
             let high = most(&mut all.iter().map(|point| point.0)).max(low + 1e-9);
-            // An axis that begins close to zero begins at zero.
-            Scale::exact(if 0.0 < low && low < 0.05 * high { 0.0 } else { low }, high)
+            // An axis that begins close to zero begins at zero, and so does that of a single place.
+            let from_zero = 0.0 < low && (low < 0.05 * high || high - low < 1e-6);
+            Scale::exact(if from_zero { 0.0 } else { low }, high)
         }
     };
     let top = most(&mut all.iter().map(|point| point.1));
@@ -68,4 +69,38 @@ pub fn curves(curves: &[Curve], vertical: Axis, dots: bool, chart: &Chart) -> Fi
     let keys: Vec<(&str, &str)> =
         curves.iter().zip(&classes).map(|(curve, class)| (curve.name.as_str(), *class)).collect();
     Figure(framed(chart, &keys, drawing))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_axis_of_a_single_place_has_distinct_labels() {
+        for (x, y) in [(4.0, 1.5), (9000.0, 0.4), (1.0, 2.0), (0.0, 0.0)] {
+            let curve = Curve { name: "EPE".to_owned(), points: vec![(x, y)], baseline: false };
+            let chart = Chart {
+                title: "Validation".to_owned(),
+                x: "step".to_owned(),
+                y: "EPE".to_owned(),
+                caption: String::new(),
+            };
+            let page = axes_of(&[curve], &chart);
+            let labels: Vec<&str> = page
+                .split("text-anchor=\"middle\">")
+                .skip(1)
+                .filter_map(|rest| rest.split('<').next())
+                .collect();
+            let mut distinct = labels.clone();
+            distinct.sort_unstable();
+            distinct.dedup();
+            assert!(labels.len() >= 2 && labels.len() == distinct.len(), "x = {x}: {labels:?}");
+        }
+    }
+
+    /// The drawing alone: the file for downloading repeats it.
+    fn axes_of(lines: &[Curve], chart: &Chart) -> String {
+        let figure = curves(lines, Axis::Linear, true, chart).0.into_string();
+        figure.rsplit("<svg").next().unwrap_or_default().to_owned()
+    }
 }

@@ -6,8 +6,10 @@
 mod burnpack;
 mod naming;
 mod pytorch;
+mod pytorch_writer;
 mod safetensors;
 
+pub use pytorch_writer::save_pytorch;
 pub use safetensors::{read_safetensors, safetensors_bytes};
 
 use std::collections::{BTreeMap, BTreeSet};

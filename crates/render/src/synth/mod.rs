@@ -144,7 +144,12 @@ fn claim(dir: &Path, settings: &SynthSettings, force: bool) -> Result<(), SynthE
             }
             // Nobody can tell which files are the set's: they are written over.
             Err(_) if force => {}
-            Err(error) => return Err(SynthError::Malformed { path, reason: error.to_string() }),
+            Err(error) => {
+                return Err(SynthError::Malformed {
+                    path,
+                    reason: srflow_field::parse_error_in_words(&error),
+                });
+            }
         }
     } else if !is_empty(dir).map_err(|error| SynthError::Io { path: dir.to_owned(), error })? {
         return Err(SynthError::NotASet(dir.to_owned()));
@@ -197,8 +202,10 @@ fn delete(dir: &Path, settings: &SynthSettings) -> Result<(), SynthError> {
 
 fn read_record(path: &Path) -> Result<ClipRecord, SynthError> {
     let text = fs::read_to_string(path).map_err(|error| SynthError::Io { path: path.to_owned(), error })?;
-    serde_json::from_str(&text)
-        .map_err(|error| SynthError::Malformed { path: path.to_owned(), reason: error.to_string() })
+    serde_json::from_str(&text).map_err(|error| SynthError::Malformed {
+        path: path.to_owned(),
+        reason: srflow_field::parse_error_in_words(&error),
+    })
 }
 
 /// Writes `landmarks.csv` and, last, `clips.csv`.

@@ -1,8 +1,9 @@
 //! Whether the numbers of a configuration make sense.
 
 use super::{Config, ConfigError};
+use crate::loss::LossError;
 
-/// Iterations beyond which nobody has gone; a typing mistake would fill the memory.
+/// More iterations than anybody uses; a typing mistake would fill the memory.
 const MOST_ITERATIONS: usize = 200;
 
 impl Config {
@@ -45,6 +46,10 @@ impl Config {
         }
         number("training.clip", training.clip, "a number above 0", training.clip > 0.0)?;
         self.loss.check()?;
+        // A network that predicts a mixture will say so in its facts; today there is none.
+        if self.loss.sequence.needs_mixture() {
+            return Err(LossError::NoMixture.into());
+        }
         Ok(())
     }
 }

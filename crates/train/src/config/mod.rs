@@ -1,4 +1,4 @@
-//! What a training run is asked for: one TOML file, every key of which can be overridden.
+//! The configuration of a training run: one TOML file; each key can be overridden on the command line.
 
 mod augmentation;
 mod check;
@@ -52,9 +52,11 @@ pub struct NetworkConfig {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BatchNorm {
+    /// Frozen when training starts from weights, as the authors of RAFT fine-tune; live from random ones.
+    Auto,
     /// From the batch, and the running ones follow. For training from random weights.
     Live,
-    /// The running ones, which stay as they are. For fine-tuning, and for batches too small to tell much.
+    /// The running ones, unchanged. For fine-tuning, and for batches too small for statistics.
     Frozen,
 }
 
@@ -91,7 +93,7 @@ pub struct TrainingConfig {
     pub accumulate: usize,
     /// Refinements of the network.
     pub iterations: usize,
-    /// Keep only the hidden state of each refinement and compute the rest anew on the way back: less memory, more time,
+    /// Keep only the hidden state of each refinement and compute the rest again on the way back: less memory, more time,
     /// the same gradients.
     pub recompute: bool,
     /// The greatest learning rate of the cycle.
@@ -143,7 +145,18 @@ pub struct CheckpointConfig {
 
 impl Default for NetworkConfig {
     fn default() -> Self {
-        Self { architecture: Architecture::SkFlow, weights: PathBuf::new(), batch_norm: BatchNorm::Live }
+        Self { architecture: Architecture::SkFlow, weights: PathBuf::new(), batch_norm: BatchNorm::Auto }
+    }
+}
+
+impl NetworkConfig {
+    /// Whether batch norm takes its statistics from the batches.
+    pub fn has_live_batch_norm(&self) -> bool {
+        match self.batch_norm {
+            BatchNorm::Auto => self.weights.as_os_str().is_empty(),
+            BatchNorm::Live => true,
+            BatchNorm::Frozen => false,
+        }
     }
 }
 

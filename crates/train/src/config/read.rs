@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use srflow_field::parse_error_in_words;
 use toml::{Table, Value};
 
 use super::Config;
@@ -99,8 +100,10 @@ impl Config {
     /// # Errors
     /// Names the line and the key.
     pub fn parse(text: &str, file: &str) -> Result<Self, ConfigError> {
-        toml::from_str(text)
-            .map_err(|error| ConfigError::File { file: file.to_owned(), reason: in_words(&error) })
+        toml::from_str(text).map_err(|error| ConfigError::File {
+            file: file.to_owned(),
+            reason: parse_error_in_words(&error),
+        })
     }
 
     /// As TOML, with every key.
@@ -138,21 +141,8 @@ impl Config {
     }
 
     fn deserialize_table(table: Table) -> Result<Self, String> {
-        table.try_into().map_err(|error| in_words(&error).replace('\n', "; "))
+        table.try_into().map_err(|error| parse_error_in_words(&error).replace('\n', "; "))
     }
-}
-
-/// Without the names of Rust's types.
-fn in_words(error: &toml::de::Error) -> String {
-    let mut reason = error.to_string().trim_end().to_owned();
-    for (types, words) in
-        [(&["u32", "u64", "usize"][..], "a whole number from 0"), (&["f32", "f64"], "a number")]
-    {
-        for name in types {
-            reason = reason.replace(&format!("expected {name}"), &format!("expected {words}"));
-        }
-    }
-    reason
 }
 
 fn names(table: &Table) -> String {
@@ -236,6 +226,13 @@ mod tests {
             assert!(error(given).contains("expected a whole number from 0"), "{}", error(given));
         }
         assert!(error("loss.fdr=some").contains("expected a number"), "{}", error("loss.fdr=some"));
+        assert!(
+            error("data.train=5").contains("expected a text or a list of texts"),
+            "{}",
+            error("data.train=5")
+        );
+        let whole = Config::parse("training = 3\n", "my.toml").expect_err("no section").to_string();
+        assert!(whole.contains("expected keys with values") && !whole.contains("Config"), "{whole}");
     }
 
     #[test]

@@ -103,7 +103,7 @@ pub(super) mod by_texts {
     use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
     #[derive(Deserialize)]
-    #[serde(untagged)]
+    #[serde(untagged, expecting = "expected a text or a list of texts")]
     enum OneOrMore {
         One(String),
         More(Vec<String>),

@@ -1,105 +1,81 @@
 use serde::{Deserialize, Serialize};
 
-use super::LossError;
+use super::table::{Regularizer, SEQUENCE_LOSSES, SequenceLoss};
+use super::{LossError, fdr, igvar, migar, tvr};
 
-/// What is minimised: one sequence loss, and any of the four regularizers.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct LossConfig {
-    /// How a predicted flow is held against the truth.
-    pub sequence: SequenceKind,
-    /// Each prediction counts `gamma` times what the next one does, in the sequence loss and in every regularizer; in
-    /// (0, 1]. SKFlow: 0.8, and 0.85 for fine-tuning on Sintel and KITTI.
-    pub gamma: f64,
-    /// A pixel whose true motion is this long or longer does not count in the sequence loss, in pixels.
-    pub max_magnitude: f64,
-    /// Limits of the mixture's log scales: of the first component 0 and the second number, of the other the first number
-    /// and 0. SEA-RAFT: 0 and 10.
-    pub log_scale_range: [f64; 2],
-    /// Weight of TVR, 0 for none. The paper: [`Regularizer::paper_weight`].
-    pub tvr: f64,
-    /// Weight of FDR, 0 for none.
-    pub fdr: f64,
-    /// Weight of MIGAR, 0 for none.
-    pub migar: f64,
-    /// Weight of IGVAR, 0 for none.
-    pub igvar: f64,
-    /// Which pixels of the head MIGAR and IGVAR look at.
-    pub m_total: MaskReading,
-    /// What lies outside the image for the Sobel operator.
-    pub border: Border,
-    /// The value of a white pixel when the first frame's gradients are taken for MIGAR and IGVAR. 255, or 1 for frames
-    /// in 0..1.
-    pub image_max: f64,
-}
+/// The table of regularizers, and the settings of the loss with a weight for each.
+macro_rules! regularizers {
+    ($($name:ident),*) => {
+        /// Every regularizer, in the paper's order.
+        pub static REGULARIZERS: &[Regularizer] = &[$($name::REGULARIZER),*];
 
-impl Default for LossConfig {
-    /// SKFlow's loss, without regularizers.
-    fn default() -> Self {
-        Self {
-            sequence: SequenceKind::L1,
-            gamma: 0.8,
-            max_magnitude: 400.0,
-            log_scale_range: [0.0, 10.0],
-            tvr: 0.0,
-            fdr: 0.0,
-            migar: 0.0,
-            igvar: 0.0,
-            m_total: MaskReading::Interior,
-            border: Border::Replicate,
-            image_max: 255.0,
+        /// What is minimised: one sequence loss, and any of the regularizers.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        #[serde(default, deny_unknown_fields)]
+        pub struct LossConfig {
+            /// How a predicted flow is compared with the truth, by its name.
+            #[serde(with = "sequence_name")]
+            pub sequence: &'static SequenceLoss,
+            /// Each prediction counts `gamma` times what the next one does, in the sequence loss and in every regularizer;
+            /// in (0, 1]. SKFlow: 0.8, and 0.85 for fine-tuning on Sintel and KITTI.
+            pub gamma: f64,
+            /// A pixel whose true motion is this long or longer does not count in the sequence loss, in pixels.
+            pub max_magnitude: f64,
+            /// Limits of the mixture's log scales: of the first component 0 and the second number, of the other the first
+            /// number and 0. SEA-RAFT: 0 and 10.
+            pub log_scale_range: [f64; 2],
+            $(
+                /// Weight of the regularizer of this name, 0 for none.
+                pub $name: f64,
+            )*
+            /// Which pixels of the head MIGAR and IGVAR look at.
+            pub m_total: MaskReading,
+            /// What lies outside the image for the Sobel operator.
+            pub border: Border,
+            /// The value of a white pixel when the first frame's gradients are taken for MIGAR and IGVAR. 255, or 1 for
+            /// frames in 0..1.
+            pub image_max: f64,
         }
-    }
-}
 
-/// How a predicted flow is held against the truth.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum SequenceKind {
-    /// The mean absolute difference of the components; RAFT's and SKFlow's.
-    L1,
-    /// The mean end-point distance.
-    L2,
-    /// The negative log-likelihood under two Laplace distributions that the network predicts for each pixel; SEA-RAFT's.
-    MixtureOfLaplace,
-}
-
-/// One of the paper's regularizers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Regularizer {
-    /// Total variation.
-    Tvr,
-    /// Flow difference.
-    Fdr,
-    /// Mean image gradient activation.
-    Migar,
-    /// Image gradient variance activation.
-    Igvar,
-}
-
-impl Regularizer {
-    /// In the paper's order.
-    pub const ALL: [Self; 4] = [Self::Tvr, Self::Fdr, Self::Migar, Self::Igvar];
-
-    /// The name in configurations, logs and tables.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Tvr => "tvr",
-            Self::Fdr => "fdr",
-            Self::Migar => "migar",
-            Self::Igvar => "igvar",
+        impl Default for LossConfig {
+            /// SKFlow's loss, without regularizers.
+            fn default() -> Self {
+                Self {
+                    sequence: &SEQUENCE_LOSSES[0],
+                    gamma: 0.8,
+                    max_magnitude: 400.0,
+                    log_scale_range: [0.0, 10.0],
+                    $($name: 0.0,)*
+                    m_total: MaskReading::Interior,
+                    border: Border::Replicate,
+                    image_max: 255.0,
+                }
+            }
         }
-    }
 
-    /// The paper's weight: `lambda_N` of TVR and FDR, none (1) of MIGAR and IGVAR.
-    pub fn paper_weight(self) -> f64 {
-        match self {
-            Self::Tvr | Self::Fdr => 0.05,
-            Self::Migar | Self::Igvar => 1.0,
+        impl LossConfig {
+            /// The weight of a regularizer; 0 where it is off.
+            pub fn weight(&self, regularizer: &Regularizer) -> f64 {
+                [$(($name::REGULARIZER.name, self.$name)),*]
+                    .into_iter()
+                    .find_map(|(name, weight)| (name == regularizer.name).then_some(weight))
+                    .unwrap_or(0.0)
+            }
+
+            /// This configuration with another weight of one regularizer.
+            pub fn with(mut self, regularizer: &Regularizer, weight: f64) -> Self {
+                for (name, place) in [$(($name::REGULARIZER.name, &mut self.$name)),*] {
+                    if name == regularizer.name {
+                        *place = weight;
+                    }
+                }
+                self
+            }
         }
-    }
+    };
 }
+
+regularizers!(tvr, fdr, migar, igvar);
 
 /// How the paper's formula of `M_total` (equation 16) is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -123,60 +99,83 @@ pub enum Border {
 }
 
 impl LossConfig {
-    /// The weight of a regularizer; 0 where it is off.
-    pub fn weight(&self, regularizer: Regularizer) -> f64 {
-        match regularizer {
-            Regularizer::Tvr => self.tvr,
-            Regularizer::Fdr => self.fdr,
-            Regularizer::Migar => self.migar,
-            Regularizer::Igvar => self.igvar,
-        }
-    }
-
-    /// This configuration with another weight of one regularizer.
-    pub fn with(mut self, regularizer: Regularizer, weight: f64) -> Self {
-        match regularizer {
-            Regularizer::Tvr => self.tvr = weight,
-            Regularizer::Fdr => self.fdr = weight,
-            Regularizer::Migar => self.migar = weight,
-            Regularizer::Igvar => self.igvar = weight,
-        }
-        self
-    }
-
     /// Whether every number makes sense.
     ///
     /// # Errors
     /// Names the first that does not, and what it may be.
     pub fn check(&self) -> Result<(), LossError> {
-        let wrong = |key, found: String, expected| Err(LossError::Setting { key, found, expected });
-        if !(self.gamma > 0.0 && self.gamma <= 1.0) {
-            return wrong("gamma", self.gamma.to_string(), "a number above 0 and at most 1");
-        }
-        if self.max_magnitude.is_nan() || self.max_magnitude <= 0.0 {
-            return wrong("max_magnitude", self.max_magnitude.to_string(), "a length above 0, in pixels");
-        }
-        let [low, high] = self.log_scale_range;
-        if !(low <= 0.0 && high >= 0.0 && low >= -50.0 && high <= 50.0) {
-            return wrong(
-                "log_scale_range",
-                format!("[{low}, {high}]"),
-                "[a, b] with -50 <= a <= 0 <= b <= 50",
-            );
-        }
-        for regularizer in Regularizer::ALL {
+        let holds = |key, found: String, expected, fine: bool| match fine {
+            true => Ok(()),
+            false => Err(LossError::Setting { key, found, expected }),
+        };
+        let number = |key, value: f64, expected, fine| holds(key, value.to_string(), expected, fine);
+        let Self { gamma, max_magnitude, image_max, log_scale_range: [low, high], .. } = *self;
+        number("gamma", gamma, "a number above 0 and at most 1", gamma > 0.0 && gamma <= 1.0)?;
+        number("max_magnitude", max_magnitude, "a length above 0, in pixels", max_magnitude > 0.0)?;
+        holds(
+            "log_scale_range",
+            format!("[{low}, {high}]"),
+            "[a, b] with -50 <= a <= 0 <= b <= 50",
+            low <= 0.0 && high >= 0.0 && low >= -50.0 && high <= 50.0,
+        )?;
+        for regularizer in REGULARIZERS {
             let weight = self.weight(regularizer);
-            if !(weight >= 0.0 && weight.is_finite()) {
-                return wrong(regularizer.name(), weight.to_string(), "a weight of 0 or more");
-            }
+            let fine = weight >= 0.0 && weight.is_finite();
+            number(regularizer.name, weight, "a weight of 0 or more", fine)?;
         }
-        if !(self.image_max > 0.0 && self.image_max <= 65535.0) {
-            return wrong(
-                "image_max",
-                self.image_max.to_string(),
-                "255, 1 or another number above 0 and at most 65535",
-            );
+        let expected = "255, 1 or another number above 0 and at most 65535";
+        number("image_max", image_max, expected, image_max > 0.0 && image_max <= 65535.0)
+    }
+}
+
+/// A sequence loss by its name.
+mod sequence_name {
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+
+    use super::{SEQUENCE_LOSSES, SequenceLoss};
+
+    pub fn serialize<S: Serializer>(loss: &&SequenceLoss, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(loss.name)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<&'static SequenceLoss, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        SEQUENCE_LOSSES.iter().find(|loss| loss.name == name).ok_or_else(|| {
+            let names: Vec<&str> = SEQUENCE_LOSSES.iter().map(|loss| loss.name).collect();
+            Error::custom(format!("`{name}` is no sequence loss; there are {}", names.join(", ")))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_documentation_lists_the_tables() {
+        let docs = include_str!("../../../../docs/losses.md");
+        let sequence =
+            SEQUENCE_LOSSES.iter().map(|loss| format!("| `{}` | {} |\n", loss.name, loss.description));
+        let regularizers = REGULARIZERS.iter().map(|entry| {
+            let Regularizer { name, title, paper_weight, description, .. } = entry;
+            format!("| `{name}` | {title} | {paper_weight} | {description} |\n")
+        });
+        for rows in [sequence.collect::<String>(), regularizers.collect()] {
+            let at = docs.find(&rows).unwrap_or_else(|| panic!("docs/losses.md without the rows\n{rows}"));
+            assert!(docs[..at].ends_with("|\n"), "a heading above");
+            assert!(!docs[at + rows.len()..].starts_with('|'), "no row of something else below");
         }
-        Ok(())
+    }
+
+    #[test]
+    fn each_regularizer_has_the_key_of_its_name() {
+        for regularizer in REGULARIZERS {
+            let text = format!("{} = 0.25\n", regularizer.name);
+            let config: LossConfig = toml::from_str(&text).expect(&text);
+            assert_eq!(config, LossConfig::default().with(regularizer, 0.25));
+            assert_eq!(config.weight(regularizer), 0.25);
+        }
     }
 }

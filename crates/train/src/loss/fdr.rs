@@ -2,13 +2,22 @@
 
 use burn::tensor::Tensor;
 
-use super::sum;
+use super::table::{Regularizer, RegularizerValue};
+use super::{Border, sum};
+
+pub(super) const REGULARIZER: Regularizer = Regularizer {
+    name: "fdr",
+    title: "FDR",
+    paper_weight: 0.05,
+    description: "flow difference: absolute differences of neighbours on the head",
+    value: RegularizerValue::OfFlow(flow_difference),
+};
 
 /// The paper's equations 11 and 12 for one prediction (`[batch, 2, height, width]`): the absolute differences to the right and
 /// to the lower neighbour (stride 1) where `foreground` (`[batch, 1, height, width]`, `M_bg`) is 1 at the pixel itself,
 /// summed over both directions and both components, divided by the pixels of all images. The last column has no right
 /// neighbour and the last row no lower one: an image one pixel wide or high has no difference that way.
-pub(super) fn flow_difference(flow: Tensor<4>, foreground: Tensor<4>) -> Tensor<1> {
+fn flow_difference(flow: Tensor<4>, foreground: &Tensor<4>, _: Border) -> Tensor<1> {
     let [batch, _, height, width] = flow.dims();
     let along = |dim: usize, size: usize| {
         let difference = flow.clone().narrow(dim, 1, size - 1) - flow.clone().narrow(dim, 0, size - 1);

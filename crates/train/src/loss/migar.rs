@@ -2,8 +2,18 @@
 
 use burn::tensor::Tensor;
 
+use super::table::{Regularizer, RegularizerValue};
+
+pub(super) const REGULARIZER: Regularizer = Regularizer {
+    name: "migar",
+    title: "MIGAR",
+    paper_weight: 1.0,
+    description: "variation inside the head, less where the frame has edges; base from the mean of its gradient",
+    value: RegularizerValue::WeightedVariation { log_base },
+};
+
 /// The logarithm of the base of the weights, the paper's equation 14: the mean over all pixels of each image of `gradient` (`G`,
 /// `[batch, 1, height, width]`). As `[batch, 1, 1, 1]`.
-pub(super) fn log_base(gradient: Tensor<4>) -> Tensor<4> {
+fn log_base(gradient: Tensor<4>, _: &Tensor<4>) -> Tensor<4> {
     gradient.mean_dims(&[2, 3])
 }

@@ -2,6 +2,15 @@
 
 use burn::tensor::Tensor;
 
+use super::table::{Distance, SequenceLoss};
+
+pub(super) const MIXTURE_OF_LAPLACE: SequenceLoss = SequenceLoss {
+    name: "mixture-of-laplace",
+    description: "negative log-likelihood under two Laplace distributions that the network predicts; SEA-RAFT's",
+    distance: Distance::OfMixture(negative_log_likelihood),
+    channels: 2,
+};
+
 /// What a network says of how sure it is of a flow: for each pixel two Laplace distributions around it, a wide and a narrow one.
 #[derive(Debug, Clone)]
 pub struct LaplaceMixture {
@@ -13,7 +22,7 @@ pub struct LaplaceMixture {
 
 /// `-ln p(difference)` for each component of the flow, `[batch, 2, height, width]`, where
 /// `p(d) = sum_k w_k / (2 b_k) exp(-|d| / b_k)`. Both components of the flow share the weights `w` and the scales `b`.
-pub(super) fn negative_log_likelihood(
+fn negative_log_likelihood(
     difference: Tensor<4>,
     mixture: &LaplaceMixture,
     [low, high]: [f64; 2],

@@ -10,17 +10,18 @@ mod mixture;
 mod of_flow;
 mod sequence;
 mod sobel;
+mod table;
 mod tvr;
 mod weighted_variation;
 
 use burn::tensor::Tensor;
 
-pub use config::{Border, LossConfig, MaskReading, Regularizer, SequenceKind};
+pub use config::{Border, LossConfig, MaskReading, REGULARIZERS};
 pub use mixture::LaplaceMixture;
 pub use of_flow::{FlowRegularizer, ImageWeights, RegularizerError, regularizers_of_flow};
+pub use table::{Regularizer, SEQUENCE_LOSSES, SequenceLoss};
 
-use fdr::flow_difference;
-use tvr::total_variation;
+use table::RegularizerValue;
 use weighted_variation::{gradient_magnitude, total_mask, weighted_variation, weights};
 
 /// What a network gives after one iteration.
@@ -87,8 +88,8 @@ pub enum LossError {
     },
     /// The mixture of Laplace distributions was asked of a network that predicts none.
     #[error(
-        "loss.sequence = \"mixture-of-laplace\" needs a network that predicts how sure it is (SEA-RAFT); this one gives \
-         flow alone: set it to \"l1\" or \"l2\""
+        "loss.sequence = \"mixture-of-laplace\" needs a network that predicts a mixture beside the flow, as SEA-RAFT does; \
+         the networks of this program predict flow alone: set it to \"l1\" or \"l2\""
     )]
     NoMixture,
 }
@@ -133,48 +134,32 @@ fn regularizers(
 ) -> Vec<(&'static str, Tensor<1>)> {
     let border = config.border;
     let foreground = inputs.foreground_or_all();
-    let over_flows = |loss: &dyn Fn(Tensor<4>) -> Tensor<1>| {
-        over_iterations(config.gamma, predictions.iter().map(|prediction| loss(prediction.flow.clone())))
-    };
-    let weighted = |base| {
-        let mask = total_mask(foreground.clone(), config.m_total, border);
-        let (weights, _) = pixel_weights(base, config, &inputs.first_frame, &foreground);
-        over_flows(&|flow| weighted_variation(flow, mask.clone(), weights.clone(), border))
-    };
-    let on = Regularizer::ALL.into_iter().filter(|regularizer| config.weight(*regularizer) != 0.0);
-    let part = |regularizer: Regularizer| {
-        let loss = match regularizer {
-            Regularizer::Tvr => over_flows(&|flow| total_variation(flow, border)),
-            Regularizer::Fdr => over_flows(&|flow| flow_difference(flow, foreground.clone())),
-            Regularizer::Migar => weighted(WeightBase::Mean),
-            Regularizer::Igvar => weighted(WeightBase::Variance),
+    let part = |regularizer: &'static Regularizer| {
+        let over_flows = |value: &dyn Fn(Tensor<4>) -> Tensor<1>| {
+            over_iterations(config.gamma, predictions.iter().map(|prediction| value(prediction.flow.clone())))
         };
-        (regularizer.name(), loss * config.weight(regularizer))
+        let value = match regularizer.value {
+            RegularizerValue::OfFlow(value) => over_flows(&|flow| value(flow, &foreground, border)),
+            RegularizerValue::WeightedVariation { log_base } => {
+                let mask = total_mask(foreground.clone(), config.m_total, border);
+                let (weights, _) = pixel_weights(log_base, config, &inputs.first_frame, &foreground);
+                over_flows(&|flow| weighted_variation(flow, mask.clone(), weights.clone(), border))
+            }
+        };
+        (regularizer.name, value * config.weight(regularizer))
     };
-    on.map(part).collect()
-}
-
-/// What the base of the weights of MIGAR and IGVAR is made of.
-#[derive(Debug, Clone, Copy)]
-enum WeightBase {
-    /// MIGAR's.
-    Mean,
-    /// IGVAR's.
-    Variance,
+    REGULARIZERS.iter().filter(|regularizer| config.weight(regularizer) != 0.0).map(part).collect()
 }
 
 /// The weight of each pixel, `[batch, 1, height, width]`, and the logarithm of the base, `[batch, 1, 1, 1]`.
 fn pixel_weights(
-    base: WeightBase,
+    log_base: fn(Tensor<4>, &Tensor<4>) -> Tensor<4>,
     config: &LossConfig,
     first_frame: &Tensor<4>,
     foreground: &Tensor<4>,
 ) -> (Tensor<4>, Tensor<4>) {
     let gradient = gradient_magnitude(first_frame.clone(), config.border) * config.image_max;
-    let log_base = match base {
-        WeightBase::Mean => migar::log_base(gradient.clone()),
-        WeightBase::Variance => igvar::log_base(gradient.clone(), foreground.clone()),
-    };
+    let log_base = log_base(gradient.clone(), foreground);
     (weights(gradient, log_base.clone()), log_base)
 }
 

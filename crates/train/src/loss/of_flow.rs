@@ -4,15 +4,17 @@ use burn::tensor::{Device, Tensor, TensorData};
 use serde::Serialize;
 use srflow_field::{FlowField, Image, Mask, SizeMismatch};
 
-use super::{
-    LossConfig, LossInputs, Prediction, Regularizer, WeightBase, pixel_weights, regularizers, total_mask,
-};
+use super::table::RegularizerValue;
+use super::{LossConfig, LossInputs, Prediction, REGULARIZERS, pixel_weights, regularizers, total_mask};
 
 /// The value of one regularizer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FlowRegularizer {
-    /// Which one.
-    pub name: Regularizer,
+    /// Its name in configurations and logs.
+    pub name: &'static str,
+    /// The paper's abbreviation.
+    #[serde(skip)]
+    pub title: &'static str,
     /// What it adds to the loss with the paper's weight.
     pub value: f64,
     /// How MIGAR and IGVAR weight the pixels; nothing for the others.
@@ -56,7 +58,7 @@ pub enum RegularizerError {
     },
 }
 
-/// The four regularizers of one flow, as they enter the loss of a single prediction with the paper's weights. `head` is `M_bg`;
+/// Every regularizer of one flow, as they enter the loss of a single prediction with the paper's weights. `head` is `M_bg`;
 /// without one, every pixel counts. Of `config` the reading of `M_total`, the border and the image's range matter.
 ///
 /// # Errors
@@ -91,25 +93,24 @@ pub fn regularizers_of_flow(
             planes(size, &inside, |inside| f32::from(u8::from(inside)))
         }),
     };
-    let with_all =
-        |config: LossConfig, regularizer: Regularizer| config.with(regularizer, regularizer.paper_weight());
-    let config = Regularizer::ALL.into_iter().fold(config.clone(), with_all);
+    let with = |config: LossConfig, regularizer| config.with(regularizer, regularizer.paper_weight);
+    let config = REGULARIZERS.iter().fold(config.clone(), with);
     let parts = regularizers(&config, &[Prediction::from(flow)], &inputs);
     let foreground = inputs.foreground_or_all();
     let mask = total_mask(foreground.clone(), config.m_total, config.border);
-    let weights_of = |base| {
-        let (weights, log_base) = pixel_weights(base, &config, &inputs.first_frame, &foreground);
+    let weights_of = |log_base| {
+        let (weights, log_base) = pixel_weights(log_base, &config, &inputs.first_frame, &foreground);
         let pixels = mask.clone().into_data().iter::<f32>().filter(|inside| *inside > 0.5).count();
         let mean_weight = first((weights * mask.clone()).sum()) / pixels.max(1) as f64;
         ImageWeights { log_base: first(log_base.reshape([1])), mean_weight, pixels }
     };
-    let described = Regularizer::ALL.into_iter().zip(parts).map(|(name, (_, value))| FlowRegularizer {
+    let described = REGULARIZERS.iter().zip(parts).map(|(regularizer, (name, value))| FlowRegularizer {
         name,
+        title: regularizer.title,
         value: first(value),
-        weights: match name {
-            Regularizer::Tvr | Regularizer::Fdr => None,
-            Regularizer::Migar => Some(weights_of(WeightBase::Mean)),
-            Regularizer::Igvar => Some(weights_of(WeightBase::Variance)),
+        weights: match regularizer.value {
+            RegularizerValue::OfFlow(_) => None,
+            RegularizerValue::WeightedVariation { log_base } => Some(weights_of(log_base)),
         },
     });
     Ok(described.collect())

@@ -1,11 +1,11 @@
-//! What a run writes down while it goes: `log.jsonl`, a JSON object a line, and event files for TensorBoard.
+//! What a run logs: `log.jsonl`, a JSON object a line, and event files for TensorBoard.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{Metrics, write_atomically};
+use srflow_field::{Metrics, parse_error_in_words, write_atomically};
 
 use crate::tensorboard::EventFile;
 
@@ -31,7 +31,7 @@ pub struct StepRecord {
     pub epoch: u64,
     /// What was minimised, the mean over the batch.
     pub loss: f64,
-    /// What it is made of: name and value.
+    /// Its parts: name and value.
     pub parts: Vec<(String, f64)>,
     /// Mean end-point error of the last prediction, in pixels.
     pub epe: f64,
@@ -119,8 +119,8 @@ impl Record {
     }
 }
 
-/// The log of a run that goes on.
-pub(crate) struct Journal {
+/// The log of a running training.
+pub(crate) struct TrainingLog {
     log: File,
     events: EventFile,
 }
@@ -133,19 +133,19 @@ const EVENTS: &str = "tensorboard";
 /// Why the log was not written or read.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {reason}", .path.display())]
-pub struct JournalError {
+pub struct LogError {
     /// The file.
     pub path: PathBuf,
     /// What went wrong.
     pub reason: String,
 }
 
-impl Journal {
-    /// Goes on with the log of the run in this folder from `step` on: later lines, written by a run that was killed before
-    /// its next checkpoint, are taken out.
-    pub(crate) fn open(run: &Path, step: u64) -> Result<Self, JournalError> {
+impl TrainingLog {
+    /// Continues the log of the run in this folder after `step`: removes later lines, which a run wrote that was killed
+    /// before its next checkpoint.
+    pub(crate) fn open(run: &Path, step: u64) -> Result<Self, LogError> {
         let path = run.join(LOG);
-        let failed = |path: &Path, error: &dyn std::fmt::Display| JournalError {
+        let failed = |path: &Path, error: &dyn std::fmt::Display| LogError {
             path: path.to_owned(),
             reason: error.to_string(),
         };
@@ -180,17 +180,18 @@ fn write_line(file: &mut impl Write, record: &Record) -> io::Result<()> {
 ///
 /// # Errors
 /// When there is no log, or a line of it is not one of ours.
-pub fn read_log(run: &Path) -> Result<Vec<Record>, JournalError> {
+pub fn read_log(run: &Path) -> Result<Vec<Record>, LogError> {
     read_whole_lines(&run.join(LOG))
 }
 
 /// The last line may have been cut by a kill: it is left out when nothing ends it.
-fn read_whole_lines(path: &Path) -> Result<Vec<Record>, JournalError> {
-    let failed = |reason: String| JournalError { path: path.to_owned(), reason };
+fn read_whole_lines(path: &Path) -> Result<Vec<Record>, LogError> {
+    let failed = |reason: String| LogError { path: path.to_owned(), reason };
     let text = std::fs::read_to_string(path).map_err(|error| failed(error.to_string()))?;
     let whole = text.rfind('\n').map_or("", |end| &text[..end]);
     let record = |(number, line): (usize, &str)| {
-        serde_json::from_str(line).map_err(|error| failed(format!("line {}: {error}", number + 1)))
+        serde_json::from_str(line)
+            .map_err(|error| failed(format!("line {}: {}", number + 1, parse_error_in_words(&error))))
     };
     whole.lines().enumerate().map(record).collect()
 }
@@ -216,18 +217,18 @@ mod tests {
     #[test]
     fn a_log_that_was_cut_goes_on_from_its_checkpoint() {
         let run = tempfile::tempdir().unwrap();
-        let mut journal = Journal::open(run.path(), 0).unwrap();
-        (1..=5).for_each(|number| journal.write(&step(number)).unwrap());
-        drop(journal);
+        let mut log = TrainingLog::open(run.path(), 0).unwrap();
+        (1..=5).for_each(|number| log.write(&step(number)).unwrap());
+        drop(log);
         let path = run.path().join(LOG);
         let text = std::fs::read_to_string(&path).unwrap();
         std::fs::write(&path, &text[..text.len() - 7]).unwrap();
         assert_eq!(read_log(run.path()).unwrap().len(), 4);
 
-        let mut journal = Journal::open(run.path(), 3).unwrap();
-        journal.write(&step(4)).unwrap();
+        let mut log = TrainingLog::open(run.path(), 3).unwrap();
+        log.write(&step(4)).unwrap();
         let skipped = Record::Skipped(SkippedRecord { step: 5, samples: vec!["a.png".to_owned()] });
-        journal.write(&skipped).unwrap();
+        log.write(&skipped).unwrap();
         let expected: Vec<Record> = (1..=4).map(step).chain([skipped]).collect();
         assert_eq!(read_log(run.path()).unwrap(), expected);
     }

@@ -276,7 +276,7 @@ impl Store {
     ) -> Result<Self, FileError> {
         create_folder(folder)?;
         let mut digest = Sha256::new();
-        digest.update(format!("srflow fold {VERSION}\n{}\n{protocol:?}\n", C::NAME));
+        digest.update(format!("srflow fold {VERSION}\n{}\n{protocol:?}\n", C::FACTS.name));
         for sample in samples {
             let Sample { dataset, subject, clip, class, features } = sample;
             digest.update(format!("{dataset:?} {subject:?} {clip:?} {class}\n"));

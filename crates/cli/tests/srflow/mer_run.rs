@@ -1,7 +1,7 @@
 //! `srflow mer run` from clips on disk to tables, resumed and refused.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Output;
 
 use srflow_field::{Image, write_image_png};
 

@@ -1,16 +1,15 @@
 //! Annotation tables: spreadsheets as they are published, and CSV files.
 
 use std::collections::BTreeMap;
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 use calamine::{DataRef, Reader, Xlsx};
+use srflow_field::{FileKind, excerpt, excerpts, open_file, read_file};
 
 use super::MicroExpressionError;
 use super::source::{CLIP_KINDS, ClipSource};
 use crate::flow::listing;
-
-/// Greater files are no annotation spreadsheets; the published ones are below 0.1 MB.
-const MAX_BYTES: u64 = 64 << 20;
 
 /// Rows and columns that are looked at.
 const MAX_ROWS: u32 = 100_000;
@@ -85,7 +84,11 @@ impl<'a> Row<'a> {
 
     /// The error that this row is wrong.
     pub fn wrong(self, reason: String) -> MicroExpressionError {
-        MicroExpressionError::Row { path: self.table.path.clone(), row: self.number, reason }
+        MicroExpressionError::Row {
+            path: self.table.path.clone(),
+            row: self.number,
+            reason: excerpt(&reason),
+        }
     }
 }
 
@@ -162,8 +165,7 @@ fn read_form(form: &Form, path: &Path) -> Result<Table, MicroExpressionError> {
         Some(other) => format!("these are those of {}; give the file of {}", other.called, form.called),
         None => match sheets.iter().flat_map(BTreeMap::values).find(|row| row.len() > 2) {
             Some(row) => {
-                let cells: Vec<&str> = row.values().take(8).map(String::as_str).collect();
-                format!("the first full row holds {}", cells.join(", "))
+                format!("the first full row holds {}", excerpts(row.values().map(String::as_str), 8))
             }
             None => "its sheets are empty".to_owned(),
         },
@@ -195,16 +197,11 @@ fn header_key(text: &str) -> String {
 /// The sheets of a workbook, cell by cell: a sheet's claimed extent is never taken as memory.
 fn read_sheets(path: &Path) -> Result<Vec<Rows>, MicroExpressionError> {
     let wrong = |reason: String| MicroExpressionError::Table { path: path.to_owned(), reason };
-    let size = std::fs::metadata(path).map_err(|error| wrong(error.to_string()))?.len();
-    if size > MAX_BYTES {
-        return Err(wrong(format!(
-            "expected a spreadsheet below {} MB, found {} MB",
-            MAX_BYTES >> 20,
-            size >> 20
-        )));
-    }
-    let broken = |error: calamine::XlsxError| wrong(format!("expected a sound .xlsx spreadsheet: {error}"));
-    let mut workbook: Xlsx<_> = calamine::open_workbook(path).map_err(broken)?;
+    let bytes = read_file(path, FileKind::Spreadsheet)?;
+    let broken = |error: calamine::XlsxError| {
+        wrong(format!("expected a sound .xlsx spreadsheet: {}", excerpt(&error.to_string())))
+    };
+    let mut workbook: Xlsx<_> = Xlsx::new(Cursor::new(bytes)).map_err(broken)?;
     let mut sheets = Vec::new();
     for name in workbook.sheet_names() {
         let mut rows = Rows::new();
@@ -243,11 +240,11 @@ pub fn read_csv(kind: &'static str, path: &Path, columns: &[&str]) -> Result<Tab
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
         .flexible(true)
-        .from_path(path)
-        .map_err(|error| wrong(error.to_string()))?;
+        .from_reader(open_file(path, FileKind::Table)?.0);
     let mut rows = Rows::new();
     for record in reader.records() {
-        let record = record.map_err(|error| wrong(format!("expected a CSV table: {error}")))?;
+        let record = record
+            .map_err(|error| wrong(format!("expected a CSV table: {}", excerpt(&error.to_string()))))?;
         let line = record.position().map_or(1, csv::Position::line);
         let cells = (0..).zip(&record).filter(|(_, text)| !text.trim().is_empty());
         let cells: BTreeMap<u32, String> = cells.map(|(at, text)| (at, text.to_owned())).collect();
@@ -265,7 +262,7 @@ pub fn read_csv(kind: &'static str, path: &Path, columns: &[&str]) -> Result<Tab
             expected: columns.join(", "),
             found: match first.first_key_value() {
                 Some((_, cells)) if !cells.is_empty() => {
-                    format!("its first row holds {}", cells.values().cloned().collect::<Vec<_>>().join(", "))
+                    format!("its first row holds {}", excerpts(cells.values().map(String::as_str), 20))
                 }
                 _ => "it is empty".to_owned(),
             },

@@ -20,6 +20,7 @@ mod warp;
 
 pub use atomic_write::{PARTIAL_EXTENSION, create_folder, write_atomically};
 pub use codec::npy::{Array, read_npy, read_npy_plane, write_npy, write_npy_plane};
+pub use codec::npz::open_zip;
 pub use codec::npz::{NpzArray, write_npz};
 pub use codec::{FlowFormat, read_flow, read_flow_as, write_flow, write_flow_as};
 pub use estimator::{EstimateError, FlowEstimator, FlowSequence};

@@ -16,6 +16,7 @@ mod samm;
 mod sheet;
 mod smic;
 mod source;
+mod xlsx;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};

@@ -11,7 +11,9 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::DType;
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileError, FileKind, PARTIAL_EXTENSION, create_folder, parse_error_in_words, read_text, write_atomically};
+use srflow_field::{
+    FileError, FileKind, PARTIAL_EXTENSION, create_folder, parse_error_in_words, read_text, write_atomically,
+};
 use srflow_nn::{AdamWState, Layout, WeightsError, read_safetensors, safetensors_bytes};
 
 /// Name of the folder of checkpoints in a run's folder.

@@ -3,7 +3,6 @@
 use burn::module::Module;
 use burn::tensor::Tensor;
 
-use crate::recurrent::Recurrent as _;
 use crate::{Architecture, Encoded, Estimate, Features, Frames, Gma, Raft, RaftSmall, Request, SkFlow};
 
 /// A network of any [`Architecture`], made by [`Architecture::init`] or [`load_network`](crate::load_network).
@@ -22,18 +21,6 @@ pub enum Network {
     SkFlow(SkFlow),
 }
 
-/// Whichever network it is.
-macro_rules! with_network {
-    ($self:ident, $network:ident => $call:expr) => {
-        match $self {
-            Self::Raft($network) => $call,
-            Self::RaftSmall($network) => $call,
-            Self::Gma($network) => $call,
-            Self::SkFlow($network) => $call,
-        }
-    };
-}
-
 impl Network {
     /// Which network it is.
     pub fn architecture(&self) -> Architecture {
@@ -47,17 +34,31 @@ impl Network {
 
     /// Features of frames, RGB in 0..1, `[batch, 3, height, width]`, for [`Request::features`].
     pub fn features(&self, frames: Tensor<4>) -> Features {
-        with_network!(self, network => network.features(frames))
+        match self {
+            Self::Raft(network) => network.features(frames),
+            Self::RaftSmall(network) => network.features(frames),
+            Self::Gma(network) => network.features(frames),
+            Self::SkFlow(network) => network.features(frames),
+        }
     }
 
     /// What refinements start from and read. Panics when the frames differ in size.
     pub fn encode(&self, frames: Frames) -> Encoded {
-        with_network!(self, network => network.encode(frames))
+        match self {
+            Self::Raft(network) => network.encode(frames),
+            Self::RaftSmall(network) => network.encode(frames),
+            Self::Gma(network) => network.encode(frames),
+            Self::SkFlow(network) => network.encode(frames),
+        }
     }
 
-    /// Flow from the first frames to the second. Panics when the frames differ in size, no iteration is asked for, or a start
-    /// is of another size.
+    /// Flow from the first frames to the second. Panics when the frames differ in size.
     pub fn forward(&self, frames: Frames, request: &Request) -> Estimate {
-        with_network!(self, network => network.forward(frames, request))
+        match self {
+            Self::Raft(network) => network.forward(frames, request),
+            Self::RaftSmall(network) => network.forward(frames, request),
+            Self::Gma(network) => network.forward(frames, request),
+            Self::SkFlow(network) => network.forward(frames, request),
+        }
     }
 }

@@ -233,6 +233,26 @@ unsafe impl GlobalAlloc for ReusingAllocator {
             address
         }
     }
+
+    /// What fits the block that it has stays where it is; what the system holds is its own business.
+    unsafe fn realloc(&self, address: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
+        // SAFETY: the caller's promise: the size does not overflow when rounded up to the alignment.
+        let new_layout = unsafe { Layout::from_size_align_unchecked(new_size, layout.align()) };
+        match (block_layout(layout), block_layout(new_layout)) {
+            // SAFETY: made by the system's allocator with this layout.
+            (None, None) => unsafe { System.realloc(address, layout, new_size) },
+            (Some(block), Some(new_block)) if block == new_block => address,
+            // SAFETY: both are at least as long as what is copied; the old one is not used any more.
+            _ => unsafe {
+                let new = self.alloc(new_layout);
+                if !new.is_null() {
+                    ptr::copy_nonoverlapping(address, new, layout.size().min(new_size));
+                    self.dealloc(address, layout);
+                }
+                new
+            },
+        }
+    }
 }
 
 #[cfg(test)]
@@ -260,6 +280,35 @@ mod tests {
             let (bytes, in_use) = allocator.with_kept(|kept| (kept.bytes, kept.in_use));
             assert_eq!((bytes, in_use), (6 << 20, 0));
         }
+    }
+
+    #[test]
+    fn what_grows_keeps_its_content_and_its_place_while_the_block_is_large_enough() {
+        let allocator = ReusingAllocator::new();
+        let layout = |size: usize| Layout::from_size_align(size, 16).expect("valid");
+        // Within the system's sizes, across, within a block, to the next size and to huge pages; then back.
+        let sizes = [1000, 2000, SMALLEST + 1, SMALLEST + 1000, 3 << 20, HUGE - 5, HUGE, 9 << 20];
+        // SAFETY: the sizes are not zero, and each block is reallocated and freed with its own layout.
+        unsafe {
+            let mut address = allocator.alloc(layout(sizes[0]));
+            address.write_bytes(0xA5, sizes[0]);
+            let down = sizes.iter().rev().skip(1);
+            for sizes in sizes.iter().chain(down).collect::<Vec<_>>().windows(2) {
+                let (size, new_size) = (*sizes[0], *sizes[1]);
+                let block = block_layout(layout(size));
+                let new = allocator.realloc(address, layout(size), new_size);
+                assert_eq!(new as usize % 16, 0);
+                if block.is_some() && block == block_layout(layout(new_size)) {
+                    assert_eq!(new, address, "{size} to {new_size}");
+                }
+                let kept = std::slice::from_raw_parts(new, size.min(new_size));
+                assert!(kept.iter().all(|&byte| byte == 0xA5), "{size} to {new_size}");
+                new.write_bytes(0xA5, new_size);
+                address = new;
+            }
+            allocator.dealloc(address, layout(sizes[0]));
+        }
+        assert_eq!(allocator.with_kept(|kept| kept.in_use), 0);
     }
 
     #[test]

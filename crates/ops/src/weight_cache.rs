@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use burn::backend::TensorMetadata;
 use burn::backend::flex::FlexTensor;
+use srflow_simd::Isa;
 
 use crate::flex::Contiguous;
 
@@ -17,11 +18,20 @@ use crate::flex::Contiguous;
 pub struct WeightCache(Arc<Mutex<[Option<Kept>; 2]>>);
 
 /// What a weight is ordered for.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Pass {
     Forward,
     /// The gradient of the input.
     Backward,
+}
+
+/// What the order depends on, beside the weight and its shape.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Packing {
+    pub(crate) pass: Pass,
+    pub(crate) isa: Isa,
+    pub(crate) stride: [usize; 2],
+    pub(crate) padding: [usize; 2],
 }
 
 struct Kept {
@@ -30,6 +40,7 @@ struct Kept {
     source: Weak<dyn Any + Send + Sync>,
     start: usize,
     shape: Vec<usize>,
+    packing: Packing,
     made: Arc<Vec<f32>>,
 }
 
@@ -43,7 +54,7 @@ impl WeightCache {
     /// What `make` makes of the weight's elements, or made of them before.
     pub(crate) fn get(
         &self,
-        pass: Pass,
+        packing: Packing,
         weight: &FlexTensor,
         make: impl FnOnce(&[f32]) -> Vec<f32>,
     ) -> Arc<Vec<f32>> {
@@ -51,12 +62,13 @@ impl WeightCache {
         let shape = weight.shape().to_vec();
         let memory: Arc<dyn Any + Send + Sync> = weight.data_arc();
         let mut both = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let kept = &mut both[pass as usize];
+        let kept = &mut both[packing.pass as usize];
         if weight.is_contiguous()
             && let Some(kept) = kept.as_ref()
             && std::ptr::addr_eq(kept.source.as_ptr(), Arc::as_ptr(&memory))
             && kept.start == start
             && kept.shape == shape
+            && kept.packing == packing
         {
             return kept.made.clone();
         }
@@ -65,6 +77,7 @@ impl WeightCache {
             source: Arc::downgrade(&memory),
             start,
             shape,
+            packing,
             made: made.clone(),
         });
         made
@@ -77,6 +90,10 @@ mod tests {
 
     use super::*;
 
+    fn forward() -> Packing {
+        Packing { pass: Pass::Forward, isa: Isa::best(), stride: [1, 1], padding: [0, 0] }
+    }
+
     fn weight(values: [f32; 4]) -> FlexTensor {
         FlexTensor::from_data(TensorData::new(values.to_vec(), [2, 2]))
     }
@@ -86,17 +103,38 @@ mod tests {
         let cache = WeightCache::default();
         let mut first = weight([1., 2., 3., 4.]);
         let twice = |values: &[f32]| values.iter().map(|x| 2.0 * x).collect();
-        assert_eq!(*cache.get(Pass::Forward, &first, twice), [2., 4., 6., 8.]);
+        assert_eq!(*cache.get(forward(), &first, twice), [2., 4., 6., 8.]);
         let not_again = |_: &[f32]| unreachable!("the weight is the same");
-        assert_eq!(*cache.clone().get(Pass::Forward, &first.clone(), not_again), [2., 4., 6., 8.]);
+        assert_eq!(*cache.clone().get(forward(), &first.clone(), not_again), [2., 4., 6., 8.]);
         let thrice = |values: &[f32]| values.iter().map(|x| 3.0 * x).collect();
-        assert_eq!(*cache.get(Pass::Backward, &first, thrice), [3., 6., 9., 12.]);
-        assert_eq!(*cache.get(Pass::Forward, &first, not_again), [2., 4., 6., 8.]);
+        assert_eq!(
+            *cache.get(Packing { pass: Pass::Backward, ..forward() }, &first, thrice),
+            [3., 6., 9., 12.]
+        );
+        assert_eq!(*cache.get(forward(), &first, not_again), [2., 4., 6., 8.]);
 
         first.storage_mut::<f32>()[0] = 5.0;
-        assert_eq!(*cache.get(Pass::Forward, &first, twice), [10., 4., 6., 8.]);
+        assert_eq!(*cache.get(forward(), &first, twice), [10., 4., 6., 8.]);
         drop(first);
-        assert_eq!(*cache.get(Pass::Forward, &weight([0., 1., 0., 1.]), twice), [0., 2., 0., 2.]);
+        assert_eq!(*cache.get(forward(), &weight([0., 1., 0., 1.]), twice), [0., 2., 0., 2.]);
+    }
+
+    #[test]
+    fn another_stride_padding_or_instruction_set_makes_it_again() {
+        let cache = WeightCache::default();
+        let weight = weight([1., 2., 3., 4.]);
+        let portable = Isa::to_test().next().expect("the portable one");
+        for (number, packing) in [
+            forward(),
+            Packing { stride: [2, 1], ..forward() },
+            Packing { padding: [0, 1], ..forward() },
+            Packing { isa: portable, padding: [1, 1], ..forward() },
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            assert_eq!(*cache.get(packing, &weight, |_| vec![number as f32]), [number as f32], "{packing:?}");
+        }
     }
 
     #[test]
@@ -104,9 +142,9 @@ mod tests {
         let cache = WeightCache::default();
         let whole = weight([1., 2., 3., 4.]);
         let copy = |values: &[f32]| values.to_vec();
-        assert_eq!(*cache.get(Pass::Forward, &whole.narrow(0, 0, 1), copy), [1., 2.]);
-        assert_eq!(*cache.get(Pass::Forward, &whole.narrow(0, 1, 1), copy), [3., 4.]);
-        assert_eq!(*cache.get(Pass::Forward, &whole.transpose(0, 1), copy), [1., 3., 2., 4.]);
-        assert_eq!(*cache.get(Pass::Forward, &whole, copy), [1., 2., 3., 4.]);
+        assert_eq!(*cache.get(forward(), &whole.narrow(0, 0, 1), copy), [1., 2.]);
+        assert_eq!(*cache.get(forward(), &whole.narrow(0, 1, 1), copy), [3., 4.]);
+        assert_eq!(*cache.get(forward(), &whole.transpose(0, 1), copy), [1., 3., 2., 4.]);
+        assert_eq!(*cache.get(forward(), &whole, copy), [1., 2., 3., 4.]);
     }
 }

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::functions::{erf, exp, tanh};
-use crate::{Isa, Simd, dispatch};
+use crate::{Isa, Simd, dispatch, fill_pieces};
 
 /// A pointwise function.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -26,7 +26,8 @@ impl Activation {
     pub fn reference(self, x: f64) -> f64 {
         match self {
             Activation::Identity => x,
-            Activation::Relu => x.max(0.0),
+            Activation::Relu if x < 0.0 => 0.0,
+            Activation::Relu => x,
             Activation::Gelu => 0.5 * x * (1.0 + libm::erf(x / std::f64::consts::SQRT_2)),
             Activation::Tanh => x.tanh(),
             Activation::Sigmoid => 1.0 / (1.0 + (-x).exp()),
@@ -137,15 +138,17 @@ fn activate_kernel<S: Simd>(s: S, activation: Activation, residual: Option<&[f32
 pub fn activated(activation: Activation, sums: &[f32], residual: Option<&[f32]>) -> Vec<f32> {
     let isa = Isa::best();
     assert!(residual.is_none_or(|residual| residual.len() == sums.len()), "addends of {activation:?}");
-    let mut out = Vec::with_capacity(sums.len());
-    let pieces = out.spare_capacity_mut()[..sums.len()].par_chunks_mut(PIECE).zip(sums.par_chunks(PIECE));
-    pieces.enumerate().for_each(|(number, (out, sums))| {
-        let residual = residual.map(|residual| &residual[number * PIECE..]);
-        activate(isa, activation, residual, out.write_copy_of_slice(sums));
-    });
-    // SAFETY: the pieces are all elements, and each was written.
-    unsafe { out.set_len(sums.len()) }
-    out
+    fill_pieces(
+        sums.len(),
+        PIECE,
+        || (),
+        |(), number, out| {
+            let first = number * PIECE;
+            let out = out.write_copy_of_slice(&sums[first..][..out.len()]);
+            activate(isa, activation, residual.map(|residual| &residual[first..]), out);
+            out
+        },
+    )
 }
 
 /// Multiplies gradients of an activation's outputs by its derivative; `kept` is what [`Activation::keeps`] says. Panics
@@ -189,6 +192,7 @@ mod tests {
                 let mut out = [f32::NAN; 19];
                 activate(isa, activation, None, &mut out);
                 assert!(out.iter().all(|x| x.is_nan()), "{activation:?} {isa:?}");
+                assert!(activation.reference(f64::NAN).is_nan(), "{activation:?}");
             }
         }
     }

@@ -10,7 +10,6 @@
 
 // Kernels walk several arrays in step by one index, as their equations do.
 #![allow(clippy::needless_range_loop)]
-#![allow(missing_docs)]
 
 mod activation;
 #[cfg(target_arch = "x86_64")]
@@ -32,6 +31,6 @@ pub use avx512::Avx512;
 pub use functions::{exp, exp2};
 pub use isa::Isa;
 pub use portable::Portable;
-pub use product::{Product, Start, Steps, multiply, pack_rows, panel_columns};
-pub use shared_mut::SharedMut;
+pub use product::{Output, Product, Start, Steps, multiply, multiply_diagonal, pack_rows, panel_columns};
+pub use shared_mut::{SharedMut, fill_columns, fill_pieces};
 pub use vector::{MAX_LANES, Simd};

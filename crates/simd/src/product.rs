@@ -3,6 +3,8 @@
 //! The right side comes in panels, blocks of [`VECTORS`] vectors of columns of all its rows, one row after another. So
 //! every address is read in order, and what a register tile needs lies in the first cache levels.
 
+use std::marker::PhantomData;
+
 use crate::{Activation, Isa, MAX_LANES, Simd, dispatch};
 
 /// Vectors of a panel's row.
@@ -66,51 +68,203 @@ fn pack_block_kernel<S: Simd>(s: S, from: &[f32], depth: usize, to: &mut [f32]) 
 }
 
 /// What the sums of a [`Product`] start from.
-#[derive(Clone, Copy)]
-pub enum Start {
+#[derive(Debug, Clone, Copy)]
+pub enum Start<'a> {
     Zero,
     /// A number for each row.
-    PerRow(*const f32),
+    PerRow(&'a [f32]),
     /// What stands in the output.
     Output,
 }
 
 /// A matrix in memory: elements from a row to the next, and from a panel to the next.
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy)]
 pub struct Steps {
     pub row: usize,
     pub panel: usize,
 }
 
-/// `out = activation(start + left * right + add)`, column by column of one or more panels.
-pub struct Product {
-    /// As [`pack_rows`] orders it.
-    pub left: *const f32,
+impl Steps {
+    /// Elements from the first to the end of `rows` rows in panels of `width` columns, the last of which has what is left
+    /// of `columns`.
+    fn extent(self, rows: usize, columns: usize, width: usize) -> usize {
+        let (Some(last_row), Some(last_panel)) =
+            (rows.checked_sub(1), columns.div_ceil(width).checked_sub(1))
+        else {
+            return 0;
+        };
+        let panel = |number: usize, columns: usize| {
+            let row = last_row.checked_mul(self.row)?;
+            number.checked_mul(self.panel)?.checked_add(row)?.checked_add(columns)
+        };
+        let whole = if last_panel == 0 { Some(0) } else { panel(last_panel - 1, width) };
+        let last = panel(last_panel, columns - last_panel * width);
+        whole.zip(last).map_or(usize::MAX, |(whole, last)| whole.max(last))
+    }
+}
+
+/// `activation(start + left * right + add)`, column by column of one or more panels.
+#[derive(Debug, Clone, Copy)]
+pub struct Product<'a> {
+    /// `rows * depth` elements as [`pack_rows`] orders them.
+    pub left: &'a [f32],
     pub rows: usize,
     pub depth: usize,
-    /// Rows of whole panels.
-    pub right: *const f32,
+    /// Whole panels, each `depth` rows of [`panel_columns`].
+    pub right: &'a [f32],
     /// Elements from a panel to the next.
     pub right_panel: usize,
-    pub start: Start,
-    pub add: Option<(*const f32, Steps)>,
+    pub start: Start<'a>,
+    pub add: Option<(&'a [f32], Steps)>,
     pub activation: Activation,
-    pub out: *mut f32,
-    pub out_steps: Steps,
     /// Columns of all panels together; only the last may lack some, and they are not written.
     pub columns: usize,
 }
 
-dispatch! {
-    /// Computes one [`Product`].
-    ///
+impl Product<'_> {
+    /// Panics when something that the kernels read or write is not there.
+    fn check(&self, isa: Isa, left: usize, out: &Output) {
+        let width = panel_columns(isa);
+        let Self { rows, depth, columns, .. } = *self;
+        assert!(self.left.len() >= left, "left side: {} elements of {left}", self.left.len());
+        let right = Steps { row: width, panel: self.right_panel };
+        let right = right.extent(depth, columns.next_multiple_of(width), width);
+        assert!(self.right.len() >= right, "right side: {} elements of {right}", self.right.len());
+        match self.start {
+            Start::Zero => {}
+            Start::PerRow(start) => assert!(start.len() >= rows, "starts of {rows} rows: {}", start.len()),
+            Start::Output => {
+                let [filled_rows, filled_columns] = out.filled;
+                assert!(
+                    filled_rows >= rows && filled_columns >= columns,
+                    "an output that is not written yet"
+                );
+            }
+        }
+        if let Some((add, steps)) = self.add {
+            let len = steps.extent(rows, columns, width);
+            assert!(add.len() >= len, "addend: {} elements of {len}", add.len());
+        }
+        assert!(
+            rows <= out.limit[0] && columns <= out.limit[1],
+            "more than these rows and columns of the output"
+        );
+        let len = out.steps.extent(rows, columns, width);
+        assert!(out.len >= len, "output: {} elements of {len}", out.len);
+    }
+}
+
+/// Where a [`Product`] goes: rows and panels in memory whose other elements may belong to others.
+#[derive(Debug)]
+pub struct Output<'a> {
+    start: *mut f32,
+    len: usize,
+    steps: Steps,
+    /// Rows and columns that may be written.
+    limit: [usize; 2],
+    /// Rows and columns, from the first, that are known to be initialised.
+    filled: [usize; 2],
+    memory: PhantomData<&'a mut [f32]>,
+}
+
+impl<'a> Output<'a> {
+    pub fn new(memory: &'a mut [f32], steps: Steps) -> Self {
+        let all = [usize::MAX; 2];
+        let (start, len) = (memory.as_mut_ptr(), memory.len());
+        Self { start, len, steps, limit: all, filled: all, memory: PhantomData }
+    }
+
     /// # Safety
-    /// Every address that the product names can be read or written; no other thread writes them.
-    pub unsafe fn multiply = multiply_kernel(product: &Product)
+    /// The `len` elements from `start` exist as long as the output, and those of the rows and columns that will be written
+    /// belong to it alone. Where `initialised`, they are.
+    pub(crate) unsafe fn from_raw(start: *mut f32, len: usize, steps: Steps, initialised: bool) -> Self {
+        let filled = if initialised { [usize::MAX; 2] } else { [0; 2] };
+        Self { start, len, steps, limit: [usize::MAX; 2], filled, memory: PhantomData }
+    }
+
+    /// Products of more rows or columns are refused.
+    pub(crate) fn limited_to(self, rows: usize, columns: usize) -> Self {
+        Self { limit: [rows, columns], ..self }
+    }
+
+    /// Rows and columns, from the first, that are known to be initialised.
+    pub(crate) fn filled(&self) -> [usize; 2] {
+        self.filled
+    }
+
+    fn mark_filled(&mut self, rows: usize, columns: usize) {
+        // Less than what is known already tells nothing new.
+        if self.filled[0] <= rows && self.filled[1] <= columns {
+            self.filled = [rows, columns];
+        }
+    }
+}
+
+/// Computes a product. Panics when a slice is too short for it, or it starts from an output that nothing was written to.
+pub fn multiply(isa: Isa, product: &Product, out: &mut Output) {
+    let Some(left) = product.rows.checked_mul(product.depth) else { panic!("a matrix larger than memory") };
+    product.check(isa, left, out);
+    // SAFETY: all that is read or written was checked to be there.
+    unsafe { multiply_unchecked(isa, product, out) }
+    out.mark_filled(product.rows, product.columns);
+}
+
+/// [`multiply`] with a diagonal matrix: `left` is one factor for each row, and `right` has as many rows. It cannot start from
+/// the output.
+pub fn multiply_diagonal(isa: Isa, product: &Product, out: &mut Output) {
+    assert_eq!(product.rows, product.depth, "a diagonal matrix is square");
+    product.check(isa, product.rows, out);
+    // SAFETY: as above.
+    unsafe { multiply_diagonal_unchecked(isa, product, out) }
+    out.mark_filled(product.rows, product.columns);
+}
+
+dispatch! {
+    /// # Safety
+    /// The product and its output were checked.
+    unsafe fn multiply_unchecked = multiply_kernel(product: &Product, output: &Output)
+}
+
+dispatch! {
+    /// # Safety
+    /// The product and its output were checked.
+    unsafe fn multiply_diagonal_unchecked = multiply_diagonal_kernel(product: &Product, output: &Output)
 }
 
 #[inline(always)]
-unsafe fn multiply_kernel<S: Simd>(s: S, product: &Product) {
+unsafe fn multiply_diagonal_kernel<S: Simd>(s: S, product: &Product, output: &Output) {
+    let width = VECTORS * S::LANES;
+    for panel in 0..product.columns.div_ceil(width) {
+        let columns = width.min(product.columns - panel * width);
+        for row in 0..product.rows {
+            let factor = s.splat(product.left[row]);
+            let start = match product.start {
+                Start::PerRow(start) => s.splat(start[row]),
+                Start::Zero => s.splat(0.0),
+                Start::Output => unreachable!("a diagonal product starts anew"),
+            };
+            // SAFETY: the caller's promise.
+            unsafe {
+                let right = product.right.as_ptr().add(panel * product.right_panel + row * width);
+                let out = output.start.add(panel * output.steps.panel + row * output.steps.row);
+                for x in (0..columns).step_by(S::LANES) {
+                    let lanes = S::LANES.min(columns - x);
+                    let mut sum = s.mul_add(factor, s.load(right.add(x)), start);
+                    if let Some((add, steps)) = product.add {
+                        let add = add.as_ptr().add(panel * steps.panel + row * steps.row + x);
+                        sum = s.add(sum, s.load_first(add, lanes));
+                    }
+                    let value = product.activation.apply(s, sum);
+                    let to = out.add(x);
+                    if lanes == S::LANES { s.store(to, value) } else { s.store_first(to, value, lanes) }
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+unsafe fn multiply_kernel<S: Simd>(s: S, product: &Product, output: &Output) {
     let width = VECTORS * S::LANES;
     let mut first = 0;
     while first < product.rows {
@@ -122,7 +276,7 @@ unsafe fn multiply_kernel<S: Simd>(s: S, product: &Product) {
                 ($($rows:literal)*) => {
                     match rows {
                         // SAFETY: the caller's promise, passed on.
-                        $($rows => unsafe { tile::<S, $rows>(s, product, first, panel, columns) },)*
+                        $($rows => unsafe { tile::<S, $rows>(s, product, output, first, panel, columns) },)*
                         _ => unreachable!("a tile has 1 to 8 rows"),
                     }
                 };
@@ -141,6 +295,7 @@ struct Tile([f32; MAX_ROWS * VECTORS * MAX_LANES]);
 unsafe fn tile<S: Simd, const ROWS: usize>(
     s: S,
     product: &Product,
+    output: &Output,
     first: usize,
     panel: usize,
     columns: usize,
@@ -149,31 +304,31 @@ unsafe fn tile<S: Simd, const ROWS: usize>(
     // SAFETY: the caller's promise; a tile holds the rows' vectors.
     unsafe {
         let at = |steps: Steps| first * steps.row + panel * steps.panel;
-        let out = product.out.add(at(product.out_steps));
+        let out = output.start.add(at(output.steps));
         let values = tile.0.as_mut_ptr();
         match product.start {
             Start::Zero => {}
             Start::PerRow(start) => {
                 for i in 0..ROWS * VECTORS {
-                    s.store(values.add(i * S::LANES), s.splat(*start.add(first + i / VECTORS)));
+                    s.store(values.add(i * S::LANES), s.splat(start[first + i / VECTORS]));
                 }
             }
             Start::Output => {
                 each_vector::<S, ROWS>(columns, |i, row, x, lanes| {
-                    let value = s.load_first(out.add(row * product.out_steps.row + x), lanes);
+                    let value = s.load_first(out.add(row * output.steps.row + x), lanes);
                     s.store(values.add(i * S::LANES), value);
                 });
             }
         }
-        let left = product.left.add(first * product.depth);
-        let right = product.right.add(panel * product.right_panel);
+        let left = product.left.as_ptr().add(first * product.depth);
+        let right = product.right.as_ptr().add(panel * product.right_panel);
         match columns.div_ceil(S::LANES) {
             1 => accumulate::<S, ROWS, 1>(s, left, right, product.depth, values),
             2 => accumulate::<S, ROWS, 2>(s, left, right, product.depth, values),
             _ => accumulate::<S, ROWS, VECTORS>(s, left, right, product.depth, values),
         }
         if let Some((add, steps)) = product.add {
-            let add = add.add(at(steps));
+            let add = add.as_ptr().add(at(steps));
             each_vector::<S, ROWS>(columns, |i, row, x, lanes| {
                 let value = s.load_first(add.add(row * steps.row + x), lanes);
                 let values = values.add(i * S::LANES);
@@ -197,7 +352,7 @@ unsafe fn tile<S: Simd, const ROWS: usize>(
         apply!(Relu Gelu Tanh Sigmoid);
         each_vector::<S, ROWS>(columns, |i, row, x, lanes| {
             let value = s.load(values.add(i * S::LANES));
-            let to = out.add(row * product.out_steps.row + x);
+            let to = out.add(row * output.steps.row + x);
             if lanes == S::LANES { s.store(to, value) } else { s.store_first(to, value, lanes) }
         });
     }
@@ -251,6 +406,106 @@ unsafe fn accumulate<S: Simd, const ROWS: usize, const V: usize>(
             for v in 0..V {
                 s.store(values.add((row * VECTORS + v) * S::LANES), sums[row][v]);
             }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ROWS: usize = 11;
+    const DEPTH: usize = 7;
+
+    fn numbers(len: usize, seed: usize) -> Vec<f32> {
+        (0..len).map(|i| ((i * 7919 + seed * 104_729) % 1000) as f32 / 500.0 - 1.0).collect()
+    }
+
+    /// `[DEPTH, columns]` in panels; what the last one lacks is zero.
+    fn panels(isa: Isa, right: &[f32], columns: usize) -> Vec<f32> {
+        let width = panel_columns(isa);
+        let mut panels = vec![0.0; columns.next_multiple_of(width) * DEPTH];
+        for (row, values) in right.chunks_exact(columns).enumerate() {
+            for (x, &value) in values.iter().enumerate() {
+                panels[(x / width * DEPTH + row) * width + x % width] = value;
+            }
+        }
+        panels
+    }
+
+    #[test]
+    fn products_are_the_sums_of_their_definition() {
+        for isa in Isa::to_test() {
+            let width = panel_columns(isa);
+            for columns in [1, width - 1, width, 2 * width + 5] {
+                let (left, right) = (numbers(ROWS * DEPTH, 1), numbers(DEPTH * columns, 2));
+                let (start, add) = (numbers(ROWS, 3), numbers(ROWS * columns, 4));
+                let mut packed = vec![0.0; left.len()];
+                pack_rows(isa, &left, DEPTH, &mut packed);
+                let panels = panels(isa, &right, columns);
+                let steps = Steps { row: columns, panel: width };
+                let product = Product {
+                    left: &packed,
+                    rows: ROWS,
+                    depth: DEPTH,
+                    right: &panels,
+                    right_panel: DEPTH * width,
+                    start: Start::PerRow(&start),
+                    add: Some((&add, steps)),
+                    activation: Activation::Relu,
+                    columns,
+                };
+                let mut out = vec![f32::NAN; ROWS * columns];
+                multiply(isa, &product, &mut Output::new(&mut out, steps));
+                for (i, found) in out.iter().enumerate() {
+                    let (row, x) = (i / columns, i % columns);
+                    let terms = (0..DEPTH)
+                        .map(|k| f64::from(left[row * DEPTH + k]) * f64::from(right[k * columns + x]));
+                    let expected = (f64::from(start[row] + add[i]) + terms.sum::<f64>()).max(0.0);
+                    assert!((f64::from(*found) - expected).abs() < 1e-5, "{isa:?}: {found} for {expected}");
+                }
+
+                let diagonal = Product { left: &start[..DEPTH], rows: DEPTH, ..product };
+                let mut out = vec![f32::NAN; DEPTH * columns];
+                multiply_diagonal(isa, &diagonal, &mut Output::new(&mut out, steps));
+                for (i, found) in out.iter().enumerate() {
+                    let factor = f64::from(start[i / columns]);
+                    let expected = factor * f64::from(right[i]) + factor + f64::from(add[i]);
+                    assert!((f64::from(*found) - expected.max(0.0)).abs() < 1e-5, "{isa:?}: {found}");
+                }
+            }
+        }
+    }
+
+    /// What is too short by one element panics, on every side; nothing is read or written beyond.
+    #[test]
+    fn slices_that_are_too_short_are_refused() {
+        let isa = Isa::best();
+        let width = panel_columns(isa);
+        let columns = width + 3;
+        let steps = Steps { row: columns, panel: width };
+        let full = [ROWS * DEPTH, DEPTH * 2 * width, ROWS, ROWS * columns, ROWS * columns];
+        let run = |[left, right, start, add, out]: [usize; 5]| {
+            let (left, right) = (vec![0.0; left], vec![0.0; right]);
+            let (start, add, mut out) = (vec![0.0; start], vec![0.0; add], vec![0.0; out]);
+            let product = Product {
+                left: &left,
+                rows: ROWS,
+                depth: DEPTH,
+                right: &right,
+                right_panel: DEPTH * width,
+                start: Start::PerRow(&start),
+                add: Some((&add, steps)),
+                activation: Activation::Identity,
+                columns,
+            };
+            std::panic::catch_unwind(move || multiply(isa, &product, &mut Output::new(&mut out, steps)))
+        };
+        assert!(run(full).is_ok());
+        for side in 0..full.len() {
+            let mut short = full;
+            short[side] -= 1;
+            assert!(run(short).is_err(), "side {side}");
         }
     }
 }

@@ -1,21 +1,35 @@
-use std::marker::PhantomData;
+//! One buffer written by several tasks.
 
-/// A slice that several threads write at once, each its own elements.
-#[derive(Clone, Copy)]
+use std::marker::PhantomData;
+use std::mem::MaybeUninit;
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use crate::{Isa, Output, Steps, panel_columns};
+
+/// Memory that several tasks write at once, each its own elements.
+#[derive(Debug, Clone, Copy)]
 pub struct SharedMut<'a> {
     start: *mut f32,
     len: usize,
-    slice: PhantomData<&'a mut [f32]>,
+    initialised: bool,
+    memory: PhantomData<&'a mut [MaybeUninit<f32>]>,
 }
 
-// SAFETY: only pointers are handed out, and using one is the caller's promise that no other thread uses its elements.
+// SAFETY: only pointers and outputs are handed out, and using one is the caller's promise that no other task uses its
+// elements.
 unsafe impl Send for SharedMut<'_> {}
 // SAFETY: as above.
 unsafe impl Sync for SharedMut<'_> {}
 
 impl<'a> SharedMut<'a> {
     pub fn new(slice: &'a mut [f32]) -> Self {
-        Self { start: slice.as_mut_ptr(), len: slice.len(), slice: PhantomData }
+        Self { start: slice.as_mut_ptr(), len: slice.len(), initialised: true, memory: PhantomData }
+    }
+
+    fn uninitialised(slice: &'a mut [MaybeUninit<f32>]) -> Self {
+        Self { start: slice.as_mut_ptr().cast(), len: slice.len(), initialised: false, memory: PhantomData }
     }
 
     /// A vector whose memory nobody touches before `fill` does.
@@ -24,19 +38,157 @@ impl<'a> SharedMut<'a> {
     /// `fill` writes each of the `len` elements, and reads none before.
     pub unsafe fn fill_new(len: usize, fill: impl FnOnce(SharedMut)) -> Vec<f32> {
         let mut out = Vec::with_capacity(len);
-        fill(SharedMut { start: out.as_mut_ptr(), len, slice: PhantomData });
-        // SAFETY: the capacity, and the caller's promise.
+        fill(SharedMut::uninitialised(&mut out.spare_capacity_mut()[..len]));
+        // SAFETY: the caller's promise.
         unsafe { out.set_len(len) }
         out
     }
 
-    /// The address of element `index`, which must be inside.
+    /// The address of element `index`; it panics outside. What is written through it must belong to the calling task alone
+    /// while others write, and no element is read before it was written.
+    pub fn at(&self, index: usize) -> *mut f32 {
+        assert!(index < self.len, "element {index} of {}", self.len);
+        self.start.wrapping_add(index)
+    }
+
+    /// Where products of the calling task go, from element `first` on.
     ///
     /// # Safety
-    /// What is written through it belongs to the calling thread alone while others write.
-    pub unsafe fn at(&self, index: usize) -> *mut f32 {
-        assert!(index < self.len, "element {index} of {}", self.len);
-        // SAFETY: inside the slice.
-        unsafe { self.start.add(index) }
+    /// Rows and columns that are written belong to the calling task alone while others write.
+    pub unsafe fn output(&self, first: usize, steps: Steps) -> Output<'a> {
+        // SAFETY: inside; the rest is the caller's promise.
+        unsafe { Output::from_raw(self.at(first), self.len - first, steps, self.initialised) }
+    }
+}
+
+/// A new vector, made in parallel in pieces of `piece` elements (fewer in the last). `fill` gets the number of a piece and its
+/// memory, and returns that memory filled. Each thread has a `scratch`.
+pub fn fill_pieces<T>(
+    len: usize,
+    piece: usize,
+    scratch: impl Fn() -> T + Send + Sync,
+    fill: impl for<'p> Fn(&mut T, usize, &'p mut [MaybeUninit<f32>]) -> &'p mut [f32] + Send + Sync,
+) -> Vec<f32> {
+    let mut out = Vec::with_capacity(len);
+    let pieces = out.spare_capacity_mut()[..len].par_chunks_mut(piece.max(1)).enumerate();
+    pieces.for_each_init(scratch, |scratch, (number, piece)| {
+        let memory = (piece.as_ptr().cast::<f32>(), piece.len());
+        let filled = fill(scratch, number, piece);
+        assert_eq!((filled.as_ptr(), filled.len()), memory, "another piece");
+    });
+    // SAFETY: for each piece there was a slice of numbers at its place, and of its length.
+    unsafe { out.set_len(len) }
+    out
+}
+
+/// A new `[images, rows, columns]`, made in parallel in pieces of `width` columns of all rows of an image. `fill` gets the
+/// image, the columns, and the [`Output`] to which it multiplies (see [`crate::multiply`]) each of them. Each thread has a
+/// `scratch`.
+pub fn fill_columns<T>(
+    isa: Isa,
+    [images, rows, columns]: [usize; 3],
+    width: usize,
+    scratch: impl Fn() -> T + Send + Sync,
+    fill: impl Fn(&mut T, usize, Range<usize>, &mut Output) + Send + Sync,
+) -> Vec<f32> {
+    let pieces = columns.div_ceil(width);
+    let steps = Steps { row: columns, panel: panel_columns(isa) };
+    let len = images * rows * columns;
+    let fill_all = |target: SharedMut| {
+        let tasks = if len == 0 { 0 } else { images * pieces };
+        (0..tasks).into_par_iter().for_each_init(scratch, |scratch, task| {
+            let (image, first) = (task / pieces, task % pieces * width);
+            let own = first..columns.min(first + width);
+            // SAFETY: a product that stays in these columns is this task's alone; one that does not is refused.
+            let mut out =
+                unsafe { target.output(image * rows * columns + first, steps) }.limited_to(rows, own.len());
+            fill(scratch, image, own.clone(), &mut out);
+            let [filled_rows, filled_columns] = out.filled();
+            assert!(filled_rows >= rows && filled_columns >= own.len(), "not all was written");
+        });
+    };
+    // SAFETY: the pieces cover every column of every image, and each was seen to be filled.
+    unsafe { SharedMut::fill_new(len, fill_all) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Activation, Product, Start, multiply};
+
+    #[test]
+    fn pieces_become_one_vector() {
+        let filled = fill_pieces(
+            10,
+            4,
+            || (),
+            |(), number, piece| {
+                let numbers: Vec<f32> = (0..piece.len()).map(|i| (number * 4 + i) as f32).collect();
+                piece.write_copy_of_slice(&numbers)
+            },
+        );
+        assert_eq!(filled, (0..10).map(|i| i as f32).collect::<Vec<_>>());
+        assert!(fill_pieces(0, 0, || (), |(), _, _| unreachable!("there are none")).is_empty());
+    }
+
+    #[test]
+    #[should_panic(expected = "another piece")]
+    fn a_piece_that_is_not_filled_is_noticed() {
+        fill_pieces(4, 4, || (), |(), _, piece| piece[..2].write_copy_of_slice(&[1.0; 2]));
+    }
+
+    /// Constant products: `rows` and `columns` as told, whatever the piece is.
+    fn fill_with(isa: Isa, rows: usize, columns: usize, start: Start) -> Vec<f32> {
+        fill_columns(
+            isa,
+            [2, 3, 100],
+            40,
+            || (),
+            |(), image, own, out| {
+                let left = vec![(image + 1) as f32; rows];
+                let right = vec![own.start as f32; panel_columns(isa) * 10];
+                let columns = columns.min(own.len());
+                let product = Product {
+                    left: &left,
+                    rows,
+                    depth: 1,
+                    right: &right,
+                    right_panel: panel_columns(isa),
+                    start,
+                    add: None,
+                    activation: Activation::Identity,
+                    columns,
+                };
+                multiply(isa, &product, out);
+            },
+        )
+    }
+
+    #[test]
+    fn columns_become_one_matrix_for_each_image() {
+        for isa in Isa::to_test() {
+            let filled = fill_with(isa, 3, usize::MAX, Start::Zero);
+            for (i, &found) in filled.iter().enumerate() {
+                assert_eq!(found, ((i / 300 + 1) * (i % 100 / 40 * 40)) as f32, "{isa:?}, element {i}");
+            }
+        }
+    }
+
+    #[test]
+    #[should_panic(expected = "not all was written")]
+    fn columns_that_are_not_written_are_noticed() {
+        fill_with(Isa::best(), 3, 39, Start::Zero);
+    }
+
+    #[test]
+    #[should_panic(expected = "not written yet")]
+    fn an_output_that_was_not_written_is_not_read() {
+        fill_with(Isa::best(), 3, usize::MAX, Start::Output);
+    }
+
+    #[test]
+    #[should_panic(expected = "of the output")]
+    fn another_tasks_rows_are_not_written() {
+        fill_with(Isa::best(), 4, usize::MAX, Start::Zero);
     }
 }

@@ -7,11 +7,11 @@
 //! queries with all keys, is therefore stored, used for both, and replaced by the next.
 
 use rayon::prelude::*;
-use srflow_simd::{SharedMut, Start, panel_columns};
+use srflow_simd::{Output, SharedMut, Start, Steps, panel_columns};
 
 use super::AttentionWeights;
 use super::panels::{BLOCK, Group, PANELS, blocks, channels_as_rows};
-use super::softmax::{Block, to_score_gradients};
+use super::softmax::to_score_gradients;
 use super::weights::{Gathering, Pairs};
 
 /// Gradients of scores that are stored at a time. The gradients do not depend on it.
@@ -51,38 +51,41 @@ impl AttentionWeights {
         // A group of queries is one block for the keys.
         let packed_queries = channels_as_rows(isa, queries, pixels, PANELS * width);
 
+        let steps = Steps { row: pixels, panel: width };
         let groups = Group::count(isa, pixels);
         let group_len = PANELS * width * pixels;
         let strip_groups = (strip_bytes / size_of::<f32>() / group_len).clamp(1, groups);
         let mut strip = vec![0.0; strip_groups * group_len];
         for first_group in (0..groups).step_by(strip_groups) {
             let strip_groups = strip_groups.min(groups - first_group);
-            let of_queries =
-                Gathering { isa, pixels, values: &packed_keys, out: SharedMut::new(&mut d_queries) };
+            let of_queries = Gathering { isa, pixels, values: &packed_keys };
+            let out = SharedMut::new(&mut d_queries);
             strip.par_chunks_mut(group_len).take(strip_groups).enumerate().for_each_init(
                 || vec![0.0; PANELS * BLOCK * width],
                 |scratch, (number, gradients)| {
                     let group = Group::of(isa, first_group + number, pixels);
+                    // SAFETY: the group's pixels are this task's.
+                    let mut out = unsafe { out.output(group.first * width, steps) };
                     for block @ (first, _) in blocks(pixels) {
                         let gradients = &mut gradients[first * width..];
                         self.score_gradients(&products, &means, group, block, gradients, scratch);
-                        // SAFETY: the group's pixels are this task's.
-                        unsafe { of_queries.add(group, block, gradients.as_ptr(), pixels * width) }
+                        of_queries.add(group, block, gradients, pixels * width, &mut out);
                     }
                 },
             );
-            let of_keys =
-                Gathering { isa, pixels, values: &packed_queries, out: SharedMut::new(&mut d_keys) };
+            let of_keys = Gathering { isa, pixels, values: &packed_queries };
+            let out = SharedMut::new(&mut d_keys);
             (0..groups).into_par_iter().for_each_init(
                 || vec![0.0; PANELS * width * PANELS * width],
-                |turned, number| {
+                |transposed, number| {
                     let group = Group::of(isa, number, pixels);
+                    // SAFETY: the group's pixels are this task's.
+                    let mut out = unsafe { out.output(group.first * width, steps) };
                     for (number, gradients) in strip.chunks_exact(group_len).take(strip_groups).enumerate() {
                         let from = Group::of(isa, first_group + number, pixels);
-                        turn(gradients, pixels, from, group, width, turned);
+                        transpose(gradients, pixels, from, group, width, transposed);
                         let block = (from.first * width, from.columns);
-                        // SAFETY: the group's pixels are this task's.
-                        unsafe { of_keys.add(group, block, turned.as_ptr(), PANELS * width * width) }
+                        of_keys.add(group, block, transposed, PANELS * width * width, &mut out);
                     }
                 },
             );
@@ -123,31 +126,28 @@ impl AttentionWeights {
     ) {
         let width = panel_columns(self.isa);
         let panel_len = self.pixels * width;
-        assert!(out.len() >= (group.panels - 1) * panel_len + block.1 * width);
-        let out = out.as_mut_ptr();
         let (weights, step) = self.of_queries(group, block, scratch);
-        // SAFETY: `out` holds the block's rows of each panel; the weights lie as `of_queries` says.
-        unsafe {
-            for (number, products) in products.iter().enumerate() {
-                let start = if number == 0 { Start::Zero } else { Start::Output };
-                products.multiply(group, block, start, out, panel_len);
-            }
-            for panel in 0..group.panels {
-                let means = &means[(group.first + panel) * width..][..width];
-                let block = Block { scores: out.add(panel * panel_len), rows: block.1 };
-                to_score_gradients(self.isa, block, weights.add(panel * step), means);
-            }
+        let mut output = Output::new(out, Steps { row: width, panel: panel_len });
+        for (number, products) in products.iter().enumerate() {
+            let start = if number == 0 { Start::Zero } else { Start::Output };
+            products.multiply(group, block, start, &mut output);
+        }
+        for panel in 0..group.panels {
+            let means = &means[(group.first + panel) * width..][..width];
+            let gradients = &mut out[panel * panel_len..][..block.1 * width];
+            to_score_gradients(self.isa, gradients, &weights[panel * step..], means);
         }
     }
 }
 
 /// From panels of the group `from`, each `[pixels, columns]`, the pixels of the group `to` as the columns of panels, each
 /// `[columns of from, columns]`.
-fn turn(panels: &[f32], pixels: usize, from: Group, to: Group, width: usize, turned: &mut [f32]) {
-    for (panel, turned) in turned.chunks_exact_mut(PANELS * width * width).take(to.panels).enumerate() {
+fn transpose(panels: &[f32], pixels: usize, from: Group, to: Group, width: usize, transposed: &mut [f32]) {
+    for (panel, transposed) in transposed.chunks_exact_mut(PANELS * width * width).take(to.panels).enumerate()
+    {
         let first = (to.first + panel) * width;
         for column in 0..width.min(pixels - first) {
-            for (number, rows) in turned.chunks_exact_mut(width * width).take(from.panels).enumerate() {
+            for (number, rows) in transposed.chunks_exact_mut(width * width).take(from.panels).enumerate() {
                 let values = &panels[(number * pixels + first + column) * width..][..width];
                 for (row, &value) in rows.chunks_exact_mut(width).zip(values) {
                     row[column] = value;

@@ -1,112 +1,100 @@
-//! What stands between scores and weights: the exponential, its sums, and the way back.
+//! From scores to weights: the exponential and its sums, and the gradient. A block holds one panel's numbers for
+//! neighbouring pixels, `[rows, columns of the panel]`.
 
 use srflow_simd::{Simd, dispatch, exp};
 
-/// Numbers of one panel for neighbouring pixels, `[rows, columns of the panel]`.
-#[derive(Clone, Copy)]
-pub(super) struct Block {
-    pub(super) scores: *mut f32,
-    pub(super) rows: usize,
-}
-
 dispatch! {
-    /// Raises `most` to the largest score of each column, and adds `exp(score - most)` to `sums`, which are scaled to that.
-    ///
-    /// # Safety
-    /// the block can be read; both slices are as long as a panel is wide.
-    pub(super) unsafe fn add_to_sums = add_to_sums_kernel(block: Block, most: &mut [f32], sums: &mut [f32])
+    /// Raises `maxima` to the largest score of each column, and adds `exp(score - maximum)` to `sums`, which are rescaled
+    /// when the maximum grows. A column with a score that is not a number has such a sum from then on.
+    pub(super) fn add_to_sums = add_to_sums_kernel(scores: &[f32], maxima: &mut [f32], sums: &mut [f32])
 }
 
 #[inline(always)]
-unsafe fn add_to_sums_kernel<S: Simd>(s: S, block: Block, most: &mut [f32], sums: &mut [f32]) {
-    let width = most.len();
+fn add_to_sums_kernel<S: Simd>(s: S, scores: &[f32], maxima: &mut [f32], sums: &mut [f32]) {
+    let width = maxima.len();
+    let rows = scores.len() / width;
+    assert!(width.is_multiple_of(S::LANES) && sums.len() == width);
     for x in (0..width).step_by(S::LANES) {
-        // SAFETY: the caller's promise.
-        unsafe {
-            let before = s.load(most[x..].as_ptr());
-            let mut largest = before;
-            for row in 0..block.rows {
-                largest = s.max(largest, s.load(block.scores.add(row * width + x)));
-            }
-            // Before the first block the difference is infinite, and the sum zero.
-            let mut sum = s.mul(s.load(sums[x..].as_ptr()), exp(s, s.sub(before, largest)));
-            for row in 0..block.rows {
-                sum = s.add(sum, exp(s, s.sub(s.load(block.scores.add(row * width + x)), largest)));
-            }
-            s.store(most[x..].as_mut_ptr(), largest);
-            s.store(sums[x..].as_mut_ptr(), sum);
+        // SAFETY: `x` is at least a vector before the end of a row, and there are this many rows.
+        let score = |row: usize| unsafe { s.load(scores.as_ptr().add(row * width + x)) };
+        let before = s.read(&maxima[x..]);
+        let mut largest = before;
+        for row in 0..rows {
+            largest = s.max(largest, score(row));
         }
+        // Before the first block the sum is zero.
+        let mut sum = s.mul(s.read(&sums[x..]), exp(s, s.sub(before, largest)));
+        for row in 0..rows {
+            sum = s.add(sum, exp(s, s.sub(score(row), largest)));
+        }
+        s.write(largest, &mut maxima[x..]);
+        s.write(sum, &mut sums[x..]);
     }
 }
 
-/// The largest score of each pixel that attends, and one over the sum of its `exp(score - most)`.
+/// The largest score of each query, and one over the sum of its `exp(score - maximum)`.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Normal<'a> {
     /// Of each column of the panel.
-    OfColumns { most: &'a [f32], share: &'a [f32] },
+    OfColumns { maxima: &'a [f32], inverse_sums: &'a [f32] },
     /// Of each row of the block.
-    OfRows { most: &'a [f32], share: &'a [f32] },
+    OfRows { maxima: &'a [f32], inverse_sums: &'a [f32] },
 }
 
 dispatch! {
-    /// Scores to weights, `exp(score - most) * share`.
-    ///
-    /// # Safety
-    /// the block can be written; `width` is that of a panel, and `normal` as long as the panel is wide
-    /// or the block has rows.
-    pub(super) unsafe fn weigh = weigh_kernel(block: Block, width: usize, normal: Normal)
+    /// Scores to weights, `exp(score - maximum) * inverse_sum`; `width` is that of the panel.
+    pub(super) fn weigh = weigh_kernel(scores: &mut [f32], width: usize, normal: Normal)
 }
 
 #[inline(always)]
-unsafe fn weigh_kernel<S: Simd>(s: S, block: Block, width: usize, normal: Normal) {
-    // SAFETY: the caller's promise.
-    unsafe {
-        match normal {
-            Normal::OfColumns { most, share } => {
-                for x in (0..width).step_by(S::LANES) {
-                    let (most, share) = (s.load(most[x..].as_ptr()), s.load(share[x..].as_ptr()));
-                    for row in 0..block.rows {
-                        weigh_vector(s, block.scores.add(row * width + x), most, share);
-                    }
+fn weigh_kernel<S: Simd>(s: S, scores: &mut [f32], width: usize, normal: Normal) {
+    let rows = scores.len() / width;
+    assert!(width.is_multiple_of(S::LANES));
+    let mut weigh = |at: usize, maximum: S::Vector, inverse_sum: S::Vector| {
+        // SAFETY: `at` is the place of a whole vector of a row.
+        unsafe {
+            let at = scores.as_mut_ptr().add(at);
+            s.store(at, s.mul(exp(s, s.sub(s.load(at), maximum)), inverse_sum));
+        }
+    };
+    match normal {
+        Normal::OfColumns { maxima, inverse_sums } => {
+            for x in (0..width).step_by(S::LANES) {
+                let (maximum, inverse_sum) = (s.read(&maxima[x..]), s.read(&inverse_sums[x..]));
+                for row in 0..rows {
+                    weigh(row * width + x, maximum, inverse_sum);
                 }
             }
-            Normal::OfRows { most, share } => {
-                for row in 0..block.rows {
-                    let (most, share) = (s.splat(most[row]), s.splat(share[row]));
-                    for x in (0..width).step_by(S::LANES) {
-                        weigh_vector(s, block.scores.add(row * width + x), most, share);
-                    }
+        }
+        Normal::OfRows { maxima, inverse_sums } => {
+            for row in 0..rows {
+                let (maximum, inverse_sum) = (s.splat(maxima[row]), s.splat(inverse_sums[row]));
+                for x in (0..width).step_by(S::LANES) {
+                    weigh(row * width + x, maximum, inverse_sum);
                 }
             }
         }
     }
 }
 
-#[inline(always)]
-unsafe fn weigh_vector<S: Simd>(s: S, at: *mut f32, most: S::Vector, share: S::Vector) {
-    // SAFETY: the caller's promise.
-    unsafe { s.store(at, s.mul(exp(s, s.sub(s.load(at), most)), share)) }
-}
-
 dispatch! {
-    /// Gradients of weights to gradients of scores, `weight * (gradient - mean)`: `mean` of a column is that of its
-    /// gradients by their weights.
-    ///
-    /// # Safety
-    /// the block can be written and as many `weights` read; `mean` is as long as a panel is wide.
-    pub(super) unsafe fn to_score_gradients = to_score_gradients_kernel(block: Block, weights: *const f32, mean: &[f32])
+    /// Gradients of weights to gradients of scores, `weight * (gradient - mean)`: `means` has each column's mean of its
+    /// gradients by their weights. Weights and gradients lie in the same order.
+    pub(super) fn to_score_gradients = to_score_gradients_kernel(gradients: &mut [f32], weights: &[f32], means: &[f32])
 }
 
 #[inline(always)]
-unsafe fn to_score_gradients_kernel<S: Simd>(s: S, block: Block, weights: *const f32, mean: &[f32]) {
-    let width = mean.len();
+fn to_score_gradients_kernel<S: Simd>(s: S, gradients: &mut [f32], weights: &[f32], means: &[f32]) {
+    let width = means.len();
+    let rows = gradients.len() / width;
+    assert!(width.is_multiple_of(S::LANES) && weights.len() >= rows * width);
     for x in (0..width).step_by(S::LANES) {
-        // SAFETY: the caller's promise.
-        unsafe {
-            let mean = s.load(mean[x..].as_ptr());
-            for row in 0..block.rows {
-                let at = block.scores.add(row * width + x);
-                let weight = s.load(weights.add(row * width + x));
+        let mean = s.read(&means[x..]);
+        for row in 0..rows {
+            // SAFETY: a whole vector of a row.
+            unsafe {
+                let at = gradients.as_mut_ptr().add(row * width + x);
+                let weight = s.load(weights.as_ptr().add(row * width + x));
                 s.store(at, s.mul(weight, s.sub(s.load(at), mean)));
             }
         }

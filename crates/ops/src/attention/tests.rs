@@ -141,3 +141,56 @@ fn images_do_not_see_each_other_and_results_do_not_depend_on_threads() {
         assert!(both[..alone.len()] == alone);
     }
 }
+
+/// Not a number goes in, and comes out where the definition has it: NaN (also one with a payload) and infinity, in the first
+/// block of pixels and in the last.
+#[test]
+fn what_is_not_a_number_is_not_turned_into_one() {
+    let pixels = 300;
+    let [queries, keys, values] = image(pixels);
+    let is_nan = |x: &[f32]| -> Vec<bool> { x.iter().map(|x| x.is_nan()).collect() };
+    for bad in [f32::NAN, f32::from_bits(0x7FC0_0001), f32::INFINITY] {
+        for (input, pixel) in [(0, 5), (0, 299), (1, 5), (1, 270), (2, 5)] {
+            let mut inputs = [queries.clone(), keys.clone(), values.clone()];
+            inputs[input][pixel] = bad;
+            let [queries, keys, values] = &inputs;
+            let expected = is_nan(&reference::attention(queries, keys, values, pixels));
+            let gradients = reference::attention_backward(queries, keys, values, values, pixels);
+            assert!(expected.contains(&true) || bad.is_infinite() && input == 2);
+            for isa in Isa::to_test() {
+                for kept_bytes in [0, usize::MAX] {
+                    let what =
+                        format!("{bad} in input {input} at {pixel}, {isa:?}, {kept_bytes} bytes allowed");
+                    let weights = AttentionWeights::new(isa, queries, keys, pixels, kept_bytes);
+                    let gathered = weights.gather(values);
+                    assert!(is_nan(&gathered) == expected, "{what}");
+                    if bad.is_infinite() {
+                        continue; // the definition's gradients multiply infinity by weights of zero, which are tiny here
+                    }
+                    let of_values = weights.gather_backward(queries, keys, values);
+                    assert!(is_nan(&of_values) == is_nan(&gradients[2]), "values, {what}");
+                    let gathered = Gathered { values, gathered: &gathered, grad: values };
+                    let [d_queries, d_keys] = weights.backward(queries, keys, &[gathered]);
+                    assert!(is_nan(&d_queries) == is_nan(&gradients[0]), "queries, {what}");
+                    assert!(is_nan(&d_keys) == is_nan(&gradients[1]), "keys, {what}");
+                }
+            }
+        }
+    }
+}
+
+/// As when all products with a key overflow.
+#[test]
+fn scores_of_minus_infinity_have_no_weight() {
+    let pixels = 300;
+    let queries = vec![1.0; pixels];
+    let mut keys = vec![f32::NEG_INFINITY; pixels];
+    let values = values(pixels, 1);
+    for isa in Isa::to_test() {
+        let gather = |keys: &[f32]| AttentionWeights::new(isa, &queries, keys, pixels, 0).gather(&values);
+        assert!(gather(&keys).iter().all(|x| x.is_nan()), "{isa:?}, as in the definition");
+        keys[299] = -3.0;
+        assert!(gather(&keys).iter().all(|&x| (x - values[299]).abs() < 1e-6), "{isa:?}");
+        keys[299] = f32::NEG_INFINITY;
+    }
+}

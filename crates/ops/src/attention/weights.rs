@@ -3,10 +3,12 @@
 use std::sync::OnceLock;
 
 use rayon::prelude::*;
-use srflow_simd::{Activation, Isa, Product, SharedMut, Start, Steps, multiply, panel_columns};
+use srflow_simd::{
+    Activation, Isa, Output, Product, SharedMut, Start, Steps, fill_columns, multiply, panel_columns,
+};
 
 use super::panels::{BLOCK, Group, PANELS, blocks, channels_as_rows, pixels_as_rows, to_panels};
-use super::softmax::{Block, Normal, add_to_sums, weigh};
+use super::softmax::{Normal, add_to_sums, weigh};
 
 /// How much of each pixel every pixel of one image takes.
 #[derive(Debug)]
@@ -24,9 +26,9 @@ pub(crate) struct AttentionWeights {
 #[derive(Debug)]
 struct Sums {
     /// The largest score.
-    most: Vec<f32>,
-    /// One over the sum of `exp(score - most)`.
-    share: Vec<f32>,
+    maxima: Vec<f32>,
+    /// One over the sum of `exp(score - maximum)`.
+    inverse_sums: Vec<f32>,
 }
 
 /// Products of pixels in panels with all pixels in blocks: `sum_c columns_ci rows_cj`.
@@ -67,34 +69,27 @@ impl Pairs {
         }
     }
 
-    /// The products of the block's pixels with a group's: `[block, columns]`, panel after panel, `step` elements apart.
-    ///
-    /// # Safety
-    /// `out` can be written, and read when the sums start from it.
-    pub(super) unsafe fn multiply(
+    /// The products of the block's pixels with a group's, `[block, columns]` for each panel.
+    pub(super) fn multiply(
         &self,
         group: Group,
         (first, len): (usize, usize),
         start: Start,
-        out: *mut f32,
-        step: usize,
+        out: &mut Output,
     ) {
         let width = panel_columns(self.isa);
         let product = Product {
-            left: self.rows[first * self.channels..].as_ptr(),
+            left: &self.rows[first * self.channels..],
             rows: len,
             depth: self.channels,
-            right: self.columns[group.first * self.channels * width..].as_ptr(),
+            right: &self.columns[group.first * self.channels * width..],
             right_panel: self.channels * width,
             start,
             add: None,
             activation: Activation::Identity,
-            out,
-            out_steps: Steps { row: width, panel: step },
             columns: group.panels * width,
         };
-        // SAFETY: the caller's promise; the panels are whole.
-        unsafe { multiply(self.isa, &product) }
+        multiply(self.isa, &product, out);
     }
 }
 
@@ -104,42 +99,32 @@ pub(super) struct Gathering<'a> {
     pub(super) pixels: usize,
     /// All values as [`channels_as_rows`] packs them.
     pub(super) values: &'a [f32],
-    /// `[channels, pixels]`.
-    pub(super) out: SharedMut<'a>,
 }
 
 impl Gathering<'_> {
     /// Adds to what the group's pixels have gathered, or starts with, the values of a block of pixels. `weights` are
-    /// `[block, columns]`, panel after panel, `step` elements apart.
-    ///
-    /// # Safety
-    /// The weights can be read; the group's pixels of the output belong to the calling thread.
-    pub(super) unsafe fn add(
+    /// `[block, columns]`, panel after panel, `step` elements apart; `out` begins at the group's first pixel.
+    pub(super) fn add(
         &self,
         group: Group,
         (first, len): (usize, usize),
-        weights: *const f32,
+        weights: &[f32],
         step: usize,
+        out: &mut Output,
     ) {
-        let width = panel_columns(self.isa);
         let channels = self.values.len() / self.pixels;
-        // SAFETY: the caller's promise; the weights are whole panels, the output is cut to the group's columns.
-        unsafe {
-            let product = Product {
-                left: self.values[first * channels..].as_ptr(),
-                rows: channels,
-                depth: len,
-                right: weights,
-                right_panel: step,
-                start: if first == 0 { Start::Zero } else { Start::Output },
-                add: None,
-                activation: Activation::Identity,
-                out: self.out.at(group.first * width),
-                out_steps: Steps { row: self.pixels, panel: width },
-                columns: group.columns,
-            };
-            multiply(self.isa, &product)
-        }
+        let product = Product {
+            left: &self.values[first * channels..],
+            rows: channels,
+            depth: len,
+            right: weights,
+            right_panel: step,
+            start: if first == 0 { Start::Zero } else { Start::Output },
+            add: None,
+            activation: Activation::Identity,
+            columns: group.columns,
+        };
+        multiply(self.isa, &product, out);
     }
 }
 
@@ -155,11 +140,14 @@ impl Sums {
         match queries {
             Queries::InColumns => {
                 let columns = (group.first + panel) * width..(group.first + panel + 1) * width;
-                Normal::OfColumns { most: &self.most[columns.clone()], share: &self.share[columns] }
+                Normal::OfColumns {
+                    maxima: &self.maxima[columns.clone()],
+                    inverse_sums: &self.inverse_sums[columns],
+                }
             }
             Queries::InRows => {
                 let rows = first..first + len;
-                Normal::OfRows { most: &self.most[rows.clone()], share: &self.share[rows] }
+                Normal::OfRows { maxima: &self.maxima[rows.clone()], inverse_sums: &self.inverse_sums[rows] }
             }
         }
     }
@@ -183,42 +171,51 @@ impl AttentionWeights {
         let panel_len = pixels * width;
         let kept_panels = panels_within(isa, pixels, kept_bytes);
         let columns = pixels.div_ceil(width) * width;
-        let mut sums = Sums { most: vec![f32::NEG_INFINITY; columns], share: vec![0.0; columns] };
+        let mut sums = Sums { maxima: vec![f32::MIN; columns], inverse_sums: vec![0.0; columns] };
         let fill = |kept: SharedMut| {
-            let most = sums.most.par_chunks_mut(PANELS * width);
-            let groups = most.zip(sums.share.par_chunks_mut(PANELS * width));
+            let maxima = sums.maxima.par_chunks_mut(PANELS * width);
+            let groups = maxima.zip(sums.inverse_sums.par_chunks_mut(PANELS * width));
             groups.enumerate().for_each_init(
                 || vec![0.0; PANELS * BLOCK * width],
-                |scratch, (number, (most, share))| {
+                |scratch, (number, (maxima, sums))| {
                     let group = Group::of(isa, number, pixels);
                     let keep = group.first < kept_panels;
                     for block @ (first, len) in blocks(pixels) {
-                        // SAFETY: kept weights of this group, or the scratch, belong to this task.
-                        unsafe {
-                            let (out, step) = if keep {
-                                (kept.at(group.first * panel_len + first * width), panel_len)
+                        let (scratch, step) = (scratch.as_mut_slice(), BLOCK * width);
+                        if keep {
+                            let at = group.first * panel_len + first * width;
+                            // SAFETY: kept weights of this group belong to this task.
+                            let mut out = unsafe { kept.output(at, Steps { row: width, panel: panel_len }) };
+                            scores.multiply(group, block, Start::Zero, &mut out);
+                        } else {
+                            let mut out = Output::new(scratch, Steps { row: width, panel: step });
+                            scores.multiply(group, block, Start::Zero, &mut out);
+                        }
+                        for panel in 0..group.panels {
+                            let columns = panel * width..(panel + 1) * width;
+                            let scores = if keep {
+                                let at = kept.at((group.first + panel) * panel_len + first * width);
+                                // SAFETY: these rows of the panel were just written, and belong to this task.
+                                unsafe { std::slice::from_raw_parts(at, len * width) }
                             } else {
-                                (scratch.as_mut_ptr(), BLOCK * width)
+                                &scratch[panel * step..][..len * width]
                             };
-                            scores.multiply(group, block, Start::Zero, out, step);
-                            for panel in 0..group.panels {
-                                let columns = panel * width..(panel + 1) * width;
-                                let block = Block { scores: out.add(panel * step), rows: len };
-                                add_to_sums(isa, block, &mut most[columns.clone()], &mut share[columns]);
-                            }
+                            add_to_sums(isa, scores, &mut maxima[columns.clone()], &mut sums[columns]);
                         }
                     }
-                    share.iter_mut().for_each(|share| *share = 1.0 / *share);
+                    for (sum, maximum) in sums.iter_mut().zip(maxima.iter()) {
+                        // Scores that are all minus infinity have no weights: they are not a number, as in the definition.
+                        *sum = if *maximum == f32::MIN { f32::NAN } else { 1.0 / *sum };
+                    }
                     for panel in 0..if keep { group.panels } else { 0 } {
                         let columns = panel * width..(panel + 1) * width;
-                        // SAFETY: as above.
-                        unsafe {
-                            let scores = kept.at((group.first + panel) * panel_len);
-                            let block = Block { scores, rows: pixels };
-                            let normal =
-                                Normal::OfColumns { most: &most[columns.clone()], share: &share[columns] };
-                            weigh(isa, block, width, normal);
-                        }
+                        let normal = Normal::OfColumns {
+                            maxima: &maxima[columns.clone()],
+                            inverse_sums: &sums[columns],
+                        };
+                        let at = kept.at((group.first + panel) * panel_len);
+                        // SAFETY: all blocks of the panel were written above, and belong to this task.
+                        weigh(isa, unsafe { std::slice::from_raw_parts_mut(at, panel_len) }, width, normal);
                     }
                 },
             );
@@ -243,74 +240,69 @@ impl AttentionWeights {
         let (isa, pixels) = (self.isa, self.pixels);
         let panel_len = pixels * panel_columns(isa);
         let kept_panels = panels_within(isa, pixels, self.kept_bytes);
-        let mut side = Side {
-            scores: Pairs::new(isa, keys, queries, pixels),
-            queries: Queries::InRows,
-            kept: Vec::new(),
-            kept_panels: 0,
-        };
-        let fill = |kept: SharedMut| {
-            (0..kept_panels.div_ceil(PANELS)).into_par_iter().for_each(|number| {
-                let group = Group::of(isa, number, pixels);
-                for block @ (first, _) in blocks(pixels) {
-                    // SAFETY: the group's panels belong to this task.
-                    unsafe {
-                        let out = kept.at(group.first * panel_len + first * panel_columns(isa));
-                        self.compute(&side, group, block, out, panel_len);
-                    }
-                }
-            });
-        };
-        // SAFETY: each group writes its panels, all pixels of them; the kept panels are whole groups, or all.
-        side.kept = unsafe { SharedMut::fill_new(kept_panels * panel_len, fill) };
-        side.kept_panels = kept_panels;
-        side
+        let (scores, queries) = (Pairs::new(isa, keys, queries, pixels), Queries::InRows);
+        let group_len = PANELS * panel_len;
+        let mut kept = vec![0.0; kept_panels * panel_len];
+        kept.par_chunks_mut(group_len.max(1)).enumerate().for_each(|(number, kept)| {
+            let group = Group::of(isa, number, pixels);
+            for block @ (first, _) in blocks(pixels) {
+                self.compute(
+                    &scores,
+                    queries,
+                    group,
+                    block,
+                    &mut kept[first * panel_columns(isa)..],
+                    panel_len,
+                );
+            }
+        });
+        Side { scores, queries, kept, kept_panels }
     }
 
     /// Weights of the block's pixels and a group's: `[block, columns]`, panel after panel, `step` elements apart.
-    ///
-    /// # Safety
-    /// `out` can be written.
-    unsafe fn compute(&self, side: &Side, group: Group, block: (usize, usize), out: *mut f32, step: usize) {
+    fn compute(
+        &self,
+        scores: &Pairs,
+        queries: Queries,
+        group: Group,
+        block: (usize, usize),
+        out: &mut [f32],
+        step: usize,
+    ) {
         let width = panel_columns(self.isa);
-        // SAFETY: the caller's promise.
-        unsafe {
-            side.scores.multiply(group, block, Start::Zero, out, step);
-            for panel in 0..group.panels {
-                let normal = self.sums.of(side.queries, group, block, panel, width);
-                let block = Block { scores: out.add(panel * step), rows: block.1 };
-                weigh(self.isa, block, width, normal);
-            }
+        let steps = Steps { row: width, panel: step };
+        scores.multiply(group, block, Start::Zero, &mut Output::new(out, steps));
+        for panel in 0..group.panels {
+            let normal = self.sums.of(queries, group, block, panel, width);
+            weigh(self.isa, &mut out[panel * step..][..block.1 * width], width, normal);
         }
     }
 
-    /// Where the weights of the block's pixels and a group's lie, and the elements from a panel to the next: kept, or else
-    /// computed into the scratch.
-    fn of_block(
+    /// The weights of the block's pixels and a group's, and the elements from a panel to the next: kept, or else computed
+    /// into the scratch.
+    fn of_block<'a>(
         &self,
-        side: &Side,
+        side: &'a Side,
         group: Group,
         block: (usize, usize),
-        scratch: &mut [f32],
-    ) -> (*const f32, usize) {
+        scratch: &'a mut [f32],
+    ) -> (&'a [f32], usize) {
         let width = panel_columns(self.isa);
         if group.first < side.kept_panels {
             let panel_len = self.pixels * width;
-            return (side.kept[group.first * panel_len + block.0 * width..].as_ptr(), panel_len);
+            return (&side.kept[group.first * panel_len + block.0 * width..], panel_len);
         }
-        assert!(scratch.len() >= PANELS * BLOCK * width);
-        // SAFETY: the scratch holds a block of a group.
-        unsafe { self.compute(side, group, block, scratch.as_mut_ptr(), BLOCK * width) }
-        (scratch.as_ptr(), BLOCK * width)
+        self.compute(&side.scores, side.queries, group, block, scratch, BLOCK * width);
+        (scratch, BLOCK * width)
     }
 
     /// [`Self::of_block`] with the queries in columns.
-    pub(super) fn of_queries(
-        &self,
+    pub(super) fn of_queries<'a>(
+        &'a self,
         group: Group,
         block: (usize, usize),
-        scratch: &mut [f32],
-    ) -> (*const f32, usize) {
+        scratch: &'a mut [f32],
+    ) -> (&'a [f32], usize) {
         self.of_block(&self.by_query, group, block, scratch)
     }
 
@@ -318,22 +310,17 @@ impl AttentionWeights {
         let (isa, pixels) = (self.isa, self.pixels);
         assert!(values.len().is_multiple_of(pixels), "values of {pixels} pixels");
         let packed = channels_as_rows(isa, values, pixels, BLOCK);
-        let fill = |out: SharedMut| {
-            let gathering = Gathering { isa, pixels, values: &packed, out };
-            (0..Group::count(isa, pixels)).into_par_iter().for_each_init(
-                || vec![0.0; PANELS * BLOCK * panel_columns(isa)],
-                |scratch, number| {
-                    let group = Group::of(isa, number, pixels);
-                    for block in blocks(pixels) {
-                        let (weights, step) = self.of_block(side, group, block, scratch);
-                        // SAFETY: the group's pixels are this task's.
-                        unsafe { gathering.add(group, block, weights, step) }
-                    }
-                },
-            );
-        };
-        // SAFETY: the groups cover every pixel, and write all channels of each.
-        unsafe { SharedMut::fill_new(values.len(), fill) }
+        let gathering = Gathering { isa, pixels, values: &packed };
+        let width = panel_columns(isa);
+        let sizes = [1, values.len() / pixels, pixels];
+        let scratch = || vec![0.0; PANELS * BLOCK * width];
+        fill_columns(isa, sizes, PANELS * width, scratch, |scratch, _, own, out| {
+            let group = Group::of(isa, own.start / (PANELS * width), pixels);
+            for block in blocks(pixels) {
+                let (weights, step) = self.of_block(side, group, block, scratch);
+                gathering.add(group, block, weights, step, out);
+            }
+        })
     }
 
     /// Bytes of the weights that are kept.

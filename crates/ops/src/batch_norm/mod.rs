@@ -113,7 +113,9 @@ pub fn batch_norm(input: &[f32], affine: &Affine, shape: &BatchNormShape) -> (Ve
         let channel = Channel::of(plane % shape.channels, &statistics, affine);
         let floor = if channel.relu { 0.0 } else { f32::NEG_INFINITY };
         for (to, &x) in to.iter_mut().zip(from) {
-            *to = channel.before_relu(x).max(floor);
+            let y = channel.before_relu(x);
+            // Not `max`, which turns NaN into the floor.
+            *to = if y < floor { floor } else { y };
         }
     });
     (out, statistics)

@@ -17,7 +17,7 @@ pub fn batch_norm(input: &[f32], affine: &Affine, shape: &BatchNormShape) -> Vec
         let c = channel_of(i);
         let y = (f64::from(x) - mean[c]) / (variance[c] + EPSILON).sqrt();
         let y = y * f64::from(affine.weight[c]) + f64::from(affine.bias[c]);
-        (if affine.relu { y.max(0.0) } else { y }) as f32
+        (if affine.relu && y < 0.0 { 0.0 } else { y }) as f32
     };
     input.iter().enumerate().map(normalized).collect()
 }

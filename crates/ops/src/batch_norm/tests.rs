@@ -99,3 +99,17 @@ fn the_relu_lets_through_the_gradient_of_what_is_positive() {
     let expected = batch_norm_backward(&input, &let_through, &affine(false), &statistics, &SHAPE);
     assert_eq!(batch_norm_backward(&input, &grad, &affine(true), &statistics, &SHAPE), expected);
 }
+
+#[test]
+fn a_channel_with_what_is_not_a_number_becomes_that() {
+    for relu in [false, true] {
+        let mut input = input();
+        input[SHAPE.pixels] = f32::NAN;
+        let (found, _) = batch_norm(&input, &affine(relu), &SHAPE);
+        let expected = reference::batch_norm(&input, &affine(relu), &SHAPE);
+        for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {
+            let second_channel = i / SHAPE.pixels % SHAPE.channels == 1;
+            assert_eq!([found.is_nan(), expected.is_nan()], [second_channel; 2], "element {i}, relu {relu}");
+        }
+    }
+}

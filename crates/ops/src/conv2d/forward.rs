@@ -140,8 +140,8 @@ fn convolve_directly(
                 start,
                 out_channels: channels,
                 columns: plan.columns,
-                // SAFETY: channel `first` of image `n`, this row and column.
-                out: unsafe { target.at(at) },
+                // Channel `first` of image `n`, this row and column.
+                out: target.at(at),
             };
             // SAFETY: `Padded` holds a border of the kernel's reach around every pixel read, and
             // no two tasks share an output element.
@@ -272,7 +272,7 @@ dispatch! {
     /// Computes one [`Tile`].
     ///
     /// # Safety
-    /// the source can be read at every tap of every channel and column, and the output written.
+    /// The source can be read at every tap of every channel and column, and the output written.
     pub(super) unsafe fn convolve_row = convolve_row_kernel(plan: &Plan, tile: &Tile)
 }
 

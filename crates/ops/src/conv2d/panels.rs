@@ -3,8 +3,7 @@
 
 use std::ops::Range;
 
-use rayon::prelude::*;
-use srflow_simd::{Isa, Product, SharedMut, Start, Steps, multiply, panel_columns};
+use srflow_simd::{Isa, Product, Start, Steps, fill_columns, multiply, panel_columns};
 
 use super::{Conv2dShape, Epilogue};
 
@@ -20,38 +19,24 @@ pub(super) fn convolve(
     let pixels = height * width;
     let depth = shape.in_channels * shape.taps();
     let panel = panel_columns(isa);
-    let panels = pixels.div_ceil(panel);
     let image = shape.in_channels * shape.input[0] * shape.input[1];
-    let fill = |target: SharedMut| {
-        (0..shape.batch * panels).into_par_iter().for_each_init(
-            || vec![0.0; depth * panel],
-            |taps, task| {
-                let (n, first) = (task / panels, task % panels * panel);
-                let count = panel.min(pixels - first);
-                gather(&input[n * image..][..image], shape, first..first + count, panel, taps);
-                let at = n * shape.out_channels * pixels + first;
-                let steps = Steps { row: pixels, panel };
-                let product = Product {
-                    left: packed.as_ptr(),
-                    rows: shape.out_channels,
-                    depth,
-                    right: taps.as_ptr(),
-                    right_panel: 0,
-                    start: epilogue.bias.map_or(Start::Zero, |bias| Start::PerRow(bias.as_ptr())),
-                    add: epilogue.residual.map(|residual| (residual[at..].as_ptr(), steps)),
-                    activation: epilogue.activation,
-                    // SAFETY: inside; these pixels are this task's.
-                    out: unsafe { target.at(at) },
-                    out_steps: steps,
-                    columns: count,
-                };
-                // SAFETY: the panel is whole, output and residual have these columns in each channel.
-                unsafe { multiply(isa, &product) }
-            },
-        );
-    };
-    // SAFETY: the panels cover every pixel of every image, and write all output channels of each.
-    unsafe { SharedMut::fill_new(shape.output_len(), fill) }
+    let scratch = || vec![0.0; depth * panel];
+    fill_columns(isa, [shape.batch, shape.out_channels, pixels], panel, scratch, |taps, n, own, out| {
+        gather(&input[n * image..][..image], shape, own.clone(), panel, taps);
+        let at = n * shape.out_channels * pixels + own.start;
+        let product = Product {
+            left: packed,
+            rows: shape.out_channels,
+            depth,
+            right: taps,
+            right_panel: depth * panel,
+            start: epilogue.bias.map_or(Start::Zero, Start::PerRow),
+            add: epilogue.residual.map(|residual| (&residual[at..], Steps { row: pixels, panel })),
+            activation: epilogue.activation,
+            columns: own.len(),
+        };
+        multiply(isa, &product, out);
+    })
 }
 
 /// What lies under each tap of each channel at some output pixels: `[in_channels * taps, columns]`.

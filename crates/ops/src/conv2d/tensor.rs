@@ -13,7 +13,7 @@ use super::forward::{convolve_packed, pack};
 use crate::activation::activate_tensor;
 use crate::flex::{Contiguous, tensor};
 use crate::tracked::{Convolution, EpilogueGradOps, tracked};
-use crate::weight_cache::Pass;
+use crate::weight_cache::{Packing, Pass};
 use crate::{Activation, WeightCache};
 
 /// How a kernel moves over its input.
@@ -31,6 +31,10 @@ impl Conv2dOptions {
     /// With a cache that no other call shares.
     pub fn new(stride: [usize; 2], padding: [usize; 2]) -> Self {
         Self { stride, padding, cache: WeightCache::default() }
+    }
+
+    fn packing(&self, pass: Pass, isa: Isa) -> Packing {
+        Packing { pass, isa, stride: self.stride, padding: self.padding }
     }
 }
 
@@ -125,7 +129,8 @@ fn convolve(
 ) -> FloatTensor<Flex> {
     let shape = shape_of(&input.shape(), &weight.shape(), &options);
     let isa = Isa::best();
-    let packed = options.cache.get(Pass::Forward, weight, |weight| pack(isa, weight, &shape));
+    let packed =
+        options.cache.get(options.packing(Pass::Forward, isa), weight, |weight| pack(isa, weight, &shape));
     let out = convolve_packed(isa, Contiguous::new(input).slice(), &packed, epilogue, &shape);
     let [height, width] = shape.output();
     tensor(out, [shape.batch, shape.out_channels, height, width])
@@ -169,7 +174,9 @@ impl Conv2dGradOps for Flex {
     ) -> FloatTensor<Self> {
         let shape = shape_of(&input.shape(), &weight.shape(), &options);
         let isa = Isa::best();
-        let packed = options.cache.get(Pass::Backward, &weight, |weight| pack_backward(isa, weight, &shape));
+        let packed = options
+            .cache
+            .get(options.packing(Pass::Backward, isa), &weight, |weight| pack_backward(isa, weight, &shape));
         let (grad, add) = (Contiguous::new(&grad), add.as_ref().map(Contiguous::new));
         let add = add.as_ref().map(Contiguous::slice);
         tensor(backward_input_packed(isa, grad.slice(), &packed, add, &shape), input.shape())

@@ -55,6 +55,7 @@ fn shapes_of_few_products() -> Vec<Conv2dShape> {
         shape([16, 16], [1, 1], [3, 3], 1, [1, 1]),
         shape([17, 16], [70, 3], [3, 3], 1, [1, 1]),
         shape([16, 19], [3, 300], [3, 3], 1, [1, 1]),
+        shape([16, 17], [3, 2], [3, 3], 1, [14, 40]),
     ]
 }
 
@@ -132,4 +133,24 @@ fn a_kernel_larger_than_the_padded_input_gives_nothing() {
     assert!(conv2d(&input, &weight, &Epilogue::default(), &shape).is_empty());
     assert_eq!(conv2d_backward_input(&[], &weight, &shape), vec![0.0; shape.input_len()]);
     assert_eq!(conv2d_backward_weight(&input, &[], &shape), vec![0.0; shape.weight_len()]);
+}
+
+/// Cloned options share their cache, also where another stride or padding wants the weight in another order.
+#[test]
+fn convolutions_that_share_a_cache_do_not_disturb_each_other() {
+    let device = burn::tensor::Device::flex();
+    let of = |shape: [usize; 4], seed| {
+        let values = values(shape.iter().product(), seed);
+        burn::tensor::Tensor::<4>::from_data(burn::tensor::TensorData::new(values, shape), &device)
+    };
+    let (input, weight) = (of([1, 16, 9, 8], 1), of([16, 16, 3, 3], 2));
+    let run = |options: tensor::Conv2dOptions| -> Vec<f32> {
+        let out = tensor::conv2d(input.clone(), weight.clone(), tensor::Epilogue::default(), options);
+        out.into_data().try_to_vec().expect("numbers")
+    };
+    let first = tensor::Conv2dOptions::new([1, 1], [1, 1]);
+    for (stride, padding) in [([1, 1], [1, 1]), ([2, 2], [1, 1]), ([1, 2], [0, 1]), ([1, 1], [1, 1])] {
+        let shared = run(tensor::Conv2dOptions { stride, padding, ..first.clone() });
+        assert!(shared == run(tensor::Conv2dOptions::new(stride, padding)), "{stride:?} {padding:?}");
+    }
 }

@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 use srflow_simd::{
-    Activation, Isa, MAX_LANES, Product, SharedMut, Simd, Start, Steps, dispatch, multiply, pack_rows,
+    Activation, Isa, MAX_LANES, Product, Simd, Start, dispatch, fill_columns, multiply, pack_rows,
     panel_columns,
 };
 
@@ -27,9 +27,8 @@ pub fn conv2d_backward_weight(input: &[f32], grad: &[f32], shape: &Conv2dShape) 
 pub(super) fn backward_weight_with(isa: Isa, input: &[f32], grad: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     assert_eq!(input.len(), shape.input_len(), "input of {shape:?}");
     assert_eq!(grad.len(), shape.output_len(), "gradient of {shape:?}");
-    let mut out = vec![0.0; shape.weight_len()];
-    if out.is_empty() || grad.is_empty() {
-        return out;
+    if shape.weight_len() == 0 || grad.is_empty() {
+        return vec![0.0; shape.weight_len()];
     }
     let patches = Patches::of(input, shape);
     let blocks = blocks(shape);
@@ -37,32 +36,29 @@ pub(super) fn backward_weight_with(isa: Isa, input: &[f32], grad: &[f32], shape:
     let columns = shape.in_channels * patches.taps.len();
     let width = panel_columns(isa);
     let longest = blocks.iter().map(Block::pixels).max().unwrap_or(0);
-    let target = SharedMut::new(&mut out);
-    let panel = || vec![0.0; longest * width];
-    (0..columns.div_ceil(width)).into_par_iter().for_each_init(panel, |panel, number| {
-        let own = number * width..columns.min((number + 1) * width);
-        for block in &blocks {
-            turn(isa, &patches, block, own.clone(), width, panel);
-            let product = Product {
-                left: left[shape.out_channels * block.before..].as_ptr(),
-                rows: shape.out_channels,
-                depth: block.pixels(),
-                right: panel.as_ptr(),
-                right_panel: block.pixels() * width,
-                start: Start::Output,
-                add: None,
-                activation: Activation::Identity,
-                // SAFETY: inside; these columns are this task's.
-                out: unsafe { target.at(own.start) },
-                out_steps: Steps { row: columns, panel: width },
-                columns: own.len(),
-            };
-            // SAFETY: the left side holds the block of every output channel, the panel its pixels, and
-            // the output these columns of every output channel.
-            unsafe { multiply(isa, &product) }
-        }
-    });
-    out
+    fill_columns(
+        isa,
+        [1, shape.out_channels, columns],
+        width,
+        || vec![0.0; longest * width],
+        |panel, _, own, out| {
+            for (number, block) in blocks.iter().enumerate() {
+                transpose(isa, &patches, block, own.clone(), width, panel);
+                let product = Product {
+                    left: &left[shape.out_channels * block.before..],
+                    rows: shape.out_channels,
+                    depth: block.pixels(),
+                    right: panel,
+                    right_panel: block.pixels() * width,
+                    start: if number == 0 { Start::Zero } else { Start::Output },
+                    add: None,
+                    activation: Activation::Identity,
+                    columns: own.len(),
+                };
+                multiply(isa, &product, out);
+            }
+        },
+    )
 }
 
 /// Pixels of one image of the output.
@@ -154,12 +150,12 @@ impl<'a> Patches<'a> {
 }
 
 dispatch! {
-    /// The images of `columns`, a row of `panel` for each pixel of the block, which is `width` long.
-    fn turn = turn_kernel(patches: &Patches, block: &Block, columns: Range<usize>, width: usize, panel: &mut [f32])
+    /// The patches of `columns`, transposed: a row of `panel`, `width` elements long, for each pixel of the block.
+    fn transpose = transpose_kernel(patches: &Patches, block: &Block, columns: Range<usize>, width: usize, panel: &mut [f32])
 }
 
 #[inline(always)]
-fn turn_kernel<S: Simd>(
+fn transpose_kernel<S: Simd>(
     s: S,
     patches: &Patches,
     block: &Block,

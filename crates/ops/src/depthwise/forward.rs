@@ -1,5 +1,4 @@
-use rayon::prelude::*;
-use srflow_simd::{Isa, SharedMut, Simd, dispatch};
+use srflow_simd::{Isa, Simd, dispatch, fill_pieces};
 
 use super::DepthwiseShape;
 use crate::conv2d::Epilogue;
@@ -30,33 +29,27 @@ pub(super) fn depthwise_with(
     epilogue.check(shape.channels, shape.output_len());
     let [height, width] = shape.output();
     let taps = shape.kernel[0] * shape.kernel[1];
-    let planes = if height * width == 0 { 0 } else { shape.batch * shape.channels };
-    let fill = |target: SharedMut| {
-        (0..planes).into_par_iter().for_each_init(Vec::new, |scratch, plane| {
-            let channel = plane % shape.channels;
-            let source = &input[plane * shape.input[0] * shape.input[1]..][..shape.input[0] * shape.input[1]];
-            let row = pad(source, shape.input, shape.padding, scratch);
-            let task = Plane {
-                source: scratch,
-                row,
-                weight: &weight[channel * taps..][..taps],
-                kernel: shape.kernel,
-                start: epilogue.bias.map_or(0.0, |bias| bias[channel]),
-                height,
-                width,
-            };
-            // SAFETY: the plane is inside and this task's alone; `pad` made the border that the kernel
-            // reads.
-            unsafe {
-                let first = plane * height * width;
-                let out = std::slice::from_raw_parts_mut(target.at(first), height * width);
-                convolve_plane(isa, &task, out);
-                epilogue.finish(isa, first, out);
-            }
-        });
-    };
-    // SAFETY: the planes are all there is, and each is written whole.
-    unsafe { SharedMut::fill_new(shape.output_len(), fill) }
+    fill_pieces(shape.output_len(), height * width, Vec::new, |scratch, plane, out| {
+        let channel = plane % shape.channels;
+        let source = &input[plane * shape.input[0] * shape.input[1]..][..shape.input[0] * shape.input[1]];
+        let row = pad(source, shape.input, shape.padding, scratch);
+        let task = Plane {
+            source: scratch,
+            row,
+            weight: &weight[channel * taps..][..taps],
+            kernel: shape.kernel,
+            start: epilogue.bias.map_or(0.0, |bias| bias[channel]),
+            height,
+            width,
+        };
+        // SAFETY: `pad` made the border that the kernel reads; the kernel writes the whole plane.
+        let out = unsafe {
+            convolve_plane(isa, &task, out.as_mut_ptr().cast());
+            out.assume_init_mut()
+        };
+        epilogue.finish(isa, plane * height * width, out);
+        out
+    })
 }
 
 /// Copies a plane into `padded` with a border of zeros; the elements from a row to the next.
@@ -93,12 +86,12 @@ dispatch! {
     /// Computes one [`Plane`].
     ///
     /// # Safety
-    /// the source holds every tap of every pixel of `out`.
-    unsafe fn convolve_plane = convolve_plane_kernel(plane: &Plane, out: &mut [f32])
+    /// The source holds every tap of every pixel of the plane, and `out` can be written, a plane long.
+    unsafe fn convolve_plane = convolve_plane_kernel(plane: &Plane, out: *mut f32)
 }
 
 #[inline(always)]
-unsafe fn convolve_plane_kernel<S: Simd>(s: S, plane: &Plane, out: &mut [f32]) {
+unsafe fn convolve_plane_kernel<S: Simd>(s: S, plane: &Plane, out: *mut f32) {
     let mut y = 0;
     // SAFETY: the rows from `y`, as many as each call says, lie in the plane.
     unsafe {
@@ -114,7 +107,7 @@ unsafe fn convolve_plane_kernel<S: Simd>(s: S, plane: &Plane, out: &mut [f32]) {
 }
 
 #[inline(always)]
-unsafe fn convolve_rows<S: Simd, const R: usize>(s: S, plane: &Plane, y: usize, out: &mut [f32]) {
+unsafe fn convolve_rows<S: Simd, const R: usize>(s: S, plane: &Plane, y: usize, out: *mut f32) {
     let mut x = 0;
     // SAFETY: the columns from `x`, as many as each call says, lie in the plane.
     unsafe {
@@ -142,7 +135,7 @@ unsafe fn accumulate<S: Simd, const R: usize, const V: usize, const PARTIAL: boo
     y: usize,
     x: usize,
     last: usize,
-    out: &mut [f32],
+    out: *mut f32,
 ) {
     let [kernel_height, kernel_width] = plane.kernel;
     // SAFETY: the caller's promise: every address below lies in the padded source, the weight or the output.
@@ -172,7 +165,7 @@ unsafe fn accumulate<S: Simd, const R: usize, const V: usize, const PARTIAL: boo
         }
         for (row, sums) in sums.iter().enumerate() {
             for (i, &sum) in sums.iter().enumerate() {
-                let to = out.as_mut_ptr().add((y + row) * plane.width + x + i * S::LANES);
+                let to = out.add((y + row) * plane.width + x + i * S::LANES);
                 if PARTIAL && i == V - 1 { s.store_first(to, sum, last) } else { s.store(to, sum) }
             }
         }

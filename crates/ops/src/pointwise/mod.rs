@@ -4,9 +4,8 @@
 //! What lies between the layers, often wider than input and output, never leaves the cache. [`mod@reference`] is the
 //! definition.
 
-use rayon::prelude::*;
 use srflow_simd::{
-    Activation, Isa, Product, SharedMut, Simd, Start, Steps, dispatch, multiply, panel_columns,
+    Activation, Isa, Output, Product, Start, Steps, fill_columns, multiply, multiply_diagonal, panel_columns,
 };
 
 pub mod reference;
@@ -61,62 +60,45 @@ pub(crate) fn pointwise(
     }
     let width = panel_columns(isa);
     let piece = PANELS * width;
-    let pieces = pixels.div_ceil(piece);
-    let fill = |target: SharedMut| {
-        let scratch = || -> Vec<Vec<f32>> {
-            channels[..layers.len()].iter().map(|channels| vec![0.0; channels * piece]).collect()
-        };
-        (0..batch * pieces).into_par_iter().for_each_init(scratch, |states, task| {
-            let (n, first) = (task / pieces, task % pieces * piece);
-            let columns = piece.min(pixels - first);
-            let image = &input[n * inputs * pixels..][..inputs * pixels];
-            gather(image, pixels, first..first + columns, width, &mut states[0]);
-            for (number, layer) in layers.iter().enumerate() {
-                let (before, after) = states.split_at_mut(number + 1);
-                let at = n * outputs * pixels + first;
-                let (out, out_steps, columns) = match after.first_mut() {
-                    Some(state) => {
-                        (state.as_mut_ptr(), Steps { row: width, panel: channels[number + 1] * width }, piece)
-                    }
-                    // SAFETY: inside; these columns are this task's.
-                    None => (unsafe { target.at(at) }, Steps { row: pixels, panel: width }, columns),
-                };
-                let add = match layer.add {
-                    Add::Nothing => None,
-                    Add::InputOf(layer) => {
-                        let steps = Steps { row: width, panel: channels[layer] * width };
-                        Some((before[layer].as_ptr(), steps))
-                    }
-                    Add::Planes(planes) => Some((planes[at..].as_ptr(), Steps { row: pixels, panel: width })),
-                };
-                let left = match layer.map {
-                    Map::Dense(weights) | Map::Scale(weights) => weights.as_ptr(),
-                };
-                let product = Product {
-                    left,
-                    rows: channels[number + 1],
-                    depth: channels[number],
-                    right: before[number].as_ptr(),
-                    right_panel: channels[number] * width,
-                    start: layer.bias.map_or(Start::Zero, |bias| Start::PerRow(bias.as_ptr())),
-                    add,
-                    activation: layer.activation,
-                    out,
-                    out_steps,
-                    columns,
-                };
-                // SAFETY: states hold whole panels, the output and the addend these columns.
-                unsafe {
-                    match layer.map {
-                        Map::Dense(_) => multiply(isa, &product),
-                        Map::Scale(_) => scale(isa, &product),
-                    }
-                }
-            }
-        });
+    let scratch = || -> Vec<Vec<f32>> {
+        channels[..layers.len()].iter().map(|channels| vec![0.0; channels * piece]).collect()
     };
-    // SAFETY: the pieces cover every pixel of every image, and the last layer writes all output channels of each.
-    unsafe { SharedMut::fill_new(batch * outputs * pixels, fill) }
+    fill_columns(isa, [batch, outputs, pixels], piece, scratch, |states, n, own, out| {
+        gather(&input[n * inputs * pixels..][..inputs * pixels], pixels, own.clone(), width, &mut states[0]);
+        for (number, layer) in layers.iter().enumerate() {
+            let (before, after) = states.split_at_mut(number + 1);
+            let steps_of = |channels: usize| Steps { row: width, panel: channels * width };
+            let add = match layer.add {
+                Add::Nothing => None,
+                Add::InputOf(layer) => Some((before[layer].as_slice(), steps_of(channels[layer]))),
+                Add::Planes(planes) => {
+                    let at = n * outputs * pixels + own.start;
+                    Some((&planes[at..], Steps { row: pixels, panel: width }))
+                }
+            };
+            let (multiply, left): (fn(Isa, &Product, &mut Output), &[f32]) = match layer.map {
+                Map::Dense(weights) => (multiply, weights),
+                Map::Scale(factors) => (multiply_diagonal, factors),
+            };
+            let product = Product {
+                left,
+                rows: channels[number + 1],
+                depth: channels[number],
+                right: &before[number],
+                right_panel: channels[number] * width,
+                start: layer.bias.map_or(Start::Zero, Start::PerRow),
+                add,
+                activation: layer.activation,
+                columns: if after.is_empty() { own.len() } else { piece },
+            };
+            match after.first_mut() {
+                Some(state) => {
+                    multiply(isa, &product, &mut Output::new(state, steps_of(channels[number + 1])));
+                }
+                None => multiply(isa, &product, out),
+            }
+        }
+    })
 }
 
 /// Channels before each layer and after the last.
@@ -155,48 +137,6 @@ fn gather(planes: &[f32], pixels: usize, columns: std::ops::Range<usize>, width:
         for (to, from) in panel.chunks_exact_mut(width).zip(planes.chunks_exact(pixels)) {
             to[..count].copy_from_slice(&from[first..first + count]);
             to[count..].fill(0.0);
-        }
-    }
-}
-
-dispatch! {
-    /// The [`Product`] of a diagonal matrix: one factor for each row.
-    ///
-    /// # Safety
-    /// As for [`multiply`].
-    unsafe fn scale = scale_kernel(product: &Product)
-}
-
-#[inline(always)]
-unsafe fn scale_kernel<S: Simd>(s: S, product: &Product) {
-    // SAFETY: the caller's promise.
-    unsafe {
-        let width = product.right_panel / product.depth;
-        for panel in 0..product.columns.div_ceil(width) {
-            let columns = width.min(product.columns - panel * width);
-            for row in 0..product.rows {
-                let factor = s.splat(*product.left.add(row));
-                let start = match product.start {
-                    Start::PerRow(start) => s.splat(*start.add(row)),
-                    Start::Zero | Start::Output => s.splat(0.0),
-                };
-                let right = product.right.add(panel * product.right_panel + row * width);
-                let out = product.out.add(panel * product.out_steps.panel + row * product.out_steps.row);
-                for x in (0..columns).step_by(S::LANES) {
-                    let lanes = S::LANES.min(columns - x);
-                    let mut sum = s.mul_add(factor, s.load(right.add(x)), start);
-                    if let Some((add, steps)) = product.add {
-                        let add = add.add(panel * steps.panel + row * steps.row + x);
-                        sum = s.add(sum, s.load_first(add, lanes));
-                    }
-                    let value = product.activation.apply(s, sum);
-                    if lanes == S::LANES {
-                        s.store(out.add(x), value)
-                    } else {
-                        s.store_first(out.add(x), value, lanes)
-                    }
-                }
-            }
         }
     }
 }

@@ -11,7 +11,7 @@ use crate::conv2d::tensor::{Conv2dGradOps, Conv2dOps, Conv2dOptions};
 use crate::depthwise::tensor::{DepthwiseGradOps, DepthwiseOps};
 use crate::flex::{Contiguous, sizes, tensor};
 use crate::tracked::EpilogueGradOps;
-use crate::weight_cache::Pass;
+use crate::weight_cache::{Packing, Pass};
 use crate::{Activation, WeightCache};
 
 /// What a layer does beside multiplying with its weight.
@@ -89,8 +89,9 @@ impl PointwiseOps for Flex {
         let isa = Isa::best();
         let weights = [first_weight, second_weight, third_weight];
         let biases = [&first_bias, &second_bias, &third_bias].map(Contiguous::new);
+        let packing = Packing { pass: Pass::Forward, isa, stride: [1, 1], padding: [0, 0] };
         let packed = [0, 1, 2].map(|i| {
-            options[i].cache.get(Pass::Forward, &weights[i], |weight| {
+            options[i].cache.get(packing, &weights[i], |weight| {
                 let mut packed = vec![0.0; weight.len()];
                 let depth = if options[i].scale { 1 } else { sizes::<4>(&weights[i])[1] };
                 if options[i].scale {

@@ -2,7 +2,7 @@
 
 use std::io::{self, Read};
 
-use srflow_field::{FileProblem, excerpt};
+use srflow_field::FileProblem;
 
 use super::{problem, reading};
 
@@ -186,8 +186,10 @@ fn parse_encoding(name: &str) -> Result<Encoding, FileProblem> {
     })
 }
 
+/// Text of unknown origin, safe to print.
 fn quote(text: &str) -> String {
-    format!("`{}`", excerpt(text))
+    let short: String = text.chars().take(60).collect();
+    format!("{short:?}")
 }
 
 struct Lines<'a, R> {

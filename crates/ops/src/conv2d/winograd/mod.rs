@@ -6,8 +6,8 @@
 
 use rayon::prelude::*;
 use srflow_simd::{
-    Activation, Isa, MAX_LANES, Product, SharedMut, Simd, Start, Steps, dispatch, multiply, pack_rows,
-    panel_columns,
+    Activation, Isa, MAX_LANES, Output, Product, SharedMut, Simd, Start, Steps, dispatch, multiply,
+    pack_rows, panel_columns,
 };
 
 use super::{Conv2dShape, Epilogue};
@@ -144,20 +144,19 @@ pub(super) fn convolve(
             for position in 0..positions {
                 let pairs = shape.in_channels * shape.out_channels;
                 let product = Product {
-                    left: packed[position * pairs..][..pairs].as_ptr(),
+                    left: &packed[position * pairs..][..pairs],
                     rows: shape.out_channels,
                     depth: shape.in_channels,
-                    right: scratch.transformed[position * shape.in_channels * panel..].as_ptr(),
-                    right_panel: 0,
+                    right: &scratch.transformed[position * shape.in_channels * panel..],
+                    right_panel: shape.in_channels * panel,
                     start: Start::Zero,
                     add: None,
                     activation: Activation::Identity,
-                    out: scratch.products[position * shape.out_channels * panel..].as_mut_ptr(),
-                    out_steps: Steps { row: panel, panel: 0 },
                     columns: tiles,
                 };
-                // SAFETY: both sides are whole panels.
-                unsafe { multiply(isa, &product) }
+                let out = &mut scratch.products[position * shape.out_channels * panel..];
+                let steps = Steps { row: panel, panel: shape.out_channels * panel };
+                multiply(isa, &product, &mut Output::new(out, steps));
             }
             for channel in 0..shape.out_channels {
                 let at = (n * shape.out_channels + channel) * height * width;
@@ -170,8 +169,7 @@ pub(super) fn convolve(
                     bias: epilogue.bias.map_or(0.0, |bias| bias[channel]),
                     residual: epilogue.residual.map(|residual| &residual[at..at + height * width]),
                     activation: epilogue.activation,
-                    // SAFETY: inside; of this channel this task alone writes the tiles of its runs.
-                    out: unsafe { target.at(at) },
+                    out: target.at(at),
                 };
                 // SAFETY: the products hold every position, the output the channel's plane.
                 unsafe { transform_output(isa, &task) }
@@ -358,7 +356,7 @@ unsafe fn fill_row<S: Simd>(
     to: &mut [f32],
 ) {
     let zeros = padding.saturating_sub(first).min(columns);
-    let start = (first + zeros - padding).min(from.len());
+    let start = (first + zeros).saturating_sub(padding).min(from.len());
     let count = (columns - zeros).min(from.len() - start);
     let fill = |to: &mut [f32]| {
         to[..zeros].fill(0.0);
@@ -404,7 +402,7 @@ dispatch! {
     /// Transforms products back and finishes the sums of one channel.
     ///
     /// # Safety
-    /// the products hold every position, the output a plane that no other thread writes these tiles of.
+    /// The products hold every position, the output a plane that no other thread writes these tiles of.
     unsafe fn transform_output = transform_output_kernel(task: &OutputTask)
 }
 

@@ -2,6 +2,7 @@ use std::path::{Path, PathBuf};
 
 use glam::Vec3;
 use rayon::prelude::*;
+use srflow_field::FileError;
 use srflow_field::random::Key;
 use srflow_splat::Gaussians;
 
@@ -13,13 +14,10 @@ use crate::{HeadModel, HeadModelError, HeadPose, ShapedHead, ict};
 #[derive(Debug, thiserror::Error)]
 pub enum AvatarError {
     /// A file could not be read.
-    #[error("{}: cannot be read: {source}. An ICT-FaceKit folder (FaceXModel) holds generic_neutral_mesh.obj, vertex_indices.json, identityNNN.obj and one OBJ per expression", .path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        source: std::io::Error,
-    },
+    #[error(
+        "{0}. An ICT-FaceKit folder (FaceXModel) holds generic_neutral_mesh.obj, vertex_indices.json, identityNNN.obj and one OBJ per expression"
+    )]
+    Read(FileError),
     /// A file is not what it should be.
     #[error("{}:{line}: {problem}", .path.display())]
     Malformed {

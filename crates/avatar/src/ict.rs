@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat4, DVec4, Quat, Vec3};
 use rayon::prelude::*;
 use serde::Deserialize;
+use srflow_field::{FileKind, excerpt, read_file};
 
 use crate::avatar::AvatarError;
 use crate::obj::{read_obj, read_obj_positions};
@@ -84,12 +85,11 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
 }
 
 fn read_indices(path: &Path) -> Result<VertexIndices, AvatarError> {
-    let bytes =
-        std::fs::read(path).map_err(|source| AvatarError::Read { path: path.to_path_buf(), source })?;
+    let bytes = read_file(path, FileKind::Json).map_err(AvatarError::Read)?;
     let malformed =
         |problem: String, line| AvatarError::Malformed { path: path.to_path_buf(), line, problem };
-    let indices: VertexIndices =
-        serde_json::from_slice(&bytes).map_err(|error| malformed(error.to_string(), error.line()))?;
+    let indices: VertexIndices = serde_json::from_slice(&bytes)
+        .map_err(|error| malformed(excerpt(&error.to_string()), error.line()))?;
     let landmarks = &indices.idx_to_landmark_verts;
     if landmarks.len() != 68 || landmarks.iter().any(|&v| v as usize >= VERTICES) {
         let problem = format!("expected 68 landmark vertices below {VERTICES}, found {}", landmarks.len());

@@ -1,6 +1,7 @@
 use std::path::Path;
 
 use glam::Vec3;
+use srflow_field::{FileKind, excerpt, read_file};
 
 use crate::avatar::AvatarError;
 
@@ -33,7 +34,7 @@ pub(crate) fn read_obj_positions(path: &Path) -> Result<Vec<Vec3>, AvatarError> 
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, AvatarError> {
-    std::fs::read(path).map_err(|source| AvatarError::Read { path: path.to_path_buf(), source })
+    read_file(path, FileKind::Mesh).map_err(AvatarError::Read)
 }
 
 fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
@@ -56,7 +57,7 @@ fn position(path: &Path, line: usize, text: &[u8]) -> Result<Vec3, AvatarError> 
     for value in &mut xyz {
         let word = words.next().unwrap_or("");
         *value = word.parse().ok().filter(|v: &f32| v.abs() <= LARGEST_COORDINATE).ok_or_else(|| {
-            malformed(path, line, format!("expected three finite coordinates, found {word:?}"))
+            malformed(path, line, format!("expected three finite coordinates, found `{}`", excerpt(word)))
         })?;
     }
     Ok(Vec3::from_array(xyz))
@@ -70,7 +71,13 @@ fn polygon(path: &Path, line: usize, text: &[u8], vertices: usize) -> Result<Vec
         let index = match number.parse::<i64>() {
             Ok(n) if n > 0 => n - 1,
             Ok(n) if n < 0 => n.saturating_add(vertices as i64),
-            _ => return Err(malformed(path, line, format!("expected a vertex number, found {word:?}"))),
+            _ => {
+                return Err(malformed(
+                    path,
+                    line,
+                    format!("expected a vertex number, found `{}`", excerpt(word)),
+                ));
+            }
         };
         if index < 0 || index >= vertices as i64 {
             return Err(malformed(path, line, format!("vertex {number} of {vertices} does not exist")));
@@ -117,16 +124,16 @@ mod tests {
         let triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
         for (text, expected) in [
             ("v 0 0\n".to_string(), ":1: "),
-            ("v 0 nan 0\n".to_string(), "\"nan\""),
-            ("v 0 inf 0\n".to_string(), "\"inf\""),
-            ("v 0 1e30 0\n".to_string(), "\"1e30\""),
+            ("v 0 nan 0\n".to_string(), "`nan`"),
+            ("v 0 inf 0\n".to_string(), "`inf`"),
+            ("v 0 1e30 0\n".to_string(), "`1e30`"),
             (format!("{triangle}f 1 2 4\n"), "vertex 4 of 3"),
             (format!("{triangle}f 1 2 -4\n"), "vertex -4 of 3"),
-            (format!("{triangle}f 0 1 2\n"), "\"0\""),
+            (format!("{triangle}f 0 1 2\n"), "`0`"),
             (format!("{triangle}f 1 2 99999999999999999999\n"), "vertex number"),
             (format!("{triangle}f 1 2 -9223372036854775808\n"), "of 3"),
             (format!("{triangle}f 1 2\n"), "found 2"),
-            (format!("{triangle}f a b c\n"), "\"a\""),
+            (format!("{triangle}f a b c\n"), "`a`"),
         ] {
             let message = read_text(&text).unwrap_err().to_string();
             assert!(message.contains(expected), "{text:?}: {message}");

@@ -5,7 +5,7 @@ use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
-use srflow_eval::{Table, TextStyle, latex_file};
+use srflow_eval::{Table, TextStyle, joined, latex_file};
 use srflow_field::write_atomically;
 
 /// Fails on the first of these files that exists, unless `force` allows to overwrite it.
@@ -22,19 +22,9 @@ pub fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
         .with_context(|| format!("writing {}", path.display()))
 }
 
-/// Tables in one of their forms, one after the other.
-pub fn joined(tables: &[Table], form: impl Fn(&Table) -> String) -> String {
-    tables.iter().map(form).collect::<Vec<_>>().join("\n")
-}
-
 /// Tables as one LaTeX file.
 pub fn latex(tables: &[Table]) -> String {
     latex_file(tables.iter().map(|table| (table.title.clone(), table.latex())))
-}
-
-/// Tables as Markdown, each under its title.
-pub fn markdown(tables: &[Table]) -> String {
-    joined(tables, |table| format!("{}\n\n{}", table.title, table.markdown()))
 }
 
 /// Prints tables, in colours where standard output is a terminal that wants them (<https://no-color.org>).

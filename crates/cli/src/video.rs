@@ -7,7 +7,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::thread::JoinHandle;
 
 use anyhow::{Context as _, anyhow, bail, ensure};
-use srflow_field::Image;
+use srflow_field::{FileKind, Image, open_file};
 
 /// Extensions of video files.
 const EXTENSIONS: [&str; 15] = [
@@ -95,7 +95,7 @@ impl VideoReader {
     /// # Errors
     /// When there is no such file or no `ffmpeg`.
     pub fn open(path: &Path) -> anyhow::Result<Self> {
-        std::fs::File::open(path).with_context(|| path.display().to_string())?;
+        open_file(path, FileKind::Video)?;
         let mut command = Command::new("ffmpeg");
         command.args(["-nostdin", "-v", "error", "-i"]).arg(path);
         // Every frame that is stored, once, whatever its time.

@@ -3,6 +3,7 @@
 mod crop;
 mod error_curve;
 mod evaluate;
+mod method_record;
 pub mod report;
 mod results;
 mod table;
@@ -10,6 +11,9 @@ mod zero;
 
 pub use crop::{CropError, Window, head_window};
 pub use evaluate::{Estimate, EvaluateError, Event, OnFailure, PairProblem, ScoredPair, Settings, evaluate};
+pub use method_record::MethodRecord;
 pub use results::{Evaluation, Failure, MethodScores, PairScores, Region};
-pub use table::{Better, Column, Mark, Row, Table, TextStyle, latex_escape, latex_file};
+pub use table::{
+    Better, Column, Mark, Row, Table, TextStyle, joined, latex_escape, latex_file, markdown_file,
+};
 pub use zero::Zero;

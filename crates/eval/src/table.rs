@@ -283,6 +283,16 @@ fn ansi(mark: Mark) -> (&'static str, &'static str) {
     }
 }
 
+/// Tables in one of their forms, one after the other.
+pub fn joined(tables: &[Table], form: impl Fn(&Table) -> String) -> String {
+    tables.iter().map(form).collect::<Vec<_>>().join("\n")
+}
+
+/// Tables as Markdown, each under its title.
+pub fn markdown_file(tables: &[Table]) -> String {
+    joined(tables, |table| format!("{}\n\n{}", table.title, table.markdown()))
+}
+
 /// A file for `\input`: the packages that its tables need as a comment, then each `tabular` under its title as a comment.
 pub fn latex_file(tables: impl IntoIterator<Item = (String, String)>) -> String {
     const PACKAGES: &str =

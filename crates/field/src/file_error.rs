@@ -1,9 +1,11 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::{excerpt, printable};
+
 /// Why a file could not be read or written: which file, which of its fields, what was expected and what was found.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: {problem}", .path.display())]
+#[error("{}: {problem}", printable(&.path.to_string_lossy()))]
 pub struct FileError {
     /// The file.
     pub path: PathBuf,
@@ -11,11 +13,18 @@ pub struct FileError {
     pub problem: FileProblem,
 }
 
+impl FileError {
+    /// Whether there is no such file.
+    pub fn is_not_found(&self) -> bool {
+        matches!(&self.problem, FileProblem::Io { error, .. } if error.kind() == io::ErrorKind::NotFound)
+    }
+}
+
 /// What is wrong with a file; see [`FileError`].
 #[derive(Debug, thiserror::Error)]
 pub enum FileProblem {
     /// The operating system refused.
-    #[error("{doing}: {error}")]
+    #[error("{doing}: {error}{}", advice(.error))]
     Io {
         /// What was being done, e.g. `opening`.
         doing: &'static str,
@@ -33,7 +42,7 @@ pub enum FileProblem {
         advice: &'static str,
     },
     /// A field of the file does not hold what it must.
-    #[error("{field}: expected {expected}, found {found}")]
+    #[error("{field}: expected {expected}, found {}", excerpt(.found))]
     Field {
         /// Name of the field, e.g. `magic` or `file size`.
         field: &'static str,
@@ -54,6 +63,16 @@ pub enum FileProblem {
         /// What it holds.
         found: String,
     },
+}
+
+/// What to do about what the system says, where it does not go without saying.
+fn advice(error: &io::Error) -> &'static str {
+    match error.kind() {
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "; free some space or write to another disk, and run the command again"
+        }
+        _ => "",
+    }
 }
 
 impl FileProblem {

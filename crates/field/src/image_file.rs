@@ -6,7 +6,7 @@ use std::path::Path;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use crate::codec::{MAX_PIXELS, PngOutline, check_size, read_all, read_with};
-use crate::{FileError, FileProblem, Image, Mask, write_atomically};
+use crate::{FileError, FileKind, FileProblem, Image, Mask, write_atomically};
 
 /// Extensions, in lower case, of the files that [`read_image`] takes.
 pub const IMAGE_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "ppm", "pgm", "pnm", "bmp"];
@@ -17,7 +17,7 @@ pub const IMAGE_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "ppm", "pgm", "pn
 /// # Errors
 /// When the file cannot be read, is of another format, or is broken.
 pub fn read_image(path: &Path) -> Result<Image, FileError> {
-    read_with(path, |reader, len| {
+    read_with(path, FileKind::Image, |reader, len| {
         let pixels = decode(&read_all(reader, len)?)?.into_rgb8();
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
         Ok(Image::from_buffer(width, height, pixels.as_raw().as_chunks().0.to_vec()))
@@ -29,7 +29,7 @@ pub fn read_image(path: &Path) -> Result<Image, FileError> {
 /// # Errors
 /// When the file cannot be read, is of another format, or its header is broken.
 pub fn read_image_size(path: &Path) -> Result<(usize, usize), FileError> {
-    read_with(path, |reader, _| {
+    read_with(path, FileKind::Image, |reader, _| {
         let mut start = [0; 64];
         let mut len = 0;
         while let read @ 1.. = reader.read(&mut start[len..]).map_err(FileProblem::reading)? {
@@ -49,7 +49,7 @@ pub fn read_image_size(path: &Path) -> Result<(usize, usize), FileError> {
 /// # Errors
 /// As [`read_image`].
 pub fn read_mask(path: &Path) -> Result<Mask, FileError> {
-    read_with(path, |reader, len| {
+    read_with(path, FileKind::Image, |reader, len| {
         let pixels = decode(&read_all(reader, len)?)?.into_luma8();
         let (width, height) = (pixels.width() as usize, pixels.height() as usize);
         Ok(Mask::from_buffer(width, height, pixels.as_raw().iter().map(|value| *value > 127).collect()))

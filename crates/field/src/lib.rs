@@ -6,21 +6,25 @@
 mod atomic_write;
 mod codec;
 mod estimator;
+mod excerpt;
 mod file_error;
 mod flow_colors;
 mod forward_interpolate;
 mod grid;
 mod image_file;
 mod metrics;
+mod open;
 mod parse_words;
 pub mod random;
 mod warp;
 
 pub use atomic_write::{PARTIAL_EXTENSION, create_folder, write_atomically};
 pub use codec::npy::{Array, read_npy, read_npy_plane, write_npy, write_npy_plane};
+pub use codec::npz::open_zip;
 pub use codec::npz::{NpzArray, write_npz};
 pub use codec::{FlowFormat, read_flow, read_flow_as, write_flow, write_flow_as};
 pub use estimator::{EstimateError, FlowEstimator, FlowSequence};
+pub use excerpt::{excerpt, excerpts, is_unprintable, printable};
 pub use file_error::{FileError, FileProblem};
 pub use flow_colors::{flow_colors, longest_flow};
 pub use forward_interpolate::forward_interpolate;
@@ -30,5 +34,6 @@ pub use image_file::{
     IMAGE_EXTENSIONS, read_image, read_image_size, read_mask, write_image_png, write_mask_png,
 };
 pub use metrics::{MAX_SCORED_FLOW, MeanMetrics, Metrics, ScoreError, score};
+pub use open::{FileKind, open_file, read_file, read_text};
 pub use parse_words::parse_error_in_words;
 pub use warp::{Tolerance, forward_backward_check, warp};

@@ -1,9 +1,13 @@
 use std::fmt::Display;
 
+use crate::printable;
+
 /// The message of a JSON or TOML parser without the names of Rust's types: `expected usize` becomes `expected a whole number
 /// from 0`, `missing field` becomes `missing key`. What was found and where stays as it is.
 pub fn parse_error_in_words(error: &impl Display) -> String {
-    let mut message = error.to_string().trim_end().to_owned();
+    const LONGEST: usize = 1000; // a long line of the file may be a part of it
+    let whole = error.to_string();
+    let mut message: String = printable(whole.trim_end()).chars().take(LONGEST).collect();
     for (theirs, words) in [
         ("missing field ", "missing key "),
         ("unknown field ", "unknown key "),

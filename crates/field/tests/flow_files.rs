@@ -444,12 +444,7 @@ fn an_unknown_kind_of_file_lists_the_formats() {
     let missing = read_flow(Path::new("/nowhere/at/all.flo")).unwrap_err().to_string();
     assert!(missing.starts_with("/nowhere/at/all.flo: opening: "), "{missing}");
     let folder = tempfile::tempdir().unwrap();
-    assert!(
-        read_flow(folder.path())
-            .unwrap_err()
-            .to_string()
-            .ends_with(": file: expected a file, found a folder")
-    );
+    assert!(read_flow(folder.path()).unwrap_err().to_string().contains("found a folder"));
 }
 
 #[test]

@@ -76,26 +76,42 @@ pub fn spot_apex(
     spot(clip, rule, face, estimator).map_err(|problem| ExtractError { clip: clip.id(), problem })
 }
 
-/// Spots the apex of every clip that has none and puts it into the clip's annotation; gives how many there were.
+/// Spots the apexes of several clips, in their order; calls `on_clip` after each.
 ///
 /// # Errors
 /// Those of [`spot_apex`], of the first clip that has one.
+pub fn spot_apexes(
+    clips: &[&Clip],
+    rule: ApexRule,
+    face: &FaceCrop,
+    estimator: &dyn FlowEstimator,
+    on_clip: &(dyn Fn() + Sync),
+) -> Result<Vec<u64>, ExtractError> {
+    let spot = |clip: &&Clip| {
+        let spotted = spot_apex(clip, rule, face, estimator);
+        on_clip();
+        spotted.map(|spotted| spotted.frame)
+    };
+    let spotted: Vec<Result<u64, ExtractError>> = clips.par_iter().map(spot).collect();
+    spotted.into_iter().collect()
+}
+
+/// Gives an apex to every clip that has none; returns how many there were.
+///
+/// # Errors
+/// Those of [`spot_apexes`].
 pub fn fill_apexes(
     clips: &mut [Clip],
     rule: ApexRule,
     face: &FaceCrop,
     estimator: &dyn FlowEstimator,
+    on_clip: &(dyn Fn() + Sync),
 ) -> Result<usize, ExtractError> {
-    let without = clips.par_iter_mut().filter(|clip| clip.annotation.apex.is_none());
-    let filled = without.map(|clip| {
-        let spotted = spot_apex(clip, rule, face, estimator)?;
-        clip.annotation.apex = Some(spotted.frame);
-        Ok(())
-    });
-    let filled: Vec<Result<(), ExtractError>> = filled.collect();
-    let count = filled.len();
-    filled.into_iter().collect::<Result<(), ExtractError>>()?;
-    Ok(count)
+    let without: Vec<&Clip> = clips.iter().filter(|clip| clip.annotation.apex.is_none()).collect();
+    let spotted = spot_apexes(&without, rule, face, estimator, on_clip)?;
+    let without = clips.iter_mut().filter(|clip| clip.annotation.apex.is_none());
+    without.zip(&spotted).for_each(|(clip, apex)| clip.annotation.apex = Some(*apex));
+    Ok(spotted.len())
 }
 
 fn spot(

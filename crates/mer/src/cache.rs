@@ -4,7 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
-use srflow_field::{FileError, FileProblem, create_folder, read_npy, write_npy};
+use srflow_field::{FileError, FileKind, FileProblem, create_folder, open_file, read_npy, write_npy};
 
 use crate::features::{FEATURE_SIDE, Features};
 
@@ -28,16 +28,16 @@ pub struct FeatureKey(String);
 /// # Errors
 /// When the file cannot be read.
 pub fn file_digest(path: &Path) -> Result<String, FileError> {
-    Ok(hexadecimal(&sha256(path)?))
+    Ok(hexadecimal(&sha256(path, FileKind::Checkpoint)?))
 }
 
-fn sha256(path: &Path) -> Result<Vec<u8>, FileError> {
+fn sha256(path: &Path, kind: FileKind) -> Result<Vec<u8>, FileError> {
     let failed = |error: io::Error| FileError {
         path: path.to_owned(),
         problem: FileProblem::Io { doing: "reading", error },
     };
     let mut digest = Sha256::new();
-    let mut file = std::fs::File::open(path).map_err(failed)?;
+    let (mut file, _) = open_file(path, kind)?;
     io::copy(&mut file, &mut digest).map_err(failed)?;
     Ok(digest.finalize().to_vec())
 }
@@ -65,7 +65,7 @@ impl FeatureCache {
         digest.update(format!("srflow features {VERSION}\n{recipe}\n"));
         for path in [onset, apex] {
             // Of each picture its own digest, so that bytes cannot move from one to the other.
-            digest.update(sha256(path)?);
+            digest.update(sha256(path, FileKind::Image)?);
         }
         Ok(FeatureKey(hexadecimal(&digest.finalize())))
     }

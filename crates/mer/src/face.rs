@@ -8,7 +8,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use srflow_field::Image;
+use srflow_field::{FileError, FileKind, Image, excerpt, open_file};
 use srflow_read::micro_expression::Annotation;
 
 /// What is done to the frames of every clip before flow is computed.
@@ -103,6 +103,9 @@ pub struct FacePoints {
 /// Why a face could not be cut out.
 #[derive(Debug, thiserror::Error)]
 pub enum FaceError {
+    /// The file could not be opened.
+    #[error(transparent)]
+    File(#[from] FileError),
     /// The landmarks cannot be read.
     #[error("{}: {reason}", .path.display())]
     Landmarks {
@@ -140,10 +143,8 @@ impl Landmarks {
     /// When it cannot be read, lacks columns, or holds something other than numbers.
     pub fn read(path: &Path) -> Result<Self, FaceError> {
         let wrong = |reason: String| FaceError::Landmarks { path: path.to_owned(), reason };
-        let mut reader = csv::ReaderBuilder::new()
-            .trim(csv::Trim::All)
-            .from_path(path)
-            .map_err(|error| wrong(error.to_string()))?;
+        let mut reader =
+            csv::ReaderBuilder::new().trim(csv::Trim::All).from_reader(open_file(path, FileKind::Table)?.0);
         let headers = reader.headers().map_err(|error| wrong(error.to_string()))?.clone();
         let column = |name: &str| headers.iter().position(|header| header.eq_ignore_ascii_case(name));
         let needed = |name: &str| {
@@ -171,7 +172,8 @@ impl Landmarks {
                 Ok(value) if value.is_finite() => Ok(value),
                 _ => Err(wrong(format!(
                     "row {row}, {}: expected a number, found `{}`",
-                    &headers[at], &record[at]
+                    excerpt(&headers[at]),
+                    excerpt(&record[at])
                 ))),
             };
             let read = |[x, y]: &[usize; 2]| Ok([coordinate(*x)?, coordinate(*y)?]);
@@ -182,7 +184,7 @@ impl Landmarks {
             let number = match frame.map(|at| &record[at]) {
                 None | Some("") => None,
                 Some(text) => Some(text.parse::<u64>().map_err(|_| {
-                    wrong(format!("row {row}, frame: expected a frame number, found `{text}`"))
+                    wrong(format!("row {row}, frame: expected a frame number, found `{}`", excerpt(text)))
                 })?),
             };
             let key = ClipName {

@@ -15,13 +15,17 @@ mod report;
 mod resize;
 mod results;
 mod results_csv;
+mod results_folder;
+mod run;
 mod strain;
 mod summary;
 mod training;
 
-pub use apex::{ApexErrors, ApexRule, SpottedApex, apex_errors, fill_apexes, spot_apex};
+pub use apex::{ApexErrors, ApexRule, SpottedApex, apex_errors, fill_apexes, spot_apex, spot_apexes};
 pub use cache::{FeatureCache, FeatureKey, file_digest};
-pub use classifier::{Classifier, OffApexNet, OffTaNet, StstNet, initialized};
+pub use classifier::{
+    CLASSIFIERS, Classifier, ClassifierEntry, ClassifierFacts, OffApexNet, OffTaNet, StstNet, initialized,
+};
 pub use extract::{
     ExtractError, ExtractProblem, Extracted, Method, Preparation, ResizeOrder, extract, features_of_frames,
 };
@@ -38,6 +42,10 @@ pub use results::{
     unseen_classes,
 };
 pub use results_csv::{confusions_csv, folds_csv, scores_csv};
+pub use results_folder::{
+    ResultsError, ResultsFolder, ResultsRecord, TABLE_FILES, all_score_tables, write_tables,
+};
+pub use run::{DataRecord, RunError, RunEvent, RunFolders, RunMethod, RunResults, RunSettings, Sets, run};
 pub use strain::{StrainFormula, optical_strain, strain_colors};
 pub use summary::{Best, EpochScores, FoldScores, Summary, SummaryError};
 pub use training::{Training, cross_entropy};

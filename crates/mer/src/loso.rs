@@ -1,15 +1,14 @@
 //! Leave one subject out: every subject of every dataset is told once by a classifier that has seen all the others.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use srflow_field::{FileError, FileProblem, create_folder, write_atomically};
+use srflow_field::{FileError, FileKind, create_folder, read_file, write_atomically};
 use srflow_read::micro_expression::EmotionClass;
 
 use crate::classifier::Classifier;
@@ -276,7 +275,7 @@ impl Store {
     ) -> Result<Self, FileError> {
         create_folder(folder)?;
         let mut digest = Sha256::new();
-        digest.update(format!("srflow fold {VERSION}\n{}\n{protocol:?}\n", C::NAME));
+        digest.update(format!("srflow fold {VERSION}\n{}\n{protocol:?}\n", C::FACTS.name));
         for sample in samples {
             let Sample { dataset, subject, clip, class, features } = sample;
             digest.update(format!("{dataset:?} {subject:?} {clip:?} {class}\n"));
@@ -294,15 +293,10 @@ impl Store {
 
 /// A finished fold; none where there is no file, or one that is not whole.
 fn read_fold(path: &Path) -> Result<Option<Finished>, FileError> {
-    let text = match fs::read(path) {
+    let text = match read_file(path, FileKind::Json) {
         Ok(text) => text,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-        Err(error) => {
-            return Err(FileError {
-                path: path.to_owned(),
-                problem: FileProblem::Io { doing: "reading", error },
-            });
-        }
+        Err(error) if error.is_not_found() => return Ok(None),
+        Err(error) => return Err(error),
     };
     let file: Option<FoldFile> = serde_json::from_slice(&text).ok();
     Ok(file.map(|file| {

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileError, write_atomically};
+use srflow_field::{FileError, FileKind, excerpt, open_file, write_atomically};
 use srflow_read::micro_expression::EmotionClass;
 
 use crate::metrics::CLASSES;
@@ -42,8 +42,11 @@ pub struct Trial {
 /// Why a file of predictions was not read.
 #[derive(Debug, thiserror::Error)]
 pub enum PredictionsError {
+    /// The file could not be opened.
+    #[error(transparent)]
+    File(#[from] FileError),
     /// It is no CSV file, or a line lacks a column or holds something else in it.
-    #[error("{}: {error}; expected a predictions.csv as `srflow mer run` writes it", .path.display())]
+    #[error("{}: {}; expected a predictions.csv as `srflow mer run` writes it", .path.display(), excerpt(&.error.to_string()))]
     Csv {
         /// The file.
         path: PathBuf,
@@ -154,7 +157,7 @@ pub fn write_predictions(path: &Path, trials: &[Trial]) -> Result<(), FileError>
 /// When the file cannot be read, is empty or holds something else.
 pub fn read_predictions(path: &Path) -> Result<Vec<Trial>, PredictionsError> {
     let broken = |error| PredictionsError::Csv { path: path.to_owned(), error };
-    let mut reader = csv::Reader::from_path(path).map_err(broken)?;
+    let mut reader = csv::Reader::from_reader(open_file(path, FileKind::Table)?.0);
     let head = reader.headers().map_err(broken)?.clone();
     if head.is_empty() {
         return Err(PredictionsError::Empty { path: path.to_owned() });

@@ -161,7 +161,8 @@ fn only_missing_apexes_are_filled() {
     let folder = tempfile::tempdir().unwrap();
     let mut clips = clips(folder.path(), false);
     clips[1].annotation.apex = Some(8);
-    let filled = fill_apexes(&mut clips, ApexRule::Strain, &FaceCrop::Whole, &Brightness::default()).unwrap();
+    let filled =
+        fill_apexes(&mut clips, ApexRule::Strain, &FaceCrop::Whole, &Brightness::default(), &|| ()).unwrap();
     let apexes: Vec<Option<u64>> = clips.iter().map(|clip| clip.annotation.apex).collect();
     assert_eq!((filled, apexes), (2, vec![Some(5), Some(8), Some(7)]));
     assert_eq!(apex_errors([]), None);

@@ -3,11 +3,15 @@
 
 use std::path::PathBuf;
 
-use burn::module::{Module, ModuleVisitor, Param};
-use burn::tensor::{Device, Gradients, Int, Tensor, TensorData};
+use burn::tensor::{Device, Int, Tensor, TensorData};
 use safetensors::SafeTensors;
-use srflow_mer::{Classifier, OffApexNet, OffTaNet, StstNet, Training, cross_entropy};
-use srflow_nn::{Parameters, load, parameter_infos, with_batch_statistics, with_parameters};
+use srflow_mer::{
+    CLASSIFIERS, Classifier, ClassifierFacts, OffApexNet, OffTaNet, StstNet, Training, cross_entropy,
+};
+use srflow_nn::{
+    HostGradients, Layout, Parameters, Segment, load, parameter_infos, parameters, with_batch_statistics,
+    with_parameters,
+};
 
 const LABELS: [i64; 5] = [0, 2, 1, 0, 1];
 const LEARNING_RATE: f64 = 6.5e-4;
@@ -105,47 +109,12 @@ fn golden_path(name: &str) -> PathBuf {
     ["tests/golden", name].iter().collect()
 }
 
-/// A parameter or statistic, whatever its rank.
-struct Value {
-    shape: Vec<usize>,
-    values: Vec<f32>,
-    gradient: Option<Vec<f32>>,
-}
-
-struct Visitor<'a, F> {
-    path: Vec<String>,
-    gradients: Option<&'a Gradients>,
-    of: F,
-}
-
-impl<F: FnMut(&str, Value)> ModuleVisitor for Visitor<'_, F> {
-    fn enter_module(&mut self, name: &str, _: &str) {
-        self.path.push(name.to_owned());
-    }
-
-    fn exit_module(&mut self, _: &str, _: &str) {
-        self.path.pop();
-    }
-
-    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-        let tensor = param.val();
-        let gradient = self.gradients.and_then(|gradients| tensor.grad(gradients)).map(numbers);
-        let value = Value { shape: tensor.dims().to_vec(), values: numbers(tensor), gradient };
-        (self.of)(&self.path.join("."), value);
-    }
-}
-
-/// Every parameter and statistic by name.
-fn visit<M: Module>(network: &M, gradients: Option<&Gradients>, of: impl FnMut(&str, Value)) {
-    network.visit(&mut Visitor { path: Vec::new(), gradients, of });
-}
-
-fn check<C: Classifier>(count: usize) {
-    let golden = Golden::of(C::NAME);
+fn check<C: Classifier>() {
+    let golden = Golden::of(C::FACTS.name);
     let plain = Device::flex();
     let network: C = filled(&plain);
     let learned = parameter_infos(&network).into_iter().filter(|info| !info.name.contains("running_"));
-    assert_eq!(learned.map(|info| info.shape.iter().product::<usize>()).sum::<usize>(), count);
+    assert_eq!(learned.map(|info| info.shape.iter().product::<usize>()).sum::<usize>(), C::FACTS.parameters);
     let scores = network.scores(inputs::<C>(&plain), None);
     golden.assert_close("evaluation", &numbers(scores), 2e-5);
 
@@ -156,44 +125,44 @@ fn check<C: Classifier>(count: usize) {
     golden.assert_close("training", &numbers(scores.clone()), 2e-5);
     let loss = cross_entropy(scores, labels());
     golden.assert_close("loss", &numbers(loss.clone()), 1e-5);
-    let gradients = loss.backward();
-    visit(&network, Some(&gradients), |name, param| {
-        if let Some(gradient) = param.gradient {
-            let tiny = NO_GRADIENT.iter().any(|bias| name.ends_with(bias));
-            if tiny {
-                assert!(gradient.iter().all(|x| x.abs() < 1e-6), "{name}: {gradient:?}");
-            } else {
-                golden.assert_digest(&format!("gradient.{name}"), &gradient, 1e-3);
-            }
+    let (layout, _) = Layout::of(&network);
+    let mut gradients = HostGradients::zero(&layout);
+    gradients.add(&network, &layout, &loss.backward(), 1.0);
+    for (Segment { name, range, .. }, reached) in layout.segments().iter().zip(gradients.reached) {
+        let gradient = &gradients.values[range.clone()];
+        if NO_GRADIENT.iter().any(|bias| name.ends_with(bias)) {
+            assert!(gradient.iter().all(|x| x.abs() < 1e-6), "{name}: {gradient:?}");
+        } else if reached {
+            golden.assert_digest(&format!("gradient.{name}"), gradient, 1e-3);
         }
-    });
+    }
 
     let mut training = Training::new(filled::<C>(&device));
     for step in 0..3 {
         training.step(inputs::<C>(&device), labels(), LEARNING_RATE * 0.3_f64.powi(step), None);
     }
-    visit(&training.network().valid(), None, |name, param| {
+    for (name, data) in parameters(&training.network().valid()) {
         let unit = if name.contains("running_") { 1.0 } else { LEARNING_RATE as f32 };
-        let start = parameter(name, &param.shape);
-        let moved: Vec<f32> =
-            param.values.iter().zip(start).map(|(end, start)| (end - start) / unit).collect();
+        let start = parameter(&name, &data.shape());
+        let end: Vec<f32> = data.try_to_vec().expect("f32");
+        let moved: Vec<f32> = end.iter().zip(start).map(|(end, start)| (end - start) / unit).collect();
         golden.assert_digest(&format!("stepped.{name}"), &moved, 0.02);
-    });
+    }
 }
 
 #[test]
 fn off_tanet() {
-    check::<OffTaNet>(59_403);
+    check::<OffTaNet>();
 }
 
 #[test]
 fn ststnet() {
-    check::<StstNet>(1_683);
+    check::<StstNet>();
 }
 
 #[test]
 fn off_apexnet() {
-    check::<OffApexNet>(2_664_475);
+    check::<OffApexNet>();
 }
 
 #[test]
@@ -204,4 +173,14 @@ fn a_checkpoint_in_its_published_form_loads() {
     Golden::of("ststnet").assert_close("evaluation", &numbers(scores), 2e-5);
     let error = load(OffTaNet::new(&device), &golden_path("ststnet.pth")).unwrap_err().to_string();
     assert!(error.contains("conv1.0.weight"), "{error}");
+}
+
+#[test]
+fn the_page_on_parity_lists_every_classifier() {
+    for ClassifierFacts { name, title, paper, reference, parameters, input } in
+        CLASSIFIERS.map(|entry| entry.facts)
+    {
+        let row = format!("| {title} | `{name}` | {paper} | {reference} | {parameters} | {input} |");
+        assert!(include_str!("../PARITY.md").contains(&row), "{row}");
+    }
 }

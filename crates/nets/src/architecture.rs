@@ -3,7 +3,7 @@
 use burn::tensor::Device;
 
 use crate::network::Network;
-use crate::{GmaConfig, RaftConfig, RaftSmallConfig, SkFlowConfig};
+use crate::{Gma, Raft, RaftSmall, SkFlow};
 
 /// Where ptlflow publishes its weights.
 macro_rules! ptlflow {
@@ -215,10 +215,10 @@ impl Architecture {
     /// The network of the paper with random parameters, as training starts.
     pub fn init(self, device: &Device) -> Network {
         match self {
-            Self::Raft => Network::Raft(RaftConfig::new().init(device)),
-            Self::RaftSmall => Network::RaftSmall(RaftSmallConfig::new().init(device)),
-            Self::Gma => Network::Gma(GmaConfig::new().init(device)),
-            Self::SkFlow => Network::SkFlow(SkFlowConfig::new().init(device)),
+            Self::Raft => Network::Raft(Raft::new(device)),
+            Self::RaftSmall => Network::RaftSmall(RaftSmall::new(device)),
+            Self::Gma => Network::Gma(Gma::new(device)),
+            Self::SkFlow => Network::SkFlow(SkFlow::new(device)),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Optical flow networks: one file per network, `Config` with named presets, `init`, `forward`.
+//! Optical flow networks: one file per network, and the loop that they share.
 //!
 //! A network's parameters carry the names that the reference implementation gives them, so that published weights load
 //! without a table of names.
@@ -27,12 +27,12 @@ pub use estimator::{NetworkEstimator, SMALLEST_SIDE};
 pub use features::Features;
 pub use fit::{Fit, fits, load_network};
 pub use frames::Frames;
-pub use gma::{Gma, GmaConfig};
+pub use gma::Gma;
 pub use network::Network;
 pub use published::{PublishedError, find_weights, published, published_names, weights_folder};
-pub use raft::{Raft, RaftConfig};
-pub use raft_small::{RaftSmall, RaftSmallConfig};
+pub use raft::Raft;
+pub use raft_small::RaftSmall;
 pub use recurrent::{Estimate, Request};
 pub use scale::{Scaled, scaled_size};
-pub use skflow::{SkFlow, SkFlowConfig};
+pub use skflow::SkFlow;
 pub use tiles::{MemoryNeed, NothingFits, TileSize, Tiled, Tiles};

@@ -3,6 +3,7 @@
 use burn::module::Module;
 use burn::tensor::Tensor;
 
+use crate::recurrent::Recurrent as _;
 use crate::{Architecture, Encoded, Estimate, Features, Frames, Gma, Raft, RaftSmall, Request, SkFlow};
 
 /// A network of any [`Architecture`], made by [`Architecture::init`] or [`load_network`](crate::load_network).
@@ -21,6 +22,18 @@ pub enum Network {
     SkFlow(SkFlow),
 }
 
+/// Whichever network it is.
+macro_rules! with_network {
+    ($self:ident, $network:ident => $call:expr) => {
+        match $self {
+            Self::Raft($network) => $call,
+            Self::RaftSmall($network) => $call,
+            Self::Gma($network) => $call,
+            Self::SkFlow($network) => $call,
+        }
+    };
+}
+
 impl Network {
     /// Which network it is.
     pub fn architecture(&self) -> Architecture {
@@ -34,31 +47,17 @@ impl Network {
 
     /// Features of frames, RGB in 0..1, `[batch, 3, height, width]`, for [`Request::features`].
     pub fn features(&self, frames: Tensor<4>) -> Features {
-        match self {
-            Self::Raft(network) => network.features(frames),
-            Self::RaftSmall(network) => network.features(frames),
-            Self::Gma(network) => network.features(frames),
-            Self::SkFlow(network) => network.features(frames),
-        }
+        with_network!(self, network => network.features(frames))
     }
 
     /// What refinements start from and read. Panics when the frames differ in size.
     pub fn encode(&self, frames: Frames) -> Encoded {
-        match self {
-            Self::Raft(network) => network.encode(frames),
-            Self::RaftSmall(network) => network.encode(frames),
-            Self::Gma(network) => network.encode(frames),
-            Self::SkFlow(network) => network.encode(frames),
-        }
+        with_network!(self, network => network.encode(frames))
     }
 
-    /// Flow from the first frames to the second. Panics when the frames differ in size.
+    /// Flow from the first frames to the second. Panics when the frames differ in size, no iteration is asked for, or a start
+    /// is of another size.
     pub fn forward(&self, frames: Frames, request: &Request) -> Estimate {
-        match self {
-            Self::Raft(network) => network.forward(frames, request),
-            Self::RaftSmall(network) => network.forward(frames, request),
-            Self::Gma(network) => network.forward(frames, request),
-            Self::SkFlow(network) => network.forward(frames, request),
-        }
+        with_network!(self, network => network.forward(frames, request))
     }
 }

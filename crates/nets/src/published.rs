@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use sha2::{Digest, Sha256};
-use srflow_field::{FileError, FileProblem, create_folder, write_atomically};
+use srflow_field::{FileError, FileKind, FileProblem, create_folder, open_file, write_atomically};
 
 use crate::architecture::{Architecture, PublishedWeights};
 
@@ -56,9 +56,9 @@ pub enum PublishedError {
         /// What the system says.
         error: io::Error,
     },
-    /// The folder could not be made.
+    /// The kept file could not be opened, or its folder not be made.
     #[error("{0}")]
-    Folder(FileError),
+    File(FileError),
 }
 
 /// Every name, such as `skflow-things`.
@@ -132,7 +132,7 @@ fn kept_or_fetched(
 ) -> Result<(), PublishedError> {
     if !path.exists() {
         if let Some(folder) = path.parent() {
-            create_folder(folder).map_err(PublishedError::Folder)?;
+            create_folder(folder).map_err(PublishedError::File)?;
         }
         fetch(url, sha256, path, progress).map_err(|problem| PublishedError::Fetch {
             url: url.to_owned(),
@@ -141,8 +141,8 @@ fn kept_or_fetched(
         })?;
         return Ok(());
     }
-    let digest = File::open(path).and_then(digest);
-    let found = digest.map_err(|error| PublishedError::Read { path: path.to_owned(), error })?;
+    let (file, _) = open_file(path, FileKind::Checkpoint).map_err(PublishedError::File)?;
+    let found = digest(file).map_err(|error| PublishedError::Read { path: path.to_owned(), error })?;
     if found.starts_with(sha256) {
         return Ok(());
     }

@@ -1,15 +1,19 @@
 //! The loop of RAFT (Teed and Deng 2020) and its kin: look up correlations where the flow points, update a hidden state,
 //! add the change of the flow it gives.
 
+use burn::tensor::activation::relu;
 use burn::tensor::{Device, Int, Tensor};
 use srflow_ops::correlation::tensor::Correlation;
 
+use crate::blocks::Encoder;
 use crate::encoded::Encoded;
 use crate::features::Features;
-use crate::frames::Border;
+use crate::frames::Frames;
 
 /// Pixels of a frame along the side of a pixel of the flow that is refined.
 pub(crate) const STRIDE: usize = 8;
+/// Levels of the pyramid of correlations.
+pub(crate) const LEVELS: usize = 4;
 
 /// How to estimate.
 #[derive(Debug, Clone)]
@@ -51,26 +55,69 @@ impl Estimate {
     }
 }
 
-/// What one pass of the loop needs.
-pub(crate) struct Loop<'a, Step, Upsample> {
-    pub(crate) correlation: &'a Correlation,
+/// What all networks of this kind compute before they refine.
+pub(crate) struct Encoders<'a> {
+    /// Of what correlations are computed from.
+    pub(crate) features: &'a Encoder,
+    /// Of the first hidden state and the context.
+    pub(crate) context: &'a Encoder,
+    /// Channels of the hidden state.
+    pub(crate) hidden: usize,
+    /// Radius of the window of correlations that is looked up in each level.
     pub(crate) radius: usize,
-    pub(crate) border: Border,
-    /// Hidden state, flow and correlation windows to the next hidden state and the change of the flow.
-    pub(crate) step: Step,
-    /// Hidden state and coarse flow to fine flow.
-    pub(crate) upsample: Upsample,
 }
 
-impl<Step, Upsample> Loop<'_, Step, Upsample>
-where
-    Step: Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> (Tensor<4>, Tensor<4>),
-    Upsample: Fn(&Tensor<4>, Tensor<4>) -> Tensor<4>,
-{
-    /// Refines from `hidden`, `[batch, channels, height, width]`. Panics when no iteration or a start of another size is
-    /// asked for.
-    pub(crate) fn run(&self, hidden: Tensor<4>, request: &Request) -> Estimate {
+impl Encoders<'_> {
+    /// The first hidden state, and what stays the same in every iteration.
+    fn hidden_and_context(&self, first: Tensor<4>) -> [Tensor<4>; 2] {
+        let both = self.context.forward(first);
+        let context = both.dims()[1] - self.hidden;
+        [both.clone().narrow(1, 0, self.hidden).tanh(), relu(both.narrow(1, self.hidden, context))]
+    }
+}
+
+/// A network that refines flow as RAFT does: it says what is its own, and the loop is here.
+pub(crate) trait Recurrent {
+    /// The encoders.
+    fn encoders(&self) -> Encoders<'_>;
+
+    /// From hidden state, flow and windows of correlations to the next hidden state and the change of the flow, for one
+    /// context.
+    fn step(&self, context: Tensor<4>) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> [Tensor<4>; 2];
+
+    /// Fine flow from the hidden state and coarse flow.
+    fn upsample(&self, hidden: &Tensor<4>, flow: Tensor<4>) -> Tensor<4>;
+
+    /// See [`Network::features`](crate::Network::features).
+    fn features(&self, frames: Tensor<4>) -> Features {
+        Features::of(self.encoders().features, frames)
+    }
+
+    /// See [`Network::encode`](crate::Network::encode).
+    fn encode(&self, frames: Frames) -> Encoded {
+        let encoders = self.encoders();
+        let (first, second, _) = frames.prepared(STRIDE);
+        let features = Features::of_both(encoders.features, [first.clone(), second]);
+        let [hidden, context] = encoders.hidden_and_context(first);
+        Encoded { hidden, context, features: features.map(|features| features.0) }
+    }
+
+    /// See [`Network::forward`](crate::Network::forward).
+    fn forward(&self, frames: Frames, request: &Request) -> Estimate {
         assert!(request.iterations > 0, "at least one iteration");
+        let encoders = self.encoders();
+        let (first, second, border) = frames.prepared(STRIDE);
+        let ([mut hidden, context], known) = match &request.encoded {
+            Some(Encoded { hidden, context, features }) => {
+                ([hidden.clone(), context.clone()], Some(features.clone().map(Features)))
+            }
+            None => (encoders.hidden_and_context(first.clone()), request.features.clone()),
+        };
+        let features = known.unwrap_or_else(|| Features::of_both(encoders.features, [first, second]));
+        let [first, second] = features.map(|features| features.0);
+        let correlation = Correlation::new(first, second, LEVELS);
+        let step = self.step(context);
+
         let [batch, _, height, width] = hidden.dims();
         let grid = pixel_grid([batch, height, width], &hidden.device());
         let mut flow = grid.zeros_like();
@@ -78,16 +125,15 @@ where
             assert_eq!(start.dims(), flow.dims(), "the coarse flow to start from");
             flow = start.clone();
         }
-        let mut hidden = hidden;
         let mut flows = Vec::new();
         for iteration in 1..=request.iterations {
             flow = flow.detach();
-            let windows = self.correlation.windows(grid.clone() + flow.clone(), self.radius);
-            let (next, change) = (self.step)(hidden, flow.clone(), windows);
+            let windows = correlation.windows(grid.clone() + flow.clone(), encoders.radius);
+            let [next, change] = step(hidden, flow.clone(), windows);
             hidden = next;
             flow = flow + change;
             if request.every_iteration || iteration == request.iterations {
-                flows.push(self.border.remove((self.upsample)(&hidden, flow.clone())));
+                flows.push(border.remove(self.upsample(&hidden, flow.clone())));
             }
         }
         Estimate { flows, coarse: flow, hidden }

@@ -1,7 +1,6 @@
 //! SKFlow (Sun et al., NeurIPS 2022): <https://arxiv.org/abs/2205.14623>. GMA with super kernels: every part of the update
 //! is a block with large depthwise kernels. Parity with the reference: `PARITY.md`.
 
-use burn::config::Config;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use srflow_nn::layers::{Conv2d, Conv2dConfig, NoParameters};
@@ -12,38 +11,21 @@ use crate::blocks::{
     Aggregate, Attention, ConvexMask, Encoder, EncoderConfig, NormKind, convex_mask, convex_upsample,
     window_entries,
 };
-use crate::encoded::Encoded;
-use crate::features::Features;
-use crate::frames::Frames;
-use crate::raft::{HIDDEN, correlate, encode, hidden_and_context};
-use crate::recurrent::{Estimate, Loop, Request, STRIDE};
+use crate::raft::{HIDDEN, RADIUS};
+use crate::recurrent::{Encoders, Recurrent};
+
+/// Sides of the depthwise kernels of the motion encoder and the flow head.
+const KERNELS: [usize; 2] = [1, 15];
+/// Sides of the depthwise kernels of the update of the hidden state.
+const UPDATE_KERNELS: [usize; 2] = [1, 7];
 
 /// The network of the paper.
-#[derive(Config, Debug)]
-pub struct SkFlowConfig {
-    /// Levels of the correlation pyramid.
-    #[config(default = "4")]
-    pub levels: usize,
-    /// Radius of the window that is looked up in each.
-    #[config(default = "4")]
-    pub radius: usize,
-    /// Sides of the depthwise kernels of the motion encoder and the flow head.
-    #[config(default = "[1, 15]")]
-    pub kernels: [usize; 2],
-    /// Sides of the depthwise kernels of the update of the hidden state.
-    #[config(default = "[1, 7]")]
-    pub update_kernels: [usize; 2],
-}
-
-/// See [`SkFlowConfig`].
 #[derive(Module, Debug)]
 pub struct SkFlow {
     fnet: Encoder,
     cnet: Encoder,
     update_block: UpdateBlock,
     att: Attention,
-    levels: usize,
-    radius: usize,
 }
 
 /// `SKUpdateBlock6_Deep_nopoolres_AllDecoder`.
@@ -75,64 +57,49 @@ struct SuperKernelBlock {
     ffn2: (Conv2d, NoParameters, Conv2d),
 }
 
-impl SkFlowConfig {
+impl SkFlow {
     /// With random parameters, as training starts.
-    pub fn init(&self, device: &Device) -> SkFlow {
-        let block = |inputs, outputs| SuperKernelBlock::new([inputs, outputs], self.kernels, device);
-        SkFlow {
+    pub fn new(device: &Device) -> Self {
+        let block = |inputs, outputs| SuperKernelBlock::new([inputs, outputs], KERNELS, device);
+        Self {
             fnet: EncoderConfig::basic(256, NormKind::Instance).init(device),
             cnet: EncoderConfig::basic(2 * HIDDEN, NormKind::Batch).init(device),
             update_block: UpdateBlock {
                 encoder: MotionEncoder {
-                    convc1: block(window_entries(self.levels, self.radius), 256),
+                    convc1: block(window_entries(RADIUS), 256),
                     convc2: block(256, 192),
                     convf1: Conv2dConfig::new([2, 128], [1, 1]).init(device),
                     convf2: block(128, 64),
                     conv: block(64 + 192, 128 - 2),
                 },
-                gru: SuperKernelBlock::new([128 + 2 * HIDDEN + 128, 128], self.update_kernels, device),
+                gru: SuperKernelBlock::new([128 + 2 * HIDDEN + 128, 128], UPDATE_KERNELS, device),
                 flow_head: block(128, 2),
                 mask: convex_mask(HIDDEN, device),
                 aggregator: Aggregate::new(128, device),
             },
             att: Attention::new(HIDDEN, device),
-            levels: self.levels,
-            radius: self.radius,
         }
     }
 }
 
-impl SkFlow {
-    /// Features of frames, RGB in 0..1, `[batch, 3, height, width]`, for [`Request::features`].
-    pub fn features(&self, frames: Tensor<4>) -> Features {
-        Features::of(&self.fnet, frames)
+impl Recurrent for SkFlow {
+    fn encoders(&self) -> Encoders<'_> {
+        Encoders { features: &self.fnet, context: &self.cnet, hidden: HIDDEN, radius: RADIUS }
     }
 
-    /// What refinements start from and read. Panics when the frames differ in size.
-    pub fn encode(&self, frames: Frames) -> Encoded {
-        encode(&self.cnet, &self.fnet, frames, HIDDEN)
-    }
-
-    /// Flow from the first frames to the second. Panics when the frames differ in size.
-    pub fn forward(&self, frames: Frames, request: &Request) -> Estimate {
-        let (first, second, border) = frames.prepared(STRIDE);
-        let (hidden, context) = hidden_and_context(&self.cnet, first.clone(), HIDDEN, request);
-        let correlation = correlate(&self.fnet, [first, second], self.levels, request);
-        let attention = self.att.forward(context.clone());
+    fn step(&self, context: Tensor<4>) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> [Tensor<4>; 2] {
         let block = &self.update_block;
-        let refinement = Loop {
-            correlation: &correlation,
-            radius: self.radius,
-            border,
-            step: |hidden, flow, windows| {
-                let motion = block.encoder.forward(flow, windows);
-                let global = block.aggregator.forward(&attention, motion.clone());
-                let hidden = block.gru.forward(Tensor::cat(vec![hidden, context.clone(), motion, global], 1));
-                (hidden.clone(), block.flow_head.forward(hidden))
-            },
-            upsample: |hidden: &Tensor<4>, flow| convex_upsample(&block.mask, hidden, flow),
-        };
-        refinement.run(hidden, request)
+        let attention = self.att.forward(context.clone());
+        move |hidden, flow, windows| {
+            let motion = block.encoder.forward(flow, windows);
+            let global = block.aggregator.forward(&attention, motion.clone());
+            let hidden = block.gru.forward(Tensor::cat(vec![hidden, context.clone(), motion, global], 1));
+            [hidden.clone(), block.flow_head.forward(hidden)]
+        }
+    }
+
+    fn upsample(&self, hidden: &Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
+        convex_upsample(&self.update_block.mask, hidden, flow)
     }
 }
 

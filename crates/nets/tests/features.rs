@@ -1,7 +1,7 @@
 //! What a network makes of a frame alone serves both pairs the frame is in.
 
 use burn::tensor::{Device, Distribution, Tensor};
-use srflow_nets::{Features, Frames, RaftSmallConfig, Request};
+use srflow_nets::{Architecture, Features, Frames, Request};
 
 fn numbers(tensor: Tensor<4>) -> Vec<f32> {
     tensor.into_data().try_to_vec().expect("f32")
@@ -11,7 +11,7 @@ fn numbers(tensor: Tensor<4>) -> Vec<f32> {
 #[test]
 fn known_features_give_the_same_flow() {
     let device = Device::flex();
-    let network = RaftSmallConfig::new().init(&device);
+    let network = Architecture::RaftSmall.init(&device);
     let video = Tensor::<4>::random([3, 3, 125, 133], Distribution::Uniform(0.0, 1.0), &device);
     let frames = Frames { first: video.clone().narrow(0, 0, 2), second: video.clone().narrow(0, 1, 2) };
     let known: Vec<Features> = (0..3).map(|n| network.features(video.clone().narrow(0, n, 1))).collect();

@@ -1,9 +1,8 @@
 //! What a network promises beside its flow: what a request asks for, and gradients.
 
-use burn::module::{Module, ModuleVisitor, Param};
-use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use burn::tensor::{Device, Tensor, TensorData};
 use srflow_nets::{Architecture, Frames, Network, Request};
-use srflow_nn::{Parameters, parameter_infos, with_parameters};
+use srflow_nn::{HostGradients, Layout, Parameters, parameter_infos, with_parameters};
 
 /// Values in -1..1 that repeat nowhere near.
 fn values(count: usize, seed: u32) -> Vec<f32> {
@@ -84,32 +83,6 @@ fn the_flow_starts_where_the_request_says() {
     assert!((mean - 5.0).abs() < 2.5, "moved by {mean} on average");
 }
 
-/// The gradient of one parameter, by name.
-struct GradientOf<'a> {
-    name: &'a str,
-    path: Vec<String>,
-    grads: &'a Gradients,
-    found: Option<Vec<f32>>,
-}
-
-impl ModuleVisitor for GradientOf<'_> {
-    fn enter_module(&mut self, name: &str, _: &str) {
-        self.path.push(name.to_owned());
-    }
-
-    fn exit_module(&mut self, _: &str, _: &str) {
-        self.path.pop();
-    }
-
-    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-        // The first part is the network itself, which names do not have.
-        if self.path[1..].join(".") == self.name {
-            let grad = param.val().grad(self.grads).expect("a gradient");
-            self.found = Some(grad.into_data().try_to_vec().expect("f32"));
-        }
-    }
-}
-
 /// Central differences along a random direction. One iteration: later ones look up where the detached flow points.
 #[test]
 fn gradients_of_parameters_are_those_of_the_flow() {
@@ -144,10 +117,12 @@ fn gradients_of_parameters_are_those_of_the_flow() {
         let estimate = network.forward(frames(&tracked), &Request::new(1));
         let weight = Tensor::from_data(TensorData::new(weights.clone(), [1, 2, 64, 72]), &tracked);
         let grads = (estimate.last().clone() * weight).sum().backward();
+        let (layout, _) = Layout::of(&network);
+        let mut gradients = HostGradients::zero(&layout);
+        gradients.add(&network, &layout, &grads, 1.0);
         for &(name, step) in names {
-            let mut visitor = GradientOf { name, path: Vec::new(), grads: &grads, found: None };
-            network.visit(&mut visitor);
-            let grad = visitor.found.expect("the parameter");
+            let segment = layout.segments().iter().find(|segment| segment.name == name).expect(name);
+            let grad = &gradients.values[segment.range.clone()];
             let norm = grad.iter().map(|x| f64::from(x * x)).sum::<f64>().sqrt();
             assert!(norm > 0.0, "{name} matters");
             // Along the gradient itself, where the change is largest against rounding.
@@ -159,7 +134,7 @@ fn gradients_of_parameters_are_those_of_the_flow() {
                 let numbers: Vec<f32> = data.try_to_vec().expect("f32");
                 let numbers: Vec<f32> = numbers
                     .iter()
-                    .zip(&grad)
+                    .zip(grad)
                     .map(|(x, g)| (f64::from(*x) + by * f64::from(*g) / norm) as f32)
                     .collect();
                 *data = TensorData::new(numbers, shape);

@@ -6,11 +6,12 @@
 
 use std::sync::LazyLock;
 
-use burn::module::{Module, ModuleVisitor, Param};
-use burn::tensor::{Device, Gradients, Tensor, TensorData, s};
+use burn::tensor::{Device, Tensor, TensorData, s};
 use safetensors::SafeTensors;
 use srflow_nets::{Architecture, Frames, Network, Request};
-use srflow_nn::{Parameters, parameter_infos, with_batch_statistics, with_parameters};
+use srflow_nn::{
+    HostGradients, Layout, Parameters, Segment, parameter_infos, with_batch_statistics, with_parameters,
+};
 
 /// Batch, height, width: one that needs no padding, one that does.
 const CASES: [[usize; 3]; 2] = [[1, 128, 160], [2, 133, 150]];
@@ -147,18 +148,6 @@ fn check(name: &str, architecture: Architecture) {
     }
 }
 
-/// The gradients of a network's parameters, in the order of its definition.
-struct Collected<'a> {
-    gradients: &'a Gradients,
-    of_parameters: Vec<Option<Vec<f32>>>,
-}
-
-impl ModuleVisitor for Collected<'_> {
-    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-        self.of_parameters.push(param.val().grad(self.gradients).map(numbers));
-    }
-}
-
 /// By parameter, after a backward pass of the mean of `(flow - [4, 2])^2`, weighted with 0.8 towards the last of 3 iterations.
 fn gradients(network: &Network, frames: Frames) -> Vec<(String, Option<Vec<f32>>)> {
     let device = frames.first.device();
@@ -169,10 +158,13 @@ fn gradients(network: &Network, frames: Frames) -> Vec<(String, Option<Vec<f32>>
         (flow - truth.clone()).powi_scalar(2).mean() * 0.8_f64.powi(2 - i as i32)
     };
     let gradients = flows.into_iter().enumerate().map(of_one).reduce(|a, b| a + b).expect("3").backward();
-    let mut collected = Collected { gradients: &gradients, of_parameters: Vec::new() };
-    network.visit(&mut collected);
-    let names = parameter_infos(network).into_iter().map(|info| info.name);
-    names.zip(collected.of_parameters).collect()
+    let (layout, _) = Layout::of(network);
+    let mut sum = HostGradients::zero(&layout);
+    sum.add(network, &layout, &gradients, 1.0);
+    let of = |(segment, reached): (&Segment, bool)| {
+        (segment.name.clone(), reached.then(|| sum.values[segment.range.clone()].to_vec()))
+    };
+    layout.segments().iter().zip(sum.reached.clone()).map(of).collect()
 }
 
 /// Holds the gradients of all parameters to the stored numbers. Distances are root mean squares, relative to that of all the

@@ -12,6 +12,9 @@ use crate::parameters::{Parameters, ParametersError, compare, parameter_infos, p
 /// Why a checkpoint was not loaded.
 #[derive(Debug, thiserror::Error)]
 pub enum WeightsError {
+    /// The file could not be opened.
+    #[error(transparent)]
+    File(#[from] FileError),
     /// The file could not be read.
     #[error("{}: {error}", .path.display())]
     Read {

@@ -21,7 +21,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use srflow_field::FlowFormat;
+use srflow_field::{FileError, FileKind, FlowFormat, excerpt, read_text};
 
 /// Name of the file in the dataset's folder.
 pub const MANIFEST_NAME: &str = "dataset.json";
@@ -203,13 +203,8 @@ impl FrameFiles {
 #[derive(Debug, thiserror::Error)]
 pub enum ManifestError {
     /// There is none, or it could not be read.
-    #[error("{}: {error}; an SRFlow dataset has a dataset.json in its folder, which `srflow render` writes", .path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system said.
-        error: std::io::Error,
-    },
+    #[error("{0}; an SRFlow dataset has a dataset.json in its folder, which `srflow render` writes")]
+    Read(FileError),
     /// It is not what `srflow render` writes.
     #[error("{}: {reason}", .path.display())]
     Content {
@@ -227,8 +222,7 @@ impl Manifest {
     /// When it is missing, is not JSON of the expected fields, or names folders outside of the dataset.
     pub fn read(dir: &Path) -> Result<Self, ManifestError> {
         let path = dir.join(MANIFEST_NAME);
-        let text = std::fs::read_to_string(&path)
-            .map_err(|error| ManifestError::Read { path: path.clone(), error })?;
+        let text = read_text(&path, FileKind::Json).map_err(ManifestError::Read)?;
         let content = |reason| ManifestError::Content { path: path.clone(), reason };
         let broken = |reason: String| {
             content(format!(
@@ -236,8 +230,8 @@ impl Manifest {
             ))
         };
         // The version is looked at first, so that a later layout is not reported as a missing field.
-        let value: serde_json::Value =
-            serde_json::from_str(&text).map_err(|error| broken(format!("not JSON: {error}")))?;
+        let value: serde_json::Value = serde_json::from_str(&text)
+            .map_err(|error| broken(format!("not JSON: {}", excerpt(&error.to_string()))))?;
         match value.get("layout_version").and_then(serde_json::Value::as_u64) {
             Some(version) if version == u64::from(LAYOUT_VERSION) => {}
             Some(version) => {
@@ -266,7 +260,9 @@ impl Manifest {
             return Err(format!("flow_format: {error}"));
         }
         match self.scenes.iter().find(|scene| !plain(&scene.name)) {
-            Some(scene) => Err(format!("scene name `{}`: expected letters, digits and hyphens", scene.name)),
+            Some(scene) => {
+                Err(format!("scene name `{}`: expected letters, digits and hyphens", excerpt(&scene.name)))
+            }
             None => Ok(()),
         }
     }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use srflow_field::{FileKind, read_text};
 
 use crate::statistics::FlowSummary;
 use srflow_read::manifest::CameraRecord;
@@ -59,7 +60,7 @@ impl PairRecord {
     /// When it cannot be read or is not what `srflow render` writes.
     pub fn read(path: &Path) -> Result<Self, RecordError> {
         let failed = |reason| RecordError { path: path.to_owned(), reason };
-        let text = std::fs::read_to_string(path).map_err(|error| failed(error.to_string()))?;
+        let text = read_text(path, FileKind::Json).map_err(|error| failed(error.problem.to_string()))?;
         serde_json::from_str(&text).map_err(|error| failed(srflow_field::parse_error_in_words(&error)))
     }
 }

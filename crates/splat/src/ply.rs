@@ -12,7 +12,7 @@ use std::io::{self, BufReader, BufWriter, Read, Write};
 use std::path::Path;
 
 use glam::{Quat, Vec3};
-use srflow_field::{FileError, FileProblem, write_atomically};
+use srflow_field::{FileError, FileKind, FileProblem, excerpts, open_file, write_atomically};
 
 use crate::{Gaussians, sh};
 use header::{Encoding, Header, Property};
@@ -30,8 +30,7 @@ const RAW_ONE: f64 = 20.0;
 /// value that is not finite, a scale too large for `f32`, or a quaternion of length zero; the vertex is named.
 pub fn read_ply(path: &Path) -> Result<Gaussians, FileError> {
     let in_file = |problem| FileError { path: path.to_owned(), problem };
-    let opened = File::open(path).and_then(|file| Ok((file.metadata()?.len(), file)));
-    let (len, file) = opened.map_err(|error| in_file(FileProblem::Io { doing: "opening", error }))?;
+    let (file, len) = open_file(path, FileKind::Splats)?;
     decode(&mut BufReader::with_capacity(1 << 18, file), len).map_err(in_file)
 }
 
@@ -76,11 +75,14 @@ impl Layout {
     fn new(properties: &[Property]) -> Result<Self, FileProblem> {
         let find = |name: &str| {
             properties.iter().position(|property| property.name == name).ok_or_else(|| {
-                let names: Vec<&str> = properties.iter().take(20).map(|p| p.name.as_str()).collect();
                 problem(
                     "vertex properties",
                     format!("`{name}`, which every file of 3D Gaussians has"),
-                    format!("{} properties: {}", properties.len(), names.join(" ")),
+                    format!(
+                        "{} properties: {}",
+                        properties.len(),
+                        excerpts(properties.iter().map(|p| p.name.as_str()), 20)
+                    ),
                 )
             })
         };

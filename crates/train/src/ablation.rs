@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 use srflow_eval::{Better, Column, Row, Table};
-use srflow_field::{Metrics, parse_error_in_words, write_atomically};
+use srflow_field::{FileKind, Metrics, parse_error_in_words, read_text, write_atomically};
 use srflow_read::flow::FlowDataset;
 
 use crate::checkpoint::Checkpoints;
@@ -209,7 +209,7 @@ pub fn ablate(
 
 fn read_cell(path: &Path) -> Result<Cell, AblationError> {
     let wrong = |reason: String| AblationError::Result { path: path.to_owned(), reason };
-    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+    let text = read_text(path, FileKind::Json).map_err(|error| wrong(error.problem.to_string()))?;
     serde_json::from_str(&text).map_err(|error| wrong(parse_error_in_words(&error)))
 }
 

@@ -11,7 +11,9 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::DType;
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileError, PARTIAL_EXTENSION, create_folder, parse_error_in_words, write_atomically};
+use srflow_field::{
+    FileError, FileKind, PARTIAL_EXTENSION, create_folder, parse_error_in_words, read_text, write_atomically,
+};
 use srflow_nn::{AdamWState, Layout, WeightsError, read_safetensors, safetensors_bytes};
 
 /// Name of the folder of checkpoints in a run's folder.
@@ -76,14 +78,14 @@ struct StateFile {
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     /// The system refused.
-    #[error("{}: {doing}: {source}", .path.display())]
+    #[error("{}: {doing}: {error}", .path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
         /// What was being done.
         doing: &'static str,
         /// What the system says.
-        source: std::io::Error,
+        error: std::io::Error,
     },
     /// A file could not be put beside the checkpoints.
     #[error(transparent)]
@@ -265,7 +267,7 @@ fn names(folder: &Path) -> Result<Vec<String>, CheckpointError> {
 }
 
 fn io_error<'a>(path: &'a Path, doing: &'static str) -> impl Fn(std::io::Error) -> CheckpointError + 'a {
-    move |source| CheckpointError::Io { path: path.to_owned(), doing, source }
+    move |error| CheckpointError::Io { path: path.to_owned(), doing, error }
 }
 
 fn remove_folder(path: &Path) -> Result<(), CheckpointError> {
@@ -286,7 +288,7 @@ fn model_bytes(layout: &Layout, values: &[f32]) -> Vec<u8> {
 
 fn read_state(checkpoint: &Path) -> Result<StateFile, CheckpointError> {
     let path = checkpoint.join(STATE);
-    let text = fs::read_to_string(&path).map_err(io_error(&path, "reading"))?;
+    let text = read_text(&path, FileKind::Json)?;
     serde_json::from_str(&text).map_err(|error| CheckpointError::Broken {
         path,
         reason: format!("expected the state of a run ({})", parse_error_in_words(&error)),
@@ -303,6 +305,7 @@ fn read_tensors(
 ) -> Result<Vec<f32>, CheckpointError> {
     let broken = |reason: String| CheckpointError::Broken { path: path.to_owned(), reason };
     let mut found = read_safetensors(path).map_err(|error| match error {
+        WeightsError::File(error) => error.into(),
         WeightsError::Read { error, .. } => io_error(path, "reading")(error),
         WeightsError::Broken { problem, .. } => {
             broken(format!("expected a whole safetensors file, but {problem}"))

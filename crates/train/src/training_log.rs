@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{Metrics, parse_error_in_words, write_atomically};
+use srflow_field::{FileKind, Metrics, parse_error_in_words, read_text, write_atomically};
 
 use crate::tensorboard::EventFile;
 
@@ -187,7 +187,7 @@ pub fn read_log(run: &Path) -> Result<Vec<Record>, LogError> {
 /// The last line may have been cut by a kill: it is left out when nothing ends it.
 fn read_whole_lines(path: &Path) -> Result<Vec<Record>, LogError> {
     let failed = |reason: String| LogError { path: path.to_owned(), reason };
-    let text = std::fs::read_to_string(path).map_err(|error| failed(error.to_string()))?;
+    let text = read_text(path, FileKind::Log).map_err(|error| failed(error.problem.to_string()))?;
     let whole = text.rfind('\n').map_or("", |end| &text[..end]);
     let record = |(number, line): (usize, &str)| {
         serde_json::from_str(line)

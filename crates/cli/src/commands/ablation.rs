@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, ensure};
 use clap::Args;
 use srflow_eval::report::{Page, Section, score_table};
-use srflow_eval::{Table, TextStyle};
+use srflow_eval::{Table, TextStyle, joined, markdown_file};
 use srflow_field::create_folder;
 use srflow_ops::device;
 use srflow_read::flow::{FlowDataset, Split};
@@ -13,7 +13,7 @@ use srflow_train::ablation::{
 use srflow_train::config::{Config, Source};
 
 use super::train::{Overrides, Progress, find_weights};
-use crate::output::{joined, latex, markdown, print_tables, write_text};
+use crate::output::{latex, print_tables, write_text};
 use crate::{Context, machine};
 
 /// Train with each loss of the paper and print its Table V
@@ -157,7 +157,7 @@ fn write(out: &std::path::Path, cells: &[Cell], tables: &[Table; 3]) -> anyhow::
     };
     let contents = [
         ("ablation.txt", joined(tables, |table| table.text(TextStyle::Plain))),
-        ("ablation.md", markdown(tables)),
+        ("ablation.md", markdown_file(tables)),
         ("ablation.tex", latex(tables)),
         ("ablation.json", serde_json::to_string_pretty(cells)? + "\n"),
         ("ablation.html", report.html()),

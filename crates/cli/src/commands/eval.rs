@@ -4,12 +4,12 @@ use std::path::{Path, PathBuf};
 use anyhow::bail;
 use clap::Args;
 use srflow_eval::report::{Figure, score_report};
-use srflow_eval::{Evaluation, OnFailure, Settings, TextStyle};
+use srflow_eval::{Evaluation, OnFailure, Settings, TextStyle, joined, markdown_file};
 use srflow_field::create_folder;
 use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
 
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
-use crate::output::{ensure_free, joined, latex, markdown, print_tables, write_text};
+use crate::output::{ensure_free, latex, print_tables, write_text};
 use crate::scoring::{self, Pictures};
 use crate::size::Size;
 use crate::{Context, machine};
@@ -112,7 +112,7 @@ fn write(out: &Path, evaluation: &Evaluation, figures: Vec<Figure>) -> anyhow::R
         evaluation.csv(),
         serde_json::to_string_pretty(evaluation)? + "\n",
         latex(&tables),
-        markdown(&tables),
+        markdown_file(&tables),
         evaluation.pairs_csv(),
         score_report(evaluation, &machine::describe(), figures).html(),
     ];

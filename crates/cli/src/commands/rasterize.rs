@@ -1,12 +1,11 @@
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, ensure};
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use srflow_field::{
-    FileError, create_folder, longest_flow, write_flow, write_image_png, write_mask_png, write_npy,
-    write_npy_plane,
+    FileError, FileKind, create_folder, longest_flow, read_text, write_flow, write_image_png, write_mask_png,
+    write_npy, write_npy_plane,
 };
 use srflow_read::manifest::CameraRecord;
 use srflow_render::camera::camera_from_record;
@@ -147,7 +146,7 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
 }
 
 fn read_camera(path: &Path) -> anyhow::Result<Camera> {
-    let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    let text = read_text(path, FileKind::Settings)?;
     let record: CameraRecord = serde_json::from_str(&text).with_context(|| {
         format!(
             "{}: expected a camera with width, height, fx, fy, cx, cy and w2c (a 4x4 matrix by rows)",

@@ -14,7 +14,7 @@ use crate::large_frames::LargeFrames;
 use crate::networks::NetworkArgs;
 use crate::usage::wrong_usage;
 use labels::labels;
-pub use record::{MethodRecord, records};
+pub use record::records;
 
 /// A method of estimating optical flow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]

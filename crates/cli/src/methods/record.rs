@@ -1,40 +1,10 @@
-//! What results say of the methods that made them.
+//! What results say of the flow methods that made them.
 
-use serde::Serialize;
+use srflow_eval::MethodRecord;
 use srflow_mer::file_digest;
 
 use super::labels::labels;
 use super::{Method, MethodParameters, MethodSpec, distinct};
-
-/// One method, with everything that its flow of two frames follows from.
-#[derive(Debug, Clone, Serialize)]
-pub struct MethodRecord {
-    /// What tables call it.
-    pub name: String,
-    method: &'static str,
-    parameters: String,
-    /// The file of a network's weights.
-    weights: Option<String>,
-    /// SHA-256 of that file.
-    sha256: Option<String>,
-}
-
-impl MethodRecord {
-    /// Tells the flow from every other method's: whatever it is called and wherever its weights lie.
-    pub fn identity(&self) -> String {
-        let Self { name: _, method, parameters, weights: _, sha256 } = self;
-        format!("{method} {parameters} {}", sha256.as_deref().unwrap_or_default())
-    }
-
-    /// For people.
-    pub fn description(&self) -> String {
-        let weights = match (&self.weights, &self.sha256) {
-            (Some(weights), Some(sha256)) => format!(", weights {weights} (SHA-256 {sha256})"),
-            _ => String::new(),
-        };
-        format!("{}, {}{weights}", self.method, self.parameters)
-    }
-}
 
 /// Of each method once, in their order, as [`super::estimators`] has them.
 ///

@@ -1,8 +1,7 @@
 //! `srflow mer run` from clips on disk to tables, resumed and refused.
 
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
-use std::time::{Duration, Instant};
+use std::process::Output;
 
 use srflow_field::{Image, write_image_png};
 
@@ -27,19 +26,14 @@ fn write_clips(folder: &Path) {
     std::fs::write(folder.join("clips.csv"), lines.join("\n") + "\n").unwrap();
 }
 
-fn command(clips: &Path, out: &Path, epochs: [&str; 2], more: &[&str]) -> Command {
-    let mut command = crate::srflow();
-    command
+fn run(clips: &Path, out: &Path, more: &[&str]) -> Output {
+    crate::srflow()
         .args(["mer", "run", "--data", &format!("clips:{}", clips.display()), "--out"])
         .arg(out)
-        .args(["--method", "farneback", "--classifier", "ststnet"])
-        .args(["--epochs", epochs[0], "--record-every", epochs[1]])
-        .args(more);
-    command
-}
-
-fn run(clips: &Path, out: &Path, more: &[&str]) -> Output {
-    command(clips, out, ["3", "2"], more).output().unwrap()
+        .args(["--method", "farneback", "--classifier", "ststnet", "--epochs", "3", "--record-every", "2"])
+        .args(more)
+        .output()
+        .unwrap()
 }
 
 fn text(bytes: &[u8]) -> &str {
@@ -149,36 +143,37 @@ fn predictions_that_give_no_tables_say_why() {
     assert!(text(&gone.stderr).contains("gone.csv"), "{}", text(&gone.stderr));
 }
 
+/// A run that is killed leaves finished folds, and tables but no results.json when it was writing its results.
 #[test]
 fn a_killed_run_goes_on_to_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let clips = folder.path().join("faces");
     std::fs::create_dir(&clips).unwrap();
     write_clips(&clips);
-    let [through, killed] = ["through", "killed"].map(|name| folder.path().join(name));
-    let longer =
-        |out, more: &[&str]| command(&clips, out, ["80", "40"], &[&["--threads", "1"], more].concat());
-    assert!(longer(&through, &[]).output().unwrap().status.success());
+    let out = folder.path().join("out");
+    assert!(run(&clips, &out, &[]).status.success());
+    let predictions = std::fs::read(out.join("predictions.csv")).unwrap();
+    let report = std::fs::read(out.join("report.html")).unwrap();
 
-    let mut child = longer(&killed, &[]).stdout(Stdio::null()).spawn().unwrap();
-    let finished = |out: &Path| {
-        let files = std::fs::read_dir(out.join("folds")).into_iter().flatten().filter_map(Result::ok);
-        files.filter(|file| file.path().extension() == Some("json".as_ref())).count()
-    };
-    let start = Instant::now();
-    while finished(&killed) == 0 {
-        assert!(start.elapsed() < Duration::from_secs(100), "no fold is finished");
-        std::thread::sleep(Duration::from_millis(1));
+    for name in ["results.json", "report.html", "predictions.csv"] {
+        std::fs::remove_file(out.join(name)).unwrap();
     }
-    child.kill().unwrap();
-    child.wait().unwrap();
-    let left = finished(&killed);
-    let resumed = longer(&killed, &["--force", "--json"]).output().unwrap();
+    let folds = std::fs::read_dir(out.join("folds")).unwrap().map(|fold| fold.unwrap().path());
+    std::fs::remove_file(folds.min().unwrap()).unwrap();
+    let resumed = run(&clips, &out, &["--json"]);
+    assert!(resumed.status.success(), "{}", text(&resumed.stderr));
     let json: serde_json::Value = serde_json::from_slice(&resumed.stdout).unwrap();
     let folds = json["outcomes"][0]["folds"].as_array().unwrap();
-    assert_eq!(folds.iter().filter(|fold| fold["resumed"] == true).count(), left);
-    let predictions = |out: &Path| std::fs::read(out.join("predictions.csv")).unwrap();
-    assert_eq!(predictions(&killed), predictions(&through));
+    assert_eq!(folds.iter().filter(|fold| fold["resumed"] == true).count(), 2);
+    assert_eq!(std::fs::read(out.join("predictions.csv")).unwrap(), predictions);
+    assert_eq!(std::fs::read(out.join("report.html")).unwrap(), report);
+
+    // Tables of no run that was begun here are somebody's own.
+    let others = folder.path().join("others");
+    std::fs::create_dir(&others).unwrap();
+    std::fs::write(others.join("tables.txt"), "mine").unwrap();
+    let refused = run(&clips, &others, &[]);
+    assert!(text(&refused.stderr).contains("tables.txt exists"), "{}", text(&refused.stderr));
 }
 
 #[test]

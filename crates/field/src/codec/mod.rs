@@ -18,7 +18,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::str::FromStr;
 
-use crate::{FileError, FileProblem, FlowField, write_atomically};
+use crate::{FileError, FileKind, FileProblem, FlowField, open_file, write_atomically};
 
 pub(crate) use claim::{MAX_PIXELS, check_size, read_all};
 pub(crate) use png_outline::{PNG_MAGIC, PngOutline};
@@ -114,7 +114,7 @@ impl FromStr for FlowFormat {
 /// # Errors
 /// When the file cannot be opened, is of no known format, or does not hold what its header promises.
 pub fn read_flow(path: &Path) -> Result<FlowField, FileError> {
-    read_with(path, |reader, len| {
+    read_with(path, FileKind::Flow, |reader, len| {
         let start = reader.fill_buf().map_err(FileProblem::reading)?;
         let format = match (FlowFormat::from_magic(start), FlowFormat::from_path(path)) {
             (Some(FlowFormat::KittiPng), Some(FlowFormat::Png128)) => FlowFormat::Png128, // one magic for both
@@ -134,7 +134,7 @@ pub fn read_flow(path: &Path) -> Result<FlowField, FileError> {
 /// # Errors
 /// As [`read_flow`].
 pub fn read_flow_as(path: &Path, format: FlowFormat) -> Result<FlowField, FileError> {
-    read_with(path, |reader, len| decode(format, reader, len))
+    read_with(path, FileKind::Flow, |reader, len| decode(format, reader, len))
 }
 
 /// Writes a flow file in the format of its extension; see [`write_flow_as`].
@@ -195,18 +195,11 @@ fn decode(format: FlowFormat, reader: &mut dyn Read, len: u64) -> Result<FlowFie
 /// Opens a file and hands it over with its length in bytes.
 pub(crate) fn read_with<T>(
     path: &Path,
+    kind: FileKind,
     read: impl FnOnce(&mut BufReader<File>, u64) -> Result<T, FileProblem>,
 ) -> Result<T, FileError> {
-    let opened = |error| FileProblem::Io { doing: "opening", error };
-    let decode = || {
-        let file = File::open(path).map_err(opened)?;
-        let metadata = file.metadata().map_err(opened)?;
-        if metadata.is_dir() {
-            return Err(FileProblem::field("file", "a file", "a folder"));
-        }
-        read(&mut BufReader::with_capacity(1 << 16, file), metadata.len())
-    };
-    decode().map_err(|problem| problem.in_file(path))
+    let (file, len) = open_file(path, kind)?;
+    read(&mut BufReader::with_capacity(1 << 16, file), len).map_err(|problem| problem.in_file(path))
 }
 
 /// # Errors

@@ -8,7 +8,7 @@ use std::path::Path;
 use super::claim::{MAX_PIXELS, blank, check_file_size, check_size};
 use super::samples::{Endian, Sample, read_samples, write_f32_little_endian};
 use super::{check_finite_or_unknown, quote, read_with};
-use crate::{FileError, FileProblem, FlowField, Plane, write_atomically};
+use crate::{FileError, FileKind, FileProblem, FlowField, Plane, write_atomically};
 
 pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
 
@@ -27,7 +27,7 @@ pub struct Array {
 /// # Errors
 /// When the file cannot be read, holds something other than such an array, or not what its header promises.
 pub fn read_npy(path: &Path) -> Result<Array, FileError> {
-    read_with(path, |reader, len| {
+    read_with(path, FileKind::Array, |reader, len| {
         let header = Header::read(reader, len)?;
         let count = header.shape.iter().try_fold(1_u64, |count, side| count.checked_mul(*side));
         let count = count.filter(|count| *count <= 4 * MAX_PIXELS).ok_or_else(|| {

@@ -18,9 +18,7 @@ pub(super) const MAGIC: &[u8] = b"PK\x03\x04";
 const NAME: &str = "flow.npy";
 
 pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<FlowField, FileProblem> {
-    let bytes = read_all(reader, len)?;
-    check_end(&bytes)?;
-    let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(broken)?;
+    let mut archive = open_zip(read_all(reader, len)?)?;
     let names = archive.file_names().map(|name| name.map(|name| name.into_owned()));
     let names: Vec<String> = names.collect::<Result<_, _>>().map_err(broken)?;
     if npz16::is_this(&names) {
@@ -36,6 +34,16 @@ pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<FlowField, FileP
         0 => Ok(flow),
         _ => Err(FileProblem::field("array size", format!("{size} bytes, as the archive says"), "more")),
     }
+}
+
+/// A zip archive whose directory is inside it. What its entries inflate to is for the caller to limit.
+///
+/// # Errors
+/// When it does not end where the file does, is of the kind with 64-bit counts, or is broken.
+pub fn open_zip(bytes: Vec<u8>) -> Result<ZipArchive<Cursor<Vec<u8>>>, FileProblem> {
+    check_end(&bytes)?;
+    let sound = |error: ZipError| FileProblem::field("archive", "a sound zip archive", error.to_string());
+    ZipArchive::new(Cursor::new(bytes)).map_err(sound)
 }
 
 /// The archive must end where the file does, and not be of the kind with 64-bit counts: a lie about the number of entries

@@ -1,8 +1,10 @@
-//! Networks that tell a clip's class from its features: one file per network.
+//! Networks that predict a clip's class from its features: one file per network, one table of all.
 
 mod offapexnet;
 mod offtanet;
 mod ststnet;
+
+use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
@@ -13,13 +15,15 @@ pub use offapexnet::OffApexNet;
 pub use offtanet::OffTaNet;
 pub use ststnet::StstNet;
 
-use crate::features::{FEATURE_SIDE, Features};
+use crate::features::{FEATURE_SIDE, Features, Sample};
+use crate::loso::{Loso, LosoError, LosoEvent, leave_one_subject_out};
+use crate::protocol::Protocol;
 
 /// A network from features to one score per class. Its parameters carry the reference's names, so that
 /// [`srflow_nn::load`] reads published checkpoints.
 pub trait Classifier: Module {
-    /// Its name on the command line.
-    const NAME: &'static str;
+    /// What is known of it.
+    const FACTS: ClassifierFacts;
     /// Channels, height and width of its input.
     const INPUT: [usize; 3];
 
@@ -32,6 +36,66 @@ pub trait Classifier: Module {
     /// Scores `[batch, 3]`, before any softmax, of inputs `[batch, INPUT...]`. Without a stream nothing is dropped; batch norms
     /// go by [`srflow_nn::with_batch_statistics`].
     fn scores(&self, inputs: Tensor<4>, dropout: Option<&mut Stream>) -> Tensor<2>;
+}
+
+/// What is known of a classifier.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ClassifierFacts {
+    /// As typed on a command line.
+    pub name: &'static str,
+    /// As in its paper.
+    pub title: &'static str,
+    /// Authors, venue and year.
+    pub paper: &'static str,
+    /// Where the code is that it has the same numbers as.
+    pub reference: &'static str,
+    /// Learned numbers, for three classes; the statistics of batch norm are none.
+    pub parameters: usize,
+    /// What it sees of a clip.
+    pub input: &'static str,
+}
+
+/// Any of the classifiers, as one type.
+#[derive(Debug, Clone, Copy)]
+pub struct ClassifierEntry {
+    /// What is known of it.
+    pub facts: ClassifierFacts,
+    leave_one_subject_out: LeaveOneSubjectOut,
+}
+
+type LeaveOneSubjectOut =
+    fn(&[Sample], &Protocol, Option<&Path>, &(dyn Fn(LosoEvent) + Sync)) -> Result<Loso, LosoError>;
+
+/// The classifiers by name; the first is the SRFlow paper's.
+pub static CLASSIFIERS: [ClassifierEntry; 3] = [
+    ClassifierEntry::of::<OffTaNet>(),
+    ClassifierEntry::of::<StstNet>(),
+    ClassifierEntry::of::<OffApexNet>(),
+];
+
+impl ClassifierEntry {
+    const fn of<C: Classifier>() -> Self {
+        Self { facts: C::FACTS, leave_one_subject_out: leave_one_subject_out::<C> }
+    }
+
+    /// The classifier of that name.
+    pub fn from_name(name: &str) -> Option<&'static Self> {
+        CLASSIFIERS.iter().find(|entry| entry.facts.name == name)
+    }
+
+    /// [`leave_one_subject_out`] with this classifier.
+    ///
+    /// # Errors
+    /// Those of [`leave_one_subject_out`].
+    pub fn leave_one_subject_out(
+        &self,
+        samples: &[Sample],
+        protocol: &Protocol,
+        folder: Option<&Path>,
+        on_event: &(dyn Fn(LosoEvent) + Sync),
+    ) -> Result<Loso, LosoError> {
+        (self.leave_one_subject_out)(samples, protocol, folder, on_event)
+    }
 }
 
 /// A network with random parameters by PyTorch's rules for convolutions and linear layers (uniform within

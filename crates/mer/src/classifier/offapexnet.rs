@@ -9,10 +9,10 @@ use srflow_nn::layers::{Conv2d, Conv2dConfig, Linear, NoParameters, dropout};
 use srflow_ops::Activation;
 use srflow_ops::max_pool::tensor::max_pool;
 
-use super::{Classifier, reduced};
+use super::{Classifier, ClassifierFacts, reduced};
 use crate::features::Features;
 
-/// The network of 2,664,475 parameters.
+/// See [`Classifier::FACTS`].
 #[derive(Module, Debug)]
 pub struct OffApexNet {
     cnn1: Stream,
@@ -27,7 +27,14 @@ struct Stream {
 }
 
 impl Classifier for OffApexNet {
-    const NAME: &'static str = "off-apexnet";
+    const FACTS: ClassifierFacts = ClassifierFacts {
+        name: "off-apexnet",
+        title: "Off-ApexNet",
+        paper: "Gan et al., Signal Processing: Image Communication 2019",
+        reference: "https://github.com/ECNU-Cross-Innovation-Lab/PRICAI2021-Off-TANet",
+        parameters: 2_664_475,
+        input: "u and v at 28x28",
+    };
     const INPUT: [usize; 3] = [2, 28, 28];
 
     fn new(device: &Device) -> Self {

@@ -12,7 +12,7 @@ use srflow_ops::Activation;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::max_pool::tensor::max_pool;
 
-use super::Classifier;
+use super::{Classifier, ClassifierFacts};
 use crate::features::{FEATURE_SIDE, Features};
 
 /// Channels of the attention block.
@@ -22,7 +22,7 @@ const HEADS: usize = 4;
 /// Height and width of its maps.
 const SIDE: usize = 14;
 
-/// The network of 59,403 parameters.
+/// See [`Classifier::FACTS`].
 #[derive(Module, Debug)]
 pub struct OffTaNet {
     conv1: (Conv2d, NoParameters, BatchNorm),
@@ -76,7 +76,14 @@ fn conv(channels: [usize; 2], kernel: usize) -> Conv2dConfig {
 }
 
 impl Classifier for OffTaNet {
-    const NAME: &'static str = "off-tanet";
+    const FACTS: ClassifierFacts = ClassifierFacts {
+        name: "off-tanet",
+        title: "Off-TANet",
+        paper: "Zhang et al., PRICAI 2021",
+        reference: "https://github.com/ECNU-Cross-Innovation-Lab/PRICAI2021-Off-TANet",
+        parameters: 59_403,
+        input: "u, v and strain at 112x112",
+    };
     const INPUT: [usize; 3] = [3, FEATURE_SIDE, FEATURE_SIDE];
 
     fn new(device: &Device) -> Self {

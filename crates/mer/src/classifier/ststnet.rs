@@ -9,13 +9,13 @@ use srflow_field::random::Stream;
 use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, Linear, dropout};
 use srflow_ops::Activation;
 
-use super::{Classifier, reduced};
+use super::{Classifier, ClassifierFacts, reduced};
 use crate::features::Features;
 
 /// Channels of the three streams.
 const STREAMS: [usize; 3] = [3, 5, 8];
 
-/// The network of 1,683 parameters.
+/// See [`Classifier::FACTS`].
 #[derive(Module, Debug)]
 pub struct StstNet {
     conv1: Conv2d,
@@ -28,7 +28,14 @@ pub struct StstNet {
 }
 
 impl Classifier for StstNet {
-    const NAME: &'static str = "ststnet";
+    const FACTS: ClassifierFacts = ClassifierFacts {
+        name: "ststnet",
+        title: "STSTNet",
+        paper: "Liong et al., FG 2019",
+        reference: "https://github.com/christy1206/STSTNet",
+        parameters: 1_683,
+        input: "u, v and strain at 28x28",
+    };
     const INPUT: [usize; 3] = [3, 28, 28];
 
     fn new(device: &Device) -> Self {

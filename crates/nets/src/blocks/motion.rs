@@ -5,13 +5,15 @@ use burn::tensor::{Device, Tensor};
 use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation::{Identity, Relu};
 
+use crate::recurrent::LEVELS;
+
 fn conv(channels: [usize; 2], kernel: usize, device: &Device) -> Conv2d {
     Conv2dConfig::new(channels, [kernel; 2]).init(device)
 }
 
-/// Entries of a window of the correlation pyramid.
-pub(crate) fn window_entries(levels: usize, radius: usize) -> usize {
-    levels * (2 * radius + 1) * (2 * radius + 1)
+/// Correlations that are looked up for a pixel: windows of this radius in all levels of the pyramid.
+pub(crate) fn window_entries(radius: usize) -> usize {
+    LEVELS * (2 * radius + 1) * (2 * radius + 1)
 }
 
 /// `BasicMotionEncoder`: 128 channels, the last two of them the flow.
@@ -25,9 +27,9 @@ pub(crate) struct MotionEncoder {
 }
 
 impl MotionEncoder {
-    pub(crate) fn new(entries: usize, device: &Device) -> Self {
+    pub(crate) fn new(radius: usize, device: &Device) -> Self {
         Self {
-            convc1: conv([entries, 256], 1, device),
+            convc1: conv([window_entries(radius), 256], 1, device),
             convc2: conv([256, 192], 3, device),
             convf1: conv([2, 128], 7, device),
             convf2: conv([128, 64], 3, device),
@@ -53,9 +55,9 @@ pub(crate) struct SmallMotionEncoder {
 }
 
 impl SmallMotionEncoder {
-    pub(crate) fn new(entries: usize, device: &Device) -> Self {
+    pub(crate) fn new(radius: usize, device: &Device) -> Self {
         Self {
-            convc1: conv([entries, 96], 1, device),
+            convc1: conv([window_entries(radius), 96], 1, device),
             convf1: conv([2, 64], 7, device),
             convf2: conv([64, 32], 3, device),
             conv: conv([128, 80], 3, device),

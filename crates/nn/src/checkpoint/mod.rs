@@ -20,6 +20,7 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 use burn::tensor::{DType, TensorData};
+use srflow_field::{FileKind, excerpt, open_file};
 
 use crate::parameters::{ParameterInfo, Parameters};
 use crate::weights::WeightsError;
@@ -28,8 +29,6 @@ use crate::weights::WeightsError;
 const MOST_CLAIMED: u64 = 8;
 /// Bytes of a file that tell what it is.
 const START: u64 = 262;
-/// Longest account of a problem that is repeated: libraries print whole objects of a file.
-const PROBLEM_CHARS: usize = 300;
 
 /// What kind of file a checkpoint is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -95,8 +94,7 @@ impl Checkpoint {
     /// When the file cannot be read, is no checkpoint or a broken one, or holds no tensor of floating-point numbers.
     pub fn open(path: &Path) -> Result<Self, WeightsError> {
         let read_error = |error| WeightsError::Read { path: path.to_owned(), error };
-        let mut file = File::open(path).map_err(read_error)?;
-        let len = file.metadata().map_err(read_error)?.len();
+        let (mut file, len) = open_file(path, FileKind::Checkpoint)?;
         let mut start = Vec::new();
         (&mut file).take(START).read_to_end(&mut start).map_err(read_error)?;
         let Some(format) = format_of(&start) else {
@@ -192,7 +190,7 @@ fn read_all(
 
 impl WeightsError {
     fn broken(path: &Path, format: Format, problem: &str) -> Self {
-        Self::Broken { path: path.to_owned(), format, problem: shortened(problem) }
+        Self::Broken { path: path.to_owned(), format, problem: excerpt(problem) }
     }
 }
 
@@ -247,15 +245,5 @@ fn described(start: &[u8]) -> String {
         return "a tar file, as PyTorch before 0.1.10 wrote".into();
     }
     let text = String::from_utf8_lossy(&start[..start.len().min(24)]);
-    format!("a file that starts with \"{}\"", text.escape_debug())
-}
-
-/// As much as people read, and nothing that steers a terminal.
-fn shortened(problem: &str) -> String {
-    let mut chars = problem.chars().map(|c| if c.is_control() { '\u{fffd}' } else { c });
-    let mut kept: String = chars.by_ref().take(PROBLEM_CHARS).collect();
-    if chars.next().is_some() {
-        kept.push_str("...");
-    }
-    kept
+    format!("a file that starts with `{}`", excerpt(&text))
 }

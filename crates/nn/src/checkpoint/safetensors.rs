@@ -9,6 +9,7 @@ use std::rc::Rc;
 use burn::tensor::DType;
 use safetensors::Dtype;
 use safetensors::tensor::{Metadata, TensorView};
+use srflow_field::{FileKind, open_file};
 
 use super::{Format, StoredBytes, StoredTensor, read_all};
 use crate::parameters::Parameters;
@@ -57,9 +58,7 @@ pub(super) fn tensors(mut file: File, len: u64) -> Result<BTreeMap<String, Store
 /// # Errors
 /// When the file cannot be read or is not a whole one.
 pub fn read_safetensors(path: &Path) -> Result<Parameters, WeightsError> {
-    let read_error = |error| WeightsError::Read { path: path.to_owned(), error };
-    let file = File::open(path).map_err(read_error)?;
-    let len = file.metadata().map_err(read_error)?.len();
+    let (file, len) = open_file(path, FileKind::Checkpoint)?;
     let tensors =
         tensors(file, len).map_err(|problem| WeightsError::broken(path, Format::Safetensors, &problem))?;
     read_all(path, Format::Safetensors, tensors)

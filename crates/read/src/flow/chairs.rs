@@ -4,6 +4,8 @@
 
 use std::path::Path;
 
+use srflow_field::{FileKind, excerpt, read_text};
+
 use super::gaps::Gaps;
 use super::listing;
 use super::triplets::triplets;
@@ -57,8 +59,7 @@ fn chosen(dir: &Path, pairs: Vec<Entry>, part: u8) -> Result<Vec<Entry>, Dataset
         let hint = "The list is published beside the dataset and lies beside data/; `--split all` needs none";
         return Err(listing::nothing_fits("chairs", dir, SPLIT_FILE, hint));
     }
-    let text =
-        std::fs::read_to_string(&path).map_err(|error| DatasetError::Io { path: path.clone(), error })?;
+    let text = read_text(&path, FileKind::Table)?;
     let wrong = |reason| DatasetError::Format { path: path.clone(), reason };
     let mut parts = Vec::new();
     for (number, line) in text.lines().enumerate() {
@@ -66,7 +67,10 @@ fn chosen(dir: &Path, pairs: Vec<Entry>, part: u8) -> Result<Vec<Entry>, Dataset
             "" => {}
             "1" => parts.push(1),
             "2" => parts.push(2),
-            other => return Err(wrong(format!("line {}: expected 1 or 2, found `{other}`", number + 1))),
+            other => {
+                let found = excerpt(other);
+                return Err(wrong(format!("line {}: expected 1 or 2, found `{found}`", number + 1)));
+            }
         }
     }
     if parts.len() != pairs.len() {

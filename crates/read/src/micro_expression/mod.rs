@@ -16,6 +16,7 @@ mod samm;
 mod sheet;
 mod smic;
 mod source;
+mod xlsx;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -30,6 +31,7 @@ pub use plain::{PLAIN_COLUMNS, PLAIN_NAME, write_plain};
 pub use source::{CLIP_KINDS, ClipKind, ClipSource};
 
 use frames::{Located, locate};
+use srflow_field::{excerpt, is_unprintable};
 
 /// What a dataset's annotations say.
 #[derive(Debug, Clone, PartialEq)]
@@ -53,6 +55,10 @@ impl Labels {
         let labels = (source.kind.labels)(source)?;
         let mut seen = BTreeSet::new();
         for annotation in &labels.annotations {
+            check_names(annotation).map_err(|reason| MicroExpressionError::Table {
+                path: labels.file.clone().unwrap_or_else(|| source.dir.clone()),
+                reason,
+            })?;
             if !seen.insert((&annotation.subject, &annotation.clip)) {
                 return Err(MicroExpressionError::Twice {
                     path: labels.file.clone().unwrap_or_else(|| source.dir.clone()),
@@ -68,6 +74,24 @@ impl Labels {
     pub fn counts(&self) -> ClassCounts {
         self.annotations.iter().map(|annotation| annotation.class).collect()
     }
+}
+
+/// Names go into paths, tables and reports: they are short and printable.
+fn check_names(annotation: &Annotation) -> Result<(), String> {
+    const LONGEST: usize = 1000;
+    let Annotation { subject, clip, label, action_units, .. } = annotation;
+    let fine = |text: &str| text.len() <= LONGEST && !text.contains(is_unprintable);
+    for (field, text) in
+        [("subject", subject), ("clip", clip), ("label", label), ("action units", action_units)]
+    {
+        if !fine(text) {
+            return Err(format!(
+                "{field}: expected at most {LONGEST} printable characters, found `{}`",
+                excerpt(text)
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// One clip and where its frames lie.

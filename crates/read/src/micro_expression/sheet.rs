@@ -3,18 +3,12 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use calamine::{DataRef, Reader, Xlsx};
+use srflow_field::{FileKind, excerpt, excerpts, open_file, read_file};
 
 use super::MicroExpressionError;
 use super::source::{CLIP_KINDS, ClipSource};
+use super::xlsx::{Cells, read_workbook};
 use crate::flow::listing;
-
-/// Greater files are no annotation spreadsheets; the published ones are below 0.1 MB.
-const MAX_BYTES: u64 = 64 << 20;
-
-/// Rows and columns that are looked at.
-const MAX_ROWS: u32 = 100_000;
-const MAX_COLUMNS: u32 = 256;
 
 /// The header is looked for in so many rows.
 const HEADER_ROWS: u32 = 40;
@@ -52,7 +46,7 @@ impl Table {
         self.rows.iter().map(|(number, cells)| Row { table: self, number: *number, cells })
     }
 
-    fn of(path: &Path, columns: BTreeMap<String, u32>, rows: Rows, header: u32) -> Self {
+    fn of(path: &Path, columns: BTreeMap<String, u32>, rows: Cells, header: u32) -> Self {
         let below = rows.into_iter().filter(|(row, _)| *row > header);
         Self {
             path: path.to_owned(),
@@ -85,12 +79,13 @@ impl<'a> Row<'a> {
 
     /// The error that this row is wrong.
     pub fn wrong(self, reason: String) -> MicroExpressionError {
-        MicroExpressionError::Row { path: self.table.path.clone(), row: self.number, reason }
+        MicroExpressionError::Row {
+            path: self.table.path.clone(),
+            row: self.number,
+            reason: excerpt(&reason),
+        }
     }
 }
-
-/// Text of the cells by row and column, both from 0; empty cells are left out.
-type Rows = BTreeMap<u32, BTreeMap<u32, String>>;
 
 /// Reads the spreadsheet that `source` names, or the one in its folder that is of this form.
 pub fn read_spreadsheet(form: &Form, source: &ClipSource) -> Result<Table, MicroExpressionError> {
@@ -162,8 +157,7 @@ fn read_form(form: &Form, path: &Path) -> Result<Table, MicroExpressionError> {
         Some(other) => format!("these are those of {}; give the file of {}", other.called, form.called),
         None => match sheets.iter().flat_map(BTreeMap::values).find(|row| row.len() > 2) {
             Some(row) => {
-                let cells: Vec<&str> = row.values().take(8).map(String::as_str).collect();
-                format!("the first full row holds {}", cells.join(", "))
+                format!("the first full row holds {}", excerpts(row.values().map(String::as_str), 8))
             }
             None => "its sheets are empty".to_owned(),
         },
@@ -177,7 +171,7 @@ fn read_form(form: &Form, path: &Path) -> Result<Table, MicroExpressionError> {
 }
 
 /// The row that names all `columns`, and where each of its names stands.
-fn header_of(rows: &Rows, columns: &[&str]) -> Option<(u32, BTreeMap<String, u32>)> {
+fn header_of(rows: &Cells, columns: &[&str]) -> Option<(u32, BTreeMap<String, u32>)> {
     rows.range(..HEADER_ROWS).find_map(|(row, cells)| {
         let mut named = BTreeMap::new();
         for (column, text) in cells {
@@ -192,49 +186,12 @@ fn header_key(text: &str) -> String {
     text.trim().trim_start_matches('\u{feff}').to_lowercase()
 }
 
-/// The sheets of a workbook, cell by cell: a sheet's claimed extent is never taken as memory.
-fn read_sheets(path: &Path) -> Result<Vec<Rows>, MicroExpressionError> {
-    let wrong = |reason: String| MicroExpressionError::Table { path: path.to_owned(), reason };
-    let size = std::fs::metadata(path).map_err(|error| wrong(error.to_string()))?.len();
-    if size > MAX_BYTES {
-        return Err(wrong(format!(
-            "expected a spreadsheet below {} MB, found {} MB",
-            MAX_BYTES >> 20,
-            size >> 20
-        )));
-    }
-    let broken = |error: calamine::XlsxError| wrong(format!("expected a sound .xlsx spreadsheet: {error}"));
-    let mut workbook: Xlsx<_> = calamine::open_workbook(path).map_err(broken)?;
-    let mut sheets = Vec::new();
-    for name in workbook.sheet_names() {
-        let mut rows = Rows::new();
-        let mut cells = workbook.worksheet_cells_reader(&name).map_err(broken)?;
-        while let Some(cell) = cells.next_cell().map_err(broken)? {
-            let (row, column) = cell.get_position();
-            if row < MAX_ROWS && column < MAX_COLUMNS {
-                let text = cell_text(cell.get_value());
-                if !text.trim().is_empty() {
-                    rows.entry(row).or_default().insert(column, text);
-                }
-            }
-        }
-        sheets.push(rows);
-    }
-    Ok(sheets)
-}
-
-fn cell_text(value: &DataRef) -> String {
-    match value {
-        DataRef::Int(number) => number.to_string(),
-        // Displays whole numbers without a fraction, so that frame numbers read as such.
-        DataRef::Float(number) => number.to_string(),
-        DataRef::String(text) => text.clone(),
-        DataRef::SharedString(text) => (*text).to_owned(),
-        DataRef::Bool(value) => value.to_string(),
-        DataRef::DateTime(time) => time.as_f64().to_string(),
-        DataRef::DateTimeIso(text) | DataRef::DurationIso(text) => text.clone(),
-        DataRef::Error(_) | DataRef::Empty => String::new(),
-    }
+fn read_sheets(path: &Path) -> Result<Vec<Cells>, MicroExpressionError> {
+    let bytes = read_file(path, FileKind::Spreadsheet)?;
+    read_workbook(bytes).map_err(|reason| MicroExpressionError::Table {
+        path: path.to_owned(),
+        reason: format!("expected a sound .xlsx spreadsheet: {}", excerpt(&reason)),
+    })
 }
 
 /// Reads a CSV file whose first row names at least `columns`.
@@ -243,11 +200,11 @@ pub fn read_csv(kind: &'static str, path: &Path, columns: &[&str]) -> Result<Tab
     let mut reader = csv::ReaderBuilder::new()
         .has_headers(false)
         .flexible(true)
-        .from_path(path)
-        .map_err(|error| wrong(error.to_string()))?;
-    let mut rows = Rows::new();
+        .from_reader(open_file(path, FileKind::Table)?.0);
+    let mut rows = Cells::new();
     for record in reader.records() {
-        let record = record.map_err(|error| wrong(format!("expected a CSV table: {error}")))?;
+        let record = record
+            .map_err(|error| wrong(format!("expected a CSV table: {}", excerpt(&error.to_string()))))?;
         let line = record.position().map_or(1, csv::Position::line);
         let cells = (0..).zip(&record).filter(|(_, text)| !text.trim().is_empty());
         let cells: BTreeMap<u32, String> = cells.map(|(at, text)| (at, text.to_owned())).collect();
@@ -256,7 +213,7 @@ pub fn read_csv(kind: &'static str, path: &Path, columns: &[&str]) -> Result<Tab
         }
     }
     let header = rows.first_key_value().map(|(row, cells)| (*row, cells.clone())).unwrap_or_default();
-    let first = Rows::from([header]);
+    let first = Cells::from([header]);
     match header_of(&first, columns) {
         Some((header, names)) => Ok(Table::of(path, names, rows, header)),
         None => Err(MicroExpressionError::Columns {
@@ -265,7 +222,7 @@ pub fn read_csv(kind: &'static str, path: &Path, columns: &[&str]) -> Result<Tab
             expected: columns.join(", "),
             found: match first.first_key_value() {
                 Some((_, cells)) if !cells.is_empty() => {
-                    format!("its first row holds {}", cells.values().cloned().collect::<Vec<_>>().join(", "))
+                    format!("its first row holds {}", excerpts(cells.values().map(String::as_str), 20))
                 }
                 _ => "it is empty".to_owned(),
             },

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde_json::Value;
-use srflow_field::{PARTIAL_EXTENSION, create_folder, write_atomically};
+use srflow_field::{FileKind, PARTIAL_EXTENSION, create_folder, excerpt, read_text, write_atomically};
 
 use super::error::GenerateError;
 use super::settings::Shard;
@@ -27,7 +27,7 @@ pub(super) fn claim(dir: &Path, manifest: &Manifest, force: bool) -> Result<(), 
         serde_json::to_string_pretty(manifest).map_err(|error| io_error(&path, error.into()))?;
     planned.push('\n');
     if path.exists() {
-        let found = fs::read_to_string(&path).map_err(|error| io_error(&path, error))?;
+        let found = read_text(&path, FileKind::Json)?;
         if force {
             delete(dir, &Manifest::read(dir)?)?;
         } else if found != planned {
@@ -65,7 +65,7 @@ fn difference(dir: &Path, found: &str, planned: &str) -> Result<GenerateError, G
     let other = |field: &str, found: &Value, asked: &Value| GenerateError::OtherDataset {
         path: dir.to_owned(),
         field: field.to_owned(),
-        found: found.to_string(),
+        found: excerpt(&found.to_string()),
         asked: asked.to_string(),
     };
     let version = "srflow_version";

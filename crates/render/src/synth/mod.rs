@@ -25,7 +25,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{create_folder, write_atomically};
+use srflow_field::{FileKind, create_folder, excerpt, read_text, write_atomically};
 use srflow_read::micro_expression::EmotionClass;
 
 pub use error::SynthError;
@@ -132,7 +132,7 @@ fn claim(dir: &Path, settings: &SynthSettings, force: bool) -> Result<(), SynthE
     let path = dir.join(SETTINGS_NAME);
     let io_error = |error| SynthError::Io { path: path.clone(), error };
     if path.is_file() {
-        let text = fs::read_to_string(&path).map_err(io_error)?;
+        let text = read_text(&path, FileKind::Json)?;
         match serde_json::from_str::<SynthSettings>(&text) {
             Ok(found) if found == *settings && !force => return Ok(()),
             Ok(found) if force => delete(dir, &found)?,
@@ -176,7 +176,7 @@ fn difference(found: &SynthSettings, asked: &SynthSettings) -> String {
     let names = asked.as_object().unwrap_or(&empty);
     let differing = names.iter().find(|(name, value)| found[name.as_str()] != **value);
     differing.map_or_else(String::new, |(name, value)| {
-        format!("{name} {}, asked for is {value}", found[name.as_str()])
+        format!("{name} {}, asked for is {value}", excerpt(&found[name.as_str()].to_string()))
     })
 }
 
@@ -201,7 +201,7 @@ fn delete(dir: &Path, settings: &SynthSettings) -> Result<(), SynthError> {
 }
 
 fn read_record(path: &Path) -> Result<ClipRecord, SynthError> {
-    let text = fs::read_to_string(path).map_err(|error| SynthError::Io { path: path.to_owned(), error })?;
+    let text = read_text(path, FileKind::Json)?;
     serde_json::from_str(&text).map_err(|error| SynthError::Malformed {
         path: path.to_owned(),
         reason: srflow_field::parse_error_in_words(&error),

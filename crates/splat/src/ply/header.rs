@@ -2,7 +2,7 @@
 
 use std::io::{self, Read};
 
-use srflow_field::FileProblem;
+use srflow_field::{FileProblem, excerpt};
 
 use super::{problem, reading};
 
@@ -186,10 +186,8 @@ fn parse_encoding(name: &str) -> Result<Encoding, FileProblem> {
     })
 }
 
-/// Text of unknown origin, safe to print.
 fn quote(text: &str) -> String {
-    let short: String = text.chars().take(60).collect();
-    format!("{short:?}")
+    format!("`{}`", excerpt(text))
 }
 
 struct Lines<'a, R> {

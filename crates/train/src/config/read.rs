@@ -1,8 +1,8 @@
 //! Configurations from files, presets and the command line.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use srflow_field::parse_error_in_words;
+use srflow_field::{FileError, FileKind, parse_error_in_words, read_text};
 use toml::{Table, Value};
 
 use super::Config;
@@ -12,12 +12,10 @@ use crate::loss::LossError;
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// The file could not be read.
-    #[error("{}: {error}; give a TOML file or one of the presets: {presets}", .path.display())]
+    #[error("{error}; give a TOML file or one of the presets: {presets}")]
     Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        error: std::io::Error,
+        /// The file and what the system says.
+        error: FileError,
         /// Names of the presets.
         presets: String,
     },
@@ -87,8 +85,7 @@ impl Config {
         if let Some(preset) = PRESETS.iter().find(|preset| Path::new(preset.name) == name) {
             return Self::parse(preset.text, &format!("preset {}", preset.name));
         }
-        let text = std::fs::read_to_string(name).map_err(|error| ConfigError::Read {
-            path: name.to_owned(),
+        let text = read_text(name, FileKind::Settings).map_err(|error| ConfigError::Read {
             error,
             presets: PRESETS.iter().map(|preset| preset.name).collect::<Vec<_>>().join(", "),
         })?;

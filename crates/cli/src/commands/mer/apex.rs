@@ -4,9 +4,8 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use rayon::prelude::*;
 use serde::Serialize;
-use srflow_mer::{ApexErrors, ApexRule, apex_errors, spot_apex};
+use srflow_mer::{ApexErrors, ApexRule, apex_errors, spot_apexes};
 use srflow_read::micro_expression::{ApexRow, Clip, ClipSource, write_apex_list};
 
 use super::face::FaceArgs;
@@ -92,12 +91,7 @@ pub fn run(args: Apex, context: &Context) -> anyhow::Result<()> {
     let clips: Vec<&Clip> = datasets.iter().flat_map(|dataset| &dataset.clips).collect();
     let bar = ProgressBar::new(clips.len() as u64)
         .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} clips, {eta} left")?);
-    let spot = |clip: &&Clip| {
-        let apex = spot_apex(clip, args.rule, &face, estimator.as_ref());
-        bar.inc(1);
-        apex.map(|apex| apex.frame)
-    };
-    let spotted: Result<Vec<u64>, _> = clips.par_iter().map(spot).collect::<Vec<_>>().into_iter().collect();
+    let spotted = spot_apexes(&clips, args.rule, &face, estimator.as_ref(), &|| bar.inc(1));
     bar.finish_and_clear();
     let spotted = spotted?;
     if let Some(path) = &args.out {

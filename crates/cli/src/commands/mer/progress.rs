@@ -1,77 +1,56 @@
 //! What `srflow mer run` shows while it works.
 
-use std::collections::BTreeSet;
+use std::sync::{Mutex, PoisonError};
 
 use indicatif::{ProgressBar, ProgressStyle};
-use srflow_mer::{LosoEvent, Sample};
+use srflow_mer::RunEvent;
 
-/// A bar over the clips of one method.
-pub fn feature_progress(clips: usize, method: &str) -> anyhow::Result<ProgressBar> {
-    let style = ProgressStyle::with_template("{msg}: features {bar:30} {pos}/{len}, ETA {eta}")?;
-    Ok(ProgressBar::new(clips as u64).with_style(style).with_message(method.to_owned()))
+/// A bar for each part of a run, one after the other.
+pub struct RunProgress {
+    bar: Mutex<ProgressBar>,
 }
 
-/// One bar over the training of all sets and methods, in clips learned from, which time follows.
-pub struct TrainingProgress {
-    /// Its message is what is being trained.
-    pub bar: ProgressBar,
-    epochs: usize,
+impl Default for RunProgress {
+    fn default() -> Self {
+        Self { bar: Mutex::new(ProgressBar::hidden()) }
+    }
 }
 
-impl TrainingProgress {
-    pub fn new(epochs: usize) -> anyhow::Result<Self> {
-        let style =
-            ProgressStyle::with_template("{msg}: training {bar:30} {percent}% in {elapsed}, ETA {eta}")?;
-        Ok(Self { bar: ProgressBar::new(0).with_style(style).with_message("classifiers"), epochs })
-    }
-
-    /// Counts in a set, each of whose subjects is left out once.
-    pub fn expect<'a>(&self, samples: impl Iterator<Item = &'a Sample>) {
-        let (mut clips, mut subjects) = (0, BTreeSet::new());
-        for sample in samples {
-            clips += 1;
-            subjects.insert((&sample.dataset, &sample.subject));
-        }
-        self.bar.inc_length((clips * subjects.len().saturating_sub(1) * self.epochs) as u64);
-    }
-
-    pub fn show(&self, event: LosoEvent) {
+impl RunProgress {
+    /// Shows what an event says.
+    pub fn show(&self, event: RunEvent) {
+        let mut bar = self.bar.lock().unwrap_or_else(PoisonError::into_inner);
         match event {
-            LosoEvent::Epoch { clips } => self.bar.inc(clips as u64),
-            LosoEvent::Fold { clips, resumed: true } => {
-                self.bar.inc((clips * self.epochs) as u64);
-                self.bar.reset_eta(); // how fast folds are read tells nothing of how fast they are trained
+            RunEvent::Apexes { clips } => {
+                *bar = next(&bar, clips as u64, "apexes {bar:30} {pos}/{len}, ETA {eta}")
             }
-            LosoEvent::Fold { resumed: false, .. } => {}
+            RunEvent::Features { method, clips } => {
+                *bar = next(&bar, clips as u64, "{msg}: features {bar:30} {pos}/{len}, ETA {eta}");
+                bar.set_message(method.to_owned());
+            }
+            RunEvent::Clip => bar.inc(1),
+            RunEvent::Training { clip_epochs } => {
+                let template = "{msg}: training {bar:30} {percent}% in {elapsed}, ETA {eta}";
+                *bar = next(&bar, clip_epochs, template);
+                bar.set_message("classifiers");
+            }
+            RunEvent::Folds { set, method } => bar.set_message(format!("{set}, {method}")),
+            RunEvent::Trained { clip_epochs } => bar.inc(clip_epochs),
+            RunEvent::Resumed { clip_epochs } => {
+                bar.inc(clip_epochs);
+                bar.reset_eta(); // how fast folds are read says nothing of how fast they are trained
+            }
         }
+    }
+
+    /// Takes the last bar away.
+    pub fn finish(&self) {
+        self.bar.lock().unwrap_or_else(PoisonError::into_inner).finish_and_clear();
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use srflow_mer::Features;
-    use srflow_read::micro_expression::EmotionClass;
-
-    use super::*;
-
-    #[test]
-    fn the_bar_is_full_when_every_fold_is_done() {
-        let sample = |subject: &str, clip: &str| Sample {
-            dataset: "made-up".into(),
-            subject: subject.into(),
-            clip: clip.into(),
-            class: EmotionClass::Negative,
-            features: Features::from_values(vec![0.0; Features::LEN]).unwrap(),
-        };
-        let samples = [sample("1", "a"), sample("2", "a"), sample("2", "b"), sample("3", "a")];
-        let progress = TrainingProgress::new(5).unwrap();
-        progress.expect(samples.iter());
-        for clips in [3, 2] {
-            (0..5).for_each(|_| progress.show(LosoEvent::Epoch { clips }));
-            progress.show(LosoEvent::Fold { clips, resumed: false });
-        }
-        assert_eq!(progress.bar.position(), 25);
-        progress.show(LosoEvent::Fold { clips: 3, resumed: true });
-        assert_eq!(progress.bar.length(), Some(progress.bar.position()));
-    }
+fn next(last: &ProgressBar, length: u64, template: &str) -> ProgressBar {
+    last.finish_and_clear();
+    let style = ProgressStyle::with_template(template).expect("a template that indicatif knows");
+    ProgressBar::new(length).with_style(style)
 }

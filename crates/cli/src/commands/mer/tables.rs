@@ -1,17 +1,13 @@
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context as _;
 use clap::Args;
 use serde::Serialize;
-use srflow_eval::{Table, TextStyle, latex_file};
 use srflow_field::create_folder;
-use srflow_mer::{
-    Outcome, OutcomeRecord, by_set, confusion_latex, confusion_title, confusions_csv, folds_csv,
-    read_predictions, score_tables, scores_csv,
-};
+use srflow_mer::{Outcome, OutcomeRecord, TABLE_FILES, all_score_tables, read_predictions, write_tables};
 
 use crate::Context;
-use crate::output::{ensure_free, joined, markdown, print_tables, write_text};
+use crate::output::{ensure_free, print_tables};
 
 /// Recompute every table from the predictions of a run
 #[derive(Args)]
@@ -35,12 +31,8 @@ pub struct Tables {
     force: bool,
 }
 
-/// The files with tables.
-pub const TABLE_FILES: [&str; 6] =
-    ["tables.txt", "tables.csv", "tables.tex", "tables.md", "folds.csv", "confusions.csv"];
-
 #[derive(Serialize)]
-struct Outcomes {
+struct Recomputed {
     outcomes: Vec<OutcomeRecord>,
 }
 
@@ -62,40 +54,13 @@ pub fn run(args: Tables, context: &Context) -> anyhow::Result<()> {
         write_tables(out, &outcomes)?;
     }
     if context.json {
-        let outcomes = Outcomes { outcomes: outcomes.iter().map(Outcome::record).collect() };
-        return say!("{}", serde_json::to_string_pretty(&outcomes)?);
+        let recomputed = Recomputed { outcomes: outcomes.iter().map(Outcome::record).collect() };
+        return say!("{}", serde_json::to_string_pretty(&recomputed)?);
     }
     print_scores(&outcomes)
 }
 
 /// Prints the score tables of every set.
 pub fn print_scores(outcomes: &[Outcome]) -> anyhow::Result<()> {
-    print_tables(&scores(outcomes))
-}
-
-/// Writes [`TABLE_FILES`].
-pub fn write_tables(folder: &Path, outcomes: &[Outcome]) -> anyhow::Result<()> {
-    let scores = scores(outcomes);
-    let texts: [String; 6] = [
-        joined(&scores, |table| table.text(TextStyle::Plain)),
-        scores_csv(outcomes),
-        latex(&scores, outcomes),
-        markdown(&scores),
-        folds_csv(outcomes),
-        confusions_csv(outcomes),
-    ];
-    for (name, text) in TABLE_FILES.iter().zip(texts) {
-        write_text(&folder.join(name), &text)?;
-    }
-    Ok(())
-}
-
-fn scores(outcomes: &[Outcome]) -> Vec<Table> {
-    by_set(outcomes).iter().flat_map(|of_set| score_tables(of_set)).collect()
-}
-
-fn latex(scores: &[Table], outcomes: &[Outcome]) -> String {
-    let scores = scores.iter().map(|table| (table.title.clone(), table.latex()));
-    let confusions = outcomes.iter().map(|outcome| (confusion_title(outcome), confusion_latex(outcome)));
-    latex_file(scores.chain(confusions))
+    print_tables(&all_score_tables(outcomes))
 }

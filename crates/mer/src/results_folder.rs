@@ -1,0 +1,200 @@
+//! The folder of a run's results.
+
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use srflow_eval::{MethodRecord, Table, TextStyle, joined, latex_file, markdown_file};
+use srflow_field::{FileError, FileProblem, create_folder, write_atomically};
+
+use crate::apex::ApexRule;
+use crate::predictions::write_predictions;
+use crate::protocol::Protocol;
+use crate::report::{ReportError, ReportParts, report};
+use crate::results::{Outcome, OutcomeRecord, by_set, confusion_latex, confusion_title, score_tables};
+use crate::results_csv::{confusions_csv, folds_csv, scores_csv};
+use crate::run::{DataRecord, RunResults};
+
+/// The files with tables, as [`write_tables`] writes them.
+pub const TABLE_FILES: [&str; 6] =
+    ["tables.txt", "tables.csv", "tables.tex", "tables.md", "folds.csv", "confusions.csv"];
+const PREDICTIONS: &str = "predictions.csv";
+const REPORT: &str = "report.html";
+/// Written when all others are: where it is, the results are whole.
+const RESULTS: &str = "results.json";
+
+/// Where the results of a run go: [`TABLE_FILES`], `predictions.csv`, `report.html` and `results.json`. Finished folds lie in
+/// `folds`, so that a run that was killed goes on.
+#[derive(Debug, Clone)]
+pub struct ResultsFolder {
+    folder: PathBuf,
+}
+
+/// Why results were not written.
+#[derive(Debug, thiserror::Error)]
+pub enum ResultsError {
+    /// There are results already.
+    #[error("{} exists; give --force to overwrite it, or another folder", .0.display())]
+    Exists(PathBuf),
+    /// A file could not be written.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The report could not be made.
+    #[error(transparent)]
+    Report(#[from] ReportError),
+}
+
+/// A whole run as `results.json` has it.
+#[derive(Debug, Serialize)]
+pub struct ResultsRecord<'a> {
+    data: &'a [DataRecord],
+    methods: &'a [MethodRecord],
+    classifier: &'static str,
+    preparation: String,
+    apex: Option<&'static str>,
+    protocol: &'a Protocol,
+    machine: &'a str,
+    outcomes: Vec<OutcomeRecord>,
+}
+
+impl<'a> ResultsRecord<'a> {
+    /// The record of results that `machine` computed.
+    pub fn of(results: &'a RunResults, machine: &'a str) -> Self {
+        let settings = &results.settings;
+        Self {
+            data: &results.data,
+            methods: &results.methods,
+            classifier: settings.classifier.facts.name,
+            preparation: settings.preparation.to_string(),
+            apex: settings.apex.map(ApexRule::name),
+            protocol: &settings.protocol,
+            machine,
+            outcomes: results.outcomes.iter().map(Outcome::record).collect(),
+        }
+    }
+}
+
+impl ResultsFolder {
+    /// The folder of this path, for a run to write its results into.
+    ///
+    /// # Errors
+    /// When it holds the results of a run, or files of their names that no run has left behind, and `force` is not set.
+    pub fn open(folder: &Path, force: bool) -> Result<Self, ResultsError> {
+        let this = Self { folder: folder.to_owned() };
+        let unfinished = this.folds().is_dir() && !this.file(RESULTS).exists();
+        if !force && !unfinished {
+            let mut files = TABLE_FILES.into_iter().chain([PREDICTIONS, REPORT, RESULTS]);
+            if let Some(name) = files.find(|name| this.file(name).exists()) {
+                return Err(ResultsError::Exists(this.file(name)));
+            }
+        }
+        Ok(this)
+    }
+
+    /// Where finished folds are kept.
+    pub fn folds(&self) -> PathBuf {
+        self.file("folds")
+    }
+
+    /// Where the report is.
+    pub fn report(&self) -> PathBuf {
+        self.file(REPORT)
+    }
+
+    fn file(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
+    }
+
+    /// Writes every file of the results.
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn write(&self, results: &RunResults, machine: &str) -> Result<(), ResultsError> {
+        create_folder(&self.folder)?;
+        let last = self.file(RESULTS);
+        match std::fs::remove_file(&last) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                return Err(
+                    FileError { path: last, problem: FileProblem::Io { doing: "removing", error } }.into()
+                );
+            }
+            _ => {}
+        }
+        write_tables(&self.folder, &results.outcomes)?;
+        write_predictions(&self.file(PREDICTIONS), &results.trials)?;
+        let parts = ReportParts {
+            outcomes: &results.outcomes,
+            trials: &results.trials,
+            samples: &results.samples,
+            clips: &results.clips,
+            face: &results.settings.preparation.face,
+            facts: facts(results),
+            machine: machine.to_owned(),
+        };
+        write_text(&self.report(), &report(&parts)?.html())?;
+        let record = serde_json::to_string_pretty(&ResultsRecord::of(results, machine));
+        Ok(write_text(&last, &(record.expect("numbers and text") + "\n"))?)
+    }
+}
+
+/// Writes [`TABLE_FILES`].
+///
+/// # Errors
+/// When a file cannot be written.
+pub fn write_tables(folder: &Path, outcomes: &[Outcome]) -> Result<(), FileError> {
+    let scores = all_score_tables(outcomes);
+    let texts: [String; 6] = [
+        joined(&scores, |table| table.text(TextStyle::Plain)),
+        scores_csv(outcomes),
+        latex(&scores, outcomes),
+        markdown_file(&scores),
+        folds_csv(outcomes),
+        confusions_csv(outcomes),
+    ];
+    TABLE_FILES.iter().zip(texts).try_for_each(|(name, text)| write_text(&folder.join(name), &text))
+}
+
+/// The [`score_tables`] of every set.
+pub fn all_score_tables(outcomes: &[Outcome]) -> Vec<Table> {
+    by_set(outcomes).iter().flat_map(|of_set| score_tables(of_set)).collect()
+}
+
+fn latex(scores: &[Table], outcomes: &[Outcome]) -> String {
+    let scores = scores.iter().map(|table| (table.title.clone(), table.latex()));
+    let confusions = outcomes.iter().map(|outcome| (confusion_title(outcome), confusion_latex(outcome)));
+    latex_file(scores.chain(confusions))
+}
+
+fn write_text(path: &Path, text: &str) -> Result<(), FileError> {
+    write_atomically(path, |file| file.write_all(text.as_bytes()))
+}
+
+/// How a run was made, for the report: names and values.
+fn facts(results: &RunResults) -> Vec<(String, String)> {
+    let mut facts: Vec<(String, String)> = Vec::new();
+    for data in &results.data {
+        let mut text =
+            format!("{} clips of {} subjects, {} rows left out", data.clips, data.subjects, data.dropped);
+        if data.spotted_apexes > 0 {
+            text += &format!(", apex of {} clips spotted", data.spotted_apexes);
+        }
+        if !data.clips_with_missing_frames.is_empty() {
+            text += &format!(", frames missing in {}", data.clips_with_missing_frames.join(", "));
+        }
+        facts.push((data.dataset.clone(), text));
+    }
+    let settings = &results.settings;
+    let Protocol { epochs, record_every, batch, learning_rate, decay_every, decay, seed } =
+        &settings.protocol;
+    facts.push(("Frames".to_owned(), settings.preparation.to_string()));
+    facts.extend(results.methods.iter().map(|method| (method.name.clone(), method.description())));
+    facts.push(("Classifier".to_owned(), settings.classifier.facts.name.to_owned()));
+    facts.push((
+        "Training".to_owned(),
+        format!(
+            "{epochs} epochs, recorded every {record_every}, batch {batch}, Adam {learning_rate}, times {decay} every \
+             {decay_every} epochs, seed {seed}"
+        ),
+    ));
+    facts
+}

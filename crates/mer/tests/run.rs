@@ -1,0 +1,115 @@
+//! A run over clips on disk: what it reports and what it keeps.
+
+use std::path::Path;
+use std::sync::Mutex;
+
+use srflow_eval::MethodRecord;
+use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, write_image_png};
+use srflow_mer::{
+    ApexRule, ClassifierEntry, Preparation, Protocol, RunError, RunEvent, RunFolders, RunMethod, RunResults,
+    RunSettings, Sets, run,
+};
+use srflow_read::micro_expression::{ClipDataset, ClipSource};
+
+/// A flow from the brightness of the second picture.
+struct Brightness;
+
+impl FlowEstimator for Brightness {
+    fn name(&self) -> &str {
+        "brightness"
+    }
+
+    fn estimate(&self, _: &Image, second: &Image) -> Result<FlowField, EstimateError> {
+        Ok(FlowField::from_fn(second.width(), second.height(), |x, y| {
+            [f32::from(second.get(x, y)[0]) * x as f32 * 1e-4, 0.0]
+        }))
+    }
+}
+
+/// Clips of this many subjects, two each, without a known apex.
+fn dataset(folder: &Path, subjects: usize) -> ClipDataset {
+    let mut lines = vec!["clip,subject,onset,apex,offset,class".to_owned()];
+    for (subject, class) in
+        (0..subjects).flat_map(|subject| ["negative", "surprise"].map(|class| (subject, class)))
+    {
+        let clip = format!("{subject}-{class}");
+        std::fs::create_dir_all(folder.join(&clip)).unwrap();
+        for (frame, grey) in [(1, 0), (2, 200), (3, 90)] {
+            let image = Image::from_fn(24, 20, |x, _| [grey + (x + subject) as u8; 3]);
+            write_image_png(&folder.join(&clip).join(format!("{frame}.png")), &image).unwrap();
+        }
+        lines.push(format!("{clip},{subject},1,,3,{class}"));
+    }
+    std::fs::write(folder.join("clips.csv"), lines.join("\n")).unwrap();
+    let source: ClipSource = format!("clips:{}", folder.display()).parse().unwrap();
+    ClipDataset::open(&source, false).unwrap()
+}
+
+fn settings() -> RunSettings {
+    RunSettings {
+        classifier: ClassifierEntry::from_name("ststnet").unwrap(),
+        sets: Sets::Both,
+        apex: Some(ApexRule::Strain),
+        preparation: Preparation::default(),
+        protocol: Protocol { epochs: 2, record_every: 1, ..Protocol::default() },
+    }
+}
+
+fn run_in(
+    folder: &Path,
+    datasets: Vec<ClipDataset>,
+    on_event: &(dyn Fn(RunEvent) + Sync),
+) -> Result<RunResults, RunError> {
+    let record = MethodRecord {
+        name: "brightness".into(),
+        method: "brightness",
+        parameters: String::new(),
+        weights: None,
+        sha256: None,
+    };
+    let folders = RunFolders { features: &folder.join("features"), folds: &folder.join("folds") };
+    run(datasets, vec![RunMethod { estimator: &Brightness, record }], settings(), folders, on_event)
+}
+
+#[test]
+fn events_count_up_to_what_they_announce_and_a_second_run_computes_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
+    let datasets = || vec![dataset(&first, 3), dataset(&second, 2)];
+    let run = || {
+        // Clips announced and done; clip epochs announced, trained and resumed.
+        let counts = Mutex::new([0_u64; 5]);
+        let results = run_in(folder.path(), datasets(), &|event| {
+            let mut counts = counts.lock().unwrap();
+            match event {
+                RunEvent::Apexes { clips } | RunEvent::Features { clips, .. } => counts[0] += clips as u64,
+                RunEvent::Clip => counts[1] += 1,
+                RunEvent::Training { clip_epochs } => counts[2] += clip_epochs,
+                RunEvent::Trained { clip_epochs } => counts[3] += clip_epochs,
+                RunEvent::Resumed { clip_epochs } => counts[4] += clip_epochs,
+                RunEvent::Folds { .. } => {}
+            }
+        });
+        (results.unwrap(), counts.into_inner().unwrap())
+    };
+    // Six and four clips: every one is learned from once in each epoch for each other subject of its set.
+    let expected = (6 * 2 + 4 + 10 * 4) * 2;
+    let (results, counts) = run();
+    assert_eq!(counts, [20, 20, expected, expected, 0]);
+    let sets: Vec<&str> = results.trials.iter().map(|trial| trial.set.as_str()).collect();
+    assert_eq!(sets, ["first", "second", "composite"]);
+    assert_eq!(results.data.iter().map(|data| data.spotted_apexes).collect::<Vec<_>>(), [6, 4]);
+    assert!(results.clips.iter().all(|clip| clip.annotation.apex == Some(2)));
+
+    let (again, counts) = run();
+    assert_eq!(counts, [20, 20, expected, 0, expected]);
+    assert_eq!(again.trials, results.trials);
+}
+
+#[test]
+fn a_set_that_nobody_can_be_left_out_of_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let alone = dataset(&folder.path().join("alone"), 1);
+    let error = run_in(folder.path(), vec![alone], &|_| ()).unwrap_err().to_string();
+    assert_eq!(error, "alone: leaving one subject out needs clips of at least 2 subjects; found 1");
+}

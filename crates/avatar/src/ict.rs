@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use glam::{DMat4, DVec4, Quat, Vec3};
 use rayon::prelude::*;
 use serde::Deserialize;
-use srflow_field::{FileKind, excerpt, read_file};
+use srflow_field::{FileKind, parse_error_in_words, read_file};
 
 use crate::avatar::AvatarError;
 use crate::obj::{read_obj, read_obj_positions};
@@ -89,7 +89,7 @@ fn read_indices(path: &Path) -> Result<VertexIndices, AvatarError> {
     let malformed =
         |problem: String, line| AvatarError::Malformed { path: path.to_path_buf(), line, problem };
     let indices: VertexIndices = serde_json::from_slice(&bytes)
-        .map_err(|error| malformed(excerpt(&error.to_string()), error.line()))?;
+        .map_err(|error| malformed(parse_error_in_words(&error), error.line()))?;
     let landmarks = &indices.idx_to_landmark_verts;
     if landmarks.len() != 68 || landmarks.iter().any(|&v| v as usize >= VERTICES) {
         let problem = format!("expected 68 landmark vertices below {VERTICES}, found {}", landmarks.len());

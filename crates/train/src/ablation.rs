@@ -22,7 +22,6 @@ use crate::validation::score_weights;
 pub struct Variant {
     /// Name in folders and on the command line.
     pub name: String,
-    /// Name in the table.
     pub title: String,
     /// Whether it is trained; otherwise the weights that the others start from are scored.
     pub trained: bool,
@@ -75,7 +74,6 @@ impl Variant {
 pub struct Cell {
     /// Name of the [`Variant`].
     pub variant: String,
-    /// The seed of every random choice.
     pub seed: u64,
     /// Steps of the training; 0 where there was none.
     pub steps: u64,
@@ -90,25 +88,19 @@ pub struct Cell {
 pub enum AblationEvent<'a> {
     /// A run begins, continues or was finished before.
     Cell {
-        /// The row.
         variant: &'a Variant,
-        /// Its seed.
         seed: u64,
         /// Whether it was finished before.
         done: bool,
     },
-    /// What a run reports.
     Training(Event<'a>),
 }
 
-/// What is run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AblationSettings {
     /// The training that all runs share; their losses and seeds aside.
     pub base: Config,
-    /// The rows.
     pub variants: Vec<Variant>,
-    /// The seeds of each row.
     pub seeds: Vec<u64>,
 }
 
@@ -127,30 +119,14 @@ impl AblationSettings {
 /// Why an ablation ended early.
 #[derive(Debug, thiserror::Error)]
 pub enum AblationError {
-    /// A run failed.
     #[error("{run}: {error}")]
-    Run {
-        /// Its folder.
-        run: String,
-        /// What went wrong.
-        error: Box<TrainError>,
-    },
-    /// The folder of a run holds one with other settings.
+    Run { run: String, error: Box<TrainError> },
     #[error(
         "{}: this folder holds a run with other settings; give the ablation another --out, or delete the folder", .run.display()
     )]
-    OtherSettings {
-        /// Its folder.
-        run: PathBuf,
-    },
-    /// A result could not be read.
+    OtherSettings { run: PathBuf },
     #[error("{}: {reason}; delete it to have the run scored again", .path.display())]
-    Result {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
+    Result { path: PathBuf, reason: String },
 }
 
 /// Name of the file with the scores of a finished run.

@@ -9,7 +9,6 @@ use crate::training_set::TrainingSample;
 /// A batch in host memory: planes of each sample one behind the other.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Batch {
-    /// Which pairs they are.
     pub names: Vec<String>,
     /// Height and width, the same of all.
     pub size: [usize; 2],
@@ -56,12 +55,10 @@ impl Batch {
         batch
     }
 
-    /// How many samples.
     pub fn len(&self) -> usize {
         self.names.len()
     }
 
-    /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.names.is_empty()
     }

@@ -77,38 +77,18 @@ struct StateFile {
 /// Why a checkpoint was not written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
-    /// The system refused.
     #[error("{}: {doing}: {error}", .path.display())]
-    Io {
-        /// The file or folder.
-        path: PathBuf,
-        /// What was being done.
-        doing: &'static str,
-        /// What the system says.
-        error: std::io::Error,
-    },
-    /// A file could not be put beside the checkpoints.
+    Io { path: PathBuf, doing: &'static str, error: std::io::Error },
     #[error(transparent)]
     File(#[from] FileError),
-    /// A file of the checkpoint does not hold what it must.
     #[error("{}: {reason}; delete this checkpoint's folder to continue from the one before", .path.display())]
-    Broken {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// There is no checkpoint.
+    Broken { path: PathBuf, reason: String },
     #[error(
         "{}: found no checkpoint to continue from; start the run without --resume", .folder.display()
     )]
-    None {
-        /// Where one was looked for.
-        folder: PathBuf,
-    },
+    None { folder: PathBuf },
 }
 
-/// The checkpoints of a run.
 pub struct Checkpoints {
     run: PathBuf,
     folder: PathBuf,

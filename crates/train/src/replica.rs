@@ -19,7 +19,6 @@ use crate::recompute;
 /// What a pass over a batch is asked for.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PassSettings {
-    /// What is minimised.
     pub loss: LossConfig,
     /// Refinements.
     pub iterations: usize,
@@ -41,7 +40,6 @@ pub struct Pass {
 /// The mean loss of a batch.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct BatchLosses {
-    /// What is minimised.
     pub total: f64,
     /// Its parts by name.
     pub parts: Vec<(&'static str, f64)>,
@@ -50,7 +48,6 @@ pub struct BatchLosses {
 }
 
 impl BatchLosses {
-    /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
         self.total.is_finite() && self.parts.iter().all(|(_, value)| value.is_finite())
     }
@@ -125,7 +122,6 @@ impl Replicas {
         &self.layout
     }
 
-    /// Gives every copy these numbers.
     pub fn fill(&mut self, values: &[f32]) {
         for copy in &mut self.copies {
             let network = copy.network.clone();

@@ -27,45 +27,33 @@ const CONFIG: &str = "config.toml";
 /// Why a run did not begin or ended early.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
-    /// The configuration makes no sense.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The training data cannot be used.
     #[error(transparent)]
     Data(#[from] DataError),
-    /// The validation failed.
     #[error(transparent)]
     Validation(#[from] ValidationError),
-    /// The weights to start from could not be read or are those of another network.
     #[error(transparent)]
     Weights(#[from] WeightsError),
-    /// Another process trains in the folder.
     #[error(transparent)]
     Lock(#[from] LockError),
-    /// The loss does not fit the network.
     #[error(transparent)]
     Loss(#[from] LossError),
-    /// A checkpoint was not written or read.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The log was not written or read.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// A file of the run was not written.
     #[error(transparent)]
     File(#[from] FileError),
-    /// The folder holds another run.
     #[error(
         "{0}: this folder holds a run of {steps} steps; continue it with --resume {0}, or choose another --out",
         .folder.display()
     )]
     AnotherRun {
-        /// The run's folder.
         folder: PathBuf,
         /// How far it went.
         steps: u64,
     },
-    /// Too many losses in a row were not finite.
     #[error(
         "the loss or its gradients were not finite in {in_a_row} consecutive steps; the last one, step {step}, had the pairs\n  \
          {samples}\n{kept}. Check these pairs, or lower training.learning_rate"
@@ -73,14 +61,12 @@ pub enum TrainError {
     NotFinite {
         /// The last of these steps, from 1.
         step: u64,
-        /// How many there were.
         in_a_row: u64,
         /// The first frames of its batch.
         samples: String,
         /// The last checkpoint, in words.
         kept: String,
     },
-    /// A thread that reads pairs ended early.
     #[error("a thread that reads training pairs ended early; its message is above")]
     Worker,
 }
@@ -88,13 +74,10 @@ pub enum TrainError {
 /// What [`train`] reports while it runs.
 #[derive(Debug)]
 pub enum Event<'a> {
-    /// Before the first step.
     Started(&'a Start),
     /// After each step, skipped ones too, and each validation, in the order of the log.
     Recorded(&'a Record),
-    /// A checkpoint was written.
     Saved {
-        /// Its folder.
         path: &'a Path,
         /// After how many steps.
         step: u64,
@@ -108,7 +91,6 @@ pub struct Start {
     pub done: u64,
     /// Steps of the whole run.
     pub steps: u64,
-    /// Steps in an epoch.
     pub steps_per_epoch: u64,
     /// The training data, a line for each dataset.
     pub data: Vec<String>,
@@ -123,7 +105,6 @@ pub struct Start {
 /// The result of a run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outcome {
-    /// Where it ended.
     pub progress: Progress,
     /// Whether it was stopped on request, before its last step.
     pub stopped: bool,
@@ -193,7 +174,7 @@ pub fn train(
     let mut record = |record: Record, on_event: &mut dyn FnMut(Event<'_>)| {
         let written = log.write(&record);
         on_event(Event::Recorded(&record));
-        written.map_err(|error| LogError { path: run.to_owned(), reason: error.to_string() })
+        written
     };
     on_event(Event::Started(&trainer.start(config, &set, &validation)));
 
@@ -412,7 +393,7 @@ impl Trainer {
         &mut self,
         validation: &Validation,
         checkpoints: &Checkpoints,
-        record: &mut dyn FnMut(Record) -> Result<(), LogError>,
+        record: &mut dyn FnMut(Record) -> Result<(), FileError>,
     ) -> Result<bool, TrainError> {
         let scores = validation.score(self.replicas.for_estimation(), &self.device)?;
         let step = self.progress.step;

@@ -24,21 +24,13 @@ pub enum LockError {
         "{}: another process trains here: {holder}; wait until it has finished, stop it, or choose another folder",
         .folder.display()
     )]
-    /// By another process.
     Held {
-        /// The run's folder.
         folder: PathBuf,
         /// Its process and host, as it wrote them, and for how long.
         holder: String,
     },
     #[error("{}: locking: {error}", .path.display())]
-    /// The system refused.
-    Io {
-        /// The lock.
-        path: PathBuf,
-        /// What the system says.
-        error: io::Error,
-    },
+    Io { path: PathBuf, error: io::Error },
 }
 
 impl RunLock {
@@ -58,7 +50,8 @@ impl RunLock {
             Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {}
             Err(TryLockError::Error(error)) => return Err(failed(error)),
         }
-        file.set_len(0).and_then(|()| file.write_all(note().as_bytes())).map_err(failed)?;
+        // The note is for people: on a full disk the lock holds without it.
+        let _ = file.set_len(0).and_then(|()| file.write_all(note().as_bytes()));
         Ok(Self { file })
     }
 }

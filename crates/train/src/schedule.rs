@@ -4,7 +4,6 @@
 /// line, then down in a straight line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OneCycle {
-    /// The greatest learning rate.
     pub peak: f64,
     /// Steps of the whole cycle. SKFlow plans 100 more than it trains, so that the rate never reaches its end.
     pub total_steps: u64,

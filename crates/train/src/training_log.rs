@@ -5,7 +5,9 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileKind, Metrics, parse_error_in_words, read_text, write_atomically};
+use srflow_field::{
+    FileError, FileKind, FileProblem, Metrics, parse_error_in_words, read_text, write_atomically,
+};
 
 use crate::tensorboard::EventFile;
 
@@ -13,15 +15,12 @@ use crate::tensorboard::EventFile;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "lowercase", deny_unknown_fields)]
 pub enum Record {
-    /// A step of the optimizer.
     Step(StepRecord),
     /// A step that was skipped because the loss or the gradients were not finite.
     Skipped(SkippedRecord),
-    /// A validation.
     Validation(ValidationRecord),
 }
 
-/// A step of the optimizer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StepRecord {
@@ -35,7 +34,6 @@ pub struct StepRecord {
     pub parts: Vec<(String, f64)>,
     /// Mean end-point error of the last prediction, in pixels.
     pub epe: f64,
-    /// The learning rate of the step.
     pub learning_rate: f64,
     /// Norm of all gradients before they were clipped.
     pub gradient_norm: f64,
@@ -61,9 +59,7 @@ pub struct SkippedRecord {
 pub struct ValidationRecord {
     /// After how many steps.
     pub step: u64,
-    /// The dataset and its split.
     pub dataset: String,
-    /// Pairs that were scored.
     pub pairs: usize,
     /// Over all pixels with a known truth.
     pub whole: Metrics,
@@ -121,6 +117,7 @@ impl Record {
 
 /// The log of a running training.
 pub(crate) struct TrainingLog {
+    run: PathBuf,
     log: File,
     events: EventFile,
 }
@@ -134,9 +131,7 @@ const EVENTS: &str = "tensorboard";
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {reason}", .path.display())]
 pub struct LogError {
-    /// The file.
     pub path: PathBuf,
-    /// What went wrong.
     pub reason: String,
 }
 
@@ -158,15 +153,18 @@ impl TrainingLog {
         let log = OpenOptions::new().create(true).append(true).open(&path);
         let events = run.join(EVENTS);
         Ok(Self {
+            run: run.to_owned(),
             log: log.map_err(|error| failed(&path, &error))?,
             events: EventFile::create(&events).map_err(|error| failed(&events, &error))?,
         })
     }
 
     /// Appends a line and the numbers for TensorBoard.
-    pub(crate) fn write(&mut self, record: &Record) -> io::Result<()> {
-        write_line(&mut self.log, record)?;
-        self.events.write(record.step(), &record.tagged())
+    pub(crate) fn write(&mut self, record: &Record) -> Result<(), FileError> {
+        let written = write_line(&mut self.log, record)
+            .and_then(|()| self.events.write(record.step(), &record.tagged()));
+        let problem = |error| FileProblem::Io { doing: "writing the log", error };
+        written.map_err(|error| FileError { path: self.run.clone(), problem: problem(error) })
     }
 }
 

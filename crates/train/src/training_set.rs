@@ -16,54 +16,32 @@ use crate::config::{Config, PixelSize, Source};
 /// Why there is nothing to train on, or a pair could not be used.
 #[derive(Debug, thiserror::Error)]
 pub enum DataError {
-    /// No dataset was named.
     #[error(
         "data.train is empty: name what to train on, e.g. --data srflow:DIR, or --data folder:DIR for a plain folder of \
          pairs"
     )]
     NoData,
-    /// A dataset could not be listed, or a pair of it could not be read.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// A dataset has frames but no true flow.
     #[error(
         "{dataset} in {}: none of its {pairs} pairs has a true flow to learn from; {advice}", .dir.display()
     )]
-    NoTruth {
-        /// Kind and split.
-        dataset: String,
-        /// Its folder.
-        dir: PathBuf,
-        /// How many pairs it has.
-        pairs: usize,
-        /// What to do.
-        advice: &'static str,
-    },
-    /// Frames that are far smaller than the crop.
+    NoTruth { dataset: String, dir: PathBuf, pairs: usize, advice: &'static str },
     #[error(
         "{pair}: its frames are {}x{}, less than half of the crop {crop} (WIDTHxHEIGHT); set data.crop (--crop) to a size \
          that the frames have",
         .frame.0, .frame.1
     )]
     TooSmall {
-        /// The first frame's file.
         pair: String,
         /// Width and height.
         frame: (usize, usize),
-        /// What was asked for.
         crop: PixelSize,
     },
-    /// The augmentation's settings make no sense.
     #[error("{0}")]
     Settings(AugmentError),
-    /// A pair could not be augmented.
     #[error("{pair}: {source}")]
-    Augment {
-        /// The first frame's file.
-        pair: String,
-        /// What is wrong.
-        source: AugmentError,
-    },
+    Augment { pair: String, source: AugmentError },
 }
 
 /// What to do about a dataset without flow.

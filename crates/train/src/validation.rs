@@ -13,7 +13,6 @@ use crate::run::TrainError;
 use crate::training_log::ValidationRecord;
 use crate::training_set::open_dataset;
 
-/// The datasets that are scored.
 pub(crate) struct Validation {
     datasets: Vec<FlowDataset>,
     settings: Settings,
@@ -23,18 +22,12 @@ pub(crate) struct Validation {
 /// Why a network could not be scored.
 #[derive(Debug, thiserror::Error)]
 pub enum ValidationError {
-    /// A dataset could not be listed.
     #[error("validation: {0}")]
     Dataset(#[from] DatasetError),
-    /// A pair could not be scored.
     #[error("validation: {0}")]
     Evaluate(#[from] srflow_eval::EvaluateError),
-    /// No pair of the dataset had a pixel to score.
     #[error("validation: {dataset}: no pixel of any pair has a known flow")]
-    NoPixel {
-        /// The dataset and its split.
-        dataset: String,
-    },
+    NoPixel { dataset: String },
 }
 
 impl Validation {

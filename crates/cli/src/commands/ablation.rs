@@ -55,7 +55,6 @@ fn row_names() -> String {
     variants().into_iter().map(|row| row.name).collect::<Vec<_>>().join(", ")
 }
 
-/// Runs the command.
 pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
     let config = match &args.config {
         Some(name) => Config::read(name)?,

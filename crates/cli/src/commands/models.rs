@@ -62,7 +62,6 @@ struct Export {
     force: bool,
 }
 
-/// Runs the command.
 pub fn run(args: Models, context: &Context) -> anyhow::Result<()> {
     match args.action {
         None => list(context),

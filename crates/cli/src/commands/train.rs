@@ -153,7 +153,6 @@ impl Overrides {
 /// Exit code of a run that was stopped on request.
 const STOPPED: i32 = 75;
 
-/// Runs the command.
 pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
     if args.resume.is_some() {
         ensure!(
@@ -275,7 +274,6 @@ impl Progress {
         }
     }
 
-    /// Shows an event of a run.
     pub fn show(&mut self, event: &Event) {
         match event {
             Event::Started(start) => self.start(start),
@@ -353,12 +351,10 @@ impl Progress {
         }
     }
 
-    /// Takes the bar away.
     pub fn finish(&self) {
         self.bar.finish_and_clear();
     }
 
-    /// A line above the bar.
     pub fn line(&self, text: &str) {
         self.bar.suspend(|| eprintln!("{text}"));
     }

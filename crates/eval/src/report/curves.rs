@@ -26,10 +26,11 @@ pub fn curves(curves: &[Curve], vertical: Axis, dots: bool, chart: &Chart) -> Fi
         true => Scale::exact(0.0, 1.0),
         false => {
             let low = least(&mut all.iter().map(|point| point.0));
-            let high = most(&mut all.iter().map(|point| point.0)).max(low + 1e-9);
+            let high = most(&mut all.iter().map(|point| point.0));
             // An axis that begins close to zero begins at zero, and so does that of a single place.
-            let from_zero = 0.0 < low && (low < 0.05 * high || high - low < 1e-6);
-            Scale::exact(if from_zero { 0.0 } else { low }, high)
+            let from_zero = 0.0 < low && (low < 0.05 * high || low == high);
+            let low = if from_zero { 0.0 } else { low };
+            Scale::exact(low, if low == high { low + 1.0 } else { high })
         }
     };
     let top = most(&mut all.iter().map(|point| point.1));

@@ -30,8 +30,9 @@ pub(super) fn tensors(mut file: File, len: u64) -> Result<BTreeMap<String, Store
     }
     let mut table = Vec::new();
     (&mut file).take(table_len).read_to_end(&mut table).map_err(|error| error.to_string())?;
-    let table: Metadata =
-        serde_json::from_slice(&table).map_err(|error| format!("in its table of tensors: {error}"))?;
+    let table: Metadata = serde_json::from_slice(&table).map_err(|error| {
+        format!("in its table of tensors: {}", srflow_field::parse_error_in_words(&error))
+    })?;
     let (claimed, left) = (table.data_len() as u64, after - table_len);
     if claimed != left {
         return Err(format!("its tensors claim {claimed} bytes, the file has {left} left"));

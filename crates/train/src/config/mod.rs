@@ -19,23 +19,15 @@ pub use text::{PixelSize, Source};
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
-    /// What is trained.
     pub network: NetworkConfig,
-    /// What it is trained on.
     pub data: DataConfig,
-    /// How pairs are changed before they are used.
     pub augmentation: AugmentationConfig,
-    /// How long, how fast.
     pub training: TrainingConfig,
-    /// What is minimised.
     pub loss: LossConfig,
-    /// How it is scored meanwhile.
     pub validation: ValidationConfig,
-    /// What is kept.
     pub checkpoints: CheckpointConfig,
 }
 
-/// What is trained.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NetworkConfig {
@@ -60,7 +52,6 @@ pub enum BatchNorm {
     Frozen,
 }
 
-/// What it is trained on.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DataConfig {
@@ -77,7 +68,6 @@ pub struct DataConfig {
     pub prefetch: usize,
 }
 
-/// How long, how fast.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainingConfig {
@@ -114,7 +104,6 @@ pub struct TrainingConfig {
     pub bad_steps: u64,
 }
 
-/// How it is scored meanwhile.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ValidationConfig {
@@ -133,7 +122,6 @@ pub struct ValidationConfig {
     pub limit: usize,
 }
 
-/// What is kept.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CheckpointConfig {

@@ -11,41 +11,22 @@ use crate::loss::LossError;
 /// Why a configuration cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
-    /// The file could not be read.
     #[error("{error}; give a TOML file or one of the presets: {presets}")]
     Read {
         /// The file and what the system says.
         error: FileError,
-        /// Names of the presets.
         presets: String,
     },
-    /// The file is no TOML, has an unknown key, or a value of the wrong kind.
     #[error("{file}: {reason}")]
     File {
-        /// The file.
         file: String,
         /// The line, the key and what was expected.
         reason: String,
     },
-    /// An override names no key or gives it a value of the wrong kind.
     #[error("--set {given}: {reason}")]
-    Override {
-        /// What was given.
-        given: String,
-        /// What is wrong with it.
-        reason: String,
-    },
-    /// A value makes no sense.
+    Override { given: String, reason: String },
     #[error("{key} = {found}: expected {expected}")]
-    Value {
-        /// The key, with its section.
-        key: &'static str,
-        /// Its value.
-        found: String,
-        /// What it may be.
-        expected: String,
-    },
-    /// A value of the loss makes no sense.
+    Value { key: &'static str, found: String, expected: String },
     #[error(transparent)]
     Loss(#[from] LossError),
 }
@@ -53,9 +34,7 @@ pub enum ConfigError {
 /// A configuration that comes with the program.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Preset {
-    /// Its name.
     pub name: &'static str,
-    /// The TOML file.
     pub text: &'static str,
 }
 

@@ -76,16 +76,8 @@ pub struct Losses {
 /// Why there is no loss.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LossError {
-    /// A number of the configuration makes no sense.
     #[error("loss.{key} = {found}: expected {expected}")]
-    Setting {
-        /// The key in the configuration.
-        key: &'static str,
-        /// Its value.
-        found: String,
-        /// What it may be.
-        expected: &'static str,
-    },
+    Setting { key: &'static str, found: String, expected: &'static str },
     /// The mixture of Laplace distributions was asked of a network that predicts none.
     #[error(
         "loss.sequence = \"mixture-of-laplace\" needs a network that predicts a mixture beside the flow, as SEA-RAFT does; \

@@ -36,20 +36,15 @@ pub struct ImageWeights {
 /// Why a flow has no regularizers.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RegularizerError {
-    /// The flow, the frame and the mask differ in size.
     #[error(transparent)]
     SizeMismatch(#[from] SizeMismatch),
-    /// There is no pixel.
     #[error("the flow is {}x{} (WIDTHxHEIGHT): expected at least one pixel", .0.0, .0.1)]
     Empty((usize, usize)),
-    /// The flow is not known everywhere.
     #[error(
         "the flow at pixel ({x}, {y}) is ({u}, {v}): a regularizer needs every pixel; an estimated flow has them"
     )]
     Unknown {
-        /// Column.
         x: usize,
-        /// Row.
         y: usize,
         /// Component to the right.
         u: f32,

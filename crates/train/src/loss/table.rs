@@ -59,10 +59,7 @@ pub(super) enum RegularizerValue {
     OfFlow(fn(Tensor<4>, &Tensor<4>, Border) -> Tensor<1>),
     /// The variation of the flow inside `M_total` with the weight `base^-G` of each pixel. The function gives the logarithm
     /// of the base, `[batch, 1, 1, 1]`, from `G`, `[batch, 1, height, width]`, and the foreground.
-    WeightedVariation {
-        /// Of the base.
-        log_base: fn(Tensor<4>, &Tensor<4>) -> Tensor<4>,
-    },
+    WeightedVariation { log_base: fn(Tensor<4>, &Tensor<4>) -> Tensor<4> },
 }
 
 impl Regularizer {

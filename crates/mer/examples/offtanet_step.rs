@@ -40,7 +40,7 @@ fn main() {
 /// The seconds of each step, after one that warms up.
 fn train(steps: usize) -> Vec<f64> {
     let device = Device::flex().autodiff();
-    let mut training = Training::new(initialized::<OffTaNet>(&device, Key::new(1), "timing"));
+    let mut training = Training::new(initialized::<OffTaNet>(&device, 3, Key::new(1), "timing"));
     let mut noise = Key::new(1).stream("input");
     let [channels, height, width] = OffTaNet::INPUT;
     let values: Vec<f32> = (0..BATCH * channels * height * width).map(|_| noise.uniform(-1.0, 1.0)).collect();

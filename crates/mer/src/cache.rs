@@ -23,7 +23,7 @@ pub struct FeatureCache {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FeatureKey(String);
 
-/// SHA-256 of a file in hexadecimal digits: tells weights apart in a method's identity.
+/// SHA-256 of a file in hexadecimal digits: identifies the weights of a method.
 ///
 /// # Errors
 /// When the file cannot be read.
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_file_is_made_anew() {
+    fn a_broken_file_is_computed_again() {
         let folder = tempfile::tempdir().unwrap();
         let picture = folder.path().join("a");
         std::fs::write(&picture, "picture").unwrap();

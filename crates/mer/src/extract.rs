@@ -68,7 +68,7 @@ impl fmt::Display for Preparation {
     }
 }
 
-/// A flow method and what tells it from every other: its name, parameters and weights.
+/// A flow method, identified by its name, parameters and weights.
 pub struct Method<'a> {
     /// The estimator.
     pub estimator: &'a dyn FlowEstimator,
@@ -205,7 +205,7 @@ fn recipe(method: &Method, crop: &ClipCrop, preparation: &Preparation) -> String
     format!("{}\n{crop:?}\n{}\n{}", method.identity, preparation.resize, preparation.strain)
 }
 
-/// What [`extract`] tells while it works.
+/// Progress of [`extract`].
 #[derive(Debug, Clone, Copy)]
 pub struct Extracted<'a> {
     /// The clip, as dataset/subject/clip.

@@ -363,15 +363,13 @@ fn bilinear(image: &Image, x: f64, y: f64) -> [u8; 3] {
 
 #[cfg(test)]
 mod tests {
-    use srflow_read::micro_expression::EmotionClass;
-
     use super::*;
 
     fn annotation(subject: &str, clip: &str, onset: u64) -> Annotation {
         Annotation {
             subject: subject.to_owned(),
             clip: clip.to_owned(),
-            class: EmotionClass::Positive,
+            class: 1,
             label: String::new(),
             action_units: String::new(),
             onset,

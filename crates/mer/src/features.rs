@@ -1,7 +1,6 @@
 //! What classifiers see of a clip: the flow from onset to apex and its optical strain.
 
 use srflow_field::Plane;
-use srflow_read::micro_expression::EmotionClass;
 
 /// Width and height of the feature maps, in pixels.
 pub const FEATURE_SIDE: usize = 112;
@@ -113,8 +112,8 @@ pub struct Sample {
     pub subject: String,
     /// The clip's name, e.g. `006_1_2`.
     pub clip: String,
-    /// What it shows.
-    pub class: EmotionClass,
+    /// Number of its class.
+    pub class: usize,
     /// What is known of its motion.
     pub features: Features,
 }

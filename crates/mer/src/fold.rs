@@ -1,27 +1,25 @@
-//! One fold: train on everybody but one subject, tell that subject's clips.
+//! One fold: train on all subjects but one, classify that subject's clips.
 
 use std::time::Instant;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 use srflow_field::random::Key;
-use srflow_read::micro_expression::EmotionClass;
 
 use crate::classifier::{Classifier, initialized};
-use crate::metrics::CLASSES;
 use crate::protocol::Protocol;
 use crate::training::Training;
 
 /// A clip as a classifier takes it.
 pub(crate) struct Example {
     pub(crate) input: Vec<f32>,
-    pub(crate) class: EmotionClass,
+    pub(crate) class: usize,
 }
 
 /// What training one fold gave.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Trained {
-    /// By recorded epoch, then by clip of the subject.
-    pub(crate) scores: Vec<Vec<[f32; CLASSES]>>,
+    /// By recorded epoch, then by clip of the subject, then by class.
+    pub(crate) scores: Vec<Vec<Vec<f32>>>,
     /// By recorded epoch: mean cross-entropy over the training clips during that epoch.
     pub(crate) losses: Vec<f64>,
     pub(crate) seconds: f64,
@@ -33,10 +31,11 @@ pub(crate) struct Diverged {
     pub(crate) epoch: usize,
 }
 
-/// Trains on `training`, neither of the two empty, and scores `tested`. Random numbers are drawn for `name`, which tells
+/// Trains on `training`, neither of the two empty, and scores `tested`. Random numbers are drawn for `name`, which identifies
 /// the fold from others, so that its result does not depend on which folds are run and where.
 pub(crate) fn train_fold<C: Classifier>(
     name: &str,
+    classes: usize,
     training: &[&Example],
     tested: &[&Example],
     protocol: &Protocol,
@@ -45,7 +44,7 @@ pub(crate) fn train_fold<C: Classifier>(
     let start = Instant::now();
     let key = Key::new(protocol.seed);
     let device = Device::flex().autodiff();
-    let mut network = Training::new(initialized::<C>(&device, key, name));
+    let mut network = Training::new(initialized::<C>(&device, classes, key, name));
     let recorded = protocol.recorded();
     let (mut scores, mut losses) = (Vec::new(), Vec::new());
     let mut order: Vec<usize> = (0..training.len()).collect();
@@ -81,13 +80,14 @@ fn shuffle(order: &mut [usize], stream: &mut srflow_field::random::Stream) {
     }
 }
 
-fn score<C: Classifier>(network: &C, examples: &[&Example], batch: usize) -> Vec<[f32; CLASSES]> {
+fn score<C: Classifier>(network: &C, examples: &[&Example], batch: usize) -> Vec<Vec<f32>> {
     let network = network.valid();
     let device = Device::flex();
     let of_batch = |examples: &[&Example]| {
         let scores = network.scores(stacked::<C>(examples, &device), None);
+        let classes = scores.dims()[1];
         let scores: Vec<f32> = scores.into_data().try_to_vec().expect("scores are f32");
-        scores.as_chunks().0.to_vec()
+        scores.chunks_exact(classes).map(<[f32]>::to_vec).collect::<Vec<_>>()
     };
     examples.chunks(batch).flat_map(of_batch).collect()
 }

@@ -6,6 +6,7 @@ mod classifier;
 mod extract;
 mod face;
 mod features;
+mod features_file;
 mod fold;
 mod loso;
 mod metrics;
@@ -31,8 +32,9 @@ pub use extract::{
 };
 pub use face::{ClipCrop, FaceBox, FaceCrop, FaceError, FacePoints, Landmarks};
 pub use features::{Channel, FEATURE_SIDE, FeatureError, Features, Sample};
+pub use features_file::{FeatureRecipe, write_features};
 pub use loso::{FoldRecord, Loso, LosoError, LosoEvent, leave_one_subject_out};
-pub use metrics::{CLASSES, Confusion, Scores};
+pub use metrics::{Confusion, Scores};
 pub use predictions::{Prediction, PredictionsError, Trial, read_predictions, write_predictions};
 pub use protocol::{Protocol, ProtocolError};
 pub use report::{ReportError, ReportParts, report};
@@ -45,7 +47,10 @@ pub use results_csv::{confusions_csv, folds_csv, scores_csv};
 pub use results_folder::{
     ResultsError, ResultsFolder, ResultsRecord, TABLE_FILES, all_score_tables, write_tables,
 };
-pub use run::{DataRecord, RunError, RunEvent, RunFolders, RunMethod, RunResults, RunSettings, Sets, run};
+pub use run::{
+    DataRecord, FeatureSet, RunError, RunEvent, RunFolders, RunMethod, RunResults, RunSettings, Sets,
+    compute_features, run,
+};
 pub use strain::{StrainFormula, optical_strain, strain_colors};
 pub use summary::{Best, EpochScores, FoldScores, Summary, SummaryError};
 pub use training::{Training, cross_entropy};

@@ -1,29 +1,29 @@
-//! Leave one subject out: every subject of every dataset is told once by a classifier that has seen all the others.
+//! Leave one subject out: each subject of every dataset is classified by a model trained on all other subjects.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use srflow_field::{FileError, FileKind, create_folder, read_file, write_atomically};
-use srflow_read::micro_expression::EmotionClass;
 
 use crate::classifier::Classifier;
 use crate::features::Sample;
 use crate::fold::{Diverged, Example, Trained, train_fold};
-use crate::metrics::CLASSES;
 use crate::predictions::Prediction;
 use crate::protocol::{Protocol, ProtocolError};
 
 /// Goes up when the same protocol and features give other scores.
 const VERSION: u32 = 1;
 
-/// What was told of every clip, and how each fold went.
+/// The predictions for every clip, and how each fold went.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Loso {
+    /// The classes' names, by their numbers.
+    pub classes: Arc<[String]>,
     /// By dataset, subject, clip, then epoch.
     pub predictions: Vec<Prediction>,
     /// By dataset, then subject.
@@ -40,7 +40,7 @@ pub struct FoldRecord {
     /// The subject's clips.
     pub clips: usize,
     /// Classes that no other subject shows: the classifier cannot know them.
-    pub unseen_classes: Vec<&'static str>,
+    pub unseen_classes: Vec<String>,
     /// By recorded epoch: mean cross-entropy over the training clips during that epoch.
     pub training_losses: Vec<f64>,
     /// What the training took.
@@ -75,7 +75,7 @@ pub enum LosoError {
     /// Nobody can be left out.
     #[error("leaving one subject out needs clips of at least 2 subjects; found {}", listed(.0))]
     Subjects(Vec<String>),
-    /// Two clips cannot be told apart.
+    /// Two clips of one subject share a name.
     #[error("{dataset} subject {subject} has two clips called {clip}; give each its own name")]
     SameClip {
         /// The dataset.
@@ -106,7 +106,8 @@ fn listed(subjects: &[String]) -> String {
     if subjects.is_empty() { "none".to_owned() } else { subjects.join(", ") }
 }
 
-/// Trains one classifier for each subject on all others' samples, and records what it says of the subject's clips.
+/// Trains one classifier for each subject on all others' samples, and records its predictions for the subject's clips.
+/// `classes` are the classes' names; the samples' classes are numbers below their count.
 ///
 /// Folds are spread over as many threads as the current pool has. Each is computed by one thread from its own random
 /// numbers: the result has the same bits whatever the number of threads. Finished folds are kept in `folder`, under names
@@ -116,6 +117,7 @@ fn listed(subjects: &[String]) -> String {
 /// When there are no two subjects, two clips share a name, training diverges, or a fold cannot be kept.
 pub fn leave_one_subject_out<C: Classifier>(
     samples: &[Sample],
+    classes: &Arc<[String]>,
     protocol: &Protocol,
     folder: Option<&Path>,
     on_event: &(dyn Fn(LosoEvent) + Sync),
@@ -132,7 +134,7 @@ pub fn leave_one_subject_out<C: Classifier>(
         ));
     }
     let store = match folder {
-        Some(folder) => Some(Store::open::<C>(folder, protocol, &samples)?),
+        Some(folder) => Some(Store::open::<C>(folder, classes, protocol, &samples)?),
         None => None,
     };
     let examples: Vec<Example> = samples
@@ -145,13 +147,14 @@ pub fn leave_one_subject_out<C: Classifier>(
         let (tested, training): (Vec<_>, Vec<_>) =
             (0..examples.len()).partition(|index| clips.contains(index));
         let clips = training.len();
-        if let Some(finished) = file.as_deref().map(read_fold).transpose()?.flatten() {
+        let shape = [protocol.recorded().len(), tested.len(), classes.len()];
+        if let Some(finished) = file.as_deref().map(|file| read_fold(file, shape)).transpose()?.flatten() {
             on_event(LosoEvent::Fold { clips, resumed: true });
             return Ok(finished);
         }
         let of = |indices: Vec<usize>| -> Vec<&Example> { indices.iter().map(|&i| &examples[i]).collect() };
         let name = format!("{dataset}/{subject}");
-        let trained = train_fold::<C>(&name, &of(training), &of(tested), protocol, &|_| {
+        let trained = train_fold::<C>(&name, classes.len(), &of(training), &of(tested), protocol, &|_| {
             on_event(LosoEvent::Epoch { clips });
         });
         let finished = Finished {
@@ -170,18 +173,18 @@ pub fn leave_one_subject_out<C: Classifier>(
     };
     let finished = each_on_one_thread(&folds, run)?;
 
-    let mut loso = Loso { predictions: Vec::new(), folds: Vec::new() };
+    let mut loso = Loso { classes: classes.clone(), predictions: Vec::new(), folds: Vec::new() };
     for (([dataset, subject], clips), Finished { trained, resumed }) in folds.iter().zip(finished) {
         let seen: BTreeSet<usize> = (0..samples.len())
             .filter(|index| !clips.contains(index))
-            .map(|index| samples[index].class as usize)
+            .map(|index| samples[index].class)
             .collect();
-        let unseen = EmotionClass::ALL.into_iter().filter(|&class| !seen.contains(&(class as usize)));
+        let unseen = (0..classes.len()).filter(|class| !seen.contains(class));
         loso.folds.push(FoldRecord {
             dataset: (*dataset).to_owned(),
             subject: (*subject).to_owned(),
             clips: clips.len(),
-            unseen_classes: unseen.map(EmotionClass::name).collect(),
+            unseen_classes: unseen.map(|class| classes[class].clone()).collect(),
             training_losses: trained.losses,
             seconds: trained.seconds,
             resumed,
@@ -196,7 +199,7 @@ pub fn leave_one_subject_out<C: Classifier>(
                     truth: sample.class,
                     epoch,
                     predicted: Prediction::class_of(&scores[position]),
-                    scores: scores[position],
+                    scores: scores[position].clone(),
                 });
             }
         }
@@ -264,21 +267,23 @@ struct FoldFile {
     fold: String,
     seconds: f64,
     training_losses: Vec<f64>,
-    scores: Vec<Vec<[f64; CLASSES]>>,
+    scores: Vec<Vec<Vec<f64>>>,
 }
 
 impl Store {
     fn open<C: Classifier>(
         folder: &Path,
+        classes: &[String],
         protocol: &Protocol,
         samples: &[&Sample],
     ) -> Result<Self, FileError> {
         create_folder(folder)?;
         let mut digest = Sha256::new();
         digest.update(format!("srflow fold {VERSION}\n{}\n{protocol:?}\n", C::FACTS.name));
+        digest.update(format!("{classes:?}\n"));
         for sample in samples {
             let Sample { dataset, subject, clip, class, features } = sample;
-            digest.update(format!("{dataset:?} {subject:?} {clip:?} {class}\n"));
+            digest.update(format!("{dataset:?} {subject:?} {clip:?} {}\n", classes[*class]));
             features.values().iter().for_each(|value| digest.update(value.to_le_bytes()));
         }
         Ok(Self { folder: folder.to_owned(), run: digest.finalize().to_vec() })
@@ -291,17 +296,24 @@ impl Store {
     }
 }
 
-/// A finished fold; none where there is no file, or one that is not whole.
-fn read_fold(path: &Path) -> Result<Option<Finished>, FileError> {
+/// A finished fold of so many recorded epochs, clips and classes; none where there is no file, or one that is not whole.
+fn read_fold(path: &Path, shape: [usize; 3]) -> Result<Option<Finished>, FileError> {
     let text = match read_file(path, FileKind::Json) {
         Ok(text) => text,
         Err(error) if error.is_not_found() => return Ok(None),
         Err(error) => return Err(error),
     };
     let file: Option<FoldFile> = serde_json::from_slice(&text).ok();
-    Ok(file.map(|file| {
-        let scores =
-            file.scores.into_iter().map(|clips| clips.into_iter().map(|s| s.map(|x| x as f32)).collect());
+    let fits = |file: &FoldFile| {
+        let [epochs, clips, classes] = shape;
+        file.training_losses.len() == epochs
+            && file.scores.len() == epochs
+            && file.scores.iter().all(|of_epoch| of_epoch.len() == clips)
+            && file.scores.iter().flatten().all(|scores| scores.len() == classes)
+    };
+    Ok(file.filter(fits).map(|file| {
+        let of_clip = |scores: Vec<f64>| scores.into_iter().map(|score| score as f32).collect();
+        let scores = file.scores.into_iter().map(|clips| clips.into_iter().map(of_clip).collect());
         let trained =
             Trained { scores: scores.collect(), losses: file.training_losses, seconds: file.seconds };
         Finished { trained, resumed: true }
@@ -309,11 +321,12 @@ fn read_fold(path: &Path) -> Result<Option<Finished>, FileError> {
 }
 
 fn write_fold(path: &Path, name: &str, trained: &Trained) -> Result<(), FileError> {
+    let of_clip = |scores: &Vec<f32>| scores.iter().map(|score| f64::from(*score)).collect();
     let file = FoldFile {
         fold: name.to_owned(),
         seconds: trained.seconds,
         training_losses: trained.losses.clone(),
-        scores: trained.scores.iter().map(|clips| clips.iter().map(|s| s.map(f64::from)).collect()).collect(),
+        scores: trained.scores.iter().map(|clips| clips.iter().map(of_clip).collect()).collect(),
     };
     write_atomically(path, |writer| {
         serde_json::to_writer(&mut *writer, &file)?;

@@ -1,13 +1,8 @@
 //! Scores of classification: those of the SRFlow paper, per fold, and MEGC 2019's, pooled.
 
-use srflow_read::micro_expression::EmotionClass;
-
-/// Number of classes.
-pub const CLASSES: usize = EmotionClass::ALL.len();
-
-/// How often each class was told for each: `[truth][predicted]`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Confusion(pub [[usize; CLASSES]; CLASSES]);
+/// Clips by true and predicted class: `[truth][predicted]`, square.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Confusion(pub Vec<Vec<usize>>);
 
 /// The paper's five metrics, each in 0..1.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -18,23 +13,29 @@ pub struct Scores {
     pub recall: f64,
     /// F1, macro-averaged: `F1_M`.
     pub f1: f64,
-    /// Micro-averaged F1, which with one label per clip is the share of clips told right: `F1_μ`.
+    /// Micro-averaged F1, which with one label per clip is the accuracy: `F1_μ`.
     pub accuracy: f64,
     /// Geometric mean of the recalls: `G_M`.
     pub g_mean: f64,
 }
 
 impl Confusion {
-    /// Counts (truth, predicted).
-    pub fn of(pairs: impl IntoIterator<Item = (EmotionClass, EmotionClass)>) -> Self {
-        let mut confusion = Self::default();
+    /// Of no clips, for so many classes.
+    pub fn new(classes: usize) -> Self {
+        Self(vec![vec![0; classes]; classes])
+    }
+
+    /// Counts (truth, predicted), numbers below `classes`.
+    pub fn of(classes: usize, pairs: impl IntoIterator<Item = (usize, usize)>) -> Self {
+        let mut confusion = Self::new(classes);
         for (truth, predicted) in pairs {
-            confusion.0[truth as usize][predicted as usize] += 1;
+            confusion.0[truth][predicted] += 1;
         }
         confusion
     }
 
     /// Both counts together.
+    #[must_use]
     pub fn plus(mut self, other: &Self) -> Self {
         for (row, other) in self.0.iter_mut().zip(&other.0) {
             for (count, other) in row.iter_mut().zip(other) {
@@ -44,49 +45,65 @@ impl Confusion {
         self
     }
 
+    /// The same clips, all predicted to be of one class.
+    #[must_use]
+    pub fn always(&self, class: usize) -> Self {
+        let mut confusion = Self::new(self.0.len());
+        for (row, truth) in confusion.0.iter_mut().zip(&self.0) {
+            row[class] = truth.iter().sum();
+        }
+        confusion
+    }
+
     /// Clips counted.
     pub fn total(&self) -> usize {
-        self.0.as_flattened().iter().sum()
+        self.0.iter().flatten().sum()
+    }
+
+    /// The class of most clips; the first of equal ones.
+    pub fn most_frequent(&self) -> usize {
+        let classes = 1..self.0.len();
+        classes.fold(0, |most, class| if self.of_class(class) > self.of_class(most) { class } else { most })
     }
 
     /// The paper's metrics of one fold, as scikit-learn and imbalanced-learn compute them: macro averages run over the
-    /// classes that the fold's truth or predictions name, and a quotient with nothing below the bar is 0. All are 0
+    /// classes that the fold's truth or predictions name, and 0/0 is 0. All are 0
     /// without clips.
     pub fn scores(&self) -> Scores {
         let seen: Vec<usize> =
-            (0..CLASSES).filter(|&class| self.of_class(class) + self.told(class) > 0).collect();
+            (0..self.0.len()).filter(|&class| self.of_class(class) + self.predicted(class) > 0).collect();
         let mean = |of: &dyn Fn(usize) -> f64| {
             ratio(seen.iter().map(|&class| of(class)).sum::<f64>(), seen.len() as f64)
         };
         let product: f64 = seen.iter().map(|&class| self.recall(class)).product();
         Scores {
-            precision: mean(&|class| ratio(self.0[class][class] as f64, self.told(class) as f64)),
+            precision: mean(&|class| ratio(self.0[class][class] as f64, self.predicted(class) as f64)),
             recall: mean(&|class| self.recall(class)),
             f1: mean(&|class| self.f1(class)),
-            accuracy: ratio(self.right() as f64, self.total() as f64),
+            accuracy: ratio(self.correct() as f64, self.total() as f64),
             g_mean: if seen.is_empty() { 0.0 } else { product.powf(1.0 / seen.len() as f64) },
         }
     }
 
-    /// MEGC 2019's unweighted F1 of pooled predictions: the mean over the three classes.
+    /// MEGC 2019's unweighted F1 of pooled predictions: the mean over all classes.
     pub fn uf1(&self) -> f64 {
-        (0..CLASSES).map(|class| self.f1(class)).sum::<f64>() / CLASSES as f64
+        ratio((0..self.0.len()).map(|class| self.f1(class)).sum(), self.0.len() as f64)
     }
 
-    /// MEGC 2019's unweighted average recall of pooled predictions: the mean over the three classes.
+    /// MEGC 2019's unweighted average recall of pooled predictions: the mean over all classes.
     pub fn uar(&self) -> f64 {
-        (0..CLASSES).map(|class| self.recall(class)).sum::<f64>() / CLASSES as f64
+        ratio((0..self.0.len()).map(|class| self.recall(class)).sum(), self.0.len() as f64)
     }
 
-    fn right(&self) -> usize {
-        (0..CLASSES).map(|class| self.0[class][class]).sum()
+    fn correct(&self) -> usize {
+        (0..self.0.len()).map(|class| self.0[class][class]).sum()
     }
 
     fn of_class(&self, class: usize) -> usize {
         self.0[class].iter().sum()
     }
 
-    fn told(&self, class: usize) -> usize {
+    fn predicted(&self, class: usize) -> usize {
         self.0.iter().map(|row| row[class]).sum()
     }
 
@@ -95,7 +112,7 @@ impl Confusion {
     }
 
     fn f1(&self, class: usize) -> f64 {
-        ratio(2.0 * self.0[class][class] as f64, (self.of_class(class) + self.told(class)) as f64)
+        ratio(2.0 * self.0[class][class] as f64, (self.of_class(class) + self.predicted(class)) as f64)
     }
 }
 
@@ -118,7 +135,7 @@ impl Scores {
     }
 }
 
-/// 0 where there is nothing below the bar.
+/// 0 where the divisor is 0.
 fn ratio(above: f64, below: f64) -> f64 {
     if below == 0.0 { 0.0 } else { above / below }
 }
@@ -140,8 +157,7 @@ mod tests {
     ];
 
     fn confusion(truth: &[usize], predicted: &[usize]) -> Confusion {
-        let class = |&number: &usize| EmotionClass::ALL[number];
-        Confusion::of(truth.iter().map(class).zip(predicted.iter().map(class)))
+        Confusion::of(3, truth.iter().copied().zip(predicted.iter().copied()))
     }
 
     #[test]
@@ -154,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn pooled_scores_count_all_three_classes() {
+    fn pooled_scores_count_all_classes() {
         let pooled = confusion(&[0, 0, 0, 1, 1, 2], &[0, 0, 1, 1, 2, 2]);
         assert_eq!([pooled.uf1(), pooled.uar()], [pooled.scores().f1, pooled.scores().recall]);
         let one_class = confusion(&[1, 1], &[1, 1]);
@@ -162,8 +178,23 @@ mod tests {
     }
 
     #[test]
+    fn any_number_of_classes_is_scored() {
+        // Two of five classes are seen: the same as if there were but two.
+        let pairs = [(4, 4), (4, 2), (2, 2)];
+        let five = Confusion::of(5, pairs);
+        assert_eq!(
+            five.scores(),
+            Confusion::of(2, pairs.map(|(truth, said)| (truth / 4, said / 4))).scores()
+        );
+        assert_eq!(five.uar(), (0.5 + 1.0) / 5.0);
+        assert_eq!(five.most_frequent(), 4);
+        assert_eq!(five.always(4).0[2], [0, 0, 0, 0, 1]);
+        assert_eq!(Confusion::of(4, [(1, 0), (3, 0)]).most_frequent(), 1, "the first of equal ones");
+    }
+
+    #[test]
     fn an_empty_fold_scores_zero() {
-        assert_eq!(Confusion::default().scores(), Scores::default());
+        assert_eq!(Confusion::new(5).scores(), Scores::default());
         assert_eq!(Scores::mean(&[]), Scores::default());
     }
 }

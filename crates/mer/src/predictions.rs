@@ -1,15 +1,12 @@
-//! What classifiers said, clip by clip, and the file that keeps it: every number of the results follows from it.
+//! Predictions, clip by clip, and the file that keeps them: every number of the results follows from it.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
-use serde::{Deserialize, Serialize};
-use srflow_field::{FileError, FileKind, excerpt, open_file, write_atomically};
-use srflow_read::micro_expression::EmotionClass;
+use srflow_field::{FileError, FileKind, excerpt, is_unprintable, open_file, write_atomically};
 
-use crate::metrics::CLASSES;
-
-/// What a classifier said of a clip after an epoch of training on everybody but the clip's subject.
+/// What a classifier predicts for a clip after an epoch of training on all subjects but the clip's own.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prediction {
     /// The dataset's kind, e.g. `casme2`.
@@ -18,14 +15,14 @@ pub struct Prediction {
     pub subject: String,
     /// The clip.
     pub clip: String,
-    /// What it shows.
-    pub truth: EmotionClass,
+    /// Number of its class.
+    pub truth: usize,
     /// Epochs before this one, so that the first is 0.
     pub epoch: usize,
-    /// What the classifier took it for.
-    pub predicted: EmotionClass,
+    /// Number of the predicted class.
+    pub predicted: usize,
     /// The classifier's output for each class before any softmax; the largest is the prediction.
-    pub scores: [f32; CLASSES],
+    pub scores: Vec<f32>,
 }
 
 /// All predictions of one leave-one-subject-out run.
@@ -35,6 +32,8 @@ pub struct Trial {
     pub method: String,
     /// The set of clips that the folds divide: a dataset's kind, or `composite`.
     pub set: String,
+    /// The classes' names, by their numbers.
+    pub classes: Arc<[String]>,
     /// For every clip of the set and every recorded epoch.
     pub predictions: Vec<Prediction>,
 }
@@ -55,7 +54,7 @@ pub enum PredictionsError {
     },
     /// The head names other columns.
     #[error(
-        "{}: there is no column {}; expected a predictions.csv as `srflow mer run` writes it, with the columns {}",
+        "{}: there is no column {}; expected a predictions.csv as `srflow mer run` writes it, with the columns {} and score_CLASS for each class",
         .path.display(), .missing.join(", "), COLUMNS.join(", ")
     )]
     Columns {
@@ -70,9 +69,9 @@ pub enum PredictionsError {
         /// The file.
         path: PathBuf,
     },
-    /// A class of another name, or one that the scores do not say.
+    /// A class that no column names, a prediction that is not the largest score, or no number where one should be.
     #[error("{}: line {line}: {reason}", .path.display())]
-    Class {
+    Value {
         /// The file.
         path: PathBuf,
         /// The line, counted from 1 with the head.
@@ -84,67 +83,39 @@ pub enum PredictionsError {
 
 impl Prediction {
     /// The class of the largest score; the first of equal ones.
-    pub fn class_of(scores: &[f32; CLASSES]) -> EmotionClass {
-        let best =
-            (1..CLASSES).fold(0, |best, class| if scores[class] > scores[best] { class } else { best });
-        EmotionClass::ALL[best]
+    pub fn class_of(scores: &[f32]) -> usize {
+        (1..scores.len()).fold(0, |best, class| if scores[class] > scores[best] { class } else { best })
     }
 }
 
-/// The columns of the file; their order is free.
-const COLUMNS: [&str; 11] = [
-    "method",
-    "set",
-    "dataset",
-    "subject",
-    "clip",
-    "truth",
-    "epoch",
-    "predicted",
-    "score_negative",
-    "score_positive",
-    "score_surprise",
-];
+/// The columns of the file before those of the scores; their order is free.
+const COLUMNS: [&str; 8] = ["method", "set", "dataset", "subject", "clip", "truth", "epoch", "predicted"];
+/// The column of a class's score is called so, and the class: the classes' names and order follow from these columns.
+const SCORE: &str = "score_";
+/// As many classes as clips can be divided into.
+const MAX_CLASSES: usize = 10;
 
-/// A line of the file.
-#[derive(Serialize, Deserialize)]
-struct Line<'a> {
-    method: &'a str,
-    set: &'a str,
-    dataset: &'a str,
-    subject: &'a str,
-    clip: &'a str,
-    truth: &'a str,
-    epoch: usize,
-    predicted: &'a str,
-    score_negative: f32,
-    score_positive: f32,
-    score_surprise: f32,
-}
-
-/// Writes predictions as CSV, one line for each. Scores are written with as many digits as give back their bits.
+/// Writes predictions as CSV, one line for each; all trials have the same classes. Scores are written with as many digits
+/// as give back their bits.
 ///
 /// # Errors
 /// When the file cannot be written.
 pub fn write_predictions(path: &Path, trials: &[Trial]) -> Result<(), FileError> {
     write_atomically(path, |file| {
         let mut writer = csv::Writer::from_writer(file);
-        for trial in trials {
-            for prediction in &trial.predictions {
-                let [score_negative, score_positive, score_surprise] = prediction.scores;
-                writer.serialize(Line {
-                    method: &trial.method,
-                    set: &trial.set,
-                    dataset: &prediction.dataset,
-                    subject: &prediction.subject,
-                    clip: &prediction.clip,
-                    truth: prediction.truth.name(),
-                    epoch: prediction.epoch,
-                    predicted: prediction.predicted.name(),
-                    score_negative,
-                    score_positive,
-                    score_surprise,
-                })?;
+        let classes = trials.first().map_or(&[][..], |trial| &trial.classes);
+        let scores = classes.iter().map(|class| format!("{SCORE}{class}"));
+        writer.write_record(COLUMNS.map(str::to_owned).into_iter().chain(scores))?;
+        for Trial { method, set, classes, predictions } in trials {
+            for Prediction { dataset, subject, clip, truth, epoch, predicted, scores } in predictions {
+                let epoch = epoch.to_string();
+                let fixed =
+                    [method, set, dataset, subject, clip, &classes[*truth], &epoch, &classes[*predicted]];
+                let scores = scores.iter().map(|score| match score.is_finite() {
+                    true => serde_json::to_string(score).unwrap_or_default(),
+                    false => score.to_string(),
+                });
+                writer.write_record(fixed.into_iter().cloned().chain(scores))?;
             }
         }
         writer.flush()
@@ -162,43 +133,81 @@ pub fn read_predictions(path: &Path) -> Result<Vec<Trial>, PredictionsError> {
     if head.is_empty() {
         return Err(PredictionsError::Empty { path: path.to_owned() });
     }
-    let missing: Vec<&str> =
-        COLUMNS.into_iter().filter(|column| !head.iter().any(|name| name == *column)).collect();
+    let place = |column: &str| head.iter().position(|name| name == column);
+    let missing: Vec<&str> = COLUMNS.into_iter().filter(|column| place(column).is_none()).collect();
+    let scores: Vec<(usize, String)> = head
+        .iter()
+        .enumerate()
+        .filter_map(|(at, name)| Some((at, name.strip_prefix(SCORE)?.to_owned())))
+        .collect();
     if !missing.is_empty() {
         return Err(PredictionsError::Columns { path: path.to_owned(), missing });
     }
+    if !(2..=MAX_CLASSES).contains(&scores.len()) {
+        let found = scores.len();
+        let reason =
+            format!("expected 2 to {MAX_CLASSES} columns {SCORE}CLASS, one for each class, found {found}");
+        return Err(PredictionsError::Value { path: path.to_owned(), line: 1, reason });
+    }
+    if let Some((_, class)) = scores.iter().find(|(_, class)| class.contains(is_unprintable)) {
+        let reason = format!("expected printable names of classes, found `{}`", excerpt(class));
+        return Err(PredictionsError::Value { path: path.to_owned(), line: 1, reason });
+    }
+    let columns = COLUMNS.map(|column| place(column).unwrap_or(0));
+    let classes: Arc<[String]> = scores.iter().map(|(_, class)| class.clone()).collect();
     let mut trials: Vec<Trial> = Vec::new();
     let mut numbers: HashMap<[String; 2], usize> = HashMap::new();
     let mut record = csv::StringRecord::new();
     while reader.read_record(&mut record).map_err(broken)? {
-        let line: Line = record.deserialize(Some(&head)).map_err(broken)?;
-        let refused = |reason| {
-            let line = record.position().map_or(0, csv::Position::line);
-            PredictionsError::Class { path: path.to_owned(), line, reason }
+        let line = record.position().map_or(0, csv::Position::line);
+        let refused = |reason| PredictionsError::Value { path: path.to_owned(), line, reason };
+        let [method, set, dataset, subject, clip, truth, epoch, predicted] =
+            columns.map(|at| record.get(at).unwrap_or_default());
+        let class = |name: &str| {
+            let is = |(number, class): (usize, &String)| {
+                class.eq_ignore_ascii_case(name.trim()) || number.to_string() == name.trim()
+            };
+            classes.iter().enumerate().position(is).ok_or_else(|| {
+                refused(format!(
+                    "`{}` is not a class; the columns score_... name {}",
+                    excerpt(name),
+                    classes.join(", ")
+                ))
+            })
         };
-        let class = |name: &str| name.parse().map_err(refused);
-        let (truth, predicted) = (class(line.truth)?, class(line.predicted)?);
-        let scores = [line.score_negative, line.score_positive, line.score_surprise];
-        let told = Prediction::class_of(&scores);
-        if told != predicted {
+        let (truth, predicted) = (class(truth)?, class(predicted)?);
+        let epoch = epoch.trim().parse().map_err(|_| {
+            refused(format!("epoch: expected a whole number from 0, found `{}`", excerpt(epoch)))
+        })?;
+        let score = |(at, class): &(usize, String)| {
+            let text = record.get(*at).unwrap_or_default();
+            text.trim()
+                .parse::<f32>()
+                .map_err(|_| refused(format!("{SCORE}{class}: expected a number, found `{}`", excerpt(text))))
+        };
+        let scores: Vec<f32> = scores.iter().map(score).collect::<Result<_, _>>()?;
+        let largest = Prediction::class_of(&scores);
+        if largest != predicted {
             return Err(refused(format!(
-                "predicted is {predicted}, but the largest score is that of {told}"
+                "predicted is {}, but the largest score is that of {}",
+                classes[predicted], classes[largest]
             )));
         }
-        let number = *numbers.entry([line.set.to_owned(), line.method.to_owned()]).or_insert_with(|| {
+        let number = *numbers.entry([set.to_owned(), method.to_owned()]).or_insert_with(|| {
             trials.push(Trial {
-                method: line.method.to_owned(),
-                set: line.set.to_owned(),
+                method: method.to_owned(),
+                set: set.to_owned(),
+                classes: classes.clone(),
                 predictions: Vec::new(),
             });
             trials.len() - 1
         });
         trials[number].predictions.push(Prediction {
-            dataset: line.dataset.to_owned(),
-            subject: line.subject.to_owned(),
-            clip: line.clip.to_owned(),
+            dataset: dataset.to_owned(),
+            subject: subject.to_owned(),
+            clip: clip.to_owned(),
             truth,
-            epoch: line.epoch,
+            epoch,
             predicted,
             scores,
         });
@@ -212,9 +221,13 @@ mod tests {
 
     #[test]
     fn the_first_of_equal_scores_wins() {
-        assert_eq!(Prediction::class_of(&[0.5, 0.5, 0.1]), EmotionClass::Negative);
-        assert_eq!(Prediction::class_of(&[0.5, 0.75, 0.75]), EmotionClass::Positive);
-        assert_eq!(Prediction::class_of(&[-2.0, -1.0, -0.5]), EmotionClass::Surprise);
+        assert_eq!(Prediction::class_of(&[0.5, 0.5, 0.1]), 0);
+        assert_eq!(Prediction::class_of(&[0.5, 0.75, 0.75]), 1);
+        assert_eq!(Prediction::class_of(&[-2.0, -1.0, -0.5, -0.25]), 3);
+    }
+
+    fn names(classes: usize) -> Arc<[String]> {
+        ["negative", "positive", "surprise", "a, b"].map(str::to_owned).into_iter().take(classes).collect()
     }
 
     fn trial() -> Trial {
@@ -222,14 +235,14 @@ mod tests {
             dataset: "samm".into(),
             subject: "006".into(),
             clip: clip.into(),
-            truth: EmotionClass::Positive,
+            truth: 1,
             epoch: 20,
             predicted: Prediction::class_of(&scores),
-            scores,
+            scores: scores.to_vec(),
         };
         let predictions =
             vec![prediction("a, \"b\"", [0.1, -1e-30, 3.402_823_5e38]), prediction("c", [1.0; 3])];
-        Trial { method: "tvl1".into(), set: "composite".into(), predictions }
+        Trial { method: "tvl1".into(), set: "composite".into(), classes: names(3), predictions }
     }
 
     #[test]
@@ -239,6 +252,10 @@ mod tests {
         let first = Trial { method: "zero".into(), ..trial() };
         write_predictions(&path, &[first.clone(), trial()]).unwrap();
         assert_eq!(read_predictions(&path).unwrap(), [first, trial()], "in the file's order");
+        let mut four = Trial { classes: names(4), ..trial() };
+        four.predictions.iter_mut().for_each(|prediction| prediction.scores.push(-7.5));
+        write_predictions(&path, std::slice::from_ref(&four)).unwrap();
+        assert_eq!(read_predictions(&path).unwrap(), [four]);
     }
 
     #[test]
@@ -258,7 +275,7 @@ mod tests {
         );
         std::fs::write(&path, text.replace("c,positive,20", "c,positive,twenty")).unwrap();
         let error = read_predictions(&path).unwrap_err().to_string();
-        assert!(error.contains("line: 3"), "{error}");
+        assert!(error.contains("line 3: epoch: expected a whole number"), "{error}");
         std::fs::write(&path, text.replace("truth", "class").replace("epoch", "step")).unwrap();
         let error = read_predictions(&path).unwrap_err().to_string();
         assert!(error.contains("no column truth, epoch;"), "{error}");

@@ -5,13 +5,13 @@ use srflow_eval::report::{
     curves, facts, flow_scale, ramp_legend, score_table, shrink_image, side_by_side, strips, wheel_legend,
 };
 use srflow_field::{FlowField, Plane, flow_colors};
-use srflow_read::micro_expression::{Clip, EmotionClass};
+use srflow_read::micro_expression::Clip;
 
 use crate::extract::{ExtractError, faces_of_clip};
 use crate::face::FaceCrop;
 use crate::features::{Channel, FEATURE_SIDE, Sample};
 use crate::predictions::{Prediction, Trial};
-use crate::results::{ALWAYS_NEGATIVE, Outcome, by_set, fold_table, score_tables, unseen_classes};
+use crate::results::{Outcome, baseline_name, by_set, fold_table, score_tables, unseen_classes};
 use crate::strain::strain_colors;
 
 /// Clips shown for each method and set.
@@ -104,8 +104,7 @@ fn confusion(outcome: &Outcome) -> Figure {
         y: "true class".to_owned(),
         caption: String::new(),
     };
-    let classes = EmotionClass::ALL.map(|class| class.name().to_owned());
-    confusion_matrix(&classes, &last.pooled.0.map(|row| row.to_vec()), &chart)
+    confusion_matrix(&outcome.summary.classes, &last.pooled.0, &chart)
 }
 
 fn accuracies(outcomes: &[&Outcome]) -> Figure {
@@ -118,9 +117,9 @@ fn accuracies(outcomes: &[&Outcome]) -> Figure {
         })
         .collect();
     if let Some(first) = outcomes.first() {
-        let accuracy = first.summary.always_negative().mean.accuracy;
+        let accuracy = first.summary.baseline().mean.accuracy;
         let points = first.summary.epochs.iter().map(|e| (e.epoch as f64, accuracy)).collect();
-        lines.push(Curve { name: ALWAYS_NEGATIVE.to_owned(), points, baseline: true });
+        lines.push(Curve { name: baseline_name(first), points, baseline: true });
     }
     curves(&lines, Axis::Linear, true, &chart("Accuracy", "mean over subjects"))
 }
@@ -163,6 +162,7 @@ fn clips(parts: &ReportParts, trial: &Trial, samples: &[Sample]) -> Result<Vec<F
     let strip = |clip: &Shown| -> Result<Strip, ReportError> {
         let Prediction { dataset, subject, clip: name, truth, predicted, .. } = clip.prediction;
         let name = format!("{dataset} {subject} {name}");
+        let [truth, predicted] = [truth, predicted].map(|class| &trial.classes[*class]);
         let [onset, apex] = faces_of_clip(clip.clip, parts.face)?;
         let face =
             |image, alt: &str| Picture::jpeg(&shrink_image(image, FACE_WIDTH), &format!("{alt} of {name}"));

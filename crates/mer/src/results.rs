@@ -2,10 +2,9 @@
 
 use serde::Serialize;
 use srflow_eval::{Better, Column, Row, Table, latex_escape};
-use srflow_read::micro_expression::EmotionClass;
 
 use crate::loso::{FoldRecord, Loso};
-use crate::metrics::{CLASSES, Confusion, Scores};
+use crate::metrics::{Confusion, Scores};
 use crate::predictions::Trial;
 use crate::summary::{EpochScores, FoldScores, Summary, SummaryError};
 
@@ -32,7 +31,7 @@ impl Outcome {
     /// # Errors
     /// When its predictions are not whole.
     pub fn of(method: &str, set: &str, loso: &Loso) -> Result<Self, SummaryError> {
-        let summary = Summary::of(&loso.predictions)?;
+        let summary = Summary::of(&loso.classes, &loso.predictions)?;
         Ok(Self { method: method.to_owned(), set: set.to_owned(), folds: loso.folds.clone(), summary })
     }
 
@@ -41,8 +40,8 @@ impl Outcome {
     /// # Errors
     /// When they are not whole.
     pub fn of_trial(trial: &Trial) -> Result<Self, SummaryError> {
-        let Trial { method, set, predictions } = trial;
-        let summary = Summary::of(predictions)?;
+        let Trial { method, set, classes, predictions } = trial;
+        let summary = Summary::of(classes, predictions)?;
         Ok(Self { method: method.clone(), set: set.clone(), folds: Vec::new(), summary })
     }
 
@@ -59,7 +58,10 @@ impl Outcome {
             best: METRICS.iter().zip(self.summary.best()).map(metric).collect(),
             last: EpochRecord::of(self.summary.last()),
             epochs: self.summary.epochs.iter().map(EpochRecord::of).collect(),
-            always_negative: EpochRecord::of(&self.summary.always_negative()),
+            baseline: BaselineRecord {
+                always: self.summary.classes[self.summary.most_frequent_class()].clone(),
+                scores: EpochRecord::of(&self.summary.baseline()),
+            },
             folds: self.folds.clone(),
         }
     }
@@ -73,9 +75,17 @@ pub struct OutcomeRecord {
     best: Vec<BestRecord>,
     last: EpochRecord,
     epochs: Vec<EpochRecord>,
-    always_negative: EpochRecord,
+    baseline: BaselineRecord,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     folds: Vec<FoldRecord>,
+}
+
+/// Always predicting one class.
+#[derive(Debug, Clone, Serialize)]
+struct BaselineRecord {
+    always: String,
+    #[serde(flatten)]
+    scores: EpochRecord,
 }
 
 #[derive(Debug, Clone, Serialize)]
@@ -95,8 +105,8 @@ struct EpochRecord {
     g_m: f64,
     uf1: f64,
     uar: f64,
-    /// `[truth][predicted]`, negative, positive, surprise.
-    confusion: [[usize; CLASSES]; CLASSES],
+    /// `[truth][predicted]`.
+    confusion: Vec<Vec<usize>>,
 }
 
 impl EpochRecord {
@@ -111,7 +121,7 @@ impl EpochRecord {
             g_m: g_mean,
             uf1: scores.pooled.uf1(),
             uar: scores.pooled.uar(),
-            confusion: scores.pooled.0,
+            confusion: scores.pooled.0.clone(),
         }
     }
 }
@@ -130,7 +140,7 @@ pub fn by_set(outcomes: &[Outcome]) -> Vec<Vec<&Outcome>> {
 
 /// Two tables of the outcomes of one set: the paper's, in which each metric takes its own best epoch, and one after each
 /// method's last epoch, with MEGC 2019's metrics. Where methods were trained for different numbers of epochs, the second has
-/// a column for them. Both have an unranked row for always predicting "negative". `outcomes` are of one set and not empty.
+/// a column for them. Both have an unranked row for always predicting the most frequent class. `outcomes` are of one set and not empty.
 pub fn score_tables(outcomes: &[&Outcome]) -> Vec<Table> {
     let Some(first) = outcomes.first() else { return Vec::new() };
     let ranked = |&(key, header): &(&str, &str)| Column {
@@ -148,15 +158,15 @@ pub fn score_tables(outcomes: &[&Outcome]) -> Vec<Table> {
         let pooled = [scores.pooled.uf1(), scores.pooled.uar()];
         scores.mean.values().into_iter().chain(pooled).map(Some).collect::<Vec<_>>()
     };
-    let negative = first.summary.always_negative();
+    let baseline = first.summary.baseline();
     let mut best: Vec<Row> = outcomes
         .iter()
         .map(|o| row(&o.method, o.summary.best().map(|best| Some(best.value)).to_vec(), false))
         .collect();
-    best.push(row(ALWAYS_NEGATIVE, negative.mean.values().map(Some).to_vec(), true));
+    best.push(row(&baseline_name(first), baseline.mean.values().map(Some).to_vec(), true));
     let mut last: Vec<Row> =
         outcomes.iter().map(|o| row(&o.method, at_epoch(o.summary.last()), false)).collect();
-    last.push(row(ALWAYS_NEGATIVE, at_epoch(&negative), true));
+    last.push(row(&baseline_name(first), at_epoch(&baseline), true));
 
     let epoch = first.summary.last().epoch;
     let after = if outcomes.iter().all(|outcome| outcome.summary.last().epoch == epoch) {
@@ -186,19 +196,23 @@ fn plain_column(key: &str, header: &str, decimals: usize) -> Column {
     Column { key: key.to_owned(), header: header.to_owned(), better: None, decimals }
 }
 
-/// Name of the row of the baseline.
-pub(crate) const ALWAYS_NEGATIVE: &str = "always negative";
+/// Name of the row of the baseline, e.g. `always negative`.
+pub(crate) fn baseline_name(outcome: &Outcome) -> String {
+    format!("always {}", outcome.summary.classes[outcome.summary.most_frequent_class()])
+}
 
 /// Classes that cannot be learned: those that no clip of the set shows, and for each subject those that nobody else shows.
 /// `None` where there are none, or where the training is not known.
 pub fn unseen_classes(outcome: &Outcome) -> Option<String> {
-    let Confusion(counts) = outcome.summary.last().pooled;
-    let shown = |class: EmotionClass| counts[class as usize].iter().sum::<usize>() > 0;
-    let absent: Vec<&str> =
-        EmotionClass::ALL.into_iter().filter(|class| !shown(*class)).map(EmotionClass::name).collect();
+    let Confusion(counts) = &outcome.summary.last().pooled;
+    let classes = outcome.summary.classes.iter().zip(counts);
+    let absent: Vec<&str> = classes
+        .filter(|(_, clips)| clips.iter().sum::<usize>() == 0)
+        .map(|(class, _)| class.as_str())
+        .collect();
     let alone = |fold: &FoldRecord| {
         let classes: Vec<&str> =
-            fold.unseen_classes.iter().copied().filter(|class| !absent.contains(class)).collect();
+            fold.unseen_classes.iter().map(String::as_str).filter(|class| !absent.contains(class)).collect();
         (!classes.is_empty()).then(|| format!("{} {} ({})", fold.dataset, fold.subject, classes.join(", ")))
     };
     let alone: Vec<String> = outcome.folds.iter().filter_map(alone).collect();
@@ -225,10 +239,10 @@ pub fn confusion_title(outcome: &Outcome) -> String {
 /// The confusion matrix after the last epoch, all folds pooled, as a LaTeX `tabular`: a row for each true class, a column for
 /// each predicted one, clips in the cells, shaded by their share of the row.
 pub fn confusion_latex(outcome: &Outcome) -> String {
-    let names = EmotionClass::ALL.map(|class| latex_escape(class.name()));
+    let names: Vec<String> = outcome.summary.classes.iter().map(|class| latex_escape(class)).collect();
     let mut out = format!("\\begin{{tabular}}{{l*{{{}}}r}}\n\\toprule\n", names.len());
     out += &format!("true\\textbackslash predicted & {} \\\\\n\\midrule\n", names.join(" & "));
-    for (name, counts) in names.iter().zip(outcome.summary.last().pooled.0) {
+    for (name, counts) in names.iter().zip(&outcome.summary.last().pooled.0) {
         let clips = counts.iter().sum::<usize>().max(1);
         let cell = |count: &usize| format!(" & \\cellcolor{{blue!{}}}{count}", 60 * count / clips);
         out += &format!("{name}{} \\\\\n", counts.iter().map(cell).collect::<String>());
@@ -241,7 +255,7 @@ pub fn fold_table(outcome: &Outcome) -> Table {
     let mut columns = vec![plain_column("clips", "clips", 0)];
     columns.extend(METRICS.iter().map(|(key, header)| plain_column(key, header, 4)));
     let row = |fold: &FoldScores| {
-        let last = fold.confusions[fold.confusions.len() - 1];
+        let last = &fold.confusions[fold.confusions.len() - 1];
         let mut values = vec![Some(last.total() as f64)];
         values.extend(last.scores().values().map(Some));
         Row { name: format!("{} {}", fold.dataset, fold.subject), values, baseline: false }
@@ -271,7 +285,11 @@ mod tests {
     use crate::predictions::Prediction;
     use crate::results_csv::{confusions_csv, folds_csv, scores_csv};
 
-    fn outcome(method: &str, said: EmotionClass) -> Outcome {
+    const NEGATIVE: usize = 0;
+    const POSITIVE: usize = 1;
+    const SURPRISE: usize = 2;
+
+    fn outcome(method: &str, said: usize) -> Outcome {
         let prediction = |subject: &str, clip: &str, truth, epoch, predicted| Prediction {
             dataset: "made-up".into(),
             subject: subject.into(),
@@ -279,14 +297,14 @@ mod tests {
             truth,
             epoch,
             predicted,
-            scores: [0.0; CLASSES],
+            scores: vec![0.0; 3],
         };
         let mut predictions = Vec::new();
         for epoch in [0, 20] {
-            let said = if epoch == 0 { EmotionClass::Negative } else { said };
-            predictions.push(prediction("1", "a", EmotionClass::Negative, epoch, said));
-            predictions.push(prediction("2", "b", EmotionClass::Positive, epoch, said));
-            predictions.push(prediction("2", "c", EmotionClass::Positive, epoch, said));
+            let said = if epoch == 0 { NEGATIVE } else { said };
+            predictions.push(prediction("1", "a", NEGATIVE, epoch, said));
+            predictions.push(prediction("2", "b", POSITIVE, epoch, said));
+            predictions.push(prediction("2", "c", POSITIVE, epoch, said));
         }
         let fold = |subject: &str, clips| FoldRecord {
             dataset: "made-up".into(),
@@ -297,13 +315,14 @@ mod tests {
             seconds: 1.0,
             resumed: false,
         };
-        let loso = Loso { predictions, folds: vec![fold("1", 1), fold("2", 2)] };
+        let classes = ["negative", "positive", "surprise"].map(str::to_owned).into();
+        let loso = Loso { classes, predictions, folds: vec![fold("1", 1), fold("2", 2)] };
         Outcome::of(method, "made-up", &loso).unwrap()
     }
 
     #[test]
     fn tables_hold_each_metric_at_its_best_and_at_the_last_epoch() {
-        let (a, b) = (outcome("a", EmotionClass::Positive), outcome("b", EmotionClass::Surprise));
+        let (a, b) = (outcome("a", POSITIVE), outcome("b", SURPRISE));
         let tables = score_tables(&[&a, &b]);
         let accuracy = |table: usize| tables[table].rows.iter().map(|row| row.values[3]).collect::<Vec<_>>();
         assert_eq!(accuracy(0), [Some(0.5), Some(0.5), Some(0.5)]);
@@ -331,7 +350,7 @@ mod tests {
         assert_eq!(folds_csv(&both).lines().nth(2), Some("made-up,a,made-up,2,2,20,1.0,1.0,1.0,1.0,1.0,0.5"));
         let mut alone = a.clone();
         assert_eq!(unseen_classes(&a).as_deref(), Some("made-up: no clip shows surprise."));
-        alone.folds[1].unseen_classes = vec!["positive", "surprise"];
+        alone.folds[1].unseen_classes = vec!["positive".to_owned(), "surprise".to_owned()];
         let note = unseen_classes(&alone).unwrap();
         assert!(note.ends_with("left to learn from: made-up 2 (positive)."), "{note}");
         let json = serde_json::to_value(a.record()).unwrap();
@@ -341,8 +360,7 @@ mod tests {
 
     #[test]
     fn methods_of_different_runs_have_their_own_last_epochs() {
-        let (long, mut short) =
-            (outcome("long", EmotionClass::Positive), outcome("short", EmotionClass::Positive));
+        let (long, mut short) = (outcome("long", POSITIVE), outcome("short", POSITIVE));
         short.summary.epochs.truncate(1);
         let table = &score_tables(&[&long, &short])[1];
         assert!(table.title.contains("after each method's last epoch"), "{}", table.title);

@@ -1,10 +1,9 @@
 //! Results as CSV: one row for each number of a table, so that any program can read them.
 
 use serde::Serialize;
-use srflow_read::micro_expression::EmotionClass;
 
 use crate::metrics::Scores;
-use crate::results::{ALWAYS_NEGATIVE, Outcome, by_set};
+use crate::results::{Outcome, baseline_name, by_set};
 use crate::summary::EpochScores;
 
 #[derive(Serialize)]
@@ -38,21 +37,12 @@ struct FoldLine<'a> {
     training_loss: Option<f64>,
 }
 
-#[derive(Serialize)]
-struct ConfusionLine<'a> {
-    set: &'a str,
-    method: &'a str,
-    epoch: usize,
-    truth: &'a str,
-    predicted_negative: usize,
-    predicted_positive: usize,
-    predicted_surprise: usize,
-}
-
 /// The rows of [`crate::score_tables`]: `scored` is `best`, where each metric has its own epoch, or `last`.
 pub fn scores_csv(outcomes: &[Outcome]) -> String {
     let mut lines = Vec::new();
-    for of_set in by_set(outcomes) {
+    let sets = by_set(outcomes);
+    let names: Vec<String> = sets.iter().map(|of_set| baseline_name(of_set[0])).collect();
+    for (number, of_set) in sets.iter().enumerate() {
         let set = &of_set[0].set;
         for Outcome { method, summary, .. } in of_set.iter().copied() {
             let [p_m, r_m, f1_m, f1_mu, g_m] = summary.best().map(|best| best.value);
@@ -75,7 +65,8 @@ pub fn scores_csv(outcomes: &[Outcome]) -> String {
                 ..after_last(set, method, summary.last())
             });
         }
-        lines.push(after_last(set, ALWAYS_NEGATIVE, &of_set[0].summary.always_negative()));
+        let baseline = after_last(set, &names[number], &of_set[0].summary.baseline());
+        lines.push(baseline);
     }
     text(&lines)
 }
@@ -103,7 +94,7 @@ pub fn folds_csv(outcomes: &[Outcome]) -> String {
     let mut lines = Vec::new();
     for Outcome { method, set, folds, summary } in outcomes {
         for (number, fold) in summary.folds.iter().enumerate() {
-            let confusion = fold.confusions[fold.confusions.len() - 1];
+            let confusion = &fold.confusions[fold.confusions.len() - 1];
             let Scores { precision, recall, f1, accuracy, g_mean } = confusion.scores();
             lines.push(FoldLine {
                 set,
@@ -124,23 +115,18 @@ pub fn folds_csv(outcomes: &[Outcome]) -> String {
     text(&lines)
 }
 
-/// Confusion matrices after the last epoch, all folds pooled: a line for each true class.
+/// Confusion matrices after the last epoch, all folds pooled: a line for each true class. The classes are those of the first
+/// outcome; all have the same.
 pub fn confusions_csv(outcomes: &[Outcome]) -> String {
-    let mut lines = Vec::new();
+    let classes = outcomes.first().map_or(&[][..], |outcome| &outcome.summary.classes);
+    let mut lines = vec![["set", "method", "epoch", "truth"].map(str::to_owned).to_vec()];
+    lines[0].extend(classes.iter().map(|class| format!("predicted_{class}")));
     for Outcome { method, set, summary, .. } in outcomes {
         let last = summary.last();
-        for (truth, counts) in EmotionClass::ALL.iter().zip(last.pooled.0) {
-            let [predicted_negative, predicted_positive, predicted_surprise] = counts;
-            let truth = truth.name();
-            lines.push(ConfusionLine {
-                set,
-                method,
-                epoch: last.epoch,
-                truth,
-                predicted_negative,
-                predicted_positive,
-                predicted_surprise,
-            });
+        for (truth, counts) in summary.classes.iter().zip(&last.pooled.0) {
+            let mut line = vec![set.clone(), method.clone(), last.epoch.to_string(), truth.clone()];
+            line.extend(counts.iter().map(usize::to_string));
+            lines.push(line);
         }
     }
     text(&lines)

@@ -48,6 +48,7 @@ pub enum ResultsError {
 #[derive(Debug, Serialize)]
 pub struct ResultsRecord<'a> {
     data: &'a [DataRecord],
+    classes: &'a [String],
     methods: &'a [MethodRecord],
     classifier: &'static str,
     preparation: String,
@@ -63,6 +64,7 @@ impl<'a> ResultsRecord<'a> {
         let settings = &results.settings;
         Self {
             data: &results.data,
+            classes: &settings.classes,
             methods: &results.methods,
             classifier: settings.classifier.facts.name,
             preparation: settings.preparation.to_string(),
@@ -186,6 +188,7 @@ fn facts(results: &RunResults) -> Vec<(String, String)> {
     let settings = &results.settings;
     let Protocol { epochs, record_every, batch, learning_rate, decay_every, decay, seed } =
         &settings.protocol;
+    facts.push(("Classes".to_owned(), settings.classes.join(", ")));
     facts.push(("Frames".to_owned(), settings.preparation.to_string()));
     facts.extend(results.methods.iter().map(|method| (method.name.clone(), method.description())));
     facts.push(("Classifier".to_owned(), settings.classifier.facts.name.to_owned()));

@@ -1,6 +1,7 @@
 //! A whole run: features of every clip by every flow method, then classifiers trained leaving one subject out.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use serde::Serialize;
 use srflow_eval::MethodRecord;
@@ -12,7 +13,7 @@ use crate::cache::FeatureCache;
 use crate::classifier::ClassifierEntry;
 use crate::extract::{ExtractError, Method, Preparation, extract};
 use crate::features::Sample;
-use crate::loso::{LosoError, LosoEvent};
+use crate::loso::{Loso, LosoError, LosoEvent};
 use crate::predictions::Trial;
 use crate::protocol::{Protocol, ProtocolError};
 use crate::results::Outcome;
@@ -34,6 +35,8 @@ pub struct RunSettings {
     pub preparation: Preparation,
     /// How classifiers are trained.
     pub protocol: Protocol,
+    /// Names of the classes that the clips of the datasets are divided into.
+    pub classes: Arc<[String]>,
 }
 
 /// Which sets of clips are divided into subjects.
@@ -208,38 +211,18 @@ impl RunSettings {
 /// # Errors
 /// Those of [`RunSettings::check`]; when a frame cannot be used, training diverges, or a folder cannot be written.
 pub fn run(
-    mut datasets: Vec<ClipDataset>,
+    datasets: Vec<ClipDataset>,
     methods: Vec<RunMethod>,
     settings: RunSettings,
     folders: RunFolders,
     on_event: &(dyn Fn(RunEvent) + Sync),
 ) -> Result<RunResults, RunError> {
     settings.check(&datasets)?;
-    let RunSettings { classifier, preparation, protocol, .. } = &settings;
-    let cache = FeatureCache::open(folders.features)?;
+    let RunSettings { classifier, preparation, protocol, classes, .. } = &settings;
     let sets = sets(&datasets, settings.sets);
-    let mut data = Vec::new();
-    for dataset in &mut datasets {
-        let spotted_apexes = match (settings.apex, methods.first()) {
-            (Some(rule), Some(method)) => {
-                let without = dataset.clips.iter().filter(|clip| clip.annotation.apex.is_none()).count();
-                on_event(RunEvent::Apexes { clips: without });
-                let on_clip = || on_event(RunEvent::Clip);
-                fill_apexes(&mut dataset.clips, rule, &preparation.face, method.estimator, &on_clip)?
-            }
-            _ => 0,
-        };
-        data.push(DataRecord::of(dataset, spotted_apexes));
-    }
-    let clips: Vec<Clip> = datasets.into_iter().flat_map(|dataset| dataset.clips).collect();
-
-    let mut samples: Vec<(String, Vec<Sample>)> = Vec::new();
-    for RunMethod { estimator, record } in &methods {
-        on_event(RunEvent::Features { method: &record.name, clips: clips.len() });
-        let method = Method { estimator: *estimator, identity: record.identity() };
-        let of_method = extract(&clips, &method, preparation, Some(&cache), &|_| on_event(RunEvent::Clip))?;
-        samples.push((record.name.clone(), of_method));
-    }
+    let features =
+        compute_features(datasets, &methods, settings.apex, preparation, Some(folders.features), on_event)?;
+    let FeatureSet { data, clips, samples } = features;
 
     let epochs = protocol.epochs as u64;
     let subjects = |members: &[String]| -> usize {
@@ -265,15 +248,66 @@ pub fn run(
             on_event(RunEvent::Folds { set, method });
             let of_set = samples.iter().filter(|sample| members.contains(&sample.dataset));
             let of_set: Vec<Sample> = of_set.cloned().collect();
-            let loso = classifier.leave_one_subject_out(&of_set, protocol, Some(folders.folds), &on_fold);
+            let loso =
+                classifier.leave_one_subject_out(&of_set, classes, protocol, Some(folders.folds), &on_fold);
             let loso =
                 loso.map_err(|error| RunError::Training { set: set.clone(), method: method.clone(), error })?;
             outcomes.push(Outcome::of(method, set, &loso)?);
-            trials.push(Trial { method: method.clone(), set: set.clone(), predictions: loso.predictions });
+            let Loso { classes, predictions, .. } = loso;
+            trials.push(Trial { method: method.clone(), set: set.clone(), classes, predictions });
         }
     }
     let methods = methods.into_iter().map(|method| method.record).collect();
     Ok(RunResults { settings, data, methods, clips, samples, trials, outcomes })
+}
+
+/// What classifiers learn from, and where it comes from.
+#[derive(Debug)]
+pub struct FeatureSet {
+    /// By dataset, what was used of it.
+    pub data: Vec<DataRecord>,
+    /// The clips of all datasets, each with its apex.
+    pub clips: Vec<Clip>,
+    /// By flow method, the features of the clips, in their order.
+    pub samples: Vec<(String, Vec<Sample>)>,
+}
+
+/// Features of every clip by every flow method; those that the folder `cache` holds are not computed again. The apex of clips
+/// that have none is spotted by the rule, with the flow of the first method.
+///
+/// # Errors
+/// When a frame cannot be used, a clip has no apex and there is no rule, or the folder cannot be written.
+pub fn compute_features(
+    mut datasets: Vec<ClipDataset>,
+    methods: &[RunMethod],
+    apex: Option<ApexRule>,
+    preparation: &Preparation,
+    cache: Option<&Path>,
+    on_event: &(dyn Fn(RunEvent) + Sync),
+) -> Result<FeatureSet, RunError> {
+    let cache = cache.map(FeatureCache::open).transpose()?;
+    let mut data = Vec::new();
+    for dataset in &mut datasets {
+        let spotted_apexes = match (apex, methods.first()) {
+            (Some(rule), Some(method)) => {
+                let without = dataset.clips.iter().filter(|clip| clip.annotation.apex.is_none()).count();
+                on_event(RunEvent::Apexes { clips: without });
+                let on_clip = || on_event(RunEvent::Clip);
+                fill_apexes(&mut dataset.clips, rule, &preparation.face, method.estimator, &on_clip)?
+            }
+            _ => 0,
+        };
+        data.push(DataRecord::of(dataset, spotted_apexes));
+    }
+    let clips: Vec<Clip> = datasets.into_iter().flat_map(|dataset| dataset.clips).collect();
+    let mut samples: Vec<(String, Vec<Sample>)> = Vec::new();
+    for RunMethod { estimator, record } in methods {
+        on_event(RunEvent::Features { method: &record.name, clips: clips.len() });
+        let method = Method { estimator: *estimator, identity: record.identity() };
+        let of_method = extract(&clips, &method, preparation, cache.as_ref(), &|_| on_event(RunEvent::Clip))?;
+        samples.push((record.name.clone(), of_method));
+    }
+    Ok(FeatureSet { data, clips, samples })
 }
 
 /// The sets by name, each with the names of its datasets.

@@ -1,8 +1,7 @@
 //! From predictions to the numbers that are reported.
 
 use std::collections::{BTreeMap, BTreeSet};
-
-use srflow_read::micro_expression::EmotionClass;
+use std::sync::Arc;
 
 use crate::metrics::{Confusion, Scores};
 use crate::predictions::Prediction;
@@ -10,6 +9,8 @@ use crate::predictions::Prediction;
 /// The scores of one leave-one-subject-out run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Summary {
+    /// The classes' names, by their numbers.
+    pub classes: Arc<[String]>,
     /// By recorded epoch, in order; at least one.
     pub epochs: Vec<EpochScores>,
     /// By fold, in order of dataset and subject.
@@ -34,7 +35,7 @@ pub struct FoldScores {
     pub dataset: String,
     /// The subject.
     pub subject: String,
-    /// For each recorded epoch, what was told for what.
+    /// For each recorded epoch.
     pub confusions: Vec<Confusion>,
 }
 
@@ -83,31 +84,30 @@ pub enum SummaryError {
         /// The clip.
         clip: String,
         /// What it shows in its first prediction.
-        first: EmotionClass,
+        first: String,
         /// What it shows in a later one.
-        second: EmotionClass,
+        second: String,
     },
 }
 
-/// Truth and prediction.
-type Told = (EmotionClass, EmotionClass);
-
 impl Summary {
-    /// Scores of a whole run: every clip predicted once at every recorded epoch.
+    /// Scores of a whole run: every clip predicted once at every recorded epoch. Predictions are of the `classes` of these
+    /// names.
     ///
     /// # Errors
     /// When there are no predictions, too few or too many of a clip, or two truths of one.
-    pub fn of(predictions: &[Prediction]) -> Result<Self, SummaryError> {
+    pub fn of(classes: &Arc<[String]>, predictions: &[Prediction]) -> Result<Self, SummaryError> {
         let epochs: BTreeSet<usize> = predictions.iter().map(|prediction| prediction.epoch).collect();
         let mut clips: BTreeMap<[&str; 3], BTreeMap<usize, usize>> = BTreeMap::new();
-        let mut truths: BTreeMap<[&str; 3], EmotionClass> = BTreeMap::new();
-        let mut folds: BTreeMap<[&str; 2], BTreeMap<usize, Vec<Told>>> = BTreeMap::new();
+        let mut truths: BTreeMap<[&str; 3], usize> = BTreeMap::new();
+        let mut folds: BTreeMap<[&str; 2], BTreeMap<usize, Vec<(usize, usize)>>> = BTreeMap::new();
         for Prediction { dataset, subject, clip, truth, epoch, predicted, .. } in predictions {
             *clips.entry([dataset, subject, clip]).or_default().entry(*epoch).or_default() += 1;
             let first = *truths.entry([dataset, subject, clip]).or_insert(*truth);
             if first != *truth {
                 let [dataset, subject, clip] = [dataset, subject, clip].map(String::clone);
-                return Err(SummaryError::Truth { dataset, subject, clip, first, second: *truth });
+                let [first, second] = [first, *truth].map(|class| classes[class].clone());
+                return Err(SummaryError::Truth { dataset, subject, clip, first, second });
             }
             let fold = folds.entry([dataset, subject]).or_default();
             fold.entry(*epoch).or_default().push((*truth, *predicted));
@@ -126,17 +126,21 @@ impl Summary {
             .map(|([dataset, subject], epochs)| FoldScores {
                 dataset: dataset.to_owned(),
                 subject: subject.to_owned(),
-                confusions: epochs.into_values().map(Confusion::of).collect(),
+                confusions: epochs.into_values().map(|pairs| Confusion::of(classes.len(), pairs)).collect(),
             })
             .collect();
         let at = |(index, epoch)| {
             let confusions = folds.iter().map(|fold: &FoldScores| &fold.confusions[index]);
             let scores: Vec<Scores> = confusions.clone().map(Confusion::scores).collect();
-            let pooled = confusions.fold(Confusion::default(), Confusion::plus);
+            let pooled = confusions.fold(Confusion::new(classes.len()), Confusion::plus);
             EpochScores { epoch, mean: Scores::mean(&scores), pooled }
         };
         let epochs: Vec<EpochScores> = epochs.into_iter().enumerate().map(at).collect();
-        if epochs.is_empty() { Err(SummaryError::Empty) } else { Ok(Self { epochs, folds }) }
+        if epochs.is_empty() {
+            Err(SummaryError::Empty)
+        } else {
+            Ok(Self { classes: classes.clone(), epochs, folds })
+        }
     }
 
     /// The paper's result: of each metric (in the order of [`Scores::values`]) the largest mean over folds, each at its
@@ -154,29 +158,34 @@ impl Summary {
         &self.epochs[self.epochs.len() - 1]
     }
 
-    /// The same clips, every one of them taken for negative.
-    pub fn always_negative(&self) -> EpochScores {
-        let fold = |fold: &FoldScores| {
-            let mut told = Confusion::default();
-            for (row, truth) in told.0.iter_mut().zip(fold.confusions[0].0) {
-                row[EmotionClass::Negative as usize] = truth.iter().sum();
-            }
-            told
-        };
-        let confusions: Vec<Confusion> = self.folds.iter().map(fold).collect();
+    /// The number of the class of most clips, the first of equal ones: the baseline predicts it for every clip.
+    pub fn most_frequent_class(&self) -> usize {
+        self.last().pooled.most_frequent()
+    }
+
+    /// The scores of always predicting [`most_frequent_class`](Self::most_frequent_class).
+    pub fn baseline(&self) -> EpochScores {
+        let class = self.most_frequent_class();
+        let confusions: Vec<Confusion> =
+            self.folds.iter().map(|fold| fold.confusions[0].always(class)).collect();
         let scores: Vec<Scores> = confusions.iter().map(Confusion::scores).collect();
-        let pooled = confusions.iter().fold(Confusion::default(), Confusion::plus);
-        EpochScores { epoch: 0, mean: Scores::mean(&scores), pooled }
+        EpochScores { epoch: 0, mean: Scores::mean(&scores), pooled: self.last().pooled.always(class) }
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use EmotionClass::{Negative, Positive, Surprise};
-
     use super::*;
 
-    fn prediction(subject: &str, clip: &str, epoch: usize, said: [EmotionClass; 2]) -> Prediction {
+    const NEGATIVE: usize = 0;
+    const POSITIVE: usize = 1;
+    const SURPRISE: usize = 2;
+
+    fn summary(predictions: &[Prediction]) -> Result<Summary, SummaryError> {
+        Summary::of(&["negative", "positive", "surprise"].map(str::to_owned).into(), predictions)
+    }
+
+    fn prediction(subject: &str, clip: &str, epoch: usize, said: [usize; 2]) -> Prediction {
         Prediction {
             dataset: "made-up".into(),
             subject: subject.into(),
@@ -184,19 +193,19 @@ mod tests {
             truth: said[0],
             epoch,
             predicted: said[1],
-            scores: [0.0; 3],
+            scores: vec![0.0; 3],
         }
     }
 
     /// Two subjects, one of them with a single clip; two epochs.
     fn run() -> Vec<Prediction> {
         vec![
-            prediction("1", "a", 0, [Negative, Negative]),
-            prediction("1", "b", 0, [Surprise, Negative]),
-            prediction("2", "a", 0, [Positive, Positive]),
-            prediction("1", "a", 20, [Negative, Surprise]),
-            prediction("1", "b", 20, [Surprise, Surprise]),
-            prediction("2", "a", 20, [Positive, Negative]),
+            prediction("1", "a", 0, [NEGATIVE, NEGATIVE]),
+            prediction("1", "b", 0, [SURPRISE, NEGATIVE]),
+            prediction("2", "a", 0, [POSITIVE, POSITIVE]),
+            prediction("1", "a", 20, [NEGATIVE, SURPRISE]),
+            prediction("1", "b", 20, [SURPRISE, SURPRISE]),
+            prediction("2", "a", 20, [POSITIVE, NEGATIVE]),
         ]
     }
 
@@ -204,40 +213,40 @@ mod tests {
     fn each_metric_takes_its_own_epoch() {
         let mut predictions = run();
         // A third epoch: subject 1 as at first, subject 2 wrong.
-        predictions.push(prediction("1", "a", 40, [Negative, Negative]));
-        predictions.push(prediction("1", "b", 40, [Surprise, Surprise]));
-        predictions.push(prediction("2", "a", 40, [Positive, Negative]));
-        let summary = Summary::of(&predictions).unwrap();
+        predictions.push(prediction("1", "a", 40, [NEGATIVE, NEGATIVE]));
+        predictions.push(prediction("1", "b", 40, [SURPRISE, SURPRISE]));
+        predictions.push(prediction("2", "a", 40, [POSITIVE, NEGATIVE]));
+        let summary = summary(&predictions).unwrap();
         let best = summary.best();
         assert_eq!(best[3], Best { value: 0.75, epoch: 0 }); // accuracy: (1/2 + 1) / 2
         assert_eq!(best[1], Best { value: 0.75, epoch: 0 }); // recall
         assert_eq!(best[4], Best { value: 0.5, epoch: 0 }); // geometric mean: first of equals
         assert_eq!(summary.last().epoch, 40);
         assert_eq!(summary.last().mean.accuracy, 0.5);
-        assert_eq!(summary.last().pooled, Confusion([[1, 0, 0], [1, 0, 0], [0, 0, 1]]));
+        assert_eq!(summary.last().pooled, Confusion(vec![vec![1, 0, 0], vec![1, 0, 0], vec![0, 0, 1]]));
     }
 
     #[test]
     fn the_baseline_is_of_the_same_clips() {
-        let summary = Summary::of(&run()).unwrap();
-        let baseline = summary.always_negative();
-        assert_eq!(baseline.pooled, Confusion([[1, 0, 0], [1, 0, 0], [1, 0, 0]]));
+        let summary = summary(&run()).unwrap();
+        let baseline = summary.baseline();
+        assert_eq!(baseline.pooled, Confusion(vec![vec![1, 0, 0], vec![1, 0, 0], vec![1, 0, 0]]));
         assert_eq!(baseline.mean.accuracy, 0.25);
         assert_eq!(summary.folds[1].confusions[0].total(), 1);
     }
 
     #[test]
     fn a_clip_that_is_missing_or_there_twice_or_doubtful_is_named() {
-        assert_eq!(Summary::of(&[]), Err(SummaryError::Empty));
+        assert_eq!(summary(&[]), Err(SummaryError::Empty));
         let mut twice = run();
         twice.push(twice[1].clone());
-        let error = Summary::of(&twice).unwrap_err().to_string();
+        let error = summary(&twice).unwrap_err().to_string();
         assert!(error.contains("subject 1 clip b has 2 predictions at epoch 0"), "{error}");
-        let error = Summary::of(&run()[..5]).unwrap_err().to_string();
+        let error = summary(&run()[..5]).unwrap_err().to_string();
         assert!(error.contains("subject 2 clip a has 0 predictions at epoch 20"), "{error}");
         let mut doubtful = run();
-        doubtful[5].truth = Surprise;
-        let error = Summary::of(&doubtful).unwrap_err().to_string();
+        doubtful[5].truth = SURPRISE;
+        let error = summary(&doubtful).unwrap_err().to_string();
         assert!(error.contains("subject 2 clip a is positive in one prediction and surprise"), "{error}");
     }
 }

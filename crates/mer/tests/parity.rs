@@ -46,7 +46,7 @@ fn parameter(name: &str, shape: &[usize]) -> Vec<f32> {
 }
 
 fn filled<C: Classifier>(device: &Device) -> C {
-    let network = C::new(device);
+    let network = C::new(device, 3);
     let fill = |info: srflow_nn::ParameterInfo| {
         let values = parameter(&info.name, &info.shape);
         (info.name, TensorData::new(values, info.shape))
@@ -168,10 +168,10 @@ fn off_apexnet() {
 #[test]
 fn a_checkpoint_in_its_published_form_loads() {
     let device = Device::flex();
-    let network: StstNet = load(StstNet::new(&device), &golden_path("ststnet.pth")).unwrap();
+    let network: StstNet = load(StstNet::new(&device, 3), &golden_path("ststnet.pth")).unwrap();
     let scores = network.scores(inputs::<StstNet>(&device), None);
     Golden::of("ststnet").assert_close("evaluation", &numbers(scores), 2e-5);
-    let error = load(OffTaNet::new(&device), &golden_path("ststnet.pth")).unwrap_err().to_string();
+    let error = load(OffTaNet::new(&device, 3), &golden_path("ststnet.pth")).unwrap_err().to_string();
     assert!(error.contains("conv1.0.weight"), "{error}");
 }
 

@@ -1,15 +1,16 @@
 //! A run over clips on disk: what it reports and what it keeps.
 
+use std::io::Read as _;
 use std::path::Path;
 use std::sync::Mutex;
 
 use srflow_eval::MethodRecord;
 use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, write_image_png};
 use srflow_mer::{
-    ApexRule, ClassifierEntry, Preparation, Protocol, RunError, RunEvent, RunFolders, RunMethod, RunResults,
-    RunSettings, Sets, run,
+    ApexRule, ClassifierEntry, FeatureRecipe, Preparation, Protocol, RunError, RunEvent, RunFolders,
+    RunMethod, RunResults, RunSettings, Sets, compute_features, run, write_features,
 };
-use srflow_read::micro_expression::{ClipDataset, ClipSource};
+use srflow_read::micro_expression::{Classes, ClipDataset, ClipSource};
 
 /// A flow from the brightness of the second picture.
 struct Brightness;
@@ -52,6 +53,17 @@ fn settings() -> RunSettings {
         apex: Some(ApexRule::Strain),
         preparation: Preparation::default(),
         protocol: Protocol { epochs: 2, record_every: 1, ..Protocol::default() },
+        classes: Classes::default().names().clone(),
+    }
+}
+
+fn record() -> MethodRecord {
+    MethodRecord {
+        name: "brightness".into(),
+        method: "brightness",
+        parameters: String::new(),
+        weights: None,
+        sha256: None,
     }
 }
 
@@ -60,15 +72,8 @@ fn run_in(
     datasets: Vec<ClipDataset>,
     on_event: &(dyn Fn(RunEvent) + Sync),
 ) -> Result<RunResults, RunError> {
-    let record = MethodRecord {
-        name: "brightness".into(),
-        method: "brightness",
-        parameters: String::new(),
-        weights: None,
-        sha256: None,
-    };
     let folders = RunFolders { features: &folder.join("features"), folds: &folder.join("folds") };
-    run(datasets, vec![RunMethod { estimator: &Brightness, record }], settings(), folders, on_event)
+    run(datasets, vec![RunMethod { estimator: &Brightness, record: record() }], settings(), folders, on_event)
 }
 
 #[test]
@@ -112,4 +117,50 @@ fn a_set_that_nobody_can_be_left_out_of_is_named() {
     let alone = dataset(&folder.path().join("alone"), 1);
     let error = run_in(folder.path(), vec![alone], &|_| ()).unwrap_err().to_string();
     assert_eq!(error, "alone: leaving one subject out needs clips of at least 2 subjects; found 1");
+}
+
+#[test]
+fn features_are_written_for_numpy() {
+    let folder = tempfile::tempdir().unwrap();
+    let datasets = vec![dataset(&folder.path().join("first"), 2), dataset(&folder.path().join("second"), 1)];
+    let record = record();
+    let methods = [RunMethod { estimator: &Brightness, record: record.clone() }];
+    let preparation = Preparation::default();
+    let rule = Some(ApexRule::Strain);
+    let set = compute_features(datasets, &methods, rule, &preparation, None, &|_| ()).unwrap();
+    let path = folder.path().join("features.npz");
+    let classes = Classes::default();
+    let recipe = FeatureRecipe {
+        classes: classes.names(),
+        methods: std::slice::from_ref(&record),
+        preparation: &preparation,
+        apex: rule,
+    };
+    write_features(&path, &set, &recipe).unwrap();
+
+    let mut archive = zip::ZipArchive::new(std::fs::File::open(&path).unwrap()).unwrap();
+    let mut array = |name: &str| {
+        let mut bytes = Vec::new();
+        archive.by_name(&format!("{name}.npy")).unwrap().read_to_end(&mut bytes).unwrap();
+        let header = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+        (String::from_utf8_lossy(&bytes[10..header]).into_owned(), bytes.split_off(header))
+    };
+    let text = |bytes: &[u8]| -> String {
+        let points = bytes.as_chunks::<4>().0.iter().map(|point| u32::from_le_bytes(*point));
+        points.map(|point| char::from_u32(point).unwrap()).filter(|c| *c != '\0').collect()
+    };
+    let (header, values) = array("X");
+    assert!(header.contains("'<f4'") && header.contains("(6, 3, 112, 112)"), "{header}");
+    let first: Vec<u8> = set.samples[0].1[0].features.values().iter().flat_map(|x| x.to_le_bytes()).collect();
+    assert!(values[..first.len()] == first);
+    assert_eq!(array("y").1, [0_i64, 2, 0, 2, 0, 2].map(i64::to_le_bytes).concat());
+    assert_eq!(text(&array("dataset").1), "firstfirstfirstfirstsecondsecond");
+    assert_eq!(text(&array("subject").1), "001100");
+    assert_eq!(text(&array("names").1), "negativepositivesurprise");
+    assert!(array("clip").0.contains("'<U10'"), "0-negative");
+    let (header, json) = array("parameters");
+    assert!(header.contains("'shape': ()"), "{header}");
+    let json: serde_json::Value = serde_json::from_str(&text(&json)).unwrap();
+    assert_eq!((&json["data"][1]["spotted_apexes"], &json["apex"]), (&2.into(), &"strain".into()));
+    assert_eq!(json["methods"][0]["name"], "brightness");
 }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use srflow_field::{Image, write_image_png};
 use srflow_read::micro_expression::{
-    Annotation, CLIP_KINDS, ClassCounts, ClipDataset, ClipSource, DropReason, EmotionClass, Labels,
+    Annotation, CLIP_KINDS, Classes, ClipDataset, ClipSource, DropReason, Labels, count_classes,
     published_counts, write_plain,
 };
 
@@ -20,12 +20,21 @@ fn annotations() -> Option<PathBuf> {
     found
 }
 
+const NEGATIVE: usize = 0;
+const POSITIVE: usize = 1;
+const SURPRISE: usize = 2;
+
 fn source(text: &str) -> ClipSource {
     text.parse().unwrap()
 }
 
 fn read(kind: &str, dir: &Path) -> Labels {
     Labels::read(&source(&format!("{kind}:{}", dir.display()))).unwrap()
+}
+
+/// Negative, positive, surprise.
+fn counts(labels: &Labels) -> Vec<usize> {
+    count_classes(&Classes::default(), &labels.annotations)
 }
 
 fn dropped(labels: &Labels, reason: DropReason) -> usize {
@@ -36,8 +45,8 @@ fn dropped(labels: &Labels, reason: DropReason) -> usize {
 fn samm_gives_the_published_counts() {
     let Some(dir) = annotations() else { return };
     let labels = read("samm", &dir);
-    assert_eq!(labels.counts(), ClassCounts::new(26, 92, 15));
-    assert_eq!(Some(labels.counts()), published_counts("samm"));
+    assert_eq!(counts(&labels), [92, 26, 15]);
+    assert_eq!(published_counts(&Classes::default(), "samm"), Some([92, 26, 15]));
     assert_eq!((labels.dropped.len(), dropped(&labels, DropReason::Label)), (26, 26));
     let subjects: BTreeSet<&str> = labels.annotations.iter().map(|a| a.subject.as_str()).collect();
     assert_eq!(subjects.len(), 28);
@@ -55,7 +64,7 @@ fn samm_gives_the_published_counts() {
 fn casme2_gives_the_published_counts() {
     let Some(dir) = annotations() else { return };
     let labels = read("casme2", &dir);
-    assert_eq!(labels.counts(), ClassCounts::new(32, 88, 25));
+    assert_eq!(counts(&labels), [88, 32, 25]);
     let subjects: BTreeSet<&str> = labels.annotations.iter().map(|a| a.subject.as_str()).collect();
     assert_eq!(subjects.len(), 24);
     let row = |reason| labels.dropped.iter().find(|row| row.reason == reason).unwrap();
@@ -71,11 +80,11 @@ fn casme2_gives_the_published_counts() {
 fn smic_goes_by_the_names_of_its_clips_and_takes_the_published_apexes() {
     let Some(dir) = annotations() else { return };
     let labels = read("smic", &dir);
-    assert_eq!(labels.counts(), ClassCounts::new(51, 65, 41));
+    assert_eq!(counts(&labels), [65, 51, 41]);
     let subjects: BTreeSet<&str> = labels.annotations.iter().map(|a| a.subject.as_str()).collect();
     assert_eq!(subjects.len(), 16);
     let mislabelled = labels.annotations.iter().find(|a| a.clip == "s18_sur_03").unwrap();
-    assert_eq!((mislabelled.class, mislabelled.label.as_str()), (EmotionClass::Surprise, "negative"));
+    assert_eq!((mislabelled.class, mislabelled.label.as_str()), (SURPRISE, "negative"));
     assert!(labels.annotations.iter().all(|a| a.apex.is_some_and(|apex| apex > a.onset && apex <= a.offset)));
     let first = labels.annotations.iter().find(|a| a.clip == "s20_ne_01").unwrap();
     assert_eq!(first.apex, Some(17_581_046));
@@ -85,13 +94,92 @@ fn smic_goes_by_the_names_of_its_clips_and_takes_the_published_apexes() {
 fn the_composite_is_the_papers() {
     let Some(dir) = annotations() else { return };
     let all = ["samm", "casme2", "smic"].map(|kind| read(kind, &dir));
-    let counts = all.iter().map(Labels::counts).fold(ClassCounts::default(), |sum, counts| sum + counts);
-    assert_eq!(counts, ClassCounts::new(109, 245, 81));
+    let together = count_classes(&Classes::default(), all.iter().flat_map(|labels| &labels.annotations));
+    assert_eq!(together, [245, 109, 81]);
     let subjects: BTreeSet<(&str, &str)> = all
         .iter()
         .flat_map(|labels| labels.annotations.iter().map(|a| (labels.dataset.as_str(), a.subject.as_str())))
         .collect();
     assert_eq!(subjects.len(), 68);
+}
+
+/// The labels of a dataset by another division into classes, and how many clips of each.
+fn divided(kind: &str, dir: &Path, classes: &str) -> (Labels, Vec<usize>) {
+    let classes = Classes::open(classes).unwrap();
+    let source = ClipSource { classes: classes.clone(), ..source(&format!("{kind}:{}", dir.display())) };
+    let labels = Labels::read(&source).unwrap();
+    let counts = count_classes(&classes, &labels.annotations);
+    (labels, counts)
+}
+
+#[test]
+fn other_classes_give_the_counts_of_the_literature() {
+    let Some(dir) = annotations() else { return };
+    // 246 clips; two of disgust have no usable apex.
+    assert_eq!(divided("casme2", &dir, "casme2-5").1, [32, 63 - 2, 27, 25, 99]);
+    assert_eq!(divided("samm", &dir, "samm-4").1, [57, 26, 15, 12]);
+    assert_eq!(divided("samm", &dir, "samm-5").1, [57, 26, 15, 12, 26]);
+    // MEGC 2018: 185 clips of 26 subjects and 68 of 21. One of class III has no apex.
+    let (casme2, counts) = divided("casme2", &dir, "objective-5");
+    assert_eq!(counts, [25, 15, 99 - 1, 26, 20]);
+    assert_eq!(dropped(&casme2, DropReason::ApexUnknown), 1);
+    let (samm, counts) = divided("samm", &dir, "objective-5");
+    assert_eq!(counts, [24, 13, 20, 8, 3]);
+    let subjects =
+        |labels: &Labels| labels.annotations.iter().map(|a| a.subject.clone()).collect::<BTreeSet<_>>().len();
+    assert_eq!((subjects(&casme2), subjects(&samm)), (26, 21));
+    let all = ["samm", "casme2"].map(|kind| divided(kind, &dir, "objective-7").1.iter().sum::<usize>());
+    assert_eq!(all, [159, 255 - 2]);
+}
+
+/// The objective classes follow from action units: a file with the published table gives nearly the published classes.
+#[test]
+fn classes_of_action_units_are_those_of_the_coding() {
+    let Some(dir) = annotations() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("mine.toml");
+    let text = r#"
+        [[class]]
+        name = "I"
+        action_units = ["6", "12", "6+12", "6+7+12", "7+12"]
+        [[class]]
+        name = "II"
+        action_units = ["1+2", "5", "25", "1+2+25", "25+26", "5+24"]
+        [[class]]
+        name = "frown"
+        action_units = ["4+*"]
+    "#;
+    fs::write(&path, text).unwrap();
+    let (labels, counts) = divided("casme2", &dir, path.to_str().unwrap());
+    assert_eq!(counts[..2], [24, 15], "one more of class I is coded 6+12+17");
+    assert!(labels.annotations.iter().filter(|a| a.class == 2).all(|a| a.action_units.contains('4')));
+    assert!(counts[2] > 100, "{counts:?}");
+}
+
+#[test]
+fn clips_of_no_class_are_told_with_their_labels() {
+    let Some(dir) = annotations() else { return };
+    let classes = Classes::open("objective-5").unwrap();
+    let at =
+        |kind: &str| ClipSource { classes: classes.clone(), ..source(&format!("{kind}:{}", dir.display())) };
+    let error = Labels::read(&at("smic")).unwrap_err().to_string();
+    assert!(error.contains("smic: no clip belongs to one of the classes I, II, III, IV, V"), "{error}");
+    let alone = tempfile::tempdir().unwrap();
+    fs::copy(dir.join("CASME2-coding-20140508.xlsx"), alone.path().join("coding.xlsx")).unwrap();
+    let casme2 = ClipSource { classes, ..source(&format!("casme2:{}", alone.path().display())) };
+    let error = Labels::read(&casme2).unwrap_err().to_string();
+    assert!(error.contains("CASME2-ObjectiveClasses.xlsx"), "{error}");
+}
+
+#[test]
+fn plain_clips_take_any_classes() {
+    let folder = tempfile::tempdir().unwrap();
+    let rows = "clip,subject,onset,apex,offset,class,action_units\n\
+        a,s,1,2,3,Happiness,\nb,s,1,2,3,others,\nc,s,1,2,3,fear,\nd,s,1,2,3,1,\n";
+    fs::write(folder.path().join("clips.csv"), rows).unwrap();
+    let (labels, counts) = divided("clips", folder.path(), "casme2-5");
+    assert_eq!(counts, [1, 1, 0, 0, 1], "happiness, the number 1, others");
+    assert_eq!((labels.dropped.len(), labels.dropped[0].label.as_str()), (1, "fear"));
 }
 
 /// The list that CapsuleNet was published with holds onset, apex and class of each of the 435 clips.
@@ -112,7 +200,7 @@ fn every_clip_agrees_with_the_published_list() {
         for a in read(kind, &dir).annotations {
             let subject: u32 = a.subject.parse().unwrap();
             let apex = a.apex.unwrap();
-            read_here.insert(format!("{kind} {subject} {} {} {} {apex}", a.clip, a.class as u8, a.onset));
+            read_here.insert(format!("{kind} {subject} {} {} {} {apex}", a.clip, a.class, a.onset));
         }
     }
     assert_eq!(listed.len(), 435);
@@ -185,7 +273,7 @@ fn frames_of(kind: &str, labels: &Labels, root: &Path) {
                 touch(&folder, numbers.map(|n| format!("image{n:06}.jpg")));
             }
             "smic-short" => {
-                let class = ["negative", "positive", "surprise"][a.class as usize];
+                let class = ["negative", "positive", "surprise"][a.class];
                 let subject = a.clip.split('_').next().unwrap();
                 let folder = root.join("HS").join(subject).join("micro").join(class).join(&a.clip);
                 touch(&folder, numbers.map(|n| format!("image{n:06}.jpg")));
@@ -266,12 +354,12 @@ fn both_releases_of_casme2_want_a_choice() {
     assert!(cropped.clips[0].frames.values().all(|path| path.to_str().unwrap().contains("/reg_img")));
 }
 
-fn row(clip: &str, subject: &str, class: EmotionClass, frames: (u64, Option<u64>, u64)) -> Annotation {
+fn row(clip: &str, subject: &str, class: usize, frames: (u64, Option<u64>, u64)) -> Annotation {
     Annotation {
         subject: subject.to_owned(),
         clip: clip.to_owned(),
         class,
-        label: class.name().to_owned(),
+        label: Classes::default().names()[class].clone(),
         action_units: "1+2".to_owned(),
         onset: frames.0,
         apex: frames.1,
@@ -284,13 +372,13 @@ fn plain_clips_are_read_back_as_written() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path().join("mine");
     let rows = [
-        row("anna/first clip", "anna", EmotionClass::Surprise, (3, Some(5), 9)),
-        row("ben/1", "ben, the second", EmotionClass::Negative, (0, None, 4)),
+        row("anna/first clip", "anna", SURPRISE, (3, Some(5), 9)),
+        row("ben/1", "ben, the second", NEGATIVE, (0, None, 4)),
     ];
     for a in &rows {
         touch(&root.join(&a.clip), (0..12).map(|n| format!("frame{n:03}.png")));
     }
-    write_plain(&root.join("clips.csv"), &rows).unwrap();
+    write_plain(&root.join("clips.csv"), &Classes::default(), &rows).unwrap();
     for given in [root.clone(), root.join("clips.csv")] {
         let dataset = ClipDataset::open(&source(&format!("clips:{}", given.display())), false).unwrap();
         assert_eq!(dataset.name, "mine");
@@ -329,10 +417,10 @@ fn rows_that_cannot_be_are_named() {
 fn missing_frames_are_named_and_counted() {
     let folder = tempfile::tempdir().unwrap();
     let rows = [
-        row("a", "1", EmotionClass::Positive, (10, Some(15), 20)),
-        row("b", "1", EmotionClass::Negative, (10, Some(15), 20)),
-        row("gone", "2", EmotionClass::Negative, (1, Some(2), 3)),
-        row("whole", "2", EmotionClass::Surprise, (1, Some(2), 3)),
+        row("a", "1", POSITIVE, (10, Some(15), 20)),
+        row("b", "1", NEGATIVE, (10, Some(15), 20)),
+        row("gone", "2", NEGATIVE, (1, Some(2), 3)),
+        row("whole", "2", SURPRISE, (1, Some(2), 3)),
     ];
     let without = |skipped: &[u64]| {
         let numbers: Vec<u64> = (0..30).filter(|n| !skipped.contains(n)).collect();
@@ -341,7 +429,7 @@ fn missing_frames_are_named_and_counted() {
     touch(&folder.path().join("a"), without(&[12, 13, 17]));
     touch(&folder.path().join("b"), without(&[15]));
     touch(&folder.path().join("whole"), without(&[]));
-    write_plain(&folder.path().join("clips.csv"), &rows).unwrap();
+    write_plain(&folder.path().join("clips.csv"), &Classes::default(), &rows).unwrap();
     let source = source(&format!("clips:{}", folder.path().display()));
 
     let error = ClipDataset::open(&source, false).unwrap_err().to_string();
@@ -366,10 +454,47 @@ fn missing_frames_are_named_and_counted() {
 }
 
 #[test]
+fn key_frames_alone_are_taken_when_that_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let rows = [
+        row("annotated", "1", POSITIVE, (10, Some(15), 20)),
+        row("between", "1", NEGATIVE, (10, None, 20)),
+        row("two between", "2", NEGATIVE, (10, None, 20)),
+        row("no apex frame", "2", SURPRISE, (10, Some(15), 20)),
+    ];
+    for (clip, numbers) in [
+        ("annotated", &[10, 15, 20][..]),
+        ("between", &[10, 13, 20]),
+        ("two between", &[10, 13, 14, 20]),
+        ("no apex frame", &[10, 20]),
+    ] {
+        touch(&folder.path().join(clip), numbers.iter().map(|n| format!("f_{n:04}.png")));
+    }
+    write_plain(&folder.path().join("clips.csv"), &Classes::default(), &rows).unwrap();
+    let source = source(&format!("clips:{}", folder.path().display()));
+    let error = ClipDataset::open(&source, false).unwrap_err().to_string();
+    assert!(error.contains("32 frames of 4 clips") && error.contains("--only-key-frames"), "{error}");
+
+    let key_frames = ClipSource { only_key_frames: true, ..source };
+    let error = ClipDataset::open(&key_frames, false).unwrap_err().to_string();
+    assert!(error.contains("2/no apex frame: 1 frame: 15"), "{error}");
+    assert!(error.contains("2/two between: 7 frames: 11-12, 15-19"), "where to spot the apex: {error}");
+    assert!(!error.contains("annotated"), "{error}");
+    let dataset = ClipDataset::open(&key_frames, true).unwrap();
+    let apexes: Vec<_> =
+        dataset.clips.iter().map(|c| (c.annotation.clip.as_str(), c.annotation.apex)).collect();
+    assert_eq!(apexes, [("annotated", Some(15)), ("between", Some(13)), ("two between", None)]);
+}
+
+#[test]
 fn a_frame_that_is_there_twice_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    write_plain(&folder.path().join("clips.csv"), &[row("a", "1", EmotionClass::Positive, (1, Some(2), 3))])
-        .unwrap();
+    write_plain(
+        &folder.path().join("clips.csv"),
+        &Classes::default(),
+        &[row("a", "1", POSITIVE, (1, Some(2), 3))],
+    )
+    .unwrap();
     touch(&folder.path().join("a"), (1..4).map(|n| format!("img{n}.jpg")));
     write_image_png(&folder.path().join("a/img02.png"), &Image::new(4, 4)).unwrap();
     let error = ClipDataset::open(&source(&format!("clips:{}", folder.path().display())), true).unwrap_err();

@@ -59,7 +59,7 @@ fn a_rendered_set_is_listed() {
     assert_eq!((&dataset["missing_frames"], &dataset["without_apex"]), (&0.into(), &0.into()));
     assert_eq!(dataset["clips"].as_array().unwrap().len(), 3);
     let text = succeeds(&srflow(set, &["data", "clips:set", "--clips"]));
-    assert!(text.contains("3 clips: 1 positive, 1 negative, 1 surprise, 1 subjects"), "{text}");
+    assert!(text.contains("3 clips: 1 negative, 1 positive, 1 surprise, 1 subjects"), "{text}");
     assert!(text.contains("s01/s01/c01"), "{text}");
 }
 
@@ -75,8 +75,8 @@ fn the_published_annotations_are_listed_with_what_is_dropped() {
     assert!(report["datasets"].as_array().unwrap().iter().all(|dataset| dataset["as_published"] == true));
     let text = succeeds(&srflow(folder.path(), &[&["data", "--labels-only"], &sources[..]].concat()));
     for told in [
-        "composite: 435 clips: 109 positive, 245 negative, 81 surprise, 68 subjects",
-        "26 positive, 92 negative, 15 surprise, 28 subjects, as published",
+        "composite: 435 clips: 245 negative, 109 positive, 81 surprise, 68 subjects",
+        "92 negative, 26 positive, 15 surprise, 28 subjects, as published",
         "negative     65 negative, 1 surprise\n",
         "disgust      61 negative, 2 dropped\n",
         "1: the apex is not a frame number\n    04/EP12_01f (disgust)",
@@ -100,7 +100,7 @@ fn missing_frames_stop_unless_allowed() {
     assert!(error.contains("1 frames of 1 clips") && error.contains("1/a: 1 frame: 3"), "{error}");
     let text = succeeds(&srflow(folder.path(), &["data", "clips:.", "--allow-missing"]));
     assert!(
-        text.contains("missing      1 frames of 1 clips") && text.contains("1 clips: 1 positive"),
+        text.contains("missing      1 frames of 1 clips") && text.contains("1 clips: 0 negative, 1 positive"),
         "{text}"
     );
     let error = fails(&srflow(folder.path(), &["apex", "clips:.", "--allow-missing"]), 1);

@@ -36,6 +36,11 @@ fn run(clips: &Path, out: &Path, more: &[&str]) -> Output {
         .unwrap()
 }
 
+/// Standard output, or what went wrong.
+fn text_of(output: &Output) -> &str {
+    text(if output.status.success() { &output.stdout } else { &output.stderr })
+}
+
 fn text(bytes: &[u8]) -> &str {
     std::str::from_utf8(bytes).unwrap()
 }
@@ -110,6 +115,74 @@ fn assert_recomputed(out: &Path) {
 
     let refused = tables(&[&predictions, Path::new("--out"), &again]);
     assert!(text(&refused.stderr).contains("--force"), "{}", text(&refused.stderr));
+}
+
+#[test]
+fn classes_of_ones_own_go_through_to_the_tables() {
+    let folder = tempfile::tempdir().unwrap();
+    let clips = folder.path().join("faces");
+    std::fs::create_dir(&clips).unwrap();
+    write_clips(&clips);
+    let file = folder.path().join("two.toml");
+    let toml = "[[class]]\nname = \"pleased, or not\"\nemotions = [\"negative\", \"positive\"]\n\
+        [[class]]\nname = \"startled\"\nemotions = [\"surprise\"]\n";
+    std::fs::write(&file, toml).unwrap();
+    let out = folder.path().join("out");
+    let output = run(&clips, &out, &["--classes", file.to_str().unwrap()]);
+    assert!(output.status.success(), "{}", text_of(&output));
+    assert!(text_of(&output).contains("always pleased, or not"), "{}", text_of(&output));
+    let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
+    let head =
+        "method,set,dataset,subject,clip,truth,epoch,predicted,\"score_pleased, or not\",score_startled";
+    assert_eq!(read("predictions.csv").lines().next(), Some(head));
+    assert_eq!(read("confusions.csv").lines().count(), 3);
+    let results: serde_json::Value = serde_json::from_str(&read("results.json")).unwrap();
+    assert_eq!(results["classes"], serde_json::json!(["pleased, or not", "startled"]));
+    assert_eq!(results["outcomes"][0]["baseline"]["always"], "pleased, or not");
+    assert_eq!(results["outcomes"][0]["last"]["confusion"].as_array().unwrap().len(), 2);
+    assert_recomputed(&out);
+
+    let unknown = run(&clips, &out, &["--classes", "casme-5"]);
+    assert!(text(&unknown.stderr).contains("casme-5: expected 3, casme2-5"), "{}", text(&unknown.stderr));
+}
+
+#[test]
+fn features_of_key_frames_are_those_of_whole_clips() {
+    let folder = tempfile::tempdir().unwrap();
+    let clips = folder.path().join("faces");
+    std::fs::create_dir(&clips).unwrap();
+    write_clips(&clips);
+    let features = |out: &str, more: &[&str]| {
+        crate::srflow()
+            .args(["mer", "features", "--data", &format!("clips:{}", clips.display()), "--json", "--out"])
+            .arg(folder.path().join(out))
+            .args(["--method", "farneback", "tvl1"])
+            .args(more)
+            .output()
+            .unwrap()
+    };
+    let whole = features("whole.npz", &[]);
+    let report: serde_json::Value = serde_json::from_slice(&whole.stdout).unwrap();
+    assert_eq!(report["shape"], serde_json::json!([14, 3, 112, 112]));
+    assert_eq!(report["classes"], serde_json::json!(["negative", "positive", "surprise"]));
+    assert!(text(&features("whole.npz", &[]).stderr).contains("--force"));
+    assert!(text(&features("features.npy", &[]).stderr).contains("ends in .npz"));
+
+    // One clip goes on for 7 frames of which none is there but its last.
+    let table = std::fs::read_to_string(clips.join("clips.csv")).unwrap();
+    std::fs::write(
+        clips.join("clips.csv"),
+        table.replace("anna-negative,anna,1,2,3", "anna-negative,anna,1,2,10"),
+    )
+    .unwrap();
+    std::fs::rename(clips.join("anna-negative/3.png"), clips.join("anna-negative/10.png")).unwrap();
+    let refused = features("key.npz", &[]);
+    assert!(text(&refused.stderr).contains("--only-key-frames"), "{}", text(&refused.stderr));
+    let key = features("key.npz", &["--only-key-frames"]);
+    assert!(key.status.success(), "{}", text(&key.stderr));
+    // Pictures, and with them features, are the same; of the recipe nothing has changed either.
+    let bytes = |name: &str| std::fs::read(folder.path().join(name)).unwrap();
+    assert!(bytes("key.npz") == bytes("whole.npz"));
 }
 
 #[test]

@@ -5,6 +5,7 @@ mod offtanet;
 mod ststnet;
 
 use std::path::Path;
+use std::sync::Arc;
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData};
@@ -27,14 +28,14 @@ pub trait Classifier: Module {
     /// Channels, height and width of its input.
     const INPUT: [usize; 3];
 
-    /// With nothing learned: [`initialized`] or a checkpoint gives the parameters.
-    fn new(device: &Device) -> Self;
+    /// For so many classes, with nothing learned: [`initialized`] or a checkpoint gives the parameters.
+    fn new(device: &Device, classes: usize) -> Self;
 
     /// Its input, `INPUT` row-major, of a clip.
     fn input(features: &Features) -> Vec<f32>;
 
-    /// Scores `[batch, 3]`, before any softmax, of inputs `[batch, INPUT...]`. Without a stream nothing is dropped; batch norms
-    /// go by [`srflow_nn::with_batch_statistics`].
+    /// Scores `[batch, classes]`, before any softmax, of inputs `[batch, INPUT...]`. Without a stream nothing is dropped; batch
+    /// norms go by [`srflow_nn::with_batch_statistics`].
     fn scores(&self, inputs: Tensor<4>, dropout: Option<&mut Stream>) -> Tensor<2>;
 }
 
@@ -63,8 +64,13 @@ pub struct ClassifierEntry {
     leave_one_subject_out: LeaveOneSubjectOut,
 }
 
-type LeaveOneSubjectOut =
-    fn(&[Sample], &Protocol, Option<&Path>, &(dyn Fn(LosoEvent) + Sync)) -> Result<Loso, LosoError>;
+type LeaveOneSubjectOut = fn(
+    &[Sample],
+    &Arc<[String]>,
+    &Protocol,
+    Option<&Path>,
+    &(dyn Fn(LosoEvent) + Sync),
+) -> Result<Loso, LosoError>;
 
 /// The classifiers by name; the first is the SRFlow paper's.
 pub static CLASSIFIERS: [ClassifierEntry; 3] = [
@@ -90,18 +96,19 @@ impl ClassifierEntry {
     pub fn leave_one_subject_out(
         &self,
         samples: &[Sample],
+        classes: &Arc<[String]>,
         protocol: &Protocol,
         folder: Option<&Path>,
         on_event: &(dyn Fn(LosoEvent) + Sync),
     ) -> Result<Loso, LosoError> {
-        (self.leave_one_subject_out)(samples, protocol, folder, on_event)
+        (self.leave_one_subject_out)(samples, classes, protocol, folder, on_event)
     }
 }
 
 /// A network with random parameters by PyTorch's rules for convolutions and linear layers (uniform within
 /// `1 / sqrt(inputs of an output)`), drawn from `key` and `purpose`.
-pub fn initialized<C: Classifier>(device: &Device, key: Key, purpose: &str) -> C {
-    let network = C::new(device);
+pub fn initialized<C: Classifier>(device: &Device, classes: usize, key: Key, purpose: &str) -> C {
+    let network = C::new(device, classes);
     let infos = parameter_infos(&network);
     let value = |info: &ParameterInfo| {
         let count: usize = info.shape.iter().product();

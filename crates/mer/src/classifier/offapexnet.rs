@@ -37,7 +37,7 @@ impl Classifier for OffApexNet {
     };
     const INPUT: [usize; 3] = [2, 28, 28];
 
-    fn new(device: &Device) -> Self {
+    fn new(device: &Device, classes: usize) -> Self {
         let conv = |channels| Conv2dConfig::new(channels, [5, 5]).init(device);
         let stream = || Stream { conv1: conv([1, 6]), conv2: conv([6, 16]) };
         let linear = |inputs, outputs| Linear::new(inputs, outputs, device);
@@ -51,7 +51,7 @@ impl Classifier for OffApexNet {
                 linear(1024, 1024),
                 NoParameters,
                 NoParameters,
-                linear(1024, 3),
+                linear(1024, classes),
             ),
         }
     }

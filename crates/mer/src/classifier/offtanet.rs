@@ -86,7 +86,7 @@ impl Classifier for OffTaNet {
     };
     const INPUT: [usize; 3] = [3, FEATURE_SIDE, FEATURE_SIDE];
 
-    fn new(device: &Device) -> Self {
+    fn new(device: &Device, classes: usize) -> Self {
         let linear = |inputs, outputs| Linear::new(inputs, outputs, device);
         Self {
             conv1: (conv([3, 8], 7).with_stride(2).init(device), NoParameters, BatchNorm::new(8, device)),
@@ -100,7 +100,7 @@ impl Classifier for OffTaNet {
                 linear(64, 64),
                 NoParameters,
                 NoParameters,
-                linear(64, 3),
+                linear(64, classes),
             ),
         }
     }

@@ -38,11 +38,11 @@ impl Classifier for StstNet {
     };
     const INPUT: [usize; 3] = [3, 28, 28];
 
-    fn new(device: &Device) -> Self {
+    fn new(device: &Device, classes: usize) -> Self {
         let [conv1, conv2, conv3] = STREAMS
             .map(|channels| Conv2dConfig::new([3, channels], [3, 3]).with_padding(Some([2, 2])).init(device));
         let [bn1, bn2, bn3] = STREAMS.map(|channels| BatchNorm::new(channels, device));
-        let fc = Linear::new(5 * 5 * STREAMS.iter().sum::<usize>(), 3, device);
+        let fc = Linear::new(5 * 5 * STREAMS.iter().sum::<usize>(), classes, device);
         Self { conv1, conv2, conv3, bn1, bn2, bn3, fc }
     }
 

@@ -1,7 +1,5 @@
 use std::fmt;
 
-use super::EmotionClass;
-
 /// What is known of one clip: who, what and when.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Annotation {
@@ -9,8 +7,8 @@ pub struct Annotation {
     pub subject: String,
     /// The clip's name. It may be another subject's clip's name too.
     pub clip: String,
-    /// The class of the composite benchmark.
-    pub class: EmotionClass,
+    /// Number of its class among [`Classes`](super::Classes).
+    pub class: usize,
     /// The label that the dataset gives, e.g. `repression`.
     pub label: String,
     /// Action units as they were coded, e.g. `R2+15`; empty where they were not.
@@ -39,7 +37,7 @@ pub struct Dropped {
 /// Why a row is left out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum DropReason {
-    /// Its label is none of those that the three classes are made of.
+    /// It belongs to none of the classes.
     Label,
     /// Its apex is no frame number.
     ApexUnknown,
@@ -67,7 +65,7 @@ impl DropReason {
 impl fmt::Display for DropReason {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
-            Self::Label => "the label belongs to none of the three classes",
+            Self::Label => "the label belongs to none of the classes",
             Self::ApexUnknown => "the apex is not a frame number",
             Self::ApexNotAfterOnset => "the apex does not come after the onset",
             Self::NotInApexList => "not one of the 157 clips of the published apex list",

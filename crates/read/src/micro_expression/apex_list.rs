@@ -37,7 +37,7 @@ pub fn write_apex_list(path: &Path, rows: &[ApexRow]) -> Result<(), MicroExpress
                 clip.dataset.as_str(),
                 &a.subject,
                 &a.clip,
-                &(a.class as u8).to_string(),
+                &a.class.to_string(),
                 &a.onset.to_string(),
                 &apex.to_string(),
                 &a.offset.to_string(),

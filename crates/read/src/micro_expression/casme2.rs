@@ -1,20 +1,21 @@
 //! CASME II (Yan et al. 2014).
 //!
 //! Spreadsheet `CASME2-coding-20140508.xlsx`; frames `subSS/CLIP/imgFRAME.jpg` in the raw release and
-//! `subSS/CLIP/reg_imgFRAME.jpg` in the cropped one. Sadness and fear are few and belong to no class.
+//! `subSS/CLIP/reg_imgFRAME.jpg` in the cropped one. Objective classes lie in a
+//! spreadsheet of their own.
 
 use std::path::Path;
 
-use super::coded::{self, Coding};
+use super::coded::{self, Coding, Objective};
 use super::frames::{ClipFolders, below};
 use super::sheet::Form;
-use super::{Annotation, ClassCounts, ClipKind, ClipSource, EmotionClass, MicroExpressionError};
+use super::{Annotation, ClipKind, ClipSource, MicroExpressionError};
 
 pub(super) const KIND: ClipKind = ClipKind {
     name: "casme2",
     releases: &["raw", "cropped"],
     about: "CASME II, the raw or the cropped release (default: the one that is there)",
-    published: Some(ClassCounts::new(32, 88, 25)),
+    published: Some([88, 32, 25]),
     form: Some(&FORM),
     labels: |source| coded::read(&CODING, source),
     folders,
@@ -34,22 +35,20 @@ static FORM: Form = Form {
     ],
 };
 
+static OBJECTIVE_FORM: Form = Form {
+    kind: "casme2",
+    called: "CASME II's objective classes (CASME2-ObjectiveClasses.xlsx)",
+    columns: &["Subject", "Filename", "Objective Class"],
+};
+
 const CODING: Coding = Coding {
     form: &FORM,
     frames: ["OnsetFrame", "ApexFrame", "OffsetFrame"],
     subject_digits: 2,
-    emotions: &[
-        ("disgust", Some(EmotionClass::Negative)),
-        ("repression", Some(EmotionClass::Negative)),
-        ("happiness", Some(EmotionClass::Positive)),
-        ("surprise", Some(EmotionClass::Surprise)),
-        ("others", None),
-        ("other", None),
-        ("sadness", None),
-        ("fear", None),
-    ],
+    emotions: &["disgust", "repression", "happiness", "surprise", "others", "other", "sadness", "fear"],
     emotions_called: "CASME II's seven",
     apex_may_be_unknown: true,
+    objective: Objective::Spreadsheet(&OBJECTIVE_FORM),
 };
 
 /// Where each release lies below the folder that the archives are unpacked into; last, that folder itself.

@@ -1,5 +1,4 @@
 use std::fmt;
-use std::str::FromStr;
 
 /// The three classes of the composite micro-expression benchmark (MEGC 2019), with its numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -29,20 +28,5 @@ impl EmotionClass {
 impl fmt::Display for EmotionClass {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(self.name())
-    }
-}
-
-impl FromStr for EmotionClass {
-    type Err = String;
-
-    /// Reads the class's name, in letters of either case, or its number.
-    fn from_str(text: &str) -> Result<Self, String> {
-        let text = text.trim();
-        let is = |class: &Self| class.name().eq_ignore_ascii_case(text) || text == (*class as u8).to_string();
-        Self::ALL.into_iter().find(is).ok_or_else(|| {
-            format!(
-                "`{text}` is not a class; expected negative, positive or surprise, or its number 0, 1 or 2"
-            )
-        })
     }
 }

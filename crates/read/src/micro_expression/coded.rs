@@ -1,8 +1,12 @@
 //! Spreadsheets with one coded clip a row: onset, apex, offset, action units and an emotion. SAMM's and CASME II's differ
 //! only in the names of their columns and emotions.
 
-use super::sheet::{Form, read_spreadsheet};
-use super::{Annotation, ClipSource, DropReason, Dropped, EmotionClass, Labels, MicroExpressionError};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::classes::Coded;
+use super::sheet::{Form, Row, read_spreadsheet, spreadsheet_in};
+use super::{Annotation, ClipSource, DropReason, Dropped, Labels, MicroExpressionError};
 
 /// How one dataset's spreadsheet is coded.
 pub struct Coding {
@@ -11,12 +15,21 @@ pub struct Coding {
     pub frames: [&'static str; 3],
     /// Digits of a subject's name: spreadsheets drop the leading zeros.
     pub subject_digits: usize,
-    /// Every emotion in small letters, with its class; those of no class are dropped.
-    pub emotions: &'static [(&'static str, Option<EmotionClass>)],
+    /// Every emotion in small letters.
+    pub emotions: &'static [&'static str],
     /// What the emotions are, for messages.
     pub emotions_called: &'static str,
     /// Whether an apex that is not a number drops its row; otherwise it is an error.
     pub apex_may_be_unknown: bool,
+    pub objective: Objective,
+}
+
+/// Where the objective classes of clips (Davison, Merghani and Yap 2018) are published.
+pub enum Objective {
+    /// In a column of the spreadsheet, which older releases do not have.
+    Column(&'static str),
+    /// In a spreadsheet of their own, beside the other.
+    Spreadsheet(&'static Form),
 }
 
 const EMOTION: &str = "Estimated Emotion";
@@ -24,16 +37,29 @@ const EMOTION: &str = "Estimated Emotion";
 /// Reads the spreadsheet that `source` names.
 pub fn read(coding: &Coding, source: &ClipSource) -> Result<Labels, MicroExpressionError> {
     let table = read_spreadsheet(coding.form, source)?;
+    let objective = match coding.objective {
+        Objective::Spreadsheet(form) if source.classes.need_objective() => {
+            objective_classes(form, coding, source)?
+        }
+        _ => BTreeMap::new(),
+    };
     let (mut annotations, mut dropped) = (Vec::new(), Vec::new());
     for row in table.rows() {
         let subject = format!("{:0>1$}", row.filled("Subject")?, coding.subject_digits);
         let clip = row.filled("Filename")?.to_owned();
         let label = row.filled(EMOTION)?.to_owned();
-        let emotion = label.to_lowercase();
-        let Some((_, class)) = coding.emotions.iter().find(|(known, _)| *known == emotion) else {
+        if !coding.emotions.contains(&label.to_lowercase().as_str()) {
             return Err(row.wrong(format!("{EMOTION}: `{label}` is none of {}", coding.emotions_called)));
+        }
+        let action_units = row.text("Action Units").to_owned();
+        let objective = match coding.objective {
+            Objective::Column(column) => row.text(column),
+            Objective::Spreadsheet(_) => {
+                objective.get(&(subject.clone(), clip.clone())).map_or("", String::as_str)
+            }
         };
-        let Some(class) = *class else {
+        let coded = Coded { kind: coding.form.kind, emotion: &label, action_units: &action_units, objective };
+        let Some(class) = source.classes.of(&coded) else {
             dropped.push(Dropped { subject, clip, label, reason: DropReason::Label });
             continue;
         };
@@ -50,7 +76,6 @@ pub fn read(coding: &Coding, source: &ClipSource) -> Result<Labels, MicroExpress
             dropped.push(Dropped { subject, clip, label, reason: DropReason::ApexNotAfterOnset });
             continue;
         }
-        let action_units = row.text("Action Units").to_owned();
         annotations.push(Annotation {
             subject,
             clip,
@@ -63,4 +88,28 @@ pub fn read(coding: &Coding, source: &ClipSource) -> Result<Labels, MicroExpress
         });
     }
     Ok(Labels { dataset: coding.form.kind.to_owned(), file: Some(table.path), annotations, dropped })
+}
+
+/// The objective class of each clip, by subject and clip, from the spreadsheet in the dataset's folder or beside the
+/// annotations.
+fn objective_classes(
+    form: &Form,
+    coding: &Coding,
+    source: &ClipSource,
+) -> Result<BTreeMap<(String, String), String>, MicroExpressionError> {
+    let beside = source.annotations.as_deref().and_then(Path::parent);
+    for dir in [Some(source.dir.as_path()), beside].into_iter().flatten().filter(|dir| dir.is_dir()) {
+        let Some(table) = spreadsheet_in(form, dir)? else { continue };
+        let class = |row: Row| {
+            let subject = format!("{:0>1$}", row.filled("Subject")?, coding.subject_digits);
+            Ok(((subject, row.filled("Filename")?.to_owned()), row.filled("Objective Class")?.to_owned()))
+        };
+        return table.rows().map(class).collect();
+    }
+    Err(MicroExpressionError::NoAnnotations {
+        kind: form.kind,
+        dir: source.dir.clone(),
+        expected: form.called,
+        found: "it is not there. Put it there, or beside the file of --annotations".to_owned(),
+    })
 }

@@ -68,6 +68,18 @@ pub enum MicroExpressionError {
         /// The clip.
         clip: String,
     },
+    /// No clip belongs to any of the classes.
+    #[error(
+        "{dataset}: no clip belongs to one of the classes {classes}; its clips are labelled {found}. Give other --classes"
+    )]
+    NoClass {
+        /// Name of the dataset.
+        dataset: String,
+        /// The classes' names.
+        classes: String,
+        /// The labels that there are.
+        found: String,
+    },
     /// No clip's folder lies where it should.
     #[error("{kind}: looked for {looked_for}; {found}")]
     NoFolders {
@@ -80,7 +92,7 @@ pub enum MicroExpressionError {
     },
     /// Frames are missing, and that was not allowed.
     #[error(
-        "{dataset}: {frames} frames of {clips} clips are missing below {}:\n{listed}\ncopy them there, or go on without them with --allow-missing",
+        "{dataset}: {frames} frames of {clips} clips are missing below {}:\n{listed}\ncopy them there, or go on without them with --allow-missing{key_frames}",
         .root.display()
     )]
     Missing {
@@ -94,6 +106,8 @@ pub enum MicroExpressionError {
         clips: usize,
         /// The first of them, one clip a line.
         listed: String,
+        /// What to do when clips hold key frames alone.
+        key_frames: &'static str,
     },
     /// Two datasets of one name.
     #[error("two datasets are called `{0}`; give each once, plain ones in folders of different names")]
@@ -122,6 +136,10 @@ impl MicroExpressionError {
             frames: missing.iter().map(MissingFrames::count).fold(0, u64::saturating_add),
             clips: missing.len(),
             listed: listed.join("\n"),
+            key_frames: match missing.iter().any(|clip| clip.holds_key_frames) {
+                true => "; for clips that hold onset, apex and offset alone, give --only-key-frames",
+                false => "",
+            },
         }
     }
 }

@@ -66,19 +66,30 @@ pub struct Located {
     pub missing: Vec<MissingFrames>,
 }
 
-/// Finds the frames of each annotation in its folder.
+/// Finds the frames of each annotation in its folder. With `only_key_frames`, nothing but onset and apex is missed.
 pub fn locate(
     dataset: &str,
     annotations: Vec<Annotation>,
     found: &ClipFolders,
+    only_key_frames: bool,
 ) -> Result<Located, MicroExpressionError> {
     let mut located = Located { clips: Vec::new(), dropped: Vec::new(), missing: Vec::new() };
-    for (annotation, folder) in annotations.into_iter().zip(&found.folders) {
+    for (mut annotation, folder) in annotations.into_iter().zip(&found.folders) {
         let mut frames = if folder.is_dir() { numbered_frames(folder)? } else { BTreeMap::new() };
         frames.retain(|number, _| (annotation.onset..=annotation.offset).contains(number));
-        let gaps = gaps(&frames, annotation.onset, annotation.offset);
-        let essential = [Some(annotation.onset), annotation.apex];
-        let whole = essential.into_iter().flatten().all(|number| frames.contains_key(&number));
+        if only_key_frames && annotation.apex.is_none() {
+            annotation.apex = only_frame_between(&frames, annotation.onset, annotation.offset);
+        }
+        let essential: Vec<u64> = [Some(annotation.onset), annotation.apex].into_iter().flatten().collect();
+        let gaps = match (only_key_frames, annotation.apex) {
+            (true, Some(_)) => {
+                let absent = essential.iter().filter(|number| !frames.contains_key(number));
+                absent.map(|&number| (number, number)).collect()
+            }
+            // An apex that is not known is looked for among all frames.
+            _ => gaps(&frames, annotation.onset, annotation.offset),
+        };
+        let whole = essential.iter().all(|number| frames.contains_key(number));
         let usable = whole && frames.len() > 1;
         if !gaps.is_empty() {
             located.missing.push(MissingFrames {
@@ -86,6 +97,9 @@ pub fn locate(
                 clip: annotation.clip.clone(),
                 folder: folder.clone(),
                 numbers: gaps,
+                holds_key_frames: usable
+                    && (annotation.apex.is_some()
+                        || only_frame_between(&frames, annotation.onset, annotation.offset).is_some()),
                 dropped: !usable,
             });
         }
@@ -102,6 +116,13 @@ pub fn locate(
         }
     }
     Ok(located)
+}
+
+/// The frame between two others, when it is the only one.
+fn only_frame_between(frames: &BTreeMap<u64, PathBuf>, onset: u64, offset: u64) -> Option<u64> {
+    let mut between = frames.range(onset.saturating_add(1)..offset.max(onset.saturating_add(1)));
+    let first = between.next()?;
+    between.next().is_none().then_some(*first.0)
 }
 
 /// The numbers from `first` to `last` that are not there, as inclusive ranges: what a table claims is never counted up.
@@ -131,6 +152,8 @@ pub struct MissingFrames {
     pub folder: PathBuf,
     /// Their numbers, as inclusive ranges.
     pub numbers: Vec<(u64, u64)>,
+    /// Whether onset and apex are there, so that the clip can be used with key frames alone.
+    pub holds_key_frames: bool,
     /// Whether onset or apex is among them, so that the clip cannot be used.
     pub dropped: bool,
 }

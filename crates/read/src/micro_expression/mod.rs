@@ -1,12 +1,13 @@
 //! Micro-expression datasets: who shows which expression, in which frames.
 //!
-//! [`Labels::read`] reads a dataset's annotations and keeps the clips of the three classes, telling why each other row is
-//! dropped; [`ClipDataset::open`] finds the kept clips' frames too. What differs between datasets is in one file each.
+//! [`Labels::read`] reads a dataset's annotations and keeps the clips that belong to a class, with the reason why
+//! each other row is dropped; [`ClipDataset::open`] finds the kept clips' frames too. What differs between datasets is in one file each.
 
 mod annotation;
 mod apex_list;
 mod casme2;
 mod class;
+mod classes;
 mod coded;
 mod composite;
 mod error;
@@ -24,14 +25,15 @@ use std::path::{Path, PathBuf};
 pub use annotation::{Annotation, DropReason, Dropped};
 pub use apex_list::{ApexRow, write_apex_list};
 pub use class::EmotionClass;
-pub use composite::{ClassCounts, check_distinct, published_counts};
+pub use classes::{CLASS_SETS, Classes};
+pub use composite::{check_distinct, count_classes, published_counts};
 pub use error::MicroExpressionError;
 pub use frames::MissingFrames;
 pub use plain::{PLAIN_COLUMNS, PLAIN_NAME, write_plain};
 pub use source::{CLIP_KINDS, ClipKind, ClipSource};
 
 use frames::{Located, locate};
-use srflow_field::{excerpt, is_unprintable};
+use srflow_field::{excerpt, excerpts, is_unprintable};
 
 /// What a dataset's annotations say.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,9 +42,9 @@ pub struct Labels {
     pub dataset: String,
     /// The annotation file; none where the folders' names say everything.
     pub file: Option<PathBuf>,
-    /// The clips of the three classes, in the file's order.
+    /// The clips that belong to a class, in the file's order.
     pub annotations: Vec<Annotation>,
-    /// The rows that are none of them.
+    /// The others.
     pub dropped: Vec<Dropped>,
 }
 
@@ -50,7 +52,8 @@ impl Labels {
     /// Reads the annotations; no frame is looked for.
     ///
     /// # Errors
-    /// When there is no annotation file, it is another dataset's, or one of its rows cannot be read.
+    /// When there is no annotation file, it is another dataset's, one of its rows cannot be read, or no clip belongs to any
+    /// of the classes.
     pub fn read(source: &ClipSource) -> Result<Self, MicroExpressionError> {
         let labels = (source.kind.labels)(source)?;
         let mut seen = BTreeSet::new();
@@ -67,12 +70,15 @@ impl Labels {
                 });
             }
         }
+        if labels.annotations.is_empty() && labels.dropped.iter().any(|row| row.reason == DropReason::Label) {
+            let found: BTreeSet<String> = labels.dropped.iter().map(|row| row.label.to_lowercase()).collect();
+            return Err(MicroExpressionError::NoClass {
+                dataset: labels.dataset,
+                classes: source.classes.names().join(", "),
+                found: excerpts(found.iter().map(String::as_str), 12),
+            });
+        }
         Ok(labels)
-    }
-
-    /// Clips of each class.
-    pub fn counts(&self) -> ClassCounts {
-        self.annotations.iter().map(|annotation| annotation.class).collect()
     }
 }
 
@@ -148,7 +154,8 @@ impl ClipDataset {
         let mut labels = Labels::read(source)?;
         let annotations = std::mem::take(&mut labels.annotations);
         let found = (source.kind.folders)(source, &annotations)?;
-        let Located { clips, dropped, missing } = locate(&labels.dataset, annotations, &found)?;
+        let Located { clips, dropped, missing } =
+            locate(&labels.dataset, annotations, &found, source.only_key_frames)?;
         if !missing.is_empty() && !allow_missing {
             return Err(MicroExpressionError::missing(&labels.dataset, &found.root, &missing));
         }
@@ -162,11 +169,6 @@ impl ClipDataset {
             dropped: labels.dropped,
             missing,
         })
-    }
-
-    /// Clips of each class.
-    pub fn counts(&self) -> ClassCounts {
-        self.clips.iter().map(|clip| clip.annotation.class).collect()
     }
 
     /// The subjects that have a clip.

@@ -1,16 +1,17 @@
 //! Anybody's clips: a `clips.csv` with a row per clip, beside the clips' folders.
 //!
 //! Columns: `clip` (folder of the frames, relative to the CSV file), `subject`, `onset`, `apex`, `offset` (frame numbers:
-//! the last number in a picture's name; the apex may be empty) and `class` (negative, positive or surprise). `label` and
-//! `action_units` may be there too.
+//! the last number in a picture's name; the apex may be empty) and `class` (a class's name or number, or an emotion that
+//! belongs to one). `label`, `action_units` and `objective` may be there too.
 
 use std::path::{Path, PathBuf};
 
 use srflow_field::write_atomically;
 
+use super::classes::Coded;
 use super::frames::ClipFolders;
-use super::sheet::read_csv;
-use super::{Annotation, ClipKind, ClipSource, Labels, MicroExpressionError};
+use super::sheet::{Row, read_csv};
+use super::{Annotation, Classes, ClipKind, ClipSource, DropReason, Dropped, Labels, MicroExpressionError};
 use crate::flow::listing;
 
 pub(super) const KIND: ClipKind = ClipKind {
@@ -49,9 +50,9 @@ fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
         });
     }
     let table = read_csv("clips", &file, &PLAIN_COLUMNS)?;
-    let mut annotations = Vec::new();
+    let (mut annotations, mut dropped) = (Vec::new(), Vec::new());
     for row in table.rows() {
-        let class = row.filled("class")?.parse().map_err(|reason| row.wrong(format!("class: {reason}")))?;
+        let class = class_of(source, row)?;
         let (onset, offset) = (row.frame("onset")?, row.frame("offset")?);
         let apex = if row.text("apex").is_empty() { None } else { Some(row.frame("apex")?) };
         if onset >= offset || apex.is_some_and(|apex| apex <= onset || apex > offset) {
@@ -60,22 +61,48 @@ fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
                 "expected onset < apex <= offset, found onset {onset}, apex {found}, offset {offset}"
             )));
         }
-        let label = row.text("label");
+        let (subject, clip) = (row.filled("subject")?.to_owned(), row.filled("clip")?.to_owned());
+        let label = if row.text("label").is_empty() { row.text("class") } else { row.text("label") };
+        let label = label.to_owned();
+        let Some(class) = class else {
+            dropped.push(Dropped { subject, clip, label, reason: DropReason::Label });
+            continue;
+        };
         annotations.push(Annotation {
-            subject: row.filled("subject")?.to_owned(),
-            clip: row.filled("clip")?.to_owned(),
+            subject,
+            clip,
             class,
-            label: if label.is_empty() { row.text("class") } else { label }.to_owned(),
+            label,
             action_units: row.text("action_units").to_owned(),
             onset,
             apex,
             offset,
         });
     }
-    Ok(Labels { dataset: name_of(&file), file: Some(file), annotations, dropped: Vec::new() })
+    Ok(Labels { dataset: name_of(&file), file: Some(file), annotations, dropped })
 }
 
-/// The folder's name: it tells several plain datasets apart.
+/// The class that a row names, or that what is known of the clip belongs to. Every clip must have one of the default
+/// classes, so that a misspelt one is noticed.
+fn class_of(source: &ClipSource, row: Row) -> Result<Option<usize>, MicroExpressionError> {
+    let classes = &source.classes;
+    let text = row.text("class");
+    let coded = |emotion| {
+        let (action_units, objective) = (row.text("action_units"), row.text("objective"));
+        classes.of(&Coded { kind: "clips", emotion, action_units, objective })
+    };
+    let class = classes.named(text).or_else(|| coded(text)).or_else(|| coded(row.text("label")));
+    if class.is_none() && classes.are_default() {
+        let text = row.filled("class")?;
+        return Err(row.wrong(format!(
+            "class: `{text}` is not a class; expected negative, positive or surprise, or its number 0, 1 or 2. Other \
+             classes are given by --classes"
+        )));
+    }
+    Ok(class)
+}
+
+/// The folder's name: it identifies a plain dataset among several.
 fn name_of(file: &Path) -> String {
     let full = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
     full.parent().map(listing::name).filter(|name| !name.is_empty()).unwrap_or_else(|| "clips".to_owned())
@@ -100,7 +127,7 @@ fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolder
 ///
 /// # Errors
 /// When it cannot be written.
-pub fn write_plain(path: &Path, rows: &[Annotation]) -> Result<(), MicroExpressionError> {
+pub fn write_plain(path: &Path, classes: &Classes, rows: &[Annotation]) -> Result<(), MicroExpressionError> {
     let header = PLAIN_COLUMNS.into_iter().chain(["label", "action_units"]);
     write_atomically(path, |writer| {
         let mut table = csv::Writer::from_writer(writer);
@@ -112,7 +139,7 @@ pub fn write_plain(path: &Path, rows: &[Annotation]) -> Result<(), MicroExpressi
                 &row.onset.to_string(),
                 &row.apex.map(|apex| apex.to_string()).unwrap_or_default(),
                 &row.offset.to_string(),
-                row.class.name(),
+                &classes.names()[row.class],
                 &row.label,
                 &row.action_units,
             ])?;

@@ -5,16 +5,16 @@
 
 use std::path::Path;
 
-use super::coded::{self, Coding};
+use super::coded::{self, Coding, Objective};
 use super::frames::{ClipFolders, below};
 use super::sheet::Form;
-use super::{Annotation, ClassCounts, ClipKind, ClipSource, EmotionClass, MicroExpressionError};
+use super::{Annotation, ClipKind, ClipSource, MicroExpressionError};
 
 pub(super) const KIND: ClipKind = ClipKind {
     name: "samm",
     releases: &[],
     about: "SAMM",
-    published: Some(ClassCounts::new(26, 92, 15)),
+    published: Some([92, 26, 15]),
     form: Some(&FORM),
     labels: |source| coded::read(&CODING, source),
     folders,
@@ -40,18 +40,19 @@ const CODING: Coding = Coding {
     frames: ["Onset Frame", "Apex Frame", "Offset Frame"],
     subject_digits: 3,
     emotions: &[
-        ("anger", Some(EmotionClass::Negative)),
-        ("contempt", Some(EmotionClass::Negative)),
-        ("disgust", Some(EmotionClass::Negative)),
-        ("fear", Some(EmotionClass::Negative)),
-        ("sadness", Some(EmotionClass::Negative)),
-        ("happiness", Some(EmotionClass::Positive)),
-        ("surprise", Some(EmotionClass::Surprise)),
-        ("other", None),
-        ("others", None),
+        "anger",
+        "contempt",
+        "disgust",
+        "fear",
+        "sadness",
+        "happiness",
+        "surprise",
+        "other",
+        "others",
     ],
     emotions_called: "SAMM's eight",
     apex_may_be_unknown: false,
+    objective: Objective::Column("Objective Classes"),
 };
 
 fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolders, MicroExpressionError> {

@@ -10,11 +10,11 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use super::classes::Coded;
 use super::frames::{ClipFolders, numbered_frames};
 use super::sheet::{Form, Table, read_csv, read_spreadsheet, spreadsheet_in};
 use super::{
-    Annotation, ClassCounts, ClipKind, ClipSource, DropReason, Dropped, EmotionClass, Labels,
-    MicroExpressionError,
+    Annotation, ClipKind, ClipSource, DropReason, Dropped, EmotionClass, Labels, MicroExpressionError,
 };
 use crate::flow::listing;
 
@@ -22,7 +22,7 @@ pub(super) const KIND: ClipKind = ClipKind {
     name: "smic",
     releases: &[],
     about: "SMIC-HS, extended or short",
-    published: Some(ClassCounts::new(51, 65, 41)),
+    published: Some([65, 51, 41]),
     form: Some(&FORM),
     labels: read,
     folders,
@@ -70,6 +70,16 @@ impl Key {
         parts.next().is_none().then_some(Self { subject, class, number })
     }
 
+    /// Its number among the classes; its emotion is what its name says.
+    fn class(self, source: &ClipSource) -> Option<usize> {
+        source.classes.of(&Coded {
+            kind: "smic",
+            emotion: self.class.name(),
+            action_units: "",
+            objective: "",
+        })
+    }
+
     fn subject_name(self) -> String {
         format!("{:02}", self.subject)
     }
@@ -82,13 +92,13 @@ impl Key {
 
 fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
     let Rows { file, mut annotations, dropped } = if source.annotations.is_some() {
-        of_table(read_spreadsheet(&FORM, source)?)?
+        of_table(source, read_spreadsheet(&FORM, source)?)?
     } else if let Some(table) = spreadsheet_in(&FORM, &source.dir)? {
-        of_table(table)?
+        of_table(source, table)?
     } else if let Some(root) = short_root(&source.dir)? {
-        of_short_clips(&root)?
+        of_short_clips(source, &root)?
     } else {
-        of_table(read_spreadsheet(&FORM, source)?)?
+        of_table(source, read_spreadsheet(&FORM, source)?)?
     };
     let beside = || APEX_LISTS.iter().map(|name| source.dir.join(name)).find(|path| path.is_file());
     if let Some(list) = source.apex_list.clone().or_else(beside) {
@@ -106,11 +116,11 @@ struct Rows {
 }
 
 impl Rows {
-    fn keep(&mut self, key: Key, clip: String, label: String, onset: u64, offset: u64) {
+    fn keep(&mut self, key: Key, class: usize, clip: String, label: String, [onset, offset]: [u64; 2]) {
         self.annotations.push(Annotation {
             subject: key.subject_name(),
             clip,
-            class: key.class,
+            class,
             label,
             action_units: String::new(),
             onset,
@@ -124,7 +134,7 @@ impl Rows {
     }
 }
 
-fn of_table(table: Table) -> Result<Rows, MicroExpressionError> {
+fn of_table(source: &ClipSource, table: Table) -> Result<Rows, MicroExpressionError> {
     let mut rows = Rows::default();
     for row in table.rows() {
         let clip = row.filled("Filename")?.to_owned();
@@ -140,11 +150,15 @@ fn of_table(table: Table) -> Result<Rows, MicroExpressionError> {
             rows.drop(key, clip, label, DropReason::NotInApexList);
             continue;
         }
+        let Some(class) = key.class(source) else {
+            rows.drop(key, clip, label, DropReason::Label);
+            continue;
+        };
         let (onset, offset) = (row.frame("OnsetF")?, row.frame("OffsetF")?);
         if offset <= onset {
             return Err(row.wrong(format!("OffsetF: expected a frame after OnsetF {onset}, found {offset}")));
         }
-        rows.keep(key, clip, label, onset, offset);
+        rows.keep(key, class, clip, label, [onset, offset]);
     }
     rows.file = Some(table.path);
     Ok(rows)
@@ -191,7 +205,7 @@ fn folders_if_there(dir: &Path) -> Result<Vec<PathBuf>, MicroExpressionError> {
     Ok(if dir.is_dir() { listing::folders(dir)? } else { Vec::new() })
 }
 
-fn of_short_clips(root: &Path) -> Result<Rows, MicroExpressionError> {
+fn of_short_clips(source: &ClipSource, root: &Path) -> Result<Rows, MicroExpressionError> {
     let mut rows = Rows::default();
     for (key, folder) in short_clips(root)? {
         let clip = listing::name(&folder);
@@ -200,13 +214,17 @@ fn of_short_clips(root: &Path) -> Result<Rows, MicroExpressionError> {
             rows.drop(key, clip, label, DropReason::NotInApexList);
             continue;
         }
+        let Some(class) = key.class(source) else {
+            rows.drop(key, clip, label, DropReason::Label);
+            continue;
+        };
         let frames = numbered_frames(&folder)?;
         let (Some((&onset, _)), Some((&offset, _))) = (frames.first_key_value(), frames.last_key_value())
         else {
             rows.drop(key, clip, label, DropReason::FramesMissing);
             continue;
         };
-        rows.keep(key, clip, label, onset, offset);
+        rows.keep(key, class, clip, label, [onset, offset]);
     }
     Ok(rows)
 }

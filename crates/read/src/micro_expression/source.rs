@@ -4,7 +4,7 @@ use std::str::FromStr;
 
 use super::frames::ClipFolders;
 use super::sheet::Form;
-use super::{Annotation, ClassCounts, Labels, MicroExpressionError, casme2, plain, samm, smic};
+use super::{Annotation, Classes, Labels, MicroExpressionError, casme2, plain, samm, smic};
 
 /// A kind of micro-expression dataset: how it is named and read.
 #[derive(Debug)]
@@ -15,8 +15,8 @@ pub struct ClipKind {
     pub releases: &'static [&'static str],
     /// What it is, in a few words.
     pub about: &'static str,
-    /// Clips of each class that the paper (its table of the micro-expression datasets) counts.
-    pub published: Option<ClassCounts>,
+    /// Negative, positive and surprise clips that the paper (its table of the micro-expression datasets) counts.
+    pub published: Option<[usize; 3]>,
     /// Its annotation spreadsheet, where it has one.
     pub(super) form: Option<&'static Form>,
     /// Reads its annotations.
@@ -57,6 +57,11 @@ pub struct ClipSource {
     pub annotations: Option<PathBuf>,
     /// The list of apex frames for SMIC, when it lies elsewhere.
     pub apex_list: Option<PathBuf>,
+    /// What its clips are divided into.
+    pub classes: Classes,
+    /// Onset and apex are the only frames that a clip must have. The apex of one without an annotated apex is the single
+    /// frame between onset and offset.
+    pub only_key_frames: bool,
 }
 
 impl FromStr for ClipSource {
@@ -75,7 +80,15 @@ impl FromStr for ClipSource {
         let known =
             |word: &str| kind.releases.iter().find(|known| **known == word).copied().ok_or_else(wrong);
         let release = release.map(known).transpose()?;
-        Ok(Self { kind, release, dir: dir.into(), annotations: None, apex_list: None })
+        Ok(Self {
+            kind,
+            release,
+            dir: dir.into(),
+            annotations: None,
+            apex_list: None,
+            classes: Classes::default(),
+            only_key_frames: false,
+        })
     }
 }
 

@@ -32,7 +32,7 @@ pub use error::SynthError;
 pub use settings::SynthSettings;
 
 use settings::ClipPlan;
-use srflow_read::micro_expression::{Annotation, PLAIN_NAME, write_plain};
+use srflow_read::micro_expression::{Annotation, Classes, PLAIN_NAME, write_plain};
 
 /// Name of the file that says what the set was asked to be.
 const SETTINGS_NAME: &str = "synth.json";
@@ -230,7 +230,7 @@ fn write_tables(dir: &Path, plan: &[ClipPlan], records: &[ClipRecord]) -> Result
     let annotation = |(clip, record): (&ClipPlan, &ClipRecord)| Annotation {
         subject: clip.subject_name.clone(),
         clip: clip.name.clone(),
-        class: clip.class,
+        class: clip.class as usize,
         label: clip.class.name().to_owned(),
         action_units: record.coded_units.clone(),
         onset: record.onset,
@@ -238,6 +238,6 @@ fn write_tables(dir: &Path, plan: &[ClipPlan], records: &[ClipRecord]) -> Result
         offset: record.offset,
     };
     let rows: Vec<Annotation> = plan.iter().zip(records).map(annotation).collect();
-    write_plain(&dir.join(PLAIN_NAME), &rows)?;
+    write_plain(&dir.join(PLAIN_NAME), &Classes::default(), &rows)?;
     Ok(())
 }

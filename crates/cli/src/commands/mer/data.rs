@@ -5,8 +5,8 @@ use anyhow::Context as _;
 use clap::Args;
 use serde::Serialize;
 use srflow_read::micro_expression::{
-    Annotation, ClassCounts, ClipDataset, ClipSource, DropReason, Dropped, EmotionClass, Labels,
-    MissingFrames, check_distinct, published_counts,
+    Annotation, Classes, ClipDataset, ClipSource, DropReason, Dropped, Labels, MissingFrames, check_distinct,
+    count_classes, published_counts,
 };
 
 use super::sources::{SourceArgs, kinds_help};
@@ -18,6 +18,7 @@ use crate::Context;
 Examples:
   srflow mer data samm:/data/SAMM casme2-cropped:/data/CASME2 smic:/data/SMIC
   srflow mer data samm:/data/SAMM --labels-only --clips
+  srflow mer data casme2:/data/CASME2 --classes casme2-5
 
 Frames are found by their number, from onset to offset. docs/mer.md describes the folders.
 
@@ -66,15 +67,15 @@ struct ListedDataset {
 #[derive(Serialize, Default)]
 struct LabelCounts {
     /// By class.
-    kept: BTreeMap<&'static str, usize>,
+    kept: BTreeMap<String, usize>,
     dropped: usize,
 }
 
 #[derive(Serialize)]
 struct Counts {
-    positive: usize,
-    negative: usize,
-    surprise: usize,
+    /// By class.
+    #[serde(flatten)]
+    classes: BTreeMap<String, usize>,
     total: usize,
 }
 
@@ -82,7 +83,7 @@ struct Counts {
 struct ListedClip {
     subject: String,
     clip: String,
-    class: &'static str,
+    class: String,
     label: String,
     action_units: String,
     onset: u64,
@@ -108,7 +109,7 @@ struct ClipWithGaps {
     dropped: bool,
 }
 
-/// What one dataset is shown as.
+/// What one dataset is shown as; its classes are those of the source.
 struct Listing {
     source: ClipSource,
     name: String,
@@ -134,7 +135,8 @@ pub fn run(args: Data, context: &Context) -> anyhow::Result<()> {
         print_listing(listing, args.labels_only, args.clips)?;
     }
     if listings.len() > 1 {
-        say!("composite: {}, {} subjects", in_words(total(&listings)), subjects(&listings))?;
+        let classes = &listings[0].source.classes;
+        say!("composite: {}, {} subjects", in_words(classes, &total(&listings)), subjects(&listings))?;
     }
     Ok(())
 }
@@ -153,8 +155,16 @@ fn list(source: ClipSource, labels_only: bool, allow_missing: bool) -> anyhow::R
 }
 
 impl Listing {
-    fn counts(&self) -> ClassCounts {
-        self.annotations.iter().map(|annotation| annotation.class).collect()
+    fn class(&self, annotation: &Annotation) -> String {
+        self.source.classes.names()[annotation.class].clone()
+    }
+
+    fn counts(&self) -> Vec<usize> {
+        count_classes(&self.source.classes, &self.annotations)
+    }
+
+    fn published(&self) -> Option<[usize; 3]> {
+        published_counts(&self.source.classes, &self.name)
     }
 
     fn subjects(&self) -> BTreeSet<&str> {
@@ -162,7 +172,7 @@ impl Listing {
     }
 
     fn as_published(&self) -> Option<bool> {
-        published_counts(&self.name).map(|published| published == self.counts())
+        self.published().map(|published| published[..] == self.counts())
     }
 
     fn without_apex(&self) -> usize {
@@ -173,7 +183,7 @@ impl Listing {
         let mut labels: BTreeMap<String, LabelCounts> = BTreeMap::new();
         for annotation in &self.annotations {
             let label = labels.entry(annotation.label.clone()).or_default();
-            *label.kept.entry(annotation.class.name()).or_default() += 1;
+            *label.kept.entry(self.class(annotation)).or_default() += 1;
         }
         for row in &self.dropped {
             labels.entry(row.label.clone()).or_default().dropped += 1;
@@ -182,17 +192,19 @@ impl Listing {
     }
 }
 
-fn total(listings: &[Listing]) -> ClassCounts {
-    listings.iter().map(Listing::counts).fold(ClassCounts::default(), |sum, counts| sum + counts)
+fn total(listings: &[Listing]) -> Vec<usize> {
+    let all = listings.iter().map(Listing::counts);
+    all.reduce(|sum, counts| sum.iter().zip(counts).map(|(a, b)| a + b).collect()).unwrap_or_default()
 }
 
 fn subjects(listings: &[Listing]) -> usize {
     listings.iter().map(|listing| listing.subjects().len()).sum()
 }
 
-fn in_words(counts: ClassCounts) -> String {
-    let [negative, positive, surprise] = EmotionClass::ALL.map(|class| counts[class]);
-    format!("{} clips: {positive} positive, {negative} negative, {surprise} surprise", counts.total())
+fn in_words(classes: &Classes, counts: &[usize]) -> String {
+    let each: Vec<String> =
+        classes.names().iter().zip(counts).map(|(class, clips)| format!("{clips} {class}")).collect();
+    format!("{} clips: {}", counts.iter().sum::<usize>(), each.join(", "))
 }
 
 fn print_listing(listing: &Listing, labels_only: bool, clips: bool) -> anyhow::Result<()> {
@@ -203,13 +215,17 @@ fn print_listing(listing: &Listing, labels_only: bool, clips: bool) -> anyhow::R
     }
     let published = match listing.as_published() {
         Some(true) => ", as published".to_owned(),
-        Some(false) => match published_counts(&listing.name) {
-            Some(counts) => format!(" (published: {})", in_words(counts)),
+        Some(false) => match listing.published() {
+            Some(counts) => format!(" (published: {})", in_words(&listing.source.classes, &counts)),
             None => String::new(),
         },
         None => String::new(),
     };
-    say!("  kept         {}, {} subjects{published}", in_words(listing.counts()), listing.subjects().len())?;
+    say!(
+        "  kept         {}, {} subjects{published}",
+        in_words(&listing.source.classes, &listing.counts()),
+        listing.subjects().len()
+    )?;
     for (label, report) in listing.labels() {
         let mut parts: Vec<String> =
             report.kept.iter().map(|(class, clips)| format!("{clips} {class}")).collect();
@@ -236,7 +252,7 @@ fn print_listing(listing: &Listing, labels_only: bool, clips: bool) -> anyhow::R
                 "    {}/{} {} {}-{apex}-{} {}",
                 a.subject,
                 a.clip,
-                a.class,
+                listing.class(a),
                 a.onset,
                 a.offset,
                 a.action_units
@@ -266,7 +282,7 @@ fn print_dropped(dropped: &[Dropped]) -> anyhow::Result<()> {
 fn report(listings: &[Listing]) -> Listed {
     Listed {
         datasets: listings.iter().map(dataset_report).collect(),
-        composite: total(listings).into(),
+        composite: counts(&listings[0].source.classes, &total(listings)),
         subjects: subjects(listings),
     }
 }
@@ -275,7 +291,7 @@ fn dataset_report(listing: &Listing) -> ListedDataset {
     let clip = |a: &Annotation| ListedClip {
         subject: a.subject.clone(),
         clip: a.clip.clone(),
-        class: a.class.name(),
+        class: listing.class(a),
         label: a.label.clone(),
         action_units: a.action_units.clone(),
         onset: a.onset,
@@ -301,7 +317,7 @@ fn dataset_report(listing: &Listing) -> ListedDataset {
         form: listing.form,
         dir: listing.source.dir.clone(),
         annotations: listing.file.clone(),
-        counts: listing.counts().into(),
+        counts: counts(&listing.source.classes, &listing.counts()),
         as_published: listing.as_published(),
         subjects: listing.subjects().len(),
         without_apex: listing.without_apex(),
@@ -313,9 +329,7 @@ fn dataset_report(listing: &Listing) -> ListedDataset {
     }
 }
 
-impl From<ClassCounts> for Counts {
-    fn from(counts: ClassCounts) -> Self {
-        let [negative, positive, surprise] = EmotionClass::ALL.map(|class| counts[class]);
-        Self { positive, negative, surprise, total: counts.total() }
-    }
+fn counts(classes: &Classes, counts: &[usize]) -> Counts {
+    let classes = classes.names().iter().cloned().zip(counts.iter().copied()).collect();
+    Counts { classes, total: counts.iter().sum() }
 }

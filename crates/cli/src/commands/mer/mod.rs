@@ -3,6 +3,8 @@
 mod apex;
 mod data;
 mod face;
+mod features;
+mod preparation;
 mod progress;
 mod run;
 mod sources;
@@ -27,6 +29,7 @@ enum MerCommand {
     Synth(synth::Synth),
     Apex(apex::Apex),
     Strain(strain::Strain),
+    Features(features::Features),
     Run(run::Run),
     Tables(tables::Tables),
 }
@@ -38,6 +41,7 @@ pub fn run(args: Mer, context: &Context) -> anyhow::Result<()> {
         MerCommand::Synth(args) => synth::run(args, context),
         MerCommand::Apex(args) => apex::run(args, context),
         MerCommand::Strain(args) => strain::run(args, context),
+        MerCommand::Features(args) => features::run(args, context),
         MerCommand::Run(args) => run::run(args, context),
         MerCommand::Tables(args) => tables::run(args, context),
     }

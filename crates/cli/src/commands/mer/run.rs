@@ -4,12 +4,12 @@ use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use srflow_field::create_folder;
 use srflow_mer::{
-    ApexRule, CLASSIFIERS, ClassifierEntry, Preparation, Protocol, ResizeOrder, ResultsFolder, ResultsRecord,
-    RunFolders, RunMethod, RunSettings, Sets, StrainFormula, by_set, unseen_classes,
+    CLASSIFIERS, ClassifierEntry, Protocol, ResultsFolder, ResultsRecord, RunFolders, RunMethod, RunSettings,
+    Sets, by_set, unseen_classes,
 };
 use srflow_read::micro_expression::ClipSource;
 
-use super::face::FaceArgs;
+use super::preparation::PreparationArgs;
 use super::progress::RunProgress;
 use super::sources::{SourceArgs, kinds_help};
 use super::tables::print_scores;
@@ -25,7 +25,7 @@ Examples:
   srflow mer run --data clips:rendered --method tvl1 --epochs 21 --out first-look
 
 Each dataset is divided into its subjects, and so are all of them together (`composite`). For each subject a classifier \
-is trained on all others and predicts the classes of the subject's clips. docs/mer.md says what every number is.
+is trained on all others and predicts the classes of the subject's clips. docs/mer.md defines every number.
 
 That takes its time: with the 201 epochs of the paper's protocol, SAMM, CASME II, SMIC-HS and the composite are about \
 five hours of two CPU cores for each method. For a first look, --epochs 21 takes a tenth of that, --classifier ststnet \
@@ -55,15 +55,6 @@ pub struct Run {
     /// Folder where features are kept for other runs [default: features in --out]
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
-    /// Spot the apex of clips that have none: ratio or strain
-    #[arg(long, value_name = "RULE")]
-    apex: Option<ApexRule>,
-    /// Formula of the optical strain: literature or off-tanet
-    #[arg(long, value_name = "FORMULA", default_value_t = StrainFormula::Literature)]
-    strain: StrainFormula,
-    /// Bring the frames to 112x112 before the flow is estimated, or the flow after
-    #[arg(long, value_name = "ORDER", default_value_t = ResizeOrder::Before)]
-    resize: ResizeOrder,
     /// Passes over the training clips
     #[arg(long, value_name = "N", default_value_t = Protocol::default().epochs)]
     epochs: usize,
@@ -82,7 +73,7 @@ pub struct Run {
     #[command(flatten)]
     sources: SourceArgs,
     #[command(flatten)]
-    face: FaceArgs,
+    preparation: PreparationArgs,
     #[command(flatten)]
     parameters: MethodParameters,
 }
@@ -134,9 +125,10 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
     let settings = RunSettings {
         classifier: args.classifier,
         sets: args.sets,
-        apex: args.apex,
-        preparation: Preparation { face: args.face.crop()?, resize: args.resize, strain: args.strain },
+        apex: args.preparation.apex,
+        preparation: args.preparation.preparation()?,
         protocol,
+        classes: args.sources.classes()?.names().clone(),
     };
     let estimators = methods::estimators(&args.method, &args.parameters)?;
     let records = methods::records(&args.method, &args.parameters)?;

@@ -4,10 +4,12 @@ use std::path::PathBuf;
 
 use anyhow::{Context as _, bail};
 use clap::Args;
-use srflow_read::micro_expression::{CLIP_KINDS, ClipDataset, ClipSource, check_distinct};
+use srflow_read::micro_expression::{
+    CLASS_SETS, CLIP_KINDS, Classes, ClipDataset, ClipSource, check_distinct,
+};
 
-/// Where annotations lie, and what to do about missing frames.
-#[derive(Args, Debug, Clone, Default)]
+/// Where annotations lie, what clips are divided into, and what to do about missing frames.
+#[derive(Args, Debug, Clone)]
 pub struct SourceArgs {
     /// Annotation file that does not lie in its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE
     #[arg(long, value_name = "KIND:FILE")]
@@ -15,14 +17,29 @@ pub struct SourceArgs {
     /// CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder]
     #[arg(long, value_name = "FILE")]
     apex_list: Option<PathBuf>,
+    /// Classes: a name (see below), or a TOML file of your own (docs/mer.md)
+    #[arg(long, value_name = "CLASSES", default_value = CLASS_SETS[0].0)]
+    classes: String,
     /// Go on without frames that are missing; clips without onset or apex are dropped
     #[arg(long)]
     pub allow_missing: bool,
+    /// Take clips that hold their onset, apex and offset frames alone
+    #[arg(long)]
+    only_key_frames: bool,
 }
 
 impl SourceArgs {
+    /// What clips are divided into.
+    ///
+    /// # Errors
+    /// When there are no such classes.
+    pub fn classes(&self) -> anyhow::Result<Classes> {
+        Classes::open(&self.classes).context("--classes")
+    }
+
     /// The datasets with what the other arguments say of them.
     pub fn complete(&self, mut sources: Vec<ClipSource>) -> anyhow::Result<Vec<ClipSource>> {
+        let classes = self.classes()?;
         for text in &self.annotations {
             let Some((kind, file)) = text.split_once(':').filter(|(_, file)| !file.is_empty()) else {
                 bail!("--annotations {text}: expected KIND:FILE, e.g. samm:SAMM_Micro_FACS_Codes_v2.xlsx");
@@ -34,6 +51,8 @@ impl SourceArgs {
         }
         for source in &mut sources {
             source.apex_list.clone_from(&self.apex_list);
+            source.classes = classes.clone();
+            source.only_key_frames = self.only_key_frames;
         }
         Ok(sources)
     }
@@ -53,9 +72,10 @@ impl SourceArgs {
     }
 }
 
-/// Help of an argument that takes datasets.
+/// Help of the arguments that name datasets and classes.
 pub fn kinds_help() -> String {
-    let kinds: Vec<String> =
-        CLIP_KINDS.iter().map(|kind| format!("  {:<22} {}", kind.to_string(), kind.about)).collect();
-    format!("Kinds of dataset:\n{}", kinds.join("\n"))
+    let line = |name: String, about: &str| format!("  {name:<22} {about}\n");
+    let kinds: String = CLIP_KINDS.iter().map(|kind| line(kind.to_string(), kind.about)).collect();
+    let classes: String = CLASS_SETS.iter().map(|(name, about, _)| line((*name).to_owned(), about)).collect();
+    format!("Kinds of dataset:\n{kinds}\nClasses:\n{}", classes.trim_end_matches('\n'))
 }

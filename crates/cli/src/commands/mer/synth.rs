@@ -53,7 +53,7 @@ pub struct Synth {
     /// How the true flow is stored
     #[arg(long, value_name = "FORMAT", default_value_t = FlowFormat::Flo)]
     flow_format: FlowFormat,
-    /// Delete the set that lies in the folder and start anew
+    /// Delete the set in the folder and start over
     #[arg(long)]
     force: bool,
 }

@@ -1,0 +1,121 @@
+use std::path::PathBuf;
+
+use anyhow::{Context as _, ensure};
+use clap::Args;
+use serde::Serialize;
+use srflow_eval::MethodRecord;
+use srflow_mer::{DataRecord, FEATURE_SIDE, FeatureRecipe, RunMethod, compute_features, write_features};
+use srflow_read::micro_expression::ClipSource;
+
+use super::preparation::PreparationArgs;
+use super::progress::RunProgress;
+use super::sources::{SourceArgs, kinds_help};
+use crate::Context;
+use crate::methods::{self, Method, MethodParameters, MethodSpec};
+
+/// Write flow and strain of every clip as one NumPy archive, for classifiers of your own
+#[derive(Args)]
+#[command(after_help = format!("\
+Examples:
+  srflow mer features --data samm:/data/SAMM casme2:/data/CASME2 --method tvl1 --out features.npz
+  srflow mer features --data casme2:/data/CASME2 --classes casme2-5 --method SRFlowNet:skflow=best.safetensors --out five.npz
+
+In Python:
+  f = numpy.load('features.npz')
+  f['X'], f['y']           # (N, 3, 112, 112) float32: u, v, strain; numbers of classes
+  f['subject'], f['clip'], f['dataset'], f['method'], f['names'], json.loads(f['parameters'].item())
+
+With several methods the clips of the first come before those of the next.
+
+{}", kinds_help()))]
+pub struct Features {
+    /// Datasets
+    #[arg(long, required = true, num_args = 1.., value_name = "KIND:DIR")]
+    data: Vec<ClipSource>,
+    /// How to estimate the flow from onset to apex
+    #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', help = Method::help_of_several("How to estimate the flow from onset to apex"))]
+    method: Vec<MethodSpec>,
+    /// The archive
+    #[arg(short, long, value_name = "FILE.npz")]
+    out: PathBuf,
+    /// Overwrite it
+    #[arg(long)]
+    force: bool,
+    /// Folder where each clip's features are kept, for `srflow mer run` too [default: none]
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+    #[command(flatten)]
+    sources: SourceArgs,
+    #[command(flatten)]
+    preparation: PreparationArgs,
+    #[command(flatten)]
+    parameters: MethodParameters,
+}
+
+#[derive(Serialize)]
+struct Report {
+    output: PathBuf,
+    shape: [usize; 4],
+    classes: Vec<String>,
+    methods: Vec<MethodRecord>,
+    data: Vec<DataRecord>,
+}
+
+/// Runs the command.
+pub fn run(args: Features, context: &Context) -> anyhow::Result<()> {
+    ensure!(
+        args.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npz")),
+        "--out {}: expected a name that ends in .npz",
+        args.out.display()
+    );
+    ensure!(
+        args.force || !args.out.exists(),
+        "{} exists; give --force to overwrite it, or another name",
+        args.out.display()
+    );
+    let preparation = args.preparation.preparation()?;
+    let classes = args.sources.classes()?;
+    let estimators = methods::estimators(&args.method, &args.parameters)?;
+    let records = methods::records(&args.method, &args.parameters)?;
+    let of_run = estimators.iter().zip(records.clone());
+    let of_run: Vec<RunMethod> =
+        of_run.map(|(estimator, record)| RunMethod { estimator: estimator.as_ref(), record }).collect();
+    let datasets = args.sources.open(args.data)?;
+
+    let progress = RunProgress::default();
+    let apex = args.preparation.apex;
+    let cache = args.cache.as_deref();
+    let set = compute_features(datasets, &of_run, apex, &preparation, cache, &|event| progress.show(event))?;
+    progress.finish();
+    let recipe =
+        FeatureRecipe { classes: classes.names(), methods: &records, preparation: &preparation, apex };
+    write_features(&args.out, &set, &recipe)?;
+    let count = set.samples.iter().map(|(_, samples)| samples.len()).sum();
+    let report = Report {
+        output: args.out,
+        shape: [count, 3, FEATURE_SIDE, FEATURE_SIDE],
+        classes: classes.names().to_vec(),
+        methods: records,
+        data: set.data,
+    };
+    if context.json {
+        return say!("{}", serde_json::to_string_pretty(&report).context("printing the result")?);
+    }
+    say!(
+        "{}: X {:?}, {} classes: {}",
+        report.output.display(),
+        report.shape,
+        classes.names().len(),
+        classes.names().join(", ")
+    )?;
+    for data in &report.data {
+        say!(
+            "  {}: {} clips of {} subjects, {} rows left out",
+            data.dataset,
+            data.clips,
+            data.subjects,
+            data.dropped
+        )?;
+    }
+    Ok(())
+}

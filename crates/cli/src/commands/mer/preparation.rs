@@ -1,0 +1,32 @@
+//! The arguments that say how frames become features.
+
+use clap::Args;
+use srflow_mer::{ApexRule, Preparation, ResizeOrder, StrainFormula};
+
+use super::face::FaceArgs;
+
+/// From frames to features.
+#[derive(Args, Debug, Clone)]
+pub struct PreparationArgs {
+    /// Spot the apex of clips that have none: ratio or strain
+    #[arg(long, value_name = "RULE")]
+    pub apex: Option<ApexRule>,
+    /// Formula of the optical strain: literature or off-tanet
+    #[arg(long, value_name = "FORMULA", default_value_t = StrainFormula::Literature)]
+    strain: StrainFormula,
+    /// Resize the frames to 112x112 before the flow is estimated, or the flow after
+    #[arg(long, value_name = "ORDER", default_value_t = ResizeOrder::Before)]
+    resize: ResizeOrder,
+    #[command(flatten)]
+    face: FaceArgs,
+}
+
+impl PreparationArgs {
+    /// What the arguments say of everything but the apex.
+    ///
+    /// # Errors
+    /// When the landmarks cannot be read.
+    pub fn preparation(&self) -> anyhow::Result<Preparation> {
+        Ok(Preparation { face: self.face.crop()?, resize: self.resize, strain: self.strain })
+    }
+}

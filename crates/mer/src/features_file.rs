@@ -1,0 +1,95 @@
+//! Features for other programs: one NumPy archive.
+
+use std::path::Path;
+
+use serde::Serialize;
+use srflow_eval::MethodRecord;
+use srflow_field::{FileError, NpzArray, write_npz};
+
+use crate::apex::ApexRule;
+use crate::extract::Preparation;
+use crate::features::{FEATURE_SIDE, Sample};
+use crate::run::{DataRecord, FeatureSet};
+
+/// How features were made, for [`write_features`].
+#[derive(Debug, Clone)]
+pub struct FeatureRecipe<'a> {
+    /// Names of the classes, by their numbers.
+    pub classes: &'a [String],
+    /// The flow methods.
+    pub methods: &'a [MethodRecord],
+    /// From frames to features.
+    pub preparation: &'a Preparation,
+    /// How the apex was spotted of clips that have none.
+    pub apex: Option<ApexRule>,
+}
+
+/// The array `parameters`, as JSON.
+#[derive(Serialize)]
+struct Parameters<'a> {
+    srflow: &'static str,
+    /// What lies along the second axis of `X`.
+    channels: [&'static str; 3],
+    data: &'a [DataRecord],
+    methods: &'a [MethodRecord],
+    preparation: String,
+    face: String,
+    resize: &'static str,
+    strain: &'static str,
+    apex: Option<&'static str>,
+}
+
+/// Writes features as an archive that NumPy reads with one `numpy.load`:
+///
+/// | array | type | shape | holds |
+/// |---|---|---|---|
+/// | `X` | `float32` | (N, 3, 112, 112) | u, v, strain of each clip by each method |
+/// | `y` | `int64` | (N,) | number of its class |
+/// | `subject`, `clip`, `dataset`, `method` | text | (N,) | what it is of |
+/// | `names` | text | (classes,) | the classes' names, by their numbers |
+/// | `parameters` | text | () | how it was made, as JSON |
+///
+/// Clips come in the datasets' order, all of one method before those of the next.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_features(path: &Path, set: &FeatureSet, recipe: &FeatureRecipe) -> Result<(), FileError> {
+    let samples: Vec<(&str, &Sample)> = set
+        .samples
+        .iter()
+        .flat_map(|(method, samples)| samples.iter().map(move |sample| (method.as_str(), sample)))
+        .collect();
+    let count = [samples.len()];
+    let values: Vec<f32> = samples.iter().flat_map(|(_, s)| s.features.values()).copied().collect();
+    let classes: Vec<i64> = samples.iter().map(|(_, sample)| sample.class as i64).collect();
+    let text = |of: fn(&Sample) -> &str| samples.iter().map(|(_, sample)| of(sample)).collect::<Vec<_>>();
+    let [subjects, clips, datasets] = [text(|s| &s.subject), text(|s| &s.clip), text(|s| &s.dataset)];
+    let methods: Vec<&str> = samples.iter().map(|(method, _)| *method).collect();
+    let names: Vec<&str> = recipe.classes.iter().map(String::as_str).collect();
+    let Preparation { face, resize, strain } = recipe.preparation;
+    let parameters = Parameters {
+        srflow: env!("CARGO_PKG_VERSION"),
+        channels: ["u", "v", "strain"],
+        data: &set.data,
+        methods: recipe.methods,
+        preparation: recipe.preparation.to_string(),
+        face: face.to_string(),
+        resize: resize.name(),
+        strain: strain.name(),
+        apex: recipe.apex.map(ApexRule::name),
+    };
+    let parameters = serde_json::to_string(&parameters).expect("numbers and text");
+    write_npz(
+        path,
+        &[
+            ("X", NpzArray::Float(&[samples.len(), 3, FEATURE_SIDE, FEATURE_SIDE], &values)),
+            ("y", NpzArray::Integer(&count, &classes)),
+            ("subject", NpzArray::Text(&count, &subjects)),
+            ("clip", NpzArray::Text(&count, &clips)),
+            ("dataset", NpzArray::Text(&count, &datasets)),
+            ("method", NpzArray::Text(&count, &methods)),
+            ("names", NpzArray::Text(&[names.len()], &names)),
+            ("parameters", NpzArray::Text(&[], &[&parameters])),
+        ],
+    )
+}

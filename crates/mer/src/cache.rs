@@ -145,6 +145,6 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let cache = FeatureCache::open(folder.path()).unwrap();
         let gone = folder.path().join("gone.png");
-        assert!(cache.key(&gone, &gone, "r").unwrap_err().to_string().contains("gone.png: reading"));
+        assert!(cache.key(&gone, &gone, "r").unwrap_err().to_string().contains("gone.png: opening"));
     }
 }

@@ -202,7 +202,7 @@ impl Landmarks {
         &self.path
     }
 
-    /// The face in a clip's onset frame; where frames are not told apart, the clip's.
+    /// The face in a clip's onset frame; where the file has no frames, the clip's.
     ///
     /// # Errors
     /// When the file has no row of the clip.
@@ -444,8 +444,8 @@ mod tests {
     }
 
     #[test]
-    fn wrong_landmarks_are_told() {
-        for (text, told) in [
+    fn wrong_landmarks_are_refused() {
+        for (text, expected) in [
             ("subject,clip,x_0,y_0\n", "x_1"),
             ("subject,left_eye_x\n", "no clip"),
             (
@@ -459,7 +459,7 @@ mod tests {
             ),
         ] {
             let error = landmarks(text).unwrap_err().to_string();
-            assert!(error.contains(told), "{error}");
+            assert!(error.contains(expected), "{error}");
         }
     }
 }

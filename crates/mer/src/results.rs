@@ -345,7 +345,7 @@ mod tests {
             lines[2].starts_with("made-up,a,last,20,") && lines[1].starts_with("made-up,a,best,,"),
             "{scores}"
         );
-        assert!(lines[5].starts_with("made-up,always negative,last,,"), "{scores}");
+        assert!(lines[5].starts_with("made-up,always positive,last,,"), "{scores}");
         assert_eq!(confusions_csv(&both).lines().nth(2), Some("made-up,a,20,positive,0,2,0"));
         assert_eq!(folds_csv(&both).lines().nth(2), Some("made-up,a,made-up,2,2,20,1.0,1.0,1.0,1.0,1.0,0.5"));
         let mut alone = a.clone();

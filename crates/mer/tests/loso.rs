@@ -15,7 +15,7 @@ const NEGATIVE: usize = 0;
 const POSITIVE: usize = 1;
 const SURPRISE: usize = 2;
 
-/// Motion that tells the class: down on the left, up on the right, up everywhere; and noise.
+/// Motion by class: down on the left, up on the right, up everywhere; and noise.
 fn sample(dataset: &str, subject: u32, clip: u32, class: usize) -> Sample {
     let mut noise = Key::new(9).scene(subject).frame(clip).stream(dataset);
     let mut map = |motion: &dyn Fn(usize) -> f32| {
@@ -95,7 +95,7 @@ fn folds(events: &[LosoEvent], of_an_earlier_run: bool) -> usize {
 }
 
 #[test]
-fn a_classifier_learns_what_tells_the_classes() {
+fn a_classifier_learns_to_separate_the_classes() {
     let protocol = Protocol { learning_rate: 5e-3, ..protocol(16) };
     let (loso, _) = run::<StstNet>(&samples(4), &protocol, None, 2);
     assert_eq!(loso.folds.len(), 9);

@@ -157,7 +157,7 @@ fn classes_of_action_units_are_those_of_the_coding() {
 }
 
 #[test]
-fn clips_of_no_class_are_told_with_their_labels() {
+fn a_dataset_without_a_clip_of_any_class_is_refused() {
     let Some(dir) = annotations() else { return };
     let classes = Classes::open("objective-5").unwrap();
     let at =
@@ -208,7 +208,7 @@ fn every_clip_agrees_with_the_published_list() {
 }
 
 #[test]
-fn mixed_up_spreadsheets_are_told_apart() {
+fn mixed_up_spreadsheets_are_recognized() {
     let Some(dir) = annotations() else { return };
     let file = |name: &str| Some(dir.join(name));
     let samm = file("SAMM_Micro_FACS_Codes_v2.xlsx");
@@ -229,7 +229,7 @@ fn mixed_up_spreadsheets_are_told_apart() {
 }
 
 #[test]
-fn a_wrong_root_is_told_what_was_looked_for() {
+fn a_wrong_root_is_refused_with_what_was_looked_for() {
     let empty = tempfile::tempdir().unwrap();
     for kind in ["samm", "casme2", "smic"] {
         let error =
@@ -396,7 +396,7 @@ fn rows_that_cannot_be_are_named() {
         Labels::read(&source(&format!("clips:{}", folder.path().display()))).unwrap_err().to_string()
     };
     let header = "clip,subject,onset,apex,offset,class\n";
-    for (row, told) in [
+    for (row, expected) in [
         ("a,s,5,5,9,positive\n", "row 3: expected onset < apex <= offset, found onset 5, apex 5"),
         ("a,s,5,7,6,positive\n", "row 3"),
         ("a,s,x,7,9,positive\n", "onset: expected a frame number, found `x`"),
@@ -406,7 +406,7 @@ fn rows_that_cannot_be_are_named() {
         ("a,s,1,7,99999999999999999999999,0\n", "offset: expected a frame number"),
     ] {
         let error = error_of(&format!("{header}good,s,1,2,3,negative\n{row}"));
-        assert!(error.contains(told) && error.contains("clips.csv"), "{error}");
+        assert!(error.contains(expected) && error.contains("clips.csv"), "{error}");
     }
     let error = error_of("clip,subject,onset,apex,class\n");
     assert!(error.contains("offset") && error.contains("its first row holds clip, subject"), "{error}");
@@ -433,13 +433,13 @@ fn missing_frames_are_named_and_counted() {
     let source = source(&format!("clips:{}", folder.path().display()));
 
     let error = ClipDataset::open(&source, false).unwrap_err().to_string();
-    for told in [
+    for expected in [
         "7 frames of 3 clips",
         "1/a: 3 frames: 12-13, 17",
         "1/b: 1 frame: 15",
         "2/gone: 3 frames: 1-3 (there is no",
     ] {
-        assert!(error.contains(told), "{error}");
+        assert!(error.contains(expected), "{error}");
     }
     assert!(error.contains("--allow-missing"), "{error}");
 

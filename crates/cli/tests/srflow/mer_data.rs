@@ -74,14 +74,14 @@ fn the_published_annotations_are_listed_with_what_is_dropped() {
     assert_eq!((&report["composite"]["total"], &report["subjects"]), (&435.into(), &68.into()));
     assert!(report["datasets"].as_array().unwrap().iter().all(|dataset| dataset["as_published"] == true));
     let text = succeeds(&srflow(folder.path(), &[&["data", "--labels-only"], &sources[..]].concat()));
-    for told in [
+    for expected in [
         "composite: 435 clips: 245 negative, 109 positive, 81 surprise, 68 subjects",
         "92 negative, 26 positive, 15 surprise, 28 subjects, as published",
         "negative     65 negative, 1 surprise\n",
         "disgust      61 negative, 2 dropped\n",
         "1: the apex is not a frame number\n    04/EP12_01f (disgust)",
     ] {
-        assert!(text.contains(told), "{text}");
+        assert!(text.contains(expected), "{text}");
     }
     let error = fails(&srflow(folder.path(), &["data", sources[0]]), 1);
     assert!(error.contains("looked for") && error.contains("006/006_1_2"), "{error}");
@@ -108,12 +108,12 @@ fn missing_frames_stop_unless_allowed() {
 }
 
 #[test]
-fn wrong_usage_is_told() {
+fn wrong_usage_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let error = fails(&srflow(folder.path(), &["data", "casme3:x"]), 2);
     assert!(error.contains("casme2[-raw|-cropped]"), "{error}");
     let error = fails(&srflow(folder.path(), &["data", "samm:nowhere"]), 1);
-    assert!(error.contains("nowhere: ") && error.matches("os error").count() <= 1, "told once: {error}");
+    assert!(error.contains("nowhere: ") && error.matches("os error").count() <= 1, "named once: {error}");
     let error = fails(&srflow(folder.path(), &["data", "clips:x", "--annotations", "samm:y"]), 1);
     assert!(error.contains("no dataset of the kind `samm`"), "{error}");
     let error = fails(&srflow(folder.path(), &["synth", "--out", "x", "--side", "3"]), 2);

@@ -142,7 +142,7 @@ fn classes_of_ones_own_go_through_to_the_tables() {
     assert_eq!(results["outcomes"][0]["last"]["confusion"].as_array().unwrap().len(), 2);
     assert_recomputed(&out);
 
-    let unknown = run(&clips, &out, &["--classes", "casme-5"]);
+    let unknown = run(&clips, &folder.path().join("other"), &["--classes", "casme-5"]);
     assert!(text(&unknown.stderr).contains("casme-5: expected 3, casme2-5"), "{}", text(&unknown.stderr));
 }
 
@@ -250,7 +250,7 @@ fn a_killed_run_goes_on_to_the_same_bytes() {
 }
 
 #[test]
-fn what_cannot_be_learned_is_told() {
+fn what_cannot_be_learned_is_named() {
     let folder = tempfile::tempdir().unwrap();
     let clips = folder.path().join("faces");
     std::fs::create_dir(&clips).unwrap();

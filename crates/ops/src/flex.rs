@@ -1,39 +1,76 @@
-//! Slices of the CPU backend's tensors.
+//! Tensors of the CPU backend as slices.
 
-use burn::backend::Flex;
-use burn::backend::tensor::FloatTensor;
-use burn::backend::{TensorMetadata, flex::FlexTensor};
-use burn::tensor::{Shape, TensorData};
+use std::sync::OnceLock;
 
-/// A tensor whose elements lie in order, copied only where they did not.
-pub(crate) struct Contiguous(FlexTensor);
+use burn::backend::flex::FlexTensor;
+use burn::backend::{Flex, TensorMetadata};
+use burn::tensor::{Shape, Tensor, TensorData};
 
-impl Contiguous {
+/// A tensor of `f32` on the CPU, for kernels on slices.
+#[derive(Debug, Clone)]
+pub(crate) struct CpuTensor {
+    tensor: FlexTensor,
+    /// The same with its elements in order; copied only where they are not, and not before they are asked for.
+    in_order: OnceLock<FlexTensor>,
+}
+
+impl CpuTensor {
+    pub(crate) fn new(values: Vec<f32>, shape: impl Into<Shape>) -> Self {
+        FlexTensor::from_data(TensorData::new(values, shape)).into()
+    }
+
+    /// A tensor of this one's shape.
+    pub(crate) fn like(&self, values: Vec<f32>) -> Self {
+        Self::new(values, self.tensor.shape())
+    }
+
+    /// None for a tensor of another device or of a graph.
+    pub(crate) fn of<const D: usize>(tensor: &Tensor<D>) -> Option<Self> {
+        tensor.clone().try_into_primitive::<Flex>().ok().map(Self::from)
+    }
+
+    pub(crate) fn into_tensor<const D: usize>(self) -> Tensor<D> {
+        Tensor::from_primitive::<Flex>(self.tensor)
+    }
+
+    pub(crate) fn tensor(&self) -> &FlexTensor {
+        &self.tensor
+    }
+
     /// Panics when the tensor does not hold `f32`: the kernels know no other type.
-    pub(crate) fn new(tensor: &FloatTensor<Flex>) -> Self {
-        Self(tensor.to_contiguous())
-    }
-
     pub(crate) fn slice(&self) -> &[f32] {
-        let start = self.0.layout().start_offset();
-        &self.0.storage::<f32>()[start..start + self.0.layout().num_elements()]
+        let tensor = self.in_order.get_or_init(|| self.tensor.to_contiguous());
+        let start = tensor.layout().start_offset();
+        &tensor.storage::<f32>()[start..start + tensor.layout().num_elements()]
+    }
+
+    /// With its elements changed, in place where nobody else has them.
+    pub(crate) fn change(self, change: impl FnOnce(&mut [f32])) -> Self {
+        let mut tensor = self.tensor.to_contiguous();
+        drop(self);
+        let (start, count) = (tensor.layout().start_offset(), tensor.layout().num_elements());
+        change(&mut tensor.storage_mut::<f32>()[start..start + count]);
+        tensor.into()
+    }
+
+    pub(crate) fn shape(&self) -> Shape {
+        self.tensor.shape()
+    }
+
+    /// Sizes of a tensor that is known to be of rank `D`.
+    pub(crate) fn dims<const D: usize>(&self) -> [usize; D] {
+        self.tensor.shape().dims()
     }
 }
 
-/// The tensor with its elements changed, in place where nobody else has them.
-pub(crate) fn with_elements(tensor: FloatTensor<Flex>, change: impl FnOnce(&mut [f32])) -> FloatTensor<Flex> {
-    let mut tensor = tensor.to_contiguous();
-    let (start, count) = (tensor.layout().start_offset(), tensor.layout().num_elements());
-    change(&mut tensor.storage_mut::<f32>()[start..start + count]);
-    tensor
+impl From<FlexTensor> for CpuTensor {
+    fn from(tensor: FlexTensor) -> Self {
+        Self { tensor, in_order: OnceLock::new() }
+    }
 }
 
-/// A tensor of `values`.
-pub(crate) fn tensor(values: Vec<f32>, shape: impl Into<Shape>) -> FloatTensor<Flex> {
-    FlexTensor::from_data(TensorData::new(values, shape))
-}
-
-/// Sizes of a tensor that the caller has checked to be of rank `D`.
-pub(crate) fn sizes<const D: usize>(tensor: &impl TensorMetadata) -> [usize; D] {
-    tensor.shape().dims()
+impl From<CpuTensor> for FlexTensor {
+    fn from(tensor: CpuTensor) -> Self {
+        tensor.tensor
+    }
 }

@@ -1,21 +1,21 @@
 //! Tensor operations that Burn lacks or does slowly.
 //!
 //! Each is a module of its own: a readable twin that defines it (`reference`), the fast CPU version and its backward on
-//! plain slices, and the operation on Burn's tensors with gradients (`tensor`).
+//! plain slices, and the operation on Burn's tensors with gradients (`tensor`), which `operation.rs` runs on every device.
 
 // Kernels walk several arrays in step by one index, as their equations do.
 #![allow(clippy::needless_range_loop)]
 
+mod convolution;
 #[cfg(feature = "cube")]
 mod cube;
 mod device;
 mod flex;
-mod gradients;
+mod operation;
 mod reusing_allocator;
 mod sums;
 #[cfg(test)]
 mod test_values;
-mod tracked;
 mod weight_cache;
 
 pub use activation::Activation;

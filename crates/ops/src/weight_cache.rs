@@ -8,7 +8,7 @@ use burn::backend::TensorMetadata;
 use burn::backend::flex::FlexTensor;
 use srflow_simd::Isa;
 
-use crate::flex::Contiguous;
+use crate::flex::CpuTensor;
 
 /// Keeps what was last made of a weight, for as long as the weight stays the same tensor.
 ///
@@ -72,7 +72,7 @@ impl WeightCache {
         {
             return kept.made.clone();
         }
-        let made = Arc::new(make(Contiguous::new(weight).slice()));
+        let made = Arc::new(make(CpuTensor::from(weight.clone()).slice()));
         *kept = weight.is_contiguous().then(|| Kept {
             source: Arc::downgrade(&memory),
             start,

@@ -1,118 +1,113 @@
 //! The activation of a sum on tensors, with gradients.
 
-use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
-use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
+use burn::backend::Backend;
 use burn::backend::tensor::FloatTensor;
-use burn::backend::{Autodiff, Backend, Dispatch, Flex, TensorMetadata, backend_extension};
 use burn::tensor::Tensor;
 
-use super::{activate_tensor, activated};
-use crate::Activation;
-use crate::flex::{Contiguous, tensor};
-use crate::tracked::{EpilogueGradOps, kept_and_output};
+use super::{Activation, activate_tensor, activate_tensor_backward, activated, activation_backward};
+use crate::flex::CpuTensor;
+use crate::operation::{Backprop, Operation, apply};
 
-/// The activation of a sum. The default is made of Burn's operations.
-#[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
-pub trait ActivatedSumOps: Backend {
-    /// See [`activated_sum`].
-    fn activated_sum(
-        a: FloatTensor<Self>,
-        b: FloatTensor<Self>,
-        activation: Activation,
-    ) -> FloatTensor<Self> {
-        activate_tensor::<Self>(Self::float_add(a, b), activation)
+#[derive(Debug, Clone)]
+struct ActivatedSum(Activation);
+
+impl Operation<2> for ActivatedSum {
+    fn activation(&mut self) -> Option<&mut Activation> {
+        Some(&mut self.0)
+    }
+
+    fn saved_inputs<T>(_: &[T; 2]) -> &[T] {
+        &[]
+    }
+
+    fn cpu(&self, [a, b]: [CpuTensor; 2]) -> Vec<CpuTensor> {
+        vec![a.like(activated(self.0, a.slice(), Some(b.slice())))]
+    }
+
+    fn cpu_backward(&self, back: Backprop<CpuTensor, 2>) -> [Option<CpuTensor>; 2] {
+        let ([], grad) = back.into_parts();
+        [Some(grad.clone()), Some(grad)]
+    }
+
+    fn composed<B: Backend>(&self, [a, b]: [FloatTensor<B>; 2]) -> Vec<FloatTensor<B>> {
+        vec![activate_tensor::<B>(B::float_add(a, b), self.0)]
+    }
+
+    fn composed_backward<B: Backend>(
+        &self,
+        back: Backprop<FloatTensor<B>, 2>,
+    ) -> [Option<FloatTensor<B>>; 2] {
+        let ([], grad) = back.into_parts();
+        [Some(grad.clone()), Some(grad)]
     }
 }
 
-#[cfg(feature = "cube")]
-impl ActivatedSumOps for burn_cubecl::CubeBackend {}
+/// The activation alone. Its backward is given what [`Activation::keeps`] says in place of the saved.
+#[derive(Debug, Clone)]
+pub(crate) struct Activate(pub(crate) Activation);
 
-impl ActivatedSumOps for Flex {
-    fn activated_sum(
-        a: FloatTensor<Self>,
-        b: FloatTensor<Self>,
-        activation: Activation,
-    ) -> FloatTensor<Self> {
-        let shape = a.shape();
-        let (a, b) = (Contiguous::new(&a), Contiguous::new(&b));
-        tensor(activated(activation, a.slice(), Some(b.slice())), shape)
+impl Operation<1> for Activate {
+    fn cpu(&self, [x]: [CpuTensor; 1]) -> Vec<CpuTensor> {
+        vec![x.like(activated(self.0, x.slice(), None))]
     }
-}
 
-#[derive(Debug)]
-struct ActivatedSumBackward(Activation);
-
-impl<B: EpilogueGradOps> Backward<B, 2> for ActivatedSumBackward {
-    /// What the derivative of the activation needs.
-    type State = Option<FloatTensor<B>>;
-
-    fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let mut grad = grads.consume::<B>(&ops.node);
-        if let Some(kept) = ops.state {
-            grad = B::sums_grad(grad, kept, self.0);
-        }
-        for node in ops.parents.into_iter().flatten() {
-            grads.register::<B>(node.id, grad.clone());
-        }
+    fn cpu_backward(&self, back: Backprop<CpuTensor, 1>) -> [Option<CpuTensor>; 1] {
+        let ([kept], grad) = back.into_parts();
+        [Some(grad.change(|grad| activation_backward(self.0, kept.slice(), grad)))]
     }
-}
 
-impl<B: ActivatedSumOps + EpilogueGradOps, C: CheckpointStrategy> ActivatedSumOps for Autodiff<B, C> {
-    fn activated_sum(
-        a: FloatTensor<Self>,
-        b: FloatTensor<Self>,
-        activation: Activation,
-    ) -> FloatTensor<Self> {
-        let ((a, a_node), (b, b_node)) = (a.into_parts(), b.into_parts());
-        let run = |applied| B::activated_sum(a, b, applied);
-        match ActivatedSumBackward(activation).prepare::<C>([a_node, b_node]).compute_bound().stateful() {
-            OpsKind::UnTracked(prep) => prep.finish(run(activation)),
-            OpsKind::Tracked(prep) => {
-                let (kept, out) = kept_and_output::<B>(activation, run);
-                prep.finish(kept, out)
-            }
-        }
+    fn composed<B: Backend>(&self, [x]: [FloatTensor<B>; 1]) -> Vec<FloatTensor<B>> {
+        vec![activate_tensor::<B>(x, self.0)]
+    }
+
+    fn composed_backward<B: Backend>(
+        &self,
+        back: Backprop<FloatTensor<B>, 1>,
+    ) -> [Option<FloatTensor<B>>; 1] {
+        let ([kept], grad) = back.into_parts();
+        [Some(activate_tensor_backward::<B>(grad, kept, self.0))]
     }
 }
 
 /// `activation(a + b)`. Panics when the sizes differ.
 pub fn activated_sum(a: Tensor<4>, b: Tensor<4>, activation: Activation) -> Tensor<4> {
     assert_eq!(a.dims(), b.dims(), "summands of one size");
-    Tensor::from_dispatch(Dispatch::activated_sum(a.into_dispatch(), b.into_dispatch(), activation))
+    apply(ActivatedSum(activation), [a.into_dispatch(), b.into_dispatch()])
 }
 
 #[cfg(test)]
-mod tests {
-    use burn::tensor::{Device, TensorData};
+pub(crate) mod tests {
+    use burn::backend::Flex;
 
+    use super::super::Keeps;
     use super::*;
+    use crate::operation::tests::{ACTIVATIONS, Case};
+
+    pub(crate) fn cases() -> Vec<Case> {
+        let case = |activation: Activation| {
+            let shape: &[usize] = &[2, 5, 40, 100];
+            Case::of(&format!("{activation:?}"), ActivatedSum(activation), [shape, shape], move |x| {
+                let sums = x[0].iter().zip(&x[1]).map(|(a, b)| f64::from(a + b));
+                sums.map(|sum| activation.reference(sum) as f32).collect()
+            })
+            .change(0, |_, x| 4.0 * x)
+        };
+        ACTIVATIONS.map(case).into()
+    }
 
     #[test]
-    fn sums_and_gradients_are_those_of_the_definition() {
-        let device = Device::flex().autodiff();
-        let values = |seed: usize| -> Vec<f32> {
-            (0..40_000).map(|i| ((i * 7919 + seed * 104_729) % 8192) as f32 / 1024.0 - 4.0).collect()
-        };
-        let of =
-            |values: &[f32]| Tensor::from_data(TensorData::new(values.to_vec(), [2, 5, 40, 100]), &device);
-        let numbers = |x: Tensor<4>| -> Vec<f32> { x.into_data().try_to_vec().expect("f32") };
-        let [a, b, weight] = [1, 2, 3].map(values);
-        for activation in
-            [Activation::Identity, Activation::Relu, Activation::Gelu, Activation::Tanh, Activation::Sigmoid]
-        {
-            let (x, y) = (of(&a).require_grad(), of(&b).require_grad());
-            let out = activated_sum(x.clone(), y.clone(), activation);
-            let grads = (out.clone() * of(&weight)).sum().backward();
-            let d_x = numbers(Tensor::from_inner(x.grad(&grads).expect("a gradient")));
-            let d_y = numbers(Tensor::from_inner(y.grad(&grads).expect("a gradient")));
-            assert_eq!(d_x, d_y);
-            for (i, (out, d_x)) in numbers(out).into_iter().zip(d_x).enumerate() {
-                let sum = f64::from(a[i] + b[i]);
-                let expected = activation.reference(sum);
-                assert!((f64::from(out) - expected).abs() < 1e-5, "{activation:?}({sum}): {out}");
-                let expected = activation.reference_derivative(sum) * f64::from(weight[i]);
-                assert!((f64::from(d_x) - expected).abs() < 2e-5, "derivative of {activation:?} at {sum}");
+    fn the_derivative_by_other_operations_is_that_of_the_definition() {
+        let x: Vec<f32> = (-400..=400).map(|i| i as f32 * 0.01 + 0.001).collect();
+        for activation in ACTIVATIONS {
+            let kept = match activation.keeps() {
+                Keeps::Output => x.iter().map(|&x| activation.reference(f64::from(x)) as f32).collect(),
+                Keeps::Sum | Keeps::Nothing => x.clone(),
+            };
+            let [kept, grad] = [kept, vec![2.0; x.len()]].map(|values| CpuTensor::new(values, [x.len()]));
+            let found = activate_tensor_backward::<Flex>(grad.into(), kept.into(), activation);
+            for (&x, &found) in x.iter().zip(CpuTensor::from(found).slice()) {
+                let expected = 2.0 * activation.reference_derivative(f64::from(x));
+                assert!((f64::from(found) - expected).abs() < 5e-6, "{activation:?} ({x}): {found}");
             }
         }
     }

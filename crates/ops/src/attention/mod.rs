@@ -11,6 +11,7 @@ use backward::Gathered;
 use weights::AttentionWeights;
 
 mod backward;
+mod composed;
 mod panels;
 pub mod reference;
 mod softmax;
@@ -65,4 +66,4 @@ pub fn attention_backward(
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -1,6 +1,8 @@
+use burn::tensor::Tensor;
 use srflow_simd::panel_columns;
 
 use super::*;
+use crate::operation::{array, tests::Case};
 use crate::test_values::{assert_close, values};
 
 const CHANNELS: usize = 9;
@@ -193,4 +195,39 @@ fn scores_of_minus_infinity_have_no_weight() {
         assert!(gather(&keys).iter().all(|&x| (x - values[299]).abs() < 1e-6), "{isa:?}");
         keys[299] = f32::NEG_INFINITY;
     }
+}
+
+/// Values gathered twice, at last by so many pixels that a matrix of all pairs is cut into pieces.
+pub(crate) fn cases() -> Vec<Case> {
+    let case = |[batch, channels, height, width]: [usize; 4], kept_bytes, scale: f32| {
+        let gather = move |attention: tensor::Attention, values: Tensor<4>| {
+            attention.gather(values.clone()) + attention.gather(values * 0.5)
+        };
+        let with = move |new: fn(Tensor<4>, Tensor<4>, usize) -> tensor::Attention| {
+            move |inputs: Vec<_>| {
+                let [queries, keys, values] = array(inputs.into_iter().map(Tensor::from_dispatch).collect());
+                gather(new(queries, keys, kept_bytes), values)
+            }
+        };
+        let (pixels, map) = (height * width, [batch, channels, height, width]);
+        Case::new(
+            &format!("attention of {pixels} pixels, {kept_bytes} bytes kept"),
+            &[&map, &map, &[batch, 2, height, width]],
+            with(tensor::Attention::new),
+            move |x| {
+                let image = |x: &Vec<f32>, n: usize| x[n * x.len() / batch..][..x.len() / batch].to_vec();
+                let gathered = (0..batch).flat_map(|n| {
+                    reference::attention(&image(&x[0], n), &image(&x[1], n), &image(&x[2], n), pixels)
+                });
+                gathered.map(|x| 1.5 * x).collect()
+            },
+        )
+        .or(with(tensor::Attention::in_pieces))
+        .change(0, move |_, query| scale * query)
+    };
+    vec![
+        case([2, 3, 4, 5], 0, 3.0),
+        case([2, 3, 4, 5], usize::MAX, 3.0),
+        case([1, 3, 64, 65], 0, 9.0).slopes(0),
+    ]
 }

@@ -8,11 +8,9 @@ use super::EPSILON;
 
 /// The normalized input, and each channel's mean and variance; see [`super::batch_norm`].
 pub(super) fn normalized<B: Backend>(
-    input: FloatTensor<B>,
-    weight: FloatTensor<B>,
-    bias: FloatTensor<B>,
+    [input, weight, bias]: [FloatTensor<B>; 3],
     relu: bool,
-) -> (FloatTensor<B>, FloatTensor<B>, FloatTensor<B>) {
+) -> [FloatTensor<B>; 3] {
     let shape = input.shape();
     let channels = weight.shape();
     let rows = rows::<B>(input);
@@ -22,7 +20,7 @@ pub(super) fn normalized<B: Backend>(
     let (normal, _) = standardized::<B>(rows, mean.clone(), variance.clone());
     let out = affine::<B>(normal, weight, bias);
     let out = if relu { B::relu(out) } else { out };
-    (images::<B>(out, &shape), B::float_reshape(mean, channels.clone()), B::float_reshape(variance, channels))
+    [images::<B>(out, &shape), B::float_reshape(mean, channels.clone()), B::float_reshape(variance, channels)]
 }
 
 /// Gradients of input, weight and bias; see [`super::batch_norm_backward`].

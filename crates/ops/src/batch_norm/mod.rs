@@ -176,4 +176,4 @@ fn mean_and_variance<'a>(planes: impl Iterator<Item = &'a [f32]>) -> (f32, f32) 
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

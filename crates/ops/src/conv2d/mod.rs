@@ -103,4 +103,4 @@ impl Epilogue<'_> {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -4,6 +4,9 @@ use super::backward::backward_input_with;
 use super::forward::conv2d_with;
 use super::weight_gradient::backward_weight_with;
 use super::*;
+use crate::convolution::Convolved;
+use crate::operation::tests::{ACTIVATIONS, Case};
+use crate::operation::{apply, array};
 use crate::test_values::{assert_close, values};
 
 fn shape(
@@ -153,4 +156,69 @@ fn convolutions_that_share_a_cache_do_not_disturb_each_other() {
         let shared = run(tensor::Conv2dOptions { stride, padding, ..first.clone() });
         assert!(shared == run(tensor::Conv2dOptions::new(stride, padding)), "{stride:?} {padding:?}");
     }
+}
+
+/// Each with a bias; with a residual where asked for.
+fn case(shape: Conv2dShape, activation: Activation, residual: bool) -> Case {
+    let Conv2dShape { batch, in_channels, out_channels, input, kernel, stride, padding } = shape;
+    let [height, width] = shape.output();
+    let shapes: [&[usize]; 4] = [
+        &[batch, in_channels, input[0], input[1]],
+        &[out_channels, in_channels, kernel[0], kernel[1]],
+        &[out_channels],
+        &[batch, out_channels, height, width],
+    ];
+    let (name, options) = (format!("{shape:?}, {activation:?}"), tensor::Conv2dOptions::new(stride, padding));
+    let operation = Convolved { convolution: options, activation };
+    let definition = move |x: &[Vec<f32>]| {
+        let residual = x.get(3).map(Vec::as_slice);
+        reference::conv2d(&x[0], &x[1], &Epilogue { bias: Some(&x[2]), residual, activation }, &shape)
+    };
+    let case = match residual {
+        true => Case::of(&name, operation, shapes, definition),
+        false => Case::of(&name, operation, [shapes[0], shapes[1], shapes[2]], definition),
+    };
+    let fan_in = (in_channels * kernel[0] * kernel[1]) as f32;
+    case.change(1, move |_, weight| weight * (3.0 / fan_in).sqrt())
+}
+
+pub(crate) fn cases() -> Vec<Case> {
+    let small = shape([3, 5], [7, 9], [3, 3], 1, [1, 1]);
+    let mut cases: Vec<Case> =
+        ACTIVATIONS.into_iter().map(|activation| case(small, activation, false)).collect();
+    cases.push(case(
+        Conv2dShape { stride: [1, 2], ..shape([3, 5], [7, 9], [3, 5], 1, [0, 2]) },
+        Activation::Sigmoid,
+        false,
+    ));
+    cases.push(case(shape([3, 5], [7, 9], [1, 1], 1, [0, 0]), Activation::Gelu, true));
+    cases.push(case(shape([19, 24], [11, 14], [3, 3], 2, [1, 1]), Activation::Gelu, true).slopes(10));
+    // Enough channels for Winograd's way.
+    for kernel in [[3, 3], [1, 5], [5, 1]] {
+        let shape = shape([16, 17], [6, 7], kernel, 1, kernel.map(|size| size / 2));
+        cases.push(case(shape, Activation::Tanh, true).slopes(10));
+    }
+    cases.push(residual_that_is_the_input());
+    cases
+}
+
+fn residual_that_is_the_input() -> Case {
+    let shape = shape([4, 4], [6, 7], [3, 3], 1, [1, 1]);
+    let activation = Activation::Gelu;
+    let convolution = tensor::Conv2dOptions::new(shape.stride, shape.padding);
+    let operation = Convolved { convolution, activation };
+    let shapes: [&[usize]; 3] = [&[2, 4, 6, 7], &[4, 4, 3, 3], &[4]];
+    Case::new(
+        "residual that is the input",
+        &shapes,
+        move |inputs| {
+            let [input, weight, bias] = array(inputs);
+            apply(operation.clone(), [input.clone(), weight, bias, input])
+        },
+        move |x| {
+            let epilogue = Epilogue { bias: Some(&x[2]), residual: Some(&x[0]), activation };
+            reference::conv2d(&x[0], &x[1], &epilogue, &shape)
+        },
+    )
+    .change(1, |_, weight| 0.3 * weight)
 }

@@ -6,11 +6,10 @@
 //! read one run of memory.
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::FloatTensor;
-use burn_cubecl::CubeBackend;
 use burn_cubecl::cubecl::{self, prelude::*};
+use burn_cubecl::tensor::CubeTensor;
 
-use super::tensor::{CorrelationGradOps, CorrelationOps};
+use super::tensor::Lookup;
 use crate::cube::{AtomicAdd, ByExchange, InOneStep, adds_in_one_step, contiguous, cubes, empty, zeros};
 
 /// Threads of a cube.
@@ -24,74 +23,59 @@ const GROUP: usize = 8;
 /// Numbers that a cube keeps in shared memory: 16 KiB, which every device has.
 const SHARED: usize = 4096;
 
-impl CorrelationOps for CubeBackend {
-    fn correlation_windows(
-        first: FloatTensor<Self>,
-        second: FloatTensor<Self>,
-        coords: FloatTensor<Self>,
-        levels: usize,
-        radius: usize,
-    ) -> FloatTensor<Self> {
-        let (first, second, coords) = (contiguous(first), contiguous(second), contiguous(coords));
-        let [batch, height, width, channels] = first.shape().dims();
-        let (side, reach) = (2 * radius + 1, 2 * radius + 2);
-        let out = empty(&first, [batch, levels * side * side, height, width]);
-        let group = (SHARED / (reach * reach * LANES)).clamp(1, GROUP);
-        let client = first.client.clone();
-        let (count, dim) = cubes(&client, (batch * height * width).div_ceil(group) * levels, UNITS);
-        lookup_kernel::launch(
-            &client,
-            count,
-            dim,
-            if channels.is_multiple_of(VECTOR) { VECTOR } else { 1 },
-            first.into_tensor_arg(),
-            second.into_tensor_arg(),
-            coords.into_tensor_arg(),
-            out.clone().into_tensor_arg(),
-            levels,
-            1.0 / (channels as f32).sqrt(),
-            radius,
-            group,
-        );
-        out
-    }
+pub(super) fn lookup(lookup: Lookup, inputs: [CubeTensor; 3]) -> CubeTensor {
+    let Lookup { levels, radius } = lookup;
+    let [first, second, coords] = inputs.map(contiguous);
+    let [batch, height, width, channels] = first.shape().dims();
+    let (side, reach) = (2 * radius + 1, 2 * radius + 2);
+    let out = empty(&first, [batch, levels * side * side, height, width]);
+    let group = (SHARED / (reach * reach * LANES)).clamp(1, GROUP);
+    let client = first.client.clone();
+    let (count, dim) = cubes(&client, (batch * height * width).div_ceil(group) * levels, UNITS);
+    lookup_kernel::launch(
+        &client,
+        count,
+        dim,
+        if channels.is_multiple_of(VECTOR) { VECTOR } else { 1 },
+        first.into_tensor_arg(),
+        second.into_tensor_arg(),
+        coords.into_tensor_arg(),
+        out.clone().into_tensor_arg(),
+        levels,
+        1.0 / (channels as f32).sqrt(),
+        radius,
+        group,
+    );
+    out
 }
 
-impl CorrelationGradOps for CubeBackend {
-    fn correlation_windows_grad(
-        first: FloatTensor<Self>,
-        second: FloatTensor<Self>,
-        coords: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        levels: usize,
-        radius: usize,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let (first, second) = (contiguous(first), contiguous(second));
-        let (coords, grad) = (contiguous(coords), contiguous(grad));
-        let [batch, height, width, channels] = first.shape().dims();
-        let (d_first, d_second) = (empty(&first, first.shape()), zeros(&second, second.shape()));
-        let client = first.client.clone();
-        let launch = match adds_in_one_step(&client) {
-            true => gradient_kernel::launch::<InOneStep>,
-            false => gradient_kernel::launch::<ByExchange>,
-        };
-        let (count, dim) = cubes(&client, batch * height * width, UNITS);
-        launch(
-            &client,
-            count,
-            dim,
-            first.into_tensor_arg(),
-            second.into_tensor_arg(),
-            coords.into_tensor_arg(),
-            grad.into_tensor_arg(),
-            d_first.clone().into_tensor_arg(),
-            d_second.clone().into_tensor_arg(),
-            1.0 / (channels as f32).sqrt(),
-            levels,
-            radius,
-        );
-        (d_first, d_second)
-    }
+/// Gradients of both maps.
+pub(super) fn lookup_backward(lookup: Lookup, inputs: [CubeTensor; 3], grad: CubeTensor) -> [CubeTensor; 2] {
+    let Lookup { levels, radius } = lookup;
+    let ([first, second, coords], grad) = (inputs.map(contiguous), contiguous(grad));
+    let [batch, height, width, channels] = first.shape().dims();
+    let (d_first, d_second) = (empty(&first, first.shape()), zeros(&second, second.shape()));
+    let client = first.client.clone();
+    let launch = match adds_in_one_step(&client) {
+        true => gradient_kernel::launch::<InOneStep>,
+        false => gradient_kernel::launch::<ByExchange>,
+    };
+    let (count, dim) = cubes(&client, batch * height * width, UNITS);
+    launch(
+        &client,
+        count,
+        dim,
+        first.into_tensor_arg(),
+        second.into_tensor_arg(),
+        coords.into_tensor_arg(),
+        grad.into_tensor_arg(),
+        d_first.clone().into_tensor_arg(),
+        d_second.clone().into_tensor_arg(),
+        1.0 / (channels as f32).sqrt(),
+        levels,
+        radius,
+    );
+    [d_first, d_second]
 }
 
 /// A level of the pyramid.

@@ -16,4 +16,4 @@ pub use lookup::{correlation_lookup, correlation_lookup_backward};
 pub use pyramid::FeaturePyramid;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

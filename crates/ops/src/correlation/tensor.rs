@@ -1,123 +1,58 @@
 //! The lookup on tensors: [`Correlation`], with gradients of both feature maps.
 
-use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
-use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::tensor::FloatTensor;
-use burn::backend::{Autodiff, Backend, Dispatch, Flex, TensorMetadata, backend_extension};
 use burn::tensor::Tensor;
 use burn::tensor::module::avg_pool2d;
 use burn::tensor::ops::AvgPoolOptions;
+#[cfg(feature = "cube")]
+use burn_cubecl::tensor::CubeTensor;
 
 use super::pyramid::level_sizes;
 use super::{FeaturePyramid, correlation_lookup, correlation_lookup_backward};
-use crate::flex::{Contiguous, sizes, tensor};
-use crate::gradients;
+use crate::flex::CpuTensor;
+use crate::operation::{Backprop, Operation, apply};
 
-/// The lookup. `first` is `[batch, height, width, channels]`; `second` its pyramid, packed as [`Correlation`] does;
-/// `coords` `[batch, 2, height, width]`.
-#[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
-pub trait CorrelationOps: Backend {
-    /// `[batch, levels * (2 radius + 1)^2, height, width]`.
-    fn correlation_windows(
-        first: FloatTensor<Self>,
-        second: FloatTensor<Self>,
-        coords: FloatTensor<Self>,
-        levels: usize,
-        radius: usize,
-    ) -> FloatTensor<Self>;
+/// Of the first map, `[batch, height, width, channels]`, the second's pyramid, packed as [`Correlation`] does, and
+/// positions, `[batch, 2, height, width]`, which have no gradient.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Lookup {
+    pub(super) levels: usize,
+    pub(super) radius: usize,
 }
 
-/// Gradients of the lookup.
-pub trait CorrelationGradOps: Backend {
-    /// Gradients of `first` and `second`.
-    fn correlation_windows_grad(
-        first: FloatTensor<Self>,
-        second: FloatTensor<Self>,
-        coords: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        levels: usize,
-        radius: usize,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>);
-}
-
-impl CorrelationOps for Flex {
-    fn correlation_windows(
-        first: FloatTensor<Self>,
-        second: FloatTensor<Self>,
-        coords: FloatTensor<Self>,
-        levels: usize,
-        radius: usize,
-    ) -> FloatTensor<Self> {
-        let shape @ [batch, height, width, _] = sizes(&first);
-        let (first, second, coords) =
-            (Contiguous::new(&first), Contiguous::new(&second), Contiguous::new(&coords));
+impl Operation<3> for Lookup {
+    fn cpu(&self, [first, second, coords]: [CpuTensor; 3]) -> Vec<CpuTensor> {
+        let Self { levels, radius } = *self;
+        let shape @ [batch, height, width, _] = first.dims();
         let pyramid = FeaturePyramid::of_packed(second.slice(), shape, levels);
         let out = correlation_lookup(first.slice(), &pyramid, coords.slice(), [height, width], radius);
-        tensor(out, [batch, levels * (2 * radius + 1) * (2 * radius + 1), height, width])
+        vec![CpuTensor::new(out, [batch, levels * (2 * radius + 1) * (2 * radius + 1), height, width])]
     }
-}
 
-impl CorrelationGradOps for Flex {
-    fn correlation_windows_grad(
-        first: FloatTensor<Self>,
-        second: FloatTensor<Self>,
-        coords: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        levels: usize,
-        radius: usize,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let shape @ [_, height, width, _] = sizes(&first);
-        let packed_shape = second.shape();
-        let (first, second, coords, grad) = (
-            Contiguous::new(&first),
-            Contiguous::new(&second),
-            Contiguous::new(&coords),
-            Contiguous::new(&grad),
-        );
-        let pyramid = FeaturePyramid::of_packed(second.slice(), shape, levels);
+    fn cpu_backward(&self, back: Backprop<CpuTensor, 3>) -> [Option<CpuTensor>; 3] {
+        let ([first, second, coords], grad) = back.into_parts();
+        let shape @ [_, height, width, _] = first.dims();
+        let pyramid = FeaturePyramid::of_packed(second.slice(), shape, self.levels);
         let (d_first, d_levels) = correlation_lookup_backward(
             first.slice(),
             &pyramid,
             coords.slice(),
             [height, width],
-            radius,
+            self.radius,
             grad.slice(),
         );
-        (tensor(d_first, shape), tensor(d_levels.concat(), packed_shape))
+        [Some(first.like(d_first)), Some(second.like(d_levels.concat())), None]
     }
-}
 
-/// The positions get no gradient: the networks detach them.
-#[derive(Debug)]
-struct WindowsBackward;
-
-impl<B: CorrelationGradOps> Backward<B, 2> for WindowsBackward {
-    type State = ([FloatTensor<B>; 3], usize, usize);
-
-    fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
-        gradients::register::<B, _, 2>(ops, grads, |([first, second, coords], levels, radius), grad| {
-            B::correlation_windows_grad(first, second, coords, grad, levels, radius).into()
-        });
+    #[cfg(feature = "cube")]
+    fn cube(&self, inputs: [CubeTensor; 3]) -> Vec<CubeTensor> {
+        vec![super::cube::lookup(*self, inputs)]
     }
-}
 
-impl<B: CorrelationOps + CorrelationGradOps, C: CheckpointStrategy> CorrelationOps for Autodiff<B, C> {
-    fn correlation_windows(
-        first: FloatTensor<Self>,
-        second: FloatTensor<Self>,
-        coords: FloatTensor<Self>,
-        levels: usize,
-        radius: usize,
-    ) -> FloatTensor<Self> {
-        let guards = [first.node(), second.node()];
-        let inputs = [first.into_primitive(), second.into_primitive(), coords.into_primitive()];
-        let [first, second, coords] = inputs.clone();
-        let out = B::correlation_windows(first, second, coords, levels, radius);
-        match WindowsBackward.prepare::<C>(guards).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish((inputs, levels, radius), out),
-            OpsKind::UnTracked(prep) => prep.finish(out),
-        }
+    #[cfg(feature = "cube")]
+    fn cube_backward(&self, back: Backprop<CubeTensor, 3>) -> [Option<CubeTensor>; 3] {
+        let (inputs, grad) = back.into_parts();
+        let [d_first, d_second] = super::cube::lookup_backward(*self, inputs, grad);
+        [Some(d_first), Some(d_second), None]
     }
 }
 
@@ -159,12 +94,12 @@ impl Correlation {
     pub fn windows(&self, coords: Tensor<4>, radius: usize) -> Tensor<4> {
         let [batch, height, width, _] = self.first.dims();
         assert_eq!(coords.dims(), [batch, 2, height, width], "correlation: a position for each pixel");
-        Tensor::from_dispatch(Dispatch::correlation_windows(
+        // The networks detach the positions as well.
+        let inputs = [
             self.first.clone().into_dispatch(),
             self.second.clone().into_dispatch(),
-            coords.into_dispatch(),
-            self.levels,
-            radius,
-        ))
+            coords.detach().into_dispatch(),
+        ];
+        apply(Lookup { levels: self.levels, radius }, inputs)
     }
 }

@@ -1,11 +1,14 @@
+use burn::tensor::Tensor;
 use srflow_simd::Isa;
 
 use super::lookup::lookup_with;
 use super::pyramid::{channels_first, channels_last};
 use super::*;
+use crate::operation::array;
+use crate::operation::tests::Case;
 use crate::test_values::values;
 
-struct Case {
+struct Sample {
     size: [usize; 4],
     levels: usize,
     radius: usize,
@@ -15,7 +18,7 @@ struct Case {
 }
 
 /// Features of odd sizes, with positions inside, across every border, far outside, and on whole pixels.
-fn case(size: [usize; 4], levels: usize, radius: usize) -> Case {
+fn sample(size: [usize; 4], levels: usize, radius: usize) -> Sample {
     let [batch, channels, height, width] = size;
     let count = batch * channels * height * width;
     let mut coords = values(batch * 2 * height * width, 3);
@@ -26,16 +29,16 @@ fn case(size: [usize; 4], levels: usize, radius: usize) -> Case {
             _ => (*x * 0.7 + 0.5) * width as f32,
         };
     }
-    Case { size, levels, radius, first: values(count, 1), second: values(count, 2), coords }
+    Sample { size, levels, radius, first: values(count, 1), second: values(count, 2), coords }
 }
 
-fn cases() -> [Case; 3] {
-    [case([2, 19, 11, 14], 4, 4), case([1, 32, 9, 9], 3, 3), case([1, 5, 3, 2], 4, 1)]
+fn samples() -> [Sample; 3] {
+    [sample([2, 19, 11, 14], 4, 4), sample([1, 32, 9, 9], 3, 3), sample([1, 5, 3, 2], 4, 1)]
 }
 
 #[test]
 fn the_lookup_is_that_of_the_all_pairs_volume() {
-    for case in cases() {
+    for case in samples() {
         let [_, _, height, width] = case.size;
         let expected = reference::correlation_lookup(
             &case.first,
@@ -66,7 +69,7 @@ fn the_lookup_is_that_of_the_all_pairs_volume() {
 /// definition.
 #[test]
 fn the_gradients_are_those_of_the_definition() {
-    let case = case([2, 3, 5, 6], 2, 2);
+    let case = sample([2, 3, 5, 6], 2, 2);
     let [_, _, height, width] = case.size;
     let pyramid = FeaturePyramid::new(&case.second, case.size, case.levels);
     let lookup = |first: &[f32], second: &[f32]| {
@@ -91,7 +94,7 @@ fn the_gradients_are_those_of_the_definition() {
 
 #[test]
 fn gradients_do_not_depend_on_threads() {
-    let case = case([1, 8, 20, 17], 3, 3);
+    let case = sample([1, 8, 20, 17], 3, 3);
     let pyramid = FeaturePyramid::new(&case.second, case.size, case.levels);
     let grad = values(3 * 49 * 20 * 17, 5);
     let run = |threads: usize| {
@@ -99,4 +102,25 @@ fn gradients_do_not_depend_on_threads() {
         pool.install(|| correlation_lookup_backward(&case.first, &pyramid, &case.coords, [20, 17], 3, &grad))
     };
     assert!(run(1) == run(3));
+}
+
+/// The whole way from feature maps to windows. Numbers of channels that vectors divide and that they do not; the last with as
+/// many channels, levels and entries as RAFT has.
+pub(crate) fn cases() -> Vec<Case> {
+    let case = |size @ [batch, channels, height, width]: [usize; 4], levels, radius| {
+        let map: &[usize] = &[batch, channels, height, width];
+        let coords = sample(size, levels, radius).coords;
+        Case::new(
+            &format!("lookup, {size:?}, {levels} levels, radius {radius}"),
+            &[map, map, &[batch, 2, height, width]],
+            move |inputs| {
+                let [first, second, coords] = array(inputs.into_iter().map(Tensor::from_dispatch).collect());
+                tensor::Correlation::new(first, second, levels).windows(coords, radius)
+            },
+            move |x| reference::correlation_lookup(&x[0], &x[1], &x[2], size, levels, radius),
+        )
+        .change(2, move |i, _| coords[i])
+        .constant(2)
+    };
+    vec![case([2, 4, 6, 7], 3, 2), case([2, 3, 6, 7], 2, 4), case([2, 256, 9, 13], 4, 4).slopes(0)]
 }

@@ -53,4 +53,4 @@ impl DepthwiseShape {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

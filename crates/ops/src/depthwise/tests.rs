@@ -4,6 +4,9 @@ use super::backward::{backward_input_with, backward_weight_with};
 use super::forward::depthwise_with;
 use super::*;
 use crate::conv2d::Epilogue;
+use crate::convolution::Convolved;
+use crate::operation::tests::Case;
+use crate::operation::{apply, array};
 use crate::test_values::{assert_close, values};
 
 const TOLERANCE: f32 = 2e-6;
@@ -67,4 +70,50 @@ fn results_do_not_depend_on_threads_and_outputs_not_on_the_instruction_set() {
         .map(|isa| depthwise_with(isa, &input, &weight, &Epilogue::default(), &shape))
         .collect();
     assert!(outputs.windows(2).all(|pair| pair[0] == pair[1]));
+}
+
+/// Each with bias and residual.
+pub(crate) fn cases() -> Vec<Case> {
+    let case = |shape: DepthwiseShape, activation| {
+        let DepthwiseShape { batch, channels, input, kernel, padding } = shape;
+        let [height, width] = shape.output();
+        let shapes: [&[usize]; 4] = [
+            &[batch, channels, input[0], input[1]],
+            &[channels, 1, kernel[0], kernel[1]],
+            &[channels],
+            &[batch, channels, height, width],
+        ];
+        let operation = Convolved { convolution: tensor::Depthwise { padding }, activation };
+        Case::of(&format!("{shape:?}, {activation:?}"), operation, shapes, move |x| {
+            let epilogue = Epilogue { bias: Some(&x[2]), residual: Some(&x[3]), activation };
+            reference::depthwise(&x[0], &x[1], &epilogue, &shape)
+        })
+        .change(1, move |_, weight| weight * (3.0 / (kernel[0] * kernel[1]) as f32).sqrt())
+    };
+    let sizes = [
+        case(shape(3, [7, 9], [5, 5], [2, 2]), Activation::Identity),
+        case(shape(3, [8, 9], [5, 3], [1, 0]), Activation::Tanh),
+        case(shape(6, [12, 19], [15, 15], [7, 7]), Activation::Sigmoid).slopes(10),
+    ];
+    sizes.into_iter().chain([residual_that_is_the_input()]).collect()
+}
+
+fn residual_that_is_the_input() -> Case {
+    let shape = shape(3, [9, 11], [7, 7], [3, 3]);
+    let (activation, convolution) = (Activation::Gelu, tensor::Depthwise { padding: shape.padding });
+    let operation = Convolved { convolution, activation };
+    let shapes: [&[usize]; 3] = [&[2, 3, 9, 11], &[3, 1, 7, 7], &[3]];
+    Case::new(
+        "residual that is the input",
+        &shapes,
+        move |inputs| {
+            let [input, weight, bias] = array(inputs);
+            apply(operation.clone(), [input.clone(), weight, bias, input])
+        },
+        move |x| {
+            let epilogue = Epilogue { bias: Some(&x[2]), residual: Some(&x[0]), activation };
+            reference::depthwise(&x[0], &x[1], &epilogue, &shape)
+        },
+    )
+    .change(1, |_, weight| 0.3 * weight)
 }

@@ -7,6 +7,7 @@
 
 use rayon::prelude::*;
 
+mod composed;
 pub mod reference;
 pub mod tensor;
 
@@ -142,4 +143,4 @@ pub fn update_backward(
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

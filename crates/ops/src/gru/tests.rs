@@ -1,5 +1,6 @@
-use super::reference;
-use super::{GruSize, reset, reset_backward, update, update_backward};
+use super::tensor::{Reset, Update};
+use super::{GruSize, reference, reset, update};
+use crate::operation::tests::Case;
 use crate::test_values::{assert_close, values};
 
 const SIZES: [GruSize; 4] = [
@@ -19,6 +20,19 @@ fn assert_near(what: &str, found: &[f32], expected: &[f64]) {
     assert_close(what, found, &expected, 3e-7);
 }
 
+pub(crate) fn cases() -> Vec<Case> {
+    let size = GruSize { batch: 2, channels: 3, pixels: 20 };
+    let (gates, hidden): (&[usize], &[usize]) = (&[2, 6, 4, 5], &[2, 3, 4, 5]);
+    let narrow = |x: Vec<f64>| x.into_iter().map(|x| x as f32).collect();
+    let of_reset = move |x: &[Vec<f32>]| narrow(reference::reset(&wide(&x[0]), &wide(&x[1]), size));
+    let of_update =
+        move |x: &[Vec<f32>]| narrow(reference::update(&wide(&x[0]), &wide(&x[1]), &wide(&x[2]), size));
+    vec![
+        Case::of("reset", Reset, [gates, hidden], of_reset),
+        Case::of("update", Update, [gates, hidden, hidden], of_update),
+    ]
+}
+
 #[test]
 fn steps_are_those_of_the_definition() {
     for size in SIZES {
@@ -28,37 +42,5 @@ fn steps_are_those_of_the_definition() {
         assert_near("reset", &reset(&gates, &hidden, size), &reference::reset(&gates64, &hidden64, size));
         let expected = reference::update(&gates64, &hidden64, &candidate64, size);
         assert_near("update", &update(&gates, &hidden, &candidate, size), &expected);
-    }
-}
-
-/// Central differences of the definition, which are exact: it is linear in each of its inputs.
-#[test]
-fn gradients_are_those_of_the_definition() {
-    for size in &SIZES[..2] {
-        let size = *size;
-        let len = size.hidden_len();
-        let inputs = [values(2 * len, 4), values(len, 5), values(len, 6)];
-        let grad = values(len, 7);
-        let slopes = |number: usize, of: &dyn Fn(&[Vec<f64>; 3]) -> Vec<f64>| -> Vec<f64> {
-            (0..inputs[number].len())
-                .map(|i| {
-                    let at = |step: f64| {
-                        let mut moved = inputs.each_ref().map(|input| wide(input));
-                        moved[number][i] += step;
-                        of(&moved).iter().zip(&grad).map(|(x, g)| x * f64::from(*g)).sum::<f64>()
-                    };
-                    (at(0.5) - at(-0.5)) / 1.0
-                })
-                .collect()
-        };
-        let [gates, hidden, candidate] = inputs.each_ref();
-        let of_reset = |x: &[Vec<f64>; 3]| reference::reset(&x[0], &x[1], size);
-        for (number, found) in reset_backward(gates, hidden, &grad, size).iter().enumerate() {
-            assert_near("gradient of reset", found, &slopes(number, &of_reset));
-        }
-        let of_update = |x: &[Vec<f64>; 3]| reference::update(&x[0], &x[1], &x[2], size);
-        for (number, found) in update_backward(gates, hidden, candidate, &grad, size).iter().enumerate() {
-            assert_near("gradient of update", found, &slopes(number, &of_update));
-        }
     }
 }

@@ -60,4 +60,4 @@ fn statistics(plane: &[f32]) -> (f32, f32) {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

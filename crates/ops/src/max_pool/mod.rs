@@ -91,4 +91,4 @@ fn larger(first: f32, second: f32) -> f32 {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

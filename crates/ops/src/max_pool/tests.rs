@@ -1,6 +1,6 @@
-use burn::tensor::{Device, Tensor, TensorData};
-
+use super::tensor::MaxPool;
 use super::*;
+use crate::operation::tests::Case;
 use crate::test_values::values;
 
 const SIZES: [MapSize; 4] = [
@@ -9,6 +9,13 @@ const SIZES: [MapSize; 4] = [
     MapSize { planes: 2, height: 1, width: 6 },
     MapSize { planes: 0, height: 4, width: 4 },
 ];
+
+/// Values so far apart that few maxima change hands nearby.
+pub(crate) fn cases() -> Vec<Case> {
+    let size = MapSize { planes: 6, height: 7, width: 10 };
+    let definition = move |x: &[Vec<f32>]| reference::max_pool(&x[0], size);
+    vec![Case::of("max pool", MaxPool, [&[2, 3, 7, 10]], definition).change(0, |_, x| 10.0 * x)]
+}
 
 /// Few different values, so that many are equal, and some that are no numbers.
 fn input(size: MapSize, numbers: bool) -> Vec<f32> {
@@ -30,22 +37,4 @@ fn the_fast_version_is_the_definition_to_the_bit() {
         let expected = reference::max_pool_backward(&input, &grad, size);
         assert_eq!(max_pool_backward(&input, &grad, size), expected, "{size:?}");
     }
-}
-
-/// What Burn has, which other devices take.
-#[test]
-fn tensors_and_their_gradients_are_burns() {
-    let (shape, device) = ([2, 3, 7, 10], Device::flex().autodiff());
-    let numbers = values(shape.iter().product(), 3);
-    let grads = values(2 * 3 * 3 * 5, 4);
-    let run = |pool: &dyn Fn(Tensor<4>) -> Tensor<4>| -> [Vec<f32>; 2] {
-        let x = Tensor::<4>::from_data(TensorData::new(numbers.clone(), shape), &device).require_grad();
-        let out = pool(x.clone());
-        let weights = Tensor::from_data(TensorData::new(grads.clone(), [2, 3, 3, 5]), &device);
-        let gradients = (out.clone() * weights).sum().backward();
-        [out.inner(), x.grad(&gradients).unwrap()].map(|tensor| tensor.into_data().try_to_vec().unwrap())
-    };
-    let options = burn::tensor::ops::MaxPoolOptions::new([2, 2]);
-    let expected = run(&|x| burn::tensor::module::max_pool2d(x, options.clone()));
-    assert_eq!(run(&tensor::max_pool), expected);
 }

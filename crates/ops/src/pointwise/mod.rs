@@ -142,4 +142,4 @@ fn gather(planes: &[f32], pixels: usize, columns: std::ops::Range<usize>, width:
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -1,16 +1,12 @@
 //! A chain of three pointwise layers on tensors, with gradients.
 
-use burn::backend::autodiff::checkpoint::strategy::CheckpointStrategy;
-use burn::backend::tensor::FloatTensor;
-use burn::backend::{Autodiff, Backend, Dispatch, Flex, backend_extension};
 use burn::tensor::Tensor;
 use srflow_simd::{Isa, pack_rows};
 
 use super::{Add, Layer, Map, pointwise};
-use crate::conv2d::tensor::{Conv2dGradOps, Conv2dOps, Conv2dOptions};
-use crate::depthwise::tensor::{DepthwiseGradOps, DepthwiseOps};
-use crate::flex::{Contiguous, sizes, tensor};
-use crate::tracked::EpilogueGradOps;
+use crate::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
+use crate::depthwise::tensor::depthwise;
+use crate::flex::CpuTensor;
 use crate::weight_cache::{Packing, Pass};
 use crate::{Activation, WeightCache};
 
@@ -38,91 +34,6 @@ pub struct PointwiseLayer {
     pub options: LayerOptions,
 }
 
-/// The chain. The default computes one layer after another.
-#[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
-pub trait PointwiseOps: Backend + Conv2dOps + DepthwiseOps {
-    /// See [`pointwise_layers`].
-    #[allow(clippy::too_many_arguments)] // tensors can only be passed one by one
-    fn three_pointwise_layers(
-        input: FloatTensor<Self>,
-        first_weight: FloatTensor<Self>,
-        first_bias: FloatTensor<Self>,
-        second_weight: FloatTensor<Self>,
-        second_bias: FloatTensor<Self>,
-        third_weight: FloatTensor<Self>,
-        third_bias: FloatTensor<Self>,
-        options: [LayerOptions; 3],
-    ) -> FloatTensor<Self> {
-        let layers = [(first_weight, first_bias), (second_weight, second_bias), (third_weight, third_bias)];
-        let mut inputs = Vec::with_capacity(layers.len());
-        let mut x = input;
-        for ((weight, bias), options) in layers.into_iter().zip(options) {
-            inputs.push(x.clone());
-            let LayerOptions { scale, add_input_of, activation, cache } = options;
-            let add = add_input_of.map(|number| inputs[number].clone());
-            let dense = Conv2dOptions { stride: [1, 1], padding: [0, 0], cache };
-            x = match (scale, add) {
-                (false, None) => Self::biased_conv2d(x, weight, bias, dense, activation),
-                (false, Some(add)) => Self::residual_conv2d(x, weight, bias, add, dense, activation),
-                (true, None) => Self::biased_depthwise(x, weight, bias, [0, 0], activation),
-                (true, Some(add)) => Self::residual_depthwise(x, weight, bias, add, [0, 0], activation),
-            };
-        }
-        x
-    }
-}
-
-#[cfg(feature = "cube")]
-impl PointwiseOps for burn_cubecl::CubeBackend {}
-
-impl PointwiseOps for Flex {
-    fn three_pointwise_layers(
-        input: FloatTensor<Self>,
-        first_weight: FloatTensor<Self>,
-        first_bias: FloatTensor<Self>,
-        second_weight: FloatTensor<Self>,
-        second_bias: FloatTensor<Self>,
-        third_weight: FloatTensor<Self>,
-        third_bias: FloatTensor<Self>,
-        options: [LayerOptions; 3],
-    ) -> FloatTensor<Self> {
-        let isa = Isa::best();
-        let weights = [first_weight, second_weight, third_weight];
-        let biases = [&first_bias, &second_bias, &third_bias].map(Contiguous::new);
-        let packing = Packing { pass: Pass::Forward, isa, stride: [1, 1], padding: [0, 0] };
-        let packed = [0, 1, 2].map(|i| {
-            options[i].cache.get(packing, &weights[i], |weight| {
-                let mut packed = vec![0.0; weight.len()];
-                let depth = if options[i].scale { 1 } else { sizes::<4>(&weights[i])[1] };
-                if options[i].scale {
-                    packed.copy_from_slice(weight);
-                } else {
-                    pack_rows(isa, weight, depth, &mut packed);
-                }
-                packed
-            })
-        });
-        let layers = [0, 1, 2].map(|i| Layer {
-            map: if options[i].scale { Map::Scale(&packed[i]) } else { Map::Dense(&packed[i]) },
-            bias: Some(biases[i].slice()),
-            add: options[i].add_input_of.map_or(Add::Nothing, Add::InputOf),
-            activation: options[i].activation,
-        });
-        let [batch, channels, height, width] = sizes(&input);
-        let outputs = sizes::<4>(&weights[2])[0];
-        let input = Contiguous::new(&input);
-        let out = pointwise(isa, input.slice(), [batch, channels, height * width], &layers);
-        tensor(out, [batch, outputs, height, width])
-    }
-}
-
-impl<B, C> PointwiseOps for Autodiff<B, C>
-where
-    B: Conv2dOps + Conv2dGradOps + DepthwiseOps + DepthwiseGradOps + EpilogueGradOps,
-    C: CheckpointStrategy,
-{
-}
-
 /// Three pointwise layers on `input` (`[batch, channels, height, width]`), one after another; what lies between them is
 /// never stored as a whole. Panics when the sizes do not fit each other.
 pub fn pointwise_layers(input: Tensor<4>, layers: [PointwiseLayer; 3]) -> Tensor<4> {
@@ -140,15 +51,60 @@ pub fn pointwise_layers(input: Tensor<4>, layers: [PointwiseLayer; 3]) -> Tensor
         }
         channels.push(outputs);
     }
-    let [first, second, third] = layers;
-    Tensor::from_dispatch(Dispatch::three_pointwise_layers(
-        input.into_dispatch(),
-        first.weight.into_dispatch(),
-        first.bias.into_dispatch(),
-        second.weight.into_dispatch(),
-        second.bias.into_dispatch(),
-        third.weight.into_dispatch(),
-        third.bias.into_dispatch(),
-        [first.options, second.options, third.options],
-    ))
+    // The kernel has no gradients, so with them, and on other devices, the layers run one after another.
+    match cpu_operands(&input, &layers) {
+        Some((input, operands)) => fused(&input, &operands, layers.each_ref().map(|layer| &layer.options)),
+        None => one_by_one(input, layers),
+    }
+}
+
+/// The input, and weight and bias of each layer, where all are on the CPU and not part of a graph.
+fn cpu_operands(input: &Tensor<4>, layers: &[PointwiseLayer]) -> Option<(CpuTensor, Vec<[CpuTensor; 2]>)> {
+    let of_layer =
+        |layer: &PointwiseLayer| Some([CpuTensor::of(&layer.weight)?, CpuTensor::of(&layer.bias)?]);
+    Some((CpuTensor::of(input)?, layers.iter().map(of_layer).collect::<Option<_>>()?))
+}
+
+fn fused(input: &CpuTensor, operands: &[[CpuTensor; 2]], options: [&LayerOptions; 3]) -> Tensor<4> {
+    let isa = Isa::best();
+    let packing = Packing { pass: Pass::Forward, isa, stride: [1, 1], padding: [0, 0] };
+    let packed = [0, 1, 2].map(|i| {
+        let [weight, _] = &operands[i];
+        let [_, depth, _, _] = weight.dims();
+        options[i].cache.get(packing, weight.tensor(), |weight| {
+            if options[i].scale {
+                return weight.to_vec();
+            }
+            let mut packed = vec![0.0; weight.len()];
+            pack_rows(isa, weight, depth, &mut packed);
+            packed
+        })
+    });
+    let layers = [0, 1, 2].map(|i| Layer {
+        map: if options[i].scale { Map::Scale(&packed[i]) } else { Map::Dense(&packed[i]) },
+        bias: Some(operands[i][1].slice()),
+        add: options[i].add_input_of.map_or(Add::Nothing, Add::InputOf),
+        activation: options[i].activation,
+    });
+    let [batch, channels, height, width] = input.dims();
+    let [outputs] = operands[2][1].dims();
+    let out = pointwise(isa, input.slice(), [batch, channels, height * width], &layers);
+    CpuTensor::new(out, [batch, outputs, height, width]).into_tensor()
+}
+
+fn one_by_one(input: Tensor<4>, layers: [PointwiseLayer; 3]) -> Tensor<4> {
+    let mut inputs = Vec::with_capacity(layers.len());
+    let mut x = input;
+    for PointwiseLayer { weight, bias, options } in layers {
+        inputs.push(x.clone());
+        let LayerOptions { scale, add_input_of, activation, cache } = options;
+        let residual = add_input_of.map(|number| inputs[number].clone());
+        let epilogue = Epilogue { bias: Some(bias), residual, activation };
+        x = if scale {
+            depthwise(x, weight, epilogue, [0, 0])
+        } else {
+            conv2d(x, weight, epilogue, Conv2dOptions { stride: [1, 1], padding: [0, 0], cache })
+        };
+    }
+    x
 }

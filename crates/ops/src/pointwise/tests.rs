@@ -1,6 +1,8 @@
+use burn::tensor::Tensor;
 use srflow_simd::pack_rows;
 
 use super::*;
+use crate::operation::tests::Case;
 use crate::test_values::{assert_close, values};
 
 const PIXELS: usize = 131;
@@ -120,4 +122,44 @@ fn results_do_not_depend_on_threads() {
         pool.install(|| run(Isa::best(), &input, &layers, None))
     };
     assert!(with(1) == with(3));
+}
+
+/// Two images of five by six pixels; see [`layers`].
+pub(crate) fn cases() -> Vec<Case> {
+    const OPTIONS: [(bool, Option<usize>, Activation); 3] = [
+        (false, None, Activation::Gelu),
+        (false, Some(0), Activation::Tanh),
+        (true, Some(2), Activation::Sigmoid),
+    ];
+    let run = |inputs: Vec<_>| {
+        let mut inputs = inputs.into_iter();
+        let mut next = || inputs.next().expect("seven inputs");
+        let input = Tensor::from_dispatch(next());
+        let layers = OPTIONS.map(|(scale, add_input_of, activation)| tensor::PointwiseLayer {
+            weight: Tensor::from_dispatch(next()),
+            bias: Tensor::from_dispatch(next()),
+            options: tensor::LayerOptions { scale, add_input_of, activation, ..Default::default() },
+        });
+        tensor::pointwise_layers(input, layers)
+    };
+    let definition = |x: &[Vec<f32>]| {
+        let layer = |number: usize| {
+            let (scale, add_input_of, activation) = OPTIONS[number];
+            let (weight, bias) = (x[1 + 2 * number].clone(), x[2 + 2 * number].clone());
+            let map = if scale { reference::Map::Scale(weight) } else { reference::Map::Dense(weight) };
+            reference::Layer { map, bias, add_input_of, activation }
+        };
+        let layers = [0, 1, 2].map(layer);
+        let mut out = vec![0.0; 2 * 3 * 30];
+        for (n, p) in (0..2).flat_map(|n| (0..30).map(move |p| (n, p))) {
+            let pixel: Vec<f32> = (0..3).map(|c| x[0][(n * 3 + c) * 30 + p]).collect();
+            for (c, value) in reference::pointwise(&pixel, &layers).into_iter().enumerate() {
+                out[(n * 3 + c) * 30 + p] = value;
+            }
+        }
+        out
+    };
+    let shapes: [&[usize]; 7] =
+        [&[2, 3, 5, 6], &[4, 3, 1, 1], &[4], &[3, 4, 1, 1], &[3], &[3, 1, 1, 1], &[3]];
+    vec![Case::new("chain", &shapes, run, definition)]
 }

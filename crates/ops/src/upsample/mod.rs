@@ -55,4 +55,4 @@ impl UpsampleShape {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -1,116 +1,56 @@
 //! The upsampling on tensors: [`convex_upsample`] with gradients.
 
-use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
-use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
-use burn::backend::{Autodiff, Backend, Dispatch, Flex, TensorMetadata, backend_extension};
+use burn::backend::{Backend, TensorMetadata};
 use burn::tensor::{Shape, Tensor};
 
-use super::UpsampleShape;
-use super::composed::{gradients, upsampled};
-use crate::flex::{Contiguous, tensor};
-use crate::gradients;
+use super::{NEIGHBOURS, UpsampleShape, composed};
+use crate::flex::CpuTensor;
+use crate::operation::{Backprop, Operation, apply};
 
-/// The upsampling; see [`convex_upsample`].
-#[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
-pub trait UpsampleOps: Backend {
-    /// Fine flow.
-    fn convex_upsampling(
-        flow: FloatTensor<Self>,
-        mask: FloatTensor<Self>,
-        scale: f32,
-        factor: usize,
-    ) -> FloatTensor<Self> {
-        let shape = shape_of(&flow.shape(), factor);
-        upsampled::<Self>(flow, mask, scale, &shape)
+/// Of flow and mask.
+#[derive(Debug, Clone)]
+pub(super) struct ConvexUpsample {
+    pub(super) scale: f32,
+    pub(super) factor: usize,
+}
+
+impl ConvexUpsample {
+    fn shape(&self, flow: Shape) -> UpsampleShape {
+        let [batch, _, height, width] = flow.dims();
+        UpsampleShape { batch, coarse: [height, width], factor: self.factor }
     }
 }
 
-/// Gradients of the upsampling.
-pub trait UpsampleGradOps: Backend {
-    /// Gradients of the flow and of the mask.
-    fn convex_upsampling_grad(
-        flow: FloatTensor<Self>,
-        mask: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        scale: f32,
-        factor: usize,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let shape = shape_of(&flow.shape(), factor);
-        gradients::<Self>(flow, mask, scale, grad, &shape)
+impl Operation<2> for ConvexUpsample {
+    fn cpu(&self, [flow, mask]: [CpuTensor; 2]) -> Vec<CpuTensor> {
+        let shape = self.shape(flow.shape());
+        let fine = super::convex_upsample(flow.slice(), mask.slice(), self.scale, &shape);
+        let [height, width] = shape.coarse.map(|size| size * self.factor);
+        vec![CpuTensor::new(fine, [shape.batch, 2, height, width])]
     }
-}
 
-#[cfg(feature = "cube")]
-impl UpsampleOps for burn_cubecl::CubeBackend {}
-
-#[cfg(feature = "cube")]
-impl UpsampleGradOps for burn_cubecl::CubeBackend {}
-
-fn shape_of(flow: &Shape, factor: usize) -> UpsampleShape {
-    let [batch, _, height, width] = flow.dims();
-    UpsampleShape { batch, coarse: [height, width], factor }
-}
-
-impl UpsampleOps for Flex {
-    fn convex_upsampling(
-        flow: FloatTensor<Self>,
-        mask: FloatTensor<Self>,
-        scale: f32,
-        factor: usize,
-    ) -> FloatTensor<Self> {
-        let shape = shape_of(&flow.shape(), factor);
-        let (flow, mask) = (Contiguous::new(&flow), Contiguous::new(&mask));
-        let out = super::convex_upsample(flow.slice(), mask.slice(), scale, &shape);
-        tensor(out, [shape.batch, 2, shape.coarse[0] * factor, shape.coarse[1] * factor])
-    }
-}
-
-impl UpsampleGradOps for Flex {
-    fn convex_upsampling_grad(
-        flow: FloatTensor<Self>,
-        mask: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-        scale: f32,
-        factor: usize,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let shape = shape_of(&flow.shape(), factor);
-        let shapes = (flow.shape(), mask.shape());
-        let (flow, mask, grad) = (Contiguous::new(&flow), Contiguous::new(&mask), Contiguous::new(&grad));
+    fn cpu_backward(&self, back: Backprop<CpuTensor, 2>) -> [Option<CpuTensor>; 2] {
+        let ([flow, mask], grad) = back.into_parts();
+        let shape = self.shape(flow.shape());
         let (d_flow, d_mask) =
-            super::convex_upsample_backward(flow.slice(), mask.slice(), scale, grad.slice(), &shape);
-        (tensor(d_flow, shapes.0), tensor(d_mask, shapes.1))
+            super::convex_upsample_backward(flow.slice(), mask.slice(), self.scale, grad.slice(), &shape);
+        [Some(flow.like(d_flow)), Some(mask.like(d_mask))]
     }
-}
 
-#[derive(Debug)]
-struct UpsampleBackward;
-
-impl<B: UpsampleGradOps> Backward<B, 2> for UpsampleBackward {
-    type State = (FloatTensor<B>, FloatTensor<B>, f32, usize);
-
-    fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
-        gradients::register::<B, _, 2>(ops, grads, |(flow, mask, scale, factor), grad| {
-            B::convex_upsampling_grad(flow, mask, grad, scale, factor).into()
-        });
+    fn composed<B: Backend>(&self, [flow, mask]: [FloatTensor<B>; 2]) -> Vec<FloatTensor<B>> {
+        let shape = self.shape(flow.shape());
+        vec![composed::upsampled::<B>(flow, mask, self.scale, &shape)]
     }
-}
 
-impl<B: UpsampleOps + UpsampleGradOps, C: CheckpointStrategy> UpsampleOps for Autodiff<B, C> {
-    fn convex_upsampling(
-        flow: FloatTensor<Self>,
-        mask: FloatTensor<Self>,
-        scale: f32,
-        factor: usize,
-    ) -> FloatTensor<Self> {
-        let guards = [flow.node(), mask.node()];
-        let (flow, mask) = (flow.into_primitive(), mask.into_primitive());
-        let out = B::convex_upsampling(flow.clone(), mask.clone(), scale, factor);
-        match UpsampleBackward.prepare::<C>(guards).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish((flow, mask, scale, factor), out),
-            OpsKind::UnTracked(prep) => prep.finish(out),
-        }
+    fn composed_backward<B: Backend>(
+        &self,
+        back: Backprop<FloatTensor<B>, 2>,
+    ) -> [Option<FloatTensor<B>>; 2] {
+        let ([flow, mask], grad) = back.into_parts();
+        let shape = self.shape(flow.shape());
+        let (d_flow, d_mask) = composed::gradients::<B>(flow, mask, self.scale, grad, &shape);
+        [Some(d_flow), Some(d_mask)]
     }
 }
 
@@ -122,9 +62,8 @@ pub fn convex_upsample(flow: Tensor<4>, mask: Tensor<4>, scale: f32, factor: usi
     assert_eq!(channels, 2, "convex_upsample: a flow has two channels");
     assert_eq!(
         mask.dims(),
-        [batch, super::NEIGHBOURS * factor * factor, height, width],
+        [batch, NEIGHBOURS * factor * factor, height, width],
         "convex_upsample: nine weights for each fine pixel"
     );
-    let (flow, mask) = (flow.into_dispatch(), mask.into_dispatch());
-    Tensor::from_dispatch(Dispatch::convex_upsampling(flow, mask, scale, factor))
+    apply(ConvexUpsample { scale, factor }, [flow.into_dispatch(), mask.into_dispatch()])
 }

@@ -4,57 +4,48 @@
 //! reads of the image nearly so, where the flow is smooth.
 
 use burn::backend::TensorMetadata;
-use burn::backend::tensor::FloatTensor;
-use burn_cubecl::CubeBackend;
 use burn_cubecl::cubecl::{self, prelude::*};
+use burn_cubecl::tensor::CubeTensor;
 
-use super::tensor::{WarpGradOps, WarpOps};
 use crate::cube::{AtomicAdd, ByExchange, InOneStep, adds_in_one_step, contiguous, empty, threads, zeros};
 
-impl WarpOps for CubeBackend {
-    fn warped(image: FloatTensor<Self>, flow: FloatTensor<Self>) -> FloatTensor<Self> {
-        let (image, flow) = (contiguous(image), contiguous(flow));
-        let out = empty(&image, image.shape());
-        let client = image.client.clone();
-        let (count, dim) = threads(&client, out.shape().num_elements());
-        warp_kernel::launch(
-            &client,
-            count,
-            dim,
-            image.into_tensor_arg(),
-            flow.into_tensor_arg(),
-            out.clone().into_tensor_arg(),
-        );
-        out
-    }
+pub(super) fn warp(inputs: [CubeTensor; 2]) -> CubeTensor {
+    let [image, flow] = inputs.map(contiguous);
+    let out = empty(&image, image.shape());
+    let client = image.client.clone();
+    let (count, dim) = threads(&client, out.shape().num_elements());
+    warp_kernel::launch(
+        &client,
+        count,
+        dim,
+        image.into_tensor_arg(),
+        flow.into_tensor_arg(),
+        out.clone().into_tensor_arg(),
+    );
+    out
 }
 
-impl WarpGradOps for CubeBackend {
-    fn warped_grad(
-        image: FloatTensor<Self>,
-        flow: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let (image, flow, grad) = (contiguous(image), contiguous(flow), contiguous(grad));
-        let (d_image, d_flow) = (zeros(&image, image.shape()), empty(&flow, flow.shape()));
-        let client = image.client.clone();
-        let launch = match adds_in_one_step(&client) {
-            true => gradient_kernel::launch::<InOneStep>,
-            false => gradient_kernel::launch::<ByExchange>,
-        };
-        let (count, dim) = threads(&client, flow.shape().num_elements() / 2);
-        launch(
-            &client,
-            count,
-            dim,
-            image.into_tensor_arg(),
-            flow.into_tensor_arg(),
-            grad.into_tensor_arg(),
-            d_image.clone().into_tensor_arg(),
-            d_flow.clone().into_tensor_arg(),
-        );
-        (d_image, d_flow)
-    }
+/// Gradients of image and flow.
+pub(super) fn warp_backward(inputs: [CubeTensor; 2], grad: CubeTensor) -> [CubeTensor; 2] {
+    let ([image, flow], grad) = (inputs.map(contiguous), contiguous(grad));
+    let (d_image, d_flow) = (zeros(&image, image.shape()), empty(&flow, flow.shape()));
+    let client = image.client.clone();
+    let launch = match adds_in_one_step(&client) {
+        true => gradient_kernel::launch::<InOneStep>,
+        false => gradient_kernel::launch::<ByExchange>,
+    };
+    let (count, dim) = threads(&client, flow.shape().num_elements() / 2);
+    launch(
+        &client,
+        count,
+        dim,
+        image.into_tensor_arg(),
+        flow.into_tensor_arg(),
+        grad.into_tensor_arg(),
+        d_image.clone().into_tensor_arg(),
+        d_flow.clone().into_tensor_arg(),
+    );
+    [d_image, d_flow]
 }
 
 /// One thread for each element of the image: with one for each pixel a small map of many channels would leave most of the

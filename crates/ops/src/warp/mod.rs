@@ -74,4 +74,4 @@ impl Corners {
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

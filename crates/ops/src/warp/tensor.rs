@@ -1,82 +1,43 @@
 //! The warp on tensors: [`warp`] with gradients.
 
-use burn::backend::autodiff::checkpoint::{base::Checkpointer, strategy::CheckpointStrategy};
-use burn::backend::autodiff::grads::Gradients;
-use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
-use burn::backend::tensor::FloatTensor;
-use burn::backend::{Autodiff, Backend, Dispatch, Flex, TensorMetadata, backend_extension};
-use burn::tensor::{Shape, Tensor};
+use burn::tensor::Tensor;
+#[cfg(feature = "cube")]
+use burn_cubecl::tensor::CubeTensor;
 
 use super::WarpShape;
-use crate::flex::{Contiguous, tensor};
-use crate::gradients;
+use crate::flex::CpuTensor;
+use crate::operation::{Backprop, Operation, apply};
 
-/// The warp; see [`warp`].
-#[backend_extension(Flex, Cube: cfg(feature = "cube"), Autodiff)]
-pub trait WarpOps: Backend {
-    /// Of the image's shape.
-    fn warped(image: FloatTensor<Self>, flow: FloatTensor<Self>) -> FloatTensor<Self>;
-}
+/// Of image and flow.
+#[derive(Debug, Clone)]
+pub(super) struct Warp;
 
-/// Gradients of the warp.
-pub trait WarpGradOps: Backend {
-    /// Gradients of the image and of the flow.
-    fn warped_grad(
-        image: FloatTensor<Self>,
-        flow: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>);
-}
-
-fn shape_of(image: &Shape) -> WarpShape {
+fn shape_of(image: &CpuTensor) -> WarpShape {
     let [batch, channels, height, width] = image.dims();
     WarpShape { batch, channels, size: [height, width] }
 }
 
-impl WarpOps for Flex {
-    fn warped(image: FloatTensor<Self>, flow: FloatTensor<Self>) -> FloatTensor<Self> {
-        let shape = image.shape();
-        let (image, flow) = (Contiguous::new(&image), Contiguous::new(&flow));
-        tensor(super::warp(image.slice(), flow.slice(), &shape_of(&shape)), shape)
+impl Operation<2> for Warp {
+    fn cpu(&self, [image, flow]: [CpuTensor; 2]) -> Vec<CpuTensor> {
+        vec![image.like(super::warp(image.slice(), flow.slice(), &shape_of(&image)))]
     }
-}
 
-impl WarpGradOps for Flex {
-    fn warped_grad(
-        image: FloatTensor<Self>,
-        flow: FloatTensor<Self>,
-        grad: FloatTensor<Self>,
-    ) -> (FloatTensor<Self>, FloatTensor<Self>) {
-        let shapes = (image.shape(), flow.shape());
-        let (image, flow, grad) = (Contiguous::new(&image), Contiguous::new(&flow), Contiguous::new(&grad));
+    fn cpu_backward(&self, back: Backprop<CpuTensor, 2>) -> [Option<CpuTensor>; 2] {
+        let ([image, flow], grad) = back.into_parts();
         let (d_image, d_flow) =
-            super::warp_backward(image.slice(), flow.slice(), grad.slice(), &shape_of(&shapes.0));
-        (tensor(d_image, shapes.0), tensor(d_flow, shapes.1))
+            super::warp_backward(image.slice(), flow.slice(), grad.slice(), &shape_of(&image));
+        [Some(image.like(d_image)), Some(flow.like(d_flow))]
     }
-}
 
-#[derive(Debug)]
-struct WarpBackward;
-
-impl<B: WarpGradOps> Backward<B, 2> for WarpBackward {
-    type State = (FloatTensor<B>, FloatTensor<B>);
-
-    fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
-        gradients::register::<B, _, 2>(ops, grads, |(image, flow), grad| {
-            B::warped_grad(image, flow, grad).into()
-        });
+    #[cfg(feature = "cube")]
+    fn cube(&self, inputs: [CubeTensor; 2]) -> Vec<CubeTensor> {
+        vec![super::cube::warp(inputs)]
     }
-}
 
-impl<B: WarpOps + WarpGradOps, C: CheckpointStrategy> WarpOps for Autodiff<B, C> {
-    fn warped(image: FloatTensor<Self>, flow: FloatTensor<Self>) -> FloatTensor<Self> {
-        let guards = [image.node(), flow.node()];
-        let (image, flow) = (image.into_primitive(), flow.into_primitive());
-        let out = B::warped(image.clone(), flow.clone());
-        match WarpBackward.prepare::<C>(guards).compute_bound().stateful() {
-            OpsKind::Tracked(prep) => prep.finish((image, flow), out),
-            OpsKind::UnTracked(prep) => prep.finish(out),
-        }
+    #[cfg(feature = "cube")]
+    fn cube_backward(&self, back: Backprop<CubeTensor, 2>) -> [Option<CubeTensor>; 2] {
+        let (inputs, grad) = back.into_parts();
+        super::cube::warp_backward(inputs, grad).map(Some)
     }
 }
 
@@ -85,5 +46,5 @@ impl<B: WarpOps + WarpGradOps, C: CheckpointStrategy> WarpOps for Autodiff<B, C>
 pub fn warp(image: Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
     let [batch, _, height, width] = image.dims();
     assert_eq!(flow.dims(), [batch, 2, height, width], "warp: a displacement for each pixel");
-    Tensor::from_dispatch(Dispatch::warped(image.into_dispatch(), flow.into_dispatch()))
+    apply(Warp, [image.into_dispatch(), flow.into_dispatch()])
 }

@@ -1,0 +1,44 @@
+//! Activations and their derivatives by a backend's own operations, for devices that have no kernel of them.
+
+use std::f64::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI};
+
+use burn::backend::Backend;
+use burn::backend::tensor::FloatTensor;
+
+use super::Activation;
+
+pub(crate) fn activate_tensor<B: Backend>(x: FloatTensor<B>, activation: Activation) -> FloatTensor<B> {
+    match activation {
+        Activation::Identity => x,
+        Activation::Relu => B::relu(x),
+        Activation::Gelu => B::gelu(x),
+        Activation::Tanh => B::float_tanh(x),
+        Activation::Sigmoid => B::sigmoid(x),
+    }
+}
+
+/// Gradient of what was activated; `kept` is what [`Activation::keeps`] says.
+pub(crate) fn activate_tensor_backward<B: Backend>(
+    grad: FloatTensor<B>,
+    kept: FloatTensor<B>,
+    activation: Activation,
+) -> FloatTensor<B> {
+    match activation {
+        Activation::Identity => grad,
+        Activation::Relu => B::relu_backward(kept, grad),
+        Activation::Gelu => {
+            // Burn's own is that of the approximation by tanh.
+            let half_squares = B::float_mul(kept.clone(), kept.clone());
+            let density = B::float_exp(B::float_mul_scalar(half_squares, (-0.5).into()));
+            let density = B::float_mul_scalar(density, (0.5 * FRAC_2_SQRT_PI * FRAC_1_SQRT_2).into());
+            let erf = B::float_erf(B::float_mul_scalar(kept.clone(), FRAC_1_SQRT_2.into()));
+            let cumulative = B::float_mul_scalar(B::float_add_scalar(erf, 1.0.into()), 0.5.into());
+            B::float_mul(grad, B::float_add(cumulative, B::float_mul(kept, density)))
+        }
+        Activation::Tanh => {
+            let squares = B::float_mul(kept.clone(), kept);
+            B::float_mul(grad, B::float_add_scalar(B::float_neg(squares), 1.0.into()))
+        }
+        Activation::Sigmoid => B::sigmoid_backward(kept, grad),
+    }
+}

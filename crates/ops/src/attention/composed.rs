@@ -1,0 +1,67 @@
+//! Attention by other operations, for devices that have no kernel of it: the matrix of all pairs, cut into pieces.
+
+use burn::tensor::Tensor;
+use burn::tensor::activation::softmax;
+
+use crate::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
+
+/// The largest piece.
+const PIECE_BYTES: usize = 64 << 20;
+
+#[derive(Debug)]
+pub(super) struct ImagePieces {
+    /// `[1, channels, 1, pixels]`.
+    queries: Tensor<4>,
+    /// As a weight: `[pixels, channels, 1, 1]`.
+    keys: Tensor<4>,
+    /// Pixels of a piece.
+    piece: usize,
+    /// Every piece, where all fit.
+    kept: Vec<Tensor<4>>,
+}
+
+/// A product of matrices: `weight` `[outputs, inputs, 1, 1]`, `x` `[1, inputs, 1, columns]`.
+fn product(x: Tensor<4>, weight: Tensor<4>) -> Tensor<4> {
+    conv2d(x, weight, Epilogue::default(), Conv2dOptions::new([1, 1], [0, 0]))
+}
+
+impl ImagePieces {
+    pub(super) fn new(queries: Tensor<4>, keys: Tensor<4>, kept_bytes: usize) -> Self {
+        let [_, channels, height, width] = queries.dims();
+        let pixels = height * width;
+        let row_bytes = pixels * size_of::<f32>();
+        let mut image = Self {
+            queries: queries.reshape([1, channels, 1, pixels]),
+            keys: keys.reshape([channels, pixels]).transpose().reshape([pixels, channels, 1, 1]),
+            piece: (PIECE_BYTES / row_bytes).clamp(1, pixels),
+            kept: Vec::new(),
+        };
+        if pixels * row_bytes <= kept_bytes {
+            image.kept = (0..image.pieces()).map(|number| image.compute(number)).collect();
+        }
+        image
+    }
+
+    fn pieces(&self) -> usize {
+        self.queries.dims()[3].div_ceil(self.piece)
+    }
+
+    /// How much of each pixel goes to the pixels of piece `number`: `[1, pixels, 1, columns]`, columns summing to one.
+    fn compute(&self, number: usize) -> Tensor<4> {
+        let first = number * self.piece;
+        let count = self.piece.min(self.queries.dims()[3] - first);
+        let queries = self.queries.clone().narrow(3, first, count);
+        softmax(product(queries, self.keys.clone()), 1)
+    }
+
+    /// `values` (`[1, channels, height, width]`), gathered.
+    pub(super) fn gather(&self, values: Tensor<4>) -> Tensor<4> {
+        let dims @ [_, channels, height, width] = values.dims();
+        let weight = values.reshape([channels, height * width, 1, 1]);
+        let pieces = (0..self.pieces()).map(|number| {
+            let weights = self.kept.get(number).cloned().unwrap_or_else(|| self.compute(number));
+            product(weights, weight.clone())
+        });
+        Tensor::cat(pieces.collect(), 3).reshape(dims)
+    }
+}

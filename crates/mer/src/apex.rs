@@ -26,7 +26,6 @@ pub enum ApexRule {
 }
 
 impl ApexRule {
-    /// Every rule.
     pub const ALL: [Self; 2] = [Self::Ratio, Self::Strain];
 
     /// `ratio` or `strain`.

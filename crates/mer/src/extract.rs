@@ -70,7 +70,6 @@ impl fmt::Display for Preparation {
 
 /// A flow method, identified by its name, parameters and weights.
 pub struct Method<'a> {
-    /// The estimator.
     pub estimator: &'a dyn FlowEstimator,
     /// Its name with every parameter, and a digest of its weights, if it has any: features are cached under it.
     pub identity: String,
@@ -82,7 +81,6 @@ pub struct Method<'a> {
 pub struct ExtractError {
     /// The clip, as dataset/subject/clip.
     pub clip: String,
-    /// What went wrong.
     pub problem: ExtractProblem,
 }
 
@@ -114,11 +112,9 @@ pub enum ExtractProblem {
     Sizes {
         /// The onset's file.
         onset: PathBuf,
-        /// Its size.
         onset_size: (usize, usize),
         /// The apex's file.
         apex: PathBuf,
-        /// Its size.
         apex_size: (usize, usize),
     },
 }

@@ -109,7 +109,6 @@ pub enum FaceError {
     /// The landmarks cannot be read.
     #[error("{}: {reason}", .path.display())]
     Landmarks {
-        /// The file.
         path: PathBuf,
         /// What was expected and found.
         reason: String,
@@ -117,17 +116,13 @@ pub enum FaceError {
     /// There are no landmarks of a clip.
     #[error("{}: no landmarks of clip {clip} of subject {subject}; add a row for it", .path.display())]
     NoLandmarks {
-        /// The file.
         path: PathBuf,
-        /// The subject.
         subject: String,
-        /// The clip.
         clip: String,
     },
     /// The box does not lie inside the frame.
     #[error("the box {face} does not lie in a frame of {width}x{height} (WIDTHxHEIGHT)")]
     Outside {
-        /// The box.
         face: FaceBox,
         /// Width of the frame.
         width: usize,
@@ -197,7 +192,6 @@ impl Landmarks {
         Ok(Self { path: path.to_owned(), clips })
     }
 
-    /// The file.
     pub fn path(&self) -> &Path {
         &self.path
     }

@@ -28,7 +28,6 @@ pub enum FeatureError {
     /// A plane is not of the features' size.
     #[error("feature map {channel:?} is {}x{} (WIDTHxHEIGHT), expected {FEATURE_SIDE}x{FEATURE_SIDE}", .size.0, .size.1)]
     Size {
-        /// Which plane.
         channel: Channel,
         /// Its width and height.
         size: (usize, usize),
@@ -42,11 +41,8 @@ pub enum FeatureError {
     /// A value is infinite or not a number.
     #[error("feature map {channel:?} holds a value that is not finite at pixel ({x}, {y})")]
     NotFinite {
-        /// Which plane.
         channel: Channel,
-        /// Column.
         x: usize,
-        /// Row.
         y: usize,
     },
 }

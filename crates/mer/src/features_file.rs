@@ -16,7 +16,6 @@ use crate::run::{DataRecord, FeatureSet};
 pub struct FeatureRecipe<'a> {
     /// Names of the classes, by their numbers.
     pub classes: &'a [String],
-    /// The flow methods.
     pub methods: &'a [MethodRecord],
     /// From frames to features.
     pub preparation: &'a Preparation,

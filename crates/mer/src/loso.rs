@@ -35,7 +35,6 @@ pub struct Loso {
 pub struct FoldRecord {
     /// The dataset of the subject who is left out.
     pub dataset: String,
-    /// The subject.
     pub subject: String,
     /// The subject's clips.
     pub clips: usize,
@@ -78,11 +77,8 @@ pub enum LosoError {
     /// Two clips of one subject share a name.
     #[error("{dataset} subject {subject} has two clips called {clip}; give each its own name")]
     SameClip {
-        /// The dataset.
         dataset: String,
-        /// The subject.
         subject: String,
-        /// The name.
         clip: String,
     },
     /// The loss of a fold became infinite or not a number.
@@ -90,11 +86,9 @@ pub enum LosoError {
         "training without {dataset} subject {subject} diverged in epoch {epoch}; try a smaller learning rate"
     )]
     Diverged {
-        /// The dataset.
         dataset: String,
         /// The subject who is left out.
         subject: String,
-        /// The epoch.
         epoch: usize,
     },
     /// A finished fold could not be read or written.

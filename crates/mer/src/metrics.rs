@@ -55,7 +55,6 @@ impl Confusion {
         confusion
     }
 
-    /// Clips counted.
     pub fn total(&self) -> usize {
         self.0.iter().flatten().sum()
     }

@@ -13,7 +13,6 @@ pub struct Prediction {
     pub dataset: String,
     /// The subject, who is the fold.
     pub subject: String,
-    /// The clip.
     pub clip: String,
     /// Number of its class.
     pub truth: usize,
@@ -47,7 +46,6 @@ pub enum PredictionsError {
     /// It is no CSV file, or a line lacks a column or holds something else in it.
     #[error("{}: {}; expected a predictions.csv as `srflow mer run` writes it", .path.display(), excerpt(&.error.to_string()))]
     Csv {
-        /// The file.
         path: PathBuf,
         /// What is wrong, and in which line.
         error: csv::Error,
@@ -58,7 +56,6 @@ pub enum PredictionsError {
         .path.display(), .missing.join(", "), COLUMNS.join(", ")
     )]
     Columns {
-        /// The file.
         path: PathBuf,
         /// The columns that are not there.
         missing: Vec<&'static str>,
@@ -66,13 +63,11 @@ pub enum PredictionsError {
     /// There is not a single prediction.
     #[error("{}: it holds no predictions; expected a predictions.csv as `srflow mer run` writes it", .path.display())]
     Empty {
-        /// The file.
         path: PathBuf,
     },
     /// A class that no column names, a prediction that is not the largest score, or no number where one should be.
     #[error("{}: line {line}: {reason}", .path.display())]
     Value {
-        /// The file.
         path: PathBuf,
         /// The line, counted from 1 with the head.
         line: u64,

@@ -26,9 +26,7 @@ pub struct Protocol {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{name} is {value}; expected {expected}")]
 pub struct ProtocolError {
-    /// Which.
     pub name: &'static str,
-    /// What was given.
     pub value: f64,
     /// What it can be.
     pub expected: &'static str,

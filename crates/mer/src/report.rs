@@ -23,7 +23,6 @@ const FACE_WIDTH: usize = 224;
 pub struct ReportParts<'a> {
     /// Every run, those of one set together.
     pub outcomes: &'a [Outcome],
-    /// Their predictions.
     pub trials: &'a [Trial],
     /// The features of each method.
     pub samples: &'a [(String, Vec<Sample>)],

@@ -15,13 +15,11 @@ pub const METRICS: [(&str, &str); 5] =
 /// One method's leave-one-subject-out run over one set of clips.
 #[derive(Debug, Clone)]
 pub struct Outcome {
-    /// The flow method.
     pub method: String,
     /// A dataset's name, or `composite`.
     pub set: String,
     /// How each fold was trained; none where only the predictions are known.
     pub folds: Vec<FoldRecord>,
-    /// The scores.
     pub summary: Summary,
 }
 

@@ -52,7 +52,6 @@ pub enum Sets {
 
 /// A flow method of a run.
 pub struct RunMethod<'a> {
-    /// The estimator.
     pub estimator: &'a dyn FlowEstimator,
     /// Its name in the results, and what its flow depends on.
     pub record: MethodRecord,
@@ -68,23 +67,19 @@ pub enum RunEvent<'a> {
     },
     /// Features are going to be computed.
     Features {
-        /// Name of the flow method.
         method: &'a str,
         /// Clips of all datasets.
         clips: usize,
     },
     /// One clip more has its apex or its features.
     Clip,
-    /// Training begins.
     Training {
         /// Clips that all folds of all sets and methods are trained on, times the epochs. Time follows this number.
         clip_epochs: u64,
     },
     /// The folds of a set are going to be trained on the features of a flow method.
     Folds {
-        /// Name of the set.
         set: &'a str,
-        /// Name of the flow method.
         method: &'a str,
     },
     /// A fold was trained for another epoch.
@@ -134,9 +129,7 @@ pub struct DataRecord {
     pub dataset: String,
     /// Which form of the dataset it is, e.g. cropped.
     pub form: &'static str,
-    /// Clips used.
     pub clips: usize,
-    /// Their subjects.
     pub subjects: usize,
     /// Rows of the annotations that are no clips of the classes.
     pub dropped: usize,
@@ -158,9 +151,7 @@ pub enum RunError {
     /// Nobody can be left out.
     #[error("{set}: leaving one subject out needs clips of at least 2 subjects; found {found}")]
     Subjects {
-        /// The set.
         set: String,
-        /// Its subjects.
         found: usize,
     },
     /// A clip has no features.
@@ -169,11 +160,8 @@ pub enum RunError {
     /// A fold gave no predictions.
     #[error("{set}, {method}: {error}")]
     Training {
-        /// The set.
         set: String,
-        /// The flow method.
         method: String,
-        /// What went wrong.
         error: LosoError,
     },
     /// Predictions cannot be scored.

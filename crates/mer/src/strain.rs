@@ -18,7 +18,6 @@ pub enum StrainFormula {
 }
 
 impl StrainFormula {
-    /// Every formula.
     pub const ALL: [Self; 2] = [Self::Literature, Self::OffTaNet];
 
     /// `literature` or `off-tanet`.

@@ -33,7 +33,6 @@ pub struct EpochScores {
 pub struct FoldScores {
     /// The dataset's kind.
     pub dataset: String,
-    /// The subject.
     pub subject: String,
     /// For each recorded epoch.
     pub confusions: Vec<Confusion>,
@@ -42,7 +41,6 @@ pub struct FoldScores {
 /// The largest value of a metric over the recorded epochs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Best {
-    /// The value.
     pub value: f64,
     /// The first epoch that reached it.
     pub epoch: usize,
@@ -62,13 +60,9 @@ pub enum SummaryError {
     Count {
         /// The dataset's kind.
         dataset: String,
-        /// The subject.
         subject: String,
-        /// The clip.
         clip: String,
-        /// The epoch.
         epoch: usize,
-        /// Predictions found.
         count: usize,
     },
     /// A clip shows one class here and another there.
@@ -79,9 +73,7 @@ pub enum SummaryError {
     Truth {
         /// The dataset's kind.
         dataset: String,
-        /// The subject.
         subject: String,
-        /// The clip.
         clip: String,
         /// What it shows in its first prediction.
         first: String,

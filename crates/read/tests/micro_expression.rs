@@ -388,6 +388,18 @@ fn plain_clips_are_read_back_as_written() {
     }
 }
 
+/// As Excel and Python's `csv` end them.
+#[test]
+fn lines_may_end_in_cr_lf() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = "clip,subject,onset,apex,offset,class\r\na,s,1,2,3,positive\r\nb,s,1,2,3,negative\r\n";
+    fs::write(folder.path().join("clips.csv"), text).unwrap();
+    assert_eq!(counts(&read("clips", folder.path())), [1, 1, 0]);
+    fs::write(folder.path().join("clips.csv"), text.replace("negative", "glad")).unwrap();
+    let error = Labels::read(&source(&format!("clips:{}", folder.path().display()))).unwrap_err().to_string();
+    assert!(error.contains("row 3: class: `glad`"), "{error}");
+}
+
 #[test]
 fn rows_that_cannot_be_are_named() {
     let folder = tempfile::tempdir().unwrap();

@@ -6,32 +6,44 @@ use super::charts::{Chart, WIDTH, framed_at, place};
 /// A confusion matrix: `counts[truth][predicted]` clips, each row shaded by its shares. `chart.x` names the columns,
 /// `chart.y` the rows.
 pub fn confusion_matrix(classes: &[String], counts: &[Vec<usize>], chart: &Chart) -> Figure {
-    const TOP: f64 = 40.0;
     const LETTER: f64 = 6.6;
-    let columns = classes.len().max(1) as f64;
-    let longest = classes.iter().map(|class| class.chars().count()).max().unwrap_or(0);
+    /// Letters of a name that does not fit above its column and is turned by 60 degrees.
+    const SLANTED: usize = 18;
+    let letters = |class: &String| class.chars().count();
+    let longest = classes.iter().map(letters).max().unwrap_or(0);
     let left = (LETTER * longest as f64 + 16.0).clamp(70.0, 170.0);
-    let width = (WIDTH - left) / columns;
+    let columns = classes.len().max(1) as f64;
+    let slanted = LETTER * longest as f64 > (WIDTH - left) / columns - 6.0;
+    // A slanted name is half as wide as it is long, and reaches to the right of its column.
+    let right =
+        if slanted { LETTER / 2.0 * classes.last().map_or(0, letters).min(SLANTED) as f64 } else { 0.0 };
+    let top = if slanted { 34.0 + 0.87 * LETTER * longest.min(SLANTED) as f64 } else { 40.0 };
+    let width = (WIDTH - left - right) / columns;
     let height = width.clamp(30.0, 52.0);
-    let fits = |name: &str, room: f64| {
-        let letters = (room / LETTER) as usize;
+    let shortened = |name: &str, letters: usize| {
         let short: String = name.chars().take(letters.saturating_sub(1)).collect();
         if name.chars().count() <= letters { name.to_owned() } else { format!("{short}…") }
     };
     let center = |column: usize| left + (column as f64 + 0.5) * width;
+    let base = top - 8.0;
     let drawing = html! {
-        text.strong x="0" y=(TOP - 8.0) { (chart.y) }
+        text.strong x="0" y=(place(base)) { (chart.y) }
         text.strong x=(place(left + columns * width / 2.0)) y="12" text-anchor="middle" { (chart.x) }
         @for (at, class) in classes.iter().enumerate() {
-            text x=(place(center(at))) y=(TOP - 8.0) text-anchor="middle" {
-                (fits(class, width - 4.0)) title { (class) }
+            @if slanted {
+                @let x = place(center(at) + 4.0);
+                text x=(x) y=(place(base)) transform={ "rotate(-60 " (x) " " (place(base)) ")" } {
+                    (shortened(class, SLANTED)) title { (class) }
+                }
+            } @else {
+                text x=(place(center(at))) y=(place(base)) text-anchor="middle" { (class) }
             }
         }
         @for (at, (class, row)) in classes.iter().zip(counts).enumerate() {
-            @let top = TOP + at as f64 * height;
+            @let top = top + at as f64 * height;
             @let clips = row.iter().sum::<usize>();
             text x=(place(left - 10.0)) y=(place(top + height / 2.0 + 4.0)) text-anchor="end" {
-                (fits(class, left - 12.0)) title { (class) }
+                (shortened(class, ((left - 12.0) / LETTER) as usize)) title { (class) }
             }
             g.s1 {
                 @for (column, count) in row.iter().enumerate() {
@@ -52,5 +64,5 @@ pub fn confusion_matrix(classes: &[String], counts: &[Vec<usize>], chart: &Chart
             }
         }
     };
-    Figure(framed_at(chart, &[], drawing, TOP + height * counts.len().max(1) as f64))
+    Figure(framed_at(chart, &[], drawing, top + height * counts.len().max(1) as f64))
 }

@@ -24,13 +24,10 @@ pub struct Annotation {
 /// A row of the annotations that is left out.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Dropped {
-    /// The subject.
     pub subject: String,
-    /// The clip.
     pub clip: String,
     /// The label that the dataset gives.
     pub label: String,
-    /// Why.
     pub reason: DropReason,
 }
 

@@ -9,7 +9,6 @@ use super::{Clip, MicroExpressionError};
 /// A clip and the apex that was found in it.
 #[derive(Debug, Clone, Copy)]
 pub struct ApexRow<'a> {
-    /// The clip.
     pub clip: &'a Clip,
     /// Number of the frame.
     pub apex: u64,

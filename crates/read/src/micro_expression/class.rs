@@ -5,9 +5,7 @@ use std::fmt;
 pub enum EmotionClass {
     /// Anger, disgust, contempt, fear, sadness, repression.
     Negative = 0,
-    /// Happiness.
     Positive = 1,
-    /// Surprise.
     Surprise = 2,
 }
 

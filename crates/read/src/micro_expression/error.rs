@@ -8,10 +8,8 @@ use crate::flow::DatasetError;
 /// Why a micro-expression dataset could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum MicroExpressionError {
-    /// The text is not `KIND:DIR`.
     #[error("`{found}`: expected KIND:DIR, e.g. samm:/data/SAMM. Kinds: {known}")]
     NotKindAndFolder {
-        /// What was given.
         found: String,
         /// The kinds there are.
         known: String,
@@ -19,9 +17,7 @@ pub enum MicroExpressionError {
     /// No annotation file fits.
     #[error("{kind}: looked for {expected} in {}; {found}", .dir.display())]
     NoAnnotations {
-        /// Kind of dataset.
         kind: &'static str,
-        /// The dataset's folder.
         dir: PathBuf,
         /// What the file is.
         expected: &'static str,
@@ -31,7 +27,6 @@ pub enum MicroExpressionError {
     /// A spreadsheet or table cannot be read.
     #[error("{}: {reason}", .path.display())]
     Table {
-        /// The file.
         path: PathBuf,
         /// What was expected and found.
         reason: String,
@@ -39,11 +34,8 @@ pub enum MicroExpressionError {
     /// The columns of a table are not those of this dataset.
     #[error("{}: expected {kind}'s columns ({expected}); {found}", .path.display())]
     Columns {
-        /// The file.
         path: PathBuf,
-        /// Kind of dataset.
         kind: &'static str,
-        /// The columns needed.
         expected: String,
         /// What there is instead, and what to do.
         found: String,
@@ -51,7 +43,6 @@ pub enum MicroExpressionError {
     /// A row does not hold what it must.
     #[error("{}, row {row}: {reason}", .path.display())]
     Row {
-        /// The file.
         path: PathBuf,
         /// Number of the row in the file, from 1.
         row: usize,
@@ -61,11 +52,8 @@ pub enum MicroExpressionError {
     /// Two rows name the same clip.
     #[error("{}: subject {subject}, clip {clip} is there twice; keep one of the rows", .path.display())]
     Twice {
-        /// The file.
         path: PathBuf,
-        /// The subject.
         subject: String,
-        /// The clip.
         clip: String,
     },
     /// No clip belongs to any of the classes.
@@ -73,7 +61,6 @@ pub enum MicroExpressionError {
         "{dataset}: no clip belongs to one of the classes {classes}; its clips are labelled {found}. Give other --classes"
     )]
     NoClass {
-        /// Name of the dataset.
         dataset: String,
         /// The classes' names.
         classes: String,
@@ -83,7 +70,6 @@ pub enum MicroExpressionError {
     /// No clip's folder lies where it should.
     #[error("{kind}: looked for {looked_for}; {found}")]
     NoFolders {
-        /// Kind of dataset.
         kind: &'static str,
         /// The first clip's folder.
         looked_for: String,
@@ -96,7 +82,6 @@ pub enum MicroExpressionError {
         .root.display()
     )]
     Missing {
-        /// Name of the dataset.
         dataset: String,
         /// The folder of the subjects' folders.
         root: PathBuf,

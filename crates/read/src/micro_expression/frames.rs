@@ -144,9 +144,7 @@ fn gaps(frames: &BTreeMap<u64, PathBuf>, first: u64, last: u64) -> Vec<(u64, u64
 /// The frames of one clip that are not on disk.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MissingFrames {
-    /// The subject.
     pub subject: String,
-    /// The clip.
     pub clip: String,
     /// The folder in which they were looked for.
     pub folder: PathBuf,

@@ -103,7 +103,6 @@ fn check_names(annotation: &Annotation) -> Result<(), String> {
 /// One clip and where its frames lie.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Clip {
-    /// Name of the dataset.
     pub dataset: String,
     /// Who, what and when.
     pub annotation: Annotation,
@@ -132,7 +131,6 @@ pub struct ClipDataset {
     pub name: String,
     /// Which of its published forms was found: `raw`, `cropped`, `extended` or `short`; empty where there is but one.
     pub form: &'static str,
-    /// The dataset's folder.
     pub dir: PathBuf,
     /// The annotation file; none where the folders' names say everything.
     pub file: Option<PathBuf>,

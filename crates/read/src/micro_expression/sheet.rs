@@ -202,14 +202,18 @@ pub fn read_csv(kind: &'static str, path: &Path, columns: &[&str]) -> Result<Tab
         .flexible(true)
         .from_reader(open_file(path, FileKind::Table)?.0);
     let mut rows = Cells::new();
+    let mut next = 0;
     for record in reader.records() {
         let record = record
             .map_err(|error| wrong(format!("expected a CSV table: {}", excerpt(&error.to_string()))))?;
         let line = record.position().map_or(1, csv::Position::line);
+        // After a line that ends in CR LF, the reader is still on that line.
+        let row = u32::try_from(line.saturating_sub(1)).unwrap_or(u32::MAX).max(next);
+        next = row.saturating_add(1);
         let cells = (0..).zip(&record).filter(|(_, text)| !text.trim().is_empty());
         let cells: BTreeMap<u32, String> = cells.map(|(at, text)| (at, text.to_owned())).collect();
         if !cells.is_empty() {
-            rows.insert(u32::try_from(line.saturating_sub(1)).unwrap_or(u32::MAX), cells);
+            rows.insert(row, cells);
         }
     }
     let header = rows.first_key_value().map(|(row, cells)| (*row, cells.clone())).unwrap_or_default();

@@ -82,7 +82,6 @@ struct SpottingErrors {
     middle_of_clip_frames: f64,
 }
 
-/// Runs the command.
 pub fn run(args: Apex, context: &Context) -> anyhow::Result<()> {
     ensure_free(&args.out, args.force)?;
     let face = args.face.crop()?;

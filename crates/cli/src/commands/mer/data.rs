@@ -120,7 +120,6 @@ struct Listing {
     missing: Vec<MissingFrames>,
 }
 
-/// Runs the command.
 pub fn run(args: Data, context: &Context) -> anyhow::Result<()> {
     let sources = args.sources.complete(args.datasets)?;
     let listings = sources

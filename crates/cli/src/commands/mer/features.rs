@@ -61,7 +61,6 @@ struct Report {
     data: Vec<DataRecord>,
 }
 
-/// Runs the command.
 pub fn run(args: Features, context: &Context) -> anyhow::Result<()> {
     ensure!(
         args.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npz")),

@@ -110,7 +110,6 @@ where
     })
 }
 
-/// Runs the command.
 pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
     let folder = ResultsFolder::open(&args.out, args.force)?;
     let protocol = Protocol {

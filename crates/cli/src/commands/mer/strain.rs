@@ -73,7 +73,6 @@ struct Strained {
     max_strain: f32,
 }
 
-/// Runs the command.
 pub fn run(args: Strain, context: &Context) -> anyhow::Result<()> {
     let estimator = methods::estimator(&args.method, &args.parameters)?;
     let outputs = [Some(&args.out), args.features.as_ref(), args.viz.as_ref()];

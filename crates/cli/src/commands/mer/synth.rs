@@ -58,7 +58,6 @@ pub struct Synth {
     force: bool,
 }
 
-/// Runs the command.
 pub fn run(args: Synth, context: &Context) -> anyhow::Result<()> {
     let settings = SynthSettings {
         subjects: args.subjects,

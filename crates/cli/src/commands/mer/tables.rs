@@ -36,7 +36,6 @@ struct Recomputed {
     outcomes: Vec<OutcomeRecord>,
 }
 
-/// Runs the command.
 pub fn run(args: Tables, context: &Context) -> anyhow::Result<()> {
     if let Some(out) = &args.out {
         ensure_free(TABLE_FILES.map(|name| out.join(name)), args.force)?;

@@ -12,7 +12,9 @@ mod zero;
 pub use crop::{CropError, Window, head_window};
 pub use evaluate::{Estimate, EvaluateError, Event, OnFailure, PairProblem, ScoredPair, Settings, evaluate};
 pub use method_record::MethodRecord;
-pub use results::{Evaluation, Failure, MethodScores, PairScores, Region};
+pub use results::{
+    Evaluation, Failure, MethodScores, PairScores, Region, SCORES, ScoreColumn, score_columns,
+};
 pub use table::{
     Better, Column, Mark, Row, Table, TextStyle, joined, latex_escape, latex_file, markdown_file,
 };

@@ -101,10 +101,10 @@ impl Region {
 }
 
 /// Key, header, direction and value of a score.
-type ScoreColumn = (&'static str, &'static str, Better, fn(&Metrics) -> f64);
+pub type ScoreColumn = (&'static str, &'static str, Better, fn(&Metrics) -> f64);
 
 /// The scores of the paper's Table II, in its order.
-const SCORES: [ScoreColumn; 6] = [
+pub const SCORES: [ScoreColumn; 6] = [
     ("epe", "EPE", Better::Lower, |metrics| metrics.epe),
     ("px1", "px1", Better::Higher, |metrics| metrics.px1),
     ("px3", "px3", Better::Higher, |metrics| metrics.px3),
@@ -113,17 +113,22 @@ const SCORES: [ScoreColumn; 6] = [
     ("wauc", "WAUC", Better::Higher, |metrics| metrics.wauc),
 ];
 
+/// The columns of [`SCORES`].
+pub fn score_columns() -> Vec<Column> {
+    let column = |(key, header, better, _): ScoreColumn| Column {
+        key: key.to_owned(),
+        header: header.to_owned(),
+        better: Some(better),
+        decimals: 4,
+    };
+    SCORES.map(column).to_vec()
+}
+
 impl Evaluation {
     /// The paper's Table II for one region, with the median seconds per pair behind it; `None` when the dataset has no
     /// such region.
     pub fn table(&self, region: Region) -> Option<Table> {
         self.methods.iter().find_map(|method| method.region(region))?;
-        let score = |(key, header, better, _): &ScoreColumn| Column {
-            key: (*key).to_owned(),
-            header: (*header).to_owned(),
-            better: Some(*better),
-            decimals: 4,
-        };
         let seconds =
             Column { key: "seconds".to_owned(), header: "s/pair".to_owned(), better: None, decimals: 3 };
         let row = |method: &MethodScores| {
@@ -141,7 +146,7 @@ impl Evaluation {
             self.crop.map_or(String::new(), |(width, height)| format!(", cropped to {width}x{height}"));
         Some(Table {
             title: format!("{}, {}{crop}, {}", self.dataset, self.pairs_in_words(), region.words()),
-            columns: SCORES.iter().map(score).chain(std::iter::once(seconds)).collect(),
+            columns: score_columns().into_iter().chain([seconds]).collect(),
             rows: self.methods.iter().map(row).collect(),
         })
     }

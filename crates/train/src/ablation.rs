@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
-use srflow_eval::{Better, Column, Row, Table};
+use srflow_eval::{Column, Row, SCORES, ScoreColumn, Table, score_columns};
 use srflow_field::{FileKind, Metrics, parse_error_in_words, read_text, write_atomically};
 use srflow_read::flow::FlowDataset;
 
@@ -189,18 +189,6 @@ fn read_cell(path: &Path) -> Result<Cell, AblationError> {
     serde_json::from_str(&text).map_err(|error| wrong(parse_error_in_words(&error)))
 }
 
-/// Key, header, direction and value of a score, in the paper's order.
-type Score = (&'static str, &'static str, Better, fn(&Metrics) -> f64);
-
-const SCORES: [Score; 6] = [
-    ("epe", "EPE", Better::Lower, |metrics| metrics.epe),
-    ("px1", "px1", Better::Higher, |metrics| metrics.px1),
-    ("px3", "px3", Better::Higher, |metrics| metrics.px3),
-    ("px5", "px5", Better::Higher, |metrics| metrics.px5),
-    ("f1_all", "F1-ALL", Better::Lower, |metrics| metrics.f1_all),
-    ("wauc", "WAUC", Better::Higher, |metrics| metrics.wauc),
-];
-
 /// The paper's Table V, as printed: SKFlow as published, retrained on SRFlow, and the four SRFlowNets.
 const PAPER: [(&str, [f64; 6]); 6] = [
     ("SKFlow", [0.5361, 0.8452, 0.9678, 0.9927, 3.2159, 80.3533]),
@@ -211,24 +199,14 @@ const PAPER: [(&str, [f64; 6]); 6] = [
     ("SRFlowNet-IGVAR", [0.4000, 0.8993, 0.9927, 0.9989, 0.7270, 83.8422]),
 ];
 
-fn columns() -> Vec<Column> {
-    let column = |(key, header, better, _): Score| Column {
-        key: key.to_owned(),
-        header: header.to_owned(),
-        better: Some(better),
-        decimals: 4,
-    };
-    SCORES.map(column).to_vec()
-}
-
 /// Our runs in the form of the paper's Table V: the mean over the seeds.
 pub fn table(cells: &[Cell], title: String) -> Table {
-    Table { title, columns: columns(), rows: rows(cells, "", mean) }
+    Table { title, columns: score_columns(), rows: rows(cells, "", mean) }
 }
 
 /// The spread of the table: the standard deviation over the seeds (of a sample: divided by their number less one).
 pub fn spread_table(cells: &[Cell], title: String) -> Table {
-    let columns = columns().into_iter().map(|column| Column { better: None, ..column }).collect();
+    let columns = score_columns().into_iter().map(|column| Column { better: None, ..column }).collect();
     Table { title, columns, rows: rows(cells, "± ", deviation) }
 }
 
@@ -241,7 +219,7 @@ pub fn paper_table() -> Table {
     };
     Table {
         title: "The paper's Table V (arXiv 2601.06479), as printed".to_owned(),
-        columns: columns(),
+        columns: score_columns(),
         rows: PAPER.map(row).to_vec(),
     }
 }
@@ -254,7 +232,7 @@ fn rows(cells: &[Cell], prefix: &str, over_seeds: impl Fn(&[f64]) -> Option<f64>
         })
         .filter(|(_, cells)| !cells.is_empty())
         .map(|(variant, cells)| {
-            let value = |(.., value): &Score| {
+            let value = |(.., value): &ScoreColumn| {
                 over_seeds(&cells.iter().map(|cell| value(&cell.scores)).collect::<Vec<f64>>())
             };
             let name = format!("{prefix}{}", variant.title);

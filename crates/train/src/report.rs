@@ -3,6 +3,7 @@
 use srflow_eval::report::{Axis, Chart, Curve, Figure, Page, Section, curves, facts, tiles};
 
 use crate::config::Config;
+use crate::loss::REGULARIZERS;
 use crate::training_log::{Record, StepRecord, ValidationRecord};
 
 /// Points of a curve of steps; more are averaged together.
@@ -18,7 +19,7 @@ pub fn report(config: &Config, records: &[Record], machine: &str) -> Page {
         .iter()
         .filter_map(|record| if let Record::Validation(scores) = record { Some(scores) } else { None })
         .collect();
-    let mut sections = vec![training(&steps)];
+    let mut sections = vec![training(config, &steps)];
     if !validations.is_empty() {
         sections.insert(0, validation(&validations));
     }
@@ -63,50 +64,29 @@ fn validation(validations: &[&ValidationRecord]) -> Section {
     let mut datasets: Vec<&str> = validations.iter().map(|scores| scores.dataset.as_str()).collect();
     datasets.sort_unstable();
     datasets.dedup();
-    let chart = |title: &str, y: &str, caption: &str| Chart {
-        title: title.to_owned(),
-        x: "step".to_owned(),
-        y: y.to_owned(),
-        caption: caption.to_owned(),
-    };
-    let of =
-        |dataset: &str, name: &str, baseline: bool, value: &dyn Fn(&ValidationRecord) -> Option<f64>| Curve {
-            name: name.to_owned(),
-            points: validations
-                .iter()
-                .filter(|scores| scores.dataset == dataset)
-                .filter_map(|scores| Some((scores.step as f64, value(scores)?)))
-                .collect(),
-            baseline,
-        };
     let figures = datasets.iter().flat_map(|dataset| {
-        let mut epe = vec![
-            of(dataset, "all pixels", false, &|scores| Some(scores.whole.epe)),
-            of(dataset, "zero flow", true, &|scores| Some(scores.zero_epe)),
-        ];
-        if validations.iter().any(|scores| scores.dataset == *dataset && scores.head.is_some()) {
-            epe.insert(1, of(dataset, "inside the head mask", false, &|scores| Some(scores.head?.epe)));
+        let records = || validations.iter().filter(|scores| scores.dataset == *dataset);
+        let of = |name: &str, value: &dyn Fn(&ValidationRecord) -> Option<f64>| Curve {
+            name: name.to_owned(),
+            points: records().filter_map(|scores| Some((scores.step as f64, value(scores)?))).collect(),
+            baseline: false,
+        };
+        let mut epe = vec![of("all pixels", &|scores| Some(scores.whole.epe))];
+        if records().any(|scores| scores.head.is_some()) {
+            epe.push(of("inside the head mask", &|scores| Some(scores.head?.epe)));
         }
+        epe.push(Curve { baseline: true, ..of("zero flow", &|scores| Some(scores.zero_epe)) });
         let shares = [
-            of(dataset, "px1", false, &|scores| Some(scores.whole.px1)),
-            of(dataset, "px3", false, &|scores| Some(scores.whole.px3)),
-            of(dataset, "px5", false, &|scores| Some(scores.whole.px5)),
+            of("px1", &|scores| Some(scores.whole.px1)),
+            of("px3", &|scores| Some(scores.whole.px3)),
+            of("px5", &|scores| Some(scores.whole.px5)),
         ];
-        let wauc = [of(dataset, "WAUC", false, &|scores| Some(scores.whole.wauc))];
+        let wauc = [of("WAUC", &|scores| Some(scores.whole.wauc))];
+        let chart = |y, caption| chart(dataset, y, caption);
         [
-            curves(&epe, Axis::Logarithmic, true, &chart(dataset, "EPE, px", "Mean end-point error.")),
-            curves(
-                &shares,
-                Axis::Linear,
-                true,
-                &chart(dataset, "share", "Pixels within 1, 3 and 5 px of the truth."),
-            ),
-            curves(
-                &wauc,
-                Axis::Linear,
-                true,
-                &chart(dataset, "WAUC", "Weighted area under the curve of errors."),
-            ),
+            curves(&epe, Axis::Logarithmic, true, &chart("EPE, px", "Mean end-point error.")),
+            curves(&shares, Axis::Linear, true, &chart("share", "Pixels within 1, 3 and 5 px of the truth.")),
+            curves(&wauc, Axis::Linear, true, &chart("WAUC", "Weighted area under the curve of errors.")),
         ]
     });
     Section {
@@ -116,7 +96,7 @@ fn validation(validations: &[&ValidationRecord]) -> Section {
     }
 }
 
-fn training(steps: &[&StepRecord]) -> Section {
+fn training(config: &Config, steps: &[&StepRecord]) -> Section {
     let names: Vec<&str> =
         steps.first().map_or(Vec::new(), |step| step.parts.iter().map(|(name, _)| name.as_str()).collect());
     let mut losses = vec![averaged(steps, "total", &|step| step.loss)];
@@ -125,33 +105,36 @@ fn training(steps: &[&StepRecord]) -> Section {
             .extend(names.iter().enumerate().map(|(i, name)| averaged(steps, name, &|step| step.parts[i].1)));
     }
     let figure = |lines: &[Curve], axis, title: &str, y: &str, caption: &str| -> Figure {
-        let chart = Chart {
-            title: title.to_owned(),
-            x: "step".to_owned(),
-            y: y.to_owned(),
-            caption: caption.to_owned(),
-        };
-        curves(lines, axis, false, &chart)
+        curves(lines, axis, false, &chart(title, y, caption))
     };
     let epe = [averaged(steps, "last prediction", &|step| step.epe)];
     let norm = [averaged(steps, "before clipping", &|step| step.gradient_norm)];
     let rate = [averaged(steps, "learning rate", &|step| step.learning_rate)];
+    let epe_caption = "Mean end-point error on the augmented crops.";
     Section {
         title: "Training".to_owned(),
         lead: "Each point is a mean over the steps around it.".to_owned(),
         figures: vec![
-            figure(&losses, Axis::Logarithmic, "Loss", "loss", "What is minimised, and its parts."),
-            figure(
-                &epe,
-                Axis::Logarithmic,
-                "Training error",
-                "EPE, px",
-                "Mean end-point error on the augmented crops.",
-            ),
+            figure(&losses, Axis::Logarithmic, "Loss", "loss", &loss_caption(config)),
+            figure(&epe, Axis::Logarithmic, "Training error", "EPE, px", epe_caption),
             figure(&norm, Axis::Logarithmic, "Gradients", "norm", "Norm of all gradients together."),
             figure(&rate, Axis::Linear, "Learning rate", "rate", "One cycle: up, then down."),
         ],
     }
+}
+
+/// What the parts of the loss are, each times its weight.
+fn loss_caption(config: &Config) -> String {
+    let mut caption = format!("The minimised loss. sequence: {}", config.loss.sequence.description);
+    for regularizer in REGULARIZERS.iter().filter(|regularizer| config.loss.weight(regularizer) != 0.0) {
+        let (name, weight) = (regularizer.name, config.loss.weight(regularizer));
+        caption.push_str(&format!(". {name}, times {weight}: {}", regularizer.description));
+    }
+    caption + "."
+}
+
+fn chart(title: &str, y: &str, caption: &str) -> Chart {
+    Chart { title: title.to_owned(), x: "step".to_owned(), y: y.to_owned(), caption: caption.to_owned() }
 }
 
 fn averaged(steps: &[&StepRecord], name: &str, value: &dyn Fn(&StepRecord) -> f64) -> Curve {

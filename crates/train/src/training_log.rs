@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
+use srflow_eval::SCORES;
 use srflow_field::{
     FileError, FileKind, FileProblem, Metrics, parse_error_in_words, read_text, write_atomically,
 };
@@ -97,16 +98,10 @@ impl Record {
             Self::Skipped(_) => vec![("train/skipped".to_owned(), 1.0)],
             Self::Validation(record) => {
                 let of = |region: &'static str, metrics: &Metrics| {
-                    let scores = [
-                        ("epe", metrics.epe),
-                        ("px1", metrics.px1),
-                        ("px3", metrics.px3),
-                        ("px5", metrics.px5),
-                        ("f1_all", metrics.f1_all),
-                        ("wauc", metrics.wauc),
-                    ];
                     let dataset = record.dataset.replace(", ", " ");
-                    scores.map(|(name, value)| (format!("validation {dataset}/{name}{region}"), value))
+                    SCORES.map(|(name, .., value)| {
+                        (format!("validation {dataset}/{name}{region}"), value(metrics))
+                    })
                 };
                 let head = record.head.iter().flat_map(|head| of(" head", head));
                 of("", &record.whole).into_iter().chain(head).collect()

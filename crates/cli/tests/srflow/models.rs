@@ -81,7 +81,7 @@ fn what_is_no_checkpoint_is_an_error() {
     let page = folder.path().join("skflow-things.ckpt");
     fs::write(&page, "<html>not found</html>").unwrap();
     for (path, said) in
-        [(page, "a file that starts with \"<html>not found"), ("none.pth".into(), "none.pth: ")]
+        [(page, "a file that starts with `<html>not found"), ("none.pth".into(), "none.pth: ")]
     {
         let output = models(&["inspect", path.to_str().unwrap()]);
         assert_eq!(output.status.code(), Some(1));

@@ -115,11 +115,7 @@ pub enum FaceError {
     },
     /// There are no landmarks of a clip.
     #[error("{}: no landmarks of clip {clip} of subject {subject}; add a row for it", .path.display())]
-    NoLandmarks {
-        path: PathBuf,
-        subject: String,
-        clip: String,
-    },
+    NoLandmarks { path: PathBuf, subject: String, clip: String },
     /// The box does not lie inside the frame.
     #[error("the box {face} does not lie in a frame of {width}x{height} (WIDTHxHEIGHT)")]
     Outside {

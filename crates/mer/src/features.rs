@@ -40,11 +40,7 @@ pub enum FeatureError {
     },
     /// A value is infinite or not a number.
     #[error("feature map {channel:?} holds a value that is not finite at pixel ({x}, {y})")]
-    NotFinite {
-        channel: Channel,
-        x: usize,
-        y: usize,
-    },
+    NotFinite { channel: Channel, x: usize, y: usize },
 }
 
 impl Features {

@@ -76,11 +76,7 @@ pub enum LosoError {
     Subjects(Vec<String>),
     /// Two clips of one subject share a name.
     #[error("{dataset} subject {subject} has two clips called {clip}; give each its own name")]
-    SameClip {
-        dataset: String,
-        subject: String,
-        clip: String,
-    },
+    SameClip { dataset: String, subject: String, clip: String },
     /// The loss of a fold became infinite or not a number.
     #[error(
         "training without {dataset} subject {subject} diverged in epoch {epoch}; try a smaller learning rate"

@@ -62,9 +62,7 @@ pub enum PredictionsError {
     },
     /// There is not a single prediction.
     #[error("{}: it holds no predictions; expected a predictions.csv as `srflow mer run` writes it", .path.display())]
-    Empty {
-        path: PathBuf,
-    },
+    Empty { path: PathBuf },
     /// A class that no column names, a prediction that is not the largest score, or no number where one should be.
     #[error("{}: line {line}: {reason}", .path.display())]
     Value {

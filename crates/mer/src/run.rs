@@ -78,10 +78,7 @@ pub enum RunEvent<'a> {
         clip_epochs: u64,
     },
     /// The folds of a set are going to be trained on the features of a flow method.
-    Folds {
-        set: &'a str,
-        method: &'a str,
-    },
+    Folds { set: &'a str, method: &'a str },
     /// A fold was trained for another epoch.
     Trained {
         /// As many of the [`RunEvent::Training`].
@@ -150,20 +147,13 @@ pub enum RunError {
     Composite(usize),
     /// Nobody can be left out.
     #[error("{set}: leaving one subject out needs clips of at least 2 subjects; found {found}")]
-    Subjects {
-        set: String,
-        found: usize,
-    },
+    Subjects { set: String, found: usize },
     /// A clip has no features.
     #[error(transparent)]
     Extract(#[from] ExtractError),
     /// A fold gave no predictions.
     #[error("{set}, {method}: {error}")]
-    Training {
-        set: String,
-        method: String,
-        error: LosoError,
-    },
+    Training { set: String, method: String, error: LosoError },
     /// Predictions cannot be scored.
     #[error(transparent)]
     Scores(#[from] SummaryError),

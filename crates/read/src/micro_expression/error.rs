@@ -51,11 +51,7 @@ pub enum MicroExpressionError {
     },
     /// Two rows name the same clip.
     #[error("{}: subject {subject}, clip {clip} is there twice; keep one of the rows", .path.display())]
-    Twice {
-        path: PathBuf,
-        subject: String,
-        clip: String,
-    },
+    Twice { path: PathBuf, subject: String, clip: String },
     /// No clip belongs to any of the classes.
     #[error(
         "{dataset}: no clip belongs to one of the classes {classes}; its clips are labelled {found}. Give other --classes"

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use srflow_nets::{Architecture, NetworkEstimator, find_weights, load_network, weights_folder};
+use srflow_nets::{Architecture, Claim, NetworkEstimator, claim, find_weights, load_network, weights_folder};
 use srflow_ops::{device, device_kinds};
 
 use crate::usage::wrong_usage;
@@ -96,6 +96,14 @@ impl NetworkArgs {
         };
         let path = self.weights_of(architecture, weights)?;
         let network = load_network(architecture, &path, &device)?;
+        if let Claim::Silent(others) = claim(architecture, &path)? {
+            eprintln!(
+                "note: {}: nothing in it says whether it is of {} or of {}, whose parameters have the same names and shapes",
+                path.display(),
+                architecture.facts().title,
+                others.join(", ")
+            );
+        }
         let iterations = NonZeroUsize::new(self.iterations(architecture)).context("no iterations")?;
         Ok(NetworkEstimator::new(label, network, iterations, device))
     }

@@ -8,6 +8,7 @@ use srflow_nn::{Checkpoint, ParameterInfo, ParametersError, WeightsError, compar
 
 use crate::architecture::Architecture;
 use crate::network::Network;
+use crate::whose::{Claim, claim};
 
 /// How well parameters fit a network.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -68,21 +69,37 @@ fn fit(architecture: Architecture, given: &[ParameterInfo]) -> Fit {
 }
 
 /// A network of the given architecture with the weights of a checkpoint. When they are another's, the error says which
-/// network fits best.
+/// network fits best, or which the file names.
 ///
 /// # Errors
-/// Those of [`load`].
+/// Those of [`load`], and [`WeightsError::OtherNetwork`] where the parameters fit and the file says that it is of another
+/// network.
 pub fn load_network(
     architecture: Architecture,
     path: &Path,
     device: &Device,
 ) -> Result<Network, WeightsError> {
-    load(architecture.init(device), path).map_err(|error| match error {
+    let named = || claim(architecture, path).ok();
+    let network = load(architecture.init(device), path).map_err(|error| match error {
         WeightsError::Mismatch { path, difference, .. } => {
-            let nearest = Checkpoint::open(&path).map(|file| fits(&file.parameters()).swap_remove(0));
-            let hint = nearest.map_or_else(|_| String::new(), |nearest| format!("\n  {nearest}"));
+            let hint = match named() {
+                Some(Claim::Other(other)) => {
+                    format!("\n  the file names {other}, which is not among the networks here")
+                }
+                _ => {
+                    let nearest = Checkpoint::open(&path).map(|file| fits(&file.parameters()).swap_remove(0));
+                    nearest.map_or_else(|_| String::new(), |nearest| format!("\n  {nearest}"))
+                }
+            };
             WeightsError::Mismatch { path, difference, hint }
         }
         other => other,
-    })
+    })?;
+    let facts = architecture.facts();
+    match named() {
+        Some(Claim::Other(other)) if facts.lookalikes.contains(&other) => {
+            Err(WeightsError::OtherNetwork { path: path.to_owned(), network: facts.title, other })
+        }
+        _ => Ok(network),
+    }
 }

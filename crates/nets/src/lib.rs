@@ -20,6 +20,7 @@ mod recurrent;
 mod scale;
 mod skflow;
 mod tiles;
+mod whose;
 
 pub use architecture::{Architecture, Facts, IterationPresets, PublishedWeights};
 pub use encoded::Encoded;
@@ -36,3 +37,4 @@ pub use recurrent::{Estimate, Request};
 pub use scale::{Scaled, scaled_size};
 pub use skflow::SkFlow;
 pub use tiles::{MemoryNeed, NothingFits, TileSize, Tiled, Tiles};
+pub use whose::{Claim, claim};

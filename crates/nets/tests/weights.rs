@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use burn::tensor::{Device, TensorData};
-use srflow_nets::{Architecture, Network, fits, load_network};
+use srflow_nets::{Architecture, Claim, Network, claim, fits, load_network};
 use srflow_nn::{Checkpoint, ParameterInfo, parameters, save_parameters, with_parameters};
 
 /// Saves a network's parameters and hands their file to `check`.
@@ -68,4 +68,23 @@ fn ten_names_are_listed_and_the_rest_counted() {
     assert!(message.contains(&format!("and {} more", count - 10)), "{message}");
     assert!(message.contains("8 unknown: conv1.bias"), "{message}");
     assert!(message.ends_with("no network known here has parameters of these names and shapes"), "{message}");
+}
+
+/// MemFlow's parameters have the names and shapes of SKFlow's: only words tell.
+#[test]
+fn weights_that_say_they_are_another_networks_are_refused() {
+    let folder = tempfile::tempdir().expect("folder");
+    let network = Architecture::SkFlow.init(&Device::flex());
+    let [said, silent] =
+        ["MemFlow_things.safetensors", "best.safetensors"].map(|name| folder.path().join(name));
+    for path in [&said, &silent] {
+        save_parameters(&network, path).expect("weights");
+    }
+    let error =
+        load_network(Architecture::SkFlow, &said, &Device::flex()).expect_err("MemFlow's").to_string();
+    assert!(error.contains("MemFlow_things") && error.contains("weights of MemFlow"), "{error}");
+    assert!(load_network(Architecture::SkFlow, &silent, &Device::flex()).is_ok());
+    assert_eq!(claim(Architecture::SkFlow, &silent).expect("readable"), Claim::Silent(&["MemFlow"]));
+    let error = load_network(Architecture::Raft, &said, &Device::flex()).expect_err("no RAFT").to_string();
+    assert!(error.ends_with("the file names MemFlow, which is not among the networks here"), "{error}");
 }

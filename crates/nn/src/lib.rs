@@ -8,7 +8,7 @@ mod optimizer;
 mod parameters;
 mod weights;
 
-pub use checkpoint::{Checkpoint, Format, read_safetensors, safetensors_bytes, save_pytorch};
+pub use checkpoint::{Checkpoint, Format, read_safetensors, safetensors_bytes, save_pytorch, words};
 pub use host::{HostGradients, Layout, Segment, filled, numbers};
 pub use layers::with_batch_statistics;
 pub use optimizer::{AdamW, AdamWState, ModuleAdamW, Rounding, clip_norm, norm};

@@ -63,6 +63,20 @@ pub enum WeightsError {
         /// What the caller knows beside, such as whose parameters they are; on a line of its own.
         hint: String,
     },
+    /// The parameters fit, but the file says that they are another network's.
+    #[error(
+        "{}: its name or hyper-parameters say that these are weights of {other}, whose parameters have the names and shapes of \
+         {network}'s but are computed with otherwise; use weights of {network}, or rename the file if it holds them",
+        .path.display()
+    )]
+    OtherNetwork {
+        /// The file.
+        path: PathBuf,
+        /// The network that was asked for.
+        network: &'static str,
+        /// The network that the file names.
+        other: &'static str,
+    },
 }
 
 /// `network` with the weights of a checkpoint: PyTorch (zip, legacy, Lightning), safetensors or burnpack, told apart by

@@ -8,9 +8,11 @@ mod naming;
 mod pytorch;
 mod pytorch_writer;
 mod safetensors;
+mod words;
 
 pub use pytorch_writer::save_pytorch;
 pub use safetensors::{read_safetensors, safetensors_bytes};
+pub use words::words;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;

@@ -1,6 +1,7 @@
 //! What commands have in common when they write: nothing is overwritten unasked, texts are whole or absent, tables look
 //! alike.
 
+use std::ffi::OsStr;
 use std::io::{IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
@@ -8,12 +9,37 @@ use anyhow::{Context as _, bail};
 use srflow_eval::{Table, TextStyle, joined, latex_file};
 use srflow_field::write_atomically;
 
+use crate::usage::wrong_usage;
+use crate::video::is_video;
+
 /// Fails on the first of these files that exists, unless `force` allows to overwrite it.
 pub fn ensure_free(files: impl IntoIterator<Item: Into<PathBuf>>, force: bool) -> anyhow::Result<()> {
     match files.into_iter().map(Into::into).find(|file| !force && file.exists()) {
         Some(file) => bail!("{} exists; give --force to overwrite it, or another name", file.display()),
         None => Ok(()),
     }
+}
+
+/// Fails on a name that is a file's: what a folder is asked for under such a name would not be what it says.
+pub fn ensure_folder(folder: &Path) -> anyhow::Result<()> {
+    const EXTENSIONS: [&str; 16] = [
+        "png", "jpg", "jpeg", "bmp", "ppm", "npy", "npz", "npz16", "flo", "flo5", "pfm", "csv", "json",
+        "html", "txt", "zip",
+    ];
+    let extension = folder.extension().and_then(OsStr::to_str).unwrap_or_default();
+    let like_file = EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(extension)) || is_video(folder);
+    if like_file && !folder.is_dir() {
+        wrong_usage!("{}: expected a folder to write into, found the name of a file", folder.display());
+    }
+    Ok(())
+}
+
+/// Fails unless the name ends in the extension of what is written.
+pub fn ensure_extension(file: &Path, extension: &str) -> anyhow::Result<()> {
+    if !file.extension().is_some_and(|found| found.eq_ignore_ascii_case(extension)) {
+        wrong_usage!("{}: this output is a .{extension} file: give it that extension", file.display());
+    }
+    Ok(())
 }
 
 /// Writes a text file, whole or not at all.

@@ -1,9 +1,11 @@
 //! An evaluation with a progress bar and pictures of a few of its pairs.
 
+use std::path::Path;
+
 use indicatif::{ProgressBar, ProgressStyle};
 use srflow_eval::report::{Figure, pair_figures};
-use srflow_eval::{Evaluation, Event, Settings, evaluate};
-use srflow_field::FlowEstimator;
+use srflow_eval::{Evaluation, Event, Method, ScoredPair, Settings, evaluate};
+use srflow_field::{create_folder, write_flow};
 use srflow_read::flow::FlowDataset;
 
 /// Which pairs become pictures.
@@ -15,24 +17,25 @@ pub struct Pictures {
     pub width: usize,
 }
 
-/// Scores `estimators` over `dataset`, with a bar on standard error where that is a terminal.
+/// Scores `methods` over `dataset`, with a bar on standard error where that is a terminal. With `save`, the flows of each method
+/// go into a folder of that name there, as [`srflow_eval::FlowFiles`] finds them.
 ///
 /// # Errors
-/// Those of [`evaluate`], or when a picture cannot be encoded.
+/// Those of [`evaluate`], or when a picture cannot be encoded or a flow not be written.
 pub fn score(
     dataset: &FlowDataset,
-    estimators: &[Box<dyn FlowEstimator>],
+    methods: &[Method<'_>],
     settings: Settings,
     pictures: Pictures,
+    save: Option<&Path>,
 ) -> anyhow::Result<(Evaluation, Vec<Figure>)> {
-    let estimators: Vec<&dyn FlowEstimator> = estimators.iter().map(AsRef::as_ref).collect();
     let bar = ProgressBar::new(0).with_style(ProgressStyle::with_template(
         "{bar:30} {pos}/{len} pairs  {elapsed} elapsed, {eta} to go  {msg}",
     )?);
     let mut figures = Vec::new();
-    let mut problem = None;
+    let mut problem: Option<anyhow::Error> = None;
     let mut shown_every = None;
-    let result = evaluate(dataset, &estimators, settings, &mut |event| match event {
+    let result = evaluate(dataset, methods, settings, &mut |event| match event {
         Event::Started { pairs } => {
             bar.set_length(pairs as u64);
             shown_every = (pictures.pairs > 0).then(|| pairs.div_ceil(pictures.pairs).max(1));
@@ -40,10 +43,13 @@ pub fn score(
         Event::Estimating { method, pair } => bar.set_message(format!("{method} on {pair}")),
         Event::Scored(pair) => {
             bar.inc(1);
+            if let (None, Some(dir)) = (&problem, save) {
+                problem = save_flows(pair, dir).err();
+            }
             if problem.is_none() && shown_every.is_some_and(|every| pair.index % every == every / 2) {
                 match pair_figures(pair, pictures.width, "") {
                     Ok(more) => figures.extend(more),
-                    Err(error) => problem = Some(error),
+                    Err(error) => problem = Some(error.into()),
                 }
             }
         }
@@ -55,7 +61,23 @@ pub fn score(
     bar.finish_and_clear();
     let evaluation = result?;
     match problem {
-        Some(error) => Err(error.into()),
+        Some(error) => Err(error),
         None => Ok((evaluation, figures)),
     }
+}
+
+/// What the folder of a method's flows is called: its name, without what a folder cannot be called on some system.
+pub fn folder_name(method: &str) -> String {
+    let allowed = |c: char| !c.is_control() && !r#"/\:*?"<>|"#.contains(c);
+    let name: String = method.chars().map(|c| if allowed(c) { c } else { '_' }).collect();
+    if name.chars().all(|c| c == '.') { "_".to_owned() } else { name }
+}
+
+fn save_flows(pair: &ScoredPair, dir: &Path) -> anyhow::Result<()> {
+    for estimate in pair.estimates.iter().filter(|estimate| !estimate.baseline) {
+        let file = dir.join(folder_name(&estimate.method)).join(format!("{}.flo", pair.name));
+        file.parent().map_or(Ok(()), create_folder)?;
+        write_flow(&file, &estimate.flow)?;
+    }
+    Ok(())
 }

@@ -4,12 +4,32 @@ use std::num::NonZeroUsize;
 use std::time::Instant;
 
 use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, Mask, MeanMetrics, ScoreError, score};
-use srflow_read::flow::{DatasetError, Entry, FlowDataset, Sample, Split};
+use srflow_read::flow::{DatasetError, Entry, FlowDataset, Sample};
 
 use crate::crop::{CropError, Window, head_window};
 use crate::error_curve::ErrorCurve;
-use crate::results::{Evaluation, Failure, MethodScores, PairScores};
+use crate::flow_files::{FlowFileError, FlowFiles};
+use crate::results::{Evaluation, Failure, MethodScores, PairScores, title};
 use crate::zero::Zero;
+
+/// Where the flow that is scored comes from.
+#[derive(Clone, Copy)]
+pub enum Method<'a> {
+    /// It is estimated.
+    Estimator(&'a dyn FlowEstimator),
+    /// It was estimated before.
+    Files(&'a FlowFiles),
+}
+
+impl<'a> Method<'a> {
+    /// What tables call it.
+    pub fn name(self) -> &'a str {
+        match self {
+            Self::Estimator(estimator) => estimator.name(),
+            Self::Files(files) => files.name(),
+        }
+    }
+}
 
 /// What is evaluated, and how.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -35,7 +55,7 @@ pub enum OnFailure {
     LeaveOut,
 }
 
-/// What [`evaluate`] tells while it runs.
+/// Progress of [`evaluate`].
 #[derive(Debug)]
 pub enum Event<'a> {
     /// Before the first pair: how many there are.
@@ -135,6 +155,14 @@ pub enum PairProblem {
         /// What it said.
         source: EstimateError,
     },
+    /// A file with a method's flow could not be read.
+    #[error("{method}: {source}")]
+    File {
+        /// The method's name.
+        method: String,
+        /// What is wrong with it.
+        source: FlowFileError,
+    },
     /// A method's flow could not be scored.
     #[error("the flow of {method} could not be scored: {source}")]
     Score {
@@ -157,28 +185,25 @@ pub enum PairProblem {
 /// When no pair has a truth or none could be scored; with [`OnFailure::Stop`], at the first pair that fails.
 pub fn evaluate(
     dataset: &FlowDataset,
-    methods: &[&dyn FlowEstimator],
+    methods: &[Method<'_>],
     settings: Settings,
     on_event: &mut dyn FnMut(Event<'_>),
 ) -> Result<Evaluation, EvaluateError> {
-    let title = match dataset.split() {
-        Split::All => dataset.name().to_owned(),
-        split => format!("{}, {split} split", dataset.name()),
-    };
+    let title = title(dataset.name(), dataset.split());
     if dataset.entries().iter().all(|entry| entry.flow.is_none()) {
         return Err(EvaluateError::NoTruth { dataset: title, pairs: dataset.entries().len() });
     }
-    let estimators: Vec<&dyn FlowEstimator> = std::iter::once(&Zero as &dyn FlowEstimator)
+    let methods: Vec<Method> = std::iter::once(Method::Estimator(&Zero))
         .chain(methods.iter().copied().filter(|method| method.name() != Zero.name()))
         .collect();
-    let chosen = spread(dataset.entries().len(), settings.limit);
+    let chosen = chosen(dataset, settings.limit);
     on_event(Event::Started { pairs: chosen.len() });
 
-    let mut sums: Vec<MethodSums> = estimators.iter().map(|estimator| MethodSums::new(*estimator)).collect();
+    let mut sums: Vec<MethodSums> = methods.iter().map(|method| MethodSums::new(method.name())).collect();
     let mut failures = Vec::new();
     let mut scored = 0;
     let most = settings.batch.map_or(1, NonZeroUsize::get);
-    let mut entries = chosen.into_iter().map(|index| &dataset.entries()[index]).peekable();
+    let mut entries = chosen.into_iter().peekable();
     let mut next: Option<Outcome<Pair>> = None;
     while next.is_some() || entries.peek().is_some() {
         let mut batch: Vec<Outcome<Pair>> = next.take().into_iter().collect();
@@ -195,7 +220,7 @@ pub fn evaluate(
                 break;
             }
         }
-        for (name, outcome) in estimate_batch(batch, &estimators, on_event) {
+        for (name, outcome) in estimate_batch(batch, &methods, on_event) {
             match outcome {
                 Ok((pair, estimates)) => {
                     let pair = ScoredPair {
@@ -226,9 +251,11 @@ pub fn evaluate(
             Err(EvaluateError::NothingScored { dataset: title, first })
         }
         _ => Ok(Evaluation {
-            dataset: title,
+            dataset: dataset.name().to_owned(),
+            split: dataset.split(),
             folder: dataset.dir().display().to_string(),
             crop: settings.crop,
+            limit: settings.limit,
             pairs: scored,
             methods: sums.into_iter().map(MethodSums::finish).collect(),
             failures,
@@ -243,17 +270,22 @@ type Outcome<T> = (String, Result<T, PairProblem>);
 struct Pair {
     sample: Sample,
     truth: FlowField,
+    /// Width and height of the frames before they were cropped.
+    whole: (usize, usize),
+    window: Option<Window>,
 }
 
 impl Pair {
     fn read(dataset: &FlowDataset, entry: &Entry, crop: Option<(usize, usize)>) -> Result<Self, PairProblem> {
         let sample = dataset.read(entry)?;
-        let mut sample = match crop {
-            Some(crop) => cropped(&sample, head_window(sample.frame1.size(), crop, sample.mask.as_ref())?),
+        let whole = sample.frame1.size();
+        let window = crop.map(|crop| head_window(whole, crop, sample.mask.as_ref())).transpose()?;
+        let mut sample = match window {
+            Some(window) => cropped(&sample, window),
             None => sample,
         };
         let truth = sample.flow.take().ok_or(PairProblem::NoTruth)?;
-        Ok(Self { sample, truth })
+        Ok(Self { sample, truth, whole, window })
     }
 
     fn frames(&self) -> [&Image; 2] {
@@ -268,23 +300,35 @@ impl Pair {
 /// Runs every method on pairs of one size. A pair that a method fails on is not given to the methods after it.
 fn estimate_batch(
     batch: Vec<Outcome<Pair>>,
-    estimators: &[&dyn FlowEstimator],
+    methods: &[Method<'_>],
     on_event: &mut dyn FnMut(Event<'_>),
 ) -> Vec<Outcome<(Pair, Vec<Estimate>)>> {
     let mut batch: Vec<Outcome<(Pair, Vec<Estimate>)>> =
         batch.into_iter().map(|(name, pair)| (name, pair.map(|pair| (pair, Vec::new())))).collect();
-    for estimator in estimators {
-        let method = estimator.name();
+    for source in methods {
+        let method = source.name();
         let pairs = || batch.iter().filter_map(|(name, pair)| Some((name, &pair.as_ref().ok()?.0)));
         let Some((pair, _)) = pairs().next() else { break };
         on_event(Event::Estimating { method, pair });
-        let frames: Vec<[&Image; 2]> = pairs().map(|(_, pair)| pair.frames()).collect();
-        let mut flows = timed_flows(*estimator, &frames).into_iter();
+        let failed = |source| PairProblem::Estimate { method: method.to_owned(), source };
+        let unread = |source| PairProblem::File { method: method.to_owned(), source };
+        let flows: Vec<Result<(FlowField, Option<f64>), PairProblem>> = match source {
+            Method::Estimator(estimator) => {
+                let frames: Vec<[&Image; 2]> = pairs().map(|(_, pair)| pair.frames()).collect();
+                let timed = timed_flows(*estimator, &frames).into_iter();
+                timed.map(|flow| flow.map(|(flow, seconds)| (flow, Some(seconds))).map_err(failed)).collect()
+            }
+            Method::Files(files) => {
+                let read = |(name, pair): (&String, &Pair)| files.read(name, pair.whole, pair.window);
+                pairs().map(|pair| read(pair).map(|flow| (flow, None)).map_err(unread)).collect()
+            }
+        };
+        let mut flows = flows.into_iter();
         for (name, outcome) in &mut batch {
             if let Ok((pair, estimates)) = outcome
                 && let Some(flow) = flows.next()
             {
-                match scored(name, method, pair, flow) {
+                match flow.and_then(|(flow, seconds)| scored(name, method, pair, flow, seconds)) {
                     Ok(estimate) => estimates.push(estimate),
                     Err(problem) => *outcome = Err(problem),
                 }
@@ -314,11 +358,10 @@ fn timed_flows(
 fn scored(
     name: &str,
     method: &str,
-    Pair { sample, truth }: &Pair,
-    flow: Result<(FlowField, f64), EstimateError>,
+    Pair { sample, truth, .. }: &Pair,
+    flow: FlowField,
+    seconds: Option<f64>,
 ) -> Result<Estimate, PairProblem> {
-    let (flow, seconds) =
-        flow.map_err(|source| PairProblem::Estimate { method: method.to_owned(), source })?;
     let visible = sample.occlusion.as_ref().map(inverse);
     let scores = scores_of(name, seconds, &flow, truth, sample.mask.as_ref(), visible.as_ref())
         .map_err(|source| PairProblem::Score { method: method.to_owned(), source })?;
@@ -328,7 +371,7 @@ fn scored(
 /// The scores of one flow in every region that the pair has.
 pub(crate) fn scores_of(
     pair: &str,
-    seconds: f64,
+    seconds: Option<f64>,
     flow: &FlowField,
     truth: &FlowField,
     head: Option<&Mask>,
@@ -345,6 +388,12 @@ pub(crate) fn scores_of(
         head: inside(head)?,
         visible: inside(visible)?,
     })
+}
+
+/// The pairs that are scored: `limit` of them, spread evenly over the dataset, or all.
+pub(crate) fn chosen(dataset: &FlowDataset, limit: Option<usize>) -> Vec<&Entry> {
+    let entries = dataset.entries();
+    spread(entries.len(), limit).into_iter().map(|index| &entries[index]).collect()
 }
 
 /// `limit` indices spread evenly over `0..count`; all of them when there are no more.
@@ -378,8 +427,8 @@ struct MethodSums {
 }
 
 impl MethodSums {
-    fn new(estimator: &dyn FlowEstimator) -> Self {
-        let name = estimator.name().to_owned();
+    fn new(name: &str) -> Self {
+        let name = name.to_owned();
         let baseline = name == Zero.name();
         Self {
             scores: MethodScores { name, baseline, ..MethodScores::default() },

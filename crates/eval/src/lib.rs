@@ -3,6 +3,7 @@
 mod crop;
 mod error_curve;
 mod evaluate;
+mod flow_files;
 mod method_record;
 pub mod report;
 mod results;
@@ -10,7 +11,10 @@ mod table;
 mod zero;
 
 pub use crop::{CropError, Window, head_window};
-pub use evaluate::{Estimate, EvaluateError, Event, OnFailure, PairProblem, ScoredPair, Settings, evaluate};
+pub use evaluate::{
+    Estimate, EvaluateError, Event, Method, OnFailure, PairProblem, ScoredPair, Settings, evaluate,
+};
+pub use flow_files::{FlowFileError, FlowFiles, FlowFilesError};
 pub use method_record::MethodRecord;
 pub use results::{
     Evaluation, Failure, MethodScores, PairScores, Region, SCORES, ScoreColumn, score_columns,

@@ -15,12 +15,18 @@ pub struct MethodRecord {
     pub weights: Option<String>,
     /// SHA-256 of that file, in hexadecimal digits.
     pub sha256: Option<String>,
+    /// A network's refinements of the flow.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub iterations: Option<usize>,
+    /// Where a network is computed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub device: Option<String>,
 }
 
 impl MethodRecord {
     /// The same for two methods exactly when they give the same flow, under whatever name and wherever their weights lie.
     pub fn identity(&self) -> String {
-        let Self { name: _, method, parameters, weights: _, sha256 } = self;
+        let Self { method, parameters, sha256, .. } = self;
         format!("{method} {parameters} {}", sha256.as_deref().unwrap_or_default())
     }
 

@@ -2,18 +2,23 @@
 
 use serde::{Deserialize, Serialize};
 use srflow_field::Metrics;
+use srflow_read::flow::Split;
 
 use crate::table::{Better, Column, Row, Table, csv_text};
 
 /// The scores of every method over one dataset.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
-    /// The dataset and its split, e.g. `sintel-clean, train split`.
+    /// The kind of dataset with its options, e.g. `sintel-clean`.
     pub dataset: String,
+    /// The part of it.
+    pub split: Split,
     /// Its folder.
     pub folder: String,
     /// Width and height of the window around the head, when frames were cropped.
     pub crop: Option<(usize, usize)>,
+    /// The most pairs that were to be scored, spread evenly over the dataset; `None` for all.
+    pub limit: Option<usize>,
     /// How many pairs every row is a mean over.
     pub pairs: usize,
     /// The methods, baseline first.
@@ -46,8 +51,8 @@ pub struct MethodScores {
 pub struct PairScores {
     /// The pair's name within its dataset.
     pub pair: String,
-    /// Wall-clock seconds of the estimation alone.
-    pub seconds: f64,
+    /// Wall-clock seconds of the estimation alone; `None` for a flow that was read from a file.
+    pub seconds: Option<f64>,
     /// Over all pixels with a known truth.
     pub whole: Option<Metrics>,
     /// Inside the head's mask.
@@ -145,10 +150,15 @@ impl Evaluation {
         let crop =
             self.crop.map_or(String::new(), |(width, height)| format!(", cropped to {width}x{height}"));
         Some(Table {
-            title: format!("{}, {}{crop}, {}", self.dataset, self.pairs_in_words(), region.words()),
+            title: format!("{}, {}{crop}, {}", self.title(), self.pairs_in_words(), region.words()),
             columns: score_columns().into_iter().chain([seconds]).collect(),
             rows: self.methods.iter().map(row).collect(),
         })
+    }
+
+    /// The dataset and its split, e.g. `sintel-clean, train split`.
+    pub fn title(&self) -> String {
+        title(&self.dataset, self.split)
     }
 
     /// `1 pair`, `12 pairs`.
@@ -190,7 +200,8 @@ impl Evaluation {
                 for region in Region::ALL {
                     let Some(metrics) = pair.region(region) else { continue };
                     let mut line = score_fields(&method.name, region, metrics);
-                    line.extend([pair.seconds.to_string(), pair.pair.clone()]);
+                    let seconds = pair.seconds.map_or(String::new(), |seconds| seconds.to_string());
+                    line.extend([seconds, pair.pair.clone()]);
                     lines.push(line);
                 }
             }
@@ -209,9 +220,9 @@ impl MethodScores {
         }
     }
 
-    /// Median over pairs of the seconds of the estimation; `None` without a pair.
+    /// Median over pairs of the seconds of the estimation; `None` where none was timed.
     pub fn median_seconds(&self) -> Option<f64> {
-        let mut seconds: Vec<f64> = self.pairs.iter().map(|pair| pair.seconds).collect();
+        let mut seconds: Vec<f64> = self.pairs.iter().filter_map(|pair| pair.seconds).collect();
         seconds.sort_by(f64::total_cmp);
         let upper = *seconds.get(seconds.len() / 2)?;
         let lower = seconds[(seconds.len() - 1) / 2];
@@ -227,6 +238,13 @@ impl PairScores {
             Region::Head => self.head.as_ref(),
             Region::Visible => self.visible.as_ref(),
         }
+    }
+}
+
+pub(crate) fn title(dataset: &str, split: Split) -> String {
+    match split {
+        Split::All => dataset.to_owned(),
+        split => format!("{dataset}, {split} split"),
     }
 }
 

@@ -4,7 +4,9 @@ use std::num::NonZeroUsize;
 use std::path::Path;
 use std::sync::Mutex;
 
-use srflow_eval::{EvaluateError, Evaluation, Event, OnFailure, Region, Settings, evaluate};
+use srflow_eval::{
+    EvaluateError, Evaluation, Event, FlowFiles, Method, OnFailure, Region, Settings, evaluate,
+};
 use srflow_field::{
     EstimateError, FlowEstimator, FlowField, Image, Mask, write_flow, write_image_png, write_mask_png,
 };
@@ -47,6 +49,7 @@ fn write_pair(dir: &Path, name: &str) {
 }
 
 fn dataset(dir: &Path, pairs: usize) -> FlowDataset {
+    std::fs::create_dir_all(dir).unwrap();
     (0..pairs).for_each(|i| write_pair(dir, &format!("pair{i}")));
     open(dir)
 }
@@ -60,7 +63,7 @@ fn run(
     method: &dyn FlowEstimator,
     settings: Settings,
 ) -> Result<Evaluation, EvaluateError> {
-    evaluate(dataset, &[method], settings, &mut |_| {})
+    evaluate(dataset, &[Method::Estimator(method)], settings, &mut |_| {})
 }
 
 fn epe(evaluation: &Evaluation, method: usize, region: Region) -> f64 {
@@ -111,12 +114,13 @@ fn a_crop_is_centred_on_the_head_and_keeps_frames_and_truth_together() {
     let exact = Knowing { left: [0.0; 2], right: [0.0; 2] };
     let settings = Settings { crop: Some((10, 6)), ..Settings::default() };
     let mut seen = Vec::new();
-    let evaluation = evaluate(&dataset(dir.path(), 1), &[&exact], settings, &mut |event| {
-        if let Event::Scored(pair) = event {
-            seen.push((pair.sample.frame1.size(), pair.sample.frame1.get(0, 0), pair.truth.get(0, 0)));
-        }
-    })
-    .unwrap();
+    let evaluation =
+        evaluate(&dataset(dir.path(), 1), &[Method::Estimator(&exact)], settings, &mut |event| {
+            if let Event::Scored(pair) = event {
+                seen.push((pair.sample.frame1.size(), pair.sample.frame1.get(0, 0), pair.truth.get(0, 0)));
+            }
+        })
+        .unwrap();
     // The head covers columns 20 to 39 and all rows: its middle is (29.5, 11.5).
     assert_eq!(seen, [((10, 6), [25, 9, 7], [6.25, 0.0])]);
     assert_eq!(epe(&evaluation, 1, Region::Whole), 0.0);
@@ -196,7 +200,7 @@ fn scores_do_not_depend_on_how_many_pairs_are_estimated_at_once() {
         };
         let mut evaluation = run(&open(pairs.dir()), &counting, settings).unwrap();
         let scores = evaluation.methods.iter_mut().flat_map(|method| &mut method.pairs);
-        scores.for_each(|pair| pair.seconds = 0.0);
+        scores.for_each(|pair| pair.seconds = None);
         (evaluation, counting.0.into_inner().unwrap())
     };
     let (alone, counts) = run(1);
@@ -251,4 +255,65 @@ fn results_survive_json_and_csv() {
     assert_eq!(head[2].parse::<f64>().unwrap(), expected.epe);
     assert_eq!(head[7].parse::<f64>().unwrap(), expected.wauc);
     assert_eq!(evaluation.pairs_csv().lines().count(), 1 + 2 * 3 * 2);
+}
+
+/// Flow files under the names of the pairs score as the method that they are of, whole or cropped.
+#[test]
+fn flow_files_score_as_the_method_that_wrote_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dataset(&dir.path().join("pairs"), 3);
+    let method = Knowing { left: [0.5, 0.25], right: [0.5, 0.25] };
+    let crop = Settings { crop: Some((21, 15)), ..Settings::default() };
+    for (settings, written) in [(Settings::default(), None), (crop, None), (crop, crop.crop)] {
+        let files = dir.path().join("flows");
+        std::fs::create_dir_all(&files).unwrap();
+        let mut estimated = evaluate(&dataset, &[Method::Estimator(&method)], settings, &mut |event| {
+            // Of a crop, the file holds the whole frame or the window alone.
+            let Event::Scored(pair) = event else { return };
+            let flow = match written {
+                Some(_) => pair.estimates[1].flow.clone(),
+                None => {
+                    let frame = srflow_field::read_image(
+                        &dir.path().join("pairs").join(format!("{}_img1.png", pair.name)),
+                    );
+                    method.estimate(&frame.unwrap(), &Image::new(1, 1)).unwrap()
+                }
+            };
+            write_flow(&files.join(format!("{}.npz", pair.name)), &flow).unwrap();
+        })
+        .unwrap();
+        let found = FlowFiles::find("knowing".into(), &files, &dataset, settings.limit).unwrap();
+        let read = evaluate(&dataset, &[Method::Files(&found)], settings, &mut |_| {}).unwrap();
+        estimated.methods[1].pairs.iter_mut().for_each(|pair| pair.seconds = None);
+        assert_eq!(estimated.methods[1], read.methods[1]);
+        assert_eq!(read.methods[1].median_seconds(), None);
+    }
+}
+
+#[test]
+fn flow_files_that_do_not_fit_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dataset(&dir.path().join("pairs"), 3);
+    let files = dir.path().join("flows");
+    std::fs::create_dir(&files).unwrap();
+    let find = |limit| FlowFiles::find("theirs".into(), &files, &dataset, limit);
+    write_flow(&files.join("pair1.flo"), &FlowField::new(SIZE.0, SIZE.1)).unwrap();
+    let error = find(None).unwrap_err().to_string();
+    assert!(
+        error.contains("2 of 3 pairs") && error.contains("pair0, pair2") && error.contains("pair0.flo"),
+        "{error}"
+    );
+    write_flow(&files.join("pair0.npy"), &FlowField::new(7, 5)).unwrap();
+    let found = find(Some(1)).expect("the pair that is scored has its file");
+    let error = evaluate(
+        &dataset,
+        &[Method::Files(&found)],
+        Settings { limit: Some(1), ..Settings::default() },
+        &mut |_| {},
+    );
+    let error = error.unwrap_err().to_string();
+    assert!(error.contains("pair0.npy") && error.contains("40x24") && error.contains("7x5"), "{error}");
+    write_flow(&files.join("pair0.pfm"), &FlowField::new(7, 5)).unwrap();
+    let error = find(Some(1)).unwrap_err().to_string();
+    assert!(error.contains("pair0.npy") && error.contains("pair0.pfm"), "{error}");
 }

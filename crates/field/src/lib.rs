@@ -5,6 +5,7 @@
 
 mod atomic_write;
 mod codec;
+mod color;
 mod estimator;
 mod excerpt;
 mod file_error;
@@ -23,6 +24,7 @@ pub use codec::npy::{Array, read_npy, read_npy_plane, write_npy, write_npy_plane
 pub use codec::npz::open_zip;
 pub use codec::npz::{NpzArray, write_npz};
 pub use codec::{FlowFormat, read_flow, read_flow_as, write_flow, write_flow_as};
+pub use color::parse_color;
 pub use estimator::{EstimateError, FlowEstimator, FlowSequence};
 pub use excerpt::{excerpt, excerpts, is_unprintable, printable};
 pub use file_error::{FileError, FileProblem};

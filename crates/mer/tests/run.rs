@@ -64,6 +64,8 @@ fn record() -> MethodRecord {
         parameters: String::new(),
         weights: None,
         sha256: None,
+        iterations: None,
+        device: None,
     }
 }
 

@@ -18,7 +18,9 @@ pub mod reference;
 mod sh;
 mod strip;
 
-pub use camera::{Camera, MAX_PIXELS, MAX_SIDE, NEAR, PixelConvention};
+pub use camera::{
+    Camera, MAX_PIXELS, MAX_SIDE, NEAR, NamedCamera, PixelConvention, Surroundings, read_cameras,
+};
 pub use error::{CameraError, RasterizeError};
 pub use frame::{Frame, Outputs, Statistics};
 pub use gaussians::Gaussians;

@@ -22,11 +22,12 @@ const RAW_ZERO: f64 = -110.0;
 const RAW_ONE: f64 = 20.0;
 
 /// Reads 3D Gaussians; the spherical-harmonics degree follows from the number of `f_rest` properties (0, 9, 24 or 45).
-/// Properties may come in any order and of any type, others (`binding_0`, colours, normals) are passed over; binary of
-/// either byte order and ASCII are read.
+/// Properties may come in any order and of any type, others (colours, normals) are passed over; binary of either byte order
+/// and ASCII are read.
 ///
 /// # Errors
-/// When the file cannot be read, is not a PLY of 3D Gaussians, is shorter or longer than its header says, or holds a
+/// When the file cannot be read, is not a PLY of 3D Gaussians, holds Gaussians bound to a mesh (`binding_0`, as
+/// GaussianAvatars writes them: they are in the coordinates of their triangles), is shorter or longer than its header says, or holds a
 /// value that is not finite, a scale too large for `f32`, or a quaternion of length zero; the vertex is named.
 pub fn read_ply(path: &Path) -> Result<Gaussians, FileError> {
     let in_file = |problem| FileError { path: path.to_owned(), problem };
@@ -86,6 +87,14 @@ impl Layout {
                 )
             })
         };
+        if properties.iter().any(|property| property.name == "binding_0") {
+            return Err(problem(
+                "vertex properties",
+                "Gaussians in the world (GaussianAvatars writes each bound to a triangle of a mesh, in its coordinates: pose the \
+                 mesh and export them in the world)",
+                "`binding_0`",
+            ));
+        }
         let rest = properties.iter().filter(|property| property.name.starts_with("f_rest_")).count();
         let sh_degree =
             (0..=3).find(|&degree| 3 * (sh::coefficients(degree) - 1) == rest).ok_or_else(|| {

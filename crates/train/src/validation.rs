@@ -4,7 +4,7 @@ use std::num::NonZeroUsize;
 use std::path::Path;
 
 use burn::tensor::Device;
-use srflow_eval::{Evaluation, OnFailure, Settings, evaluate};
+use srflow_eval::{Evaluation, Method, OnFailure, Settings, evaluate};
 use srflow_nets::{Network, NetworkEstimator, load_network};
 use srflow_read::flow::{DatasetError, FlowDataset, Split};
 
@@ -81,7 +81,8 @@ impl Validation {
         self.datasets
             .iter()
             .map(|dataset| {
-                let evaluation = evaluate(dataset, &[&network], self.settings, &mut |_| {})?;
+                let evaluation =
+                    evaluate(dataset, &[Method::Estimator(&network)], self.settings, &mut |_| {})?;
                 scores(evaluation)
             })
             .collect()
@@ -121,8 +122,8 @@ fn scores(evaluation: Evaluation) -> Result<ValidationRecord, ValidationError> {
             whole: *whole,
             head: network.head,
             zero_epe: zero.epe,
-            dataset: evaluation.dataset,
+            dataset: evaluation.title(),
         }),
-        _ => Err(ValidationError::NoPixel { dataset: evaluation.dataset }),
+        _ => Err(ValidationError::NoPixel { dataset: evaluation.title() }),
     }
 }

@@ -56,6 +56,7 @@ fn row_names() -> String {
 }
 
 pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
+    crate::output::ensure_folder(&args.out)?;
     let config = match &args.config {
         Some(name) => Config::read(name)?,
         None => Config::default(),

@@ -27,7 +27,6 @@ pub struct Check {
 /// Most problems that are listed for people; --json has all.
 const LISTED: usize = 50;
 
-/// Runs the command.
 pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
     let pairs = Manifest::read(&args.dir)?.pairs();
     let bar = ProgressBar::new(pairs);

@@ -57,7 +57,6 @@ struct Converted {
     longest: f32,
 }
 
-/// Runs the command.
 pub fn run(args: Convert, context: &Context) -> anyhow::Result<()> {
     let target = Target::of(&args.output, args.viz)?;
     ensure_free([&args.output], args.force)?;

@@ -3,14 +3,15 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use clap::Args;
+use serde::Serialize;
 use srflow_eval::report::{Figure, score_report};
-use srflow_eval::{Evaluation, OnFailure, Settings, TextStyle, joined, markdown_file};
+use srflow_eval::{Evaluation, Method, MethodRecord, OnFailure, Settings, TextStyle, joined, markdown_file};
 use srflow_field::create_folder;
 use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
 
-use crate::methods::{self, Method, MethodParameters, MethodSpec};
-use crate::output::{ensure_free, latex, print_tables, write_text};
-use crate::scoring::{self, Pictures};
+use crate::methods::{self, MethodParameters, MethodSpec, Source};
+use crate::output::{ensure_folder, ensure_free, latex, print_tables, write_text};
+use crate::scoring::{self, Pictures, folder_name};
 use crate::size::Size;
 use crate::{Context, machine};
 
@@ -21,9 +22,14 @@ Scores are those of the SRFlow paper's Table II: computed per pair over the pixe
 averaged over pairs; also inside the head's mask and outside occlusions where the dataset has them. The baseline `zero` \
 says that nothing moves.
 
+files:DIR scores the flows of another program: one file for each pair, DIR/SCENE/FRAME.EXT (DIR/FRAME.EXT where pairs have \
+no scene), in any flow format; docs/datasets.md lists the names of each dataset. --save-flow DIR writes each method's flows so, into \
+DIR/METHOD.
+
 Examples:
   srflow eval --dataset srflow:srflow --method farneback tvl1 --crop 1200x1600 --out scores
-  srflow eval --dataset sintel-clean:/data/Sintel --method skflow=skflow-things.ckpt raft=raft.pth raft=mine.pth --iters 12")]
+  srflow eval --dataset sintel-clean:/data/Sintel --method skflow=skflow-things.ckpt raft=raft.pth raft=mine.pth --iters 12
+  srflow eval --dataset sintel-clean:/data/Sintel --method tvl1 Theirs:files:out/theirs --save-flow flows")]
 pub struct Eval {
     /// Kind of dataset and its folder, e.g. sintel-clean:/data/Sintel; an unknown kind lists all
     #[arg(long, value_name = "KIND:DIR")]
@@ -32,7 +38,7 @@ pub struct Eval {
     #[arg(long)]
     split: Option<Split>,
     /// Methods to score
-    #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', help = Method::help_of_several("Methods to score"))]
+    #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', help = methods::Method::help_of_several("Methods to score"))]
     method: Vec<MethodSpec>,
     /// Window that is estimated and scored, centred on the head (without a mask, on the frame)
     #[arg(long, value_name = "WIDTHxHEIGHT")]
@@ -50,6 +56,9 @@ pub struct Eval {
     /// Also write scores.{txt,csv,json,tex,md}, pairs.csv and report.html into this folder
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Also write the flow of each method and pair, as DIR/METHOD/SCENE/FRAME.flo
+    #[arg(long, value_name = "DIR")]
+    save_flow: Option<PathBuf>,
     /// Overwrite these files
     #[arg(long)]
     force: bool,
@@ -64,17 +73,25 @@ const OUTPUTS: [&str; 7] =
 /// How many pairs the report shows as pictures.
 const SHOWN_PAIRS: usize = 4;
 
-/// Runs the command.
 pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     args.parameters.network.batch = args.batch.into();
     if let Some(out) = &args.out {
+        ensure_folder(out)?;
         ensure_free(OUTPUTS.map(|name| out.join(name)), args.force)?;
     }
     let dataset = FlowDataset::open(&args.dataset, args.split)?;
-    let estimators = methods::estimators(&args.method, &args.parameters)?;
+    let limit = args.limit.map(|limit| limit as usize);
+    let sources = methods::sources(&args.method, &args.parameters, &dataset, limit)?;
+    let scored: Vec<Method> = sources.iter().map(Source::method).collect();
+    if let Some(dir) = &args.save_flow {
+        ensure_folder(dir)?;
+        let folders: Vec<PathBuf> =
+            scored.iter().map(|method| dir.join(folder_name(method.name()))).collect();
+        ensure_free(&folders, args.force)?;
+    }
     let settings = Settings {
         crop: args.crop.map(|size| (size.width, size.height)),
-        limit: args.limit.map(|limit| limit as usize),
+        limit,
         on_failure: if args.keep_going { OnFailure::LeaveOut } else { OnFailure::Stop },
         batch: NonZeroUsize::new(args.batch.into()),
     };
@@ -82,11 +99,23 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         create_folder(out)?; // before the long work, which must not be lost
     }
     let pictures = Pictures { pairs: if args.out.is_some() { SHOWN_PAIRS } else { 0 }, width: 560 };
-    let (evaluation, figures) = scoring::score(&dataset, &estimators, settings, pictures)?;
+    let (evaluation, figures) =
+        scoring::score(&dataset, &scored, settings, pictures, args.save_flow.as_deref())?;
+    let scores = Scores {
+        version: env!("CARGO_PKG_VERSION"),
+        command: command_line(std::env::args()),
+        machine: machine::describe(),
+        made_by: methods::records(&args.method, &args.parameters)?,
+        evaluation: &evaluation,
+    };
 
-    print(&evaluation, context)?;
+    if context.json {
+        say!("{}", serde_json::to_string_pretty(&scores)?)?;
+    } else {
+        print_tables(&evaluation.tables())?;
+    }
     if let Some(out) = &args.out {
-        write(out, &evaluation, figures)?;
+        write(out, &scores, figures)?;
         if !context.json {
             say!("\nReport: {}", out.join("report.html").display())?;
         }
@@ -97,27 +126,79 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     }
 }
 
-fn print(evaluation: &Evaluation, context: &Context) -> anyhow::Result<()> {
-    if context.json {
-        say!("{}", serde_json::to_string_pretty(evaluation)?)?;
-        return Ok(());
-    }
-    print_tables(&evaluation.tables())
+/// What `scores.json` holds and `--json` prints.
+#[derive(Serialize)]
+struct Scores<'a> {
+    version: &'static str,
+    command: String,
+    machine: String,
+    /// Each method with what its flow follows from; the baseline has nothing.
+    made_by: Vec<MethodRecord>,
+    #[serde(flatten)]
+    evaluation: &'a Evaluation,
 }
 
-fn write(out: &Path, evaluation: &Evaluation, figures: Vec<Figure>) -> anyhow::Result<()> {
+impl Scores<'_> {
+    /// For the report.
+    fn settings(&self) -> Vec<(String, String)> {
+        let Evaluation { split, folder, crop, limit, pairs, .. } = self.evaluation;
+        let limit =
+            limit.map_or("all pairs".to_owned(), |limit| format!("at most {limit} pairs, spread evenly"));
+        let crop = crop
+            .map_or("whole frames".to_owned(), |(width, height)| format!("{width}x{height} around the head"));
+        let mut settings = vec![
+            ("Dataset".to_owned(), format!("{} in {folder}", self.evaluation.dataset)),
+            ("Split".to_owned(), split.to_string()),
+            ("Pairs".to_owned(), format!("{pairs} scored ({limit})")),
+            ("Crop".to_owned(), crop),
+        ];
+        settings.extend(self.made_by.iter().map(|method| (method.name.clone(), method.description())));
+        settings.push(("Command".to_owned(), self.command.clone()));
+        settings.push(("Version".to_owned(), format!("srflow {}", self.version)));
+        settings.push(("Machine".to_owned(), self.machine.clone()));
+        settings
+    }
+}
+
+/// As a shell of POSIX takes it.
+fn command_line(arguments: impl Iterator<Item = String>) -> String {
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=,@%+".contains(c);
+    let quoted = |argument: String| match !argument.is_empty() && argument.chars().all(plain) {
+        true => argument,
+        false => format!("'{}'", argument.replace('\'', "'\\''")),
+    };
+    let program = std::iter::once("srflow".to_owned());
+    program.chain(arguments.skip(1).map(quoted)).collect::<Vec<_>>().join(" ")
+}
+
+fn write(out: &Path, scores: &Scores, figures: Vec<Figure>) -> anyhow::Result<()> {
+    let evaluation = scores.evaluation;
     let tables = evaluation.tables();
     let contents: [String; 7] = [
         joined(&tables, |table| table.text(TextStyle::Plain)),
         evaluation.csv(),
-        serde_json::to_string_pretty(evaluation)? + "\n",
+        serde_json::to_string_pretty(scores)? + "\n",
         latex(&tables),
         markdown_file(&tables),
         evaluation.pairs_csv(),
-        score_report(evaluation, &machine::describe(), figures).html(),
+        score_report(evaluation, &scores.machine, figures, &scores.settings()).html(),
     ];
     for (name, text) in OUTPUTS.iter().zip(contents) {
         write_text(&out.join(name), &text)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_line_can_be_given_to_a_shell_again() {
+        let words = ["/path/srflow", "eval", "--method", "Ours: 3:skflow=a b.ckpt", "it's", "", "srflow:out"];
+        assert_eq!(
+            command_line(words.map(str::to_owned).into_iter()),
+            r"srflow eval --method 'Ours: 3:skflow=a b.ckpt' 'it'\''s' '' srflow:out"
+        );
+    }
 }

@@ -53,7 +53,6 @@ struct Answer {
     regularizers: Option<Vec<FlowRegularizer>>,
 }
 
-/// Runs the command.
 pub fn run(args: Metrics, context: &Context) -> anyhow::Result<()> {
     let prediction = read_flow(&args.prediction)?;
     let mask = args.mask.as_deref().map(read_mask).transpose()?;

@@ -78,8 +78,8 @@ fn shares(text: &str) -> Result<Shares, String> {
         .ok_or_else(|| format!("`{text}` are not three shares; expected TRAIN,VAL,TEST, e.g. 0.61,0.11,0.28"))
 }
 
-/// Runs the command.
 pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
+    crate::output::ensure_folder(&args.out)?;
     let settings = Settings {
         head: args.head,
         scenes: args.scenes,

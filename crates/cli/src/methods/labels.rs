@@ -16,20 +16,24 @@ pub fn labels(specs: &[&MethodSpec]) -> Vec<String> {
     }
     let label = |spec: &&MethodSpec| match (&spec.label, &spec.weights) {
         (Some(label), _) => label.clone(),
+        (None, Some(dir)) if spec.method == Method::Files => {
+            told_apart(dir, &weights_of[&Method::Files], true)
+        }
         (None, Some(weights)) if unnamed[&spec.method] > 1 => {
-            format!("{} ({})", spec.method.name(), told_apart(weights, &weights_of[&spec.method]))
+            format!("{} ({})", spec.method.name(), told_apart(weights, &weights_of[&spec.method], false))
         }
         _ => spec.method.name().to_owned(),
     };
     specs.iter().map(label).collect()
 }
 
-/// The shortest end of a path, without the file's extension, by which all of these paths differ; where none does, the path.
-fn told_apart(path: &str, paths: &[&str]) -> String {
-    let end = |path: &str, folders: usize| {
-        let whole = Path::new(path).with_extension("");
+/// The shortest end of a path by which all of these paths differ, with the extension where they are `folders`; where none
+/// does, the path.
+fn told_apart(path: &str, paths: &[&str], folders: bool) -> String {
+    let end = |path: &str, parents: usize| {
+        let whole = if folders { Path::new(path).to_owned() } else { Path::new(path).with_extension("") };
         let parts: Vec<_> = whole.components().map(|part| part.as_os_str().to_string_lossy()).collect();
-        parts[parts.len().saturating_sub(folders + 1)..].join("/")
+        parts[parts.len().saturating_sub(parents + 1)..].join("/")
     };
     let longest = paths.iter().map(|path| Path::new(path).components().count()).max().unwrap_or(0);
     let differ = |folders: &usize| {
@@ -60,6 +64,8 @@ mod tests {
         assert_eq!(found, ["skflow (a/best)", "skflow (b/best)", "skflow (things)"]);
         let found = names(&["SRFlowNet:skflow=a/best.safetensors", "skflow=b/best.safetensors", "TV:tvl1"]);
         assert_eq!(found, ["SRFlowNet", "skflow", "TV"]);
+        assert_eq!(names(&["files:out/v1.2/", "tvl1", "files:b/ours"]), ["v1.2", "tvl1", "ours"]);
+        assert_eq!(names(&["files:a/out", "files:b/out"]), ["a/out", "b/out"]);
         let found = names(&["raft=best.ckpt", "raft=best.pth"]);
         assert_eq!(found, ["raft (best.ckpt)", "raft (best.pth)"]);
     }

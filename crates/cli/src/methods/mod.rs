@@ -3,12 +3,15 @@
 mod labels;
 mod record;
 
+use std::path::Path;
 use std::str::FromStr;
 
 use clap::Args;
 use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
+use srflow_eval::FlowFiles;
 use srflow_field::FlowEstimator;
 use srflow_nets::{Architecture, Scaled, Tiled};
+use srflow_read::flow::FlowDataset;
 
 use crate::large_frames::LargeFrames;
 use crate::networks::NetworkArgs;
@@ -25,6 +28,8 @@ pub enum Method {
     TvL1,
     /// A network, whose weights come from a checkpoint
     Network(Architecture),
+    /// Flow files of the pairs of a dataset, which another program wrote
+    Files,
 }
 
 impl Method {
@@ -37,6 +42,7 @@ impl Method {
             Self::Farneback => "farneback",
             Self::TvL1 => "tvl1",
             Self::Network(architecture) => architecture.name(),
+            Self::Files => "files",
         }
     }
 
@@ -51,8 +57,8 @@ impl Method {
     /// The help of an option that takes several, after `what` they are for.
     pub fn help_of_several(what: &str) -> String {
         format!(
-            "{what}: {}; networks with their weights, as in skflow=FILE; NAME:METHOD gives a row of the tables its \
-             name, as in SRFlowNet:skflow=FILE",
+            "{what}: {}; networks with their weights, as in skflow=FILE; files:DIR for flows that another program \
+             wrote; NAME:METHOD gives a row of the tables its name, as in SRFlowNet:skflow=FILE",
             Self::names()
         )
     }
@@ -67,14 +73,14 @@ impl Method {
     }
 }
 
-/// A method as `--method` names it: `tvl1`, `skflow`, `skflow=WEIGHTS`, `LABEL:skflow=WEIGHTS`.
+/// A method as `--method` names it: `tvl1`, `skflow`, `skflow=WEIGHTS`, `files:DIR`, `LABEL:skflow=WEIGHTS`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MethodSpec {
     /// What tables call it.
     pub label: Option<String>,
     /// Which.
     pub method: Method,
-    /// Weights of its own, a file or a published name.
+    /// Weights of its own, a file or a published name; for files their folder.
     pub weights: Option<String>,
 }
 
@@ -88,6 +94,16 @@ impl FromStr for MethodSpec {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
+        if let Some((label, dir)) = label_and_files(text) {
+            return match dir {
+                "" => Err(format!("`{text}` names no folder; expected files:DIR")),
+                dir => Ok(Self {
+                    label: label.map(str::to_owned),
+                    method: Method::Files,
+                    weights: Some(dir.to_owned()),
+                }),
+            };
+        }
         let (name, weights) = match text.split_once('=') {
             Some((name, weights)) => (name, Some(weights)),
             None => (text, None),
@@ -110,6 +126,14 @@ impl FromStr for MethodSpec {
             _ => Ok(Self { label: label.map(str::to_owned), method, weights: weights.map(str::to_owned) }),
         }
     }
+}
+
+/// Of `files:DIR` or `LABEL:files:DIR`.
+fn label_and_files(text: &str) -> Option<(Option<&str>, &str)> {
+    let labelled = || text.split_once(":files:").filter(|(label, _)| !label.trim().is_empty());
+    text.strip_prefix("files:")
+        .map(|dir| (None, dir))
+        .or_else(|| labelled().map(|(label, dir)| (Some(label), dir)))
 }
 
 /// Parameters of the methods. Each is for the methods its heading names and takes their default when absent.
@@ -207,11 +231,62 @@ pub fn estimators(
     specs: &[MethodSpec],
     parameters: &MethodParameters,
 ) -> anyhow::Result<Vec<Box<dyn FlowEstimator>>> {
+    if specs.iter().any(|spec| spec.method == Method::Files) {
+        wrong_usage!("files:DIR names the flows of a dataset's pairs, which only `srflow eval` scores");
+    }
+    named(specs, parameters)?.into_iter().map(|(spec, label)| built(spec, label, parameters)).collect()
+}
+
+/// A method of `srflow eval`.
+pub enum Source {
+    Estimator(Box<dyn FlowEstimator>),
+    Files(FlowFiles),
+}
+
+impl Source {
+    pub fn method(&self) -> srflow_eval::Method<'_> {
+        match self {
+            Self::Estimator(estimator) => srflow_eval::Method::Estimator(estimator.as_ref()),
+            Self::Files(files) => srflow_eval::Method::Files(files),
+        }
+    }
+}
+
+/// The estimators, and the flow files of the pairs of `dataset` that are scored, in their order, each once.
+///
+/// # Errors
+/// As [`estimators`], and when a pair has no flow file.
+pub fn sources(
+    specs: &[MethodSpec],
+    parameters: &MethodParameters,
+    dataset: &FlowDataset,
+    limit: Option<usize>,
+) -> anyhow::Result<Vec<Source>> {
+    let specs = named(specs, parameters)?;
+    // Files first: what is missing is said before networks are loaded.
+    let mut files: Vec<Option<FlowFiles>> = Vec::new();
+    for (spec, label) in &specs {
+        let dir = spec.weights.as_deref().filter(|_| spec.method == Method::Files);
+        let found = dir.map(|dir| FlowFiles::find(label.clone(), Path::new(dir), dataset, limit));
+        files.push(found.transpose()?);
+    }
+    let source = |((spec, label), files): ((&MethodSpec, String), Option<FlowFiles>)| match files {
+        Some(files) => Ok(Source::Files(files)),
+        None => built(spec, label, parameters).map(Source::Estimator),
+    };
+    specs.into_iter().zip(files).map(source).collect()
+}
+
+/// Each of these methods once, in their order, with what tables call it.
+fn named<'a>(
+    specs: &'a [MethodSpec],
+    parameters: &MethodParameters,
+) -> anyhow::Result<Vec<(&'a MethodSpec, String)>> {
     let networks = specs.iter().filter(|spec| matches!(spec.method, Method::Network(_)));
     let without = networks.clone().filter(|spec| spec.weights.is_none()).count();
     let network = &parameters.network;
     if let (0, Some(option)) = (networks.count(), network.given()) {
-        wrong_usage!("{option} is for networks, of which --method names none: leave it out");
+        wrong_usage!("{option} applies to networks, and --method names none: leave it out");
     }
     if network.weights.is_some() && without != 1 {
         wrong_usage!(
@@ -228,7 +303,7 @@ pub fn estimators(
             );
         }
     }
-    specs.into_iter().zip(labels).map(|(spec, label)| built(spec, label, parameters)).collect()
+    Ok(specs.into_iter().zip(labels).collect())
 }
 
 /// Each once, in the order in which they are given.
@@ -254,6 +329,7 @@ fn built(
         Method::Network(architecture) => {
             Box::new(parameters.network.estimator(architecture, spec.weights.as_deref(), label)?)
         }
+        Method::Files => wrong_usage!("files:DIR estimates nothing"),
     };
     let tiled = match large_frames.tile_size(spec.method, &parameters.network)? {
         Some(size) => Box::new(Tiled::new(estimator, size, large_frames.tile_overlap)),
@@ -319,6 +395,13 @@ mod tests {
         assert!(spec("a:pwc").unwrap_err().contains("no method `pwc`"));
         assert!(spec("tvl1=a").is_err() && spec("raft=").is_err() && spec("").is_err());
         assert!(spec(":tvl1").unwrap_err().contains("empty name"));
+        let files = MethodSpec { label: None, method: Method::Files, weights: Some("out/a:b=c".to_owned()) };
+        assert_eq!(spec("files:out/a:b=c"), Ok(files.clone()));
+        assert_eq!(
+            spec("Theirs:files:out/a:b=c"),
+            Ok(MethodSpec { label: Some("Theirs".to_owned()), ..files })
+        );
+        assert!(spec("files:").unwrap_err().contains("names no folder"));
     }
 
     #[test]

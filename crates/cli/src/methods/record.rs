@@ -25,6 +25,12 @@ fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> any
             format!("{} iterations on {}", network.iterations(architecture), network.device),
             Some(network.weights_of(architecture, spec.weights.as_deref())?),
         ),
+        Method::Files => (format!("files in {}", spec.weights.as_deref().unwrap_or_default()), None),
+    };
+    let network_of = |architecture| (network.iterations(architecture), network.device.clone());
+    let (iterations, device) = match spec.method {
+        Method::Network(architecture) => Some(network_of(architecture)).unzip(),
+        _ => (None, None),
     };
     if large_frames.given() {
         own += &format!(", {large_frames:?}");
@@ -35,6 +41,8 @@ fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> any
         parameters: own,
         sha256: weights.as_deref().map(file_digest).transpose()?,
         weights: weights.map(|path| path.display().to_string()),
+        iterations,
+        device,
     })
 }
 

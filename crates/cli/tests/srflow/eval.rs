@@ -124,3 +124,44 @@ fn frames_without_truth_cannot_be_scored() {
     let (code, error) = failure(&["--dataset", &folder(dir.path()), "--method", "farneback"]);
     assert!(code == 1 && error.contains("true flow"), "{error}");
 }
+
+#[test]
+fn saved_flows_score_as_the_method_that_made_them() {
+    let dir = tempfile::tempdir().unwrap();
+    make_pairs(dir.path(), 3);
+    let dataset = folder(dir.path());
+    let flows = dir.path().join("flows").display().to_string();
+    let common = ["--dataset", &dataset, "--crop", "64x48", "--json"];
+    let scores = |more: &[&str]| -> serde_json::Value {
+        let run = eval(&[&common[..], more].concat());
+        assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+        serde_json::from_slice(&run.stdout).unwrap()
+    };
+    let estimated = scores(&["--method", "My way:farneback", "--limit", "2", "--save-flow", &flows]);
+    let read = scores(&["--method", &format!("files:{flows}/My way"), "--limit", "2"]);
+    for region in ["whole", "head"] {
+        assert_eq!(estimated["methods"][1][region], read["methods"][1][region]);
+    }
+    assert_eq!(
+        (&read["methods"][1]["name"], &read["methods"][1]["pairs"][0]["seconds"]),
+        (&"My way".into(), &().into())
+    );
+    assert_eq!((&estimated["limit"], &estimated["split"]), (&2.into(), &"all".into()));
+    assert_eq!(estimated["made_by"][0]["method"], "farneback");
+    let command = estimated["command"].as_str().unwrap();
+    assert!(command.starts_with("srflow eval") && command.contains("'My way:farneback'"), "{command}");
+
+    let (code, error) = failure(&["--dataset", &dataset, "--method", &format!("files:{flows}/My way")]);
+    assert!(code == 1 && error.contains("1 of 3 pairs") && error.contains("p2"), "{error}");
+    let again = ["--dataset", &dataset, "--method", "My way:farneback", "--save-flow", &flows];
+    let (code, error) = failure(&again);
+    assert!(code == 1 && error.contains("My way exists; give --force"), "{error}");
+    let (code, error) = failure(&["--dataset", &dataset, "--method", "tvl1", "--out", "scores.json"]);
+    assert!(code == 2 && error.contains("expected a folder"), "{error}");
+    let flow = crate::srflow()
+        .args(["flow", "--method", "files:flows", "a.png", "b.png", "-o", "c.flo"])
+        .output()
+        .unwrap();
+    let error = String::from_utf8_lossy(&flow.stderr);
+    assert!(!flow.status.success() && error.contains("only `srflow eval`"), "{error}");
+}

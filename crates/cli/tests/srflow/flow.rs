@@ -119,7 +119,7 @@ fn what_cannot_be_done_is_said_and_nothing_is_written() {
     refused(&["frame0.png", "broken.png", "-o", "new.flo"], 1, &["broken.png: "]);
     refused(&["frame0.png", "absent.png", "-o", "new.flo"], 1, &["absent.png: "]);
     refused(&["frame0.png", "-o", "new.flo"], 2, &["one frame has no flow"]);
-    refused(&["empty", "-o", "new"], 1, &["empty: two frames or more were looked for", "*.png", "found 0"]);
+    refused(&["empty", "-o", "new"], 1, &["empty: expected two frames or more", "*.png", "found 0"]);
     refused(
         &["frame0.png", "frame1.png", "frame2.png", "-o", "new.flo"],
         2,

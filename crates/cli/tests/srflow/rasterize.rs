@@ -132,3 +132,79 @@ fn broken_input_is_named() {
     let usage = rasterize(dir, &["a.ply", "--camera", "cam.json", "--out", "out", "--background", "1,2,300"]);
     assert_eq!(usage.status.code(), Some(2));
 }
+
+#[test]
+fn a_camera_is_chosen_among_those_of_a_file() {
+    let folder = scene();
+    let dir = folder.path();
+    let camera = |name: &str, x: f64| {
+        format!(
+            r#"{{"id": 0, "img_name": "{name}", "width": 60, "height": 40, "position": [{x}, 0, -1], "fx": 50, "fy": 50,
+                "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}}"#
+        )
+    };
+    let cameras = [camera("front", 0.0), camera("right", 0.1), camera("far", 9.0)].join(", ");
+    fs::write(dir.join("cameras.json"), format!("[{cameras}]")).unwrap();
+
+    let run = rasterize(dir, &["a.ply", "--camera", "cameras.json", "--out", "none"]);
+    let error = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(2), "{error}");
+    assert!(error.contains("holds 3 cameras") && error.contains("front, right, far"), "{error}");
+    let run = rasterize(dir, &["a.ply", "--camera", "cameras.json", "--view", "left", "--out", "none"]);
+    assert!(String::from_utf8_lossy(&run.stderr).contains("no camera is called `left`"));
+
+    let views = ["--camera", "cameras.json", "--view", "front", "--view-next", "1"];
+    let run = rasterize(dir, &[&["a.ply", "--out", "views", "--size", "120x80"], &views[..]].concat());
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let flow = read_flow(&dir.join("views/flow_normalized.flo")).unwrap();
+    // The camera goes 0.1 to the right at depth 1: at twice the size 10 px to the left.
+    let [u, v] = flow.get(60, 40);
+    assert!(flow.size() == (120, 80) && (u + 10.0).abs() < 1e-3 && v.abs() < 1e-3, "({u}, {v})");
+    let run = rasterize(dir, &[&["a.ply", "--out", "none", "--size", "120x120"], &views[..]].concat());
+    assert!(run.status.code() == Some(2) && String::from_utf8_lossy(&run.stderr).contains("proportions"));
+}
+
+/// What a moving camera writes is a dataset with exact flow.
+#[test]
+fn a_moving_camera_gives_frames_flow_and_masks() {
+    let folder = scene();
+    let dir = folder.path();
+    let orbit = ["a.ply", "--orbit", "-6x3", "--size", "80x60", "--background", "white", "--json"];
+    let run = rasterize(dir, &[&orbit[..], &["--out", "turn"]].concat());
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let report: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    assert_eq!((&report["frames"], &report["width"]), (&3.into(), &80.into()));
+    let first = read_image(&dir.join("turn/frames/000001.png")).unwrap();
+    assert_eq!((first.size(), first.get(0, 0)), ((80, 60), [255; 3]));
+    assert!(first.get(40, 30)[0] > first.get(40, 30)[1], "red in the middle");
+    assert!(read_mask(&dir.join("turn/mask/000003.png")).is_ok());
+    assert!(dir.join("turn/flow/000002.flo").exists() && !dir.join("turn/flow/000003.flo").exists());
+    let eval = ["eval", "--dataset", "folder:turn", "--method", "files:turn/flow", "--json"];
+    let scored = crate::srflow().current_dir(dir).args(eval).output().unwrap();
+    let scores: serde_json::Value = serde_json::from_slice(&scored.stdout).unwrap();
+    assert_eq!((&scores["pairs"], &scores["methods"][1]["whole"]["epe"]), (&2.into(), &0.0.into()));
+
+    fs::write(
+        dir.join("path.json"),
+        r#"{"render_width": 40, "render_height": 30, "camera_path": [
+        {"fov": 40, "camera_to_world": [1,0,0,0, 0,1,0,0, 0,0,1,2, 0,0,0,1]},
+        {"fov": 40, "camera_to_world": [1,0,0,0.1, 0,1,0,0, 0,0,1,2, 0,0,0,1]}]}"#,
+    )
+    .unwrap();
+    let run = rasterize(dir, &["a.ply", "--path", "path.json", "--out", "path"]);
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    assert!(read_flow(&dir.join("path/flow/000001.flo")).unwrap().get(20, 15)[0] < -1.0);
+
+    for (arguments, reason) in [
+        (&["a.ply", "--camera", "cam.json", "--out", "one.mp4"][..], "give --orbit or --path"),
+        (&["a.ply", "--orbit", "360x8", "--out", "turn.png"], "expected a folder"),
+        (&["a.ply", "--orbit", "360x1", "--out", "new"], "2 frames or more"),
+        (&["a.ply", "--orbit", "360x8", "--next", "b.ply", "--out", "new"], "--next"),
+    ] {
+        let run = rasterize(dir, arguments);
+        let error = String::from_utf8_lossy(&run.stderr);
+        assert!(run.status.code() == Some(2) && error.contains(reason), "{arguments:?}: {error}");
+    }
+    let again = rasterize(dir, &[&orbit[..], &["--out", "turn"]].concat());
+    assert!(String::from_utf8_lossy(&again.stderr).contains("turn/frames exists; give --force"));
+}

@@ -32,12 +32,12 @@ pub fn pair_figures(
         .map(|(place, estimate)| (place, shrink_plane(&error_map(&estimate.flow, pair.truth), max_width)))
         .collect();
     let longest = flow_scale(&truth);
-    let worst = errors.iter().map(|(_, error)| share_below(error, 0.98)).fold(0.0, f64::max);
-    let worst = round_up(worst.max(0.1));
+    let largest = error_scale(&errors.iter().map(|(_, error)| error).collect::<Vec<_>>());
 
     let panel = |picture, title: &str, note: String| Panel { picture, title: title.to_owned(), note };
-    let flow_picture =
-        |flow: &FlowField, alt: &str| Picture::jpeg(&flow_colors(flow, Some(longest as f32)), alt);
+    let flow_picture = |flow: &FlowField, alt: &str| {
+        Picture::jpeg(&flow_colors(&within(flow, longest as f32), Some(longest as f32)), alt)
+    };
     let mut all = vec![vec![
         panel(
             Picture::jpeg(&shrink_image(&pair.sample.frame1, max_width), "frame 1")?,
@@ -56,7 +56,7 @@ pub fn pair_figures(
         let flow = shrink_flow(&estimate.flow, max_width);
         all.push(vec![
             panel(flow_picture(&flow, "estimated flow")?, &estimate.method, String::new()),
-            panel(Picture::jpeg(&heat(error, worst as f32), "end-point error")?, "Error", epe),
+            panel(Picture::jpeg(&heat(error, largest as f32), "end-point error")?, "Error", epe),
         ]);
     }
     // Upright pictures go beside each other; wide ones need the room of half the page.
@@ -65,9 +65,28 @@ pub fn pair_figures(
         true => columns(&all, 240, caption),
         false => panels(&all.concat(), 420, caption),
     };
-    let legends =
-        vec![wheel_legend(longest, "Black has no truth.")?, heat_legend(worst, "Grey has no truth.")?];
+    let heat_words =
+        "The scale ends where 98 % of the pixels of the middle method lie below. Grey: no ground truth.";
+    let wheel_words = "Longer flow has the colour of the rim. Black: no ground truth.";
+    let legends = vec![wheel_legend(longest, wheel_words)?, heat_legend(largest, heat_words)?];
     Ok(vec![pictures, side_by_side(legends, 420)])
+}
+
+/// A round length in pixels for the lightest colour of several methods' errors, which one method that is far off does not set:
+/// that of the middle method, of two the better, below which 98 % of its pixels lie.
+fn error_scale(errors: &[&Plane]) -> f64 {
+    let mut ends: Vec<f64> = errors.iter().map(|error| share_below(error, 0.98)).collect();
+    ends.sort_by(f64::total_cmp);
+    round_up(ends.get(ends.len().saturating_sub(1) / 2).copied().unwrap_or(0.0).max(0.1))
+}
+
+/// The flow with what is longer than `longest` cut to it, in its direction.
+fn within(flow: &FlowField, longest: f32) -> FlowField {
+    FlowField::from_fn(flow.width(), flow.height(), |x, y| {
+        let [u, v] = flow.get(x, y);
+        let beyond = u.hypot(v) / longest;
+        if beyond > 1.0 { [u / beyond, v / beyond] } else { [u, v] }
+    })
 }
 
 /// What the dataset holds for one pair, called `name`: frame, true flow, mask and occlusion, as far as it has them.
@@ -135,5 +154,21 @@ mod tests {
         let plane = Plane::from_fn(100, 1, |x, _| if x == 0 { f32::NAN } else { x as f32 });
         assert_eq!(share_below(&plane, 0.5), 50.0);
         assert_eq!(share_below(&Plane::filled(2, 2, f32::NAN), 0.5), 0.0);
+    }
+
+    #[test]
+    fn one_method_that_is_far_off_does_not_set_the_scale_of_the_errors() {
+        let errors = [0.9, 400.0, 1.9].map(|error| Plane::filled(4, 4, error));
+        let scale =
+            |methods: &[usize]| error_scale(&methods.iter().map(|at| &errors[*at]).collect::<Vec<_>>());
+        assert_eq!([scale(&[0]), scale(&[0, 1]), scale(&[0, 1, 2]), scale(&[])], [1.0, 1.0, 2.0, 0.1]);
+    }
+
+    #[test]
+    fn flow_beyond_the_rim_keeps_its_direction() {
+        let flow = FlowField::from_fn(3, 1, |x, _| [[3.0, 4.0], [30.0, 40.0], [f32::NAN; 2]][x]);
+        let cut = within(&flow, 10.0);
+        assert_eq!((cut.get(0, 0), cut.get(1, 0)), ([3.0, 4.0], [6.0, 8.0]));
+        assert!(!cut.is_known(2, 0));
     }
 }

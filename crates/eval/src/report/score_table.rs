@@ -9,9 +9,9 @@ pub fn score_table(table: &Table, caption: &str) -> Figure {
     Figure(html! {
         figure {
             div.panel.plain {
+                h3 { (table.title) }
                 div.scroll {
                     table {
-                        caption { (table.title) }
                         thead { tr { th { (table.row_header()) } @for column in &table.columns { th { (column.title()) } } } }
                         tbody {
                             @for (row, marks) in table.rows.iter().zip(&marks) {

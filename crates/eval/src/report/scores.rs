@@ -5,6 +5,7 @@ use maud::html;
 use super::bars::{Bar, bars};
 use super::charts::{Axis, Chart, number};
 use super::curves::{Curve, curves};
+use super::facts::facts;
 use super::panels::side_by_side;
 use super::score_table::score_table;
 use super::{Figure, Page, Section};
@@ -32,8 +33,13 @@ pub fn score_figures(evaluation: &Evaluation, machine: &str) -> Vec<Figure> {
 }
 
 /// The page of one evaluation: its tables and charts, then `pairs`, figures of single pairs made by
-/// [`pair_figures`](super::pair_figures).
-pub fn score_report(evaluation: &Evaluation, machine: &str, pairs: Vec<Figure>) -> Page {
+/// [`pair_figures`](super::pair_figures), and last `settings`, names and values of what the scores follow from.
+pub fn score_report(
+    evaluation: &Evaluation,
+    machine: &str,
+    pairs: Vec<Figure>,
+    settings: &[(String, String)],
+) -> Page {
     let mut sections = vec![Section {
         title: "Scores".to_owned(),
         lead: "Computed per pair over the pixels whose true flow is known, then averaged over pairs."
@@ -43,17 +49,38 @@ pub fn score_report(evaluation: &Evaluation, machine: &str, pairs: Vec<Figure>) 
     if !pairs.is_empty() {
         sections.push(Section {
             title: "Pairs".to_owned(),
-            lead: "The truth, what each method made of it, and where it went wrong.".to_owned(),
+            lead: "The true flow, the flow of each method, and its error.".to_owned(),
             figures: pairs,
         });
     }
+    sections.push(Section {
+        title: "Settings".to_owned(),
+        lead: "What these scores follow from.".to_owned(),
+        figures: vec![facts(settings)],
+    });
     Page {
-        title: evaluation.dataset.clone(),
+        title: format!("Optical flow of {} on {}", methods_in_words(evaluation), evaluation.title()),
         kicker: "srflow eval".to_owned(),
         lead: format!("{} of {}.", evaluation.pairs_in_words(), evaluation.folder),
         opening: Vec::new(),
         sections,
         colophon: format!("srflow {} on {machine}.", env!("CARGO_PKG_VERSION")),
+    }
+}
+
+/// `raft`, `raft and gma`, `raft, gma and tvl1`, `5 methods`.
+fn methods_in_words(evaluation: &Evaluation) -> String {
+    let names: Vec<&str> = evaluation
+        .methods
+        .iter()
+        .filter(|method| !method.baseline)
+        .map(|method| method.name.as_str())
+        .collect();
+    match names[..] {
+        [] => "the baseline".to_owned(),
+        [ref first @ .., last] if (1..3).contains(&first.len()) => format!("{} and {last}", first.join(", ")),
+        [one] => one.to_owned(),
+        _ => format!("{} methods", names.len()),
     }
 }
 

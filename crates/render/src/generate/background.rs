@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use srflow_field::random::Key;
-use srflow_field::{IMAGE_EXTENSIONS, Image, Plane, read_image};
+use srflow_field::{IMAGE_EXTENSIONS, Image, Plane, parse_color, read_image};
 
 use super::error::GenerateError;
 use super::settings::list_files;
@@ -21,20 +21,12 @@ pub enum Background {
 impl FromStr for Background {
     type Err = String;
 
-    /// `white`, `black`, `#rrggbb`, or the path of a folder.
+    /// A colour ([`parse_color`]), or the path of a folder.
     fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "white" => Ok(Self::Colour([255; 3])),
-            "black" => Ok(Self::Colour([0; 3])),
-            _ => match text.strip_prefix('#') {
-                Some(digits) if digits.len() == 6 && digits.bytes().all(|c| c.is_ascii_hexdigit()) => {
-                    let value = u32::from_str_radix(digits, 16).map_err(|error| error.to_string())?;
-                    let [_, r, g, b] = value.to_be_bytes();
-                    Ok(Self::Colour([r, g, b]))
-                }
-                Some(_) => Err(format!("`{text}`: a colour is # and six hexadecimal digits, e.g. #336699")),
-                None => Ok(Self::Images(text.into())),
-            },
+        match parse_color(text) {
+            Ok(colour) => Ok(Self::Colour(colour)),
+            Err(expected) if text.starts_with('#') => Err(format!("`{text}`: {expected}")),
+            Err(_) => Ok(Self::Images(text.into())),
         }
     }
 }

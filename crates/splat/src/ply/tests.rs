@@ -48,7 +48,7 @@ fn foreign(encoding: &str) -> Vec<u8> {
     let others =
         ["opacity", "rot_0", "rot_1", "rot_2", "rot_3", "z", "y", "x", "scale_2", "scale_1", "scale_0"];
     names.extend(others.map(String::from));
-    names.extend(["f_dc_2", "f_dc_1", "f_dc_0", "binding_0"].map(String::from));
+    names.extend(["f_dc_2", "f_dc_1", "f_dc_0", "segment"].map(String::from));
     let values = [
         8., 7., 6., 5., 4., 3., 2., 1., 0., 0., 2., 0., 0., 0., 30., 20., 10., -3., -2., -1., 0.3, 0.2, 0.1,
         7.,
@@ -111,7 +111,7 @@ fn message(bytes: &[u8]) -> String {
 
 #[test]
 fn errors_say_what_was_expected_and_found() {
-    assert_eq!(message(b"PNG\n"), "magic: expected `ply` on the first line, found \"PNG\"");
+    assert_eq!(message(b"PNG\n"), "magic: expected `ply` on the first line, found `PNG`");
     let text = String::from_utf8(foreign("ascii")).unwrap();
     let lie = text.replace("element vertex 1\n", "element vertex 9000000000000000000\n");
     assert!(message(lie.as_bytes()).contains("vertices, found"), "{}", message(lie.as_bytes()));
@@ -129,7 +129,7 @@ fn errors_say_what_was_expected_and_found() {
     let nan = text.replace(" 30 ", " NaN ");
     assert_eq!(message(nan.as_bytes()), "position: expected a finite number, found NaN at vertex 0");
     let word = text.replace(" 30 ", " thirty ");
-    assert_eq!(message(word.as_bytes()), "vertex: expected a number, found \"thirty\" at vertex 0");
+    assert_eq!(message(word.as_bytes()), "vertex: expected a number, found `thirty` at vertex 0");
     let zero = text.replace("0 2 0 0 0 30", "0 0 0 0 0 30");
     assert_eq!(
         message(zero.as_bytes()),
@@ -182,4 +182,11 @@ fn what_has_no_raw_form_is_not_written() {
         assert!(error.contains("of Gaussian 2"), "{error}");
         assert!(!path.exists());
     }
+}
+
+#[test]
+fn gaussians_bound_to_a_mesh_are_named_as_such() {
+    let text = String::from_utf8(foreign("ascii")).unwrap().replace("segment", "binding_0");
+    let error = in_memory(text.as_bytes()).unwrap_err().to_string();
+    assert!(error.contains("bound to a triangle") && error.contains("binding_0"), "{error}");
 }

@@ -1,4 +1,4 @@
-//! `srflow demo`: the whole road once, small enough to wait for. One file per stage.
+//! `srflow demo`: the pipeline end to end, small enough to wait for. One file per stage.
 
 mod action_units;
 mod datasets;
@@ -25,13 +25,13 @@ use crate::size::Size;
 use crate::{Context, machine};
 use stage::Stages;
 
-/// Make a small dataset, estimate its flow, score it and show it all in one report
+/// Render a small dataset, estimate its flow, score it and show everything in one report
 #[derive(Args)]
 #[command(after_help = "\
 Renders three heads at 2200x3208 and a smaller dataset of the same heads in motion, estimates its flow with every \
-method, scores it and writes one HTML file that needs nothing beside it.
+method, scores it and writes one self-contained HTML file.
 
-Example: the same road on a real photograph as well, opened when it is done
+Example: with a pair of real photographs too, and the report opened at the end
   srflow demo --pair frame1.png frame2.png true_flow.png --open")]
 pub struct Demo {
     /// Folder for the datasets, the scores and report.html
@@ -55,7 +55,7 @@ pub struct Demo {
     /// Open the report in the browser
     #[arg(long)]
     open: bool,
-    /// Make everything anew where a demo is already
+    /// Regenerate everything where a demo exists
     #[arg(long)]
     force: bool,
 }
@@ -66,8 +66,8 @@ fn paper_crop(size: Size) -> (usize, usize) {
     ((size.width * 1200 / full_width).max(1), (size.height * 1600 / full_height).max(1))
 }
 
-/// Runs the command.
 pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
+    crate::output::ensure_folder(&args.out)?;
     let report = args.out.join("report.html");
     ensure_free([&report], args.force)?;
     let photographs = photographs(&args)?;
@@ -153,7 +153,9 @@ fn score(
     pairs: usize,
 ) -> anyhow::Result<(Evaluation, Vec<Figure>)> {
     let settings = Settings { crop, limit: Some(pairs), on_failure: OnFailure::Stop, batch: None };
-    scoring::score(dataset, estimators, settings, Pictures { pairs: pairs.min(3), width: 380 })
+    let methods: Vec<_> =
+        estimators.iter().map(|estimator| srflow_eval::Method::Estimator(estimator.as_ref())).collect();
+    scoring::score(dataset, &methods, settings, Pictures { pairs: pairs.min(3), width: 380 }, None)
 }
 
 /// Where the report is and how long it took; everything measured with `--json`.

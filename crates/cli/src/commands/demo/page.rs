@@ -47,12 +47,12 @@ pub fn page(shown: &Shown, stages: &Stages) -> anyhow::Result<Page> {
         kicker: "srflow demo".to_owned(),
         title: "From a head of Gaussians to evaluated optical flow".to_owned(),
         lead: "Everything on this page was computed in one run, on this machine, from a seed: heads made of 3D \
-            Gaussians, what cameras see of them, the exact motion of every pixel, what optical-flow methods make of \
-            the same frames, and how wrong they are."
+            Gaussians, the frames that cameras see, the exact motion of every pixel, and the flow that methods estimate \
+            from these frames, with its errors."
             .to_owned(),
         opening: opening(shown, stages)?,
         sections,
-        colophon: format!("srflow {} · {} · this file needs nothing beside it", env!("CARGO_PKG_VERSION"), shown.machine),
+        colophon: format!("srflow {} · {} · self-contained", env!("CARGO_PKG_VERSION"), shown.machine),
     })
 }
 

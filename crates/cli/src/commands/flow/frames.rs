@@ -44,7 +44,7 @@ impl Source {
             [file] if is_video(file) => return Ok(Self::Video(file.clone(), video::facts(file))),
             [frame] => {
                 wrong_usage!(
-                    "{}: one frame has no flow; give two or more, a folder of frames, or a video",
+                    "{}: one frame has no flow: give two or more, a folder of frames, or a video",
                     frame.display()
                 )
             }
@@ -67,7 +67,7 @@ impl Source {
         Ok(Self::Files(files))
     }
 
-    /// How many pairs there are, where that can be told.
+    /// Number of pairs, where it is known.
     pub fn pairs(&self) -> Option<u64> {
         match self {
             Self::Files(files) => Some(files.len() as u64 - 1),
@@ -121,7 +121,7 @@ fn read_video(path: &Path, take: &mut impl FnMut(anyhow::Result<Frame>) -> bool)
             return Ok(());
         }
     }
-    ensure!(count >= 2, "{}: two frames or more were looked for; found {count}", path.display());
+    ensure!(count >= 2, "{}: expected two frames or more, found {count}", path.display());
     Ok(())
 }
 
@@ -139,7 +139,7 @@ fn frames_of(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let frames = pictures(folder).with_context(|| "the folder of the frames")?;
     ensure!(
         frames.len() >= 2,
-        "{}: two frames or more were looked for (files named *.{}); found {}",
+        "{}: expected two frames or more (files named *.{}), found {}",
         folder.display(),
         IMAGE_EXTENSIONS.join(", *."),
         frames.len()

@@ -102,7 +102,6 @@ struct EstimatedPair {
     seconds: f64,
 }
 
-/// Runs the command.
 pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     args.parameters.network.batch = args.batch.into();
     let network = &args.parameters.network;

@@ -12,7 +12,7 @@ use super::face::FaceArgs;
 use super::sources::{SourceArgs, kinds_help};
 use crate::Context;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
-use crate::output::ensure_free;
+use crate::output::{ensure_extension, ensure_free};
 
 /// Spot apex frames, and compare them with the annotated ones
 #[derive(Args)]
@@ -83,6 +83,7 @@ struct SpottingErrors {
 }
 
 pub fn run(args: Apex, context: &Context) -> anyhow::Result<()> {
+    args.out.as_ref().map_or(Ok(()), |path| ensure_extension(path, "csv"))?;
     ensure_free(&args.out, args.force)?;
     let face = args.face.crop()?;
     let estimator = methods::estimator(&args.method, &args.parameters)?;

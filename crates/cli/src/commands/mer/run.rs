@@ -111,6 +111,7 @@ where
 }
 
 pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
+    crate::output::ensure_folder(&args.out)?;
     let folder = ResultsFolder::open(&args.out, args.force)?;
     let protocol = Protocol {
         epochs: args.epochs,

@@ -10,7 +10,7 @@ use srflow_mer::{
 
 use crate::Context;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
-use crate::output::ensure_free;
+use crate::output::{ensure_extension, ensure_free};
 
 /// Optical strain between two frames, as classifiers see it
 #[derive(Args)]
@@ -76,6 +76,9 @@ struct Strained {
 pub fn run(args: Strain, context: &Context) -> anyhow::Result<()> {
     let estimator = methods::estimator(&args.method, &args.parameters)?;
     let outputs = [Some(&args.out), args.features.as_ref(), args.viz.as_ref()];
+    for (path, extension) in outputs.into_iter().zip(["npy", "npy", "png"]) {
+        path.map_or(Ok(()), |path| ensure_extension(path, extension))?;
+    }
     ensure_free(outputs.into_iter().flatten(), args.force)?;
     let (onset, apex) = (read_image(&args.onset)?, read_image(&args.apex)?);
     ensure!(

@@ -59,6 +59,7 @@ pub struct Synth {
 }
 
 pub fn run(args: Synth, context: &Context) -> anyhow::Result<()> {
+    crate::output::ensure_folder(&args.out)?;
     let settings = SynthSettings {
         subjects: args.subjects,
         clips_per_subject: args.clips,

@@ -38,6 +38,7 @@ struct Recomputed {
 
 pub fn run(args: Tables, context: &Context) -> anyhow::Result<()> {
     if let Some(out) = &args.out {
+        crate::output::ensure_folder(out)?;
         ensure_free(TABLE_FILES.map(|name| out.join(name)), args.force)?;
     }
     let trials = read_predictions(&args.predictions)?;

@@ -1,18 +1,22 @@
+mod cameras;
+mod path;
+
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, ensure};
+use anyhow::ensure;
 use clap::{Args, ValueEnum};
 use serde::Serialize;
 use srflow_field::{
-    FileError, FileKind, create_folder, longest_flow, read_text, write_flow, write_image_png, write_mask_png,
+    FileError, create_folder, longest_flow, parse_color, write_flow, write_image_png, write_mask_png,
     write_npy, write_npy_plane,
 };
-use srflow_read::manifest::CameraRecord;
-use srflow_render::camera::camera_from_record;
-use srflow_splat::{Camera, Frame, Next, Options, Outputs, PixelConvention, Rasterizer, read_ply};
+use srflow_splat::{Frame, Next, Options, Outputs, PixelConvention, Rasterizer, read_ply};
 
+use self::cameras::{CameraArgs, Orbit};
 use crate::Context;
-use crate::output::ensure_free;
+use crate::output::{ensure_folder, ensure_free};
+use crate::usage::wrong_usage;
+use crate::video::is_video;
 
 /// Rasterize a file of 3D Gaussians: colour, flow, alpha and depth
 ///
@@ -20,18 +24,27 @@ use crate::output::ensure_free;
 /// (expected depth, 0 where nothing is seen), mask.png (alpha above one half), flow.flo (blended displacement of the
 /// Gaussians, not divided by alpha) and flow_normalized.flo (divided by alpha).
 ///
-/// The flow leads to the Gaussians of --next as --camera-next sees them. Without --next the Gaussians stay, without
-/// --camera-next the camera stays; without both the flow is zero.
+/// The flow leads to the Gaussians of --next as --camera-next or --view-next sees them. Without --next the Gaussians stay,
+/// without another camera the camera stays; without both the flow is zero.
+///
+/// With --orbit or --path the camera moves: OUT gets frames/, the flow/ from each frame to the next and mask/, numbered from
+/// 000001, which `folder:OUT` reads as a dataset; an OUT such as clip.mp4 becomes a video of the frames.
 #[derive(Args)]
-#[command(after_help = "Example:
+#[command(after_help = "Examples:
   srflow rasterize frame0.ply --next frame1.ply --camera cam.json --out rendered
+  srflow rasterize point_cloud.ply --camera cameras.json --view 00012 --view-next 00013 --out rendered
+  srflow rasterize head.ply --orbit 360x120 --size 720x720 --background white --out turn.mp4
 
-CAM is a JSON file of a pinhole camera (x right, y down, z forward; an integer coordinate is
-the centre of a pixel):
-  {\"width\": 550, \"height\": 802, \"fx\": 1200, \"fy\": 1200, \"cx\": 274.5, \"cy\": 400.5,
-   \"w2c\": [[1,0,0,0], [0,1,0,0], [0,0,1,1.5], [0,0,0,1]]}
-w2c is the camera's pose as a 4x4 matrix by rows, camera from world. PLY is a file of 3D Gaussian
-splatting (spherical harmonics of degree 0 to 3).")]
+CAM is a file of cameras:
+  cameras.json of 3D Gaussian Splatting
+  transforms.json of NeRF, instant-ngp, nerfstudio or GaussianAvatars
+  a camera path that the viewer of nerfstudio saved
+  the folder of a COLMAP model (cameras and images, .bin or .txt)
+  or one pinhole camera (x right, y down, z forward; an integer coordinate is the centre of a pixel):
+    {\"width\": 550, \"height\": 802, \"fx\": 1200, \"fy\": 1200, \"cx\": 274.5, \"cy\": 400.5,
+     \"w2c\": [[1,0,0,0], [0,1,0,0], [0,0,1,1.5], [0,0,0,1]]}
+  w2c is camera from world, a 4x4 matrix by rows.
+PLY is a file of 3D Gaussian Splatting (spherical harmonics of degree 0 to 3), in the world of the cameras.")]
 pub struct Rasterize {
     /// Gaussians of this frame
     #[arg(value_name = "PLY")]
@@ -39,17 +52,23 @@ pub struct Rasterize {
     /// Gaussians of the next frame: the same ones, in the same order
     #[arg(long, value_name = "PLY")]
     next: Option<PathBuf>,
-    /// Camera of this frame
-    #[arg(long, value_name = "CAM")]
-    camera: PathBuf,
-    /// Camera of the next frame, of the same image size
-    #[arg(long, value_name = "CAM")]
-    camera_next: Option<PathBuf>,
-    /// Folder to write into; made if missing
-    #[arg(long, value_name = "DIR")]
+    #[command(flatten)]
+    cameras: CameraArgs,
+    /// Turn the camera around the middle of the Gaussians, to the right where DEGREES are positive [default: a frame every 3
+    /// degrees]
+    #[arg(long, value_name = "DEGREES[xFRAMES]", allow_hyphen_values = true, conflicts_with_all = ["next", "camera_next", "view_next"])]
+    orbit: Option<Orbit>,
+    /// Go through the cameras of this file, in their order there
+    #[arg(long, value_name = "CAM", conflicts_with_all = ["orbit", "camera", "next", "camera_next", "view_next"])]
+    path: Option<PathBuf>,
+    /// Folder to write into, made if missing; for a moving camera also a video
+    #[arg(long, value_name = "DIR|VIDEO")]
     out: PathBuf,
-    /// Colour behind the Gaussians, each of 0 to 255
-    #[arg(long, value_name = "R,G,B", default_value = "0,0,0", value_parser = background)]
+    /// Frames per second of the video
+    #[arg(long, value_name = "RATE", default_value_t = 25, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    fps: u16,
+    /// Colour behind the Gaussians: white, black, #rrggbb or R,G,B (0 to 255 each)
+    #[arg(long, value_name = "COLOUR", default_value = "black", value_parser = parse_color)]
     background: [u8; 3],
     /// Pixels in which the flow is counted
     #[arg(long, value_enum, default_value_t = Convention::Splat)]
@@ -65,13 +84,6 @@ enum Convention {
     Splat,
     /// (ndc + 1) (S - 1) / 2, as the SRFlow paper writes: flow is smaller by (S - 1) / S
     Paper,
-}
-
-fn background(text: &str) -> Result<[u8; 3], String> {
-    let channels: Option<Vec<u8>> = text.split(',').map(|channel| channel.trim().parse().ok()).collect();
-    channels
-        .and_then(|channels| channels.try_into().ok())
-        .ok_or_else(|| "expected three whole numbers of 0 to 255, such as 255,255,255".to_owned())
 }
 
 /// What `--json` prints.
@@ -97,12 +109,49 @@ struct Rendered<'a> {
 const FILES: [&str; 7] =
     ["color.png", "color.npy", "alpha.npy", "depth.npy", "mask.png", "flow.flo", "flow_normalized.flo"];
 
-/// Runs the command.
 pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
-    ensure_free(FILES.map(|name| args.out.join(name)), args.force)?;
-    let camera = read_camera(&args.camera)?;
-    let camera_next = args.camera_next.as_deref().map(read_camera).transpose()?;
+    let video = is_video(&args.out);
+    let moves = args.orbit.is_some() || args.path.is_some();
+    if video && !moves {
+        wrong_usage!("{}: a video is made of a moving camera: give --orbit or --path", args.out.display());
+    }
+    if !video {
+        ensure_folder(&args.out)?;
+    }
+    let options = Options {
+        background: args.background.map(|channel| f32::from(channel) / 255.0),
+        convention: match args.pixel_convention {
+            Convention::Splat => PixelConvention::Splat,
+            Convention::Paper => PixelConvention::Paper,
+        },
+        ..Options::default()
+    };
+    if !moves {
+        return one_frame(&args, &options, context);
+    }
     let gaussians = read_ply(&args.gaussians)?;
+    let cameras = match (args.orbit, &args.path) {
+        (Some(orbit), _) => args.cameras.orbit(orbit, &gaussians)?,
+        (None, Some(file)) => args.cameras.path(file)?,
+        (None, None) => Vec::new(),
+    };
+    let rendered = if video {
+        path::write_video(&gaussians, &cameras, &options, &args.out, args.fps, args.force)?
+    } else {
+        path::write_frames(&gaussians, &cameras, &options, &args.out, args.force)?
+    };
+    if context.json {
+        say!("{}", serde_json::to_string(&rendered)?)?;
+    }
+    Ok(())
+}
+
+fn one_frame(args: &Rasterize, options: &Options, context: &Context) -> anyhow::Result<()> {
+    ensure_free(FILES.map(|name| args.out.join(name)), args.force)?;
+    // What is wrong with a camera is said before large files are read.
+    let camera_next = args.cameras.next()?;
+    let gaussians = read_ply(&args.gaussians)?;
+    let camera = args.cameras.first(&gaussians)?;
     let moved = args.next.as_deref().map(read_ply).transpose()?;
     if let (Some(moved), Some(path)) = (&moved, &args.next) {
         ensure!(
@@ -121,14 +170,7 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
         gaussians: moved.as_ref().unwrap_or(&gaussians),
         camera: camera_next.as_ref().unwrap_or(&camera),
     };
-    let options = Options {
-        background: args.background.map(|channel| f32::from(channel) / 255.0),
-        convention: match args.pixel_convention {
-            Convention::Splat => PixelConvention::Splat,
-            Convention::Paper => PixelConvention::Paper,
-        },
-        outputs: Outputs { depth_next: false, ..Outputs::ALL },
-    };
+    let options = Options { outputs: Outputs { depth_next: false, ..Outputs::ALL }, ..*options };
     let mut frame = Frame::new();
     Rasterizer::new().render(&gaussians, &camera, Some(next), &options, &mut frame)?;
 
@@ -143,19 +185,6 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
         say!("{}", serde_json::to_string(&rendered(&args.out, &frame, gaussians.len()))?)?;
     }
     Ok(())
-}
-
-fn read_camera(path: &Path) -> anyhow::Result<Camera> {
-    let text = read_text(path, FileKind::Settings)?;
-    let record: CameraRecord = serde_json::from_str(&text).with_context(|| {
-        format!(
-            "{}: expected a camera with width, height, fx, fy, cx, cy and w2c (a 4x4 matrix by rows)",
-            path.display()
-        )
-    })?;
-    let camera = camera_from_record(&record);
-    camera.validate().with_context(|| path.display().to_string())?;
-    Ok(camera)
 }
 
 fn write(frame: &Frame, out: &Path) -> Result<(), FileError> {

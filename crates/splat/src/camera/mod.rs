@@ -1,4 +1,20 @@
-use glam::{DMat4, DVec2, DVec3};
+//! A pinhole camera, the files it is read from, and the circle it can go on.
+
+mod camera_path;
+mod colmap;
+mod file;
+mod gaussian_splatting;
+mod orbit;
+mod own;
+mod transforms;
+
+#[cfg(test)]
+mod tests;
+
+use glam::{DMat3, DMat4, DVec2, DVec3};
+
+pub use file::{NamedCamera, read_cameras};
+pub use orbit::Surroundings;
 
 use crate::CameraError;
 
@@ -32,6 +48,35 @@ pub struct Camera {
 }
 
 impl Camera {
+    /// At the origin, with the principal point in the middle of a picture of so many pixels and these focal lengths.
+    pub fn centred((width, height): (usize, usize), [fx, fy]: [f64; 2]) -> Self {
+        let middle = |side: usize| (side as f64 - 1.0) / 2.0;
+        let (cx, cy) = (middle(width), middle(height));
+        Self { width, height, fx, fy, cx, cy, camera_from_world: DMat4::IDENTITY }
+    }
+
+    /// Elsewhere: the columns of `world_from_camera` are the camera's axes (right, down, forward) in the world.
+    #[must_use]
+    pub fn placed(self, world_from_camera: DMat3, position: DVec3) -> Self {
+        let rotation = world_from_camera.transpose();
+        let camera_from_world = DMat4::from_cols(
+            rotation.x_axis.extend(0.0),
+            rotation.y_axis.extend(0.0),
+            rotation.z_axis.extend(0.0),
+            (-(rotation * position)).extend(1.0),
+        );
+        Self { camera_from_world, ..self }
+    }
+
+    /// The same view in another number of pixels.
+    #[must_use]
+    pub fn resized(self, (width, height): (usize, usize)) -> Self {
+        let (x, y) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
+        let scaled = |place: f64, factor: f64| (place + 0.5) * factor - 0.5; // the corner of the first pixel stays
+        let (fx, fy) = (self.fx * x, self.fy * y);
+        Self { width, height, fx, fy, cx: scaled(self.cx, x), cy: scaled(self.cy, y), ..self }
+    }
+
     /// Pixel and depth (camera z) of a world point; `None` at or behind the camera's plane.
     pub fn project(&self, world: DVec3) -> Option<(DVec2, f64)> {
         let point = self.camera_from_world.transform_point3(world);

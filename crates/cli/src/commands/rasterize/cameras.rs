@@ -1,0 +1,238 @@
+//! Which cameras of which file.
+
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use clap::Args;
+use srflow_field::{excerpt, excerpts};
+use srflow_splat::{Camera, Gaussians, NamedCamera, Surroundings, read_cameras};
+
+use crate::size::Size;
+use crate::usage::wrong_usage;
+
+/// Of a camera that is not given, in pixels.
+const SIZE: Size = Size { width: 800, height: 800 };
+
+/// The camera of a frame, and of the next.
+#[derive(Args)]
+pub struct CameraArgs {
+    /// Camera of this frame; without it, one that sees all Gaussians from +z, where +y is up
+    #[arg(long, value_name = "CAM")]
+    camera: Option<PathBuf>,
+    /// Which camera of CAM: its name (that of its picture, with or without folder and extension), or its number from 0
+    #[arg(long, value_name = "NAME|N", requires = "camera")]
+    view: Option<String>,
+    /// Camera of the next frame, of the same image size
+    #[arg(long, value_name = "CAM")]
+    camera_next: Option<PathBuf>,
+    /// Which camera of --camera-next, or of --camera where there is no --camera-next
+    #[arg(long, value_name = "NAME|N")]
+    view_next: Option<String>,
+    /// Size of the pictures, in the proportions of the camera's own; needed where CAM says none
+    #[arg(long, value_name = "WIDTHxHEIGHT")]
+    size: Option<Size>,
+}
+
+/// A circle, as `--orbit` names it: `360`, `360x120`, `-90x30`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Orbit {
+    degrees: f64,
+    frames: usize,
+}
+
+impl FromStr for Orbit {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let (degrees, frames) = match text.split_once('x') {
+            Some((degrees, frames)) => (degrees, Some(frames)),
+            None => (text, None),
+        };
+        let degrees = degrees.parse().ok().filter(|degrees: &f64| degrees.is_finite() && *degrees != 0.0);
+        let frames = match (degrees, frames) {
+            (_, Some(frames)) => frames.parse().ok(),
+            (Some(degrees), None) => Some((degrees.abs() / 3.0).ceil() as usize),
+            (None, None) => None,
+        };
+        match (degrees, frames) {
+            (Some(degrees), Some(frames)) if (2..=100_000).contains(&frames) => Ok(Self { degrees, frames }),
+            _ => Err("expected DEGREES or DEGREESxFRAMES with 2 frames or more, such as 360x120".to_owned()),
+        }
+    }
+}
+
+impl CameraArgs {
+    /// The camera of this frame.
+    ///
+    /// # Errors
+    /// When it cannot be read, or the file holds several and none was chosen.
+    pub fn first(&self, gaussians: &Gaussians) -> anyhow::Result<Camera> {
+        match &self.camera {
+            Some(file) => self.chosen(file, self.view.as_deref(), "--view"),
+            None => Ok(self.facing(gaussians)),
+        }
+    }
+
+    /// That of the next frame, where it is another one.
+    ///
+    /// # Errors
+    /// As [`CameraArgs::first`].
+    pub fn next(&self) -> anyhow::Result<Option<Camera>> {
+        let view = self.view_next.as_deref();
+        match (&self.camera_next, &self.camera) {
+            (Some(file), _) => self.chosen(file, view, "--view-next").map(Some),
+            (None, Some(file)) if view.is_some() => self.chosen(file, view, "--view-next").map(Some),
+            (None, None) if view.is_some() => {
+                wrong_usage!("--view-next chooses a camera of --camera-next or --camera: give one of them")
+            }
+            (None, _) => Ok(None),
+        }
+    }
+
+    /// On a circle around the Gaussians, from the camera of this frame on.
+    ///
+    /// # Errors
+    /// As [`CameraArgs::first`].
+    pub fn orbit(&self, orbit: Orbit, gaussians: &Gaussians) -> anyhow::Result<Vec<Camera>> {
+        let centre = Surroundings::of(gaussians).map_or_else(Default::default, |seen| seen.centre);
+        Ok(self.first(gaussians)?.orbit(centre, orbit.degrees, orbit.frames))
+    }
+
+    /// All cameras of a file.
+    ///
+    /// # Errors
+    /// When it cannot be read, or they differ in size.
+    pub fn path(&self, file: &Path) -> anyhow::Result<Vec<Camera>> {
+        let named = self.read(file)?;
+        if let Some(bent) = named.iter().find(|camera| camera.distortion.is_some()) {
+            note_distortion(file, bent);
+        }
+        let cameras =
+            named.iter().map(|named| self.resized(named)).collect::<anyhow::Result<Vec<Camera>>>()?;
+        let size = |camera: &Camera| (camera.width, camera.height);
+        if let Some((odd, camera)) =
+            named.iter().zip(&cameras).find(|(_, camera)| size(camera) != size(&cameras[0]))
+        {
+            anyhow::bail!(
+                "{}: the pictures of a path are of one size; `{}` is {}x{}, `{}` is {}x{}",
+                file.display(),
+                excerpt(&named[0].name),
+                cameras[0].width,
+                cameras[0].height,
+                excerpt(&odd.name),
+                camera.width,
+                camera.height
+            );
+        }
+        Ok(cameras)
+    }
+
+    fn facing(&self, gaussians: &Gaussians) -> Camera {
+        let Size { width, height } = self.size.unwrap_or(SIZE);
+        let seen =
+            Surroundings::of(gaussians).unwrap_or(Surroundings { centre: Default::default(), radius: 1.0 });
+        Camera::facing(seen, (width, height))
+    }
+
+    fn chosen(&self, file: &Path, view: Option<&str>, option: &str) -> anyhow::Result<Camera> {
+        let cameras = self.read(file)?;
+        let found = match view {
+            None => (cameras.len() == 1).then_some(&cameras[0]),
+            Some(view) => named(&cameras, view),
+        };
+        let Some(found) = found else {
+            let what = match view {
+                Some(view) => format!("no camera is called `{view}`"),
+                None => "choose one".to_owned(),
+            };
+            wrong_usage!(
+                "{} holds {} cameras: {what}; {option} takes a name or a number from 0 to {}, and the first are called {}",
+                file.display(),
+                cameras.len(),
+                cameras.len() - 1,
+                excerpts(cameras.iter().take(3).map(|camera| camera.name.as_str()), 3)
+            );
+        };
+        if found.distortion.is_some() {
+            note_distortion(file, found);
+        }
+        self.resized(found)
+    }
+
+    fn read(&self, file: &Path) -> anyhow::Result<Vec<NamedCamera>> {
+        Ok(read_cameras(file, self.size.map(|size| (size.width, size.height)))?)
+    }
+
+    fn resized(&self, NamedCamera { name, camera, .. }: &NamedCamera) -> anyhow::Result<Camera> {
+        let Some(Size { width, height }) = self.size else { return Ok(*camera) };
+        let proportions = (width * camera.height) as f64 / (height * camera.width) as f64;
+        if (proportions - 1.0).abs() > 0.01 {
+            wrong_usage!(
+                "--size {width}x{height} would stretch the picture of `{}`, which is {}x{}: give the same proportions",
+                excerpt(name),
+                camera.width,
+                camera.height
+            );
+        }
+        Ok(camera.resized((width, height)))
+    }
+}
+
+fn note_distortion(file: &Path, NamedCamera { name, distortion, .. }: &NamedCamera) {
+    eprintln!(
+        "note: {}: the lens of `{}` distorts ({}); it is rendered without, as Gaussians are trained on undistorted \
+         pictures",
+        file.display(),
+        excerpt(name),
+        distortion.as_deref().unwrap_or_default()
+    );
+}
+
+/// By its whole name, by the name of the picture without folder and extension, or by its number.
+fn named<'a>(cameras: &'a [NamedCamera], view: &str) -> Option<&'a NamedCamera> {
+    fn only<'a>(mut found: impl Iterator<Item = &'a NamedCamera>) -> Option<&'a NamedCamera> {
+        found.next().filter(|_| found.next().is_none())
+    }
+    let of_path = |part: fn(&Path) -> Option<&std::ffi::OsStr>| {
+        only(
+            cameras
+                .iter()
+                .filter(move |camera| part(Path::new(&camera.name)).is_some_and(|part| part == view)),
+        )
+    };
+    only(cameras.iter().filter(|camera| camera.name == view))
+        .or_else(|| of_path(Path::file_name))
+        .or_else(|| of_path(Path::file_stem))
+        .or_else(|| cameras.get(view.parse::<usize>().ok()?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_circle_is_degrees_and_frames() {
+        assert_eq!("360x120".parse(), Ok(Orbit { degrees: 360.0, frames: 120 }));
+        assert_eq!("-90".parse(), Ok(Orbit { degrees: -90.0, frames: 30 }));
+        for wrong in ["", "x", "0x10", "360x1", "360x", "infx4", "90x-3", "nan"] {
+            assert!(wrong.parse::<Orbit>().is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_camera_is_found_by_name_before_number() {
+        let camera = |name: &str| NamedCamera {
+            name: name.to_owned(),
+            camera: Camera::centred((4, 4), [1.0; 2]),
+            distortion: None,
+        };
+        let cameras = ["images/1.png", "images/00.png", "left/a.jpg", "right/a.jpg"].map(camera);
+        let found = |view: &str| named(&cameras, view).map(|camera| camera.name.as_str());
+        assert_eq!(found("left/a.jpg"), Some("left/a.jpg"));
+        assert_eq!(found("00.png"), Some("images/00.png"));
+        assert_eq!(found("1"), Some("images/1.png"), "a name, though camera number 1 is another");
+        assert_eq!(found("3"), Some("right/a.jpg"));
+        assert_eq!(found("a"), None, "two are called so");
+        assert_eq!(found("4"), None);
+    }
+}

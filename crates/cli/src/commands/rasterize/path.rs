@@ -1,0 +1,111 @@
+//! Many cameras, one after the other: a folder of frames and their flow, or a video.
+
+use std::path::{Path, PathBuf};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use srflow_field::{create_folder, longest_flow, write_flow, write_image_png, write_mask_png};
+use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, Rasterizer};
+
+use crate::output::ensure_free;
+use crate::video::VideoWriter;
+
+/// What `--json` prints.
+#[derive(Serialize)]
+pub struct RenderedPath {
+    out: PathBuf,
+    frames: usize,
+    width: usize,
+    height: usize,
+    gaussians: usize,
+    /// Length of the longest flow to the next frame in pixels; none for a video.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    longest_flow: Option<f32>,
+}
+
+/// The folders of a sequence: those that `folder:DIR` reads as a dataset.
+const FOLDERS: [&str; 3] = ["frames", "flow", "mask"];
+
+/// Writes `frames/`, the `flow/` from each frame to the next and the `mask/` of each, numbered from 1.
+///
+/// # Errors
+/// When files are there already and `force` was not given, or one cannot be written.
+pub fn write_frames(
+    gaussians: &Gaussians,
+    cameras: &[Camera],
+    options: &Options,
+    out: &Path,
+    force: bool,
+) -> anyhow::Result<RenderedPath> {
+    let file = |folder: &str, number: usize, extension: &str| {
+        out.join(folder).join(format!("{number:06}.{extension}"))
+    };
+    ensure_free(FOLDERS.map(|folder| out.join(folder)), force)?;
+    // Longer sequences are not overwritten in part.
+    ensure_free([file("frames", cameras.len() + 1, "png")], false)?;
+    FOLDERS.iter().try_for_each(|folder| create_folder(&out.join(folder)))?;
+    let outputs = Outputs { depth_next: false, ..Outputs::ALL };
+    let options = Options { outputs, ..*options };
+    let (mut rasterizer, mut frame, bar) = (Rasterizer::new(), Frame::new(), bar(cameras.len())?);
+    let mut longest = 0.0_f32;
+    for (number, camera) in (1..).zip(cameras) {
+        let next = cameras.get(number).map(|camera| Next { gaussians, camera });
+        rasterizer.render(gaussians, camera, next, &options, &mut frame)?;
+        write_image_png(&file("frames", number, "png"), &frame.image)?;
+        write_mask_png(&file("mask", number, "png"), &frame.mask())?;
+        if next.is_some() {
+            write_flow(&file("flow", number, "flo"), &frame.flow)?;
+            longest = longest.max(longest_flow(&frame.flow));
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(RenderedPath { longest_flow: Some(longest), ..rendered(gaussians, cameras, out) })
+}
+
+/// Writes the frames as a video.
+///
+/// # Errors
+/// When the file is there already and `force` was not given, or it cannot be written.
+pub fn write_video(
+    gaussians: &Gaussians,
+    cameras: &[Camera],
+    options: &Options,
+    out: &Path,
+    rate: u16,
+    force: bool,
+) -> anyhow::Result<RenderedPath> {
+    ensure_free([out], force)?;
+    let options = Options { outputs: Outputs::IMAGE, ..*options };
+    let (mut rasterizer, mut frame, bar) = (Rasterizer::new(), Frame::new(), bar(cameras.len())?);
+    let mut video: Option<VideoWriter> = None;
+    for camera in cameras {
+        rasterizer.render(gaussians, camera, None, &options, &mut frame)?;
+        let video = match &mut video {
+            Some(video) => video,
+            None => video.insert(VideoWriter::create(out, frame.image.size(), &rate.to_string())?),
+        };
+        video.write(&frame.image)?;
+        bar.inc(1);
+    }
+    video.map_or(Ok(()), VideoWriter::finish)?;
+    bar.finish_and_clear();
+    Ok(rendered(gaussians, cameras, out))
+}
+
+fn rendered(gaussians: &Gaussians, cameras: &[Camera], out: &Path) -> RenderedPath {
+    let (width, height) = cameras.first().map_or((0, 0), |camera| (camera.width, camera.height));
+    RenderedPath {
+        out: out.to_owned(),
+        frames: cameras.len(),
+        width,
+        height,
+        gaussians: gaussians.len(),
+        longest_flow: None,
+    }
+}
+
+fn bar(frames: usize) -> anyhow::Result<ProgressBar> {
+    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} frames, {eta} left")?;
+    Ok(ProgressBar::new(frames as u64).with_style(style))
+}

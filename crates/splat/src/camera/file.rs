@@ -1,0 +1,148 @@
+//! Files of cameras, told apart by what they hold. Each format is one file beside this one and one line of a table.
+
+use std::path::Path;
+
+use serde::Deserialize;
+use serde::de::{DeserializeOwned, IgnoredAny};
+use srflow_field::{FileError, FileKind, FileProblem, read_file};
+
+use super::{Camera, camera_path, colmap, gaussian_splatting, own, transforms};
+use crate::CameraError;
+
+/// A camera of a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct NamedCamera {
+    /// The picture that was taken with it, as the file calls it; the file's own name for a file of one camera.
+    pub name: String,
+    /// The camera in the conventions of [`Camera`], [valid](Camera::validate).
+    pub camera: Camera,
+    /// Coefficients of lens distortion that are not zero, such as `k1 = -0.03`: the camera is the one without them.
+    pub distortion: Option<String>,
+}
+
+/// Reads the cameras of a file, in their order there (COLMAP: by name): our own, `cameras.json` of 3D Gaussian Splatting,
+/// `transforms.json` of NeRF, instant-ngp and nerfstudio, a camera path of nerfstudio, or a model of COLMAP, text or binary:
+/// its folder, or any of its files.
+///
+/// `size` is the width and height of cameras of which the file says none; without it they are looked up in the pictures
+/// that the file names.
+///
+/// # Errors
+/// When the file cannot be read, is of no such format or broken, holds no camera, or one that cannot be rendered with: one
+/// with a fisheye lens, a pose that is not rigid, or a size that is not known.
+pub fn read_cameras(path: &Path, size: Option<(usize, usize)>) -> Result<Vec<NamedCamera>, FileError> {
+    let in_file = |problem| FileError { path: path.to_owned(), problem };
+    if let Some(files) = colmap::Files::of(path) {
+        return colmap::cameras(&files);
+    }
+    let bytes = read_file(path, FileKind::Json)?;
+    let format = format_of(&bytes).map_err(in_file)?;
+    let cameras = (format.read)(&Source { path, bytes: &bytes, size }).map_err(in_file)?;
+    if cameras.is_empty() {
+        return Err(in_file(problem("cameras", "one camera or more", "none")));
+    }
+    for NamedCamera { name, camera, .. } in &cameras {
+        camera.validate().map_err(|error| in_file(invalid(name, &error)))?;
+    }
+    Ok(cameras)
+}
+
+/// A file of one of the JSON formats.
+pub(super) struct Source<'a> {
+    pub(super) path: &'a Path,
+    pub(super) bytes: &'a [u8],
+    /// Of cameras of which the file says no size.
+    pub(super) size: Option<(usize, usize)>,
+}
+
+impl Source<'_> {
+    pub(super) fn parse<T: DeserializeOwned>(&self) -> Result<T, FileProblem> {
+        serde_json::from_slice(self.bytes).map_err(|error| problem("camera", "a JSON file of cameras", error))
+    }
+
+    /// The file's name, for a camera that has none.
+    pub(super) fn stem(&self) -> String {
+        self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+    }
+}
+
+struct Format {
+    /// For people, with what tells it from the others.
+    name: &'static str,
+    is: fn(&Keys) -> bool,
+    read: fn(&Source) -> Result<Vec<NamedCamera>, FileProblem>,
+}
+
+const FORMATS: [Format; 4] = [
+    Format {
+        name: "a camera with width, height, fx, fy, cx, cy and w2c",
+        is: |keys| keys.w2c,
+        read: own::cameras,
+    },
+    Format {
+        name: "cameras.json of 3D Gaussian Splatting (a list)",
+        is: |keys| keys.list,
+        read: gaussian_splatting::cameras,
+    },
+    Format {
+        name: "transforms.json of NeRF or nerfstudio (with frames)",
+        is: |keys| keys.frames,
+        read: transforms::cameras,
+    },
+    Format {
+        name: "a camera path of nerfstudio (with camera_path)",
+        is: |keys| keys.camera_path,
+        read: camera_path::cameras,
+    },
+];
+
+/// What stands at the root of a JSON file.
+#[derive(Default)]
+struct Keys {
+    list: bool,
+    w2c: bool,
+    frames: bool,
+    camera_path: bool,
+}
+
+fn format_of(bytes: &[u8]) -> Result<&'static Format, FileProblem> {
+    #[derive(Deserialize)]
+    struct Object {
+        w2c: Option<IgnoredAny>,
+        frames: Option<IgnoredAny>,
+        camera_path: Option<IgnoredAny>,
+    }
+    let unknown = |found: String| {
+        let names = FORMATS.each_ref().map(|format| format.name).join(", ");
+        problem("format", format!("{names}, or a folder with a model of COLMAP"), found)
+    };
+    let keys = if bytes.trim_ascii_start().starts_with(b"[") {
+        Keys { list: true, ..Keys::default() }
+    } else {
+        let Object { w2c, frames, camera_path } =
+            serde_json::from_slice(bytes).map_err(|error| unknown(format!("no JSON object: {error}")))?;
+        Keys { list: false, w2c: w2c.is_some(), frames: frames.is_some(), camera_path: camera_path.is_some() }
+    };
+    FORMATS
+        .iter()
+        .find(|format| (format.is)(&keys))
+        .ok_or_else(|| unknown("a JSON object without any of these keys".to_owned()))
+}
+
+pub(super) fn problem(field: &'static str, expected: impl ToString, found: impl ToString) -> FileProblem {
+    FileProblem::Field { field, expected: expected.to_string(), found: found.to_string() }
+}
+
+pub(super) fn invalid(name: &str, error: &CameraError) -> FileProblem {
+    problem("camera", "one that can be rendered with", format!("`{name}`: {error}"))
+}
+
+/// Of these coefficients those that are not zero.
+pub(super) fn distortion<'a>(coefficients: impl IntoIterator<Item = (&'a str, f64)>) -> Option<String> {
+    let given: Vec<String> = coefficients
+        .into_iter()
+        .filter(|(_, value)| *value != 0.0)
+        .map(|(name, value)| format!("{name} = {value}"))
+        .collect();
+    (!given.is_empty()).then(|| given.join(", "))
+}

@@ -1,0 +1,67 @@
+//! Cameras that nobody has to write down: one that faces a set of Gaussians, and a circle around it.
+
+use glam::{DMat3, DMat4, DVec3};
+
+use super::Camera;
+use crate::Gaussians;
+
+/// Share of the Gaussians that lie within [`Surroundings::radius`]: strays do not count.
+const INSIDE: f64 = 0.98;
+/// Angle in degrees of the shorter side of the picture of [`Camera::facing`].
+const ANGLE: f64 = 30.0;
+
+/// Where a set of Gaussians lies.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Surroundings {
+    /// Medians of the coordinates.
+    pub centre: DVec3,
+    /// Of a ball around the centre that holds 98 % of the Gaussians' centres, in world units.
+    pub radius: f64,
+}
+
+impl Surroundings {
+    /// `None` of no Gaussian.
+    pub fn of(gaussians: &Gaussians) -> Option<Self> {
+        let positions = || gaussians.positions.iter().map(|position| position.as_dvec3());
+        let centre = DVec3::new(
+            quantile(positions().map(|p| p.x), 0.5)?,
+            quantile(positions().map(|p| p.y), 0.5)?,
+            quantile(positions().map(|p| p.z), 0.5)?,
+        );
+        let radius = quantile(positions().map(|p| p.distance(centre)), INSIDE)?;
+        Some(Self { centre, radius })
+    }
+}
+
+fn quantile(values: impl Iterator<Item = f64>, share: f64) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    let place = ((values.len() as f64 * share) as usize).min(values.len().checked_sub(1)?);
+    Some(*values.select_nth_unstable_by(place, f64::total_cmp).1)
+}
+
+impl Camera {
+    /// Looks at the whole of `seen` from the front: from +z, where +y is up, as heads of FLAME, glTF and this project stand.
+    pub fn facing(seen: Surroundings, (width, height): (usize, usize)) -> Self {
+        let half_angle = (ANGLE / 2.0).to_radians();
+        let focal = width.min(height) as f64 / (2.0 * half_angle.tan());
+        let distance = seen.radius.max(1e-6) / half_angle.sin();
+        let world_from_camera = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+        Self::centred((width, height), [focal; 2])
+            .placed(world_from_camera, seen.centre + distance * DVec3::Z)
+    }
+
+    /// `count` cameras on a circle around `centre`, from this one on, `degrees / count` apart: to the right where that is
+    /// positive, about the direction that is up in this camera's picture.
+    pub fn orbit(&self, centre: DVec3, degrees: f64, count: usize) -> Vec<Self> {
+        let camera_from_world = self.camera_from_world;
+        let up = -camera_from_world.row(1).truncate().normalize();
+        let camera = |number: usize| {
+            let angle = (degrees * number as f64 / count as f64).to_radians();
+            let back = DMat4::from_translation(centre)
+                * DMat4::from_axis_angle(up, -angle)
+                * DMat4::from_translation(-centre);
+            Self { camera_from_world: camera_from_world * back, ..*self }
+        };
+        (0..count).map(camera).collect()
+    }
+}

@@ -1,0 +1,137 @@
+//! `transforms.json`: of NeRF's synthetic scenes (bmild/nerf, `load_blender.py`), and with more keys of instant-ngp,
+//! nerfstudio (`nerfstudio_dataparser.py`) and GaussianAvatars.
+//!
+//! `transform_matrix` is world from camera in OpenGL's axes (x right, y up, z backward). Focal lengths are given in pixels
+//! (`fl_x`, `fl_y`), or as the angle of the whole width (`camera_angle_x`): `f = w / (2 tan(angle / 2))`. The principal point
+//! counts from the corner of the first pixel; ours from its centre. Each intrinsic stands at the root, in a frame, or both:
+//! the frame's counts.
+
+use std::path::Path;
+
+use glam::{DMat3, DVec3};
+use serde::Deserialize;
+use srflow_field::{FileProblem, read_image_size};
+
+use super::Camera;
+use super::file::{NamedCamera, Source, distortion, problem};
+
+/// What is drawn without a lens; other models of nerfstudio (fisheye, equirectangular) are no pinhole.
+const PINHOLES: [&str; 4] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE"];
+
+#[derive(Deserialize)]
+struct Transforms {
+    #[serde(flatten)]
+    shared: Intrinsics,
+    frames: Vec<Frame>,
+}
+
+#[derive(Deserialize)]
+struct Frame {
+    file_path: String,
+    /// World from camera, by rows; the last may be missing.
+    transform_matrix: Vec<[f64; 4]>,
+    #[serde(flatten)]
+    own: Intrinsics,
+}
+
+/// As far as they are given, under the names of the file.
+#[derive(Deserialize)]
+struct Intrinsics {
+    w: Option<f64>,
+    h: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    camera_angle_x: Option<f64>,
+    camera_angle_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+    camera_model: Option<String>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
+}
+
+impl Intrinsics {
+    /// Names and values of the lens distortion.
+    fn distortion(&self) -> [(&'static str, Option<f64>); 6] {
+        let Self { k1, k2, k3, k4, p1, p2, .. } = *self;
+        [("k1", k1), ("k2", k2), ("k3", k3), ("k4", k4), ("p1", p1), ("p2", p2)]
+    }
+}
+
+pub(super) fn cameras(source: &Source) -> Result<Vec<NamedCamera>, FileProblem> {
+    let Transforms { shared, frames } = source.parse()?;
+    frames.into_iter().map(|frame| camera(frame, &shared, source)).collect()
+}
+
+fn camera(frame: Frame, shared: &Intrinsics, source: &Source) -> Result<NamedCamera, FileProblem> {
+    let Frame { file_path: name, transform_matrix, own } = frame;
+    if let Some(model) = own.camera_model.as_ref().or(shared.camera_model.as_ref())
+        && !PINHOLES.contains(&model.as_str())
+    {
+        let expected = format!("a pinhole camera ({})", PINHOLES.join(", "));
+        return Err(problem("camera_model", expected, format!("`{model}` for `{name}`")));
+    }
+    let given = |value: fn(&Intrinsics) -> Option<f64>| value(&own).or(value(shared));
+    let size = match (given(|i| i.w), given(|i| i.h)) {
+        (Some(w), Some(h)) => (pixels("w", w, &name)?, pixels("h", h, &name)?),
+        _ => match source.size {
+            Some(size) => size,
+            None => size_of_picture(source.path, &name)?,
+        },
+    };
+    let (width, height) = (size.0 as f64, size.1 as f64);
+    let of_angle = |side: f64, angle: f64| side / (2.0 * (angle / 2.0).tan());
+    let fx = given(|i| i.fl_x).or_else(|| Some(of_angle(width, given(|i| i.camera_angle_x)?))).ok_or_else(
+        || problem("fl_x", "a focal length, or camera_angle_x", format!("neither for `{name}`")),
+    )?;
+    let fy = given(|i| i.fl_y).or_else(|| Some(of_angle(height, given(|i| i.camera_angle_y)?))).unwrap_or(fx);
+    let (rotation, position) = world_from_opengl(&transform_matrix, &name)?;
+    let mut camera = Camera::centred(size, [fx, fy]).placed(rotation, position);
+    camera.cx = given(|i| i.cx).map_or(camera.cx, |cx| cx - 0.5);
+    camera.cy = given(|i| i.cy).map_or(camera.cy, |cy| cy - 0.5);
+    let coefficients = own.distortion().into_iter().zip(shared.distortion());
+    let distortion =
+        distortion(coefficients.map(|((name, own), (_, shared))| (name, own.or(shared).unwrap_or(0.0))));
+    Ok(NamedCamera { name, camera, distortion })
+}
+
+/// Rotation (axes of OpenCV) and place of a camera in the world, from world from camera in OpenGL's axes.
+pub(super) fn world_from_opengl(rows: &[[f64; 4]], name: &str) -> Result<(DMat3, DVec3), FileProblem> {
+    let whole = match rows {
+        [_, _, _] => true,
+        [_, _, _, last] => *last == [0.0, 0.0, 0.0, 1.0],
+        _ => false,
+    };
+    if !whole {
+        let expected = "3 rows of 4 numbers, or a fourth of 0 0 0 1";
+        return Err(problem("transform_matrix", expected, format!("{rows:?} for `{name}`")));
+    }
+    let column = |at: usize| DVec3::new(rows[0][at], rows[1][at], rows[2][at]);
+    Ok((DMat3::from_cols(column(0), -column(1), -column(2)), column(3)))
+}
+
+fn pixels(field: &'static str, value: f64, name: &str) -> Result<usize, FileProblem> {
+    match value {
+        // instant-ngp writes whole numbers as 800.0.
+        value if value.fract() == 0.0 && (1.0..=4e9).contains(&value) => Ok(value as usize),
+        _ => Err(problem(field, "a whole number of pixels", format!("{value} for `{name}`"))),
+    }
+}
+
+/// NeRF's own files say no size: it is that of the pictures, named without their extension.
+fn size_of_picture(file: &Path, name: &str) -> Result<(usize, usize), FileProblem> {
+    let place = file.parent().unwrap_or(Path::new("")).join(name);
+    let with_extension =
+        place.with_file_name(format!("{}.png", place.file_name().unwrap_or_default().to_string_lossy()));
+    read_image_size(&place).or_else(|_| read_image_size(&with_extension)).map_err(|error| {
+        problem(
+            "w and h",
+            "the size of the pictures (give --size)",
+            format!("none for `{name}`, and {error}"),
+        )
+    })
+}

@@ -7,6 +7,8 @@ use std::process::Output;
 use serde_json::Value;
 use srflow_field::{Image, flow_colors, read_flow, read_image, write_flow, write_image_png};
 
+use crate::{fails, succeeds};
+
 /// Frames show a smooth texture that moves by so many pixels to the right each.
 const STEP: f64 = 2.0;
 const SIZE: (usize, usize) = (96, 64);
@@ -30,20 +32,6 @@ fn write_frames(folder: &Path, numbers: impl IntoIterator<Item = usize>) {
 fn flow(folder: &Path, arguments: &[&str]) -> Output {
     let mut command = crate::srflow();
     command.current_dir(folder).args(["flow", "--method", "farneback"]).args(arguments).output().unwrap()
-}
-
-fn succeeds(output: &Output) -> String {
-    assert_eq!(output.status.code(), Some(0), "{output:?}");
-    assert!(output.stderr.is_empty(), "progress is for terminals: {output:?}");
-    String::from_utf8(output.stdout.clone()).unwrap()
-}
-
-fn fails(output: &Output, code: i32) -> String {
-    assert_eq!(output.status.code(), Some(code), "{output:?}");
-    assert!(output.stdout.is_empty(), "{output:?}");
-    let error = String::from_utf8(output.stderr.clone()).unwrap();
-    assert!(error.starts_with("error: ") && !error.contains("panicked"), "{error}");
-    error
 }
 
 /// Mean of `u` and `v` away from the borders, where the frames show what was not there before.

@@ -13,6 +13,8 @@ use srflow_field::{FlowField, Image, read_flow, read_image, write_flow, write_im
 use srflow_nets::Architecture;
 use srflow_nn::parameter_infos;
 
+use crate::{fails, succeeds};
+
 const SIZE: (usize, usize) = (150, 133);
 
 fn frame(number: usize) -> Image {
@@ -72,19 +74,6 @@ fn srflow(arguments: &[&str]) -> Output {
 fn flow(more: &[&str]) -> Output {
     let raft = ["flow", "--method", "raft-small", "--weights", "one.safetensors", "--iters", "2"];
     srflow(&[&raft, more].concat())
-}
-
-fn succeeds(output: &Output) -> String {
-    assert_eq!(output.status.code(), Some(0), "{output:?}");
-    assert!(output.stderr.is_empty(), "progress is for terminals: {output:?}");
-    String::from_utf8(output.stdout.clone()).unwrap()
-}
-
-fn fails(output: &Output, code: i32) -> String {
-    assert_eq!(output.status.code(), Some(code), "{output:?}");
-    let error = String::from_utf8(output.stderr.clone()).unwrap();
-    assert!(error.starts_with("error: ") && !error.contains("panicked"), "{error}");
-    error
 }
 
 fn read(file: &str) -> FlowField {

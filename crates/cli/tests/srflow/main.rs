@@ -1,7 +1,7 @@
 //! The binary as its users run it, one module for each command: a single program, so that the libraries are linked once.
 
 use std::path::PathBuf;
-use std::process::Command;
+use std::process::{Command, Output};
 
 mod ablation;
 mod architecture;
@@ -25,4 +25,22 @@ fn binary() -> PathBuf {
 
 fn srflow() -> Command {
     Command::new(binary())
+}
+
+/// Standard output of a run that succeeds and says nothing on standard error, where progress is for terminals.
+#[track_caller]
+fn succeeds(output: &Output) -> String {
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    assert!(output.stderr.is_empty(), "{output:?}");
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+/// Standard error of a run that fails with this exit code and prints no result.
+#[track_caller]
+fn fails(output: &Output, code: i32) -> String {
+    assert_eq!(output.status.code(), Some(code), "{output:?}");
+    assert!(output.stdout.is_empty(), "{output:?}");
+    let error = String::from_utf8(output.stderr.clone()).unwrap();
+    assert!(error.starts_with("error: ") && !error.contains("panicked"), "{error}");
+    error
 }

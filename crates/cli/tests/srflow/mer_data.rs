@@ -8,26 +8,14 @@ use std::sync::LazyLock;
 use serde_json::Value;
 use srflow_field::{read_image, read_npy};
 
+use crate::{fails, succeeds};
+
 fn srflow(folder: &Path, arguments: &[&str]) -> Output {
     crate::srflow().current_dir(folder).arg("mer").args(arguments).output().unwrap()
 }
 
-fn succeeds(output: &Output) -> String {
-    assert_eq!(output.status.code(), Some(0), "{output:?}");
-    assert!(output.stderr.is_empty(), "progress is for terminals: {output:?}");
-    String::from_utf8(output.stdout.clone()).unwrap()
-}
-
 fn json(folder: &Path, arguments: &[&str]) -> Value {
     serde_json::from_str(&succeeds(&srflow(folder, &[arguments, &["--json"]].concat()))).unwrap()
-}
-
-fn fails(output: &Output, code: i32) -> String {
-    assert_eq!(output.status.code(), Some(code), "{output:?}");
-    assert!(output.stdout.is_empty(), "{output:?}");
-    let error = String::from_utf8(output.stderr.clone()).unwrap();
-    assert!(error.starts_with("error: ") && !error.contains("panicked"), "{error}");
-    error
 }
 
 /// Two subjects with two small clips each, made once.

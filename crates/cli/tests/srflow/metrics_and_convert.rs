@@ -9,6 +9,8 @@ use srflow_field::{
     write_mask_png,
 };
 
+use crate::fails;
+
 fn srflow(folder: &Path, arguments: &[&str]) -> Output {
     crate::srflow().current_dir(folder).args(arguments).output().unwrap()
 }
@@ -18,15 +20,7 @@ fn code(output: &Output) -> i32 {
 }
 
 fn error(output: &Output) -> String {
-    error_with(output, 1)
-}
-
-fn error_with(output: &Output, expected: i32) -> String {
-    assert_eq!(code(output), expected, "{output:?}");
-    assert!(output.stdout.is_empty(), "{output:?}");
-    let error = String::from_utf8(output.stderr.clone()).unwrap();
-    assert!(error.starts_with("error: ") && !error.contains("panicked"), "{error}");
-    error
+    fails(output, 1)
 }
 
 fn wavy() -> FlowField {
@@ -219,9 +213,9 @@ fn convert_says_what_is_wrong() {
     write_flow(&folder.path().join("fast.flo"), &fast).unwrap();
     let told = error(&srflow(folder.path(), &["convert", "fast.flo", "fast.png"]));
     assert!(told.contains("fast.png: pixel (0, 0): expected components from -512"), "{told}");
-    let told = error_with(&srflow(folder.path(), &["convert", "fast.flo", "fast.xyz"]), 2);
+    let told = fails(&srflow(folder.path(), &["convert", "fast.flo", "fast.xyz"]), 2);
     assert!(told.contains("fast.xyz: expected a name ending in one of .flo, .png"), "{told}");
-    let told = error_with(&srflow(folder.path(), &["convert", "fast.flo", "fast.flo5", "--viz"]), 2);
+    let told = fails(&srflow(folder.path(), &["convert", "fast.flo", "fast.flo5", "--viz"]), 2);
     assert!(told.contains("expected a name ending in .png"), "{told}");
     let told = error(&srflow(folder.path(), &["convert", "fast.flo", "no/such/folder.npy"]));
     assert!(told.contains("no/such/folder.npy: creating"), "{told}");

@@ -12,10 +12,7 @@ fn models(arguments: &[&str]) -> Output {
 }
 
 fn succeeds(arguments: &[&str]) -> String {
-    let output = models(arguments);
-    assert_eq!(output.status.code(), Some(0), "{output:?}");
-    assert!(output.stderr.is_empty(), "{output:?}");
-    String::from_utf8(output.stdout).unwrap()
+    crate::succeeds(&models(arguments))
 }
 
 fn json(arguments: &[&str]) -> Value {

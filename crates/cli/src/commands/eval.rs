@@ -38,7 +38,7 @@ pub struct Eval {
     #[arg(long)]
     split: Option<Split>,
     /// Methods to score
-    #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', help = methods::Method::help_of_several("Methods to score"))]
+    #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', value_parser = methods::scored_method, help = methods::Method::help_of_several("Methods to score"))]
     method: Vec<MethodSpec>,
     /// Window that is estimated and scored, centred on the head (without a mask, on the frame)
     #[arg(long, value_name = "WIDTHxHEIGHT")]

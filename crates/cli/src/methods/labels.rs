@@ -3,6 +3,8 @@
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
+use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image};
+
 use super::{Method, MethodSpec};
 
 /// The methods' labels; where one has none its name. A network that is there with several weights has theirs in its
@@ -43,13 +45,47 @@ fn told_apart(path: &str, paths: &[&str], folders: bool) -> String {
     (0..longest).find(differ).map_or_else(|| path.to_owned(), |folders| end(path, folders))
 }
 
+/// An estimator under the name that the command line gives it.
+pub struct Labelled {
+    pub label: String,
+    pub estimator: Box<dyn FlowEstimator>,
+}
+
+impl FlowEstimator for Labelled {
+    fn name(&self) -> &str {
+        &self.label
+    }
+
+    fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
+        self.estimator.estimate(frame1, frame2)
+    }
+
+    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
+        self.estimator.estimate_pairs(pairs)
+    }
+
+    fn estimate_from(
+        &self,
+        frame1: &Image,
+        frame2: &Image,
+        initial: &FlowField,
+    ) -> Result<FlowField, EstimateError> {
+        self.estimator.estimate_from(frame1, frame2, initial)
+    }
+
+    fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {
+        self.estimator.sequence(warm_start)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::distinct;
     use super::*;
 
     fn names(texts: &[&str]) -> Vec<String> {
-        let specs: Vec<MethodSpec> = texts.iter().map(|text| text.parse().unwrap()).collect();
+        let specs: Vec<MethodSpec> =
+            texts.iter().map(|text| super::super::scored_method(text).unwrap()).collect();
         labels(&distinct(&specs))
     }
 

@@ -8,7 +8,7 @@ use std::str::FromStr;
 
 use clap::Args;
 use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
-use srflow_eval::FlowFiles;
+use srflow_eval::{FlowFiles, Zero};
 use srflow_field::FlowEstimator;
 use srflow_nets::{Architecture, Scaled, Tiled};
 use srflow_read::flow::FlowDataset;
@@ -16,7 +16,7 @@ use srflow_read::flow::FlowDataset;
 use crate::large_frames::LargeFrames;
 use crate::networks::NetworkArgs;
 use crate::usage::wrong_usage;
-use labels::labels;
+use labels::{Labelled, labels};
 pub use record::records;
 
 /// A method of estimating optical flow.
@@ -94,15 +94,10 @@ impl FromStr for MethodSpec {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        if let Some((label, dir)) = label_and_files(text) {
-            return match dir {
-                "" => Err(format!("`{text}` names no folder; expected files:DIR")),
-                dir => Ok(Self {
-                    label: label.map(str::to_owned),
-                    method: Method::Files,
-                    weights: Some(dir.to_owned()),
-                }),
-            };
+        if label_and_files(text).is_some() {
+            return Err(
+                "files:DIR holds the flow of a dataset's pairs, which only `srflow eval` scores".to_owned()
+            );
         }
         let (name, weights) = match text.split_once('=') {
             Some((name, weights)) => (name, Some(weights)),
@@ -125,6 +120,22 @@ impl FromStr for MethodSpec {
             }
             _ => Ok(Self { label: label.map(str::to_owned), method, weights: weights.map(str::to_owned) }),
         }
+    }
+}
+
+/// A method as `--method` of `srflow eval` names it: also `files:DIR` and `LABEL:files:DIR`.
+///
+/// # Errors
+/// What is wrong with it, for people.
+pub fn scored_method(text: &str) -> Result<MethodSpec, String> {
+    match label_and_files(text) {
+        Some((_, "")) => Err(format!("`{text}` names no folder; expected files:DIR")),
+        Some((label, dir)) => Ok(MethodSpec {
+            label: label.map(str::to_owned),
+            method: Method::Files,
+            weights: Some(dir.to_owned()),
+        }),
+        None => text.parse(),
     }
 }
 
@@ -231,9 +242,6 @@ pub fn estimators(
     specs: &[MethodSpec],
     parameters: &MethodParameters,
 ) -> anyhow::Result<Vec<Box<dyn FlowEstimator>>> {
-    if specs.iter().any(|spec| spec.method == Method::Files) {
-        wrong_usage!("files:DIR names the flows of a dataset's pairs, which only `srflow eval` scores");
-    }
     named(specs, parameters)?.into_iter().map(|(spec, label)| built(spec, label, parameters)).collect()
 }
 
@@ -286,7 +294,7 @@ fn named<'a>(
     let without = networks.clone().filter(|spec| spec.weights.is_none()).count();
     let network = &parameters.network;
     if let (0, Some(option)) = (networks.count(), network.given()) {
-        wrong_usage!("{option} applies to networks, and --method names none: leave it out");
+        wrong_usage!("{option} is for networks, and --method names none: leave it out");
     }
     if network.weights.is_some() && without != 1 {
         wrong_usage!(
@@ -297,6 +305,9 @@ fn named<'a>(
     let specs = distinct(specs);
     let labels = labels(&specs);
     for (number, label) in labels.iter().enumerate() {
+        if label == Zero.name() {
+            wrong_usage!("`zero` is the baseline of the tables: give the method another name");
+        }
         if labels[..number].contains(label) {
             wrong_usage!(
                 "two methods are called {label}: give one another name, as in --method NAME:skflow=FILE"
@@ -327,7 +338,7 @@ fn built(
         Method::Farneback => Box::new(Farneback::new(parameters.farneback.parameters())?),
         Method::TvL1 => Box::new(TvL1::new(parameters.tvl1.parameters())?),
         Method::Network(architecture) => {
-            Box::new(parameters.network.estimator(architecture, spec.weights.as_deref(), label)?)
+            Box::new(parameters.network.estimator(architecture, spec.weights.as_deref(), label.clone())?)
         }
         Method::Files => wrong_usage!("files:DIR estimates nothing"),
     };
@@ -335,10 +346,11 @@ fn built(
         Some(size) => Box::new(Tiled::new(estimator, size, large_frames.tile_overlap)),
         None => estimator,
     };
-    Ok(match large_frames.scale {
+    let estimator: Box<dyn FlowEstimator> = match large_frames.scale {
         Some(factor) => Box::new(Scaled::new(tiled, factor)?),
         None => tiled,
-    })
+    };
+    Ok(if estimator.name() == label { estimator } else { Box::new(Labelled { label, estimator }) })
 }
 
 impl FarnebackArgs {
@@ -396,12 +408,14 @@ mod tests {
         assert!(spec("tvl1=a").is_err() && spec("raft=").is_err() && spec("").is_err());
         assert!(spec(":tvl1").unwrap_err().contains("empty name"));
         let files = MethodSpec { label: None, method: Method::Files, weights: Some("out/a:b=c".to_owned()) };
-        assert_eq!(spec("files:out/a:b=c"), Ok(files.clone()));
+        assert_eq!(scored_method("files:out/a:b=c"), Ok(files.clone()));
         assert_eq!(
-            spec("Theirs:files:out/a:b=c"),
+            scored_method("Theirs:files:out/a:b=c"),
             Ok(MethodSpec { label: Some("Theirs".to_owned()), ..files })
         );
-        assert!(spec("files:").unwrap_err().contains("names no folder"));
+        assert!(scored_method("files:").unwrap_err().contains("names no folder"));
+        assert!(spec("files:out").unwrap_err().contains("only `srflow eval`"));
+        assert_eq!(scored_method("tvl1"), spec("tvl1"));
     }
 
     #[test]

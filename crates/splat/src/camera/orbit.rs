@@ -2,7 +2,7 @@
 
 use glam::{DMat3, DMat4, DVec3};
 
-use super::Camera;
+use super::{Camera, NEAR};
 use crate::Gaussians;
 
 /// Share of the Gaussians that lie within [`Surroundings::radius`]: strays do not count.
@@ -15,7 +15,7 @@ const ANGLE: f64 = 30.0;
 pub struct Surroundings {
     /// Medians of the coordinates.
     pub centre: DVec3,
-    /// Of a ball around the centre that holds 98 % of the Gaussians' centres, in world units.
+    /// Of a ball around the centre that holds 98 % of the Gaussians to twice their standard deviation, in world units.
     pub radius: f64,
 }
 
@@ -28,7 +28,9 @@ impl Surroundings {
             quantile(positions().map(|p| p.y), 0.5)?,
             quantile(positions().map(|p| p.z), 0.5)?,
         );
-        let radius = quantile(positions().map(|p| p.distance(centre)), INSIDE)?;
+        let reach = positions().zip(&gaussians.scales);
+        let reach = reach.map(|(p, scale)| p.distance(centre) + 2.0 * f64::from(scale.max_element()));
+        let radius = quantile(reach, INSIDE)?;
         Some(Self { centre, radius })
     }
 }
@@ -44,7 +46,8 @@ impl Camera {
     pub fn facing(seen: Surroundings, (width, height): (usize, usize)) -> Self {
         let half_angle = (ANGLE / 2.0).to_radians();
         let focal = width.min(height) as f64 / (2.0 * half_angle.tan());
-        let distance = seen.radius.max(1e-6) / half_angle.sin();
+        // Nothing of the ball is nearer than what is rendered.
+        let distance = (seen.radius / half_angle.sin()).max(seen.radius + 2.0 * NEAR);
         let world_from_camera = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
         Self::centred((width, height), [focal; 2])
             .placed(world_from_camera, seen.centre + distance * DVec3::Z)

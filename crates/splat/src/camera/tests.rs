@@ -233,6 +233,7 @@ fn a_camera_faces_all_but_strays_from_the_front() {
         ));
     }
     gaussians.positions.push(glam::Vec3::splat(1e6));
+    gaussians.scales = vec![glam::Vec3::splat(0.01); gaussians.positions.len()];
     let camera = Camera::facing(Surroundings::of(&gaussians).unwrap(), (300, 200));
     camera.validate().unwrap();
     for position in &gaussians.positions[..500] {

@@ -24,7 +24,9 @@ pub fn score_figures(evaluation: &Evaluation, machine: &str) -> Vec<Figure> {
     if evaluation.pairs > 1 {
         charts.push(pair_curves(evaluation));
     }
-    charts.push(times(evaluation, machine));
+    if evaluation.methods.iter().any(|method| !method.baseline && method.median_seconds().is_some()) {
+        charts.push(times(evaluation, machine));
+    }
     figures.push(side_by_side(charts, 420));
     if !evaluation.failures.is_empty() {
         figures.push(left_out(evaluation));

@@ -2,7 +2,11 @@
 
 pub mod camera;
 pub mod check;
+mod error;
 pub mod generate;
+pub mod job;
 pub mod record;
 pub mod statistics;
 pub mod synth;
+
+pub use error::RenderError;

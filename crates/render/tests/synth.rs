@@ -6,7 +6,9 @@ use std::sync::Mutex;
 
 use srflow_field::{read_flow, read_image};
 use srflow_read::micro_expression::{Classes, ClipDataset, count_classes};
-use srflow_render::synth::{SynthError, SynthEvent, SynthSettings, synthesize};
+use srflow_render::RenderError;
+use srflow_render::job::{Event, Request, Shard};
+use srflow_render::synth::{SynthReport, SynthSettings, synthesize};
 
 /// Small and short: the heads take longer than the frames.
 fn settings() -> SynthSettings {
@@ -19,15 +21,19 @@ fn settings() -> SynthSettings {
     }
 }
 
-fn make(settings: &SynthSettings, dir: &Path, threads: usize) -> Result<usize, SynthError> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+fn make(settings: &SynthSettings, dir: &Path, threads: usize) -> Result<u64, RenderError> {
     let events = Mutex::new(Vec::new());
-    let report =
-        pool.install(|| synthesize(settings, dir, false, &|event| events.lock().unwrap().push(event)))?;
+    let request = Request { on_event: &|event| events.lock().unwrap().push(event), ..Request::new(dir) };
+    let report = run(settings, request, threads)?;
     let events = events.into_inner().unwrap();
-    assert_eq!(events[0], SynthEvent::Started { clips: report.clips, whole: report.clips - report.made });
-    assert_eq!(events.len(), 1 + report.made);
+    assert_eq!(events[0], Event::Started { units: report.clips, whole: report.clips - report.made });
+    assert_eq!(events.len() as u64, 1 + report.made);
     Ok(report.made)
+}
+
+fn run(settings: &SynthSettings, request: Request, threads: usize) -> Result<SynthReport, RenderError> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+    pool.install(|| synthesize(settings, request))
 }
 
 /// Every file below a folder and its bytes.
@@ -64,6 +70,19 @@ fn a_set_is_whole_and_the_same_however_it_is_made() {
     assert_eq!(make(&settings(), &one, 2).unwrap(), 1);
     assert_eq!(contents(&one), whole);
     assert_eq!(make(&settings(), &one, 2).unwrap(), 0);
+
+    // In two shards, the second of them in two runs, and what a kill in the midst of writing leaves.
+    let three = folder.path().join("three");
+    let shard = |number| Request { shard: Shard { number, of: 2 }, ..Request::new(&three) };
+    let first = run(&settings(), shard(1), 2).unwrap();
+    assert_eq!((first.clips, first.made, first.stopped, first.mean_flow), (1, 1, false, None));
+    let second = run(&settings(), Request { stop_after: Some(1), ..shard(2) }, 2).unwrap();
+    assert_eq!((second.clips, second.made, second.stopped), (2, 1, true));
+    let left = three.join(if three.join("s01/c02.json").exists() { "s01/c03" } else { "s01/c02" });
+    fs::write(left.join(".0001.png.7-0.partial"), "half").unwrap();
+    assert!(!three.join("clips.csv").exists());
+    assert_eq!(make(&settings(), &three, 2).unwrap(), 1);
+    assert_eq!(contents(&three), whole);
 
     let dataset = ClipDataset::open(&format!("clips:{}", one.display()).parse().unwrap(), false).unwrap();
     let annotations = dataset.clips.iter().map(|clip| &clip.annotation);
@@ -113,7 +132,7 @@ fn another_folder_is_left_alone() {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("thesis.tex"), "x").unwrap();
     let error = make(&settings(), folder.path(), 1).unwrap_err();
-    assert!(matches!(error, SynthError::NotASet(_)), "{error}");
+    assert!(matches!(error, RenderError::NotADataset { .. }), "{error}");
 
     let set = folder.path().join("set");
     fs::create_dir(&set).unwrap();

@@ -1,3 +1,4 @@
+use std::io::Write as _;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -7,7 +8,9 @@ use clap::error::ErrorKind;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use srflow_field::FlowFormat;
-use srflow_render::generate::{self, Background, Event, GenerateError, Head, Report, Settings, Shard};
+use srflow_render::RenderError;
+use srflow_render::generate::{Background, Head, Report, Settings, generate};
+use srflow_render::job::{Event, Made, Request, Shard};
 use srflow_render::statistics::Statistics;
 
 use crate::Context;
@@ -21,7 +24,7 @@ Examples:
   srflow render --out tiny --scenes 3 --frames 8 --size 550x802
   srflow render --out part --shard 2/8     one of eight parts; merge by copying
 
-The same command given again goes on where a run was stopped. `srflow check`
+The same command given again continues where a run was stopped. `srflow check`
 examines the dataset; its files are described in docs/dataset.md.")]
 pub struct Render {
     /// Folder of the dataset
@@ -60,7 +63,10 @@ pub struct Render {
     /// Make part I of N only
     #[arg(long, value_name = "I/N", default_value = "1/1", hide_default_value = true)]
     shard: Shard,
-    /// Delete the dataset that lies in the folder and start anew
+    /// Stop after making N pairs, exit code 75; the same command continues
+    #[arg(long, value_name = "N")]
+    stop_after: Option<u64>,
+    /// Delete the dataset that lies in the folder and start over
     #[arg(long)]
     force: bool,
 }
@@ -93,50 +99,79 @@ pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
         depth: args.depth,
         background: args.background,
     };
-    let progress = Progress::new();
-    let show = |event| progress.show(event);
-    let result = generate::generate(&settings, &args.out, args.shard, args.force, &show);
-    progress.bar.finish_and_clear();
-    if let Err(error @ GenerateError::Argument { .. }) = &result {
-        clap::Error::raw(ErrorKind::ValueValidation, format!("{error}\n")).exit();
+    let notes = settings.empty_splits();
+    for note in &notes {
+        eprintln!("note: {note}");
     }
-    let report = result?;
+    let progress = Progress::new("pairs");
+    let request = Request {
+        dir: &args.out,
+        shard: args.shard,
+        force: args.force,
+        stop_after: args.stop_after,
+        on_event: &|event| progress.show(event),
+    };
+    let result = generate(&settings, request);
+    progress.finish();
+    let report = usage_error(result)?;
     if context.json {
         say!(
             "{}",
-            serde_json::to_string_pretty(&summary(&args.out, &report)).context("printing the result")?
+            serde_json::to_string_pretty(&summary(&args.out, &report, &notes))
+                .context("printing the result")?
         )?;
     } else {
         print_report(args.shard, &report)?;
     }
+    exit_if_stopped(report.run.stopped)
+}
+
+/// Exit code of a run that was stopped on request.
+const STOPPED: i32 = 75;
+
+/// Ends the program when a run was stopped on request.
+pub fn exit_if_stopped(stopped: bool) -> anyhow::Result<()> {
+    if stopped {
+        std::io::stdout().flush()?;
+        eprintln!("stopped on request; the same command without --stop-after continues");
+        std::process::exit(STOPPED);
+    }
     Ok(())
 }
 
+/// What was rendered; an argument that is out of range ends the program as wrong usage does.
+pub fn usage_error<T>(result: Result<T, RenderError>) -> anyhow::Result<T> {
+    if let Err(error @ RenderError::Argument { .. }) = &result {
+        clap::Error::raw(ErrorKind::ValueValidation, format!("{error}\n")).exit();
+    }
+    Ok(result?)
+}
+
 /// A bar on standard error, where that is a terminal.
-struct Progress {
+pub struct Progress {
     bar: ProgressBar,
     bytes: AtomicU64,
 }
 
 impl Progress {
-    fn new() -> Self {
+    pub fn new(units: &str) -> Self {
         let bar = ProgressBar::new(0);
-        let template = "{wide_bar} {pos}/{len} pairs, {msg}, {eta} left";
+        let template = format!("{{wide_bar}} {{pos}}/{{len}} {units}, {{msg}}, {{eta}} left");
         bar.set_style(
-            ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()),
+            ProgressStyle::with_template(&template).unwrap_or_else(|_| ProgressStyle::default_bar()),
         );
         Self { bar, bytes: AtomicU64::new(0) }
     }
 
-    fn show(&self, event: Event) {
+    pub fn show(&self, event: Event) {
         match event {
-            Event::Started { pairs, whole } => {
-                self.bar.set_length(pairs);
+            Event::Started { units, whole } => {
+                self.bar.set_length(units);
                 self.bar.set_position(whole);
                 self.bar.reset_eta();
                 self.bar.reset_elapsed();
             }
-            Event::PairWritten { bytes } => {
+            Event::Made { bytes } => {
                 // Workers report out of order: the most that was reported stands.
                 let bytes = self.bytes.fetch_max(bytes, Ordering::Relaxed).max(bytes);
                 let seconds = self.bar.elapsed().as_secs_f64().max(1e-3);
@@ -145,43 +180,50 @@ impl Progress {
             }
         }
     }
+
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
 }
 
-fn summary(out: &std::path::Path, report: &Report) -> serde_json::Value {
+fn summary(out: &std::path::Path, report: &Report, notes: &[String]) -> serde_json::Value {
     json!({
         "dataset": out,
-        "pairs": report.pairs,
-        "made": report.made,
-        "bytes": report.bytes,
-        "seconds": report.seconds,
-        "pairs_per_minute": pairs_per_minute(report),
-        "stages": report.stages,
+        "pairs": report.run.units,
+        "made": report.run.made,
+        "bytes": report.run.bytes,
+        "seconds": report.run.seconds,
+        "pairs_per_minute": pairs_per_minute(&report.run),
+        "stages": report.run.stages,
+        "stopped": report.run.stopped,
         "statistics": report.statistics,
+        "notes": notes,
     })
 }
 
-fn pairs_per_minute(report: &Report) -> f64 {
-    if report.made == 0 { 0.0 } else { 60.0 * report.made as f64 / report.seconds }
+fn pairs_per_minute(made: &Made) -> f64 {
+    if made.made == 0 { 0.0 } else { 60.0 * made.made as f64 / made.seconds }
 }
 
 fn print_report(shard: Shard, report: &Report) -> anyhow::Result<()> {
-    let Report { pairs, made, bytes, seconds, .. } = report;
+    let Made { units, made, bytes, seconds, stages, stopped } = &report.run;
     say!(
-        "{made} of {pairs} pairs made in {seconds:.1} s: {:.1} pairs a minute, {:.1} MB, {:.1} MB/s",
-        pairs_per_minute(report),
+        "{made} of {units} pairs made in {seconds:.1} s: {:.1} pairs a minute, {:.1} MB, {:.1} MB/s",
+        pairs_per_minute(&report.run),
         *bytes as f64 / 1e6,
         *bytes as f64 / 1e6 / seconds.max(1e-9),
     )?;
-    let spent: f64 = report.stages.iter().map(|stage| stage.worker_seconds).sum();
+    let spent: f64 = stages.iter().map(|stage| stage.worker_seconds).sum();
     if *made > 0 && spent > 0.0 {
         say!("\nstage       ms/pair  share")?;
-        for stage in &report.stages {
+        for stage in stages {
             let milliseconds = 1e3 * stage.worker_seconds / *made as f64;
             say!("{:<10} {milliseconds:>8.1} {:>5.1}%", stage.stage, 100.0 * stage.worker_seconds / spent)?;
         }
     }
     match &report.statistics {
         Some(statistics) => print_statistics(statistics)?,
+        None if *stopped => {}
         None => say!(
             "\nPart {shard} is whole. Copy the parts together; `srflow render` with the same arguments and without --shard\n\
              then writes statistics.json."

@@ -3,9 +3,8 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Output};
 use std::sync::OnceLock;
-use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
@@ -135,38 +134,39 @@ fn sequences_start_and_end_before_camera_nine() {
 }
 
 #[test]
-fn a_killed_run_goes_on_to_the_same_bytes() {
+fn a_stopped_run_continues_to_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
-    let killed = dir.path().join("killed");
-    let mut command = crate::srflow();
-    command.args(["render", "--threads", "1", "--out", killed.to_str().unwrap()]).args(TINY);
-    let mut child = command.stdout(Stdio::null()).spawn().unwrap();
-    // Killed (SIGKILL) as soon as two pairs are whole.
-    let start = Instant::now();
-    while whole_pairs(&killed) < 2 {
-        assert!(start.elapsed() < Duration::from_secs(300), "no pair was made");
-        std::thread::sleep(Duration::from_millis(1));
-    }
-    child.kill().unwrap();
-    child.wait().unwrap();
-    assert!(whole_pairs(&killed) < 7, "all was made before it was killed");
-    // As a kill in the midst of writing would leave it.
-    fs::write(killed.join("train/frames/scene-0000/.00005.png.1-0.partial"), "half").unwrap();
+    let stopped = dir.path().join("stopped");
+    let error = fails(&render(&stopped, &["--stop-after", "2"]), 75);
+    assert!(error.contains("stopped on request"), "{error}");
+    assert_eq!(whole_pairs(&stopped).len(), 2);
+    // As a kill in the midst of writing leaves it: half a file, and a pair without the file that is written last.
+    fs::write(stopped.join("train/frames/scene-0000/.00005.png.1-0.partial"), "half").unwrap();
+    fs::remove_file(&whole_pairs(&stopped)[0]).unwrap();
 
     let rerun = || -> u64 {
-        let summary: Value = serde_json::from_str(&succeeds(&render(&killed, &["--json"]))).unwrap();
+        let summary: Value = serde_json::from_str(&succeeds(&render(&stopped, &["--json"]))).unwrap();
         summary["made"].as_u64().unwrap()
     };
-    let made = rerun();
-    assert!(made > 0 && made < 7, "{made} of 7 pairs made after the kill");
-    assert_same_tree(whole(), &killed);
+    assert_eq!(rerun(), 6);
+    assert_same_tree(whole(), &stopped);
     assert_eq!(rerun(), 0);
 }
 
-/// Pairs with a record, while files come and go.
-fn whole_pairs(dir: &Path) -> usize {
-    let records = fs::read_dir(dir.join("train/pairs/scene-0000")).into_iter().flatten().flatten();
-    records.filter(|entry| entry.path().extension().is_some_and(|ending| ending == "json")).count()
+/// The records of the pairs that are whole.
+fn whole_pairs(dir: &Path) -> Vec<PathBuf> {
+    let records =
+        fs::read_dir(dir.join("train/pairs/scene-0000")).unwrap().map(|entry| entry.unwrap().path());
+    records.filter(|path| path.extension().is_some_and(|ending| ending == "json")).collect()
+}
+
+#[test]
+fn a_split_that_gets_no_scene_is_named_before_any_work() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("data");
+    let arguments = ["render", "--out", out.to_str().unwrap(), "--scenes", "3", "--stop-after", "0"];
+    let error = fails(&crate::srflow().args(arguments).output().unwrap(), 75);
+    assert!(error.contains("note: the val split is empty: a share of 0.11 of 3 scenes"), "{error}");
 }
 
 #[test]

@@ -6,8 +6,8 @@ use std::str::FromStr;
 use srflow_field::random::Key;
 use srflow_field::{IMAGE_EXTENSIONS, Image, Plane, parse_color, read_image};
 
-use super::error::GenerateError;
 use super::settings::list_files;
+use crate::RenderError;
 
 /// What is behind the subjects.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -32,14 +32,14 @@ impl FromStr for Background {
 }
 
 /// Names and sizes of the image files in a folder, by name.
-pub(super) fn images(dir: &Path) -> Result<Vec<(String, u64)>, GenerateError> {
+pub(super) fn images(dir: &Path) -> Result<Vec<(String, u64)>, RenderError> {
     let mut files = list_files(dir, "--background", "white, black, #rrggbb or a folder of images")?;
     files.retain(|(name, _)| {
         let ending = name.rsplit_once('.').map_or("", |(_, ending)| ending);
         IMAGE_EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(ending))
     });
     if files.is_empty() {
-        return Err(GenerateError::Argument {
+        return Err(RenderError::Argument {
             argument: "--background",
             found: dir.display().to_string(),
             expected: format!("a folder with images ({})", IMAGE_EXTENSIONS.join(", ")),
@@ -53,7 +53,7 @@ pub(super) fn choose(
     background: &Background,
     scenes: usize,
     seed: u64,
-) -> Result<Vec<Option<String>>, GenerateError> {
+) -> Result<Vec<Option<String>>, RenderError> {
     let Background::Images(dir) = background else { return Ok(vec![None; scenes]) };
     let images = images(dir)?;
     let count = u32::try_from(images.len()).unwrap_or(u32::MAX);
@@ -65,10 +65,10 @@ pub(super) fn choose(
 }
 
 /// Reads an image and brings it to `width` by `height`: the largest part of those proportions, from its middle.
-pub(super) fn load(path: &Path, width: usize, height: usize) -> Result<Image, GenerateError> {
+pub(super) fn load(path: &Path, width: usize, height: usize) -> Result<Image, RenderError> {
     let image = read_image(path)?;
     if image.width() == 0 || image.height() == 0 {
-        return Err(GenerateError::Argument {
+        return Err(RenderError::Argument {
             argument: "--background",
             found: path.display().to_string(),
             expected: "an image with at least one pixel".into(),

@@ -7,10 +7,10 @@ use srflow_field::random::{Key, Stream};
 use srflow_splat::Camera;
 
 use super::background::{self, Background};
-use super::error::GenerateError;
 use super::path::Path;
 use super::rig::{Rig, View};
 use super::settings::{Head, Settings};
+use crate::RenderError;
 use crate::camera::record_from_camera;
 use crate::record::FrameRecord;
 use srflow_read::manifest::SceneEntry;
@@ -35,10 +35,10 @@ const SUBJECT_TURN: [f32; 3] = [22.0, 11.0, 8.0];
 
 /// One subject in motion before a moving camera.
 pub(super) struct Scene {
+    pub entry: SceneEntry,
     pub avatar: Avatar,
     /// What is behind the subject, when it is an image.
     pub background: Option<Image>,
-    pairs: u32,
     rig: Rig,
     motion: Motion,
     camera_path: Path<3>,
@@ -55,22 +55,17 @@ pub(super) struct FrameState {
 }
 
 /// Makes the head of a subject.
-pub(super) fn subject(head: &Head, entry: &SceneEntry) -> Result<Avatar, GenerateError> {
+pub(super) fn subject(head: &Head, entry: &SceneEntry) -> Result<Avatar, RenderError> {
     let made = match head {
         Head::Builtin => Avatar::builtin(entry.subject),
         Head::Ict(dir) => Avatar::ict(dir, entry.subject),
     };
-    made.map_err(|error| GenerateError::Head { scene: entry.name.clone(), reason: error.to_string() })
+    made.map_err(|error| RenderError::Head { who: entry.name.clone(), reason: error.to_string() })
 }
 
 impl Scene {
     /// Scene `number` of a dataset.
-    pub fn new(
-        settings: &Settings,
-        rig: &Rig,
-        number: u32,
-        entry: &SceneEntry,
-    ) -> Result<Self, GenerateError> {
+    pub fn new(settings: &Settings, rig: &Rig, number: u32, entry: &SceneEntry) -> Result<Self, RenderError> {
         let avatar = subject(&settings.head, entry)?;
         let key = Key::new(settings.seed).scene(number);
         let background = match (&settings.background, &entry.background) {
@@ -83,7 +78,7 @@ impl Scene {
         Ok(Self {
             avatar,
             background,
-            pairs: entry.pairs,
+            entry: entry.clone(),
             rig: rig.clone(),
             motion,
             camera_path: camera_path(&mut key.stream("camera"), entry.pairs),
@@ -91,18 +86,13 @@ impl Scene {
         })
     }
 
-    /// Number of frame pairs.
-    pub fn pairs(&self) -> u32 {
-        self.pairs
-    }
-
     /// What frame `frame` shows; the first and the last are seen by camera 9 with the subject unturned.
     pub fn frame(&self, frame: u32) -> FrameState {
-        let t = f64::from(frame) / f64::from(self.pairs.max(1));
+        let t = f64::from(frame) / f64::from(self.entry.pairs.max(1));
         let view = self.camera_path.at(t);
         let subject = self.subject_path.at(t);
         let mut moment = self.motion.at(self.avatar.model(), frame as usize);
-        soften(&mut moment, self.pairs as f32 / FRAMES_OF_FULL_MOTION);
+        soften(&mut moment, self.entry.pairs as f32 / FRAMES_OF_FULL_MOTION);
         let mut pose = moment.pose.clone();
         let [yaw, pitch, roll] = subject.map(|degrees| degrees.to_radians() as f32);
         let turn = Quat::from_euler(EulerRot::YXZ, yaw, -pitch, roll);
@@ -168,7 +158,8 @@ fn joint_name(joint: Joint) -> &'static str {
     }
 }
 
-fn unit_name(number: u8, side: Side) -> String {
+/// `AU12_L` where a unit has halves, else `AU9`.
+pub(crate) fn unit_name(number: u8, side: Side) -> String {
     match side {
         Side::Both => format!("AU{number}"),
         Side::Left => format!("AU{number}_L"),

@@ -1,6 +1,5 @@
 //! What a dataset is asked to be, checked before any work starts, and the plan that follows from it.
 
-use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -10,7 +9,7 @@ use srflow_field::random::Key;
 
 use super::Rig;
 use super::background::{self, Background};
-use super::error::GenerateError;
+use crate::RenderError;
 use srflow_read::manifest::{Arguments, LAYOUT_VERSION, Manifest, SceneEntry, SceneSplit};
 
 /// The most scenes and the most pairs in a scene: names have room for so many digits.
@@ -68,44 +67,12 @@ pub struct Settings {
     pub background: Background,
 }
 
-/// One of several parts that a dataset is made in, each perhaps on a machine of its own.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Shard {
-    /// Number of the part, from 1.
-    pub number: u32,
-    /// How many parts there are.
-    pub of: u32,
-}
-
-impl Shard {
-    /// The whole dataset.
-    pub const WHOLE: Self = Self { number: 1, of: 1 };
-}
-
-impl fmt::Display for Shard {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}/{}", self.number, self.of)
-    }
-}
-
-impl FromStr for Shard {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let parsed = text.split_once('/').and_then(|(number, of)| {
-            let (number, of) = (number.parse().ok()?, of.parse().ok()?);
-            (1 <= number && number <= of).then_some(Self { number, of })
-        });
-        parsed.ok_or_else(|| format!("`{text}` is not a part; expected I/N with I from 1 to N, e.g. 2/3"))
-    }
-}
-
 impl Settings {
     /// Checks the settings and lays out the dataset.
     ///
     /// # Errors
     /// When a setting is out of range or a folder that it names cannot be read.
-    pub(super) fn plan(&self) -> Result<Manifest, GenerateError> {
+    pub(super) fn plan(&self) -> Result<Manifest, RenderError> {
         self.validate()?;
         let scenes = self.scenes as usize;
         let splits = assign_splits(scenes, self.splits, self.seed);
@@ -126,6 +93,28 @@ impl Settings {
         })
     }
 
+    /// A sentence on each split that has a share of the scenes and yet gets none, for there are few scenes.
+    pub fn empty_splits(&self) -> Vec<String> {
+        if self.validate().is_err() {
+            return Vec::new();
+        }
+        let counts = |scenes: u32| largest_remainder(scenes as usize, self.splits);
+        let lacks = |scenes: u32, part: usize| self.splits[part] > 0.0 && counts(scenes)[part] == 0;
+        let empty = (0..3).filter(|&part| lacks(self.scenes, part));
+        let enough = (self.scenes..=MAX_SCENES).find(|&scenes| (0..3).all(|part| !lacks(scenes, part)));
+        let advice = enough.map_or("give it a larger share with --splits".to_owned(), |scenes| {
+            format!("--scenes {scenes} gives each split at least one, or change --splits")
+        });
+        let note = |part: usize| {
+            let (split, share) = (SceneSplit::ALL[part], self.splits[part]);
+            format!(
+                "the {split} split is empty: a share of {share} of {} scenes is none; {advice}",
+                self.scenes
+            )
+        };
+        empty.map(note).collect()
+    }
+
     /// The rig, which stands where it is whoever the subject is: about the middle of a head between chin and crown.
     pub(super) fn rig(&self) -> Rig {
         let centre = match self.head {
@@ -141,9 +130,9 @@ impl Settings {
         (u64::from(number) * total / u64::from(self.scenes)) as u32
     }
 
-    fn validate(&self) -> Result<(), GenerateError> {
+    fn validate(&self) -> Result<(), RenderError> {
         let wrong = |argument, found: String, expected: String| {
-            Err(GenerateError::Argument { argument, found, expected })
+            Err(RenderError::Argument { argument, found, expected })
         };
         if !(1..=MAX_SCENES).contains(&self.scenes) {
             return wrong("--scenes", self.scenes.to_string(), format!("1 to {MAX_SCENES}"));
@@ -165,7 +154,7 @@ impl Settings {
         Ok(())
     }
 
-    fn arguments(&self) -> Result<Arguments, GenerateError> {
+    fn arguments(&self) -> Result<Arguments, RenderError> {
         let head = match &self.head {
             Head::Builtin => "builtin".to_owned(),
             Head::Ict(dir) => format!(
@@ -201,8 +190,8 @@ pub(super) fn list_files(
     dir: &Path,
     argument: &'static str,
     expected: &'static str,
-) -> Result<Vec<(String, u64)>, GenerateError> {
-    let failed = |error| GenerateError::Folder { argument, path: dir.to_owned(), error, expected };
+) -> Result<Vec<(String, u64)>, RenderError> {
+    let failed = |error| RenderError::Folder { argument, path: dir.to_owned(), error, expected };
     let mut files = Vec::new();
     for entry in std::fs::read_dir(dir).map_err(failed)? {
         let entry = entry.map_err(failed)?;
@@ -312,6 +301,17 @@ mod tests {
     }
 
     #[test]
+    fn splits_that_get_no_scene_are_named() {
+        let notes = Settings { scenes: 3, ..settings() }.empty_splits();
+        assert!(notes.len() == 1 && notes[0].contains("the val split is empty"), "{notes:?}");
+        let enough = notes[0].split("--scenes ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+        assert!(Settings { scenes: enough, ..settings() }.empty_splits().is_empty());
+        assert!(!Settings { scenes: enough - 1, ..settings() }.empty_splits().is_empty());
+        let wanted = Settings { scenes: 1, splits: [1.0, 0.0, 0.0], ..settings() };
+        assert!(wanted.empty_splits().is_empty(), "a share of zero is wanted");
+    }
+
+    #[test]
     fn what_is_wrong_is_said_before_any_work() {
         let error = |settings: Settings| plan(&settings).unwrap_err();
         let base = settings;
@@ -328,11 +328,7 @@ mod tests {
     }
 
     #[test]
-    fn texts_are_read_as_they_are_written() {
-        assert_eq!("2/3".parse(), Ok(Shard { number: 2, of: 3 }));
-        for text in ["3/2", "0/2", "1/0", "2", "a/b", "-1/2", "1/2/3"] {
-            assert!(text.parse::<Shard>().unwrap_err().contains(text));
-        }
+    fn heads_are_read() {
         assert_eq!("ict:/a:b".parse(), Ok(Head::Ict("/a:b".into())));
         assert!("flame".parse::<Head>().is_err() && "ict:".parse::<Head>().is_err());
     }

@@ -1,133 +1,130 @@
-//! The work itself: workers take runs of consecutive pairs, and make each pair from its frames to its files.
+//! Making pairs: each from its frames to its files.
 //!
 //! A worker goes through its run backwards. So it has the next frame's Gaussians and depth at hand when it renders a
-//! frame with its flow and tells what the next frame hides, and every frame is posed and rendered once; only the frame
+//! frame with its flow and finds what the next frame hides, and every frame is posed and rendered once; only the frame
 //! after a run's last pair is rendered for its depth alone.
 
+use std::fs;
 use std::io::Write;
-use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::path::{Path, PathBuf};
 
 use srflow_avatar::PosedHead;
-use srflow_field::{FileError, write_atomically, write_flow_as, write_image_png, write_mask_png};
-use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, Rasterizer};
+use srflow_field::{write_atomically, write_flow_as, write_image_png, write_mask_png};
+use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
 
 use super::background::{self, Background};
-use super::error::GenerateError;
-use super::folder::Run;
 use super::occlusion::{occlusion, surface_into};
 use super::pictures::{write_alpha, write_depth};
 use super::rig::Rig;
 use super::scene::{FrameState, Scene};
 use super::settings::Settings;
-use super::timing::{Clock, Stage};
-use super::{Event, MAX_WORKERS};
+use crate::RenderError;
+use crate::job::{Plan, Run, Stage, unless_gone};
 use crate::record::PairRecord;
 use crate::statistics::FlowSummary;
-use srflow_read::manifest::{FrameFiles, Manifest, PairFiles};
+use srflow_read::manifest::{
+    FrameFiles, MANIFEST_NAME, Manifest, PairFiles, STATISTICS_NAME, SceneEntry, SceneSplit,
+};
 
-/// Everything that workers share.
-pub(super) struct Work<'a> {
+type Work<'w, 'a> = crate::job::Work<'w, Scenes<'a>>;
+
+/// A dataset whose units are frame pairs, in scenes.
+pub(super) struct Scenes<'a> {
     pub settings: &'a Settings,
-    pub manifest: &'a Manifest,
-    pub rig: &'a Rig,
-    pub dir: &'a Path,
-    pub runs: &'a [Run],
-    /// Pairs of this part in all, and those that were there before.
-    pub total: u64,
-    pub before: u64,
-    pub clock: &'a Clock,
-    pub on_event: &'a (dyn Fn(Event) + Sync),
-    pub current_scene: Mutex<Option<(u32, Arc<Scene>)>>,
-    pub next_run: AtomicUsize,
-    pub written: AtomicU64,
-    pub bytes: AtomicU64,
-    pub stopped: AtomicBool,
+    pub manifest: Manifest,
+    pub rig: Rig,
 }
 
-impl Work<'_> {
-    /// Makes all runs on the threads of the current rayon pool.
-    ///
-    /// # Errors
-    /// The first that any worker meets; the others stop after the pair that they are at.
-    pub fn make(&self) -> Result<(), GenerateError> {
-        let threads = rayon::current_num_threads();
-        let workers = threads.min(MAX_WORKERS).min(self.runs.len()).max(1);
-        let pools = (0..workers).map(|worker| {
-            // Threads that do not come out even go to the first workers.
-            let threads = threads / workers + usize::from(worker < threads % workers);
-            rayon::ThreadPoolBuilder::new()
-                .num_threads(threads)
-                .build()
-                .map_err(|error| GenerateError::Threads { threads, reason: error.to_string() })
-        });
-        let pools: Vec<rayon::ThreadPool> = pools.collect::<Result<_, _>>()?;
-        let first_error = Mutex::new(None);
-        std::thread::scope(|scope| {
-            for pool in &pools {
-                scope.spawn(|| {
-                    if let Err(error) = pool.install(|| self.work()) {
-                        self.stopped.store(true, Ordering::Relaxed);
-                        lock(&first_error).get_or_insert(error);
-                    }
-                });
+impl Scenes<'_> {
+    fn scene(&self, number: u32) -> &SceneEntry {
+        &self.manifest.scenes[number as usize]
+    }
+}
+
+impl<'a> Plan for Scenes<'a> {
+    type Group = Scene;
+    type Worker = Worker;
+
+    const MANIFEST: &'static str = MANIFEST_NAME;
+    const UNITS: &'static str = "pairs";
+    /// After each run one frame is rendered twice.
+    const LONGEST_RUN: u32 = 24;
+
+    fn manifest(&self) -> String {
+        let text = serde_json::to_string_pretty(&self.manifest).expect("a manifest is JSON");
+        format!("{text}\n")
+    }
+
+    fn groups(&self) -> Vec<u32> {
+        self.manifest.scenes.iter().map(|scene| scene.pairs).collect()
+    }
+
+    /// A frame is made with the pair that it begins, a scene's last frame with the last pair.
+    fn is_whole(&self, dir: &Path, group: u32, pair: u32) -> bool {
+        let (manifest, scene) = (&self.manifest, self.scene(group));
+        let PairFiles { flow, flow_backward, occlusion, record, .. } = manifest.files(dir, scene, pair);
+        let frames = if pair + 1 == scene.pairs { pair..pair + 2 } else { pair..pair + 1 };
+        let of_frames = frames.map(|frame| manifest.frame_files(dir, scene, frame));
+        [record, flow, occlusion].iter().chain(&flow_backward).all(|file| file.exists())
+            && of_frames.into_iter().all(|files| files.all().all(|file| file.exists()))
+    }
+
+    fn folders(&self, dir: &Path, run: &Run) -> Vec<PathBuf> {
+        let scene = self.scene(run.group);
+        self.manifest.kinds().map(|kind| scene_folder(dir, scene, kind)).collect()
+    }
+
+    fn makes(&self, run: &Run, _folder: &Path, name: &str) -> bool {
+        let last = self.scene(run.group).pairs - 1;
+        let frame: Option<u32> = name.split('.').next().and_then(|digits| digits.parse().ok());
+        frame.is_some_and(|frame| run.units.contains(&frame.min(last)))
+    }
+
+    fn delete(&self, dir: &Path, _found: &str) -> Result<(), RenderError> {
+        let manifest = Manifest::read(dir)?;
+        for scene in &manifest.scenes {
+            for kind in manifest.kinds() {
+                let folder = scene_folder(dir, scene, kind);
+                unless_gone(&folder, fs::remove_dir_all(&folder))?;
             }
-        });
-        first_error.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), Err)
-    }
-
-    fn work(&self) -> Result<(), GenerateError> {
-        let mut worker = Worker::new(self.settings);
-        while let Some(run) = self.runs.get(self.next_run.fetch_add(1, Ordering::Relaxed)) {
-            let scene = self.scene(run.scene)?;
-            worker.make_run(self, &scene, run)?;
+        }
+        for split in SceneSplit::ALL {
+            let split = dir.join(split.to_string());
+            for folder in manifest.kinds().map(|kind| split.join(kind)).chain([split.clone()]) {
+                let _ = fs::remove_dir(&folder); // stays where something else lies in it
+            }
+        }
+        for name in [STATISTICS_NAME, MANIFEST_NAME] {
+            unless_gone(&dir.join(name), fs::remove_file(dir.join(name)))?;
         }
         Ok(())
     }
 
-    /// The scene, which the workers that are at it share. Runs are taken in order: at most one scene is begun at a time.
-    fn scene(&self, number: u32) -> Result<Arc<Scene>, GenerateError> {
-        let mut current = lock(&self.current_scene);
-        if let Some((at, scene)) = &*current
-            && *at == number
-        {
-            return Ok(Arc::clone(scene));
-        }
-        *current = None; // frees the scene before, unless a worker is still at it
-        let entry = &self.manifest.scenes[number as usize];
-        let scene = self.clock.time(Stage::Heads, || Scene::new(self.settings, self.rig, number, entry))?;
-        let scene = Arc::new(scene);
-        *current = Some((number, Arc::clone(&scene)));
-        Ok(scene)
+    fn group(&self, number: u32) -> Result<Scene, RenderError> {
+        Scene::new(self.settings, &self.rig, number, self.scene(number))
     }
 
-    fn write_failed(&self, error: FileError) -> GenerateError {
-        let written = self.before + self.written.load(Ordering::Relaxed);
-        GenerateError::Write { error, written, total: self.total }
+    fn worker(&self) -> Worker {
+        Worker::new(self.settings)
     }
 
-    /// Writes a file on the account of `stage`.
-    fn write(
+    fn make(
         &self,
-        stage: Stage,
-        path: &Path,
-        write: impl FnOnce(&Path) -> Result<(), FileError>,
-    ) -> Result<(), GenerateError> {
-        self.clock.time(stage, || write(path)).map_err(|error| self.write_failed(error))?;
-        let size = std::fs::metadata(path).map_or(0, |metadata| metadata.len());
-        self.bytes.fetch_add(size, Ordering::Relaxed);
-        Ok(())
+        work: &Work<'_, 'a>,
+        scene: &Scene,
+        run: &Run,
+        worker: &mut Worker,
+    ) -> Result<(), RenderError> {
+        worker.make_run(work, scene, run)
     }
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
-    // A worker that panicked takes the whole run down; what it held is not looked at again.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+fn scene_folder(dir: &Path, scene: &SceneEntry, kind: &str) -> PathBuf {
+    dir.join(scene.split.to_string()).join(kind).join(&scene.name)
 }
 
 /// The buffers of one worker, used again for every frame: about 0.3 GB at 2200x3208.
-struct Worker {
+pub(super) struct Worker {
     rasterizer: Rasterizer,
     options: Options,
     head: PosedHead,
@@ -159,34 +156,33 @@ impl Worker {
         }
     }
 
-    fn make_run(&mut self, work: &Work<'_>, scene: &Scene, run: &Run) -> Result<(), GenerateError> {
-        let end = run.pairs.end;
+    fn make_run(&mut self, work: &Work, scene: &Scene, run: &Run) -> Result<(), RenderError> {
+        let end = run.units.end;
         let mut next = self.pose(work, scene, end);
-        let is_last = end == scene.pairs();
+        let is_last = end == scene.entry.pairs;
         let outputs = Outputs { image: is_last, alpha: true, depth: true, ..NOTHING };
-        self.render(work, run.scene, end, &next, None, outputs)?;
+        self.render(work, scene, end, &next, None, outputs)?;
         if is_last {
-            self.write_frame(work, scene, run.scene, end)?;
+            self.write_frame(work, scene, end)?;
         }
-        for pair in run.pairs.clone().rev() {
-            if work.stopped.load(Ordering::Relaxed) {
+        for pair in run.units.clone().rev() {
+            if !work.begin() {
                 break;
             }
             surface_into(&self.frame, &mut self.next_surface);
             std::mem::swap(&mut self.gaussians, &mut self.next_gaussians);
             let state = self.pose(work, scene, pair);
             let outputs = Outputs { color: false, ..Outputs::ALL };
-            self.render(work, run.scene, pair, &state, Some(&next), outputs)?;
-            self.write_pair(work, scene, run.scene, pair, &state, &next)?;
-            work.written.fetch_add(1, Ordering::Relaxed);
-            (work.on_event)(Event::PairWritten { bytes: work.bytes.load(Ordering::Relaxed) });
+            self.render(work, scene, pair, &state, Some(&next), outputs)?;
+            self.write_pair(work, scene, pair, &state, &next)?;
+            work.done();
             next = state;
         }
         Ok(())
     }
 
     /// Poses the head as in `frame`, into `self.gaussians`.
-    fn pose(&mut self, work: &Work<'_>, scene: &Scene, frame: u32) -> FrameState {
+    fn pose(&mut self, work: &Work, scene: &Scene, frame: u32) -> FrameState {
         work.clock.time(Stage::Motion, || {
             let state = scene.frame(frame);
             scene.avatar.gaussians_into(&state.pose, &mut self.head, &mut self.gaussians);
@@ -197,36 +193,34 @@ impl Worker {
     /// Renders `self.gaussians` into `self.frame`, with the flow to `self.next_gaussians`.
     fn render(
         &mut self,
-        work: &Work<'_>,
-        scene: u32,
+        work: &Work,
+        scene: &Scene,
         frame: u32,
         state: &FrameState,
         next: Option<&FrameState>,
         outputs: Outputs,
-    ) -> Result<(), GenerateError> {
+    ) -> Result<(), RenderError> {
         let options = Options { outputs, ..self.options };
         let next = next.map(|next| Next { gaussians: &self.next_gaussians, camera: &next.camera });
         work.clock
             .time(Stage::Rasterize, || {
                 self.rasterizer.render(&self.gaussians, &state.camera, next, &options, &mut self.frame)
             })
-            .map_err(|error| refused(work, scene, frame, error))
+            .map_err(|error| refused(scene, frame, error))
     }
 
     fn write_pair(
         &mut self,
-        work: &Work<'_>,
+        work: &Work,
         scene: &Scene,
-        number: u32,
         pair: u32,
         state: &FrameState,
         next: &FrameState,
-    ) -> Result<(), GenerateError> {
-        let entry = &work.manifest.scenes[number as usize];
+    ) -> Result<(), RenderError> {
         let PairFiles { flow, flow_backward, occlusion: hidden_path, record, .. } =
-            work.manifest.files(work.dir, entry, pair);
-        self.write_frame(work, scene, number, pair)?;
-        let format = work.settings.flow_format;
+            work.plan.manifest.files(work.dir, &scene.entry, pair);
+        self.write_frame(work, scene, pair)?;
+        let format = work.plan.settings.flow_format;
         work.write(Stage::Flow, &flow, |path| write_flow_as(path, &self.frame.flow, format))?;
         let (hidden, summary) = work.clock.time(Stage::Occlusion, || {
             let hidden = occlusion(&self.frame, &self.next_surface);
@@ -235,7 +229,7 @@ impl Worker {
         });
         work.write(Stage::Planes, &hidden_path, |path| write_mask_png(path, &hidden))?;
         if let Some(path) = flow_backward {
-            self.render_backward(work, number, pair, state, next)?;
+            self.render_backward(work, scene, pair, state, next)?;
             work.write(Stage::Flow, &path, |path| write_flow_as(path, &self.backward.flow, format))?;
         }
         let known = PairRecord {
@@ -254,12 +248,12 @@ impl Worker {
 
     fn render_backward(
         &mut self,
-        work: &Work<'_>,
-        scene: u32,
+        work: &Work,
+        scene: &Scene,
         pair: u32,
         state: &FrameState,
         next: &FrameState,
-    ) -> Result<(), GenerateError> {
+    ) -> Result<(), RenderError> {
         let options = Options { outputs: Outputs { flow: true, ..NOTHING }, ..self.options };
         let back = Next { gaussians: &self.gaussians, camera: &state.camera };
         work.clock
@@ -272,19 +266,12 @@ impl Worker {
                     &mut self.backward,
                 )
             })
-            .map_err(|error| refused(work, scene, pair + 1, error))
+            .map_err(|error| refused(scene, pair + 1, error))
     }
 
     /// Writes what `self.frame` alone holds: picture, alpha, mask and depth.
-    fn write_frame(
-        &mut self,
-        work: &Work<'_>,
-        scene: &Scene,
-        number: u32,
-        frame: u32,
-    ) -> Result<(), GenerateError> {
-        let entry = &work.manifest.scenes[number as usize];
-        let files: FrameFiles = work.manifest.frame_files(work.dir, entry, frame);
+    fn write_frame(&mut self, work: &Work, scene: &Scene, frame: u32) -> Result<(), RenderError> {
+        let files: FrameFiles = work.plan.manifest.frame_files(work.dir, &scene.entry, frame);
         let mask = work.clock.time(Stage::Occlusion, || {
             if let Some(behind) = &scene.background {
                 background::composite(&mut self.frame.image, &self.frame.alpha, behind);
@@ -306,6 +293,52 @@ impl Worker {
 const NOTHING: Outputs =
     Outputs { image: false, color: false, alpha: false, depth: false, flow: false, depth_next: false };
 
-fn refused(work: &Work<'_>, scene: u32, frame: u32, error: srflow_splat::RasterizeError) -> GenerateError {
-    GenerateError::Rasterize { scene: work.manifest.scenes[scene as usize].name.clone(), frame, error }
+fn refused(scene: &Scene, frame: u32, error: RasterizeError) -> RenderError {
+    RenderError::Rasterize { frame: format!("{}, frame {frame}", scene.entry.name), error }
+}
+
+#[cfg(test)]
+mod tests {
+    use srflow_field::FlowFormat;
+
+    use super::*;
+    use crate::generate::Head;
+
+    #[test]
+    fn a_pair_lacks_what_any_of_its_files_lacks() {
+        let folder = tempfile::tempdir().unwrap();
+        let dir = folder.path();
+        let settings = Settings {
+            head: Head::Builtin,
+            scenes: 1,
+            frames: 3.0,
+            width: 110,
+            height: 160,
+            splits: [1.0, 0.0, 0.0],
+            seed: 1,
+            flow_format: FlowFormat::Npz16,
+            backward: false,
+            depth: false,
+            background: Background::Colour([255; 3]),
+        };
+        let plan = Scenes { settings: &settings, rig: settings.rig(), manifest: settings.plan().unwrap() };
+        let left = || -> Vec<u32> { (0..3).filter(|&pair| !plan.is_whole(dir, 0, pair)).collect() };
+        assert_eq!(left(), [0, 1, 2]);
+        for folder in plan.folders(dir, &Run { group: 0, units: 0..3 }) {
+            fs::create_dir_all(folder).unwrap();
+        }
+        let (manifest, scene) = (&plan.manifest, plan.scene(0));
+        for pair in 0..3 {
+            let of_frames = [pair, pair + 1].map(|frame| manifest.frame_files(dir, scene, frame));
+            let files = manifest.files(dir, scene, pair);
+            for file in files.all().chain(of_frames.iter().flat_map(FrameFiles::all)) {
+                fs::write(file, "x").unwrap();
+            }
+        }
+        assert!(left().is_empty());
+        fs::remove_file(manifest.frame_files(dir, scene, 3).alpha).unwrap();
+        assert_eq!(left(), [2]);
+        fs::remove_file(manifest.files(dir, scene, 0).occlusion).unwrap();
+        assert_eq!(left(), [0, 2]);
+    }
 }

@@ -1,14 +1,14 @@
 //! One clip: a head that shows a micro-expression and drifts a little before a camera that stands still.
 
 use glam::{DVec3, EulerRot, Quat, Vec3};
-use srflow_avatar::{Avatar, HeadModelError, HeadPose, Joint, MicroExpression, PosedHead, Side};
+use srflow_avatar::{Avatar, HeadModelError, HeadPose, Joint, MicroExpression, PosedHead};
 use srflow_field::random::{Key, Stream};
 use srflow_read::micro_expression::EmotionClass;
 use srflow_splat::{Camera, Gaussians};
 
 use super::sensor::Light;
 use super::settings::{ClipPlan, FRAMES_AT_REST, SynthSettings};
-use crate::generate::{Rig, SmoothPath, View};
+use crate::generate::{Rig, SmoothPath, View, unit_name};
 
 /// The frame is wider than the face's landmarks by this factor.
 const MARGIN: f64 = 1.18;
@@ -93,15 +93,10 @@ impl Clip {
 
     /// Action units at the apex, by name.
     pub fn action_units(&self) -> impl Iterator<Item = (String, f32)> {
-        let name = |number: u8, side: Side| match side {
-            Side::Both => format!("AU{number}"),
-            Side::Left => format!("AU{number}_L"),
-            Side::Right => format!("AU{number}_R"),
-        };
         self.expression
             .action_units
             .iter()
-            .map(move |&(number, side, intensity)| (name(number, side), intensity))
+            .map(move |&(number, side, intensity)| (unit_name(number, side), intensity))
     }
 
     /// Numbers of the action units as datasets write them: `1+2`.

@@ -10,29 +10,29 @@
 //! landmarks.csv             the 68 landmarks of dlib in every clip's onset frame
 //! ```
 //!
-//! Every file's bytes depend on the settings alone: not on how often a run was killed or how many threads there are.
+//! [`crate::job`] makes it clip by clip. Every file's bytes depend on the settings alone: not on the shard that it is made
+//! in, how often a run was killed, or how many threads there are.
 
 mod clip;
-mod error;
 mod sensor;
 mod settings;
 mod work;
 
 use std::collections::BTreeMap;
-use std::fs;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::Path;
-use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileKind, create_folder, excerpt, read_text, write_atomically};
+use srflow_field::{FileKind, read_text, write_atomically};
 use srflow_read::micro_expression::EmotionClass;
 
-pub use error::SynthError;
 pub use settings::SynthSettings;
 
+use crate::RenderError;
+use crate::job::{self, Request};
 use settings::ClipPlan;
 use srflow_read::micro_expression::{Annotation, Classes, PLAIN_NAME, write_plain};
+use work::Clips;
 
 /// Name of the file that says what the set was asked to be.
 const SETTINGS_NAME: &str = "synth.json";
@@ -40,40 +40,25 @@ const SETTINGS_NAME: &str = "synth.json";
 /// Name of the file of landmarks.
 pub const LANDMARKS_NAME: &str = "landmarks.csv";
 
-/// What [`synthesize`] tells while it works.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SynthEvent {
-    /// The folder has been looked through.
-    Started {
-        /// Clips of the set.
-        clips: usize,
-        /// Those that are whole already.
-        whole: usize,
-    },
-    /// One more clip is whole.
-    ClipWritten {
-        /// Its number of frames.
-        frames: usize,
-    },
-}
-
 /// What [`synthesize`] did.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SynthReport {
-    /// Clips of the set.
-    pub clips: usize,
+    /// Clips of this shard.
+    pub clips: u64,
     /// Those that this run made.
-    pub made: usize,
-    /// Frames of the set.
-    pub frames: usize,
+    pub made: u64,
+    /// Frames of the set, once it is whole.
+    pub frames: Option<usize>,
     /// Subjects of the set.
     pub subjects: u32,
-    /// Clips of each class.
+    /// Clips of each class in the set.
     pub classes: BTreeMap<&'static str, usize>,
-    /// Mean length of the true flow from onset to apex on the head, in pixels.
-    pub mean_flow: f64,
+    /// Mean length of the true flow from onset to apex on the head, in pixels, once the set is whole.
+    pub mean_flow: Option<f64>,
     /// Seconds that this run took.
     pub seconds: f64,
+    /// Whether it was stopped on request before all clips were made.
+    pub stopped: bool,
 }
 
 /// What `s03/c05.json` holds.
@@ -94,122 +79,48 @@ struct ClipRecord {
     landmarks: Vec<[f64; 2]>,
 }
 
-/// Makes a set of micro-expressions in the folder `dir` with the threads of the current rayon pool. What is there already,
-/// made with the same settings, is left as it is.
+/// Makes a set of micro-expressions, or one shard of it, with the threads of the current rayon pool. What is there
+/// already, made with the same settings, is left as it is.
 ///
 /// # Errors
-/// Before any work when a setting is out of range or the folder is not this set's (`force` deletes another set there); later
-/// when a file cannot be written. What is complete stays, and the next call with the same settings goes on from there.
-pub fn synthesize(
-    settings: &SynthSettings,
-    dir: &Path,
-    force: bool,
-    on_event: &(dyn Fn(SynthEvent) + Sync),
-) -> Result<SynthReport, SynthError> {
-    let start = Instant::now();
-    let plan = settings.plan()?;
-    claim(dir, settings, force)?;
-    let missing: Vec<&ClipPlan> = plan.iter().filter(|clip| !clip.record(dir).is_file()).collect();
-    on_event(SynthEvent::Started { clips: plan.len(), whole: plan.len() - missing.len() });
-    work::make(settings, dir, &missing, on_event)?;
-
-    let records = plan.iter().map(|clip| read_record(&clip.record(dir))).collect::<Result<Vec<_>, _>>()?;
-    write_tables(dir, &plan, &records)?;
-    let class = |class: EmotionClass| (class.name(), plan.iter().filter(|clip| clip.class == class).count());
+/// Before any work when a setting is out of range or the folder is not this set's; later when a file cannot be written.
+/// What is complete stays, and the next call with the same settings continues.
+pub fn synthesize(settings: &SynthSettings, request: Request) -> Result<SynthReport, RenderError> {
+    let plan = Clips { settings, clips: settings.plan()? };
+    let (made, whole) = job::make(&plan, request)?;
+    let set = if whole { Some(finish(request.dir, &plan.clips)?) } else { None };
+    let class =
+        |class: EmotionClass| (class.name(), plan.clips.iter().filter(|clip| clip.class == class).count());
     Ok(SynthReport {
-        clips: plan.len(),
-        made: missing.len(),
-        frames: records.iter().map(|record| record.frames).sum(),
+        clips: made.units,
+        made: made.made,
         subjects: settings.subjects,
         classes: EmotionClass::ALL.into_iter().map(class).collect(),
-        mean_flow: records.iter().map(|record| record.mean_flow).sum::<f64>() / records.len().max(1) as f64,
-        seconds: start.elapsed().as_secs_f64(),
+        frames: set.map(|(frames, _)| frames),
+        mean_flow: set.map(|(_, mean_flow)| mean_flow),
+        seconds: made.seconds,
+        stopped: made.stopped,
     })
 }
 
-/// Makes `dir` the folder of this set: a new one, or the same one begun before.
-fn claim(dir: &Path, settings: &SynthSettings, force: bool) -> Result<(), SynthError> {
-    let path = dir.join(SETTINGS_NAME);
-    let io_error = |error| SynthError::Io { path: path.clone(), error };
-    if path.is_file() {
-        let text = read_text(&path, FileKind::Json)?;
-        match serde_json::from_str::<SynthSettings>(&text) {
-            Ok(found) if found == *settings && !force => return Ok(()),
-            Ok(found) if force => delete(dir, &found)?,
-            Ok(found) => {
-                return Err(SynthError::OtherSet {
-                    path: dir.to_owned(),
-                    differs: difference(&found, settings),
-                });
-            }
-            // Nobody can tell which files are the set's: they are written over.
-            Err(_) if force => {}
-            Err(error) => {
-                return Err(SynthError::Malformed {
-                    path,
-                    reason: srflow_field::parse_error_in_words(&error),
-                });
-            }
-        }
-    } else if !is_empty(dir).map_err(|error| SynthError::Io { path: dir.to_owned(), error })? {
-        return Err(SynthError::NotASet(dir.to_owned()));
-    }
-    create_folder(dir)?;
-    let text = serde_json::to_string_pretty(settings).map_err(|error| io_error(error.into()))?;
-    write_atomically(&path, |writer| writeln!(writer, "{text}"))?;
-    Ok(())
+/// Writes the tables of a set that is whole; gives its number of frames and its mean flow.
+fn finish(dir: &Path, plan: &[ClipPlan]) -> Result<(usize, f64), RenderError> {
+    let records = plan.iter().map(|clip| read_record(&clip.record(dir))).collect::<Result<Vec<_>, _>>()?;
+    write_tables(dir, plan, &records)?;
+    let mean_flow = records.iter().map(|record| record.mean_flow).sum::<f64>() / records.len().max(1) as f64;
+    Ok((records.iter().map(|record| record.frames).sum(), mean_flow))
 }
 
-fn is_empty(dir: &Path) -> io::Result<bool> {
-    match fs::read_dir(dir) {
-        Ok(mut entries) => Ok(entries.next().is_none()),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(true),
-        Err(error) => Err(error),
-    }
-}
-
-/// The first argument in which two settings differ.
-fn difference(found: &SynthSettings, asked: &SynthSettings) -> String {
-    let fields = |settings| serde_json::to_value(settings).unwrap_or_default();
-    let (found, asked) = (fields(found), fields(asked));
-    let empty = serde_json::Map::new();
-    let names = asked.as_object().unwrap_or(&empty);
-    let differing = names.iter().find(|(name, value)| found[name.as_str()] != **value);
-    differing.map_or_else(String::new, |(name, value)| {
-        format!("{name} {}, asked for is {value}", excerpt(&found[name.as_str()].to_string()))
-    })
-}
-
-/// Deletes the clips of another set, and nothing else.
-fn delete(dir: &Path, settings: &SynthSettings) -> Result<(), SynthError> {
-    let format = settings.flow_format()?;
-    for clip in settings.plan()? {
-        // The record first: without it the clip does not count.
-        let files = [clip.record(dir), clip.flow(dir, format)];
-        let results = files.map(|file| (fs::remove_file(&file), file));
-        let folder = clip.folder(dir);
-        for (result, path) in results.into_iter().chain([(fs::remove_dir_all(&folder), folder)]) {
-            match result {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                    return Err(SynthError::Io { path, error });
-                }
-                _ => {}
-            }
-        }
-    }
-    Ok(())
-}
-
-fn read_record(path: &Path) -> Result<ClipRecord, SynthError> {
+fn read_record(path: &Path) -> Result<ClipRecord, RenderError> {
     let text = read_text(path, FileKind::Json)?;
-    serde_json::from_str(&text).map_err(|error| SynthError::Malformed {
+    serde_json::from_str(&text).map_err(|error| RenderError::Malformed {
         path: path.to_owned(),
         reason: srflow_field::parse_error_in_words(&error),
     })
 }
 
 /// Writes `landmarks.csv` and, last, `clips.csv`.
-fn write_tables(dir: &Path, plan: &[ClipPlan], records: &[ClipRecord]) -> Result<(), SynthError> {
+fn write_tables(dir: &Path, plan: &[ClipPlan], records: &[ClipRecord]) -> Result<(), RenderError> {
     write_atomically(&dir.join(LANDMARKS_NAME), |writer| {
         write!(writer, "subject,clip,frame")?;
         for axis in ["x", "y"] {

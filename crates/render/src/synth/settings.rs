@@ -7,7 +7,7 @@ use srflow_field::FlowFormat;
 use srflow_field::random::Key;
 use srflow_read::micro_expression::EmotionClass;
 
-use super::error::SynthError;
+use crate::RenderError;
 
 /// Frames at rest before the onset and after the offset.
 pub(super) const FRAMES_AT_REST: usize = 3;
@@ -33,8 +33,9 @@ pub struct SynthSettings {
     pub lighting: f32,
     /// Seed of every random choice.
     pub seed: u64,
-    /// Ending of the true flow's files.
-    pub flow_format: String,
+    /// How the true flow is stored.
+    #[serde(with = "format_name")]
+    pub flow_format: FlowFormat,
 }
 
 impl Default for SynthSettings {
@@ -49,8 +50,23 @@ impl Default for SynthSettings {
             drift: 1.0,
             lighting: 1.0,
             seed: 1,
-            flow_format: FlowFormat::Flo.extension().to_owned(),
+            flow_format: FlowFormat::Flo,
         }
+    }
+}
+
+/// A flow format by the ending of its files.
+mod format_name {
+    use serde::de::Error;
+    use serde::{Deserialize, Deserializer, Serializer};
+    use srflow_field::FlowFormat;
+
+    pub fn serialize<S: Serializer>(format: &FlowFormat, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(format.extension())
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<FlowFormat, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(D::Error::custom)
     }
 }
 
@@ -86,9 +102,9 @@ impl ClipPlan {
 
 impl SynthSettings {
     /// Checks the settings and lists the clips, by subject.
-    pub(super) fn plan(&self) -> Result<Vec<ClipPlan>, SynthError> {
+    pub(super) fn plan(&self) -> Result<Vec<ClipPlan>, RenderError> {
         let wrong = |argument, found: String, expected: &str| {
-            Err(SynthError::Argument { argument, found, expected: expected.to_owned() })
+            Err(RenderError::Argument { argument, found, expected: expected.to_owned() })
         };
         if !(1..=1000).contains(&self.subjects) {
             return wrong("--subjects", self.subjects.to_string(), "1 to 1000");
@@ -113,7 +129,6 @@ impl SynthSettings {
                 return wrong(argument, value.to_string(), expected);
             }
         }
-        self.flow_format()?;
         let clip = |number: u32| {
             let (subject, within) = (number / self.clips_per_subject, number % self.clips_per_subject);
             // Each subject begins with another class, so that odd numbers of clips come out even over the subjects.
@@ -123,16 +138,6 @@ impl SynthSettings {
             ClipPlan { number, subject, class, subject_name, name }
         };
         Ok((0..self.subjects * self.clips_per_subject).map(clip).collect())
-    }
-
-    pub(super) fn flow_format(&self) -> Result<FlowFormat, SynthError> {
-        FlowFormat::ALL.into_iter().find(|format| format.extension() == self.flow_format).ok_or_else(|| {
-            SynthError::Argument {
-                argument: "--flow-format",
-                found: self.flow_format.clone(),
-                expected: FlowFormat::ALL.map(FlowFormat::extension).join(", "),
-            }
-        })
     }
 
     /// Seed of a subject's head.
@@ -161,6 +166,14 @@ mod tests {
     }
 
     #[test]
+    fn settings_are_read_as_they_are_written() {
+        let settings = SynthSettings { flow_format: FlowFormat::Npz16, ..SynthSettings::default() };
+        let text = serde_json::to_string(&settings).unwrap();
+        assert!(text.contains(r#""flow_format":"npz16""#), "{text}");
+        assert_eq!(serde_json::from_str::<SynthSettings>(&text).unwrap(), settings);
+    }
+
+    #[test]
     fn settings_out_of_range_are_named() {
         let default = SynthSettings::default;
         for (settings, argument) in [
@@ -172,7 +185,6 @@ mod tests {
             (SynthSettings { noise: -1.0, ..default() }, "--noise"),
             (SynthSettings { drift: f32::INFINITY, ..default() }, "--drift"),
             (SynthSettings { lighting: f32::NAN, ..default() }, "--lighting"),
-            (SynthSettings { flow_format: "gif".to_owned(), ..default() }, "--flow-format"),
         ] {
             let error = settings.plan().unwrap_err().to_string();
             assert!(error.starts_with(argument), "{error}");

@@ -1,118 +1,120 @@
-//! The work itself: workers take clips one by one, render their frames and write them.
+//! Making clips: their frames, their flow and their record.
 
 use std::collections::BTreeMap;
+use std::fs;
 use std::io::Write;
-use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::path::{Path, PathBuf};
 
 use srflow_avatar::{Avatar, PosedHead};
-use srflow_field::{create_folder, write_atomically, write_flow_as, write_image_png};
+use srflow_field::{write_atomically, write_flow_as, write_image_png};
 use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
 
 use super::clip::Clip;
-use super::error::SynthError;
 use super::settings::{ClipPlan, SynthSettings};
-use super::{ClipRecord, SynthEvent};
-
-/// The most clips in the making at once.
-const MAX_WORKERS: usize = 16;
+use super::{ClipRecord, SETTINGS_NAME};
+use crate::RenderError;
+use crate::job::{Plan, Run, Stage, unless_gone};
 
 /// What is behind the heads: the grey of a laboratory's backdrop.
 const BACKDROP: [f32; 3] = [0.55, 0.56, 0.57];
 
-/// Makes clips on the threads of the current rayon pool, each worker with its share of them.
-///
-/// # Errors
-/// The first that any worker meets; the others stop after the clip that they are at.
-pub fn make(
-    settings: &SynthSettings,
-    dir: &Path,
-    clips: &[&ClipPlan],
-    on_event: &(dyn Fn(SynthEvent) + Sync),
-) -> Result<(), SynthError> {
-    let threads = rayon::current_num_threads();
-    let workers = threads.min(MAX_WORKERS).min(clips.len()).max(1);
-    let pools = (0..workers).map(|worker| {
-        let threads = threads / workers + usize::from(worker < threads % workers);
-        rayon::ThreadPoolBuilder::new()
-            .num_threads(threads)
-            .build()
-            .map_err(|error| SynthError::Threads { threads, reason: error.to_string() })
-    });
-    let pools: Vec<rayon::ThreadPool> = pools.collect::<Result<_, _>>()?;
-    let work = Work {
-        settings,
-        dir,
-        clips,
-        on_event,
-        next: AtomicUsize::new(0),
-        stopped: AtomicBool::new(false),
-        current: Mutex::new(None),
-    };
-    let first_error = Mutex::new(None);
-    std::thread::scope(|scope| {
-        for pool in &pools {
-            scope.spawn(|| {
-                if let Err(error) = pool.install(|| work.run()) {
-                    work.stopped.store(true, Ordering::Relaxed);
-                    lock(&first_error).get_or_insert(error);
-                }
-            });
-        }
-    });
-    first_error.into_inner().unwrap_or_else(PoisonError::into_inner).map_or(Ok(()), Err)
+type Work<'w, 'a> = crate::job::Work<'w, Clips<'a>>;
+
+/// A set whose units are clips, by subject.
+pub struct Clips<'a> {
+    pub settings: &'a SynthSettings,
+    pub clips: Vec<ClipPlan>,
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // A worker that panicked takes the whole run down; what it held is not looked at again.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+impl Clips<'_> {
+    fn clip(&self, subject: u32, within: u32) -> &ClipPlan {
+        &self.clips[(subject * self.settings.clips_per_subject + within) as usize]
+    }
 }
 
-/// Everything that workers share.
-struct Work<'a> {
-    settings: &'a SynthSettings,
-    dir: &'a Path,
-    clips: &'a [&'a ClipPlan],
-    on_event: &'a (dyn Fn(SynthEvent) + Sync),
-    next: AtomicUsize,
-    stopped: AtomicBool,
-    /// The subject whose clips are being made. Clips come by subject, so that each head is mostly made once.
-    current: Mutex<Option<(u32, Arc<Avatar>)>>,
-}
+impl<'a> Plan for Clips<'a> {
+    type Group = Avatar;
+    type Worker = Renderer;
 
-impl Work<'_> {
-    fn run(&self) -> Result<(), SynthError> {
-        let mut renderer = Renderer::new();
-        while let Some(plan) = self.clips.get(self.next.fetch_add(1, Ordering::Relaxed)) {
-            if self.stopped.load(Ordering::Relaxed) {
-                break;
+    const MANIFEST: &'static str = SETTINGS_NAME;
+    const UNITS: &'static str = "clips";
+    const LONGEST_RUN: u32 = 1;
+
+    fn manifest(&self) -> String {
+        let text = serde_json::to_string_pretty(self.settings).expect("settings are JSON");
+        format!("{text}\n")
+    }
+
+    fn groups(&self) -> Vec<u32> {
+        vec![self.settings.clips_per_subject; self.settings.subjects as usize]
+    }
+
+    fn is_whole(&self, dir: &Path, subject: u32, within: u32) -> bool {
+        let clip = self.clip(subject, within);
+        [clip.record(dir), clip.flow(dir, self.settings.flow_format)].iter().all(|file| file.is_file())
+    }
+
+    fn folders(&self, dir: &Path, run: &Run) -> Vec<PathBuf> {
+        let clips = run.units.clone().map(|within| self.clip(run.group, within));
+        let subject = clips.clone().next().map(|clip| dir.join(&clip.subject_name));
+        subject.into_iter().chain(clips.map(|clip| clip.folder(dir))).collect()
+    }
+
+    fn makes(&self, run: &Run, folder: &Path, name: &str) -> bool {
+        // The subject's folder holds the flow and record of other shards' clips too.
+        run.units.clone().any(|within| {
+            let clip = Path::new(&self.clip(run.group, within).name);
+            let stem = clip.file_name().unwrap_or_default().to_string_lossy();
+            let of_clip = name.strip_prefix(&*stem).is_some_and(|rest| rest.starts_with(['.', '_']));
+            folder.ends_with(clip) || of_clip
+        })
+    }
+
+    fn delete(&self, dir: &Path, found: &str) -> Result<(), RenderError> {
+        // Of settings that cannot be read nobody knows which files are the set's: they are written over.
+        let Ok(other) = serde_json::from_str::<SynthSettings>(found) else { return Ok(()) };
+        for clip in other.plan()? {
+            // The record first: without it the clip does not count.
+            for file in [clip.record(dir), clip.flow(dir, other.flow_format)] {
+                unless_gone(&file, fs::remove_file(&file))?;
             }
-            let avatar = self.avatar(plan)?;
-            let frames = renderer.make(self, &avatar, plan)?;
-            (self.on_event)(SynthEvent::ClipWritten { frames });
+            let folder = clip.folder(dir);
+            unless_gone(&folder, fs::remove_dir_all(&folder))?;
         }
         Ok(())
     }
 
-    fn avatar(&self, plan: &ClipPlan) -> Result<Arc<Avatar>, SynthError> {
-        let mut current = lock(&self.current);
-        if let Some((subject, avatar)) = &*current
-            && *subject == plan.subject
-        {
-            return Ok(Arc::clone(avatar));
+    fn group(&self, subject: u32) -> Result<Avatar, RenderError> {
+        Avatar::builtin(self.settings.head_of(subject)).map_err(|error| RenderError::Head {
+            who: self.clip(subject, 0).subject_name.clone(),
+            reason: error.to_string(),
+        })
+    }
+
+    fn worker(&self) -> Renderer {
+        Renderer::new()
+    }
+
+    fn make(
+        &self,
+        work: &Work<'_, 'a>,
+        avatar: &Avatar,
+        run: &Run,
+        renderer: &mut Renderer,
+    ) -> Result<(), RenderError> {
+        for within in run.units.clone() {
+            if !work.begin() {
+                break;
+            }
+            renderer.make(work, avatar, self.clip(run.group, within))?;
+            work.done();
         }
-        *current = None; // frees the subject before, unless a worker is still at it
-        let avatar = Avatar::builtin(self.settings.head_of(plan.subject))
-            .map_err(|error| SynthError::Head { subject: plan.subject_name.clone(), error })?;
-        let avatar = Arc::new(avatar);
-        *current = Some((plan.subject, Arc::clone(&avatar)));
-        Ok(avatar)
+        Ok(())
     }
 }
 
 /// The buffers of one worker, used again for every frame.
-struct Renderer {
+pub struct Renderer {
     rasterizer: Rasterizer,
     head: PosedHead,
     gaussians: Gaussians,
@@ -131,13 +133,12 @@ impl Renderer {
         }
     }
 
-    /// Renders a clip, its flow and its record; gives its number of frames.
-    fn make(&mut self, work: &Work, avatar: &Avatar, plan: &ClipPlan) -> Result<usize, SynthError> {
-        let settings = work.settings;
+    /// Renders a clip, its flow and its record.
+    fn make(&mut self, work: &Work, avatar: &Avatar, plan: &ClipPlan) -> Result<(), RenderError> {
+        let settings = work.plan.settings;
         let clip = Clip::new(avatar, settings, plan)?;
-        let refused = |error: RasterizeError| SynthError::Rasterize { clip: plan.name.clone(), error };
+        let refused = |error: RasterizeError| RenderError::Rasterize { frame: plan.name.clone(), error };
         let folder = plan.folder(work.dir);
-        create_folder(&folder)?;
 
         let image_alone =
             Outputs { image: true, color: false, alpha: false, depth: false, flow: false, depth_next: false };
@@ -149,7 +150,8 @@ impl Renderer {
                 .map_err(refused)?;
             let seconds = number as f32 / settings.frames_per_second;
             clip.light.record(&mut self.frame.image, seconds, settings.noise, clip.key.frame(number as u32));
-            write_image_png(&folder.join(format!("{number:04}.png")), &self.frame.image)?;
+            let path = folder.join(format!("{number:04}.png"));
+            work.write(Stage::Frames, &path, |path| write_image_png(path, &self.frame.image))?;
         }
 
         let expression = &clip.expression;
@@ -160,8 +162,10 @@ impl Renderer {
         self.rasterizer
             .render(&self.gaussians, &clip.camera, Some(next), &options, &mut self.frame)
             .map_err(refused)?;
-        let format = settings.flow_format()?;
-        write_flow_as(&plan.flow(work.dir, format), &self.frame.flow, format)?;
+        let format = settings.flow_format;
+        work.write(Stage::Flow, &plan.flow(work.dir, format), |path| {
+            write_flow_as(path, &self.frame.flow, format)
+        })?;
 
         let action_units: BTreeMap<String, f32> = clip.action_units().collect();
         let record = ClipRecord {
@@ -177,11 +181,12 @@ impl Renderer {
             landmarks: clip.landmarks(avatar, &self.head),
         };
         // The record tells that the clip is whole, so it comes last.
-        write_atomically(&plan.record(work.dir), |writer| {
-            serde_json::to_writer_pretty(&mut *writer, &record)?;
-            writer.write_all(b"\n")
-        })?;
-        Ok(clip.len())
+        work.write(Stage::Records, &plan.record(work.dir), |path| {
+            write_atomically(path, |writer| {
+                serde_json::to_writer_pretty(&mut *writer, &record)?;
+                writer.write_all(b"\n")
+            })
+        })
     }
 
     /// Mean length of the flow on the head, in pixels.

@@ -12,7 +12,8 @@ use srflow_eval::report::{
 use srflow_field::{FlowField, FlowFormat, Image, flow_colors};
 use srflow_read::flow::{DatasetSpec, FlowDataset, Sample, Split};
 use srflow_read::manifest::Manifest;
-use srflow_render::generate::{self, Background, Event, Head, Report, Settings, Shard};
+use srflow_render::generate::{self, Background, Head, Report, Settings};
+use srflow_render::job::{Event, Request};
 
 use crate::size::Size;
 
@@ -80,13 +81,13 @@ impl Plan {
         let bar = ProgressBar::new(0)
             .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} pairs  {eta} to go")?);
         let show = |event| match event {
-            Event::Started { pairs, whole } => {
-                bar.set_length(pairs);
+            Event::Started { units, whole } => {
+                bar.set_length(units);
                 bar.set_position(whole);
             }
-            Event::PairWritten { .. } => bar.inc(1),
+            Event::Made { .. } => bar.inc(1),
         };
-        let report = generate::generate(&settings, &dir, Shard::WHOLE, force, &show);
+        let report = generate::generate(&settings, Request { force, on_event: &show, ..Request::new(&dir) });
         bar.finish_and_clear();
         let report = report?;
         let spec = DatasetSpec { kind: "srflow".to_owned(), dir: dir.clone() };

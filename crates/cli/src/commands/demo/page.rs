@@ -57,7 +57,7 @@ pub fn page(shown: &Shown, stages: &Stages) -> anyhow::Result<Page> {
 }
 
 fn opening(shown: &Shown, stages: &Stages) -> anyhow::Result<Vec<Figure>> {
-    let pairs = shown.stills.report.pairs + shown.clips.report.pairs;
+    let pairs = shown.stills.report.run.units + shown.clips.report.run.units;
     let numbers = [
         (shown.heads.len().to_string(), "heads, none of them a real person's".to_owned()),
         (thousands(shown.gaussians), "Gaussians on the first".to_owned()),
@@ -175,15 +175,15 @@ fn making(shown: &Shown, stages: &Stages) -> Section {
 
 fn rendering(rendered: &Rendered) -> String {
     let report = &rendered.report;
-    if report.made == 0 {
-        return format!("{} pairs, all there from an earlier run", report.pairs);
+    if report.run.made == 0 {
+        return format!("{} pairs, all there from an earlier run", report.run.units);
     }
     format!(
         "{} pairs in {:.1} s, heads, encoding and writing included: {:.1} pairs a minute, {:.1} MB a pair",
-        report.made,
-        report.seconds,
-        60.0 * report.made as f64 / report.seconds.max(1e-9),
-        report.bytes as f64 / 1e6 / report.made as f64
+        report.run.made,
+        report.run.seconds,
+        60.0 * report.run.made as f64 / report.run.seconds.max(1e-9),
+        report.run.bytes as f64 / 1e6 / report.run.made as f64
     )
 }
 

@@ -2,12 +2,12 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use clap::Args;
-use clap::error::ErrorKind;
-use indicatif::{ProgressBar, ProgressStyle};
 use srflow_field::FlowFormat;
-use srflow_render::synth::{SynthError, SynthEvent, SynthReport, SynthSettings, synthesize};
+use srflow_render::job::{Request, Shard};
+use srflow_render::synth::{SynthReport, SynthSettings, synthesize};
 
 use crate::Context;
+use crate::commands::render::{Progress, exit_if_stopped, usage_error};
 
 /// Render a labelled micro-expression set with the built-in heads
 #[derive(Args)]
@@ -18,7 +18,7 @@ Examples:
   srflow mer data clips:synth
 
 Beside the frames lie the true flow from onset to apex, the action units with their intensities, and the 68 \
-landmarks of the onset. The same command given again goes on where a run was stopped.")]
+landmarks of the onset. The same command given again continues where a run was stopped.")]
 pub struct Synth {
     /// Folder of the set
     #[arg(short, long, value_name = "DIR")]
@@ -53,6 +53,12 @@ pub struct Synth {
     /// How the true flow is stored
     #[arg(long, value_name = "FORMAT", default_value_t = FlowFormat::Flo)]
     flow_format: FlowFormat,
+    /// Make part I of N only
+    #[arg(long, value_name = "I/N", default_value = "1/1", hide_default_value = true)]
+    shard: Shard,
+    /// Stop after making N clips, exit code 75; the same command continues
+    #[arg(long, value_name = "N")]
+    stop_after: Option<u64>,
     /// Delete the set in the folder and start over
     #[arg(long)]
     force: bool,
@@ -70,34 +76,43 @@ pub fn run(args: Synth, context: &Context) -> anyhow::Result<()> {
         drift: args.drift,
         lighting: args.lighting,
         seed: args.seed,
-        flow_format: args.flow_format.extension().to_owned(),
+        flow_format: args.flow_format,
     };
-    let bar = ProgressBar::new(0).with_style(
-        ProgressStyle::with_template("{wide_bar} {pos}/{len} clips, {eta} left")
-            .unwrap_or_else(|_| ProgressStyle::default_bar()),
-    );
-    let result = synthesize(&settings, &args.out, args.force, &|event| match event {
-        SynthEvent::Started { clips, whole } => {
-            bar.set_length(clips as u64);
-            bar.set_position(whole as u64);
-            bar.reset_eta();
-        }
-        SynthEvent::ClipWritten { .. } => bar.inc(1),
-    });
-    bar.finish_and_clear();
-    if let Err(error @ SynthError::Argument { .. }) = &result {
-        clap::Error::raw(ErrorKind::ValueValidation, format!("{error}\n")).exit();
-    }
-    let report = result?;
+    let progress = Progress::new("clips");
+    let request = Request {
+        dir: &args.out,
+        shard: args.shard,
+        force: args.force,
+        stop_after: args.stop_after,
+        on_event: &|event| progress.show(event),
+    };
+    let result = synthesize(&settings, request);
+    progress.finish();
+    let report = usage_error(result)?;
     if context.json {
-        return say!("{}", serde_json::to_string_pretty(&report).context("printing the result")?);
+        say!("{}", serde_json::to_string_pretty(&report).context("printing the result")?)?;
+    } else {
+        print_report(&args, &report)?;
     }
-    let SynthReport { clips, made, frames, subjects, classes, mean_flow, seconds } = &report;
+    exit_if_stopped(report.stopped)
+}
+
+fn print_report(args: &Synth, report: &SynthReport) -> anyhow::Result<()> {
+    let SynthReport { clips, made, subjects, classes, seconds, .. } = report;
+    say!("{made} of {clips} clips made in {seconds:.1} s")?;
+    let (Some(frames), Some(mean_flow)) = (report.frames, report.mean_flow) else {
+        return if report.stopped {
+            Ok(())
+        } else {
+            say!(
+                "Part {} is whole. Copy the parts together; `srflow mer synth` with the same arguments and without --shard\n\
+                 then writes the tables.",
+                args.shard
+            )
+        };
+    };
     let classes: Vec<String> = classes.iter().map(|(class, clips)| format!("{clips} {class}")).collect();
-    say!(
-        "{made} of {clips} clips made in {seconds:.1} s: {subjects} subjects, {frames} frames, {}",
-        classes.join(", ")
-    )?;
+    say!("{subjects} subjects, {frames} frames, {}", classes.join(", "))?;
     say!("true flow from onset to apex: {mean_flow:.3} px on average on the head")?;
     say!("read it with clips:{}", args.out.display())
 }

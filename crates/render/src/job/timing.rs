@@ -56,7 +56,7 @@ impl Stage {
 
 /// Time of all workers together, by stage.
 #[derive(Debug, Default)]
-pub(super) struct Clock {
+pub struct Clock {
     nanoseconds: [AtomicU64; Stage::ALL.len()],
 }
 

@@ -1,0 +1,127 @@
+//! The output folder: whose it is, and what a killed run left in it.
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::Path;
+use std::time::Duration;
+
+use serde_json::Value;
+use srflow_field::{
+    FileKind, PARTIAL_EXTENSION, create_folder, excerpt, parse_error_in_words, read_text, write_atomically,
+};
+
+use super::{Plan, Run};
+use crate::RenderError;
+
+/// How old a partial file in the dataset's own folder must be before it counts as left by a killed run: another shard may
+/// be at work in the same folder.
+const ABANDONED_AFTER: Duration = Duration::from_secs(60);
+
+/// Makes `dir` the folder of the planned dataset: a new one, or the same one begun before. `force` deletes a dataset
+/// there that is another one.
+pub fn claim<P: Plan>(dir: &Path, plan: &P, force: bool) -> Result<(), RenderError> {
+    let path = dir.join(P::MANIFEST);
+    let planned = plan.manifest();
+    if path.exists() {
+        let found = read_text(&path, FileKind::Json)?;
+        if !force {
+            return difference::<P>(dir, &found, &planned)?.map_or(Ok(()), Err);
+        }
+        plan.delete(dir, &found)?;
+    } else if has_visible_entries(dir).map_err(|error| RenderError::io(dir, error))? {
+        return Err(RenderError::NotADataset { path: dir.to_owned(), manifest: P::MANIFEST });
+    }
+    create_folder(dir)?;
+    write_atomically(&path, |writer| writer.write_all(planned.as_bytes()))?;
+    Ok(())
+}
+
+/// Whether there is anything in a folder beside hidden files, which other shards may just be writing.
+fn has_visible_entries(dir: &Path) -> io::Result<bool> {
+    let entries = match fs::read_dir(dir) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
+        entries => entries?,
+    };
+    for entry in entries {
+        if !entry?.file_name().to_string_lossy().starts_with('.') {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
+/// The error that names the first field in which two manifests differ.
+fn difference<P: Plan>(dir: &Path, found: &str, planned: &str) -> Result<Option<RenderError>, RenderError> {
+    let parse = |text| {
+        serde_json::from_str::<Value>(text).map_err(|error| RenderError::Malformed {
+            path: dir.join(P::MANIFEST),
+            reason: parse_error_in_words(&error),
+        })
+    };
+    let (found, planned) = (parse(found)?, parse(planned)?);
+    if found == planned {
+        return Ok(None);
+    }
+    let other =
+        || (P::MANIFEST.to_owned(), "of another kind".to_owned(), "what this command writes".to_owned());
+    let (field, found, asked) = first_difference(&found, &planned).unwrap_or_else(other);
+    Ok(Some(RenderError::OtherDataset { path: dir.to_owned(), field, found, asked }))
+}
+
+/// The name of the first field that differs, and its values in brief.
+fn first_difference(found: &Value, planned: &Value) -> Option<(String, String, String)> {
+    let (Value::Object(there), Value::Object(asked)) = (found, planned) else { return None };
+    // A field that holds others says less than the one within it, so single values come first.
+    let nested = |value: &Value| value.is_object() || value.is_array();
+    let names: std::collections::BTreeSet<&String> = there.keys().chain(asked.keys()).collect();
+    let mut differing: Vec<_> = names
+        .into_iter()
+        .map(|name| (name, &found[name], &planned[name]))
+        .filter(|(_, a, b)| a != b)
+        .collect();
+    differing.sort_by_key(|(_, a, b)| (nested(a) || nested(b), a.is_array() || b.is_array()));
+    let (name, a, b) = differing.into_iter().next()?;
+    if let Some(within) = first_difference(a, b) {
+        return Some(within);
+    }
+    let brief =
+        |value: &Value| if nested(value) { "other values".to_owned() } else { excerpt(&value.to_string()) };
+    Some((name.clone(), brief(a), if nested(b) { "those of its arguments".to_owned() } else { brief(b) }))
+}
+
+/// Makes the folders of `runs`, and removes what a killed run was just writing into them.
+pub fn tidy<P: Plan>(dir: &Path, plan: &P, runs: &[Run]) -> Result<(), RenderError> {
+    remove_partial(dir, |_, age| age >= ABANDONED_AFTER)?;
+    for run in runs {
+        for folder in plan.folders(dir, run) {
+            create_folder(&folder)?;
+            remove_partial(&folder, |name, _| plan.makes(run, &folder, name))?;
+        }
+    }
+    Ok(())
+}
+
+/// Removes the half-written files of a folder whose final name and age are `abandoned`.
+fn remove_partial(dir: &Path, abandoned: impl Fn(&str, Duration) -> bool) -> Result<(), RenderError> {
+    let failed = |error| RenderError::io(dir, error);
+    for entry in fs::read_dir(dir).map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        let name = entry.file_name().to_string_lossy().into_owned();
+        let is_partial = Path::new(&name).extension().is_some_and(|extension| extension == PARTIAL_EXTENSION);
+        let Some(name) = name.strip_prefix('.').filter(|_| is_partial) else { continue };
+        let modified = entry.metadata().and_then(|metadata| metadata.modified());
+        let age = modified.ok().and_then(|modified| modified.elapsed().ok()).unwrap_or_default();
+        if abandoned(name, age) {
+            unless_gone(&entry.path(), fs::remove_file(entry.path()))?;
+        }
+    }
+    Ok(())
+}
+
+/// The result of removing `path`, which may be gone already.
+pub fn unless_gone(path: &Path, result: io::Result<()>) -> Result<(), RenderError> {
+    match result {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(RenderError::io(path, error)),
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,280 @@
+//! Making a dataset unit by unit, whether a unit is a frame pair of a scene or a clip of a subject.
+//!
+//! A [`Plan`] says what is to be made. [`make`] claims the folder, finds the units of a shard that are not there yet, and
+//! makes them with workers, each at a run of consecutive units. Files get their names when they are complete, so that a
+//! run that is killed or stopped is continued by the next, and the result has the same bytes.
+
+mod folder;
+mod timing;
+mod work;
+
+use std::fmt;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Instant;
+
+use serde::Serialize;
+
+use crate::RenderError;
+
+pub(crate) use folder::unless_gone;
+pub use timing::{Stage, StageTime};
+pub(crate) use work::Work;
+
+/// The most units in the making at once, each with about 0.3 GB of buffers at 2200x3208. More threads than that share
+/// the units' work.
+const MAX_WORKERS: usize = 16;
+
+/// A dataset that is made unit by unit. Units come in groups that share something costly: a scene, a subject's head.
+pub(crate) trait Plan: Sync + Sized {
+    type Group: Send + Sync;
+    /// The buffers of one worker.
+    type Worker;
+
+    /// The file that says what the dataset was asked to be.
+    const MANIFEST: &'static str;
+    /// What units are, in the plural.
+    const UNITS: &'static str;
+    /// The most units that a worker takes at a time.
+    const LONGEST_RUN: u32;
+
+    /// The content of [`MANIFEST`](Self::MANIFEST).
+    fn manifest(&self) -> String;
+
+    /// The number of units of each group.
+    fn groups(&self) -> Vec<u32>;
+
+    /// Whether all files that are made with a unit are there.
+    fn is_whole(&self, dir: &Path, group: u32, unit: u32) -> bool;
+
+    /// The folders that the files of a run lie in.
+    fn folders(&self, dir: &Path, run: &Run) -> Vec<PathBuf>;
+
+    /// Whether the file called `name` in one of the run's folders is made with the run.
+    fn makes(&self, run: &Run, folder: &Path, name: &str) -> bool;
+
+    /// Deletes the files of a dataset whose manifest is `found`, and nothing else.
+    fn delete(&self, dir: &Path, found: &str) -> Result<(), RenderError>;
+
+    fn group(&self, number: u32) -> Result<Self::Group, RenderError>;
+
+    fn worker(&self) -> Self::Worker;
+
+    /// Makes the units of a run. Before each it asks [`Work::begin`], after each it calls [`Work::done`].
+    fn make(
+        &self,
+        work: &Work<'_, Self>,
+        group: &Self::Group,
+        run: &Run,
+        worker: &mut Self::Worker,
+    ) -> Result<(), RenderError>;
+}
+
+/// Consecutive units of one group.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Run {
+    pub group: u32,
+    pub units: Range<u32>,
+}
+
+/// What to make of a dataset, and where.
+#[derive(Clone, Copy)]
+pub struct Request<'a> {
+    /// The dataset's folder.
+    pub dir: &'a Path,
+    pub shard: Shard,
+    /// Delete another dataset that lies in the folder.
+    pub force: bool,
+    /// Stop when this many units have been made.
+    pub stop_after: Option<u64>,
+    pub on_event: &'a (dyn Fn(Event) + Sync),
+}
+
+impl<'a> Request<'a> {
+    /// The whole dataset, or what it lacks.
+    pub fn new(dir: &'a Path) -> Self {
+        Self { dir, shard: Shard::WHOLE, force: false, stop_after: None, on_event: &|_| {} }
+    }
+}
+
+/// What is reported during the work. Units are frame pairs or clips.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Event {
+    /// The folder has been looked through: `whole` of the shard's `units` are there already.
+    Started { units: u64, whole: u64 },
+    /// One more unit is whole; this run has written so many bytes.
+    Made { bytes: u64 },
+}
+
+/// What one run made.
+#[derive(Debug, Clone)]
+pub struct Made {
+    /// Units of the shard.
+    pub units: u64,
+    /// Those that this run made.
+    pub made: u64,
+    /// Bytes that this run has written.
+    pub bytes: u64,
+    /// How long that took.
+    pub seconds: f64,
+    /// Where the workers' time went.
+    pub stages: Vec<StageTime>,
+    /// Whether `stop_after` ended the run before the shard was whole.
+    pub stopped: bool,
+}
+
+/// Makes what a shard of a dataset lacks, with the threads of the current rayon pool, and says whether the dataset is
+/// then whole, with all other shards.
+pub(crate) fn make<P: Plan>(plan: &P, request: Request) -> Result<(Made, bool), RenderError> {
+    let Request { dir, shard, force, stop_after, on_event } = request;
+    folder::claim(dir, plan, force)?;
+    let groups = plan.groups();
+    let part = units_of_shard(&groups, shard);
+    folder::tidy(dir, plan, &part)?;
+    let missing = missing(dir, plan, &part);
+    let (units, lacking) = (count(&part), count(&missing));
+    on_event(Event::Started { units, whole: units - lacking });
+
+    let start = Instant::now();
+    let runs = cut(missing, run_length(lacking, P::LONGEST_RUN));
+    let work = Work::new(plan, dir, &runs, (units - lacking, units), stop_after, on_event);
+    work.make()?;
+    let made = work.made();
+    let report = Made {
+        units,
+        made,
+        bytes: work.bytes(),
+        seconds: start.elapsed().as_secs_f64(),
+        stages: work.clock.spent(),
+        stopped: made < lacking,
+    };
+    let whole = self::missing(dir, plan, &units_of_shard(&groups, Shard::WHOLE)).is_empty();
+    Ok((report, whole))
+}
+
+fn count(runs: &[Run]) -> u64 {
+    runs.iter().map(|run| run.units.len() as u64).sum()
+}
+
+/// Runs as long as can be while every worker still gets several, so that all end at about the same time.
+fn run_length(units: u64, longest: u32) -> u32 {
+    let workers = rayon::current_num_threads().min(MAX_WORKERS) as u64;
+    (units / (4 * workers)).clamp(1, u64::from(longest)) as u32
+}
+
+/// The units of each group that are a shard's to make: the units of all groups in a row are cut into equal parts.
+fn units_of_shard(groups: &[u32], shard: Shard) -> Vec<Run> {
+    let total: u64 = groups.iter().copied().map(u64::from).sum();
+    let cut = |part: u32| u64::from(part) * total / u64::from(shard.of);
+    let (from, to) = (cut(shard.number - 1), cut(shard.number));
+    let mut before = 0;
+    let mut runs = Vec::new();
+    for (group, &units) in (0..).zip(groups) {
+        let after = before + u64::from(units);
+        let within = |place: u64| (place.clamp(before, after) - before) as u32;
+        let units = within(from)..within(to);
+        if !units.is_empty() {
+            runs.push(Run { group, units });
+        }
+        before = after;
+    }
+    runs
+}
+
+/// What of `runs` is not there yet, as runs.
+fn missing<P: Plan>(dir: &Path, plan: &P, runs: &[Run]) -> Vec<Run> {
+    let mut missing: Vec<Run> = Vec::new();
+    for run in runs {
+        for unit in run.units.clone().filter(|&unit| !plan.is_whole(dir, run.group, unit)) {
+            match missing.last_mut() {
+                Some(last) if last.group == run.group && last.units.end == unit => last.units.end = unit + 1,
+                _ => missing.push(Run { group: run.group, units: unit..unit + 1 }),
+            }
+        }
+    }
+    missing
+}
+
+/// Cuts runs into pieces of at most `length` units.
+fn cut(runs: Vec<Run>, length: u32) -> Vec<Run> {
+    let pieces = |run: Run| {
+        let starts = run.units.clone().step_by(length.max(1) as usize);
+        starts.map(move |start| Run {
+            group: run.group,
+            units: start..start.saturating_add(length).min(run.units.end),
+        })
+    };
+    runs.into_iter().flat_map(pieces).collect()
+}
+
+/// One of several parts that a dataset is made in, each perhaps on a machine of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Shard {
+    /// Number of the part, from 1.
+    pub number: u32,
+    /// How many parts there are.
+    pub of: u32,
+}
+
+impl Shard {
+    /// The whole dataset.
+    pub const WHOLE: Self = Self { number: 1, of: 1 };
+}
+
+impl fmt::Display for Shard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.number, self.of)
+    }
+}
+
+impl FromStr for Shard {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parsed = text.split_once('/').and_then(|(number, of)| {
+            let (number, of) = (number.parse().ok()?, of.parse().ok()?);
+            (1 <= number && number <= of).then_some(Self { number, of })
+        });
+        parsed.ok_or_else(|| format!("`{text}` is not a part; expected I/N with I from 1 to N, e.g. 2/3"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn units(runs: &[Run]) -> Vec<(u32, u32)> {
+        runs.iter().flat_map(|run| run.units.clone().map(|unit| (run.group, unit))).collect()
+    }
+
+    #[test]
+    fn shards_are_equal_and_together_the_whole() {
+        let groups = [7, 8, 7, 0, 7, 8];
+        let whole = units(&units_of_shard(&groups, Shard::WHOLE));
+        assert_eq!(whole.len() as u32, groups.iter().sum::<u32>());
+        for of in [1, 2, 3, 8, 37, 50] {
+            let parts = (1..=of).map(|number| units(&units_of_shard(&groups, Shard { number, of })));
+            let parts: Vec<Vec<(u32, u32)>> = parts.collect();
+            assert_eq!(parts.concat(), whole);
+            let sizes = || parts.iter().map(Vec::len);
+            assert!(sizes().max().unwrap() - sizes().min().unwrap() <= 1);
+        }
+    }
+
+    #[test]
+    fn runs_are_cut_without_loss() {
+        let runs = vec![Run { group: 0, units: 3..11 }, Run { group: 2, units: 0..1 }];
+        let short = cut(runs.clone(), 3);
+        assert_eq!(units(&short), units(&runs));
+        assert_eq!(short.iter().map(|run| run.units.len()).collect::<Vec<_>>(), [3, 3, 2, 1]);
+    }
+
+    #[test]
+    fn texts_are_read_as_they_are_written() {
+        assert_eq!("2/3".parse(), Ok(Shard { number: 2, of: 3 }));
+        for text in ["3/2", "0/2", "1/0", "2", "a/b", "-1/2", "1/2/3"] {
+            assert!(text.parse::<Shard>().unwrap_err().contains(text));
+        }
+    }
+}

@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
-use safetensors::SafeTensors;
+use srflow_golden::{Golden, name_hash, noise, numbers};
 use srflow_mer::{
     CLASSIFIERS, Classifier, ClassifierFacts, OffApexNet, OffTaNet, StstNet, Training, cross_entropy,
 };
@@ -17,20 +17,6 @@ const LABELS: [i64; 5] = [0, 2, 1, 0, 1];
 const LEARNING_RATE: f64 = 6.5e-4;
 /// Biases of convolutions right before a batch norm: they have no gradient.
 const NO_GRADIENT: [&str; 4] = ["conv.0.bias", "conv.3.bias", "eres.conv1.0.bias", "eres.conv2.0.bias"];
-
-/// Uniform in -1..1, from a hash of the index and the seed.
-fn noise(index: u32, seed: u32) -> f32 {
-    let mut x = index.wrapping_mul(0x9E37_79B9) ^ seed;
-    x = (x ^ (x >> 16)).wrapping_mul(0x85EB_CA6B);
-    x = (x ^ (x >> 13)).wrapping_mul(0xC2B2_AE35);
-    x ^= x >> 16;
-    (x >> 8) as f32 / 8_388_608.0 - 1.0
-}
-
-/// FNV-1a.
-fn name_hash(name: &str) -> u32 {
-    name.bytes().fold(0x811C_9DC5, |value, byte| (value ^ u32::from(byte)).wrapping_mul(0x0100_0193))
-}
 
 /// Weights of variance 1 / fan_in, so that activations keep their size; the rest near what training leaves.
 fn parameter(name: &str, shape: &[usize]) -> Vec<f32> {
@@ -62,69 +48,50 @@ fn inputs<C: Classifier>(device: &Device) -> Tensor<4> {
     Tensor::from_data(TensorData::new(values, shape), device)
 }
 
-fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().try_to_vec().expect("f32")
-}
-
-struct Golden(Vec<u8>);
-
-impl Golden {
-    fn of(name: &str) -> Self {
-        let path = golden_path(&format!("{name}.safetensors"));
-        Self(std::fs::read(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display())))
-    }
-
-    fn values(&self, name: &str) -> Vec<f32> {
-        let tensors = SafeTensors::deserialize(&self.0).expect("safetensors");
-        let tensor = tensors.tensor(name).unwrap_or_else(|error| panic!("{name}: {error}"));
-        tensor
-            .data()
-            .chunks_exact(4)
-            .map(|bytes| f32::from_le_bytes(bytes.try_into().expect("four")))
-            .collect()
-    }
-
-    fn assert_close(&self, name: &str, found: &[f32], tolerance: f32) {
-        let expected = self.values(name);
-        assert_eq!(expected.len(), found.len(), "{name}");
-        let worst = expected.iter().zip(found).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-        assert!(worst <= tolerance, "{name}: {found:?} for {expected:?}");
-    }
-
-    /// Sum of squares and first value.
-    fn assert_digest(&self, name: &str, values: &[f32], relative: f32) {
-        let squares = values.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() as f32;
-        let expected = self.values(name);
-        let typical = (expected[0] / values.len() as f32).sqrt();
-        assert!(
-            (squares - expected[0]).abs() <= relative * expected[0].max(1e-9)
-                && (values[0] - expected[1]).abs() <= relative * typical.max(1e-5),
-            "{name}: {squares}, {} for {expected:?}",
-            values[0]
-        );
-    }
-}
-
 fn golden_path(name: &str) -> PathBuf {
     ["tests/golden", name].iter().collect()
 }
 
+fn golden<C: Classifier>() -> Golden {
+    Golden::read(golden_path(&format!("{}.safetensors", C::FACTS.name)))
+}
+
+fn assert_close(golden: &Golden, name: &str, found: &[f32], tolerance: f32) {
+    let expected = golden.values(name);
+    assert_eq!(expected.len(), found.len(), "{name}");
+    let worst = expected.iter().zip(found).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    assert!(worst <= tolerance, "{name}: {found:?} for {expected:?}");
+}
+
+/// Sum of squares and first value.
+fn assert_digest(golden: &Golden, name: &str, values: &[f32], relative: f32) {
+    let squares = values.iter().map(|&x| f64::from(x).powi(2)).sum::<f64>() as f32;
+    let expected = golden.values(name);
+    let typical = (expected[0] / values.len() as f32).sqrt();
+    assert!(
+        (squares - expected[0]).abs() <= relative * expected[0].max(1e-9)
+            && (values[0] - expected[1]).abs() <= relative * typical.max(1e-5),
+        "{name}: {squares}, {} for {expected:?}",
+        values[0]
+    );
+}
+
 fn check<C: Classifier>() {
-    let golden = Golden::of(C::FACTS.name);
+    let golden = golden::<C>();
     let plain = Device::flex();
     let network: C = filled(&plain);
     let learned = parameter_infos(&network).into_iter().filter(|info| !info.name.contains("running_"));
     assert_eq!(learned.map(|info| info.shape.iter().product::<usize>()).sum::<usize>(), C::FACTS.parameters);
     let scores = network.scores(inputs::<C>(&plain), None);
-    golden.assert_close("evaluation", &numbers(scores), 2e-5);
+    assert_close(&golden, "evaluation", &numbers(scores), 2e-5);
 
     let device = Device::flex().autodiff();
     let labels = || Tensor::<1, Int>::from_data(LABELS, &device);
     let network = with_batch_statistics(filled::<C>(&device), true);
     let scores = network.scores(inputs::<C>(&device), None);
-    golden.assert_close("training", &numbers(scores.clone()), 2e-5);
+    assert_close(&golden, "training", &numbers(scores.clone()), 2e-5);
     let loss = cross_entropy(scores, labels());
-    golden.assert_close("loss", &numbers(loss.clone()), 1e-5);
+    assert_close(&golden, "loss", &numbers(loss.clone()), 1e-5);
     let (layout, _) = Layout::of(&network);
     let mut gradients = HostGradients::zero(&layout);
     gradients.add(&network, &layout, &loss.backward(), 1.0);
@@ -133,7 +100,7 @@ fn check<C: Classifier>() {
         if NO_GRADIENT.iter().any(|bias| name.ends_with(bias)) {
             assert!(gradient.iter().all(|x| x.abs() < 1e-6), "{name}: {gradient:?}");
         } else if reached {
-            golden.assert_digest(&format!("gradient.{name}"), gradient, 1e-3);
+            assert_digest(&golden, &format!("gradient.{name}"), gradient, 1e-3);
         }
     }
 
@@ -146,7 +113,7 @@ fn check<C: Classifier>() {
         let start = parameter(&name, &data.shape());
         let end: Vec<f32> = data.try_to_vec().expect("f32");
         let moved: Vec<f32> = end.iter().zip(start).map(|(end, start)| (end - start) / unit).collect();
-        golden.assert_digest(&format!("stepped.{name}"), &moved, 0.02);
+        assert_digest(&golden, &format!("stepped.{name}"), &moved, 0.02);
     }
 }
 
@@ -170,7 +137,7 @@ fn a_checkpoint_in_its_published_form_loads() {
     let device = Device::flex();
     let network: StstNet = load(StstNet::new(&device, 3), &golden_path("ststnet.pth")).unwrap();
     let scores = network.scores(inputs::<StstNet>(&device), None);
-    Golden::of("ststnet").assert_close("evaluation", &numbers(scores), 2e-5);
+    assert_close(&golden::<StstNet>(), "evaluation", &numbers(scores), 2e-5);
     let error = load(OffTaNet::new(&device, 3), &golden_path("ststnet.pth")).unwrap_err().to_string();
     assert!(error.contains("conv1.0.weight"), "{error}");
 }

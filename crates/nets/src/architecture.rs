@@ -1,56 +1,64 @@
-//! The networks by name, and what is known of each.
+//! The networks by name, with the facts about each.
 
 use burn::tensor::Device;
 
 use crate::network::Network;
 use crate::{Gma, Raft, RaftSmall, SkFlow};
 
-/// Where ptlflow publishes its weights.
+/// Weights that ptlflow publishes, which names a file after the network, the training and the first digits of its SHA-256.
 macro_rules! ptlflow {
-    ($file:literal) => {
-        concat!("https://github.com/hmorimitsu/ptlflow/releases/download/weights1/", $file)
+    ($network:literal, $trained_on:literal, $sha256:literal) => {
+        PublishedWeights {
+            trained_on: $trained_on,
+            url: concat!(
+                "https://github.com/hmorimitsu/ptlflow/releases/download/weights1/",
+                $network,
+                "-",
+                $trained_on,
+                "-",
+                $sha256,
+                ".ckpt"
+            ),
+            sha256: $sha256,
+        }
     };
 }
 
-/// A network, as its name on a command line says which.
+/// One of the networks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Architecture {
-    /// RAFT.
     Raft,
-    /// RAFT-S.
     RaftSmall,
-    /// GMA.
     Gma,
-    /// SKFlow.
     SkFlow,
 }
 
-/// What is known of a network.
+/// Facts about a network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Facts {
-    /// As typed on a command line.
+    /// On the command line.
     pub name: &'static str,
-    /// As in its paper.
+    /// In its paper.
     pub title: &'static str,
     /// Where the paper is.
     pub paper: &'static str,
     /// Learned numbers; the statistics of batch norm are none.
     pub parameters: usize,
-    /// Frames get a border to a height and a width that are multiples of so many pixels.
+    /// Height and width of frames are padded to multiples of this many pixels.
     pub padding: usize,
-    /// Refinements in use.
+    /// Common numbers of refinements.
     pub iterations: IterationPresets,
     /// Where the authors publish their code and weights.
     pub authors: &'static str,
     /// Licence of the authors' code, as their repository states it; weights are published under no other.
     pub licence: &'static str,
-    /// Networks whose parameters have the same names and shapes, so that a file does not tell whose they are.
+    /// Networks whose parameters have the same names and shapes: nothing in a file distinguishes them.
     pub lookalikes: &'static [&'static str],
-    /// Weights that can be had by name.
+    /// Weights that are downloaded by name.
     pub published: &'static [PublishedWeights],
 }
 
-/// Numbers of refinements in use; 1 for a network that refines nothing.
+/// Common numbers of refinements; 1 for a network without refinement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct IterationPresets {
     /// Of ptlflow, with which the published tables of many networks are made. The default here.
@@ -83,26 +91,10 @@ const RAFT: Facts = Facts {
     licence: "BSD-3-Clause",
     lookalikes: &[],
     published: &[
-        PublishedWeights {
-            trained_on: "chairs",
-            url: ptlflow!("raft-chairs-590f38f7.ckpt"),
-            sha256: "590f38f7",
-        },
-        PublishedWeights {
-            trained_on: "things",
-            url: ptlflow!("raft-things-802bbcfd.ckpt"),
-            sha256: "802bbcfd",
-        },
-        PublishedWeights {
-            trained_on: "sintel",
-            url: ptlflow!("raft-sintel-fb44381e.ckpt"),
-            sha256: "fb44381e",
-        },
-        PublishedWeights {
-            trained_on: "kitti",
-            url: ptlflow!("raft-kitti-3a831a4b.ckpt"),
-            sha256: "3a831a4b",
-        },
+        ptlflow!("raft", "chairs", "590f38f7"),
+        ptlflow!("raft", "things", "802bbcfd"),
+        ptlflow!("raft", "sintel", "fb44381e"),
+        ptlflow!("raft", "kitti", "3a831a4b"),
     ],
 };
 
@@ -110,11 +102,7 @@ const RAFT_SMALL: Facts = Facts {
     name: "raft-small",
     title: "RAFT-S",
     parameters: 990_162,
-    published: &[PublishedWeights {
-        trained_on: "things",
-        url: ptlflow!("raft_small-things-b7d9f997.ckpt"),
-        sha256: "b7d9f997",
-    }],
+    published: &[ptlflow!("raft_small", "things", "b7d9f997")],
     ..RAFT
 };
 
@@ -129,26 +117,10 @@ const GMA: Facts = Facts {
     licence: "WTFPL",
     lookalikes: &[],
     published: &[
-        PublishedWeights {
-            trained_on: "chairs",
-            url: ptlflow!("gma-chairs-d4ec321d.ckpt"),
-            sha256: "d4ec321d",
-        },
-        PublishedWeights {
-            trained_on: "things",
-            url: ptlflow!("gma-things-90aafb63.ckpt"),
-            sha256: "90aafb63",
-        },
-        PublishedWeights {
-            trained_on: "sintel",
-            url: ptlflow!("gma-sintel-98d6f3d0.ckpt"),
-            sha256: "98d6f3d0",
-        },
-        PublishedWeights {
-            trained_on: "kitti",
-            url: ptlflow!("gma-kitti-8ca3ec80.ckpt"),
-            sha256: "8ca3ec80",
-        },
+        ptlflow!("gma", "chairs", "d4ec321d"),
+        ptlflow!("gma", "things", "90aafb63"),
+        ptlflow!("gma", "sintel", "98d6f3d0"),
+        ptlflow!("gma", "kitti", "8ca3ec80"),
     ],
 };
 
@@ -163,21 +135,9 @@ const SKFLOW: Facts = Facts {
     licence: "MIT",
     lookalikes: &["MemFlow"],
     published: &[
-        PublishedWeights {
-            trained_on: "things",
-            url: ptlflow!("skflow-things-f84e6538.ckpt"),
-            sha256: "f84e6538",
-        },
-        PublishedWeights {
-            trained_on: "sintel",
-            url: ptlflow!("skflow-sintel-98fb67cf.ckpt"),
-            sha256: "98fb67cf",
-        },
-        PublishedWeights {
-            trained_on: "kitti",
-            url: ptlflow!("skflow-kitti-4e1f8b63.ckpt"),
-            sha256: "4e1f8b63",
-        },
+        ptlflow!("skflow", "things", "f84e6538"),
+        ptlflow!("skflow", "sintel", "98fb67cf"),
+        ptlflow!("skflow", "kitti", "4e1f8b63"),
     ],
 };
 
@@ -202,7 +162,7 @@ impl Architecture {
         self.facts().name
     }
 
-    /// What is known of it.
+    /// The facts about it.
     pub fn facts(self) -> &'static Facts {
         match self {
             Self::Raft => &RAFT,
@@ -227,7 +187,6 @@ impl Architecture {
 mod tests {
     use super::*;
 
-    /// ptlflow names a file after the network, the training and the first eight digits of its SHA-256.
     #[test]
     fn published_files_carry_the_name_and_the_digest() {
         for architecture in Architecture::ALL {

@@ -1,9 +1,9 @@
-//! What a network makes of two frames before it refines anything.
+//! The output of the encoders for a pair of frames.
 
 use burn::tensor::Tensor;
 
-/// What refinements start from and read: with [`Request::encoded`](crate::Request::encoded) a network refines without the
-/// encoders, from any state between two iterations. Training recomputes single refinements so.
+/// What the encoders give to the refinements. With [`Request::encoded`](crate::Request::encoded) a network skips its encoders and
+/// refines from any state between two iterations, as training with recomputation does.
 #[derive(Debug, Clone)]
 pub struct Encoded {
     /// The hidden state before the first refinement, `[batch, channels, height / 8, width / 8]`.

@@ -10,12 +10,11 @@ use crate::recurrent::STRIDE;
 use crate::tiles::check_sizes;
 use crate::{Estimate, Features, Frames, Network, Request};
 
-/// Sides of a frame under this many pixels are made up to it by repeating the border. The coarsest level of a correlation
+/// Shorter sides of a frame are padded to this many pixels by repeating the border. The coarsest level of a correlation
 /// pyramid is then two pixels wide; of less the reference implementation gives NaN, or no answer.
 pub const SMALLEST_SIDE: usize = 128;
 
-/// A [`Network`] that estimates flow between images. Frames are taken to RGB in 0..1, whatever else the network wants being
-/// its own matter, and the flow has the size of the frames.
+/// A [`Network`] that estimates flow between images of any size.
 pub struct NetworkEstimator {
     name: String,
     network: Network,
@@ -24,7 +23,7 @@ pub struct NetworkEstimator {
 }
 
 impl NetworkEstimator {
-    /// The network, on the device its parameters are on, under the name that tables are to show.
+    /// The network, on the device its parameters are on, under the name shown in tables.
     pub fn new(name: impl Into<String>, network: Network, iterations: NonZeroUsize, device: Device) -> Self {
         Self { name: name.into(), network, iterations, device }
     }
@@ -188,7 +187,7 @@ impl NetworkEstimator {
     }
 }
 
-/// A frame and what the network makes of it alone.
+/// A frame and its features.
 struct Encoded {
     frame: Image,
     features: Features,

@@ -1,4 +1,4 @@
-//! What a network makes of a frame alone.
+//! Features of a single frame.
 
 use burn::tensor::Tensor;
 
@@ -6,8 +6,8 @@ use crate::blocks::Encoder;
 use crate::frames::{Border, prepared};
 use crate::recurrent::STRIDE;
 
-/// Features by which the pixels of a frame are found again in another, of a batch of frames. Every frame of a video but the
-/// first and last is in two pairs; with [`Request::features`](crate::Request::features) it is encoded once.
+/// Features of a batch of frames, from which correlations are computed. Every frame of a video but the first and last is in
+/// two pairs; with [`Request::features`](crate::Request::features) it is encoded once.
 #[derive(Debug, Clone)]
 pub struct Features(pub(crate) Tensor<4>);
 

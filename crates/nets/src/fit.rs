@@ -1,4 +1,4 @@
-//! Which network parameters are those of, and networks with the weights of a file.
+//! Which network a file of weights belongs to, and networks with the weights of a file.
 
 use std::fmt;
 use std::path::Path;
@@ -13,7 +13,6 @@ use crate::whose::{Claim, claim};
 /// How well parameters fit a network.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fit {
-    /// The network.
     pub architecture: Architecture,
     /// Parameters that the network has.
     pub expected: usize,
@@ -40,7 +39,7 @@ impl fmt::Display for Fit {
     }
 }
 
-/// Whose weights cannot be told from the network's own.
+/// Networks with the same parameters, for the end of a sentence.
 fn lookalikes(architecture: Architecture) -> String {
     match architecture.facts().lookalikes {
         [] => String::new(),

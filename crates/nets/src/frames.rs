@@ -1,4 +1,4 @@
-//! Two frames as a network wants them.
+//! Pairs of frames as networks take them.
 
 use burn::tensor::Tensor;
 use burn::tensor::ops::PadMode;

@@ -1,4 +1,4 @@
-//! How much memory a network takes.
+//! Memory needs of the networks.
 
 use crate::blocks::KEPT_BYTES;
 use crate::{Architecture, MemoryNeed};

@@ -12,13 +12,9 @@ use crate::{Architecture, Encoded, Estimate, Features, Frames, Gma, Raft, RaftSm
 #[derive(Module, Debug)]
 #[expect(clippy::large_enum_variant, reason = "few are alive at a time, and none is moved in a loop")]
 pub enum Network {
-    /// RAFT.
     Raft(Raft),
-    /// RAFT-S.
     RaftSmall(RaftSmall),
-    /// GMA.
     Gma(Gma),
-    /// SKFlow.
     SkFlow(SkFlow),
 }
 
@@ -35,7 +31,6 @@ macro_rules! with_network {
 }
 
 impl Network {
-    /// Which network it is.
     pub fn architecture(&self) -> Architecture {
         match self {
             Self::Raft(_) => Architecture::Raft,

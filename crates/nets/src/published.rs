@@ -11,12 +11,12 @@ use srflow_field::{FileError, FileKind, FileProblem, create_folder, open_file, w
 
 use crate::architecture::{Architecture, PublishedWeights};
 
-/// More than any network here takes.
+/// Limit on a download; every published file is far smaller.
 const MAX_DOWNLOAD_BYTES: u64 = 4 << 30;
-/// Of waiting for a server to answer.
-const PATIENCE: Duration = Duration::from_secs(30);
+/// Connection timeout, and timeout until the response begins.
+const TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Why weights were not found.
+/// Why there are no weights.
 #[derive(Debug, thiserror::Error)]
 pub enum PublishedError {
     /// Neither a file nor a name.
@@ -41,21 +41,14 @@ pub enum PublishedError {
     /// The kept file is not the published one.
     #[error("{}: expected a file whose SHA-256 starts with {expected}, found {found}; remove it, and it is fetched again", .path.display())]
     Changed {
-        /// The file.
         path: PathBuf,
         /// How the digest must start.
         expected: String,
-        /// The digest.
         found: String,
     },
     /// The kept file could not be read.
     #[error("{}: {error}", .path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        error: io::Error,
-    },
+    Read { path: PathBuf, error: io::Error },
     /// The kept file could not be opened, or its folder not be made.
     #[error("{0}")]
     File(FileError),
@@ -87,7 +80,7 @@ pub fn published(
     Architecture::ALL.into_iter().find_map(of)
 }
 
-/// Where weights are kept: `weights` in the folder of the environment variable `SRFLOW_CACHE`, or `srflow/weights` in the
+/// Folder of downloaded weights: `weights` in the folder of the environment variable `SRFLOW_CACHE`, or `srflow/weights` in the
 /// user's cache (`XDG_CACHE_HOME`, `~/.cache`, on Windows `LOCALAPPDATA`).
 pub fn weights_folder() -> Option<PathBuf> {
     let folder = |name: &str| env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
@@ -100,9 +93,9 @@ pub fn weights_folder() -> Option<PathBuf> {
     Some(cache.join("srflow").join("weights"))
 }
 
-/// The file that `given` stands for: itself, where it is a file; or published weights by name (see [`published`]), which
-/// are fetched unless they are kept in `folder` (see [`weights_folder`]) already. `progress` hears of bytes fetched so
-/// far and in all, where that is known.
+/// The file of weights that `given` names: an existing file, or published weights by name (see [`published`]), which are
+/// downloaded unless `folder` (see [`weights_folder`]) has them already. `progress` is called with
+/// the bytes downloaded so far, and in total where that is known.
 ///
 /// # Errors
 /// When `given` is neither, when there is no network, or when the file is not the published one.
@@ -157,8 +150,8 @@ fn fetch(
     progress: &mut dyn FnMut(u64, Option<u64>),
 ) -> Result<(), String> {
     let config = ureq::Agent::config_builder()
-        .timeout_connect(Some(PATIENCE))
-        .timeout_recv_response(Some(PATIENCE))
+        .timeout_connect(Some(TIMEOUT))
+        .timeout_recv_response(Some(TIMEOUT))
         .user_agent(concat!("srflow/", env!("CARGO_PKG_VERSION")))
         .build();
     let mut response =

@@ -78,7 +78,6 @@ impl Encoders<'_> {
 
 /// A network that refines flow as RAFT does: it says what is its own, and the loop is here.
 pub(crate) trait Recurrent {
-    /// The encoders.
     fn encoders(&self) -> Encoders<'_>;
 
     /// From hidden state, flow and windows of correlations to the next hidden state and the change of the flow, for one

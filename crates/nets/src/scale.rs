@@ -1,4 +1,4 @@
-//! Flow of frames that are made smaller, or larger, first.
+//! Flow estimated at another scale of the frames.
 
 use rayon::prelude::*;
 use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image};

@@ -31,7 +31,6 @@ pub enum TileSize {
 /// Memory that estimating takes at its peak, beside what the program takes anyway.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryNeed {
-    /// Whatever the size, in bytes.
     pub fixed: u64,
     /// Bytes for each pixel of a frame.
     pub per_pixel: u64,
@@ -139,7 +138,6 @@ impl Tiles {
         Err(NothingFits { smallest, needed: need.bytes(smallest.0 * smallest.1), free: bytes })
     }
 
-    /// How many there are.
     pub fn count(&self) -> usize {
         self.across.len() * self.down.len()
     }

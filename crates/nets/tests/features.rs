@@ -1,11 +1,8 @@
 //! What a network makes of a frame alone serves both pairs the frame is in.
 
 use burn::tensor::{Device, Distribution, Tensor};
+use srflow_golden::numbers;
 use srflow_nets::{Architecture, Features, Frames, Request};
-
-fn numbers(tensor: Tensor<4>) -> Vec<f32> {
-    tensor.into_data().try_to_vec().expect("f32")
-}
 
 /// Frames of a size that needs padding, two pairs at once: the features of each frame computed on its own.
 #[test]

@@ -7,7 +7,7 @@
 use std::sync::LazyLock;
 
 use burn::tensor::{Device, Tensor, TensorData, s};
-use safetensors::SafeTensors;
+use srflow_golden::{Golden, name_hash, noise, numbers};
 use srflow_nets::{Architecture, Frames, Network, Request};
 use srflow_nn::{
     HostGradients, Layout, Parameters, Segment, parameter_infos, with_batch_statistics, with_parameters,
@@ -25,20 +25,6 @@ static DEVICE: LazyLock<Device> = LazyLock::new(|| {
     let name = std::env::var("SRFLOW_TEST_DEVICE");
     srflow_ops::device(name.as_deref().unwrap_or("cpu")).expect("the device of SRFLOW_TEST_DEVICE")
 });
-
-/// Uniform in -1..1, from a hash of the index and the seed.
-fn noise(index: u32, seed: u32) -> f32 {
-    let mut x = index.wrapping_mul(0x9E37_79B9) ^ seed;
-    x = (x ^ (x >> 16)).wrapping_mul(0x85EB_CA6B);
-    x = (x ^ (x >> 13)).wrapping_mul(0xC2B2_AE35);
-    x ^= x >> 16;
-    (x >> 8) as f32 / 8_388_608.0 - 1.0
-}
-
-/// FNV-1a.
-fn name_hash(name: &str) -> u32 {
-    name.bytes().fold(0x811C_9DC5, |value, byte| (value ^ u32::from(byte)).wrapping_mul(0x0100_0193))
-}
 
 /// Weights of variance 1 / fan_in, so that activations keep their size; the rest near what training leaves.
 fn parameter(name: &str, shape: &[usize]) -> Vec<f32> {
@@ -96,35 +82,24 @@ fn frame([batch, height, width]: [usize; 3], shift: i64, device: &Device) -> Ten
     Tensor::from_data(TensorData::new(values, [batch, 3, height, width]), device)
 }
 
-fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().try_to_vec().expect("f32")
-}
-
-fn stored(golden: &SafeTensors, name: &str) -> Vec<f32> {
-    let tensor = golden.tensor(name).expect(name);
-    tensor.data().as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect()
-}
-
 /// Every 7th row and column.
 fn thinned(flow: Tensor<4>) -> Tensor<4> {
     flow.slice(s![.., .., ..;EVERY, ..;EVERY])
 }
 
 /// Holds `found` to the stored tensor: mean and largest difference in pixels of the flow's own grid.
-fn assert_close(golden: &SafeTensors, name: &str, found: Tensor<4>, [mean, largest]: [f32; 2]) {
-    assert_eq!(golden.tensor(name).expect(name).shape(), found.dims(), "{name}");
+fn assert_close(golden: &Golden, name: &str, found: Tensor<4>, [mean, largest]: [f32; 2]) {
+    assert_eq!(golden.shape(name), found.dims(), "{name}");
     let differences: Vec<f32> =
-        numbers(found).iter().zip(stored(golden, name)).map(|(a, b)| (a - b).abs()).collect();
+        numbers(found).iter().zip(golden.values(name)).map(|(a, b)| (a - b).abs()).collect();
     let worst = differences.iter().copied().fold(0.0, f32::max);
     let average = differences.iter().sum::<f32>() / differences.len() as f32;
     println!("{name}: mean difference {average:.2e} px, largest {worst:.2e} px");
     assert!(average <= mean && worst <= largest, "{name}: mean difference {average}, largest {worst}");
 }
 
-fn read_golden(name: &str, [batch, height, width]: [usize; 3]) -> Vec<u8> {
-    let file = format!("tests/golden/{name}_{batch}x{height}x{width}.safetensors");
-    let path = std::path::Path::new(&file);
-    std::fs::read(path).expect(&file)
+fn read_golden(name: &str, [batch, height, width]: [usize; 3]) -> Golden {
+    Golden::read(format!("tests/golden/{name}_{batch}x{height}x{width}.safetensors"))
 }
 
 fn check(name: &str, architecture: Architecture) {
@@ -132,8 +107,7 @@ fn check(name: &str, architecture: Architecture) {
     let network = filled(architecture.init(&device));
     assert_eq!(network.architecture(), architecture);
     for case in CASES {
-        let bytes = read_golden(name, case);
-        let golden = SafeTensors::deserialize(&bytes).expect(name);
+        let golden = read_golden(name, case);
         let frames = Frames { first: frame(case, 0, &device), second: frame(case, 4, &device) };
         let first = network.forward(frames.clone(), &Request::new(1));
         assert_close(&golden, "coarse_1", first.coarse, [1e-4, 1e-3]);
@@ -174,28 +148,26 @@ fn gradients(network: &Network, frames: Frames) -> Vec<(String, Option<Vec<f32>>
 fn check_gradients(name: &str, architecture: Architecture) {
     let device = DEVICE.clone().autodiff();
     for case in CASES {
-        let bytes = read_golden(name, case);
-        let golden = SafeTensors::deserialize(&bytes).expect(name);
+        let golden = read_golden(name, case);
         for (kind, batch_statistics) in [("running", false), ("batch", true)] {
-            // Made anew: a pass with the batch's statistics moves the running ones, which clones share.
+            // A new network: a pass with the batch's statistics moves the running ones, which clones share.
             let network = with_batch_statistics(filled(architecture.init(&device)), batch_statistics);
             let frames = Frames { first: frame(case, 0, &device), second: frame(case, 4, &device) };
             let mut distances = Vec::new();
             for (parameter, gradient) in gradients(&network, frames) {
                 let key = format!("{kind}/{parameter}");
                 let Some(gradient) = gradient else {
-                    assert!(golden.tensor(&key).is_err(), "{key}: no gradient");
+                    assert!(!golden.has(&key), "{key}: no gradient");
                     continue;
                 };
-                let numbers = stored(&golden, &key);
-                let (size, expected) = numbers.split_first().expect("17 numbers");
+                let (size, expected) = golden.values(&key).split_first().expect("17 numbers");
                 let found = (0..expected.len()).map(|i| gradient[i * gradient.len() / expected.len()]);
                 let square = found.zip(expected).map(|(found, expected)| (found - expected).powi(2));
                 let distance = (square.sum::<f32>() / expected.len() as f32).sqrt() / size.max(1e-2);
                 assert!(distance < 0.2, "{case:?}, {key}: {distance}");
                 distances.push(distance);
             }
-            let stored = golden.names().iter().filter(|key| key.starts_with(kind)).count();
+            let stored = golden.names().filter(|key| key.starts_with(kind)).count();
             assert_eq!(distances.len(), stored, "{case:?}, {kind}");
             let mean = distances.iter().sum::<f32>() / distances.len() as f32;
             let worst = distances.iter().copied().fold(0.0, f32::max);

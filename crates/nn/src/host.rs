@@ -1,4 +1,4 @@
-//! A network's numbers in host memory, one tensor behind the other.
+//! A network's parameters in host memory, one tensor after the other.
 //!
 //! The optimizer, checkpoints and the exchange between devices work on these; a device holds a copy that is filled again
 //! after every step.
@@ -21,7 +21,6 @@ pub struct Layout {
 pub struct Segment {
     /// As the reference implementation calls it, such as `fnet.layer1.0.conv1.weight`.
     pub name: String,
-    /// Sizes of its dimensions.
     pub shape: Vec<usize>,
     /// Its place among all numbers.
     pub range: Range<usize>,
@@ -32,7 +31,7 @@ pub struct Segment {
 impl Layout {
     /// The tensors of a network in the order of its definition, and their numbers.
     ///
-    /// The network must be on a device with automatic differentiation, which tells what is trained.
+    /// The network must be on a device with automatic differentiation, which knows which tensors are trained.
     pub fn of(network: &impl Module) -> (Self, Vec<f32>) {
         let mut reading = Reading::default();
         network.visit(&mut reading);
@@ -41,12 +40,11 @@ impl Layout {
         (Self { segments }, reading.values)
     }
 
-    /// Of tensors that lie one behind the other.
+    /// Of consecutive tensors.
     pub fn from_segments(segments: Vec<Segment>) -> Self {
         Self { segments }
     }
 
-    /// The tensors.
     pub fn segments(&self) -> &[Segment] {
         &self.segments
     }
@@ -56,7 +54,6 @@ impl Layout {
         self.segments.last().map_or(0, |segment| segment.range.end)
     }
 
-    /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

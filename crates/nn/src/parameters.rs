@@ -13,7 +13,6 @@ const NAMES_SHOWN: usize = 10;
 pub struct ParameterInfo {
     /// As the reference implementation calls it, such as `fnet.layer1.0.conv1.weight`.
     pub name: String,
-    /// Sizes of its dimensions.
     pub shape: Vec<usize>,
 }
 

@@ -17,30 +17,23 @@ pub enum WeightsError {
     File(#[from] FileError),
     /// The file could not be read.
     #[error("{}: {error}", .path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// What the system says.
-        error: io::Error,
-    },
+    Read { path: PathBuf, error: io::Error },
     /// The file is no checkpoint.
     #[error(
         "{}: expected weights as PyTorch (.pth, .pt, .ckpt), safetensors or burnpack file, found {found}",
         .path.display()
     )]
     Unrecognized {
-        /// The file.
         path: PathBuf,
         /// What it seems to be.
         found: String,
     },
     /// The file starts as a checkpoint and cannot be read as one.
     #[error(
-        "{}: expected a whole {format} file, but {problem}; fetch it again, or save the network's state_dict anew",
+        "{}: expected a whole {format} file, but {problem}; download it again, or save the network's state_dict again",
         .path.display()
     )]
     Broken {
-        /// The file.
         path: PathBuf,
         /// What it starts as.
         format: Format,
@@ -49,18 +42,13 @@ pub enum WeightsError {
     },
     /// A checkpoint without a single tensor of floating-point numbers.
     #[error("{}: holds no weights", .path.display())]
-    Empty {
-        /// The file.
-        path: PathBuf,
-    },
+    Empty { path: PathBuf },
     /// The weights are those of another network.
     #[error("{}: {difference}{hint}", .path.display())]
     Mismatch {
-        /// The file.
         path: PathBuf,
-        /// The names.
         difference: ParametersError,
-        /// What the caller knows beside, such as whose parameters they are; on a line of its own.
+        /// More for the user, such as which network they fit; on a line of its own.
         hint: String,
     },
     /// The parameters fit, but the file says that they are another network's.
@@ -79,8 +67,8 @@ pub enum WeightsError {
     },
 }
 
-/// `network` with the weights of a checkpoint: PyTorch (zip, legacy, Lightning), safetensors or burnpack, told apart by
-/// content.
+/// `network` with the weights of a checkpoint: PyTorch (zip, legacy, Lightning), safetensors or burnpack, recognized
+/// by content.
 ///
 /// # Errors
 /// When the file cannot be read, or its parameters are not those of the network, each and no other.

@@ -6,7 +6,7 @@
 use std::sync::LazyLock;
 
 use burn::tensor::{Device, Tensor, TensorData};
-use safetensors::SafeTensors;
+use srflow_golden::{Golden, name_hash, noise, numbers};
 use srflow_ops::Activation;
 use srflow_ops::attention::tensor::Attention;
 use srflow_ops::batch_norm::tensor::batch_norm;
@@ -35,24 +35,7 @@ static DEVICE: LazyLock<Device> = LazyLock::new(|| {
     srflow_ops::device(name.as_deref().unwrap_or("cpu")).expect("the device of SRFLOW_TEST_DEVICE")
 });
 
-static GOLDEN: LazyLock<Vec<u8>> = LazyLock::new(|| {
-    let path = "tests/golden/pytorch.safetensors";
-    std::fs::read(path).expect(path)
-});
-
-/// Uniform in -1..1, from a hash of the index and the seed.
-fn noise(index: u32, seed: u32) -> f32 {
-    let mut x = index.wrapping_mul(0x9E37_79B9) ^ seed;
-    x = (x ^ (x >> 16)).wrapping_mul(0x85EB_CA6B);
-    x = (x ^ (x >> 13)).wrapping_mul(0xC2B2_AE35);
-    x ^= x >> 16;
-    (x >> 8) as f32 / 8_388_608.0 - 1.0
-}
-
-/// FNV-1a.
-fn name_hash(name: &str) -> u32 {
-    name.bytes().fold(0x811C_9DC5, |value, byte| (value ^ u32::from(byte)).wrapping_mul(0x0100_0193))
-}
+static GOLDEN: LazyLock<Golden> = LazyLock::new(|| Golden::read("tests/golden/pytorch.safetensors"));
 
 /// Weights of variance 1 / fan_in; positions and displacements that leave the image; the rest in -1..1.
 fn made_up<const D: usize>(case: &str, name: &str, shape: [usize; D], device: &Device) -> Tensor<D> {
@@ -69,18 +52,12 @@ fn made_up<const D: usize>(case: &str, name: &str, shape: [usize; D], device: &D
     Tensor::from_data(TensorData::new(values, shape), device)
 }
 
-fn assert_close<const D: usize>(golden: &SafeTensors, name: &str, found: Tensor<D>, every: usize) {
-    let expected = golden.tensor(name).expect(name);
-    let expected: Vec<f32> = expected
-        .data()
-        .chunks_exact(size_of::<f32>())
-        .map(|bytes| f32::from_le_bytes(bytes.try_into().expect("four")))
-        .collect();
-    let found: Vec<f32> = found.into_data().try_to_vec().expect("f32");
-    let found: Vec<f32> = found.into_iter().step_by(every).collect();
+fn assert_close<const D: usize>(name: &str, found: Tensor<D>, every: usize) {
+    let expected = GOLDEN.values(name);
+    let found: Vec<f32> = numbers(found).into_iter().step_by(every).collect();
     assert_eq!(found.len(), expected.len(), "{name}");
     let size = expected.iter().fold(0.0_f32, |size, x| size.max(x.abs()));
-    let worst = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    let worst = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     println!("{name}: largest difference {worst:.1e} beside {size:.1e}");
     assert!(worst <= TOLERANCE * size, "{name}: {worst} beside {size}");
 }
@@ -93,20 +70,19 @@ fn check_every(
     shapes: &[(&str, [usize; 4])],
     operation: impl Fn(Vec<Tensor<4>>) -> Tensor<4>,
 ) {
-    let golden = SafeTensors::deserialize(&GOLDEN).expect("the golden values");
     let inputs = |device: &Device| -> Vec<Tensor<4>> {
         shapes.iter().map(|&(name, shape)| made_up(case, name, shape, device)).collect()
     };
     let output = format!("{case} output");
-    assert_close(&golden, &output, operation(inputs(&DEVICE)), every);
+    assert_close(&output, operation(inputs(&DEVICE)), every);
     let tracking = DEVICE.clone().autodiff();
     let leaves: Vec<_> = inputs(&tracking).into_iter().map(Tensor::require_grad).collect();
     let found = operation(leaves.clone());
     let grad = made_up(case, "output", found.dims(), &tracking);
     let grads = (found.clone() * grad).sum().backward();
-    assert_close(&golden, &output, found, every);
+    assert_close(&output, found, every);
     for (leaf, (name, _)) in leaves.iter().zip(shapes) {
-        assert_close(&golden, &format!("{case} {name}"), leaf.grad(&grads).expect(name), 1);
+        assert_close(&format!("{case} {name}"), leaf.grad(&grads).expect(name), 1);
     }
 }
 

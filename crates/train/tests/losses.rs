@@ -2,7 +2,7 @@
 //! stay finite where there is nothing to learn.
 
 use burn::tensor::{Device, Tensor, TensorData};
-use safetensors::SafeTensors;
+use srflow_golden::{Golden, numbers};
 use srflow_train::loss::{
     Border, LaplaceMixture, LossConfig, LossError, LossInputs, MaskReading, Prediction, REGULARIZERS,
     SEQUENCE_LOSSES, SequenceLoss, losses,
@@ -10,42 +10,26 @@ use srflow_train::loss::{
 
 const PREDICTIONS: usize = 3;
 
-fn golden() -> Vec<u8> {
-    let path = "tests/golden/losses.safetensors";
-    std::fs::read(path).expect(path)
-}
-
-fn stored(file: &SafeTensors, name: &str) -> (Vec<f32>, Vec<usize>) {
-    let tensor = file.tensor(name).expect(name);
-    let values = tensor.data().as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
-    (values, tensor.shape().to_vec())
-}
-
-fn tensor(file: &SafeTensors, name: &str, device: &Device) -> Tensor<4> {
-    let (values, shape) = stored(file, name);
-    Tensor::from_data(TensorData::new(values, shape), device)
-}
-
-fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().try_to_vec().expect("f32")
+fn golden() -> Golden {
+    Golden::read("tests/golden/losses.safetensors")
 }
 
 fn number(tensor: Tensor<1>) -> f32 {
     numbers(tensor)[0]
 }
 
-fn inputs(file: &SafeTensors, device: &Device) -> LossInputs {
+fn inputs(golden: &Golden, device: &Device) -> LossInputs {
     LossInputs {
-        truth: tensor(file, "truth", device),
-        valid: tensor(file, "valid", device),
-        first_frame: tensor(file, "first_frame", device),
-        foreground: Some(tensor(file, "foreground", device)),
+        truth: golden.tensor("truth", device),
+        valid: golden.tensor("valid", device),
+        first_frame: golden.tensor("first_frame", device),
+        foreground: Some(golden.tensor("foreground", device)),
     }
 }
 
 /// The stored predictions as leaves of the gradient's graph.
-fn predictions(file: &SafeTensors, device: &Device) -> Vec<Prediction> {
-    let leaf = |name: &str, i: usize| tensor(file, &format!("{name}_{i}"), device).require_grad();
+fn predictions(golden: &Golden, device: &Device) -> Vec<Prediction> {
+    let leaf = |name: &str, i: usize| golden.tensor::<4>(&format!("{name}_{i}"), device).require_grad();
     (0..PREDICTIONS)
         .map(|i| Prediction {
             flow: leaf("flow", i),
@@ -59,16 +43,15 @@ fn predictions(file: &SafeTensors, device: &Device) -> Vec<Prediction> {
 
 /// Holds the part of this name (or the total) and its gradients to a stored case.
 fn check(case: &str, part: &str, config: &LossConfig) {
-    let bytes = golden();
-    let file = SafeTensors::deserialize(&bytes).expect("safetensors");
+    let golden = golden();
     let device = Device::flex().autodiff();
-    let predictions = predictions(&file, &device);
-    let losses = losses(config, &predictions, &inputs(&file, &device)).expect("a loss");
+    let predictions = predictions(&golden, &device);
+    let losses = losses(config, &predictions, &inputs(&golden, &device)).expect("a loss");
     let loss = match part {
         "total" => losses.total,
         _ => losses.parts.into_iter().find(|(name, _)| *name == part).expect(part).1,
     };
-    let expected = stored(&file, &format!("{case}.value")).0[0];
+    let expected = golden.values(&format!("{case}.value"))[0];
     let found = number(loss.clone());
     assert!((found - expected).abs() <= 1e-5 * expected.abs(), "{case}: {found} for {expected}");
 
@@ -82,15 +65,15 @@ fn check(case: &str, part: &str, config: &LossConfig) {
         ];
         for (leaf, tensor) in leaves {
             let name = format!("{case}.{leaf}_{i}");
-            if file.tensor(&name).is_err() {
+            if !golden.has(&name) {
                 assert!(tensor.grad(&grads).is_none(), "{name}: a gradient that the loss does not have");
                 continue;
             }
-            let expected = stored(&file, &name).0;
+            let expected = golden.values(&name);
             let found = numbers(tensor.grad(&grads).expect("a gradient"));
             let largest = expected.iter().fold(0.0_f32, |largest, x| largest.max(x.abs()));
             assert!(largest > 0.0, "{name}: a case without a gradient checks nothing");
-            for (at, (found, expected)) in found.iter().zip(&expected).enumerate() {
+            for (at, (found, expected)) in found.iter().zip(expected).enumerate() {
                 assert!((found - expected).abs() <= 1e-4 * largest, "{name}, {at}: {found} for {expected}");
             }
         }
@@ -141,10 +124,9 @@ fn all() -> LossConfig {
 #[test]
 fn the_total_is_the_sum_of_the_parts() {
     check("all", "total", &all());
-    let bytes = golden();
-    let file = SafeTensors::deserialize(&bytes).expect("safetensors");
+    let golden = golden();
     let device = Device::flex().autodiff();
-    let found = losses(&all(), &predictions(&file, &device), &inputs(&file, &device)).expect("a loss");
+    let found = losses(&all(), &predictions(&golden, &device), &inputs(&golden, &device)).expect("a loss");
     let names: Vec<&str> = found.parts.iter().map(|(name, _)| *name).collect();
     assert_eq!(names, ["sequence", "tvr", "fdr", "migar", "igvar"]);
     let sum: f32 = found.parts.into_iter().map(|(_, part)| number(part)).sum();
@@ -155,22 +137,21 @@ fn the_total_is_the_sum_of_the_parts() {
 /// Along a random direction. A few absolute values change their sign within the step, each of which moves the difference.
 #[test]
 fn gradients_are_the_differences_of_the_values() {
-    let bytes = golden();
-    let file = SafeTensors::deserialize(&bytes).expect("safetensors");
+    let golden = golden();
     let mixture = LossConfig { sequence: sequence("mixture-of-laplace"), ..LossConfig::default() };
     let l2 = LossConfig { sequence: sequence("l2"), ..LossConfig::default() };
     for config in [all(), l2, mixture] {
         let tracked = Device::flex().autodiff();
-        let leaves = predictions(&file, &tracked);
-        let grads = losses(&config, &leaves, &inputs(&file, &tracked)).expect("a loss").total.backward();
+        let leaves = predictions(&golden, &tracked);
+        let grads = losses(&config, &leaves, &inputs(&golden, &tracked)).expect("a loss").total.backward();
         let device = Device::flex().autodiff();
-        let direction = tensor(&file, "log_scales_0", &device);
+        let direction = golden.tensor::<4>("log_scales_0", &device);
         let flow = leaves[1].flow.grad(&grads).expect("a gradient");
         let along = number((flow * direction.clone()).sum());
         let moved = |by: f32| {
-            let mut moved = predictions(&file, &device);
+            let mut moved = predictions(&golden, &device);
             moved[1].flow = moved[1].flow.clone() + direction.clone() * by;
-            number(losses(&config, &moved, &inputs(&file, &device)).expect("a loss").total)
+            number(losses(&config, &moved, &inputs(&golden, &device)).expect("a loss").total)
         };
         const STEP: f32 = 1.0 / 512.0;
         let expected = (moved(STEP) - moved(-STEP)) / (2.0 * STEP);
@@ -305,16 +286,15 @@ fn a_mask_keeps_the_inside_of_the_head() {
 
 #[test]
 fn without_a_mask_every_pixel_is_of_the_head() {
-    let bytes = golden();
-    let file = SafeTensors::deserialize(&bytes).expect("safetensors");
+    let golden = golden();
     let device = Device::flex().autodiff();
-    let with = |foreground| LossInputs { foreground, ..inputs(&file, &device) };
+    let with = |foreground| LossInputs { foreground, ..inputs(&golden, &device) };
     let total = |inputs: LossInputs| {
-        number(losses(&all(), &predictions(&file, &device), &inputs).expect("a loss").total)
+        number(losses(&all(), &predictions(&golden, &device), &inputs).expect("a loss").total)
     };
-    let whole = Tensor::ones(inputs(&file, &device).valid.dims(), &device);
+    let whole = Tensor::ones(inputs(&golden, &device).valid.dims(), &device);
     assert_eq!(total(with(None)), total(with(Some(whole))));
-    assert_ne!(total(with(None)), total(inputs(&file, &device)));
+    assert_ne!(total(with(None)), total(inputs(&golden, &device)));
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
-const PIPELINE: [&str; 14] = [
+const PIPELINE: [&str; 15] = [
     "srflow-field",
     "srflow-simd",
     "srflow-splat",
@@ -14,6 +14,7 @@ const PIPELINE: [&str; 14] = [
     "srflow-render",
     "srflow-classical",
     "srflow-eval",
+    "srflow-golden",
     "srflow-ops",
     "srflow-nn",
     "srflow-nets",

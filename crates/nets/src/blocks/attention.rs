@@ -7,11 +7,11 @@ use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation;
 use srflow_ops::attention::tensor::Attention as AttentionMap;
 
-/// Of the weights between all pairs of pixels, which no iteration changes, as many are kept; the rest is computed anew
-/// each time.
+/// The weights between all pairs of pixels do not change between iterations: up to this size they are kept, the rest is
+/// recomputed in each iteration.
 pub(crate) const KEPT_BYTES: usize = 800 << 20;
 /// With gradients, where most of a step is spent elsewhere: frames of 256x192 keep all, and at 800x512, where a map takes
-/// 164 MB and as much for the gradients of values, computing all of them anew is about 2 % of a step.
+/// 164 MB and as much for the gradients of values, recomputing all of them is about 2 % of a step.
 const KEPT_BYTES_IN_TRAINING: usize = 1 << 28;
 /// Positions that the reference has an embedding for, in each direction.
 const POSITIONS: usize = 2 * 160 - 1;

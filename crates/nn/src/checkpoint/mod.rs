@@ -1,4 +1,4 @@
-//! Checkpoint files of other programs, told apart by their content.
+//! Checkpoint files of other programs, recognized by their content.
 //!
 //! PyTorch files are pickles: they are parsed, never executed. Opening a file reads the names, types and shapes of its
 //! tensors; every size it claims is checked against the length of the file before memory is taken.

@@ -1,4 +1,4 @@
-//! Features on disk, by what they follow from.
+//! Features on disk, keyed by everything they depend on.
 
 use std::io;
 use std::path::{Path, PathBuf};

@@ -84,7 +84,7 @@ pub struct ExtractError {
     pub problem: ExtractProblem,
 }
 
-/// What went wrong with a clip; see [`ExtractError`].
+/// See [`ExtractError`].
 #[derive(Debug, thiserror::Error)]
 pub enum ExtractProblem {
     /// No apex is known.

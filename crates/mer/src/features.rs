@@ -34,10 +34,7 @@ pub enum FeatureError {
     },
     /// There are more or fewer values than three maps have.
     #[error("{found} values, expected 3 x {FEATURE_SIDE} x {FEATURE_SIDE}")]
-    Length {
-        /// How many there are.
-        found: usize,
-    },
+    Length { found: usize },
     /// A value is infinite or not a number.
     #[error("feature map {channel:?} holds a value that is not finite at pixel ({x}, {y})")]
     NotFinite { channel: Channel, x: usize, y: usize },

@@ -9,13 +9,12 @@ use crate::classifier::{Classifier, initialized};
 use crate::protocol::Protocol;
 use crate::training::Training;
 
-/// A clip as a classifier takes it.
+/// The input of a classifier for one clip.
 pub(crate) struct Example {
     pub(crate) input: Vec<f32>,
     pub(crate) class: usize,
 }
 
-/// What training one fold gave.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Trained {
     /// By recorded epoch, then by clip of the subject, then by class.

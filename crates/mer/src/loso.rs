@@ -30,21 +30,19 @@ pub struct Loso {
     pub folds: Vec<FoldRecord>,
 }
 
-/// How one fold went.
+/// How one fold was trained.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FoldRecord {
     /// The dataset of the subject who is left out.
     pub dataset: String,
     pub subject: String,
-    /// The subject's clips.
     pub clips: usize,
-    /// Classes that no other subject shows: the classifier cannot know them.
+    /// Classes that no other subject shows: the classifier cannot learn them.
     pub unseen_classes: Vec<String>,
     /// By recorded epoch: mean cross-entropy over the training clips during that epoch.
     pub training_losses: Vec<f64>,
-    /// What the training took.
     pub seconds: f64,
-    /// Whether the result was there from an earlier run.
+    /// Whether an earlier run has computed it.
     pub resumed: bool,
 }
 
@@ -60,7 +58,7 @@ pub enum LosoEvent {
     Fold {
         /// The clips that it is trained on in each epoch.
         clips: usize,
-        /// The result was there from an earlier run.
+        /// An earlier run has computed it.
         resumed: bool,
     },
 }
@@ -71,7 +69,7 @@ pub enum LosoError {
     /// A value of the protocol cannot be used.
     #[error(transparent)]
     Protocol(#[from] ProtocolError),
-    /// Nobody can be left out.
+    /// There are not two subjects.
     #[error("leaving one subject out needs clips of at least 2 subjects; found {}", listed(.0))]
     Subjects(Vec<String>),
     /// Two clips of one subject share a name.

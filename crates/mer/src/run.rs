@@ -57,7 +57,7 @@ pub struct RunMethod<'a> {
     pub record: MethodRecord,
 }
 
-/// What a run does, from any thread.
+/// Progress of a run, from any thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RunEvent<'a> {
     /// The apex of this many clips is going to be spotted.
@@ -71,7 +71,7 @@ pub enum RunEvent<'a> {
         /// Clips of all datasets.
         clips: usize,
     },
-    /// One clip more has its apex or its features.
+    /// The apex or the features of one more clip are computed.
     Clip,
     Training {
         /// Clips that all folds of all sets and methods are trained on, times the epochs. Time follows this number.
@@ -91,7 +91,7 @@ pub enum RunEvent<'a> {
     },
 }
 
-/// Where a run keeps what is not computed twice.
+/// Folders of results that are reused.
 #[derive(Debug, Clone, Copy)]
 pub struct RunFolders<'a> {
     /// Of features, for any run.
@@ -103,7 +103,6 @@ pub struct RunFolders<'a> {
 /// What a run gives; [`ResultsFolder::write`](crate::ResultsFolder::write) makes files of it.
 #[derive(Debug)]
 pub struct RunResults {
-    /// How it was made.
     pub settings: RunSettings,
     /// By dataset, what was used of it.
     pub data: Vec<DataRecord>,
@@ -142,10 +141,10 @@ pub enum RunError {
     /// A value of the protocol cannot be used.
     #[error(transparent)]
     Protocol(#[from] ProtocolError),
-    /// There is nothing to be composed.
+    /// One dataset is no composite.
     #[error("the composite set needs several datasets, found {0}; give more, or take each by itself")]
     Composite(usize),
-    /// Nobody can be left out.
+    /// A set has fewer than two subjects.
     #[error("{set}: leaving one subject out needs clips of at least 2 subjects; found {found}")]
     Subjects { set: String, found: usize },
     /// A clip has no features.

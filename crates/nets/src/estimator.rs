@@ -11,7 +11,7 @@ use crate::tiles::check_sizes;
 use crate::{Estimate, Features, Frames, Network, Request};
 
 /// Shorter sides of a frame are padded to this many pixels by repeating the border. The coarsest level of a correlation
-/// pyramid is then two pixels wide; of less the reference implementation gives NaN, or no answer.
+/// pyramid is then two pixels wide; with less, the reference implementation gives NaN or fails.
 pub const SMALLEST_SIDE: usize = 128;
 
 /// A [`Network`] that estimates flow between images of any size.
@@ -66,7 +66,7 @@ impl NetworkEstimator {
         self.network.forward(frames, &request)
     }
 
-    /// The flows of a batch, as large as the frames were.
+    /// The flows of a batch, in the size of the frames.
     fn fields(&self, flows: &Tensor<4>, canvas: Canvas) -> Result<Vec<FlowField>, EstimateError> {
         let [pairs, _, height, width] = flows.dims();
         let numbers = self.numbers(flows.clone())?;
@@ -95,7 +95,7 @@ impl NetworkEstimator {
         Ok(numbers)
     }
 
-    /// `flow`, of the size of the frames, as the coarse flow that a network refines, in the coarse pixels.
+    /// `flow`, in the size of the frames, as a coarse flow in coarse pixels.
     fn coarse(&self, flow: &FlowField, canvas: Canvas) -> Tensor<4> {
         let [width, height] = [canvas.extended.0, canvas.extended.1].map(|side| side.div_ceil(STRIDE));
         let border = [width * STRIDE - canvas.extended.0, height * STRIDE - canvas.extended.1];
@@ -167,7 +167,7 @@ impl FlowEstimator for NetworkEstimator {
 }
 
 impl NetworkEstimator {
-    /// The initial flow is that of a pair alone.
+    /// `initial` is for a single pair.
     fn between(
         &self,
         pairs: &[[&Image; 2]],
@@ -225,7 +225,7 @@ impl FlowSequence for NetworkSequence<'_> {
 }
 
 impl NetworkSequence<'_> {
-    /// Pairs that are estimated at once. `frames` is not empty, its frames of one size.
+    /// Estimates all pairs at once. `frames` is not empty, its frames of one size.
     fn next(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
         let canvas = Canvas::of(frames[0].size());
         let (last, coarse) = match self.state.take() {
@@ -247,7 +247,7 @@ impl NetworkSequence<'_> {
     }
 }
 
-/// Where a frame lies in what the network sees.
+/// The place of a frame in its padded image.
 #[derive(Debug, Clone, Copy)]
 struct Canvas {
     size: (usize, usize),

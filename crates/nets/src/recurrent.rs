@@ -1,5 +1,5 @@
-//! The loop of RAFT (Teed and Deng 2020) and its kin: look up correlations where the flow points, update a hidden state,
-//! add the change of the flow it gives.
+//! The loop of RAFT (Teed and Deng 2020) and the networks derived from it: look up correlations where the flow points,
+//! update a hidden state, and add the change of the flow that it gives.
 
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Int, Tensor};
@@ -10,9 +10,9 @@ use crate::encoded::Encoded;
 use crate::features::Features;
 use crate::frames::Frames;
 
-/// Pixels of a frame along the side of a pixel of the flow that is refined.
+/// Pixels of a frame along the side of a coarse pixel.
 pub(crate) const STRIDE: usize = 8;
-/// Levels of the pyramid of correlations.
+/// Levels of the correlation pyramid.
 pub(crate) const LEVELS: usize = 4;
 
 /// How to estimate.
@@ -20,18 +20,18 @@ pub(crate) const LEVELS: usize = 4;
 pub struct Request {
     /// Refinements.
     pub iterations: usize,
-    /// The coarse flow to start from ([`Estimate::coarse`] of the frames before, moved along itself); else zero.
+    /// The coarse flow to start from, such as [`Estimate::coarse`] of the previous pair, warped forward; zero without one.
     pub start: Option<Tensor<4>>,
-    /// Give the flow after every iteration, as training needs it. Otherwise only the last is upsampled.
+    /// Return the flow of every iteration, as training needs; otherwise only the last is upsampled.
     pub every_iteration: bool,
-    /// Features of the first and of the second frames, where they are known already; see [`Features`].
+    /// Features of the first and second frames, if they are known; see [`Features`].
     pub features: Option<[Features; 2]>,
-    /// Everything that is known of the frames before they are refined: of them only the size is taken then.
+    /// The output of all encoders, if it is known; only the size of the frames is used then.
     pub encoded: Option<Encoded>,
 }
 
 impl Request {
-    /// Only the last flow, from nothing.
+    /// Only the last flow, from zero.
     pub fn new(iterations: usize) -> Self {
         Self { iterations, start: None, every_iteration: false, features: None, encoded: None }
     }
@@ -40,11 +40,11 @@ impl Request {
 /// What a network gives.
 #[derive(Debug, Clone)]
 pub struct Estimate {
-    /// Flow in pixels, `[batch, 2, height, width]` (u, v), after each iteration; one alone unless all were asked for.
+    /// Flow in pixels, `[batch, 2, height, width]` (u, v), of the last iteration or of all.
     pub flows: Vec<Tensor<4>>,
-    /// The last flow at an eighth of the (padded) size, in its own pixels: a start for the next pair of frames.
+    /// The last flow at an eighth of the padded size, in coarse pixels: a start for the next pair of frames.
     pub coarse: Tensor<4>,
-    /// The hidden state behind it.
+    /// The last hidden state.
     pub hidden: Tensor<4>,
 }
 
@@ -55,11 +55,11 @@ impl Estimate {
     }
 }
 
-/// What all networks of this kind compute before they refine.
+/// What all of these networks compute before the first iteration.
 pub(crate) struct Encoders<'a> {
-    /// Of what correlations are computed from.
+    /// For correlations.
     pub(crate) features: &'a Encoder,
-    /// Of the first hidden state and the context.
+    /// For the first hidden state and the context.
     pub(crate) context: &'a Encoder,
     /// Channels of the hidden state.
     pub(crate) hidden: usize,
@@ -68,7 +68,7 @@ pub(crate) struct Encoders<'a> {
 }
 
 impl Encoders<'_> {
-    /// The first hidden state, and what stays the same in every iteration.
+    /// The first hidden state, and the context, which no iteration changes.
     fn hidden_and_context(&self, first: Tensor<4>) -> [Tensor<4>; 2] {
         let both = self.context.forward(first);
         let context = both.dims()[1] - self.hidden;
@@ -76,7 +76,7 @@ impl Encoders<'_> {
     }
 }
 
-/// A network that refines flow as RAFT does: it says what is its own, and the loop is here.
+/// A network that refines flow as RAFT does; it implements what differs between them.
 pub(crate) trait Recurrent {
     fn encoders(&self) -> Encoders<'_>;
 

@@ -5,13 +5,13 @@ use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image}
 
 use crate::tiles::check_sizes;
 
-/// An estimator that sees frames resized by a factor; its flow is brought back to the size of the frames.
+/// An estimator on frames resized by a factor; its flow is resized back.
 pub struct Scaled {
     estimator: Box<dyn FlowEstimator>,
     factor: f64,
 }
 
-/// Width and height that [`Scaled`] makes of a frame's: each times `factor`, rounded, at least 1.
+/// Width and height of a frame scaled by [`Scaled`]: each times `factor`, rounded, at least 1.
 pub fn scaled_size((width, height): (usize, usize), factor: f64) -> (usize, usize) {
     let side = |side: usize| ((side as f64 * factor).round() as usize).max(1);
     (side(width), side(height))

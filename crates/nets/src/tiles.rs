@@ -1,17 +1,16 @@
-//! Frames that are too large for the memory there is, tile by tile.
+//! Flow of frames too large for the memory, estimated in tiles.
 //!
-//! A tile is the same rectangle of both frames. Its flow is estimated as if there were nothing around it, so that what is
-//! seen from farther away is lost: motion that leaves the tile by more than the overlap, the attention of GMA and SKFlow to
-//! the rest of the frame, and the rest of the frame in the normalization of the features. Where tiles overlap, their flows
-//! are blended by weights that fall smoothly towards the edge of each.
+//! A tile is the same rectangle of both frames, estimated on its own. Context outside of it is lost: motion that leaves the
+//! tile by more than the overlap, the attention of GMA and SKFlow to the rest of the frame, and the rest of the frame in
+//! instance norm. Overlapping tiles are blended with weights that fall smoothly towards their edges.
 
 use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image};
 
 use crate::recurrent::STRIDE;
 
-/// Tiles start at multiples of this, where the pixels of a network's coarse flow do in the whole frame.
+/// Tiles start at multiples of this, so that their coarse pixels are those of the whole frame.
 const ALIGNMENT: usize = 8;
-/// Part of an overlap, at the edge of each of the two tiles, where that tile counts for nothing.
+/// Part of an overlap, at the edge of each tile, where the weight of that tile is zero.
 const MARGIN: f32 = 1.0 / 8.0;
 
 /// How large tiles are.
@@ -19,30 +18,25 @@ const MARGIN: f32 = 1.0 / 8.0;
 pub enum TileSize {
     /// Width and height in pixels; a frame that is not larger is one tile.
     Fixed(usize, usize),
-    /// As few, alike and nearly square tiles as fit, each, into so much memory.
-    Fitting {
-        /// What estimating takes.
-        need: MemoryNeed,
-        /// What there is, in bytes.
-        bytes: u64,
-    },
+    /// The fewest equal and nearly square tiles that fit into this much memory.
+    Fitting { need: MemoryNeed, bytes: u64 },
 }
 
-/// Memory that estimating takes at its peak, beside what the program takes anyway.
+/// Peak memory of estimating, beside that of the program itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryNeed {
     pub fixed: u64,
     /// Bytes for each pixel of a frame.
     pub per_pixel: u64,
-    /// Pairs of frames in which every pixel of the coarse flow attends to every other, with a weight of 4 bytes; 0 where none
-    /// does.
+    /// Pairs of frames in which every pixel of the coarse flow attends to every other, with a weight of 4 bytes; 0 without
+    /// attention.
     pub attending: u64,
-    /// Bytes of these weights that are kept at most.
+    /// Limit on the bytes of these weights.
     pub most_weights: u64,
 }
 
 impl MemoryNeed {
-    /// For a frame, or tile, of so many pixels.
+    /// For a frame or tile of this many pixels.
     pub fn bytes(&self, pixels: usize) -> u64 {
         let pixels = pixels as u64;
         let coarse = pixels.div_ceil((STRIDE * STRIDE) as u64);
@@ -51,7 +45,7 @@ impl MemoryNeed {
         self.fixed.saturating_add(each).saturating_add(weights.min(self.most_weights))
     }
 
-    /// What so many pairs at once take.
+    /// For this many pairs at once.
     pub fn of_batch(&self, pairs: usize) -> Self {
         let times = |bytes: u64| bytes.saturating_mul(pairs as u64);
         Self { per_pixel: times(self.per_pixel), attending: times(self.attending), ..*self }
@@ -76,9 +70,7 @@ pub struct Tiles {
 pub struct NothingFits {
     /// Width and height.
     pub smallest: (usize, usize),
-    /// Bytes that it takes.
     pub needed: u64,
-    /// Bytes that there are.
     pub free: u64,
 }
 
@@ -90,7 +82,7 @@ impl Tiles {
     /// is at most half of a tile's side.
     ///
     /// # Errors
-    /// When the tiles are to fit into a memory that is too small.
+    /// When no tile fits into the memory.
     pub fn new(frame: (usize, usize), size: TileSize, overlap: usize) -> Result<Self, NothingFits> {
         let (width, height) = match size {
             TileSize::Fixed(width, height) => (width, height),
@@ -106,7 +98,7 @@ impl Tiles {
         })
     }
 
-    /// Tries one tile, then two, and so on; of the ways to lay so many, the one whose tiles are smallest.
+    /// Tries one tile, then two, and so on; for each count, the grid with the smallest tiles.
     fn fitting(
         frame: (usize, usize),
         overlap: usize,
@@ -169,7 +161,7 @@ fn starts(length: usize, size: usize, overlap: usize) -> Vec<usize> {
     starts
 }
 
-/// What a pixel of a tile counts, along one axis: 1 inside, falling to 0 towards an edge that another tile overlaps.
+/// The weight of each pixel of a tile along one axis: 1 inside, falling to 0 towards an edge that another tile overlaps.
 fn weights(starts: &[usize], number: usize, size: usize) -> Vec<f32> {
     let overlap = |before: usize, after: usize| (before + size).saturating_sub(after) as f32;
     let left = number.checked_sub(1).map(|before| overlap(starts[before], starts[number]));
@@ -188,7 +180,7 @@ fn weights(starts: &[usize], number: usize, size: usize) -> Vec<f32> {
     (0..size).map(weight).collect()
 }
 
-/// Flows of tiles, put together.
+/// The weighted mean of the flows of tiles.
 struct Blend<'a> {
     tiles: &'a Tiles,
     sums: FlowField,
@@ -351,7 +343,7 @@ impl FlowSequence for TiledSequence<'_> {
 mod tests {
     use super::*;
 
-    /// The red channel is x, green y: a tile can say where it lies.
+    /// Red is x, green y: the flow says where its tile lies.
     struct Places;
 
     impl FlowEstimator for Places {
@@ -365,7 +357,7 @@ mod tests {
         }
     }
 
-    /// Gives each call its number: neighbouring tiles disagree.
+    /// The flow is the number of the call: neighbouring tiles differ.
     struct Counting(std::sync::atomic::AtomicUsize);
 
     impl FlowEstimator for Counting {
@@ -404,7 +396,6 @@ mod tests {
         }
     }
 
-    /// From one tile's flow to the next there is no step.
     #[test]
     fn tiles_that_disagree_are_blended_smoothly() {
         let frame = Image::new(200, 20);

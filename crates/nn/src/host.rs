@@ -10,7 +10,7 @@ use burn::tensor::{Gradients, Tensor, TensorData};
 
 use crate::parameters::parameter_infos;
 
-/// Where each tensor of a network lies.
+/// Where each tensor of a network is among its numbers.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Layout {
     segments: Vec<Segment>,
@@ -74,12 +74,12 @@ pub struct HostGradients {
 }
 
 impl HostGradients {
-    /// Of nothing.
+    /// Zero, with no tensor reached.
     pub fn zero(layout: &Layout) -> Self {
         Self { values: vec![0.0; layout.len()], reached: vec![false; layout.segments.len()] }
     }
 
-    /// Adds what a backward pass gave for the tensors of `network`, times `weight`.
+    /// Adds the gradients of a backward pass, times `weight`.
     pub fn add(&mut self, network: &impl Module, layout: &Layout, gradients: &Gradients, weight: f32) {
         let segments = layout.segments.iter().enumerate();
         network.visit(&mut Adding { segments, gradients, weight, sum: self });

@@ -1,5 +1,4 @@
-//! What networks are built from, trained with and stored in: layers, parameters under the names of the reference
-//! implementations, checkpoint files, AdamW.
+//! The base of all networks: layers, parameters under the names of the reference implementations, checkpoint files, AdamW.
 
 mod checkpoint;
 mod host;

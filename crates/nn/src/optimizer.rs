@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::host::{Layout, numbers};
 
-/// Numbers that one task works on. Sums are taken block by block, in order.
+/// Numbers per task. Sums are taken block by block, in order.
 const BLOCK: usize = 1 << 14;
 
 /// Settings of AdamW (Loshchilov and Hutter, ICLR 2019), named as in `torch.optim.AdamW`. Without weight decay it is Adam
@@ -21,25 +21,25 @@ pub struct AdamW {
     pub betas: [f64; 2],
     /// Added to the root of the second average.
     pub epsilon: f64,
-    /// Share of a parameter that is taken off it in each step, times the learning rate.
+    /// Share by which each step shrinks a parameter, times the learning rate.
     pub weight_decay: f64,
     /// How the products are rounded.
     pub rounding: Rounding,
 }
 
-/// In which order two products of three factors are multiplied. They differ in the last bit.
+/// The order in which two products of three factors are multiplied; the results differ in the last bit.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rounding {
     /// `((1 - beta2) g) g` and `(step mean) / root`: `_single_tensor_adamw` of PyTorch.
     Pytorch,
-    /// `(1 - beta2) (g g)` and `step (mean / root)`: what the classifiers' results of docs/results.md are computed with.
+    /// `(1 - beta2) (g g)` and `step (mean / root)`: as for the classifiers' results of docs/results.md.
     Grouped,
 }
 
-/// What AdamW remembers between steps of as many numbers: those of a [`Layout`], or of one tensor.
+/// The state of AdamW between steps, for the numbers of a [`Layout`] or of one tensor.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct AdamWState {
-    /// Steps that were taken.
+    /// Steps taken.
     pub steps: u64,
     /// Averages of the gradients.
     pub mean: Vec<f32>,
@@ -141,7 +141,7 @@ impl Update {
     }
 }
 
-/// AdamW on a network's own tensors, for networks so small that a [`Layout`] is not worth its copies.
+/// AdamW on a network's own tensors, without the copies of a [`Layout`].
 #[derive(Debug)]
 pub struct ModuleAdamW {
     settings: AdamW,
@@ -193,8 +193,8 @@ pub fn norm(gradients: &[f32]) -> f64 {
     squares.iter().sum::<f64>().sqrt()
 }
 
-/// Scales the gradients so that their [`norm`] is at most `limit`, as `torch.nn.utils.clip_grad_norm_` does; gives the
-/// norm before.
+/// Scales the gradients so that their [`norm`] is at most `limit`, as `torch.nn.utils.clip_grad_norm_` does; returns
+/// the norm before.
 pub fn clip_norm(gradients: &mut [f32], limit: f64) -> f64 {
     let norm = norm(gradients);
     let scale = limit / (norm + 1e-6);

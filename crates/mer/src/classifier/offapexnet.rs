@@ -12,7 +12,6 @@ use srflow_ops::max_pool::tensor::max_pool;
 use super::{Classifier, ClassifierFacts, reduced};
 use crate::features::Features;
 
-/// See [`Classifier::FACTS`].
 #[derive(Module, Debug)]
 pub struct OffApexNet {
     cnn1: Stream,

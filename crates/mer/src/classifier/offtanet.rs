@@ -22,7 +22,6 @@ const HEADS: usize = 4;
 /// Height and width of its maps.
 const SIDE: usize = 14;
 
-/// See [`Classifier::FACTS`].
 #[derive(Module, Debug)]
 pub struct OffTaNet {
     conv1: (Conv2d, NoParameters, BatchNorm),

@@ -15,7 +15,6 @@ use crate::features::Features;
 /// Channels of the three streams.
 const STREAMS: [usize; 3] = [3, 5, 8];
 
-/// See [`Classifier::FACTS`].
 #[derive(Module, Debug)]
 pub struct StstNet {
     conv1: Conv2d,

@@ -54,14 +54,14 @@ impl BatchNorm {
         self.normalized(x, None, false)
     }
 
-    /// `relu(norm(conv(x)))`. The norm takes away whatever the convolution's bias adds, so that with the batch's statistics
-    /// the bias is only seen by the running mean and has no gradient.
+    /// `relu(norm(conv(x)))`. The norm cancels the bias of the convolution: with the batch's statistics it only enters the
+    /// running mean and has no gradient.
     pub fn relu_after(&self, conv: &Conv2d, x: Tensor<4>) -> Tensor<4> {
         self.normalized(conv.forward_without_bias(x), conv.bias(), true)
     }
 
-    /// `activation(norm(conv(x)))`. Running statistics are folded into the convolution; with the batch's, its bias has the
-    /// rounding errors for a gradient that PyTorch gives it.
+    /// `activation(norm(conv(x)))`. Running statistics are folded into the convolution; with the batch's, the gradient of its
+    /// bias is rounding error, as in PyTorch.
     pub fn after(&self, conv: &Conv2d, x: Tensor<4>, activation: Activation) -> Tensor<4> {
         if self.batch_statistics.val().is_enabled() {
             let y = conv.forward(x, Activation::Identity);

@@ -8,7 +8,7 @@ use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::pointwise::tensor::{LayerOptions, PointwiseLayer};
 use srflow_ops::{Activation, WeightCache};
 
-/// A [`Conv2d`] to be.
+/// How a [`Conv2d`] is made.
 #[derive(Config, Debug)]
 pub struct Conv2dConfig {
     /// Input and output channels.
@@ -41,7 +41,7 @@ pub(super) fn bias_initializer() -> Initializer {
     Initializer::KaimingUniform { gain: 1.0 / 3.0_f64.sqrt(), fan_out_only: false }
 }
 
-/// PyTorch's `Conv2d`, dense or with one kernel for each channel, and what the networks do right after one.
+/// PyTorch's `Conv2d`, dense or depthwise, with bias, residual and activation in one operation.
 #[derive(Module, Debug)]
 pub struct Conv2d {
     weight: Param<Tensor<4>>,

@@ -1,8 +1,15 @@
 //! The `srflow` command. Arguments, progress bars and reports live here; algorithms live in the libraries.
 
-/// `println!` for results: standard output that is closed or full is an error, not a panic.
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
+/// `println!` for results in words: standard output that is closed or full is an error, not a panic.
 macro_rules! say {
-    ($($text:tt)*) => { crate::print_line(format_args!($($text)*)) };
+    ($($text:tt)*) => { crate::output::print_line(format_args!($($text)*)) };
+}
+
+/// `eprintln!` for progress, notes and errors: standard error that is closed or full is passed over.
+macro_rules! note {
+    ($($text:tt)*) => { crate::output::print_note(format_args!($($text)*)) };
 }
 
 mod commands;
@@ -16,11 +23,9 @@ mod size;
 mod usage;
 mod video;
 
-use std::fmt;
 use std::io::{self, Write};
 use std::process::ExitCode;
 
-use anyhow::Context as _;
 use clap::{Args, Parser, Subcommand};
 use srflow_ops::ReusingAllocator;
 
@@ -30,6 +35,9 @@ static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();
 /// From a head avatar made of 3D Gaussians to a facial optical-flow dataset to evaluated flow.
 #[derive(Parser)]
 #[command(version, propagate_version = true, arg_required_else_help = true)]
+#[command(after_help = "\
+Exit codes: 0 done, 1 failed, 2 wrong usage, 75 stopped on request (run it again to go on). With --json standard output holds \
+one JSON value: the result, or {\"error\": \"...\"} when there is none.")]
 struct Cli {
     #[command(flatten)]
     context: Context,
@@ -40,7 +48,7 @@ struct Cli {
 /// What every command takes.
 #[derive(Args, Clone)]
 pub struct Context {
-    /// Print the result as JSON on standard output
+    /// Print the result as JSON on standard output; when there is none, an object with the key `error`
     #[arg(long, global = true)]
     pub json: bool,
     /// Number of threads (default: all cores)
@@ -65,40 +73,66 @@ enum Command {
 }
 
 fn main() -> ExitCode {
-    let cli = Cli::parse(); // exits with 2 on wrong usage
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => {
+            _ = error.print();
+            if error.use_stderr() && std::env::args_os().any(|argument| argument == "--json") {
+                let text = error.to_string();
+                output::print_error_json(text.strip_prefix("error: ").unwrap_or(&text).trim_end());
+            }
+            return ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2));
+        }
+    };
     if let Some(threads) = cli.context.threads
         && let Err(error) = rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()
     {
-        eprintln!("error: starting {threads} threads: {error}");
-        return ExitCode::FAILURE;
+        return fail(&anyhow::anyhow!("starting {threads} threads: {error}"), &cli.context);
     }
+    let context = cli.context;
     let result: anyhow::Result<()> = match cli.command {
-        Command::Demo(args) => commands::demo::run(args, &cli.context),
-        Command::Render(args) => commands::render::run(args, &cli.context),
-        Command::Flow(args) => commands::flow::run(args, &cli.context),
-        Command::Train(args) => commands::train::run(args, &cli.context),
-        Command::Ablation(args) => commands::ablation::run(args, &cli.context),
-        Command::Eval(args) => commands::eval::run(args, &cli.context),
-        Command::Mer(args) => commands::mer::run(args, &cli.context),
-        Command::Metrics(args) => commands::metrics::run(args, &cli.context),
-        Command::Convert(args) => commands::convert::run(args, &cli.context),
-        Command::Rasterize(args) => commands::rasterize::run(args, &cli.context),
-        Command::Models(args) => commands::models::run(args, &cli.context),
-        Command::Check(args) => commands::check::run(args, &cli.context),
+        Command::Demo(args) => commands::demo::run(args, &context),
+        Command::Render(args) => commands::render::run(args, &context),
+        Command::Flow(args) => commands::flow::run(args, &context),
+        Command::Train(args) => commands::train::run(args, &context),
+        Command::Ablation(args) => commands::ablation::run(args, &context),
+        Command::Eval(args) => commands::eval::run(args, &context),
+        Command::Mer(args) => commands::mer::run(args, &context),
+        Command::Metrics(args) => commands::metrics::run(args, &context),
+        Command::Convert(args) => commands::convert::run(args, &context),
+        Command::Rasterize(args) => commands::rasterize::run(args, &context),
+        Command::Models(args) => commands::models::run(args, &context),
+        Command::Check(args) => commands::check::run(args, &context),
     };
     match result.and_then(|()| Ok(io::stdout().flush()?)) {
         Ok(()) => ExitCode::SUCCESS,
         // The reader has seen enough (`| head`): nothing to tell it.
         Err(error) if is_closed_pipe(&error) => ExitCode::FAILURE,
-        Err(error) => {
-            eprintln!("error: {error:#}");
-            if error.is::<usage::UsageError>() { ExitCode::from(2) } else { ExitCode::FAILURE }
-        }
+        Err(error) => fail(&error, &context),
     }
 }
 
-fn print_line(text: fmt::Arguments) -> anyhow::Result<()> {
-    writeln!(io::stdout(), "{text}").context("printing the result")
+/// Says what went wrong, with `--json` on standard output too.
+fn fail(error: &anyhow::Error, context: &Context) -> ExitCode {
+    let text = in_words(error);
+    note!("error: {text}");
+    if context.json {
+        output::print_error_json(&text);
+    }
+    if error.is::<usage::UsageError>() { ExitCode::from(2) } else { ExitCode::FAILURE }
+}
+
+/// The error and its causes; a cause that was said already is not said again.
+fn in_words(error: &anyhow::Error) -> String {
+    let mut words = String::new();
+    for cause in error.chain().map(ToString::to_string) {
+        if !words.contains(&cause) {
+            let colon = if words.is_empty() { "" } else { ": " };
+            words.push_str(colon);
+            words.push_str(&cause);
+        }
+    }
+    words
 }
 
 fn is_closed_pipe(error: &anyhow::Error) -> bool {

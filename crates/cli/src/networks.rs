@@ -97,7 +97,7 @@ impl NetworkArgs {
         let path = self.weights_of(architecture, weights)?;
         let network = load_network(architecture, &path, &device)?;
         if let Claim::Silent(others) = claim(architecture, &path)? {
-            eprintln!(
+            note!(
                 "note: {}: nothing in it says whether it is of {} or of {}, whose parameters have the same names and shapes",
                 path.display(),
                 architecture.facts().title,

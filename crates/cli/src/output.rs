@@ -2,12 +2,15 @@
 //! alike.
 
 use std::ffi::OsStr;
-use std::io::{IsTerminal, Write};
+use std::fmt;
+use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, bail};
+use serde::Serialize;
 use srflow_eval::{Table, TextStyle, joined, latex_file};
-use srflow_field::write_atomically;
+use srflow_field::{is_unprintable, printable, write_atomically};
 
 use crate::usage::wrong_usage;
 use crate::video::is_video;
@@ -57,5 +60,52 @@ pub fn latex(tables: &[Table]) -> String {
 pub fn print_tables(tables: &[Table]) -> anyhow::Result<()> {
     let colours = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     let style = if colours { TextStyle::Ansi } else { TextStyle::Plain };
-    say!("{}", joined(tables, |table| table.text(style)).trim_end())
+    let text = joined(tables, |table| table.text(style));
+    writeln!(io::stdout(), "{}", text.trim_end()).context(PRINTING)
+}
+
+const PRINTING: &str = "printing the result";
+
+/// A line on standard output; see `say!`. Text from files may be a part of it: nothing in it steers a terminal.
+pub fn print_line(text: fmt::Arguments) -> anyhow::Result<()> {
+    writeln!(io::stdout(), "{}", printable(&text.to_string())).context(PRINTING)
+}
+
+/// A line on standard error; see `note!`. When it cannot be written, nobody is left to hear of it.
+pub fn print_note(text: fmt::Arguments) {
+    _ = writeln!(io::stderr(), "{}", printable(&text.to_string()));
+}
+
+/// Whether a result has been printed as JSON: there is only one.
+static JSON_PRINTED: AtomicBool = AtomicBool::new(false);
+
+/// The result as JSON on standard output.
+pub fn print_json(result: &impl Serialize) -> anyhow::Result<()> {
+    print_json_text(&serde_json::to_string_pretty(result).context(PRINTING)?)
+}
+
+/// The result as JSON in one line on standard output.
+pub fn print_json_line(result: &impl Serialize) -> anyhow::Result<()> {
+    print_json_text(&serde_json::to_string(result).context(PRINTING)?)
+}
+
+fn print_json_text(text: &str) -> anyhow::Result<()> {
+    JSON_PRINTED.store(true, Ordering::Relaxed);
+    let mut safe = String::with_capacity(text.len() + 1);
+    for c in text.chars() {
+        if is_unprintable(c) && c != '\n' {
+            let mut units = [0; 2];
+            c.encode_utf16(&mut units).iter().for_each(|unit| safe += &format!("\\u{unit:04x}"));
+        } else {
+            safe.push(c);
+        }
+    }
+    writeln!(io::stdout(), "{safe}").context(PRINTING)
+}
+
+/// `{"error": ...}` in the place of the result, unless that was printed.
+pub fn print_error_json(error: &str) {
+    if !JSON_PRINTED.load(Ordering::Relaxed) {
+        _ = print_json_line(&serde_json::json!({ "error": error }));
+    }
 }

@@ -55,7 +55,7 @@ pub fn score(
         }
         Event::LeftOut(failure) => {
             bar.inc(1);
-            bar.suspend(|| eprintln!("left out: {}: {}", failure.pair, failure.reason));
+            bar.suspend(|| note!("left out: {}: {}", failure.pair, failure.reason));
         }
     });
     bar.finish_and_clear();

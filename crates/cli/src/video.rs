@@ -1,6 +1,6 @@
 //! Video files, through the programs `ffmpeg` and `ffprobe`.
 
-use std::ffi::OsStr;
+use std::ffi::{OsStr, OsString};
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
@@ -31,12 +31,39 @@ pub struct Facts {
     pub rate: Option<String>,
 }
 
+/// Arguments that keep ffmpeg to the file that it is given: no playlist or list of pictures that names other files, no
+/// protocol that reaches elsewhere.
+const ONLY_THIS_FILE: [&str; 4] = [
+    "-protocol_whitelist",
+    "file,pipe",
+    "-format_whitelist",
+    "mov,matroska,avi,mpeg,mpegvideo,mpegts,m4v,asf,flv,ogg,yuv4mpegpipe,gif",
+];
+
+/// The path as ffmpeg takes it for nothing but a file's name.
+fn address(path: &Path) -> OsString {
+    let mut address = OsString::from("file:");
+    address.push(path);
+    address
+}
+
 /// Asks `ffprobe`.
 pub fn facts(path: &Path) -> Facts {
+    if open_file(path, FileKind::Video).is_err() {
+        return Facts::default(); // said when it is read
+    }
     let entries = "stream=r_frame_rate,nb_read_packets";
     let mut command = Command::new("ffprobe");
-    command.args(["-v", "error", "-select_streams", "v:0", "-count_packets", "-show_entries", entries]);
-    command.args(["-of", "default=noprint_wrappers=1"]).arg(path);
+    command.args(ONLY_THIS_FILE).args([
+        "-v",
+        "error",
+        "-select_streams",
+        "v:0",
+        "-count_packets",
+        "-show_entries",
+        entries,
+    ]);
+    command.args(["-of", "default=noprint_wrappers=1"]).arg(address(path));
     let Ok(output) = command.stdin(Stdio::null()).stderr(Stdio::null()).output() else {
         return Facts::default();
     };
@@ -97,7 +124,7 @@ impl VideoReader {
     pub fn open(path: &Path) -> anyhow::Result<Self> {
         open_file(path, FileKind::Video)?;
         let mut command = Command::new("ffmpeg");
-        command.args(["-nostdin", "-v", "error", "-i"]).arg(path);
+        command.args(["-nostdin", "-v", "error"]).args(ONLY_THIS_FILE).arg("-i").arg(address(path));
         // Every frame that is stored, once, whatever its time.
         command.args(["-map", "0:v:0", "-fps_mode", "passthrough", "-pix_fmt", "rgb24"]);
         command.args(["-f", "image2pipe", "-c:v", "ppm", "-"]);

@@ -116,6 +116,19 @@ pub enum FaceError {
     /// There are no landmarks of a clip.
     #[error("{}: no landmarks of clip {clip} of subject {subject}; add a row for it", .path.display())]
     NoLandmarks { path: PathBuf, subject: String, clip: String },
+    /// An eye lies far outside of the frame: the landmarks are another frame's, or broken.
+    #[error(
+        "the landmarks put an eye at ({:.0}, {:.0}), far outside of the frame of {width}x{height} (WIDTHxHEIGHT); mend \
+         their row or leave it out", .eye[0], .eye[1]
+    )]
+    FarOutside {
+        /// The eye in pixels.
+        eye: [f64; 2],
+        /// Width of the frame.
+        width: usize,
+        /// Height of the frame.
+        height: usize,
+    },
     /// The box does not lie inside the frame.
     #[error("the box {face} does not lie in a frame of {width}x{height} (WIDTHxHEIGHT)")]
     Outside {
@@ -160,9 +173,9 @@ impl Landmarks {
         for (row, record) in (2..).zip(reader.records()) {
             let record = record.map_err(|error| wrong(error.to_string()))?;
             let coordinate = |at: usize| match record[at].parse::<f64>() {
-                Ok(value) if value.is_finite() => Ok(value),
+                Ok(value) if value.abs() <= MAX_COORDINATE => Ok(value),
                 _ => Err(wrong(format!(
-                    "row {row}, {}: expected a number, found `{}`",
+                    "row {row}, {}: expected a place in a frame, in pixels, found `{}`",
                     excerpt(&headers[at]),
                     excerpt(&record[at])
                 ))),
@@ -256,6 +269,9 @@ const EYES_X: [f64; 2] = [0.3, 0.7];
 const EYES_Y: f64 = 0.36;
 const MAX_SIDE: f64 = 8192.0;
 
+/// Landmarks beyond this, in pixels, lie in no frame of a face.
+const MAX_COORDINATE: f64 = 65_536.0;
+
 impl FaceCrop {
     /// How a clip's frames are cut.
     ///
@@ -300,7 +316,7 @@ impl ClipCrop {
     /// Cuts a frame. What lies outside of it repeats its border.
     ///
     /// # Errors
-    /// When a fixed box does not lie inside.
+    /// When a fixed box does not lie inside, or an eye far outside.
     pub fn apply(&self, frame: &Image) -> Result<Image, FaceError> {
         match *self {
             Self::Whole => Ok(frame.clone()),
@@ -314,10 +330,21 @@ impl ClipCrop {
                 }
                 Ok(frame.crop(face.left, face.top, face.width, face.height))
             }
-            Self::Upright { side, origin, right: [c, s] } => Ok(Image::from_fn(side, side, |x, y| {
-                let (x, y) = (x as f64, y as f64);
-                bilinear(frame, origin[0] + x * c - y * s, origin[1] + x * s + y * c)
-            })),
+            Self::Upright { side, origin, right: [c, s] } => {
+                let place = |x: f64, y: f64| [origin[0] + x * c - y * s, origin[1] + x * s + y * c];
+                let (width, height) = frame.size();
+                for x in EYES_X {
+                    let eye = place(x * side as f64, EYES_Y * side as f64);
+                    let near = |at: f64, whole: usize| (at / whole as f64 - 0.5).abs() <= 1.0;
+                    if !near(eye[0], width) || !near(eye[1], height) {
+                        return Err(FaceError::FarOutside { eye, width, height });
+                    }
+                }
+                Ok(Image::from_fn(side, side, |x, y| {
+                    let [x, y] = place(x as f64, y as f64);
+                    bilinear(frame, x, y)
+                }))
+            }
         }
     }
 
@@ -393,6 +420,22 @@ mod tests {
             assert!(face.get(at[0] as usize, at[1] as usize)[0] > 200);
         }
         assert!(face.get(50, 36)[0] < 30);
+    }
+
+    #[test]
+    fn landmarks_far_outside_of_the_frame_are_refused() {
+        let frame = Image::from_fn(160, 140, |_, _| [20; 3]);
+        let cut = |eyes: [[f64; 2]; 2]| ClipCrop::upright(&FacePoints::of(&eyes).unwrap()).apply(&frame);
+        assert_eq!(cut([[-10.0, 50.0], [50.0, 50.0]]).unwrap().size(), (150, 150), "cut by the border");
+        for eyes in
+            [[[60.0, 50.0], [9999.0, 50.0]], [[60.0, 50.0], [100.0, 400.0]], [[-900.0, 1.0], [-850.0, 1.0]]]
+        {
+            let error = cut(eyes).unwrap_err().to_string();
+            assert!(error.contains("far outside of the frame of 160x140"), "{error}");
+        }
+        let text = "subject,clip,left_eye_x,left_eye_y,right_eye_x,right_eye_y\n1,a,2,2,99999,2\n";
+        let error = landmarks(text).unwrap_err().to_string();
+        assert!(error.contains("row 2, right_eye_x: expected a place in a frame"), "{error}");
     }
 
     #[test]

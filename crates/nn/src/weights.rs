@@ -41,7 +41,7 @@ pub enum WeightsError {
         problem: String,
     },
     /// A checkpoint without a single tensor of floating-point numbers.
-    #[error("{}: holds no weights", .path.display())]
+    #[error("{}: holds no floating-point tensors, which weights are (counters and indices are whole numbers); give the file that the network was saved to", .path.display())]
     Empty { path: PathBuf },
     /// The weights are those of another network.
     #[error("{}: {difference}{hint}", .path.display())]

@@ -203,6 +203,32 @@ fn a_pickle_that_swells_is_an_error() {
     assert!(error.contains("its data.pkl claims 33554432 bytes"), "{error}");
 }
 
+/// A megabyte of dictionaries in dictionaries, which parsed would take a gigabyte.
+#[test]
+fn a_pickle_of_too_many_objects_is_an_error() {
+    let mut pickle = b"\x80\x02".to_vec();
+    for _ in 0..200 {
+        pickle.extend(b"}X\x01\0\0\0a".repeat(900));
+        pickle.extend(b"}");
+        pickle.extend(b"s".repeat(900));
+    }
+    pickle.push(b'.');
+    assert!(refused(&pickle).contains("more than 500000 operations"));
+    let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    archive.start_file("archive/data.pkl", SimpleFileOptions::default()).expect("an entry");
+    archive.write_all(&pickle).expect("deflated");
+    // Its size is held to the file's first: what fills the file is no part of the pickle.
+    archive
+        .start_file(
+            "archive/data/0",
+            SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored),
+        )
+        .expect("an entry");
+    archive.write_all(&vec![0; 1 << 20]).expect("stored");
+    let zip = archive.finish().expect("a zip file").into_inner();
+    assert!(refused(&zip).contains("more than 500000 operations"));
+}
+
 #[test]
 fn what_is_no_checkpoint_is_said_to_be_none() {
     let error = refused(b"<!DOCTYPE html>\n<html>");

@@ -52,7 +52,9 @@ pub enum CameraError {
     },
     /// More pixels than [`MAX_PIXELS`](crate::MAX_PIXELS).
     #[error(
-        "the image is {width}x{height} (WIDTHxHEIGHT), more than {} pixels: render it in parts by moving the principal point",
+        "the image is {width}x{height} (WIDTHxHEIGHT): at most {} pixels a side and {} in all can be rendered; render it \
+         in parts by moving the principal point",
+        crate::MAX_SIDE,
         crate::MAX_PIXELS
     )]
     TooLarge {

@@ -179,6 +179,9 @@ fn decode(reader: &mut impl Read, len: u64) -> Result<Gaussians, FileProblem> {
             }
             layout.push(&mut gaussians, &values, index)?;
         }
+        if !header.followed {
+            words.end(vertex.count)?;
+        }
         return Ok(gaussians);
     }
     let mut bytes = vec![0; vertex.bytes()];

@@ -92,7 +92,7 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
     let tables = tables(&settings, &cells, &test);
     write(&args.out, &cells, &tables)?;
     if context.json {
-        say!("{}", serde_json::to_string_pretty(&cells)?)?;
+        crate::output::print_json(&cells)?;
         return Ok(());
     }
     print_tables(&tables)?;

@@ -1,6 +1,5 @@
 use std::path::PathBuf;
 
-use anyhow::Context as _;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use srflow_read::manifest::Manifest;
@@ -36,7 +35,7 @@ pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
     bar.finish_and_clear();
     let report = report?;
     if context.json {
-        say!("{}", serde_json::to_string_pretty(&report).context("printing the result")?)?;
+        crate::output::print_json(&report)?;
     } else {
         print_report(&report)?;
     }

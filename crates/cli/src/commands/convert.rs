@@ -67,7 +67,7 @@ pub fn run(args: Convert, context: &Context) -> anyhow::Result<()> {
     }
     .with_context(|| format!("converting {}", args.input.display()))?;
     if context.json {
-        say!("{}", serde_json::to_string(&converted(args.output, &flow))?)?;
+        crate::output::print_json_line(&converted(args.output, &flow))?;
     }
     Ok(())
 }

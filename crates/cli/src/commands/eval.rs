@@ -110,7 +110,7 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     };
 
     if context.json {
-        say!("{}", serde_json::to_string_pretty(&scores)?)?;
+        crate::output::print_json(&scores)?;
     } else {
         print_tables(&evaluation.tables())?;
     }

@@ -64,7 +64,7 @@ pub fn run(args: Metrics, context: &Context) -> anyhow::Result<()> {
         .map(|image| regularizers(&args, image, &prediction, mask.as_ref()))
         .transpose()?;
     if context.json {
-        say!("{}", serde_json::to_string(&Answer { scores, regularizers })?)?;
+        crate::output::print_json_line(&Answer { scores, regularizers })?;
         return Ok(());
     }
     if let Some(scores) = scores {

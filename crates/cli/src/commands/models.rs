@@ -128,7 +128,7 @@ impl Listed {
 fn list(context: &Context) -> anyhow::Result<()> {
     let networks = Architecture::ALL.map(|architecture| Listed::new(architecture.facts()));
     if context.json {
-        return say!("{}", serde_json::to_string_pretty(&networks)?);
+        return crate::output::print_json(&networks);
     }
     say!("name        parameters  padding  iterations  licence       weights by name")?;
     for network in &networks {
@@ -195,7 +195,7 @@ fn inspect(args: Inspect, context: &Context) -> anyhow::Result<()> {
             unknown: names(|difference| &difference.unknown),
             misshapen: names(|difference| &difference.misshapen),
         };
-        return say!("{}", serde_json::to_string_pretty(&inspected)?);
+        return crate::output::print_json(&inspected);
     }
     say!("{}: {}", args.file.display(), checkpoint.format())?;
     if let Some(container) = checkpoint.container() {
@@ -231,7 +231,7 @@ fn export(args: Export, context: &Context) -> anyhow::Result<()> {
     let name = architecture.name();
     if context.json {
         let exported = serde_json::json!({ "file": out, "network": name });
-        return say!("{}", serde_json::to_string_pretty(&exported)?);
+        return crate::output::print_json(&exported);
     }
     say!("{}: weights of {name}", out.display())?;
     if pytorch {

@@ -2,9 +2,7 @@ use std::io::Write as _;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use anyhow::Context as _;
 use clap::Args;
-use clap::error::ErrorKind;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use srflow_field::FlowFormat;
@@ -15,6 +13,7 @@ use srflow_render::statistics::Statistics;
 
 use crate::Context;
 use crate::size::Size;
+use crate::usage::wrong_usage;
 
 /// Render a facial optical-flow dataset with exact flow from a head avatar
 #[derive(Args)]
@@ -101,7 +100,7 @@ pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
     };
     let notes = settings.empty_splits();
     for note in &notes {
-        eprintln!("note: {note}");
+        note!("note: {note}");
     }
     let progress = Progress::new("pairs");
     let request = Request {
@@ -115,11 +114,7 @@ pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
     progress.finish();
     let report = usage_error(result)?;
     if context.json {
-        say!(
-            "{}",
-            serde_json::to_string_pretty(&summary(&args.out, &report, &notes))
-                .context("printing the result")?
-        )?;
+        crate::output::print_json(&summary(&args.out, &report, &notes))?;
     } else {
         print_report(args.shard, &report)?;
     }
@@ -133,18 +128,18 @@ const STOPPED: i32 = 75;
 pub fn exit_if_stopped(stopped: bool) -> anyhow::Result<()> {
     if stopped {
         std::io::stdout().flush()?;
-        eprintln!("stopped on request; the same command without --stop-after continues");
+        note!("stopped on request; the same command without --stop-after continues");
         std::process::exit(STOPPED);
     }
     Ok(())
 }
 
-/// What was rendered; an argument that is out of range ends the program as wrong usage does.
+/// What was rendered; an argument that is out of range is wrong usage.
 pub fn usage_error<T>(result: Result<T, RenderError>) -> anyhow::Result<T> {
-    if let Err(error @ RenderError::Argument { .. }) = &result {
-        clap::Error::raw(ErrorKind::ValueValidation, format!("{error}\n")).exit();
+    match result {
+        Err(error @ RenderError::Argument { .. }) => wrong_usage!("{error}"),
+        result => Ok(result?),
     }
-    Ok(result?)
 }
 
 /// A bar on standard error, where that is a terminal.

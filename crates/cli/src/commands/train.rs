@@ -1,7 +1,7 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context as _, ensure};
+use anyhow::ensure;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
@@ -172,8 +172,10 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
     };
     if args.print_config {
         config.check()?;
-        let text = if context.json { serde_json::to_string_pretty(&config)? } else { config.to_toml() };
-        return say!("{}", text.trim_end());
+        if context.json {
+            return crate::output::print_json(&config);
+        }
+        return say!("{}", config.to_toml().trim_end());
     }
     if beginning == Beginning::New {
         find_weights(&mut config)?;
@@ -220,7 +222,7 @@ fn print(out: &Path, outcome: &Outcome, context: &Context) -> anyhow::Result<()>
             "waiting_share": waiting_share,
             "peak_memory_bytes": peak,
         });
-        say!("{}", serde_json::to_string_pretty(&summary).context("printing the result")?)?;
+        crate::output::print_json(&summary)?;
         return Ok(());
     }
     say!("{} steps, {} of them skipped, in {seconds:.1} s", progress.step, progress.skipped)?;
@@ -356,7 +358,7 @@ impl Progress {
     }
 
     pub fn line(&self, text: &str) {
-        self.bar.suspend(|| eprintln!("{text}"));
+        self.bar.suspend(|| note!("{text}"));
     }
 }
 

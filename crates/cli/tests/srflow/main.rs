@@ -9,6 +9,7 @@ mod demo;
 mod eval;
 mod flow;
 mod flow_networks;
+mod hostile;
 mod licences;
 mod mer_data;
 mod mer_run;
@@ -35,12 +36,16 @@ fn succeeds(output: &Output) -> String {
     String::from_utf8(output.stdout.clone()).unwrap()
 }
 
-/// Standard error of a run that fails with this exit code and prints no result.
+/// Standard error of a run that fails with this exit code and prints no result; with `--json`, the error in its place.
 #[track_caller]
 fn fails(output: &Output, code: i32) -> String {
     assert_eq!(output.status.code(), Some(code), "{output:?}");
-    assert!(output.stdout.is_empty(), "{output:?}");
     let error = String::from_utf8(output.stderr.clone()).unwrap();
     assert!(error.starts_with("error: ") && !error.contains("panicked"), "{error}");
+    if !output.stdout.is_empty() {
+        let printed: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert!(printed.as_object().is_some_and(|keys| keys.len() == 1), "{output:?}");
+        assert!(error.contains(printed["error"].as_str().unwrap()), "{output:?}");
+    }
     error
 }

@@ -108,7 +108,11 @@ pub(super) fn decode(archive: &mut ZipArchive<Cursor<Vec<u8>>>) -> Result<FlowFi
     let high = read_array(archive, HIGH, "|i1")?;
     let step = match <[u8; 4]>::try_from(&step.bytes[..]).map(f32::from_le_bytes) {
         Ok(step) if step.is_finite() && step > 0.0 && (step * REACH).is_finite() => step,
-        _ => return Err(FileProblem::field("step", "one positive number", format!("{:?}", step.bytes))),
+        Ok(step) => return Err(FileProblem::field("step", "one positive number", step.to_string())),
+        Err(_) => {
+            let found = format!("{} bytes", step.bytes.len());
+            return Err(FileProblem::field("step", "one number of 4 bytes", found));
+        }
     };
     let (width, height) = match (&low.shape[..], &high.shape[..]) {
         (&[2, height, width], same) if low.shape == same => (width, height),

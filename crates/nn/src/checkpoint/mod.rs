@@ -231,6 +231,8 @@ fn format_of(start: &[u8]) -> Option<Format> {
     } else if start.get(8) == Some(&b'{') {
         // Eight bytes of length, then JSON. No pickle has a brace there.
         Some(Format::Safetensors)
+    } else if start.get(257..) == Some(b"ustar") {
+        None
     } else if start.first() == Some(&0x80) {
         Some(Format::PytorchLegacy) // the opcode PROTO, with which every pickle of torch.save starts
     } else {

@@ -1,28 +1,29 @@
 //! PyTorch's files: a pickle that names the tensors, and their bytes.
 
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::BufReader;
+use std::io::{self, BufRead, BufReader, Read};
 use std::path::Path;
 
 use burn::tensor::DType;
 use pytorch_reader::PytorchReader;
+use srflow_field::{FileKind, open_file};
 use zip::ZipArchive;
 
 use super::{Format, MOST_CLAIMED, StoredBytes, StoredTensor};
 
-/// Largest pickle of a zip file. Those of real checkpoints are under a megabyte, as they hold no values; parsed, one
-/// takes up to a hundred times its size.
+/// Largest pickle. Those of real checkpoints are under a megabyte, as they hold no values.
 const MAX_PICKLE_BYTES: u64 = 16 << 20;
+
+/// Most operations of the pickles of a file: each can make an object of half a kilobyte out of a byte. The checkpoint of a
+/// training, with what the optimizer remembers of a thousand tensors, has 200,000.
+const MAX_OPCODES: u32 = 500_000;
 
 pub(super) fn tensors(
     path: &Path,
     format: Format,
     len: u64,
 ) -> Result<BTreeMap<String, StoredTensor>, String> {
-    if format == Format::PytorchZip {
-        check_pickle_size(path, len)?;
-    }
+    check_pickles(path, format, len)?;
     let reader = PytorchReader::new(path).map_err(|error| error.to_string())?;
     let found = reader.into_tensors().into_iter().filter_map(|(name, tensor)| {
         let dtype = match tensor.dtype() {
@@ -38,20 +39,76 @@ pub(super) fn tensors(
     Ok(found.collect())
 }
 
-/// A deflated pickle may claim any size, of which the reader would take up to 100 MB.
-fn check_pickle_size(path: &Path, len: u64) -> Result<(), String> {
-    let file = File::open(path).map_err(|error| error.to_string())?;
+/// Walks the pickles of a file before they are parsed.
+fn check_pickles(path: &Path, format: Format, len: u64) -> Result<(), String> {
+    let (file, _) = open_file(path, FileKind::Checkpoint).map_err(|error| error.problem.to_string())?;
+    let mut left = MAX_OPCODES;
+    if format == Format::PytorchLegacy {
+        // A magic number, a version, the system, the parameters and the names of the storages: five pickles in a row.
+        let mut pickles = BufReader::new(file.take(MAX_PICKLE_BYTES));
+        for _ in 0..5 {
+            if pickles.fill_buf().map_err(|error| error.to_string())?.is_empty() {
+                break; // a pickle alone
+            }
+            walk_pickle(&mut pickles, &mut left)?;
+        }
+        return Ok(());
+    }
     let mut archive = ZipArchive::new(BufReader::new(file)).map_err(|error| error.to_string())?;
     let most = MAX_PICKLE_BYTES.min(len.saturating_mul(MOST_CLAIMED));
     for index in 0..archive.len() {
-        let entry = archive.by_index_raw(index).map_err(|error| error.to_string())?;
-        let name = entry.name().map_err(|error| error.to_string())?;
-        if name.ends_with("data.pkl") && entry.size() > most {
+        let entry = archive.by_index(index).map_err(|error| error.to_string())?;
+        if !entry.name().map_err(|error| error.to_string())?.ends_with("data.pkl") {
+            continue;
+        }
+        if entry.size() > most {
             return Err(format!(
                 "its data.pkl claims {} bytes, of which at most {most} are read",
                 entry.size()
             ));
         }
+        walk_pickle(&mut BufReader::new(entry.take(most)), &mut left)?;
     }
     Ok(())
+}
+
+/// Passes over one pickle and counts its opcodes. Nothing is made of it.
+fn walk_pickle(pickle: &mut impl BufRead, left: &mut u32) -> Result<(), String> {
+    loop {
+        *left = left.checked_sub(1).ok_or_else(|| {
+            format!("its pickle has more than {MAX_OPCODES} operations: it holds more than the weights of a network")
+        })?;
+        let [opcode] = bytes(pickle)?;
+        let (argument, lines) = match opcode {
+            b'.' => return Ok(()),
+            b'K' | b'h' | b'q' | 0x80 | 0x82 => (1, 0),
+            b'M' | 0x83 => (2, 0),
+            b'J' | b'j' | b'r' | 0x84 => (4, 0),
+            b'G' | 0x95 => (8, 0),
+            b'U' | b'C' | 0x8a | 0x8c => (u64::from(bytes::<1>(pickle)?[0]), 0),
+            b'T' | b'X' | b'B' | 0x8b => (u64::from(u32::from_le_bytes(bytes(pickle)?)), 0),
+            0x8d | 0x8e | 0x96 => (u64::from_le_bytes(bytes(pickle)?), 0),
+            b'I' | b'F' | b'L' | b'S' | b'V' | b'P' | b'g' | b'p' => (0, 1),
+            b'c' | b'i' => (0, 2),
+            _ => (0, 0), // none; what is no opcode the parser names
+        };
+        let passed = io::copy(&mut pickle.by_ref().take(argument), &mut io::sink());
+        if passed.map_err(|error| error.to_string())? < argument {
+            return Err("its pickle is cut short".into());
+        }
+        for _ in 0..lines {
+            if pickle.skip_until(b'\n').map_err(|error| error.to_string())? == 0 {
+                return Err("its pickle is cut short".into());
+            }
+        }
+    }
+}
+
+fn bytes<const N: usize>(pickle: &mut impl BufRead) -> Result<[u8; N], String> {
+    let mut bytes = [0; N];
+    match pickle.read_exact(&mut bytes) {
+        Ok(()) => Ok(bytes),
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Err("its pickle is cut short".into()),
+        Err(error) => Err(error.to_string()),
+    }
 }

@@ -101,7 +101,7 @@ pub(super) struct Header {
     pub encoding: Encoding,
     pub vertex: Vertex,
     /// Whether other elements follow the vertices.
-    followed: bool,
+    pub followed: bool,
     /// Length of the header in the file.
     bytes: usize,
 }
@@ -142,6 +142,9 @@ impl Header {
                     let vertex = vertex
                         .as_mut()
                         .ok_or_else(|| problem("property", "an element first", quote(&line)))?;
+                    if vertex.properties.iter().any(|property| property.name == name) {
+                        return Err(problem("property", "each name once", format!("{} twice", quote(name))));
+                    }
                     vertex.properties.push(Property { name: name.to_owned(), scalar });
                 }
                 _ => return Err(problem("header", "a line of a PLY header", quote(&line))),
@@ -187,7 +190,7 @@ fn parse_encoding(name: &str) -> Result<Encoding, FileProblem> {
 }
 
 fn quote(text: &str) -> String {
-    format!("`{}`", excerpt(text))
+    format!("\"{}\"", excerpt(text))
 }
 
 struct Lines<'a, R> {
@@ -247,6 +250,21 @@ impl<'a, R: Read> Words<'a, R> {
                 if self.word.is_empty() { "the end of the file".to_owned() } else { quote(&self.word) };
             problem("vertex", "a number", format!("{found} at vertex {vertex}"))
         })
+    }
+}
+
+impl<R: Read> Words<'_, R> {
+    /// # Errors
+    /// When anything but white space is left.
+    pub(super) fn end(mut self, vertices: u64) -> Result<(), FileProblem> {
+        self.word.clear();
+        while let Some(byte) = read_byte(self.reader)? {
+            if !byte.is_ascii_whitespace() {
+                let expected = format!("the end of the file after {vertices} vertices");
+                return Err(problem("vertices", expected, "more numbers: the header counts too few"));
+            }
+        }
+        Ok(())
     }
 }
 

@@ -171,7 +171,7 @@ fn tell(report: &Path, shown: &page::Shown, stages: &Stages, context: &Context) 
                 "photographs": shown.on_photographs.as_ref().map(|(evaluation, _)| evaluation),
             },
         });
-        say!("{}", serde_json::to_string_pretty(&result)?)?;
+        crate::output::print_json(&result)?;
         return Ok(());
     }
     for stage in &stages.done {

@@ -35,7 +35,7 @@ impl Stages {
     /// Those of `work`.
     pub fn run<T>(&mut self, name: &str, work: impl FnOnce() -> anyhow::Result<T>) -> anyhow::Result<T> {
         if std::io::stderr().is_terminal() {
-            eprintln!("{}/{}  {name}", self.done.len() + 1, self.count);
+            note!("{}/{}  {name}", self.done.len() + 1, self.count);
         }
         let start = Instant::now();
         let result = work()?;

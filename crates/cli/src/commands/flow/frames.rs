@@ -83,6 +83,14 @@ impl Source {
         }
     }
 
+    /// Names of the first frames of the pairs; of a video, of as many as there may be.
+    pub fn all_stems(&self) -> Box<dyn Iterator<Item = String> + '_> {
+        match self {
+            Self::Files(files) => Box::new(files[..files.len() - 1].iter().map(|file| stem(file))),
+            Self::Video(..) => Box::new((1..).map(number)),
+        }
+    }
+
     /// Frames a second, for a video made of them.
     pub fn rate(&self) -> &str {
         match self {
@@ -91,11 +99,11 @@ impl Source {
         }
     }
 
-    /// Reads the frames in order; `take` says whether it wants more.
-    pub fn read(&self, mut take: impl FnMut(anyhow::Result<Frame>) -> bool) {
+    /// Reads the frames in order, without the first `skip`; `take` says whether it wants more.
+    pub fn read(&self, skip: u64, mut take: impl FnMut(anyhow::Result<Frame>) -> bool) {
         match self {
             Self::Files(files) => {
-                for file in files {
+                for file in files.iter().skip(skip as usize) {
                     let frame = |image| Frame { label: file.display().to_string(), stem: stem(file), image };
                     if !take(read_image(file).map(frame).map_err(Into::into)) {
                         return;
@@ -103,7 +111,7 @@ impl Source {
                 }
             }
             Self::Video(path, _) => {
-                if let Err(error) = read_video(path, &mut take) {
+                if let Err(error) = read_video(path, skip, &mut take) {
                     take(Err(error));
                 }
             }
@@ -111,11 +119,18 @@ impl Source {
     }
 }
 
-fn read_video(path: &Path, take: &mut impl FnMut(anyhow::Result<Frame>) -> bool) -> anyhow::Result<()> {
+fn read_video(
+    path: &Path,
+    skip: u64,
+    take: &mut impl FnMut(anyhow::Result<Frame>) -> bool,
+) -> anyhow::Result<()> {
     let mut video = VideoReader::open(path)?;
     let mut count = 0;
     while let Some(image) = video.next_frame()? {
         count += 1;
+        if count <= skip {
+            continue;
+        }
         let label = format!("{} frame {count}", path.display());
         if !take(Ok(Frame { label, stem: number(count), image })) {
             return Ok(());
@@ -137,6 +152,7 @@ fn stem(file: &Path) -> String {
 /// The frames in a folder, in the order of the numbers in their names.
 fn frames_of(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let frames = pictures(folder).with_context(|| "the folder of the frames")?;
+    check_for_holes(folder, &frames)?;
     ensure!(
         frames.len() >= 2,
         "{}: expected two frames or more (files named *.{}), found {}",
@@ -145,4 +161,66 @@ fn frames_of(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
         frames.len()
     );
     Ok(frames)
+}
+
+/// A frame that is left out makes the flow around it that of two frames apart.
+///
+/// # Errors
+/// Names a picture that is no file (a link to one that is gone), or a number that the others lead to expect.
+fn check_for_holes(folder: &Path, frames: &[PathBuf]) -> anyhow::Result<()> {
+    let advice = "put it there, or name the frames one by one";
+    for entry in std::fs::read_dir(folder).with_context(|| folder.display().to_string())? {
+        let path = entry.with_context(|| folder.display().to_string())?.path();
+        let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+        let is_picture = IMAGE_EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(extension));
+        let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+        ensure!(
+            !is_picture || hidden || path.is_dir() || path.is_file(),
+            "{}: expected a frame, found a link to a file that is not there, or no regular file; {advice}",
+            path.display()
+        );
+    }
+    if let Some((before, after)) = hole(&frames.iter().map(|file| stem(file)).collect::<Vec<_>>()) {
+        anyhow::bail!(
+            "{}: a frame is missing between {} and {}; {advice}",
+            folder.display(),
+            frames[before].display(),
+            frames[after].display()
+        );
+    }
+    Ok(())
+}
+
+/// Positions of the first two neighbours whose numbers lie farther apart than others': `f_1`, `f_2`, `f_4`. None where the
+/// names are not one text with a number in it.
+fn hole(stems: &[String]) -> Option<(usize, usize)> {
+    let parts = |stem: &String| {
+        let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
+        let start = stem[..end].trim_end_matches(|c: char| c.is_ascii_digit()).len();
+        Some((stem[..start].to_owned(), stem[start..end].parse::<u64>().ok()?, stem[end..].to_owned()))
+    };
+    let named: Vec<_> = stems.iter().map(parts).collect::<Option<_>>()?;
+    let (prefix, _, suffix) = named.first()?;
+    if named.iter().any(|(before, _, after)| before != prefix || after != suffix) {
+        return None;
+    }
+    let apart = |pair: &[(String, u64, String)]| pair[1].1.saturating_sub(pair[0].1);
+    let step = named.windows(2).map(apart).min()?;
+    let at = named.windows(2).position(|pair| apart(pair) != step)?;
+    Some((at, at + 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_that_is_missing_is_noticed() {
+        let hole = |names: &[&str]| hole(&names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>());
+        assert_eq!(hole(&["f1", "f2", "f4"]), Some((1, 2)));
+        assert_eq!(hole(&["a_08_l", "a_10_l", "a_12_l"]), None, "every second frame");
+        assert_eq!(hole(&["a9", "a10", "a11"]), None);
+        assert_eq!(hole(&["onset", "apex", "f7"]), None);
+        assert_eq!(hole(&["a1", "b3", "c9"]), None);
+    }
 }

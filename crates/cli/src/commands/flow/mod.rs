@@ -32,6 +32,7 @@ Examples:
 
 Two frames give one file, in the format of its extension. More frames, a folder of them in the order of their numbers, or \
 a video give a folder: the flow from each frame to the next, under the name of the former (in a video its number, from 1). \
+A run that was stopped goes on when the same command is given again. \
 Frames are read as they are needed: a sequence of any length takes the memory of a few. Videos are read and written \
 through the program ffmpeg.")]
 pub struct Flow {
@@ -77,6 +78,9 @@ struct Estimated {
     network: Option<NetworkUsed>,
     /// What the method saw of a frame, after `--scale` and `--tile`.
     resolution: Option<Resolution>,
+    /// Pairs whose files were there from a run that was cut short; they are not listed.
+    #[serde(skip_serializing_if = "is_zero")]
+    resumed: u64,
     pairs: Vec<EstimatedPair>,
 }
 
@@ -109,16 +113,17 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
         wrong_usage!("--warm-start waits for the pair before, so that --batch is 1: leave one of them out");
     }
     let source = Source::open(&args.frames)?;
-    let outputs = Outputs::plan(&args, &source)?;
+    let mut outputs = Outputs::plan(&args, &source)?;
     let estimator = methods::estimator(&args.method, &args.parameters)?;
-    outputs.prepare(&source.stems())?;
+    let resumed = outputs.claim(&identity(&args)?, &source, args.warm_start)?;
 
     let bar = progress_bar(source.pairs());
+    bar.set_position(resumed);
     let reports = std::thread::scope(|scope| {
         let (sender, frames) = sync_channel(1);
         scope.spawn(|| {
             let sender = sender; // gone when the last frame is read
-            source.read(|frame| sender.send(frame).is_ok());
+            source.read(resumed, |frame| sender.send(frame).is_ok());
         });
         let work = Work {
             args: &args,
@@ -134,7 +139,11 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     });
     bar.finish_and_clear();
     let reports = reports?;
+    outputs.finish()?;
     if !context.json {
+        if resumed > 0 {
+            say!("{resumed} flows were there from the run before")?;
+        }
         for pair in &reports {
             say!("{}  {}x{}  {:.3} s", pair.flow.display(), pair.width, pair.height, pair.seconds)?;
         }
@@ -157,9 +166,29 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
             _ => None,
         },
         resolution,
+        resumed,
         pairs: reports,
     };
-    say!("{}", serde_json::to_string_pretty(&estimated)?)
+    crate::output::print_json(&estimated)
+}
+
+fn is_zero(count: &u64) -> bool {
+    *count == 0
+}
+
+/// What the flows follow from: two runs of one identity write the same files.
+fn identity(args: &Flow) -> anyhow::Result<String> {
+    let records = methods::records(std::slice::from_ref(&args.method), &args.parameters)?;
+    let method: Vec<String> = records.iter().map(|record| record.identity()).collect();
+    let frames: Vec<PathBuf> = args.frames.iter().map(std::path::absolute).collect::<Result<_, _>>()?;
+    Ok(format!(
+        "{}\n{frames:?}\n{} {:?} {:?} {}\n",
+        method.join("\n"),
+        args.format,
+        args.viz,
+        args.viz_max,
+        args.warm_start
+    ))
 }
 
 type Frames = Receiver<anyhow::Result<Frame>>;

@@ -1,14 +1,15 @@
 //! Where the flows go.
 
 use std::collections::HashSet;
+use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::ensure;
-use srflow_field::{FlowFormat, create_folder};
+use anyhow::{Context as _, ensure};
+use srflow_field::{FileKind, FlowFormat, create_folder, read_text};
 
 use super::Flow;
 use super::frames::Source;
-use crate::output::ensure_free;
+use crate::output::{ensure_free, write_text};
 use crate::usage::wrong_usage;
 use crate::video::is_video;
 
@@ -121,11 +122,56 @@ impl Outputs {
         }
     }
 
+    /// Makes the folders and says how many pairs a run of the same identity, which was cut short, has finished. A run into
+    /// a folder keeps its identity there until [`finish`](Self::finish).
+    ///
+    /// # Errors
+    /// When a folder cannot be made; where there was no such run, when a file of a pair is there already and `--force` was
+    /// not given.
+    pub fn claim(&mut self, identity: &str, source: &Source, warm_start: bool) -> anyhow::Result<u64> {
+        let Some(note) = self.note() else {
+            self.prepare(&source.stems())?;
+            return Ok(0);
+        };
+        let found = if self.force { None } else { read_text(&note, FileKind::Settings).ok() };
+        if found.as_deref() != Some(identity) {
+            self.prepare(&source.stems())?;
+            write_text(&note, identity)?;
+            return Ok(0);
+        }
+        self.force = true; // what is there is this run's own
+        self.prepare(&[])?;
+        if warm_start || self.video().is_some() {
+            return Ok(0); // each flow follows from the one before, or is a part of one file
+        }
+        let whole = |stem: &String| {
+            let PairFiles { flow, viz } = self.pair(stem);
+            flow.is_file() && viz.is_none_or(|viz| viz.is_file())
+        };
+        Ok(source.all_stems().take_while(whole).count() as u64)
+    }
+
+    /// Says that every file is written.
+    pub fn finish(&self) -> anyhow::Result<()> {
+        match self.note() {
+            Some(note) => fs::remove_file(&note).with_context(|| note.display().to_string()),
+            None => Ok(()),
+        }
+    }
+
+    /// Where a run into a folder keeps its identity.
+    fn note(&self) -> Option<PathBuf> {
+        match &self.flows {
+            Flows::Folder(folder, _) => Some(folder.join(".srflow-flow")),
+            Flows::File(_) => None,
+        }
+    }
+
     /// Makes the folders.
     ///
     /// # Errors
     /// When a folder cannot be made, or a file of one of these pairs is there already and `--force` was not given.
-    pub fn prepare(&self, stems: &[String]) -> anyhow::Result<()> {
+    fn prepare(&self, stems: &[String]) -> anyhow::Result<()> {
         self.check_free(self.video().map(Path::to_owned))?;
         for stem in stems {
             self.check_pair(stem)?;

@@ -1,7 +1,6 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use anyhow::Context as _;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
@@ -121,7 +120,7 @@ pub fn run(args: Apex, context: &Context) -> anyhow::Result<()> {
         errors,
     };
     if context.json {
-        return say!("{}", serde_json::to_string_pretty(&spotted).context("printing the result")?);
+        return crate::output::print_json(&spotted);
     }
     print(&spotted)
 }

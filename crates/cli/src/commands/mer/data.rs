@@ -128,7 +128,7 @@ pub fn run(args: Data, context: &Context) -> anyhow::Result<()> {
         .collect::<anyhow::Result<Vec<Listing>>>()?;
     check_distinct(listings.iter().map(|listing| listing.name.as_str()))?;
     if context.json {
-        return say!("{}", serde_json::to_string_pretty(&report(&listings))?);
+        return crate::output::print_json(&report(&listings));
     }
     for listing in &listings {
         print_listing(listing, args.labels_only, args.clips)?;

@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use anyhow::{Context as _, ensure};
+use anyhow::ensure;
 use clap::Args;
 use serde::Serialize;
 use srflow_eval::MethodRecord;
@@ -98,7 +98,7 @@ pub fn run(args: Features, context: &Context) -> anyhow::Result<()> {
         data: set.data,
     };
     if context.json {
-        return say!("{}", serde_json::to_string_pretty(&report).context("printing the result")?);
+        return crate::output::print_json(&report);
     }
     say!(
         "{}: X {:?}, {} classes: {}",

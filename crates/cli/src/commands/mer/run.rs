@@ -148,7 +148,7 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
     let machine = machine::describe();
     folder.write(&results, &machine)?;
     if context.json {
-        return say!("{}", serde_json::to_string_pretty(&ResultsRecord::of(&results, &machine))?);
+        return crate::output::print_json(&ResultsRecord::of(&results, &machine));
     }
     print_scores(&results.outcomes)?;
     for of_set in by_set(&results.outcomes) {

@@ -49,8 +49,16 @@ impl SourceArgs {
             };
             source.annotations = Some(file.into());
         }
+        if let Some(list) = &self.apex_list {
+            let Some(smic) = sources.iter_mut().find(|source| source.kind.name == "smic") else {
+                bail!(
+                    "--apex-list {}: it is for SMIC, and no dataset of the kind `smic` is given; clips.csv has a column apex",
+                    list.display()
+                );
+            };
+            smic.apex_list = Some(list.clone());
+        }
         for source in &mut sources {
-            source.apex_list.clone_from(&self.apex_list);
             source.classes = classes.clone();
             source.only_key_frames = self.only_key_frames;
         }

@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use anyhow::{Context as _, ensure};
+use anyhow::ensure;
 use clap::Args;
 use serde::Serialize;
 use srflow_field::{read_image, write_image_png, write_npy, write_npy_plane};
@@ -117,7 +117,7 @@ pub fn run(args: Strain, context: &Context) -> anyhow::Result<()> {
         max_strain: pixels.iter().copied().fold(0.0, f32::max),
     };
     if context.json {
-        return say!("{}", serde_json::to_string(&strained).context("printing the result")?);
+        return crate::output::print_json_line(&strained);
     }
     say!(
         "{}: {}x{}, mean strain {:.5}, greatest {:.5}",

@@ -1,6 +1,5 @@
 use std::path::PathBuf;
 
-use anyhow::Context as _;
 use clap::Args;
 use srflow_field::FlowFormat;
 use srflow_render::job::{Request, Shard};
@@ -90,7 +89,7 @@ pub fn run(args: Synth, context: &Context) -> anyhow::Result<()> {
     progress.finish();
     let report = usage_error(result)?;
     if context.json {
-        say!("{}", serde_json::to_string_pretty(&report).context("printing the result")?)?;
+        crate::output::print_json(&report)?;
     } else {
         print_report(&args, &report)?;
     }

@@ -55,7 +55,7 @@ pub fn run(args: Tables, context: &Context) -> anyhow::Result<()> {
     }
     if context.json {
         let recomputed = Recomputed { outcomes: outcomes.iter().map(Outcome::record).collect() };
-        return say!("{}", serde_json::to_string_pretty(&recomputed)?);
+        return crate::output::print_json(&recomputed);
     }
     print_scores(&outcomes)
 }

@@ -179,7 +179,7 @@ impl CameraArgs {
 }
 
 fn note_distortion(file: &Path, NamedCamera { name, distortion, .. }: &NamedCamera) {
-    eprintln!(
+    note!(
         "note: {}: the lens of `{}` distorts ({}); it is rendered without, as Gaussians are trained on undistorted \
          pictures",
         file.display(),

@@ -141,7 +141,7 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
         path::write_frames(&gaussians, &cameras, &options, &args.out, args.force)?
     };
     if context.json {
-        say!("{}", serde_json::to_string(&rendered)?)?;
+        crate::output::print_json_line(&rendered)?;
     }
     Ok(())
 }
@@ -176,13 +176,13 @@ fn one_frame(args: &Rasterize, options: &Options, context: &Context) -> anyhow::
 
     write(&frame, &args.out)?;
     if frame.statistics.without_displacement > 0 {
-        eprintln!(
+        note!(
             "note: {} Gaussians are behind the next camera or nearer than 0.2 to it; they add nothing to the flow",
             frame.statistics.without_displacement
         );
     }
     if context.json {
-        say!("{}", serde_json::to_string(&rendered(&args.out, &frame, gaussians.len()))?)?;
+        crate::output::print_json_line(&rendered(&args.out, &frame, gaussians.len()))?;
     }
     Ok(())
 }

@@ -1,0 +1,557 @@
+//! Files that somebody broke, by chance or on purpose: every command that reads them ends, soon, within little memory,
+//! with a result or with a sentence that names the file.
+//!
+//! Samples of every format are mutated with what a format's structure is sensitive to (its numbers, its text, its parts,
+//! what a container holds), from one seed. `SRFLOW_FUZZ_CASES` sets how many cases there are of all samples together (2000;
+//! some 50,000 in a night) and `SRFLOW_FUZZ_SEED` other ones.
+
+use std::fs;
+use std::io::{Cursor, Read as _, Write as _};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+use safetensors::tensor::{Dtype, TensorView};
+use srflow_field::{FlowField, FlowFormat, Image, is_unprintable, write_flow_as, write_image_png};
+use srflow_splat::{Gaussians, write_ply};
+use zip::write::SimpleFileOptions;
+
+/// What one run may take: address space, which holds the stacks of the threads and the program itself too; wall time.
+const MEMORY: u64 = 3 << 30;
+const PATIENCE: Duration = Duration::from_secs(30);
+/// The most bytes that a command says of a broken file.
+const LONGEST_MESSAGE: usize = 20_000;
+
+/// A whole file, and how the binary is made to read it: `FILE` stands for the mutated one, `DIR` for a folder beside it.
+struct Sample {
+    name: &'static str,
+    bytes: Vec<u8>,
+    file: &'static str,
+    arguments: &'static [&'static str],
+}
+
+const CONVERT: &[&str] = &["convert", "FILE", "DIR/out.npy", "--force"];
+const INSPECT: &[&str] = &["models", "inspect", "FILE"];
+const CAMERA: &str = r#"{"width": 24, "height": 16, "fx": 20, "fy": 20.5, "cx": 11.5, "cy": 7.5,
+    "w2c": [[1,0,0,0], [0,1,0,0], [0,0,1,1], [0,0,0,1]]}"#;
+const CLIPS: &str =
+    "clip,subject,onset,apex,offset,class,label\nc1,s1,1,3,5,negative,fear\nc2,s2,2,,9,surprise,x\n";
+
+fn samples(folder: &Path) -> Vec<Sample> {
+    let flow = FlowField::from_fn(7, 5, |x, y| [0.25 * x as f32 - 1.0, 0.5 * y as f32]);
+    let mut samples = Vec::new();
+    let files = ["a.flo", "a.png", "a.png128", "a.pfm", "a.flo5", "a.npy", "a.npz", "a.npz16"];
+    for (format, file) in FlowFormat::ALL.into_iter().zip(files) {
+        let path = folder.join(file);
+        write_flow_as(&path, &flow, format).unwrap();
+        samples.push(Sample { name: file, bytes: fs::read(&path).unwrap(), file, arguments: CONVERT });
+    }
+    let frame = |shift: usize| Image::from_fn(24, 16, |x, y| [(9 * (x + shift)) as u8, (13 * y) as u8, 7]);
+    write_image_png(&folder.join("frame1.png"), &frame(0)).unwrap();
+    write_image_png(&folder.join("frame2.png"), &frame(1)).unwrap();
+    let estimate =
+        &["flow", "--method", "farneback", "DIR/frame1.png", "FILE", "-o", "DIR/out.flo", "--force"];
+    let png = fs::read(folder.join("frame2.png")).unwrap();
+    samples.push(Sample { name: "frame", bytes: png, file: "b.png", arguments: estimate });
+
+    let gaussians = Gaussians {
+        positions: vec![[0.0; 3].into(), [0.1, 0.0, 0.0].into()],
+        scales: vec![[0.1; 3].into(); 2],
+        rotations: vec![Default::default(); 2],
+        opacities: vec![0.9; 2],
+        sh_degree: 1,
+        sh: vec![[1.0, -1.0, 0.5]; 8],
+    };
+    write_ply(&folder.join("a.ply"), &gaussians).unwrap();
+    fs::write(folder.join("camera.json"), CAMERA).unwrap();
+    let rasterize = &["rasterize", "FILE", "--camera", "DIR/camera.json", "--out", "DIR/out", "--force"];
+    let ply = fs::read(folder.join("a.ply")).unwrap();
+    samples.push(Sample { name: "ply", bytes: ply, file: "b.ply", arguments: rasterize });
+    let names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"];
+    let names = names.into_iter().chain(["rot_0", "rot_1", "rot_2", "rot_3"]);
+    let properties: String = names.map(|name| format!("property float {name}\n")).collect();
+    let ascii = format!(
+        "ply\nformat ascii 1.0\nelement vertex 1\n{properties}end_header\n0 0 0 1 1 1 2 -2 -2 -2 1 0 0 0\n"
+    );
+    samples.push(Sample { name: "ascii ply", bytes: ascii.into(), file: "b.ply", arguments: rasterize });
+    let camera = &["rasterize", "DIR/a.ply", "--camera", "FILE", "--out", "DIR/out", "--force"];
+    samples.push(Sample { name: "camera", bytes: CAMERA.into(), file: "c.json", arguments: camera });
+
+    let clips = &["mer", "data", "--labels-only", "--clips", "clips:FILE"];
+    samples.push(Sample { name: "clips", bytes: CLIPS.into(), file: "clips.csv", arguments: clips });
+    let sheet = &["mer", "data", "--labels-only", "--clips", "smic:DIR", "--annotations", "smic:FILE"];
+    samples.push(Sample { name: "xlsx", bytes: workbook(&[]), file: "a.xlsx", arguments: sheet });
+    let predictions = "method,set,dataset,subject,clip,truth,epoch,predicted,score_negative,score_positive,\
+                       score_surprise\nm,s,d,1,a,negative,5,negative,1,0,0\nm,s,d,2,b,positive,5,surprise,0,0,1\n";
+    let tables = &["mer", "tables", "FILE"];
+    samples.push(Sample { name: "predictions", bytes: predictions.into(), file: "p.csv", arguments: tables });
+
+    let config = fs::read(root().join("configs/cpu-small.toml")).unwrap();
+    let train = &["train", "--config", "FILE", "--print-config"];
+    samples.push(Sample { name: "config", bytes: config, file: "a.toml", arguments: train });
+    for (name, file) in [("zip.pth", "a.pth"), ("legacy.pth", "b.pth"), ("lightning.ckpt", "a.ckpt")] {
+        let bytes = fs::read(root().join("crates/nn/tests/checkpoints").join(name)).unwrap();
+        samples.push(Sample { name, bytes, file, arguments: INSPECT });
+    }
+    let numbers = [0_u8; 8];
+    let view = TensorView::new(Dtype::F32, vec![2], &numbers).unwrap();
+    let bytes = safetensors::serialize([("a.bias", view)], None).unwrap();
+    samples.push(Sample { name: "safetensors", bytes, file: "a.safetensors", arguments: INSPECT });
+    let manifest = br#"{"layout_version": 1, "arguments": {"width": 8, "height": 8, "flow_format": "flo"}, "scenes": []}"#;
+    samples.push(Sample {
+        name: "manifest",
+        bytes: manifest.into(),
+        file: "dataset.json",
+        arguments: &["check", "DIR"],
+    });
+    let mesh = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1/1 2/2 3/3\n";
+    let head = &[
+        "render", "--head", "ict:DIR", "--out", "DIR/set", "--scenes", "1", "--frames", "1", "--size",
+        "110x160",
+    ];
+    samples.push(Sample {
+        name: "mesh",
+        bytes: mesh.into(),
+        file: "generic_neutral_mesh.obj",
+        arguments: head,
+    });
+    samples
+}
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+}
+
+/// A workbook of SMIC's columns with one clip; `parts` take the place of its own.
+fn workbook(parts: &[(&str, String)]) -> Vec<u8> {
+    let header = ["Subject", "Filename", "OnsetF", "OffsetF", "Onset2F", "Emotion"];
+    let strings: String = header.iter().map(|name| format!("<si><t>{name}</t></si>")).collect();
+    let cells: String = (0..6).map(|at| format!("<c t=\"s\"><v>{at}</v></c>")).collect();
+    let row = "<c><v>1</v></c><c t=\"str\"><v>s01_ne_01</v></c><c><v>3</v></c><c><v>9</v></c><c/><c t=\"str\"><v>negative</v></c>";
+    let standard = [
+        (
+            "xl/_rels/workbook.xml.rels",
+            r#"<Relationships><Relationship Id="r1" Target="worksheets/sheet1.xml"/></Relationships>"#
+                .to_owned(),
+        ),
+        (
+            "xl/workbook.xml",
+            r#"<workbook><sheets><sheet name="HS" r:id="r1"/></sheets></workbook>"#.to_owned(),
+        ),
+        ("xl/sharedStrings.xml", format!("<sst count=\"6\" uniqueCount=\"6\">{strings}</sst>")),
+        (
+            "xl/worksheets/sheet1.xml",
+            format!(
+                "<worksheet><dimension ref=\"A1:F2\"/><sheetData><row r=\"1\">{cells}</row><row r=\"2\">{row}</row></sheetData></worksheet>"
+            ),
+        ),
+    ];
+    let given = |name: &str| parts.iter().any(|(part, _)| *part == name);
+    let parts: Vec<(String, Vec<u8>)> = standard
+        .iter()
+        .filter(|(name, _)| !given(name))
+        .chain(parts)
+        .map(|(name, text)| ((*name).to_owned(), text.clone().into_bytes()))
+        .collect();
+    archive(&parts)
+}
+
+fn archive(parts: &[(String, Vec<u8>)]) -> Vec<u8> {
+    let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, bytes) in parts {
+        if archive.start_file(name.as_str(), SimpleFileOptions::default()).is_ok() {
+            archive.write_all(bytes).unwrap();
+        }
+    }
+    archive.finish().unwrap().into_inner()
+}
+
+/// Splitmix64: every case can be made alone.
+struct Dice(u64);
+
+impl Dice {
+    fn roll(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        z ^ (z >> 31)
+    }
+
+    fn below(&mut self, count: usize) -> usize {
+        (self.roll() % count.max(1) as u64) as usize
+    }
+
+    fn pick<'a, T>(&mut self, items: &'a [T]) -> &'a T {
+        &items[self.below(items.len())]
+    }
+}
+
+const NUMBERS: [&str; 12] = [
+    "0",
+    "-1",
+    "1",
+    "4294967295",
+    "4000000000",
+    "18446744073709551615",
+    "-9223372036854775808",
+    "1e308",
+    "nan",
+    "inf",
+    "0.5",
+    "131073",
+];
+const TEXTS: [&str; 6] =
+    ["\x1b[2J\x1b]0;x\x07", "\u{202e}evil", "", "../../etc/passwd", "\0", "[[[[[[[[[[[[[[[["];
+
+/// One to three mutations.
+fn mutated(bytes: &[u8], dice: &mut Dice) -> Vec<u8> {
+    let is_zip = bytes.starts_with(b"PK\x03\x04");
+    if is_zip && dice.below(2) == 0 {
+        // What a container holds, under right sizes and check sums.
+        let mut whole = zip::ZipArchive::new(Cursor::new(bytes)).unwrap();
+        let mut parts: Vec<(String, Vec<u8>)> = Vec::new();
+        for index in 0..whole.len() {
+            let mut entry = whole.by_index(index).unwrap();
+            let mut content = Vec::new();
+            entry.read_to_end(&mut content).unwrap();
+            let name = entry.name().unwrap().into_owned();
+            parts.push((name, content));
+        }
+        let at = dice.below(parts.len());
+        match dice.below(6) {
+            0 => drop(parts.remove(at)),
+            1 => {
+                let other = dice.below(parts.len());
+                parts[at].1 = parts[other].1.clone();
+            }
+            _ => parts[at].1 = mutated(&parts[at].1, dice),
+        }
+        return archive(&parts);
+    }
+    let mut bytes = bytes.to_vec();
+    for _ in 0..=dice.below(3) {
+        let at = dice.below(bytes.len());
+        let end = (at + 1 + dice.below(64)).min(bytes.len());
+        match dice.below(9) {
+            _ if bytes.is_empty() => {}
+            0 => bytes[at] ^= 1 << dice.below(8),
+            1 => bytes[at] = *dice.pick(&[0, 1, 0x7f, 0x80, 0xff, b'{', b'"', b'\n']),
+            2 => {
+                let size = *dice.pick(&[2, 4, 8]);
+                let value =
+                    *dice.pick(&[0, 1, u64::MAX, 1 << 31, 0x7fff_ffff, 1 << 16, u64::MAX >> 1, 1 << 40]);
+                let mut field = value.to_le_bytes();
+                if dice.below(2) == 0 {
+                    field[..size].reverse();
+                }
+                for (byte, new) in bytes[at..].iter_mut().zip(&field[..size]) {
+                    *byte = *new;
+                }
+            }
+            3 => bytes.truncate(at),
+            4 => drop(bytes.drain(at..end)),
+            5 => {
+                let part = bytes[at..end].to_vec();
+                let times = *dice.pick(&[1, 2, 500]);
+                bytes.splice(at..at, part.repeat(times));
+            }
+            6 => {
+                // A number of the text.
+                let digit = |byte: &u8| byte.is_ascii_digit();
+                if let Some(start) = bytes[at..].iter().position(digit).map(|from| at + from) {
+                    let len = bytes[start..].iter().take_while(|byte| digit(byte)).count();
+                    let number = dice.pick(&NUMBERS).as_bytes().to_vec();
+                    bytes.splice(start..start + len, number);
+                }
+            }
+            7 => drop(bytes.splice(at..at, dice.pick(&TEXTS).bytes().collect::<Vec<u8>>())),
+            _ => drop(bytes.splice(at..at, vec![*dice.pick(&[b'[', b'{', b'(', b'9', b' ', 0xff]); 2000])),
+        }
+    }
+    bytes
+}
+
+/// What is wrong with how the binary took the file; nothing when all is well.
+fn trouble(file: &Path, arguments: &[&str]) -> Option<String> {
+    let folder = file.parent().unwrap().to_str().unwrap();
+    let mut command = Command::new(crate::binary());
+    for argument in arguments {
+        command.arg(argument.replace("FILE", file.to_str().unwrap()).replace("DIR", folder));
+    }
+    command.args(["--threads", "1"]).stdin(Stdio::null());
+    let (said, out) = (file.with_extension("stderr"), file.with_extension("stdout"));
+    command.stderr(fs::File::create(&said).unwrap()).stdout(fs::File::create(&out).unwrap());
+    #[cfg(unix)]
+    {
+        use std::os::unix::process::CommandExt as _;
+        let limit = || {
+            let of =
+                |most: u64| libc::rlimit { rlim_cur: most as libc::rlim_t, rlim_max: most as libc::rlim_t };
+            // SAFETY: the two calls read a struct that lives here, take no lock and allocate nothing.
+            let set = unsafe {
+                libc::setrlimit(libc::RLIMIT_AS, &of(MEMORY)) | libc::setrlimit(libc::RLIMIT_CORE, &of(0))
+            };
+            if set == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
+        };
+        // SAFETY: see `limit`; nothing else runs between fork and exec.
+        unsafe { command.pre_exec(limit) };
+    }
+    let mut child = command.spawn().unwrap();
+    let start = Instant::now();
+    let status = loop {
+        match child.try_wait().unwrap() {
+            Some(status) => break status,
+            None if start.elapsed() > PATIENCE => {
+                child.kill().unwrap();
+                child.wait().unwrap();
+                return Some(format!("it took more than {PATIENCE:?}"));
+            }
+            None => std::thread::sleep(Duration::from_millis(3)),
+        }
+    };
+    let text = |path: &Path| String::from_utf8_lossy(&fs::read(path).unwrap()).into_owned();
+    let (said, out) = (text(&said), text(&out));
+    if !matches!(status.code(), Some(0..=2)) {
+        return Some(format!("it ended with {status}: {said}"));
+    }
+    if said.contains("panicked") {
+        return Some(said);
+    }
+    let raw = said.chars().chain(out.chars()).find(|c| is_unprintable(*c) && !matches!(c, '\n' | '\t'));
+    if let Some(raw) = raw {
+        return Some(format!("{raw:?} reached the terminal: {said}"));
+    }
+    if said.len() > LONGEST_MESSAGE {
+        return Some(format!("{} bytes were said", said.len()));
+    }
+    if status.success() || (said.contains("error: ") && said.len() > "error: ".len() + 10) {
+        return None;
+    }
+    Some(format!("no sentence says why: {said:?}"))
+}
+
+fn from_environment(name: &str) -> Option<u64> {
+    std::env::var(name).ok().map(|text| text.parse().expect(name))
+}
+
+#[test]
+fn broken_files_of_every_format_are_refused_or_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let samples = samples(folder.path());
+    for Sample { name, bytes, file, arguments } in &samples {
+        let path = folder.path().join(file);
+        fs::write(&path, bytes).unwrap();
+        assert_eq!(trouble(&path, arguments), None, "{name}, whole");
+    }
+    let cases = from_environment("SRFLOW_FUZZ_CASES").unwrap_or(2000) as usize;
+    let seed = from_environment("SRFLOW_FUZZ_SEED").unwrap_or(1);
+    let threads = std::thread::available_parallelism().map_or(2, usize::from).min(8);
+    let next = AtomicUsize::new(0);
+    let work = || {
+        let own = tempfile::tempdir().unwrap();
+        for entry in fs::read_dir(folder.path()).unwrap().map(Result::unwrap) {
+            if entry.path().is_file() {
+                fs::copy(entry.path(), own.path().join(entry.file_name())).unwrap();
+            }
+        }
+        let mut failures = Vec::new();
+        loop {
+            let case = next.fetch_add(1, Ordering::Relaxed);
+            if case >= cases {
+                return failures;
+            }
+            let Sample { name, bytes, file, arguments } = &samples[case % samples.len()];
+            let mut dice = Dice(seed << 32 | case as u64);
+            let broken = mutated(bytes, &mut dice);
+            let path = own.path().join(file);
+            fs::write(&path, &broken).unwrap();
+            if let Some(trouble) = trouble(&path, arguments) {
+                failures.push(format!("case {case} ({name}, {} bytes): {trouble}", broken.len()));
+            }
+            fs::write(&path, bytes).unwrap();
+        }
+    };
+    let failures: Vec<String> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..threads).map(|_| scope.spawn(work)).collect();
+        threads.into_iter().flat_map(|thread| thread.join().unwrap()).collect()
+    });
+    assert!(failures.is_empty(), "seed {seed}, {} of {cases}:\n{}", failures.len(), failures.join("\n"));
+}
+
+/// The error of a command on a file of this content, which must be one sentence, soon.
+fn refusal(file: &str, bytes: &[u8], arguments: &[&str]) -> String {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("camera.json"), CAMERA).unwrap();
+    let path = folder.path().join(file);
+    fs::write(&path, bytes).unwrap();
+    assert_eq!(trouble(&path, arguments), None);
+    let said = fs::read_to_string(path.with_extension("stderr")).unwrap();
+    assert!(said.contains("error: "), "it was taken");
+    said
+}
+
+#[test]
+fn spreadsheets_that_swell_are_refused() {
+    let sheet = &["mer", "data", "--labels-only", "smic:DIR", "--annotations", "smic:FILE"];
+    let strings = "xl/sharedStrings.xml";
+    let swollen = format!("<sst>{}</sst>", "<si/>".repeat(8 << 20));
+    assert!(refusal("a.xlsx", &workbook(&[(strings, swollen)]), sheet).contains("32 MiB"));
+    let many = "<sheet r:id=\"r1\"/>".repeat(300_000);
+    assert!(
+        refusal("a.xlsx", &workbook(&[("xl/workbook.xml", many)]), sheet).contains("more than 64 sheets")
+    );
+    for count in ["18446744073709551615", "4000000000"] {
+        let claim = format!("<sst count=\"{count}\" uniqueCount=\"{count}\"></sst>");
+        assert!(refusal("a.xlsx", &workbook(&[(strings, claim)]), sheet).contains("shared string"));
+    }
+}
+
+#[test]
+fn text_of_files_is_escaped_and_cut() {
+    let evil = format!("clip,subject,onset,apex,offset,class\nc,s,1,2,3,\x1b[31m{}\n", "x".repeat(1 << 20));
+    let said = refusal("clips.csv", evil.as_bytes(), &["mer", "data", "--labels-only", "clips:FILE"]);
+    assert!(said.contains("\\u{1b}[31m") && said.len() < 2000, "{said}");
+}
+
+#[test]
+fn a_pickle_of_too_many_objects_is_refused() {
+    let mut pickle = b"\x80\x02".to_vec();
+    for _ in 0..400 {
+        pickle.extend(b"}X\x01\0\0\0a".repeat(900));
+        pickle.push(b'}');
+        pickle.extend(b"s".repeat(900));
+    }
+    pickle.push(b'.');
+    assert!(refusal("a.pth", &pickle, INSPECT).contains("operations"));
+}
+
+#[test]
+fn an_ascii_ply_says_everything_once() {
+    let (_folder, ascii) = {
+        let folder = tempfile::tempdir().unwrap();
+        let all = samples(folder.path());
+        let sample = all.into_iter().find(|sample| sample.name == "ascii ply").unwrap();
+        (folder, sample)
+    };
+    let text = String::from_utf8(ascii.bytes).unwrap();
+    let surplus = format!("{text}0 0 0 1 1 1 2 -2 -2 -2 1 0 0 0\n");
+    assert!(refusal("a.ply", surplus.as_bytes(), ascii.arguments).contains("header counts too few"));
+    let doubled = text.replace("property float y\n", "property float y\nproperty float x\n");
+    assert!(refusal("a.ply", doubled.as_bytes(), ascii.arguments).contains("each name once"));
+}
+
+#[cfg(unix)]
+#[test]
+fn nothing_but_regular_files_is_opened() {
+    use std::os::unix::ffi::OsStrExt as _;
+    let folder = tempfile::tempdir().unwrap();
+    samples(folder.path());
+    let commands: [&[&str]; 8] = [
+        INSPECT,
+        CONVERT,
+        &["metrics", "FILE", "FILE"],
+        &["flow", "--method", "farneback", "DIR/frame1.png", "FILE", "-o", "DIR/out.flo"],
+        &["rasterize", "FILE", "--camera", "DIR/camera.json", "--out", "DIR/out"],
+        &["rasterize", "DIR/a.ply", "--camera", "FILE", "--out", "DIR/out"],
+        &["train", "--config", "FILE", "--print-config"],
+        &["mer", "tables", "FILE"],
+    ];
+    let pipe = folder.path().join("pipe.npy");
+    let name = std::ffi::CString::new(pipe.as_os_str().as_bytes()).unwrap();
+    // SAFETY: `name` ends with a zero and lives until the call returns.
+    assert_eq!(unsafe { libc::mkfifo(name.as_ptr(), 0o600) }, 0);
+    let device = folder.path().join("device.npy");
+    std::os::unix::fs::symlink("/dev/zero", &device).unwrap();
+    for arguments in commands {
+        for (path, found) in [(&pipe, "found a pipe"), (&device, "found a device")] {
+            assert_eq!(trouble(path, arguments), None, "{arguments:?}");
+            let said = fs::read_to_string(path.with_extension("stderr")).unwrap();
+            assert!(said.contains(found), "{arguments:?}: {said}");
+        }
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_hole_in_a_sequence_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let frames = folder.path().join("frames");
+    fs::create_dir(&frames).unwrap();
+    for number in [1, 3] {
+        write_image_png(&frames.join(format!("{number}.png")), &Image::from_fn(24, 16, |_, _| [9; 3]))
+            .unwrap();
+    }
+    std::os::unix::fs::symlink("gone.png", frames.join("2.png")).unwrap();
+    let run = || {
+        let mut command = crate::srflow();
+        command.args(["flow", "--method", "farneback", "-o"]).arg(folder.path().join("out")).arg(&frames);
+        let output = command.output().unwrap();
+        (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
+    };
+    let (code, said) = run();
+    assert!(code == Some(1) && said.contains("2.png: expected a frame"), "{said}");
+    fs::remove_file(frames.join("2.png")).unwrap();
+    write_image_png(&frames.join("4.png"), &Image::from_fn(24, 16, |_, _| [9; 3])).unwrap();
+    let (code, said) = run();
+    assert!(code == Some(1) && said.contains("a frame is missing between"), "{said}");
+}
+
+/// Where the third flow cannot be written the run ends, as one that is killed: its note and two flows are there.
+#[test]
+fn flows_into_a_folder_go_on_where_a_run_ended() {
+    let folder = tempfile::tempdir().unwrap();
+    let frames = folder.path().join("frames");
+    fs::create_dir(&frames).unwrap();
+    for number in 1..=4_usize {
+        let frame =
+            Image::from_fn(40, 32, |x, y| [(9 * x + 31 * number) as u8, (7 * y) as u8, (x * y) as u8]);
+        write_image_png(&frames.join(format!("{number}.png")), &frame).unwrap();
+    }
+    let out = folder.path().join("out");
+    let run = |more: &[&str]| {
+        let mut command = crate::srflow();
+        command.args(["flow", "--method", "farneback", "--json", "-o"]).arg(&out).arg(&frames).args(more);
+        let output = command.output().unwrap();
+        (output.status.code(), serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap())
+    };
+    fs::create_dir_all(out.join("3.flo")).unwrap();
+    assert_eq!(run(&["--force"]).0, Some(1));
+    let before = fs::metadata(out.join("1.flo")).unwrap().modified().unwrap();
+    fs::remove_dir(out.join("3.flo")).unwrap();
+    assert_eq!(run(&["--levels", "2"]).0, Some(1), "the flows of other parameters are no part of this");
+    let (code, report) = run(&[]);
+    assert_eq!(code, Some(0), "{report}");
+    assert_eq!((&report["resumed"], report["pairs"].as_array().unwrap().len()), (&2.into(), 1));
+    assert_eq!(fs::metadata(out.join("1.flo")).unwrap().modified().unwrap(), before);
+    let mut names: Vec<_> = fs::read_dir(&out).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["1.flo", "2.flo", "3.flo"]);
+    let (code, error) = run(&[]);
+    assert!(code == Some(1) && error["error"].as_str().unwrap().contains("--force"), "{error}");
+}
+
+#[test]
+fn an_error_is_json_too() {
+    let run = |arguments: &[&str]| {
+        let output = crate::srflow().args(arguments).output().unwrap();
+        let error: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        (output.status.code(), error["error"].as_str().unwrap().to_owned())
+    };
+    let (code, error) = run(&["convert", "no-such.flo", "out.npy", "--json"]);
+    assert!(code == Some(1) && error.starts_with("no-such.flo: opening: "), "{error}");
+    assert_eq!(error.matches("os error 2").count(), 1, "{error}");
+    let (code, error) = run(&["convert", "--json"]);
+    assert!(code == Some(2) && error.contains("required"), "{error}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_standard_error_is_no_crash() {
+    let full = || fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let status = crate::srflow().args(["convert", "no-such.flo", "out.npy"]).stderr(full()).status().unwrap();
+    assert_eq!(status.code(), Some(1));
+    let status = crate::srflow().args(["models", "--json"]).stdout(full()).stderr(full()).status().unwrap();
+    assert_eq!(status.code(), Some(1));
+}

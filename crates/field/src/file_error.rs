@@ -7,9 +7,7 @@ use crate::{excerpt, printable};
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {problem}", printable(&.path.to_string_lossy()))]
 pub struct FileError {
-    /// The file.
     pub path: PathBuf,
-    /// What is wrong with it.
     pub problem: FileProblem,
 }
 
@@ -28,7 +26,6 @@ pub enum FileProblem {
     Io {
         /// What was being done, e.g. `opening`.
         doing: &'static str,
-        /// The operating system's answer.
         error: io::Error,
     },
     /// The operating system refused to put something there.
@@ -36,7 +33,6 @@ pub enum FileProblem {
     Place {
         /// What was being done, e.g. `creating`.
         doing: &'static str,
-        /// The operating system's answer.
         error: io::Error,
         /// What path to give instead.
         advice: &'static str,
@@ -48,19 +44,15 @@ pub enum FileProblem {
         field: &'static str,
         /// What the field must hold, and what to do when it does not.
         expected: String,
-        /// What it holds.
         found: String,
     },
     /// The value of one pixel cannot stand in the file.
     #[error("pixel ({x}, {y}): expected {expected}, found {found}")]
     Pixel {
-        /// Column.
+        /// Column and row.
         x: usize,
-        /// Row.
         y: usize,
-        /// What the pixel must hold.
         expected: &'static str,
-        /// What it holds.
         found: String,
     },
 }

@@ -11,7 +11,6 @@ use crate::{FileError, FileProblem};
 pub enum FileKind {
     /// PNG, JPEG, PPM or BMP.
     Image,
-    /// Any flow format.
     Flow,
     /// Numbers of any shape, as NumPy keeps them.
     Array,
@@ -21,7 +20,6 @@ pub enum FileKind {
     Mesh,
     /// CSV, or lists of splits.
     Table,
-    /// An `.xlsx` workbook.
     Spreadsheet,
     /// What people write by hand: configurations, cameras.
     Settings,

@@ -191,6 +191,9 @@ pub fn contents(dir: &Path) -> String {
     if !dir.exists() {
         return format!("but there is no {}", dir.display());
     }
+    if !dir.is_dir() {
+        return format!("but {} is a file; a folder is expected", dir.display());
+    }
     let found: Vec<String> = match visible(dir) {
         Ok(paths) => paths.iter().map(|path| name(path)).collect(),
         Err(error) => return format!("but cannot list {error}"),

@@ -82,6 +82,8 @@ pub enum SummaryError {
     },
 }
 
+type TruthAndPredicted = (usize, usize);
+
 impl Summary {
     /// Scores of a whole run: every clip predicted once at every recorded epoch. Predictions are of the `classes` of these
     /// names.
@@ -92,7 +94,7 @@ impl Summary {
         let epochs: BTreeSet<usize> = predictions.iter().map(|prediction| prediction.epoch).collect();
         let mut clips: BTreeMap<[&str; 3], BTreeMap<usize, usize>> = BTreeMap::new();
         let mut truths: BTreeMap<[&str; 3], usize> = BTreeMap::new();
-        let mut folds: BTreeMap<[&str; 2], BTreeMap<usize, Vec<(usize, usize)>>> = BTreeMap::new();
+        let mut folds: BTreeMap<[&str; 2], BTreeMap<usize, Vec<TruthAndPredicted>>> = BTreeMap::new();
         for Prediction { dataset, subject, clip, truth, epoch, predicted, .. } in predictions {
             *clips.entry([dataset, subject, clip]).or_default().entry(*epoch).or_default() += 1;
             let first = *truths.entry([dataset, subject, clip]).or_insert(*truth);

@@ -23,20 +23,10 @@ fn sample(dataset: &str, subject: u32, clip: u32, class: usize) -> Sample {
     };
     let u = map(&|_| 0.0);
     let v = map(&|x| match class {
-        NEGATIVE => {
-            if x < FEATURE_SIDE / 2 {
-                0.5
-            } else {
-                0.0
-            }
-        }
-        POSITIVE => {
-            if x < FEATURE_SIDE / 2 {
-                0.0
-            } else {
-                -0.5
-            }
-        }
+        NEGATIVE if x < FEATURE_SIDE / 2 => 0.5,
+        NEGATIVE => 0.0,
+        POSITIVE if x < FEATURE_SIDE / 2 => 0.0,
+        POSITIVE => -0.5,
         _ => -0.5,
     });
     let strain = map(&|_| 0.1);

@@ -110,7 +110,7 @@ fn check<C: Classifier>() {
     }
     for (name, data) in parameters(&training.network().valid()) {
         let unit = if name.contains("running_") { 1.0 } else { LEARNING_RATE as f32 };
-        let start = parameter(&name, &data.shape());
+        let start = parameter(&name, data.shape());
         let end: Vec<f32> = data.try_to_vec().expect("f32");
         let moved: Vec<f32> = end.iter().zip(start).map(|(end, start)| (end - start) / unit).collect();
         assert_digest(&golden, &format!("stepped.{name}"), &moved, 0.02);

@@ -42,7 +42,7 @@ fn always_saying_negative_scores_as_in_the_paper() {
         eprintln!("skipped: no annotations at {}", path.display());
         return;
     }
-    let all = predictions(&path);
+    let all = predictions(path);
     for (dataset, clips, folds, expected) in ALWAYS_NEGATIVE {
         let of_set = |prediction: &&Prediction| dataset == "composite" || prediction.dataset == dataset;
         let predictions: Vec<Prediction> = all.iter().filter(of_set).cloned().collect();

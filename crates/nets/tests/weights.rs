@@ -11,7 +11,7 @@ fn with_saved(architecture: Architecture, check: impl FnOnce(&Network, &Path)) {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("weights");
     let network = architecture.init(&Device::flex());
-    save_parameters(&network, &path).expect(architecture.name());
+    save_parameters(&network, &path).expect("saved");
     check(&network, &path);
 }
 

@@ -17,6 +17,7 @@ pub(crate) enum NormKind {
 
 /// What normalizes the output of a convolution. The variant is no part of a parameter's name.
 #[derive(Module, Debug)]
+#[allow(clippy::large_enum_variant)] // A network has some dozen of them.
 enum Norm {
     None(NoParameters),
     Instance(NoParameters),

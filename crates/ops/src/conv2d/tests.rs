@@ -113,10 +113,8 @@ fn check_that_results_do_not_depend_on_the_machine(shape: Conv2dShape) {
         })
     };
     assert!(run(1) == run(3));
-    let outputs: Vec<_> = Isa::to_test()
-        .into_iter()
-        .map(|isa| conv2d_with(isa, &input, &weight, &Epilogue::default(), &shape))
-        .collect();
+    let outputs: Vec<_> =
+        Isa::to_test().map(|isa| conv2d_with(isa, &input, &weight, &Epilogue::default(), &shape)).collect();
     assert!(outputs.windows(2).all(|pair| pair[0] == pair[1]));
 }
 

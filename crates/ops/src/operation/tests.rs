@@ -37,6 +37,7 @@ operations! {
 pub(crate) const ACTIVATIONS: [Activation; 5] =
     [Activation::Identity, Activation::Relu, Activation::Gelu, Activation::Tanh, Activation::Sigmoid];
 
+type Definition = Box<dyn Fn(&[Vec<f32>]) -> Vec<f32>>;
 type Function = Box<dyn Fn(Vec<DispatchTensor>) -> Tensor<4>>;
 
 /// Sample inputs of an operation, and what it makes of them.
@@ -48,7 +49,7 @@ pub(crate) struct Case {
     constants: Vec<usize>,
     kernel: Function,
     composed: Option<Function>,
-    definition: Box<dyn Fn(&[Vec<f32>]) -> Vec<f32>>,
+    definition: Definition,
     slopes: usize,
 }
 

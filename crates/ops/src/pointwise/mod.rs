@@ -8,6 +8,9 @@ use srflow_simd::{
     Activation, Isa, Output, Product, Start, Steps, fill_columns, multiply, multiply_diagonal, panel_columns,
 };
 
+/// A product on slices: of matrices, or with a diagonal one.
+type Multiply = fn(Isa, &Product, &mut Output);
+
 pub mod reference;
 pub mod tensor;
 
@@ -76,7 +79,7 @@ pub(crate) fn pointwise(
                     Some((&planes[at..], Steps { row: pixels, panel: width }))
                 }
             };
-            let (multiply, left): (fn(Isa, &Product, &mut Output), &[f32]) = match layer.map {
+            let (multiply, left): (Multiply, &[f32]) = match layer.map {
                 Map::Dense(weights) => (multiply, weights),
                 Map::Scale(factors) => (multiply_diagonal, factors),
             };

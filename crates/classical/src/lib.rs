@@ -3,9 +3,7 @@
 //! Both methods work on 8-bit luminance, as OpenCV's functions do. Results do not depend on the number of threads.
 
 mod farneback;
-mod luminance;
 mod planar;
-mod resize;
 mod tvl1;
 
 use srflow_field::{EstimateError, FlowField, Image};

@@ -11,12 +11,14 @@ mod excerpt;
 mod file_error;
 mod flow_colors;
 mod forward_interpolate;
+mod grey;
 mod grid;
 mod image_file;
 mod metrics;
 mod open;
 mod parse_words;
 pub mod random;
+pub mod resize;
 mod warp;
 
 pub use atomic_write::{PARTIAL_EXTENSION, create_folder, write_atomically};
@@ -30,6 +32,7 @@ pub use excerpt::{excerpt, excerpts, is_unprintable, printable};
 pub use file_error::{FileError, FileProblem};
 pub use flow_colors::{flow_colors, longest_flow};
 pub use forward_interpolate::forward_interpolate;
+pub use grey::{luminance, opencv_grey, pillow_grey};
 pub(crate) use grid::check_same_size;
 pub use grid::{FlowField, Image, Mask, Plane, SizeError, SizeMismatch};
 pub use image_file::{

@@ -4,13 +4,13 @@ use std::fmt;
 use std::str::FromStr;
 
 use rayon::prelude::*;
-use srflow_field::{FlowEstimator, Image, Plane, read_image};
+use srflow_field::resize::resize_cubic;
+use srflow_field::{FlowEstimator, Plane, luminance, read_image};
 use srflow_read::micro_expression::Clip;
 
 use crate::extract::{ExtractError, ExtractProblem};
 use crate::face::{ClipCrop, FaceCrop, FacePoints};
 use crate::features::FEATURE_SIDE;
-use crate::resize::resize_cubic;
 use crate::strain::{StrainFormula, optical_strain};
 
 /// How an apex is spotted.
@@ -130,14 +130,14 @@ fn spot(
     let mut scores = Vec::new();
     match rule {
         ApexRule::Ratio => {
-            let onset = grey(&onset);
+            let onset = luminance(&onset);
             let cells = match face {
                 FaceCrop::Landmarks(landmarks) => cells(landmarks.of_clip(&clip.dataset, annotation)?, &crop),
                 FaceCrop::Whole | FaceCrop::Fixed(_) => Vec::new(),
             };
             let mut before = onset.clone();
             for number in after {
-                let now = grey(&frame(number)?);
+                let now = luminance(&frame(number)?);
                 same_size(clip, number, &onset, &now)?;
                 scores.push((number, difference_ratio(&onset, &before, &now, &cells)));
                 before = now;
@@ -177,13 +177,6 @@ fn same_size(clip: &Clip, number: u64, onset: &Plane, now: &Plane) -> Result<(),
         apex: path(number),
         apex_size: now.size(),
     })
-}
-
-/// Rec. 601 luma, as OpenCV's grey pictures have it.
-fn grey(image: &Image) -> Plane {
-    let luma =
-        |[r, g, b]: [u8; 3]| (0.299 * f32::from(r) + 0.587 * f32::from(g) + 0.114 * f32::from(b)).round();
-    Plane::from_fn(image.width(), image.height(), |x, y| luma(image.get(x, y)))
 }
 
 /// A rectangle: columns and rows, the second not included.

@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use rayon::prelude::*;
+use srflow_field::resize::{resize_cubic, resize_flow_area};
 use srflow_field::{EstimateError, FileError, FlowEstimator, FlowField, Image, Plane, read_image};
 use srflow_read::micro_expression::Clip;
 
 use crate::cache::FeatureCache;
 use crate::face::{ClipCrop, FaceCrop, FaceError};
 use crate::features::{FEATURE_SIDE, FeatureError, Features, Sample};
-use crate::resize::{resize_cubic, resize_flow};
 use crate::strain::{StrainFormula, optical_strain};
 
 /// Whether pictures or flow are brought to 112x112. The paper does not say; Off-TANet's code resizes before.
@@ -133,7 +133,7 @@ pub fn features_of_frames(
     const SIZE: (usize, usize) = (FEATURE_SIDE, FEATURE_SIDE);
     let flow = match resize {
         ResizeOrder::Before => estimator.estimate(&resize_cubic(onset, SIZE), &resize_cubic(apex, SIZE))?,
-        ResizeOrder::After => resize_flow(&estimator.estimate(onset, apex)?, SIZE),
+        ResizeOrder::After => resize_flow_area(&estimator.estimate(onset, apex)?, SIZE),
     };
     let [u, v] = components(&flow);
     Ok(Features::new(&u, &v, &optical_strain(&flow, strain))?)

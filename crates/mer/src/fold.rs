@@ -49,7 +49,7 @@ pub(crate) fn train_fold<C: Classifier>(
     let mut order: Vec<usize> = (0..training.len()).collect();
     for epoch in 0..protocol.epochs {
         let key = key.frame(epoch as u32);
-        shuffle(&mut order, &mut key.stream(&format!("{name}: order")));
+        key.stream(&format!("{name}: order")).shuffle(&mut order);
         let mut dropout = key.stream(&format!("{name}: dropout"));
         let mut sum = 0.0;
         for batch in order.chunks(protocol.batch) {
@@ -72,13 +72,6 @@ pub(crate) fn train_fold<C: Classifier>(
     Ok(Trained { scores, losses, seconds: start.elapsed().as_secs_f64() })
 }
 
-/// Fisher and Yates's.
-fn shuffle(order: &mut [usize], stream: &mut srflow_field::random::Stream) {
-    for end in (1..order.len()).rev() {
-        order.swap(end, stream.below(end as u32 + 1) as usize);
-    }
-}
-
 fn score<C: Classifier>(network: &C, examples: &[&Example], batch: usize) -> Vec<Vec<f32>> {
     let network = network.valid();
     let device = Device::flex();
@@ -95,19 +88,4 @@ fn stacked<C: Classifier>(examples: &[&Example], device: &Device) -> Tensor<4> {
     let [channels, height, width] = C::INPUT;
     let values: Vec<f32> = examples.iter().flat_map(|example| &example.input).copied().collect();
     Tensor::from_data(TensorData::new(values, [examples.len(), channels, height, width]), device)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_order_keeps_every_clip() {
-        let mut stream = Key::new(3).stream("test");
-        let mut order: Vec<usize> = (0..50).collect();
-        shuffle(&mut order, &mut stream);
-        assert_ne!(order, (0..50).collect::<Vec<_>>());
-        order.sort_unstable();
-        assert_eq!(order, (0..50).collect::<Vec<_>>());
-    }
 }

@@ -13,7 +13,6 @@ mod metrics;
 mod predictions;
 mod protocol;
 mod report;
-mod resize;
 mod results;
 mod results_csv;
 mod results_folder;
@@ -38,7 +37,6 @@ pub use metrics::{Confusion, Scores};
 pub use predictions::{Prediction, PredictionsError, Trial, read_predictions, write_predictions};
 pub use protocol::{Protocol, ProtocolError};
 pub use report::{ReportError, ReportParts, report};
-pub use resize::{resize_cubic, resize_flow};
 pub use results::{
     METRICS, Outcome, OutcomeRecord, by_set, confusion_latex, confusion_title, fold_table, score_tables,
     unseen_classes,

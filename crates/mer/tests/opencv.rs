@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
+use srflow_field::resize::resize_cubic;
 use srflow_field::{Array, FlowField, Image, Plane, read_npy, read_npy_plane};
-use srflow_mer::{StrainFormula, optical_strain, resize_cubic};
+use srflow_mer::{StrainFormula, optical_strain};
 
 fn golden(name: &str) -> std::path::PathBuf {
     Path::new("tests/data/preprocessing").join(name)

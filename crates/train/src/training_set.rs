@@ -206,10 +206,7 @@ pub(crate) fn open_dataset(source: &Source, usual: Split) -> Result<FlowDataset,
 /// `0..count` in a random order.
 fn shuffled(count: usize, key: Key) -> Arc<[usize]> {
     let mut order: Vec<usize> = (0..count).collect();
-    let mut stream = key.stream("training order");
-    for last in (1..count).rev() {
-        order.swap(last, stream.below(last as u32 + 1) as usize);
-    }
+    key.stream("training order").shuffle(&mut order);
     order.into()
 }
 

@@ -133,7 +133,7 @@ impl<'a> Surface<'a> {
                 darts.push(self.point(t, Vec3::new(1.0 - u - v, u, v)));
             }
         }
-        shuffle(&mut darts, stream);
+        stream.shuffle(&mut darts);
         let mut crowd = Crowd::new(narrowest, widest);
         darts.retain(|dart| crowd.admit(dart.position, spacing(dart)));
         darts
@@ -226,12 +226,6 @@ impl<'a> Surface<'a> {
                 *value = *value * 0.5 + sum * (0.5 / count);
             }
         }
-    }
-}
-
-fn shuffle<T>(items: &mut [T], stream: &mut Stream) {
-    for i in (1..items.len()).rev() {
-        items.swap(i, stream.below(i as u32 + 1) as usize);
     }
 }
 

@@ -11,12 +11,11 @@ mod strips;
 mod update;
 mod window;
 
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image};
+use srflow_field::resize::{resize_linear_of_two, shrink_area};
+use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, luminance};
 
 use crate::ParameterError;
-use crate::luminance::luminance;
 use crate::planar::PlanarFlow;
-use crate::resize::{resize_flow_linear, shrink_area};
 use expansion::{Expansion, ExpansionKernel};
 use update::iterate;
 use window::Window;
@@ -106,7 +105,8 @@ impl Farneback {
         for (scale, width, height) in sizes.into_iter().rev() {
             let start = match (flow, initial) {
                 (Some(coarser), _) => {
-                    resize_flow_linear(&coarser, (width, height), (1.0 / self.parameters.pyr_scale) as f32)
+                    let gain = (1.0 / self.parameters.pyr_scale) as f32;
+                    coarser.map(|plane| resize_linear_of_two(plane, (width, height), gain))
                 }
                 (None, Some(initial)) => {
                     PlanarFlow::from(initial).map(|plane| shrink_area(plane, (width, height), scale as f32))

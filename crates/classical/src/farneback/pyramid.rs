@@ -2,8 +2,8 @@
 
 use rayon::prelude::*;
 use srflow_field::Plane;
+use srflow_field::resize::resize_linear;
 
-use crate::resize::resize_linear;
 use srflow_simd::multiversioned;
 
 /// `frame` blurred for `scale` (level pixels per frame pixel) and resized to `size`.

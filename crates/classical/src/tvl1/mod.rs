@@ -10,12 +10,11 @@ mod relaxation;
 mod state;
 mod warp;
 
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, Plane};
+use srflow_field::resize::{resize_linear, resize_linear_by};
+use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, Plane, luminance};
 
 use crate::ParameterError;
-use crate::luminance::luminance;
 use crate::planar::PlanarFlow;
-use crate::resize::{resize_linear, resize_linear_by};
 use relaxation::Relaxation;
 use state::{Layout, State};
 use warp::Warper;

@@ -6,8 +6,8 @@ use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
 const PIPELINE: [&str; 15] = [
-    "srflow-field",
     "srflow-simd",
+    "srflow-field",
     "srflow-splat",
     "srflow-avatar",
     "srflow-read",

@@ -1,5 +1,6 @@
 //! Smaller copies for the report, by averaging over the area of each new pixel.
 
+use srflow_field::resize::area_means;
 use srflow_field::{FlowField, Image, Mask, Plane};
 
 /// An image no wider than `max_width`, its proportions kept.
@@ -43,45 +44,6 @@ fn shrunk((width, height): (usize, usize), max_width: usize) -> (usize, usize) {
     }
     let max_width = max_width.max(1);
     (max_width, ((height * max_width + width / 2) / width).max(1))
-}
-
-/// The mean of every target pixel's area over the source pixels that have a value, weighted by the overlap.
-fn area_means<const N: usize>(
-    from: (usize, usize),
-    to: (usize, usize),
-    value: impl Fn(usize, usize) -> Option<[f32; N]>,
-) -> Vec<Option<[f32; N]>> {
-    let (columns, rows) = (spans(from.0, to.0), spans(from.1, to.1));
-    let mut means = Vec::with_capacity(to.0 * to.1);
-    for row in &rows {
-        for column in &columns {
-            let (mut sum, mut total) = ([0.0; N], 0.0);
-            for &(y, y_weight) in row {
-                for &(x, x_weight) in column {
-                    let Some(value) = value(x, y) else { continue };
-                    let weight = x_weight * y_weight;
-                    total += weight;
-                    sum.iter_mut().zip(value).for_each(|(sum, value)| *sum += weight * value);
-                }
-            }
-            means.push((total > 0.0).then(|| sum.map(|sum| sum / total)));
-        }
-    }
-    means
-}
-
-/// For each of `to` target pixels, the source pixels (of `from`) that it covers and how much of each.
-fn spans(from: usize, to: usize) -> Vec<Vec<(usize, f32)>> {
-    let scale = from as f64 / to as f64;
-    let span = |target: usize| {
-        let (start, end) = (target as f64 * scale, (target + 1) as f64 * scale);
-        let overlap = |source: usize| (end.min(source as f64 + 1.0) - start.max(source as f64)) as f32;
-        (start as usize..(end.ceil() as usize).min(from))
-            .map(|source| (source, overlap(source)))
-            .filter(|(_, weight)| *weight > 1e-6)
-            .collect()
-    };
-    (0..to).map(span).collect()
 }
 
 #[cfg(test)]

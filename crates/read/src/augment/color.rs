@@ -1,8 +1,8 @@
 //! Brightness, contrast, saturation and hue, as torchvision's `ColorJitter` changes them on 8-bit pictures (which it leaves to
 //! Pillow), to the last bit.
 
-use srflow_field::Image;
 use srflow_field::random::Stream;
+use srflow_field::{Image, pillow_grey};
 
 use super::AugmentConfig;
 use super::hue::HueTables;
@@ -59,7 +59,7 @@ impl ColorJitter {
                     for pixel in pictures.iter_mut().flat_map(|picture| picture.pixels_mut()) {
                         // What is grey stays so; much of a rendered frame is.
                         if !is_grey(*pixel) {
-                            let grey = grey(*pixel);
+                            let grey = pillow_grey(*pixel);
                             *pixel = pixel.map(|value| mixed(grey, value, factor));
                         }
                     }
@@ -94,15 +94,10 @@ pub(super) fn is_grey([r, g, b]: [u8; 3]) -> bool {
     r == g && g == b
 }
 
-/// ITU-R 601 luminance in 16-bit fixed point.
-fn grey([r, g, b]: [u8; 3]) -> u8 {
-    ((u32::from(r) * 19_595 + u32::from(g) * 38_470 + u32::from(b) * 7_471 + 0x8000) >> 16) as u8
-}
-
 /// The mean of the grey of all pixels, rounded.
 fn mean_grey(pictures: &[&mut Image]) -> u8 {
     let pixels: usize = pictures.iter().map(|picture| picture.pixels().len()).sum();
-    let row = |row: &[[u8; 3]]| row.iter().map(|pixel| u32::from(grey(*pixel))).sum::<u32>();
+    let row = |row: &[[u8; 3]]| row.iter().map(|pixel| u32::from(pillow_grey(*pixel))).sum::<u32>();
     let sum: u64 = pictures
         .iter()
         .flat_map(|picture| picture.pixels().chunks(1 << 16))

@@ -1,17 +1,25 @@
-//! Luminance of an sRGB image as OpenCV's `COLOR_RGB2GRAY` has it.
+//! Grey of a colour as OpenCV and Pillow compute it: both are Rec. 601 luma in fixed point, and differ by a level now and
+//! then. (OpenCV's `imread(..., IMREAD_GRAYSCALE)` takes the decoder's own grey instead, which may differ by a level from
+//! its `cvtColor`.)
 
-use srflow_field::{Image, Plane};
+use crate::{Image, Plane};
 
-/// Rec. 601 luma in fixed point with 15 bits, rounded to a whole number in `0..=255`.
+/// `cv2.cvtColor(..., COLOR_RGB2GRAY)`: 15 bits, rounded.
 /// Defined by `modules/imgproc/src/color.simd_helpers.hpp` and `color_rgb.simd.hpp` of OpenCV.
+pub fn opencv_grey([r, g, b]: [u8; 3]) -> u8 {
+    ((9798 * u32::from(r) + 19_235 * u32::from(g) + 3735 * u32::from(b) + (1 << 14)) >> 15) as u8
+}
+
+/// Pillow's conversion from `RGB` to `L`: 16 bits, rounded.
+pub fn pillow_grey([r, g, b]: [u8; 3]) -> u8 {
+    ((u32::from(r) * 19_595 + u32::from(g) * 38_470 + u32::from(b) * 7_471 + 0x8000) >> 16) as u8
+}
+
+/// [`opencv_grey`] of every pixel, whole numbers in `0..=255`.
 pub fn luminance(image: &Image) -> Plane {
-    let luma = |&[r, g, b]: &[u8; 3]| {
-        let sum = 9798 * u32::from(r) + 19_235 * u32::from(g) + 3735 * u32::from(b);
-        ((sum + (1 << 14)) >> 15) as f32
-    };
     let mut plane = Plane::new(image.width(), image.height());
     for (out, pixel) in plane.pixels_mut().iter_mut().zip(image.pixels()) {
-        *out = luma(pixel);
+        *out = f32::from(opencv_grey(*pixel));
     }
     plane
 }

@@ -1,6 +1,4 @@
-//! Bringing pictures and flows to the features' size.
-
-use srflow_field::{FlowField, Image};
+use crate::Image;
 
 /// One output pixel along one axis: four input pixels and their weights.
 struct CubicTap {
@@ -64,61 +62,9 @@ fn cubic_weights(x: f64) -> [f64; 4] {
     [w0, w1, w2, 1.0 - w0 - w1 - w2]
 }
 
-/// Brings a flow to another size: each pixel is the mean of what it covers (of the nearest pixels when the flow grows), in
-/// pixels of the new size.
-pub fn resize_flow(flow: &FlowField, (width, height): (usize, usize)) -> FlowField {
-    let columns = area_taps(flow.width(), width);
-    let rows = area_taps(flow.height(), height);
-    let gain = [width as f32 / flow.width().max(1) as f32, height as f32 / flow.height().max(1) as f32];
-    FlowField::from_fn(width, height, |x, y| {
-        let mut sum = [0.0; 2];
-        for &(row, row_share) in &rows[y] {
-            for &(column, column_share) in &columns[x] {
-                let value = flow.get(column, row);
-                for component in 0..2 {
-                    sum[component] += row_share * column_share * value[component];
-                }
-            }
-        }
-        [sum[0] * gain[0], sum[1] * gain[1]]
-    })
-}
-
-/// For each output pixel the input pixels under it and the share of each; the shares sum to 1.
-fn area_taps(input_len: usize, output_len: usize) -> Vec<Vec<(usize, f32)>> {
-    let scale = input_len as f64 / output_len as f64;
-    let covered = |at: usize| {
-        let start = at as f64 * scale;
-        let end = (start + scale).min(input_len as f64);
-        let last = (end.ceil() as usize).clamp(start as usize + 1, input_len.max(1));
-        let share = |i: usize| ((end.min(i as f64 + 1.0) - start.max(i as f64)) / (end - start)) as f32;
-        (start as usize..last).map(|i| (i, share(i))).collect()
-    };
-    if input_len == 0 { vec![Vec::new(); output_len] } else { (0..output_len).map(covered).collect() }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_resized_flow_keeps_the_motion_and_its_mean() {
-        // Everything moves by a tenth of the width and a twentieth of the height.
-        let flow = FlowField::filled(200, 100, [20.0, 5.0]);
-        for size in [(112, 112), (50, 30), (400, 300), (200, 100)] {
-            let resized = resize_flow(&flow, size);
-            assert_eq!(resized.size(), size);
-            for [u, v] in resized.pixels() {
-                assert!((u - 0.1 * size.0 as f32).abs() < 1e-3 && (v - 0.05 * size.1 as f32).abs() < 1e-3);
-            }
-        }
-        let ramp = FlowField::from_fn(12, 6, |x, y| [x as f32, y as f32]);
-        let half = resize_flow(&ramp, (6, 3));
-        assert!(half.pixels().iter().enumerate().all(|(at, [u, v])| {
-            let (x, y) = (at % 6, at / 6);
-            (u - (x as f32 + 0.25)).abs() < 1e-5 && (v - (y as f32 + 0.25)).abs() < 1e-5
-        }));
-    }
 
     #[test]
     fn the_same_size_is_the_same_picture() {

@@ -1,0 +1,118 @@
+//! Linear interpolation that does not alias when the result is smaller.
+
+use rayon::prelude::*;
+
+use crate::{FlowField, Image};
+
+/// One pixel of the result reads the input from `first` on, by these weights, which sum to one.
+struct Tap {
+    first: usize,
+    weights: Vec<f32>,
+}
+
+/// Linear interpolation; where the result is smaller, over as much of the input as one of its pixels covers, so that
+/// nothing aliases. Pixel centres are integers and borders keep their place: `x` of the result lies at
+/// `(x + 0.5) * input / output - 0.5`.
+fn taps(input: usize, output: usize) -> Vec<Tap> {
+    let scale = input as f64 / output as f64;
+    let reach = scale.max(1.0);
+    let tap = |x: usize| {
+        let centre = (x as f64 + 0.5) * scale - 0.5;
+        let first = (centre - reach).floor().max(0.0) as usize;
+        let last = ((centre + reach).ceil() as usize).min(input - 1);
+        let weight = |place: usize| (1.0 - (place as f64 - centre).abs() / reach).max(0.0);
+        let sum: f64 = (first..=last).map(weight).sum();
+        Tap { first, weights: (first..=last).map(|place| (weight(place) / sum) as f32).collect() }
+    };
+    (0..output).map(tap).collect()
+}
+
+/// Rows resized to `size`, `N` numbers a pixel.
+fn resize<T: Copy + Sync, const N: usize>(
+    pixels: &[T],
+    from: (usize, usize),
+    size: (usize, usize),
+    numbers: impl Fn(T) -> [f32; N] + Sync,
+) -> Vec<[f32; N]> {
+    let (across, down) = (taps(from.0, size.0), taps(from.1, size.1));
+    let mut out = vec![[0.0; N]; size.0 * size.1];
+    out.par_chunks_mut(size.0).zip(&down).for_each_init(
+        || vec![[0.0_f32; N]; from.0],
+        |column_sums, (row, down)| {
+            column_sums.fill([0.0; N]);
+            for (y, weight) in down.weights.iter().enumerate() {
+                let input = &pixels[(down.first + y) * from.0..][..from.0];
+                for (sum, pixel) in column_sums.iter_mut().zip(input) {
+                    let value = numbers(*pixel);
+                    (0..N).for_each(|i| sum[i] += weight * value[i]);
+                }
+            }
+            for (pixel, across) in row.iter_mut().zip(&across) {
+                for (value, weight) in column_sums[across.first..].iter().zip(&across.weights) {
+                    (0..N).for_each(|i| pixel[i] += weight * value[i]);
+                }
+            }
+        },
+    );
+    out
+}
+
+/// An image of another size. The same size, or an image without pixels, is returned as it is.
+pub fn resize_image_antialiased(image: &Image, size: (usize, usize)) -> Image {
+    if image.size() == size || image.pixels().is_empty() {
+        return image.clone();
+    }
+    let numbers = resize(image.pixels(), image.size(), size, |pixel| pixel.map(f32::from));
+    let mut resized = Image::new(size.0, size.1);
+    for (pixel, value) in resized.pixels_mut().iter_mut().zip(numbers) {
+        *pixel = value.map(|channel| (channel + 0.5) as u8);
+    }
+    resized
+}
+
+/// A flow of another size, in pixels of that. The same size, or a flow without pixels, is returned as it is.
+pub fn resize_flow_antialiased(flow: &FlowField, size: (usize, usize)) -> FlowField {
+    if flow.size() == size || flow.pixels().is_empty() {
+        return flow.clone();
+    }
+    let grow = [size.0 as f32 / flow.width() as f32, size.1 as f32 / flow.height() as f32];
+    let numbers = resize(flow.pixels(), flow.size(), size, |[u, v]| [u * grow[0], v * grow[1]]);
+    let mut resized = FlowField::new(size.0, size.1);
+    resized.pixels_mut().copy_from_slice(&numbers);
+    resized
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A ramp stays the ramp it was, away from the borders; where pixels do not divide evenly, weights that are made to sum to
+    /// one move it by a small part of a pixel.
+    #[test]
+    fn resizing_keeps_places() {
+        let flow = FlowField::from_fn(64, 48, |x, y| [x as f32, y as f32]);
+        for size in [(32, 24), (128, 96), (21, 31)] {
+            let resized = resize_flow_antialiased(&flow, size);
+            let scale = (64.0 / size.0 as f32, 48.0 / size.1 as f32);
+            for (x, y) in [(size.0 / 2, size.1 / 2), (size.0 / 3, size.1 - size.1 / 4)] {
+                let place = [(x as f32 + 0.5) * scale.0 - 0.5, (y as f32 + 0.5) * scale.1 - 0.5];
+                let [u, v] = resized.get(x, y);
+                let found = [u * scale.0, v * scale.1];
+                let near = |i: usize| (found[i] - place[i]).abs() < 0.05;
+                assert!(near(0) && near(1), "{size:?}: {found:?} for {place:?}");
+            }
+        }
+    }
+
+    /// Every other column black: half the size is grey, not black or white.
+    #[test]
+    fn a_smaller_image_does_not_alias() {
+        let image = Image::from_fn(64, 8, |x, _| [if x % 2 == 0 { 0 } else { 255 }; 3]);
+        let half = resize_image_antialiased(&image, (32, 4));
+        assert!(half.pixels().iter().all(|pixel| pixel[0].abs_diff(128) < 40), "{:?}", half.row(2));
+        assert_eq!(
+            resize_image_antialiased(&Image::filled(7, 5, [9, 99, 200]), (3, 11)),
+            Image::filled(3, 11, [9, 99, 200])
+        );
+    }
+}

@@ -1,0 +1,19 @@
+//! Resizing, each kind as the program that results are compared with does it. All count pixel centres as integers and keep
+//! the borders of the picture: `x` of the result lies at `(x + 0.5) * input / output - 0.5`.
+//!
+//! - linear, as OpenCV's `INTER_LINEAR`: classical flow, augmentation;
+//! - area, as OpenCV's `INTER_AREA`: coarse flow, the features of micro-expressions, pictures of reports;
+//! - cubic, as OpenCV's `INTER_CUBIC`: faces of micro-expressions;
+//! - antialiased: frames and flow of networks that see another size.
+
+mod antialiased;
+mod area;
+mod cubic;
+mod linear;
+
+pub use antialiased::{resize_flow_antialiased, resize_image_antialiased};
+pub use area::{area_means, resize_flow_area, shrink_area};
+pub use cubic::resize_cubic;
+pub use linear::{
+    LinearTap, resize_linear, resize_linear_by, resize_linear_of_two, sample_flow, sample_image, sample_mask,
+};

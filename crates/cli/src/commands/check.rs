@@ -14,7 +14,7 @@ use crate::Context;
 Example:
   srflow check srflow --json
 
-Every file is opened and held against dataset.json. Frame 2 is warped back by the flow: on the head, \
+Every file is opened and compared with dataset.json, and dataset.json with its own arguments. Frame 2 is warped back by the flow: on the head, \
 where frame 2 shows what frame 1 does, little must remain of the difference between the frames. The exit \
 code is 1 when anything is wrong.")]
 pub struct Check {

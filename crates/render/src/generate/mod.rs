@@ -30,7 +30,7 @@ pub use occlusion::DEPTH_TOLERANCE;
 pub(crate) use path::Path as SmoothPath;
 pub use pictures::DEPTH_UNITS_PER_METRE;
 pub use rig::{CANONICAL_CAMERA, FULL_SIZE, Rig, View};
-pub(crate) use scene::unit_name;
+pub(crate) use scene::{Action, Views, record, unit_name};
 pub use settings::{Head, Settings};
 
 /// What [`generate`] did.

@@ -1,7 +1,7 @@
 //! A scene: one subject in motion before a moving camera. Every frame can be asked for alone.
 
 use glam::{EulerRot, Quat};
-use srflow_avatar::{Avatar, HeadPose, Joint, Moment, Motion, Side};
+use srflow_avatar::{Avatar, HeadModel, HeadPose, Joint, Moment, Motion, Side};
 use srflow_field::Image;
 use srflow_field::random::{Key, Stream};
 use srflow_splat::Camera;
@@ -39,14 +39,25 @@ pub(super) struct Scene {
     pub avatar: Avatar,
     /// What is behind the subject, when it is an image.
     pub background: Option<Image>,
-    rig: Rig,
+    action: Action,
+}
+
+/// How the subject of a scene moves, and the camera around it.
+pub(crate) struct Action {
+    views: Views,
     motion: Motion,
+}
+
+/// How the camera of a scene goes around the head, and how the whole subject turns.
+pub(crate) struct Views {
+    pairs: u32,
+    rig: Rig,
     camera_path: Path<3>,
     subject_path: Path<3>,
 }
 
 /// Everything about one frame but its pixels.
-pub(super) struct FrameState {
+pub(crate) struct FrameState {
     pub camera: Camera,
     pub pose: HeadPose,
     view: [f64; 3],
@@ -67,70 +78,95 @@ impl Scene {
     /// Scene `number` of a dataset.
     pub fn new(settings: &Settings, rig: &Rig, number: u32, entry: &SceneEntry) -> Result<Self, RenderError> {
         let avatar = subject(&settings.head, entry)?;
-        let key = Key::new(settings.seed).scene(number);
         let background = match (&settings.background, &entry.background) {
             (Background::Images(dir), Some(name)) => {
                 Some(background::load(&dir.join(name), settings.width, settings.height)?)
             }
             _ => None,
         };
-        let motion = Motion::new(avatar.model(), key, entry.pairs as usize + 1, FRAMES_PER_SECOND);
-        Ok(Self {
-            avatar,
-            background,
-            entry: entry.clone(),
-            rig: rig.clone(),
-            motion,
-            camera_path: camera_path(&mut key.stream("camera"), entry.pairs),
-            subject_path: subject_path(&mut key.stream("subject turns"), entry.pairs),
-        })
+        let action = Action::new(settings, rig, number, entry, avatar.model());
+        Ok(Self { entry: entry.clone(), avatar, background, action })
     }
 
     /// What frame `frame` shows; the first and the last are seen by camera 9 with the subject unturned.
     pub fn frame(&self, frame: u32) -> FrameState {
-        let t = f64::from(frame) / f64::from(self.entry.pairs.max(1));
+        self.action.frame(self.avatar.model(), frame)
+    }
+
+    /// What is written down of a frame.
+    pub fn record(&self, frame: u32, state: &FrameState) -> FrameRecord {
+        record(self.avatar.model(), frame, state)
+    }
+}
+
+impl Views {
+    pub fn new(settings: &Settings, rig: &Rig, number: u32, pairs: u32) -> Self {
+        let key = Key::new(settings.seed).scene(number);
+        Self {
+            pairs,
+            rig: rig.clone(),
+            camera_path: camera_path(&mut key.stream("camera"), pairs),
+            subject_path: subject_path(&mut key.stream("subject turns"), pairs),
+        }
+    }
+
+    /// The camera of a frame, its azimuth, elevation and roll, and the subject's yaw, pitch and roll, in degrees.
+    pub fn at(&self, frame: u32) -> (Camera, [f64; 3], [f64; 3]) {
+        let t = f64::from(frame) / f64::from(self.pairs.max(1));
         let view = self.camera_path.at(t);
-        let subject = self.subject_path.at(t);
-        let mut moment = self.motion.at(self.avatar.model(), frame as usize);
-        soften(&mut moment, self.entry.pairs as f32 / FRAMES_OF_FULL_MOTION);
+        let [azimuth, elevation, roll] = view;
+        (self.rig.camera(View { azimuth, elevation, roll }), view, self.subject_path.at(t))
+    }
+}
+
+impl Action {
+    pub fn new(settings: &Settings, rig: &Rig, number: u32, entry: &SceneEntry, model: &HeadModel) -> Self {
+        let key = Key::new(settings.seed).scene(number);
+        Self {
+            views: Views::new(settings, rig, number, entry.pairs),
+            motion: Motion::new(model, key, entry.pairs as usize + 1, FRAMES_PER_SECOND),
+        }
+    }
+
+    pub fn frame(&self, model: &HeadModel, frame: u32) -> FrameState {
+        let (camera, view, subject) = self.views.at(frame);
+        let mut moment = self.motion.at(model, frame as usize);
+        soften(&mut moment, self.views.pairs as f32 / FRAMES_OF_FULL_MOTION);
         let mut pose = moment.pose.clone();
         let [yaw, pitch, roll] = subject.map(|degrees| degrees.to_radians() as f32);
         let turn = Quat::from_euler(EulerRot::YXZ, yaw, -pitch, roll);
         let root = &mut pose.joints[Joint::Root as usize];
         *root = (turn * *root).normalize();
-        let [azimuth, elevation, roll] = view;
-        let camera = self.rig.camera(View { azimuth, elevation, roll });
         FrameState { camera, pose, view, subject, moment }
     }
+}
 
-    /// What is written down of a frame.
-    pub fn record(&self, frame: u32, state: &FrameState) -> FrameRecord {
-        let model = self.avatar.model();
-        let weights = model.expressions.iter().zip(&state.pose.expressions);
-        let joints = [Joint::Root, Joint::Neck, Joint::Jaw, Joint::LeftEye, Joint::RightEye];
-        FrameRecord {
-            frame,
-            camera: record_from_camera(&state.camera),
-            view: state.view,
-            subject: state.subject,
-            expressions: weights
-                .filter(|(_, weight)| **weight != 0.0)
-                .map(|(shape, weight)| (shape.name.clone(), *weight))
-                .collect(),
-            joints: joints
-                .into_iter()
-                .zip(state.pose.joints)
-                .map(|(joint, rotation)| (joint_name(joint).to_owned(), rotation.to_array()))
-                .collect(),
-            translation: state.pose.translation.to_array(),
-            gaze: state.moment.gaze,
-            action_units: state
-                .moment
-                .action_units
-                .iter()
-                .map(|&(number, side, intensity)| (unit_name(number, side), intensity))
-                .collect(),
-        }
+/// What is written down of a frame.
+pub(crate) fn record(model: &HeadModel, frame: u32, state: &FrameState) -> FrameRecord {
+    let weights = model.expressions.iter().zip(&state.pose.expressions);
+    let joints = [Joint::Root, Joint::Neck, Joint::Jaw, Joint::LeftEye, Joint::RightEye];
+    FrameRecord {
+        frame,
+        camera: record_from_camera(&state.camera),
+        view: state.view,
+        subject: state.subject,
+        expressions: weights
+            .filter(|(_, weight)| **weight != 0.0)
+            .map(|(shape, weight)| (shape.name.clone(), *weight))
+            .collect(),
+        joints: joints
+            .into_iter()
+            .zip(state.pose.joints)
+            .map(|(joint, rotation)| (joint_name(joint).to_owned(), rotation.to_array()))
+            .collect(),
+        translation: state.pose.translation.to_array(),
+        gaze: state.moment.gaze,
+        action_units: state
+            .moment
+            .action_units
+            .iter()
+            .map(|&(number, side, intensity)| (unit_name(number, side), intensity))
+            .collect(),
     }
 }
 

@@ -72,11 +72,15 @@ impl Settings {
     ///
     /// # Errors
     /// When a setting is out of range or a folder that it names cannot be read.
-    pub(super) fn plan(&self) -> Result<Manifest, RenderError> {
+    pub(crate) fn plan(&self) -> Result<Manifest, RenderError> {
         self.validate()?;
-        let scenes = self.scenes as usize;
-        let splits = assign_splits(scenes, self.splits, self.seed);
-        let backgrounds = background::choose(&self.background, scenes, self.seed)?;
+        let backgrounds = background::choose(&self.background, self.scenes as usize, self.seed)?;
+        Ok(self.lay_out(self.arguments()?, backgrounds))
+    }
+
+    /// The dataset that follows from settings that are in range.
+    fn lay_out(&self, arguments: Arguments, backgrounds: Vec<Option<String>>) -> Manifest {
+        let splits = assign_splits(self.scenes as usize, self.splits, self.seed);
         let entry = |(number, (split, background)): (u32, (SceneSplit, Option<String>))| SceneEntry {
             name: format!("scene-{number:04}"),
             split,
@@ -84,13 +88,54 @@ impl Settings {
             pairs: self.pairs_before(number + 1) - self.pairs_before(number),
             background,
         };
-        Ok(Manifest {
+        Manifest {
             layout_version: LAYOUT_VERSION,
             srflow_version: env!("CARGO_PKG_VERSION").to_owned(),
-            arguments: self.arguments()?,
+            arguments,
             rig: self.rig().cameras(),
             scenes: (0..).zip(splits.into_iter().zip(backgrounds)).map(entry).collect(),
-        })
+        }
+    }
+
+    /// The settings that a dataset was made with, but for the folders of the head and the backgrounds; and the manifest
+    /// that they give, with the background images that `manifest` names.
+    ///
+    /// # Errors
+    /// Says which of the manifest's arguments `srflow render` would not take.
+    pub(crate) fn of(manifest: &Manifest) -> Result<(Self, Manifest), String> {
+        let arguments = &manifest.arguments;
+        let wrong =
+            |name: &str, found: &str, expected: &str| format!("{name} `{found}`: expected {expected}");
+        let (head, background) = (arguments.head.as_str(), arguments.background.as_str());
+        let settings = Self {
+            head: match head {
+                "builtin" => Head::Builtin,
+                _ if head.starts_with("ict, ") => Head::Ict(PathBuf::new()),
+                _ => return Err(wrong("head", head, "`builtin` or `ict` with a fingerprint")),
+            },
+            scenes: arguments.scenes,
+            frames: arguments.frames,
+            width: arguments.width,
+            height: arguments.height,
+            splits: arguments.splits,
+            seed: arguments.seed,
+            flow_format: arguments.flow_format.parse().map_err(|error| format!("flow_format: {error}"))?,
+            backward: arguments.backward,
+            depth: arguments.depth,
+            background: match background.parse() {
+                _ if background.starts_with("images, ") => Background::Images(PathBuf::new()),
+                Ok(colour @ Background::Colour(_)) => colour,
+                _ => return Err(wrong("background", background, "#rrggbb or `images` with a fingerprint")),
+            },
+        };
+        settings.validate().map_err(|error| error.to_string())?;
+        let images = matches!(settings.background, Background::Images(_));
+        let named = manifest.scenes.iter().map(|scene| scene.background.clone());
+        let missing = || images.then(|| "an image".to_owned());
+        let backgrounds = named.map(|name| if images { name.or_else(missing) } else { None });
+        let backgrounds = backgrounds.chain(std::iter::repeat_with(missing)).take(settings.scenes as usize);
+        let planned = settings.lay_out(arguments.clone(), backgrounds.collect());
+        Ok((settings, planned))
     }
 
     /// A sentence on each split that has a share of the scenes and yet gets none, for there are few scenes.
@@ -116,7 +161,7 @@ impl Settings {
     }
 
     /// The rig, which stands where it is whoever the subject is: about the middle of a head between chin and crown.
-    pub(super) fn rig(&self) -> Rig {
+    pub(crate) fn rig(&self) -> Rig {
         let centre = match self.head {
             Head::Builtin => DVec3::new(0.0, 0.03, 0.01),
             Head::Ict(_) => DVec3::new(0.0, 0.035, 0.02),

@@ -68,8 +68,8 @@ fn difference<P: Plan>(dir: &Path, found: &str, planned: &str) -> Result<Option<
     Ok(Some(RenderError::OtherDataset { path: dir.to_owned(), field, found, asked }))
 }
 
-/// The name of the first field that differs, and its values in brief.
-fn first_difference(found: &Value, planned: &Value) -> Option<(String, String, String)> {
+/// The name of the first field in which two objects differ, and its values in brief.
+pub(crate) fn first_difference(found: &Value, planned: &Value) -> Option<(String, String, String)> {
     let (Value::Object(there), Value::Object(asked)) = (found, planned) else { return None };
     // A field that holds others says less than the one within it, so single values come first.
     let nested = |value: &Value| value.is_object() || value.is_array();

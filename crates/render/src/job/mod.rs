@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use crate::RenderError;
 
-pub(crate) use folder::unless_gone;
+pub(crate) use folder::{first_difference, unless_gone};
 pub use timing::{Stage, StageTime};
 pub(crate) use work::Work;
 

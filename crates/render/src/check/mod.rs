@@ -1,0 +1,396 @@
+//! Checking an SRFlow dataset: is everything there that `srflow render` writes, is it what follows from the dataset's
+//! arguments, and does the flow explain the frames?
+
+mod plan;
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+use serde::Serialize;
+use srflow_field::{
+    FileKind, FlowField, Image, Mask, parse_error_in_words, read_flow, read_image, read_mask, read_text, warp,
+};
+
+use crate::camera::camera_from_record;
+use crate::job::first_difference;
+use crate::record::PairRecord;
+use crate::statistics::{BINS, FlowSummary, Statistics, bin_edges};
+use plan::{Expected, problems_of_manifest, unexpected_files};
+use srflow_read::manifest::{FrameFiles, Manifest, ManifestError, STATISTICS_NAME, SceneEntry};
+
+/// The most pairs examined at once, each with about 0.3 GB at 2200x3208.
+const MAX_AT_ONCE: usize = 16;
+
+/// Flow is wrong when warping by it leaves more than this many times the difference that there was without, plus a
+/// level. Flow that points the wrong way about doubles it.
+const WORST_RATIO: f64 = 1.05;
+const WORST_LEVELS: f64 = 0.5;
+
+/// Something that is not as it should be.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Problem {
+    /// The file or folder.
+    pub file: PathBuf,
+    /// What is wrong with it.
+    pub what: String,
+}
+
+/// Mean absolute difference between frame 1 and frame 2 over colour channels, in levels of 0 to 255: on the head and
+/// where frame 2 shows what frame 1 does.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Residual {
+    /// Pixels that were compared.
+    pub pixels: u64,
+    /// With frame 2 warped back by the flow.
+    pub warped: f64,
+    /// With frame 2 as it is.
+    pub unwarped: f64,
+}
+
+impl Residual {
+    fn add(&mut self, other: &Self) {
+        let pixels = self.pixels + other.pixels;
+        if pixels > 0 {
+            let share = other.pixels as f64 / pixels as f64;
+            self.warped += share * (other.warped - self.warped);
+            self.unwarped += share * (other.unwarped - self.unwarped);
+        }
+        self.pixels = pixels;
+    }
+
+    fn is_wrong(&self) -> bool {
+        self.warped > WORST_RATIO * self.unwarped + WORST_LEVELS
+    }
+}
+
+/// What [`check`] found.
+#[derive(Debug, Clone, Serialize)]
+pub struct CheckReport {
+    /// Pairs that the dataset should have.
+    pub pairs: u64,
+    /// Pairs without any problem.
+    pub sound: u64,
+    /// Over all pairs that could be compared.
+    pub residual: Residual,
+    /// Everything that is wrong, by file.
+    pub problems: Vec<Problem>,
+    /// What the dataset holds, as its flow files say.
+    pub statistics: Statistics,
+}
+
+/// Opens every file of the dataset in `dir`, with the threads of the current rayon pool. `on_pair` is called after every
+/// pair.
+///
+/// # Errors
+/// When there is no `dataset.json` that can be read. All else that is wrong is in the report.
+pub fn check(dir: &Path, on_pair: &(dyn Fn() + Sync)) -> Result<CheckReport, ManifestError> {
+    let manifest = Manifest::read(dir)?;
+    let mut report = CheckReport {
+        pairs: manifest.pairs(),
+        sound: 0,
+        residual: Residual::default(),
+        problems: problems_of_manifest(dir, &manifest),
+        statistics: Statistics::new(&manifest, FlowSummary::default()),
+    };
+    if !report.problems.is_empty() {
+        return Ok(report); // nothing can be compared with a plan that is wrong
+    }
+    report.problems = unexpected_files(dir, &manifest);
+    let at_once = rayon::current_num_threads().min(MAX_AT_ONCE) as u32;
+    let mut flow = FlowSummary::default();
+    let mut recorded = Some(FlowSummary::default());
+    for (number, scene) in (0..).zip(&manifest.scenes) {
+        let expected = Expected::of_scene(&manifest, number, scene);
+        let checker = PairChecker { dir, manifest: &manifest, scene, expected: expected.as_ref() };
+        // In groups, so that not every thread holds a pair; summed up in order, so that threads do not change the result.
+        for first in (0..scene.pairs).step_by(at_once as usize) {
+            let group = first..scene.pairs.min(first + at_once);
+            let found: Vec<PairFindings> = group
+                .into_par_iter()
+                .map(|pair| {
+                    let findings = checker.examine(pair);
+                    on_pair();
+                    findings
+                })
+                .collect();
+            for findings in found {
+                report.sound += u64::from(findings.problems.is_empty());
+                report.problems.extend(findings.problems);
+                report.residual.add(&findings.residual);
+                flow.add(&findings.flow);
+                recorded = recorded.zip(findings.recorded).map(|(mut sum, pair)| {
+                    sum.add(&pair);
+                    sum
+                });
+            }
+        }
+    }
+    report.problems.extend(problem_of_statistics(dir, &manifest, recorded));
+    report.statistics = Statistics::new(&manifest, flow);
+    Ok(report)
+}
+
+/// What is wrong with `statistics.json`, which sums up all records; without one of these it can only be read.
+fn problem_of_statistics(dir: &Path, manifest: &Manifest, recorded: Option<FlowSummary>) -> Option<Problem> {
+    let file = dir.join(STATISTICS_NAME);
+    let text = match read_text(&file, FileKind::Json) {
+        Ok(text) => text,
+        Err(_) if !file.exists() => {
+            let what = "the file is missing; `srflow render` with the same arguments writes it".to_owned();
+            return Some(Problem { file, what });
+        }
+        Err(error) => return Some(Problem { what: error.problem.to_string(), file }),
+    };
+    let found: Statistics = match serde_json::from_str(&text) {
+        Ok(found) => found,
+        Err(error) => return Some(Problem { what: parse_error_in_words(&error), file }),
+    };
+    let expected = Statistics::new(manifest, recorded?);
+    let value = |statistics| serde_json::to_value(statistics).unwrap_or_default();
+    let (field, found, expected) = first_difference(&value(&found), &value(&expected))?;
+    Some(Problem { file, what: format!("{field} {found}, the records of all pairs give {expected}") })
+}
+
+/// What was found of one pair.
+#[derive(Default)]
+struct PairFindings {
+    problems: Vec<Problem>,
+    residual: Residual,
+    flow: FlowSummary,
+    /// What the pair's record says of its flow.
+    recorded: Option<FlowSummary>,
+}
+
+impl PairFindings {
+    fn problem(&mut self, file: &Path, what: impl Into<String>) {
+        self.problems.push(Problem { file: file.to_owned(), what: what.into() });
+    }
+
+    /// What a file holds, when it can be read and is of the dataset's size.
+    fn read<T>(
+        &mut self,
+        file: &Path,
+        size: (usize, usize),
+        read: impl FnOnce(&Path) -> Result<T, srflow_field::FileError>,
+        size_of: impl Fn(&T) -> (usize, usize),
+    ) -> Option<T> {
+        match read(file) {
+            Err(error) => {
+                let problem = error.problem.to_string();
+                self.problem(file, if file.exists() { problem } else { "the file is missing".to_owned() });
+                None
+            }
+            Ok(content) if size_of(&content) != size => {
+                let (width, height) = size_of(&content);
+                self.problem(
+                    file,
+                    format!(
+                        "expected {}x{} as in dataset.json, found {width}x{height} (WIDTHxHEIGHT)",
+                        size.0, size.1
+                    ),
+                );
+                None
+            }
+            Ok(content) => Some(content),
+        }
+    }
+
+    fn read_image(&mut self, file: &Path, size: (usize, usize)) -> Option<Image> {
+        self.read(file, size, read_image, Image::size)
+    }
+
+    fn read_mask(&mut self, file: &Path, size: (usize, usize)) -> Option<Mask> {
+        self.read(file, size, read_mask, Mask::size)
+    }
+
+    fn read_flow(&mut self, file: &Path, size: (usize, usize)) -> Option<FlowField> {
+        let flow = self.read(file, size, read_flow, FlowField::size)?;
+        let unknown = flow.pixels().iter().filter(|[u, v]| !(u.is_finite() && v.is_finite())).count();
+        if unknown > 0 {
+            self.problem(file, format!("{unknown} pixels without flow, expected none"));
+            return None;
+        }
+        Some(flow)
+    }
+
+    /// Names a flow that does not explain the frames.
+    fn explains(&mut self, residual: Residual, file: &Path) {
+        if residual.is_wrong() {
+            let Residual { warped, unwarped, .. } = residual;
+            let what = format!(
+                "the flow does not explain the frames: the mean difference is {warped:.2} levels with the other frame warped by it, {unwarped:.2} without"
+            );
+            self.problem(file, what);
+        }
+    }
+
+    /// The files of a frame; gives its mask.
+    fn examine_frame(&mut self, files: &FrameFiles, size: (usize, usize)) -> Option<Mask> {
+        let mask = self.read_mask(&files.mask, size);
+        // Alpha is rounded so that its upper half is the mask.
+        let alpha = self.read_mask(&files.alpha, size);
+        if let (Some(mask), Some(alpha)) = (&mask, &alpha)
+            && mask != alpha
+        {
+            let differ =
+                mask.pixels().iter().zip(alpha.pixels()).filter(|(mask, alpha)| mask != alpha).count();
+            self.problem(&files.mask, format!("differs from alpha above one half in {differ} pixels"));
+        }
+        if let Some(path) = &files.depth
+            && let Some(depth) = self.read_image(path, size)
+            && let Some(mask) = &mask
+        {
+            let differ =
+                depth.pixels().iter().zip(mask.pixels()).filter(|(depth, inside)| (depth[0] > 0) != **inside);
+            let differ = differ.count();
+            if differ > 0 {
+                self.problem(path, format!("depth and mask do not go together in {differ} pixels"));
+            }
+        }
+        mask
+    }
+}
+
+/// What the pairs of a scene are held against.
+struct PairChecker<'a> {
+    dir: &'a Path,
+    manifest: &'a Manifest,
+    scene: &'a SceneEntry,
+    expected: Option<&'a Expected>,
+}
+
+impl PairChecker<'_> {
+    fn examine(&self, pair: u32) -> PairFindings {
+        let Self { dir, manifest, scene, .. } = *self;
+        let mut findings = PairFindings::default();
+        let size = (manifest.arguments.width, manifest.arguments.height);
+        let files = manifest.files(dir, scene, pair);
+        let mask = findings.examine_frame(&manifest.frame_files(dir, scene, pair), size);
+        let frame1 = findings.read_image(&files.frame1, size);
+        // The next pair reports its own first frame when it is broken.
+        let mut of_frame2 = PairFindings::default();
+        let of_last = pair + 1 == scene.pairs;
+        let mask2 = (of_last || manifest.arguments.backward)
+            .then(|| of_frame2.examine_frame(&manifest.frame_files(dir, scene, pair + 1), size))
+            .flatten();
+        let frame2 = of_frame2.read_image(&files.frame2, size);
+        if of_last {
+            findings.problems.append(&mut of_frame2.problems);
+        }
+        let flow = findings.read_flow(&files.flow, size);
+        let backward = files.flow_backward.as_ref().and_then(|path| findings.read_flow(path, size));
+        let occlusion = findings.read_mask(&files.occlusion, size);
+        match PairRecord::read(&files.record) {
+            Ok(record) => {
+                self.compare_frames(&mut findings, &record, &files.record, pair);
+                if let (Some(flow), Some(mask), Some(occlusion)) = (&flow, &mask, &occlusion) {
+                    compare_flow(&mut findings, &record.flow, (flow, mask, occlusion), &files.record);
+                }
+                findings.recorded = Some(record.flow);
+            }
+            Err(_) if !files.record.exists() => findings.problem(&files.record, "the file is missing"),
+            Err(error) => findings.problem(&files.record, error.reason),
+        }
+        let (Some(flow), Some(mask), Some(occlusion)) = (flow, mask, occlusion) else { return findings };
+        findings.flow = FlowSummary::of(&flow, &mask, &occlusion);
+        let (Some(frame1), Some(frame2)) = (frame1, frame2) else { return findings };
+        findings.residual =
+            residual((&frame1, &frame2), &flow, |i| mask.pixels()[i] && !occlusion.pixels()[i]);
+        findings.explains(findings.residual, &files.flow);
+        if let (Some(path), Some(backward), Some(mask2)) = (&files.flow_backward, backward, mask2) {
+            let back = residual((&frame2, &frame1), &backward, |i| mask2.pixels()[i]);
+            findings.explains(back, path);
+        }
+        findings
+    }
+
+    /// Holds what a record says of its frames against what the scene gives.
+    fn compare_frames(&self, findings: &mut PairFindings, record: &PairRecord, file: &Path, pair: u32) {
+        let frames = (record.frame1.frame, record.frame2.frame);
+        if frames != (pair, pair + 1) {
+            let what =
+                format!("is of frames {} and {}, expected {pair} and {}", frames.0, frames.1, pair + 1);
+            findings.problem(file, what);
+            return;
+        }
+        for (name, frame) in [("frame1", &record.frame1), ("frame2", &record.frame2)] {
+            let wrong = match self.expected {
+                Some(expected) => expected.differs(frame),
+                None => camera_from_record(&frame.camera).validate().err().map(|error| error.to_string()),
+            };
+            if let Some(wrong) = wrong {
+                findings.problem(file, format!("{name}: {wrong}"));
+            }
+        }
+    }
+}
+
+/// How far a stored flow can be from the rendered one, in pixels: a step of the coarsest format, 1/64 px, along each axis.
+const ROUNDING: f32 = 0.0125;
+
+/// Holds what a record says of the flow against the files.
+fn compare_flow(
+    findings: &mut PairFindings,
+    written: &FlowSummary,
+    (flow, mask, occlusion): (&FlowField, &Mask, &Mask),
+    file: &Path,
+) {
+    let found = FlowSummary::of(flow, mask, occlusion);
+    if (written.pixels, written.occluded) != (found.pixels, found.occluded) {
+        let what = format!(
+            "says {} pixels of which {} are occluded, the mask and occlusion files have {} and {}",
+            written.pixels, written.occluded, found.pixels, found.occluded
+        );
+        findings.problem(file, what);
+        return;
+    }
+    if (written.mean() - found.mean()).abs() > 0.01 + 0.001 * written.mean() {
+        let what =
+            format!("says a mean flow of {:.4} px, the flow file has {:.4}", written.mean(), found.mean());
+        findings.problem(file, what);
+    }
+    if (written.max - found.max).abs() > ROUNDING + 0.001 * found.max {
+        let what =
+            format!("says a greatest flow of {:.4} px, the flow file has {:.4}", written.max, found.max);
+        findings.problem(file, what);
+    }
+    // Rounding moves a pixel into another bin only where its flow is at the edge between them.
+    let (mut below_written, mut below_found) = (0_u64, 0_u64);
+    for bin in 0..BINS {
+        below_written = below_written.saturating_add(written.histogram[bin]);
+        below_found += found.histogram[bin];
+        let edge = bin_edges().get(bin + 1).copied().unwrap_or(f32::INFINITY);
+        let at_edge = |&(&[u, v], &inside): &(&[f32; 2], &bool)| {
+            inside && edge.is_finite() && (u.hypot(v) - edge).abs() <= ROUNDING + 0.001 * edge
+        };
+        let differ = below_written.abs_diff(below_found);
+        if differ > 0 && differ > flow.pixels().iter().zip(mask.pixels()).filter(at_edge).count() as u64 {
+            let what = format!(
+                "its histogram has {below_written} pixels below {edge} px, the flow file {below_found}"
+            );
+            findings.problem(file, what);
+            return;
+        }
+    }
+}
+
+/// Of the pixels `compared`, by their number.
+fn residual(
+    (frame1, frame2): (&Image, &Image),
+    flow: &FlowField,
+    compared: impl Fn(usize) -> bool,
+) -> Residual {
+    let Ok((warped, inside)) = warp(frame2, flow) else { return Residual::default() };
+    let (mut pixels, mut with, mut without) = (0_u64, 0_u64, 0_u64);
+    let difference =
+        |a: &[u8; 3], b: &[u8; 3]| -> u64 { a.iter().zip(b).map(|(a, b)| u64::from(a.abs_diff(*b))).sum() };
+    for (i, frame1) in frame1.pixels().iter().enumerate() {
+        if inside.pixels()[i] && compared(i) {
+            pixels += 1;
+            with += difference(frame1, &warped.pixels()[i]);
+            without += difference(frame1, &frame2.pixels()[i]);
+        }
+    }
+    let mean = |sum: u64| if pixels == 0 { 0.0 } else { sum as f64 / (3 * pixels) as f64 };
+    Residual { pixels, warped: mean(with), unwarped: mean(without) }
+}

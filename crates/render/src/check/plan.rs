@@ -1,0 +1,244 @@
+//! What `dataset.json`, the records and the folders must hold: what the dataset's own arguments give.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use srflow_avatar::HeadModel;
+use srflow_read::manifest::{MANIFEST_NAME, Manifest, RigCamera, SceneEntry, SceneSplit};
+
+use super::Problem;
+use crate::camera::{camera_from_record, record_from_camera};
+use crate::generate::{Action, Head, Settings, Views, record};
+use crate::job::first_difference;
+use crate::record::FrameRecord;
+
+/// What is wrong with `dataset.json`. Of a dataset that another version of srflow made, which may plan otherwise, only
+/// numbers and cameras are checked.
+pub fn problems_of_manifest(dir: &Path, manifest: &Manifest) -> Vec<Problem> {
+    let problem = |what| Problem { file: dir.join(MANIFEST_NAME), what };
+    let planned = match Settings::of(manifest) {
+        Ok((_, planned)) => planned,
+        Err(what) => return vec![problem(format!("its arguments: {what}"))],
+    };
+    let mut wrong = Vec::new();
+    if manifest.scenes.len() != planned.scenes.len() {
+        let (found, expected) = (manifest.scenes.len(), planned.scenes.len());
+        wrong.push(format!("it lists {found} scenes, expected the {expected} that its arguments give"));
+    }
+    let mut found: BTreeMap<&str, &SceneEntry> = BTreeMap::new();
+    for scene in &manifest.scenes {
+        if found.insert(&scene.name, scene).is_some() {
+            wrong.push(format!("it lists {} twice", scene.name));
+        }
+    }
+    for scene in &planned.scenes {
+        match found.remove(scene.name.as_str()) {
+            None => wrong
+                .push(format!("it does not list {} ({}, {} pairs)", scene.name, scene.split, scene.pairs)),
+            Some(there) if is_of_this_version(manifest) => {
+                wrong.extend(differs(there, scene).map(|what| format!("{}: {what}", scene.name)));
+            }
+            Some(there) if there.pairs != scene.pairs => {
+                wrong.push(format!("{}: pairs {}, expected {}", scene.name, there.pairs, scene.pairs));
+            }
+            Some(_) => {}
+        }
+    }
+    wrong.extend(found.keys().map(|name| format!("it lists `{name}`, which its arguments do not give")));
+    wrong.extend(problems_of_rig(manifest, &planned.rig));
+    wrong.into_iter().map(problem).collect()
+}
+
+fn problems_of_rig(manifest: &Manifest, planned: &[RigCamera]) -> Vec<String> {
+    let rig = &manifest.rig;
+    if rig.len() != planned.len() {
+        return vec![format!("its rig has {} cameras, expected {}", rig.len(), planned.len())];
+    }
+    let wrong = |(found, planned): (&RigCamera, &RigCamera)| {
+        let what = if is_of_this_version(manifest) {
+            differs(found, planned)
+        } else {
+            camera_from_record(&found.camera).validate().err().map(|error| error.to_string())
+        };
+        what.map(|what| format!("camera {}: {what}", found.number))
+    };
+    rig.iter().zip(planned).filter_map(wrong).collect()
+}
+
+fn is_of_this_version(manifest: &Manifest) -> bool {
+    manifest.srflow_version == env!("CARGO_PKG_VERSION")
+}
+
+/// The first field that is not as planned.
+fn differs<T: Serialize>(found: &T, planned: &T) -> Option<String> {
+    let value = |of| serde_json::to_value(of).unwrap_or_default();
+    let (field, found, expected) = first_difference(&value(found), &value(planned))?;
+    Some(format!("{field} {found}, expected {expected}"))
+}
+
+/// What the records of a scene must say.
+pub struct Expected {
+    views: Views,
+    /// Of the built-in heads, which follow from the manifest alone.
+    action: Option<(HeadModel, Action)>,
+}
+
+impl Expected {
+    /// None where another version of srflow made the dataset.
+    pub fn of_scene(manifest: &Manifest, number: u32, scene: &SceneEntry) -> Option<Self> {
+        let (settings, _) = Settings::of(manifest).ok().filter(|_| is_of_this_version(manifest))?;
+        let rig = settings.rig();
+        let action = (settings.head == Head::Builtin).then(|| {
+            let model = HeadModel::builtin(scene.subject);
+            let action = Action::new(&settings, &rig, number, scene, &model);
+            (model, action)
+        });
+        Some(Self { views: Views::new(&settings, &rig, number, scene.pairs), action })
+    }
+
+    /// What is wrong with the record of a frame.
+    pub fn differs(&self, found: &FrameRecord) -> Option<String> {
+        let expected = match &self.action {
+            Some((model, action)) => record(model, found.frame, &action.frame(model, found.frame)),
+            None => {
+                let (camera, view, subject) = self.views.at(found.frame);
+                FrameRecord { camera: record_from_camera(&camera), view, subject, ..found.clone() }
+            }
+        };
+        differs(found, &expected)
+    }
+}
+
+/// Files and folders within the splits that the dataset does not speak of.
+pub fn unexpected_files(dir: &Path, manifest: &Manifest) -> Vec<Problem> {
+    let mut problems = Vec::new();
+    let mut unexpected = |file: PathBuf, what: &str| problems.push(Problem { file, what: what.to_owned() });
+    let kinds: BTreeSet<&str> = manifest.kinds().collect();
+    for split in SceneSplit::ALL {
+        for kind in entries(&dir.join(split.to_string())) {
+            if !kinds.contains(name(&kind).as_str()) {
+                unexpected(kind, "not a part of this dataset");
+                continue;
+            }
+            let scenes: BTreeSet<&str> = manifest.scenes_of(split).map(|scene| scene.name.as_str()).collect();
+            for scene in entries(&kind).into_iter().filter(|scene| !scenes.contains(name(scene).as_str())) {
+                unexpected(scene, "not a scene of this dataset");
+            }
+        }
+    }
+    for scene in &manifest.scenes {
+        let mut expected = BTreeSet::new();
+        for pair in 0..scene.pairs {
+            let of_last = manifest.frame_files(dir, scene, pair + 1);
+            expected.extend(manifest.files(dir, scene, pair).all().chain(of_last.all()).cloned());
+        }
+        let folders: BTreeSet<&Path> = expected.iter().filter_map(|file| file.parent()).collect();
+        for file in folders.into_iter().flat_map(entries).filter(|file| !expected.contains(file)) {
+            unexpected(
+                file,
+                "not a file of this dataset; a run that was killed leaves such files, and the next removes them",
+            );
+        }
+    }
+    problems
+}
+
+/// What lies in a folder, by name; nothing where there is no folder, as missing files are named one by one.
+fn entries(folder: &Path) -> Vec<PathBuf> {
+    let mut found: Vec<PathBuf> =
+        fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
+    found.sort();
+    found
+}
+
+fn name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use srflow_field::FlowFormat;
+
+    use super::*;
+    use crate::generate::Background;
+
+    fn manifest() -> Manifest {
+        let settings = Settings {
+            head: Head::Builtin,
+            scenes: 5,
+            frames: 7.4,
+            width: 110,
+            height: 160,
+            splits: [0.6, 0.2, 0.2],
+            seed: 3,
+            flow_format: FlowFormat::Npz16,
+            backward: false,
+            depth: false,
+            background: Background::Colour([255; 3]),
+        };
+        settings.plan().unwrap()
+    }
+
+    /// What is said of the manifest after `change`.
+    fn said(change: impl FnOnce(&mut Manifest)) -> String {
+        let mut manifest = manifest();
+        change(&mut manifest);
+        let problems = problems_of_manifest(Path::new("data"), &manifest);
+        problems
+            .into_iter()
+            .map(|problem| format!("{}: {}\n", problem.file.display(), problem.what))
+            .collect()
+    }
+
+    #[test]
+    fn what_the_arguments_do_not_give_is_named() {
+        assert_eq!(said(|_| {}), "");
+        let all = said(|manifest| manifest.scenes.clear());
+        assert!(all.starts_with("data/dataset.json: it lists 0 scenes, expected the 5"), "{all}");
+        let one = said(|manifest| drop(manifest.scenes.remove(2)));
+        assert!(one.contains("it lists 4 scenes") && one.contains("does not list scene-0002 ("), "{one}");
+        assert!(
+            said(|manifest| manifest.scenes[1].pairs = 4_000_000_000)
+                .contains("scene-0001: pairs 4000000000")
+        );
+        assert!(said(|manifest| manifest.scenes[1].subject ^= 1).contains("scene-0001: subject"));
+        assert!(said(|manifest| manifest.scenes[1].background = Some("x.png".into())).contains("background"));
+        assert!(
+            said(|manifest| manifest.scenes[1].name = "scene-0000".into()).contains("lists scene-0000 twice")
+        );
+        assert!(said(|manifest| manifest.scenes[1].name = "other".into()).contains("lists `other`"));
+        let mut swap = |manifest: &mut Manifest| {
+            let split = &mut manifest.scenes[0].split;
+            *split = if *split == SceneSplit::Val { SceneSplit::Test } else { SceneSplit::Val };
+        };
+        assert!(said(&mut swap).contains("scene-0000: split"));
+        assert!(said(|manifest| manifest.rig[3].camera.fx = -1.0).contains("camera 4: fx -1.0, expected"));
+        assert!(said(|manifest| manifest.rig.clear()).contains("its rig has 0 cameras, expected 16"));
+        for (change, named) in [
+            ((|manifest| manifest.arguments.scenes = 0) as fn(&mut Manifest), "--scenes 0"),
+            (|manifest| manifest.arguments.frames = -1.0, "--frames -1"),
+            (|manifest| manifest.arguments.splits = [1.0, 1.0, 1.0], "--splits 1,1,1"),
+            (|manifest| manifest.arguments.width = usize::MAX, "--size"),
+            (|manifest| manifest.arguments.head = "flame".into(), "head `flame`"),
+            (|manifest| manifest.arguments.background = "sky".into(), "background `sky`"),
+        ] {
+            assert!(said(change).contains(named), "{named}");
+        }
+    }
+
+    #[test]
+    fn another_versions_plan_may_differ_but_not_its_numbers() {
+        let other = |change: fn(&mut Manifest)| {
+            said(|manifest| {
+                manifest.srflow_version = "0.0.9".into();
+                change(manifest);
+            })
+        };
+        assert_eq!(other(|manifest| manifest.scenes[1].subject ^= 1), "");
+        assert!(other(|manifest| manifest.scenes.clear()).contains("it lists 0 scenes"));
+        assert!(other(|manifest| manifest.scenes[1].pairs = 1).contains("scene-0001: pairs 1"));
+        assert!(other(|manifest| manifest.rig[3].camera.fx = -1.0).contains("camera 4"));
+    }
+}

@@ -1,0 +1,118 @@
+//! A rendered dataset passes its check, and nothing of it can be changed unnoticed.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+use srflow_field::{FlowField, FlowFormat, read_flow, write_flow};
+use srflow_render::check::check;
+use srflow_render::generate::{Background, Head, Settings, generate};
+use srflow_render::job::Request;
+
+fn render(dir: &Path) {
+    let settings = Settings {
+        head: Head::Builtin,
+        scenes: 1,
+        frames: 3.0,
+        width: 110,
+        height: 160,
+        splits: [1.0, 0.0, 0.0],
+        seed: 4,
+        flow_format: FlowFormat::Npz16,
+        backward: true,
+        depth: true,
+        background: Background::Colour([255; 3]),
+    };
+    generate(&settings, Request::new(dir)).unwrap();
+}
+
+/// Every problem as `FILE: WHAT`, with files as seen from the dataset's folder.
+fn problems(dir: &Path) -> Vec<String> {
+    let report = check(dir, &|| {}).unwrap();
+    let shown = |file: &Path| file.strip_prefix(dir).unwrap().display().to_string();
+    report.problems.iter().map(|problem| format!("{}: {}", shown(&problem.file), problem.what)).collect()
+}
+
+/// Sets one value of a JSON file.
+fn change(path: &Path, pointer: &str, value: Value) {
+    let mut content: Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
+    *content.pointer_mut(pointer).unwrap() = value;
+    fs::write(path, content.to_string()).unwrap();
+}
+
+#[test]
+fn whatever_is_changed_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    render(dir);
+    assert_eq!(problems(dir), [""; 0]);
+
+    let record = "train/pairs/scene-0000/00001.json";
+    let cases = [
+        (record, "/frame1/camera/fx", Value::from(-1), "frame1: fx -1.0, expected"),
+        (record, "/frame2/view/0", Value::from(77), "frame2: view"),
+        (record, "/frame1/gaze/1", Value::from(0.7), "frame1: gaze"),
+        (record, "/frame1/joints/root/3", Value::from(5), "frame1: root"),
+        (record, "/frame2/frame", Value::from(9), "is of frames 1 and 9, expected 1 and 2"),
+        (record, "/flow/histogram/0", Value::from(1_000_000), "histogram"),
+        (record, "/flow/max", Value::from(900), "greatest flow of 900"),
+        (
+            "statistics.json",
+            "/mean_magnitude",
+            Value::from(1.5),
+            "mean_magnitude 1.5, the records of all pairs give",
+        ),
+        ("statistics.json", "", Value::from("junk"), "statistics.json"),
+        ("dataset.json", "/scenes", Value::Array(vec![]), "lists 0 scenes, expected the 1"),
+        ("dataset.json", "/scenes/0/pairs", Value::from(2), "scene-0000: pairs 2, expected 3"),
+        ("dataset.json", "/rig/0/fx", Value::from(-1), "camera 1: fx -1.0, expected"),
+    ];
+    for (file, pointer, value, expected) in cases {
+        let path = dir.join(file);
+        let sound = fs::read(&path).unwrap();
+        change(&path, pointer, value);
+        let found = problems(dir);
+        assert!(
+            found.iter().any(|what| what.starts_with(file) && what.contains(expected)),
+            "{expected}: {found:?}"
+        );
+        fs::write(&path, sound).unwrap();
+    }
+
+    let statistics = fs::read(dir.join("statistics.json")).unwrap();
+    fs::remove_file(dir.join("statistics.json")).unwrap();
+    assert!(problems(dir)[0].starts_with("statistics.json: the file is missing; `srflow render`"));
+    fs::write(dir.join("statistics.json"), statistics).unwrap();
+
+    let stray: [(PathBuf, &str); 3] = [
+        (
+            dir.join("train/frames/scene-0009/00000.png"),
+            "train/frames/scene-0009: not a scene of this dataset",
+        ),
+        (dir.join("train/depths/notes.txt"), "train/depths: not a part of this dataset"),
+        (
+            dir.join("train/mask/scene-0000/notes.txt"),
+            "train/mask/scene-0000/notes.txt: not a file of this dataset",
+        ),
+    ];
+    for (path, expected) in &stray {
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, "x").unwrap();
+        assert!(problems(dir).iter().any(|what| what.starts_with(expected)), "{expected}");
+        fs::remove_file(path).unwrap();
+        let _ = fs::remove_dir(path.parent().unwrap()); // stays where it holds the dataset's own
+    }
+
+    // Sound as a file, wrong for its frames.
+    let path = dir.join("train/flow_backward/scene-0000/00001.npz16");
+    let flow = read_flow(&path).unwrap();
+    let moved = flow.pixels().iter().map(|[u, v]| [u + 7.0, v - 5.0]).collect();
+    write_flow(&path, &FlowField::from_pixels(110, 160, moved).unwrap()).unwrap();
+    let found = problems(dir);
+    assert!(found.len() == 1 && found[0].contains("the flow does not explain the frames"), "{found:?}");
+    write_flow(&path, &flow).unwrap();
+    fs::copy(dir.join("train/depth/scene-0000/00000.png"), dir.join("train/depth/scene-0000/00002.png"))
+        .unwrap();
+    let found = problems(dir);
+    assert!(found.len() == 1 && found[0].contains("depth and mask do not go together"), "{found:?}");
+}

@@ -391,7 +391,7 @@ mod tests {
         assert!(not_json.contains("dataset.json: not JSON") && not_json.contains("restore the file"));
         assert!(error("{}").contains("no layout_version"));
         assert!(error(r#"{"layout_version": 9}"#).contains("layout_version is 9, this program knows 1"));
-        assert!(error(r#"{"layout_version": 1}"#).contains("missing field"));
+        assert!(error(r#"{"layout_version": 1}"#).contains("missing key"));
         let mut outside = manifest();
         outside.scenes[0].name = "../../etc".into();
         assert!(error(&serde_json::to_string(&outside).unwrap()).contains("scene name `../../etc`"));

@@ -3,7 +3,7 @@
     pip install torch==2.11.0
     python tools/parity/mer_networks.py crates/mer/tests/golden
 
-The three networks are written anew below from the published code: Off-TANet and Off-ApexNet of
+The three networks are rewritten below from the published code: Off-TANet and Off-ApexNet of
 ECNU-Cross-Innovation-Lab/PRICAI2021-Off-TANet (models/off_tanet.py with net_type "ta", models/off_apexnet.py), STSTNet of
 christy1206/STSTNet (main.py). Given a folder with the published code's models/ as a second argument, Off-TANet and
 Off-ApexNet are held to it, parameter by parameter and output by output.

@@ -3,7 +3,7 @@ use rayon::prelude::*;
 use crate::{FlowField, Image, Mask, SizeMismatch, check_same_size};
 
 /// Frame 1 as frame 2 and the flow tell it: each pixel is `frame2` at the place where `flow` sends it, interpolated
-/// bilinearly (backward warping). The mask is `true` where that could be told: the flow is known and ends inside the
+/// bilinearly (backward warping). The mask is `true` where that is possible: the flow is known and ends inside the
 /// frame, that is within `0..=W-1` and `0..=H-1`. Elsewhere the image is black.
 ///
 /// # Errors

@@ -232,7 +232,7 @@ fn the_real_kitti_truth_has_its_known_statistics() {
 fn refusal(name: &str, bytes: &[u8]) -> String {
     let folder = tempfile::tempdir().unwrap();
     let error = read_bytes(folder.path(), name, bytes).unwrap_err();
-    error.split_once(name).map(|(_, told)| told.to_owned()).unwrap_or(error)
+    error.split_once(name).map(|(_, message)| message.to_owned()).unwrap_or(error)
 }
 
 fn flo(width: i32, height: i32, values: &[f32]) -> Vec<u8> {
@@ -270,21 +270,21 @@ fn values_that_are_no_flow_are_named_by_their_pixel() {
     for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
         let mut values = [0.5; 12];
         values[2 * 4 + 1] = bad; // v of pixel 4: column 1 of row 1 at width 3
-        let told = refusal("a.flo", &flo(3, 2, &values));
-        assert!(told.starts_with(": pixel (1, 1): expected finite numbers"), "{told}");
+        let message = refusal("a.flo", &flo(3, 2, &values));
+        assert!(message.starts_with(": pixel (1, 1): expected finite numbers"), "{message}");
 
         let mut pfm = b"PF\n2 2\n-1\n".to_vec();
         let bottom_right = [0., 0., 0., 1., bad, 0., 0., 0., 0., 0., 0., 0.];
         pfm.extend(bottom_right.iter().flat_map(|value| value.to_le_bytes()));
-        let told = refusal("a.pfm", &pfm);
-        assert!(told.starts_with(": pixel (1, 1): expected finite numbers"), "{told}");
+        let message = refusal("a.pfm", &pfm);
+        assert!(message.starts_with(": pixel (1, 1): expected finite numbers"), "{message}");
     }
     let half_known = FlowField::from_pixels(2, 1, vec![[0.0, 0.0], [f32::NAN, 1.0]]).unwrap();
     let folder = tempfile::tempdir().unwrap();
     for format in FlowFormat::ALL {
         let path = folder.path().join(format!("flow.{format}"));
-        let told = write_flow(&path, &half_known).unwrap_err().to_string();
-        assert!(told.contains("pixel (1, 0): expected finite numbers, or NaN twice"), "{told}");
+        let message = write_flow(&path, &half_known).unwrap_err().to_string();
+        assert!(message.contains("pixel (1, 0): expected finite numbers, or NaN twice"), "{message}");
         assert!(!path.exists());
     }
 }
@@ -302,8 +302,8 @@ fn what_a_format_cannot_hold_is_named_by_its_pixel() {
         let mut flow = FlowField::new(4, 3);
         flow.set(3, 2, [0.0, component]);
         let path = folder.path().join(format!("flow.{format}"));
-        let told = write_flow(&path, &flow).unwrap_err().to_string();
-        assert!(told.contains("pixel (3, 2): expected") && !path.exists(), "{told}");
+        let message = write_flow(&path, &flow).unwrap_err().to_string();
+        assert!(message.contains("pixel (3, 2): expected") && !path.exists(), "{message}");
     }
 }
 
@@ -316,34 +316,37 @@ fn npy_errors_name_the_field() {
         bytes.extend([0; 16]);
         refusal("a.npy", &bytes)
     };
-    let told = with("{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2, 3), }");
-    assert_eq!(told, ": shape: expected (H, W, 2) for a flow, found [1, 2, 3]");
-    let told = with("{'descr': '<c8', 'fortran_order': False, 'shape': (1, 2, 2), }");
-    assert_eq!(told, ": descr: expected real numbers or truth values (save with dtype float32), found '<c8'");
-    let told = with("{'descr': '<f4', 'shape': (1, 2, 2), }");
-    assert!(told.starts_with(": fortran_order: expected an entry"), "{told}");
-    let told = with("{'descr': '<f4', 'fortran_order': False, 'shape': (18446744073709551615, 2, 2), }");
-    assert!(told.starts_with(": size: expected at most"), "{told}");
-    let told = with("{'descr': '<f4', 'fortran_order': False, 'shape': (1, -2, 2), }");
-    assert!(told.starts_with(": shape: expected a tuple of lengths"), "{told}");
+    let message = with("{'descr': '<f4', 'fortran_order': False, 'shape': (1, 2, 3), }");
+    assert_eq!(message, ": shape: expected (H, W, 2) for a flow, found [1, 2, 3]");
+    let message = with("{'descr': '<c8', 'fortran_order': False, 'shape': (1, 2, 2), }");
+    assert_eq!(
+        message,
+        ": descr: expected real numbers or truth values (save with dtype float32), found '<c8'"
+    );
+    let message = with("{'descr': '<f4', 'shape': (1, 2, 2), }");
+    assert!(message.starts_with(": fortran_order: expected an entry"), "{message}");
+    let message = with("{'descr': '<f4', 'fortran_order': False, 'shape': (18446744073709551615, 2, 2), }");
+    assert!(message.starts_with(": size: expected at most"), "{message}");
+    let message = with("{'descr': '<f4', 'fortran_order': False, 'shape': (1, -2, 2), }");
+    assert!(message.starts_with(": shape: expected a tuple of lengths"), "{message}");
     assert_eq!(
         with("{'descr': '<f4', 'fortran_order': False, 'shape': (9, 9, 2), }"),
         ": file size: expected 720 bytes, as the header promises, found 88 bytes: the file is cut short"
     );
-    let told = refusal("a.npy", b"\x93NUMPY\x01\x00\xff\xff{}");
-    assert!(told.starts_with(": header length: expected"), "{told}");
+    let message = refusal("a.npy", b"\x93NUMPY\x01\x00\xff\xff{}");
+    assert!(message.starts_with(": header length: expected"), "{message}");
 }
 
 #[test]
 fn pfm_errors_name_the_field() {
-    let told = refusal("a.pfm", b"Pf\n2 2\n-1.0\n0123456789abcdef");
-    assert_eq!(told, ": magic: expected \"PF\", the start of a .pfm file of three channels, found \"Pf\"");
-    let told = refusal("a.pfm", b"PF\n2 two\n-1.0\n");
-    assert_eq!(told, ": height: expected a whole number, found \"two\"");
-    let told = refusal("a.pfm", b"PF\n2 2\n0\n");
-    assert_eq!(told, ": scale: expected a number whose sign is the byte order, such as -1.0, found \"0\"");
-    let told = refusal("a.pfm", b"PF\n99999999999999999999 2\n-1\n");
-    assert!(told.starts_with(": width: expected a whole number"), "{told}");
+    let message = refusal("a.pfm", b"Pf\n2 2\n-1.0\n0123456789abcdef");
+    assert_eq!(message, ": magic: expected \"PF\", the start of a .pfm file of three channels, found \"Pf\"");
+    let message = refusal("a.pfm", b"PF\n2 two\n-1.0\n");
+    assert_eq!(message, ": height: expected a whole number, found \"two\"");
+    let message = refusal("a.pfm", b"PF\n2 2\n0\n");
+    assert_eq!(message, ": scale: expected a number whose sign is the byte order, such as -1.0, found \"0\"");
+    let message = refusal("a.pfm", b"PF\n99999999999999999999 2\n-1\n");
+    assert!(message.starts_with(": width: expected a whole number"), "{message}");
 }
 
 /// `bytes` with the first place that holds `from` holding `to`.
@@ -357,30 +360,30 @@ fn replaced(mut bytes: Vec<u8>, from: &[u8], to: &[u8]) -> Vec<u8> {
 fn flo5_errors_name_the_field() {
     let spring = || fs::read(data("spring.flo5")).unwrap();
     let contiguous = || fs::read(data("contiguous_f16.flo5")).unwrap();
-    let told = refusal("a.flo5", &replaced(spring(), b"flow\0", b"flux\0"));
-    assert_eq!(told, ": root group: expected a dataset `flow`, found none of this name");
-    let told = refusal("a.flo5", &spring()[..4000]);
+    let message = refusal("a.flo5", &replaced(spring(), b"flow\0", b"flux\0"));
+    assert_eq!(message, ": root group: expected a dataset `flow`, found none of this name");
+    let message = refusal("a.flo5", &spring()[..4000]);
     assert_eq!(
-        told,
+        message,
         ": end of file address: expected 4000 as the file has, found 5071: the file is cut short"
     );
 
     let shape = |sides: [u64; 3]| sides.map(u64::to_le_bytes).concat();
     let huge = shape([8192, 16384, 2]);
-    let told = refusal("a.flo5", &replaced(spring(), &shape([9, 13, 2]), &shape([9, 12, 2])));
+    let message = refusal("a.flo5", &replaced(spring(), &shape([9, 13, 2]), &shape([9, 12, 2])));
     let expected = ": chunk shape: expected at least 1 and at most [9, 12, 2] values of 4 bytes, found [9, 13, 2] of 4 bytes";
-    assert_eq!(told, expected);
-    let told = refusal("a.flo5", &replaced(spring(), &shape([9, 13, 2]), &huge));
+    assert_eq!(message, expected);
+    let message = refusal("a.flo5", &replaced(spring(), &shape([9, 13, 2]), &huge));
     let expected = ": chunks: expected chunks of [9, 13, 2] that tile [8192, 16384, 2], found 1 chunks, 1 of them in place";
-    assert_eq!(told, expected);
-    let told = refusal("a.flo5", &replaced(contiguous(), &shape([9, 13, 2]), &huge));
+    assert_eq!(message, expected);
+    let message = refusal("a.flo5", &replaced(contiguous(), &shape([9, 13, 2]), &huge));
     assert_eq!(
-        told,
+        message,
         ": file size: expected 536870912 bytes, as the header promises, found 468 bytes: the file is cut short"
     );
     let plane = replaced(contiguous(), &shape([9, 13, 2]), &shape([9, 26, 1]));
-    let told = refusal("a.flo5", &plane);
-    assert_eq!(told, ": shape of the dataset `flow`: expected (H, W, 2), found [9, 26, 1]");
+    let message = refusal("a.flo5", &plane);
+    assert_eq!(message, ": shape of the dataset `flow`: expected (H, W, 2), found [9, 26, 1]");
 }
 
 /// A tree whose node is its own child would be walked for ever.
@@ -391,8 +394,8 @@ fn a_loop_in_an_hdf5_file_is_refused() {
     let root = (0..bytes.len()).find(is_root).unwrap();
     let first_child = root + 24 + 40;
     bytes[first_child..first_child + 8].copy_from_slice(&(root as u64).to_le_bytes());
-    let told = refusal("a.flo5", &bytes);
-    assert_eq!(told, ": chunk B-tree: expected nodes that end, found nodes that lead back to each other");
+    let message = refusal("a.flo5", &bytes);
+    assert_eq!(message, ": chunk B-tree: expected nodes that end, found nodes that lead back to each other");
 }
 
 #[test]
@@ -400,8 +403,11 @@ fn a_flow_without_pixels_is_not_written() {
     let folder = tempfile::tempdir().unwrap();
     for format in FlowFormat::ALL {
         let path = folder.path().join(format!("flow.{format}"));
-        let told = write_flow(&path, &FlowField::new(0, 5)).unwrap_err().to_string();
-        assert!(told.ends_with(": width: expected at least 1 pixel, found 0") && !path.exists(), "{told}");
+        let message = write_flow(&path, &FlowField::new(0, 5)).unwrap_err().to_string();
+        assert!(
+            message.ends_with(": width: expected at least 1 pixel, found 0") && !path.exists(),
+            "{message}"
+        );
     }
 }
 
@@ -420,8 +426,11 @@ fn pfm_of_either_byte_order_is_read_from_the_bottom() {
 
 #[test]
 fn a_picture_is_no_kitti_flow() {
-    let told = fs::read(data("disc_flow_vis.png")).map(|bytes| refusal("a.png", &bytes)).unwrap();
-    assert!(told.contains("pixel format: expected 16-bit RGB") && told.contains("found 8 bits"), "{told}");
+    let message = fs::read(data("disc_flow_vis.png")).map(|bytes| refusal("a.png", &bytes)).unwrap();
+    assert!(
+        message.contains("pixel format: expected 16-bit RGB") && message.contains("found 8 bits"),
+        "{message}"
+    );
 }
 
 #[test]
@@ -429,15 +438,15 @@ fn a_png_that_claims_more_than_deflate_can_hold_is_refused() {
     let mut bytes = encoded(&FlowField::new(4, 4), FlowFormat::KittiPng);
     bytes[16..20].copy_from_slice(&10_000_u32.to_be_bytes());
     bytes[20..24].copy_from_slice(&10_000_u32.to_be_bytes());
-    let told = refusal("a.png", &bytes);
-    assert!(told.starts_with(": compressed data: expected enough for the 600000000 bytes"), "{told}");
+    let message = refusal("a.png", &bytes);
+    assert!(message.starts_with(": compressed data: expected enough for the 600000000 bytes"), "{message}");
 }
 
 #[test]
 fn an_unknown_kind_of_file_lists_the_formats() {
-    let told = refusal("a.txt", b"hello there");
+    let message = refusal("a.txt", b"hello there");
     assert_eq!(
-        told,
+        message,
         ": format: expected a flow file (flo, png, png128, pfm, flo5, npy, npz, npz16), found neither such an extension nor such a \
          start: \"hello th\""
     );

@@ -63,18 +63,21 @@ fn images_cut_short_are_refused() {
     for name in KINDS {
         let bytes = fs::read(data(name)).unwrap();
         for cut in (0..bytes.len()).step_by(5).chain([bytes.len() - 1]) {
-            let told = read_bytes(&bytes[..cut]).expect_err(name);
-            assert!(told.contains("image.any: ") && told.contains(": expected "), "{name} at {cut}: {told}");
+            let message = read_bytes(&bytes[..cut]).expect_err(name);
+            assert!(
+                message.contains("image.any: ") && message.contains(": expected "),
+                "{name} at {cut}: {message}"
+            );
         }
     }
 }
 
 #[test]
 fn other_files_are_refused() {
-    let told = read_bytes(b"GIF89a and so on").unwrap_err();
+    let message = read_bytes(b"GIF89a and so on").unwrap_err();
     assert!(
-        told.ends_with("image.any: magic: expected a PNG, JPEG, PPM or BMP file, found \"GIF89a a\""),
-        "{told}"
+        message.ends_with("image.any: magic: expected a PNG, JPEG, PPM or BMP file, found \"GIF89a a\""),
+        "{message}"
     );
     let mut huge = fs::read(data("image.png")).unwrap();
     huge[16..24].copy_from_slice(&[0, 1, 0, 0, 0, 1, 0, 0]);
@@ -156,13 +159,13 @@ fn npy_of_other_layouts_is_read_row_major() {
 
 #[test]
 fn npy_says_what_is_wrong() {
-    let told = read_npy_plane(&data("flow.npy")).unwrap_err().to_string();
+    let message = read_npy_plane(&data("flow.npy")).unwrap_err().to_string();
     assert!(
-        told.ends_with("flow.npy: shape: expected (H, W) of at least one pixel, found [9, 13, 2]"),
-        "{told}"
+        message.ends_with("flow.npy: shape: expected (H, W) of at least one pixel, found [9, 13, 2]"),
+        "{message}"
     );
-    let told = write_npy(Path::new("a.npy"), &[2, 3], &[0.0; 5]).unwrap_err().to_string();
-    assert_eq!(told, "a.npy: shape: expected values for [2, 3], found 5 values");
-    let told = write_npy(Path::new("a.npy"), &[usize::MAX, 3], &[0.0; 5]).unwrap_err().to_string();
-    assert!(told.starts_with("a.npy: shape: expected values for"), "{told}");
+    let message = write_npy(Path::new("a.npy"), &[2, 3], &[0.0; 5]).unwrap_err().to_string();
+    assert_eq!(message, "a.npy: shape: expected values for [2, 3], found 5 values");
+    let message = write_npy(Path::new("a.npy"), &[usize::MAX, 3], &[0.0; 5]).unwrap_err().to_string();
+    assert!(message.starts_with("a.npy: shape: expected values for"), "{message}");
 }

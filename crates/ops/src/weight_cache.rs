@@ -12,8 +12,8 @@ use crate::flex::CpuTensor;
 
 /// Keeps what was last made of a weight, for as long as the weight stays the same tensor.
 ///
-/// One cache belongs to one layer's weight, and keeps a version for each pass. Clones share what is kept; with another weight the cache works, but has to
-/// make everything anew.
+/// One cache belongs to one layer's weight, and keeps a version for each pass. Clones share what is kept; with another weight
+/// the cache works, but has to pack again.
 #[derive(Clone, Default)]
 pub struct WeightCache(Arc<Mutex<[Option<Kept>; 2]>>);
 

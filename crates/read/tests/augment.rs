@@ -307,29 +307,33 @@ fn unknown_flow_stays_unknown_and_spreads_no_further_than_interpolation() {
 
 #[test]
 fn what_makes_no_sense_is_named() {
-    let told = |config: AugmentConfig| Augmentation::new(config).expect_err("wrong").to_string();
+    let message = |config: AugmentConfig| Augmentation::new(config).expect_err("wrong").to_string();
     let dense = || AugmentConfig::dense([64, 48]);
     assert_eq!(
-        told(AugmentConfig { hue: 0.7, ..dense() }),
+        message(AugmentConfig { hue: 0.7, ..dense() }),
         "augmentation.hue = 0.7: expected a part of the colour circle from 0 to 0.5"
     );
     assert!(
-        told(AugmentConfig { crop: [0, 5], ..dense() }).starts_with("augmentation.crop = [0, 5]: expected")
+        message(AugmentConfig { crop: [0, 5], ..dense() })
+            .starts_with("augmentation.crop = [0, 5]: expected")
     );
     assert!(
-        told(AugmentConfig { log2_scale: [1.0, 0.0], ..dense() })
+        message(AugmentConfig { log2_scale: [1.0, 0.0], ..dense() })
             .starts_with("augmentation.log2_scale = [1, 0]:")
     );
     assert!(
-        told(AugmentConfig { scale_probability: f32::NAN, ..dense() }).contains("a probability from 0 to 1")
+        message(AugmentConfig { scale_probability: f32::NAN, ..dense() })
+            .contains("a probability from 0 to 1")
     );
     assert!(
-        told(AugmentConfig { eraser_sides: [0, 9], ..dense() })
+        message(AugmentConfig { eraser_sides: [0, 9], ..dense() })
             .starts_with("augmentation.eraser_sides = [0, 9]:")
     );
-    assert!(told(AugmentConfig { brightness: -1.0, ..dense() }).starts_with("augmentation.brightness = -1:"));
     assert!(
-        told(AugmentConfig { max_log2_stretch: 9.0, ..dense() })
+        message(AugmentConfig { brightness: -1.0, ..dense() }).starts_with("augmentation.brightness = -1:")
+    );
+    assert!(
+        message(AugmentConfig { max_log2_stretch: 9.0, ..dense() })
             .starts_with("augmentation.max_log2_stretch = 9:")
     );
 

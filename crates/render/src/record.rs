@@ -45,7 +45,7 @@ pub struct FrameRecord {
 
 /// Why a record could not be read.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: {reason}; delete the file and run `srflow render` again to have it made anew", .path.display())]
+#[error("{}: {reason}; delete the file and run `srflow render` again to make it", .path.display())]
 pub struct RecordError {
     /// The file.
     pub path: PathBuf,

@@ -241,7 +241,7 @@ unsafe fn multiply_diagonal_kernel<S: Simd>(s: S, product: &Product, output: &Ou
             let start = match product.start {
                 Start::PerRow(start) => s.splat(start[row]),
                 Start::Zero => s.splat(0.0),
-                Start::Output => unreachable!("a diagonal product starts anew"),
+                Start::Output => unreachable!("a diagonal product never starts from its output"),
             };
             // SAFETY: the caller's promise.
             unsafe {

@@ -137,7 +137,7 @@ mod tests {
         fill_pieces(4, 4, || (), |(), _, piece| piece[..2].write_copy_of_slice(&[1.0; 2]));
     }
 
-    /// Constant products: `rows` and `columns` as told, whatever the piece is.
+    /// Constant products: `rows` and `columns` as given, whatever the piece is.
     fn fill_with(isa: Isa, rows: usize, columns: usize, start: Start) -> Vec<f32> {
         fill_columns(
             isa,

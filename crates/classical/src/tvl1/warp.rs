@@ -6,7 +6,7 @@ use srflow_field::Plane;
 use super::state::{Linearized, MARGIN, State};
 use srflow_simd::multiversioned;
 
-/// Zeros around the frame: as far as the interpolation reaches from the last position that is told apart.
+/// Zeros around the frame: as far as the interpolation reaches from the last position that it distinguishes.
 const BORDER: usize = 4;
 
 /// Numbers per pixel: the frame, its derivatives along x and y, and one without meaning.

@@ -63,10 +63,10 @@ fn metrics_prints_a_table_for_people() {
     assert_eq!(code(&output), 0, "{output:?}");
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(text.contains("EPE        0.0000 px") && text.contains("over 44 pixels"), "{text}");
-    let told = error(&srflow(folder.path(), &["metrics", "a.flo", "known.flo"]));
+    let message = error(&srflow(folder.path(), &["metrics", "a.flo", "known.flo"]));
     assert!(
-        told.contains("scoring a.flo against known.flo: the prediction at pixel (4, 4) is (NaN, NaN)"),
-        "{told}"
+        message.contains("scoring a.flo against known.flo: the prediction at pixel (4, 4) is (NaN, NaN)"),
+        "{message}"
     );
 }
 
@@ -150,15 +150,15 @@ fn metrics_says_what_is_wrong() {
     write_mask_png(&path("nothing.png"), &Mask::new(9, 5)).unwrap();
     fs::write(path("cut.flo"), &fs::read(path("a.flo")).unwrap()[..50]).unwrap();
 
-    let told = error(&srflow(folder.path(), &["metrics", "cut.flo", "a.flo"]));
-    assert!(told.contains("cut.flo: file size: expected 372 bytes"), "{told}");
-    let told = error(&srflow(folder.path(), &["metrics", "small.flo", "a.flo"]));
-    assert!(told.contains("the prediction is 2x2 and the truth 9x5"), "{told}");
-    let told = error(&srflow(folder.path(), &["metrics", "a.flo", "gone.flo"]));
-    assert!(told.contains("gone.flo: opening"), "{told}");
-    let told =
+    let message = error(&srflow(folder.path(), &["metrics", "cut.flo", "a.flo"]));
+    assert!(message.contains("cut.flo: file size: expected 372 bytes"), "{message}");
+    let message = error(&srflow(folder.path(), &["metrics", "small.flo", "a.flo"]));
+    assert!(message.contains("the prediction is 2x2 and the truth 9x5"), "{message}");
+    let message = error(&srflow(folder.path(), &["metrics", "a.flo", "gone.flo"]));
+    assert!(message.contains("gone.flo: opening"), "{message}");
+    let message =
         error(&srflow(folder.path(), &["metrics", "a.flo", "a.flo", "--mask", "nothing.png", "--json"]));
-    assert!(told.contains("expected a known pixel of the truth inside the mask, found none"), "{told}");
+    assert!(message.contains("expected a known pixel of the truth inside the mask, found none"), "{message}");
     assert_eq!(code(&srflow(folder.path(), &["metrics", "a.flo"])), 2);
 }
 
@@ -194,8 +194,8 @@ fn convert_overwrites_only_with_force() {
     let folder = tempfile::tempdir().unwrap();
     write_flow(&folder.path().join("a.flo"), &wavy()).unwrap();
     fs::write(folder.path().join("b.npy"), "dear").unwrap();
-    let told = error(&srflow(folder.path(), &["convert", "a.flo", "b.npy"]));
-    assert!(told.contains("b.npy") && told.contains("--force"), "{told}");
+    let message = error(&srflow(folder.path(), &["convert", "a.flo", "b.npy"]));
+    assert!(message.contains("b.npy") && message.contains("--force"), "{message}");
     assert_eq!(fs::read(folder.path().join("b.npy")).unwrap(), b"dear");
     let output = srflow(folder.path(), &["convert", "a.flo", "b.npy", "--force", "--json"]);
     assert_eq!(code(&output), 0, "{output:?}");
@@ -211,14 +211,14 @@ fn convert_says_what_is_wrong() {
     let folder = tempfile::tempdir().unwrap();
     let fast = FlowField::filled(4, 3, [600.0, 0.0]);
     write_flow(&folder.path().join("fast.flo"), &fast).unwrap();
-    let told = error(&srflow(folder.path(), &["convert", "fast.flo", "fast.png"]));
-    assert!(told.contains("fast.png: pixel (0, 0): expected components from -512"), "{told}");
-    let told = fails(&srflow(folder.path(), &["convert", "fast.flo", "fast.xyz"]), 2);
-    assert!(told.contains("fast.xyz: expected a name ending in one of .flo, .png"), "{told}");
-    let told = fails(&srflow(folder.path(), &["convert", "fast.flo", "fast.flo5", "--viz"]), 2);
-    assert!(told.contains("expected a name ending in .png"), "{told}");
-    let told = error(&srflow(folder.path(), &["convert", "fast.flo", "no/such/folder.npy"]));
-    assert!(told.contains("no/such/folder.npy: creating"), "{told}");
+    let message = error(&srflow(folder.path(), &["convert", "fast.flo", "fast.png"]));
+    assert!(message.contains("fast.png: pixel (0, 0): expected components from -512"), "{message}");
+    let message = fails(&srflow(folder.path(), &["convert", "fast.flo", "fast.xyz"]), 2);
+    assert!(message.contains("fast.xyz: expected a name ending in one of .flo, .png"), "{message}");
+    let message = fails(&srflow(folder.path(), &["convert", "fast.flo", "fast.flo5", "--viz"]), 2);
+    assert!(message.contains("expected a name ending in .png"), "{message}");
+    let message = error(&srflow(folder.path(), &["convert", "fast.flo", "no/such/folder.npy"]));
+    assert!(message.contains("no/such/folder.npy: creating"), "{message}");
     for wrong in ["0", "-1", "nan", "inf", "many"] {
         let max = format!("--max={wrong}");
         assert_eq!(code(&srflow(folder.path(), &["convert", "fast.flo", "x.png", "--viz", &max])), 2);

@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 
 use super::error::DatasetError;
 
-/// What is missing or left over while a dataset is listed; told all at once at the end.
+/// What is missing or left over while a dataset is listed; reported together at the end.
 pub struct Gaps {
     kind: String,
     dir: PathBuf,

@@ -94,7 +94,7 @@ impl Classes {
     /// The division of a name in [`CLASS_SETS`], or of a TOML file.
     ///
     /// # Errors
-    /// When it is neither, or the file does not hold 2 to 10 classes that can be told apart.
+    /// When it is neither, or the file does not hold 2 to 10 distinct classes.
     pub fn open(name_or_file: &str) -> Result<Self, MicroExpressionError> {
         if let Some((name, _, text)) = CLASS_SETS.iter().find(|(name, ..)| *name == name_or_file) {
             return Self::parse(name, text).map_err(|reason| wrong(Path::new(name), reason));

@@ -1,4 +1,4 @@
-//! Files of cameras, told apart by what they hold. Each format is one file beside this one and one line of a table.
+//! Camera files, recognised by their content. Each format is one file beside this one and one line of a table.
 
 use std::path::Path;
 

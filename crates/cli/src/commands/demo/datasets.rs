@@ -1,4 +1,4 @@
-//! Rendering the demo's two datasets on the road of `srflow render`: stills of three heads at full size, and a smaller
+//! Rendering the demo's two datasets as `srflow render` does: stills of three heads at full size, and a smaller
 //! one with more frames.
 
 use std::path::{Path, PathBuf};

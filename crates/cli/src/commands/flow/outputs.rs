@@ -139,7 +139,7 @@ impl Outputs {
             write_text(&note, identity)?;
             return Ok(0);
         }
-        self.force = true; // what is there is this run's own
+        self.force = true; // existing files are this run's own
         self.prepare(&[])?;
         if warm_start || self.video().is_some() {
             return Ok(0); // each flow follows from the one before, or is a part of one file

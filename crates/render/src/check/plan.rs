@@ -209,11 +209,11 @@ mod tests {
             said(|manifest| manifest.scenes[1].name = "scene-0000".into()).contains("lists scene-0000 twice")
         );
         assert!(said(|manifest| manifest.scenes[1].name = "other".into()).contains("lists `other`"));
-        let mut swap = |manifest: &mut Manifest| {
+        let swap = |manifest: &mut Manifest| {
             let split = &mut manifest.scenes[0].split;
             *split = if *split == SceneSplit::Val { SceneSplit::Test } else { SceneSplit::Val };
         };
-        assert!(said(&mut swap).contains("scene-0000: split"));
+        assert!(said(swap).contains("scene-0000: split"));
         assert!(said(|manifest| manifest.rig[3].camera.fx = -1.0).contains("camera 4: fx -1.0, expected"));
         assert!(said(|manifest| manifest.rig.clear()).contains("its rig has 0 cameras, expected 16"));
         for (change, named) in [

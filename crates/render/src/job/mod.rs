@@ -1,6 +1,6 @@
 //! Making a dataset unit by unit, whether a unit is a frame pair of a scene or a clip of a subject.
 //!
-//! A [`Plan`] says what is to be made. [`make`] claims the folder, finds the units of a shard that are not there yet, and
+//! A `Plan` says what is to be made. `make` claims the folder, finds the units of a shard that are not there yet, and
 //! makes them with workers, each at a run of consecutive units. Files get their names when they are complete, so that a
 //! run that is killed or stopped is continued by the next, and the result has the same bytes.
 

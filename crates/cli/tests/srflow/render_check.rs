@@ -235,7 +235,7 @@ fn wrong_arguments_are_said_before_any_work() {
         (&["--scenes", "0"], 2, "--scenes 0"),
         (&["--shard", "3/2"], 2, "expected I/N"),
         (&["--background", "/no/such/folder"], 1, "--background /no/such/folder"),
-        (&["--background", "#12"], 2, "six hexadecimal digits"),
+        (&["--background", "#12"], 2, "expected white, black, #rrggbb"),
         (&["--head", "ict:/no/such/folder"], 1, "--head /no/such/folder"),
         (&["--flow-format", "jpeg"], 2, "jpeg"),
     ];

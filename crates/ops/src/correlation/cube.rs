@@ -139,6 +139,7 @@ fn inside(x: f32, y: f32, level: &Level) -> bool {
 /// A cube computes one level's windows of `group` pixels: first the dot products at the `reach^2` whole positions of each,
 /// `LANES` threads to a product, each with every `LANES`-th vector of the channels; then the bilinear samples of them.
 #[cube(launch)]
+#[allow(clippy::manual_div_ceil)] // The form that was run on a device.
 fn lookup_kernel<N: Size>(
     first: &Tensor<Vector<f32, N>>,
     second: &Tensor<Vector<f32, N>>,

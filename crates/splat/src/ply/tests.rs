@@ -129,7 +129,7 @@ fn errors_say_what_was_expected_and_found() {
     let nan = text.replace(" 30 ", " NaN ");
     assert_eq!(message(nan.as_bytes()), "position: expected a finite number, found NaN at vertex 0");
     let word = text.replace(" 30 ", " thirty ");
-    assert_eq!(message(word.as_bytes()), "vertex: expected a number, found `thirty` at vertex 0");
+    assert_eq!(message(word.as_bytes()), "vertex: expected a number, found \"thirty\" at vertex 0");
     let zero = text.replace("0 2 0 0 0 30", "0 0 0 0 0 30");
     assert_eq!(
         message(zero.as_bytes()),

@@ -21,7 +21,6 @@ pub enum AvatarError {
     /// A file is not what it should be.
     #[error("{}:{line}: {problem}", .path.display())]
     Malformed {
-        /// The file.
         path: PathBuf,
         /// Line number, from 1.
         line: usize,
@@ -128,7 +127,6 @@ impl Avatar {
         Ok(Self { model, shaped, gaussians })
     }
 
-    /// The head model.
     pub fn model(&self) -> &HeadModel {
         &self.model
     }

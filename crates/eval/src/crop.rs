@@ -15,7 +15,6 @@ pub struct Window {
     pub height: usize,
 }
 
-/// A crop that does not fit the frame.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "the crop {}x{} does not fit the frame of {}x{} (WIDTHxHEIGHT): choose a crop that is no larger than the frames",

@@ -65,7 +65,6 @@ pub enum Event<'a> {
     },
     /// A method begins with a pair, or with several at once.
     Estimating {
-        /// The method's name.
         method: &'a str,
         /// The name of the first of them.
         pair: &'a str,
@@ -94,13 +93,10 @@ pub struct ScoredPair<'a> {
 /// What one method computed for one pair.
 #[derive(Debug)]
 pub struct Estimate {
-    /// The method's name.
     pub method: String,
     /// Whether it is the baseline.
     pub baseline: bool,
-    /// Its flow.
     pub flow: FlowField,
-    /// Its scores.
     pub scores: PairScores,
 }
 
@@ -119,12 +115,7 @@ pub enum EvaluateError {
     },
     /// A pair could not be scored.
     #[error("{pair}: {problem}")]
-    Pair {
-        /// The pair's name.
-        pair: String,
-        /// What went wrong.
-        problem: PairProblem,
-    },
+    Pair { pair: String, problem: PairProblem },
     /// Every pair failed.
     #[error("no pair of {dataset} could be scored; the first that failed: {first}")]
     NothingScored {
@@ -150,7 +141,6 @@ pub enum PairProblem {
     /// A method gave no flow.
     #[error("{method} gave no flow: {source}")]
     Estimate {
-        /// The method's name.
         method: String,
         /// What it said.
         source: EstimateError,
@@ -158,7 +148,6 @@ pub enum PairProblem {
     /// A file with a method's flow could not be read.
     #[error("{method}: {source}")]
     File {
-        /// The method's name.
         method: String,
         /// What is wrong with it.
         source: FlowFileError,
@@ -166,7 +155,6 @@ pub enum PairProblem {
     /// A method's flow could not be scored.
     #[error("the flow of {method} could not be scored: {source}")]
     Score {
-        /// The method's name.
         method: String,
         /// What is wrong with it.
         source: ScoreError,

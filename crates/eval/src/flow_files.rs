@@ -24,7 +24,6 @@ pub struct FlowFiles {
 /// Why a folder of flows does not fit a dataset.
 #[derive(Debug, thiserror::Error)]
 pub enum FlowFilesError {
-    /// Pairs have no file.
     #[error(
         "{}: {count} of {pairs} pairs have no flow file: {listed}; expected each under the name of its pair, such as {}.flo \
          (or .{})",
@@ -39,7 +38,6 @@ pub enum FlowFilesError {
         pairs: usize,
         /// Names of some of them.
         listed: String,
-        /// The first.
         first: String,
     },
     /// A pair has several files.
@@ -47,7 +45,6 @@ pub enum FlowFilesError {
     Several {
         /// Two of them.
         files: [PathBuf; 2],
-        /// The pair's name.
         pair: String,
     },
 }
@@ -64,7 +61,6 @@ pub enum FlowFileError {
         .path.display(), .frame.0, .frame.1, crop_words(.crop), .found.0, .found.1
     )]
     Size {
-        /// The file.
         path: PathBuf,
         /// Width and height of the frames.
         frame: (usize, usize),

@@ -13,7 +13,6 @@ pub struct Evaluation {
     pub dataset: String,
     /// The part of it.
     pub split: Split,
-    /// Its folder.
     pub folder: String,
     /// Width and height of the window around the head, when frames were cropped.
     pub crop: Option<(usize, usize)>,
@@ -42,7 +41,6 @@ pub struct MethodScores {
     pub visible: Option<Metrics>,
     /// Mean over pairs of the share of pixels whose end-point error is at most 0.05, 0.10, ... 5 px.
     pub within: Vec<f64>,
-    /// Each pair.
     pub pairs: Vec<PairScores>,
 }
 
@@ -64,7 +62,6 @@ pub struct PairScores {
 /// A pair that was left out.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Failure {
-    /// The pair's name.
     pub pair: String,
     /// What went wrong.
     pub reason: String,

@@ -76,7 +76,6 @@ impl Protocol {
         (0..self.epochs).filter(|epoch| epoch.is_multiple_of(self.record_every) || *epoch == last).collect()
     }
 
-    /// The learning rate of an epoch.
     pub fn learning_rate(&self, epoch: usize) -> f64 {
         self.learning_rate * self.decay.powi((epoch / self.decay_every) as i32)
     }

@@ -142,7 +142,6 @@ const SKFLOW: Facts = Facts {
 };
 
 impl PublishedWeights {
-    /// The name of the file.
     pub fn file_name(&self) -> &'static str {
         self.url.rsplit('/').next().unwrap_or(self.url)
     }

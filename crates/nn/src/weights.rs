@@ -58,7 +58,6 @@ pub enum WeightsError {
         .path.display()
     )]
     OtherNetwork {
-        /// The file.
         path: PathBuf,
         /// The network that was asked for.
         network: &'static str,

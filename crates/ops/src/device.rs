@@ -37,7 +37,6 @@ pub enum DeviceError {
     NotFound {
         /// What was asked for.
         name: String,
-        /// Its kind.
         kind: &'static str,
         /// How many of this kind there are.
         found: usize,

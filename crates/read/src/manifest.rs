@@ -74,7 +74,6 @@ pub struct Arguments {
     pub background: String,
 }
 
-/// One camera of the rig.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RigCamera {
     /// Its number, from 1.
@@ -208,7 +207,6 @@ pub enum ManifestError {
     /// It is not what `srflow render` writes.
     #[error("{}: {reason}", .path.display())]
     Content {
-        /// The file.
         path: PathBuf,
         /// The field, what was expected and what was found.
         reason: String,

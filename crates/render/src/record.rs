@@ -47,7 +47,6 @@ pub struct FrameRecord {
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {reason}; delete the file and run `srflow render` again to make it", .path.display())]
 pub struct RecordError {
-    /// The file.
     pub path: PathBuf,
     /// What is wrong with it.
     pub reason: String,

@@ -12,7 +12,6 @@ const VECTORS: usize = 3;
 /// [`Simd::TILE_ROWS`] at most.
 const MAX_ROWS: usize = 8;
 
-/// Columns of a panel.
 pub fn panel_columns(isa: Isa) -> usize {
     VECTORS * isa.lanes()
 }

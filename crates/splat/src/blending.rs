@@ -27,7 +27,6 @@ pub(crate) struct Tile<const CHANNELS: usize> {
     pub rows: [TileRow<CHANNELS>; TILE],
 }
 
-/// One row of a tile.
 #[derive(Clone, Copy)]
 pub(crate) struct TileRow<const CHANNELS: usize> {
     /// What is left of the light; negated once the pixel is done, or if it lies outside the image.

@@ -38,7 +38,6 @@ pub struct Progress {
     pub skipped: u64,
     /// How many of the last steps were skipped one after the other.
     pub skipped_in_a_row: u64,
-    /// Steps of the optimizer.
     pub optimizer_steps: u64,
     /// The best validation so far.
     pub best: Option<Best>,

@@ -71,7 +71,6 @@ pub struct ValidationRecord {
 }
 
 impl Record {
-    /// The step that it is of.
     pub fn step(&self) -> u64 {
         match self {
             Self::Step(record) => record.step,

@@ -131,7 +131,6 @@ pub(super) fn lining(plan: &Plan, edge: Vec3, row: usize, upper: bool) -> Vec3 {
     Vec3::new(edge.x * wide, edge.y + up * opening, edge.z + back)
 }
 
-/// Adds the tongue.
 pub(super) fn add_tongue(half: &mut Half, plan: &Plan, lips: f32) {
     let center = Vec3::new(0.0, plan.mouth - 10.0, lips - 39.0);
     let mark = Mark::of(Part::Tongue);

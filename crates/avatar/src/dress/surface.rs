@@ -8,7 +8,6 @@ use srflow_field::random::Stream;
 use crate::binding::TriangleFrame;
 use crate::{HeadModel, Joint, Region, ShapedHead};
 
-/// A point of the surface.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SurfacePoint {
     pub triangle: u32,

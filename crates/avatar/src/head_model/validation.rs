@@ -10,7 +10,6 @@ pub enum HeadModelError {
     Count {
         /// Name of the model.
         model: String,
-        /// The list.
         list: &'static str,
         /// Entries there are.
         found: usize,
@@ -48,7 +47,6 @@ pub enum HeadModelError {
         what: &'static str,
         /// Vertex or landmark number.
         index: usize,
-        /// The sum.
         sum: f32,
     },
     /// The model has no such action unit.

@@ -10,7 +10,6 @@ pub struct ActionCard {
     pub title: String,
     /// E.g. `lip corner puller`.
     pub note: String,
-    /// At rest.
     pub rest: Picture,
     /// At full intensity.
     pub full: Picture,

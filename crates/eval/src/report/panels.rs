@@ -5,7 +5,6 @@ use super::{Figure, Picture};
 /// A picture with its name and a few words.
 #[derive(Debug, Clone)]
 pub struct Panel {
-    /// The picture.
     pub picture: Picture,
     /// Its name, e.g. `Flow`.
     pub title: String,

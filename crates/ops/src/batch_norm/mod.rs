@@ -17,7 +17,6 @@ const EPSILON: f64 = 1e-5;
 pub struct BatchNormShape {
     /// Images.
     pub batch: usize,
-    /// Channels.
     pub channels: usize,
     /// Height times width.
     pub pixels: usize,
@@ -37,7 +36,6 @@ pub struct Affine<'a> {
 /// Of each channel over the batch.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Statistics {
-    /// Mean.
     pub mean: Vec<f32>,
     /// Mean square distance from the mean (not the unbiased estimate).
     pub variance: Vec<f32>,

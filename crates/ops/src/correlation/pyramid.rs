@@ -8,7 +8,6 @@ use rayon::prelude::*;
 pub struct FeaturePyramid<'a> {
     /// Images.
     pub batch: usize,
-    /// Channels.
     pub channels: usize,
     pub(super) levels: Vec<Level<'a>>,
 }

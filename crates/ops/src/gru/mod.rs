@@ -16,7 +16,6 @@ pub mod tensor;
 pub struct GruSize {
     /// Images.
     pub batch: usize,
-    /// Channels.
     pub channels: usize,
     /// Height times width.
     pub pixels: usize,

@@ -51,7 +51,6 @@ pub enum DatasetError {
     Incomplete {
         /// Kind of dataset.
         kind: String,
-        /// The dataset's folder.
         dir: PathBuf,
         /// How many.
         count: usize,
@@ -69,7 +68,6 @@ pub enum DatasetError {
     /// A text file does not say what its format needs.
     #[error("{}: {reason}", .path.display())]
     Format {
-        /// The file.
         path: PathBuf,
         /// What was expected and found.
         reason: String,
@@ -78,7 +76,6 @@ pub enum DatasetError {
     #[error("{}: expected {}x{} (WIDTHxHEIGHT) to go with {}, found {}x{}", .path.display(), .expected.0, .expected.1,
         .frame.display(), .found.0, .found.1)]
     SizeMismatch {
-        /// The file.
         path: PathBuf,
         /// Its width and height.
         found: (usize, usize),

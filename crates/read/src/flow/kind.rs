@@ -49,7 +49,6 @@ impl fmt::Display for Kind {
 pub struct DatasetSpec {
     /// Kind of dataset, e.g. `sintel-clean`.
     pub kind: String,
-    /// The dataset's folder.
     pub dir: PathBuf,
 }
 

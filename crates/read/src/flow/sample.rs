@@ -10,9 +10,7 @@ use super::{DatasetError, Entry, Occlusion};
 /// One pair of frames of a dataset, decoded; everything is of the frames' size.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sample {
-    /// Frame 1.
     pub frame1: Image,
-    /// Frame 2.
     pub frame2: Image,
     /// True flow from frame 1 to frame 2 in pixels, NaN where it is unknown; none where no truth is published.
     pub flow: Option<FlowField>,

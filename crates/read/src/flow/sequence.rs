@@ -37,7 +37,6 @@ impl Direction {
 pub struct Sequence<'a> {
     /// The sequence's name.
     pub scene: String,
-    /// The frames.
     pub frames: Numbered,
     /// The flow files by the number of the frame they start from; none where no truth is published.
     pub flows: Option<Numbered>,

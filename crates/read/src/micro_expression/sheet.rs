@@ -16,7 +16,6 @@ const HEADER_ROWS: u32 = 40;
 /// What a published spreadsheet looks like.
 #[derive(Debug)]
 pub struct Form {
-    /// The dataset's kind.
     pub kind: &'static str,
     /// What it is and how it is called, for messages.
     pub called: &'static str,

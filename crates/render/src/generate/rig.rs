@@ -68,14 +68,12 @@ impl Rig {
         (1..).zip(DIRECTIONS.map(|(azimuth, elevation)| View { azimuth, elevation, roll: 0.0 }))
     }
 
-    /// All cameras of the rig.
     pub fn cameras(&self) -> Vec<RigCamera> {
         Self::views()
             .map(|(number, view)| RigCamera { number, camera: record_from_camera(&self.camera(view)) })
             .collect()
     }
 
-    /// The camera of a view.
     pub fn camera(&self, view: View) -> Camera {
         let (full_width, full_height) = FULL_SIZE;
         let scale = (self.width as f64 / full_width as f64).min(self.height as f64 / full_height as f64);

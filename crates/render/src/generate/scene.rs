@@ -65,7 +65,6 @@ pub(crate) struct FrameState {
     moment: Moment,
 }
 
-/// Makes the head of a subject.
 pub(super) fn subject(head: &Head, entry: &SceneEntry) -> Result<Avatar, RenderError> {
     let made = match head {
         Head::Builtin => Avatar::builtin(entry.subject),

@@ -81,7 +81,6 @@ pub(crate) struct Run {
 /// What to make of a dataset, and where.
 #[derive(Clone, Copy)]
 pub struct Request<'a> {
-    /// The dataset's folder.
     pub dir: &'a Path,
     pub shard: Shard,
     /// Delete another dataset that lies in the folder.

@@ -12,7 +12,6 @@ pub enum Stage {
     Heads,
     /// Posing the head and moving its Gaussians.
     Motion,
-    /// Rasterizing.
     Rasterize,
     /// Masks, occlusion, statistics and backgrounds.
     Occlusion,

@@ -72,7 +72,6 @@ impl Clip {
         self.frames
     }
 
-    /// The head's pose at a frame.
     pub fn pose(&self, avatar: &Avatar, frame: usize) -> Result<HeadPose, HeadModelError> {
         let mut pose = self.expression.pose(avatar.model(), frame)?;
         let [yaw, pitch, roll, x, y, z] =

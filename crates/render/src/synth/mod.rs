@@ -49,7 +49,6 @@ pub struct SynthReport {
     pub made: u64,
     /// Frames of the set, once it is whole.
     pub frames: Option<usize>,
-    /// Subjects of the set.
     pub subjects: u32,
     /// Clips of each class in the set.
     pub classes: BTreeMap<&'static str, usize>,

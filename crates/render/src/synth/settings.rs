@@ -21,7 +21,6 @@ pub struct SynthSettings {
     pub clips_per_subject: u32,
     /// Width and height of the frames, in pixels.
     pub side: usize,
-    /// Frames per second.
     pub frames_per_second: f32,
     /// Strength of the expressions; 1 is 12 to 40 % of each action unit's full strength.
     pub intensity: f32,
@@ -70,7 +69,6 @@ mod format_name {
     }
 }
 
-/// One clip of the plan.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct ClipPlan {
     /// Its number among all clips; random choices are keyed by it.

@@ -46,10 +46,11 @@ pub(crate) trait Operation<const N: usize>: Clone + Debug + Send + 'static {
     /// Gradients of the inputs, at least of those that are wanted.
     fn cpu_backward(&self, back: Backprop<CpuTensor, N>) -> [Option<CpuTensor>; N];
 
-    /// The same by a backend's own operations.
+    /// The same by a backend's own operations. An operation with kernels in `cube` has none, nor has one that its tensor
+    /// function sends to the CPU alone.
     #[allow(dead_code)] // without another device only tests call it
     fn composed<B: Backend>(&self, _inputs: [FloatTensor<B>; N]) -> Vec<FloatTensor<B>> {
-        unimplemented!("{self:?} without a kernel")
+        unreachable!("{self:?} is not composed")
     }
 
     #[allow(dead_code)]
@@ -57,7 +58,7 @@ pub(crate) trait Operation<const N: usize>: Clone + Debug + Send + 'static {
         &self,
         _back: Backprop<FloatTensor<B>, N>,
     ) -> [Option<FloatTensor<B>>; N] {
-        unimplemented!("gradients of {self:?} without a kernel")
+        unreachable!("gradients of {self:?} are not composed")
     }
 
     #[cfg(feature = "cube")]

@@ -7,7 +7,7 @@ use serde::Serialize;
 use srflow_eval::report::{Figure, score_report};
 use srflow_eval::{Evaluation, Method, MethodRecord, OnFailure, Settings, TextStyle, joined, markdown_file};
 use srflow_field::create_folder;
-use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
+use srflow_read::flow::{DatasetSpec, FlowDataset, KINDS, Split};
 
 use crate::methods::{self, MethodParameters, MethodSpec, Source};
 use crate::output::{ensure_folder, ensure_free, latex, print_tables, write_text};
@@ -15,9 +15,14 @@ use crate::scoring::{self, Pictures, folder_name};
 use crate::size::Size;
 use crate::{Context, machine};
 
+fn kinds_help() -> String {
+    let lines: Vec<String> = KINDS.iter().map(|kind| format!("  {kind}\n      {}", kind.about)).collect();
+    lines.join("\n")
+}
+
 /// Score estimators over a dataset and print the table
 #[derive(Args)]
-#[command(after_help = "\
+#[command(after_help = format!("\
 Scores are those of the SRFlow paper's Table II: computed per pair over the pixels whose true flow is known, then \
 averaged over pairs; also inside the head's mask and outside occlusions where the dataset has them. The baseline `zero` \
 says that nothing moves.
@@ -29,9 +34,12 @@ DIR/METHOD.
 Examples:
   srflow eval --dataset srflow:srflow --method farneback tvl1 --crop 1200x1600 --out scores
   srflow eval --dataset sintel-clean:/data/Sintel --method skflow=skflow-things.ckpt raft=raft.pth raft=mine.pth --iters 12
-  srflow eval --dataset sintel-clean:/data/Sintel --method tvl1 Theirs:files:out/theirs --save-flow flows")]
+  srflow eval --dataset sintel-clean:/data/Sintel --method tvl1 Theirs:files:out/theirs --save-flow flows
+
+Kinds of dataset:
+{}", kinds_help()))]
 pub struct Eval {
-    /// Kind of dataset and its folder, e.g. sintel-clean:/data/Sintel; an unknown kind lists all
+    /// Kind of dataset and its folder, e.g. sintel-clean:/data/Sintel
     #[arg(long, value_name = "KIND:DIR")]
     dataset: DatasetSpec,
     /// Part of the dataset: train, val, test or all [default: the one that results are reported on]

@@ -1,7 +1,7 @@
 //! Networks on the command line: weights, iterations, device.
 
 use std::num::NonZeroUsize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
@@ -96,17 +96,26 @@ impl NetworkArgs {
         };
         let path = self.weights_of(architecture, weights)?;
         let network = load_network(architecture, &path, &device)?;
-        if let Claim::Silent(others) = claim(architecture, &path)? {
-            note!(
-                "note: {}: nothing in it says whether it is of {} or of {}, whose parameters have the same names and shapes",
-                path.display(),
-                architecture.facts().title,
-                others.join(", ")
-            );
-        }
+        note_if_ambiguous(architecture, &path)?;
         let iterations = NonZeroUsize::new(self.iterations(architecture)).context("no iterations")?;
         Ok(NetworkEstimator::new(label, network, iterations, device))
     }
+}
+
+/// Says so where the weights of a file could as well be another network's.
+///
+/// # Errors
+/// When the file cannot be read.
+pub fn note_if_ambiguous(architecture: Architecture, path: &Path) -> anyhow::Result<()> {
+    if let Claim::Silent(others) = claim(architecture, path)? {
+        note!(
+            "note: {}: nothing in it says whether it is of {} or of {}, whose parameters have the same names and shapes",
+            path.display(),
+            architecture.facts().title,
+            others.join(", ")
+        );
+    }
+    Ok(())
 }
 
 /// The file that `--weights` means, fetched when it is a name that was not used before.

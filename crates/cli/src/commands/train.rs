@@ -11,7 +11,7 @@ use srflow_train::config::{Config, PRESETS};
 use srflow_train::training_log::{Record, StepRecord, read_log};
 use srflow_train::{Beginning, Event, Outcome, Start, config_of_run, report, train};
 
-use crate::networks::weights_file;
+use crate::networks::{note_if_ambiguous, weights_file};
 use crate::{Context, machine};
 
 /// Train an optical flow network
@@ -201,6 +201,7 @@ pub fn find_weights(config: &mut Config) -> anyhow::Result<()> {
     let network = &mut config.network;
     if let Some(weights) = network.weights.to_str().filter(|weights| !weights.is_empty()) {
         network.weights = weights_file(Some(network.architecture), weights)?;
+        note_if_ambiguous(network.architecture, &network.weights)?;
     }
     Ok(())
 }

@@ -42,8 +42,8 @@ pub struct Report {
     pub statistics: Option<Statistics>,
 }
 
-/// Makes a dataset, or one shard of it, with the threads of the current rayon pool. What is there already, made with the
-/// same settings, is left as it is.
+/// Makes a dataset, or one shard of it, with the threads of the current rayon pool. Existing files, made with the
+/// same settings, are kept.
 ///
 /// # Errors
 /// Before any work when a setting is wrong or the folder is not this dataset's; later when a file cannot be written or a

@@ -78,8 +78,8 @@ struct ClipRecord {
     landmarks: Vec<[f64; 2]>,
 }
 
-/// Makes a set of micro-expressions, or one shard of it, with the threads of the current rayon pool. What is there
-/// already, made with the same settings, is left as it is.
+/// Makes a set of micro-expressions, or one shard of it, with the threads of the current rayon pool. Existing
+/// files, made with the same settings, are kept.
 ///
 /// # Errors
 /// Before any work when a setting is out of range or the folder is not this set's; later when a file cannot be written.

@@ -1,19 +1,22 @@
-"""Golden values for the networks: runs ptlflow's RAFT, RAFT-S, GMA and SKFlow on a made-up pair of frames.
+"""Golden values for the networks: runs those of ptlflow on a made-up pair of frames.
 
     pip install ptlflow==0.4.2
-    python tools/parity/nets.py crates/nets/tests/golden
+    python tools/parity/nets.py crates/nets/tests/golden [NETWORK...]
 
 Parameters and frames are not stored: both come from rules over names, shapes and positions, which
-crates/nets/tests/parity.rs repeats. Written for each network and case, as safetensors:
-    coarse_1     flow at an eighth of the padded size after 1 iteration, [batch, 2, height / 8, width / 8]
-    coarse_12    the same after 12 iterations
-    flow_12      flow after 12 iterations at every 7th row and column, [batch, 2, rows, columns]
-and of a training step, for the mean over all numbers of (flow - [4, 2])^2, weighted with 0.8 towards the last of 3
-iterations, with the running statistics of batch norm (running) and with those of the batch (batch):
+crates/nets/tests/parity.rs repeats. Written for each network and case, as NETWORK_BATCHxHEIGHTxWIDTH.safetensors:
+    gain/PART    a number that parameters with PART in their name are multiplied with
+    coarse_N     after N iterations, the flow that a warm start takes, [batch, 2, rows, columns], where there is one
+    flow_N       the flow after N iterations at every 7th row and column, [batch, 2, rows, columns]
+and of a training step, where the reference can be trained, for the mean over all numbers of (flow - [4, 2])^2, weighted with
+0.8 towards the last of all flows that the network gives, with the running statistics of batch norm (running) and with those
+of the batch (batch):
+    training_iterations   how many
     running/NAME, batch/NAME   the gradient of a parameter, 17 numbers of it: see `samples`
 """
 
 import sys
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -21,18 +24,44 @@ import ptlflow
 import torch
 from golden import name_hash, noise, write_safetensors
 
-# batch, height, width: one that needs no padding, one that does. The coarsest of four levels must be larger than one
-# pixel, or the reference divides by zero.
-CASES = [(1, 128, 160), (2, 133, 150)]
-NETWORKS = ["raft", "raft_small", "gma", "skflow"]
 EVERY = 7
-# Parts of SKFlow's blocks that are added to their own input, four in a row: full weights would explode.
-RESIDUAL = ["ffn1.2.", "conv_list.", "pw."]
 
 
-def parameter(name, shape):
+@dataclass
+class Network:
+    """A network of ptlflow, and how it is run. The first case needs no padding, the second does."""
+
+    name: str
+    # Of each forward pass, and of the training step; 0 where the reference cannot be trained.
+    iterations: tuple = (1, 12)
+    training_iterations: int = 3
+    # Name of the model's attribute that holds the iterations.
+    attribute: str = "iters"
+    # Batch, height, width.
+    cases: tuple = ((1, 128, 160), (2, 133, 150))
+    # Parts of names of parameters, and what those are multiplied with, so that activations and flow keep their size.
+    gains: dict = field(default_factory=dict)
+
+
+# Of SKFlow's blocks, whose parts are added to their own input, four in a row: full weights would explode. The last keeps the
+# flow inside the frame.
+SUPER_KERNELS = {"ffn1.2.": 0.5, "conv_list.": 0.5, "pw.": 0.5, "flow_head.ffn2.2.": 0.25}
+
+# The coarsest of four levels of a correlation pyramid must be larger than one pixel, or the reference divides by zero.
+NETWORKS = [
+    Network("raft"),
+    Network("raft_small"),
+    Network("gma"),
+    Network("skflow", gains=SUPER_KERNELS),
+]
+
+
+def parameter(name, shape, gains):
     """Weights of variance 1 / fan_in, so that activations keep their size; the rest near what training leaves."""
     u = noise(int(np.prod(shape)), name_hash(name)).reshape(shape)
+    for part, gain in gains.items():
+        if part in name:
+            u = u * np.float32(gain)
     last = name.rsplit(".", 1)[-1]
     if last == "running_var":
         return np.float32(1) + np.float32(0.5) * u
@@ -40,10 +69,6 @@ def parameter(name, shape):
         return np.float32(0.5) + np.float32(0.25) * u
     if last == "weight" and len(shape) == 1:
         return np.float32(1) + np.float32(0.25) * u
-    if any(part in name for part in RESIDUAL):
-        u = u * np.float32(0.5)
-    if "flow_head.ffn2.2." in name:  # keeps SKFlow's flow inside the frame
-        u = u * np.float32(0.25)
     if last == "weight":
         return u * np.float32(np.sqrt(3.0 / np.prod(shape[1:])))
     return np.float32(0.1) * u
@@ -81,9 +106,9 @@ def samples(gradient):
     return np.append(np.sqrt(np.mean(flat**2)), flat[np.arange(16) * flat.size // 16])
 
 
-def gradients(model, images, batch_statistics):
+def gradients(network, model, images, batch_statistics):
     """By parameter, after a backward pass of the training loss."""
-    model.iters = 3
+    setattr(model, network.attribute, network.training_iterations)
     model.train()
     for module in model.modules():
         if isinstance(module, torch.nn.BatchNorm2d):
@@ -92,40 +117,49 @@ def gradients(model, images, batch_statistics):
     model.zero_grad()
     flows = model({"images": images})["flow_preds"]
     truth = torch.tensor([4.0, 2.0]).reshape(1, 2, 1, 1)
-    sum(0.8 ** (2 - i) * ((flow - truth) ** 2).mean() for i, flow in enumerate(flows)).backward()
+    last = len(flows) - 1
+    sum(0.8 ** (last - i) * ((flow - truth) ** 2).mean() for i, flow in enumerate(flows)).backward()
     model.eval()
     state = model.state_dict()
     parameters = [(one_name(name, state), value) for name, value in model.named_parameters()]
     return {name: value.grad.numpy() for name, value in parameters if value.grad is not None}
 
 
-def main(folder):
+def write(network, folder):
+    model = ptlflow.get_model(network.name).eval()
+    state = model.state_dict()
+    for name, value in state.items():
+        if value.dtype == torch.float32:
+            values = parameter(one_name(name, state), tuple(value.shape), network.gains)
+            state[name] = torch.from_numpy(np.ascontiguousarray(values))
+    model.load_state_dict(state)
+    for batch, height, width in network.cases:
+        pair = np.stack([frame(batch, height, width, shift) for shift in (0, 4)], axis=1)
+        images = torch.from_numpy(pair[:, :, ::-1].copy())  # the reference takes BGR
+        out = {f"gain/{part}": np.array([gain]) for part, gain in network.gains.items()}
+        for iterations in network.iterations:
+            setattr(model, network.attribute, iterations)
+            with torch.no_grad():
+                result = model({"images": images})
+            if "flow_small" in result:
+                out[f"coarse_{iterations}"] = result["flow_small"].numpy()
+            out[f"flow_{iterations}"] = result["flows"][:, 0, :, ::EVERY, ::EVERY].numpy()
+        if network.training_iterations:
+            out["training_iterations"] = np.array([network.training_iterations])
+            for kind, batch_statistics in [("running", False), ("batch", True)]:
+                for name, gradient in gradients(network, model, images, batch_statistics).items():
+                    out[f"{kind}/{name}"] = samples(gradient)
+        write_safetensors(folder / f"{network.name}_{batch}x{height}x{width}.safetensors", out)
+        sizes = {name: round(float(np.abs(value).mean()), 3) for name, value in out.items() if "_" in name and "/" not in name}
+        print(network.name, (batch, height, width), "mean magnitudes", sizes)
+
+
+def main(folder, names):
     folder.mkdir(parents=True, exist_ok=True)
     for network in NETWORKS:
-        model = ptlflow.get_model(network).eval()
-        state = model.state_dict()
-        for name, value in state.items():
-            if value.dtype == torch.float32:
-                values = parameter(one_name(name, state), tuple(value.shape))
-                state[name] = torch.from_numpy(np.ascontiguousarray(values))
-        model.load_state_dict(state)
-        for batch, height, width in CASES:
-            pair = np.stack([frame(batch, height, width, shift) for shift in (0, 4)], axis=1)
-            images = torch.from_numpy(pair[:, :, ::-1].copy())  # the reference takes BGR
-            out = {}
-            for iterations in (1, 12):
-                model.iters = iterations
-                with torch.no_grad():
-                    result = model({"images": images})
-                out[f"coarse_{iterations}"] = result["flow_small"].numpy()
-            out["flow_12"] = result["flows"][:, 0, :, ::EVERY, ::EVERY].numpy()
-            for kind, batch_statistics in [("running", False), ("batch", True)]:
-                for name, gradient in gradients(model, images, batch_statistics).items():
-                    out[f"{kind}/{name}"] = samples(gradient)
-            write_safetensors(folder / f"{network}_{batch}x{height}x{width}.safetensors", out)
-            sizes = {name: round(float(np.abs(value).mean()), 3) for name, value in out.items() if "/" not in name}
-            print(network, (batch, height, width), "mean magnitudes", sizes)
+        if not names or network.name in names:
+            write(network, folder)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main(Path(sys.argv[1]), sys.argv[2:])

@@ -5,7 +5,7 @@ use std::str::FromStr;
 use anyhow::Context as _;
 use clap::Args;
 use serde::Serialize;
-use srflow_nets::{TileSize, Tiles, scaled_size};
+use srflow_nets::{SMALLEST_TILE_SIDE, TileSize, Tiles, Tiling, scaled_size};
 
 use crate::machine;
 use crate::methods::Method;
@@ -15,6 +15,8 @@ use crate::usage::wrong_usage;
 
 /// Part of the free memory that `--tile auto` fills: frames and flows take some beside the network.
 const MEMORY_SHARE: f64 = 0.8;
+/// Tiles of methods that do not care where they start.
+const CLASSICAL_ALIGNMENT: usize = 8;
 
 /// How large frames are made to fit.
 #[derive(Args, Debug, Clone, Default)]
@@ -26,7 +28,7 @@ pub struct LargeFrames {
     tile: Option<Tile>,
     /// Pixels that neighbouring tiles share, up to half a tile
     #[arg(long, value_name = "PIXELS", default_value_t = 128, requires = "tile", value_parser = overlap)]
-    pub tile_overlap: usize,
+    tile_overlap: usize,
     /// Resize the frames by this factor first, and the flow back
     #[arg(long, value_name = "FACTOR", value_parser = factor)]
     pub scale: Option<f64>,
@@ -72,9 +74,8 @@ impl FromStr for Tile {
             return Ok(Self::Auto);
         }
         let size: Size = text.parse().map_err(|_| "expected WIDTHxHEIGHT in pixels, or auto".to_owned())?;
-        let smallest = srflow_nets::SMALLEST_SIDE;
-        if size.width.min(size.height) < smallest {
-            return Err(format!("a tile has sides of {smallest} pixels or more"));
+        if size.width.min(size.height) < SMALLEST_TILE_SIDE {
+            return Err(format!("a tile has sides of {SMALLEST_TILE_SIDE} pixels or more"));
         }
         Ok(Self::Size(size))
     }
@@ -86,11 +87,20 @@ impl LargeFrames {
         self.tile.is_some() || self.scale.is_some()
     }
 
-    /// How large tiles are to be; `None` for frames as they are.
+    /// How frames are divided; `None` for frames as they are.
     ///
     /// # Errors
     /// When `auto` is asked for where nothing is known of the memory.
-    pub fn tile_size(&self, method: Method, network: &NetworkArgs) -> anyhow::Result<Option<TileSize>> {
+    pub fn tiling(&self, method: Method, network: &NetworkArgs) -> anyhow::Result<Option<Tiling>> {
+        let alignment = match method {
+            Method::Network(architecture) => architecture.facts().padding,
+            _ => CLASSICAL_ALIGNMENT,
+        };
+        let size = self.tile_size(method, network)?;
+        Ok(size.map(|size| Tiling { size, overlap: self.tile_overlap, alignment }))
+    }
+
+    fn tile_size(&self, method: Method, network: &NetworkArgs) -> anyhow::Result<Option<TileSize>> {
         Ok(match (self.tile, method) {
             (None, _) => None,
             (Some(Tile::Size(size)), _) => Some(TileSize::Fixed(size.width, size.height)),
@@ -103,7 +113,7 @@ impl LargeFrames {
                 }
                 let free = machine::free_memory()
                     .context("--tile auto: the free memory is not known; give WIDTHxHEIGHT")?;
-                let need = architecture.memory_need().of_batch(network.batch);
+                let need = architecture.facts().memory.of_batch(network.batch);
                 Some(TileSize::Fitting { need, bytes: (free as f64 * MEMORY_SHARE) as u64 })
             }
             (Some(Tile::Auto), _) => {
@@ -118,7 +128,7 @@ impl LargeFrames {
     /// What a method sees of frames of `size`.
     ///
     /// # Errors
-    /// As [`LargeFrames::tile_size`], and when the memory is too small for any tile.
+    /// As [`LargeFrames::tiling`], and when the memory is too small for any tile.
     pub fn resolution(
         &self,
         size: (usize, usize),
@@ -126,9 +136,9 @@ impl LargeFrames {
         network: &NetworkArgs,
     ) -> anyhow::Result<Resolution> {
         let (width, height) = self.scale.map_or(size, |factor| scaled_size(size, factor));
-        let (tile, tiles) = match self.tile_size(method, network)? {
-            Some(tile) => {
-                let tiles = Tiles::new((width, height), tile, self.tile_overlap)?;
+        let (tile, tiles) = match self.tiling(method, network)? {
+            Some(tiling) => {
+                let tiles = Tiles::new((width, height), tiling)?;
                 (tiles.size(), tiles.count())
             }
             None => ((width, height), 1),

@@ -6,13 +6,8 @@ use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
 use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image, forward_interpolate};
 
-use crate::recurrent::STRIDE;
 use crate::tiles::check_sizes;
-use crate::{Estimate, Features, Frames, Network, Request};
-
-/// Shorter sides of a frame are padded to this many pixels by repeating the border. The coarsest level of a correlation
-/// pyramid is then two pixels wide; with less, the reference implementation gives NaN or fails.
-pub const SMALLEST_SIDE: usize = 128;
+use crate::{Estimate, Facts, Features, Frames, Memory, Network, Request, Start};
 
 /// A [`Network`] that estimates flow between images of any size.
 pub struct NetworkEstimator {
@@ -28,10 +23,30 @@ impl NetworkEstimator {
         Self { name: name.into(), network, iterations, device }
     }
 
-    fn encoded(&self, frame: &Image) -> Encoded {
-        let frame = Canvas::of(frame.size()).extended(frame);
+    fn facts(&self) -> &'static Facts {
+        self.network.architecture().facts()
+    }
+
+    fn canvas(&self, size: (usize, usize)) -> Canvas {
+        Canvas::new(size, self.facts().smallest_side)
+    }
+
+    fn encoded(&self, frame: &Image) -> EncodedFrame {
+        let frame = self.canvas(frame.size()).extended(frame);
         let features = self.network.features(self.tensor(&[&frame]));
-        Encoded { frame, features }
+        EncodedFrame { frame, features }
+    }
+
+    fn unsupported(&self, reason: impl Into<String>) -> EstimateError {
+        EstimateError::Unsupported { method: self.name.clone(), reason: reason.into() }
+    }
+
+    /// Pixels along a side of a coarse pixel of the flow that an estimate starts from.
+    fn start_stride(&self) -> Result<usize, EstimateError> {
+        match self.facts().start {
+            Start::Coarse(stride) => Ok(stride),
+            Start::Frames(why) => Err(self.unsupported(format!("cannot start from an earlier flow: {why}"))),
+        }
     }
 
     /// `[frames, 3, height, width]`.
@@ -53,7 +68,13 @@ impl NetworkEstimator {
     }
 
     /// From the first `pairs` frames to the last.
-    fn forward(&self, frames: &[Encoded], pairs: usize, start: Option<Tensor<4>>) -> Estimate {
+    fn forward(
+        &self,
+        frames: &[EncodedFrame],
+        pairs: usize,
+        start: Option<Tensor<4>>,
+        memory: Option<Memory>,
+    ) -> Estimate {
         let features = Features::cat(frames.iter().map(|encoded| encoded.features.clone()).collect());
         let images: Vec<&Image> = frames.iter().map(|encoded| &encoded.frame).collect();
         let second = frames.len() - pairs;
@@ -61,6 +82,7 @@ impl NetworkEstimator {
         let request = Request {
             start,
             features: Some([features.clone().narrow(0, pairs), features.narrow(second, pairs)]),
+            memory,
             ..Request::new(self.iterations.get())
         };
         self.network.forward(frames, &request)
@@ -83,22 +105,23 @@ impl NetworkEstimator {
     }
 
     fn numbers(&self, tensor: Tensor<4>) -> Result<Vec<f32>, EstimateError> {
-        let unsupported = |reason| EstimateError::Unsupported { method: self.name.clone(), reason };
         let data = tensor.into_data().convert::<f32>();
-        let numbers: Vec<f32> = data.try_to_vec().map_err(|error| unsupported(format!("{error:?}")))?;
+        let numbers: Vec<f32> = data.try_to_vec().map_err(|error| self.unsupported(format!("{error:?}")))?;
         if let Some(wrong) = numbers.iter().find(|number| !number.is_finite()) {
-            let reason = format!(
+            return Err(self.unsupported(format!(
                 "gave {wrong} for a flow: its weights are broken, or do not go with so many iterations; try others"
-            );
-            return Err(unsupported(reason));
+            )));
         }
         Ok(numbers)
     }
 
     /// `flow`, in the size of the frames, as a coarse flow in coarse pixels.
-    fn coarse(&self, flow: &FlowField, canvas: Canvas) -> Tensor<4> {
-        let [width, height] = [canvas.extended.0, canvas.extended.1].map(|side| side.div_ceil(STRIDE));
-        let border = [width * STRIDE - canvas.extended.0, height * STRIDE - canvas.extended.1];
+    fn coarse(&self, flow: &FlowField, canvas: Canvas) -> Result<Tensor<4>, EstimateError> {
+        let stride = self.start_stride()?;
+        let padding = self.facts().padding;
+        let padded = [canvas.extended.0, canvas.extended.1].map(|side| side.next_multiple_of(padding));
+        let [width, height] = padded.map(|side| side / stride);
+        let border = [padded[0] - canvas.extended.0, padded[1] - canvas.extended.1];
         let from = |padded: usize, border: usize, corner: usize, side: usize| {
             (padded.saturating_sub(border / 2).saturating_sub(corner)).min(side - 1)
         };
@@ -107,8 +130,8 @@ impl NetworkEstimator {
         for (at, (u, v)) in u.iter_mut().zip(v).enumerate() {
             let (column, row) = (at % width, at / width);
             let (mut sum, mut count) = ([0.0_f32; 2], 0);
-            for y in row * STRIDE..(row + 1) * STRIDE {
-                for x in column * STRIDE..(column + 1) * STRIDE {
+            for y in row * stride..(row + 1) * stride {
+                for x in column * stride..(column + 1) * stride {
                     let x = from(x, border[0], canvas.corner.0, canvas.size.0);
                     let y = from(y, border[1], canvas.corner.1, canvas.size.1);
                     if flow.is_known(x, y) {
@@ -118,9 +141,9 @@ impl NetworkEstimator {
                     }
                 }
             }
-            [*u, *v] = sum.map(|sum| sum / (count.max(1) * STRIDE) as f32);
+            [*u, *v] = sum.map(|sum| sum / (count.max(1) * stride) as f32);
         }
-        Tensor::from_data(TensorData::new(planes, [1, 2, height, width]), &self.device)
+        Ok(Tensor::from_data(TensorData::new(planes, [1, 2, height, width]), &self.device))
     }
 
     /// A coarse flow for the next pair, from that of the pair before.
@@ -174,21 +197,21 @@ impl NetworkEstimator {
         initial: Option<&FlowField>,
     ) -> Result<Vec<FlowField>, EstimateError> {
         let Some([first, _]) = pairs.first() else { return Ok(Vec::new()) };
-        let canvas = Canvas::of(first.size());
+        let canvas = self.canvas(first.size());
         pairs.as_flattened().iter().try_for_each(|frame| check_sizes(canvas.size, frame.size()))?;
         if canvas.is_empty() {
             return Ok(vec![FlowField::new(canvas.size.0, canvas.size.1); pairs.len()]);
         }
-        let start = initial.map(|initial| self.coarse(initial, canvas));
-        let encoded: Vec<Encoded> =
+        let start = initial.map(|initial| self.coarse(initial, canvas)).transpose()?;
+        let encoded: Vec<EncodedFrame> =
             [0, 1].iter().flat_map(|of| pairs.iter().map(|pair| self.encoded(pair[*of]))).collect();
-        let estimate = self.forward(&encoded, pairs.len(), start);
+        let estimate = self.forward(&encoded, pairs.len(), start, None);
         self.fields(estimate.last(), canvas)
     }
 }
 
 /// A frame and its features.
-struct Encoded {
+struct EncodedFrame {
     frame: Image,
     features: Features,
 }
@@ -201,9 +224,10 @@ struct NetworkSequence<'a> {
 
 struct State {
     canvas: Canvas,
-    last: Encoded,
+    last: EncodedFrame,
     /// Of the pair before, for a warm start.
     coarse: Option<Tensor<4>>,
+    memory: Option<Memory>,
 }
 
 impl FlowSequence for NetworkSequence<'_> {
@@ -211,11 +235,15 @@ impl FlowSequence for NetworkSequence<'_> {
         let Some(first) = frames.first() else { return Ok(Vec::new()) };
         let size = self.state.as_ref().map_or(first.size(), |state| state.canvas.size);
         frames.iter().try_for_each(|frame| check_sizes(size, frame.size()))?;
-        if Canvas::of(size).is_empty() {
+        if self.estimator.canvas(size).is_empty() {
             return Ok(Vec::new());
         }
-        // A warm start waits for the pair before.
-        let at_once = if self.warm_start { 1 } else { frames.len() };
+        if self.warm_start {
+            self.estimator.start_stride()?;
+        }
+        // A warm start and a memory wait for the pair before.
+        let waits = self.warm_start || self.estimator.facts().remembers;
+        let at_once = if waits { 1 } else { frames.len() };
         let mut flows = Vec::with_capacity(frames.len());
         for frames in frames.chunks(at_once) {
             flows.extend(self.next(frames)?);
@@ -227,22 +255,23 @@ impl FlowSequence for NetworkSequence<'_> {
 impl NetworkSequence<'_> {
     /// Estimates all pairs at once. `frames` is not empty, its frames of one size.
     fn next(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
-        let canvas = Canvas::of(frames[0].size());
-        let (last, coarse) = match self.state.take() {
-            Some(state) => (Some(state.last), state.coarse),
-            None => (None, None),
+        let canvas = self.estimator.canvas(frames[0].size());
+        let (last, coarse, memory) = match self.state.take() {
+            Some(state) => (Some(state.last), state.coarse, state.memory),
+            None => (None, None, None),
         };
         // One frame after the other: the encoder is where memory is needed most.
-        let mut video: Vec<Encoded> = last.into_iter().collect();
+        let mut video: Vec<EncodedFrame> = last.into_iter().collect();
         video.extend(frames.iter().map(|frame| self.estimator.encoded(frame)));
-        let (mut flows, mut next_coarse) = (Ok(Vec::new()), None);
+        let (mut flows, mut next_coarse, mut next_memory) = (Ok(Vec::new()), None, None);
         if video.len() > 1 {
             let start = coarse.map(|coarse| self.estimator.moved_on(&coarse)).transpose()?;
-            let estimate = self.estimator.forward(&video, video.len() - 1, start);
+            let estimate = self.estimator.forward(&video, video.len() - 1, start, memory);
             flows = self.estimator.fields(estimate.last(), canvas);
-            next_coarse = self.warm_start.then_some(estimate.coarse);
+            next_coarse = estimate.coarse.filter(|_| self.warm_start);
+            next_memory = estimate.memory;
         }
-        self.state = video.pop().map(|last| State { canvas, last, coarse: next_coarse });
+        self.state = video.pop().map(|last| State { canvas, last, coarse: next_coarse, memory: next_memory });
         flows
     }
 }
@@ -256,8 +285,8 @@ struct Canvas {
 }
 
 impl Canvas {
-    fn of(size: (usize, usize)) -> Self {
-        let extended = (size.0.max(SMALLEST_SIDE), size.1.max(SMALLEST_SIDE));
+    fn new(size: (usize, usize), smallest_side: usize) -> Self {
+        let extended = (size.0.max(smallest_side), size.1.max(smallest_side));
         Self { size, extended, corner: ((extended.0 - size.0) / 2, (extended.1 - size.1) / 2) }
     }
 

@@ -2,40 +2,46 @@
 
 use burn::tensor::Tensor;
 
-use crate::blocks::Encoder;
-use crate::frames::{Border, prepared};
-use crate::recurrent::STRIDE;
-
-/// Features of a batch of frames, from which correlations are computed. Every frame of a video but the first and last is in
-/// two pairs; with [`Request::features`](crate::Request::features) it is encoded once.
+/// What a network computes of each frame of a batch on its own, such as the features from which correlations are computed. Every
+/// frame of a video but the first and last is in two pairs; with [`Request::features`](crate::Request::features) it is encoded
+/// once.
 #[derive(Debug, Clone)]
-pub struct Features(pub(crate) Tensor<4>);
+pub struct Features {
+    frames: usize,
+    /// `[frames, ...]` each, such as the levels of a pyramid; none for a network that looks at pairs alone.
+    maps: Vec<Tensor<4>>,
+}
 
 impl Features {
-    /// Of frames in 0..1.
-    pub(crate) fn of(encoder: &Encoder, frames: Tensor<4>) -> Self {
-        let [_, _, height, width] = frames.dims();
-        Self(encoder.forward(prepared(frames, Border::new([height, width], STRIDE))))
+    pub(crate) fn new(frames: usize, maps: Vec<Tensor<4>>) -> Self {
+        Self { frames, maps }
     }
 
-    /// Of the frames of both sides of as many pairs, already prepared.
-    pub(crate) fn of_both(encoder: &Encoder, frames: [Tensor<4>; 2]) -> [Self; 2] {
-        // One after the other: both at once would double the memory, which is at its highest here.
-        frames.map(|frames| Self(encoder.forward(frames)))
+    /// The maps, of which the network knows how many there are.
+    pub(crate) fn into_maps<const N: usize>(self) -> [Tensor<4>; N] {
+        let count = self.maps.len();
+        self.maps.try_into().unwrap_or_else(|_| panic!("features of another network: {count} maps for {N}"))
     }
 
-    /// Those of several batches of frames of one size, as one.
+    /// Those of several batches of frames of one size, as one. Panics without a batch.
     pub fn cat(batches: Vec<Self>) -> Self {
-        Self(Tensor::cat(batches.into_iter().map(|features| features.0).collect(), 0))
+        let map = |number: usize| {
+            Tensor::cat(batches.iter().map(|features| features.maps[number].clone()).collect(), 0)
+        };
+        Self {
+            frames: batches.iter().map(Self::frames).sum(),
+            maps: (0..batches[0].maps.len()).map(map).collect(),
+        }
     }
 
     /// Those of `frames` frames from `first` on. Panics when there are fewer.
     pub fn narrow(self, first: usize, frames: usize) -> Self {
-        Self(self.0.narrow(0, first, frames))
+        assert!(first + frames <= self.frames, "{frames} frames from {first} on, of {}", self.frames);
+        Self { frames, maps: self.maps.into_iter().map(|map| map.narrow(0, first, frames)).collect() }
     }
 
     /// How many frames they are of.
     pub fn frames(&self) -> usize {
-        self.0.dims()[0]
+        self.frames
     }
 }

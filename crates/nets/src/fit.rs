@@ -4,10 +4,11 @@ use std::fmt;
 use std::path::Path;
 
 use burn::tensor::Device;
-use srflow_nn::{Checkpoint, ParameterInfo, ParametersError, WeightsError, compare, load, parameter_infos};
+use srflow_nn::{
+    Checkpoint, ParameterInfo, ParametersError, WeightsError, compare, load_from, parameter_infos,
+};
 
-use crate::architecture::Architecture;
-use crate::network::Network;
+use crate::table::{Architecture, Network};
 use crate::whose::{Claim, claim};
 
 /// How well parameters fit a network.
@@ -60,8 +61,11 @@ pub fn fits(given: &[ParameterInfo]) -> Vec<Fit> {
 }
 
 fn fit(architecture: Architecture, given: &[ParameterInfo]) -> Fit {
+    let renamed = architecture.facts().renamed;
+    let named = |info: &ParameterInfo| Some(ParameterInfo { name: renamed(&info.name)?, ..info.clone() });
+    let given: Vec<ParameterInfo> = given.iter().filter_map(named).collect();
     let infos = parameter_infos(&architecture.init(&Device::flex()));
-    let difference = compare(&infos, given).err();
+    let difference = compare(&infos, &given).err();
     let wrong =
         difference.as_ref().map_or(0, |difference| difference.missing.len() + difference.misshapen.len());
     Fit { architecture, expected: infos.len(), matching: infos.len() - wrong, difference }
@@ -71,7 +75,7 @@ fn fit(architecture: Architecture, given: &[ParameterInfo]) -> Fit {
 /// network fits best, or which the file names.
 ///
 /// # Errors
-/// Those of [`load`], and [`WeightsError::OtherNetwork`] where the parameters fit and the file says that it is of another
+/// Those of [`srflow_nn::load`], and [`WeightsError::OtherNetwork`] where the parameters fit and the file says that it is of another
 /// network.
 pub fn load_network(
     architecture: Architecture,
@@ -79,7 +83,8 @@ pub fn load_network(
     device: &Device,
 ) -> Result<Network, WeightsError> {
     let named = || claim(architecture, path).ok();
-    let network = load(architecture.init(device), path).map_err(|error| match error {
+    let checkpoint = Checkpoint::open(path)?.renamed(architecture.facts().renamed);
+    let network = load_from(architecture.init(device), checkpoint, path).map_err(|error| match error {
         WeightsError::Mismatch { path, difference, .. } => {
             let hint = match named() {
                 Some(Claim::Other(other)) => {

@@ -8,8 +8,31 @@ use crate::blocks::{
     Aggregate, Attention, ConvexMask, Encoder, EncoderConfig, FlowHead, MotionEncoder, NormKind, SepConvGru,
     convex_mask, convex_upsample,
 };
+use crate::facts::{Facts, IterationPresets, ptlflow};
 use crate::raft::{HIDDEN, RADIUS};
-use crate::recurrent::{Encoders, Recurrent};
+use crate::recurrent::{self, Encoders, Recurrent};
+use crate::table::Entry;
+
+pub(crate) const GMA: Entry<Gma> = Entry {
+    facts: Facts {
+        name: "gma",
+        title: "GMA",
+        paper: "https://arxiv.org/abs/2104.02409",
+        parameters: 5_879_873,
+        iterations: IterationPresets { default: 32, authors: 32, training: 12 },
+        memory: recurrent::ATTENDING,
+        authors: "https://github.com/zacjiang/GMA",
+        licence: "WTFPL",
+        published: &[
+            ptlflow!("gma", "chairs", "d4ec321d"),
+            ptlflow!("gma", "things", "90aafb63"),
+            ptlflow!("gma", "sintel", "98d6f3d0"),
+            ptlflow!("gma", "kitti", "8ca3ec80"),
+        ],
+        ..recurrent::FACTS
+    },
+    init: Gma::new,
+};
 
 /// The network of the paper: one head, attention to content only.
 #[derive(Module, Debug)]
@@ -31,7 +54,7 @@ struct UpdateBlock {
 
 impl Gma {
     /// With random parameters, as training starts.
-    pub fn new(device: &Device) -> Self {
+    pub(crate) fn new(device: &Device) -> Self {
         Self {
             fnet: EncoderConfig::basic(256, NormKind::Instance).init(device),
             cnet: EncoderConfig::basic(2 * HIDDEN, NormKind::Batch).init(device),

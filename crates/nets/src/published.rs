@@ -9,7 +9,8 @@ use std::time::Duration;
 use sha2::{Digest, Sha256};
 use srflow_field::{FileError, FileKind, FileProblem, create_folder, open_file, write_atomically};
 
-use crate::architecture::{Architecture, PublishedWeights};
+use crate::facts::PublishedWeights;
+use crate::table::Architecture;
 
 /// Limit on a download; every published file is far smaller.
 const MAX_DOWNLOAD_BYTES: u64 = 4 << 30;

@@ -3,16 +3,40 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 
+use crate::MemoryNeed;
 use crate::blocks::{
     ConvexMask, Encoder, EncoderConfig, FlowHead, MotionEncoder, NormKind, SepConvGru, convex_mask,
     convex_upsample,
 };
-use crate::recurrent::{Encoders, Recurrent};
+use crate::facts::{Facts, IterationPresets, ptlflow};
+use crate::recurrent::{self, Encoders, Recurrent};
+use crate::table::Entry;
 
 /// Channels of the hidden state, and of the context.
 pub(crate) const HIDDEN: usize = 128;
 /// Radius of the window of correlations that is looked up in each level.
 pub(crate) const RADIUS: usize = 4;
+
+pub(crate) const RAFT: Entry<Raft> = Entry {
+    facts: Facts {
+        name: "raft",
+        title: "RAFT",
+        paper: "https://arxiv.org/abs/2003.12039",
+        parameters: 5_257_536,
+        iterations: IterationPresets { default: 32, authors: 32, training: 12 },
+        memory: MemoryNeed { fixed: 235_000_000, per_pixel: 340, attending: 0, most_weights: 0 },
+        authors: "https://github.com/princeton-vl/RAFT",
+        licence: "BSD-3-Clause",
+        published: &[
+            ptlflow!("raft", "chairs", "590f38f7"),
+            ptlflow!("raft", "things", "802bbcfd"),
+            ptlflow!("raft", "sintel", "fb44381e"),
+            ptlflow!("raft", "kitti", "3a831a4b"),
+        ],
+        ..recurrent::FACTS
+    },
+    init: Raft::new,
+};
 
 /// The network of the paper.
 #[derive(Module, Debug)]
@@ -32,7 +56,7 @@ struct UpdateBlock {
 
 impl Raft {
     /// With random parameters, as training starts.
-    pub fn new(device: &Device) -> Self {
+    pub(crate) fn new(device: &Device) -> Self {
         Self {
             fnet: EncoderConfig::basic(256, NormKind::Instance).init(device),
             cnet: EncoderConfig::basic(2 * HIDDEN, NormKind::Batch).init(device),

@@ -4,10 +4,14 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 
+use crate::MemoryNeed;
 use crate::blocks::{
     ConvGru, Encoder, EncoderConfig, FlowHead, NormKind, SmallMotionEncoder, bilinear_upsample,
 };
+use crate::facts::{Facts, ptlflow};
+use crate::raft::RAFT;
 use crate::recurrent::{Encoders, Recurrent};
+use crate::table::Entry;
 
 /// Channels of the hidden state.
 const HIDDEN: usize = 96;
@@ -15,6 +19,18 @@ const HIDDEN: usize = 96;
 const CONTEXT: usize = 64;
 /// Radius of the window of correlations that is looked up in each level.
 const RADIUS: usize = 3;
+
+pub(crate) const RAFT_SMALL: Entry<RaftSmall> = Entry {
+    facts: Facts {
+        name: "raft-small",
+        title: "RAFT-S",
+        parameters: 990_162,
+        memory: MemoryNeed { fixed: 125_000_000, per_pixel: 235, attending: 0, most_weights: 0 },
+        published: &[ptlflow!("raft_small", "things", "b7d9f997")],
+        ..RAFT.facts
+    },
+    init: RaftSmall::new,
+};
 
 /// The network of the paper.
 #[derive(Module, Debug)]
@@ -33,7 +49,7 @@ struct UpdateBlock {
 
 impl RaftSmall {
     /// With random parameters, as training starts.
-    pub fn new(device: &Device) -> Self {
+    pub(crate) fn new(device: &Device) -> Self {
         Self {
             fnet: EncoderConfig::small(128, NormKind::Instance).init(device),
             cnet: EncoderConfig::small(HIDDEN + CONTEXT, NormKind::None).init(device),

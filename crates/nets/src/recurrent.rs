@@ -5,55 +5,18 @@ use burn::tensor::activation::relu;
 use burn::tensor::{Device, Int, Tensor};
 use srflow_ops::correlation::tensor::Correlation;
 
-use crate::blocks::Encoder;
-use crate::encoded::Encoded;
+use crate::MemoryNeed;
+use crate::blocks::{Encoder, KEPT_BYTES};
+use crate::estimate::{Encoded, Estimate, Request};
+use crate::facts::{Facts, Start};
 use crate::features::Features;
-use crate::frames::Frames;
+use crate::frames::{Border, Frames, prepared};
+use crate::table::FlowNetwork;
 
 /// Pixels of a frame along the side of a coarse pixel.
 pub(crate) const STRIDE: usize = 8;
 /// Levels of the correlation pyramid.
 pub(crate) const LEVELS: usize = 4;
-
-/// How to estimate.
-#[derive(Debug, Clone)]
-pub struct Request {
-    /// Refinements.
-    pub iterations: usize,
-    /// The coarse flow to start from, such as [`Estimate::coarse`] of the previous pair, warped forward; zero without one.
-    pub start: Option<Tensor<4>>,
-    /// Return the flow of every iteration, as training needs; otherwise only the last is upsampled.
-    pub every_iteration: bool,
-    /// Features of the first and second frames, if they are known; see [`Features`].
-    pub features: Option<[Features; 2]>,
-    /// The output of all encoders, if it is known; only the size of the frames is used then.
-    pub encoded: Option<Encoded>,
-}
-
-impl Request {
-    /// Only the last flow, from zero.
-    pub fn new(iterations: usize) -> Self {
-        Self { iterations, start: None, every_iteration: false, features: None, encoded: None }
-    }
-}
-
-/// What a network gives.
-#[derive(Debug, Clone)]
-pub struct Estimate {
-    /// Flow in pixels, `[batch, 2, height, width]` (u, v), of the last iteration or of all.
-    pub flows: Vec<Tensor<4>>,
-    /// The last flow at an eighth of the padded size, in coarse pixels: a start for the next pair of frames.
-    pub coarse: Tensor<4>,
-    /// The last hidden state.
-    pub hidden: Tensor<4>,
-}
-
-impl Estimate {
-    /// The last flow.
-    pub fn last(&self) -> &Tensor<4> {
-        &self.flows[self.flows.len() - 1]
-    }
-}
 
 /// What all of these networks compute before the first iteration.
 pub(crate) struct Encoders<'a> {
@@ -86,34 +49,64 @@ pub(crate) trait Recurrent {
 
     /// Fine flow from the hidden state and coarse flow.
     fn upsample(&self, hidden: &Tensor<4>, flow: Tensor<4>) -> Tensor<4>;
+}
 
-    /// See [`Network::features`](crate::Network::features).
+/// Of every network that refines as RAFT does; the coarsest level of a correlation pyramid is two pixels wide at the smallest
+/// side.
+pub(crate) const FACTS: Facts = Facts {
+    padding: STRIDE,
+    smallest_side: 128,
+    start: Start::Coarse(STRIDE),
+    recompute: true,
+    trains: true,
+    ..Facts::DEFAULT
+};
+
+/// Memory of GMA and SKFlow, which keep the weights of their attention.
+pub(crate) const ATTENDING: MemoryNeed =
+    MemoryNeed { fixed: 370_000_000, per_pixel: 275, attending: 1, most_weights: KEPT_BYTES as u64 };
+
+/// Features of the frames of both sides of as many pairs, already prepared.
+fn features_of_both(encoder: &Encoder, frames: [Tensor<4>; 2]) -> [Tensor<4>; 2] {
+    // One after the other: both at once would double the memory, which is at its highest here.
+    frames.map(|frames| encoder.forward(frames))
+}
+
+impl<N: Recurrent> FlowNetwork for N {
     fn features(&self, frames: Tensor<4>) -> Features {
-        Features::of(self.encoders().features, frames)
+        let [batch, _, height, width] = frames.dims();
+        let frames = prepared(frames, Border::new([height, width], STRIDE));
+        Features::new(batch, vec![self.encoders().features.forward(frames)])
     }
 
-    /// See [`Network::encode`](crate::Network::encode).
-    fn encode(&self, frames: Frames) -> Encoded {
+    fn encode(&self, frames: Frames) -> Option<Encoded> {
         let encoders = self.encoders();
         let (first, second, _) = frames.prepared(STRIDE);
-        let features = Features::of_both(encoders.features, [first.clone(), second]);
+        let [of_first, of_second] = features_of_both(encoders.features, [first.clone(), second]);
         let [hidden, context] = encoders.hidden_and_context(first);
-        Encoded { hidden, context, features: features.map(|features| features.0) }
+        Some(Encoded { hidden, constant: vec![context, of_first, of_second] })
     }
 
-    /// See [`Network::forward`](crate::Network::forward).
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
         assert!(request.iterations > 0, "at least one iteration");
         let encoders = self.encoders();
         let (first, second, border) = frames.prepared(STRIDE);
-        let ([mut hidden, context], known) = match &request.encoded {
-            Some(Encoded { hidden, context, features }) => {
-                ([hidden.clone(), context.clone()], Some(features.clone().map(Features)))
+        let (mut hidden, context, [first, second]) = match &request.encoded {
+            Some(Encoded { hidden, constant }) => {
+                let [context, first, second] = constant.as_slice() else {
+                    panic!("the output of this network's encoders")
+                };
+                (hidden.clone(), context.clone(), [first.clone(), second.clone()])
             }
-            None => (encoders.hidden_and_context(first.clone()), request.features.clone()),
+            None => {
+                let [hidden, context] = encoders.hidden_and_context(first.clone());
+                let features = match &request.features {
+                    Some(known) => known.clone().map(|features| features.into_maps::<1>()).map(|[map]| map),
+                    None => features_of_both(encoders.features, [first, second]),
+                };
+                (hidden, context, features)
+            }
         };
-        let features = known.unwrap_or_else(|| Features::of_both(encoders.features, [first, second]));
-        let [first, second] = features.map(|features| features.0);
         let correlation = Correlation::new(first, second, LEVELS);
         let step = self.step(context);
 
@@ -135,12 +128,12 @@ pub(crate) trait Recurrent {
                 flows.push(border.remove(self.upsample(&hidden, flow.clone())));
             }
         }
-        Estimate { flows, coarse: flow, hidden }
+        Estimate { coarse: Some(flow), hidden: Some(hidden), ..Estimate::of_flows(flows) }
     }
 }
 
 /// Every pixel's x and y: `[batch, 2, height, width]`.
-fn pixel_grid([batch, height, width]: [usize; 3], device: &Device) -> Tensor<4> {
+pub(crate) fn pixel_grid([batch, height, width]: [usize; 3], device: &Device) -> Tensor<4> {
     let axis = |len: usize| Tensor::<1, Int>::arange(0..len as i64, device).float();
     let x = axis(width).reshape([1, 1, 1, width]).expand([batch, 1, height, width]);
     let y = axis(height).reshape([1, 1, height, 1]).expand([batch, 1, height, width]);

@@ -11,13 +11,36 @@ use crate::blocks::{
     Aggregate, Attention, ConvexMask, Encoder, EncoderConfig, NormKind, convex_mask, convex_upsample,
     window_entries,
 };
+use crate::facts::{Facts, IterationPresets, ptlflow};
 use crate::raft::{HIDDEN, RADIUS};
-use crate::recurrent::{Encoders, Recurrent};
+use crate::recurrent::{self, Encoders, Recurrent};
+use crate::table::Entry;
 
 /// Sides of the depthwise kernels of the motion encoder and the flow head.
 const KERNELS: [usize; 2] = [1, 15];
 /// Sides of the depthwise kernels of the update of the hidden state.
 const UPDATE_KERNELS: [usize; 2] = [1, 7];
+
+pub(crate) const SKFLOW: Entry<SkFlow> = Entry {
+    facts: Facts {
+        name: "skflow",
+        title: "SKFlow",
+        paper: "https://arxiv.org/abs/2205.14623",
+        parameters: 6_273_149,
+        iterations: IterationPresets { default: 32, authors: 15, training: 12 },
+        memory: recurrent::ATTENDING,
+        authors: "https://github.com/littlespray/SKFlow",
+        licence: "MIT",
+        lookalikes: &["MemFlow"],
+        published: &[
+            ptlflow!("skflow", "things", "f84e6538"),
+            ptlflow!("skflow", "sintel", "98fb67cf"),
+            ptlflow!("skflow", "kitti", "4e1f8b63"),
+        ],
+        ..recurrent::FACTS
+    },
+    init: SkFlow::new,
+};
 
 /// The network of the paper.
 #[derive(Module, Debug)]
@@ -59,7 +82,7 @@ struct SuperKernelBlock {
 
 impl SkFlow {
     /// With random parameters, as training starts.
-    pub fn new(device: &Device) -> Self {
+    pub(crate) fn new(device: &Device) -> Self {
         let block = |inputs, outputs| SuperKernelBlock::new([inputs, outputs], KERNELS, device);
         Self {
             fnet: EncoderConfig::basic(256, NormKind::Instance).init(device),

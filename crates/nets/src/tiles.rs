@@ -6,12 +6,23 @@
 
 use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image};
 
-use crate::recurrent::STRIDE;
-
-/// Tiles start at multiples of this, so that their coarse pixels are those of the whole frame.
-const ALIGNMENT: usize = 8;
+/// The smallest side of a tile of a fixed size.
+pub const SMALLEST_TILE_SIDE: usize = 128;
+/// Pixels along a side of a coarse pixel, for each of which there is a weight of attention to every other.
+const ATTENTION_STRIDE: usize = 8;
 /// Part of an overlap, at the edge of each tile, where the weight of that tile is zero.
 const MARGIN: f32 = 1.0 / 8.0;
+
+/// How a frame is divided.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tiling {
+    pub size: TileSize,
+    /// Pixels that neighbouring tiles share, about or more.
+    pub overlap: usize,
+    /// Tiles start at multiples of this, so that the coarse pixels of a network are those of the whole frame:
+    /// [`Facts::padding`](crate::Facts::padding).
+    pub alignment: usize,
+}
 
 /// How large tiles are.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,7 +50,7 @@ impl MemoryNeed {
     /// For a frame or tile of this many pixels.
     pub fn bytes(&self, pixels: usize) -> u64 {
         let pixels = pixels as u64;
-        let coarse = pixels.div_ceil((STRIDE * STRIDE) as u64);
+        let coarse = pixels.div_ceil((ATTENTION_STRIDE * ATTENTION_STRIDE) as u64);
         let weights = self.attending.saturating_mul(4).saturating_mul(coarse.saturating_mul(coarse));
         let each = self.per_pixel.saturating_mul(pixels);
         self.fixed.saturating_add(each).saturating_add(weights.min(self.most_weights))
@@ -78,22 +89,22 @@ impl Tiles {
     /// The smallest side of a tile that is chosen to fit.
     const SMALLEST_SIDE: usize = 256;
 
-    /// Lays tiles over a frame of `(width, height)`, evenly, neighbours sharing about `overlap` pixels or more. The overlap
-    /// is at most half of a tile's side.
+    /// Lays tiles over a frame of `(width, height)`, evenly. The overlap is at most half of a tile's side.
     ///
     /// # Errors
     /// When no tile fits into the memory.
-    pub fn new(frame: (usize, usize), size: TileSize, overlap: usize) -> Result<Self, NothingFits> {
+    pub fn new(frame: (usize, usize), tiling: Tiling) -> Result<Self, NothingFits> {
+        let Tiling { size, overlap, alignment } = tiling;
         let (width, height) = match size {
             TileSize::Fixed(width, height) => (width, height),
-            TileSize::Fitting { need, bytes } => Self::fitting(frame, overlap, need, bytes)?,
+            TileSize::Fitting { need, bytes } => Self::fitting(frame, tiling, need, bytes)?,
         };
-        let side = |side: usize, frame: usize| side.max(2 * ALIGNMENT).min(frame);
+        let side = |side: usize, frame: usize| side.max(2 * alignment).min(frame);
         let size = (side(width, frame.0), side(height, frame.1));
         Ok(Self {
             frame,
-            across: starts(frame.0, size.0, overlap),
-            down: starts(frame.1, size.1, overlap),
+            across: starts(frame.0, size.0, overlap, alignment),
+            down: starts(frame.1, size.1, overlap, alignment),
             size,
         })
     }
@@ -101,13 +112,13 @@ impl Tiles {
     /// Tries one tile, then two, and so on; for each count, the grid with the smallest tiles.
     fn fitting(
         frame: (usize, usize),
-        overlap: usize,
+        Tiling { overlap, alignment, .. }: Tiling,
         need: MemoryNeed,
         bytes: u64,
     ) -> Result<(usize, usize), NothingFits> {
         let side = |length: usize, count: usize| match count {
             1 => length,
-            _ => (length + (count - 1) * overlap).div_ceil(count).next_multiple_of(ALIGNMENT),
+            _ => (length + (count - 1) * overlap).div_ceil(count).next_multiple_of(alignment),
         };
         let large_enough = |side: usize, length: usize| side >= Self::SMALLEST_SIDE.min(length);
         let most = [frame.0, frame.1].map(|length| length.div_ceil(Self::SMALLEST_SIDE / 2).max(1));
@@ -146,16 +157,16 @@ impl Tiles {
 }
 
 /// Where tiles of `size` pixels begin along `length` pixels.
-fn starts(length: usize, size: usize, overlap: usize) -> Vec<usize> {
+fn starts(length: usize, size: usize, overlap: usize, alignment: usize) -> Vec<usize> {
     if length <= size {
         return vec![0];
     }
     // What alignment takes off an overlap is less than this.
-    let overlap = overlap.clamp(ALIGNMENT, size / 2);
+    let overlap = overlap.clamp(alignment.min(size / 2), size / 2);
     let count = (length - overlap).div_ceil(size - overlap);
     let last = length - size;
     let start =
-        |i: usize| if i + 1 == count { last } else { (i * last / (count - 1)) / ALIGNMENT * ALIGNMENT };
+        |i: usize| if i + 1 == count { last } else { (i * last / (count - 1)) / alignment * alignment };
     let mut starts: Vec<usize> = (0..count).map(start).collect();
     starts.dedup();
     starts
@@ -222,18 +233,16 @@ impl<'a> Blend<'a> {
 /// An estimator that works on tiles.
 pub struct Tiled {
     estimator: Box<dyn FlowEstimator>,
-    size: TileSize,
-    overlap: usize,
+    tiling: Tiling,
 }
 
 impl Tiled {
-    /// `estimator` on tiles of `size`, neighbours sharing about `overlap` pixels or more.
-    pub fn new(estimator: Box<dyn FlowEstimator>, size: TileSize, overlap: usize) -> Self {
-        Self { estimator, size, overlap }
+    pub fn new(estimator: Box<dyn FlowEstimator>, tiling: Tiling) -> Self {
+        Self { estimator, tiling }
     }
 
     fn tiles(&self, frame: (usize, usize)) -> Result<Tiles, EstimateError> {
-        Tiles::new(frame, self.size, self.overlap).map_err(|problem| EstimateError::Unsupported {
+        Tiles::new(frame, self.tiling).map_err(|problem| EstimateError::Unsupported {
             method: self.name().to_owned(),
             reason: problem.to_string(),
         })
@@ -371,6 +380,10 @@ mod tests {
         }
     }
 
+    fn tiling(width: usize, height: usize, overlap: usize) -> Tiling {
+        Tiling { size: TileSize::Fixed(width, height), overlap, alignment: 8 }
+    }
+
     fn places(width: usize, height: usize) -> Image {
         Image::from_fn(width, height, |x, y| [x as u8, y as u8, 0])
     }
@@ -382,7 +395,7 @@ mod tests {
         {
             let frame = places(size.0, size.1);
             let whole = Places.estimate(&frame, &frame).expect("flow");
-            let tiled = Tiled::new(Box::new(Places), TileSize::Fixed(tile.0, tile.1), overlap);
+            let tiled = Tiled::new(Box::new(Places), tiling(tile.0, tile.1, overlap));
             let found = tiled.estimate(&frame, &frame).expect("flow");
             let mut sequence = tiled.sequence(false);
             assert_eq!(sequence.push(std::slice::from_ref(&frame)).expect("none before it"), []);
@@ -400,7 +413,7 @@ mod tests {
     fn tiles_that_disagree_are_blended_smoothly() {
         let frame = Image::new(200, 20);
         let estimator = Counting(0.into());
-        let tiled = Tiled::new(Box::new(estimator), TileSize::Fixed(80, 80), 20);
+        let tiled = Tiled::new(Box::new(estimator), tiling(80, 80, 20));
         let flow = tiled.estimate(&frame, &frame).expect("flow");
         let row = flow.row(10);
         assert_eq!((row[0], row[100], row[199]), ([0.0, 0.0], [1.0, 0.0], [2.0, 0.0]));
@@ -412,15 +425,16 @@ mod tests {
 
     #[test]
     fn tiles_cover_the_frame_and_share_their_overlap() {
-        for (length, size, overlap) in
-            [(3840, 1000, 128), (2160, 1000, 128), (1001, 1000, 64), (512, 512, 64), (700, 100, 90)]
-        {
-            let starts = starts(length, size, overlap);
+        let cases = [(3840, 1000, 128), (2160, 1000, 128), (1001, 1000, 64), (512, 512, 64), (700, 100, 90)];
+        for ((length, size, overlap), alignment) in cases.into_iter().zip([8, 32, 8, 64, 16]) {
+            let starts = starts(length, size, overlap, alignment);
+            let within = &starts[..starts.len() - 1];
+            assert!(within.iter().all(|start| start.is_multiple_of(alignment)), "{starts:?}");
             assert_eq!((starts[0], starts[starts.len() - 1] + size), (0, length));
             for pair in starts.windows(2) {
                 let shared = pair[0] + size - pair[1];
                 let wanted = overlap.min(size / 2);
-                assert!(pair[1] > pair[0] && shared + ALIGNMENT > wanted, "{length} {size}: {starts:?}");
+                assert!(pair[1] > pair[0] && shared + alignment > wanted, "{length} {size}: {starts:?}");
             }
         }
     }
@@ -428,7 +442,10 @@ mod tests {
     #[test]
     fn tiles_are_as_large_as_the_memory_allows() {
         let need = MemoryNeed { fixed: 100_000_000, per_pixel: 600, attending: 0, most_weights: 0 };
-        let tiles = |bytes| Tiles::new((3840, 2160), TileSize::Fitting { need, bytes }, 128);
+        let tiles = |bytes| {
+            let size = TileSize::Fitting { need, bytes };
+            Tiles::new((3840, 2160), Tiling { size, overlap: 128, alignment: 8 })
+        };
         assert_eq!(tiles(6_000_000_000).expect("fits whole").count(), 1);
         let mut last = 1;
         for bytes in [3_000_000_000, 1_500_000_000, 800_000_000, 400_000_000] {
@@ -444,7 +461,7 @@ mod tests {
 
     #[test]
     fn frames_of_different_sizes_are_an_error() {
-        let tiled = Tiled::new(Box::new(Places), TileSize::Fixed(16, 16), 4);
+        let tiled = Tiled::new(Box::new(Places), tiling(16, 16, 4));
         let (one, other) = (Image::new(40, 30), Image::new(41, 30));
         assert!(matches!(tiled.estimate(&one, &other), Err(EstimateError::SizeMismatch { .. })));
         assert!(matches!(

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use srflow_nn::{WeightsError, words};
 
-use crate::architecture::Architecture;
+use crate::table::Architecture;
 
 /// Networks that are not known here and whose weights people have.
 const OTHERS: [&str; 8] =

@@ -5,12 +5,18 @@ use std::num::NonZeroUsize;
 use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, forward_interpolate};
-use srflow_nets::{Architecture, Frames, Network, NetworkEstimator, Request, Scaled, TileSize, Tiled};
+use srflow_nets::{
+    Architecture, Frames, Network, NetworkEstimator, Request, Scaled, TileSize, Tiled, Tiling,
+};
 
 const ITERATIONS: usize = 3;
 
 fn network() -> Network {
     Architecture::RaftSmall.init(&Device::flex())
+}
+
+fn tiling(width: usize, height: usize, overlap: usize) -> Tiling {
+    Tiling { size: TileSize::Fixed(width, height), overlap, alignment: 8 }
 }
 
 fn estimator(network: &Network) -> NetworkEstimator {
@@ -92,7 +98,7 @@ fn a_sequence_gives_the_flow_of_every_pair() {
 fn pairs_at_once_get_the_flow_of_each() {
     let network = network();
     let boxed = || Box::new(estimator(&network));
-    let tiled = Tiled::new(boxed(), TileSize::Fixed(128, 128), 64);
+    let tiled = Tiled::new(boxed(), tiling(128, 128, 64));
     let scaled = Scaled::new(boxed(), 0.9).expect("in range");
     let frames = video((170, 140), 4);
     let pairs = [[&frames[0], &frames[1]], [&frames[3], &frames[0]], [&frames[1], &frames[1]]];
@@ -116,7 +122,7 @@ fn a_warm_start_is_the_coarse_flow_moved_along_itself() {
     let frames = video((136, 128), 3);
     let pair = |n: usize| Frames { first: tensor(&frames[n]), second: tensor(&frames[n + 1]) };
     let first = network.forward(pair(0), &Request::new(ITERATIONS));
-    let moved = forward_interpolate(&field(first.coarse));
+    let moved = forward_interpolate(&field(first.coarse.clone().expect("a coarse flow")));
     let numbers: Vec<f32> =
         (0..2).flat_map(|axis| moved.pixels().iter().map(move |vector| vector[axis])).collect();
     let start = Tensor::from_data(TensorData::new(numbers, [1, 2, 16, 17]), &Device::flex());
@@ -188,13 +194,12 @@ fn tiles_and_scales_of_a_network() {
     let size = (300, 160);
     let frames = video(size, 3);
     let boxed = || Box::new(estimator(&network));
-    let whole = Tiled::new(boxed(), TileSize::Fixed(300, 200), 64);
+    let whole = Tiled::new(boxed(), tiling(300, 200, 64));
     let expected = estimator(&network).estimate(&frames[0], &frames[1]).expect("flow");
     assert_near(&whole.estimate(&frames[0], &frames[1]).expect("flow"), &expected, "one tile");
 
-    let tiled = Tiled::new(boxed(), TileSize::Fixed(192, 128), 64);
-    let scaled =
-        Scaled::new(Box::new(Tiled::new(boxed(), TileSize::Fixed(160, 128), 32)), 0.75).expect("in range");
+    let tiled = Tiled::new(boxed(), tiling(192, 128, 64));
+    let scaled = Scaled::new(Box::new(Tiled::new(boxed(), tiling(160, 128, 32))), 0.75).expect("in range");
     for estimator in [&tiled as &dyn FlowEstimator, &scaled] {
         let flows = estimator.sequence(false).push(&frames).expect("flows");
         for (number, pair) in frames.windows(2).enumerate() {

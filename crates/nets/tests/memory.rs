@@ -27,7 +27,7 @@ const PEAKS: [(Architecture, &[u64]); 4] = [
 fn no_measured_peak_passes_the_need_nor_is_far_below_it() {
     for (architecture, peaks) in PEAKS {
         for ((width, height), &megabytes) in SIZES.into_iter().zip(peaks) {
-            let need = architecture.memory_need().bytes(width * height) / 1_000_000;
+            let need = architecture.facts().memory.bytes(width * height) / 1_000_000;
             let most = if width < 1024 { megabytes + 350 } else { megabytes * 133 / 100 };
             let what = format!("{architecture:?} {width}x{height}: {need} MB for {megabytes} MB");
             assert!(need >= megabytes && need <= most, "{what}");
@@ -38,7 +38,7 @@ fn no_measured_peak_passes_the_need_nor_is_far_below_it() {
 #[test]
 fn more_pixels_and_more_pairs_need_more() {
     for architecture in Architecture::ALL {
-        let need = architecture.memory_need();
+        let need = architecture.facts().memory;
         let of = |pixels: usize, pairs: usize| need.of_batch(pairs).bytes(pixels);
         for pixels in [1, 10_000, 100_000, 1_000_000, 10_000_000] {
             assert!(of(pixels, 1) < of(2 * pixels, 1), "{architecture:?} {pixels}");

@@ -72,7 +72,7 @@ fn the_flow_starts_where_the_request_says() {
     let device = Device::flex();
     let network = network(Architecture::Raft, &device);
     let from = |start: Option<Tensor<4>>| {
-        network.forward(frames(&device), &Request { start, ..Request::new(1) }).coarse
+        network.forward(frames(&device), &Request { start, ..Request::new(1) }).coarse.expect("a coarse flow")
     };
     let zero = Tensor::<4>::zeros([1, 2, 8, 9], &device);
     assert!(numbers(from(None)) == numbers(from(Some(zero.clone()))));

@@ -14,4 +14,4 @@ pub use optimizer::{AdamW, AdamWState, ModuleAdamW, Rounding, clip_norm, norm};
 pub use parameters::{
     ParameterInfo, Parameters, ParametersError, compare, parameter_infos, parameters, with_parameters,
 };
-pub use weights::{WeightsError, load, read_parameters, save_parameters};
+pub use weights::{WeightsError, load, load_from, read_parameters, save_parameters};

@@ -72,7 +72,15 @@ pub enum WeightsError {
 /// # Errors
 /// When the file cannot be read, or its parameters are not those of the network, each and no other.
 pub fn load<M: Module>(network: M, path: &Path) -> Result<M, WeightsError> {
-    let checkpoint = Checkpoint::open(path)?;
+    load_from(network, Checkpoint::open(path)?, path)
+}
+
+/// `network` with the weights of a checkpoint that is open, such as one whose tensors were
+/// [renamed](Checkpoint::renamed).
+///
+/// # Errors
+/// As [`load`].
+pub fn load_from<M: Module>(network: M, checkpoint: Checkpoint, path: &Path) -> Result<M, WeightsError> {
     let infos = checkpoint.parameters();
     let mismatch =
         |difference| WeightsError::Mismatch { path: path.to_owned(), difference, hint: String::new() };

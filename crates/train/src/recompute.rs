@@ -8,7 +8,7 @@
 
 use burn::module::Module;
 use burn::tensor::Tensor;
-use srflow_nets::{Encoded, Network, Request};
+use srflow_nets::{Encoded, Estimate, Network, Request};
 use srflow_nn::{HostGradients, Layout, numbers};
 
 use crate::batch::Batch;
@@ -27,18 +27,18 @@ pub(crate) fn add_gradients(
     let device = &network.devices()[0];
     let frames = batch.frames(device);
     let inputs = batch.loss_inputs(device);
-    let tracked = parts(network.encode(frames.clone()));
-    let plain = tracked.clone().map(Tensor::inner);
+    let tracked = parts(network.encode(frames.clone()).expect("the configuration was checked"));
+    let plain: Vec<Tensor<4>> = tracked.iter().cloned().map(Tensor::inner).collect();
     let (states, last) = states(network, batch, &plain, settings.iterations);
 
     let mut losses_of_batch = BatchLosses { epe: batch.end_point_error(&last), ..BatchLosses::default() };
     // Of the hidden state after the refinement, and of what all refinements read.
-    let mut gradient: [Option<Tensor<4>>; 4] = [None, None, None, None];
+    let mut gradient: Vec<Option<Tensor<4>>> = vec![None; plain.len()];
     for (iteration, (hidden, coarse)) in states.into_iter().enumerate().rev() {
-        let [_, context, first, second] = plain.clone();
-        let leaves = [hidden, context, first, second].map(|x| Tensor::from_inner(x).require_grad());
+        let parts = std::iter::once(hidden).chain(plain[1..].iter().cloned());
+        let leaves: Vec<Tensor<4>> = parts.map(|x| Tensor::from_inner(x).require_grad()).collect();
         let request = Request {
-            encoded: Some(encoded(leaves.clone())),
+            encoded: Some(encoded(&leaves)),
             start: coarse.map(Tensor::from_inner),
             ..Request::new(1)
         };
@@ -49,7 +49,7 @@ pub(crate) fn add_gradients(
         losses_of_batch.add(&BatchLosses::of(&of_one), share);
         let mut total = of_one.total * share;
         if let Some(after) = gradient[0].take() {
-            total = total + (estimate.hidden * Tensor::from_inner(after)).sum();
+            total = total + (state(estimate).0 * Tensor::from_inner(after)).sum();
         }
         let gradients = total.backward();
         sum.add(network, layout, &gradients, weight);
@@ -79,34 +79,37 @@ type State = (Tensor<4>, Option<Tensor<4>>);
 fn states(
     network: &Network,
     batch: &Batch,
-    plain: &[Tensor<4>; 4],
+    plain: &[Tensor<4>],
     iterations: usize,
 ) -> (Vec<State>, Vec<f32>) {
     let network = network.valid();
-    let [mut hidden, context, first, second] = plain.clone();
-    let frames = batch.frames(&hidden.device());
+    let frames = batch.frames(&plain[0].device());
+    let mut parts = plain.to_vec();
     let mut coarse = None;
     let mut states = Vec::with_capacity(iterations);
     let mut last = Vec::new();
     for iteration in 1..=iterations {
-        states.push((hidden.clone(), coarse.clone()));
-        let before = encoded([hidden, context.clone(), first.clone(), second.clone()]);
-        let request = Request { encoded: Some(before), start: coarse, ..Request::new(1) };
+        states.push((parts[0].clone(), coarse.clone()));
+        let request = Request { encoded: Some(encoded(&parts)), start: coarse, ..Request::new(1) };
         let estimate = network.forward(frames.clone(), &request);
         if iteration == iterations {
             last = numbers(estimate.last().clone());
         }
-        (hidden, coarse) = (estimate.hidden, Some(estimate.coarse));
+        (parts[0], coarse) = state(estimate);
     }
     (states, last)
 }
 
-/// Hidden state, context, and features of the first and the second frames.
-fn parts(encoded: Encoded) -> [Tensor<4>; 4] {
-    let Encoded { hidden, context, features: [first, second] } = encoded;
-    [hidden, context, first, second]
+/// The state after a refinement.
+fn state(estimate: Estimate) -> State {
+    (estimate.hidden.expect("a network whose refinements are computed one by one"), estimate.coarse)
 }
 
-fn encoded([hidden, context, first, second]: [Tensor<4>; 4]) -> Encoded {
-    Encoded { hidden, context, features: [first, second] }
+/// The hidden state, and what stays the same in every refinement.
+fn parts(Encoded { hidden, constant }: Encoded) -> Vec<Tensor<4>> {
+    std::iter::once(hidden).chain(constant).collect()
+}
+
+fn encoded(parts: &[Tensor<4>]) -> Encoded {
+    Encoded { hidden: parts[0].clone(), constant: parts[1..].to_vec() }
 }

@@ -202,7 +202,7 @@ impl Replica {
         let request = Request { every_iteration: true, ..Request::new(settings.iterations) };
         let estimate = self.network.forward(batch.frames(&self.device), &request);
         let last = numbers(estimate.last().clone().inner());
-        let predictions: Vec<Prediction> = estimate.flows.into_iter().map(Prediction::from).collect();
+        let predictions = Prediction::of(estimate);
         let losses = losses(&settings.loss, &predictions, &batch.loss_inputs(&self.device))?;
         let gradients = losses.total.backward();
         sum.add(&self.network, layout, &gradients, weight);

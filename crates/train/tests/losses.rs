@@ -3,9 +3,10 @@
 
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_golden::{Golden, numbers};
+use srflow_nets::LaplaceMixture;
 use srflow_train::loss::{
-    Border, LaplaceMixture, LossConfig, LossError, LossInputs, MaskReading, Prediction, REGULARIZERS,
-    SEQUENCE_LOSSES, SequenceLoss, losses,
+    Border, LossConfig, LossError, LossInputs, MaskReading, Prediction, REGULARIZERS, SEQUENCE_LOSSES,
+    SequenceLoss, losses,
 };
 
 const PREDICTIONS: usize = 3;

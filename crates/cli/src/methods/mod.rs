@@ -342,8 +342,8 @@ fn built(
         }
         Method::Files => wrong_usage!("files:DIR estimates nothing"),
     };
-    let tiled = match large_frames.tile_size(spec.method, &parameters.network)? {
-        Some(size) => Box::new(Tiled::new(estimator, size, large_frames.tile_overlap)),
+    let tiled = match large_frames.tiling(spec.method, &parameters.network)? {
+        Some(tiling) => Box::new(Tiled::new(estimator, tiling)),
         None => estimator,
     };
     let estimator: Box<dyn FlowEstimator> = match large_frames.scale {

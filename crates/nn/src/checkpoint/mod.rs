@@ -156,6 +156,14 @@ impl Checkpoint {
         self.tensors.iter().map(info).collect()
     }
 
+    /// The same under other names; a tensor without a new name is left out.
+    #[must_use]
+    pub fn renamed(mut self, name: impl Fn(&str) -> Option<String>) -> Self {
+        let tensors = std::mem::take(&mut self.tensors);
+        self.tensors = tensors.into_iter().filter_map(|(old, tensor)| Some((name(&old)?, tensor))).collect();
+        self
+    }
+
     /// Reads the values, as `f32`.
     ///
     /// # Errors

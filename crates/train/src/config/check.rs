@@ -46,10 +46,16 @@ impl Config {
         }
         number("training.clip", training.clip, "a number above 0", training.clip > 0.0)?;
         self.loss.check()?;
-        // A network that predicts a mixture will say so in its facts; today there is none.
-        if self.loss.sequence.needs_mixture() {
+        let network = self.network.architecture.facts();
+        if self.loss.sequence.needs_mixture() && !network.mixture {
             return Err(LossError::NoMixture.into());
         }
+        let found = network.name.to_owned();
+        Key { key: "network.architecture", found, expected: "a network that can be trained here".to_owned() }
+            .holds(network.trains)?;
+        let expected = format!("false: the refinements of {} are not computed one by one", network.name);
+        Key { key: "training.recompute", found: training.recompute.to_string(), expected }
+            .holds(network.recompute || !training.recompute)?;
         Ok(())
     }
 }

@@ -1,6 +1,7 @@
 //! Mixture of two Laplace distributions for each pixel (Wang, Lipson and Deng, *SEA-RAFT*, ECCV 2024, section 3.2).
 
 use burn::tensor::Tensor;
+use srflow_nets::LaplaceMixture;
 
 use super::table::{Distance, SequenceLoss};
 
@@ -10,15 +11,6 @@ pub(super) const MIXTURE_OF_LAPLACE: SequenceLoss = SequenceLoss {
     distance: Distance::OfMixture(negative_log_likelihood),
     channels: 2,
 };
-
-/// What a network says of how sure it is of a flow: for each pixel two Laplace distributions around it, a wide and a narrow one.
-#[derive(Debug, Clone)]
-pub struct LaplaceMixture {
-    /// Logarithms of the weights of the two, up to a common constant: `[batch, 2, height, width]`.
-    pub log_weights: Tensor<4>,
-    /// Logarithms of their scales in pixels, before they are limited: `[batch, 2, height, width]`, the wide one first.
-    pub log_scales: Tensor<4>,
-}
 
 /// `-ln p(difference)` for each component of the flow, `[batch, 2, height, width]`, where
 /// `p(d) = sum_k w_k / (2 b_k) exp(-|d| / b_k)`. Both components of the flow share the weights `w` and the scales `b`.

@@ -15,9 +15,9 @@ mod tvr;
 mod weighted_variation;
 
 use burn::tensor::Tensor;
+use srflow_nets::{Estimate, LaplaceMixture};
 
 pub use config::{Border, LossConfig, MaskReading, REGULARIZERS};
-pub use mixture::LaplaceMixture;
 pub use of_flow::{FlowRegularizer, ImageWeights, RegularizerError, regularizers_of_flow};
 pub use table::{Regularizer, SEQUENCE_LOSSES, SequenceLoss};
 
@@ -31,6 +31,14 @@ pub struct Prediction {
     pub flow: Tensor<4>,
     /// How sure it is, for networks that say.
     pub mixture: Option<LaplaceMixture>,
+}
+
+impl Prediction {
+    /// All flows of an estimate, the last one last.
+    pub fn of(estimate: Estimate) -> Vec<Self> {
+        let mixtures = estimate.mixtures.into_iter().map(Some).chain(std::iter::repeat(None));
+        estimate.flows.into_iter().zip(mixtures).map(|(flow, mixture)| Self { flow, mixture }).collect()
+    }
 }
 
 impl From<Tensor<4>> for Prediction {
@@ -80,8 +88,8 @@ pub enum LossError {
     Setting { key: &'static str, found: String, expected: &'static str },
     /// The mixture of Laplace distributions was asked of a network that predicts none.
     #[error(
-        "loss.sequence = \"mixture-of-laplace\" needs a network that predicts a mixture beside the flow, as SEA-RAFT does; \
-         the networks of this program predict flow alone: set it to \"l1\" or \"l2\""
+        "loss.sequence = \"mixture-of-laplace\" needs a network that predicts a mixture beside the flow, as SEA-RAFT does: \
+         set it to \"l1\" or \"l2\", or train such a network"
     )]
     NoMixture,
 }

@@ -4,8 +4,9 @@
 use std::fmt;
 
 use burn::tensor::Tensor;
+use srflow_nets::LaplaceMixture;
 
-use super::{Border, LaplaceMixture, sequence};
+use super::{Border, sequence};
 
 /// How a predicted flow is compared with the truth: an entry of [`SEQUENCE_LOSSES`].
 pub struct SequenceLoss {

@@ -6,7 +6,6 @@
 // Kernels walk several arrays in step by one index, as their equations do.
 #![allow(clippy::needless_range_loop)]
 
-mod convolution;
 #[cfg(feature = "cube")]
 mod cube;
 mod device;
@@ -27,6 +26,7 @@ pub mod activation;
 pub mod attention;
 pub mod batch_norm;
 pub mod conv2d;
+pub mod convolution;
 pub mod correlation;
 pub mod depthwise;
 pub mod gru;

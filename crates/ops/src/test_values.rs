@@ -1,3 +1,5 @@
+//! What tests of operations share: made-up values, comparisons and numbers of threads.
+
 /// Values in -1..1 that repeat nowhere near.
 pub(crate) fn values(count: usize, seed: u32) -> Vec<f32> {
     (0..count as u32)
@@ -8,11 +10,35 @@ pub(crate) fn values(count: usize, seed: u32) -> Vec<f32> {
         .collect()
 }
 
-/// Holds each element within `tolerance` times the largest expected one (at least one).
-pub(crate) fn assert_close(what: &str, found: &[f32], expected: &[f32], tolerance: f32) {
+/// The same numbers in f64, in which the definitions compute.
+pub(crate) fn wide(values: &[f32]) -> Vec<f64> {
+    values.iter().map(|&x| f64::from(x)).collect()
+}
+
+/// The magnitude of the largest number.
+pub(crate) fn largest(values: &[f64]) -> f64 {
+    values.iter().fold(0.0, |largest, x| largest.max(x.abs()))
+}
+
+/// Holds each element within `tolerance` times the largest expected one.
+pub(crate) fn assert_close(what: &str, found: &[f32], expected: &[f64], tolerance: f64) {
+    assert_within(what, found, expected, tolerance * largest(expected));
+}
+
+/// Holds each element within `bound` of the expected one.
+pub(crate) fn assert_within(what: &str, found: &[f32], expected: &[f64], bound: f64) {
     assert_eq!(found.len(), expected.len(), "{what}");
-    let scale = expected.iter().fold(1.0_f32, |m, x| m.max(x.abs()));
-    for (i, (found, expected)) in found.iter().zip(expected).enumerate() {
-        assert!((found - expected).abs() <= tolerance * scale, "{what} [{i}]: {found} for {expected}");
+    for (i, (&found, expected)) in found.iter().zip(expected).enumerate() {
+        let error = (f64::from(found) - expected).abs();
+        assert!(
+            error <= bound,
+            "{what} [{i}]: {found} for {expected}, {error:.1e} off where {bound:.1e} may be"
+        );
     }
+}
+
+/// What `run` returns on this number of threads.
+pub(crate) fn with_threads<T: Send>(threads: usize, run: impl FnOnce() -> T + Send) -> T {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
+    pool.install(run)
 }

@@ -7,3 +7,6 @@ mod composed;
 pub mod tensor;
 
 pub(crate) use composed::{activate_tensor, activate_tensor_backward};
+
+#[cfg(test)]
+pub(crate) mod tests;

@@ -9,7 +9,7 @@ use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Operation, apply};
 
 #[derive(Debug, Clone)]
-struct ActivatedSum(Activation);
+pub(super) struct ActivatedSum(pub(super) Activation);
 
 impl Operation<2> for ActivatedSum {
     fn activation(&mut self) -> Option<&mut Activation> {
@@ -73,42 +73,4 @@ impl Operation<1> for Activate {
 pub fn activated_sum(a: Tensor<4>, b: Tensor<4>, activation: Activation) -> Tensor<4> {
     assert_eq!(a.dims(), b.dims(), "summands of one size");
     apply(ActivatedSum(activation), [a.into_dispatch(), b.into_dispatch()])
-}
-
-#[cfg(test)]
-pub(crate) mod tests {
-    use burn::backend::Flex;
-
-    use super::super::Keeps;
-    use super::*;
-    use crate::operation::tests::{ACTIVATIONS, Case};
-
-    pub(crate) fn cases() -> Vec<Case> {
-        let case = |activation: Activation| {
-            let shape: &[usize] = &[2, 5, 40, 100];
-            Case::of(&format!("{activation:?}"), ActivatedSum(activation), [shape, shape], move |x| {
-                let sums = x[0].iter().zip(&x[1]).map(|(a, b)| f64::from(a + b));
-                sums.map(|sum| activation.reference(sum) as f32).collect()
-            })
-            .change(0, |_, x| 4.0 * x)
-        };
-        ACTIVATIONS.map(case).into()
-    }
-
-    #[test]
-    fn the_derivative_by_other_operations_is_that_of_the_definition() {
-        let x: Vec<f32> = (-400..=400).map(|i| i as f32 * 0.01 + 0.001).collect();
-        for activation in ACTIVATIONS {
-            let kept = match activation.keeps() {
-                Keeps::Output => x.iter().map(|&x| activation.reference(f64::from(x)) as f32).collect(),
-                Keeps::Sum | Keeps::Nothing => x.clone(),
-            };
-            let [kept, grad] = [kept, vec![2.0; x.len()]].map(|values| CpuTensor::new(values, [x.len()]));
-            let found = activate_tensor_backward::<Flex>(grad.into(), kept.into(), activation);
-            for (&x, &found) in x.iter().zip(CpuTensor::from(found).slice()) {
-                let expected = 2.0 * activation.reference_derivative(f64::from(x));
-                assert!((f64::from(found) - expected).abs() < 5e-6, "{activation:?} ({x}): {found}");
-            }
-        }
-    }
 }

@@ -5,9 +5,6 @@ use burn::tensor::activation::softmax;
 
 use crate::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 
-/// The largest piece.
-const PIECE_BYTES: usize = 64 << 20;
-
 #[derive(Debug)]
 pub(super) struct ImagePieces {
     /// `[1, channels, 1, pixels]`.
@@ -26,14 +23,15 @@ fn product(x: Tensor<4>, weight: Tensor<4>) -> Tensor<4> {
 }
 
 impl ImagePieces {
-    pub(super) fn new(queries: Tensor<4>, keys: Tensor<4>, kept_bytes: usize) -> Self {
+    /// Pieces take no more than `piece_bytes`, but each has a column.
+    pub(super) fn new(queries: Tensor<4>, keys: Tensor<4>, kept_bytes: usize, piece_bytes: usize) -> Self {
         let [_, channels, height, width] = queries.dims();
         let pixels = height * width;
         let row_bytes = pixels * size_of::<f32>();
         let mut image = Self {
             queries: queries.reshape([1, channels, 1, pixels]),
             keys: keys.reshape([channels, pixels]).transpose().reshape([pixels, channels, 1, 1]),
-            piece: (PIECE_BYTES / row_bytes).clamp(1, pixels),
+            piece: (piece_bytes / row_bytes).clamp(1, pixels),
             kept: Vec::new(),
         };
         if pixels * row_bytes <= kept_bytes {

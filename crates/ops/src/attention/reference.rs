@@ -1,7 +1,7 @@
 //! The definition, in f64.
 
 /// Scores `q_i . k_j` of one image, `[pixels i, pixels j]`, to `softmax_j`. Queries and keys are `[channels, pixels]`.
-fn weights(queries: &[f32], keys: &[f32], pixels: usize) -> Vec<f64> {
+fn weights(queries: &[f64], keys: &[f64], pixels: usize) -> Vec<f64> {
     let mut weights = Vec::with_capacity(pixels * pixels);
     for i in 0..pixels {
         let scores: Vec<f64> = (0..pixels).map(|j| product(queries, i, keys, j, pixels)).collect();
@@ -13,37 +13,33 @@ fn weights(queries: &[f32], keys: &[f32], pixels: usize) -> Vec<f64> {
 }
 
 /// `a_i . b_j`, of `[channels, pixels]` each.
-fn product(a: &[f32], i: usize, b: &[f32], j: usize, pixels: usize) -> f64 {
+fn product(a: &[f64], i: usize, b: &[f64], j: usize, pixels: usize) -> f64 {
     let planes = a.chunks_exact(pixels).zip(b.chunks_exact(pixels));
-    planes.map(|(a, b)| f64::from(a[i]) * f64::from(b[j])).sum()
+    planes.map(|(a, b)| a[i] * b[j]).sum()
 }
 
 /// `out_i = sum_j weight(i, j) x_j` for each channel of `x`, `[channels, pixels]`.
-fn weighted(x: &[f32], pixels: usize, weight: impl Fn(usize, usize) -> f64) -> Vec<f32> {
-    let of = |plane: &[f32], i: usize| -> f64 {
-        plane.iter().enumerate().map(|(j, &x)| weight(i, j) * f64::from(x)).sum()
-    };
+fn weighted(x: &[f64], pixels: usize, weight: impl Fn(usize, usize) -> f64) -> Vec<f64> {
+    let of =
+        |plane: &[f64], i: usize| -> f64 { plane.iter().enumerate().map(|(j, x)| weight(i, j) * x).sum() };
     let planes = x.chunks_exact(pixels);
-    planes
-        .flat_map(|plane| (0..pixels).map(move |i| (plane, i)))
-        .map(|(plane, i)| of(plane, i) as f32)
-        .collect()
+    planes.flat_map(|plane| (0..pixels).map(move |i| (plane, i))).map(|(plane, i)| of(plane, i)).collect()
 }
 
 /// See [`super::attention`]; one image.
-pub fn attention(queries: &[f32], keys: &[f32], values: &[f32], pixels: usize) -> Vec<f32> {
+pub fn attention(queries: &[f64], keys: &[f64], values: &[f64], pixels: usize) -> Vec<f64> {
     let weights = weights(queries, keys, pixels);
     weighted(values, pixels, |i, j| weights[i * pixels + j])
 }
 
 /// See [`super::attention_backward`]; one image.
 pub fn attention_backward(
-    queries: &[f32],
-    keys: &[f32],
-    values: &[f32],
-    grad: &[f32],
+    queries: &[f64],
+    keys: &[f64],
+    values: &[f64],
+    grad: &[f64],
     pixels: usize,
-) -> [Vec<f32>; 3] {
+) -> [Vec<f64>; 3] {
     let weights = weights(queries, keys, pixels);
     let mut scores = Vec::with_capacity(weights.len());
     for (i, weights) in weights.chunks_exact(pixels).enumerate() {

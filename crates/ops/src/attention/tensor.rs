@@ -14,6 +14,9 @@ use super::weights::AttentionWeights;
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Operation, apply};
 
+/// The largest piece of a matrix of all pairs, for devices without the kernel.
+const PIECE_BYTES: usize = 64 << 20;
+
 /// What the kernel found out about queries and keys, once for all values, and what it needs for their gradients. Those of
 /// the weights are never formed: what they follow from is collected until all has been gathered.
 #[derive(Debug, Clone)]
@@ -173,7 +176,7 @@ impl Attention {
     /// from one gathering to the next (with gradients elsewhere than on the CPU, all are). Panics when the sizes differ.
     pub fn new(queries: Tensor<4>, keys: Tensor<4>, kept_bytes: usize) -> Self {
         if queries.device() != Device::flex() {
-            return Self::in_pieces(queries, keys, kept_bytes);
+            return Self::in_pieces(queries, keys, kept_bytes, PIECE_BYTES);
         }
         let (size, autodiff) = Self::check(&queries, &keys);
         // The gradients of values want their weights in another order: half for each.
@@ -183,11 +186,17 @@ impl Attention {
     }
 
     /// For devices without the kernel.
-    pub(super) fn in_pieces(queries: Tensor<4>, keys: Tensor<4>, kept_bytes: usize) -> Self {
+    pub(super) fn in_pieces(
+        queries: Tensor<4>,
+        keys: Tensor<4>,
+        kept_bytes: usize,
+        piece_bytes: usize,
+    ) -> Self {
         let (size @ [batch, _, _, _], autodiff) = Self::check(&queries, &keys);
         let kept_bytes = if autodiff { usize::MAX } else { kept_bytes / batch };
         let image = |x: &Tensor<4>, n| x.clone().narrow(0, n, 1);
-        let images = (0..batch).map(|n| ImagePieces::new(image(&queries, n), image(&keys, n), kept_bytes));
+        let pieces = |n| ImagePieces::new(image(&queries, n), image(&keys, n), kept_bytes, piece_bytes);
+        let images = (0..batch).map(pieces);
         Self { size, way: Way::Pieces(images.collect()) }
     }
 

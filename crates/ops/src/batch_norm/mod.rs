@@ -3,14 +3,12 @@
 
 use rayon::prelude::*;
 
+use crate::instance_norm::EPSILON;
 use crate::sums::{sum, sum_pairs};
 
 mod composed;
 pub mod reference;
 pub mod tensor;
-
-/// Added to the variance; PyTorch's default.
-const EPSILON: f64 = 1e-5;
 
 /// Sizes of `[batch, channels, height, width]`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,23 +1,60 @@
-//! The definition, in f64.
+//! The definition, in f64: one channel after another.
 
-use super::{Affine, BatchNormShape, EPSILON};
+use super::BatchNormShape;
+use crate::Activation;
+use crate::instance_norm::reference::{standardized, standardized_backward};
+
+/// What goes into a normalization: input, weight and bias.
+type Inputs<'a> = [&'a [f64]; 3];
+
+impl BatchNormShape {
+    /// Where the elements of a channel are.
+    fn elements_of(&self, channel: usize) -> Vec<usize> {
+        let all = 0..self.batch * self.channels * self.pixels;
+        all.filter(|element| element / self.pixels % self.channels == channel).collect()
+    }
+}
+
+fn activation(relu: bool) -> Activation {
+    if relu { Activation::Relu } else { Activation::Identity }
+}
 
 /// See [`super::batch_norm`]; the output alone.
-pub fn batch_norm(input: &[f32], affine: &Affine, shape: &BatchNormShape) -> Vec<f32> {
-    let count = (shape.batch * shape.pixels) as f64;
-    let channel_of = |index: usize| index / shape.pixels % shape.channels;
-    let (mut mean, mut variance) = (vec![0.0; shape.channels], vec![0.0; shape.channels]);
-    for (i, &x) in input.iter().enumerate() {
-        mean[channel_of(i)] += f64::from(x) / count;
+pub fn batch_norm([input, weight, bias]: Inputs, relu: bool, shape: &BatchNormShape) -> Vec<f64> {
+    let mut out = vec![0.0; input.len()];
+    for channel in 0..shape.channels {
+        let elements = shape.elements_of(channel);
+        let values: Vec<f64> = elements.iter().map(|&i| input[i]).collect();
+        for (i, normal) in elements.into_iter().zip(standardized(&values).0) {
+            out[i] = activation(relu).reference(weight[channel] * normal + bias[channel]);
+        }
     }
-    for (i, &x) in input.iter().enumerate() {
-        variance[channel_of(i)] += (f64::from(x) - mean[channel_of(i)]).powi(2) / count;
+    out
+}
+
+/// See [`super::batch_norm_backward`]: gradients of input, weight and bias.
+pub fn batch_norm_backward(
+    [input, weight, bias]: Inputs,
+    grad: &[f64],
+    relu: bool,
+    shape: &BatchNormShape,
+) -> [Vec<f64>; 3] {
+    let mut d_input = vec![0.0; input.len()];
+    let [mut d_weight, mut d_bias] = [vec![0.0; weight.len()], vec![0.0; bias.len()]];
+    for channel in 0..shape.channels {
+        let elements = shape.elements_of(channel);
+        let values: Vec<f64> = elements.iter().map(|&i| input[i]).collect();
+        let mut d_normal = Vec::new();
+        for (&i, normal) in elements.iter().zip(standardized(&values).0) {
+            let d_affine =
+                grad[i] * activation(relu).reference_derivative(weight[channel] * normal + bias[channel]);
+            d_weight[channel] += d_affine * normal;
+            d_bias[channel] += d_affine;
+            d_normal.push(d_affine * weight[channel]);
+        }
+        for (i, gradient) in elements.into_iter().zip(standardized_backward(&values, &d_normal)) {
+            d_input[i] = gradient;
+        }
     }
-    let normalized = |(i, &x): (usize, &f32)| {
-        let c = channel_of(i);
-        let y = (f64::from(x) - mean[c]) / (variance[c] + EPSILON).sqrt();
-        let y = y * f64::from(affine.weight[c]) + f64::from(affine.bias[c]);
-        (if affine.relu && y < 0.0 { 0.0 } else { y }) as f32
-    };
-    input.iter().enumerate().map(normalized).collect()
+    [d_input, d_weight, d_bias]
 }

@@ -1,8 +1,9 @@
 use rayon::prelude::*;
 use srflow_simd::Isa;
 
+use super::Epilogue;
 use super::forward::{BLOCK, Plan, Tile, convolve_packed, convolve_row, pack, pack_weights};
-use super::{Conv2dShape, Epilogue};
+use crate::convolution::Conv2dShape;
 use crate::sums::sum;
 
 /// Gradient of the bias: `grad` (`[N, channels, H, W]`, each plane of `pixels` elements) summed over images and pixels;
@@ -36,6 +37,7 @@ pub(super) fn backward_input_with(isa: Isa, grad: &[f32], weight: &[f32], shape:
 
 /// Whether the gradient of the input is one convolution, and which.
 fn as_convolution(shape: &Conv2dShape) -> Option<Conv2dShape> {
+    shape.check_dense();
     let one = shape.stride == [1, 1] && shape.kernel.iter().zip(shape.padding).all(|(&k, p)| p < k);
     one.then(|| Conv2dShape {
         in_channels: shape.out_channels,

@@ -2,7 +2,8 @@ use rayon::prelude::*;
 use srflow_simd::{Isa, SharedMut, Simd, dispatch, pack_rows};
 
 use super::winograd::{self, Scheme};
-use super::{Conv2dShape, Epilogue, panels};
+use super::{Epilogue, panels};
+use crate::convolution::Conv2dShape;
 use crate::pointwise::{Add, Layer, Map, pointwise};
 
 /// Output channels of a register tile.
@@ -45,6 +46,7 @@ enum Method {
 
 impl Method {
     fn of(shape: &Conv2dShape) -> Self {
+        shape.check_dense();
         if shape.kernel == [1, 1] && shape.stride == [1, 1] && shape.padding == [0, 0] {
             return Method::Pointwise;
         }

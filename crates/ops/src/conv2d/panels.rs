@@ -5,7 +5,8 @@ use std::ops::Range;
 
 use srflow_simd::{Isa, Product, Start, Steps, fill_columns, multiply, panel_columns};
 
-use super::{Conv2dShape, Epilogue};
+use super::Epilogue;
+use crate::convolution::Conv2dShape;
 
 /// [`super::conv2d`] with weights `[out_channels, in_channels * taps]` in the order of [`srflow_simd::pack_rows`].
 pub(super) fn convolve(

@@ -4,10 +4,11 @@ use super::backward::backward_input_with;
 use super::forward::conv2d_with;
 use super::weight_gradient::backward_weight_with;
 use super::*;
-use crate::convolution::Convolved;
+use crate::convolution::Conv2dShape;
+use crate::convolution::reference::{self, Operands};
+use crate::convolution::tests::{Residual, case};
 use crate::operation::tests::{ACTIVATIONS, Case};
-use crate::operation::{apply, array};
-use crate::test_values::{assert_close, values};
+use crate::test_values::{assert_close, values, wide, with_threads};
 
 fn shape(
     channels: [usize; 2],
@@ -20,6 +21,7 @@ fn shape(
         batch: 2,
         in_channels: channels[0],
         out_channels: channels[1],
+        groups: 1,
         input,
         kernel,
         stride: [stride; 2],
@@ -75,11 +77,24 @@ fn each_instruction_set_computes_the_definition() {
         let residual = values(shape.output_len(), 10);
         let epilogue =
             Epilogue { bias: Some(&bias), residual: Some(&residual), activation: Activation::Relu };
-        let out = reference::conv2d(&input, &weight, &epilogue, &shape);
-        let d_input = reference::conv2d_backward_input(&grad, &weight, &shape);
-        let d_weight = reference::conv2d_backward_weight(&input, &grad, &shape);
+        let [wide_input, wide_weight, wide_bias, wide_grad, wide_residual] =
+            [&input, &weight, &bias, &grad, &residual].map(|values| wide(values));
+        let operands = Operands {
+            input: &wide_input,
+            weight: &wide_weight,
+            bias: &wide_bias,
+            residual: Some(&wide_residual),
+            activation: Activation::Relu,
+        };
+        let out = reference::convolve(&operands, &shape);
+        let d_input = reference::backward_input(&wide_grad, &wide_weight, &shape);
+        let d_weight = reference::backward_weight(&wide_input, &wide_grad, &shape);
+        let [height, width] = shape.output();
+        let d_bias = conv2d_backward_bias(&grad, shape.out_channels, height * width);
+        let expected = reference::backward_bias(&wide_grad, &shape);
+        assert_close(&format!("bias gradient, {shape:?}"), &d_bias, &expected, tolerance);
         for isa in Isa::to_test() {
-            let check = |what: &str, found: &[f32], expected: &[f32]| {
+            let check = |what: &str, found: &[f32], expected: &[f64]| {
                 assert_close(&format!("{what}, {isa:?}, {shape:?}"), found, expected, tolerance);
             };
             check("output", &conv2d_with(isa, &input, &weight, &epilogue, &shape), &out);
@@ -102,8 +117,7 @@ fn check_that_results_do_not_depend_on_the_machine(shape: Conv2dShape) {
     let (input, weight) = (values(shape.input_len(), 5), values(shape.weight_len(), 6));
     let grad = values(shape.output_len(), 7);
     let run = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
-        pool.install(|| {
+        with_threads(threads, || {
             (
                 conv2d(&input, &weight, &Epilogue::default(), &shape),
                 conv2d_backward_input(&grad, &weight, &shape),
@@ -119,13 +133,6 @@ fn check_that_results_do_not_depend_on_the_machine(shape: Conv2dShape) {
 }
 
 #[test]
-fn bias_gradient_is_the_sum_over_images_and_pixels() {
-    let grad: Vec<f32> = (0..2 * 3 * 20).map(|i| (i / 20 % 3) as f32).collect();
-    assert_eq!(conv2d_backward_bias(&grad, 3, 20), [0.0, 40.0, 80.0]);
-    assert_eq!(conv2d_backward_bias(&[], 3, 0), [0.0; 3]);
-}
-
-#[test]
 fn a_kernel_larger_than_the_padded_input_gives_nothing() {
     let shape = shape([1, 2], [2, 2], [5, 5], 1, [1, 1]);
     assert_eq!(shape.output(), [0, 0]);
@@ -134,6 +141,7 @@ fn a_kernel_larger_than_the_padded_input_gives_nothing() {
     assert!(conv2d(&input, &weight, &Epilogue::default(), &shape).is_empty());
     assert_eq!(conv2d_backward_input(&[], &weight, &shape), vec![0.0; shape.input_len()]);
     assert_eq!(conv2d_backward_weight(&input, &[], &shape), vec![0.0; shape.weight_len()]);
+    assert_eq!(conv2d_backward_bias(&[], 2, 0), [0.0; 2]);
 }
 
 /// Cloned options share their cache, also where another stride or padding wants the weight in another order.
@@ -156,67 +164,24 @@ fn convolutions_that_share_a_cache_do_not_disturb_each_other() {
     }
 }
 
-/// Each with a bias; with a residual where asked for.
-fn case(shape: Conv2dShape, activation: Activation, residual: bool) -> Case {
-    let Conv2dShape { batch, in_channels, out_channels, input, kernel, stride, padding } = shape;
-    let [height, width] = shape.output();
-    let shapes: [&[usize]; 4] = [
-        &[batch, in_channels, input[0], input[1]],
-        &[out_channels, in_channels, kernel[0], kernel[1]],
-        &[out_channels],
-        &[batch, out_channels, height, width],
-    ];
-    let (name, options) = (format!("{shape:?}, {activation:?}"), tensor::Conv2dOptions::new(stride, padding));
-    let operation = Convolved { convolution: options, activation };
-    let definition = move |x: &[Vec<f32>]| {
-        let residual = x.get(3).map(Vec::as_slice);
-        reference::conv2d(&x[0], &x[1], &Epilogue { bias: Some(&x[2]), residual, activation }, &shape)
-    };
-    let case = match residual {
-        true => Case::of(&name, operation, shapes, definition),
-        false => Case::of(&name, operation, [shapes[0], shapes[1], shapes[2]], definition),
-    };
-    let fan_in = (in_channels * kernel[0] * kernel[1]) as f32;
-    case.change(1, move |_, weight| weight * (3.0 / fan_in).sqrt())
-}
-
 pub(crate) fn cases() -> Vec<Case> {
+    let case = |shape: Conv2dShape, activation, residual| {
+        case(tensor::Conv2dOptions::new(shape.stride, shape.padding), shape, activation, residual)
+    };
     let small = shape([3, 5], [7, 9], [3, 3], 1, [1, 1]);
+    let uneven = Conv2dShape { stride: [1, 2], ..shape([3, 5], [7, 9], [3, 5], 1, [0, 2]) };
     let mut cases: Vec<Case> =
-        ACTIVATIONS.into_iter().map(|activation| case(small, activation, false)).collect();
-    cases.push(case(
-        Conv2dShape { stride: [1, 2], ..shape([3, 5], [7, 9], [3, 5], 1, [0, 2]) },
-        Activation::Sigmoid,
-        false,
-    ));
-    cases.push(case(shape([3, 5], [7, 9], [1, 1], 1, [0, 0]), Activation::Gelu, true));
-    cases.push(case(shape([19, 24], [11, 14], [3, 3], 2, [1, 1]), Activation::Gelu, true).slopes(10));
+        ACTIVATIONS.into_iter().map(|activation| case(small, activation, Residual::None)).collect();
+    cases.extend([
+        case(uneven, Activation::Sigmoid, Residual::None),
+        case(shape([3, 5], [7, 9], [1, 1], 1, [0, 0]), Activation::Gelu, Residual::Other),
+        case(shape([19, 24], [11, 14], [3, 3], 2, [1, 1]), Activation::Gelu, Residual::Other),
+        case(shape([4, 4], [6, 7], [3, 3], 1, [1, 1]), Activation::Gelu, Residual::Input),
+    ]);
     // Enough channels for Winograd's way.
-    for kernel in [[3, 3], [1, 5], [5, 1]] {
+    cases.extend([[3, 3], [1, 5], [5, 1]].map(|kernel| {
         let shape = shape([16, 17], [6, 7], kernel, 1, kernel.map(|size| size / 2));
-        cases.push(case(shape, Activation::Tanh, true).slopes(10));
-    }
-    cases.push(residual_that_is_the_input());
+        case(shape, Activation::Tanh, Residual::Other)
+    }));
     cases
-}
-
-fn residual_that_is_the_input() -> Case {
-    let shape = shape([4, 4], [6, 7], [3, 3], 1, [1, 1]);
-    let activation = Activation::Gelu;
-    let convolution = tensor::Conv2dOptions::new(shape.stride, shape.padding);
-    let operation = Convolved { convolution, activation };
-    let shapes: [&[usize]; 3] = [&[2, 4, 6, 7], &[4, 4, 3, 3], &[4]];
-    Case::new(
-        "residual that is the input",
-        &shapes,
-        move |inputs| {
-            let [input, weight, bias] = array(inputs);
-            apply(operation.clone(), [input.clone(), weight, bias, input])
-        },
-        move |x| {
-            let epilogue = Epilogue { bias: Some(&x[2]), residual: Some(&x[0]), activation };
-            reference::conv2d(&x[0], &x[1], &epilogue, &shape)
-        },
-    )
-    .change(1, |_, weight| 0.3 * weight)
 }

@@ -8,8 +8,8 @@ use srflow_simd::{
     panel_columns,
 };
 
-use super::Conv2dShape;
 use super::forward::Padded;
+use crate::convolution::Conv2dShape;
 
 /// Pixels whose products are summed before the sums go to memory: as many as keep a panel of patches in the second-level
 /// cache.
@@ -25,6 +25,7 @@ pub fn conv2d_backward_weight(input: &[f32], grad: &[f32], shape: &Conv2dShape) 
 
 /// [`conv2d_backward_weight`] with a chosen instruction set.
 pub(super) fn backward_weight_with(isa: Isa, input: &[f32], grad: &[f32], shape: &Conv2dShape) -> Vec<f32> {
+    shape.check_dense();
     assert_eq!(input.len(), shape.input_len(), "input of {shape:?}");
     assert_eq!(grad.len(), shape.output_len(), "gradient of {shape:?}");
     if shape.weight_len() == 0 || grad.is_empty() {

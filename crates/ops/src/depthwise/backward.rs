@@ -1,9 +1,9 @@
 use rayon::prelude::*;
 use srflow_simd::{Isa, Simd, dispatch};
 
-use super::DepthwiseShape;
 use super::forward::{depthwise_with, pad};
 use crate::conv2d::Epilogue;
+use crate::convolution::Conv2dShape;
 
 /// Kernel rows and columns whose weight gradients are summed together in registers.
 const TAPS_DOWN: usize = 4;
@@ -11,7 +11,7 @@ const TAPS_ACROSS: usize = 5;
 
 /// Gradient of the input from `grad`, that of the output: the convolution of `grad` with the kernel turned around.
 /// Panics when a slice does not fit `shape` or the padding is not smaller than the kernel.
-pub fn depthwise_backward_input(grad: &[f32], weight: &[f32], shape: &DepthwiseShape) -> Vec<f32> {
+pub fn depthwise_backward_input(grad: &[f32], weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     backward_input_with(Isa::best(), grad, weight, None, shape)
 }
 
@@ -21,7 +21,7 @@ pub(super) fn backward_input_with(
     grad: &[f32],
     weight: &[f32],
     add: Option<&[f32]>,
-    shape: &DepthwiseShape,
+    shape: &Conv2dShape,
 ) -> Vec<f32> {
     assert!(
         shape.padding[0] < shape.kernel[0] && shape.padding[1] < shape.kernel[1],
@@ -33,7 +33,7 @@ pub(super) fn backward_input_with(
     let taps = shape.kernel[0] * shape.kernel[1];
     let turned: Vec<f32> =
         weight.chunks_exact(taps).flat_map(|kernel| kernel.iter().rev()).copied().collect();
-    let backward = DepthwiseShape {
+    let backward = Conv2dShape {
         input: shape.output(),
         padding: [0, 1].map(|i| shape.kernel[i] - 1 - shape.padding[i]),
         ..*shape
@@ -43,17 +43,13 @@ pub(super) fn backward_input_with(
 
 /// Gradient of the weight from the input and `grad`, the gradient of the output; `[C, 1, kernel]`. It does not depend
 /// on the number of threads (it does, in its last bits, on the width of the vectors). Panics when a slice does not fit.
-pub fn depthwise_backward_weight(input: &[f32], grad: &[f32], shape: &DepthwiseShape) -> Vec<f32> {
+pub fn depthwise_backward_weight(input: &[f32], grad: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     backward_weight_with(Isa::best(), input, grad, shape)
 }
 
 /// [`depthwise_backward_weight`] with a chosen instruction set.
-pub(super) fn backward_weight_with(
-    isa: Isa,
-    input: &[f32],
-    grad: &[f32],
-    shape: &DepthwiseShape,
-) -> Vec<f32> {
+pub(super) fn backward_weight_with(isa: Isa, input: &[f32], grad: &[f32], shape: &Conv2dShape) -> Vec<f32> {
+    shape.check_depthwise();
     assert_eq!(input.len(), shape.input_len(), "input of {shape:?}");
     assert_eq!(grad.len(), shape.output_len(), "gradient of {shape:?}");
     let mut out = vec![0.0; shape.weight_len()];
@@ -67,7 +63,7 @@ pub(super) fn backward_weight_with(
         scratch,
         |(source, padded_grad), (channel, out)| {
             for n in 0..shape.batch {
-                let plane = n * shape.channels + channel;
+                let plane = n * shape.out_channels + channel;
                 let input_len = shape.input[0] * shape.input[1];
                 let row = pad(&input[plane * input_len..][..input_len], shape.input, shape.padding, source);
                 // Rows of zeros above and below let every tap of a group pass over the same input rows.

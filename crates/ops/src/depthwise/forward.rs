@@ -1,7 +1,7 @@
 use srflow_simd::{Isa, Simd, dispatch, fill_pieces};
 
-use super::DepthwiseShape;
 use crate::conv2d::Epilogue;
+use crate::convolution::Conv2dShape;
 
 /// Output rows of a register tile.
 const ROWS: usize = 4;
@@ -11,8 +11,8 @@ const VECTORS: usize = 4;
 /// Depthwise convolution of `input` with `weight`, then the epilogue; `[N, C, H_out, W_out]`.
 ///
 /// The sum of an element starts at the bias and runs over kernel rows, then columns, each step a fused multiply-add, so the result is the same
-/// for every number of threads and every instruction set. Panics when a slice does not fit `shape`.
-pub fn depthwise(input: &[f32], weight: &[f32], epilogue: &Epilogue, shape: &DepthwiseShape) -> Vec<f32> {
+/// for every number of threads and every instruction set. Panics when a slice does not fit `shape` or that is not depthwise, of stride 1.
+pub fn depthwise(input: &[f32], weight: &[f32], epilogue: &Epilogue, shape: &Conv2dShape) -> Vec<f32> {
     depthwise_with(Isa::best(), input, weight, epilogue, shape)
 }
 
@@ -22,15 +22,16 @@ pub(super) fn depthwise_with(
     input: &[f32],
     weight: &[f32],
     epilogue: &Epilogue,
-    shape: &DepthwiseShape,
+    shape: &Conv2dShape,
 ) -> Vec<f32> {
+    shape.check_depthwise();
     assert_eq!(input.len(), shape.input_len(), "input of {shape:?}");
     assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
-    epilogue.check(shape.channels, shape.output_len());
+    epilogue.check(shape.out_channels, shape.output_len());
     let [height, width] = shape.output();
     let taps = shape.kernel[0] * shape.kernel[1];
     fill_pieces(shape.output_len(), height * width, Vec::new, |scratch, plane, out| {
-        let channel = plane % shape.channels;
+        let channel = plane % shape.out_channels;
         let source = &input[plane * shape.input[0] * shape.input[1]..][..shape.input[0] * shape.input[1]];
         let row = pad(source, shape.input, shape.padding, scratch);
         let task = Plane {

@@ -11,8 +11,8 @@ mod composed;
 pub mod reference;
 pub mod tensor;
 
-/// Added to the variance; PyTorch's default.
-const EPSILON: f64 = 1e-5;
+/// Added to the variance; PyTorch's default, also of a batch norm.
+pub(crate) const EPSILON: f64 = 1e-5;
 
 /// `activation((x - mean) / sqrt(variance + 1e-5))` of each plane of `pixels` elements. Panics when the input is not whole
 /// planes.

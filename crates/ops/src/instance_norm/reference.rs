@@ -3,17 +3,46 @@
 use super::EPSILON;
 use crate::Activation;
 
+fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
+    let count = values.len() as f64;
+    values.sum::<f64>() / count
+}
+
+/// Numbers less their mean, over their standard deviation; and that deviation.
+pub(crate) fn standardized(values: &[f64]) -> (Vec<f64>, f64) {
+    let centre = mean(values.iter().copied());
+    let variance = mean(values.iter().map(|x| (x - centre).powi(2)));
+    let deviation = (variance + EPSILON).sqrt();
+    (values.iter().map(|x| (x - centre) / deviation).collect(), deviation)
+}
+
+/// Gradient of the numbers from `grad`, that of their [`standardized`] ones: what would shift all of them, or stretch all of
+/// them about their mean, is taken out.
+pub(crate) fn standardized_backward(values: &[f64], grad: &[f64]) -> Vec<f64> {
+    let (normal, deviation) = standardized(values);
+    let shift = mean(grad.iter().copied());
+    let stretch = mean(grad.iter().zip(&normal).map(|(grad, x)| grad * x));
+    grad.iter().zip(&normal).map(|(grad, x)| (grad - shift - stretch * x) / deviation).collect()
+}
+
 /// See [`super::instance_norm`].
-pub fn instance_norm(input: &[f32], pixels: usize, activation: Activation) -> Vec<f32> {
-    let normalize = |plane: &[f32]| {
-        let count = plane.len() as f64;
-        let mean = plane.iter().map(|&x| f64::from(x)).sum::<f64>() / count;
-        let variance = plane.iter().map(|&x| (f64::from(x) - mean).powi(2)).sum::<f64>() / count;
-        let deviation = (variance + EPSILON).sqrt();
-        plane
-            .iter()
-            .map(|&x| activation.reference((f64::from(x) - mean) / deviation) as f32)
-            .collect::<Vec<_>>()
+pub fn instance_norm(input: &[f64], pixels: usize, activation: Activation) -> Vec<f64> {
+    let normal = input.chunks(pixels).flat_map(|plane| standardized(plane).0);
+    normal.map(|x| activation.reference(x)).collect()
+}
+
+/// Gradient of the input from `grad`, that of the output of [`instance_norm`].
+pub fn instance_norm_backward(
+    input: &[f64],
+    grad: &[f64],
+    pixels: usize,
+    activation: Activation,
+) -> Vec<f64> {
+    let of_plane = |(plane, grad): (&[f64], &[f64])| {
+        let (normal, _) = standardized(plane);
+        let slopes = normal.iter().map(|&x| activation.reference_derivative(x));
+        let d_normal: Vec<f64> = grad.iter().zip(slopes).map(|(grad, slope)| grad * slope).collect();
+        standardized_backward(plane, &d_normal)
     };
-    input.chunks(pixels).flat_map(normalize).collect()
+    input.chunks(pixels).zip(grad.chunks(pixels)).flat_map(of_plane).collect()
 }

@@ -3,7 +3,7 @@
 use super::MapSize;
 
 /// Where the largest of each 2x2 pixels lies in the input: the first one of equal ones, and NaN is larger than any number.
-pub fn largest(input: &[f32], size: MapSize) -> Vec<usize> {
+fn largest(input: &[f64], size: MapSize) -> Vec<usize> {
     let MapSize { planes, height, width } = size;
     let mut found = Vec::new();
     for plane in 0..planes {
@@ -22,12 +22,12 @@ pub fn largest(input: &[f32], size: MapSize) -> Vec<usize> {
 }
 
 /// See [`super::max_pool`].
-pub fn max_pool(input: &[f32], size: MapSize) -> Vec<f32> {
+pub fn max_pool(input: &[f64], size: MapSize) -> Vec<f64> {
     largest(input, size).into_iter().map(|index| input[index]).collect()
 }
 
 /// See [`super::max_pool_backward`].
-pub fn max_pool_backward(input: &[f32], grad: &[f32], size: MapSize) -> Vec<f32> {
+pub fn max_pool_backward(input: &[f64], grad: &[f64], size: MapSize) -> Vec<f64> {
     let mut out = vec![0.0; input.len()];
     for (index, grad) in largest(input, size).into_iter().zip(grad) {
         out[index] = *grad;

@@ -1,7 +1,7 @@
 use super::tensor::MaxPool;
 use super::*;
 use crate::operation::tests::Case;
-use crate::test_values::values;
+use crate::test_values::{values, wide};
 
 const SIZES: [MapSize; 4] = [
     MapSize { planes: 3, height: 8, width: 36 },
@@ -10,11 +10,15 @@ const SIZES: [MapSize; 4] = [
     MapSize { planes: 0, height: 4, width: 4 },
 ];
 
-/// Values so far apart that few maxima change hands nearby.
 pub(crate) fn cases() -> Vec<Case> {
-    let size = MapSize { planes: 6, height: 7, width: 10 };
-    let definition = move |x: &[Vec<f32>]| reference::max_pool(&x[0], size);
-    vec![Case::of("max pool", MaxPool, [&[2, 3, 7, 10]], definition).change(0, |_, x| 10.0 * x)]
+    let size = MapSize { planes: 6, height: 7, width: 11 };
+    vec![Case::of(
+        "max pool",
+        MaxPool,
+        [&[2, 3, 7, 11]],
+        move |x| reference::max_pool(&x[0], size),
+        move |x, grad| vec![reference::max_pool_backward(&x[0], grad, size)],
+    )]
 }
 
 /// Few different values, so that many are equal, and some that are no numbers.
@@ -24,7 +28,7 @@ fn input(size: MapSize, numbers: bool) -> Vec<f32> {
     values(size.planes * size.pixels(), 1).into_iter().map(value).collect()
 }
 
-fn bits(values: &[f32]) -> Vec<u32> {
+fn bits(values: &[f64]) -> Vec<u64> {
     values.iter().map(|value| value.to_bits()).collect()
 }
 
@@ -32,9 +36,10 @@ fn bits(values: &[f32]) -> Vec<u32> {
 fn the_fast_version_is_the_definition_to_the_bit() {
     for (size, numbers) in SIZES.into_iter().flat_map(|size| [(size, true), (size, false)]) {
         let input = input(size, numbers);
-        assert_eq!(bits(&max_pool(&input, size)), bits(&reference::max_pool(&input, size)), "{size:?}");
+        let expected = reference::max_pool(&wide(&input), size);
+        assert_eq!(bits(&wide(&max_pool(&input, size))), bits(&expected), "{size:?}");
         let grad = values(size.planes * size.pooled_pixels(), 2);
-        let expected = reference::max_pool_backward(&input, &grad, size);
-        assert_eq!(max_pool_backward(&input, &grad, size), expected, "{size:?}");
+        let expected = reference::max_pool_backward(&wide(&input), &wide(&grad), size);
+        assert_eq!(wide(&max_pool_backward(&input, &grad, size)), expected, "{size:?}");
     }
 }

@@ -1,13 +1,13 @@
-//! Every operation, by one test body: its outputs against its definition in f64, its gradients against the slopes of that
-//! definition, and both the same whether they are computed by the kernel, by the composition of Burn's operations or by
-//! another device, which `SRFLOW_TEST_DEVICE` names; see docs/devices.md.
+//! Every operation, by one test body: its definition's gradients against the slopes of that definition; then outputs and
+//! gradients against the definition, in f64, whether they are computed by the kernel on any number of threads, by the
+//! composition of Burn's operations or by another device, which `SRFLOW_TEST_DEVICE` names; see docs/devices.md.
 
 use std::sync::LazyLock;
 
 use burn::tensor::{Device, TensorData};
 
 use super::*;
-use crate::test_values::{assert_close, values};
+use crate::test_values::{assert_close, values, wide, with_threads};
 
 /// A test for each operation: the cases beside its definition.
 macro_rules! operations {
@@ -20,7 +20,7 @@ macro_rules! operations {
 }
 
 operations! {
-    activated_sum: crate::activation::tensor::tests::cases,
+    activated_sum: crate::activation::tests::cases,
     attention: crate::attention::tests::cases,
     batch_norm: crate::batch_norm::tests::cases,
     conv2d: crate::conv2d::tests::cases,
@@ -37,20 +37,26 @@ operations! {
 pub(crate) const ACTIVATIONS: [Activation; 5] =
     [Activation::Identity, Activation::Relu, Activation::Gelu, Activation::Tanh, Activation::Sigmoid];
 
-type Definition = Box<dyn Fn(&[Vec<f32>]) -> Vec<f32>>;
-type Function = Box<dyn Fn(Vec<DispatchTensor>) -> Tensor<4>>;
+/// Of the largest number of a tensor. A rounding in f32 is 6e-8 of a number. Sums of some hundred products, and differences
+/// of numbers that nearly agree, cost one or two digits; so do positions some tens of pixels from the origin.
+const TOLERANCE: f64 = 1e-5;
+
+type Function = Box<dyn Fn(Vec<DispatchTensor>) -> Tensor<4> + Sync>;
+type Forward = Box<dyn Fn(&[Vec<f64>]) -> Vec<f64> + Sync>;
+type Backward = Box<dyn Fn(&[Vec<f64>], &[f64]) -> Vec<Vec<f64>> + Sync>;
 
 /// Sample inputs of an operation, and what it makes of them.
 pub(crate) struct Case {
     name: String,
     shapes: Vec<Vec<usize>>,
     inputs: Vec<Vec<f32>>,
-    /// Inputs that have no gradient.
-    constants: Vec<usize>,
     kernel: Function,
     composed: Option<Function>,
-    definition: Definition,
-    slopes: usize,
+    /// The definition.
+    forward: Forward,
+    /// The definition of the gradients, from that of the output; inputs at the end that it leaves out have none.
+    backward: Backward,
+    has_slopes: bool,
 }
 
 impl Case {
@@ -58,46 +64,50 @@ impl Case {
     pub(crate) fn new(
         name: &str,
         shapes: &[&[usize]],
-        function: impl Fn(Vec<DispatchTensor>) -> Tensor<4> + 'static,
-        definition: impl Fn(&[Vec<f32>]) -> Vec<f32> + 'static,
+        function: impl Fn(Vec<DispatchTensor>) -> Tensor<4> + Sync + 'static,
+        forward: impl Fn(&[Vec<f64>]) -> Vec<f64> + Sync + 'static,
+        backward: impl Fn(&[Vec<f64>], &[f64]) -> Vec<Vec<f64>> + Sync + 'static,
     ) -> Self {
         let inputs = shapes.iter().zip(1..).map(|(shape, seed)| values(shape.iter().product(), seed));
         Self {
             name: name.to_owned(),
             inputs: inputs.collect(),
             shapes: shapes.iter().map(|shape| shape.to_vec()).collect(),
-            constants: Vec::new(),
             kernel: Box::new(function),
             composed: None,
-            definition: Box::new(definition),
-            slopes: 40,
+            forward: Box::new(forward),
+            backward: Box::new(backward),
+            has_slopes: true,
         }
     }
 
     /// Of an operation that has kernels for every device.
-    pub(crate) fn of_kernels<O: Operation<N>, const N: usize>(
+    pub(crate) fn of_kernels<O: Operation<N> + Sync, const N: usize>(
         name: &str,
         operation: O,
         shapes: [&[usize]; N],
-        definition: impl Fn(&[Vec<f32>]) -> Vec<f32> + 'static,
+        forward: impl Fn(&[Vec<f64>]) -> Vec<f64> + Sync + 'static,
+        backward: impl Fn(&[Vec<f64>], &[f64]) -> Vec<Vec<f64>> + Sync + 'static,
     ) -> Self {
-        Self::new(name, &shapes, move |inputs| apply(operation.clone(), array(inputs)), definition)
+        let kernel = move |inputs| apply(operation.clone(), array(inputs));
+        Self::new(name, &shapes, kernel, forward, backward)
     }
 
     /// Of an operation that is composed of others on devices without a kernel.
-    pub(crate) fn of<O: Operation<N>, const N: usize>(
+    pub(crate) fn of<O: Operation<N> + Sync, const N: usize>(
         name: &str,
         operation: O,
         shapes: [&[usize]; N],
-        definition: impl Fn(&[Vec<f32>]) -> Vec<f32> + 'static,
+        forward: impl Fn(&[Vec<f64>]) -> Vec<f64> + Sync + 'static,
+        backward: impl Fn(&[Vec<f64>], &[f64]) -> Vec<Vec<f64>> + Sync + 'static,
     ) -> Self {
         let composed = Composed(operation.clone());
-        Self::of_kernels(name, operation, shapes, definition)
+        Self::of_kernels(name, operation, shapes, forward, backward)
             .or(move |inputs| apply(composed.clone(), array(inputs)))
     }
 
     /// What computes the same by other operations.
-    pub(crate) fn or(self, composed: impl Fn(Vec<DispatchTensor>) -> Tensor<4> + 'static) -> Self {
+    pub(crate) fn or(self, composed: impl Fn(Vec<DispatchTensor>) -> Tensor<4> + Sync + 'static) -> Self {
         Self { composed: Some(Box::new(composed)), ..self }
     }
 
@@ -106,58 +116,52 @@ impl Case {
         self
     }
 
-    pub(crate) fn constant(mut self, input: usize) -> Self {
-        self.constants.push(input);
-        self
-    }
-
-    /// For sizes where the definition takes too long to be computed for every slope.
-    pub(crate) fn slopes(self, slopes: usize) -> Self {
-        Self { slopes, ..self }
+    /// For inputs where the slopes to both sides differ.
+    pub(crate) fn without_slopes(self) -> Self {
+        Self { has_slopes: false, ..self }
     }
 
     fn check(&self) {
-        let expected = (self.definition)(&self.inputs);
+        let inputs: Vec<Vec<f64>> = self.inputs.iter().map(|values| wide(values)).collect();
+        let expected = (self.forward)(&inputs);
         assert!(expected.iter().any(|x| x.abs() > 0.1), "{}: outputs that show a difference", self.name);
-        let weights = values(expected.len(), 77);
-        let (cpu, all) = (Device::flex(), vec![true; self.inputs.len()]);
+        let grad = values(expected.len(), 77);
+        let gradients = (self.backward)(&inputs, &wide(&grad));
+        if self.has_slopes {
+            self.check_slopes(&inputs, &gradients, &wide(&grad));
+        }
+        let cpu = Device::flex();
         let mut ways = vec![("kernel", &self.kernel, &cpu)];
         ways.extend(self.composed.as_ref().map(|composed| ("composed", composed, &cpu)));
         ways.extend(DEVICE.as_ref().map(|device| ("device", &self.kernel, device)));
-        let mut kernels: Option<Vec<Option<Vec<f32>>>> = None;
+        let all: Vec<usize> = (0..gradients.len()).collect();
         for (way, function, device) in ways {
             let what = format!("{}, {way}", self.name);
             let plain = function(self.tensors(device, &[]).1);
-            assert_close(&format!("{what}: output"), &numbers(plain), &expected, 2e-5);
-            let (tracked, gradients) = self.gradients(function, device, &all, &weights);
-            assert_close(&format!("{what}: output with gradients"), &tracked, &expected, 2e-5);
-            match &kernels {
-                None => self.check_slopes(&what, &gradients, &weights),
-                Some(kernels) => {
-                    for (i, (found, expected)) in gradients.iter().zip(kernels).enumerate() {
-                        let [found, expected] = [found, expected].map(|x| x.as_deref().unwrap_or_default());
-                        assert_close(&format!("{what}: gradient of input {i}"), found, expected, 2e-5);
-                    }
+            assert_close(&format!("{what}: output"), &numbers(plain), &expected, TOLERANCE);
+            // Of all inputs together, and of each alone.
+            for wanted in std::iter::once(&all[..]).chain(all.chunks(1)) {
+                let (tracked, found) = self.gradients(function, device, wanted, &grad);
+                assert_close(&format!("{what}: output with gradients"), &tracked, &expected, TOLERANCE);
+                for (input, found) in found.into_iter().enumerate() {
+                    assert_eq!(found.is_some(), wanted.contains(&input), "{what}: gradient of input {input}");
+                    let what = format!("{what}: gradient of input {input} of {wanted:?}");
+                    found.iter().for_each(|found| assert_close(&what, found, &gradients[input], TOLERANCE));
                 }
             }
-            for only in (0..self.inputs.len()).filter(|input| !self.constants.contains(input)) {
-                let wanted: Vec<bool> = (0..self.inputs.len()).map(|input| input == only).collect();
-                let (_, alone) = self.gradients(function, device, &wanted, &weights);
-                let [alone, beside] =
-                    [&alone, &gradients].map(|all| all[only].as_deref().unwrap_or_default());
-                assert_close(&format!("{what}: gradient of input {only} alone"), alone, beside, 2e-5);
-            }
-            kernels.get_or_insert(gradients);
         }
+        let [one, three] = [1, 3].map(|threads| {
+            with_threads(threads, || self.gradients(&self.kernel, &Device::flex(), &all, &grad))
+        });
+        assert!(one == three, "{}: the same on any number of threads", self.name);
     }
 
     /// Leaves of a graph, flat, and the inputs made of them.
-    fn tensors(&self, device: &Device, wanted: &[bool]) -> (Vec<Tensor<1>>, Vec<DispatchTensor>) {
+    fn tensors(&self, device: &Device, wanted: &[usize]) -> (Vec<Tensor<1>>, Vec<DispatchTensor>) {
         let inputs = self.inputs.iter().zip(&self.shapes).enumerate();
         let tensors = inputs.map(|(number, (values, shape))| {
             let flat = Tensor::<1>::from_data(TensorData::new(values.clone(), [values.len()]), device);
-            let wanted = wanted.get(number) == Some(&true) && !self.constants.contains(&number);
-            let flat = if wanted { flat.require_grad() } else { flat };
+            let flat = if wanted.contains(&number) { flat.require_grad() } else { flat };
             let input = match shape[..] {
                 [len] => flat.clone().reshape([len]).into_dispatch(),
                 [batch, channels, height, width] => {
@@ -170,58 +174,44 @@ impl Case {
         tensors.unzip()
     }
 
-    /// The output, and of the inputs that are wanted the gradient of its sum with these weights.
+    /// The output, and gradients of the wanted inputs from `grad`, that of the output.
     fn gradients(
         &self,
         function: &Function,
         device: &Device,
-        wanted: &[bool],
-        weights: &[f32],
+        wanted: &[usize],
+        grad: &[f32],
     ) -> (Vec<f32>, Vec<Option<Vec<f32>>>) {
         let device = device.clone().autodiff();
         let (leaves, inputs) = self.tensors(&device, wanted);
         let out = function(inputs);
-        let weights = Tensor::from_data(TensorData::new(weights.to_vec(), out.dims()), &device);
-        let grads = (out.clone() * weights).sum().backward();
+        let grad = Tensor::from_data(TensorData::new(grad.to_vec(), out.dims()), &device);
+        let grads = (out.clone() * grad).sum().backward();
         let gradients = leaves.iter().map(|leaf| leaf.grad(&grads).map(numbers));
         (numbers(out), gradients.collect())
     }
 
-    /// Holds gradients to central differences of the definition, by elements all over each input.
-    fn check_slopes(&self, what: &str, gradients: &[Option<Vec<f32>>], weights: &[f32]) {
-        let moved = |number: usize, element: usize, by: f32| -> (f64, f64) {
-            let mut inputs = self.inputs.clone();
-            inputs[number][element] += by;
-            let out = (self.definition)(&inputs);
-            let sum = out.iter().zip(weights).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
-            (f64::from(inputs[number][element]), sum)
-        };
-        let slope = |number: usize, element: usize, step: f32| {
-            let ((x1, y1), (x0, y0)) = (moved(number, element, step), moved(number, element, -step));
-            (y1 - y0) / (x1 - x0)
-        };
-        for (number, gradient) in gradients.iter().enumerate() {
-            if self.constants.contains(&number) {
-                assert!(gradient.is_none(), "{what}: input {number} has no gradient");
-                continue;
-            }
-            let gradient = gradient.as_ref().expect("a gradient of every other input");
-            assert!(gradient.iter().any(|x| x.abs() > 1e-3), "{what}: input {number} matters");
-            let scale = gradient.iter().fold(1.0, |scale: f64, x| scale.max(f64::from(x.abs())));
-            let (probes, tolerance) = (gradient.len().min(self.slopes), 2e-3 * scale);
-            let mut smooth = 0;
-            for element in (0..probes).map(|probe| probe * gradient.len() / probes) {
-                let (wide, narrow) =
-                    (slope(number, element, 1.0 / 256.0), slope(number, element, 1.0 / 1024.0));
-                // Otherwise the derivative jumps nearby.
-                if (wide - narrow).abs() < tolerance {
-                    smooth += 1;
-                    let found = f64::from(gradient[element]);
-                    let error = (found - narrow).abs();
-                    assert!(error < tolerance, "{what}: input {number} [{element}]: {found} for {narrow}");
-                }
-            }
-            assert!(2 * smooth >= probes, "{what}: input {number} has slopes to compare with");
+    /// Holds the definition's gradients to central differences of the definition, each input moved along directions that
+    /// change all its elements.
+    fn check_slopes(&self, inputs: &[Vec<f64>], gradients: &[Vec<f64>], grad: &[f64]) {
+        // About the cube root of f64's precision, where rounding and curvature together do the least harm.
+        const STEP: f64 = 1e-5;
+        let product = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
+        for (number, seed) in (0..gradients.len()).flat_map(|number| (100..103).map(move |s| (number, s))) {
+            let gradient = &gradients[number];
+            let direction = wide(&values(gradient.len(), seed));
+            let moved = |by: f64| {
+                let mut inputs = inputs.to_vec();
+                inputs[number].iter_mut().zip(&direction).for_each(|(x, along)| *x += by * along);
+                (self.forward)(&inputs)
+            };
+            let differences: Vec<f64> =
+                moved(STEP).iter().zip(moved(-STEP)).map(|(after, before)| after - before).collect();
+            let slope = product(grad, &differences) / (2.0 * STEP);
+            let (along, size) = (product(gradient, &direction), product(gradient, gradient).sqrt());
+            let what = format!("{}: slope along input {number}", self.name);
+            assert!(size > 1e-3, "{what}: it matters");
+            assert!((along - slope).abs() < 1e-6 * size, "{what}: {along} for {slope}, of {size}");
         }
     }
 }
@@ -238,7 +228,7 @@ fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
 
 /// The composition as if it were the kernel of the CPU.
 #[derive(Debug, Clone)]
-struct Composed<O>(O);
+pub(crate) struct Composed<O>(pub(crate) O);
 
 impl<O: Operation<N>, const N: usize> Operation<N> for Composed<O> {
     fn activation(&mut self) -> Option<&mut Activation> {

@@ -3,7 +3,7 @@ use srflow_simd::pack_rows;
 
 use super::*;
 use crate::operation::tests::Case;
-use crate::test_values::{assert_close, values};
+use crate::test_values::{assert_close, values, wide, with_threads};
 
 const PIXELS: usize = 131;
 
@@ -11,24 +11,26 @@ const PIXELS: usize = 131;
 fn layers(seed: u32) -> Vec<reference::Layer> {
     let dense = |outputs: usize, inputs: usize, seed: u32| {
         let fan_in = (inputs as f32).sqrt();
-        reference::Map::Dense(values(outputs * inputs, seed).into_iter().map(|w| w / fan_in).collect())
+        let weights: Vec<f32> = values(outputs * inputs, seed).into_iter().map(|w| w / fan_in).collect();
+        reference::Map::Dense(wide(&weights))
     };
+    let bias = |channels, seed| wide(&values(channels, seed));
     vec![
         reference::Layer {
             map: dense(29, 19, seed),
-            bias: values(29, seed + 1),
+            bias: bias(29, seed + 1),
             add_input_of: None,
             activation: Activation::Gelu,
         },
         reference::Layer {
             map: dense(19, 29, seed + 2),
-            bias: values(19, seed + 3),
+            bias: bias(19, seed + 3),
             add_input_of: Some(0),
             activation: Activation::Tanh,
         },
         reference::Layer {
-            map: reference::Map::Scale(values(19, seed + 4)),
-            bias: values(19, seed + 5),
+            map: reference::Map::Scale(bias(19, seed + 4)),
+            bias: bias(19, seed + 5),
             add_input_of: Some(2),
             activation: Activation::Relu,
         },
@@ -36,28 +38,31 @@ fn layers(seed: u32) -> Vec<reference::Layer> {
 }
 
 fn run(isa: Isa, input: &[f32], layers: &[reference::Layer], planes: Option<&[f32]>) -> Vec<f32> {
+    let narrow = |values: &[f64]| -> Vec<f32> { values.iter().map(|&x| x as f32).collect() };
     let mut inputs = 19;
-    let mut packed = Vec::new();
+    let mut operands = Vec::new();
     for layer in layers {
-        let mut weights = match &layer.map {
-            reference::Map::Dense(weights) | reference::Map::Scale(weights) => weights.clone(),
+        let weights = match &layer.map {
+            reference::Map::Dense(matrix) => {
+                let mut packed = vec![0.0; matrix.len()];
+                pack_rows(isa, &narrow(matrix), inputs, &mut packed);
+                packed
+            }
+            reference::Map::Scale(factors) => narrow(factors),
         };
-        if let reference::Map::Dense(matrix) = &layer.map {
-            pack_rows(isa, matrix, inputs, &mut weights);
-        }
         inputs = layer.bias.len();
-        packed.push(weights);
+        operands.push((weights, narrow(&layer.bias)));
     }
     let fast: Vec<Layer> = layers
         .iter()
-        .zip(&packed)
+        .zip(&operands)
         .enumerate()
-        .map(|(i, (layer, packed))| Layer {
+        .map(|(i, (layer, (weights, bias)))| Layer {
             map: match layer.map {
-                reference::Map::Dense(_) => Map::Dense(packed),
-                reference::Map::Scale(_) => Map::Scale(packed),
+                reference::Map::Dense(_) => Map::Dense(weights),
+                reference::Map::Scale(_) => Map::Scale(weights),
             },
-            bias: Some(&layer.bias),
+            bias: Some(bias),
             add: match (layer.add_input_of, planes) {
                 (_, Some(planes)) if i + 1 == layers.len() => Add::Planes(planes),
                 (None, _) => Add::Nothing,
@@ -69,15 +74,26 @@ fn run(isa: Isa, input: &[f32], layers: &[reference::Layer], planes: Option<&[f3
     pointwise(isa, input, [2, 19, PIXELS], &fast)
 }
 
-/// The chain of the definition.
-fn expected(input: &[f32], layers: &[reference::Layer]) -> Vec<f32> {
-    let outputs = layers[layers.len() - 1].bias.len();
-    let mut out = vec![0.0; 2 * outputs * PIXELS];
-    for (n, p) in (0..2).flat_map(|n| (0..PIXELS).map(move |p| (n, p))) {
-        let pixel: Vec<f32> = (0..19).map(|c| input[(n * 19 + c) * PIXELS + p]).collect();
-        for (o, value) in reference::pointwise(&pixel, layers).into_iter().enumerate() {
-            out[(n * outputs + o) * PIXELS + p] = value;
-        }
+/// Places of the channels of each pixel of two images.
+fn pixels(channels: usize, pixels: usize) -> impl Iterator<Item = Vec<usize>> {
+    let place = move |n, p| (0..channels).map(|c| (n * channels + c) * pixels + p).collect();
+    (0..2).flat_map(move |n| (0..pixels).map(move |p| place(n, p)))
+}
+
+fn take(values: &[f64], places: &[usize]) -> Vec<f64> {
+    places.iter().map(|&place| values[place]).collect()
+}
+
+fn put(values: &mut [f64], places: &[usize], new: &[f64]) {
+    places.iter().zip(new).for_each(|(&place, &new)| values[place] = new);
+}
+
+/// The chain of the definition, on two images.
+fn expected(input: &[f64], layers: &[reference::Layer], count: usize) -> Vec<f64> {
+    let (inputs, outputs) = (input.len() / 2 / count, layers[layers.len() - 1].bias.len());
+    let mut out = vec![0.0; 2 * outputs * count];
+    for (from, to) in pixels(inputs, count).zip(pixels(outputs, count)) {
+        put(&mut out, &to, &reference::pointwise(&take(input, &from), layers));
     }
     out
 }
@@ -87,7 +103,7 @@ fn each_instruction_set_computes_the_definition() {
     let input = values(2 * 19 * PIXELS, 1);
     for count in 1..=3 {
         let layers = &layers(2)[..count];
-        let expected = expected(&input, layers);
+        let expected = expected(&wide(&input), layers, PIXELS);
         for isa in Isa::to_test() {
             assert_close(
                 &format!("{count} layers, {isa:?}"),
@@ -106,8 +122,8 @@ fn planes_are_added_to_the_last_sums() {
     layers[2].add_input_of = None;
     layers[2].activation = Activation::Identity;
     let planes = values(2 * 19 * PIXELS, 9);
-    let mut sums = expected(&input, &layers);
-    sums.iter_mut().zip(&planes).for_each(|(sum, plane)| *sum += plane);
+    let mut sums = expected(&wide(&input), &layers, PIXELS);
+    sums.iter_mut().zip(&planes).for_each(|(sum, &plane)| *sum += f64::from(plane));
     for isa in Isa::to_test() {
         assert_close(&format!("{isa:?}"), &run(isa, &input, &layers, Some(&planes)), &sums, 3e-6);
     }
@@ -117,20 +133,28 @@ fn planes_are_added_to_the_last_sums() {
 fn results_do_not_depend_on_threads() {
     let input = values(2 * 19 * PIXELS, 10);
     let layers = layers(11);
-    let with = |threads: usize| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
-        pool.install(|| run(Isa::best(), &input, &layers, None))
-    };
+    let with = |threads| with_threads(threads, || run(Isa::best(), &input, &layers, None));
     assert!(with(1) == with(3));
 }
 
-/// Two images of five by six pixels; see [`layers`].
+/// Whether a layer is a scale, what it adds and its activation; see [`layers`].
+const OPTIONS: [(bool, Option<usize>, Activation); 3] = [
+    (false, None, Activation::Gelu),
+    (false, Some(0), Activation::Tanh),
+    (true, Some(2), Activation::Sigmoid),
+];
+
+/// Of input, and weight and bias of each layer.
+fn layers_of(x: &[Vec<f64>]) -> Vec<reference::Layer> {
+    let layer = |((scale, add_input_of, activation), operands): (_, &[Vec<f64>])| {
+        let (weight, bias) = (operands[0].clone(), operands[1].clone());
+        let map = if scale { reference::Map::Scale(weight) } else { reference::Map::Dense(weight) };
+        reference::Layer { map, bias, add_input_of, activation }
+    };
+    OPTIONS.into_iter().zip(x[1..].chunks(2)).map(layer).collect()
+}
+
 pub(crate) fn cases() -> Vec<Case> {
-    const OPTIONS: [(bool, Option<usize>, Activation); 3] = [
-        (false, None, Activation::Gelu),
-        (false, Some(0), Activation::Tanh),
-        (true, Some(2), Activation::Sigmoid),
-    ];
     let run = |inputs: Vec<_>| {
         let mut inputs = inputs.into_iter();
         let mut next = || inputs.next().expect("seven inputs");
@@ -142,24 +166,21 @@ pub(crate) fn cases() -> Vec<Case> {
         });
         tensor::pointwise_layers(input, layers)
     };
-    let definition = |x: &[Vec<f32>]| {
-        let layer = |number: usize| {
-            let (scale, add_input_of, activation) = OPTIONS[number];
-            let (weight, bias) = (x[1 + 2 * number].clone(), x[2 + 2 * number].clone());
-            let map = if scale { reference::Map::Scale(weight) } else { reference::Map::Dense(weight) };
-            reference::Layer { map, bias, add_input_of, activation }
-        };
-        let layers = [0, 1, 2].map(layer);
-        let mut out = vec![0.0; 2 * 3 * 30];
-        for (n, p) in (0..2).flat_map(|n| (0..30).map(move |p| (n, p))) {
-            let pixel: Vec<f32> = (0..3).map(|c| x[0][(n * 3 + c) * 30 + p]).collect();
-            for (c, value) in reference::pointwise(&pixel, &layers).into_iter().enumerate() {
-                out[(n * 3 + c) * 30 + p] = value;
+    let backward = |x: &[Vec<f64>], grad: &[f64]| {
+        let layers = layers_of(x);
+        let mut gradients: Vec<Vec<f64>> = x.iter().map(|input| vec![0.0; input.len()]).collect();
+        for places in pixels(3, 35) {
+            let (d_pixel, d_layers) =
+                reference::pointwise_backward(&take(&x[0], &places), &layers, &take(grad, &places));
+            put(&mut gradients[0], &places, &d_pixel);
+            let d_operands = d_layers.into_iter().flat_map(|layer| [layer.weight, layer.bias]);
+            for (sums, terms) in gradients[1..].iter_mut().zip(d_operands) {
+                sums.iter_mut().zip(terms).for_each(|(sum, term)| *sum += term);
             }
         }
-        out
+        gradients
     };
     let shapes: [&[usize]; 7] =
-        [&[2, 3, 5, 6], &[4, 3, 1, 1], &[4], &[3, 4, 1, 1], &[3], &[3, 1, 1, 1], &[3]];
-    vec![Case::new("chain", &shapes, run, definition)]
+        [&[2, 3, 5, 7], &[4, 3, 1, 1], &[4], &[3, 4, 1, 1], &[3], &[3, 1, 1, 1], &[3]];
+    vec![Case::new("chain", &shapes, run, |x| expected(&x[0], &layers_of(x), 35), backward)]
 }

@@ -4,20 +4,19 @@ use crate::operation::tests::Case;
 use crate::test_values::values;
 
 pub(crate) fn cases() -> Vec<Case> {
-    let case = |batch, [height, width]: [usize; 2], factor: usize, scale| {
+    let case = |batch, [height, width]: [usize; 2], factor: usize, scale: f32| {
         let shape = UpsampleShape { batch, coarse: [height, width], factor };
         let mask = [batch, NEIGHBOURS * factor * factor, height, width];
-        let (name, operation) = (format!("upsample {shape:?}"), ConvexUpsample { scale, factor });
-        Case::of(&name, operation, [&[batch, 2, height, width], &mask], move |x| {
-            reference::convex_upsample(&x[0], &x[1], scale, &shape)
-        })
+        let wide_scale = f64::from(scale);
+        Case::of(
+            &format!("{shape:?}, scale {scale}"),
+            ConvexUpsample { scale, factor },
+            [&[batch, 2, height, width], &mask],
+            move |x| reference::convex_upsample(&x[0], &x[1], wide_scale, &shape),
+            move |x, grad| reference::convex_upsample_backward(&x[0], &x[1], wide_scale, grad, &shape).into(),
+        )
     };
-    vec![
-        case(2, [3, 5], 4, 0.25),
-        case(1, [1, 2], 8, 0.25),
-        case(2, [3, 4], 4, 5.0),
-        case(2, [5, 7], 8, 2.0).slopes(0),
-    ]
+    vec![case(2, [3, 5], 4, 0.25), case(1, [1, 2], 8, 0.25), case(2, [3, 4], 4, 5.0), case(2, [5, 7], 8, 2.0)]
 }
 
 #[test]

@@ -5,15 +5,23 @@ use crate::test_values::values;
 
 const SHAPE: WarpShape = WarpShape { batch: 2, channels: 3, size: [5, 7] };
 
-/// Samples inside, across every border and, every ninth, far outside.
+/// Samples inside, across every border and, every ninth, far outside; at last on whole pixels, where slopes to the left and
+/// to the right differ.
 pub(crate) fn cases() -> Vec<Case> {
     let case = |shape: WarpShape, reach: f32| {
         let WarpShape { batch, channels, size: [height, width] } = shape;
-        let shapes: [&[usize]; 2] = [&[batch, channels, height, width], &[batch, 2, height, width]];
-        Case::of_kernels(&format!("{shape:?}"), Warp, shapes, move |x| reference::warp(&x[0], &x[1], &shape))
-            .change(1, move |i, x| if i % 9 == 3 { 1e9 * x } else { reach * x })
+        Case::of_kernels(
+            &format!("{shape:?}"),
+            Warp,
+            [&[batch, channels, height, width], &[batch, 2, height, width]],
+            move |x| reference::warp(&x[0], &x[1], &shape),
+            move |x, grad| reference::warp_backward(&x[0], &x[1], grad, &shape).into(),
+        )
+        .change(1, move |i, x| if i % 9 == 3 { 1e9 * x } else { reach * x })
     };
-    vec![case(SHAPE, 4.0), case(WarpShape { batch: 2, channels: 5, size: [17, 23] }, 12.0).slopes(0)]
+    let larger = WarpShape { batch: 2, channels: 5, size: [17, 23] };
+    let whole = case(SHAPE, 4.0).change(1, |_, x| x.round()).without_slopes();
+    vec![case(SHAPE, 4.0), case(larger, 12.0), whole]
 }
 
 #[test]

@@ -10,7 +10,8 @@ use srflow_simd::{
     pack_rows, panel_columns,
 };
 
-use super::{Conv2dShape, Epilogue};
+use super::Epilogue;
+use crate::convolution::Conv2dShape;
 
 mod transforms;
 

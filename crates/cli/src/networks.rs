@@ -1,12 +1,16 @@
 //! Networks on the command line: weights, iterations, device.
 
+use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use srflow_nets::{Architecture, Claim, NetworkEstimator, claim, find_weights, load_network, weights_folder};
+use srflow_nets::{
+    Architecture, Claim, Network, NetworkEstimator, SettingError, claim, find_weights, load_network,
+    weights_folder,
+};
 use srflow_ops::{device, device_kinds};
 
 use crate::usage::wrong_usage;
@@ -25,6 +29,9 @@ pub struct NetworkArgs {
     /// Refinements of the flow [default: the network's own, see `srflow models`]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000))]
     iters: Option<u16>,
+    /// Setting of a network that its weights do not hold, for each network that has it; `srflow models` lists them
+    #[arg(long = "set", value_name = "NAME=VALUE", num_args = 1.., value_parser = setting)]
+    settings: Vec<(String, usize)>,
     /// Pairs of frames that are estimated at once, where a command can.
     #[arg(skip = 1_usize)]
     pub batch: usize,
@@ -33,13 +40,19 @@ pub struct NetworkArgs {
     pub device: String,
 }
 
+fn setting(text: &str) -> Result<(String, usize), String> {
+    let (name, value) = text.split_once('=').ok_or("expected NAME=VALUE")?;
+    let value = value.parse().map_err(|_| format!("{name}: expected a whole number, found `{value}`"))?;
+    Ok((name.to_owned(), value))
+}
+
 fn device_help() -> String {
     format!("Where to compute; in this build {}", device_kinds().join(", "))
 }
 
 impl Default for NetworkArgs {
     fn default() -> Self {
-        Self { weights: None, iters: None, batch: 1, device: CPU.to_owned() }
+        Self { weights: None, iters: None, settings: Vec::new(), batch: 1, device: CPU.to_owned() }
     }
 }
 
@@ -49,6 +62,7 @@ impl NetworkArgs {
         [
             ("--weights", self.weights.is_some()),
             ("--iters", self.iters.is_some()),
+            ("--set", !self.settings.is_empty()),
             ("--batch", self.batch > 1),
             ("--device", !self.on_cpu()),
         ]
@@ -60,9 +74,64 @@ impl NetworkArgs {
         self.device == CPU
     }
 
-    /// Refinements of a network.
+    /// Refinements of a network; 1 of one that does not refine.
     pub fn iterations(&self, architecture: Architecture) -> usize {
-        self.iters.map_or(architecture.facts().iterations.default, usize::from)
+        let facts = architecture.facts();
+        self.iters.filter(|_| facts.refines()).map_or(facts.iterations.default, usize::from)
+    }
+
+    /// The settings of a network, as they were given or as they are.
+    ///
+    /// # Errors
+    /// When a value is out of its range.
+    pub fn settings(&self, architecture: Architecture) -> anyhow::Result<BTreeMap<&'static str, usize>> {
+        let mut network = architecture.init(&Default::default());
+        self.set(&mut network)?;
+        Ok(network.settings().into_iter().map(|setting| (setting.name, *setting.value)).collect())
+    }
+
+    /// Sets what the network has; the rest is for other networks.
+    fn set(&self, network: &mut Network) -> anyhow::Result<()> {
+        for (name, value) in &self.settings {
+            match network.set(name, *value) {
+                Ok(()) | Err(SettingError::Unknown { .. }) => {}
+                Err(error) => wrong_usage!("--set {name}={value}: {error}"),
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether every option that was given is for one of `networks`.
+    ///
+    /// # Errors
+    /// Names the first that is not.
+    pub fn check(&self, networks: &[Architecture]) -> anyhow::Result<()> {
+        let names = || networks.iter().map(|network| network.name()).collect::<Vec<_>>().join(", ");
+        if self.iters.is_some() && !networks.iter().any(|network| network.facts().refines()) {
+            wrong_usage!(
+                "--iters is for networks that refine their flow, and not for {}: leave it out",
+                names()
+            );
+        }
+        let own: Vec<_> = networks.iter().map(|network| self.settings(*network)).collect::<Result<_, _>>()?;
+        for (name, _) in &self.settings {
+            if !own.iter().any(|own| own.contains_key(name.as_str())) {
+                let all = Architecture::ALL.map(|network| (network.name(), self.settings(network)));
+                let having = all
+                    .iter()
+                    .filter(|(_, own)| own.as_ref().is_ok_and(|own| own.contains_key(name.as_str())));
+                let having: Vec<&str> = having.map(|(name, _)| *name).collect();
+                match having.as_slice() {
+                    [] => {
+                        wrong_usage!("--set {name}: no network has this setting; `srflow models` lists them")
+                    }
+                    having => {
+                        wrong_usage!("--set {name}: a setting of {}, not of {}", having.join(", "), names())
+                    }
+                }
+            }
+        }
+        Ok(())
     }
 
     /// The file of a network's weights: its own, or those of `--weights`.
@@ -95,7 +164,8 @@ impl NetworkArgs {
             Err(error) => wrong_usage!("--device: {error}"),
         };
         let path = self.weights_of(architecture, weights)?;
-        let network = load_network(architecture, &path, &device)?;
+        let mut network = load_network(architecture, &path, &device)?;
+        self.set(&mut network)?;
         note_if_ambiguous(architecture, &path)?;
         let iterations = NonZeroUsize::new(self.iterations(architecture)).context("no iterations")?;
         Ok(NetworkEstimator::new(label, network, iterations, device))

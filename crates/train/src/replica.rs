@@ -9,7 +9,7 @@ use std::sync::{Mutex, PoisonError};
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
-use srflow_nets::{Architecture, Network, Request};
+use srflow_nets::{Network, Request};
 use srflow_nn::{HostGradients, Layout, filled, numbers, with_batch_statistics};
 
 use crate::batch::Batch;
@@ -89,13 +89,13 @@ struct Replica {
 }
 
 impl Replicas {
-    /// A network with random parameters from `seed`, one copy on each of `devices`, and its numbers. Batch norm takes its
-    /// statistics from the batch where it is live.
+    /// The network that `init` makes, with random parameters from `seed`, one copy on each of `devices`, and its numbers.
+    /// Batch norm takes its statistics from the batch where it is live.
     ///
     /// # Panics
     /// Without a device.
     pub fn new(
-        architecture: Architecture,
+        init: impl Fn(&Device) -> Network,
         devices: &[Device],
         seed: u64,
         live_batch_norm: bool,
@@ -103,7 +103,7 @@ impl Replicas {
     ) -> (Self, Vec<f32>) {
         let copy = |device: &Device| {
             let device = device.clone().autodiff();
-            let network = with_batch_statistics(architecture.init(&device), live_batch_norm);
+            let network = with_batch_statistics(init(&device), live_batch_norm);
             Replica { device, network }
         };
         let copies: Vec<Replica> = devices.iter().map(copy).collect();

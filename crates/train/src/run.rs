@@ -269,7 +269,8 @@ impl Trainer {
         };
         let network = &config.network;
         let live = network.has_live_batch_norm();
-        let (replicas, values) = Replicas::new(network.architecture, devices, training.seed, live, settings);
+        let init = |device: &Device| network.init(device);
+        let (replicas, values) = Replicas::new(init, devices, training.seed, live, settings);
         let steps_per_epoch = set.steps_per_epoch(training.batch);
         let steps = match training.steps {
             0 => training.epochs.saturating_mul(steps_per_epoch),

@@ -97,7 +97,7 @@ pub(crate) fn score_weights(
     dataset: &FlowDataset,
 ) -> Result<ValidationRecord, TrainError> {
     let validation = Validation { datasets: vec![dataset.clone()], ..Validation::open(config)? };
-    let network = load_network(config.network.architecture, weights, device)?;
+    let network = config.network.with_settings(load_network(config.network.architecture, weights, device)?);
     let scores = validation.score(network, device)?;
     Ok(scores.into_iter().next().expect("one dataset was scored"))
 }

@@ -53,7 +53,8 @@ fn pass(
     let loss = LossConfig { tvr: 0.05, fdr: 0.05, igvar: 0.1, ..LossConfig::default() };
     let settings = PassSettings { loss, iterations: 3, accumulate, recompute };
     let devices = vec![Device::flex(); devices];
-    let (replicas, mut values) = Replicas::new(architecture, &devices, 3, false, settings);
+    let (replicas, mut values) =
+        Replicas::new(|device| architecture.init(device), &devices, 3, false, settings);
     let pass = replicas.pass(batch).expect("a loss");
     replicas.collect_statistics(&mut values);
     (pass, values)

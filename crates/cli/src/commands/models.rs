@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use anyhow::ensure;
 use clap::{Args, Subcommand};
 use serde::Serialize;
-use srflow_nets::{Architecture, Facts, Fit, fits, load_network, weights_folder};
+use srflow_nets::{Architecture, Fit, fits, load_network, weights_folder};
 use srflow_nn::{Checkpoint, ParameterInfo, ParametersError, save_parameters, save_pytorch};
 
 use crate::Context;
@@ -80,7 +80,20 @@ struct Listed {
     iterations: ListedIterations,
     authors: &'static str,
     licence: &'static str,
+    trains: bool,
+    uncertainty: bool,
+    occlusion: bool,
+    settings: Vec<ListedSetting>,
     weights: Vec<ListedWeights>,
+}
+
+#[derive(Serialize)]
+struct ListedSetting {
+    name: &'static str,
+    description: &'static str,
+    default: usize,
+    least: usize,
+    most: usize,
 }
 
 #[derive(Serialize)]
@@ -99,7 +112,17 @@ struct ListedWeights {
 }
 
 impl Listed {
-    fn new(facts: &Facts) -> Self {
+    fn new(architecture: Architecture) -> Self {
+        let facts = architecture.facts();
+        let mut network = architecture.init(&Default::default());
+        let settings = network.settings().into_iter().map(|setting| ListedSetting {
+            name: setting.name,
+            description: setting.description,
+            default: *setting.value,
+            least: *setting.range.start(),
+            most: *setting.range.end(),
+        });
+        let settings = settings.collect();
         let iterations = facts.iterations;
         let weights = facts.published.iter().map(|weights| ListedWeights {
             name: format!("{}-{}", facts.name, weights.trained_on),
@@ -120,26 +143,39 @@ impl Listed {
             },
             authors: facts.authors,
             licence: facts.licence,
+            trains: facts.trains,
+            uncertainty: facts.mixture,
+            occlusion: facts.occlusion,
+            settings,
             weights: weights.collect(),
         }
     }
 }
 
 fn list(context: &Context) -> anyhow::Result<()> {
-    let networks = Architecture::ALL.map(|architecture| Listed::new(architecture.facts()));
+    let networks = Architecture::ALL.map(Listed::new);
     if context.json {
         return crate::output::print_json(&networks);
     }
-    say!("name        parameters  padding  iterations  licence       weights by name")?;
+    let width = networks.iter().map(|network| network.name.len()).max().unwrap_or(0);
+    say!("{:<width$}  parameters  padding  iterations  licence       weights by name", "name")?;
     for network in &networks {
         let Listed { name, parameters, padding, iterations, licence, weights, .. } = network;
         let weights: Vec<&str> = weights.iter().map(|weights| weights.name.as_str()).collect();
         let (iterations, weights) = (iterations.default, weights.join(", "));
-        say!("{name:<10}  {parameters:>10}  {padding:>7}  {iterations:>10}  {licence:<12}  {weights}")?;
+        say!("{name:<width$}  {parameters:>10}  {padding:>7}  {iterations:>10}  {licence:<12}  {weights}")?;
     }
     say!("\nPapers, and the authors' code and weights:")?;
     for Listed { name, paper, authors, .. } in &networks {
-        say!("  {name:<10}  {paper}  {authors}")?;
+        say!("  {name:<width$}  {paper}  {authors}")?;
+    }
+    if networks.iter().any(|network| !network.settings.is_empty()) {
+        say!("\nSettings, for --set NAME=VALUE:")?;
+    }
+    for network in &networks {
+        for ListedSetting { name, description, default, least, most } in &network.settings {
+            say!("  {:<width$}  {name}={default}  {description}; from {least} to {most}", network.name)?;
+        }
     }
     let folder =
         weights_folder().map_or("(none: set SRFLOW_CACHE)".into(), |folder| folder.display().to_string());
@@ -234,7 +270,7 @@ fn export(args: Export, context: &Context) -> anyhow::Result<()> {
         return crate::output::print_json(&exported);
     }
     say!("{}: weights of {name}", out.display())?;
-    if pytorch {
+    if pytorch && architecture.facts().in_ptlflow {
         let model = name.replace('-', "_"); // ptlflow's name
         say!("  ptlflow.get_model(\"{model}\", ckpt_path=\"{}\")", out.display())?;
     }

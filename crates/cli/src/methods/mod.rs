@@ -46,6 +46,14 @@ impl Method {
         }
     }
 
+    /// Which network it is, if it is one.
+    pub fn network(self) -> Option<Architecture> {
+        match self {
+            Self::Network(architecture) => Some(architecture),
+            _ => None,
+        }
+    }
+
     /// The help of an option that takes one method.
     pub fn help() -> String {
         format!(
@@ -290,11 +298,15 @@ fn named<'a>(
     specs: &'a [MethodSpec],
     parameters: &MethodParameters,
 ) -> anyhow::Result<Vec<(&'a MethodSpec, String)>> {
-    let networks = specs.iter().filter(|spec| matches!(spec.method, Method::Network(_)));
-    let without = networks.clone().filter(|spec| spec.weights.is_none()).count();
+    let networks: Vec<Architecture> = specs.iter().filter_map(|spec| spec.method.network()).collect();
+    let without =
+        specs.iter().filter(|spec| spec.method.network().is_some() && spec.weights.is_none()).count();
     let network = &parameters.network;
-    if let (0, Some(option)) = (networks.count(), network.given()) {
-        wrong_usage!("{option} is for networks, and --method names none: leave it out");
+    match network.given() {
+        Some(option) if networks.is_empty() => {
+            wrong_usage!("{option} is for networks, and --method names none: leave it out")
+        }
+        _ => network.check(&networks)?,
     }
     if network.weights.is_some() && without != 1 {
         wrong_usage!(

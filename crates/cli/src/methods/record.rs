@@ -21,10 +21,13 @@ fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> any
     let (mut own, weights) = match spec.method {
         Method::Farneback => (format!("{:?}", farneback.parameters()), None),
         Method::TvL1 => (format!("{:?}", tvl1.parameters()), None),
-        Method::Network(architecture) => (
-            format!("{} iterations on {}", network.iterations(architecture), network.device),
-            Some(network.weights_of(architecture, spec.weights.as_deref())?),
-        ),
+        Method::Network(architecture) => {
+            let mut own = format!("{} iterations on {}", network.iterations(architecture), network.device);
+            for (name, value) in network.settings(architecture)? {
+                own += &format!(", {name}={value}");
+            }
+            (own, Some(network.weights_of(architecture, spec.weights.as_deref())?))
+        }
         Method::Files => (format!("files in {}", spec.weights.as_deref().unwrap_or_default()), None),
     };
     let network_of = |architecture| (network.iterations(architecture), network.device.clone());

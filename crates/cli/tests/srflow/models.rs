@@ -116,3 +116,67 @@ fn exported_weights_are_the_same_to_the_bit() {
     assert_eq!(other.status.code(), Some(1));
     assert!(String::from_utf8(other.stderr).unwrap().contains("no network known here"));
 }
+
+/// The lists of networks in the documents. `SRFLOW_WRITE_DOCS=1` brings them up to date.
+#[test]
+fn the_documents_list_the_networks() {
+    let all = srflow_nets::Architecture::ALL.map(srflow_nets::Architecture::facts);
+    let mut networks = String::from(
+        "| name | paper | parameters | padding | iterations: default, authors, training | training here | authors' code and weights | licence |\n|---|---|---|---|---|---|---|---|\n",
+    );
+    let mut weights = String::from("| network | trained on |\n|---|---|\n");
+    for facts in all {
+        let code = facts.authors.trim_start_matches("https://").trim_start_matches("github.com/");
+        let iterations = facts.iterations;
+        let iterations = match facts.refines() {
+            true => format!("{}, {}, {}", iterations.default, iterations.authors, iterations.training),
+            false => "none".to_owned(),
+        };
+        networks += &format!(
+            "| `{}` | [{}]({}) | {} | {} | {iterations} | {} | [{code}]({}) | {} |\n",
+            facts.name,
+            facts.title,
+            facts.paper,
+            with_commas(facts.parameters),
+            facts.padding,
+            if facts.trains { "yes" } else { "no" },
+            facts.authors,
+            facts.licence,
+        );
+        let trained: Vec<String> =
+            facts.published.iter().map(|weights| format!("`{}`", weights.trained_on)).collect();
+        if !trained.is_empty() {
+            weights += &format!("| `{}-` | {} |\n", facts.name, trained.join(", "));
+        }
+    }
+    let titles: Vec<&str> = all.iter().map(|facts| facts.title).collect();
+    let (last, others) = titles.split_last().unwrap();
+    let titles = format!("{} and {last}", others.join(", "));
+    is_listed("../../docs/networks.md", "<!-- networks", &networks);
+    is_listed("../../docs/networks.md", "<!-- weights", &weights);
+    is_listed("../../README.md", "<!-- networks", &titles);
+}
+
+/// Whether `list` is what stands between the comment that starts so and the next one.
+fn is_listed(document: &str, comment: &str, list: &str) {
+    let text = fs::read_to_string(document).unwrap();
+    let start = text.find(comment).unwrap_or_else(|| panic!("{document}: {comment}"));
+    let start = start + text[start..].find("-->").unwrap() + "-->".len();
+    let end = start + text[start..].find("<!-- end -->").unwrap();
+    let list = list.trim_end();
+    let wanted = if list.contains('\n') { format!("\n{list}\n") } else { list.to_owned() };
+    if text[start..end] == wanted {
+        return;
+    }
+    let write = std::env::var_os("SRFLOW_WRITE_DOCS").is_some();
+    assert!(write, "{document} is out of date: run this test with SRFLOW_WRITE_DOCS=1");
+    fs::write(document, format!("{}{wanted}{}", &text[..start], &text[end..])).unwrap();
+}
+
+/// 5257536 as 5,257,536.
+fn with_commas(number: usize) -> String {
+    let digits = number.to_string();
+    let groups: Vec<&str> =
+        digits.as_bytes().rchunks(3).rev().map(|group| std::str::from_utf8(group).unwrap()).collect();
+    groups.join(",")
+}

@@ -1,5 +1,7 @@
 //! Whether the numbers of a configuration make sense.
 
+use burn::tensor::Device;
+
 use super::{Config, ConfigError};
 use crate::loss::LossError;
 
@@ -56,6 +58,10 @@ impl Config {
         let expected = format!("false: the refinements of {} are not computed one by one", network.name);
         Key { key: "training.recompute", found: training.recompute.to_string(), expected }
             .holds(network.recompute || !training.recompute)?;
+        let mut network = self.network.architecture.init(&Device::flex());
+        for (name, value) in &self.network.settings {
+            network.set(name, *value)?;
+        }
         Ok(())
     }
 }

@@ -5,10 +5,12 @@ mod check;
 mod read;
 mod text;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
-use srflow_nets::Architecture;
+use srflow_nets::{Architecture, Network};
 
 use crate::loss::LossConfig;
 pub use augmentation::{AugmentationConfig, AugmentationKind};
@@ -38,6 +40,9 @@ pub struct NetworkConfig {
     pub weights: PathBuf,
     /// What batch norm does.
     pub batch_norm: BatchNorm,
+    /// Settings of the network, by name; the others are its own.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub settings: BTreeMap<String, usize>,
 }
 
 /// Where the statistics of batch norm come from.
@@ -133,11 +138,29 @@ pub struct CheckpointConfig {
 
 impl Default for NetworkConfig {
     fn default() -> Self {
-        Self { architecture: Architecture::SkFlow, weights: PathBuf::new(), batch_norm: BatchNorm::Auto }
+        Self {
+            architecture: Architecture::SkFlow,
+            weights: PathBuf::new(),
+            batch_norm: BatchNorm::Auto,
+            settings: BTreeMap::new(),
+        }
     }
 }
 
 impl NetworkConfig {
+    /// The network with random parameters.
+    pub(crate) fn init(&self, device: &Device) -> Network {
+        self.with_settings(self.architecture.init(device))
+    }
+
+    /// Panics where the settings were not [checked](Config::check).
+    pub(crate) fn with_settings(&self, mut network: Network) -> Network {
+        for (name, value) in &self.settings {
+            network.set(name, *value).expect("settings that were checked");
+        }
+        network
+    }
+
     /// Whether batch norm takes its statistics from the batches.
     pub fn has_live_batch_norm(&self) -> bool {
         match self.batch_norm {

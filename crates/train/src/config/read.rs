@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use srflow_field::{FileError, FileKind, parse_error_in_words, read_text};
+use srflow_nets::SettingError;
 use toml::{Table, Value};
 
 use super::Config;
@@ -27,6 +28,8 @@ pub enum ConfigError {
     Override { given: String, reason: String },
     #[error("{key} = {found}: expected {expected}")]
     Value { key: &'static str, found: String, expected: String },
+    #[error("network.settings: {0}")]
+    Setting(#[from] SettingError),
     #[error(transparent)]
     Loss(#[from] LossError),
 }

@@ -1,6 +1,7 @@
 mod frames;
 mod outputs;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Instant;
@@ -88,6 +89,8 @@ struct Estimated {
 struct NetworkUsed {
     weights: Option<String>,
     iterations: usize,
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    settings: BTreeMap<&'static str, usize>,
     device: String,
     batch: usize,
     warm_start: bool,
@@ -159,6 +162,7 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
             Method::Network(architecture) => Some(NetworkUsed {
                 weights: args.method.weights.clone().or_else(|| network.weights.clone()),
                 iterations: network.iterations(architecture),
+                settings: network.settings(architecture)?,
                 device: network.device.clone(),
                 batch: network.batch,
                 warm_start: args.warm_start,

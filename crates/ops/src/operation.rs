@@ -21,10 +21,7 @@ use crate::activation::{Keeps, tensor::Activate};
 use crate::flex::CpuTensor;
 
 /// An operation of `N` inputs. The first output is the one that has a gradient.
-///
-/// A device other than the CPU takes either `composed` and `composed_backward` or, where there are kernels for it, `cube`
-/// and `cube_backward`.
-pub(crate) trait Operation<const N: usize>: Clone + Debug + Send + 'static {
+pub(crate) trait Operation<const N: usize>: Composition<N> {
     /// The activation that the first output ends with, if the operation has one. Its derivative is not the operation's
     /// business: `grad` below is that of what goes into the activation.
     fn activation(&mut self) -> Option<&mut Activation> {
@@ -44,22 +41,7 @@ pub(crate) trait Operation<const N: usize>: Clone + Debug + Send + 'static {
     fn cpu(&self, inputs: [CpuTensor; N]) -> Vec<CpuTensor>;
 
     /// Gradients of the inputs, at least of those that are wanted.
-    fn cpu_backward(&self, back: Backprop<CpuTensor, N>) -> [Option<CpuTensor>; N];
-
-    /// The same by a backend's own operations. An operation with kernels in `cube` has none, nor has one that its tensor
-    /// function sends to the CPU alone.
-    #[allow(dead_code)] // without another device only tests call it
-    fn composed<B: Backend>(&self, _inputs: [FloatTensor<B>; N]) -> Vec<FloatTensor<B>> {
-        unreachable!("{self:?} is not composed")
-    }
-
-    #[allow(dead_code)]
-    fn composed_backward<B: Backend>(
-        &self,
-        _back: Backprop<FloatTensor<B>, N>,
-    ) -> [Option<FloatTensor<B>>; N] {
-        unreachable!("gradients of {self:?} are not composed")
-    }
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; N];
 
     #[cfg(feature = "cube")]
     fn cube(&self, inputs: [CubeTensor; N]) -> Vec<CubeTensor> {
@@ -67,28 +49,42 @@ pub(crate) trait Operation<const N: usize>: Clone + Debug + Send + 'static {
     }
 
     #[cfg(feature = "cube")]
-    fn cube_backward(&self, back: Backprop<CubeTensor, N>) -> [Option<CubeTensor>; N] {
+    fn cube_backward(&self, back: Backprop<CubeTensor>) -> [Option<CubeTensor>; N] {
         self.composed_backward::<CubeBackend>(back)
     }
 }
 
+/// The same by a backend's own operations, for devices that have no kernel of it. An operation with kernels in `cube` has no
+/// composition, nor has one that its tensor function sends to the CPU alone.
+pub(crate) trait Composition<const N: usize>: Clone + Debug + Send + 'static {
+    #[allow(dead_code)] // without another device only tests call it
+    fn composed<B: Backend>(&self, _inputs: [FloatTensor<B>; N]) -> Vec<FloatTensor<B>> {
+        unreachable!("{self:?} is not composed")
+    }
+
+    #[allow(dead_code)]
+    fn composed_backward<B: Backend>(&self, _back: Backprop<FloatTensor<B>>) -> [Option<FloatTensor<B>>; N] {
+        unreachable!("gradients of {self:?} are not composed")
+    }
+}
+
 /// What a backward pass starts from.
-pub(crate) struct Backprop<T, const N: usize> {
+pub(crate) struct Backprop<T> {
     /// The saved inputs, then the saved outputs.
     saved: Vec<T>,
     /// Gradient of the first output.
     grad: T,
     /// The inputs that want a gradient.
-    nodes: [Option<NodeId>; N],
+    nodes: Vec<Option<NodeId>>,
 }
 
-impl<T, const N: usize> Backprop<T, N> {
+impl<T> Backprop<T> {
     /// What was saved, and the gradient of the first output.
     pub(crate) fn into_parts<const SAVED: usize>(self) -> ([T; SAVED], T) {
         (array(self.saved), self.grad)
     }
 
-    fn map<U>(self, of: impl Fn(T) -> U) -> Backprop<U, N> {
+    fn map<U>(self, of: impl Fn(T) -> U) -> Backprop<U> {
         let saved = self.saved.into_iter().map(&of).collect();
         Backprop { saved, grad: of(self.grad), nodes: self.nodes }
     }
@@ -183,7 +179,7 @@ pub(crate) trait Executor: Backend {
 
     fn backward<O: Operation<N>, const N: usize>(
         operation: &O,
-        back: Backprop<FloatTensor<Self>, N>,
+        back: Backprop<FloatTensor<Self>>,
     ) -> [Option<FloatTensor<Self>>; N];
 }
 
@@ -197,7 +193,7 @@ impl Executor for Flex {
 
     fn backward<O: Operation<N>, const N: usize>(
         operation: &O,
-        back: Backprop<FloatTensor<Self>, N>,
+        back: Backprop<FloatTensor<Self>>,
     ) -> [Option<FloatTensor<Self>>; N] {
         operation.cpu_backward(back.map(CpuTensor::from)).map(|gradient| gradient.map(CpuTensor::into))
     }
@@ -211,7 +207,7 @@ impl Executor for CubeBackend {
 
     fn backward<O: Operation<N>, const N: usize>(
         operation: &O,
-        back: Backprop<CubeTensor, N>,
+        back: Backprop<CubeTensor>,
     ) -> [Option<CubeTensor>; N] {
         operation.cube_backward(back)
     }
@@ -269,12 +265,12 @@ impl<B: Executor, O: Operation<N>, const N: usize> Backward<B, N> for Step<O> {
         let State { saved, kept } = ops.state;
         let mut grad = grads.consume::<B>(&ops.node);
         if let (Some(kept), Some(activation)) = (kept, operation.activation()) {
-            let back = Backprop { saved: vec![kept], grad, nodes: [None] };
+            let back = Backprop { saved: vec![kept], grad, nodes: Vec::new() };
             let [of_sums] = B::backward(&Activate(*activation), back);
             grad = of_sums.expect("an activation has a gradient");
         }
         let nodes = ops.parents.map(|parent| parent.map(|node| node.id));
-        let gradients = B::backward(&operation, Backprop { saved, grad, nodes });
+        let gradients = B::backward(&operation, Backprop { saved, grad, nodes: nodes.into() });
         for (node, gradient) in nodes.into_iter().zip(gradients) {
             if let (Some(node), Some(gradient)) = (node, gradient) {
                 grads.register::<B>(node, gradient);

@@ -1,4 +1,4 @@
-//! Activations and their derivatives by a backend's own operations, for devices that have no kernel of them.
+//! Activations and their derivatives by a backend's own operations.
 
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI};
 
@@ -6,6 +6,30 @@ use burn::backend::Backend;
 use burn::backend::tensor::FloatTensor;
 
 use super::Activation;
+use super::tensor::{Activate, ActivatedSum};
+use crate::operation::{Backprop, Composition};
+
+impl Composition<2> for ActivatedSum {
+    fn composed<B: Backend>(&self, [a, b]: [FloatTensor<B>; 2]) -> Vec<FloatTensor<B>> {
+        vec![activate_tensor::<B>(B::float_add(a, b), self.0)]
+    }
+
+    fn composed_backward<B: Backend>(&self, back: Backprop<FloatTensor<B>>) -> [Option<FloatTensor<B>>; 2] {
+        let ([], grad) = back.into_parts();
+        [Some(grad.clone()), Some(grad)]
+    }
+}
+
+impl Composition<1> for Activate {
+    fn composed<B: Backend>(&self, [x]: [FloatTensor<B>; 1]) -> Vec<FloatTensor<B>> {
+        vec![activate_tensor::<B>(x, self.0)]
+    }
+
+    fn composed_backward<B: Backend>(&self, back: Backprop<FloatTensor<B>>) -> [Option<FloatTensor<B>>; 1] {
+        let ([kept], grad) = back.into_parts();
+        [Some(activate_tensor_backward::<B>(grad, kept, self.0))]
+    }
+}
 
 pub(crate) fn activate_tensor<B: Backend>(x: FloatTensor<B>, activation: Activation) -> FloatTensor<B> {
     match activation {
@@ -18,7 +42,7 @@ pub(crate) fn activate_tensor<B: Backend>(x: FloatTensor<B>, activation: Activat
 }
 
 /// Gradient of what was activated; `kept` is what [`Activation::keeps`] says.
-pub(crate) fn activate_tensor_backward<B: Backend>(
+pub(super) fn activate_tensor_backward<B: Backend>(
     grad: FloatTensor<B>,
     kept: FloatTensor<B>,
     activation: Activation,

@@ -6,7 +6,7 @@ pub(crate) use srflow_simd::{Keeps, activated, activation_backward};
 mod composed;
 pub mod tensor;
 
-pub(crate) use composed::{activate_tensor, activate_tensor_backward};
+pub(crate) use composed::activate_tensor;
 
 #[cfg(test)]
 pub(crate) mod tests;

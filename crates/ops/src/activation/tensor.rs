@@ -1,10 +1,8 @@
 //! The activation of a sum on tensors, with gradients.
 
-use burn::backend::Backend;
-use burn::backend::tensor::FloatTensor;
 use burn::tensor::Tensor;
 
-use super::{Activation, activate_tensor, activate_tensor_backward, activated, activation_backward};
+use super::{Activation, activated, activation_backward};
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Operation, apply};
 
@@ -24,19 +22,7 @@ impl Operation<2> for ActivatedSum {
         vec![a.like(activated(self.0, a.slice(), Some(b.slice())))]
     }
 
-    fn cpu_backward(&self, back: Backprop<CpuTensor, 2>) -> [Option<CpuTensor>; 2] {
-        let ([], grad) = back.into_parts();
-        [Some(grad.clone()), Some(grad)]
-    }
-
-    fn composed<B: Backend>(&self, [a, b]: [FloatTensor<B>; 2]) -> Vec<FloatTensor<B>> {
-        vec![activate_tensor::<B>(B::float_add(a, b), self.0)]
-    }
-
-    fn composed_backward<B: Backend>(
-        &self,
-        back: Backprop<FloatTensor<B>, 2>,
-    ) -> [Option<FloatTensor<B>>; 2] {
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 2] {
         let ([], grad) = back.into_parts();
         [Some(grad.clone()), Some(grad)]
     }
@@ -51,21 +37,9 @@ impl Operation<1> for Activate {
         vec![x.like(activated(self.0, x.slice(), None))]
     }
 
-    fn cpu_backward(&self, back: Backprop<CpuTensor, 1>) -> [Option<CpuTensor>; 1] {
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 1] {
         let ([kept], grad) = back.into_parts();
         [Some(grad.change(|grad| activation_backward(self.0, kept.slice(), grad)))]
-    }
-
-    fn composed<B: Backend>(&self, [x]: [FloatTensor<B>; 1]) -> Vec<FloatTensor<B>> {
-        vec![activate_tensor::<B>(x, self.0)]
-    }
-
-    fn composed_backward<B: Backend>(
-        &self,
-        back: Backprop<FloatTensor<B>, 1>,
-    ) -> [Option<FloatTensor<B>>; 1] {
-        let ([kept], grad) = back.into_parts();
-        [Some(activate_tensor_backward::<B>(grad, kept, self.0))]
     }
 }
 

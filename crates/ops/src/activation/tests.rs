@@ -1,5 +1,6 @@
 use burn::backend::Flex;
 
+use super::composed::activate_tensor_backward;
 use super::tensor::ActivatedSum;
 use super::*;
 use crate::flex::CpuTensor;

@@ -12,7 +12,7 @@ use super::backward::Gathered;
 use super::composed::ImagePieces;
 use super::weights::AttentionWeights;
 use crate::flex::CpuTensor;
-use crate::operation::{Backprop, Operation, apply};
+use crate::operation::{Backprop, Composition, Operation, apply};
 
 /// The largest piece of a matrix of all pairs, for devices without the kernel.
 const PIECE_BYTES: usize = 64 << 20;
@@ -67,6 +67,8 @@ fn image(values: &[f32], batch: usize, n: usize) -> &[f32] {
 #[derive(Debug, Clone)]
 struct Weigh(Prepared);
 
+impl Composition<2> for Weigh {}
+
 impl Operation<2> for Weigh {
     fn saved_inputs<T>(_: &[T; 2]) -> &[T] {
         &[]
@@ -88,7 +90,7 @@ impl Operation<2> for Weigh {
         vec![CpuTensor::new(vec![0.0], [1])]
     }
 
-    fn cpu_backward(&self, _: Backprop<CpuTensor, 2>) -> [Option<CpuTensor>; 2] {
+    fn cpu_backward(&self, _: Backprop<CpuTensor>) -> [Option<CpuTensor>; 2] {
         let Self(prepared) = self;
         let all = std::mem::take(&mut *prepared.gathered.lock().unwrap_or_else(PoisonError::into_inner));
         let all: Vec<[CpuTensor; 3]> = all.into_iter().map(|tensors| tensors.map(CpuTensor::from)).collect();
@@ -118,6 +120,8 @@ impl Operation<2> for Weigh {
 #[derive(Debug, Clone)]
 struct Gather(Prepared);
 
+impl Composition<2> for Gather {}
+
 impl Operation<2> for Gather {
     fn saved_outputs<T>(outputs: &[T]) -> &[T] {
         outputs
@@ -132,7 +136,7 @@ impl Operation<2> for Gather {
         vec![values.like(gathered.concat())]
     }
 
-    fn cpu_backward(&self, back: Backprop<CpuTensor, 2>) -> [Option<CpuTensor>; 2] {
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 2] {
         let Self(prepared) = self;
         let collect = back.wants(0);
         let ([weights, values, gathered], grad) = back.into_parts();

@@ -1,49 +1,46 @@
-//! The normalization and its gradients by a backend's own operations, for devices that have no kernel of it.
+//! The normalization by a backend's own operations.
 
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, TensorMetadata};
 use burn::tensor::Shape;
 
 use super::EPSILON;
+use super::tensor::BatchNorm;
+use crate::operation::{Backprop, Composition};
 
-/// The normalized input, and each channel's mean and variance; see [`super::batch_norm`].
-pub(super) fn normalized<B: Backend>(
-    [input, weight, bias]: [FloatTensor<B>; 3],
-    relu: bool,
-) -> [FloatTensor<B>; 3] {
-    let shape = input.shape();
-    let channels = weight.shape();
-    let rows = rows::<B>(input);
-    let mean = B::float_mean_dim(rows.clone(), 1);
-    let centred = B::float_sub(rows.clone(), mean.clone());
-    let variance = B::float_mean_dim(B::float_mul(centred.clone(), centred), 1);
-    let (normal, _) = standardized::<B>(rows, mean.clone(), variance.clone());
-    let out = affine::<B>(normal, weight, bias);
-    let out = if relu { B::relu(out) } else { out };
-    [images::<B>(out, &shape), B::float_reshape(mean, channels.clone()), B::float_reshape(variance, channels)]
-}
-
-/// Gradients of input, weight and bias; see [`super::batch_norm_backward`].
-pub(super) fn gradients<B: Backend>(
-    [input, weight, bias, mean, variance]: [FloatTensor<B>; 5],
-    relu: bool,
-    grad: FloatTensor<B>,
-) -> [FloatTensor<B>; 3] {
-    let (shape, channels) = (input.shape(), weight.shape());
-    let (normal, scale) = standardized::<B>(rows::<B>(input), column::<B>(mean), column::<B>(variance));
-    let mut grad = rows::<B>(grad);
-    if relu {
-        let out = B::relu(affine::<B>(normal.clone(), weight.clone(), bias));
-        grad = B::relu_backward(out, grad);
+impl Composition<3> for BatchNorm {
+    fn composed<B: Backend>(&self, [input, weight, bias]: [FloatTensor<B>; 3]) -> Vec<FloatTensor<B>> {
+        let shape = input.shape();
+        let channels = weight.shape();
+        let rows = rows::<B>(input);
+        let mean = B::float_mean_dim(rows.clone(), 1);
+        let centred = B::float_sub(rows.clone(), mean.clone());
+        let variance = B::float_mean_dim(B::float_mul(centred.clone(), centred), 1);
+        let (normal, _) = standardized::<B>(rows, mean.clone(), variance.clone());
+        let out = affine::<B>(normal, weight, bias);
+        let out = images::<B>(if self.relu { B::relu(out) } else { out }, &shape);
+        let [mean, variance] = [mean, variance].map(|column| B::float_reshape(column, channels.clone()));
+        vec![out, mean, variance]
     }
-    let along = B::float_mul(grad.clone(), normal.clone());
-    let d_weight = B::float_reshape(B::float_sum_dim(along.clone(), 1), channels.clone());
-    let d_bias = B::float_reshape(B::float_sum_dim(grad.clone(), 1), channels);
-    let removed =
-        B::float_add(B::float_mean_dim(grad.clone(), 1), B::float_mul(normal, B::float_mean_dim(along, 1)));
-    let scale = B::float_mul(scale, column::<B>(weight));
-    let d_input = B::float_mul(B::float_sub(grad, removed), scale);
-    [images::<B>(d_input, &shape), d_weight, d_bias]
+
+    fn composed_backward<B: Backend>(&self, back: Backprop<FloatTensor<B>>) -> [Option<FloatTensor<B>>; 3] {
+        let ([input, weight, bias, mean, variance], grad) = back.into_parts();
+        let (shape, channels) = (input.shape(), weight.shape());
+        let (normal, scale) = standardized::<B>(rows::<B>(input), column::<B>(mean), column::<B>(variance));
+        let mut grad = rows::<B>(grad);
+        if self.relu {
+            let out = B::relu(affine::<B>(normal.clone(), weight.clone(), bias));
+            grad = B::relu_backward(out, grad);
+        }
+        let along = B::float_mul(grad.clone(), normal.clone());
+        let d_weight = B::float_reshape(B::float_sum_dim(along.clone(), 1), channels.clone());
+        let d_bias = B::float_reshape(B::float_sum_dim(grad.clone(), 1), channels);
+        let mean_along = B::float_mul(normal, B::float_mean_dim(along, 1));
+        let removed = B::float_add(B::float_mean_dim(grad.clone(), 1), mean_along);
+        let scale = B::float_mul(scale, column::<B>(weight));
+        let d_input = B::float_mul(B::float_sub(grad, removed), scale);
+        [images::<B>(d_input, &shape), d_weight, d_bias].map(Some)
+    }
 }
 
 /// One row for each channel, of all images.

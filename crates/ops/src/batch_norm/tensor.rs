@@ -1,10 +1,8 @@
 //! The normalization on tensors: [`batch_norm`] with its gradients.
 
-use burn::backend::Backend;
-use burn::backend::tensor::FloatTensor;
 use burn::tensor::Tensor;
 
-use super::{Affine, BatchNormGradients, BatchNormShape, Statistics, composed};
+use super::{Affine, BatchNormGradients, BatchNormShape, Statistics};
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Operation, array, outputs};
 
@@ -34,25 +32,13 @@ impl Operation<3> for BatchNorm {
         vec![input.like(out), weight.like(mean), weight.like(variance)]
     }
 
-    fn cpu_backward(&self, back: Backprop<CpuTensor, 3>) -> [Option<CpuTensor>; 3] {
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 3] {
         let ([input, weight, bias, mean, variance], grad) = back.into_parts();
         let affine = Affine { weight: weight.slice(), bias: bias.slice(), relu: self.relu };
         let statistics = Statistics { mean: mean.slice().to_vec(), variance: variance.slice().to_vec() };
         let BatchNormGradients { input: d_input, weight: d_weight, bias: d_bias } =
             super::batch_norm_backward(input.slice(), grad.slice(), &affine, &statistics, &shape_of(&input));
         [Some(input.like(d_input)), Some(weight.like(d_weight)), Some(bias.like(d_bias))]
-    }
-
-    fn composed<B: Backend>(&self, inputs: [FloatTensor<B>; 3]) -> Vec<FloatTensor<B>> {
-        composed::normalized::<B>(inputs, self.relu).into()
-    }
-
-    fn composed_backward<B: Backend>(
-        &self,
-        back: Backprop<FloatTensor<B>, 3>,
-    ) -> [Option<FloatTensor<B>>; 3] {
-        let (saved, grad) = back.into_parts();
-        composed::gradients::<B>(saved, self.relu, grad).map(Some)
     }
 }
 

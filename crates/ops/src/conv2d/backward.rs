@@ -49,7 +49,7 @@ fn as_convolution(shape: &Conv2dShape) -> Option<Conv2dShape> {
 }
 
 /// The weights in the order that [`backward_input_packed`] reads them in.
-pub(super) fn pack_backward(isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
+pub(crate) fn pack_backward(isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
     match as_convolution(shape) {
         Some(backward) => pack(isa, &turn_around(weight, shape, [0, 0]), &backward),
@@ -58,7 +58,7 @@ pub(super) fn pack_backward(isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Ve
 }
 
 /// [`conv2d_backward_input`] plus `add`, with weights from [`pack_backward`] for the same instruction set and shape.
-pub(super) fn backward_input_packed(
+pub(crate) fn backward_input_packed(
     isa: Isa,
     grad: &[f32],
     packed: &[f32],

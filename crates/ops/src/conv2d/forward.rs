@@ -60,7 +60,7 @@ impl Method {
 }
 
 /// The weights in the order that [`convolve_packed`] reads them in.
-pub(super) fn pack(isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
+pub(crate) fn pack(isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
     match Method::of(shape) {
         Method::Pointwise | Method::Panels => {
@@ -74,7 +74,7 @@ pub(super) fn pack(isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
 }
 
 /// [`conv2d`] with weights from [`pack`] for the same instruction set and shape.
-pub(super) fn convolve_packed(
+pub(crate) fn convolve_packed(
     isa: Isa,
     input: &[f32],
     packed: &[f32],

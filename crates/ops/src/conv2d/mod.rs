@@ -16,8 +16,10 @@ pub mod tensor;
 mod weight_gradient;
 mod winograd;
 
+pub(crate) use backward::{backward_input_packed, pack_backward};
 pub use backward::{conv2d_backward_bias, conv2d_backward_input};
 pub use forward::conv2d;
+pub(crate) use forward::{convolve_packed, pack};
 pub use weight_gradient::conv2d_backward_weight;
 
 /// What becomes of a sum before it is stored: `activation(sum + bias + residual)`.

@@ -4,9 +4,9 @@ use super::backward::backward_input_with;
 use super::forward::conv2d_with;
 use super::weight_gradient::backward_weight_with;
 use super::*;
-use crate::convolution::Conv2dShape;
 use crate::convolution::reference::{self, Operands};
 use crate::convolution::tests::{Residual, case};
+use crate::convolution::{Conv2dShape, Kernels};
 use crate::operation::tests::{ACTIVATIONS, Case};
 use crate::test_values::{assert_close, values, wide, with_threads};
 
@@ -165,9 +165,7 @@ fn convolutions_that_share_a_cache_do_not_disturb_each_other() {
 }
 
 pub(crate) fn cases() -> Vec<Case> {
-    let case = |shape: Conv2dShape, activation, residual| {
-        case(tensor::Conv2dOptions::new(shape.stride, shape.padding), shape, activation, residual)
-    };
+    let case = |shape, activation, residual| case(Kernels::Dense, shape, activation, residual);
     let small = shape([3, 5], [7, 9], [3, 3], 1, [1, 1]);
     let uneven = Conv2dShape { stride: [1, 2], ..shape([3, 5], [7, 9], [3, 5], 1, [0, 2]) };
     let mut cases: Vec<Case> =

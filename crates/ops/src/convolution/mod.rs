@@ -1,133 +1,44 @@
-//! Convolutions that end with `activation(sum + bias + residual)`: what dense and depthwise ones share. [`mod@reference`] is
-//! the definition of both.
+//! Convolutions that end with `activation(sum + bias + residual)`, dense and depthwise, as one operation. [`mod@reference`] is
+//! the definition.
 
-use std::fmt::Debug;
+use std::sync::Arc;
 
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, TensorMetadata};
-use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Shape, Tensor};
+use srflow_simd::Isa;
 
 use crate::Activation;
 use crate::activation::activate_tensor;
-use crate::conv2d::{self, conv2d_backward_bias};
+use crate::conv2d::{self, conv2d_backward_bias, conv2d_backward_weight, tensor::Conv2dOptions};
+use crate::depthwise::{self, depthwise_backward_weight};
 use crate::flex::CpuTensor;
-use crate::operation::{Backprop, Operation, apply, array};
+use crate::operation::{Backprop, Composition, Operation, apply, array};
+use crate::weight_cache::{Packing, Pass};
 
 pub mod reference;
+mod shape;
 #[cfg(test)]
 pub(crate) mod tests;
 
-/// Sizes of a 2D convolution. Layouts: input `[batch, in_channels, height, width]`, weight
-/// `[out_channels, in_channels / groups, kernel_height, kernel_width]`, output
-/// `[batch, out_channels, out_height, out_width]`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Conv2dShape {
-    /// Images.
-    pub batch: usize,
-    /// Input channels, of all groups.
-    pub in_channels: usize,
-    /// Output channels, of all groups.
-    pub out_channels: usize,
-    /// Parts of the channels that do not see each other: one of a dense convolution, as many as channels of a depthwise one.
-    pub groups: usize,
-    /// Input height and width.
-    pub input: [usize; 2],
-    /// Kernel height and width.
-    pub kernel: [usize; 2],
-    /// Stride down and across.
-    pub stride: [usize; 2],
-    /// Zeros added above and below, left and right.
-    pub padding: [usize; 2],
+pub use shape::Conv2dShape;
+
+/// Which kernels compute a convolution on the CPU.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Kernels {
+    Dense,
+    Depthwise,
 }
 
-impl Conv2dShape {
-    /// Output height and width; 0 where the kernel does not fit.
-    pub fn output(&self) -> [usize; 2] {
-        [0, 1].map(|i| {
-            let padded = self.input[i] + 2 * self.padding[i];
-            if padded < self.kernel[i] { 0 } else { (padded - self.kernel[i]) / self.stride[i] + 1 }
-        })
-    }
-
-    /// Elements of the input.
-    pub fn input_len(&self) -> usize {
-        self.batch * self.in_channels * self.input[0] * self.input[1]
-    }
-
-    /// Elements of the weight.
-    pub fn weight_len(&self) -> usize {
-        self.weight().iter().product()
-    }
-
-    /// Elements of the output.
-    pub fn output_len(&self) -> usize {
-        let [height, width] = self.output();
-        self.batch * self.out_channels * height * width
-    }
-
-    pub(crate) fn taps(&self) -> usize {
-        self.kernel[0] * self.kernel[1]
-    }
-
-    /// The weight's shape.
-    fn weight(&self) -> [usize; 4] {
-        [self.out_channels, self.in_channels / self.groups, self.kernel[0], self.kernel[1]]
-    }
-
-    /// The output's shape.
-    fn output_shape(&self) -> [usize; 4] {
-        let [height, width] = self.output();
-        [self.batch, self.out_channels, height, width]
-    }
-
-    /// Panics where the kernels of dense convolutions do not apply.
-    pub(crate) fn check_dense(&self) {
-        assert_eq!(self.groups, 1, "dense: one group: {self:?}");
-    }
-
-    /// Panics where the kernels of depthwise convolutions do not apply.
-    pub(crate) fn check_depthwise(&self) {
-        let channels = [self.in_channels, self.out_channels];
-        assert_eq!(channels, [self.groups; 2], "depthwise: a group for each channel: {self:?}");
-        assert_eq!(self.stride, [1, 1], "depthwise: steps of one pixel: {self:?}");
-    }
-
-    /// The same in Burn's terms.
-    fn options(&self) -> ConvOptions<2> {
-        ConvOptions::new(self.stride, self.padding, [1, 1], self.groups)
-    }
+/// Of input, weight, bias and, where there is one, residual.
+#[derive(Debug, Clone)]
+pub(crate) struct Convolution {
+    pub(crate) kernels: Kernels,
+    pub(crate) options: Conv2dOptions,
+    pub(crate) activation: Activation,
 }
 
-/// A convolution as far as its sums, and its kernels.
-pub(crate) trait Convolution: Clone + Debug + Send + 'static {
-    fn stride(&self) -> [usize; 2] {
-        [1, 1]
-    }
-
-    fn padding(&self) -> [usize; 2];
-
-    /// The weight comes as a tensor, for caches that know it again.
-    fn forward(
-        &self,
-        input: &[f32],
-        weight: &CpuTensor,
-        epilogue: &conv2d::Epilogue,
-        shape: &Conv2dShape,
-    ) -> Vec<f32>;
-
-    /// Gradient of the input from that of the sums, plus `add`.
-    fn backward_input(
-        &self,
-        weight: &CpuTensor,
-        grad: &[f32],
-        add: Option<&[f32]>,
-        shape: &Conv2dShape,
-    ) -> Vec<f32>;
-
-    fn backward_weight(&self, input: &[f32], grad: &[f32], shape: &Conv2dShape) -> Vec<f32>;
-
-    /// Of this input and weight.
+impl Convolution {
     fn shape(&self, input: Shape, weight: Shape) -> Conv2dShape {
         let [batch, in_channels, height, width] = input.dims();
         let [out_channels, inputs, kernel_height, kernel_width] = weight.dims();
@@ -138,76 +49,37 @@ pub(crate) trait Convolution: Clone + Debug + Send + 'static {
             groups: in_channels / inputs,
             input: [height, width],
             kernel: [kernel_height, kernel_width],
-            stride: self.stride(),
-            padding: self.padding(),
+            stride: self.options.stride,
+            padding: self.options.padding,
         }
     }
+
+    /// The weight in the order of the dense kernels.
+    fn packed(&self, pass: Pass, weight: &CpuTensor, shape: &Conv2dShape) -> Arc<Vec<f32>> {
+        let isa = Isa::best();
+        let packing = Packing { pass, isa, stride: shape.stride, padding: shape.padding };
+        self.options.cache.get(packing, weight.tensor(), |weight| match pass {
+            Pass::Forward => conv2d::pack(isa, weight, shape),
+            Pass::Backward => conv2d::pack_backward(isa, weight, shape),
+        })
+    }
 }
 
-/// Of input, weight, bias and, where there is one, residual.
-#[derive(Debug, Clone)]
-pub(crate) struct Convolved<C> {
-    pub(crate) convolution: C,
-    pub(crate) activation: Activation,
-}
-
-impl<C: Convolution, const N: usize> Operation<N> for Convolved<C> {
-    fn activation(&mut self) -> Option<&mut Activation> {
-        Some(&mut self.activation)
-    }
-
-    fn saved_inputs<T>(inputs: &[T; N]) -> &[T] {
-        &inputs[..2]
-    }
-
-    fn cpu(&self, inputs: [CpuTensor; N]) -> Vec<CpuTensor> {
-        let shape = self.convolution.shape(inputs[0].shape(), inputs[1].shape());
-        let bias = Some(inputs[2].slice());
-        let residual = inputs.get(3).map(CpuTensor::slice);
-        let epilogue = conv2d::Epilogue { bias, residual, activation: self.activation };
-        let out = self.convolution.forward(inputs[0].slice(), &inputs[1], &epilogue, &shape);
-        vec![CpuTensor::new(out, shape.output_shape())]
-    }
-
-    fn cpu_backward(&self, back: Backprop<CpuTensor, N>) -> [Option<CpuTensor>; N] {
-        let Self { convolution, .. } = self;
-        gradients(
-            back,
-            |[input, weight]| convolution.shape(input.shape(), weight.shape()),
-            |[input, weight], grad, add, shape| {
-                let add = add.map(CpuTensor::slice);
-                input.like(convolution.backward_input(weight, grad.slice(), add, shape))
-            },
-            |[input, weight], grad, shape| {
-                weight.like(convolution.backward_weight(input.slice(), grad.slice(), shape))
-            },
-            |grad, shape| {
-                let pixels = shape.output().iter().product();
-                CpuTensor::new(
-                    conv2d_backward_bias(grad.slice(), shape.out_channels, pixels),
-                    [shape.out_channels],
-                )
-            },
-        )
-    }
-
+impl<const N: usize> Composition<N> for Convolution {
     fn composed<B: Backend>(&self, inputs: [FloatTensor<B>; N]) -> Vec<FloatTensor<B>> {
         let mut inputs = Vec::from(inputs);
         let residual = inputs.drain(3..).next();
         let [input, weight, bias] = array(inputs);
-        let options = self.convolution.shape(input.shape(), weight.shape()).options();
+        let options = self.shape(input.shape(), weight.shape()).options();
         let sums = B::conv2d(input, weight, Some(bias), options);
         let sums = residual.into_iter().fold(sums, B::float_add);
         vec![activate_tensor::<B>(sums, self.activation)]
     }
 
-    fn composed_backward<B: Backend>(
-        &self,
-        back: Backprop<FloatTensor<B>, N>,
-    ) -> [Option<FloatTensor<B>>; N] {
+    fn composed_backward<B: Backend>(&self, back: Backprop<FloatTensor<B>>) -> [Option<FloatTensor<B>>; N] {
         gradients(
             back,
-            |[input, weight]| self.convolution.shape(input.shape(), weight.shape()),
+            |[input, weight]| self.shape(input.shape(), weight.shape()),
             |[input, weight], grad, add, shape| {
                 let (input, weight) = (input.clone(), weight.clone());
                 let d_input = B::conv2d_x_backward(input, weight, grad.clone(), shape.options());
@@ -224,10 +96,65 @@ impl<C: Convolution, const N: usize> Operation<N> for Convolved<C> {
     }
 }
 
+impl<const N: usize> Operation<N> for Convolution {
+    fn activation(&mut self) -> Option<&mut Activation> {
+        Some(&mut self.activation)
+    }
+
+    fn saved_inputs<T>(inputs: &[T; N]) -> &[T] {
+        &inputs[..2]
+    }
+
+    fn cpu(&self, inputs: [CpuTensor; N]) -> Vec<CpuTensor> {
+        let [input, weight] = [&inputs[0], &inputs[1]];
+        let shape = self.shape(input.shape(), weight.shape());
+        let bias = Some(inputs[2].slice());
+        let residual = inputs.get(3).map(CpuTensor::slice);
+        let epilogue = conv2d::Epilogue { bias, residual, activation: self.activation };
+        let out = match self.kernels {
+            Kernels::Dense => {
+                let packed = self.packed(Pass::Forward, weight, &shape);
+                conv2d::convolve_packed(Isa::best(), input.slice(), &packed, &epilogue, &shape)
+            }
+            Kernels::Depthwise => depthwise::depthwise(input.slice(), weight.slice(), &epilogue, &shape),
+        };
+        vec![CpuTensor::new(out, shape.output_shape())]
+    }
+
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; N] {
+        gradients(
+            back,
+            |[input, weight]| self.shape(input.shape(), weight.shape()),
+            |[input, weight], grad, add, shape| {
+                let (isa, grad, add) = (Isa::best(), grad.slice(), add.map(CpuTensor::slice));
+                input.like(match self.kernels {
+                    Kernels::Dense => {
+                        let packed = self.packed(Pass::Backward, weight, shape);
+                        conv2d::backward_input_packed(isa, grad, &packed, add, shape)
+                    }
+                    Kernels::Depthwise => {
+                        depthwise::backward_input_with(isa, grad, weight.slice(), add, shape)
+                    }
+                })
+            },
+            |[input, weight], grad, shape| {
+                weight.like(match self.kernels {
+                    Kernels::Dense => conv2d_backward_weight(input.slice(), grad.slice(), shape),
+                    Kernels::Depthwise => depthwise_backward_weight(input.slice(), grad.slice(), shape),
+                })
+            },
+            |grad, shape| {
+                let (channels, pixels) = (shape.out_channels, shape.output().iter().product());
+                CpuTensor::new(conv2d_backward_bias(grad.slice(), channels, pixels), [channels])
+            },
+        )
+    }
+}
+
 /// Of input, weight, bias and residual, from the gradient of the sums. Where the residual is the input as well, its gradient
 /// is added to the input's on the way.
 fn gradients<T: Clone, const N: usize>(
-    back: Backprop<T, N>,
+    back: Backprop<T>,
     shape: impl Fn(&[T; 2]) -> Conv2dShape,
     of_input: impl Fn(&[T; 2], &T, Option<&T>, &Conv2dShape) -> T,
     of_weight: impl Fn(&[T; 2], &T, &Conv2dShape) -> T,
@@ -274,22 +201,24 @@ impl Epilogue {
     }
 }
 
-/// `[batch, out_channels, out_height, out_width]`. Panics when the kernel does not fit the input or the epilogue the output.
+/// The output, `[batch, out_channels, out_height, out_width]`. Panics when the kernel does not fit the input, or the epilogue the
+/// output.
 pub(crate) fn convolve(
-    convolution: impl Convolution,
+    kernels: Kernels,
     input: Tensor<4>,
     weight: Tensor<4>,
     epilogue: Epilogue,
+    options: Conv2dOptions,
 ) -> Tensor<4> {
+    let Epilogue { bias, residual, activation } = epilogue;
+    let convolution = Convolution { kernels, options, activation };
     let shape = convolution.shape(input.shape(), weight.shape());
     assert!(!shape.output().contains(&0), "the kernel does not fit the input: {shape:?}");
-    let Epilogue { bias, residual, activation } = epilogue;
     let bias = bias.unwrap_or_else(|| Tensor::zeros([shape.out_channels], &input.device()));
     assert_eq!(bias.dims(), [shape.out_channels], "a bias for each output channel");
-    let operation = Convolved { convolution, activation };
     let operands = [input.into_dispatch(), weight.into_dispatch(), bias.into_dispatch()];
-    let Some(residual) = residual else { return apply(operation, operands) };
+    let Some(residual) = residual else { return apply(convolution, operands) };
     assert_eq!(residual.dims(), shape.output_shape(), "a residual for each output element");
     let [input, weight, bias] = operands;
-    apply(operation, [input, weight, bias, residual.into_dispatch()])
+    apply(convolution, [input, weight, bias, residual.into_dispatch()])
 }

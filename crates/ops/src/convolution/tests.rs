@@ -14,12 +14,7 @@ pub(crate) enum Residual {
 }
 
 /// A convolution with a bias, and with weights that keep its sums of the size of its inputs.
-pub(crate) fn case<C: Convolution + Sync>(
-    convolution: C,
-    shape: Conv2dShape,
-    activation: Activation,
-    residual: Residual,
-) -> Case {
+pub(crate) fn case(kernels: Kernels, shape: Conv2dShape, activation: Activation, residual: Residual) -> Case {
     let Conv2dShape { batch, in_channels, out_channels, input: [height, width], .. } = shape;
     let (input, weight) = ([batch, in_channels, height, width], shape.weight());
     let (bias, output) = ([out_channels], shape.output_shape());
@@ -27,7 +22,8 @@ pub(crate) fn case<C: Convolution + Sync>(
     if residual == Residual::Other {
         shapes.push(&output);
     }
-    let kernel = Convolved { convolution, activation };
+    let options = Conv2dOptions::new(shape.stride, shape.padding);
+    let kernel = Convolution { kernels, options, activation };
     let composed = Composed(kernel.clone());
     let products = weight[1..].iter().product::<usize>() as f32;
     Case::new(

@@ -9,7 +9,7 @@ use burn_cubecl::tensor::CubeTensor;
 use super::pyramid::level_sizes;
 use super::{FeaturePyramid, correlation_lookup, correlation_lookup_backward};
 use crate::flex::CpuTensor;
-use crate::operation::{Backprop, Operation, apply};
+use crate::operation::{Backprop, Composition, Operation, apply};
 
 /// Of the first map, `[batch, height, width, channels]`, the second's pyramid, packed as [`Correlation`] does, and
 /// positions, `[batch, 2, height, width]`, which have no gradient.
@@ -18,6 +18,8 @@ pub(super) struct Lookup {
     pub(super) levels: usize,
     pub(super) radius: usize,
 }
+
+impl Composition<3> for Lookup {}
 
 impl Operation<3> for Lookup {
     fn cpu(&self, [first, second, coords]: [CpuTensor; 3]) -> Vec<CpuTensor> {
@@ -28,7 +30,7 @@ impl Operation<3> for Lookup {
         vec![CpuTensor::new(out, [batch, levels * (2 * radius + 1) * (2 * radius + 1), height, width])]
     }
 
-    fn cpu_backward(&self, back: Backprop<CpuTensor, 3>) -> [Option<CpuTensor>; 3] {
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 3] {
         let ([first, second, coords], grad) = back.into_parts();
         let shape @ [_, height, width, _] = first.dims();
         let pyramid = FeaturePyramid::of_packed(second.slice(), shape, self.levels);
@@ -49,7 +51,7 @@ impl Operation<3> for Lookup {
     }
 
     #[cfg(feature = "cube")]
-    fn cube_backward(&self, back: Backprop<CubeTensor, 3>) -> [Option<CubeTensor>; 3] {
+    fn cube_backward(&self, back: Backprop<CubeTensor>) -> [Option<CubeTensor>; 3] {
         let (inputs, grad) = back.into_parts();
         let [d_first, d_second] = super::cube::lookup_backward(*self, inputs, grad);
         [Some(d_first), Some(d_second), None]

@@ -16,7 +16,7 @@ pub fn depthwise_backward_input(grad: &[f32], weight: &[f32], shape: &Conv2dShap
 }
 
 /// [`depthwise_backward_input`], plus `add`, with a chosen instruction set.
-pub(super) fn backward_input_with(
+pub(crate) fn backward_input_with(
     isa: Isa,
     grad: &[f32],
     weight: &[f32],

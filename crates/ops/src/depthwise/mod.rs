@@ -9,6 +9,7 @@ mod backward;
 mod forward;
 pub mod tensor;
 
+pub(crate) use backward::backward_input_with;
 pub use backward::{depthwise_backward_input, depthwise_backward_weight};
 pub use forward::depthwise;
 

@@ -4,9 +4,9 @@ use super::backward::{backward_input_with, backward_weight_with};
 use super::forward::depthwise_with;
 use super::*;
 use crate::conv2d::Epilogue;
-use crate::convolution::Conv2dShape;
 use crate::convolution::reference::{self, Operands};
 use crate::convolution::tests::{Residual, case};
+use crate::convolution::{Conv2dShape, Kernels};
 use crate::operation::tests::Case;
 use crate::test_values::{assert_close, values, wide, with_threads};
 
@@ -82,9 +82,7 @@ fn results_do_not_depend_on_threads_and_outputs_not_on_the_instruction_set() {
 }
 
 pub(crate) fn cases() -> Vec<Case> {
-    let case = |shape: Conv2dShape, activation, residual| {
-        case(tensor::Depthwise { padding: shape.padding }, shape, activation, residual)
-    };
+    let case = |shape, activation, residual| case(Kernels::Depthwise, shape, activation, residual);
     vec![
         case(shape(3, [7, 9], [5, 5], [2, 2]), Activation::Identity, Residual::None),
         case(shape(3, [8, 9], [5, 3], [1, 0]), Activation::Tanh, Residual::Other),

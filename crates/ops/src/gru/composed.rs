@@ -1,44 +1,44 @@
-//! The steps and their gradients by a backend's own operations, for devices that have no kernel of them.
+//! The steps by a backend's own operations.
 
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, TensorMetadata};
 use burn::tensor::Slice;
 
-/// See [`super::reset`].
-pub(super) fn reset<B: Backend>([gates, hidden]: [FloatTensor<B>; 2]) -> FloatTensor<B> {
-    let [_, reset] = halves::<B>(gates);
-    B::float_mul(reset, hidden)
+use super::tensor::{Reset, Update};
+use crate::operation::{Backprop, Composition};
+
+impl Composition<2> for Reset {
+    fn composed<B: Backend>(&self, [gates, hidden]: [FloatTensor<B>; 2]) -> Vec<FloatTensor<B>> {
+        let [_, reset] = halves::<B>(gates);
+        vec![B::float_mul(reset, hidden)]
+    }
+
+    fn composed_backward<B: Backend>(&self, back: Backprop<FloatTensor<B>>) -> [Option<FloatTensor<B>>; 2] {
+        let ([gates, hidden], grad) = back.into_parts();
+        let [_, reset] = halves::<B>(gates);
+        let d_reset = B::float_mul(grad.clone(), hidden);
+        let d_gates = B::float_cat(vec![zeros_like::<B>(&d_reset), d_reset], 1);
+        [d_gates, B::float_mul(grad, reset)].map(Some)
+    }
 }
 
-/// See [`super::reset_backward`].
-pub(super) fn reset_backward<B: Backend>(
-    [gates, hidden]: [FloatTensor<B>; 2],
-    grad: FloatTensor<B>,
-) -> [FloatTensor<B>; 2] {
-    let [_, reset] = halves::<B>(gates);
-    let d_reset = B::float_mul(grad.clone(), hidden);
-    let d_gates = B::float_cat(vec![zeros_like::<B>(&d_reset), d_reset], 1);
-    [d_gates, B::float_mul(grad, reset)]
-}
+impl Composition<3> for Update {
+    fn composed<B: Backend>(&self, inputs: [FloatTensor<B>; 3]) -> Vec<FloatTensor<B>> {
+        let [gates, hidden, candidate] = inputs;
+        let [update, _] = halves::<B>(gates);
+        let way = B::float_sub(candidate, hidden.clone());
+        vec![B::float_add(hidden, B::float_mul(update, way))]
+    }
 
-/// See [`super::update`].
-pub(super) fn update<B: Backend>([gates, hidden, candidate]: [FloatTensor<B>; 3]) -> FloatTensor<B> {
-    let [update, _] = halves::<B>(gates);
-    let way = B::float_sub(candidate, hidden.clone());
-    B::float_add(hidden, B::float_mul(update, way))
-}
-
-/// See [`super::update_backward`].
-pub(super) fn update_backward<B: Backend>(
-    [gates, hidden, candidate]: [FloatTensor<B>; 3],
-    grad: FloatTensor<B>,
-) -> [FloatTensor<B>; 3] {
-    let [update, _] = halves::<B>(gates);
-    let d_update = B::float_mul(grad.clone(), B::float_sub(candidate, hidden));
-    let zeros = zeros_like::<B>(&d_update);
-    let d_candidate = B::float_mul(grad.clone(), update);
-    let d_hidden = B::float_sub(grad, d_candidate.clone());
-    [B::float_cat(vec![d_update, zeros], 1), d_hidden, d_candidate]
+    fn composed_backward<B: Backend>(&self, back: Backprop<FloatTensor<B>>) -> [Option<FloatTensor<B>>; 3] {
+        let ([gates, hidden, candidate], grad) = back.into_parts();
+        let [update, _] = halves::<B>(gates);
+        let d_update = B::float_mul(grad.clone(), B::float_sub(candidate, hidden));
+        let zeros = zeros_like::<B>(&d_update);
+        let d_candidate = B::float_mul(grad.clone(), update);
+        let d_hidden = B::float_sub(grad, d_candidate.clone());
+        [B::float_cat(vec![d_update, zeros], 1), d_hidden, d_candidate].map(Some)
+    }
 }
 
 /// Update gates and reset gates.

@@ -1,10 +1,8 @@
 //! The unit's steps on tensors: [`reset`] and [`update`] with gradients.
 
-use burn::backend::Backend;
-use burn::backend::tensor::FloatTensor;
 use burn::tensor::Tensor;
 
-use super::{GruSize, composed};
+use super::GruSize;
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Operation, apply};
 
@@ -26,23 +24,11 @@ impl Operation<2> for Reset {
         vec![hidden.like(super::reset(gates.slice(), hidden.slice(), size_of(&hidden)))]
     }
 
-    fn cpu_backward(&self, back: Backprop<CpuTensor, 2>) -> [Option<CpuTensor>; 2] {
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 2] {
         let ([gates, hidden], grad) = back.into_parts();
         let [d_gates, d_hidden] =
             super::reset_backward(gates.slice(), hidden.slice(), grad.slice(), size_of(&hidden));
         [Some(gates.like(d_gates)), Some(hidden.like(d_hidden))]
-    }
-
-    fn composed<B: Backend>(&self, inputs: [FloatTensor<B>; 2]) -> Vec<FloatTensor<B>> {
-        vec![composed::reset::<B>(inputs)]
-    }
-
-    fn composed_backward<B: Backend>(
-        &self,
-        back: Backprop<FloatTensor<B>, 2>,
-    ) -> [Option<FloatTensor<B>>; 2] {
-        let (saved, grad) = back.into_parts();
-        composed::reset_backward::<B>(saved, grad).map(Some)
     }
 }
 
@@ -52,24 +38,12 @@ impl Operation<3> for Update {
         vec![hidden.like(super::update(gates.slice(), hidden.slice(), candidate.slice(), size))]
     }
 
-    fn cpu_backward(&self, back: Backprop<CpuTensor, 3>) -> [Option<CpuTensor>; 3] {
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 3] {
         let ([gates, hidden, candidate], grad) = back.into_parts();
         let size = size_of(&hidden);
         let [d_gates, d_hidden, d_candidate] =
             super::update_backward(gates.slice(), hidden.slice(), candidate.slice(), grad.slice(), size);
         [Some(gates.like(d_gates)), Some(hidden.like(d_hidden)), Some(candidate.like(d_candidate))]
-    }
-
-    fn composed<B: Backend>(&self, inputs: [FloatTensor<B>; 3]) -> Vec<FloatTensor<B>> {
-        vec![composed::update::<B>(inputs)]
-    }
-
-    fn composed_backward<B: Backend>(
-        &self,
-        back: Backprop<FloatTensor<B>, 3>,
-    ) -> [Option<FloatTensor<B>>; 3] {
-        let (saved, grad) = back.into_parts();
-        composed::update_backward::<B>(saved, grad).map(Some)
     }
 }
 

@@ -1,29 +1,30 @@
-//! The normalization and its gradient by a backend's own operations, for devices that have no kernel of it.
+//! The normalization by a backend's own operations.
 
-use burn::backend::Backend;
-use burn::backend::TensorMetadata;
 use burn::backend::tensor::FloatTensor;
+use burn::backend::{Backend, TensorMetadata};
 
 use super::EPSILON;
-use crate::Activation;
+use super::tensor::InstanceNorm;
 use crate::activation::activate_tensor;
+use crate::operation::{Backprop, Composition};
 
-/// See [`super::instance_norm`].
-pub(super) fn normalized<B: Backend>(input: FloatTensor<B>, activation: Activation) -> FloatTensor<B> {
-    let shape = input.shape();
-    let (normal, _) = standardized::<B>(planes::<B>(input));
-    activate_tensor::<B>(B::float_reshape(normal, shape), activation)
-}
+impl Composition<1> for InstanceNorm {
+    fn composed<B: Backend>(&self, [input]: [FloatTensor<B>; 1]) -> Vec<FloatTensor<B>> {
+        let shape = input.shape();
+        let (normal, _) = standardized::<B>(planes::<B>(input));
+        vec![activate_tensor::<B>(B::float_reshape(normal, shape), self.0)]
+    }
 
-/// See [`super::instance_norm_backward`].
-pub(super) fn gradient<B: Backend>(input: FloatTensor<B>, grad: FloatTensor<B>) -> FloatTensor<B> {
-    let shape = input.shape();
-    let (normal, scale) = standardized::<B>(planes::<B>(input));
-    let grad = planes::<B>(grad);
-    let mean = B::float_mean_dim(grad.clone(), 1);
-    let along = B::float_mean_dim(B::float_mul(grad.clone(), normal.clone()), 1);
-    let removed = B::float_add(mean, B::float_mul(normal, along));
-    B::float_reshape(B::float_mul(B::float_sub(grad, removed), scale), shape)
+    fn composed_backward<B: Backend>(&self, back: Backprop<FloatTensor<B>>) -> [Option<FloatTensor<B>>; 1] {
+        let ([input], grad) = back.into_parts();
+        let shape = input.shape();
+        let (normal, scale) = standardized::<B>(planes::<B>(input));
+        let grad = planes::<B>(grad);
+        let mean = B::float_mean_dim(grad.clone(), 1);
+        let along = B::float_mean_dim(B::float_mul(grad.clone(), normal.clone()), 1);
+        let removed = B::float_add(mean, B::float_mul(normal, along));
+        [Some(B::float_reshape(B::float_mul(B::float_sub(grad, removed), scale), shape))]
+    }
 }
 
 /// One row for each channel of each image.

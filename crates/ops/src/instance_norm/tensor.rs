@@ -1,10 +1,7 @@
 //! The normalization on tensors: [`instance_norm`] with its gradient.
 
-use burn::backend::Backend;
-use burn::backend::tensor::FloatTensor;
 use burn::tensor::Tensor;
 
-use super::composed;
 use crate::Activation;
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Operation, apply};
@@ -26,21 +23,9 @@ impl Operation<1> for InstanceNorm {
         vec![input.like(super::instance_norm(input.slice(), pixels(&input), self.0))]
     }
 
-    fn cpu_backward(&self, back: Backprop<CpuTensor, 1>) -> [Option<CpuTensor>; 1] {
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 1] {
         let ([input], grad) = back.into_parts();
         [Some(input.like(super::instance_norm_backward(input.slice(), grad.slice(), pixels(&input))))]
-    }
-
-    fn composed<B: Backend>(&self, [input]: [FloatTensor<B>; 1]) -> Vec<FloatTensor<B>> {
-        vec![composed::normalized::<B>(input, self.0)]
-    }
-
-    fn composed_backward<B: Backend>(
-        &self,
-        back: Backprop<FloatTensor<B>, 1>,
-    ) -> [Option<FloatTensor<B>>; 1] {
-        let ([input], grad) = back.into_parts();
-        [Some(composed::gradient::<B>(input, grad))]
     }
 }
 

@@ -3,6 +3,7 @@
 
 use rayon::prelude::*;
 
+mod composed;
 pub mod reference;
 pub mod tensor;
 

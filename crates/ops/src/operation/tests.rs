@@ -230,6 +230,8 @@ fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
 #[derive(Debug, Clone)]
 pub(crate) struct Composed<O>(pub(crate) O);
 
+impl<O: Operation<N>, const N: usize> Composition<N> for Composed<O> {}
+
 impl<O: Operation<N>, const N: usize> Operation<N> for Composed<O> {
     fn activation(&mut self) -> Option<&mut Activation> {
         self.0.activation()
@@ -248,7 +250,7 @@ impl<O: Operation<N>, const N: usize> Operation<N> for Composed<O> {
         outputs.into_iter().map(CpuTensor::from).collect()
     }
 
-    fn cpu_backward(&self, back: Backprop<CpuTensor, N>) -> [Option<CpuTensor>; N] {
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; N] {
         let gradients = self.0.composed_backward::<Flex>(back.map(CpuTensor::into));
         gradients.map(|gradient| gradient.map(CpuTensor::from))
     }

@@ -1,10 +1,8 @@
 //! The upsampling on tensors: [`convex_upsample`] with gradients.
 
-use burn::backend::tensor::FloatTensor;
-use burn::backend::{Backend, TensorMetadata};
 use burn::tensor::{Shape, Tensor};
 
-use super::{NEIGHBOURS, UpsampleShape, composed};
+use super::{NEIGHBOURS, UpsampleShape};
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Operation, apply};
 
@@ -16,7 +14,7 @@ pub(super) struct ConvexUpsample {
 }
 
 impl ConvexUpsample {
-    fn shape(&self, flow: Shape) -> UpsampleShape {
+    pub(super) fn shape(&self, flow: Shape) -> UpsampleShape {
         let [batch, _, height, width] = flow.dims();
         UpsampleShape { batch, coarse: [height, width], factor: self.factor }
     }
@@ -30,27 +28,12 @@ impl Operation<2> for ConvexUpsample {
         vec![CpuTensor::new(fine, [shape.batch, 2, height, width])]
     }
 
-    fn cpu_backward(&self, back: Backprop<CpuTensor, 2>) -> [Option<CpuTensor>; 2] {
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 2] {
         let ([flow, mask], grad) = back.into_parts();
         let shape = self.shape(flow.shape());
         let (d_flow, d_mask) =
             super::convex_upsample_backward(flow.slice(), mask.slice(), self.scale, grad.slice(), &shape);
         [Some(flow.like(d_flow)), Some(mask.like(d_mask))]
-    }
-
-    fn composed<B: Backend>(&self, [flow, mask]: [FloatTensor<B>; 2]) -> Vec<FloatTensor<B>> {
-        let shape = self.shape(flow.shape());
-        vec![composed::upsampled::<B>(flow, mask, self.scale, &shape)]
-    }
-
-    fn composed_backward<B: Backend>(
-        &self,
-        back: Backprop<FloatTensor<B>, 2>,
-    ) -> [Option<FloatTensor<B>>; 2] {
-        let ([flow, mask], grad) = back.into_parts();
-        let shape = self.shape(flow.shape());
-        let (d_flow, d_mask) = composed::gradients::<B>(flow, mask, self.scale, grad, &shape);
-        [Some(d_flow), Some(d_mask)]
     }
 }
 

@@ -6,7 +6,7 @@ use burn_cubecl::tensor::CubeTensor;
 
 use super::WarpShape;
 use crate::flex::CpuTensor;
-use crate::operation::{Backprop, Operation, apply};
+use crate::operation::{Backprop, Composition, Operation, apply};
 
 /// Of image and flow.
 #[derive(Debug, Clone)]
@@ -17,12 +17,14 @@ fn shape_of(image: &CpuTensor) -> WarpShape {
     WarpShape { batch, channels, size: [height, width] }
 }
 
+impl Composition<2> for Warp {}
+
 impl Operation<2> for Warp {
     fn cpu(&self, [image, flow]: [CpuTensor; 2]) -> Vec<CpuTensor> {
         vec![image.like(super::warp(image.slice(), flow.slice(), &shape_of(&image)))]
     }
 
-    fn cpu_backward(&self, back: Backprop<CpuTensor, 2>) -> [Option<CpuTensor>; 2] {
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 2] {
         let ([image, flow], grad) = back.into_parts();
         let (d_image, d_flow) =
             super::warp_backward(image.slice(), flow.slice(), grad.slice(), &shape_of(&image));
@@ -35,7 +37,7 @@ impl Operation<2> for Warp {
     }
 
     #[cfg(feature = "cube")]
-    fn cube_backward(&self, back: Backprop<CubeTensor, 2>) -> [Option<CubeTensor>; 2] {
+    fn cube_backward(&self, back: Backprop<CubeTensor>) -> [Option<CubeTensor>; 2] {
         let (inputs, grad) = back.into_parts();
         super::cube::warp_backward(inputs, grad).map(Some)
     }

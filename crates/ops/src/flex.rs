@@ -6,6 +6,8 @@ use burn::backend::flex::FlexTensor;
 use burn::backend::{Flex, TensorMetadata};
 use burn::tensor::{Shape, Tensor, TensorData};
 
+use crate::MapShape;
+
 /// A tensor of `f32` on the CPU, for kernels on slices.
 #[derive(Debug, Clone)]
 pub(crate) struct CpuTensor {
@@ -55,6 +57,11 @@ impl CpuTensor {
 
     pub(crate) fn shape(&self) -> Shape {
         self.tensor.shape()
+    }
+
+    /// Sizes of a tensor that is known to hold feature maps.
+    pub(crate) fn map_shape(&self) -> MapShape {
+        self.dims().into()
     }
 
     /// Sizes of a tensor that is known to be of rank `D`.

@@ -10,6 +10,7 @@
 mod cube;
 mod device;
 mod flex;
+mod map_shape;
 mod operation;
 mod reusing_allocator;
 mod sums;
@@ -19,6 +20,7 @@ mod weight_cache;
 
 pub use activation::Activation;
 pub use device::{DeviceError, device, device_kinds};
+pub use map_shape::MapShape;
 pub use reusing_allocator::ReusingAllocator;
 pub use weight_cache::WeightCache;
 

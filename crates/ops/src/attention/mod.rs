@@ -31,8 +31,13 @@ fn each_image<'a, const N: usize, T>(
     for other in others {
         assert!(other.len().is_multiple_of(batch * pixels), "values of {batch} images of {pixels} pixels");
     }
-    let image = |x: &'a [f32], n: usize| &x[n * (x.len() / batch)..][..x.len() / batch];
-    (0..batch).map(|n| of(pairs.map(|x| image(x, n)), others.map(|x| image(x, n)))).collect()
+    (0..batch).map(|n| of(pairs.map(|x| image(x, batch, n)), others.map(|x| image(x, batch, n)))).collect()
+}
+
+/// Image number `n` of `batch`.
+fn image(values: &[f32], batch: usize, n: usize) -> &[f32] {
+    let len = values.len() / batch;
+    &values[n * len..][..len]
 }
 
 /// `out_i = sum_j softmax_j(q_i . k_j) v_j` for every image. Queries and keys are `[batch, channels, pixels]`, values and

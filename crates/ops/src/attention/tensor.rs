@@ -2,14 +2,13 @@
 
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
-use burn::backend::TensorMetadata;
-use burn::backend::flex::FlexTensor;
 use burn::tensor::{Device, Tensor};
 use rayon::prelude::*;
 use srflow_simd::Isa;
 
 use super::backward::Gathered;
 use super::composed::ImagePieces;
+use super::image;
 use super::weights::AttentionWeights;
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Composition, Operation, apply};
@@ -24,21 +23,20 @@ struct Prepared {
     kept_bytes: usize,
     images: Arc<OnceLock<Images>>,
     /// Values, what was gathered of them and its gradient, of every gathering whose gradient has come.
-    gathered: Arc<Mutex<Vec<[FlexTensor; 3]>>>,
+    gathered: Arc<Mutex<Vec<[CpuTensor; 3]>>>,
 }
 
 #[derive(Debug)]
 struct Images {
-    queries: FlexTensor,
-    keys: FlexTensor,
+    queries: CpuTensor,
+    keys: CpuTensor,
     weights: Vec<AttentionWeights>,
 }
 
 impl Images {
     /// `of` the queries, the keys, the weights and the number of each image.
     fn map<T: Send>(&self, of: impl Fn([&[f32]; 2], &AttentionWeights, usize) -> T + Sync) -> Vec<T> {
-        let [queries, keys] = [&self.queries, &self.keys].map(|tensor| CpuTensor::from(tensor.clone()));
-        let (queries, keys) = (queries.slice(), keys.slice());
+        let (queries, keys) = (self.queries.slice(), self.keys.slice());
         let image = queries.len() / self.weights.len();
         let pairs = queries.par_chunks_exact(image).zip(keys.par_chunks_exact(image));
         let images = pairs.zip(&self.weights).enumerate();
@@ -54,12 +52,6 @@ impl Prepared {
     fn images(&self) -> &Images {
         self.images.get().expect("gathering follows the weights it goes by")
     }
-}
-
-/// Image number `n` of `batch`.
-fn image(values: &[f32], batch: usize, n: usize) -> &[f32] {
-    let len = values.len() / batch;
-    &values[n * len..][..len]
 }
 
 /// Prepares gathering by queries and keys, `[batch, channels, height, width]` each. The number returned stands for the
@@ -85,7 +77,7 @@ impl Operation<2> for Weigh {
                 AttentionWeights::new(Isa::best(), queries, keys, height * width, kept_bytes)
             };
             let weights = (0..batch).into_par_iter().map(weights).collect();
-            Images { weights, queries: queries.into(), keys: keys.into() }
+            Images { weights, queries, keys }
         });
         vec![CpuTensor::new(vec![0.0], [1])]
     }
@@ -93,7 +85,6 @@ impl Operation<2> for Weigh {
     fn cpu_backward(&self, _: Backprop<CpuTensor>) -> [Option<CpuTensor>; 2] {
         let Self(prepared) = self;
         let all = std::mem::take(&mut *prepared.gathered.lock().unwrap_or_else(PoisonError::into_inner));
-        let all: Vec<[CpuTensor; 3]> = all.into_iter().map(|tensors| tensors.map(CpuTensor::from)).collect();
         let all: Vec<[&[f32]; 3]> =
             all.iter().map(|tensors| tensors.each_ref().map(CpuTensor::slice)).collect();
         let images = prepared.images();
@@ -148,7 +139,7 @@ impl Operation<2> for Gather {
         let of_values = values.like(of_values.concat());
         if collect {
             let mut all = prepared.gathered.lock().unwrap_or_else(PoisonError::into_inner);
-            all.push([values, gathered, grad].map(CpuTensor::into));
+            all.push([values, gathered, grad]);
         }
         // The zero that stands for the weights stands for their gradient as well.
         [Some(weights), Some(of_values)]

@@ -3,22 +3,13 @@
 
 use rayon::prelude::*;
 
+use crate::MapShape;
 use crate::instance_norm::EPSILON;
 use crate::sums::{sum, sum_pairs};
 
 mod composed;
 pub mod reference;
 pub mod tensor;
-
-/// Sizes of `[batch, channels, height, width]`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct BatchNormShape {
-    /// Images.
-    pub batch: usize,
-    pub channels: usize,
-    /// Height times width.
-    pub pixels: usize,
-}
 
 /// What the output is made with, one number per channel, and whether negative outputs become 0.
 #[derive(Debug, Clone, Copy)]
@@ -37,17 +28,6 @@ pub struct Statistics {
     pub mean: Vec<f32>,
     /// Mean square distance from the mean (not the unbiased estimate).
     pub variance: Vec<f32>,
-}
-
-/// Gradients of [`batch_norm`].
-#[derive(Debug, Clone, PartialEq)]
-pub struct BatchNormGradients {
-    /// Of the input's shape.
-    pub input: Vec<f32>,
-    /// One per channel.
-    pub weight: Vec<f32>,
-    /// One per channel.
-    pub bias: Vec<f32>,
 }
 
 /// One channel: `y = (x - mean) * scale * weight + bias`.
@@ -83,28 +63,30 @@ impl Channel {
     }
 }
 
-impl BatchNormShape {
-    fn check(&self, input: &[f32], affine: &Affine) {
-        assert!(self.batch * self.pixels > 0, "batch norm of no pixels: {self:?}");
-        assert_eq!(input.len(), self.batch * self.channels * self.pixels, "input of {self:?}");
-        assert_eq!(affine.weight.len(), self.channels, "weights of {self:?}");
-        assert_eq!(affine.bias.len(), self.channels, "biases of {self:?}");
-    }
+fn check(input: &[f32], affine: &Affine, shape: &MapShape) {
+    assert!(shape.batch * shape.pixels() > 0, "batch norm of no pixels: {shape:?}");
+    assert_eq!(input.len(), shape.elements(), "input of {shape:?}");
+    assert_eq!(affine.weight.len(), shape.channels, "weights of {shape:?}");
+    assert_eq!(affine.bias.len(), shape.channels, "biases of {shape:?}");
+}
 
-    /// Every image's plane of a channel.
-    fn planes<'a>(&self, values: &'a [f32], channel: usize) -> impl Iterator<Item = &'a [f32]> {
-        values.chunks_exact(self.pixels).skip(channel).step_by(self.channels)
-    }
+/// Every image's plane of a channel.
+fn planes<'a>(
+    values: &'a [f32],
+    channel: usize,
+    shape: &MapShape,
+) -> impl Iterator<Item = &'a [f32]> + use<'a> {
+    values.chunks_exact(shape.pixels()).skip(channel).step_by(shape.channels)
 }
 
 /// The normalized input and the statistics it was normalized with. Panics when the slices do not fit the shape.
-pub fn batch_norm(input: &[f32], affine: &Affine, shape: &BatchNormShape) -> (Vec<f32>, Statistics) {
-    shape.check(input, affine);
-    let of_channel = |channel| mean_and_variance(shape.planes(input, channel));
+pub fn batch_norm(input: &[f32], affine: &Affine, shape: &MapShape) -> (Vec<f32>, Statistics) {
+    check(input, affine, shape);
+    let of_channel = |channel| mean_and_variance(planes(input, channel, shape));
     let (mean, variance) = (0..shape.channels).into_par_iter().map(of_channel).unzip();
     let statistics = Statistics { mean, variance };
     let mut out = vec![0.0; input.len()];
-    let planes = out.par_chunks_mut(shape.pixels).zip(input.par_chunks(shape.pixels));
+    let planes = out.par_chunks_mut(shape.pixels()).zip(input.par_chunks(shape.pixels()));
     planes.enumerate().for_each(|(plane, (to, from))| {
         let channel = Channel::of(plane % shape.channels, &statistics, affine);
         let floor = if channel.relu { 0.0 } else { f32::NEG_INFINITY };
@@ -117,21 +99,21 @@ pub fn batch_norm(input: &[f32], affine: &Affine, shape: &BatchNormShape) -> (Ve
     (out, statistics)
 }
 
-/// Gradients from `grad`, that of the output; `statistics` are those that [`batch_norm`] gave. The gradient goes through
-/// the statistics too. Panics when the slices do not fit the shape.
+/// Gradients of input, weight and bias from `grad`, that of the output; `statistics` are those that [`batch_norm`] gave. The
+/// gradient goes through the statistics too. Panics when the slices do not fit the shape.
 pub fn batch_norm_backward(
     input: &[f32],
     grad: &[f32],
     affine: &Affine,
     statistics: &Statistics,
-    shape: &BatchNormShape,
-) -> BatchNormGradients {
-    shape.check(input, affine);
+    shape: &MapShape,
+) -> [Vec<f32>; 3] {
+    check(input, affine, shape);
     assert_eq!(grad.len(), input.len(), "gradient of the output");
     let sums = |index| {
         let channel = Channel::of(index, statistics, affine);
         let (mut of_grad, mut along) = (0.0, 0.0);
-        for (x, grad) in shape.planes(input, index).zip(shape.planes(grad, index)) {
+        for (x, grad) in planes(input, index, shape).zip(planes(grad, index, shape)) {
             of_grad += sum_pairs(grad, x, |grad, x| channel.passed(grad, x));
             along +=
                 sum_pairs(grad, x, |grad, x| channel.passed(grad, x) * (x - channel.mean) * channel.scale);
@@ -139,10 +121,10 @@ pub fn batch_norm_backward(
         (of_grad as f32, along as f32)
     };
     let (bias, weight): (Vec<f32>, Vec<f32>) = (0..shape.channels).into_par_iter().map(sums).unzip();
-    let count = (shape.batch * shape.pixels) as f32;
+    let count = (shape.batch * shape.pixels()) as f32;
     let mut out = vec![0.0; input.len()];
-    let planes = input.par_chunks(shape.pixels).zip(grad.par_chunks(shape.pixels));
-    out.par_chunks_mut(shape.pixels).zip(planes).enumerate().for_each(|(plane, (to, (from, grad)))| {
+    let planes = input.par_chunks(shape.pixels()).zip(grad.par_chunks(shape.pixels()));
+    out.par_chunks_mut(shape.pixels()).zip(planes).enumerate().for_each(|(plane, (to, (from, grad)))| {
         let index = plane % shape.channels;
         let channel = Channel::of(index, statistics, affine);
         let (mean_grad, mean_along) = (bias[index] / count, weight[index] / count * channel.scale);
@@ -151,7 +133,7 @@ pub fn batch_norm_backward(
             *to = factor * (channel.passed(grad, x) - mean_grad - (x - channel.mean) * mean_along);
         }
     });
-    BatchNormGradients { input: out, weight, bias }
+    [out, weight, bias]
 }
 
 /// Of all planes together. Each is summed about its own mean while it is in the cache, and added to those before it

@@ -1,18 +1,15 @@
 //! The definition, in f64: one channel after another.
 
-use super::BatchNormShape;
-use crate::Activation;
 use crate::instance_norm::reference::{standardized, standardized_backward};
+use crate::{Activation, MapShape};
 
 /// What goes into a normalization: input, weight and bias.
 type Inputs<'a> = [&'a [f64]; 3];
 
-impl BatchNormShape {
-    /// Where the elements of a channel are.
-    fn elements_of(&self, channel: usize) -> Vec<usize> {
-        let all = 0..self.batch * self.channels * self.pixels;
-        all.filter(|element| element / self.pixels % self.channels == channel).collect()
-    }
+/// Where the elements of a channel are.
+fn elements_of(channel: usize, shape: &MapShape) -> Vec<usize> {
+    let all = 0..shape.elements();
+    all.filter(|element| element / shape.pixels() % shape.channels == channel).collect()
 }
 
 fn activation(relu: bool) -> Activation {
@@ -20,10 +17,10 @@ fn activation(relu: bool) -> Activation {
 }
 
 /// See [`super::batch_norm`]; the output alone.
-pub fn batch_norm([input, weight, bias]: Inputs, relu: bool, shape: &BatchNormShape) -> Vec<f64> {
+pub fn batch_norm([input, weight, bias]: Inputs, relu: bool, shape: &MapShape) -> Vec<f64> {
     let mut out = vec![0.0; input.len()];
     for channel in 0..shape.channels {
-        let elements = shape.elements_of(channel);
+        let elements = elements_of(channel, shape);
         let values: Vec<f64> = elements.iter().map(|&i| input[i]).collect();
         for (i, normal) in elements.into_iter().zip(standardized(&values).0) {
             out[i] = activation(relu).reference(weight[channel] * normal + bias[channel]);
@@ -37,12 +34,12 @@ pub fn batch_norm_backward(
     [input, weight, bias]: Inputs,
     grad: &[f64],
     relu: bool,
-    shape: &BatchNormShape,
+    shape: &MapShape,
 ) -> [Vec<f64>; 3] {
     let mut d_input = vec![0.0; input.len()];
     let [mut d_weight, mut d_bias] = [vec![0.0; weight.len()], vec![0.0; bias.len()]];
     for channel in 0..shape.channels {
-        let elements = shape.elements_of(channel);
+        let elements = elements_of(channel, shape);
         let values: Vec<f64> = elements.iter().map(|&i| input[i]).collect();
         let mut d_normal = Vec::new();
         for (&i, normal) in elements.iter().zip(standardized(&values).0) {

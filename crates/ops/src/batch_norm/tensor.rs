@@ -2,7 +2,7 @@
 
 use burn::tensor::Tensor;
 
-use super::{Affine, BatchNormGradients, BatchNormShape, Statistics};
+use super::{Affine, Statistics};
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Operation, array, outputs};
 
@@ -15,9 +15,10 @@ pub(super) struct BatchNorm {
     pub(super) relu: bool,
 }
 
-fn shape_of(input: &CpuTensor) -> BatchNormShape {
-    let [batch, channels, height, width] = input.dims();
-    BatchNormShape { batch, channels, pixels: height * width }
+impl BatchNorm {
+    fn affine<'a>(&self, weight: &'a CpuTensor, bias: &'a CpuTensor) -> Affine<'a> {
+        Affine { weight: weight.slice(), bias: bias.slice(), relu: self.relu }
+    }
 }
 
 impl Operation<3> for BatchNorm {
@@ -26,19 +27,18 @@ impl Operation<3> for BatchNorm {
     }
 
     fn cpu(&self, [input, weight, bias]: [CpuTensor; 3]) -> Vec<CpuTensor> {
-        let affine = Affine { weight: weight.slice(), bias: bias.slice(), relu: self.relu };
-        let (out, Statistics { mean, variance }) =
-            super::batch_norm(input.slice(), &affine, &shape_of(&input));
+        let (affine, shape) = (self.affine(&weight, &bias), input.map_shape());
+        let (out, Statistics { mean, variance }) = super::batch_norm(input.slice(), &affine, &shape);
         vec![input.like(out), weight.like(mean), weight.like(variance)]
     }
 
     fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 3] {
         let ([input, weight, bias, mean, variance], grad) = back.into_parts();
-        let affine = Affine { weight: weight.slice(), bias: bias.slice(), relu: self.relu };
+        let (affine, shape) = (self.affine(&weight, &bias), input.map_shape());
         let statistics = Statistics { mean: mean.slice().to_vec(), variance: variance.slice().to_vec() };
-        let BatchNormGradients { input: d_input, weight: d_weight, bias: d_bias } =
-            super::batch_norm_backward(input.slice(), grad.slice(), &affine, &statistics, &shape_of(&input));
-        [Some(input.like(d_input)), Some(weight.like(d_weight)), Some(bias.like(d_bias))]
+        let [d_input, d_weight, d_bias] =
+            super::batch_norm_backward(input.slice(), grad.slice(), &affine, &statistics, &shape);
+        [input.like(d_input), weight.like(d_weight), bias.like(d_bias)].map(Some)
     }
 }
 

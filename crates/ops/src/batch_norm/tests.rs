@@ -9,11 +9,11 @@ use crate::test_values::{assert_close, values, wide};
 
 pub(crate) fn cases() -> Vec<Case> {
     let case = |relu, offset: f32| {
-        let BatchNormShape { batch, channels, pixels } = SHAPE;
+        let (pixels, channels) = (SHAPE.pixels(), SHAPE.channels);
         Case::of(
             &format!("batch norm, relu {relu}"),
             BatchNorm { relu },
-            [&[batch, channels, 1, pixels], &[channels], &[channels]],
+            [&SHAPE.dims(), &[channels], &[channels]],
             move |x| reference::batch_norm([&x[0], &x[1], &x[2]], relu, &SHAPE),
             move |x, grad| reference::batch_norm_backward([&x[0], &x[1], &x[2]], grad, relu, &SHAPE).into(),
         )
@@ -28,7 +28,7 @@ fn the_statistics_of_other_devices_are_those_of_the_kernel() {
     let (input, affine) = (input(), affine(false));
     let (_, expected) = batch_norm(&input, &affine, &SHAPE);
     let [weight, bias] = [affine.weight, affine.bias].map(|x| CpuTensor::new(x.to_vec(), [SHAPE.channels]));
-    let input = CpuTensor::new(input, [SHAPE.batch, SHAPE.channels, 1, SHAPE.pixels]);
+    let input = CpuTensor::new(input, SHAPE.dims());
     let inputs = [input, weight, bias].map(CpuTensor::into);
     let outputs = BatchNorm { relu: false }.composed::<Flex>(inputs);
     let [_, mean, variance] = array(outputs.into_iter().map(CpuTensor::from).collect());
@@ -37,12 +37,12 @@ fn the_statistics_of_other_devices_are_those_of_the_kernel() {
     assert!(expected.mean.windows(2).all(|pair| (pair[1] - pair[0] - 20.0).abs() < 0.5));
 }
 
-const SHAPE: BatchNormShape = BatchNormShape { batch: 4, channels: 3, pixels: 37 };
+const SHAPE: MapShape = MapShape { batch: 4, channels: 3, height: 5, width: 7 };
 
 /// Channels whose mean is far larger than their spread.
 fn input() -> Vec<f32> {
-    let channel = |i: usize| i / SHAPE.pixels % SHAPE.channels;
-    let values = values(SHAPE.batch * SHAPE.channels * SHAPE.pixels, 1);
+    let channel = |i: usize| i / SHAPE.pixels() % SHAPE.channels;
+    let values = values(SHAPE.elements(), 1);
     values.iter().enumerate().map(|(i, x)| 20.0 * channel(i) as f32 + x * 0.5).collect()
 }
 
@@ -54,12 +54,12 @@ fn affine(relu: bool) -> Affine<'static> {
 fn a_channel_with_what_is_not_a_number_becomes_that() {
     for relu in [false, true] {
         let mut input = input();
-        input[SHAPE.pixels] = f32::NAN;
+        input[SHAPE.pixels()] = f32::NAN;
         let (found, _) = batch_norm(&input, &affine(relu), &SHAPE);
         let Affine { weight, bias, .. } = affine(relu);
         let expected = reference::batch_norm([&wide(&input), &wide(weight), &wide(bias)], relu, &SHAPE);
         for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {
-            let second_channel = i / SHAPE.pixels % SHAPE.channels == 1;
+            let second_channel = i / SHAPE.pixels() % SHAPE.channels == 1;
             assert_eq!([found.is_nan(), expected.is_nan()], [second_channel; 2], "element {i}, relu {relu}");
         }
     }

@@ -7,54 +7,42 @@
 
 use rayon::prelude::*;
 
+use crate::MapShape;
+
 mod composed;
 pub mod reference;
 pub mod tensor;
 
-/// Sizes of the hidden state, `[batch, channels, height, width]`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct GruSize {
-    /// Images.
-    pub batch: usize,
-    pub channels: usize,
-    /// Height times width.
-    pub pixels: usize,
+/// Panics when a slice does not fit the hidden state's shape.
+fn check(shape: &MapShape, gates: &[f32], of_hidden_shape: &[&[f32]]) {
+    assert_eq!(gates.len(), 2 * shape.elements(), "gates of {shape:?}");
+    for slice in of_hidden_shape {
+        assert_eq!(slice.len(), shape.elements(), "hidden state of {shape:?}");
+    }
 }
 
-impl GruSize {
-    /// Elements of the hidden state.
-    pub fn hidden_len(self) -> usize {
-        self.batch * self.channels * self.pixels
-    }
+/// Elements of an image's update gates, or its reset gates, or its hidden state; one where there are none, for slices are cut
+/// by it.
+fn image_of(shape: &MapShape) -> usize {
+    (shape.channels * shape.pixels()).max(1)
+}
 
-    /// Panics when a slice does not fit.
-    fn check(self, gates: &[f32], of_hidden_size: &[&[f32]]) {
-        assert_eq!(gates.len(), 2 * self.hidden_len(), "gates of {self:?}");
-        for slice in of_hidden_size {
-            assert_eq!(slice.len(), self.hidden_len(), "hidden state of {self:?}");
-        }
-    }
-
-    /// Elements of an image's update gates, or its reset gates, or its hidden state.
-    fn image(self) -> usize {
-        (self.channels * self.pixels).max(1)
-    }
-
-    /// Update gates and reset gates of each image.
-    fn halves(self, gates: &[f32]) -> impl Iterator<Item = (&[f32], &[f32])> {
-        gates.chunks_exact(2 * self.image()).map(move |both| both.split_at(self.image()))
-    }
+/// Update gates and reset gates of each image.
+fn halves<'a>(gates: &'a [f32], shape: &MapShape) -> impl Iterator<Item = (&'a [f32], &'a [f32])> + use<'a> {
+    let image = image_of(shape);
+    gates.chunks_exact(2 * image).map(move |both| both.split_at(image))
 }
 
 /// Elements of a piece of work.
 const PIECE: usize = 16 << 10;
 
-/// `reset * hidden`. Panics when a slice does not fit.
-pub fn reset(gates: &[f32], hidden: &[f32], size: GruSize) -> Vec<f32> {
-    size.check(gates, &[hidden]);
+/// `reset * hidden`. `shape` is the hidden state's. Panics when a slice
+/// does not fit.
+pub fn reset(gates: &[f32], hidden: &[f32], shape: &MapShape) -> Vec<f32> {
+    check(shape, gates, &[hidden]);
     let mut out = vec![0.0; hidden.len()];
-    let images = out.chunks_mut(size.image()).zip(hidden.chunks(size.image()));
-    for ((out, hidden), (_, reset)) in images.zip(size.halves(gates)) {
+    let images = out.chunks_mut(image_of(shape)).zip(hidden.chunks(image_of(shape)));
+    for ((out, hidden), (_, reset)) in images.zip(halves(gates, shape)) {
         let pieces = out.par_chunks_mut(PIECE).zip(hidden.par_chunks(PIECE)).zip(reset.par_chunks(PIECE));
         pieces.for_each(|((out, hidden), reset)| {
             for ((out, hidden), reset) in out.iter_mut().zip(hidden).zip(reset) {
@@ -65,13 +53,14 @@ pub fn reset(gates: &[f32], hidden: &[f32], size: GruSize) -> Vec<f32> {
     out
 }
 
-/// Gradients of gates and hidden state from that of [`reset`]'s output. Panics when a slice does not fit.
-pub fn reset_backward(gates: &[f32], hidden: &[f32], grad: &[f32], size: GruSize) -> [Vec<f32>; 2] {
-    size.check(gates, &[hidden, grad]);
+/// Gradients of gates and hidden state from that of [`reset`]'s output. `shape` is the hidden state's. Panics when a slice
+/// does not fit.
+pub fn reset_backward(gates: &[f32], hidden: &[f32], grad: &[f32], shape: &MapShape) -> [Vec<f32>; 2] {
+    check(shape, gates, &[hidden, grad]);
     let (mut d_gates, mut d_hidden) = (vec![0.0; gates.len()], vec![0.0; hidden.len()]);
-    let image = size.image();
+    let image = image_of(shape);
     let outs = d_gates.chunks_mut(2 * image).zip(d_hidden.chunks_mut(image));
-    let ins = hidden.chunks(image).zip(grad.chunks(image)).zip(size.halves(gates));
+    let ins = hidden.chunks(image).zip(grad.chunks(image)).zip(halves(gates, shape));
     for ((d_gates, d_hidden), ((hidden, grad), (_, reset))) in outs.zip(ins) {
         let outs = d_gates[image..].par_chunks_mut(PIECE).zip(d_hidden.par_chunks_mut(PIECE));
         let ins = hidden.par_chunks(PIECE).zip(grad.par_chunks(PIECE)).zip(reset.par_chunks(PIECE));
@@ -85,12 +74,13 @@ pub fn reset_backward(gates: &[f32], hidden: &[f32], grad: &[f32], size: GruSize
     [d_gates, d_hidden]
 }
 
-/// `hidden + update * (candidate - hidden)`. Panics when a slice does not fit.
-pub fn update(gates: &[f32], hidden: &[f32], candidate: &[f32], size: GruSize) -> Vec<f32> {
-    size.check(gates, &[hidden, candidate]);
+/// `hidden + update * (candidate - hidden)`. `shape` is the hidden state's. Panics when a slice
+/// does not fit.
+pub fn update(gates: &[f32], hidden: &[f32], candidate: &[f32], shape: &MapShape) -> Vec<f32> {
+    check(shape, gates, &[hidden, candidate]);
     let mut out = vec![0.0; hidden.len()];
-    let image = size.image();
-    let ins = hidden.chunks(image).zip(candidate.chunks(image)).zip(size.halves(gates));
+    let image = image_of(shape);
+    let ins = hidden.chunks(image).zip(candidate.chunks(image)).zip(halves(gates, shape));
     for (out, ((hidden, candidate), (update, _))) in out.chunks_mut(image).zip(ins) {
         let ins = hidden.par_chunks(PIECE).zip(candidate.par_chunks(PIECE)).zip(update.par_chunks(PIECE));
         out.par_chunks_mut(PIECE).zip(ins).for_each(|(out, ((hidden, candidate), update))| {
@@ -102,22 +92,23 @@ pub fn update(gates: &[f32], hidden: &[f32], candidate: &[f32], size: GruSize) -
     out
 }
 
-/// Gradients of gates, hidden state and candidate from that of [`update`]'s output. Panics when a slice does not fit.
+/// Gradients of gates, hidden state and candidate from that of [`update`]'s output. `shape` is the hidden state's. Panics when a slice
+/// does not fit.
 pub fn update_backward(
     gates: &[f32],
     hidden: &[f32],
     candidate: &[f32],
     grad: &[f32],
-    size: GruSize,
+    shape: &MapShape,
 ) -> [Vec<f32>; 3] {
-    size.check(gates, &[hidden, candidate, grad]);
+    check(shape, gates, &[hidden, candidate, grad]);
     let mut d_gates = vec![0.0; gates.len()];
     let (mut d_hidden, mut d_candidate) = (vec![0.0; hidden.len()], vec![0.0; hidden.len()]);
-    let image = size.image();
+    let image = image_of(shape);
     let outs =
         d_gates.chunks_mut(2 * image).zip(d_hidden.chunks_mut(image)).zip(d_candidate.chunks_mut(image));
     let ins =
-        hidden.chunks(image).zip(candidate.chunks(image)).zip(grad.chunks(image)).zip(size.halves(gates));
+        hidden.chunks(image).zip(candidate.chunks(image)).zip(grad.chunks(image)).zip(halves(gates, shape));
     for (((d_gates, d_hidden), d_candidate), (((hidden, candidate), grad), (update, _))) in outs.zip(ins) {
         let outs = d_gates[..image]
             .par_chunks_mut(PIECE)

@@ -2,7 +2,6 @@
 
 use burn::tensor::Tensor;
 
-use super::GruSize;
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Operation, apply};
 
@@ -14,36 +13,31 @@ pub(super) struct Reset;
 #[derive(Debug, Clone)]
 pub(super) struct Update;
 
-fn size_of(hidden: &CpuTensor) -> GruSize {
-    let [batch, channels, height, width] = hidden.dims();
-    GruSize { batch, channels, pixels: height * width }
-}
-
 impl Operation<2> for Reset {
     fn cpu(&self, [gates, hidden]: [CpuTensor; 2]) -> Vec<CpuTensor> {
-        vec![hidden.like(super::reset(gates.slice(), hidden.slice(), size_of(&hidden)))]
+        vec![hidden.like(super::reset(gates.slice(), hidden.slice(), &hidden.map_shape()))]
     }
 
     fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 2] {
         let ([gates, hidden], grad) = back.into_parts();
         let [d_gates, d_hidden] =
-            super::reset_backward(gates.slice(), hidden.slice(), grad.slice(), size_of(&hidden));
-        [Some(gates.like(d_gates)), Some(hidden.like(d_hidden))]
+            super::reset_backward(gates.slice(), hidden.slice(), grad.slice(), &hidden.map_shape());
+        [gates.like(d_gates), hidden.like(d_hidden)].map(Some)
     }
 }
 
 impl Operation<3> for Update {
     fn cpu(&self, [gates, hidden, candidate]: [CpuTensor; 3]) -> Vec<CpuTensor> {
-        let size = size_of(&hidden);
-        vec![hidden.like(super::update(gates.slice(), hidden.slice(), candidate.slice(), size))]
+        let shape = hidden.map_shape();
+        vec![hidden.like(super::update(gates.slice(), hidden.slice(), candidate.slice(), &shape))]
     }
 
     fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 3] {
         let ([gates, hidden, candidate], grad) = back.into_parts();
-        let size = size_of(&hidden);
+        let shape = hidden.map_shape();
         let [d_gates, d_hidden, d_candidate] =
-            super::update_backward(gates.slice(), hidden.slice(), candidate.slice(), grad.slice(), size);
-        [Some(gates.like(d_gates)), Some(hidden.like(d_hidden)), Some(candidate.like(d_candidate))]
+            super::update_backward(gates.slice(), hidden.slice(), candidate.slice(), grad.slice(), &shape);
+        [gates.like(d_gates), hidden.like(d_hidden), candidate.like(d_candidate)].map(Some)
     }
 }
 

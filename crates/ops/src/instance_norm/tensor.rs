@@ -9,23 +9,22 @@ use crate::operation::{Backprop, Operation, apply};
 #[derive(Debug, Clone)]
 pub(super) struct InstanceNorm(pub(super) Activation);
 
-fn pixels(input: &CpuTensor) -> usize {
-    let [_, _, height, width] = input.dims();
-    height * width
-}
-
 impl Operation<1> for InstanceNorm {
     fn activation(&mut self) -> Option<&mut Activation> {
         Some(&mut self.0)
     }
 
     fn cpu(&self, [input]: [CpuTensor; 1]) -> Vec<CpuTensor> {
-        vec![input.like(super::instance_norm(input.slice(), pixels(&input), self.0))]
+        vec![input.like(super::instance_norm(input.slice(), input.map_shape().pixels(), self.0))]
     }
 
     fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 1] {
         let ([input], grad) = back.into_parts();
-        [Some(input.like(super::instance_norm_backward(input.slice(), grad.slice(), pixels(&input))))]
+        [Some(input.like(super::instance_norm_backward(
+            input.slice(),
+            grad.slice(),
+            input.map_shape().pixels(),
+        )))]
     }
 }
 

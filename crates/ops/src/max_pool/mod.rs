@@ -3,40 +3,26 @@
 
 use rayon::prelude::*;
 
+use crate::MapShape;
+
 mod composed;
 pub mod reference;
 pub mod tensor;
 
-/// Sizes of `[planes, height, width]`; planes are images times channels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct MapSize {
-    /// Maps.
-    pub planes: usize,
-    /// Rows of each; a last odd one is not seen.
-    pub height: usize,
-    /// Columns of each; a last odd one is not seen.
-    pub width: usize,
+/// The output's size.
+fn pooled(size: MapShape) -> MapShape {
+    MapShape { height: size.height / 2, width: size.width / 2, ..size }
 }
 
-impl MapSize {
-    fn pixels(self) -> usize {
-        self.height * self.width
-    }
-
-    fn pooled_pixels(self) -> usize {
-        (self.height / 2) * (self.width / 2)
-    }
-}
-
-/// The largest of each 2x2 pixels, `[planes, height / 2, width / 2]`; NaN where one is NaN. Panics when the slice does not
-/// fit the size.
-pub fn max_pool(input: &[f32], size: MapSize) -> Vec<f32> {
-    assert_eq!(input.len(), size.planes * size.pixels(), "input of {size:?}");
-    let mut out = vec![0.0; size.planes * size.pooled_pixels()];
+/// The largest of each 2x2 pixels, `[batch, channels, height / 2, width / 2]`; NaN where one is NaN. `size` is the input's; a
+/// last odd row or column is left out. Panics when the slice does not fit the size.
+pub fn max_pool(input: &[f32], size: MapShape) -> Vec<f32> {
+    assert_eq!(input.len(), size.elements(), "input of {size:?}");
+    let mut out = vec![0.0; pooled(size).elements()];
     if out.is_empty() {
         return out;
     }
-    let planes = out.par_chunks_mut(size.pooled_pixels()).zip(input.par_chunks(size.pixels()));
+    let planes = out.par_chunks_mut(pooled(size).pixels()).zip(input.par_chunks(size.pixels()));
     planes.for_each(|(out, plane)| {
         let rows = out.chunks_exact_mut(size.width / 2).zip(plane.chunks_exact(2 * size.width));
         for (out, rows) in rows {
@@ -52,14 +38,14 @@ pub fn max_pool(input: &[f32], size: MapSize) -> Vec<f32> {
 
 /// Gradient of the input from `grad`, that of the output: each goes to the first of the largest pixels. Panics when the
 /// slices do not fit the size.
-pub fn max_pool_backward(input: &[f32], grad: &[f32], size: MapSize) -> Vec<f32> {
-    assert_eq!(input.len(), size.planes * size.pixels(), "input of {size:?}");
-    assert_eq!(grad.len(), size.planes * size.pooled_pixels(), "gradient of {size:?}");
+pub fn max_pool_backward(input: &[f32], grad: &[f32], size: MapShape) -> Vec<f32> {
+    assert_eq!(input.len(), size.elements(), "input of {size:?}");
+    assert_eq!(grad.len(), pooled(size).elements(), "gradient of {size:?}");
     let mut out = vec![0.0; input.len()];
     if grad.is_empty() {
         return out;
     }
-    let planes = input.par_chunks(size.pixels()).zip(grad.par_chunks(size.pooled_pixels()));
+    let planes = input.par_chunks(size.pixels()).zip(grad.par_chunks(pooled(size).pixels()));
     out.par_chunks_mut(size.pixels()).zip(planes).for_each(|(out, (plane, grad))| {
         let rows = out.chunks_exact_mut(2 * size.width).zip(plane.chunks_exact(2 * size.width));
         for ((out, rows), grad) in rows.zip(grad.chunks_exact(size.width / 2)) {

@@ -11,7 +11,7 @@ pub fn convex_upsample_backward(
     scale: f32,
     grad: &[f32],
     shape: &UpsampleShape,
-) -> (Vec<f32>, Vec<f32>) {
+) -> [Vec<f32>; 2] {
     assert_eq!(flow.len(), shape.flow_len(), "flow of {shape:?}");
     assert_eq!(mask.len(), shape.mask_len(), "mask of {shape:?}");
     assert_eq!(grad.len(), shape.output_len(), "gradient of {shape:?}");
@@ -59,5 +59,5 @@ pub fn convex_upsample_backward(
             }
         }
     }
-    (d_flow, d_mask)
+    [d_flow, d_mask]
 }

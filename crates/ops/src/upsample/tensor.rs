@@ -31,9 +31,9 @@ impl Operation<2> for ConvexUpsample {
     fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 2] {
         let ([flow, mask], grad) = back.into_parts();
         let shape = self.shape(flow.shape());
-        let (d_flow, d_mask) =
+        let [d_flow, d_mask] =
             super::convex_upsample_backward(flow.slice(), mask.slice(), self.scale, grad.slice(), &shape);
-        [Some(flow.like(d_flow)), Some(mask.like(d_mask))]
+        [flow.like(d_flow), mask.like(d_mask)].map(Some)
     }
 }
 

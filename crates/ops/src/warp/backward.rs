@@ -1,14 +1,15 @@
 use rayon::prelude::*;
 
-use super::{Corners, WarpShape};
+use super::Corners;
+use crate::MapShape;
 
 /// Gradients of the image and of the flow from `grad`, that of the output. Each channel is summed in the order of the
 /// pixels, so the result does not depend on the number of threads. Panics when a slice does not fit `shape`.
-pub fn warp_backward(image: &[f32], flow: &[f32], grad: &[f32], shape: &WarpShape) -> (Vec<f32>, Vec<f32>) {
-    assert_eq!(image.len(), shape.image_len(), "image of {shape:?}");
-    assert_eq!(flow.len(), shape.flow_len(), "flow of {shape:?}");
-    assert_eq!(grad.len(), shape.image_len(), "gradient of {shape:?}");
-    let WarpShape { channels, size: [height, width], .. } = *shape;
+pub fn warp_backward(image: &[f32], flow: &[f32], grad: &[f32], shape: &MapShape) -> [Vec<f32>; 2] {
+    assert_eq!(image.len(), shape.elements(), "image of {shape:?}");
+    assert_eq!(flow.len(), shape.with_channels(2).elements(), "flow of {shape:?}");
+    assert_eq!(grad.len(), shape.elements(), "gradient of {shape:?}");
+    let MapShape { channels, height, width, .. } = *shape;
     let pixels = shape.pixels();
     let corners = |n: usize, at: usize| {
         let uv = [flow[n * 2 * pixels + at], flow[(n * 2 + 1) * pixels + at]];
@@ -40,5 +41,5 @@ pub fn warp_backward(image: &[f32], flow: &[f32], grad: &[f32], shape: &WarpShap
             }
         });
     }
-    (d_image, d_flow)
+    [d_image, d_flow]
 }

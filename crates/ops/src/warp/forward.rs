@@ -1,13 +1,14 @@
 use rayon::prelude::*;
 use srflow_simd::SharedMut;
 
-use super::{Corners, WarpShape};
+use super::Corners;
+use crate::MapShape;
 
-/// `image` sampled at each pixel displaced by `flow`. Panics when a slice does not fit `shape`.
-pub fn warp(image: &[f32], flow: &[f32], shape: &WarpShape) -> Vec<f32> {
-    assert_eq!(image.len(), shape.image_len(), "image of {shape:?}");
-    assert_eq!(flow.len(), shape.flow_len(), "flow of {shape:?}");
-    let WarpShape { batch, channels, size: [height, width] } = *shape;
+/// `image`, of `shape`, sampled at each pixel displaced by `flow` (`[batch, 2, height, width]`, in pixels, u then v). Panics when a slice does not fit `shape`.
+pub fn warp(image: &[f32], flow: &[f32], shape: &MapShape) -> Vec<f32> {
+    assert_eq!(image.len(), shape.elements(), "image of {shape:?}");
+    assert_eq!(flow.len(), shape.with_channels(2).elements(), "flow of {shape:?}");
+    let MapShape { batch, channels, height, width } = *shape;
     let pixels = shape.pixels();
     let mut out = vec![0.0; image.len()];
     let target = SharedMut::new(&mut out);

@@ -11,34 +11,6 @@ pub mod tensor;
 pub use backward::warp_backward;
 pub use forward::warp;
 
-/// Sizes of a warp. Layouts: image and output `[batch, channels, height, width]`, flow `[batch, 2, height, width]` in
-/// pixels, u then v.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct WarpShape {
-    /// Images.
-    pub batch: usize,
-    /// Channels of the image.
-    pub channels: usize,
-    /// Height and width.
-    pub size: [usize; 2],
-}
-
-impl WarpShape {
-    /// Elements of the image.
-    pub fn image_len(&self) -> usize {
-        self.batch * self.channels * self.pixels()
-    }
-
-    /// Elements of the flow.
-    pub fn flow_len(&self) -> usize {
-        self.batch * 2 * self.pixels()
-    }
-
-    fn pixels(&self) -> usize {
-        self.size[0] * self.size[1]
-    }
-}
-
 /// Where one pixel is sampled: the four pixels around, those outside left out.
 struct Corners {
     /// Pixel number of each corner (top left, top right, bottom left, bottom right) that is inside.

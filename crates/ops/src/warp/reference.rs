@@ -1,6 +1,6 @@
 //! The definition, in f64: a sample is a sum over all pixels of the image, each with the weight that its distance gives it.
 
-use super::WarpShape;
+use crate::MapShape;
 
 /// The weight of a pixel for a sample that lies `distance` pixels beyond it, along one axis.
 pub(crate) fn tent(distance: f64) -> f64 {
@@ -18,8 +18,8 @@ fn tent_slope(distance: f64) -> f64 {
 
 /// Calls `visit(sample, pixel, [n, p], [dx, dy])` for each sample and each pixel of the same plane: their places in output
 /// and image, the image and the pixel that the flow displaces, and how far the sample lies beyond the pixel.
-fn each_pair(flow: &[f64], shape: &WarpShape, mut visit: impl FnMut(usize, usize, [usize; 2], [f64; 2])) {
-    let WarpShape { batch, channels, size: [height, width] } = *shape;
+fn each_pair(flow: &[f64], shape: &MapShape, mut visit: impl FnMut(usize, usize, [usize; 2], [f64; 2])) {
+    let MapShape { batch, channels, height, width } = *shape;
     let pixels = height * width;
     for plane in 0..batch * channels {
         let n = plane / channels;
@@ -35,14 +35,14 @@ fn each_pair(flow: &[f64], shape: &WarpShape, mut visit: impl FnMut(usize, usize
 }
 
 /// See [`super::warp`].
-pub fn warp(image: &[f64], flow: &[f64], shape: &WarpShape) -> Vec<f64> {
+pub fn warp(image: &[f64], flow: &[f64], shape: &MapShape) -> Vec<f64> {
     let mut out = vec![0.0; image.len()];
     each_pair(flow, shape, |sample, pixel, _, [dx, dy]| out[sample] += tent(dx) * tent(dy) * image[pixel]);
     out
 }
 
 /// See [`super::warp_backward`].
-pub fn warp_backward(image: &[f64], flow: &[f64], grad: &[f64], shape: &WarpShape) -> [Vec<f64>; 2] {
+pub fn warp_backward(image: &[f64], flow: &[f64], grad: &[f64], shape: &MapShape) -> [Vec<f64>; 2] {
     let [mut d_image, mut d_flow] = [vec![0.0; image.len()], vec![0.0; flow.len()]];
     let pixels = shape.pixels();
     each_pair(flow, shape, |sample, pixel, [n, p], [dx, dy]| {

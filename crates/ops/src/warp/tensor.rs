@@ -4,7 +4,6 @@ use burn::tensor::Tensor;
 #[cfg(feature = "cube")]
 use burn_cubecl::tensor::CubeTensor;
 
-use super::WarpShape;
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Composition, Operation, apply};
 
@@ -12,23 +11,18 @@ use crate::operation::{Backprop, Composition, Operation, apply};
 #[derive(Debug, Clone)]
 pub(super) struct Warp;
 
-fn shape_of(image: &CpuTensor) -> WarpShape {
-    let [batch, channels, height, width] = image.dims();
-    WarpShape { batch, channels, size: [height, width] }
-}
-
 impl Composition<2> for Warp {}
 
 impl Operation<2> for Warp {
     fn cpu(&self, [image, flow]: [CpuTensor; 2]) -> Vec<CpuTensor> {
-        vec![image.like(super::warp(image.slice(), flow.slice(), &shape_of(&image)))]
+        vec![image.like(super::warp(image.slice(), flow.slice(), &image.map_shape()))]
     }
 
     fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 2] {
         let ([image, flow], grad) = back.into_parts();
-        let (d_image, d_flow) =
-            super::warp_backward(image.slice(), flow.slice(), grad.slice(), &shape_of(&image));
-        [Some(image.like(d_image)), Some(flow.like(d_flow))]
+        let [d_image, d_flow] =
+            super::warp_backward(image.slice(), flow.slice(), grad.slice(), &image.map_shape());
+        [image.like(d_image), flow.like(d_flow)].map(Some)
     }
 
     #[cfg(feature = "cube")]

@@ -29,7 +29,7 @@ fn first(_: Avx2, count: usize) -> __m256i {
 }
 
 // SAFETY of every block below: `self` exists only if `detect` found the instructions; memory is the caller's promise.
-#[allow(clippy::undocumented_unsafe_blocks)] // said once, above
+#[expect(clippy::undocumented_unsafe_blocks, reason = "said once, above")]
 impl Simd for Avx2 {
     type Vector = __m256;
     type Mask = __m256;

@@ -19,7 +19,7 @@ impl Avx512 {
 }
 
 // SAFETY of every block below: `self` exists only if `detect` found the instructions; memory is the caller's promise.
-#[allow(clippy::undocumented_unsafe_blocks)] // said once, above
+#[expect(clippy::undocumented_unsafe_blocks, reason = "said once, above")]
 impl Simd for Avx512 {
     type Vector = __m512;
     type Mask = __mmask16;

@@ -58,8 +58,8 @@ fn odd_rational<S: Simd>(s: S, x: S::Vector, limit: f32, p: &[f32], q: &[f32]) -
 
 // Coefficients: least squares of the relative error on Chebyshev nodes, weights adapted toward the smallest maximum.
 
-// As fitted: the first coefficient happens to be near a constant, and shorter decimals are the same f32.
-#[allow(clippy::approx_constant, clippy::excessive_precision)]
+#[expect(clippy::approx_constant, reason = "the first coefficient happens to be near one")]
+#[expect(clippy::excessive_precision, reason = "as fitted")]
 #[inline(always)]
 pub(crate) fn erf<S: Simd>(s: S, x: S::Vector) -> S::Vector {
     const P: [f32; 7] = [
@@ -75,7 +75,7 @@ pub(crate) fn erf<S: Simd>(s: S, x: S::Vector) -> S::Vector {
     odd_rational(s, x, 3.95, &P, &Q)
 }
 
-#[allow(clippy::excessive_precision)] // as fitted
+#[expect(clippy::excessive_precision, reason = "as fitted")]
 #[inline(always)]
 pub(crate) fn tanh<S: Simd>(s: S, x: S::Vector) -> S::Vector {
     const P: [f32; 7] = [

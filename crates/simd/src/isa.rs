@@ -139,19 +139,18 @@ macro_rules! dispatch {
         $kernel:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)?
     ) => {
         $(#[$doc])*
-        // Here and below: one argument more than the kernel has.
-        #[allow(clippy::too_many_arguments)]
+        #[allow(clippy::too_many_arguments, reason = "those of the kernel and one more")]
         #[inline]
         $vis fn $name $(<const $n: usize>)? (isa: $crate::Isa, $($arg: $ty),*) $(-> $ret)? {
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,popcnt")]
-            #[allow(clippy::too_many_arguments)]
+            #[allow(clippy::too_many_arguments, reason = "those of the kernel and one more")]
             fn avx512 $(<const $n: usize>)? (s: $crate::Avx512, $($arg: $ty),*) $(-> $ret)? {
                 $kernel $(::<$n>)? (s, $($arg),*)
             }
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt")]
-            #[allow(clippy::too_many_arguments)]
+            #[allow(clippy::too_many_arguments, reason = "those of the kernel and one more")]
             fn avx2 $(<const $n: usize>)? (s: $crate::Avx2, $($arg: $ty),*) $(-> $ret)? {
                 $kernel $(::<$n>)? (s, $($arg),*)
             }
@@ -189,7 +188,7 @@ macro_rules! multiversioned {
     ($(#[$attribute:meta])* $vis:vis fn $name:ident($($argument:ident: $type:ty),* $(,)?) $body:block) => {
         $(#[$attribute])*
         $vis fn $name($($argument: $type),*) {
-            #[allow(clippy::too_many_arguments)]
+            #[allow(clippy::too_many_arguments, reason = "those of the kernel and one more")]
             #[inline(always)]
             fn body<S: $crate::Simd>(_: S, $($argument: $type),*) $body
             $crate::dispatch! { fn run = body($($argument: $type),*) }

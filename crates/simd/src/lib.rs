@@ -8,8 +8,10 @@
 //! element of a result depends on the order of its own operations, never on the width of the vectors. Only
 //! [`Simd::sum`], which adds lanes, does.
 
-// Kernels walk several arrays in step by one index, as their equations do.
-#![allow(clippy::needless_range_loop)]
+#![expect(
+    clippy::needless_range_loop,
+    reason = "kernels walk several arrays in step by one index, as their equations do"
+)]
 
 mod activation;
 #[cfg(target_arch = "x86_64")]

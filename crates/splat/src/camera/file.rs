@@ -1,8 +1,8 @@
 //! Camera files, recognised by their content. Each format is one file beside this one and one line of a table.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use serde::Deserialize;
 use serde::de::{DeserializeOwned, IgnoredAny};
 use srflow_field::{FileError, FileKind, FileProblem, read_file};
 
@@ -69,63 +69,48 @@ impl Source<'_> {
 struct Format {
     /// For people, with what tells it from the others.
     name: &'static str,
-    is: fn(&Keys) -> bool,
+    /// The key at the root of the file that no other format has; none where the root is a list.
+    key: Option<&'static str>,
     read: fn(&Source) -> Result<Vec<NamedCamera>, FileProblem>,
 }
 
 const FORMATS: [Format; 4] = [
     Format {
         name: "a camera with width, height, fx, fy, cx, cy and w2c",
-        is: |keys| keys.w2c,
+        key: Some("w2c"),
         read: own::cameras,
     },
     Format {
         name: "cameras.json of 3D Gaussian Splatting (a list)",
-        is: |keys| keys.list,
+        key: None,
         read: gaussian_splatting::cameras,
     },
     Format {
         name: "transforms.json of NeRF or nerfstudio (with frames)",
-        is: |keys| keys.frames,
+        key: Some("frames"),
         read: transforms::cameras,
     },
     Format {
         name: "a camera path of nerfstudio (with camera_path)",
-        is: |keys| keys.camera_path,
+        key: Some("camera_path"),
         read: camera_path::cameras,
     },
 ];
 
-/// What stands at the root of a JSON file.
-#[derive(Default)]
-struct Keys {
-    list: bool,
-    w2c: bool,
-    frames: bool,
-    camera_path: bool,
-}
-
 fn format_of(bytes: &[u8]) -> Result<&'static Format, FileProblem> {
-    #[derive(Deserialize)]
-    struct Object {
-        w2c: Option<IgnoredAny>,
-        frames: Option<IgnoredAny>,
-        camera_path: Option<IgnoredAny>,
-    }
     let unknown = |found: String| {
         let names = FORMATS.each_ref().map(|format| format.name).join(", ");
         problem("format", format!("{names}, or a folder with a model of COLMAP"), found)
     };
-    let keys = if bytes.trim_ascii_start().starts_with(b"[") {
-        Keys { list: true, ..Keys::default() }
+    let is_list = bytes.trim_ascii_start().starts_with(b"[");
+    let root: BTreeMap<String, IgnoredAny> = if is_list {
+        BTreeMap::new()
     } else {
-        let Object { w2c, frames, camera_path } =
-            serde_json::from_slice(bytes).map_err(|error| unknown(format!("no JSON object: {error}")))?;
-        Keys { list: false, w2c: w2c.is_some(), frames: frames.is_some(), camera_path: camera_path.is_some() }
+        serde_json::from_slice(bytes).map_err(|error| unknown(format!("no JSON object: {error}")))?
     };
     FORMATS
         .iter()
-        .find(|format| (format.is)(&keys))
+        .find(|format| format.key.map_or(is_list, |key| root.contains_key(key)))
         .ok_or_else(|| unknown("a JSON object without any of these keys".to_owned()))
 }
 

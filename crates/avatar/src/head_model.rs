@@ -160,7 +160,7 @@ pub struct ShapedHead {
 }
 
 /// One moment of a head: what [`HeadModel::vertices`] needs beside the identity.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct HeadPose {
     /// Weight of each expression of the model; shorter than the basis means zero for the rest.
     pub expressions: Vec<f32>,
@@ -168,12 +168,6 @@ pub struct HeadPose {
     pub joints: [Quat; 5],
     /// Translation of the whole head, metres, after the rotations.
     pub translation: Vec3,
-}
-
-impl Default for HeadPose {
-    fn default() -> Self {
-        Self { expressions: Vec::new(), joints: [Quat::IDENTITY; 5], translation: Vec3::ZERO }
-    }
 }
 
 impl HeadModel {
@@ -218,6 +212,14 @@ impl HeadModel {
         }
     }
 
+    /// Where the landmarks lie on these vertices, which are those of the model in some shape and pose.
+    pub fn landmarks_on(&self, vertices: &[Vec3]) -> impl Iterator<Item = Vec3> {
+        self.landmarks.iter().map(|&(triangle, weights)| {
+            let [a, b, c] = self.triangles[triangle as usize].map(|vertex| vertices[vertex as usize]);
+            a * weights.x + b * weights.y + c * weights.z
+        })
+    }
+
     /// The pose in which each of the given action units, (number, side, intensity 0 to 1), is shown.
     ///
     /// Units add up, but no expression is driven past its full weight: an eye closed by two units is closed. An
@@ -232,7 +234,7 @@ impl HeadModel {
         let mut turns = [Vec3::ZERO; 5];
         for &(number, side, intensity) in units {
             // max before min: a NaN intensity is taken as 0.
-            #[allow(clippy::manual_clamp)]
+            #[expect(clippy::manual_clamp, reason = "clamp keeps NaN")]
             let intensity = intensity.max(0.0).min(1.0);
             for unit in self.halves(number, side)? {
                 for &(expression, weight) in &unit.expressions {
@@ -250,25 +252,6 @@ impl HeadModel {
             *weight = weight.clamp(full.min(0.0), full.max(0.0));
         }
         Ok(HeadPose { expressions, joints: turns.map(Quat::from_scaled_axis), translation: Vec3::ZERO })
-    }
-
-    /// Number and side of an action unit written as `AU12`, `au12_L`, `12` or `12R`.
-    ///
-    /// # Errors
-    /// [`HeadModelError::UnreadableActionUnit`] for another form, [`HeadModelError::NoActionUnit`] for a unit that
-    /// this model does not have.
-    pub fn action_unit_named(&self, name: &str) -> Result<(u8, Side), HeadModelError> {
-        let unreadable = || HeadModelError::UnreadableActionUnit { name: name.to_owned() };
-        let rest = name.trim().to_ascii_uppercase();
-        let rest = rest.strip_prefix("AU").unwrap_or(&rest);
-        let (digits, side) = match rest.strip_suffix('L') {
-            Some(digits) => (digits, Side::Left),
-            None => rest.strip_suffix('R').map_or((rest, Side::Both), |digits| (digits, Side::Right)),
-        };
-        let digits = digits.strip_suffix('_').unwrap_or(digits);
-        let number = digits.parse::<u8>().map_err(|_| unreadable())?;
-        self.halves(number, side)?;
-        Ok((number, side))
     }
 
     /// The listed units that make up one side, or both, of unit `number`.

@@ -7,29 +7,9 @@ use crate::{HeadPose, Region};
 
 const MM: f32 = 1e-3;
 
-/// Every unit that the head must show, and whether the face has it on each side.
-const UNITS: [(u8, bool); 20] = [
-    (1, true),
-    (2, true),
-    (4, true),
-    (5, true),
-    (6, true),
-    (7, true),
-    (9, true),
-    (10, true),
-    (12, true),
-    (14, true),
-    (15, true),
-    (16, false),
-    (17, false),
-    (20, true),
-    (23, false),
-    (24, false),
-    (25, false),
-    (26, false),
-    (43, true),
-    (45, true),
-];
+/// Units that the head must show on each side of the face, and those that it shows as a whole.
+const HALVED: [u8; 14] = [1, 2, 4, 5, 6, 7, 9, 10, 12, 14, 15, 20, 43, 45];
+const WHOLE: [u8; 6] = [16, 17, 23, 24, 25, 26];
 
 /// Combinations that faces show: surprise, fear, anger, disgust, sadness, joy, and eyes closed with others.
 const COMBINATIONS: [&[u8]; 9] = [
@@ -56,10 +36,16 @@ fn shown() -> Vec<Vec<(u8, Side, f32)>> {
     let mut all = Vec::new();
     for intensity in [0.35, 0.7, 1.0] {
         let both = |units: &[u8]| units.iter().map(|&unit| (unit, Side::Both, intensity)).collect();
-        all.extend(UNITS.iter().map(|&(unit, _)| both(&[unit])));
+        all.extend(HALVED.into_iter().chain(WHOLE).map(|unit| both(&[unit])));
         all.extend(COMBINATIONS.iter().map(|units| both(units)));
     }
     all
+}
+
+/// The triangles of the template that `wanted` takes by their region and corners.
+fn triangles_of(head: &HeadModel, wanted: impl Fn(Region, [Vec3; 3]) -> bool) -> Vec<[u32; 3]> {
+    let all = head.triangles.iter().zip(&head.regions);
+    all.filter(|(t, r)| wanted(**r, t.map(|v| head.template[v as usize]))).map(|(t, _)| *t).collect()
 }
 
 fn vertices_of(head: &HeadModel, wanted: impl Fn(Region) -> bool) -> Vec<usize> {
@@ -129,11 +115,8 @@ fn a_seed_always_gives_the_same_head_and_another_seed_another() {
 fn heads_have_human_measures() {
     for seed in 0..12 {
         let head = HeadModel::builtin(seed);
-        let landmark = |number: usize| {
-            let (triangle, barycentric) = head.landmarks[number];
-            let corners = head.triangles[triangle as usize].map(|v| head.template[v as usize]);
-            (0..3).fold(Vec3::ZERO, |sum, i| sum + corners[i] * barycentric[i]) / MM
-        };
+        let landmarks: Vec<Vec3> = head.landmarks_on(&head.template).collect();
+        let landmark = |number: usize| landmarks[number] / MM;
         let skin = vertices_of(&head, |region| matches!(region, Region::Skin | Region::Scalp | Region::Brow));
         let crown = skin.iter().map(|&v| head.template[v].y / MM).fold(f32::MIN, f32::max);
         let within = |name: &str, value: f32, low: f32, high: f32| {
@@ -153,14 +136,7 @@ fn heads_have_human_measures() {
 #[test]
 fn landmarks_run_from_the_subjects_right_to_the_left() {
     let head = HeadModel::builtin(3);
-    let at: Vec<Vec3> = head
-        .landmarks
-        .iter()
-        .map(|&(triangle, barycentric)| {
-            let corners = head.triangles[triangle as usize].map(|v| head.template[v as usize]);
-            (0..3).fold(Vec3::ZERO, |sum, i| sum + corners[i] * barycentric[i])
-        })
-        .collect();
+    let at: Vec<Vec3> = head.landmarks_on(&head.template).collect();
     for run in [0..17, 17..27, 31..36, 48..55, 60..65] {
         let run = &at[run];
         assert!(run.windows(2).all(|pair| pair[0].x < pair[1].x), "{run:?}");
@@ -220,8 +196,9 @@ fn the_surface_is_whole_and_faces_outward() {
 #[test]
 fn every_action_unit_moves_its_part_of_the_face_and_no_more() {
     let head = HeadModel::builtin(1);
-    for (number, halves) in UNITS {
-        let sides: &[Side] = if halves { &[Side::Left, Side::Right, Side::Both] } else { &[Side::Both] };
+    for number in HALVED.into_iter().chain(WHOLE) {
+        let sides: &[Side] =
+            if HALVED.contains(&number) { &[Side::Left, Side::Right, Side::Both] } else { &[Side::Both] };
         for &side in sides {
             let moved = posed(&head, &[(number, side, 1.0)]);
             let by: Vec<f32> = moved.iter().zip(&head.template).map(|(a, b)| a.distance(*b) / MM).collect();
@@ -257,10 +234,7 @@ fn every_action_unit_moves_its_part_of_the_face_and_no_more() {
 fn both_sides_of_an_action_unit_mirror_each_other() {
     let head = HeadModel::builtin(5);
     let key = |p: Vec3| (p / MM * 256.0).round().to_array().map(|c| c as i32);
-    for (number, halves) in UNITS {
-        if !halves {
-            continue;
-        }
+    for number in HALVED {
         let of = |side| -> HashMap<[i32; 3], Vec<Vec3>> {
             let moved = posed(&head, &[(number, side, 1.0)]);
             let mut by_place: HashMap<[i32; 3], Vec<Vec3>> = HashMap::new();
@@ -284,7 +258,7 @@ fn both_sides_of_an_action_unit_mirror_each_other() {
 fn action_units_stretch_the_skin_smoothly() {
     let head = HeadModel::builtin(1);
     let skin = |region: Region| matches!(region, Region::Skin | Region::Brow | Region::Lips | Region::Neck);
-    for (number, _) in UNITS {
+    for number in HALVED.into_iter().chain(WHOLE) {
         let moved = posed(&head, &[(number, Side::Both, 1.0)]);
         for (triangle, &region) in head.triangles.iter().zip(&head.regions) {
             if !skin(region) {
@@ -368,13 +342,9 @@ fn lids_never_cut_into_the_eyeballs() {
     for seed in 0..4 {
         let head = HeadModel::builtin(seed);
         let eye = head.joints[3];
-        let skin: Vec<[u32; 3]> = head
-            .triangles
-            .iter()
-            .zip(&head.regions)
-            .filter(|(t, r)| **r != Region::Eyeball && head.template[t[0] as usize].distance(eye) < 0.03)
-            .map(|(t, _)| *t)
-            .collect();
+        let skin = triangles_of(&head, |region, [corner, ..]| {
+            region != Region::Eyeball && corner.distance(eye) < 0.03
+        });
         for units in shown() {
             let moved = posed(&head, &units);
             for triangle in &skin {
@@ -392,15 +362,9 @@ fn lids_never_cut_into_the_eyeballs() {
 fn lips_never_cut_into_the_teeth() {
     for seed in 0..4 {
         let head = HeadModel::builtin(seed);
-        let teeth: Vec<[u32; 3]> = head
-            .triangles
-            .iter()
-            .zip(&head.regions)
-            .filter(|(t, r)| {
-                **r == Region::Teeth && t.iter().all(|&v| head.template[v as usize].x.abs() < 0.022)
-            })
-            .map(|(t, _)| *t)
-            .collect();
+        let teeth = triangles_of(&head, |region, corners| {
+            region == Region::Teeth && corners.iter().all(|corner| corner.x.abs() < 0.022)
+        });
         let lips = vertices_of(&head, |region| region == Region::Lips);
         for units in shown() {
             let moved = posed(&head, &units);
@@ -423,13 +387,8 @@ fn lips_part() {
     for seed in 0..6 {
         let head = HeadModel::builtin(seed);
         let gap = |units: &[(u8, Side, f32)]| {
-            let moved = posed(&head, units);
-            let landmark = |number: usize| {
-                let (triangle, barycentric) = head.landmarks[number];
-                let corners = head.triangles[triangle as usize].map(|v| moved[v as usize]);
-                (0..3).fold(Vec3::ZERO, |sum, i| sum + corners[i] * barycentric[i])
-            };
-            (landmark(62).y - landmark(66).y) / MM
+            let landmarks: Vec<Vec3> = head.landmarks_on(&posed(&head, units)).collect();
+            (landmarks[62].y - landmarks[66].y) / MM
         };
         assert!(gap(&[]).abs() < 0.3, "seed {seed}: closed lips stand {} mm apart", gap(&[]));
         assert!((4.0..8.0).contains(&gap(&[(25, Side::Both, 1.0)])));
@@ -443,9 +402,10 @@ fn any_combination_of_action_units_is_finite() {
     let head = HeadModel::builtin(0);
     let stream = &mut srflow_field::random::Key::new(1).stream("test");
     for _ in 0..40 {
-        let units: Vec<(u8, Side, f32)> = UNITS
-            .iter()
-            .flat_map(|&(unit, _)| [(unit, Side::Left), (unit, Side::Right)])
+        let units: Vec<(u8, Side, f32)> = HALVED
+            .into_iter()
+            .chain(WHOLE)
+            .flat_map(|unit| [(unit, Side::Left), (unit, Side::Right)])
             .map(|(unit, side)| (unit, side, stream.unit().round() * stream.uniform(0.5, 1.0)))
             .collect();
         let moved = posed(&head, &units);

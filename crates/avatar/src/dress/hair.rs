@@ -14,6 +14,7 @@ use crate::{Joint, Region};
 const MM: f32 = 1e-3;
 
 /// How a style is grown.
+#[derive(Default)]
 struct Cut {
     /// Millimetres between roots.
     spacing: f32,
@@ -38,79 +39,69 @@ struct Cut {
     parted: f32,
 }
 
-const BUZZED: Cut = Cut {
-    spacing: 1.25,
-    length: [5.0, 3.5],
-    segments: 1,
-    width: 0.10,
-    lift: 0.55,
-    volume: 0.0,
-    obedience: 0.5,
-    gravity: 0.0,
-    wave: 0.1,
-    curl: 0.0,
-    parted: 0.0,
-};
-const SHORT: Cut = Cut {
-    spacing: 2.25,
-    length: [44.0, 17.0],
-    segments: 6,
-    width: 0.25,
-    lift: 0.55,
-    volume: 13.0,
-    obedience: 0.42,
-    gravity: 0.5,
-    wave: 0.3,
-    curl: 0.0,
-    parted: 0.5,
-};
-const MEDIUM: Cut = Cut {
-    spacing: 2.9,
-    length: [125.0, 85.0],
-    segments: 9,
-    width: 0.34,
-    lift: 0.5,
-    volume: 16.0,
-    obedience: 0.45,
-    gravity: 1.0,
-    wave: 0.35,
-    curl: 0.0,
-    parted: 1.0,
-};
-const CURLY: Cut = Cut {
-    spacing: 3.15,
-    length: [74.0, 46.0],
-    segments: 15,
-    width: 0.36,
-    lift: 0.9,
-    volume: 34.0,
-    obedience: 0.07,
-    gravity: 0.0,
-    wave: 0.8,
-    curl: 5.2,
-    parted: 0.0,
-};
-const LONG: Cut = Cut {
-    spacing: 3.2,
-    length: [255.0, 215.0],
-    segments: 15,
-    width: 0.46,
-    lift: 0.35,
-    volume: 16.0,
-    obedience: 0.5,
-    gravity: 1.5,
-    wave: 0.22,
-    curl: 0.0,
-    parted: 1.0,
-};
-
 fn cut(style: HairStyle) -> Cut {
     match style {
-        HairStyle::Buzzed => BUZZED,
-        HairStyle::Short => SHORT,
-        HairStyle::Medium => MEDIUM,
-        HairStyle::Curly => CURLY,
-        HairStyle::Long => LONG,
+        HairStyle::Buzzed => Cut {
+            spacing: 1.25,
+            length: [5.0, 3.5],
+            segments: 1,
+            width: 0.10,
+            lift: 0.55,
+            obedience: 0.5,
+            wave: 0.1,
+            ..Cut::default()
+        },
+        HairStyle::Short => Cut {
+            spacing: 2.25,
+            length: [44.0, 17.0],
+            segments: 6,
+            width: 0.25,
+            lift: 0.55,
+            volume: 13.0,
+            obedience: 0.42,
+            gravity: 0.5,
+            wave: 0.3,
+            parted: 0.5,
+            ..Cut::default()
+        },
+        HairStyle::Medium => Cut {
+            spacing: 2.9,
+            length: [125.0, 85.0],
+            segments: 9,
+            width: 0.34,
+            lift: 0.5,
+            volume: 16.0,
+            obedience: 0.45,
+            gravity: 1.0,
+            wave: 0.35,
+            parted: 1.0,
+            ..Cut::default()
+        },
+        HairStyle::Curly => Cut {
+            spacing: 3.15,
+            length: [74.0, 46.0],
+            segments: 15,
+            width: 0.36,
+            lift: 0.9,
+            volume: 34.0,
+            obedience: 0.07,
+            wave: 0.8,
+            curl: 5.2,
+            ..Cut::default()
+        },
+        HairStyle::Long => Cut {
+            spacing: 3.2,
+            length: [255.0, 215.0],
+            segments: 15,
+            width: 0.46,
+            lift: 0.35,
+            volume: 16.0,
+            obedience: 0.5,
+            gravity: 1.5,
+            wave: 0.22,
+            parted: 1.0,
+            ..Cut::default()
+        },
     }
 }
 

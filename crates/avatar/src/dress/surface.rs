@@ -53,10 +53,6 @@ impl<'a> Surface<'a> {
             let [a, b, c] = corners(t);
             TriangleFrame::of(a, b, c)
         });
-        let landmarks = model.landmarks.iter().map(|&(triangle, weights)| {
-            let [a, b, c] = corners(&model.triangles[triangle as usize]);
-            a * weights.x + b * weights.y + c * weights.z
-        });
         let eyes = shaped.joints[Joint::LeftEye as usize].distance(shaped.joints[Joint::RightEye as usize]);
         Self {
             model,
@@ -64,7 +60,7 @@ impl<'a> Surface<'a> {
             joints: &shaped.joints,
             normals,
             frames: frames.collect(),
-            landmarks: landmarks.collect(),
+            landmarks: model.landmarks_on(vertices).collect(),
             size: (eyes / AVERAGE_EYE_DISTANCE).clamp(0.2, 5.0),
         }
     }

@@ -131,28 +131,11 @@ fn action_units_add_up_to_full_weight() {
     assert_eq!(expressions(&[(12, Side::Left, 1.0), (12, Side::Both, 0.25)]), Ok(vec![1.0, 0.25, 0.0]));
     assert_eq!(expressions(&[(43, Side::Left, 1.0), (45, Side::Both, 1.0)]), Ok(vec![0.0, 0.0, 0.8]));
     assert_eq!(expressions(&[(12, Side::Right, 9.0), (12, Side::Left, f32::NAN)]), Ok(vec![0.0, 1.0, 0.0]));
+    let missing = expressions(&[(99, Side::Both, 1.0)]).map_err(|error| error.to_string());
+    assert!(missing.is_err_and(|text| text.contains("99") && text.contains("12, 26, 43, 45")));
     let jaw =
         model.pose_of_action_units(&[(26, Side::Both, 0.5)]).map(|pose| pose.joints[Joint::Jaw as usize]);
     assert!(jaw.is_ok_and(|turn| turn.to_scaled_axis().distance(Vec3::new(0.1, 0.0, 0.0)) < 1e-6));
-}
-
-#[test]
-fn action_units_are_found_by_the_names_people_write() {
-    let model = model(&mut Key::new(1).stream("head model"));
-    for (name, expected) in [
-        ("AU12", (12, Side::Both)),
-        ("au12_L", (12, Side::Left)),
-        ("12R", (12, Side::Right)),
-        (" 26 ", (26, Side::Both)),
-    ] {
-        assert_eq!(model.action_unit_named(name), Ok(expected), "{name}");
-    }
-    for name in ["", "AU", "AU_L", "smile", "AU300", "AU-1", "12_X", "Ä"] {
-        let error = model.action_unit_named(name);
-        assert!(matches!(error, Err(HeadModelError::UnreadableActionUnit { .. })), "{name}: {error:?}");
-    }
-    let missing = model.action_unit_named("AU99").map_err(|error| error.to_string());
-    assert!(missing.is_err_and(|text| text.contains("99") && text.contains("12, 26, 43, 45")));
 }
 
 #[test]

@@ -61,12 +61,6 @@ pub enum HeadModelError {
         /// Numbers there are.
         available: Vec<u8>,
     },
-    /// Text that is not the name of an action unit.
-    #[error("`{name}` is not the name of an action unit; write AU12, AU12_L, AU12_R or 12")]
-    UnreadableActionUnit {
-        /// The text.
-        name: String,
-    },
 }
 
 fn list(numbers: &[u8]) -> String {

@@ -120,10 +120,7 @@ impl Clip {
 }
 
 fn landmarks<'a>(avatar: &'a Avatar, vertices: &'a [Vec3]) -> impl Iterator<Item = DVec3> + 'a {
-    avatar.model().landmarks.iter().map(|&(triangle, weights)| {
-        let corners = avatar.model().triangles[triangle as usize].map(|vertex| vertices[vertex as usize]);
-        (corners[0] * weights.x + corners[1] * weights.y + corners[2] * weights.z).as_dvec3()
-    })
+    avatar.model().landmarks_on(vertices).map(|place| place.as_dvec3())
 }
 
 /// A camera at one metre whose square frame the face fills.

@@ -109,13 +109,8 @@ impl Studio {
 
 /// Middle of the facial landmarks at rest, metres; the origin for a head without landmarks.
 fn face_centre(avatar: &Avatar) -> DVec3 {
-    let (model, vertices) = (avatar.model(), &avatar.shaped().vertices);
-    let corner = |vertex: u32| vertices.get(vertex as usize).copied().unwrap_or_default();
-    let places = model.landmarks.iter().filter_map(|(triangle, weights)| {
-        let [a, b, c] = *model.triangles.get(*triangle as usize)?;
-        Some((corner(a) * weights.x + corner(b) * weights.y + corner(c) * weights.z).as_dvec3())
-    });
-    places.sum::<DVec3>() / model.landmarks.len().max(1) as f64
+    let places = avatar.model().landmarks_on(&avatar.shaped().vertices);
+    places.map(|place| place.as_dvec3()).sum::<DVec3>() / avatar.model().landmarks.len().max(1) as f64
 }
 
 /// The longest way of any vertex, in millimetres.

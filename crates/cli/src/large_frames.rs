@@ -5,12 +5,12 @@ use std::str::FromStr;
 use anyhow::Context as _;
 use clap::Args;
 use serde::Serialize;
+use srflow_field::Size;
 use srflow_nets::{SMALLEST_TILE_SIDE, TileSize, Tiles, Tiling, scaled_size};
 
 use crate::machine;
 use crate::methods::Method;
 use crate::networks::NetworkArgs;
-use crate::size::Size;
 use crate::usage::wrong_usage;
 
 /// Part of the free memory that `--tile auto` fills: frames and flows take some beside the network.

@@ -18,8 +18,9 @@ mod machine;
 mod methods;
 mod networks;
 mod output;
+mod progress;
+mod rendering;
 mod scoring;
-mod size;
 mod usage;
 mod video;
 

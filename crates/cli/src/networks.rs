@@ -6,13 +6,13 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use srflow_nets::{
     Architecture, Claim, Network, NetworkEstimator, SettingError, claim, find_weights, load_network,
     weights_folder,
 };
 use srflow_ops::{device, device_kinds};
 
+use crate::progress::bar;
 use crate::usage::wrong_usage;
 
 /// Where networks are computed when nothing is said.
@@ -194,9 +194,7 @@ pub fn note_if_ambiguous(architecture: Architecture, path: &Path) -> anyhow::Res
 /// When it is neither a file nor a name, or cannot be fetched.
 pub fn weights_file(architecture: Option<Architecture>, weights: &str) -> anyhow::Result<PathBuf> {
     let folder = weights_folder();
-    let bar = ProgressBar::no_length().with_style(ProgressStyle::with_template(
-        "{spinner} weights {bytes} of {total_bytes}  {bytes_per_sec}  ETA {eta}",
-    )?);
+    let bar = bar(None, "{spinner} weights {bytes} of {total_bytes}  {bytes_per_sec}  ETA {eta}");
     let found = find_weights(weights.as_ref(), architecture, folder.as_deref(), &mut |done, len| {
         if let Some(len) = len {
             bar.set_length(len);

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use anyhow::{Context as _, bail};
 use serde::Serialize;
 use srflow_eval::{Table, TextStyle, joined, latex_file};
-use srflow_field::{is_unprintable, printable, write_atomically};
+use srflow_field::{is_unprintable, printable};
 
 use crate::usage::wrong_usage;
 use crate::video::is_video;
@@ -43,12 +43,6 @@ pub fn ensure_extension(file: &Path, extension: &str) -> anyhow::Result<()> {
         wrong_usage!("{}: this output is a .{extension} file: give it that extension", file.display());
     }
     Ok(())
-}
-
-/// Writes a text file, whole or not at all.
-pub fn write_text(path: &Path, text: &str) -> anyhow::Result<()> {
-    write_atomically(path, |file| file.write_all(text.as_bytes()))
-        .with_context(|| format!("writing {}", path.display()))
 }
 
 /// Tables as one LaTeX file.
@@ -101,6 +95,15 @@ fn print_json_text(text: &str) -> anyhow::Result<()> {
         }
     }
     writeln!(io::stdout(), "{safe}").context(PRINTING)
+}
+
+/// Ends the program after a run that was stopped on request.
+///
+/// # Errors
+/// When standard output cannot be written to.
+pub fn exit_stopped() -> anyhow::Result<()> {
+    io::stdout().flush().context(PRINTING)?;
+    std::process::exit(75)
 }
 
 /// `{"error": ...}` in the place of the result, unless that was printed.

@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
-use indicatif::{ProgressBar, ProgressStyle};
 use srflow_eval::report::{Figure, pair_figures};
 use srflow_eval::{Evaluation, Event, Method, ScoredPair, Settings, evaluate};
 use srflow_field::{create_folder, write_flow};
 use srflow_read::flow::FlowDataset;
+
+use crate::progress::bar;
 
 /// Which pairs become pictures.
 #[derive(Debug, Clone, Copy)]
@@ -29,9 +30,7 @@ pub fn score(
     pictures: Pictures,
     save: Option<&Path>,
 ) -> anyhow::Result<(Evaluation, Vec<Figure>)> {
-    let bar = ProgressBar::new(0).with_style(ProgressStyle::with_template(
-        "{bar:30} {pos}/{len} pairs  {elapsed} elapsed, {eta} to go  {msg}",
-    )?);
+    let bar = bar(0, "{bar:30} {pos}/{len} pairs  {elapsed} elapsed, {eta} to go  {msg}");
     let mut figures = Vec::new();
     let mut problem: Option<anyhow::Error> = None;
     let mut shown_every = None;

@@ -117,13 +117,7 @@ pub const SCORES: [ScoreColumn; 6] = [
 
 /// The columns of [`SCORES`].
 pub fn score_columns() -> Vec<Column> {
-    let column = |(key, header, better, _): ScoreColumn| Column {
-        key: key.to_owned(),
-        header: header.to_owned(),
-        better: Some(better),
-        decimals: 4,
-    };
-    SCORES.map(column).to_vec()
+    SCORES.map(|(key, header, better, _)| Column::ranked(key, header, better)).to_vec()
 }
 
 impl Evaluation {
@@ -131,8 +125,7 @@ impl Evaluation {
     /// such region.
     pub fn table(&self, region: Region) -> Option<Table> {
         self.methods.iter().find_map(|method| method.region(region))?;
-        let seconds =
-            Column { key: "seconds".to_owned(), header: "s/pair".to_owned(), better: None, decimals: 3 };
+        let seconds = Column::plain("seconds", "s/pair", 3);
         let row = |method: &MethodScores| {
             let metrics = method.region(region);
             let scores = SCORES.iter().map(|(.., value)| metrics.map(value));
@@ -170,10 +163,7 @@ impl Evaluation {
 
     /// Comma-separated values at full precision: one line per method and region, the mean over pairs.
     pub fn csv(&self) -> String {
-        let head = ["method", "region"].map(str::to_owned).into_iter();
-        let head = head.chain(SCORES.map(|(key, ..)| key.to_owned()));
-        let head = head.chain(["valid_pixels", "median_seconds", "pairs"].map(str::to_owned));
-        let mut lines = vec![head.collect::<Vec<_>>()];
+        let mut lines = vec![score_head(["median_seconds", "pairs"])];
         for method in &self.methods {
             for region in Region::ALL {
                 let Some(metrics) = method.region(region) else { continue };
@@ -188,10 +178,7 @@ impl Evaluation {
 
     /// Comma-separated values at full precision: one line per method, region and pair.
     pub fn pairs_csv(&self) -> String {
-        let head = ["method", "region"].map(str::to_owned).into_iter();
-        let head = head.chain(SCORES.map(|(key, ..)| key.to_owned()));
-        let head = head.chain(["valid_pixels", "seconds", "pair"].map(str::to_owned));
-        let mut lines = vec![head.collect::<Vec<_>>()];
+        let mut lines = vec![score_head(["seconds", "pair"])];
         for method in &self.methods {
             for pair in &method.pairs {
                 for region in Region::ALL {
@@ -243,6 +230,13 @@ pub(crate) fn title(dataset: &str, split: Split) -> String {
         Split::All => dataset.to_owned(),
         split => format!("{dataset}, {split} split"),
     }
+}
+
+/// Names of the fields of [`score_fields`], and of two more.
+fn score_head(more: [&str; 2]) -> Vec<String> {
+    let scores = SCORES.iter().map(|(key, ..)| *key);
+    let names = ["method", "region"].into_iter().chain(scores).chain(["valid_pixels"]).chain(more);
+    names.map(str::to_owned).collect()
 }
 
 fn score_fields(method: &str, region: Region, metrics: &Metrics) -> Vec<String> {

@@ -239,6 +239,16 @@ impl Row {
 }
 
 impl Column {
+    /// A column whose best values are marked; its numbers have four digits behind the point.
+    pub fn ranked(key: &str, header: &str, better: Better) -> Self {
+        Self { better: Some(better), ..Self::plain(key, header, 4) }
+    }
+
+    /// A column without ranks.
+    pub fn plain(key: &str, header: &str, decimals: usize) -> Self {
+        Self { key: key.to_owned(), header: header.to_owned(), better: None, decimals }
+    }
+
     /// The header with the arrow of the better direction.
     pub fn title(&self) -> String {
         match self.better {

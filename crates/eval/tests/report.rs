@@ -6,10 +6,10 @@ use srflow_eval::report::{
     tiles,
 };
 use srflow_eval::{Better, Column, Row, Table};
-use srflow_field::{Image, Plane};
+use srflow_field::{Image, Plane, is_unprintable};
 
 /// A text that would break out of every place it could be put into, were it not escaped.
-const HOSTILE: &str = "<script>alert('x')</script> \" onload=x & </style>";
+const HOSTILE: &str = "<script>alert('x')</script> \" onload=x & </style> \u{202e}\u{1b}[2J";
 
 fn blob(width: usize, height: usize, hue: u8) -> Image {
     Image::from_fn(width, height, |x, y| {
@@ -20,7 +20,7 @@ fn blob(width: usize, height: usize, hue: u8) -> Image {
 }
 
 fn chart(title: &str, x: &str, y: &str) -> Chart {
-    Chart { title: title.into(), x: x.into(), y: y.into(), caption: format!("Made up. {HOSTILE}") }
+    Chart::new(title, x, y, format!("Made up. {HOSTILE}"))
 }
 
 fn table() -> Table {
@@ -84,7 +84,7 @@ fn charts() -> Figure {
 
 fn report() -> Page {
     let photo = |hue, words: &str| Picture::jpeg(&blob(260, 380, hue), words).unwrap();
-    let panel = |title: &str, picture| Panel { picture, title: title.into(), note: "a few words".into() };
+    let panel = |title: &str, picture| Panel::new(picture, title, "a few words");
     let error = Plane::from_fn(260, 380, |x, y| if y > 370 { f32::NAN } else { (x * y) as f32 / 40_000.0 });
     let frames: Vec<Image> = (0..12).map(|i| blob(130, 190, 4 * i)).collect();
     let card = |i: usize| ActionCard {
@@ -113,8 +113,7 @@ fn report() -> Page {
         compare((&photo(10, "a"), "frame"), (&photo(90, "b"), "flow"), "Drag the divider."),
         action_cards(&(1..=6).map(card).collect::<Vec<_>>(), "Made up."),
     ];
-    let section =
-        |title: &str, figures| Section { title: title.into(), lead: "Two sentences.".into(), figures };
+    let section = |title: &str, figures| Section::new(title, "Two sentences.", figures);
     Page {
         title: "A report of made-up numbers".into(),
         kicker: "srflow test".into(),
@@ -177,6 +176,7 @@ fn the_page_is_well_formed_and_escapes_every_text() {
     assert!(!elements.iter().any(|name| name == "script"), "a text became a script");
     assert!(!attributes.iter().any(|name| name == "onload"), "a text became an attribute");
     assert!(html.matches("&lt;script&gt;").count() >= 8);
+    assert!(!html.contains(|c| is_unprintable(c) && c != '\n'), "a text reorders what is shown");
     assert_eq!(elements.iter().filter(|name| *name == "section").count(), 4);
 }
 

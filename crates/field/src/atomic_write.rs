@@ -37,6 +37,14 @@ pub fn write_atomically(
     result
 }
 
+/// Writes a text or bytes as a file, as [`write_atomically`] does.
+///
+/// # Errors
+/// Those of [`write_atomically`].
+pub fn write_file(path: &Path, content: impl AsRef<[u8]>) -> Result<(), FileError> {
+    write_atomically(path, |file| file.write_all(content.as_ref()))
+}
+
 /// Makes a folder, and those above it that are missing. One that is there already is left as it is.
 ///
 /// # Errors
@@ -78,7 +86,7 @@ mod tests {
     fn a_failed_write_leaves_the_old_file_and_nothing_else() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.bin");
-        write_atomically(&path, |writer| writer.write_all(b"old")).unwrap();
+        write_file(&path, "old").unwrap();
         let error = write_atomically(&path, |writer| {
             writer.write_all(b"new, but")?;
             Err(io::Error::other("the disk is full"))

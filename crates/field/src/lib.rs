@@ -15,13 +15,15 @@ mod grey;
 mod grid;
 mod image_file;
 mod metrics;
+mod named;
 mod open;
 mod parse_words;
 pub mod random;
 pub mod resize;
+mod size;
 mod warp;
 
-pub use atomic_write::{PARTIAL_EXTENSION, create_folder, write_atomically};
+pub use atomic_write::{PARTIAL_EXTENSION, create_folder, write_atomically, write_file};
 pub use codec::npy::{Array, read_npy, read_npy_plane, write_npy, write_npy_plane};
 pub use codec::npz::open_zip;
 pub use codec::npz::{NpzArray, write_npz};
@@ -41,4 +43,5 @@ pub use image_file::{
 pub use metrics::{MAX_SCORED_FLOW, MeanMetrics, Metrics, ScoreError, score};
 pub use open::{FileKind, open_file, read_file, read_text};
 pub use parse_words::parse_error_in_words;
+pub use size::Size;
 pub use warp::{Tolerance, forward_backward_check, warp};

@@ -1,11 +1,9 @@
 //! The apex frame of a clip: annotated, or spotted between onset and offset.
 
-use std::fmt;
-use std::str::FromStr;
-
 use rayon::prelude::*;
+use serde::Serialize;
 use srflow_field::resize::resize_cubic;
-use srflow_field::{FlowEstimator, Plane, luminance, read_image};
+use srflow_field::{FlowEstimator, Plane, luminance, named, read_image};
 use srflow_read::micro_expression::Clip;
 
 use crate::extract::{ExtractError, ExtractProblem};
@@ -25,32 +23,7 @@ pub enum ApexRule {
     Strain,
 }
 
-impl ApexRule {
-    pub const ALL: [Self; 2] = [Self::Ratio, Self::Strain];
-
-    /// `ratio` or `strain`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Ratio => "ratio",
-            Self::Strain => "strain",
-        }
-    }
-}
-
-impl fmt::Display for ApexRule {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
-    }
-}
-
-impl FromStr for ApexRule {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let known = Self::ALL.into_iter().find(|rule| rule.name() == text);
-        known.ok_or_else(|| format!("`{text}` is not a rule of spotting the apex; expected ratio or strain"))
-    }
-}
+named!(ApexRule, "a rule of spotting the apex", { Ratio => "ratio", Strain => "strain" });
 
 /// The apex that a rule found in a clip.
 #[derive(Debug, Clone, PartialEq)]
@@ -236,13 +209,15 @@ fn cells(face: &FacePoints, crop: &ClipCrop) -> Vec<Cell> {
 }
 
 /// How far a rule is from the annotated apexes.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ApexErrors {
     /// Clips that were compared.
     pub clips: usize,
     /// Mean absolute difference between spotted and annotated apex, in frames.
+    #[serde(rename = "mean_absolute_frames")]
     pub mean_absolute: f64,
     /// The same for always taking the middle between onset and offset: what a rule must beat.
+    #[serde(rename = "middle_of_clip_frames")]
     pub of_the_middle: f64,
 }
 

@@ -2,11 +2,10 @@
 
 use std::fmt;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 
 use rayon::prelude::*;
 use srflow_field::resize::{resize_cubic, resize_flow_area};
-use srflow_field::{EstimateError, FileError, FlowEstimator, FlowField, Image, Plane, read_image};
+use srflow_field::{EstimateError, FileError, FlowEstimator, FlowField, Image, Plane, named, read_image};
 use srflow_read::micro_expression::Clip;
 
 use crate::cache::FeatureCache;
@@ -24,30 +23,7 @@ pub enum ResizeOrder {
     After,
 }
 
-impl ResizeOrder {
-    /// `before` or `after`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Before => "before",
-            Self::After => "after",
-        }
-    }
-}
-
-impl fmt::Display for ResizeOrder {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
-    }
-}
-
-impl FromStr for ResizeOrder {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let known = [Self::Before, Self::After].into_iter().find(|order| order.name() == text);
-        known.ok_or_else(|| format!("`{text}`: expected before or after (the flow)"))
-    }
-}
+named!(ResizeOrder, "before or after the flow", { Before => "before", After => "after" });
 
 /// Everything that decides a clip's features beside its pictures and the flow method.
 #[derive(Debug, Clone, PartialEq, Default)]

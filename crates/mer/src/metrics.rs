@@ -1,21 +1,28 @@
 //! Scores of classification: those of the SRFlow paper, per fold, and MEGC 2019's, pooled.
 
+use serde::Serialize;
+
 /// Clips by true and predicted class: `[truth][predicted]`, square.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Confusion(pub Vec<Vec<usize>>);
 
 /// The paper's five metrics, each in 0..1.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Scores {
     /// Precision, macro-averaged: `P_M`.
+    #[serde(rename = "p_m")]
     pub precision: f64,
     /// Recall, macro-averaged: `R_M`.
+    #[serde(rename = "r_m")]
     pub recall: f64,
     /// F1, macro-averaged: `F1_M`.
+    #[serde(rename = "f1_m")]
     pub f1: f64,
     /// Micro-averaged F1, which with one label per clip is the accuracy: `F1_μ`.
+    #[serde(rename = "f1_mu")]
     pub accuracy: f64,
     /// Geometric mean of the recalls: `G_M`.
+    #[serde(rename = "g_m")]
     pub g_mean: f64,
 }
 

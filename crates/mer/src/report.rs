@@ -69,15 +69,13 @@ pub fn report(parts: &ReportParts) -> Result<Page, ReportError> {
                 figures.extend(clips(parts, trial, samples)?);
             }
         }
-        sections.push(Section { title: set.clone(), lead: SECTION_LEAD.to_owned(), figures });
+        sections.push(Section::new(set.clone(), SECTION_LEAD, figures));
     }
-    sections.push(Section {
-        title: "How it was made".to_owned(),
-        lead:
-            "Everything that the numbers above depend on; predictions.csv has the prediction for each clip."
-                .to_owned(),
-        figures: vec![facts(&parts.facts)],
-    });
+    sections.push(Section::new(
+        "How it was made",
+        "Everything that the numbers above depend on; predictions.csv has the prediction for each clip.",
+        vec![facts(&parts.facts)],
+    ));
     Ok(Page {
         title: "Micro-expression recognition".to_owned(),
         kicker: "srflow mer run".to_owned(),
@@ -97,12 +95,12 @@ const TABLE_CAPTION: &str = "P, R and F1 are macro averages over the classes amo
 
 fn confusion(outcome: &Outcome) -> Figure {
     let last = outcome.summary.last();
-    let chart = Chart {
-        title: format!("{}: confusion matrix after epoch {}", outcome.method, last.epoch),
-        x: "predicted class".to_owned(),
-        y: "true class".to_owned(),
-        caption: String::new(),
-    };
+    let chart = Chart::new(
+        format!("{}: confusion matrix after epoch {}", outcome.method, last.epoch),
+        "predicted class",
+        "true class",
+        "",
+    );
     confusion_matrix(&outcome.summary.classes, &last.pooled.0, &chart)
 }
 
@@ -141,7 +139,7 @@ fn losses(outcomes: &[&Outcome]) -> Figure {
 }
 
 fn chart(title: &str, y: &str) -> Chart {
-    Chart { title: title.to_owned(), x: "epoch".to_owned(), y: y.to_owned(), caption: String::new() }
+    Chart::new(title, "epoch", y, "")
 }
 
 /// Clips spread over the set, after the last epoch; flow and strain have one scale for all of them.

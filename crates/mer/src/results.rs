@@ -96,11 +96,8 @@ struct BestRecord {
 #[derive(Debug, Clone, Serialize)]
 struct EpochRecord {
     epoch: usize,
-    p_m: f64,
-    r_m: f64,
-    f1_m: f64,
-    f1_mu: f64,
-    g_m: f64,
+    #[serde(flatten)]
+    mean: Scores,
     uf1: f64,
     uar: f64,
     /// `[truth][predicted]`.
@@ -108,19 +105,9 @@ struct EpochRecord {
 }
 
 impl EpochRecord {
-    fn of(scores: &EpochScores) -> Self {
-        let Scores { precision, recall, f1, accuracy, g_mean } = scores.mean;
-        Self {
-            epoch: scores.epoch,
-            p_m: precision,
-            r_m: recall,
-            f1_m: f1,
-            f1_mu: accuracy,
-            g_m: g_mean,
-            uf1: scores.pooled.uf1(),
-            uar: scores.pooled.uar(),
-            confusion: scores.pooled.0.clone(),
-        }
+    fn of(EpochScores { epoch, mean, pooled }: &EpochScores) -> Self {
+        let (uf1, uar) = (pooled.uf1(), pooled.uar());
+        Self { epoch: *epoch, mean: *mean, uf1, uar, confusion: pooled.0.clone() }
     }
 }
 
@@ -141,12 +128,7 @@ pub fn by_set(outcomes: &[Outcome]) -> Vec<Vec<&Outcome>> {
 /// a column for them. Both have an unranked row for always predicting the most frequent class. `outcomes` are of one set and not empty.
 pub fn score_tables(outcomes: &[&Outcome]) -> Vec<Table> {
     let Some(first) = outcomes.first() else { return Vec::new() };
-    let ranked = |&(key, header): &(&str, &str)| Column {
-        key: key.to_owned(),
-        header: header.to_owned(),
-        better: Some(Better::Higher),
-        decimals: 4,
-    };
+    let ranked = |&(key, header): &(&str, &str)| Column::ranked(key, header, Better::Higher);
     let row =
         |name: &str, values: Vec<Option<f64>>, baseline| Row { name: name.to_owned(), values, baseline };
     let paper: Vec<Column> = METRICS.iter().map(ranked).collect();
@@ -170,7 +152,7 @@ pub fn score_tables(outcomes: &[&Outcome]) -> Vec<Table> {
     let after = if outcomes.iter().all(|outcome| outcome.summary.last().epoch == epoch) {
         format!("after epoch {epoch}")
     } else {
-        all.insert(0, plain_column("epoch", "epoch", 0));
+        all.insert(0, Column::plain("epoch", "epoch", 0));
         let epochs = outcomes.iter().map(|outcome| Some(outcome.summary.last().epoch as f64));
         for (row, epoch) in last.iter_mut().zip(epochs.chain([None])) {
             row.values.insert(0, epoch);
@@ -187,11 +169,6 @@ pub fn score_tables(outcomes: &[&Outcome]) -> Vec<Table> {
         Table { title: format!("{counted}; each metric at its best epoch"), columns: paper, rows: best },
         Table { title: format!("{counted}; {after}, fixed beforehand"), columns: all, rows: last },
     ]
-}
-
-/// A column without ranks.
-fn plain_column(key: &str, header: &str, decimals: usize) -> Column {
-    Column { key: key.to_owned(), header: header.to_owned(), better: None, decimals }
 }
 
 /// Name of the row of the baseline, e.g. `always negative`.
@@ -250,8 +227,8 @@ pub fn confusion_latex(outcome: &Outcome) -> String {
 
 /// Each subject's scores after the last epoch, one row a fold; the training loss stands beside them where it is known.
 pub fn fold_table(outcome: &Outcome) -> Table {
-    let mut columns = vec![plain_column("clips", "clips", 0)];
-    columns.extend(METRICS.iter().map(|(key, header)| plain_column(key, header, 4)));
+    let mut columns = vec![Column::plain("clips", "clips", 0)];
+    columns.extend(METRICS.iter().map(|(key, header)| Column::plain(key, header, 4)));
     let row = |fold: &FoldScores| {
         let last = &fold.confusions[fold.confusions.len() - 1];
         let mut values = vec![Some(last.total() as f64)];
@@ -260,7 +237,7 @@ pub fn fold_table(outcome: &Outcome) -> Table {
     };
     let mut rows: Vec<Row> = outcome.summary.folds.iter().map(row).collect();
     if !outcome.folds.is_empty() {
-        columns.push(plain_column("training_loss", "training loss", 4));
+        columns.push(Column::plain("training_loss", "training loss", 4));
         for (row, fold) in rows.iter_mut().zip(&outcome.folds) {
             row.values.push(fold.training_losses.last().copied());
         }

@@ -1,11 +1,10 @@
 //! The folder of a run's results.
 
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 use srflow_eval::{MethodRecord, Table, TextStyle, joined, latex_file, markdown_file};
-use srflow_field::{FileError, FileProblem, create_folder, write_atomically};
+use srflow_field::{FileError, FileProblem, create_folder, write_file};
 
 use crate::apex::ApexRule;
 use crate::predictions::write_predictions;
@@ -133,9 +132,9 @@ impl ResultsFolder {
             facts: facts(results),
             machine: machine.to_owned(),
         };
-        write_text(&self.report(), &report(&parts)?.html())?;
+        write_file(&self.report(), report(&parts)?.html())?;
         let record = serde_json::to_string_pretty(&ResultsRecord::of(results, machine));
-        Ok(write_text(&last, &(record.expect("numbers and text") + "\n"))?)
+        Ok(write_file(&last, record.expect("numbers and text") + "\n")?)
     }
 }
 
@@ -153,7 +152,7 @@ pub fn write_tables(folder: &Path, outcomes: &[Outcome]) -> Result<(), FileError
         folds_csv(outcomes),
         confusions_csv(outcomes),
     ];
-    TABLE_FILES.iter().zip(texts).try_for_each(|(name, text)| write_text(&folder.join(name), &text))
+    TABLE_FILES.iter().zip(texts).try_for_each(|(name, text)| write_file(&folder.join(name), text))
 }
 
 /// The [`score_tables`] of every set.
@@ -165,10 +164,6 @@ fn latex(scores: &[Table], outcomes: &[Outcome]) -> String {
     let scores = scores.iter().map(|table| (table.title.clone(), table.latex()));
     let confusions = outcomes.iter().map(|outcome| (confusion_title(outcome), confusion_latex(outcome)));
     latex_file(scores.chain(confusions))
-}
-
-fn write_text(path: &Path, text: &str) -> Result<(), FileError> {
-    write_atomically(path, |file| file.write_all(text.as_bytes()))
 }
 
 /// How a run was made, for the report: names and values.

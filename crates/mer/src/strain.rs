@@ -1,9 +1,6 @@
 //! Optical strain: how much the flow stretches and shears the skin.
 
-use std::fmt;
-use std::str::FromStr;
-
-use srflow_field::{FlowField, Image, Plane};
+use srflow_field::{FlowField, Image, Plane, named};
 
 /// How strain is computed from the flow's derivatives `ux`, `uy`, `vx`, `vy`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -17,32 +14,7 @@ pub enum StrainFormula {
     OffTaNet,
 }
 
-impl StrainFormula {
-    pub const ALL: [Self; 2] = [Self::Literature, Self::OffTaNet];
-
-    /// `literature` or `off-tanet`.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Literature => "literature",
-            Self::OffTaNet => "off-tanet",
-        }
-    }
-}
-
-impl fmt::Display for StrainFormula {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
-    }
-}
-
-impl FromStr for StrainFormula {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let known = Self::ALL.into_iter().find(|formula| formula.name() == text);
-        known.ok_or_else(|| format!("`{text}` is not a strain formula; expected literature or off-tanet"))
-    }
-}
+named!(StrainFormula, "a strain formula", { Literature => "literature", OffTaNet => "off-tanet" });
 
 /// Optical strain of a flow, of its size. Derivatives are those of OpenCV's 3x3 `Sobel`, borders mirrored without
 /// repeating the outermost pixel (`BORDER_REFLECT_101`).

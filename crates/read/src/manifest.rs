@@ -17,11 +17,10 @@
 //!
 //! A scene of `n` pairs has `n + 1` frames, alphas, masks and depths, and `n` of everything else.
 
-use std::fmt;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileError, FileKind, FlowFormat, excerpt, read_text};
+use srflow_field::{FileError, FileKind, FlowFormat, excerpt, named, read_text};
 
 /// Name of the file in the dataset's folder.
 pub const MANIFEST_NAME: &str = "dataset.json";
@@ -114,20 +113,7 @@ pub enum SceneSplit {
     Test,
 }
 
-impl SceneSplit {
-    /// All of them, in the order of `--splits`.
-    pub const ALL: [Self; 3] = [Self::Train, Self::Val, Self::Test];
-}
-
-impl fmt::Display for SceneSplit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Train => "train",
-            Self::Val => "val",
-            Self::Test => "test",
-        })
-    }
-}
+named!(SceneSplit, "a split of scenes", { Train => "train", Val => "val", Test => "test" });
 
 /// One scene: a subject in motion.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

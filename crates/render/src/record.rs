@@ -43,6 +43,11 @@ pub struct FrameRecord {
     pub action_units: BTreeMap<String, f32>,
 }
 
+/// What a JSON file for people to read holds.
+pub(crate) fn json_text(content: &impl Serialize) -> String {
+    serde_json::to_string_pretty(content).expect("numbers, text, lists and maps by text") + "\n"
+}
+
 /// Why a record could not be read.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {reason}; delete the file and run `srflow render` again to make it", .path.display())]

@@ -4,24 +4,22 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
-use srflow_field::{FlowField, FlowFormat, read_flow, write_flow};
+use srflow_field::{FlowField, read_flow, write_flow};
 use srflow_render::check::check;
-use srflow_render::generate::{Background, Head, Settings, generate};
+use srflow_render::generate::{Settings, generate};
 use srflow_render::job::Request;
 
 fn render(dir: &Path) {
     let settings = Settings {
-        head: Head::Builtin,
         scenes: 1,
         frames: 3.0,
         width: 110,
         height: 160,
         splits: [1.0, 0.0, 0.0],
         seed: 4,
-        flow_format: FlowFormat::Npz16,
         backward: true,
         depth: true,
-        background: Background::Colour([255; 3]),
+        ..Settings::default()
     };
     generate(&settings, Request::new(dir)).unwrap();
 }

@@ -25,9 +25,11 @@ impl Outputs {
     /// Everything.
     pub const ALL: Self =
         Self { image: true, color: true, alpha: true, depth: true, flow: true, depth_next: true };
+    /// Nothing.
+    pub const NONE: Self =
+        Self { image: false, color: false, alpha: false, depth: false, flow: false, depth_next: false };
     /// The 8-bit image alone.
-    pub const IMAGE: Self =
-        Self { image: true, color: false, alpha: false, depth: false, flow: false, depth_next: false };
+    pub const IMAGE: Self = Self { image: true, ..Self::NONE };
 }
 
 impl Default for Outputs {

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 use srflow_eval::{Column, Row, SCORES, ScoreColumn, Table, score_columns};
-use srflow_field::{FileKind, Metrics, parse_error_in_words, read_text, write_atomically};
+use srflow_field::{FileKind, Metrics, parse_error_in_words, read_text, write_file};
 use srflow_read::flow::FlowDataset;
 
 use crate::checkpoint::Checkpoints;
@@ -175,8 +175,7 @@ pub fn ablate(
             .map_err(failed)?;
             let cell = score(&run.join("last.safetensors"), outcome.progress.step)?;
             let text = serde_json::to_string_pretty(&cell).expect("plain numbers and text") + "\n";
-            write_atomically(&result, |file| std::io::Write::write_all(file, text.as_bytes()))
-                .map_err(|error| failed(error.into()))?;
+            write_file(&result, text).map_err(|error| failed(error.into()))?;
         }
         cells.push(read_cell(&result)?);
     }

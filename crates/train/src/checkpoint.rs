@@ -6,13 +6,12 @@
 //! comes from the seed, the step and the place in the batch.
 
 use std::fs;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use burn::tensor::DType;
 use serde::{Deserialize, Serialize};
 use srflow_field::{
-    FileError, FileKind, PARTIAL_EXTENSION, create_folder, parse_error_in_words, read_text, write_atomically,
+    FileError, FileKind, PARTIAL_EXTENSION, create_folder, parse_error_in_words, read_text, write_file,
 };
 use srflow_nn::{AdamWState, Layout, WeightsError, read_safetensors, safetensors_bytes};
 
@@ -160,7 +159,7 @@ impl Checkpoints {
         remove_folder(partial)?;
         create_folder(partial)?;
         for (name, bytes) in files {
-            write_atomically(&partial.join(name), |file| file.write_all(bytes))?;
+            write_file(&partial.join(name), bytes)?;
         }
         remove_folder(path)?;
         fs::rename(partial, path).map_err(io_error(path, "renaming the finished checkpoint"))
@@ -176,7 +175,7 @@ impl Checkpoints {
 
     fn write_model(&self, name: &str, bytes: &[u8]) -> Result<(), CheckpointError> {
         let path = self.run.join(name).with_extension("safetensors");
-        Ok(write_atomically(&path, |file| file.write_all(bytes))?)
+        Ok(write_file(&path, bytes)?)
     }
 
     /// Deletes all but the last `keep` and the one of step `best`, and what a killed run left unfinished.

@@ -23,11 +23,11 @@ pub fn report(config: &Config, records: &[Record], machine: &str) -> Page {
     if !validations.is_empty() {
         sections.insert(0, validation(&validations));
     }
-    sections.push(Section {
-        title: "Configuration".to_owned(),
-        lead: "Every key. `config.toml` beside this page is the same as a file.".to_owned(),
-        figures: vec![facts(&configuration(config))],
-    });
+    sections.push(Section::new(
+        "Configuration",
+        "Every key. `config.toml` beside this page is the same as a file.",
+        vec![facts(&configuration(config))],
+    ));
     let network = config.network.architecture.facts().title;
     Page {
         title: format!("Training {network}"),
@@ -89,11 +89,11 @@ fn validation(validations: &[&ValidationRecord]) -> Section {
             curves(&wauc, Axis::Linear, true, &chart("WAUC", "Weighted area under the curve of errors.")),
         ]
     });
-    Section {
-        title: "Validation".to_owned(),
-        lead: "Scores on pairs that were not trained on, as in the paper's tables.".to_owned(),
-        figures: figures.collect(),
-    }
+    Section::new(
+        "Validation",
+        "Scores on pairs that were not trained on, as in the paper's tables.",
+        figures.collect(),
+    )
 }
 
 fn training(config: &Config, steps: &[&StepRecord]) -> Section {
@@ -101,8 +101,11 @@ fn training(config: &Config, steps: &[&StepRecord]) -> Section {
         steps.first().map_or(Vec::new(), |step| step.parts.iter().map(|(name, _)| name.as_str()).collect());
     let mut losses = vec![averaged(steps, "total", &|step| step.loss)];
     if names.len() > 1 {
-        losses
-            .extend(names.iter().enumerate().map(|(i, name)| averaged(steps, name, &|step| step.parts[i].1)));
+        // A log that somebody edited may lack a part.
+        let part = |step: &StepRecord, name: &str| {
+            step.parts.iter().find(|(other, _)| other == name).map_or(f64::NAN, |(_, value)| *value)
+        };
+        losses.extend(names.iter().map(|name| averaged(steps, name, &|step| part(step, name))));
     }
     let figure = |lines: &[Curve], axis, title: &str, y: &str, caption: &str| -> Figure {
         curves(lines, axis, false, &chart(title, y, caption))
@@ -111,16 +114,16 @@ fn training(config: &Config, steps: &[&StepRecord]) -> Section {
     let norm = [averaged(steps, "before clipping", &|step| step.gradient_norm)];
     let rate = [averaged(steps, "learning rate", &|step| step.learning_rate)];
     let epe_caption = "Mean end-point error on the augmented crops.";
-    Section {
-        title: "Training".to_owned(),
-        lead: "Each point is a mean over the steps around it.".to_owned(),
-        figures: vec![
+    Section::new(
+        "Training",
+        "Each point is a mean over the steps around it.",
+        vec![
             figure(&losses, Axis::Logarithmic, "Loss", "loss", &loss_caption(config)),
             figure(&epe, Axis::Logarithmic, "Training error", "EPE, px", epe_caption),
             figure(&norm, Axis::Logarithmic, "Gradients", "norm", "Norm of all gradients together."),
             figure(&rate, Axis::Linear, "Learning rate", "rate", "One cycle: up, then down."),
         ],
-    }
+    )
 }
 
 /// What the parts of the loss are, each times its weight.
@@ -134,7 +137,7 @@ fn loss_caption(config: &Config) -> String {
 }
 
 fn chart(title: &str, y: &str, caption: &str) -> Chart {
-    Chart { title: title.to_owned(), x: "step".to_owned(), y: y.to_owned(), caption: caption.to_owned() }
+    Chart::new(title, "step", y, caption)
 }
 
 fn averaged(steps: &[&StepRecord], name: &str, value: &dyn Fn(&StepRecord) -> f64) -> Curve {

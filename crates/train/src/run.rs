@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use burn::tensor::Device;
-use srflow_field::{FileError, create_folder, write_atomically};
+use srflow_field::{FileError, create_folder, write_file};
 use srflow_nets::load_network;
 use srflow_nn::{AdamW, AdamWState, Layout, Rounding, WeightsError, clip_norm};
 
@@ -169,7 +169,7 @@ pub fn train(
     }
     checkpoints.remove_unfinished()?;
     let text = config.to_toml();
-    write_atomically(&run.join(CONFIG), |file| std::io::Write::write_all(file, text.as_bytes()))?;
+    write_file(&run.join(CONFIG), &text)?;
     let mut log = TrainingLog::open(run, trainer.progress.step)?;
     let mut record = |record: Record, on_event: &mut dyn FnMut(Event<'_>)| {
         let written = log.write(&record);

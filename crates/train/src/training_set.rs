@@ -7,11 +7,12 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use srflow_field::Size;
 use srflow_field::random::Key;
 use srflow_read::augment::{AugmentError, Augmentation};
 use srflow_read::flow::{DatasetError, FlowDataset, Sample, Split};
 
-use crate::config::{Config, PixelSize, Source};
+use crate::config::{Config, Source};
 
 /// Why there is nothing to train on, or a pair could not be used.
 #[derive(Debug, thiserror::Error)]
@@ -36,7 +37,7 @@ pub enum DataError {
         pair: String,
         /// Width and height.
         frame: (usize, usize),
-        crop: PixelSize,
+        crop: Size,
     },
     #[error("{0}")]
     Settings(AugmentError),
@@ -51,7 +52,7 @@ const NO_TRUTH_ADVICE: &str = "choose a split whose truth is published, or for a
 /// The pairs that are trained on.
 pub struct TrainingSet {
     parts: Vec<Part>,
-    crop: PixelSize,
+    crop: Size,
     seed: u64,
     /// The orders of the epochs that are in use.
     orders: Mutex<BTreeMap<u64, Arc<[usize]>>>,

@@ -4,7 +4,7 @@ use anyhow::{Context as _, ensure};
 use clap::Args;
 use srflow_eval::report::{Page, Section, score_table};
 use srflow_eval::{Table, TextStyle, joined, markdown_file};
-use srflow_field::create_folder;
+use srflow_field::{create_folder, write_file};
 use srflow_ops::device;
 use srflow_read::flow::{FlowDataset, Split};
 use srflow_train::ablation::{
@@ -13,7 +13,7 @@ use srflow_train::ablation::{
 use srflow_train::config::{Config, Source};
 
 use super::train::{Overrides, Progress, find_weights};
-use crate::output::{latex, print_tables, write_text};
+use crate::output::{latex, print_tables};
 use crate::{Context, machine};
 
 /// Train with each loss of the paper and print its Table V
@@ -141,17 +141,8 @@ fn write(out: &std::path::Path, cells: &[Cell], tables: &[Table; 3]) -> anyhow::
             .to_owned(),
         opening: Vec::new(),
         sections: vec![
-            Section {
-                title: "Ours".to_owned(),
-                lead: "Means over the seeds, and their standard deviation: a difference within the spread says nothing."
-                    .to_owned(),
-                figures: vec![score_table(&tables[0], ""), score_table(&tables[1], "")],
-            },
-            Section {
-                title: "The paper's".to_owned(),
-                lead: String::new(),
-                figures: vec![score_table(&tables[2], "")],
-            },
+            Section::new("Ours", "Means over the seeds, and their standard deviation: a difference within the spread says nothing.", vec![score_table(&tables[0], ""), score_table(&tables[1], "")]),
+            Section::new("The paper's", "", vec![score_table(&tables[2], "")]),
         ],
         colophon: format!("Made on {}.", machine::describe()),
     };
@@ -163,7 +154,7 @@ fn write(out: &std::path::Path, cells: &[Cell], tables: &[Table; 3]) -> anyhow::
         ("ablation.html", report.html()),
     ];
     for (name, text) in contents {
-        write_text(&out.join(name), &text)?;
+        write_file(&out.join(name), text)?;
     }
     Ok(())
 }

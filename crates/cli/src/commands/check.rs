@@ -1,12 +1,12 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use srflow_read::manifest::Manifest;
 use srflow_render::check::{self, CheckReport};
 
 use super::render::print_statistics;
 use crate::Context;
+use crate::progress::bar;
 
 /// Open every file of a dataset and report what is wrong
 #[derive(Args)]
@@ -28,9 +28,7 @@ const LISTED: usize = 50;
 
 pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
     let pairs = Manifest::read(&args.dir)?.pairs();
-    let bar = ProgressBar::new(pairs);
-    let style = ProgressStyle::with_template("{wide_bar} {pos}/{len} pairs, {eta} left");
-    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    let bar = bar(pairs, "{wide_bar} {pos}/{len} pairs, {eta} left");
     let report = check::check(&args.dir, &|| bar.inc(1));
     bar.finish_and_clear();
     let report = report?;

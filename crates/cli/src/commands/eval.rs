@@ -6,13 +6,12 @@ use clap::Args;
 use serde::Serialize;
 use srflow_eval::report::{Figure, score_report};
 use srflow_eval::{Evaluation, Method, MethodRecord, OnFailure, Settings, TextStyle, joined, markdown_file};
-use srflow_field::create_folder;
+use srflow_field::{Size, create_folder, write_file};
 use srflow_read::flow::{DatasetSpec, FlowDataset, KINDS, Split};
 
 use crate::methods::{self, MethodParameters, MethodSpec, Source};
-use crate::output::{ensure_folder, ensure_free, latex, print_tables, write_text};
+use crate::output::{ensure_folder, ensure_free, latex, print_tables};
 use crate::scoring::{self, Pictures, folder_name};
-use crate::size::Size;
 use crate::{Context, machine};
 
 fn kinds_help() -> String {
@@ -192,7 +191,7 @@ fn write(out: &Path, scores: &Scores, figures: Vec<Figure>) -> anyhow::Result<()
         score_report(evaluation, &scores.machine, figures, &scores.settings()).html(),
     ];
     for (name, text) in OUTPUTS.iter().zip(contents) {
-        write_text(&out.join(name), &text)?;
+        write_file(&out.join(name), text)?;
     }
     Ok(())
 }

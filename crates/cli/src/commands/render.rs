@@ -1,19 +1,14 @@
-use std::io::Write as _;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
-use srflow_field::FlowFormat;
-use srflow_render::RenderError;
+use srflow_field::{FlowFormat, Size};
 use srflow_render::generate::{Background, Head, Report, Settings, generate};
-use srflow_render::job::{Event, Made, Request, Shard};
+use srflow_render::job::{Made, Shard};
 use srflow_render::statistics::Statistics;
 
 use crate::Context;
-use crate::size::Size;
-use crate::usage::wrong_usage;
+use crate::rendering::{RenderingArgs, exit_if_stopped};
 
 /// Render a facial optical-flow dataset with exact flow from a head avatar
 #[derive(Args)]
@@ -33,10 +28,10 @@ pub struct Render {
     #[arg(long, value_name = "HEAD", default_value = "builtin")]
     head: Head,
     /// Number of scenes, each with a subject of its own
-    #[arg(long, value_name = "N", default_value_t = 27)]
+    #[arg(long, value_name = "N", default_value_t = Settings::default().scenes)]
     scenes: u32,
     /// Frame pairs in a scene; the mean of the scenes where it is not whole
-    #[arg(long, value_name = "N", default_value_t = 413.37)]
+    #[arg(long, value_name = "N", default_value_t = Settings::default().frames)]
     frames: f64,
     /// Size of the frames, WIDTHxHEIGHT
     #[arg(long, value_name = "SIZE", default_value = "2200x3208")]
@@ -45,10 +40,10 @@ pub struct Render {
     #[arg(long, value_name = "SHARES", default_value = "0.61,0.11,0.28", value_parser = shares)]
     splits: Shares,
     /// Seed of every random choice
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = Settings::default().seed)]
     seed: u64,
     /// How flow is stored
-    #[arg(long, value_name = "FORMAT", default_value_t = FlowFormat::Npz16, help = flow_format_help())]
+    #[arg(long, value_name = "FORMAT", default_value_t = Settings::default().flow_format, help = flow_format_help())]
     flow_format: FlowFormat,
     /// Write the flow from frame 2 to frame 1 too
     #[arg(long)]
@@ -59,15 +54,8 @@ pub struct Render {
     /// What is behind the subject: white, black, #rrggbb, or a folder of images
     #[arg(long, value_name = "COLOUR|DIR", default_value = "white")]
     background: Background,
-    /// Make part I of N only
-    #[arg(long, value_name = "I/N", default_value = "1/1", hide_default_value = true)]
-    shard: Shard,
-    /// Stop after making N pairs, exit code 75; the same command continues
-    #[arg(long, value_name = "N")]
-    stop_after: Option<u64>,
-    /// Delete the dataset that lies in the folder and start over
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    rendering: RenderingArgs,
 }
 
 type Shares = [f64; 3];
@@ -84,7 +72,6 @@ fn shares(text: &str) -> Result<Shares, String> {
 }
 
 pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
-    crate::output::ensure_folder(&args.out)?;
     let settings = Settings {
         head: args.head,
         scenes: args.scenes,
@@ -102,83 +89,13 @@ pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
     for note in &notes {
         note!("note: {note}");
     }
-    let progress = Progress::new("pairs");
-    let request = Request {
-        dir: &args.out,
-        shard: args.shard,
-        force: args.force,
-        stop_after: args.stop_after,
-        on_event: &|event| progress.show(event),
-    };
-    let result = generate(&settings, request);
-    progress.finish();
-    let report = usage_error(result)?;
+    let report = args.rendering.make(&args.out, "pairs", |request| generate(&settings, request))?;
     if context.json {
         crate::output::print_json(&summary(&args.out, &report, &notes))?;
     } else {
-        print_report(args.shard, &report)?;
+        print_report(args.rendering.shard, &report)?;
     }
     exit_if_stopped(report.run.stopped)
-}
-
-/// Exit code of a run that was stopped on request.
-const STOPPED: i32 = 75;
-
-/// Ends the program when a run was stopped on request.
-pub fn exit_if_stopped(stopped: bool) -> anyhow::Result<()> {
-    if stopped {
-        std::io::stdout().flush()?;
-        note!("stopped on request; the same command without --stop-after continues");
-        std::process::exit(STOPPED);
-    }
-    Ok(())
-}
-
-/// What was rendered; an argument that is out of range is wrong usage.
-pub fn usage_error<T>(result: Result<T, RenderError>) -> anyhow::Result<T> {
-    match result {
-        Err(error @ RenderError::Argument { .. }) => wrong_usage!("{error}"),
-        result => Ok(result?),
-    }
-}
-
-/// A bar on standard error, where that is a terminal.
-pub struct Progress {
-    bar: ProgressBar,
-    bytes: AtomicU64,
-}
-
-impl Progress {
-    pub fn new(units: &str) -> Self {
-        let bar = ProgressBar::new(0);
-        let template = format!("{{wide_bar}} {{pos}}/{{len}} {units}, {{msg}}, {{eta}} left");
-        bar.set_style(
-            ProgressStyle::with_template(&template).unwrap_or_else(|_| ProgressStyle::default_bar()),
-        );
-        Self { bar, bytes: AtomicU64::new(0) }
-    }
-
-    pub fn show(&self, event: Event) {
-        match event {
-            Event::Started { units, whole } => {
-                self.bar.set_length(units);
-                self.bar.set_position(whole);
-                self.bar.reset_eta();
-                self.bar.reset_elapsed();
-            }
-            Event::Made { bytes } => {
-                // Workers report out of order: the most that was reported stands.
-                let bytes = self.bytes.fetch_max(bytes, Ordering::Relaxed).max(bytes);
-                let seconds = self.bar.elapsed().as_secs_f64().max(1e-3);
-                self.bar.set_message(format!("{:.1} MB/s", bytes as f64 / 1e6 / seconds));
-                self.bar.inc(1);
-            }
-        }
-    }
-
-    pub fn finish(&self) {
-        self.bar.finish_and_clear();
-    }
 }
 
 fn summary(out: &std::path::Path, report: &Report, notes: &[String]) -> serde_json::Value {

@@ -3,15 +3,17 @@ use std::time::{Duration, Instant};
 
 use anyhow::ensure;
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use serde_json::json;
-use srflow_field::write_atomically;
+use srflow_field::write_file;
 use srflow_ops::device;
 use srflow_train::config::{Config, PRESETS};
 use srflow_train::training_log::{Record, StepRecord, read_log};
 use srflow_train::{Beginning, Event, Outcome, Start, config_of_run, report, train};
 
 use crate::networks::{note_if_ambiguous, weights_file};
+use crate::output::exit_stopped;
+use crate::progress::bar;
 use crate::{Context, machine};
 
 /// Train an optical flow network
@@ -150,9 +152,6 @@ impl Overrides {
     }
 }
 
-/// Exit code of a run that was stopped on request.
-const STOPPED: i32 = 75;
-
 pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
     if args.resume.is_some() {
         ensure!(
@@ -188,11 +187,9 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
     let outcome = result?;
     if outcome.stopped {
         print(&out, &outcome, context)?;
-        std::io::Write::flush(&mut std::io::stdout())?;
-        std::process::exit(STOPPED);
+        return exit_stopped();
     }
-    let page = report(&config, &read_log(&out)?, &machine::describe()).html();
-    write_atomically(&out.join("report.html"), |file| std::io::Write::write_all(file, page.as_bytes()))?;
+    write_file(&out.join("report.html"), report(&config, &read_log(&out)?, &machine::describe()).html())?;
     print(&out, &outcome, context)
 }
 
@@ -266,10 +263,8 @@ const LINES_APART: Duration = Duration::from_secs(30);
 
 impl Progress {
     pub fn new() -> Self {
-        let template = "{bar:24} {pos}/{len} {msg}, {eta} left";
-        let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
         Self {
-            bar: ProgressBar::new(0).with_style(style),
+            bar: bar(0, "{bar:24} {pos}/{len} {msg}, {eta} left"),
             done: 0,
             steps: 0,
             began: Instant::now(),

@@ -23,6 +23,18 @@ pub struct Chart {
     pub caption: String,
 }
 
+impl Chart {
+    /// A chart with these words around it; each may be empty.
+    pub fn new(
+        title: impl Into<String>,
+        x: impl Into<String>,
+        y: impl Into<String>,
+        caption: impl Into<String>,
+    ) -> Self {
+        Self { title: title.into(), x: x.into(), y: y.into(), caption: caption.into() }
+    }
+}
+
 /// How values are laid along an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Axis {

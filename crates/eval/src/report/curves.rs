@@ -80,12 +80,7 @@ mod tests {
     fn an_axis_of_a_single_place_has_distinct_labels() {
         for (x, y) in [(4.0, 1.5), (9000.0, 0.4), (1.0, 2.0), (0.0, 0.0)] {
             let curve = Curve { name: "EPE".to_owned(), points: vec![(x, y)], baseline: false };
-            let chart = Chart {
-                title: "Validation".to_owned(),
-                x: "step".to_owned(),
-                y: "EPE".to_owned(),
-                caption: String::new(),
-            };
+            let chart = Chart::new("Validation", "step", "EPE", "");
             let page = axes_of(&[curve], &chart);
             let labels: Vec<&str> = page
                 .split("text-anchor=\"middle\">")

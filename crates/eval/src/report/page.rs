@@ -1,4 +1,5 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use srflow_field::printable;
 
 /// A part of a page made by one of the figure functions of this module.
 #[derive(Debug, Clone)]
@@ -13,6 +14,13 @@ pub struct Section {
     pub lead: String,
     /// What it shows, from top to bottom.
     pub figures: Vec<Figure>,
+}
+
+impl Section {
+    /// A section of these figures.
+    pub fn new(title: impl Into<String>, lead: impl Into<String>, figures: Vec<Figure>) -> Self {
+        Self { title: title.into(), lead: lead.into(), figures }
+    }
 }
 
 /// A page: title, contents, sections.
@@ -33,10 +41,11 @@ pub struct Page {
 }
 
 impl Page {
-    /// The whole page as HTML 5, also well-formed as XML apart from the document type and void elements.
+    /// The whole page as HTML 5, also well-formed as XML apart from the document type and void elements. Texts are escaped,
+    /// and what would reorder or hide them is spelt out.
     pub fn html(&self) -> String {
         let contents = self.sections.len() > 1;
-        html! {
+        let page = html! {
             (DOCTYPE)
             html lang="en" {
                 head {
@@ -76,7 +85,7 @@ impl Page {
                     footer { p { (self.colophon) } }
                 }
             }
-        }
-        .into_string()
+        };
+        printable(&page.0).into_owned()
     }
 }

@@ -34,7 +34,7 @@ pub fn pair_figures(
     let longest = flow_scale(&truth);
     let largest = error_scale(&errors.iter().map(|(_, error)| error).collect::<Vec<_>>());
 
-    let panel = |picture, title: &str, note: String| Panel { picture, title: title.to_owned(), note };
+    let panel = |picture, title: &str, note: String| Panel::new(picture, title, note);
     let flow_picture = |flow: &FlowField, alt: &str| {
         Picture::jpeg(&flow_colors(&within(flow, longest as f32), Some(longest as f32)), alt)
     };
@@ -94,8 +94,7 @@ fn within(flow: &FlowField, longest: f32) -> FlowField {
 /// # Errors
 /// When a picture cannot be encoded.
 pub fn sample_panels(sample: &Sample, name: &str, max_width: usize) -> Result<Vec<Panel>, PictureError> {
-    let panel =
-        |picture, title: &str, note: &str| Panel { picture, title: title.to_owned(), note: note.to_owned() };
+    let panel = |picture, title: &str, note: &str| Panel::new(picture, title, note);
     let frame = Picture::jpeg(&shrink_image(&sample.frame1, max_width), "frame 1")?;
     let mut panels = vec![panel(frame, "Frame", name)];
     if let Some(flow) = &sample.flow {

@@ -12,6 +12,13 @@ pub struct Panel {
     pub note: String,
 }
 
+impl Panel {
+    /// A picture with these words.
+    pub fn new(picture: Picture, title: impl Into<String>, note: impl Into<String>) -> Self {
+        Self { picture, title: title.into(), note: note.into() }
+    }
+}
+
 /// Pictures in a row, wrapped where the page is narrow and never enlarged, with one caption under all. `least_width` is the width in CSS
 /// pixels below which a picture moves to the next line.
 pub fn panels(panels: &[Panel], least_width: usize, caption: &str) -> Figure {

@@ -42,24 +42,15 @@ pub fn score_report(
     pairs: Vec<Figure>,
     settings: &[(String, String)],
 ) -> Page {
-    let mut sections = vec![Section {
-        title: "Scores".to_owned(),
-        lead: "Computed per pair over the pixels whose true flow is known, then averaged over pairs."
-            .to_owned(),
-        figures: score_figures(evaluation, machine),
-    }];
+    let mut sections = vec![Section::new(
+        "Scores",
+        "Computed per pair over the pixels whose true flow is known, then averaged over pairs.",
+        score_figures(evaluation, machine),
+    )];
     if !pairs.is_empty() {
-        sections.push(Section {
-            title: "Pairs".to_owned(),
-            lead: "The true flow, the flow of each method, and its error.".to_owned(),
-            figures: pairs,
-        });
+        sections.push(Section::new("Pairs", "The true flow, the flow of each method, and its error.", pairs));
     }
-    sections.push(Section {
-        title: "Settings".to_owned(),
-        lead: "What these scores follow from.".to_owned(),
-        figures: vec![facts(settings)],
-    });
+    sections.push(Section::new("Settings", "What these scores follow from.", vec![facts(settings)]));
     Page {
         title: format!("Optical flow of {} on {}", methods_in_words(evaluation), evaluation.title()),
         kicker: "srflow eval".to_owned(),
@@ -105,12 +96,12 @@ fn error_curves(evaluation: &Evaluation) -> Figure {
             .collect(),
         baseline: method.baseline,
     };
-    let chart = Chart {
-        title: "Pixels within an error".to_owned(),
-        x: "end-point error, px".to_owned(),
-        y: "pixels within it, %".to_owned(),
-        caption: "Higher and further left is better. WAUC is the weighted area under this curve.".to_owned(),
-    };
+    let chart = Chart::new(
+        "Pixels within an error",
+        "end-point error, px",
+        "pixels within it, %",
+        "Higher and further left is better. WAUC is the weighted area under this curve.",
+    );
     curves(&evaluation.methods.iter().map(curve).collect::<Vec<_>>(), Axis::Linear, false, &chart)
 }
 
@@ -123,13 +114,12 @@ fn pair_curves(evaluation: &Evaluation) -> Figure {
             .collect(),
         baseline: method.baseline,
     };
-    let chart = Chart {
-        title: "Error pair by pair".to_owned(),
-        x: "pair".to_owned(),
-        y: "EPE, px (logarithmic)".to_owned(),
-        caption: "The baseline is the mean length of the true flow: where motion is small, every method is near it."
-            .to_owned(),
-    };
+    let chart = Chart::new(
+        "Error pair by pair",
+        "pair",
+        "EPE, px (logarithmic)",
+        "The baseline is the mean length of the true flow: where motion is small, every method is near it.",
+    );
     let dots = evaluation.pairs <= 60;
     curves(&evaluation.methods.iter().map(curve).collect::<Vec<_>>(), Axis::Logarithmic, dots, &chart)
 }
@@ -145,15 +135,12 @@ fn times(evaluation: &Evaluation, machine: &str) -> Figure {
         Some(Bar { name: method.name.clone(), value: seconds, label, baseline: method.baseline })
     };
     let measured = evaluation.methods.iter().filter(|method| !method.baseline);
-    let chart = Chart {
-        title: "Time per pair".to_owned(),
-        x: String::new(),
-        y: String::new(),
-        caption: format!(
-            "Median over {} of the estimation alone, on {machine}.",
-            evaluation.pairs_in_words()
-        ),
-    };
+    let chart = Chart::new(
+        "Time per pair",
+        "",
+        "",
+        format!("Median over {} of the estimation alone, on {machine}.", evaluation.pairs_in_words()),
+    );
     bars(&measured.filter_map(bar).collect::<Vec<_>>(), &chart)
 }
 

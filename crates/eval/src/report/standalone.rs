@@ -3,6 +3,7 @@
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use maud::{Markup, PreEscaped, html};
+use srflow_field::printable;
 
 use super::charts::{Chart, WIDTH, place};
 
@@ -39,7 +40,7 @@ fn file(chart: &Chart, keys: &[(&str, &str)], drawing: &Markup, height: f64) -> 
         .iter()
         .map(|(class, colour)| format!(".{class} .fill{{fill:{colour}}}.{class} .line{{stroke:{colour}}}"))
         .collect();
-    html! {
+    let svg = html! {
         svg xmlns="http://www.w3.org/2000/svg" width=(place(width)) height=(place(height))
             viewBox={ "0 0 " (place(width)) " " (place(height)) }
             font-family="Helvetica, Arial, sans-serif" font-size="12.5" {
@@ -54,8 +55,8 @@ fn file(chart: &Chart, keys: &[(&str, &str)], drawing: &Markup, height: f64) -> 
             }
             g transform={ "translate(" (MARGIN) " " (place(top)) ")" } { (drawing) }
         }
-    }
-    .into_string()
+    };
+    printable(&svg.0).into_owned()
 }
 
 /// Left end and line of each key, by the usual width of a letter.
@@ -95,8 +96,7 @@ mod tests {
 
     #[test]
     fn a_file_holds_title_keys_and_drawing_escaped() {
-        let chart =
-            Chart { title: "a < b".into(), x: String::new(), y: String::new(), caption: String::new() };
+        let chart = Chart::new("a < b", "", "", "");
         let svg = file(&chart, &[("x & y", "s1"), ("other", "s2")], &html! { circle r="3" {} }, 100.0);
         assert!(svg.starts_with("<svg xmlns=\"http://www.w3.org/2000/svg\""), "{svg}");
         assert!(svg.contains("a &lt; b") && svg.contains("x &amp; y") && svg.contains("<circle"), "{svg}");

@@ -12,13 +12,11 @@ mod pfm;
 mod png_outline;
 mod samples;
 
-use std::fmt;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
-use std::str::FromStr;
 
-use crate::{FileError, FileKind, FileProblem, FlowField, open_file, write_atomically};
+use crate::{FileError, FileKind, FileProblem, FlowField, named, open_file, write_atomically};
 
 pub(crate) use claim::{MAX_PIXELS, check_size, read_all};
 pub(crate) use png_outline::{PNG_MAGIC, PngOutline};
@@ -49,23 +47,21 @@ pub enum FlowFormat {
     Npz16,
 }
 
-impl FlowFormat {
-    /// Every format.
-    pub const ALL: [Self; 8] =
-        [Self::Flo, Self::KittiPng, Self::Png128, Self::Pfm, Self::Flo5, Self::Npy, Self::Npz, Self::Npz16];
+named!(FlowFormat, "a flow format", {
+    Flo => "flo",
+    KittiPng => "png",
+    Png128 => "png128",
+    Pfm => "pfm",
+    Flo5 => "flo5",
+    Npy => "npy",
+    Npz => "npz",
+    Npz16 => "npz16",
+});
 
+impl FlowFormat {
     /// The extension of its files, which is also its name.
     pub fn extension(self) -> &'static str {
-        match self {
-            Self::Flo => "flo",
-            Self::KittiPng => "png",
-            Self::Png128 => "png128",
-            Self::Pfm => "pfm",
-            Self::Flo5 => "flo5",
-            Self::Npy => "npy",
-            Self::Npz => "npz",
-            Self::Npz16 => "npz16",
-        }
+        self.name()
     }
 
     /// The format that a file's name speaks of.
@@ -89,23 +85,6 @@ impl FlowFormat {
 
     fn names() -> String {
         Self::ALL.map(Self::extension).join(", ")
-    }
-}
-
-impl fmt::Display for FlowFormat {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.extension())
-    }
-}
-
-impl FromStr for FlowFormat {
-    type Err = String;
-
-    fn from_str(name: &str) -> Result<Self, String> {
-        Self::ALL
-            .into_iter()
-            .find(|format| format.extension() == name)
-            .ok_or_else(|| format!("no flow format `{name}`; there are {}", Self::names()))
     }
 }
 

@@ -34,9 +34,7 @@ impl ColorJitter {
             (config.saturation, Change::Saturation(factor(config.saturation))),
             (config.hue, Change::Hue(stream.uniform(-config.hue, config.hue))),
         ];
-        for last in (1..changes.len()).rev() {
-            changes.swap(last, stream.below(last as u32 + 1) as usize);
-        }
+        stream.shuffle(&mut changes);
         Self(changes.into_iter().filter(|(amount, _)| *amount > 0.0).map(|(_, change)| change).collect())
     }
 

@@ -41,18 +41,10 @@ impl Reader for FacialFlowNet {
             Split::Test => &["test"],
             Split::All => &["train", "val", "test"],
         };
+        let [images, flows] = ["image", "flow"].map(|folder| format!("{folder}/{}", self.motion));
         let mut entries = Vec::new();
-        for part in parts {
-            let images = listing::require(&self.name(), dir, &format!("image/{}/{part}", self.motion))?;
-            let flows = listing::require(&self.name(), dir, &format!("flow/{}/{part}", self.motion))?;
-            listing::folders_without(&flows, &images, gaps)?;
-            for emotion in listing::folders(&images)? {
-                listing::folders_without(&flows.join(listing::name(&emotion)), &emotion, gaps)?;
-                for subject in listing::folders(&emotion)? {
-                    let place = format!("{part}/{}/{}", listing::name(&emotion), listing::name(&subject));
-                    entries.extend(self.sequence(dir, &place, gaps)?);
-                }
-            }
+        for place in listing::places(&self.name(), dir, parts, [&images, &flows], gaps)? {
+            entries.extend(self.sequence(dir, &place, gaps)?);
         }
         Ok(entries)
     }

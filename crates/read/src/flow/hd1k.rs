@@ -76,15 +76,7 @@ fn by_sequence(dir: &Path, gaps: &mut Gaps) -> Result<BTreeMap<u64, Numbered>, D
             gaps.push(format!("{}: expected a name like 000000_0010.png", gaps.shown(&path)));
             continue;
         };
-        let frames = found.entry(sequence).or_default();
-        match frames.get(&frame) {
-            Some(other) => {
-                gaps.push(format!("{} is there twice, also as {}", gaps.shown(&path), listing::name(other)))
-            }
-            None => {
-                frames.insert(frame, path);
-            }
-        }
+        listing::insert_once(found.entry(sequence).or_default(), frame, path, gaps);
     }
     Ok(found)
 }

@@ -2,6 +2,7 @@
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 
 use srflow_field::IMAGE_EXTENSIONS;
@@ -92,6 +93,29 @@ fn visible(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     Ok(named.into_iter().map(|(_, path)| path).collect())
 }
 
+/// The folders two levels below `frames` of `dir`, as `PART/OUTER/INNER` for each of `parts`. Folders that lie so below `flows`
+/// and not there are gaps.
+pub fn places(
+    kind: &str,
+    dir: &Path,
+    parts: &[&str],
+    [frames, flows]: [&str; 2],
+    gaps: &mut Gaps,
+) -> Result<Vec<String>, DatasetError> {
+    let mut places = Vec::new();
+    for part in parts {
+        let frames = require(kind, dir, &format!("{frames}/{part}"))?;
+        let flows = require(kind, dir, &format!("{flows}/{part}"))?;
+        folders_without(&flows, &frames, gaps)?;
+        for outer in folders(&frames)? {
+            folders_without(&flows.join(name(&outer)), &outer, gaps)?;
+            let inner = folders(&outer)?;
+            places.extend(inner.iter().map(|inner| format!("{part}/{}/{}", name(&outer), name(inner))));
+        }
+    }
+    Ok(places)
+}
+
 /// Names as gaps the folders of `dir` that have no counterpart of the same name in `counterpart`. `dir` need not be there.
 pub fn folders_without(dir: &Path, counterpart: &Path, gaps: &mut Gaps) -> Result<(), DatasetError> {
     let found = if dir.is_dir() { folders(dir)? } else { Vec::new() };
@@ -121,21 +145,22 @@ pub type Numbered = BTreeMap<u64, PathBuf>;
 pub fn numbered(dir: &Path, endings: &[&str], gaps: &mut Gaps) -> Result<Numbered, DatasetError> {
     let mut found = Numbered::new();
     for path in files(dir, endings)? {
-        let Some(number) = last_number(&stem(&path)) else {
-            gaps.push(format!("{}: its name holds no frame number", gaps.shown(&path)));
-            continue;
-        };
-        if let Some(other) = found.get(&number) {
-            gaps.push(format!(
-                "{}: frame {number} is there twice, also as {}",
-                gaps.shown(&path),
-                name(other)
-            ));
-            continue;
+        match last_number(&stem(&path)) {
+            Some(number) => insert_once(&mut found, number, path, gaps),
+            None => gaps.push(format!("{}: its name holds no frame number", gaps.shown(&path))),
         }
-        found.insert(number, path);
     }
     Ok(found)
+}
+
+/// Adds a file under its key; where another has the key already, that is a gap.
+pub fn insert_once<K: Ord>(found: &mut BTreeMap<K, PathBuf>, key: K, path: PathBuf, gaps: &mut Gaps) {
+    match found.entry(key) {
+        Entry::Vacant(free) => _ = free.insert(path),
+        Entry::Occupied(other) => {
+            gaps.push(format!("{} is there twice, also as {}", gaps.shown(&path), name(other.get())));
+        }
+    }
 }
 
 /// [`numbered`], or nothing when the folder is not there.

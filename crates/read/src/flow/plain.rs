@@ -131,17 +131,9 @@ fn files_by_stem(
     endings: &[&str],
     gaps: &mut Gaps,
 ) -> Result<BTreeMap<String, PathBuf>, DatasetError> {
-    let mut found: BTreeMap<String, PathBuf> = BTreeMap::new();
+    let mut found = BTreeMap::new();
     for path in listing::files(dir, endings)? {
-        let stem = listing::stem(&path);
-        match found.get(&stem) {
-            Some(other) => {
-                gaps.push(format!("{} is there twice, also as {}", gaps.shown(&path), listing::name(other)))
-            }
-            None => {
-                found.insert(stem, path);
-            }
-        }
+        listing::insert_once(&mut found, listing::stem(&path), path, gaps);
     }
     Ok(found)
 }

@@ -47,18 +47,10 @@ impl Reader for FlyingThings3D {
             Split::Val | Split::Test => &["TEST"],
             Split::All => &["TRAIN", "TEST"],
         };
+        let folders = [&format!("frames_{}pass", self.pass), "optical_flow"];
         let mut entries = Vec::new();
-        for part in parts {
-            let frames = listing::require(&self.name(), dir, &format!("frames_{}pass/{part}", self.pass))?;
-            let flows = listing::require(&self.name(), dir, &format!("optical_flow/{part}"))?;
-            listing::folders_without(&flows, &frames, gaps)?;
-            for letter in listing::folders(&frames)? {
-                listing::folders_without(&flows.join(listing::name(&letter)), &letter, gaps)?;
-                for folder in listing::folders(&letter)? {
-                    let place = format!("{part}/{}/{}", listing::name(&letter), listing::name(&folder));
-                    entries.extend(self.sequence(dir, &place, gaps)?);
-                }
-            }
+        for place in listing::places(&self.name(), dir, parts, folders, gaps)? {
+            entries.extend(self.sequence(dir, &place, gaps)?);
         }
         Ok(entries)
     }

@@ -1,6 +1,6 @@
 //! Pairs that lie side by side in one folder, as FlyingChairs has them: `NAME_img1`, `NAME_img2`, `NAME_flow`.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use super::gaps::Gaps;
@@ -18,31 +18,21 @@ const PARTS: [(&str, &[&str]); 5] = [
 
 /// The pairs of `dir` in natural order of their names. Either all have a flow or none; anything else is a gap.
 pub fn triplets(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
-    let mut found: BTreeMap<String, [Option<PathBuf>; 5]> = BTreeMap::new();
-    let mut names = Vec::new();
-    for (part, (suffix, endings)) in PARTS.iter().enumerate() {
+    let mut found: [BTreeMap<String, PathBuf>; PARTS.len()] = Default::default();
+    for (files, (suffix, endings)) in found.iter_mut().zip(PARTS) {
         for path in listing::files(dir, endings)? {
-            let stem = listing::stem(&path);
-            let Some(name) = stem.strip_suffix(suffix) else { continue };
-            let files = found.entry(name.to_owned()).or_insert_with(|| {
-                names.push(name.to_owned());
-                Default::default()
-            });
-            match &files[part] {
-                Some(other) => gaps.push(format!(
-                    "{} is there twice, also as {}",
-                    gaps.shown(&path),
-                    listing::name(other)
-                )),
-                None => files[part] = Some(path),
+            if let Some(name) = listing::stem(&path).strip_suffix(suffix) {
+                listing::insert_once(files, name.to_owned(), path, gaps);
             }
         }
     }
+    let names: BTreeSet<String> = found.iter().flat_map(BTreeMap::keys).cloned().collect();
+    let mut names = Vec::from_iter(names);
     names.sort_by(|a, b| listing::natural_order(a, b));
-    let with_flow = found.values().any(|[_, _, flow, ..]| flow.is_some());
+    let with_flow = !found[2].is_empty();
     let mut entries = Vec::new();
     for name in names {
-        let Some([frame1, frame2, flow, mask, occlusion]) = found.remove(&name) else { continue };
+        let [frame1, frame2, flow, mask, occlusion] = found.each_mut().map(|files| files.remove(&name));
         let missing = [
             ("_img1", frame1.is_none()),
             ("_img2", frame2.is_none()),

@@ -1,5 +1,7 @@
 use std::fmt;
 
+use serde::Serialize;
+
 /// What is known of one clip: who, what and when.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Annotation {
@@ -22,7 +24,7 @@ pub struct Annotation {
 }
 
 /// A row of the annotations that is left out.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Dropped {
     pub subject: String,
     pub clip: String,
@@ -32,7 +34,8 @@ pub struct Dropped {
 }
 
 /// Why a row is left out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum DropReason {
     /// It belongs to none of the classes.
     Label,
@@ -44,19 +47,6 @@ pub enum DropReason {
     NotInApexList,
     /// Its onset or apex frame is not on disk.
     FramesMissing,
-}
-
-impl DropReason {
-    /// One word for files: `label`, `apex-unknown`, ...
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Label => "label",
-            Self::ApexUnknown => "apex-unknown",
-            Self::ApexNotAfterOnset => "apex-not-after-onset",
-            Self::NotInApexList => "not-in-apex-list",
-            Self::FramesMissing => "frames-missing",
-        }
-    }
 }
 
 impl fmt::Display for DropReason {

@@ -1,4 +1,4 @@
-use std::fmt;
+use srflow_field::named;
 
 /// The three classes of the composite micro-expression benchmark (MEGC 2019), with its numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -9,22 +9,8 @@ pub enum EmotionClass {
     Surprise = 2,
 }
 
-impl EmotionClass {
-    /// Every class, in the order of their numbers.
-    pub const ALL: [EmotionClass; 3] = [Self::Negative, Self::Positive, Self::Surprise];
-
-    /// `negative`, `positive` or `surprise`, as tables and files have it.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Negative => "negative",
-            Self::Positive => "positive",
-            Self::Surprise => "surprise",
-        }
-    }
-}
-
-impl fmt::Display for EmotionClass {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.pad(self.name())
-    }
-}
+named!(EmotionClass, "a class of the benchmark", {
+    Negative => "negative",
+    Positive => "positive",
+    Surprise => "surprise",
+});

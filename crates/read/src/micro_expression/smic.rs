@@ -132,6 +132,15 @@ impl Rows {
     fn drop(&mut self, key: Key, clip: String, label: String, reason: DropReason) {
         self.dropped.push(Dropped { subject: key.subject_name(), clip, label, reason });
     }
+
+    /// The class of a clip; one that has none, or is left out of the published list, is dropped.
+    fn class(&mut self, source: &ClipSource, key: Key, clip: &str, label: &str) -> Option<usize> {
+        let class = match NOT_IN_APEX_LIST.contains(&key) {
+            true => Err(DropReason::NotInApexList),
+            false => key.class(source).ok_or(DropReason::Label),
+        };
+        class.map_err(|reason| self.drop(key, clip.to_owned(), label.to_owned(), reason)).ok()
+    }
 }
 
 fn of_table(source: &ClipSource, table: Table) -> Result<Rows, MicroExpressionError> {
@@ -146,14 +155,7 @@ fn of_table(source: &ClipSource, table: Table) -> Result<Rows, MicroExpressionEr
         if subject.trim_start_matches(['s', 'S']).parse() != Ok(key.subject) {
             return Err(row.wrong(format!("subject `{subject}` has a clip called {clip}")));
         }
-        if NOT_IN_APEX_LIST.contains(&key) {
-            rows.drop(key, clip, label, DropReason::NotInApexList);
-            continue;
-        }
-        let Some(class) = key.class(source) else {
-            rows.drop(key, clip, label, DropReason::Label);
-            continue;
-        };
+        let Some(class) = rows.class(source, key, &clip, &label) else { continue };
         let (onset, offset) = (row.frame("OnsetF")?, row.frame("OffsetF")?);
         if offset <= onset {
             return Err(row.wrong(format!("OffsetF: expected a frame after OnsetF {onset}, found {offset}")));
@@ -210,14 +212,7 @@ fn of_short_clips(source: &ClipSource, root: &Path) -> Result<Rows, MicroExpress
     for (key, folder) in short_clips(root)? {
         let clip = listing::name(&folder);
         let label = folder.parent().map(listing::name).unwrap_or_default();
-        if NOT_IN_APEX_LIST.contains(&key) {
-            rows.drop(key, clip, label, DropReason::NotInApexList);
-            continue;
-        }
-        let Some(class) = key.class(source) else {
-            rows.drop(key, clip, label, DropReason::Label);
-            continue;
-        };
+        let Some(class) = rows.class(source, key, &clip, &label) else { continue };
         let frames = numbered_frames(&folder)?;
         let (Some((&onset, _)), Some((&offset, _))) = (frames.first_key_value(), frames.last_key_value())
         else {

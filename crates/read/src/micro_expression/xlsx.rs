@@ -241,10 +241,7 @@ fn cells(text: &str, strings: &[String], left: &mut Budget) -> Result<Cells, Str
             }
             Event::End(tag) if tag.local_name().as_ref() == "row" => row = row.saturating_add(1),
             Event::Start(tag) if tag.local_name().as_ref() == "c" => {
-                if let Some(reference) = attribute(&tag, |name| name == "r")? {
-                    (row, column) = position(&reference)
-                        .ok_or_else(|| format!("a cell at `{}`", srflow_field::excerpt(&reference)))?;
-                }
+                (row, column) = place(&tag)?.unwrap_or((row, column));
                 let text = cell_text(&mut xml, &tag, strings)?;
                 if row < MAX_ROWS && column < MAX_COLUMNS && !text.trim().is_empty() {
                     left.take_cell(&text)?;
@@ -253,16 +250,20 @@ fn cells(text: &str, strings: &[String], left: &mut Budget) -> Result<Cells, Str
                 column = column.saturating_add(1);
             }
             Event::Empty(tag) if tag.local_name().as_ref() == "c" => {
-                if let Some(reference) = attribute(&tag, |name| name == "r")? {
-                    (row, column) = position(&reference)
-                        .ok_or_else(|| format!("a cell at `{}`", srflow_field::excerpt(&reference)))?;
-                }
+                (row, column) = place(&tag)?.unwrap_or((row, column));
                 column = column.saturating_add(1);
             }
             Event::Eof => return Ok(cells),
             _ => {}
         }
     }
+}
+
+/// Row and column of a cell, where it says them.
+fn place(cell: &BytesStart) -> Result<Option<(u32, u32)>, String> {
+    let Some(reference) = attribute(cell, |name| name == "r")? else { return Ok(None) };
+    let found = position(&reference);
+    found.map(Some).ok_or_else(|| format!("a cell at `{}`", srflow_field::excerpt(&reference)))
 }
 
 /// Row and column, from 0, of a reference such as `AB12`.

@@ -159,25 +159,12 @@ fn name(path: &Path) -> String {
 
 #[cfg(test)]
 mod tests {
-    use srflow_field::FlowFormat;
-
     use super::*;
-    use crate::generate::Background;
 
     fn manifest() -> Manifest {
-        let settings = Settings {
-            head: Head::Builtin,
-            scenes: 5,
-            frames: 7.4,
-            width: 110,
-            height: 160,
-            splits: [0.6, 0.2, 0.2],
-            seed: 3,
-            flow_format: FlowFormat::Npz16,
-            backward: false,
-            depth: false,
-            background: Background::Colour([255; 3]),
-        };
+        let (splits, seed) = ([0.6, 0.2, 0.2], 3);
+        let settings =
+            Settings { scenes: 5, frames: 7.4, width: 110, height: 160, splits, seed, ..Settings::default() };
         settings.plan().unwrap()
     }
 

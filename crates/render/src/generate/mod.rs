@@ -13,15 +13,14 @@ mod scene;
 mod settings;
 mod work;
 
-use std::io::Write;
 use std::path::Path;
 
 use rayon::prelude::*;
-use srflow_field::write_atomically;
+use srflow_field::write_file;
 
 use crate::RenderError;
 use crate::job::{self, Made, Request};
-use crate::record::PairRecord;
+use crate::record::{PairRecord, json_text};
 use crate::statistics::{FlowSummary, Statistics};
 use srflow_read::manifest::{Manifest, STATISTICS_NAME};
 
@@ -70,9 +69,6 @@ fn write_statistics(dir: &Path, manifest: &Manifest) -> Result<Statistics, Rende
         }
     }
     let statistics = Statistics::new(manifest, flow);
-    write_atomically(&dir.join(STATISTICS_NAME), |writer| {
-        serde_json::to_writer_pretty(&mut *writer, &statistics)?;
-        writer.write_all(b"\n")
-    })?;
+    write_file(&dir.join(STATISTICS_NAME), json_text(&statistics))?;
     Ok(statistics)
 }

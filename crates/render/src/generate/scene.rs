@@ -66,11 +66,8 @@ pub(crate) struct FrameState {
 }
 
 pub(super) fn subject(head: &Head, entry: &SceneEntry) -> Result<Avatar, RenderError> {
-    let made = match head {
-        Head::Builtin => Avatar::builtin(entry.subject),
-        Head::Ict(dir) => Avatar::ict(dir, entry.subject),
-    };
-    made.map_err(|error| RenderError::Head { who: entry.name.clone(), reason: error.to_string() })
+    head.avatar(entry.subject)
+        .map_err(|error| RenderError::Head { who: entry.name.clone(), reason: error.to_string() })
 }
 
 impl Scene {

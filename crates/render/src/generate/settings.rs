@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use glam::DVec3;
+use srflow_avatar::{Avatar, AvatarError};
 use srflow_field::FlowFormat;
 use srflow_field::random::Key;
 
-use super::Rig;
 use super::background::{self, Background};
+use super::{FULL_SIZE, Rig};
 use crate::RenderError;
 use srflow_read::manifest::{Arguments, LAYOUT_VERSION, Manifest, SceneEntry, SceneSplit};
 
@@ -26,6 +27,19 @@ pub enum Head {
     Builtin,
     /// ICT-FaceKit, read from its published folder.
     Ict(PathBuf),
+}
+
+impl Head {
+    /// The avatar of a subject.
+    ///
+    /// # Errors
+    /// When the files of the head cannot be read, or are not those of its model.
+    pub fn avatar(&self, subject: u64) -> Result<Avatar, AvatarError> {
+        match self {
+            Self::Builtin => Avatar::builtin(subject),
+            Self::Ict(dir) => Avatar::ict(dir, subject),
+        }
+    }
 }
 
 impl FromStr for Head {
@@ -65,6 +79,25 @@ pub struct Settings {
     pub depth: bool,
     /// What is behind the subject.
     pub background: Background,
+}
+
+impl Default for Settings {
+    /// The paper's dataset: 11,161 pairs of 27 scenes at 2200x3208.
+    fn default() -> Self {
+        Self {
+            head: Head::Builtin,
+            scenes: 27,
+            frames: 413.37,
+            width: FULL_SIZE.0,
+            height: FULL_SIZE.1,
+            splits: [0.61, 0.11, 0.28],
+            seed: 1,
+            flow_format: FlowFormat::Npz16,
+            backward: false,
+            depth: false,
+            background: Background::Colour([255; 3]),
+        }
+    }
 }
 
 impl Settings {
@@ -267,9 +300,7 @@ fn assign_splits(scenes: usize, shares: [f64; 3], seed: u64) -> Vec<SceneSplit> 
         .flat_map(|(split, n)| std::iter::repeat_n(split, n))
         .collect();
     let mut stream = Key::new(seed).stream("splits");
-    for last in (1..assigned.len()).rev() {
-        assigned.swap(last, stream.below(last as u32 + 1) as usize);
-    }
+    stream.shuffle(&mut assigned);
     assigned
 }
 
@@ -290,29 +321,13 @@ fn largest_remainder(total: usize, shares: [f64; 3]) -> [usize; 3] {
 mod tests {
     use super::*;
 
-    fn settings() -> Settings {
-        Settings {
-            head: Head::Builtin,
-            scenes: 27,
-            frames: 413.37,
-            width: 2200,
-            height: 3208,
-            splits: [0.61, 0.11, 0.28],
-            seed: 1,
-            flow_format: FlowFormat::Flo,
-            backward: false,
-            depth: false,
-            background: Background::Colour([255; 3]),
-        }
-    }
-
     fn plan(settings: &Settings) -> Result<Manifest, String> {
         settings.plan().map_err(|error| error.to_string())
     }
 
     #[test]
     fn the_defaults_are_the_papers_table() {
-        let manifest = plan(&settings()).unwrap();
+        let manifest = plan(&Settings::default()).unwrap();
         assert_eq!((manifest.scenes.len(), manifest.pairs()), (27, 11_161));
         assert!(manifest.scenes.iter().all(|scene| scene.pairs == 413 || scene.pairs == 414));
         let count = |split| manifest.scenes_of(split).count();
@@ -321,8 +336,8 @@ mod tests {
 
     #[test]
     fn a_scene_does_not_depend_on_how_many_there_are() {
-        let few = plan(&Settings { scenes: 3, frames: 5.0, ..settings() }).unwrap();
-        let many = plan(&settings()).unwrap();
+        let few = plan(&Settings { scenes: 3, frames: 5.0, ..Settings::default() }).unwrap();
+        let many = plan(&Settings::default()).unwrap();
         for (a, b) in few.scenes.iter().zip(&many.scenes) {
             assert_eq!((&a.name, a.subject, a.pairs), (&b.name, b.subject, 5));
         }
@@ -347,19 +362,19 @@ mod tests {
 
     #[test]
     fn splits_that_get_no_scene_are_named() {
-        let notes = Settings { scenes: 3, ..settings() }.empty_splits();
+        let notes = Settings { scenes: 3, ..Settings::default() }.empty_splits();
         assert!(notes.len() == 1 && notes[0].contains("the val split is empty"), "{notes:?}");
         let enough = notes[0].split("--scenes ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
-        assert!(Settings { scenes: enough, ..settings() }.empty_splits().is_empty());
-        assert!(!Settings { scenes: enough - 1, ..settings() }.empty_splits().is_empty());
-        let wanted = Settings { scenes: 1, splits: [1.0, 0.0, 0.0], ..settings() };
+        assert!(Settings { scenes: enough, ..Settings::default() }.empty_splits().is_empty());
+        assert!(!Settings { scenes: enough - 1, ..Settings::default() }.empty_splits().is_empty());
+        let wanted = Settings { scenes: 1, splits: [1.0, 0.0, 0.0], ..Settings::default() };
         assert!(wanted.empty_splits().is_empty(), "a share of zero is wanted");
     }
 
     #[test]
     fn what_is_wrong_is_said_before_any_work() {
         let error = |settings: Settings| plan(&settings).unwrap_err();
-        let base = settings;
+        let base = Settings::default;
         assert!(error(Settings { scenes: 0, ..base() }).contains("--scenes 0: expected 1 to 10000"));
         assert!(error(Settings { frames: 0.0, ..base() }).contains("--frames 0"));
         assert!(error(Settings { frames: f64::NAN, ..base() }).contains("--frames NaN"));

@@ -5,11 +5,10 @@
 //! after a run's last pair is rendered for its depth alone.
 
 use std::fs;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use srflow_avatar::PosedHead;
-use srflow_field::{write_atomically, write_flow_as, write_image_png, write_mask_png};
+use srflow_field::{write_file, write_flow_as, write_image_png, write_mask_png};
 use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
 
 use super::background::{self, Background};
@@ -20,7 +19,7 @@ use super::scene::{FrameState, Scene};
 use super::settings::Settings;
 use crate::RenderError;
 use crate::job::{Plan, Run, Stage, unless_gone};
-use crate::record::PairRecord;
+use crate::record::{PairRecord, json_text};
 use crate::statistics::FlowSummary;
 use srflow_read::manifest::{
     FrameFiles, MANIFEST_NAME, Manifest, PairFiles, STATISTICS_NAME, SceneEntry, SceneSplit,
@@ -51,8 +50,7 @@ impl<'a> Plan for Scenes<'a> {
     const LONGEST_RUN: u32 = 24;
 
     fn manifest(&self) -> String {
-        let text = serde_json::to_string_pretty(&self.manifest).expect("a manifest is JSON");
-        format!("{text}\n")
+        json_text(&self.manifest)
     }
 
     fn groups(&self) -> Vec<u32> {
@@ -124,6 +122,7 @@ fn scene_folder(dir: &Path, scene: &SceneEntry, kind: &str) -> PathBuf {
 }
 
 /// The buffers of one worker, used again for every frame: about 0.3 GB at 2200x3208.
+#[derive(Default)]
 pub(super) struct Worker {
     rasterizer: Rasterizer,
     options: Options,
@@ -143,24 +142,14 @@ impl Worker {
             Background::Colour(colour) => colour.map(|channel| f32::from(channel) / 255.0),
             Background::Images(_) => [0.0; 3],
         };
-        Self {
-            rasterizer: Rasterizer::new(),
-            options: Options { background, ..Options::default() },
-            head: PosedHead::default(),
-            gaussians: Gaussians::default(),
-            next_gaussians: Gaussians::default(),
-            frame: Frame::new(),
-            backward: Frame::new(),
-            next_surface: Vec::new(),
-            bytes: Vec::new(),
-        }
+        Self { options: Options { background, ..Options::default() }, ..Self::default() }
     }
 
     fn make_run(&mut self, work: &Work, scene: &Scene, run: &Run) -> Result<(), RenderError> {
         let end = run.units.end;
         let mut next = self.pose(work, scene, end);
         let is_last = end == scene.entry.pairs;
-        let outputs = Outputs { image: is_last, alpha: true, depth: true, ..NOTHING };
+        let outputs = Outputs { image: is_last, alpha: true, depth: true, ..Outputs::NONE };
         self.render(work, scene, end, &next, None, outputs)?;
         if is_last {
             self.write_frame(work, scene, end)?;
@@ -238,12 +227,8 @@ impl Worker {
             flow: summary,
         };
         // The record tells that the pair is whole, so it comes last.
-        work.write(Stage::Records, &record, |path| {
-            write_atomically(path, |writer| {
-                serde_json::to_writer(&mut *writer, &known)?;
-                writer.write_all(b"\n")
-            })
-        })
+        let known = serde_json::to_string(&known).expect("numbers, text, lists and maps by text") + "\n";
+        work.write(Stage::Records, &record, |path| write_file(path, known))
     }
 
     fn render_backward(
@@ -254,7 +239,7 @@ impl Worker {
         state: &FrameState,
         next: &FrameState,
     ) -> Result<(), RenderError> {
-        let options = Options { outputs: Outputs { flow: true, ..NOTHING }, ..self.options };
+        let options = Options { outputs: Outputs { flow: true, ..Outputs::NONE }, ..self.options };
         let back = Next { gaussians: &self.gaussians, camera: &state.camera };
         work.clock
             .time(Stage::Rasterize, || {
@@ -290,36 +275,25 @@ impl Worker {
     }
 }
 
-const NOTHING: Outputs =
-    Outputs { image: false, color: false, alpha: false, depth: false, flow: false, depth_next: false };
-
 fn refused(scene: &Scene, frame: u32, error: RasterizeError) -> RenderError {
     RenderError::Rasterize { frame: format!("{}, frame {frame}", scene.entry.name), error }
 }
 
 #[cfg(test)]
 mod tests {
-    use srflow_field::FlowFormat;
-
     use super::*;
-    use crate::generate::Head;
 
     #[test]
     fn a_pair_lacks_what_any_of_its_files_lacks() {
         let folder = tempfile::tempdir().unwrap();
         let dir = folder.path();
         let settings = Settings {
-            head: Head::Builtin,
             scenes: 1,
             frames: 3.0,
             width: 110,
             height: 160,
             splits: [1.0, 0.0, 0.0],
-            seed: 1,
-            flow_format: FlowFormat::Npz16,
-            backward: false,
-            depth: false,
-            background: Background::Colour([255; 3]),
+            ..Settings::default()
         };
         let plan = Scenes { settings: &settings, rig: settings.rig(), manifest: settings.plan().unwrap() };
         let left = || -> Vec<u32> { (0..3).filter(|&pair| !plan.is_whole(dir, 0, pair)).collect() };

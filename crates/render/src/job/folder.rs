@@ -1,13 +1,13 @@
 //! The output folder: whose it is, and what a killed run left in it.
 
 use std::fs;
-use std::io::{self, Write};
+use std::io;
 use std::path::Path;
 use std::time::Duration;
 
 use serde_json::Value;
 use srflow_field::{
-    FileKind, PARTIAL_EXTENSION, create_folder, excerpt, parse_error_in_words, read_text, write_atomically,
+    FileKind, PARTIAL_EXTENSION, create_folder, excerpt, parse_error_in_words, read_text, write_file,
 };
 
 use super::{Plan, Run};
@@ -32,8 +32,7 @@ pub fn claim<P: Plan>(dir: &Path, plan: &P, force: bool) -> Result<(), RenderErr
         return Err(RenderError::NotADataset { path: dir.to_owned(), manifest: P::MANIFEST });
     }
     create_folder(dir)?;
-    write_atomically(&path, |writer| writer.write_all(planned.as_bytes()))?;
-    Ok(())
+    Ok(write_file(&path, planned)?)
 }
 
 /// Whether there is anything in a folder beside hidden files, which other shards may just be writing.

@@ -2,11 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use srflow_avatar::{Avatar, PosedHead};
-use srflow_field::{write_atomically, write_flow_as, write_image_png};
+use srflow_field::{write_file, write_flow_as, write_image_png};
 use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
 
 use super::clip::Clip;
@@ -14,6 +13,7 @@ use super::settings::{ClipPlan, SynthSettings};
 use super::{ClipRecord, SETTINGS_NAME};
 use crate::RenderError;
 use crate::job::{Plan, Run, Stage, unless_gone};
+use crate::record::json_text;
 
 /// What is behind the heads: the grey of a laboratory's backdrop.
 const BACKDROP: [f32; 3] = [0.55, 0.56, 0.57];
@@ -41,8 +41,7 @@ impl<'a> Plan for Clips<'a> {
     const LONGEST_RUN: u32 = 1;
 
     fn manifest(&self) -> String {
-        let text = serde_json::to_string_pretty(self.settings).expect("settings are JSON");
-        format!("{text}\n")
+        json_text(self.settings)
     }
 
     fn groups(&self) -> Vec<u32> {
@@ -92,7 +91,7 @@ impl<'a> Plan for Clips<'a> {
     }
 
     fn worker(&self) -> Renderer {
-        Renderer::new()
+        Renderer::default()
     }
 
     fn make(
@@ -114,6 +113,7 @@ impl<'a> Plan for Clips<'a> {
 }
 
 /// The buffers of one worker, used again for every frame.
+#[derive(Default)]
 pub struct Renderer {
     rasterizer: Rasterizer,
     head: PosedHead,
@@ -123,16 +123,6 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    fn new() -> Self {
-        Self {
-            rasterizer: Rasterizer::new(),
-            head: PosedHead::default(),
-            gaussians: Gaussians::default(),
-            apex: Gaussians::default(),
-            frame: Frame::new(),
-        }
-    }
-
     /// Renders a clip, its flow and its record.
     fn make(&mut self, work: &Work, avatar: &Avatar, plan: &ClipPlan) -> Result<(), RenderError> {
         let settings = work.plan.settings;
@@ -140,9 +130,7 @@ impl Renderer {
         let refused = |error: RasterizeError| RenderError::Rasterize { frame: plan.name.clone(), error };
         let folder = plan.folder(work.dir);
 
-        let image_alone =
-            Outputs { image: true, color: false, alpha: false, depth: false, flow: false, depth_next: false };
-        let mut options = Options { background: BACKDROP, outputs: image_alone, ..Options::default() };
+        let mut options = Options { background: BACKDROP, outputs: Outputs::IMAGE, ..Options::default() };
         for number in 0..clip.len() {
             clip.gaussians(avatar, number, &mut self.head, &mut self.gaussians)?;
             self.rasterizer
@@ -157,7 +145,7 @@ impl Renderer {
         let expression = &clip.expression;
         clip.gaussians(avatar, expression.apex, &mut self.head, &mut self.apex)?;
         clip.gaussians(avatar, expression.onset, &mut self.head, &mut self.gaussians)?;
-        options.outputs = Outputs { image: false, alpha: true, flow: true, ..image_alone };
+        options.outputs = Outputs { alpha: true, flow: true, ..Outputs::NONE };
         let next = Next { gaussians: &self.apex, camera: &clip.camera };
         self.rasterizer
             .render(&self.gaussians, &clip.camera, Some(next), &options, &mut self.frame)
@@ -181,12 +169,7 @@ impl Renderer {
             landmarks: clip.landmarks(avatar, &self.head),
         };
         // The record tells that the clip is whole, so it comes last.
-        work.write(Stage::Records, &plan.record(work.dir), |path| {
-            write_atomically(path, |writer| {
-                serde_json::to_writer_pretty(&mut *writer, &record)?;
-                writer.write_all(b"\n")
-            })
-        })
+        work.write(Stage::Records, &plan.record(work.dir), |path| write_file(path, json_text(&record)))
     }
 
     /// Mean length of the flow on the head, in pixels.

@@ -1,8 +1,7 @@
 use serde::{Deserialize, Serialize};
+use srflow_field::Size;
 use srflow_read::augment::AugmentConfig;
 use srflow_read::flow::TruthDensity;
-
-use super::PixelSize;
 
 /// How samples are changed at random before they are used.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -65,7 +64,7 @@ impl Default for AugmentationConfig {
 
 impl AugmentationConfig {
     /// What is done to samples whose truth is dense or sparse.
-    pub(crate) fn settings(&self, truth: TruthDensity, crop: PixelSize) -> AugmentConfig {
+    pub(crate) fn settings(&self, truth: TruthDensity, crop: Size) -> AugmentConfig {
         let crop = [crop.width, crop.height];
         let sparse = match self.kind {
             AugmentationKind::None => return AugmentConfig::crop_only(crop),

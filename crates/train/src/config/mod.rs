@@ -10,12 +10,13 @@ use std::path::PathBuf;
 
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
+use srflow_field::Size;
 use srflow_nets::{Architecture, Network};
 
 use crate::loss::LossConfig;
 pub use augmentation::{AugmentationConfig, AugmentationKind};
 pub use read::{ConfigError, PRESETS, Preset};
-pub use text::{PixelSize, Source};
+pub use text::Source;
 
 /// A training run. The default is the paper's retrained SKFlow (section V-A1); what the paper leaves open is SKFlow's.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
@@ -66,7 +67,7 @@ pub struct DataConfig {
     pub train: Vec<Source>,
     /// Size of the crops, WIDTHxHEIGHT.
     #[serde(with = "text::by_text")]
-    pub crop: PixelSize,
+    pub crop: Size,
     /// Threads that read and augment pairs.
     pub workers: usize,
     /// Pairs that are read ahead.
@@ -122,7 +123,7 @@ pub struct ValidationConfig {
     pub iterations: usize,
     /// Size of the window around the head that is scored, WIDTHxHEIGHT; empty for whole frames.
     #[serde(with = "text::optional_size")]
-    pub crop: Option<PixelSize>,
+    pub crop: Option<Size>,
     /// Score only so many pairs of each dataset, spread evenly; 0 for all.
     pub limit: usize,
 }
@@ -173,7 +174,7 @@ impl NetworkConfig {
 
 impl Default for DataConfig {
     fn default() -> Self {
-        Self { train: Vec::new(), crop: PixelSize { width: 512, height: 800 }, workers: 2, prefetch: 16 }
+        Self { train: Vec::new(), crop: Size { width: 512, height: 800 }, workers: 2, prefetch: 16 }
     }
 }
 

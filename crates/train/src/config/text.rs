@@ -5,34 +5,6 @@ use std::str::FromStr;
 
 use srflow_read::flow::{DatasetSpec, Split};
 
-/// A size in pixels, written WIDTHxHEIGHT.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PixelSize {
-    /// Width in pixels, at least 1.
-    pub width: usize,
-    /// Height in pixels, at least 1.
-    pub height: usize,
-}
-
-impl fmt::Display for PixelSize {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}x{}", self.width, self.height)
-    }
-}
-
-impl FromStr for PixelSize {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let side = |side: &str| side.parse::<usize>().ok().filter(|pixels| (1..=1 << 16).contains(pixels));
-        let sides = text.split_once('x').map(|(width, height)| (side(width), side(height)));
-        match sides {
-            Some((Some(width), Some(height))) => Ok(Self { width, height }),
-            _ => Err(format!("`{text}`: expected WIDTHxHEIGHT in pixels, e.g. 512x800")),
-        }
-    }
-}
-
 /// A dataset in a mix: `KIND:DIR`, then `@SPLIT` for another split than the usual one, then `*TIMES` for how often each
 /// of its pairs comes in an epoch, e.g. `sintel-clean:/data/Sintel@all*100`.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -129,17 +101,16 @@ pub(super) mod by_texts {
 /// Serde for a size that may be left out, as empty text.
 pub(super) mod optional_size {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
+    use srflow_field::Size;
 
-    use super::PixelSize;
-
-    pub fn serialize<S: Serializer>(value: &Option<PixelSize>, serializer: S) -> Result<S::Ok, S::Error> {
+    pub fn serialize<S: Serializer>(value: &Option<Size>, serializer: S) -> Result<S::Ok, S::Error> {
         match value {
             Some(size) => serializer.collect_str(size),
             None => serializer.serialize_str(""),
         }
     }
 
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<PixelSize>, D::Error> {
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Size>, D::Error> {
         let text = String::deserialize(deserializer)?;
         if text.is_empty() { Ok(None) } else { text.parse().map(Some).map_err(Error::custom) }
     }

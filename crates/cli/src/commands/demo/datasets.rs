@@ -4,18 +4,16 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use indicatif::{ProgressBar, ProgressStyle};
 use srflow_eval::head_window;
 use srflow_eval::report::{
     Film, Panel, Picture, flow_scale, sample_panels, shrink_flow, shrink_image, shrink_mask,
 };
-use srflow_field::{FlowField, FlowFormat, Image, flow_colors};
+use srflow_field::{FlowField, FlowFormat, Image, Size, flow_colors};
 use srflow_read::flow::{DatasetSpec, FlowDataset, Sample, Split};
 use srflow_read::manifest::Manifest;
 use srflow_render::generate::{self, Background, Head, Report, Settings};
-use srflow_render::job::{Event, Request};
 
-use crate::size::Size;
+use crate::rendering::RenderingArgs;
 
 /// Behind every head: a warm grey that is calm on a light and on a dark page.
 pub const BACKGROUND: [u8; 3] = [0xdd, 0xda, 0xd4];
@@ -73,37 +71,26 @@ impl Plan {
             splits: [0.0, 0.0, 1.0],
             seed,
             flow_format: FlowFormat::Npz,
-            backward: false,
-            depth: false,
             background: Background::Colour(BACKGROUND),
+            ..Settings::default()
         };
         let dir = out.join(self.folder);
-        let bar = ProgressBar::new(0)
-            .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} pairs  {eta} to go")?);
-        let show = |event| match event {
-            Event::Started { units, whole } => {
-                bar.set_length(units);
-                bar.set_position(whole);
-            }
-            Event::Made { .. } => bar.inc(1),
-        };
-        let report = generate::generate(&settings, Request { force, on_event: &show, ..Request::new(&dir) });
-        bar.finish_and_clear();
-        let report = report?;
+        let rendering = RenderingArgs { force, ..RenderingArgs::default() };
+        let report = rendering.make(&dir, "pairs", |request| generate::generate(&settings, request))?;
         let spec = DatasetSpec { kind: "srflow".to_owned(), dir: dir.clone() };
         Ok(Rendered { dir, report, dataset: FlowDataset::open(&spec, Some(Split::All))? })
     }
 
     /// The command that renders the same dataset.
     pub fn command(self, head: &Head, seed: u64) -> String {
-        let Size { width, height } = self.size;
+        let size = self.size;
         let head = match head {
             Head::Builtin => String::new(),
             Head::Ict(dir) => format!(" --head ict:{}", dir.display()),
         };
         let [r, g, b] = BACKGROUND;
         format!(
-            "srflow render --out {} --scenes {} --frames {} --size {width}x{height} --splits 0,0,1{head} --seed {seed} --flow-format npz \\
+            "srflow render --out {} --scenes {} --frames {} --size {size} --splits 0,0,1{head} --seed {seed} --flow-format npz \\
              --background '#{r:02x}{g:02x}{b:02x}'",
             self.folder, HEADS, self.frames
         )
@@ -162,7 +149,7 @@ fn still(sample: &Sample, name: &str) -> anyhow::Result<Still> {
     // The rig looks at the middle of the head, which is between the eyes.
     let window = head_window(frame.size(), size, None)?;
     let detail = frame.crop(window.left, window.top, window.width, window.height);
-    let panel = |picture, title: &str, note: String| Panel { picture, title: title.to_owned(), note };
+    let panel = |picture, title: &str, note: String| Panel::new(picture, title, note);
     Ok(Still {
         portrait: panel(
             Picture::jpeg(&portrait, &format!("{name}, whole frame"))?,

@@ -11,17 +11,15 @@ use std::process::Command;
 use anyhow::Context as _;
 use clap::Args;
 use serde_json::json;
-use srflow_avatar::Avatar;
 use srflow_eval::report::Figure;
 use srflow_eval::{Evaluation, OnFailure, Settings};
-use srflow_field::FlowEstimator;
+use srflow_field::{FlowEstimator, Size, write_file};
 use srflow_read::flow::{DatasetSpec, FlowDataset};
 use srflow_render::generate::{FULL_SIZE, Head};
 
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
-use crate::output::{ensure_free, write_text};
+use crate::output::ensure_free;
 use crate::scoring::{self, Pictures};
-use crate::size::Size;
 use crate::{Context, machine};
 use stage::Stages;
 
@@ -87,7 +85,7 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
         Ok((clips, films))
     })?;
     let (gaussians, cards) = stages.run("Showing every action unit", || {
-        let avatar = avatar(&args.head, stills.first_subject()?)?;
+        let avatar = args.head.avatar(stills.first_subject()?)?;
         Ok((avatar.bound().len(), action_units::cards(&avatar, datasets::BACKGROUND)?))
     })?;
     let at_full_size = stages.run("Estimating and scoring at full size", || {
@@ -104,7 +102,7 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
     for (evaluation, name) in
         [(&at_full_size.0, "scores-full-size.csv"), (&in_motion.0, "scores-in-motion.csv")]
     {
-        write_text(&args.out.join(name), &evaluation.csv())?;
+        write_file(&args.out.join(name), evaluation.csv())?;
     }
     let shown = page::Shown {
         heads,
@@ -119,7 +117,7 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
         commands: vec![stills_plan.command(&args.head, args.seed), clips_plan.command(&args.head, args.seed)],
         machine: machine::describe(),
     };
-    write_text(&report, &page::page(&shown, &stages)?.html())?;
+    write_file(&report, page::page(&shown, &stages)?.html())?;
     tell(&report, &shown, &stages, context)?;
     if args.open {
         open(&report)?;
@@ -137,13 +135,6 @@ fn photographs(args: &Demo) -> anyhow::Result<Option<FlowDataset>> {
     let dataset = FlowDataset::of_pair(frame1.clone(), frame2.clone(), flow.clone());
     dataset.entries().iter().try_for_each(|entry| dataset.read(entry).map(drop))?;
     Ok(Some(dataset))
-}
-
-fn avatar(head: &Head, seed: u64) -> anyhow::Result<Avatar> {
-    Ok(match head {
-        Head::Builtin => Avatar::builtin(seed)?,
-        Head::Ict(dir) => Avatar::ict(dir, seed)?,
-    })
 }
 
 fn score(

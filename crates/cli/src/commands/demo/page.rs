@@ -76,16 +76,15 @@ fn opening(shown: &Shown, stages: &Stages) -> anyhow::Result<Vec<Figure>> {
 fn heads(shown: &Shown) -> Section {
     let portraits: Vec<Panel> = shown.heads.iter().map(|head| head.portrait.clone()).collect();
     let details: Vec<Panel> = shown.heads.iter().map(|head| head.detail.clone()).collect();
-    Section {
-        title: "Three heads".to_owned(),
-        lead: "Each is a triangle mesh dressed in Gaussians, its shape, skin, hair and eyes drawn from one number. At \
-            2200×3208 the frames are as large as NeRSemble's, the recordings that the SRFlow paper starts from."
-            .to_owned(),
-        figures: vec![
+    Section::new(
+        "Three heads",
+        "Each is a triangle mesh dressed in Gaussians, its shape, skin, hair and eyes drawn from one number. At \
+            2200×3208 the frames are as large as NeRSemble's, the recordings that the SRFlow paper starts from.",
+        vec![
             panels(&portraits, 240, "The canonical frontal camera, scaled down for this page."),
             panels(&details, 320, "The middle of the same frames."),
         ],
-    }
+    )
 }
 
 fn pair(shown: &Shown) -> Section {
@@ -95,67 +94,62 @@ fn pair(shown: &Shown) -> Section {
     });
     let mut figures = vec![side_by_side(sliders.collect(), 260)];
     figures.extend(shown.heads.iter().map(|head| panels(&head.panels, 200, "")));
-    Section {
-        title: "What every pair comes with".to_owned(),
-        lead: "Two frames, and for each pixel of the first: where it goes, whether it belongs to the head, and whether \
+    Section::new(
+        "What every pair comes with",
+        "Two frames, and for each pixel of the first: where it goes, whether it belongs to the head, and whether \
             the second frame hides it. The flow is not estimated: it is the motion of the Gaussians themselves, \
-            blended like their colours in the same pass. Drag the dividers."
-            .to_owned(),
+            blended like their colours in the same pass. Drag the dividers.",
         figures,
-    }
+    )
 }
 
 fn action_units(shown: &Shown) -> Section {
-    Section {
-        title: "Action units".to_owned(),
-        lead: "The muscles of facial expression by their numbers in the Facial Action Coding System, each at full \
-            intensity beside its flow from rest. They combine, and micro-expressions are short, faint episodes of them."
-            .to_owned(),
-        figures: vec![action_cards(
+    Section::new(
+        "Action units",
+        "The muscles of facial expression by their numbers in the Facial Action Coding System, each at full \
+            intensity beside its flow from rest. They combine, and micro-expressions are short, faint episodes of them.",
+        vec![action_cards(
             &shown.cards,
             "Millimetres are those of the vertex that moves most. Each flow has its own scale, so that small motion shows.",
         )],
-    }
+    )
 }
 
 fn motion(shown: &Shown) -> Section {
     let (evaluation, pictures) = &shown.in_motion;
     let mut figures = pictures.clone();
     figures.extend(score_figures(evaluation, &shown.machine));
-    Section {
-        title: "Estimators beside the truth".to_owned(),
-        lead: format!(
+    Section::new(
+        "Estimators beside the truth",
+        format!(
             "The same heads in motion before moving cameras, at {}. The methods see the two frames; they never see the flow.",
             size(&shown.clips)
         ),
         figures,
-    }
+    )
 }
 
 fn full_size(shown: &Shown) -> Section {
     let (evaluation, pictures) = &shown.at_full_size;
     let mut figures = pictures.clone();
     figures.extend(score_figures(evaluation, &shown.machine));
-    Section {
-        title: "At full size".to_owned(),
-        lead:
-            "The large frames, cropped around the head to the window of the paper's evaluation, 1200×1600 of \
-            2200×3208 pixels. The same motion is four times as many pixels here as above."
-                .to_owned(),
+    Section::new(
+        "At full size",
+        "The large frames, cropped around the head to the window of the paper's evaluation, 1200×1600 of \
+            2200×3208 pixels. The same motion is four times as many pixels here as above.",
         figures,
-    }
+    )
 }
 
 fn photographs(shown: &Shown) -> Option<Section> {
     let (evaluation, pictures) = shown.on_photographs.as_ref()?;
     let mut figures = pictures.clone();
     figures.extend(score_figures(evaluation, &shown.machine));
-    Some(Section {
-        title: "Real photographs".to_owned(),
-        lead: "The same methods, scores and pictures on frames from a camera, whose true flow was measured."
-            .to_owned(),
+    Some(Section::new(
+        "Real photographs",
+        "The same methods, scores and pictures on frames from a camera, whose true flow was measured.",
         figures,
-    })
+    ))
 }
 
 fn making(shown: &Shown, stages: &Stages) -> Section {
@@ -165,12 +159,11 @@ fn making(shown: &Shown, stages: &Stages) -> Section {
     for rendered in [&shown.stills, &shown.clips] {
         named.push((format!("Rendering {}", size(rendered)), rendering(rendered)));
     }
-    Section {
-        title: "How it was made".to_owned(),
-        lead: "Frames and flow depend on the seed alone: the same on every machine, whatever the number of threads."
-            .to_owned(),
-        figures: vec![side_by_side(vec![stage_times(stages), magnitudes(&shown.clips)], 420), facts(&named)],
-    }
+    Section::new(
+        "How it was made",
+        "Frames and flow depend on the seed alone: the same on every machine, whatever the number of threads.",
+        vec![side_by_side(vec![stage_times(stages), magnitudes(&shown.clips)], 420), facts(&named)],
+    )
 }
 
 fn rendering(rendered: &Rendered) -> String {
@@ -194,22 +187,19 @@ fn stage_times(stages: &Stages) -> Figure {
         label: format!("{:.1} s", stage.seconds),
         baseline: false,
     };
-    let chart = Chart {
-        title: "Where the time went".to_owned(),
-        x: String::new(),
-        y: String::new(),
-        caption: "Wall-clock time of each stage of this run.".to_owned(),
-    };
+    let chart = Chart::new("Where the time went", "", "", "Wall-clock time of each stage of this run.");
     bars(&stages.done.iter().map(stage).collect::<Vec<_>>(), &chart)
 }
 
 /// How far the pixels of the heads move.
 fn magnitudes(rendered: &Rendered) -> Figure {
-    let chart = |caption: String| Chart {
-        title: format!("How far pixels move, {}", size(rendered)),
-        x: "length of the flow on the head, px (logarithmic)".to_owned(),
-        y: "pixels, %".to_owned(),
-        caption,
+    let chart = |caption: String| {
+        Chart::new(
+            format!("How far pixels move, {}", size(rendered)),
+            "length of the flow on the head, px (logarithmic)",
+            "pixels, %",
+            caption,
+        )
     };
     let Some(statistics) = &rendered.report.statistics else {
         return histogram(

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use anyhow::{Context as _, ensure};
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use serde::Serialize;
 use srflow_field::{
     FlowEstimator, FlowField, FlowFormat, Image, flow_colors, read_flow, write_flow, write_image_png,
@@ -19,6 +19,7 @@ use self::outputs::Outputs;
 use crate::Context;
 use crate::large_frames::Resolution;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
+use crate::progress::bar;
 use crate::usage::wrong_usage;
 use crate::video::VideoWriter;
 
@@ -120,7 +121,11 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     let estimator = methods::estimator(&args.method, &args.parameters)?;
     let resumed = outputs.claim(&identity(&args)?, &source, args.warm_start)?;
 
-    let bar = progress_bar(source.pairs());
+    let template = match source.pairs() {
+        Some(_) => "{bar:30} {pos}/{len} flows, {per_sec}, {eta} left",
+        None => "{spinner} {pos} flows, {per_sec}, {elapsed}",
+    };
+    let bar = bar(source.pairs(), template);
     bar.set_position(resumed);
     let reports = std::thread::scope(|scope| {
         let (sender, frames) = sync_channel(1);
@@ -299,13 +304,4 @@ impl Work<'_> {
             seconds,
         })
     }
-}
-
-/// A bar on standard error with the time left, where the number is known; indicatif hides it when that is no terminal.
-fn progress_bar(pairs: Option<u64>) -> ProgressBar {
-    let (bar, template) = match pairs {
-        Some(pairs) => (ProgressBar::new(pairs), "{bar:30} {pos}/{len} flows, {per_sec}, {eta} left"),
-        None => (ProgressBar::new_spinner(), "{spinner} {pos} flows, {per_sec}, {elapsed}"),
-    };
-    bar.with_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()))
 }

@@ -5,11 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, ensure};
-use srflow_field::{FileKind, FlowFormat, create_folder, read_text};
+use srflow_field::{FileKind, FlowFormat, create_folder, read_text, write_file};
 
 use super::Flow;
 use super::frames::Source;
-use crate::output::{ensure_free, write_text};
+use crate::output::ensure_free;
 use crate::usage::wrong_usage;
 use crate::video::is_video;
 
@@ -136,7 +136,7 @@ impl Outputs {
         let found = if self.force { None } else { read_text(&note, FileKind::Settings).ok() };
         if found.as_deref() != Some(identity) {
             self.prepare(&source.stems())?;
-            write_text(&note, identity)?;
+            write_file(&note, identity)?;
             return Ok(0);
         }
         self.force = true; // existing files are this run's own

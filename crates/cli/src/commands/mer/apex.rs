@@ -2,7 +2,6 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use srflow_mer::{ApexErrors, ApexRule, apex_errors, spot_apexes};
 use srflow_read::micro_expression::{ApexRow, Clip, ClipSource, write_apex_list};
@@ -12,6 +11,7 @@ use super::sources::{SourceArgs, kinds_help};
 use crate::Context;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::output::{ensure_extension, ensure_free};
+use crate::progress::bar;
 
 /// Spot apex frames, and compare them with the annotated ones
 #[derive(Args)]
@@ -60,7 +60,7 @@ struct SpottedApexes {
     method: Option<String>,
     clips: Vec<SpottedClip>,
     /// Error in frames over the clips with an annotated apex, by dataset.
-    errors: BTreeMap<String, SpottingErrors>,
+    errors: BTreeMap<String, ApexErrors>,
 }
 
 #[derive(Serialize)]
@@ -74,13 +74,6 @@ struct SpottedClip {
     spotted: u64,
 }
 
-#[derive(Serialize)]
-struct SpottingErrors {
-    clips: usize,
-    mean_absolute_frames: f64,
-    middle_of_clip_frames: f64,
-}
-
 pub fn run(args: Apex, context: &Context) -> anyhow::Result<()> {
     args.out.as_ref().map_or(Ok(()), |path| ensure_extension(path, "csv"))?;
     ensure_free(&args.out, args.force)?;
@@ -88,8 +81,7 @@ pub fn run(args: Apex, context: &Context) -> anyhow::Result<()> {
     let estimator = methods::estimator(&args.method, &args.parameters)?;
     let datasets = args.sources.open(args.datasets)?;
     let clips: Vec<&Clip> = datasets.iter().flat_map(|dataset| &dataset.clips).collect();
-    let bar = ProgressBar::new(clips.len() as u64)
-        .with_style(ProgressStyle::with_template("{bar:30} {pos}/{len} clips, {eta} left")?);
+    let bar = bar(clips.len() as u64, "{bar:30} {pos}/{len} clips, {eta} left");
     let spotted = spot_apexes(&clips, args.rule, &face, estimator.as_ref(), &|| bar.inc(1));
     bar.finish_and_clear();
     let spotted = spotted?;
@@ -103,14 +95,7 @@ pub fn run(args: Apex, context: &Context) -> anyhow::Result<()> {
     let mut errors = BTreeMap::new();
     for dataset in &datasets {
         let of_dataset = pairs().filter(|(clip, _)| clip.dataset == dataset.name);
-        if let Some(ApexErrors { clips, mean_absolute, of_the_middle }) = apex_errors(of_dataset) {
-            let of_dataset = SpottingErrors {
-                clips,
-                mean_absolute_frames: mean_absolute,
-                middle_of_clip_frames: of_the_middle,
-            };
-            errors.insert(dataset.name.clone(), of_dataset);
-        }
+        errors.extend(apex_errors(of_dataset).map(|errors| (dataset.name.clone(), errors)));
     }
     let spotted = SpottedApexes {
         rule: args.rule.name(),
@@ -155,11 +140,11 @@ fn print(spotted: &SpottedApexes) -> anyhow::Result<()> {
         say!(
             "{dataset}: {:.2} frames from the annotated apex on average over {} clips by {} ({}); the middle of the clip \
              is {:.2} frames from it",
-            errors.mean_absolute_frames,
+            errors.mean_absolute,
             errors.clips,
             spotted.rule,
             spotted.face,
-            errors.middle_of_clip_frames
+            errors.of_the_middle
         )?;
     }
     Ok(())

@@ -59,7 +59,7 @@ struct ListedDataset {
     /// Clips kept and dropped, by the dataset's own label.
     labels: BTreeMap<String, LabelCounts>,
     clips: Vec<ListedClip>,
-    dropped: Vec<DroppedRow>,
+    dropped: Vec<Dropped>,
     missing_frames: u64,
     missing: Vec<ClipWithGaps>,
 }
@@ -89,14 +89,6 @@ struct ListedClip {
     onset: u64,
     apex: Option<u64>,
     offset: u64,
-}
-
-#[derive(Serialize)]
-struct DroppedRow {
-    subject: String,
-    clip: String,
-    label: String,
-    reason: &'static str,
 }
 
 #[derive(Serialize)]
@@ -297,12 +289,6 @@ fn dataset_report(listing: &Listing) -> ListedDataset {
         apex: a.apex,
         offset: a.offset,
     };
-    let dropped = |row: &Dropped| DroppedRow {
-        subject: row.subject.clone(),
-        clip: row.clip.clone(),
-        label: row.label.clone(),
-        reason: row.reason.name(),
-    };
     let missing = |clip: &MissingFrames| ClipWithGaps {
         subject: clip.subject.clone(),
         clip: clip.clip.clone(),
@@ -322,7 +308,7 @@ fn dataset_report(listing: &Listing) -> ListedDataset {
         without_apex: listing.without_apex(),
         labels: listing.labels(),
         clips: listing.annotations.iter().map(clip).collect(),
-        dropped: listing.dropped.iter().map(dropped).collect(),
+        dropped: listing.dropped.clone(),
         missing_frames: listing.missing.iter().map(MissingFrames::count).fold(0, u64::saturating_add),
         missing: listing.missing.iter().map(missing).collect(),
     }

@@ -1,6 +1,5 @@
 use std::path::PathBuf;
 
-use anyhow::ensure;
 use clap::Args;
 use serde::Serialize;
 use srflow_eval::MethodRecord;
@@ -12,6 +11,7 @@ use super::progress::RunProgress;
 use super::sources::{SourceArgs, kinds_help};
 use crate::Context;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
+use crate::output::{ensure_extension, ensure_free};
 
 /// Write flow and strain of every clip as one NumPy archive, for classifiers of your own
 #[derive(Args)]
@@ -62,16 +62,8 @@ struct Report {
 }
 
 pub fn run(args: Features, context: &Context) -> anyhow::Result<()> {
-    ensure!(
-        args.out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npz")),
-        "--out {}: expected a name that ends in .npz",
-        args.out.display()
-    );
-    ensure!(
-        args.force || !args.out.exists(),
-        "{} exists; give --force to overwrite it, or another name",
-        args.out.display()
-    );
+    ensure_extension(&args.out, "npz")?;
+    ensure_free([&args.out], args.force)?;
     let preparation = args.preparation.preparation()?;
     let classes = args.sources.classes()?;
     let estimators = methods::estimators(&args.method, &args.parameters)?;

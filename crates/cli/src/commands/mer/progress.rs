@@ -2,8 +2,10 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use srflow_mer::RunEvent;
+
+use crate::progress::bar;
 
 /// A bar for each part of a run, one after the other.
 pub struct RunProgress {
@@ -51,6 +53,5 @@ impl RunProgress {
 
 fn next(last: &ProgressBar, length: u64, template: &str) -> ProgressBar {
     last.finish_and_clear();
-    let style = ProgressStyle::with_template(template).expect("a template that indicatif knows");
-    ProgressBar::new(length).with_style(style)
+    bar(length, template)
 }

@@ -2,11 +2,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 use srflow_field::FlowFormat;
-use srflow_render::job::{Request, Shard};
 use srflow_render::synth::{SynthReport, SynthSettings, synthesize};
 
 use crate::Context;
-use crate::commands::render::{Progress, exit_if_stopped, usage_error};
+use crate::rendering::{RenderingArgs, exit_if_stopped};
 
 /// Render a labelled micro-expression set with the built-in heads
 #[derive(Args)]
@@ -50,21 +49,13 @@ pub struct Synth {
     #[arg(long, value_name = "N", default_value_t = SynthSettings::default().seed)]
     seed: u64,
     /// How the true flow is stored
-    #[arg(long, value_name = "FORMAT", default_value_t = FlowFormat::Flo)]
+    #[arg(long, value_name = "FORMAT", default_value_t = SynthSettings::default().flow_format)]
     flow_format: FlowFormat,
-    /// Make part I of N only
-    #[arg(long, value_name = "I/N", default_value = "1/1", hide_default_value = true)]
-    shard: Shard,
-    /// Stop after making N clips, exit code 75; the same command continues
-    #[arg(long, value_name = "N")]
-    stop_after: Option<u64>,
-    /// Delete the set in the folder and start over
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    rendering: RenderingArgs,
 }
 
 pub fn run(args: Synth, context: &Context) -> anyhow::Result<()> {
-    crate::output::ensure_folder(&args.out)?;
     let settings = SynthSettings {
         subjects: args.subjects,
         clips_per_subject: args.clips,
@@ -77,17 +68,7 @@ pub fn run(args: Synth, context: &Context) -> anyhow::Result<()> {
         seed: args.seed,
         flow_format: args.flow_format,
     };
-    let progress = Progress::new("clips");
-    let request = Request {
-        dir: &args.out,
-        shard: args.shard,
-        force: args.force,
-        stop_after: args.stop_after,
-        on_event: &|event| progress.show(event),
-    };
-    let result = synthesize(&settings, request);
-    progress.finish();
-    let report = usage_error(result)?;
+    let report = args.rendering.make(&args.out, "clips", |request| synthesize(&settings, request))?;
     if context.json {
         crate::output::print_json(&report)?;
     } else {
@@ -106,7 +87,7 @@ fn print_report(args: &Synth, report: &SynthReport) -> anyhow::Result<()> {
             say!(
                 "Part {} is whole. Copy the parts together; `srflow mer synth` with the same arguments and without --shard\n\
                  then writes the tables.",
-                args.shard
+                args.rendering.shard
             )
         };
     };

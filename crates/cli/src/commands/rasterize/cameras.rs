@@ -4,10 +4,9 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use clap::Args;
-use srflow_field::{excerpt, excerpts};
+use srflow_field::{Size, excerpt, excerpts};
 use srflow_splat::{Camera, Gaussians, NamedCamera, Surroundings, read_cameras};
 
-use crate::size::Size;
 use crate::usage::wrong_usage;
 
 /// Of a camera that is not given, in pixels.

@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 use srflow_field::{create_folder, longest_flow, write_flow, write_image_png, write_mask_png};
 use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, Rasterizer};
 
 use crate::output::ensure_free;
+use crate::progress::bar;
 use crate::video::VideoWriter;
 
 /// What `--json` prints.
@@ -22,6 +22,8 @@ pub struct RenderedPath {
     #[serde(skip_serializing_if = "Option::is_none")]
     longest_flow: Option<f32>,
 }
+
+const TEMPLATE: &str = "{bar:30} {pos}/{len} frames, {eta} left";
 
 /// The folders of a sequence: those that `folder:DIR` reads as a dataset.
 const FOLDERS: [&str; 3] = ["frames", "flow", "mask"];
@@ -46,7 +48,8 @@ pub fn write_frames(
     FOLDERS.iter().try_for_each(|folder| create_folder(&out.join(folder)))?;
     let outputs = Outputs { depth_next: false, ..Outputs::ALL };
     let options = Options { outputs, ..*options };
-    let (mut rasterizer, mut frame, bar) = (Rasterizer::new(), Frame::new(), bar(cameras.len())?);
+    let (mut rasterizer, mut frame, bar) =
+        (Rasterizer::new(), Frame::new(), bar(cameras.len() as u64, TEMPLATE));
     let mut longest = 0.0_f32;
     for (number, camera) in (1..).zip(cameras) {
         let next = cameras.get(number).map(|camera| Next { gaussians, camera });
@@ -77,7 +80,8 @@ pub fn write_video(
 ) -> anyhow::Result<RenderedPath> {
     ensure_free([out], force)?;
     let options = Options { outputs: Outputs::IMAGE, ..*options };
-    let (mut rasterizer, mut frame, bar) = (Rasterizer::new(), Frame::new(), bar(cameras.len())?);
+    let (mut rasterizer, mut frame, bar) =
+        (Rasterizer::new(), Frame::new(), bar(cameras.len() as u64, TEMPLATE));
     let mut video: Option<VideoWriter> = None;
     for camera in cameras {
         rasterizer.render(gaussians, camera, None, &options, &mut frame)?;
@@ -103,9 +107,4 @@ fn rendered(gaussians: &Gaussians, cameras: &[Camera], out: &Path) -> RenderedPa
         gaussians: gaussians.len(),
         longest_flow: None,
     }
-}
-
-fn bar(frames: usize) -> anyhow::Result<ProgressBar> {
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} frames, {eta} left")?;
-    Ok(ProgressBar::new(frames as u64).with_style(style))
 }

@@ -1,14 +1,19 @@
-//! `WIDTHxHEIGHT` on the command line.
-
+use std::fmt;
 use std::str::FromStr;
 
-/// A size in pixels, written WIDTHxHEIGHT everywhere in the program.
+/// A size in pixels, written WIDTHxHEIGHT.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Size {
     /// Width in pixels, at least 1.
     pub width: usize,
     /// Height in pixels, at least 1.
     pub height: usize,
+}
+
+impl fmt::Display for Size {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}x{}", self.width, self.height)
+    }
 }
 
 impl FromStr for Size {
@@ -30,7 +35,8 @@ mod tests {
 
     #[test]
     fn sizes_are_width_then_height() {
-        assert_eq!("1200x1600".parse(), Ok(Size { width: 1200, height: 1600 }));
+        let size = Size { width: 1200, height: 1600 };
+        assert_eq!((size.to_string().parse(), "1200×1600".parse()), (Ok(size), Ok(size)));
         for wrong in ["", "x", "1200", "0x10", "10x0", "-1x5", "1200x1600x3", "99999999999999999999x1"] {
             assert!(wrong.parse::<Size>().is_err(), "{wrong}");
         }

@@ -1,0 +1,90 @@
+//! Datasets that are made unit by unit, in parts, and continued: `srflow render` and `srflow mer synth`.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use clap::Args;
+use indicatif::ProgressBar;
+use srflow_render::RenderError;
+use srflow_render::job::{Event, Request, Shard};
+
+use crate::output::{ensure_folder, exit_stopped};
+use crate::progress::bar;
+use crate::usage::wrong_usage;
+
+/// How much of a dataset is made.
+#[derive(Args, Default)]
+pub struct RenderingArgs {
+    /// Make part I of N only
+    #[arg(long, value_name = "I/N", default_value = "1/1", hide_default_value = true)]
+    pub shard: Shard,
+    /// Stop after making N pairs or clips, exit code 75; the same command continues
+    #[arg(long, value_name = "N")]
+    pub stop_after: Option<u64>,
+    /// Delete the dataset that lies in the folder and start over
+    #[arg(long)]
+    pub force: bool,
+}
+
+impl RenderingArgs {
+    /// Makes the dataset in `out` with `make`, with a bar of its `units`.
+    ///
+    /// # Errors
+    /// Those of `make`; an argument that is out of range is wrong usage.
+    pub fn make<T>(
+        &self,
+        out: &Path,
+        units: &str,
+        make: impl FnOnce(Request) -> Result<T, RenderError>,
+    ) -> anyhow::Result<T> {
+        ensure_folder(out)?;
+        let progress = Progress::new(units);
+        let Self { shard, force, stop_after } = *self;
+        let made =
+            make(Request { dir: out, shard, force, stop_after, on_event: &|event| progress.show(event) });
+        progress.bar.finish_and_clear();
+        match made {
+            Err(error @ RenderError::Argument { .. }) => wrong_usage!("{error}"),
+            made => Ok(made?),
+        }
+    }
+}
+
+/// Ends the program when a run was stopped on request.
+pub fn exit_if_stopped(stopped: bool) -> anyhow::Result<()> {
+    if stopped {
+        note!("stopped on request; the same command without --stop-after continues");
+        exit_stopped()?;
+    }
+    Ok(())
+}
+
+struct Progress {
+    bar: ProgressBar,
+    bytes: AtomicU64,
+}
+
+impl Progress {
+    fn new(units: &str) -> Self {
+        let template = format!("{{wide_bar}} {{pos}}/{{len}} {units}, {{msg}}, {{eta}} left");
+        Self { bar: bar(0, &template), bytes: AtomicU64::new(0) }
+    }
+
+    fn show(&self, event: Event) {
+        match event {
+            Event::Started { units, whole } => {
+                self.bar.set_length(units);
+                self.bar.set_position(whole);
+                self.bar.reset_eta();
+                self.bar.reset_elapsed();
+            }
+            Event::Made { bytes } => {
+                // Workers report out of order: the most that was reported stands.
+                let bytes = self.bytes.fetch_max(bytes, Ordering::Relaxed).max(bytes);
+                let seconds = self.bar.elapsed().as_secs_f64().max(1e-3);
+                self.bar.set_message(format!("{:.1} MB/s", bytes as f64 / 1e6 / seconds));
+                self.bar.inc(1);
+            }
+        }
+    }
+}

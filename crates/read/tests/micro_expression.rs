@@ -28,8 +28,22 @@ fn source(text: &str) -> ClipSource {
     text.parse().unwrap()
 }
 
+fn at(kind: &str, dir: &Path) -> ClipSource {
+    source(&format!("{kind}:{}", dir.display()))
+}
+
 fn read(kind: &str, dir: &Path) -> Labels {
-    Labels::read(&source(&format!("{kind}:{}", dir.display()))).unwrap()
+    Labels::read(&at(kind, dir)).unwrap()
+}
+
+/// What is refused says each of these parts.
+#[track_caller]
+fn refuses<T, E: std::fmt::Display>(result: Result<T, E>, parts: &[&str]) {
+    let Err(error) = result else { panic!("it was taken") };
+    let error = error.to_string();
+    for part in parts {
+        assert!(error.contains(part), "`{part}` is not in: {error}");
+    }
 }
 
 /// Negative, positive, surprise.
@@ -106,8 +120,7 @@ fn the_composite_is_the_papers() {
 /// The labels of a dataset by another division into classes, and how many clips of each.
 fn divided(kind: &str, dir: &Path, classes: &str) -> (Labels, Vec<usize>) {
     let classes = Classes::open(classes).unwrap();
-    let source = ClipSource { classes: classes.clone(), ..source(&format!("{kind}:{}", dir.display())) };
-    let labels = Labels::read(&source).unwrap();
+    let labels = Labels::read(&ClipSource { classes: classes.clone(), ..at(kind, dir) }).unwrap();
     let counts = count_classes(&classes, &labels.annotations);
     (labels, counts)
 }
@@ -160,15 +173,12 @@ fn classes_of_action_units_are_those_of_the_coding() {
 fn a_dataset_without_a_clip_of_any_class_is_refused() {
     let Some(dir) = annotations() else { return };
     let classes = Classes::open("objective-5").unwrap();
-    let at =
-        |kind: &str| ClipSource { classes: classes.clone(), ..source(&format!("{kind}:{}", dir.display())) };
-    let error = Labels::read(&at("smic")).unwrap_err().to_string();
-    assert!(error.contains("smic: no clip belongs to one of the classes I, II, III, IV, V"), "{error}");
+    let smic = ClipSource { classes: classes.clone(), ..at("smic", &dir) };
+    refuses(Labels::read(&smic), &["smic: no clip belongs to one of the classes I, II, III, IV, V"]);
     let alone = tempfile::tempdir().unwrap();
     fs::copy(dir.join("CASME2-coding-20140508.xlsx"), alone.path().join("coding.xlsx")).unwrap();
-    let casme2 = ClipSource { classes, ..source(&format!("casme2:{}", alone.path().display())) };
-    let error = Labels::read(&casme2).unwrap_err().to_string();
-    assert!(error.contains("CASME2-ObjectiveClasses.xlsx"), "{error}");
+    let casme2 = ClipSource { classes, ..at("casme2", alone.path()) };
+    refuses(Labels::read(&casme2), &["CASME2-ObjectiveClasses.xlsx"]);
 }
 
 #[test]
@@ -212,34 +222,23 @@ fn mixed_up_spreadsheets_are_recognized() {
     let Some(dir) = annotations() else { return };
     let file = |name: &str| Some(dir.join(name));
     let samm = file("SAMM_Micro_FACS_Codes_v2.xlsx");
-    let given = |kind: &str, annotations| {
-        let source = ClipSource { annotations, ..source(&format!("{kind}:nowhere")) };
-        Labels::read(&source).unwrap_err().to_string()
-    };
-    let error = given("casme2", samm.clone());
-    assert!(error.contains("those of SAMM") && error.contains("OnsetFrame"), "{error}");
-    let error = given("samm", file("CASME2-coding-20140508.xlsx"));
-    assert!(error.contains("those of CASME II"), "{error}");
-    let error = given("smic", samm);
-    assert!(error.contains("those of SAMM"), "{error}");
-    let error = given("casme2", file("CASME2-ObjectiveClasses.xlsx"));
-    assert!(error.contains("ApexFrame") && error.contains("Objective Class"), "{error}");
-    let error = given("samm", file("smic_apex.csv"));
-    assert!(error.contains("smic_apex.csv: expected a sound .xlsx"), "{error}");
+    let given =
+        |kind: &str, annotations| Labels::read(&ClipSource { annotations, ..at(kind, Path::new("nowhere")) });
+    refuses(given("casme2", samm.clone()), &["those of SAMM", "OnsetFrame"]);
+    refuses(given("samm", file("CASME2-coding-20140508.xlsx")), &["those of CASME II"]);
+    refuses(given("smic", samm), &["those of SAMM"]);
+    refuses(given("casme2", file("CASME2-ObjectiveClasses.xlsx")), &["ApexFrame", "Objective Class"]);
+    refuses(given("samm", file("smic_apex.csv")), &["smic_apex.csv: expected a sound .xlsx"]);
 }
 
 #[test]
 fn a_wrong_root_is_refused_with_what_was_looked_for() {
     let empty = tempfile::tempdir().unwrap();
     for kind in ["samm", "casme2", "smic"] {
-        let error =
-            Labels::read(&source(&format!("{kind}:{}", empty.path().display()))).unwrap_err().to_string();
-        assert!(error.contains(".xlsx") && error.contains("--annotations"), "{error}");
+        refuses(Labels::read(&at(kind, empty.path())), &[".xlsx", "--annotations"]);
     }
-    let error = Labels::read(&source(&format!("clips:{}", empty.path().display()))).unwrap_err().to_string();
-    assert!(error.contains("clips.csv") && error.contains("is empty"), "{error}");
-    let error = Labels::read(&source("samm:/no/such/folder")).unwrap_err().to_string();
-    assert!(error.contains("/no/such/folder"), "{error}");
+    refuses(Labels::read(&at("clips", empty.path())), &["clips.csv", "is empty"]);
+    refuses(Labels::read(&source("samm:/no/such/folder")), &["/no/such/folder"]);
 }
 
 /// Empty files are enough: nothing is decoded when frames are found.
@@ -311,7 +310,7 @@ fn every_published_layout_is_found() {
                 dir.join(name)
             }),
             apex_list: Some(dir.join("data_apex.csv")),
-            ..source(&format!("{text}:{}", folder.path().display()))
+            ..at(text, folder.path())
         };
         let labels = few(read(&text[..text.find('-').unwrap_or(text.len())], &dir));
         frames_of(kind, &labels, folder.path());
@@ -341,14 +340,10 @@ fn both_releases_of_casme2_want_a_choice() {
     frames_of("casme2-raw", &labels, folder.path());
     frames_of("casme2-cropped", &labels, folder.path());
     let open = |kind: &str| {
-        let source = source(&format!("{kind}:{}", folder.path().display()));
-        ClipDataset::open(
-            &ClipSource { annotations: Some(dir.join("CASME2-coding-20140508.xlsx")), ..source },
-            true,
-        )
+        let annotations = Some(dir.join("CASME2-coding-20140508.xlsx"));
+        ClipDataset::open(&ClipSource { annotations, ..at(kind, folder.path()) }, true)
     };
-    let error = open("casme2").unwrap_err().to_string();
-    assert!(error.contains("casme2-raw:") && error.contains("casme2-cropped:"), "{error}");
+    refuses(open("casme2"), &["casme2-raw:", "casme2-cropped:"]);
     assert_eq!(open("casme2-raw").unwrap().form, "raw");
     let cropped = open("casme2-cropped").unwrap();
     assert!(cropped.clips[0].frames.values().all(|path| path.to_str().unwrap().contains("/reg_img")));
@@ -380,7 +375,7 @@ fn plain_clips_are_read_back_as_written() {
     }
     write_plain(&root.join("clips.csv"), &Classes::default(), &rows).unwrap();
     for given in [root.clone(), root.join("clips.csv")] {
-        let dataset = ClipDataset::open(&source(&format!("clips:{}", given.display())), false).unwrap();
+        let dataset = ClipDataset::open(&at("clips", &given), false).unwrap();
         assert_eq!(dataset.name, "mine");
         assert_eq!(dataset.clips.iter().map(|clip| clip.annotation.clone()).collect::<Vec<_>>(), rows);
         assert_eq!(dataset.clips[0].id(), "mine/anna/anna/first clip");
@@ -396,16 +391,15 @@ fn lines_may_end_in_cr_lf() {
     fs::write(folder.path().join("clips.csv"), text).unwrap();
     assert_eq!(counts(&read("clips", folder.path())), [1, 1, 0]);
     fs::write(folder.path().join("clips.csv"), text.replace("negative", "glad")).unwrap();
-    let error = Labels::read(&source(&format!("clips:{}", folder.path().display()))).unwrap_err().to_string();
-    assert!(error.contains("row 3: class: `glad`"), "{error}");
+    refuses(Labels::read(&at("clips", folder.path())), &["row 3: class: `glad`"]);
 }
 
 #[test]
 fn rows_that_cannot_be_are_named() {
     let folder = tempfile::tempdir().unwrap();
-    let error_of = |text: &str| {
+    let read = |text: &str| {
         fs::write(folder.path().join("clips.csv"), text).unwrap();
-        Labels::read(&source(&format!("clips:{}", folder.path().display()))).unwrap_err().to_string()
+        Labels::read(&at("clips", folder.path()))
     };
     let header = "clip,subject,onset,apex,offset,class\n";
     for (row, expected) in [
@@ -417,12 +411,10 @@ fn rows_that_cannot_be_are_named() {
         ("good,s,1,2,3,0\n", "clip good is there twice"),
         ("a,s,1,7,99999999999999999999999,0\n", "offset: expected a frame number"),
     ] {
-        let error = error_of(&format!("{header}good,s,1,2,3,negative\n{row}"));
-        assert!(error.contains(expected) && error.contains("clips.csv"), "{error}");
+        refuses(read(&format!("{header}good,s,1,2,3,negative\n{row}")), &[expected, "clips.csv"]);
     }
-    let error = error_of("clip,subject,onset,apex,class\n");
-    assert!(error.contains("offset") && error.contains("its first row holds clip, subject"), "{error}");
-    assert!(error_of("").contains("it is empty"));
+    refuses(read("clip,subject,onset,apex,class\n"), &["offset", "its first row holds clip, subject"]);
+    refuses(read(""), &["it is empty"]);
 }
 
 #[test]
@@ -442,18 +434,15 @@ fn missing_frames_are_named_and_counted() {
     touch(&folder.path().join("b"), without(&[15]));
     touch(&folder.path().join("whole"), without(&[]));
     write_plain(&folder.path().join("clips.csv"), &Classes::default(), &rows).unwrap();
-    let source = source(&format!("clips:{}", folder.path().display()));
-
-    let error = ClipDataset::open(&source, false).unwrap_err().to_string();
-    for expected in [
+    let source = at("clips", folder.path());
+    let expected = [
         "7 frames of 3 clips",
         "1/a: 3 frames: 12-13, 17",
         "1/b: 1 frame: 15",
         "2/gone: 3 frames: 1-3 (there is no",
-    ] {
-        assert!(error.contains(expected), "{error}");
-    }
-    assert!(error.contains("--allow-missing"), "{error}");
+        "--allow-missing",
+    ];
+    refuses(ClipDataset::open(&source, false), &expected);
 
     let dataset = ClipDataset::open(&source, true).unwrap();
     let kept: Vec<&str> = dataset.clips.iter().map(|clip| clip.annotation.clip.as_str()).collect();
@@ -483,9 +472,8 @@ fn key_frames_alone_are_taken_when_that_is_said() {
         touch(&folder.path().join(clip), numbers.iter().map(|n| format!("f_{n:04}.png")));
     }
     write_plain(&folder.path().join("clips.csv"), &Classes::default(), &rows).unwrap();
-    let source = source(&format!("clips:{}", folder.path().display()));
-    let error = ClipDataset::open(&source, false).unwrap_err().to_string();
-    assert!(error.contains("32 frames of 4 clips") && error.contains("--only-key-frames"), "{error}");
+    let source = at("clips", folder.path());
+    refuses(ClipDataset::open(&source, false), &["32 frames of 4 clips", "--only-key-frames"]);
 
     let key_frames = ClipSource { only_key_frames: true, ..source };
     let error = ClipDataset::open(&key_frames, false).unwrap_err().to_string();
@@ -509,8 +497,7 @@ fn a_frame_that_is_there_twice_is_refused() {
     .unwrap();
     touch(&folder.path().join("a"), (1..4).map(|n| format!("img{n}.jpg")));
     write_image_png(&folder.path().join("a/img02.png"), &Image::new(4, 4)).unwrap();
-    let error = ClipDataset::open(&source(&format!("clips:{}", folder.path().display())), true).unwrap_err();
-    assert!(error.to_string().contains("frame 2 is there twice"), "{error}");
+    refuses(ClipDataset::open(&at("clips", folder.path()), true), &["frame 2 is there twice"]);
 }
 
 #[test]

@@ -4,26 +4,14 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::SystemTime;
 
-use srflow_field::{FlowField, Image, write_flow, write_image_png};
+use serde_json::Value;
 
-/// Pairs for training and pairs to score on.
+use crate::frames::write_pairs;
+
+/// Pairs for training and a pair to score on.
 fn make_data(folder: &Path) -> String {
-    for (split, count) in [("train", 2), ("test", 1)] {
-        let dir = folder.join(split);
-        std::fs::create_dir_all(&dir).unwrap();
-        for i in 0..count {
-            let frame = |shift: f32| {
-                Image::from_fn(72, 64, |x, y| {
-                    let wave = ((x as f32 - shift) * 0.31).sin() + (y as f32 * 0.27 + i as f32).sin();
-                    [(128.0 + 50.0 * wave) as u8; 3]
-                })
-            };
-            let file = |ending: &str| dir.join(format!("p{i}_{ending}"));
-            write_image_png(&file("img1.png"), &frame(0.0)).unwrap();
-            write_image_png(&file("img2.png"), &frame(1.5)).unwrap();
-            write_flow(&file("flow.flo"), &FlowField::filled(72, 64, [1.5, 0.0])).unwrap();
-        }
-    }
+    write_pairs(&folder.join("train"), 2, (72, 64), 1.5);
+    write_pairs(&folder.join("test"), 1, (72, 64), 1.5);
     format!("folder:{}", folder.display())
 }
 
@@ -66,9 +54,8 @@ fn the_table_stands_beside_the_papers_and_a_stopped_run_goes_on() {
     assert!(ours < spread && spread < paper, "{text}");
     assert!(text[ours..paper].contains("FDR") && !text[..paper].contains("TVR"), "only what was run: {text}");
     assert!(text[paper..].contains("SRFlowNet-TVR") && text[paper..].contains("0.4056"), "{text}");
-    let json: serde_json::Value =
-        serde_json::from_slice(&std::fs::read(through.join("ablation.json")).unwrap()).unwrap();
-    let epe = |cell: &serde_json::Value| cell["scores"]["epe"].as_f64().unwrap();
+    let json: Value = serde_json::from_slice(&std::fs::read(through.join("ablation.json")).unwrap()).unwrap();
+    let epe = |cell: &Value| cell["scores"]["epe"].as_f64().unwrap();
     let cells = json.as_array().unwrap();
     assert_eq!(cells.len(), 4);
     assert!(cells.iter().all(|cell| epe(cell).is_finite() && cell["zero_epe"] == 1.5), "{json}");
@@ -105,7 +92,7 @@ fn the_table_stands_beside_the_papers_and_a_stopped_run_goes_on() {
     let weights = through.join("fdr-seed-2/last.safetensors");
     let more = ["--json", "--weights", weights.to_str().unwrap()];
     let output = succeed(command(&data, &folder.path().join("start"), "start", &more));
-    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
     let start = json.as_array().unwrap();
     assert_eq!(start.len(), 1);
     assert_eq!(start[0]["steps"], 0);

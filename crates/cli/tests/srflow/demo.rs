@@ -3,23 +3,18 @@
 use std::path::Path;
 use std::process::Output;
 
+use crate::{json, refuses, succeeds};
+
 fn demo(out: &Path, arguments: &[&str]) -> Output {
     let mut command = crate::srflow();
-    command
-        .args(["demo", "--size", "220x321", "--out"])
-        .arg(out)
-        .args(arguments)
-        .output()
-        .expect("srflow runs")
+    command.args(["demo", "--size", "220x321", "--out"]).arg(out).args(arguments).output().unwrap()
 }
 
 #[test]
 fn the_whole_road_ends_in_one_page() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("demo");
-    let run = demo(&out, &["--json"]);
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    let result: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    let result = json(&demo(&out, &["--json"]));
     let epe = |method: usize| result["evaluations"]["in_motion"]["methods"][method]["whole"]["epe"].as_f64();
     let (zero, first_method) = (epe(0).unwrap(), epe(1).unwrap());
     assert!(zero > 0.05 && first_method < zero, "nothing moves ({zero}) or nothing is seen ({first_method})");
@@ -34,16 +29,10 @@ fn the_whole_road_ends_in_one_page() {
     }
 
     // What is there stays; the datasets are found by the commands that read datasets.
-    let again = demo(&out, &[]);
-    let error = String::from_utf8_lossy(&again.stderr).into_owned();
-    assert_eq!(again.status.code(), Some(1));
-    assert!(error.contains("report.html") && error.contains("--force"), "{error}");
+    refuses(&demo(&out, &[]), 1, &["report.html", "--force"]);
     let dataset = format!("srflow:{}", out.join("clips").display());
-    let eval = crate::srflow()
-        .args(["eval", "--dataset", &dataset, "--method", "farneback", "--limit", "1"])
-        .output()
-        .unwrap();
-    assert!(eval.status.success(), "{}", String::from_utf8_lossy(&eval.stderr));
+    let eval = ["eval", "--dataset", &dataset, "--method", "farneback", "--limit", "1"];
+    succeeds(&crate::srflow().args(eval).output().unwrap());
 }
 
 #[test]
@@ -52,11 +41,8 @@ fn what_is_wrong_with_photographs_is_said_before_any_work() {
     let out = dir.path().join("demo");
     let file = |name: &str| dir.path().join(name).display().to_string();
     std::fs::write(file("frame1.png"), b"not a picture").unwrap();
-    let run = demo(&out, &["--pair", &file("frame1.png"), &file("frame2.png"), &file("flow.png")]);
-    let error = String::from_utf8_lossy(&run.stderr).into_owned();
-    assert!(run.status.code() == Some(1) && error.contains("frame1.png"), "{error}");
-    let run = demo(&out, &["--kitti", &file("nowhere")]);
-    let error = String::from_utf8_lossy(&run.stderr).into_owned();
-    assert!(run.status.code() == Some(1) && error.contains("nowhere"), "{error}");
+    let pair = ["--pair", &file("frame1.png"), &file("frame2.png"), &file("flow.png")];
+    refuses(&demo(&out, &pair), 1, &["frame1.png"]);
+    refuses(&demo(&out, &["--kitti", &file("nowhere")]), 1, &["nowhere"]);
     assert!(!out.exists(), "nothing was made");
 }

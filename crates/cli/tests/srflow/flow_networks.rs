@@ -8,22 +8,14 @@ use std::sync::OnceLock;
 
 use burn::tensor::Device;
 use safetensors::tensor::{Dtype, TensorView};
-use serde_json::Value;
-use srflow_field::{FlowField, Image, read_flow, read_image, write_flow, write_image_png};
+use srflow_field::{FlowField, Image, read_flow, read_image, write_image_png};
 use srflow_nets::Architecture;
 use srflow_nn::parameter_infos;
 
-use crate::{fails, succeeds};
+use crate::frames::{waves, write_frames, write_pairs};
+use crate::{json, refuses, succeeds};
 
 const SIZE: (usize, usize) = (150, 133);
-
-fn frame(number: usize) -> Image {
-    Image::from_fn(SIZE.0, SIZE.1, |x, y| {
-        let (x, y) = (x as f64 - 2.0 * number as f64, y as f64);
-        let grey = 128.0 + 60.0 * (x * 0.21 + 0.8 * (y * 0.13).sin()).sin() + 50.0 * (y * 0.27).cos();
-        [grey as u8, (255.0 - grey) as u8, (x * y) as u8]
-    })
-}
 
 /// Random weights of RAFT-S whose variance keeps activations their size.
 fn write_weights(path: &Path, seed: u32) {
@@ -55,10 +47,7 @@ fn data() -> &'static Path {
     let (_, path) = DATA.get_or_init(|| {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().to_owned();
-        fs::create_dir(path.join("video")).unwrap();
-        for number in 0..6 {
-            write_image_png(&path.join(format!("video/{number}.png")), &frame(number)).unwrap();
-        }
+        write_frames(&path.join("video"), 0..6, SIZE);
         write_weights(&path.join("one.safetensors"), 1);
         write_weights(&path.join("two.safetensors"), 2);
         (dir, path)
@@ -90,7 +79,7 @@ fn compare(a: &FlowField, b: &FlowField) -> (f32, f32) {
 #[test]
 fn a_pair_gives_a_flow_and_a_report() {
     let arguments = ["video/0.png", "video/1.png", "-o", "pair/flow.flo", "--viz", "pair/flow.png", "--json"];
-    let report: Value = serde_json::from_str(&succeeds(&flow(&arguments))).unwrap();
+    let report = json(&flow(&arguments));
     assert_eq!(report["method"], "raft-small");
     assert_eq!(report["network"]["iterations"], 2);
     assert_eq!(report["network"]["device"], "cpu");
@@ -124,7 +113,7 @@ fn large_frames_are_cut_or_scaled_and_the_report_says_how() {
     let resolution = |name: &str, more: &[&str]| {
         let out = format!("large/{name}.flo");
         let pair = ["video/0.png", "video/1.png", "-o", &out, "--json"];
-        let report: Value = serde_json::from_str(&succeeds(&flow(&[&pair, more].concat()))).unwrap();
+        let report = json(&flow(&[&pair, more].concat()));
         assert_eq!(read(&out).size(), SIZE);
         let part = |key: &str| report["resolution"][key].as_u64().unwrap();
         [part("width"), part("height"), part("tile_width"), part("tile_height"), part("tiles")]
@@ -142,8 +131,7 @@ fn what_is_wrong_is_said() {
     fs::write(data().join("broken.ckpt"), b"not a checkpoint at all").unwrap();
     let pair = ["video/0.png", "video/1.png", "-o", "never.flo"];
     let refused = |arguments: &[&str], code: i32, expected: &[&str]| {
-        let error = fails(&srflow(&[&["flow"], arguments, &pair].concat()), code);
-        assert!(expected.iter().all(|part| error.contains(part)), "{arguments:?}: {error}");
+        refuses(&srflow(&[&["flow"], arguments, &pair].concat()), code, expected);
         assert!(!data().join("never.flo").exists(), "{arguments:?}");
     };
     refused(&["--method", "raft"], 2, &["raft needs weights", "--weights FILE", "srflow models"]);
@@ -175,47 +163,30 @@ fn a_folder_of_two_sizes_is_refused_before_any_work() {
         let side = if number == 2 { 140 } else { 150 };
         write_image_png(&dir.join(format!("{number}.png")), &Image::new(side, 133)).unwrap();
     }
-    let error = fails(&flow(&["sizes", "-o", "sized"]), 1);
-    assert!(error.contains("sizes/0.png is 150x133") && error.contains("sizes/2.png is 140x133"), "{error}");
+    let expected = ["sizes/0.png is 150x133", "sizes/2.png is 140x133"];
+    refuses(&flow(&["sizes", "-o", "sized"]), 1, &expected);
     assert!(!data().join("sized").exists());
 }
 
 #[test]
 fn tables_name_networks_by_their_weights() {
-    let dir = data().join("pairs");
-    fs::create_dir(&dir).unwrap();
-    for (name, number) in [("img1", 0), ("img2", 1)] {
-        write_image_png(&dir.join(format!("p_{name}.png")), &frame(number)).unwrap();
-    }
-    write_flow(&dir.join("p_flow.flo"), &FlowField::filled(SIZE.0, SIZE.1, [2.0, 0.0])).unwrap();
+    write_pairs(&data().join("pairs"), 1, SIZE, 2.0);
     let eval = ["eval", "--dataset", "folder:pairs", "--iters", "2", "--method"];
-    let text =
-        succeeds(&srflow(&[&eval[..], &["raft-small=one.safetensors,raft-small=two.safetensors"]].concat()));
+    let eval = |methods: &[&str]| srflow(&[&eval[..], methods].concat());
+    let text = succeeds(&eval(&["raft-small=one.safetensors,raft-small=two.safetensors"]));
     assert!(text.contains("raft-small (one)") && text.contains("raft-small (two)"), "{text}");
-    let text = succeeds(&srflow(
-        &[&eval[..], &["farneback", "raft-small", "--weights", "one.safetensors", "--tile", "128x128"]]
-            .concat(),
-    ));
+    let methods = ["farneback", "raft-small", "--weights", "one.safetensors", "--tile", "128x128"];
+    let text = succeeds(&eval(&methods));
     assert!(text.contains("raft-small ") && text.contains("farneback"), "{text}");
-    let error = fails(&srflow(&[&eval[..], &["raft", "gma", "--weights", "one.safetensors"]].concat()), 2);
-    assert!(error.contains("--method NETWORK=WEIGHTS"), "{error}");
+    refuses(&eval(&["raft", "gma", "--weights", "one.safetensors"]), 2, &["--method NETWORK=WEIGHTS"]);
 }
 
 #[test]
 fn scores_are_the_same_however_many_pairs_at_once() {
-    let dir = data().join("three-pairs");
-    fs::create_dir(&dir).unwrap();
-    for pair in 0..3 {
-        for (name, number) in [("img1", pair), ("img2", pair + 1)] {
-            write_image_png(&dir.join(format!("{pair}_{name}.png")), &frame(number)).unwrap();
-        }
-        let truth = FlowField::filled(SIZE.0, SIZE.1, [2.0, 0.0]);
-        write_flow(&dir.join(format!("{pair}_flow.flo")), &truth).unwrap();
-    }
+    write_pairs(&data().join("three-pairs"), 3, SIZE, 2.0);
     let epes = |batch: &str| -> Vec<f64> {
         let eval = ["eval", "--dataset", "folder:three-pairs", "--method", "raft-small=one.safetensors"];
-        let text = succeeds(&srflow(&[&eval[..], &["--iters", "2", "--json", "--batch", batch]].concat()));
-        let evaluation: Value = serde_json::from_str(&text).unwrap();
+        let evaluation = json(&srflow(&[&eval[..], &["--iters", "2", "--json", "--batch", batch]].concat()));
         let pairs = evaluation["methods"][1]["pairs"].as_array().unwrap();
         pairs.iter().map(|pair| pair["whole"]["epe"].as_f64().unwrap()).collect()
     };
@@ -226,9 +197,8 @@ fn scores_are_the_same_however_many_pairs_at_once() {
             assert!((together - alone).abs() < 1e-4, "batch {batch}: {together} for {alone}");
         }
     }
-    let error =
-        fails(&srflow(&["eval", "--dataset", "folder:three-pairs", "--method", "tvl1", "--batch", "2"]), 2);
-    assert!(error.contains("--batch is for networks"), "{error}");
+    let tvl1 = ["eval", "--dataset", "folder:three-pairs", "--method", "tvl1", "--batch", "2"];
+    refuses(&srflow(&tvl1), 2, &["--batch is for networks"]);
 }
 
 /// `ffmpeg` and `ffprobe` that give three frames, whatever they are asked for, and keep what they are given.
@@ -241,7 +211,7 @@ fn videos_go_through_ffmpeg() {
     let mut stream = Vec::new();
     for number in 0..3 {
         stream.extend_from_slice(format!("P6\n{} {}\n255\n", SIZE.0, SIZE.1).as_bytes());
-        stream.extend_from_slice(frame(number).pixels().as_flattened());
+        stream.extend_from_slice(waves(SIZE, 2.0 * number as f32).pixels().as_flattened());
     }
     fs::write(data().join("clip.mp4"), &stream).unwrap();
     let program = |name: &str, text: &str| {
@@ -261,21 +231,18 @@ fn videos_go_through_ffmpeg() {
     };
     let path = format!("{}:/usr/bin:/bin", dir.display());
     let viz = ["-o", "clip", "--viz", "colours.mp4", "--viz-max", "9", "--json"];
-    let report: Value = serde_json::from_str(&succeeds(&run(&path, &viz))).unwrap();
+    let report = json(&run(&path, &viz));
     assert_eq!(report["pairs"][1]["flow"], "clip/000002.flo");
     assert_eq!(report["pairs"][1]["frame2"], "clip.mp4 frame 3");
     succeeds(&flow(&["video/0.png", "video/1.png", "-o", "clip-pair.flo"]));
     assert_eq!(compare(&read("clip/000001.flo"), &read("clip-pair.flo")).0, 0.0);
     assert_eq!(fs::metadata(data().join("colours.mp4")).unwrap().len(), 2 * 3 * (SIZE.0 * SIZE.1) as u64);
 
-    let error = fails(&run(&path, &["-o", "clip"]), 1);
-    assert!(error.contains("clip/000001.flo exists"), "{error}");
-    let error = fails(&run("/nowhere", &["-o", "no-program"]), 1);
-    assert!(error.contains("clip.mp4") && error.contains("ffmpeg, which is not on the PATH"), "{error}");
+    refuses(&run(&path, &["-o", "clip"]), 1, &["clip/000001.flo exists"]);
+    let not_found = ["clip.mp4", "ffmpeg, which is not on the PATH"];
+    refuses(&run("/nowhere", &["-o", "no-program"]), 1, &not_found);
     program("ffmpeg", "echo moov atom not found >&2; exit 1");
-    let error = fails(&run(&path, &["-o", "broken-video"]), 1);
-    assert!(error.contains("moov atom not found"), "{error}");
+    refuses(&run(&path, &["-o", "broken-video"]), 1, &["moov atom not found"]);
     program("ffmpeg", "head -c 70000 clip.mp4");
-    let error = fails(&run(&path, &["-o", "short-video"]), 1);
-    assert!(error.contains("ended within a frame"), "{error}");
+    refuses(&run(&path, &["-o", "short-video"]), 1, &["ended within a frame"]);
 }

@@ -3,12 +3,15 @@
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
+use serde_json::Value;
+
 mod ablation;
 mod architecture;
 mod demo;
 mod eval;
 mod flow;
 mod flow_networks;
+mod frames;
 mod hostile;
 mod licences;
 mod mer_data;
@@ -43,9 +46,24 @@ fn fails(output: &Output, code: i32) -> String {
     let error = String::from_utf8(output.stderr.clone()).unwrap();
     assert!(error.starts_with("error: ") && !error.contains("panicked"), "{error}");
     if !output.stdout.is_empty() {
-        let printed: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let printed: Value = serde_json::from_slice(&output.stdout).unwrap();
         assert!(printed.as_object().is_some_and(|keys| keys.len() == 1), "{output:?}");
         assert!(error.contains(printed["error"].as_str().unwrap()), "{output:?}");
     }
     error
+}
+
+/// What a run with `--json` that succeeds prints.
+#[track_caller]
+fn json(output: &Output) -> Value {
+    serde_json::from_str(&succeeds(output)).unwrap()
+}
+
+/// A run that fails with this exit code and says each of these parts.
+#[track_caller]
+fn refuses(output: &Output, code: i32, parts: &[&str]) {
+    let error = fails(output, code);
+    for part in parts {
+        assert!(error.contains(part), "`{part}` is not in: {error}");
+    }
 }

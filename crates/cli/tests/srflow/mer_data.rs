@@ -8,14 +8,14 @@ use std::sync::LazyLock;
 use serde_json::Value;
 use srflow_field::{read_image, read_npy};
 
-use crate::{fails, succeeds};
+use crate::{fails, refuses, succeeds};
 
 fn srflow(folder: &Path, arguments: &[&str]) -> Output {
     crate::srflow().current_dir(folder).arg("mer").args(arguments).output().unwrap()
 }
 
 fn json(folder: &Path, arguments: &[&str]) -> Value {
-    serde_json::from_str(&succeeds(&srflow(folder, &[arguments, &["--json"]].concat()))).unwrap()
+    crate::json(&srflow(folder, &[arguments, &["--json"]].concat()))
 }
 
 /// Two subjects with two small clips each, made once.
@@ -71,8 +71,7 @@ fn the_published_annotations_are_listed_with_what_is_dropped() {
     ] {
         assert!(text.contains(expected), "{text}");
     }
-    let error = fails(&srflow(folder.path(), &["data", sources[0]]), 1);
-    assert!(error.contains("looked for") && error.contains("006/006_1_2"), "{error}");
+    refuses(&srflow(folder.path(), &["data", sources[0]]), 1, &["looked for", "006/006_1_2"]);
 }
 
 #[test]
@@ -84,28 +83,27 @@ fn missing_frames_stop_unless_allowed() {
     for frame in [1, 2, 4] {
         fs::write(folder.path().join(format!("a/{frame}.png")), "").unwrap();
     }
-    let error = fails(&srflow(folder.path(), &["data", "clips:."]), 1);
-    assert!(error.contains("1 frames of 1 clips") && error.contains("1/a: 1 frame: 3"), "{error}");
+    let expected = ["1 frames of 1 clips", "1/a: 1 frame: 3"];
+    refuses(&srflow(folder.path(), &["data", "clips:."]), 1, &expected);
     let text = succeeds(&srflow(folder.path(), &["data", "clips:.", "--allow-missing"]));
     assert!(
         text.contains("missing      1 frames of 1 clips") && text.contains("1 clips: 0 negative, 1 positive"),
         "{text}"
     );
-    let error = fails(&srflow(folder.path(), &["apex", "clips:.", "--allow-missing"]), 1);
-    assert!(error.contains("1.png") && error.contains("magic"), "an unreadable frame is named: {error}");
+    // An unreadable frame is named.
+    refuses(&srflow(folder.path(), &["apex", "clips:.", "--allow-missing"]), 1, &["1.png", "magic"]);
 }
 
 #[test]
 fn wrong_usage_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let error = fails(&srflow(folder.path(), &["data", "casme3:x"]), 2);
-    assert!(error.contains("casme2[-raw|-cropped]"), "{error}");
-    let error = fails(&srflow(folder.path(), &["data", "samm:nowhere"]), 1);
+    let mer = |arguments: &[&str]| srflow(folder.path(), arguments);
+    refuses(&mer(&["data", "casme3:x"]), 2, &["casme2[-raw|-cropped]"]);
+    let error = fails(&mer(&["data", "samm:nowhere"]), 1);
     assert!(error.contains("nowhere: ") && error.matches("os error").count() <= 1, "named once: {error}");
-    let error = fails(&srflow(folder.path(), &["data", "clips:x", "--annotations", "samm:y"]), 1);
-    assert!(error.contains("no dataset of the kind `samm`"), "{error}");
-    let error = fails(&srflow(folder.path(), &["synth", "--out", "x", "--side", "3"]), 2);
-    assert!(error.contains("--side 3: expected 64 to 4096"), "{error}");
+    let other = mer(&["data", "clips:x", "--annotations", "samm:y"]);
+    refuses(&other, 1, &["no dataset of the kind `samm`"]);
+    refuses(&mer(&["synth", "--out", "x", "--side", "3"]), 2, &["--side 3: expected 64 to 4096"]);
 }
 
 #[test]
@@ -122,7 +120,7 @@ fn apexes_are_spotted_and_compared() {
         let listed = fs::read_to_string(set.join(&list)).unwrap();
         let spotted = report["clips"][0]["spotted"].as_u64().unwrap();
         assert!(listed.lines().nth(1).unwrap().contains(&format!(",{spotted},")), "{listed}");
-        assert!(fails(&srflow(set, &arguments), 1).contains("--force"));
+        refuses(&srflow(set, &arguments), 1, &["--force"]);
     }
 }
 
@@ -146,6 +144,6 @@ fn strain_is_written_as_an_array_and_a_picture() {
     assert_ne!(read_npy(&set.join("o.npy")).unwrap().values, strain.values);
     let full = json(set, &[&common[..], &["full.npy", "--size", "full"]].concat());
     assert_eq!((&full["width"], &full["height"]), (&96.into(), &96.into()));
-    let other = fails(&srflow(set, &["strain", &onset, "s.png", "-o", "x.npy"]), 1);
-    assert!(other.contains("give two frames of one size"), "{other}");
+    let other = srflow(set, &["strain", &onset, "s.png", "-o", "x.npy"]);
+    refuses(&other, 1, &["give two frames of one size"]);
 }

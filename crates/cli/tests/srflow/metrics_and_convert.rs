@@ -4,12 +4,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
+use serde_json::Value;
 use srflow_field::{
     FlowField, Image, Mask, flow_colors, read_flow, read_image, score, write_flow, write_image_png,
     write_mask_png,
 };
 
-use crate::fails;
+use crate::{fails, json, refuses, succeeds};
 
 fn srflow(folder: &Path, arguments: &[&str]) -> Output {
     crate::srflow().current_dir(folder).args(arguments).output().unwrap()
@@ -17,10 +18,6 @@ fn srflow(folder: &Path, arguments: &[&str]) -> Output {
 
 fn code(output: &Output) -> i32 {
     output.status.code().expect("the program ended by itself")
-}
-
-fn error(output: &Output) -> String {
-    fails(output, 1)
 }
 
 fn wavy() -> FlowField {
@@ -42,8 +39,7 @@ fn metrics_prints_json_with_the_documented_keys() {
     let plain = srflow(folder.path(), &["metrics", "p.flo", "t.png", "--json"]);
     let masked = srflow(folder.path(), &["metrics", "p.flo", "t.png", "--mask", "m.png", "--json"]);
     for (output, mask) in [(plain, None), (masked, Some(&mask))] {
-        assert_eq!(code(&output), 0, "{output:?}");
-        let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let json = json(&output);
         let scores = score(&prediction, &truth, mask).unwrap().unwrap();
         assert_eq!(json, serde_json::to_value(scores).unwrap());
         let keys: Vec<&String> = json.as_object().unwrap().keys().collect();
@@ -56,18 +52,12 @@ fn metrics_prints_json_with_the_documented_keys() {
 fn metrics_prints_a_table_for_people() {
     let folder = tempfile::tempdir().unwrap();
     write_flow(&folder.path().join("a.flo"), &wavy()).unwrap();
-    let output = srflow(folder.path(), &["metrics", "a.flo", "a.flo"]);
-    let known = FlowField::new(9, 5);
-    write_flow(&folder.path().join("known.flo"), &known).unwrap();
-    // A prediction may be unknown only where the truth is.
-    assert_eq!(code(&output), 0, "{output:?}");
-    let text = String::from_utf8(output.stdout).unwrap();
+    let text = succeeds(&srflow(folder.path(), &["metrics", "a.flo", "a.flo"]));
     assert!(text.contains("EPE        0.0000 px") && text.contains("over 44 pixels"), "{text}");
-    let message = error(&srflow(folder.path(), &["metrics", "a.flo", "known.flo"]));
-    assert!(
-        message.contains("scoring a.flo against known.flo: the prediction at pixel (4, 4) is (NaN, NaN)"),
-        "{message}"
-    );
+    // A prediction may be unknown only where the truth is.
+    write_flow(&folder.path().join("known.flo"), &FlowField::new(9, 5)).unwrap();
+    let expected = "scoring a.flo against known.flo: the prediction at pixel (4, 4) is (NaN, NaN)";
+    refuses(&srflow(folder.path(), &["metrics", "a.flo", "known.flo"]), 1, &[expected]);
 }
 
 /// A constant flow varies nowhere but at the outline of a masked head, where MIGAR and IGVAR set it to zero.
@@ -81,16 +71,14 @@ fn metrics_prints_the_regularizers_of_one_flow() {
     write_image_png(&path("grey.png"), &Image::filled(9, 7, [90; 3])).unwrap();
     write_mask_png(&path("head.png"), &Mask::from_fn(9, 7, |x, y| x > 1 && y > 1)).unwrap();
 
-    let values = |flow: &str, more: &[&str]| -> Vec<serde_json::Value> {
+    let values = |flow: &str, more: &[&str]| -> Vec<Value> {
         let arguments =
             [&["metrics", flow, "--image", "grey.png", "--regularizers", "--json"], more].concat();
-        let output = srflow(folder.path(), &arguments);
-        assert_eq!(code(&output), 0, "{output:?}");
-        let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let json = json(&srflow(folder.path(), &arguments));
         assert!(json.get("epe").is_none(), "no truth, no score: {json}");
         json["regularizers"].as_array().unwrap().clone()
     };
-    let of = |found: &[serde_json::Value]| -> Vec<f64> {
+    let of = |found: &[Value]| -> Vec<f64> {
         found.iter().map(|value| value["value"].as_f64().unwrap()).collect()
     };
     let constant = values("constant.flo", &[]);
@@ -113,9 +101,8 @@ fn metrics_prints_the_regularizers_of_one_flow() {
     let literal = of(&values("constant.flo", &["--mask", "head.png", "--m-total", "literal"]));
     assert!(literal[2] != masked[2], "{literal:?}");
 
-    let output =
-        srflow(folder.path(), &["metrics", "step.flo", "step.flo", "--image", "grey.png", "--regularizers"]);
-    let text = String::from_utf8(output.stdout).unwrap();
+    let both = ["metrics", "step.flo", "step.flo", "--image", "grey.png", "--regularizers"];
+    let text = succeeds(&srflow(folder.path(), &both));
     assert!(text.contains("EPE        0.0000 px") && text.contains("\nTVR     5.5556e-3\n"), "{text}");
     assert!(text.contains("IGVAR   8.8889e-1   base e^1.000, mean weight 1.000e0 over 63 pixels"), "{text}");
 }
@@ -132,11 +119,11 @@ fn metrics_says_what_the_regularizers_need() {
         srflow(folder.path(), &["metrics", flow, "--image", image, "--regularizers", "--json"])
     };
     assert_eq!(
-        error(&run("b.flo", "small.png")),
+        fails(&run("b.flo", "small.png"), 1),
         "error: regularizers of b.flo over small.png: the flow is 9x5 and the first frame 3x2 (WIDTHxHEIGHT): they must \
          be of one size\n"
     );
-    assert!(error(&run("a.flo", "frame.png")).contains("the flow at pixel (4, 4) is (NaN, NaN)"));
+    refuses(&run("a.flo", "frame.png"), 1, &["the flow at pixel (4, 4) is (NaN, NaN)"]);
     assert_eq!(code(&srflow(folder.path(), &["metrics", "a.flo"])), 2, "neither a truth nor --regularizers");
     assert_eq!(code(&srflow(folder.path(), &["metrics", "a.flo", "--regularizers"])), 2, "no image");
 }
@@ -150,15 +137,22 @@ fn metrics_says_what_is_wrong() {
     write_mask_png(&path("nothing.png"), &Mask::new(9, 5)).unwrap();
     fs::write(path("cut.flo"), &fs::read(path("a.flo")).unwrap()[..50]).unwrap();
 
-    let message = error(&srflow(folder.path(), &["metrics", "cut.flo", "a.flo"]));
-    assert!(message.contains("cut.flo: file size: expected 372 bytes"), "{message}");
-    let message = error(&srflow(folder.path(), &["metrics", "small.flo", "a.flo"]));
-    assert!(message.contains("the prediction is 2x2 and the truth 9x5"), "{message}");
-    let message = error(&srflow(folder.path(), &["metrics", "a.flo", "gone.flo"]));
-    assert!(message.contains("gone.flo: opening"), "{message}");
-    let message =
-        error(&srflow(folder.path(), &["metrics", "a.flo", "a.flo", "--mask", "nothing.png", "--json"]));
-    assert!(message.contains("expected a known pixel of the truth inside the mask, found none"), "{message}");
+    refuses(
+        &srflow(folder.path(), &["metrics", "cut.flo", "a.flo"]),
+        1,
+        &["cut.flo: file size: expected 372 bytes"],
+    );
+    refuses(
+        &srflow(folder.path(), &["metrics", "small.flo", "a.flo"]),
+        1,
+        &["the prediction is 2x2 and the truth 9x5"],
+    );
+    refuses(&srflow(folder.path(), &["metrics", "a.flo", "gone.flo"]), 1, &["gone.flo: opening"]);
+    refuses(
+        &srflow(folder.path(), &["metrics", "a.flo", "a.flo", "--mask", "nothing.png", "--json"]),
+        1,
+        &["expected a known pixel of the truth inside the mask, found none"],
+    );
     assert_eq!(code(&srflow(folder.path(), &["metrics", "a.flo"])), 2);
 }
 
@@ -169,8 +163,7 @@ fn convert_goes_round_every_format_without_loss() {
     write_flow(&path("start.flo"), &wavy()).unwrap();
     let round = ["start.flo", "a.pfm", "b.png", "c.npy", "d.flo5", "e.npz", "f.png128", "end.flo"];
     for step in round.windows(2) {
-        let output = srflow(folder.path(), &["convert", step[0], step[1]]);
-        assert_eq!(code(&output), 0, "{step:?}: {output:?}");
+        succeeds(&srflow(folder.path(), &["convert", step[0], step[1]]));
     }
     assert_eq!(fs::read(path("start.flo")).unwrap(), fs::read(path("end.flo")).unwrap());
 }
@@ -180,11 +173,9 @@ fn convert_draws_the_colour_wheel() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     write_flow(&path("a.flo"), &wavy()).unwrap();
-    let output = srflow(folder.path(), &["convert", "a.flo", "a.png", "--viz"]);
-    assert_eq!(code(&output), 0, "{output:?}");
+    succeeds(&srflow(folder.path(), &["convert", "a.flo", "a.png", "--viz"]));
     assert_eq!(read_image(&path("a.png")).unwrap(), flow_colors(&wavy(), None));
-    let output = srflow(folder.path(), &["convert", "a.flo", "b.png", "--viz", "--max", "2.5"]);
-    assert_eq!(code(&output), 0, "{output:?}");
+    succeeds(&srflow(folder.path(), &["convert", "a.flo", "b.png", "--viz", "--max", "2.5"]));
     assert_eq!(read_image(&path("b.png")).unwrap(), flow_colors(&wavy(), Some(2.5)));
     assert!(read_flow(&path("b.png")).is_err(), "a picture of a flow is no flow");
 }
@@ -194,12 +185,9 @@ fn convert_overwrites_only_with_force() {
     let folder = tempfile::tempdir().unwrap();
     write_flow(&folder.path().join("a.flo"), &wavy()).unwrap();
     fs::write(folder.path().join("b.npy"), "dear").unwrap();
-    let message = error(&srflow(folder.path(), &["convert", "a.flo", "b.npy"]));
-    assert!(message.contains("b.npy") && message.contains("--force"), "{message}");
+    refuses(&srflow(folder.path(), &["convert", "a.flo", "b.npy"]), 1, &["b.npy", "--force"]);
     assert_eq!(fs::read(folder.path().join("b.npy")).unwrap(), b"dear");
-    let output = srflow(folder.path(), &["convert", "a.flo", "b.npy", "--force", "--json"]);
-    assert_eq!(code(&output), 0, "{output:?}");
-    let json: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let json = json(&srflow(folder.path(), &["convert", "a.flo", "b.npy", "--force", "--json"]));
     assert_eq!((&json["width"], &json["height"], &json["known_pixels"]), (&9.into(), &5.into(), &44.into()));
     let names: Vec<PathBuf> =
         fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
@@ -211,23 +199,32 @@ fn convert_says_what_is_wrong() {
     let folder = tempfile::tempdir().unwrap();
     let fast = FlowField::filled(4, 3, [600.0, 0.0]);
     write_flow(&folder.path().join("fast.flo"), &fast).unwrap();
-    let message = error(&srflow(folder.path(), &["convert", "fast.flo", "fast.png"]));
-    assert!(message.contains("fast.png: pixel (0, 0): expected components from -512"), "{message}");
-    let message = fails(&srflow(folder.path(), &["convert", "fast.flo", "fast.xyz"]), 2);
-    assert!(message.contains("fast.xyz: expected a name ending in one of .flo, .png"), "{message}");
-    let message = fails(&srflow(folder.path(), &["convert", "fast.flo", "fast.flo5", "--viz"]), 2);
-    assert!(message.contains("expected a name ending in .png"), "{message}");
-    let message = error(&srflow(folder.path(), &["convert", "fast.flo", "no/such/folder.npy"]));
-    assert!(message.contains("no/such/folder.npy: creating"), "{message}");
+    refuses(
+        &srflow(folder.path(), &["convert", "fast.flo", "fast.png"]),
+        1,
+        &["fast.png: pixel (0, 0): expected components from -512"],
+    );
+    refuses(
+        &srflow(folder.path(), &["convert", "fast.flo", "fast.xyz"]),
+        2,
+        &["fast.xyz: expected a name ending in one of .flo, .png"],
+    );
+    refuses(
+        &srflow(folder.path(), &["convert", "fast.flo", "fast.flo5", "--viz"]),
+        2,
+        &["expected a name ending in .png"],
+    );
+    refuses(
+        &srflow(folder.path(), &["convert", "fast.flo", "no/such/folder.npy"]),
+        1,
+        &["no/such/folder.npy: creating"],
+    );
     for wrong in ["0", "-1", "nan", "inf", "many"] {
         let max = format!("--max={wrong}");
         assert_eq!(code(&srflow(folder.path(), &["convert", "fast.flo", "x.png", "--viz", &max])), 2);
     }
-    assert_eq!(
-        code(&srflow(folder.path(), &["convert", "fast.flo", "x.png", "--max", "3"])),
-        2,
-        "needs --viz"
-    );
+    let without_viz = srflow(folder.path(), &["convert", "fast.flo", "x.png", "--max", "3"]);
+    assert_eq!(code(&without_viz), 2);
 }
 
 #[cfg(target_os = "linux")]
@@ -241,8 +238,7 @@ fn an_output_that_cannot_be_printed_is_an_error_and_no_panic() {
         command.stdout(stdout).output().unwrap()
     };
     let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
-    let message = error(&printing_to(full.into()));
-    assert!(message.contains("printing the result: No space left"), "{message}");
+    refuses(&printing_to(full.into()), 1, &["printing the result: No space left"]);
 
     let (reader, writer) = std::io::pipe().unwrap();
     drop(reader);

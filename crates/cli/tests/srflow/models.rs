@@ -6,6 +6,8 @@ use std::process::Output;
 
 use serde_json::Value;
 
+use crate::refuses;
+
 fn models(arguments: &[&str]) -> Output {
     let mut command = crate::srflow();
     command.arg("models").args(arguments).output().unwrap()
@@ -16,7 +18,7 @@ fn succeeds(arguments: &[&str]) -> String {
 }
 
 fn json(arguments: &[&str]) -> Value {
-    serde_json::from_str(&succeeds(&[arguments, &["--json"]].concat())).unwrap()
+    crate::json(&models(&[arguments, &["--json"]].concat()))
 }
 
 fn checkpoint(name: &str) -> PathBuf {
@@ -80,10 +82,7 @@ fn what_is_no_checkpoint_is_an_error() {
     for (path, said) in
         [(page, "a file that starts with `<html>not found"), ("none.pth".into(), "none.pth: ")]
     {
-        let output = models(&["inspect", path.to_str().unwrap()]);
-        assert_eq!(output.status.code(), Some(1));
-        let error = String::from_utf8(output.stderr).unwrap();
-        assert!(error.contains(said), "{error}");
+        refuses(&models(&["inspect", path.to_str().unwrap()]), 1, &[said]);
     }
     assert_eq!(models(&["inspect"]).status.code(), Some(2));
 }
@@ -104,17 +103,11 @@ fn exported_weights_are_the_same_to_the_bit() {
         succeeds(&["export", &exported, "-o", &back, "--force"]);
         assert!(fs::read(&back).unwrap() == fs::read(&own).unwrap(), "{}", architecture.name());
     }
-    let refused = models(&["export", &path("own.safetensors"), "-o", &path("exported.ckpt")]);
-    assert_eq!(refused.status.code(), Some(1));
-    assert!(String::from_utf8(refused.stderr).unwrap().contains("--force"));
-    assert_eq!(
-        models(&["export", &path("own.safetensors"), "-o", &path("weights.onnx")]).status.code(),
-        Some(2)
-    );
+    let export = |weights: &str, to: &str| models(&["export", weights, "-o", &path(to)]);
+    refuses(&export(&path("own.safetensors"), "exported.ckpt"), 1, &["--force"]);
+    refuses(&export(&path("own.safetensors"), "weights.onnx"), 2, &["weights.onnx"]);
     let other = checkpoint("zip.pth");
-    let other = models(&["export", other.to_str().unwrap(), "-o", &path("other.ckpt")]);
-    assert_eq!(other.status.code(), Some(1));
-    assert!(String::from_utf8(other.stderr).unwrap().contains("no network known here"));
+    refuses(&export(other.to_str().unwrap(), "other.ckpt"), 1, &["no network known here"]);
 }
 
 /// The lists of networks in the documents. `SRFLOW_WRITE_DOCS=1` brings them up to date.

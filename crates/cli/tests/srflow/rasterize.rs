@@ -7,6 +7,8 @@ use std::process::Output;
 use srflow_field::{read_flow, read_image, read_mask, read_npy, read_npy_plane};
 use srflow_splat::{Gaussians, write_ply};
 
+use crate::{json, refuses, succeeds};
+
 const CAMERA: &str = r#"{"width": 60, "height": 40, "fx": 50, "fy": 50, "cx": 29.5, "cy": 19.5,
     "w2c": [[1,0,0,0], [0,1,0,0], [0,0,1,1], [0,0,0,1]]}"#;
 
@@ -41,9 +43,7 @@ fn every_file_is_written_and_the_flow_is_the_motion() {
     let folder = scene();
     let arguments =
         ["a.ply", "--next", "b.ply", "--camera", "cam.json", "--out", "out", "--background", "255,128,0"];
-    let run = rasterize(folder.path(), &[&arguments[..], &["--json"]].concat());
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    let report: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    let report = json(&rasterize(folder.path(), &[&arguments[..], &["--json"]].concat()));
     assert_eq!((&report["gaussians"], &report["visible"]), (&2.into(), &2.into()));
 
     let out = folder.path().join("out");
@@ -65,12 +65,9 @@ fn every_file_is_written_and_the_flow_is_the_motion() {
     assert!((flow.get(30, 20)[0] - 5.0 * alpha.get(30, 20)).abs() < 1e-4);
     assert!((normalized.get(30, 20)[0] - 5.0).abs() < 1e-4 && normalized.get(30, 20)[1].abs() < 1e-4);
 
-    let again = rasterize(folder.path(), &arguments);
-    assert_eq!(again.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&again.stderr).contains("out/color.png exists; give --force"));
-    let paper =
-        rasterize(folder.path(), &[&arguments[..], &["--force", "--pixel-convention", "paper"]].concat());
-    assert!(paper.status.success());
+    refuses(&rasterize(folder.path(), &arguments), 1, &["out/color.png exists; give --force"]);
+    let paper = [&arguments[..], &["--force", "--pixel-convention", "paper"]].concat();
+    succeeds(&rasterize(folder.path(), &paper));
     let normalized = read_flow(&out.join("flow_normalized.flo")).unwrap();
     assert!((normalized.get(30, 20)[0] - 5.0 * 59.0 / 60.0).abs() < 1e-4);
 }
@@ -78,16 +75,12 @@ fn every_file_is_written_and_the_flow_is_the_motion() {
 #[test]
 fn the_camera_alone_may_move_or_nothing() {
     let folder = scene();
-    let run = rasterize(
-        folder.path(),
-        &["a.ply", "--camera", "cam.json", "--camera-next", "cam2.json", "--out", "moved"],
-    );
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let moved = ["a.ply", "--camera", "cam.json", "--camera-next", "cam2.json", "--out", "moved"];
+    succeeds(&rasterize(folder.path(), &moved));
     let [u, v] = read_flow(&folder.path().join("moved/flow_normalized.flo")).unwrap().get(30, 20);
     assert!(u.abs() < 1e-4 && (v - 10.0).abs() < 1e-4, "({u}, {v})");
 
-    let run = rasterize(folder.path(), &["a.ply", "--camera", "cam.json", "--out", "still"]);
-    assert!(run.status.success());
+    succeeds(&rasterize(folder.path(), &["a.ply", "--camera", "cam.json", "--out", "still"]));
     let flow = read_flow(&folder.path().join("still/flow.flo")).unwrap();
     assert!(flow.pixels().iter().all(|flow| *flow == [0.0; 2]));
 }
@@ -123,10 +116,7 @@ fn broken_input_is_named() {
         cases.push((vec!["a.ply", "--camera", name], name, reason));
     }
     for (arguments, file, reason) in cases {
-        let run = rasterize(dir, &[&arguments[..], &["--out", "out"]].concat());
-        let error = String::from_utf8(run.stderr).unwrap();
-        assert_eq!(run.status.code(), Some(1), "{arguments:?}: {error}");
-        assert!(error.contains(file) && error.contains(reason), "{arguments:?}: {error}");
+        refuses(&rasterize(dir, &[&arguments[..], &["--out", "out"]].concat()), 1, &[file, reason]);
         assert!(!dir.join("out").exists());
     }
     let usage = rasterize(dir, &["a.ply", "--camera", "cam.json", "--out", "out", "--background", "1,2,300"]);
@@ -146,22 +136,19 @@ fn a_camera_is_chosen_among_those_of_a_file() {
     let cameras = [camera("front", 0.0), camera("right", 0.1), camera("far", 9.0)].join(", ");
     fs::write(dir.join("cameras.json"), format!("[{cameras}]")).unwrap();
 
-    let run = rasterize(dir, &["a.ply", "--camera", "cameras.json", "--out", "none"]);
-    let error = String::from_utf8_lossy(&run.stderr);
-    assert_eq!(run.status.code(), Some(2), "{error}");
-    assert!(error.contains("holds 3 cameras") && error.contains("front, right, far"), "{error}");
-    let run = rasterize(dir, &["a.ply", "--camera", "cameras.json", "--view", "left", "--out", "none"]);
-    assert!(String::from_utf8_lossy(&run.stderr).contains("no camera is called `left`"));
+    let from_file = ["a.ply", "--camera", "cameras.json", "--out", "none"];
+    refuses(&rasterize(dir, &from_file), 2, &["holds 3 cameras", "front, right, far"]);
+    let left = [&from_file[..], &["--view", "left"]].concat();
+    refuses(&rasterize(dir, &left), 2, &["no camera is called `left`"]);
 
     let views = ["--camera", "cameras.json", "--view", "front", "--view-next", "1"];
-    let run = rasterize(dir, &[&["a.ply", "--out", "views", "--size", "120x80"], &views[..]].concat());
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    succeeds(&rasterize(dir, &[&["a.ply", "--out", "views", "--size", "120x80"], &views[..]].concat()));
     let flow = read_flow(&dir.join("views/flow_normalized.flo")).unwrap();
     // The camera goes 0.1 to the right at depth 1: at twice the size 10 px to the left.
     let [u, v] = flow.get(60, 40);
     assert!(flow.size() == (120, 80) && (u + 10.0).abs() < 1e-3 && v.abs() < 1e-3, "({u}, {v})");
-    let run = rasterize(dir, &[&["a.ply", "--out", "none", "--size", "120x120"], &views[..]].concat());
-    assert!(run.status.code() == Some(2) && String::from_utf8_lossy(&run.stderr).contains("proportions"));
+    let stretched = [&["a.ply", "--out", "none", "--size", "120x120"], &views[..]].concat();
+    refuses(&rasterize(dir, &stretched), 2, &["proportions"]);
 }
 
 /// What a moving camera writes is a dataset with exact flow.
@@ -170,9 +157,7 @@ fn a_moving_camera_gives_frames_flow_and_masks() {
     let folder = scene();
     let dir = folder.path();
     let orbit = ["a.ply", "--orbit", "-6x3", "--size", "80x60", "--background", "white", "--json"];
-    let run = rasterize(dir, &[&orbit[..], &["--out", "turn"]].concat());
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
-    let report: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
+    let report = json(&rasterize(dir, &[&orbit[..], &["--out", "turn"]].concat()));
     assert_eq!((&report["frames"], &report["width"]), (&3.into(), &80.into()));
     let first = read_image(&dir.join("turn/frames/000001.png")).unwrap();
     assert_eq!((first.size(), first.get(0, 0)), ((80, 60), [255; 3]));
@@ -180,8 +165,7 @@ fn a_moving_camera_gives_frames_flow_and_masks() {
     assert!(read_mask(&dir.join("turn/mask/000003.png")).is_ok());
     assert!(dir.join("turn/flow/000002.flo").exists() && !dir.join("turn/flow/000003.flo").exists());
     let eval = ["eval", "--dataset", "folder:turn", "--method", "files:turn/flow", "--json"];
-    let scored = crate::srflow().current_dir(dir).args(eval).output().unwrap();
-    let scores: serde_json::Value = serde_json::from_slice(&scored.stdout).unwrap();
+    let scores = json(&crate::srflow().current_dir(dir).args(eval).output().unwrap());
     assert_eq!((&scores["pairs"], &scores["methods"][1]["whole"]["epe"]), (&2.into(), &0.0.into()));
 
     fs::write(
@@ -191,8 +175,7 @@ fn a_moving_camera_gives_frames_flow_and_masks() {
         {"fov": 40, "camera_to_world": [1,0,0,0.1, 0,1,0,0, 0,0,1,2, 0,0,0,1]}]}"#,
     )
     .unwrap();
-    let run = rasterize(dir, &["a.ply", "--path", "path.json", "--out", "path"]);
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    succeeds(&rasterize(dir, &["a.ply", "--path", "path.json", "--out", "path"]));
     assert!(read_flow(&dir.join("path/flow/000001.flo")).unwrap().get(20, 15)[0] < -1.0);
 
     for (arguments, reason) in [
@@ -201,10 +184,8 @@ fn a_moving_camera_gives_frames_flow_and_masks() {
         (&["a.ply", "--orbit", "360x1", "--out", "new"], "2 frames or more"),
         (&["a.ply", "--orbit", "360x8", "--next", "b.ply", "--out", "new"], "--next"),
     ] {
-        let run = rasterize(dir, arguments);
-        let error = String::from_utf8_lossy(&run.stderr);
-        assert!(run.status.code() == Some(2) && error.contains(reason), "{arguments:?}: {error}");
+        refuses(&rasterize(dir, arguments), 2, &[reason]);
     }
     let again = rasterize(dir, &[&orbit[..], &["--out", "turn"]].concat());
-    assert!(String::from_utf8_lossy(&again.stderr).contains("turn/frames exists; give --force"));
+    refuses(&again, 1, &["turn/frames exists; give --force"]);
 }

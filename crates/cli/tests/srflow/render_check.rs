@@ -8,6 +8,8 @@ use std::sync::OnceLock;
 
 use serde_json::Value;
 
+use crate::{json, refuses, succeeds};
+
 /// What most tests render: one scene of 7 pairs, for a head takes most of the time.
 const TINY: [&str; 10] =
     ["--scenes", "1", "--frames", "7", "--size", "110x160", "--seed", "4", "--splits", "1,0,0"];
@@ -18,7 +20,7 @@ fn whole() -> &'static Path {
     WHOLE.get_or_init(|| {
         let out = crate::binary().with_file_name("dataset-of-tests");
         let _ = fs::remove_dir_all(&out); // of an earlier test run
-        let summary: Value = serde_json::from_str(&succeeds(&render(&out, &["--json"]))).unwrap();
+        let summary = json(&render(&out, &["--json"]));
         assert_eq!((&summary["pairs"], &summary["made"]), (&Value::from(7), &Value::from(7)));
         out
     })
@@ -29,18 +31,10 @@ fn render(out: &Path, more: &[&str]) -> Output {
     crate::srflow().args(["render", "--out", out]).args(TINY).args(more).output().unwrap()
 }
 
-fn succeeds(output: &Output) -> String {
-    let stdout = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(output.status.success(), "{stdout}\n{}", String::from_utf8_lossy(&output.stderr));
-    stdout
-}
-
-/// Standard error of a command that must fail with exit code `code`.
-fn fails(output: &Output, code: i32) -> String {
-    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert_eq!(output.status.code(), Some(code), "{stderr}");
-    assert!(!stderr.contains("panicked"), "{stderr}");
-    stderr
+/// What a run says that stops on request.
+fn stops(output: &Output) -> String {
+    assert_eq!(output.status.code(), Some(75), "{output:?}");
+    String::from_utf8(output.stderr.clone()).unwrap()
 }
 
 /// Every file below a folder, hidden ones too, by its path there.
@@ -90,7 +84,7 @@ fn a_dataset_is_sound_and_explained_by_its_flow() {
         ["--frames", "5", "--size", "220x320", "--backward", "--depth", "--splits", "0,0,1", "--json"];
     let mut command = crate::srflow();
     command.args(["render", "--scenes", "1", "--out", out.to_str().unwrap()]).args(arguments);
-    let summary: Value = serde_json::from_str(&succeeds(&command.output().unwrap())).unwrap();
+    let summary = json(&command.output().unwrap());
     assert_eq!(summary["statistics"]["average_frames"], 5.0);
     assert_eq!(summary["statistics"]["scenes"], 1);
     // 6 frames, alphas, masks and depths; 5 flows, backward flows, occlusions and records; two files for all.
@@ -137,17 +131,14 @@ fn sequences_start_and_end_before_camera_nine() {
 fn a_stopped_run_continues_to_the_same_bytes() {
     let dir = tempfile::tempdir().unwrap();
     let stopped = dir.path().join("stopped");
-    let error = fails(&render(&stopped, &["--stop-after", "2"]), 75);
-    assert!(error.contains("stopped on request"), "{error}");
+    let said = stops(&render(&stopped, &["--stop-after", "2"]));
+    assert!(said.contains("stopped on request"), "{said}");
     assert_eq!(whole_pairs(&stopped).len(), 2);
     // As a kill in the midst of writing leaves it: half a file, and a pair without the file that is written last.
     fs::write(stopped.join("train/frames/scene-0000/.00005.png.1-0.partial"), "half").unwrap();
     fs::remove_file(&whole_pairs(&stopped)[0]).unwrap();
 
-    let rerun = || -> u64 {
-        let summary: Value = serde_json::from_str(&succeeds(&render(&stopped, &["--json"]))).unwrap();
-        summary["made"].as_u64().unwrap()
-    };
+    let rerun = || json(&render(&stopped, &["--json"]))["made"].as_u64().unwrap();
     assert_eq!(rerun(), 6);
     assert_same_tree(whole(), &stopped);
     assert_eq!(rerun(), 0);
@@ -165,8 +156,8 @@ fn a_split_that_gets_no_scene_is_named_before_any_work() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("data");
     let arguments = ["render", "--out", out.to_str().unwrap(), "--scenes", "3", "--stop-after", "0"];
-    let error = fails(&crate::srflow().args(arguments).output().unwrap(), 75);
-    assert!(error.contains("note: the val split is empty: a share of 0.11 of 3 scenes"), "{error}");
+    let said = stops(&crate::srflow().args(arguments).output().unwrap());
+    assert!(said.contains("note: the val split is empty: a share of 0.11 of 3 scenes"), "{said}");
 }
 
 #[test]
@@ -192,10 +183,9 @@ fn another_dataset_is_not_mixed_in() {
     let out = dir.path().join("data");
     copy_into(whole(), &out);
     let before = tree(&out);
-    let error = fails(&render(&out, &["--background", "black"]), 1);
-    assert!(error.contains("made with background \"#ffffff\", asked for is \"#000000\""), "{error}");
-    let error = fails(&render(&out, &["--depth"]), 1);
-    assert!(error.contains("depth false") && error.contains("--force"), "{error}");
+    let expected = "made with background \"#ffffff\", asked for is \"#000000\"";
+    refuses(&render(&out, &["--background", "black"]), 1, &[expected]);
+    refuses(&render(&out, &["--depth"]), 1, &["depth false", "--force"]);
     assert!(tree(&out) == before);
 
     fs::write(out.join("notes.txt"), "mine").unwrap();
@@ -211,8 +201,7 @@ fn another_dataset_is_not_mixed_in() {
     fs::create_dir(&other).unwrap();
     fs::write(other.join("thesis.tex"), "x").unwrap();
     for force in [&[][..], &["--force"]] {
-        let error = fails(&render(&other, force), 1);
-        assert!(error.contains("not empty and holds no dataset.json"), "{error}");
+        refuses(&render(&other, force), 1, &["not empty and holds no dataset.json"]);
     }
 }
 
@@ -243,18 +232,18 @@ fn wrong_arguments_are_said_before_any_work() {
         let mut command = crate::srflow();
         let output =
             command.args(["render", "--out", out.to_str().unwrap()]).args(arguments).output().unwrap();
-        let error = fails(&output, code);
-        assert!(error.contains(expected), "{arguments:?}: {error}");
+        refuses(&output, code, &[expected]);
         assert!(!out.exists(), "{arguments:?} made the folder");
     }
     let head = dir.path().join("head");
     fs::create_dir(&head).unwrap();
     fs::write(head.join("generic_neutral_mesh.obj"), "no mesh").unwrap();
-    let error = fails(&render(&out, &["--head", &format!("ict:{}", head.display())]), 1);
-    assert!(error.contains("generic_neutral_mesh.obj") && !out.exists(), "{error}");
+    let broken = ["--head", &format!("ict:{}", head.display())];
+    refuses(&render(&out, &broken), 1, &["generic_neutral_mesh.obj"]);
+    assert!(!out.exists());
     let file = dir.path().join("file");
     fs::write(&file, "x").unwrap();
-    assert!(fails(&render(&file.join("data"), &[]), 1).contains("file/data"));
+    refuses(&render(&file.join("data"), &[]), 1, &["file/data"]);
 }
 
 /// A limit on the size of files stands for the full disk: both are errors of the write.
@@ -268,8 +257,7 @@ fn a_full_disk_is_said_and_the_dataset_resumes() {
     // Without the signal that a passed limit also sends; 12 blocks of 1024 bytes.
     let script = format!("trap '' XFSZ; ulimit -f 12; exec {arguments}");
     let output = Command::new("bash").args(["-c", &script]).output().unwrap();
-    let error = fails(&output, 1);
-    assert!(error.contains(".png: writing:") && error.contains("run the same command again"), "{error}");
+    refuses(&output, 1, &[".png: writing:", "run the same command again"]);
     assert!(tree(&out).keys().all(|path| path.extension().is_some_and(|e| e != "partial")));
     succeeds(&render(&out, &[]));
     assert_same_tree(whole(), &out);
@@ -304,7 +292,7 @@ fn what_is_broken_is_named() {
     let sound = tree(&out);
     let expect = |path: &str, what: &str| {
         let (output, report) = check(&out);
-        fails(&output, 1);
+        assert_eq!(output.status.code(), Some(1));
         let problems = report["problems"].as_array().unwrap();
         let named = problems.iter().any(|problem| {
             problem["file"] == *file(path).to_str().unwrap()
@@ -336,8 +324,8 @@ fn what_is_broken_is_named() {
     expect("flow/scene-0000/00003.npz16", "does not explain the frames");
     fs::write(file("mask/scene-0000/.00001.png.77-3.partial"), "half").unwrap();
     let (output, report) = check(&out);
-    fails(&output, 1);
+    assert_eq!(output.status.code(), Some(1));
     assert!(report["problems"][0]["file"].as_str().unwrap().ends_with(".00001.png.77-3.partial"));
     fs::remove_file(out.join("dataset.json")).unwrap();
-    assert!(fails(&check(&out).0, 1).contains("dataset.json"));
+    refuses(&check(&out).0, 1, &["dataset.json"]);
 }

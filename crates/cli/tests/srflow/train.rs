@@ -3,28 +3,15 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use srflow_field::{FlowField, Image, write_flow, write_image_png};
+use serde_json::Value;
+
+use crate::frames::{write_frames, write_pairs};
+use crate::refuses;
 
 const SIZE: (usize, usize) = (96, 80);
 
-/// Smooth waves that move by `shift` pixels to the right.
-fn frame(number: usize, shift: f32) -> Image {
-    Image::from_fn(SIZE.0, SIZE.1, |x, y| {
-        let (x, y) = (x as f32 - shift + 31.0 * number as f32, y as f32);
-        let wave = (x * 0.31).sin() + (y * 0.27).sin() + ((x + y) * 0.13).cos() + (x * 0.61 - y * 0.47).sin();
-        [(128.0 + 30.0 * wave) as u8, (128.0 - 20.0 * wave) as u8, (99.0 + 25.0 * wave) as u8]
-    })
-}
-
 fn make_pairs(dir: &Path, count: usize) {
-    std::fs::create_dir_all(dir).unwrap();
-    for i in 0..count {
-        let file = |ending: &str| dir.join(format!("p{i}_{ending}"));
-        let shift = 1.0 + i as f32;
-        write_image_png(&file("img1.png"), &frame(i, 0.0)).unwrap();
-        write_image_png(&file("img2.png"), &frame(i, shift)).unwrap();
-        write_flow(&file("flow.flo"), &FlowField::filled(SIZE.0, SIZE.1, [shift, 0.0])).unwrap();
-    }
+    write_pairs(dir, count, SIZE, 2.0);
 }
 
 fn command(arguments: &[&str]) -> Command {
@@ -35,14 +22,6 @@ fn command(arguments: &[&str]) -> Command {
 
 fn train(arguments: &[&str]) -> Output {
     command(arguments).output().expect("srflow runs")
-}
-
-/// Exit code and standard error of a run that must fail.
-fn failure(arguments: &[&str]) -> (i32, String) {
-    let output = train(arguments);
-    let error = String::from_utf8(output.stderr).unwrap();
-    assert!(!error.contains("panicked"), "{error}");
-    (output.status.code().unwrap(), error)
 }
 
 fn succeed(output: &Output) {
@@ -107,12 +86,12 @@ fn a_killed_run_goes_on_to_the_same_bytes() {
         assert!(one == two, "{name}");
     }
 
-    let summary: serde_json::Value = serde_json::from_slice(&resumed.stdout).unwrap();
+    let summary: Value = serde_json::from_slice(&resumed.stdout).unwrap();
     assert_eq!(summary["steps"], STEPS);
     // The log of the killed run has every step once, as that of the other.
     let steps = |run: &Path| -> Vec<(u64, f64)> {
         let text = std::fs::read_to_string(run.join("log.jsonl")).unwrap();
-        let records = text.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+        let records = text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
         records
             .filter(|record| record["kind"] == "step")
             .map(|record| (record["step"].as_u64().unwrap(), record["loss"].as_f64().unwrap()))
@@ -121,10 +100,8 @@ fn a_killed_run_goes_on_to_the_same_bytes() {
     assert_eq!(steps(&killed), steps(&through));
     assert_eq!(steps(&killed).len() as u64, STEPS);
 
-    let (code, error) = failure(&small(&data, &killed_text));
-    assert!(code == 1 && error.contains("--resume"), "{error}");
-    let (code, error) = failure(&["--resume", &killed_text, "--batch", "3"]);
-    assert!(code == 1 && error.contains("--resume"), "{error}");
+    refuses(&train(&small(&data, &killed_text)), 1, &["--resume"]);
+    refuses(&train(&["--resume", &killed_text, "--batch", "3"]), 1, &["--resume"]);
 }
 
 #[test]
@@ -136,9 +113,8 @@ fn a_folder_that_another_process_trains_in_is_refused() {
     std::fs::write(out.join(".lock"), "process 4711 on elsewhere\n").unwrap();
     let lock = std::fs::File::open(out.join(".lock")).unwrap();
     lock.lock().unwrap();
-    let (code, error) = failure(&small(&data, &out.display().to_string()));
-    assert_eq!(code, 1);
-    assert!(error.contains("process 4711 on elsewhere") && error.contains("another folder"), "{error}");
+    let begun = train(&small(&data, &out.display().to_string()));
+    refuses(&begun, 1, &["process 4711 on elsewhere", "another folder"]);
     assert!(!out.join("config.toml").exists(), "nothing of the other's is touched");
 }
 
@@ -154,8 +130,7 @@ fn what_a_run_begins_with_is_said() {
     srflow_nn::save_parameters(&network, &weights).unwrap();
     let mut arguments = small(&data, &out);
     arguments.extend(["--steps", "1", "--weights", weights.to_str().unwrap()]);
-    let (code, error) = failure(&arguments);
-    assert!(code == 1 && error.contains("they are the parameters of raft"), "{error}");
+    refuses(&train(&arguments), 1, &["they are the parameters of raft"]);
     assert!(!Path::new(&out).exists(), "no run was begun");
 
     let network = arguments.iter().position(|argument| *argument == "raft-small").unwrap();
@@ -187,7 +162,7 @@ fn validation_scores_what_evaluation_does() {
     let short = ["--steps", "2", "--set", "validation.every=2"];
     succeed(&train(&[small(&data, &out), short.to_vec()].concat()));
     let log = std::fs::read_to_string(run.join("log.jsonl")).unwrap();
-    let mut records = log.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+    let mut records = log.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
     let validation = records.rfind(|record| record["kind"] == "validation").expect("validated");
 
     let method = format!("raft-small={}", run.join("last.safetensors").display());
@@ -196,7 +171,7 @@ fn validation_scores_what_evaluation_does() {
         .output()
         .unwrap();
     succeed(&output);
-    let evaluation: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let evaluation: Value = serde_json::from_slice(&output.stdout).unwrap();
     let [zero, network] = &evaluation["methods"].as_array().unwrap()[..] else { panic!("two methods") };
     assert_eq!(validation["pairs"], 2);
     assert_eq!(validation["whole"], network["whole"]);
@@ -207,35 +182,26 @@ fn validation_scores_what_evaluation_does() {
 fn wrong_folders_say_what_to_do() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("run").display().to_string();
-    let (code, error) = failure(&["--out", &out]);
-    assert!(code == 1 && error.contains("--data"), "{error}");
+    refuses(&train(&["--out", &out]), 1, &["--data"]);
 
     let empty = dir.path().join("empty");
     std::fs::create_dir(&empty).unwrap();
-    let (code, error) = failure(&small(&format!("folder:{}", empty.display()), &out));
-    assert!(code == 1 && error.contains("img1") && error.contains("empty"), "{error}");
+    refuses(&train(&small(&format!("folder:{}", empty.display()), &out)), 1, &["img1", "empty"]);
 
-    let frames = dir.path().join("unknown/frames");
-    std::fs::create_dir_all(&frames).unwrap();
-    for i in 0..3 {
-        write_image_png(&frames.join(format!("{i}.png")), &frame(i, 0.0)).unwrap();
-    }
+    write_frames(&dir.path().join("unknown/frames"), 0..3, SIZE);
     let unknown = format!("folder:{}", dir.path().join("unknown").display());
-    let (code, error) = failure(&small(&unknown, &out));
-    assert!(code == 1 && error.contains("true flow") && error.contains("docs/training.md"), "{error}");
+    refuses(&train(&small(&unknown, &out)), 1, &["true flow", "docs/training.md"]);
 
     let pairs = dir.path().join("pairs");
     make_pairs(&pairs, 2);
     let pairs = format!("folder:{}", pairs.display());
-    let (code, error) =
-        failure(&["--data", &pairs, "--out", &out, "--network", "raft-small", "--crop", "512x800"]);
-    assert!(code == 1 && error.contains("_img1.png"), "{error}");
-    assert!(error.contains("96x80") && error.contains("--crop"), "{error}");
+    let large = ["--data", &pairs, "--out", &out, "--network", "raft-small", "--crop", "512x800"];
+    let run = train(&large);
+    let said = String::from_utf8(run.stderr).unwrap();
+    assert_eq!(run.status.code(), Some(1), "{said}");
+    assert!(["_img1.png", "96x80", "--crop"].iter().all(|part| said.contains(part)), "{said}");
     let weights = dir.path().join("none.pth").display().to_string();
-    let mut arguments = small(&pairs, &out);
-    arguments.extend(["--weights", &weights]);
-    let (code, error) = failure(&arguments);
-    assert!(code == 1 && error.contains("none.pth"), "{error}");
+    refuses(&train(&[&small(&pairs, &out)[..], &["--weights", &weights]].concat()), 1, &["none.pth"]);
 }
 
 #[test]
@@ -254,18 +220,14 @@ fn configurations_are_printed_and_their_mistakes_named() {
     assert_eq!(String::from_utf8(again.stdout).unwrap(), text);
 
     let json = train(&["--config", file.to_str().unwrap(), "--print-config", "--json"]);
-    let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
+    let json: Value = serde_json::from_slice(&json.stdout).unwrap();
     assert_eq!((&json["loss"]["fdr"], &json["data"]["crop"]), (&0.05.into(), &"512x800".into()));
 
     std::fs::write(&file, "[training]\nbatchsize = 4\n").unwrap();
-    let (code, error) = failure(&["--config", file.to_str().unwrap(), "--print-config"]);
-    assert!(code == 1 && error.contains("mine.toml") && error.contains("line 2"), "{error}");
-    let (code, error) = failure(&["--config", "srflownet", "--print-config"]);
-    assert!(code == 1 && error.contains("srflownet-fdr"), "{error}");
-    let (code, error) = failure(&["--set", "training.batch=none", "--print-config"]);
-    assert!(code == 1 && error.contains("training.batch"), "{error}");
-    let (code, error) = failure(&["--set", "loss.sequence=mixture-of-laplace", "--print-config"]);
-    assert!(code == 1 && error.contains("SEA-RAFT") && error.contains("\"l1\""), "{error}");
-    let (code, error) = failure(&["--config", "skflow"]);
-    assert!(code == 2 && error.contains("--out"), "{error}");
+    let print = |arguments: [&str; 2]| train(&[&arguments[..], &["--print-config"]].concat());
+    refuses(&print(["--config", file.to_str().unwrap()]), 1, &["mine.toml", "line 2"]);
+    refuses(&print(["--config", "srflownet"]), 1, &["srflownet-fdr"]);
+    refuses(&print(["--set", "training.batch=none"]), 1, &["training.batch"]);
+    refuses(&print(["--set", "loss.sequence=mixture-of-laplace"]), 1, &["SEA-RAFT", "\"l1\""]);
+    refuses(&train(&["--config", "skflow"]), 2, &["--out"]);
 }

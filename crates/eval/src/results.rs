@@ -1,7 +1,7 @@
 //! What an evaluation found: data, and its forms as tables.
 
 use serde::{Deserialize, Serialize};
-use srflow_field::Metrics;
+use srflow_field::{Metrics, named};
 use srflow_read::flow::Split;
 
 use crate::table::{Better, Column, Row, Table, csv_text};
@@ -79,25 +79,15 @@ pub enum Region {
     Visible,
 }
 
-impl Region {
-    /// All regions.
-    pub const ALL: [Self; 3] = [Self::Whole, Self::Head, Self::Visible];
+named!(Region, "a region", { Whole => "whole", Head => "head", Visible => "visible" });
 
+impl Region {
     /// In words.
     pub fn words(self) -> &'static str {
         match self {
             Region::Whole => "all pixels",
             Region::Head => "inside the head mask",
             Region::Visible => "outside occlusions",
-        }
-    }
-
-    /// For machines.
-    pub fn key(self) -> &'static str {
-        match self {
-            Region::Whole => "whole",
-            Region::Head => "head",
-            Region::Visible => "visible",
         }
     }
 }
@@ -240,7 +230,7 @@ fn score_head(more: [&str; 2]) -> Vec<String> {
 }
 
 fn score_fields(method: &str, region: Region, metrics: &Metrics) -> Vec<String> {
-    let names = [method.to_owned(), region.key().to_owned()];
+    let names = [method.to_owned(), region.name().to_owned()];
     let scores = SCORES.iter().map(|(.., value)| value(metrics).to_string());
     names.into_iter().chain(scores).chain(std::iter::once(metrics.valid_pixels.to_string())).collect()
 }

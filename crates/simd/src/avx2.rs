@@ -1,6 +1,7 @@
 use std::arch::x86_64::*;
 
 use crate::Simd;
+use crate::vector::each;
 
 /// AVX2 with FMA, BMI and POPCNT.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,9 +42,23 @@ impl Simd for Avx2 {
         unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(item).cast()) }
     }
 
-    #[inline(always)]
-    fn splat(self, x: f32) -> __m256 {
-        unsafe { _mm256_set1_ps(x) }
+    each! {
+        splat(x: f32) -> __m256 = unsafe { _mm256_set1_ps(x) };
+        add(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_add_ps(a, b) };
+        sub(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_sub_ps(a, b) };
+        mul(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_mul_ps(a, b) };
+        div(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_div_ps(a, b) };
+        mul_add(a: __m256, b: __m256, c: __m256) -> __m256 = unsafe { _mm256_fmadd_ps(a, b, c) };
+        neg_mul_add(a: __m256, b: __m256, c: __m256) -> __m256 = unsafe { _mm256_fnmadd_ps(a, b, c) };
+        min(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_min_ps(a, b) };
+        max(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_max_ps(a, b) };
+        negative(a: __m256) -> __m256 = unsafe { _mm256_or_ps(a, _mm256_set1_ps(-0.0)) };
+        at_least(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_cmp_ps::<_CMP_GE_OQ>(a, b) };
+        greater(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_cmp_ps::<_CMP_GT_OQ>(a, b) };
+        and(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_and_ps(a, b) };
+        and_not(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_andnot_ps(b, a) };
+        select(mask: __m256, a: __m256, b: __m256) -> __m256 = unsafe { _mm256_blendv_ps(b, a, mask) };
+        bits(mask: __m256) -> u16 = unsafe { _mm256_movemask_ps(mask) as u16 };
     }
 
     #[inline(always)]
@@ -67,87 +82,12 @@ impl Simd for Avx2 {
     }
 
     #[inline(always)]
-    fn add(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_add_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn sub(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_sub_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn mul(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_mul_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn div(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_div_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn mul_add(self, a: __m256, b: __m256, c: __m256) -> __m256 {
-        unsafe { _mm256_fmadd_ps(a, b, c) }
-    }
-
-    #[inline(always)]
-    fn neg_mul_add(self, a: __m256, b: __m256, c: __m256) -> __m256 {
-        unsafe { _mm256_fnmadd_ps(a, b, c) }
-    }
-
-    #[inline(always)]
-    fn min(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_min_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn max(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_max_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn negative(self, a: __m256) -> __m256 {
-        unsafe { _mm256_or_ps(a, _mm256_set1_ps(-0.0)) }
-    }
-
-    #[inline(always)]
     fn scale_by_power_of_two(self, a: __m256, rounded: __m256) -> __m256 {
         unsafe {
             // The lowest bits of `rounded` are those of `n`: shifted, they are added to the exponent.
             let exponent = _mm256_slli_epi32::<23>(_mm256_castps_si256(rounded));
             _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(a), exponent))
         }
-    }
-
-    #[inline(always)]
-    fn at_least(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_cmp_ps::<_CMP_GE_OQ>(a, b) }
-    }
-
-    #[inline(always)]
-    fn greater(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_cmp_ps::<_CMP_GT_OQ>(a, b) }
-    }
-
-    #[inline(always)]
-    fn and(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_and_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn and_not(self, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_andnot_ps(b, a) }
-    }
-
-    #[inline(always)]
-    fn select(self, mask: __m256, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_blendv_ps(b, a, mask) }
-    }
-
-    #[inline(always)]
-    fn bits(self, mask: __m256) -> u16 {
-        unsafe { _mm256_movemask_ps(mask) as u16 }
     }
 
     #[inline(always)]

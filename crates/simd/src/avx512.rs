@@ -1,5 +1,6 @@
 use std::arch::x86_64::*;
 
+use crate::vector::each;
 use crate::{Avx2, MAX_LANES, Simd};
 
 /// AVX-512 (F, BW, DQ, VL), and all of AVX2.
@@ -31,9 +32,24 @@ impl Simd for Avx512 {
         unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(item).cast()) }
     }
 
-    #[inline(always)]
-    fn splat(self, x: f32) -> __m512 {
-        unsafe { _mm512_set1_ps(x) }
+    each! {
+        splat(x: f32) -> __m512 = unsafe { _mm512_set1_ps(x) };
+        add(a: __m512, b: __m512) -> __m512 = unsafe { _mm512_add_ps(a, b) };
+        sub(a: __m512, b: __m512) -> __m512 = unsafe { _mm512_sub_ps(a, b) };
+        mul(a: __m512, b: __m512) -> __m512 = unsafe { _mm512_mul_ps(a, b) };
+        div(a: __m512, b: __m512) -> __m512 = unsafe { _mm512_div_ps(a, b) };
+        mul_add(a: __m512, b: __m512, c: __m512) -> __m512 = unsafe { _mm512_fmadd_ps(a, b, c) };
+        neg_mul_add(a: __m512, b: __m512, c: __m512) -> __m512 = unsafe { _mm512_fnmadd_ps(a, b, c) };
+        min(a: __m512, b: __m512) -> __m512 = unsafe { _mm512_min_ps(a, b) };
+        max(a: __m512, b: __m512) -> __m512 = unsafe { _mm512_max_ps(a, b) };
+        negative(a: __m512) -> __m512 = unsafe { _mm512_or_ps(a, _mm512_set1_ps(-0.0)) };
+        at_least(a: __m512, b: __m512) -> __mmask16 = unsafe { _mm512_cmp_ps_mask::<_CMP_GE_OQ>(a, b) };
+        greater(a: __m512, b: __m512) -> __mmask16 = unsafe { _mm512_cmp_ps_mask::<_CMP_GT_OQ>(a, b) };
+        and(a: __mmask16, b: __mmask16) -> __mmask16 = a & b;
+        and_not(a: __mmask16, b: __mmask16) -> __mmask16 = a & !b;
+        select(mask: __mmask16, a: __m512, b: __m512) -> __m512 = unsafe { _mm512_mask_blend_ps(mask, b, a) };
+        bits(mask: __mmask16) -> u16 = mask;
+        sum(v: __m512) -> f32 = unsafe { _mm512_reduce_add_ps(v) };
     }
 
     #[inline(always)]
@@ -57,91 +73,11 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
-    fn add(self, a: __m512, b: __m512) -> __m512 {
-        unsafe { _mm512_add_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn sub(self, a: __m512, b: __m512) -> __m512 {
-        unsafe { _mm512_sub_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn mul(self, a: __m512, b: __m512) -> __m512 {
-        unsafe { _mm512_mul_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn div(self, a: __m512, b: __m512) -> __m512 {
-        unsafe { _mm512_div_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn mul_add(self, a: __m512, b: __m512, c: __m512) -> __m512 {
-        unsafe { _mm512_fmadd_ps(a, b, c) }
-    }
-
-    #[inline(always)]
-    fn neg_mul_add(self, a: __m512, b: __m512, c: __m512) -> __m512 {
-        unsafe { _mm512_fnmadd_ps(a, b, c) }
-    }
-
-    #[inline(always)]
-    fn min(self, a: __m512, b: __m512) -> __m512 {
-        unsafe { _mm512_min_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn max(self, a: __m512, b: __m512) -> __m512 {
-        unsafe { _mm512_max_ps(a, b) }
-    }
-
-    #[inline(always)]
-    fn negative(self, a: __m512) -> __m512 {
-        unsafe { _mm512_or_ps(a, _mm512_set1_ps(-0.0)) }
-    }
-
-    #[inline(always)]
     fn scale_by_power_of_two(self, a: __m512, rounded: __m512) -> __m512 {
         unsafe {
             let exponent = _mm512_slli_epi32::<23>(_mm512_castps_si512(rounded));
             _mm512_castsi512_ps(_mm512_add_epi32(_mm512_castps_si512(a), exponent))
         }
-    }
-
-    #[inline(always)]
-    fn at_least(self, a: __m512, b: __m512) -> __mmask16 {
-        unsafe { _mm512_cmp_ps_mask::<_CMP_GE_OQ>(a, b) }
-    }
-
-    #[inline(always)]
-    fn greater(self, a: __m512, b: __m512) -> __mmask16 {
-        unsafe { _mm512_cmp_ps_mask::<_CMP_GT_OQ>(a, b) }
-    }
-
-    #[inline(always)]
-    fn and(self, a: __mmask16, b: __mmask16) -> __mmask16 {
-        a & b
-    }
-
-    #[inline(always)]
-    fn and_not(self, a: __mmask16, b: __mmask16) -> __mmask16 {
-        a & !b
-    }
-
-    #[inline(always)]
-    fn select(self, mask: __mmask16, a: __m512, b: __m512) -> __m512 {
-        unsafe { _mm512_mask_blend_ps(mask, b, a) }
-    }
-
-    #[inline(always)]
-    fn bits(self, mask: __mmask16) -> u16 {
-        mask
-    }
-
-    #[inline(always)]
-    fn sum(self, v: __m512) -> f32 {
-        unsafe { _mm512_reduce_add_ps(v) }
     }
 
     #[inline(always)]

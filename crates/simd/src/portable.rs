@@ -1,14 +1,18 @@
 use std::array;
 
 use crate::Simd;
+use crate::vector::each;
 
 /// Plain Rust: what the compiler makes of loops over eight elements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Portable;
 
+type F = [f32; 8];
+type M = [bool; 8];
+
 impl Simd for Portable {
-    type Vector = [f32; 8];
-    type Mask = [bool; 8];
+    type Vector = F;
+    type Mask = M;
     const LANES: usize = 8;
     const TILE_ROWS: usize = 4;
 
@@ -47,87 +51,26 @@ impl Simd for Portable {
     }
 
     #[inline(always)]
-    fn add(self, a: [f32; 8], b: [f32; 8]) -> [f32; 8] {
-        array::from_fn(|i| a[i] + b[i])
-    }
-
-    #[inline(always)]
-    fn sub(self, a: [f32; 8], b: [f32; 8]) -> [f32; 8] {
-        array::from_fn(|i| a[i] - b[i])
-    }
-
-    #[inline(always)]
-    fn mul(self, a: [f32; 8], b: [f32; 8]) -> [f32; 8] {
-        array::from_fn(|i| a[i] * b[i])
-    }
-
-    #[inline(always)]
-    fn div(self, a: [f32; 8], b: [f32; 8]) -> [f32; 8] {
-        array::from_fn(|i| a[i] / b[i])
-    }
-
-    #[inline(always)]
-    fn mul_add(self, a: [f32; 8], b: [f32; 8], c: [f32; 8]) -> [f32; 8] {
-        array::from_fn(|i| a[i].mul_add(b[i], c[i]))
-    }
-
-    #[inline(always)]
-    fn neg_mul_add(self, a: [f32; 8], b: [f32; 8], c: [f32; 8]) -> [f32; 8] {
-        array::from_fn(|i| (-a[i]).mul_add(b[i], c[i]))
-    }
-
-    #[inline(always)]
-    fn min(self, a: [f32; 8], b: [f32; 8]) -> [f32; 8] {
-        array::from_fn(|i| if a[i] < b[i] { a[i] } else { b[i] })
-    }
-
-    #[inline(always)]
-    fn max(self, a: [f32; 8], b: [f32; 8]) -> [f32; 8] {
-        array::from_fn(|i| if a[i] > b[i] { a[i] } else { b[i] })
-    }
-
-    #[inline(always)]
-    fn negative(self, a: [f32; 8]) -> [f32; 8] {
-        a.map(|a| -a.abs())
-    }
-
-    #[inline(always)]
-    fn scale_by_power_of_two(self, a: [f32; 8], rounded: [f32; 8]) -> [f32; 8] {
+    fn scale_by_power_of_two(self, a: F, rounded: F) -> F {
         array::from_fn(|i| f32::from_bits(a[i].to_bits().wrapping_add(rounded[i].to_bits() << 23)))
     }
 
-    #[inline(always)]
-    fn at_least(self, a: [f32; 8], b: [f32; 8]) -> [bool; 8] {
-        array::from_fn(|i| a[i] >= b[i])
-    }
-
-    #[inline(always)]
-    fn greater(self, a: [f32; 8], b: [f32; 8]) -> [bool; 8] {
-        array::from_fn(|i| a[i] > b[i])
-    }
-
-    #[inline(always)]
-    fn and(self, a: [bool; 8], b: [bool; 8]) -> [bool; 8] {
-        array::from_fn(|i| a[i] & b[i])
-    }
-
-    #[inline(always)]
-    fn and_not(self, a: [bool; 8], b: [bool; 8]) -> [bool; 8] {
-        array::from_fn(|i| a[i] & !b[i])
-    }
-
-    #[inline(always)]
-    fn select(self, mask: [bool; 8], a: [f32; 8], b: [f32; 8]) -> [f32; 8] {
-        array::from_fn(|i| if mask[i] { a[i] } else { b[i] })
-    }
-
-    #[inline(always)]
-    fn bits(self, mask: [bool; 8]) -> u16 {
-        (0..8).fold(0, |bits, i| bits | u16::from(mask[i]) << i)
-    }
-
-    #[inline(always)]
-    fn sum(self, v: [f32; 8]) -> f32 {
-        v.iter().sum()
+    each! {
+        add(a: F, b: F) -> F = array::from_fn(|i| a[i] + b[i]);
+        sub(a: F, b: F) -> F = array::from_fn(|i| a[i] - b[i]);
+        mul(a: F, b: F) -> F = array::from_fn(|i| a[i] * b[i]);
+        div(a: F, b: F) -> F = array::from_fn(|i| a[i] / b[i]);
+        mul_add(a: F, b: F, c: F) -> F = array::from_fn(|i| a[i].mul_add(b[i], c[i]));
+        neg_mul_add(a: F, b: F, c: F) -> F = array::from_fn(|i| (-a[i]).mul_add(b[i], c[i]));
+        min(a: F, b: F) -> F = array::from_fn(|i| if a[i] < b[i] { a[i] } else { b[i] });
+        max(a: F, b: F) -> F = array::from_fn(|i| if a[i] > b[i] { a[i] } else { b[i] });
+        negative(a: F) -> F = a.map(|a| -a.abs());
+        at_least(a: F, b: F) -> M = array::from_fn(|i| a[i] >= b[i]);
+        greater(a: F, b: F) -> M = array::from_fn(|i| a[i] > b[i]);
+        and(a: M, b: M) -> M = array::from_fn(|i| a[i] & b[i]);
+        and_not(a: M, b: M) -> M = array::from_fn(|i| a[i] & !b[i]);
+        select(mask: M, a: F, b: F) -> F = array::from_fn(|i| if mask[i] { a[i] } else { b[i] });
+        bits(mask: M) -> u16 = (0..8).fold(0, |bits, i| bits | u16::from(mask[i]) << i);
+        sum(v: F) -> f32 = v.iter().sum();
     }
 }

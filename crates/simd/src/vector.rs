@@ -147,6 +147,19 @@ pub trait Simd: Copy + Send + Sync + 'static {
 /// [`Simd::LANES`] at most.
 pub const MAX_LANES: usize = 16;
 
+/// Methods of [`Simd`] that are an expression each.
+macro_rules! each {
+    ($($name:ident($($arg:ident: $type:ty),*) -> $result:ty = $expression:expr;)*) => {
+        $(
+            #[inline(always)]
+            fn $name(self, $($arg: $type),*) -> $result {
+                $expression
+            }
+        )*
+    };
+}
+pub(crate) use each;
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
+use srflow_field::named;
 
 /// What a worker does with its time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,33 +26,16 @@ pub enum Stage {
     Records,
 }
 
-impl Stage {
-    /// All of them, in the order in which a pair goes through them.
-    pub const ALL: [Self; 8] = [
-        Self::Heads,
-        Self::Motion,
-        Self::Rasterize,
-        Self::Occlusion,
-        Self::Frames,
-        Self::Flow,
-        Self::Planes,
-        Self::Records,
-    ];
-
-    /// Its name in a table.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Heads => "heads",
-            Self::Motion => "motion",
-            Self::Rasterize => "rasterize",
-            Self::Occlusion => "occlusion",
-            Self::Frames => "frames",
-            Self::Flow => "flow",
-            Self::Planes => "planes",
-            Self::Records => "records",
-        }
-    }
-}
+named!(Stage, "a stage", {
+    Heads => "heads",
+    Motion => "motion",
+    Rasterize => "rasterize",
+    Occlusion => "occlusion",
+    Frames => "frames",
+    Flow => "flow",
+    Planes => "planes",
+    Records => "records",
+});
 
 /// Time of all workers together, by stage.
 #[derive(Debug, Default)]

@@ -1,14 +1,14 @@
-//! What is applied to a sum before it is stored, and its derivative.
+//! Activation functions applied to a sum before it is stored, and their derivatives.
 
 use rayon::prelude::*;
 
 use crate::functions::{erf, exp, tanh};
 use crate::{Isa, Simd, dispatch, fill_pieces};
 
-/// A pointwise function.
+/// A function applied to each element.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Activation {
-    /// Nothing.
+    /// The identity.
     #[default]
     Identity,
     /// `max(x, 0)`.
@@ -22,7 +22,7 @@ pub enum Activation {
 }
 
 impl Activation {
-    /// The definition, in f64.
+    /// The activation of `x` in f64: the definition.
     pub fn reference(self, x: f64) -> f64 {
         match self {
             Activation::Identity => x,
@@ -34,7 +34,7 @@ impl Activation {
         }
     }
 
-    /// The derivative, in f64; that of Relu at 0 is 0, as in PyTorch.
+    /// The derivative at `x` in f64; 0 at 0 for Relu, as in PyTorch.
     pub fn reference_derivative(self, x: f64) -> f64 {
         match self {
             Activation::Identity => 1.0,
@@ -52,7 +52,7 @@ impl Activation {
         }
     }
 
-    /// What its derivative is computed from.
+    /// Which values the derivative needs.
     pub fn keeps(self) -> Keeps {
         match self {
             Activation::Identity => Keeps::Nothing,
@@ -61,7 +61,7 @@ impl Activation {
         }
     }
 
-    /// Each lane's value; absolute error under 1e-6 (times `|x|` for Gelu).
+    /// The activation of each lane; absolute error under 1e-6 (times `|x|` for Gelu).
     #[inline(always)]
     pub fn apply<S: Simd>(self, s: S, x: S::Vector) -> S::Vector {
         match self {
@@ -76,7 +76,8 @@ impl Activation {
         }
     }
 
-    /// Each lane's gradient times the derivative, whose absolute error is under 1e-6; `kept` is what [`Self::keeps`] says.
+    /// The gradient of each lane times the derivative (absolute error under 1e-6); `kept` holds the values that
+    /// [`Self::keeps`] names.
     #[inline(always)]
     fn backward<S: Simd>(self, s: S, grad: S::Vector, kept: S::Vector) -> S::Vector {
         let one = s.splat(1.0);
@@ -96,24 +97,24 @@ impl Activation {
     }
 }
 
-/// Of the normal distribution: `1 / sqrt(2 pi)`.
+/// The density of the normal distribution at 0: `1 / sqrt(2 pi)`.
 const DENSITY_AT_ZERO: f32 = 0.398_942_3;
-/// Elements of a piece of work.
+/// Elements that one task handles.
 const PIECE: usize = 16 << 10;
 
-/// What the derivative of an activation is computed from.
+/// The values from which the derivative of an activation is computed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Keeps {
-    /// It is constant.
+    /// None: the derivative is constant.
     Nothing,
-    /// What the activation gave.
+    /// The output of the activation.
     Output,
-    /// What it was given.
+    /// The input of the activation.
     Sum,
 }
 
 dispatch! {
-    /// `activation(row + residual)`. Panics when the residual is shorter than the row.
+    /// `row = activation(row + residual)`. Panics when the residual is shorter than the row.
     pub fn activate = activate_kernel(activation: Activation, residual: Option<&[f32]>, row: &mut [f32])
 }
 
@@ -122,7 +123,7 @@ fn activate_kernel<S: Simd>(s: S, activation: Activation, residual: Option<&[f32
     assert!(residual.is_none_or(|residual| residual.len() >= row.len()), "addends of {activation:?}");
     let mut first = 0;
     for row in row.chunks_mut(S::LANES) {
-        // SAFETY: the chunk, and as many elements of the residual, are there.
+        // SAFETY: the chunk lies in the row, and the residual is at least as long as the row.
         unsafe {
             let mut x = s.load_first(row.as_ptr(), row.len());
             if let Some(residual) = residual {
@@ -134,7 +135,7 @@ fn activate_kernel<S: Simd>(s: S, activation: Activation, residual: Option<&[f32
     }
 }
 
-/// `activation(sums + residual)`. Panics when there are not as many of one as of the other.
+/// `sums = activation(sums + residual)`. Panics when the lengths differ.
 pub fn activated(activation: Activation, sums: &[f32], residual: Option<&[f32]>) -> Vec<f32> {
     let isa = Isa::best();
     assert!(residual.is_none_or(|residual| residual.len() == sums.len()), "addends of {activation:?}");
@@ -151,8 +152,8 @@ pub fn activated(activation: Activation, sums: &[f32], residual: Option<&[f32]>)
     )
 }
 
-/// Multiplies gradients of an activation's outputs by its derivative; `kept` is what [`Activation::keeps`] says. Panics
-/// when there are not as many of one as of the other.
+/// Multiplies gradients of an activation's outputs by its derivative; `kept` holds the values that
+/// [`Activation::keeps`] names. Panics when the lengths differ.
 pub fn activation_backward(activation: Activation, kept: &[f32], grad: &mut [f32]) {
     let isa = Isa::best();
     assert_eq!(kept.len(), grad.len(), "gradients of {activation:?}");
@@ -169,7 +170,7 @@ dispatch! {
 fn backward_kernel<S: Simd>(s: S, activation: Activation, kept: &[f32], grad: &mut [f32]) {
     assert_eq!(kept.len(), grad.len());
     for (grad, kept) in grad.chunks_mut(S::LANES).zip(kept.chunks(S::LANES)) {
-        // SAFETY: both chunks are of the same length.
+        // SAFETY: both chunks have the same length.
         unsafe {
             let kept = s.load_first(kept.as_ptr(), kept.len());
             let values = s.load_first(grad.as_ptr(), grad.len());
@@ -182,9 +183,9 @@ fn backward_kernel<S: Simd>(s: S, activation: Activation, kept: &[f32], grad: &m
 mod tests {
     use super::*;
 
-    /// Or a network that has gone wrong would look well.
+    /// Otherwise a diverged network would look fine.
     #[test]
-    fn what_is_not_a_number_stays_so() {
+    fn nan_stays_nan() {
         for activation in
             [Activation::Identity, Activation::Relu, Activation::Gelu, Activation::Tanh, Activation::Sigmoid]
         {

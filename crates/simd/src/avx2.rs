@@ -8,7 +8,7 @@ use crate::vector::each;
 pub struct Avx2(());
 
 impl Avx2 {
-    /// Proof that the processor has it, all that [`crate::dispatch!`] compiles for.
+    /// Proof that the processor has every feature that [`crate::dispatch!`] compiles for.
     pub fn detect() -> Option<Self> {
         (is_x86_feature_detected!("avx2")
             && is_x86_feature_detected!("fma")
@@ -29,8 +29,8 @@ fn first(_: Avx2, count: usize) -> __m256i {
     }
 }
 
-// SAFETY of every block below: `self` exists only if `detect` found the instructions; memory is the caller's promise.
-#[expect(clippy::undocumented_unsafe_blocks, reason = "said once, above")]
+// SAFETY of every block below: `self` exists only if `detect` found the instructions; the caller vouches for the memory.
+#[expect(clippy::undocumented_unsafe_blocks, reason = "stated once, above")]
 impl Simd for Avx2 {
     type Vector = __m256;
     type Mask = __m256;
@@ -84,7 +84,7 @@ impl Simd for Avx2 {
     #[inline(always)]
     fn scale_by_power_of_two(self, a: __m256, rounded: __m256) -> __m256 {
         unsafe {
-            // The lowest bits of `rounded` are those of `n`: shifted, they are added to the exponent.
+            // The lowest bits of `rounded` are those of `n`: shifted, they add to the exponent.
             let exponent = _mm256_slli_epi32::<23>(_mm256_castps_si256(rounded));
             _mm256_castsi256_ps(_mm256_add_epi32(_mm256_castps_si256(a), exponent))
         }

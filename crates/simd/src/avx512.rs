@@ -8,7 +8,7 @@ use crate::{Avx2, MAX_LANES, Simd};
 pub struct Avx512(());
 
 impl Avx512 {
-    /// Proof that the processor has it, all that [`crate::dispatch!`] compiles for.
+    /// Proof that the processor has every feature that [`crate::dispatch!`] compiles for.
     pub fn detect() -> Option<Self> {
         (Avx2::detect().is_some()
             && is_x86_feature_detected!("avx512f")
@@ -19,8 +19,8 @@ impl Avx512 {
     }
 }
 
-// SAFETY of every block below: `self` exists only if `detect` found the instructions; memory is the caller's promise.
-#[expect(clippy::undocumented_unsafe_blocks, reason = "said once, above")]
+// SAFETY of every block below: `self` exists only if `detect` found the instructions; the caller vouches for the memory.
+#[expect(clippy::undocumented_unsafe_blocks, reason = "stated once, above")]
 impl Simd for Avx512 {
     type Vector = __m512;
     type Mask = __mmask16;
@@ -83,7 +83,7 @@ impl Simd for Avx512 {
     #[inline(always)]
     unsafe fn transpose(self, from: &[*const f32; MAX_LANES], to: *mut f32, step: usize) {
         unsafe {
-            // Interleaving every fourth row, then what that gives, brings all rows' elements together.
+            // Interleaving every fourth row, twice, brings the elements of all rows together.
             let mut quarters = [[_mm512_setzero_ps(); 4]; 4];
             for j in 0..4 {
                 let (a, b) = (_mm512_loadu_ps(from[j]), _mm512_loadu_ps(from[j + 4]));
@@ -106,7 +106,7 @@ impl Simd for Avx512 {
             // Eight lanes of the first two vectors, then eight of the last two.
             let every_fourth = _mm512_setr_epi32(0, 4, 8, 12, 16, 20, 24, 28, 0, 4, 8, 12, 16, 20, 24, 28);
             let mut sorted = [a; 4];
-            // Not `from_fn`: a closure is not always compiled for the instruction set of its surroundings.
+            // Not `from_fn`: a closure is not always compiled for the instruction set of its caller.
             for j in 0..4 {
                 let index = _mm512_add_epi32(every_fourth, _mm512_set1_epi32(j as i32));
                 let low = _mm512_permutex2var_ps(a, index, b);

@@ -1,4 +1,4 @@
-//! Which instruction sets the processor has, and compiling a kernel for each.
+//! Detects the processor's instruction sets and compiles kernels for each of them.
 
 use std::fmt;
 use std::io::Write;
@@ -22,7 +22,7 @@ pub enum Isa {
     Avx512(Avx512),
 }
 
-/// How many of [`detected`] may be used, from the narrowest.
+/// How many entries of [`detected`] may be used, counted from the narrowest.
 static ALLOWED: AtomicUsize = AtomicUsize::new(usize::MAX);
 
 /// Every instruction set of this processor, narrowest first.
@@ -44,20 +44,20 @@ impl Isa {
         isas[ALLOWED.load(Ordering::Relaxed).min(isas.len()) - 1]
     }
 
-    /// From now on [`Isa::best`] is this instruction set, in the whole process: for comparing results and times.
+    /// Makes [`Isa::best`] return this instruction set from now on, in the whole process: to compare results and times.
     pub fn limit_process(self) {
         let position = detected().iter().position(|&isa| isa == self).unwrap_or(0);
         ALLOWED.store(position + 1, Ordering::Relaxed);
     }
 
-    /// Every instruction set of this processor, narrowest first. Those that it lacks are named on standard error, also where
-    /// the test harness hides what tests print: they are not tested here.
+    /// Every instruction set of this processor, narrowest first. Prints those that it lacks, and that are therefore not tested,
+    /// to standard error, even where the test harness captures output.
     pub fn to_test() -> impl Iterator<Item = Self> {
         static NAMED: OnceLock<()> = OnceLock::new();
         NAMED.get_or_init(|| {
             for name in ["AVX2", "AVX-512"] {
                 if !detected().iter().any(|isa| isa.name() == name) {
-                    // Not `eprintln!`, which the test harness hides. A closed standard error is no reason to fail.
+                    // Not `eprintln!`, which the test harness captures. A closed standard error is no reason to fail.
                     let _ = writeln!(
                         std::io::stderr(),
                         "The kernels for {name} are not tested: this processor does not have it."
@@ -68,7 +68,7 @@ impl Isa {
         detected().iter().copied()
     }
 
-    /// As processors' manuals call it.
+    /// Name as in the processor manuals.
     pub fn name(self) -> &'static str {
         match self {
             Isa::Portable(_) => "portable",
@@ -108,8 +108,9 @@ impl fmt::Debug for Isa {
     }
 }
 
-/// Defines `$name(isa, arguments)`, which runs the generic kernel `$kernel(token, arguments)` compiled for `isa`. Kernels
-/// and what they call are `#[inline(always)]`: what is not inlined is not compiled for the instruction set.
+/// Defines `$name(isa, arguments)`, which runs the generic kernel `$kernel(token, arguments)` compiled for `isa`. Mark
+/// kernels and everything they call `#[inline(always)]`: a function that is not inlined is not compiled for the
+/// instruction set.
 ///
 /// ```
 /// use srflow_simd::{Isa, Simd, dispatch};
@@ -139,40 +140,40 @@ macro_rules! dispatch {
         $kernel:ident($($arg:ident: $ty:ty),* $(,)?) $(-> $ret:ty)?
     ) => {
         $(#[$doc])*
-        #[allow(clippy::too_many_arguments, reason = "those of the kernel and one more")]
+        #[allow(clippy::too_many_arguments, reason = "the kernel's arguments plus the token")]
         #[inline]
         $vis fn $name $(<const $n: usize>)? (isa: $crate::Isa, $($arg: $ty),*) $(-> $ret)? {
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,popcnt")]
-            #[allow(clippy::too_many_arguments, reason = "those of the kernel and one more")]
+            #[allow(clippy::too_many_arguments, reason = "the kernel's arguments plus the token")]
             fn avx512 $(<const $n: usize>)? (s: $crate::Avx512, $($arg: $ty),*) $(-> $ret)? {
                 $kernel $(::<$n>)? (s, $($arg),*)
             }
             #[cfg(target_arch = "x86_64")]
             #[target_feature(enable = "avx2,fma,bmi1,bmi2,popcnt")]
-            #[allow(clippy::too_many_arguments, reason = "those of the kernel and one more")]
+            #[allow(clippy::too_many_arguments, reason = "the kernel's arguments plus the token")]
             fn avx2 $(<const $n: usize>)? (s: $crate::Avx2, $($arg: $ty),*) $(-> $ret)? {
                 $kernel $(::<$n>)? (s, $($arg),*)
             }
             match isa {
                 $crate::Isa::Portable(s) => $kernel $(::<$n>)? (s, $($arg),*),
                 #[cfg(target_arch = "x86_64")]
-                // SAFETY: an `Avx2` exists only where the processor has what `Avx2::detect` looks for: all of the above.
+                // SAFETY: an `Avx2` exists only where `Avx2::detect` found all of the features above.
                 $crate::Isa::Avx2(s) => unsafe { avx2 $(::<$n>)? (s, $($arg),*) },
                 #[cfg(target_arch = "x86_64")]
-                // SAFETY: likewise.
+                // SAFETY: likewise for `Avx512`.
                 $crate::Isa::Avx512(s) => unsafe { avx512 $(::<$n>)? (s, $($arg),*) },
             }
         }
     };
-    // A kernel with a promise of its own, which the caller makes.
+    // An unsafe kernel: the caller upholds its contract.
     ($(#[$doc:meta])* $vis:vis unsafe fn $name:ident = $kernel:ident($($arg:ident: $ty:ty),* $(,)?)) => {
         $(#[$doc])*
         #[inline]
         $vis unsafe fn $name(isa: $crate::Isa, $($arg: $ty),*) {
             #[inline(always)]
             fn promised<S: $crate::Simd>(s: S, $($arg: $ty),*) {
-                // SAFETY: the caller's promise, passed on; the function is not seen from anywhere else.
+                // SAFETY: the contract is passed on to the caller; nothing else can see the function.
                 unsafe { $kernel(s, $($arg),*) }
             }
             $crate::dispatch! { fn run = promised($($arg: $ty),*) }
@@ -181,14 +182,14 @@ macro_rules! dispatch {
     };
 }
 
-/// Wraps a function of plain loops so that it is compiled for every instruction set and [`Isa::best`] is run. Rust never
-/// fuses or reorders floating-point operations by itself: every version gives the same bits.
+/// Compiles a function of plain loops for every instruction set, and runs the one for [`Isa::best`]. Rust never fuses or
+/// reorders floating-point operations by itself: every version gives the same bits.
 #[macro_export]
 macro_rules! multiversioned {
     ($(#[$attribute:meta])* $vis:vis fn $name:ident($($argument:ident: $type:ty),* $(,)?) $body:block) => {
         $(#[$attribute])*
         $vis fn $name($($argument: $type),*) {
-            #[allow(clippy::too_many_arguments, reason = "those of the kernel and one more")]
+            #[allow(clippy::too_many_arguments, reason = "the kernel's arguments plus the token")]
             #[inline(always)]
             fn body<S: $crate::Simd>(_: S, $($argument: $type),*) $body
             $crate::dispatch! { fn run = body($($argument: $type),*) }

@@ -1,12 +1,12 @@
-//! Vector instructions behind one interface, products of matrices on slices, and writing one buffer from several threads.
+//! Vector instructions behind one interface, matrix products on slices, and writing one buffer from several threads.
 //!
 //! A kernel is written once over [`Simd`] (or as plain loops, which the compiler vectorises) and compiled for every
-//! instruction set by [`dispatch!`] or [`multiversioned!`]. An [`Isa`] holds a token that only detection makes, so that code
+//! instruction set by [`dispatch!`] or [`multiversioned!`]. An [`Isa`] holds a token that only detection can create, so code
 //! compiled for an instruction set runs only where the processor has it.
 //!
 //! Every lane operation is the IEEE one, multiply-adds are fused on every instruction set, and nothing is reordered: an
-//! element of a result depends on the order of its own operations, never on the width of the vectors. Only
-//! [`Simd::sum`], which adds lanes, does.
+//! element of a result depends on the order of its own operations, never on the vector width. The exception is
+//! [`Simd::sum`], which adds lanes.
 
 #![expect(
     clippy::needless_range_loop,

@@ -3,7 +3,7 @@ use std::array;
 use crate::Simd;
 use crate::vector::each;
 
-/// Plain Rust: what the compiler makes of loops over eight elements.
+/// Plain Rust: loops over eight elements, which the compiler vectorizes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Portable;
 
@@ -26,26 +26,26 @@ impl Simd for Portable {
 
     #[inline(always)]
     unsafe fn load(self, from: *const f32) -> [f32; 8] {
-        // SAFETY: the caller gives LANES readable elements.
+        // SAFETY: the caller passes LANES readable elements.
         unsafe { from.cast::<[f32; 8]>().read_unaligned() }
     }
 
     #[inline(always)]
     unsafe fn load_first(self, from: *const f32, count: usize) -> [f32; 8] {
-        // SAFETY: the caller gives `count` readable elements.
+        // SAFETY: the caller passes `count` readable elements.
         array::from_fn(|i| if i < count { unsafe { *from.add(i) } } else { 0.0 })
     }
 
     #[inline(always)]
     unsafe fn store(self, to: *mut f32, v: [f32; 8]) {
-        // SAFETY: the caller gives LANES writable elements.
+        // SAFETY: the caller passes LANES writable elements.
         unsafe { to.cast::<[f32; 8]>().write_unaligned(v) }
     }
 
     #[inline(always)]
     unsafe fn store_first(self, to: *mut f32, v: [f32; 8], count: usize) {
         for (i, x) in v.into_iter().enumerate().take(count) {
-            // SAFETY: the caller gives `count` writable elements.
+            // SAFETY: the caller passes `count` writable elements.
             unsafe { *to.add(i) = x }
         }
     }

@@ -1,23 +1,23 @@
-//! Products of matrices: the inner loop of pointwise convolution, of Winograd's convolution and of attention.
+//! Matrix products: the inner loop of pointwise convolution, of Winograd's convolution and of attention.
 //!
-//! The right side comes in panels, blocks of [`VECTORS`] vectors of columns of all its rows, one row after another. So
-//! every address is read in order, and what a register tile needs lies in the first cache levels.
+//! The right side is stored in panels: [`VECTORS`] vectors of columns wide, all rows, one row after another. Addresses are
+//! read in order, and the data of a register tile lies in the first cache levels.
 
 use std::marker::PhantomData;
 
 use crate::{Activation, Isa, MAX_LANES, Simd, dispatch};
 
-/// Vectors of a panel's row.
+/// Vectors in one row of a panel.
 const VECTORS: usize = 3;
-/// [`Simd::TILE_ROWS`] at most.
+/// Upper bound of [`Simd::TILE_ROWS`].
 const MAX_ROWS: usize = 8;
 
 pub fn panel_columns(isa: Isa) -> usize {
     VECTORS * isa.lanes()
 }
 
-/// Puts a left side `[rows, depth]` into the order of [`Product::left`]: blocks of a register tile's rows (fewer in the
-/// last), each `[depth, rows of the block]`.
+/// Reorders a left side `[rows, depth]` for [`Product::left`]: blocks of a register tile's rows (the last may have fewer),
+/// each stored as `[depth, rows of the block]`.
 pub fn pack_rows(isa: Isa, matrix: &[f32], depth: usize, packed: &mut [f32]) {
     let block = isa.tile_rows();
     assert_eq!(matrix.len(), packed.len());
@@ -48,7 +48,7 @@ fn pack_block_kernel<S: Simd>(s: S, from: &[f32], depth: usize, to: &mut [f32]) 
                 sources[row] = values.as_ptr();
                 sources[rows + row] = values[S::LANES..].as_ptr();
             }
-            // SAFETY: each source is a vector long, and the square holds its columns.
+            // SAFETY: each source is one vector long, and the square holds its columns.
             unsafe { s.transpose(&sources, square.as_mut_ptr(), S::LANES) }
             let (left, right) = to[first * rows..][..2 * S::LANES * rows].split_at_mut(S::LANES * rows);
             let halves = left.chunks_exact_mut(rows).zip(right.chunks_exact_mut(rows));
@@ -66,17 +66,17 @@ fn pack_block_kernel<S: Simd>(s: S, from: &[f32], depth: usize, to: &mut [f32]) 
     }
 }
 
-/// What the sums of a [`Product`] start from.
+/// The initial value of the sums of a [`Product`].
 #[derive(Debug, Clone, Copy)]
 pub enum Start<'a> {
     Zero,
-    /// A number for each row.
+    /// One number per row.
     PerRow(&'a [f32]),
-    /// What stands in the output.
+    /// The current content of the output.
     Output,
 }
 
-/// A matrix in memory: elements from a row to the next, and from a panel to the next.
+/// The layout of a matrix in memory: elements from one row to the next, and from one panel to the next.
 #[derive(Debug, Clone, Copy)]
 pub struct Steps {
     pub row: usize,
@@ -84,8 +84,7 @@ pub struct Steps {
 }
 
 impl Steps {
-    /// Elements from the first to the end of `rows` rows in panels of `width` columns, the last of which has what is left
-    /// of `columns`.
+    /// Elements from the first to the end of `rows` rows, in panels of `width` columns; the last panel may be narrower.
     fn extent(self, rows: usize, columns: usize, width: usize) -> usize {
         let (Some(last_row), Some(last_panel)) =
             (rows.checked_sub(1), columns.div_ceil(width).checked_sub(1))
@@ -102,26 +101,26 @@ impl Steps {
     }
 }
 
-/// `activation(start + left * right + add)`, column by column of one or more panels.
+/// `activation(start + left * right + add)`, computed for the columns of one or more panels.
 #[derive(Debug, Clone, Copy)]
 pub struct Product<'a> {
-    /// `rows * depth` elements as [`pack_rows`] orders them.
+    /// `rows * depth` elements in the order of [`pack_rows`].
     pub left: &'a [f32],
     pub rows: usize,
     pub depth: usize,
     /// Whole panels, each `depth` rows of [`panel_columns`].
     pub right: &'a [f32],
-    /// Elements from a panel to the next.
+    /// Elements from one panel to the next.
     pub right_panel: usize,
     pub start: Start<'a>,
     pub add: Option<(&'a [f32], Steps)>,
     pub activation: Activation,
-    /// Columns of all panels together; only the last may lack some, and they are not written.
+    /// Columns of all panels together. Only the last panel may be incomplete; its missing columns are not written.
     pub columns: usize,
 }
 
 impl Product<'_> {
-    /// Panics when something that the kernels read or write is not there.
+    /// Panics when the kernels would read or write out of bounds.
     fn check(&self, isa: Isa, left: usize, out: &Output) {
         let width = panel_columns(isa);
         let Self { rows, depth, columns, .. } = *self;
@@ -153,7 +152,7 @@ impl Product<'_> {
     }
 }
 
-/// Where a [`Product`] goes: rows and panels in memory whose other elements may belong to others.
+/// The destination of a [`Product`]: rows and panels in memory whose other elements may belong to other tasks.
 #[derive(Debug)]
 pub struct Output<'a> {
     start: *mut f32,
@@ -161,7 +160,7 @@ pub struct Output<'a> {
     steps: Steps,
     /// Rows and columns that may be written.
     limit: [usize; 2],
-    /// Rows and columns, from the first, that are known to be initialised.
+    /// Rows and columns, counted from the first, that are known to be initialised.
     filled: [usize; 2],
     memory: PhantomData<&'a mut [f32]>,
 }
@@ -174,59 +173,59 @@ impl<'a> Output<'a> {
     }
 
     /// # Safety
-    /// The `len` elements from `start` exist as long as the output, and those of the rows and columns that will be written
-    /// belong to it alone. Where `initialised`, they are.
+    /// The `len` elements from `start` outlive the output, and those in the rows and columns that will be written belong to
+    /// it alone. If `initialised`, they are.
     pub(crate) unsafe fn from_raw(start: *mut f32, len: usize, steps: Steps, initialised: bool) -> Self {
         let filled = if initialised { [usize::MAX; 2] } else { [0; 2] };
         Self { start, len, steps, limit: [usize::MAX; 2], filled, memory: PhantomData }
     }
 
-    /// Products of more rows or columns are refused.
+    /// The same output, refusing products with more rows or columns.
     pub(crate) fn limited_to(self, rows: usize, columns: usize) -> Self {
         Self { limit: [rows, columns], ..self }
     }
 
-    /// Rows and columns, from the first, that are known to be initialised.
+    /// Rows and columns, counted from the first, that are known to be initialised.
     pub(crate) fn filled(&self) -> [usize; 2] {
         self.filled
     }
 
     fn mark_filled(&mut self, rows: usize, columns: usize) {
-        // Less than what is known already tells nothing new.
+        // A smaller area than the known one adds nothing.
         if self.filled[0] <= rows && self.filled[1] <= columns {
             self.filled = [rows, columns];
         }
     }
 }
 
-/// Computes a product. Panics when a slice is too short for it, or it starts from an output that nothing was written to.
+/// Computes a product. Panics when a slice is too short, or when it starts from an output that was never written.
 pub fn multiply(isa: Isa, product: &Product, out: &mut Output) {
     let Some(left) = product.rows.checked_mul(product.depth) else { panic!("a matrix larger than memory") };
     product.check(isa, left, out);
-    // SAFETY: all that is read or written was checked to be there.
+    // SAFETY: the bounds of every read and write were checked.
     unsafe { multiply_unchecked(isa, product, out) }
     out.mark_filled(product.rows, product.columns);
 }
 
-/// [`multiply`] with a diagonal matrix: `left` is one factor for each row, and `right` has as many rows. It cannot start from
+/// [`multiply`] with a diagonal matrix: `left` holds one factor per row, and `right` has as many rows. It cannot start from
 /// the output.
 pub fn multiply_diagonal(isa: Isa, product: &Product, out: &mut Output) {
     assert_eq!(product.rows, product.depth, "a diagonal matrix is square");
     product.check(isa, product.rows, out);
-    // SAFETY: as above.
+    // SAFETY: the bounds of every read and write were checked.
     unsafe { multiply_diagonal_unchecked(isa, product, out) }
     out.mark_filled(product.rows, product.columns);
 }
 
 dispatch! {
     /// # Safety
-    /// The product and its output were checked.
+    /// The bounds of the product and its output were checked.
     unsafe fn multiply_unchecked = multiply_kernel(product: &Product, output: &Output)
 }
 
 dispatch! {
     /// # Safety
-    /// The product and its output were checked.
+    /// The bounds of the product and its output were checked.
     unsafe fn multiply_diagonal_unchecked = multiply_diagonal_kernel(product: &Product, output: &Output)
 }
 
@@ -242,7 +241,7 @@ unsafe fn multiply_diagonal_kernel<S: Simd>(s: S, product: &Product, output: &Ou
                 Start::Zero => s.splat(0.0),
                 Start::Output => unreachable!("a diagonal product never starts from its output"),
             };
-            // SAFETY: the caller's promise.
+            // SAFETY: the caller checked the bounds.
             unsafe {
                 let right = product.right.as_ptr().add(panel * product.right_panel + row * width);
                 let out = output.start.add(panel * output.steps.panel + row * output.steps.row);
@@ -269,12 +268,12 @@ unsafe fn multiply_kernel<S: Simd>(s: S, product: &Product, output: &Output) {
     while first < product.rows {
         let rows = S::TILE_ROWS.min(product.rows - first);
         for panel in 0..product.columns.div_ceil(width) {
-            // A block of the left side stays in the first-level cache while the panels pass by.
+            // A block of the left side stays in the first-level cache while all panels are processed.
             let columns = width.min(product.columns - panel * width);
             macro_rules! by_rows {
                 ($($rows:literal)*) => {
                     match rows {
-                        // SAFETY: the caller's promise, passed on.
+                        // SAFETY: the caller checked the bounds.
                         $($rows => unsafe { tile::<S, $rows>(s, product, output, first, panel, columns) },)*
                         _ => unreachable!("a tile has 1 to 8 rows"),
                     }
@@ -286,7 +285,7 @@ unsafe fn multiply_kernel<S: Simd>(s: S, product: &Product, output: &Output) {
     }
 }
 
-/// A register tile's values on their way from the sums to the output.
+/// The values of a register tile between the sums and the output.
 #[repr(align(64))]
 struct Tile([f32; MAX_ROWS * VECTORS * MAX_LANES]);
 
@@ -300,7 +299,7 @@ unsafe fn tile<S: Simd, const ROWS: usize>(
     columns: usize,
 ) {
     let mut tile = Tile([0.0; MAX_ROWS * VECTORS * MAX_LANES]);
-    // SAFETY: the caller's promise; a tile holds the rows' vectors.
+    // SAFETY: the caller checked the bounds; a tile holds the rows' vectors.
     unsafe {
         let at = |steps: Steps| first * steps.row + panel * steps.panel;
         let out = output.start.add(at(output.steps));
@@ -336,7 +335,7 @@ unsafe fn tile<S: Simd, const ROWS: usize>(
         }
         macro_rules! apply {
             ($($activation:ident)*) => {
-                // Chosen once for the tile, not once for each vector.
+                // Chosen once per tile, not once per vector.
                 match product.activation {
                     Activation::Identity => {}
                     $(Activation::$activation => {
@@ -357,7 +356,7 @@ unsafe fn tile<S: Simd, const ROWS: usize>(
     }
 }
 
-/// Calls `of(number, row, column, lanes)` for each vector of a tile that has columns.
+/// Calls `of(number, row, column, lanes)` for each vector of a tile that contains columns.
 #[inline(always)]
 fn each_vector<S: Simd, const ROWS: usize>(columns: usize, mut of: impl FnMut(usize, usize, usize, usize)) {
     for row in 0..ROWS {
@@ -370,7 +369,7 @@ fn each_vector<S: Simd, const ROWS: usize>(columns: usize, mut of: impl FnMut(us
     }
 }
 
-/// `values += left * right` for the first `V` vectors of each row, in registers all the while.
+/// `values += left * right` for the first `V` vectors of each row, held in registers throughout.
 #[inline(always)]
 unsafe fn accumulate<S: Simd, const ROWS: usize, const V: usize>(
     s: S,
@@ -379,7 +378,7 @@ unsafe fn accumulate<S: Simd, const ROWS: usize, const V: usize>(
     depth: usize,
     values: *mut f32,
 ) {
-    // SAFETY: the caller's promise.
+    // SAFETY: the caller checked the bounds.
     unsafe {
         let mut sums = [[s.splat(0.0); V]; ROWS];
         for row in 0..ROWS {
@@ -420,7 +419,7 @@ mod tests {
         (0..len).map(|i| ((i * 7919 + seed * 104_729) % 1000) as f32 / 500.0 - 1.0).collect()
     }
 
-    /// `[DEPTH, columns]` in panels; what the last one lacks is zero.
+    /// `[DEPTH, columns]` in panels; missing columns of the last one are zero.
     fn panels(isa: Isa, right: &[f32], columns: usize) -> Vec<f32> {
         let width = panel_columns(isa);
         let mut panels = vec![0.0; columns.next_multiple_of(width) * DEPTH];
@@ -476,7 +475,7 @@ mod tests {
         }
     }
 
-    /// What is too short by one element panics, on every side; nothing is read or written beyond.
+    /// Every slice panics when it is one element too short; nothing is read or written out of bounds.
     #[test]
     fn slices_that_are_too_short_are_refused() {
         let isa = Isa::best();

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use crate::{Isa, Output, Steps, panel_columns};
 
-/// Memory that several tasks write at once, each its own elements.
+/// Memory that several tasks write at once, each to its own elements.
 #[derive(Debug, Clone, Copy)]
 pub struct SharedMut<'a> {
     start: *mut f32,
@@ -17,7 +17,7 @@ pub struct SharedMut<'a> {
     memory: PhantomData<&'a mut [MaybeUninit<f32>]>,
 }
 
-// SAFETY: only pointers and outputs are handed out, and using one is the caller's promise that no other task uses its
+// SAFETY: only pointers and outputs are handed out; whoever uses one guarantees that no other task uses its
 // elements.
 unsafe impl Send for SharedMut<'_> {}
 // SAFETY: as above.
@@ -32,37 +32,37 @@ impl<'a> SharedMut<'a> {
         Self { start: slice.as_mut_ptr().cast(), len: slice.len(), initialised: false, memory: PhantomData }
     }
 
-    /// A vector whose memory nobody touches before `fill` does.
+    /// A vector whose memory is uninitialised until `fill` writes it.
     ///
     /// # Safety
-    /// `fill` writes each of the `len` elements, and reads none before.
+    /// `fill` writes each of the `len` elements and reads none before writing it.
     pub unsafe fn fill_new(len: usize, fill: impl FnOnce(SharedMut)) -> Vec<f32> {
         let mut out = Vec::with_capacity(len);
         fill(SharedMut::uninitialised(&mut out.spare_capacity_mut()[..len]));
-        // SAFETY: the caller's promise.
+        // SAFETY: the caller guarantees that `fill` writes every element.
         unsafe { out.set_len(len) }
         out
     }
 
-    /// The address of element `index`; it panics outside. What is written through it must belong to the calling task alone
-    /// while others write, and no element is read before it was written.
+    /// The address of element `index`; panics when out of range. Whatever is written through it must belong to the calling
+    /// task alone while others write, and no element may be read before it was written.
     pub fn at(&self, index: usize) -> *mut f32 {
         assert!(index < self.len, "element {index} of {}", self.len);
         self.start.wrapping_add(index)
     }
 
-    /// Where products of the calling task go, from element `first` on.
+    /// An output for products of the calling task, from element `first` on.
     ///
     /// # Safety
     /// Rows and columns that are written belong to the calling task alone while others write.
     pub unsafe fn output(&self, first: usize, steps: Steps) -> Output<'a> {
-        // SAFETY: inside; the rest is the caller's promise.
+        // SAFETY: the range is inside; the caller guarantees the rest.
         unsafe { Output::from_raw(self.at(first), self.len - first, steps, self.initialised) }
     }
 }
 
-/// A new vector, made in parallel in pieces of `piece` elements (fewer in the last). `fill` gets the number of a piece and its
-/// memory, and returns that memory filled. Each thread has a `scratch`.
+/// A new vector, filled in parallel in pieces of `piece` elements (the last may be shorter). `fill` gets the number of a
+/// piece and its memory, and returns that memory filled. Each thread has its own `scratch`.
 pub fn fill_pieces<T>(
     len: usize,
     piece: usize,
@@ -76,14 +76,14 @@ pub fn fill_pieces<T>(
         let filled = fill(scratch, number, piece);
         assert_eq!((filled.as_ptr(), filled.len()), memory, "another piece");
     });
-    // SAFETY: for each piece there was a slice of numbers at its place, and of its length.
+    // SAFETY: each piece was returned as a slice of numbers at its address and of its length.
     unsafe { out.set_len(len) }
     out
 }
 
-/// A new `[images, rows, columns]`, made in parallel in pieces of `width` columns of all rows of an image. `fill` gets the
-/// image, the columns, and the [`Output`] to which it multiplies (see [`crate::multiply`]) each of them. Each thread has a
-/// `scratch`.
+/// A new `[images, rows, columns]`, filled in parallel in pieces of `width` columns and all rows of an image. `fill` gets
+/// the image, the columns, and the [`Output`] into which it must multiply (see [`crate::multiply`]) each of them. Each
+/// thread has its own `scratch`.
 pub fn fill_columns<T>(
     isa: Isa,
     [images, rows, columns]: [usize; 3],
@@ -99,7 +99,7 @@ pub fn fill_columns<T>(
         (0..tasks).into_par_iter().for_each_init(scratch, |scratch, task| {
             let (image, first) = (task / pieces, task % pieces * width);
             let own = first..columns.min(first + width);
-            // SAFETY: a product that stays in these columns is this task's alone; one that does not is refused.
+            // SAFETY: a product within these columns belongs to this task alone; any other is refused.
             let mut out =
                 unsafe { target.output(image * rows * columns + first, steps) }.limited_to(rows, own.len());
             fill(scratch, image, own.clone(), &mut out);
@@ -107,7 +107,7 @@ pub fn fill_columns<T>(
             assert!(filled_rows >= rows && filled_columns >= own.len(), "not all was written");
         });
     };
-    // SAFETY: the pieces cover every column of every image, and each was seen to be filled.
+    // SAFETY: the pieces cover every column of every image, and each was checked to be filled.
     unsafe { SharedMut::fill_new(len, fill_all) }
 }
 
@@ -137,7 +137,7 @@ mod tests {
         fill_pieces(4, 4, || (), |(), _, piece| piece[..2].write_copy_of_slice(&[1.0; 2]));
     }
 
-    /// Constant products: `rows` and `columns` as given, whatever the piece is.
+    /// Constant products: `rows` and `columns` are fixed, whatever the piece.
     fn fill_with(isa: Isa, rows: usize, columns: usize, start: Start) -> Vec<f32> {
         fill_columns(
             isa,

@@ -1,17 +1,17 @@
-/// An instruction set for `f32` vectors, as a value that exists only where the processor has it.
+/// An instruction set for `f32` vectors: a value that exists only where the processor has it.
 ///
-/// Methods are inlined into their caller, which has to be compiled for the instruction set: see [`crate::dispatch!`].
+/// Methods are inlined into their caller, which must be compiled for the instruction set: see [`crate::dispatch!`].
 pub trait Simd: Copy + Send + Sync + 'static {
     /// [`Self::LANES`] numbers.
     type Vector: Copy;
     /// [`Self::LANES`] truth values.
     type Mask: Copy;
-    /// Numbers of a vector.
+    /// Numbers in a vector.
     const LANES: usize;
     /// Rows of a register tile of three vectors each: as many as the registers hold.
     const TILE_ROWS: usize;
 
-    /// Asks for the cache line at `item`, which will be used soon.
+    /// Prefetches the cache line at `item`.
     fn prefetch<T>(self, item: &T);
 
     /// The same value in every lane.
@@ -20,28 +20,28 @@ pub trait Simd: Copy + Send + Sync + 'static {
     /// Reads `LANES` elements.
     ///
     /// # Safety
-    /// They can be read.
+    /// `LANES` elements are readable.
     unsafe fn load(self, from: *const f32) -> Self::Vector;
 
     /// Reads the first `count` (at most `LANES`) elements; the other lanes are zero and their memory is not touched.
     ///
     /// # Safety
-    /// `count` elements can be read.
+    /// `count` elements are readable.
     unsafe fn load_first(self, from: *const f32, count: usize) -> Self::Vector;
 
     /// Writes `LANES` elements.
     ///
     /// # Safety
-    /// They can be written.
+    /// `LANES` elements are writable.
     unsafe fn store(self, to: *mut f32, v: Self::Vector);
 
     /// Writes the first `count` (at most `LANES`) lanes; memory beyond is not touched.
     ///
     /// # Safety
-    /// `count` elements can be written.
+    /// `count` elements are writable.
     unsafe fn store_first(self, to: *mut f32, v: Self::Vector, count: usize);
 
-    /// The first `LANES` elements of a slice that has as many.
+    /// Reads the first `LANES` elements of a slice. Panics when it is shorter.
     #[inline(always)]
     fn read(self, from: &[f32]) -> Self::Vector {
         assert!(from.len() >= Self::LANES);
@@ -49,7 +49,7 @@ pub trait Simd: Copy + Send + Sync + 'static {
         unsafe { self.load(from.as_ptr()) }
     }
 
-    /// Puts a vector into the first `LANES` elements of a slice that has as many.
+    /// Writes a vector to the first `LANES` elements of a slice. Panics when it is shorter.
     #[inline(always)]
     fn write(self, v: Self::Vector, to: &mut [f32]) {
         assert!(to.len() >= Self::LANES);
@@ -65,13 +65,13 @@ pub trait Simd: Copy + Send + Sync + 'static {
     fn mul_add(self, a: Self::Vector, b: Self::Vector, c: Self::Vector) -> Self::Vector;
     /// `c - a * b`, rounded once.
     fn neg_mul_add(self, a: Self::Vector, b: Self::Vector, c: Self::Vector) -> Self::Vector;
-    /// The smaller; `b` when either is NaN.
+    /// The smaller of two; `b` when either is NaN.
     fn min(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
-    /// The larger; `b` when either is NaN.
+    /// The larger of two; `b` when either is NaN.
     fn max(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// `-|a|`.
     fn negative(self, a: Self::Vector) -> Self::Vector;
-    /// `a * 2^n`, where `rounded` is `n + 1.5 * 2^23`, while `a` and the result are normal numbers.
+    /// `a * 2^n`, where `rounded` is `n + 1.5 * 2^23`; `a` and the result must be normal numbers.
     fn scale_by_power_of_two(self, a: Self::Vector, rounded: Self::Vector) -> Self::Vector;
 
     /// `a >= b`; false when either is NaN.
@@ -83,21 +83,21 @@ pub trait Simd: Copy + Send + Sync + 'static {
     fn and_not(self, a: Self::Mask, b: Self::Mask) -> Self::Mask;
     /// `a` where `mask` holds, `b` elsewhere.
     fn select(self, mask: Self::Mask, a: Self::Vector, b: Self::Vector) -> Self::Vector;
-    /// Lane `i` is bit `i`.
+    /// The mask as bits: lane `i` is bit `i`.
     fn bits(self, mask: Self::Mask) -> u16;
 
-    /// The sum of all lanes; in its last bits it depends on the instruction set.
+    /// The sum of all lanes; its last bits depend on the instruction set.
     fn sum(self, v: Self::Vector) -> f32;
 
-    /// Writes element `i` of every `from`, of which there are `LANES`, to `to + i * step`, for `LANES` elements.
+    /// Transposes a square: element `i` of each of the `LANES` vectors in `from` goes to row `i` of the target, `step` apart.
     ///
     /// # Safety
-    /// `LANES` elements of every source can be read, and `LANES` rows of the target be written.
+    /// `LANES` elements of every source are readable, and `LANES` rows of the target are writable.
     #[inline(always)]
     unsafe fn transpose(self, from: &[*const f32; MAX_LANES], to: *mut f32, step: usize) {
         for (column, from) in from.iter().take(Self::LANES).enumerate() {
             for row in 0..Self::LANES {
-                // SAFETY: the caller gives this memory.
+                // SAFETY: the caller guarantees this memory.
                 unsafe { *to.add(row * step + column) = *from.add(row) }
             }
         }
@@ -144,7 +144,7 @@ pub trait Simd: Copy + Send + Sync + 'static {
     }
 }
 
-/// [`Simd::LANES`] at most.
+/// Upper bound of [`Simd::LANES`].
 pub const MAX_LANES: usize = 16;
 
 /// Methods of [`Simd`] that are an expression each.
@@ -270,7 +270,7 @@ mod tests {
                 all_operations(isa, &values, &mut found);
                 for (operation, (found, expected)) in found.iter().zip(&expected).enumerate() {
                     for (found, expected) in found.iter().zip(expected) {
-                        // The sign and the payload of a NaN that an operation makes are the processor's choice.
+                        // The sign and payload of a NaN result depend on the processor.
                         let same =
                             found.to_bits() == expected.to_bits() || found.is_nan() && expected.is_nan();
                         assert!(same, "{isa:?}, operation {operation}: {found} for {expected} of {values:?}");

@@ -1,4 +1,4 @@
-//! A flow field as two planes, which is how the kernels work on it.
+//! A flow field as two planes, the layout that the kernels work on.
 
 use srflow_field::{FlowField, Plane};
 
@@ -14,13 +14,13 @@ impl PlanarFlow {
         Self { u: Plane::new(width, height), v: Plane::new(width, height) }
     }
 
-    /// The same change made to both components.
+    /// Applies the same function to both components.
     pub fn map(&self, change: impl Fn(&Plane) -> Plane) -> Self {
         Self { u: change(&self.u), v: change(&self.v) }
     }
 }
 
-/// Unknown flow becomes zero.
+/// Replaces unknown flow by zero.
 impl From<&FlowField> for PlanarFlow {
     fn from(field: &FlowField) -> Self {
         let mut flow = Self::zero(field.width(), field.height());

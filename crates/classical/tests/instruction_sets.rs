@@ -1,11 +1,11 @@
-//! The same flow, to the bit, on every instruction set. Alone in its file: the choice holds for the whole process.
+//! The flow is bit-identical on every instruction set. In a file of its own, since the choice is process-wide.
 
 use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
 use srflow_field::random::Key;
 use srflow_field::{FlowEstimator, Image};
 use srflow_simd::Isa;
 
-/// Soft blotches that move by three pixels, in a size that leaves lanes over.
+/// Smooth blobs that move by three pixels, in a size that is no multiple of the vector length.
 fn frame(shift: usize) -> Image {
     let mut stream = Key::new(5).stream("texture");
     let coarse: Vec<f32> = (0..24 * 24).map(|_| stream.uniform(20.0, 235.0)).collect();

@@ -1,4 +1,4 @@
-//! The answers are OpenCV's. Its flow was written by tools/parity/classical.py.
+//! The results match OpenCV's. Its flow was written by tools/parity/classical.py.
 
 use std::path::{Path, PathBuf};
 
@@ -92,7 +92,7 @@ fn real_frames_move_as_in_opencv() {
         assert!(found < 0.005, "farneback, {name}: {found} px");
         let flow = tvl1.estimate(&first, &second).unwrap();
         if name == "kitti" {
-            // The motion there is beyond what TV-L1 can find, and its errors are large and ill-defined.
+            // The motion there is too large for TV-L1, and its errors are large and ill-defined.
             check_kitti_error(&flow);
         } else {
             let found = distance(&flow, &format!("{name}_tvl1"), 32);
@@ -101,7 +101,7 @@ fn real_frames_move_as_in_opencv() {
     }
 }
 
-/// The end-point error is no worse than that of OpenCV's TV-L1.
+/// The end-point error is no larger than that of OpenCV's TV-L1.
 fn check_kitti_error(flow: &FlowField) {
     let folder = Path::new("../../../shared/data/real-frames");
     let truth = read_flow(&folder.join("kitti/flow_gt.png")).unwrap();

@@ -1,4 +1,4 @@
-//! What any user may rely on, whatever the frames.
+//! Properties that hold for any frames.
 
 use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
 use srflow_field::random::Key;

@@ -1,4 +1,4 @@
-//! What each pixel says of its displacement: the normal equations `G d = h` of the difference of the two fits.
+//! The evidence of each pixel for its displacement: the normal equations `G d = h` of the difference of the two fits.
 
 use std::ops::Range;
 
@@ -9,7 +9,7 @@ use srflow_simd::multiversioned;
 /// Numbers of evidence per pixel, in this order: `G_yy`, `G_xy`, `G_xx`, `h_y`, `h_x`.
 pub const CHANNELS: usize = 5;
 
-/// Near the image's border the evidence counts less: the weight by the distance to the border.
+/// Near the image's border the evidence counts less: weights by distance to the border.
 const BORDER_WEIGHTS: [f32; 5] = [0.14, 0.14, 0.4472, 0.4472, 0.4472];
 
 /// The weight of pixel `position` of `len`.
@@ -18,11 +18,11 @@ pub fn border_weight(position: usize, len: usize) -> f32 {
     weight(position) * weight(len - 1 - position)
 }
 
-/// The evidence of a strip's rows around the one that is worked on.
+/// The evidence in a strip, for the rows around the current one.
 pub struct EvidenceRows {
-    /// The strip's columns and those beside it that the window reaches.
+    /// The strip's columns, and those on both sides that the window reaches.
     pub columns: Range<usize>,
-    /// How often the border columns are repeated, left and right, so that the window is full everywhere.
+    /// How often the border columns are repeated on the left and right to fill the window.
     repeat: [usize; 2],
     radius: usize,
     height: usize,
@@ -63,7 +63,7 @@ impl EvidenceRows {
         self.gathered = 0;
     }
 
-    /// Gathers what the window around row `y` needs. Rows are asked for downwards.
+    /// Computes the evidence that the window around row `y` needs. Rows must be requested downwards.
     pub fn gather_for(&mut self, y: usize, (first, second): (&Expansion, &Expansion), flow: &StripedFlow) {
         let row_len = self.run * CHANNELS;
         while self.gathered < (y + self.radius + 1).min(self.height) {
@@ -85,7 +85,7 @@ impl EvidenceRows {
         &self.rows[slot..slot + row_len]
     }
 
-    /// One channel of a row with the image's border columns repeated, so that the window is full everywhere.
+    /// One channel of a row, with the image's border columns repeated to fill the window.
     pub fn pad<T: Copy>(&self, padded: &mut Vec<T>, channel: &[T]) {
         let channel = &channel[..self.columns.len()];
         padded.clear();
@@ -95,17 +95,17 @@ impl EvidenceRows {
     }
 }
 
-/// Pixels that are worked on together.
+/// Pixels that are processed together.
 const BLOCK: usize = 16;
 
-/// How the coefficients of both fits combine, lane by lane: half the sum of the quadratic parts (a quarter for the
-/// mixed one, which the matrix holds twice) and half the difference of the linear parts.
+/// Weights by which the coefficients of both fits combine, per lane: half the sum of the quadratic parts (a quarter for
+/// the mixed one, which the matrix holds twice) and half the difference of the linear parts.
 const OF_FIRST: [f32; 8] = [0.5, 0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0];
 const OF_SECOND: [f32; 8] = [-0.5, -0.5, 0.5, 0.5, 0.25, 0.0, 0.0, 0.0];
-/// Where the flow leaves the second frame, its fit is taken to be that of the first without the linear part.
+/// The same for flow that leaves the second frame: its fit is then that of the first, without the linear part.
 const OF_FIRST_ALONE: [f32; 8] = [0.5, 0.5, 1.0, 1.0, 0.5, 0.0, 0.0, 0.0];
 
-/// Part of a row: its columns and the flow and border weight of each, in whole blocks.
+/// Part of a row in whole blocks: its columns, and the flow and border weight of each.
 struct RowPart<'a> {
     y: usize,
     columns: Range<usize>,
@@ -115,7 +115,7 @@ struct RowPart<'a> {
 }
 
 multiversioned! {
-    /// The evidence of a part of a row: in `out` one run of the part's length for each of the [`CHANNELS`].
+    /// The evidence of part of a row: `out` holds one run of the part's length for each of the [`CHANNELS`].
     fn gather(out: &mut [f32], first: &Expansion, second: &Expansion, part: &RowPart) {
         let len = part.u.len();
         let row_weight = border_weight(part.y, first.height);
@@ -148,8 +148,8 @@ multiversioned! {
     }
 }
 
-/// The combined fit (`b_x`, `b_y`, `A_xx`, `A_yy`, `A_xy`, and three numbers without meaning) of a block of
-/// `columns` of row `y`, of the first frame with where the flow leads in the second.
+/// The combined fit (`b_x`, `b_y`, `A_xx`, `A_yy`, `A_xy`, and three unused numbers) of a block of `columns` of row `y`:
+/// the first frame with the second at the position that the flow points to.
 #[inline(always)]
 fn compare_fits(
     first: &Expansion,
@@ -200,7 +200,7 @@ fn compare_fits(
     fits
 }
 
-/// The coefficients of a pixel and three more numbers: a whole vector register.
+/// The coefficients of a pixel and three unused numbers: a whole vector register.
 #[inline(always)]
 fn eight(expansion: &Expansion, pixel: usize) -> [f32; 8] {
     let mut numbers = [0.0; 8];

@@ -5,7 +5,7 @@ use srflow_field::Plane;
 
 use srflow_simd::multiversioned;
 
-/// Numbers that describe the fit at one pixel, in this order: `b_x`, `b_y`, `A_xx`, `A_yy`, `2 A_xy`. `c` is not kept.
+/// Coefficients of the fit at one pixel, in this order: `b_x`, `b_y`, `A_xx`, `A_yy`, `2 A_xy`. `c` is not stored.
 pub const COEFFICIENTS: usize = 5;
 
 /// The fit at every pixel of an image.
@@ -13,14 +13,14 @@ pub const COEFFICIENTS: usize = 5;
 pub struct Expansion {
     pub width: usize,
     pub height: usize,
-    /// Row-major, [`COEFFICIENTS`] per pixel, and [`PADDING`] zeros at the end.
+    /// Row-major, [`COEFFICIENTS`] per pixel, then [`PADDING`] zeros.
     pub coefficients: Vec<f32>,
 }
 
-/// A reader may take 8 numbers from where any pixel starts: a whole vector register.
+/// Lets a reader load 8 numbers, a whole vector register, from the start of any pixel.
 pub const PADDING: usize = 8 - COEFFICIENTS;
 
-/// The weights of a fit: a normalised Gaussian `g` and what is needed of the inverse of its moment matrix.
+/// The weights of a fit: a normalised Gaussian `g` and the required entries of its inverse moment matrix.
 #[derive(Debug, Clone)]
 pub struct ExpansionKernel {
     /// `g(k)`, `k g(k)` and `k^2 g(k)` for `k` from 0 to the radius.
@@ -28,8 +28,8 @@ pub struct ExpansionKernel {
     pub inverse: InverseMoments,
 }
 
-/// Entries of the inverse moment matrix of the basis 1, x, y, x^2, y^2, xy. The weight being separable, x^2 and y^2
-/// do not mix.
+/// Entries of the inverse moment matrix of the basis 1, x, y, x^2, y^2, xy. The weight is separable, so x^2 and y^2 do
+/// not mix.
 #[derive(Debug, Clone, Copy)]
 pub struct InverseMoments {
     /// (x, x) and (y, y).
@@ -103,8 +103,8 @@ impl Expansion {
     }
 }
 
-/// Sums of `g`, `y g` and `y^2 g` times the image down each column around one row, with the border columns repeated
-/// `radius` times on both sides. Behind them is room for a whole block.
+/// Sums of `g`, `y g` and `y^2 g` times the image, down each column around one row; border columns are repeated `radius`
+/// times on both sides. Space for a whole block follows.
 struct ColumnMoments {
     radius: usize,
     moments: [Vec<f32>; 3],

@@ -22,7 +22,7 @@ use window::Window;
 
 const NAME: &str = "farneback";
 
-/// Below this many pixels a side no coarser pyramid level is made.
+/// The shortest side of a coarser pyramid level, in pixels.
 const SMALLEST_SIDE: f64 = 32.0;
 
 /// The parameters of OpenCV's `calcOpticalFlowFarneback`, under its names. The defaults are those of

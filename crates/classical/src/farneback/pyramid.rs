@@ -1,4 +1,4 @@
-//! The pyramid: every level is made from the full-size frame, blurred for that level and then resized.
+//! The pyramid: every level is computed from the full-size frame, blurred for that level and then resized.
 
 use rayon::prelude::*;
 use srflow_field::Plane;
@@ -12,11 +12,11 @@ pub fn level(frame: &Plane, size: (usize, usize), scale: f64) -> Plane {
     if frame.size() == size { blurred } else { resize_linear(&blurred, size, 1.0) }
 }
 
-/// The Gaussian of OpenCV's `getGaussianKernel` with the size and deviation that a level asks for; of odd length.
+/// The Gaussian of OpenCV's `getGaussianKernel` with the size and deviation of a level; of odd length.
 pub fn blur_kernel(scale: f64) -> Vec<f32> {
     let sigma = (1.0 / scale - 1.0) * 0.5;
     if sigma <= 0.0 {
-        return vec![0.25, 0.5, 0.25]; // what OpenCV takes for size 3 when no deviation is given
+        return vec![0.25, 0.5, 0.25]; // OpenCV's kernel of size 3 when no deviation is given
     }
     let size = ((sigma * 5.0).round_ties_even() as usize | 1).max(3);
     let weight = |i: usize| {
@@ -33,11 +33,11 @@ const SHORT_KERNEL: usize = 5;
 /// Rows that one task blurs.
 const ROWS_PER_TASK: usize = 32;
 
-/// Separable convolution with a symmetric kernel; outside the frame is its mirror image without the border repeated
+/// Separable convolution with a symmetric kernel; outside, the frame is mirrored without repeating the border
 /// (`BORDER_REFLECT_101`).
 ///
-/// Farneback's iterations magnify the last bit of their input, so that giving OpenCV's answers takes its rounding:
-/// products are fused into sums in the order of its filters, but not in the columns that its vectors of 8 leave over.
+/// Farneback's iterations magnify the last bit of their input, so matching OpenCV's results requires its rounding: products
+/// are fused into sums in the order of its filters, except in the remainder columns of its vectors of 8.
 pub fn blur(frame: &Plane, kernel: &[f32]) -> Plane {
     let (width, height) = frame.size();
     let radius = kernel.len() / 2;
@@ -73,14 +73,14 @@ pub fn blur(frame: &Plane, kernel: &[f32]) -> Plane {
     blurred
 }
 
-/// The index inside `0..len` that position `i` shows when the signal is mirrored at the centres of its end pixels.
+/// The index inside `0..len` for position `i` when the signal is mirrored at the centres of its end pixels.
 pub fn mirror(i: isize, len: usize) -> usize {
     let period = (2 * len as isize - 2).max(1);
     let i = i.rem_euclid(period);
     if i < len as isize { i as usize } else { (period - i) as usize }
 }
 
-/// Pixels whose sums are in registers together.
+/// Pixels whose sums are held in registers together.
 const BLOCK: usize = 64;
 
 multiversioned! {

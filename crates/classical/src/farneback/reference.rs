@@ -1,4 +1,4 @@
-//! The kernels of the method as plain scalar code over the whole image: what the fast ones must compute, bit for bit.
+//! The kernels of the method as plain scalar code over the whole image: the fast kernels must match them bit for bit.
 
 use srflow_field::Plane;
 
@@ -8,7 +8,7 @@ use super::pyramid::mirror;
 use super::window::{Weighting, Window};
 use crate::planar::PlanarFlow;
 
-/// Separable convolution with a symmetric kernel, fused but for the columns that vectors of 8 leave over.
+/// Separable convolution with a symmetric kernel, fused except in the remainder columns of vectors of 8.
 pub fn blur(frame: &Plane, kernel: &[f32]) -> Plane {
     let (width, height) = frame.size();
     let radius = kernel.len() / 2;
@@ -102,7 +102,7 @@ pub fn update(first: &[[f32; 5]], second: &[[f32; 5]], flow: &PlanarFlow, window
     updated
 }
 
-/// Compares the fit at a pixel of the first frame with the fit of the second frame where the flow leads.
+/// Compares the fit at a pixel of the first frame with the fit of the second frame at the position the flow points to.
 fn compare_fits(
     [x1, y1, xx1, yy1, xy1]: [f32; 5],
     second: &[[f32; 5]],
@@ -136,7 +136,7 @@ fn compare_fits(
     [yy * yy + xy * xy, (yy + xx) * xy, xx * xx + xy * xy, yy * dy + xy * dx, xy * dy + xx * dx]
 }
 
-/// The average over the window around every pixel; outside the image its border is repeated.
+/// The average over the window around every pixel; outside the image the border is repeated.
 fn average(evidence: &[Evidence], (width, height): (usize, usize), window: &Window) -> Vec<[f64; 5]> {
     let radius = window.radius;
     match &window.weighting {
@@ -171,8 +171,8 @@ fn average(evidence: &[Evidence], (width, height): (usize, usize), window: &Wind
     }
 }
 
-/// Sums down each column of the window around each row. They slide: what leaves the window is subtracted and what
-/// enters is added, as a difference in single precision.
+/// Sums down each column of the window around each row. The window slides: the row that leaves is subtracted and the row
+/// that enters is added, as one difference in single precision.
 fn column_sums(evidence: &[Evidence], (width, height): (usize, usize), radius: usize) -> Vec<[f64; 5]> {
     let mut all = vec![[0.0; 5]; width * height];
     for x in 0..width {

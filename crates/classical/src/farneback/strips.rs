@@ -1,5 +1,4 @@
-//! A flow field cut into strips of columns, each with its own memory, so that every strip can be written by its own
-//! task.
+//! A flow field cut into strips of columns, each with its own memory, so each task can write its own strip.
 
 use std::ops::Range;
 
@@ -7,7 +6,7 @@ use srflow_field::Plane;
 
 use crate::planar::PlanarFlow;
 
-/// No strip but the last is narrower: the window reaches beyond both its sides, and that work is done twice.
+/// The least width of a strip, except for the last: neighbouring strips both compute the overlap of the window.
 const NARROWEST: usize = 96;
 
 #[derive(Debug, Clone)]

@@ -1,6 +1,6 @@
-//! The iterations at one level: evidence is gathered, averaged over the window and solved for a new flow.
+//! The iterations at one level: compute the evidence, average it over the window, and solve for a new flow.
 //!
-//! Each strip of columns goes down the image row by row, with no more evidence in memory than the window is high.
+//! Each strip of columns is processed row by row, and keeps only as many rows of evidence as the window is high.
 
 use rayon::prelude::*;
 
@@ -11,7 +11,7 @@ use super::window::{Averager, Window};
 use crate::planar::PlanarFlow;
 use srflow_simd::multiversioned;
 
-/// More than one, so that threads that are done early find something to do.
+/// Strips per thread: more than one, to balance the load.
 const STRIPS_PER_THREAD: usize = 2;
 
 /// Runs `iterations` of the update at one level of the pyramid.
@@ -21,7 +21,7 @@ pub fn iterate(
     window: &Window,
     iterations: usize,
 ) -> PlanarFlow {
-    // Where the strips are cut changes nothing in the result, and few wide ones are read from memory more quickly.
+    // The cut into strips does not change the result, and few wide strips are read from memory faster.
     let mut flow = StripedFlow::cut(flow, STRIPS_PER_THREAD * rayon::current_num_threads());
     let mut updated = flow.clone();
     let mut scratch: Vec<Scratch> =
@@ -34,7 +34,7 @@ pub fn iterate(
     PlanarFlow::from(&flow)
 }
 
-/// What the update of a strip needs room for.
+/// Buffers for the update of a strip.
 struct Scratch {
     evidence: EvidenceRows,
     averager: Averager,
@@ -63,7 +63,7 @@ impl Scratch {
 }
 
 multiversioned! {
-    /// `d` of `G d = h` for a row, with a little added to the determinant for where there is no texture.
+    /// Solves `G d = h` for a row; a small constant added to the determinant handles areas without texture.
     fn solve(u: &mut [f32], v: &mut [f32], averages: &[f64]) {
         let len = u.len();
         let channel = |i: usize| &averages[i * len..(i + 1) * len];

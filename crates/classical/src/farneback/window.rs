@@ -12,7 +12,7 @@ pub struct Window {
 
 #[derive(Debug, Clone)]
 pub enum Weighting {
-    /// Every pixel counts the same; the sum is multiplied by `scale`.
+    /// Uniform weights; the sum is multiplied by `scale`.
     Box { scale: f64 },
     /// Weights by the distance along one axis, from 0 to the radius.
     Gaussian { weights: Vec<f32> },
@@ -33,7 +33,7 @@ impl Window {
     }
 }
 
-/// Averages one strip's evidence row after row, downwards from the first.
+/// Averages one strip's evidence row by row, downwards from the first.
 pub struct Averager {
     window: Window,
     /// Box: sums down each column of the rows in the window.
@@ -59,8 +59,7 @@ impl Averager {
         }
     }
 
-    /// The average of row `y` into `out`, one run of the strip's width for each channel. The rows must be asked for in
-    /// order.
+    /// Writes the average of row `y` to `out`, one run of the strip's width per channel. Rows must be requested in order.
     pub fn average(&mut self, out: &mut [f64], rows: &EvidenceRows, y: usize) {
         let radius = self.window.radius;
         match &self.window.weighting {
@@ -108,7 +107,7 @@ impl Averager {
     }
 }
 
-/// The sums that [`slide_down`] turns into those of the first row's window, whose upper half repeats that row.
+/// The sums from which [`slide_down`] computes those of the first row, whose window repeats that row in its upper half.
 fn start_sums(sums: &mut Vec<f64>, rows: &EvidenceRows, radius: usize) {
     sums.clear();
     sums.extend(rows.row(0).iter().map(|evidence| f64::from(evidence * (radius + 2) as f32)));
@@ -120,7 +119,7 @@ fn start_sums(sums: &mut Vec<f64>, rows: &EvidenceRows, radius: usize) {
 }
 
 multiversioned! {
-    /// The difference is rounded to single precision before it counts, as OpenCV's.
+    /// Rounds the difference to single precision before adding it, as OpenCV does.
     fn slide_down(sums: &mut [f64], added: &[f32], removed: &[f32]) {
         for ((sum, added), removed) in sums.iter_mut().zip(added).zip(removed) {
             *sum += f64::from(added - removed);
@@ -128,15 +127,15 @@ multiversioned! {
     }
 }
 
-/// Room for [`box_sums`].
+/// Scratch space of [`box_sums`].
 #[derive(Debug, Clone, Default)]
 struct PowerSums {
     current: Vec<f64>,
     doubled: Vec<f64>,
 }
 
-/// `out[i]` becomes the sum of `len` values from `values[i]` on. Sums of 2, 4, 8... values are made from one another,
-/// and a sum of `len` from those of its binary digits: few additions, and none waits for its neighbour's.
+/// Sets `out[i]` to the sum of `len` values from `values[i]` on. Sums of 2, 4, 8... values are built from one another, and
+/// the sum of `len` from those of its binary digits: few additions, all independent of their neighbours.
 fn box_sums(out: &mut [f64], values: &[f64], len: usize, room: &mut PowerSums) {
     room.current.clear();
     room.current.extend_from_slice(values);

@@ -8,11 +8,11 @@ use srflow_simd::multiversioned;
 /// Pixels that are filtered together.
 const BLOCK: usize = 16;
 
-/// The values at one place of the window, of a block of pixels.
+/// One window position for a block of pixels.
 type Lanes = [f32; BLOCK];
 
-/// `filtered` becomes `state` with `u` and `v` replaced by their medians over `side` x `side` pixels. Outside the image
-/// the border pixels are repeated.
+/// Sets `filtered` to `state` with `u` and `v` replaced by their medians over `side` x `side` pixels. Outside the image the
+/// border pixels are repeated.
 pub fn filter(filtered: &mut State, state: &State, side: usize) {
     let layout = state.layout;
     let radius = side / 2;
@@ -68,8 +68,8 @@ multiversioned! {
         sort_columns_5(a, b, c, d, e);
         for (block, out) in out.chunks_mut(BLOCK).enumerate() {
             let columns = |line: &[f32]| [0, 1, 2, 3, 4].map(|column| lanes(line, block * BLOCK + column));
-            // With columns and then rows sorted, whatever has 13 or more values on one side of it is not the median.
-            // That leaves 13 of the 25, whose own median it is.
+            // With columns and then rows sorted, a value with 13 or more values on one side of it is not the median. That leaves 13
+            // of the 25, and the median is theirs.
             let [_, _, _, a3, a4] = sort_5(columns(a));
             let [_, _, b2, b3, b4] = sort_5(columns(b));
             let [_, c1, c2, c3, _] = sort_5(columns(c));
@@ -81,8 +81,8 @@ multiversioned! {
     }
 }
 
-/// Sets the extremes aside until one value is left: of 8 values of the 13 neither the smallest nor the largest can be
-/// the median; with one value more, neither of the remaining 7; and so on.
+/// Removes the extremes until one value is left: of 8 of the 13 values, neither the smallest nor the largest can be the
+/// median; add one value, and the same holds for the remaining 7; and so on.
 #[inline(always)]
 fn median_of_13(values: [Lanes; 13]) -> Lanes {
     let [v0, v1, v2, v3, v4, v5, v6, v7, v8, v9, v10, v11, v12] = values;
@@ -165,7 +165,7 @@ fn lanes(line: &[f32], start: usize) -> Lanes {
     lanes
 }
 
-/// Exchanges where `a` is larger than `b`.
+/// Swaps the lanes where `a` is larger than `b`.
 #[inline(always)]
 fn order(a: &mut Lanes, b: &mut Lanes) {
     (*a, *b) = (smaller(a, b), larger(a, b));

@@ -21,7 +21,7 @@ use warp::Warper;
 
 const NAME: &str = "tvl1";
 
-/// Below this many pixels a side no coarser scale is made.
+/// The shortest side of a coarser scale, in pixels.
 const SMALLEST_SIDE: usize = 16;
 
 /// The parameters of OpenCV's `DualTVL1OpticalFlow`, with its defaults. `useInitialFlow` is
@@ -32,13 +32,13 @@ pub struct TvL1Parameters {
     pub tau: f64,
     /// Weight of the data term: smaller is smoother.
     pub lambda: f64,
-    /// Tightness of the coupling between data term and smoothness.
+    /// Tightness of the coupling between the data term and smoothness.
     pub theta: f64,
     /// Number of scales.
     pub nscales: usize,
     /// How often the second frame is warped at each scale.
     pub warps: usize,
-    /// Iterations of a warp end when the mean squared change of the flow is under `epsilon^2` pixels.
+    /// The iterations of a warp stop when the mean squared change of the flow is under `epsilon^2` pixels.
     pub epsilon: f64,
     /// Iterations between two median filters.
     pub inner_iterations: usize,
@@ -46,7 +46,7 @@ pub struct TvL1Parameters {
     pub outer_iterations: usize,
     /// Size of a scale relative to the next finer one, between 0 and 1.
     pub scale_step: f64,
-    /// Weight of a brightness change that is estimated too; 0 estimates none.
+    /// Weight of an additional brightness change; 0 estimates none.
     pub gamma: f64,
     /// Side of the median filter in pixels: 3 or 5, or 1 for none.
     pub median_filtering: usize,
@@ -154,7 +154,7 @@ impl TvL1 {
         scales
     }
 
-    /// The flow (and brightness change) at one scale, from that of the coarser one.
+    /// The flow (and brightness change) at one scale, starting from the coarser one.
     fn refine(
         &self,
         first: &Plane,

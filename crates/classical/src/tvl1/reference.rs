@@ -1,4 +1,4 @@
-//! The kernels of the method as plain scalar code over the whole image: what the fast ones must compute, bit for bit.
+//! The kernels of the method as plain scalar code over the whole image: the fast kernels must match them bit for bit.
 
 use srflow_field::Plane;
 
@@ -64,7 +64,7 @@ impl Component {
     }
 }
 
-/// One iteration. Gives the squared change of all values, summed lane by lane along each row.
+/// One iteration. Returns the squared change of all values, summed lane by lane along each row.
 pub fn iterate(components: &mut [Component], residual: &Residual, constants: Constants) -> f64 {
     let (width, height) = residual.x.size();
     let pull = pull(components, residual, constants);
@@ -106,7 +106,7 @@ pub fn iterate(components: &mut [Component], residual: &Residual, constants: Con
     change
 }
 
-/// How far along its gradient the residual pulls each pixel: to zero, or as far as the threshold allows.
+/// How far the residual moves each pixel along its gradient: to zero, or as far as the threshold allows.
 fn pull(components: &[Component], residual: &Residual, constants: Constants) -> Plane {
     let (width, height) = residual.x.size();
     Plane::from_fn(width, height, |x, y| {

@@ -1,9 +1,9 @@
-//! The iterations between two warps: the data term and the smoothness pull at the flow in turn.
+//! The iterations between two warps, which alternate between the data term and smoothness.
 //!
-//! An iteration reads and writes the whole state, which no cache holds. So several iterations go down the image
-//! together, each a row behind the one before, and a row is read once for all of them. The image is cut into bands
-//! for the threads; a band begins and ends as many rows beyond its own as there are iterations, since an iteration
-//! reaches one row up and down. How rows are cut and iterations are grouped changes no bit of the result.
+//! An iteration reads and writes the whole state, which fits in no cache. So several iterations go down the image together,
+//! each one row behind the previous one, and each row is read once for all of them. The image is cut into bands for the
+//! threads; a band is extended on both sides by as many rows as there are iterations, since an iteration reaches one row up
+//! and down. Neither the cut into bands nor the grouping of iterations changes a bit of the result.
 
 use rayon::prelude::*;
 
@@ -12,10 +12,10 @@ use super::median;
 use super::state::{Layout, Linearized, MARGIN, State, dual_line, value_line};
 use srflow_simd::multiversioned;
 
-/// Bytes of the rows that the iterations going down together touch: what a core's second-level cache holds with ease.
+/// Bytes of the rows that a group of iterations touches: well within a core's second-level cache.
 const CACHE: usize = 640 << 10;
 
-/// Bands for each thread, so that one that is done early finds something to do.
+/// Bands per thread: more than one, to balance the load.
 const BANDS_PER_THREAD: usize = 4;
 
 /// Constants of an iteration, in OpenCV's precision.
@@ -40,7 +40,7 @@ impl Constants {
     }
 }
 
-/// The flow of one scale on its way.
+/// The flow of one scale while it is being computed.
 pub struct Relaxation {
     pub state: State,
     pub linearized: Linearized,
@@ -54,14 +54,14 @@ impl Relaxation {
         Self { next: state.clone(), linearized, state, constants: Constants::new(parameters) }
     }
 
-    /// Median filter of every component's values but the brightness change.
+    /// Median filter of every component except the brightness change.
     pub fn filter(&mut self, side: usize) {
         median::filter(&mut self.next, &self.state, side);
         std::mem::swap(&mut self.state, &mut self.next);
     }
 
-    /// Iterates `iterations` times, or until the squared change of the flow summed over the image is `limit` or less.
-    /// Takes and gives the change of the latest iteration.
+    /// Runs `iterations` iterations, or stops when the squared change of the flow summed over the image is `limit` or less.
+    /// Takes and returns the change of the latest iteration.
     pub fn run(&mut self, iterations: usize, limit: f64, mut change: f64) -> f64 {
         let mut left = iterations;
         while left > 0 {
@@ -70,7 +70,7 @@ impl Relaxation {
             let end = changes.iter().position(|change| *change <= limit);
             let done = end.map_or(together, |end| end + 1);
             if done < together {
-                self.advance(done); // from the same state, which `advance` leaves as it was
+                self.advance(done); // from the same state, which `advance` does not modify
             }
             std::mem::swap(&mut self.state, &mut self.next);
             change = changes[done - 1];
@@ -82,7 +82,7 @@ impl Relaxation {
         change
     }
 
-    /// How many iterations to group: few when the end is near, as those beyond it are in vain.
+    /// How many iterations to group: few near the end, since iterations past it are wasted.
     fn iterations_together(&self, limit: f64, change: f64) -> usize {
         let layout = &self.state.layout;
         let row = size_of::<f32>() * (layout.unknowns() + layout.data());
@@ -91,7 +91,7 @@ impl Relaxation {
         wanted.min(most)
     }
 
-    /// Writes into `next` the state after `iterations` more, and gives the squared change of each.
+    /// Writes the state after `iterations` more into `next`, and returns the squared change of each.
     fn advance(&mut self, iterations: usize) -> Vec<f64> {
         let layout = self.state.layout;
         let bands = BANDS_PER_THREAD * rayon::current_num_threads();
@@ -104,14 +104,14 @@ impl Relaxation {
                 Band::new(state, linearized, constants, iterations, start).run(out)
             })
             .collect();
-        // Row by row, whatever the bands.
+        // Summed row by row: independent of the bands.
         (0..iterations)
             .map(|i| changes.iter().flat_map(|rows| rows.iter().skip(i).step_by(iterations)).sum())
             .collect()
     }
 }
 
-/// A band of rows while several iterations go down it together.
+/// A band of rows while a group of iterations passes over it.
 struct Band<'a> {
     state: &'a State,
     linearized: &'a Linearized,
@@ -152,7 +152,7 @@ impl<'a> Band<'a> {
         }
     }
 
-    /// Writes the band's rows after all iterations into `out`. Gives, row by row, the squared change of each iteration.
+    /// Writes the band's rows after all iterations into `out`. Returns, row by row, the squared change of each iteration.
     fn run(mut self, out: &mut [f32]) -> Vec<f64> {
         let layout = self.state.layout;
         let end = self.start + out.len() / layout.unknowns();
@@ -160,7 +160,7 @@ impl<'a> Band<'a> {
         let last = (end + self.iterations).min(layout.height);
         let mut changes = vec![0.0; (end - self.start) * self.iterations];
         let rows = layout.unknowns();
-        // At step `y` iteration `i` finds the values of row `y - i` and the dual variables of the row above that.
+        // At step `y` iteration `i` computes the values of row `y - i` and the dual variables of the row above it.
         for y in first..last + self.iterations {
             if y < last {
                 let slot = y % self.capacity * rows;
@@ -192,7 +192,7 @@ impl<'a> Band<'a> {
         &self.rows[start..start + self.state.layout.stride]
     }
 
-    /// The values of row `y` from its data and dual variables. Gives their squared change.
+    /// Updates the values of row `y` from its data and dual variables. Returns their squared change.
     fn update_values(&mut self, y: usize, no_row_above: bool) -> f64 {
         let Layout { width, components, stride, .. } = self.state.layout;
         let [along, down, constant, inverse_square] = self.linearized.lines(y);
@@ -233,7 +233,7 @@ impl<'a> Band<'a> {
         lanes.iter().map(|lane| f64::from(*lane)).sum()
     }
 
-    /// The dual variables of row `y` from the values of it and the row below.
+    /// Updates the dual variables of row `y` from its values and those of the row below.
     fn update_duals(&mut self, y: usize, no_row_below: bool) {
         let Layout { width, components, stride, .. } = self.state.layout;
         let row_len = self.state.layout.unknowns();
@@ -261,11 +261,11 @@ fn two_rows(rows: &mut [f32], len: usize, written: usize, read: usize) -> (&mut 
     }
 }
 
-/// Sums of squared changes are kept apart for pixels that a vector holds side by side.
+/// Sums of squared changes are kept per vector lane.
 pub const LANES: usize = 16;
 
 multiversioned! {
-    /// Along the gradient of the residual, the step that takes it to zero or as near as the threshold allows.
+    /// The step along the gradient of the residual that brings it to zero, or as near as the threshold allows.
     fn find_pull(
         pull: &mut [f32],
         data: (&[f32], &[f32], &[f32], &[f32]),
@@ -292,7 +292,7 @@ multiversioned! {
 }
 
 multiversioned! {
-    /// One component's values: moved by the data term and by the divergence of the dual variable.
+    /// Updates one component's values by the data term and the divergence of the dual variable.
     fn move_values(
         values: &mut [f32],
         width: usize,
@@ -330,7 +330,7 @@ multiversioned! {
 }
 
 multiversioned! {
-    /// One component's dual variable: follows the gradient of the values, and stays within the unit circle.
+    /// Updates one component's dual variable by the gradient of the values, within the unit circle.
     fn move_duals(along: &mut [f32], down: &mut [f32], values: &[f32], below: &[f32], width: usize, step: f32) {
         let pixels = MARGIN..MARGIN + width;
         let (here, right) = (&values[pixels.clone()], &values[MARGIN + 1..MARGIN + 1 + width]);

@@ -1,20 +1,20 @@
-//! The unknowns and the data of one scale, row after row: all quantities of a row lie side by side, so that a band of
-//! rows is one piece of memory.
+//! The unknowns and the data of one scale, interleaved by row: all quantities of a row are contiguous, and so is a band of
+//! rows.
 
 use rayon::prelude::*;
 use srflow_field::Plane;
 
 use crate::planar::PlanarFlow;
 
-/// Numbers before a line's first pixel and after its last, so that neighbours can be read without asking where.
+/// Padding before a line's first pixel and after its last, so that reading neighbours needs no bounds checks.
 pub const MARGIN: usize = 8;
 
-/// How a scale's quantities lie in memory.
+/// The memory layout of a scale's quantities.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Layout {
     pub width: usize,
     pub height: usize,
-    /// Unknown functions: `u`, `v`, and the brightness change when that is estimated.
+    /// Unknown functions: `u`, `v`, and the brightness change when it is estimated.
     pub components: usize,
     /// Numbers from one line to the next.
     pub stride: usize,
@@ -26,18 +26,18 @@ impl Layout {
         Self { width, height, components: if brightness { 3 } else { 2 }, stride }
     }
 
-    /// Numbers of a row's unknowns: of each component its value and the two parts of its dual variable.
+    /// Numbers in a row's unknowns: for each component its value and the two parts of its dual variable.
     pub fn unknowns(&self) -> usize {
         3 * self.components * self.stride
     }
 
-    /// Numbers of a row's data.
+    /// Numbers in a row's data.
     pub fn data(&self) -> usize {
         4 * self.stride
     }
 }
 
-/// The lines of one row's unknowns. Lines hold [`MARGIN`] numbers before their first pixel.
+/// The lines of one row's unknowns. Each line starts with [`MARGIN`] numbers of padding.
 pub fn value_line(component: usize) -> usize {
     component
 }
@@ -55,7 +55,7 @@ pub struct State {
 }
 
 impl State {
-    /// The state that starts from a flow, with all dual variables zero.
+    /// The initial state: the given flow, with all dual variables zero.
     pub fn new(layout: Layout, flow: &PlanarFlow, brightness: Option<&Plane>) -> Self {
         let mut rows = vec![0.0; layout.unknowns() * layout.height];
         let planes = [Some(&flow.u), Some(&flow.v), brightness];
@@ -77,7 +77,7 @@ impl State {
         &self.row(y)[start..start + self.layout.width]
     }
 
-    /// The flow, and the brightness change when that is estimated.
+    /// The flow, and the brightness change when it is estimated.
     pub fn into_planes(self) -> (PlanarFlow, Option<Plane>) {
         let (width, height) = (self.layout.width, self.layout.height);
         let plane = |component: usize| {
@@ -96,7 +96,7 @@ impl State {
 #[derive(Debug, Clone)]
 pub struct Linearized {
     pub layout: Layout,
-    /// In each row the lines `x`, `y`, `constant` and `inverse_square`: that of the squared length of `(x, y)`.
+    /// Each row holds the lines `x`, `y`, `constant` and `inverse_square`, the inverse of the squared length of `(x, y)`.
     pub rows: Vec<f32>,
 }
 

@@ -6,13 +6,13 @@ use srflow_field::Plane;
 use super::state::{Linearized, MARGIN, State};
 use srflow_simd::multiversioned;
 
-/// Zeros around the frame: as far as the interpolation reaches from the last position that it distinguishes.
+/// Zeros around the frame: the reach of the interpolation at the outermost positions.
 const BORDER: usize = 4;
 
-/// Numbers per pixel: the frame, its derivatives along x and y, and one without meaning.
+/// Numbers per pixel: the frame, its derivatives along x and y, and one unused.
 const CHANNELS: usize = 4;
 
-/// A frame and its derivatives, ready to be interpolated anywhere; all are zero outside the frame.
+/// A frame and its derivatives, padded for interpolation; zero outside the frame.
 pub struct Warper {
     width: usize,
     height: usize,
@@ -55,14 +55,14 @@ impl Warper {
 }
 
 multiversioned! {
-    /// Interpolates row `y` of the warped frame and its derivatives.
+    /// Interpolates the warped frame and its derivatives at row `y`.
     fn warp_row(x_line: &mut [f32], y_line: &mut [f32], value: &mut [f32], warper: &Warper, y: usize, u: &[f32], v: &[f32]) {
         let row_len = (warper.width + 2 * BORDER) * CHANNELS;
         for x in 0..value.len() {
             let (at_x, at_y) = (x as f32 + u[x], y as f32 + v[x]);
             let (left, top) = (at_x.floor(), at_y.floor());
             let (across, down) = (cubic_weights(at_x - left), cubic_weights(at_y - top));
-            // Further out there is nothing but zeros.
+            // Farther out everything is zero.
             let left = left.clamp(-3.0, (warper.width + 1) as f32) as i32;
             let top = top.clamp(-3.0, (warper.height + 1) as f32) as i32;
             let mut sums = [0.0_f32; 4 * CHANNELS];
@@ -81,8 +81,8 @@ multiversioned! {
     }
 }
 
-/// Weights of the four pixels around a position `fraction` beyond the second of them: cubic convolution with
-/// `A = -0.75`, as OpenCV's `INTER_CUBIC`.
+/// Weights of the four pixels around a position `fraction` past the second of them: cubic convolution with `A = -0.75`, as
+/// OpenCV's `INTER_CUBIC`.
 #[inline(always)]
 pub fn cubic_weights(fraction: f32) -> [f32; 4] {
     const A: f32 = -0.75;
@@ -93,7 +93,7 @@ pub fn cubic_weights(fraction: f32) -> [f32; 4] {
     [outer, near, far, 1.0 - outer - near - far]
 }
 
-/// Stands for the inverse of zero: finite, so that nothing times it is still nothing.
+/// Replaces the inverse of zero: finite, so that zero times it is zero.
 pub const INVERSE_OF_NOTHING: f32 = 1e30;
 
 multiversioned! {

@@ -6,13 +6,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::{FileError, FileProblem};
 
-/// Extension of a file that is being written. One that lies about belongs to a process that was killed.
+/// Extension of a file being written. A leftover one belongs to a process that was killed.
 pub const PARTIAL_EXTENSION: &str = "partial";
 
-/// Writes a file so that under its name there is never half of it: into `.NAME.PROCESS-COUNT.partial` beside it, which
-/// takes the name when it is complete. When `write` fails, the partial file is removed and the old one stays.
+/// Writes a file atomically: into `.NAME.PROCESS-COUNT.partial` next to it, which is renamed when complete. When `write`
+/// fails, the partial file is removed and the old one stays.
 ///
-/// The rename is atomic for other processes and for a kill of this one; nothing is promised for a power cut.
+/// The rename is atomic for other processes and if this one is killed, but not for a power cut.
 ///
 /// # Errors
 /// When the folder cannot be written to, or with the error of `write`.
@@ -45,12 +45,12 @@ pub fn write_file(path: &Path, content: impl AsRef<[u8]>) -> Result<(), FileErro
     write_atomically(path, |file| file.write_all(content.as_ref()))
 }
 
-/// Makes a folder, and those above it that are missing. One that is there already is left as it is.
+/// Creates a folder and its missing parents. An existing one is left unchanged.
 ///
 /// # Errors
-/// When a file is in the way or the folder above cannot be written to.
+/// When a file has that name, or the parent folder is not writable.
 pub fn create_folder(path: &Path) -> Result<(), FileError> {
-    let advice = "give the path of a folder, or of one that can be made";
+    let advice = "give the path of a folder, or of one that can be created";
     let failed = |error| FileProblem::Place { doing: "making the folder", error, advice };
     fs::create_dir_all(path).map_err(|error| failed(error).in_file(path))
 }
@@ -62,7 +62,7 @@ fn fill(file: File, write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) 
 }
 
 fn partial_path(path: &Path) -> io::Result<PathBuf> {
-    static COUNT: AtomicU64 = AtomicU64::new(0); // keeps apart the threads of this process
+    static COUNT: AtomicU64 = AtomicU64::new(0); // distinguishes the threads of this process
     let name = path
         .file_name()
         .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "expected the name of a file"))?;

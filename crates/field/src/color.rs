@@ -1,7 +1,7 @@
-/// A colour as people type it: `white`, `black`, `#rrggbb`, or `R,G,B` of 0 to 255 each.
+/// Parses a colour: `white`, `black`, `#rrggbb`, or `R,G,B` of 0 to 255 each.
 ///
 /// # Errors
-/// When it is none of these; the message says what is expected.
+/// When it has none of these forms; the message lists them.
 pub fn parse_color(text: &str) -> Result<[u8; 3], String> {
     let hexadecimal = |digits: &str| {
         let six = digits.len() == 6 && digits.bytes().all(|digit| digit.is_ascii_hexdigit());

@@ -1,28 +1,28 @@
 use crate::{FlowField, Image, forward_interpolate};
 
-/// Anything that computes optical flow between two frames: a classical method or a network.
+/// A method that computes optical flow between two frames, classical or a network.
 pub trait FlowEstimator: Send + Sync {
-    /// The name that tables and `--method` use, e.g. `farneback`.
+    /// Name in tables and for `--method`, e.g. `farneback`.
     fn name(&self) -> &str;
 
-    /// Flow from `frame1` to `frame2`, of their size. Every pixel of the result is finite.
+    /// Flow from `frame1` to `frame2`, of the same size. Every pixel of the result is finite.
     ///
     /// # Errors
     /// When the frames differ in size or the method cannot work at that size.
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError>;
 
-    /// The flow of each of these pairs, all of one size. A method that can estimates them at once.
+    /// The flow of each pair; all pairs have one size. Methods that support batches estimate them at once.
     ///
     /// # Errors
-    /// As [`estimate`](Self::estimate), when one of the pairs has no flow.
+    /// As [`estimate`](Self::estimate), when any of the pairs fails.
     fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
         pairs.iter().map(|[frame1, frame2]| self.estimate(frame1, frame2)).collect()
     }
 
-    /// Like [`estimate`](Self::estimate), starting from a flow that is already about right, of the frames' size.
+    /// Like [`estimate`](Self::estimate), starting from an initial flow of the frames' size.
     ///
     /// # Errors
-    /// Beside those of `estimate`, when the method cannot start from a flow.
+    /// Those of `estimate`, and when the method cannot start from a flow.
     fn estimate_from(
         &self,
         _frame1: &Image,
@@ -35,20 +35,20 @@ pub trait FlowEstimator: Send + Sync {
         })
     }
 
-    /// Flow along a video. With `warm_start` a pair starts from the flow of the pair before it, moved along itself
+    /// Flow along a video. With `warm_start` a pair starts from the flow of the previous one, projected forward
     /// ([`forward_interpolate`]).
     fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {
         Box::new(PairByPair { estimator: self, warm_start, last: None, flow: None })
     }
 }
 
-/// A video, estimated as its frames come. What a method computes of a frame alone, it need not compute twice.
+/// A video, estimated frame by frame. Methods can reuse what they computed from a single frame.
 pub trait FlowSequence {
-    /// The next frames, and the flow to each of them from the one before it. The first frame of the video has none before
-    /// it and gives none. A method that can estimates these pairs at once.
+    /// Adds the next frames, and returns the flow to each of them from the previous one. The first frame of the video has no
+    /// previous one and returns none. Methods that support batches estimate the pairs at once.
     ///
     /// # Errors
-    /// As [`FlowEstimator::estimate`]. A sequence that gave an error goes on from wherever it was.
+    /// As [`FlowEstimator::estimate`]. After an error the sequence can be continued.
     fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError>;
 }
 
@@ -84,7 +84,7 @@ impl<E: FlowEstimator + ?Sized> FlowSequence for PairByPair<'_, E> {
     }
 }
 
-/// Why a [`FlowEstimator`] gave no flow.
+/// Why a [`FlowEstimator`] failed.
 #[derive(Debug, thiserror::Error)]
 pub enum EstimateError {
     /// The two frames differ in size.
@@ -95,12 +95,12 @@ pub enum EstimateError {
         /// Width and height of the second frame.
         second: (usize, usize),
     },
-    /// The method cannot work on these frames or with these parameters.
+    /// The method cannot handle these frames or parameters.
     #[error("{method}: {reason}")]
     Unsupported {
         /// Name of the method.
         method: String,
-        /// What is wrong and what to do.
+        /// What is wrong, and what to do.
         reason: String,
     },
 }

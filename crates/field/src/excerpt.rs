@@ -1,12 +1,12 @@
-//! Text that comes from files and names, made safe to show.
+//! Makes untrusted text from files and names safe to display.
 
 use std::borrow::Cow;
 
-/// The most characters of a file's text that a message shows.
+/// Maximum number of characters of a file's text in a message.
 const LONGEST: usize = 240;
 
-/// Text from a file as one line of a message shows it: what steers a terminal, breaks the line, or hides or reorders
-/// text is escaped (`\u{1b}`), and what is long is cut (`...`).
+/// Text from a file, for one line of a message: control characters, line breaks, and characters that hide or reorder text are
+/// escaped (`\u{1b}`), and long text is truncated (`...`).
 pub fn excerpt(text: &str) -> String {
     let mut shown = String::new();
     let mut chars = text.chars();
@@ -25,7 +25,7 @@ pub fn excerpt(text: &str) -> String {
     shown
 }
 
-/// Up to `most` of some names as a message lists them: each as [`excerpt`] shows it, and how many more there are.
+/// Up to `most` names for a message, each as by [`excerpt`], and the number of the rest.
 pub fn excerpts<'a>(names: impl IntoIterator<Item = &'a str>, most: usize) -> String {
     let mut names = names.into_iter();
     let shown: Vec<String> = names.by_ref().take(most).map(excerpt).collect();
@@ -35,7 +35,7 @@ pub fn excerpts<'a>(names: impl IntoIterator<Item = &'a str>, most: usize) -> St
     }
 }
 
-/// Whole text as a terminal may get it: as [`excerpt`] escapes, but lines and tabs stay and nothing is cut.
+/// Text for a terminal: escaped as by [`excerpt`], but with line breaks and tabs, and never truncated.
 pub fn printable(text: &str) -> Cow<'_, str> {
     let steers = |c: char| is_unprintable(c) && !matches!(c, '\n' | '\t');
     if !text.contains(steers) {
@@ -48,8 +48,8 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     Cow::Owned(shown)
 }
 
-/// Control characters, line and paragraph separators, and Unicode's invisible ones: marks that reorder text
-/// (<https://trojansource.codes>), take no width, or carry hidden text.
+/// Control characters, line and paragraph separators, and Unicode's invisible ones: bidirectional marks
+/// (<https://trojansource.codes>), zero-width characters, and tag characters.
 pub fn is_unprintable(c: char) -> bool {
     c.is_control()
         || matches!(

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 
 use crate::{excerpt, printable};
 
-/// Why a file could not be read or written: which file, which of its fields, what was expected and what was found.
+/// Why a file could not be read or written: the file, the field, what was expected, and what was found.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {problem}", printable(&.path.to_string_lossy()))]
 pub struct FileError {
@@ -12,41 +12,41 @@ pub struct FileError {
 }
 
 impl FileError {
-    /// Whether there is no such file.
+    /// Whether the file does not exist.
     pub fn is_not_found(&self) -> bool {
         matches!(&self.problem, FileProblem::Io { error, .. } if error.kind() == io::ErrorKind::NotFound)
     }
 }
 
-/// What is wrong with a file; see [`FileError`].
+/// The problem of a file; see [`FileError`].
 #[derive(Debug, thiserror::Error)]
 pub enum FileProblem {
-    /// The operating system refused.
+    /// The operating system reported an error.
     #[error("{doing}: {error}{}", advice(.error))]
     Io {
-        /// What was being done, e.g. `opening`.
+        /// The operation, e.g. `opening`.
         doing: &'static str,
         error: io::Error,
     },
-    /// The operating system refused to put something there.
+    /// The operating system reported an error for an output path.
     #[error("{doing}: {error}; {advice}")]
     Place {
-        /// What was being done, e.g. `creating`.
+        /// The operation, e.g. `creating`.
         doing: &'static str,
         error: io::Error,
-        /// What path to give instead.
+        /// Advice on the path.
         advice: &'static str,
     },
-    /// A field of the file does not hold what it must.
+    /// A field of the file has an unexpected value.
     #[error("{field}: expected {expected}, found {}", excerpt(.found))]
     Field {
         /// Name of the field, e.g. `magic` or `file size`.
         field: &'static str,
-        /// What the field must hold, and what to do when it does not.
+        /// The expected value, and advice.
         expected: String,
         found: String,
     },
-    /// The value of one pixel cannot stand in the file.
+    /// The format cannot represent the value of a pixel.
     #[error("pixel ({x}, {y}): expected {expected}, found {found}")]
     Pixel {
         /// Column and row.
@@ -57,7 +57,7 @@ pub enum FileProblem {
     },
 }
 
-/// What to do about what the system says, where it does not go without saying.
+/// Advice for an operating system error, if it is not obvious.
 fn advice(error: &io::Error) -> &'static str {
     match error.kind() {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
@@ -76,7 +76,7 @@ impl FileProblem {
         Self::Io { doing: "reading", error }
     }
 
-    /// The same problem, with the file's name.
+    /// Adds the file's name.
     pub(crate) fn in_file(self, path: &Path) -> FileError {
         FileError { path: path.to_owned(), problem: self }
     }

@@ -2,15 +2,15 @@ use rayon::prelude::*;
 
 use crate::{FlowField, Image};
 
-/// A flow as a picture: the direction is the hue, the length the saturation, white is no motion. `max` is the length in
-/// pixels that has full saturation, longer flow is darker; without it (or when it is not positive) it is the longest
-/// flow of the picture. Unknown pixels are black.
+/// A flow as a picture: hue is direction, saturation is length, white is zero flow. `max` is the length in pixels with full
+/// saturation, and longer flow is darker; by default (or if not positive) it is the longest flow of the picture. Unknown
+/// pixels are black.
 ///
 /// The colours are those of Middlebury (Baker et al., IJCV 2011; `colorcode.cpp`), as the Python package `flow_vis` 0.1
 /// computes them.
 pub fn flow_colors(flow: &FlowField, max: Option<f32>) -> Image {
     let max = max.filter(|max| *max > 0.0).unwrap_or_else(|| longest_flow(flow));
-    let scale = max + 1e-5; // keeps the longest flow from rounding to more than the maximum
+    let scale = max + 1e-5; // keeps the longest flow from rounding above the maximum
     let wheel = wheel();
     let mut image = Image::new(flow.width(), flow.height());
     image.pixels_mut().par_iter_mut().zip(flow.pixels()).with_min_len(4096).for_each(|(color, [u, v])| {
@@ -21,7 +21,7 @@ pub fn flow_colors(flow: &FlowField, max: Option<f32>) -> Image {
     image
 }
 
-/// Length of the longest known flow in pixels; 0 when none is known.
+/// Length of the longest known flow in pixels; 0 if none is known.
 pub fn longest_flow(flow: &FlowField) -> f32 {
     flow.pixels().iter().map(length).filter(|length| length.is_finite()).fold(0.0, f32::max)
 }
@@ -30,7 +30,7 @@ fn length([u, v]: &[f32; 2]) -> f32 {
     (u * u + v * v).sqrt()
 }
 
-/// Steps from red to yellow, green, cyan, blue, magenta and back to red, as many as the eye tells apart.
+/// Steps from red to yellow, green, cyan, blue, magenta and back to red, perceptually spaced.
 const STEPS: [usize; 6] = [15, 6, 4, 11, 13, 6];
 const WHEEL_LEN: usize = 55;
 
@@ -60,7 +60,7 @@ fn wheel() -> [[f64; 3]; WHEEL_LEN] {
 fn color_of(wheel: &[[f64; 3]; WHEEL_LEN], [u, v]: [f32; 2]) -> [u8; 3] {
     let radius = f64::from(length(&[u, v]));
     if radius == 0.0 {
-        return [255; 3]; // what the rest gives, without the arctangent: much of a picture does not move
+        return [255; 3]; // the same result without the arctangent: many pixels are static
     }
     let turn = libm::atan2f(-v, -u) / std::f32::consts::PI;
     let place = (turn + 1.0) / 2.0 * (WHEEL_LEN - 1) as f32;

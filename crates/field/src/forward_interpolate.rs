@@ -2,9 +2,9 @@ use rayon::prelude::*;
 
 use crate::FlowField;
 
-/// A flow moved along itself: what the flow of the next pair of frames is if everything moves on as it did. A pixel of the
-/// result takes the vector whose head is nearest to it, the first in row-major order where several are; vectors whose head
-/// leaves the frame count for nothing. Where none is left, the flow is zero.
+/// Projects a flow forward: the flow of the next pair if all motion continues unchanged. A pixel of the result takes the vector
+/// whose end point is nearest to it, the first in row-major order if several are; vectors that leave the frame are ignored. If
+/// none is left, the flow is zero.
 ///
 /// This is the warm start of RAFT (Teed and Deng, ECCV 2020, section 3.3; `forward_interpolate` of `core/utils/utils.py`).
 pub fn forward_interpolate(flow: &FlowField) -> FlowField {
@@ -32,7 +32,7 @@ pub fn forward_interpolate(flow: &FlowField) -> FlowField {
     moved
 }
 
-/// Where the vector of a pixel ends.
+/// End point of a pixel's vector.
 #[derive(Debug, Clone, Copy)]
 struct Arrival {
     head: [f32; 2],
@@ -40,7 +40,7 @@ struct Arrival {
     source: usize,
 }
 
-/// Makes a k-d tree: the middle element parts the rest along `axis`, and so on in both halves along the other axis.
+/// Builds a k-d tree: the middle element splits the rest along `axis`, and so on in both halves along the other axis.
 fn sort_as_tree(arrivals: &mut [Arrival], axis: usize) {
     if arrivals.len() < 2 {
         return;
@@ -51,7 +51,7 @@ fn sort_as_tree(arrivals: &mut [Arrival], axis: usize) {
     rayon::join(|| sort_as_tree(before, 1 - axis), || sort_as_tree(&mut rest[1..], 1 - axis));
 }
 
-/// The source of the arrival nearest to `place`. `tree` is not empty.
+/// The source of the arrival nearest to `place`. `tree` must not be empty.
 fn nearest(tree: &[Arrival], place: [f32; 2]) -> usize {
     let mut best = (f32::INFINITY, usize::MAX);
     search(tree, 0, place, &mut best);
@@ -86,7 +86,7 @@ mod tests {
         assert_eq!(forward_interpolate(&flow), flow);
     }
 
-    /// A block of 3 x 3 moves right by 4 over a background at rest.
+    /// A block of 3 x 3 moves right by 4 over a static background.
     #[test]
     fn a_moving_block_is_found_where_it_went() {
         let block = |x: usize, y: usize| (2..5).contains(&x) && (2..5).contains(&y);
@@ -107,7 +107,7 @@ mod tests {
         assert_eq!(forward_interpolate(&FlowField::new(0, 0)).size(), (0, 0));
     }
 
-    /// The definition, tried on every pixel: the reference leaves to chance which of two equally near heads it takes.
+    /// The definition by brute force: the reference does not specify which of two equally near end points it takes.
     #[test]
     fn the_nearest_head_is_the_nearest() {
         for seed in 0..20 {
@@ -115,7 +115,7 @@ mod tests {
             let (width, height) = (5 + seed as usize, 17);
             let flow = FlowField::from_fn(width, height, |_, _| {
                 let [u, v] = [(); 2].map(|()| random.uniform(-12.0, 12.0));
-                // Halves make ties and heads on the frame's border.
+                // Half-pixel vectors create ties, and end points on the frame's border.
                 [u, v].map(|side| (side * 2.0).round() / 2.0)
             });
             let moved = forward_interpolate(&flow);

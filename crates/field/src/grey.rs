@@ -1,6 +1,6 @@
-//! Grey of a colour as OpenCV and Pillow compute it: both are Rec. 601 luma in fixed point, and differ by a level now and
-//! then. (OpenCV's `imread(..., IMREAD_GRAYSCALE)` takes the decoder's own grey instead, which may differ by a level from
-//! its `cvtColor`.)
+//! Conversion to grey as in OpenCV and Pillow: both compute Rec. 601 luma in fixed point, and sometimes differ by one level.
+//! (OpenCV's `imread(..., IMREAD_GRAYSCALE)` uses the decoder's own grey instead, which may differ by a level from its
+//! `cvtColor`.)
 
 use crate::{Image, Plane};
 
@@ -15,7 +15,7 @@ pub fn pillow_grey([r, g, b]: [u8; 3]) -> u8 {
     ((u32::from(r) * 19_595 + u32::from(g) * 38_470 + u32::from(b) * 7_471 + 0x8000) >> 16) as u8
 }
 
-/// [`opencv_grey`] of every pixel, whole numbers in `0..=255`.
+/// [`opencv_grey`] of every pixel, integers in `0..=255`.
 pub fn luminance(image: &Image) -> Plane {
     let mut plane = Plane::new(image.width(), image.height());
     for (out, pixel) in plane.pixels_mut().iter_mut().zip(image.pixels()) {

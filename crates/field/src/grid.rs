@@ -1,6 +1,6 @@
-/// A pixel buffer whose length does not fit its size.
+/// The length of a pixel buffer does not match its size.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{width}x{height} needs {expected} pixels, the buffer holds {found}")]
+#[error("{width}x{height} needs {expected} pixels, the buffer has {found}")]
 pub struct SizeError {
     /// Claimed width.
     pub width: usize,
@@ -12,15 +12,15 @@ pub struct SizeError {
     pub found: usize,
 }
 
-/// Two grids that must be of one size are not.
+/// Two grids that must have the same size do not.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{first_name} is {}x{} and {second_name} {}x{} (WIDTHxHEIGHT): they must be of one size", .first.0, .first.1, .second.0, .second.1)]
+#[error("{first_name} is {}x{} and {second_name} {}x{} (WIDTHxHEIGHT): they must have the same size", .first.0, .first.1, .second.0, .second.1)]
 pub struct SizeMismatch {
-    /// What the first is, e.g. `the prediction`.
+    /// Name of the first, e.g. `the prediction`.
     pub first_name: &'static str,
     /// Width and height of the first.
     pub first: (usize, usize),
-    /// What the second is.
+    /// Name of the second.
     pub second_name: &'static str,
     /// Width and height of the second.
     pub second: (usize, usize),
@@ -56,10 +56,10 @@ macro_rules! grid {
                 Self { width, height, pixels: vec![value; width * height] }
             }
 
-            /// Takes a row-major buffer.
+            /// Wraps a row-major buffer.
             ///
             /// # Errors
-            /// When the buffer does not hold `width * height` pixels.
+            /// When the buffer does not have `width * height` pixels.
             pub fn from_pixels(width: usize, height: usize, pixels: Vec<$pixel>) -> Result<Self, SizeError> {
                 let expected = width.saturating_mul(height);
                 if pixels.len() != expected {
@@ -68,7 +68,7 @@ macro_rules! grid {
                 Ok(Self { width, height, pixels })
             }
 
-            /// A row-major buffer that was made for this size.
+            /// Wraps a row-major buffer of matching length.
             pub(crate) fn from_buffer(width: usize, height: usize, pixels: Vec<$pixel>) -> Self {
                 debug_assert_eq!(pixels.len(), width * height);
                 Self { width, height, pixels }
@@ -100,19 +100,19 @@ macro_rules! grid {
                 (self.width, self.height)
             }
 
-            /// The pixel of column `x` and row `y`. Panics when outside, as slices do.
+            /// The pixel at column `x` and row `y`. Panics when out of range, like slices.
             pub fn get(&self, x: usize, y: usize) -> $pixel {
                 assert!(x < self.width, "column {x} of {}", self.width);
                 self.pixels[y * self.width + x]
             }
 
-            /// Sets the pixel of column `x` and row `y`. Panics when outside, as slices do.
+            /// Sets the pixel at column `x` and row `y`. Panics when out of range, like slices.
             pub fn set(&mut self, x: usize, y: usize, value: $pixel) {
                 assert!(x < self.width, "column {x} of {}", self.width);
                 self.pixels[y * self.width + x] = value;
             }
 
-            /// Row `y`. Panics when outside, as slices do.
+            /// Row `y`. Panics when out of range, like slices.
             pub fn row(&self, y: usize) -> &[$pixel] {
                 &self.pixels[y * self.width..(y + 1) * self.width]
             }
@@ -133,7 +133,7 @@ macro_rules! grid {
             }
 
             /// The rectangle of `width` by `height` whose top left pixel is `(left, top)`.
-            /// Panics when it does not lie inside.
+            /// Panics when it is not inside.
             pub fn crop(&self, left: usize, top: usize, width: usize, height: usize) -> Self {
                 assert!(left + width <= self.width && top + height <= self.height, "crop outside the image");
                 let mut pixels = Vec::with_capacity(width * height);
@@ -147,26 +147,25 @@ macro_rules! grid {
 }
 
 grid! {
-    /// An sRGB image, 8 bits a channel, `H x W x 3`.
+    /// An sRGB image, 8 bits per channel, `H x W x 3`.
     Image, [u8; 3], [0; 3]
 }
 grid! {
-    /// One `f32` a pixel, `H x W`: luminance, alpha, depth.
+    /// One `f32` per pixel, `H x W`: luminance, alpha, depth.
     Plane, f32, 0.0
 }
 grid! {
-    /// One truth value a pixel, `H x W`. A mask of the head is `true` on the head.
+    /// One boolean per pixel, `H x W`. A mask of the head is `true` on the head.
     Mask, bool, false
 }
 grid! {
-    /// Optical flow, `H x W x 2` in pixels: `[u, v]`, `u` to the right, `v` down, from frame 1 to frame 2, stored at
-    /// frame 1's pixel. A pixel whose flow is unknown (no ground truth there) holds NaN in both components; every
-    /// other value is finite.
+    /// Optical flow, `H x W x 2` in pixels: `[u, v]`, `u` to the right, `v` down, from frame 1 to frame 2, stored at frame 1's
+    /// pixel. A pixel with unknown flow (no ground truth) is NaN in both components; all other values are finite.
     FlowField, [f32; 2], [0.0; 2]
 }
 
 impl FlowField {
-    /// Whether the flow of column `x` and row `y` is known.
+    /// Whether the flow at column `x` and row `y` is known.
     pub fn is_known(&self, x: usize, y: usize) -> bool {
         let [u, v] = self.get(x, y);
         u.is_finite() && v.is_finite()

@@ -8,14 +8,14 @@ use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 use crate::codec::{MAX_PIXELS, PngOutline, check_size, read_all, read_with};
 use crate::{FileError, FileKind, FileProblem, Image, Mask, write_atomically};
 
-/// Extensions, in lower case, of the files that [`read_image`] takes.
+/// File extensions of [`read_image`], in lower case.
 pub const IMAGE_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "ppm", "pgm", "pnm", "bmp"];
 
-/// Reads a PNG, JPEG, PPM/PGM or BMP file; its first bytes say which it is. 16-bit channels are rounded to 8 bits, grey
-/// becomes three equal channels, alpha is dropped.
+/// Reads a PNG, JPEG, PPM/PGM or BMP file, detected by its first bytes. 16-bit channels are rounded to 8 bits, grey becomes
+/// three equal channels, alpha is dropped.
 ///
 /// # Errors
-/// When the file cannot be read, is of another format, or is broken.
+/// When the file cannot be read, has another format, or is corrupt.
 pub fn read_image(path: &Path) -> Result<Image, FileError> {
     read_with(path, FileKind::Image, |reader, len| {
         let pixels = decode(&read_all(reader, len)?)?.into_rgb8();
@@ -27,7 +27,7 @@ pub fn read_image(path: &Path) -> Result<Image, FileError> {
 /// Width and height of an image file, from its header alone.
 ///
 /// # Errors
-/// When the file cannot be read, is of another format, or its header is broken.
+/// When the file cannot be read, has another format, or its header is corrupt.
 pub fn read_image_size(path: &Path) -> Result<(usize, usize), FileError> {
     read_with(path, FileKind::Image, |reader, _| {
         let mut start = [0; 64];
@@ -44,7 +44,7 @@ pub fn read_image_size(path: &Path) -> Result<(usize, usize), FileError> {
     })
 }
 
-/// Reads a mask from an image of any format that [`read_image`] takes: `true` where the luminance is over 127.
+/// Reads a mask from an image in any format of [`read_image`]: `true` where the luminance is over 127.
 ///
 /// # Errors
 /// As [`read_image`].
@@ -56,7 +56,7 @@ pub fn read_mask(path: &Path) -> Result<Mask, FileError> {
     })
 }
 
-/// Writes an image as PNG, quickly rather than small, whole or not at all (see [`write_atomically`]).
+/// Writes an image as PNG with fast compression, whole or not at all (see [`write_atomically`]).
 ///
 /// # Errors
 /// When the file cannot be written.
@@ -92,7 +92,7 @@ fn encode_png(
     Ok(())
 }
 
-/// What the first bytes of a file say.
+/// The format detected from the first bytes.
 fn format_of(start: &[u8]) -> Result<ImageFormat, FileProblem> {
     match image::guess_format(start).ok() {
         Some(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::Pnm | ImageFormat::Bmp)) => {
@@ -106,7 +106,7 @@ fn format_of(start: &[u8]) -> Result<ImageFormat, FileProblem> {
 }
 
 fn broken(format: ImageFormat, error: image::ImageError) -> FileProblem {
-    FileProblem::field("image", format!("a sound {} file", name(format)), error.to_string())
+    FileProblem::field("image", format!("a valid {} file", name(format)), error.to_string())
 }
 
 fn decode(bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
@@ -119,7 +119,7 @@ fn decode(bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
     }
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut limits = Limits::default();
-    limits.max_alloc = Some(12 * MAX_PIXELS); // 16-bit RGBA and the decoder's own rows
+    limits.max_alloc = Some(12 * MAX_PIXELS); // 16-bit RGBA and the decoder's row buffers
     reader.limits(limits);
     let decoder = reader.into_decoder().map_err(broken)?;
     let (width, height) = decoder.dimensions();
@@ -127,18 +127,18 @@ fn decode(bytes: &[u8]) -> Result<DynamicImage, FileProblem> {
     DynamicImage::from_decoder(decoder).map_err(broken)
 }
 
-/// The decoder fills what is missing of a JPEG with grey, as its peers do; here a file cut short is an error.
+/// The decoder fills missing parts of a JPEG with grey, like others do; here a truncated file is an error.
 fn check_end_of_jpeg(bytes: &[u8]) -> Result<(), FileProblem> {
     const START_OF_SCAN: u8 = 0xda;
     const END_OF_IMAGE: u8 = 0xd9;
-    // Inside a scan a byte 0xff is always escaped, so that the last of these markers is the true one.
+    // Inside a scan a byte 0xff is always escaped, so the last of these markers is the real one.
     let last = bytes
         .windows(2)
         .rev()
         .find(|pair| pair[0] == 0xff && matches!(pair[1], START_OF_SCAN | END_OF_IMAGE));
     match last {
         Some([_, END_OF_IMAGE]) => Ok(()),
-        _ => Err(FileProblem::field("end of image", "the marker ff d9", "none: the file is cut short")),
+        _ => Err(FileProblem::field("end of image", "the marker ff d9", "none: the file is truncated")),
     }
 }
 

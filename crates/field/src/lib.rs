@@ -1,6 +1,6 @@
-//! Flow fields, images and masks, and what can be said of them without knowing how they were made.
+//! Flow fields, images and masks: files, colours, warping, resizing and metrics.
 //!
-//! Conventions, kept by every crate of the workspace: arrays are row-major; an integer coordinate is the centre
+//! Conventions of every crate of the workspace: arrays are row-major; an integer coordinate is the centre
 //! of a pixel; flow is in pixels, `u` to the right and `v` down, from frame 1 to frame 2, stored at frame 1's pixel.
 
 mod atomic_write;

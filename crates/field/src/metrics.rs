@@ -2,13 +2,13 @@ use rayon::prelude::*;
 
 use crate::{FlowField, Mask, SizeMismatch, check_same_size};
 
-/// Components of the truth from this on are not scored: `max_flow` of ptlflow 0.4.2 (`ptlflow/data/datasets.py`,
-/// `_get_flows_and_valids`).
+/// Ground truth with a component of this size or more is not scored: `max_flow` of ptlflow 0.4.2
+/// (`ptlflow/data/datasets.py`, `_get_flows_and_valids`).
 pub const MAX_SCORED_FLOW: f32 = 10_000.0;
 
-/// How near a predicted flow is to the truth, over the valid pixels of one image or averaged over images.
+/// Accuracy of a predicted flow over the valid pixels of one image, or averaged over images.
 ///
-/// The definitions are those of ptlflow 0.4.2 (`ptlflow/utils/flow_metrics.py`), the ones of the SRFlow paper.
+/// The definitions are those of ptlflow 0.4.2 (`ptlflow/utils/flow_metrics.py`), which the SRFlow paper uses.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Metrics {
     /// Mean end-point error in pixels.
@@ -24,17 +24,17 @@ pub struct Metrics {
     /// Weighted area under the curve, `0..=100` (Mehl et al., *Spring*, CVPR 2023): the percentages of pixels whose error
     /// is at most 0.05, 0.10, ... 5 pixels, averaged with weights 1, 0.99, ... 0.01.
     pub wauc: f64,
-    /// How many pixels were scored.
+    /// Number of scored pixels.
     pub valid_pixels: u64,
 }
 
 /// Why a prediction could not be scored.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ScoreError {
-    /// Prediction, truth and mask differ in size.
+    /// Prediction, ground truth and mask differ in size.
     #[error(transparent)]
     Size(#[from] SizeMismatch),
-    /// The prediction is unknown or infinite where the truth is known.
+    /// The prediction is unknown or infinite where the ground truth is known.
     #[error(
         "the prediction at pixel ({x}, {y}) is ({u}, {v}): expected finite numbers wherever the truth is known"
     )]
@@ -43,15 +43,15 @@ pub enum ScoreError {
         x: usize,
         /// Row.
         y: usize,
-        /// What was predicted.
+        /// Predicted flow, pixels.
         u: f32,
-        /// What was predicted.
+        /// Predicted flow, pixels.
         v: f32,
     },
 }
 
-/// Scores one prediction over the valid pixels: those whose true flow is known and under [`MAX_SCORED_FLOW`] in both
-/// components, and that lie inside `mask` when there is one. `None` when there is no such pixel: nothing can be said.
+/// Scores one prediction over the valid pixels: those with known true flow under [`MAX_SCORED_FLOW`] in both components, and
+/// inside `mask` if there is one. `None` if there is no such pixel.
 ///
 /// The result does not depend on the number of threads.
 ///
@@ -66,7 +66,7 @@ pub fn score(
     if let Some(mask) = mask {
         check_same_size("the mask", mask.size(), "the truth", truth.size())?;
     }
-    // Blocks of a fixed size, added in order: the sum is the same for any number of threads.
+    // Blocks of a fixed size, added in order: the sum does not depend on the number of threads.
     const BLOCK: usize = 1 << 15;
     let inside = |index: usize| mask.is_none_or(|mask| mask.pixels()[index]);
     let blocks: Vec<Tally> = prediction
@@ -100,7 +100,7 @@ fn first_not_finite(prediction: &FlowField, truth: &FlowField, inside: impl Fn(u
     let culprit = pixels.find(|(index, (prediction, truth))| {
         is_valid(**truth) && inside(*index) && !end_point_error(**prediction, **truth).is_finite()
     });
-    // There is one: a sum of finite errors is finite in f64.
+    // `valid` is not zero, and a sum of finite errors is finite in f64.
     let (index, [u, v]) = culprit.map_or((0, [f32::NAN; 2]), |(index, (prediction, _))| (index, *prediction));
     ScoreError::NotFinite { x: index % prediction.width(), y: index / prediction.width(), u, v }
 }
@@ -108,7 +108,7 @@ fn first_not_finite(prediction: &FlowField, truth: &FlowField, inside: impl Fn(u
 /// The thresholds of WAUC.
 const WAUC_STEPS: usize = 100;
 
-/// What is counted over pixels.
+/// Sums over pixels.
 #[derive(Clone)]
 struct Tally {
     pixels: u64,
@@ -117,7 +117,7 @@ struct Tally {
     under_3: u64,
     under_5: u64,
     outliers: u64,
-    /// At `i - 1`: pixels whose smallest threshold of WAUC that holds them is the `i`th; at the end, those beyond all.
+    /// At `i - 1`: number of pixels whose smallest reached threshold of WAUC is the `i`th; at the end, those beyond all.
     wauc_steps: [u64; WAUC_STEPS + 1],
 }
 
@@ -136,7 +136,7 @@ impl Default for Tally {
 }
 
 impl Tally {
-    /// Errors and comparisons are in `f32`, as in the reference, so that a pixel on a threshold falls on the same side.
+    /// Errors and comparisons are in `f32`, as in the reference, so that a pixel at a threshold falls on the same side.
     fn add(&mut self, prediction: [f32; 2], truth: [f32; 2]) {
         let epe = end_point_error(prediction, truth);
         self.pixels += 1;
@@ -166,7 +166,7 @@ impl Tally {
             return None;
         }
         let pixels = self.pixels as f64;
-        // Weights are counted in hundredths: whole numbers, so that a perfect prediction scores 100 exactly.
+        // Weights are integer hundredths, so that a perfect prediction scores exactly 100.
         let (mut within, mut area, mut weights) = (0, 0, 0);
         for (step, count) in self.wauc_steps[..WAUC_STEPS].iter().enumerate() {
             let weight = (WAUC_STEPS - step) as u64;
@@ -194,18 +194,18 @@ fn length([u, v]: [f32; 2]) -> f32 {
     (u * u + v * v).sqrt()
 }
 
-/// Index of the smallest threshold (1/20, 2/20, ... 100/20 pixels) that is not under `epe`; [`WAUC_STEPS`] beyond.
+/// Index of the smallest threshold (1/20, 2/20, ... 100/20 pixels) that is not below `epe`; [`WAUC_STEPS`] if none.
 fn wauc_step(epe: f32) -> usize {
     let threshold = |step: usize| ((step + 1) as f64 / 20.0) as f32;
     let guess = (epe * 20.0) as usize; // NaN gives 0, infinity the largest
-    // The product is rounded: the true step is the guess or one of its neighbours.
+    // The product is rounded: the exact step is the guess or one of its neighbours.
     let first = guess.saturating_sub(1).min(WAUC_STEPS);
     (first..WAUC_STEPS).find(|step| epe <= threshold(*step)).unwrap_or(WAUC_STEPS)
 }
 
-/// The mean of [`Metrics`] over images, each image with the same weight.
+/// The mean of [`Metrics`] over images, all with equal weight.
 ///
-/// An image without a valid pixel has no metrics: it takes no part in the mean and is counted apart.
+/// An image without valid pixels has no metrics: it does not enter the mean and is counted separately.
 #[derive(Debug, Clone, Default)]
 pub struct MeanMetrics {
     sums: [f64; 6],
@@ -215,7 +215,7 @@ pub struct MeanMetrics {
 }
 
 impl MeanMetrics {
-    /// Adds what [`score`] gave for one image.
+    /// Adds the result of [`score`] for one image.
     pub fn add(&mut self, image: Option<&Metrics>) {
         let Some(image) = image else {
             self.images_without_valid_pixels += 1;
@@ -229,7 +229,7 @@ impl MeanMetrics {
         self.images += 1;
     }
 
-    /// The mean; `valid_pixels` is the sum. `None` before the first image with a valid pixel.
+    /// The mean, with the sum of `valid_pixels`. `None` before the first image with a valid pixel.
     pub fn mean(&self) -> Option<Metrics> {
         if self.images == 0 {
             return None;
@@ -238,12 +238,12 @@ impl MeanMetrics {
         Some(Metrics { epe, px1, px3, px5, f1_all, wauc, valid_pixels: self.valid_pixels })
     }
 
-    /// How many images the mean is over.
+    /// Number of images in the mean.
     pub fn images(&self) -> usize {
         self.images
     }
 
-    /// How many images had no valid pixel.
+    /// Number of images without valid pixels.
     pub fn images_without_valid_pixels(&self) -> usize {
         self.images_without_valid_pixels
     }

@@ -1,4 +1,4 @@
-//! Files from outside, opened for reading: regular files alone, of a size that fits what they should be.
+//! Opens untrusted files for reading: only regular files, with a size limit per kind.
 
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::Read;
@@ -6,13 +6,13 @@ use std::path::Path;
 
 use crate::{FileError, FileProblem};
 
-/// What a file should be, which bounds its size.
+/// The kind of a file, which limits its size.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FileKind {
     /// PNG, JPEG, PPM or BMP.
     Image,
     Flow,
-    /// Numbers of any shape, as NumPy keeps them.
+    /// NumPy arrays of any shape.
     Array,
     /// 3D Gaussians.
     Splats,
@@ -21,25 +21,25 @@ pub enum FileKind {
     /// CSV, or lists of splits.
     Table,
     Spreadsheet,
-    /// What people write by hand: configurations, cameras.
+    /// Files written by hand: configurations, cameras.
     Settings,
-    /// What programs write as JSON: manifests, records, results.
+    /// JSON written by programs: manifests, records, results.
     Json,
-    /// A log of JSON lines.
+    /// A JSON Lines log.
     Log,
-    /// Weights of a network or the state of a training.
+    /// Network weights or training state.
     Checkpoint,
-    /// Handed to another program, which reads it piece by piece: of any size.
+    /// A video, which another program reads piece by piece: unlimited.
     Video,
 }
 
 impl FileKind {
-    /// What messages call it, and the most bytes it may have.
+    /// Name in messages, and maximum size in bytes.
     const fn facts(self) -> (&'static str, u64) {
         const MIB: u64 = 1 << 20;
         const GIB: u64 = 1 << 30;
         match self {
-            Self::Image => ("an image", 2 * GIB), // 2^27 pixels of 8 bytes and what is around them
+            Self::Image => ("an image", 2 * GIB), // 2^27 pixels of 8 bytes, plus overhead
             Self::Flow => ("a flow file", 4 * GIB), // 2^27 pixels of two f64
             Self::Array => ("an array", 8 * GIB),
             Self::Splats => ("a file of 3D Gaussians", 16 * GIB),
@@ -55,15 +55,15 @@ impl FileKind {
     }
 }
 
-/// Opens a file for reading and says how many bytes it has. A link is followed.
+/// Opens a file for reading and returns its size in bytes. Symbolic links are followed.
 ///
 /// # Errors
-/// When there is no such file, when it is something else than a regular file (a folder, pipe, socket or device: reading
-/// one may never end), or is larger than any honest file of its kind.
+/// When the file does not exist, is not a regular file (a folder, pipe, socket or device: reading one may never end), or is
+/// larger than any plausible file of its kind.
 pub fn open_file(path: &Path, kind: FileKind) -> Result<(File, u64), FileError> {
     let failed = |error| FileProblem::Io { doing: "opening", error };
     let open = || {
-        // Before it is opened, as opening a device can do something; and after, when it can no longer be exchanged.
+        // Checked before opening, since opening a device can have side effects, and after, since the file may have been replaced.
         check(&std::fs::metadata(path).map_err(failed)?, kind)?;
         let mut options = OpenOptions::new();
         options.read(true);
@@ -82,7 +82,7 @@ pub fn open_file(path: &Path, kind: FileKind) -> Result<(File, u64), FileError> 
 /// All bytes of a file.
 ///
 /// # Errors
-/// As [`open_file`], and when it cannot be read or grows beyond its limit meanwhile.
+/// As [`open_file`], and when it cannot be read or grows beyond its limit while being read.
 pub fn read_file(path: &Path, kind: FileKind) -> Result<Vec<u8>, FileError> {
     let (file, len) = open_file(path, kind)?;
     read_open(file, len, kind).map_err(|problem| problem.in_file(path))
@@ -106,7 +106,7 @@ fn read_open(file: File, len: u64, kind: FileKind) -> Result<Vec<u8>, FileProble
     let mut bytes = Vec::new();
     let expected = usize::try_from(len).unwrap_or(usize::MAX);
     bytes.try_reserve_exact(expected).map_err(|_| {
-        FileProblem::field("file size", "memory for it", format!("{len} bytes, more than the system gives"))
+        FileProblem::field("file size", "memory for it", format!("{len} bytes, more than is available"))
     })?;
     file.take(most.saturating_add(1)).read_to_end(&mut bytes).map_err(FileProblem::reading)?;
     check_len(bytes.len() as u64, kind)?;
@@ -131,7 +131,7 @@ fn check_len(len: u64, kind: FileKind) -> Result<u64, FileProblem> {
     Err(FileProblem::field("file size", expected, format!("{} MiB", len.div_ceil(1 << 20))))
 }
 
-/// What it is instead of a regular file, and what to do where that helps.
+/// What it is instead of a regular file, and advice.
 fn special(metadata: &Metadata) -> &'static str {
     if metadata.is_dir() {
         return "a folder: name a file in it";
@@ -141,7 +141,7 @@ fn special(metadata: &Metadata) -> &'static str {
         use std::os::unix::fs::FileTypeExt as _;
         let file_type = metadata.file_type();
         if file_type.is_fifo() {
-            return "a pipe: write what comes out of it into a file first";
+            return "a pipe: write its output to a file first";
         } else if file_type.is_socket() {
             return "a socket";
         } else if file_type.is_char_device() || file_type.is_block_device() {

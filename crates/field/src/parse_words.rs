@@ -2,10 +2,10 @@ use std::fmt::Display;
 
 use crate::printable;
 
-/// The message of a JSON or TOML parser without the names of Rust's types: `expected usize` becomes `expected a whole number
-/// from 0`, `missing field` becomes `missing key`. What was found and where stays as it is.
+/// Rewrites the message of a JSON or TOML parser without the names of Rust's types: `expected usize` becomes `expected a whole
+/// number from 0`, `missing field` becomes `missing key`. What was found, and where, stays unchanged.
 pub fn parse_error_in_words(error: &impl Display) -> String {
-    const LONGEST: usize = 1000; // a long line of the file may be a part of it
+    const LONGEST: usize = 1000; // it may contain a long line of the file
     let whole = error.to_string();
     let mut message: String = printable(whole.trim_end()).chars().take(LONGEST).collect();
     for (theirs, words) in [
@@ -32,7 +32,7 @@ pub fn parse_error_in_words(error: &impl Display) -> String {
     words
 }
 
-/// What serde expected, as users call it.
+/// The expectation of serde in users' terms.
 fn expected_in_words(what: &str) -> String {
     let first = what.split(' ').next().unwrap_or_default();
     match first {

@@ -1,17 +1,17 @@
-//! Random numbers that depend on what they are for, never on when they are drawn.
+//! Random numbers that depend on their purpose, never on the order of drawing.
 //!
-//! Every random choice of the project comes from one seed through Philox4x32-10 (Salmon et al., *Parallel random
-//! numbers: as easy as 1, 2, 3*, SC 2011), keyed by (seed, scene, frame, purpose): any frame can be made alone, on any
-//! machine, in any order, and is bit-identical. No transcendental function of the system is called.
+//! Every random choice of the project comes from one seed through Philox4x32-10 (Salmon et al., *Parallel random numbers: as
+//! easy as 1, 2, 3*, SC 2011), keyed by (seed, scene, frame, purpose): any frame can be computed alone, on any machine, in any
+//! order, and is bit-identical. The system's transcendental functions are not used.
 
-/// What a stream of random numbers is for.
+/// The key of a stream of random numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Key {
     /// The user's seed.
     pub seed: u64,
-    /// Number of the scene or subject; 0 when there is none.
+    /// Number of the scene or subject; 0 without one.
     pub scene: u32,
-    /// Number of the frame; 0 when there is none.
+    /// Number of the frame; 0 without one.
     pub frame: u32,
 }
 
@@ -57,7 +57,7 @@ pub struct Stream {
 }
 
 impl Stream {
-    /// 32 uniform bits. A stream repeats after 2^34 of them.
+    /// 32 uniform bits. A stream repeats after 2^34 calls.
     pub fn bits(&mut self) -> u32 {
         if self.used == 4 {
             self.block = philox(self.counter, self.key);
@@ -83,7 +83,7 @@ impl Stream {
         ((u64::from(self.bits()) * u64::from(n)) >> 32) as u32
     }
 
-    /// Puts the items into a random order (Fisher and Yates).
+    /// Shuffles the items (Fisher and Yates).
     pub fn shuffle<T>(&mut self, items: &mut [T]) {
         for last in (1..items.len()).rev() {
             items.swap(last, self.below(last as u32 + 1) as usize);
@@ -138,7 +138,7 @@ mod tests {
         assert_ne!(base, first(Key::new(8), "gaze"));
     }
 
-    /// The published results and every dataset follow from this order.
+    /// The published results and all datasets depend on this order.
     #[test]
     fn a_shuffled_order_keeps_every_item_and_stays_what_it_was() {
         let mut items: Vec<usize> = (0..10).collect();

@@ -2,9 +2,9 @@ use rayon::prelude::*;
 
 use crate::{FlowField, Image, Mask, SizeMismatch, check_same_size};
 
-/// Frame 1 as frame 2 and the flow tell it: each pixel is `frame2` at the place where `flow` sends it, interpolated
-/// bilinearly (backward warping). The mask is `true` where that is possible: the flow is known and ends inside the
-/// frame, that is within `0..=W-1` and `0..=H-1`. Elsewhere the image is black.
+/// Reconstructs frame 1 by backward warping: each pixel is `frame2` at the position that `flow` points to, interpolated
+/// bilinearly. The mask is `true` where that is possible: the flow is known and ends inside the frame, within `0..=W-1` and
+/// `0..=H-1`. Elsewhere the image is black.
 ///
 /// # Errors
 /// When the sizes differ.
@@ -25,8 +25,8 @@ pub fn warp(frame2: &Image, flow: &FlowField) -> Result<(Image, Mask), SizeMisma
     Ok((warped, valid))
 }
 
-/// How far apart forward flow and the backward flow at its end may be; see [`forward_backward_check`]. With the forward
-/// flow `f` of a pixel and the backward flow `b` where it ends, the two agree when:
+/// Tolerance between the forward flow and the backward flow at its end; see [`forward_backward_check`]. With the forward flow
+/// `f` of a pixel and the backward flow `b` at its end, the two agree when:
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Tolerance {
     /// `|f + b| < pixels`, as `fb_check` of ptlflow (`ptlflow/utils/flow_utils.py`), whose default is 1 pixel.
@@ -49,10 +49,9 @@ impl Tolerance {
     pub const UNFLOW: Self = Self::Relative { factor: 0.01, offset: 0.5 };
 }
 
-/// `true` where following the flow forward and then backward leads back to the start: where it does not, the pixel is
-/// occluded in frame 2, or one of the flows is wrong. `backward` is the flow from frame 2 to frame 1, stored at frame 2's
-/// pixels, and is interpolated bilinearly. A pixel whose flow leaves the frame, is unknown, or ends beside an unknown one
-/// is `false`.
+/// `true` where following the flow forward and then backward returns to the start: elsewhere, the pixel is occluded in frame
+/// 2, or one of the flows is wrong. `backward` is the flow from frame 2 to frame 1, stored at frame 2's pixels, and is
+/// interpolated bilinearly. A pixel whose flow leaves the frame, is unknown, or ends next to an unknown one is `false`.
 ///
 /// # Errors
 /// When the sizes differ.
@@ -87,7 +86,7 @@ fn destination(x: usize, y: usize, [u, v]: [f32; 2]) -> [f32; 2] {
     [x as f32 + u, y as f32 + v]
 }
 
-/// The four pixels around a place, as indices into a row-major buffer, and the place's part of the way between them.
+/// The four pixels around a position, as indices into a row-major buffer, and the position between them.
 struct Corners {
     top_left: usize,
     right: usize,
@@ -96,7 +95,7 @@ struct Corners {
 }
 
 impl Corners {
-    /// `None` when the place is not inside the image (or NaN).
+    /// `None` when the position is outside the image (or NaN).
     fn at([x, y]: [f32; 2], width: usize, height: usize) -> Option<Self> {
         let inside = |place: f32, side: usize| place >= 0.0 && side > 0 && place <= (side - 1) as f32;
         if !(inside(x, width) && inside(y, height)) {
@@ -104,7 +103,7 @@ impl Corners {
         }
         let (left, top) = (x as usize, y as usize);
         let along = [x - left as f32, y - top as f32];
-        // On a pixel's centre its neighbour counts for nothing: it may lie outside, or be NaN.
+        // At a pixel's centre its neighbour has weight zero: it may be outside, or NaN.
         let right = usize::from(along[0] > 0.0);
         let down = if along[1] > 0.0 { width } else { 0 };
         Some(Self { top_left: top * width + left, right, down, along })
@@ -175,7 +174,10 @@ mod tests {
         };
         let absolute = Tolerance::Absolute { pixels: 0.5 };
         let exact = check([-3.0, 0.0], absolute);
-        assert!((0..20).all(|x| exact.get(x, 4) == (x <= 16)), "what leaves the frame is not consistent");
+        assert!(
+            (0..20).all(|x| exact.get(x, 4) == (x <= 16)),
+            "flow that leaves the frame is not consistent"
+        );
         assert!(check([-2.6, 0.0], absolute).get(0, 0));
         assert!(!check([-2.4, 0.0], absolute).get(0, 0));
         // Squared gap against 0.01 (9 + b^2) + 0.5: 0.5625 < 0.6406, but 0.64 > 0.6384.
@@ -200,7 +202,7 @@ mod tests {
         let error = warp(&ramp(3, 2), &FlowField::new(2, 3)).unwrap_err();
         assert_eq!(
             error.to_string(),
-            "the frame is 3x2 and the flow 2x3 (WIDTHxHEIGHT): they must be of one size"
+            "the frame is 3x2 and the flow 2x3 (WIDTHxHEIGHT): they must have the same size"
         );
     }
 }

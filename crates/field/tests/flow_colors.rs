@@ -1,4 +1,4 @@
-//! The colour wheel against the pictures of `flow_vis` (`tools/golden/field.py`).
+//! The colour wheel matches pictures of `flow_vis` (`tools/golden/field.py`).
 
 use std::path::PathBuf;
 
@@ -8,7 +8,7 @@ fn data(name: &str) -> PathBuf {
     PathBuf::from("tests/data").join(name)
 }
 
-/// The arctangents of two libraries may differ in the last bit, and with it a channel by one level.
+/// The arctangents of two libraries may differ in the last bit, and then a channel by one level.
 fn assert_same_colors(ours: &Image, golden: &Image) {
     assert_eq!(ours.size(), golden.size());
     let ours = ours.pixels().as_flattened();

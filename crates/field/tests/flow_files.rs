@@ -1,5 +1,5 @@
-//! Flow files: what is written is read again, what other programs wrote is read as they meant it, and what is broken is
-//! refused in words.
+//! Flow files: written files are read back, files of other programs are read correctly, and broken files are refused with a
+//! clear message.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -91,7 +91,7 @@ proptest! {
         }
     }
 
-    /// Cut anywhere, a file is refused.
+    /// A file truncated anywhere is refused.
     #[test]
     fn files_cut_short_are_refused(flow in flow_of(any_component()), cut in 0.0_f64..1.0) {
         let folder = tempfile::tempdir().unwrap();
@@ -113,7 +113,7 @@ proptest! {
         }
     }
 
-    /// Whatever bytes are changed, reading ends with a flow of a size the file can hold, or an error; it never panics.
+    /// Whatever bytes are changed, reading returns a flow of a size that the file can hold, or an error; it never panics.
     #[test]
     fn changed_bytes_never_panic(
         flow in flow_of(-100.0_f32..100.0),
@@ -149,7 +149,7 @@ proptest! {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// The same for the HDF5 files of h5py, which hold more kinds of structures than ours.
+    /// The same for HDF5 files of h5py, which have more kinds of structures than ours.
     #[test]
     fn changed_bytes_of_hdf5_never_panic(
         which in 0_usize..4,
@@ -168,7 +168,7 @@ proptest! {
     }
 }
 
-/// The flow that `tools/golden/field.py` gave to every program.
+/// The flow that `tools/golden/field.py` wrote with every program.
 fn golden() -> FlowField {
     read_flow(&data("flow.npy")).unwrap()
 }
@@ -203,7 +203,7 @@ fn files_of_other_programs_hold_the_same_flow() {
             assert!(b.is_nan() || (a - b).abs() <= b.abs() / 2048.0, "{name}: {a} for {b}");
         }
     }
-    // Over 64 chunks: the index of the one has two levels, that of the other is an array.
+    // Over 64 chunks: the index of one has two levels, that of the other is an array.
     for name in ["many_chunks.flo5", "many_chunks_latest.flo5"] {
         let flow = read_flow(&data(name)).unwrap();
         assert_eq!(bits(&flow), bits(&read_flow(&data("many_chunks.npy")).unwrap()), "{name}");
@@ -257,11 +257,11 @@ fn flo_errors_name_the_field() {
     assert_eq!(huge, ": size: expected at most 134217728 pixels, found 2147483647x2147483647 (WIDTHxHEIGHT)");
     assert_eq!(
         refusal("a.flo", &flo(3, 3, &zeros)),
-        ": file size: expected 84 bytes, as the header promises, found 60 bytes: the file is cut short"
+        ": file size: expected 84 bytes according to the header, found 60 bytes: the file is truncated"
     );
     assert_eq!(
         refusal("a.flo", &flo(3, 1, &zeros)),
-        ": file size: expected 36 bytes, as the header promises, found 60 bytes: something follows the data"
+        ": file size: expected 36 bytes according to the header, found 60 bytes: something follows the data"
     );
 }
 
@@ -321,7 +321,7 @@ fn npy_errors_name_the_field() {
     let message = with("{'descr': '<c8', 'fortran_order': False, 'shape': (1, 2, 2), }");
     assert_eq!(
         message,
-        ": descr: expected real numbers or truth values (save with dtype float32), found '<c8'"
+        ": descr: expected real numbers, integers or booleans (save with dtype float32), found '<c8'"
     );
     let message = with("{'descr': '<f4', 'shape': (1, 2, 2), }");
     assert!(message.starts_with(": fortran_order: expected an entry"), "{message}");
@@ -331,7 +331,7 @@ fn npy_errors_name_the_field() {
     assert!(message.starts_with(": shape: expected a tuple of lengths"), "{message}");
     assert_eq!(
         with("{'descr': '<f4', 'fortran_order': False, 'shape': (9, 9, 2), }"),
-        ": file size: expected 720 bytes, as the header promises, found 88 bytes: the file is cut short"
+        ": file size: expected 720 bytes according to the header, found 88 bytes: the file is truncated"
     );
     let message = refusal("a.npy", b"\x93NUMPY\x01\x00\xff\xff{}");
     assert!(message.starts_with(": header length: expected"), "{message}");
@@ -361,11 +361,11 @@ fn flo5_errors_name_the_field() {
     let spring = || fs::read(data("spring.flo5")).unwrap();
     let contiguous = || fs::read(data("contiguous_f16.flo5")).unwrap();
     let message = refusal("a.flo5", &replaced(spring(), b"flow\0", b"flux\0"));
-    assert_eq!(message, ": root group: expected a dataset `flow`, found none of this name");
+    assert_eq!(message, ": root group: expected a dataset `flow`, found no dataset of this name");
     let message = refusal("a.flo5", &spring()[..4000]);
     assert_eq!(
         message,
-        ": end of file address: expected 4000 as the file has, found 5071: the file is cut short"
+        ": end of file address: expected 4000, the size of the file, found 5071: the file is truncated"
     );
 
     let shape = |sides: [u64; 3]| sides.map(u64::to_le_bytes).concat();
@@ -374,19 +374,19 @@ fn flo5_errors_name_the_field() {
     let expected = ": chunk shape: expected at least 1 and at most [9, 12, 2] values of 4 bytes, found [9, 13, 2] of 4 bytes";
     assert_eq!(message, expected);
     let message = refusal("a.flo5", &replaced(spring(), &shape([9, 13, 2]), &huge));
-    let expected = ": chunks: expected chunks of [9, 13, 2] that tile [8192, 16384, 2], found 1 chunks, 1 of them in place";
+    let expected = ": chunks: expected chunks of [9, 13, 2] that tile [8192, 16384, 2], found 1 chunks, 1 of them at expected positions";
     assert_eq!(message, expected);
     let message = refusal("a.flo5", &replaced(contiguous(), &shape([9, 13, 2]), &huge));
     assert_eq!(
         message,
-        ": file size: expected 536870912 bytes, as the header promises, found 468 bytes: the file is cut short"
+        ": file size: expected 536870912 bytes according to the header, found 468 bytes: the file is truncated"
     );
     let plane = replaced(contiguous(), &shape([9, 13, 2]), &shape([9, 26, 1]));
     let message = refusal("a.flo5", &plane);
     assert_eq!(message, ": shape of the dataset `flow`: expected (H, W, 2), found [9, 26, 1]");
 }
 
-/// A tree whose node is its own child would be walked for ever.
+/// A tree whose node is its own child would be traversed forever.
 #[test]
 fn a_loop_in_an_hdf5_file_is_refused() {
     let mut bytes = fs::read(data("many_chunks.flo5")).unwrap();
@@ -395,7 +395,7 @@ fn a_loop_in_an_hdf5_file_is_refused() {
     let first_child = root + 24 + 40;
     bytes[first_child..first_child + 8].copy_from_slice(&(root as u64).to_le_bytes());
     let message = refusal("a.flo5", &bytes);
-    assert_eq!(message, ": chunk B-tree: expected nodes that end, found nodes that lead back to each other");
+    assert_eq!(message, ": chunk B-tree: expected a tree, found a cycle of nodes");
 }
 
 #[test]
@@ -428,7 +428,7 @@ fn pfm_of_either_byte_order_is_read_from_the_bottom() {
 fn a_picture_is_no_kitti_flow() {
     let message = fs::read(data("disc_flow_vis.png")).map(|bytes| refusal("a.png", &bytes)).unwrap();
     assert!(
-        message.contains("pixel format: expected 16-bit RGB") && message.contains("found 8 bits"),
+        message.contains("pixel format: expected KITTI's flow format") && message.contains("found 8 bits"),
         "{message}"
     );
 }
@@ -447,8 +447,8 @@ fn an_unknown_kind_of_file_lists_the_formats() {
     let message = refusal("a.txt", b"hello there");
     assert_eq!(
         message,
-        ": format: expected a flow file (flo, png, png128, pfm, flo5, npy, npz, npz16), found neither such an extension nor such a \
-         start: \"hello th\""
+        ": format: expected a flow file (flo, png, png128, pfm, flo5, npy, npz, npz16), found an unknown extension and unknown first \
+         bytes: \"hello th\""
     );
     let missing = read_flow(Path::new("/nowhere/at/all.flo")).unwrap_err().to_string();
     assert!(missing.starts_with("/nowhere/at/all.flo: opening: "), "{missing}");

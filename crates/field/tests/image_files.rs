@@ -1,4 +1,4 @@
-//! Images, masks and arrays on disk: round trips, files of other programs (`tools/golden/field.py`), broken files.
+//! Images, masks and arrays on disk: round trips, files of other programs (`tools/golden/field.py`), corrupt files.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,5 +1,5 @@
-//! No file takes memory for what its header merely claims: the largest request for memory stays within what the file's own
-//! size can justify.
+//! No memory is allocated on a header's claim alone: the largest allocation stays within what the file's own size can
+//! justify.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::fs;
@@ -9,33 +9,33 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use srflow_field::random::Key;
 use srflow_field::{read_flow, read_image, read_npy};
 
-/// The system's allocator, remembering the largest request.
+/// The system allocator, recording the largest request.
 struct Watched;
 
 static LARGEST: AtomicUsize = AtomicUsize::new(0);
 
-// SAFETY: every call is the system allocator's own, with the same arguments.
+// SAFETY: every call is forwarded to the system allocator with the same arguments.
 unsafe impl GlobalAlloc for Watched {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         LARGEST.fetch_max(layout.size(), Ordering::Relaxed);
-        // SAFETY: as promised by the caller.
+        // SAFETY: guaranteed by the caller.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         LARGEST.fetch_max(layout.size(), Ordering::Relaxed);
-        // SAFETY: as promised by the caller.
+        // SAFETY: guaranteed by the caller.
         unsafe { System.alloc_zeroed(layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         LARGEST.fetch_max(size, Ordering::Relaxed);
-        // SAFETY: as promised by the caller.
+        // SAFETY: guaranteed by the caller.
         unsafe { System.realloc(pointer, layout, size) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: as promised by the caller.
+        // SAFETY: guaranteed by the caller.
         unsafe { System.dealloc(pointer, layout) }
     }
 }
@@ -43,8 +43,8 @@ unsafe impl GlobalAlloc for Watched {
 #[global_allocator]
 static ALLOCATOR: Watched = Watched;
 
-/// A deflate stream can become 1032 times its size, and a byte of a 1-bit image eight pixels of three bytes. JPEG has no
-/// such bound but its own limit on sides, so that its headers are not changed here.
+/// A deflate stream can expand 1032 times, and a byte of a 1-bit image to eight pixels of three bytes. JPEG has no such bound
+/// except its own limit on sides, so its headers are not changed here.
 fn justified(file_bytes: usize) -> usize {
     (1 << 20) + 1032 * 4 * file_bytes
 }
@@ -74,7 +74,7 @@ fn changed_headers_take_no_memory() {
         for _ in 0..80 {
             let mut bytes = good.clone();
             for _ in 0..1 + random.below(4) {
-                // Sizes are small numbers of 2 to 8 bytes: a changed byte makes large ones of them.
+                // Sizes are small numbers of 2 to 8 bytes: changing one byte makes them large.
                 let at = random.below(bytes.len().min(1200) as u32) as usize;
                 bytes[at] = [0xff, 0x7f, 0x10, 0x39][random.below(4) as usize];
             }

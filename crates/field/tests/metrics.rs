@@ -1,4 +1,4 @@
-//! Metrics against those that ptlflow computed (`tools/golden/field.py`), and against their own slow twin.
+//! Metrics against those of ptlflow (`tools/golden/field.py`), and against a slow implementation.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -99,13 +99,13 @@ fn sizes_must_agree() {
     let error = score(&FlowField::new(4, 3), &FlowField::new(3, 4), None).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "the prediction is 4x3 and the truth 3x4 (WIDTHxHEIGHT): they must be of one size"
+        "the prediction is 4x3 and the truth 3x4 (WIDTHxHEIGHT): they must have the same size"
     );
     let mask = Mask::new(1, 1);
     assert!(score(&FlowField::new(2, 2), &FlowField::new(2, 2), Some(&mask)).is_err());
 }
 
-/// The metrics as `flow_metrics.py` writes them: one threshold after the other over all pixels.
+/// The metrics as in `flow_metrics.py`: one threshold after another over all pixels.
 fn slow_twin(prediction: &FlowField, truth: &FlowField) -> Option<Metrics> {
     let length = |[u, v]: [f32; 2]| (u * u + v * v).sqrt();
     let valid = |[u, v]: &[f32; 2]| u.abs() < 10_000.0 && v.abs() < 10_000.0;
@@ -137,7 +137,7 @@ fn slow_twin(prediction: &FlowField, truth: &FlowField) -> Option<Metrics> {
 proptest! {
     #![proptest_config(ProptestConfig { failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Errors on and beside every threshold: multiples of 1/20 and their neighbours.
+    /// Errors at and next to every threshold: multiples of 1/20 and their neighbours.
     #[test]
     fn scoring_in_blocks_is_scoring_one_pixel_after_the_other(
         errors in prop::collection::vec((0_u32..120, -1_i32..=1, 0_usize..4), 1..400),

@@ -1,4 +1,4 @@
-//! The flow files of SRFlow datasets: as exact as they say, small, read by NumPy and written by it.
+//! The flow files of SRFlow datasets: accurate, small, and compatible with NumPy in both directions.
 
 use std::fs;
 use std::path::Path;
@@ -58,7 +58,7 @@ proptest! {
         let mut flipped = whole.clone();
         flipped[at] ^= 1 << bit;
         fs::write(&path, &flipped).unwrap();
-        // Not every bit of a zip archive counts; one that does must not go unnoticed.
+        // Not every bit of a zip archive matters; a change of one that does must be detected.
         if let Ok(read) = read_flow(&path) {
             prop_assert!(greatest_error(&read, &flow) <= 1.0 / 512.0);
         }

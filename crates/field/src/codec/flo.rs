@@ -14,10 +14,10 @@ pub(super) const MAGIC: &[u8] = b"PIEH";
 
 const HEADER_BYTES: u64 = 12;
 
-/// Components beyond this say that the flow is unknown.
+/// Larger components mark unknown flow.
 const UNKNOWN_BEYOND: f32 = 1e9;
 
-/// What unknown components are written as.
+/// Value written for unknown components.
 const UNKNOWN: f32 = 1e10;
 
 pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<FlowField, FileProblem> {
@@ -51,7 +51,7 @@ pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<FlowField, FileP
 }
 
 /// # Errors
-/// When a known pixel holds what the format means for an unknown one.
+/// When a known pixel has a value that marks unknown flow.
 pub(super) fn check_range(flow: &FlowField) -> Result<(), FileProblem> {
     check_pixels(flow, "at most 1e9 pixels, beyond which .flo means unknown", |[u, v]| {
         u.is_nan() || (u.abs() <= UNKNOWN_BEYOND && v.abs() <= UNKNOWN_BEYOND)

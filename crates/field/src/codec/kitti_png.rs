@@ -1,6 +1,5 @@
-//! Flow in 16-bit PNG as KITTI and HD1K keep it: red is `u * 64 + 32768`, green the same of `v`, blue is 1 where the flow
-//! is known and 0 where it is not (KITTI 2015 development kit, `io_flow.h`). The variant that ptlflow calls `png128` has
-//! 128 in the place of 64.
+//! Flow in 16-bit PNG as in KITTI and HD1K: red is `u * 64 + 32768`, green the same for `v`, blue is 1 where the flow is known
+//! and 0 elsewhere (KITTI 2015 development kit, `io_flow.h`). ptlflow's variant `png128` has a factor of 128 in place of 64.
 
 use std::io::{self, Cursor, Read, Write};
 
@@ -11,7 +10,7 @@ use crate::{FileProblem, FlowField};
 
 const ZERO: f32 = 32768.0;
 
-/// The grid of the components: so many steps are a pixel.
+/// The quantization of the components, in steps per pixel.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Grid {
     steps: f32,
@@ -19,16 +18,16 @@ pub(super) struct Grid {
 }
 
 pub(super) const KITTI: Grid =
-    Grid { steps: 64.0, range: "components from -512 to 511.98 pixels (another format holds more)" };
+    Grid { steps: 64.0, range: "components from -512 to 511.98 pixels (other formats have a larger range)" };
 pub(super) const PNG128: Grid =
-    Grid { steps: 128.0, range: "components from -256 to 255.99 pixels (another format holds more)" };
+    Grid { steps: 128.0, range: "components from -256 to 255.99 pixels (other formats have a larger range)" };
 
 impl Grid {
     fn component(self, step: u16) -> f32 {
         (f32::from(step) - ZERO) / self.steps
     }
 
-    /// The nearest step of the grid; `None` when it is out of the range of 16 bits.
+    /// The nearest step; `None` when it is out of the range of 16 bits.
     fn step(self, component: f32) -> Option<u16> {
         let step = (component * self.steps).round() + ZERO;
         (0.0..=65535.0).contains(&step).then_some(step as u16)
@@ -39,11 +38,12 @@ pub(super) fn decode(reader: &mut dyn Read, len: u64, grid: Grid) -> Result<Flow
     let bytes = read_all(reader, len)?;
     let outline = PngOutline::read(&bytes)?;
     if (outline.bit_depth, outline.color_type, outline.interlaced) != (16, 2, false) {
-        let expected = "16-bit RGB, not interlaced, as KITTI keeps flow (a picture of a flow holds no flow)";
+        let expected =
+            "KITTI's flow format, 16-bit RGB without interlacing (a colour picture of a flow cannot be read)";
         let found = format!("{} bits, colour type {}", outline.bit_depth, outline.color_type);
         return Err(FileProblem::field("pixel format", expected, found));
     }
-    let broken = |error: png::DecodingError| FileProblem::field("PNG", "a sound file", error.to_string());
+    let broken = |error: png::DecodingError| FileProblem::field("PNG", "a valid file", error.to_string());
     let mut decoder = png::Decoder::new(Cursor::new(&bytes));
     decoder.set_ignore_text_chunk(true);
     let mut rows = decoder.read_info().map_err(broken)?;
@@ -65,7 +65,7 @@ pub(super) fn decode(reader: &mut dyn Read, len: u64, grid: Grid) -> Result<Flow
 }
 
 /// # Errors
-/// When a known component is out of the grid's range.
+/// When a known component is out of range.
 pub(super) fn check_range(flow: &FlowField, grid: Grid) -> Result<(), FileProblem> {
     check_pixels(flow, grid.range, |[u, v]| u.is_nan() || (grid.step(u).is_some() && grid.step(v).is_some()))
 }

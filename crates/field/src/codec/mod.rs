@@ -1,4 +1,4 @@
-//! Files that hold optical flow: one module per format, and the choice between them.
+//! Flow files: one module per format, and the choice between them.
 
 mod claim;
 mod flo;
@@ -23,27 +23,27 @@ pub(crate) use png_outline::{PNG_MAGIC, PngOutline};
 
 /// A format of flow files.
 ///
-/// Each keeps every value, bit for bit, and every unknown pixel; except that 16-bit PNG keeps components to the nearest
-/// step of its grid. None holds infinities.
+/// Values and unknown pixels are stored exactly, except in 16-bit PNG and `.npz16`, which round components to the nearest
+/// step. No format stores infinities.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum FlowFormat {
-    /// Middlebury `.flo`: 32-bit floats; unknown pixels hold 1e10, so that known ones reach to 1e9.
+    /// Middlebury `.flo`: 32-bit floats; unknown pixels are 1e10, and known ones are at most 1e9.
     Flo,
     /// KITTI's 16-bit PNG with validity: steps of 1/64 pixel (an error of at most 1/128), from -512 to 511.98 pixels.
     KittiPng,
-    /// The same with steps of 1/128 pixel (an error of at most 1/256), from -256 to 255.99 pixels. Its files end in
-    /// `.png128`; one that ends in `.png` must be read with [`read_flow_as`], as nothing in it tells it from KITTI's.
+    /// The same with steps of 1/128 pixel (an error of at most 1/256), from -256 to 255.99 pixels. The extension is `.png128`;
+    /// with the extension `.png`, read it with [`read_flow_as`], since its content looks like KITTI's.
     Png128,
-    /// Portable float map of three channels as in FlyingThings3D; unknown pixels hold 1 in the third.
+    /// Portable float map with three channels as in FlyingThings3D; unknown pixels have 1 in the third.
     Pfm,
-    /// Spring's `.flo5`: HDF5 with the compressed dataset `flow`; unknown pixels hold NaN.
+    /// Spring's `.flo5`: HDF5 with the compressed dataset `flow`; unknown pixels are NaN.
     Flo5,
-    /// NumPy's `.npy` of shape (H, W, 2), written as `<f4`; unknown pixels hold NaN.
+    /// NumPy's `.npy` of shape (H, W, 2), written as `<f4`; unknown pixels are NaN.
     Npy,
     /// NumPy's `.npz` with one such array, compressed and named `flow`.
     Npz,
-    /// A NumPy archive of differences on a grid of 1/256 pixel (an error of at most 1/512), coarser when a component
-    /// passes 127.99 pixels: what SRFlow datasets hold. About 3 MB for a flow of 2200x3208.
+    /// A NumPy archive of differences on a grid of 1/256 pixel (an error of at most 1/512), coarser when a component exceeds
+    /// 127.99 pixels: the format of SRFlow datasets. About 3 MB for a flow of 2200x3208.
     Npz16,
 }
 
@@ -59,18 +59,18 @@ named!(FlowFormat, "a flow format", {
 });
 
 impl FlowFormat {
-    /// The extension of its files, which is also its name.
+    /// The file extension, which is also the name.
     pub fn extension(self) -> &'static str {
         self.name()
     }
 
-    /// The format that a file's name speaks of.
+    /// The format of a file name's extension.
     pub fn from_path(path: &Path) -> Option<Self> {
         let extension = path.extension()?.to_str()?;
         Self::ALL.into_iter().find(|format| format.extension().eq_ignore_ascii_case(extension))
     }
 
-    /// The format that a file's first bytes speak of.
+    /// The format detected from the first bytes.
     fn from_magic(start: &[u8]) -> Option<Self> {
         let magics: [(&[u8], Self); 6] = [
             (flo::MAGIC, Self::Flo),
@@ -88,19 +88,19 @@ impl FlowFormat {
     }
 }
 
-/// Reads a flow file of any format: its first bytes say which; when they say nothing, its extension.
+/// Reads a flow file. The format is detected from the first bytes, or else from the extension.
 ///
 /// # Errors
-/// When the file cannot be opened, is of no known format, or does not hold what its header promises.
+/// When the file cannot be opened, has no known format, or does not match its header.
 pub fn read_flow(path: &Path) -> Result<FlowField, FileError> {
     read_with(path, FileKind::Flow, |reader, len| {
         let start = reader.fill_buf().map_err(FileProblem::reading)?;
         let format = match (FlowFormat::from_magic(start), FlowFormat::from_path(path)) {
-            (Some(FlowFormat::KittiPng), Some(FlowFormat::Png128)) => FlowFormat::Png128, // one magic for both
+            (Some(FlowFormat::KittiPng), Some(FlowFormat::Png128)) => FlowFormat::Png128, // both have the same magic
             (Some(format), _) | (None, Some(format)) => format,
             (None, None) => {
                 let expected = format!("a flow file ({})", FlowFormat::names());
-                let found = format!("neither such an extension nor such a start: {}", quote(start));
+                let found = format!("an unknown extension and unknown first bytes: {}", quote(start));
                 return Err(FileProblem::field("format", expected, found));
             }
         };
@@ -108,7 +108,7 @@ pub fn read_flow(path: &Path) -> Result<FlowField, FileError> {
     })
 }
 
-/// Reads a flow file of a given format.
+/// Reads a flow file in the given format.
 ///
 /// # Errors
 /// As [`read_flow`].
@@ -119,7 +119,7 @@ pub fn read_flow_as(path: &Path, format: FlowFormat) -> Result<FlowField, FileEr
 /// Writes a flow file in the format of its extension; see [`write_flow_as`].
 ///
 /// # Errors
-/// When the extension is that of no format, and as [`write_flow_as`].
+/// When the extension is no flow format, and as [`write_flow_as`].
 pub fn write_flow(path: &Path, flow: &FlowField) -> Result<(), FileError> {
     let format = FlowFormat::from_path(path).ok_or_else(|| {
         let found = path.extension().map_or("none".to_owned(), |extension| format!("{extension:?}"));
@@ -129,10 +129,10 @@ pub fn write_flow(path: &Path, flow: &FlowField) -> Result<(), FileError> {
     write_flow_as(path, flow, format)
 }
 
-/// Writes a flow file in a given format, whole or not at all (see [`write_atomically`]).
+/// Writes a flow file in the given format, whole or not at all (see [`write_atomically`]).
 ///
 /// # Errors
-/// When the flow has no pixel or more than 2^27, the format cannot hold a pixel's value, or the file cannot be written.
+/// When the flow is empty or has more than 2^27 pixels, the format cannot represent a value, or the file cannot be written.
 pub fn write_flow_as(path: &Path, flow: &FlowField, format: FlowFormat) -> Result<(), FileError> {
     check_writable(flow, format).map_err(|problem| problem.in_file(path))?;
     write_atomically(path, |writer| match format {
@@ -148,7 +148,7 @@ pub fn write_flow_as(path: &Path, flow: &FlowField, format: FlowFormat) -> Resul
 }
 
 fn check_writable(flow: &FlowField, format: FlowFormat) -> Result<(), FileProblem> {
-    check_size(flow.width() as i64, flow.height() as i64)?; // what is written can be read again
+    check_size(flow.width() as i64, flow.height() as i64)?; // what is written must be readable
     check_finite_or_unknown(flow)?;
     match format {
         FlowFormat::Flo => flo::check_range(flow),
@@ -171,7 +171,7 @@ fn decode(format: FlowFormat, reader: &mut dyn Read, len: u64) -> Result<FlowFie
     }
 }
 
-/// Opens a file and hands it over with its length in bytes.
+/// Opens a file and returns it with its length in bytes.
 pub(crate) fn read_with<T>(
     path: &Path,
     kind: FileKind,
@@ -190,7 +190,7 @@ fn check_finite_or_unknown(flow: &FlowField) -> Result<(), FileProblem> {
 }
 
 /// # Errors
-/// Names the first pixel that is not `fine`.
+/// Names the first pixel for which `fine` is false.
 fn check_pixels(
     flow: &FlowField,
     expected: &'static str,
@@ -206,7 +206,7 @@ fn check_pixels(
     }
 }
 
-/// The first bytes of a file as text a person can compare.
+/// The first bytes of a file as readable text.
 fn quote(start: &[u8]) -> String {
     match start.get(..start.len().min(8)) {
         None | Some([]) => "an empty file".to_owned(),

@@ -1,6 +1,6 @@
 //! NumPy's `.npy`: `\x93NUMPY`, a version, the length of a Python dictionary with `descr`, `fortran_order` and `shape`,
-//! and the values (`numpy/lib/format.py`). Versions 1 to 3 are read, of real and whole numbers in either byte order and of
-//! truth values; version 1 is written, little-endian `f32`.
+//! and the values (`numpy/lib/format.py`). Versions 1 to 3 are read, with real numbers, integers (either byte order) and
+//! booleans; version 1 is written, with little-endian `f32`.
 
 use std::io::{self, Read, Write};
 use std::path::Path;
@@ -12,7 +12,7 @@ use crate::{FileError, FileKind, FileProblem, FlowField, Plane, write_atomically
 
 pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
 
-/// An array of `f32` of any shape, row-major, as `.npy` files hold them.
+/// An array of `f32` of any shape, row-major.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Array {
     /// Length of each dimension, outermost first: (H, W) or (H, W, 3) for images.
@@ -21,11 +21,10 @@ pub struct Array {
     pub values: Vec<f32>,
 }
 
-/// Reads a `.npy` file of numbers; those that are not `f32` are converted, Fortran order becomes row-major. Values may be
-/// NaN or infinite.
+/// Reads a `.npy` file of numbers, converted to `f32`; Fortran order becomes row-major. Values may be NaN or infinite.
 ///
 /// # Errors
-/// When the file cannot be read, holds something other than such an array, or not what its header promises.
+/// When the file cannot be read, contains another type of array, or does not match its header.
 pub fn read_npy(path: &Path) -> Result<Array, FileError> {
     read_with(path, FileKind::Array, |reader, len| {
         let header = Header::read(reader, len)?;
@@ -52,7 +51,7 @@ pub fn read_npy(path: &Path) -> Result<Array, FileError> {
 /// channels: `write_npy(path, &[height, width, 3], pixels.as_flattened())`.
 ///
 /// # Errors
-/// When `shape` does not fit the number of values, or the file cannot be written.
+/// When `shape` does not match the number of values, or the file cannot be written.
 pub fn write_npy(path: &Path, shape: &[usize], values: &[f32]) -> Result<(), FileError> {
     let count = shape.iter().try_fold(1_usize, |count, side| count.checked_mul(*side));
     if count != Some(values.len()) {
@@ -115,7 +114,7 @@ pub(super) fn encode(shape: &[usize], values: &[f32], writer: &mut impl Write) -
     write_f32_little_endian(writer, values)
 }
 
-/// How the numbers of a NumPy type such as `<f4` are held.
+/// The sample type for a NumPy type such as `<f4`.
 fn sample_of(descr: &str) -> Option<Sample> {
     let endian = match descr.get(..1)? {
         ">" => Endian::Big,
@@ -138,7 +137,7 @@ fn sample_of(descr: &str) -> Option<Sample> {
     }
 }
 
-/// The header of version 1 as NumPy writes it: padded so that the values start at a multiple of 64 bytes.
+/// The header of version 1 as NumPy writes it, padded so that the values start at a multiple of 64 bytes.
 pub(super) fn header_bytes(descr: &str, shape: &[usize]) -> Vec<u8> {
     let sides: Vec<String> = shape.iter().map(usize::to_string).collect();
     let comma = if shape.len() == 1 { "," } else { "" };
@@ -163,7 +162,7 @@ struct Header {
 }
 
 impl Header {
-    /// The longest dictionary that is read. NumPy's own limit is 10000.
+    /// Maximum length of the dictionary. NumPy's own limit is 10000.
     const MAX_BYTES: u32 = 65_535;
 
     fn read(reader: &mut dyn Read, len: u64) -> Result<Self, FileProblem> {
@@ -214,7 +213,7 @@ impl Header {
         let name = descr.strip_prefix(['\'', '"']).and_then(|rest| rest.split(['\'', '"']).next());
         let sample = name.and_then(sample_of).ok_or_else(|| {
             let found = name.map_or("a structured type".to_owned(), |name| format!("'{name}'"));
-            FileProblem::field("descr", "real numbers or truth values (save with dtype float32)", found)
+            FileProblem::field("descr", "real numbers, integers or booleans (save with dtype float32)", found)
         })?;
         let order = entry("fortran_order")?;
         let fortran_order = order.starts_with("True");
@@ -235,7 +234,7 @@ fn first_line(text: &str) -> String {
     format!("{line:?}")
 }
 
-/// Column-major values, row-major.
+/// Column-major to row-major order.
 fn row_major_from_fortran(shape: &[usize], values: &[f32]) -> Vec<f32> {
     let mut row_major = Vec::with_capacity(values.len());
     let mut position = vec![0; shape.len()];

@@ -1,6 +1,6 @@
-//! NumPy's `.npz`: a zip archive of `.npy` files. The array named `flow` is read, or the only one there is; an archive of
-//! the arrays of [`super::npz16`] is read as such. [`write_npz`] writes archives of several arrays, text among them, for
-//! programs in Python.
+//! NumPy's `.npz`: a zip archive of `.npy` files. The array named `flow` is read, or the only one in the archive; an archive
+//! with the arrays of [`super::npz16`] is read as that format. [`write_npz`] writes several arrays, including text, for
+//! Python programs.
 
 use std::io::{self, Cursor, Read, Seek, Write};
 use std::path::Path;
@@ -29,25 +29,25 @@ pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<FlowField, FileP
     let size = array.size();
     check_deflated(size, array.compressed_size())?;
     let flow = npy::decode_flow(&mut array, size)?;
-    // The archive's check sum is compared at the end of the data.
+    // The archive's checksum is verified at the end of the data.
     match array.read(&mut [0]).map_err(FileProblem::reading)? {
         0 => Ok(flow),
-        _ => Err(FileProblem::field("array size", format!("{size} bytes, as the archive says"), "more")),
+        _ => Err(FileProblem::field("array size", format!("{size} bytes according to the archive"), "more")),
     }
 }
 
-/// A zip archive whose directory is inside it. What its entries inflate to is for the caller to limit.
+/// Opens a zip archive whose directory is inside the file. The caller limits the inflated size of its entries.
 ///
 /// # Errors
-/// When it does not end where the file does, is of the kind with 64-bit counts, or is broken.
+/// When it does not end where the file does, is a zip64 archive, or is corrupt.
 pub fn open_zip(bytes: Vec<u8>) -> Result<ZipArchive<Cursor<Vec<u8>>>, FileProblem> {
     check_end(&bytes)?;
-    let sound = |error: ZipError| FileProblem::field("archive", "a sound zip archive", error.to_string());
+    let sound = |error: ZipError| FileProblem::field("archive", "a valid zip archive", error.to_string());
     ZipArchive::new(Cursor::new(bytes)).map_err(sound)
 }
 
-/// The archive must end where the file does, and not be of the kind with 64-bit counts: a lie about the number of entries
-/// would be believed before they are looked at. No flow that can be read needs that kind.
+/// The archive must end where the file does, and must not be zip64: the reader would trust its number of entries before
+/// looking at them. No readable flow needs zip64.
 fn check_end(bytes: &[u8]) -> Result<(), FileProblem> {
     const END: &[u8] = b"PK\x05\x06";
     const END_BYTES: usize = 22;
@@ -60,37 +60,36 @@ fn check_end(bytes: &[u8]) -> Result<(), FileProblem> {
         end.starts_with(END) && comment.is_some_and(|comment| END_BYTES + usize::from(comment) == end.len())
     };
     let Some(end) = (0..last.len()).rev().find(|at| ends_the_file(&last[*at..])) else {
-        let found = "none: the file is cut short or something follows it";
-        return Err(FileProblem::field("end of archive", "its record at the end of the file", found));
+        let found = "none: the file is truncated or has extra data";
+        return Err(FileProblem::field("end of archive", "a record at the end of the file", found));
     };
     let before = &bytes[..bytes.len() - last.len() + end];
     if before.len() >= END_64_BYTES && before[before.len() - END_64_BYTES..].starts_with(END_64) {
-        return Err(FileProblem::field("end of archive", "a plain zip record", "one of zip64"));
+        return Err(FileProblem::field("end of archive", "a plain zip record", "a zip64 record"));
     }
     Ok(())
 }
 
 pub(super) fn broken(error: ZipError) -> FileProblem {
-    let expected = "a sound .npz file of one array, or with one named `flow`, or an .npz16 file";
+    let expected = "a valid .npz file with one array or one named `flow`, or an .npz16 file";
     FileProblem::field("archive", expected, error.to_string())
 }
 
-/// An array of a `.npz` archive: its shape, empty for a single value, and its values, row-major.
+/// An array of a `.npz` archive: its shape, empty for a scalar, and its values, row-major.
 #[derive(Debug, Clone)]
 pub enum NpzArray<'a> {
     /// `float32`.
     Float(&'a [usize], &'a [f32]),
     /// `int64`.
     Integer(&'a [usize], &'a [i64]),
-    /// Unicode of the width of the longest text (`<U`), which NumPy reads without pickle.
+    /// Unicode, as wide as the longest text (`<U`), which NumPy reads without pickle.
     Text(&'a [usize], &'a [&'a str]),
 }
 
-/// Writes named arrays as one compressed `.npz` archive that `numpy.load` reads as it is, whole or not at all (see
-/// [`write_atomically`]).
+/// Writes named arrays as one compressed `.npz` archive for `numpy.load`, whole or not at all (see [`write_atomically`]).
 ///
 /// # Errors
-/// When an array's shape does not fit its number of values, or the file cannot be written.
+/// When an array's shape does not match its number of values, or the file cannot be written.
 pub fn write_npz(path: &Path, arrays: &[(&str, NpzArray)]) -> Result<(), FileError> {
     for (_, array) in arrays {
         let (shape, found) = array.extent();
@@ -153,7 +152,7 @@ impl NpzArray<'_> {
     }
 }
 
-/// Characters of the longest text; NumPy has no text of none.
+/// Length of the longest text in characters; NumPy has no empty text type.
 fn width(texts: &[&str]) -> usize {
     texts.iter().map(|text| text.chars().count()).max().unwrap_or(0).max(1)
 }

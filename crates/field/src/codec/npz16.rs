@@ -1,9 +1,9 @@
-//! `.npz16`: flow on a grid of 1/256 px in a NumPy archive, some twenty times smaller than `.flo`.
+//! `.npz16`: flow on a grid of 1/256 px in a NumPy archive, about twenty times smaller than `.flo`.
 //!
-//! The archive (NumPy reads it by its content, whatever its name) holds three arrays: `step`, a single `f4`, and the
-//! `i1` arrays `low` and `high` of shape (2, H, W), `u` first. `256 * high + low` modulo 2^16 is what remains of the
-//! components in steps when first each row is replaced by its difference to the row above, and then each column by its
-//! difference to the one on its left. So, in NumPy:
+//! The archive (NumPy reads it by content, whatever its name) has three arrays: `step`, a scalar `f4`, and the `i1` arrays
+//! `low` and `high` of shape (2, H, W), `u` first. `256 * high + low` modulo 2^16 are the components in steps, with first each
+//! row replaced by its difference to the row above, and then each column by its difference to the one on its left. So, in
+//! NumPy:
 //!
 //! ```text
 //! z = np.load("00000.npz16")
@@ -11,8 +11,8 @@
 //! flow = q.transpose(1, 2, 0) * z["step"]
 //! ```
 //!
-//! The step is 1/256 px (an error of at most 1/512 px) up to 127.99 px, and the least greater power of two that reaches
-//! farther. A pixel whose flow is unknown has -32768 in both components.
+//! The step is 1/256 px (an error of at most 1/512 px) up to 127.99 px, and the next sufficient power of two for larger flow.
+//! A pixel with unknown flow has -32768 in both components.
 
 use std::io::{self, Cursor, Read, Write};
 
@@ -23,23 +23,23 @@ use super::claim::{blank, check_deflated, check_size};
 use super::npz::broken;
 use crate::{FileProblem, FlowField};
 
-/// The arrays, in the order in which they are written.
+/// The arrays, in file order.
 const STEP: &str = "step.npy";
 const LOW: &str = "low.npy";
 const HIGH: &str = "high.npy";
 
-/// Whether an archive's arrays are those of this format.
+/// Whether an archive has the arrays of this format.
 pub(super) fn is_this(names: &[String]) -> bool {
     [STEP, LOW, HIGH].iter().all(|wanted| names.iter().any(|name| name == wanted))
 }
 
-/// The finest step, and steps on either side of zero; one more to the negative means unknown.
+/// The finest step, and the number of steps on either side of zero; the next negative number means unknown.
 const FINEST_STEP: f32 = 1.0 / 256.0;
 const REACH: f32 = 32_767.0;
 const UNKNOWN: i16 = i16::MIN;
 
 /// # Errors
-/// Names the first pixel that no step reaches.
+/// Names the first pixel that no step can represent.
 pub(super) fn check_range(flow: &FlowField) -> Result<(), FileProblem> {
     check_pixels(flow, "components of at most 1e30 px", |pixel| {
         pixel.iter().all(|x| x.is_nan() || x.abs() <= 1e30)
@@ -86,7 +86,7 @@ fn residuals(flow: &FlowField, step: f32) -> (Vec<u8>, Vec<u8>) {
                 let residual = down.wrapping_sub(left);
                 left = down;
                 *low = residual as u8;
-                // The low byte counts as signed, so that small differences leave the high byte at zero.
+                // The low byte is signed, so that small differences leave the high byte at zero.
                 *high = (residual.wrapping_add(128) >> 8) as u8;
             }
         }
@@ -95,9 +95,9 @@ fn residuals(flow: &FlowField, step: f32) -> (Vec<u8>, Vec<u8>) {
     (low, high)
 }
 
-/// Steps to the nearest, ties to even.
+/// Rounds to the nearest step, ties to even.
 fn quantize(component: f32, step: f32) -> i16 {
-    // Adding and taking away 1.5 * 2^23 rounds to a whole number; the step is a power of two, its inverse is exact.
+    // Adding and subtracting 1.5 * 2^23 rounds to an integer; the step is a power of two, so its inverse is exact.
     const ROUND: f32 = 12_582_912.0;
     if component.is_finite() { (component * (1.0 / step) + ROUND - ROUND) as i16 } else { UNKNOWN }
 }
@@ -138,7 +138,7 @@ pub(super) fn decode(archive: &mut ZipArchive<Cursor<Vec<u8>>>) -> Result<FlowFi
             }
         }
     }
-    // Unknown is unknown in both.
+    // One unknown component makes both unknown.
     for pixel in pixels.iter_mut().filter(|[u, v]| u.is_nan() != v.is_nan()) {
         *pixel = [f32::NAN; 2];
     }
@@ -151,7 +151,7 @@ struct RawArray {
     bytes: Vec<u8>,
 }
 
-/// Reads an array whose elements are of type `descr`, its shape checked against what the archive holds of it.
+/// Reads an array of type `descr`, with its shape checked against the array's size in the archive.
 fn read_array(
     archive: &mut ZipArchive<Cursor<Vec<u8>>>,
     name: &'static str,
@@ -179,15 +179,15 @@ fn read_array(
     };
     let promised = pixels as u64 + 10 + u64::from(length);
     if promised != size {
-        let expected = format!("{promised} bytes, as its shape {shape:?} says");
+        let expected = format!("{promised} bytes according to its shape {shape:?}");
         return Err(FileProblem::field(name, expected, format!("{size} bytes")));
     }
     let mut bytes = blank::<u8>(pixels)?;
     entry.read_exact(&mut bytes).map_err(FileProblem::reading)?;
-    // The archive's check sum is compared at the end of the data.
+    // The archive's checksum is verified at the end of the data.
     match entry.read(&mut [0]).map_err(FileProblem::reading)? {
         0 => Ok(RawArray { shape, bytes }),
-        _ => Err(FileProblem::field(name, format!("{size} bytes, as the archive says"), "more")),
+        _ => Err(FileProblem::field(name, format!("{size} bytes according to the archive"), "more")),
     }
 }
 
@@ -202,7 +202,7 @@ fn header(descr: &str, shape: &[usize]) -> Vec<u8> {
     [b"\x93NUMPY\x01\x00", &(text.len() as u16).to_le_bytes()[..], text.as_bytes()].concat()
 }
 
-/// The shape, when the header is one that [`header`] could have written, but for its spaces.
+/// The shape, if the header is one that [`header`] could have written, except for its spaces.
 fn parse_header(start: &[u8; 10], text: &[u8], descr: &str) -> Option<Vec<usize>> {
     let text: String = std::str::from_utf8(text).ok()?.split_whitespace().collect();
     let before = format!("{{'descr':'{descr}','fortran_order':False,'shape':(");
@@ -212,8 +212,8 @@ fn parse_header(start: &[u8; 10], text: &[u8], descr: &str) -> Option<Vec<usize>
     (start.starts_with(b"\x93NUMPY\x01\x00") && matches!(shape[..], [] | [2, _, _])).then_some(shape)
 }
 
-/// A zip archive of deflated entries. It is written here because the entries are compressed by `fdeflate`, which is made
-/// for differences of neighbouring pixels: half the time and two thirds of the bytes of zlib's level 1 on flow.
+/// A zip archive of deflated entries, written here because `fdeflate` compresses them, which is designed for differences of
+/// neighbouring pixels: half the time and two thirds of the bytes of zlib's level 1 on flow.
 struct Archive<'a, W> {
     writer: &'a mut W,
     offset: u32,
@@ -231,12 +231,12 @@ impl<'a, W: Write> Archive<'a, W> {
         compressor.write_data(header)?;
         compressor.write_data(data)?;
         let stream = compressor.finish()?;
-        // Two bytes of zlib's header before the deflate stream and four of its check sum after it.
+        // Two bytes of zlib's header precede the deflate stream, and four of its checksum follow.
         let deflated = &stream[2..stream.len() - 4];
         let mut sum = crc32fast::Hasher::new();
         sum.update(header);
         sum.update(data);
-        let too_large = |_| io::Error::other("an array is larger than a plain zip archive can hold");
+        let too_large = |_| io::Error::other("an array is too large for a plain zip archive");
         let size = u32::try_from(header.len() + data.len()).map_err(too_large)?;
         let deflated_size = u32::try_from(deflated.len()).map_err(too_large)?;
 

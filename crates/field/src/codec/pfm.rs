@@ -1,4 +1,4 @@
-//! Portable float map as FlyingThings3D uses it for flow: `PF`, width and height, a scale whose sign is the byte order
+//! Portable float map as used for flow by FlyingThings3D: `PF`, width and height, a scale whose sign is the byte order
 //! (negative: little-endian), then three `f32` a pixel, bottom row first. The first two are `u v`; the flow is unknown
 //! where the third is over 0.5 (`read_pfm` of ptlflow, `ptlflow/utils/external/raft.py`).
 
@@ -96,5 +96,5 @@ fn next_word(reader: &mut dyn Read, field: &'static str) -> Result<String, FileP
         }
         word.extend(byte);
     }
-    Err(FileProblem::field(field, "a word of text and white space after it", quote(&word)))
+    Err(FileProblem::field(field, "a word followed by white space", quote(&word)))
 }

@@ -4,7 +4,7 @@ use crate::FileProblem;
 
 pub(crate) const PNG_MAGIC: &[u8] = b"\x89PNG\r\n\x1a\n";
 
-/// What a PNG file says of itself before any of it is decompressed.
+/// Properties of a PNG file that are known before decompression.
 #[derive(Debug, PartialEq)]
 pub(crate) struct PngOutline {
     pub(crate) width: usize,
@@ -19,7 +19,7 @@ impl PngOutline {
     /// Walks the chunks of a whole file.
     ///
     /// # Errors
-    /// When the file does not end where its chunks end, or holds too little for the size that it claims.
+    /// When the file does not end with its last chunk, or is too small for the size that it claims.
     pub(crate) fn read(bytes: &[u8]) -> Result<Self, FileProblem> {
         let mut rest = bytes
             .strip_prefix(PNG_MAGIC)
@@ -31,11 +31,11 @@ impl PngOutline {
                 return Err(FileProblem::field(
                     "IEND",
                     "this chunk at the end",
-                    "none: the file is cut short",
+                    "none: the file is truncated",
                 ));
             };
             let length = u64::from(u32::from_be_bytes([l0, l1, l2, l3]));
-            let promised = (bytes.len() - after.len()) as u64 + length + 4; // a check sum follows
+            let promised = (bytes.len() - after.len()) as u64 + length + 4; // a checksum follows
             if promised > bytes.len() as u64 {
                 check_file_size(promised, bytes.len() as u64)?;
             }
@@ -63,7 +63,7 @@ impl PngOutline {
         Ok(Self { width, height, bit_depth, color_type, interlaced: interlace != 0 })
     }
 
-    /// At least so many bytes are there after decompression.
+    /// Lower bound of the number of bytes after decompression.
     fn raw_bytes(&self) -> u64 {
         let channels = match self.color_type {
             2 => 3,

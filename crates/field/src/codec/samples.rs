@@ -1,24 +1,24 @@
-//! Blocks of numbers as files hold them.
+//! Blocks of numbers in files.
 
 use std::io::{self, Read, Write};
 
 use crate::FileProblem;
 
-/// Order of the bytes of a number.
+/// Byte order of a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Endian {
     Little,
     Big,
 }
 
-/// How a file holds a number.
+/// The storage format of a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Sample {
     F16(Endian),
     F32(Endian),
     F64(Endian),
     U8,
-    /// A whole number of 1, 2, 4 or 8 bytes.
+    /// An integer of 1, 2, 4 or 8 bytes.
     Integer {
         bytes: usize,
         signed: bool,
@@ -40,7 +40,7 @@ impl Sample {
 
 const NATIVE: Endian = if cfg!(target_endian = "little") { Endian::Little } else { Endian::Big };
 
-/// Bytes converted at a time: fits into the second-level cache.
+/// Bytes converted at a time: fits in the second-level cache.
 const BLOCK: usize = 1 << 16;
 
 /// Fills `values` with the next numbers of the file, converted to `f32`.
@@ -61,7 +61,7 @@ pub(crate) fn read_samples(
     Ok(())
 }
 
-/// Converts as many numbers as `values` holds.
+/// Fills `values` with converted numbers.
 pub(crate) fn convert_samples(sample: Sample, bytes: &[u8], values: &mut [f32]) {
     fn each<const N: usize>(bytes: &[u8], values: &mut [f32], to_f32: impl Fn([u8; N]) -> f32) {
         for (value, bytes) in values.iter_mut().zip(bytes.as_chunks::<N>().0) {
@@ -98,7 +98,7 @@ pub(crate) fn write_f32_little_endian(writer: &mut dyn Write, values: &[f32]) ->
     Ok(())
 }
 
-/// A whole number of at most 8 bytes, to the nearest `f32`.
+/// An integer of at most 8 bytes, to the nearest `f32`.
 fn f32_from_integer(bytes: &[u8], signed: bool, endian: Endian) -> f32 {
     let push = |number: u64, byte: &u8| number << 8 | u64::from(*byte);
     let number = match endian {

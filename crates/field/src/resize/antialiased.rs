@@ -1,18 +1,17 @@
-//! Linear interpolation that does not alias when the result is smaller.
+//! Linear interpolation that does not alias when downscaling.
 
 use rayon::prelude::*;
 
 use crate::{FlowField, Image};
 
-/// One pixel of the result reads the input from `first` on, by these weights, which sum to one.
+/// One output pixel reads the input from `first` on, with these weights, which sum to one.
 struct Tap {
     first: usize,
     weights: Vec<f32>,
 }
 
-/// Linear interpolation; where the result is smaller, over as much of the input as one of its pixels covers, so that
-/// nothing aliases. Pixel centres are integers and borders keep their place: `x` of the result lies at
-/// `(x + 0.5) * input / output - 0.5`.
+/// Linear interpolation; when downscaling, with a filter as wide as an output pixel, to avoid aliasing. Pixel centres are
+/// integers and borders are aligned: `x` of the result is at `(x + 0.5) * input / output - 0.5`.
 fn taps(input: usize, output: usize) -> Vec<Tap> {
     let scale = input as f64 / output as f64;
     let reach = scale.max(1.0);
@@ -27,7 +26,7 @@ fn taps(input: usize, output: usize) -> Vec<Tap> {
     (0..output).map(tap).collect()
 }
 
-/// Rows resized to `size`, `N` numbers a pixel.
+/// Rows resized to `size`, with `N` numbers per pixel.
 fn resize<T: Copy + Sync, const N: usize>(
     pixels: &[T],
     from: (usize, usize),
@@ -57,7 +56,7 @@ fn resize<T: Copy + Sync, const N: usize>(
     out
 }
 
-/// An image of another size. The same size, or an image without pixels, is returned as it is.
+/// Resizes an image. An image of the same size or without pixels is returned unchanged.
 pub fn resize_image_antialiased(image: &Image, size: (usize, usize)) -> Image {
     if image.size() == size || image.pixels().is_empty() {
         return image.clone();
@@ -70,7 +69,7 @@ pub fn resize_image_antialiased(image: &Image, size: (usize, usize)) -> Image {
     resized
 }
 
-/// A flow of another size, in pixels of that. The same size, or a flow without pixels, is returned as it is.
+/// Resizes a flow, and scales it to pixels of the new size. A flow of the same size or without pixels is returned unchanged.
 pub fn resize_flow_antialiased(flow: &FlowField, size: (usize, usize)) -> FlowField {
     if flow.size() == size || flow.pixels().is_empty() {
         return flow.clone();
@@ -86,8 +85,8 @@ pub fn resize_flow_antialiased(flow: &FlowField, size: (usize, usize)) -> FlowFi
 mod tests {
     use super::*;
 
-    /// A ramp stays the ramp it was, away from the borders; where pixels do not divide evenly, weights that are made to sum to
-    /// one move it by a small part of a pixel.
+    /// A ramp stays a ramp, except at the borders; where pixels do not divide evenly, normalizing the weights shifts it by a small
+    /// fraction of a pixel.
     #[test]
     fn resizing_keeps_places() {
         let flow = FlowField::from_fn(64, 48, |x, y| [x as f32, y as f32]);
@@ -104,7 +103,7 @@ mod tests {
         }
     }
 
-    /// Every other column black: half the size is grey, not black or white.
+    /// Every other column is black: half the size is grey, neither black nor white.
     #[test]
     fn a_smaller_image_does_not_alias() {
         let image = Image::from_fn(64, 8, |x, _| [if x % 2 == 0 { 0 } else { 255 }; 3]);

@@ -1,6 +1,6 @@
 use crate::{FlowField, Plane};
 
-/// `INTER_AREA` of OpenCV to a smaller or equal size: each output pixel is the mean of the input under it, multiplied by
+/// OpenCV's `INTER_AREA` to a smaller or equal size: each output pixel is the mean of the input area that it covers, multiplied by
 /// `gain`.
 pub fn shrink_area(input: &Plane, (width, height): (usize, usize), gain: f32) -> Plane {
     let columns = spans(input.width(), width);
@@ -14,8 +14,8 @@ pub fn shrink_area(input: &Plane, (width, height): (usize, usize), gain: f32) ->
     })
 }
 
-/// A flow of another size: each pixel is the mean of what it covers (of the nearest pixels when the flow grows), in pixels of
-/// the new size.
+/// Resizes a flow: each pixel is the mean of the area that it covers (of the nearest pixels when upscaling), in pixels of the new
+/// size.
 pub fn resize_flow_area(flow: &FlowField, (width, height): (usize, usize)) -> FlowField {
     let columns = spans(flow.width(), width);
     let rows = spans(flow.height(), height);
@@ -34,13 +34,13 @@ pub fn resize_flow_area(flow: &FlowField, (width, height): (usize, usize)) -> Fl
     })
 }
 
-/// The mean of every output pixel's area over the input pixels that have a value, weighted by the overlap; row by row.
+/// For every output pixel, the mean over the known input pixels in its area, weighted by overlap; row by row.
 pub fn area_means<const N: usize>(
     from: (usize, usize),
     to: (usize, usize),
     value: impl Fn(usize, usize) -> Option<[f32; N]>,
 ) -> Vec<Option<[f32; N]>> {
-    // Slivers that are there by rounding alone would make an area known.
+    // Slivers that are due to rounding alone would make an unknown area known.
     let spans = |from: usize, to: usize| {
         let mut spans = spans(from, to);
         spans.iter_mut().for_each(|span| span.retain(|(_, share)| *share > 1e-6));
@@ -65,7 +65,7 @@ pub fn area_means<const N: usize>(
     means
 }
 
-/// For each output pixel the input pixels under it and the share of each; the shares sum to 1.
+/// For each output pixel, the input pixels in its area and their shares, which sum to 1.
 fn spans(input_len: usize, output_len: usize) -> Vec<Vec<(usize, f32)>> {
     let scale = input_len as f64 / output_len as f64;
     let covered = |at: usize| {

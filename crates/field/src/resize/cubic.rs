@@ -6,11 +6,11 @@ struct CubicTap {
     weights: [f64; 4],
 }
 
-/// `cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)` of 8-bit channels, as OpenCV 4.13 and 5.0 compute it on x86-64:
-/// Keys' cubic with a = -0.75 in floating point, border pixels repeated, no smoothing when the image shrinks. (OpenCV's
-/// portable code has weights of 11 bits, which changes a value in twenty by 1.)
+/// `cv2.resize(image, size, interpolation=cv2.INTER_CUBIC)` of 8-bit channels, as in OpenCV 4.13 and 5.0 on x86-64: Keys' cubic
+/// with a = -0.75 in floating point, border pixels repeated, no smoothing when downscaling. (OpenCV's portable code uses
+/// 11-bit weights, which changes one value in twenty by 1.)
 ///
-/// An image without pixels stays as it is.
+/// An image without pixels is returned unchanged.
 pub fn resize_cubic(image: &Image, (width, height): (usize, usize)) -> Image {
     if image.width() == 0 || image.height() == 0 {
         return image.clone();
@@ -37,7 +37,7 @@ pub fn resize_cubic(image: &Image, (width, height): (usize, usize)) -> Image {
                 sum[channel] += weight * stretched[*source][x][channel];
             }
         }
-        // The cast brings what a cubic overshoots to 0 and 255.
+        // The cast clamps overshoot to 0..=255.
         sum.map(|sum| sum.round_ties_even() as u8)
     })
 }

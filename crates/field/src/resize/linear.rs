@@ -1,12 +1,12 @@
-//! As OpenCV's `INTER_LINEAR` (`modules/imgproc/src/resize.cpp`): an output pixel `x` sits at `(x + 0.5) * scale - 0.5` of
-//! the input, pixel centres being integers, and the border pixel is repeated.
+//! OpenCV's `INTER_LINEAR` (`modules/imgproc/src/resize.cpp`): output pixel `x` is at `(x + 0.5) * scale - 0.5` of the input,
+//! pixel centres being integers, and the border pixel is repeated.
 
 use rayon::prelude::*;
 use srflow_simd::multiversioned;
 
 use crate::{FlowField, Image, Mask, Plane};
 
-/// Where one output pixel reads along one axis: between `near` and `far`, at `weight` of the way.
+/// The sources of one output pixel along one axis: `near` and `far`, blended by `weight`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LinearTap {
     pub near: usize,
@@ -15,7 +15,7 @@ pub struct LinearTap {
 }
 
 impl LinearTap {
-    /// At a position of an axis of `len` pixels; the border pixel is repeated. Where the weight is 0 the two pixels are one.
+    /// At a position of an axis of `len` pixels; the border pixel is repeated. With weight 0 the two pixels are the same.
     pub fn at(position: f32, len: usize) -> Self {
         let weight = position - position.floor();
         let pixel = |place: i64| place.clamp(0, len as i64 - 1) as usize;
@@ -29,10 +29,10 @@ impl LinearTap {
     }
 }
 
-/// Fixed-point one of OpenCV's weights for 8-bit pictures.
+/// One in the fixed-point format of OpenCV's weights for 8-bit pictures.
 const ONE: i32 = 1 << 11;
 
-/// An image read at `columns` by `rows`, with OpenCV's fixed-point arithmetic.
+/// An image sampled at `columns` by `rows`, with OpenCV's fixed-point arithmetic.
 pub fn sample_image(image: &Image, columns: &[LinearTap], rows: &[LinearTap]) -> Image {
     let columns: Vec<(usize, usize, [i32; 2])> =
         columns.iter().map(|tap| (tap.near, tap.far, tap.fixed_weights())).collect();
@@ -54,8 +54,7 @@ pub fn sample_image(image: &Image, columns: &[LinearTap], rows: &[LinearTap]) ->
     out
 }
 
-/// A flow read at `columns` by `rows`, each component multiplied by its `factor`. What comes from an unknown pixel is
-/// unknown.
+/// A flow sampled at `columns` by `rows`, each component multiplied by its `factor`. A pixel with an unknown source is unknown.
 pub fn sample_flow(
     flow: &FlowField,
     columns: &[LinearTap],
@@ -74,7 +73,7 @@ pub fn sample_flow(
     })
 }
 
-/// A mask read at `columns` by `rows`: true where its interpolation is above a half.
+/// A mask sampled at `columns` by `rows`: true where the interpolated value is above one half.
 pub fn sample_mask(mask: &Mask, columns: &[LinearTap], rows: &[LinearTap]) -> Mask {
     Mask::from_fn(columns.len(), rows.len(), |x, y| {
         let (column, row) = (columns[x], rows[y]);
@@ -110,17 +109,17 @@ impl FixedRow {
     }
 }
 
-/// How a value between two pixels is computed. Farneback's iterations magnify the last bit of their input, so that
-/// giving OpenCV's answers takes OpenCV's rounding.
+/// How a value between two pixels is computed. Farneback's iterations magnify the last bit of their input, so matching OpenCV's
+/// results requires its rounding.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Rounding {
-    /// As OpenCV resizes one channel: `near + (far - near) * weight`, fused, from positions in double precision.
+    /// OpenCV's single-channel version: `near + (far - near) * weight`, fused, from positions in double precision.
     Fused,
-    /// As OpenCV resizes two channels: `near * (1 - weight) + far * weight` from positions in single precision.
+    /// OpenCV's two-channel version: `near * (1 - weight) + far * weight` from positions in single precision.
     Plain,
 }
 
-/// Rows that one task resizes, so that neighbouring output rows share the input rows stretched for them.
+/// Rows that one task resizes: neighbouring output rows share horizontally resized input rows.
 const ROWS_PER_TASK: usize = 32;
 
 /// `INTER_LINEAR` of one channel to `width` x `height`, multiplied by `gain`.
@@ -129,12 +128,12 @@ pub fn resize_linear(input: &Plane, (width, height): (usize, usize), gain: f32) 
     resize(input, (width, height), scale, gain, Rounding::Fused)
 }
 
-/// [`resize_linear`] by a scale (input pixels per output pixel) that is given rather than taken from the sizes.
+/// [`resize_linear`] with an explicit scale (input pixels per output pixel) instead of the ratio of the sizes.
 pub fn resize_linear_by(input: &Plane, size: (usize, usize), scale: f64, gain: f32) -> Plane {
     resize(input, size, (scale, scale), gain, Rounding::Fused)
 }
 
-/// [`resize_linear`] as OpenCV computes it where pixels have two channels.
+/// [`resize_linear`] as OpenCV computes it for pixels with two channels.
 pub fn resize_linear_of_two(input: &Plane, size: (usize, usize), gain: f32) -> Plane {
     resize(input, size, scales(input, size), gain, Rounding::Plain)
 }
@@ -197,7 +196,7 @@ fn resize(
     output
 }
 
-/// An input row resized along the row.
+/// An input row, resized horizontally.
 struct StretchedRow {
     row: Option<usize>,
     values: Vec<f32>,

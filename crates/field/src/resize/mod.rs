@@ -1,10 +1,10 @@
-//! Resizing, each kind as the program that results are compared with does it. All count pixel centres as integers and keep
-//! the borders of the picture: `x` of the result lies at `(x + 0.5) * input / output - 0.5`.
+//! Resizing; each kind matches the program that results are compared with. In all, pixel centres are integers and borders are
+//! aligned: `x` of the result is at `(x + 0.5) * input / output - 0.5`.
 //!
 //! - linear, as OpenCV's `INTER_LINEAR`: classical flow, augmentation;
 //! - area, as OpenCV's `INTER_AREA`: coarse flow, the features of micro-expressions, pictures of reports;
 //! - cubic, as OpenCV's `INTER_CUBIC`: faces of micro-expressions;
-//! - antialiased: frames and flow of networks that see another size.
+//! - antialiased: frames and flow of networks that run at another size.
 
 mod antialiased;
 mod area;

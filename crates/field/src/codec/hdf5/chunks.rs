@@ -9,7 +9,7 @@ use crate::FileProblem;
 use crate::codec::claim::{blank, check_deflated, check_file_size};
 use crate::codec::samples::Sample;
 
-/// What was done to a chunk's bytes before they were stored (section IV.A.2.l).
+/// Filters applied to a chunk's bytes before storage (section IV.A.2.l).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Filter {
     Deflate,
@@ -17,18 +17,18 @@ pub(super) enum Filter {
     Fletcher32,
 }
 
-/// A piece of a dataset, as stored.
+/// A stored piece of a dataset.
 pub(super) struct Chunk<'a> {
-    /// Place of its first value in the dataset.
+    /// Index of its first value in the dataset.
     pub(super) offset: [u64; 3],
     stored: &'a [u8],
-    /// Bit `i` is set when filter `i` was not applied.
+    /// Bit `i` is set if filter `i` was skipped.
     skipped_filters: u32,
 }
 
 impl Chunk<'_> {
     /// # Errors
-    /// When the stored bytes cannot become `bytes` values' bytes.
+    /// When the stored bytes cannot expand to `bytes` bytes of values.
     pub(super) fn check_claim(&self, filters: &[Filter], bytes: u64) -> Result<(), FileProblem> {
         let applied = |filter| self.applied(filters).any(|applied| applied == filter);
         if applied(Filter::Deflate) {
@@ -43,7 +43,7 @@ impl Chunk<'_> {
         filters.iter().enumerate().filter(move |(i, _)| skipped >> i & 1 == 0).map(|(_, filter)| *filter)
     }
 
-    /// The values' bytes: the filters are undone from the last to the first.
+    /// The bytes of the values: reverses the filters from last to first.
     pub(super) fn decode(
         &self,
         filters: &[Filter],
@@ -75,9 +75,9 @@ fn inflate(data: &[u8], bytes: usize) -> Result<Vec<u8>, FileProblem> {
     }
 }
 
-/// First bytes of all values, second bytes of all, and so on, become values again.
+/// Reverses the shuffle filter: first bytes of all values, second bytes of all, and so on.
 fn unshuffle(data: &[u8], sample_bytes: usize) -> Vec<u8> {
-    let mut values = data.to_vec(); // what is left over at the end stays in place
+    let mut values = data.to_vec(); // remaining bytes at the end stay in place
     let count = data.len() / sample_bytes;
     for (place, plane) in data.chunks_exact(count.max(1)).take(sample_bytes).enumerate() {
         for (value, byte) in values.chunks_exact_mut(sample_bytes).zip(plane) {
@@ -88,13 +88,14 @@ fn unshuffle(data: &[u8], sample_bytes: usize) -> Vec<u8> {
 }
 
 fn checked_fletcher32(mut data: Vec<u8>) -> Result<Vec<u8>, FileProblem> {
-    let wrong = || FileProblem::field("chunk", "data that fits its Fletcher-32 check sum", "a broken chunk");
+    let wrong =
+        || FileProblem::field("chunk", "data that matches its Fletcher-32 checksum", "a corrupt chunk");
     let at = data.len().checked_sub(4).ok_or_else(wrong)?;
     let stored = data.split_off(at);
     if stored == fletcher32(&data).to_le_bytes() { Ok(data) } else { Err(wrong()) }
 }
 
-/// Over big-endian words of 16 bits; a last single byte is a word's high byte.
+/// Over big-endian 16-bit words; a last single byte is the high byte of a word.
 fn fletcher32(data: &[u8]) -> u32 {
     let (mut low, mut high) = (0_u64, 0_u64);
     for block in data.chunks(720) {
@@ -105,7 +106,7 @@ fn fletcher32(data: &[u8]) -> u32 {
         low %= 65535;
         high %= 65535;
     }
-    // Sums are folded, never reduced to zero, in the reference.
+    // The reference folds sums and never reduces them to zero.
     let fold = |sum: u64, any: bool| if sum == 0 && any { 65535 } else { sum };
     let any = data.iter().any(|byte| *byte != 0);
     (fold(high, any) << 16 | fold(low, any)) as u32
@@ -131,7 +132,7 @@ pub(super) fn parse_filters(data: &[u8]) -> Result<Vec<Filter>, FileProblem> {
             2 => Filter::Shuffle,
             3 => Filter::Fletcher32,
             _ => {
-                let expected = "gzip, shuffle or fletcher32 (write it again with compression=\"gzip\")";
+                let expected = "gzip, shuffle or fletcher32 (rewrite it with compression=\"gzip\")";
                 return Err(FileProblem::field("filter", expected, format!("filter number {id}")));
             }
         });
@@ -139,7 +140,7 @@ pub(super) fn parse_filters(data: &[u8]) -> Result<Vec<Filter>, FileProblem> {
     Ok(filters)
 }
 
-/// Shape of the chunks and where they are: the rest of a data layout message of class 2.
+/// Shape and location of the chunks: the rest of a data layout message of class 2.
 pub(super) fn chunks_of_layout<'a>(
     file: &'a [u8],
     mut fields: Fields<'a>,
@@ -169,7 +170,7 @@ pub(super) fn chunks_of_layout<'a>(
             vec![Chunk { offset: [0; 3], stored, skipped_filters }]
         }
         _ => {
-            fields.bytes(1)?; // page bits, again in the header of the array
+            fields.bytes(1)?; // page bits, repeated in the array's header
             let unfiltered = filters.is_empty().then_some(unfiltered);
             chunks_of_fixed_array(file, fields.u64()?, shape, chunk_shape, unfiltered)?
         }
@@ -177,7 +178,7 @@ pub(super) fn chunks_of_layout<'a>(
     Ok((chunk_shape, chunks))
 }
 
-/// A chunk is no larger than the dataset: what lies outside of it would take memory for nothing.
+/// Checks that a chunk is no larger than the dataset, since the excess would only waste memory.
 fn chunk_shape(
     fields: &mut Fields,
     side_bytes: usize,
@@ -198,14 +199,14 @@ fn stored_at(file: &[u8], address: u64, size: u64) -> Result<&[u8], FileProblem>
     Fields::at(file, address, "chunk")?.bytes(usize::try_from(size).unwrap_or(usize::MAX))
 }
 
-/// The chunks that a B-tree of version 1 lists (section III.A.1).
+/// The chunks listed by a B-tree of version 1 (section III.A.1).
 fn chunks_of_tree(file: &[u8], tree: u64) -> Result<Vec<Chunk<'_>>, FileProblem> {
     const NAME: &str = "chunk B-tree";
     if tree == UNDEFINED {
         return Ok(Vec::new());
     }
     let mut chunks = Vec::new();
-    // Each node is at its own place: more visits than there is room for nodes are a loop.
+    // Each node has its own place in the file: more visits than nodes can fit means a loop.
     let mut nodes_left = file.len() / 24;
     let mut waiting = vec![tree];
     while let Some(address) = waiting.pop() {
@@ -216,9 +217,7 @@ fn chunks_of_tree(file: &[u8], tree: u64) -> Result<Vec<Chunk<'_>>, FileProblem>
         let entries = node.u16()?;
         node.bytes(16)?; // siblings
         let room = nodes_left.checked_sub(1 + usize::from(entries));
-        nodes_left = room.ok_or_else(|| {
-            FileProblem::field(NAME, "nodes that end", "nodes that lead back to each other")
-        })?;
+        nodes_left = room.ok_or_else(|| FileProblem::field(NAME, "a tree", "a cycle of nodes"))?;
         for _ in 0..entries {
             let size = node.u32()?;
             let skipped_filters = node.u32()?;
@@ -236,8 +235,7 @@ fn chunks_of_tree(file: &[u8], tree: u64) -> Result<Vec<Chunk<'_>>, FileProblem>
     Ok(chunks)
 }
 
-/// The chunks that a fixed array lists, row-major (sections VII.B and VII.C); `bytes` is their size when they are not
-/// filtered.
+/// The chunks listed by a fixed array, row-major (sections VII.B and VII.C); `bytes` is their size if they are not filtered.
 fn chunks_of_fixed_array<'a>(
     file: &'a [u8],
     address: u64,
@@ -256,8 +254,7 @@ fn chunks_of_fixed_array<'a>(
     let grid: [u64; 3] = std::array::from_fn(|axis| shape[axis].div_ceil(chunk_shape[axis]));
     let expected = grid.iter().try_fold(1_u64, |count, side| count.checked_mul(*side));
     if expected != Some(count) || page_bits > 32 || count > 1 << page_bits {
-        let expected =
-            "as many entries as chunks, on one page (h5py's default settings write what is read here)";
+        let expected = "as many entries as chunks, on one page (files written with h5py's default settings are supported)";
         return Err(FileProblem::field(NAME, expected, format!("{count} entries")));
     }
     let mut block = Fields::at(file, header.u64()?, NAME)?;
@@ -281,7 +278,7 @@ fn chunks_of_fixed_array<'a>(
 }
 
 /// # Errors
-/// When the chunks are not exactly those that tile the dataset.
+/// When the chunks do not tile the dataset exactly.
 pub(super) fn check_complete(
     chunks: &[Chunk],
     shape: [u64; 3],
@@ -305,6 +302,6 @@ pub(super) fn check_complete(
     Err(FileProblem::field(
         "chunks",
         expected,
-        format!("{} chunks, {} of them in place", chunks.len(), places.len()),
+        format!("{} chunks, {} of them at expected positions", chunks.len(), places.len()),
     ))
 }

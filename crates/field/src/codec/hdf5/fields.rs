@@ -1,10 +1,10 @@
 use crate::FileProblem;
 
-/// A place in the file from which little-endian fields are read one after the other.
+/// A cursor that reads little-endian fields from the file.
 #[derive(Clone)]
 pub(super) struct Fields<'a> {
     rest: &'a [u8],
-    /// What is being read, for errors.
+    /// Name of the structure, for errors.
     structure: &'static str,
 }
 
@@ -13,7 +13,7 @@ impl<'a> Fields<'a> {
         Self { rest: bytes, structure }
     }
 
-    /// The fields from an address of the file on.
+    /// The fields from a file address on.
     pub(super) fn at(file: &'a [u8], address: u64, structure: &'static str) -> Result<Self, FileProblem> {
         let rest = usize::try_from(address).ok().and_then(|address| file.get(address..));
         rest.map(|rest| Self { rest, structure }).ok_or_else(|| {
@@ -30,7 +30,7 @@ impl<'a> Fields<'a> {
             FileProblem::field(
                 self.structure,
                 format!("{count} more bytes"),
-                format!("{}: the file is cut short or broken", self.rest.len()),
+                format!("{}: the file is truncated or corrupt", self.rest.len()),
             )
         })?;
         self.rest = rest;
@@ -69,13 +69,13 @@ impl<'a> Fields<'a> {
         Err(FileProblem::field(self.structure, quoted(expected), quoted(found)))
     }
 
-    /// A version, or another number that must be one of a few.
+    /// A version or another number with few allowed values.
     pub(super) fn one_of(&mut self, field: &'static str, allowed: &[u8]) -> Result<u8, FileProblem> {
         let found = self.u8()?;
         if allowed.contains(&found) {
             return Ok(found);
         }
-        let advice = "(h5py's default settings write what is read here)";
+        let advice = "(files written with h5py's default settings are supported)";
         Err(FileProblem::field(field, format!("one of {allowed:?} {advice}"), found.to_string()))
     }
 

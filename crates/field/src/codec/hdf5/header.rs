@@ -37,10 +37,10 @@ pub(super) fn root_group(file: &[u8]) -> Result<u64, FileProblem> {
     let end = fields.u64()?;
     if end != file.len() as u64 {
         let what =
-            if end > file.len() as u64 { "the file is cut short" } else { "something follows the data" };
+            if end > file.len() as u64 { "the file is truncated" } else { "something follows the data" };
         return Err(FileProblem::field(
             "end of file address",
-            format!("{} as the file has", file.len()),
+            format!("{}, the size of the file", file.len()),
             format!("{end}: {what}"),
         ));
     }
@@ -51,7 +51,7 @@ pub(super) fn root_group(file: &[u8]) -> Result<u64, FileProblem> {
     fields.u64()
 }
 
-/// The messages of the object header at `address` (section IV.A.1): their types and contents.
+/// The messages (types and contents) of the object header at `address` (section IV.A.1).
 pub(super) fn messages(file: &[u8], address: u64) -> Result<Vec<(u16, &[u8])>, FileProblem> {
     const NAME: &str = "object header";
     let mut fields = Fields::at(file, address, NAME)?;
@@ -69,7 +69,7 @@ pub(super) fn messages(file: &[u8], address: u64) -> Result<Vec<(u16, &[u8])>, F
         fields.one_of("object header version", &[1])?;
         fields.bytes(1 + 2 + 4)?; // reserved, number of messages, references
         let size = fields.u32()? as usize;
-        fields.bytes(4)?; // to a multiple of 8
+        fields.bytes(4)?; // padding to a multiple of 8
         messages.read_all(fields.bytes(size)?, Version::One)?;
     }
     Ok(messages.list)
@@ -89,12 +89,12 @@ struct Messages<'a> {
 
 impl<'a> Messages<'a> {
     fn read_all(&mut self, first: &'a [u8], version: Version) -> Result<(), FileProblem> {
-        // Blocks do not overlap, so that together they are no longer than the file: this ends loops.
+        // Blocks do not overlap, so together they are no longer than the file: this detects loops.
         let mut bytes_left = self.file.len();
         self.blocks.push_back(first);
         while let Some(block) = self.blocks.pop_front() {
             bytes_left = bytes_left.checked_sub(block.len().max(1)).ok_or_else(|| {
-                FileProblem::field("object header", "blocks that end", "blocks that lead back to each other")
+                FileProblem::field("object header", "a list of blocks", "a cycle of blocks")
             })?;
             self.read_block(block, version)?;
         }
@@ -147,7 +147,7 @@ impl<'a> Messages<'a> {
             Version::Two { .. } => {
                 let mut block = Fields::new(block, NAME);
                 block.signature(b"OCHK")?;
-                let inside = block.remaining().saturating_sub(4); // a check sum ends it
+                let inside = block.remaining().saturating_sub(4); // ends with a checksum
                 block.bytes(inside)?
             }
         });
@@ -165,9 +165,9 @@ pub(super) fn find_in_root(file: &[u8], name: &str) -> Result<u64, FileProblem> 
             _ => {}
         }
     }
-    found
-        .filter(|address| *address != UNDEFINED)
-        .ok_or_else(|| FileProblem::field("root group", format!("a dataset `{name}`"), "none of this name"))
+    found.filter(|address| *address != UNDEFINED).ok_or_else(|| {
+        FileProblem::field("root group", format!("a dataset `{name}`"), "no dataset of this name")
+    })
 }
 
 /// A group of the old kind (sections III.A.1, III.B to III.D): a B-tree of symbol nodes and a heap of names.
@@ -179,13 +179,13 @@ fn find_in_symbol_table(file: &[u8], data: &[u8], name: &str) -> Result<Option<u
     heap.bytes(4 + 8 + 8)?; // version, size, free list
     let names = heap.u64()?;
 
-    // Each node is at its own place: more visits than there is room for nodes are a loop.
+    // Each node has its own place in the file: more visits than nodes can fit means a loop.
     let mut nodes_left = file.len() / 24;
     let mut waiting = vec![tree];
     while let Some(address) = waiting.pop() {
-        nodes_left = nodes_left.checked_sub(1).ok_or_else(|| {
-            FileProblem::field("group B-tree", "nodes that end", "nodes that lead back to each other")
-        })?;
+        nodes_left = nodes_left
+            .checked_sub(1)
+            .ok_or_else(|| FileProblem::field("group B-tree", "a tree", "a cycle of nodes"))?;
         let mut node = Fields::at(file, address, "group B-tree")?;
         if node.clone().signature(b"SNOD").is_ok() {
             node.bytes(4 + 2)?; // signature, version, reserved
@@ -214,7 +214,7 @@ fn find_in_symbol_table(file: &[u8], data: &[u8], name: &str) -> Result<Option<u
     Ok(None)
 }
 
-/// A link message (section IV.A.2.g): where it leads when it is a hard link of that name.
+/// A link message (section IV.A.2.g): its target if it is a hard link with that name.
 fn link_target(data: &[u8], name: &str) -> Result<Option<u64>, FileProblem> {
     let mut fields = Fields::new(data, "link message");
     fields.one_of("link message version", &[1])?;

@@ -1,8 +1,8 @@
 //! The part of HDF5 that flow files use: named floating-point datasets in the root group, contiguous, or in chunks with
 //! deflate, shuffle and Fletcher-32 filters; written in the layout that every HDF5 library since 1.6 reads.
 //!
-//! Section numbers refer to the *HDF5 File Format Specification Version 3.0*. Our own, because files come from outside: every
-//! address, size and count is held against the file before it is followed or memory is taken for it.
+//! Section numbers refer to the *HDF5 File Format Specification Version 3.0*. Our own implementation, because files are
+//! untrusted: every address, size and count is checked against the file before it is used or memory is allocated for it.
 
 mod chunks;
 mod fields;
@@ -15,5 +15,5 @@ pub(super) use write::write_image;
 
 pub(super) const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
 
-/// The address that stands for "nowhere".
+/// The undefined address.
 const UNDEFINED: u64 = u64::MAX;

@@ -8,9 +8,9 @@ use crate::FileProblem;
 use crate::codec::claim::{MAX_PIXELS, check_file_size};
 use crate::codec::samples::{Endian, Sample, convert_samples};
 
-/// A dataset of three dimensions, found in a file but not read yet.
+/// A three-dimensional dataset, located in a file but not read yet.
 pub(in crate::codec) struct Dataset<'a> {
-    /// Length of each dimension, as the file claims.
+    /// Length of each dimension, as claimed by the file.
     pub(in crate::codec) shape: [u64; 3],
     sample: Sample,
     storage: Storage<'a>,
@@ -22,7 +22,7 @@ enum Storage<'a> {
 }
 
 impl<'a> Dataset<'a> {
-    /// Looks up a dataset of the root group, and sees to it that the file holds as much as its shape claims.
+    /// Looks up a dataset of the root group, and checks that the file is large enough for its shape.
     pub(in crate::codec) fn find(file: &'a [u8], name: &str) -> Result<Self, FileProblem> {
         let (mut shape, mut sample, mut layout, mut filters) = (None, None, None, Vec::new());
         for (kind, data) in messages(file, find_in_root(file, name)?)? {
@@ -59,7 +59,7 @@ impl<'a> Dataset<'a> {
         }
     }
 
-    /// All values, row-major, into a slice of their number.
+    /// Reads all values, row-major, into a slice of matching length.
     pub(in crate::codec) fn read(&self, values: &mut [f32]) -> Result<(), FileProblem> {
         match &self.storage {
             Storage::Contiguous(bytes) => {
@@ -131,7 +131,7 @@ impl<'a> Storage<'a> {
                 if address == UNDEFINED {
                     return Err(FileProblem::field(
                         "data address",
-                        "one inside the file",
+                        "an address inside the file",
                         "none: nothing was written",
                     ));
                 }
@@ -146,7 +146,7 @@ impl<'a> Storage<'a> {
     }
 }
 
-/// Copies a chunk to where it belongs; what of it lies outside the dataset is dropped.
+/// Copies a chunk to its position; values outside the dataset are dropped.
 fn place(offset: [u64; 3], chunk: &[f32], chunk_shape: [u64; 3], values: &mut [f32], shape: [u64; 3]) {
     let offset = offset.map(|start| start as usize);
     let [_, chunk_columns, chunk_channels] = chunk_shape.map(|side| side as usize);
@@ -187,7 +187,7 @@ fn parse_sample(data: &[u8]) -> Result<Sample, FileProblem> {
         0x01 => Some(Endian::Big),
         _ => None,
     };
-    // Offset, precision; exponent's place and size; mantissa's place and size; exponent's bias.
+    // Offset, precision; position and size of the exponent and of the mantissa; exponent bias.
     let sample = match (class, size, endian) {
         (1, 2, Some(endian)) => Some((Sample::F16(endian), [0, 16, 10, 5, 0, 10, 15])),
         (1, 4, Some(endian)) => Some((Sample::F32(endian), [0, 32, 23, 8, 0, 23, 127])),

@@ -9,17 +9,17 @@ use super::{MAGIC, UNDEFINED};
 /// Children of a node of a chunk B-tree: twice the rank that superblock version 0 implies.
 const TREE_CHILDREN: usize = 64;
 
-/// Raw bytes of a chunk when the image is not too large for one B-tree node.
+/// Raw bytes of a chunk, unless the image is too large for one B-tree node.
 const CHUNK_BYTES: usize = 1 << 20;
 
 /// Fast, and after the shuffle as small as gzip's highest levels without it.
 const LEVEL: u32 = 2;
 
-/// Writes a file with one dataset of `f32` of shape (H, W, channels) in the root group, in chunks of whole rows, shuffled
-/// and deflated. The bytes do not depend on the number of threads. Every side is under 2^32.
+/// Writes a file with one dataset of `f32` of shape (H, W, channels) in the root group, in chunks of whole rows, shuffled and
+/// deflated. The bytes do not depend on the number of threads. Every side must be under 2^32.
 ///
 /// # Errors
-/// When the writer fails, or the shape does not fit the values.
+/// When the writer fails, or the shape does not match the number of values.
 pub(in crate::codec) fn write_image(
     name: &str,
     shape: [usize; 3],
@@ -54,7 +54,7 @@ fn compress(values: &[f32], count: usize) -> io::Result<Vec<u8>> {
     encoder.finish()
 }
 
-/// Where each structure lies: superblock, root group (object header, B-tree, heap, symbol node), dataset (object header,
+/// Addresses of all structures: superblock, root group (object header, B-tree, heap, symbol node), dataset (object header,
 /// B-tree), chunks.
 struct Layout<'a> {
     name: &'a str,
@@ -79,7 +79,7 @@ impl<'a> Layout<'a> {
         Self { name, shape, chunk_rows }
     }
 
-    /// All that comes before the chunks.
+    /// Everything before the chunks.
     fn metadata(&self, chunks: &[Vec<u8>]) -> io::Result<Vec<u8>> {
         let mut file = Bytes(Vec::with_capacity(CHUNKS));
         let end = CHUNKS + chunks.iter().map(Vec::len).sum::<usize>();
@@ -206,7 +206,7 @@ impl<'a> Layout<'a> {
     }
 }
 
-/// A file in the making; numbers are little-endian.
+/// A file under construction; numbers are little-endian.
 struct Bytes(Vec<u8>);
 
 impl Bytes {
@@ -231,7 +231,7 @@ impl Bytes {
         self.0.resize(address, 0);
     }
 
-    /// Version 1, of so many messages in so many bytes.
+    /// Version 1, with this number of messages and bytes.
     fn object_header(&mut self, messages: u16, bytes: usize) {
         self.bytes(&[1, 0]);
         self.u16(messages);

@@ -1,7 +1,7 @@
 //! Frame pairs of a head-like cloud: both projections, sorting, and blending of colour, flow, alpha and depth.
 //!
-//! `cargo bench -p srflow-splat` runs all sizes; `-- 150k` a part. Beside criterion's times, each line of the summary
-//! gives nanoseconds per blended (Gaussian, pixel) pair.
+//! `cargo bench -p srflow-splat` runs all sizes; `-- 150k` selects one. Besides criterion's times, the summary prints
+//! nanoseconds per blended (Gaussian, pixel) pair.
 
 use std::cell::Cell;
 use std::time::{Duration, Instant};
@@ -13,11 +13,11 @@ use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, Rasterizer}
 
 const SIZES: [(usize, usize); 3] = [(512, 512), (1600, 1200), (2200, 3208)];
 const COUNTS: [usize; 4] = [10_000, 100_000, 150_000, 1_000_000];
-/// Colour, flow, alpha and depth, as the dataset needs them.
+/// Colour, flow, alpha and depth, as in the dataset.
 const OUTPUTS: Outputs =
     Outputs { image: true, color: false, alpha: true, depth: true, flow: true, depth_next: true };
 
-/// Half axes of the head in metres.
+/// Semi-axes of the head in metres.
 const HALF_AXES: Vec3 = Vec3::new(0.08, 0.115, 0.1);
 
 fn main() {
@@ -86,7 +86,7 @@ fn bench_pair(
     }
 }
 
-/// A camera one metre in front of the head's centre, with the head over half of the image (or as much as fits).
+/// A camera one metre in front of the head's centre, with the head filling half of the image (or as much as fits).
 fn camera(width: usize, height: usize) -> Camera {
     let (w, h) = (width as f64, height as f64);
     let (a, b) = (f64::from(HALF_AXES.x), f64::from(HALF_AXES.y));
@@ -103,7 +103,7 @@ fn camera(width: usize, height: usize) -> Camera {
     }
 }
 
-/// Flat Gaussians all over an ellipsoid, as an avatar's lie on its mesh: standard deviations of 0.35 to 1.05 times the
+/// Flat Gaussians all over an ellipsoid, like those of an avatar on its mesh: standard deviations of 0.35 to 1.05 times the
 /// distance between neighbours, opacity about 0.9.
 fn head(count: usize) -> Gaussians {
     let mut stream = Key::new(1).stream("head");
@@ -124,7 +124,7 @@ fn head(count: usize) -> Gaussians {
     gaussians
 }
 
-/// The head turned by two degrees.
+/// The head rotated by two degrees.
 fn moved(head: &Gaussians) -> Gaussians {
     let turn = Quat::from_euler(EulerRot::YXZ, 0.03, 0.015, 0.005);
     let mut next = head.clone();

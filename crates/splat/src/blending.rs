@@ -1,4 +1,4 @@
-//! The inner loop: blends splats front to back into one tile, a row of sixteen pixels at a time: one vector, or two.
+//! The inner loop: blends splats front to back into one tile, one row of sixteen pixels (one or two vectors) at a time.
 
 use srflow_simd::{Simd, exp2};
 
@@ -16,27 +16,27 @@ pub(crate) struct Row(pub [f32; TILE]);
 /// `0, 1, ... 15`.
 const INDEX: Row = Row([0., 1., 2., 3., 4., 5., 6., 7., 8., 9., 10., 11., 12., 13., 14., 15.]);
 
-/// Vectors of a row at most.
+/// Maximum number of vectors in a row.
 const MAX_VECTORS: usize = 2;
 
-/// How many splats ahead memory is asked for.
+/// Prefetch distance in splats.
 const PREFETCH: usize = 6;
 
-/// The sums of one tile; `CHANNELS` of [`Splat::features`] are blended.
+/// The accumulators of one tile; `CHANNELS` of [`Splat::features`] are blended.
 pub(crate) struct Tile<const CHANNELS: usize> {
     pub rows: [TileRow<CHANNELS>; TILE],
 }
 
 #[derive(Clone, Copy)]
 pub(crate) struct TileRow<const CHANNELS: usize> {
-    /// What is left of the light; negated once the pixel is done, or if it lies outside the image.
+    /// Transmittance; negated once the pixel is done, or if it is outside the image.
     pub transmittance: Row,
     /// Weighted sums of the features.
     pub sums: [Row; CHANNELS],
 }
 
 impl<const CHANNELS: usize> Tile<CHANNELS> {
-    /// A tile of which the first `width` columns lie inside the image.
+    /// A tile whose first `width` columns are inside the image.
     #[inline(always)]
     pub(crate) fn new(width: usize) -> Self {
         let transmittance = Row(std::array::from_fn(|column| if column < width { 1.0 } else { -1.0 }));
@@ -44,7 +44,7 @@ impl<const CHANNELS: usize> Tile<CHANNELS> {
     }
 
     /// Blends the splats of `list`, front to back, into the first `height` rows of the tile at pixel `(left, top)`.
-    /// Returns how many (splat, pixel) pairs were blended.
+    /// Returns the number of blended (splat, pixel) pairs.
     #[inline(always)]
     pub(crate) fn blend(
         &mut self,
@@ -89,7 +89,7 @@ struct Stripes<V> {
 }
 
 impl<V: Copy> Stripes<V> {
-    /// The stripes in the tile at pixel `(left, top)`, and the rows (as bits) in which alpha may reach 1/255.
+    /// The ridge in the tile at pixel `(left, top)`, and the rows (as bits) in which alpha may reach 1/255.
     #[inline(always)]
     fn new<S: Simd<Vector = V>>(s: S, splat: &Splat, left: usize, top: usize) -> (Self, u16) {
         let [xx, xy, yy] = splat.factor;
@@ -106,8 +106,8 @@ impl<V: Copy> Stripes<V> {
             let shear = s.mul(dy, s.splat(xy));
             let e2 = s.mul(dy, s.splat(yy));
             let peaks = s.neg_mul_add(e2, e2, s.splat(splat.log2_opacity));
-            // The column nearest to the ridge, at the first or last column or between: the same operations as
-            // for the pixels, so that rounding cannot tell them apart.
+            // The column nearest to the ridge, clamped to the tile: the same operations as for the pixels, so that rounding
+            // cannot make a difference.
             let first = s.add(s.splat(dx * xx), shear);
             let last = s.add(s.splat((dx + (TILE - 1) as f32) * xx), shear);
             let nearest = s.max(s.max(first, s.sub(s.splat(0.0), last)), s.splat(0.0));
@@ -121,7 +121,7 @@ impl<V: Copy> Stripes<V> {
 }
 
 impl<const CHANNELS: usize> TileRow<CHANNELS> {
-    /// Blends a splat into row number `row`. Returns how many pixels took part, and whether all pixels are done.
+    /// Blends a splat into row number `row`. Returns how many pixels were blended, and whether all pixels are done.
     #[inline(always)]
     fn blend<S: Simd>(
         &mut self,

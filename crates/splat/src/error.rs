@@ -1,8 +1,8 @@
 /// Why a set of Gaussians cannot be rendered.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RasterizeError {
-    /// A list of a set of Gaussians has another length than its list of positions asks for.
-    #[error("{set}: {list} holds {found} entries, {expected} Gaussians need {needed}")]
+    /// The length of a list does not match the number of positions.
+    #[error("{set}: {list} has {found} entries, {expected} Gaussians need {needed}")]
     ListLength {
         /// `the Gaussians` or `the next Gaussians`.
         set: &'static str,
@@ -10,16 +10,16 @@ pub enum RasterizeError {
         list: &'static str,
         /// Number of positions.
         expected: usize,
-        /// Entries that this number needs.
+        /// Entries needed.
         needed: usize,
-        /// Entries there are.
+        /// Entries found.
         found: usize,
     },
-    /// The spherical harmonics are of a degree that the rasterizer does not know.
-    #[error("spherical harmonics of degree {0}: degrees 0 to 3 are known")]
+    /// The degree of the spherical harmonics is not supported.
+    #[error("spherical harmonics of degree {0}: degrees 0 to 3 are supported")]
     ShDegree(usize),
-    /// The two sets are not in correspondence.
-    #[error("the two sets must correspond Gaussian by Gaussian: the first holds {first}, the next {next}")]
+    /// The two sets do not correspond.
+    #[error("the two sets must correspond Gaussian by Gaussian: the first has {first}, the next {next}")]
     CountMismatch {
         /// Gaussians in the first set.
         first: usize,
@@ -34,15 +34,15 @@ pub enum RasterizeError {
         /// Width and height of the next camera's image.
         next: (usize, usize),
     },
-    /// A camera cannot be rendered with.
+    /// A camera cannot be rendered.
     #[error(transparent)]
     Camera(#[from] CameraError),
 }
 
-/// What is wrong with a [`Camera`](crate::Camera).
+/// Why a [`Camera`](crate::Camera) cannot be rendered.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CameraError {
-    /// No pixel.
+    /// The image is empty.
     #[error("the image is {width}x{height} (WIDTHxHEIGHT): both must be at least 1")]
     Empty {
         /// Width in pixels.
@@ -50,7 +50,7 @@ pub enum CameraError {
         /// Height in pixels.
         height: usize,
     },
-    /// More pixels than [`MAX_PIXELS`](crate::MAX_PIXELS).
+    /// The image is larger than [`MAX_PIXELS`](crate::MAX_PIXELS) or [`MAX_SIDE`](crate::MAX_SIDE).
     #[error(
         "the image is {width}x{height} (WIDTHxHEIGHT): at most {} pixels a side and {} in all can be rendered; render it \
          in parts by moving the principal point",
@@ -63,15 +63,15 @@ pub enum CameraError {
         /// Height in pixels.
         height: usize,
     },
-    /// A focal length that is not a positive finite number.
+    /// A focal length is not positive and finite.
     #[error("{name} is {value}: a focal length must be positive and finite")]
     FocalLength {
         /// `fx` or `fy`.
         name: &'static str,
-        /// Its value in pixels.
+        /// In pixels.
         value: f64,
     },
-    /// A principal point that is not finite.
+    /// The principal point is not finite.
     #[error("the principal point is ({cx}, {cy}): both must be finite")]
     PrincipalPoint {
         /// Column in pixels.
@@ -79,7 +79,7 @@ pub enum CameraError {
         /// Row in pixels.
         cy: f64,
     },
-    /// A pose that is not a rotation and a translation.
+    /// The pose is not a rotation and a translation.
     #[error("camera from world is not a rigid motion: {0}")]
     NotRigid(String),
 }

@@ -4,7 +4,7 @@ use srflow_field::{FlowField, Image, Mask, Plane};
 
 use crate::strip::to_byte;
 
-/// Which outputs a rendering writes. Those not asked for are left empty (size 0x0) and cost nothing.
+/// The outputs to write. Others stay empty (size 0x0) and cost nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Outputs {
     /// [`Frame::image`].
@@ -15,14 +15,14 @@ pub struct Outputs {
     pub alpha: bool,
     /// [`Frame::depth`].
     pub depth: bool,
-    /// [`Frame::flow`]; written only when there is a next frame.
+    /// [`Frame::flow`]; needs a next frame.
     pub flow: bool,
-    /// [`Frame::depth_next`]; written only when there is a next frame.
+    /// [`Frame::depth_next`]; needs a next frame.
     pub depth_next: bool,
 }
 
 impl Outputs {
-    /// Everything.
+    /// All outputs.
     pub const ALL: Self =
         Self { image: true, color: true, alpha: true, depth: true, flow: true, depth_next: true };
     /// Nothing.
@@ -38,7 +38,7 @@ impl Default for Outputs {
     }
 }
 
-/// What one rendering gives, row-major. Keep it and hand it to the next rendering: its buffers are reused.
+/// The result of a rendering, row-major. Pass it to the next rendering to reuse its buffers.
 ///
 /// With `w` the blending weight of a Gaussian at a pixel (its alpha times the transmittance before it):
 #[derive(Debug, Clone, PartialEq)]
@@ -49,32 +49,29 @@ pub struct Frame {
     pub height: usize,
     /// [`Frame::color`] clamped to 0..1 and rounded to 8 bits. Colours of a 3DGS avatar are sRGB values already.
     pub image: Image,
-    /// `sum w * colour` plus the background seen through, before clamping; 0..1 is the displayable range.
+    /// `sum w * colour` plus the visible part of the background, before clamping; 0..1 is the displayable range.
     pub color: Vec<[f32; 3]>,
     /// `sum w`, in 0..1.
     pub alpha: Plane,
-    /// Expected depth `sum w * z / sum w` in scene units, z being the centre's depth in this camera; 0 where nothing
-    /// is seen.
+    /// Expected depth `sum w * z / sum w` in scene units, z being the centre's depth in this camera; 0 where nothing is visible.
     pub depth: Plane,
     /// `sum w * displacement` in pixels, not divided by alpha (SRFlow paper, section III-B).
     pub flow: FlowField,
-    /// Expected depth of the same Gaussians, with the same weights, after they moved and as the next camera sees them;
-    /// 0 where nothing is seen. A pixel whose `depth_next` is larger than the next frame's own depth at the flow's
-    /// target is occluded there.
+    /// Expected depth of the same Gaussians, with the same weights, after their motion and in the next camera; 0 where nothing
+    /// is visible. A pixel whose `depth_next` is larger than the next frame's own depth at the flow's target is occluded there.
     pub depth_next: Plane,
-    /// What was drawn.
     pub statistics: Statistics,
 }
 
-/// What one rendering drew.
+/// Counts of one rendering.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Statistics {
-    /// Gaussians that could touch a pixel.
+    /// Gaussians that can touch a pixel.
     pub visible: usize,
-    /// (Gaussian, pixel) pairs that were blended.
+    /// Blended (Gaussian, pixel) pairs.
     pub blended: u64,
-    /// Visible Gaussians that have no displacement because their next centre is not in front of the next camera's
-    /// near plane or is not finite. They are drawn, with a displacement of zero.
+    /// Visible Gaussians without a displacement, because their next centre is not in front of the next camera's near plane or
+    /// is not finite. They are drawn with a displacement of zero.
     pub without_displacement: usize,
 }
 
@@ -107,7 +104,7 @@ impl Frame {
         Mask::from_pixels(width, height, pixels).unwrap_or_else(|_| Mask::new(width, height))
     }
 
-    /// The flow divided by alpha: the mean displacement of what is seen; zero where nothing is seen. Needs
+    /// The flow divided by alpha: the mean displacement of the visible Gaussians; zero where nothing is visible. Needs
     /// [`Outputs::flow`] and [`Outputs::alpha`].
     pub fn flow_normalized(&self) -> FlowField {
         let mut normalized = self.flow.clone();
@@ -120,7 +117,7 @@ impl Frame {
         normalized
     }
 
-    /// Sizes the wanted buffers and empties the others, keeping their memory.
+    /// Resizes the requested buffers and empties the others, keeping their memory.
     pub(crate) fn prepare(&mut self, width: usize, height: usize, outputs: Outputs) {
         macro_rules! fit {
             ($field:ident, $type:ident, $blank:expr) => {
@@ -146,7 +143,7 @@ impl Frame {
     }
 }
 
-/// A band of a frame's rows, to be written by one thread. Outputs that are not wanted are empty.
+/// A band of rows of a frame, written by one thread. Outputs that were not requested are empty.
 pub(crate) struct FrameRows<'a> {
     pub width: usize,
     pub height: usize,
@@ -159,7 +156,7 @@ pub(crate) struct FrameRows<'a> {
 }
 
 impl<'a> FrameRows<'a> {
-    /// All rows of a frame that was prepared.
+    /// All rows of a prepared frame.
     pub(crate) fn all(frame: &'a mut Frame) -> Self {
         Self {
             width: frame.width,
@@ -173,7 +170,7 @@ impl<'a> FrameRows<'a> {
         }
     }
 
-    /// The rows before `row`, and the others.
+    /// Splits into the rows before `row` and the others.
     pub(crate) fn split_at(self, row: usize) -> (Self, Self) {
         let width = self.width;
         let middle = row * width;
@@ -189,7 +186,7 @@ impl<'a> FrameRows<'a> {
         split! { image, color, alpha, depth, flow, depth_next }
     }
 
-    /// Fills columns `columns` of every row with what is seen where there is no Gaussian.
+    /// Fills columns `columns` of every row with the background.
     pub(crate) fn fill_background(&mut self, columns: Range<usize>, background: [f32; 3]) {
         if columns.is_empty() {
             return;

@@ -10,24 +10,23 @@ pub struct Gaussians {
     pub positions: Vec<Vec3>,
     /// Standard deviations along the rotated axes, world units.
     pub scales: Vec<Vec3>,
-    /// World from Gaussian axes.
+    /// World from Gaussian rotations.
     pub rotations: Vec<Quat>,
     /// Opacity at the centre, `0..=1`.
     pub opacities: Vec<f32>,
     /// Spherical-harmonics degree, 0 to 3.
     pub sh_degree: usize,
-    /// Spherical-harmonics colour coefficients: `(sh_degree + 1)^2` entries per Gaussian, each `[r, g, b]`; the entry
-    /// of degree 0 first. Colour is `max(0, 0.5 + sum of coefficient times basis)`, as in the 3DGS reference.
+    /// Spherical-harmonics colour coefficients: `(sh_degree + 1)^2` entries per Gaussian, each `[r, g, b]`, starting with degree
+    /// 0. Colour is `max(0, 0.5 + sum of coefficient times basis)`, as in the 3DGS reference.
     pub sh: Vec<[f32; 3]>,
 }
 
 impl Gaussians {
-    /// How many Gaussians there are.
+    /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.positions.len()
     }
 
-    /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
@@ -37,7 +36,7 @@ impl Gaussians {
         sh::coefficients(self.sh_degree)
     }
 
-    /// Checks that the lists belong together; `set` names the set in the error.
+    /// Checks that the lists have matching lengths; `set` names the set in the error.
     pub(crate) fn validate(&self, set: &'static str) -> Result<(), RasterizeError> {
         if self.sh_degree > 3 {
             return Err(RasterizeError::ShDegree(self.sh_degree));

@@ -1,4 +1,4 @@
-//! Who is drawn where, and in which order.
+//! Assigning splats to tiles, and sorting them by depth.
 
 use crate::projection::Placement;
 
@@ -23,7 +23,7 @@ pub(crate) struct Drawn {
 }
 
 impl DepthOrder {
-    /// The splats that are drawn, by depth as `f32`, equal depths by index.
+    /// The visible splats, sorted by depth as `f32`, equal depths by index.
     pub(crate) fn sort(&mut self, placements: &[Placement]) -> &[Drawn] {
         self.keys.clear();
         for (index, placement) in placements.iter().enumerate() {
@@ -42,7 +42,7 @@ impl DepthOrder {
     }
 }
 
-/// Stable radix sort, least significant digit first, over those bits of the high halves that differ.
+/// Stable radix sort, least significant digit first, over the bits of the high halves that differ.
 fn sort_by_high_half(keys: &mut Vec<u64>, scratch: &mut Vec<u64>) {
     const DIGIT: u32 = 11;
     let Some(low) = keys.iter().map(|key| key >> 32).min() else { return };
@@ -67,7 +67,7 @@ fn sort_by_high_half(keys: &mut Vec<u64>, scratch: &mut Vec<u64>) {
     }
 }
 
-/// Items dealt out to bins in a row (strips of the image, tiles of a strip), each item to all bins of its span.
+/// Items assigned to a row of bins (strips of the image, tiles of a strip), each item to all bins of its span.
 #[derive(Debug)]
 pub(crate) struct Bins<T> {
     /// Bin `b` is `entries[starts[b]..starts[b + 1]]`.
@@ -82,14 +82,14 @@ impl<T> Default for Bins<T> {
 }
 
 impl<T: Copy + Default> Bins<T> {
-    /// When items span more bins than this on average, lists would cost more memory than they save time: every bin
-    /// then holds all items.
+    /// If items span more bins than this on average, lists would cost more memory than they save time: every bin then contains
+    /// all items.
     const MAX_MEAN_SPAN: usize = 16;
 
-    /// Deals out `items`, each with its span (first bin, and one past the last), keeping their order within each bin.
-    /// A bin may hold items that do not span it.
+    /// Assigns `items`, each with its span (first bin, and one past the last), keeping their order within each bin. A bin may
+    /// contain items that do not span it.
     pub(crate) fn deal(&mut self, bins: usize, items: impl ExactSizeIterator<Item = (T, [u16; 2])> + Clone) {
-        // While dealing, `starts[b + 1]` is where the next entry of bin `b` goes; before that, the difference between
+        // During assignment, `starts[b + 1]` is the position of the next entry of bin `b`; before that, the difference between
         // the numbers of entries of bins `b - 1` and `b - 2`.
         let starts = &mut self.starts;
         starts.clear();

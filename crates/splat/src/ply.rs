@@ -1,9 +1,9 @@
-//! PLY files of 3D Gaussians, as the 3DGS reference writes them and every splat viewer reads them
+//! PLY files of 3D Gaussians, as written by the 3DGS reference and read by every splat viewer
 //! (ShenhanQian/GaussianAvatars, `scene/gaussian_model.py`, `save_ply` and `load_ply`).
 //!
-//! One element `vertex` with the properties `x y z nx ny nz f_dc_0..2 f_rest_* opacity scale_0..2 rot_0..3`. The file
-//! holds raw parameters: `ln(scale)`, the logit of the opacity, a quaternion `w x y z` of any length, and `f_rest`
-//! channel by channel (all of red, then green, then blue).
+//! One element `vertex` with the properties `x y z nx ny nz f_dc_0..2 f_rest_* opacity scale_0..2 rot_0..3`. The file stores
+//! raw parameters: `ln(scale)`, the logit of the opacity, a quaternion `w x y z` of any length, and `f_rest` channel by
+//! channel (all of red, then green, then blue).
 
 mod header;
 
@@ -22,13 +22,14 @@ const RAW_ZERO: f64 = -110.0;
 const RAW_ONE: f64 = 20.0;
 
 /// Reads 3D Gaussians; the spherical-harmonics degree follows from the number of `f_rest` properties (0, 9, 24 or 45).
-/// Properties may come in any order and of any type, others (colours, normals) are passed over; binary of either byte order
+/// Properties may have any order and type, and other properties (colours, normals) are ignored; binary files of either byte
+/// order and ASCII files are read.
 /// and ASCII are read.
 ///
 /// # Errors
-/// When the file cannot be read, is not a PLY of 3D Gaussians, holds Gaussians bound to a mesh (`binding_0`, as
-/// GaussianAvatars writes them: they are in the coordinates of their triangles), is shorter or longer than its header says, or holds a
-/// value that is not finite, a scale too large for `f32`, or a quaternion of length zero; the vertex is named.
+/// When the file cannot be read, is not a PLY of 3D Gaussians, contains Gaussians bound to a mesh (`binding_0` of
+/// GaussianAvatars: they are in the coordinates of their triangles), is shorter or longer than its header claims, or contains
+/// a value that is not finite, a scale too large for `f32`, or a quaternion of length zero; the error names the vertex.
 pub fn read_ply(path: &Path) -> Result<Gaussians, FileError> {
     let in_file = |problem| FileError { path: path.to_owned(), problem };
     let (file, len) = open_file(path, FileKind::Splats)?;
@@ -39,13 +40,13 @@ pub fn read_ply(path: &Path) -> Result<Gaussians, FileError> {
 /// (see [`write_atomically`]).
 ///
 /// # Errors
-/// When the lists do not fit together, a value has no raw form (not finite, a negative scale, an opacity outside
-/// 0..=1), or the file cannot be written.
+/// When the lists do not match, a value has no raw form (not finite, a negative scale, an opacity outside 0..=1), or the
+/// file cannot be written.
 pub fn write_ply(path: &Path, gaussians: &Gaussians) -> Result<(), FileError> {
     let in_file = |problem| FileError { path: path.to_owned(), problem };
     gaussians
         .validate("the Gaussians")
-        .map_err(|error| in_file(problem("lists", "lists that fit together", error)))?;
+        .map_err(|error| in_file(problem("lists", "lists of matching lengths", error)))?;
     for index in 0..gaussians.len() {
         check_activated(gaussians, index).map_err(in_file)?;
     }
@@ -60,7 +61,7 @@ fn reading(error: io::Error) -> FileProblem {
     FileProblem::Io { doing: "reading", error }
 }
 
-/// Where the parameters of a Gaussian stand among the values of a vertex.
+/// Positions of a Gaussian's parameters among the values of a vertex.
 struct Layout {
     position: [usize; 3],
     scale: [usize; 3],
@@ -68,7 +69,7 @@ struct Layout {
     rotation: [usize; 4],
     opacity: usize,
     sh_degree: usize,
-    /// Of each coefficient, red, green and blue.
+    /// Red, green and blue of each coefficient.
     sh: Vec<[usize; 3]>,
 }
 
@@ -78,7 +79,7 @@ impl Layout {
             properties.iter().position(|property| property.name == name).ok_or_else(|| {
                 problem(
                     "vertex properties",
-                    format!("`{name}`, which every file of 3D Gaussians has"),
+                    format!("`{name}`, a required property of 3D Gaussians"),
                     format!(
                         "{} properties: {}",
                         properties.len(),
@@ -90,8 +91,8 @@ impl Layout {
         if properties.iter().any(|property| property.name == "binding_0") {
             return Err(problem(
                 "vertex properties",
-                "Gaussians in the world (GaussianAvatars writes each bound to a triangle of a mesh, in its coordinates: pose the \
-                 mesh and export them in the world)",
+                "Gaussians in the world (GaussianAvatars binds each to a triangle of a mesh, in its coordinates: pose the mesh \
+                and export them in the world)",
                 "`binding_0`",
             ));
         }

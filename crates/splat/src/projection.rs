@@ -1,4 +1,4 @@
-//! From Gaussians to splats: ellipses on the image plane, with what is blended.
+//! Projecting Gaussians to splats: ellipses on the image plane with the features to blend.
 
 use glam::{DMat3, DMat4, DVec2, DVec3, Vec3};
 use rayon::prelude::*;
@@ -10,7 +10,7 @@ use crate::{Camera, Gaussians, NEAR, Next, PixelConvention, sh};
 /// Sides of a tile in pixels.
 pub(crate) const TILE: usize = 16;
 
-/// A Gaussian on the image plane; a cache line.
+/// A Gaussian on the image plane, the size of a cache line.
 ///
 /// With `d` the offset from the centre, its alpha there is `2^(log2_opacity - e1^2 - e2^2)`, where
 /// `e1 = xx * d.x + xy * d.y` and `e2 = yy * d.y`. This triangular factor of the inverse covariance keeps its precision
@@ -18,7 +18,7 @@ pub(crate) const TILE: usize = 16;
 #[derive(Debug, Clone, Copy, Default)]
 #[repr(C, align(64))]
 pub(crate) struct Splat {
-    /// In pixels. `f64`, since a pixel coordinate in `f32` is off by up to 1e-4 px.
+    /// In pixels. `f64`, since a pixel coordinate in `f32` has an error of up to 1e-4 px.
     pub center: [f64; 2],
     /// `xx`, `xy`, `yy` in 1/px.
     pub factor: [f32; 3],
@@ -27,12 +27,12 @@ pub(crate) struct Splat {
     pub features: [f32; 7],
 }
 
-/// When and where a splat is drawn.
+/// The depth and tiles of a splat.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Placement {
-    /// Bits of the depth as `f32`, which are ordered as the depths are.
+    /// Bits of the depth as `f32`, which sort like the depths.
     pub depth_bits: u32,
-    /// Rows of tiles that it can touch: first, and one past the last. None when it is not drawn.
+    /// Rows of tiles that it can touch: first, and one past the last. Empty if it is not drawn.
     pub rows: [u16; 2],
     /// Columns of tiles, likewise.
     pub columns: [u16; 2],
@@ -46,8 +46,8 @@ impl Placement {
     }
 }
 
-/// Projects every Gaussian, in parallel. `splats` and `placements` get one entry per Gaussian; a hidden splat holds
-/// nothing of use. Returns how many are drawn without a displacement though there is a next frame.
+/// Projects every Gaussian, in parallel. `splats` and `placements` get one entry per Gaussian; that of a hidden splat is
+/// unspecified. Returns the number of drawn splats without a displacement despite a next frame.
 pub(crate) fn project(
     gaussians: &Gaussians,
     camera: &Camera,
@@ -84,7 +84,7 @@ pub(crate) fn project(
         .sum()
 }
 
-/// A camera and what follows from it for all Gaussians.
+/// A camera with derived values.
 struct View {
     camera: Camera,
     rotation: DMat3,
@@ -109,13 +109,13 @@ impl View {
         }
     }
 
-    /// Fills `splat` but for the motion, and says where it is drawn; `None` when it is not.
+    /// Fills `splat` except for the motion, and returns its placement; `None` if it is not drawn.
     fn project(&self, gaussians: &Gaussians, index: usize, splat: &mut Splat) -> Option<Placement> {
         let position = gaussians.positions[index].as_dvec3();
         let point = self.camera.camera_from_world.transform_point3(position);
         let opacity = f64::from(gaussians.opacities[index]);
         let sh = &gaussians.sh[index * gaussians.sh_len()..][..gaussians.sh_len()];
-        // Written so that NaN is hidden too.
+        // Written such that NaN is hidden too.
         let drawn = point.z > NEAR && opacity >= ALPHA_MIN;
         let finite = point.is_finite() && (point.z as f32).is_finite() && opacity.is_finite();
         if !(drawn && finite && sh.as_flattened().iter().all(|c| c.is_finite())) {
@@ -140,7 +140,7 @@ impl View {
         Some(Placement { depth_bits: depth.to_bits(), rows, columns })
     }
 
-    /// EWA projection of the covariance at `point`, low-pass filter included; `None` when a parameter is not usable.
+    /// EWA projection of the covariance at `point`, low-pass filter included; `None` for invalid parameters.
     fn ellipse(&self, gaussians: &Gaussians, index: usize, point: DVec3) -> Option<Ellipse> {
         let scale = gaussians.scales[index].as_dvec3();
         let rotation = gaussians.rotations[index].as_dquat();
@@ -162,8 +162,8 @@ impl View {
     }
 }
 
-/// Tiles, first and one past the last, of the pixels `center - extent ..= center + extent` of an image side of `size`
-/// pixels; `None` when there is no such pixel.
+/// Tiles, first and one past the last, of the pixels `center - extent ..= center + extent` of an image side of `size` pixels;
+/// `None` without such pixels.
 fn tiles(center: f64, extent: f64, size: usize) -> Option<[u16; 2]> {
     let first = (center - extent).ceil().max(0.0);
     let last = (center + extent).floor().min(size as f64 - 1.0);
@@ -181,9 +181,9 @@ struct Ellipse {
 impl Ellipse {
     /// Half sides in pixels of the box around the pixels whose alpha is at least 1/255.
     fn extent(&self, log2_opacity: f64) -> DVec2 {
-        // Alpha is that much where the squared Mahalanobis distance is at most this.
+        // Alpha reaches 1/255 where the squared Mahalanobis distance is at most this.
         let reach = 2.0 * std::f64::consts::LN_2 * (log2_opacity - f64::from(LOG2_ALPHA_MIN)).max(0.0);
-        // A little more than needed, so that no rounding in the blending's f32 can reach a pixel outside.
+        // Slightly enlarged, so that no rounding in the f32 blending can reach a pixel outside.
         DVec2::new((reach * self.xx).sqrt(), (reach * self.yy).sqrt()) * 1.0001 + 0.001
     }
 
@@ -197,7 +197,7 @@ impl Ellipse {
     }
 }
 
-/// The camera that the flow leads to.
+/// The target camera of the flow.
 struct Motion {
     camera: Camera,
     camera_from_world: DMat4,

@@ -6,14 +6,13 @@ use crate::projection::{Placement, Splat, TILE, project};
 use crate::strip::{Scene, render};
 use crate::{Camera, Frame, Gaussians, Outputs, PixelConvention, RasterizeError, Statistics};
 
-/// How to render.
+/// Rendering options.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Options {
-    /// Colour behind the Gaussians, 0..1.
+    /// Background colour, 0..1.
     pub background: [f32; 3],
-    /// Pixels of what the flow counts.
+    /// Pixel convention of the flow.
     pub convention: PixelConvention,
-    /// What to write.
     pub outputs: Outputs,
 }
 
@@ -24,7 +23,7 @@ impl Default for Options {
     }
 }
 
-/// The frame that the flow leads to: the same Gaussians after they moved, and the camera that sees them.
+/// The target of the flow: the same Gaussians after their motion, and the camera that sees them.
 #[derive(Debug, Clone, Copy)]
 pub struct Next<'a> {
     /// The moved Gaussians, in the order of the first set. Only their positions are used.
@@ -33,11 +32,11 @@ pub struct Next<'a> {
     pub camera: &'a Camera,
 }
 
-/// The Gaussian and Flow Rasterizer. It holds working memory that is reused from one rendering to the next; the result
-/// does not depend on what was rendered before, on the number of threads or on the processor.
+/// The Gaussian and Flow Rasterizer. Its buffers are reused between renderings; the result does not depend on earlier
+/// renderings, the number of threads, or the processor.
 #[derive(Debug, Default)]
 pub struct Rasterizer {
-    /// The widest, unless a test chose another.
+    /// The widest, unless a test chooses another.
     isa: Option<Isa>,
     splats: Vec<Splat>,
     placements: Vec<Placement>,
@@ -57,13 +56,13 @@ impl Rasterizer {
         Self { isa: Some(isa), ..Self::default() }
     }
 
-    /// Renders `gaussians` as `camera` sees them into `frame`, with the flow towards `next` when there is one.
-    /// Runs on the threads of the current rayon pool.
+    /// Renders `gaussians` as seen by `camera` into `frame`, with the flow towards `next` if there is one. Runs on the threads
+    /// of the current rayon pool.
     ///
     /// # Errors
-    /// When the lists of a set do not fit together, the two sets differ in count, a camera is not valid
-    /// ([`Camera::validate`]), or the two cameras' images differ in size. A Gaussian that cannot be drawn (behind the
-    /// near plane, not finite) is no error: it is left out.
+    /// When the lists of a set do not match, the two sets differ in number, a camera is not valid ([`Camera::validate`]), or the
+    /// two cameras' images differ in size. A Gaussian that cannot be drawn (behind the near plane, not finite) is no error: it
+    /// is skipped.
     pub fn render(
         &mut self,
         gaussians: &Gaussians,
@@ -98,7 +97,7 @@ impl Rasterizer {
     }
 }
 
-/// The blending of one rendering.
+/// The blending stage of one rendering.
 struct Pass<'a> {
     isa: Isa,
     scene: Scene<'a>,
@@ -108,8 +107,8 @@ struct Pass<'a> {
 }
 
 impl Pass<'_> {
-    /// Renders the strips of `rows`, the first of which is number `strip`; `tiles` holds the working memory of each.
-    /// Threads take halves of halves: work is balanced and nothing is allocated. Returns the pairs blended.
+    /// Renders the strips of `rows`, starting with strip number `strip`; `tiles` holds the buffers of each. The rows are halved
+    /// recursively among threads, which balances the load without allocating. Returns the number of blended pairs.
     fn render(&self, strip: usize, rows: FrameRows<'_>, tiles: &mut [Bins<u32>]) -> u64 {
         if tiles.len() > 1 {
             let half = tiles.len() / 2;
@@ -147,7 +146,7 @@ dispatch! {
     ) -> u64
 }
 
-/// Checks what every engine relies on.
+/// Checks the preconditions of every implementation.
 pub(crate) fn validate(
     gaussians: &Gaussians,
     camera: &Camera,

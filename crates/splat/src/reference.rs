@@ -1,31 +1,31 @@
-//! The definition of what the rasterizer computes, in `f64`, one pixel at a time.
+//! The definition of the rasterizer's output, in `f64`, one pixel at a time.
 //!
 //! The constants and the order of decisions are those of the 3DGS reference (graphdeco-inria/diff-gaussian-rasterization,
 //! `cuda_rasterizer/forward.cu` and `auxiliary.h`), with three differences:
 //!
-//! - A Gaussian reaches every pixel at which its alpha is at least 1/255. The reference also asks that the pixel lie
-//!   in a 16x16 tile that the Gaussian's 3-sigma square touches, so there a pixel's colour depends on the tile grid:
-//!   an opaque Gaussian's rim between 3 and 3.3 sigma (alpha up to 2.8/255) is drawn in some tiles and cut in others.
-//! - The direction clamp of the projection's Jacobian, 1.3 times the half field of view in the reference, is for an
-//!   off-centre principal point the image's own border plus 0.3 times the half field of view on each side. For a
-//!   centred one that is the same.
-//! - Quaternions are normalised, and arithmetic is `f64` (but the sort key is `f32`, as there).
+//! - A Gaussian reaches every pixel at which its alpha is at least 1/255. The reference also requires the pixel to be in a
+//!   16x16 tile that the Gaussian's 3-sigma square touches, so there a pixel's colour depends on the tile grid: an opaque
+//!   Gaussian's rim between 3 and 3.3 sigma (alpha up to 2.8/255) is drawn in some tiles and cut off in others.
+//! - The direction clamp of the projection's Jacobian, 1.3 times the half field of view in the reference, is generalized for
+//!   an off-centre principal point: the image's own border plus 0.3 times the half field of view on each side. For a centred
+//!   one it is the same.
+//! - Quaternions are normalised, and arithmetic is `f64` (except for the sort key, which is `f32` in both).
 //!
-//! A Gaussian is not drawn when its centre's depth is [`NEAR`] or less, its opacity is under 1/255, its quaternion has
-//! no length, or any of its parameters is not finite.
+//! A Gaussian is not drawn when its centre's depth is at most [`NEAR`], its opacity is under 1/255, its quaternion has length
+//! zero, or any of its parameters is not finite.
 
 use glam::{DMat3, DVec2, DVec3};
 
 use crate::{Camera, Gaussians, NEAR, Next, Options, RasterizeError, sh};
 
-/// Added to the diagonal of the projected covariance, px^2: every Gaussian is about a pixel wide at least.
+/// Added to the diagonal of the projected covariance, px^2: every Gaussian is at least about a pixel wide.
 pub const LOW_PASS: f64 = 0.3;
-/// The most opaque a Gaussian can be at a pixel: 0.99 as `f32`, as there. Two such leave a transmittance just under
-/// [`TRANSMITTANCE_MIN`], so the rounding of this constant is seen.
+/// Maximum alpha of a Gaussian at a pixel: 0.99 as `f32`, as in the reference. Two such leave a transmittance just under
+/// [`TRANSMITTANCE_MIN`], so the rounding of this constant matters.
 pub const ALPHA_MAX: f64 = 0.99_f32 as f64;
-/// Alphas under this are skipped.
+/// Smaller alphas are skipped.
 pub const ALPHA_MIN: f64 = 1.0 / 255.0;
-/// A pixel is done before the Gaussian that would take its transmittance under this.
+/// A pixel is done before the Gaussian that would reduce its transmittance below this.
 pub const TRANSMITTANCE_MIN: f64 = 1e-4_f32 as f64;
 
 /// One pixel of a rendering; see [`Frame`](crate::Frame) for the meaning of each.
@@ -41,7 +41,7 @@ pub struct Pixel {
     pub flow: [f64; 2],
     /// Expected depth after the motion.
     pub depth_next: f64,
-    /// How many Gaussians were blended.
+    /// Number of blended Gaussians.
     pub blended: u32,
 }
 
@@ -57,7 +57,7 @@ struct Splat {
     depth_next: f64,
 }
 
-/// Renders row-major pixels, each on its own: time grows with pixels times Gaussians.
+/// Renders row-major pixels, each independently: time grows with pixels times Gaussians.
 ///
 /// # Errors
 /// As [`Rasterizer::render`](crate::Rasterizer::render).
@@ -70,7 +70,7 @@ pub fn render(
     crate::rasterizer::validate(gaussians, camera, next)?;
     let mut splats: Vec<Splat> =
         (0..gaussians.len()).filter_map(|i| project(gaussians, i, camera, next, options)).collect();
-    splats.sort_by(|a, b| (a.depth as f32).total_cmp(&(b.depth as f32))); // stable: equal depths stay in order
+    splats.sort_by(|a, b| (a.depth as f32).total_cmp(&(b.depth as f32))); // stable: equal depths keep their order
     let mut pixels = Vec::with_capacity(camera.width * camera.height);
     for y in 0..camera.height {
         for x in 0..camera.width {

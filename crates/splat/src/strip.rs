@@ -1,4 +1,4 @@
-//! A row of tiles: deals its splats out to the tiles, blends each tile and writes its pixels.
+//! A row of tiles: assigns its splats to the tiles, blends each tile and writes its pixels.
 
 use srflow_simd::Simd;
 
@@ -7,15 +7,15 @@ use crate::frame::FrameRows;
 use crate::ordering::{Bins, Drawn};
 use crate::projection::{Splat, TILE};
 
-/// What the strips of one rendering share.
+/// Data shared by the strips of one rendering.
 #[derive(Clone, Copy)]
 pub(crate) struct Scene<'a> {
     pub splats: &'a [Splat],
     pub background: [f32; 3],
 }
 
-/// Renders strip number `strip` into `pixels`, from what is drawn there, front to back. `CHANNELS` is 4
-/// (colour and depth) or 7 (displacement and next depth too). Returns how many (splat, pixel) pairs were blended.
+/// Renders strip number `strip` into `pixels`, from the splats drawn there, front to back. `CHANNELS` is 4 (colour and depth)
+/// or 7 (displacement and next depth too). Returns the number of blended (splat, pixel) pairs.
 #[inline(always)]
 pub(crate) fn render<const CHANNELS: usize>(
     s: impl Simd,
@@ -103,8 +103,8 @@ fn mean(sum: f32, alpha: f32) -> f32 {
     sum / if alpha > 0.0 { alpha } else { 1.0 }
 }
 
-/// Writes the pixels of a tile's row, as many as `out` takes. The loop over a whole row has a constant length, and so
-/// becomes vector code.
+/// Writes the pixels of a tile's row, as many as `out` takes. The loop over a whole row has a constant length, so it is
+/// vectorized.
 #[inline(always)]
 fn put<T>(out: &mut [T], value: impl Fn(usize) -> T) {
     match <&mut [T; TILE]>::try_from(&mut *out) {

@@ -1,5 +1,5 @@
-//! A camera path as the viewer of nerfstudio saves it (`nerfstudio/cameras/camera_paths.py`, `get_path_from_json`): world from
-//! camera in OpenGL's axes, 16 numbers by rows, and the angle of the whole height in degrees.
+//! A camera path saved by nerfstudio's viewer (`nerfstudio/cameras/camera_paths.py`, `get_path_from_json`): world from camera
+//! in OpenGL's axes, 16 numbers in row-major order, and the vertical field of view in degrees.
 
 use serde::Deserialize;
 use srflow_field::FileProblem;

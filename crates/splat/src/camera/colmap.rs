@@ -1,6 +1,6 @@
-//! Models of COLMAP: `cameras` with the intrinsics and `images` with the poses, as text or binary (colmap/colmap,
+//! COLMAP models: `cameras` with the intrinsics and `images` with the poses, as text or binary (colmap/colmap,
 //! `src/colmap/scene/reconstruction_io.cc`; `scripts/python/read_write_model.py` reads both). Poses are camera from world in
-//! OpenCV's axes. The principal point counts from the corner of the first pixel; ours from its centre.
+//! OpenCV's axes. The principal point is relative to the corner of the first pixel; ours to its centre.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -12,12 +12,12 @@ use super::Camera;
 use super::file::{NamedCamera, distortion, invalid, problem};
 
 /// A camera model: its number in binary files, its name in text files, and its parameters in order. `f` is both focal lengths;
-/// what is neither that nor a principal point is distortion.
+/// parameters other than focal lengths and principal point are distortion.
 struct Model {
     id: i32,
     name: &'static str,
     parameters: &'static [&'static str],
-    /// Whether it is a pinhole where its distortion is zero.
+    /// Whether it is a pinhole when its distortion is zero.
     pinhole: bool,
 }
 
@@ -45,7 +45,7 @@ const MODELS: [Model; 11] = [
     ),
 ];
 
-/// The two files of a model that matter here.
+/// The two relevant files of a model.
 pub(super) struct Files {
     cameras: PathBuf,
     images: PathBuf,
@@ -53,7 +53,7 @@ pub(super) struct Files {
 }
 
 impl Files {
-    /// Of a folder that holds a model, itself or in `sparse/0` or `sparse`, or of any file of a model.
+    /// Finds them in a model's folder, its `sparse/0` or `sparse`, or next to any file of a model.
     pub(super) fn of(path: &Path) -> Option<Self> {
         let within = |folder: &Path| {
             ["bin", "txt"].into_iter().find_map(|extension| {
@@ -79,7 +79,7 @@ impl Files {
     }
 }
 
-/// Intrinsics of a camera, under its number.
+/// Intrinsics of a camera, by its number.
 struct Intrinsics {
     width: usize,
     height: usize,
@@ -87,7 +87,7 @@ struct Intrinsics {
     parameters: Vec<f64>,
 }
 
-/// Pose of a picture: camera from world.
+/// Pose of an image: camera from world.
 struct Pose {
     /// w, x, y, z.
     rotation: [f64; 4],
@@ -96,7 +96,7 @@ struct Pose {
     name: String,
 }
 
-/// The cameras of all pictures, by their names.
+/// The cameras of all images, sorted by name.
 pub(super) fn cameras(files: &Files) -> Result<Vec<NamedCamera>, FileError> {
     fn parsed<T>(
         path: &Path,
@@ -134,7 +134,11 @@ fn placed(intrinsics: &Intrinsics, pose: Pose) -> Result<NamedCamera, FileProble
     let Pose { rotation: [w, x, y, z], translation, name, .. } = pose;
     if !model.pinhole {
         let found = format!("{}, a fisheye lens, for `{name}`", model.name);
-        return Err(problem("MODEL", "one that a pinhole is a case of (undistort the images first)", found));
+        return Err(problem(
+            "MODEL",
+            "a model that generalizes the pinhole (undistort the images first)",
+            found,
+        ));
     }
     let get = |wanted: &str| {
         model.parameters.iter().zip(parameters).find(|(name, _)| **name == wanted).map(|(_, value)| *value)
@@ -173,7 +177,7 @@ fn model_with(
     })
 }
 
-/// Lines that say something.
+/// Lines without comments and empty ones.
 fn lines(text: &str) -> impl Iterator<Item = &str> {
     text.lines().map(str::trim).filter(|line| !line.starts_with('#'))
 }
@@ -200,7 +204,7 @@ fn intrinsics_of_text(text: &str) -> Result<HashMap<i64, Intrinsics>, FileProble
     lines(text).filter(|line| !line.is_empty()).map(entry).collect()
 }
 
-/// Two lines for each picture: `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, and its points, which may be none.
+/// Two lines per image: `IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME`, and its points, which may be empty.
 fn poses_of_text(text: &str) -> Result<Vec<Pose>, FileProblem> {
     let mut poses = Vec::new();
     let mut lines = lines(text);
@@ -226,7 +230,7 @@ fn poses_of_text(text: &str) -> Result<Vec<Pose>, FileProblem> {
     Ok(poses)
 }
 
-/// What is left of a binary file, little-endian.
+/// The remaining bytes of a binary file, little-endian.
 struct Bytes<'a>(&'a [u8]);
 
 impl<'a> Bytes<'a> {
@@ -239,7 +243,7 @@ impl<'a> Bytes<'a> {
     }
 
     fn array<const N: usize>(&mut self) -> Result<[u8; N], FileProblem> {
-        Ok(self.take(N)?.try_into().unwrap_or([0; N])) // it is so long
+        Ok(self.take(N)?.try_into().unwrap_or([0; N])) // `take` returns N bytes
     }
 
     fn u64(&mut self) -> Result<u64, FileProblem> {
@@ -258,7 +262,7 @@ impl<'a> Bytes<'a> {
         Ok(values)
     }
 
-    /// Up to a zero.
+    /// A zero-terminated string.
     fn text(&mut self) -> Result<String, FileProblem> {
         let end = self.0.iter().position(|byte| *byte == 0);
         let end = end.ok_or_else(|| problem("NAME", "a zero at its end", "none"))?;
@@ -286,7 +290,7 @@ fn intrinsics_of_bytes(bytes: &mut Bytes) -> Result<HashMap<i64, Intrinsics>, Fi
 }
 
 fn poses_of_bytes(bytes: &mut Bytes) -> Result<Vec<Pose>, FileProblem> {
-    /// x, y and the number of a point.
+    /// Bytes of x, y and the id of a point.
     const POINT: usize = 24;
     let mut poses = Vec::new();
     for _ in 0..bytes.u64()? {

@@ -1,4 +1,4 @@
-//! Camera files, recognised by their content. Each format is one file beside this one and one line of a table.
+//! Camera files, recognized by content. Each format is one file in this folder and one line of a table.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,24 +12,23 @@ use crate::CameraError;
 /// A camera of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NamedCamera {
-    /// The picture that was taken with it, as the file calls it; the file's own name for a file of one camera.
+    /// The name of its picture in the file; for a file of one camera, the file's own name.
     pub name: String,
-    /// The camera in the conventions of [`Camera`], [valid](Camera::validate).
+    /// In the conventions of [`Camera`], and [valid](Camera::validate).
     pub camera: Camera,
-    /// Coefficients of lens distortion that are not zero, such as `k1 = -0.03`: the camera is the one without them.
+    /// Non-zero lens distortion coefficients, such as `k1 = -0.03`; they are not part of the camera.
     pub distortion: Option<String>,
 }
 
-/// Reads the cameras of a file, in their order there (COLMAP: by name): our own, `cameras.json` of 3D Gaussian Splatting,
-/// `transforms.json` of NeRF, instant-ngp and nerfstudio, a camera path of nerfstudio, or a model of COLMAP, text or binary:
-/// its folder, or any of its files.
+/// Reads the cameras of a file in file order (COLMAP: by name): our own format, `cameras.json` of 3D Gaussian Splatting,
+/// `transforms.json` of NeRF, instant-ngp and nerfstudio, a camera path of nerfstudio, or a COLMAP model, text or binary: its
+/// folder, or any of its files.
 ///
-/// `size` is the width and height of cameras of which the file says none; without it they are looked up in the pictures
-/// that the file names.
+/// `size` is the width and height for formats that do not store it; `None` looks it up in the pictures that the file lists.
 ///
 /// # Errors
-/// When the file cannot be read, is of no such format or broken, holds no camera, or one that cannot be rendered with: one
-/// with a fisheye lens, a pose that is not rigid, or a size that is not known.
+/// When the file cannot be read, has none of these formats or is corrupt, contains no camera, or one that cannot be rendered:
+/// with a fisheye lens, a pose that is not rigid, or an unknown size.
 pub fn read_cameras(path: &Path, size: Option<(usize, usize)>) -> Result<Vec<NamedCamera>, FileError> {
     let in_file = |problem| FileError { path: path.to_owned(), problem };
     if let Some(files) = colmap::Files::of(path) {
@@ -51,7 +50,7 @@ pub fn read_cameras(path: &Path, size: Option<(usize, usize)>) -> Result<Vec<Nam
 pub(super) struct Source<'a> {
     pub(super) path: &'a Path,
     pub(super) bytes: &'a [u8],
-    /// Of cameras of which the file says no size.
+    /// For cameras without a size in the file.
     pub(super) size: Option<(usize, usize)>,
 }
 
@@ -60,14 +59,14 @@ impl Source<'_> {
         serde_json::from_slice(self.bytes).map_err(|error| problem("camera", "a JSON file of cameras", error))
     }
 
-    /// The file's name, for a camera that has none.
+    /// The file's name, for a camera without one.
     pub(super) fn stem(&self) -> String {
         self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
     }
 }
 
 struct Format {
-    /// For people, with what tells it from the others.
+    /// Name in messages, with the distinguishing keys.
     name: &'static str,
     /// The key at the root of the file that no other format has; none where the root is a list.
     key: Option<&'static str>,
@@ -100,7 +99,7 @@ const FORMATS: [Format; 4] = [
 fn format_of(bytes: &[u8]) -> Result<&'static Format, FileProblem> {
     let unknown = |found: String| {
         let names = FORMATS.each_ref().map(|format| format.name).join(", ");
-        problem("format", format!("{names}, or a folder with a model of COLMAP"), found)
+        problem("format", format!("{names}, or the folder of a COLMAP model"), found)
     };
     let is_list = bytes.trim_ascii_start().starts_with(b"[");
     let root: BTreeMap<String, IgnoredAny> = if is_list {
@@ -119,10 +118,10 @@ pub(super) fn problem(field: &'static str, expected: impl ToString, found: impl 
 }
 
 pub(super) fn invalid(name: &str, error: &CameraError) -> FileProblem {
-    problem("camera", "one that can be rendered with", format!("`{name}`: {error}"))
+    problem("camera", "a camera that can be rendered", format!("`{name}`: {error}"))
 }
 
-/// Of these coefficients those that are not zero.
+/// The non-zero coefficients, as text.
 pub(super) fn distortion<'a>(coefficients: impl IntoIterator<Item = (&'a str, f64)>) -> Option<String> {
     let given: Vec<String> = coefficients
         .into_iter()

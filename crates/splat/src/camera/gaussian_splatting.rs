@@ -1,7 +1,6 @@
-//! `cameras.json` as 3D Gaussian Splatting writes it (graphdeco-inria/gaussian-splatting, `utils/camera_utils.py`,
-//! `camera_to_JSON`): a list of cameras in OpenCV's axes, each with its place in the world, its axes in the world as the
-//! columns of `rotation`, and focal lengths in pixels. The rasterizer of that project knows no principal point: it is the
-//! middle of the picture.
+//! `cameras.json` of 3D Gaussian Splatting (graphdeco-inria/gaussian-splatting, `utils/camera_utils.py`, `camera_to_JSON`): a
+//! list of cameras in OpenCV's axes, each with its position in the world, its axes in the world as the columns of `rotation`,
+//! and focal lengths in pixels. That project's rasterizer has no principal point: it is the centre of the picture.
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
@@ -17,7 +16,7 @@ struct Record {
     height: usize,
     /// World from camera.
     position: [f64; 3],
-    /// World from camera, by rows.
+    /// World from camera, in row-major order.
     rotation: [[f64; 3]; 3],
     fx: f64,
     fy: f64,

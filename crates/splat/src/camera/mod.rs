@@ -1,4 +1,4 @@
-//! A pinhole camera, the files it is read from, and the circle it can go on.
+//! A pinhole camera, the files it is read from, and orbits.
 
 mod camera_path;
 mod colmap;
@@ -18,13 +18,13 @@ pub use orbit::Surroundings;
 
 use crate::CameraError;
 
-/// The most pixels an image may have: 134 million (16384x8192), as for flow files.
+/// Maximum number of pixels of an image: 134 million (16384x8192), as for flow files.
 pub const MAX_PIXELS: usize = 1 << 27;
 
-/// The longest side an image may have, in pixels.
+/// Maximum side of an image, in pixels.
 pub const MAX_SIDE: usize = 1 << 19;
 
-/// Gaussians whose centre is at this depth or nearer are not seen, in scene units (3DGS reference, `in_frustum`).
+/// Gaussians whose centre is at this depth or nearer are culled, in scene units (3DGS reference, `in_frustum`).
 pub const NEAR: f64 = 0.2;
 
 /// A pinhole camera in the OpenCV convention: x right, y down, z forward; an integer coordinate is the centre of a
@@ -48,14 +48,14 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// At the origin, with the principal point in the middle of a picture of so many pixels and these focal lengths.
+    /// A camera at the origin, with these focal lengths and the principal point at the centre of a picture of this size.
     pub fn centred((width, height): (usize, usize), [fx, fy]: [f64; 2]) -> Self {
         let middle = |side: usize| (side as f64 - 1.0) / 2.0;
         let (cx, cy) = (middle(width), middle(height));
         Self { width, height, fx, fy, cx, cy, camera_from_world: DMat4::IDENTITY }
     }
 
-    /// Elsewhere: the columns of `world_from_camera` are the camera's axes (right, down, forward) in the world.
+    /// The same camera in another pose: the columns of `world_from_camera` are its axes (right, down, forward) in the world.
     #[must_use]
     pub fn placed(self, world_from_camera: DMat3, position: DVec3) -> Self {
         let rotation = world_from_camera.transpose();
@@ -68,11 +68,11 @@ impl Camera {
         Self { camera_from_world, ..self }
     }
 
-    /// The same view in another number of pixels.
+    /// The same view at another resolution.
     #[must_use]
     pub fn resized(self, (width, height): (usize, usize)) -> Self {
         let (x, y) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
-        let scaled = |place: f64, factor: f64| (place + 0.5) * factor - 0.5; // the corner of the first pixel stays
+        let scaled = |place: f64, factor: f64| (place + 0.5) * factor - 0.5; // the corner of the first pixel is fixed
         let (fx, fy) = (self.fx * x, self.fy * y);
         Self { width, height, fx, fy, cx: scaled(self.cx, x), cy: scaled(self.cy, y), ..self }
     }
@@ -83,7 +83,7 @@ impl Camera {
         (point.z > 0.0).then(|| (self.pixel(point), point.z))
     }
 
-    /// Where the camera stands, in world units. The pose must be rigid, see [`Camera::validate`].
+    /// Position of the camera, in world units. The pose must be rigid, see [`Camera::validate`].
     pub fn position(&self) -> DVec3 {
         let t = self.camera_from_world.w_axis.truncate();
         -DVec3::new(
@@ -93,12 +93,12 @@ impl Camera {
         )
     }
 
-    /// Pixel of a point in camera coordinates that lies in front of the camera.
+    /// Pixel of a point in camera coordinates, which must be in front of the camera.
     pub(crate) fn pixel(&self, point: DVec3) -> DVec2 {
         DVec2::new(self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy)
     }
 
-    /// Whether the camera can be rendered with.
+    /// Checks whether the camera can be rendered.
     ///
     /// # Errors
     /// When the image is empty or is larger than [`MAX_PIXELS`] or [`MAX_SIDE`], an intrinsic is not finite, a focal length not
@@ -126,7 +126,7 @@ impl Camera {
         const TOLERANCE: f64 = 1e-4;
         let pose = self.camera_from_world;
         if !pose.is_finite() {
-            return Err("it holds a number that is not finite".into());
+            return Err("it has a number that is not finite".into());
         }
         let last = pose.row(3);
         if last.to_array() != [0.0, 0.0, 0.0, 1.0] {
@@ -151,19 +151,19 @@ impl Camera {
     }
 }
 
-/// How normalised device coordinates become the pixel coordinates whose difference is the flow.
+/// The conversion from normalised device coordinates to the pixel coordinates whose difference is the flow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum PixelConvention {
     /// `((ndc + 1) * S - 1) / 2`, as the 3DGS rasterizer places colour: flow and colour agree.
     #[default]
     Splat,
-    /// `(ndc + 1) * (S - 1) / 2`, as the SRFlow paper writes (its equations for u and v): displacements are smaller
-    /// by the factor `(S - 1) / S`.
+    /// `(ndc + 1) * (S - 1) / 2`, as in the SRFlow paper (its equations for u and v): displacements are smaller by the factor
+    /// `(S - 1) / S`.
     Paper,
 }
 
 impl PixelConvention {
-    /// Pixels of this convention per pixel of the image, for an image side of `size` pixels.
+    /// Pixels of this convention per image pixel, for an image side of `size` pixels.
     pub fn scale(self, size: usize) -> f64 {
         match self {
             Self::Splat => 1.0,

@@ -1,26 +1,26 @@
-//! Cameras that nobody has to write down: one that faces a set of Gaussians, and a circle around it.
+//! Default cameras: one that faces a set of Gaussians, and a circle around it.
 
 use glam::{DMat3, DMat4, DVec3};
 
 use super::{Camera, NEAR};
 use crate::Gaussians;
 
-/// Share of the Gaussians that lie within [`Surroundings::radius`]: strays do not count.
+/// Share of the Gaussians within [`Surroundings::radius`]: outliers are ignored.
 const INSIDE: f64 = 0.98;
-/// Angle in degrees of the shorter side of the picture of [`Camera::facing`].
+/// Field of view of [`Camera::facing`] along the shorter side, in degrees.
 const ANGLE: f64 = 30.0;
 
-/// Where a set of Gaussians lies.
+/// Position and extent of a set of Gaussians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Surroundings {
     /// Medians of the coordinates.
     pub centre: DVec3,
-    /// Of a ball around the centre that holds 98 % of the Gaussians to twice their standard deviation, in world units.
+    /// Radius of a ball around the centre that contains 98 % of the Gaussians up to two standard deviations, in world units.
     pub radius: f64,
 }
 
 impl Surroundings {
-    /// `None` of no Gaussian.
+    /// `None` without Gaussians.
     pub fn of(gaussians: &Gaussians) -> Option<Self> {
         let positions = || gaussians.positions.iter().map(|position| position.as_dvec3());
         let centre = DVec3::new(
@@ -42,19 +42,19 @@ fn quantile(values: impl Iterator<Item = f64>, share: f64) -> Option<f64> {
 }
 
 impl Camera {
-    /// Looks at the whole of `seen` from the front: from +z, where +y is up, as heads of FLAME, glTF and this project stand.
+    /// Shows the whole of `seen` from the front: from +z, where +y is up, as for heads of FLAME, glTF and this project.
     pub fn facing(seen: Surroundings, (width, height): (usize, usize)) -> Self {
         let half_angle = (ANGLE / 2.0).to_radians();
         let focal = width.min(height) as f64 / (2.0 * half_angle.tan());
-        // Nothing of the ball is nearer than what is rendered.
+        // No part of the ball is nearer than the near plane.
         let distance = (seen.radius / half_angle.sin()).max(seen.radius + 2.0 * NEAR);
         let world_from_camera = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
         Self::centred((width, height), [focal; 2])
             .placed(world_from_camera, seen.centre + distance * DVec3::Z)
     }
 
-    /// `count` cameras on a circle around `centre`, from this one on, `degrees / count` apart: to the right where that is
-    /// positive, about the direction that is up in this camera's picture.
+    /// `count` cameras on a circle around `centre`, starting from this one, `degrees / count` apart: to the right where that is
+    /// positive, with the circle's axis along the up direction of this camera's picture.
     pub fn orbit(&self, centre: DVec3, degrees: f64, count: usize) -> Vec<Self> {
         let camera_from_world = self.camera_from_world;
         let up = -camera_from_world.row(1).truncate().normalize();

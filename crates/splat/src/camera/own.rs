@@ -1,4 +1,4 @@
-//! Our own: one camera, as [`Camera`] has it.
+//! Our own format: one camera, with the fields of [`Camera`].
 
 use glam::DMat4;
 use serde::Deserialize;
@@ -15,7 +15,7 @@ struct Record {
     fy: f64,
     cx: f64,
     cy: f64,
-    /// Camera from world, by rows.
+    /// Camera from world, in row-major order.
     w2c: [[f64; 4]; 4],
 }
 

@@ -1,6 +1,6 @@
-//! Where each format puts one world point on the picture, by the equations of the program that the format is of.
+//! Each format projects one world point to the same pixel as the program it comes from.
 //!
-//! The camera stands at [`POSITION`] and looks as [`OPENGL`] says. The expected pixels are computed in numpy from that
+//! The camera is at [`POSITION`] with the orientation [`OPENGL`]. The expected pixels are computed in numpy from that
 //! program's projection: 3DGS, `ndc2Pix`; nerfstudio, the inverse of a ray through `x + 0.5`; COLMAP, `f x / z + c` from the
 //! corner of the first pixel.
 
@@ -72,7 +72,7 @@ fn transforms_of_nerfstudio_with_intrinsics_at_the_root_and_in_frames() {
     assert_eq!(cameras[0].distortion.as_deref(), Some("k1 = -0.25, p2 = 0.125"));
 }
 
-/// NeRF's files have an angle for a focal length and no size: that is the pictures'.
+/// NeRF's files have a field of view in place of a focal length, and no size: it is that of the pictures.
 #[test]
 fn transforms_of_nerf_take_their_size_from_the_pictures() {
     let folder = tempfile::tempdir().unwrap();
@@ -182,7 +182,7 @@ fn a_binary_model_may_end_anywhere() {
 #[test]
 fn what_is_no_camera_is_said() {
     for (text, reason) in [
-        ("hello", "no JSON object"),
+        ("hello", "not a JSON object"),
         ("{}", "without any of these keys"),
         ("[]", "found none"),
         (r#"{"frames": []}"#, "found none"),
@@ -215,7 +215,7 @@ fn an_orbit_keeps_its_distance_and_looks_where_it_looked() {
         let (found, found_depth) = camera.project(POINT).unwrap();
         assert!((found - pixel).length() < 1e-9 && (found_depth - depth).abs() < 1e-9);
     }
-    // A quarter of the way to the right, the camera's way there is its own right.
+    // A quarter of the way to the right, the camera moves along its own right.
     let right = start.camera_from_world.row(0).truncate();
     assert!((circle[1].position() - start.position()).dot(right) > 0.1);
     assert!((circle[4].position() - start.position()).length() > 1.5, "behind it");

@@ -1,10 +1,10 @@
 //! `transforms.json`: of NeRF's synthetic scenes (bmild/nerf, `load_blender.py`), and with more keys of instant-ngp,
 //! nerfstudio (`nerfstudio_dataparser.py`) and GaussianAvatars.
 //!
-//! `transform_matrix` is world from camera in OpenGL's axes (x right, y up, z backward). Focal lengths are given in pixels
-//! (`fl_x`, `fl_y`), or as the angle of the whole width (`camera_angle_x`): `f = w / (2 tan(angle / 2))`. The principal point
-//! counts from the corner of the first pixel; ours from its centre. Each intrinsic stands at the root, in a frame, or both:
-//! the frame's counts.
+//! `transform_matrix` is world from camera in OpenGL's axes (x right, y up, z backward). Focal lengths are in pixels (`fl_x`,
+//! `fl_y`), or given by the horizontal field of view (`camera_angle_x`): `f = w / (2 tan(angle / 2))`. The principal point is
+//! relative to the corner of the first pixel; ours to its centre. Each intrinsic may be at the root, in a frame, or both; the
+//! frame's takes precedence.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ use srflow_field::{FileProblem, read_image_size};
 use super::Camera;
 use super::file::{NamedCamera, Source, distortion, problem};
 
-/// What is drawn without a lens; other models of nerfstudio (fisheye, equirectangular) are no pinhole.
+/// Camera models that are pinholes apart from distortion; other models of nerfstudio (fisheye, equirectangular) are not.
 const PINHOLES: [&str; 4] = ["OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE"];
 
 #[derive(Deserialize)]
@@ -28,13 +28,13 @@ struct Transforms {
 #[derive(Deserialize)]
 struct Frame {
     file_path: String,
-    /// World from camera, by rows; the last may be missing.
+    /// World from camera, in row-major order; the last row may be missing.
     transform_matrix: Vec<[f64; 4]>,
     #[serde(flatten)]
     own: Intrinsics,
 }
 
-/// As far as they are given, under the names of the file.
+/// The intrinsics that are present, under their names in the file.
 #[derive(Deserialize)]
 struct Intrinsics {
     w: Option<f64>,
@@ -99,7 +99,7 @@ fn camera(frame: Frame, shared: &Intrinsics, source: &Source) -> Result<NamedCam
     Ok(NamedCamera { name, camera, distortion })
 }
 
-/// Rotation (axes of OpenCV) and place of a camera in the world, from world from camera in OpenGL's axes.
+/// Rotation (OpenCV's axes) and position of a camera in the world, from world from camera in OpenGL's axes.
 pub(super) fn world_from_opengl(rows: &[[f64; 4]], name: &str) -> Result<(DMat3, DVec3), FileProblem> {
     let whole = match rows {
         [_, _, _] => true,
@@ -116,13 +116,13 @@ pub(super) fn world_from_opengl(rows: &[[f64; 4]], name: &str) -> Result<(DMat3,
 
 fn pixels(field: &'static str, value: f64, name: &str) -> Result<usize, FileProblem> {
     match value {
-        // instant-ngp writes whole numbers as 800.0.
+        // instant-ngp writes integers as 800.0.
         value if value.fract() == 0.0 && (1.0..=4e9).contains(&value) => Ok(value as usize),
-        _ => Err(problem(field, "a whole number of pixels", format!("{value} for `{name}`"))),
+        _ => Err(problem(field, "an integer number of pixels", format!("{value} for `{name}`"))),
     }
 }
 
-/// NeRF's own files say no size: it is that of the pictures, named without their extension.
+/// NeRF's own files have no size: it is that of the pictures, which are listed without extension.
 fn size_of_picture(file: &Path, name: &str) -> Result<(usize, usize), FileProblem> {
     let place = file.parent().unwrap_or(Path::new("")).join(name);
     let with_extension =

@@ -6,10 +6,10 @@ use srflow_field::{FileProblem, excerpt};
 
 use super::{problem, reading};
 
-/// No header of Gaussians comes near this many bytes.
+/// Maximum length of a header in bytes, far above that of any file of Gaussians.
 const MAX_HEADER: usize = 1 << 16;
 
-/// How the body is written.
+/// The encoding of the body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Encoding {
     Ascii,
@@ -54,7 +54,7 @@ impl Scalar {
         }
     }
 
-    /// The number that the first [`Scalar::bytes`] of `bytes` stand for.
+    /// The number in the first [`Scalar::bytes`] of `bytes`.
     pub(super) fn decode(self, bytes: &[u8], encoding: Encoding) -> f64 {
         let mut little = [0; 8];
         let count = self.bytes();
@@ -107,7 +107,7 @@ pub(super) struct Header {
 }
 
 impl Header {
-    /// Reads up to and with the line `end_header`.
+    /// Reads up to and including the line `end_header`.
     pub(super) fn read(reader: &mut impl Read) -> Result<Self, FileProblem> {
         let mut lines = Lines { reader, bytes: 0 };
         let magic = lines.next()?;
@@ -158,9 +158,9 @@ impl Header {
         })
     }
 
-    /// Whether a file of `len` bytes can hold what the header speaks of.
+    /// Checks that a file of `len` bytes can contain what the header claims.
     pub(super) fn check_file_size(&self, len: u64) -> Result<(), FileProblem> {
-        // An ASCII value takes a digit and a space at least; the last space may be missing.
+        // An ASCII value takes at least a digit and a space; the last space may be missing.
         let vertex_bytes = match self.encoding {
             Encoding::Ascii => 2 * self.vertex.properties.len() as u64,
             Encoding::LittleEndian | Encoding::BigEndian => self.vertex.bytes() as u64,
@@ -219,7 +219,7 @@ impl<R: Read> Lines<'_, R> {
     }
 }
 
-/// The numbers of an ASCII body.
+/// Iterates over the numbers of an ASCII body.
 pub(super) struct Words<'a, R> {
     reader: &'a mut R,
     word: String,
@@ -230,7 +230,7 @@ impl<'a, R: Read> Words<'a, R> {
         Self { reader, word: String::new() }
     }
 
-    /// The next number, a value of vertex number `vertex`.
+    /// The next number, which belongs to vertex number `vertex`.
     pub(super) fn number(&mut self, vertex: u64) -> Result<f64, FileProblem> {
         const MAX_WORD: usize = 64;
         self.word.clear();
@@ -255,7 +255,7 @@ impl<'a, R: Read> Words<'a, R> {
 
 impl<R: Read> Words<'_, R> {
     /// # Errors
-    /// When anything but white space is left.
+    /// When anything but white space remains.
     pub(super) fn end(mut self, vertices: u64) -> Result<(), FileProblem> {
         self.word.clear();
         while let Some(byte) = read_byte(self.reader)? {

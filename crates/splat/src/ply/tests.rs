@@ -41,7 +41,7 @@ fn every_degree_survives_writing_and_reading() {
     }
 }
 
-/// A file as another program might write it: one Gaussian of degree 1, with other types, another order and more.
+/// A file as written by another program: one Gaussian of degree 1, with other types, another order and more properties.
 fn foreign(encoding: &str) -> Vec<u8> {
     let mut header = format!("ply\r\nformat {encoding} 1.0\r\ncomment made elsewhere\nelement vertex 1\n");
     let mut names: Vec<String> = (0..9).rev().map(|i| format!("f_rest_{i}")).collect();
@@ -85,7 +85,7 @@ fn other_orders_types_and_encodings_are_read() {
 fn a_file_cut_anywhere_is_refused_without_a_panic() {
     for encoding in ["binary_little_endian", "ascii"] {
         let whole = foreign(encoding);
-        // What is left may be the face, or digits of the last value in ASCII: a shorter number is a number too.
+        // The missing bytes may belong to the face, or in ASCII to the last value: a shorter number is still a number.
         let undetected = if encoding == "ascii" { "255\n3 0 0 0\n".len() } else { "3 0 0 0\n".len() };
         for len in 0..whole.len() - undetected {
             assert!(in_memory(&whole[..len]).is_err(), "{encoding}, {len} bytes");
@@ -118,7 +118,7 @@ fn errors_say_what_was_expected_and_found() {
     let cloud = text.replace("double opacity", "double confidence");
     let cloud = message(cloud.as_bytes());
     assert!(
-        cloud.contains("`opacity`, which every file of 3D Gaussians has, found 25 properties: f_rest_8"),
+        cloud.contains("`opacity`, a required property of 3D Gaussians, found 25 properties: f_rest_8"),
         "{cloud}"
     );
     let rest = text.replace("double f_rest_8", "double other");

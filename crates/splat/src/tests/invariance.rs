@@ -1,4 +1,4 @@
-//! The same bits whatever the processor, the number of threads, and what was rendered before.
+//! Results do not depend on the processor, the number of threads, or earlier renderings.
 
 use glam::DVec3;
 use srflow_simd::{Isa, Portable};

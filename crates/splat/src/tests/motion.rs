@@ -1,4 +1,4 @@
-//! Flow against motion that is known in closed form.
+//! Flow of motion with a closed form.
 
 use glam::{DVec2, DVec3, Quat, Vec3};
 
@@ -12,7 +12,7 @@ fn render(gaussians: &Gaussians, camera: &Camera, next: Next<'_>, convention: Pi
     frame
 }
 
-/// Flow is `displacement * alpha` at every pixel, and the normalised flow `displacement` wherever anything is seen.
+/// Flow is `displacement * alpha` at every pixel, and the normalised flow is `displacement` wherever anything is visible.
 #[track_caller]
 fn assert_displacement(frame: &Frame, displacement: DVec2) {
     let normalized = frame.flow_normalized();
@@ -113,7 +113,7 @@ fn a_gaussian_that_passes_behind_the_next_camera_has_no_displacement() {
     };
     assert_eq!(seen_alone.color, frame.color);
     assert_eq!(seen_alone.flow.size(), (0, 0));
-    // At the centre the far one is seen through the near one: half of its displacement of 0.1 / 1.4 * 90 px.
+    // At the centre the far one is visible through the near one: half of its displacement of 0.1 / 1.4 * 90 px.
     let [u, v] = frame.flow.get(37, 31);
     assert!((u - 0.5 * 0.9 * (0.1 / 1.4 * 90.0)).abs() < 0.1 && v.abs() < 0.1, "({u}, {v})");
 }
@@ -138,5 +138,5 @@ fn sets_that_do_not_correspond_are_refused() {
     let mut ragged = three.clone();
     ragged.opacities.pop();
     let message = error(&ragged, &camera, Next { gaussians: &three, camera: &camera }).to_string();
-    assert_eq!(message, "the Gaussians: opacities holds 2 entries, 3 Gaussians need 3");
+    assert_eq!(message, "the Gaussians: opacities has 2 entries, 3 Gaussians need 3");
 }

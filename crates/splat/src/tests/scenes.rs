@@ -1,11 +1,11 @@
-//! Scenes that are hard in one way each, and random ones.
+//! Difficult scenes, and random ones.
 
 use glam::{DMat3, DMat4, DVec3, EulerRot, Quat, Vec3};
 use srflow_field::random::{Key, Stream};
 
 use crate::{Camera, Gaussians};
 
-/// A camera at the origin, looking along z; the image's size is no multiple of a tile, the principal point off-centre.
+/// A camera at the origin, looking along z; the image size is not a multiple of a tile, the principal point is off-centre.
 pub(super) fn camera() -> Camera {
     Camera {
         width: 83,
@@ -18,7 +18,7 @@ pub(super) fn camera() -> Camera {
     }
 }
 
-/// The camera turned by small angles (radians) and moved.
+/// The camera rotated by small angles (radians) and moved.
 pub(super) fn moved(camera: Camera, yaw: f64, pitch: f64, translation: DVec3) -> Camera {
     let rotation = DMat3::from_euler(EulerRot::YXZ, yaw, pitch, 0.1 * yaw);
     let motion = DMat4::from_mat3_translation(rotation, translation);
@@ -50,8 +50,8 @@ pub(super) fn push(
     gaussians.sh.extend(std::iter::repeat_n([0.0; 3], gaussians.sh_len() - 1));
 }
 
-/// `count` Gaussians in front of, beside and behind [`camera`]. Footprints range from under a pixel to the whole
-/// image, shapes from round to needles of 1:300; some opacities are 0, 1, or under 1/255.
+/// `count` Gaussians in front of, beside and behind [`camera`]. Footprints range from under a pixel to the whole image,
+/// shapes from round to needles of 1:300; some opacities are 0, 1, or under 1/255.
 pub(crate) fn random(seed: u64, count: usize, sh_degree: usize) -> Gaussians {
     let mut stream = Key::new(seed).stream("scene");
     let mut gaussians = Gaussians { sh_degree, ..Gaussians::default() };

@@ -1,4 +1,4 @@
-//! The fast rasterizer against the readable one.
+//! The fast rasterizer against the reference.
 
 use glam::{DVec3, Quat, Vec3};
 
@@ -17,8 +17,8 @@ fn both(gaussians: &Gaussians, camera: &Camera, next: Option<Next<'_>>) -> (Fram
     (frame, reference::render(gaussians, camera, next, &options).unwrap())
 }
 
-/// Holds the two together: colour within 2/255 everywhere, flow within 0.01 px and depths within 1e-3 wherever alpha
-/// is over one half. Returns how many pixels are covered that much.
+/// Compares the two: colour within 2/255 everywhere, flow within 0.01 px and depths within 1e-3 wherever alpha is over one
+/// half. Returns the number of pixels with such alpha.
 #[track_caller]
 fn assert_close(frame: &Frame, pixels: &[Pixel]) -> usize {
     assert_eq!((frame.width * frame.height, frame.color.len()), (pixels.len(), pixels.len()));

@@ -10,25 +10,25 @@ use crate::binding::{BoundGaussians, TriangleFrame};
 use crate::dress::dress;
 use crate::{HeadModel, HeadModelError, HeadPose, ShapedHead, ict};
 
-/// Why there is no avatar.
+/// Why an avatar could not be created.
 #[derive(Debug, thiserror::Error)]
 pub enum AvatarError {
     /// A file could not be read.
     #[error(
-        "{0}. An ICT-FaceKit folder (FaceXModel) holds generic_neutral_mesh.obj, vertex_indices.json, identityNNN.obj and one OBJ per expression"
+        "{0}. An ICT-FaceKit folder (FaceXModel) contains generic_neutral_mesh.obj, vertex_indices.json, identityNNN.obj and one OBJ per expression"
     )]
     Read(FileError),
-    /// A file is not what it should be.
+    /// A file is malformed.
     #[error("{}:{line}: {problem}", .path.display())]
     Malformed {
         path: PathBuf,
         /// Line number, from 1.
         line: usize,
-        /// What was expected and what was found.
+        /// What was expected, and what was found.
         problem: String,
     },
-    /// The neutral mesh is not of the published topology.
-    #[error("{}: {found} vertices, where the topology of ICT-FaceKit's light model has {expected}; take the file as it is published", .path.display())]
+    /// The neutral mesh does not have the published topology.
+    #[error("{}: {found} vertices, where the topology of ICT-FaceKit's light model has {expected}; use the published file", .path.display())]
     Topology {
         /// The neutral mesh.
         path: PathBuf,
@@ -37,8 +37,8 @@ pub enum AvatarError {
         /// Vertices in the file.
         found: usize,
     },
-    /// A shape differs from the neutral mesh in its number of vertices.
-    #[error("{}: {found} vertices, but {} has {expected}; both must be of the same topology", .path.display(), .reference.display())]
+    /// A shape has another number of vertices than the neutral mesh.
+    #[error("{}: {found} vertices, but {} has {expected}; both must have the same topology", .path.display(), .reference.display())]
     VertexCount {
         /// The shape.
         path: PathBuf,
@@ -52,17 +52,17 @@ pub enum AvatarError {
     /// The head model is inconsistent.
     #[error(transparent)]
     Model(#[from] HeadModelError),
-    /// Brows, lashes and the colours of the face are placed by landmarks.
+    /// The model has no landmarks, which place brows, lashes and the colours of the face.
     #[error("the head model {model} has {found} landmarks; dressing it needs the 68 of dlib")]
     Landmarks {
         /// Name of the head model.
         model: String,
-        /// How many it has.
+        /// Number of its landmarks.
         found: usize,
     },
 }
 
-/// A person: a head model, the shape of one head, and the Gaussians that ride on its triangles.
+/// A person: a head model, the shape of one head, and the Gaussians bound to its triangles.
 #[derive(Debug, Clone)]
 pub struct Avatar {
     model: HeadModel,
@@ -70,7 +70,7 @@ pub struct Avatar {
     gaussians: BoundGaussians,
 }
 
-/// Memory that [`Avatar::gaussians_into`] uses again from frame to frame.
+/// Buffers of [`Avatar::gaussians_into`], reused between frames.
 #[derive(Debug, Clone, Default)]
 pub struct PosedHead {
     vertices: Vec<Vec3>,
@@ -90,30 +90,30 @@ impl PosedHead {
 }
 
 impl Avatar {
-    /// The person of `seed` on the built-in head. The seed decides shape, skin, hair and eyes; a seed is the same person
-    /// on every machine.
+    /// The person of `seed` on the built-in head. The seed determines shape, skin, hair and eyes, identically on every
+    /// machine.
     ///
     /// # Errors
-    /// None that a seed can cause; the built-in head is checked like any other.
+    /// None that depend on the seed; the built-in head is checked like any other.
     pub fn builtin(seed: u64) -> Result<Self, AvatarError> {
         Self::of(HeadModel::builtin(seed), &[], seed)
     }
 
-    /// A person on the head model of the ICT-FaceKit folder `dir` (`FaceXModel` as published, or a part of it). The
-    /// seed decides shape, skin, hair and eyes.
+    /// A person on the head model of the ICT-FaceKit folder `dir` (`FaceXModel` as published, or a part of it). The seed
+    /// determines shape, skin, hair and eyes.
     ///
     /// # Errors
-    /// Names the file that is missing, malformed or of another topology.
+    /// Names the file that is missing, malformed, or has another topology.
     pub fn ict(dir: &Path, seed: u64) -> Result<Self, AvatarError> {
         let model = ict::load(dir)?;
         let mut stream = Key::new(seed).stream("identity");
-        // Principal components: standard normal, kept from the rare extremes.
+        // Principal components: standard normal, clamped.
         let identity: Vec<f32> =
             model.identities.iter().map(|_| stream.normal().clamp(-1.8, 1.8) * 0.8).collect();
         Self::of(model, &identity, seed)
     }
 
-    /// A person on any head model, with the given weights of its identity basis. The seed decides skin, hair and eyes.
+    /// A person on any head model, with the given weights of its identity basis. The seed determines skin, hair and eyes.
     ///
     /// # Errors
     /// When the model is inconsistent or has no landmarks.
@@ -131,18 +131,17 @@ impl Avatar {
         &self.model
     }
 
-    /// The head at rest.
     pub fn shaped(&self) -> &ShapedHead {
         &self.shaped
     }
 
-    /// The Gaussians in the frames of the triangles.
+    /// The Gaussians in the local frames of the triangles.
     pub fn bound(&self) -> &BoundGaussians {
         &self.gaussians
     }
 
-    /// The Gaussians in `pose`, world metres, into `out`. Of all poses the same number in the same order, so that two
-    /// of them are in correspondence. `head` and `out` keep their memory from frame to frame.
+    /// Writes the Gaussians in `pose`, in world metres, into `out`. All poses have the same Gaussians in the same order, so any
+    /// two are in correspondence. `head` and `out` keep their memory between frames.
     pub fn gaussians_into(&self, pose: &HeadPose, head: &mut PosedHead, out: &mut Gaussians) {
         self.model.vertices(&self.shaped, pose, &mut head.vertices);
         let vertices = &head.vertices;

@@ -15,7 +15,7 @@ pub struct TriangleFrame {
 }
 
 impl TriangleFrame {
-    /// The frame of a triangle. A triangle without area keeps a valid rotation: its missing axes are chosen freely.
+    /// The frame of a triangle. A degenerate triangle still gets a valid rotation: its missing axes are arbitrary.
     pub fn of(v0: Vec3, v1: Vec3, v2: Vec3) -> Self {
         let a0 = (v1 - v0).normalize_or(Vec3::X);
         let a1 = a0.cross(v2 - v0).try_normalize().unwrap_or_else(|| a0.any_orthonormal_vector());
@@ -42,7 +42,7 @@ impl TriangleFrame {
     }
 }
 
-/// One Gaussian in world units, before it is bound.
+/// One Gaussian in world units, before binding.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Splat {
     pub position: Vec3,
@@ -53,7 +53,7 @@ pub(crate) struct Splat {
     pub color: Vec3,
 }
 
-/// Gaussians in the local frames of triangles. They ride on the triangles: position, scale and rotation.
+/// Gaussians in the local frames of triangles: position, scale and rotation follow the triangle.
 #[derive(Debug, Clone, Default)]
 pub struct BoundGaussians {
     triangles: Vec<u32>,
@@ -64,22 +64,21 @@ pub struct BoundGaussians {
 const SH_0: f32 = 0.282_094_79;
 
 impl BoundGaussians {
-    /// How many Gaussians there are.
+    /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.triangles.len()
     }
 
-    /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.triangles.is_empty()
     }
 
-    /// The triangle that each Gaussian rides on.
+    /// The triangle that each Gaussian is bound to.
     pub fn triangles(&self) -> &[u32] {
         &self.triangles
     }
 
-    /// Binds a Gaussian to triangle number `triangle`, whose frame at rest is `frame`.
+    /// Binds a Gaussian to triangle number `triangle`, whose rest frame is `frame`.
     pub(crate) fn bind(&mut self, triangle: u32, frame: &TriangleFrame, splat: &Splat) {
         let unit = if frame.scale > 0.0 { frame.scale.recip() } else { 0.0 };
         self.triangles.push(triangle);
@@ -90,8 +89,8 @@ impl BoundGaussians {
         self.local.sh.push(((splat.color - 0.5) / SH_0).to_array());
     }
 
-    /// World Gaussian number `i` on a triangle in `frame`: `x' = k R x + T`, `scale' = k scale`, `q' = q_R q`. This is
-    /// the definition; `world_into` does the same for all of them at once.
+    /// World Gaussian number `i` on a triangle in `frame`: `x' = k R x + T`, `scale' = k scale`, `q' = q_R q`. This is the
+    /// definition; `world_into` computes all of them at once.
     pub fn world(&self, i: usize, frame: &TriangleFrame) -> (Vec3, Vec3, Quat) {
         (
             frame.point(self.local.positions[i]),
@@ -100,9 +99,9 @@ impl BoundGaussians {
         )
     }
 
-    /// Writes all Gaussians in world units, on the frames of the model's triangles as they are now.
+    /// Writes all Gaussians in world units, for the current frames of the model's triangles.
     ///
-    /// `out` is resized and overwritten; its memory is used again from frame to frame.
+    /// `out` is resized and overwritten, and keeps its memory between frames.
     pub(crate) fn world_into(&self, frames: &[TriangleFrame], out: &mut Gaussians) {
         let n = self.len();
         out.sh_degree = 0;
@@ -140,7 +139,7 @@ mod tests {
         Vec3::new(stream.normal(), stream.normal(), stream.normal())
     }
 
-    /// GaussianAvatars, `utils/graphics_utils.py` and `scene/gaussian_model.py`, word for word in f64: centroid,
+    /// GaussianAvatars, `utils/graphics_utils.py` and `scene/gaussian_model.py`, transcribed in f64: centroid,
     /// a0 = norm(v1 - v0), a1 = norm(a0 x (v2 - v0)), a2 = -norm(a1 x a0), R = [a0 | a1 | a2],
     /// k = (|v1 - v0| + |a2 . (v2 - v0)|) / 2; x' = k R x + T, scale' = k scale, covariance axes R q.
     fn by_definition(v: [DVec3; 3], x: DVec3, scale: DVec3, q: DMat3) -> (DVec3, DVec3, DMat3) {
@@ -180,7 +179,7 @@ mod tests {
             let axes = DMat3::from_quat(rotation.as_dquat());
             assert!((axes - expected.2).to_cols_array().iter().all(|d| d.abs() < 1e-4));
             let (again, ..) = bound.world(0, &TriangleFrame::of(rest[0], rest[1], rest[2]));
-            assert!(again.distance(splat.position) < 1e-3, "at rest a Gaussian is where it was bound");
+            assert!(again.distance(splat.position) < 1e-3, "at rest a Gaussian is at its bound position");
         }
     }
 

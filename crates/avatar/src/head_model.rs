@@ -6,7 +6,7 @@ mod validation;
 
 pub use validation::HeadModelError;
 
-/// The joints of every head model, in the order of FLAME.
+/// The joints of every head model, in FLAME's order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Joint {
     /// Moves the whole head and neck.
@@ -15,17 +15,17 @@ pub enum Joint {
     Neck,
     /// Opens the mouth.
     Jaw,
-    /// Turns the subject's left eyeball.
+    /// Rotates the subject's left eyeball.
     LeftEye,
-    /// Turns the subject's right eyeball.
+    /// Rotates the subject's right eyeball.
     RightEye,
 }
 
 impl Joint {
-    /// Every joint, in order.
+    /// All joints, in order.
     pub const ALL: [Joint; 5] = [Joint::Root, Joint::Neck, Joint::Jaw, Joint::LeftEye, Joint::RightEye];
 
-    /// The joint that carries this one along; none carries the root.
+    /// The parent joint; `None` for the root.
     pub fn parent(self) -> Option<Joint> {
         match self {
             Joint::Root => None,
@@ -35,24 +35,24 @@ impl Joint {
     }
 }
 
-/// What a triangle shows, which decides how it is dressed with Gaussians.
+/// The region of a triangle, which determines how it is dressed with Gaussians.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Region {
     /// Facial skin, ears included.
     Skin,
     /// Skin under the hair.
     Scalp,
-    /// The red of the lips.
+    /// The vermilion of the lips.
     Lips,
-    /// Skin that carries an eyebrow.
+    /// Skin with an eyebrow.
     Brow,
-    /// Rim of an eyelid that carries the lashes.
+    /// Rim of an eyelid, with lashes.
     LidMargin,
     /// Wet pink lining of the eyelids, and the caruncle in the inner corner of the eye.
     InnerLid,
     /// Neck and shoulders.
     Neck,
-    /// Eyeball. The iris is found from the eye joint and the rest gaze (+z).
+    /// Eyeball. The iris is located by the eye joint and the rest gaze (+z).
     Eyeball,
     /// Upper or lower teeth.
     Teeth,
@@ -63,13 +63,13 @@ pub enum Region {
 /// A named displacement of some vertices.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shape {
-    /// The name in the model's own terms, e.g. `AU12_L` or `mouthSmile_L`.
+    /// The model's own name, e.g. `AU12_L` or `mouthSmile_L`.
     pub name: String,
-    /// Vertex number and displacement in metres at weight 1; vertices that do not move are left out.
+    /// Vertex index and displacement in metres at weight 1; vertices that do not move are omitted.
     pub offsets: Vec<(u32, Vec3)>,
-    /// What keeps an in-between weight `w` on a curved path: displacement at its largest, halfway, scaled by
-    /// `4w(1 - w)` between 0 and 1 and absent elsewhere. An eyelid needs it to slide around the eyeball. Empty for
-    /// the purely linear shapes of FLAME and ICT-FaceKit.
+    /// Curvature of the path between weights 0 and 1: the largest deviation from the straight line, at weight 0.5, scaled by
+    /// `4w(1 - w)`, and zero outside. An eyelid needs it to slide around the eyeball. Empty for the purely linear shapes of
+    /// FLAME and ICT-FaceKit.
     pub arc: Vec<(u32, Vec3)>,
 }
 
@@ -95,10 +95,10 @@ impl Shape {
     }
 }
 
-/// Which half of the face an action unit moves.
+/// The half of the face that an action unit moves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Side {
-    /// Both halves, or an action unit that has none.
+    /// Both halves, or an action unit without halves.
     Both,
     /// The subject's left.
     Left,
@@ -106,12 +106,12 @@ pub enum Side {
     Right,
 }
 
-/// A FACS action unit in the terms of one head model.
+/// A FACS action unit in terms of one head model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ActionUnit {
     /// Number in FACS, e.g. 12.
     pub number: u8,
-    /// The half it moves. A unit with halves is listed as `Left` and as `Right`; asked for on both, both are added.
+    /// A unit with halves is listed as `Left` and as `Right`; [`Side::Both`] adds both.
     pub side: Side,
     /// Expression and its weight at full intensity.
     pub expressions: Vec<(usize, f32)>,
@@ -119,17 +119,17 @@ pub struct ActionUnit {
     pub joints: Vec<(Joint, Vec3)>,
 }
 
-/// A head that can change shape and move: template, identity and expression bases, joints with linear blend skinning,
-/// as FLAME (Li et al. 2017). The built-in head, ICT-FaceKit and FLAME are all this struct.
+/// A head that can change shape and move: template, identity and expression bases, and joints with linear blend skinning, as
+/// in FLAME (Li et al. 2017). The built-in head, ICT-FaceKit and FLAME are all this struct.
 #[derive(Debug, Clone)]
 pub struct HeadModel {
     /// E.g. `builtin`, `ict`.
     pub name: String,
     /// Vertices at rest, metres.
     pub template: Vec<Vec3>,
-    /// Vertex numbers, counter-clockwise seen from outside.
+    /// Vertex indices, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
-    /// What each triangle shows.
+    /// Region of each triangle.
     pub regions: Vec<Region>,
     /// Identity basis.
     pub identities: Vec<Shape>,
@@ -137,20 +137,20 @@ pub struct HeadModel {
     pub expressions: Vec<Shape>,
     /// Position of each [`Joint`] in the template.
     pub joints: [Vec3; 5],
-    /// How each joint follows the identity: vertex and weight. A joint is displaced by the weighted sum of these
-    /// vertices' displacements from the template (with the template's joints this is FLAME's joint regressor).
+    /// Joint regressor: for each joint, vertices and weights. A joint moves by the weighted sum of these vertices'
+    /// displacements from the template (equivalent to FLAME's regressor, given the template's joints).
     pub joint_regressor: [Vec<(u32, f32)>; 5],
-    /// Per vertex, the weight of each [`Joint`]; they sum to 1.
+    /// Joint weights of each vertex, in the order of [`Joint`]; they sum to 1.
     pub skinning: Vec<[f32; 5]>,
     /// Action units in terms of expressions and joints.
     pub action_units: Vec<ActionUnit>,
-    /// 68 facial landmarks (dlib order) as triangle and barycentric coordinates; empty when the model has none.
+    /// 68 facial landmarks (dlib order) as triangle and barycentric coordinates; empty if the model has none.
     pub landmarks: Vec<(u32, Vec3)>,
     /// Vertices of the two eyeballs, left and right.
     pub eyeballs: [Range<u32>; 2],
 }
 
-/// A head model's template with an identity applied: what [`HeadModel::vertices`] poses.
+/// A head model's template with an identity applied: the input of [`HeadModel::vertices`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct ShapedHead {
     /// Vertices at rest, metres.
@@ -159,10 +159,10 @@ pub struct ShapedHead {
     pub joints: [Vec3; 5],
 }
 
-/// One moment of a head: what [`HeadModel::vertices`] needs beside the identity.
+/// The input of [`HeadModel::vertices`] that changes over time.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct HeadPose {
-    /// Weight of each expression of the model; shorter than the basis means zero for the rest.
+    /// Weight of each expression of the model; missing ones are zero.
     pub expressions: Vec<f32>,
     /// Rotation of each [`Joint`] about its rest position, relative to its parent.
     pub joints: [Quat; 5],
@@ -171,8 +171,8 @@ pub struct HeadPose {
 }
 
 impl HeadModel {
-    /// The template with the identity of the given weights, one per shape of `identities`; fewer mean zero for the
-    /// rest, and weights beyond the basis are ignored.
+    /// The template with the identity of the given weights, one per shape of `identities`; missing weights are zero, and
+    /// excess weights are ignored.
     pub fn shaped(&self, identity: &[f32]) -> ShapedHead {
         let mut vertices = self.template.clone();
         for (shape, &weight) in self.identities.iter().zip(identity) {
@@ -188,11 +188,11 @@ impl HeadModel {
         ShapedHead { vertices, joints }
     }
 
-    /// The vertices of `shaped` in `pose`, metres, into `out`, whose memory is used again.
+    /// Writes the vertices of `shaped` in `pose`, metres, into `out`, reusing its memory.
     ///
-    /// Linear blend skinning as FLAME's: expressions are added to the identity's vertices, the joints turn about
-    /// their rest positions along the chain root, neck, {jaw, eyes}, every vertex follows its joints by their
-    /// weights, and the translation comes last.
+    /// Linear blend skinning as in FLAME: expressions are added to the identity's vertices, the joints rotate about their rest
+    /// positions along the chain root, neck, {jaw, eyes}, every vertex follows its joints by their weights, and the
+    /// translation is applied last.
     pub fn vertices(&self, shaped: &ShapedHead, pose: &HeadPose, out: &mut Vec<Vec3>) {
         out.clone_from(&shaped.vertices);
         for (shape, &weight) in self.expressions.iter().zip(&pose.expressions) {
@@ -220,11 +220,10 @@ impl HeadModel {
         })
     }
 
-    /// The pose in which each of the given action units, (number, side, intensity 0 to 1), is shown.
+    /// The pose with each of the given action units: (number, side, intensity 0 to 1).
     ///
-    /// Units add up, but no expression is driven past its full weight: an eye closed by two units is closed. An
-    /// intensity outside 0 to 1 is brought to the nearer end. [`Side::Both`] of a unit that has halves shows both;
-    /// one side of a unit without halves shows the whole of it.
+    /// Units add up, but no expression exceeds its full weight: an eye closed by two units is closed. Intensities are clamped
+    /// to 0..1. [`Side::Both`] of a unit with halves uses both; one side of a unit without halves uses the whole of it.
     ///
     /// # Errors
     /// [`HeadModelError::NoActionUnit`] for a unit that this model does not have.
@@ -233,7 +232,7 @@ impl HeadModel {
         let mut full = vec![0.0_f32; self.expressions.len()];
         let mut turns = [Vec3::ZERO; 5];
         for &(number, side, intensity) in units {
-            // max before min: a NaN intensity is taken as 0.
+            // max before min: a NaN intensity becomes 0.
             #[expect(clippy::manual_clamp, reason = "clamp keeps NaN")]
             let intensity = intensity.max(0.0).min(1.0);
             for unit in self.halves(number, side)? {
@@ -270,7 +269,7 @@ impl HeadModel {
     }
 }
 
-/// Where a joint takes a point that follows it alone: `rotation * point + translation`.
+/// Transform of a point that follows only this joint: `rotation * point + translation`.
 #[derive(Debug, Clone, Copy)]
 struct JointTransform {
     rotation: Mat3,

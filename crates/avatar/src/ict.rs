@@ -1,8 +1,8 @@
 //! ICT-FaceKit (Li et al., *Learning Formation of Physically-Based Face Attributes*, CVPR 2020; MIT licence): the
-//! light model's `FaceXModel` folder, read as it is published.
+//! light model's published `FaceXModel` folder.
 //!
-//! The published head is in centimetres with our axes. Which vertex belongs to what is fixed by the topology, of
-//! 26,719 vertices, and documented in the README of ICT-FaceKit.
+//! The published head is in centimetres with our axes. The meaning of each vertex is fixed by the topology of 26,719 vertices,
+//! and documented in the README of ICT-FaceKit.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -27,10 +27,10 @@ const GUMS_AND_TONGUE: Range<u32> = 14062..17039;
 const TEETH: Range<u32> = 17039..21451;
 const LOWER_TEETH: Range<u32> = 19247..21451;
 const EYEBALLS: [Range<u32>; 2] = [21451..23021, 23021..24591];
-/// The outer shell of each eyeball. The iris below it is not dressed: the shell is painted with one.
+/// The outer shell of each eyeball. The iris below it is not dressed: it is painted on the shell.
 const SCLERAS: [Range<u32>; 2] = [21451..22221, 23021..23791];
 
-/// Offsets shorter than this many metres are rounding of the published files.
+/// Shorter offsets, in metres, are rounding errors of the published files.
 const NEGLIGIBLE_OFFSET: f32 = 2e-6;
 
 #[derive(Deserialize)]
@@ -39,11 +39,11 @@ struct VertexIndices {
     idx_to_landmark_verts: Vec<u32>,
 }
 
-/// Reads the neutral head, every expression that `vertex_indices.json` names and the folder holds, and every
-/// identity. The eyeballs are turned so that they look along +z at rest.
+/// Reads the neutral head, every expression that `vertex_indices.json` names and the folder contains, and every identity. The
+/// eyeballs are rotated to look along +z at rest.
 ///
 /// # Errors
-/// A missing or malformed file, or one whose vertices are not those of the published topology, is named.
+/// Names the file that is missing, malformed, or does not have the published topology.
 pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
     let indices = read_indices(&dir.join("vertex_indices.json"))?;
     let neutral_path = dir.join("generic_neutral_mesh.obj");
@@ -98,8 +98,8 @@ fn read_indices(path: &Path) -> Result<VertexIndices, AvatarError> {
     Ok(indices)
 }
 
-/// The listed expressions, and those that only the action units name: the published folder has a `cheekRaiser` that its
-/// own list leaves out.
+/// The listed expressions, and those that only the action units use: the published folder has a `cheekRaiser` that its own
+/// list lacks.
 fn expression_names(mut names: Vec<String>) -> Vec<String> {
     for stem in ACTION_UNITS.iter().flat_map(|(_, parts)| parts.iter().map(|(stem, _)| stem)) {
         for suffix in ["", "_L", "_R"] {
@@ -112,7 +112,7 @@ fn expression_names(mut names: Vec<String>) -> Vec<String> {
     names
 }
 
-/// The files of these shapes that the folder holds. A name is a file's stem and nothing else.
+/// The existing files of these shapes. A name is the stem of a file in the folder, never a path.
 fn present(dir: &Path, names: impl Iterator<Item = String>) -> Vec<(String, PathBuf)> {
     let plain = |name: &str| name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_');
     names
@@ -152,8 +152,8 @@ fn landmark_positions(vertices: &[u32], template: &[Vec3]) -> Vec<Vec3> {
     vertices.iter().map(|&v| template[v as usize]).collect()
 }
 
-/// Triangles of everything that is dressed, with their regions. The film of tears, the meshes that blend and shade the
-/// eyes and the strips of lashes are left out: they are transparent where they are used.
+/// Triangles of everything that is dressed, with their regions. The tear film, the meshes that blend and shade the eyes, and
+/// the strips of lashes are omitted: they are meant to be rendered transparent.
 fn dressed_triangles(
     polygons: &[Vec<u32>],
     template: &[Vec3],
@@ -174,7 +174,7 @@ fn dressed_triangles(
     (triangles, regions)
 }
 
-/// The hairline seen from the side, metres from back to front: [z, y].
+/// The hairline in profile, metres from back to front: [z, y].
 const HAIRLINE: [[f32; 2]; 15] = [
     [-0.090, -0.035],
     [-0.042, -0.028],
@@ -193,7 +193,7 @@ const HAIRLINE: [[f32; 2]; 15] = [
     [0.095, 0.114],
 ];
 
-/// Where the regions lie that the topology does not tell apart.
+/// Boundaries of the regions that the topology does not separate.
 struct RegionMap {
     lips: Vec<Vec3>,
     brows: [Vec<Vec3>; 2],
@@ -266,7 +266,7 @@ impl RegionMap {
     }
 }
 
-/// Whether a point lies in a polygon, both seen from the front.
+/// Whether a point is inside a polygon, both seen from the front.
 fn inside_polygon(p: Vec3, polygon: &[Vec3]) -> bool {
     let mut inside = false;
     for (i, a) in polygon.iter().enumerate() {
@@ -286,7 +286,7 @@ fn near_polyline(p: Vec3, line: &[Vec3], distance: f32) -> bool {
     })
 }
 
-/// Each landmark is a vertex: the first corner, second or third, of a triangle that has it.
+/// Each landmark is a vertex: the first, second or third corner of a triangle that contains it.
 fn landmark_triangles(vertices: &[u32], triangles: &[[u32; 3]]) -> Vec<(u32, Vec3)> {
     let corners = [Vec3::X, Vec3::Y, Vec3::Z];
     vertices
@@ -302,14 +302,14 @@ fn landmark_triangles(vertices: &[u32], triangles: &[[u32; 3]]) -> Vec<(u32, Vec
 fn joints(template: &[Vec3], landmarks: &[Vec3]) -> [Vec3; 5] {
     let ear_line = (landmarks[0] + landmarks[1] + landmarks[15] + landmarks[16]) * 0.25;
     let chin = landmarks[8];
-    // The jaw turns about the condyles, a finger before the ear canal; the head about the upper neck.
+    // The jaw rotates about the condyles, just in front of the ear canal; the head about the upper neck.
     let jaw = Vec3::new(0.0, ear_line.y, ear_line.z - 0.008);
     let neck = Vec3::new(0.0, chin.y - 0.015, ear_line.z - 0.045);
     let root = Vec3::new(0.0, chin.y - 0.10, ear_line.z - 0.06);
     [root, neck, jaw, eye_center(template, 0), eye_center(template, 1)]
 }
 
-/// Eyes follow their eyeball, the jaw and the neck the landmarks before the ears, the root the chin.
+/// Eyes follow their eyeball, jaw and neck the landmarks in front of the ears, the root the chin.
 fn joint_regressor(landmarks: &[u32]) -> [Vec<(u32, f32)>; 5] {
     let mean = |vertices: Vec<u32>| {
         let weight = 1.0 / vertices.len() as f32;
@@ -337,7 +337,7 @@ fn eye_center(template: &[Vec3], eye: usize) -> Vec3 {
         normal += DMat4::from_cols(row * row.x, row * row.y, row * row.z, row * row.w);
         right += row * p.length_squared();
     }
-    // Published eyeballs are round; made-up ones may be flat, and then their mean must do.
+    // Published eyeballs are round; test data may be flat, where the mean is used.
     let center = (normal.determinant().abs() > 1e-20).then(|| normal.inverse() * right);
     center
         .filter(|c| c.is_finite() && c.truncate().length() < 0.01)
@@ -371,8 +371,8 @@ fn skinning(
         .collect()
 }
 
-/// How much each vertex moves with the jaw: its way in `jawOpen` against that of a point fixed to the mandible. Without
-/// that file only the lower teeth move.
+/// How much each vertex moves with the jaw: its displacement in `jawOpen` relative to that of a point fixed to the mandible.
+/// Without that file only the lower teeth move.
 fn jaw_weights(template: &[Vec3], jaw: Vec3, chin: Vec3, expressions: &[Shape]) -> Vec<f32> {
     let mut weights = vec![0.0_f32; template.len()];
     let lever = |p: Vec3| ((p.y - jaw.y).powi(2) + (p.z - jaw.z).powi(2)).sqrt().max(0.01);
@@ -400,8 +400,8 @@ fn smoothstep(t: f32) -> f32 {
     t * t * (3.0 - 2.0 * t)
 }
 
-/// The published eyes diverge by some degrees, as optical axes do at infinity seen through the cornea; a gaze of zero
-/// must be +z. The cornea is also lowered to what the lids of a forward gaze leave room for.
+/// Corrects the published eyes, which diverge by some degrees, like optical axes at infinity seen through the cornea: a gaze
+/// of zero must be +z. The cornea is also lowered to the space that the lids leave for a forward gaze.
 fn face_eyeballs_forward(model: &mut HeadModel) {
     for eye in 0..2 {
         let center = model.joints[Joint::LeftEye as usize + eye];
@@ -418,8 +418,8 @@ fn face_eyeballs_forward(model: &mut HeadModel) {
     }
 }
 
-/// Action units after the table of ICT-FaceKit's README, of the expressions that are present. `cheekRaiser` stands for
-/// AU 6 beside the table's `cheekSquint`; AU 26 is a dropped jaw, AU 27 the mouth stretched open, AU 25 lips just apart.
+/// Action units from the table in ICT-FaceKit's README, for the expressions that exist. `cheekRaiser` is used for AU 6 in
+/// addition to the table's `cheekSquint`; AU 26 is a dropped jaw, AU 27 the mouth stretched open, AU 25 lips just apart.
 const ACTION_UNITS: &[(u8, &[(&str, f32)])] = &[
     (1, &[("browInnerUp", 1.0)]),
     (2, &[("browOuterUp", 1.0)]),

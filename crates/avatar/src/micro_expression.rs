@@ -5,7 +5,7 @@ use srflow_field::random::Key;
 use crate::motion::{available_units, quintic};
 use crate::{HeadModel, HeadModelError, HeadPose, Side};
 
-/// One micro-expression: it rises from the onset to the apex and is gone at the offset.
+/// One micro-expression: it rises from onset to apex and is gone at the offset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MicroExpression {
     /// Action units and their intensity at the apex, `0..=1`.
@@ -19,13 +19,13 @@ pub struct MicroExpression {
 }
 
 impl MicroExpression {
-    /// The micro-expression that `key` stands for, beginning at frame `onset` of a recording of `frames_per_second`. It
-    /// shows one of the `sets` of action units, drawn from those that the model has whole.
+    /// The micro-expression for `key`, starting at frame `onset` of a recording with `frames_per_second`. It shows one of the `sets`
+    /// of action units that the model has completely.
     ///
-    /// It takes 0.17 to 0.48 s, but never fewer than two frames, so that onset, apex and offset differ.
+    /// It takes 0.17 to 0.48 s, but at least two frames, so that onset, apex and offset differ.
     ///
     /// # Errors
-    /// [`HeadModelError::NoActionUnit`] when the model has none of the sets whole.
+    /// [`HeadModelError::NoActionUnit`] when the model has none of the sets completely.
     pub fn random(
         model: &HeadModel,
         sets: &[&[u8]],
@@ -48,7 +48,7 @@ impl MicroExpression {
             });
         };
         let intensity = stream.uniform(0.12, 0.40);
-        // Many micro-expressions show on one side more than on the other.
+        // Many micro-expressions are stronger on one side.
         let skew = stream.normal().clamp(-2.0, 2.0) * 0.2;
         let mut action_units = Vec::new();
         for &(number, side) in available.iter().filter(|(n, _)| set.contains(n)) {
@@ -66,7 +66,7 @@ impl MicroExpression {
         Ok(Self { action_units, onset, apex, offset: onset + length })
     }
 
-    /// How far the expression has risen at `frame`: 0 up to the onset and from the offset on, 1 at the apex.
+    /// Intensity at `frame`: 0 up to the onset and from the offset on, 1 at the apex.
     pub fn strength(&self, frame: usize) -> f32 {
         if frame <= self.onset || frame >= self.offset {
             0.0

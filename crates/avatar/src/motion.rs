@@ -8,16 +8,16 @@ use crate::{HeadModel, HeadPose, Joint, Side};
 /// One frame of a motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Moment {
-    /// What the head model needs.
+    /// Input of the head model.
     pub pose: HeadPose,
-    /// Action units shown, intensity `0..=1`; those at rest are left out.
+    /// Active action units and their intensities, `0..=1`.
     pub action_units: Vec<(u8, Side, f32)>,
-    /// Where both eyes look relative to the head, radians: to the subject's left and up.
+    /// Gaze of both eyes relative to the head, radians: to the subject's left and up.
     pub gaze: [f32; 2],
 }
 
-/// Combinations of action units that people show: emotions (EMFACS prototypes) and moves of conversation. Of each,
-/// those units take part that the head model has.
+/// Realistic combinations of action units: emotions (EMFACS prototypes) and conversational expressions. Units that the head
+/// model lacks are omitted.
 const EXPRESSIONS: &[&[(u8, f32)]] = &[
     &[(6, 0.8), (12, 1.0)],
     &[(6, 0.6), (12, 0.9), (25, 1.0), (26, 0.4)],
@@ -37,10 +37,10 @@ const EXPRESSIONS: &[&[(u8, f32)]] = &[
     &[(43, 0.9), (7, 0.4)],
 ];
 
-/// Seconds of the way from rest into motion and back at the ends of a sequence.
+/// Duration of the fade from and to rest at the ends of a sequence, seconds.
 const EASE_SECONDS: f32 = 0.6;
 
-/// The motion of one sequence: every frame can be asked for alone. It starts and ends at rest.
+/// The motion of one sequence, computed frame by frame in any order. It starts and ends at rest.
 #[derive(Debug, Clone)]
 pub struct Motion {
     frames: usize,
@@ -53,7 +53,7 @@ pub struct Motion {
     available: Vec<(u8, Side)>,
 }
 
-/// An expression that comes, stays and goes.
+/// An expression with attack, hold and release.
 #[derive(Debug, Clone)]
 struct Event {
     start: f32,
@@ -64,20 +64,20 @@ struct Event {
     speech: bool,
 }
 
-/// The eyes come to rest on something.
+/// A gaze fixation.
 #[derive(Debug, Clone, Copy)]
 struct Fixation {
     start: f32,
     gaze: [f32; 2],
 }
 
-/// Seconds that the eyes take from one fixation to the next: long for a saccade, short for a pursuit.
+/// Duration of an eye movement between fixations, seconds: long for a saccade, short for a pursuit.
 const GAZE_SHIFT_SECONDS: f32 = 0.14;
-/// Seconds in which the lids close, and open again.
+/// Duration of closing and of opening the lids, seconds.
 const BLINK_SECONDS: [f32; 2] = [0.11, 0.19];
 
 impl Motion {
-    /// The motion that `key` (its scene) stands for, for `frames` frames of this head model.
+    /// The motion for `key` (with its scene), of `frames` frames, for this head model.
     pub fn new(model: &HeadModel, key: Key, frames: usize, frames_per_second: f32) -> Self {
         let frames_per_second = if frames_per_second.is_finite() { frames_per_second.max(1.0) } else { 24.0 };
         let seconds = frames as f32 / frames_per_second;
@@ -110,12 +110,11 @@ impl Motion {
         self.frames
     }
 
-    /// Whether there is no frame.
     pub fn is_empty(&self) -> bool {
         self.frames == 0
     }
 
-    /// Frame number `frame`, from 0. Before the first and after the last frame the head is at rest.
+    /// Frame number `frame`, from 0. Outside the sequence the head is at rest.
     pub fn at(&self, model: &HeadModel, frame: usize) -> Moment {
         let time = frame as f32 / self.frames_per_second;
         let ease = self.ease(frame);
@@ -134,7 +133,7 @@ impl Motion {
         let lids = (self.blink(time) * ease).max(-gaze[1] * 0.9).min(1.0);
         self.add_lids(&mut units, lids, gaze[1]);
         units.retain(|u| u.2 > 0.0);
-        // Only units that the model has are ever added, so that this cannot fail.
+        // Only units of the model are ever added, so this cannot fail.
         let mut pose = model.pose_of_action_units(&units).unwrap_or_default();
         let [yaw, pitch, roll] = [0, 1, 2].map(|axis| self.neck[axis].at(time) * ease);
         let turn = |yaw: f32, pitch: f32, roll: f32| Quat::from_euler(EulerRot::YXZ, yaw, -pitch, roll);
@@ -171,12 +170,12 @@ impl Motion {
         gaze
     }
 
-    /// Opening of the jaw, width and rounding of the lips while speaking, `0..=1`.
+    /// Opening of the jaw, and width and rounding of the lips during speech, `0..=1`.
     fn spoken(&self, time: f32) -> [f32; 3] {
         [0, 1, 2].map(|channel| (self.speech[channel].at(time) * 0.9 + 0.45).clamp(0.0, 1.0))
     }
 
-    /// Lids follow the gaze down, and close to blink; looking up lifts them.
+    /// Lids follow the gaze: down and closed for a blink, raised when looking up.
     fn add_lids(&self, units: &mut Vec<(u8, Side, f32)>, closed: f32, gaze_up: f32) {
         let number = if self.has(45) { 45 } else { 43 };
         for &(n, side) in self.available.iter().filter(|(n, _)| *n == number) {
@@ -200,7 +199,7 @@ pub fn sequence(model: &HeadModel, key: Key, frames: usize, frames_per_second: f
     (0..frames).map(|frame| motion.at(model, frame)).collect()
 }
 
-/// Units by their halves where they have them, as the model lists them.
+/// Units, split into halves where they have them, in the model's order.
 pub(crate) fn available_units(model: &HeadModel) -> Vec<(u8, Side)> {
     model.action_units.iter().map(|unit| (unit.number, unit.side)).collect()
 }
@@ -225,7 +224,7 @@ fn events(stream: &mut Stream, seconds: f32, available: &[(u8, Side)]) -> Vec<Ev
             units: if speech { speech_units(available) } else { expression_units(stream, available) },
             speech,
         };
-        // The next expression may come while this one still fades.
+        // The next expression may start while this one still fades.
         start += event.attack + event.hold + event.release * stream.uniform(0.2, 1.3);
         events.push(event);
     }
@@ -251,7 +250,7 @@ fn expression_units(stream: &mut Stream, available: &[(u8, Side)]) -> Vec<(u8, S
     units
 }
 
-/// Jaw, widened and rounded lips: which [`Motion::spoken`] channel moves a unit.
+/// Which [`Motion::spoken`] channel moves a unit: jaw, widened lips or rounded lips.
 fn speech_channel(number: u8) -> usize {
     match number {
         25 | 26 => 0,
@@ -284,7 +283,7 @@ fn fixations(stream: &mut Stream, seconds: f32) -> Vec<Fixation> {
     let mut fixations = Vec::new();
     let mut start = stream.uniform(0.3, 1.2);
     while start < seconds {
-        // Every third look goes back to the camera.
+        // Every third fixation returns to the camera.
         let away = if stream.unit() < 0.35 { 0.0 } else { 1.0 };
         let gaze = [stream.uniform(-0.32, 0.32) * away, stream.uniform(-0.20, 0.16) * away];
         fixations.push(Fixation { start, gaze });
@@ -300,7 +299,7 @@ impl Event {
     }
 }
 
-/// A random curve without frequencies above its knots: a uniform cubic B-spline.
+/// A random curve band-limited by its knots: a uniform cubic B-spline.
 #[derive(Debug, Clone)]
 struct Curve {
     knot_seconds: f32,
@@ -327,7 +326,7 @@ impl Curve {
     }
 }
 
-/// 0 until 0, 1 from 1, and between them a step whose velocity and acceleration are continuous.
+/// 0 up to 0, 1 from 1 on, and between them a step with continuous velocity and acceleration.
 pub(crate) fn quintic(t: f32) -> f32 {
     let t = t.clamp(0.0, 1.0);
     t * t * t * (t * (t * 6.0 - 15.0) + 10.0)

@@ -5,18 +5,18 @@ use srflow_field::{FileKind, excerpt, read_file};
 
 use crate::avatar::AvatarError;
 
-/// What is read of a Wavefront OBJ file: positions and polygons, vertex numbers from 0.
+/// The parts of a Wavefront OBJ file that are read: positions and polygons, vertex indices from 0.
 #[derive(Debug, Default)]
 pub(crate) struct Obj {
     pub positions: Vec<Vec3>,
-    /// Vertex numbers of each polygon, three or more, all of them below `positions.len()`.
+    /// Vertex indices of each polygon, at least three, all below `positions.len()`.
     pub polygons: Vec<Vec<u32>>,
 }
 
-/// Coordinates beyond this are no head in any unit, and would overflow later sums.
+/// Larger coordinates are not a head in any unit, and would overflow later sums.
 const LARGEST_COORDINATE: f32 = 1e6;
 
-/// Reads positions and polygons; texture coordinates, normals, groups and materials are passed over.
+/// Reads positions and polygons; texture coordinates, normals, groups and materials are ignored.
 pub(crate) fn read_obj(path: &Path) -> Result<Obj, AvatarError> {
     let bytes = read(path)?;
     let mut obj = Obj { positions: positions_in(path, &bytes)?, polygons: Vec::new() };
@@ -28,7 +28,7 @@ pub(crate) fn read_obj(path: &Path) -> Result<Obj, AvatarError> {
     Ok(obj)
 }
 
-/// Reads the positions only.
+/// Reads only the positions.
 pub(crate) fn read_obj_positions(path: &Path) -> Result<Vec<Vec3>, AvatarError> {
     positions_in(path, &read(path)?)
 }
@@ -67,7 +67,7 @@ fn polygon(path: &Path, line: usize, text: &[u8], vertices: usize) -> Result<Vec
     let mut polygon = Vec::with_capacity(4);
     for word in words(text) {
         let number = word.split('/').next().unwrap_or("");
-        // OBJ counts from 1, and from the end with negative numbers.
+        // OBJ counts from 1, and negative numbers count from the end.
         let index = match number.parse::<i64>() {
             Ok(n) if n > 0 => n - 1,
             Ok(n) if n < 0 => n.saturating_add(vertices as i64),
@@ -86,7 +86,7 @@ fn polygon(path: &Path, line: usize, text: &[u8], vertices: usize) -> Result<Vec
     }
     if polygon.len() < 3 {
         let found = polygon.len();
-        return Err(malformed(path, line, format!("a polygon needs 3 vertices or more, found {found}")));
+        return Err(malformed(path, line, format!("a polygon needs at least 3 vertices, found {found}")));
     }
     Ok(polygon)
 }

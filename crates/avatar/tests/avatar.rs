@@ -1,4 +1,4 @@
-//! Dressed heads as a user meets them: whole, without holes, and the same person for the same seed.
+//! Dressed heads are complete and without holes, and the same seed gives the same person.
 
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -16,7 +16,7 @@ fn ict_folder() -> Option<PathBuf> {
     None
 }
 
-/// Two built-in people and one of ICT-FaceKit's that the tests share: building takes longer than testing.
+/// Two built-in people and one of ICT-FaceKit's, shared by the tests: building takes longer than testing.
 static FIRST: LazyLock<Avatar> = LazyLock::new(|| Avatar::builtin(1).expect("an avatar"));
 static SECOND: LazyLock<Avatar> = LazyLock::new(|| Avatar::builtin(8).expect("an avatar"));
 static ICT: LazyLock<Option<Avatar>> =
@@ -28,7 +28,7 @@ fn gaussians(avatar: &Avatar, pose: &HeadPose) -> (Gaussians, PosedHead) {
     (out, head)
 }
 
-/// Poses that stretch and fold a face: everything at once, the mouth torn open, a grin, eyes shut, joints far out.
+/// Poses that stretch and fold a face: everything at once, mouth wide open, a grin, closed eyes, extreme joints.
 fn extreme_poses(avatar: &Avatar) -> Vec<HeadPose> {
     let model = avatar.model();
     let show = |numbers: &[u8]| {
@@ -50,7 +50,7 @@ fn extreme_poses(avatar: &Avatar) -> Vec<HeadPose> {
 
 fn camera(width: usize, height: usize) -> Camera {
     let eye = DVec3::new(0.0, 0.0, 1.1);
-    // World x and camera x agree, y and z are turned about.
+    // The x axes of world and camera agree, y and z are reversed.
     let axes = DMat4::from_cols_array(&[
         1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 1.0,
     ]);
@@ -66,7 +66,7 @@ fn camera(width: usize, height: usize) -> Camera {
     }
 }
 
-/// `true` on pixels that the closed skin of the face covers, kept two pixels away from its outline.
+/// `true` on pixels covered by the closed skin of the face, except for two pixels at its outline.
 fn inside_of_face(avatar: &Avatar, vertices: &[Vec3], camera: &Camera) -> Vec<bool> {
     let (width, height) = (camera.width, camera.height);
     let mut covered = vec![false; width * height];

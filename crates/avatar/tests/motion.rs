@@ -1,4 +1,4 @@
-//! Motion as a dataset needs it: smooth, from rest to rest, each frame on its own; micro-expressions as they are coded.
+//! Motion is smooth, starts and ends at rest, and every frame can be computed alone; micro-expressions follow the coding.
 
 use srflow_avatar::{HeadModel, MicroExpression, Motion, motion};
 use srflow_field::random::Key;
@@ -42,7 +42,7 @@ fn faces_move_without_jumps() {
             fastest = fastest.max(step);
             std::mem::swap(&mut before, &mut now);
         }
-        // A blink sweeps the lid over a centimetre in some frames; nothing on a face is faster.
+        // A blink moves the lid by over a centimetre in a few frames; nothing on a face is faster.
         assert!(fastest < 0.004, "scene {scene}: {} mm in one frame", fastest * 1e3);
         assert!(fastest > 0.0004, "scene {scene}: {} mm in one frame is no motion", fastest * 1e3);
     }
@@ -79,7 +79,7 @@ fn odd_lengths_and_rates_make_motions() {
     }
 }
 
-/// Sets of action units that a brow shows.
+/// Sets of action units of the brow.
 const BROWS: &[&[u8]] = &[&[4], &[1, 4], &[1, 2]];
 
 #[test]

@@ -7,7 +7,7 @@ use super::skin::brow_height;
 use super::{eyes, face, mouth};
 use crate::Side;
 
-/// Action units that are expressions of the built-in head, and whether each half of the face has its own.
+/// Action units that are expressions of the built-in head, and whether each half of the face has a separate one.
 ///
 /// 26 is the jaw's joint, and 45 (blink) is 43 (eyes closed) by another name.
 pub(super) const EXPRESSIONS: [(u8, bool); 18] = [
@@ -31,7 +31,7 @@ pub(super) const EXPRESSIONS: [(u8, bool); 18] = [
     (43, true),
 ];
 
-/// Turn of the jaw at full AU 26, radians.
+/// Rotation of the jaw at full AU 26, radians.
 pub(super) const JAW_DROP: f32 = 0.20;
 
 /// Share of a unit's movement at lateral position `x` that belongs to `side`; both sides' shares sum to 1.
@@ -44,8 +44,8 @@ pub(super) fn share(side: Side, x: f32) -> f32 {
     }
 }
 
-/// Displacement of a vertex of the left half in millimetres when both halves show unit `number` fully, and how far
-/// halfway there it leaves the straight line.
+/// Displacement in millimetres of a vertex of the left half when both halves show unit `number` fully, and its deviation
+/// from the straight line halfway.
 pub(super) fn displacement(plan: &Plan, number: u8, p: Vec3, mark: &Mark) -> (Vec3, Vec3) {
     let place = Place::new(plan, p, mark);
     if mark.part == Part::Ear || mark.part == Part::Eyeball || !place.in_front {
@@ -56,7 +56,7 @@ pub(super) fn displacement(plan: &Plan, number: u8, p: Vec3, mark: &Mark) -> (Ve
     }
     let roll = place.lid_roll(number);
     let mut skin = if mark.part == Part::LidLining { Vec3::ZERO } else { place.pull(number) };
-    // Sideways movement dies out at the midline, where both halves hold each other.
+    // Lateral movement fades out at the midline, where both halves meet.
     skin.x *= smoothstep(0.0, 9.0, p.x);
     if roll == 0.0 {
         return (skin, Vec3::ZERO);
@@ -70,7 +70,7 @@ pub(super) fn displacement(plan: &Plan, number: u8, p: Vec3, mark: &Mark) -> (Ve
     (full + skin, rolled(0.5) - 0.5 * full)
 }
 
-/// Where a vertex lies on the face.
+/// Position of a vertex on the face.
 struct Place<'a> {
     plan: &'a Plan,
     p: Vec3,
@@ -88,7 +88,7 @@ impl<'a> Place<'a> {
         twin_dome(self.at, Vec2::new(x, y), Vec2::new(rx, ry))
     }
 
-    /// How far the linings of the mouth still follow the lips.
+    /// How far the lining of the mouth follows the lips.
     fn lining(&self) -> f32 {
         match self.mark.part {
             Part::MouthLining { depth } => 1.0 - smoothstep(2.0, 7.0, f32::from(depth)),
@@ -119,7 +119,7 @@ impl<'a> Place<'a> {
         }
     }
 
-    /// Brows: full at the brow, gone on the lid under it and on the way up to the hair.
+    /// Brows: full at the brow, fading out on the lid below and towards the hairline.
     fn brow(&self, number: u8) -> Vec3 {
         let plan = self.plan;
         let eye = plan.eye.y;
@@ -128,7 +128,7 @@ impl<'a> Place<'a> {
             let y = eye + 20.0;
             self.spot(x, y, rx, if self.p.y > y { 46.0 } else { 24.0 }) * over_lid
         };
-        // Furrows across the forehead as its skin is pushed together.
+        // Furrows across the forehead, where the skin is compressed.
         let furrows = 0.55
             * libm::cosf((self.p.y - eye - 38.0) * std::f32::consts::TAU / 11.0)
             * self.spot(18.0, eye + 42.0, 42.0, 20.0);
@@ -220,7 +220,7 @@ impl<'a> Place<'a> {
         }
     }
 
-    /// Units that pull at the corner of the mouth, and the cheek that makes way.
+    /// Units that pull at the corner of the mouth, and the displaced cheek.
     fn corner(&self, number: u8, corner: Vec2) -> Vec3 {
         let plan = self.plan;
         let spot = |dx: f32, dy: f32, rx: f32, ry: f32| self.spot(corner.x + dx, corner.y + dy, rx, ry);
@@ -230,7 +230,7 @@ impl<'a> Place<'a> {
             * (1.0 - smoothstep(plan.nose_base, plan.nose_base + 14.0, self.p.y));
         match number {
             12 => {
-                // Narrow towards the middle of the lips, so that they bow, and wide in the cheek.
+                // Narrow towards the centre of the lips, so that they bow, and wide in the cheek.
                 let pull = spot(1.0, 1.0, if self.p.x < corner.x { 27.0 } else { 31.0 }, 25.0);
                 let cheek = self.spot(40.0, -7.0, 26.0, 22.0)
                     * smoothstep(2.0, 14.0, eyes::margin(plan, self.p.x, false) - self.p.y);
@@ -253,7 +253,7 @@ impl<'a> Place<'a> {
         }
     }
 
-    /// Angle about the eyeball by which the unit lifts this part of the lids, radians.
+    /// Angle about the eyeball by which the unit raises this part of the lids, radians.
     fn lid_roll(&self, number: u8) -> f32 {
         let plan = self.plan;
         let (upper, lower) = match number {
@@ -277,7 +277,7 @@ impl<'a> Place<'a> {
         let above = self.mark.eye > 0.0;
         let distance = (self.p.y - eyes::margin(plan, self.p.x, above)).abs();
         let lining = self.mark.part == Part::LidLining;
-        // The lid's plate turns with its margin; the fold over it, which stands off the eyeball, stays.
+        // The lid's plate rotates with its margin; the fold above it, which does not touch the eyeball, stays.
         let off = self.p.distance(plan.eye) - plan.eye_radius;
         let fade = if lining {
             1.0
@@ -290,7 +290,7 @@ impl<'a> Place<'a> {
         (roll * shape + close) * fade
     }
 
-    /// Angle from the upper margin to where it meets the lower one.
+    /// Angle from the upper margin to its contact with the lower one.
     fn closing(&self) -> f32 {
         let plan = self.plan;
         let x = self.p.x;
@@ -304,12 +304,12 @@ impl<'a> Place<'a> {
         libm::sqrtf(d.y * d.y + d.z * d.z)
     }
 
-    /// How far the lid also leaves the eyeball, so that the upper lid closes over the lower.
+    /// Distance by which the lid lifts off the eyeball, so that the upper lid closes over the lower.
     fn lid_lift(&self, number: u8) -> f32 {
         if number != 43 || self.mark.eye < 0.0 {
             return 0.0;
         }
-        // The fold over the lid's plate flattens as it is drawn down.
+        // The fold above the lid's plate flattens as it is pulled down.
         let off = self.p.distance(self.plan.eye) - self.plan.eye_radius;
         0.35 - 0.55 * (off - 2.5).max(0.0) * (1.0 - smoothstep(2.5, 13.0, off))
     }

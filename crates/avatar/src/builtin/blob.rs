@@ -3,7 +3,7 @@ use glam::Vec3;
 use super::half::{Half, Mark};
 use crate::Region;
 
-/// Adds an ellipsoid that lies wholly in the left half.
+/// Adds an ellipsoid that is entirely in the left half.
 pub(super) fn add(half: &mut Half, center: Vec3, radii: Vec3, around: usize, mark: Mark, region: Region) {
     let turns = std::f32::consts::TAU;
     rings(

@@ -1,4 +1,4 @@
-//! The curves and falloffs that the sculpting stages share. Lengths are millimetres.
+//! Curves and falloffs shared by the sculpting stages. Lengths are in millimetres.
 
 use glam::{Vec2, Vec3};
 
@@ -11,7 +11,7 @@ pub(super) struct Spline<const N: usize> {
 }
 
 impl<const N: usize> Spline<N> {
-    /// Through `values` at rising `knots`; at least two.
+    /// Through `values` at ascending `knots`; at least two.
     pub(super) fn through(knots: Vec<f32>, values: Vec<[f32; N]>) -> Self {
         let count = knots.len();
         // Second derivatives from the tridiagonal system of the natural spline (Thomas algorithm).
@@ -33,7 +33,7 @@ impl<const N: usize> Spline<N> {
         Self { knots, values, curvatures }
     }
 
-    /// The value at `t`, held constant beyond the ends.
+    /// The value at `t`, constant beyond the ends.
     pub(super) fn at(&self, t: f32) -> [f32; N] {
         let last = self.knots.len() - 1;
         let t = t.clamp(self.knots[0], self.knots[last]);
@@ -49,18 +49,17 @@ impl<const N: usize> Spline<N> {
         })
     }
 
-    /// The last knot.
     pub(super) fn end(&self) -> f32 {
         self.knots[self.knots.len() - 1]
     }
 }
 
-/// A smooth function through the given points, which rise in their first coordinate.
+/// A smooth function through the given points, sorted by their first coordinate.
 pub(super) fn curve(points: &[(f32, f32)]) -> Spline<1> {
     Spline::through(points.iter().map(|p| p.0).collect(), points.iter().map(|p| [p.1]).collect())
 }
 
-/// A bell over `[-1, 1]`: 1 at 0, and 0 with two derivatives at and beyond the ends.
+/// A bell over `[-1, 1]`: 1 at 0, and 0 with two continuous derivatives at and beyond the ends.
 pub(super) fn bell(q: f32) -> f32 {
     let rest = (1.0 - q * q).max(0.0);
     rest * rest * rest
@@ -73,8 +72,8 @@ pub(super) fn dome(point: Vec2, center: Vec2, radii: Vec2) -> f32 {
     rest * rest * rest
 }
 
-/// [`dome`] on the left together with its mirror image on the right, so that the sum runs smoothly over the midline. A
-/// dome on the midline counts once.
+/// [`dome`] on the left plus its mirror image on the right, so that the sum is smooth across the midline. A dome on the
+/// midline counts once.
 pub(super) fn twin_dome(point: Vec2, center: Vec2, radii: Vec2) -> f32 {
     let here = dome(point, center, radii);
     if center.x == 0.0 { here } else { here + dome(point * Vec2::new(-1.0, 1.0), center, radii) }
@@ -86,13 +85,13 @@ pub(super) fn ridge(point: Vec3, a: Vec3, b: Vec3, radius: f32) -> f32 {
     bell(point.distance(a + (b - a) * along) / radius)
 }
 
-/// 0 below `low`, 1 above `high`, smooth to the second derivative between.
+/// 0 below `low`, 1 above `high`, with two continuous derivatives between.
 pub(super) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * t * (t * (t * 6.0 - 15.0) + 10.0)
 }
 
-/// The larger of two, rounded over a difference of `softness`.
+/// The larger of two, smoothed over a difference of `softness`.
 pub(super) fn smooth_max(a: f32, b: f32, softness: f32) -> f32 {
     let near = (softness - (a - b).abs()).max(0.0) / softness;
     a.max(b) + near * near * near * softness / 6.0

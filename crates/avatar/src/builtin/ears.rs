@@ -8,13 +8,13 @@ use crate::Region;
 /// Directions around the ear.
 const AROUND: usize = 48;
 
-/// Rings of the front, as shares of the outline, and of the back, with how far they lie behind the outline's plane.
+/// Rings of the front, as fractions of the outline, and of the back, with their distance behind the outline's plane.
 const FRONT: [f32; 17] =
     [0.12, 0.22, 0.32, 0.40, 0.47, 0.53, 0.58, 0.63, 0.68, 0.73, 0.78, 0.83, 0.88, 0.92, 0.955, 0.985, 1.0];
 const BACK: [(f32, f32); 7] =
     [(1.006, 0.7), (0.992, 1.7), (0.95, 3.2), (0.89, 4.8), (0.82, 7.2), (0.75, 11.5), (0.70, 18.0)];
 
-/// Middle of the polar grid in the ear's plane, backward and upward from the tragus.
+/// Centre of the polar grid in the ear's plane, backward and upward from the tragus.
 const MIDDLE: Vec2 = Vec2::new(13.0, 2.0);
 
 /// Adds the left ear, whose tragus sits at `root` on the side of the head.
@@ -25,7 +25,7 @@ pub(super) fn add(half: &mut Half, plan: &Plan, root: Vec3) {
     let lean = 0.16_f32;
     let back = Vec3::new(libm::sinf(flare), 0.0, -libm::cosf(flare));
     let upright = Vec3::new(0.05, 1.0, 0.0).normalize();
-    // Leaning back in its own plane.
+    // Tilted backward in its own plane.
     let up = (upright + back * lean).normalize();
     let back = (back - up * back.dot(up)).normalize();
     let out = back.cross(up);
@@ -55,12 +55,12 @@ pub(super) fn add(half: &mut Half, plan: &Plan, root: Vec3) {
     }
 }
 
-/// How far the lobule turns outward from the ear's plane.
+/// How far the lobule bends outward from the ear's plane.
 fn lobule(flat: Vec2) -> f32 {
     4.2 * smoothstep(6.0, 26.0, -flat.y) * smoothstep(4.0, 18.0, flat.x)
 }
 
-/// Distance from the middle to the outline; the angle runs from backward to upward.
+/// Distance from the centre to the outline; the angle is measured from backward to upward.
 fn outline(angle: f32) -> f32 {
     let points = [
         (-58.0, 25.2),
@@ -86,7 +86,7 @@ fn outline(angle: f32) -> f32 {
     curve(&points.map(|(degrees, radius): (f32, f32)| (degrees.to_radians(), radius))).at(angle)[0]
 }
 
-/// How far the helix is rolled at an angle: from the lobule up the back and over the top to the front.
+/// How far the helix is rolled up at an angle: from the lobule along the back and over the top to the front.
 fn helix(angle: f32) -> f32 {
     let degrees = angle.to_degrees();
     let turned = if degrees > 250.0 { degrees - 360.0 } else { degrees };
@@ -94,13 +94,13 @@ fn helix(angle: f32) -> f32 {
 }
 
 fn rim(angle: f32, share: f32) -> f32 {
-    // In front, from the root of the helix to the lobule, the edge sinks into the cheek.
+    // In front, from the root of the helix to the lobule, the edge merges with the cheek.
     let degrees = angle.to_degrees();
     let rooted = smoothstep(150.0, 180.0, degrees) * (1.0 - smoothstep(248.0, 268.0, degrees));
     3.4 * bell((share - 0.93) / 0.16) * helix(angle) + 1.5 - 6.0 * rooted * smoothstep(0.72, 1.0, share)
 }
 
-/// Height of the ear's front over its plane.
+/// Height of the ear's front above its plane.
 fn relief(flat: Vec2, share: f32, angle: f32) -> f32 {
     let spot = |b: f32, u: f32, rb: f32, ru: f32| dome(flat, Vec2::new(b, u), Vec2::new(rb, ru));
     let degrees = angle.to_degrees();

@@ -5,11 +5,11 @@ use super::half::{Half, Mark, Part};
 use super::identity::Plan;
 use crate::Region;
 
-/// Thickness of the eyelid at its margin, and the film between lid and eyeball.
+/// Thickness of the eyelid at its margin, and of the film between lid and eyeball.
 const LID_THICKNESS: f32 = 1.45;
 const FILM: f32 = 0.45;
 
-/// Share of the way from inner to outer canthus.
+/// Position from inner to outer canthus, 0 to 1.
 pub(super) fn along_lid(plan: &Plan, x: f32) -> f32 {
     ((x - plan.inner_canthus.x) / (plan.outer_canthus.x - plan.inner_canthus.x)).clamp(0.0, 1.0)
 }
@@ -28,14 +28,14 @@ pub(super) fn margin(plan: &Plan, x: f32, upper: bool) -> f32 {
     }
 }
 
-/// Height where the skin that lay `over` millimetres over the closed slit comes to lie with the eye open.
+/// Height with open eyes of the skin that is `over` millimetres above the closed slit.
 pub(super) fn opened_height(plan: &Plan, x: f32, over: f32, upper: bool) -> f32 {
     let far = if upper { 22.0 } else { 20.0 };
     let stay = 1.0 - smoothstep(0.0, 1.0, over.abs() / far);
     plan.eye.y + over + (margin(plan, x, upper) - plan.eye.y) * stay
 }
 
-/// Depth of the outer face of the lids where they lie on the eyeball; beyond the eyeball it runs on straight.
+/// Depth of the outer face of the lids where they touch the eyeball, continued straight beyond the eyeball.
 fn lid_depth(plan: &Plan, at: Vec2, thickness: f32) -> f32 {
     const STRAIGHT_FROM: f32 = 0.80;
     let radius = plan.eye_radius + thickness;
@@ -44,7 +44,7 @@ fn lid_depth(plan: &Plan, at: Vec2, thickness: f32) -> f32 {
     let depth = if q < STRAIGHT_FROM {
         profile(q)
     } else {
-        // Tangent to the eyeball on the temple's side, flatter towards the nose, whose canthus lies forward.
+        // Tangent to the eyeball on the temporal side, flatter towards the nose, where the canthus is farther forward.
         let tangent = STRAIGHT_FROM / profile(STRAIGHT_FROM);
         let slope = lerp(0.55 * tangent, tangent, smoothstep(-9.0, 9.0, at.x - plan.eye.x));
         profile(STRAIGHT_FROM) - (q - STRAIGHT_FROM) * slope
@@ -52,7 +52,7 @@ fn lid_depth(plan: &Plan, at: Vec2, thickness: f32) -> f32 {
     plan.eye.z + radius * depth
 }
 
-/// Lays the skin of the orbit over the eyeball: lids, crease and the fold over it.
+/// Fits the skin of the orbit to the eyeball: lids, crease and the fold above it.
 pub(super) fn drape(plan: &Plan, p: Vec3) -> Vec3 {
     let at = Vec2::new(p.x, p.y);
     let reach = dome(at, plan.eye.truncate(), Vec2::new(27.0, 24.0));
@@ -64,12 +64,12 @@ pub(super) fn drape(plan: &Plan, p: Vec3) -> Vec3 {
     let over = p.y - margin(plan, p.x, true);
     let under = margin(plan, p.x, false) - p.y;
     let mut z = p.z;
-    // The fold that hangs over the crease, then the lids, then the crease and the furrow of the lower lid.
+    // The fold above the crease, then the lids, then the crease and the furrow of the lower lid.
     let crease = plan.crease * (0.45 + 0.55 * libm::sqrtf(open));
     let width = plan.outer_canthus.x - plan.inner_canthus.x;
     let across = (p.x - plan.inner_canthus.x) / width;
     let ends = smoothstep(-0.12, 0.15, across) * (1.0 - smoothstep(0.92, 1.22, across));
-    // Next to their margins the lids lie on the eyeball, whatever the face around does.
+    // Next to their margins the lids touch the eyeball, independent of the face around.
     let outside = (plan.inner_canthus.x - p.x).max(p.x - plan.outer_canthus.x).max(0.0);
     let held = (1.0 - smoothstep(0.5, 6.5, over.max(under).max(0.0))) * (1.0 - smoothstep(0.0, 9.0, outside));
     if over > 0.0 {
@@ -87,7 +87,7 @@ pub(super) fn drape(plan: &Plan, p: Vec3) -> Vec3 {
     Vec3::new(p.x, p.y, lerp(p.z, z, smoothstep(0.0, 0.25, reach)))
 }
 
-/// Turns `p` about the left eyeball's horizontal axis; positive lifts what lies in front.
+/// Rotates `p` about the left eyeball's horizontal axis; positive raises points in front.
 pub(super) fn rolled(plan: &Plan, p: Vec3, angle: f32) -> Vec3 {
     let (sin, cos) = (libm::sinf(angle), libm::cosf(angle));
     let d = p - plan.eye;
@@ -97,14 +97,14 @@ pub(super) fn rolled(plan: &Plan, p: Vec3, angle: f32) -> Vec3 {
 /// Rows of the lining behind a lid margin.
 pub(super) const LINING_ROWS: usize = 5;
 
-/// Where row `row` (1 to [`LINING_ROWS`]) of the lining behind the margin point `m` lies: over the lid's edge, then
-/// along the eyeball under the lid.
+/// Position of row `row` (1 to [`LINING_ROWS`]) of the lining behind the margin point `m`: over the lid's edge, then along
+/// the eyeball under the lid.
 pub(super) fn lining(plan: &Plan, m: Vec3, row: usize, upper: bool) -> Vec3 {
     let from_eye = m - plan.eye;
     let distance = from_eye.length();
     let inner = plan.eye_radius + FILM;
     let on_ball = |share: f32| plan.eye + from_eye * (lerp(distance, inner, share) / distance);
-    // Beyond the eyeball's side (at the canthi) the lining goes straight back instead.
+    // Beyond the side of the eyeball (at the canthi) the lining goes straight back instead.
     let beside = smoothstep(inner + 2.4, inner + 5.0, distance);
     let behind = |share: f32| m - Vec3::new(0.0, 0.0, 4.0 * share);
     let edge = |share: f32| on_ball(share).lerp(behind(share), beside);
@@ -118,7 +118,7 @@ pub(super) fn lining(plan: &Plan, m: Vec3, row: usize, upper: bool) -> Vec3 {
     }
 }
 
-/// Adds the left eyeball: rings about +z, close together on the cornea, which bulges.
+/// Adds the left eyeball: rings about +z, denser on the cornea, which bulges.
 pub(super) fn add_eyeball(half: &mut Half, plan: &Plan) -> std::ops::Range<u32> {
     const AROUND: usize = 36;
     const ANGLES: [f32; 20] = [
@@ -149,7 +149,7 @@ pub(super) fn add_eyeball(half: &mut Half, plan: &Plan) -> std::ops::Range<u32> 
     first..last + 1
 }
 
-/// Adds the caruncle, the pink bead in the inner corner.
+/// Adds the caruncle, the pink nodule in the inner corner.
 pub(super) fn add_caruncle(half: &mut Half, plan: &Plan) {
     let middle = plan.inner_canthus.x + 2.6;
     let y = 0.5 * (margin(plan, middle, true) + margin(plan, middle, false));
@@ -157,7 +157,7 @@ pub(super) fn add_caruncle(half: &mut Half, plan: &Plan) {
     let center = at.extend(lid_depth(plan, at, LID_THICKNESS) - 3.1);
     let first = half.points.len();
     super::blob::add(half, center, Vec3::new(2.6, 1.9, 2.2), 10, Mark::of(Part::LidLining), Region::InnerLid);
-    // It rests against the eyeball.
+    // It touches the eyeball.
     for point in &mut half.points[first..] {
         let from_eye = *point - plan.eye;
         *point = plan.eye + from_eye * ((plan.eye_radius + 0.2) / from_eye.length()).max(1.0);

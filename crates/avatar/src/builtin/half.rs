@@ -2,7 +2,7 @@ use glam::Vec3;
 
 use crate::Region;
 
-/// What a vertex belongs to.
+/// The part of the head that a vertex belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Part {
     /// The skin from crown to shoulders, lips and lids included.
@@ -20,17 +20,17 @@ pub(super) enum Part {
     Eyeball,
 }
 
-/// A vertex's place in the anatomy, by which it is moved later.
+/// A vertex's anatomical position, by which it is moved later.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Mark {
     pub part: Part,
-    /// On the plane of symmetry, so that both halves share it.
+    /// On the plane of symmetry: shared by both halves.
     pub midline: bool,
-    /// Millimetres over (under, when negative) the slit of the eye, along the skin; the lining keeps its margin's.
+    /// Distance above (negative: below) the slit of the eye, along the skin, millimetres; for the lining, that of its margin.
     pub eye: f32,
     /// The same for the slit of the mouth.
     pub mouth: f32,
-    /// Share of the way along the slit it was nearest to, 0 at the midline or inner canthus, 1 at the outer end.
+    /// Nearest position along the slit, 0 at the midline or inner canthus, 1 at the outer end.
     pub along: f32,
 }
 
@@ -40,7 +40,7 @@ impl Mark {
     }
 }
 
-/// The left half of the head as it is put together; millimetres.
+/// The left half of the head during construction; millimetres.
 #[derive(Debug, Default)]
 pub(super) struct Half {
     pub points: Vec<Vec3>,
@@ -56,8 +56,8 @@ impl Half {
         self.points.len() as u32 - 1
     }
 
-    /// The strip between two rows of vertices, `above` and `below` as seen from outside, running to the left side.
-    /// Where the rows share a vertex only one triangle stands.
+    /// The strip between two rows of vertices, `above` and `below` as seen from outside, towards the left side. Where the rows
+    /// share a vertex there is only one triangle.
     pub(super) fn strip(&mut self, above: &[u32], below: &[u32], region: impl Fn(usize) -> Region) {
         for column in 0..above.len().min(below.len()) - 1 {
             let [a, b, c, d] = [above[column], above[column + 1], below[column], below[column + 1]];

@@ -1,8 +1,8 @@
 use glam::{Vec2, Vec3};
 use srflow_field::random::Key;
 
-/// What makes one person's head differ from another's: each trait is about normal with mean 0 and deviation 1, held
-/// within two deviations so that every combination stays human.
+/// The traits that distinguish one person's head from another's: each is roughly normal with mean 0 and deviation 1, clamped
+/// to two deviations so that every combination looks human.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Traits {
     pub head_width: f32,
@@ -41,7 +41,7 @@ impl Traits {
     /// The traits of the person of `seed`.
     pub(super) fn of(seed: u64) -> Self {
         let draw = |purpose: &str| Key::new(seed).stream(purpose).normal().clamp(-2.0, 2.0);
-        // What sets most men's heads apart from most women's moves several traits together.
+        // A shared factor moves several traits together, as between typical male and female heads.
         let build = draw("head: build");
         let with_build = |purpose: &str, share: f32| (0.8 * draw(purpose) + share * build).clamp(-2.0, 2.0);
         Self {
@@ -79,8 +79,8 @@ impl Traits {
     }
 }
 
-/// Where one person's features lie: the measures that every sculpting stage agrees on, in millimetres, for the left
-/// half (`x >= 0`). +y is up, +z out of the face, and the origin lies between the ears.
+/// One person's measures, shared by all sculpting stages, in millimetres, for the left half (`x >= 0`). +y is up, +z out of
+/// the face, and the origin is between the ears.
 #[derive(Debug, Clone)]
 pub(super) struct Plan {
     pub traits: Traits,
@@ -88,20 +88,20 @@ pub(super) struct Plan {
     pub eye_radius: f32,
     pub inner_canthus: Vec2,
     pub outer_canthus: Vec2,
-    /// Height of the upper lid's margin over the line between the canthi, and depth of the lower one's under it.
+    /// Height of the upper lid's margin above the line between the canthi, and depth of the lower one's below it.
     pub lid_heights: [f32; 2],
-    /// Height of the lid crease over the upper margin.
+    /// Height of the lid crease above the upper margin.
     pub crease: f32,
-    /// Where the nose meets the upper lip.
+    /// Junction of the nose and the upper lip.
     pub nose_base: f32,
     pub mouth: f32,
     pub mouth_half_width: f32,
-    /// Heights of the red of the upper and lower lip at the middle.
+    /// Heights of the vermilion of the upper and lower lip at the midline.
     pub lip_heights: [f32; 2],
     pub chin: f32,
 }
 
-/// Heights of the drawn-from-the-canon face, before a person's proportions: eye, nose base, mouth, chin.
+/// Heights of the average face, before a person's proportions: eye, nose base, mouth, chin.
 pub(super) const CANON: [f32; 4] = [28.0, -21.0, -43.0, -88.0];
 
 impl Plan {
@@ -129,7 +129,7 @@ impl Plan {
         }
     }
 
-    /// Where a height of the canon lies on this person: eyes stay, and what is below moves with nose, mouth and chin.
+    /// Maps a height of the average face to this person: eyes are fixed, and everything below moves with nose, mouth and chin.
     pub(super) fn height(&self, canon: f32) -> f32 {
         let here = [self.eye.y, self.nose_base, self.mouth, self.chin];
         if canon >= CANON[0] {

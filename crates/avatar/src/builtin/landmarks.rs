@@ -4,7 +4,7 @@ use super::half::{Half, Part};
 use super::identity::Plan;
 use super::skin::{self, Skin};
 
-/// Vertices of the left half for the landmarks, each list from the middle of the face outward.
+/// Vertices of the left half for the landmarks, each list from the midline outward.
 pub(super) struct Landmarks {
     jaw: Vec<u32>,
     brow: Vec<u32>,
@@ -64,7 +64,7 @@ impl Landmarks {
         }
     }
 
-    /// The 68 in dlib's order, which runs from the subject's right to the left; `right` mirrors a left vertex.
+    /// The 68 landmarks in dlib's order, from the subject's right to the left; `right` mirrors a left vertex.
     pub(super) fn in_order(&self, right: impl Fn(u32) -> u32) -> Vec<u32> {
         let mut all = Vec::with_capacity(68);
         let both = |all: &mut Vec<u32>, outward: &[u32], shared: usize| {
@@ -93,7 +93,7 @@ impl Landmarks {
 fn nearest(half: &Half, target: Vec3) -> u32 {
     let mut best = (f32::INFINITY, 0);
     for (vertex, (point, mark)) in half.points.iter().zip(&half.marks).enumerate() {
-        // Depth counts least: the height and side of a landmark are what is meant.
+        // Depth counts least: a landmark is defined by its height and lateral position.
         let distance = ((*point - target) * Vec3::new(1.0, 1.0, 0.3)).length();
         let off_middle = target.x == 0.0 && !mark.midline;
         if mark.part == Part::Skin && !off_middle && point.z > -10.0 && distance < best.0 {

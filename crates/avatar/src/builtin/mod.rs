@@ -76,11 +76,11 @@ fn mirrored(p: Vec3) -> Vec3 {
     Vec3::new(-p.x, p.y, p.z)
 }
 
-/// How the left half becomes a whole.
+/// The mapping from the left half to the whole head.
 struct Whole {
-    /// The right half's vertex for each of the left half's; the same on the midline.
+    /// The right vertex for each left one; the same on the midline.
     right: Vec<u32>,
-    /// The left half's vertex that each right one mirrors, in the order of the right ones.
+    /// The left vertex of each right one, in the order of the right ones.
     mirrored: Vec<u32>,
     triangles: Vec<[u32; 3]>,
 }
@@ -116,7 +116,7 @@ impl Whole {
             .collect()
     }
 
-    /// A triangle with `vertex` as its corner, and the coordinates of that corner.
+    /// A triangle with `vertex` as a corner, and the barycentric coordinates of that corner.
     fn corner_at(&self, vertex: u32) -> (u32, Vec3) {
         let corner = |triangle: &[u32; 3]| triangle.iter().position(|&corner| corner == vertex);
         let found =
@@ -124,7 +124,7 @@ impl Whole {
         found.map_or((0, Vec3::X), |(number, corner)| (number, Vec3::AXES[corner]))
     }
 
-    /// The expression of every action unit, and the units in their terms.
+    /// The expressions of all action units, and the units in terms of them.
     fn action_units(&self, plan: &Plan, half: &Half) -> (Vec<Shape>, Vec<ActionUnit>) {
         let mut expressions = Vec::new();
         let mut units = Vec::new();
@@ -158,7 +158,7 @@ impl Whole {
         (expressions, units)
     }
 
-    /// One side of a movement known on the left half.
+    /// One side of a displacement defined on the left half.
     fn shape(&self, name: String, side: Side, half: &Half, moved: &[(Vec3, Vec3)]) -> Shape {
         let mut shape = Shape::linear(name, Vec::new());
         let mut push = |vertex: usize, (offset, arc): (Vec3, Vec3)| {

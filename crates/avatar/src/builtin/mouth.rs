@@ -5,10 +5,10 @@ use super::half::{Half, Mark, Part};
 use super::identity::Plan;
 use crate::Region;
 
-/// Height of the red of each lip in the canon, over which the grid's rows are laid.
+/// Height of the vermilion of each lip in the average face, across which the grid's rows are placed.
 pub(super) const CANON_LIP: f32 = 8.0;
 
-/// The lips' own relief, and the way the skin around is drawn to them.
+/// The relief of the lips, and how the skin around adapts to them.
 #[derive(Debug)]
 pub(super) struct Lips {
     upper: Spline<1>,
@@ -17,7 +17,7 @@ pub(super) struct Lips {
 
 impl Lips {
     pub(super) fn new() -> Self {
-        // Depth of the profile over shares of the lip's height: from the line between the lips to beyond the red.
+        // Profile depth over fractions of the lip's height: from the line between the lips to beyond the vermilion.
         let upper = curve(&[
             (0.0, -2.6),
             (0.12, -0.6),
@@ -45,7 +45,7 @@ impl Lips {
         Self { upper, lower }
     }
 
-    /// Pushes skin at `p`, `over` millimetres over the line between the lips, into lips.
+    /// Shapes skin at `p`, `over` millimetres above the line between the lips, into lips.
     pub(super) fn relief(&self, plan: &Plan, p: Vec3, over: f32) -> Vec3 {
         let along = p.x / plan.mouth_half_width;
         if along > 1.7 || over.abs() > 30.0 {
@@ -57,7 +57,7 @@ impl Lips {
         let rounding = lerp(full, bell(along / 1.25), 0.5);
         let at = Vec2::new(p.x, p.y);
         let mut z = profile * rounding * if over >= 0.0 { 0.85 } else { 1.0 };
-        // The corner is drawn in, with a soft bulge of muscle beside it.
+        // The corner is pulled in, with a soft bulge of muscle next to it.
         let corner = Vec2::new(plan.mouth_half_width, slit(plan, plan.mouth_half_width));
         z -= 2.0 * dome(at, corner, Vec2::new(7.0, 6.0));
         z += 0.9 * dome(at, corner + Vec2::new(7.0, -1.0), Vec2::new(8.0, 12.0));
@@ -77,7 +77,7 @@ pub(super) fn slit(plan: &Plan, x: f32) -> f32 {
         - 0.6 * smoothstep(0.6, 1.1, along)
 }
 
-/// Height of the red of the upper or lower lip at `x`.
+/// Height of the vermilion of the upper or lower lip at `x`.
 pub(super) fn lip_height(plan: &Plan, x: f32, upper: bool) -> f32 {
     let along = (x / plan.mouth_half_width).min(1.0);
     let taper = 1.0 - along * along * along;
@@ -89,7 +89,7 @@ pub(super) fn lip_height(plan: &Plan, x: f32, upper: bool) -> f32 {
     }
 }
 
-/// Height where skin `over` canonical millimetres over the line between the lips lies on this person.
+/// Height on this person of skin `over` millimetres above the line between the lips in the average face.
 pub(super) fn lip_row(plan: &Plan, x: f32, over: f32) -> f32 {
     let height = lip_height(plan, x, over >= 0.0);
     let distance = over.abs();
@@ -109,7 +109,7 @@ pub(super) fn lip_row(plan: &Plan, x: f32, over: f32) -> f32 {
 /// Rows of the lining from the line between the lips to the back of the mouth.
 pub(super) const LINING_ROWS: usize = 9;
 
-/// Back, up and widening of each row behind the lips.
+/// Backward and upward offset and widening of each row behind the lips.
 const LINING: [(f32, f32, f32); LINING_ROWS] = [
     (-1.5, 0.1, 1.0),
     (-3.2, 0.7, 1.0),
@@ -122,7 +122,7 @@ const LINING: [(f32, f32, f32); LINING_ROWS] = [
     (-58.0, 0.0, 0.9),
 ];
 
-/// Where row `row` (1 to [`LINING_ROWS`]) of the lining behind `edge`, a point of the line between the lips, lies.
+/// Position of row `row` (1 to [`LINING_ROWS`]) of the lining behind `edge`, a point of the line between the lips.
 pub(super) fn lining(plan: &Plan, edge: Vec3, row: usize, upper: bool) -> Vec3 {
     let (back, up, wide) = LINING[row - 1];
     let along = (edge.x / plan.mouth_half_width).min(1.0);

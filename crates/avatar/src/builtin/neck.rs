@@ -3,7 +3,7 @@ use glam::Vec3;
 use super::curves::{ridge, smoothstep};
 use super::identity::Plan;
 
-/// Pushes the skin of the neck and shoulders over muscle, larynx and collarbone. `outward` is the skin's direction.
+/// Shapes the skin of the neck and shoulders over muscle, larynx and collarbone. `outward` is the skin's normal.
 pub(super) fn relief(plan: &Plan, p: Vec3, outward: Vec3) -> Vec3 {
     let drop = plan.chin - super::identity::CANON[3];
     let at = |x: f32, y: f32, z: f32| Vec3::new(x, y + drop, z);
@@ -11,7 +11,7 @@ pub(super) fn relief(plan: &Plan, p: Vec3, outward: Vec3) -> Vec3 {
     let aside = smoothstep(0.0, 16.0, p.x);
     // Sternocleidomastoid, from behind the ear to the breastbone.
     push += 2.6 * ridge(p, at(50.0, -84.0, -20.0), at(14.0, -176.0, 34.0), 26.0) * aside;
-    // Hollow between it and the trapezius, over the collarbone.
+    // Hollow between it and the trapezius, above the collarbone.
     push -= 5.0 * ridge(p, at(52.0, -152.0, 2.0), at(72.0, -166.0, 0.0), 28.0);
     // Collarbone and the notch between the two.
     push += 3.0 * ridge(p, at(18.0, -188.0, 42.0), at(110.0, -176.0, 22.0), 18.0) * aside;

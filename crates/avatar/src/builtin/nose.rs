@@ -19,7 +19,7 @@ impl Nose {
         let t = &plan.traits;
         let base = plan.nose_base;
         let eye = plan.eye.y;
-        // From the root (at the eyes) to the base; heights are given as shares of that length.
+        // From the root (at the eyes) to the base; heights are fractions of that length.
         let y = |share: f32| eye + (base - eye) * share;
         let bridge = 1.3 * t.nose_bridge;
         let hump = 1.6 * t.nose_hump;
@@ -58,7 +58,7 @@ impl Nose {
         Self { ridge, width, base, wing, wing_size: 1.0 + 0.05 * t.nose_width, turn }
     }
 
-    /// Where skin at `p` goes, when the face without a nose has its middle at depth `face_z` at that height.
+    /// Position of skin at `p`, when the face without a nose has midline depth `face_z` at that height.
     pub(super) fn raise(&self, p: Vec3, face_z: f32) -> Vec3 {
         let at = Vec2::new(p.x, p.y);
         let top = self.base + 75.0;
@@ -73,7 +73,7 @@ impl Nose {
         let height = (self.ridge.at(p.y - rise)[0] - face_z) * fade;
         let mut push = Vec3::new(0.0, 0.0, height * bell(p.x / self.width.at(p.y)[0]));
 
-        // Wings, rounded, with the crease that sets them off from cheek and tip.
+        // Wings, rounded, with the crease that separates them from cheek and tip.
         let size = self.wing_size;
         let wing = twin_dome(at, self.wing, Vec2::new(8.6, 9.0) * size);
         push += Vec3::new(1.2, -0.5, 6.0) * wing;
@@ -82,7 +82,7 @@ impl Nose {
         push.z -= 1.6 * bell((around.length() - 8.8) / 4.2) * outside;
         // Tip: two cartilages under the skin.
         push.z += 1.6 * twin_dome(at, Vec2::new(3.0, self.base + 9.5 + self.turn), Vec2::new(7.5, 7.5));
-        // Underside: pulled down over the lip so that it faces down, then the nostrils pushed up and in.
+        // Underside: pulled down over the lip to face down, then the nostrils pushed up and in.
         let under = twin_dome(at, Vec2::new(7.0, self.base + 3.2), Vec2::new(11.0, 6.5));
         push.y -= (2.2 - 0.8 * self.turn) * under;
         let nostril = twin_dome(at, Vec2::new(6.8, self.base + 2.9), Vec2::new(4.4, 3.3));

@@ -9,17 +9,17 @@ use super::skull::Skull;
 use super::{eyes, face, mouth, neck};
 use crate::Region;
 
-/// Columns from the middle of the face to the middle of the back, and those where the slits end.
+/// Columns from the front midline to the back midline, and the columns where the slits end.
 const COLUMNS: usize = 54;
 const INNER_CANTHUS: usize = 14;
 const OUTER_CANTHUS: usize = 39;
 const MOUTH_CORNER: usize = 25;
 
-/// Rows of the grid over the red of each lip.
+/// Rows of the grid across the vermilion of each lip.
 pub(super) const LIP_ROWS: isize = 8;
 
-/// The skin as a grid of rows from the crown down and columns from the middle of the face around to the back. Eyes
-/// and mouth are slits between two rows: rows are laid along the lids' and lips' edges, which part there.
+/// The skin as a grid of rows from the crown down and columns from the front midline around to the back. Eyes and mouth are
+/// slits between two rows: the rows follow the edges of lids and lips, and separate there.
 pub(super) struct Grid<'a> {
     plan: &'a Plan,
     skull: Skull,
@@ -33,25 +33,25 @@ pub(super) struct Grid<'a> {
 
 #[derive(Debug, Clone, Copy)]
 struct Row {
-    /// Height in front in the canon, or below any face for the rows of crown and neck that follow the stations.
+    /// Height in front in the average face, or below any face for the rows of crown and neck that follow the stations.
     canon: f32,
     station: f32,
 }
 
-/// What later stages need to know of the skin that was laid.
+/// Results that later stages need.
 pub(super) struct Skin {
-    /// Depth of the line between the lips at the middle.
+    /// Depth of the line between the lips at the midline.
     pub lips: f32,
-    /// Where the ear's tragus sits.
+    /// Position of the ear's tragus.
     pub ear: Vec3,
-    /// Vertex of the skin by row and column; on the rows of the slits, the one over the slit.
+    /// Skin vertices by row and column; on the rows of the slits, the upper one.
     pub grid: Vec<Vec<u32>>,
     pub eye_row: usize,
     pub mouth_row: usize,
-    /// The rows under the slits.
+    /// The lower rows of the slits.
     pub under_eye: Vec<u32>,
     pub under_mouth: Vec<u32>,
-    /// Columns of the inner canthus, a third and two thirds of the way, and the outer canthus.
+    /// Columns of the inner canthus, one third, two thirds, and the outer canthus.
     pub eye_columns: [usize; 4],
     pub mouth_corner: usize,
 }
@@ -77,13 +77,13 @@ impl<'a> Grid<'a> {
         Self { plan, skull, nose: Nose::new(plan), lips: Lips::new(), rows, eye_row, mouth_row, columns }
     }
 
-    /// Lays the skin with its openings and their linings.
+    /// Builds the skin with its openings and their linings.
     pub(super) fn lay(&self, half: &mut Half) -> Skin {
         let grid: Vec<Vec<u32>> = (0..self.rows.len())
             .map(|row| {
                 let mut line: Vec<u32> = Vec::with_capacity(COLUMNS + 1);
                 for column in 0..=COLUMNS {
-                    // The crown is one vertex.
+                    // The crown is a single vertex.
                     if row == 0 && column > 0 {
                         line.push(line[0]);
                     } else {
@@ -122,7 +122,7 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// The row of vertices under a slit: its own between the ends, those of the row itself elsewhere.
+    /// The lower row of vertices of a slit: separate between the ends, shared with the row elsewhere.
     fn under_slit(&self, half: &mut Half, line: &[u32], row: usize, first: usize, last: usize) -> Vec<u32> {
         let mut below = line.to_vec();
         let open = if first == 0 { 0..last } else { first + 1..last };
@@ -174,7 +174,7 @@ impl<'a> Grid<'a> {
         (p, mark)
     }
 
-    /// Where the grid's rows and columns are drawn to so that they run along the edges of lids and lips.
+    /// Targets of the grid's rows and columns, which align them with the edges of lids and lips.
     fn slide(&self, base: Vec3, row: usize, column: usize, eye_over: f32, mouth_over: f32) -> (f32, f32) {
         let plan = self.plan;
         let (mut x, mut y) = (base.x, base.y);
@@ -214,7 +214,7 @@ impl<'a> Grid<'a> {
         (x, y)
     }
 
-    /// Raises the features on the bare face at `p`.
+    /// Applies the features to the bare face at `p`.
     fn sculpt(&self, p: Vec3, mouth_over: f32) -> Vec3 {
         let plan = self.plan;
         let front = 1.0 - smoothstep(-20.0, 15.0, -p.z);
@@ -252,7 +252,7 @@ impl<'a> Grid<'a> {
                         Some(ends) if i == 0 || i == last => ends[i],
                         _ => {
                             let from = margin[i] as usize;
-                            // At the canthi both linings are one and go straight back.
+                            // At the canthi both linings merge and go straight back.
                             let end = i == 0 || i == last;
                             let point = if end {
                                 half.points[from] - Vec3::new(0.0, 0.0, 1.2 * row as f32)
@@ -301,7 +301,7 @@ impl<'a> Grid<'a> {
         }
     }
 
-    /// What the cell of the grid under `row`, right of `column`, shows.
+    /// The region of the cell of the grid below `row` and right of `column`.
     fn region(&self, half: &Half, corner: u32, row: usize, column: usize) -> Region {
         let p = half.points[corner as usize];
         let Row { canon, .. } = self.rows[row];
@@ -319,7 +319,7 @@ impl<'a> Grid<'a> {
         if brow(self.plan, p) { Region::Brow } else { Region::Skin }
     }
 
-    /// The skin nearest to where the ear's tragus sits.
+    /// The skin vertex nearest to the ear's tragus.
     fn ear_root(&self, half: &Half, grid: &[Vec<u32>]) -> Vec3 {
         let wanted = Vec3::new(72.0, 3.0, -4.0);
         let mut nearest = wanted;
@@ -335,7 +335,7 @@ impl<'a> Grid<'a> {
     }
 }
 
-/// Heights of the grid's rows in the canon, from the hairline to the throat: closest along lids, nostrils and lips.
+/// Heights of the grid's rows in the average face, from the hairline to the throat: densest along lids, nostrils and lips.
 fn face_rows() -> Vec<f32> {
     const SPANS: [(f32, f32, usize); 14] = [
         (98.0, 78.0, 7),
@@ -360,7 +360,7 @@ fn face_rows() -> Vec<f32> {
     rows
 }
 
-/// Azimuth of a column: evenly spaced across the face, wider apart around the back.
+/// Azimuth of a column: evenly spaced across the face, wider around the back.
 fn azimuth(column: usize) -> f32 {
     const FACE: usize = 43;
     const WIDTH: f32 = 71.0;
@@ -371,12 +371,12 @@ fn azimuth(column: usize) -> f32 {
     let start = libm::asinf((26.45 + 1.2 * 20.0) / WIDTH);
     let t = (column - FACE) as f32 / (COLUMNS - FACE) as f32;
     let rest = std::f32::consts::PI - start;
-    // Begins at the face's spacing and widens.
+    // Starts with the face's spacing and widens.
     let begin = 0.026 * (COLUMNS - FACE) as f32 / rest;
     start + rest * (begin * t + (1.0 - begin) * t * t * (1.5 - 0.5 * t))
 }
 
-/// Straight lines through the three points, and unchanged beyond the last but for its shift.
+/// Linear interpolation through the three points, and a constant offset beyond the last.
 fn between(x: f32, points: [(f32, f32); 3]) -> f32 {
     let [a, b, c] = points;
     let line = |p: (f32, f32), q: (f32, f32)| p.1 + (q.1 - p.1) * (x - p.0) / (q.0 - p.0);
@@ -412,7 +412,7 @@ fn hairline(plan: &Plan, angle: f32) -> f32 {
     line.at(angle)[0]
 }
 
-/// Middle height of the eyebrow at `x`.
+/// Centre height of the eyebrow at `x`.
 pub(super) fn brow_height(plan: &Plan, x: f32) -> f32 {
     let arch = curve(&[(6.0, 16.5), (12.0, 18.0), (22.0, 19.8), (34.0, 21.6), (42.0, 21.0), (52.0, 16.5)]);
     plan.eye.y + arch.at(x)[0]

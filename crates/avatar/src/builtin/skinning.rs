@@ -6,7 +6,7 @@ use super::identity::Plan;
 use super::mouth;
 use crate::Joint;
 
-/// How far the skin of the upper and lower lid follows the eyeball when it turns.
+/// How far the skin of the upper and lower lid follows the rotation of the eyeball.
 const LID_FOLLOWS: [f32; 2] = [0.30, 0.12];
 
 /// Positions of the joints, millimetres.
@@ -59,11 +59,11 @@ fn lid_share(mark: &Mark) -> f32 {
         * (1.0 - smoothstep(2.0, 9.0, mark.eye.abs()))
 }
 
-/// Share of the jaw: all of the lower lip and chin, none of the upper lip, both at the corner of the mouth, and in the
-/// cheek a line that rises from there to the jaw's joint.
+/// Weight of the jaw: 1 on the lower lip and chin, 0 on the upper lip, both at the corner of the mouth, with a boundary in the
+/// cheek that rises from there to the jaw's joint.
 fn jaw_share(plan: &Plan, p: Vec3, mark: &Mark) -> f32 {
     let along = p.x / plan.mouth_half_width;
-    // So that the open mouth is rounded, not a slot.
+    // Makes the open mouth rounded rather than a slot.
     let corner = 1.0 - libm::powf((1.0 - along * along).max(0.0), 0.7);
     let beyond = smoothstep(plan.mouth_half_width, 64.0, p.x);
     let over = if mark.mouth.is_finite() { mark.mouth } else { p.y - plan.mouth } - 26.0 * beyond;

@@ -3,9 +3,9 @@ use glam::Vec3;
 use super::curves::Spline;
 use super::identity::Plan;
 
-/// The head without its features: a closed ring of skin at every station from the crown to the shoulders.
+/// The head without features: a closed ring of skin at every station from the crown to the shoulders.
 ///
-/// A ring is half an ellipse in front and half an ellipse behind, which meet at the sides.
+/// A ring consists of half an ellipse in front and half an ellipse behind, which meet at the sides.
 #[derive(Debug)]
 pub(super) struct Skull {
     rings: Spline<9>,
@@ -52,7 +52,7 @@ impl Skull {
     pub(super) fn new(plan: &Plan) -> Self {
         let rings: Vec<[f32; 9]> =
             RINGS.iter().enumerate().map(|(number, ring)| personal(plan, number, *ring)).collect();
-        // Stations are spaced by the mean step of front and back, so that the splines run evenly.
+        // Stations are spaced by the mean step of front and back, which makes the splines even.
         let mut knots = vec![0.0];
         for pair in rings.windows(2) {
             let step = |y: usize, z: usize| (pair[1][y] - pair[0][y]).hypot(pair[1][z] - pair[0][z]);
@@ -82,7 +82,7 @@ impl Skull {
         )
     }
 
-    /// The station whose front lies at height `y`.
+    /// The station whose front is at height `y`.
     pub(super) fn station(&self, y: f32) -> f32 {
         let (mut low, mut high) = (0.0, self.end());
         for _ in 0..40 {
@@ -92,7 +92,7 @@ impl Skull {
         0.5 * (low + high)
     }
 
-    /// Station and azimuth of the skin that lies at `x` and `y` in front, found from a guess nearby (Newton).
+    /// Station and azimuth of the skin at `x` and `y` in front, found from an initial guess (Newton).
     pub(super) fn beneath(&self, x: f32, y: f32, guess: (f32, f32)) -> (f32, f32) {
         const STEP: (f32, f32) = (0.25, 0.004);
         let (mut station, mut azimuth) = guess;
@@ -109,7 +109,7 @@ impl Skull {
     }
 }
 
-/// One ring with a person's proportions.
+/// One ring with the person's proportions.
 fn personal(plan: &Plan, number: usize, ring: [f32; 9]) -> [f32; 9] {
     let t = &plan.traits;
     let [front_y, front_z, side_x, side_y, side_z, back_y, back_z, front_full, back_full] = ring;

@@ -4,7 +4,7 @@ use super::half::{Half, Mark, Part};
 use super::identity::Plan;
 use crate::Region;
 
-/// Widths of the teeth along the arch, from the middle to the back, and how far each stands past the first.
+/// Widths of the teeth along the arch, from the midline to the back, and how far each protrudes relative to the first.
 const UPPER: [(f32, f32); 7] =
     [(8.6, 0.0), (6.6, -0.6), (7.6, 0.3), (7.0, -0.5), (6.8, -0.9), (10.0, -1.2), (9.4, -1.2)];
 const LOWER: [(f32, f32); 7] =
@@ -13,11 +13,11 @@ const LOWER: [(f32, f32); 7] =
 /// Columns of vertices across one tooth.
 const COLUMNS: usize = 6;
 
-/// Distance from the edges of the teeth to the gum, and on to where the gum goes out of sight.
+/// Distance from the edges of the teeth to the gum, and on to the hidden end of the gum.
 const CROWN: f32 = 9.0;
 const ROOT: f32 = 14.0;
 
-/// Adds both rows of teeth; `lips` is the depth of the line between the lips at the middle.
+/// Adds both rows of teeth; `lips` is the depth of the line between the lips at the midline.
 pub(super) fn add(half: &mut Half, plan: &Plan, lips: f32) {
     let upper = Arch { front: lips - 7.2, edge: plan.mouth - 1.6, up: 1.0, curvature: 0.034 };
     let lower = Arch { front: lips - 9.8, edge: plan.mouth - 0.6, up: -1.0, curvature: 0.036 };
@@ -34,7 +34,7 @@ struct Arch {
 }
 
 impl Arch {
-    /// Point and outward normal at `arc` millimetres from the middle.
+    /// Point and outward normal at `arc` millimetres from the midline.
     fn at(&self, arc: f32) -> (Vec2, Vec2) {
         const STEP: f32 = 0.1;
         let (mut x, mut walked) = (0.0_f32, 0.0_f32);
@@ -71,7 +71,7 @@ fn row(half: &mut Half, arch: &Arch, teeth: &[(f32, f32)], mark: Mark) {
     }
     for (number, pair) in rows.windows(2).enumerate() {
         let region = if number == 0 || number == SECTION - 2 { Region::MouthInside } else { Region::Teeth };
-        // From root to edge the outside is on the way down; under the lower teeth it is on the way up.
+        // From root to edge the outside faces down; for the lower teeth it faces up.
         if arch.up > 0.0 {
             half.strip(&pair[0], &pair[1], |_| region);
         } else {

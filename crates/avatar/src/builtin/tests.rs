@@ -11,7 +11,7 @@ const MM: f32 = 1e-3;
 const HALVED: [u8; 14] = [1, 2, 4, 5, 6, 7, 9, 10, 12, 14, 15, 20, 43, 45];
 const WHOLE: [u8; 6] = [16, 17, 23, 24, 25, 26];
 
-/// Combinations that faces show: surprise, fear, anger, disgust, sadness, joy, and eyes closed with others.
+/// Realistic combinations: surprise, fear, anger, disgust, sadness, joy, and closed eyes with others.
 const COMBINATIONS: [&[u8]; 9] = [
     &[1, 2, 5, 26, 25],
     &[1, 2, 4, 5, 20, 25],
@@ -58,7 +58,7 @@ fn vertices_of(head: &HeadModel, wanted: impl Fn(Region) -> bool) -> Vec<usize> 
     (0..inside.len()).filter(|&v| inside[v]).collect()
 }
 
-/// The frontmost depth of the triangles over `(x, y)`, if any lies there.
+/// The frontmost depth of the triangles at `(x, y)`, if any.
 fn front_at(vertices: &[Vec3], triangles: &[[u32; 3]], x: f32, y: f32) -> Option<f32> {
     let mut front = None;
     for triangle in triangles {
@@ -110,7 +110,7 @@ fn a_seed_always_gives_the_same_head_and_another_seed_another() {
     assert!(apart > 2e-3, "heads differ by {apart} m at most");
 }
 
-/// Ranges in millimetres that we chose as plausible for adults; every drawn head keeps within them.
+/// Plausible ranges for adults in millimetres, chosen by us; every generated head stays within them.
 #[test]
 fn heads_have_human_measures() {
     for seed in 0..12 {
@@ -150,8 +150,8 @@ fn landmarks_run_from_the_subjects_right_to_the_left() {
     assert!(at[66].y > at[57].y && at[57].y > at[8].y && at[33].y > at[51].y);
 }
 
-/// Each edge has one triangle on either side and they agree on what is outside; open are only the cut of the bust, the
-/// linings behind the lids, the ears' feet inside the head and the roots of the teeth.
+/// Each edge has one triangle on either side with consistent orientation; the only open edges are the cut of the bust, the
+/// linings behind the lids, the bases of the ears inside the head, and the roots of the teeth.
 #[test]
 fn the_surface_is_whole_and_faces_outward() {
     let head = HeadModel::builtin(2);
@@ -214,7 +214,7 @@ fn every_action_unit_moves_its_part_of_the_face_and_no_more() {
             assert!(expected.contains(&most), "AU{number} {side:?} moves {most} mm");
             for (vertex, &by) in by.iter().enumerate() {
                 let p = head.template[vertex] / MM;
-                // Behind the ears and on the shoulders nothing moves, nor does the other half of the face.
+                // Nothing moves behind the ears, on the shoulders, or on the other half of the face.
                 let elsewhere = p.z < -15.0
                     || p.y < -160.0
                     || p.y > 110.0

@@ -1,20 +1,20 @@
-//! What a person looks like apart from the shape of the head, drawn from the seed.
+//! A person's appearance apart from the shape of the head, drawn from the seed.
 
 use glam::Vec3;
 use srflow_field::random::{Key, Stream};
 
 use super::light::linear_from_srgb;
 
-/// How the hair is cut.
+/// Hair style.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum HairStyle {
     /// Some millimetres of stubble.
     Buzzed,
     /// A few centimetres, combed from the crown.
     Short,
-    /// Combed aside from a parting, over the ears.
+    /// Combed sideways from a parting, over the ears.
     Medium,
-    /// Tight curls that stand off the head.
+    /// Tight curls that stand up.
     Curly,
     /// From a parting down to the neck and the shoulders.
     Long,
@@ -31,20 +31,20 @@ pub(super) struct Appearance {
     pub brows: Vec3,
     pub hair_style: HairStyle,
     pub iris: Vec3,
-    /// Around the pupil, where many irises are of another colour.
+    /// Around the pupil, where many irises have another colour.
     pub iris_inner: Vec3,
     /// 0 none, 1 many.
     pub freckles: f32,
-    /// 0 shaved or none, 1 some days old.
+    /// 0 none or shaved, 1 several days old.
     pub stubble: f32,
-    /// How red cheeks, nose and ears are.
+    /// Redness of cheeks, nose and ears.
     pub flush: f32,
     pub garment: Vec3,
-    /// 0 to 1: depth of wrinkles.
+    /// Depth of wrinkles, 0 to 1.
     pub age: f32,
 }
 
-/// Photographs of skin from the lightest to the darkest, sRGB.
+/// Skin colours from light to dark, sRGB, as photographed.
 const SKIN_TONES: [[f32; 3]; 7] = [
     [0.918, 0.765, 0.690],
     [0.890, 0.714, 0.616],

@@ -22,7 +22,7 @@ pub(super) fn dress_brows(dressing: &mut Dressing) {
         let eye = dressing.surface.joints
             [if name == "right brow" { Joint::RightEye } else { Joint::LeftEye } as usize];
         let mut spine = spine.map(|p| p - Vec3::Y * ((p.y - eye.y) * 0.17));
-        // Brows are flatter at rest than the line of these landmarks.
+        // Brows are flatter at rest than the polyline of these landmarks.
         spine[0].y -= 2.4 * MM * size;
         spine[4].y += 1.5 * MM * size;
         let middle = spine[2];
@@ -36,9 +36,9 @@ pub(super) fn dress_brows(dressing: &mut Dressing) {
 fn grow(dressing: &mut Dressing, spine: &[Vec3; 5], skin: &[u32], stream: &mut Stream) {
     let surface = dressing.surface;
     let size = surface.size;
-    // Thin at the inner end, and the tail stops short of the last landmark.
+    // Thin at the inner end; the tail stops before the last landmark.
     let t = 0.93 * (stream.unit() * 0.85 + stream.unit() * 0.15);
-    // Across the brow, denser at its middle line.
+    // Across the brow, denser at its centre line.
     let across = (stream.unit() + stream.unit() - 1.0) * 1.1;
     let half_height =
         (0.9 + 2.9 * smoothstep((t + 0.12) / 0.35) * (1.0 - 0.95 * smoothstep((t - 0.3) / 0.7))) * MM;
@@ -67,7 +67,7 @@ fn grow(dressing: &mut Dressing, spine: &[Vec3; 5], skin: &[u32], stream: &mut S
     add_strand(dressing, root.triangle, &strand, &dressing.exposure(&root));
 }
 
-/// Near the nose hairs stand up, farther out they turn along the brow, from above and below towards its middle.
+/// Near the nose hairs point up, farther out they turn along the brow, from above and below towards its centre line.
 fn direction(spine: &[Vec3; 5], t: f32, across: f32, root: &SurfacePoint, stream: &mut Stream) -> Vec3 {
     let along = (catmull_rom(spine, t + 0.05) - catmull_rom(spine, t - 0.05)).normalize_or(Vec3::X);
     let up = (root.normal.cross(along).cross(root.normal).cross(root.normal)).normalize_or(Vec3::Y);

@@ -1,4 +1,4 @@
-//! The colour and relief of skin at every place: what is lip, flush, shadow of a beard or cloth.
+//! The colour and relief of the skin at every point: lips, flush, beard shadow and clothing.
 
 use glam::Vec3;
 use srflow_field::random::Stream;
@@ -12,7 +12,7 @@ use crate::{Joint, Region};
 
 const MM: f32 = 1e-3;
 
-/// Knows the complexion of one person. Lengths are those of an average head: positions are divided by the head's size.
+/// The complexion of one person. Lengths refer to an average head: positions are divided by the head's size.
 pub(super) struct Complexion<'a> {
     surface: &'a Surface<'a>,
     appearance: Appearance,
@@ -22,13 +22,13 @@ pub(super) struct Complexion<'a> {
     scalp: Vec<f32>,
     /// Distance from the open edge of the model, metres, at the vertices.
     rim: Vec<f32>,
-    /// How sharply the surface bends at the vertices, 1/m.
+    /// Curvature of the surface at the vertices, 1/m.
     curvature: Vec<f32>,
     blotches: Noise,
     relief: Noise,
 }
 
-/// Where the parts of the face are.
+/// Positions of the parts of the face.
 struct Places {
     cheeks: [Vec3; 2],
     nose_tip: Vec3,
@@ -61,7 +61,7 @@ impl Places {
     }
 }
 
-/// 1 at `centre`, falling off as a Gaussian of `sigma` millimetres.
+/// A Gaussian around `centre` with `sigma` in millimetres: 1 at the centre.
 fn spot(p: Vec3, centre: Vec3, sigma: f32) -> f32 {
     libm::expf(-p.distance_squared(centre) / (2.0 * (sigma * MM) * (sigma * MM)))
 }
@@ -83,11 +83,11 @@ impl<'a> Complexion<'a> {
         }
     }
 
-    /// Metres between the Gaussians that the eye can resolve here: fine on the face, coarse under hair and cloth.
+    /// Spacing in metres of the smallest Gaussians: fine on the face, coarse under hair and clothing.
     pub fn spacing(&self, point: &SurfacePoint) -> f32 {
         let p = point.position / self.surface.size;
         let front = smoothstep((p.z - self.places.ear.z) / (30.0 * MM));
-        // Finer where cloth or the model ends.
+        // Finer at the edges of clothing and of the model.
         let rim = self.surface.value(&self.rim, point) / self.surface.size;
         let neckline = 1.0 - smoothstep((self.cloth(point).abs() - 3.0 * MM) / (5.0 * MM));
         let edge = neckline.max(1.0 - smoothstep((rim - 2.0 * MM) / (5.0 * MM)));
@@ -102,19 +102,19 @@ impl<'a> Complexion<'a> {
         mm * MM * self.surface.size
     }
 
-    /// Whether a coarse Gaussian here would reach over the edge where the model ends.
+    /// Whether a coarse Gaussian here would reach beyond the edge of the model.
     pub fn is_rim(&self, point: &SurfacePoint) -> bool {
         self.surface.value(&self.rim, point) < 2.5 * MM * self.surface.size
     }
 
-    /// Fine enough on the ear that no Gaussian stands off its thin rim by more than a share of a tenth of a millimetre.
+    /// Spacing fine enough on the ear that Gaussians deviate from its thin rim by less than a tenth of a millimetre.
     fn ear_spacing(&self, point: &SurfacePoint) -> f32 {
         let radius_mm =
             (self.surface.value(&self.curvature, point) * self.surface.size * MM).max(1e-3).recip();
         (0.6 * radius_mm.sqrt()).clamp(0.42, 0.95)
     }
 
-    /// Metres between the larger Gaussians that close the surface. Beside the thin rim of the ear they would show.
+    /// Spacing in metres of the larger Gaussians that close the surface. At the thin rim of the ear they would be visible.
     pub fn closing_spacing(&self, point: &SurfacePoint) -> f32 {
         let spacing = self.spacing(point);
         let sharp = self.surface.value(&self.curvature, point) * self.surface.size * MM > 0.22;
@@ -124,7 +124,7 @@ impl<'a> Complexion<'a> {
         (spacing * 2.0).max(1.2 * MM * self.surface.size)
     }
 
-    /// The ear and the skin that its lobule hangs from.
+    /// The ear and the skin that its lobule is attached to.
     fn is_beside_ear(&self, p: Vec3) -> bool {
         p.x.abs() > self.places.ear.x - 8.0 * MM && p.z < self.places.ear.z + 2.0 * MM
     }
@@ -133,7 +133,7 @@ impl<'a> Complexion<'a> {
         p.x.abs() > self.places.ear.x + 3.0 * MM && p.z < self.places.ear.z + 2.0 * MM
     }
 
-    /// How much of a beard grows here, `0..=1`.
+    /// Density of the beard, `0..=1`.
     pub fn beard(&self, point: &SurfacePoint) -> f32 {
         let p = point.position / self.surface.size;
         let places = &self.places;
@@ -152,14 +152,14 @@ impl<'a> Complexion<'a> {
         smoothstep((border - p.y) / (9.0 * MM)) * throat * under_lip
     }
 
-    /// How freckled the place can be.
+    /// Susceptibility to freckles.
     pub fn sun(&self, p: Vec3) -> f32 {
         let p = p / self.surface.size;
         let cheeks: f32 = self.places.cheeks.iter().map(|&c| spot(p, c, 17.0)).sum();
         (cheeks + 0.9 * spot(p, self.places.nose_tip + Vec3::Y * (15.0 * MM), 14.0) + 0.06).min(1.0)
     }
 
-    /// How open pores are.
+    /// Openness of pores.
     pub fn pores(&self, p: Vec3) -> f32 {
         let p = p / self.surface.size;
         let cheeks: f32 = self.places.cheeks.iter().map(|&c| spot(p, c - Vec3::X * (c.x * 0.25), 17.0)).sum();
@@ -174,7 +174,7 @@ impl<'a> Complexion<'a> {
         self.surface.value(&self.lips, point) / self.surface.size
     }
 
-    /// Distance below the neckline, metres: positive where there is cloth.
+    /// Distance below the neckline, metres: positive on clothing.
     pub fn cloth(&self, point: &SurfacePoint) -> f32 {
         let p = point.position / self.surface.size;
         let forward = p.z - (self.places.ear.z - 40.0 * MM);
@@ -184,11 +184,11 @@ impl<'a> Complexion<'a> {
         neckline - p.y
     }
 
-    /// Where a Gaussian of the skin lies: cloth stands off it.
+    /// Position of a skin Gaussian: clothing is offset from the skin.
     pub fn position(&self, point: &SurfacePoint) -> Vec3 {
         let cloth = self.cloth(point);
         let collar = 1.0 - smoothstep((cloth - 13.0 * MM) / (2.0 * MM));
-        // The seam between the lips is closed at rest, though the model may leave a gap.
+        // The seam between the lips is closed at rest, even if the model has a gap.
         if self.lip(point) > 0.0 && point.normal.z < 0.55 {
             return point.position + point.normal * (0.3 * MM * self.surface.size);
         }
@@ -196,7 +196,7 @@ impl<'a> Complexion<'a> {
         point.position + point.normal * (thickness * MM * self.surface.size)
     }
 
-    /// sRGB of the surface here. `fine` adds the grain that only small Gaussians can carry.
+    /// sRGB of the surface. `fine` adds grain that only small Gaussians can represent.
     pub fn color(&self, point: &SurfacePoint, exposure: &Exposure, stream: &mut Stream, fine: bool) -> Vec3 {
         let p = point.position / self.surface.size;
         let cloth = self.cloth(point);
@@ -256,13 +256,13 @@ impl<'a> Complexion<'a> {
         self.appearance.lips * (1.0 + 0.14 * lines + 0.06 * self.blotches.at(p * 400.0))
     }
 
-    /// The fine upright lines of the lips.
+    /// The fine vertical lines of the lips.
     fn lip_lines(&self, p: Vec3) -> f32 {
         let line = |f: f32| self.blotches.at(Vec3::new(p.x * f, p.y * f * 0.14, p.z * f * 0.3));
         0.6 * line(900.0) + 0.4 * line(2100.0)
     }
 
-    /// Height of the skin's relief, in units of a fraction of a millimetre.
+    /// Height of the skin's relief, in fractions of a millimetre.
     fn relief_height(&self, p: Vec3, lip: f32) -> f32 {
         let grain = 0.6 * self.relief.fractal(p * 620.0, 2) + 0.25 * self.relief.at(p * 190.0);
         let forehead = smoothstep((p.y - self.places.brow_height - 4.0 * MM) / (8.0 * MM))

@@ -15,9 +15,9 @@ use crate::{Joint, Region};
 const MM: f32 = 1e-3;
 /// An adult's iris, metres.
 const IRIS_RADIUS: f32 = 5.9 * MM;
-/// Radius of the cornea as a mirror, metres.
+/// Radius of curvature of the cornea as a mirror, metres.
 const CORNEA_RADIUS: f32 = 7.8 * MM;
-/// Pupil over iris.
+/// Ratio of pupil to iris.
 const PUPIL: f32 = 0.34;
 
 /// Dresses both eyes and the lining of their lids.
@@ -47,13 +47,13 @@ impl Eye {
         let range = &surface.model.eyeballs[joint as usize - Joint::LeftEye as usize];
         let mut triangles = surface.triangles_of(&[Region::Eyeball]);
         triangles.retain(|&t| surface.model.triangles[t as usize].iter().all(|v| range.contains(v)));
-        // The back of the eyeball never turns into sight.
+        // The back of the eyeball is never visible.
         triangles.retain(|&t| (surface.frames[t as usize].origin - centre).normalize_or(Vec3::Z).z > -0.25);
         let (fibres, veins) = (Noise::new(stream.bits()), Noise::new(stream.bits()));
         Self { joint, centre, iris_radius: IRIS_RADIUS * surface.size, fibres, veins, triangles }
     }
 
-    /// Distance from the gaze axis over the radius of the iris; beyond the equator it stays large.
+    /// Distance from the gaze axis in iris radii; beyond the equator it stays large.
     fn rho(&self, p: Vec3) -> f32 {
         let d = p - self.centre;
         if d.z > 0.0 { d.truncate().length() / self.iris_radius } else { 9.0 }
@@ -73,7 +73,7 @@ fn eyeball(dressing: &mut Dressing, eye: &Eye) {
         let sigma = spacing(&point) * 0.68;
         dressing.add(point.triangle, flat(point.position, point.normal, sigma, sigma * 0.15, color, 0.985));
     }
-    // Behind it a few large ones, so that nothing shines through between the fine.
+    // A few large ones behind, so that nothing shines through between the fine ones.
     let coarse = |_: &SurfacePoint| 1.6 * MM * size;
     for point in dressing.surface.scatter(&eye.triangles, coarse, &mut stream) {
         let color = eyeball_color(dressing, eye, &point, &mut stream) * 0.8;
@@ -89,7 +89,7 @@ fn eyeball_color(dressing: &Dressing, eye: &Eye, point: &SurfacePoint, stream: &
     let sclera = sclera_albedo(eye, d, rho, stream);
     let white = smoothstep((rho - 0.94) / 0.16);
     let albedo = iris.lerp(sclera, white);
-    // The lids' shadow is half of what was baked: the eye will turn under it.
+    // The baked shadow of the lids counts half: the eye will rotate under it.
     let seen = dressing.exposure(point);
     let exposure =
         Exposure { sky: 0.30 + 0.62 * seen.sky, key: 0.25 + 0.60 * seen.key, fill: 0.35 + 0.55 * seen.fill };
@@ -101,14 +101,14 @@ fn eyeball_color(dressing: &Dressing, eye: &Eye, point: &SurfacePoint, stream: &
 fn iris_albedo(dressing: &Dressing, eye: &Eye, d: Vec3, rho: f32) -> Vec3 {
     let a = &dressing.appearance;
     let around = d.truncate().normalize_or_zero();
-    // Constant along the radius but for a slow drift: fibres run from the pupil outward.
+    // Constant along the radius except for a slow drift: fibres run outward from the pupil.
     let fibre = |frequency: f32, drift: f32| {
         eye.fibres.at(Vec3::new(around.x * frequency, around.y * frequency, rho * drift))
     };
     let streaks = 0.55 * fibre(9.0, 1.5) + 0.45 * fibre(24.0, 3.0);
     let collarette = 0.55 + 0.06 * fibre(5.0, 1.0);
     let base = a.iris_inner.lerp(a.iris, smoothstep((rho - collarette + 0.12) / 0.24));
-    // Light that the cornea gathers on the side away from the soft box.
+    // Light that the cornea focuses on the side away from the soft box.
     let gathered = 1.0 + 0.55 * around.dot(glam::Vec2::new(0.55, -0.83)) * rho.min(1.0);
     let ring = 1.0 - 0.72 * smoothstep((rho - 0.80) / 0.20);
     let albedo = base * ((1.0 + 0.62 * streaks) * gathered * ring * 1.25).max(0.08);
@@ -121,13 +121,13 @@ fn sclera_albedo(eye: &Eye, d: Vec3, rho: f32, stream: &mut Stream) -> Vec3 {
     let white = Vec3::new(0.74, 0.70, 0.66).lerp(Vec3::new(0.66, 0.50, 0.45), outward * 0.75);
     let q = d / MM;
     let warp = Vec3::new(eye.veins.at(q * 0.7), eye.veins.at(q * 0.7 + 9.0), eye.veins.at(q * 0.7 + 19.0));
-    // Veins run from the corners to the iris: stretched noise, seen where it changes sign.
+    // Veins run from the corners to the iris: zero crossings of stretched noise.
     let ridge = eye.veins.at(Vec3::new(q.x * 0.22, q.y * 0.9, q.z * 0.3) + warp * 0.8).abs();
     let vein = (1.0 - ridge / 0.06).max(0.0) * (0.15 + 0.5 * outward);
     white.lerp(Vec3::new(0.55, 0.20, 0.17), vein) * (1.0 + stream.uniform(-0.02, 0.02))
 }
 
-/// The soft box mirrored in the cornea, and faintly the fill light.
+/// The reflection of the soft box in the cornea, and faintly that of the fill light.
 fn highlight(dressing: &mut Dressing, eye: &Eye) {
     let size = dressing.surface.size;
     let Some(&front) = eye.triangles.iter().max_by(|&&a, &&b| {
@@ -146,7 +146,7 @@ fn highlight(dressing: &mut Dressing, eye: &Eye) {
             apex - depth + 0.35 * MM * size,
         )
     };
-    // A square window of nine.
+    // A square window with nine panes.
     for i in 0..9 {
         let (column, row) = ((i % 3) as f32 - 1.0, (i / 3) as f32 - 1.0);
         let position = mirror(-0.25 + column * 0.05, 0.19 + row * 0.055);
@@ -159,7 +159,7 @@ fn highlight(dressing: &mut Dressing, eye: &Eye) {
     }
 }
 
-/// Pink inside of the lids, where it can be seen, and the line of tears where the lower lid meets the eye.
+/// The pink inside of the lids where it is visible, and the tear line where the lower lid meets the eye.
 fn lid_lining(dressing: &mut Dressing) {
     let surface = dressing.surface;
     let size = surface.size;

@@ -1,4 +1,4 @@
-//! Hair on the head: strands grown from the scalp, combed by style, kept off the head and shaded along their length.
+//! Head hair: strands grown from the scalp, combed by style, kept outside the head and shaded along their length.
 
 use glam::Vec3;
 use srflow_field::random::Stream;
@@ -13,7 +13,7 @@ use crate::{Joint, Region};
 
 const MM: f32 = 1e-3;
 
-/// How a style is grown.
+/// Parameters of a style.
 #[derive(Default)]
 struct Cut {
     /// Millimetres between roots.
@@ -23,19 +23,19 @@ struct Cut {
     segments: usize,
     /// Standard deviation across a wisp, millimetres.
     width: f32,
-    /// How far hair stands off the head at the root, 0 lies flat, 1 stands up.
+    /// How far hair stands off the head at the root: 0 is flat, 1 upright.
     lift: f32,
-    /// Millimetres that the upper layers lie above the scalp.
+    /// Height of the upper layers above the scalp, millimetres.
     volume: f32,
-    /// How soon a strand turns where it is combed, 0 to 1 per segment.
+    /// How fast a strand turns to the combing direction, 0 to 1 per segment.
     obedience: f32,
-    /// How much it falls.
+    /// Gravity.
     gravity: f32,
-    /// How much it waves.
+    /// Amplitude of waves.
     wave: f32,
-    /// Millimetres of the radius of curls.
+    /// Radius of curls, millimetres.
     curl: f32,
-    /// Combed aside from a parting rather than away from the crown.
+    /// Combed sideways from a parting rather than away from the crown.
     parted: f32,
 }
 
@@ -128,7 +128,7 @@ struct Growth<'a> {
     cut: Cut,
     surface: &'a Surface<'a>,
     noise: Noise,
-    /// Centre of the cranium and the whorl from which hair is combed.
+    /// Centre of the cranium, and the whorl from which hair is combed.
     centre: Vec3,
     whorl: Vec3,
     /// x of the parting.
@@ -161,23 +161,23 @@ impl<'a> Growth<'a> {
         }
     }
 
-    /// Metres between roots: closer beside the parting, where little else covers the scalp.
+    /// Spacing of roots in metres: smaller next to the parting, where little else covers the scalp.
     fn spacing(&self, p: Vec3) -> f32 {
         self.cut.spacing * MM * self.surface.size * (1.0 - 0.45 * self.flattened(p, 12.0))
     }
 
-    /// How much the parting lays hair flat that grows from `p`, up to `reach` millimetres beside it.
+    /// How flat the parting makes hair from `p`, up to `reach` millimetres away from it.
     fn flattened(&self, p: Vec3, reach: f32) -> f32 {
         let beside = 1.0 - smoothstep(self.aside_of_parting(p).abs() / (reach * MM));
         (self.cut.parted * 2.0).min(1.0) * beside * (0.6 + 0.4 * self.front(p))
     }
 
-    /// Metres of an average head to the left of the parting, which is no straight line.
+    /// Distance to the left of the parting in metres of an average head; the parting is not straight.
     fn aside_of_parting(&self, p: Vec3) -> f32 {
         (p.x - self.parting) / self.surface.size + 1.8 * MM * self.noise.at(p * 55.0)
     }
 
-    /// 1 over the forehead, 0 from the crown backward, where a parting has closed.
+    /// 1 above the forehead, 0 from the crown backward, where a parting has closed.
     fn front(&self, p: Vec3) -> f32 {
         smoothstep(((p - self.centre).normalize_or(Vec3::Y).z - 0.1) / 0.45)
     }
@@ -197,7 +197,7 @@ impl<'a> Growth<'a> {
         let points = self.path(root, length, layer, stream);
         let tone = stream.uniform(0.72, 1.28) * (1.0 + 0.22 * self.noise.at(root.position * 90.0));
         let albedo = dressing.appearance.hair * tone;
-        // What lies below the surface of the hair is dark, and so is everything near the root.
+        // Hair below the surface layer is dark, and so are the roots.
         let depth = 0.45 + 0.55 * layer;
         let seen = dressing.exposure(root);
         let exposure = Exposure {
@@ -219,7 +219,7 @@ impl<'a> Growth<'a> {
         add_strand(dressing, triangle, &strand, &exposure);
     }
 
-    /// The way of a strand from its root to its tip.
+    /// The points of a strand from root to tip.
     fn path(&self, root: &SurfacePoint, length: f32, layer: f32, stream: &mut Stream) -> Vec<Vec3> {
         let size = self.surface.size;
         let segments = self.cut.segments;
@@ -244,10 +244,10 @@ impl<'a> Growth<'a> {
             direction =
                 direction.lerp(wanted.normalize_or(direction), self.cut.obedience).normalize_or(direction);
             p += direction * step;
-            // Upper layers ride on the lower ones.
+            // Upper layers lie on the lower ones.
             let risen = (volume * layer * smoothstep(s * 2.5) * MM * size).min(0.45 * s * length);
             let thickness = 0.8 * MM * size + risen;
-            // It lies on the head, but hangs free below the ears.
+            // It follows the head, but hangs free below the ears.
             let clings = self.cut.gravity > 0.0 && p.y > self.ears.y - 0.01 * size;
             p = self.body.laid_on(p, thickness, clings, step);
             direction = (p - points[i - 1]).normalize_or(direction);
@@ -271,11 +271,11 @@ impl<'a> Growth<'a> {
         (root.normal * lift + self.combed(root.position) * (1.0 - lift) + jitter).normalize_or(root.normal)
     }
 
-    /// Where the comb takes hair at `p`: away from the whorl, or aside from the parting.
+    /// The combing direction at `p`: away from the whorl, or sideways from the parting.
     fn combed(&self, p: Vec3) -> Vec3 {
         let t = (p - self.centre).normalize_or(Vec3::Y);
         let away = -(self.whorl - t * t.dot(self.whorl)).normalize_or(Vec3::Z);
-        // Towards the crown the two sides of the parting run together.
+        // Towards the crown the two sides of the parting merge.
         let width = (30.0 - 27.5 * self.front(p)) * MM;
         let side = (self.aside_of_parting(p) / width).clamp(-1.0, 1.0);
         let aside = Vec3::new(side, 0.0, -0.42);
@@ -284,7 +284,7 @@ impl<'a> Growth<'a> {
         away.lerp(aside, self.cut.parted * (0.35 + 0.65 * front)).normalize_or(away)
     }
 
-    /// Keeps the face free: back and aside where hair would hang before it.
+    /// Keeps the face free: pushes hair in front of it back and sideways.
     fn off_the_face(&self, p: Vec3) -> Vec3 {
         let size = self.surface.size;
         let before_ears = smoothstep((p.z - self.ears.z - 0.005 * size) / (0.03 * size));
@@ -304,7 +304,7 @@ impl<'a> Growth<'a> {
     }
 }
 
-/// Scalp that is moved by the neck alone: hair on it keeps its form when the brows rise.
+/// Scalp that only the neck moves: hair on it keeps its shape when the brows rise.
 fn anchors(surface: &Surface) -> Vec<u32> {
     let mut still = vec![true; surface.vertices.len()];
     let far = 0.4 * MM * surface.size;
@@ -339,8 +339,8 @@ impl<'a> Body<'a> {
         Self { surface, vertices }
     }
 
-    /// `p`, or where it comes to lie `thickness` off the skin when it is nearer or inside. Hair that `clings` and is
-    /// up to some centimetres farther off is drawn half the way back; none is pushed farther than `step`.
+    /// `p`, or its projection to `thickness` above the skin if it is nearer or inside. Hair that `clings` and is up to some
+    /// centimetres farther away is pulled half the way back; none is moved farther than `step`.
     fn laid_on(&self, p: Vec3, thickness: f32, clings: bool, step: f32) -> Vec3 {
         let distance = |v: u32| self.surface.vertices[v as usize].distance_squared(p);
         let Some(nearest) = self.vertices.near(p).min_by(|&a, &b| distance(a).total_cmp(&distance(b))) else {

@@ -47,7 +47,7 @@ fn grow(dressing: &mut Dressing, lid: &Lid, skin: &[u32], t: f32, stream: &mut S
     let size = surface.size;
     let curve = lid.landmarks.map(|i| surface.landmarks[i]);
     let Some(root) = nearest_point(surface, skin, catmull_rom(&curve, t)) else { return };
-    // Fanned outward: lashes of the outer corner point to the temple.
+    // Fanned outward: lashes at the outer corner point to the temple.
     let temple = (curve[0] - curve[3]).normalize_or(Vec3::X);
     let fan = temple * (0.62 * (0.62 - t) + stream.normal() * 0.07);
     let clump = libm::sinf(t * 90.0) * 0.05;
@@ -71,7 +71,7 @@ fn grow(dressing: &mut Dressing, lid: &Lid, skin: &[u32], t: f32, stream: &mut S
         gloss: 0.1,
         outward: Vec3::ZERO,
     };
-    // The rim itself folds under when the eye shuts; the lid's face just beside it turns as lashes do.
+    // The rim itself folds under when the eye closes; the lid's face next to it rotates as lashes do.
     let beside = root.position + Vec3::Y * (if lid.upper { 1.0 } else { -1.0 } * MM * size);
     let triangle = nearest_point(surface, skin, beside).map_or(root.triangle, |lid| lid.triangle);
     add_strand(dressing, triangle, &strand, &dressing.exposure(&root));

@@ -1,4 +1,4 @@
-//! The light that is baked into the colours: a photographer's studio, computed once on the head at rest.
+//! Lighting baked into the colours: a photographer's studio, computed once on the head at rest.
 
 use glam::Vec3;
 use rayon::prelude::*;
@@ -7,20 +7,20 @@ use super::occlusion::Occluder;
 use super::surface::Surface;
 use crate::Region;
 
-/// Towards the large soft box, up at the viewer's left.
+/// Direction of the large soft box, at the viewer's upper left.
 const KEY_DIRECTION: Vec3 = Vec3::new(-0.50, 0.53, 0.69);
-/// Half angle of the soft box, as the tangent.
+/// Tangent of the soft box's half angle.
 const KEY_RADIUS: f32 = 0.32;
 const KEY_COLOR: Vec3 = Vec3::new(0.80, 0.765, 0.72);
-/// Towards the weak light on the other side.
+/// Direction of the weak fill light on the other side.
 const FILL_DIRECTION: Vec3 = Vec3::new(0.76, 0.12, 0.64);
 const FILL_RADIUS: f32 = 0.5;
 const FILL_COLOR: Vec3 = Vec3::new(0.21, 0.225, 0.245);
-/// Light from everywhere, from below and from above.
+/// Ambient light from below and from above.
 const GROUND_COLOR: Vec3 = Vec3::new(0.19, 0.175, 0.165);
 const SKY_COLOR: Vec3 = Vec3::new(0.40, 0.41, 0.43);
 
-/// The lights as hair sees them.
+/// The lights that hair uses.
 pub(super) struct HairLights {
     pub ambient: Vec3,
     pub key: Vec3,
@@ -41,14 +41,14 @@ const AMBIENT_RAYS: usize = 40;
 const KEY_RAYS: usize = 14;
 const FILL_RAYS: usize = 8;
 
-/// How much of each light reaches a point.
+/// Exposure of a point to each light.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Exposure {
-    /// Part of the sky that is seen, weighted by the cosine, `0..=1`.
+    /// Visible part of the sky, weighted by the cosine, `0..=1`.
     pub sky: f32,
-    /// Part of the soft box that is seen.
+    /// Visible part of the soft box.
     pub key: f32,
-    /// Part of the fill light that is seen.
+    /// Visible part of the fill light.
     pub fill: f32,
 }
 
@@ -66,14 +66,14 @@ impl std::ops::Add for Exposure {
     }
 }
 
-/// How a material takes light.
+/// Optical properties of a material.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Material {
     /// Linear sRGB reflectance.
     pub albedo: Vec3,
-    /// How far light wraps around the edge of the shadow, by channel: what scatters under skin.
+    /// How far light wraps around the shadow edge, by channel: subsurface scattering.
     pub wrap: Vec3,
-    /// Strength and exponent of the sheen.
+    /// Strength and exponent of the specular reflection.
     pub sheen: f32,
     pub gloss: f32,
 }
@@ -113,9 +113,9 @@ pub(super) fn bake(surface: &Surface) -> Vec<Exposure> {
     exposures
 }
 
-/// Directions to try, the same for every vertex so that neighbours agree.
+/// Ray directions, the same for every vertex so that neighbours agree.
 struct Rays {
-    /// Over the hemisphere around +z, denser towards the pole as the cosine asks.
+    /// Over the hemisphere around +z, cosine-weighted.
     sky: Vec<Vec3>,
     key: Vec<Vec3>,
     fill: Vec<Vec3>,
@@ -138,7 +138,7 @@ impl Rays {
 
     fn exposure(&self, occluder: &Occluder, p: Vec3, normal: Vec3, size: f32) -> Exposure {
         let (right, up) = normal.any_orthonormal_pair();
-        // Off the surface far enough that a coarse mesh does not shade itself.
+        // Offset from the surface, so that a coarse mesh does not shade itself.
         let origin = p + normal * (0.0007 * size);
         let reach = 0.18 * size;
         let seen = |rays: &[Vec3], world: &dyn Fn(Vec3) -> Vec3| {
@@ -153,7 +153,7 @@ impl Rays {
     }
 }
 
-/// Points of the unit disc, evenly spread (Vogel's sunflower), each with its squared radius.
+/// Points evenly distributed on the unit disc (Vogel's sunflower), each with its squared radius.
 fn spiral(count: usize) -> impl Iterator<Item = [f32; 3]> {
     const GOLDEN_ANGLE: f32 = 2.399_963_2;
     (0..count).map(move |i| {
@@ -163,10 +163,10 @@ fn spiral(count: usize) -> impl Iterator<Item = [f32; 3]> {
     })
 }
 
-/// The colour, sRGB in `0..=1`, of a material with this normal under this exposure, seen from the front.
+/// The colour, sRGB in `0..=1`, of a material with this normal and exposure, seen from the front.
 pub(super) fn shade(material: &Material, normal: Vec3, exposure: &Exposure) -> Vec3 {
     let (key, fill) = (KEY_DIRECTION.normalize(), FILL_DIRECTION.normalize());
-    // What little light reaches a crease has met skin before, which took its blue away.
+    // The little light that reaches a crease was reflected by skin before, which absorbs blue.
     let sky_seen = Vec3::new(libm::powf(exposure.sky, 0.75), exposure.sky, libm::powf(exposure.sky, 1.15));
     let sky = GROUND_COLOR.lerp(SKY_COLOR, normal.y * 0.5 + 0.5) * sky_seen;
     let shadow = |seen: f32| Vec3::new(libm::powf(seen, 0.8), seen, libm::powf(seen, 1.08));
@@ -188,7 +188,7 @@ fn gloss(normal: Vec3, light: Vec3, exponent: f32) -> f32 {
     libm::powf(normal.dot(half).max(0.0), exponent)
 }
 
-/// Linear light to sRGB with a shoulder that keeps highlights from burning out.
+/// Linear light to sRGB, with a shoulder that compresses highlights.
 pub(super) fn srgb_from_linear(linear: Vec3) -> Vec3 {
     let channel = |x: f32| {
         let x = x.max(0.0);

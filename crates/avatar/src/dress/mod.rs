@@ -24,7 +24,7 @@ use appearance::Appearance;
 use light::Exposure;
 use surface::{Surface, SurfacePoint};
 
-/// Dresses the head of `shaped` as the person of `seed`. The model is valid and has 68 landmarks.
+/// Dresses the head of `shaped` as the person of `seed`. The model must be valid and have 68 landmarks.
 pub(crate) fn dress(model: &HeadModel, shaped: &ShapedHead, seed: u64) -> BoundGaussians {
     let surface = Surface::new(model, shaped);
     let mut dressing = Dressing {
@@ -66,13 +66,13 @@ impl Dressing<'_> {
     }
 }
 
-/// 0 until 0, 1 from 1, smooth between.
+/// 0 up to 0, 1 from 1 on, smooth between.
 fn smoothstep(t: f32) -> f32 {
     let t = t.clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
-/// The curve through `points`, at `t` from 0, the first, to 1, the last.
+/// The curve through `points` at `t`, from 0 at the first point to 1 at the last.
 fn catmull_rom(points: &[Vec3], t: f32) -> Vec3 {
     let last = points.len() - 1;
     let at = t.clamp(0.0, 1.0) * last as f32;
@@ -92,7 +92,7 @@ fn near_triangles(surface: &Surface, regions: &[Region], p: Vec3, reach: f32) ->
     triangles
 }
 
-/// The point of `triangles` that is nearest to `p`.
+/// The point of `triangles` nearest to `p`.
 fn nearest_point(surface: &Surface, triangles: &[u32], p: Vec3) -> Option<SurfacePoint> {
     let nearest = triangles.iter().map(|&t| {
         let weights = nearest_weights(surface.corners(t), p);
@@ -102,8 +102,7 @@ fn nearest_point(surface: &Surface, triangles: &[u32], p: Vec3) -> Option<Surfac
     nearest.min_by(|a, b| a.2.total_cmp(&b.2)).map(|(t, weights, _)| surface.point(t, weights))
 }
 
-/// Barycentric coordinates of the point of a triangle that is nearest to `p` (Ericson, *Real-Time Collision Detection*,
-/// 5.1.5).
+/// Barycentric coordinates of the point of a triangle nearest to `p` (Ericson, *Real-Time Collision Detection*, 5.1.5).
 fn nearest_weights([a, b, c]: [Vec3; 3], p: Vec3) -> Vec3 {
     let (ab, ac) = (b - a, c - a);
     let (d1, d2) = (ab.dot(p - a), ac.dot(p - a));

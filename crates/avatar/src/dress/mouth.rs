@@ -1,4 +1,4 @@
-//! Teeth, gums, tongue and the dark of the mouth.
+//! Teeth, gums, tongue and the dark interior of the mouth.
 
 use glam::Vec3;
 
@@ -10,14 +10,14 @@ use crate::Region;
 
 const MM: f32 = 1e-3;
 
-/// Dresses the inside of the mouth. It is closed at rest, so that its light is not baked but falls off with the
-/// distance behind the lips.
+/// Dresses the inside of the mouth. It is closed at rest, so its light is not baked but decreases with the distance behind the
+/// lips.
 pub(super) fn dress_mouth(dressing: &mut Dressing) {
     teeth(dressing);
     inside(dressing);
 }
 
-/// Light that comes in through the open mouth.
+/// Light that enters through the open mouth.
 fn exposure_behind(dressing: &Dressing, p: Vec3) -> Exposure {
     let lips = (dressing.surface.landmarks[62] + dressing.surface.landmarks[66]) * 0.5;
     let depth = ((lips.z - p.z) / dressing.surface.size).max(0.0);
@@ -31,7 +31,7 @@ fn teeth(dressing: &mut Dressing) {
     let lips = (surface.landmarks[62] + surface.landmarks[66]) * 0.5;
     let throat = lips - Vec3::Z * (0.045 * surface.size);
     let mut triangles = surface.triangles_of(&[Region::Teeth]);
-    // The sides towards the tongue are not seen.
+    // The sides towards the tongue are not visible.
     triangles.retain(|&t| {
         let frame = surface.frames[t as usize];
         let normal = frame.rotation * Vec3::Y;

@@ -1,5 +1,4 @@
-//! Noise in space, for what skin, irises and hair are made of. Bit-identical everywhere: integer hashing and plain
-//! arithmetic only.
+//! Spatial noise for skin, irises and hair. Bit-identical everywhere: integer hashing and basic arithmetic only.
 
 use glam::{IVec3, Vec3};
 
@@ -14,7 +13,7 @@ impl Noise {
         Self { seed }
     }
 
-    /// Value noise at `p`, one lattice cell a unit, in `-1..1`.
+    /// Value noise at `p` with unit lattice cells, in `-1..1`.
     pub fn at(&self, p: Vec3) -> f32 {
         let cell = p.floor();
         let t = p - cell;
@@ -30,7 +29,7 @@ impl Noise {
         lerp(plane(0), plane(1), w.z)
     }
 
-    /// Sum of `octaves` noises, each twice as fine and half as strong as the last, roughly in `-1..1`.
+    /// Sum of `octaves` noises, each at twice the frequency and half the amplitude of the previous, roughly in `-1..1`.
     pub fn fractal(&self, p: Vec3, octaves: u32) -> f32 {
         let (mut sum, mut strength, mut total, mut p) = (0.0, 1.0, 0.0, p);
         for octave in 0..octaves {

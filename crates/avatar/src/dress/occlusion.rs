@@ -1,23 +1,23 @@
-//! Whether a ray from the head meets the head again: a bounding volume hierarchy over its triangles.
+//! Ray casting against the head: a bounding volume hierarchy over its triangles.
 
 use glam::Vec3;
 
-/// Triangles of at most this many share a leaf.
+/// Maximum number of triangles in a leaf.
 const LEAF: usize = 4;
 
 struct Node {
     low: Vec3,
     high: Vec3,
-    /// First triangle of a leaf, or number of the right child; the left child follows its parent.
+    /// First triangle of a leaf, or index of the right child; the left child follows its parent.
     start: u32,
-    /// Triangles of a leaf; 0 for an inner node.
+    /// Number of triangles in a leaf; 0 for an inner node.
     count: u32,
 }
 
-/// A closed set of triangles to shoot rays at.
+/// A set of triangles to cast rays at.
 pub(super) struct Occluder {
     nodes: Vec<Node>,
-    /// A corner and two edges of each triangle, in the order of the leaves.
+    /// A corner and two edges of each triangle, in leaf order.
     triangles: Vec<[Vec3; 3]>,
 }
 
@@ -34,7 +34,7 @@ impl Occluder {
         Self { nodes, triangles }
     }
 
-    /// Whether anything lies in `direction` (unit length) from `origin`, nearer than `reach`.
+    /// Whether the ray from `origin` in `direction` (unit length) hits anything nearer than `reach`.
     pub fn blocks(&self, origin: Vec3, direction: Vec3, reach: f32) -> bool {
         let inverse = direction.recip();
         let mut stack = [0_u32; 64];

@@ -1,4 +1,4 @@
-//! Skin: a layer that closes the surface, a finer one that carries colour and relief, and on it specks and stubble.
+//! Skin: a layer that closes the surface, a finer one with colour and relief, and on top specks and stubble.
 
 use glam::{Quat, Vec3};
 
@@ -12,7 +12,7 @@ use crate::binding::Splat;
 
 const MM: f32 = 1e-3;
 
-/// Everything that is covered with skin, lips included.
+/// Every region covered with skin, including lips.
 pub(super) const SKIN: [Region; 6] =
     [Region::Skin, Region::Scalp, Region::Lips, Region::Brow, Region::LidMargin, Region::Neck];
 
@@ -21,7 +21,7 @@ pub(super) fn dress_skin(dressing: &mut Dressing) {
     let complexion = Complexion::new(dressing);
     let face = dressing.surface.triangles_of(&[Region::Skin, Region::Brow]);
     let specks = Specks::new(dressing, &complexion, &face);
-    // Each layer has a random stream of its own, so that they can grow side by side.
+    // Each layer has its own random stream, so they can be generated in parallel.
     let here = &*dressing;
     let (fine, (closing, pores)) = rayon::join(
         || fine_layer(here, &complexion, &specks),
@@ -35,7 +35,7 @@ pub(super) fn dress_skin(dressing: &mut Dressing) {
     }
 }
 
-/// Opaque Gaussians a little under the surface: nothing shines through when the skin stretches.
+/// Opaque Gaussians slightly below the surface: nothing shines through when the skin stretches.
 fn closing_layer(dressing: &Dressing, complexion: &Complexion) -> Vec<(u32, Splat)> {
     let surface = dressing.surface;
     let spacing = |point: &SurfacePoint| complexion.closing_spacing(point);

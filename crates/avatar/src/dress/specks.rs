@@ -1,4 +1,4 @@
-//! What is scattered over the skin: freckles, moles and pores.
+//! Small marks on the skin: freckles, moles and pores.
 
 use glam::Vec3;
 
@@ -15,16 +15,16 @@ struct Speck {
     point: SurfacePoint,
     /// Standard deviation, metres.
     sigma: f32,
-    /// Height over the skin, metres.
+    /// Height above the skin, metres.
     height: f32,
     color: Vec3,
-    /// What is left of each channel of the light that the skin around it gives back.
+    /// Factor by which each channel of the surrounding skin's colour is reduced.
     tint: Vec3,
     opacity: f32,
 }
 
-/// All freckles and moles of a person. Each is a Gaussian of its own and darkens the skin's Gaussians beneath as well:
-/// seen aslant, the nearer ones of these would cover half of it and leave a streak.
+/// All freckles and moles of a person. Each is a separate Gaussian and also darkens the skin's Gaussians below: otherwise,
+/// at grazing angles, nearer skin Gaussians would cover half of it and leave a streak.
 pub(super) struct Specks {
     specks: Vec<Speck>,
     near: Buckets,
@@ -44,7 +44,7 @@ impl Specks {
         Self { specks, near }
     }
 
-    /// What is left of each channel of the skin's light at `p`.
+    /// Factor for each channel of the skin's colour at `p`.
     pub fn tint(&self, p: Vec3) -> Vec3 {
         let here = self.near.near(p).map(|number| {
             let speck = &self.specks[number as usize];
@@ -100,7 +100,7 @@ fn moles(dressing: &Dressing, complexion: &Complexion, face: &[u32]) -> Vec<Spec
     moles
 }
 
-/// Pores on the triangles `face`, nearly round so that they do not become streaks where the skin turns away.
+/// Pores on the triangles `face`, nearly round, to avoid streaks where the skin turns away.
 pub(super) fn pores(dressing: &Dressing, complexion: &Complexion, face: &[u32]) -> Vec<(u32, Splat)> {
     let surface = dressing.surface;
     let size = surface.size;

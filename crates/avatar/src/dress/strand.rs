@@ -7,11 +7,11 @@ use super::light::{Exposure, HAIR_LIGHTS, srgb_from_linear};
 use super::surface::rotation_along;
 use crate::binding::Splat;
 
-/// One hair, or a wisp of them that is drawn as one.
+/// One hair, or a wisp drawn as one.
 pub(super) struct Strand<'a> {
-    /// From the root to the tip, two points or more.
+    /// From root to tip, at least two points.
     pub points: &'a [Vec3],
-    /// Standard deviation across at the root, metres; the tip tapers to `taper` of it.
+    /// Standard deviation of the cross-section at the root, metres; the tip tapers to `taper` of it.
     pub width: f32,
     pub taper: f32,
     pub opacity: f32,
@@ -19,11 +19,11 @@ pub(super) struct Strand<'a> {
     pub albedo: [Vec3; 2],
     /// Strength of the highlight along the hair.
     pub gloss: f32,
-    /// Away from the head, for hair that lies on it; zero for hair that stands alone.
+    /// Outward direction, for hair that lies on the head; zero for free-standing hair.
     pub outward: Vec3,
 }
 
-/// Adds a strand that rides on `triangle`.
+/// Adds a strand bound to `triangle`.
 pub(super) fn add_strand(dressing: &mut Dressing, triangle: u32, strand: &Strand, exposure: &Exposure) {
     let segments = strand.points.len().saturating_sub(1);
     for (i, ends) in strand.points.windows(2).enumerate() {
@@ -57,7 +57,7 @@ fn hair_color(strand: &Strand, tangent: Vec3, s: f32, exposure: &Exposure) -> Ve
         let toward = direction.normalize();
         let cosine = tangent.dot(toward);
         let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
-        // The far side of the head is in the shadow of the hair around it.
+        // The far side of the head is shadowed by the hair around it.
         let facing = if strand.outward == Vec3::ZERO {
             1.0
         } else {

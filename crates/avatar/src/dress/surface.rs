@@ -1,4 +1,4 @@
-//! The head at rest as a surface to put Gaussians on.
+//! The surface of the head at rest, on which Gaussians are placed.
 
 use std::collections::HashMap;
 
@@ -23,16 +23,16 @@ pub(super) struct Surface<'a> {
     pub model: &'a HeadModel,
     pub vertices: &'a [Vec3],
     pub joints: &'a [Vec3; 5],
-    /// Of each vertex, unit length.
+    /// Vertex normals, unit length.
     pub normals: Vec<Vec3>,
     pub frames: Vec<TriangleFrame>,
     /// The 68 landmarks in dlib's order.
     pub landmarks: Vec<Vec3>,
-    /// Distance between the centres of the eyes over that of an average adult's: how large this head is.
+    /// Size of the head: distance between the centres of the eyes divided by that of an average adult.
     pub size: f32,
 }
 
-/// Metres between the centres of an average adult's eyes.
+/// Distance between the centres of an average adult's eyes, metres.
 const AVERAGE_EYE_DISTANCE: f32 = 0.063;
 
 impl<'a> Surface<'a> {
@@ -69,7 +69,7 @@ impl<'a> Surface<'a> {
         self.model.triangles[triangle as usize].map(|v| self.vertices[v as usize])
     }
 
-    /// Numbers of the triangles of these regions.
+    /// Indices of the triangles of these regions.
     pub fn triangles_of(&self, regions: &[Region]) -> Vec<u32> {
         let numbers = 0..self.model.triangles.len() as u32;
         numbers.filter(|&t| regions.contains(&self.model.regions[t as usize])).collect()
@@ -81,7 +81,7 @@ impl<'a> Surface<'a> {
         SurfacePoint { triangle, weights, position: a * weights.x + b * weights.y + c * weights.z, normal }
     }
 
-    /// The value at a point of something that is known at the vertices.
+    /// Interpolates a quantity given at the vertices.
     pub fn interpolate<T>(&self, values: &[T], triangle: u32, weights: Vec3) -> T
     where
         T: Copy + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
@@ -98,8 +98,8 @@ impl<'a> Surface<'a> {
         self.interpolate(values, point.triangle, point.weights)
     }
 
-    /// Points scattered over `triangles`, no two nearer than their `spacing` (metres) and hardly a place left for
-    /// another: darts thrown evenly over the area, those too near to an earlier one taken away.
+    /// Points scattered over `triangles` as a Poisson disc sample with variable `spacing` (metres), nearly maximal: darts are
+    /// thrown uniformly over the area, and those too near to an earlier one are removed.
     pub fn scatter(
         &self,
         triangles: &[u32],
@@ -134,7 +134,7 @@ impl<'a> Surface<'a> {
         darts
     }
 
-    /// Distance of each vertex to the border between `regions` and all others, metres, positive inside.
+    /// Signed distance of each vertex to the border between `regions` and all others, metres, positive inside.
     pub fn signed_distance(&self, regions: &[Region], reach: f32) -> Vec<f32> {
         let mut inside = vec![0_u8; self.vertices.len()];
         for (triangle, region) in self.model.triangles.iter().zip(&self.model.regions) {
@@ -163,7 +163,7 @@ impl<'a> Surface<'a> {
         distances
     }
 
-    /// How sharply the surface bends at each vertex, 1/m: the most that the normal turns along an edge of the mesh.
+    /// Curvature of the surface at each vertex, 1/m: the largest change of the normal along an edge of the mesh.
     pub fn curvature(&self) -> Vec<f32> {
         let shortest = 1e-4 * self.size;
         let mut bends = vec![0.0_f32; self.vertices.len()];
@@ -179,7 +179,7 @@ impl<'a> Surface<'a> {
         bends
     }
 
-    /// Distance of each vertex to the edge where the mesh ends, metres, `reach` at most.
+    /// Distance of each vertex to the boundary of the mesh, metres, at most `reach`.
     pub fn rim_distance(&self, reach: f32) -> Vec<f32> {
         let mut edges: HashMap<[u32; 2], (u32, bool)> = HashMap::new();
         for (triangle, region) in self.model.triangles.iter().zip(&self.model.regions) {
@@ -202,7 +202,7 @@ impl<'a> Surface<'a> {
         self.vertices.iter().map(nearest).collect()
     }
 
-    /// Each value becomes the mean of its own and its neighbours' mean.
+    /// Replaces each value by the mean of itself and its neighbours' mean.
     pub fn smooth<T>(&self, values: &mut [T])
     where
         T: Copy + Default + std::ops::Mul<f32, Output = T> + std::ops::Add<Output = T>,
@@ -224,7 +224,7 @@ impl<'a> Surface<'a> {
     }
 }
 
-/// Points by the cube they lie in.
+/// Points by grid cell.
 pub(super) struct Buckets {
     side: f32,
     cells: HashMap<IVec3, Vec<u32>>,
@@ -239,7 +239,7 @@ impl Buckets {
         self.cells.entry((p / self.side).floor().as_ivec3()).or_default().push(number);
     }
 
-    /// Numbers of the points in the cube of `p` and its neighbours, in a fixed order.
+    /// Indices of the points in the cell of `p` and its neighbours, in a fixed order.
     pub fn near(&self, p: Vec3) -> impl Iterator<Item = u32> {
         let cell = (p / self.side).floor().as_ivec3();
         (0..27)
@@ -249,11 +249,11 @@ impl Buckets {
     }
 }
 
-/// Points that keep their distance. Distances differ several times between face and scalp, so that there is a grid for
-/// each octave of them: whatever the distance, a few dozen cells are asked.
+/// Points with minimum distances. Distances vary several times between face and scalp, so there is one grid per octave: a
+/// query visits a few dozen cells whatever the distance.
 struct Crowd {
     narrowest: f32,
-    /// Of cells as wide as the narrowest distance, twice that, and so on.
+    /// Grids with cells as wide as the smallest distance, twice that, and so on.
     octaves: Vec<Grid>,
 }
 
@@ -269,7 +269,7 @@ impl Crowd {
         Self { narrowest, octaves }
     }
 
-    /// Takes the point in unless another is nearer than `distance`.
+    /// Inserts the point unless another is nearer than `distance`.
     fn admit(&mut self, p: Vec3, distance: f32) -> bool {
         if distance <= 0.0 {
             return false;
@@ -303,7 +303,7 @@ impl Crowd {
     }
 }
 
-/// Mixes the three integers of a cell; the standard hasher takes most of the time of a scatter.
+/// Hashes the three integers of a cell; the standard hasher would take most of the time of a scatter.
 #[derive(Default)]
 struct CellHasher(u64);
 
@@ -323,7 +323,7 @@ impl std::hash::Hasher for CellHasher {
     }
 }
 
-/// The rotation whose x axis is `along` and whose z axis is as near to `up` as that allows.
+/// The rotation with x axis `along` and z axis as near as possible to `up`.
 pub(super) fn rotation_along(along: Vec3, up: Vec3) -> Quat {
     let x = along.normalize_or(Vec3::X);
     let y = up.cross(x).try_normalize().unwrap_or_else(|| x.any_orthonormal_vector());

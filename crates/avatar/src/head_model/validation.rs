@@ -1,31 +1,31 @@
 use super::{HeadModel, Shape, Side};
 
-/// What can be wrong with a head model or with what is asked of it.
+/// Errors of a head model or its use.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum HeadModelError {
-    /// A list that must hold one entry per vertex or triangle does not.
+    /// A list does not have one entry per vertex or triangle.
     #[error(
-        "head model {model}: {list} has {found} entries, expected {expected}; the file is cut short or mixes models"
+        "head model {model}: {list} has {found} entries, expected {expected}; the file is truncated or mixes models"
     )]
     Count {
         /// Name of the model.
         model: String,
         list: &'static str,
-        /// Entries there are.
+        /// Entries found.
         found: usize,
-        /// Entries there should be.
+        /// Entries expected.
         expected: usize,
     },
-    /// Something points at a vertex, triangle or expression that the model does not have.
+    /// An index refers to a vertex, triangle or expression that does not exist.
     #[error("head model {model}: {what} refers to number {index}, but there are only {count}")]
     Index {
         /// Name of the model.
         model: String,
-        /// What points there.
+        /// The part with the index.
         what: String,
-        /// Where it points.
+        /// The index.
         index: usize,
-        /// How many there are.
+        /// Number of elements.
         count: usize,
     },
     /// A coordinate or weight is not a finite number.
@@ -33,9 +33,9 @@ pub enum HeadModelError {
     NotFinite {
         /// Name of the model.
         model: String,
-        /// What holds the number.
+        /// The part with the number.
         what: String,
-        /// Which of them.
+        /// Its index.
         index: usize,
     },
     /// The joint weights of a vertex, or the barycentric coordinates of a landmark, do not sum to 1.
@@ -43,7 +43,7 @@ pub enum HeadModelError {
     Sum {
         /// Name of the model.
         model: String,
-        /// What is summed.
+        /// The summed quantity.
         what: &'static str,
         /// Vertex or landmark number.
         index: usize,
@@ -54,11 +54,11 @@ pub enum HeadModelError {
     NoActionUnit {
         /// Name of the model.
         model: String,
-        /// Number asked for.
+        /// Requested number.
         number: u8,
-        /// Side asked for.
+        /// Requested side.
         side: Side,
-        /// Numbers there are.
+        /// Available numbers.
         available: Vec<u8>,
     },
 }
@@ -70,16 +70,16 @@ fn list(numbers: &[u8]) -> String {
     numbers.iter().map(u8::to_string).collect::<Vec<_>>().join(", ")
 }
 
-/// How far a sum of weights read from a file may be from 1.
+/// Tolerance of a sum of weights read from a file.
 const SUM_TOLERANCE: f32 = 1e-3;
 
 impl HeadModel {
-    /// Checks that every number of the model points at something it has, that lists are of equal length where they
-    /// must be, that weights sum to 1 and that coordinates are finite. A model that passes can be shaped and posed
-    /// with any weights without a panic; loaders call it before they hand a model out.
+    /// Checks that every index is in range, that lists have matching lengths, that weights sum to 1, and that coordinates are
+    /// finite. A model that passes can be shaped and posed with any weights without a panic; loaders call it before they
+    /// return a model.
     ///
     /// # Errors
-    /// The first fault found.
+    /// The first problem found.
     pub fn validate(&self) -> Result<(), HeadModelError> {
         self.check_count("skinning", self.skinning.len(), self.template.len())?;
         self.check_count("regions", self.regions.len(), self.triangles.len())?;
@@ -168,7 +168,7 @@ impl HeadModel {
     }
 
     fn check_sum(&self, what: &'static str, index: usize, sum: f32) -> Result<(), HeadModelError> {
-        // Written so that a NaN sum fails too.
+        // Written such that a NaN sum fails too.
         if (sum - 1.0).abs() <= SUM_TOLERANCE {
             return Ok(());
         }

@@ -1,4 +1,4 @@
-//! Reading datasets: optical flow, micro-expressions, and the random changes that training makes to a sample.
+//! Reads optical-flow and micro-expression datasets, and applies the random changes of training to samples.
 
 pub mod augment;
 pub mod flow;

@@ -1,16 +1,16 @@
-//! `dataset.json`: everything needed to read an SRFlow dataset and to make it again.
+//! `dataset.json`: everything needed to read an SRFlow dataset and to render it again.
 //!
 //! The layout is that of a plain folder of scenes, once per split:
 //!
 //! ```text
 //! dataset.json                                 this file
-//! statistics.json                              once the dataset is whole
+//! statistics.json                              once the dataset is complete
 //! train/frames/scene-0003/00000.png            frame 0 of scene 3
 //! train/flow/scene-0003/00000.npz16            flow from frame 0 to frame 1
 //! train/flow_backward/scene-0003/00000.npz16   flow from frame 1 to frame 0, at frame 1's pixels (--backward)
 //! train/alpha/scene-0003/00000.png             alpha of frame 0
 //! train/mask/scene-0003/00000.png              alpha of frame 0 above one half
-//! train/occlusion/scene-0003/00000.png         pixels of frame 0 that frame 1 does not show
+//! train/occlusion/scene-0003/00000.png         pixels of frame 0 that are not visible in frame 1
 //! train/depth/scene-0003/00000.png             depth of frame 0 (--depth)
 //! train/pairs/scene-0003/00000.json            cameras, motion and action units of frames 0 and 1; written last
 //! ```
@@ -25,33 +25,33 @@ use srflow_field::{FileError, FileKind, FlowFormat, excerpt, named, read_text};
 /// Name of the file in the dataset's folder.
 pub const MANIFEST_NAME: &str = "dataset.json";
 
-/// Name of the file that sums up a whole dataset.
+/// Name of the file with a dataset's statistics.
 pub const STATISTICS_NAME: &str = "statistics.json";
 
 /// Version of the layout and of this file's fields.
 pub const LAYOUT_VERSION: u32 = 1;
 
-/// What `dataset.json` holds.
+/// The contents of `dataset.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Manifest {
-    /// [`LAYOUT_VERSION`] of the program that made the dataset.
+    /// [`LAYOUT_VERSION`] of the program that wrote the dataset.
     pub layout_version: u32,
-    /// Version of srflow that made the dataset; another version may make other bytes.
+    /// Version of srflow that wrote the dataset; another version may write other bytes.
     pub srflow_version: String,
-    /// What the dataset was asked to be.
+    /// The arguments of the dataset.
     pub arguments: Arguments,
     /// The calibrated cameras. Sequences start and end with camera 9, which faces the subject.
     pub rig: Vec<RigCamera>,
-    /// The scenes, by their number.
+    /// The scenes, by number.
     pub scenes: Vec<SceneEntry>,
 }
 
-/// The arguments that decide a dataset's bytes.
+/// The arguments that determine a dataset's bytes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Arguments {
     /// `builtin`, or `ict` with a fingerprint of the files read.
     pub head: String,
-    /// How many scenes.
+    /// Number of scenes.
     pub scenes: u32,
     /// Mean number of frame pairs in a scene.
     pub frames: f64,
@@ -61,11 +61,11 @@ pub struct Arguments {
     pub height: usize,
     /// Shares of train, val and test scenes.
     pub splits: [f64; 3],
-    /// The seed of every random choice.
+    /// Random seed.
     pub seed: u64,
-    /// How flow is stored; see [`FlowFormat`].
+    /// File format of the flow; see [`FlowFormat`].
     pub flow_format: String,
-    /// Whether there are backward flows.
+    /// Whether there is backward flow.
     pub backward: bool,
     /// Whether there are depth maps.
     pub depth: bool,
@@ -82,7 +82,7 @@ pub struct RigCamera {
     pub camera: CameraRecord,
 }
 
-/// A camera as files hold it: the fields of `cam.json`.
+/// A camera as stored in files: the fields of `cam.json`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CameraRecord {
     /// Image width in pixels.
@@ -101,13 +101,13 @@ pub struct CameraRecord {
     pub w2c: [[f64; 4]; 4],
 }
 
-/// The part of the dataset that a scene belongs to.
+/// The split of a scene.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum SceneSplit {
     /// For training.
     Train,
-    /// For choosing among what was trained.
+    /// For model selection.
     Val,
     /// For the final score.
     Test,
@@ -120,18 +120,17 @@ named!(SceneSplit, "a split of scenes", { Train => "train", Val => "val", Test =
 pub struct SceneEntry {
     /// Name of its folders, e.g. `scene-0003`.
     pub name: String,
-    /// The part of the dataset that it belongs to.
     pub split: SceneSplit,
     /// Seed of the subject's identity.
     pub subject: u64,
-    /// Number of frame pairs; there is one frame more.
+    /// Number of frame pairs; there is one more frame.
     pub pairs: u32,
     /// File name of the background image, when backgrounds are images.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub background: Option<String>,
 }
 
-/// The files of one pair, all of them in the dataset's folder.
+/// The files of one pair, as paths inside the dataset's folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PairFiles {
     /// First frame, sRGB PNG.
@@ -146,7 +145,7 @@ pub struct PairFiles {
     pub alpha: PathBuf,
     /// Head mask of frame 1, 8-bit PNG, 0 or 255.
     pub mask: PathBuf,
-    /// Pixels of frame 1 that are not seen in frame 2, 8-bit PNG, 0 or 255.
+    /// Pixels of frame 1 that are not visible in frame 2, 8-bit PNG, 0 or 255.
     pub occlusion: PathBuf,
     /// Depth of frame 1, 16-bit PNG.
     pub depth: Option<PathBuf>,
@@ -155,7 +154,7 @@ pub struct PairFiles {
 }
 
 impl PairFiles {
-    /// Every file.
+    /// All files.
     pub fn all(&self) -> impl Iterator<Item = &PathBuf> {
         [&self.frame1, &self.frame2, &self.flow, &self.alpha, &self.mask, &self.occlusion, &self.record]
             .into_iter()
@@ -164,7 +163,7 @@ impl PairFiles {
     }
 }
 
-/// The files of one frame, all of them in the dataset's folder.
+/// The files of one frame, as paths inside the dataset's folder.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FrameFiles {
     /// The picture, sRGB PNG.
@@ -178,23 +177,23 @@ pub struct FrameFiles {
 }
 
 impl FrameFiles {
-    /// Every file.
+    /// All files.
     pub fn all(&self) -> impl Iterator<Item = &PathBuf> {
         [&self.frame, &self.alpha, &self.mask].into_iter().chain(&self.depth)
     }
 }
 
-/// Why `dataset.json` could not be used.
+/// Errors of reading `dataset.json`.
 #[derive(Debug, thiserror::Error)]
 pub enum ManifestError {
-    /// There is none, or it could not be read.
+    /// The file is missing or could not be read.
     #[error("{0}; an SRFlow dataset has a dataset.json in its folder, which `srflow render` writes")]
     Read(FileError),
-    /// It is not what `srflow render` writes.
+    /// The file does not have the format that `srflow render` writes.
     #[error("{}: {reason}", .path.display())]
     Content {
         path: PathBuf,
-        /// The field, what was expected and what was found.
+        /// The field, what was expected, and what was found.
         reason: String,
     },
 }
@@ -203,7 +202,7 @@ impl Manifest {
     /// Reads `dataset.json` from the dataset's folder.
     ///
     /// # Errors
-    /// When it is missing, is not JSON of the expected fields, or names folders outside of the dataset.
+    /// When the file is missing, is not JSON with the expected fields, or names folders outside the dataset.
     pub fn read(dir: &Path) -> Result<Self, ManifestError> {
         let path = dir.join(MANIFEST_NAME);
         let text = read_text(&path, FileKind::Json).map_err(ManifestError::Read)?;
@@ -213,14 +212,14 @@ impl Manifest {
                 "{reason}; restore the file from a copy, or delete the folder and render the dataset again"
             ))
         };
-        // The version is looked at first, so that a later layout is not reported as a missing field.
+        // The version is checked first, so that a later layout is not reported as a missing field.
         let value: serde_json::Value = serde_json::from_str(&text)
             .map_err(|error| broken(format!("not JSON: {}", excerpt(&error.to_string()))))?;
         match value.get("layout_version").and_then(serde_json::Value::as_u64) {
             Some(version) if version == u64::from(LAYOUT_VERSION) => {}
             Some(version) => {
                 return Err(content(format!(
-                    "layout_version is {version}, this program knows {LAYOUT_VERSION}; read it with the srflow that made it"
+                    "layout_version is {version}, this program reads version {LAYOUT_VERSION}; use the version of srflow that wrote it"
                 )));
             }
             None => {
@@ -251,25 +250,24 @@ impl Manifest {
         }
     }
 
-    /// The scenes of one part, by their number.
+    /// The scenes of one split, by number.
     pub fn scenes_of(&self, split: SceneSplit) -> impl Iterator<Item = &SceneEntry> {
         self.scenes.iter().filter(move |scene| scene.split == split)
     }
 
-    /// Pairs of all scenes.
+    /// Number of pairs in all scenes.
     pub fn pairs(&self) -> u64 {
         self.scenes.iter().map(|scene| u64::from(scene.pairs)).sum()
     }
 
-    /// The folders that each split has, one for each kind of file.
+    /// The folders of each split, one per kind of file.
     pub fn kinds(&self) -> impl Iterator<Item = &'static str> + use<> {
         let Arguments { backward, depth, .. } = self.arguments;
         let kinds = ["frames", "flow", "alpha", "mask", "occlusion", "pairs"];
         kinds.into_iter().chain(backward.then_some("flow_backward")).chain(depth.then_some("depth"))
     }
 
-    /// The files of pair `pair` (frames `pair` and `pair + 1`) of `scene`, in the dataset's folder `dir`. Whether they are
-    /// there is not looked at.
+    /// The files of pair `pair` (frames `pair` and `pair + 1`) of `scene`, in the dataset's folder `dir`. They need not exist.
     pub fn files(&self, dir: &Path, scene: &SceneEntry, pair: u32) -> PairFiles {
         let file = |kind: &str, ending: &str| file(dir, scene, kind, pair, ending);
         let FrameFiles { frame, alpha, mask, depth } = self.frame_files(dir, scene, pair);
@@ -287,7 +285,7 @@ impl Manifest {
         }
     }
 
-    /// The files of frame `frame` of `scene`: a scene has one frame more than pairs.
+    /// The files of frame `frame` of `scene`: a scene has one more frame than pairs.
     pub fn frame_files(&self, dir: &Path, scene: &SceneEntry, frame: u32) -> FrameFiles {
         let file = |kind: &str| file(dir, scene, kind, frame, "png");
         FrameFiles {
@@ -301,7 +299,7 @@ impl Manifest {
     fn flow_ending(&self) -> &str {
         match self.arguments.flow_format.parse::<FlowFormat>() {
             Ok(format) => format.extension(),
-            // `read` refuses an unknown format; in a manifest made otherwise its name has to do.
+            // `read` refuses an unknown format; for other manifests its name is the extension.
             Err(_) => &self.arguments.flow_format,
         }
     }
@@ -374,7 +372,9 @@ mod tests {
         let not_json = error("{");
         assert!(not_json.contains("dataset.json: not JSON") && not_json.contains("restore the file"));
         assert!(error("{}").contains("no layout_version"));
-        assert!(error(r#"{"layout_version": 9}"#).contains("layout_version is 9, this program knows 1"));
+        assert!(
+            error(r#"{"layout_version": 9}"#).contains("layout_version is 9, this program reads version 1")
+        );
         assert!(error(r#"{"layout_version": 1}"#).contains("missing key"));
         let mut outside = manifest();
         outside.scenes[0].name = "../../etc".into();

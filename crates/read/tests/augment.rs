@@ -1,4 +1,4 @@
-//! Augmented samples are samples: their flow still leads from frame 1 to frame 2, and the same key gives the same one.
+//! Augmented samples are consistent: their flow still maps frame 1 to frame 2, and the same key gives the same sample.
 
 use proptest::prelude::*;
 use rayon::prelude::*;
@@ -42,7 +42,7 @@ fn apply(config: AugmentConfig, sample: Sample, key: Key) -> Sample {
     Augmentation::new(config).expect("a configuration").apply(sample, key).expect("a sample")
 }
 
-/// Everything that moves pixels, and nothing that colours them.
+/// Every geometric change, no colour changes.
 fn moving_only(mut config: AugmentConfig) -> AugmentConfig {
     config.eraser_probability = 0.0;
     [config.brightness, config.contrast, config.saturation, config.hue] = [0.0; 4];
@@ -68,7 +68,7 @@ proptest! {
     fn the_flow_still_leads_from_frame_1_to_frame_2(seed in any::<u64>(), sparse in any::<bool>()) {
         let crop = [64, 48];
         let config = if sparse { AugmentConfig::sparse(crop) } else { AugmentConfig::dense(crop) };
-        // A flip that is as likely as none, and stretches that are easily seen.
+        // Flips with probability one half, and clearly visible stretches.
         let config = AugmentConfig {
             vertical_flip: if sparse { 0.0 } else { 0.5 },
             max_log2_stretch: 0.5,
@@ -82,7 +82,7 @@ proptest! {
         prop_assert!(residual < 1.5, "{}", residual);
     }
 
-    /// Frame 2 is cropped elsewhere. Without a mask the whole flow is known; with one, what is outside is not.
+    /// Frame 2 is cropped elsewhere. Without a mask the whole flow is known; with one, the outside is not.
     #[test]
     fn the_flow_of_a_shifted_sample_leads_to_frame_2(seed in any::<u64>(), sparse in any::<bool>(), masked in any::<bool>()) {
         let crop = [64, 48];
@@ -109,7 +109,7 @@ proptest! {
         }
     }
 
-    /// Where frame 1 is white is where the mask is true, and the other mask is its opposite.
+    /// Frame 1 is white where the mask is true, and the other mask is its opposite.
     #[test]
     fn masks_go_along(seed in any::<u64>()) {
         let mut sample = moving(90, 100);
@@ -119,7 +119,7 @@ proptest! {
         let after = apply(moving_only(AugmentConfig::dense([60, 70])), sample, Key::new(seed));
         let (mask, opposite) = (after.mask.expect("a mask"), after.occlusion.expect("a mask"));
         for (index, pixel) in after.frame1.pixels().iter().enumerate() {
-            // Within rounding of a half the two may differ.
+            // They may differ where rounding is near one half.
             if pixel[0].abs_diff(127) > 2 {
                 prop_assert_eq!(mask.pixels()[index], pixel[0] > 127, "pixel {}", index);
                 prop_assert_eq!(opposite.pixels()[index], pixel[0] < 127, "pixel {}", index);
@@ -142,7 +142,7 @@ proptest! {
         prop_assert_eq!(sizes, [(32, 40); 5]);
     }
 
-    /// A pixel that says where it is: the crop is a window of the frame, and all parts are cut alike.
+    /// Pixels encode their position: the crop is a window of the frame, and all parts are cropped alike.
     #[test]
     fn a_crop_is_a_window(seed in any::<u64>()) {
         let place = |x: usize, y: usize| [x as u8, y as u8, 7];
@@ -198,7 +198,7 @@ fn the_same_key_gives_the_same_sample_in_any_order() {
     assert!(different(Key::new(4)) && different(Key::new(3).scene(1)));
 }
 
-/// How often each thing happens over many keys; the numbers drawn are always the same.
+/// Frequencies of each change over many keys; the random numbers drawn are always the same.
 #[test]
 fn changes_happen_as_often_as_configured() {
     let before = moving(60, 50);
@@ -250,7 +250,7 @@ fn both_frames_change_colour_alike_unless_asymmetric() {
     assert!((0..10).all(|n| !alike(1.0, Key::new(n))));
 }
 
-/// One or two rectangles of the mean colour on frame 2, each side within its limits or cut off at the border.
+/// One or two rectangles of the mean colour on frame 2, with sides within the limits or clipped at the border.
 #[test]
 fn the_eraser_hides_parts_of_frame_2() {
     let before = moving(200, 160);
@@ -277,7 +277,7 @@ fn the_eraser_hides_parts_of_frame_2() {
 
 #[test]
 fn unknown_flow_stays_unknown_and_spreads_no_further_than_interpolation() {
-    // A flow that says where it comes from.
+    // The flow encodes its position.
     let mut flow = FlowField::from_fn(60, 50, |x, y| [x as f32 + 1.0, y as f32 + 1.0]);
     flow.set(30, 25, [f32::NAN; 2]);
     let sample = Sample { flow: Some(flow), ..moving(60, 50) };
@@ -296,10 +296,10 @@ fn unknown_flow_stays_unknown_and_spreads_no_further_than_interpolation() {
     let mut sources: Vec<[u32; 2]> = Vec::new();
     for [u, v] in sparse.pixels().iter().filter(|pixel| !pixel[0].is_nan()) {
         let source = [u / 2.0, v / 2.0];
-        assert!(source.iter().all(|place| place.fract() == 0.0), "a known flow, made longer: {source:?}");
+        assert!(source.iter().all(|place| place.fract() == 0.0), "a known flow, scaled: {source:?}");
         sources.push(source.map(|place| place as u32));
     }
-    assert_eq!(sources.len(), 55 * 45 - 1, "each known pixel of the crop, and none between");
+    assert_eq!(sources.len(), 55 * 45 - 1, "each known pixel of the crop, and no other");
     assert!(!sources.contains(&[31, 26]), "the unknown one");
     let columns = |y: u32| sources.iter().filter(|source| source[1] == y).count();
     assert!((0..=50).map(columns).all(|count| [0, 54, 55].contains(&count)));
@@ -340,6 +340,9 @@ fn what_makes_no_sense_is_named() {
     let augmentation = Augmentation::new(dense()).expect("a configuration");
     let refused = |sample: Sample| augmentation.apply(sample, Key::new(0)).expect_err("wrong").to_string();
     let uneven = Sample { mask: Some(Mask::new(3, 3)), ..moving(20, 10) };
-    assert_eq!(refused(uneven), "frame 1 is 20x10 and the mask 3x3 (WIDTHxHEIGHT): they must be of one size");
+    assert_eq!(
+        refused(uneven),
+        "frame 1 is 20x10 and the mask 3x3 (WIDTHxHEIGHT): they must have the same size"
+    );
     assert_eq!(refused(moving(0, 10)), "the frames are 0x10 (WIDTHxHEIGHT): expected at least one pixel");
 }

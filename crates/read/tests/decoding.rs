@@ -1,4 +1,4 @@
-//! Every reader decodes what its dataset's files hold, in the right order and on the image's grid.
+//! Every reader decodes its dataset's files in the right order and on the image's grid.
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +15,7 @@ fn frame(number: u8) -> Image {
     Image::from_fn(WIDTH, HEIGHT, |x, y| [number, x as u8, y as u8])
 }
 
-/// A flow of which each pixel differs; every value is a multiple of 1/64, so that 16-bit PNG keeps it.
+/// A flow with distinct pixels; all values are multiples of 1/64, which 16-bit PNG stores exactly.
 fn flow(number: u8) -> FlowField {
     FlowField::from_fn(WIDTH, HEIGHT, |x, y| [f32::from(number) + x as f32 / 64.0, 0.5 - y as f32 / 2.0])
 }
@@ -28,7 +28,7 @@ fn put_flow(dir: &Path, file: &str, flow: &FlowField) {
     write_flow(&made(dir, file), flow).unwrap();
 }
 
-/// The path of `file`, in a folder that is there.
+/// The path of `file`, whose folder is created.
 fn made(dir: &Path, file: &str) -> std::path::PathBuf {
     let path = dir.join(file);
     fs::create_dir_all(path.parent().unwrap()).unwrap();

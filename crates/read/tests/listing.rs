@@ -1,4 +1,4 @@
-//! Every reader lists the tree that its dataset is published as, and says what is missing from a broken one.
+//! Every reader lists the published tree of its dataset, and reports what is missing from an incomplete one.
 
 use std::fs;
 use std::path::Path;
@@ -26,7 +26,7 @@ fn open(kind: &str, dir: &Path, split: Option<Split>) -> Result<FlowDataset, Str
     FlowDataset::open(&spec, split).map_err(|error| error.to_string())
 }
 
-/// The pairs as `id: frame1 > frame2 = flow`, files as seen from the dataset's folder.
+/// The pairs as `id: frame1 > frame2 = flow`, with paths relative to the dataset's folder.
 fn listed(dataset: &FlowDataset) -> Vec<String> {
     let seen = |path: &Path| path.strip_prefix(dataset.dir()).unwrap().display().to_string();
     let line = |entry: &srflow_read::flow::Entry| {
@@ -164,12 +164,7 @@ mod folder {
         ]);
         assert_says(
             open("folder", dir.path(), None),
-            &[
-                "3 things",
-                "a_flow.png is there twice, also as a_flow.flo",
-                "b: no b_flow.*",
-                "c: no c_img1.*",
-            ],
+            &["3 things", "a_flow.png exists twice, also as a_flow.flo", "b: no b_flow.*", "c: no c_img1.*"],
         );
     }
 
@@ -421,7 +416,7 @@ mod sintel {
         add(dir.path(), (3..=20).map(|n| format!("training/flow/ambush_2/frame_{n:04}.flo")));
         assert_says(
             open("sintel-final", dir.path(), None),
-            &["20 things", "training/flow/alley_1", "and 12 more"],
+            &["20 files or folders are", "training/flow/alley_1", "and 12 more"],
         );
     }
 }
@@ -616,7 +611,7 @@ mod facialflownet {
 mod srflow {
     use super::*;
 
-    /// A dataset of a scene of two pairs for training and one of one pair for testing, as `srflow render` lays it out.
+    /// A dataset with a scene of two pairs for training and one of one pair for testing, laid out as by `srflow render`.
     fn srflow(backward: bool) -> TempDir {
         let scenes = [("train", "scene-0000", 2), ("test", "scene-0001", 1)];
         let mut files = Vec::new();
@@ -693,7 +688,7 @@ mod srflow {
         fs::remove_file(dir.path().join("test/flow/scene-0001/00000.npz")).unwrap();
         assert_says(
             open("srflow", dir.path(), Some(Split::All)),
-            &["scene-0000: 1 of 2 pairs are there", "no test/flow/scene-0001/00000.npz"],
+            &["scene-0000: 1 of 2 pairs exist", "no test/flow/scene-0001/00000.npz"],
         );
         assert_says(
             open("srflow", dir.path(), Some(Split::Val)),

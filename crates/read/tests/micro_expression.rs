@@ -1,4 +1,4 @@
-//! Micro-expression datasets: the published annotations give the published counts, and folders are read as they come.
+//! Micro-expression datasets: the published annotations give the published counts, and every published layout is read.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -10,7 +10,7 @@ use srflow_read::micro_expression::{
     published_counts, write_plain,
 };
 
-/// The published annotation files, where they are beside the repository.
+/// The published annotation files, if they are next to the repository.
 fn annotations() -> Option<PathBuf> {
     let here = std::env::current_dir().unwrap();
     let found = here.ancestors().map(|dir| dir.join("shared/data/me-annotations")).find(|dir| dir.is_dir());
@@ -117,7 +117,7 @@ fn the_composite_is_the_papers() {
     assert_eq!(subjects.len(), 68);
 }
 
-/// The labels of a dataset by another division into classes, and how many clips of each.
+/// The labels of a dataset under another set of classes, and the number of clips per class.
 fn divided(kind: &str, dir: &Path, classes: &str) -> (Labels, Vec<usize>) {
     let classes = Classes::open(classes).unwrap();
     let labels = Labels::read(&ClipSource { classes: classes.clone(), ..at(kind, dir) }).unwrap();
@@ -145,7 +145,7 @@ fn other_classes_give_the_counts_of_the_literature() {
     assert_eq!(all, [159, 255 - 2]);
 }
 
-/// The objective classes follow from action units: a file with the published table gives nearly the published classes.
+/// Objective classes follow from action units: the published table nearly reproduces the published classes.
 #[test]
 fn classes_of_action_units_are_those_of_the_coding() {
     let Some(dir) = annotations() else { return };
@@ -192,7 +192,7 @@ fn plain_clips_take_any_classes() {
     assert_eq!((labels.dropped.len(), labels.dropped[0].label.as_str()), (1, "fear"));
 }
 
-/// The list that CapsuleNet was published with holds onset, apex and class of each of the 435 clips.
+/// The list published with CapsuleNet holds onset, apex and class of each of the 435 clips.
 #[test]
 fn every_clip_agrees_with_the_published_list() {
     let Some(dir) = annotations() else { return };
@@ -200,7 +200,7 @@ fn every_clip_agrees_with_the_published_list() {
     let mut listed = BTreeSet::new();
     for row in rows.records() {
         let row = row.unwrap();
-        // The list writes samm 6 and casme2 sub01.
+        // The list has samm 6 and casme2 sub01.
         let subject: u32 = row[1].trim_start_matches("sub").parse().unwrap();
         let class = if &row[2] == "s18_sur_03" { "2" } else { &row[3] };
         listed.insert(format!("{} {subject} {} {class} {} {}", &row[0], &row[2], &row[4], &row[5]));
@@ -241,7 +241,7 @@ fn a_wrong_root_is_refused_with_what_was_looked_for() {
     refuses(Labels::read(&source("samm:/no/such/folder")), &["/no/such/folder"]);
 }
 
-/// Empty files are enough: nothing is decoded when frames are found.
+/// Empty files suffice: finding frames decodes nothing.
 fn touch(folder: &Path, names: impl IntoIterator<Item = String>) {
     fs::create_dir_all(folder).unwrap();
     for name in names {
@@ -249,7 +249,7 @@ fn touch(folder: &Path, names: impl IntoIterator<Item = String>) {
     }
 }
 
-/// All frames of every clip of the three datasets, named as they are published.
+/// All frames of every clip of the three datasets, with their published names.
 fn frames_of(kind: &str, labels: &Labels, root: &Path) {
     for (at, a) in labels.annotations.iter().enumerate() {
         let numbers = a.onset..=a.offset;
@@ -282,7 +282,7 @@ fn frames_of(kind: &str, labels: &Labels, root: &Path) {
     }
 }
 
-/// The first clips of each subject: enough to see that folders are found.
+/// The first clips of each subject: enough to check that folders are found.
 fn few(mut labels: Labels) -> Labels {
     let mut seen = BTreeSet::new();
     labels.annotations.retain(|a| seen.insert(a.subject.clone()) && seen.len() <= 6);
@@ -383,7 +383,7 @@ fn plain_clips_are_read_back_as_written() {
     }
 }
 
-/// As Excel and Python's `csv` end them.
+/// With the line ends of Excel and Python's `csv`.
 #[test]
 fn lines_may_end_in_cr_lf() {
     let folder = tempfile::tempdir().unwrap();
@@ -408,7 +408,7 @@ fn rows_that_cannot_be_are_named() {
         ("a,s,x,7,9,positive\n", "onset: expected a frame number, found `x`"),
         ("a,s,1,7,9,happy\n", "`happy` is not a class"),
         ("a,,1,7,9,2\n", "subject: expected a value"),
-        ("good,s,1,2,3,0\n", "clip good is there twice"),
+        ("good,s,1,2,3,0\n", "clip good exists twice"),
         ("a,s,1,7,99999999999999999999999,0\n", "offset: expected a frame number"),
     ] {
         refuses(read(&format!("{header}good,s,1,2,3,negative\n{row}")), &[expected, "clips.csv"]);
@@ -439,7 +439,7 @@ fn missing_frames_are_named_and_counted() {
         "7 frames of 3 clips",
         "1/a: 3 frames: 12-13, 17",
         "1/b: 1 frame: 15",
-        "2/gone: 3 frames: 1-3 (there is no",
+        "2/gone: 3 frames: 1-3 (no folder",
         "--allow-missing",
     ];
     refuses(ClipDataset::open(&source, false), &expected);

@@ -1,5 +1,5 @@
-//! Brightness, contrast, saturation and hue, as torchvision's `ColorJitter` changes them on 8-bit pictures (which it leaves to
-//! Pillow), to the last bit.
+//! Brightness, contrast, saturation and hue, bit-identical to torchvision's `ColorJitter` on 8-bit pictures (which delegates
+//! to Pillow).
 
 use srflow_field::random::Stream;
 use srflow_field::{Image, pillow_grey};
@@ -7,25 +7,25 @@ use srflow_field::{Image, pillow_grey};
 use super::AugmentConfig;
 use super::hue::HueTables;
 
-/// One of the four changes.
+/// One of the four adjustments.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Change {
-    /// Mixes with black; 1 changes nothing.
+    /// Blends with black; 1 is the identity.
     Brightness(f32),
-    /// Mixes with the mean grey of all pictures; 1 changes nothing.
+    /// Blends with the mean grey of all pictures; 1 is the identity.
     Contrast(f32),
-    /// Mixes with the picture in grey; 1 changes nothing.
+    /// Blends with the picture in grey; 1 is the identity.
     Saturation(f32),
-    /// Turns the colour circle, in turns.
+    /// Rotates the hue, in turns.
     Hue(f32),
 }
 
-/// Changes of colour in the order in which they are made.
+/// Colour adjustments in the order they are applied.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct ColorJitter(pub(super) Vec<Change>);
 
 impl ColorJitter {
-    /// The four changes in random order, each by a random amount; what has no amount is left out.
+    /// The four adjustments in random order with random strengths; those with a limit of zero are left out.
     pub(super) fn draw(config: &AugmentConfig, stream: &mut Stream) -> Self {
         let mut factor = |change: f32| stream.uniform((1.0 - change).max(0.0), 1.0 + change);
         let mut changes = vec![
@@ -38,7 +38,7 @@ impl ColorJitter {
         Self(changes.into_iter().filter(|(amount, _)| *amount > 0.0).map(|(_, change)| change).collect())
     }
 
-    /// Changes several pictures as if they were one.
+    /// Adjusts several pictures as if they were one.
     pub(super) fn apply(&self, pictures: &mut [&mut Image], hue: &HueTables) {
         for change in &self.0 {
             match *change {
@@ -55,7 +55,7 @@ impl ColorJitter {
                 }
                 Change::Saturation(factor) => {
                     for pixel in pictures.iter_mut().flat_map(|picture| picture.pixels_mut()) {
-                        // What is grey stays so; much of a rendered frame is.
+                        // Grey stays grey; much of a rendered frame is.
                         if !is_grey(*pixel) {
                             let grey = pillow_grey(*pixel);
                             *pixel = pixel.map(|value| mixed(grey, value, factor));
@@ -63,7 +63,7 @@ impl ColorJitter {
                     }
                 }
                 Change::Hue(turns) => {
-                    // The circle has 256 steps, of which 255 are a turn, and part of a step is dropped.
+                    // The circle has 256 steps, of which 255 are a turn; fractions of a step are dropped.
                     let steps = (turns * 255.0) as i32 as u8;
                     for picture in pictures.iter_mut() {
                         hue.turn(picture.pixels_mut(), steps);
@@ -74,9 +74,9 @@ impl ColorJitter {
     }
 }
 
-/// Pillow's blend of two values: part `factor` of the way from `from` to `to`, or beyond it.
+/// Pillow's blend of two values: the fraction `factor` of the way from `from` to `to`, or beyond.
 fn mixed(from: u8, to: u8, factor: f32) -> u8 {
-    // The cast drops the fraction and stops at 0 and 255.
+    // The cast truncates, and saturates at 0 and 255.
     (f32::from(from) + factor * f32::from(i16::from(to) - i16::from(from))) as u8
 }
 

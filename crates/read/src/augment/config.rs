@@ -3,44 +3,44 @@ use serde::{Deserialize, Serialize};
 use super::AugmentError;
 use crate::flow::TruthDensity;
 
-/// How a sample is changed at random before training sees it.
+/// Random changes to a training sample.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AugmentConfig {
-    /// Dense: scaling interpolates the flow, and a pixel is unknown where one that it comes from is. Sparse: scaling moves
-    /// each known pixel to the nearest new one.
+    /// Dense: scaling interpolates the flow, and a pixel with an unknown source is unknown. Sparse: scaling moves each known
+    /// pixel to the nearest new one.
     pub truth: TruthDensity,
-    /// Width and height of what comes out, in pixels.
+    /// Width and height of the result, in pixels.
     pub crop: [usize; 2],
     /// Limits of the base-2 logarithm of the scale.
     pub log2_scale: [f32; 2],
-    /// How often a sample is scaled at all.
+    /// Probability that a sample is scaled.
     pub scale_probability: f32,
-    /// How often a scaled sample is also stretched, by another factor along each axis.
+    /// Probability that a scaled sample is also stretched, by another factor along each axis.
     pub stretch_probability: f32,
-    /// Limit of the base-2 logarithm of a stretch, either way.
+    /// Limit of the base-2 logarithm of a stretch, in either direction.
     pub max_log2_stretch: f32,
-    /// How often a sample is mirrored left to right.
+    /// Probability of a horizontal flip.
     pub horizontal_flip: f32,
-    /// How often a sample is mirrored top to bottom.
+    /// Probability of a vertical flip.
     pub vertical_flip: f32,
-    /// How often the crop of frame 2 is taken somewhere else than that of frame 1, which adds one motion to the whole flow.
+    /// Probability that frame 2 is cropped at another place than frame 1, which adds a constant to the whole flow.
     pub shift_probability: f32,
-    /// How far at most, along each axis, in pixels after scaling.
+    /// Maximum offset of that crop along each axis, in pixels after scaling.
     pub max_shift: u32,
-    /// Limit of the change of brightness: the factor lies in `1 - brightness .. 1 + brightness`.
+    /// Strength of the brightness change: the factor lies in `1 - brightness .. 1 + brightness`.
     pub brightness: f32,
-    /// Limit of the change of contrast, likewise.
+    /// Strength of the contrast change, likewise.
     pub contrast: f32,
-    /// Limit of the change of saturation, likewise.
+    /// Strength of the saturation change, likewise.
     pub saturation: f32,
-    /// Limit of the change of hue, in turns of the colour circle, at most 0.5.
+    /// Strength of the hue change, in turns of the colour circle, at most 0.5.
     pub hue: f32,
-    /// How often the two frames change colour independently.
+    /// Probability that the two frames change colour independently.
     pub asymmetric_probability: f32,
-    /// How often one or two rectangles of frame 2 are painted over, as if something hid them.
+    /// Probability that one or two rectangles of frame 2 are erased, as if occluded.
     pub eraser_probability: f32,
-    /// Limits of a rectangle's sides, in pixels of the frame before it is scaled.
+    /// Minimum and maximum sides of a rectangle, in pixels of the frame before scaling.
     pub eraser_sides: [u32; 2],
 }
 
@@ -52,7 +52,7 @@ impl Default for AugmentConfig {
 }
 
 impl AugmentConfig {
-    /// SKFlow's augmentation for dense truth (core/utils/augmentor.py, `FlowAugmentor`), for a crop of this width and height.
+    /// SKFlow's augmentation for dense ground truth (core/utils/augmentor.py, `FlowAugmentor`), for a crop of this width and height.
     pub fn dense(crop: [usize; 2]) -> Self {
         Self {
             truth: TruthDensity::Dense,
@@ -75,9 +75,9 @@ impl AugmentConfig {
         }
     }
 
-    /// SKFlow's augmentation for sparse truth (`SparseFlowAugmentor`), for a crop of this width and height. It never
-    /// stretches, never mirrors top to bottom, and changes the colours of both frames alike. SKFlow leaves out the
-    /// mirroring for KITTI ([`horizontal_flip`](Self::horizontal_flip) 0) and keeps it for HD1K.
+    /// SKFlow's augmentation for sparse ground truth (`SparseFlowAugmentor`), for a crop of this width and height. It never
+    /// stretches, never flips vertically, and changes the colours of both frames alike. SKFlow does not flip KITTI
+    /// ([`horizontal_flip`](Self::horizontal_flip) 0), but flips HD1K.
     pub fn sparse(crop: [usize; 2]) -> Self {
         Self {
             truth: TruthDensity::Sparse,
@@ -92,7 +92,7 @@ impl AugmentConfig {
         }
     }
 
-    /// A crop at a random place, and nothing else.
+    /// A random crop and nothing else.
     pub fn crop_only(crop: [usize; 2]) -> Self {
         Self {
             scale_probability: 0.0,
@@ -107,10 +107,10 @@ impl AugmentConfig {
         }
     }
 
-    /// Whether every number makes sense.
+    /// Checks every number.
     ///
     /// # Errors
-    /// Names the first that does not, and what it may be.
+    /// Names the first number out of range, and its range.
     pub(super) fn check(&self) -> Result<(), AugmentError> {
         let wrong = |key, found: String, expected| Err(AugmentError::Setting { key, found, expected });
         if !self.crop.iter().all(|side| (1..=1 << 16).contains(side)) {

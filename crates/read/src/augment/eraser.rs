@@ -1,12 +1,12 @@
-//! Painting over rectangles of frame 2, as if something hid them.
+//! Erasing rectangles of frame 2, as if occluded.
 
 use srflow_field::Image;
 use srflow_field::random::Stream;
 
 use super::AugmentConfig;
 
-/// With the configured probability, fills one or two rectangles with the frame's mean colour. A rectangle starts at any
-/// pixel and is cut off at the border.
+/// With the configured probability, fills one or two rectangles with the frame's mean colour. A rectangle may start at any
+/// pixel and is clipped at the border.
 pub(super) fn erase(frame: &mut Image, config: &AugmentConfig, stream: &mut Stream) {
     if stream.unit() >= config.eraser_probability {
         return;
@@ -24,7 +24,7 @@ pub(super) fn erase(frame: &mut Image, config: &AugmentConfig, stream: &mut Stre
     }
 }
 
-/// The fraction is dropped, as in the reference.
+/// Truncated, as in the reference.
 fn mean_color(frame: &Image) -> [u8; 3] {
     let mut sums = [0_u64; 3];
     for pixel in frame.pixels() {

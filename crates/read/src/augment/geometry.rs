@@ -1,4 +1,4 @@
-//! Where each pixel of an augmented sample comes from.
+//! The mapping from augmented pixels to those of the sample.
 
 use srflow_field::random::Key;
 
@@ -10,13 +10,13 @@ use crate::flow::TruthDensity;
 pub(super) struct Geometry {
     /// Size before, `[width, height]`.
     pub(super) size: [usize; 2],
-    /// Pixels after scaling by pixels before, `[x, y]`.
+    /// Ratio of pixels after scaling to pixels before, `[x, y]`.
     pub(super) scale: [f64; 2],
     /// Size after scaling, `[width, height]`.
     pub(super) scaled: [usize; 2],
-    /// Whether x and y are mirrored, after scaling.
+    /// Whether x and y are flipped, after scaling.
     pub(super) flip: [bool; 2],
-    /// Top left pixel of the crop, `[x, y]`, after mirroring.
+    /// Top left pixel of the crop, `[x, y]`, after flipping.
     pub(super) corner: [usize; 2],
     /// Width and height of the crop.
     pub(super) crop: [usize; 2],
@@ -29,9 +29,9 @@ impl Geometry {
         let flip = [config.horizontal_flip, config.vertical_flip];
         let mut stream = key.stream("augment: flip");
         let flip = flip.map(|probability| stream.unit() < probability);
-        // The size of OpenCV's resize; rounding must not leave less than the crop.
+        // The size that OpenCV's resize gives; rounding must not leave less than the crop.
         let scaled = [0, 1].map(|i| ((size[i] as f64 * scale[i]).round_ties_even() as usize).max(crop[i]));
-        // Sparse truth is missing at the sides and above (KITTI): crops press against both sides and below.
+        // Sparse truth is missing at the sides and at the top (KITTI), so crops favour both sides and the bottom.
         let margins = match config.truth {
             TruthDensity::Dense => [[0, 0], [0, 0]],
             TruthDensity::Sparse => [[50, 50], [0, 20]],
@@ -47,7 +47,7 @@ impl Geometry {
         Self { size, scale, scaled, flip, corner, crop }
     }
 
-    /// The same for frame 2, whose crop may lie somewhere else, and what that adds to u and v.
+    /// The geometry of frame 2, which may be cropped at another place, and the constant that this adds to u and v.
     pub(super) fn shifted(&self, config: &AugmentConfig, key: Key) -> (Self, [f32; 2]) {
         let mut stream = key.stream("augment: shift");
         if stream.unit() >= config.shift_probability {
@@ -64,7 +64,7 @@ impl Geometry {
     }
 }
 
-/// Pixels after by pixels before, for x and y; 1 for what is not scaled.
+/// Ratio of pixels after scaling to pixels before, for x and y; 1 without scaling.
 fn draw_scale(config: &AugmentConfig, size: [usize; 2], key: Key) -> [f64; 2] {
     let mut stream = key.stream("augment: scale");
     let [low, high] = config.log2_scale;

@@ -1,31 +1,31 @@
-//! Turning the hue through Pillow's 8-bit HSV, whose conversions lose a little each way.
+//! Rotating the hue in Pillow's 8-bit HSV, whose conversions round in both directions.
 
 use super::color::is_grey;
 
-/// Both conversions as tables over their few different inputs.
+/// Both conversions as lookup tables: there are few distinct inputs.
 #[derive(Debug, Clone)]
 pub(super) struct HueTables {
-    /// Hue of a colour of one of the [`SECTORS`], whose largest channel is `range` above the smallest and `gap` above the
-    /// middle one: `[(sector * 256 + range) * 256 + gap]`.
+    /// Hue by sector (one of [`SECTORS`]), the range between the largest and smallest channel, and the gap between the largest
+    /// and the middle one: `[(sector * 256 + range) * 256 + gap]`.
     hue: Vec<u8>,
     /// Saturation by range and value: `[range * 256 + value]`.
     saturation: Vec<u8>,
     /// The smallest channel by saturation and value: `[saturation * 256 + value]`.
     smallest: Vec<u8>,
-    /// For each hue.
+    /// By hue.
     shades: Vec<Shade>,
 }
 
-/// What a hue says of a colour, whatever its saturation and value.
+/// The part of a colour that its hue determines, whatever its saturation and value.
 #[derive(Debug, Clone, Copy)]
 struct Shade {
-    /// Which of value, middle and smallest channel are r, g and b.
+    /// The order of value, middle and smallest channel in r, g and b.
     order: [u8; 3],
     /// How much of the saturation the middle channel lacks.
     lack: f64,
 }
 
-/// Which channel is the largest and which the smallest decides where on the circle a colour lies: the six orders of r, g, b.
+/// The sectors of the colour circle: the six orders of r, g, b by size.
 const SECTORS: usize = 6;
 
 impl HueTables {
@@ -47,7 +47,7 @@ impl HueTables {
         Self { hue, saturation, smallest, shades: (0..=255).map(shade_of).collect() }
     }
 
-    /// Turns the hue of each pixel by this many 255ths of a turn. Even none changes a pixel a little.
+    /// Rotates the hue of each pixel by this many 255ths of a turn. Rounding changes some pixels slightly even for zero.
     pub(super) fn turn(&self, pixels: &mut [[u8; 3]], steps: u8) {
         for pixel in pixels {
             if !is_grey(*pixel) {
@@ -65,7 +65,7 @@ impl HueTables {
             (_, true) => 2 + usize::from(smallest != b),
             _ => 4 + usize::from(smallest != r),
         };
-        // The three sum to the same in any order.
+        // The three sum to the same value in any order.
         let middle = (u16::from(r) + u16::from(g) + u16::from(b)) - u16::from(value) - u16::from(smallest);
         let gap = usize::from(value) - usize::from(middle);
         let hue = self.hue[(sector << 16) | (range << 8) | gap];
@@ -96,7 +96,7 @@ fn shade_of(hue: u8) -> Shade {
     Shade { order, lack }
 }
 
-/// Where on the circle of 255 steps a colour lies; the parts of its equation in the precision that Pillow has.
+/// The position of a colour on the circle of 255 steps, computed in Pillow's precision.
 fn hue_of(sector: usize, range: usize, gap: usize) -> u8 {
     let middle = gap as f32 / range as f32;
     let sixths = match sector {

@@ -1,7 +1,7 @@
-//! Random changes of a sample that leave its flow true: colour, patches painted over, scale, mirroring, crop.
+//! Random changes to a sample that keep its flow correct: colour, erased rectangles, scale, flips, crop.
 //!
-//! What SKFlow trains with (core/utils/augmentor.py, which is RAFT's), in its order. Every choice is drawn from a key
-//! ([`srflow_field::random`]): a sample can be made alone, in any order, on any number of threads, and is bit-identical.
+//! Implements SKFlow's augmentation (core/utils/augmentor.py, which is RAFT's), in its order. All random numbers come from a
+//! key ([`srflow_field::random`]): a sample can be computed alone, in any order, on any number of threads, and is bit-identical.
 
 mod color;
 mod config;
@@ -23,28 +23,27 @@ use color::ColorJitter;
 use geometry::Geometry;
 use hue::HueTables;
 
-/// Why a sample was not augmented.
+/// Errors of augmentation.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum AugmentError {
-    /// A number of the configuration makes no sense.
+    /// A number of the configuration is out of range.
     #[error("augmentation.{key} = {found}: expected {expected}")]
     Setting {
         /// The key in the configuration.
         key: &'static str,
-        /// Its value.
         found: String,
-        /// What it may be.
+        /// The allowed values.
         expected: &'static str,
     },
-    /// The frames have no pixel.
+    /// The frames are empty.
     #[error("the frames are {}x{} (WIDTHxHEIGHT): expected at least one pixel", .0.0, .0.1)]
     Empty((usize, usize)),
-    /// The parts of a sample differ in size.
+    /// The parts of a sample have different sizes.
     #[error(transparent)]
     SizeMismatch(#[from] SizeMismatch),
 }
 
-/// Changes samples at random.
+/// Applies random changes to samples.
 #[derive(Debug, Clone)]
 pub struct Augmentation {
     config: AugmentConfig,
@@ -52,27 +51,26 @@ pub struct Augmentation {
 }
 
 impl Augmentation {
-    /// Changes as `config` says.
+    /// Applies the changes that `config` describes.
     ///
     /// # Errors
-    /// When a number of it makes no sense.
+    /// When a number of it is out of range.
     pub fn new(config: AugmentConfig) -> Result<Self, AugmentError> {
         config.check()?;
         Ok(Self { config, hue: HueTables::new() })
     }
 
-    /// What it changes and how much.
     pub fn config(&self) -> &AugmentConfig {
         &self.config
     }
 
-    /// A sample of the crop's size. The same sample and key give the same bytes.
+    /// A sample of the crop's size, deterministic in sample and key.
     ///
-    /// The flow is scaled, mirrored and shifted with the frames; masks go along with frame 1. A frame that is smaller than the
-    /// crop is always scaled, so that the crop fits.
+    /// The flow is scaled, flipped and shifted with the frames; masks follow frame 1. A frame smaller than the crop is always
+    /// scaled to fit it.
     ///
     /// # Errors
-    /// When the frames are empty, or a part of the sample is not of their size.
+    /// When the frames are empty, or the parts of the sample have different sizes.
     pub fn apply(&self, mut sample: Sample, key: Key) -> Result<Sample, AugmentError> {
         check_sizes(&sample)?;
         let Sample { frame1, frame2, .. } = &mut sample;
@@ -106,8 +104,8 @@ impl Augmentation {
     }
 }
 
-/// Adds a motion to the whole flow. Outside the mask it becomes unknown: an even background does not show how it moves, and
-/// must not be learned to move.
+/// Adds a constant to the whole flow. Outside the mask the flow becomes unknown: the motion of a plain background is not
+/// visible, and a network must not learn it.
 fn add_shift(flow: &mut FlowField, shift: [f32; 2], mask: Option<&Mask>) {
     for (index, pixel) in flow.pixels_mut().iter_mut().enumerate() {
         let shown = mask.is_none_or(|mask| mask.pixels()[index]);

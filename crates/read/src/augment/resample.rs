@@ -1,5 +1,5 @@
-//! Frames, dense flow and masks under a [`Geometry`]: only the crop is computed, interpolated as OpenCV's `resize` does with
-//! `INTER_LINEAR`.
+//! Frames, dense flow and masks under a [`Geometry`]: computes only the crop, with the interpolation of OpenCV's `resize`
+//! with `INTER_LINEAR`.
 
 use srflow_field::resize::{LinearTap, sample_flow, sample_image, sample_mask};
 use srflow_field::{FlowField, Image, Mask};
@@ -11,22 +11,22 @@ impl Geometry {
         sample_image(frame, &self.taps(0), &self.taps(1))
     }
 
-    /// A flow known nearly everywhere, in pixels after scaling. What comes from an unknown pixel is unknown.
+    /// A mostly known flow, in pixels after scaling. A pixel with an unknown source is unknown.
     pub(super) fn dense_flow(&self, flow: &FlowField) -> FlowField {
         sample_flow(flow, &self.taps(0), &self.taps(1), self.flow_factor())
     }
 
-    /// A mask: true where its interpolation is above a half.
+    /// A mask: true where its interpolation is above one half.
     pub(super) fn mask(&self, mask: &Mask) -> Mask {
         sample_mask(mask, &self.taps(0), &self.taps(1))
     }
 
-    /// What a displacement is multiplied by, for u and v.
+    /// The factor of a displacement, for u and v.
     pub(super) fn flow_factor(&self) -> [f32; 2] {
         [0, 1].map(|i| if self.flip[i] { -self.scale[i] as f32 } else { self.scale[i] as f32 })
     }
 
-    /// What each column (axis 0) or row (axis 1) of the crop reads.
+    /// The sources of each column (axis 0) or row (axis 1) of the crop.
     fn taps(&self, axis: usize) -> Vec<LinearTap> {
         let step = 1.0 / self.scale[axis];
         let tap = |place: usize| {

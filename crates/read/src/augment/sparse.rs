@@ -1,13 +1,12 @@
-//! Flow that is known at some pixels, under a [`Geometry`].
+//! Sparse flow under a [`Geometry`].
 
 use srflow_field::FlowField;
 
 use super::geometry::Geometry;
 
 impl Geometry {
-    /// Each known pixel moves to the nearest new one; of several the last in the order of rows stays, and a new pixel that
-    /// none moves to is unknown (core/utils/augmentor.py, `resize_sparse_flow_map`, which also drops the first row and
-    /// column).
+    /// Moves each known pixel to the nearest new one. If several meet, the last in row order wins; a new pixel that none moves to
+    /// is unknown (core/utils/augmentor.py, `resize_sparse_flow_map`, which also drops the first row and column).
     pub(super) fn sparse_flow(&self, flow: &FlowField) -> FlowField {
         let mut out = FlowField::filled(self.crop[0], self.crop[1], [f32::NAN; 2]);
         let factor = self.flow_factor();
@@ -25,7 +24,7 @@ impl Geometry {
         out
     }
 
-    /// The column (axis 0) or row (axis 1) of the crop that each one before moves to.
+    /// The target column (axis 0) or row (axis 1) of the crop for each one before.
     fn destinations(&self, axis: usize) -> Vec<Option<usize>> {
         let destination = |place: usize| {
             let place = (place as f64 * self.scale[axis]).round_ties_even() as usize;

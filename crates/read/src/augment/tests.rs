@@ -14,7 +14,7 @@ fn picture(name: &str) -> Image {
     read_image(&golden(&format!("{name}.png"))).expect("a golden picture")
 }
 
-/// Scaled whole: no mirror, no crop.
+/// Only scales: no flip, no crop.
 fn scaled(width: usize, height: usize, scale: [f64; 2]) -> Geometry {
     let size = [width, height];
     let scaled = [0, 1].map(|i| (size[i] as f64 * scale[i]).round_ties_even() as usize);

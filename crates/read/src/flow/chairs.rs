@@ -1,5 +1,5 @@
-//! FlyingChairs: `data/00001_img1.ppm`, `data/00001_img2.ppm`, `data/00001_flow.flo`, and beside `data/` the file
-//! `FlyingChairs_train_val.txt` with a line per pair in sorted order, 1 for training and 2 for validation.
+//! FlyingChairs: `data/00001_img1.ppm`, `data/00001_img2.ppm`, `data/00001_flow.flo`, and next to `data/` the file
+//! `FlyingChairs_train_val.txt` with one line per pair in sorted order, 1 for training and 2 for validation.
 //! Layout: SKFlow, core/datasets.py, `FlyingChairs`.
 
 use std::path::Path;
@@ -52,11 +52,11 @@ impl Reader for FlyingChairs {
     }
 }
 
-/// The pairs whose line in the split file holds `part`.
+/// The pairs whose line in the split file is `part`.
 fn chosen(dir: &Path, pairs: Vec<Entry>, part: u8) -> Result<Vec<Entry>, DatasetError> {
     let path = dir.join(SPLIT_FILE);
     if !path.is_file() {
-        let hint = "The list is published beside the dataset and lies beside data/; `--split all` needs none";
+        let hint = "The list is a separate download; put it next to data/, or use `--split all`, which does not need it";
         return Err(listing::nothing_fits("chairs", dir, SPLIT_FILE, hint));
     }
     let text = read_text(&path, FileKind::Table)?;
@@ -75,7 +75,7 @@ fn chosen(dir: &Path, pairs: Vec<Entry>, part: u8) -> Result<Vec<Entry>, Dataset
     }
     if parts.len() != pairs.len() {
         let reason = format!(
-            "{} lines for {} pairs in data/; it lists one a pair, in sorted order",
+            "{} lines for {} pairs in data/; expected one line per pair, in sorted order",
             parts.len(),
             pairs.len()
         );

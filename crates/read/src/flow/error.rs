@@ -5,23 +5,21 @@ use srflow_field::FileError;
 use super::Split;
 use crate::manifest::ManifestError;
 
-/// Why a dataset could not be opened or one of its pairs could not be read.
+/// Why a dataset could not be opened, or one of its pairs could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
     /// The text after `--dataset` is not `KIND:DIR`.
     #[error("`{found}`: expected KIND:DIR, e.g. sintel-clean:/data/Sintel. Kinds: {known}")]
     NotKindAndFolder {
-        /// What was given.
         found: String,
-        /// The kinds there are.
+        /// The known kinds.
         known: String,
     },
-    /// No dataset of that name, or an option that it does not have.
+    /// Unknown kind of dataset, or an option that it does not have.
     #[error("dataset kind `{kind}`: {reason}")]
     UnknownKind {
-        /// What was given.
         kind: String,
-        /// What is wrong and what is known.
+        /// What is wrong, and the known names.
         reason: String,
     },
     /// The dataset has no such split.
@@ -29,32 +27,32 @@ pub enum DatasetError {
     NoSplit {
         /// Kind of dataset.
         kind: String,
-        /// The split asked for.
+        /// The requested split.
         split: Split,
-        /// The splits there are.
+        /// The available splits.
         available: String,
     },
-    /// A folder or file that the layout needs is not there, or the folder holds none of the files looked for.
+    /// A folder or file required by the layout is missing, or no file matches a pattern.
     #[error("{kind}: looked for {looked_for}, {found}{hint}")]
     NotThere {
         /// Kind of dataset.
         kind: String,
-        /// The path or pattern looked for.
+        /// The path or pattern.
         looked_for: String,
-        /// What there is instead.
+        /// What was found instead.
         found: String,
-        /// What to do, or nothing.
+        /// Advice, or empty.
         hint: String,
     },
-    /// Files without their counterparts: the dataset is half there.
-    #[error("{kind} in {}: {count} {} not as the layout needs:\n{listed}", .dir.display(), if *.count == 1 { "thing is" } else { "things are" })]
+    /// The dataset is incomplete: files without their counterparts.
+    #[error("{kind} in {}: {count} {} missing or unexpected:\n{listed}", .dir.display(), if *.count == 1 { "file or folder is" } else { "files or folders are" })]
     Incomplete {
         /// Kind of dataset.
         kind: String,
         dir: PathBuf,
-        /// How many.
+        /// How many files.
         count: usize,
-        /// The first of them, one a line.
+        /// The first of them, one per line.
         listed: String,
     },
     /// A file or folder could not be opened.
@@ -62,17 +60,17 @@ pub enum DatasetError {
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// The operating system's message.
         error: std::io::Error,
     },
-    /// A text file does not say what its format needs.
+    /// A text file does not have the expected format.
     #[error("{}: {reason}", .path.display())]
     Format {
         path: PathBuf,
-        /// What was expected and found.
+        /// What was expected, and what was found.
         reason: String,
     },
-    /// A file of a pair does not fit frame 1.
+    /// A file of a pair has another size than frame 1.
     #[error("{}: expected {}x{} (WIDTHxHEIGHT) to go with {}, found {}x{}", .path.display(), .expected.0, .expected.1,
         .frame.display(), .found.0, .found.1)]
     SizeMismatch {
@@ -81,7 +79,7 @@ pub enum DatasetError {
         found: (usize, usize),
         /// The file of frame 1.
         frame: PathBuf,
-        /// Width and height that the file must have.
+        /// Expected width and height.
         expected: (usize, usize),
     },
     /// A picture or flow could not be read.

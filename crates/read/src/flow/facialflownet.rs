@@ -1,6 +1,6 @@
 //! FacialFlowNet: `image/{facial,head}/{train,val,test}/EMOTION/SUBJECT/*.jpg`, `flow/…/*.flo` in the same folders, one fewer than
-//! the images, and `mask/{train,val,test}/EMOTION/SUBJECT/*.npy`. `facial` is the whole motion, `head` that of the head alone.
-//! Images, flows and masks go together by their sorted order.
+//! the images, and `mask/{train,val,test}/EMOTION/SUBJECT/*.npy`. `facial` is the whole motion, `head` the rigid head motion.
+//! Images, flows and masks are matched by sorted order.
 //! Layout: RIA1159/FacialFlowNet, core/datasets.py, `FacialFlow`.
 
 use std::path::Path;
@@ -51,7 +51,7 @@ impl Reader for FacialFlowNet {
 }
 
 impl FacialFlowNet {
-    /// The pairs of one subject showing one emotion, e.g. `test/happy/012`.
+    /// The pairs of one subject with one emotion, e.g. `test/happy/012`.
     fn sequence(&self, dir: &Path, place: &str, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
         let images =
             listing::files(&dir.join("image").join(self.motion).join(place), &["jpg", "jpeg", "png"])?;

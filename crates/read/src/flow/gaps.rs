@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 
 use super::error::DatasetError;
 
-/// What is missing or left over while a dataset is listed; reported together at the end.
+/// Missing and extra files of a dataset, collected while listing and reported together at the end.
 pub struct Gaps {
     kind: String,
     dir: PathBuf,
@@ -11,14 +11,14 @@ pub struct Gaps {
 }
 
 impl Gaps {
-    /// How many gaps are named; the rest are counted.
+    /// How many gaps are listed; the rest are counted.
     const NAMED: usize = 8;
 
     pub fn new(kind: String, dir: &Path) -> Self {
         Self { kind, dir: dir.to_owned(), count: 0, listed: Vec::new() }
     }
 
-    /// `path` as messages about this dataset show it.
+    /// `path` as shown in messages about this dataset.
     pub fn shown(&self, path: &Path) -> String {
         path.strip_prefix(&self.dir).unwrap_or(path).display().to_string()
     }
@@ -38,7 +38,7 @@ impl Gaps {
         self.count == 0
     }
 
-    /// An error when there were any.
+    /// An error if there are any gaps.
     pub fn finish(mut self) -> Result<(), DatasetError> {
         if self.count == 0 {
             return Ok(());

@@ -1,5 +1,5 @@
-//! HD1K: `hd1k_input/image_2/000000_0010.png` (sequence and frame), `hd1k_flow_gt/flow_occ/` of the same names, and
-//! `hd1k_challenge/image_2/` without truth.
+//! HD1K: `hd1k_input/image_2/000000_0010.png` (sequence and frame), `hd1k_flow_gt/flow_occ/` with the same names, and
+//! `hd1k_challenge/image_2/` without ground truth.
 //! Layout: SKFlow, core/datasets.py, `HD1K`; ptlflow 0.4.2, data/datasets.py, `Hd1kDataset`.
 
 use std::collections::BTreeMap;
@@ -10,7 +10,7 @@ use super::listing::{self, Numbered};
 use super::sequence::{Direction, Sequence};
 use super::{DatasetError, Entry, Kind, Reader, Split, Truth, TruthDensity};
 
-/// The sequences that ptlflow keeps for validation (data/Hd1k_val.txt) start here.
+/// First of the sequences that ptlflow uses for validation (data/Hd1k_val.txt).
 const FIRST_VALIDATION_SEQUENCE: u64 = 30;
 
 pub(super) const KIND: Kind = Kind { name: "hd1k", options: &[], about: "HD1K", reader: |_| Box::new(Hd1k) };
@@ -39,7 +39,7 @@ impl Reader for Hd1k {
             flow_dir = listing::require("hd1k", dir, "hd1k_flow_gt/flow_occ")?;
             flows = by_sequence(&flow_dir, gaps)?;
             for &sequence in flows.keys() {
-                frames.entry(sequence).or_default(); // so that flows without any frame are named
+                frames.entry(sequence).or_default(); // so that flows without any frame are reported
             }
         }
         let mut entries = Vec::new();

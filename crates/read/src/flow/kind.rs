@@ -5,15 +5,15 @@ use std::str::FromStr;
 use super::error::DatasetError;
 use super::{Reader, chairs, facialflownet, hd1k, kitti, plain, sintel, spring, srflow, things};
 
-/// A kind of dataset, as `--dataset KIND:DIR` names it.
+/// A kind of dataset, as in `--dataset KIND:DIR`.
 pub struct Kind {
-    /// The word that it begins with, e.g. `sintel`.
+    /// Its name, e.g. `sintel`.
     pub name: &'static str,
-    /// The options that may follow, each after a hyphen: one of every list, whose first is the default.
+    /// Its options, each after a hyphen: one from every list, the first being the default.
     pub options: &'static [&'static [&'static str]],
-    /// What it is, in a few words.
+    /// Title in the help.
     pub about: &'static str,
-    /// Its reader, given one choice of every list.
+    /// Its reader, given one option from every list.
     pub(super) reader: fn(&[&'static str]) -> Box<dyn Reader>,
 }
 
@@ -41,10 +41,10 @@ impl fmt::Display for Kind {
     }
 }
 
-/// What `--dataset KIND:DIR` says: a kind of dataset and the folder it lies in.
+/// The value of `--dataset KIND:DIR`: a kind of dataset and its folder.
 ///
-/// A kind is a name followed by options, in any order, each after a hyphen: `sintel-final`, `things-clean-backward-right`.
-/// An option left out takes its default; [`KINDS`] lists them.
+/// A kind is a name followed by options in any order, each after a hyphen: `sintel-final`, `things-clean-backward-right`.
+/// An omitted option takes its default; [`KINDS`] lists them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DatasetSpec {
     /// Kind of dataset, e.g. `sintel-clean`.
@@ -61,7 +61,7 @@ impl fmt::Display for DatasetSpec {
 impl FromStr for DatasetSpec {
     type Err = DatasetError;
 
-    /// Reads `KIND:DIR`; the folder may hold further colons. The kind is checked, the folder is not opened.
+    /// Parses `KIND:DIR`; the folder may contain colons. The kind is checked, the folder is not opened.
     fn from_str(text: &str) -> Result<Self, DatasetError> {
         let wrong = || DatasetError::NotKindAndFolder { found: text.to_owned(), known: known_kinds() };
         let (kind, dir) = text.split_once(':').ok_or_else(wrong)?;
@@ -73,13 +73,13 @@ impl FromStr for DatasetSpec {
     }
 }
 
-/// The reader that a kind names.
+/// The reader for a kind.
 pub(super) fn reader_of(text: &str) -> Result<Box<dyn Reader>, DatasetError> {
     let unknown = |reason| DatasetError::UnknownKind { kind: text.to_owned(), reason };
     let mut words = text.split('-');
     let name = words.next().unwrap_or_default();
     let Some(kind) = KINDS.iter().find(|kind| kind.name == name) else {
-        return Err(unknown(format!("there is none of that name. Kinds: {}", known_kinds())));
+        return Err(unknown(format!("unknown kind. Kinds: {}", known_kinds())));
     };
     let mut left: Vec<&str> = words.collect();
     let mut choose = |choices: &&[&'static str]| {

@@ -1,5 +1,5 @@
-//! KITTI 2012 and 2015: `training/image_2/000000_{10,11}.png` (2012: `colored_0`), `training/flow_occ/000000_10.png`, where
-//! published `training/flow_noc` with the visible pixels only, and `testing/` without truth.
+//! KITTI 2012 and 2015: `training/image_2/000000_{10,11}.png` (2012: `colored_0`), `training/flow_occ/000000_10.png`,
+//! optionally `training/flow_noc` with the visible pixels only, and `testing/` without ground truth.
 //! Layout: ptlflow 0.4.2, data/datasets.py, `KittiDataset`.
 
 use std::collections::BTreeSet;
@@ -60,8 +60,8 @@ impl Reader for Kitti {
     }
 }
 
-/// The numbers `SSSSSS` of which `SSSSSS_10.png` or `SSSSSS_11.png` is there. The 20 other frames of KITTI's multi-view
-/// edition have no truth and are left out.
+/// The numbers `SSSSSS` for which `SSSSSS_10.png` or `SSSSSS_11.png` exists. The 20 other frames of KITTI's multi-view
+/// edition have no ground truth and are skipped.
 fn scenes(frame_dir: &Path, gaps: &Gaps) -> Result<BTreeSet<String>, DatasetError> {
     let scene_of = |path: &Path| {
         let stem = listing::stem(path);

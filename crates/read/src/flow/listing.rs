@@ -1,4 +1,4 @@
-//! Folders: what lies in them, in natural order, and what to tell when something does not.
+//! Listing folders in natural order, and messages about missing files.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -10,13 +10,13 @@ use srflow_field::IMAGE_EXTENSIONS;
 use super::error::DatasetError;
 use super::gaps::Gaps;
 
-/// Endings of the picture files that frames, masks and occlusions come in.
+/// Extensions of frames, masks and occlusions.
 pub const IMAGES: &[&str] = &IMAGE_EXTENSIONS;
 
-/// Endings of the flow files.
+/// Extensions of flow files.
 pub const FLOWS: &[&str] = &["flo", "flo5", "png", "png128", "pfm", "npy", "npz", "npz16"];
 
-/// Compares names as people do: runs of digits by their value, so that `frame10` comes after `frame9`.
+/// Natural order: runs of digits compare by value, so that `frame10` comes after `frame9`.
 pub fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut a_rest, mut b_rest) = (a.as_bytes(), b.as_bytes());
     loop {
@@ -27,7 +27,7 @@ pub fn natural_order(a: &str, b: &str) -> Ordering {
                 let (x, y) = (without_zeros(a_part), without_zeros(b_part));
                 x.len().cmp(&y.len()).then_with(|| x.cmp(y))
             }
-            (None, None) => return a.cmp(b), // the same but for leading zeros
+            (None, None) => return a.cmp(b), // equal except for leading zeros
             _ => a_part.cmp(b_part),
         };
         if order != Ordering::Equal {
@@ -49,10 +49,10 @@ fn without_zeros(digits: &[u8]) -> &[u8] {
     &digits[start..]
 }
 
-/// Endings of the files that masks come in.
+/// Extensions of masks.
 pub const MASKS: &[&str] = &["png", "jpg", "jpeg", "ppm", "pgm", "bmp", "npy"];
 
-/// The files of `dir` whose name ends in one of `endings` (letters of either case), in natural order. Hidden files are left out.
+/// The files of `dir` with one of the extensions `endings` (case-insensitive), in natural order. Hidden files are skipped.
 pub fn files(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, DatasetError> {
     let has_ending = |path: &Path| {
         let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
@@ -61,7 +61,7 @@ pub fn files(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, DatasetError>
     Ok(visible(dir)?.into_iter().filter(|path| has_ending(path) && path.is_file()).collect())
 }
 
-/// The pictures in `dir`, in natural order: `frame9` before `frame10`. Hidden files are left out.
+/// The pictures in `dir`, in natural order: `frame9` before `frame10`. Hidden files are skipped.
 ///
 /// # Errors
 /// When the folder cannot be read.
@@ -69,12 +69,12 @@ pub fn pictures(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     files(dir, IMAGES)
 }
 
-/// [`files`], or nothing when the folder is not there.
+/// [`files`], or nothing if the folder does not exist.
 pub fn files_if_there(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, DatasetError> {
     if dir.is_dir() { files(dir, endings) } else { Ok(Vec::new()) }
 }
 
-/// The folders in `dir`, in natural order. Hidden ones are left out.
+/// The folders in `dir`, in natural order. Hidden ones are skipped.
 pub fn folders(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     Ok(visible(dir)?.into_iter().filter(|path| path.is_dir()).collect())
 }
@@ -116,7 +116,7 @@ pub fn places(
     Ok(places)
 }
 
-/// Names as gaps the folders of `dir` that have no counterpart of the same name in `counterpart`. `dir` need not be there.
+/// Reports as gaps the folders of `dir` that have no counterpart of the same name in `counterpart`. `dir` need not exist.
 pub fn folders_without(dir: &Path, counterpart: &Path, gaps: &mut Gaps) -> Result<(), DatasetError> {
     let found = if dir.is_dir() { folders(dir)? } else { Vec::new() };
     for folder in found {
@@ -128,12 +128,12 @@ pub fn folders_without(dir: &Path, counterpart: &Path, gaps: &mut Gaps) -> Resul
     Ok(())
 }
 
-/// The last part of a path, as text.
+/// The last component of a path, as text.
 pub fn name(path: &Path) -> String {
     path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// The last part of a path without its ending, as text.
+/// The last component of a path without its extension, as text.
 pub fn stem(path: &Path) -> String {
     path.file_stem().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default()
 }
@@ -163,7 +163,7 @@ pub fn insert_once<K: Ord>(found: &mut BTreeMap<K, PathBuf>, key: K, path: PathB
     }
 }
 
-/// [`numbered`], or nothing when the folder is not there.
+/// [`numbered`], or nothing if the folder does not exist.
 pub fn numbered_if_there(dir: &Path, endings: &[&str], gaps: &mut Gaps) -> Result<Numbered, DatasetError> {
     if dir.is_dir() { numbered(dir, endings, gaps) } else { Ok(Numbered::new()) }
 }
@@ -176,8 +176,8 @@ pub fn last_number(stem: &str) -> Option<u64> {
     stem[start..end].parse().ok()
 }
 
-/// Checks that `dir` holds `needed` (a path inside it, `/` between its parts). When it does not, the error says what `dir`
-/// holds on the way there, and where `needed` lies when that is one or two levels up or down.
+/// Checks that `dir` contains `needed` (a relative path with `/` separators). Otherwise the error says what `dir` contains on
+/// the way there, and where `needed` is if that is one or two levels up or down.
 pub fn require(kind: &str, dir: &Path, needed: &str) -> Result<PathBuf, DatasetError> {
     let wanted = dir.join(needed);
     if wanted.exists() {
@@ -191,7 +191,7 @@ pub fn require(kind: &str, dir: &Path, needed: &str) -> Result<PathBuf, DatasetE
     Err(DatasetError::NotThere { kind: kind.to_owned(), looked_for, found: contents(reached), hint })
 }
 
-/// The error for a pattern that no file of `dir` fits.
+/// The error for a pattern that matches no file of `dir`.
 pub fn nothing_fits(kind: &str, dir: &Path, pattern: &str, hint: &str) -> DatasetError {
     DatasetError::NotThere {
         kind: kind.to_owned(),
@@ -201,7 +201,7 @@ pub fn nothing_fits(kind: &str, dir: &Path, pattern: &str, hint: &str) -> Datase
     }
 }
 
-/// Where near `dir` (one or two levels up or down) a folder holds `needed`.
+/// A folder one or two levels up or down from `dir` that contains `needed`.
 pub fn elsewhere(dir: &Path, needed: &str) -> Option<PathBuf> {
     let full = std::path::absolute(dir).ok()?;
     let above = full.ancestors().skip(1).take(2).map(Path::to_owned);
@@ -210,7 +210,7 @@ pub fn elsewhere(dir: &Path, needed: &str) -> Option<PathBuf> {
     above.chain(below).chain(further).find(|place| place.join(needed).exists())
 }
 
-/// What a folder holds, in a few words.
+/// A short list of a folder's contents.
 pub fn contents(dir: &Path) -> String {
     const NAMED: usize = 6;
     if !dir.exists() {

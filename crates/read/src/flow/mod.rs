@@ -1,8 +1,8 @@
-//! Readers: every dataset becomes a list of image pairs, each read when it is asked for.
+//! Readers: every dataset becomes a list of image pairs, read on demand.
 //!
-//! [`FlowDataset::open`] lists a dataset's pairs without decoding anything; [`FlowDataset::read`] decodes one of them, on
-//! as many threads as one likes. What differs between datasets (where files lie, which of the truth counts) is behind the
-//! trait `Reader`, one file per dataset.
+//! [`FlowDataset::open`] lists a dataset's pairs without decoding; [`FlowDataset::read`] decodes one of them, and may be
+//! called from several threads. The differences between datasets (paths, valid ground truth) are behind the trait `Reader`, one
+//! file per dataset.
 
 mod chairs;
 mod error;
@@ -33,27 +33,27 @@ pub use split::Split;
 use gaps::Gaps;
 use sample::Truth;
 
-/// One pair of frames of a dataset: its place in it and its files. Nothing is decoded.
+/// One pair of frames of a dataset: its name and its files, not decoded.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Entry {
-    /// The sequence that the pair belongs to, e.g. `alley_1`; empty where pairs stand alone.
+    /// The sequence that the pair belongs to, e.g. `alley_1`; empty for single pairs.
     pub scene: String,
-    /// Name of the pair within its scene: mostly that of frame 1's file without its ending, e.g. `frame_0001`.
+    /// Name of the pair within its scene: usually the stem of frame 1's file, e.g. `frame_0001`.
     pub frame: String,
     /// File of frame 1.
     pub frame1: PathBuf,
     /// File of frame 2.
     pub frame2: PathBuf,
-    /// File of the true flow from frame 1 to frame 2, where it is published.
+    /// File of the true flow from frame 1 to frame 2, if published.
     pub flow: Option<PathBuf>,
-    /// File of the mask of the head in frame 1, where there is one.
+    /// File of the mask of the head in frame 1, if there is one.
     pub mask: Option<PathBuf>,
-    /// What tells the pixels of frame 1 that frame 2 does not show, where there is something.
+    /// Source of the occlusions of frame 1, if there is one.
     pub occlusion: Option<Occlusion>,
 }
 
 impl Entry {
-    /// `scene/frame`, or the frame alone where there is no scene: names the pair within its dataset.
+    /// `scene/frame`, or the frame alone without a scene: unique within the dataset.
     pub fn id(&self) -> String {
         if self.scene.is_empty() { self.frame.clone() } else { format!("{}/{}", self.scene, self.frame) }
     }
@@ -68,16 +68,16 @@ impl Entry {
     }
 }
 
-/// What tells which pixels of frame 1 are hidden in frame 2.
+/// The source of the pixels of frame 1 that are occluded in frame 2.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Occlusion {
-    /// A picture that is white where the pixel is hidden.
+    /// A picture, white where a pixel is occluded.
     Picture(PathBuf),
-    /// A flow file that holds the visible pixels only: hidden are those which only the entry's own flow knows (KITTI).
+    /// A flow file with the visible pixels only: pixels known only in the entry's own flow are occluded (KITTI).
     VisibleFlow(PathBuf),
 }
 
-/// A dataset whose pairs are listed, ready to be read.
+/// A dataset whose pairs are listed.
 #[derive(Debug, Clone)]
 pub struct FlowDataset {
     name: String,
@@ -87,28 +87,28 @@ pub struct FlowDataset {
     truth: Truth,
 }
 
-/// What sets one dataset apart from the others.
+/// The dataset-specific part of reading.
 trait Reader {
-    /// The kind with the options that matter, as tables show it, e.g. `sintel-clean`.
+    /// Kind with the options that matter, as shown in tables, e.g. `sintel-clean`.
     fn name(&self) -> String;
 
-    /// The split that is read when none is asked for: the one that results are reported on.
+    /// The default split: the one that results are reported on.
     fn default_split(&self) -> Split;
 
-    /// Which of the published truth counts.
+    /// Which part of the published ground truth is valid.
     fn truth(&self) -> Truth {
         Truth::default()
     }
 
-    /// Lists the pairs of one split under `dir`. What is missing or left over goes to `gaps`.
+    /// Lists the pairs of one split under `dir`. Missing and extra files go to `gaps`.
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError>;
 }
 
 impl FlowDataset {
-    /// Lists the pairs of one split of a dataset; without a split, of the one that results are reported on.
+    /// Lists the pairs of one split of a dataset; `None` means the one that results are reported on.
     ///
     /// # Errors
-    /// When the folder is not laid out as its kind needs, holds no pair, or holds files without their counterparts.
+    /// When the folder does not have the layout of its kind, contains no pair, or files lack their counterparts.
     pub fn open(spec: &DatasetSpec, split: Option<Split>) -> Result<Self, DatasetError> {
         let reader = kind::reader_of(&spec.kind)?;
         let name = reader.name();
@@ -121,13 +121,13 @@ impl FlowDataset {
                 &name,
                 &spec.dir,
                 "",
-                &format!("No pair of the {split} split is there"),
+                &format!("The {split} split has no pair"),
             ));
         }
         Ok(Self { name, dir: spec.dir.clone(), split, entries, truth: reader.truth() })
     }
 
-    /// A dataset of one pair, whose files may lie anywhere and are not opened yet.
+    /// A dataset of one pair, whose files may be anywhere and are not opened yet.
     pub fn of_pair(frame1: PathBuf, frame2: PathBuf, flow: PathBuf) -> Self {
         let dir = frame1.parent().unwrap_or(Path::new("")).to_owned();
         let frame = listing::stem(&frame1);
@@ -142,7 +142,7 @@ impl FlowDataset {
         }
     }
 
-    /// The kind with the options that matter, e.g. `sintel-clean`.
+    /// Kind with the options that matter, e.g. `sintel-clean`.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -157,21 +157,21 @@ impl FlowDataset {
         self.split
     }
 
-    /// The pairs, by scene and in the order of time within each.
+    /// The pairs, by scene and in temporal order within each.
     pub fn entries(&self) -> &[Entry] {
         &self.entries
     }
 
-    /// How much of the true flow is known, as the dataset's reader says.
+    /// How much of the true flow is known.
     pub fn density(&self) -> TruthDensity {
         self.truth.density
     }
 
-    /// Decodes one of the dataset's pairs. A pixel of the truth that is too fast to count (10000 px; FlyingThings3D and
-    /// FacialFlowNet 1000; KITTI and HD1K 512) comes as unknown.
+    /// Decodes one of the dataset's pairs. Ground truth at or above the dataset's limit (10000 px; FlyingThings3D and
+    /// FacialFlowNet 1000; KITTI and HD1K 512) is returned as unknown.
     ///
     /// # Errors
-    /// When a file cannot be read, is broken, or is not of frame 1's size.
+    /// When a file cannot be read, is corrupt, or has another size than frame 1.
     pub fn read(&self, entry: &Entry) -> Result<Sample, DatasetError> {
         self.truth.read(entry)
     }

@@ -1,12 +1,12 @@
-//! A plain folder of pairs, for people's own data. Three layouts:
+//! A plain folder of pairs, for users' own data. Three layouts:
 //!
 //! - `NAME_img1.png NAME_img2.png NAME_flow.flo` side by side, as FlyingChairs has them;
 //! - `frames/*.png`, consecutive frames of one sequence in natural order, and `flow/` with a flow of the same name as the
 //!   first frame of each pair;
 //! - the same with a folder per scene: `frames/SCENE/*.png`, `flow/SCENE/*.flo`.
 //!
-//! `mask/` and `occlusion/` (or `_mask`, `_occlusion`) may lie beside `flow/` in the same way. Without any flow the pairs
-//! have no truth. A split `train`, `val` or `test` is a folder of that name that is laid out so.
+//! `mask/` and `occlusion/` (or `_mask`, `_occlusion`) may accompany `flow/` in the same way. Without any flow the pairs have
+//! no ground truth. A split `train`, `val` or `test` is a subfolder of that name with such a layout.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -50,7 +50,7 @@ impl Reader for Plain {
     }
 }
 
-/// What to do about a folder that holds no pairs.
+/// Advice for a folder that contains no pairs.
 fn hint(dir: &Path) -> String {
     if dir.join("train").is_dir() || dir.join("test").is_dir() {
         return "It has splits: choose one with --split".to_owned();
@@ -75,13 +75,13 @@ fn scenes(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
         entries.extend(pairs_of_scene(dir, scene, with_flow, gaps)?);
     }
     if entries.is_empty() && gaps.is_empty() {
-        let hint = "A sequence has two frames or more, in frames/ or in frames/SCENE/";
+        let hint = "A sequence needs at least two frames, in frames/ or in frames/SCENE/";
         return Err(listing::nothing_fits("folder", &frames, "*.png", hint));
     }
     Ok(entries)
 }
 
-/// Consecutive frames of one scene, in natural order; the other files go by the name of the first frame.
+/// Consecutive frames of one scene, in natural order; the other files have the name of the first frame.
 fn pairs_of_scene(
     dir: &Path,
     scene: &str,

@@ -7,36 +7,36 @@ use srflow_field::{FlowField, Image, Mask, read_flow, read_image, read_mask, rea
 
 use super::{DatasetError, Entry, Occlusion};
 
-/// One pair of frames of a dataset, decoded; everything is of the frames' size.
+/// One decoded pair of frames; all parts have the same size.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sample {
     pub frame1: Image,
     pub frame2: Image,
-    /// True flow from frame 1 to frame 2 in pixels, NaN where it is unknown; none where no truth is published.
+    /// True flow from frame 1 to frame 2 in pixels, NaN where unknown; `None` when no truth is published.
     pub flow: Option<FlowField>,
-    /// `true` on the head in frame 1, where the dataset has masks.
+    /// `true` on the head in frame 1, if the dataset has masks.
     pub mask: Option<Mask>,
-    /// `true` where a pixel of frame 1 is hidden in frame 2 or leaves the image, where the dataset says so.
+    /// `true` where a pixel of frame 1 is occluded in frame 2 or leaves the image, if the dataset has occlusions.
     pub occlusion: Option<Mask>,
 }
 
-/// Which of the published truth counts, and on which grid it comes.
+/// Validity and resolution of the published ground truth.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Truth {
     /// A pixel with `|u|` or `|v|` at or above this is unknown, in pixels.
     pub max_flow: f32,
-    /// Flow samples per image pixel along each axis; of each block the top left one is taken.
+    /// Flow samples per image pixel along each axis; the top left one of each block is used.
     pub samples_per_pixel: usize,
     pub density: TruthDensity,
 }
 
-/// How much of the true flow is known.
+/// Density of the ground truth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum TruthDensity {
-    /// Nearly all of it.
+    /// Nearly all pixels.
     Dense,
-    /// Some pixels, as a laser scanner or a tracker measures them (KITTI, HD1K).
+    /// Some pixels, measured by a laser scanner or a tracker (KITTI, HD1K).
     Sparse,
 }
 
@@ -88,7 +88,7 @@ impl Truth {
         Ok(Sample { frame1, frame2, flow, mask, occlusion })
     }
 
-    /// The published flow on the image's grid, unknown where it does not count.
+    /// The published flow on the image's grid, unknown where it is not valid.
     fn counted(self, published: FlowField, width: usize, height: usize) -> FlowField {
         let mut flow = match self.samples_per_pixel {
             1 => published,
@@ -117,7 +117,7 @@ fn read_any_mask(path: &Path) -> Result<Mask, DatasetError> {
     Mask::from_pixels(width, height, inside).map_err(|error| wrong(error.to_string()))
 }
 
-/// The pixels whose flow is known, but not among the visible ones.
+/// Pixels whose flow is known but not among the visible ones.
 fn hidden(flow: &FlowField, visible: &FlowField) -> Mask {
     Mask::from_fn(flow.width(), flow.height(), |x, y| flow.is_known(x, y) && !visible.is_known(x, y))
 }

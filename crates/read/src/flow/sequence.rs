@@ -1,4 +1,4 @@
-//! Sequences of numbered frames, one flow file a frame: what Sintel, FlyingThings3D, HD1K and Spring have in common.
+//! Sequences of numbered frames with one flow file per frame: shared by Sintel, FlyingThings3D, HD1K and Spring.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use super::gaps::Gaps;
 use super::listing::Numbered;
 use super::{Entry, Occlusion};
 
-/// Way of time that the flow of a pair follows.
+/// Temporal direction of a pair.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Direction {
     /// From frame n to frame n + 1.
@@ -16,15 +16,15 @@ pub enum Direction {
 }
 
 impl Direction {
-    /// What a kind of dataset offers.
+    /// The options that a kind of dataset offers.
     pub const CHOICES: &[&str] = &["forward", "backward"];
 
-    /// The one of [`CHOICES`](Self::CHOICES) that is `chosen`.
+    /// The direction for one of [`CHOICES`](Self::CHOICES).
     pub fn of(chosen: &str) -> Self {
         if chosen == "backward" { Self::Backward } else { Self::Forward }
     }
 
-    /// What a kind's name ends in.
+    /// Suffix of the kind's name.
     pub fn suffix(self) -> &'static str {
         match self {
             Self::Forward => "",
@@ -38,18 +38,18 @@ pub struct Sequence<'a> {
     /// The sequence's name.
     pub scene: String,
     pub frames: Numbered,
-    /// The flow files by the number of the frame they start from; none where no truth is published.
+    /// The flow files by the number of the frame they start from; `None` when no truth is published.
     pub flows: Option<Numbered>,
-    /// Pictures of what is hidden, numbered as the flows; often empty.
+    /// Occlusion pictures, numbered like the flow; often empty.
     pub occlusions: Numbered,
-    /// The folder in which a missing flow should lie.
+    /// The folder in which a missing flow was expected.
     pub flow_dir: &'a Path,
-    /// Whether the dataset also holds a flow out of the sequence, for the frame at its end: it is left alone.
+    /// Whether the dataset also has a flow for the frame at its end, which leaves the sequence and is ignored.
     pub flow_past_the_end: bool,
 }
 
 impl Sequence<'_> {
-    /// Pairs each frame with its neighbour. A frame or flow without its counterpart is a gap.
+    /// Pairs each frame with its neighbour. A frame or flow without a counterpart is a gap.
     pub fn pairs(mut self, direction: Direction, gaps: &mut Gaps) -> Vec<Entry> {
         let mut entries = Vec::new();
         let mut unused = self.flows.clone().unwrap_or_default();

@@ -8,7 +8,7 @@ use super::listing;
 use super::sequence::{Direction, Sequence};
 use super::{DatasetError, Entry, Kind, Reader, Split};
 
-/// The scenes of the training set that ptlflow keeps for validation (data/Sintel_val.txt).
+/// The scenes of the training set that ptlflow uses for validation (data/Sintel_val.txt).
 const VALIDATION_SCENES: [&str; 6] = ["ambush_2", "bamboo_2", "cave_2", "market_2", "shaman_2", "temple_2"];
 
 pub(super) const KIND: Kind = Kind {

@@ -7,11 +7,11 @@ use srflow_field::named;
 pub enum Split {
     /// For training.
     Train,
-    /// For choosing among what was trained.
+    /// For model selection.
     Val,
-    /// For the final score. Some benchmarks publish its frames without the truth.
+    /// For the final score. Some benchmarks publish its frames without ground truth.
     Test,
-    /// Every pair that has a ground truth.
+    /// Every pair with ground truth.
     All,
 }
 

@@ -1,6 +1,6 @@
 //! Spring: `{train,test}/0001/frame_{left,right}/frame_left_0001.png` at 1920x1080 and
 //! `train/0001/flow_{FW,BW}_{left,right}/flow_FW_left_0001.flo5` at 3840x2160, in pixels of the 1920x1080 image; `test` has no
-//! truth. Of each 2x2 block of flow samples the top left one is taken, which puts the truth on the image's grid.
+//! truth. The top left flow sample of each 2x2 block is used, which puts the truth on the image's grid.
 //! Layout: ptlflow 0.4.2, data/datasets.py, `SpringDataset` (with `subsample`).
 
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! SRFlow as `srflow render` writes it: `dataset.json` names the scenes, their splits and their files (see
+//! SRFlow as written by `srflow render`: `dataset.json` lists the scenes, their splits and their files (see
 //! [`crate::manifest`]).
 
 use std::path::Path;
@@ -17,7 +17,7 @@ pub(super) const KIND: Kind = Kind {
 };
 
 pub struct SrFlow {
-    /// Backward: the flow from the later to the earlier frame, which `srflow render --backward` writes.
+    /// Backward: the flow from the later to the earlier frame, written by `srflow render --backward`.
     pub direction: Direction,
 }
 
@@ -64,12 +64,12 @@ impl SrFlow {
         gaps: &mut Gaps,
         entries: &mut Vec<Entry>,
     ) -> Result<(), DatasetError> {
-        // A pair's record is written last: the records tell how many pairs are whole.
+        // A pair's record is written last, so the records count the complete pairs.
         let records = dir.join(scene.split.to_string()).join("pairs").join(&scene.name);
         let whole = listing::files_if_there(&records, &["json"])?.len();
         if u64::from(scene.pairs) > whole as u64 {
-            let advice = "`srflow render` with the same arguments makes the rest";
-            gaps.push(format!("{}: {whole} of {} pairs are there; {advice}", scene.name, scene.pairs));
+            let advice = "run `srflow render` with the same arguments to render the rest";
+            gaps.push(format!("{}: {whole} of {} pairs exist; {advice}", scene.name, scene.pairs));
             return Ok(());
         }
         for pair in 0..scene.pairs {

@@ -74,7 +74,7 @@ impl FlyingThings3D {
             scene: format!("{place}/{}", self.camera),
             frames: listing::numbered(&frame_dir, &["png"], gaps)?,
             flows: Some(listing::numbered_if_there(&flow_dir, &["pfm"], gaps)?),
-            // Published with the "subset" edition only.
+            // Published only with the "subset" edition.
             occlusions: listing::numbered_if_there(&dir.join("occlusions").join(&inner), &["png"], gaps)?,
             flow_dir: &flow_dir,
             flow_past_the_end: true,

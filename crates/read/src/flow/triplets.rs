@@ -1,4 +1,4 @@
-//! Pairs that lie side by side in one folder, as FlyingChairs has them: `NAME_img1`, `NAME_img2`, `NAME_flow`.
+//! Pairs side by side in one folder, as in FlyingChairs: `NAME_img1`, `NAME_img2`, `NAME_flow`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use super::gaps::Gaps;
 use super::listing;
 use super::{DatasetError, Entry, Occlusion};
 
-/// Parts of a triplet by the end of their stem, and the endings that each may have.
+/// Parts of a triplet by the suffix of their stem, and the extensions that each may have.
 const PARTS: [(&str, &[&str]); 5] = [
     ("_img1", listing::IMAGES),
     ("_img2", listing::IMAGES),
@@ -16,7 +16,7 @@ const PARTS: [(&str, &[&str]); 5] = [
     ("_occlusion", listing::IMAGES),
 ];
 
-/// The pairs of `dir` in natural order of their names. Either all have a flow or none; anything else is a gap.
+/// The pairs of `dir` in natural order. Either all have a flow or none; anything else is a gap.
 pub fn triplets(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
     let mut found: [BTreeMap<String, PathBuf>; PARTS.len()] = Default::default();
     for (files, (suffix, endings)) in found.iter_mut().zip(PARTS) {

@@ -1,4 +1,4 @@
-//! Lists of apex frames, with the columns of the one that CapsuleNet for micro-expressions published.
+//! Lists of apex frames, with the columns of the list published with CapsuleNet for micro-expressions.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use srflow_field::write_atomically;
 
 use super::{Clip, MicroExpressionError};
 
-/// A clip and the apex that was found in it.
+/// A clip and its spotted apex.
 #[derive(Debug, Clone, Copy)]
 pub struct ApexRow<'a> {
     pub clip: &'a Clip,
@@ -14,7 +14,7 @@ pub struct ApexRow<'a> {
     pub apex: u64,
 }
 
-/// Writes a list of apex frames, whole or not at all. SMIC's rows can be read back with the clips.
+/// Writes a list of apex frames, whole or not at all. Rows of SMIC can be read back with the clips.
 ///
 /// # Errors
 /// When the file cannot be written.

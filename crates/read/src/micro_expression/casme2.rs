@@ -1,8 +1,7 @@
 //! CASME II (Yan et al. 2014).
 //!
 //! Spreadsheet `CASME2-coding-20140508.xlsx`; frames `subSS/CLIP/imgFRAME.jpg` in the raw release and
-//! `subSS/CLIP/reg_imgFRAME.jpg` in the cropped one. Objective classes lie in a
-//! spreadsheet of their own.
+//! `subSS/CLIP/reg_imgFRAME.jpg` in the cropped one. Objective classes are in a separate spreadsheet.
 
 use std::path::Path;
 
@@ -14,7 +13,7 @@ use super::{Annotation, ClipKind, ClipSource, MicroExpressionError};
 pub(super) const KIND: ClipKind = ClipKind {
     name: "casme2",
     releases: &["raw", "cropped"],
-    about: "CASME II, the raw or the cropped release (default: the one that is there)",
+    about: "CASME II, the raw or the cropped release (default: the one that is found)",
     published: Some([88, 32, 25]),
     form: Some(&FORM),
     labels: |source| coded::read(&CODING, source),
@@ -51,7 +50,7 @@ const CODING: Coding = Coding {
     objective: Objective::Spreadsheet(&OBJECTIVE_FORM),
 };
 
-/// Where each release lies below the folder that the archives are unpacked into; last, that folder itself.
+/// Subfolders of each release in the unpacked archives; last, the folder itself.
 const PLACES: [(&str, &str); 7] = [
     ("CASME2_RAW_selected", "raw"),
     ("CASME2-RAW", "raw"),
@@ -89,7 +88,7 @@ fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolder
     Ok(found)
 }
 
-/// The release, from the name of a frame.
+/// The release, judged by the name of a frame.
 fn form_of_frames(found: &ClipFolders) -> &'static str {
     let first = found.folders.iter().find(|folder| folder.is_dir());
     let pictures = first.and_then(|folder| crate::flow::pictures(folder).ok()).unwrap_or_default();

@@ -1,6 +1,6 @@
 use srflow_field::named;
 
-/// The three classes of the composite micro-expression benchmark (MEGC 2019), with its numbers.
+/// The three classes of the composite micro-expression benchmark (MEGC 2019), with its numbering.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum EmotionClass {
     /// Anger, disgust, contempt, fear, sadness, repression.

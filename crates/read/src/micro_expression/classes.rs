@@ -1,6 +1,6 @@
-//! What clips are divided into: each class names the emotions, action units or objective classes that it is made of.
+//! Class definitions: each class lists the emotions, action units or objective classes that it consists of.
 //!
-//! The usual divisions lie in `classes/`, one TOML file each; anybody's own file has the same form.
+//! The usual definitions are in `classes/`, one TOML file each; users' own files have the same form.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -11,7 +11,7 @@ use srflow_field::{FileKind, excerpt, is_unprintable, read_text};
 
 use super::MicroExpressionError;
 
-/// The divisions that are known by name: name, what it is, file.
+/// Built-in class sets: name, description, file.
 pub const CLASS_SETS: [(&str, &str, &str); 6] = [
     (
         "3",
@@ -24,7 +24,7 @@ pub const CLASS_SETS: [(&str, &str, &str); 6] = [
         include_str!("classes/casme2-5.toml"),
     ),
     ("samm-4", "SAMM's anger, happiness, surprise, contempt", include_str!("classes/samm-4.toml")),
-    ("samm-5", "the same and other", include_str!("classes/samm-5.toml")),
+    ("samm-5", "SAMM's anger, happiness, surprise, contempt, other", include_str!("classes/samm-5.toml")),
     (
         "objective-5",
         "objective classes I to V of SAMM and CASME II, as in MEGC 2018",
@@ -33,28 +33,28 @@ pub const CLASS_SETS: [(&str, &str, &str); 6] = [
     ("objective-7", "all seven objective classes", include_str!("classes/objective-7.toml")),
 ];
 
-/// How many classes there can be.
+/// Minimum and maximum number of classes.
 const COUNT: std::ops::RangeInclusive<usize> = 2..=10;
 /// Longest name of a class, in characters.
 const MAX_NAME: usize = 40;
 
-/// What clips are divided into, in the order of the classes' numbers.
+/// A set of classes, in the order of their numbers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Classes {
-    /// The name in [`CLASS_SETS`], or that of the file.
+    /// Name in [`CLASS_SETS`], or that of the file.
     title: String,
     names: Arc<[String]>,
     rules: Arc<[Rule]>,
 }
 
-/// What is known of a clip when its class is looked up. Where nothing is known, a text is empty.
+/// The data of a clip that determines its class. Missing data is an empty text.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Coded<'a> {
     /// Kind of the dataset, e.g. `casme2`.
     pub kind: &'a str,
     /// The dataset's own label, e.g. `repression`.
     pub emotion: &'a str,
-    /// Action units as they were coded, e.g. `R2+15`.
+    /// Action units as coded, e.g. `R2+15`.
     pub action_units: &'a str,
     /// The published objective class, e.g. `3`.
     pub objective: &'a str,
@@ -65,10 +65,10 @@ pub(super) struct Coded<'a> {
 #[serde(deny_unknown_fields)]
 struct Rule {
     name: String,
-    /// Emotions as the dataset calls them; `samm:anger` is SAMM's alone.
+    /// Emotions in the dataset's terms; `samm:anger` matches SAMM only.
     #[serde(default)]
     emotions: Vec<String>,
-    /// Combinations such as `6+12`, exactly so; with `+*` at the end others may be there too.
+    /// Combinations such as `6+12`, which match exactly; with `+*` at the end, other units may occur too.
     #[serde(default)]
     action_units: Vec<String>,
     /// Published objective classes, `1` to `7`.
@@ -91,7 +91,7 @@ impl Default for Classes {
 }
 
 impl Classes {
-    /// The division of a name in [`CLASS_SETS`], or of a TOML file.
+    /// The classes of a name in [`CLASS_SETS`], or of a TOML file.
     ///
     /// # Errors
     /// When it is neither, or the file does not hold 2 to 10 distinct classes.
@@ -132,11 +132,11 @@ impl Classes {
                 ));
             }
             if names.insert(name.to_lowercase(), name).is_some() {
-                return Err(format!("two classes are called {name:?}; give each its own name"));
+                return Err(format!("two classes have the name {name:?}; rename one"));
             }
             if let Some(units) = rule.action_units.iter().find(|units| pattern(units).is_none()) {
                 return Err(format!(
-                    "class {name:?}: expected action units like \"6+12\", or \"6+12+*\" where others may be there too; \
+                    "class {name:?}: expected action units like \"6+12\", or \"6+12+*\" where others may occur too; \
                      found `{}`",
                     excerpt(units)
                 ));
@@ -150,7 +150,7 @@ impl Classes {
             for (shown, key) in keys {
                 if let Some(other) = seen.insert(key, name).filter(|other| other != name) {
                     return Err(format!(
-                        "{shown} is in the classes {other:?} and {name:?}; leave it in one of them"
+                        "{shown} is in the classes {other:?} and {name:?}; keep it in one of them"
                     ));
                 }
             }
@@ -159,34 +159,34 @@ impl Classes {
         Ok(Self { title: title.to_owned(), names, rules: rules.into() })
     }
 
-    /// The name that it was opened by.
+    /// The name or path it was opened by.
     pub fn title(&self) -> &str {
         &self.title
     }
 
-    /// The classes' names; a class's number is its place.
+    /// The classes' names, by number.
     pub fn names(&self) -> &Arc<[String]> {
         &self.names
     }
 
-    /// Whether these are negative, positive and surprise, whose counts are published.
+    /// Whether these are negative, positive and surprise, whose published counts are known.
     pub fn are_default(&self) -> bool {
         self.title == CLASS_SETS[0].0
     }
 
-    /// Whether any class is made of published objective classes.
+    /// Whether any class uses published objective classes.
     pub(super) fn need_objective(&self) -> bool {
         self.rules.iter().any(|rule| !rule.objective.is_empty())
     }
 
-    /// The class that this name, in letters of either case, or number says.
+    /// The class with this name (case-insensitive) or number.
     pub(super) fn named(&self, text: &str) -> Option<usize> {
         let is =
             |(number, name): (usize, &String)| name.eq_ignore_ascii_case(text) || text == number.to_string();
         self.names.iter().enumerate().position(is)
     }
 
-    /// The first class that fits; none where the clip belongs to no class.
+    /// The first class that matches, if any.
     pub(super) fn of(&self, coded: &Coded) -> Option<usize> {
         let units = units(coded.action_units);
         self.rules.iter().position(|rule| rule.fits(coded, units.as_deref()))
@@ -206,7 +206,7 @@ impl Rule {
             || self.objective.iter().any(|text| same(text, coded.objective))
     }
 
-    /// Everything that it lists: as it stands there, and as it is compared.
+    /// All entries of the class: as written, and in the form they are compared in.
     fn keys(&self) -> Vec<(String, String)> {
         let emotions = self
             .emotions
@@ -253,8 +253,8 @@ fn pattern(text: &str) -> Option<Pattern> {
     (!units.is_empty()).then_some(Pattern { units, others })
 }
 
-/// The numbers of coded action units, rising, without side, asymmetry and intensity: `L14C+A7` is 7 and 14, as is
-/// `ref(7B)+14`. None where the coders left a choice (`L12 or L14`) or a doubt (`?`). Words such as `soft focus` are no units.
+/// The numbers of coded action units in ascending order, without side, asymmetry and intensity: `L14C+A7` is 7 and 14, as is
+/// `ref(7B)+14`. `None` for a choice (`L12 or L14`) or a doubt (`?`). Words such as `soft focus` are ignored.
 fn units(coded: &str) -> Option<Vec<u32>> {
     let mut units = Vec::new();
     for part in coded.split('+').map(str::trim).filter(|part| !part.is_empty()) {
@@ -355,7 +355,7 @@ mod tests {
         let happy = class("a", "emotions = [\"happiness\"]");
         for (text, expected) in [
             (happy.clone(), "expected 2 to 10 classes, found 1"),
-            (happy.repeat(2), "two classes are called \"a\""),
+            (happy.repeat(2), "two classes have the name \"a\""),
             (
                 happy.clone() + &class("b", "emotions = [\"Happiness\"]"),
                 "`Happiness` is in the classes \"a\" and \"b\"",

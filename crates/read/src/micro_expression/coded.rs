@@ -1,4 +1,4 @@
-//! Spreadsheets with one coded clip a row: onset, apex, offset, action units and an emotion. SAMM's and CASME II's differ
+//! Spreadsheets with one coded clip per row: onset, apex, offset, action units and emotion. Those of SAMM and CASME II differ
 //! only in the names of their columns and emotions.
 
 use std::collections::BTreeMap;
@@ -8,33 +8,33 @@ use super::classes::Coded;
 use super::sheet::{Form, Row, read_spreadsheet, spreadsheet_in};
 use super::{Annotation, ClipSource, DropReason, Dropped, Labels, MicroExpressionError};
 
-/// How one dataset's spreadsheet is coded.
+/// The format of one dataset's spreadsheet.
 pub struct Coding {
     pub form: &'static Form,
-    /// Columns of the onset, apex and offset frame.
+    /// Columns of the onset, apex and offset frames.
     pub frames: [&'static str; 3],
-    /// Digits of a subject's name: spreadsheets drop the leading zeros.
+    /// Number of digits in a subject's name: spreadsheets drop leading zeros.
     pub subject_digits: usize,
-    /// Every emotion in small letters.
+    /// All emotions in lower case.
     pub emotions: &'static [&'static str],
-    /// What the emotions are, for messages.
+    /// Name of the emotions in messages.
     pub emotions_called: &'static str,
-    /// Whether an apex that is not a number drops its row; otherwise it is an error.
+    /// Whether an apex that is not a number drops its row instead of being an error.
     pub apex_may_be_unknown: bool,
     pub objective: Objective,
 }
 
-/// Where the objective classes of clips (Davison, Merghani and Yap 2018) are published.
+/// Where the objective classes of clips (Davison, Merghani and Yap 2018) are stored.
 pub enum Objective {
-    /// In a column of the spreadsheet, which older releases do not have.
+    /// In a column of the spreadsheet, which older releases lack.
     Column(&'static str),
-    /// In a spreadsheet of their own, beside the other.
+    /// In a separate spreadsheet.
     Spreadsheet(&'static Form),
 }
 
 const EMOTION: &str = "Estimated Emotion";
 
-/// Reads the spreadsheet that `source` names.
+/// Reads the spreadsheet of `source`.
 pub fn read(coding: &Coding, source: &ClipSource) -> Result<Labels, MicroExpressionError> {
     let table = read_spreadsheet(coding.form, source)?;
     let objective = match coding.objective {
@@ -90,7 +90,7 @@ pub fn read(coding: &Coding, source: &ClipSource) -> Result<Labels, MicroExpress
     Ok(Labels { dataset: coding.form.kind.to_owned(), file: Some(table.path), annotations, dropped })
 }
 
-/// The objective class of each clip, by subject and clip, from the spreadsheet in the dataset's folder or beside the
+/// The objective class of each clip, by subject and clip, from the spreadsheet in the dataset's folder or next to the
 /// annotations.
 fn objective_classes(
     form: &Form,
@@ -110,6 +110,6 @@ fn objective_classes(
         kind: form.kind,
         dir: source.dir.clone(),
         expected: form.called,
-        found: "it is not there. Put it there, or beside the file of --annotations".to_owned(),
+        found: "it is missing. Put it there, or next to the file of --annotations".to_owned(),
     })
 }

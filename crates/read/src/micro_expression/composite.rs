@@ -1,10 +1,10 @@
-//! Several datasets as one, and the counts that are published of each.
+//! Several datasets combined, and the published counts of each.
 
 use std::collections::BTreeSet;
 
 use super::{Annotation, CLIP_KINDS, Classes, MicroExpressionError};
 
-/// Clips of each class, by the classes' numbers.
+/// Number of clips per class, by class number.
 pub fn count_classes<'a>(
     classes: &Classes,
     annotations: impl IntoIterator<Item = &'a Annotation>,
@@ -16,13 +16,13 @@ pub fn count_classes<'a>(
     counts
 }
 
-/// Negative, positive and surprise clips that the paper counts in a dataset; none for other datasets and other classes.
+/// The paper's counts of negative, positive and surprise clips in a dataset; `None` for other datasets and classes.
 pub fn published_counts(classes: &Classes, dataset: &str) -> Option<[usize; 3]> {
     let kind = CLIP_KINDS.iter().find(|kind| kind.name == dataset)?;
     kind.published.filter(|_| classes.are_default())
 }
 
-/// Checks that datasets can be one: subjects are identified by their dataset's name too.
+/// Checks that datasets can be combined: subjects are identified by dataset and name.
 ///
 /// # Errors
 /// When two have the same name.

@@ -5,52 +5,52 @@ use srflow_field::FileError;
 use super::frames::MissingFrames;
 use crate::flow::DatasetError;
 
-/// Why a micro-expression dataset could not be read.
+/// Errors of reading a micro-expression dataset.
 #[derive(Debug, thiserror::Error)]
 pub enum MicroExpressionError {
     #[error("`{found}`: expected KIND:DIR, e.g. samm:/data/SAMM. Kinds: {known}")]
     NotKindAndFolder {
         found: String,
-        /// The kinds there are.
+        /// The known kinds.
         known: String,
     },
-    /// No annotation file fits.
+    /// No annotation file was found.
     #[error("{kind}: looked for {expected} in {}; {found}", .dir.display())]
     NoAnnotations {
         kind: &'static str,
         dir: PathBuf,
-        /// What the file is.
+        /// Description of the file.
         expected: &'static str,
-        /// What there is instead, and what to do.
+        /// What was found instead, and advice.
         found: String,
     },
     /// A spreadsheet or table cannot be read.
     #[error("{}: {reason}", .path.display())]
     Table {
         path: PathBuf,
-        /// What was expected and found.
+        /// What was expected, and what was found.
         reason: String,
     },
-    /// The columns of a table are not those of this dataset.
+    /// A table has other columns than this dataset's.
     #[error("{}: expected {kind}'s columns ({expected}); {found}", .path.display())]
     Columns {
         path: PathBuf,
         kind: &'static str,
         expected: String,
-        /// What there is instead, and what to do.
+        /// What was found instead, and advice.
         found: String,
     },
-    /// A row does not hold what it must.
+    /// A row has an unexpected value.
     #[error("{}, row {row}: {reason}", .path.display())]
     Row {
         path: PathBuf,
-        /// Number of the row in the file, from 1.
+        /// Row number in the file, from 1.
         row: usize,
-        /// What was expected and found.
+        /// What was expected, and what was found.
         reason: String,
     },
     /// Two rows name the same clip.
-    #[error("{}: subject {subject}, clip {clip} is there twice; keep one of the rows", .path.display())]
+    #[error("{}: subject {subject}, clip {clip} exists twice; keep one of the rows", .path.display())]
     Twice { path: PathBuf, subject: String, clip: String },
     /// No clip belongs to any of the classes.
     #[error(
@@ -60,38 +60,38 @@ pub enum MicroExpressionError {
         dataset: String,
         /// The classes' names.
         classes: String,
-        /// The labels that there are.
+        /// The labels found.
         found: String,
     },
-    /// No clip's folder lies where it should.
+    /// No clip's folder was found.
     #[error("{kind}: looked for {looked_for}; {found}")]
     NoFolders {
         kind: &'static str,
         /// The first clip's folder.
         looked_for: String,
-        /// What there is instead, and what to do.
+        /// What was found instead, and advice.
         found: String,
     },
-    /// Frames are missing, and that was not allowed.
+    /// Frames are missing, which was not allowed.
     #[error(
-        "{dataset}: {frames} frames of {clips} clips are missing below {}:\n{listed}\ncopy them there, or go on without them with --allow-missing{key_frames}",
+        "{dataset}: {frames} frames of {clips} clips are missing below {}:\n{listed}\ncopy them there, or continue without them with --allow-missing{key_frames}",
         .root.display()
     )]
     Missing {
         dataset: String,
         /// The folder of the subjects' folders.
         root: PathBuf,
-        /// How many frames.
+        /// Number of missing frames.
         frames: u64,
-        /// Of how many clips.
+        /// Number of clips with missing frames.
         clips: usize,
-        /// The first of them, one clip a line.
+        /// The first clips, one per line.
         listed: String,
-        /// What to do when clips hold key frames alone.
+        /// Advice for clips that consist of key frames alone.
         key_frames: &'static str,
     },
-    /// Two datasets of one name.
-    #[error("two datasets are called `{0}`; give each once, plain ones in folders of different names")]
+    /// Two datasets have the same name.
+    #[error("two datasets have the name `{0}`; give each once, and plain ones in folders of different names")]
     SameName(String),
     /// A folder could not be listed.
     #[error(transparent)]
@@ -102,7 +102,7 @@ pub enum MicroExpressionError {
 }
 
 impl MicroExpressionError {
-    /// How many clips are named; the rest are counted.
+    /// How many clips are listed; the rest are counted.
     const NAMED: usize = 8;
 
     pub(super) fn missing(dataset: &str, root: &Path, missing: &[MissingFrames]) -> Self {
@@ -118,7 +118,7 @@ impl MicroExpressionError {
             clips: missing.len(),
             listed: listed.join("\n"),
             key_frames: match missing.iter().any(|clip| clip.holds_key_frames) {
-                true => "; for clips that hold onset, apex and offset alone, give --only-key-frames",
+                true => "; for clips with only onset, apex and offset, give --only-key-frames",
                 false => "",
             },
         }

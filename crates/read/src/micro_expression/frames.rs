@@ -1,4 +1,4 @@
-//! Where clips' frames lie, and which of them are missing.
+//! Locating the frames of clips, and finding missing ones.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -11,13 +11,13 @@ use crate::flow::listing;
 /// The folders of a dataset's clips, in the annotations' order; they need not exist.
 pub struct ClipFolders {
     pub folders: Vec<PathBuf>,
-    /// The folder that holds the subjects' folders.
+    /// The parent of the subjects' folders.
     pub root: PathBuf,
-    /// Which published form of the dataset it is.
+    /// The published form of the dataset.
     pub form: &'static str,
 }
 
-/// The first of `places` below `dir` (name and form) in which the folder of any clip lies.
+/// The first of `places` below `dir` (name and form) that contains the folder of any clip.
 pub fn below(
     kind: &'static str,
     dir: &Path,
@@ -35,7 +35,7 @@ pub fn below(
     let first = annotations.first().map(|annotation| folder(Path::new(""), annotation)).unwrap_or_default();
     let hint = match listing::elsewhere(dir, &first.display().to_string()) {
         Some(place) => format!("It is under {0}: give {kind}:{0}", place.display()),
-        None => "Give the folder that holds the subjects' folders".to_owned(),
+        None => "Give the folder that contains the subjects' folders".to_owned(),
     };
     Err(MicroExpressionError::NoFolders {
         kind,
@@ -44,29 +44,29 @@ pub fn below(
     })
 }
 
-/// Pictures of a folder by the last number in their names, however many digits it has.
+/// Pictures of a folder by the last number in their names, with any number of digits.
 pub fn numbered_frames(folder: &Path) -> Result<BTreeMap<u64, PathBuf>, MicroExpressionError> {
     let mut frames = BTreeMap::new();
     for path in listing::pictures(folder)? {
-        // A picture without a number is not of the recording.
+        // A picture without a number is not part of the recording.
         let Some(number) = listing::last_number(&listing::stem(&path)) else { continue };
         if let Some(other) = frames.insert(number, path.clone()) {
             let other = listing::name(&other);
-            let reason = format!("frame {number} is there twice, also as {other}; keep one of the two");
+            let reason = format!("frame {number} exists twice, also as {other}; keep one of the two");
             return Err(DatasetError::Format { path, reason }.into());
         }
     }
     Ok(frames)
 }
 
-/// What became of a dataset's annotations.
+/// The clips found, dropped, and missing.
 pub struct Located {
     pub clips: Vec<Clip>,
     pub dropped: Vec<Dropped>,
     pub missing: Vec<MissingFrames>,
 }
 
-/// Finds the frames of each annotation in its folder. With `only_key_frames`, nothing but onset and apex is missed.
+/// Finds the frames of each annotation in its folder. With `only_key_frames`, only onset and apex are required.
 pub fn locate(
     dataset: &str,
     annotations: Vec<Annotation>,
@@ -86,7 +86,7 @@ pub fn locate(
                 let absent = essential.iter().filter(|number| !frames.contains_key(number));
                 absent.map(|&number| (number, number)).collect()
             }
-            // An apex that is not known is looked for among all frames.
+            // An unknown apex has to be spotted among all frames.
             _ => gaps(&frames, annotation.onset, annotation.offset),
         };
         let whole = essential.iter().all(|number| frames.contains_key(number));
@@ -118,14 +118,14 @@ pub fn locate(
     Ok(located)
 }
 
-/// The frame between two others, when it is the only one.
+/// The only frame between two others; `None` if there are more or none.
 fn only_frame_between(frames: &BTreeMap<u64, PathBuf>, onset: u64, offset: u64) -> Option<u64> {
     let mut between = frames.range(onset.saturating_add(1)..offset.max(onset.saturating_add(1)));
     let first = between.next()?;
     between.next().is_none().then_some(*first.0)
 }
 
-/// The numbers from `first` to `last` that are not there, as inclusive ranges: what a table claims is never counted up.
+/// The missing numbers from `first` to `last`, as inclusive ranges: a huge range in a table is never enumerated.
 fn gaps(frames: &BTreeMap<u64, PathBuf>, first: u64, last: u64) -> Vec<(u64, u64)> {
     let mut gaps = Vec::new();
     let mut next = first;
@@ -141,23 +141,23 @@ fn gaps(frames: &BTreeMap<u64, PathBuf>, first: u64, last: u64) -> Vec<(u64, u64
     gaps
 }
 
-/// The frames of one clip that are not on disk.
+/// The missing frames of one clip.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MissingFrames {
     pub subject: String,
     pub clip: String,
-    /// The folder in which they were looked for.
+    /// The folder that was searched.
     pub folder: PathBuf,
     /// Their numbers, as inclusive ranges.
     pub numbers: Vec<(u64, u64)>,
-    /// Whether onset and apex are there, so that the clip can be used with key frames alone.
+    /// Whether onset and apex exist, so that the clip can be used with key frames alone.
     pub holds_key_frames: bool,
-    /// Whether onset or apex is among them, so that the clip cannot be used.
+    /// Whether onset or apex is missing, so that the clip cannot be used.
     pub dropped: bool,
 }
 
 impl MissingFrames {
-    /// How many.
+    /// The number of missing frames.
     pub fn count(&self) -> u64 {
         let counts = self.numbers.iter().map(|(first, last)| (last - first).saturating_add(1));
         counts.fold(0, u64::saturating_add)
@@ -178,7 +178,7 @@ impl fmt::Display for MissingFrames {
             write!(f, " and {} more gaps", self.numbers.len() - NAMED)?;
         }
         if !self.folder.is_dir() {
-            write!(f, " (there is no {})", self.folder.display())?;
+            write!(f, " (no folder {})", self.folder.display())?;
         }
         Ok(())
     }

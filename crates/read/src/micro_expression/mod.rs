@@ -1,7 +1,7 @@
 //! Micro-expression datasets: who shows which expression, in which frames.
 //!
-//! [`Labels::read`] reads a dataset's annotations and keeps the clips that belong to a class, with the reason why
-//! each other row is dropped; [`ClipDataset::open`] finds the kept clips' frames too. What differs between datasets is in one file each.
+//! [`Labels::read`] reads a dataset's annotations and keeps the clips that belong to a class, with a reason for every dropped
+//! row; [`ClipDataset::open`] also finds the frames of the kept clips. Each dataset has its own file.
 
 mod annotation;
 mod apex_list;
@@ -35,25 +35,25 @@ pub use source::{CLIP_KINDS, ClipKind, ClipSource};
 use frames::{Located, locate};
 use srflow_field::{excerpt, excerpts, is_unprintable};
 
-/// What a dataset's annotations say.
+/// The annotations of a dataset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Labels {
-    /// Name of the dataset, e.g. `casme2`; of a plain one that of its folder.
+    /// Name of the dataset, e.g. `casme2`; for a plain one the name of its folder.
     pub dataset: String,
-    /// The annotation file; none where the folders' names say everything.
+    /// The annotation file; `None` when the folder names hold the annotations.
     pub file: Option<PathBuf>,
-    /// The clips that belong to a class, in the file's order.
+    /// The clips that belong to a class, in file order.
     pub annotations: Vec<Annotation>,
-    /// The others.
+    /// The dropped rows.
     pub dropped: Vec<Dropped>,
 }
 
 impl Labels {
-    /// Reads the annotations; no frame is looked for.
+    /// Reads the annotations without looking for frames.
     ///
     /// # Errors
-    /// When there is no annotation file, it is another dataset's, one of its rows cannot be read, or no clip belongs to any
-    /// of the classes.
+    /// When the annotation file is missing or another dataset's, one of its rows cannot be read, or no clip belongs to any of
+    /// the classes.
     pub fn read(source: &ClipSource) -> Result<Self, MicroExpressionError> {
         let labels = (source.kind.labels)(source)?;
         let mut seen = BTreeSet::new();
@@ -82,7 +82,7 @@ impl Labels {
     }
 }
 
-/// Names go into paths, tables and reports: they are short and printable.
+/// Names are used in paths, tables and reports: they must be short and printable.
 fn check_names(annotation: &Annotation) -> Result<(), String> {
     const LONGEST: usize = 1000;
     let Annotation { subject, clip, label, action_units, .. } = annotation;
@@ -100,54 +100,53 @@ fn check_names(annotation: &Annotation) -> Result<(), String> {
     Ok(())
 }
 
-/// One clip and where its frames lie.
+/// One clip and its frames.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Clip {
     pub dataset: String,
-    /// Who, what and when.
     pub annotation: Annotation,
     /// Folder of the frames.
     pub folder: PathBuf,
-    /// The frames from onset to offset that are there, by their number.
+    /// The existing frames from onset to offset, by number.
     pub frames: BTreeMap<u64, PathBuf>,
 }
 
 impl Clip {
-    /// `dataset/subject/clip`: names the clip among all datasets.
+    /// `dataset/subject/clip`: unique among all datasets.
     pub fn id(&self) -> String {
         format!("{}/{}/{}", self.dataset, self.annotation.subject, self.annotation.clip)
     }
 
-    /// The file of a frame between onset and offset, when it is there.
+    /// The file of a frame between onset and offset, if it exists.
     pub fn frame(&self, number: u64) -> Option<&Path> {
         self.frames.get(&number).map(PathBuf::as_path)
     }
 }
 
-/// A dataset whose clips are found, ready to be read.
+/// A dataset whose clips were found.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ClipDataset {
-    /// Name of the dataset, e.g. `casme2`; of a plain one that of its folder.
+    /// Name of the dataset, e.g. `casme2`; for a plain one the name of its folder.
     pub name: String,
-    /// Which of its published forms was found: `raw`, `cropped`, `extended` or `short`; empty where there is but one.
+    /// The published form found: `raw`, `cropped`, `extended` or `short`; empty if there is only one.
     pub form: &'static str,
     pub dir: PathBuf,
-    /// The annotation file; none where the folders' names say everything.
+    /// The annotation file; `None` when the folder names hold the annotations.
     pub file: Option<PathBuf>,
-    /// The clips whose onset and apex frames are there.
+    /// The clips whose onset and apex frames exist.
     pub clips: Vec<Clip>,
-    /// Rows that are left out, by their label or because their frames are missing.
+    /// Rows dropped by label or for missing frames.
     pub dropped: Vec<Dropped>,
-    /// Every clip of which a frame between onset and offset is missing.
+    /// Every clip with a missing frame between onset and offset.
     pub missing: Vec<MissingFrames>,
 }
 
 impl ClipDataset {
-    /// Reads the annotations and finds the frames. With `allow_missing`, clips go on without frames that are missing, and
-    /// those without onset or apex are dropped; [`missing`](Self::missing) names all of them.
+    /// Reads the annotations and finds the frames. With `allow_missing`, clips may lack frames, and those without onset or apex
+    /// are dropped; [`missing`](Self::missing) lists all of them.
     ///
     /// # Errors
-    /// Those of [`Labels::read`]; when no clip's folder is found, or when frames are missing and that is not allowed.
+    /// Those of [`Labels::read`]; when no clip's folder is found, or when frames are missing without `allow_missing`.
     pub fn open(source: &ClipSource, allow_missing: bool) -> Result<Self, MicroExpressionError> {
         let mut labels = Labels::read(source)?;
         let annotations = std::mem::take(&mut labels.annotations);
@@ -169,7 +168,7 @@ impl ClipDataset {
         })
     }
 
-    /// The subjects that have a clip.
+    /// The subjects with at least one clip.
     pub fn subjects(&self) -> BTreeSet<&str> {
         self.clips.iter().map(|clip| clip.annotation.subject.as_str()).collect()
     }

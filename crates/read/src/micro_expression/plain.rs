@@ -1,8 +1,8 @@
-//! Anybody's clips: a `clips.csv` with a row per clip, beside the clips' folders.
+//! Users' own clips: a `clips.csv` with one row per clip, next to the clips' folders.
 //!
-//! Columns: `clip` (folder of the frames, relative to the CSV file), `subject`, `onset`, `apex`, `offset` (frame numbers:
-//! the last number in a picture's name; the apex may be empty) and `class` (a class's name or number, or an emotion that
-//! belongs to one). `label`, `action_units` and `objective` may be there too.
+//! Columns: `clip` (folder of the frames, relative to the CSV file), `subject`, `onset`, `apex`, `offset` (frame numbers: the
+//! last number in a picture's name; the apex may be empty) and `class` (a class's name or number, or an emotion that belongs
+//! to one). Optional: `label`, `action_units` and `objective`.
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +17,7 @@ use crate::flow::listing;
 pub(super) const KIND: ClipKind = ClipKind {
     name: "clips",
     releases: &[],
-    about: "anybody's clips, listed in a clips.csv",
+    about: "your own clips, listed in a clips.csv",
     published: None,
     form: None,
     labels: read,
@@ -27,10 +27,10 @@ pub(super) const KIND: ClipKind = ClipKind {
 /// Name of the CSV file.
 pub const PLAIN_NAME: &str = "clips.csv";
 
-/// The columns that the CSV file must have.
+/// Required columns.
 pub const PLAIN_COLUMNS: [&str; 6] = ["clip", "subject", "onset", "apex", "offset", "class"];
 
-/// The CSV file that a source names: the file itself, or `clips.csv` in its folder.
+/// The CSV file of a source: the file itself, or `clips.csv` in its folder.
 fn file_of(source: &ClipSource) -> PathBuf {
     match &source.annotations {
         Some(path) => path.clone(),
@@ -82,8 +82,8 @@ fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
     Ok(Labels { dataset: name_of(&file), file: Some(file), annotations, dropped })
 }
 
-/// The class that a row names, or that what is known of the clip belongs to. Every clip must have one of the default
-/// classes, so that a misspelt one is noticed.
+/// The class named by a row, or matched by the data of the clip. Every clip must have one of the default classes, so that a
+/// misspelt one is noticed.
 fn class_of(source: &ClipSource, row: Row) -> Result<Option<usize>, MicroExpressionError> {
     let classes = &source.classes;
     let text = row.text("class");
@@ -96,13 +96,13 @@ fn class_of(source: &ClipSource, row: Row) -> Result<Option<usize>, MicroExpress
         let text = row.filled("class")?;
         return Err(row.wrong(format!(
             "class: `{text}` is not a class; expected negative, positive or surprise, or its number 0, 1 or 2. Other \
-             classes are given by --classes"
+             classes need --classes"
         )));
     }
     Ok(class)
 }
 
-/// The folder's name: it identifies a plain dataset among several.
+/// The folder's name: identifies a plain dataset among several.
 fn name_of(file: &Path) -> String {
     let full = std::path::absolute(file).unwrap_or_else(|_| file.to_owned());
     full.parent().map(listing::name).filter(|name| !name.is_empty()).unwrap_or_else(|| "clips".to_owned())
@@ -123,7 +123,7 @@ fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolder
     Ok(ClipFolders { folders, root, form: "" })
 }
 
-/// Writes a CSV file that the kind `clips` reads, whole or not at all.
+/// Writes a CSV file for the kind `clips`, whole or not at all.
 ///
 /// # Errors
 /// When it cannot be written.

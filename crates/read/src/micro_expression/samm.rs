@@ -1,4 +1,4 @@
-//! SAMM (Davison et al. 2016), with the emotions of its release of 2017.
+//! SAMM (Davison et al. 2016), with the emotions of the 2017 release.
 //!
 //! Spreadsheet `SAMM_Micro_FACS_Codes_v2.xlsx`, sheet MICRO_ONLY; frames `SUBJECT/CLIP/SUBJECT_FRAME.jpg`, numbered with
 //! four or five digits depending on the clip.

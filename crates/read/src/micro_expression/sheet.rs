@@ -1,4 +1,4 @@
-//! Annotation tables: spreadsheets as they are published, and CSV files.
+//! Annotation tables: the published spreadsheets, and CSV files.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -10,20 +10,20 @@ use super::source::{CLIP_KINDS, ClipSource};
 use super::xlsx::{Cells, read_workbook};
 use crate::flow::listing;
 
-/// The header is looked for in so many rows.
+/// Number of rows in which the header is looked for.
 const HEADER_ROWS: u32 = 40;
 
-/// What a published spreadsheet looks like.
+/// The format of a published spreadsheet.
 #[derive(Debug)]
 pub struct Form {
     pub kind: &'static str,
-    /// What it is and how it is called, for messages.
+    /// Description and file name, for messages.
     pub called: &'static str,
-    /// Columns that the header row must name, as it spells them.
+    /// Columns that the header row must contain, exactly as spelled.
     pub columns: &'static [&'static str],
 }
 
-/// A table whose columns have names.
+/// A table with named columns.
 #[derive(Debug)]
 pub struct Table {
     pub path: PathBuf,
@@ -40,7 +40,7 @@ pub struct Row<'a> {
 }
 
 impl Table {
-    /// The rows below the header that hold anything.
+    /// The non-empty rows below the header.
     pub fn rows(&self) -> impl Iterator<Item = Row<'_>> {
         self.rows.iter().map(|(number, cells)| Row { table: self, number: *number, cells })
     }
@@ -56,7 +56,7 @@ impl Table {
 }
 
 impl<'a> Row<'a> {
-    /// The text of a column, without spaces around it; empty when the cell or the column is.
+    /// The trimmed text of a column; empty if the cell or the column is.
     pub fn text(self, column: &str) -> &'a str {
         let at = self.table.columns.get(&header_key(column));
         at.and_then(|at| self.cells.get(at)).map_or("", |text| text.trim())
@@ -68,7 +68,7 @@ impl<'a> Row<'a> {
         text.parse().map_err(|_| self.wrong(format!("{column}: expected a frame number, found `{text}`")))
     }
 
-    /// The text of a column that must hold some.
+    /// The text of a required column.
     pub fn filled(self, column: &str) -> Result<&'a str, MicroExpressionError> {
         match self.text(column) {
             "" => Err(self.wrong(format!("{column}: expected a value, found an empty cell"))),
@@ -76,7 +76,7 @@ impl<'a> Row<'a> {
         }
     }
 
-    /// The error that this row is wrong.
+    /// An error about this row.
     pub fn wrong(self, reason: String) -> MicroExpressionError {
         MicroExpressionError::Row {
             path: self.table.path.clone(),
@@ -86,7 +86,7 @@ impl<'a> Row<'a> {
     }
 }
 
-/// Reads the spreadsheet that `source` names, or the one in its folder that is of this form.
+/// Reads the spreadsheet of `source`, or the matching one in its folder.
 pub fn read_spreadsheet(form: &Form, source: &ClipSource) -> Result<Table, MicroExpressionError> {
     if let Some(path) = &source.annotations {
         return read_form(form, path);
@@ -97,11 +97,11 @@ pub fn read_spreadsheet(form: &Form, source: &ClipSource) -> Result<Table, Micro
     }
 }
 
-/// The spreadsheet of this form in a folder, when there is one.
+/// The spreadsheet of this form in a folder, if there is one.
 pub fn spreadsheet_in(form: &Form, dir: &Path) -> Result<Option<Table>, MicroExpressionError> {
     let mut fitting: Vec<Table> = Vec::new();
     let spreadsheets = listing::files(dir, &["xlsx"])?;
-    // Names that begin with ~$ are locks that an office program left.
+    // Names that start with ~$ are lock files of office programs.
     for path in spreadsheets.iter().filter(|path| !listing::name(path).starts_with("~$")) {
         match read_form(form, path) {
             Ok(table) => fitting.push(table),
@@ -111,7 +111,7 @@ pub fn spreadsheet_in(form: &Form, dir: &Path) -> Result<Option<Table>, MicroExp
     }
     if let [first, second, ..] = &fitting[..] {
         let found = format!(
-            "both {} and {} fit: name one with --annotations {}:FILE",
+            "both {} and {} match: choose one with --annotations {}:FILE",
             listing::name(&first.path),
             listing::name(&second.path),
             form.kind
@@ -125,7 +125,7 @@ fn none_fits(form: &Form, dir: &Path) -> MicroExpressionError {
     let spreadsheets = listing::files(dir, &["xlsx"]).unwrap_or_default();
     let names: Vec<String> = spreadsheets.iter().map(|path| listing::name(path)).collect();
     let there = match &names[..] {
-        [] => "no spreadsheet is there".to_owned(),
+        [] => "there is no spreadsheet".to_owned(),
         [only] => match read_form(form, &spreadsheets[0]) {
             Err(error) => format!("{only} is not it: {error}"),
             Ok(_) => String::new(),
@@ -135,7 +135,7 @@ fn none_fits(form: &Form, dir: &Path) -> MicroExpressionError {
     no_annotations(
         form,
         dir,
-        format!("{there}. Put it there, or name it with --annotations {}:FILE", form.kind),
+        format!("{there}. Put it there, or give it with --annotations {}:FILE", form.kind),
     )
 }
 
@@ -143,7 +143,7 @@ fn no_annotations(form: &Form, dir: &Path, found: String) -> MicroExpressionErro
     MicroExpressionError::NoAnnotations { kind: form.kind, dir: dir.to_owned(), expected: form.called, found }
 }
 
-/// Reads a spreadsheet of one form: the first sheet that has its header row.
+/// Reads a spreadsheet of one form: the first sheet with its header row.
 fn read_form(form: &Form, path: &Path) -> Result<Table, MicroExpressionError> {
     let sheets = read_sheets(path)?;
     for rows in &sheets {
@@ -169,7 +169,7 @@ fn read_form(form: &Form, path: &Path) -> Result<Table, MicroExpressionError> {
     })
 }
 
-/// The row that names all `columns`, and where each of its names stands.
+/// The row that contains all `columns`, and the position of each name in it.
 fn header_of(rows: &Cells, columns: &[&str]) -> Option<(u32, BTreeMap<String, u32>)> {
     rows.range(..HEADER_ROWS).find_map(|(row, cells)| {
         let mut named = BTreeMap::new();
@@ -180,7 +180,7 @@ fn header_of(rows: &Cells, columns: &[&str]) -> Option<(u32, BTreeMap<String, u3
     })
 }
 
-/// Spaces inside count: `Onset Frame` is SAMM's and `OnsetFrame` CASME II's.
+/// Spaces inside a name count: `Onset Frame` is SAMM's and `OnsetFrame` CASME II's.
 fn header_key(text: &str) -> String {
     text.trim().trim_start_matches('\u{feff}').to_lowercase()
 }
@@ -189,11 +189,11 @@ fn read_sheets(path: &Path) -> Result<Vec<Cells>, MicroExpressionError> {
     let bytes = read_file(path, FileKind::Spreadsheet)?;
     read_workbook(bytes).map_err(|reason| MicroExpressionError::Table {
         path: path.to_owned(),
-        reason: format!("expected a sound .xlsx spreadsheet: {}", excerpt(&reason)),
+        reason: format!("expected a valid .xlsx spreadsheet: {}", excerpt(&reason)),
     })
 }
 
-/// Reads a CSV file whose first row names at least `columns`.
+/// Reads a CSV file whose header contains at least `columns`.
 pub fn read_csv(kind: &'static str, path: &Path, columns: &[&str]) -> Result<Table, MicroExpressionError> {
     let wrong = |reason: String| MicroExpressionError::Table { path: path.to_owned(), reason };
     let mut reader = csv::ReaderBuilder::new()

@@ -1,11 +1,11 @@
-//! SMIC-HS (Li et al. 2013), the extended recordings or the short ones.
+//! SMIC-HS (Li et al. 2013), extended or short recordings.
 //!
 //! Extended: spreadsheet `SMIC-HS-E_annotation.xlsx`, sheet HS; frames `SMIC_HS_E/sSS/CLIP/imageFRAME.jpg`. Short: frames
-//! `HS/SUBJECT/micro/CLASS/CLIP/*`, from onset to offset. A subject below 10 is `1` in clip names of the one and `01` in
-//! those of the other, so that names are compared by their parts.
+//! `HS/SUBJECT/micro/CLASS/CLIP/*`, from onset to offset. A subject below 10 is `1` in the clip names of one form and `01` in
+//! those of the other, so names are compared by their parts.
 //!
-//! The class is that of the clip's name: the spreadsheet's column calls s18_sur_03 negative. There is no annotated apex;
-//! a list of apex frames, as CapsuleNet for micro-expressions (Quang et al. 2019) published it, is read when it is there.
+//! The class is taken from the clip's name: the spreadsheet's column lists s18_sur_03 as negative. There is no annotated apex;
+//! a list of apex frames, as published with CapsuleNet for micro-expressions (Quang et al. 2019), is read if present.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -34,10 +34,10 @@ static FORM: Form = Form {
     columns: &["Subject", "Filename", "OnsetF", "OffsetF", "Onset2F", "Emotion"],
 };
 
-/// Names under which the list of apex frames is published.
+/// Published names of the list of apex frames.
 const APEX_LISTS: [&str; 2] = ["smic_apex.csv", "data_apex.csv"];
 
-/// The clips of MEGC2019's list that CapsuleNet, and the paper with it, leave out.
+/// The clips of MEGC 2019's list that CapsuleNet, and with it the paper, leave out.
 const NOT_IN_APEX_LIST: [Key; 7] = [
     Key { subject: 1, class: EmotionClass::Negative, number: 2 },
     Key { subject: 3, class: EmotionClass::Negative, number: 3 },
@@ -48,7 +48,7 @@ const NOT_IN_APEX_LIST: [Key; 7] = [
     Key { subject: 9, class: EmotionClass::Surprise, number: 2 },
 ];
 
-/// What a clip's name says, e.g. `s01_ne_02` and `s1_ne_02`.
+/// The parts of a clip's name, e.g. `s01_ne_02` and `s1_ne_02`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 struct Key {
     subject: u32,
@@ -70,7 +70,7 @@ impl Key {
         parts.next().is_none().then_some(Self { subject, class, number })
     }
 
-    /// Its number among the classes; its emotion is what its name says.
+    /// The number of its class; its emotion is given by its name.
     fn class(self, source: &ClipSource) -> Option<usize> {
         source.classes.of(&Coded {
             kind: "smic",
@@ -84,7 +84,7 @@ impl Key {
         format!("{:02}", self.subject)
     }
 
-    /// For maps; classes have no order of their own.
+    /// For maps; classes have no order.
     fn order(self) -> (u32, u8, u32) {
         (self.subject, self.class as u8, self.number)
     }
@@ -107,7 +107,7 @@ fn read(source: &ClipSource) -> Result<Labels, MicroExpressionError> {
     Ok(Labels { dataset: "smic".to_owned(), file, annotations, dropped })
 }
 
-/// What a spreadsheet or the clips' folders say.
+/// The annotations of the spreadsheet or the clips' folders.
 #[derive(Default)]
 struct Rows {
     file: Option<PathBuf>,
@@ -153,7 +153,7 @@ fn of_table(source: &ClipSource, table: Table) -> Result<Rows, MicroExpressionEr
         };
         let subject = row.filled("Subject")?;
         if subject.trim_start_matches(['s', 'S']).parse() != Ok(key.subject) {
-            return Err(row.wrong(format!("subject `{subject}` has a clip called {clip}")));
+            return Err(row.wrong(format!("clip {clip} is listed under subject `{subject}`")));
         }
         let Some(class) = rows.class(source, key, &clip, &label) else { continue };
         let (onset, offset) = (row.frame("OnsetF")?, row.frame("OffsetF")?);
@@ -166,7 +166,7 @@ fn of_table(source: &ClipSource, table: Table) -> Result<Rows, MicroExpressionEr
     Ok(rows)
 }
 
-/// The folder of the subjects' folders of the short recordings, when they are there.
+/// The parent of the subjects' folders of the short recordings, if present.
 fn short_root(dir: &Path) -> Result<Option<PathBuf>, MicroExpressionError> {
     for place in ["", "HS", "SMIC_all_cropped/HS", "SMIC_all_raw/HS"] {
         let root = dir.join(place);
@@ -197,7 +197,7 @@ fn extended_clips(root: &Path) -> Result<Vec<(Key, PathBuf)>, MicroExpressionErr
     Ok(clips)
 }
 
-/// The folders of `dir` that are named as clips are.
+/// The folders of `dir` with names of clips.
 fn clips_in(dir: &Path) -> Result<impl Iterator<Item = (Key, PathBuf)> + use<>, MicroExpressionError> {
     let folders = listing::folders(dir)?;
     Ok(folders.into_iter().filter_map(|clip| Some((Key::of(&listing::name(&clip))?, clip))))
@@ -224,7 +224,7 @@ fn of_short_clips(source: &ClipSource, root: &Path) -> Result<Rows, MicroExpress
     Ok(rows)
 }
 
-/// Takes the apex of each clip from a list with the columns data, clip and apex_frame; other datasets' rows are left.
+/// Sets the apex of each clip from a list with the columns data, clip and apex_frame; rows of other datasets are ignored.
 fn add_apexes(list: &Path, annotations: &mut [Annotation]) -> Result<(), MicroExpressionError> {
     let table = read_csv("smic", list, &["data", "clip", "apex_frame"])?;
     let mut apexes = BTreeMap::new();
@@ -272,7 +272,7 @@ fn folders(source: &ClipSource, annotations: &[Annotation]) -> Result<ClipFolder
                         places[2].join("s01/s1_ne_01").display(),
                         dir.join("HS/s1/micro/negative").display()
                     ),
-                    found: format!("{found}. Give the folder that holds HS_long or HS"),
+                    found: format!("{found}. Give the folder that contains HS_long or HS"),
                 });
             };
             found.extend(extended_clips(root)?.into_iter().map(|(key, folder)| (key.order(), folder)));

@@ -6,22 +6,22 @@ use super::frames::ClipFolders;
 use super::sheet::Form;
 use super::{Annotation, Classes, Labels, MicroExpressionError, casme2, plain, samm, smic};
 
-/// A kind of micro-expression dataset: how it is named and read.
+/// A kind of micro-expression dataset: its names and readers.
 #[derive(Debug)]
 pub struct ClipKind {
-    /// The word that `KIND:DIR` begins with, e.g. `casme2`.
+    /// The name in `KIND:DIR`, e.g. `casme2`.
     pub name: &'static str,
-    /// The releases that may follow it after a hyphen; without one, the release that is there is read.
+    /// Releases that may follow after a hyphen; without one, the release that is found is read.
     pub releases: &'static [&'static str],
-    /// What it is, in a few words.
+    /// Title in the help.
     pub about: &'static str,
-    /// Negative, positive and surprise clips that the paper (its table of the micro-expression datasets) counts.
+    /// The paper's counts of negative, positive and surprise clips (its table of the micro-expression datasets).
     pub published: Option<[usize; 3]>,
-    /// Its annotation spreadsheet, where it has one.
+    /// Its annotation spreadsheet, if it has one.
     pub(super) form: Option<&'static Form>,
     /// Reads its annotations.
     pub(super) labels: fn(&ClipSource) -> Result<Labels, MicroExpressionError>,
-    /// Finds the folders of the clips of these annotations.
+    /// Finds the folders of the annotated clips.
     pub(super) folders: fn(&ClipSource, &[Annotation]) -> Result<ClipFolders, MicroExpressionError>,
 }
 
@@ -44,30 +44,28 @@ impl PartialEq for ClipKind {
 
 impl Eq for ClipKind {}
 
-/// A micro-expression dataset on disk, as `KIND:DIR` names it.
+/// A micro-expression dataset on disk, as in `KIND:DIR`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ClipSource {
-    /// How it is named and read.
     pub kind: &'static ClipKind,
-    /// The one of the kind's releases that was asked for.
+    /// The requested release.
     pub release: Option<&'static str>,
-    /// Its folder, in which annotations and frames are looked for; of plain clips it may be the CSV file.
+    /// Its folder, which contains annotations and frames; for plain clips it may be the CSV file.
     pub dir: PathBuf,
-    /// The annotation file, when it lies elsewhere.
+    /// The annotation file, if elsewhere.
     pub annotations: Option<PathBuf>,
-    /// The list of apex frames for SMIC, when it lies elsewhere.
+    /// The list of apex frames for SMIC, if elsewhere.
     pub apex_list: Option<PathBuf>,
-    /// What its clips are divided into.
     pub classes: Classes,
-    /// Onset and apex are the only frames that a clip must have. The apex of one without an annotated apex is the single
-    /// frame between onset and offset.
+    /// Require only the onset and apex frames of a clip. Without an annotated apex, it is the single frame between onset and
+    /// offset.
     pub only_key_frames: bool,
 }
 
 impl FromStr for ClipSource {
     type Err = MicroExpressionError;
 
-    /// Reads `KIND:DIR`; the folder may hold further colons. Nothing is opened.
+    /// Parses `KIND:DIR`; the folder may contain colons. Nothing is opened.
     fn from_str(text: &str) -> Result<Self, MicroExpressionError> {
         let wrong = || {
             let known: Vec<String> = CLIP_KINDS.iter().map(ClipKind::to_string).collect();

@@ -1,6 +1,6 @@
-//! Excel workbooks (`.xlsx`: ECMA-376, part 1, section 18): the text of the cells of every sheet, and nothing else.
+//! Excel workbooks (`.xlsx`: ECMA-376, part 1, section 18): only the text of the cells of every sheet.
 //!
-//! Whatever a file claims, no more than [`Budget`] allows is inflated, kept or repeated.
+//! Whatever a file claims, no more than [`Budget`] is inflated, kept or repeated.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Cursor, Read};
@@ -12,15 +12,15 @@ use quick_xml::events::{BytesStart, Event};
 use zip::ZipArchive;
 use zip::result::ZipError;
 
-/// Text of the cells by row and column, both from 0; empty cells are left out.
+/// Text of the cells by row and column, both from 0, without empty cells.
 pub(super) type Cells = BTreeMap<u32, BTreeMap<u32, String>>;
 
 const MAX_SHEETS: usize = 64;
-/// Rows and columns that are looked at.
+/// Limits on rows and columns.
 const MAX_ROWS: u32 = 100_000;
 const MAX_COLUMNS: u32 = 256;
 
-/// What a workbook may take. The published ones inflate to 0.2 MB and hold 5,000 cells.
+/// Limits on a workbook. The published ones inflate to 0.2 MB and contain 5,000 cells.
 struct Budget {
     inflated: u64,
     cells: usize,
@@ -44,10 +44,10 @@ impl Budget {
     }
 }
 
-/// The cells of every worksheet, in the workbook's order.
+/// The cells of every worksheet, in workbook order.
 ///
 /// # Errors
-/// What is wrong, without the file's name.
+/// What is wrong, without the file name.
 pub(super) fn read_workbook(bytes: Vec<u8>) -> Result<Vec<Cells>, String> {
     let mut workbook = Workbook {
         archive: srflow_field::open_zip(bytes).map_err(|error| error.to_string())?,
@@ -55,11 +55,11 @@ pub(super) fn read_workbook(bytes: Vec<u8>) -> Result<Vec<Cells>, String> {
     };
     let targets = match workbook.part("xl/_rels/workbook.xml.rels")? {
         Some(text) => relationships(&text)?,
-        None => return Err("no xl/_rels/workbook.xml.rels in it".into()),
+        None => return Err("it has no xl/_rels/workbook.xml.rels".into()),
     };
     let sheets = match workbook.part("xl/workbook.xml")? {
         Some(text) => sheet_relationships(&text)?,
-        None => return Err("no xl/workbook.xml in it".into()),
+        None => return Err("it has no xl/workbook.xml".into()),
     };
     let strings = match workbook.part("xl/sharedStrings.xml")? {
         Some(text) => shared_strings(&text)?,
@@ -79,7 +79,7 @@ pub(super) fn read_workbook(bytes: Vec<u8>) -> Result<Vec<Cells>, String> {
         if !name.contains("worksheets/") {
             continue; // a chart
         }
-        let text = workbook.part(&name)?.ok_or_else(|| format!("no {name} in it"))?;
+        let text = workbook.part(&name)?.ok_or_else(|| format!("it has no {name}"))?;
         found.push(cells(&text, &strings, &mut workbook.left)?);
     }
     Ok(found)
@@ -91,7 +91,7 @@ struct Workbook {
 }
 
 impl Workbook {
-    /// The text of a part; none where there is none.
+    /// The text of a part, if present.
     fn part(&mut self, name: &str) -> Result<Option<String>, String> {
         let entry = match self.archive.by_name(name) {
             Ok(entry) => entry,
@@ -99,7 +99,7 @@ impl Workbook {
             Err(error) => return Err(format!("{name}: {error}")),
         };
         let mut bytes = Vec::new();
-        // The directory's size is a claim: what comes out is counted.
+        // The directory's size is only a claim: the output is counted.
         let count = entry.take(self.left.inflated + 1).read_to_end(&mut bytes);
         let count = count.map_err(|error| format!("{name}: {error}"))? as u64;
         self.left.inflated =
@@ -128,7 +128,7 @@ fn attribute(tag: &BytesStart, is_name: impl Fn(&str) -> bool) -> Result<Option<
     Ok(None)
 }
 
-/// Targets by the relationships' names.
+/// Targets of the relationships, by id.
 fn relationships(text: &str) -> Result<BTreeMap<String, String>, String> {
     let mut xml = Reader::from_str(text);
     let mut targets = BTreeMap::new();
@@ -163,7 +163,7 @@ fn sheet_relationships(text: &str) -> Result<Vec<String>, String> {
     }
 }
 
-/// The strings that cells name by number. The counts that the table claims are passed over.
+/// The shared strings. The counts that the table claims are ignored.
 fn shared_strings(text: &str) -> Result<Vec<String>, String> {
     let mut xml = Reader::from_str(text);
     let mut strings = Vec::new();
@@ -179,7 +179,7 @@ fn shared_strings(text: &str) -> Result<Vec<String>, String> {
     }
 }
 
-/// The runs of text up to the end of `element`, without what tells how to pronounce it.
+/// The runs of text up to the end of `element`, without phonetic text.
 fn rich_text(xml: &mut Xml, element: &str) -> Result<String, String> {
     let mut text = String::new();
     let mut pronunciation = false;
@@ -196,7 +196,7 @@ fn rich_text(xml: &mut Xml, element: &str) -> Result<String, String> {
                 }
             }
             Event::End(tag) if tag.local_name().as_ref() == element => return Ok(text),
-            Event::Eof => return Err(format!("cut short in <{element}>")),
+            Event::Eof => return Err(format!("truncated in <{element}>")),
             _ => {}
         }
     }
@@ -214,12 +214,12 @@ fn plain_text(xml: &mut Xml, element: &str) -> Result<String, String> {
                     Some(c) => text.push(c),
                     None => {
                         let known = resolve_predefined_entity(&entity.xml10_content());
-                        text.push_str(known.ok_or("an entity that XML does not know")?);
+                        text.push_str(known.ok_or("an unknown entity")?);
                     }
                 }
             }
             Event::End(tag) if tag.local_name().as_ref() == element => return Ok(text),
-            Event::Eof => return Err(format!("cut short in <{element}>")),
+            Event::Eof => return Err(format!("truncated in <{element}>")),
             _ => {}
         }
     }
@@ -229,13 +229,13 @@ fn plain_text(xml: &mut Xml, element: &str) -> Result<String, String> {
 fn cells(text: &str, strings: &[String], left: &mut Budget) -> Result<Cells, String> {
     let mut xml = Reader::from_str(text);
     let mut cells = Cells::new();
-    let (mut row, mut column) = (0_u32, 0_u32); // of the next cell, where it does not say
+    let (mut row, mut column) = (0_u32, 0_u32); // of the next cell, unless it has a reference
     loop {
         match next(&mut xml)? {
             Event::Start(tag) if tag.local_name().as_ref() == "row" => {
                 if let Some(number) = attribute(&tag, |name| name == "r")? {
                     let number = number.parse::<u32>().ok().filter(|number| *number > 0);
-                    row = number.ok_or("a row whose number is none")? - 1;
+                    row = number.ok_or("a row with an invalid number")? - 1;
                 }
                 column = 0;
             }
@@ -275,7 +275,7 @@ fn position(reference: &str) -> Option<(u32, u32)> {
     Some((row.parse::<u32>().ok()?.checked_sub(1)?, column))
 }
 
-/// The text of a cell, as the sheet shows it but for formats: numbers in their shortest form.
+/// The text of a cell as displayed, but without number formats: numbers in their shortest form.
 fn cell_text(xml: &mut Xml, tag: &BytesStart, strings: &[String]) -> Result<String, String> {
     let kind = attribute(tag, |name| name == "t")?;
     let (mut value, mut inline) = (None, None);
@@ -287,7 +287,7 @@ fn cell_text(xml: &mut Xml, tag: &BytesStart, strings: &[String]) -> Result<Stri
                 _ => {}
             },
             Event::End(tag) if tag.local_name().as_ref() == "c" => break,
-            Event::Eof => return Err("cut short in a cell".into()),
+            Event::Eof => return Err("truncated in a cell".into()),
             _ => {}
         }
     }
@@ -297,14 +297,14 @@ fn cell_text(xml: &mut Xml, tag: &BytesStart, strings: &[String]) -> Result<Stri
         Some("s") if value.is_empty() => value,
         Some("s") => {
             let string = value.trim().parse().ok().and_then(|number: usize| strings.get(number));
-            string.ok_or("a cell names a shared string that is not there")?.clone()
+            string.ok_or("a cell refers to a missing shared string")?.clone()
         }
         Some("b") => (value != "0").to_string(),
         Some("e") => String::new(),
         Some("str" | "d") => value,
-        // Displays whole numbers without a fraction, so that frame numbers read as such.
+        // Prints whole numbers without a fraction, for frame numbers.
         Some("n") | None => value.parse::<f64>().map_or(value, |number| number.to_string()),
-        Some(other) => return Err(format!("a cell of the kind `{}`", srflow_field::excerpt(other))),
+        Some(other) => return Err(format!("a cell of the unknown type `{}`", srflow_field::excerpt(other))),
     })
 }
 
@@ -321,7 +321,7 @@ mod tests {
     const WORKBOOK: &str =
         r#"<workbook xmlns:r="x"><sheets><sheet name="a" sheetId="1" r:id="r1"/></sheets></workbook>"#;
 
-    /// A workbook of these strings and this sheet, with other parts where given.
+    /// A workbook with these strings and this sheet; `parts` override others.
     fn workbook(parts: &[(&str, &str)]) -> Vec<u8> {
         let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
         let standard = [("xl/_rels/workbook.xml.rels", RELATIONSHIPS), ("xl/workbook.xml", WORKBOOK)];

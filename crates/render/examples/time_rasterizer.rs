@@ -19,7 +19,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     turned.joints[0] = Quat::from_rotation_y(0.03);
     avatar.gaussians_into(&turned, &mut posed, &mut second);
 
-    // One metre before the middle of the head, facing it.
+    // One metre in front of the centre of the head, facing it.
     let (mut low, mut high) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
     for &vertex in &avatar.shaped().vertices {
         (low, high) = (low.min(vertex), high.max(vertex));

@@ -1,4 +1,4 @@
-//! Making datasets: scenes with exact flow, labelled micro-expression clips, their statistics and their check.
+//! Renders datasets: scenes with exact flow and labelled micro-expression clips, with statistics and a check.
 
 pub mod camera;
 pub mod check;

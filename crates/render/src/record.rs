@@ -1,4 +1,4 @@
-//! What is known of a pair of frames beside its pictures: one small JSON file each.
+//! The record of a pair of frames: one small JSON file each.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use srflow_field::{FileKind, read_text};
 use crate::statistics::FlowSummary;
 use srflow_read::manifest::CameraRecord;
 
-/// What `pairs/SCENE/NNNNN.json` holds.
+/// The contents of `pairs/SCENE/NNNNN.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PairRecord {
     /// The first frame.
@@ -20,26 +20,26 @@ pub struct PairRecord {
     pub flow: FlowSummary,
 }
 
-/// Camera and motion at one frame.
+/// Camera and motion in one frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FrameRecord {
     /// Number of the frame in its scene, from 0.
     pub frame: u32,
     /// Intrinsics and extrinsics.
     pub camera: CameraRecord,
-    /// Where the camera stands about the head, relative to camera 9: azimuth, elevation and roll in degrees.
+    /// The camera's position about the head, relative to camera 9: azimuth, elevation and roll in degrees.
     pub view: [f64; 3],
-    /// How the whole subject is turned: yaw, pitch and roll in degrees. It is part of the root joint's rotation.
+    /// Rotation of the whole subject: yaw, pitch and roll in degrees. It is part of the root joint's rotation.
     pub subject: [f64; 3],
-    /// Weights of the head model's expressions by their names; those at zero are left out.
+    /// Weights of the head model's expressions by name, without zeros.
     pub expressions: BTreeMap<String, f32>,
     /// Rotation of each joint about its rest position, as quaternion `[x, y, z, w]`.
     pub joints: BTreeMap<String, [f32; 4]>,
     /// Translation of the head in metres.
     pub translation: [f32; 3],
-    /// Where the eyes look relative to the head, in radians: to the subject's left and up.
+    /// Gaze relative to the head, in radians: to the subject's left and up.
     pub gaze: [f32; 2],
-    /// Intensities of the action units shown, 0 to 1: `AU12_L` and `AU12_R` where a unit has halves, else `AU9`.
+    /// Intensities of the action units, 0 to 1: `AU12_L` and `AU12_R` where a unit has halves, else `AU9`.
     pub action_units: BTreeMap<String, f32>,
 }
 
@@ -48,12 +48,11 @@ pub(crate) fn json_text(content: &impl Serialize) -> String {
     serde_json::to_string_pretty(content).expect("numbers, text, lists and maps by text") + "\n"
 }
 
-/// Why a record could not be read.
+/// A record could not be read.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: {reason}; delete the file and run `srflow render` again to make it", .path.display())]
+#[error("{}: {reason}; delete the file and run `srflow render` again to rewrite it", .path.display())]
 pub struct RecordError {
     pub path: PathBuf,
-    /// What is wrong with it.
     pub reason: String,
 }
 
@@ -61,7 +60,7 @@ impl PairRecord {
     /// Reads a record.
     ///
     /// # Errors
-    /// When it cannot be read or is not what `srflow render` writes.
+    /// When it cannot be read or does not have the format that `srflow render` writes.
     pub fn read(path: &Path) -> Result<Self, RecordError> {
         let failed = |reason| RecordError { path: path.to_owned(), reason };
         let text = read_text(path, FileKind::Json).map_err(|error| failed(error.problem.to_string()))?;

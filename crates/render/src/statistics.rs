@@ -1,4 +1,4 @@
-//! What a dataset holds, in numbers: the paper's Table I and how far pixels move.
+//! Statistics of a dataset: the paper's Table I and a histogram of flow magnitudes.
 
 use serde::{Deserialize, Serialize};
 use srflow_field::{FlowField, Mask};
@@ -13,23 +13,23 @@ pub const BINS: usize = 13;
 pub struct FlowSummary {
     /// Pixels of the head mask.
     pub pixels: u64,
-    /// Pixels of the head mask that the next frame does not show.
+    /// Pixels of the head mask that are not visible in the next frame.
     pub occluded: u64,
-    /// Sum of the magnitudes, in pixels.
+    /// Sum of magnitudes, in pixels.
     pub sum: f64,
-    /// Greatest magnitude, in pixels.
+    /// Maximum magnitude, in pixels.
     pub max: f32,
-    /// Pixels in each bin, see [`bin_edges`].
+    /// Number of pixels in each bin, see [`bin_edges`].
     pub histogram: [u64; BINS],
 }
 
-/// Edges of the histogram's bins in pixels: bin `i` is from edge `i` to edge `i + 1`, the last one is open.
+/// Edges of the histogram's bins in pixels: bin `i` ranges from edge `i` to edge `i + 1`, the last one is open.
 pub fn bin_edges() -> [f32; BINS] {
     std::array::from_fn(|i| if i == 0 { 0.0 } else { f32::from_bits((127 - 5 + i as u32) << 23) })
 }
 
 impl FlowSummary {
-    /// Of one frame's flow where `mask` is true.
+    /// Statistics of one frame's flow where `mask` is true.
     pub fn of(flow: &FlowField, mask: &Mask, occlusion: &Mask) -> Self {
         let mut summary = Self::default();
         let mut greatest_square = 0.0_f32;
@@ -51,7 +51,7 @@ impl FlowSummary {
         summary
     }
 
-    /// Adds another frame's.
+    /// Adds the statistics of another frame.
     pub fn add(&mut self, other: &Self) {
         self.pixels += other.pixels;
         self.occluded += other.occluded;
@@ -62,7 +62,7 @@ impl FlowSummary {
         }
     }
 
-    /// Mean magnitude in pixels; 0 when there is no pixel.
+    /// Mean magnitude in pixels; 0 without pixels.
     pub fn mean(&self) -> f64 {
         if self.pixels == 0 { 0.0 } else { self.sum / self.pixels as f64 }
     }
@@ -74,14 +74,14 @@ fn bin_of_square(square: f32) -> usize {
     (exponent + 5).clamp(0, BINS as i32 - 1) as usize
 }
 
-/// What `statistics.json` holds.
+/// The contents of `statistics.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Statistics {
     /// Number of scenes.
     pub scenes: usize,
-    /// Mean number of frame pairs in a scene, as "Avg. Frames" in the paper's Table I.
+    /// Mean number of frame pairs per scene, "Avg. Frames" in the paper's Table I.
     pub average_frames: f64,
-    /// Number of frame pairs, as "Total Frames" in the paper's Table I.
+    /// Number of frame pairs, "Total Frames" in the paper's Table I.
     pub total_frames: u64,
     /// Frame width in pixels.
     pub width: usize,
@@ -91,7 +91,7 @@ pub struct Statistics {
     pub splits: Vec<SplitStatistics>,
     /// Mean flow magnitude on the head, in pixels.
     pub mean_magnitude: f64,
-    /// Share of the head's pixels that the next frame does not show.
+    /// Share of the head's pixels that are not visible in the next frame.
     pub occluded_share: f64,
     /// Lower edges of the histogram's bins, in pixels.
     pub bin_edges: [f32; BINS],
@@ -99,19 +99,18 @@ pub struct Statistics {
     pub flow: FlowSummary,
 }
 
-/// Size of one part of a dataset.
+/// Size of one split.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SplitStatistics {
-    /// The part.
     pub split: SceneSplit,
-    /// Number of its scenes.
+    /// Number of scenes.
     pub scenes: usize,
-    /// Number of its pairs.
+    /// Number of pairs.
     pub pairs: u64,
 }
 
 impl Statistics {
-    /// Of a whole dataset, whose pairs' flow is summed up in `flow`.
+    /// Statistics of a complete dataset, with the flow of all pairs summed up in `flow`.
     pub fn new(manifest: &Manifest, flow: FlowSummary) -> Self {
         let scenes = manifest.scenes.len();
         let splits = SceneSplit::ALL.map(|split| SplitStatistics {

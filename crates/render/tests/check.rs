@@ -1,4 +1,4 @@
-//! A rendered dataset passes its check, and nothing of it can be changed unnoticed.
+//! A rendered dataset passes its check, and every change to it is detected.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -24,7 +24,7 @@ fn render(dir: &Path) {
     generate(&settings, Request::new(dir)).unwrap();
 }
 
-/// Every problem as `FILE: WHAT`, with files as seen from the dataset's folder.
+/// Every problem as `FILE: WHAT`, with paths relative to the dataset's folder.
 fn problems(dir: &Path) -> Vec<String> {
     let report = check(dir, &|| {}).unwrap();
     let shown = |file: &Path| file.strip_prefix(dir).unwrap().display().to_string();
@@ -53,7 +53,7 @@ fn whatever_is_changed_is_named() {
         (record, "/frame1/joints/root/3", Value::from(5), "frame1: root"),
         (record, "/frame2/frame", Value::from(9), "is of frames 1 and 9, expected 1 and 2"),
         (record, "/flow/histogram/0", Value::from(1_000_000), "histogram"),
-        (record, "/flow/max", Value::from(900), "greatest flow of 900"),
+        (record, "/flow/max", Value::from(900), "maximum flow of 900"),
         (
             "statistics.json",
             "/mean_magnitude",
@@ -61,7 +61,7 @@ fn whatever_is_changed_is_named() {
             "mean_magnitude 1.5, the records of all pairs give",
         ),
         ("statistics.json", "", Value::from("junk"), "statistics.json"),
-        ("dataset.json", "/scenes", Value::Array(vec![]), "lists 0 scenes, expected the 1"),
+        ("dataset.json", "/scenes", Value::Array(vec![]), "lists 0 scenes, expected 1"),
         ("dataset.json", "/scenes/0/pairs", Value::from(2), "scene-0000: pairs 2, expected 3"),
         ("dataset.json", "/rig/0/fx", Value::from(-1), "camera 1: fx -1.0, expected"),
     ];
@@ -98,10 +98,10 @@ fn whatever_is_changed_is_named() {
         fs::write(path, "x").unwrap();
         assert!(problems(dir).iter().any(|what| what.starts_with(expected)), "{expected}");
         fs::remove_file(path).unwrap();
-        let _ = fs::remove_dir(path.parent().unwrap()); // stays where it holds the dataset's own
+        let _ = fs::remove_dir(path.parent().unwrap()); // fails, and stays, if it contains the dataset's own files
     }
 
-    // Sound as a file, wrong for its frames.
+    // A valid file with the wrong content.
     let path = dir.join("train/flow_backward/scene-0000/00001.npz16");
     let flow = read_flow(&path).unwrap();
     let moved = flow.pixels().iter().map(|[u, v]| [u + 7.0, v - 5.0]).collect();
@@ -112,5 +112,5 @@ fn whatever_is_changed_is_named() {
     fs::copy(dir.join("train/depth/scene-0000/00000.png"), dir.join("train/depth/scene-0000/00002.png"))
         .unwrap();
     let found = problems(dir);
-    assert!(found.len() == 1 && found[0].contains("depth and mask do not go together"), "{found:?}");
+    assert!(found.len() == 1 && found[0].contains("depth and mask contradict each other"), "{found:?}");
 }

@@ -1,4 +1,4 @@
-//! A rendered micro-expression set: whole, the same on any number of threads, and with flow that is the motion.
+//! A rendered micro-expression dataset is complete, independent of the number of threads, and its flow is the motion.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -36,7 +36,7 @@ fn run(settings: &SynthSettings, request: Request, threads: usize) -> Result<Syn
     pool.install(|| synthesize(settings, request))
 }
 
-/// Every file below a folder and its bytes.
+/// Every file below a folder, with its bytes.
 fn contents(dir: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let mut found = Vec::new();
     let mut folders = vec![dir.to_owned()];
@@ -63,7 +63,7 @@ fn a_set_is_whole_and_the_same_however_it_is_made() {
     let whole = contents(&one);
     assert_eq!(whole, contents(&two), "the bytes do not depend on the threads");
 
-    // As if it had been killed within the second clip.
+    // As if it had been killed during the second clip.
     fs::remove_file(one.join("s01/c02.json")).unwrap();
     fs::remove_file(one.join("s01/c02/0004.png")).unwrap();
     fs::remove_file(one.join("clips.csv")).unwrap();
@@ -71,7 +71,7 @@ fn a_set_is_whole_and_the_same_however_it_is_made() {
     assert_eq!(contents(&one), whole);
     assert_eq!(make(&settings(), &one, 2).unwrap(), 0);
 
-    // In two shards, the second of them in two runs, and what a kill in the midst of writing leaves.
+    // In two shards, the second of them in two runs, with leftovers of a kill during writing.
     let three = folder.path().join("three");
     let shard = |number| Request { shard: Shard { number, of: 2 }, ..Request::new(&three) };
     let first = run(&settings(), shard(1), 2).unwrap();
@@ -142,5 +142,5 @@ fn another_folder_is_left_alone() {
     )
     .unwrap();
     let error = make(&settings(), &set, 1).unwrap_err().to_string();
-    assert!(error.contains("seed 9, asked for is 1") && error.contains("--force"), "{error}");
+    assert!(error.contains("seed 9, requested is 1") && error.contains("--force"), "{error}");
 }

@@ -1,5 +1,5 @@
-//! Checking an SRFlow dataset: is everything there that `srflow render` writes, is it what follows from the dataset's
-//! arguments, and does the flow explain the frames?
+//! Checks an SRFlow dataset: whether every file that `srflow render` writes exists and matches the dataset's arguments, and
+//! whether the flow explains the frames.
 
 mod plan;
 
@@ -18,32 +18,31 @@ use crate::statistics::{BINS, FlowSummary, Statistics, bin_edges};
 use plan::{Expected, problems_of_manifest, unexpected_files};
 use srflow_read::manifest::{FrameFiles, Manifest, ManifestError, STATISTICS_NAME, SceneEntry};
 
-/// The most pairs examined at once, each with about 0.3 GB at 2200x3208.
+/// Maximum number of pairs examined at once, each with about 0.3 GB at 2200x3208.
 const MAX_AT_ONCE: usize = 16;
 
-/// Flow is wrong when warping by it leaves more than this many times the difference that there was without, plus a
-/// level. Flow that points the wrong way about doubles it.
+/// Flow is wrong when warping by it leaves more than this multiple of the difference without warping, plus one level. Flow
+/// with the wrong sign doubles the difference.
 const WORST_RATIO: f64 = 1.05;
 const WORST_LEVELS: f64 = 0.5;
 
-/// Something that is not as it should be.
+/// One problem of a dataset.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Problem {
     /// The file or folder.
     pub file: PathBuf,
-    /// What is wrong with it.
     pub what: String,
 }
 
-/// Mean absolute difference between frame 1 and frame 2 over colour channels, in levels of 0 to 255: on the head and
-/// where frame 2 shows what frame 1 does.
+/// Mean absolute difference between frame 1 and frame 2 over colour channels, in levels of 0 to 255: on the head, where the
+/// pixel is visible in both frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Residual {
-    /// Pixels that were compared.
+    /// Number of compared pixels.
     pub pixels: u64,
     /// With frame 2 warped back by the flow.
     pub warped: f64,
-    /// With frame 2 as it is.
+    /// With the original frame 2.
     pub unwarped: f64,
 }
 
@@ -63,26 +62,25 @@ impl Residual {
     }
 }
 
-/// What [`check`] found.
+/// The result of [`check`].
 #[derive(Debug, Clone, Serialize)]
 pub struct CheckReport {
-    /// Pairs that the dataset should have.
+    /// Number of pairs the dataset should have.
     pub pairs: u64,
-    /// Pairs without any problem.
+    /// Number of pairs without problems.
     pub sound: u64,
     /// Over all pairs that could be compared.
     pub residual: Residual,
-    /// Everything that is wrong, by file.
+    /// All problems, by file.
     pub problems: Vec<Problem>,
-    /// What the dataset holds, as its flow files say.
+    /// Statistics computed from the flow files.
     pub statistics: Statistics,
 }
 
-/// Opens every file of the dataset in `dir`, with the threads of the current rayon pool. `on_pair` is called after every
-/// pair.
+/// Opens every file of the dataset in `dir`, with the threads of the current rayon pool. Calls `on_pair` after every pair.
 ///
 /// # Errors
-/// When there is no `dataset.json` that can be read. All else that is wrong is in the report.
+/// When `dataset.json` cannot be read. All other problems are in the report.
 pub fn check(dir: &Path, on_pair: &(dyn Fn() + Sync)) -> Result<CheckReport, ManifestError> {
     let manifest = Manifest::read(dir)?;
     let mut report = CheckReport {
@@ -93,7 +91,7 @@ pub fn check(dir: &Path, on_pair: &(dyn Fn() + Sync)) -> Result<CheckReport, Man
         statistics: Statistics::new(&manifest, FlowSummary::default()),
     };
     if !report.problems.is_empty() {
-        return Ok(report); // nothing can be compared with a plan that is wrong
+        return Ok(report); // nothing can be compared with a wrong plan
     }
     report.problems = unexpected_files(dir, &manifest);
     let at_once = rayon::current_num_threads().min(MAX_AT_ONCE) as u32;
@@ -102,7 +100,7 @@ pub fn check(dir: &Path, on_pair: &(dyn Fn() + Sync)) -> Result<CheckReport, Man
     for (number, scene) in (0..).zip(&manifest.scenes) {
         let expected = Expected::of_scene(&manifest, number, scene);
         let checker = PairChecker { dir, manifest: &manifest, scene, expected: expected.as_ref() };
-        // In groups, so that not every thread holds a pair; summed up in order, so that threads do not change the result.
+        // In groups, to limit the pairs in memory; summed up in order, so that the result does not depend on the threads.
         for first in (0..scene.pairs).step_by(at_once as usize) {
             let group = first..scene.pairs.min(first + at_once);
             let found: Vec<PairFindings> = group
@@ -130,7 +128,7 @@ pub fn check(dir: &Path, on_pair: &(dyn Fn() + Sync)) -> Result<CheckReport, Man
     Ok(report)
 }
 
-/// What is wrong with `statistics.json`, which sums up all records; without one of these it can only be read.
+/// Problems of `statistics.json`, which sums up all records; if one of these is missing, only its syntax is checked.
 fn problem_of_statistics(dir: &Path, manifest: &Manifest, recorded: Option<FlowSummary>) -> Option<Problem> {
     let file = dir.join(STATISTICS_NAME);
     let text = match read_text(&file, FileKind::Json) {
@@ -151,13 +149,13 @@ fn problem_of_statistics(dir: &Path, manifest: &Manifest, recorded: Option<FlowS
     Some(Problem { file, what: format!("{field} {found}, the records of all pairs give {expected}") })
 }
 
-/// What was found of one pair.
+/// The findings of one pair.
 #[derive(Default)]
 struct PairFindings {
     problems: Vec<Problem>,
     residual: Residual,
     flow: FlowSummary,
-    /// What the pair's record says of its flow.
+    /// The flow summary in the pair's record.
     recorded: Option<FlowSummary>,
 }
 
@@ -166,7 +164,7 @@ impl PairFindings {
         self.problems.push(Problem { file: file.to_owned(), what: what.into() });
     }
 
-    /// What a file holds, when it can be read and is of the dataset's size.
+    /// The content of a file, if it can be read and has the dataset's size.
     fn read<T>(
         &mut self,
         file: &Path,
@@ -213,7 +211,7 @@ impl PairFindings {
         Some(flow)
     }
 
-    /// Names a flow that does not explain the frames.
+    /// Reports a flow that does not explain the frames.
     fn explains(&mut self, residual: Residual, file: &Path) {
         if residual.is_wrong() {
             let Residual { warped, unwarped, .. } = residual;
@@ -224,10 +222,10 @@ impl PairFindings {
         }
     }
 
-    /// The files of a frame; gives its mask.
+    /// Checks the files of a frame; returns its mask.
     fn examine_frame(&mut self, files: &FrameFiles, size: (usize, usize)) -> Option<Mask> {
         let mask = self.read_mask(&files.mask, size);
-        // Alpha is rounded so that its upper half is the mask.
+        // Alpha is rounded such that its upper half is exactly the mask.
         let alpha = self.read_mask(&files.alpha, size);
         if let (Some(mask), Some(alpha)) = (&mask, &alpha)
             && mask != alpha
@@ -244,14 +242,14 @@ impl PairFindings {
                 depth.pixels().iter().zip(mask.pixels()).filter(|(depth, inside)| (depth[0] > 0) != **inside);
             let differ = differ.count();
             if differ > 0 {
-                self.problem(path, format!("depth and mask do not go together in {differ} pixels"));
+                self.problem(path, format!("depth and mask contradict each other in {differ} pixels"));
             }
         }
         mask
     }
 }
 
-/// What the pairs of a scene are held against.
+/// What the pairs of a scene are checked against.
 struct PairChecker<'a> {
     dir: &'a Path,
     manifest: &'a Manifest,
@@ -267,7 +265,7 @@ impl PairChecker<'_> {
         let files = manifest.files(dir, scene, pair);
         let mask = findings.examine_frame(&manifest.frame_files(dir, scene, pair), size);
         let frame1 = findings.read_image(&files.frame1, size);
-        // The next pair reports its own first frame when it is broken.
+        // The next pair reports its own first frame if it is broken.
         let mut of_frame2 = PairFindings::default();
         let of_last = pair + 1 == scene.pairs;
         let mask2 = (of_last || manifest.arguments.backward)
@@ -304,7 +302,7 @@ impl PairChecker<'_> {
         findings
     }
 
-    /// Holds what a record says of its frames against what the scene gives.
+    /// Compares the frames in a record with those of the scene.
     fn compare_frames(&self, findings: &mut PairFindings, record: &PairRecord, file: &Path, pair: u32) {
         let frames = (record.frame1.frame, record.frame2.frame);
         if frames != (pair, pair + 1) {
@@ -325,10 +323,10 @@ impl PairChecker<'_> {
     }
 }
 
-/// How far a stored flow can be from the rendered one, in pixels: a step of the coarsest format, 1/64 px, along each axis.
+/// The maximum error of a stored flow in pixels: a step of the coarsest format, 1/64 px, along each axis.
 const ROUNDING: f32 = 0.0125;
 
-/// Holds what a record says of the flow against the files.
+/// Compares the flow summary of a record with the files.
 fn compare_flow(
     findings: &mut PairFindings,
     written: &FlowSummary,
@@ -338,7 +336,7 @@ fn compare_flow(
     let found = FlowSummary::of(flow, mask, occlusion);
     if (written.pixels, written.occluded) != (found.pixels, found.occluded) {
         let what = format!(
-            "says {} pixels of which {} are occluded, the mask and occlusion files have {} and {}",
+            "it has {} pixels with {} occluded, the mask and occlusion files have {} and {}",
             written.pixels, written.occluded, found.pixels, found.occluded
         );
         findings.problem(file, what);
@@ -346,15 +344,15 @@ fn compare_flow(
     }
     if (written.mean() - found.mean()).abs() > 0.01 + 0.001 * written.mean() {
         let what =
-            format!("says a mean flow of {:.4} px, the flow file has {:.4}", written.mean(), found.mean());
+            format!("it has a mean flow of {:.4} px, the flow file has {:.4}", written.mean(), found.mean());
         findings.problem(file, what);
     }
     if (written.max - found.max).abs() > ROUNDING + 0.001 * found.max {
         let what =
-            format!("says a greatest flow of {:.4} px, the flow file has {:.4}", written.max, found.max);
+            format!("it has a maximum flow of {:.4} px, the flow file has {:.4}", written.max, found.max);
         findings.problem(file, what);
     }
-    // Rounding moves a pixel into another bin only where its flow is at the edge between them.
+    // Rounding moves a pixel to another bin only if its flow is at the edge between them.
     let (mut below_written, mut below_found) = (0_u64, 0_u64);
     for bin in 0..BINS {
         below_written = below_written.saturating_add(written.histogram[bin]);
@@ -374,7 +372,7 @@ fn compare_flow(
     }
 }
 
-/// Of the pixels `compared`, by their number.
+/// The mean over `compared` pixels.
 fn residual(
     (frame1, frame2): (&Image, &Image),
     flow: &FlowField,

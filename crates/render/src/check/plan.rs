@@ -1,4 +1,4 @@
-//! What `dataset.json`, the records and the folders must hold: what the dataset's own arguments give.
+//! The expected contents of `dataset.json`, the records and the folders, derived from the dataset's arguments.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -14,8 +14,8 @@ use crate::generate::{Action, Head, Settings, Views, record};
 use crate::job::first_difference;
 use crate::record::FrameRecord;
 
-/// What is wrong with `dataset.json`. Of a dataset that another version of srflow made, which may plan otherwise, only
-/// numbers and cameras are checked.
+/// Problems of `dataset.json`. If another version of srflow wrote the dataset, whose plan may differ, only numbers and
+/// cameras are checked.
 pub fn problems_of_manifest(dir: &Path, manifest: &Manifest) -> Vec<Problem> {
     let problem = |what| Problem { file: dir.join(MANIFEST_NAME), what };
     let planned = match Settings::of(manifest) {
@@ -25,7 +25,7 @@ pub fn problems_of_manifest(dir: &Path, manifest: &Manifest) -> Vec<Problem> {
     let mut wrong = Vec::new();
     if manifest.scenes.len() != planned.scenes.len() {
         let (found, expected) = (manifest.scenes.len(), planned.scenes.len());
-        wrong.push(format!("it lists {found} scenes, expected the {expected} that its arguments give"));
+        wrong.push(format!("it lists {found} scenes, expected {expected} from its arguments"));
     }
     let mut found: BTreeMap<&str, &SceneEntry> = BTreeMap::new();
     for scene in &manifest.scenes {
@@ -46,7 +46,9 @@ pub fn problems_of_manifest(dir: &Path, manifest: &Manifest) -> Vec<Problem> {
             Some(_) => {}
         }
     }
-    wrong.extend(found.keys().map(|name| format!("it lists `{name}`, which its arguments do not give")));
+    wrong.extend(
+        found.keys().map(|name| format!("it lists `{name}`, which does not follow from its arguments")),
+    );
     wrong.extend(problems_of_rig(manifest, &planned.rig));
     wrong.into_iter().map(problem).collect()
 }
@@ -71,22 +73,22 @@ fn is_of_this_version(manifest: &Manifest) -> bool {
     manifest.srflow_version == env!("CARGO_PKG_VERSION")
 }
 
-/// The first field that is not as planned.
+/// The first field that differs from the plan.
 fn differs<T: Serialize>(found: &T, planned: &T) -> Option<String> {
     let value = |of| serde_json::to_value(of).unwrap_or_default();
     let (field, found, expected) = first_difference(&value(found), &value(planned))?;
     Some(format!("{field} {found}, expected {expected}"))
 }
 
-/// What the records of a scene must say.
+/// The expected records of a scene.
 pub struct Expected {
     views: Views,
-    /// Of the built-in heads, which follow from the manifest alone.
+    /// For the built-in heads, which follow from the manifest alone.
     action: Option<(HeadModel, Action)>,
 }
 
 impl Expected {
-    /// None where another version of srflow made the dataset.
+    /// `None` if another version of srflow wrote the dataset.
     pub fn of_scene(manifest: &Manifest, number: u32, scene: &SceneEntry) -> Option<Self> {
         let (settings, _) = Settings::of(manifest).ok().filter(|_| is_of_this_version(manifest))?;
         let rig = settings.rig();
@@ -98,7 +100,7 @@ impl Expected {
         Some(Self { views: Views::new(&settings, &rig, number, scene.pairs), action })
     }
 
-    /// What is wrong with the record of a frame.
+    /// Problems of the record of a frame.
     pub fn differs(&self, found: &FrameRecord) -> Option<String> {
         let expected = match &self.action {
             Some((model, action)) => record(model, found.frame, &action.frame(model, found.frame)),
@@ -111,7 +113,7 @@ impl Expected {
     }
 }
 
-/// Files and folders within the splits that the dataset does not speak of.
+/// Unexpected files and folders within the splits.
 pub fn unexpected_files(dir: &Path, manifest: &Manifest) -> Vec<Problem> {
     let mut problems = Vec::new();
     let mut unexpected = |file: PathBuf, what: &str| problems.push(Problem { file, what: what.to_owned() });
@@ -138,14 +140,14 @@ pub fn unexpected_files(dir: &Path, manifest: &Manifest) -> Vec<Problem> {
         for file in folders.into_iter().flat_map(entries).filter(|file| !expected.contains(file)) {
             unexpected(
                 file,
-                "not a file of this dataset; a run that was killed leaves such files, and the next removes them",
+                "not a file of this dataset; an interrupted run leaves such files, and the next one removes them",
             );
         }
     }
     problems
 }
 
-/// What lies in a folder, by name; nothing where there is no folder, as missing files are named one by one.
+/// The entries of a folder by name; empty if there is no folder, since missing files are reported one by one.
 fn entries(folder: &Path) -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> =
         fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
@@ -168,7 +170,7 @@ mod tests {
         settings.plan().unwrap()
     }
 
-    /// What is said of the manifest after `change`.
+    /// The problems of the manifest after `change`.
     fn said(change: impl FnOnce(&mut Manifest)) -> String {
         let mut manifest = manifest();
         change(&mut manifest);
@@ -183,7 +185,7 @@ mod tests {
     fn what_the_arguments_do_not_give_is_named() {
         assert_eq!(said(|_| {}), "");
         let all = said(|manifest| manifest.scenes.clear());
-        assert!(all.starts_with("data/dataset.json: it lists 0 scenes, expected the 5"), "{all}");
+        assert!(all.starts_with("data/dataset.json: it lists 0 scenes, expected 5"), "{all}");
         let one = said(|manifest| drop(manifest.scenes.remove(2)));
         assert!(one.contains("it lists 4 scenes") && one.contains("does not list scene-0002 ("), "{one}");
         assert!(

@@ -1,4 +1,4 @@
-//! What is behind the subject: a colour, or a still image that is cut and resized to the frame.
+//! The background: a colour, or a still image that is cropped and resized to the frame.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -9,19 +9,19 @@ use srflow_field::{IMAGE_EXTENSIONS, Image, Plane, parse_color, read_image};
 use super::settings::list_files;
 use crate::RenderError;
 
-/// What is behind the subjects.
+/// The background of the subjects.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Background {
     /// One sRGB colour.
     Colour([u8; 3]),
-    /// For each scene an image of this folder, drawn at random.
+    /// A random image of this folder for each scene.
     Images(PathBuf),
 }
 
 impl FromStr for Background {
     type Err = String;
 
-    /// A colour ([`parse_color`]), or the path of a folder.
+    /// Parses a colour ([`parse_color`]) or the path of a folder.
     fn from_str(text: &str) -> Result<Self, String> {
         match parse_color(text) {
             Ok(colour) => Ok(Self::Colour(colour)),
@@ -48,7 +48,7 @@ pub(super) fn images(dir: &Path) -> Result<Vec<(String, u64)>, RenderError> {
     Ok(files)
 }
 
-/// The image of each scene, when backgrounds are images.
+/// The image of each scene, if backgrounds are images.
 pub(super) fn choose(
     background: &Background,
     scenes: usize,
@@ -64,7 +64,7 @@ pub(super) fn choose(
     Ok((0..).take(scenes).map(pick).collect())
 }
 
-/// Reads an image and brings it to `width` by `height`: the largest part of those proportions, from its middle.
+/// Reads an image, and crops its centre and resizes it to `width` by `height`.
 pub(super) fn load(path: &Path, width: usize, height: usize) -> Result<Image, RenderError> {
     let image = read_image(path)?;
     if image.width() == 0 || image.height() == 0 {
@@ -77,7 +77,7 @@ pub(super) fn load(path: &Path, width: usize, height: usize) -> Result<Image, Re
     Ok(fill(&image, width, height))
 }
 
-/// Each pixel is the mean of what it covers when the image shrinks, and bilinear when it grows.
+/// Area averaging when the image shrinks, bilinear interpolation when it grows.
 fn fill(image: &Image, width: usize, height: usize) -> Image {
     let scale = (image.width() as f64 / width as f64).min(image.height() as f64 / height as f64);
     let columns = taps(width, image.width(), scale);
@@ -96,7 +96,7 @@ fn fill(image: &Image, width: usize, height: usize) -> Image {
     })
 }
 
-/// For each of `targets` pixels, the source pixels under a tent as wide as the pixel (one source pixel at least), with
+/// For each of `targets` pixels, the source pixels under a tent filter as wide as the pixel (at least one source pixel), with
 /// weights that sum to 1.
 fn taps(targets: usize, sources: usize, scale: f64) -> Vec<Vec<(usize, f64)>> {
     let reach = scale.max(1.0);
@@ -117,7 +117,7 @@ fn taps(targets: usize, sources: usize, scale: f64) -> Vec<Vec<(usize, f64)>> {
     (0..targets).map(of).collect()
 }
 
-/// Puts `behind` where a frame over black lets it be seen.
+/// Blends `behind` into a frame rendered over black.
 pub(super) fn composite(frame: &mut Image, alpha: &Plane, behind: &Image) {
     for ((pixel, &alpha), behind) in frame.pixels_mut().iter_mut().zip(alpha.pixels()).zip(behind.pixels()) {
         let seen_through = 1.0 - alpha;

@@ -1,8 +1,7 @@
-//! Generating an SRFlow dataset: heads in motion before moving cameras, with exact flow.
+//! Generating an SRFlow dataset: moving heads in front of moving cameras, with exact flow.
 //!
-//! [`Settings`] become a plan ([`Manifest`]), which [`crate::job`] makes pair by pair; a whole dataset gets its
-//! statistics. Every file's bytes depend on the settings alone: not on the shard that it is made in, how often a run was
-//! killed, or how many threads there are.
+//! [`Settings`] become a plan ([`Manifest`]), which [`crate::job`] renders pair by pair; a complete dataset gets its
+//! statistics. Every file's bytes depend on the settings alone: not on shards, interruptions, or the number of threads.
 
 mod background;
 mod occlusion;
@@ -32,25 +31,25 @@ pub use rig::{CANONICAL_CAMERA, FULL_SIZE, Rig, View};
 pub(crate) use scene::{Action, Views, record, unit_name};
 pub use settings::{Head, Settings};
 
-/// What [`generate`] did.
+/// The result of [`generate`].
 #[derive(Debug, Clone)]
 pub struct Report {
-    /// The pairs that it made.
+    /// The pairs rendered by this run.
     pub run: Made,
-    /// What the dataset holds; `None` while it is not whole.
+    /// Statistics of the dataset; `None` until it is complete.
     pub statistics: Option<Statistics>,
 }
 
-/// Makes a dataset, or one shard of it, with the threads of the current rayon pool. Existing files, made with the
-/// same settings, are kept.
+/// Renders a dataset, or one shard of it, with the threads of the current rayon pool. Existing files with the same settings
+/// are kept.
 ///
 /// # Errors
-/// Before any work when a setting is wrong or the folder is not this dataset's; later when a file cannot be written or a
-/// background image not be read. What is complete stays, and the next call with the same settings continues.
+/// Before any work when a setting is wrong or the folder has another dataset; later when a file cannot be written or a
+/// background image cannot be read. Complete files stay, and the next call with the same settings continues.
 pub fn generate(settings: &Settings, request: Request) -> Result<Report, RenderError> {
     let manifest = settings.plan()?;
     if let (Head::Ict(_), Some(entry)) = (&settings.head, manifest.scenes.first()) {
-        scene::subject(&settings.head, entry)?; // before anything is written
+        scene::subject(&settings.head, entry)?; // fails before anything is written
     }
     let plan = work::Scenes { settings, rig: settings.rig(), manifest };
     let (run, whole) = job::make(&plan, request)?;

@@ -1,26 +1,26 @@
-//! Which pixels of a frame the next frame does not show, from exact geometry.
+//! Occlusion of a frame's pixels in the next frame, from exact geometry.
 
 use srflow_field::Mask;
 use srflow_splat::Frame;
 
-/// What is seen at a pixel is hidden when something in the next frame is nearer than it by more than this, in metres.
-/// Depths are means over translucent layers, so that two sights of the same skin or hair differ a little.
+/// A surface is hidden when something in the next frame is nearer by more than this, in metres. Depths are means over
+/// translucent layers, so two views of the same skin or hair differ slightly.
 pub const DEPTH_TOLERANCE: f32 = 0.003;
 
-/// Depth of what a frame shows, 0 where its alpha is not above one half: what can hide something.
+/// Depth of the possible occluders: 0 where alpha is not above one half.
 pub fn surface_into(frame: &Frame, surface: &mut Vec<f32>) {
     surface.clear();
     let pixels = frame.depth.pixels().iter().zip(frame.alpha.pixels());
     surface.extend(pixels.map(|(&depth, &alpha)| if alpha > 0.5 { depth } else { 0.0 }));
 }
 
-/// `true` where what `frame` shows is not seen in the next frame, whose [`surface_into`] is `next_surface`.
+/// `true` where the surface in `frame` is not visible in the next frame, whose [`surface_into`] is `next_surface`.
 ///
-/// On the head (alpha above one half) a pixel `p` is occluded when it moves out of the image, or when the mean depth of
-/// what is seen at `p`, as the next camera will see it (`depth_next`), lies behind the next frame's own depth around
-/// `p + flow / alpha` by more than [`DEPTH_TOLERANCE`]. Around means the four pixels that bilinear sampling reads: all
-/// of them must be nearer, so that a slanted surface does not hide itself. On the background, which stands still, a
-/// pixel is occluded when the head covers it in the next frame.
+/// On the head (alpha above one half) a pixel `p` is occluded when it moves out of the image, or when the mean depth of its
+/// surface in the next camera (`depth_next`) is behind the next frame's own depth around `p + flow / alpha` by more than
+/// [`DEPTH_TOLERANCE`]. Around means the four pixels that bilinear sampling reads: all of them must be nearer, so that a
+/// slanted surface does not occlude itself. On the static background, a pixel is occluded when the head covers it in the
+/// next frame.
 pub fn occlusion(frame: &Frame, next_surface: &[f32]) -> Mask {
     let (width, height) = (frame.width, frame.height);
     let next = Surface { width, height, depth: next_surface };
@@ -48,14 +48,14 @@ struct Surface<'a> {
 }
 
 impl Surface<'_> {
-    /// Depth behind which nothing is seen at `(x, y)`: that of the farthest of the four pixels around it; infinity where
-    /// one of them shows the background, minus infinity outside of the image.
+    /// Depth beyond which nothing is visible at `(x, y)`: the farthest of the four pixels around it; infinity where one of them
+    /// shows the background, minus infinity outside the image.
     fn hides_behind(&self, x: f32, y: f32) -> f32 {
         let inside = x >= -0.5 && y >= -0.5 && x <= self.width as f32 - 0.5 && y <= self.height as f32 - 0.5;
         if !inside {
             return f32::NEG_INFINITY;
         }
-        // Between the outermost pixels' centres and the image's border the nearest pixel stands for itself.
+        // Between the centres of the outermost pixels and the image border, the nearest pixel is used.
         let x0 = (x.max(0.0) as usize).min(self.width - 1);
         let y0 = (y.max(0.0) as usize).min(self.height - 1);
         let (x1, y1) = ((x0 + 1).min(self.width - 1), (y0 + 1).min(self.height - 1));
@@ -116,7 +116,7 @@ mod tests {
             hidden_columns(&wall(0..6, 2.0, 1.0 + DEPTH_TOLERANCE / 2.0), &next),
             [6, 7, 8, 9, 10, 11]
         );
-        // Between a covered and an uncovered pixel something can still be seen.
+        // Between a covered and an uncovered pixel something may still be visible.
         assert_eq!(hidden_columns(&wall(0..6, 1.5, 1.1), &next), [4, 5, 6, 7, 8, 9, 10, 11]);
     }
 

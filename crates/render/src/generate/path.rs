@@ -1,11 +1,11 @@
-//! Smooth curves through chosen points: how cameras and heads turn.
+//! Smooth curves through random points, for cameras and heads.
 
-/// A curve of `N` coordinates through equally spaced points, from rest to rest, with continuous acceleration: a clamped
-/// cubic spline. It is evaluated with additions, multiplications and divisions alone, so its bits are everywhere the same.
+/// A curve of `N` coordinates through equally spaced points, at rest at both ends and with continuous acceleration: a clamped
+/// cubic spline. It uses additions, multiplications and divisions only, so its bits are the same everywhere.
 #[derive(Debug, Clone)]
 pub struct Path<const N: usize> {
     points: Vec<[f64; N]>,
-    /// Derivative by the point's number, at each point.
+    /// Derivative with respect to the point index, at each point.
     slopes: Vec<[f64; N]>,
 }
 
@@ -40,7 +40,7 @@ impl<const N: usize> Path<N> {
         let last = self.points.len() - 1;
         let place = (t * last as f64).max(0.0);
         if place >= last as f64 {
-            return self.points[last]; // exactly, which the polynomial may miss by a rounding
+            return self.points[last]; // exact, without the polynomial's rounding
         }
         let i = place as usize;
         let x = place - i as f64;
@@ -60,7 +60,7 @@ impl<const N: usize> Path<N> {
         self
     }
 
-    /// The greatest step that any coordinate makes between two of `steps + 1` equally spaced moments.
+    /// The greatest step of any coordinate between neighbours among `steps + 1` equally spaced moments.
     pub fn greatest_step(&self, steps: u32) -> f64 {
         let at = |step: u32| self.at(f64::from(step) / f64::from(steps));
         let step = |step: u32| {

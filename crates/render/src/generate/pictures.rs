@@ -1,4 +1,4 @@
-//! Planes of one number a pixel as grey PNG.
+//! Single-channel planes as grey PNG.
 
 use std::io;
 use std::path::Path;

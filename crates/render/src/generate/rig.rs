@@ -1,4 +1,4 @@
-//! The camera rig: 16 calibrated portrait cameras on an arc before the head, as in NeRSemble (Kirschstein et al. 2023).
+//! The camera rig: 16 calibrated portrait cameras on an arc in front of the head, as in NeRSemble (Kirschstein et al. 2023).
 
 use glam::{DMat3, DMat4, DVec3, DVec4};
 use srflow_splat::Camera;
@@ -6,14 +6,14 @@ use srflow_splat::Camera;
 use crate::camera::record_from_camera;
 use srflow_read::manifest::RigCamera;
 
-/// Width and height of NeRSemble's frames; the size that the focal length refers to.
+/// Width and height of NeRSemble's frames, to which the focal length refers.
 pub const FULL_SIZE: (usize, usize) = (2200, 3208);
 
-/// Number of the camera that faces the subject, from 1 as the paper counts.
+/// Number of the frontal camera, counted from 1 as in the paper.
 pub const CANONICAL_CAMERA: u32 = 9;
 
 /// Focal length at [`FULL_SIZE`], in pixels, and distance of each camera from the head's centre, in metres: close to
-/// NeRSemble's calibration, so that the head fills the portrait frame as it does there.
+/// NeRSemble's calibration, so that the head fills the portrait frame as there.
 const FOCAL_PIXELS: f64 = 8190.0;
 const DISTANCE: f64 = 1.0;
 
@@ -37,7 +37,7 @@ const DIRECTIONS: [(f64, f64); 16] = [
     (45.0, 2.0),
 ];
 
-/// Where a camera of the rig's distance stands and how it is rolled, in degrees.
+/// Position and roll of a camera at the rig's distance, in degrees.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct View {
     /// Azimuth about the head, positive towards the subject's left.
@@ -48,7 +48,7 @@ pub struct View {
     pub roll: f64,
 }
 
-/// Cameras at one distance of the head's centre, all looking at it.
+/// Cameras at one distance from the head's centre, all pointing at it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rig {
     width: usize,
@@ -63,7 +63,7 @@ impl Rig {
         Self { width, height, centre }
     }
 
-    /// Where each camera stands, by number from 1.
+    /// Position of each camera, by number from 1.
     pub fn views() -> impl Iterator<Item = (u32, View)> {
         (1..).zip(DIRECTIONS.map(|(azimuth, elevation)| View { azimuth, elevation, roll: 0.0 }))
     }
@@ -77,7 +77,7 @@ impl Rig {
     pub fn camera(&self, view: View) -> Camera {
         let (full_width, full_height) = FULL_SIZE;
         let scale = (self.width as f64 / full_width as f64).min(self.height as f64 / full_height as f64);
-        // Facing the subject: its left (+x) is to the right, up (+y) is up, forward is -z.
+        // Facing the subject: its left (+x) is on the right, up (+y) is up, forward is -z.
         let facing = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
         let orbit = DMat3::from_rotation_y(view.azimuth.to_radians())
             * DMat3::from_rotation_x(-view.elevation.to_radians());

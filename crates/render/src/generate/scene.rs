@@ -1,4 +1,4 @@
-//! A scene: one subject in motion before a moving camera. Every frame can be asked for alone.
+//! A scene: one moving subject in front of a moving camera. Frames can be computed in any order.
 
 use glam::{EulerRot, Quat};
 use srflow_avatar::{Avatar, HeadModel, HeadPose, Joint, Moment, Motion, Side};
@@ -15,40 +15,40 @@ use crate::camera::record_from_camera;
 use crate::record::FrameRecord;
 use srflow_read::manifest::SceneEntry;
 
-/// Frame rate of the motion. NeRSemble records 73 frames a second; expressions at that rate hardly move between frames.
+/// Frame rate of the motion. NeRSemble records 73 frames per second, at which expressions hardly move between frames.
 const FRAMES_PER_SECOND: f32 = 24.0;
 
-/// A scene of fewer frames moves less: it has no time for a whole expression between rest and rest.
+/// Scenes with fewer frames move less: they are too short for a whole expression.
 const FRAMES_OF_FULL_MOTION: f32 = 24.0;
 
-/// Fewest frames from one chosen view to the next.
+/// Minimum number of frames from one key view to the next.
 const FRAMES_BETWEEN_VIEWS: u32 = 80;
 
-/// The fastest turn of a scene, in degrees a frame, is drawn between these, evenly in its logarithm: some scenes are
-/// nearly still and some whirl. One degree moves the nose by about 13 px at full size.
+/// Bounds of a scene's fastest rotation, in degrees per frame, drawn log-uniformly: some scenes are nearly still, others
+/// fast. One degree moves the nose by about 13 px at full size.
 const CAMERA_SPEEDS: (f32, f32) = (0.2, 1.4);
 const SUBJECT_SPEEDS: (f32, f32) = (0.1, 0.8);
 
-/// How far the camera rolls and the subject yaws, pitches and rolls, in degrees.
+/// Limits of the camera's roll and the subject's yaw, pitch and roll, in degrees.
 const CAMERA_ROLL: f32 = 6.0;
 const SUBJECT_TURN: [f32; 3] = [22.0, 11.0, 8.0];
 
-/// One subject in motion before a moving camera.
+/// One moving subject in front of a moving camera.
 pub(super) struct Scene {
     pub entry: SceneEntry,
     pub avatar: Avatar,
-    /// What is behind the subject, when it is an image.
+    /// The background, if it is an image.
     pub background: Option<Image>,
     action: Action,
 }
 
-/// How the subject of a scene moves, and the camera around it.
+/// The motion of a scene's subject and camera.
 pub(crate) struct Action {
     views: Views,
     motion: Motion,
 }
 
-/// How the camera of a scene goes around the head, and how the whole subject turns.
+/// The path of the camera around the head, and the rotation of the subject.
 pub(crate) struct Views {
     pairs: u32,
     rig: Rig,
@@ -56,7 +56,7 @@ pub(crate) struct Views {
     subject_path: Path<3>,
 }
 
-/// Everything about one frame but its pixels.
+/// The state of one frame, without its pixels.
 pub(crate) struct FrameState {
     pub camera: Camera,
     pub pose: HeadPose,
@@ -84,12 +84,12 @@ impl Scene {
         Ok(Self { entry: entry.clone(), avatar, background, action })
     }
 
-    /// What frame `frame` shows; the first and the last are seen by camera 9 with the subject unturned.
+    /// The state of frame `frame`; the first and the last are seen by camera 9 with the subject facing it.
     pub fn frame(&self, frame: u32) -> FrameState {
         self.action.frame(self.avatar.model(), frame)
     }
 
-    /// What is written down of a frame.
+    /// The record of a frame.
     pub fn record(&self, frame: u32, state: &FrameState) -> FrameRecord {
         record(self.avatar.model(), frame, state)
     }
@@ -137,7 +137,7 @@ impl Action {
     }
 }
 
-/// What is written down of a frame.
+/// The record of a frame.
 pub(crate) fn record(model: &HeadModel, frame: u32, state: &FrameState) -> FrameRecord {
     let weights = model.expressions.iter().zip(&state.pose.expressions);
     let joints = [Joint::Root, Joint::Neck, Joint::Jaw, Joint::LeftEye, Joint::RightEye];
@@ -166,7 +166,7 @@ pub(crate) fn record(model: &HeadModel, frame: u32, state: &FrameState) -> Frame
     }
 }
 
-/// Shows a moment with a part of its strength.
+/// A moment with its strength scaled down.
 fn soften(moment: &mut Moment, strength: f32) {
     if strength >= 1.0 {
         return;
@@ -199,7 +199,7 @@ pub(crate) fn unit_name(number: u8, side: Side) -> String {
     }
 }
 
-/// From camera 9 past randomly chosen cameras of the rig and back.
+/// From camera 9 past random cameras of the rig and back.
 fn camera_path(stream: &mut Stream, pairs: u32) -> Path<3> {
     let views: Vec<View> = Rig::views().map(|(_, view)| view).collect();
     let points = (0..stops(stream, pairs)).map(|_| {
@@ -210,7 +210,7 @@ fn camera_path(stream: &mut Stream, pairs: u32) -> Path<3> {
     from_rest_to_rest(points, pairs, speed(stream, CAMERA_SPEEDS))
 }
 
-/// From the rest pose through random turns and back.
+/// From the rest pose through random rotations and back.
 fn subject_path(stream: &mut Stream, pairs: u32) -> Path<3> {
     let points = (0..stops(stream, pairs))
         .map(|_| SUBJECT_TURN.map(|reach| f64::from(stream.uniform(-reach, reach))))
@@ -218,7 +218,7 @@ fn subject_path(stream: &mut Stream, pairs: u32) -> Path<3> {
     from_rest_to_rest(points, pairs, speed(stream, SUBJECT_SPEEDS))
 }
 
-/// How many points a path has between its ends.
+/// Number of points of a path between its ends.
 fn stops(stream: &mut Stream, pairs: u32) -> u32 {
     let most = (pairs / FRAMES_BETWEEN_VIEWS).max(1);
     let fewest = (most / 3).max(1);
@@ -229,7 +229,7 @@ fn speed(stream: &mut Stream, (slowest, fastest): (f32, f32)) -> f64 {
     f64::from(slowest * libm::powf(fastest / slowest, stream.unit()))
 }
 
-/// A path through `points` that starts and ends at zero. It is shrunk until no frame turns by more than `speed` degrees.
+/// A path through `points` that starts and ends at zero, scaled down until no frame turns by more than `speed` degrees.
 fn from_rest_to_rest(points: Vec<[f64; 3]>, pairs: u32, speed: f64) -> Path<3> {
     let rest = [0.0; 3];
     let path = Path::through([vec![rest], points, vec![rest]].concat());

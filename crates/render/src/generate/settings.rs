@@ -1,4 +1,4 @@
-//! What a dataset is asked to be, checked before any work starts, and the plan that follows from it.
+//! The settings of a dataset, checked before any work starts, and the plan derived from them.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -13,17 +13,17 @@ use super::{FULL_SIZE, Rig};
 use crate::RenderError;
 use srflow_read::manifest::{Arguments, LAYOUT_VERSION, Manifest, SceneEntry, SceneSplit};
 
-/// The most scenes and the most pairs in a scene: names have room for so many digits.
+/// Maximum number of scenes, and of pairs in a scene: file names have a fixed number of digits.
 const MAX_SCENES: u32 = 10_000;
 const MAX_PAIRS: f64 = 99_999.0;
 
-/// Smallest and greatest side of a frame, in pixels.
+/// Minimum and maximum side of a frame, in pixels.
 const SIDES: std::ops::RangeInclusive<usize> = 16..=16_384;
 
-/// Which head models the subjects are.
+/// The head model of the subjects.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Head {
-    /// The head that is made by code.
+    /// The procedural head.
     Builtin,
     /// ICT-FaceKit, read from its published folder.
     Ict(PathBuf),
@@ -49,19 +49,19 @@ impl FromStr for Head {
         match text.split_once(':') {
             None if text == "builtin" => Ok(Self::Builtin),
             Some(("ict", dir)) if !dir.is_empty() => Ok(Self::Ict(dir.into())),
-            _ => Err(format!("`{text}` is not a head; expected `builtin` or `ict:DIR`")),
+            _ => Err(format!("`{text}`: expected `builtin` or `ict:DIR`")),
         }
     }
 }
 
-/// What a dataset is asked to be.
+/// The settings of a dataset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
-    /// Whose heads.
+    /// Head model.
     pub head: Head,
-    /// How many scenes, each with a subject of its own.
+    /// Number of scenes, one subject each.
     pub scenes: u32,
-    /// Mean number of frame pairs in a scene; `scenes * frames`, rounded, are spread as evenly as possible.
+    /// Mean number of frame pairs per scene; `scenes * frames`, rounded, are distributed as evenly as possible.
     pub frames: f64,
     /// Frame width in pixels.
     pub width: usize,
@@ -69,15 +69,14 @@ pub struct Settings {
     pub height: usize,
     /// Shares of train, val and test; they sum to 1.
     pub splits: [f64; 3],
-    /// The seed of every random choice.
+    /// Random seed.
     pub seed: u64,
-    /// How flow is stored.
+    /// File format of the flow.
     pub flow_format: FlowFormat,
-    /// Whether backward flow is written too.
+    /// Whether to write backward flow too.
     pub backward: bool,
-    /// Whether depth is written too.
+    /// Whether to write depth too.
     pub depth: bool,
-    /// What is behind the subject.
     pub background: Background,
 }
 
@@ -101,17 +100,17 @@ impl Default for Settings {
 }
 
 impl Settings {
-    /// Checks the settings and lays out the dataset.
+    /// Checks the settings and plans the dataset.
     ///
     /// # Errors
-    /// When a setting is out of range or a folder that it names cannot be read.
+    /// When a setting is out of range or one of its folders cannot be read.
     pub(crate) fn plan(&self) -> Result<Manifest, RenderError> {
         self.validate()?;
         let backgrounds = background::choose(&self.background, self.scenes as usize, self.seed)?;
         Ok(self.lay_out(self.arguments()?, backgrounds))
     }
 
-    /// The dataset that follows from settings that are in range.
+    /// The plan for valid settings.
     fn lay_out(&self, arguments: Arguments, backgrounds: Vec<Option<String>>) -> Manifest {
         let splits = assign_splits(self.scenes as usize, self.splits, self.seed);
         let entry = |(number, (split, background)): (u32, (SceneSplit, Option<String>))| SceneEntry {
@@ -130,11 +129,11 @@ impl Settings {
         }
     }
 
-    /// The settings that a dataset was made with, but for the folders of the head and the backgrounds; and the manifest
-    /// that they give, with the background images that `manifest` names.
+    /// The settings of an existing dataset, except for the folders of the head and the backgrounds; and the manifest that they
+    /// give, with the background images named in `manifest`.
     ///
     /// # Errors
-    /// Says which of the manifest's arguments `srflow render` would not take.
+    /// Names the arguments of the manifest that `srflow render` would not accept.
     pub(crate) fn of(manifest: &Manifest) -> Result<(Self, Manifest), String> {
         let arguments = &manifest.arguments;
         let wrong =
@@ -171,7 +170,7 @@ impl Settings {
         Ok((settings, planned))
     }
 
-    /// A sentence on each split that has a share of the scenes and yet gets none, for there are few scenes.
+    /// A note for each split that has a share but, for lack of scenes, gets none.
     pub fn empty_splits(&self) -> Vec<String> {
         if self.validate().is_err() {
             return Vec::new();
@@ -186,14 +185,14 @@ impl Settings {
         let note = |part: usize| {
             let (split, share) = (SceneSplit::ALL[part], self.splits[part]);
             format!(
-                "the {split} split is empty: a share of {share} of {} scenes is none; {advice}",
+                "the {split} split is empty: a share of {share} of {} scenes rounds to none; {advice}",
                 self.scenes
             )
         };
         empty.map(note).collect()
     }
 
-    /// The rig, which stands where it is whoever the subject is: about the middle of a head between chin and crown.
+    /// The rig, independent of the subject: centred on a head between chin and crown.
     pub(crate) fn rig(&self) -> Rig {
         let centre = match self.head {
             Head::Builtin => DVec3::new(0.0, 0.03, 0.01),
@@ -202,7 +201,7 @@ impl Settings {
         Rig::new(self.width, self.height, centre)
     }
 
-    /// Pairs of the scenes before scene `number`: every scene has the mean, rounded down or up.
+    /// Number of pairs in the scenes before scene `number`: every scene has the mean, rounded down or up.
     fn pairs_before(&self, number: u32) -> u32 {
         let total = (f64::from(self.scenes) * self.frames).round() as u64;
         (u64::from(number) * total / u64::from(self.scenes)) as u32
@@ -260,10 +259,10 @@ impl Settings {
     }
 }
 
-/// Names and sizes of the files in a folder, by name.
+/// Names and sizes of the files in a folder, sorted by name.
 ///
 /// # Errors
-/// When the folder cannot be read; the error says which `argument` named it and what was `expected` of that.
+/// When the folder cannot be read; the error names the `argument` and what was `expected` of it.
 pub(super) fn list_files(
     dir: &Path,
     argument: &'static str,
@@ -282,7 +281,7 @@ pub(super) fn list_files(
     Ok(files)
 }
 
-/// A short text that differs when the names or sizes of files differ (FNV-1a), wherever they lie.
+/// A short hash of the names and sizes of files (FNV-1a), independent of their folder.
 fn fingerprint(files: &[(String, u64)]) -> String {
     let text: String = files.iter().map(|(name, size)| format!("{name} {size}\n")).collect();
     let hash = text
@@ -291,7 +290,7 @@ fn fingerprint(files: &[(String, u64)]) -> String {
     format!("{} files, fingerprint {hash:016x}", files.len())
 }
 
-/// The part that each scene belongs to: numbers by largest remainder, scenes drawn at random.
+/// The split of each scene: counts by largest remainder, scenes drawn at random.
 fn assign_splits(scenes: usize, shares: [f64; 3], seed: u64) -> Vec<SceneSplit> {
     let counts = largest_remainder(scenes, shares);
     let mut assigned: Vec<SceneSplit> = SceneSplit::ALL
@@ -304,7 +303,7 @@ fn assign_splits(scenes: usize, shares: [f64; 3], seed: u64) -> Vec<SceneSplit> 
     assigned
 }
 
-/// `total` things shared out in whole numbers: each share rounded down, and what is left to the largest remainders.
+/// Distributes `total` items: each share rounded down, and the rest to the largest remainders.
 fn largest_remainder(total: usize, shares: [f64; 3]) -> [usize; 3] {
     let exact = shares.map(|share| share * total as f64);
     let mut counts = exact.map(|x| x as usize);
@@ -368,7 +367,7 @@ mod tests {
         assert!(Settings { scenes: enough, ..Settings::default() }.empty_splits().is_empty());
         assert!(!Settings { scenes: enough - 1, ..Settings::default() }.empty_splits().is_empty());
         let wanted = Settings { scenes: 1, splits: [1.0, 0.0, 0.0], ..Settings::default() };
-        assert!(wanted.empty_splits().is_empty(), "a share of zero is wanted");
+        assert!(wanted.empty_splits().is_empty(), "a share of zero is intended");
     }
 
     #[test]

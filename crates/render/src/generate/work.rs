@@ -1,8 +1,8 @@
-//! Making pairs: each from its frames to its files.
+//! Rendering pairs, from motion to files.
 //!
-//! A worker goes through its run backwards. So it has the next frame's Gaussians and depth at hand when it renders a
-//! frame with its flow and finds what the next frame hides, and every frame is posed and rendered once; only the frame
-//! after a run's last pair is rendered for its depth alone.
+//! A worker goes through its run backwards. The next frame's Gaussians and depth are then already available for a frame's
+//! flow and occlusion, and every frame is posed and rendered once; only the frame after a run's last pair is rendered for its
+//! depth alone.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -46,7 +46,7 @@ impl<'a> Plan for Scenes<'a> {
 
     const MANIFEST: &'static str = MANIFEST_NAME;
     const UNITS: &'static str = "pairs";
-    /// After each run one frame is rendered twice.
+    /// One frame per run is rendered twice.
     const LONGEST_RUN: u32 = 24;
 
     fn manifest(&self) -> String {
@@ -57,7 +57,7 @@ impl<'a> Plan for Scenes<'a> {
         self.manifest.scenes.iter().map(|scene| scene.pairs).collect()
     }
 
-    /// A frame is made with the pair that it begins, a scene's last frame with the last pair.
+    /// A frame is written with the pair that starts at it, a scene's last frame with the last pair.
     fn is_whole(&self, dir: &Path, group: u32, pair: u32) -> bool {
         let (manifest, scene) = (&self.manifest, self.scene(group));
         let PairFiles { flow, flow_backward, occlusion, record, .. } = manifest.files(dir, scene, pair);
@@ -89,7 +89,7 @@ impl<'a> Plan for Scenes<'a> {
         for split in SceneSplit::ALL {
             let split = dir.join(split.to_string());
             for folder in manifest.kinds().map(|kind| split.join(kind)).chain([split.clone()]) {
-                let _ = fs::remove_dir(&folder); // stays where something else lies in it
+                let _ = fs::remove_dir(&folder); // fails, and stays, if it contains other files
             }
         }
         for name in [STATISTICS_NAME, MANIFEST_NAME] {
@@ -121,7 +121,7 @@ fn scene_folder(dir: &Path, scene: &SceneEntry, kind: &str) -> PathBuf {
     dir.join(scene.split.to_string()).join(kind).join(&scene.name)
 }
 
-/// The buffers of one worker, used again for every frame: about 0.3 GB at 2200x3208.
+/// The buffers of one worker, reused for every frame: about 0.3 GB at 2200x3208.
 #[derive(Default)]
 pub(super) struct Worker {
     rasterizer: Rasterizer,
@@ -226,7 +226,7 @@ impl Worker {
             frame2: scene.record(pair + 1, next),
             flow: summary,
         };
-        // The record tells that the pair is whole, so it comes last.
+        // The record marks the pair as complete, so it comes last.
         let known = serde_json::to_string(&known).expect("numbers, text, lists and maps by text") + "\n";
         work.write(Stage::Records, &record, |path| write_file(path, known))
     }
@@ -254,7 +254,7 @@ impl Worker {
             .map_err(|error| refused(scene, pair + 1, error))
     }
 
-    /// Writes what `self.frame` alone holds: picture, alpha, mask and depth.
+    /// Writes the files that depend on `self.frame` alone: picture, alpha, mask and depth.
     fn write_frame(&mut self, work: &Work, scene: &Scene, frame: u32) -> Result<(), RenderError> {
         let files: FrameFiles = work.plan.manifest.frame_files(work.dir, &scene.entry, frame);
         let mask = work.clock.time(Stage::Occlusion, || {

@@ -1,4 +1,4 @@
-//! The output folder: whose it is, and what a killed run left in it.
+//! The output folder: which dataset it belongs to, and the leftovers of an interrupted run.
 
 use std::fs;
 use std::io;
@@ -13,12 +13,12 @@ use srflow_field::{
 use super::{Plan, Run};
 use crate::RenderError;
 
-/// How old a partial file in the dataset's own folder must be before it counts as left by a killed run: another shard may
-/// be at work in the same folder.
+/// Minimum age of a partial file before it counts as left by an interrupted run: another shard may be working in the same
+/// folder.
 const ABANDONED_AFTER: Duration = Duration::from_secs(60);
 
-/// Makes `dir` the folder of the planned dataset: a new one, or the same one begun before. `force` deletes a dataset
-/// there that is another one.
+/// Claims `dir` for the planned dataset: a new folder, or one with the same dataset, begun before. `force` deletes another
+/// dataset there.
 pub fn claim<P: Plan>(dir: &Path, plan: &P, force: bool) -> Result<(), RenderError> {
     let path = dir.join(P::MANIFEST);
     let planned = plan.manifest();
@@ -35,7 +35,7 @@ pub fn claim<P: Plan>(dir: &Path, plan: &P, force: bool) -> Result<(), RenderErr
     Ok(write_file(&path, planned)?)
 }
 
-/// Whether there is anything in a folder beside hidden files, which other shards may just be writing.
+/// Whether a folder contains anything except hidden files, which other shards may be writing.
 fn has_visible_entries(dir: &Path) -> io::Result<bool> {
     let entries = match fs::read_dir(dir) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
@@ -67,10 +67,10 @@ fn difference<P: Plan>(dir: &Path, found: &str, planned: &str) -> Result<Option<
     Ok(Some(RenderError::OtherDataset { path: dir.to_owned(), field, found, asked }))
 }
 
-/// The name of the first field in which two objects differ, and its values in brief.
+/// The name of the first field in which two objects differ, and its values, abbreviated.
 pub(crate) fn first_difference(found: &Value, planned: &Value) -> Option<(String, String, String)> {
     let (Value::Object(there), Value::Object(asked)) = (found, planned) else { return None };
-    // A field that holds others says less than the one within it, so single values come first.
+    // A nested difference is more specific than the field around it, so single values come first.
     let nested = |value: &Value| value.is_object() || value.is_array();
     let names: std::collections::BTreeSet<&String> = there.keys().chain(asked.keys()).collect();
     let mut differing: Vec<_> = names
@@ -88,7 +88,7 @@ pub(crate) fn first_difference(found: &Value, planned: &Value) -> Option<(String
     Some((name.clone(), brief(a), if nested(b) { "those of its arguments".to_owned() } else { brief(b) }))
 }
 
-/// Makes the folders of `runs`, and removes what a killed run was just writing into them.
+/// Creates the folders of `runs`, and removes partial files of an interrupted run.
 pub fn tidy<P: Plan>(dir: &Path, plan: &P, runs: &[Run]) -> Result<(), RenderError> {
     remove_partial(dir, |_, age| age >= ABANDONED_AFTER)?;
     for run in runs {
@@ -100,7 +100,7 @@ pub fn tidy<P: Plan>(dir: &Path, plan: &P, runs: &[Run]) -> Result<(), RenderErr
     Ok(())
 }
 
-/// Removes the half-written files of a folder whose final name and age are `abandoned`.
+/// Removes the partial files of a folder whose final name and age are `abandoned`.
 fn remove_partial(dir: &Path, abandoned: impl Fn(&str, Duration) -> bool) -> Result<(), RenderError> {
     let failed = |error| RenderError::io(dir, error);
     for entry in fs::read_dir(dir).map_err(failed)? {
@@ -117,7 +117,7 @@ fn remove_partial(dir: &Path, abandoned: impl Fn(&str, Duration) -> bool) -> Res
     Ok(())
 }
 
-/// The result of removing `path`, which may be gone already.
+/// The result of removing `path`, which may already be gone.
 pub fn unless_gone(path: &Path, result: io::Result<()>) -> Result<(), RenderError> {
     match result {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(RenderError::io(path, error)),

@@ -1,8 +1,8 @@
-//! Making a dataset unit by unit, whether a unit is a frame pair of a scene or a clip of a subject.
+//! Rendering a dataset unit by unit; a unit is a frame pair of a scene or a clip of a subject.
 //!
-//! A `Plan` says what is to be made. `make` claims the folder, finds the units of a shard that are not there yet, and
-//! makes them with workers, each at a run of consecutive units. Files get their names when they are complete, so that a
-//! run that is killed or stopped is continued by the next, and the result has the same bytes.
+//! A `Plan` describes the dataset. `make` claims the folder, finds the missing units of a shard, and renders them with
+//! workers, each on a run of consecutive units. Files get their final names when they are complete, so an interrupted run is
+//! continued by the next, and the result has the same bytes.
 
 mod folder;
 mod timing;
@@ -22,21 +22,21 @@ pub(crate) use folder::{first_difference, unless_gone};
 pub use timing::{Stage, StageTime};
 pub(crate) use work::Work;
 
-/// The most units in the making at once, each with about 0.3 GB of buffers at 2200x3208. More threads than that share
-/// the units' work.
+/// Maximum number of units in progress at once, each with about 0.3 GB of buffers at 2200x3208. Further threads share the
+/// units' work.
 const MAX_WORKERS: usize = 16;
 
-/// A dataset that is made unit by unit. Units come in groups that share something costly: a scene, a subject's head.
+/// A dataset that is rendered unit by unit. Units are grouped by something costly: a scene, a subject's head.
 pub(crate) trait Plan: Sync + Sized {
     type Group: Send + Sync;
     /// The buffers of one worker.
     type Worker;
 
-    /// The file that says what the dataset was asked to be.
+    /// Name of the file that records the dataset's arguments.
     const MANIFEST: &'static str;
-    /// What units are, in the plural.
+    /// What units are called, in the plural.
     const UNITS: &'static str;
-    /// The most units that a worker takes at a time.
+    /// Maximum number of units in a run.
     const LONGEST_RUN: u32;
 
     /// The content of [`MANIFEST`](Self::MANIFEST).
@@ -45,23 +45,23 @@ pub(crate) trait Plan: Sync + Sized {
     /// The number of units of each group.
     fn groups(&self) -> Vec<u32>;
 
-    /// Whether all files that are made with a unit are there.
+    /// Whether all files of a unit exist.
     fn is_whole(&self, dir: &Path, group: u32, unit: u32) -> bool;
 
-    /// The folders that the files of a run lie in.
+    /// The folders of a run's files.
     fn folders(&self, dir: &Path, run: &Run) -> Vec<PathBuf>;
 
-    /// Whether the file called `name` in one of the run's folders is made with the run.
+    /// Whether the file called `name` in one of the run's folders belongs to the run.
     fn makes(&self, run: &Run, folder: &Path, name: &str) -> bool;
 
-    /// Deletes the files of a dataset whose manifest is `found`, and nothing else.
+    /// Deletes only the files of a dataset whose manifest is `found`.
     fn delete(&self, dir: &Path, found: &str) -> Result<(), RenderError>;
 
     fn group(&self, number: u32) -> Result<Self::Group, RenderError>;
 
     fn worker(&self) -> Self::Worker;
 
-    /// Makes the units of a run. Before each it asks [`Work::begin`], after each it calls [`Work::done`].
+    /// Renders the units of a run. Calls [`Work::begin`] before each and [`Work::done`] after each.
     fn make(
         &self,
         work: &Work<'_, Self>,
@@ -78,53 +78,53 @@ pub(crate) struct Run {
     pub units: Range<u32>,
 }
 
-/// What to make of a dataset, and where.
+/// What to render of a dataset, and where.
 #[derive(Clone, Copy)]
 pub struct Request<'a> {
     pub dir: &'a Path,
     pub shard: Shard,
-    /// Delete another dataset that lies in the folder.
+    /// Delete another dataset in the folder.
     pub force: bool,
-    /// Stop when this many units have been made.
+    /// Stop after this many units.
     pub stop_after: Option<u64>,
     pub on_event: &'a (dyn Fn(Event) + Sync),
 }
 
 impl<'a> Request<'a> {
-    /// The whole dataset, or what it lacks.
+    /// The dataset, or the part of it to render.
     pub fn new(dir: &'a Path) -> Self {
         Self { dir, shard: Shard::WHOLE, force: false, stop_after: None, on_event: &|_| {} }
     }
 }
 
-/// What is reported during the work. Units are frame pairs or clips.
+/// Progress. Units are frame pairs or clips.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Event {
-    /// The folder has been looked through: `whole` of the shard's `units` are there already.
+    /// The folder was scanned: `whole` of the shard's `units` already exist.
     Started { units: u64, whole: u64 },
-    /// One more unit is whole; this run has written so many bytes.
+    /// One more unit is complete; this run has written so many bytes.
     Made { bytes: u64 },
 }
 
-/// What one run made.
+/// The result of one run.
 #[derive(Debug, Clone)]
 pub struct Made {
     /// Units of the shard.
     pub units: u64,
-    /// Those that this run made.
+    /// Units rendered by this run.
     pub made: u64,
-    /// Bytes that this run has written.
+    /// Bytes written by this run.
     pub bytes: u64,
-    /// How long that took.
+    /// Duration.
     pub seconds: f64,
-    /// Where the workers' time went.
+    /// The workers' time by stage.
     pub stages: Vec<StageTime>,
-    /// Whether `stop_after` ended the run before the shard was whole.
+    /// Whether `stop_after` ended the run before the shard was complete.
     pub stopped: bool,
 }
 
-/// Makes what a shard of a dataset lacks, with the threads of the current rayon pool, and says whether the dataset is
-/// then whole, with all other shards.
+/// Renders the missing units of a shard, with the threads of the current rayon pool, and returns whether the dataset is then
+/// complete, including all other shards.
 pub(crate) fn make<P: Plan>(plan: &P, request: Request) -> Result<(Made, bool), RenderError> {
     let Request { dir, shard, force, stop_after, on_event } = request;
     folder::claim(dir, plan, force)?;
@@ -156,13 +156,13 @@ fn count(runs: &[Run]) -> u64 {
     runs.iter().map(|run| run.units.len() as u64).sum()
 }
 
-/// Runs as long as can be while every worker still gets several, so that all end at about the same time.
+/// The longest runs that still give every worker several, so that all finish at about the same time.
 fn run_length(units: u64, longest: u32) -> u32 {
     let workers = rayon::current_num_threads().min(MAX_WORKERS) as u64;
     (units / (4 * workers)).clamp(1, u64::from(longest)) as u32
 }
 
-/// The units of each group that are a shard's to make: the units of all groups in a row are cut into equal parts.
+/// The units of each group that belong to a shard: all units in order, cut into equal parts.
 fn units_of_shard(groups: &[u32], shard: Shard) -> Vec<Run> {
     let total: u64 = groups.iter().copied().map(u64::from).sum();
     let cut = |part: u32| u64::from(part) * total / u64::from(shard.of);
@@ -181,7 +181,7 @@ fn units_of_shard(groups: &[u32], shard: Shard) -> Vec<Run> {
     runs
 }
 
-/// What of `runs` is not there yet, as runs.
+/// The missing units of `runs`, as runs.
 fn missing<P: Plan>(dir: &Path, plan: &P, runs: &[Run]) -> Vec<Run> {
     let mut missing: Vec<Run> = Vec::new();
     for run in runs {
@@ -195,7 +195,7 @@ fn missing<P: Plan>(dir: &Path, plan: &P, runs: &[Run]) -> Vec<Run> {
     missing
 }
 
-/// Cuts runs into pieces of at most `length` units.
+/// Splits runs into pieces of at most `length` units.
 fn cut(runs: Vec<Run>, length: u32) -> Vec<Run> {
     let pieces = |run: Run| {
         let starts = run.units.clone().step_by(length.max(1) as usize);
@@ -207,12 +207,12 @@ fn cut(runs: Vec<Run>, length: u32) -> Vec<Run> {
     runs.into_iter().flat_map(pieces).collect()
 }
 
-/// One of several parts that a dataset is made in, each perhaps on a machine of its own.
+/// One of several parts of a dataset, which may be rendered on different machines.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Shard {
     /// Number of the part, from 1.
     pub number: u32,
-    /// How many parts there are.
+    /// Number of parts.
     pub of: u32,
 }
 
@@ -241,7 +241,7 @@ impl FromStr for Shard {
             let (number, of) = (number.parse().ok()?, of.parse().ok()?);
             (1 <= number && number <= of).then_some(Self { number, of })
         });
-        parsed.ok_or_else(|| format!("`{text}` is not a part; expected I/N with I from 1 to N, e.g. 2/3"))
+        parsed.ok_or_else(|| format!("`{text}`: expected I/N with I from 1 to N, e.g. 2/3"))
     }
 }
 

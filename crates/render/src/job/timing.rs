@@ -1,4 +1,4 @@
-//! Where the time goes.
+//! Timing by stage.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -6,10 +6,10 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use srflow_field::named;
 
-/// What a worker does with its time.
+/// The stages of a worker's work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Stage {
-    /// Making subjects.
+    /// Creating subjects.
     Heads,
     /// Posing the head and moving its Gaussians.
     Motion,
@@ -44,7 +44,7 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Does `work` on the account of `stage`.
+    /// Runs `work` and adds its time to `stage`.
     pub fn time<T>(&self, stage: Stage, work: impl FnOnce() -> T) -> T {
         let start = Instant::now();
         let result = work();
@@ -53,7 +53,7 @@ impl Clock {
         result
     }
 
-    /// Time spent so far, by stage.
+    /// Time so far, by stage.
     pub fn spent(&self) -> Vec<StageTime> {
         let of = |stage: Stage| {
             let nanoseconds = self.nanoseconds[stage as usize].load(Ordering::Relaxed);

@@ -1,4 +1,4 @@
-//! Workers: each takes runs of units and makes them, until none is left, one fails or enough are made.
+//! Workers: each takes runs of units and renders them, until none is left, one fails, or the limit is reached.
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -10,18 +10,18 @@ use super::timing::{Clock, Stage};
 use super::{Event, MAX_WORKERS, Plan, Run};
 use crate::RenderError;
 
-/// What all workers share.
+/// State shared by all workers.
 pub(crate) struct Work<'a, P: Plan> {
     pub plan: &'a P,
     pub dir: &'a Path,
     runs: &'a [Run],
-    /// Units that were there before, and all units of the shard.
+    /// Number of units that existed before, and of all units of the shard.
     before: u64,
     total: u64,
     stop_after: u64,
     on_event: &'a (dyn Fn(Event) + Sync),
     pub clock: Clock,
-    /// The group that work was last begun on.
+    /// The group that was started last.
     current: Mutex<Option<(u32, Arc<P::Group>)>>,
     next_run: AtomicUsize,
     begun: AtomicU64,
@@ -57,15 +57,15 @@ impl<'a, P: Plan> Work<'a, P> {
         }
     }
 
-    /// Makes all runs on the threads of the current rayon pool.
+    /// Renders all runs on the threads of the current rayon pool.
     ///
     /// # Errors
-    /// The first that any worker meets; the others stop after the unit that they are at.
+    /// The first error of any worker; the others stop after their current unit.
     pub(super) fn make(&self) -> Result<(), RenderError> {
         let threads = rayon::current_num_threads();
         let workers = threads.min(MAX_WORKERS).min(self.runs.len()).max(1);
         let pools = (0..workers).map(|worker| {
-            // Threads that do not come out even go to the first workers.
+            // Leftover threads go to the first workers.
             let threads = threads / workers + usize::from(worker < threads % workers);
             rayon::ThreadPoolBuilder::new()
                 .num_threads(threads)
@@ -98,7 +98,7 @@ impl<'a, P: Plan> Work<'a, P> {
         Ok(())
     }
 
-    /// The group, which the workers that are at it share. Runs are taken in order: at most one group is begun at a time.
+    /// The group, shared by its workers. Runs are taken in order: at most one group is started at a time.
     fn group(&self, number: u32) -> Result<Arc<P::Group>, RenderError> {
         let mut current = lock(&self.current);
         if let Some((at, group)) = &*current
@@ -106,13 +106,13 @@ impl<'a, P: Plan> Work<'a, P> {
         {
             return Ok(Arc::clone(group));
         }
-        *current = None; // frees the group before, unless a worker is still at it
+        *current = None; // frees the previous group, unless a worker still uses it
         let group = Arc::new(self.clock.time(Stage::Heads, || self.plan.group(number))?);
         *current = Some((number, Arc::clone(&group)));
         Ok(group)
     }
 
-    /// Whether another unit is to be made.
+    /// Whether to render another unit.
     pub fn begin(&self) -> bool {
         if self.begun.fetch_add(1, Ordering::Relaxed) >= self.stop_after {
             self.stopped.store(true, Ordering::Relaxed);
@@ -120,13 +120,13 @@ impl<'a, P: Plan> Work<'a, P> {
         !self.stopped.load(Ordering::Relaxed)
     }
 
-    /// Counts a unit whose files are all written.
+    /// Counts a unit with all files written.
     pub fn done(&self) {
         self.made.fetch_add(1, Ordering::Relaxed);
         (self.on_event)(Event::Made { bytes: self.bytes() });
     }
 
-    /// Writes a file on the account of `stage`.
+    /// Writes a file and adds the time to `stage`.
     pub fn write(
         &self,
         stage: Stage,
@@ -154,6 +154,6 @@ impl<'a, P: Plan> Work<'a, P> {
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // A worker that panicked takes the whole run down; what it held is not looked at again.
+    // A panic in a worker ends the whole run; its data is not used again.
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,4 +1,4 @@
-//! One clip: a head that shows a micro-expression and drifts a little before a camera that stands still.
+//! One clip: a head with a micro-expression and a slight drift, in front of a static camera.
 
 use glam::{DVec3, EulerRot, Quat, Vec3};
 use srflow_avatar::{Avatar, HeadModelError, HeadPose, Joint, MicroExpression, PosedHead};
@@ -10,20 +10,20 @@ use super::sensor::Light;
 use super::settings::{ClipPlan, FRAMES_AT_REST, SynthSettings};
 use crate::generate::{Rig, SmoothPath, View, unit_name};
 
-/// The frame is wider than the face's landmarks by this factor.
+/// Width of the frame relative to the face's landmarks.
 const MARGIN: f64 = 1.18;
 
-/// How far the head turns (yaw, pitch, roll in degrees) and moves (metres) at most within a clip, at drift 1.
+/// Maximum rotation (yaw, pitch, roll in degrees) and translation (metres) of the head within a clip, at drift 1.
 const DRIFT_DEGREES: [f32; 3] = [0.12, 0.1, 0.08];
 const DRIFT_METRES: f32 = 0.00015;
 
-/// How differently clips of one subject are framed: degrees of azimuth, elevation and roll.
+/// Variation of the framing between clips of one subject: degrees of azimuth, elevation and roll.
 const VIEW_DEGREES: [f32; 3] = [6.0, 4.0, 2.0];
 
-/// Seconds from one point of the drift to the next.
+/// Seconds between control points of the drift.
 const DRIFT_KNOT_SECONDS: f32 = 0.25;
 
-/// Action units that micro-expressions of a class usually show (those that CASME II and SAMM were coded with).
+/// Typical action units of each class (those coded in CASME II and SAMM).
 fn action_unit_sets(class: EmotionClass) -> &'static [&'static [u8]] {
     match class {
         EmotionClass::Negative => {
@@ -83,10 +83,10 @@ impl Clip {
         Ok(pose)
     }
 
-    /// Where the 68 landmarks of dlib are seen in a posed head, in pixels.
+    /// Image positions of dlib's 68 landmarks on a posed head, in pixels.
     pub fn landmarks(&self, avatar: &Avatar, head: &PosedHead) -> Vec<[f64; 2]> {
         let seen = landmarks(avatar, head.vertices()).map(|point| self.camera.project(point));
-        // The face is before the camera: a landmark without a pixel would be one behind it.
+        // The face is in front of the camera, so every landmark has an image position.
         seen.map(|seen| seen.map_or([0.0; 2], |(pixel, _)| pixel.to_array())).collect()
     }
 
@@ -98,7 +98,7 @@ impl Clip {
             .map(move |&(number, side, intensity)| (unit_name(number, side), intensity))
     }
 
-    /// Numbers of the action units as datasets write them: `1+2`.
+    /// Numbers of the action units in the notation of datasets: `1+2`.
     pub fn coded_units(&self) -> String {
         let mut numbers: Vec<u8> = self.expression.action_units.iter().map(|unit| unit.0).collect();
         numbers.dedup();
@@ -106,7 +106,7 @@ impl Clip {
         numbers.join("+")
     }
 
-    /// The Gaussians of a frame into `out`.
+    /// Writes the Gaussians of a frame into `out`.
     pub fn gaussians(
         &self,
         avatar: &Avatar,
@@ -123,13 +123,13 @@ fn landmarks<'a>(avatar: &'a Avatar, vertices: &'a [Vec3]) -> impl Iterator<Item
     avatar.model().landmarks_on(vertices).map(|place| place.as_dvec3())
 }
 
-/// A camera at one metre whose square frame the face fills.
+/// A camera at a distance of one metre whose square frame the face fills.
 fn camera(avatar: &Avatar, side: usize, stream: &mut Stream) -> Camera {
     let at_rest: Vec<DVec3> = landmarks(avatar, &avatar.shaped().vertices).collect();
     let low = at_rest.iter().copied().fold(DVec3::INFINITY, DVec3::min);
     let high = at_rest.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
     let extent = (high - low).x.max((high - low).y) * MARGIN;
-    // The landmarks end at the brows; the middle of the face lies higher than theirs.
+    // The landmarks end at the brows; the centre of the face is above theirs.
     let centre = (low + high) / 2.0 + DVec3::Y * 0.08 * extent;
     let [azimuth, elevation, roll] = VIEW_DEGREES.map(|reach| f64::from(stream.uniform(-reach, reach)));
     let shift = [0, 1].map(|_| f64::from(stream.uniform(-0.03, 0.03)) * side as f64);
@@ -141,7 +141,7 @@ fn camera(avatar: &Avatar, side: usize, stream: &mut Stream) -> Camera {
     camera
 }
 
-/// Slow turns and shifts of the head, which go on through the whole clip.
+/// Slow rotations and translations of the head, throughout the clip.
 fn drift(stream: &mut Stream, settings: &SynthSettings, frames: usize) -> SmoothPath<6> {
     let seconds = frames as f32 / settings.frames_per_second;
     let knots = (seconds / DRIFT_KNOT_SECONDS).ceil().clamp(1.0, 1000.0) as usize + 1;

@@ -1,17 +1,17 @@
-//! Rendering a labelled micro-expression set: the built-in heads show micro-expressions, with the true flow from onset to
-//! apex that no recorded set has.
+//! Rendering a labelled micro-expression dataset: the built-in heads show micro-expressions, with the true flow from onset to
+//! apex, which no recorded dataset has.
 //!
 //! ```text
-//! synth.json                what the set was asked to be
+//! synth.json                the arguments of the dataset
 //! s03/c05/0012.png          frame 12 of subject 3's fifth clip
 //! s03/c05_flow.flo          true flow from onset to apex
 //! s03/c05.json              class, action units and their intensities, onset, apex, offset, landmarks; written last
-//! clips.csv                 the set as plain clips; once it is whole
+//! clips.csv                 the dataset as plain clips; written once it is complete
 //! landmarks.csv             the 68 landmarks of dlib in every clip's onset frame
 //! ```
 //!
-//! [`crate::job`] makes it clip by clip. Every file's bytes depend on the settings alone: not on the shard that it is made
-//! in, how often a run was killed, or how many threads there are.
+//! [`crate::job`] renders it clip by clip. Every file's bytes depend on the settings alone: not on shards, interruptions, or
+//! the number of threads.
 
 mod clip;
 mod sensor;
@@ -34,38 +34,38 @@ use settings::ClipPlan;
 use srflow_read::micro_expression::{Annotation, Classes, PLAIN_NAME, write_plain};
 use work::Clips;
 
-/// Name of the file that says what the set was asked to be.
+/// Name of the file with the arguments.
 const SETTINGS_NAME: &str = "synth.json";
 
 /// Name of the file of landmarks.
 pub const LANDMARKS_NAME: &str = "landmarks.csv";
 
-/// What [`synthesize`] did.
+/// The result of [`synthesize`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SynthReport {
     /// Clips of this shard.
     pub clips: u64,
-    /// Those that this run made.
+    /// Clips rendered by this run.
     pub made: u64,
-    /// Frames of the set, once it is whole.
+    /// Number of frames, once the dataset is complete.
     pub frames: Option<usize>,
     pub subjects: u32,
-    /// Clips of each class in the set.
+    /// Clips of each class.
     pub classes: BTreeMap<&'static str, usize>,
-    /// Mean length of the true flow from onset to apex on the head, in pixels, once the set is whole.
+    /// Mean length of the true flow from onset to apex on the head, in pixels, once the dataset is complete.
     pub mean_flow: Option<f64>,
-    /// Seconds that this run took.
+    /// Duration in seconds.
     pub seconds: f64,
-    /// Whether it was stopped on request before all clips were made.
+    /// Whether it was stopped on request before all clips were rendered.
     pub stopped: bool,
 }
 
-/// What `s03/c05.json` holds.
+/// The contents of `s03/c05.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct ClipRecord {
     subject: String,
     class: String,
-    /// Action units at the apex and their intensity, 0 to 1.
+    /// Action units at the apex and their intensities, 0 to 1.
     action_units: BTreeMap<String, f32>,
     coded_units: String,
     onset: u64,
@@ -78,12 +78,12 @@ struct ClipRecord {
     landmarks: Vec<[f64; 2]>,
 }
 
-/// Makes a set of micro-expressions, or one shard of it, with the threads of the current rayon pool. Existing
-/// files, made with the same settings, are kept.
+/// Renders a micro-expression dataset, or one shard of it, with the threads of the current rayon pool. Existing files with
+/// the same settings are kept.
 ///
 /// # Errors
-/// Before any work when a setting is out of range or the folder is not this set's; later when a file cannot be written.
-/// What is complete stays, and the next call with the same settings continues.
+/// Before any work when a setting is out of range or the folder has another dataset; later when a file cannot be written.
+/// Complete files stay, and the next call with the same settings continues.
 pub fn synthesize(settings: &SynthSettings, request: Request) -> Result<SynthReport, RenderError> {
     let plan = Clips { settings, clips: settings.plan()? };
     let (made, whole) = job::make(&plan, request)?;
@@ -102,7 +102,7 @@ pub fn synthesize(settings: &SynthSettings, request: Request) -> Result<SynthRep
     })
 }
 
-/// Writes the tables of a set that is whole; gives its number of frames and its mean flow.
+/// Writes the tables of a complete dataset; returns its number of frames and its mean flow.
 fn finish(dir: &Path, plan: &[ClipPlan]) -> Result<(usize, f64), RenderError> {
     let records = plan.iter().map(|clip| read_record(&clip.record(dir))).collect::<Result<Vec<_>, _>>()?;
     write_tables(dir, plan, &records)?;

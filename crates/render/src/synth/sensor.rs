@@ -1,22 +1,22 @@
-//! What stands between a rendered picture and a recorded one: changing light, and the sensor's noise.
+//! Imaging effects of recorded video: changing illumination and sensor noise.
 
 use srflow_field::Image;
 use srflow_field::random::{Key, Stream};
 
-/// Pictures are coded with about this power: light that grows by `g` makes a value grow by `g^(1/2.2)`.
+/// The gamma of the pictures: light that grows by `g` multiplies a value by `g^(1/2.2)`.
 const CODING_POWER: f32 = 2.2;
 
-/// Standard deviation of the noise in values of 255: in black, and what is added to its square at white.
+/// Standard deviation of the noise in levels of 255: at black, and the term added to its square at white.
 const NOISE_IN_BLACK: f32 = 0.9;
 const NOISE_AT_WHITE: f32 = 2.1;
 
-/// Lamps on alternating current of 50 Hz.
+/// Frequency of lamp flicker in Hz, with alternating current of 50 Hz.
 const FLICKER_HZ: f32 = 100.0;
 
-/// How the light of one clip changes, relative to its mean.
+/// The illumination changes of one clip, relative to its mean.
 #[derive(Debug, Clone)]
 pub struct Light {
-    /// Of the whole picture, of its left-right and of its top-bottom gradient: strength, cycles per second, phase.
+    /// For the whole picture, its horizontal and its vertical gradient: strength, cycles per second, phase.
     waves: [[f32; 3]; 3],
     flicker: [f32; 2],
 }
@@ -33,7 +33,7 @@ impl Light {
         Self { waves, flicker }
     }
 
-    /// Factors of the values in the picture's corners are `at(..)`: the whole, the gradient to the right, and downwards.
+    /// Illumination at a time: factors for the whole picture, the gradient to the right, and the gradient downwards.
     fn at(&self, seconds: f32) -> [f32; 3] {
         let turn = std::f32::consts::TAU;
         let mut light =
@@ -42,7 +42,7 @@ impl Light {
         light
     }
 
-    /// Lights a picture as it is lit after so many seconds, and adds noise of the given strength keyed by `key`.
+    /// Applies the illumination at a time in seconds, and adds noise of the given strength keyed by `key`.
     pub fn record(&self, image: &mut Image, seconds: f32, noise: f32, key: Key) {
         let (width, height) = image.size();
         let [whole, right, down] = self.at(seconds);

@@ -1,4 +1,4 @@
-//! What a set of micro-expressions is asked to be, and the plan that follows from it.
+//! The settings of a micro-expression dataset, and the plan derived from them.
 
 use std::path::{Path, PathBuf};
 
@@ -9,15 +9,15 @@ use srflow_read::micro_expression::EmotionClass;
 
 use crate::RenderError;
 
-/// Frames at rest before the onset and after the offset.
+/// Number of frames at rest before the onset and after the offset.
 pub(super) const FRAMES_AT_REST: usize = 3;
 
-/// What is asked for. Strengths of the disturbances are factors: 0 is none, 1 about what published recordings have.
+/// Settings. Strengths of the disturbances are factors: 0 is none, 1 is about that of published recordings.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SynthSettings {
-    /// How many people.
+    /// Number of subjects.
     pub subjects: u32,
-    /// Clips of each; the classes take turns.
+    /// Clips per subject; the classes alternate.
     pub clips_per_subject: u32,
     /// Width and height of the frames, in pixels.
     pub side: usize,
@@ -28,11 +28,11 @@ pub struct SynthSettings {
     pub noise: f32,
     /// Drift of the head: 1 is up to about a tenth of a degree and 0.15 mm to either side within a clip.
     pub drift: f32,
-    /// Changes of light: 1 is up to about 2 % slowly, with a gradient over the face, and 0.3 % of flicker at 100 Hz.
+    /// Illumination changes: 1 is up to about 2 % slowly, with a gradient over the face, and 0.3 % of flicker at 100 Hz.
     pub lighting: f32,
-    /// Seed of every random choice.
+    /// Random seed.
     pub seed: u64,
-    /// How the true flow is stored.
+    /// File format of the true flow.
     #[serde(with = "format_name")]
     pub flow_format: FlowFormat,
 }
@@ -54,7 +54,7 @@ impl Default for SynthSettings {
     }
 }
 
-/// A flow format by the ending of its files.
+/// A flow format by file extension.
 mod format_name {
     use serde::de::Error;
     use serde::{Deserialize, Deserializer, Serializer};
@@ -71,7 +71,7 @@ mod format_name {
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct ClipPlan {
-    /// Its number among all clips; random choices are keyed by it.
+    /// Index among all clips; random choices are keyed by it.
     pub number: u32,
     /// Its subject's number.
     pub subject: u32,
@@ -87,12 +87,12 @@ impl ClipPlan {
         dir.join(&self.name)
     }
 
-    /// The file of the true flow from onset to apex, beside the clip's folder.
+    /// The file of the true flow from onset to apex, next to the clip's folder.
     pub fn flow(&self, dir: &Path, format: FlowFormat) -> PathBuf {
         dir.join(format!("{}_flow.{}", self.name, format.extension()))
     }
 
-    /// What is known of the clip; written last.
+    /// The record of the clip; written last.
     pub fn record(&self, dir: &Path) -> PathBuf {
         dir.join(format!("{}.json", self.name))
     }
@@ -129,7 +129,7 @@ impl SynthSettings {
         }
         let clip = |number: u32| {
             let (subject, within) = (number / self.clips_per_subject, number % self.clips_per_subject);
-            // Each subject begins with another class, so that odd numbers of clips come out even over the subjects.
+            // Each subject starts with another class, which balances odd numbers of clips over the subjects.
             let class = EmotionClass::ALL[((within + subject) % 3) as usize];
             let subject_name = format!("s{:02}", subject + 1);
             let name = format!("{subject_name}/c{:02}", within + 1);

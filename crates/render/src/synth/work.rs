@@ -1,4 +1,4 @@
-//! Making clips: their frames, their flow and their record.
+//! Rendering clips: their frames, flow and record.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,12 +15,12 @@ use crate::RenderError;
 use crate::job::{Plan, Run, Stage, unless_gone};
 use crate::record::json_text;
 
-/// What is behind the heads: the grey of a laboratory's backdrop.
+/// The background of the heads: a laboratory's grey backdrop.
 const BACKDROP: [f32; 3] = [0.55, 0.56, 0.57];
 
 type Work<'w, 'a> = crate::job::Work<'w, Clips<'a>>;
 
-/// A set whose units are clips, by subject.
+/// A dataset of clips, grouped by subject.
 pub struct Clips<'a> {
     pub settings: &'a SynthSettings,
     pub clips: Vec<ClipPlan>,
@@ -60,7 +60,7 @@ impl<'a> Plan for Clips<'a> {
     }
 
     fn makes(&self, run: &Run, folder: &Path, name: &str) -> bool {
-        // The subject's folder holds the flow and record of other shards' clips too.
+        // The subject's folder contains the flow and records of other shards' clips too.
         run.units.clone().any(|within| {
             let clip = Path::new(&self.clip(run.group, within).name);
             let stem = clip.file_name().unwrap_or_default().to_string_lossy();
@@ -70,7 +70,7 @@ impl<'a> Plan for Clips<'a> {
     }
 
     fn delete(&self, dir: &Path, found: &str) -> Result<(), RenderError> {
-        // Of settings that cannot be read nobody knows which files are the set's: they are written over.
+        // If the settings cannot be read, the dataset's files are unknown: they are overwritten instead.
         let Ok(other) = serde_json::from_str::<SynthSettings>(found) else { return Ok(()) };
         for clip in other.plan()? {
             // The record first: without it the clip does not count.
@@ -112,7 +112,7 @@ impl<'a> Plan for Clips<'a> {
     }
 }
 
-/// The buffers of one worker, used again for every frame.
+/// The buffers of one worker, reused for every frame.
 #[derive(Default)]
 pub struct Renderer {
     rasterizer: Rasterizer,
@@ -168,7 +168,7 @@ impl Renderer {
             mean_flow: self.mean_flow(),
             landmarks: clip.landmarks(avatar, &self.head),
         };
-        // The record tells that the clip is whole, so it comes last.
+        // The record marks the clip as complete, so it comes last.
         work.write(Stage::Records, &plan.record(work.dir), |path| write_file(path, json_text(&record)))
     }
 

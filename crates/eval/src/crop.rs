@@ -1,4 +1,4 @@
-//! Where the evaluated window lies in a frame.
+//! Placing the evaluated window in a frame.
 
 use srflow_field::Mask;
 
@@ -21,17 +21,17 @@ pub struct Window {
     crop.0, crop.1, frame.0, frame.1
 )]
 pub struct CropError {
-    /// Width and height asked for.
+    /// Requested width and height.
     pub crop: (usize, usize),
     /// Width and height of the frame.
     pub frame: (usize, usize),
 }
 
-/// The window of `crop` (width, height) centred on the head: on the centroid of `head`, moved as little as needed to
-/// lie inside the frame. Without a mask, or with an empty one, it is centred on the frame.
+/// The window of `crop` (width, height) around the head: centred on the centroid of `head`, then moved inside the frame.
+/// Without a mask, or with an empty one, it is centred on the frame.
 ///
 /// # Errors
-/// When the crop is larger than the frame, or has no pixel.
+/// When the crop is larger than the frame, or empty.
 pub fn head_window(
     frame: (usize, usize),
     crop: (usize, usize),
@@ -43,14 +43,14 @@ pub fn head_window(
     }
     let centre = head.filter(|head| head.size() == frame).and_then(centroid);
     let (x, y) = centre.unwrap_or(((frame.0 as f64 - 1.0) / 2.0, (frame.1 as f64 - 1.0) / 2.0));
-    // The first pixel of a window whose middle is nearest to the centre; a cast of a negative number gives 0.
+    // The first pixel of the window centred nearest; casting a negative number gives 0.
     let first = |centre: f64, size: usize, limit: usize| {
         ((centre - (size as f64 - 1.0) / 2.0).round() as usize).min(limit - size)
     };
     Ok(Window { left: first(x, width, frame.0), top: first(y, height, frame.1), width, height })
 }
 
-/// Mean column and row of the pixels that are set; `None` when there is none.
+/// Mean column and row of the pixels that are set; `None` when none is.
 fn centroid(mask: &Mask) -> Option<(f64, f64)> {
     let (mut count, mut x_sum, mut y_sum) = (0_u64, 0_u64, 0_u64);
     for y in 0..mask.height() {

@@ -1,4 +1,4 @@
-//! Which share of the pixels lies within an error: the curve whose weighted area is WAUC.
+//! The share of pixels within an error threshold: the curve whose weighted area is WAUC.
 
 use srflow_field::FlowField;
 
@@ -7,7 +7,7 @@ pub(crate) const THRESHOLDS: usize = 100;
 /// Thresholds per pixel of error.
 pub(crate) const PER_PIXEL: f64 = 20.0;
 
-/// The mean over images of the share of valid pixels whose end-point error is at most each threshold.
+/// For each threshold, the mean over images of the share of valid pixels with at most that end-point error.
 #[derive(Debug, Clone)]
 pub(crate) struct ErrorCurve {
     sums: Vec<f64>,
@@ -21,7 +21,7 @@ impl Default for ErrorCurve {
 }
 
 impl ErrorCurve {
-    /// Adds one image; one without known truth takes no part.
+    /// Adds one image; an image without ground truth is ignored.
     pub(crate) fn add(&mut self, flow: &FlowField, truth: &FlowField) {
         let mut counts = [0_u64; THRESHOLDS + 1];
         let mut valid = 0_u64;
@@ -29,7 +29,7 @@ impl ErrorCurve {
             let error = f64::from((u - true_u).hypot(v - true_v));
             if error.is_finite() {
                 valid += 1;
-                // The first threshold that is not below the error.
+                // The first threshold that reaches the error.
                 counts[((error * PER_PIXEL).ceil() as usize).saturating_sub(1).min(THRESHOLDS)] += 1;
             }
         }
@@ -44,7 +44,7 @@ impl ErrorCurve {
         self.images += 1;
     }
 
-    /// One share per threshold, `0..=1`; empty without an image.
+    /// One share per threshold, `0..=1`; empty without images.
     pub(crate) fn mean(self) -> Vec<f64> {
         match self.images {
             0 => Vec::new(),

@@ -1,4 +1,4 @@
-//! Running estimators over the pairs of a dataset and scoring them.
+//! Runs estimators over the pairs of a dataset and scores them.
 
 use std::num::NonZeroUsize;
 use std::time::Instant;
@@ -12,17 +12,16 @@ use crate::flow_files::{FlowFileError, FlowFiles};
 use crate::results::{Evaluation, Failure, MethodScores, PairScores, title};
 use crate::zero::Zero;
 
-/// Where the flow that is scored comes from.
+/// The source of the flow that is scored.
 #[derive(Clone, Copy)]
 pub enum Method<'a> {
-    /// It is estimated.
     Estimator(&'a dyn FlowEstimator),
-    /// It was estimated before.
+    /// Flow files of another program.
     Files(&'a FlowFiles),
 }
 
 impl<'a> Method<'a> {
-    /// What tables call it.
+    /// Name in tables.
     pub fn name(self) -> &'a str {
         match self {
             Self::Estimator(estimator) => estimator.name(),
@@ -31,26 +30,26 @@ impl<'a> Method<'a> {
     }
 }
 
-/// What is evaluated, and how.
+/// Settings of an evaluation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Settings {
-    /// Width and height of the window around the head that estimators see and scores count; without it, whole frames.
+    /// Width and height of the window around the head that estimators see and scores count; `None` for whole frames.
     pub crop: Option<(usize, usize)>,
     /// Score only this many pairs, spread evenly over the dataset.
     pub limit: Option<usize>,
-    /// What a pair that cannot be scored does to the run.
+    /// What to do with a pair that cannot be scored.
     pub on_failure: OnFailure,
-    /// Pairs of one size that a method estimates at once, where it can; without it, one.
+    /// Pairs of one size that a method estimates at once, where it can; `None` for one.
     pub batch: Option<NonZeroUsize>,
 }
 
-/// What happens when a pair cannot be read, cropped or estimated.
+/// What to do when a pair cannot be read, cropped or estimated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum OnFailure {
-    /// The run ends with an error that names the pair.
+    /// End the run with an error that names the pair.
     #[default]
     Stop,
-    /// The pair is left out for every method, so that all rows are means over the same pairs, and is listed in
+    /// Leave the pair out for every method, so that all rows are means over the same pairs, and list it in
     /// [`Evaluation::failures`].
     LeaveOut,
 }
@@ -58,27 +57,27 @@ pub enum OnFailure {
 /// Progress of [`evaluate`].
 #[derive(Debug)]
 pub enum Event<'a> {
-    /// Before the first pair: how many there are.
+    /// The start, before the first pair.
     Started {
         /// Pairs to be scored.
         pairs: usize,
     },
-    /// A method begins with a pair, or with several at once.
+    /// A method starts a pair, or a batch of pairs.
     Estimating {
         method: &'a str,
-        /// The name of the first of them.
+        /// Name of the first pair.
         pair: &'a str,
     },
-    /// A pair was scored by every method.
+    /// Every method has scored a pair.
     Scored(&'a ScoredPair<'a>),
     /// A pair was left out.
     LeftOut(&'a Failure),
 }
 
-/// A pair with everything that was computed for it, for pictures.
+/// A scored pair with its inputs and results, for pictures.
 #[derive(Debug)]
 pub struct ScoredPair<'a> {
-    /// Place among the scored pairs, from 0.
+    /// Index among the scored pairs, from 0.
     pub index: usize,
     /// Name within its dataset.
     pub name: &'a str,
@@ -86,11 +85,11 @@ pub struct ScoredPair<'a> {
     pub sample: &'a Sample,
     /// The true flow, cropped.
     pub truth: &'a FlowField,
-    /// What each method computed, in the order of [`Evaluation::methods`]: the baseline first.
+    /// The results of each method, in the order of [`Evaluation::methods`]: the baseline first.
     pub estimates: &'a [Estimate],
 }
 
-/// What one method computed for one pair.
+/// The result of one method on one pair.
 #[derive(Debug)]
 pub struct Estimate {
     pub method: String,
@@ -100,10 +99,10 @@ pub struct Estimate {
     pub scores: PairScores,
 }
 
-/// Why an evaluation ended early.
+/// Errors that end an evaluation.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluateError {
-    /// The split has frames but no true flow.
+    /// The split has frames but no ground truth.
     #[error(
         "{dataset}: none of its {pairs} pairs has a true flow to score against; choose a split whose truth is published, e.g. --split train"
     )]
@@ -117,7 +116,7 @@ pub enum EvaluateError {
     #[error("{pair}: {problem}")]
     Pair { pair: String, problem: PairProblem },
     /// Every pair failed.
-    #[error("no pair of {dataset} could be scored; the first that failed: {first}")]
+    #[error("no pair of {dataset} could be scored; the first failure: {first}")]
     NothingScored {
         /// The dataset and its split.
         dataset: String,
@@ -126,51 +125,36 @@ pub enum EvaluateError {
     },
 }
 
-/// Why one pair could not be scored.
+/// Why a pair could not be scored.
 #[derive(Debug, thiserror::Error)]
 pub enum PairProblem {
     /// Its files could not be read.
     #[error(transparent)]
     Read(#[from] DatasetError),
-    /// It has no true flow.
-    #[error("there is no true flow to score against")]
+    /// It has no ground truth.
+    #[error("it has no true flow to score against")]
     NoTruth,
-    /// The crop does not fit it.
     #[error(transparent)]
     Crop(#[from] CropError),
-    /// A method gave no flow.
+    /// A method failed.
     #[error("{method} gave no flow: {source}")]
-    Estimate {
-        method: String,
-        /// What it said.
-        source: EstimateError,
-    },
+    Estimate { method: String, source: EstimateError },
     /// A file with a method's flow could not be read.
     #[error("{method}: {source}")]
-    File {
-        method: String,
-        /// What is wrong with it.
-        source: FlowFileError,
-    },
+    File { method: String, source: FlowFileError },
     /// A method's flow could not be scored.
     #[error("the flow of {method} could not be scored: {source}")]
-    Score {
-        method: String,
-        /// What is wrong with it.
-        source: ScoreError,
-    },
+    Score { method: String, source: ScoreError },
 }
 
-/// Scores every method over the pairs of a dataset that have a true flow: per pair, then the mean over pairs, in the whole
-/// window, inside the head's mask and outside occlusions where the dataset has them. The [`Zero`] baseline is scored
-/// first, whether asked for or not.
+/// Scores every method over the pairs of a dataset that have ground truth: per pair, then the mean over pairs, over all
+/// pixels, inside the head's mask and outside occlusions where the dataset has them. The [`Zero`] baseline always comes
+/// first.
 ///
-/// Pairs run one after the other, or batch after batch, each method on the rayon pool it is called from, so that the time of
-/// a method is that of estimating alone; of a batch, the pair's share. One pair or batch is in memory at a time. Pairs of
-/// different sizes are never in one batch.
+/// Pairs, or batches of pairs of one size, run one after another, each method on the current rayon pool; a method's time is
+/// that of estimation alone, divided evenly over the pairs of a batch. One pair or batch is in memory at a time.
 ///
-/// # Errors
-/// When no pair has a truth or none could be scored; with [`OnFailure::Stop`], at the first pair that fails.
+/// When no pair has ground truth or none could be scored; with [`OnFailure::Stop`], at the first pair that fails.
 pub fn evaluate(
     dataset: &FlowDataset,
     methods: &[Method<'_>],
@@ -251,14 +235,14 @@ pub fn evaluate(
     }
 }
 
-/// A pair's name, and what became of it.
+/// A pair's name and its outcome.
 type Outcome<T> = (String, Result<T, PairProblem>);
 
-/// A sample, cropped, and its truth apart.
+/// A sample, cropped, with its ground truth taken out.
 struct Pair {
     sample: Sample,
     truth: FlowField,
-    /// Width and height of the frames before they were cropped.
+    /// Width and height of the frames before cropping.
     whole: (usize, usize),
     window: Option<Window>,
 }
@@ -285,7 +269,7 @@ impl Pair {
     }
 }
 
-/// Runs every method on pairs of one size. A pair that a method fails on is not given to the methods after it.
+/// Runs every method on pairs of one size. A pair that fails with one method is not passed to the next.
 fn estimate_batch(
     batch: Vec<Outcome<Pair>>,
     methods: &[Method<'_>],
@@ -326,8 +310,8 @@ fn estimate_batch(
     batch
 }
 
-/// The flow of each pair and the seconds it took. Where a batch fails, its pairs are estimated alone, so that those that
-/// have a flow get it.
+/// The flow of each pair and the seconds it took. When a batch fails, its pairs are estimated one by one, so that only
+/// those at fault fail.
 fn timed_flows(
     estimator: &dyn FlowEstimator,
     pairs: &[[&Image; 2]],
@@ -356,7 +340,7 @@ fn scored(
     Ok(Estimate { method: method.to_owned(), baseline: method == Zero.name(), flow, scores })
 }
 
-/// The scores of one flow in every region that the pair has.
+/// The scores of one flow in every region of the pair.
 pub(crate) fn scores_of(
     pair: &str,
     seconds: Option<f64>,
@@ -384,7 +368,7 @@ pub(crate) fn chosen(dataset: &FlowDataset, limit: Option<usize>) -> Vec<&Entry>
     spread(entries.len(), limit).into_iter().map(|index| &entries[index]).collect()
 }
 
-/// `limit` indices spread evenly over `0..count`; all of them when there are no more.
+/// `limit` indices spread evenly over `0..count`, or all of them when `limit` is not below `count`.
 fn spread(count: usize, limit: Option<usize>) -> Vec<usize> {
     let wanted = limit.unwrap_or(count).min(count);
     (0..wanted).map(|i| i * count / wanted).collect()
@@ -405,7 +389,7 @@ fn inverse(mask: &Mask) -> Mask {
     Mask::from_fn(mask.width(), mask.height(), |x, y| !mask.get(x, y))
 }
 
-/// What is summed over the pairs of one method.
+/// Sums over the pairs of one method.
 struct MethodSums {
     scores: MethodScores,
     whole: MeanMetrics,

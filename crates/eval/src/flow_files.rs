@@ -1,4 +1,4 @@
-//! Flows that another program estimated, as files.
+//! Flow files of other programs.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -17,11 +17,11 @@ const LISTED: usize = 12;
 #[derive(Debug, Clone)]
 pub struct FlowFiles {
     name: String,
-    /// By the pair's name.
+    /// Path and format by the pair's name.
     files: HashMap<String, (PathBuf, FlowFormat)>,
 }
 
-/// Why a folder of flows does not fit a dataset.
+/// The flow files do not match the dataset.
 #[derive(Debug, thiserror::Error)]
 pub enum FlowFilesError {
     #[error(
@@ -32,11 +32,11 @@ pub enum FlowFilesError {
     Missing {
         /// The folder.
         dir: PathBuf,
-        /// How many have none.
+        /// Number of pairs without a file.
         count: usize,
-        /// Of how many.
+        /// Number of pairs in total.
         pairs: usize,
-        /// Names of some of them.
+        /// Names of some of these pairs.
         listed: String,
         first: String,
     },
@@ -49,13 +49,13 @@ pub enum FlowFilesError {
     },
 }
 
-/// Why the flow of a pair could not be taken from its file.
+/// Why a pair's flow could not be taken from its file.
 #[derive(Debug, thiserror::Error)]
 pub enum FlowFileError {
     /// It cannot be read.
     #[error(transparent)]
     Read(#[from] FileError),
-    /// It is of another size.
+    /// It has the wrong size.
     #[error(
         "{}: expected a flow of {}x{} as the frames are{}, found {}x{} (WIDTHxHEIGHT)",
         .path.display(), .frame.0, .frame.1, crop_words(.crop), .found.0, .found.1
@@ -64,7 +64,7 @@ pub enum FlowFileError {
         path: PathBuf,
         /// Width and height of the frames.
         frame: (usize, usize),
-        /// Width and height of the crop that is scored.
+        /// Width and height of the scored crop.
         crop: Option<(usize, usize)>,
         /// Width and height of the flow.
         found: (usize, usize),
@@ -72,14 +72,14 @@ pub enum FlowFileError {
 }
 
 fn crop_words(crop: &Option<(usize, usize)>) -> String {
-    crop.map_or(String::new(), |(width, height)| format!(", or of {width}x{height} as they are cropped"))
+    crop.map_or(String::new(), |(width, height)| format!(", or of {width}x{height} as the crop is"))
 }
 
 impl FlowFiles {
-    /// Finds the files of the pairs of `dataset` that an evaluation with this `limit` scores. None is opened.
+    /// Finds the files of the pairs of `dataset` that an evaluation with this `limit` scores, without opening them.
     ///
     /// # Errors
-    /// When a pair has no file, or more than one; pairs without are named together.
+    /// When a pair has no file, or several; all pairs without a file are listed together.
     pub fn find(
         name: String,
         dir: &Path,
@@ -112,19 +112,19 @@ impl FlowFiles {
         Err(FlowFilesError::Missing { dir: dir.to_owned(), count, pairs, listed, first })
     }
 
-    /// What tables call it.
+    /// Name in tables.
     pub fn name(&self) -> &str {
         &self.name
     }
 
-    /// The flow of a pair whose frames are of the size `frame`, cropped to `window`. A file may also hold the window alone.
+    /// The flow of a pair whose frames have the size `frame`, cropped to `window`. The file may hold the window alone.
     pub(crate) fn read(
         &self,
         pair: &str,
         frame: (usize, usize),
         window: Option<Window>,
     ) -> Result<FlowField, FlowFileError> {
-        let (path, format) = &self.files[pair]; // `find` has seen every pair that is scored
+        let (path, format) = &self.files[pair]; // `find` found a file for every scored pair
         let flow = read_flow_as(path, *format)?;
         let crop = window.map(|Window { width, height, .. }| (width, height));
         match window {

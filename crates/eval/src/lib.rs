@@ -1,4 +1,4 @@
-//! Scoring any estimator over any dataset: tables, panels, curves and the one-file HTML report.
+//! Scores any estimator over any dataset: tables, panels, curves and the one-file HTML report.
 
 mod crop;
 mod error_curve;

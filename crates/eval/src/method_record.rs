@@ -1,36 +1,36 @@
-//! What results say of the flow method that made them.
+//! The description of a flow method that results store.
 
 use serde::Serialize;
 
 /// A flow method with everything that its flow of two frames depends on.
 #[derive(Debug, Clone, Serialize)]
 pub struct MethodRecord {
-    /// As in tables.
+    /// Name in tables.
     pub name: String,
-    /// As on the command line, such as `skflow`.
+    /// Name on the command line, such as `skflow`.
     pub method: &'static str,
-    /// Their values, in words.
+    /// Parameters and their values, as text.
     pub parameters: String,
     /// The file of a network's weights.
     pub weights: Option<String>,
     /// SHA-256 of that file, in hexadecimal digits.
     pub sha256: Option<String>,
-    /// A network's refinements of the flow.
+    /// Number of refinement iterations of a network.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
-    /// Where a network is computed.
+    /// The device of a network.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub device: Option<String>,
 }
 
 impl MethodRecord {
-    /// The same for two methods exactly when they give the same flow, under whatever name and wherever their weights lie.
+    /// Equal for two methods exactly when they compute the same flow, whatever their names and the paths of their weights.
     pub fn identity(&self) -> String {
         let Self { method, parameters, sha256, .. } = self;
         format!("{method} {parameters} {}", sha256.as_deref().unwrap_or_default())
     }
 
-    /// Method, parameters and weights, for people.
+    /// Method, parameters and weights as text.
     pub fn description(&self) -> String {
         let weights = match (&self.weights, &self.sha256) {
             (Some(weights), Some(sha256)) => format!(", weights {weights} (SHA-256 {sha256})"),

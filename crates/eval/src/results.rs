@@ -1,4 +1,4 @@
-//! What an evaluation found: data, and its forms as tables.
+//! The results of an evaluation, and their tables.
 
 use serde::{Deserialize, Serialize};
 use srflow_field::{Metrics, named};
@@ -11,18 +11,18 @@ use crate::table::{Better, Column, Row, Table, csv_text};
 pub struct Evaluation {
     /// The kind of dataset with its options, e.g. `sintel-clean`.
     pub dataset: String,
-    /// The part of it.
+    /// The split.
     pub split: Split,
     pub folder: String,
-    /// Width and height of the window around the head, when frames were cropped.
+    /// Width and height of the window around the head; `None` for whole frames.
     pub crop: Option<(usize, usize)>,
-    /// The most pairs that were to be scored, spread evenly over the dataset; `None` for all.
+    /// The limit on the number of pairs; `None` for all.
     pub limit: Option<usize>,
-    /// How many pairs every row is a mean over.
+    /// The number of pairs in the mean of every row.
     pub pairs: usize,
     /// The methods, baseline first.
     pub methods: Vec<MethodScores>,
-    /// Pairs that were left out, for every method.
+    /// Pairs left out for every method.
     pub failures: Vec<Failure>,
 }
 
@@ -33,11 +33,11 @@ pub struct MethodScores {
     pub name: String,
     /// Whether it is a baseline, which is not ranked.
     pub baseline: bool,
-    /// Mean over pairs of the scores over all pixels with a known truth.
+    /// Mean over pairs of the scores over all pixels with ground truth.
     pub whole: Option<Metrics>,
     /// The same inside the head's mask; `None` when the dataset has none.
     pub head: Option<Metrics>,
-    /// The same over pixels that are not occluded; `None` when the dataset does not say which are.
+    /// The same over pixels that are not occluded; `None` when the dataset has no occlusions.
     pub visible: Option<Metrics>,
     /// Mean over pairs of the share of pixels whose end-point error is at most 0.05, 0.10, ... 5 px.
     pub within: Vec<f64>,
@@ -49,9 +49,9 @@ pub struct MethodScores {
 pub struct PairScores {
     /// The pair's name within its dataset.
     pub pair: String,
-    /// Wall-clock seconds of the estimation alone; `None` for a flow that was read from a file.
+    /// Wall-clock seconds of the estimation alone; `None` for flow files.
     pub seconds: Option<f64>,
-    /// Over all pixels with a known truth.
+    /// Over all pixels with ground truth.
     pub whole: Option<Metrics>,
     /// Inside the head's mask.
     pub head: Option<Metrics>,
@@ -59,21 +59,21 @@ pub struct PairScores {
     pub visible: Option<Metrics>,
 }
 
-/// A pair that was left out.
+/// A pair left out.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Failure {
     pub pair: String,
-    /// What went wrong.
+    /// The error.
     pub reason: String,
 }
 
-/// Which pixels a score is over.
+/// The pixels that a score covers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Region {
-    /// All with a known truth.
+    /// All with ground truth.
     Whole,
-    /// Those of the head.
+    /// Those inside the head's mask.
     Head,
     /// Those that are not occluded.
     Visible,
@@ -82,7 +82,7 @@ pub enum Region {
 named!(Region, "a region", { Whole => "whole", Head => "head", Visible => "visible" });
 
 impl Region {
-    /// In words.
+    /// Name in table titles.
     pub fn words(self) -> &'static str {
         match self {
             Region::Whole => "all pixels",
@@ -111,8 +111,8 @@ pub fn score_columns() -> Vec<Column> {
 }
 
 impl Evaluation {
-    /// The paper's Table II for one region, with the median seconds per pair behind it; `None` when the dataset has no
-    /// such region.
+    /// The paper's Table II for one region, with the median seconds per pair appended; `None` when the dataset has no such
+    /// region.
     pub fn table(&self, region: Region) -> Option<Table> {
         self.methods.iter().find_map(|method| method.region(region))?;
         let seconds = Column::plain("seconds", "s/pair", 3);
@@ -146,7 +146,7 @@ impl Evaluation {
         format!("{} pair{}", self.pairs, if self.pairs == 1 { "" } else { "s" })
     }
 
-    /// The tables of all regions that the dataset has.
+    /// The tables of all regions of the dataset.
     pub fn tables(&self) -> Vec<Table> {
         Region::ALL.into_iter().filter_map(|region| self.table(region)).collect()
     }
@@ -194,7 +194,7 @@ impl MethodScores {
         }
     }
 
-    /// Median over pairs of the seconds of the estimation; `None` where none was timed.
+    /// Median over pairs of the seconds of the estimation; `None` when none was timed.
     pub fn median_seconds(&self) -> Option<f64> {
         let mut seconds: Vec<f64> = self.pairs.iter().filter_map(|pair| pair.seconds).collect();
         seconds.sort_by(f64::total_cmp);

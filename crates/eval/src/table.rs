@@ -4,18 +4,18 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-/// Which way a score is better.
+/// The direction in which a score improves.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Better {
     /// Smaller is better: an error.
     Lower,
-    /// Larger is better: a share of good pixels.
+    /// Larger is better: a share of correct pixels.
     Higher,
 }
 
 impl Better {
-    /// The arrow that tables put behind the name of a score.
+    /// The arrow that tables print after the name of a score.
     pub fn arrow(self) -> char {
         match self {
             Better::Lower => '↓',
@@ -27,28 +27,28 @@ impl Better {
 /// One column of a [`Table`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Column {
-    /// Name for machines: the head of the CSV column.
+    /// Name in the CSV header.
     pub key: String,
-    /// Name for people, without the arrow.
+    /// Name in other tables, without the arrow.
     pub header: String,
     /// Which way is better; `None` for a column that is not ranked.
     pub better: Option<Better>,
-    /// Digits shown behind the point. Ranks compare what is shown, so that equal numbers carry equal marks.
+    /// Decimal places shown. Ranks compare the rounded values, so that values that look equal get equal marks.
     pub decimals: usize,
 }
 
 /// One row of a [`Table`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// What the row is of: the name of a method.
+    /// The name of the row: a method.
     pub name: String,
-    /// One value per column, at full precision; `None` where there is nothing to measure.
+    /// One value per column, at full precision; `None` where nothing was measured.
     pub values: Vec<Option<f64>>,
-    /// A baseline is shown for orientation and never ranked.
+    /// A baseline is shown for reference and never ranked.
     pub baseline: bool,
 }
 
-/// How good a value is among its column.
+/// The rank of a value in its column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mark {
     /// Bold blue in the paper.
@@ -62,9 +62,9 @@ pub enum Mark {
 /// Rows of scores under named columns.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Table {
-    /// What was measured, in a few words.
+    /// Title.
     pub title: String,
-    /// The columns, the one of the row names left out.
+    /// The columns, except that of the row names.
     pub columns: Vec<Column>,
     /// The rows, in the order they are shown.
     pub rows: Vec<Row>,
@@ -73,22 +73,22 @@ pub struct Table {
 /// How [`Table::text`] shows the marks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextStyle {
-    /// `**`, `*` and `_` behind the value.
+    /// `**`, `*` and `_` after the value.
     Plain,
-    /// Colours and underlines of an ANSI terminal, as the paper prints them.
+    /// Colours and underlines of an ANSI terminal, as in the paper.
     Ansi,
 }
 
 impl Table {
     /// The mark of every value, `marks[row][column]`.
     ///
-    /// Equal values share a rank and take up the ranks behind it (1, 1, 3), as in the paper's Table IV. Ranks compare
+    /// Equal values share a rank and use up the following ones (1, 1, 3), as in the paper's Table IV. Ranks compare
     /// rounded values; baselines, missing and non-finite values have none.
     pub fn marks(&self) -> Vec<Vec<Option<Mark>>> {
         let mut marks = vec![vec![None; self.columns.len()]; self.rows.len()];
         for (c, column) in self.columns.iter().enumerate() {
             let Some(better) = column.better else { continue };
-            // Shown digits as a number, negated where larger is better: smaller is then always better.
+            // The shown digits as a number, negated where larger is better, so that smaller is always better.
             let key = |row: &Row| -> Option<f64> {
                 let value = row.value(c).filter(|value| value.is_finite() && !row.baseline)?;
                 let shown: f64 = format!("{value:.*}", column.decimals).parse().ok()?;
@@ -108,12 +108,12 @@ impl Table {
         marks
     }
 
-    /// Whether any column is ranked: rows of such a table are methods.
+    /// Whether any column is ranked: the rows of such a table are methods.
     pub fn ranked(&self) -> bool {
         self.columns.iter().any(|column| column.better.is_some())
     }
 
-    /// For a terminal: aligned columns under the title, and a legend of the marks at the end where there are any.
+    /// For a terminal: the title, aligned columns, and a legend of the marks where there are any.
     pub fn text(&self, style: TextStyle) -> String {
         let marks = self.marks();
         let mut cells: Vec<Vec<String>> = vec![self.headers()];
@@ -163,8 +163,8 @@ impl Table {
         out
     }
 
-    /// Comma-separated values at full precision: `method` and the columns' keys, then one line per row. A missing value
-    /// is an empty field.
+    /// Comma-separated values at full precision: `method` and the columns' keys, then one line per row. A missing value is an
+    /// empty field.
     pub fn csv(&self) -> String {
         let head = std::iter::once("method".to_owned()).chain(self.columns.iter().map(|c| c.key.clone()));
         let lines = self.rows.iter().map(|row| {
@@ -198,7 +198,7 @@ impl Table {
         out
     }
 
-    /// A LaTeX `tabular` in the paper's own form; needs the packages of [`latex_file`].
+    /// A LaTeX `tabular` in the paper's style; needs the packages listed by [`latex_file`].
     pub fn latex(&self) -> String {
         let mut out = format!("\\begin{{tabular}}{{l*{{{}}}c}}\n\\toprule\n", self.columns.len());
         let headers: Vec<String> = self.headers().iter().map(|header| latex_header(header)).collect();
@@ -220,12 +220,12 @@ impl Table {
         out
     }
 
-    /// What stands over the names of the rows.
+    /// Header above the row names.
     pub(crate) fn row_header(&self) -> &'static str {
         if self.ranked() { "Methods" } else { "" }
     }
 
-    /// That of the rows and the columns' headers with their arrows.
+    /// All headers, with their arrows.
     fn headers(&self) -> Vec<String> {
         std::iter::once(self.row_header().to_owned()).chain(self.columns.iter().map(Column::title)).collect()
     }
@@ -257,7 +257,7 @@ impl Column {
         }
     }
 
-    /// A value as the tables show it; a dash where there is none.
+    /// A value as shown; a dash where there is none.
     pub fn show(&self, value: Option<f64>) -> String {
         value.map_or("–".to_owned(), |value| format!("{value:.*}", self.decimals))
     }
@@ -274,7 +274,7 @@ pub(crate) fn csv_text(lines: impl Iterator<Item = Vec<String>>) -> String {
 }
 
 fn plain_suffix(style: TextStyle, mark: Option<Mark>) -> &'static str {
-    // Suffixes of one width keep the decimal points of a column under each other.
+    // Suffixes of equal width keep the decimal points of a column aligned.
     match (style, mark) {
         (TextStyle::Ansi, _) => "",
         (TextStyle::Plain, Some(Mark::Best)) => "**",
@@ -293,7 +293,7 @@ fn ansi(mark: Mark) -> (&'static str, &'static str) {
     }
 }
 
-/// Tables in one of their forms, one after the other.
+/// Tables in one format, one after another.
 pub fn joined(tables: &[Table], form: impl Fn(&Table) -> String) -> String {
     tables.iter().map(form).collect::<Vec<_>>().join("\n")
 }
@@ -303,7 +303,7 @@ pub fn markdown_file(tables: &[Table]) -> String {
     joined(tables, |table| format!("{}\n\n{}", table.title, table.markdown()))
 }
 
-/// A file for `\input`: the packages that its tables need as a comment, then each `tabular` under its title as a comment.
+/// A file for `\input`: a comment with the required packages, then each `tabular` under its title as a comment.
 pub fn latex_file(tables: impl IntoIterator<Item = (String, String)>) -> String {
     const PACKAGES: &str =
         "% \\usepackage{booktabs}\n% \\usepackage[table]{xcolor}\n% \\usepackage[normalem]{ulem}\n";
@@ -312,7 +312,7 @@ pub fn latex_file(tables: impl IntoIterator<Item = (String, String)>) -> String 
     std::iter::once(PACKAGES.to_owned()).chain(tables).collect()
 }
 
-/// `F1_μ ↑` as `$F1_\mu$ $\uparrow$`: a symbol with a subscript is set as mathematics.
+/// `F1_μ ↑` as `$F1_\mu$ $\uparrow$`: a symbol with a subscript is set in math mode.
 fn latex_header(header: &str) -> String {
     let (symbol, rest) = header.split_once(' ').unwrap_or((header, ""));
     let rest = if rest.is_empty() { String::new() } else { format!(" {}", latex_escape(rest)) };
@@ -323,7 +323,7 @@ fn latex_header(header: &str) -> String {
     }
 }
 
-/// Text for LaTeX; characters that stock pdflatex has no glyph for are left as they are.
+/// Escapes text for LaTeX; characters that stock pdflatex has no glyph for stay as they are.
 pub fn latex_escape(text: &str) -> String {
     let mut out = String::new();
     for character in text.chars() {

@@ -1,7 +1,7 @@
 use srflow_field::{EstimateError, FlowEstimator, FlowField, Image};
 
-/// The estimator that says nothing moves: its EPE is the mean length of the true flow, so that a method which does not
-/// beat it has seen no motion.
+/// The estimator of zero flow: its EPE is the mean length of the true flow, and a method that does not beat it has detected
+/// no motion.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Zero;
 

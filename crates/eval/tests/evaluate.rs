@@ -14,8 +14,8 @@ use srflow_read::flow::{DatasetSpec, FlowDataset};
 
 const SIZE: (usize, usize) = (40, 24);
 
-/// Reads the truth that [`write_pair`] hides in the red channel and adds an error: `left` in the left half of the
-/// frame it sees, `right` in the other.
+/// Reads the truth that [`write_pair`] encodes in the red channel and adds an error: `left` in the left half of the frame it
+/// sees, `right` in the other.
 struct Knowing {
     left: [f32; 2],
     right: [f32; 2],
@@ -149,7 +149,7 @@ fn a_broken_pair_stops_the_run_or_is_left_out_of_every_row() {
     }
 }
 
-/// Says how many pairs it got at once, and cannot estimate frames whose first pixel is [`REFUSED`].
+/// Records how many pairs it got at once, and fails on frames whose first pixel is [`REFUSED`].
 struct Counting(Mutex<Vec<usize>>);
 
 const REFUSED: [u8; 3] = [9, 8, 7];
@@ -175,7 +175,7 @@ impl FlowEstimator for Counting {
     }
 }
 
-/// Also beside pairs of another size, pairs that cannot be read, and pairs without a flow.
+/// Also next to pairs of another size, pairs that cannot be read, and pairs without a flow.
 #[test]
 fn scores_do_not_depend_on_how_many_pairs_are_estimated_at_once() {
     let dir = tempfile::tempdir().unwrap();
@@ -207,7 +207,7 @@ fn scores_do_not_depend_on_how_many_pairs_are_estimated_at_once() {
     assert_eq!((alone.pairs, counts), (7, vec![1; 8]));
     let failed: Vec<&str> = alone.failures.iter().map(|failure| failure.pair.as_str()).collect();
     assert_eq!(failed, ["pair1", "pair4"]);
-    // A batch with a pair that has no flow is estimated pair by pair.
+    // A batch that contains a failing pair is estimated pair by pair.
     for (batch, expected) in [(2, vec![1, 2, 2, 1, 1, 1, 2]), (20, vec![5, 1, 1, 1, 1, 1, 1, 2])] {
         let (together, counts) = run(batch);
         assert_eq!(counts, expected, "batch {batch}");
@@ -257,7 +257,7 @@ fn results_survive_json_and_csv() {
     assert_eq!(evaluation.pairs_csv().lines().count(), 1 + 2 * 3 * 2);
 }
 
-/// Flow files under the names of the pairs score as the method that they are of, whole or cropped.
+/// Flow files named after the pairs score like the method that wrote them, whole or cropped.
 #[test]
 fn flow_files_score_as_the_method_that_wrote_them() {
     let dir = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! A report of made-up numbers: whole, well-formed, and in need of nothing beside it.
+//! A report of made-up numbers is complete, well-formed and self-contained.
 
 use srflow_eval::report::{
     ActionCard, Axis, Bar, Bin, Chart, Curve, Figure, Film, Page, Panel, Picture, Section, action_cards,
@@ -8,7 +8,7 @@ use srflow_eval::report::{
 use srflow_eval::{Better, Column, Row, Table};
 use srflow_field::{Image, Plane, is_unprintable};
 
-/// A text that would break out of every place it could be put into, were it not escaped.
+/// Text that would break out of any context if it were not escaped.
 const HOSTILE: &str = "<script>alert('x')</script> \" onload=x & </style> \u{202e}\u{1b}[2J";
 
 fn blob(width: usize, height: usize, hue: u8) -> Image {
@@ -136,7 +136,7 @@ fn report() -> Page {
     }
 }
 
-/// Every tag that opens closes in order; returns the names of the elements and of their attributes.
+/// Checks that tags are balanced; returns the names of the elements and of their attributes.
 fn walk(html: &str) -> (Vec<String>, Vec<String>) {
     const VOID: [&str; 4] = ["meta", "img", "input", "br"];
     let (mut open, mut elements, mut attributes) = (Vec::new(), Vec::new(), Vec::new());

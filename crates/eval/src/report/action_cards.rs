@@ -17,12 +17,12 @@ pub struct ActionCard {
     pub flow: Picture,
 }
 
-/// A grid of action units: full intensity beside its flow; pointing at a card, or ticking the box for all, shows the
-/// face at rest.
+/// A grid of action units: full intensity beside its flow. Hovering over a card, or ticking the box for all, shows the face
+/// at rest.
 pub fn action_cards(cards: &[ActionCard], caption: &str) -> Figure {
     Figure(html! {
         figure {
-            label.switch { input type="checkbox"; "Show every face at rest (or point at one)" }
+            label.switch { input type="checkbox"; "Show every face at rest (or hover over one)" }
             div.cards {
                 @for card in cards {
                     div.panel.card tabindex="0" {

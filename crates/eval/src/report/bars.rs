@@ -6,11 +6,11 @@ use super::charts::{Chart, Scale, WIDTH, colour_class, framed_at, number, place}
 /// One horizontal bar.
 #[derive(Debug, Clone)]
 pub struct Bar {
-    /// Written above the bar.
+    /// Label above the bar.
     pub name: String,
-    /// Its length.
+    /// Length of the bar.
     pub value: f64,
-    /// Written behind the bar: the value with its unit.
+    /// Label after the bar: the value with its unit.
     pub label: String,
     /// A baseline is grey.
     pub baseline: bool,
@@ -21,7 +21,7 @@ pub fn bars(bars: &[Bar], chart: &Chart) -> Figure {
     const LINE: f64 = 46.0;
     let scale =
         Scale::from_zero(bars.iter().map(|bar| bar.value).filter(|v| v.is_finite()).fold(0.0, f64::max));
-    // Room behind the longest bar for its label.
+    // Space after the longest bar for its label.
     let length = |value: f64| (scale.share(value) * (WIDTH - 110.0)).max(1.5);
     let mut series = 0;
     let drawing = html! {

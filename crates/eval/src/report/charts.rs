@@ -1,4 +1,4 @@
-//! What the SVG charts share: their frame, their axes and the choice of round numbers.
+//! Shared parts of the SVG charts: frame, axes, and round numbers for ticks.
 
 use maud::{Markup, html};
 
@@ -10,16 +10,16 @@ pub(super) const HEIGHT: f64 = 270.0;
 /// The plotting area: left, right, top, bottom.
 pub(super) const AREA: [f64; 4] = [52.0, 508.0, 30.0, 226.0];
 
-/// What stands around a chart.
+/// The texts around a chart.
 #[derive(Debug, Clone)]
 pub struct Chart {
-    /// The line above it.
+    /// Title.
     pub title: String,
-    /// What the horizontal axis counts, with its unit.
+    /// Label of the horizontal axis, with its unit.
     pub x: String,
-    /// What the vertical axis counts, with its unit.
+    /// Label of the vertical axis, with its unit.
     pub y: String,
-    /// What to see in it.
+    /// Caption.
     pub caption: String,
 }
 
@@ -35,12 +35,12 @@ impl Chart {
     }
 }
 
-/// How values are laid along an axis.
+/// The scale of an axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Axis {
-    /// Evenly.
+    /// Linear.
     Linear,
-    /// By their logarithm; values of 0 or below lie at the lower end.
+    /// Logarithmic; values of 0 or below are drawn at the lower end.
     Logarithmic,
 }
 
@@ -62,8 +62,8 @@ impl Scale {
         Self { axis: Axis::Linear, low: 0.0, high: count as f64 * step, ticks }
     }
 
-    /// From exactly `low` to exactly `high`. Between whole numbers that are further apart than the ticks would be, the
-    /// ticks are whole too: there is no pair 2.5.
+    /// From exactly `low` to exactly `high`. Between integers, ticks are integers too unless that would leave too few: there is
+    /// no pair 2.5.
     pub(super) fn exact(low: f64, high: f64) -> Self {
         let mut step = round_step((high - low).max(1e-9) / 5.0);
         if low.fract() == 0.0 && high.fract() == 0.0 && step > 1.0 && step.fract() != 0.0 {
@@ -85,7 +85,7 @@ impl Scale {
         Self { axis: Axis::Logarithmic, low: 10_f64.powi(low), high: 10_f64.powi(high), ticks }
     }
 
-    /// From exactly `low` to exactly `high` by their logarithms, with ticks at the decades between.
+    /// From exactly `low` to exactly `high` on a logarithmic scale, with ticks at the decades between.
     pub(super) fn exact_logarithmic(low: f64, high: f64) -> Self {
         let low = if low.is_finite() && low > 0.0 { low } else { 1.0 };
         let high = if high.is_finite() && high > low { high } else { 10.0 * low };
@@ -94,7 +94,7 @@ impl Scale {
         Self { axis: Axis::Logarithmic, low, high, ticks }
     }
 
-    /// Where a value lies, 0 at the low end and 1 at the high end, never outside.
+    /// Position of a value: 0 at the low end, 1 at the high end, clamped.
     pub(super) fn share(&self, value: f64) -> f64 {
         let share = match self.axis {
             Axis::Linear => (value - self.low) / (self.high - self.low),
@@ -104,18 +104,18 @@ impl Scale {
         if share.is_nan() { 0.0 } else { share.clamp(0.0, 1.0) }
     }
 
-    /// Horizontal place in the plotting area.
+    /// Horizontal position in the plotting area.
     pub(super) fn x(&self, value: f64) -> f64 {
         AREA[0] + self.share(value) * (AREA[1] - AREA[0])
     }
 
-    /// Vertical place in the plotting area.
+    /// Vertical position in the plotting area.
     pub(super) fn y(&self, value: f64) -> f64 {
         AREA[3] - self.share(value) * (AREA[3] - AREA[2])
     }
 }
 
-/// Rules and labels of both axes.
+/// Grid lines and labels of both axes.
 pub(super) fn axes(x: &Scale, y: &Scale, chart: &Chart) -> Markup {
     let [left, right, _, bottom] = AREA;
     html! {
@@ -137,7 +137,7 @@ pub(super) fn framed(chart: &Chart, keys: &[(&str, &str)], drawing: Markup) -> M
     framed_at(chart, keys, drawing, HEIGHT)
 }
 
-/// [`framed`] at a height of its own.
+/// [`framed`] with a given height.
 pub(super) fn framed_at(chart: &Chart, keys: &[(&str, &str)], drawing: Markup, height: f64) -> Markup {
     html! {
         figure {
@@ -164,13 +164,13 @@ pub(super) fn colour_class(number: Option<usize>) -> &'static str {
     }
 }
 
-/// A coordinate with the digits a screen can show.
+/// A coordinate, rounded to what a screen can show.
 pub(super) fn place(value: f64) -> String {
     let text = format!("{value:.1}");
     text.strip_suffix(".0").map_or(text.clone(), str::to_owned)
 }
 
-/// A number with no more digits than it needs.
+/// A number with no unnecessary digits.
 pub(super) fn number(value: f64) -> String {
     let size = value.abs();
     for (unit, letter) in [(1e9, 'G'), (1e6, 'M'), (1e4, 'k')] {

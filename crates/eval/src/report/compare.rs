@@ -2,8 +2,8 @@ use maud::html;
 
 use super::{Figure, Picture};
 
-/// Two pictures of one size on top of each other with a divider to drag: `left` is seen to the left of it, `right` to
-/// its right. The words are shown in the corners.
+/// Two pictures of one size on top of each other with a draggable divider: `left` is visible to the left of it, `right` to
+/// its right. The labels are shown in the corners.
 pub fn compare(left: (&Picture, &str), right: (&Picture, &str), caption: &str) -> Figure {
     Figure(html! {
         figure {

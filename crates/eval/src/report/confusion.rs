@@ -3,18 +3,18 @@ use maud::html;
 use super::Figure;
 use super::charts::{Chart, WIDTH, framed_at, place};
 
-/// A confusion matrix: `counts[truth][predicted]` clips, each row shaded by its shares. `chart.x` names the columns,
-/// `chart.y` the rows.
+/// A confusion matrix: `counts[truth][predicted]` clips, cells shaded by their share of the row. `chart.x` labels the
+/// columns, `chart.y` the rows.
 pub fn confusion_matrix(classes: &[String], counts: &[Vec<usize>], chart: &Chart) -> Figure {
     const LETTER: f64 = 6.6;
-    /// Letters of a name that does not fit above its column and is turned by 60 degrees.
+    /// Names longer than this do not fit above their column and are rotated by 60 degrees.
     const SLANTED: usize = 18;
     let letters = |class: &String| class.chars().count();
     let longest = classes.iter().map(letters).max().unwrap_or(0);
     let left = (LETTER * longest as f64 + 16.0).clamp(70.0, 170.0);
     let columns = classes.len().max(1) as f64;
     let slanted = LETTER * longest as f64 > (WIDTH - left) / columns - 6.0;
-    // A slanted name is half as wide as it is long, and reaches to the right of its column.
+    // A rotated name takes half its length in width, and extends to the right of its column.
     let right =
         if slanted { LETTER / 2.0 * classes.last().map_or(0, letters).min(SLANTED) as f64 } else { 0.0 };
     let top = if slanted { 34.0 + 0.87 * LETTER * longest.min(SLANTED) as f64 } else { 40.0 };

@@ -6,7 +6,7 @@ use super::charts::{Axis, Chart, Scale, axes, colour_class, framed, place};
 /// One line of a chart.
 #[derive(Debug, Clone)]
 pub struct Curve {
-    /// Its name in the key.
+    /// Name in the legend.
     pub name: String,
     /// Its points, from left to right; points that are not finite are left out.
     pub points: Vec<(f64, f64)>,
@@ -14,7 +14,7 @@ pub struct Curve {
     pub baseline: bool,
 }
 
-/// Curves over one pair of axes. With `dots`, every point is marked: for few points that were each measured.
+/// Curves over one pair of axes. With `dots`, every point is marked: for a few measured points.
 pub fn curves(curves: &[Curve], vertical: Axis, dots: bool, chart: &Chart) -> Figure {
     let finite = |curve: &Curve| -> Vec<(f64, f64)> {
         curve.points.iter().copied().filter(|(x, y)| x.is_finite() && y.is_finite()).collect()
@@ -27,7 +27,7 @@ pub fn curves(curves: &[Curve], vertical: Axis, dots: bool, chart: &Chart) -> Fi
         false => {
             let low = least(&mut all.iter().map(|point| point.0));
             let high = most(&mut all.iter().map(|point| point.0));
-            // An axis that begins close to zero begins at zero, and so does that of a single place.
+            // An axis that starts close to zero starts at zero, and so does one with a single position.
             let from_zero = 0.0 < low && (low < 0.05 * high || low == high);
             let low = if from_zero { 0.0 } else { low };
             Scale::exact(low, if low == high { low + 1.0 } else { high })
@@ -94,7 +94,7 @@ mod tests {
         }
     }
 
-    /// The drawing alone: the file for downloading repeats it.
+    /// The drawing alone, which the downloadable file repeats.
     fn axes_of(lines: &[Curve], chart: &Chart) -> String {
         let figure = curves(lines, Axis::Linear, true, chart).0.into_string();
         figure.rsplit("<svg").next().unwrap_or_default().to_owned()

@@ -4,7 +4,7 @@ use srflow_field::Image;
 use super::panels::title_and_note;
 use super::{Figure, Picture, PictureError};
 
-/// A short film: its frames side by side in one picture, which the style sheet steps through.
+/// A short animation: its frames side by side in one picture, which the style sheet steps through.
 #[derive(Debug, Clone)]
 pub struct Film {
     strip: Picture,
@@ -17,7 +17,7 @@ impl Film {
     /// Joins frames of one size.
     ///
     /// # Errors
-    /// When there is no frame, or together they are wider than a JPEG can be (65535 pixels).
+    /// When there are no frames, or together they are wider than a JPEG can be (65535 pixels).
     pub fn new(frames: &[Image], title: &str, note: &str) -> Result<Self, PictureError> {
         let (width, height) = frames.first().map_or((0, 0), Image::size);
         let mut strip = Vec::with_capacity(width * height * frames.len());
@@ -39,7 +39,7 @@ impl Film {
     }
 }
 
-/// Films that run together, back and forth, at `frames_per_second`.
+/// Animations that run in sync, back and forth, at `frames_per_second`.
 pub fn films(films: &[Film], frames_per_second: f64, caption: &str) -> Figure {
     let style = |film: &Film| {
         let seconds = film.frames as f64 / frames_per_second.max(0.1);

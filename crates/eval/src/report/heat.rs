@@ -1,8 +1,8 @@
-//! The colours of error maps: black through red and orange to light yellow.
+//! The colour map of errors: black through red and orange to light yellow.
 
 use srflow_field::{FlowField, Image, Plane};
 
-/// Ten equidistant colours of matplotlib's `inferno` (CC0), which is even to the eye and survives grey printing.
+/// Ten equidistant colours of matplotlib's `inferno` (CC0), which is perceptually uniform and survives grey printing.
 const STOPS: [[f32; 3]; 10] = [
     [0.0, 0.0, 4.0],
     [27.0, 12.0, 65.0],
@@ -16,12 +16,12 @@ const STOPS: [[f32; 3]; 10] = [
     [252.0, 255.0, 164.0],
 ];
 
-/// What a pixel without truth looks like.
+/// The colour of a pixel without ground truth.
 const UNKNOWN: [u8; 3] = [150, 150, 152];
 
-/// End-point error per pixel, in pixels; NaN where the truth is unknown.
+/// End-point error per pixel, in pixels; NaN without ground truth.
 ///
-/// Both fields must have the same size; pixels outside either are left out by the caller.
+/// Both fields should have the same size; pixels outside either are ignored.
 pub fn error_map(estimate: &FlowField, truth: &FlowField) -> Plane {
     let width = estimate.width().min(truth.width());
     let height = estimate.height().min(truth.height());

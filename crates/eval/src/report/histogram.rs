@@ -3,19 +3,19 @@ use maud::html;
 use super::Figure;
 use super::charts::{AREA, Axis, Chart, Scale, axes, framed, place};
 
-/// One bin: values from `low` up to `high`, and how many there are.
+/// One bin: the number of values from `low` up to `high`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Bin {
     /// Lower end.
     pub low: f64,
     /// Upper end.
     pub high: f64,
-    /// How many values, or which share of them.
+    /// Number or share of values.
     pub count: f64,
 }
 
-/// Bins in rising order; each axis linear or logarithmic. On a logarithmic horizontal axis a bin from 0 is drawn as the half
-/// below its upper end.
+/// Bins in ascending order; each axis linear or logarithmic. On a logarithmic horizontal axis a bin that starts at 0 is drawn
+/// as half a decade below its upper end.
 pub fn histogram(bins: &[Bin], horizontal: Axis, vertical: Axis, chart: &Chart) -> Figure {
     let filled = || bins.iter().map(|bin| bin.count).filter(|count| count.is_finite() && *count > 0.0);
     let most = filled().fold(0.0, f64::max);

@@ -5,7 +5,7 @@ use super::charts::number;
 use super::heat::colour;
 use super::{Figure, Picture, PictureError};
 
-/// The key of [`heat`](super::heat): its colours from 0 to `max` pixels, and what to read from it.
+/// The legend of [`heat`](super::heat): its colours from 0 to `max` pixels, and a note.
 ///
 /// # Errors
 /// When the ramp cannot be encoded.
@@ -15,7 +15,7 @@ pub fn heat_legend(max: f64, words: &str) -> Result<Figure, PictureError> {
     ramp_legend(&ramp, "error colours, from black to light yellow", &words)
 }
 
-/// The key of a colour scale: `ramp` is one pixel high, its colours from the lower to the upper end.
+/// The legend of a colour scale: `ramp` is one pixel high, its colours from the lower to the upper end.
 ///
 /// # Errors
 /// When the ramp cannot be encoded.
@@ -24,7 +24,7 @@ pub fn ramp_legend(ramp: &Image, alt: &str, words: &str) -> Result<Figure, Pictu
     Ok(Figure(html! { div.legend { img.ramp src=(ramp.uri) alt=(ramp.alt); span { (words) } } }))
 }
 
-/// The key of flow colours: a disc whose rim is `max` pixels of motion, and what to read from it.
+/// The legend of flow colours: a disc whose rim is `max` pixels of motion, and a note.
 ///
 /// # Errors
 /// When the disc cannot be encoded.
@@ -32,7 +32,7 @@ pub fn wheel_legend(max: f64, words: &str) -> Result<Figure, PictureError> {
     const RADIUS: f32 = 62.0;
     let place = |at: usize| (at as f32 - RADIUS) / RADIUS;
     let side = 2 * RADIUS as usize + 1;
-    // Beyond the rim nothing moves: white corners, which the style sheet rounds away.
+    // Zero flow outside the disc: white corners, which the style sheet rounds off.
     let disc = FlowField::from_fn(side, side, |x, y| match (place(x), place(y)) {
         (u, v) if u.hypot(v) <= 1.0 => [u, v],
         _ => [0.0; 2],

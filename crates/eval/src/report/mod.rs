@@ -1,8 +1,8 @@
-//! The report: one HTML file that needs nothing beside it. No network, no fonts, no scripts from elsewhere; pictures are
-//! inside as data URIs, charts are SVG.
+//! The report: one self-contained HTML file. It loads nothing from elsewhere; pictures are embedded as data URIs, charts are
+//! SVG.
 //!
-//! A [`Page`] holds [`Section`]s, a section holds [`Figure`]s. A figure can only be made by the functions here, which
-//! escape every text they are given.
+//! A [`Page`] holds [`Section`]s, a section holds [`Figure`]s. Figures can only be created by the functions here, which
+//! escape all text.
 
 mod action_cards;
 mod bars;

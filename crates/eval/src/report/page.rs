@@ -1,18 +1,18 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use srflow_field::printable;
 
-/// A part of a page made by one of the figure functions of this module.
+/// A part of a page, created by one of the figure functions of this module.
 #[derive(Debug, Clone)]
 pub struct Figure(pub(super) Markup);
 
 /// A titled part of a [`Page`].
 #[derive(Debug, Clone)]
 pub struct Section {
-    /// Heading, also the entry in the contents.
+    /// Heading, also in the table of contents.
     pub title: String,
-    /// One or two sentences under it.
+    /// One or two sentences under the heading.
     pub lead: String,
-    /// What it shows, from top to bottom.
+    /// From top to bottom.
     pub figures: Vec<Figure>,
 }
 
@@ -26,15 +26,14 @@ impl Section {
 /// A page: title, contents, sections.
 #[derive(Debug, Clone)]
 pub struct Page {
-    /// The large line, also the title of the browser's tab.
+    /// Heading, also the page's `<title>`.
     pub title: String,
-    /// The small line above it.
+    /// Small line above the heading.
     pub kicker: String,
-    /// What this page is, in two or three sentences.
+    /// Two or three sentences that describe the page.
     pub lead: String,
-    /// What stands above the first section: tiles, a film.
+    /// Shown above the first section: tiles, an animation.
     pub opening: Vec<Figure>,
-    /// The parts.
     pub sections: Vec<Section>,
     /// The last line.
     pub colophon: String,

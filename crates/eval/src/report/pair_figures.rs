@@ -1,4 +1,4 @@
-//! One scored pair as pictures: the frame and the truth, and for every method its flow and where it went wrong.
+//! One scored pair as pictures: the frame and the ground truth, and the flow and error of every method.
 
 use srflow_field::{FlowField, Plane, flow_colors};
 use srflow_read::flow::Sample;
@@ -12,9 +12,9 @@ use super::shrink::{shrink_flow, shrink_image, shrink_mask, shrink_plane};
 use super::{Figure, side_by_side};
 use crate::evaluate::ScoredPair;
 
-/// The frame over the true flow in a first column, then a column per method: its flow over its error; pictures that are
-/// not upright in rows of two in the same order. Flow colours and
-/// error colours have one scale for all. Pictures are at most `max_width` pixels wide.
+/// The frame above the true flow in a first column, then one column per method: its flow above its error. Landscape pictures
+/// are shown in rows of two, in the same order. All flow colours share one scale, and so do all error colours. Pictures are
+/// at most `max_width` pixels wide.
 ///
 /// # Errors
 /// When a picture cannot be encoded.
@@ -59,7 +59,7 @@ pub fn pair_figures(
             panel(Picture::jpeg(&heat(error, largest as f32), "end-point error")?, "Error", epe),
         ]);
     }
-    // Upright pictures go beside each other; wide ones need the room of half the page.
+    // Portrait pictures go side by side; landscape ones need half the page.
     let upright = 5 * pair.truth.height() > 4 * pair.truth.width();
     let pictures = match upright {
         true => columns(&all, 240, caption),
@@ -72,15 +72,15 @@ pub fn pair_figures(
     Ok(vec![pictures, side_by_side(legends, 420)])
 }
 
-/// A round length in pixels for the lightest colour of several methods' errors, which one method that is far off does not set:
-/// that of the middle method, of two the better, below which 98 % of its pixels lie.
+/// A round length in pixels for the lightest colour of several methods' errors, robust to one method that is far off: the
+/// 98th percentile of the middle method's errors, or of the better of two.
 fn error_scale(errors: &[&Plane]) -> f64 {
     let mut ends: Vec<f64> = errors.iter().map(|error| share_below(error, 0.98)).collect();
     ends.sort_by(f64::total_cmp);
     round_up(ends.get(ends.len().saturating_sub(1) / 2).copied().unwrap_or(0.0).max(0.1))
 }
 
-/// The flow with what is longer than `longest` cut to it, in its direction.
+/// The flow with vectors longer than `longest` shortened to it.
 fn within(flow: &FlowField, longest: f32) -> FlowField {
     FlowField::from_fn(flow.width(), flow.height(), |x, y| {
         let [u, v] = flow.get(x, y);
@@ -89,7 +89,7 @@ fn within(flow: &FlowField, longest: f32) -> FlowField {
     })
 }
 
-/// What the dataset holds for one pair, called `name`: frame, true flow, mask and occlusion, as far as it has them.
+/// The data of one pair called `name`: frame, true flow, mask and occlusion, as far as the dataset has them.
 ///
 /// # Errors
 /// When a picture cannot be encoded.
@@ -113,19 +113,19 @@ pub fn sample_panels(sample: &Sample, name: &str, max_width: usize) -> Result<Ve
     Ok(panels)
 }
 
-/// A round length in pixels for the full colour of a flow: all but the longest half percent lies below it.
+/// A round length in pixels for the full colour of a flow: its 99.5th percentile or more.
 pub fn flow_scale(flow: &FlowField) -> f64 {
     color_scale(flow.pixels().iter().map(|[u, v]| u.hypot(*v)), 0.1)
 }
 
-/// A round upper end of a colour scale, at least `least`: all but the greatest half percent of the values lies below it.
+/// A round upper end of a colour scale, at least `least`: the 99.5th percentile of the values or more.
 pub fn color_scale(values: impl IntoIterator<Item = f32>, least: f64) -> f64 {
     let values: Vec<f32> = values.into_iter().collect();
     let plane = Plane::from_fn(values.len(), 1, |x, _| values[x]);
     round_up(share_below(&plane, 0.995).max(least))
 }
 
-/// The value that this share of the finite values does not exceed; 0 when there is none.
+/// The quantile `share` of the finite values; 0 when there are none.
 fn share_below(plane: &Plane, share: f64) -> f64 {
     let mut values: Vec<f32> = plane.pixels().iter().copied().filter(|value| value.is_finite()).collect();
     let place = ((values.len() as f64 * share) as usize).min(values.len().saturating_sub(1));
@@ -135,7 +135,7 @@ fn share_below(plane: &Plane, share: f64) -> f64 {
     }
 }
 
-/// The next of 1, 2, 3, 5, 10 times a power of ten of a positive value: a scale that people can name.
+/// The next of 1, 2, 3, 5, 10 times a power of ten above a positive value.
 fn round_up(value: f64) -> f64 {
     let power = 10_f64.powf(value.log10().floor());
     let step = [1.0, 2.0, 3.0, 5.0, 10.0].into_iter().find(|step| step * power >= value * 0.999);

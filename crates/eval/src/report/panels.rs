@@ -2,13 +2,13 @@ use maud::{Markup, html};
 
 use super::{Figure, Picture};
 
-/// A picture with its name and a few words.
+/// A picture with a title and a note.
 #[derive(Debug, Clone)]
 pub struct Panel {
     pub picture: Picture,
-    /// Its name, e.g. `Flow`.
+    /// E.g. `Flow`.
     pub title: String,
-    /// What to see in it; may be empty.
+    /// May be empty.
     pub note: String,
 }
 
@@ -19,8 +19,8 @@ impl Panel {
     }
 }
 
-/// Pictures in a row, wrapped where the page is narrow and never enlarged, with one caption under all. `least_width` is the width in CSS
-/// pixels below which a picture moves to the next line.
+/// Pictures in a row with one caption, wrapped on narrow pages and never enlarged. `least_width` is the width in CSS pixels
+/// below which a picture moves to the next line.
 pub fn panels(panels: &[Panel], least_width: usize, caption: &str) -> Figure {
     Figure(html! {
         figure {
@@ -32,7 +32,7 @@ pub fn panels(panels: &[Panel], least_width: usize, caption: &str) -> Figure {
     })
 }
 
-/// Pictures in columns that stay together: each is shown from top to bottom, and moves to the next line as a whole.
+/// Pictures in columns that stay together: each is shown from top to bottom, and wraps as a whole.
 pub fn columns(columns: &[Vec<Panel>], least_width: usize, caption: &str) -> Figure {
     Figure(html! {
         figure {
@@ -44,25 +44,24 @@ pub fn columns(columns: &[Vec<Panel>], least_width: usize, caption: &str) -> Fig
     })
 }
 
-/// Figures beside each other where each can be `least_width` CSS pixels wide, under each other where not.
+/// Figures side by side while each gets at least `least_width` CSS pixels, otherwise stacked.
 pub fn side_by_side(figures: Vec<Figure>, least_width: usize) -> Figure {
     Figure(
         html! { div.sides style={ "--least:" (least_width) "px" } { @for figure in figures { (figure.0) } } },
     )
 }
 
-/// Several pictures of one thing beside each other.
+/// Several pictures of one thing, side by side.
 #[derive(Debug, Clone)]
 pub struct Strip {
-    /// What it is of.
     pub title: String,
-    /// What to see in it; may be empty.
+    /// May be empty.
     pub note: String,
-    /// The pictures, each with a word under it.
+    /// Pictures with their labels.
     pub pictures: Vec<(Picture, String)>,
 }
 
-/// Cards of pictures in a row, as many cards beside each other as can be `least_width` CSS pixels wide.
+/// Cards of pictures in a row, wrapped where a card would get less than `least_width` CSS pixels.
 pub fn strips(strips: &[Strip], least_width: usize, caption: &str) -> Figure {
     Figure(html! {
         figure {

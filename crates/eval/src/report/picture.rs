@@ -1,4 +1,4 @@
-//! Pictures that live inside the page, as data URIs.
+//! Pictures embedded in the page as data URIs.
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -7,13 +7,13 @@ use image::{ExtendedColorType, ImageEncoder};
 use maud::{Markup, html};
 use srflow_field::{Image, Plane};
 
-/// A picture ready to be put into the page.
+/// An encoded picture.
 #[derive(Debug, Clone)]
 pub struct Picture {
     pub(super) uri: String,
     pub(super) width: usize,
     pub(super) height: usize,
-    /// What it shows, for those who do not see it.
+    /// Alternative text.
     pub(super) alt: String,
 }
 
@@ -21,13 +21,13 @@ pub struct Picture {
 #[derive(Debug, thiserror::Error)]
 #[error("encoding the picture `{alt}` of {width}x{height}: {reason}")]
 pub struct PictureError {
-    /// What it would have shown.
+    /// Alternative text.
     pub alt: String,
     /// Width in pixels.
     pub width: usize,
     /// Height in pixels.
     pub height: usize,
-    /// What the encoder said.
+    /// The encoder's message.
     pub reason: String,
 }
 
@@ -58,7 +58,7 @@ impl Picture {
         Self::png(&grey, shares.size(), png::ColorType::Grayscale, alt)
     }
 
-    /// A colour PNG, every pixel kept: for small pictures and hard edges.
+    /// A lossless colour PNG: for small pictures and hard edges.
     ///
     /// # Errors
     /// When a side is 0 or beyond what PNG holds.

@@ -3,7 +3,7 @@ use maud::{Markup, html};
 use super::Figure;
 use crate::table::{Mark, Table};
 
-/// A table as the paper prints it: best bold blue, second blue, third underlined; baselines grey.
+/// A table in the paper's style: best bold blue, second blue, third underlined; baselines grey.
 pub fn score_table(table: &Table, caption: &str) -> Figure {
     let marks = table.marks();
     Figure(html! {

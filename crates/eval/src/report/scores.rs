@@ -1,4 +1,4 @@
-//! An evaluation as figures: tables, curves, times, and what was left out.
+//! An evaluation as figures: tables, curves, times, and omitted pairs.
 
 use maud::html;
 
@@ -12,7 +12,7 @@ use super::{Figure, Page, Section};
 use crate::error_curve::PER_PIXEL;
 use crate::results::{Evaluation, MethodScores};
 
-/// The tables of an evaluation, its curves and its times. `machine` says what the times were measured on.
+/// The tables, curves and times of an evaluation. `machine` describes the machine that the times were measured on.
 pub fn score_figures(evaluation: &Evaluation, machine: &str) -> Vec<Figure> {
     let tables = evaluation.tables();
     let mut figures: Vec<Figure> = tables
@@ -34,8 +34,8 @@ pub fn score_figures(evaluation: &Evaluation, machine: &str) -> Vec<Figure> {
     figures
 }
 
-/// The page of one evaluation: its tables and charts, then `pairs`, figures of single pairs made by
-/// [`pair_figures`](super::pair_figures), and last `settings`, names and values of what the scores follow from.
+/// The page of one evaluation: its tables and charts, then `pairs`, figures of single pairs from
+/// [`pair_figures`](super::pair_figures), and last `settings`, names and values that reproduce the scores.
 pub fn score_report(
     evaluation: &Evaluation,
     machine: &str,
@@ -78,9 +78,9 @@ fn methods_in_words(evaluation: &Evaluation) -> String {
 }
 
 const TABLE_CAPTION: &str = "EPE is the mean end-point error in pixels; px1, px3 and px5 are the shares of pixels \
-    with an error under 1, 3 and 5 pixels; F1-ALL is the percentage of pixels that are wrong by over 3 pixels and 5 % of \
-    the true length; WAUC is the area under the curve of pixels within an error, small errors weighing most. The \
-    baseline “zero” says that nothing moves.";
+    with an error under 1, 3 and 5 pixels; F1-ALL is the percentage of pixels with an error over 3 pixels and over \
+    5 % of the true length; WAUC is the area under the curve of pixels within an error, small errors weighing most. The \
+    baseline “zero” is zero flow.";
 
 fn error_curves(evaluation: &Evaluation) -> Figure {
     let curve = |method: &MethodScores| Curve {

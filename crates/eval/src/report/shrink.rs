@@ -1,9 +1,9 @@
-//! Smaller copies for the report, by averaging over the area of each new pixel.
+//! Smaller copies for the report, by area averaging.
 
 use srflow_field::resize::area_means;
 use srflow_field::{FlowField, Image, Mask, Plane};
 
-/// An image no wider than `max_width`, its proportions kept.
+/// An image at most `max_width` wide, its proportions kept.
 pub fn shrink_image(image: &Image, max_width: usize) -> Image {
     let size = shrunk(image.size(), max_width);
     if size == image.size() {
@@ -13,8 +13,8 @@ pub fn shrink_image(image: &Image, max_width: usize) -> Image {
     Image::from_fn(size.0, size.1, |x, y| mean[y * size.0 + x].unwrap_or([0.0; 3]).map(|c| (c + 0.5) as u8))
 }
 
-/// A flow no wider than `max_width`: the mean over the known pixels of each area, unknown where there is none. The
-/// values stay in pixels of the full size.
+/// A flow at most `max_width` wide: each pixel the mean of the known pixels of its area, unknown without any. Values stay
+/// in pixels of the full size.
 pub fn shrink_flow(flow: &FlowField, max_width: usize) -> FlowField {
     let size = shrunk(flow.size(), max_width);
     let known = |[u, v]: [f32; 2]| (u.is_finite() && v.is_finite()).then_some([u, v]);
@@ -22,7 +22,7 @@ pub fn shrink_flow(flow: &FlowField, max_width: usize) -> FlowField {
     FlowField::from_fn(size.0, size.1, |x, y| mean[y * size.0 + x].unwrap_or([f32::NAN; 2]))
 }
 
-/// A plane no wider than `max_width`: the mean over the finite pixels of each area, NaN where there is none.
+/// A plane at most `max_width` wide: each pixel the mean of the finite pixels of its area, NaN without any.
 pub fn shrink_plane(plane: &Plane, max_width: usize) -> Plane {
     let size = shrunk(plane.size(), max_width);
     let finite = |value: f32| value.is_finite().then_some([value]);
@@ -30,14 +30,14 @@ pub fn shrink_plane(plane: &Plane, max_width: usize) -> Plane {
     Plane::from_fn(size.0, size.1, |x, y| mean[y * size.0 + x].map_or(f32::NAN, |[value]| value))
 }
 
-/// The share of set pixels in each area, `0..=1`, no wider than `max_width`.
+/// The share of set pixels in each area, `0..=1`, at most `max_width` wide.
 pub fn shrink_mask(mask: &Mask, max_width: usize) -> Plane {
     let size = shrunk(mask.size(), max_width);
     let mean = area_means(mask.size(), size, |x, y| Some([f32::from(mask.get(x, y))]));
     Plane::from_fn(size.0, size.1, |x, y| mean[y * size.0 + x].map_or(0.0, |[share]| share))
 }
 
-/// The size after shrinking to `max_width`, at least one pixel each way; never larger than before.
+/// The size after shrinking to `max_width`, at least one pixel each way; never larger than the input.
 fn shrunk((width, height): (usize, usize), max_width: usize) -> (usize, usize) {
     if width <= max_width {
         return (width, height);

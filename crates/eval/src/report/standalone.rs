@@ -1,4 +1,4 @@
-//! A chart as a file of its own: SVG that browsers, Inkscape and LaTeX's converters show alike, for papers.
+//! A chart as a separate file, for papers: SVG that browsers, Inkscape and LaTeX's converters render alike.
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -7,7 +7,7 @@ use srflow_field::printable;
 
 use super::charts::{Chart, WIDTH, place};
 
-/// Class and colour of the series on paper; those of `page.css` in its light scheme.
+/// Class and colour of each series on paper; those of `page.css` in its light scheme.
 const SERIES: [(&str, &str); 6] = [
     ("s1", "#2f6bd8"),
     ("s2", "#d9733a"),
@@ -17,12 +17,12 @@ const SERIES: [(&str, &str); 6] = [
     ("s0", "#a3a7ae"),
 ];
 
-/// The rules of `page.css` for charts without variables, which converters do not know.
+/// The rules of `page.css` for charts with the variables substituted, which converters do not support.
 const STYLE: &str = "text{fill:#5f646d}.strong,.name{fill:#1d1f23}.name{font-weight:600}.rule{stroke:#e5e2db}\
     .axis{stroke:#8d929b}.line{fill:none;stroke-width:2;stroke-linejoin:round;stroke-linecap:round}\
     .s0 .line{stroke-dasharray:4 4}.title{font-size:15px;font-weight:600;fill:#1d1f23}.on{fill:#ffffff}";
 
-/// A link that saves the chart: its title, keys and drawing as one SVG file, inside the page like everything else.
+/// A link that saves the chart: title, legend and drawing as one SVG file, embedded in the page.
 pub(super) fn download(chart: &Chart, keys: &[(&str, &str)], drawing: &Markup, height: f64) -> Markup {
     let uri =
         format!("data:image/svg+xml;base64,{}", BASE64_STANDARD.encode(file(chart, keys, drawing, height)));
@@ -59,7 +59,7 @@ fn file(chart: &Chart, keys: &[(&str, &str)], drawing: &Markup, height: f64) -> 
     printable(&svg.0).into_owned()
 }
 
-/// Left end and line of each key, by the usual width of a letter.
+/// Left end and row of each legend entry, estimated from the average width of a letter.
 fn key_places(keys: &[(&str, &str)]) -> Vec<(f64, f64)> {
     let (mut x, mut line) = (0.0, 0.0);
     let place = |(name, _): &(&str, &str)| {

@@ -1,5 +1,5 @@
-//! What the kernels for CubeCL devices share: tensors whose elements lie in order, how many threads, and adding to numbers
-//! that other threads add to. The kernels know `f32` alone.
+//! Shared parts of the kernels for CubeCL devices: contiguous tensors, numbers of threads, and atomic addition. The kernels
+//! support `f32` only.
 
 use burn::backend::TensorMetadata;
 use burn::tensor::{DType, Shape};
@@ -11,13 +11,13 @@ use burn_cubecl::kernel::into_contiguous;
 use burn_cubecl::ops::numeric::{empty_device_contiguous_dtype, zeros_client};
 use burn_cubecl::tensor::CubeTensor;
 
-/// The tensor with its elements in order, copied only where they were not. Panics when it does not hold `f32`.
+/// The contiguous tensor, copied only if necessary. Panics when it is not `f32`.
 pub(crate) fn contiguous(tensor: CubeTensor) -> CubeTensor {
     assert_eq!(tensor.dtype(), DType::F32, "the kernels compute in f32");
     into_contiguous(tensor)
 }
 
-/// Memory for a result, on the device of `beside`.
+/// Uninitialised memory for a result, on the device of `beside`.
 pub(crate) fn empty(beside: &CubeTensor, shape: impl Into<Shape>) -> CubeTensor {
     empty_device_contiguous_dtype(beside.client.clone(), beside.device.clone(), shape.into(), DType::F32)
 }
@@ -25,42 +25,42 @@ pub(crate) fn empty(beside: &CubeTensor, shape: impl Into<Shape>) -> CubeTensor 
 /// Zeros, on the device of `beside`.
 pub(crate) fn zeros(beside: &CubeTensor, shape: impl Into<Shape>) -> CubeTensor {
     let shape = shape.into();
-    // Rows of more dimensions may be padded; those of one are not.
+    // Rows of tensors with several dimensions may be padded; one dimension is not.
     let flat = Shape::new([shape.num_elements()]);
     let flat = zeros_client(beside.client.clone(), beside.device.clone(), flat, DType::F32);
     CubeTensor::new_contiguous(flat.client, flat.device, shape, flat.handle, flat.dtype)
 }
 
-/// Cubes and their size for one thread for each of `elements`.
+/// Number of cubes and their size for one thread per element.
 pub(crate) fn threads(client: &Client, elements: usize) -> (CubeCount, CubeDim) {
     let dim = CubeDim::new(client, elements);
     (calculate_cube_count_elemwise(client, elements, dim), dim)
 }
 
-/// At least `cubes` cubes of `units` threads each; the last ones have to see that there is nothing for them.
+/// At least `cubes` cubes of `units` threads each; kernels must check for excess cubes.
 pub(crate) fn cubes(client: &Client, cubes: usize, units: usize) -> (CubeCount, CubeDim) {
     let dim = CubeDim::new_1d(units as u32);
     (calculate_cube_count_elemwise(client, cubes * units, dim), dim)
 }
 
-/// Whether the device can add to a number in memory in one step.
+/// Whether the device has an atomic addition of floats.
 pub(crate) fn adds_in_one_step(client: &Client) -> bool {
     client.properties().atomic_type_usage(Type::atomic(FloatKind::F32)).contains(AtomicUsage::Add)
 }
 
-/// How to add to a number that other threads add to. The order of the additions is not the same in every run.
+/// Addition to a number that other threads add to. The order of additions varies between runs.
 #[cube]
 pub(crate) trait AtomicAdd: Send + Sync + 'static {
-    /// What stands for the number.
+    /// The representation of the number.
     type Cell: Numeric;
 
     fn add(cell: &mut Atomic<Self::Cell>, value: f32);
 }
 
-/// In one step; see [`adds_in_one_step`].
+/// Atomic addition; see [`adds_in_one_step`].
 pub(crate) struct InOneStep;
 
-/// By exchanging the bits as long as another thread was faster.
+/// Compare and exchange of the bits, repeated while other threads interfere.
 pub(crate) struct ByExchange;
 
 #[cube]

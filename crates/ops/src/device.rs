@@ -1,4 +1,4 @@
-//! Devices by the names that a user gives them.
+//! Devices by name.
 
 use burn::tensor::Device;
 #[cfg(feature = "cube")]
@@ -7,49 +7,46 @@ use burn::tensor::DeviceType;
 #[cfg(all(feature = "cube", not(any(feature = "cuda", feature = "vulkan"))))]
 compile_error!("the feature `cube` is the common part of `cuda` and `vulkan`: turn on one of these");
 
-/// Every kind of device, and whether this build has it.
+/// Every kind of device, and whether this build supports it.
 const KINDS: [(&str, bool); 3] =
     [("cpu", true), ("cuda", cfg!(feature = "cuda")), ("vulkan", cfg!(feature = "vulkan"))];
 
-/// Why a device cannot be had.
+/// Why a device is not available.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum DeviceError {
-    /// No device is called that.
+    /// Unknown name.
     #[error(
-        "{name:?} is no device: expected one of {}, or such a name and a number, as in cuda:1",
+        "unknown device {name:?}: expected one of {}, optionally with a number, as in cuda:1",
         KINDS.map(|(kind, _)| kind).join(", ")
     )]
     Unknown {
-        /// What was asked for.
         name: String,
     },
-    /// The program was compiled without this kind of device.
+    /// This build does not support this kind of device.
     #[error(
-        "this build cannot compute on {kind}, only on {}: build with `--features {kind}`",
+        "this build does not support {kind}, only {}: build with `--features {kind}`",
         device_kinds().join(", ")
     )]
     NotBuilt {
-        /// The kind that was asked for.
         kind: &'static str,
     },
-    /// The machine does not have it.
-    #[error("{name}: this machine has {found} {kind} devices that its drivers show; cpu is always there")]
+    /// The machine does not have this device.
+    #[error("{name}: the drivers list {found} {kind} devices on this machine; cpu is always available")]
     NotFound {
-        /// What was asked for.
         name: String,
         kind: &'static str,
-        /// How many of this kind there are.
+        /// Number of devices of this kind.
         found: usize,
     },
 }
 
-/// The kinds of devices that this build can compute on: `cpu`, then those it was given as features.
+/// The kinds of devices that this build supports: `cpu`, then those enabled as features.
 pub fn device_kinds() -> Vec<&'static str> {
     KINDS.into_iter().filter(|&(_, built)| built).map(|(kind, _)| kind).collect()
 }
 
-/// A device of this machine: `cpu`, `cuda` or `vulkan`, or one of several as `cuda:1`; without a number the first. Those of
-/// Vulkan are counted from discrete over integrated and virtual to software ones.
+/// A device of this machine: `cpu`, `cuda` or `vulkan`, or one of several as `cuda:1`; by default the first. Vulkan's devices are
+/// ordered discrete, integrated, virtual, software.
 pub fn device(name: &str) -> Result<Device, DeviceError> {
     let unknown = || DeviceError::Unknown { name: name.to_owned() };
     let (kind, number) = name.split_once(':').unwrap_or((name, "0"));

@@ -8,11 +8,11 @@ use burn::tensor::{Shape, Tensor, TensorData};
 
 use crate::MapShape;
 
-/// A tensor of `f32` on the CPU, for kernels on slices.
+/// A tensor of `f32` on the CPU, as a slice for kernels.
 #[derive(Debug, Clone)]
 pub(crate) struct CpuTensor {
     tensor: FlexTensor,
-    /// The same with its elements in order; copied only where they are not, and not before they are asked for.
+    /// The contiguous version; copied on first access, and only if necessary.
     in_order: OnceLock<FlexTensor>,
 }
 
@@ -21,12 +21,12 @@ impl CpuTensor {
         FlexTensor::from_data(TensorData::new(values, shape)).into()
     }
 
-    /// A tensor of this one's shape.
+    /// A new tensor in this one's shape.
     pub(crate) fn like(&self, values: Vec<f32>) -> Self {
         Self::new(values, self.tensor.shape())
     }
 
-    /// None for a tensor of another device or of a graph.
+    /// `None` for a tensor on another device or in a graph.
     pub(crate) fn of<const D: usize>(tensor: &Tensor<D>) -> Option<Self> {
         tensor.clone().try_into_primitive::<Flex>().ok().map(Self::from)
     }
@@ -39,14 +39,14 @@ impl CpuTensor {
         &self.tensor
     }
 
-    /// Panics when the tensor does not hold `f32`: the kernels know no other type.
+    /// Panics when the tensor is not `f32`, the only type that the kernels support.
     pub(crate) fn slice(&self) -> &[f32] {
         let tensor = self.in_order.get_or_init(|| self.tensor.to_contiguous());
         let start = tensor.layout().start_offset();
         &tensor.storage::<f32>()[start..start + tensor.layout().num_elements()]
     }
 
-    /// With its elements changed, in place where nobody else has them.
+    /// Modifies its elements, in place if nothing else shares them.
     pub(crate) fn change(self, change: impl FnOnce(&mut [f32])) -> Self {
         let mut tensor = self.tensor.to_contiguous();
         drop(self);
@@ -64,7 +64,7 @@ impl CpuTensor {
         self.dims().into()
     }
 
-    /// Sizes of a tensor that is known to be of rank `D`.
+    /// Dimensions of a tensor of known rank `D`.
     pub(crate) fn dims<const D: usize>(&self) -> [usize; D] {
         self.tensor.shape().dims()
     }

@@ -1,7 +1,7 @@
-//! Tensor operations that Burn lacks or does slowly.
+//! Tensor operations that Burn lacks or runs slowly.
 //!
-//! Each is a module of its own: a readable twin that defines it (`reference`), the fast CPU version and its backward on
-//! plain slices, and the operation on Burn's tensors with gradients (`tensor`), which `operation.rs` runs on every device.
+//! Each is a module: its definition as slow, readable code (`reference`), the fast CPU version and its backward on slices, and the
+//! operation on Burn's tensors with gradients (`tensor`), which `operation.rs` runs on every device.
 
 // Kernels walk several arrays in step by one index, as their equations do.
 #![allow(clippy::needless_range_loop)]

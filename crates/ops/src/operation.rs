@@ -1,5 +1,5 @@
-//! The one adapter between an operation and Burn: an [`Operation`] says how it is computed and differentiated, and
-//! [`apply`] runs it on every device, with gradients.
+//! The adapter between operations and Burn: an [`Operation`] defines forward and backward, and [`apply`] runs it on every device,
+//! with gradients.
 
 use std::fmt::Debug;
 
@@ -28,12 +28,12 @@ pub(crate) trait Operation<const N: usize>: Composition<N> {
         None
     }
 
-    /// Those inputs that the backward pass needs.
+    /// Inputs to save for the backward pass.
     fn saved_inputs<T>(inputs: &[T; N]) -> &[T] {
         inputs
     }
 
-    /// Those outputs that the backward pass needs.
+    /// Outputs to save for the backward pass.
     fn saved_outputs<T>(_outputs: &[T]) -> &[T] {
         &[]
     }
@@ -89,18 +89,18 @@ impl<T> Backprop<T> {
         Backprop { saved, grad: of(self.grad), nodes: self.nodes }
     }
 
-    /// Whether there is an input of this number and its gradient is wanted.
+    /// Whether an input with this index exists and needs a gradient.
     pub(crate) fn wants(&self, input: usize) -> bool {
         self.nodes.get(input).is_some_and(Option::is_some)
     }
 
-    /// Whether two inputs are one tensor whose gradient is wanted.
+    /// Whether two inputs are the same tensor and need a gradient.
     pub(crate) fn are_one(&self, a: usize, b: usize) -> bool {
         self.wants(a) && self.nodes.get(a) == self.nodes.get(b)
     }
 }
 
-/// The first output of the operation, on the device of its inputs and with their gradients.
+/// The first output of the operation, on the device of its inputs and with gradients.
 pub(crate) fn apply<O: Operation<N>, const N: usize, const D: usize>(
     operation: O,
     inputs: [DispatchTensor; N],
@@ -108,7 +108,7 @@ pub(crate) fn apply<O: Operation<N>, const N: usize, const D: usize>(
     Tensor::from_dispatch(outputs(operation, inputs).swap_remove(0))
 }
 
-/// All outputs; none but the first has a gradient.
+/// All outputs; only the first has a gradient.
 pub(crate) fn outputs<O: Operation<N>, const N: usize>(
     operation: O,
     inputs: [DispatchTensor; N],
@@ -116,13 +116,13 @@ pub(crate) fn outputs<O: Operation<N>, const N: usize>(
     Dispatch::run(Tensors(inputs.into()), operation).0
 }
 
-/// As many as the caller knows there are.
+/// Converts to an array; the caller guarantees the length.
 pub(crate) fn array<T, const N: usize>(values: Vec<T>) -> [T; N] {
     let count = values.len();
     values.try_into().unwrap_or_else(|_| unreachable!("{count} tensors where there are {N}"))
 }
 
-/// Float tensors of one backend on their way through Burn's dispatch.
+/// Float tensors of one backend during Burn's dispatch.
 pub(crate) struct Tensors<B: Backend>(Vec<FloatTensor<B>>);
 
 impl<B: Backend> ExtensionType<B> for Tensors<B> {
@@ -170,7 +170,7 @@ impl<B: Executor> Run for B {
     }
 }
 
-/// A backend that stores numbers rather than a graph, and which of an operation's methods are for it.
+/// A backend that stores numbers rather than a graph, and the methods of an operation that it uses.
 pub(crate) trait Executor: Backend {
     fn forward<O: Operation<N>, const N: usize>(
         operation: &O,

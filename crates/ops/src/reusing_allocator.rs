@@ -1,49 +1,48 @@
-//! An allocator for the binary that keeps large blocks for the next tensor of their size.
+//! A global allocator that keeps large blocks for the next tensor of the same size.
 //!
-//! Each operation returns a new tensor of many megabytes. The system's allocator gives such blocks back at once, and every
-//! page of the next one costs a fault: a quarter of the time of a network's refinement.
+//! Each operation returns a new tensor of many megabytes. The system allocator returns such blocks to the system at once, and every
+//! page of the next one costs a page fault: a quarter of the time of a network's iteration.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::ptr;
 use std::sync::{Mutex, PoisonError};
 
-/// Smaller blocks are the system's business.
+/// Smaller blocks are left to the system allocator.
 const SMALLEST: usize = 128 << 10;
-/// Bytes that may be kept however little is in use.
+/// Bytes that may be kept in any case.
 const KEPT_BYTES: usize = 384 << 20;
-/// Sizes of blocks: eight between a power of two and the next.
+/// Size classes: eight between consecutive powers of two.
 const SIZES: usize = 8 * usize::BITS as usize;
-/// Of every block that may be kept; what a cache line and a vector want.
+/// Alignment of every block that may be kept: a cache line.
 const ALIGNMENT: usize = 64;
-/// From here on blocks are made of huge pages.
+/// Blocks of at least this size use huge pages.
 const HUGE: usize = 4 << 20;
 const HUGE_PAGE: usize = 2 << 20;
 
 /// Use as `#[global_allocator] static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();`.
 ///
-/// Free blocks are kept as long as they are no more than 384 MiB, or together with what is in use no more than five quarters
-/// of what was once in use: a step of training frees most of what it took, and the next takes the same sizes again, if not
-/// all at the same time.
+/// Free blocks are kept while they total at most 384 MiB, or while free and used blocks together total at most five quarters of the
+/// peak use: a training step frees most of its memory, and the next one allocates the same sizes again, though not all at once.
 #[derive(Debug)]
 pub struct ReusingAllocator {
     kept: Mutex<Kept>,
 }
 
-/// What stands at the beginning of a free block: its neighbours in the list of its size and in that of all by age.
+/// The header of a free block: its neighbours in the list of its size, and in the list of all by age.
 #[derive(Debug, Clone, Copy)]
 struct Free {
     size: usize,
-    /// Freed before and after, of this size.
+    /// Freed before and after, with the same size.
     below: *mut Free,
     above: *mut Free,
-    /// Freed before and after, of any.
+    /// Freed before and after, with any size.
     older: *mut Free,
     newer: *mut Free,
 }
 
 #[derive(Debug)]
 struct Kept {
-    /// The block of each size that was freed last.
+    /// The most recently freed block of each size.
     last: [*mut Free; SIZES],
     oldest: *mut Free,
     newest: *mut Free,
@@ -52,11 +51,11 @@ struct Kept {
     most_in_use: usize,
 }
 
-// SAFETY: the pointers lead to free blocks, which belong to nobody else.
+// SAFETY: the pointers lead to free blocks, which nothing else owns.
 unsafe impl Send for Kept {}
 
 impl ReusingAllocator {
-    /// Keeping nothing yet.
+    /// Initially empty.
     pub const fn new() -> Self {
         let none = ptr::null_mut();
         let kept =
@@ -68,10 +67,10 @@ impl ReusingAllocator {
         of(&mut self.kept.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Gives blocks back that are more than may be kept.
+    /// Returns blocks beyond the limit to the system.
     fn give_back(&self) {
         while let Some((address, size)) = self.with_kept(Kept::take_surplus) {
-            // SAFETY: made by `alloc` with this layout; nobody else holds a block that was kept.
+            // SAFETY: allocated by `alloc` with this layout; nothing else owns a kept block.
             unsafe { System.dealloc(address, Layout::from_size_align_unchecked(size, alignment(size))) }
         }
     }
@@ -84,12 +83,12 @@ impl Default for ReusingAllocator {
 }
 
 impl Kept {
-    /// A block of this size, if there is one; it counts as in use from now on, kept or yet to be made.
+    /// Takes a block of this size, if there is one; in either case the size counts as in use from now on.
     fn take(&mut self, size: usize) -> Option<*mut u8> {
         self.in_use += size;
         self.most_in_use = self.most_in_use.max(self.in_use);
         let block = self.last[size_number(size)];
-        // SAFETY: what the lists lead to is free.
+        // SAFETY: the lists contain only free blocks.
         (!block.is_null()).then(|| unsafe { self.unlink(block) })
     }
 
@@ -115,7 +114,7 @@ impl Kept {
         let block = address.cast::<Free>();
         let below = self.last[size_number(size)];
         let free = Free { size, below, above: ptr::null_mut(), older: self.newest, newer: ptr::null_mut() };
-        // SAFETY: the block is large enough and free, and so are those that the lists lead to.
+        // SAFETY: the block is large enough and free, and so are those in the lists.
         unsafe {
             block.write(free);
             if let Some(below) = below.as_mut() {
@@ -133,7 +132,7 @@ impl Kept {
     /// # Safety
     /// The block is in the lists.
     unsafe fn unlink(&mut self, block: *mut Free) -> *mut u8 {
-        // SAFETY: the caller's promise; what the lists lead to is free.
+        // SAFETY: guaranteed by the caller; the lists contain only free blocks.
         unsafe {
             let Free { size, below, above, older, newer } = block.read();
             if let Some(below) = below.as_mut() {
@@ -157,14 +156,14 @@ impl Kept {
     }
 }
 
-/// Among the sizes that blocks have.
+/// Index of the size class.
 fn size_number(size: usize) -> usize {
     let power = size.ilog2() as usize;
     8 * power + (size >> (power - 3)) - 8
 }
 
-/// The layout of the block that serves `layout`, if that is not left to the system. Sizes are rounded up to one of eight between a
-/// power of two and the next, so that nearly equal tensors share blocks.
+/// The layout of the block for `layout`, unless it is left to the system. Sizes are rounded up to one of eight classes between
+/// consecutive powers of two, so that nearly equal tensors share blocks.
 fn block_layout(layout: Layout) -> Option<Layout> {
     if layout.size() < SMALLEST || layout.align() > ALIGNMENT {
         return None;
@@ -180,7 +179,7 @@ fn alignment(size: usize) -> usize {
 
 #[cfg(target_os = "linux")]
 fn ask_for_huge_pages(address: *mut u8, size: usize) {
-    // SAFETY: the block was just allocated; advice on whole pages of it changes no content, and refusal does no harm.
+    // SAFETY: the block was just allocated; advice on whole pages of it changes no content, and a refusal is harmless.
     unsafe {
         libc::madvise(address.cast(), size / HUGE_PAGE * HUGE_PAGE, libc::MADV_HUGEPAGE);
     }
@@ -189,12 +188,12 @@ fn ask_for_huge_pages(address: *mut u8, size: usize) {
 #[cfg(not(target_os = "linux"))]
 fn ask_for_huge_pages(_: *mut u8, _: usize) {}
 
-// SAFETY: blocks come from the system's allocator with at least the size and alignment asked for, each is handed out to
-// one owner at a time, and goes back to the system with the layout it was made with, a function of the one asked for.
+// SAFETY: blocks come from the system allocator with at least the requested size and alignment, each has one owner at a time, and
+// is freed with the layout it was allocated with, which is a function of the requested one.
 unsafe impl GlobalAlloc for ReusingAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let Some(block) = block_layout(layout) else {
-            // SAFETY: the caller's promise.
+            // SAFETY: guaranteed by the caller.
             return unsafe { System.alloc(layout) };
         };
         if let Some(address) = self.with_kept(|kept| kept.take(block.size())) {
@@ -211,20 +210,20 @@ unsafe impl GlobalAlloc for ReusingAllocator {
 
     unsafe fn dealloc(&self, address: *mut u8, layout: Layout) {
         let Some(block) = block_layout(layout) else {
-            // SAFETY: the caller's promise.
+            // SAFETY: guaranteed by the caller.
             return unsafe { System.dealloc(address, layout) };
         };
-        // SAFETY: made by `alloc` with this layout, and free from now on.
+        // SAFETY: allocated by `alloc` with this layout, and free from now on.
         self.with_kept(|kept| unsafe { kept.push(address, block.size()) });
         self.give_back();
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         if block_layout(layout).is_none() {
-            // SAFETY: the caller's promise.
+            // SAFETY: guaranteed by the caller.
             return unsafe { System.alloc_zeroed(layout) };
         }
-        // SAFETY: the caller's promise; the block is at least as long as the layout.
+        // SAFETY: guaranteed by the caller; the block is at least as long as the layout.
         unsafe {
             let address = self.alloc(layout);
             if !address.is_null() {
@@ -234,15 +233,15 @@ unsafe impl GlobalAlloc for ReusingAllocator {
         }
     }
 
-    /// What fits the block that it has stays where it is; what the system holds is its own business.
+    /// A block that is large enough stays in place; blocks of the system allocator are left to it.
     unsafe fn realloc(&self, address: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
-        // SAFETY: the caller's promise: the size does not overflow when rounded up to the alignment.
+        // SAFETY: guaranteed by the caller: the size does not overflow when rounded up to the alignment.
         let new_layout = unsafe { Layout::from_size_align_unchecked(new_size, layout.align()) };
         match (block_layout(layout), block_layout(new_layout)) {
-            // SAFETY: made by the system's allocator with this layout.
+            // SAFETY: allocated by the system allocator with this layout.
             (None, None) => unsafe { System.realloc(address, layout, new_size) },
             (Some(block), Some(new_block)) if block == new_block => address,
-            // SAFETY: both are at least as long as what is copied; the old one is not used any more.
+            // SAFETY: both are at least as long as the copy; the old one is not used again.
             _ => unsafe {
                 let new = self.alloc(new_layout);
                 if !new.is_null() {
@@ -286,7 +285,7 @@ mod tests {
     fn what_grows_keeps_its_content_and_its_place_while_the_block_is_large_enough() {
         let allocator = ReusingAllocator::new();
         let layout = |size: usize| Layout::from_size_align(size, 16).expect("valid");
-        // Within the system's sizes, across, within a block, to the next size and to huge pages; then back.
+        // Within the system's sizes, across, within a block, to the next class and to huge pages; then back.
         let sizes = [1000, 2000, SMALLEST + 1, SMALLEST + 1000, 3 << 20, HUGE - 5, HUGE, 9 << 20];
         // SAFETY: the sizes are not zero, and each block is reallocated and freed with its own layout.
         unsafe {

@@ -1,8 +1,8 @@
-//! Sums over long slices that neither lose digits nor wait for one addition at a time.
+//! Sums over long slices: accurate, and without a serial dependency between additions.
 
-/// Elements summed in f32 before the sum goes on in f64.
+/// Elements summed in f32 before the result is added in f64.
 const RUN: usize = 512;
-/// Sums kept side by side, so that they are one or two vectors.
+/// Number of partial sums: one or two vectors.
 const LANES: usize = 16;
 
 /// The sum of `of` each value.

@@ -1,6 +1,6 @@
-//! What tests of operations share: made-up values, comparisons and numbers of threads.
+//! Shared by the tests of operations: pseudo-random values, comparisons and numbers of threads.
 
-/// Values in -1..1 that repeat nowhere near.
+/// Pseudo-random values in -1..1.
 pub(crate) fn values(count: usize, seed: u32) -> Vec<f32> {
     (0..count as u32)
         .map(|i| {
@@ -20,12 +20,12 @@ pub(crate) fn largest(values: &[f64]) -> f64 {
     values.iter().fold(0.0, |largest, x| largest.max(x.abs()))
 }
 
-/// Holds each element within `tolerance` times the largest expected one.
+/// Checks that each element is within `tolerance` times the largest expected one.
 pub(crate) fn assert_close(what: &str, found: &[f32], expected: &[f64], tolerance: f64) {
     assert_within(what, found, expected, tolerance * largest(expected));
 }
 
-/// Holds each element within `bound` of the expected one.
+/// Checks that each element is within `bound` of the expected one.
 pub(crate) fn assert_within(what: &str, found: &[f32], expected: &[f64], bound: f64) {
     assert_eq!(found.len(), expected.len(), "{what}");
     for (i, (&found, expected)) in found.iter().zip(expected).enumerate() {

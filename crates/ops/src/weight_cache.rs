@@ -1,4 +1,4 @@
-//! Weights in the order that the kernels read them, kept from one call to the next.
+//! Weights in the kernels' layout, cached between calls.
 
 use std::any::Any;
 use std::fmt;
@@ -10,14 +10,14 @@ use srflow_simd::Isa;
 
 use crate::flex::CpuTensor;
 
-/// Keeps what was last made of a weight, for as long as the weight stays the same tensor.
+/// Caches a converted weight while the weight remains the same tensor.
 ///
-/// One cache belongs to one layer's weight, and keeps a version for each pass. Clones share what is kept; with another weight
-/// the cache works, but has to pack again.
+/// One cache belongs to one layer's weight, and keeps one version per pass. Clones share their cache; with another weight the cache
+/// still works, but converts again.
 #[derive(Clone, Default)]
 pub struct WeightCache(Arc<Mutex<[Option<Kept>; 2]>>);
 
-/// What a weight is ordered for.
+/// The purpose of a layout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Pass {
     Forward,
@@ -25,7 +25,7 @@ pub(crate) enum Pass {
     Backward,
 }
 
-/// What the order depends on, beside the weight and its shape.
+/// What the layout depends on, apart from the weight and its shape.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Packing {
     pub(crate) pass: Pass,
@@ -35,8 +35,8 @@ pub(crate) struct Packing {
 }
 
 struct Kept {
-    /// The weight's memory. A weak reference is enough to tell it from any other, and while there is one, the memory is
-    /// neither changed in place nor taken for something else.
+    /// The weight's memory. A weak reference identifies it, and while there is one, the memory is neither modified in place nor
+    /// reused.
     source: Weak<dyn Any + Send + Sync>,
     start: usize,
     shape: Vec<usize>,
@@ -51,7 +51,7 @@ impl fmt::Debug for WeightCache {
 }
 
 impl WeightCache {
-    /// What `make` makes of the weight's elements, or made of them before.
+    /// The result of `make` for the weight's elements, computed now or earlier.
     pub(crate) fn get(
         &self,
         packing: Packing,

@@ -1,4 +1,4 @@
-//! Activations and their derivatives by a backend's own operations.
+//! Activations and their derivatives composed of a backend's own operations.
 
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_2_SQRT_PI};
 
@@ -41,7 +41,7 @@ pub(crate) fn activate_tensor<B: Backend>(x: FloatTensor<B>, activation: Activat
     }
 }
 
-/// Gradient of what was activated; `kept` is what [`Activation::keeps`] says.
+/// Gradient of the activation's input; `kept` holds the values that [`Activation::keeps`] names.
 pub(super) fn activate_tensor_backward<B: Backend>(
     grad: FloatTensor<B>,
     kept: FloatTensor<B>,
@@ -51,7 +51,7 @@ pub(super) fn activate_tensor_backward<B: Backend>(
         Activation::Identity => grad,
         Activation::Relu => B::relu_backward(kept, grad),
         Activation::Gelu => {
-            // Burn's own is that of the approximation by tanh.
+            // Burn's own derivative is that of the tanh approximation.
             let half_squares = B::float_mul(kept.clone(), kept.clone());
             let density = B::float_exp(B::float_mul_scalar(half_squares, (-0.5).into()));
             let density = B::float_mul_scalar(density, (0.5 * FRAC_2_SQRT_PI * FRAC_1_SQRT_2).into());

@@ -1,4 +1,4 @@
-//! What is applied to a sum before it is stored, on tensors; on slices it is [`srflow_simd::Activation`].
+//! Activations on tensors; on slices see [`srflow_simd::Activation`].
 
 pub use srflow_simd::Activation;
 pub(crate) use srflow_simd::{Keeps, activated, activation_backward};

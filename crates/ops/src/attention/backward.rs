@@ -1,10 +1,10 @@
 //! Gradients of queries and keys.
 //!
-//! With `w_ij` the weights, `g_i` the gradient of what pixel `i` gathered and `v_j` the values, the gradient of the score
-//! of `i` and `j` is `w_ij (g_i . v_j - g_i . out_i)`. Several gatherings with the same weights differ in `g` and `v` only: the
-//! sum of their products is formed block by block, so that one pass serves all of them and no gradient of the weights is
-//! stored. Queries and keys each want the gradients of scores gathered along another side; a strip of them, some
-//! queries with all keys, is therefore stored, used for both, and replaced by the next.
+//! With weights `w_ij`, the gradient `g_i` of the output of pixel `i`, and values `v_j`, the gradient of the score of `i` and
+//! `j` is `w_ij (g_i . v_j - g_i . out_i)`. Several outputs with the same weights differ only in `g` and `v`: the sum of their
+//! products is formed block by block, so one pass serves all of them and no gradient of the weights is stored. Queries and
+//! keys need the gradients of scores summed along different sides; so a strip of them (some queries, all keys) is stored,
+//! used for both, and replaced by the next.
 
 use rayon::prelude::*;
 use srflow_simd::{Output, SharedMut, Start, Steps, panel_columns};
@@ -14,10 +14,10 @@ use super::panels::{BLOCK, Group, PANELS, blocks, channels_as_rows};
 use super::softmax::to_score_gradients;
 use super::weights::{Gathering, Pairs};
 
-/// Gradients of scores that are stored at a time. The gradients do not depend on it.
+/// Size of the strip of score gradients. The results do not depend on it.
 const STRIP_BYTES: usize = 32 << 20;
 
-/// Values, what was gathered of them, and its gradient, each `[channels, pixels]`.
+/// Values, the outputs computed from them, and the gradient of those, each `[channels, pixels]`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Gathered<'a> {
     pub(crate) values: &'a [f32],
@@ -26,7 +26,7 @@ pub(crate) struct Gathered<'a> {
 }
 
 impl AttentionWeights {
-    /// Gradients of queries and keys (those the weights are of) from all that was gathered.
+    /// Gradients of queries and keys from all outputs computed with these weights.
     pub(crate) fn backward(&self, queries: &[f32], keys: &[f32], gathered: &[Gathered]) -> [Vec<f32>; 2] {
         self.backward_in_strips(queries, keys, gathered, STRIP_BYTES)
     }
@@ -93,7 +93,7 @@ impl AttentionWeights {
         [d_queries, d_keys]
     }
 
-    /// `g_i . out_i`, summed over what was gathered, for each query; zero for what the last panel lacks.
+    /// `g_i . out_i` for each query, summed over all outputs; zero in the padding of the last panel.
     fn mean_gradients(&self, gathered: &[Gathered]) -> Vec<f32> {
         let width = panel_columns(self.isa);
         let mut means = vec![0.0; self.pixels.div_ceil(width) * width];
@@ -113,8 +113,8 @@ impl AttentionWeights {
         means
     }
 
-    /// Gradients of the scores of the block's pixels and a group's: `[block, columns]` at the start of `out`, panel after
-    /// panel as the kept weights lie.
+    /// Gradients of the scores between the block's pixels and a group's: `[block, columns]` at the start of `out`, in the panel
+    /// layout of the kept weights.
     fn score_gradients(
         &self,
         products: &[Pairs],
@@ -140,8 +140,8 @@ impl AttentionWeights {
     }
 }
 
-/// From panels of the group `from`, each `[pixels, columns]`, the pixels of the group `to` as the columns of panels, each
-/// `[columns of from, columns]`.
+/// Transposes panels of the group `from`, each `[pixels, columns]`, into panels whose columns are the pixels of the group
+/// `to`, each `[columns of from, columns]`.
 fn transpose(panels: &[f32], pixels: usize, from: Group, to: Group, width: usize, transposed: &mut [f32]) {
     for (panel, transposed) in transposed.chunks_exact_mut(PANELS * width * width).take(to.panels).enumerate()
     {

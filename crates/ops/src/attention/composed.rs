@@ -1,4 +1,4 @@
-//! Attention by other operations, for devices that have no kernel of it: the matrix of all pairs, cut into pieces.
+//! Attention composed of Burn's operations, for devices without a kernel: the matrix of all pairs, cut into pieces.
 
 use burn::tensor::Tensor;
 use burn::tensor::activation::softmax;
@@ -9,15 +9,15 @@ use crate::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 pub(super) struct ImagePieces {
     /// `[1, channels, 1, pixels]`.
     queries: Tensor<4>,
-    /// As a weight: `[pixels, channels, 1, 1]`.
+    /// Reshaped to a convolution weight, `[pixels, channels, 1, 1]`.
     keys: Tensor<4>,
-    /// Pixels of a piece.
+    /// Pixels in a piece.
     piece: usize,
-    /// Every piece, where all fit.
+    /// All pieces, if they fit in memory.
     kept: Vec<Tensor<4>>,
 }
 
-/// A product of matrices: `weight` `[outputs, inputs, 1, 1]`, `x` `[1, inputs, 1, columns]`.
+/// Matrix product: `weight` `[outputs, inputs, 1, 1]`, `x` `[1, inputs, 1, columns]`.
 fn product(x: Tensor<4>, weight: Tensor<4>) -> Tensor<4> {
     conv2d(x, weight, Epilogue::default(), Conv2dOptions::new([1, 1], [0, 0]))
 }
@@ -44,7 +44,7 @@ impl ImagePieces {
         self.queries.dims()[3].div_ceil(self.piece)
     }
 
-    /// How much of each pixel goes to the pixels of piece `number`: `[1, pixels, 1, columns]`, columns summing to one.
+    /// Attention weights of the pixels of piece `number`: `[1, pixels, 1, columns]`, columns summing to one.
     fn compute(&self, number: usize) -> Tensor<4> {
         let first = number * self.piece;
         let count = self.piece.min(self.queries.dims()[3] - first);
@@ -52,7 +52,7 @@ impl ImagePieces {
         softmax(product(queries, self.keys.clone()), 1)
     }
 
-    /// `values` (`[1, channels, height, width]`), gathered.
+    /// Applies the weights to `values` (`[1, channels, height, width]`).
     pub(super) fn gather(&self, values: Tensor<4>) -> Tensor<4> {
         let dims @ [_, channels, height, width] = values.dims();
         let weight = values.reshape([channels, height * width, 1, 1]);

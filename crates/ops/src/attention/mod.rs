@@ -1,9 +1,9 @@
 //! Attention between the pixels of an image: `out_i = sum_j softmax_j(q_i . k_j) v_j`, without the matrix of all pairs.
 //!
-//! Pairs are computed in blocks that stay in the cache. What the weights depend on beside queries and keys, the largest
-//! score of each pixel and the sum of the exponentials, is found once; a pass over values then needs each pair once, and so
-//! do the gradients. As many weights as are allowed for are kept, since the networks gather different values with the same
-//! weights many times. [`mod@reference`] is the definition.
+//! Pairs are computed in blocks that stay in cache. The largest score of each pixel and the sum of its exponentials are
+//! computed once; after that, a pass over values needs each pair once, and so do the gradients. As many weights as the memory
+//! limit allows are kept, since the networks apply the same weights to different values many times. [`mod@reference`] is the
+//! definition.
 
 use srflow_simd::Isa;
 
@@ -41,7 +41,7 @@ fn image(values: &[f32], batch: usize, n: usize) -> &[f32] {
 }
 
 /// `out_i = sum_j softmax_j(q_i . k_j) v_j` for every image. Queries and keys are `[batch, channels, pixels]`, values and
-/// output `[batch, value channels, pixels]`. Panics when a slice does not fit.
+/// output `[batch, value channels, pixels]`. Panics when the length of a slice does not match.
 pub fn attention(queries: &[f32], keys: &[f32], values: &[f32], sizes: [usize; 3]) -> Vec<f32> {
     let gather = |[queries, keys]: [&[f32]; 2], [values]: [&[f32]; 1]| {
         AttentionWeights::new(Isa::best(), queries, keys, sizes[2], 0).gather(values)
@@ -49,8 +49,8 @@ pub fn attention(queries: &[f32], keys: &[f32], values: &[f32], sizes: [usize; 3
     each_image([values], [queries, keys], sizes, gather).concat()
 }
 
-/// Gradients of queries, keys and values, from `grad`, that of the output of [`attention`]. Panics when a slice does not
-/// fit.
+/// Gradients of queries, keys and values, given `grad`, that of the output of [`attention`]. Panics when the length of a slice
+/// does not match.
 pub fn attention_backward(
     queries: &[f32],
     keys: &[f32],

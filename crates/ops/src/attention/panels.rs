@@ -1,14 +1,14 @@
-//! How the sides of attention's products lie in memory, and into what pieces the work is cut.
+//! Memory layout of attention's operands, and the split of the work into pieces.
 
 use rayon::prelude::*;
 use srflow_simd::{Isa, pack_rows, panel_columns};
 
-/// Panels of pixels of one piece of work.
+/// Panels of pixels in one piece of work.
 pub(super) const PANELS: usize = 4;
-/// Pixels that are attended to at a time; a multiple of every register tile.
+/// Pixels in a block; a multiple of every register tile.
 pub(super) const BLOCK: usize = 256;
 
-/// `[rows, pixels]` to panels `[rows, columns]`; what the last panel lacks is zero.
+/// Reorders `[rows, pixels]` into panels `[rows, columns]`, zero-padding the last panel.
 pub(super) fn to_panels(isa: Isa, matrix: &[f32], pixels: usize) -> Vec<f32> {
     let width = panel_columns(isa);
     let rows = matrix.len() / pixels;
@@ -23,7 +23,7 @@ pub(super) fn to_panels(isa: Isa, matrix: &[f32], pixels: usize) -> Vec<f32> {
     panels
 }
 
-/// `[channels, pixels]` as a left side with a row for each pixel.
+/// Packs `[channels, pixels]` as a left side with one row per pixel.
 pub(super) fn pixels_as_rows(isa: Isa, matrix: &[f32], pixels: usize) -> Vec<f32> {
     let channels = matrix.len() / pixels;
     let mut packed = vec![0.0; matrix.len()];
@@ -37,7 +37,7 @@ pub(super) fn pixels_as_rows(isa: Isa, matrix: &[f32], pixels: usize) -> Vec<f32
     packed
 }
 
-/// `[channels, pixels]` as a left side with a row for each channel, `block` pixels by `block` pixels.
+/// Packs `[channels, pixels]` as a left side with one row per channel, in blocks of `block` pixels.
 pub(super) fn channels_as_rows(isa: Isa, matrix: &[f32], pixels: usize, block: usize) -> Vec<f32> {
     let channels = matrix.len() / pixels;
     let mut packed = vec![0.0; matrix.len()];
@@ -52,7 +52,7 @@ pub(super) fn channels_as_rows(isa: Isa, matrix: &[f32], pixels: usize, block: u
     packed
 }
 
-/// The columns of panels from `first`, at most [`PANELS`] of them.
+/// The columns of panels from `first` on, at most [`PANELS`] of them.
 #[derive(Clone, Copy)]
 pub(super) struct Group {
     pub(super) first: usize,
@@ -73,7 +73,7 @@ impl Group {
     }
 }
 
-/// Blocks of `pixels`: the first pixel and how many.
+/// Blocks of `pixels`: first pixel and length.
 pub(super) fn blocks(pixels: usize) -> impl Iterator<Item = (usize, usize)> {
     (0..pixels).step_by(BLOCK).map(move |first| (first, BLOCK.min(pixels - first)))
 }

@@ -1,11 +1,11 @@
-//! From scores to weights: the exponential and its sums, and the gradient. A block holds one panel's numbers for
-//! neighbouring pixels, `[rows, columns of the panel]`.
+//! Softmax weights from scores, its sums, and its gradient. A block holds one panel's numbers for neighbouring pixels, `[rows,
+//! columns of the panel]`.
 
 use srflow_simd::{Simd, dispatch, exp};
 
 dispatch! {
-    /// Raises `maxima` to the largest score of each column, and adds `exp(score - maximum)` to `sums`, which are rescaled
-    /// when the maximum grows. A column with a score that is not a number has such a sum from then on.
+    /// Raises `maxima` to the largest score of each column, and adds `exp(score - maximum)` to `sums`, which are rescaled when the
+    /// maximum grows. A NaN score makes the sum of its column NaN.
     pub(super) fn add_to_sums = add_to_sums_kernel(scores: &[f32], maxima: &mut [f32], sums: &mut [f32])
 }
 
@@ -32,7 +32,7 @@ fn add_to_sums_kernel<S: Simd>(s: S, scores: &[f32], maxima: &mut [f32], sums: &
     }
 }
 
-/// The largest score of each query, and one over the sum of its `exp(score - maximum)`.
+/// The largest score of each query, and the inverse of the sum of its `exp(score - maximum)`.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Normal<'a> {
     /// Of each column of the panel.
@@ -42,7 +42,7 @@ pub(super) enum Normal<'a> {
 }
 
 dispatch! {
-    /// Scores to weights, `exp(score - maximum) * inverse_sum`; `width` is that of the panel.
+    /// Converts scores to weights, `exp(score - maximum) * inverse_sum`; `width` is that of the panel.
     pub(super) fn weigh = weigh_kernel(scores: &mut [f32], width: usize, normal: Normal)
 }
 
@@ -51,7 +51,7 @@ fn weigh_kernel<S: Simd>(s: S, scores: &mut [f32], width: usize, normal: Normal)
     let rows = scores.len() / width;
     assert!(width.is_multiple_of(S::LANES));
     let mut weigh = |at: usize, maximum: S::Vector, inverse_sum: S::Vector| {
-        // SAFETY: `at` is the place of a whole vector of a row.
+        // SAFETY: `at` is the position of a whole vector in a row.
         unsafe {
             let at = scores.as_mut_ptr().add(at);
             s.store(at, s.mul(exp(s, s.sub(s.load(at), maximum)), inverse_sum));
@@ -78,8 +78,8 @@ fn weigh_kernel<S: Simd>(s: S, scores: &mut [f32], width: usize, normal: Normal)
 }
 
 dispatch! {
-    /// Gradients of weights to gradients of scores, `weight * (gradient - mean)`: `means` has each column's mean of its
-    /// gradients by their weights. Weights and gradients lie in the same order.
+    /// Converts gradients of weights to gradients of scores, `weight * (gradient - mean)`; `means` has each column's mean of
+    /// the gradients, weighted by the weights. Weights and gradients have the same layout.
     pub(super) fn to_score_gradients = to_score_gradients_kernel(gradients: &mut [f32], weights: &[f32], means: &[f32])
 }
 

@@ -1,4 +1,4 @@
-//! Weights of one image: found once, then used for many values.
+//! The attention weights of one image: computed once, then applied to many values.
 
 use std::sync::OnceLock;
 
@@ -10,7 +10,7 @@ use srflow_simd::{
 use super::panels::{BLOCK, Group, PANELS, blocks, channels_as_rows, pixels_as_rows, to_panels};
 use super::softmax::{Normal, add_to_sums, weigh};
 
-/// How much of each pixel every pixel of one image takes.
+/// The attention weights between all pixels of one image.
 #[derive(Debug)]
 pub(crate) struct AttentionWeights {
     pub(super) isa: Isa,
@@ -22,12 +22,12 @@ pub(crate) struct AttentionWeights {
     by_key: OnceLock<Side>,
 }
 
-/// What the weights of a query depend on beside the score, for each query, in whole panels.
+/// The softmax statistics of each query, in whole panels.
 #[derive(Debug)]
 struct Sums {
     /// The largest score.
     maxima: Vec<f32>,
-    /// One over the sum of `exp(score - maximum)`.
+    /// The inverse of the sum of `exp(score - maximum)`.
     inverse_sums: Vec<f32>,
 }
 
@@ -42,12 +42,12 @@ pub(super) struct Pairs {
     rows: Vec<f32>,
 }
 
-/// Weights with the queries in the columns of panels and the keys in rows, or the other way round.
+/// Weights with the queries in the columns of panels and the keys in rows, or vice versa.
 #[derive(Debug)]
 struct Side {
     scores: Pairs,
     queries: Queries,
-    /// Panels from the first whose weights are kept, each `[pixels, columns of the panel]`.
+    /// The weights of the first panels, which are kept, each `[pixels, columns of the panel]`.
     kept: Vec<f32>,
     kept_panels: usize,
 }
@@ -93,7 +93,7 @@ impl Pairs {
     }
 }
 
-/// Values on their way to the pixels that gather them.
+/// Values to be summed with weights.
 pub(super) struct Gathering<'a> {
     pub(super) isa: Isa,
     pub(super) pixels: usize,
@@ -102,8 +102,8 @@ pub(super) struct Gathering<'a> {
 }
 
 impl Gathering<'_> {
-    /// Adds to what the group's pixels have gathered, or starts with, the values of a block of pixels. `weights` are
-    /// `[block, columns]`, panel after panel, `step` elements apart; `out` begins at the group's first pixel.
+    /// Adds the weighted values of a block of pixels to the output of a group, or initialises it. `weights` are `[block, columns]`,
+    /// panel after panel, `step` elements apart; `out` begins at the group's first pixel.
     pub(super) fn add(
         &self,
         group: Group,
@@ -153,7 +153,7 @@ impl Sums {
     }
 }
 
-/// Panels of `pixels` that `kept_bytes` hold: all, or whole groups.
+/// Number of panels of `pixels` that fit in `kept_bytes`: all, or whole groups.
 fn panels_within(isa: Isa, pixels: usize, kept_bytes: usize) -> usize {
     let panels = pixels.div_ceil(panel_columns(isa));
     let within = kept_bytes / size_of::<f32>() / (pixels * panel_columns(isa));
@@ -161,8 +161,8 @@ fn panels_within(isa: Isa, pixels: usize, kept_bytes: usize) -> usize {
 }
 
 impl AttentionWeights {
-    /// From queries and keys, each `[channels, pixels]`. At most `kept_bytes` of weights are kept, and as many again for the
-    /// gradients. Panics when a slice does not fit.
+    /// From queries and keys, each `[channels, pixels]`. Keeps at most `kept_bytes` of weights, and as many again for the
+    /// gradients. Panics when the length of a slice does not match.
     pub(crate) fn new(isa: Isa, queries: &[f32], keys: &[f32], pixels: usize, kept_bytes: usize) -> Self {
         assert!(pixels > 0 && queries.len().is_multiple_of(pixels), "queries of {pixels} pixels");
         assert_eq!(queries.len(), keys.len(), "as many keys as queries");
@@ -204,7 +204,7 @@ impl AttentionWeights {
                         }
                     }
                     for (sum, maximum) in sums.iter_mut().zip(maxima.iter()) {
-                        // Scores that are all minus infinity have no weights: they are not a number, as in the definition.
+                        // If all scores are minus infinity, the weights are NaN, as in the definition.
                         *sum = if *maximum == f32::MIN { f32::NAN } else { 1.0 / *sum };
                     }
                     for panel in 0..if keep { group.panels } else { 0 } {
@@ -226,12 +226,13 @@ impl AttentionWeights {
         Self { isa, pixels, sums, kept_bytes, by_query, by_key: OnceLock::new() }
     }
 
-    /// What each pixel gathers of `values` (`[channels, pixels]`), likewise. Panics when the slice does not fit.
+    /// The weighted sum of `values` (`[channels, pixels]`) for each pixel, likewise `[channels, pixels]`. Panics when the length
+    /// of the slice does not match.
     pub(crate) fn gather(&self, values: &[f32]) -> Vec<f32> {
         self.gather_from(&self.by_query, values)
     }
 
-    /// The gradient of the values, from that of what was gathered of them. Queries and keys are those of [`Self::new`].
+    /// The gradient of the values, given that of the output. Queries and keys are those of [`Self::new`].
     pub(crate) fn gather_backward(&self, queries: &[f32], keys: &[f32], grad: &[f32]) -> Vec<f32> {
         self.gather_from(self.by_key.get_or_init(|| self.new_by_key(queries, keys)), grad)
     }
@@ -259,7 +260,7 @@ impl AttentionWeights {
         Side { scores, queries, kept, kept_panels }
     }
 
-    /// Weights of the block's pixels and a group's: `[block, columns]`, panel after panel, `step` elements apart.
+    /// Computes the weights of the block's pixels and a group's: `[block, columns]`, panel after panel, `step` elements apart.
     fn compute(
         &self,
         scores: &Pairs,
@@ -278,8 +279,8 @@ impl AttentionWeights {
         }
     }
 
-    /// The weights of the block's pixels and a group's, and the elements from a panel to the next: kept, or else computed
-    /// into the scratch.
+    /// The weights of the block's pixels and a group's, and the number of elements from one panel to the next: kept, or else
+    /// computed into the scratch buffer.
     fn of_block<'a>(
         &self,
         side: &'a Side,
@@ -323,7 +324,7 @@ impl AttentionWeights {
         })
     }
 
-    /// Bytes of the weights that are kept.
+    /// Size in bytes of the kept weights.
     #[cfg(test)]
     pub(super) fn kept_bytes(&self) -> usize {
         let by_key = self.by_key.get().map_or(0, |side| side.kept.len());

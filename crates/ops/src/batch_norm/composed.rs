@@ -1,4 +1,4 @@
-//! The normalization by a backend's own operations.
+//! The normalization composed of a backend's own operations.
 
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, TensorMetadata};
@@ -43,7 +43,7 @@ impl Composition<3> for BatchNorm {
     }
 }
 
-/// One row for each channel, of all images.
+/// One row per channel, over all images.
 fn rows<B: Backend>(x: FloatTensor<B>) -> FloatTensor<B> {
     let [batch, channels, height, width] = x.shape().dims();
     B::float_reshape(B::float_swap_dims(x, 0, 1), [channels, batch * height * width].into())
@@ -55,13 +55,13 @@ fn images<B: Backend>(rows: FloatTensor<B>, shape: &Shape) -> FloatTensor<B> {
     B::float_swap_dims(B::float_reshape(rows, [channels, batch, height, width].into()), 0, 1)
 }
 
-/// A number for each channel, `[channels, 1]`.
+/// A number per channel, `[channels, 1]`.
 fn column<B: Backend>(values: FloatTensor<B>) -> FloatTensor<B> {
     let channels = values.shape().num_elements();
     B::float_reshape(values, [channels, 1].into())
 }
 
-/// Each row less its mean, over its standard deviation; and one over that deviation.
+/// Each row minus its mean, divided by its standard deviation; and the inverse of that deviation.
 fn standardized<B: Backend>(
     rows: FloatTensor<B>,
     mean: FloatTensor<B>,

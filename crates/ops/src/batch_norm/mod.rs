@@ -1,5 +1,5 @@
-//! Batch normalization in training (Ioffe and Szegedy 2015), with the ReLU that follows: each channel less its mean over
-//! all images, over its standard deviation, scaled and shifted. [`mod@reference`] is the definition.
+//! Batch normalization in training (Ioffe and Szegedy 2015), fused with the ReLU that follows: each channel minus its mean over
+//! all images, divided by its standard deviation, scaled and shifted. [`mod@reference`] is the definition.
 
 use rayon::prelude::*;
 
@@ -11,7 +11,7 @@ mod composed;
 pub mod reference;
 pub mod tensor;
 
-/// What the output is made with, one number per channel, and whether negative outputs become 0.
+/// Scale and shift, one number per channel, and whether ReLU follows.
 #[derive(Debug, Clone, Copy)]
 pub struct Affine<'a> {
     /// Scale of the normalized channel.
@@ -22,11 +22,11 @@ pub struct Affine<'a> {
     pub relu: bool,
 }
 
-/// Of each channel over the batch.
+/// Statistics of each channel over the batch.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Statistics {
     pub mean: Vec<f32>,
-    /// Mean square distance from the mean (not the unbiased estimate).
+    /// Mean squared distance from the mean (the biased estimate).
     pub variance: Vec<f32>,
 }
 
@@ -34,7 +34,7 @@ pub struct Statistics {
 #[derive(Clone, Copy)]
 struct Channel {
     mean: f32,
-    /// One over the standard deviation.
+    /// Inverse of the standard deviation.
     scale: f32,
     weight: f32,
     bias: f32,
@@ -57,7 +57,7 @@ impl Channel {
         (x - self.mean) * (self.scale * self.weight) + self.bias
     }
 
-    /// The gradient that the ReLU lets through.
+    /// The gradient with respect to the ReLU's input.
     fn passed(&self, grad: f32, x: f32) -> f32 {
         if self.relu && self.before_relu(x) <= 0.0 { 0.0 } else { grad }
     }
@@ -70,7 +70,7 @@ fn check(input: &[f32], affine: &Affine, shape: &MapShape) {
     assert_eq!(affine.bias.len(), shape.channels, "biases of {shape:?}");
 }
 
-/// Every image's plane of a channel.
+/// The planes of a channel in all images.
 fn planes<'a>(
     values: &'a [f32],
     channel: usize,
@@ -79,7 +79,7 @@ fn planes<'a>(
     values.chunks_exact(shape.pixels()).skip(channel).step_by(shape.channels)
 }
 
-/// The normalized input and the statistics it was normalized with. Panics when the slices do not fit the shape.
+/// The normalized input and the statistics used. Panics when the length of a slice does not match the shape.
 pub fn batch_norm(input: &[f32], affine: &Affine, shape: &MapShape) -> (Vec<f32>, Statistics) {
     check(input, affine, shape);
     let of_channel = |channel| mean_and_variance(planes(input, channel, shape));
@@ -136,8 +136,8 @@ pub fn batch_norm_backward(
     [out, weight, bias]
 }
 
-/// Of all planes together. Each is summed about its own mean while it is in the cache, and added to those before it
-/// (Chan, Golub and LeVeque 1983).
+/// Over all planes. Each is summed about its own mean while it is in cache, and merged with the previous ones (Chan, Golub and
+/// LeVeque 1983).
 fn mean_and_variance<'a>(planes: impl Iterator<Item = &'a [f32]>) -> (f32, f32) {
     let (mut count, mut mean, mut squares) = (0.0_f64, 0.0_f64, 0.0_f64);
     for plane in planes {

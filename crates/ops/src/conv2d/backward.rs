@@ -7,7 +7,7 @@ use crate::convolution::Conv2dShape;
 use crate::sums::sum;
 
 /// Gradient of the bias: `grad` (`[N, channels, H, W]`, each plane of `pixels` elements) summed over images and pixels;
-/// `[channels]`. Panics when `grad` is not whole images.
+/// `[channels]`. Panics when `grad` is not a whole number of images.
 pub fn conv2d_backward_bias(grad: &[f32], channels: usize, pixels: usize) -> Vec<f32> {
     let mut sums = vec![0.0_f64; channels];
     if grad.is_empty() {
@@ -22,10 +22,10 @@ pub fn conv2d_backward_bias(grad: &[f32], channels: usize, pixels: usize) -> Vec
     sums.into_iter().map(|sum| sum as f32).collect()
 }
 
-/// Gradient of the input from `grad`, that of the output; `[N, C_in, H, W]`.
+/// Gradient of the input given `grad`, that of the output; `[N, C_in, H, W]`.
 ///
-/// It is itself a convolution of `grad`, one for each remainder of the input's row and column modulo the stride: the
-/// kernel's taps of that remainder, turned around. Panics when a slice does not fit `shape`.
+/// It is itself a convolution of `grad`, one for each remainder of the input's row and column modulo the stride, with the
+/// kernel's taps of that remainder, flipped. Panics when the length of a slice does not match `shape`.
 pub fn conv2d_backward_input(grad: &[f32], weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     backward_input_with(Isa::best(), grad, weight, shape)
 }
@@ -35,7 +35,7 @@ pub(super) fn backward_input_with(isa: Isa, grad: &[f32], weight: &[f32], shape:
     backward_input_packed(isa, grad, &pack_backward(isa, weight, shape), None, shape)
 }
 
-/// Whether the gradient of the input is one convolution, and which.
+/// The single convolution that computes the gradient of the input, if there is one.
 fn as_convolution(shape: &Conv2dShape) -> Option<Conv2dShape> {
     shape.check_dense();
     let one = shape.stride == [1, 1] && shape.kernel.iter().zip(shape.padding).all(|(&k, p)| p < k);
@@ -48,7 +48,7 @@ fn as_convolution(shape: &Conv2dShape) -> Option<Conv2dShape> {
     })
 }
 
-/// The weights in the order that [`backward_input_packed`] reads them in.
+/// The weights in the layout of [`backward_input_packed`].
 pub(crate) fn pack_backward(isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
     match as_convolution(shape) {
@@ -93,14 +93,14 @@ fn remainders(shape: &Conv2dShape) -> impl Iterator<Item = [usize; 2]> {
     (0..down).flat_map(move |y| (0..across).map(move |x| [y, x]))
 }
 
-/// Taps, down and across, that pixels of a remainder meet.
+/// Number of taps, down and across, that reach pixels of a remainder.
 fn taps_of(shape: &Conv2dShape, remainder: [usize; 2]) -> [usize; 2] {
     [0, 1].map(|i| (remainder[i]..shape.kernel[i]).step_by(shape.stride[i]).len())
 }
 
-/// The taps of a remainder, last first, and input and output channels exchanged: `[C_in, C_out, taps down, taps across]`.
+/// The taps of a remainder, flipped, with input and output channels exchanged: `[C_in, C_out, taps down, taps across]`.
 fn turn_around(weight: &[f32], shape: &Conv2dShape, remainder: [usize; 2]) -> Vec<f32> {
-    /// Channels of a square that is turned in the cache.
+    /// Channels of a block that is transposed in cache.
     const SQUARE: usize = 16;
     let [down, across] = taps_of(shape, remainder);
     let taps = down * across;
@@ -129,7 +129,7 @@ fn turn_around(weight: &[f32], shape: &Conv2dShape, remainder: [usize; 2]) -> Ve
     out
 }
 
-/// The input's pixels `(stride * q + remainder - padding)`, for every `q`.
+/// The input's pixels `(stride * q + remainder - padding)`, for all `q`.
 fn backward_remainder(
     isa: Isa,
     grad: &[f32],
@@ -142,7 +142,7 @@ fn backward_remainder(
     if taps.contains(&0) {
         return; // no tap reaches these pixels: their gradient is zero
     }
-    // Pixel q of this remainder gathers the output gradient at q, q - 1, ... q - (taps - 1).
+    // Pixel q of this remainder sums the output gradient at q, q - 1, ... q - (taps - 1).
     let first_q = [0, 1].map(|i| shape.padding[i].saturating_sub(remainder[i]).div_ceil(shape.stride[i]));
     let count = [0, 1].map(|i| {
         let end = (shape.input[i] + shape.padding[i]).saturating_sub(remainder[i]).div_ceil(shape.stride[i]);
@@ -167,8 +167,7 @@ fn backward_remainder(
     );
 }
 
-/// `[N, C_in, count]`: at each `q` from `first_q`, the taps of the turned-around kernel over the output gradient, which
-/// is zero outside.
+/// `[N, C_in, count]`: at each `q` from `first_q`, the taps of the flipped kernel applied to the zero-padded output gradient.
 fn gather(
     isa: Isa,
     grad: &[f32],

@@ -10,13 +10,13 @@ use crate::pointwise::{Add, Layer, Map, pointwise};
 pub(super) const BLOCK: usize = 8;
 /// Vectors of pixels of a register tile.
 const VECTORS: usize = 3;
-/// Output rows of one piece of work: enough to reuse the weights in the first-level cache, few enough to balance.
+/// Output rows per task: enough to reuse the weights in the first-level cache, few enough to balance the load.
 const BAND_ROWS: usize = 8;
 
 /// Convolution of `input` with `weight`, then the epilogue; `[N, C_out, H_out, W_out]`.
 ///
-/// The order of an element's sum depends on `shape` alone, and each step is a fused multiply-add, so the result is the same
-/// for every number of threads and every instruction set. Panics when a slice does not fit `shape`.
+/// The order of an element's sum depends on `shape` alone, and each step is a fused multiply-add, so the result does not depend
+/// on the number of threads or the instruction set. Panics when the length of a slice does not match `shape`.
 pub fn conv2d(input: &[f32], weight: &[f32], epilogue: &Epilogue, shape: &Conv2dShape) -> Vec<f32> {
     conv2d_with(Isa::best(), input, weight, epilogue, shape)
 }
@@ -32,15 +32,15 @@ pub(super) fn conv2d_with(
     convolve_packed(isa, input, &pack(isa, weight, shape), epilogue, shape)
 }
 
-/// How a convolution is computed.
+/// The algorithm of a convolution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Method {
-    /// As a product of matrices.
+    /// A matrix product.
     Pointwise,
     Winograd(Scheme),
-    /// As a product of matrices, the inputs under each tap copied side by side.
+    /// A matrix product with the inputs under each tap copied side by side (im2col).
     Panels,
-    /// Tap by tap.
+    /// Direct, tap by tap.
     Direct,
 }
 
@@ -52,14 +52,14 @@ impl Method {
         }
         match Scheme::of(shape) {
             Some(scheme) => Method::Winograd(scheme),
-            // Copies are worth their while when many output channels use them.
+            // Copies pay off when many output channels use them.
             None if shape.out_channels >= BLOCK => Method::Panels,
             None => Method::Direct,
         }
     }
 }
 
-/// The weights in the order that [`convolve_packed`] reads them in.
+/// The weights in the layout of [`convolve_packed`].
 pub(crate) fn pack(isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
     match Method::of(shape) {
@@ -142,7 +142,7 @@ fn convolve_directly(
                 start,
                 out_channels: channels,
                 columns: plan.columns,
-                // Channel `first` of image `n`, this row and column.
+                // Channel `first` of image `n`, at this row and column.
                 out: target.at(at),
             };
             // SAFETY: `Padded` holds a border of the kernel's reach around every pixel read, and
@@ -160,7 +160,7 @@ fn convolve_directly(
     out
 }
 
-/// `[rows, inner]` to blocks of [`BLOCK`] rows (fewer in the last), each `[inner, rows of the block]`.
+/// Reorders `[rows, inner]` into blocks of [`BLOCK`] rows (the last may have fewer), each `[inner, rows of the block]`.
 pub(super) fn pack_weights(weight: &[f32], rows: usize, inner: usize) -> Vec<f32> {
     let mut packed = vec![0.0; rows * inner];
     packed.par_chunks_mut(BLOCK * inner).zip(weight.par_chunks(BLOCK * inner)).for_each(|(to, from)| {
@@ -174,20 +174,19 @@ pub(super) fn pack_weights(weight: &[f32], rows: usize, inner: usize) -> Vec<f32
     packed
 }
 
-/// The input with its border of zeros, `[batch, row, channel, column]`: what one output row needs of all channels lies
-/// on few memory pages, where planes of a large image would take a page for each channel and row. For a stride across,
-/// each row holds the columns of remainder 0, then of remainder 1, and so on, so that neighbouring outputs read
-/// neighbouring inputs.
+/// The zero-padded input, `[batch, row, channel, column]`: the data of one output row over all channels lies on few memory
+/// pages, where planes of a large image would need one page per channel and row. With a stride, each row holds the columns of
+/// remainder 0, then of remainder 1, and so on, so that neighbouring outputs read neighbouring inputs.
 pub(super) struct Padded<'a> {
     copy: Vec<f32>,
     input: &'a [f32],
-    /// The input needed no copy: a pointwise convolution.
+    /// The input itself: a pointwise convolution needs no copy.
     pub(super) is_input: bool,
-    /// Elements from a row to the next.
+    /// Elements from one row to the next.
     pub(super) row: usize,
-    /// Elements from a channel to the next.
+    /// Elements from one channel to the next.
     pub(super) channel: usize,
-    /// Elements from an image to the next.
+    /// Elements from one image to the next.
     pub(super) image: usize,
     /// Columns of one remainder.
     phase: usize,
@@ -236,7 +235,7 @@ impl<'a> Padded<'a> {
         if self.is_input { self.input } else { &self.copy }
     }
 
-    /// Where each tap reads, relative to where tap 0 reads.
+    /// Offset of each tap relative to tap 0.
     pub(super) fn taps(&self, shape: &Conv2dShape) -> Vec<usize> {
         let [kernel_height, kernel_width] = shape.kernel;
         let stride = shape.stride[1];
@@ -249,7 +248,7 @@ impl<'a> Padded<'a> {
     }
 }
 
-/// What all rows of a convolution share.
+/// Data shared by all rows of a convolution.
 pub(super) struct Plan {
     pub(super) channels: usize,
     pub(super) source_channel: usize,
@@ -260,7 +259,7 @@ pub(super) struct Plan {
     pub(super) out_channel: usize,
 }
 
-/// A row (or a piece of it) of up to [`BLOCK`] output channels.
+/// A row, or a part of it, of up to [`BLOCK`] output channels.
 pub(super) struct Tile {
     pub(super) source: *const f32,
     pub(super) weights: *const f32,
@@ -274,7 +273,7 @@ dispatch! {
     /// Computes one [`Tile`].
     ///
     /// # Safety
-    /// The source can be read at every tap of every channel and column, and the output written.
+    /// The source is readable at every tap of every channel and column, and the output is writable.
     pub(super) unsafe fn convolve_row = convolve_row_kernel(plan: &Plan, tile: &Tile)
 }
 
@@ -283,7 +282,7 @@ unsafe fn convolve_row_kernel<S: Simd>(s: S, plan: &Plan, tile: &Tile) {
     macro_rules! by_channels {
         ($($channels:literal)*) => {
             match tile.out_channels {
-                // SAFETY: the caller's promise, passed on.
+                // SAFETY: guaranteed by the caller.
                 $($channels => unsafe { convolve_columns::<S, $channels>(s, plan, tile) },)*
                 _ => unreachable!("a block has 1 to {BLOCK} channels"),
             }
@@ -295,7 +294,7 @@ unsafe fn convolve_row_kernel<S: Simd>(s: S, plan: &Plan, tile: &Tile) {
 #[inline(always)]
 unsafe fn convolve_columns<S: Simd, const CHANNELS: usize>(s: S, plan: &Plan, tile: &Tile) {
     let mut x = 0;
-    // SAFETY: each call covers the columns from `x`, as many as it says, all inside the tile.
+    // SAFETY: each call covers the given columns from `x` on, all inside the tile.
     unsafe {
         while tile.columns - x >= VECTORS * S::LANES {
             accumulate::<S, CHANNELS, VECTORS, false>(s, plan, tile, x, S::LANES);
@@ -314,7 +313,7 @@ unsafe fn convolve_columns<S: Simd, const CHANNELS: usize>(s: S, plan: &Plan, ti
     }
 }
 
-/// The register tile: `CHANNELS` by `V` vectors from column `x`; of the last vector only `last` lanes when `PARTIAL`.
+/// The register tile: `CHANNELS` by `V` vectors from column `x`; only `last` lanes of the last vector when `PARTIAL`.
 #[inline(always)]
 unsafe fn accumulate<S: Simd, const CHANNELS: usize, const V: usize, const PARTIAL: bool>(
     s: S,
@@ -323,7 +322,7 @@ unsafe fn accumulate<S: Simd, const CHANNELS: usize, const V: usize, const PARTI
     x: usize,
     last: usize,
 ) {
-    // SAFETY: the caller's promise: every address below lies in the padded source, the packed weights or the output.
+    // SAFETY: guaranteed by the caller: every address below lies in the padded source, the packed weights or the output.
     unsafe {
         let mut sums = [[s.splat(0.0); V]; CHANNELS];
         for (channel, sums) in sums.iter_mut().enumerate() {

@@ -1,11 +1,11 @@
 //! Dense 2D convolution (cross-correlation, as in deep learning), forward and backward, on NCHW slices.
 //!
-//! There are four fast versions. A pointwise convolution is a product of matrices. Small kernels of stride 1 over enough
-//! channels go Winograd's way, which needs a half to a quarter of the products. Others are a product of matrices too, whose
-//! right side is made in pieces that stay in the cache. Those with few output channels are summed directly: a register tile of 8 output channels by 3 vectors of pixels is kept while all input channels and kernel
-//! taps pass by, so that 24 fused multiply-adds need 11 loads; a copy of the input with its border of zeros, its columns
-//! split by their remainder modulo the stride, makes every load contiguous. [`crate::convolution::reference`] is the
-//! definition.
+//! There are four fast versions. A pointwise convolution is a matrix product. Small kernels of stride 1 with enough channels
+//! use Winograd's algorithm, which needs a half to a quarter of the products. Other kernels are matrix products too, with the
+//! right side built in pieces that stay in cache. Those with few output channels are summed directly: a register tile of 8
+//! output channels by 3 vectors of pixels accumulates over all input channels and kernel taps, so 24 fused multiply-adds need
+//! 11 loads; a zero-padded copy of the input, its columns split by their remainder modulo the stride, makes every load
+//! contiguous. [`crate::convolution::reference`] is the definition.
 
 use srflow_simd::{Activation, Isa, activate};
 
@@ -22,7 +22,7 @@ pub use forward::conv2d;
 pub(crate) use forward::{convolve_packed, pack};
 pub use weight_gradient::conv2d_backward_weight;
 
-/// What becomes of a sum before it is stored: `activation(sum + bias + residual)`.
+/// Applied to a sum before it is stored: `activation(sum + bias + residual)`.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Epilogue<'a> {
     /// One number per output channel.
@@ -34,8 +34,8 @@ pub struct Epilogue<'a> {
 }
 
 impl Epilogue<'_> {
-    /// Adds the residual to sums that are still in the cache, and applies the activation. `row` starts at element
-    /// `first` of the output.
+    /// Adds the residual to sums that are still in cache, and applies the activation. `row` starts at element `first` of the
+    /// output.
     pub(crate) fn finish(&self, isa: Isa, first: usize, row: &mut [f32]) {
         let residual = self.residual.map(|residual| &residual[first..first + row.len()]);
         if residual.is_some() || self.activation != Activation::Identity {
@@ -43,7 +43,7 @@ impl Epilogue<'_> {
         }
     }
 
-    /// Panics when a slice does not fit.
+    /// Panics when the length of a slice does not match.
     pub(crate) fn check(&self, channels: usize, len: usize) {
         if let Some(bias) = self.bias {
             assert_eq!(bias.len(), channels, "a bias for each output channel");

@@ -1,5 +1,5 @@
-//! Convolution as a product of matrices whose right side, the inputs under each tap, is made panel by panel: it never
-//! stands in memory as a whole.
+//! Convolution as a matrix product whose right side, the inputs under each tap, is built panel by panel and never stored as a
+//! whole.
 
 use std::ops::Range;
 
@@ -40,7 +40,7 @@ pub(super) fn convolve(
     })
 }
 
-/// What lies under each tap of each channel at some output pixels: `[in_channels * taps, columns]`.
+/// The inputs under each tap of each channel for some output pixels: `[in_channels * taps, columns]`.
 fn gather(image: &[f32], shape: &Conv2dShape, pixels: Range<usize>, columns: usize, taps: &mut [f32]) {
     let [height, width] = shape.input;
     let [kernel_height, kernel_width] = shape.kernel;
@@ -65,7 +65,7 @@ fn gather(image: &[f32], shape: &Conv2dShape, pixels: Range<usize>, columns: usi
     }
 }
 
-/// The elements of a row under tap `kx` at the output columns from `x`; zero outside of the row.
+/// The elements of a row under tap `kx` for the output columns from `x`; zero outside the row.
 fn take(source: &[f32], x: usize, kx: usize, stride: usize, padding: usize, to: &mut [f32]) {
     // Output column i reads source column i * stride + kx - padding.
     let first = padding.saturating_sub(kx).div_ceil(stride).saturating_sub(x).min(to.len());

@@ -1,4 +1,4 @@
-//! The gradient of a convolution's weight: a product of matrices, the output's gradient times the patches of the input.
+//! The gradient of a convolution's weight: the matrix product of the output's gradient and the patches of the input.
 
 use std::ops::Range;
 
@@ -11,14 +11,13 @@ use srflow_simd::{
 use super::forward::Padded;
 use crate::convolution::Conv2dShape;
 
-/// Pixels whose products are summed before the sums go to memory: as many as keep a panel of patches in the second-level
-/// cache.
+/// Pixels whose products are accumulated before the sums are stored: a panel of patches must fit in the second-level cache.
 const BLOCK_PIXELS: usize = 256;
 
-/// Gradient of the weight from the input and `grad`, the gradient of the output; `[C_out, C_in, kernel]`.
+/// Gradient of the weight given the input and `grad`, the gradient of the output; `[C_out, C_in, kernel]`.
 ///
-/// Pixels are summed in blocks of fixed size, in order, so the result does not depend on the number of threads. Panics when a
-/// slice does not fit `shape`.
+/// Pixels are summed in blocks of fixed size, in order, so the result does not depend on the number of threads. Panics when the
+/// length of a slice does not match `shape`.
 pub fn conv2d_backward_weight(input: &[f32], grad: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     backward_weight_with(Isa::best(), input, grad, shape)
 }
@@ -67,7 +66,7 @@ struct Block {
     image: usize,
     rows: Range<usize>,
     columns: Range<usize>,
-    /// Pixels of all blocks before.
+    /// Number of pixels in the previous blocks.
     before: usize,
 }
 
@@ -77,7 +76,7 @@ impl Block {
     }
 }
 
-/// All pixels: whole rows together where they are short, rows cut in pieces where they are long.
+/// All pixels: short rows are grouped, long rows are split.
 fn blocks(shape: &Conv2dShape) -> Vec<Block> {
     let [height, width] = shape.output();
     let rows_together = (BLOCK_PIXELS / width).max(1);
@@ -98,7 +97,7 @@ fn blocks(shape: &Conv2dShape) -> Vec<Block> {
     blocks
 }
 
-/// The output's gradient, block by block as [`Product::left`] wants it.
+/// The output's gradient, block by block in the layout of [`Product::left`].
 fn packed_gradient(isa: Isa, grad: &[f32], shape: &Conv2dShape, blocks: &[Block]) -> Vec<f32> {
     let [height, width] = shape.output();
     let channels = shape.out_channels;
@@ -123,7 +122,7 @@ fn packed_gradient(isa: Isa, grad: &[f32], shape: &Conv2dShape, blocks: &[Block]
     packed
 }
 
-/// What the weight's elements are multiplied with: for each input channel and tap an image of the output's size.
+/// The factors of the weight's elements: for each input channel and tap an image of the output's size.
 struct Patches<'a> {
     padded: Padded<'a>,
     taps: Vec<usize>,
@@ -180,11 +179,11 @@ fn transpose_kernel<S: Simd>(
                 if count == S::LANES && together == S::LANES {
                     let mut from = sources;
                     for from in from.iter_mut().take(together) {
-                        // SAFETY: every source holds the row's pixels.
+                        // SAFETY: every source contains the row's pixels.
                         *from = unsafe { from.add(pixel) };
                     }
                     assert!(to.len() >= (S::LANES - 1) * width + S::LANES);
-                    // SAFETY: as above, and the panel holds the square.
+                    // SAFETY: as above, and the panel contains the square.
                     unsafe { s.transpose(&from, to.as_mut_ptr(), width) }
                 } else {
                     for (i, source) in sources.iter().enumerate().take(together) {

@@ -1,9 +1,9 @@
-//! The lookup on CubeCL devices.
+//! The correlation lookup on CubeCL devices.
 //!
 //! Layouts: first map `[batch, height, width, channels]`; pyramid of the second, its levels one after another, each
 //! `[batch, height, width, channels]`; positions `[batch, 2, height, width]`; windows
-//! `[batch, levels * side^2, height, width]`. With the channels of a pixel side by side, the threads that share a product
-//! read one run of memory.
+//! `[batch, levels * side^2, height, width]`. The channels of a pixel are adjacent, so the threads that share a dot product
+//! read contiguous memory.
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::cubecl::{self, prelude::*};
@@ -12,15 +12,15 @@ use burn_cubecl::tensor::CubeTensor;
 use super::tensor::Lookup;
 use crate::cube::{AtomicAdd, ByExchange, InOneStep, adds_in_one_step, contiguous, cubes, empty, zeros};
 
-/// Threads of a cube.
+/// Threads per cube.
 const UNITS: usize = 128;
-/// Threads that share a product.
+/// Threads that share a dot product.
 const LANES: usize = 4;
-/// Channels that a thread reads at once, where their number allows it.
+/// Channels that a thread loads at once, if their number is divisible.
 const VECTOR: usize = 4;
-/// The most neighbouring pixels of a cube: what they write of one entry of the window fills a sector of 32 bytes.
+/// Maximum number of neighbouring pixels per cube: their writes to one entry of the window fill a sector of 32 bytes.
 const GROUP: usize = 8;
-/// Numbers that a cube keeps in shared memory: 16 KiB, which every device has.
+/// Numbers in a cube's shared memory: 16 KiB, which every device has.
 const SHARED: usize = 4096;
 
 pub(super) fn lookup(lookup: Lookup, inputs: [CubeTensor; 3]) -> CubeTensor {
@@ -81,15 +81,15 @@ pub(super) fn lookup_backward(lookup: Lookup, inputs: [CubeTensor; 3], grad: Cub
 /// A level of the pyramid.
 #[derive(CubeType)]
 struct Level {
-    /// Its first number.
+    /// Index of its first number.
     start: usize,
     height: usize,
     width: usize,
-    /// Its pixels for each of the finest level.
+    /// Ratio of its size to that of the finest level.
     scale: f32,
 }
 
-/// Levels are halved until the wanted one; `numbers` is how many an image pixel has, of all images.
+/// Halves the size down to the requested level; `numbers` is the count per image pixel, over all images.
 #[cube]
 fn level_of(height: usize, width: usize, numbers: usize, number: usize) -> Level {
     let mut start = 0;
@@ -105,7 +105,7 @@ fn level_of(height: usize, width: usize, numbers: usize, number: usize) -> Level
     Level { start, height: level_height, width: level_width, scale }
 }
 
-/// Where the window of a pixel lies in a level: a whole position in the upper left corner, and the fraction.
+/// Position of a pixel's window in a level: the integer position of the upper left corner, and the fraction.
 #[derive(CubeType)]
 struct Window {
     left: f32,
@@ -130,16 +130,16 @@ fn window_of(
     Window { left: x.floor() - reach, top: y.floor() - reach, right: x - x.floor(), below: y - y.floor() }
 }
 
-/// Compared as numbers, before any cast: a position may be anything, NaN too.
+/// Compared as floats before any cast: a position may have any value, including NaN.
 #[cube]
 fn inside(x: f32, y: f32, level: &Level) -> bool {
     x >= 0.0 && y >= 0.0 && x < f32::cast_from(level.width) && y < f32::cast_from(level.height)
 }
 
-/// A cube computes one level's windows of `group` pixels: first the dot products at the `reach^2` whole positions of each,
-/// `LANES` threads to a product, each with every `LANES`-th vector of the channels; then the bilinear samples of them.
+/// A cube computes one level's windows of `group` pixels: first the dot products at the `reach^2` integer positions of each,
+/// `LANES` threads per product, each with every `LANES`-th vector of the channels; then their bilinear samples.
 #[cube(launch)]
-#[allow(clippy::manual_div_ceil)] // The form that was run on a device.
+#[allow(clippy::manual_div_ceil)] // This form was tested on a device.
 fn lookup_kernel<N: Size>(
     first: &Tensor<Vector<f32, N>>,
     second: &Tensor<Vector<f32, N>>,
@@ -229,8 +229,8 @@ fn lookup_kernel<N: Size>(
     }
 }
 
-/// A cube computes the gradients of one pixel's windows: first those of the dot products of all levels, then, each thread
-/// with its channels, those of the pixel's own features and of the second map's, which other cubes add to as well.
+/// A cube computes the gradients of one pixel's windows: first those of the dot products of all levels, then, with the channels
+/// divided among the threads, those of the pixel's own features and of the second map's, which other cubes add to as well.
 #[cube(launch)]
 fn gradient_kernel<A: AtomicAdd>(
     first: &Tensor<f32>,
@@ -264,7 +264,7 @@ fn gradient_kernel<A: AtomicAdd>(
         let level = level_of(height, width, batch * channels, number);
         let window = window_of(coords, n, at, pixels, level.scale, radius);
         let mut sum = 0.0;
-        // The samples that this product is the upper left, upper right, lower left and lower right corner of.
+        // The samples for which this product is the upper left, upper right, lower left and lower right corner.
         #[unroll]
         for k in 0..4usize {
             let (i, j) = (column - k % 2, row - k / 2);

@@ -6,10 +6,10 @@ use super::pyramid::{Level, channels_first, channels_last};
 
 /// Window of the correlation pyramid around `coords`: `[batch, levels * (2 radius + 1)^2, height, width]`.
 ///
-/// `first` is the feature map of the first image, `[batch, height, width, channels]`; `coords` are positions in the
-/// second image, `[batch, 2, height, width]`, x then y, in pixels of the finest level. Products are divided by
-/// `sqrt(channels)`; outside of the second image they are zero. The order of a window's entries is the reference's; see
-/// [`super::reference::correlation_lookup`]. Panics when a slice does not fit.
+/// `first` is the feature map of the first image, `[batch, height, width, channels]`; `coords` are positions in the second
+/// image, `[batch, 2, height, width]`, x then y, in pixels of the finest level. Products are divided by `sqrt(channels)`;
+/// outside the second image they are zero. The order of a window's entries is the reference's; see
+/// [`super::reference::correlation_lookup`]. Panics when the length of a slice does not match.
 pub fn correlation_lookup(
     first: &[f32],
     second: &FeaturePyramid,
@@ -32,7 +32,7 @@ pub(super) fn lookup_with(
     let windows = Windows::new(first, second, coords, [height, width], radius);
     let entries = windows.entries();
     let pixels = height * width;
-    // Row by row, a pixel's entries side by side; channels go first at the end.
+    // Row by row, with a pixel's entries adjacent; transposed at the end.
     let mut out = vec![0.0; second.batch * pixels * entries];
     out.par_chunks_mut((width * entries).max(1)).enumerate().for_each(|(row, out)| {
         let mut products = Vec::new();
@@ -41,7 +41,7 @@ pub(super) fn lookup_with(
             let count = out.len() / entries;
             for (number, level) in second.levels.iter().enumerate() {
                 let windows_of_group = [0, 1, 2, 3].map(|i| windows.window(first + i.min(count - 1), number));
-                // Neighbours mostly look at nearly the same place: then what is read there serves all of them.
+                // Neighbours mostly have nearly the same window, and can share loads.
                 let common = Common::of(&windows_of_group);
                 let together = if common.is_small() { count } else { 1 };
                 for start in (0..count).step_by(together) {
@@ -63,10 +63,10 @@ pub(super) fn lookup_with(
 
 /// Neighbouring pixels whose windows are looked up together.
 const GROUP: usize = 4;
-/// Rows and columns that the windows of a group may together have beyond those of one.
+/// Extra rows and columns that the union of a group's windows may have.
 const SPREAD: usize = 4;
 
-/// The smallest rectangle around some windows of one level.
+/// The bounding rectangle of several windows of one level.
 struct Common {
     image: usize,
     left: i64,
@@ -97,12 +97,12 @@ impl Common {
         self.columns * self.rows
     }
 
-    /// Where the rectangle's products of a window begin.
+    /// Offset of a window's first product in the rectangle.
     fn offset(&self, window: &Window) -> usize {
         (window.top - self.top) as usize * self.columns + (window.left - self.left) as usize
     }
 
-    /// The products of `count` pixels from `first`, one rectangle after another, zero outside of the level.
+    /// The products of `count` pixels from `first` on, one rectangle after another, zero outside the level.
     fn products(
         &self,
         isa: Isa,
@@ -134,17 +134,17 @@ impl Common {
     }
 }
 
-/// Which of `reach` positions from `start` lie inside `size`.
+/// The positions among `reach` from `start` on that lie inside `size`.
 fn within(start: i64, size: usize, reach: usize) -> std::ops::Range<usize> {
     let low = start.saturating_neg().clamp(0, reach as i64) as usize;
     let high = (size as i64).saturating_sub(start).clamp(0, reach as i64) as usize;
     low..high.max(low)
 }
 
-/// Gradient of the first feature map (`[batch, height, width, channels]`) and of each level's features (likewise), from
+/// Gradients of the first feature map (`[batch, height, width, channels]`) and of each level's features (likewise), given
 /// `grad`, that of the window.
 ///
-/// The positions get none: the networks detach them (`coords1.detach()` in the reference). Rows of the second image are
+/// The positions have no gradient: the networks detach them (`coords1.detach()` in the reference). Rows of the second image are
 /// summed in the order of the first image's pixels, so the result does not depend on the number of threads.
 pub fn correlation_lookup_backward(
     first: &[f32],
@@ -184,7 +184,7 @@ pub fn correlation_lookup_backward(
     (d_first, d_levels)
 }
 
-/// What all windows share.
+/// Data shared by all windows.
 struct Windows<'a> {
     first: &'a [f32],
     coords: &'a [f32],
@@ -223,12 +223,12 @@ impl<'a> Windows<'a> {
         self.levels * (2 * self.radius + 1) * (2 * self.radius + 1)
     }
 
-    /// Entries of a row of a window.
+    /// Number of entries in a row of a window.
     fn side(&self) -> usize {
         2 * self.radius + 1
     }
 
-    /// Whole positions that a window needs in a row: one more than it has entries.
+    /// Number of integer positions in a row of a window: one more than entries.
     fn reach(&self) -> usize {
         2 * self.radius + 2
     }
@@ -244,7 +244,7 @@ impl<'a> Windows<'a> {
         let y = self.coords[(2 * n + 1) * self.pixels + p] * scale;
         Window {
             image: n,
-            // A cast saturates, and is 0 for NaN: any position is allowed.
+            // A cast saturates, and NaN becomes 0: any position is allowed.
             left: (x.floor() as i64).saturating_sub(self.radius as i64),
             top: (y.floor() as i64).saturating_sub(self.radius as i64),
             fraction_x: x - x.floor(),
@@ -253,11 +253,11 @@ impl<'a> Windows<'a> {
         }
     }
 
-    /// Gradient of a level's features from that of the products of every pixel's window.
+    /// Gradient of a level's features, given that of the products of every pixel's window.
     fn gather_second(&self, number: usize, level: &Level, d_products: &[f32]) -> Vec<f32> {
         let row_len = (level.width * self.channels).max(1);
         let mut out = vec![0.0; level.features.len()];
-        // Each thread owns a band of rows and passes over all windows.
+        // Each thread owns a band of rows and iterates over all windows.
         let bands = rayon::current_num_threads().max(1) * 4;
         let rows = (out.len() / row_len).div_ceil(bands).max(1);
         out.par_chunks_mut(rows * row_len).enumerate().for_each(|(band, out)| {
@@ -283,7 +283,7 @@ impl<'a> Windows<'a> {
     }
 }
 
-/// The whole positions around one window of one level.
+/// The integer positions of one window of one level.
 struct Window {
     image: usize,
     left: i64,
@@ -294,7 +294,7 @@ struct Window {
 }
 
 impl Window {
-    /// The rows, and in each the columns, of the window that lie inside the level.
+    /// The rows and columns of the window that lie inside the level.
     fn inside(&self, level: &Level) -> impl Iterator<Item = (usize, std::ops::Range<usize>)> + use<> {
         let columns = within(self.left, level.width, self.reach);
         let rows = within(self.top, level.height, self.reach);
@@ -304,7 +304,7 @@ impl Window {
         })
     }
 
-    /// Number of the feature at a row and column of the window that lie inside the level.
+    /// Index of the feature at a row and column of the window, which must lie inside the level.
     fn feature(&self, level: &Level, row: usize, column: usize) -> usize {
         let y = (self.top + row as i64) as usize;
         let x = (self.left + column as i64) as usize;
@@ -316,8 +316,7 @@ impl Window {
         [(1.0 - x) * (1.0 - y), x * (1.0 - y), (1.0 - x) * y, x * y]
     }
 
-    /// Bilinear samples of the products, whose rows are `step` elements apart, in the order of the reference: x is the slower
-    /// index.
+    /// Bilinear samples of the products, whose rows are `step` elements apart, in the reference's order: x is the slower index.
     fn interpolate(&self, products: &[f32], step: usize, scale: f32, out: &mut [f32]) {
         let [a, b, c, d] = self.weights().map(|w| w * scale);
         for (i, out) in out.chunks_exact_mut(self.reach - 1).enumerate() {
@@ -352,7 +351,7 @@ struct Dots<'a> {
     first: &'a [f32],
     second: &'a [f32],
     channels: usize,
-    /// Elements from the products of a pixel of the first image to those of the next.
+    /// Elements from the products of one pixel of the first image to those of the next.
     step: usize,
 }
 
@@ -367,7 +366,7 @@ fn dots_kernel<S: Simd>(s: S, task: &Dots, out: &mut [f32]) {
     let positions = task.second.len() / task.channels;
     assert!(out.len() >= (pixels - 1) * task.step + positions);
     let mut done = 0;
-    // SAFETY: the assertion above: `COUNT` features from `done` lie in `second`, `PIXELS` in `first`.
+    // SAFETY: by the assertion above, `COUNT` features from `done` on lie in `second`, `PIXELS` in `first`.
     unsafe {
         if pixels == GROUP {
             while positions - done >= 4 {
@@ -403,7 +402,7 @@ unsafe fn dots_of<S: Simd, const PIXELS: usize, const COUNT: usize>(
     out: &mut [f32],
 ) {
     let channels = task.channels;
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let first = task.first.as_ptr().add(pixel * channels);
         let second = task.second.as_ptr().add(from * channels);

@@ -2,11 +2,10 @@ use std::borrow::Cow;
 
 use rayon::prelude::*;
 
-/// Feature maps of the second image, each level half the size of the one before (average of 2x2, an odd last row or
-/// column left out), with the channels of a pixel side by side.
+/// Feature maps of the second image; each level is half the size of the previous one (average of 2x2, an odd last row or column
+/// is dropped). The channels of a pixel are adjacent.
 #[derive(Debug, Clone)]
 pub struct FeaturePyramid<'a> {
-    /// Images.
     pub batch: usize,
     pub channels: usize,
     pub(super) levels: Vec<Level<'a>>,
@@ -21,7 +20,7 @@ pub(super) struct Level<'a> {
 }
 
 impl<'a> FeaturePyramid<'a> {
-    /// From `[batch, channels, height, width]`. Panics when the slice does not fit or there is no level.
+    /// From `[batch, channels, height, width]`. Panics when the length of the slice does not match, or there is no level.
     pub fn new(features: &[f32], [batch, channels, height, width]: [usize; 4], levels: usize) -> Self {
         assert_eq!(
             features.len(),
@@ -39,7 +38,7 @@ impl<'a> FeaturePyramid<'a> {
         pyramid
     }
 
-    /// Of levels that lie one after another in `packed`, each `[batch, height, width, channels]`; see [`level_sizes`].
+    /// From levels one after another in `packed`, each `[batch, height, width, channels]`; see [`level_sizes`].
     pub(super) fn of_packed(
         packed: &'a [f32],
         [batch, height, width, channels]: [usize; 4],
@@ -57,8 +56,8 @@ impl<'a> FeaturePyramid<'a> {
         Self { batch, channels, levels }
     }
 
-    /// The adjoint of [`FeaturePyramid::new`]: the gradient of the feature map, `[batch, channels, height, width]`, from
-    /// that of every level's features.
+    /// The adjoint of [`FeaturePyramid::new`]: the gradient of the feature map, `[batch, channels, height, width]`, given that of
+    /// every level's features.
     pub fn backward(&self, mut grads: Vec<Vec<f32>>) -> Vec<f32> {
         while grads.len() > 1 {
             let Some(coarse) = grads.pop() else { break };
@@ -69,7 +68,7 @@ impl<'a> FeaturePyramid<'a> {
     }
 }
 
-/// Height and width of each level over a map of this size; nothing is left of a map once halving it leaves no pixel.
+/// Height and width of each level for a map of this size; 0 once nothing is left.
 pub(super) fn level_sizes(finest: [usize; 2], levels: usize) -> Vec<[usize; 2]> {
     (0..levels).map(|level| finest.map(|size| size.checked_shr(level as u32).unwrap_or(0))).collect()
 }
@@ -93,7 +92,7 @@ impl Level<'_> {
         Level { height, width, features: Cow::Owned(features) }
     }
 
-    /// Adds the gradient `coarse` of this level to that of the `fine` level it was pooled from.
+    /// Adds the gradient `coarse` of this level to that of the `fine` level below it.
     fn unpool(&self, coarse: &[f32], fine: &Level, channels: usize, to: &mut [f32]) {
         let row = (fine.width * channels).max(1);
         to.par_chunks_mut(row).enumerate().for_each(|(i, to)| {
@@ -122,7 +121,7 @@ pub(super) fn channels_first(features: &[f32], batch: usize, channels: usize) ->
     transpose(features, batch, pixels)
 }
 
-/// `[batch, rows, columns]` to `[batch, columns, rows]`, in blocks that fit the first-level cache.
+/// Transposes `[batch, rows, columns]` to `[batch, columns, rows]`, in blocks that fit in the first-level cache.
 fn transpose(from: &[f32], batch: usize, rows: usize) -> Vec<f32> {
     const BLOCK: usize = 16;
     let mut to = vec![0.0; from.len()];

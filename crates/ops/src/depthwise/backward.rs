@@ -9,8 +9,8 @@ use crate::convolution::Conv2dShape;
 const TAPS_DOWN: usize = 4;
 const TAPS_ACROSS: usize = 5;
 
-/// Gradient of the input from `grad`, that of the output: the convolution of `grad` with the kernel turned around.
-/// Panics when a slice does not fit `shape` or the padding is not smaller than the kernel.
+/// Gradient of the input given `grad`, that of the output: the convolution of `grad` with the flipped kernel. Panics when the
+/// length of a slice does not match `shape`, or the padding is not smaller than the kernel.
 pub fn depthwise_backward_input(grad: &[f32], weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     backward_input_with(Isa::best(), grad, weight, None, shape)
 }
@@ -41,8 +41,8 @@ pub(crate) fn backward_input_with(
     depthwise_with(isa, grad, &turned, &Epilogue { residual: add, ..Epilogue::default() }, &backward)
 }
 
-/// Gradient of the weight from the input and `grad`, the gradient of the output; `[C, 1, kernel]`. It does not depend
-/// on the number of threads (it does, in its last bits, on the width of the vectors). Panics when a slice does not fit.
+/// Gradient of the weight given the input and `grad`, the gradient of the output; `[C, 1, kernel]`. It does not depend on the
+/// number of threads (its last bits do depend on the vector width). Panics when the length of a slice does not match.
 pub fn depthwise_backward_weight(input: &[f32], grad: &[f32], shape: &Conv2dShape) -> Vec<f32> {
     backward_weight_with(Isa::best(), input, grad, shape)
 }
@@ -71,7 +71,7 @@ pub(super) fn backward_weight_with(isa: Isa, input: &[f32], grad: &[f32], shape:
                 pad(grad, [height, width], [TAPS_DOWN - 1, 0], padded_grad);
                 let task =
                     WeightPlane { source, row, grad: padded_grad, height, width, kernel: shape.kernel };
-                // SAFETY: both planes have the borders that the kernel reads.
+                // SAFETY: both planes have the padding that the kernel reads.
                 unsafe { add_weight_gradient(isa, &task, out) }
             }
         },
@@ -94,7 +94,7 @@ dispatch! {
     /// Adds the weight gradient of one [`WeightPlane`].
     ///
     /// # Safety
-    /// both planes have their borders, and `out` holds the kernel.
+    /// Both planes are padded, and `out` has the size of the kernel.
     unsafe fn add_weight_gradient = add_weight_gradient_kernel(plane: &WeightPlane, out: &mut [f32])
 }
 
@@ -104,7 +104,7 @@ unsafe fn add_weight_gradient_kernel<S: Simd>(s: S, plane: &WeightPlane, out: &m
     for ky in (0..kernel_height).step_by(TAPS_DOWN) {
         let down = TAPS_DOWN.min(kernel_height - ky);
         let mut kx = 0;
-        // SAFETY: the taps from `(ky, kx)`, as many as each call says, belong to the kernel.
+        // SAFETY: the taps from `(ky, kx)` on, as many as each call covers, belong to the kernel.
         unsafe {
             while kernel_width - kx >= TAPS_ACROSS {
                 sum_taps::<S, TAPS_ACROSS>(s, plane, ky, down, kx, out);
@@ -128,7 +128,7 @@ unsafe fn sum_taps<S: Simd, const T: usize>(
     kx: usize,
     out: &mut [f32],
 ) {
-    // SAFETY: the caller's promise: every address below lies in the padded input or gradient.
+    // SAFETY: guaranteed by the caller: every address below lies in the padded input or gradient.
     unsafe {
         let mut sums = [[s.splat(0.0); T]; TAPS_DOWN];
         // Input row `ky + i` meets gradient row `i - d` at tap row `ky + d`.

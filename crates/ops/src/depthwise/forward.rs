@@ -10,8 +10,9 @@ const VECTORS: usize = 4;
 
 /// Depthwise convolution of `input` with `weight`, then the epilogue; `[N, C, H_out, W_out]`.
 ///
-/// The sum of an element starts at the bias and runs over kernel rows, then columns, each step a fused multiply-add, so the result is the same
-/// for every number of threads and every instruction set. Panics when a slice does not fit `shape` or that is not depthwise, of stride 1.
+/// The sum of an element starts at the bias and runs over kernel rows, then columns, each step a fused multiply-add, so the
+/// result does not depend on the number of threads or the instruction set. Panics when the length of a slice does not match
+/// `shape`, or that is not depthwise with stride 1.
 pub fn depthwise(input: &[f32], weight: &[f32], epilogue: &Epilogue, shape: &Conv2dShape) -> Vec<f32> {
     depthwise_with(Isa::best(), input, weight, epilogue, shape)
 }
@@ -43,7 +44,7 @@ pub(super) fn depthwise_with(
             height,
             width,
         };
-        // SAFETY: `pad` made the border that the kernel reads; the kernel writes the whole plane.
+        // SAFETY: `pad` wrote the padding that the kernel reads; the kernel writes the whole plane.
         let out = unsafe {
             convolve_plane(isa, &task, out.as_mut_ptr().cast());
             out.assume_init_mut()
@@ -53,7 +54,7 @@ pub(super) fn depthwise_with(
     })
 }
 
-/// Copies a plane into `padded` with a border of zeros; the elements from a row to the next.
+/// Copies a plane into `padded` with a border of zeros; returns the number of elements from one row to the next.
 pub(super) fn pad(
     plane: &[f32],
     [_, width]: [usize; 2],
@@ -87,14 +88,14 @@ dispatch! {
     /// Computes one [`Plane`].
     ///
     /// # Safety
-    /// The source holds every tap of every pixel of the plane, and `out` can be written, a plane long.
+    /// The source contains every tap of every pixel of the plane, and `out` is a writable plane.
     unsafe fn convolve_plane = convolve_plane_kernel(plane: &Plane, out: *mut f32)
 }
 
 #[inline(always)]
 unsafe fn convolve_plane_kernel<S: Simd>(s: S, plane: &Plane, out: *mut f32) {
     let mut y = 0;
-    // SAFETY: the rows from `y`, as many as each call says, lie in the plane.
+    // SAFETY: the rows from `y` on, as many as each call covers, lie in the plane.
     unsafe {
         while plane.height - y >= ROWS {
             convolve_rows::<S, ROWS>(s, plane, y, out);
@@ -110,7 +111,7 @@ unsafe fn convolve_plane_kernel<S: Simd>(s: S, plane: &Plane, out: *mut f32) {
 #[inline(always)]
 unsafe fn convolve_rows<S: Simd, const R: usize>(s: S, plane: &Plane, y: usize, out: *mut f32) {
     let mut x = 0;
-    // SAFETY: the columns from `x`, as many as each call says, lie in the plane.
+    // SAFETY: the columns from `x` on, as many as each call covers, lie in the plane.
     unsafe {
         while plane.width - x >= VECTORS * S::LANES {
             accumulate::<S, R, VECTORS, false>(s, plane, y, x, S::LANES, out);
@@ -128,7 +129,7 @@ unsafe fn convolve_rows<S: Simd, const R: usize>(s: S, plane: &Plane, y: usize, 
     }
 }
 
-/// The register tile: `R` rows from `y` by `V` vectors from `x`; of the last vector only `last` lanes when `PARTIAL`.
+/// The register tile: `R` rows from `y` by `V` vectors from `x`; only `last` lanes of the last vector when `PARTIAL`.
 #[inline(always)]
 unsafe fn accumulate<S: Simd, const R: usize, const V: usize, const PARTIAL: bool>(
     s: S,
@@ -139,7 +140,7 @@ unsafe fn accumulate<S: Simd, const R: usize, const V: usize, const PARTIAL: boo
     out: *mut f32,
 ) {
     let [kernel_height, kernel_width] = plane.kernel;
-    // SAFETY: the caller's promise: every address below lies in the padded source, the weight or the output.
+    // SAFETY: guaranteed by the caller: every address below lies in the padded source, the weight or the output.
     unsafe {
         let mut sums = [[s.splat(plane.start); V]; R];
         let source = plane.source.as_ptr().add(y * plane.row + x);
@@ -153,7 +154,7 @@ unsafe fn accumulate<S: Simd, const R: usize, const V: usize, const PARTIAL: boo
                     *pixels = if PARTIAL && i == V - 1 { s.load_first(from, last) } else { s.load(from) };
                 }
                 for (row, sums) in sums.iter_mut().enumerate() {
-                    // Below 0 this wraps to far beyond the kernel: one comparison does for both ends.
+                    // A negative value wraps to far beyond the kernel: one comparison checks both ends.
                     let ky = input_row.wrapping_sub(row);
                     if ky < kernel_height {
                         let weight = s.splat(*weight.add(ky * kernel_width + kx));

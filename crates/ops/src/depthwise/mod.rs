@@ -1,8 +1,8 @@
 //! Depthwise 2D convolution of stride 1 with large kernels (SKFlow's 15x15 and 7x7), forward and backward, on NCHW
 //! slices.
 //!
-//! One channel at a time: its plane with a border of zeros fits the cache, and a register tile of several output rows
-//! uses each loaded vector of pixels once for each of them. [`crate::convolution::reference`] is the definition,
+//! One channel at a time: its zero-padded plane fits in cache, and a register tile of several output rows uses each loaded
+//! vector of pixels once per row. [`crate::convolution::reference`] is the definition,
 //! with as many groups as channels.
 
 mod backward;

@@ -1,4 +1,4 @@
-//! The steps by a backend's own operations.
+//! The steps composed of a backend's own operations.
 
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, TensorMetadata};

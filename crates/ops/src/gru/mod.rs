@@ -1,8 +1,8 @@
-//! What a gated recurrent unit (RAFT's `update.py`) does between its convolutions: the reset gate on the hidden state, and
-//! the step from the hidden state towards the candidate. The convolutions and their sigmoid and tanh are
-//! [`crate::conv2d`]'s. [`mod@reference`] is the definition.
+//! The elementwise parts of a gated recurrent unit (RAFT's `update.py`): the reset gate applied to the hidden state, and the step
+//! from the hidden state towards the candidate. The convolutions with their sigmoid and tanh are [`crate::conv2d`]'s.
+//! [`mod@reference`] is the definition.
 //!
-//! Gates come as the convolution that makes both gives them: `[batch, 2 channels, height, width]`, update gates before reset
+//! Gates have the layout of the convolution that computes both: `[batch, 2 channels, height, width]`, update gates before reset
 //! gates.
 
 use rayon::prelude::*;
@@ -33,7 +33,7 @@ fn halves<'a>(gates: &'a [f32], shape: &MapShape) -> impl Iterator<Item = (&'a [
     gates.chunks_exact(2 * image).map(move |both| both.split_at(image))
 }
 
-/// Elements of a piece of work.
+/// Elements per task.
 const PIECE: usize = 16 << 10;
 
 /// `reset * hidden`. `shape` is the hidden state's. Panics when a slice

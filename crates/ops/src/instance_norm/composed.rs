@@ -1,4 +1,4 @@
-//! The normalization by a backend's own operations.
+//! The normalization composed of a backend's own operations.
 
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, TensorMetadata};
@@ -27,13 +27,13 @@ impl Composition<1> for InstanceNorm {
     }
 }
 
-/// One row for each channel of each image.
+/// One row per channel of each image.
 fn planes<B: Backend>(x: FloatTensor<B>) -> FloatTensor<B> {
     let [batch, channels, height, width] = x.shape().dims();
     B::float_reshape(x, [batch * channels, height * width].into())
 }
 
-/// Each row less its mean, over its standard deviation; and one over that deviation.
+/// Each row minus its mean, divided by its standard deviation; and the inverse of that deviation.
 fn standardized<B: Backend>(rows: FloatTensor<B>) -> (FloatTensor<B>, FloatTensor<B>) {
     let mean = B::float_mean_dim(rows.clone(), 1);
     let centred = B::float_sub(rows, mean);

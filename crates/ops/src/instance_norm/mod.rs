@@ -1,5 +1,5 @@
-//! Instance normalization (Ulyanov et al. 2016) without learned scale, as RAFT's feature encoder has it, with the
-//! activation that follows. [`mod@reference`] is the definition.
+//! Instance normalization (Ulyanov et al. 2016) without learned scale, as in RAFT's feature encoder, fused with the activation
+//! that follows. [`mod@reference`] is the definition.
 
 use rayon::prelude::*;
 use srflow_simd::{Isa, activate};
@@ -14,8 +14,8 @@ pub mod tensor;
 /// Added to the variance; PyTorch's default, also of a batch norm.
 pub(crate) const EPSILON: f64 = 1e-5;
 
-/// `activation((x - mean) / sqrt(variance + 1e-5))` of each plane of `pixels` elements. Panics when the input is not whole
-/// planes.
+/// `activation((x - mean) / sqrt(variance + 1e-5))` of each plane of `pixels` elements. Panics when the input is not a whole number
+/// of planes.
 pub fn instance_norm(input: &[f32], pixels: usize, activation: Activation) -> Vec<f32> {
     assert!(pixels > 0 && input.len().is_multiple_of(pixels), "planes of {pixels} pixels");
     let isa = Isa::best();
@@ -32,7 +32,7 @@ pub fn instance_norm(input: &[f32], pixels: usize, activation: Activation) -> Ve
     out
 }
 
-/// Gradient of the input of a normalization without activation, from `grad`, that of its output.
+/// Gradient of the input of a normalization without activation, given `grad`, that of its output.
 pub fn instance_norm_backward(input: &[f32], grad: &[f32], pixels: usize) -> Vec<f32> {
     assert!(pixels > 0 && input.len().is_multiple_of(pixels), "planes of {pixels} pixels");
     assert_eq!(grad.len(), input.len(), "gradient of the output");
@@ -51,7 +51,7 @@ pub fn instance_norm_backward(input: &[f32], grad: &[f32], pixels: usize) -> Vec
     out
 }
 
-/// The mean of a plane, and one over its standard deviation.
+/// The mean of a plane, and the inverse of its standard deviation.
 fn statistics(plane: &[f32]) -> (f32, f32) {
     let count = plane.len() as f64;
     let mean = (sum(plane, |x| x) / count) as f32;

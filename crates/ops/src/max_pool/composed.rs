@@ -1,4 +1,4 @@
-//! The pooling by a backend's own operations.
+//! The pooling composed of a backend's own operations.
 
 use burn::backend::Backend;
 use burn::backend::tensor::FloatTensor;

@@ -1,5 +1,4 @@
-//! The largest of each 2x2 pixels, without the indices that Burn keeps for the way back. [`mod@reference`] is the
-//! definition.
+//! Max pooling over 2x2 pixels, without the indices that Burn stores for the backward pass. [`mod@reference`] is the definition.
 
 use rayon::prelude::*;
 
@@ -36,8 +35,8 @@ pub fn max_pool(input: &[f32], size: MapShape) -> Vec<f32> {
     out
 }
 
-/// Gradient of the input from `grad`, that of the output: each goes to the first of the largest pixels. Panics when the
-/// slices do not fit the size.
+/// Gradient of the input, given `grad`, that of the output: each goes to the first of the largest pixels. Panics when the length
+/// of a slice does not match the size.
 pub fn max_pool_backward(input: &[f32], grad: &[f32], size: MapShape) -> Vec<f32> {
     assert_eq!(input.len(), size.elements(), "input of {size:?}");
     assert_eq!(grad.len(), pooled(size).elements(), "gradient of {size:?}");
@@ -54,7 +53,7 @@ pub fn max_pool_backward(input: &[f32], grad: &[f32], size: MapShape) -> Vec<f32
             let pairs = upper.chunks_exact(2).zip(lower.chunks_exact(2));
             let outs = out_upper.chunks_exact_mut(2).zip(out_lower.chunks_exact_mut(2));
             for ((&grad, (upper, lower)), (out_upper, out_lower)) in grad.iter().zip(pairs).zip(outs) {
-                // A row's second pixel and the lower row win only when they are larger: the first of equal ones stays.
+                // A row's second pixel and the lower row win only if they are larger: the first of equal ones wins.
                 let below = wins(larger(lower[0], lower[1]), larger(upper[0], upper[1]));
                 let (right_above, right_below) = (wins(upper[1], upper[0]), wins(lower[1], lower[0]));
                 let given = |chosen: bool| if chosen { grad } else { 0.0 };
@@ -68,7 +67,7 @@ pub fn max_pool_backward(input: &[f32], grad: &[f32], size: MapShape) -> Vec<f32
     out
 }
 
-/// Whether `second` is taken where `first` stands before it.
+/// Whether `second` wins over `first`, which precedes it.
 fn wins(second: f32, first: f32) -> bool {
     (second > first) | (second.is_nan() & !first.is_nan())
 }

@@ -1,38 +1,37 @@
-//! Chains of pointwise layers on NCHW slices: `x -> gelu(W1 x + b1) -> gelu(W2 h + b2 + x) -> ...`, block of pixels by block
-//! of pixels.
+//! Chains of pointwise layers on NCHW slices: `x -> gelu(W1 x + b1) -> gelu(W2 h + b2 + x) -> ...`, computed in blocks of
+//! pixels.
 //!
-//! What lies between the layers, often wider than input and output, never leaves the cache. [`mod@reference`] is the
-//! definition.
+//! Intermediate results, often wider than input and output, never leave the cache. [`mod@reference`] is the definition.
 
 use srflow_simd::{
     Activation, Isa, Output, Product, Start, Steps, fill_columns, multiply, multiply_diagonal, panel_columns,
 };
 
-/// A product on slices: of matrices, or with a diagonal one.
+/// A matrix product on slices, or one with a diagonal matrix.
 type Multiply = fn(Isa, &Product, &mut Output);
 
 pub mod reference;
 pub mod tensor;
 
-/// Panels of one piece of work.
+/// Panels per task.
 const PANELS: usize = 2;
 
 /// Weights of a layer.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Map<'a> {
-    /// `[outputs, inputs]`, in the order of [`srflow_simd::pack_rows`].
+    /// `[outputs, inputs]`, in the layout of [`srflow_simd::pack_rows`].
     Dense(&'a [f32]),
     /// A factor for each channel.
     Scale(&'a [f32]),
 }
 
-/// What is added to a layer's sums.
+/// Added to a layer's sums.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Add<'a> {
     Nothing,
-    /// What went into the layer of this number, the first being 0.
+    /// The input of the layer with this index.
     InputOf(usize),
-    /// As large as the output; in the last layer only.
+    /// A tensor in the shape of the output; only in the last layer.
     Planes(&'a [f32]),
 }
 
@@ -47,8 +46,8 @@ pub(crate) struct Layer<'a> {
 
 /// The chain on `input` (`[batch, channels, pixels]`); `[batch, channels of the last layer, pixels]`.
 ///
-/// Each sum starts at the bias and runs over the input channels in order, each step a fused multiply-add, so the result is
-/// the same for every number of threads. Panics when a slice or a layer does not fit.
+/// Each sum starts at the bias and runs over the input channels in order, each step a fused multiply-add, so the result does not
+/// depend on the number of threads. Panics when the length of a slice, or a layer, does not match.
 pub(crate) fn pointwise(
     isa: Isa,
     input: &[f32],
@@ -104,7 +103,7 @@ pub(crate) fn pointwise(
     })
 }
 
-/// Channels before each layer and after the last.
+/// Number of channels before each layer and after the last.
 fn check(inputs: usize, layers: &[Layer]) -> Vec<usize> {
     assert!(!layers.is_empty() && inputs > 0, "a chain has a layer and channels");
     let mut channels = vec![inputs];
@@ -132,7 +131,7 @@ fn check(inputs: usize, layers: &[Layer]) -> Vec<usize> {
     channels
 }
 
-/// Copies columns of planes of `pixels` elements to panels; columns that the last panel lacks are zero.
+/// Copies columns of planes of `pixels` elements to panels, zero-padding the last one.
 fn gather(planes: &[f32], pixels: usize, columns: std::ops::Range<usize>, width: usize, panels: &mut [f32]) {
     let channels = planes.len() / pixels;
     for (first, panel) in columns.clone().step_by(width).zip(panels.chunks_exact_mut(channels * width)) {

@@ -4,7 +4,8 @@ use srflow_simd::SharedMut;
 use super::forward::{Neighbours, weights};
 use super::{NEIGHBOURS, UpsampleShape};
 
-/// Gradients of the flow and of the mask from `grad`, that of the output. Panics when a slice does not fit `shape`.
+/// Gradients of the flow and of the mask, given `grad`, that of the output. Panics when the length of a slice does not match
+/// `shape`.
 pub fn convex_upsample_backward(
     flow: &[f32],
     mask: &[f32],
@@ -18,7 +19,7 @@ pub fn convex_upsample_backward(
     let UpsampleShape { batch, coarse: [height, width], factor } = *shape;
     let pixels = height * width;
     let mut d_mask = vec![0.0; mask.len()];
-    // What each coarse pixel gives to its neighbours: [batch * height, width, neighbour, u and v].
+    // The contributions of each coarse pixel to its neighbours: [batch * height, width, neighbour, u and v].
     let mut given = vec![[[0.0_f32; 2]; NEIGHBOURS]; batch * pixels];
     let target = SharedMut::new(&mut d_mask);
     given.par_chunks_mut(width.max(1)).enumerate().for_each(|(row, given)| {

@@ -1,4 +1,4 @@
-//! The upsampling by a backend's own operations. One neighbour after another, so that nothing larger than the mask is made.
+//! The upsampling composed of a backend's own operations. One neighbour after another, so that nothing larger than the mask is made.
 
 use std::ops::Range;
 
@@ -71,7 +71,7 @@ fn weight<B: Backend>(weights: &FloatTensor<B>, shape: &UpsampleShape, k: usize)
     B::float_slice(weights.clone(), &slices([0..batch, k..k + 1, 0..factor * factor, 0..height, 0..width]))
 }
 
-/// The flow with a border of zeros: `[batch, 2, 1, height + 2, width + 2]`.
+/// The zero-padded flow: `[batch, 2, 1, height + 2, width + 2]`.
 fn bordered<B: Backend>(flow: FloatTensor<B>, shape: &UpsampleShape) -> FloatTensor<B> {
     let UpsampleShape { batch, coarse: [height, width], .. } = *shape;
     let zeros =
@@ -80,7 +80,7 @@ fn bordered<B: Backend>(flow: FloatTensor<B>, shape: &UpsampleShape) -> FloatTen
     B::float_slice_assign(zeros, &shifted(shape, NEIGHBOURS / 2), flow)
 }
 
-/// Where the `k`-th neighbours of all pixels are in what has a border.
+/// Position of the `k`-th neighbours of all pixels in the padded flow.
 fn shifted(shape: &UpsampleShape, k: usize) -> [Slice; 5] {
     let UpsampleShape { batch, coarse: [height, width], .. } = *shape;
     slices([0..batch, 0..2, 0..1, k / 3..k / 3 + height, k % 3..k % 3 + width])

@@ -2,8 +2,8 @@ use rayon::prelude::*;
 
 use super::{NEIGHBOURS, UpsampleShape};
 
-/// Flow in pixels of the fine grid: `factor` times the combination of the 3x3 coarse neighbours (zero outside) with the
-/// weights `softmax(scale * mask)`. Panics when a slice does not fit `shape`.
+/// Flow in pixels of the fine grid: `factor` times the combination of the 3x3 coarse neighbours (zero outside) with the weights
+/// `softmax(scale * mask)`. Panics when the length of a slice does not match `shape`.
 pub fn convex_upsample(flow: &[f32], mask: &[f32], scale: f32, shape: &UpsampleShape) -> Vec<f32> {
     assert_eq!(flow.len(), shape.flow_len(), "flow of {shape:?}");
     assert_eq!(mask.len(), shape.mask_len(), "mask of {shape:?}");
@@ -59,7 +59,7 @@ pub(super) fn weights(
     weights.map(|weight| weight / total)
 }
 
-/// The three rows of coarse flow around row `y`, with a border of zeros.
+/// The three rows of coarse flow around row `y`, zero-padded.
 pub(super) struct Neighbours {
     width: usize,
     rows: Vec<[f32; 2]>,

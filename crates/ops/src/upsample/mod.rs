@@ -10,15 +10,14 @@ pub mod tensor;
 pub use backward::convex_upsample_backward;
 pub use forward::convex_upsample;
 
-/// Neighbours of a coarse pixel, itself included.
+/// Number of neighbours of a coarse pixel, including itself.
 const NEIGHBOURS: usize = 9;
 
-/// Sizes of an upsampling. Layouts: flow `[batch, 2, height, width]`, mask `[batch, 9 factor^2, height, width]`
+/// Dimensions of an upsampling. Layouts: flow `[batch, 2, height, width]`, mask `[batch, 9 factor^2, height, width]`
 /// (neighbour slowest, then the fine row, then the fine column), output
 /// `[batch, 2, factor * height, factor * width]`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct UpsampleShape {
-    /// Images.
     pub batch: usize,
     /// Height and width of the coarse flow.
     pub coarse: [usize; 2],
@@ -27,17 +26,17 @@ pub struct UpsampleShape {
 }
 
 impl UpsampleShape {
-    /// Elements of the flow.
+    /// Number of elements of the flow.
     pub fn flow_len(&self) -> usize {
         self.batch * 2 * self.pixels()
     }
 
-    /// Elements of the mask.
+    /// Number of elements of the mask.
     pub fn mask_len(&self) -> usize {
         self.batch * NEIGHBOURS * self.factor * self.factor * self.pixels()
     }
 
-    /// Elements of the output.
+    /// Number of elements of the output.
     pub fn output_len(&self) -> usize {
         self.flow_len() * self.factor * self.factor
     }
@@ -46,7 +45,7 @@ impl UpsampleShape {
         self.coarse[0] * self.coarse[1]
     }
 
-    /// Pixel number of neighbour `k` of the pixel in row `y` and column `x`, if it is inside.
+    /// Index of neighbour `k` of the pixel in row `y` and column `x`, if it is inside.
     fn neighbour(&self, y: usize, x: usize, k: usize) -> Option<usize> {
         let row = (y + k / 3).checked_sub(1).filter(|&row| row < self.coarse[0])?;
         let column = (x + k % 3).checked_sub(1).filter(|&column| column < self.coarse[1])?;

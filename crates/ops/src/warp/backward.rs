@@ -3,8 +3,8 @@ use rayon::prelude::*;
 use super::Corners;
 use crate::MapShape;
 
-/// Gradients of the image and of the flow from `grad`, that of the output. Each channel is summed in the order of the
-/// pixels, so the result does not depend on the number of threads. Panics when a slice does not fit `shape`.
+/// Gradients of the image and of the flow, given `grad`, that of the output. Each channel is summed in the order of the pixels, so
+/// the result does not depend on the number of threads. Panics when the length of a slice does not match `shape`.
 pub fn warp_backward(image: &[f32], flow: &[f32], grad: &[f32], shape: &MapShape) -> [Vec<f32>; 2] {
     assert_eq!(image.len(), shape.elements(), "image of {shape:?}");
     assert_eq!(flow.len(), shape.with_channels(2).elements(), "flow of {shape:?}");

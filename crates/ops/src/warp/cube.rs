@@ -1,7 +1,7 @@
 //! The warp on CubeCL devices.
 //!
-//! Neighbouring threads take neighbouring pixels of one plane, so that reads of the flow and writes are contiguous and
-//! reads of the image nearly so, where the flow is smooth.
+//! Neighbouring threads process neighbouring pixels of one plane, so that reads of the flow and writes are contiguous, and reads of
+//! the image nearly so where the flow is smooth.
 
 use burn::backend::TensorMetadata;
 use burn_cubecl::cubecl::{self, prelude::*};
@@ -48,8 +48,8 @@ pub(super) fn warp_backward(inputs: [CubeTensor; 2], grad: CubeTensor) -> [CubeT
     [d_image, d_flow]
 }
 
-/// One thread for each element of the image: with one for each pixel a small map of many channels would leave most of the
-/// device idle. Layouts: image and out `[batch, channels, height, width]`, flow `[batch, 2, height, width]`.
+/// One thread per element of the image: one per pixel would leave most of the device idle for a small map with many channels.
+/// Layouts: image and out `[batch, channels, height, width]`, flow `[batch, 2, height, width]`.
 #[cube(launch)]
 fn warp_kernel(image: &Tensor<f32>, flow: &Tensor<f32>, out: &mut Tensor<f32>) {
     let (channels, height, width) = (image.shape(1), image.shape(2), image.shape(3));
@@ -72,8 +72,8 @@ fn warp_kernel(image: &Tensor<f32>, flow: &Tensor<f32>, out: &mut Tensor<f32>) {
     out[ABSOLUTE_POS] = upper * (1.0 - below) + lower * below;
 }
 
-/// One thread for each pixel, which passes over the channels: the gradient of its flow is their sum. The gradient of the
-/// image is scattered to where the pixel was sampled. Layouts as in [`warp_kernel`].
+/// One thread per pixel, which iterates over the channels: the gradient of its flow is their sum. The gradient of the image is
+/// scattered to the sampled positions. Layouts as in [`warp_kernel`].
 #[cube(launch)]
 fn gradient_kernel<A: AtomicAdd>(
     image: &Tensor<f32>,
@@ -115,14 +115,14 @@ fn gradient_kernel<A: AtomicAdd>(
     d_flow[u + pixels] = dv;
 }
 
-/// Compared as numbers, before any cast: a flow may be anything, NaN too.
+/// Compared as floats before any cast: a flow may have any value, including NaN.
 #[cube]
 fn inside(x: f32, y: f32, size: (usize, usize)) -> bool {
     let (height, width) = size;
     x >= 0.0 && y >= 0.0 && x < f32::cast_from(width) && y < f32::cast_from(height)
 }
 
-/// The pixel of the plane from `start` on at whole numbers `x` and `y`, zero outside.
+/// The pixel at integer coordinates `x` and `y` of the plane that begins at `start`, zero outside.
 #[cube]
 fn value(image: &Tensor<f32>, start: usize, x: f32, y: f32, size: (usize, usize)) -> f32 {
     let mut value = 0.0;

@@ -1,5 +1,5 @@
-//! Backward warping: the second image sampled where the flow points, bilinearly, zero outside (`grid_sample` of PyTorch
-//! with `align_corners=True` and zeros as padding). [`mod@reference`] is the definition.
+//! Backward warping: the second image sampled at the positions that the flow points to, bilinearly, zero outside (PyTorch's
+//! `grid_sample` with `align_corners=True` and zero padding). [`mod@reference`] is the definition.
 
 mod backward;
 #[cfg(feature = "cube")]
@@ -11,9 +11,9 @@ pub mod tensor;
 pub use backward::warp_backward;
 pub use forward::warp;
 
-/// Where one pixel is sampled: the four pixels around, those outside left out.
+/// The sampling position of one pixel: the four pixels around it, without those outside.
 struct Corners {
-    /// Pixel number of each corner (top left, top right, bottom left, bottom right) that is inside.
+    /// Index of each corner (top left, top right, bottom left, bottom right) that is inside.
     pixels: [Option<usize>; 4],
     /// Distance from the left and from the upper corners.
     fraction: [f32; 2],
@@ -24,7 +24,7 @@ impl Corners {
     fn new([height, width]: [usize; 2], [x, y]: [usize; 2], [u, v]: [f32; 2]) -> Self {
         let (x, y) = (x as f32 + u, y as f32 + v);
         let (left, top) = (x.floor(), y.floor());
-        // Compared as numbers, before any cast: a flow may be anything, NaN too.
+        // Compared as floats before any cast: a flow may have any value, including NaN.
         let inside = |at: f32, size: usize| at >= 0.0 && at < size as f32;
         let pixel = |dx: f32, dy: f32| {
             let (x, y) = (left + dx, top + dy);

@@ -1,8 +1,8 @@
-//! Convolution with small kernels by fewer multiplications (Winograd 1980; Lavin and Gray 2016): four outputs in a row
-//! cost 6 products for 3 taps instead of 12, and 8 for 5 taps instead of 20.
+//! Convolution with small kernels by fewer multiplications (Winograd 1980; Lavin and Gray 2016): four outputs in a row need 6
+//! products for 3 taps instead of 12, and 8 for 5 taps instead of 20.
 //!
-//! Tiles of the input are transformed, multiplied position by position (one product of matrices over the channels for
-//! each of 36 or 8 positions), and transformed back. A block of tiles goes all the way before the next begins.
+//! Tiles of the input are transformed, multiplied position by position (one matrix product over the channels for each of 36 or 8
+//! positions), and transformed back. Each block of tiles passes through all three steps before the next begins.
 
 use rayon::prelude::*;
 use srflow_simd::{
@@ -17,7 +17,7 @@ mod transforms;
 
 use transforms::{OUTPUTS, WEIGHTS_3, WEIGHTS_5, input_3, input_5, output_3, output_5};
 
-/// Fewer channels are not worth the transforms.
+/// Fewer channels do not pay for the transforms.
 const FEWEST_CHANNELS: usize = 16;
 
 /// Which dimensions are transformed.
@@ -63,11 +63,11 @@ impl Scheme {
         }
     }
 
-    /// The transformed weights, for each position in the order of [`pack_rows`].
+    /// The transformed weights, for each position in the layout of [`pack_rows`].
     pub(super) fn pack(self, isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
         let pairs = shape.out_channels * shape.in_channels;
         let [down, across] = self.positions();
-        // Tap by tap, so that a position is a sum of whole planes.
+        // Tap by tap, so that each position is a sum of whole planes.
         let taps = weight.len() / pairs.max(1);
         let mut planes = vec![0.0; weight.len()];
         planes.par_chunks_mut(pairs).enumerate().for_each(|(tap, plane)| {
@@ -139,7 +139,7 @@ pub(super) fn convolve(
                     out_step: shape.in_channels * panel,
                 };
                 let out = &mut scratch.transformed[channel * panel..];
-                // SAFETY: the source holds the rows of every run, the output every position.
+                // SAFETY: the source contains the rows of every run, the output every position.
                 unsafe { transform_input(isa, &task, &mut scratch.source, out) }
             }
             for position in 0..positions {
@@ -172,12 +172,12 @@ pub(super) fn convolve(
                     activation: epilogue.activation,
                     out: target.at(at),
                 };
-                // SAFETY: the products hold every position, the output the channel's plane.
+                // SAFETY: the products contain every position, the output the channel's plane.
                 unsafe { transform_output(isa, &task) }
             }
         });
     };
-    // SAFETY: the panels cover every tile, and each tile's outputs that are inside are written.
+    // SAFETY: the panels cover every tile, and all outputs of each tile that are inside are written.
     unsafe { SharedMut::fill_new(shape.output_len(), fill) }
 }
 
@@ -190,7 +190,7 @@ struct Scratch {
 /// Neighbouring tiles of one row of tiles.
 #[derive(Debug, Clone, Copy)]
 struct Run {
-    /// Number of the first tile within the panel.
+    /// Index of the first tile within the panel.
     at: usize,
     row: usize,
     column: usize,
@@ -210,15 +210,14 @@ fn runs(first: usize, tiles: usize, columns: usize) -> Vec<Run> {
     runs
 }
 
-/// The rows of one channel that a run of tiles reads, with a border of zeros. Where tiles lie side by side, each row holds
-/// every fourth column, then those one further, and so on, so that the same position of neighbouring tiles is in
-/// neighbouring elements.
+/// The zero-padded rows of one channel that a run of tiles reads. If tiles lie side by side, each row holds every fourth column,
+/// then the next ones, and so on, so that the same position of neighbouring tiles is in neighbouring elements.
 struct SourceRows {
     rows: usize,
     row: usize,
-    /// Elements from the columns of one remainder modulo 4 to those of the next; 0 where all stand in order.
+    /// Elements from the columns of one remainder modulo 4 to those of the next; 0 for columns in order.
     phase: usize,
-    /// Columns that a tile reads beyond its output's.
+    /// Number of columns that a tile reads beyond those of its output.
     reach: usize,
 }
 
@@ -227,7 +226,7 @@ impl SourceRows {
         let [tile_height, tile_width] = scheme.tile();
         let rows = tile_height + shape.kernel[0] - 1;
         let reach = shape.kernel[1] - 1;
-        // There is room for what is read and written by whole vectors.
+        // Padded for reads and writes of whole vectors.
         let columns = (panel_columns(isa) * tile_width + reach).next_multiple_of(OUTPUTS * isa.lanes());
         let room = 2 * isa.lanes();
         if tile_width == 1 {
@@ -245,7 +244,7 @@ struct InputTask<'a> {
     size: [usize; 2],
     padding: [usize; 2],
     runs: &'a [Run],
-    /// Elements from a position to the next.
+    /// Elements from one position to the next.
     out_step: usize,
 }
 
@@ -253,7 +252,7 @@ dispatch! {
     /// Transforms the tiles of the runs; `rows` is scratch.
     ///
     /// # Safety
-    /// `rows` is as long as the task's [`SourceRows`] say; `out` holds every position.
+    /// `rows` is as long as the task's [`SourceRows`] require; `out` contains every position.
     unsafe fn transform_input = transform_input_kernel(task: &InputTask, rows: &mut [f32], out: &mut [f32])
 }
 
@@ -266,7 +265,7 @@ unsafe fn transform_input_kernel<S: Simd>(s: S, task: &InputTask, rows: &mut [f3
         let columns = run.len * tile_width + source.reach;
         for (i, row) in rows.chunks_exact_mut(source.row).enumerate() {
             match (run.row * tile_height + i).checked_sub(task.padding[0]).filter(|&y| y < height) {
-                // SAFETY: the caller's promise.
+                // SAFETY: guaranteed by the caller.
                 Some(y) => unsafe {
                     let from = &task.plane[y * width..][..width];
                     fill_row(s, from, run.column * tile_width, task.padding[1], columns, source.phase, row)
@@ -276,7 +275,7 @@ unsafe fn transform_input_kernel<S: Simd>(s: S, task: &InputTask, rows: &mut [f3
         }
         for x in (0..run.len).step_by(S::LANES) {
             let lanes = S::LANES.min(run.len - x);
-            // SAFETY: the caller's promise.
+            // SAFETY: guaranteed by the caller.
             unsafe {
                 let from = rows.as_ptr().add(x);
                 let to = out.as_mut_ptr().add(run.at + x);
@@ -333,7 +332,7 @@ unsafe fn store_positions<S: Simd, const N: usize>(
     v: [S::Vector; N],
 ) {
     for (position, v) in v.into_iter().enumerate() {
-        // SAFETY: the caller's promise.
+        // SAFETY: guaranteed by the caller.
         unsafe {
             let to = to.add(position * step);
             if lanes == S::LANES { s.store(to, v) } else { s.store_first(to, v, lanes) }
@@ -341,10 +340,10 @@ unsafe fn store_positions<S: Simd, const N: usize>(
     }
 }
 
-/// Most columns of a run, and room for whole vectors.
+/// Maximum number of columns of a run, padded for whole vectors.
 const LINE: usize = 4 * MAX_LANES * OUTPUTS;
 
-/// Copies `columns` columns of a row with `padding` zeros on both sides, from column `first` of that, in the order of
+/// Copies `columns` columns of a row, zero-padded by `padding` on both sides, from padded column `first` on, in the layout of
 /// [`SourceRows`].
 #[inline(always)]
 unsafe fn fill_row<S: Simd>(
@@ -370,7 +369,7 @@ unsafe fn fill_row<S: Simd>(
     let mut line = [0.0; LINE];
     fill(&mut line);
     for block in 0..columns.div_ceil(OUTPUTS * S::LANES) {
-        // SAFETY: the line and the row have room for whole vectors.
+        // SAFETY: the line and the row are padded for whole vectors.
         unsafe {
             let at = line[block * OUTPUTS * S::LANES..][..OUTPUTS * S::LANES].as_ptr();
             let mut v = [s.splat(0.0); OUTPUTS];
@@ -389,7 +388,7 @@ unsafe fn fill_row<S: Simd>(
 struct OutputTask<'a> {
     scheme: Scheme,
     products: &'a [f32],
-    /// Elements from a position to the next.
+    /// Elements from one position to the next.
     step: usize,
     runs: &'a [Run],
     size: [usize; 2],
@@ -400,10 +399,10 @@ struct OutputTask<'a> {
 }
 
 dispatch! {
-    /// Transforms products back and finishes the sums of one channel.
+    /// Transforms products back and applies the epilogue of one channel.
     ///
     /// # Safety
-    /// The products hold every position, the output a plane that no other thread writes these tiles of.
+    /// The products contain every position, the output a plane in which no other thread writes these tiles.
     unsafe fn transform_output = transform_output_kernel(task: &OutputTask)
 }
 
@@ -411,14 +410,14 @@ dispatch! {
 unsafe fn transform_output_kernel<S: Simd>(s: S, task: &OutputTask) {
     let [height, width] = task.size;
     let [tile_height, tile_width] = task.scheme.tile();
-    // SAFETY: the caller's promise; only what lies inside the plane is stored.
+    // SAFETY: guaranteed by the caller; only outputs inside the plane are stored.
     unsafe {
         for run in task.runs {
             for tile in (0..run.len).step_by(S::LANES) {
                 let lanes = S::LANES.min(run.len - tile);
                 let from = task.products.as_ptr().add(run.at + tile);
                 let (y, x) = (run.row * tile_height, (run.column + tile) * tile_width);
-                // The columns that these tiles have; the vectors may reach into tiles of other runs.
+                // The columns of these tiles; the vectors may reach into tiles of other runs.
                 let end = width.min(x + lanes * tile_width);
                 match task.scheme {
                     Scheme::Square => {
@@ -456,7 +455,7 @@ unsafe fn transform_output_kernel<S: Simd>(s: S, task: &OutputTask) {
 
 #[inline(always)]
 unsafe fn load_positions<S: Simd, const N: usize>(s: S, from: *const f32, step: usize) -> [S::Vector; N] {
-    // SAFETY: the caller's promise; products have room for a vector beyond the last tile.
+    // SAFETY: guaranteed by the caller; products are padded by a vector after the last tile.
     unsafe {
         let mut v = [s.splat(0.0); N];
         for (position, v) in v.iter_mut().enumerate() {
@@ -466,7 +465,7 @@ unsafe fn load_positions<S: Simd, const N: usize>(s: S, from: *const f32, step: 
     }
 }
 
-/// Finishes and stores the outputs of neighbouring tiles in a row.
+/// Applies the epilogue to the outputs of neighbouring tiles in a row, and stores them.
 #[inline(always)]
 unsafe fn finish_row<S: Simd>(
     s: S,
@@ -476,7 +475,7 @@ unsafe fn finish_row<S: Simd>(
     end: usize,
     row: [S::Vector; OUTPUTS],
 ) {
-    // SAFETY: the caller's promise.
+    // SAFETY: guaranteed by the caller.
     unsafe {
         let row = s.interleave(row);
         for i in 0..OUTPUTS {
@@ -485,7 +484,7 @@ unsafe fn finish_row<S: Simd>(
     }
 }
 
-/// Finishes and stores the columns from `x`, up to `end`, of row `y`.
+/// Applies the epilogue to the columns from `x` up to `end` of row `y`, and stores them.
 #[inline(always)]
 unsafe fn finish<S: Simd>(s: S, task: &OutputTask, y: usize, x: usize, end: usize, v: S::Vector) {
     if x >= end {

@@ -1,4 +1,4 @@
-//! The transforms of one dimension. Outputs are four: `y = A^T ((G g) * (B^T d))`.
+//! The transforms of one dimension, with four outputs: `y = A^T ((G g) * (B^T d))`.
 
 use srflow_simd::Simd;
 

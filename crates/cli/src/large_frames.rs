@@ -1,4 +1,4 @@
-//! `--tile` and `--scale`: frames that are too large for the memory, or the time, there is.
+//! `--tile` and `--scale`: for frames that are too large for memory or too slow.
 
 use std::str::FromStr;
 
@@ -13,20 +13,20 @@ use crate::methods::Method;
 use crate::networks::NetworkArgs;
 use crate::usage::wrong_usage;
 
-/// Part of the free memory that `--tile auto` fills: frames and flows take some beside the network.
+/// The share of free memory that `--tile auto` uses: frames and flow need some beside the network.
 const MEMORY_SHARE: f64 = 0.8;
-/// Tiles of methods that do not care where they start.
+/// Alignment of tiles for methods that need none.
 const CLASSICAL_ALIGNMENT: usize = 8;
 
-/// How large frames are made to fit.
+/// Options for large frames.
 #[derive(Args, Debug, Clone, Default)]
 #[command(next_help_heading = "Large frames")]
 pub struct LargeFrames {
-    /// Estimate tile by tile, blending where tiles overlap; `auto` takes the largest tiles that fit the free memory, or
-    /// none where the whole frame does
+    /// Estimate tile by tile, blending where tiles overlap; `auto` uses the largest tiles that fit into free memory, or none if
+    /// the whole frame fits
     #[arg(long, value_name = "WIDTHxHEIGHT|auto")]
     tile: Option<Tile>,
-    /// Pixels that neighbouring tiles share, up to half a tile
+    /// Overlap of neighbouring tiles in pixels, up to half a tile
     #[arg(long, value_name = "PIXELS", default_value_t = 128, requires = "tile", value_parser = overlap)]
     tile_overlap: usize,
     /// Resize the frames by this factor first, and the flow back
@@ -40,13 +40,13 @@ enum Tile {
     Auto,
 }
 
-/// What a method sees of a frame.
+/// Size of a method's input.
 #[derive(Debug, Serialize, PartialEq)]
 pub struct Resolution {
     /// Width and height after `--scale`.
     width: usize,
     height: usize,
-    /// Of each tile; where there is one alone it is the frame.
+    /// Of each tile; with a single tile, of the frame.
     tile_width: usize,
     tile_height: usize,
     tiles: usize,
@@ -75,22 +75,22 @@ impl FromStr for Tile {
         }
         let size: Size = text.parse().map_err(|_| "expected WIDTHxHEIGHT in pixels, or auto".to_owned())?;
         if size.width.min(size.height) < SMALLEST_TILE_SIDE {
-            return Err(format!("a tile has sides of {SMALLEST_TILE_SIDE} pixels or more"));
+            return Err(format!("a tile needs at least {SMALLEST_TILE_SIDE} pixels a side"));
         }
         Ok(Self::Size(size))
     }
 }
 
 impl LargeFrames {
-    /// Whether frames are not taken as they are.
+    /// Whether either option is set.
     pub fn given(&self) -> bool {
         self.tile.is_some() || self.scale.is_some()
     }
 
-    /// How frames are divided; `None` for frames as they are.
+    /// The tiling; `None` for whole frames.
     ///
     /// # Errors
-    /// When `auto` is asked for where nothing is known of the memory.
+    /// When `auto` is requested and the free memory is unknown.
     pub fn tiling(&self, method: Method, network: &NetworkArgs) -> anyhow::Result<Option<Tiling>> {
         let alignment = match method {
             Method::Network(architecture) => architecture.facts().padding,
@@ -125,7 +125,7 @@ impl LargeFrames {
         })
     }
 
-    /// What a method sees of frames of `size`.
+    /// The input size for frames of `size`.
     ///
     /// # Errors
     /// As [`LargeFrames::tiling`], and when the memory is too small for any tile.

@@ -1,8 +1,8 @@
-//! What a time was measured on, and how much memory there is.
+//! The description of the machine, and its memory.
 
 use sysinfo::{ProcessRefreshKind, ProcessesToUpdate};
 
-/// Processor, threads in use and operating system, in a few words.
+/// Processor, threads in use and operating system.
 pub fn describe() -> String {
     let threads = rayon::current_num_threads();
     let plural = if threads == 1 { "" } else { "s" };
@@ -10,15 +10,15 @@ pub fn describe() -> String {
     format!("{threads} thread{plural} of {processor}, {}", std::env::consts::OS)
 }
 
-/// The most memory that this process has had, in bytes, as Linux tells it; `None` elsewhere.
+/// Peak memory of this process in bytes, on Linux; `None` elsewhere.
 pub fn peak_memory() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/self/status").ok()?;
     let kilobytes = text.lines().find_map(|line| line.strip_prefix("VmHWM:"))?.trim().strip_suffix(" kB")?;
     Some(kilobytes.parse::<u64>().ok()? * 1024)
 }
 
-/// Memory in bytes that can be had without swapping: what the system calls available, and not more than what the limits of
-/// the control groups this process is in leave. `None` where the system does not say.
+/// Available memory in bytes without swapping, within the limits of the process's control groups. `None` where the system
+/// does not report it.
 pub fn free_memory() -> Option<u64> {
     let mut system = sysinfo::System::new();
     system.refresh_memory();
@@ -28,12 +28,12 @@ pub fn free_memory() -> Option<u64> {
         system.refresh_processes_specifics(own, false, nothing);
         system.process(pid)?.cgroup_limits()
     });
-    // Files that the group has read count against its limit, and make way.
+    // The page cache counts against the group's limit, but can be reclaimed.
     let within = process.map(|limits| limits.total_memory.saturating_sub(limits.rss));
     Some(within.map_or(available, |within| within.min(available)))
 }
 
-/// The processor's name as Linux tells it; `None` elsewhere.
+/// The processor's name on Linux; `None` elsewhere.
 fn processor() -> Option<String> {
     let text = std::fs::read_to_string("/proc/cpuinfo").ok()?;
     let name = text.lines().find_map(|line| line.strip_prefix("model name"))?;

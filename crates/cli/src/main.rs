@@ -2,12 +2,12 @@
 
 #![warn(clippy::print_stdout, clippy::print_stderr)]
 
-/// `println!` for results in words: standard output that is closed or full is an error, not a panic.
+/// `println!` for results as text: a closed or full standard output is an error, not a panic.
 macro_rules! say {
     ($($text:tt)*) => { crate::output::print_line(format_args!($($text)*)) };
 }
 
-/// `eprintln!` for progress, notes and errors: standard error that is closed or full is passed over.
+/// `eprintln!` for progress, notes and errors: a closed or full standard error is ignored.
 macro_rules! note {
     ($($text:tt)*) => { crate::output::print_note(format_args!($($text)*)) };
 }
@@ -37,8 +37,8 @@ static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();
 #[derive(Parser)]
 #[command(version, propagate_version = true, arg_required_else_help = true)]
 #[command(after_help = "\
-Exit codes: 0 done, 1 failed, 2 wrong usage, 75 stopped on request (run it again to go on). With --json standard output holds \
-one JSON value: the result, or {\"error\": \"...\"} when there is none.")]
+Exit codes: 0 success, 1 failure, 2 wrong usage, 75 stopped on request (run the command again to continue). With --json \
+standard output holds one JSON value: the result, or {\"error\": \"...\"} on failure.")]
 struct Cli {
     #[command(flatten)]
     context: Context,
@@ -46,10 +46,10 @@ struct Cli {
     command: Command,
 }
 
-/// What every command takes.
+/// Arguments of every command.
 #[derive(Args, Clone)]
 pub struct Context {
-    /// Print the result as JSON on standard output; when there is none, an object with the key `error`
+    /// Print the result as JSON on standard output; on failure, an object with the key `error`
     #[arg(long, global = true)]
     pub json: bool,
     /// Number of threads (default: all cores)
@@ -107,13 +107,13 @@ fn main() -> ExitCode {
     };
     match result.and_then(|()| Ok(io::stdout().flush()?)) {
         Ok(()) => ExitCode::SUCCESS,
-        // The reader has seen enough (`| head`): nothing to tell it.
+        // The reader has closed the pipe (`| head`).
         Err(error) if is_closed_pipe(&error) => ExitCode::FAILURE,
         Err(error) => fail(&error, &context),
     }
 }
 
-/// Says what went wrong, with `--json` on standard output too.
+/// Prints the error, with `--json` also to standard output.
 fn fail(error: &anyhow::Error, context: &Context) -> ExitCode {
     let text = in_words(error);
     note!("error: {text}");
@@ -123,7 +123,7 @@ fn fail(error: &anyhow::Error, context: &Context) -> ExitCode {
     if error.is::<usage::UsageError>() { ExitCode::from(2) } else { ExitCode::FAILURE }
 }
 
-/// The error and its causes; a cause that was said already is not said again.
+/// The error and its causes; a cause that is already part of the text is not repeated.
 fn in_words(error: &anyhow::Error) -> String {
     let mut words = String::new();
     for cause in error.chain().map(ToString::to_string) {

@@ -15,27 +15,27 @@ use srflow_ops::{device, device_kinds};
 use crate::progress::bar;
 use crate::usage::wrong_usage;
 
-/// Where networks are computed when nothing is said.
+/// The default device.
 const CPU: &str = "cpu";
 
 /// Parameters of networks.
 #[derive(Args, Debug, Clone)]
 #[command(next_help_heading = "Parameters of networks")]
 pub struct NetworkArgs {
-    /// Checkpoint of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as
-    /// things; `srflow models` lists them
+    /// Weights of the network: a file (PyTorch, Lightning, safetensors), or the name of published weights, such as things;
+    /// `srflow models` lists them
     #[arg(long, value_name = "FILE|NAME")]
     pub weights: Option<String>,
-    /// Refinements of the flow [default: the network's own, see `srflow models`]
+    /// Refinement iterations [default: the network's own, see `srflow models`]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000))]
     iters: Option<u16>,
-    /// Setting of a network that its weights do not hold, for each network that has it; `srflow models` lists them
+    /// Setting that is not stored in the weights, for every network that has it; `srflow models` lists them
     #[arg(long = "set", value_name = "NAME=VALUE", num_args = 1.., value_parser = setting)]
     settings: Vec<(String, usize)>,
-    /// Pairs of frames that are estimated at once, where a command can.
+    /// Pairs estimated at once, where a command supports it.
     #[arg(skip = 1_usize)]
     pub batch: usize,
-    /// Where to compute
+    /// Device to compute on
     #[arg(long, value_name = "DEVICE", default_value = CPU, help = device_help())]
     pub device: String,
 }
@@ -47,7 +47,7 @@ fn setting(text: &str) -> Result<(String, usize), String> {
 }
 
 fn device_help() -> String {
-    format!("Where to compute; in this build {}", device_kinds().join(", "))
+    format!("Device to compute on; this build has {}", device_kinds().join(", "))
 }
 
 impl Default for NetworkArgs {
@@ -74,23 +74,23 @@ impl NetworkArgs {
         self.device == CPU
     }
 
-    /// Refinements of a network; 1 of one that does not refine.
+    /// Refinement iterations of a network; 1 for one that does not refine.
     pub fn iterations(&self, architecture: Architecture) -> usize {
         let facts = architecture.facts();
         self.iters.filter(|_| facts.refines()).map_or(facts.iterations.default, usize::from)
     }
 
-    /// The settings of a network, as they were given or as they are.
+    /// The settings of a network, with the given values or the defaults.
     ///
     /// # Errors
-    /// When a value is out of its range.
+    /// When a value is out of range.
     pub fn settings(&self, architecture: Architecture) -> anyhow::Result<BTreeMap<&'static str, usize>> {
         let mut network = architecture.init(&Default::default());
         self.set(&mut network)?;
         Ok(network.settings().into_iter().map(|setting| (setting.name, *setting.value)).collect())
     }
 
-    /// Sets what the network has; the rest is for other networks.
+    /// Applies the settings that the network has; the rest is for other networks.
     fn set(&self, network: &mut Network) -> anyhow::Result<()> {
         for (name, value) in &self.settings {
             match network.set(name, *value) {
@@ -101,10 +101,10 @@ impl NetworkArgs {
         Ok(())
     }
 
-    /// Whether every option that was given is for one of `networks`.
+    /// Checks that every given option applies to one of `networks`.
     ///
     /// # Errors
-    /// Names the first that is not.
+    /// Names the first that does not.
     pub fn check(&self, networks: &[Architecture]) -> anyhow::Result<()> {
         let names = || networks.iter().map(|network| network.name()).collect::<Vec<_>>().join(", ");
         if self.iters.is_some() && !networks.iter().any(|network| network.facts().refines()) {
@@ -134,17 +134,17 @@ impl NetworkArgs {
         Ok(())
     }
 
-    /// The file of a network's weights: its own, or those of `--weights`.
+    /// The file of a network's weights: its own, or that of `--weights`.
     ///
     /// # Errors
-    /// When there are none, or they cannot be found.
+    /// When no weights are given, or they cannot be found.
     pub fn weights_of(&self, architecture: Architecture, own: Option<&str>) -> anyhow::Result<PathBuf> {
         let name = architecture.name();
         match own.or(self.weights.as_deref()) {
             Some(weights) => weights_file(Some(architecture), weights),
             None => wrong_usage!(
-                "{name} needs weights: give --weights FILE, or --method {name}=FILE; `srflow models` says where \
-                 people get them"
+                "{name} needs weights: give --weights FILE, or --method {name}=FILE; `srflow models` lists where to get \
+                them"
             ),
         }
     }
@@ -152,7 +152,7 @@ impl NetworkArgs {
     /// The network with its weights: its own, or those of `--weights`.
     ///
     /// # Errors
-    /// When there are none, or they do not fit it; when there is no such device.
+    /// When there are no weights, they do not fit, or the device does not exist.
     pub fn estimator(
         &self,
         architecture: Architecture,
@@ -172,14 +172,14 @@ impl NetworkArgs {
     }
 }
 
-/// Says so where the weights of a file could as well be another network's.
+/// Prints a note if the weights could also be another network's.
 ///
 /// # Errors
 /// When the file cannot be read.
 pub fn note_if_ambiguous(architecture: Architecture, path: &Path) -> anyhow::Result<()> {
     if let Claim::Silent(others) = claim(architecture, path)? {
         note!(
-            "note: {}: nothing in it says whether it is of {} or of {}, whose parameters have the same names and shapes",
+            "note: {}: these may be weights of {} or of {}, whose parameters have the same names and shapes",
             path.display(),
             architecture.facts().title,
             others.join(", ")
@@ -188,10 +188,10 @@ pub fn note_if_ambiguous(architecture: Architecture, path: &Path) -> anyhow::Res
     Ok(())
 }
 
-/// The file that `--weights` means, fetched when it is a name that was not used before.
+/// The file of `--weights`, fetched if it is a published name that is not cached.
 ///
 /// # Errors
-/// When it is neither a file nor a name, or cannot be fetched.
+/// When it is neither a file nor a published name, or cannot be fetched.
 pub fn weights_file(architecture: Option<Architecture>, weights: &str) -> anyhow::Result<PathBuf> {
     let folder = weights_folder();
     let bar = bar(None, "{spinner} weights {bytes} of {total_bytes}  {bytes_per_sec}  ETA {eta}");
@@ -204,6 +204,6 @@ pub fn weights_file(architecture: Option<Architecture>, weights: &str) -> anyhow
     bar.finish_and_clear();
     found.with_context(|| {
         let of = architecture.map_or(String::new(), |architecture| format!(" of {}", architecture.name()));
-        format!("weights{of} (`srflow models` lists what there is)")
+        format!("weights{of} (`srflow models` lists the published ones)")
     })
 }

@@ -1,5 +1,5 @@
-//! What commands have in common when they write: nothing is overwritten unasked, texts are whole or absent, tables look
-//! alike.
+//! Output shared by all commands: nothing is overwritten without `--force`, text files are written whole or not at all, and
+//! tables look alike.
 
 use std::ffi::OsStr;
 use std::fmt;
@@ -23,7 +23,7 @@ pub fn ensure_free(files: impl IntoIterator<Item: Into<PathBuf>>, force: bool) -
     }
 }
 
-/// Fails on a name that is a file's: what a folder is asked for under such a name would not be what it says.
+/// Fails if a folder is requested under the name of a file.
 pub fn ensure_folder(folder: &Path) -> anyhow::Result<()> {
     const EXTENSIONS: [&str; 16] = [
         "png", "jpg", "jpeg", "bmp", "ppm", "npy", "npz", "npz16", "flo", "flo5", "pfm", "csv", "json",
@@ -37,7 +37,7 @@ pub fn ensure_folder(folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Fails unless the name ends in the extension of what is written.
+/// Fails unless the name ends in the extension of the format.
 pub fn ensure_extension(file: &Path, extension: &str) -> anyhow::Result<()> {
     if !file.extension().is_some_and(|found| found.eq_ignore_ascii_case(extension)) {
         wrong_usage!("{}: this output is a .{extension} file: give it that extension", file.display());
@@ -50,7 +50,7 @@ pub fn latex(tables: &[Table]) -> String {
     latex_file(tables.iter().map(|table| (table.title.clone(), table.latex())))
 }
 
-/// Prints tables, in colours where standard output is a terminal that wants them (<https://no-color.org>).
+/// Prints tables, in colours if standard output is a terminal and `NO_COLOR` is unset (<https://no-color.org>).
 pub fn print_tables(tables: &[Table]) -> anyhow::Result<()> {
     let colours = std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none();
     let style = if colours { TextStyle::Ansi } else { TextStyle::Plain };
@@ -60,25 +60,25 @@ pub fn print_tables(tables: &[Table]) -> anyhow::Result<()> {
 
 const PRINTING: &str = "printing the result";
 
-/// A line on standard output; see `say!`. Text from files may be a part of it: nothing in it steers a terminal.
+/// Prints a line to standard output; see `say!`. Control characters are escaped, since the text may come from files.
 pub fn print_line(text: fmt::Arguments) -> anyhow::Result<()> {
     writeln!(io::stdout(), "{}", printable(&text.to_string())).context(PRINTING)
 }
 
-/// A line on standard error; see `note!`. When it cannot be written, nobody is left to hear of it.
+/// Prints a line to standard error; see `note!`. Errors are ignored: there is nowhere to report them.
 pub fn print_note(text: fmt::Arguments) {
     _ = writeln!(io::stderr(), "{}", printable(&text.to_string()));
 }
 
-/// Whether a result has been printed as JSON: there is only one.
+/// Whether a result was printed as JSON: there is only one.
 static JSON_PRINTED: AtomicBool = AtomicBool::new(false);
 
-/// The result as JSON on standard output.
+/// Prints the result as JSON to standard output.
 pub fn print_json(result: &impl Serialize) -> anyhow::Result<()> {
     print_json_text(&serde_json::to_string_pretty(result).context(PRINTING)?)
 }
 
-/// The result as JSON in one line on standard output.
+/// Prints the result as JSON in one line to standard output.
 pub fn print_json_line(result: &impl Serialize) -> anyhow::Result<()> {
     print_json_text(&serde_json::to_string(result).context(PRINTING)?)
 }
@@ -106,7 +106,7 @@ pub fn exit_stopped() -> anyhow::Result<()> {
     std::process::exit(75)
 }
 
-/// `{"error": ...}` in the place of the result, unless that was printed.
+/// Prints `{"error": ...}`, unless a result was printed.
 pub fn print_error_json(error: &str) {
     if !JSON_PRINTED.load(Ordering::Relaxed) {
         _ = print_json_line(&serde_json::json!({ "error": error }));

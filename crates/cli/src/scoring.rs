@@ -1,4 +1,4 @@
-//! An evaluation with a progress bar and pictures of a few of its pairs.
+//! An evaluation with a progress bar and pictures of some of its pairs.
 
 use std::path::Path;
 
@@ -9,20 +9,20 @@ use srflow_read::flow::FlowDataset;
 
 use crate::progress::bar;
 
-/// Which pairs become pictures.
+/// The pairs that become pictures.
 #[derive(Debug, Clone, Copy)]
 pub struct Pictures {
-    /// How many pairs, spread evenly over those that are scored.
+    /// Number of pairs, spread evenly over the scored ones.
     pub pairs: usize,
-    /// Greatest width of each picture in pixels.
+    /// Maximum width of each picture in pixels.
     pub width: usize,
 }
 
-/// Scores `methods` over `dataset`, with a bar on standard error where that is a terminal. With `save`, the flows of each method
-/// go into a folder of that name there, as [`srflow_eval::FlowFiles`] finds them.
+/// Scores `methods` over `dataset`, with a bar on standard error if that is a terminal. With `save`, the flow of each method
+/// is written into a subfolder with its name, in the layout of [`srflow_eval::FlowFiles`].
 ///
 /// # Errors
-/// Those of [`evaluate`], or when a picture cannot be encoded or a flow not be written.
+/// Those of [`evaluate`], and when a picture cannot be encoded or a flow cannot be written.
 pub fn score(
     dataset: &FlowDataset,
     methods: &[Method<'_>],
@@ -65,7 +65,7 @@ pub fn score(
     }
 }
 
-/// What the folder of a method's flows is called: its name, without what a folder cannot be called on some system.
+/// The folder name of a method: its name, without characters that some system does not allow.
 pub fn folder_name(method: &str) -> String {
     let allowed = |c: char| !c.is_control() && !r#"/\:*?"<>|"#.contains(c);
     let name: String = method.chars().map(|c| if allowed(c) { c } else { '_' }).collect();

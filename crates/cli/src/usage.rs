@@ -1,8 +1,8 @@
-//! What is wrong with the arguments themselves.
+//! Errors in the arguments themselves.
 
 use std::fmt;
 
-/// An error that the command line alone shows: the program ends with exit code 2.
+/// An error in the arguments: the program exits with code 2.
 #[derive(Debug)]
 pub struct UsageError(pub String);
 

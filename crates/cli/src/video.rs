@@ -13,26 +13,26 @@ use srflow_field::{FileKind, Image, open_file};
 const EXTENSIONS: [&str; 15] = [
     "mp4", "m4v", "mov", "avi", "mkv", "webm", "mpg", "mpeg", "wmv", "flv", "ogv", "ts", "3gp", "y4m", "gif",
 ];
-/// A side of a frame beyond this is no side of a frame.
+/// Larger sides are treated as errors.
 const LONGEST_SIDE: usize = 1 << 16;
 
-/// Whether the name is that of a video file.
+/// Whether the name has the extension of a video file.
 pub fn is_video(path: &Path) -> bool {
     let extension = path.extension().and_then(OsStr::to_str);
     extension.is_some_and(|extension| EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(extension)))
 }
 
-/// What `ffprobe` says of a video; nothing where there is no `ffprobe`.
+/// What `ffprobe` reports about a video; empty without `ffprobe`.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Facts {
     /// How many frames it has.
     pub frames: Option<u64>,
-    /// Frames a second, such as `30000/1001`.
+    /// Frames per second, such as `30000/1001`.
     pub rate: Option<String>,
 }
 
-/// Arguments that keep ffmpeg to the file that it is given: no playlist or list of pictures that names other files, no
-/// protocol that reaches elsewhere.
+/// Arguments that restrict ffmpeg to the given file: no playlist or image list that names other files, and no protocol that
+/// reaches elsewhere.
 const ONLY_THIS_FILE: [&str; 4] = [
     "-protocol_whitelist",
     "file,pipe",
@@ -40,17 +40,17 @@ const ONLY_THIS_FILE: [&str; 4] = [
     "mov,matroska,avi,mpeg,mpegvideo,mpegts,m4v,asf,flv,ogg,yuv4mpegpipe,gif",
 ];
 
-/// The path as ffmpeg takes it for nothing but a file's name.
+/// The path in a form that ffmpeg can only take for a file name.
 fn address(path: &Path) -> OsString {
     let mut address = OsString::from("file:");
     address.push(path);
     address
 }
 
-/// Asks `ffprobe`.
+/// Runs `ffprobe`.
 pub fn facts(path: &Path) -> Facts {
     if open_file(path, FileKind::Video).is_err() {
-        return Facts::default(); // said when it is read
+        return Facts::default(); // reported when the video is read
     }
     let entries = "stream=r_frame_rate,nb_read_packets";
     let mut command = Command::new("ffprobe");
@@ -81,7 +81,7 @@ pub fn facts(path: &Path) -> Facts {
 fn not_started(error: io::Error, what: &str) -> anyhow::Error {
     if error.kind() == io::ErrorKind::NotFound {
         anyhow!(
-            "{what} takes the program ffmpeg, which is not on the PATH: install it (https://ffmpeg.org), or use a \
+            "{what} needs the program ffmpeg, which is not on the PATH: install it (https://ffmpeg.org), or use a \
              folder of pictures in place of the video"
         )
     } else {
@@ -89,13 +89,13 @@ fn not_started(error: io::Error, what: &str) -> anyhow::Error {
     }
 }
 
-/// What a program has to complain of, read while it runs.
+/// The program's error output, read while it runs.
 fn complaints(child: &mut Child) -> Option<JoinHandle<String>> {
     let stderr = child.stderr.take()?;
     Some(std::thread::spawn(move || {
         let mut text = Vec::new();
         let mut lines = BufReader::new(stderr);
-        // The first is the cause; the rest is read so that the program need not wait.
+        // The first lines name the cause; the rest is drained so that the program does not block.
         _ = lines.by_ref().take(4096).read_to_end(&mut text);
         _ = io::copy(&mut lines, &mut io::sink());
         String::from_utf8_lossy(&text).trim().to_owned()
@@ -105,12 +105,12 @@ fn complaints(child: &mut Child) -> Option<JoinHandle<String>> {
 fn ended(mut child: Child, complaints: Option<JoinHandle<String>>, what: &str) -> anyhow::Result<()> {
     let status = child.wait().with_context(|| format!("{what}: waiting for ffmpeg"))?;
     let said = complaints.and_then(|thread| thread.join().ok()).unwrap_or_default();
-    // It goes on after broken frames, and says so.
-    ensure!(status.success() && said.is_empty(), "{what}: ffmpeg ended with {status} and said: {said}");
+    // It continues after broken frames, and only prints a message.
+    ensure!(status.success() && said.is_empty(), "{what}: ffmpeg ended with {status} and printed: {said}");
     Ok(())
 }
 
-/// The frames of a video, one after the other.
+/// The frames of a video in order.
 pub struct VideoReader {
     path: PathBuf,
     child: Option<Child>,
@@ -125,7 +125,7 @@ impl VideoReader {
         open_file(path, FileKind::Video)?;
         let mut command = Command::new("ffmpeg");
         command.args(["-nostdin", "-v", "error"]).args(ONLY_THIS_FILE).arg("-i").arg(address(path));
-        // Every frame that is stored, once, whatever its time.
+        // Every stored frame once, whatever its timestamp.
         command.args(["-map", "0:v:0", "-fps_mode", "passthrough", "-pix_fmt", "rgb24"]);
         command.args(["-f", "image2pipe", "-c:v", "ppm", "-"]);
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -160,7 +160,7 @@ impl Drop for VideoReader {
     }
 }
 
-/// One picture as `ffmpeg` writes it: `P6`, width, height, 255, each with white space behind it, then the bytes.
+/// One picture in `ffmpeg`'s output: `P6`, width, height, 255, each followed by white space, then the bytes.
 fn read_ppm(reader: &mut impl BufRead) -> anyhow::Result<Image> {
     let mut word = || -> anyhow::Result<String> {
         let mut text = Vec::new();
@@ -180,11 +180,11 @@ fn read_ppm(reader: &mut impl BufRead) -> anyhow::Result<Image> {
             reader.read_exact(&mut bytes).context("the video ended within a frame")?;
             Ok(Image::from_pixels(width, height, bytes.as_chunks().0.to_vec())?)
         }
-        _ => bail!("ffmpeg gave {magic:?} {width:?} {height:?} {largest:?} where a picture was expected"),
+        _ => bail!("expected a picture from ffmpeg, found {magic:?} {width:?} {height:?} {largest:?}"),
     }
 }
 
-/// A video that is being written, beside its place until it is whole.
+/// A video being written, under a temporary name until it is complete.
 pub struct VideoWriter {
     path: PathBuf,
     partial: PathBuf,
@@ -195,7 +195,7 @@ pub struct VideoWriter {
 }
 
 impl VideoWriter {
-    /// Of frames of `size`, so many a second (such as `25` or `30000/1001`).
+    /// For frames of `size`, at a rate such as `25` or `30000/1001`.
     ///
     /// # Errors
     /// When there is no `ffmpeg`.
@@ -205,7 +205,7 @@ impl VideoWriter {
         let mut command = Command::new("ffmpeg");
         command.args(["-nostdin", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
         command.args(["-s", &format!("{}x{}", size.0, size.1), "-r", rate, "-i", "-"]);
-        // Most players want chroma at half the size, which an odd side does not have.
+        // Most players need chroma at half the size, which is impossible for an odd side.
         command.args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"]).arg(&partial);
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
         let what = format!("{}: writing a video", path.display());
@@ -218,21 +218,25 @@ impl VideoWriter {
     /// Adds a frame.
     ///
     /// # Errors
-    /// When it is of another size, or `ffmpeg` fails.
+    /// When it has another size, or `ffmpeg` fails.
     pub fn write(&mut self, frame: &Image) -> anyhow::Result<()> {
-        ensure!(frame.size() == self.size, "{}: frames of a video are of one size", self.path.display());
+        ensure!(
+            frame.size() == self.size,
+            "{}: all frames of a video must have one size",
+            self.path.display()
+        );
         let written = match &mut self.stdin {
             Some(stdin) => stdin.write_all(frame.pixels().as_flattened()),
             None => Ok(()),
         };
         if let Err(error) = written {
-            self.close()?; // says why ffmpeg went away
+            self.close()?; // reports why ffmpeg ended
             return Err(error).with_context(|| format!("{}: writing a video", self.path.display()));
         }
         Ok(())
     }
 
-    /// Waits until the video is whole, and puts it in its place.
+    /// Waits until the video is complete, and renames it.
     ///
     /// # Errors
     /// When `ffmpeg` fails.
@@ -255,7 +259,7 @@ impl Drop for VideoWriter {
             _ = child.kill();
             _ = child.wait();
         }
-        _ = std::fs::remove_file(&self.partial); // there only when it is not whole
+        _ = std::fs::remove_file(&self.partial); // exists only if the video is incomplete
     }
 }
 

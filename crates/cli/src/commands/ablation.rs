@@ -19,28 +19,28 @@ use crate::{Context, machine};
 /// Train with each loss of the paper and print its Table V
 #[derive(Args)]
 #[command(after_help = "\
-Each row is trained with each seed, from the same start and on the same data; the last weights are scored on the test \
-split. The same command again continues where it was stopped; finished runs are kept.
+Trains each row with each seed, from the same weights and on the same data, and scores the last weights on the test \
+split. Run the same command again to continue an interrupted run; finished runs are kept.
 
 Example: the table at a size that two CPU cores manage
   srflow ablation --config cpu-small --data srflow:DIR --seeds 1,2,3 --out runs/ablation")]
 pub struct Ablation {
-    /// Preset or TOML file that all runs share; its loss weights and seed aside [default: skflow]
+    /// Preset or TOML file shared by all runs, except for its loss weights and seed [default: skflow]
     #[arg(long, value_name = "PRESET|FILE")]
     config: Option<PathBuf>,
-    /// Folder of the runs and the table
+    /// Folder for the runs and the table
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Rows to run
     #[arg(long, value_name = "ROW", value_delimiter = ',', help = rows_help())]
     rows: Vec<String>,
-    /// Seeds of every row
+    /// Seeds for every row
     #[arg(long, value_name = "N", value_delimiter = ',', default_values_t = [1, 2, 3])]
     seeds: Vec<u64>,
     /// Dataset to score on, KIND:DIR@SPLIT [default: the test split of the first training dataset]
     #[arg(long, value_name = "KIND:DIR")]
     test: Option<Source>,
-    /// Device to train on; several share each batch
+    /// Device to train on; several devices share each batch
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     device: Vec<String>,
     #[command(flatten)]
@@ -48,7 +48,7 @@ pub struct Ablation {
 }
 
 fn rows_help() -> String {
-    format!("Rows to run: {} [default: all; start, which is not trained, with --weights only]", row_names())
+    format!("Rows to run: {} [default: all; start, which is not trained, only with --weights]", row_names())
 }
 
 fn row_names() -> String {
@@ -68,7 +68,7 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
     seeds.sort_unstable();
     seeds.dedup();
     let Some(source) = args.test.as_ref().or(base.data.train.first()) else {
-        anyhow::bail!("--data KIND:DIR is missing: name what to train on");
+        anyhow::bail!("--data KIND:DIR is missing: name the training data");
     };
     let split = if args.test.is_some() { source.split } else { Some(Split::Test) };
     let test = FlowDataset::open(&source.spec, split)?;
@@ -99,22 +99,21 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
     say!("\nReport: {}", args.out.join("ablation.html").display())
 }
 
-/// The rows of these names; of no names, all that can be run.
+/// The rows with these names; without names, all that can be run.
 fn rows(names: &[String], has_weights: bool) -> anyhow::Result<Vec<Variant>> {
     if names.is_empty() {
         return Ok(variants().into_iter().filter(|row| row.trained || has_weights).collect());
     }
     let row = |name: &String| {
         let row = variants().into_iter().find(|row| row.name == *name);
-        let row = row
-            .with_context(|| format!("--rows {name}: there is no such row; the rows are {}", row_names()))?;
+        let row = row.with_context(|| format!("--rows {name}: unknown row; the rows are {}", row_names()))?;
         ensure!(row.trained || has_weights, "--rows {name}: give the weights to score, --weights FILE");
         Ok(row)
     };
     names.iter().map(row).collect()
 }
 
-/// Ours, our spread, and the paper's.
+/// Our means, our standard deviations, and the paper's values.
 fn tables(settings: &AblationSettings, cells: &[Cell], test: &FlowDataset) -> [Table; 3] {
     let network = settings.base.network.architecture.facts().title;
     let steps = cells.iter().map(|cell| cell.steps).max().unwrap_or(0);
@@ -136,8 +135,8 @@ fn write(out: &std::path::Path, cells: &[Cell], tables: &[Table; 3]) -> anyhow::
     let report = Page {
         title: "Ablation of the regularizers".to_owned(),
         kicker: "srflow ablation".to_owned(),
-        lead: "The same training with one loss at a time. The paper's numbers are of another size, another dataset and another \
-               length of training: they stand beside ours to compare the order of the rows, not the values."
+        lead: "The same training with one loss at a time. The paper's numbers come from another resolution, another dataset and \
+        longer training: compare the order of the rows, not the values."
             .to_owned(),
         opening: Vec::new(),
         sections: vec![

@@ -8,22 +8,22 @@ use super::render::print_statistics;
 use crate::Context;
 use crate::progress::bar;
 
-/// Open every file of a dataset and report what is wrong
+/// Open every file of a dataset and report problems
 #[derive(Args)]
 #[command(after_help = "\
 Example:
   srflow check srflow --json
 
-Every file is opened and compared with dataset.json, and dataset.json with its own arguments. Frame 2 is warped back by the flow: on the head, \
-where frame 2 shows what frame 1 does, little must remain of the difference between the frames. The exit \
-code is 1 when anything is wrong.")]
+Opens every file, compares it with dataset.json, and compares dataset.json with its own arguments. Frame 2 is warped \
+back by the flow: on the head, where a pixel is visible in both frames, the difference to frame 1 must be small. The exit \
+code is 1 when there is a problem.")]
 pub struct Check {
-    /// Folder of a dataset that `srflow render` made
+    /// Folder of a dataset written by `srflow render`
     #[arg(value_name = "DIR")]
     dir: PathBuf,
 }
 
-/// Most problems that are listed for people; --json has all.
+/// Most problems listed as text; --json lists all.
 const LISTED: usize = 50;
 
 pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
@@ -39,8 +39,8 @@ pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
     }
     match report.problems.len() {
         0 => Ok(()),
-        1 => anyhow::bail!("{}: 1 thing is wrong", args.dir.display()),
-        count => anyhow::bail!("{}: {count} things are wrong", args.dir.display()),
+        1 => anyhow::bail!("{}: 1 problem", args.dir.display()),
+        count => anyhow::bail!("{}: {count} problems", args.dir.display()),
     }
 }
 
@@ -51,7 +51,7 @@ fn print_report(report: &CheckReport) -> anyhow::Result<()> {
     if report.problems.len() > LISTED {
         say!("... and {} more; --json lists all", report.problems.len() - LISTED)?;
     }
-    say!("{} of {} pairs are sound", report.sound, report.pairs)?;
+    say!("{} of {} pairs are intact", report.sound, report.pairs)?;
     say!(
         "Difference between the frames on the head: {:.3} levels of 255, {:.3} with frame 2 warped back by the flow",
         report.residual.unwarped,

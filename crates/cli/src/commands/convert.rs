@@ -13,8 +13,8 @@ use crate::usage::wrong_usage;
 
 /// Convert a flow between file formats, or draw it in colours
 ///
-/// The input's first bytes say its format, the output's extension says what to write: .flo, .png (KITTI's 16-bit PNG),
-/// .png128, .pfm, .flo5, .npy, .npz or .npz16. Every value and every unknown pixel is kept; .png rounds to steps of 1/64
+/// The input format is detected from the first bytes, the output format from the extension: .flo, .png (KITTI's 16-bit
+/// PNG), .png128, .pfm, .flo5, .npy, .npz or .npz16. All values and unknown pixels are kept; .png rounds to steps of 1/64
 /// pixel, .png128 of 1/128, .npz16 of 1/256 (more where flow is longer than 128 pixels).
 #[derive(Args)]
 #[command(after_help = "Examples:
@@ -27,10 +27,10 @@ pub struct Convert {
     /// File to write
     #[arg(value_name = "OUT")]
     output: PathBuf,
-    /// Draw the flow in the colours of Middlebury's wheel (a .png for looking at); unknown pixels are black
+    /// Draw the flow in the colours of Middlebury's wheel, as a .png; unknown pixels are black
     #[arg(long)]
     viz: bool,
-    /// Flow of this many pixels has full colour (default: the longest of the picture)
+    /// Length of the flow with full colour, in pixels (default: the longest of the picture)
     #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = positive)]
     max: Option<f32>,
     /// Overwrite OUT

@@ -22,13 +22,12 @@ fn kinds_help() -> String {
 /// Score estimators over a dataset and print the table
 #[derive(Args)]
 #[command(after_help = format!("\
-Scores are those of the SRFlow paper's Table II: computed per pair over the pixels whose true flow is known, then \
-averaged over pairs; also inside the head's mask and outside occlusions where the dataset has them. The baseline `zero` \
-says that nothing moves.
+Scores are those of the SRFlow paper's Table II: computed per pair over the pixels with ground truth, then averaged over \
+pairs; also inside the head's mask and outside occlusions where the dataset has them. The baseline `zero` is zero flow.
 
-files:DIR scores the flows of another program: one file for each pair, DIR/SCENE/FRAME.EXT (DIR/FRAME.EXT where pairs have \
-no scene), in any flow format; docs/datasets.md lists the names of each dataset. --save-flow DIR writes each method's flows so, into \
-DIR/METHOD.
+files:DIR scores flow files of another program: one file per pair, DIR/SCENE/FRAME.EXT (DIR/FRAME.EXT where pairs have no \
+scene), in any flow format; docs/datasets.md lists the names for each dataset. --save-flow DIR writes the flow of each method in \
+this layout, into DIR/METHOD.
 
 Examples:
   srflow eval --dataset srflow:srflow --method farneback tvl1 --crop 1200x1600 --out scores
@@ -41,23 +40,23 @@ pub struct Eval {
     /// Kind of dataset and its folder, e.g. sintel-clean:/data/Sintel
     #[arg(long, value_name = "KIND:DIR")]
     dataset: DatasetSpec,
-    /// Part of the dataset: train, val, test or all [default: the one that results are reported on]
+    /// Split: train, val, test or all [default: the one that results are usually reported on]
     #[arg(long)]
     split: Option<Split>,
     /// Methods to score
     #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', value_parser = methods::scored_method, help = methods::Method::help_of_several("Methods to score"))]
     method: Vec<MethodSpec>,
-    /// Window that is estimated and scored, centred on the head (without a mask, on the frame)
+    /// Crop that is estimated and scored, centred on the head (without a mask, on the frame)
     #[arg(long, value_name = "WIDTHxHEIGHT")]
     crop: Option<Size>,
     /// Score only N pairs, spread evenly over the dataset
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     limit: Option<u32>,
-    /// Pairs that a network estimates at once, where neighbours in the dataset are of one size; the scores are the same, the
-    /// time of a pair is its share
+    /// Pairs that a network estimates at once, if they follow each other and have one size; scores do not change, and each
+    /// pair's time is an equal share of the batch's
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     batch: u16,
-    /// Leave out a pair that cannot be scored, for every method, and go on; the exit code is still 1
+    /// Leave out pairs that cannot be scored, for every method, and continue; the exit code is still 1
     #[arg(long)]
     keep_going: bool,
     /// Also write scores.{txt,csv,json,tex,md}, pairs.csv and report.html into this folder
@@ -73,11 +72,11 @@ pub struct Eval {
     parameters: MethodParameters,
 }
 
-/// The files that `--out` gets.
+/// The files that `--out` writes.
 const OUTPUTS: [&str; 7] =
     ["scores.txt", "scores.csv", "scores.json", "scores.tex", "scores.md", "pairs.csv", "report.html"];
 
-/// How many pairs the report shows as pictures.
+/// Number of pairs shown as pictures in the report.
 const SHOWN_PAIRS: usize = 4;
 
 pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
@@ -103,7 +102,7 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         batch: NonZeroUsize::new(args.batch.into()),
     };
     if let Some(out) = &args.out {
-        create_folder(out)?; // before the long work, which must not be lost
+        create_folder(out)?; // before the long work, so that an error costs nothing
     }
     let pictures = Pictures { pairs: if args.out.is_some() { SHOWN_PAIRS } else { 0 }, width: 560 };
     let (evaluation, figures) =
@@ -129,17 +128,20 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     }
     match evaluation.failures.len() {
         0 => Ok(()),
-        count => bail!("{count} of {} pairs could not be scored and are in no row", evaluation.pairs + count),
+        count => bail!(
+            "{count} of {} pairs could not be scored and were left out of every row",
+            evaluation.pairs + count
+        ),
     }
 }
 
-/// What `scores.json` holds and `--json` prints.
+/// The contents of `scores.json` and the output of `--json`.
 #[derive(Serialize)]
 struct Scores<'a> {
     version: &'static str,
     command: String,
     machine: String,
-    /// Each method with what its flow follows from; the baseline has nothing.
+    /// Each method with everything its flow depends on; no entry for the baseline.
     made_by: Vec<MethodRecord>,
     #[serde(flatten)]
     evaluation: &'a Evaluation,
@@ -167,7 +169,7 @@ impl Scores<'_> {
     }
 }
 
-/// As a shell of POSIX takes it.
+/// Quoted for a POSIX shell.
 fn command_line(arguments: impl Iterator<Item = String>) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:=,@%+".contains(c);
     let quoted = |argument: String| match !argument.is_empty() && argument.chars().all(plain) {

@@ -8,38 +8,38 @@ use srflow_train::loss::{FlowRegularizer, LossConfig, MaskReading, regularizers_
 
 use crate::Context;
 
-/// Score one flow against the truth, or see what the regularizers say of it
+/// Score one flow against the truth, or evaluate the paper's regularizers on it
 ///
-/// The end-point error (EPE) and its kin over the pixels where the truth is known, as ptlflow defines them: px1, px3 and
-/// px5 are fractions under 1, 3 and 5 pixels, F1-ALL is the percentage of outliers (over 3 pixels and 5 %), WAUC runs
+/// Prints the end-point error (EPE) and related scores over the pixels with ground truth, as ptlflow defines them: px1, px3
+/// and px5 are fractions under 1, 3 and 5 pixels, F1-ALL is the percentage of outliers (over 3 pixels and 5 %), WAUC runs
 /// from 0 to 100.
 ///
-/// --regularizers prints what TVR, FDR, MIGAR and IGVAR add to a training loss for this flow, with the paper's weights, and
-/// how MIGAR and IGVAR weight the pixels; it needs no truth (docs/losses.md).
+/// --regularizers prints the values of TVR, FDR, MIGAR and IGVAR for this flow with the paper's weights, and how MIGAR and
+/// IGVAR weight the pixels; it needs no truth (docs/losses.md).
 #[derive(Args)]
 #[command(after_help = "Examples:
   srflow metrics estimated.flo truth.png --mask head.png --json
   srflow metrics estimated.flo --image frame1.png --mask head.png --regularizers")]
 pub struct Metrics {
-    /// Predicted flow (.flo, .png of KITTI, .pfm, .flo5, .npy, .npz)
+    /// Predicted flow (.flo, KITTI .png, .pfm, .flo5, .npy, .npz)
     #[arg(value_name = "PRED")]
     prediction: PathBuf,
     /// True flow, in any of these formats
     #[arg(value_name = "GT", required_unless_present = "regularizers")]
     truth: Option<PathBuf>,
-    /// Score only where this image is over 127; for the regularizers, the head
+    /// Mask: score only pixels where this image is over 127; for the regularizers, the head
     #[arg(long, value_name = "M.png")]
     mask: Option<PathBuf>,
     /// Print the four regularizers of PRED
     #[arg(long, requires = "image")]
     regularizers: bool,
-    /// The frame whose pixels PRED is given for
+    /// First frame of PRED
     #[arg(long, value_name = "FRAME1", requires = "regularizers")]
     image: Option<PathBuf>,
     /// Value of a white pixel of FRAME1 when MIGAR and IGVAR take its gradients
     #[arg(long, value_name = "VALUE", default_value_t = 255.0, requires = "regularizers")]
     image_max: f64,
-    /// Pixels of the head that MIGAR and IGVAR look at: all but the outline, or the paper's formula as printed
+    /// Pixels of the head that MIGAR and IGVAR use: all but the outline, or the paper's formula as printed
     #[arg(long, value_name = "READING", value_parser = ["interior", "literal"], default_value = "interior", requires = "regularizers")]
     m_total: String,
 }
@@ -90,10 +90,7 @@ fn scores(
     };
     let Some(scores) = score(prediction, &truth, mask).with_context(files)? else {
         let inside = if mask.is_some() { " inside the mask" } else { "" };
-        bail!(
-            "{}: there is nothing to score: expected a known pixel of the truth{inside}, found none",
-            files()
-        );
+        bail!("{}: nothing to score: the truth has no known pixel{inside}", files());
     };
     Ok(scores)
 }

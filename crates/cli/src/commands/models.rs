@@ -10,10 +10,10 @@ use crate::Context;
 use crate::networks::weights_file;
 use crate::usage::wrong_usage;
 
-/// List the networks, say what a file of weights is, or export one
+/// List the networks, inspect a file of weights, or export one
 ///
-/// Without a command: every network with its parameters, the multiple that frames are padded to, the iterations, the
-/// licence of its authors' code, and the weights that are fetched by name.
+/// Without a subcommand: lists every network with its parameters, the multiple that frames are padded to, the iterations,
+/// the licence of the authors' code, and the published weights.
 #[derive(Args)]
 #[command(after_help = "Examples:
   srflow models
@@ -30,9 +30,9 @@ enum Action {
     Export(Export),
 }
 
-/// Say what a file of weights is
+/// Inspect a file of weights
 ///
-/// What kind of file it is, whose parameters it holds, or which network they are nearest to and what is missing.
+/// Prints the kind of file and the network that its parameters fit, or the nearest network and what is missing.
 #[derive(Args)]
 #[command(after_help = "Example:
   srflow models inspect skflow-things.ckpt")]
@@ -42,22 +42,22 @@ struct Inspect {
     file: PathBuf,
 }
 
-/// Write weights for PyTorch, or as safetensors
+/// Export weights for PyTorch, or as safetensors
 ///
-/// A .ckpt, .pt or .pth file is a Lightning checkpoint that torch.load reads, also with weights_only=True, and that
-/// ptlflow loads into its network of the same name: get_model("raft", ckpt_path="raft.ckpt"). The parameters carry the
-/// names of the reference implementations.
+/// A .ckpt, .pt or .pth file is a Lightning checkpoint that torch.load reads, even with weights_only=True, and that ptlflow
+/// loads into the network of the same name: get_model("raft", ckpt_path="raft.ckpt"). The parameters have the names of the
+/// reference implementations.
 #[derive(Args)]
 #[command(after_help = "Example:
   srflow models export runs/first/best.safetensors -o raft.ckpt")]
 struct Export {
-    /// Weights of one of the networks: a file, or the name of published ones, such as skflow-things
+    /// Weights of one of the networks: a file, or the name of published weights, such as skflow-things
     #[arg(value_name = "FILE|NAME")]
     weights: String,
-    /// The file to write: .ckpt, .pt or .pth (PyTorch), or .safetensors
+    /// File to write: .ckpt, .pt or .pth (PyTorch), or .safetensors
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
-    /// Replace the file if it exists
+    /// Overwrite an existing file
     #[arg(long)]
     force: bool,
 }
@@ -179,7 +179,7 @@ fn list(context: &Context) -> anyhow::Result<()> {
     }
     let folder =
         weights_folder().map_or("(none: set SRFLOW_CACHE)".into(), |folder| folder.display().to_string());
-    say!("\nWeights by name are ptlflow's; --json has their addresses. They are kept in {folder}")
+    say!("\nPublished weights are ptlflow's; --json lists their URLs. They are cached in {folder}")
 }
 
 #[derive(Serialize)]
@@ -190,7 +190,7 @@ struct Inspected<'a> {
     prefix: &'a str,
     types: Vec<String>,
     tensors: usize,
-    /// Learned numbers, as PyTorch counts parameters.
+    /// Number of learned parameters, as PyTorch counts them.
     parameters: usize,
     network: Option<&'static str>,
     lookalikes: &'static [&'static str],
@@ -238,7 +238,7 @@ fn inspect(args: Inspect, context: &Context) -> anyhow::Result<()> {
         say!("  parameters under {container}")?;
     }
     if !checkpoint.prefix().is_empty() {
-        say!("  {} taken off every name", checkpoint.prefix())?;
+        say!("  prefix {} removed from every name", checkpoint.prefix())?;
     }
     say!("  {} tensors, {} parameters, {}", infos.len(), learned(&infos), types.join(" and "))?;
     say!("  {best}")?;
@@ -256,7 +256,7 @@ fn export(args: Export, context: &Context) -> anyhow::Result<()> {
         "safetensors" => false,
         _ => wrong_usage!("{}: expected a name that ends in .ckpt, .pt, .pth or .safetensors", out.display()),
     };
-    ensure!(force || !out.exists(), "{}: this file exists; --force replaces it", out.display());
+    ensure!(force || !out.exists(), "{}: the file exists; give --force to overwrite it", out.display());
     let path = weights_file(None, &weights)?;
     let architecture = fits(&Checkpoint::open(&path)?.parameters())[0].architecture;
     let network = load_network(architecture, &path, &Default::default())?;
@@ -277,7 +277,7 @@ fn export(args: Export, context: &Context) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Without the statistics of batch norm, which are stored but not learned.
+/// Excludes the statistics of batch norm, which are stored but not learned.
 fn learned(infos: &[ParameterInfo]) -> usize {
     let learned = infos.iter().filter(|info| !info.name.contains("running_"));
     learned.map(|info| info.shape.iter().product::<usize>()).sum()

@@ -24,13 +24,13 @@ pub struct Render {
     /// Folder of the dataset
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Whose heads: `builtin`, or `ict:DIR` with ICT-FaceKit's FaceXModel folder
+    /// Head model: `builtin`, or `ict:DIR` with ICT-FaceKit's FaceXModel folder
     #[arg(long, value_name = "HEAD", default_value = "builtin")]
     head: Head,
-    /// Number of scenes, each with a subject of its own
+    /// Number of scenes, one subject each
     #[arg(long, value_name = "N", default_value_t = Settings::default().scenes)]
     scenes: u32,
-    /// Frame pairs in a scene; the mean of the scenes where it is not whole
+    /// Frame pairs per scene; if not an integer, the mean over the scenes
     #[arg(long, value_name = "N", default_value_t = Settings::default().frames)]
     frames: f64,
     /// Size of the frames, WIDTHxHEIGHT
@@ -39,19 +39,19 @@ pub struct Render {
     /// Shares of train, val and test scenes
     #[arg(long, value_name = "SHARES", default_value = "0.61,0.11,0.28", value_parser = shares)]
     splits: Shares,
-    /// Seed of every random choice
+    /// Random seed
     #[arg(long, value_name = "N", default_value_t = Settings::default().seed)]
     seed: u64,
-    /// How flow is stored
+    /// File format of the flow
     #[arg(long, value_name = "FORMAT", default_value_t = Settings::default().flow_format, help = flow_format_help())]
     flow_format: FlowFormat,
-    /// Write the flow from frame 2 to frame 1 too
+    /// Also write the flow from frame 2 to frame 1
     #[arg(long)]
     backward: bool,
-    /// Write depth too
+    /// Also write depth
     #[arg(long)]
     depth: bool,
-    /// What is behind the subject: white, black, #rrggbb, or a folder of images
+    /// Background: white, black, #rrggbb, or a folder of images
     #[arg(long, value_name = "COLOUR|DIR", default_value = "white")]
     background: Background,
     #[command(flatten)]
@@ -61,14 +61,14 @@ pub struct Render {
 type Shares = [f64; 3];
 
 fn flow_format_help() -> String {
-    format!("How flow is stored: {}", FlowFormat::ALL.map(FlowFormat::extension).join(", "))
+    format!("File format of the flow: {}", FlowFormat::ALL.map(FlowFormat::extension).join(", "))
 }
 
 fn shares(text: &str) -> Result<Shares, String> {
     let shares: Option<Vec<f64>> = text.split(',').map(|share| share.trim().parse().ok()).collect();
     shares
         .and_then(|shares| shares.try_into().ok())
-        .ok_or_else(|| format!("`{text}` are not three shares; expected TRAIN,VAL,TEST, e.g. 0.61,0.11,0.28"))
+        .ok_or_else(|| format!("expected three shares TRAIN,VAL,TEST, e.g. 0.61,0.11,0.28, found `{text}`"))
 }
 
 pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
@@ -120,7 +120,7 @@ fn pairs_per_minute(made: &Made) -> f64 {
 fn print_report(shard: Shard, report: &Report) -> anyhow::Result<()> {
     let Made { units, made, bytes, seconds, stages, stopped } = &report.run;
     say!(
-        "{made} of {units} pairs made in {seconds:.1} s: {:.1} pairs a minute, {:.1} MB, {:.1} MB/s",
+        "{made} of {units} pairs rendered in {seconds:.1} s: {:.1} pairs a minute, {:.1} MB, {:.1} MB/s",
         pairs_per_minute(&report.run),
         *bytes as f64 / 1e6,
         *bytes as f64 / 1e6 / seconds.max(1e-9),
@@ -137,14 +137,14 @@ fn print_report(shard: Shard, report: &Report) -> anyhow::Result<()> {
         Some(statistics) => print_statistics(statistics)?,
         None if *stopped => {}
         None => say!(
-            "\nPart {shard} is whole. Copy the parts together; `srflow render` with the same arguments and without --shard\n\
+            "\nPart {shard} is complete. Copy the parts together; `srflow render` with the same arguments and without --shard\n\
              then writes statistics.json."
         )?,
     }
     Ok(())
 }
 
-/// The paper's Table I, and the histogram of flow magnitudes.
+/// Prints the paper's Table I and the histogram of flow magnitudes.
 ///
 /// # Errors
 /// When standard output cannot be written to.
@@ -157,7 +157,7 @@ pub fn print_statistics(statistics: &Statistics) -> anyhow::Result<()> {
         say!("{:<13} {} scenes, {} pairs", part.split.to_string(), part.scenes, part.pairs)?;
     }
     say!(
-        "\nFlow on the head: mean {:.3} px, greatest {:.1} px, {:.2}% occluded",
+        "\nFlow on the head: mean {:.3} px, maximum {:.1} px, {:.2}% occluded",
         statistics.mean_magnitude,
         statistics.flow.max,
         100.0 * statistics.occluded_share

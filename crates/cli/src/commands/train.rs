@@ -28,7 +28,7 @@ Examples:
 
 docs/training.md is the guide: your own data, what the keys mean, what a run writes.")]
 pub struct Train {
-    /// Preset or TOML file to begin with [default: the paper's retrained SKFlow]
+    /// Preset or TOML file to start from [default: the paper's retrained SKFlow]
     #[arg(long, value_name = "PRESET|FILE", help = config_help())]
     config: Option<PathBuf>,
     /// Folder of the run
@@ -37,54 +37,54 @@ pub struct Train {
     /// Continue the run in this folder from its last checkpoint
     #[arg(long, value_name = "DIR", conflicts_with_all = ["out", "config"])]
     resume: Option<PathBuf>,
-    /// Print the configuration with every key as TOML, with --json as JSON, and do nothing else
+    /// Print the configuration with every key as TOML, or with --json as JSON, and exit
     #[arg(long)]
     print_config: bool,
-    /// Stop after this step with a checkpoint, exit code 75; --resume continues
+    /// Stop after this step with a checkpoint and exit code 75; --resume continues
     #[arg(long, value_name = "N")]
     stop_after_step: Option<u64>,
-    /// Device to train on; several share each batch
+    /// Device to train on; several devices share each batch
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     device: Vec<String>,
     #[command(flatten)]
     overrides: Overrides,
 }
 
-/// Keys of the configuration; `--set` reaches all of them.
+/// Keys of the configuration as options; `--set` reaches all keys.
 #[derive(Args, Clone, Default)]
-#[command(next_help_heading = "Instead of the configuration's")]
+#[command(next_help_heading = "Overriding the configuration")]
 pub struct Overrides {
-    /// Dataset to train on, KIND:DIR; several for a mix, KIND:DIR*TIMES
+    /// Training dataset, KIND:DIR; several for a mix, KIND:DIR*TIMES
     #[arg(long, value_name = "KIND:DIR")]
     data: Vec<String>,
-    /// Dataset to validate on [default: the val split of the training data]
+    /// Validation dataset [default: the val split of the training data]
     #[arg(long, value_name = "KIND:DIR")]
     validation: Vec<String>,
     /// Network
     #[arg(long, value_name = "NAME")]
     network: Option<String>,
-    /// Weights to start from: a file, or the name of published ones, such as things
+    /// Initial weights: a file, or the name of published weights, such as things
     #[arg(long, value_name = "FILE|NAME")]
     weights: Option<String>,
-    /// Steps, whatever the epochs
+    /// Number of steps; overrides the epochs
     #[arg(long, value_name = "N")]
     steps: Option<String>,
     /// Epochs
     #[arg(long, value_name = "N")]
     epochs: Option<String>,
-    /// Pairs in a step
+    /// Batch size in pairs
     #[arg(long, value_name = "N")]
     batch: Option<String>,
-    /// Size of the crops
+    /// Crop size
     #[arg(long, value_name = "WIDTHxHEIGHT")]
     crop: Option<String>,
-    /// Refinements of the network
+    /// Refinement iterations of the network
     #[arg(long, value_name = "N")]
     iterations: Option<String>,
-    /// Greatest learning rate
+    /// Peak learning rate
     #[arg(long, value_name = "RATE")]
     learning_rate: Option<String>,
-    /// Seed of every random choice
+    /// Random seed
     #[arg(long, value_name = "N")]
     seed: Option<String>,
     /// Any key of the configuration, e.g. training.clip=0.5 or loss.fdr=0.05
@@ -98,11 +98,11 @@ fn config_help() -> String {
 }
 
 impl Overrides {
-    /// The configuration with what was given in its place.
+    /// The configuration with the command line's overrides.
     pub fn apply(&self, mut config: Config) -> anyhow::Result<Config> {
         for (key, sources) in [("data.train", &self.data), ("validation.data", &self.validation)] {
             if !sources.is_empty() {
-                let list = serde_json::to_string(sources)?; // a list of texts is the same in TOML
+                let list = serde_json::to_string(sources)?; // a list of strings is the same in TOML
                 config = config.with_override(&format!("{key}={list}"))?;
             }
         }
@@ -156,7 +156,7 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
     if args.resume.is_some() {
         ensure!(
             args.overrides.is_empty(),
-            "--resume continues with the configuration that the run began with: leave out what would change it"
+            "--resume continues with the configuration of the run: leave out options that would change it"
         );
     }
     let (mut config, out, beginning) = match (args.resume, args.out) {
@@ -193,7 +193,7 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
     print(&out, &outcome, context)
 }
 
-/// Published weights that are named, and not a file, are fetched.
+/// Fetches published weights if a name and not a file is given.
 pub fn find_weights(config: &mut Config) -> anyhow::Result<()> {
     let network = &mut config.network;
     if let Some(weights) = network.weights.to_str().filter(|weights| !weights.is_empty()) {
@@ -248,17 +248,17 @@ fn print(out: &Path, outcome: &Outcome, context: &Context) -> anyhow::Result<()>
     Ok(())
 }
 
-/// A bar on standard error where that is a terminal; a line now and then where it is not.
+/// A bar on standard error if that is a terminal; otherwise a line now and then.
 pub struct Progress {
     bar: ProgressBar,
     done: u64,
     steps: u64,
     began: Instant,
-    /// When the last line was printed where there is no bar.
+    /// When the last line was printed, without a bar.
     printed: Option<Instant>,
 }
 
-/// Time between two lines where standard error is no terminal.
+/// Time between two lines when standard error is no terminal.
 const LINES_APART: Duration = Duration::from_secs(30);
 
 impl Progress {
@@ -293,13 +293,13 @@ impl Progress {
         }
         if start.validation.is_empty() {
             self.line(
-                "validation: none, as no training dataset has a val split with pairs; there will be no best.safetensors, \
+                "validation: none, because no training dataset has a val split with pairs; there will be no best.safetensors, \
                  only last.safetensors (name a dataset with --validation)",
             );
         }
         if start.frozen_batch_norm {
             self.line(
-                "batch norm: frozen at the statistics of the weights (--set network.batch_norm=live lets them follow)",
+                "batch norm: frozen at the statistics of the weights (--set network.batch_norm=live updates them)",
             );
         }
         let epochs = start.steps as f64 / start.steps_per_epoch as f64;
@@ -316,7 +316,7 @@ impl Progress {
                 let words = in_words(step, rate);
                 self.bar.set_position(step.step);
                 self.bar.set_message(words.clone());
-                // The first step and the last have a line in any case.
+                // The first step and the last are always printed.
                 let due = self.printed.is_none_or(|printed| printed.elapsed() >= LINES_APART);
                 if self.bar.is_hidden() && (due || step.step == self.steps) {
                     self.printed = Some(Instant::now());

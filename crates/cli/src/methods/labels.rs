@@ -1,4 +1,4 @@
-//! What tables call the methods.
+//! Names of the methods in tables.
 
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
@@ -7,8 +7,8 @@ use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image}
 
 use super::{Method, MethodSpec};
 
-/// The methods' labels; where one has none its name. A network that is there with several weights has theirs in its
-/// name, with as many folders before it as tell them apart.
+/// The methods' labels, or their names if they have none. If a network occurs with several weights, their file names are
+/// appended, with as many folders as needed to distinguish them.
 pub fn labels(specs: &[&MethodSpec]) -> Vec<String> {
     let mut weights_of: HashMap<Method, Vec<&str>> = HashMap::new();
     let mut unnamed: HashMap<Method, usize> = HashMap::new();
@@ -29,8 +29,8 @@ pub fn labels(specs: &[&MethodSpec]) -> Vec<String> {
     specs.iter().map(label).collect()
 }
 
-/// The shortest end of a path by which all of these paths differ, with the extension where they are `folders`; where none
-/// does, the path.
+/// The shortest suffix of a path that differs for all of these paths, with the extension if they are `folders`; the whole path
+/// if there is none.
 fn told_apart(path: &str, paths: &[&str], folders: bool) -> String {
     let end = |path: &str, parents: usize| {
         let whole = if folders { Path::new(path).to_owned() } else { Path::new(path).with_extension("") };
@@ -45,7 +45,7 @@ fn told_apart(path: &str, paths: &[&str], folders: bool) -> String {
     (0..longest).find(differ).map_or_else(|| path.to_owned(), |folders| end(path, folders))
 }
 
-/// An estimator under the name that the command line gives it.
+/// An estimator under the name given on the command line.
 pub struct Labelled {
     pub label: String,
     pub estimator: Box<dyn FlowEstimator>,
@@ -94,7 +94,7 @@ mod tests {
         let found =
             names(&["raft=a/things.ckpt", "raft=b/mine.pth", "gma=things.ckpt", "tvl1", "raft", "tvl1"]);
         assert_eq!(found, ["raft (things)", "raft (mine)", "gma", "tvl1", "raft"]);
-        // What training writes is always called the same.
+        // Training always writes the same file name.
         let found =
             names(&["skflow=runs/a/best.safetensors", "skflow=runs/b/best.safetensors", "skflow=things"]);
         assert_eq!(found, ["skflow (a/best)", "skflow (b/best)", "skflow (things)"]);

@@ -1,4 +1,4 @@
-//! The registry behind `--method`: every estimator the program knows, by name.
+//! The table behind `--method`: every estimator by name.
 
 mod labels;
 mod record;
@@ -19,24 +19,24 @@ use crate::usage::wrong_usage;
 use labels::{Labelled, labels};
 pub use record::records;
 
-/// A method of estimating optical flow.
+/// A method of optical flow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Method {
     /// Gunnar Farneback's polynomial expansion
     Farneback,
     /// TV-L1: total variation smoothness, absolute differences
     TvL1,
-    /// A network, whose weights come from a checkpoint
+    /// A network with weights from a checkpoint
     Network(Architecture),
-    /// Flow files of the pairs of a dataset, which another program wrote
+    /// Flow files of the pairs of a dataset, written by another program
     Files,
 }
 
 impl Method {
-    /// Those that need no weights.
+    /// Methods without weights.
     pub const CLASSICAL: [Self; 2] = [Self::Farneback, Self::TvL1];
 
-    /// As typed.
+    /// Name on the command line.
     pub fn name(self) -> &'static str {
         match self {
             Self::Farneback => "farneback",
@@ -46,7 +46,7 @@ impl Method {
         }
     }
 
-    /// Which network it is, if it is one.
+    /// The network, if it is one.
     pub fn network(self) -> Option<Architecture> {
         match self {
             Self::Network(architecture) => Some(architecture),
@@ -54,19 +54,19 @@ impl Method {
         }
     }
 
-    /// The help of an option that takes one method.
+    /// Help of an option that takes one method.
     pub fn help() -> String {
         format!(
-            "How to estimate the flow: {}; a network with its weights behind it, as in raft=FILE",
+            "How to estimate the flow: {}; a network followed by its weights, as in raft=FILE",
             Self::names()
         )
     }
 
-    /// The help of an option that takes several, after `what` they are for.
+    /// Help of an option that takes several methods, for the purpose `what`.
     pub fn help_of_several(what: &str) -> String {
         format!(
-            "{what}: {}; networks with their weights, as in skflow=FILE; files:DIR for flows that another program \
-             wrote; NAME:METHOD gives a row of the tables its name, as in SRFlowNet:skflow=FILE",
+            "{what}: {}; networks with their weights, as in skflow=FILE; files:DIR for flow files of another program; \
+            NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE",
             Self::names()
         )
     }
@@ -75,7 +75,7 @@ impl Method {
         Self::CLASSICAL.into_iter().chain(Architecture::ALL.into_iter().map(Self::Network))
     }
 
-    /// For the help of `--method`.
+    /// All names, for the help of `--method`.
     pub fn names() -> String {
         Self::all().map(Self::name).collect::<Vec<_>>().join(", ")
     }
@@ -84,11 +84,10 @@ impl Method {
 /// A method as `--method` names it: `tvl1`, `skflow`, `skflow=WEIGHTS`, `files:DIR`, `LABEL:skflow=WEIGHTS`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct MethodSpec {
-    /// What tables call it.
+    /// Name in tables.
     pub label: Option<String>,
-    /// Which.
     pub method: Method,
-    /// Weights of its own, a file or a published name; for files their folder.
+    /// Its own weights, a file or a published name; for files their folder.
     pub weights: Option<String>,
 }
 
@@ -104,7 +103,7 @@ impl FromStr for MethodSpec {
     fn from_str(text: &str) -> Result<Self, String> {
         if label_and_files(text).is_some() {
             return Err(
-                "files:DIR holds the flow of a dataset's pairs, which only `srflow eval` scores".to_owned()
+                "files:DIR works only with `srflow eval`, which scores flow files of a dataset".to_owned()
             );
         }
         let (name, weights) = match text.split_once('=') {
@@ -117,7 +116,7 @@ impl FromStr for MethodSpec {
         };
         let method = Method::all()
             .find(|method| method.name() == name)
-            .ok_or_else(|| format!("there is no method `{name}`; there are {}", Method::names()))?;
+            .ok_or_else(|| format!("unknown method `{name}`; the methods are {}", Method::names()))?;
         if label.is_some_and(|label| label.trim().is_empty()) {
             return Err(format!("`{text}` begins with an empty name; expected NAME:{name}"));
         }
@@ -131,10 +130,10 @@ impl FromStr for MethodSpec {
     }
 }
 
-/// A method as `--method` of `srflow eval` names it: also `files:DIR` and `LABEL:files:DIR`.
+/// A method of `srflow eval`: also `files:DIR` and `LABEL:files:DIR`.
 ///
 /// # Errors
-/// What is wrong with it, for people.
+/// A message for the user.
 pub fn scored_method(text: &str) -> Result<MethodSpec, String> {
     match label_and_files(text) {
         Some((_, "")) => Err(format!("`{text}` names no folder; expected files:DIR")),
@@ -147,7 +146,7 @@ pub fn scored_method(text: &str) -> Result<MethodSpec, String> {
     }
 }
 
-/// Of `files:DIR` or `LABEL:files:DIR`.
+/// Splits `files:DIR` or `LABEL:files:DIR`.
 fn label_and_files(text: &str) -> Option<(Option<&str>, &str)> {
     let labelled = || text.split_once(":files:").filter(|(label, _)| !label.trim().is_empty());
     text.strip_prefix("files:")
@@ -155,7 +154,7 @@ fn label_and_files(text: &str) -> Option<(Option<&str>, &str)> {
         .or_else(|| labelled().map(|(label, dir)| (Some(label), dir)))
 }
 
-/// Parameters of the methods. Each is for the methods its heading names and takes their default when absent.
+/// Parameters of the methods. Each applies to the methods in its heading and has a default.
 #[derive(Args, Debug, Clone, Default)]
 pub struct MethodParameters {
     #[command(flatten)]
@@ -175,7 +174,7 @@ struct FarnebackArgs {
     /// Size of a pyramid level relative to the next finer one [default: 0.5]
     #[arg(long, value_name = "SCALE")]
     pyr_scale: Option<f64>,
-    /// Pyramid levels beside the full size [default: 5]
+    /// Pyramid levels in addition to the full size [default: 5]
     #[arg(long, value_name = "N")]
     levels: Option<usize>,
     /// Side of the averaging window in pixels [default: 13]
@@ -190,7 +189,7 @@ struct FarnebackArgs {
     /// Standard deviation of the fit's weight in pixels [default: 1.1]
     #[arg(long, value_name = "PIXELS")]
     poly_sigma: Option<f64>,
-    /// Average with a Gaussian window in place of a box
+    /// Use a Gaussian averaging window in place of a box
     #[arg(long)]
     farneback_gaussian: bool,
 }
@@ -214,7 +213,7 @@ struct TvL1Args {
     /// Warps at each scale [default: 5]
     #[arg(long, value_name = "N")]
     warps: Option<usize>,
-    /// Iterations end when the flow changes by less than this, in pixels [default: 0.01]
+    /// Stop iterating when the flow changes by less than this, in pixels [default: 0.01]
     #[arg(long, value_name = "PIXELS")]
     epsilon: Option<f64>,
     /// Iterations between two median filters [default: 30]
@@ -226,7 +225,7 @@ struct TvL1Args {
     /// Size of a scale relative to the next finer one [default: 0.8]
     #[arg(long, value_name = "SCALE")]
     scale_step: Option<f64>,
-    /// Weight of a brightness change estimated beside the flow; 0 estimates none [default: 0]
+    /// Weight of an additional brightness change; 0 disables it [default: 0]
     #[arg(long, value_name = "WEIGHT")]
     gamma: Option<f64>,
     /// Side of the median filter, 3 or 5 pixels, or 1 for none [default: 5]
@@ -242,10 +241,10 @@ pub fn estimator(spec: &MethodSpec, parameters: &MethodParameters) -> anyhow::Re
     Ok(estimators(std::slice::from_ref(spec), parameters)?.swap_remove(0))
 }
 
-/// The estimators of these methods, in their order, each once.
+/// The estimators of these methods, in order, without duplicates.
 ///
 /// # Errors
-/// When a parameter is out of its range or for none of the methods, or weights cannot be loaded.
+/// When a parameter is out of range or applies to none of the methods, or weights cannot be loaded.
 pub fn estimators(
     specs: &[MethodSpec],
     parameters: &MethodParameters,
@@ -268,7 +267,7 @@ impl Source {
     }
 }
 
-/// The estimators, and the flow files of the pairs of `dataset` that are scored, in their order, each once.
+/// The estimators and the flow files of the scored pairs of `dataset`, in order, without duplicates.
 ///
 /// # Errors
 /// As [`estimators`], and when a pair has no flow file.
@@ -279,7 +278,7 @@ pub fn sources(
     limit: Option<usize>,
 ) -> anyhow::Result<Vec<Source>> {
     let specs = named(specs, parameters)?;
-    // Files first: what is missing is said before networks are loaded.
+    // Files first: missing ones are reported before networks are loaded.
     let mut files: Vec<Option<FlowFiles>> = Vec::new();
     for (spec, label) in &specs {
         let dir = spec.weights.as_deref().filter(|_| spec.method == Method::Files);
@@ -293,7 +292,7 @@ pub fn sources(
     specs.into_iter().zip(files).map(source).collect()
 }
 
-/// Each of these methods once, in their order, with what tables call it.
+/// These methods in order, without duplicates, with their names in tables.
 fn named<'a>(
     specs: &'a [MethodSpec],
     parameters: &MethodParameters,
@@ -321,15 +320,13 @@ fn named<'a>(
             wrong_usage!("`zero` is the baseline of the tables: give the method another name");
         }
         if labels[..number].contains(label) {
-            wrong_usage!(
-                "two methods are called {label}: give one another name, as in --method NAME:skflow=FILE"
-            );
+            wrong_usage!("two methods have the name {label}: rename one, as in --method NAME:skflow=FILE");
         }
     }
     Ok(specs.into_iter().zip(labels).collect())
 }
 
-/// Each once, in the order in which they are given.
+/// Without duplicates, in the given order.
 fn distinct(specs: &[MethodSpec]) -> Vec<&MethodSpec> {
     let mut found: Vec<&MethodSpec> = Vec::new();
     for spec in specs {
@@ -416,7 +413,7 @@ mod tests {
         assert_eq!(spec("Ours: 3:skflow=a=b/c.ckpt"), Ok(labelled));
         assert_eq!(spec("tvl1").unwrap().label, None);
         assert!(spec("pwc").unwrap_err().contains("farneback, tvl1, raft"));
-        assert!(spec("a:pwc").unwrap_err().contains("no method `pwc`"));
+        assert!(spec("a:pwc").unwrap_err().contains("unknown method `pwc`"));
         assert!(spec("tvl1=a").is_err() && spec("raft=").is_err() && spec("").is_err());
         assert!(spec(":tvl1").unwrap_err().contains("empty name"));
         let files = MethodSpec { label: None, method: Method::Files, weights: Some("out/a:b=c".to_owned()) };

@@ -1,4 +1,4 @@
-//! What results say of the flow methods that made them.
+//! The description of flow methods that results store.
 
 use srflow_eval::MethodRecord;
 use srflow_mer::file_digest;
@@ -6,7 +6,7 @@ use srflow_mer::file_digest;
 use super::labels::labels;
 use super::{Method, MethodParameters, MethodSpec, distinct};
 
-/// Of each method once, in their order, as [`super::estimators`] has them.
+/// One record per method, in the order of [`super::estimators`].
 ///
 /// # Errors
 /// When weights cannot be found or read.

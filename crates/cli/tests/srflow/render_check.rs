@@ -167,7 +167,7 @@ fn parts_merge_by_copying() {
     for part in ["1/2", "2/2"] {
         let out = dir.path().join(part.replace('/', "-"));
         let stdout = succeeds(&render(&out, &["--shard", part]));
-        assert!(stdout.contains(&format!("Part {part} is whole")), "{stdout}");
+        assert!(stdout.contains(&format!("Part {part} is complete")), "{stdout}");
         copy_into(&out, &merged);
     }
     let mut without_statistics = tree(whole());

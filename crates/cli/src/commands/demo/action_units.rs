@@ -7,15 +7,15 @@ use srflow_field::{Image, flow_colors};
 use srflow_render::generate::{Rig, View};
 use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, Rasterizer};
 
-/// Size of the rendering and width of the picture on the page: Gaussians far smaller than a pixel look thick, so that the
-/// rendering is larger and shrunk.
+/// Size of the rendering and width of the picture on the page: Gaussians far smaller than a pixel look thick, so the
+/// rendering is larger and downscaled.
 const RENDERED: (usize, usize) = (640, 760);
 const SHOWN_WIDTH: usize = 280;
 
-/// How much closer than a camera of the rig the face is looked at.
+/// How many times closer than the rig the camera is.
 const ZOOM: f64 = 2.1;
 
-/// What FACS calls each unit (Ekman, Friesen and Hager 2002).
+/// The FACS name of each unit (Ekman, Friesen and Hager 2002).
 const NAMES: [(u8, &str); 22] = [
     (1, "inner brow raiser"),
     (2, "outer brow raiser"),
@@ -72,7 +72,7 @@ pub fn cards(avatar: &Avatar, background: [u8; 3]) -> anyhow::Result<Vec<ActionC
     numbers.into_iter().map(card).collect()
 }
 
-/// One camera that looks at a face, and what it needs to render.
+/// One camera that looks at a face, and its rasterizer.
 struct Studio {
     camera: Camera,
     options: Options,
@@ -96,7 +96,7 @@ impl Studio {
         Ok(shrink_image(&self.frame.image, SHOWN_WIDTH))
     }
 
-    /// Flow from one set to the other, in colours whose full strength is near its longest.
+    /// Flow from one set to the other, in colours with full strength near its longest.
     fn flow(&mut self, from: &Gaussians, to: &Gaussians) -> anyhow::Result<Image> {
         let outputs = Outputs { flow: true, ..Outputs::IMAGE };
         let options = Options { outputs, ..self.options };
@@ -107,13 +107,13 @@ impl Studio {
     }
 }
 
-/// Middle of the facial landmarks at rest, metres; the origin for a head without landmarks.
+/// Centre of the facial landmarks at rest, metres; the origin for a head without landmarks.
 fn face_centre(avatar: &Avatar) -> DVec3 {
     let places = avatar.model().landmarks_on(&avatar.shaped().vertices);
     places.map(|place| place.as_dvec3()).sum::<DVec3>() / avatar.model().landmarks.len().max(1) as f64
 }
 
-/// The longest way of any vertex, in millimetres.
+/// The largest displacement of any vertex, in millimetres.
 fn furthest_millimetres(from: &[Vec3], to: &[Vec3]) -> f32 {
     1e3 * from.iter().zip(to).map(|(from, to)| from.distance(*to)).fold(0.0, f32::max)
 }

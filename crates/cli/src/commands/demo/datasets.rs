@@ -1,5 +1,5 @@
-//! Rendering the demo's two datasets as `srflow render` does: stills of three heads at full size, and a smaller
-//! one with more frames.
+//! Renders the demo's two datasets as `srflow render` does: stills of three heads at full size, and a smaller one with
+//! more frames.
 
 use std::path::{Path, PathBuf};
 
@@ -15,18 +15,18 @@ use srflow_render::generate::{self, Background, Head, Report, Settings};
 
 use crate::rendering::RenderingArgs;
 
-/// Behind every head: a warm grey that is calm on a light and on a dark page.
+/// Background of every head: a warm grey that suits light and dark pages.
 pub const BACKGROUND: [u8; 3] = [0xdd, 0xda, 0xd4];
 
-/// How many heads there are, each in a scene of its own.
+/// Number of heads, one scene each.
 const HEADS: u32 = 3;
 
-/// Three heads at full size. Eight pairs are enough that the first of them moves no faster than faces do.
+/// Three heads at full size. With eight pairs, the first pair moves no faster than faces do.
 pub fn stills(size: Size) -> Plan {
     Plan { folder: "stills", frames: 8, size }
 }
 
-/// The same three heads in motion, a sixteenth of the pixels.
+/// The same three heads in motion, at a sixteenth of the pixels.
 pub fn clips(full: Size) -> Plan {
     let quarter = |side: usize| (side / 4).max(16);
     Plan {
@@ -36,7 +36,7 @@ pub fn clips(full: Size) -> Plan {
     }
 }
 
-/// What one dataset is to be.
+/// Settings of one dataset.
 #[derive(Debug, Clone, Copy)]
 pub struct Plan {
     /// Folder inside the demo's.
@@ -50,14 +50,14 @@ pub struct Plan {
 pub struct Rendered {
     /// Its folder.
     pub dir: PathBuf,
-    /// What rendering it took and what it holds.
+    /// Time and contents.
     pub report: Report,
     /// Its pairs.
     pub dataset: FlowDataset,
 }
 
 impl Plan {
-    /// Renders it, or what is missing of it, with a bar on standard error where that is a terminal.
+    /// Renders the dataset, or the missing part of it, with a bar on standard error if that is a terminal.
     ///
     /// # Errors
     /// Those of [`generate::generate`] and of opening the result.
@@ -114,18 +114,18 @@ impl Rendered {
 pub struct Still {
     /// The whole frame.
     pub portrait: Panel,
-    /// A part of it, pixel for pixel.
+    /// A part of it at full resolution.
     pub detail: Panel,
     /// Frame, flow, mask and occlusion.
     pub panels: Vec<Panel>,
-    /// The frame alone and its flow, for a divider between them.
+    /// The frame and its flow, for a comparison with a divider.
     pub over_flow: (Picture, Picture),
 }
 
-/// The first pair of every scene as pictures; it begins before the frontal camera.
+/// The first pair of every scene as pictures, starting from the frontal camera.
 ///
 /// # Errors
-/// When a file cannot be read or a picture not be encoded.
+/// When a file cannot be read or a picture cannot be encoded.
 pub fn portraits(rendered: &Rendered) -> anyhow::Result<Vec<Still>> {
     let mut stills = Vec::new();
     let mut scene = None;
@@ -169,10 +169,10 @@ fn still(sample: &Sample, name: &str) -> anyhow::Result<Still> {
     })
 }
 
-/// The first scene as films: the frames, and their flow in colours of one scale.
+/// The first scene as animations: the frames, and their flow on one colour scale.
 ///
 /// # Errors
-/// When a file cannot be read or a film not be encoded.
+/// When a file cannot be read or an animation cannot be encoded.
 pub fn films(rendered: &Rendered) -> anyhow::Result<(Vec<Film>, f64)> {
     const WIDTH: usize = 366;
     let entries = rendered.dataset.entries();
@@ -193,8 +193,8 @@ pub fn films(rendered: &Rendered) -> anyhow::Result<(Vec<Film>, f64)> {
         })
         .collect();
     let films = vec![
-        Film::new(&frames, "Frames", "what a camera sees")?,
-        Film::new(&flows, "Flow", "where every pixel goes next")?,
+        Film::new(&frames, "Frames", "the rendered frames")?,
+        Film::new(&flows, "Flow", "the motion of every pixel to the next frame")?,
         Film::new(&hidden, "Occlusion", "pixels that the next frame hides")?,
     ];
     Ok((films, longest))

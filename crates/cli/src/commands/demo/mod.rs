@@ -1,4 +1,4 @@
-//! `srflow demo`: the pipeline end to end, small enough to wait for. One file per stage.
+//! `srflow demo`: the pipeline end to end, in a few minutes. One file per stage.
 
 mod action_units;
 mod datasets;
@@ -26,7 +26,7 @@ use stage::Stages;
 /// Render a small dataset, estimate its flow, score it and show everything in one report
 #[derive(Args)]
 #[command(after_help = "\
-Renders three heads at 2200x3208 and a smaller dataset of the same heads in motion, estimates its flow with every \
+Renders three heads at 2200x3208 and a smaller dataset of the same heads in motion, estimates the flow with every \
 method, scores it and writes one self-contained HTML file.
 
 Example: with a pair of real photographs too, and the report opened at the end
@@ -35,16 +35,16 @@ pub struct Demo {
     /// Folder for the datasets, the scores and report.html
     #[arg(long, value_name = "DIR", default_value = "srflow-demo")]
     out: PathBuf,
-    /// Whose heads: `builtin`, or `ict:DIR` with ICT-FaceKit's FaceXModel folder
+    /// Head model: `builtin`, or `ict:DIR` with ICT-FaceKit's FaceXModel folder
     #[arg(long, value_name = "HEAD", default_value = "builtin")]
     head: Head,
-    /// Seed of every random choice; another seed gives other heads
+    /// Random seed; another seed gives other heads
     #[arg(long, value_name = "N", default_value_t = 5)]
     seed: u64,
     /// Size of the large frames, WIDTHxHEIGHT; smaller is faster
     #[arg(long, value_name = "SIZE", default_value = "2200x3208")]
     size: Size,
-    /// A folder of KITTI 2015, for real photographs with true flow
+    /// Folder of KITTI 2015, to add real photographs with true flow
     #[arg(long, value_name = "DIR", conflicts_with = "pair")]
     kitti: Option<PathBuf>,
     /// Two photographs and the true flow between them
@@ -53,12 +53,12 @@ pub struct Demo {
     /// Open the report in the browser
     #[arg(long)]
     open: bool,
-    /// Regenerate everything where a demo exists
+    /// Delete an existing demo and regenerate everything
     #[arg(long)]
     force: bool,
 }
 
-/// The paper scores 1200 by 1600 pixels around the head of frames of 2200 by 3208; the same share of other sizes.
+/// The paper scores 1200 by 1600 pixels around the head in frames of 2200 by 3208; other sizes use the same proportion.
 fn paper_crop(size: Size) -> (usize, usize) {
     let (full_width, full_height) = FULL_SIZE;
     ((size.width * 1200 / full_width).max(1), (size.height * 1600 / full_height).max(1))
@@ -125,7 +125,7 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The photographs that were asked for; what is wrong with them is said before any work.
+/// The requested photographs; problems with them are reported before any work.
 fn photographs(args: &Demo) -> anyhow::Result<Option<FlowDataset>> {
     if let Some(dir) = &args.kitti {
         let spec = DatasetSpec { kind: "kitti-2015".to_owned(), dir: dir.clone() };
@@ -149,7 +149,7 @@ fn score(
     scoring::score(dataset, &methods, settings, Pictures { pairs: pairs.min(3), width: 380 }, None)
 }
 
-/// Where the report is and how long it took; everything measured with `--json`.
+/// Prints the path of the report and the times; with `--json`, all measurements.
 fn tell(report: &Path, shown: &page::Shown, stages: &Stages, context: &Context) -> anyhow::Result<()> {
     if context.json {
         let result = json!({
@@ -168,7 +168,7 @@ fn tell(report: &Path, shown: &page::Shown, stages: &Stages, context: &Context) 
     for stage in &stages.done {
         say!("{:>6.1} s  {}", stage.seconds, stage.name)?;
     }
-    say!("{:>6.1} s  together\n\nThe report: {}", stages.seconds(), address(report))?;
+    say!("{:>6.1} s  total\n\nThe report: {}", stages.seconds(), address(report))?;
     Ok(())
 }
 
@@ -180,7 +180,7 @@ fn address(path: &Path) -> String {
     if text.starts_with('/') { format!("file://{text}") } else { format!("file:///{text}") }
 }
 
-/// Hands the file to the system's browser.
+/// Opens the file in the default browser.
 fn open(path: &Path) -> anyhow::Result<()> {
     let program = match std::env::consts::OS {
         "macos" => "open",

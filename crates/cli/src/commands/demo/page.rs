@@ -1,4 +1,4 @@
-//! What the demo's report says, from top to bottom.
+//! The contents of the demo's report, from top to bottom.
 
 use srflow_eval::Evaluation;
 use srflow_eval::report::{
@@ -9,17 +9,17 @@ use srflow_eval::report::{
 use super::datasets::{Rendered, Still};
 use super::stage::Stages;
 
-/// Everything that the page shows.
+/// All data of the page.
 pub struct Shown {
     /// Three heads at full size.
     pub heads: Vec<Still>,
-    /// The dataset they are from.
+    /// The dataset of the stills.
     pub stills: Rendered,
     /// The dataset with motion.
     pub clips: Rendered,
-    /// A scene of it, and the length in pixels of the strongest flow colour.
+    /// One scene of it as animations, and the length in pixels of the strongest flow colour.
     pub films: (Vec<Film>, f64),
-    /// How many Gaussians the first head has.
+    /// Number of Gaussians of the first head.
     pub gaussians: usize,
     /// Action units.
     pub cards: Vec<ActionCard>,
@@ -27,11 +27,11 @@ pub struct Shown {
     pub at_full_size: (Evaluation, Vec<Figure>),
     /// Scores on the dataset with motion.
     pub in_motion: (Evaluation, Vec<Figure>),
-    /// Scores on photographs, when there were any.
+    /// Scores on photographs, if there are any.
     pub on_photographs: Option<(Evaluation, Vec<Figure>)>,
-    /// How to render the same datasets.
+    /// The commands that render the same datasets.
     pub commands: Vec<String>,
-    /// What the times were measured on.
+    /// The machine that the times were measured on.
     pub machine: String,
 }
 
@@ -46,9 +46,9 @@ pub fn page(shown: &Shown, stages: &Stages) -> anyhow::Result<Page> {
     Ok(Page {
         kicker: "srflow demo".to_owned(),
         title: "From a head of Gaussians to evaluated optical flow".to_owned(),
-        lead: "Everything on this page was computed in one run, on this machine, from a seed: heads made of 3D \
-            Gaussians, the frames that cameras see, the exact motion of every pixel, and the flow that methods estimate \
-            from these frames, with its errors."
+        lead: "Everything on this page was computed in one run, on this machine, from one seed: heads made of 3D \
+        Gaussians, rendered frames, the exact motion of every pixel, and the flow that each method estimates from \
+        these frames, with its errors."
             .to_owned(),
         opening: opening(shown, stages)?,
         sections,
@@ -69,7 +69,7 @@ fn opening(shown: &Shown, stages: &Stages) -> anyhow::Result<Vec<Figure>> {
     Ok(vec![
         tiles(&numbers),
         films(films_of_scene, 24.0, ""),
-        wheel_legend(*longest, "The films run back and forth; point at one to hold it.")?,
+        wheel_legend(*longest, "The animations run back and forth; hover over one to pause it.")?,
     ])
 }
 
@@ -82,7 +82,7 @@ fn heads(shown: &Shown) -> Section {
             2200×3208 the frames are as large as NeRSemble's, the recordings that the SRFlow paper starts from.",
         vec![
             panels(&portraits, 240, "The canonical frontal camera, scaled down for this page."),
-            panels(&details, 320, "The middle of the same frames."),
+            panels(&details, 320, "The centre of the same frames at full resolution."),
         ],
     )
 }
@@ -110,7 +110,7 @@ fn action_units(shown: &Shown) -> Section {
             intensity beside its flow from rest. They combine, and micro-expressions are short, faint episodes of them.",
         vec![action_cards(
             &shown.cards,
-            "Millimetres are those of the vertex that moves most. Each flow has its own scale, so that small motion shows.",
+            "Millimetres are those of the vertex that moves most. Each flow has its own scale, to make small motion visible.",
         )],
     )
 }
@@ -169,10 +169,10 @@ fn making(shown: &Shown, stages: &Stages) -> Section {
 fn rendering(rendered: &Rendered) -> String {
     let report = &rendered.report;
     if report.run.made == 0 {
-        return format!("{} pairs, all there from an earlier run", report.run.units);
+        return format!("{} pairs, all from an earlier run", report.run.units);
     }
     format!(
-        "{} pairs in {:.1} s, heads, encoding and writing included: {:.1} pairs a minute, {:.1} MB a pair",
+        "{} pairs in {:.1} s, including heads, encoding and writing: {:.1} pairs a minute, {:.1} MB a pair",
         report.run.made,
         report.run.seconds,
         60.0 * report.run.made as f64 / report.run.seconds.max(1e-9),
@@ -191,7 +191,7 @@ fn stage_times(stages: &Stages) -> Figure {
     bars(&stages.done.iter().map(stage).collect::<Vec<_>>(), &chart)
 }
 
-/// How far the pixels of the heads move.
+/// Histogram of the flow length on the heads.
 fn magnitudes(rendered: &Rendered) -> Figure {
     let chart = |caption: String| {
         Chart::new(
@@ -206,7 +206,7 @@ fn magnitudes(rendered: &Rendered) -> Figure {
             &[],
             Axis::Logarithmic,
             Axis::Linear,
-            &chart("The dataset is not whole.".to_owned()),
+            &chart("The dataset is incomplete.".to_owned()),
         );
     };
     let pixels = statistics.flow.pixels.max(1) as f64;

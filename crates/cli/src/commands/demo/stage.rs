@@ -1,11 +1,11 @@
-//! The stages of the demo: announced while they run, timed for the report.
+//! The stages of the demo: announced while they run, and timed for the report.
 
 use std::io::IsTerminal;
 use std::time::Instant;
 
 use serde::Serialize;
 
-/// One stage that is over.
+/// A finished stage.
 #[derive(Debug, Clone, Serialize)]
 pub struct StageTime {
     /// What was done.
@@ -14,22 +14,22 @@ pub struct StageTime {
     pub seconds: f64,
 }
 
-/// The stages that are over.
+/// The finished stages.
 #[derive(Debug)]
 pub struct Stages {
-    /// How many there will be, for `2/5`.
+    /// Total number of stages, for `2/5`.
     count: usize,
-    /// In the order in which they ran.
+    /// In the order they ran.
     pub done: Vec<StageTime>,
 }
 
 impl Stages {
-    /// None over yet of `count`.
+    /// `count` stages, none of them finished.
     pub fn of(count: usize) -> Self {
         Self { count, done: Vec::new() }
     }
 
-    /// Runs one stage, announced on standard error where that is a terminal.
+    /// Runs one stage, and announces it on standard error if that is a terminal.
     ///
     /// # Errors
     /// Those of `work`.

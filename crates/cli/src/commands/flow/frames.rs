@@ -1,4 +1,4 @@
-//! Where the frames come from.
+//! The source of the frames.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -10,7 +10,7 @@ use srflow_read::flow::pictures;
 use crate::usage::wrong_usage;
 use crate::video::{self, VideoReader, is_video};
 
-/// Two pictures or more, or a video.
+/// Two or more pictures, or a video.
 pub enum Source {
     Files(Vec<PathBuf>),
     Video(PathBuf, video::Facts),
@@ -25,19 +25,19 @@ impl fmt::Display for Source {
     }
 }
 
-/// A frame and what it is called.
+/// A frame and its names.
 pub struct Frame {
-    /// For reports.
+    /// For messages and reports.
     pub label: String,
-    /// What the files of the flow from it are named after.
+    /// Stem of the files of its flow.
     pub stem: String,
     pub image: Image,
 }
 
 impl Source {
     /// # Errors
-    /// When there are not two frames. Of pictures every header is read: of their sizes, and that they are pictures, nobody
-    /// learns in the middle of the work.
+    /// When there are fewer than two frames. The headers of all pictures are read first, so that a wrong size or a broken
+    /// file is reported before any work.
     pub fn open(arguments: &[PathBuf]) -> anyhow::Result<Self> {
         let files = match arguments {
             [folder] if folder.is_dir() => frames_of(folder)?,
@@ -51,7 +51,7 @@ impl Source {
             frames => frames.to_vec(),
         };
         if let Some(video) = files.iter().find(|file| is_video(file)) {
-            wrong_usage!("{}: a video is given alone", video.display());
+            wrong_usage!("{}: a video must be the only input", video.display());
         }
         let mut first = None;
         for file in &files {
@@ -67,7 +67,7 @@ impl Source {
         Ok(Self::Files(files))
     }
 
-    /// Number of pairs, where it is known.
+    /// Number of pairs, if known.
     pub fn pairs(&self) -> Option<u64> {
         match self {
             Self::Files(files) => Some(files.len() as u64 - 1),
@@ -75,7 +75,7 @@ impl Source {
         }
     }
 
-    /// Names of the first frames of the pairs, as far as they are known; of a video, one stands for all.
+    /// Names of the first frames of the pairs, as far as known; for a video, one stands for all.
     pub fn stems(&self) -> Vec<String> {
         match self {
             Self::Files(files) => files[..files.len() - 1].iter().map(|file| stem(file)).collect(),
@@ -83,7 +83,7 @@ impl Source {
         }
     }
 
-    /// Names of the first frames of the pairs; of a video, of as many as there may be.
+    /// Names of the first frames of the pairs; for a video, of as many as it may have.
     pub fn all_stems(&self) -> Box<dyn Iterator<Item = String> + '_> {
         match self {
             Self::Files(files) => Box::new(files[..files.len() - 1].iter().map(|file| stem(file))),
@@ -91,7 +91,7 @@ impl Source {
         }
     }
 
-    /// Frames a second, for a video made of them.
+    /// Frames per second for a video of the results.
     pub fn rate(&self) -> &str {
         match self {
             Self::Video(_, video::Facts { rate: Some(rate), .. }) => rate,
@@ -99,7 +99,7 @@ impl Source {
         }
     }
 
-    /// Reads the frames in order, without the first `skip`; `take` says whether it wants more.
+    /// Reads the frames in order, except the first `skip`; `take` returns whether it wants more.
     pub fn read(&self, skip: u64, mut take: impl FnMut(anyhow::Result<Frame>) -> bool) {
         match self {
             Self::Files(files) => {
@@ -149,7 +149,7 @@ fn stem(file: &Path) -> String {
     file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The frames in a folder, in the order of the numbers in their names.
+/// The frames in a folder, in natural order of their names.
 fn frames_of(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let frames = pictures(folder).with_context(|| "the folder of the frames")?;
     check_for_holes(folder, &frames)?;
@@ -163,12 +163,12 @@ fn frames_of(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     Ok(frames)
 }
 
-/// A frame that is left out makes the flow around it that of two frames apart.
+/// A missing frame would give the flow between frames that are not neighbours.
 ///
 /// # Errors
-/// Names a picture that is no file (a link to one that is gone), or a number that the others lead to expect.
+/// Names a picture that is not a file (such as a dangling link), or a missing number.
 fn check_for_holes(folder: &Path, frames: &[PathBuf]) -> anyhow::Result<()> {
-    let advice = "put it there, or name the frames one by one";
+    let advice = "add it, or list the frames one by one";
     for entry in std::fs::read_dir(folder).with_context(|| folder.display().to_string())? {
         let path = entry.with_context(|| folder.display().to_string())?.path();
         let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
@@ -176,7 +176,7 @@ fn check_for_holes(folder: &Path, frames: &[PathBuf]) -> anyhow::Result<()> {
         let hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
         ensure!(
             !is_picture || hidden || path.is_dir() || path.is_file(),
-            "{}: expected a frame, found a link to a file that is not there, or no regular file; {advice}",
+            "{}: expected a frame, found a dangling link or no regular file; {advice}",
             path.display()
         );
     }
@@ -191,8 +191,8 @@ fn check_for_holes(folder: &Path, frames: &[PathBuf]) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Positions of the first two neighbours whose numbers lie farther apart than others': `f_1`, `f_2`, `f_4`. None where the
-/// names are not one text with a number in it.
+/// Positions of the first two neighbours whose numbers differ by more than the others': `f_1`, `f_2`, `f_4`. None unless all
+/// names are the same text around a number.
 fn hole(stems: &[String]) -> Option<(usize, usize)> {
     let parts = |stem: &String| {
         let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;

@@ -32,16 +32,15 @@ Examples:
   srflow flow --method skflow --weights skflow-things.ckpt clip.mp4 -o flows/ --viz colours.mp4 --viz-max 20
   srflow flow --method raft --weights raft.pth --tile auto 4k1.png 4k2.png -o flow.flo
 
-Two frames give one file, in the format of its extension. More frames, a folder of them in the order of their numbers, or \
-a video give a folder: the flow from each frame to the next, under the name of the former (in a video its number, from 1). \
-A run that was stopped goes on when the same command is given again. \
-Frames are read as they are needed: a sequence of any length takes the memory of a few. Videos are read and written \
-through the program ffmpeg.")]
+Two frames give one file, in the format of its extension. More frames, a folder of them (in the order of their numbers), or \
+a video give a folder with the flow from each frame to the next, named after the first frame (in a video after its number, \
+from 1). Run the same command again to continue an interrupted run. Frames are read on demand: memory does not grow with \
+the length of a sequence. Videos are read and written by the program ffmpeg.")]
 pub struct Flow {
     /// Two frames or more, a folder of them, or a video
     #[arg(required = true, value_name = "FRAME")]
     frames: Vec<PathBuf>,
-    /// File of the flow, or folder of the flows
+    /// Flow file, or folder of flow files
     #[arg(short, long, value_name = "OUT")]
     out: PathBuf,
     /// How to estimate the flow
@@ -50,22 +49,22 @@ pub struct Flow {
     /// Format of the files in a folder
     #[arg(long, value_name = "FORMAT", default_value = "flo")]
     format: FlowFormat,
-    /// Draw the flow in colours too: a PNG file, or a folder of them, or a video
+    /// Also draw the flow in colours: into a PNG file, a folder of PNG files, or a video
     #[arg(long, value_name = "OUT")]
     viz: Option<PathBuf>,
-    /// Length in pixels of the flow that gets the fullest colour [default: the longest of each flow]
+    /// Length in pixels of the flow with full colour [default: the longest of each flow]
     #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = super::convert::positive)]
     viz_max: Option<f32>,
-    /// Start from this flow, for two frames
+    /// Start from this flow (for two frames)
     #[arg(long, value_name = "FLOW")]
     initial_flow: Option<PathBuf>,
-    /// In a sequence, start from the flow of the pair before, moved along itself
+    /// Start each pair of a sequence from the flow of the previous one, projected forward
     #[arg(long)]
     warm_start: bool,
     /// Pairs of a sequence that a network estimates at once
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     batch: u16,
-    /// Overwrite files that exist
+    /// Overwrite existing files
     #[arg(long)]
     force: bool,
     #[command(flatten)]
@@ -78,9 +77,9 @@ struct Estimated {
     method: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     network: Option<NetworkUsed>,
-    /// What the method saw of a frame, after `--scale` and `--tile`.
+    /// Size of the network's input, after `--scale` and `--tile`.
     resolution: Option<Resolution>,
-    /// Pairs whose files were there from a run that was cut short; they are not listed.
+    /// Pairs already written by an interrupted run; they are not listed.
     #[serde(skip_serializing_if = "is_zero")]
     resumed: u64,
     pairs: Vec<EstimatedPair>,
@@ -106,7 +105,7 @@ struct EstimatedPair {
     viz: Option<PathBuf>,
     width: usize,
     height: usize,
-    /// Time the estimation took, without reading and writing; of a batch, its pairs' share.
+    /// Time of estimation, without reading and writing; in a batch, an equal share.
     seconds: f64,
 }
 
@@ -114,7 +113,9 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     args.parameters.network.batch = args.batch.into();
     let network = &args.parameters.network;
     if args.warm_start && network.batch > 1 {
-        wrong_usage!("--warm-start waits for the pair before, so that --batch is 1: leave one of them out");
+        wrong_usage!(
+            "--warm-start needs the flow of the previous pair, so --batch must be 1: leave one of them out"
+        );
     }
     let source = Source::open(&args.frames)?;
     let mut outputs = Outputs::plan(&args, &source)?;
@@ -130,7 +131,7 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     let reports = std::thread::scope(|scope| {
         let (sender, frames) = sync_channel(1);
         scope.spawn(|| {
-            let sender = sender; // gone when the last frame is read
+            let sender = sender; // dropped after the last frame
             source.read(resumed, |frame| sender.send(frame).is_ok());
         });
         let work = Work {
@@ -150,7 +151,7 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     outputs.finish()?;
     if !context.json {
         if resumed > 0 {
-            say!("{resumed} flows were there from the run before")?;
+            say!("{resumed} flows from the interrupted run were kept")?;
         }
         for pair in &reports {
             say!("{}  {}x{}  {:.3} s", pair.flow.display(), pair.width, pair.height, pair.seconds)?;
@@ -185,7 +186,7 @@ fn is_zero(count: &u64) -> bool {
     *count == 0
 }
 
-/// What the flows follow from: two runs of one identity write the same files.
+/// Everything the flow depends on: runs with the same identity write the same files.
 fn identity(args: &Flow) -> anyhow::Result<String> {
     let records = methods::records(std::slice::from_ref(&args.method), &args.parameters)?;
     let method: Vec<String> = records.iter().map(|record| record.identity()).collect();
@@ -212,7 +213,7 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// Two frames, from a flow that is given.
+    /// Two frames, starting from an initial flow.
     fn pair_from(&self, frames: &Frames, initial: &FlowField) -> anyhow::Result<Vec<EstimatedPair>> {
         let next = || frames.recv().context("the thread that reads frames ended early")?;
         let (first, second) = (next()?, next()?);
@@ -231,13 +232,13 @@ impl Work<'_> {
         Ok(vec![self.write((&first.label, &first.stem), &second.label, &flow, seconds, &mut None)?])
     }
 
-    /// A sequence, as many pairs at once as `--batch` says.
+    /// A sequence, `--batch` pairs at a time.
     fn along(&self, frames: &Frames) -> anyhow::Result<Vec<EstimatedPair>> {
         let mut sequence = self.estimator.sequence(self.args.warm_start);
         let batch = self.args.parameters.network.batch;
         let mut video = None;
         let mut reports = Vec::new();
-        // Names of the frame before those that are pushed, and of these.
+        // Names of the frame before those that are pushed, and of the pushed ones.
         let mut names: Vec<(String, String)> = Vec::new();
         loop {
             let wanted = if names.is_empty() { batch + 1 } else { batch };

@@ -1,4 +1,4 @@
-//! Where the flows go.
+//! The destination of the flow.
 
 use std::collections::HashSet;
 use std::fs;
@@ -13,7 +13,7 @@ use crate::output::ensure_free;
 use crate::usage::wrong_usage;
 use crate::video::is_video;
 
-/// The files that the flows are written to.
+/// The flow files to write.
 pub struct Outputs {
     flows: Flows,
     viz: Option<Viz>,
@@ -25,7 +25,7 @@ enum Flows {
     Folder(PathBuf, FlowFormat),
 }
 
-/// Where the colours go.
+/// The destination of the colour pictures.
 enum Viz {
     File(PathBuf),
     Folder(PathBuf),
@@ -39,10 +39,10 @@ pub struct PairFiles {
 }
 
 impl Outputs {
-    /// Two frames and a name with an extension give a file, everything else a folder.
+    /// Two frames and a name with an extension give a file; everything else gives a folder.
     ///
     /// # Errors
-    /// When `--out` or `--viz` cannot be what the frames give.
+    /// When `--out` or `--viz` does not fit the frames.
     pub fn plan(args: &Flow, source: &Source) -> anyhow::Result<Self> {
         let two_files = matches!(source, Source::Files(files) if files.len() == 2 && args.frames.len() == 2);
         let is_file = two_files
@@ -56,7 +56,7 @@ impl Outputs {
     fn file(args: &Flow) -> anyhow::Result<(Flows, Option<Viz>)> {
         if FlowFormat::from_path(&args.out).is_none() {
             let names = FlowFormat::ALL.map(FlowFormat::extension).join(", ");
-            wrong_usage!("{}: its extension is no flow format; there are {names}", args.out.display());
+            wrong_usage!("{}: unknown flow format; the extension must be one of {names}", args.out.display());
         }
         if let Some(viz) = &args.viz {
             let is_png = viz.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
@@ -82,7 +82,7 @@ impl Outputs {
         for folder in [Some(&args.out), pictures].into_iter().flatten() {
             let like_file = folder.is_file() || FlowFormat::from_path(folder).is_some();
             if like_file && !folder.is_dir() {
-                wrong_usage!("{}: {source} give a folder of flows, not a file", folder.display());
+                wrong_usage!("{}: {source} give a folder of flow files, not one file", folder.display());
             }
         }
         if let Source::Files(files) = source {
@@ -114,7 +114,7 @@ impl Outputs {
         }
     }
 
-    /// The video of the colours, where one was asked for.
+    /// The video of the colours, if requested.
     pub fn video(&self) -> Option<&Path> {
         match &self.viz {
             Some(Viz::Video(file)) => Some(file),
@@ -122,12 +122,11 @@ impl Outputs {
         }
     }
 
-    /// Makes the folders and says how many pairs a run of the same identity, which was cut short, has finished. A run into
-    /// a folder keeps its identity there until [`finish`](Self::finish).
+    /// Creates the folders, and returns how many pairs an interrupted run of the same identity has finished. A run into a
+    /// folder keeps its identity there until [`finish`](Self::finish).
     ///
     /// # Errors
-    /// When a folder cannot be made; where there was no such run, when a file of a pair is there already and `--force` was
-    /// not given.
+    /// When a folder cannot be created; without such a run, when a file of a pair exists and `--force` was not given.
     pub fn claim(&mut self, identity: &str, source: &Source, warm_start: bool) -> anyhow::Result<u64> {
         let Some(note) = self.note() else {
             self.prepare(&source.stems())?;
@@ -139,10 +138,10 @@ impl Outputs {
             write_file(&note, identity)?;
             return Ok(0);
         }
-        self.force = true; // existing files are this run's own
+        self.force = true; // existing files belong to this run
         self.prepare(&[])?;
         if warm_start || self.video().is_some() {
-            return Ok(0); // each flow follows from the one before, or is a part of one file
+            return Ok(0); // each flow depends on the previous one, or is part of one file
         }
         let whole = |stem: &String| {
             let PairFiles { flow, viz } = self.pair(stem);
@@ -151,7 +150,7 @@ impl Outputs {
         Ok(source.all_stems().take_while(whole).count() as u64)
     }
 
-    /// Says that every file is written.
+    /// Marks the run as finished: every file is written.
     pub fn finish(&self) -> anyhow::Result<()> {
         match self.note() {
             Some(note) => fs::remove_file(&note).with_context(|| note.display().to_string()),
@@ -159,7 +158,7 @@ impl Outputs {
         }
     }
 
-    /// Where a run into a folder keeps its identity.
+    /// The file that keeps a run's identity.
     fn note(&self) -> Option<PathBuf> {
         match &self.flows {
             Flows::Folder(folder, _) => Some(folder.join(".srflow-flow")),
@@ -167,10 +166,10 @@ impl Outputs {
         }
     }
 
-    /// Makes the folders.
+    /// Creates the folders.
     ///
     /// # Errors
-    /// When a folder cannot be made, or a file of one of these pairs is there already and `--force` was not given.
+    /// When a folder cannot be created, or a file of one of these pairs exists and `--force` was not given.
     fn prepare(&self, stems: &[String]) -> anyhow::Result<()> {
         self.check_free(self.video().map(Path::to_owned))?;
         for stem in stems {
@@ -187,7 +186,7 @@ impl Outputs {
     }
 
     /// # Errors
-    /// When a file of the pair is there already and `--force` was not given.
+    /// When a file of the pair exists and `--force` was not given.
     pub fn check_pair(&self, stem: &str) -> anyhow::Result<()> {
         let files = self.pair(stem);
         self.check_free([Some(files.flow), files.viz].into_iter().flatten())

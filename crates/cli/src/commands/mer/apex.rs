@@ -20,8 +20,8 @@ Examples:
   srflow mer apex smic:/data/SMIC --rule ratio --landmarks smic68.csv --out smic_apex.csv
   srflow mer apex samm:/data/SAMM casme2:/data/CASME2 --rule strain --method farneback
 
-`ratio` finds the frame that differs most from the onset and least from the frame before; `strain` the one to \
-which the flow strains the face most. --out writes a list that --apex-list reads.
+`ratio` picks the frame that differs most from the onset and least from the previous frame; `strain` the one to which the \
+flow strains the face most. --out writes a list for --apex-list.
 
 {}", kinds_help()))]
 pub struct Apex {
@@ -37,7 +37,7 @@ pub struct Apex {
     /// Write the apex frames as a CSV list
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
-    /// Overwrite the list
+    /// Overwrite an existing list
     #[arg(long)]
     force: bool,
     #[command(flatten)]
@@ -59,7 +59,7 @@ struct SpottedApexes {
     #[serde(skip_serializing_if = "Option::is_none")]
     method: Option<String>,
     clips: Vec<SpottedClip>,
-    /// Error in frames over the clips with an annotated apex, by dataset.
+    /// Error in frames over the clips with an annotated apex, per dataset.
     errors: BTreeMap<String, ApexErrors>,
 }
 
@@ -138,8 +138,8 @@ fn print(spotted: &SpottedApexes) -> anyhow::Result<()> {
     }
     for (dataset, errors) in &spotted.errors {
         say!(
-            "{dataset}: {:.2} frames from the annotated apex on average over {} clips by {} ({}); the middle of the clip \
-             is {:.2} frames from it",
+            "{dataset}: mean error {:.2} frames over {} clips by {} ({}), against {:.2} frames for the middle of the \
+            clip",
             errors.mean_absolute,
             errors.clips,
             spotted.rule,

@@ -12,7 +12,7 @@ use srflow_read::micro_expression::{
 use super::sources::{SourceArgs, kinds_help};
 use crate::Context;
 
-/// List micro-expression datasets: labels, counts, dropped rows and why, missing frames
+/// List micro-expression datasets: labels, counts, dropped rows with reasons, missing frames
 #[derive(Args)]
 #[command(after_help = format!("\
 Examples:
@@ -29,7 +29,7 @@ pub struct Data {
     datasets: Vec<ClipSource>,
     #[command(flatten)]
     sources: SourceArgs,
-    /// Read the annotations alone; look for no frames
+    /// Read only the annotations; do not look for frames
     #[arg(long)]
     labels_only: bool,
     /// List every clip
@@ -52,11 +52,11 @@ struct ListedDataset {
     dir: PathBuf,
     annotations: Option<PathBuf>,
     counts: Counts,
-    /// Whether the counts are those that the paper lists; none where it lists none.
+    /// Whether the counts are those of the paper; none where it lists none.
     as_published: Option<bool>,
     subjects: usize,
     without_apex: usize,
-    /// Clips kept and dropped, by the dataset's own label.
+    /// Clips kept and dropped, by the dataset's original label.
     labels: BTreeMap<String, LabelCounts>,
     clips: Vec<ListedClip>,
     dropped: Vec<Dropped>,
@@ -101,7 +101,7 @@ struct ClipWithGaps {
     dropped: bool,
 }
 
-/// What one dataset is shown as; its classes are those of the source.
+/// The listing of one dataset; its classes are those of the source.
 struct Listing {
     source: ClipSource,
     name: String,
@@ -226,7 +226,7 @@ fn print_listing(listing: &Listing, labels_only: bool, clips: bool) -> anyhow::R
         say!("    {label:<12} {}", parts.join(", "))?;
     }
     if listing.without_apex() > 0 {
-        say!("  no apex      {} clips; `srflow mer apex` spots it", listing.without_apex())?;
+        say!("  no apex      {} clips; `srflow mer apex` spots them", listing.without_apex())?;
     }
     print_dropped(&listing.dropped)?;
     if !labels_only {
@@ -253,7 +253,7 @@ fn print_listing(listing: &Listing, labels_only: bool, clips: bool) -> anyhow::R
     say!("")
 }
 
-/// Rows that are dropped for the same reason, together.
+/// Dropped rows, grouped by reason.
 fn print_dropped(dropped: &[Dropped]) -> anyhow::Result<()> {
     let mut by_reason: BTreeMap<DropReason, Vec<&Dropped>> = BTreeMap::new();
     for row in dropped {

@@ -1,23 +1,23 @@
-//! The arguments that say what of a frame is the face.
+//! Arguments for cutting out the face.
 
 use std::path::PathBuf;
 
 use clap::Args;
 use srflow_mer::{FaceBox, FaceCrop, Landmarks};
 
-/// How faces are cut out; without any of these, frames are taken whole.
+/// How faces are cut out; by default, frames are used whole.
 #[derive(Args, Debug, Clone, Default)]
 pub struct FaceArgs {
-    /// Cut every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels
+    /// Crop every frame to this box: LEFT,TOP,WIDTHxHEIGHT in pixels
     #[arg(long, value_name = "BOX", conflicts_with = "landmarks")]
     face_box: Option<FaceBox>,
-    /// Cut faces upright by the landmarks of this CSV file (dlib's 68 points or the eyes; see docs/mer.md)
+    /// Align faces by the landmarks in this CSV file (dlib's 68 points or the eyes; see docs/mer.md)
     #[arg(long, value_name = "FILE")]
     landmarks: Option<PathBuf>,
 }
 
 impl FaceArgs {
-    /// What the arguments say.
+    /// The face region that the arguments describe.
     ///
     /// # Errors
     /// When the landmarks cannot be read.

@@ -13,7 +13,7 @@ use crate::Context;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::output::{ensure_extension, ensure_free};
 
-/// Write flow and strain of every clip as one NumPy archive, for classifiers of your own
+/// Write flow and strain of every clip as one NumPy archive, for your own classifiers
 #[derive(Args)]
 #[command(after_help = format!("\
 Examples:
@@ -35,13 +35,13 @@ pub struct Features {
     /// How to estimate the flow from onset to apex
     #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', help = Method::help_of_several("How to estimate the flow from onset to apex"))]
     method: Vec<MethodSpec>,
-    /// The archive
+    /// Archive to write
     #[arg(short, long, value_name = "FILE.npz")]
     out: PathBuf,
-    /// Overwrite it
+    /// Overwrite an existing archive
     #[arg(long)]
     force: bool,
-    /// Folder where each clip's features are kept, for `srflow mer run` too [default: none]
+    /// Folder that caches each clip's features, shared with `srflow mer run` [default: none]
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
     #[command(flatten)]

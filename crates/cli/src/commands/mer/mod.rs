@@ -34,7 +34,6 @@ enum MerCommand {
     Tables(tables::Tables),
 }
 
-/// Runs the subcommand.
 pub fn run(args: Mer, context: &Context) -> anyhow::Result<()> {
     match args.command {
         MerCommand::Data(args) => data::run(args, context),

@@ -1,4 +1,4 @@
-//! The arguments that say how frames become features.
+//! Arguments for turning frames into features.
 
 use clap::Args;
 use srflow_mer::{ApexRule, Preparation, ResizeOrder, StrainFormula};
@@ -8,7 +8,7 @@ use super::face::FaceArgs;
 /// From frames to features.
 #[derive(Args, Debug, Clone)]
 pub struct PreparationArgs {
-    /// Spot the apex of clips that have none: ratio or strain
+    /// How to spot the apex of clips without one: ratio or strain
     #[arg(long, value_name = "RULE")]
     pub apex: Option<ApexRule>,
     /// Formula of the optical strain: literature or off-tanet
@@ -22,7 +22,7 @@ pub struct PreparationArgs {
 }
 
 impl PreparationArgs {
-    /// What the arguments say of everything but the apex.
+    /// The settings that the arguments describe, except for the apex.
     ///
     /// # Errors
     /// When the landmarks cannot be read.

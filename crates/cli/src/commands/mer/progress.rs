@@ -1,4 +1,4 @@
-//! What `srflow mer run` shows while it works.
+//! Progress of `srflow mer run`.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -7,7 +7,7 @@ use srflow_mer::RunEvent;
 
 use crate::progress::bar;
 
-/// A bar for each part of a run, one after the other.
+/// One bar for each part of a run, one after another.
 pub struct RunProgress {
     bar: Mutex<ProgressBar>,
 }
@@ -19,7 +19,7 @@ impl Default for RunProgress {
 }
 
 impl RunProgress {
-    /// Shows what an event says.
+    /// Updates the bar.
     pub fn show(&self, event: RunEvent) {
         let mut bar = self.bar.lock().unwrap_or_else(PoisonError::into_inner);
         match event {
@@ -40,12 +40,12 @@ impl RunProgress {
             RunEvent::Trained { clip_epochs } => bar.inc(clip_epochs),
             RunEvent::Resumed { clip_epochs } => {
                 bar.inc(clip_epochs);
-                bar.reset_eta(); // how fast folds are read says nothing of how fast they are trained
+                bar.reset_eta(); // loading finished folds is faster than training
             }
         }
     }
 
-    /// Takes the last bar away.
+    /// Removes the last bar.
     pub fn finish(&self) {
         self.bar.lock().unwrap_or_else(PoisonError::into_inner).finish_and_clear();
     }

@@ -16,7 +16,7 @@ use super::tables::print_scores;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::{Context, machine};
 
-/// Recognize micro-expressions leaving one subject out, and write the paper's tables
+/// Recognize micro-expressions with leave-one-subject-out cross-validation, and write the paper's tables
 #[derive(Args)]
 #[command(after_help = format!("\
 Examples:
@@ -24,13 +24,13 @@ Examples:
   srflow mer run --data clips:rendered --method tvl1 SRFlowNet:skflow=best.safetensors --out results
   srflow mer run --data clips:rendered --method tvl1 --epochs 21 --out first-look
 
-Each dataset is divided into its subjects, and so are all of them together (`composite`). For each subject a classifier \
-is trained on all others and predicts the classes of the subject's clips. docs/mer.md defines every number.
+Each dataset, and all of them together (`composite`), is split by subject: for each held-out subject a classifier is \
+trained on all others and predicts the classes of that subject's clips. docs/mer.md defines every number.
 
-That takes its time: with the 201 epochs of the paper's protocol, SAMM, CASME II, SMIC-HS and the composite are about \
-five hours of two CPU cores for each method. For a first look, --epochs 21 takes a tenth of that, --classifier ststnet \
-much less, --sets each leaves out the composite. The bar shows when all will be done. A run may be killed at any time: \
-the same command goes on after the folds that were finished, and features are never computed twice.
+This takes time: with the 201 epochs of the paper's protocol, SAMM, CASME II, SMIC-HS and the composite take about five \
+hours on two CPU cores for each method. For a first look, --epochs 21 takes a tenth of that, --classifier ststnet much \
+less, and --sets each skips the composite. A run can be killed at any time: run the same command again to continue after \
+the last finished fold. Features are never computed twice.
 
 {}", kinds_help()))]
 pub struct Run {
@@ -40,7 +40,7 @@ pub struct Run {
     /// How to estimate the flow from onset to apex
     #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', help = Method::help_of_several("How to estimate the flow from onset to apex"))]
     method: Vec<MethodSpec>,
-    /// What predicts a clip's class from its features
+    /// Classifier of the features
     #[arg(long, value_name = "CLASSIFIER", default_value = CLASSIFIERS[0].facts.name, value_parser = classifiers())]
     classifier: &'static ClassifierEntry,
     /// Train on each dataset, on all together, or both
@@ -52,22 +52,22 @@ pub struct Run {
     /// Overwrite these files
     #[arg(long)]
     force: bool,
-    /// Folder where features are kept for other runs [default: features in --out]
+    /// Folder that caches features, for other runs too [default: features in --out]
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
-    /// Passes over the training clips
+    /// Epochs: passes over the training clips
     #[arg(long, value_name = "N", default_value_t = Protocol::default().epochs)]
     epochs: usize,
     /// Epochs between two recordings of the predictions
     #[arg(long, value_name = "N", default_value_t = Protocol::default().record_every)]
     record_every: usize,
-    /// Clips in a training step
+    /// Batch size in clips
     #[arg(long, value_name = "N", default_value_t = Protocol::default().batch)]
     batch: usize,
-    /// Learning rate of Adam at the start; it falls to 0.3 of itself every 60 epochs
+    /// Initial learning rate of Adam; it is multiplied by 0.3 every 60 epochs
     #[arg(long, value_name = "RATE", default_value_t = Protocol::default().learning_rate)]
     learning_rate: f64,
-    /// Seed of the classifiers' parameters, the order of clips and dropout
+    /// Seed of the initial parameters, the order of clips and dropout
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
     #[command(flatten)]
@@ -92,7 +92,7 @@ fn classifiers() -> impl TypedValueParser<Value = &'static ClassifierEntry> {
     choice(CLASSIFIERS.iter().map(of))
 }
 
-/// One of several values by its name, each with its help.
+/// A parser for one of several values, each with its own help.
 fn choice<T, Help>(
     choices: impl IntoIterator<Item = (T, &'static str, Help)>,
 ) -> impl TypedValueParser<Value = T>
@@ -136,7 +136,7 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
     let methods = methods.map(|(estimator, record)| RunMethod { estimator: estimator.as_ref(), record });
     let datasets = args.sources.open(args.data.clone())?;
     settings.check(&datasets)?;
-    create_folder(&args.out)?; // before the long work, which must not be lost
+    create_folder(&args.out)?; // before the long work, so that an error costs nothing
     let folders = RunFolders {
         features: &args.cache.clone().unwrap_or_else(|| args.out.join("features")),
         folds: &folder.folds(),

@@ -1,4 +1,4 @@
-//! The arguments that name micro-expression datasets.
+//! Arguments for micro-expression datasets.
 
 use std::path::PathBuf;
 
@@ -8,36 +8,36 @@ use srflow_read::micro_expression::{
     CLASS_SETS, CLIP_KINDS, Classes, ClipDataset, ClipSource, check_distinct,
 };
 
-/// Where annotations lie, what clips are divided into, and what to do about missing frames.
+/// Where annotations are, which classes to use, and how to treat missing frames.
 #[derive(Args, Debug, Clone)]
 pub struct SourceArgs {
-    /// Annotation file that does not lie in its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE
+    /// Annotation file outside its dataset's folder: samm:FILE, casme2:FILE, smic:FILE or clips:FILE
     #[arg(long, value_name = "KIND:FILE")]
     annotations: Vec<String>,
     /// CSV list of SMIC's apex frames [default: smic_apex.csv or data_apex.csv in its folder]
     #[arg(long, value_name = "FILE")]
     apex_list: Option<PathBuf>,
-    /// Classes: a name (see below), or a TOML file of your own (docs/mer.md)
+    /// Classes: a name (see below), or your own TOML file (docs/mer.md)
     #[arg(long, value_name = "CLASSES", default_value = CLASS_SETS[0].0)]
     classes: String,
-    /// Go on without frames that are missing; clips without onset or apex are dropped
+    /// Tolerate missing frames; clips without onset or apex are dropped
     #[arg(long)]
     pub allow_missing: bool,
-    /// Take clips that hold their onset, apex and offset frames alone
+    /// Accept clips that consist of onset, apex and offset frames only
     #[arg(long)]
     only_key_frames: bool,
 }
 
 impl SourceArgs {
-    /// What clips are divided into.
+    /// The classes.
     ///
     /// # Errors
-    /// When there are no such classes.
+    /// When there are no classes of that name.
     pub fn classes(&self) -> anyhow::Result<Classes> {
         Classes::open(&self.classes).context("--classes")
     }
 
-    /// The datasets with what the other arguments say of them.
+    /// The datasets, with the other arguments applied.
     pub fn complete(&self, mut sources: Vec<ClipSource>) -> anyhow::Result<Vec<ClipSource>> {
         let classes = self.classes()?;
         for text in &self.annotations {
@@ -45,14 +45,14 @@ impl SourceArgs {
                 bail!("--annotations {text}: expected KIND:FILE, e.g. samm:SAMM_Micro_FACS_Codes_v2.xlsx");
             };
             let Some(source) = sources.iter_mut().find(|source| source.kind.name == kind) else {
-                bail!("--annotations {text}: no dataset of the kind `{kind}` is given");
+                bail!("--annotations {text}: none of the datasets is of the kind `{kind}`");
             };
             source.annotations = Some(file.into());
         }
         if let Some(list) = &self.apex_list {
             let Some(smic) = sources.iter_mut().find(|source| source.kind.name == "smic") else {
                 bail!(
-                    "--apex-list {}: it is for SMIC, and no dataset of the kind `smic` is given; clips.csv has a column apex",
+                    "--apex-list {}: it is for SMIC, and none of the datasets is of the kind `smic`; clips.csv has a column apex",
                     list.display()
                 );
             };
@@ -80,7 +80,7 @@ impl SourceArgs {
     }
 }
 
-/// Help of the arguments that name datasets and classes.
+/// Help on the names of datasets and classes.
 pub fn kinds_help() -> String {
     let line = |name: String, about: &str| format!("  {name:<22} {about}\n");
     let kinds: String = CLIP_KINDS.iter().map(|kind| line(kind.to_string(), kind.about)).collect();

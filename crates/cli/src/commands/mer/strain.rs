@@ -12,7 +12,7 @@ use crate::Context;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::output::{ensure_extension, ensure_free};
 
-/// Optical strain between two frames, as classifiers see it
+/// Compute the optical strain between two frames
 #[derive(Args)]
 #[command(after_help = "\
 Examples:
@@ -20,8 +20,8 @@ Examples:
   srflow mer strain onset.png apex.png -o strain.npy --formula off-tanet --method tvl1
   srflow mer strain onset.png apex.png -o strain.npy --size full
 
-The literature's formula is sqrt(ux^2 + vy^2 + (uy + vx)^2 / 2) with derivatives per pixel; \
-off-tanet is what that network's published code computes, slip included (see docs/mer.md).")]
+The literature's formula is sqrt(ux^2 + vy^2 + (uy + vx)^2 / 2) with derivatives per pixel; off-tanet is what that \
+network's published code computes, including its error (see docs/mer.md).")]
 pub struct Strain {
     /// Onset frame
     #[arg(value_name = "A")]
@@ -29,16 +29,16 @@ pub struct Strain {
     /// Apex frame
     #[arg(value_name = "B")]
     apex: PathBuf,
-    /// Strain as a .npy array of shape (H, W)
+    /// Strain as .npy array of shape (H, W)
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
-    /// u, v and strain too, as a .npy array of shape (3, 112, 112)
+    /// Also write u, v and strain, as .npy array of shape (3, 112, 112)
     #[arg(long, value_name = "FILE", conflicts_with = "size")]
     features: Option<PathBuf>,
-    /// Draw the strain: black is none, white the most
+    /// Draw the strain: black is zero, white the largest
     #[arg(long, value_name = "PNG")]
     viz: Option<PathBuf>,
-    /// Strain that is drawn white [default: the greatest]
+    /// Strain drawn white [default: the largest]
     #[arg(long, value_name = "STRAIN", requires = "viz", value_parser = super::super::convert::positive)]
     viz_max: Option<f32>,
     /// How to estimate the flow
@@ -47,13 +47,13 @@ pub struct Strain {
     /// Formula: literature or off-tanet
     #[arg(long, value_name = "FORMULA", default_value_t = StrainFormula::Literature)]
     formula: StrainFormula,
-    /// Bring the frames to 112x112 before the flow is estimated, or the flow after
+    /// Resize the frames to 112x112 before the flow is estimated, or the flow after
     #[arg(long, value_name = "ORDER", default_value_t = ResizeOrder::Before, conflicts_with = "size")]
     resize: ResizeOrder,
-    /// Size of the result: 112x112 as classifiers take it, or `full`, that of the frames
+    /// Size of the result: 112x112, the input of classifiers, or `full`, that of the frames
     #[arg(long, value_name = "SIZE", default_value = "112x112", value_parser = ["112x112", "full"])]
     size: String,
-    /// Overwrite files that exist
+    /// Overwrite existing files
     #[arg(long)]
     force: bool,
     #[command(flatten)]
@@ -65,7 +65,7 @@ struct Strained {
     output: PathBuf,
     method: String,
     formula: &'static str,
-    /// None at the frames' own size.
+    /// `None` at full size.
     resize: Option<&'static str>,
     width: usize,
     height: usize,
@@ -120,7 +120,7 @@ pub fn run(args: Strain, context: &Context) -> anyhow::Result<()> {
         return crate::output::print_json_line(&strained);
     }
     say!(
-        "{}: {}x{}, mean strain {:.5}, greatest {:.5}",
+        "{}: {}x{}, mean strain {:.5}, maximum {:.5}",
         strained.output.display(),
         strained.width,
         strained.height,

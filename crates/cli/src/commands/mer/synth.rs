@@ -7,7 +7,7 @@ use srflow_render::synth::{SynthReport, SynthSettings, synthesize};
 use crate::Context;
 use crate::rendering::{RenderingArgs, exit_if_stopped};
 
-/// Render a labelled micro-expression set with the built-in heads
+/// Render a labelled micro-expression dataset with the built-in heads
 #[derive(Args)]
 #[command(after_help = "\
 Examples:
@@ -15,16 +15,16 @@ Examples:
   srflow mer synth --out hard --subjects 30 --clips 9 --intensity 0.6 --noise 2 --drift 2
   srflow mer data clips:synth
 
-Beside the frames lie the true flow from onset to apex, the action units with their intensities, and the 68 \
-landmarks of the onset. The same command given again continues where a run was stopped.")]
+Along with the frames it writes the true flow from onset to apex, the action units with their intensities, and the 68 \
+landmarks of the onset. Run the same command again to continue an interrupted run.")]
 pub struct Synth {
-    /// Folder of the set
+    /// Folder of the dataset
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
-    /// Number of people
+    /// Number of subjects
     #[arg(long, value_name = "N", default_value_t = SynthSettings::default().subjects)]
     subjects: u32,
-    /// Clips of each; negative, positive and surprise take turns
+    /// Clips per subject; negative, positive and surprise alternate
     #[arg(long, value_name = "N", default_value_t = SynthSettings::default().clips_per_subject)]
     clips: u32,
     /// Width and height of the frames in pixels
@@ -36,19 +36,19 @@ pub struct Synth {
     /// Strength of the expressions; 1 is 12 to 40 % of an action unit's full strength
     #[arg(long, value_name = "FACTOR", default_value_t = SynthSettings::default().intensity)]
     intensity: f32,
-    /// Sensor noise; 1 is a standard deviation of about 1.8 of 255 in mid-grey, 0 none
+    /// Sensor noise; 1 is a standard deviation of about 1.8 of 255 in mid-grey, 0 is none
     #[arg(long, value_name = "FACTOR", default_value_t = SynthSettings::default().noise)]
     noise: f32,
-    /// Drift of the head; 1 is up to a tenth of a degree and 0.15 mm to either side, 0 none
+    /// Head drift; 1 is up to a tenth of a degree and 0.15 mm to either side, 0 is none
     #[arg(long, value_name = "FACTOR", default_value_t = SynthSettings::default().drift)]
     drift: f32,
-    /// Changes of light; 1 is up to 2 % with a gradient, and a little flicker, 0 none
+    /// Illumination changes; 1 is up to 2 % with a gradient, and slight flicker, 0 is none
     #[arg(long, value_name = "FACTOR", default_value_t = SynthSettings::default().lighting)]
     lighting: f32,
-    /// Seed of every random choice
+    /// Random seed
     #[arg(long, value_name = "N", default_value_t = SynthSettings::default().seed)]
     seed: u64,
-    /// How the true flow is stored
+    /// File format of the true flow
     #[arg(long, value_name = "FORMAT", default_value_t = SynthSettings::default().flow_format)]
     flow_format: FlowFormat,
     #[command(flatten)]
@@ -79,13 +79,13 @@ pub fn run(args: Synth, context: &Context) -> anyhow::Result<()> {
 
 fn print_report(args: &Synth, report: &SynthReport) -> anyhow::Result<()> {
     let SynthReport { clips, made, subjects, classes, seconds, .. } = report;
-    say!("{made} of {clips} clips made in {seconds:.1} s")?;
+    say!("{made} of {clips} clips rendered in {seconds:.1} s")?;
     let (Some(frames), Some(mean_flow)) = (report.frames, report.mean_flow) else {
         return if report.stopped {
             Ok(())
         } else {
             say!(
-                "Part {} is whole. Copy the parts together; `srflow mer synth` with the same arguments and without --shard\n\
+                "Part {} is complete. Copy the parts together; `srflow mer synth` with the same arguments and without --shard\n\
                  then writes the tables.",
                 args.rendering.shard
             )

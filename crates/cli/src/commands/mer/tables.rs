@@ -9,12 +9,12 @@ use srflow_mer::{Outcome, OutcomeRecord, TABLE_FILES, all_score_tables, read_pre
 use crate::Context;
 use crate::output::{ensure_free, print_tables};
 
-/// Recompute every table from the predictions of a run
+/// Recompute all tables from the predictions of a run
 #[derive(Args)]
 #[command(after_help = "\
-The file is predictions.csv as `srflow mer run` writes it, or anybody's with the same columns: method, set, dataset, \
-subject, clip, truth, epoch, predicted, score_negative, score_positive, score_surprise. A set's clips are divided into \
-folds by (dataset, subject); every clip stands once for each epoch.
+The file is predictions.csv as `srflow mer run` writes it, or any file with the same columns: method, set, dataset, subject, \
+clip, truth, epoch, predicted, score_negative, score_positive, score_surprise. The clips of a set are split into folds by \
+(dataset, subject); each clip has one row per recorded epoch.
 
 Examples:
   srflow mer tables results/predictions.csv

@@ -1,4 +1,4 @@
-//! Which cameras of which file.
+//! Arguments for cameras.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -9,30 +9,30 @@ use srflow_splat::{Camera, Gaussians, NamedCamera, Surroundings, read_cameras};
 
 use crate::usage::wrong_usage;
 
-/// Of a camera that is not given, in pixels.
+/// Size of the default camera, in pixels.
 const SIZE: Size = Size { width: 800, height: 800 };
 
-/// The camera of a frame, and of the next.
+/// The camera of a frame, and that of the next.
 #[derive(Args)]
 pub struct CameraArgs {
-    /// Camera of this frame; without it, one that sees all Gaussians from +z, where +y is up
+    /// Camera of this frame [default: one that sees all Gaussians from +z, where +y is up]
     #[arg(long, value_name = "CAM")]
     camera: Option<PathBuf>,
-    /// Which camera of CAM: its name (that of its picture, with or without folder and extension), or its number from 0
+    /// Camera of CAM to use: its name (that of its picture, with or without folder and extension), or its number from 0
     #[arg(long, value_name = "NAME|N", requires = "camera")]
     view: Option<String>,
     /// Camera of the next frame, of the same image size
     #[arg(long, value_name = "CAM")]
     camera_next: Option<PathBuf>,
-    /// Which camera of --camera-next, or of --camera where there is no --camera-next
+    /// Camera to use from --camera-next, or from --camera without --camera-next
     #[arg(long, value_name = "NAME|N")]
     view_next: Option<String>,
-    /// Size of the pictures, in the proportions of the camera's own; needed where CAM says none
+    /// Size of the pictures, in the camera's own proportions; required where CAM has no size
     #[arg(long, value_name = "WIDTHxHEIGHT")]
     size: Option<Size>,
 }
 
-/// A circle, as `--orbit` names it: `360`, `360x120`, `-90x30`.
+/// A circular path, as in `--orbit`: `360`, `360x120`, `-90x30`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Orbit {
     degrees: f64,
@@ -64,7 +64,7 @@ impl CameraArgs {
     /// The camera of this frame.
     ///
     /// # Errors
-    /// When it cannot be read, or the file holds several and none was chosen.
+    /// When it cannot be read, or the file holds several and none was selected.
     pub fn first(&self, gaussians: &Gaussians) -> anyhow::Result<Camera> {
         match &self.camera {
             Some(file) => self.chosen(file, self.view.as_deref(), "--view"),
@@ -72,7 +72,7 @@ impl CameraArgs {
         }
     }
 
-    /// That of the next frame, where it is another one.
+    /// The camera of the next frame, if it differs.
     ///
     /// # Errors
     /// As [`CameraArgs::first`].
@@ -82,13 +82,13 @@ impl CameraArgs {
             (Some(file), _) => self.chosen(file, view, "--view-next").map(Some),
             (None, Some(file)) if view.is_some() => self.chosen(file, view, "--view-next").map(Some),
             (None, None) if view.is_some() => {
-                wrong_usage!("--view-next chooses a camera of --camera-next or --camera: give one of them")
+                wrong_usage!("--view-next selects a camera of --camera-next or --camera: give one of them")
             }
             (None, _) => Ok(None),
         }
     }
 
-    /// On a circle around the Gaussians, from the camera of this frame on.
+    /// Cameras on a circle around the Gaussians, starting from the camera of this frame.
     ///
     /// # Errors
     /// As [`CameraArgs::first`].
@@ -113,7 +113,7 @@ impl CameraArgs {
             named.iter().zip(&cameras).find(|(_, camera)| size(camera) != size(&cameras[0]))
         {
             anyhow::bail!(
-                "{}: the pictures of a path are of one size; `{}` is {}x{}, `{}` is {}x{}",
+                "{}: the pictures of a path must have one size; `{}` is {}x{}, `{}` is {}x{}",
                 file.display(),
                 excerpt(&named[0].name),
                 cameras[0].width,
@@ -141,11 +141,11 @@ impl CameraArgs {
         };
         let Some(found) = found else {
             let what = match view {
-                Some(view) => format!("no camera is called `{view}`"),
+                Some(view) => format!("no camera has the name `{view}`"),
                 None => "choose one".to_owned(),
             };
             wrong_usage!(
-                "{} holds {} cameras: {what}; {option} takes a name or a number from 0 to {}, and the first are called {}",
+                "{} holds {} cameras: {what}; give {option} a name or a number from 0 to {}; the first names are {}",
                 file.display(),
                 cameras.len(),
                 cameras.len() - 1,
@@ -179,15 +179,15 @@ impl CameraArgs {
 
 fn note_distortion(file: &Path, NamedCamera { name, distortion, .. }: &NamedCamera) {
     note!(
-        "note: {}: the lens of `{}` distorts ({}); it is rendered without, as Gaussians are trained on undistorted \
-         pictures",
+        "note: {}: the lens of `{}` distorts ({}); it is rendered without distortion, as Gaussians are trained on \
+        undistorted pictures",
         file.display(),
         excerpt(name),
         distortion.as_deref().unwrap_or_default()
     );
 }
 
-/// By its whole name, by the name of the picture without folder and extension, or by its number.
+/// Matches the whole name, the name of the picture without folder and extension, or the number.
 fn named<'a>(cameras: &'a [NamedCamera], view: &str) -> Option<&'a NamedCamera> {
     fn only<'a>(mut found: impl Iterator<Item = &'a NamedCamera>) -> Option<&'a NamedCamera> {
         found.next().filter(|_| found.next().is_none())
@@ -231,7 +231,7 @@ mod tests {
         assert_eq!(found("00.png"), Some("images/00.png"));
         assert_eq!(found("1"), Some("images/1.png"), "a name, though camera number 1 is another");
         assert_eq!(found("3"), Some("right/a.jpg"));
-        assert_eq!(found("a"), None, "two are called so");
+        assert_eq!(found("a"), None, "two have this name");
         assert_eq!(found("4"), None);
     }
 }

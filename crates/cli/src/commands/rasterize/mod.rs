@@ -20,14 +20,14 @@ use crate::video::is_video;
 
 /// Rasterize a file of 3D Gaussians: colour, flow, alpha and depth
 ///
-/// Into OUT go color.png (8-bit), color.npy (H, W, 3, before clamping, 0 to 1 is what can be shown), alpha.npy, depth.npy
-/// (expected depth, 0 where nothing is seen), mask.png (alpha above one half), flow.flo (blended displacement of the
-/// Gaussians, not divided by alpha) and flow_normalized.flo (divided by alpha).
+/// Writes into OUT: color.png (8-bit), color.npy (H, W, 3, unclamped; 0 to 1 is displayable), alpha.npy, depth.npy (expected
+/// depth, 0 where nothing is visible), mask.png (alpha above one half), flow.flo (blended displacement of the Gaussians, not
+/// divided by alpha) and flow_normalized.flo (divided by alpha).
 ///
-/// The flow leads to the Gaussians of --next as --camera-next or --view-next sees them. Without --next the Gaussians stay,
-/// without another camera the camera stays; without both the flow is zero.
+/// The flow goes to the Gaussians of --next, seen by the camera of --camera-next or --view-next. Without --next the Gaussians
+/// do not move, and without another camera the camera does not; without both the flow is zero.
 ///
-/// With --orbit or --path the camera moves: OUT gets frames/, the flow/ from each frame to the next and mask/, numbered from
+/// With --orbit or --path the camera moves: OUT gets frames/, flow/ (from each frame to the next) and mask/, numbered from
 /// 000001, which `folder:OUT` reads as a dataset; an OUT such as clip.mp4 becomes a video of the frames.
 #[derive(Args)]
 #[command(after_help = "Examples:
@@ -49,40 +49,40 @@ pub struct Rasterize {
     /// Gaussians of this frame
     #[arg(value_name = "PLY")]
     gaussians: PathBuf,
-    /// Gaussians of the next frame: the same ones, in the same order
+    /// Gaussians of the next frame: the same ones in the same order
     #[arg(long, value_name = "PLY")]
     next: Option<PathBuf>,
     #[command(flatten)]
     cameras: CameraArgs,
-    /// Turn the camera around the middle of the Gaussians, to the right where DEGREES are positive [default: a frame every 3
+    /// Move the camera around the centre of the Gaussians, to the right where DEGREES are positive [default: a frame every 3
     /// degrees]
     #[arg(long, value_name = "DEGREES[xFRAMES]", allow_hyphen_values = true, conflicts_with_all = ["next", "camera_next", "view_next"])]
     orbit: Option<Orbit>,
-    /// Go through the cameras of this file, in their order there
+    /// Move through the cameras of this file, in their order
     #[arg(long, value_name = "CAM", conflicts_with_all = ["orbit", "camera", "next", "camera_next", "view_next"])]
     path: Option<PathBuf>,
-    /// Folder to write into, made if missing; for a moving camera also a video
+    /// Folder to write into, created if missing; with a moving camera also a video file
     #[arg(long, value_name = "DIR|VIDEO")]
     out: PathBuf,
     /// Frames per second of the video
     #[arg(long, value_name = "RATE", default_value_t = 25, value_parser = clap::value_parser!(u16).range(1..=1000))]
     fps: u16,
-    /// Colour behind the Gaussians: white, black, #rrggbb or R,G,B (0 to 255 each)
+    /// Background colour: white, black, #rrggbb or R,G,B (0 to 255 each)
     #[arg(long, value_name = "COLOUR", default_value = "black", value_parser = parse_color)]
     background: [u8; 3],
-    /// Pixels in which the flow is counted
+    /// Convention for pixel coordinates of the flow
     #[arg(long, value_enum, default_value_t = Convention::Splat)]
     pixel_convention: Convention,
-    /// Overwrite files in DIR
+    /// Overwrite existing files in OUT
     #[arg(long)]
     force: bool,
 }
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Convention {
-    /// ((ndc + 1) S - 1) / 2, as colour is placed: flow and colour agree
+    /// ((ndc + 1) S - 1) / 2, the convention of the colour: flow and colour agree
     Splat,
-    /// (ndc + 1) (S - 1) / 2, as the SRFlow paper writes: flow is smaller by (S - 1) / S
+    /// (ndc + 1) (S - 1) / 2, the SRFlow paper's: the flow is smaller by (S - 1) / S
     Paper,
 }
 
@@ -98,7 +98,7 @@ struct Rendered<'a> {
     visible: usize,
     /// Visible Gaussians whose next position is not in front of the next camera.
     without_displacement: usize,
-    /// (Gaussian, pixel) pairs that were blended.
+    /// Number of blended (Gaussian, pixel) pairs.
     blended_pairs: u64,
     /// Pixels whose alpha is above one half.
     mask_pixels: usize,
@@ -113,7 +113,7 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
     let video = is_video(&args.out);
     let moves = args.orbit.is_some() || args.path.is_some();
     if video && !moves {
-        wrong_usage!("{}: a video is made of a moving camera: give --orbit or --path", args.out.display());
+        wrong_usage!("{}: a video needs a moving camera: give --orbit or --path", args.out.display());
     }
     if !video {
         ensure_folder(&args.out)?;
@@ -148,7 +148,7 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
 
 fn one_frame(args: &Rasterize, options: &Options, context: &Context) -> anyhow::Result<()> {
     ensure_free(FILES.map(|name| args.out.join(name)), args.force)?;
-    // What is wrong with a camera is said before large files are read.
+    // Camera errors are reported before large files are read.
     let camera_next = args.cameras.next()?;
     let gaussians = read_ply(&args.gaussians)?;
     let camera = args.cameras.first(&gaussians)?;
@@ -177,7 +177,7 @@ fn one_frame(args: &Rasterize, options: &Options, context: &Context) -> anyhow::
     write(&frame, &args.out)?;
     if frame.statistics.without_displacement > 0 {
         note!(
-            "note: {} Gaussians are behind the next camera or nearer than 0.2 to it; they add nothing to the flow",
+            "note: {} Gaussians are behind the next camera or nearer than 0.2 to it; they do not contribute to the flow",
             frame.statistics.without_displacement
         );
     }

@@ -1,4 +1,4 @@
-//! Many cameras, one after the other: a folder of frames and their flow, or a video.
+//! A moving camera: a folder of frames and their flow, or a video.
 
 use std::path::{Path, PathBuf};
 
@@ -25,13 +25,13 @@ pub struct RenderedPath {
 
 const TEMPLATE: &str = "{bar:30} {pos}/{len} frames, {eta} left";
 
-/// The folders of a sequence: those that `folder:DIR` reads as a dataset.
+/// The subfolders of a sequence, which `folder:DIR` reads as a dataset.
 const FOLDERS: [&str; 3] = ["frames", "flow", "mask"];
 
 /// Writes `frames/`, the `flow/` from each frame to the next and the `mask/` of each, numbered from 1.
 ///
 /// # Errors
-/// When files are there already and `force` was not given, or one cannot be written.
+/// When files exist and `force` was not given, or one cannot be written.
 pub fn write_frames(
     gaussians: &Gaussians,
     cameras: &[Camera],
@@ -43,7 +43,7 @@ pub fn write_frames(
         out.join(folder).join(format!("{number:06}.{extension}"))
     };
     ensure_free(FOLDERS.map(|folder| out.join(folder)), force)?;
-    // Longer sequences are not overwritten in part.
+    // A longer sequence is never overwritten in part.
     ensure_free([file("frames", cameras.len() + 1, "png")], false)?;
     FOLDERS.iter().try_for_each(|folder| create_folder(&out.join(folder)))?;
     let outputs = Outputs { depth_next: false, ..Outputs::ALL };
@@ -69,7 +69,7 @@ pub fn write_frames(
 /// Writes the frames as a video.
 ///
 /// # Errors
-/// When the file is there already and `force` was not given, or it cannot be written.
+/// When the file exists and `force` was not given, or it cannot be written.
 pub fn write_video(
     gaussians: &Gaussians,
     cameras: &[Camera],

@@ -19,17 +19,13 @@ pub enum DeviceError {
         "unknown device {name:?}: expected one of {}, optionally with a number, as in cuda:1",
         KINDS.map(|(kind, _)| kind).join(", ")
     )]
-    Unknown {
-        name: String,
-    },
+    Unknown { name: String },
     /// This build does not support this kind of device.
     #[error(
         "this build does not support {kind}, only {}: build with `--features {kind}`",
         device_kinds().join(", ")
     )]
-    NotBuilt {
-        kind: &'static str,
-    },
+    NotBuilt { kind: &'static str },
     /// The machine does not have this device.
     #[error("{name}: the drivers list {found} {kind} devices on this machine; cpu is always available")]
     NotFound {

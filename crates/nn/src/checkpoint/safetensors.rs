@@ -68,7 +68,7 @@ pub fn read_safetensors(path: &Path) -> Result<Parameters, WeightsError> {
 /// A safetensors file of tensors with their names, shapes and values: the same bytes for the same tensors in any order.
 ///
 /// # Panics
-/// When a shape does not hold as many values, or a name is there twice.
+/// When a shape does not hold as many values, or a name exists twice.
 pub fn safetensors_bytes<'a>(tensors: impl IntoIterator<Item = (String, &'a [usize], &'a [f32])>) -> Vec<u8> {
     let bytes_of = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect();
     let tensors: Vec<(String, &[usize], Vec<u8>)> =

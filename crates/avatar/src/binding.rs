@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn gaussians_ride_on_triangles_as_gaussian_avatars_defines() {
+    fn gaussians_follow_triangles_as_in_gaussian_avatars() {
         let mut stream = Key::new(3).stream("binding");
         for _ in 0..200 {
             let v: [Vec3; 3] = std::array::from_fn(|_| vector(&mut stream));
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn all_at_once_is_one_by_one() {
+    fn all_at_once_matches_one_by_one() {
         let mut stream = Key::new(4).stream("binding");
         let frames: Vec<TriangleFrame> = (0..50)
             .map(|_| TriangleFrame::of(vector(&mut stream), vector(&mut stream), vector(&mut stream)))

@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn names_the_line_of_what_is_wrong() {
+    fn errors_name_the_line() {
         let triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\n";
         for (text, expected) in [
             ("v 0 0\n".to_string(), ":1: "),

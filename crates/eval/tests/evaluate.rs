@@ -224,7 +224,7 @@ fn an_estimator_that_gives_no_numbers_is_named() {
 }
 
 #[test]
-fn without_truth_there_is_nothing_to_score() {
+fn a_dataset_without_ground_truth_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let frames = dir.path().join("frames");
     std::fs::create_dir(&frames).unwrap();

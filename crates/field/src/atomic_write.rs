@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_in_the_way_of_a_folder_is_named() {
+    fn a_file_with_a_folders_name_is_reported() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("file");
         fs::write(&file, "x").unwrap();

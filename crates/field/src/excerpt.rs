@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_that_steers_a_terminal_is_shown() {
+    fn control_characters_are_escaped() {
         let evil = "a\x1b[2J\u{9b}31m\u{202e}b\u{2066}\u{7f}\r\n\0\u{200b}ö";
         assert_eq!(excerpt(evil), "a\\u{1b}[2J\\u{9b}31m\\u{202e}b\\u{2066}\\u{7f}\\r\\n\\u{0}\\u{200b}ö");
         assert!(!excerpt(evil).chars().any(is_unprintable));
@@ -80,14 +80,14 @@ mod tests {
     }
 
     #[test]
-    fn long_text_is_cut() {
+    fn long_text_is_truncated() {
         let shown = excerpt(&"ö".repeat(10_000));
         assert!(shown.ends_with("ö...") && shown.chars().count() == LONGEST + 3);
         assert_eq!(excerpt(&"ö".repeat(LONGEST)), "ö".repeat(LONGEST));
     }
 
     #[test]
-    fn lists_say_how_many_they_leave_out() {
+    fn lists_count_the_omitted_items() {
         assert_eq!(excerpts(["a", "b\x07"], 2), "a, b\\u{7}");
         assert_eq!(excerpts(["a", "b", "c", "d"], 2), "a, b and 2 more");
         assert_eq!(excerpts([], 2), "");

@@ -81,14 +81,14 @@ mod tests {
     use crate::random::Key;
 
     #[test]
-    fn a_motion_of_everything_moves_on() {
+    fn a_global_motion_continues() {
         let flow = FlowField::filled(9, 7, [2.0, -1.0]);
         assert_eq!(forward_interpolate(&flow), flow);
     }
 
     /// A block of 3 x 3 moves right by 4 over a static background.
     #[test]
-    fn a_moving_block_is_found_where_it_went() {
+    fn a_moving_block_is_found_at_its_target() {
         let block = |x: usize, y: usize| (2..5).contains(&x) && (2..5).contains(&y);
         let flow = FlowField::from_fn(12, 7, |x, y| if block(x, y) { [4.0, 0.0] } else { [0.0; 2] });
         let moved = forward_interpolate(&flow);
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn what_leaves_the_frame_or_is_unknown_counts_for_nothing() {
+    fn unknown_vectors_and_those_that_leave_the_frame_are_ignored() {
         assert_eq!(forward_interpolate(&FlowField::filled(4, 3, [50.0, 0.0])), FlowField::new(4, 3));
         let mut flow = FlowField::filled(4, 3, [f32::NAN; 2]);
         assert_eq!(forward_interpolate(&flow), FlowField::new(4, 3));
@@ -109,7 +109,7 @@ mod tests {
 
     /// The definition by brute force: the reference does not specify which of two equally near end points it takes.
     #[test]
-    fn the_nearest_head_is_the_nearest() {
+    fn the_nearest_end_point_wins() {
         for seed in 0..20 {
             let mut random = Key::new(seed).stream("vectors");
             let (width, height) = (5 + seed as usize, 17);

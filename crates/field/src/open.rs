@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_beyond_the_size_of_its_kind_is_refused_unread() {
+    fn oversized_files_are_refused_without_reading() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("config.toml");
         File::create(&path).unwrap().set_len((1 << 20) + 1).unwrap();
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_is_no_file() {
+    fn a_folder_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let error = open_file(folder.path(), FileKind::Flow).unwrap_err().to_string();
         assert!(error.contains("expected a flow file in a regular file, found a folder"), "{error}");
@@ -190,7 +190,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn what_may_never_end_is_refused_at_once() {
+    fn pipes_and_devices_are_refused() {
         use std::os::unix::ffi::OsStrExt as _;
         let folder = tempfile::tempdir().unwrap();
         let pipe = folder.path().join("pipe");

@@ -140,7 +140,7 @@ mod tests {
 
     /// The published results and all datasets depend on this order.
     #[test]
-    fn a_shuffled_order_keeps_every_item_and_stays_what_it_was() {
+    fn a_shuffle_keeps_every_item_and_never_changes() {
         let mut items: Vec<usize> = (0..10).collect();
         Key::new(3).stream("test").shuffle(&mut items);
         assert_eq!(items, [6, 7, 4, 3, 0, 5, 2, 1, 8, 9]);

@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn unknown_and_wild_flow_is_invalid_and_never_reads_outside() {
+    fn unknown_and_extreme_flow_is_invalid_and_never_reads_outside() {
         let wild = [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 1e10, -1e-3];
         for u in wild {
             let (warped, valid) = warp(&ramp(3, 2), &FlowField::filled(3, 2, [u, 0.0])).unwrap();
@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn opposite_flows_agree_and_a_gap_is_held_against_the_tolerance() {
+    fn opposite_flows_agree_and_a_gap_is_compared_with_the_tolerance() {
         let forward = FlowField::filled(20, 10, [3.0, 0.0]);
         let check = |backward: [f32; 2], tolerance| {
             let backward = FlowField::filled(20, 10, backward);

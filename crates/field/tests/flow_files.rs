@@ -93,7 +93,7 @@ proptest! {
 
     /// A file truncated anywhere is refused.
     #[test]
-    fn files_cut_short_are_refused(flow in flow_of(any_component()), cut in 0.0_f64..1.0) {
+    fn truncated_files_are_refused(flow in flow_of(any_component()), cut in 0.0_f64..1.0) {
         let folder = tempfile::tempdir().unwrap();
         for format in FLOAT_FORMATS {
             let bytes = encoded(&flow, format);
@@ -104,7 +104,7 @@ proptest! {
     }
 
     #[test]
-    fn something_after_the_data_is_refused(flow in flow_of(-100.0_f32..100.0), tail in prop::collection::vec(any::<u8>(), 1..50)) {
+    fn extra_data_is_refused(flow in flow_of(-100.0_f32..100.0), tail in prop::collection::vec(any::<u8>(), 1..50)) {
         let folder = tempfile::tempdir().unwrap();
         for format in FlowFormat::ALL {
             let mut bytes = encoded(&flow, format);
@@ -290,7 +290,7 @@ fn values_that_are_no_flow_are_named_by_their_pixel() {
 }
 
 #[test]
-fn what_a_format_cannot_hold_is_named_by_its_pixel() {
+fn unrepresentable_values_are_reported_with_their_pixel() {
     let folder = tempfile::tempdir().unwrap();
     let beyond = [
         (FlowFormat::Flo, 1.1e9),

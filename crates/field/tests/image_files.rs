@@ -158,7 +158,7 @@ fn npy_of_other_layouts_is_read_row_major() {
 }
 
 #[test]
-fn npy_says_what_is_wrong() {
+fn npy_errors_name_the_problem() {
     let message = read_npy_plane(&data("flow.npy")).unwrap_err().to_string();
     assert!(
         message.ends_with("flow.npy: shape: expected (H, W) of at least one pixel, found [9, 13, 2]"),

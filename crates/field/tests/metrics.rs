@@ -139,7 +139,7 @@ proptest! {
 
     /// Errors at and next to every threshold: multiples of 1/20 and their neighbours.
     #[test]
-    fn scoring_in_blocks_is_scoring_one_pixel_after_the_other(
+    fn scoring_in_blocks_matches_scoring_pixel_by_pixel(
         errors in prop::collection::vec((0_u32..120, -1_i32..=1, 0_usize..4), 1..400),
     ) {
         let lengths = [0.0, 7.0, 60.0, 20_000.0];

@@ -41,7 +41,7 @@ proptest! {
     }
 
     #[test]
-    fn what_was_read_is_kept(flow in flows(3000.0)) {
+    fn read_values_survive_another_round_trip(flow in flows(3000.0)) {
         let once = again(&flow);
         prop_assert_eq!(greatest_error(&once, &again(&once)), 0.0);
     }
@@ -100,7 +100,7 @@ fn a_head_turning_takes_little() {
 }
 
 #[test]
-fn what_no_step_reaches_is_named() {
+fn values_beyond_every_step_are_reported() {
     let mut flow = FlowField::new(3, 2);
     flow.set(1, 1, [1e31, 0.0]);
     let folder = tempfile::tempdir().unwrap();

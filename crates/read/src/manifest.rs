@@ -348,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_written_is_read() {
+    fn written_files_are_read_back() {
         let manifest = manifest();
         assert_eq!(read(&serde_json::to_string_pretty(&manifest).unwrap()).unwrap(), manifest);
     }
@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said() {
+    fn errors_name_the_problem() {
         let error = |text: &str| read(text).unwrap_err();
         let not_json = error("{");
         assert!(not_json.contains("dataset.json: not JSON") && not_json.contains("restore the file"));

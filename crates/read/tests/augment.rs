@@ -65,7 +65,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn the_flow_still_leads_from_frame_1_to_frame_2(seed in any::<u64>(), sparse in any::<bool>()) {
+    fn the_flow_still_maps_frame_1_to_frame_2(seed in any::<u64>(), sparse in any::<bool>()) {
         let crop = [64, 48];
         let config = if sparse { AugmentConfig::sparse(crop) } else { AugmentConfig::dense(crop) };
         // Flips with probability one half, and clearly visible stretches.
@@ -84,7 +84,7 @@ proptest! {
 
     /// Frame 2 is cropped elsewhere. Without a mask the whole flow is known; with one, the outside is not.
     #[test]
-    fn the_flow_of_a_shifted_sample_leads_to_frame_2(seed in any::<u64>(), sparse in any::<bool>(), masked in any::<bool>()) {
+    fn the_flow_of_a_shifted_sample_maps_to_frame_2(seed in any::<u64>(), sparse in any::<bool>(), masked in any::<bool>()) {
         let crop = [64, 48];
         let config = if sparse { AugmentConfig::sparse(crop) } else { AugmentConfig::dense(crop) };
         let config = AugmentConfig { shift_probability: 1.0, max_shift: 12, ..moving_only(config) };
@@ -111,7 +111,7 @@ proptest! {
 
     /// Frame 1 is white where the mask is true, and the other mask is its opposite.
     #[test]
-    fn masks_go_along(seed in any::<u64>()) {
+    fn masks_follow_frame_1(seed in any::<u64>()) {
         let mut sample = moving(90, 100);
         let mask = sample.mask.clone().expect("a mask");
         let white = mask.pixels().iter().map(|inside| if *inside { [255; 3] } else { [0; 3] }).collect();
@@ -306,7 +306,7 @@ fn unknown_flow_stays_unknown_and_spreads_no_further_than_interpolation() {
 }
 
 #[test]
-fn what_makes_no_sense_is_named() {
+fn invalid_settings_are_reported() {
     let message = |config: AugmentConfig| Augmentation::new(config).expect_err("wrong").to_string();
     let dense = || AugmentConfig::dense([64, 48]);
     assert_eq!(

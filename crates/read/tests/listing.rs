@@ -88,7 +88,7 @@ fn the_page_on_datasets_lists_every_kind_with_its_options() {
 }
 
 #[test]
-fn every_kind_says_what_an_empty_and_a_missing_folder_lack() {
+fn every_kind_reports_empty_and_missing_folders() {
     let empty = TempDir::new().unwrap();
     let missing = empty.path().join("no").join("such");
     let file = empty.path().with_extension("file");
@@ -164,7 +164,12 @@ mod folder {
         ]);
         assert_says(
             open("folder", dir.path(), None),
-            &["3 things", "a_flow.png exists twice, also as a_flow.flo", "b: no b_flow.*", "c: no c_img1.*"],
+            &[
+                "3 problems",
+                "a_flow.png exists twice, also as a_flow.flo",
+                "b: no b_flow.*",
+                "c: no c_img1.*",
+            ],
         );
     }
 
@@ -199,7 +204,7 @@ mod folder {
     }
 
     #[test]
-    fn what_goes_with_no_frame_is_named() {
+    fn files_without_a_frame_are_reported() {
         let dir = tree([
             "frames/0.png",
             "frames/1.png",
@@ -212,7 +217,7 @@ mod folder {
         assert_says(
             open("folder", dir.path(), None),
             &[
-                "4 things",
+                "4 problems",
                 "frames/1.png has no flow flow/1.*",
                 "flow/7.flo",
                 "mask/8.png",
@@ -269,7 +274,7 @@ mod chairs {
         let dir = chairs();
         assert_says(
             open("chairs", dir.path(), None),
-            &["FlyingChairs_train_val.txt", "beside data/", "--split all"],
+            &["FlyingChairs_train_val.txt", "next to data/", "--split all"],
         );
         assert_eq!(open("chairs", dir.path(), Some(Split::All)).unwrap().entries().len(), 4);
         let list = dir.path().join("FlyingChairs_train_val.txt");
@@ -416,7 +421,7 @@ mod sintel {
         add(dir.path(), (3..=20).map(|n| format!("training/flow/ambush_2/frame_{n:04}.flo")));
         assert_says(
             open("sintel-final", dir.path(), None),
-            &["20 files or folders are", "training/flow/alley_1", "and 12 more"],
+            &["20 problems", "training/flow/alley_1", "and 12 more"],
         );
     }
 }
@@ -682,7 +687,7 @@ mod srflow {
     }
 
     #[test]
-    fn unfinished_and_broken_datasets_say_so() {
+    fn unfinished_and_broken_datasets_are_reported() {
         let dir = srflow(false);
         fs::remove_file(dir.path().join("train/pairs/scene-0000/00001.json")).unwrap();
         fs::remove_file(dir.path().join("test/flow/scene-0001/00000.npz")).unwrap();

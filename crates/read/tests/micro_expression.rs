@@ -232,7 +232,7 @@ fn mixed_up_spreadsheets_are_recognized() {
 }
 
 #[test]
-fn a_wrong_root_is_refused_with_what_was_looked_for() {
+fn a_wrong_root_is_refused_with_the_expected_path() {
     let empty = tempfile::tempdir().unwrap();
     for kind in ["samm", "casme2", "smic"] {
         refuses(Labels::read(&at(kind, empty.path())), &[".xlsx", "--annotations"]);

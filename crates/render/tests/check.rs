@@ -39,7 +39,7 @@ fn change(path: &Path, pointer: &str, value: Value) {
 }
 
 #[test]
-fn whatever_is_changed_is_named() {
+fn every_change_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path();
     render(dir);

@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn exp_is_right_to_three_in_ten_million_and_leaves_what_is_not_a_number() {
+    fn exp_has_a_relative_error_under_3e_7_and_keeps_nan() {
         for isa in Isa::to_test() {
             let x: Vec<f32> = (0..8000).map(|i| i as f32 * -0.01).collect();
             let mut found = x.clone();
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn exp2_is_right_to_three_in_ten_million_and_exact_at_integers() {
+    fn exp2_has_a_relative_error_under_3e_7_and_is_exact_at_integers() {
         let exp2 = |x: f32| exp2(Portable, Portable.splat(x))[0];
         for i in -20_000..=0 {
             let x = i as f32 * 0.001;

@@ -133,7 +133,7 @@ mod tests {
 
     #[test]
     #[should_panic(expected = "another piece")]
-    fn a_piece_that_is_not_filled_is_noticed() {
+    fn an_unfilled_piece_is_detected() {
         fill_pieces(4, 4, || (), |(), _, piece| piece[..2].write_copy_of_slice(&[1.0; 2]));
     }
 
@@ -176,7 +176,7 @@ mod tests {
 
     #[test]
     #[should_panic(expected = "not all was written")]
-    fn columns_that_are_not_written_are_noticed() {
+    fn unwritten_columns_are_detected() {
         fill_with(Isa::best(), 3, 39, Start::Zero);
     }
 

@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn every_fourth_element_goes_to_a_vector_of_its_own_and_back() {
+    fn deinterleaving_round_trips() {
         for isa in Isa::to_test() {
             let lanes = isa.lanes();
             let elements: Vec<f32> = (0..4 * lanes).map(|i| i as f32).collect();

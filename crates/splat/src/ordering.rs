@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn bins_hold_what_spans_them_in_order() {
+    fn bins_contain_their_items_in_order() {
         let items = [(4, [0, 4]), (2, [3, 4]), (1, [1, 4]), (0, [0, 2]), (3, [2, 2])];
         let mut bins = Bins::default();
         for _ in 0..2 {

@@ -91,8 +91,8 @@ impl Layout {
         if properties.iter().any(|property| property.name == "binding_0") {
             return Err(problem(
                 "vertex properties",
-                "Gaussians in the world (GaussianAvatars binds each to a triangle of a mesh, in its coordinates: pose the mesh \
-                and export them in the world)",
+                "Gaussians in the world (each of these is bound to a triangle of a mesh, as in GaussianAvatars: pose the \
+             mesh and export them in the world)",
                 "`binding_0`",
             ));
         }

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_blocks_nothing() {
+    fn an_empty_scene_blocks_no_ray() {
         assert!(!Occluder::new(std::iter::empty()).blocks(Vec3::ZERO, Vec3::Z, 1.0));
     }
 }

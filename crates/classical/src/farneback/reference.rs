@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fast_blur_is_this_one() {
+    fn the_fast_blur_matches() {
         for (width, height) in [(1, 1), (5, 40), (150, 31), (131, 7)] {
             let frame = noise(width, height, "frame");
             for scale in [1.0, 0.5, 0.4, 0.25, 1.0 / 32.0] {
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fast_expansion_is_this_one() {
+    fn the_fast_expansion_matches() {
         for (width, height) in [(1, 1), (5, 40), (150, 31), (16, 7)] {
             let image = noise(width, height, "frame");
             for (radius, sigma) in [(5, 1.1), (7, 1.5), (1, 0.0), (20, 6.0)] {
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fast_update_is_this_one() {
+    fn the_fast_update_matches() {
         let kernel = ExpansionKernel::new(5, 1.1).unwrap();
         for (width, height) in [(1, 1), (1, 30), (40, 1), (5, 40), (331, 47)] {
             let (first, second) = (noise(width, height, "first"), noise(width, height, "second"));

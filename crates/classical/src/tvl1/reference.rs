@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fast_median_is_this_one() {
+    fn the_fast_median_matches() {
         for (width, height) in SIZES {
             let flow = noisy_flow(width, height, 2.0);
             let state = State::new(Layout::new(width, height, false), &flow, None);
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fast_iterations_are_these() {
+    fn the_fast_iterations_match() {
         for (width, height) in SIZES {
             for gamma in [0.0, 0.7] {
                 let parameters = TvL1Parameters { gamma, ..TvL1Parameters::default() };
@@ -212,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn iterations_end_where_the_change_falls_under_the_limit() {
+    fn iterations_stop_when_the_change_falls_below_the_limit() {
         let (width, height) = (70, 50);
         let (first, second) = (noise(width, height, "first", 60.0), noise(width, height, "second", 60.0));
         let flow = noisy_flow(width, height, 0.5);

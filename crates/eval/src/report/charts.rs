@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn odd_values_never_leave_the_chart() {
+    fn odd_values_stay_inside_the_chart() {
         for scale in [Scale::from_zero(f64::NAN), Scale::from_zero(0.0), Scale::decades(0.0, f64::INFINITY)] {
             for value in [f64::NAN, f64::INFINITY, -1.0, 0.0, 1e300] {
                 let share = scale.share(value);
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_have_no_idle_digits() {
+    fn numbers_have_no_unnecessary_digits() {
         let shown = [0.0, 0.25, 5.0, 12.5, 1234.0, 25e3, 2.5e6, 0.001].map(number);
         assert_eq!(shown, ["0", "0.25", "5", "12.5", "1234", "25 k", "2.5 M", "0.001"]);
     }

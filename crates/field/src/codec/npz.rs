@@ -174,7 +174,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn arrays_of_numbers_and_text_are_written_as_numpy_has_them() {
+    fn arrays_of_numbers_and_text_have_numpys_format() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.npz");
         let arrays = [

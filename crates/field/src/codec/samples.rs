@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_numbers_of_every_size_read_as_they_are() {
+    fn integers_of_every_size_are_read() {
         fn read(bytes: &[u8], signed: bool, endian: Endian) -> f32 {
             let mut values = [0.0];
             let sample = Sample::Integer { bytes: bytes.len(), signed, endian };
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn every_layout_of_a_number_reads_as_the_number() {
+    fn numbers_of_every_layout_are_read() {
         let value = -1.5_f32;
         let layouts: [(Sample, Vec<u8>); 6] = [
             (Sample::F16(Endian::Little), vec![0x00, 0xbe]),

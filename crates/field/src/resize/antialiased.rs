@@ -88,7 +88,7 @@ mod tests {
     /// A ramp stays a ramp, except at the borders; where pixels do not divide evenly, normalizing the weights shifts it by a small
     /// fraction of a pixel.
     #[test]
-    fn resizing_keeps_places() {
+    fn resizing_keeps_positions() {
         let flow = FlowField::from_fn(64, 48, |x, y| [x as f32, y as f32]);
         for size in [(32, 24), (128, 96), (21, 31)] {
             let resized = resize_flow_antialiased(&flow, size);

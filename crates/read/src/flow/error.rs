@@ -45,7 +45,7 @@ pub enum DatasetError {
         hint: String,
     },
     /// The dataset is incomplete: files without their counterparts.
-    #[error("{kind} in {}: {count} {} missing or unexpected:\n{listed}", .dir.display(), if *.count == 1 { "file or folder is" } else { "files or folders are" })]
+    #[error("{kind} in {}: {count} {}:\n{listed}", .dir.display(), if *.count == 1 { "problem" } else { "problems" })]
     Incomplete {
         /// Kind of dataset.
         kind: String,

@@ -239,7 +239,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_flow_format_is_looked_for() {
+    fn every_flow_format_is_found() {
         for format in srflow_field::FlowFormat::ALL {
             assert!(FLOWS.contains(&format.extension()), "{format}");
         }

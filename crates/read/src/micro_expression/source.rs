@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn other_texts_are_told_the_kinds() {
+    fn errors_list_the_kinds() {
         for text in ["", "samm", "samm:", "casme:/data", "casme2-RAW:x", "/data/SAMM"] {
             let error = text.parse::<ClipSource>().unwrap_err().to_string();
             assert!(error.contains("casme2[-raw|-cropped]") && error.contains("KIND:DIR"), "{error}");

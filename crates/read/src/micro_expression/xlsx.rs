@@ -359,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_table_claims_takes_no_memory() {
+    fn claimed_counts_take_no_memory() {
         for count in ["18446744073709551615", "4000000000"] {
             let strings = format!(r#"<sst count="{count}" uniqueCount="{count}"><si><t>a</t></si></sst>"#);
             let sheet =
@@ -370,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn small_files_do_not_swell() {
+    fn decompression_bombs_are_refused() {
         let items = format!("<sst>{}</sst>", "<si/>".repeat(8 << 20));
         assert!(
             refused(&[(STRINGS, &items), (SHEET, "<worksheet/>")]).contains("inflate to more than 32 MiB")

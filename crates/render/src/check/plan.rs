@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_arguments_do_not_give_is_named() {
+    fn deviations_from_the_arguments_are_reported() {
         assert_eq!(said(|_| {}), "");
         let all = said(|manifest| manifest.scenes.clear());
         assert!(all.starts_with("data/dataset.json: it lists 0 scenes, expected 5"), "{all}");

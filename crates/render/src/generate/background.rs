@@ -132,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn colours_and_folders_are_told_apart() {
+    fn colours_and_folders_are_distinguished() {
         assert_eq!("white".parse(), Ok(Background::Colour([255; 3])));
         assert_eq!("#0a80fF".parse(), Ok(Background::Colour([10, 128, 255])));
         assert_eq!("images/indoor".parse(), Ok(Background::Images("images/indoor".into())));
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn the_background_shows_as_much_as_alpha_lets_it() {
+    fn the_background_is_weighted_by_one_minus_alpha() {
         let mut frame = Image::from_fn(3, 1, |x, _| [[0; 3], [60, 0, 0], [200, 10, 0]][x]);
         let alpha = Plane::from_fn(3, 1, |x, _| [0.0, 0.5, 1.0][x]);
         composite(&mut frame, &alpha, &Image::filled(3, 1, [100, 50, 255]));

@@ -99,17 +99,17 @@ mod tests {
     }
 
     #[test]
-    fn what_moves_freely_is_seen_and_covers_the_background() {
+    fn a_free_motion_is_visible_and_covers_the_background() {
         assert_eq!(hidden_columns(&wall(2..6, 2.0, 1.0), &wall(4..8, 0.0, 0.0)), [6, 7]);
     }
 
     #[test]
-    fn what_leaves_the_image_is_hidden() {
+    fn points_that_leave_the_image_are_hidden() {
         assert_eq!(hidden_columns(&wall(2..12, 3.0, 1.0), &wall(0..12, 0.0, 0.0)), [0, 1, 9, 10, 11]);
     }
 
     #[test]
-    fn what_ends_behind_something_nearer_is_hidden() {
+    fn points_that_end_behind_a_nearer_surface_are_hidden() {
         let next = wall(5..12, 0.0, 0.0); // at 1 m
         assert_eq!(hidden_columns(&wall(0..6, 2.0, 1.1), &next), [3, 4, 5, 6, 7, 8, 9, 10, 11]);
         assert_eq!(

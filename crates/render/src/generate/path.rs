@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn starts_and_ends_at_rest_and_never_jerks() {
+    fn starts_and_ends_at_rest_with_continuous_acceleration() {
         let path = path();
         let h = 1e-4;
         let speed = |t: f64| (path.at(t + h)[0] - path.at(t - h)[0]) / (2.0 * h);

@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn azimuth_elevation_and_roll_turn_as_they_say() {
+    fn azimuth_elevation_and_roll_have_the_right_sign() {
         let rig = Rig::new(2200, 3208, CENTRE);
         let seen = |view, offset| rig.camera(view).project(CENTRE + offset).unwrap();
         let from_the_left = View { azimuth: 30.0, ..View::default() };
@@ -151,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn another_size_shows_the_same() {
+    fn another_size_shows_the_same_view() {
         let view = View { azimuth: 20.0, elevation: -5.0, roll: 3.0 };
         let point = CENTRE + DVec3::new(0.05, 0.1, 0.08);
         let (full, _) = Rig::new(2200, 3208, CENTRE).camera(view).project(point).unwrap();

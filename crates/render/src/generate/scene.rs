@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn long_scenes_are_seen_from_many_sides() {
+    fn long_scenes_have_views_from_many_sides() {
         let widest = |scene| {
             let path = camera_path(&mut Key::new(5).scene(scene).stream("test"), 413);
             (0..=413).map(|frame| path.at(f64::from(frame) / 413.0)[0].abs()).fold(0.0, f64::max)

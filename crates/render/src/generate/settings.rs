@@ -334,7 +334,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_does_not_depend_on_how_many_there_are() {
+    fn a_scene_does_not_depend_on_the_number_of_scenes() {
         let few = plan(&Settings { scenes: 3, frames: 5.0, ..Settings::default() }).unwrap();
         let many = plan(&Settings::default()).unwrap();
         for (a, b) in few.scenes.iter().zip(&many.scenes) {
@@ -371,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said_before_any_work() {
+    fn errors_come_before_any_work() {
         let error = |settings: Settings| plan(&settings).unwrap_err();
         let base = Settings::default;
         assert!(error(Settings { scenes: 0, ..base() }).contains("--scenes 0: expected 1 to 10000"));

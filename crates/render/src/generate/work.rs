@@ -284,7 +284,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pair_lacks_what_any_of_its_files_lacks() {
+    fn a_pair_with_a_missing_file_is_missing() {
         let folder = tempfile::tempdir().unwrap();
         let dir = folder.path();
         let settings = Settings {

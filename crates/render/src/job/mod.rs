@@ -254,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn shards_are_equal_and_together_the_whole() {
+    fn shards_are_equal_and_cover_everything() {
         let groups = [7, 8, 7, 0, 7, 8];
         let whole = units(&units_of_shard(&groups, Shard::WHOLE));
         assert_eq!(whole.len() as u32, groups.iter().sum::<u32>());
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn texts_are_read_as_they_are_written() {
+    fn text_forms_round_trip() {
         assert_eq!("2/3".parse(), Ok(Shard { number: 2, of: 3 }));
         for text in ["3/2", "0/2", "1/0", "2", "a/b", "-1/2", "1/2/3"] {
             assert!(text.parse::<Shard>().unwrap_err().contains(text));

@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_is_as_strong_as_asked_and_differs_by_frame() {
+    fn noise_has_the_requested_strength_and_differs_by_frame() {
         let (mean, deviation) = moments(&recorded(0.0, 1.0, 0.0, 1));
         assert!((mean - 128.0).abs() < 0.2 && (1.5..2.1).contains(&deviation), "{mean} {deviation}");
         let (_, stronger) = moments(&recorded(0.0, 3.0, 0.0, 1));

@@ -180,7 +180,7 @@ fn a_binary_model_may_end_anywhere() {
 }
 
 #[test]
-fn what_is_no_camera_is_said() {
+fn invalid_camera_files_are_reported() {
     for (text, reason) in [
         ("hello", "not a JSON object"),
         ("{}", "without any of these keys"),

@@ -165,7 +165,7 @@ fn a_longer_file_than_its_header_says_is_refused() {
 }
 
 #[test]
-fn what_has_no_raw_form_is_not_written() {
+fn values_without_a_raw_form_are_not_written() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.ply");
     let spoil: [fn(&mut Gaussians); 5] = [

@@ -206,7 +206,7 @@ impl VideoWriter {
         command.args(["-nostdin", "-v", "error", "-y", "-f", "rawvideo", "-pix_fmt", "rgb24"]);
         command.args(["-s", &format!("{}x{}", size.0, size.1), "-r", rate, "-i", "-"]);
         // Most players need chroma at half the size, which is impossible for an odd side.
-        command.args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"]).arg(&partial);
+        command.args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2", "-pix_fmt", "yuv420p"]).arg(address(&partial));
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
         let what = format!("{}: writing a video", path.display());
         let mut child = command.spawn().map_err(|error| not_started(error, &what))?;

@@ -201,7 +201,7 @@ fn any_number_of_classes_goes_from_training_to_tables() {
 }
 
 #[test]
-fn what_cannot_be_run_says_why() {
+fn impossible_runs_are_explained() {
     let error = |samples: &[Sample], protocol: &Protocol| {
         leave_one_subject_out::<StstNet>(samples, Classes::default().names(), protocol, None, &|_| {})
             .unwrap_err()

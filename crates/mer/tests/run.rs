@@ -79,7 +79,7 @@ fn run_in(
 }
 
 #[test]
-fn events_count_up_to_what_they_announce_and_a_second_run_computes_nothing() {
+fn events_reach_the_announced_counts_and_a_second_run_computes_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let [first, second] = ["first", "second"].map(|name| folder.path().join(name));
     let datasets = || vec![dataset(&first, 3), dataset(&second, 2)];

@@ -351,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_and_old_ones_go() {
+    fn checkpoints_round_trip_and_old_ones_are_deleted() {
         let run = tempfile::tempdir().unwrap();
         let checkpoints = Checkpoints::of_run(run.path());
         assert!(matches!(checkpoints.read_last(&layout()), Err(CheckpointError::None { .. })));
@@ -372,7 +372,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_killed_run_left_unfinished_goes() {
+    fn leftovers_of_a_killed_run_are_deleted() {
         let run = tempfile::tempdir().unwrap();
         let checkpoints = Checkpoints::of_run(run.path());
         checkpoints.write(&checkpoint(1), &layout()).unwrap();

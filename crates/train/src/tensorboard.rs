@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_holds_what_was_written() {
+    fn a_file_contains_the_written_values() {
         let folder = tempfile::tempdir().unwrap();
         let mut events = EventFile::create(folder.path()).unwrap();
         events.write(300, &[("loss/total".to_owned(), 1.5), ("learning_rate".to_owned(), 1e-4)]).unwrap();

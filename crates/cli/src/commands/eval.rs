@@ -203,7 +203,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_command_line_can_be_given_to_a_shell_again() {
+    fn a_command_line_is_quoted_for_a_shell() {
         let words = ["/path/srflow", "eval", "--method", "Ours: 3:skflow=a b.ckpt", "it's", "", "srflow:out"];
         assert_eq!(
             command_line(words.map(str::to_owned).into_iter()),

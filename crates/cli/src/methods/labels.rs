@@ -19,10 +19,14 @@ pub fn labels(specs: &[&MethodSpec]) -> Vec<String> {
     let label = |spec: &&MethodSpec| match (&spec.label, &spec.weights) {
         (Some(label), _) => label.clone(),
         (None, Some(dir)) if spec.method == Method::Files => {
-            told_apart(dir, &weights_of[&Method::Files], true)
+            distinguishing_suffix(dir, &weights_of[&Method::Files], true)
         }
         (None, Some(weights)) if unnamed[&spec.method] > 1 => {
-            format!("{} ({})", spec.method.name(), told_apart(weights, &weights_of[&spec.method], false))
+            format!(
+                "{} ({})",
+                spec.method.name(),
+                distinguishing_suffix(weights, &weights_of[&spec.method], false)
+            )
         }
         _ => spec.method.name().to_owned(),
     };
@@ -31,7 +35,7 @@ pub fn labels(specs: &[&MethodSpec]) -> Vec<String> {
 
 /// The shortest suffix of a path that differs for all of these paths, with the extension if they are `folders`; the whole path
 /// if there is none.
-fn told_apart(path: &str, paths: &[&str], folders: bool) -> String {
+fn distinguishing_suffix(path: &str, paths: &[&str], folders: bool) -> String {
     let end = |path: &str, parents: usize| {
         let whole = if folders { Path::new(path).to_owned() } else { Path::new(path).with_extension("") };
         let parts: Vec<_> = whole.components().map(|part| part.as_os_str().to_string_lossy()).collect();

@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_identity_follows_from_what_the_flow_follows_from() {
+    fn an_identity_covers_everything_the_flow_depends_on() {
         let folder = tempfile::tempdir().unwrap();
         let file = |name: &str, bytes: &str| {
             std::fs::write(folder.path().join(name), bytes).unwrap();

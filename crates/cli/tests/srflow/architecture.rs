@@ -58,7 +58,7 @@ fn crates_depend_only_on_crates_above_them() {
 
 /// Evaluating and training must not compile the renderer.
 #[test]
-fn what_reads_datasets_does_not_depend_on_what_renders_them() {
+fn readers_do_not_depend_on_the_renderer() {
     let metadata = metadata(&["--no-deps", "--offline"]);
     let packages = metadata["packages"].as_array().expect("packages");
     let dependencies_of = |name: &str| -> Vec<&str> {

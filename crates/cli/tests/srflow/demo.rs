@@ -36,7 +36,7 @@ fn the_whole_road_ends_in_one_page() {
 }
 
 #[test]
-fn what_is_wrong_with_photographs_is_said_before_any_work() {
+fn errors_in_photographs_come_before_any_work() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("demo");
     let file = |name: &str| dir.path().join(name).display().to_string();

@@ -71,7 +71,7 @@ fn a_folder_gives_the_flows_between_its_frames_in_the_order_of_their_numbers() {
 }
 
 #[test]
-fn what_cannot_be_done_is_said_and_nothing_is_written() {
+fn impossible_requests_are_explained_and_nothing_is_written() {
     let dir = tempfile::tempdir().unwrap();
     let dir = dir.path();
     write_frames(dir, 0..3, SIZE);

@@ -127,7 +127,7 @@ fn large_frames_are_cut_or_scaled_and_the_report_says_how() {
 }
 
 #[test]
-fn what_is_wrong_is_said() {
+fn errors_name_the_problem() {
     fs::write(data().join("broken.ckpt"), b"not a checkpoint at all").unwrap();
     let pair = ["video/0.png", "video/1.png", "-o", "never.flo"];
     let refused = |arguments: &[&str], code: i32, expected: &[&str]| {
@@ -221,7 +221,7 @@ fn videos_go_through_ffmpeg() {
     // Its last argument is `-` when it reads a video, else the video to write.
     program(
         "ffmpeg",
-        "for last; do :; done\nif [ \"$last\" = - ]; then cat clip.mp4; else cat > \"$last\"; fi",
+        "for last; do :; done\nif [ \"$last\" = - ]; then cat clip.mp4; else cat > \"${last#file:}\"; fi",
     );
     program("ffprobe", "echo r_frame_rate=30/1; echo nb_read_packets=3");
     let run = |path: &str, more: &[&str]| {

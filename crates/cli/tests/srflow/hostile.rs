@@ -83,6 +83,22 @@ fn samples(folder: &Path) -> Vec<Sample> {
 
     let clips = &["mer", "data", "--labels-only", "--clips", "clips:FILE"];
     samples.push(Sample { name: "clips", bytes: CLIPS.into(), file: "clips.csv", arguments: clips });
+    fs::write(folder.join("faces.csv"), FACES).unwrap();
+    let features = &[
+        "mer",
+        "features",
+        "clips:DIR/faces.csv",
+        "--method",
+        "farneback",
+        "--out",
+        "DIR/out.npz",
+        "--force",
+        "--landmarks",
+        "FILE",
+    ];
+    let (eyes, dlib) = (eyes(), dlib());
+    samples.push(Sample { name: "eyes", bytes: eyes.into(), file: "eyes.csv", arguments: features });
+    samples.push(Sample { name: "landmarks", bytes: dlib.into(), file: "dlib.csv", arguments: features });
     let sheet = &["mer", "data", "--labels-only", "--clips", "smic:DIR", "--annotations", "smic:FILE"];
     samples.push(Sample { name: "xlsx", bytes: workbook(&[]), file: "a.xlsx", arguments: sheet });
     let predictions = "method,set,dataset,subject,clip,truth,epoch,predicted,score_negative,score_positive,\
@@ -101,6 +117,15 @@ fn samples(folder: &Path) -> Vec<Sample> {
     let view = TensorView::new(Dtype::F32, vec![2], &numbers).unwrap();
     let bytes = safetensors::serialize([("a.bias", view)], None).unwrap();
     samples.push(Sample { name: "safetensors", bytes, file: "a.safetensors", arguments: INSPECT });
+    let bytes = burn_pack::Tensor::new(
+        "a.bias".into(),
+        burn_pack::DType::F32,
+        vec![2],
+        None,
+        burn_pack::Bytes::from_bytes_vec(numbers.to_vec()),
+    );
+    let bytes = burn_pack::Writer::new(vec![bytes]).into_bytes().unwrap().to_vec();
+    samples.push(Sample { name: "burnpack", bytes, file: "a.bpk", arguments: INSPECT });
     let manifest = br#"{"layout_version": 1, "arguments": {"width": 8, "height": 8, "flow_format": "flo"}, "scenes": []}"#;
     samples.push(Sample {
         name: "manifest",
@@ -120,6 +145,21 @@ fn samples(folder: &Path) -> Vec<Sample> {
         arguments: head,
     });
     samples
+}
+
+/// A clip whose frames are `frame1.png` and `frame2.png` beside the table.
+const FACES: &str = "clip,subject,onset,apex,offset,class\n.,s1,1,2,2,negative\n";
+
+/// Landmarks of the clip of [`FACES`]: the eyes alone.
+fn eyes() -> String {
+    "subject,clip,left_eye_x,left_eye_y,right_eye_x,right_eye_y\ns1,.,8,6.5,16,7\n".to_owned()
+}
+
+/// The same as dlib's 68 points, with the number of the frame.
+fn dlib() -> String {
+    let names: String = (0..68).map(|n| format!(",x_{n},y_{n}")).collect();
+    let points: String = (0..68).map(|n| format!(",{},{}", 4 + n % 17, 2 + n / 6)).collect();
+    format!("subject,clip,frame{names}\ns1,.,1{points}\n")
 }
 
 fn root() -> PathBuf {
@@ -396,7 +436,7 @@ fn refusal(file: &str, bytes: &[u8], arguments: &[&str]) -> String {
 }
 
 #[test]
-fn spreadsheets_that_swell_are_refused() {
+fn expanding_spreadsheets_are_refused() {
     let sheet = &["mer", "data", "--labels-only", "smic:DIR", "--annotations", "smic:FILE"];
     let strings = "xl/sharedStrings.xml";
     let swollen = format!("<sst>{}</sst>", "<si/>".repeat(8 << 20));
@@ -411,15 +451,63 @@ fn spreadsheets_that_swell_are_refused() {
     }
 }
 
+/// The archive with a zip64 end of its directory that claims `entries` entries in `size` bytes; `size` of `None` keeps the
+/// directory's own.
+fn with_zip64_claim(archive: &[u8], entries: u64, size: Option<u64>) -> Vec<u8> {
+    let end = archive.len() - 22;
+    assert!(archive[end..].starts_with(b"PK\x05\x06"), "an archive without a comment");
+    let field =
+        |at: usize| u64::from(u32::from_le_bytes(archive[end + at..end + at + 4].try_into().unwrap()));
+    let (own_size, offset) = (field(12), field(16));
+    let mut bytes = archive[..end].to_vec();
+    bytes.extend(b"PK\x06\x06"); // end of central directory, zip64
+    bytes.extend(44_u64.to_le_bytes());
+    bytes.extend([45, 0, 45, 0, 0, 0, 0, 0, 0, 0, 0, 0]);
+    for number in [entries, entries, size.unwrap_or(own_size), offset] {
+        bytes.extend(number.to_le_bytes());
+    }
+    bytes.extend(b"PK\x06\x07\0\0\0\0"); // its locator
+    bytes.extend((end as u64).to_le_bytes());
+    bytes.extend(1_u32.to_le_bytes());
+    bytes.extend(b"PK\x05\x06\0\0\0\0"); // the plain end, which refers to the one above
+    bytes.extend([0xff; 12]);
+    bytes.extend([0, 0]);
+    bytes
+}
+
+/// No reader takes memory or time for the number of entries that a zip64 directory claims.
 #[test]
-fn text_of_files_is_escaped_and_cut() {
+fn lying_zip64_counts_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let samples = samples(folder.path());
+    let zips = samples.iter().filter(|sample| sample.bytes.starts_with(b"PK\x03\x04"));
+    let mut names = Vec::new();
+    for Sample { name, bytes, file, arguments } in zips {
+        names.push(*name);
+        for entries in [u64::MAX, 1 << 40, 1 << 28] {
+            for size in [None, Some(u64::MAX), Some(entries.saturating_mul(46))] {
+                let lie = with_zip64_claim(bytes, entries, size);
+                let path = folder.path().join(file);
+                fs::write(&path, &lie).unwrap();
+                assert_eq!(trouble(&path, arguments), None, "{name}, {entries} entries in {size:?} bytes");
+                let said = fs::read_to_string(path.with_extension("stderr")).unwrap();
+                assert!(said.contains("error: ") && said.contains(file), "{name}, {entries} entries: {said}");
+            }
+        }
+        fs::write(folder.path().join(file), bytes).unwrap();
+    }
+    assert_eq!(names, ["a.npz", "a.npz16", "xlsx", "zip.pth", "lightning.ckpt"]);
+}
+
+#[test]
+fn text_of_files_is_escaped_and_truncated() {
     let evil = format!("clip,subject,onset,apex,offset,class\nc,s,1,2,3,\x1b[31m{}\n", "x".repeat(1 << 20));
     let said = refusal("clips.csv", evil.as_bytes(), &["mer", "data", "--labels-only", "clips:FILE"]);
     assert!(said.contains("\\u{1b}[31m") && said.len() < 2000, "{said}");
 }
 
 #[test]
-fn an_ascii_ply_says_everything_once() {
+fn an_ascii_ply_has_no_surplus_or_duplicate() {
     let (_folder, ascii) = {
         let folder = tempfile::tempdir().unwrap();
         let all = samples(folder.path());
@@ -466,7 +554,7 @@ fn nothing_but_regular_files_is_opened() {
 
 #[cfg(unix)]
 #[test]
-fn a_hole_in_a_sequence_is_named() {
+fn a_missing_frame_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let frames = folder.path().join("frames");
     write_frames(&frames, [1, 3], (24, 16));
@@ -484,7 +572,7 @@ fn a_hole_in_a_sequence_is_named() {
 
 /// Where the third flow cannot be written the run ends, as one that is killed: its note and two flows are there.
 #[test]
-fn flows_into_a_folder_go_on_where_a_run_ended() {
+fn flow_into_a_folder_resumes_an_interrupted_run() {
     let folder = tempfile::tempdir().unwrap();
     let frames = folder.path().join("frames");
     write_frames(&frames, 1..=4, (40, 32));

@@ -21,6 +21,7 @@ mod models;
 mod rasterize;
 mod render_check;
 mod train;
+mod videos;
 
 /// The program under test. Cargo names it when the tests run: a path kept from the build would outlive a move of the checkout.
 fn binary() -> PathBuf {

@@ -52,7 +52,7 @@ fn a_rendered_set_is_listed() {
 }
 
 #[test]
-fn the_published_annotations_are_listed_with_what_is_dropped() {
+fn the_published_annotations_are_listed_with_dropped_rows() {
     let Some(dir) = annotations() else { return };
     let folder = tempfile::tempdir().unwrap();
     let sources: Vec<String> =

@@ -235,7 +235,7 @@ fn what_cannot_be_learned_is_named() {
 }
 
 #[test]
-fn what_cannot_be_run_says_why() {
+fn impossible_runs_are_explained() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("out");
     let clips = folder.path().join("faces");

@@ -129,7 +129,7 @@ fn metrics_says_what_the_regularizers_need() {
 }
 
 #[test]
-fn metrics_says_what_is_wrong() {
+fn metrics_reports_errors() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     write_flow(&path("a.flo"), &wavy()).unwrap();
@@ -195,7 +195,7 @@ fn convert_overwrites_only_with_force() {
 }
 
 #[test]
-fn convert_says_what_is_wrong() {
+fn convert_reports_errors() {
     let folder = tempfile::tempdir().unwrap();
     let fast = FlowField::filled(4, 3, [600.0, 0.0]);
     write_flow(&folder.path().join("fast.flo"), &fast).unwrap();

@@ -284,7 +284,7 @@ fn backgrounds_stand_still_behind_the_head() {
 }
 
 #[test]
-fn what_is_broken_is_named() {
+fn broken_files_are_reported() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("data");
     copy_into(whole(), &out);

@@ -120,7 +120,7 @@ fn a_folder_that_another_process_trains_in_is_refused() {
 
 /// Without a split `val`, with weights of one network for another and for the same.
 #[test]
-fn what_a_run_begins_with_is_said() {
+fn a_run_reports_its_start() {
     let dir = tempfile::tempdir().unwrap();
     make_pairs(dir.path(), 2);
     let data = format!("folder:{}", dir.path().display());
@@ -152,7 +152,7 @@ fn what_a_run_begins_with_is_said() {
 
 /// Frames here are smaller than those that networks take as they are.
 #[test]
-fn validation_scores_what_evaluation_does() {
+fn validation_matches_evaluation() {
     let dir = tempfile::tempdir().unwrap();
     make_pairs(&dir.path().join("train"), 2);
     make_pairs(&dir.path().join("val"), 2);

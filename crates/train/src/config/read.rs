@@ -142,7 +142,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_preset_is_whole_and_makes_sense() {
+    fn every_preset_is_complete_and_valid() {
         for preset in PRESETS {
             let config = Config::read(Path::new(preset.name)).expect(preset.name);
             config.check().expect(preset.name);
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_overrides_say_what_there_is() {
+    fn wrong_overrides_list_the_keys() {
         let error = |given: &str| Config::default().with_override(given).expect_err(given).to_string();
         assert!(error("training.lr=1").contains("learning_rate"), "{}", error("training.lr=1"));
         assert!(error("train.batch=1").contains("training"));
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn senseless_numbers_are_named() {
+    fn invalid_numbers_are_reported() {
         for given in
             ["training.batch=0", "training.clip=-1", "training.rising=1", "loss.gamma=2", "data.workers=0"]
         {

@@ -215,7 +215,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_number_that_is_missing_is_noticed() {
+    fn a_missing_number_is_detected() {
         let hole = |names: &[&str]| hole(&names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>());
         assert_eq!(hole(&["f1", "f2", "f4"]), Some((1, 2)));
         assert_eq!(hole(&["a_08_l", "a_10_l", "a_12_l"]), None, "every second frame");

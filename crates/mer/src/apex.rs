@@ -11,13 +11,13 @@ use crate::face::{ClipCrop, FaceCrop, FacePoints};
 use crate::features::FEATURE_SIDE;
 use crate::strain::{StrainFormula, optical_strain};
 
-/// How an apex is spotted.
+/// The rule for spotting an apex.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ApexRule {
-    /// The frame that differs most from the onset and least from the frame before it: the greatest mean of
-    /// `(|I(t) - I(onset)| + 1) / (|I(t) - I(t - 1)| + 1)` over grey values (Quang et al. 2019, who made the list of SMIC's
-    /// apexes so). With the 68 points of dlib it is the mean over their ten cells about mouth, nose, eyes and brows,
-    /// placed by the onset's landmarks; else over the whole picture.
+    /// The frame that differs most from the onset and least from the previous frame: the greatest mean of
+    /// `(|I(t) - I(onset)| + 1) / (|I(t) - I(t - 1)| + 1)` over grey values (Quang et al. 2019, who published a list of SMIC's
+    /// apexes spotted in this way). With dlib's 68 points it is the mean over their ten cells about mouth, nose, eyes and brows,
+    /// placed by the onset's landmarks; otherwise over the whole picture.
     Ratio,
     /// The frame to which the flow from the onset strains the face most: the greatest mean of squared optical strain.
     Strain,
@@ -25,20 +25,20 @@ pub enum ApexRule {
 
 named!(ApexRule, "a rule of spotting the apex", { Ratio => "ratio", Strain => "strain" });
 
-/// The apex that a rule found in a clip.
+/// A spotted apex.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpottedApex {
     /// Number of the frame.
     pub frame: u64,
-    /// What the rule says of every frame after the onset.
+    /// The rule's score of every frame after the onset.
     pub scores: Vec<(u64, f64)>,
 }
 
-/// Spots the apex of a clip among its frames after the onset. Of equal frames the first is taken. For
-/// [`ApexRule::Strain`], flow is computed between pictures of 112x112.
+/// Spots the apex of a clip among its frames after the onset; the first of equal frames wins. For [`ApexRule::Strain`],
+/// flow is computed between pictures of 112x112.
 ///
 /// # Errors
-/// When a frame cannot be read or cut, or the method gives no flow.
+/// When a frame cannot be read or cropped, or the flow method fails.
 pub fn spot_apex(
     clip: &Clip,
     rule: ApexRule,
@@ -68,7 +68,7 @@ pub fn spot_apexes(
     spotted.into_iter().collect()
 }
 
-/// Gives an apex to every clip that has none; returns how many there were.
+/// Sets the apex of every clip without one; returns how many there were.
 ///
 /// # Errors
 /// Those of [`spot_apexes`].
@@ -155,8 +155,8 @@ fn same_size(clip: &Clip, number: u64, onset: &Plane, now: &Plane) -> Result<(),
 /// A rectangle: columns and rows, the second not included.
 type Cell = [[usize; 2]; 2];
 
-/// Mean over the cells of the mean ratio within each; cells outside of the picture do not count. Without any cell, over
-/// the whole picture.
+/// Mean over the cells of the mean ratio within each; cells outside the picture are ignored. Without cells, the mean over the
+/// whole picture.
 fn difference_ratio(onset: &Plane, before: &Plane, now: &Plane, cells: &[Cell]) -> f64 {
     let whole = [[0, now.width()], [0, now.height()]];
     let means: Vec<f64> = cells.iter().filter_map(|cell| mean_ratio(onset, before, now, cell)).collect();
@@ -180,7 +180,7 @@ fn mean_ratio(onset: &Plane, before: &Plane, now: &Plane, [columns, rows]: &Cell
     (count > 0).then(|| sum / count as f64)
 }
 
-/// The ten cells about mouth, chin, nose, eyes and brows, half a mouth wide, in the cut picture; none without the 68 points.
+/// The ten cells about mouth, chin, nose, eyes and brows, half a mouth wide, in the cropped picture; none without the 68 points.
 fn cells(face: &FacePoints, crop: &ClipCrop) -> Vec<Cell> {
     let Some(dlib) = &face.dlib else { return Vec::new() };
     let at = |index: usize| crop.point(dlib[index]);
@@ -204,25 +204,24 @@ fn cells(face: &FacePoints, crop: &ClipCrop) -> Vec<Cell> {
         about([brows[0] - width, brows[1]]),
         about([brows[0] + width, brows[1]]),
     ];
-    // The cast brings what lies before the picture to its border.
+    // The cast clamps coordinates before the picture to its border.
     rectangles.map(|rectangle| rectangle.map(|range| range.map(|place| place as usize))).to_vec()
 }
 
-/// How far a rule is from the annotated apexes.
+/// Accuracy of a rule against the annotated apexes.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ApexErrors {
-    /// Clips that were compared.
+    /// Number of compared clips.
     pub clips: usize,
     /// Mean absolute difference between spotted and annotated apex, in frames.
     #[serde(rename = "mean_absolute_frames")]
     pub mean_absolute: f64,
-    /// The same for always taking the middle between onset and offset: what a rule must beat.
+    /// The same for the middle between onset and offset, as a baseline.
     #[serde(rename = "middle_of_clip_frames")]
     pub of_the_middle: f64,
 }
 
-/// Compares spotted apexes with the annotated ones; clips without an annotated apex are passed over. None when that leaves
-/// no clip.
+/// Compares spotted apexes with the annotated ones; clips without an annotated apex are ignored. `None` if no clip remains.
 pub fn apex_errors<'a>(spotted: impl IntoIterator<Item = (&'a Clip, u64)>) -> Option<ApexErrors> {
     let (mut clips, mut of_rule, mut of_middle) = (0_usize, 0.0, 0.0);
     for (clip, frame) in spotted {

@@ -8,12 +8,11 @@ use srflow_field::{FileError, FileKind, FileProblem, create_folder, open_file, r
 
 use crate::features::{FEATURE_SIDE, Features};
 
-/// Goes up when the same recipe gives other features.
+/// Incremented when the same recipe gives other features.
 const VERSION: u32 = 1;
 
-/// A folder of features. Each file is called after a digest of the two pictures' bytes, the flow method with its
-/// parameters and weights, the preparation, and this program's version of it: features that follow from something else
-/// never have the same name, and nothing has to be invalidated.
+/// A folder of features. File names are digests of the two pictures' bytes, the flow method with its parameters and weights,
+/// the preparation, and this program's version of it: other inputs have other names, and nothing has to be invalidated.
 #[derive(Debug, Clone)]
 pub struct FeatureCache {
     folder: PathBuf,
@@ -47,16 +46,16 @@ fn hexadecimal(bytes: &[u8]) -> String {
 }
 
 impl FeatureCache {
-    /// The cache in `folder`, which is made when it is not there.
+    /// Opens the cache in `folder`, which is created if necessary.
     ///
     /// # Errors
-    /// When the folder cannot be made.
+    /// When the folder cannot be created.
     pub fn open(folder: &Path) -> Result<Self, FileError> {
         create_folder(folder)?;
         Ok(Self { folder: folder.to_owned() })
     }
 
-    /// The key of the features that follow from two picture files and a recipe.
+    /// The key of the features of two picture files and a recipe.
     ///
     /// # Errors
     /// When a file cannot be read.
@@ -64,13 +63,13 @@ impl FeatureCache {
         let mut digest = Sha256::new();
         digest.update(format!("srflow features {VERSION}\n{recipe}\n"));
         for path in [onset, apex] {
-            // Of each picture its own digest, so that bytes cannot move from one to the other.
+            // A separate digest of each picture, so that bytes cannot move from one to the other.
             digest.update(sha256(path, FileKind::Image)?);
         }
         Ok(FeatureKey(hexadecimal(&digest.finalize())))
     }
 
-    /// The features of a key, when they are there and whole.
+    /// The features of a key, if they exist and are intact.
     pub fn get(&self, key: &FeatureKey) -> Option<Features> {
         let array = read_npy(&self.file(key)).ok()?;
         if array.shape != [3, FEATURE_SIDE, FEATURE_SIDE] {
@@ -79,7 +78,7 @@ impl FeatureCache {
         Features::from_values(array.values).ok()
     }
 
-    /// Keeps features under a key.
+    /// Stores features under a key.
     ///
     /// # Errors
     /// When the file cannot be written.

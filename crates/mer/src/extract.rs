@@ -1,4 +1,4 @@
-//! From a clip to its features: cut, resize, flow from onset to apex, strain.
+//! From a clip to its features: crop, resize, flow from onset to apex, strain.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -13,7 +13,7 @@ use crate::face::{ClipCrop, FaceCrop, FaceError};
 use crate::features::{FEATURE_SIDE, FeatureError, Features, Sample};
 use crate::strain::{StrainFormula, optical_strain};
 
-/// Whether pictures or flow are brought to 112x112. The paper does not say; Off-TANet's code resizes before.
+/// Whether pictures or flow are resized to 112x112. The paper does not say; Off-TANet's code resizes pictures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ResizeOrder {
     /// Pictures are resized (cubic, as OpenCV), and flow is computed at 112x112.
@@ -25,19 +25,18 @@ pub enum ResizeOrder {
 
 named!(ResizeOrder, "before or after the flow", { Before => "before", After => "after" });
 
-/// Everything that decides a clip's features beside its pictures and the flow method.
+/// The settings that features depend on, apart from the pictures and the flow method.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Preparation {
-    /// What of a frame is the face.
     pub face: FaceCrop,
     /// Whether pictures or flow are resized.
     pub resize: ResizeOrder,
-    /// How strain is computed.
+    /// Formula of the strain.
     pub strain: StrainFormula,
 }
 
 impl fmt::Display for Preparation {
-    /// What was done, for results.
+    /// Description for results.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { face, resize, strain } = self;
         write!(f, "{face}, resized to {FEATURE_SIDE}x{FEATURE_SIDE} {resize} the flow, {strain} strain")
@@ -51,7 +50,7 @@ pub struct Method<'a> {
     pub identity: String,
 }
 
-/// Why a clip has no features.
+/// Why the features of a clip could not be computed.
 #[derive(Debug, thiserror::Error)]
 #[error("{clip}: {problem}")]
 pub struct ExtractError {
@@ -60,30 +59,29 @@ pub struct ExtractError {
     pub problem: ExtractProblem,
 }
 
-/// See [`ExtractError`].
 #[derive(Debug, thiserror::Error)]
 pub enum ExtractProblem {
-    /// No apex is known.
+    /// It has no apex.
     #[error(
         "it has no apex frame; spot it (`--apex ratio` or `--apex strain`) or give a list of apex frames"
     )]
     NoApex,
-    /// A frame is not among those that are there.
+    /// A required frame is missing.
     #[error("frame {0} is missing")]
     NoFrame(u64),
     /// A frame cannot be read, or the cache cannot be written.
     #[error(transparent)]
     File(#[from] FileError),
-    /// A frame could not be cut.
+    /// A frame could not be cropped.
     #[error(transparent)]
     Face(#[from] FaceError),
-    /// The method gave no flow.
+    /// The flow method failed.
     #[error(transparent)]
     Estimate(#[from] EstimateError),
-    /// The method gave a flow that is not finite.
+    /// The flow is not finite.
     #[error(transparent)]
     Features(#[from] FeatureError),
-    /// Onset and apex differ in size, or hold nothing.
+    /// Onset and apex have different sizes, or are empty.
     #[error("{} is {}x{} and {} {}x{} (WIDTHxHEIGHT): expected frames of one size with at least one pixel", .onset.display(), .onset_size.0, .onset_size.1, .apex.display(), .apex_size.0, .apex_size.1)]
     Sizes {
         /// The onset's file.
@@ -98,7 +96,7 @@ pub enum ExtractProblem {
 /// The flow from `onset` to `apex` at the features' size, and its strain.
 ///
 /// # Errors
-/// When the method gives no flow, or one that is not finite.
+/// When the flow method fails, or its flow is not finite.
 pub fn features_of_frames(
     onset: &Image,
     apex: &Image,
@@ -119,7 +117,7 @@ fn components(flow: &FlowField) -> [Plane; 2] {
     [0, 1].map(|component| Plane::from_fn(flow.width(), flow.height(), |x, y| flow.get(x, y)[component]))
 }
 
-/// Features of one clip with the given apex, from the cache where it has them.
+/// Features of one clip with the given apex, from the cache if possible.
 fn features_of_clip(
     clip: &Clip,
     apex: u64,
@@ -144,10 +142,10 @@ fn features_of_clip(
     Ok((features, false))
 }
 
-/// The faces in a clip's onset and apex frames, as features are computed from them but in the frames' own size.
+/// The faces in a clip's onset and apex frames, cropped as for features but at full resolution.
 ///
 /// # Errors
-/// When the clip has no apex, or a frame cannot be read or cut.
+/// When the clip has no apex, or a frame cannot be read or cropped.
 pub(crate) fn faces_of_clip(clip: &Clip, face: &FaceCrop) -> Result<[Image; 2], ExtractError> {
     let faces = || {
         let apex = clip.annotation.apex.ok_or(ExtractProblem::NoApex)?;
@@ -171,8 +169,8 @@ fn read_faces(onset: &Path, apex: &Path, crop: &ClipCrop) -> Result<[Image; 2], 
     Ok([crop.apply(&first)?, crop.apply(&second)?])
 }
 
-/// Everything beside the pictures that the features follow from. The crop is that of this clip: other rows of a landmark
-/// file may change without harm.
+/// Everything apart from the pictures that the features depend on. The crop is this clip's: other rows of a landmark file may
+/// change.
 fn recipe(method: &Method, crop: &ClipCrop, preparation: &Preparation) -> String {
     format!("{}\n{crop:?}\n{}\n{}", method.identity, preparation.resize, preparation.strain)
 }
@@ -189,7 +187,7 @@ pub struct Extracted<'a> {
 /// Features of every clip, in the clips' order; each clip must have an apex.
 ///
 /// # Errors
-/// The first clip's, in that order, whose frames cannot be used: none is ever left out.
+/// The error of the first clip, in order, whose frames cannot be used: no clip is left out silently.
 pub fn extract(
     clips: &[Clip],
     method: &Method,
@@ -218,7 +216,7 @@ pub fn extract(
     };
     let results: Vec<Result<Sample, ExtractError>> = match preparation.resize {
         ResizeOrder::Before => clips.par_iter().map(of).collect(),
-        // Large frames keep all threads busy one pair at a time, with the memory of one.
+        // Large frames occupy all threads one pair at a time, with the memory of one pair.
         ResizeOrder::After => clips.iter().map(of).collect(),
     };
     results.into_iter().collect()

@@ -1,7 +1,7 @@
-//! Which part of a frame is the face, and how it is brought upright.
+//! Cropping the face out of a frame and aligning it.
 //!
-//! Both frames of a clip are cut in the same way, by the onset's landmarks: landmarks of their own would add their noise to
-//! the motion.
+//! Both frames of a clip are cropped identically, by the onset's landmarks: separate landmarks would add their noise to the
+//! motion.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -11,15 +11,15 @@ use std::str::FromStr;
 use srflow_field::{FileError, FileKind, Image, excerpt, open_file};
 use srflow_read::micro_expression::Annotation;
 
-/// What is done to the frames of every clip before flow is computed.
+/// How the frames of clips are cropped before flow is computed.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub enum FaceCrop {
-    /// The frames as they are: released face crops.
+    /// Not at all: released face crops.
     #[default]
     Whole,
     /// The same rectangle of every frame.
     Fixed(FaceBox),
-    /// Upright and with the eyes in the same places, by landmarks that somebody supplies.
+    /// Aligned upright, with the eyes at fixed positions, by given landmarks.
     Landmarks(Landmarks),
 }
 
@@ -65,11 +65,11 @@ impl fmt::Display for FaceBox {
     }
 }
 
-/// Landmarks of clips, from a CSV file with a row per clip, or per frame of it.
+/// Landmarks of clips, from a CSV file with one row per clip or per frame.
 ///
 /// Columns: `subject`, `clip`, optionally `dataset` and `frame`, and either the 68 points of dlib as `x_0 y_0 .. x_67 y_67`
 /// (as OpenFace writes them) or the eyes alone as `left_eye_x left_eye_y right_eye_x right_eye_y`, left and right as the
-/// picture shows them. Of several rows of one clip, the onset's counts.
+/// picture shows them. If a clip has several rows, that of the onset is used.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Landmarks {
     path: PathBuf,
@@ -78,7 +78,7 @@ pub struct Landmarks {
 
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 struct ClipName {
-    /// Empty where the file does not say.
+    /// Empty if the file has no such column.
     dataset: String,
     subject: String,
     clip: String,
@@ -86,21 +86,21 @@ struct ClipName {
 
 #[derive(Debug, Clone, PartialEq)]
 struct Row {
-    /// None where the file does not say.
+    /// `None` if the file has no such column.
     frame: Option<u64>,
     face: FacePoints,
 }
 
-/// What is known of a face in one frame, pixels.
+/// Facial points in one frame, pixels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FacePoints {
-    /// Centres of the eyes: the one on the picture's left, and the other.
+    /// Centres of the eyes: the one on the left in the picture, and the other.
     pub eyes: [[f64; 2]; 2],
-    /// The 68 points of dlib, when they are known.
+    /// dlib's 68 points, if known.
     pub dlib: Option<Box<[[f64; 2]; 68]>>,
 }
 
-/// Why a face could not be cut out.
+/// Why a face could not be cropped.
 #[derive(Debug, thiserror::Error)]
 pub enum FaceError {
     /// The file could not be opened.
@@ -110,13 +110,13 @@ pub enum FaceError {
     #[error("{}: {reason}", .path.display())]
     Landmarks {
         path: PathBuf,
-        /// What was expected and found.
+        /// What was expected, and what was found.
         reason: String,
     },
-    /// There are no landmarks of a clip.
+    /// A clip has no landmarks.
     #[error("{}: no landmarks of clip {clip} of subject {subject}; add a row for it", .path.display())]
     NoLandmarks { path: PathBuf, subject: String, clip: String },
-    /// An eye lies far outside of the frame: the landmarks are another frame's, or broken.
+    /// An eye is far outside the frame: the landmarks are those of another frame, or wrong.
     #[error(
         "the landmarks put an eye at ({:.0}, {:.0}), far outside of the frame of {width}x{height} (WIDTHxHEIGHT); mend \
          their row or leave it out", .eye[0], .eye[1]
@@ -129,7 +129,7 @@ pub enum FaceError {
         /// Height of the frame.
         height: usize,
     },
-    /// The box does not lie inside the frame.
+    /// The box is not inside the frame.
     #[error("the box {face} does not lie in a frame of {width}x{height} (WIDTHxHEIGHT)")]
     Outside {
         face: FaceBox,
@@ -205,7 +205,7 @@ impl Landmarks {
         &self.path
     }
 
-    /// The face in a clip's onset frame; where the file has no frames, the clip's.
+    /// The face in a clip's onset frame, or in the clip if the file has no frame numbers.
     ///
     /// # Errors
     /// When the file has no row of the clip.
@@ -227,7 +227,7 @@ impl Landmarks {
 }
 
 impl FacePoints {
-    /// From two eyes or the 68 points of dlib; none when the eyes coincide.
+    /// From two eyes or dlib's 68 points; `None` when the eyes coincide.
     fn of(points: &[[f64; 2]]) -> Option<Self> {
         let mean = |points: &[[f64; 2]]| {
             [0, 1].map(|axis| points.iter().map(|point| point[axis]).sum::<f64>() / points.len() as f64)
@@ -245,35 +245,35 @@ fn distance([a, b]: [[f64; 2]; 2]) -> f64 {
     libm::hypot(b[0] - a[0], b[1] - a[1])
 }
 
-/// How the frames of one clip are cut: the same way for all of them.
+/// The crop of one clip's frames, the same for all of them.
 #[derive(Debug, Clone, PartialEq)]
 pub enum ClipCrop {
     /// Not at all.
     Whole,
     /// To a rectangle.
     Fixed(FaceBox),
-    /// To a square of `side` pixels, turned so that the eyes are level: its pixel `(x, y)` lies at `origin + x * right +
-    /// y * down` of the frame.
+    /// To a square of `side` pixels, rotated so that the eyes are level: its pixel `(x, y)` is at `origin + x * right + y * down`
+    /// in the frame.
     Upright {
         /// Side of the square in pixels.
         side: usize,
-        /// Where its first pixel lies.
+        /// Position of its first pixel.
         origin: [f64; 2],
         /// One pixel to the right, of length 1.
         right: [f64; 2],
     },
 }
 
-/// Where the eyes lie in the square, in parts of its side, and the greatest side: the eyes' distance is a user's number.
+/// Positions of the eyes in the square, relative to its side, and the maximum side, since the eye distance is untrusted.
 const EYES_X: [f64; 2] = [0.3, 0.7];
 const EYES_Y: f64 = 0.36;
 const MAX_SIDE: f64 = 8192.0;
 
-/// Landmarks beyond this, in pixels, lie in no frame of a face.
+/// Larger coordinates, in pixels, are not in any frame of a face.
 const MAX_COORDINATE: f64 = 65_536.0;
 
 impl FaceCrop {
-    /// How a clip's frames are cut.
+    /// The crop for a clip.
     ///
     /// # Errors
     /// When its landmarks are missing.
@@ -287,7 +287,7 @@ impl FaceCrop {
 }
 
 impl fmt::Display for FaceCrop {
-    /// What was done, for results: `whole frames`, `box 10,20,300x300`, `upright by FILE`.
+    /// Description for results: `whole frames`, `box 10,20,300x300`, `upright by FILE`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Whole => f.write_str("whole frames"),
@@ -300,7 +300,7 @@ impl fmt::Display for FaceCrop {
 }
 
 impl ClipCrop {
-    /// The square about a face. One pixel of it is one pixel of the frame: nothing is scaled here.
+    /// The square about a face. One pixel of it is one pixel of the frame: nothing is resized here.
     fn upright(face: &FacePoints) -> Self {
         let [left, right] = face.eyes;
         let apart = distance([left, right]);
@@ -313,10 +313,10 @@ impl ClipCrop {
         Self::Upright { side: side as usize, origin, right: direction }
     }
 
-    /// Cuts a frame. What lies outside of it repeats its border.
+    /// Crops a frame. Outside the frame its border is repeated.
     ///
     /// # Errors
-    /// When a fixed box does not lie inside, or an eye far outside.
+    /// When a fixed box is not inside the frame, or an eye is far outside.
     pub fn apply(&self, frame: &Image) -> Result<Image, FaceError> {
         match *self {
             Self::Whole => Ok(frame.clone()),
@@ -348,7 +348,7 @@ impl ClipCrop {
         }
     }
 
-    /// Where a point of the frame lies in the cut picture.
+    /// Position of a point of the frame in the cropped picture.
     pub fn point(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         match *self {
             Self::Whole => [x, y],

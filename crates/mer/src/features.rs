@@ -1,4 +1,4 @@
-//! What classifiers see of a clip: the flow from onset to apex and its optical strain.
+//! The input of classifiers: the flow from onset to apex and its optical strain.
 
 use srflow_field::Plane;
 
@@ -7,7 +7,7 @@ pub const FEATURE_SIDE: usize = 112;
 
 const AREA: usize = FEATURE_SIDE * FEATURE_SIDE;
 
-/// What feature maps show, in the order in which they lie in [`Features::values`].
+/// The feature maps, in the order of [`Features::values`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Channel {
     /// Flow to the right, in pixels of the feature map.
@@ -22,20 +22,20 @@ pub enum Channel {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Features(Box<[f32]>);
 
-/// Why three planes are no [`Features`].
+/// Why values are not valid [`Features`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum FeatureError {
-    /// A plane is not of the features' size.
+    /// A plane has the wrong size.
     #[error("feature map {channel:?} is {}x{} (WIDTHxHEIGHT), expected {FEATURE_SIDE}x{FEATURE_SIDE}", .size.0, .size.1)]
     Size {
         channel: Channel,
         /// Its width and height.
         size: (usize, usize),
     },
-    /// There are more or fewer values than three maps have.
+    /// The number of values is wrong.
     #[error("{found} values, expected 3 x {FEATURE_SIDE} x {FEATURE_SIDE}")]
     Length { found: usize },
-    /// A value is infinite or not a number.
+    /// A value is not finite.
     #[error("feature map {channel:?} holds a value that is not finite at pixel ({x}, {y})")]
     NotFinite { channel: Channel, x: usize, y: usize },
 }
@@ -44,10 +44,10 @@ impl Features {
     /// Length of [`values`](Self::values).
     pub const LEN: usize = 3 * AREA;
 
-    /// Puts the three maps together.
+    /// Combines the three maps.
     ///
     /// # Errors
-    /// When one of them is not 112x112 or holds a value that is not finite.
+    /// When one of them is not 112x112 or has a value that is not finite.
     pub fn new(u: &Plane, v: &Plane, strain: &Plane) -> Result<Self, FeatureError> {
         let mut values = Vec::with_capacity(Self::LEN);
         for (channel, plane) in [(Channel::U, u), (Channel::V, v), (Channel::Strain, strain)] {
@@ -59,10 +59,10 @@ impl Features {
         Self::from_values(values)
     }
 
-    /// Takes `[3, 112, 112]` values, row-major.
+    /// Wraps `[3, 112, 112]` values, row-major.
     ///
     /// # Errors
-    /// When there are more or fewer, or one of them is not finite.
+    /// When their number is wrong, or one of them is not finite.
     pub fn from_values(values: Vec<f32>) -> Result<Self, FeatureError> {
         if values.len() != Self::LEN {
             return Err(FeatureError::Length { found: values.len() });
@@ -92,18 +92,17 @@ impl Features {
     }
 }
 
-/// One clip as protocols see it. (dataset, subject, clip) names it: clip names repeat across subjects.
+/// One clip with its features. (dataset, subject, clip) identifies it: clip names repeat across subjects.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sample {
     /// The dataset's kind, e.g. `casme2`.
     pub dataset: String,
-    /// The subject as the dataset writes it, e.g. `006`.
+    /// The subject, spelled as in the dataset, e.g. `006`.
     pub subject: String,
     /// The clip's name, e.g. `006_1_2`.
     pub clip: String,
-    /// Number of its class.
+    /// Class number.
     pub class: usize,
-    /// What is known of its motion.
     pub features: Features,
 }
 

@@ -11,15 +11,15 @@ use crate::extract::Preparation;
 use crate::features::{FEATURE_SIDE, Sample};
 use crate::run::{DataRecord, FeatureSet};
 
-/// How features were made, for [`write_features`].
+/// Provenance of features, for [`write_features`].
 #[derive(Debug, Clone)]
 pub struct FeatureRecipe<'a> {
-    /// Names of the classes, by their numbers.
+    /// Names of the classes, by number.
     pub classes: &'a [String],
     pub methods: &'a [MethodRecord],
-    /// From frames to features.
+    /// Preparation of the frames.
     pub preparation: &'a Preparation,
-    /// How the apex was spotted of clips that have none.
+    /// How the apex of clips without one was spotted.
     pub apex: Option<ApexRule>,
 }
 
@@ -27,7 +27,7 @@ pub struct FeatureRecipe<'a> {
 #[derive(Serialize)]
 struct Parameters<'a> {
     srflow: &'static str,
-    /// What lies along the second axis of `X`.
+    /// Labels of the second axis of `X`.
     channels: [&'static str; 3],
     data: &'a [DataRecord],
     methods: &'a [MethodRecord],
@@ -40,15 +40,15 @@ struct Parameters<'a> {
 
 /// Writes features as an archive that NumPy reads with one `numpy.load`:
 ///
-/// | array | type | shape | holds |
+/// | array | type | shape | content |
 /// |---|---|---|---|
 /// | `X` | `float32` | (N, 3, 112, 112) | u, v, strain of each clip by each method |
-/// | `y` | `int64` | (N,) | number of its class |
-/// | `subject`, `clip`, `dataset`, `method` | text | (N,) | what it is of |
-/// | `names` | text | (classes,) | the classes' names, by their numbers |
-/// | `parameters` | text | () | how it was made, as JSON |
+/// | `y` | `int64` | (N,) | class number |
+/// | `subject`, `clip`, `dataset`, `method` | text | (N,) | identity of the clip, and flow method |
+/// | `names` | text | (classes,) | the classes' names, by number |
+/// | `parameters` | text | () | provenance, as JSON |
 ///
-/// Clips come in the datasets' order, all of one method before those of the next.
+/// Clips are in the datasets' order, all of one method before those of the next.
 ///
 /// # Errors
 /// When the file cannot be written.

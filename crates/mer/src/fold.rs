@@ -1,4 +1,4 @@
-//! One fold: train on all subjects but one, classify that subject's clips.
+//! One fold: train on all other subjects, classify the held-out subject's clips.
 
 use std::time::Instant;
 
@@ -24,14 +24,14 @@ pub(crate) struct Trained {
     pub(crate) seconds: f64,
 }
 
-/// The loss became infinite or not a number in this epoch.
+/// The loss was not finite in this epoch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Diverged {
     pub(crate) epoch: usize,
 }
 
-/// Trains on `training`, neither of the two empty, and scores `tested`. Random numbers are drawn for `name`, which identifies
-/// the fold from others, so that its result does not depend on which folds are run and where.
+/// Trains on `training` and scores `tested`, which must not be empty. Random numbers are keyed by `name`, the identity of the
+/// fold, so the result does not depend on which folds run, or where.
 pub(crate) fn train_fold<C: Classifier>(
     name: &str,
     classes: usize,

@@ -16,13 +16,13 @@ use crate::fold::{Diverged, Example, Trained, train_fold};
 use crate::predictions::Prediction;
 use crate::protocol::{Protocol, ProtocolError};
 
-/// Goes up when the same protocol and features give other scores.
+/// Incremented when the same protocol and features give other scores.
 const VERSION: u32 = 1;
 
-/// The predictions for every clip, and how each fold went.
+/// The predictions for every clip, and the training of each fold.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Loso {
-    /// The classes' names, by their numbers.
+    /// The classes' names, by number.
     pub classes: Arc<[String]>,
     /// By dataset, subject, clip, then epoch.
     pub predictions: Vec<Prediction>,
@@ -30,58 +30,58 @@ pub struct Loso {
     pub folds: Vec<FoldRecord>,
 }
 
-/// How one fold was trained.
+/// The training of one fold.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FoldRecord {
-    /// The dataset of the subject who is left out.
+    /// The dataset of the held-out subject.
     pub dataset: String,
     pub subject: String,
     pub clips: usize,
-    /// Classes that no other subject shows: the classifier cannot learn them.
+    /// Classes that no other subject has: the classifier cannot learn them.
     pub unseen_classes: Vec<String>,
     /// By recorded epoch: mean cross-entropy over the training clips during that epoch.
     pub training_losses: Vec<f64>,
     pub seconds: f64,
-    /// Whether an earlier run has computed it.
+    /// Whether an earlier run computed it.
     pub resumed: bool,
 }
 
-/// What happens while folds are run, from any thread.
+/// Progress, reported from any thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LosoEvent {
-    /// A fold has passed another epoch.
+    /// A fold has finished another epoch.
     Epoch {
-        /// The clips that it was trained on.
+        /// Number of clips it was trained on.
         clips: usize,
     },
-    /// A fold is done; when resumed, none of its epochs was run.
+    /// A fold is finished; if resumed, none of its epochs was run.
     Fold {
-        /// The clips that it is trained on in each epoch.
+        /// Number of clips per epoch.
         clips: usize,
-        /// An earlier run has computed it.
+        /// Whether an earlier run computed it.
         resumed: bool,
     },
 }
 
-/// Why there is no result.
+/// Why a run failed.
 #[derive(Debug, thiserror::Error)]
 pub enum LosoError {
-    /// A value of the protocol cannot be used.
+    /// A value of the protocol is out of range.
     #[error(transparent)]
     Protocol(#[from] ProtocolError),
-    /// There are not two subjects.
+    /// There are fewer than two subjects.
     #[error("leaving one subject out needs clips of at least 2 subjects; found {}", listed(.0))]
     Subjects(Vec<String>),
     /// Two clips of one subject share a name.
     #[error("{dataset} subject {subject} has two clips called {clip}; give each its own name")]
     SameClip { dataset: String, subject: String, clip: String },
-    /// The loss of a fold became infinite or not a number.
+    /// The loss of a fold was not finite.
     #[error(
         "training without {dataset} subject {subject} diverged in epoch {epoch}; try a smaller learning rate"
     )]
     Diverged {
         dataset: String,
-        /// The subject who is left out.
+        /// The held-out subject.
         subject: String,
         epoch: usize,
     },
@@ -94,15 +94,15 @@ fn listed(subjects: &[String]) -> String {
     if subjects.is_empty() { "none".to_owned() } else { subjects.join(", ") }
 }
 
-/// Trains one classifier for each subject on all others' samples, and records its predictions for the subject's clips.
-/// `classes` are the classes' names; the samples' classes are numbers below their count.
+/// For each subject, trains a classifier on the samples of all others, and records its predictions for the subject's clips.
+/// `classes` are the classes' names; the samples' classes are indices into them.
 ///
-/// Folds are spread over as many threads as the current pool has. Each is computed by one thread from its own random
-/// numbers: the result has the same bits whatever the number of threads. Finished folds are kept in `folder`, under names
-/// that follow from protocol, classifier and every sample, and are not run again.
+/// Folds are distributed over the threads of the current pool. Each is computed by one thread with its own random numbers: the
+/// result is bit-identical for any number of threads. Finished folds are stored in `folder`, under names that depend on
+/// protocol, classifier and every sample, and are not run again.
 ///
 /// # Errors
-/// When there are no two subjects, two clips share a name, training diverges, or a fold cannot be kept.
+/// When there are fewer than two subjects, two clips share a name, training diverges, or a fold cannot be stored.
 pub fn leave_one_subject_out<C: Classifier>(
     samples: &[Sample],
     classes: &Arc<[String]>,
@@ -195,7 +195,7 @@ pub fn leave_one_subject_out<C: Classifier>(
     Ok(loso)
 }
 
-/// By dataset, subject, clip: the result does not depend on the order in which samples are given.
+/// By dataset, subject, clip: the result does not depend on the order of the samples.
 fn sorted(samples: &[Sample]) -> Result<Vec<&Sample>, LosoError> {
     let name = |sample: &Sample| [&sample.dataset, &sample.subject, &sample.clip].map(String::clone);
     let mut sorted: Vec<&Sample> = samples.iter().collect();
@@ -214,8 +214,8 @@ struct Finished {
     resumed: bool,
 }
 
-/// `run` of every item, in the items' order, on as many threads as the current pool has; the first error ends it. What
-/// `run` does in parallel stays on its thread.
+/// Applies `run` to every item on the threads of the current pool, and returns the results in order, or the first error. Parallel
+/// work inside `run` stays on its thread.
 fn each_on_one_thread<T: Sync, R: Send, E: Send>(
     items: &[T],
     run: impl Fn(&T) -> Result<R, E> + Sync,
@@ -224,7 +224,7 @@ fn each_on_one_thread<T: Sync, R: Send, E: Send>(
     let stop = AtomicBool::new(false);
     let results: Mutex<BTreeMap<usize, Result<R, E>>> = Mutex::default();
     let work = || {
-        // A pool of this thread alone: kernels that split their work find nobody to share it with.
+        // A pool with this thread alone: kernels that split their work run on it.
         let _pool = rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build();
         while !stop.load(Ordering::Relaxed) {
             let index = next.fetch_add(1, Ordering::Relaxed);
@@ -249,7 +249,7 @@ struct Store {
     run: Vec<u8>,
 }
 
-/// A finished fold as it is written. Scores are written as f64, which JSON gives back to the bit.
+/// A finished fold in its stored form. Scores are stored as f64, which JSON preserves exactly.
 #[derive(Serialize, Deserialize)]
 struct FoldFile {
     fold: String,
@@ -284,7 +284,7 @@ impl Store {
     }
 }
 
-/// A finished fold of so many recorded epochs, clips and classes; none where there is no file, or one that is not whole.
+/// A finished fold with these numbers of recorded epochs, clips and classes; `None` if the file is missing or incomplete.
 fn read_fold(path: &Path, shape: [usize; 3]) -> Result<Option<Finished>, FileError> {
     let text = match read_file(path, FileKind::Json) {
         Ok(text) => text,

@@ -1,8 +1,8 @@
-//! Scores of classification: those of the SRFlow paper, per fold, and MEGC 2019's, pooled.
+//! Classification metrics: those of the SRFlow paper, per fold, and MEGC 2019's, pooled.
 
 use serde::Serialize;
 
-/// Clips by true and predicted class: `[truth][predicted]`, square.
+/// Confusion matrix: number of clips by true and predicted class, `[truth][predicted]`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Confusion(pub Vec<Vec<usize>>);
 
@@ -27,12 +27,12 @@ pub struct Scores {
 }
 
 impl Confusion {
-    /// Of no clips, for so many classes.
+    /// An empty matrix for this number of classes.
     pub fn new(classes: usize) -> Self {
         Self(vec![vec![0; classes]; classes])
     }
 
-    /// Counts (truth, predicted), numbers below `classes`.
+    /// Counts pairs (truth, predicted) of class numbers below `classes`.
     pub fn of(classes: usize, pairs: impl IntoIterator<Item = (usize, usize)>) -> Self {
         let mut confusion = Self::new(classes);
         for (truth, predicted) in pairs {
@@ -41,7 +41,7 @@ impl Confusion {
         confusion
     }
 
-    /// Both counts together.
+    /// The sum of both.
     #[must_use]
     pub fn plus(mut self, other: &Self) -> Self {
         for (row, other) in self.0.iter_mut().zip(&other.0) {
@@ -52,7 +52,7 @@ impl Confusion {
         self
     }
 
-    /// The same clips, all predicted to be of one class.
+    /// The same clips, all predicted as one class.
     #[must_use]
     pub fn always(&self, class: usize) -> Self {
         let mut confusion = Self::new(self.0.len());
@@ -66,7 +66,7 @@ impl Confusion {
         self.0.iter().flatten().sum()
     }
 
-    /// The class of most clips; the first of equal ones.
+    /// The most frequent class; the first of equal ones.
     pub fn most_frequent(&self) -> usize {
         let classes = 1..self.0.len();
         classes.fold(0, |most, class| if self.of_class(class) > self.of_class(most) { class } else { most })
@@ -123,7 +123,7 @@ impl Confusion {
 }
 
 impl Scores {
-    /// The mean over folds; all 0 without one.
+    /// The mean over folds; all 0 without folds.
     pub fn mean(folds: &[Scores]) -> Scores {
         let mean = |of: fn(&Scores) -> f64| ratio(folds.iter().map(of).sum::<f64>(), folds.len() as f64);
         Scores {

@@ -1,4 +1,4 @@
-//! Predictions, clip by clip, and the file that keeps them: every number of the results follows from it.
+//! Predictions, clip by clip, and their file: all results can be recomputed from it.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -6,30 +6,30 @@ use std::sync::Arc;
 
 use srflow_field::{FileError, FileKind, excerpt, is_unprintable, open_file, write_atomically};
 
-/// What a classifier predicts for a clip after an epoch of training on all subjects but the clip's own.
+/// A classifier's prediction for a clip after an epoch of training on all other subjects.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Prediction {
     /// The dataset's kind, e.g. `casme2`.
     pub dataset: String,
-    /// The subject, who is the fold.
+    /// The subject, which identifies the fold.
     pub subject: String,
     pub clip: String,
-    /// Number of its class.
+    /// True class number.
     pub truth: usize,
-    /// Epochs before this one, so that the first is 0.
+    /// Number of previous epochs, so that the first is 0.
     pub epoch: usize,
-    /// Number of the predicted class.
+    /// Predicted class number.
     pub predicted: usize,
-    /// The classifier's output for each class before any softmax; the largest is the prediction.
+    /// The classifier's output for each class before any softmax; the largest one is the prediction.
     pub scores: Vec<f32>,
 }
 
 /// All predictions of one leave-one-subject-out run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trial {
-    /// The flow method that the features come from.
+    /// The flow method of the features.
     pub method: String,
-    /// The set of clips that the folds divide: a dataset's kind, or `composite`.
+    /// The set of clips: a dataset's kind, or `composite`.
     pub set: String,
     /// The classes' names, by their numbers.
     pub classes: Arc<[String]>,
@@ -37,20 +37,20 @@ pub struct Trial {
     pub predictions: Vec<Prediction>,
 }
 
-/// Why a file of predictions was not read.
+/// Why a file of predictions could not be read.
 #[derive(Debug, thiserror::Error)]
 pub enum PredictionsError {
     /// The file could not be opened.
     #[error(transparent)]
     File(#[from] FileError),
-    /// It is no CSV file, or a line lacks a column or holds something else in it.
+    /// It is not CSV, or a line has a missing or wrong value.
     #[error("{}: {}; expected a predictions.csv as `srflow mer run` writes it", .path.display(), excerpt(&.error.to_string()))]
     Csv {
         path: PathBuf,
         /// What is wrong, and in which line.
         error: csv::Error,
     },
-    /// The head names other columns.
+    /// Columns are missing.
     #[error(
         "{}: there is no column {}; expected a predictions.csv as `srflow mer run` writes it, with the columns {} and score_CLASS for each class",
         .path.display(), .missing.join(", "), COLUMNS.join(", ")
@@ -60,16 +60,16 @@ pub enum PredictionsError {
         /// The columns that are not there.
         missing: Vec<&'static str>,
     },
-    /// There is not a single prediction.
+    /// There are no predictions.
     #[error("{}: it holds no predictions; expected a predictions.csv as `srflow mer run` writes it", .path.display())]
     Empty { path: PathBuf },
-    /// A class that no column names, a prediction that is not the largest score, or no number where one should be.
+    /// An unknown class, a prediction that is not the largest score, or not a number.
     #[error("{}: line {line}: {reason}", .path.display())]
     Value {
         path: PathBuf,
-        /// The line, counted from 1 with the head.
+        /// Line number, from 1 for the header.
         line: u64,
-        /// What stands there and what should.
+        /// What was found, and what was expected.
         reason: String,
     },
 }
@@ -81,15 +81,15 @@ impl Prediction {
     }
 }
 
-/// The columns of the file before those of the scores; their order is free.
+/// The columns before the scores; their order is free.
 const COLUMNS: [&str; 8] = ["method", "set", "dataset", "subject", "clip", "truth", "epoch", "predicted"];
-/// The column of a class's score is called so, and the class: the classes' names and order follow from these columns.
+/// Prefix of a score column, followed by the class: these columns define the classes' names and order.
 const SCORE: &str = "score_";
 /// As many classes as clips can be divided into.
 const MAX_CLASSES: usize = 10;
 
-/// Writes predictions as CSV, one line for each; all trials have the same classes. Scores are written with as many digits
-/// as give back their bits.
+/// Writes predictions as CSV, one line for each; all trials must have the same classes. Scores are written with enough digits to
+/// restore their bits.
 ///
 /// # Errors
 /// When the file cannot be written.
@@ -115,7 +115,7 @@ pub fn write_predictions(path: &Path, trials: &[Trial]) -> Result<(), FileError>
     })
 }
 
-/// Reads what [`write_predictions`] wrote; trials in the order in which the file names them first.
+/// Reads a file of [`write_predictions`]; trials are in order of first appearance.
 ///
 /// # Errors
 /// When the file cannot be read, is empty or holds something else.

@@ -1,34 +1,34 @@
-//! What is done to every fold.
+//! The training protocol of every fold.
 
 use serde::{Deserialize, Serialize};
 
-/// How classifiers are trained: the SRFlow paper's values by default, those of Off-TANet's code where the paper gives
+/// How classifiers are trained: by default with the SRFlow paper's values, or those of Off-TANet's code where the paper has
 /// none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Protocol {
-    /// Passes over the training clips; 201, so that the last has number 200.
+    /// Number of epochs; 201, so that the last has number 200.
     pub epochs: usize,
-    /// Predictions are recorded after epochs 0, this, twice this and so on, and after the last; 20.
+    /// Interval between recorded epochs, starting at 0; the last is recorded too; 20.
     pub record_every: usize,
-    /// Clips in a step; 64. The last step of an epoch takes what is left.
+    /// Batch size; 64. The last batch of an epoch may be smaller.
     pub batch: usize,
-    /// Of Adam, at the start; 6.5e-4.
+    /// Initial learning rate of Adam; 6.5e-4.
     pub learning_rate: f64,
-    /// Epochs between two multiplications of the learning rate; 60.
+    /// Epochs between decays of the learning rate; 60.
     pub decay_every: usize,
-    /// What it is multiplied with; 0.3.
+    /// Factor of a decay; 0.3.
     pub decay: f64,
-    /// Of parameters, order of clips and dropout.
+    /// Seed of parameters, order of clips and dropout.
     pub seed: u64,
 }
 
-/// A value that no training can have.
+/// A value is out of range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{name} is {value}; expected {expected}")]
 pub struct ProtocolError {
     pub name: &'static str,
     pub value: f64,
-    /// What it can be.
+    /// The allowed values.
     pub expected: &'static str,
 }
 
@@ -47,10 +47,10 @@ impl Default for Protocol {
 }
 
 impl Protocol {
-    /// Whether the values can be used.
+    /// Checks every value.
     ///
     /// # Errors
-    /// Names the first that cannot.
+    /// Names the first value out of range.
     pub fn check(&self) -> Result<(), ProtocolError> {
         for (name, value) in [
             ("number of epochs", self.epochs),
@@ -70,7 +70,7 @@ impl Protocol {
         range("decay of the learning rate", self.decay, 1.0, "a number above 0, up to 1")
     }
 
-    /// Epochs after which predictions are recorded, in order.
+    /// Recorded epochs, in order.
     pub fn recorded(&self) -> Vec<usize> {
         let last = self.epochs.saturating_sub(1);
         (0..self.epochs).filter(|epoch| epoch.is_multiple_of(self.record_every) || *epoch == last).collect()

@@ -16,33 +16,33 @@ use crate::strain::strain_colors;
 
 /// Clips shown for each method and set.
 const SHOWN_CLIPS: usize = 8;
-/// Greatest width of a face, in pixels: sharp at twice the size at which it is shown.
+/// Maximum width of a face, in pixels: twice the displayed size.
 const FACE_WIDTH: usize = 224;
 
-/// What a page is made of.
+/// The contents of a page.
 pub struct ReportParts<'a> {
-    /// Every run, those of one set together.
+    /// All runs, those of one set together.
     pub outcomes: &'a [Outcome],
     pub trials: &'a [Trial],
     /// The features of each method.
     pub samples: &'a [(String, Vec<Sample>)],
-    /// The clips that the features are of, on disk.
+    /// The clips of the features, on disk.
     pub clips: &'a [Clip],
-    /// How faces were cut out of their frames.
+    /// How faces were cropped out of their frames.
     pub face: &'a FaceCrop,
-    /// How the run was made: names and values.
+    /// Settings of the run: names and values.
     pub facts: Vec<(String, String)>,
-    /// What the times were measured on.
+    /// The machine that the times were measured on.
     pub machine: String,
 }
 
-/// Why there is no page.
+/// Why the page could not be created.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
     /// A picture cannot be encoded.
     #[error(transparent)]
     Picture(#[from] PictureError),
-    /// A frame of a clip that is shown cannot be read.
+    /// A displayed frame cannot be read.
     #[error(transparent)]
     Clip(#[from] ExtractError),
 }
@@ -50,7 +50,7 @@ pub enum ReportError {
 /// The page of one run.
 ///
 /// # Errors
-/// When a frame cannot be read or a picture not be encoded.
+/// When a frame cannot be read or a picture cannot be encoded.
 pub fn report(parts: &ReportParts) -> Result<Page, ReportError> {
     let mut sections = Vec::new();
     for outcomes in by_set(parts.outcomes) {
@@ -142,7 +142,7 @@ fn chart(title: &str, y: &str) -> Chart {
     Chart::new(title, "epoch", y, "")
 }
 
-/// Clips spread over the set, after the last epoch; flow and strain have one scale for all of them.
+/// Clips spread over the set, after the last epoch; flow and strain have one common scale.
 fn clips(parts: &ReportParts, trial: &Trial, samples: &[Sample]) -> Result<Vec<Figure>, ReportError> {
     let last = trial.predictions.iter().map(|prediction| prediction.epoch).max();
     let of_last: Vec<&Prediction> = trial.predictions.iter().filter(|p| Some(p.epoch) == last).collect();
@@ -194,7 +194,7 @@ fn clips(parts: &ReportParts, trial: &Trial, samples: &[Sample]) -> Result<Vec<F
     Ok(vec![strips(&shown, 420, &caption), side_by_side(legends, 420)])
 }
 
-/// What is shown of a clip.
+/// The displayed data of a clip.
 struct Shown<'a> {
     prediction: &'a Prediction,
     clip: &'a Clip,
@@ -203,7 +203,7 @@ struct Shown<'a> {
 }
 
 impl<'a> Shown<'a> {
-    /// None where the prediction is of a clip without features or frames.
+    /// `None` if the features or frames of a prediction's clip are missing.
     fn of(prediction: &'a Prediction, samples: &[Sample], clips: &'a [Clip]) -> Option<Self> {
         let named = (&prediction.dataset, &prediction.subject, &prediction.clip);
         let sample =

@@ -18,7 +18,7 @@ pub struct Outcome {
     pub method: String,
     /// A dataset's name, or `composite`.
     pub set: String,
-    /// How each fold was trained; none where only the predictions are known.
+    /// Training of each fold; `None` if only the predictions are known.
     pub folds: Vec<FoldRecord>,
     pub summary: Summary,
 }
@@ -27,23 +27,23 @@ impl Outcome {
     /// Scores a run.
     ///
     /// # Errors
-    /// When its predictions are not whole.
+    /// When its predictions are incomplete.
     pub fn of(method: &str, set: &str, loso: &Loso) -> Result<Self, SummaryError> {
         let summary = Summary::of(&loso.classes, &loso.predictions)?;
         Ok(Self { method: method.to_owned(), set: set.to_owned(), folds: loso.folds.clone(), summary })
     }
 
-    /// Scores predictions whose training is not known.
+    /// Scores predictions without data on their training.
     ///
     /// # Errors
-    /// When they are not whole.
+    /// When they are incomplete.
     pub fn of_trial(trial: &Trial) -> Result<Self, SummaryError> {
         let Trial { method, set, classes, predictions } = trial;
         let summary = Summary::of(classes, predictions)?;
         Ok(Self { method: method.clone(), set: set.clone(), folds: Vec::new(), summary })
     }
 
-    /// All numbers, for machines.
+    /// All numbers, as JSON.
     pub fn record(&self) -> OutcomeRecord {
         let metric = |((key, _), best): (&(&'static str, &str), crate::summary::Best)| BestRecord {
             metric: key,
@@ -65,7 +65,7 @@ impl Outcome {
     }
 }
 
-/// [`Outcome`] as it is written.
+/// The stored form of [`Outcome`].
 #[derive(Debug, Clone, Serialize)]
 pub struct OutcomeRecord {
     method: String,
@@ -78,7 +78,7 @@ pub struct OutcomeRecord {
     folds: Vec<FoldRecord>,
 }
 
-/// Always predicting one class.
+/// The baseline that always predicts one class.
 #[derive(Debug, Clone, Serialize)]
 struct BaselineRecord {
     always: String,
@@ -111,7 +111,7 @@ impl EpochRecord {
     }
 }
 
-/// Outcomes of one set together; sets and outcomes in the order in which they are met.
+/// Groups outcomes by set; sets and outcomes are in order of first appearance.
 pub fn by_set(outcomes: &[Outcome]) -> Vec<Vec<&Outcome>> {
     let mut sets: Vec<Vec<&Outcome>> = Vec::new();
     for outcome in outcomes {
@@ -176,8 +176,8 @@ pub(crate) fn baseline_name(outcome: &Outcome) -> String {
     format!("always {}", outcome.summary.classes[outcome.summary.most_frequent_class()])
 }
 
-/// Classes that cannot be learned: those that no clip of the set shows, and for each subject those that nobody else shows.
-/// `None` where there are none, or where the training is not known.
+/// Notes on classes that cannot be learned: those without clips in the set, and for each subject those that nobody else has.
+/// `None` if there are none, or the training is not known.
 pub fn unseen_classes(outcome: &Outcome) -> Option<String> {
     let Confusion(counts) = &outcome.summary.last().pooled;
     let classes = outcome.summary.classes.iter().zip(counts);
@@ -225,7 +225,7 @@ pub fn confusion_latex(outcome: &Outcome) -> String {
     out + "\\bottomrule\n\\end{tabular}\n"
 }
 
-/// Each subject's scores after the last epoch, one row a fold; the training loss stands beside them where it is known.
+/// Each subject's scores after the last epoch, one row per fold, with the training loss if known.
 pub fn fold_table(outcome: &Outcome) -> Table {
     let mut columns = vec![Column::plain("clips", "clips", 0)];
     columns.extend(METRICS.iter().map(|(key, header)| Column::plain(key, header, 4)));

@@ -44,8 +44,8 @@ pub fn folds_csv(outcomes: &[Outcome]) -> String {
     text(&[&names[..], &METRICS.map(|(key, _)| key), &["training_loss"]].concat(), &lines)
 }
 
-/// Confusion matrices after the last epoch, all folds pooled: a line for each true class. The classes are those of the first
-/// outcome; all have the same.
+/// Confusion matrices after the last epoch, all folds pooled: one line per true class. All outcomes must have the classes of the
+/// first.
 pub fn confusions_csv(outcomes: &[Outcome]) -> String {
     let classes = outcomes.first().map_or(&[][..], |outcome| &outcome.summary.classes);
     let predicted: Vec<String> = classes.iter().map(|class| format!("predicted_{class}")).collect();

@@ -19,31 +19,31 @@ pub const TABLE_FILES: [&str; 6] =
     ["tables.txt", "tables.csv", "tables.tex", "tables.md", "folds.csv", "confusions.csv"];
 const PREDICTIONS: &str = "predictions.csv";
 const REPORT: &str = "report.html";
-/// Written when all others are: where it is, the results are whole.
+/// Written last: its existence marks the results as complete.
 const RESULTS: &str = "results.json";
 
-/// Where the results of a run go: [`TABLE_FILES`], `predictions.csv`, `report.html` and `results.json`. Finished folds lie in
-/// `folds`, so that a run that was killed goes on.
+/// The destination of a run's results: [`TABLE_FILES`], `predictions.csv`, `report.html` and `results.json`. Finished folds are
+/// stored in `folds`, so that an interrupted run can continue.
 #[derive(Debug, Clone)]
 pub struct ResultsFolder {
     folder: PathBuf,
 }
 
-/// Why results were not written.
+/// Why results could not be written.
 #[derive(Debug, thiserror::Error)]
 pub enum ResultsError {
-    /// There are results already.
+    /// Results exist already.
     #[error("{} exists; give --force to overwrite it, or another folder", .0.display())]
     Exists(PathBuf),
     /// A file could not be written.
     #[error(transparent)]
     File(#[from] FileError),
-    /// The report could not be made.
+    /// The report could not be created.
     #[error(transparent)]
     Report(#[from] ReportError),
 }
 
-/// A whole run as `results.json` has it.
+/// The contents of `results.json`.
 #[derive(Debug, Serialize)]
 pub struct ResultsRecord<'a> {
     data: &'a [DataRecord],
@@ -58,7 +58,7 @@ pub struct ResultsRecord<'a> {
 }
 
 impl<'a> ResultsRecord<'a> {
-    /// The record of results that `machine` computed.
+    /// The record of results computed on `machine`.
     pub fn of(results: &'a RunResults, machine: &'a str) -> Self {
         let settings = &results.settings;
         Self {
@@ -76,10 +76,10 @@ impl<'a> ResultsRecord<'a> {
 }
 
 impl ResultsFolder {
-    /// The folder of this path, for a run to write its results into.
+    /// The folder with this path as the destination of a run.
     ///
     /// # Errors
-    /// When it holds the results of a run, or files of their names that no run has left behind, and `force` is not set.
+    /// When it has the results of a run, or files with their names that belong to no interrupted run, and `force` is not set.
     pub fn open(folder: &Path, force: bool) -> Result<Self, ResultsError> {
         let this = Self { folder: folder.to_owned() };
         let unfinished = this.folds().is_dir() && !this.file(RESULTS).exists();
@@ -92,12 +92,12 @@ impl ResultsFolder {
         Ok(this)
     }
 
-    /// Where finished folds are kept.
+    /// The folder of finished folds.
     pub fn folds(&self) -> PathBuf {
         self.file("folds")
     }
 
-    /// Where the report is.
+    /// The path of the report.
     pub fn report(&self) -> PathBuf {
         self.file(REPORT)
     }
@@ -106,7 +106,7 @@ impl ResultsFolder {
         self.folder.join(name)
     }
 
-    /// Writes every file of the results.
+    /// Writes all files of the results.
     ///
     /// # Errors
     /// When a file cannot be written.
@@ -166,7 +166,7 @@ fn latex(scores: &[Table], outcomes: &[Outcome]) -> String {
     latex_file(scores.chain(confusions))
 }
 
-/// How a run was made, for the report: names and values.
+/// Settings of a run for the report: names and values.
 fn facts(results: &RunResults) -> Vec<(String, String)> {
     let mut facts: Vec<(String, String)> = Vec::new();
     for data in &results.data {

@@ -1,4 +1,4 @@
-//! A whole run: features of every clip by every flow method, then classifiers trained leaving one subject out.
+//! A whole run: features of every clip for every flow method, then leave-one-subject-out training of classifiers.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -19,102 +19,102 @@ use crate::protocol::{Protocol, ProtocolError};
 use crate::results::Outcome;
 use crate::summary::SummaryError;
 
-/// Name of the set of all datasets.
+/// Name of the set that combines all datasets.
 const COMPOSITE: &str = "composite";
 
-/// Everything that decides the numbers of a run beside its clips and flow methods.
+/// The settings that a run's results depend on, apart from clips and flow methods.
 #[derive(Debug, Clone)]
 pub struct RunSettings {
-    /// Which classifier is trained.
+    /// The classifier.
     pub classifier: &'static ClassifierEntry,
-    /// Which sets of clips are divided into subjects.
+    /// The sets of clips to evaluate.
     pub sets: Sets,
-    /// How the apex is spotted of clips that have none; without a rule, such a clip is an error.
+    /// How to spot the apex of clips without one; `None` makes such a clip an error.
     pub apex: Option<ApexRule>,
-    /// From frames to features.
+    /// Preparation of the frames.
     pub preparation: Preparation,
-    /// How classifiers are trained.
+    /// Training protocol.
     pub protocol: Protocol,
-    /// Names of the classes that the clips of the datasets are divided into.
+    /// Names of the classes.
     pub classes: Arc<[String]>,
 }
 
-/// Which sets of clips are divided into subjects.
+/// The sets of clips to evaluate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sets {
-    /// Each dataset by itself.
+    /// Each dataset separately.
     Each,
-    /// All datasets as one, called `composite`.
+    /// All datasets combined, called `composite`.
     Composite,
-    /// Each by itself, then all as one where there are several.
+    /// Each separately, and all combined if there are several.
     Both,
 }
 
 /// A flow method of a run.
 pub struct RunMethod<'a> {
     pub estimator: &'a dyn FlowEstimator,
-    /// Its name in the results, and what its flow depends on.
+    /// Its name in the results, and everything its flow depends on.
     pub record: MethodRecord,
 }
 
-/// Progress of a run, from any thread.
+/// Progress of a run, reported from any thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RunEvent<'a> {
-    /// The apex of this many clips is going to be spotted.
+    /// Apexes are about to be spotted.
     Apexes {
-        /// Clips without an apex.
+        /// Number of clips without an apex.
         clips: usize,
     },
-    /// Features are going to be computed.
+    /// Features are about to be computed.
     Features {
         method: &'a str,
-        /// Clips of all datasets.
+        /// Number of clips in all datasets.
         clips: usize,
     },
-    /// The apex or the features of one more clip are computed.
+    /// The apex or the features of one more clip are done.
     Clip,
     Training {
-        /// Clips that all folds of all sets and methods are trained on, times the epochs. Time follows this number.
+        /// Clips times epochs over all folds, sets and methods, to which training time is proportional.
         clip_epochs: u64,
     },
-    /// The folds of a set are going to be trained on the features of a flow method.
+    /// Training on a set with the features of a flow method is about to start.
     Folds { set: &'a str, method: &'a str },
-    /// A fold was trained for another epoch.
+    /// A fold finished another epoch.
     Trained {
-        /// As many of the [`RunEvent::Training`].
+        /// Its share of [`RunEvent::Training`].
         clip_epochs: u64,
     },
-    /// A fold that an earlier run has finished was read.
+    /// A fold of an earlier run was loaded.
     Resumed {
-        /// As many of the [`RunEvent::Training`].
+        /// Its share of [`RunEvent::Training`].
         clip_epochs: u64,
     },
 }
 
-/// Folders of results that are reused.
+/// Folders with reusable results.
 #[derive(Debug, Clone, Copy)]
 pub struct RunFolders<'a> {
-    /// Of features, for any run.
+    /// Features, shared between runs.
     pub features: &'a Path,
-    /// Of finished folds.
+    /// Finished folds.
     pub folds: &'a Path,
 }
 
-/// What a run gives; [`ResultsFolder::write`](crate::ResultsFolder::write) makes files of it.
+/// The results of a run; [`ResultsFolder::write`](crate::ResultsFolder::write) writes them to files.
 #[derive(Debug)]
 pub struct RunResults {
     pub settings: RunSettings,
-    /// By dataset, what was used of it.
+    /// The data used, by dataset.
     pub data: Vec<DataRecord>,
-    /// The flow methods, in the order of their results.
+    /// The flow methods, in the order of the results.
     pub methods: Vec<MethodRecord>,
     /// The clips, each with its apex.
     pub clips: Vec<Clip>,
-    /// By flow method, the features of the clips.
+    /// Features of the clips, by flow method.
     pub samples: Vec<(String, Vec<Sample>)>,
-    /// By set, then flow method: predictions.
+    /// Predictions, by set, then flow method.
     pub trials: Vec<Trial>,
-    /// Of each trial, in the same order: scores.
+    /// Scores of each trial, in the same order.
     pub outcomes: Vec<Outcome>,
 }
 
@@ -123,49 +123,49 @@ pub struct RunResults {
 pub struct DataRecord {
     /// Its name, e.g. `casme2`.
     pub dataset: String,
-    /// Which form of the dataset it is, e.g. cropped.
+    /// The published form of the dataset, e.g. cropped.
     pub form: &'static str,
     pub clips: usize,
     pub subjects: usize,
-    /// Rows of the annotations that are no clips of the classes.
+    /// Number of dropped rows.
     pub dropped: usize,
-    /// Clips that lack frames, as subject/clip.
+    /// Clips with missing frames, as subject/clip.
     pub clips_with_missing_frames: Vec<String>,
-    /// Clips whose apex was spotted.
+    /// Number of clips whose apex was spotted.
     pub spotted_apexes: usize,
 }
 
-/// Why a run gives no results.
+/// Why a run failed.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// A value of the protocol cannot be used.
+    /// A value of the protocol is out of range.
     #[error(transparent)]
     Protocol(#[from] ProtocolError),
-    /// One dataset is no composite.
+    /// The composite set needs several datasets.
     #[error("the composite set needs several datasets, found {0}; give more, or take each by itself")]
     Composite(usize),
     /// A set has fewer than two subjects.
     #[error("{set}: leaving one subject out needs clips of at least 2 subjects; found {found}")]
     Subjects { set: String, found: usize },
-    /// A clip has no features.
+    /// The features of a clip could not be computed.
     #[error(transparent)]
     Extract(#[from] ExtractError),
-    /// A fold gave no predictions.
+    /// A fold failed.
     #[error("{set}, {method}: {error}")]
     Training { set: String, method: String, error: LosoError },
-    /// Predictions cannot be scored.
+    /// The predictions cannot be scored.
     #[error(transparent)]
     Scores(#[from] SummaryError),
-    /// A folder cannot be made.
+    /// A folder cannot be created.
     #[error(transparent)]
     File(#[from] FileError),
 }
 
 impl RunSettings {
-    /// Whether there can be results from these datasets.
+    /// Checks whether these datasets can be evaluated.
     ///
     /// # Errors
-    /// When the protocol cannot be used, or a set has fewer than two subjects.
+    /// When the protocol is out of range, or a set has fewer than two subjects.
     pub fn check(&self, datasets: &[ClipDataset]) -> Result<(), RunError> {
         self.protocol.check()?;
         if datasets.len() < 2 && self.sets == Sets::Composite {
@@ -182,8 +182,8 @@ impl RunSettings {
     }
 }
 
-/// Trains and scores a classifier for each set and flow method. What `folders` hold of an earlier run is not computed again;
-/// the results are the same bytes with it and without.
+/// Trains and scores a classifier for each set and flow method. Results of an earlier run in `folders` are reused; the results
+/// are bit-identical with and without them.
 ///
 /// # Errors
 /// Those of [`RunSettings::check`]; when a frame cannot be used, training diverges, or a folder cannot be written.
@@ -208,7 +208,7 @@ pub fn run(
     let clips_of = |members: &[String]| -> usize {
         data.iter().filter(|data| members.contains(&data.dataset)).map(|data| data.clips).sum()
     };
-    // Each clip is learned from once for each subject but its own.
+    // Each clip is used in training once for each other subject.
     let in_set = |members: &[String]| (clips_of(members) * (subjects(members) - 1)) as u64 * epochs;
     let of_all_sets: u64 = sets.iter().map(|(_, members)| in_set(members)).sum();
     on_event(RunEvent::Training { clip_epochs: of_all_sets * methods.len() as u64 });
@@ -238,19 +238,19 @@ pub fn run(
     Ok(RunResults { settings, data, methods, clips, samples, trials, outcomes })
 }
 
-/// What classifiers learn from, and where it comes from.
+/// The training data and its provenance.
 #[derive(Debug)]
 pub struct FeatureSet {
-    /// By dataset, what was used of it.
+    /// The data used, by dataset.
     pub data: Vec<DataRecord>,
     /// The clips of all datasets, each with its apex.
     pub clips: Vec<Clip>,
-    /// By flow method, the features of the clips, in their order.
+    /// Features of the clips, in order, by flow method.
     pub samples: Vec<(String, Vec<Sample>)>,
 }
 
-/// Features of every clip by every flow method; those that the folder `cache` holds are not computed again. The apex of clips
-/// that have none is spotted by the rule, with the flow of the first method.
+/// Computes the features of every clip for every flow method, except those in the folder `cache`. The apex of clips without one is
+/// spotted by the rule, with the flow of the first method.
 ///
 /// # Errors
 /// When a frame cannot be used, a clip has no apex and there is no rule, or the folder cannot be written.

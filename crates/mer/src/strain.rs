@@ -9,15 +9,15 @@ pub enum StrainFormula {
     /// recognition using optical strain weighted features*, ACCV Workshops 2014). Derivatives are per pixel: Sobel / 8.
     #[default]
     Literature,
-    /// What Off-TANet's published code computes (`data.py`): `sqrt(ux² + uy² + ½(vx + uy)²)`, with `uy` where the formula
-    /// has `vy`, and derivatives by Sobel without the 1/8. It is deaf to vertical stretching.
+    /// The formula in Off-TANet's published code (`data.py`): `sqrt(ux² + uy² + ½(vx + uy)²)`, with `uy` in place of `vy`, and
+    /// derivatives by Sobel without the 1/8. It ignores vertical stretching.
     OffTaNet,
 }
 
 named!(StrainFormula, "a strain formula", { Literature => "literature", OffTaNet => "off-tanet" });
 
-/// Optical strain of a flow, of its size. Derivatives are those of OpenCV's 3x3 `Sobel`, borders mirrored without
-/// repeating the outermost pixel (`BORDER_REFLECT_101`).
+/// Optical strain of a flow, in its size. Derivatives are those of OpenCV's 3x3 `Sobel`, with borders mirrored without repeating
+/// the outermost pixel (`BORDER_REFLECT_101`).
 pub fn optical_strain(flow: &FlowField, formula: StrainFormula) -> Plane {
     let (width, height) = flow.size();
     Plane::from_fn(width, height, |x, y| {
@@ -51,7 +51,7 @@ fn sobel(flow: &FlowField, x: usize, y: usize) -> [[f32; 2]; 2] {
     sums
 }
 
-/// The pixel before, itself and the one after, mirrored at the ends.
+/// The previous, current and next index, mirrored at the ends.
 fn neighbours(at: usize, len: usize) -> [usize; 3] {
     let last = len.saturating_sub(1);
     let before = if at == 0 { 1.min(last) } else { at - 1 };
@@ -59,14 +59,14 @@ fn neighbours(at: usize, len: usize) -> [usize; 3] {
     [before, at, after]
 }
 
-/// Strain as a picture: black is none, then red, yellow, and white at `max` or more; without `max` (or when it is not
-/// positive) at the greatest value of the plane.
+/// Strain as a picture: black is zero, then red, yellow, and white at `max` or more; by default (or if not positive) `max` is the
+/// maximum of the plane.
 pub fn strain_colors(strain: &Plane, max: Option<f32>) -> Image {
     let greatest = || strain.pixels().iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::max);
     let max = max.filter(|max| *max > 0.0).unwrap_or_else(greatest).max(f32::MIN_POSITIVE);
     Image::from_fn(strain.width(), strain.height(), |x, y| {
         let heat = 3.0 * strain.get(x, y) / max;
-        // The cast brings what is outside 0 to 255, and NaN, to its ends.
+        // The cast clamps to 0..=255; NaN becomes 0.
         [heat, heat - 1.0, heat - 2.0].map(|channel| (255.0 * channel.min(1.0)) as u8)
     })
 }

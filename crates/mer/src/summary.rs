@@ -1,4 +1,4 @@
-//! From predictions to the numbers that are reported.
+//! From predictions to scores.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -20,11 +20,11 @@ pub struct Summary {
 /// Scores after one epoch.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EpochScores {
-    /// Epochs before this one.
+    /// Number of previous epochs.
     pub epoch: usize,
     /// The paper's metrics, the mean over folds.
     pub mean: Scores,
-    /// All folds' predictions pooled: MEGC 2019's metrics follow from it.
+    /// All folds' predictions pooled, for MEGC 2019's metrics.
     pub pooled: Confusion,
 }
 
@@ -34,7 +34,7 @@ pub struct FoldScores {
     /// The dataset's kind.
     pub dataset: String,
     pub subject: String,
-    /// For each recorded epoch.
+    /// By recorded epoch.
     pub confusions: Vec<Confusion>,
 }
 
@@ -46,13 +46,13 @@ pub struct Best {
     pub epoch: usize,
 }
 
-/// Why predictions give no scores.
+/// Why predictions cannot be scored.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SummaryError {
     /// There are none.
     #[error("no predictions")]
     Empty,
-    /// A clip was not predicted at an epoch that others were, or twice.
+    /// A clip has no prediction, or several, at a recorded epoch.
     #[error(
         "{dataset} subject {subject} clip {clip} has {count} predictions at epoch {epoch}, expected 1: \
         the file is not whole"
@@ -65,7 +65,7 @@ pub enum SummaryError {
         epoch: usize,
         count: usize,
     },
-    /// A clip shows one class here and another there.
+    /// A clip has different true classes.
     #[error(
         "{dataset} subject {subject} clip {clip} is {first} in one prediction and {second} in another: \
         a clip shows one class"
@@ -75,9 +75,9 @@ pub enum SummaryError {
         dataset: String,
         subject: String,
         clip: String,
-        /// What it shows in its first prediction.
+        /// The true class in its first prediction.
         first: String,
-        /// What it shows in a later one.
+        /// The true class in a later one.
         second: String,
     },
 }
@@ -85,11 +85,10 @@ pub enum SummaryError {
 type TruthAndPredicted = (usize, usize);
 
 impl Summary {
-    /// Scores of a whole run: every clip predicted once at every recorded epoch. Predictions are of the `classes` of these
-    /// names.
+    /// Scores of a whole run: every clip must be predicted once at every recorded epoch. Class numbers are indices into `classes`.
     ///
     /// # Errors
-    /// When there are no predictions, too few or too many of a clip, or two truths of one.
+    /// When there are no predictions, too few or too many for a clip, or contradicting true classes.
     pub fn of(classes: &Arc<[String]>, predictions: &[Prediction]) -> Result<Self, SummaryError> {
         let epochs: BTreeSet<usize> = predictions.iter().map(|prediction| prediction.epoch).collect();
         let mut clips: BTreeMap<[&str; 3], BTreeMap<usize, usize>> = BTreeMap::new();
@@ -137,8 +136,8 @@ impl Summary {
         }
     }
 
-    /// The paper's result: of each metric (in the order of [`Scores::values`]) the largest mean over folds, each at its
-    /// own epoch. The epochs are chosen by the very clips that are scored, so these numbers are too good.
+    /// The paper's result: for each metric (in the order of [`Scores::values`]) the largest mean over folds, each at its own epoch.
+    /// The epochs are chosen on the test clips themselves, so these numbers are optimistic.
     pub fn best(&self) -> [Best; 5] {
         std::array::from_fn(|metric| {
             let values = self.epochs.iter().map(|scores| (scores.mean.values()[metric], scores.epoch));
@@ -147,12 +146,12 @@ impl Summary {
         })
     }
 
-    /// The result after the last epoch, which is fixed before training: no clip that is scored has any say in it.
+    /// The result after the last epoch, which is fixed before training and independent of the test clips.
     pub fn last(&self) -> &EpochScores {
         &self.epochs[self.epochs.len() - 1]
     }
 
-    /// The number of the class of most clips, the first of equal ones: the baseline predicts it for every clip.
+    /// The most frequent class, the first of equal ones: the baseline predicts it for every clip.
     pub fn most_frequent_class(&self) -> usize {
         self.last().pooled.most_frequent()
     }

@@ -18,13 +18,13 @@ pub struct Training<C: Classifier> {
 }
 
 impl<C: Classifier> Training<C> {
-    /// From a network's present parameters.
+    /// Starts from a network's current parameters.
     pub fn new(network: C) -> Self {
         Self { network: with_batch_statistics(network, true), adam: ModuleAdamW::new(ADAM) }
     }
 
-    /// One step of Adam down the cross-entropy of a batch; `inputs` `[batch, C::INPUT...]`, `labels` class numbers. Without
-    /// `dropout` nothing is dropped. Returns the loss before the step.
+    /// One step of Adam on the cross-entropy of a batch; `inputs` `[batch, C::INPUT...]`, `labels` class numbers. Without `dropout` there
+    /// is no dropout. Returns the loss before the step.
     pub fn step(
         &mut self,
         inputs: Tensor<4>,
@@ -39,13 +39,13 @@ impl<C: Classifier> Training<C> {
         loss.into_scalar()
     }
 
-    /// The network as trained so far.
+    /// The current network.
     pub fn network(&self) -> &C {
         &self.network
     }
 }
 
-/// Mean over the batch of the negative log-likelihood of the labels, `[1]`; scores `[batch, classes]`.
+/// Cross-entropy: mean over the batch of the negative log-likelihood of the labels, `[1]`; scores `[batch, classes]`.
 pub fn cross_entropy(scores: Tensor<2>, labels: Tensor<1, Int>) -> Tensor<1> {
     log_softmax(scores, 1).gather(1, labels.unsqueeze_dim(1)).mean().neg()
 }

@@ -1,4 +1,4 @@
-//! Networks that predict a clip's class from its features: one file per network, one table of all.
+//! Networks that classify a clip by its features: one file per network, one table of all.
 
 mod offapexnet;
 mod offtanet;
@@ -23,43 +23,42 @@ use crate::protocol::Protocol;
 /// A network from features to one score per class. Its parameters carry the reference's names, so that
 /// [`srflow_nn::load`] reads published checkpoints.
 pub trait Classifier: Module {
-    /// What is known of it.
+    /// Metadata.
     const FACTS: ClassifierFacts;
     /// Channels, height and width of its input.
     const INPUT: [usize; 3];
 
-    /// For so many classes, with nothing learned: [`initialized`] or a checkpoint gives the parameters.
+    /// A network for this number of classes, with placeholder parameters: use [`initialized`] or a checkpoint.
     fn new(device: &Device, classes: usize) -> Self;
 
-    /// Its input, `INPUT` row-major, of a clip.
+    /// The input for a clip, `INPUT` row-major.
     fn input(features: &Features) -> Vec<f32>;
 
-    /// Scores `[batch, classes]`, before any softmax, of inputs `[batch, INPUT...]`. Without a stream nothing is dropped; batch
-    /// norms go by [`srflow_nn::with_batch_statistics`].
+    /// Scores `[batch, classes]`, before any softmax, of inputs `[batch, INPUT...]`. Without a stream there is no dropout; for batch
+    /// norm see [`srflow_nn::with_batch_statistics`].
     fn scores(&self, inputs: Tensor<4>, dropout: Option<&mut Stream>) -> Tensor<2>;
 }
 
-/// What is known of a classifier.
+/// Metadata of a classifier.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ClassifierFacts {
-    /// As typed on a command line.
+    /// Name on the command line.
     pub name: &'static str,
-    /// As in its paper.
+    /// Name in its paper.
     pub title: &'static str,
     /// Authors, venue and year.
     pub paper: &'static str,
-    /// Where the code is that it has the same numbers as.
+    /// The reference implementation, whose results it reproduces.
     pub reference: &'static str,
-    /// Learned numbers, for three classes; the statistics of batch norm are none.
+    /// Number of learned parameters for three classes, without the statistics of batch norm.
     pub parameters: usize,
-    /// What it sees of a clip.
+    /// Description of the input.
     pub input: &'static str,
 }
 
 /// Any of the classifiers, as one type.
 #[derive(Debug, Clone, Copy)]
 pub struct ClassifierEntry {
-    /// What is known of it.
     pub facts: ClassifierFacts,
     leave_one_subject_out: LeaveOneSubjectOut,
 }
@@ -84,7 +83,7 @@ impl ClassifierEntry {
         Self { facts: C::FACTS, leave_one_subject_out: leave_one_subject_out::<C> }
     }
 
-    /// The classifier of that name.
+    /// The classifier with this name.
     pub fn from_name(name: &str) -> Option<&'static Self> {
         CLASSIFIERS.iter().find(|entry| entry.facts.name == name)
     }

@@ -20,10 +20,10 @@ use crate::Activation;
 use crate::activation::{Keeps, tensor::Activate};
 use crate::flex::CpuTensor;
 
-/// An operation of `N` inputs. The first output is the one that has a gradient.
+/// An operation with `N` inputs. Only the first output has a gradient.
 pub(crate) trait Operation<const N: usize>: Composition<N> {
-    /// The activation that the first output ends with, if the operation has one. Its derivative is not the operation's
-    /// business: `grad` below is that of what goes into the activation.
+    /// The activation of the first output, if the operation has one. The operation does not handle its derivative: `grad` below
+    /// is the gradient of the activation's input.
     fn activation(&mut self) -> Option<&mut Activation> {
         None
     }
@@ -40,7 +40,7 @@ pub(crate) trait Operation<const N: usize>: Composition<N> {
 
     fn cpu(&self, inputs: [CpuTensor; N]) -> Vec<CpuTensor>;
 
-    /// Gradients of the inputs, at least of those that are wanted.
+    /// Gradients of the inputs, at least of the requested ones.
     fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; N];
 
     #[cfg(feature = "cube")]
@@ -54,8 +54,8 @@ pub(crate) trait Operation<const N: usize>: Composition<N> {
     }
 }
 
-/// The same by a backend's own operations, for devices that have no kernel of it. An operation with kernels in `cube` has no
-/// composition, nor has one that its tensor function sends to the CPU alone.
+/// The same composed of a backend's own operations, for devices without a kernel. Operations with kernels in `cube` have no
+/// composition, nor have those that their tensor function runs on the CPU alone.
 pub(crate) trait Composition<const N: usize>: Clone + Debug + Send + 'static {
     #[allow(dead_code)] // without another device only tests call it
     fn composed<B: Backend>(&self, _inputs: [FloatTensor<B>; N]) -> Vec<FloatTensor<B>> {

@@ -55,7 +55,7 @@ fn numbers(steps: &[&StepRecord], validations: &[&ValidationRecord]) -> Vec<(Str
     if let Some(best) = best.min_by(|a, b| a.whole.epe.total_cmp(&b.whole.epe)) {
         numbers
             .push((format!("{:.4} px", best.whole.epe), format!("EPE after step {}, the best", best.step)));
-        numbers.push((format!("{:.4} px", best.zero_epe), "EPE when nothing moves".to_owned()));
+        numbers.push((format!("{:.4} px", best.zero_epe), "EPE of zero flow".to_owned()));
     }
     numbers
 }

@@ -1,4 +1,4 @@
-//! `srflow ablation` as a user meets it: the table, the paper's beside it, and a run that was stopped.
+//! `srflow ablation`: its table, the paper's table, and an interrupted run.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -64,7 +64,7 @@ fn the_table_stands_beside_the_papers_and_a_stopped_run_goes_on() {
     };
     assert!(text[ours..spread].contains(&format!("{:.4}", mean("fdr"))), "{text}");
 
-    // The same, after the first row was finished and the second stopped on its way.
+    // The same, with the first row finished and the second interrupted.
     succeed(command(&data, &stopped, "none", &["--seeds", "1"]));
     let mut half = crate::srflow();
     half.args(["train", "--config", "cpu-small", "--data", &data, "--seed", "2"]).args(SETTINGS);
@@ -78,14 +78,14 @@ fn the_table_stands_beside_the_papers_and_a_stopped_run_goes_on() {
     let now = results(&stopped);
     assert!(finished.iter().all(|result| now.contains(result)), "what was finished is not run again");
 
-    // Once more: nothing is left to do.
+    // Once more: everything is finished.
     succeed(command(&data, &stopped, "none,fdr", &["--json"]));
     assert_eq!(results(&stopped), now);
     let refused = command(&data, &stopped, "none", &["--learning-rate", "1e-5"]).output().unwrap();
     let error = String::from_utf8(refused.stderr).unwrap();
     assert!(!refused.status.success() && error.contains("none-seed-1") && error.contains("--out"), "{error}");
 
-    // What the others start from, once for all seeds.
+    // The initial weights are scored once for all seeds.
     let without = command(&data, &folder.path().join("start"), "start", &[]).output().unwrap();
     let error = String::from_utf8(without.stderr).unwrap();
     assert!(!without.status.success() && error.contains("--weights"), "{error}");

@@ -30,7 +30,7 @@ fn cargo(arguments: &[&str]) -> Vec<u8> {
     output.stdout
 }
 
-/// `cargo metadata` for the processor and system that the tests run on.
+/// `cargo metadata` for the platform that the tests run on.
 pub(crate) fn metadata(more: &[&str]) -> Value {
     let version = String::from_utf8(cargo(&["-vV"])).expect("text");
     let host = version.lines().find_map(|line| line.strip_prefix("host: ")).expect("cargo names its host");

@@ -1,4 +1,4 @@
-//! `srflow demo` with small frames: the whole road, and what stops it before it starts.
+//! `srflow demo` with small frames, end to end, and errors before it starts.
 
 use std::path::Path;
 use std::process::Output;
@@ -28,7 +28,7 @@ fn the_whole_road_ends_in_one_page() {
         assert!(!html.contains(outside), "the page holds {outside}");
     }
 
-    // What is there stays; the datasets are found by the commands that read datasets.
+    // Existing files are kept; the datasets are in the folders that other commands read.
     refuses(&demo(&out, &[]), 1, &["report.html", "--force"]);
     let dataset = format!("srflow:{}", out.join("clips").display());
     let eval = ["eval", "--dataset", &dataset, "--method", "farneback", "--limit", "1"];

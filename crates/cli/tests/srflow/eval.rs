@@ -1,4 +1,4 @@
-//! `srflow eval` as a user meets it: on a folder made here, and on what is wrong with folders.
+//! `srflow eval` on a generated folder, and on broken folders.
 
 use std::fs;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! `srflow flow` as a user meets it: a pair, a sequence, and what is refused.
+//! `srflow flow`: a pair, a sequence, and refused input.
 
 use std::fs;
 use std::path::Path;
@@ -18,7 +18,7 @@ fn flow(folder: &Path, arguments: &[&str]) -> Output {
     command.current_dir(folder).args(["flow", "--method", "farneback"]).args(arguments).output().unwrap()
 }
 
-/// Mean of `u` and `v` away from the borders, where the frames show what was not there before.
+/// Mean of `u` and `v` away from the borders, where new texture enters.
 fn mean_flow(file: &Path) -> [f64; 2] {
     let flow = read_flow(file).unwrap();
     assert_eq!(flow.size(), SIZE);

@@ -1,5 +1,4 @@
-//! `srflow flow` and `srflow eval` with networks, as a user meets them. The weights are random: what they give is no flow
-//! of anything, but the same every time.
+//! `srflow flow` and `srflow eval` with networks. The weights are random: the flow is meaningless, but reproducible.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -17,7 +16,7 @@ use crate::{json, refuses, succeeds};
 
 const SIZE: (usize, usize) = (150, 133);
 
-/// Random weights of RAFT-S whose variance keeps activations their size.
+/// Random weights of RAFT-S, with a variance that preserves the magnitude of activations.
 fn write_weights(path: &Path, seed: u32) {
     let mut state = seed;
     let mut noise = || {
@@ -92,7 +91,7 @@ fn a_pair_gives_a_flow_and_a_report() {
     assert_eq!(read("pair/own.flo"), read("pair/flow.flo"));
 }
 
-/// However many pairs at once.
+/// With any batch size.
 #[test]
 fn a_folder_gives_what_its_pairs_give() {
     succeeds(&flow(&["video/2.png", "video/3.png", "-o", "alone.flo"]));
@@ -201,7 +200,7 @@ fn scores_are_the_same_however_many_pairs_at_once() {
     refuses(&srflow(&tvl1), 2, &["--batch is for networks"]);
 }
 
-/// `ffmpeg` and `ffprobe` that give three frames, whatever they are asked for, and keep what they are given.
+/// Fake `ffmpeg` and `ffprobe` that always return three frames, and save their input.
 #[cfg(unix)]
 #[test]
 fn videos_go_through_ffmpeg() {
@@ -218,7 +217,7 @@ fn videos_go_through_ffmpeg() {
         fs::write(dir.join(name), format!("#!/bin/sh\n{text}\n")).unwrap();
         fs::set_permissions(dir.join(name), fs::Permissions::from_mode(0o755)).unwrap();
     };
-    // Its last argument is `-` when it reads a video, else the video to write.
+    // Its last argument is `-` when it reads a video, otherwise the video to write.
     program(
         "ffmpeg",
         "for last; do :; done\nif [ \"$last\" = - ]; then cat clip.mp4; else cat > \"${last#file:}\"; fi",

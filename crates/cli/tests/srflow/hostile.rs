@@ -1,9 +1,9 @@
-//! Files that somebody broke, by chance or on purpose: every command that reads them ends, soon, within little memory,
-//! with a result or with a sentence that names the file.
+//! Corrupt and malicious files: every command that reads them ends within limits of time and memory, with a result or an
+//! error that names the file.
 //!
-//! Samples of every format are mutated with what a format's structure is sensitive to (its numbers, its text, its parts,
-//! what a container holds), from one seed. `SRFLOW_FUZZ_CASES` sets how many cases there are of all samples together (2000;
-//! some 50,000 in a night) and `SRFLOW_FUZZ_SEED` other ones.
+//! Samples of every format are mutated where a format's structure is sensitive (its numbers, its text, its parts, the contents
+//! of a container), from one seed. `SRFLOW_FUZZ_CASES` sets the total number of cases (2000; about 50,000 in a night) and
+//! `SRFLOW_FUZZ_SEED` another seed.
 
 use std::fs;
 use std::io::{Cursor, Read as _, Write as _};
@@ -20,13 +20,13 @@ use zip::write::SimpleFileOptions;
 use crate::frames::write_frames;
 use crate::refuses;
 
-/// What one run may take: address space, which holds the stacks of the threads and the program itself too; wall time.
+/// Limits of one run: address space, including thread stacks and the program itself, and wall time.
 const MEMORY: u64 = 3 << 30;
 const PATIENCE: Duration = Duration::from_secs(30);
-/// The most bytes that a command says of a broken file.
+/// Maximum size in bytes of a command's message about a broken file.
 const LONGEST_MESSAGE: usize = 20_000;
 
-/// A whole file, and how the binary is made to read it: `FILE` stands for the mutated one, `DIR` for a folder beside it.
+/// A valid file and the command that reads it: `FILE` stands for the mutated file, `DIR` for its folder.
 struct Sample {
     name: &'static str,
     bytes: Vec<u8>,
@@ -166,7 +166,7 @@ fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
 }
 
-/// A workbook of SMIC's columns with one clip; `parts` take the place of its own.
+/// A workbook with SMIC's columns and one clip; `parts` override its own.
 fn workbook(parts: &[(&str, String)]) -> Vec<u8> {
     let header = ["Subject", "Filename", "OnsetF", "OffsetF", "Onset2F", "Emotion"];
     let strings: String = header.iter().map(|name| format!("<si><t>{name}</t></si>")).collect();
@@ -210,7 +210,7 @@ fn archive(parts: &[(String, Vec<u8>)]) -> Vec<u8> {
     archive.finish().unwrap().into_inner()
 }
 
-/// Splitmix64: every case can be made alone.
+/// Splitmix64: every case can be reproduced alone.
 struct Dice(u64);
 
 impl Dice {
@@ -252,7 +252,7 @@ const TEXTS: [&str; 6] =
 fn mutated(bytes: &[u8], dice: &mut Dice) -> Vec<u8> {
     let is_zip = bytes.starts_with(b"PK\x03\x04");
     if is_zip && dice.below(2) == 0 {
-        // What a container holds, under right sizes and check sums.
+        // The contents of a container, with valid sizes and checksums.
         let mut whole = zip::ZipArchive::new(Cursor::new(bytes)).unwrap();
         let mut parts: Vec<(String, Vec<u8>)> = Vec::new();
         for index in 0..whole.len() {
@@ -301,7 +301,7 @@ fn mutated(bytes: &[u8], dice: &mut Dice) -> Vec<u8> {
                 bytes.splice(at..at, part.repeat(times));
             }
             6 => {
-                // A number of the text.
+                // A number in the text.
                 let digit = |byte: &u8| byte.is_ascii_digit();
                 if let Some(start) = bytes[at..].iter().position(digit).map(|from| at + from) {
                     let len = bytes[start..].iter().take_while(|byte| digit(byte)).count();
@@ -316,7 +316,7 @@ fn mutated(bytes: &[u8], dice: &mut Dice) -> Vec<u8> {
     bytes
 }
 
-/// What is wrong with how the binary took the file; nothing when all is well.
+/// The problem with how the binary handled the file; `None` if there is none.
 fn trouble(file: &Path, arguments: &[&str]) -> Option<String> {
     let folder = file.parent().unwrap().to_str().unwrap();
     let mut command = Command::new(crate::binary());
@@ -423,7 +423,7 @@ fn broken_files_of_every_format_are_refused_or_read() {
     assert!(failures.is_empty(), "seed {seed}, {} of {cases}:\n{}", failures.len(), failures.join("\n"));
 }
 
-/// The error of a command on a file of this content, which must be one sentence, soon.
+/// The error of a command on a file with this content, within the limits.
 fn refusal(file: &str, bytes: &[u8], arguments: &[&str]) -> String {
     let folder = tempfile::tempdir().unwrap();
     fs::write(folder.path().join("camera.json"), CAMERA).unwrap();
@@ -475,7 +475,7 @@ fn with_zip64_claim(archive: &[u8], entries: u64, size: Option<u64>) -> Vec<u8> 
     bytes
 }
 
-/// No reader takes memory or time for the number of entries that a zip64 directory claims.
+/// No reader spends memory or time on the number of entries that a zip64 directory claims.
 #[test]
 fn lying_zip64_counts_are_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -570,7 +570,7 @@ fn a_missing_frame_is_reported() {
     refuses(&run(), 1, &["a frame is missing between"]);
 }
 
-/// Where the third flow cannot be written the run ends, as one that is killed: its note and two flows are there.
+/// The run ends where the third flow cannot be written, as if killed: its note and two flow files exist.
 #[test]
 fn flow_into_a_folder_resumes_an_interrupted_run() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,8 +1,8 @@
-//! Every dependency may be used by everybody who may use srflow: its licence is one of those listed here.
+//! Every dependency has one of the licences listed here, which all users of srflow can comply with.
 
 use spdx::{Expression, LicenseReq, ParseMode};
 
-/// Licences that ask for no more than a notice, and MPL-2.0, which covers the files of the dependency alone.
+/// Licences that only require a notice, and MPL-2.0, which covers the files of the dependency alone.
 const ACCEPTED: [&str; 15] = [
     "0BSD",
     "Apache-2.0",

@@ -1,4 +1,4 @@
-//! The binary as its users run it, one module for each command: a single program, so that the libraries are linked once.
+//! The binary from a user's view, one module per command, in a single test program so that the libraries are linked once.
 
 use std::path::PathBuf;
 use std::process::{Command, Output};
@@ -23,7 +23,7 @@ mod render_check;
 mod train;
 mod videos;
 
-/// The program under test. Cargo names it when the tests run: a path kept from the build would outlive a move of the checkout.
+/// The program under test. Read when the tests run: a path fixed at build time would break if the checkout moves.
 fn binary() -> PathBuf {
     std::env::var_os("CARGO_BIN_EXE_srflow").expect("cargo runs the tests").into()
 }
@@ -32,7 +32,7 @@ fn srflow() -> Command {
     Command::new(binary())
 }
 
-/// Standard output of a run that succeeds and says nothing on standard error, where progress is for terminals.
+/// Standard output of a run that succeeds and prints nothing to standard error, where progress is for terminals only.
 #[track_caller]
 fn succeeds(output: &Output) -> String {
     assert_eq!(output.status.code(), Some(0), "{output:?}");
@@ -40,7 +40,7 @@ fn succeeds(output: &Output) -> String {
     String::from_utf8(output.stdout.clone()).unwrap()
 }
 
-/// Standard error of a run that fails with this exit code and prints no result; with `--json`, the error in its place.
+/// Standard error of a run that fails with this exit code and prints no result; with `--json`, it prints the error instead.
 #[track_caller]
 fn fails(output: &Output, code: i32) -> String {
     assert_eq!(output.status.code(), Some(code), "{output:?}");

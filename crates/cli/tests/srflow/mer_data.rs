@@ -1,4 +1,4 @@
-//! `srflow mer data`, `synth`, `apex` and `strain` as a user meets them, from an empty folder.
+//! `srflow mer data`, `synth`, `apex` and `strain`, starting from an empty folder.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,7 @@ fn json(folder: &Path, arguments: &[&str]) -> Value {
     crate::json(&srflow(folder, &[arguments, &["--json"]].concat()))
 }
 
-/// Two subjects with two small clips each, made once.
+/// Two subjects with two small clips each, rendered once.
 static SET: LazyLock<tempfile::TempDir> = LazyLock::new(|| {
     let folder = tempfile::tempdir().unwrap();
     let arguments =
@@ -28,7 +28,7 @@ static SET: LazyLock<tempfile::TempDir> = LazyLock::new(|| {
     folder
 });
 
-/// The published annotation files, where they are beside the repository.
+/// The published annotation files, if they are next to the repository.
 fn annotations() -> Option<PathBuf> {
     let here = std::env::current_dir().unwrap();
     let found = here.ancestors().map(|dir| dir.join("shared/data/me-annotations")).find(|dir| dir.is_dir());

@@ -9,7 +9,7 @@ use srflow_field::{Image, write_image_png};
 
 use crate::{fails, json, refuses, succeeds};
 
-/// Two subjects with a clip of each class, a third with one clip: a texture whose halves move with the class.
+/// Two subjects with one clip of each class, a third with one clip: a texture whose halves move according to the class.
 fn write_clips(folder: &Path) {
     let mut lines = vec!["clip,subject,onset,apex,offset,class".to_owned()];
     for (subject, classes) in [("anna", 3), ("ben", 3), ("carl", 1)] {
@@ -74,7 +74,7 @@ fn clips_become_tables_and_a_second_run_gives_the_same_bytes() {
     assert_eq!(again["outcomes"][0]["folds"][0]["resumed"], true);
     assert_eq!(read("predictions.csv"), predictions);
     assert_recomputed(&out);
-    // From nothing, on another number of threads.
+    // From scratch, with another number of threads.
     let elsewhere = folder.path().join("elsewhere");
     succeeds(&run(&clips, &elsewhere, &["--threads", "3"]));
     assert_eq!(fs::read_to_string(elsewhere.join("predictions.csv")).unwrap(), predictions);
@@ -84,7 +84,7 @@ fn tables(arguments: &[&Path]) -> Output {
     crate::srflow().args(["mer", "tables"]).args(arguments).output().unwrap()
 }
 
-/// Every table of a finished run follows from its predictions.
+/// Every table of a finished run can be recomputed from its predictions.
 fn assert_recomputed(out: &Path) {
     let read = |folder: &Path, name: &str| fs::read_to_string(folder.join(name)).unwrap();
     let again = out.join("again");
@@ -94,7 +94,7 @@ fn assert_recomputed(out: &Path) {
     for name in ["tables.txt", "tables.csv", "tables.tex", "tables.md", "confusions.csv"] {
         assert_eq!(read(&again, name), read(out, name), "{name}");
     }
-    // The training loss, which stands last in a line, follows from no prediction.
+    // The training loss, last in a line, cannot.
     let without_loss = |line: &str| line.rsplit_once(',').unwrap().0.to_owned();
     let lines = |text: String| text.lines().map(without_loss).collect::<Vec<_>>();
     assert_eq!(lines(read(&again, "folds.csv")), lines(read(out, "folds.csv")));
@@ -150,7 +150,7 @@ fn features_of_key_frames_are_those_of_whole_clips() {
     refuses(&features("whole.npz", &[]), 1, &["--force"]);
     refuses(&features("features.npy", &[]), 2, &["a .npz file"]);
 
-    // One clip goes on for 7 frames of which none is there but its last.
+    // One clip has 7 more frames, all missing except the last.
     let table = fs::read_to_string(clips.join("clips.csv")).unwrap();
     fs::write(
         clips.join("clips.csv"),
@@ -160,7 +160,7 @@ fn features_of_key_frames_are_those_of_whole_clips() {
     fs::rename(clips.join("anna-negative/3.png"), clips.join("anna-negative/10.png")).unwrap();
     refuses(&features("key.npz", &[]), 1, &["--only-key-frames"]);
     succeeds(&features("key.npz", &["--only-key-frames"]));
-    // Pictures, and with them features, are the same; of the recipe nothing has changed either.
+    // The pictures, and so the features, are unchanged; so is the recipe.
     let bytes = |name: &str| fs::read(folder.path().join(name)).unwrap();
     assert!(bytes("key.npz") == bytes("whole.npz"));
 }
@@ -188,7 +188,7 @@ fn predictions_that_give_no_tables_say_why() {
     refuses(&tables(&[&folder.path().join("gone.csv")]), 1, &["gone.csv"]);
 }
 
-/// A run that is killed leaves finished folds, and tables but no results.json when it was writing its results.
+/// A killed run leaves finished folds, and, if it was writing its results, tables without results.json.
 #[test]
 fn a_killed_run_goes_on_to_the_same_bytes() {
     let (folder, clips) = faces();
@@ -208,7 +208,7 @@ fn a_killed_run_goes_on_to_the_same_bytes() {
     assert_eq!(fs::read(out.join("predictions.csv")).unwrap(), predictions);
     assert_eq!(fs::read(out.join("report.html")).unwrap(), report);
 
-    // Tables of no run that was begun here are somebody's own.
+    // Tables of another origin are not overwritten.
     let others = folder.path().join("others");
     fs::create_dir(&others).unwrap();
     fs::write(others.join("tables.txt"), "mine").unwrap();

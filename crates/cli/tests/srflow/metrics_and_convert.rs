@@ -1,4 +1,4 @@
-//! `srflow metrics` and `srflow convert` as a user meets them.
+//! `srflow metrics` and `srflow convert`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -60,7 +60,7 @@ fn metrics_prints_a_table_for_people() {
     refuses(&srflow(folder.path(), &["metrics", "a.flo", "known.flo"]), 1, &[expected]);
 }
 
-/// A constant flow varies nowhere but at the outline of a masked head, where MIGAR and IGVAR set it to zero.
+/// A constant flow only varies at the outline of a masked head, where MIGAR and IGVAR set it to zero.
 #[test]
 fn metrics_prints_the_regularizers_of_one_flow() {
     let folder = tempfile::tempdir().unwrap();
@@ -85,12 +85,12 @@ fn metrics_prints_the_regularizers_of_one_flow() {
     let names: Vec<&str> = constant.iter().map(|value| value["name"].as_str().unwrap()).collect();
     assert_eq!(names, ["tvr", "fdr", "migar", "igvar"]);
     assert_eq!(of(&constant), [0.0; 4]);
-    // A grey frame has no gradient: every weight is 1, whatever the base.
+    // A grey frame has no gradient: every weight is 1 for any base.
     assert_eq!(constant[2]["weights"]["pixels"], 63);
     assert_eq!(constant[2]["weights"]["mean_weight"], 1.0);
     assert_eq!(constant[3]["weights"]["log_base"], 1.0);
 
-    // A step of 1 px along 7 rows: both Sobel columns beside it give 4 of 8, the difference gives 1.
+    // A step of 1 px along 7 rows: both neighbouring Sobel columns give 4 of 8, the difference gives 1.
     let step = of(&values("step.flo", &[]));
     let expected = [0.05 * 7.0 / 63.0, 0.05 * 7.0 / 63.0, 8.0 * 7.0 / 63.0, 8.0 * 7.0 / 63.0];
     for (found, expected) in step.iter().zip(expected) {

@@ -1,4 +1,4 @@
-//! `srflow models` as a user meets it: the list of networks, and what a file of weights is.
+//! `srflow models`: the list of networks, and inspecting files of weights.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -110,7 +110,7 @@ fn exported_weights_are_the_same_to_the_bit() {
     refuses(&export(other.to_str().unwrap(), "other.ckpt"), 1, &["no network known here"]);
 }
 
-/// The lists of networks in the documents. `SRFLOW_WRITE_DOCS=1` brings them up to date.
+/// The lists of networks in the documents. `SRFLOW_WRITE_DOCS=1` updates them.
 #[test]
 fn the_documents_list_the_networks() {
     let all = srflow_nets::Architecture::ALL.map(srflow_nets::Architecture::facts);

@@ -1,4 +1,4 @@
-//! `srflow rasterize` as a user meets it: on Gaussians made here, and on broken input.
+//! `srflow rasterize` on generated Gaussians, and on broken input.
 
 use std::fs;
 use std::path::Path;
@@ -144,14 +144,14 @@ fn a_camera_is_chosen_among_those_of_a_file() {
     let views = ["--camera", "cameras.json", "--view", "front", "--view-next", "1"];
     succeeds(&rasterize(dir, &[&["a.ply", "--out", "views", "--size", "120x80"], &views[..]].concat()));
     let flow = read_flow(&dir.join("views/flow_normalized.flo")).unwrap();
-    // The camera goes 0.1 to the right at depth 1: at twice the size 10 px to the left.
+    // The camera moves 0.1 to the right at depth 1: at twice the size 10 px to the left.
     let [u, v] = flow.get(60, 40);
     assert!(flow.size() == (120, 80) && (u + 10.0).abs() < 1e-3 && v.abs() < 1e-3, "({u}, {v})");
     let stretched = [&["a.ply", "--out", "none", "--size", "120x120"], &views[..]].concat();
     refuses(&rasterize(dir, &stretched), 2, &["proportions"]);
 }
 
-/// What a moving camera writes is a dataset with exact flow.
+/// The output of a moving camera is a dataset with exact flow.
 #[test]
 fn a_moving_camera_gives_frames_flow_and_masks() {
     let folder = scene();

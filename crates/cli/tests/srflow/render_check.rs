@@ -1,4 +1,4 @@
-//! `srflow render` and `srflow check` as a user meets them: at a tiny size, killed, in parts, on broken data.
+//! `srflow render` and `srflow check` at a tiny size: killed, in parts, on broken data.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -10,11 +10,11 @@ use serde_json::Value;
 
 use crate::{json, refuses, succeeds};
 
-/// What most tests render: one scene of 7 pairs, for a head takes most of the time.
+/// The dataset of most tests: one scene of 7 pairs, since a head takes most of the time.
 const TINY: [&str; 10] =
     ["--scenes", "1", "--frames", "7", "--size", "110x160", "--seed", "4", "--splits", "1,0,0"];
 
-/// The dataset of [`TINY`], which several tests compare theirs to or copy. It is made once.
+/// The dataset of [`TINY`], which several tests compare with or copy. It is rendered once.
 fn whole() -> &'static Path {
     static WHOLE: OnceLock<PathBuf> = OnceLock::new();
     WHOLE.get_or_init(|| {
@@ -37,7 +37,7 @@ fn stops(output: &Output) -> String {
     String::from_utf8(output.stderr.clone()).unwrap()
 }
 
-/// Every file below a folder, hidden ones too, by its path there.
+/// Every file below a folder, including hidden ones, by relative path.
 fn tree(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut files = BTreeMap::new();
     let mut folders = vec![dir.to_owned()];
@@ -87,7 +87,7 @@ fn a_dataset_is_sound_and_explained_by_its_flow() {
     let summary = json(&command.output().unwrap());
     assert_eq!(summary["statistics"]["average_frames"], 5.0);
     assert_eq!(summary["statistics"]["scenes"], 1);
-    // 6 frames, alphas, masks and depths; 5 flows, backward flows, occlusions and records; two files for all.
+    // 6 frames, alphas, masks and depths; 5 flows, backward flows, occlusions and records; two files for the dataset.
     assert_eq!(tree(&out).len(), 4 * 6 + 4 * 5 + 2);
 
     let (output, report) = check(&out);
@@ -97,7 +97,7 @@ fn a_dataset_is_sound_and_explained_by_its_flow() {
     assert!(residual("warped") * 2.0 < residual("unwarped"), "{}", report["residual"]);
     assert_eq!(report["statistics"]["flow"]["pixels"], summary["statistics"]["flow"]["pixels"]);
 
-    // Backward flow leads back to where forward flow came from.
+    // Backward flow returns to where forward flow started.
     let file = |kind: &str, ending: &str| out.join(format!("test/{kind}/scene-0000/00002.{ending}"));
     let forward = srflow_field::read_flow(&file("flow", "npz16")).unwrap();
     let backward = srflow_field::read_flow(&file("flow_backward", "npz16")).unwrap();
@@ -134,7 +134,7 @@ fn a_stopped_run_continues_to_the_same_bytes() {
     let said = stops(&render(&stopped, &["--stop-after", "2"]));
     assert!(said.contains("stopped on request"), "{said}");
     assert_eq!(whole_pairs(&stopped).len(), 2);
-    // As a kill in the midst of writing leaves it: half a file, and a pair without the file that is written last.
+    // Leftovers of a kill during writing: a partial file, and a pair without its last file.
     fs::write(stopped.join("train/frames/scene-0000/.00005.png.1-0.partial"), "half").unwrap();
     fs::remove_file(&whole_pairs(&stopped)[0]).unwrap();
 
@@ -144,7 +144,7 @@ fn a_stopped_run_continues_to_the_same_bytes() {
     assert_eq!(rerun(), 0);
 }
 
-/// The records of the pairs that are whole.
+/// The records of complete pairs.
 fn whole_pairs(dir: &Path) -> Vec<PathBuf> {
     let records =
         fs::read_dir(dir.join("train/pairs/scene-0000")).unwrap().map(|entry| entry.unwrap().path());
@@ -192,7 +192,7 @@ fn another_dataset_is_not_mixed_in() {
     succeeds(&render(&out, &["--background", "black", "--shard", "1/7", "--force"]));
     let after = tree(&out);
     assert_eq!(after[Path::new("notes.txt")], b"mine");
-    // dataset.json, the notes and the first pair's seven files: nothing is left of the other dataset.
+    // dataset.json, notes.txt and the first pair's seven files: nothing is left of the other dataset.
     assert_eq!(after.len(), 2 + 6);
     let frame = Path::new("train/frames/scene-0000/00000.png");
     assert!(before[frame] != after[frame]);
@@ -246,7 +246,7 @@ fn wrong_arguments_are_said_before_any_work() {
     refuses(&render(&file.join("data"), &[]), 1, &["file/data"]);
 }
 
-/// A limit on the size of files stands for the full disk: both are errors of the write.
+/// A limit on file size simulates a full disk: both are write errors.
 #[cfg(unix)]
 #[test]
 fn a_full_disk_is_said_and_the_dataset_resumes() {
@@ -254,7 +254,7 @@ fn a_full_disk_is_said_and_the_dataset_resumes() {
     let out = dir.path().join("data");
     let arguments =
         format!("{} render --out {} {}", crate::binary().display(), out.display(), TINY.join(" "));
-    // Without the signal that a passed limit also sends; 12 blocks of 1024 bytes.
+    // Without the signal for an exceeded limit; 12 blocks of 1024 bytes.
     let script = format!("trap '' XFSZ; ulimit -f 12; exec {arguments}");
     let output = Command::new("bash").args(["-c", &script]).output().unwrap();
     refuses(&output, 1, &[".png: writing:", "run the same command again"]);
@@ -316,7 +316,7 @@ fn broken_files_are_reported() {
     expect("mask/scene-0000/00001.png", "differs from alpha");
     fs::write(file("pairs/scene-0000/00000.json"), "{").unwrap();
     expect("pairs/scene-0000/00000.json", "");
-    // Sound as a file, wrong for its frames.
+    // A valid file with the wrong content.
     let flow = srflow_field::read_flow(&file("flow/scene-0000/00003.npz16")).unwrap();
     let wrong = flow.pixels().iter().map(|[u, v]| [u + 7.0, v - 5.0]).collect();
     let wrong = srflow_field::FlowField::from_pixels(110, 160, wrong).unwrap();

@@ -1,4 +1,4 @@
-//! `srflow train` as a user meets it: a folder of pairs, a kill, a resume, and what is wrong with folders and configurations.
+//! `srflow train`: a folder of pairs, a kill, a resume, and broken folders and configurations.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -71,8 +71,8 @@ fn a_killed_run_goes_on_to_the_same_bytes() {
     assert_eq!(stopped.status.code(), Some(75), "{}", String::from_utf8_lossy(&stopped.stderr));
     assert!(String::from_utf8_lossy(&stopped.stdout).contains("--resume"));
     assert!(!killed.join("report.html").exists(), "it is not finished");
-    // As a kill after step 7 would have left it: the log is ahead of the last checkpoint, which is that of step 6, half a
-    // checkpoint, and the lock of a process that died.
+    // As if killed after step 7: the log is ahead of the last checkpoint, that of step 6, and there is a partial checkpoint and
+    // the lock of a dead process.
     std::fs::rename(checkpoint(&killed, 7), killed.join("checkpoints/.step-00000007.partial")).unwrap();
     std::fs::remove_file(killed.join("checkpoints/.step-00000007.partial/state.json")).unwrap();
     std::fs::write(killed.join(".lock"), "process 1 on elsewhere\n").unwrap();
@@ -88,7 +88,7 @@ fn a_killed_run_goes_on_to_the_same_bytes() {
 
     let summary: Value = serde_json::from_slice(&resumed.stdout).unwrap();
     assert_eq!(summary["steps"], STEPS);
-    // The log of the killed run has every step once, as that of the other.
+    // The log of the killed run has every step once, like the other's.
     let steps = |run: &Path| -> Vec<(u64, f64)> {
         let text = std::fs::read_to_string(run.join("log.jsonl")).unwrap();
         let records = text.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
@@ -118,7 +118,7 @@ fn a_folder_that_another_process_trains_in_is_refused() {
     assert!(!out.join("config.toml").exists(), "nothing of the other's is touched");
 }
 
-/// Without a split `val`, with weights of one network for another and for the same.
+/// Without a split `val`, and with weights of the same and of another network.
 #[test]
 fn a_run_reports_its_start() {
     let dir = tempfile::tempdir().unwrap();
@@ -150,7 +150,7 @@ fn a_run_reports_its_start() {
     assert!(!kept.is_empty() && kept == statistics(&weights));
 }
 
-/// Frames here are smaller than those that networks take as they are.
+/// These frames are smaller than the networks' minimum.
 #[test]
 fn validation_matches_evaluation() {
     let dir = tempfile::tempdir().unwrap();
@@ -212,7 +212,7 @@ fn configurations_are_printed_and_their_mistakes_named() {
     for line in ["fdr = 0.05", "clip = 0.5", "crop = \"512x800\"", "learning_rate = 0.000125"] {
         assert!(text.contains(line), "{line} in {text}");
     }
-    // What is printed is a configuration.
+    // The output is a configuration.
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("mine.toml");
     std::fs::write(&file, &text).unwrap();

@@ -33,7 +33,7 @@ use srflow_ops::ReusingAllocator;
 #[global_allocator]
 static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();
 
-/// From a head avatar made of 3D Gaussians to a facial optical-flow dataset to evaluated flow.
+/// Render facial optical-flow datasets from avatars of 3D Gaussians; estimate, train and score optical flow.
 #[derive(Parser)]
 #[command(version, propagate_version = true, arg_required_else_help = true)]
 #[command(after_help = "\

@@ -102,9 +102,7 @@ impl FromStr for MethodSpec {
 
     fn from_str(text: &str) -> Result<Self, String> {
         if label_and_files(text).is_some() {
-            return Err(
-                "files:DIR works only with `srflow eval`, which scores flow files of a dataset".to_owned()
-            );
+            return Err("files:DIR scores flow files of a dataset: only `srflow eval` takes it".to_owned());
         }
         let (name, weights) = match text.split_once('=') {
             Some((name, weights)) => (name, Some(weights)),
@@ -431,6 +429,6 @@ mod tests {
     fn two_methods_of_one_name_are_refused() {
         let specs = ["a:tvl1", "a:farneback"].map(|text| text.parse().unwrap());
         let error = estimators(&specs, &MethodParameters::default()).err().unwrap().to_string();
-        assert!(error.contains("called a:"), "{error}");
+        assert!(error.contains("have the name a:"), "{error}");
     }
 }

@@ -121,7 +121,7 @@ fn metrics_says_what_the_regularizers_need() {
     assert_eq!(
         fails(&run("b.flo", "small.png"), 1),
         "error: regularizers of b.flo over small.png: the flow is 9x5 and the first frame 3x2 (WIDTHxHEIGHT): they must \
-         be of one size\n"
+         have the same size\n"
     );
     refuses(&run("a.flo", "frame.png"), 1, &["the flow at pixel (4, 4) is (NaN, NaN)"]);
     assert_eq!(code(&srflow(folder.path(), &["metrics", "a.flo"])), 2, "neither a truth nor --regularizers");

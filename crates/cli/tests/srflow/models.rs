@@ -63,7 +63,7 @@ fn weights_of_no_network_are_described_too() {
     let path = checkpoint("lightning.ckpt");
     let text = succeeds(&["inspect", path.to_str().unwrap()]);
     for said in
-        ["PyTorch (zip)", "under state_dict", "network. taken off", "8 tensors", "no network known here"]
+        ["PyTorch (zip)", "under state_dict", "prefix network. removed", "8 tensors", "no network known here"]
     {
         assert!(text.contains(said), "{said} in {text}");
     }

@@ -206,7 +206,7 @@ fn another_dataset_is_not_mixed_in() {
 }
 
 #[test]
-fn wrong_arguments_are_said_before_any_work() {
+fn wrong_arguments_are_reported_before_any_work() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("data");
     let cases: [(&[&str], i32, &str); 13] = [
@@ -215,7 +215,7 @@ fn wrong_arguments_are_said_before_any_work() {
             2,
             "--splits 0.5,0.1,0.1: expected three shares from 0 to 1 that sum to 1",
         ),
-        (&["--splits", "0.5,0.5"], 2, "expected TRAIN,VAL,TEST"),
+        (&["--splits", "0.5,0.5"], 2, "expected three shares TRAIN,VAL,TEST"),
         (&["--size", "0x10"], 2, "expected WIDTHxHEIGHT"),
         (&["--size", "99999999x99999999"], 2, "--size 99999999x99999999"),
         (&["--size", "big"], 2, "expected WIDTHxHEIGHT"),

@@ -15,13 +15,13 @@ use crate::usage::wrong_usage;
 /// How much of a dataset is made.
 #[derive(Args, Default)]
 pub struct RenderingArgs {
-    /// Make part I of N only
+    /// Render only part I of N
     #[arg(long, value_name = "I/N", default_value = "1/1", hide_default_value = true)]
     pub shard: Shard,
     /// Stop after making N pairs or clips, exit code 75; the same command continues
     #[arg(long, value_name = "N")]
     pub stop_after: Option<u64>,
-    /// Delete the dataset that lies in the folder and start over
+    /// Delete the dataset in the folder and start over
     #[arg(long)]
     pub force: bool,
 }
@@ -50,7 +50,7 @@ impl RenderingArgs {
     }
 }
 
-/// Ends the program when a run was stopped on request.
+/// Exits the program if the run was stopped on request.
 pub fn exit_if_stopped(stopped: bool) -> anyhow::Result<()> {
     if stopped {
         note!("stopped on request; the same command without --stop-after continues");
@@ -79,7 +79,7 @@ impl Progress {
                 self.bar.reset_elapsed();
             }
             Event::Made { bytes } => {
-                // Workers report out of order: the most that was reported stands.
+                // Workers report out of order: keep the highest count.
                 let bytes = self.bytes.fetch_max(bytes, Ordering::Relaxed).max(bytes);
                 let seconds = self.bar.elapsed().as_secs_f64().max(1e-3);
                 self.bar.set_message(format!("{:.1} MB/s", bytes as f64 / 1e6 / seconds));

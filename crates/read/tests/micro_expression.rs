@@ -228,7 +228,7 @@ fn mixed_up_spreadsheets_are_recognized() {
     refuses(given("samm", file("CASME2-coding-20140508.xlsx")), &["those of CASME II"]);
     refuses(given("smic", samm), &["those of SAMM"]);
     refuses(given("casme2", file("CASME2-ObjectiveClasses.xlsx")), &["ApexFrame", "Objective Class"]);
-    refuses(given("samm", file("smic_apex.csv")), &["smic_apex.csv: expected a sound .xlsx"]);
+    refuses(given("samm", file("smic_apex.csv")), &["smic_apex.csv: expected a valid .xlsx"]);
 }
 
 #[test]
@@ -497,7 +497,7 @@ fn a_frame_that_is_there_twice_is_refused() {
     .unwrap();
     touch(&folder.path().join("a"), (1..4).map(|n| format!("img{n}.jpg")));
     write_image_png(&folder.path().join("a/img02.png"), &Image::new(4, 4)).unwrap();
-    refuses(ClipDataset::open(&at("clips", folder.path()), true), &["frame 2 is there twice"]);
+    refuses(ClipDataset::open(&at("clips", folder.path()), true), &["frame 2 exists twice"]);
 }
 
 #[test]

@@ -140,7 +140,7 @@ fn write(out: &std::path::Path, cells: &[Cell], tables: &[Table; 3]) -> anyhow::
             .to_owned(),
         opening: Vec::new(),
         sections: vec![
-            Section::new("Ours", "Means over the seeds, and their standard deviation: a difference within the spread says nothing.", vec![score_table(&tables[0], ""), score_table(&tables[1], "")]),
+            Section::new("Ours", "Means over the seeds, and their standard deviation: a difference within the spread is not significant.", vec![score_table(&tables[0], ""), score_table(&tables[1], "")]),
             Section::new("The paper's", "", vec![score_table(&tables[2], "")]),
         ],
         colophon: format!("Made on {}.", machine::describe()),

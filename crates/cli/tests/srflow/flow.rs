@@ -90,7 +90,11 @@ fn impossible_requests_are_explained_and_nothing_is_written() {
     refused(&["0.png", "absent.png", "-o", "new.flo"], 1, &["absent.png: "]);
     refused(&["0.png", "-o", "new.flo"], 2, &["one frame has no flow"]);
     refused(&["empty", "-o", "new"], 1, &["empty: expected two frames or more", "*.png", "found 0"]);
-    refused(&["0.png", "1.png", "2.png", "-o", "new.flo"], 2, &["new.flo: 3 frames give a folder of flows"]);
+    refused(
+        &["0.png", "1.png", "2.png", "-o", "new.flo"],
+        2,
+        &["new.flo: 3 frames give a folder of flow files"],
+    );
     refused(&with_pair(&["-o", "new.xyz"]), 2, &["new.xyz", "flo5"]);
     refused(&with_pair(&["-o", "0.png/new.flo"]), 1, &["0.png: making the folder", "give the path of"]);
     refused(&with_pair(&["-o", "new.flo", "--viz", "new.jpg"]), 2, &["new.jpg", "ending in .png"]);

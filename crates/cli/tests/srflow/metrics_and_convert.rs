@@ -151,7 +151,7 @@ fn metrics_reports_errors() {
     refuses(
         &srflow(folder.path(), &["metrics", "a.flo", "a.flo", "--mask", "nothing.png", "--json"]),
         1,
-        &["expected a known pixel of the truth inside the mask, found none"],
+        &["nothing to score: the truth has no known pixel inside the mask"],
     );
     assert_eq!(code(&srflow(folder.path(), &["metrics", "a.flo"])), 2);
 }

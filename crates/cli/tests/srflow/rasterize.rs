@@ -139,7 +139,7 @@ fn a_camera_is_chosen_among_those_of_a_file() {
     let from_file = ["a.ply", "--camera", "cameras.json", "--out", "none"];
     refuses(&rasterize(dir, &from_file), 2, &["holds 3 cameras", "front, right, far"]);
     let left = [&from_file[..], &["--view", "left"]].concat();
-    refuses(&rasterize(dir, &left), 2, &["no camera is called `left`"]);
+    refuses(&rasterize(dir, &left), 2, &["no camera has the name `left`"]);
 
     let views = ["--camera", "cameras.json", "--view", "front", "--view-next", "1"];
     succeeds(&rasterize(dir, &[&["a.ply", "--out", "views", "--size", "120x80"], &views[..]].concat()));

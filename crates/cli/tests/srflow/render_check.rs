@@ -183,7 +183,7 @@ fn another_dataset_is_not_mixed_in() {
     let out = dir.path().join("data");
     copy_into(whole(), &out);
     let before = tree(&out);
-    let expected = "made with background \"#ffffff\", asked for is \"#000000\"";
+    let expected = "a dataset with background \"#ffffff\", requested is \"#000000\"";
     refuses(&render(&out, &["--background", "black"]), 1, &[expected]);
     refuses(&render(&out, &["--depth"]), 1, &["depth false", "--force"]);
     assert!(tree(&out) == before);
@@ -201,7 +201,7 @@ fn another_dataset_is_not_mixed_in() {
     fs::create_dir(&other).unwrap();
     fs::write(other.join("thesis.tex"), "x").unwrap();
     for force in [&[][..], &["--force"]] {
-        refuses(&render(&other, force), 1, &["not empty and holds no dataset.json"]);
+        refuses(&render(&other, force), 1, &["not empty and has no dataset.json"]);
     }
 }
 

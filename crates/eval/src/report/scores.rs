@@ -44,13 +44,17 @@ pub fn score_report(
 ) -> Page {
     let mut sections = vec![Section::new(
         "Scores",
-        "Computed per pair over the pixels whose true flow is known, then averaged over pairs.",
+        "Computed per pair over the pixels with ground truth, then averaged over pairs.",
         score_figures(evaluation, machine),
     )];
     if !pairs.is_empty() {
         sections.push(Section::new("Pairs", "The true flow, the flow of each method, and its error.", pairs));
     }
-    sections.push(Section::new("Settings", "What these scores follow from.", vec![facts(settings)]));
+    sections.push(Section::new(
+        "Settings",
+        "Everything that reproduces these scores.",
+        vec![facts(settings)],
+    ));
     Page {
         title: format!("Optical flow of {} on {}", methods_in_words(evaluation), evaluation.title()),
         kicker: "srflow eval".to_owned(),
@@ -118,7 +122,7 @@ fn pair_curves(evaluation: &Evaluation) -> Figure {
         "Error pair by pair",
         "pair",
         "EPE, px (logarithmic)",
-        "The baseline is the mean length of the true flow: where motion is small, every method is near it.",
+        "Zero flow scores the mean length of the true flow: where motion is small, every method is near it.",
     );
     let dots = evaluation.pairs <= 60;
     curves(&evaluation.methods.iter().map(curve).collect::<Vec<_>>(), Axis::Logarithmic, dots, &chart)

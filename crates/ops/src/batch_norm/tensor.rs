@@ -45,7 +45,7 @@ impl Operation<3> for BatchNorm {
 /// [`batch_norm`]'s result.
 #[derive(Debug, Clone)]
 pub struct Normalized {
-    /// Of the input's shape.
+    /// In the shape of the input.
     pub output: Tensor<4>,
     /// Mean of each channel over the batch, without gradient.
     pub mean: Tensor<1>,

@@ -147,7 +147,7 @@ pub fn numbered(dir: &Path, endings: &[&str], gaps: &mut Gaps) -> Result<Numbere
     for path in files(dir, endings)? {
         match last_number(&stem(&path)) {
             Some(number) => insert_once(&mut found, number, path, gaps),
-            None => gaps.push(format!("{}: its name holds no frame number", gaps.shown(&path))),
+            None => gaps.push(format!("{}: no frame number in its name", gaps.shown(&path))),
         }
     }
     Ok(found)
@@ -158,7 +158,7 @@ pub fn insert_once<K: Ord>(found: &mut BTreeMap<K, PathBuf>, key: K, path: PathB
     match found.entry(key) {
         Entry::Vacant(free) => _ = free.insert(path),
         Entry::Occupied(other) => {
-            gaps.push(format!("{} is there twice, also as {}", gaps.shown(&path), name(other.get())));
+            gaps.push(format!("{} exists twice, also as {}", gaps.shown(&path), name(other.get())));
         }
     }
 }

@@ -105,7 +105,7 @@ fn format_of(bytes: &[u8]) -> Result<&'static Format, FileProblem> {
     let root: BTreeMap<String, IgnoredAny> = if is_list {
         BTreeMap::new()
     } else {
-        serde_json::from_slice(bytes).map_err(|error| unknown(format!("no JSON object: {error}")))?
+        serde_json::from_slice(bytes).map_err(|error| unknown(format!("not a JSON object: {error}")))?
     };
     FORMATS
         .iter()

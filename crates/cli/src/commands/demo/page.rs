@@ -78,7 +78,7 @@ fn heads(shown: &Shown) -> Section {
     let details: Vec<Panel> = shown.heads.iter().map(|head| head.detail.clone()).collect();
     Section::new(
         "Three heads",
-        "Each is a triangle mesh dressed in Gaussians, its shape, skin, hair and eyes drawn from one number. At \
+        "Each is a triangle mesh dressed in Gaussians, its shape, skin, hair and eyes drawn from one seed. At \
             2200×3208 the frames are as large as NeRSemble's, the recordings that the SRFlow paper starts from.",
         vec![
             panels(&portraits, 240, "The canonical frontal camera, scaled down for this page."),
@@ -95,7 +95,7 @@ fn pair(shown: &Shown) -> Section {
     let mut figures = vec![side_by_side(sliders.collect(), 260)];
     figures.extend(shown.heads.iter().map(|head| panels(&head.panels, 200, "")));
     Section::new(
-        "What every pair comes with",
+        "The ground truth of every pair",
         "Two frames, and for each pixel of the first: where it goes, whether it belongs to the head, and whether \
             the second frame hides it. The flow is not estimated: it is the motion of the Gaussians themselves, \
             blended like their colours in the same pass. Drag the dividers.",
@@ -120,7 +120,7 @@ fn motion(shown: &Shown) -> Section {
     let mut figures = pictures.clone();
     figures.extend(score_figures(evaluation, &shown.machine));
     Section::new(
-        "Estimators beside the truth",
+        "Estimators against the ground truth",
         format!(
             "The same heads in motion before moving cameras, at {}. The methods see the two frames; they never see the flow.",
             size(&shown.clips)
@@ -147,7 +147,7 @@ fn photographs(shown: &Shown) -> Option<Section> {
     figures.extend(score_figures(evaluation, &shown.machine));
     Some(Section::new(
         "Real photographs",
-        "The same methods, scores and pictures on frames from a camera, whose true flow was measured.",
+        "The same methods, scores and pictures on real photographs with measured ground truth.",
         figures,
     ))
 }
@@ -161,7 +161,7 @@ fn making(shown: &Shown, stages: &Stages) -> Section {
     }
     Section::new(
         "How it was made",
-        "Frames and flow depend on the seed alone: the same on every machine, whatever the number of threads.",
+        "Frames and flow depend on the seed alone: they do not depend on the machine or the number of threads.",
         vec![side_by_side(vec![stage_times(stages), magnitudes(&shown.clips)], 420), facts(&named)],
     )
 }

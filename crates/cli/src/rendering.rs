@@ -12,13 +12,13 @@ use crate::output::{ensure_folder, exit_stopped};
 use crate::progress::bar;
 use crate::usage::wrong_usage;
 
-/// How much of a dataset is made.
+/// How much of a dataset to render.
 #[derive(Args, Default)]
 pub struct RenderingArgs {
     /// Render only part I of N
     #[arg(long, value_name = "I/N", default_value = "1/1", hide_default_value = true)]
     pub shard: Shard,
-    /// Stop after making N pairs or clips, exit code 75; the same command continues
+    /// Stop after rendering N pairs or clips, with exit code 75; the same command continues
     #[arg(long, value_name = "N")]
     pub stop_after: Option<u64>,
     /// Delete the dataset in the folder and start over
@@ -27,10 +27,10 @@ pub struct RenderingArgs {
 }
 
 impl RenderingArgs {
-    /// Makes the dataset in `out` with `make`, with a bar of its `units`.
+    /// Renders the dataset in `out` with `make`, with a progress bar for its `units`.
     ///
     /// # Errors
-    /// Those of `make`; an argument that is out of range is wrong usage.
+    /// Those of `make`; an argument out of range is wrong usage.
     pub fn make<T>(
         &self,
         out: &Path,

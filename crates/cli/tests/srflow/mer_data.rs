@@ -102,7 +102,7 @@ fn wrong_usage_is_refused() {
     let error = fails(&mer(&["data", "samm:nowhere"]), 1);
     assert!(error.contains("nowhere: ") && error.matches("os error").count() <= 1, "named once: {error}");
     let other = mer(&["data", "clips:x", "--annotations", "samm:y"]);
-    refuses(&other, 1, &["no dataset of the kind `samm`"]);
+    refuses(&other, 1, &["none of the datasets is of the kind `samm`"]);
     refuses(&mer(&["synth", "--out", "x", "--side", "3"]), 2, &["--side 3: expected 64 to 4096"]);
 }
 

@@ -70,6 +70,12 @@ impl NetworkArgs {
         .find_map(|(option, given)| given.then_some(option))
     }
 
+    /// The same for a method with iterations and settings of its own.
+    pub fn of(&self, iterations: Option<u16>, settings: &[(String, usize)]) -> Self {
+        let settings = self.settings.iter().chain(settings).cloned().collect();
+        Self { iters: iterations.or(self.iters), settings, ..self.clone() }
+    }
+
     pub fn on_cpu(&self) -> bool {
         self.device == CPU
     }

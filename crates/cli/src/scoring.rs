@@ -1,55 +1,39 @@
-//! An evaluation with a progress bar and pictures of some of its pairs.
+//! An evaluation with a progress bar.
 
 use std::path::Path;
 
-use srflow_eval::report::{Figure, pair_figures};
 use srflow_eval::{Evaluation, Event, Method, ScoredPair, Settings, evaluate};
 use srflow_field::{create_folder, write_flow};
 use srflow_read::flow::FlowDataset;
 
 use crate::progress::bar;
 
-/// The pairs that become pictures.
-#[derive(Debug, Clone, Copy)]
-pub struct Pictures {
-    /// Number of pairs, spread evenly over the scored ones.
-    pub pairs: usize,
-    /// Maximum width of each picture in pixels.
-    pub width: usize,
-}
-
-/// Scores `methods` over `dataset`, with a bar on standard error if that is a terminal. With `save`, the flow of each method
-/// is written into a subfolder with its name, in the layout of [`srflow_eval::FlowFiles`].
+/// Scores `methods` over `dataset`, with a bar on standard error where that is a terminal. `on_pair` sees every pair that was
+/// scored, and whether it is one of `shown` that are spread evenly over them, for pictures.
 ///
 /// # Errors
-/// Those of [`evaluate`], and when a picture cannot be encoded or a flow cannot be written.
+/// Those of [`evaluate`], or the first of `on_pair`.
 pub fn score(
     dataset: &FlowDataset,
     methods: &[Method<'_>],
     settings: Settings,
-    pictures: Pictures,
-    save: Option<&Path>,
-) -> anyhow::Result<(Evaluation, Vec<Figure>)> {
+    shown: usize,
+    on_pair: &mut dyn FnMut(&ScoredPair, bool) -> anyhow::Result<()>,
+) -> anyhow::Result<Evaluation> {
     let bar = bar(0, "{bar:30} {pos}/{len} pairs  {elapsed} elapsed, {eta} to go  {msg}");
-    let mut figures = Vec::new();
     let mut problem: Option<anyhow::Error> = None;
     let mut shown_every = None;
     let result = evaluate(dataset, methods, settings, &mut |event| match event {
         Event::Started { pairs } => {
             bar.set_length(pairs as u64);
-            shown_every = (pictures.pairs > 0).then(|| pairs.div_ceil(pictures.pairs).max(1));
+            shown_every = (shown > 0).then(|| pairs.div_ceil(shown).max(1));
         }
         Event::Estimating { method, pair } => bar.set_message(format!("{method} on {pair}")),
         Event::Scored(pair) => {
             bar.inc(1);
-            if let (None, Some(dir)) = (&problem, save) {
-                problem = save_flows(pair, dir).err();
-            }
-            if problem.is_none() && shown_every.is_some_and(|every| pair.index % every == every / 2) {
-                match pair_figures(pair, pictures.width, "") {
-                    Ok(more) => figures.extend(more),
-                    Err(error) => problem = Some(error.into()),
-                }
+            if problem.is_none() {
+                let shown = shown_every.is_some_and(|every| pair.index % every == every / 2);
+                problem = on_pair(pair, shown).err();
             }
         }
         Event::LeftOut(failure) => {
@@ -59,10 +43,7 @@ pub fn score(
     });
     bar.finish_and_clear();
     let evaluation = result?;
-    match problem {
-        Some(error) => Err(error),
-        None => Ok((evaluation, figures)),
-    }
+    problem.map_or(Ok(evaluation), Err)
 }
 
 /// The folder name of a method: its name, without characters that some system does not allow.
@@ -72,7 +53,8 @@ pub fn folder_name(method: &str) -> String {
     if name.chars().all(|c| c == '.') { "_".to_owned() } else { name }
 }
 
-fn save_flows(pair: &ScoredPair, dir: &Path) -> anyhow::Result<()> {
+/// Writes the flow of each method into a folder of its name in `dir`, as [`srflow_eval::FlowFiles`] finds it.
+pub fn save_flows(pair: &ScoredPair, dir: &Path) -> anyhow::Result<()> {
     for estimate in pair.estimates.iter().filter(|estimate| !estimate.baseline) {
         let file = dir.join(folder_name(&estimate.method)).join(format!("{}.flo", pair.name));
         file.parent().map_or(Ok(()), create_folder)?;

@@ -231,6 +231,8 @@ pub fn evaluate(
             pairs: scored,
             methods: sums.into_iter().map(MethodSums::finish).collect(),
             failures,
+            left_out: Vec::new(),
+            improvements: Vec::new(),
         }),
     }
 }
@@ -360,6 +362,11 @@ pub(crate) fn scores_of(
         head: inside(head)?,
         visible: inside(visible)?,
     })
+}
+
+/// Names of the pairs that are scored with this `limit`, in their order.
+pub fn scored_pairs(dataset: &FlowDataset, limit: Option<usize>) -> Vec<String> {
+    chosen(dataset, limit).into_iter().map(Entry::id).collect()
 }
 
 /// The pairs that are scored: `limit` of them, spread evenly over the dataset, or all.

@@ -13,6 +13,7 @@ mod zero;
 pub use crop::{CropError, Window, head_window};
 pub use evaluate::{
     Estimate, EvaluateError, Event, Method, OnFailure, PairProblem, ScoredPair, Settings, evaluate,
+    scored_pairs,
 };
 pub use flow_files::{FlowFileError, FlowFiles, FlowFilesError};
 pub use method_record::MethodRecord;

@@ -24,6 +24,12 @@ pub struct Evaluation {
     pub methods: Vec<MethodScores>,
     /// Pairs left out for every method.
     pub failures: Vec<Failure>,
+    /// Rows that were asked for and are not there, and why.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub left_out: Vec<String>,
+    /// Names of methods, and of those that each is held against in the table of improvements.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub improvements: Vec<(String, String)>,
 }
 
 /// One method over all pairs.
@@ -133,6 +139,7 @@ impl Evaluation {
             title: format!("{}, {}{crop}, {}", self.title(), self.pairs_in_words(), region.words()),
             columns: score_columns().into_iter().chain([seconds]).collect(),
             rows: self.methods.iter().map(row).collect(),
+            notes: self.left_out.clone(),
         })
     }
 
@@ -146,9 +153,42 @@ impl Evaluation {
         format!("{} pair{}", self.pairs, if self.pairs == 1 { "" } else { "s" })
     }
 
-    /// The tables of all regions of the dataset.
+    /// By how many percent of the other's score each score is better than that of another method (the paper's Table III);
+    /// `None` when nothing is held against another.
+    pub fn improvement(&self) -> Option<Table> {
+        let of = |name: &str| self.methods.iter().find(|method| method.name == name)?.whole.as_ref();
+        let row = |(name, other): &(String, String)| {
+            let (own, other) = (of(name)?, of(other)?);
+            let value = |(.., better, value): &ScoreColumn| {
+                let change = match better {
+                    Better::Lower => value(other) - value(own),
+                    Better::Higher => value(own) - value(other),
+                };
+                Some(100.0 * change / value(other)).filter(|percent| percent.is_finite())
+            };
+            Some(Row { name: name.clone(), values: SCORES.iter().map(value).collect(), baseline: false })
+        };
+        let rows: Vec<Row> = self.improvements.iter().filter_map(row).collect();
+        let against: Vec<String> =
+            self.improvements.iter().map(|(name, other)| format!("{name} against {other}")).collect();
+        let column = |(key, header, ..): ScoreColumn| Column {
+            key: format!("{key}_improvement_percent"),
+            header: format!("{header} %"),
+            better: None,
+            decimals: 2,
+        };
+        (!rows.is_empty()).then(|| Table {
+            title: format!("{}: improvement in percent", self.title()),
+            columns: SCORES.map(column).to_vec(),
+            rows,
+            notes: vec![against.join(", ")],
+        })
+    }
+
+    /// The tables of all regions that the dataset has, and that of improvements.
     pub fn tables(&self) -> Vec<Table> {
-        Region::ALL.into_iter().filter_map(|region| self.table(region)).collect()
+        let regions = Region::ALL.into_iter().filter_map(|region| self.table(region));
+        regions.chain(self.improvement()).collect()
     }
 
     /// Comma-separated values at full precision: one line per method and region, the mean over pairs.

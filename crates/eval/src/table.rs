@@ -60,7 +60,7 @@ pub enum Mark {
 }
 
 /// Rows of scores under named columns.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Table {
     /// Title.
     pub title: String,
@@ -68,6 +68,9 @@ pub struct Table {
     pub columns: Vec<Column>,
     /// The rows, in the order they are shown.
     pub rows: Vec<Row>,
+    /// What a reader of the rows must know, a sentence each; shown below them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub notes: Vec<String>,
 }
 
 /// How [`Table::text`] shows the marks.
@@ -148,10 +151,14 @@ impl Table {
                 out.push_str(&format!("  {}\n", "─".repeat(rule)));
             }
         }
-        if !self.ranked() {
+        if !self.ranked() && self.notes.is_empty() {
             return out;
         }
         out.push('\n');
+        self.notes.iter().for_each(|note| out += &format!("  {}\n", srflow_field::excerpt(note)));
+        if !self.ranked() {
+            return out;
+        }
         out.push_str(&match style {
             TextStyle::Plain => "  best **   second *   third _\n".to_owned(),
             TextStyle::Ansi => {
@@ -195,6 +202,7 @@ impl Table {
             }
             out.push_str(" |\n");
         }
+        self.notes.iter().for_each(|note| out += &format!("\n{note}\n"));
         out
     }
 
@@ -216,7 +224,12 @@ impl Table {
             }
             out.push_str(" \\\\\n");
         }
-        out.push_str("\\bottomrule\n\\end{tabular}\n");
+        out.push_str("\\bottomrule\n");
+        for note in &self.notes {
+            let columns = self.columns.len() + 1;
+            out += &format!("\\multicolumn{{{columns}}}{{l}}{{{}}} \\\\\n", latex_escape(note));
+        }
+        out.push_str("\\end{tabular}\n");
         out
     }
 
@@ -360,6 +373,7 @@ mod tests {
             title: "made up".into(),
             columns: vec![column],
             rows: values.iter().enumerate().map(row).collect(),
+            ..Table::default()
         }
     }
 

@@ -45,6 +45,7 @@ fn table() -> Table {
             row("tvl1", [0.31, 0.93, 81.0], false),
             row(HOSTILE, [0.51, 0.89, 80.0], false),
         ],
+        ..Table::default()
     }
 }
 

@@ -23,6 +23,8 @@ const FACE_WIDTH: usize = 224;
 pub struct ReportParts<'a> {
     /// All runs, those of one set together.
     pub outcomes: &'a [Outcome],
+    /// Rows of the tables that were asked for and are not there, a sentence each.
+    pub left_out: &'a [String],
     pub trials: &'a [Trial],
     /// The features of each method.
     pub samples: &'a [(String, Vec<Sample>)],
@@ -55,8 +57,10 @@ pub fn report(parts: &ReportParts) -> Result<Page, ReportError> {
     let mut sections = Vec::new();
     for outcomes in by_set(parts.outcomes) {
         let set = &outcomes[0].set;
-        let mut figures: Vec<Figure> =
-            score_tables(&outcomes).iter().map(|table| score_table(table, TABLE_CAPTION)).collect();
+        let mut figures: Vec<Figure> = score_tables(&outcomes, parts.left_out)
+            .iter()
+            .map(|table| score_table(table, TABLE_CAPTION))
+            .collect();
         figures.push(side_by_side(vec![accuracies(&outcomes), losses(&outcomes)], 420));
         figures.push(side_by_side(outcomes.iter().map(|outcome| confusion(outcome)).collect(), 420));
         figures.extend(

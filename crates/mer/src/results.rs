@@ -126,7 +126,7 @@ pub fn by_set(outcomes: &[Outcome]) -> Vec<Vec<&Outcome>> {
 /// Two tables of the outcomes of one set: the paper's, in which each metric takes its own best epoch, and one after each
 /// method's last epoch, with MEGC 2019's metrics. Where methods were trained for different numbers of epochs, the second has
 /// a column for them. Both have an unranked row for always predicting the most frequent class. `outcomes` are of one set and not empty.
-pub fn score_tables(outcomes: &[&Outcome]) -> Vec<Table> {
+pub fn score_tables(outcomes: &[&Outcome], left_out: &[String]) -> Vec<Table> {
     let Some(first) = outcomes.first() else { return Vec::new() };
     let ranked = |&(key, header): &(&str, &str)| Column::ranked(key, header, Better::Higher);
     let row =
@@ -165,9 +165,10 @@ pub fn score_tables(outcomes: &[&Outcome]) -> Vec<Table> {
         first.summary.last().pooled.total(),
         first.summary.folds.len()
     );
+    let table = |title, columns, rows| Table { title, columns, rows, notes: left_out.to_vec() };
     vec![
-        Table { title: format!("{counted}; each metric at its best epoch"), columns: paper, rows: best },
-        Table { title: format!("{counted}; {after}, fixed beforehand"), columns: all, rows: last },
+        table(format!("{counted}; each metric at its best epoch"), paper, best),
+        table(format!("{counted}; {after}, fixed beforehand"), all, last),
     ]
 }
 
@@ -251,6 +252,7 @@ pub fn fold_table(outcome: &Outcome) -> Table {
         ),
         columns,
         rows,
+        ..Table::default()
     }
 }
 
@@ -298,7 +300,7 @@ mod tests {
     #[test]
     fn tables_hold_each_metric_at_its_best_and_at_the_last_epoch() {
         let (a, b) = (outcome("a", POSITIVE), outcome("b", SURPRISE));
-        let tables = score_tables(&[&a, &b]);
+        let tables = score_tables(&[&a, &b], &[]);
         let accuracy = |table: usize| tables[table].rows.iter().map(|row| row.values[3]).collect::<Vec<_>>();
         assert_eq!(accuracy(0), [Some(0.5), Some(0.5), Some(0.5)]);
         assert_eq!(accuracy(1), [Some(0.5), Some(0.0), Some(0.5)]);
@@ -337,7 +339,7 @@ mod tests {
     fn methods_of_different_runs_have_their_own_last_epochs() {
         let (long, mut short) = (outcome("long", POSITIVE), outcome("short", POSITIVE));
         short.summary.epochs.truncate(1);
-        let table = &score_tables(&[&long, &short])[1];
+        let table = &score_tables(&[&long, &short], &[])[1];
         assert!(table.title.contains("after each method's last epoch"), "{}", table.title);
         let epochs: Vec<Option<f64>> = table.rows.iter().map(|row| row.values[0]).collect();
         assert_eq!((table.columns[0].header.as_str(), epochs), ("epoch", vec![Some(20.0), Some(0.0), None]));

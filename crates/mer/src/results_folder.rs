@@ -121,10 +121,11 @@ impl ResultsFolder {
             }
             _ => {}
         }
-        write_tables(&self.folder, &results.outcomes)?;
+        write_tables(&self.folder, &results.outcomes, &results.settings.left_out)?;
         write_predictions(&self.file(PREDICTIONS), &results.trials)?;
         let parts = ReportParts {
             outcomes: &results.outcomes,
+            left_out: &results.settings.left_out,
             trials: &results.trials,
             samples: &results.samples,
             clips: &results.clips,
@@ -138,12 +139,12 @@ impl ResultsFolder {
     }
 }
 
-/// Writes [`TABLE_FILES`].
+/// Writes [`TABLE_FILES`]; see [`all_score_tables`].
 ///
 /// # Errors
 /// When a file cannot be written.
-pub fn write_tables(folder: &Path, outcomes: &[Outcome]) -> Result<(), FileError> {
-    let scores = all_score_tables(outcomes);
+pub fn write_tables(folder: &Path, outcomes: &[Outcome], left_out: &[String]) -> Result<(), FileError> {
+    let scores = all_score_tables(outcomes, left_out);
     let texts: [String; 6] = [
         joined(&scores, |table| table.text(TextStyle::Plain)),
         scores_csv(outcomes),
@@ -155,9 +156,9 @@ pub fn write_tables(folder: &Path, outcomes: &[Outcome]) -> Result<(), FileError
     TABLE_FILES.iter().zip(texts).try_for_each(|(name, text)| write_file(&folder.join(name), text))
 }
 
-/// The [`score_tables`] of every set.
-pub fn all_score_tables(outcomes: &[Outcome]) -> Vec<Table> {
-    by_set(outcomes).iter().flat_map(|of_set| score_tables(of_set)).collect()
+/// The [`score_tables`] of every set, with a sentence for each row that was left out below them.
+pub fn all_score_tables(outcomes: &[Outcome], left_out: &[String]) -> Vec<Table> {
+    by_set(outcomes).iter().flat_map(|of_set| score_tables(of_set, left_out)).collect()
 }
 
 fn latex(scores: &[Table], outcomes: &[Outcome]) -> String {

@@ -37,6 +37,8 @@ pub struct RunSettings {
     pub protocol: Protocol,
     /// Names of the classes.
     pub classes: Arc<[String]>,
+    /// Rows of the tables that were asked for and are not there, a sentence each.
+    pub left_out: Vec<String>,
 }
 
 /// The sets of clips to evaluate.

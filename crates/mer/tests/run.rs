@@ -54,6 +54,7 @@ fn settings() -> RunSettings {
         preparation: Preparation::default(),
         protocol: Protocol { epochs: 2, record_every: 1, ..Protocol::default() },
         classes: Classes::default().names().clone(),
+        left_out: Vec::new(),
     }
 }
 

@@ -200,13 +200,13 @@ const PAPER: [(&str, [f64; 6]); 6] = [
 
 /// Our runs in the form of the paper's Table V: the mean over the seeds.
 pub fn table(cells: &[Cell], title: String) -> Table {
-    Table { title, columns: score_columns(), rows: rows(cells, "", mean) }
+    Table { title, columns: score_columns(), rows: rows(cells, "", mean), ..Table::default() }
 }
 
 /// The spread of the table: the standard deviation over the seeds (of a sample: divided by their number less one).
 pub fn spread_table(cells: &[Cell], title: String) -> Table {
     let columns = score_columns().into_iter().map(|column| Column { better: None, ..column }).collect();
-    Table { title, columns, rows: rows(cells, "± ", deviation) }
+    Table { title, columns, rows: rows(cells, "± ", deviation), ..Table::default() }
 }
 
 /// The paper's Table V, never in one table with ours: other data, other size, other length of training.
@@ -220,6 +220,7 @@ pub fn paper_table() -> Table {
         title: "The paper's Table V (arXiv 2601.06479), as printed".to_owned(),
         columns: score_columns(),
         rows: PAPER.map(row).to_vec(),
+        ..Table::default()
     }
 }
 

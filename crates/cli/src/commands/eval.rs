@@ -4,14 +4,17 @@ use std::path::{Path, PathBuf};
 use anyhow::bail;
 use clap::Args;
 use serde::Serialize;
-use srflow_eval::report::{Figure, score_report};
-use srflow_eval::{Evaluation, Method, MethodRecord, OnFailure, Settings, TextStyle, joined, markdown_file};
-use srflow_field::{Size, create_folder, write_file};
+use srflow_eval::report::{Figure, PaperPanels, pair_figures, paper_figure, score_report};
+use srflow_eval::{
+    Evaluation, Method, MethodRecord, OnFailure, Settings, TextStyle, joined, markdown_file, scored_pairs,
+};
+use srflow_field::{Size, create_folder, write_file, write_image_png};
 use srflow_read::flow::{DatasetSpec, FlowDataset, KINDS, Split};
 
-use crate::methods::{self, MethodParameters, MethodSpec, Source};
+use crate::methods::{self, MethodParameters, MethodSpec, Rows, RowsArgs, Source};
 use crate::output::{ensure_folder, ensure_free, latex, print_tables};
-use crate::scoring::{self, Pictures, folder_name};
+use crate::scoring::{self, folder_name, save_flows};
+use crate::usage::wrong_usage;
 use crate::{Context, machine};
 
 fn kinds_help() -> String {
@@ -44,7 +47,7 @@ pub struct Eval {
     #[arg(long)]
     split: Option<Split>,
     /// Methods to score
-    #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', value_parser = methods::scored_method, help = methods::Method::help_of_several("Methods to score"))]
+    #[arg(long, value_name = "METHOD", required_unless_present = "rows", num_args = 1.., value_delimiter = ',', value_parser = methods::scored_method, help = methods::Method::help_of_several("Methods to score"))]
     method: Vec<MethodSpec>,
     /// Crop that is estimated and scored, centred on the head (without a mask, on the frame)
     #[arg(long, value_name = "WIDTHxHEIGHT")]
@@ -65,9 +68,17 @@ pub struct Eval {
     /// Also write the flow of each method and pair, as DIR/METHOD/SCENE/FRAME.flo
     #[arg(long, value_name = "DIR")]
     save_flow: Option<PathBuf>,
+    /// Also write a figure for a paper into this folder: figure.svg, and its pictures as PNGs in full size
+    #[arg(long, value_name = "DIR")]
+    figure: Option<PathBuf>,
+    /// Pairs in the figure, by their names in pairs.csv [default: 4, spread evenly]
+    #[arg(long, value_name = "PAIR", num_args = 1.., requires = "figure")]
+    figure_pairs: Vec<String>,
     /// Overwrite these files
     #[arg(long)]
     force: bool,
+    #[command(flatten)]
+    rows: RowsArgs,
     #[command(flatten)]
     parameters: MethodParameters,
 }
@@ -75,6 +86,9 @@ pub struct Eval {
 /// The files that `--out` writes.
 const OUTPUTS: [&str; 7] =
     ["scores.txt", "scores.csv", "scores.json", "scores.tex", "scores.md", "pairs.csv", "report.html"];
+
+/// The figure that `--figure` gets, beside its pictures.
+const FIGURE: &str = "figure.svg";
 
 /// Number of pairs shown as pictures in the report.
 const SHOWN_PAIRS: usize = 4;
@@ -87,13 +101,26 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     }
     let dataset = FlowDataset::open(&args.dataset, args.split)?;
     let limit = args.limit.map(|limit| limit as usize);
-    let sources = methods::sources(&args.method, &args.parameters, &dataset, limit)?;
+    let Rows { methods: specs, left_out, improvements } = args.rows.with(&args.method)?;
+    let sources = methods::sources(&specs, &args.parameters, &dataset, limit)?;
     let scored: Vec<Method> = sources.iter().map(Source::method).collect();
     if let Some(dir) = &args.save_flow {
         ensure_folder(dir)?;
         let folders: Vec<PathBuf> =
             scored.iter().map(|method| dir.join(folder_name(method.name()))).collect();
         ensure_free(&folders, args.force)?;
+    }
+    if let Some(dir) = &args.figure {
+        ensure_folder(dir)?;
+        ensure_free([dir.join(FIGURE)], args.force)?;
+        let names = scored_pairs(&dataset, limit);
+        if let Some(name) = args.figure_pairs.iter().find(|name| !names.contains(name)) {
+            let some = names.iter().take(3).cloned().collect::<Vec<_>>().join(", ");
+            wrong_usage!(
+                "--figure-pairs: expected the name of a pair that is scored, such as {some}; found {name}"
+            );
+        }
+        create_folder(dir)?;
     }
     let settings = Settings {
         crop: args.crop.map(|size| (size.width, size.height)),
@@ -104,14 +131,34 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     if let Some(out) = &args.out {
         create_folder(out)?; // before the long work, so that an error costs nothing
     }
-    let pictures = Pictures { pairs: if args.out.is_some() { SHOWN_PAIRS } else { 0 }, width: 560 };
-    let (evaluation, figures) =
-        scoring::score(&dataset, &scored, settings, pictures, args.save_flow.as_deref())?;
+    let (mut figures, mut panels) = (Vec::new(), Vec::new());
+    let evaluation = scoring::score(&dataset, &scored, settings, SHOWN_PAIRS, &mut |pair, shown| {
+        if let Some(dir) = &args.save_flow {
+            save_flows(pair, dir)?;
+        }
+        if shown && args.out.is_some() {
+            figures.extend(pair_figures(pair, 560, "")?);
+        }
+        let in_figure = match args.figure_pairs.as_slice() {
+            [] => shown,
+            names => names.iter().any(|name| name == pair.name),
+        };
+        if let (Some(dir), true) = (&args.figure, in_figure) {
+            let pair = PaperPanels::new(pair);
+            write_panels(dir, &pair)?;
+            panels.push(pair);
+        }
+        Ok(())
+    })?;
+    if let Some(dir) = &args.figure {
+        write_file(&dir.join(FIGURE), paper_figure(&panels)?.as_bytes())?;
+    }
+    let evaluation = Evaluation { left_out, improvements, ..evaluation };
     let scores = Scores {
         version: env!("CARGO_PKG_VERSION"),
         command: command_line(std::env::args()),
         machine: machine::describe(),
-        made_by: methods::records(&args.method, &args.parameters)?,
+        made_by: methods::records(&specs, &args.parameters)?,
         evaluation: &evaluation,
     };
 
@@ -178,6 +225,15 @@ fn command_line(arguments: impl Iterator<Item = String>) -> String {
     };
     let program = std::iter::once("srflow".to_owned());
     program.chain(arguments.skip(1).map(quoted)).collect::<Vec<_>>().join(" ")
+}
+
+/// The pictures of a pair, as PAIR METHOD error.png and so on.
+fn write_panels(dir: &Path, pair: &PaperPanels) -> anyhow::Result<()> {
+    for (name, picture) in pair.pictures() {
+        let file = folder_name(&format!("{} {name}.png", pair.name()));
+        write_image_png(&dir.join(file), picture)?;
+    }
+    Ok(())
 }
 
 fn write(out: &Path, scores: &Scores, figures: Vec<Figure>) -> anyhow::Result<()> {

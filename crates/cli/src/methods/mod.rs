@@ -2,6 +2,7 @@
 
 mod labels;
 mod record;
+mod rows;
 
 use std::path::Path;
 use std::str::FromStr;
@@ -18,6 +19,7 @@ use crate::networks::NetworkArgs;
 use crate::usage::wrong_usage;
 use labels::{Labelled, labels};
 pub use record::records;
+pub use rows::{Rows, RowsArgs};
 
 /// A method of optical flow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -89,11 +91,15 @@ pub struct MethodSpec {
     pub method: Method,
     /// Its own weights, a file or a published name; for files their folder.
     pub weights: Option<String>,
+    /// Refinements of its own, for a network.
+    pub iterations: Option<u16>,
+    /// Settings of its own, for a network.
+    pub settings: Vec<(String, usize)>,
 }
 
 impl From<Method> for MethodSpec {
     fn from(method: Method) -> Self {
-        Self { label: None, method, weights: None }
+        Self { label: None, method, weights: None, iterations: None, settings: Vec::new() }
     }
 }
 
@@ -123,7 +129,11 @@ impl FromStr for MethodSpec {
             (Method::Farneback | Method::TvL1, Some(_)) => {
                 Err(format!("{name} has no weights; leave out `=...`"))
             }
-            _ => Ok(Self { label: label.map(str::to_owned), method, weights: weights.map(str::to_owned) }),
+            _ => Ok(Self {
+                label: label.map(str::to_owned),
+                weights: weights.map(str::to_owned),
+                ..method.into()
+            }),
         }
     }
 }
@@ -137,8 +147,8 @@ pub fn scored_method(text: &str) -> Result<MethodSpec, String> {
         Some((_, "")) => Err(format!("`{text}` names no folder; expected files:DIR")),
         Some((label, dir)) => Ok(MethodSpec {
             label: label.map(str::to_owned),
-            method: Method::Files,
             weights: Some(dir.to_owned()),
+            ..Method::Files.into()
         }),
         None => text.parse(),
     }
@@ -345,7 +355,8 @@ fn built(
         Method::Farneback => Box::new(Farneback::new(parameters.farneback.parameters())?),
         Method::TvL1 => Box::new(TvL1::new(parameters.tvl1.parameters())?),
         Method::Network(architecture) => {
-            Box::new(parameters.network.estimator(architecture, spec.weights.as_deref(), label.clone())?)
+            let network = parameters.network.of(spec.iterations, &spec.settings);
+            Box::new(network.estimator(architecture, spec.weights.as_deref(), label.clone())?)
         }
         Method::Files => wrong_usage!("files:DIR estimates nothing"),
     };
@@ -405,7 +416,7 @@ mod tests {
         let skflow = Method::Network(Architecture::SkFlow);
         assert_eq!(spec("skflow"), Ok(skflow.into()));
         let weights = Some("a=b/c.ckpt".to_owned());
-        let with_weights = MethodSpec { label: None, method: skflow, weights };
+        let with_weights = MethodSpec { weights, ..skflow.into() };
         assert_eq!(spec("skflow=a=b/c.ckpt"), Ok(with_weights.clone()));
         let labelled = MethodSpec { label: Some("Ours: 3".to_owned()), ..with_weights };
         assert_eq!(spec("Ours: 3:skflow=a=b/c.ckpt"), Ok(labelled));
@@ -414,7 +425,7 @@ mod tests {
         assert!(spec("a:pwc").unwrap_err().contains("unknown method `pwc`"));
         assert!(spec("tvl1=a").is_err() && spec("raft=").is_err() && spec("").is_err());
         assert!(spec(":tvl1").unwrap_err().contains("empty name"));
-        let files = MethodSpec { label: None, method: Method::Files, weights: Some("out/a:b=c".to_owned()) };
+        let files = MethodSpec { weights: Some("out/a:b=c".to_owned()), ..Method::Files.into() };
         assert_eq!(scored_method("files:out/a:b=c"), Ok(files.clone()));
         assert_eq!(
             scored_method("Theirs:files:out/a:b=c"),

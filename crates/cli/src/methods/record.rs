@@ -18,6 +18,7 @@ pub fn records(specs: &[MethodSpec], parameters: &MethodParameters) -> anyhow::R
 
 fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> anyhow::Result<MethodRecord> {
     let MethodParameters { network, large_frames, farneback, tvl1 } = parameters;
+    let network = network.of(spec.iterations, &spec.settings);
     let (mut own, weights) = match spec.method {
         Method::Farneback => (format!("{:?}", farneback.parameters()), None),
         Method::TvL1 => (format!("{:?}", tvl1.parameters()), None),

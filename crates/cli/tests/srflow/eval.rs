@@ -123,3 +123,52 @@ fn saved_flows_score_as_the_method_that_made_them() {
     let flow = ["flow", "--method", "files:flows", "a.png", "b.png", "-o", "c.flo"];
     refuses(&crate::srflow().args(flow).output().unwrap(), 2, &["only `srflow eval`"]);
 }
+
+#[test]
+fn a_figure_for_a_paper_shows_the_pairs_that_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    make_pairs(dir.path(), 2);
+    let dataset = folder(dir.path());
+    let figure = dir.path().join("figure");
+    let figure_text = figure.display().to_string();
+    let arguments = ["--dataset", &dataset, "--method", "farneback", "My way:tvl1", "--figure", &figure_text];
+    refuses(&eval(&[&arguments[..], &["--figure-pairs", "p7"]].concat()), 2, &["p7", "p0, p1"]);
+    succeeds(&eval(&[&arguments[..], &["--figure-pairs", "p1"]].concat()));
+    let mut files: Vec<String> = fs::read_dir(&figure)
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    files.sort();
+    let methods = ["My way error", "My way flow", "farneback error", "farneback flow", "frame", "truth"];
+    let pictures: Vec<String> = methods.map(|name| format!("p1 {name}.png")).into();
+    assert_eq!(files, [vec!["figure.svg".to_owned()], pictures].concat());
+    let truth = srflow_field::read_image(&figure.join("p1 truth.png")).unwrap();
+    assert_eq!(truth.size(), SIZE, "in full size");
+    let svg = fs::read_to_string(figure.join("figure.svg")).unwrap();
+    assert_eq!(svg.matches("<image ").count(), 6 + 2, "the pictures, the wheel and the ramp");
+    for text in ["My way", "farneback", "Truth", "EPE ", "p1"] {
+        assert!(svg.contains(text), "{text}");
+    }
+}
+
+#[test]
+fn rows_of_a_table_come_from_a_file() {
+    let dir = tempfile::tempdir().unwrap();
+    make_pairs(dir.path(), 1);
+    let rows = dir.path().join("rows.toml");
+    let text = "[[row]]\nname = \"Baseline\"\nmethod = \"farneback\"\n\n\
+                [[row]]\nname = \"Gone\"\nmethod = \"skflow\"\nweights = \"gone.ckpt\"\n\n\
+                [[row]]\nname = \"Ours\"\nmethod = \"tvl1\"\nimproves_on = \"Baseline\"\n";
+    fs::write(&rows, text).unwrap();
+    let (dataset, rows) = (folder(dir.path()), rows.display().to_string());
+    let arguments = ["--dataset", &dataset, "--rows", &rows];
+    refuses(&eval(&arguments), 1, &["1 of 3 rows", "gone.ckpt"]);
+    let text = succeeds(&eval(&[&arguments[..], &["--skip-missing"]].concat()));
+    for part in ["Gone: left out", "improvement in percent", "Ours against Baseline"] {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+    let (baseline, ours) = (text.find("  Baseline").unwrap(), text.find("  Ours").unwrap());
+    assert!(baseline < ours, "in the order of the file");
+    refuses(&eval(&["--dataset", &dataset, "--rows", "paper-table-99"]), 1, &["paper-table-2"]);
+    refuses(&eval(&["--dataset", &dataset]), 2, &["--method"]);
+}

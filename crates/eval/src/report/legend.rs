@@ -29,6 +29,17 @@ pub fn ramp_legend(ramp: &Image, alt: &str, words: &str) -> Result<Figure, Pictu
 /// # Errors
 /// When the disc cannot be encoded.
 pub fn wheel_legend(max: f64, words: &str) -> Result<Figure, PictureError> {
+    let wheel = Picture::exact(&wheel(), "colour wheel of flow directions")?;
+    Ok(Figure(html! {
+        div.legend {
+            img.wheel src=(wheel.uri) alt=(wheel.alt);
+            span { "Hue is the direction of motion, saturation its length; the rim is " (number(max)) " px. " (words) }
+        }
+    }))
+}
+
+/// A disc in flow colours, full at its rim.
+pub(super) fn wheel() -> Image {
     const RADIUS: f32 = 62.0;
     let place = |at: usize| (at as f32 - RADIUS) / RADIUS;
     let side = 2 * RADIUS as usize + 1;
@@ -37,11 +48,5 @@ pub fn wheel_legend(max: f64, words: &str) -> Result<Figure, PictureError> {
         (u, v) if u.hypot(v) <= 1.0 => [u, v],
         _ => [0.0; 2],
     });
-    let wheel = Picture::exact(&flow_colors(&disc, Some(1.0)), "colour wheel of flow directions")?;
-    Ok(Figure(html! {
-        div.legend {
-            img.wheel src=(wheel.uri) alt=(wheel.alt);
-            span { "Hue is the direction of motion, saturation its length; the rim is " (number(max)) " px. " (words) }
-        }
-    }))
+    flow_colors(&disc, Some(1.0))
 }

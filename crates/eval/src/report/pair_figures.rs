@@ -1,6 +1,6 @@
 //! One scored pair as pictures: the frame and the ground truth, and the flow and error of every method.
 
-use srflow_field::{FlowField, Plane, flow_colors};
+use srflow_field::{FlowField, Image, Plane, flow_colors};
 use srflow_read::flow::Sample;
 
 use super::charts::number;
@@ -23,30 +23,19 @@ pub fn pair_figures(
     max_width: usize,
     caption: &str,
 ) -> Result<Vec<Figure>, PictureError> {
-    let truth = shrink_flow(pair.truth, max_width);
-    let errors: Vec<(usize, Plane)> = pair
-        .estimates
-        .iter()
-        .enumerate()
-        .filter(|(_, estimate)| !estimate.baseline)
-        .map(|(place, estimate)| (place, shrink_plane(&error_map(&estimate.flow, pair.truth), max_width)))
-        .collect();
-    let longest = flow_scale(&truth);
-    let largest = error_scale(&errors.iter().map(|(_, error)| error).collect::<Vec<_>>());
+    let maps = PairMaps::new(pair, max_width);
 
     let panel = |picture, title: &str, note: String| Panel::new(picture, title, note);
-    let flow_picture = |flow: &FlowField, alt: &str| {
-        Picture::jpeg(&flow_colors(&within(flow, longest as f32), Some(longest as f32)), alt)
-    };
+    let flow_picture = |flow: &FlowField, alt: &str| Picture::jpeg(&maps.colors(flow), alt);
     let mut all = vec![vec![
         panel(
             Picture::jpeg(&shrink_image(&pair.sample.frame1, max_width), "frame 1")?,
             "Frame 1",
             pair.name.to_owned(),
         ),
-        panel(flow_picture(&truth, "true flow")?, "Truth", String::new()),
+        panel(flow_picture(&maps.truth, "true flow")?, "Truth", String::new()),
     ]];
-    for (place, error) in &errors {
+    for (place, error) in &maps.errors {
         let estimate = &pair.estimates[*place];
         let epe = estimate
             .scores
@@ -56,7 +45,7 @@ pub fn pair_figures(
         let flow = shrink_flow(&estimate.flow, max_width);
         all.push(vec![
             panel(flow_picture(&flow, "estimated flow")?, &estimate.method, String::new()),
-            panel(Picture::jpeg(&heat(error, largest as f32), "end-point error")?, "Error", epe),
+            panel(Picture::jpeg(&heat(error, maps.largest as f32), "end-point error")?, "Error", epe),
         ]);
     }
     // Portrait pictures go side by side; landscape ones need half the page.
@@ -68,8 +57,38 @@ pub fn pair_figures(
     let heat_words =
         "The scale ends where 98 % of the pixels of the middle method lie below. Grey: no ground truth.";
     let wheel_words = "Longer flow has the colour of the rim. Black: no ground truth.";
-    let legends = vec![wheel_legend(longest, wheel_words)?, heat_legend(largest, heat_words)?];
+    let legends = vec![wheel_legend(maps.longest, wheel_words)?, heat_legend(maps.largest, heat_words)?];
     Ok(vec![pictures, side_by_side(legends, 420)])
+}
+
+/// What the pictures of a pair are made of, with one scale for all methods.
+pub(super) struct PairMaps {
+    pub(super) truth: FlowField,
+    /// The place of each method but the baseline among the estimates, and its end-point errors.
+    pub(super) errors: Vec<(usize, Plane)>,
+    /// Length in pixels of the flow with the full colour.
+    pub(super) longest: f64,
+    /// Error in pixels with the lightest colour.
+    pub(super) largest: f64,
+}
+
+impl PairMaps {
+    /// At most `max_width` pixels wide.
+    pub(super) fn new(pair: &ScoredPair<'_>, max_width: usize) -> Self {
+        let truth = shrink_flow(pair.truth, max_width);
+        let methods = pair.estimates.iter().enumerate().filter(|(_, estimate)| !estimate.baseline);
+        let error = |flow| shrink_plane(&error_map(flow, pair.truth), max_width);
+        let errors: Vec<(usize, Plane)> =
+            methods.map(|(place, estimate)| (place, error(&estimate.flow))).collect();
+        let longest = flow_scale(&truth);
+        let largest = error_scale(&errors.iter().map(|(_, error)| error).collect::<Vec<_>>());
+        Self { truth, errors, longest, largest }
+    }
+
+    /// A flow in the colours of its directions.
+    pub(super) fn colors(&self, flow: &FlowField) -> Image {
+        flow_colors(&within(flow, self.longest as f32), Some(self.longest as f32))
+    }
 }
 
 /// A round length in pixels for the lightest colour of several methods' errors, robust to one method that is far off: the

@@ -25,6 +25,7 @@ pub fn score_table(table: &Table, caption: &str) -> Figure {
                         }
                     }
                 }
+                @for note in &table.notes { p.note { (note) } }
                 @if table.ranked() { p.marks {
                     span.best { "best" } span.second { "second" } span.third { "third" }
                     @if table.rows.iter().any(|row| row.baseline) { span { i { "baseline, not ranked" } } }

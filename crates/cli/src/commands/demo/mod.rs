@@ -11,7 +11,7 @@ use std::process::Command;
 use anyhow::Context as _;
 use clap::Args;
 use serde_json::json;
-use srflow_eval::report::Figure;
+use srflow_eval::report::{Figure, pair_figures};
 use srflow_eval::{Evaluation, OnFailure, Settings};
 use srflow_field::{FlowEstimator, Size, write_file};
 use srflow_read::flow::{DatasetSpec, FlowDataset};
@@ -19,7 +19,7 @@ use srflow_render::generate::{FULL_SIZE, Head};
 
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::output::ensure_free;
-use crate::scoring::{self, Pictures};
+use crate::scoring;
 use crate::{Context, machine};
 use stage::Stages;
 
@@ -146,7 +146,14 @@ fn score(
     let settings = Settings { crop, limit: Some(pairs), on_failure: OnFailure::Stop, batch: None };
     let methods: Vec<_> =
         estimators.iter().map(|estimator| srflow_eval::Method::Estimator(estimator.as_ref())).collect();
-    scoring::score(dataset, &methods, settings, Pictures { pairs: pairs.min(3), width: 380 }, None)
+    let mut figures = Vec::new();
+    let evaluation = scoring::score(dataset, &methods, settings, pairs.min(3), &mut |pair, shown| {
+        if shown {
+            figures.extend(pair_figures(pair, 380, "")?);
+        }
+        Ok(())
+    })?;
+    Ok((evaluation, figures))
 }
 
 /// Prints the path of the report and the times; with `--json`, all measurements.

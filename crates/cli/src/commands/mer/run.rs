@@ -13,7 +13,7 @@ use super::preparation::PreparationArgs;
 use super::progress::RunProgress;
 use super::sources::{SourceArgs, kinds_help};
 use super::tables::print_scores;
-use crate::methods::{self, Method, MethodParameters, MethodSpec};
+use crate::methods::{self, Method, MethodParameters, MethodSpec, Rows, RowsArgs};
 use crate::{Context, machine};
 
 /// Recognize micro-expressions with leave-one-subject-out cross-validation, and write the paper's tables
@@ -38,7 +38,7 @@ pub struct Run {
     #[arg(long, required = true, num_args = 1.., value_name = "KIND:DIR")]
     data: Vec<ClipSource>,
     /// How to estimate the flow from onset to apex
-    #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', help = Method::help_of_several("How to estimate the flow from onset to apex"))]
+    #[arg(long, value_name = "METHOD", required_unless_present = "rows", num_args = 1.., value_delimiter = ',', help = Method::help_of_several("How to estimate the flow from onset to apex"))]
     method: Vec<MethodSpec>,
     /// Classifier of the features
     #[arg(long, value_name = "CLASSIFIER", default_value = CLASSIFIERS[0].facts.name, value_parser = classifiers())]
@@ -74,6 +74,8 @@ pub struct Run {
     sources: SourceArgs,
     #[command(flatten)]
     preparation: PreparationArgs,
+    #[command(flatten)]
+    rows: RowsArgs,
     #[command(flatten)]
     parameters: MethodParameters,
 }
@@ -122,6 +124,7 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
         ..Protocol::default()
     };
     protocol.check()?;
+    let Rows { methods: specs, left_out, .. } = args.rows.with(&args.method)?;
     let settings = RunSettings {
         classifier: args.classifier,
         sets: args.sets,
@@ -129,9 +132,10 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
         preparation: args.preparation.preparation()?,
         protocol,
         classes: args.sources.classes()?.names().clone(),
+        left_out,
     };
-    let estimators = methods::estimators(&args.method, &args.parameters)?;
-    let records = methods::records(&args.method, &args.parameters)?;
+    let estimators = methods::estimators(&specs, &args.parameters)?;
+    let records = methods::records(&specs, &args.parameters)?;
     let methods = estimators.iter().zip(records);
     let methods = methods.map(|(estimator, record)| RunMethod { estimator: estimator.as_ref(), record });
     let datasets = args.sources.open(args.data.clone())?;
@@ -150,7 +154,7 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
     if context.json {
         return crate::output::print_json(&ResultsRecord::of(&results, &machine));
     }
-    print_scores(&results.outcomes)?;
+    print_scores(&results.outcomes, &results.settings.left_out)?;
     for of_set in by_set(&results.outcomes) {
         if let Some(note) = unseen_classes(of_set[0]) {
             say!("\n{note}")?;

@@ -51,16 +51,16 @@ pub fn run(args: Tables, context: &Context) -> anyhow::Result<()> {
         .collect::<anyhow::Result<Vec<Outcome>>>()?;
     if let Some(out) = &args.out {
         create_folder(out)?;
-        write_tables(out, &outcomes)?;
+        write_tables(out, &outcomes, &[])?;
     }
     if context.json {
         let recomputed = Recomputed { outcomes: outcomes.iter().map(Outcome::record).collect() };
         return crate::output::print_json(&recomputed);
     }
-    print_scores(&outcomes)
+    print_scores(&outcomes, &[])
 }
 
-/// Prints the score tables of every set.
-pub fn print_scores(outcomes: &[Outcome]) -> anyhow::Result<()> {
-    print_tables(&all_score_tables(outcomes))
+/// Prints the score tables of every set; see [`all_score_tables`].
+pub fn print_scores(outcomes: &[Outcome], left_out: &[String]) -> anyhow::Result<()> {
+    print_tables(&all_score_tables(outcomes, left_out))
 }

@@ -20,6 +20,7 @@ from ptlflow.models.gma.gma_utils import Aggregate, Attention
 from ptlflow.models.raft.corr import CorrBlock
 from ptlflow.models.raft.raft import RAFT
 from ptlflow.models.raft.utils import bilinear_sampler, coords_grid
+from ptlflow.models.rpknet.local_timm.norm import GroupNorm, LayerNorm2d
 from ptlflow.models.skflow.update import PCBlock4_Deep_nopool_res
 from torch.func import functional_call
 
@@ -149,6 +150,9 @@ def main(path):
     for name, activation in ACTIVATIONS.items():
         normalize = lambda x: activation(F.instance_norm(x["input"], eps=1e-5))
         case(f"instance norm {name}", {"input": (2, 3, 5, 6)}, normalize)
+        for kind, norm in [("group", GroupNorm(3, 6, affine=False)), ("layer", LayerNorm2d(6, affine=False))]:
+            normalize = lambda x: activation(norm(x["input"]))
+            case(f"{kind} norm {name}", {"input": (2, 6, 5, 7)}, normalize)
     for name in ("identity", "relu"):
         normalize = lambda x: ACTIVATIONS[name](F.batch_norm(x["input"], None, None, x["weight"], x["bias"], True))
         case(f"batch norm {name}", {"input": (4, 3, 5, 6), "weight": (3,), "bias": (3,)}, normalize)

@@ -33,6 +33,7 @@ pub mod correlation;
 pub mod depthwise;
 pub mod gru;
 pub mod instance_norm;
+pub mod layer_norm;
 pub mod max_pool;
 pub mod pointwise;
 pub mod upsample;

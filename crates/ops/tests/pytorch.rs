@@ -14,7 +14,8 @@ use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::gru;
-use srflow_ops::instance_norm::tensor::instance_norm;
+use srflow_ops::instance_norm::tensor::{group_norm, instance_norm};
+use srflow_ops::layer_norm::tensor::layer_norm;
 use srflow_ops::pointwise::tensor::{LayerOptions, PointwiseLayer, pointwise_layers};
 use srflow_ops::upsample::tensor::convex_upsample;
 use srflow_ops::warp::tensor::warp;
@@ -293,6 +294,22 @@ fn normalization_of_instances() {
         check(&format!("instance norm {name}"), &[("input", [2, 3, 5, 6])], |inputs| {
             let [input] = inputs.try_into().expect("one");
             instance_norm(input, activation)
+        });
+    }
+}
+
+/// Those of RPKNet.
+#[test]
+fn normalization_of_groups_and_layers() {
+    let shapes = [("input", [2, 6, 5, 7])];
+    for (name, activation) in ACTIVATIONS {
+        check(&format!("group norm {name}"), &shapes, |inputs| {
+            let [input] = inputs.try_into().expect("one");
+            group_norm(input, 3, activation)
+        });
+        check(&format!("layer norm {name}"), &shapes, |inputs| {
+            let [input] = inputs.try_into().expect("one");
+            layer_norm(input, activation)
         });
     }
 }

@@ -1,5 +1,6 @@
 //! The definition, in f64: one channel after another.
 
+use crate::instance_norm::EPSILON;
 use crate::instance_norm::reference::{standardized, standardized_backward};
 use crate::{Activation, MapShape};
 
@@ -22,7 +23,7 @@ pub fn batch_norm([input, weight, bias]: Inputs, relu: bool, shape: &MapShape) -
     for channel in 0..shape.channels {
         let elements = elements_of(channel, shape);
         let values: Vec<f64> = elements.iter().map(|&i| input[i]).collect();
-        for (i, normal) in elements.into_iter().zip(standardized(&values).0) {
+        for (i, normal) in elements.into_iter().zip(standardized(&values, EPSILON).0) {
             out[i] = activation(relu).reference(weight[channel] * normal + bias[channel]);
         }
     }
@@ -42,14 +43,14 @@ pub fn batch_norm_backward(
         let elements = elements_of(channel, shape);
         let values: Vec<f64> = elements.iter().map(|&i| input[i]).collect();
         let mut d_normal = Vec::new();
-        for (&i, normal) in elements.iter().zip(standardized(&values).0) {
+        for (&i, normal) in elements.iter().zip(standardized(&values, EPSILON).0) {
             let d_affine =
                 grad[i] * activation(relu).reference_derivative(weight[channel] * normal + bias[channel]);
             d_weight[channel] += d_affine * normal;
             d_bias[channel] += d_affine;
             d_normal.push(d_affine * weight[channel]);
         }
-        for (i, gradient) in elements.into_iter().zip(standardized_backward(&values, &d_normal)) {
+        for (i, gradient) in elements.into_iter().zip(standardized_backward(&values, &d_normal, EPSILON)) {
             d_input[i] = gradient;
         }
     }

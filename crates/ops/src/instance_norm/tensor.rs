@@ -1,35 +1,49 @@
-//! The normalization on tensors: [`instance_norm`] with its gradient.
+//! The normalizations on tensors: [`instance_norm`] and [`group_norm`] with their gradients.
 
 use burn::tensor::Tensor;
 
+use super::EPSILON;
 use crate::Activation;
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Operation, apply};
 
+/// Added to the variance of a group, in the reference implementations that have groups.
+const GROUP_EPSILON: f64 = 1e-6;
+
 #[derive(Debug, Clone)]
-pub(super) struct InstanceNorm(pub(super) Activation);
+pub(super) struct InstanceNorm {
+    pub(super) epsilon: f64,
+    pub(super) activation: Activation,
+}
 
 impl Operation<1> for InstanceNorm {
     fn activation(&mut self) -> Option<&mut Activation> {
-        Some(&mut self.0)
+        Some(&mut self.activation)
     }
 
     fn cpu(&self, [input]: [CpuTensor; 1]) -> Vec<CpuTensor> {
-        vec![input.like(super::instance_norm(input.slice(), input.map_shape().pixels(), self.0))]
+        let pixels = input.map_shape().pixels();
+        vec![input.like(super::instance_norm(input.slice(), pixels, self.epsilon, self.activation))]
     }
 
     fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 1] {
         let ([input], grad) = back.into_parts();
-        [Some(input.like(super::instance_norm_backward(
-            input.slice(),
-            grad.slice(),
-            input.map_shape().pixels(),
-        )))]
+        let pixels = input.map_shape().pixels();
+        [Some(input.like(super::instance_norm_backward(input.slice(), grad.slice(), pixels, self.epsilon)))]
     }
 }
 
 /// Each channel of each image (`[batch, channels, height, width]`) less its mean, over its standard deviation, then the
 /// activation. Panics when there are no pixels.
 pub fn instance_norm(input: Tensor<4>, activation: Activation) -> Tensor<4> {
-    apply(InstanceNorm(activation), [input.into_dispatch()])
+    apply(InstanceNorm { epsilon: EPSILON, activation }, [input.into_dispatch()])
+}
+
+/// As many `groups` of neighbouring channels, each less its mean over channels and pixels, over its standard deviation, then
+/// the activation. Panics when there are no pixels or the channels are not whole groups.
+pub fn group_norm(input: Tensor<4>, groups: usize, activation: Activation) -> Tensor<4> {
+    let dims @ [batch, channels, height, width] = input.dims();
+    assert!(groups > 0 && channels.is_multiple_of(groups), "{channels} channels in {groups} groups");
+    let planes = input.reshape([batch, groups, channels / groups * height, width]);
+    apply::<_, 1, 4>(InstanceNorm { epsilon: GROUP_EPSILON, activation }, [planes.into_dispatch()]).reshape(dims)
 }

@@ -8,10 +8,10 @@ pub(crate) fn cases() -> Vec<Case> {
         let pixels = height * width;
         Case::of(
             &format!("instance norm, {activation:?}, {height}x{width}"),
-            InstanceNorm(activation),
+            InstanceNorm { epsilon: EPSILON, activation },
             [&[2, 3, height, width]],
-            move |x| reference::instance_norm(&x[0], pixels, activation),
-            move |x, grad| vec![reference::instance_norm_backward(&x[0], grad, pixels, activation)],
+            move |x| reference::instance_norm(&x[0], pixels, EPSILON, activation),
+            move |x, grad| vec![reference::instance_norm_backward(&x[0], grad, pixels, EPSILON, activation)],
         )
         .change(0, move |i, x| 2.0 * (i / pixels) as f32 + x)
     };

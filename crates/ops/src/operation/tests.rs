@@ -28,6 +28,7 @@ operations! {
     depthwise: crate::depthwise::tests::cases,
     gru: crate::gru::tests::cases,
     instance_norm: crate::instance_norm::tests::cases,
+    layer_norm: crate::layer_norm::tests::cases,
     max_pool: crate::max_pool::tests::cases,
     pointwise_chain: crate::pointwise::tests::cases,
     convex_upsample: crate::upsample::tests::cases,

@@ -20,7 +20,7 @@ import argparse
 from pathlib import Path
 
 SEED = 7
-NETWORKS = ["raft", "raft_small", "gma", "skflow"]
+NETWORKS = ["raft", "raft_small", "gma", "skflow", "rpknet"]
 
 
 def random_state(network):

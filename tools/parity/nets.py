@@ -39,6 +39,8 @@ class Network:
     attribute: str = "iters"
     # Batch, height, width.
     cases: tuple = ((1, 128, 160), (2, 133, 150))
+    # Of the model's class, where they are not its defaults.
+    arguments: dict = field(default_factory=dict)
     # Parts of names of parameters, and what those are multiplied with, so that activations and flow keep their size.
     gains: dict = field(default_factory=dict)
 
@@ -53,6 +55,8 @@ NETWORKS = [
     Network("raft_small"),
     Network("gma"),
     Network("skflow", gains=SUPER_KERNELS),
+    # Weights that the reference cut out and kept without gradients would have none in training.
+    Network("rpknet", gains={"flow_head.conv2.": 0.5}, arguments={"cache_pkconv_weights": False}),
 ]
 
 
@@ -126,7 +130,7 @@ def gradients(network, model, images, batch_statistics):
 
 
 def write(network, folder):
-    model = ptlflow.get_model(network.name).eval()
+    model = ptlflow.get_model_reference(network.name)(**network.arguments).eval()
     state = model.state_dict()
     for name, value in state.items():
         if value.dtype == torch.float32:

@@ -30,7 +30,7 @@ pub struct NetworkArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000))]
     iters: Option<u16>,
     /// Setting that is not stored in the weights, for every network that has it; `srflow models` lists them
-    #[arg(long = "set", value_name = "NAME=VALUE", num_args = 1.., value_parser = setting)]
+    #[arg(long = "set", value_name = "NAME=VALUE", value_parser = setting)]
     settings: Vec<(String, usize)>,
     /// Pairs estimated at once, where a command supports it.
     #[arg(skip = 1_usize)]

@@ -22,9 +22,7 @@ fn main() {
             (network, size, iterations, rest)
         }
         _ => {
-            eprintln!(
-                "usage: timing raft|raft-small|gma|skflow HEIGHTxWIDTH ITERATIONS [REPEATS [WEIGHTS FRAMES FLOW]]"
-            );
+            eprintln!("usage: timing NETWORK HEIGHTxWIDTH ITERATIONS [REPEATS [WEIGHTS FRAMES FLOW]]");
             std::process::exit(2);
         }
     };

@@ -40,7 +40,7 @@ pub struct Facts {
     pub in_ptlflow: bool,
     /// Where the authors publish their code and weights.
     pub authors: &'static str,
-    /// Licence of the authors' code, as their repository states it; weights are published under no other.
+    /// Licence of the authors' code, as their repository states it, and of their weights, where they have another.
     pub licence: &'static str,
     /// The name here of what a file of weights calls otherwise; `None` for what is no parameter. Called with each name of
     /// the file, after containers and prefixes are taken off.

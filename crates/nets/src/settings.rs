@@ -1,5 +1,6 @@
 //! What can be set of a network beside its parameters, such as the number of groups of a norm.
 
+use std::fmt;
 use std::ops::RangeInclusive;
 
 /// A whole number that a network computes with and that its file of weights may not say.
@@ -8,8 +9,16 @@ pub struct Setting<'a> {
     pub name: &'static str,
     /// One line on what it is, and where its default comes from.
     pub description: &'static str,
-    pub range: RangeInclusive<usize>,
+    pub allowed: Allowed,
     pub value: &'a mut usize,
+}
+
+/// The values that a setting takes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Allowed {
+    Range(RangeInclusive<usize>),
+    /// Rising.
+    OneOf(&'static [usize]),
 }
 
 /// Why a setting was not set.
@@ -17,8 +26,36 @@ pub struct Setting<'a> {
 pub enum SettingError {
     #[error("{network} has no setting `{name}`; {}", listed(.known))]
     Unknown { network: &'static str, name: String, known: Vec<&'static str> },
-    #[error("{network}: expected {name} from {} to {}, found {found}", .range.start(), .range.end())]
-    OutOfRange { network: &'static str, name: &'static str, range: RangeInclusive<usize>, found: usize },
+    #[error("{network}: expected {name} to be {allowed}, found {found}")]
+    NotAllowed { network: &'static str, name: &'static str, allowed: Allowed, found: usize },
+}
+
+impl Allowed {
+    fn contains(&self, value: usize) -> bool {
+        match self {
+            Self::Range(range) => range.contains(&value),
+            Self::OneOf(values) => values.contains(&value),
+        }
+    }
+}
+
+impl fmt::Display for Allowed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Range(range) => write!(f, "from {} to {}", range.start(), range.end()),
+            Self::OneOf(values) => {
+                for (number, value) in values.iter().enumerate() {
+                    let before = match number {
+                        0 => "",
+                        _ if number + 1 == values.len() => " or ",
+                        _ => ", ",
+                    };
+                    write!(f, "{before}{value}")?;
+                }
+                Ok(())
+            }
+        }
+    }
 }
 
 fn listed(known: &[&str]) -> String {
@@ -36,9 +73,9 @@ pub(crate) fn set(
     let Some(setting) = settings.into_iter().find(|setting| setting.name == name) else {
         return Err(SettingError::Unknown { network, name: name.to_owned(), known });
     };
-    let Setting { name, range, .. } = setting;
-    if !range.contains(&value) {
-        return Err(SettingError::OutOfRange { network, name, range, found: value });
+    let Setting { name, allowed, .. } = setting;
+    if !allowed.contains(value) {
+        return Err(SettingError::NotAllowed { network, name, allowed, found: value });
     }
     *setting.value = value;
     Ok(())
@@ -49,15 +86,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_setting_is_known_by_its_name_and_keeps_to_its_range() {
-        let mut groups = 8;
+    fn a_setting_is_known_by_its_name_and_keeps_to_what_is_allowed() {
+        let (mut groups, mut length) = (8, 1);
         let mut give = |name: &str, value| {
-            let setting = Setting { name: "groups", description: "", range: 1..=16, value: &mut groups };
-            set("rpknet", vec![setting], name, value).map_err(|error| error.to_string())
+            let allowed = Allowed::OneOf(&[1, 2, 4, 8]);
+            let groups = Setting { name: "groups", description: "", allowed, value: &mut groups };
+            let allowed = Allowed::Range(1..=16);
+            let length = Setting { name: "length", description: "", allowed, value: &mut length };
+            set("net", vec![groups, length], name, value).map_err(|error| error.to_string())
         };
         assert_eq!(give("groups", 4), Ok(()));
-        assert_eq!(give("groups", 17), Err("rpknet: expected groups from 1 to 16, found 17".into()));
-        assert_eq!(give("levels", 2), Err("rpknet has no setting `levels`; it has groups".into()));
-        assert_eq!(groups, 4);
+        assert_eq!(give("groups", 3), Err("net: expected groups to be 1, 2, 4 or 8, found 3".into()));
+        assert_eq!(give("length", 3), Ok(()));
+        assert_eq!(give("length", 17), Err("net: expected length to be from 1 to 16, found 17".into()));
+        assert_eq!(give("levels", 2), Err("net has no setting `levels`; it has groups, length".into()));
+        assert_eq!((groups, length), (4, 3));
     }
 }

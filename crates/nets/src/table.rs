@@ -9,7 +9,7 @@ use crate::facts::Facts;
 use crate::features::Features;
 use crate::frames::Frames;
 use crate::settings::{Setting, SettingError, set};
-use crate::{gma, raft, raft_small, skflow};
+use crate::{gma, raft, raft_small, rpknet, skflow};
 
 /// What the table says of a network.
 pub(crate) struct Entry<N> {
@@ -130,7 +130,7 @@ impl Network {
     /// Gives one of the [`settings`](Self::settings) another value.
     ///
     /// # Errors
-    /// When the network has no such setting, or the value is out of its range.
+    /// When the network has no such setting, or does not take the value.
     pub fn set(&mut self, name: &str, value: usize) -> Result<(), SettingError> {
         let network = self.architecture().name();
         set(network, self.settings(), name, value)
@@ -142,6 +142,7 @@ networks! {
     RaftSmall(raft_small::RaftSmall) = raft_small::RAFT_SMALL,
     Gma(gma::Gma) = gma::GMA,
     SkFlow(skflow::SkFlow) = skflow::SKFLOW,
+    RpkNet(rpknet::RpkNet) = rpknet::RPKNET,
 }
 
 #[cfg(test)]

@@ -7,8 +7,14 @@ use srflow_nets::{Architecture, Features, Frames, Request};
 /// Frames of a size that needs padding, two pairs at once: the features of each frame computed on its own.
 #[test]
 fn known_features_give_the_same_flow() {
+    for architecture in [Architecture::RaftSmall, Architecture::RpkNet] {
+        check(architecture);
+    }
+}
+
+fn check(architecture: Architecture) {
     let device = Device::flex();
-    let network = Architecture::RaftSmall.init(&device);
+    let network = architecture.init(&device);
     let video = Tensor::<4>::random([3, 3, 125, 133], Distribution::Uniform(0.0, 1.0), &device);
     let frames = Frames { first: video.clone().narrow(0, 0, 2), second: video.clone().narrow(0, 1, 2) };
     let known: Vec<Features> = (0..3).map(|n| network.features(video.clone().narrow(0, n, 1))).collect();
@@ -21,7 +27,10 @@ fn known_features_give_the_same_flow() {
     let (expected, found) = (numbers(expected.last().clone()), numbers(found.last().clone()));
     let difference = expected.iter().zip(&found).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     let largest = expected.iter().copied().fold(0.0, |largest: f32, value| largest.max(value.abs()));
-    assert!(difference <= 1e-4 && largest > 0.01, "differ by {difference} px of {largest} px");
+    assert!(
+        difference <= 1e-4 && largest > 0.01,
+        "{architecture:?}: differ by {difference} px of {largest} px"
+    );
 
     let swapped = features.map(|[first, second]| [second, first]);
     let other = network.forward(frames, &Request { features: swapped, ..Request::new(3) });

@@ -70,17 +70,20 @@ fn every_iteration_gives_the_flow_of_that_many_iterations() {
 #[test]
 fn the_flow_starts_where_the_request_says() {
     let device = Device::flex();
-    let network = network(Architecture::Raft, &device);
-    let from = |start: Option<Tensor<4>>| {
-        network.forward(frames(&device), &Request { start, ..Request::new(1) }).coarse.expect("a coarse flow")
-    };
-    let zero = Tensor::<4>::zeros([1, 2, 8, 9], &device);
-    assert!(numbers(from(None)) == numbers(from(Some(zero.clone()))));
-    let moved = numbers(from(Some(zero + 5.0)));
-    let difference = moved.iter().zip(numbers(from(None))).map(|(a, b)| a - b);
-    // One iteration changes the flow by little: most of the start is still there.
-    let mean = difference.sum::<f32>() / moved.len() as f32;
-    assert!((mean - 5.0).abs() < 2.5, "moved by {mean} on average");
+    for (architecture, size) in [(Architecture::Raft, [8, 9]), (Architecture::RpkNet, [2, 3])] {
+        let network = network(architecture, &device);
+        let from = |start: Option<Tensor<4>>| {
+            let request = Request { start, ..Request::new(1) };
+            network.forward(frames(&device), &request).coarse.expect("a coarse flow")
+        };
+        let zero = Tensor::<4>::zeros([1, 2, size[0], size[1]], &device);
+        assert!(numbers(from(None)) == numbers(from(Some(zero.clone()))), "{architecture:?}");
+        let moved = numbers(from(Some(zero + 5.0)));
+        let difference = moved.iter().zip(numbers(from(None))).map(|(a, b)| a - b);
+        // One iteration changes the flow by little: most of the start is still there.
+        let mean = difference.sum::<f32>() / moved.len() as f32;
+        assert!((mean - 5.0).abs() < 2.5, "{architecture:?}: moved by {mean} on average");
+    }
 }
 
 /// Central differences along a random direction. One iteration: later ones look up where the detached flow points.

@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use anyhow::ensure;
 use clap::{Args, Subcommand};
 use serde::Serialize;
-use srflow_nets::{Architecture, Fit, fits, load_network, weights_folder};
+use srflow_nets::{Allowed, Architecture, Fit, Setting, fits, load_network, weights_folder};
 use srflow_nn::{Checkpoint, ParameterInfo, ParametersError, save_parameters, save_pytorch};
 
 use crate::Context;
@@ -92,8 +92,13 @@ struct ListedSetting {
     name: &'static str,
     description: &'static str,
     default: usize,
+    #[serde(skip)]
+    allowed: Allowed,
     least: usize,
     most: usize,
+    /// Where not all between are allowed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    values: Option<&'static [usize]>,
 }
 
 #[derive(Serialize)]
@@ -111,18 +116,24 @@ struct ListedWeights {
     sha256: &'static str,
 }
 
+impl ListedSetting {
+    fn new(setting: Setting) -> Self {
+        let Setting { name, description, allowed, value } = setting;
+        let (least, most, values) = match &allowed {
+            Allowed::Range(range) => (*range.start(), *range.end(), None),
+            Allowed::OneOf(values) => {
+                (values.first().copied().unwrap_or(0), values.last().copied().unwrap_or(0), Some(*values))
+            }
+        };
+        Self { name, description, default: *value, allowed, least, most, values }
+    }
+}
+
 impl Listed {
     fn new(architecture: Architecture) -> Self {
         let facts = architecture.facts();
         let mut network = architecture.init(&Default::default());
-        let settings = network.settings().into_iter().map(|setting| ListedSetting {
-            name: setting.name,
-            description: setting.description,
-            default: *setting.value,
-            least: *setting.range.start(),
-            most: *setting.range.end(),
-        });
-        let settings = settings.collect();
+        let settings = network.settings().into_iter().map(ListedSetting::new).collect();
         let iterations = facts.iterations;
         let weights = facts.published.iter().map(|weights| ListedWeights {
             name: format!("{}-{}", facts.name, weights.trained_on),
@@ -158,12 +169,15 @@ fn list(context: &Context) -> anyhow::Result<()> {
         return crate::output::print_json(&networks);
     }
     let width = networks.iter().map(|network| network.name.len()).max().unwrap_or(0);
-    say!("{:<width$}  parameters  padding  iterations  licence       weights by name", "name")?;
+    let licences = networks.iter().map(|network| network.licence.len()).max().unwrap_or(0);
+    say!("{:<width$}  parameters  padding  iterations  {:<licences$}  weights by name", "name", "licence")?;
     for network in &networks {
         let Listed { name, parameters, padding, iterations, licence, weights, .. } = network;
         let weights: Vec<&str> = weights.iter().map(|weights| weights.name.as_str()).collect();
         let (iterations, weights) = (iterations.default, weights.join(", "));
-        say!("{name:<width$}  {parameters:>10}  {padding:>7}  {iterations:>10}  {licence:<12}  {weights}")?;
+        say!(
+            "{name:<width$}  {parameters:>10}  {padding:>7}  {iterations:>10}  {licence:<licences$}  {weights}"
+        )?;
     }
     say!("\nPapers, and the authors' code and weights:")?;
     for Listed { name, paper, authors, .. } in &networks {
@@ -173,8 +187,8 @@ fn list(context: &Context) -> anyhow::Result<()> {
         say!("\nSettings, for --set NAME=VALUE:")?;
     }
     for network in &networks {
-        for ListedSetting { name, description, default, least, most } in &network.settings {
-            say!("  {:<width$}  {name}={default}  {description}; from {least} to {most}", network.name)?;
+        for ListedSetting { name, description, default, allowed, .. } in &network.settings {
+            say!("  {:<width$}  {name}={default}  {description}: {allowed}", network.name)?;
         }
     }
     let folder =

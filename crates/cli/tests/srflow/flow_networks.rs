@@ -16,14 +16,14 @@ use crate::{json, refuses, succeeds};
 
 const SIZE: (usize, usize) = (150, 133);
 
-/// Random weights of RAFT-S, with a variance that preserves the magnitude of activations.
-fn write_weights(path: &Path, seed: u32) {
+/// Random weights with a variance that preserves the magnitude of activations.
+fn write_weights(path: &Path, architecture: Architecture, seed: u32) {
     let mut state = seed;
     let mut noise = || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         (state >> 8) as f32 / 8_388_608.0 - 1.0
     };
-    let infos = parameter_infos(&Architecture::RaftSmall.init(&Device::flex()));
+    let infos = parameter_infos(&architecture.init(&Device::flex()));
     let tensors: Vec<(String, Vec<usize>, Vec<u8>)> = infos
         .into_iter()
         .map(|info| {
@@ -40,15 +40,16 @@ fn write_weights(path: &Path, seed: u32) {
     fs::write(path, safetensors::serialize(views, None).unwrap()).unwrap();
 }
 
-/// A folder with six frames and two files of weights.
+/// A folder with six frames and files of weights.
 fn data() -> &'static Path {
     static DATA: OnceLock<(tempfile::TempDir, PathBuf)> = OnceLock::new();
     let (_, path) = DATA.get_or_init(|| {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().to_owned();
         write_frames(&path.join("video"), 0..6, SIZE);
-        write_weights(&path.join("one.safetensors"), 1);
-        write_weights(&path.join("two.safetensors"), 2);
+        write_weights(&path.join("one.safetensors"), Architecture::RaftSmall, 1);
+        write_weights(&path.join("two.safetensors"), Architecture::RaftSmall, 2);
+        write_weights(&path.join("rpknet.safetensors"), Architecture::RpkNet, 3);
         (dir, path)
     });
     path
@@ -89,6 +90,34 @@ fn a_pair_gives_a_flow_and_a_report() {
     let of_its_own = ["flow", "--method", "raft-small=one.safetensors", "--iters", "2", "-o", "pair/own.flo"];
     succeeds(&srflow(&[&of_its_own[..], &["video/0.png", "video/1.png"]].concat()));
     assert_eq!(read("pair/own.flo"), read("pair/flow.flo"));
+}
+
+/// The groups of RPKNet's norms, of which its weights say nothing.
+#[test]
+fn a_setting_changes_what_a_network_computes() {
+    let rpknet = |more: &[&str]| {
+        let method = ["flow", "--method", "rpknet=rpknet.safetensors", "--iters", "3", "--json"];
+        srflow(&[&method, more, &["video/0.png", "video/1.png"]].concat())
+    };
+    let groups = |out: &str, more: &[&str]| {
+        let report = json(&rpknet(&[&["-o", out], more].concat()));
+        (report["network"]["settings"]["groups"].as_u64().unwrap(), read(out))
+    };
+    let (of_itself, flow) = groups("groups/default.flo", &[]);
+    let (same, as_given) = groups("groups/8.flo", &["--set", "groups=8"]);
+    let (other, fewer) = groups("groups/4.flo", &["--set", "groups=4"]);
+    assert_eq!([of_itself, same, other], [8, 8, 4]);
+    assert_eq!(flow, as_given);
+    assert!(compare(&flow, &fewer).0 > 0.01);
+
+    refuses(
+        &rpknet(&["--set", "groups=3", "-o", "3.flo"]),
+        2,
+        &["groups to be 1, 2, 4, 8, 16 or 32, found 3"],
+    );
+    refuses(&rpknet(&["--set", "depth=2", "-o", "2.flo"]), 2, &["--set depth: no network has this setting"]);
+    let pair = ["video/0.png", "video/1.png", "-o", "no.flo"];
+    refuses(&self::flow(&[&["--set", "groups=4"], &pair[..]].concat()), 2, &["a setting of rpknet"]);
 }
 
 /// With any batch size.

@@ -1,4 +1,4 @@
-//! Convolutional gated recurrent units of RAFT (`update.py`).
+//! Convolutional gated recurrent units of RAFT (`update.py`), and of the encoders of RPKNet and DPFlow.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
@@ -55,6 +55,31 @@ impl ConvGru {
 
     pub(crate) fn prepared(&self, context: &Tensor<4>) -> PreparedGru<'_> {
         PreparedGru { steps: vec![PreparedStep::new([&self.convz, &self.convr, &self.convq], context)] }
+    }
+
+    /// The next hidden state from `hidden`, or from zero, and an input of as many channels. Where the unit has more, the
+    /// part of its kernels for these is taken.
+    pub(crate) fn step(&self, hidden: Option<Tensor<4>>, input: Tensor<4>) -> Tensor<4> {
+        let channels = input.dims()[1];
+        let sum = |x: Tensor<4>, convs: &[&Conv2d], activation| {
+            let own = x.dims()[1];
+            // Input channels of a kernel: the hidden state, then the input. Zeros add nothing.
+            let weight =
+                |conv: &&Conv2d| conv.weight().narrow(0, 0, channels).narrow(1, 2 * channels - own, own);
+            let weights = convs.iter().map(weight).collect();
+            let biases: Vec<_> = convs.iter().filter_map(|conv| conv.bias()).collect();
+            let biases = biases.into_iter().map(|bias| bias.narrow(0, 0, channels)).collect();
+            let epilogue = Epilogue::with(activation).bias(Some(Tensor::cat(biases, 0)));
+            self.convz.apply(x, Tensor::cat(weights, 0), &WeightCache::default(), epilogue)
+        };
+        let Some(hidden) = hidden else {
+            let update = sum(input.clone(), &[&self.convz], Activation::Sigmoid);
+            return update * sum(input, &[&self.convq], Activation::Tanh);
+        };
+        let both = Tensor::cat(vec![hidden.clone(), input.clone()], 1);
+        let gates = sum(both, &[&self.convz, &self.convr], Activation::Sigmoid);
+        let both = Tensor::cat(vec![reset(gates.clone(), hidden.clone()), input], 1);
+        update(gates, hidden, sum(both, &[&self.convq], Activation::Tanh))
     }
 }
 

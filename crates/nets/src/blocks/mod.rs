@@ -10,4 +10,6 @@ pub(crate) use attention::{Aggregate, Attention, KEPT_BYTES};
 pub(crate) use encoder::{Encoder, EncoderConfig, NormKind};
 pub(crate) use gru::{ConvGru, SepConvGru};
 pub(crate) use motion::{FlowHead, MotionEncoder, SmallMotionEncoder, window_entries};
-pub(crate) use upsampler::{ConvexMask, bilinear_upsample, convex_mask, convex_upsample};
+pub(crate) use upsampler::{
+    ConvexMask, WideConvexMask, bilinear_upsample, convex_mask, convex_upsample, resize_bilinear,
+};

@@ -28,8 +28,13 @@ pub(crate) struct MotionEncoder {
 
 impl MotionEncoder {
     pub(crate) fn new(radius: usize, device: &Device) -> Self {
+        Self::of_entries(window_entries(radius), device)
+    }
+
+    /// From so many correlations for each pixel.
+    pub(crate) fn of_entries(entries: usize, device: &Device) -> Self {
         Self {
-            convc1: conv([window_entries(radius), 256], 1, device),
+            convc1: conv([entries, 256], 1, device),
             convc2: conv([256, 192], 3, device),
             convf1: conv([2, 128], 7, device),
             convf2: conv([128, 64], 3, device),

@@ -103,6 +103,16 @@ impl Conv2d {
         self.with_epilogue(x, Epilogue::with(activation).bias(self.bias()).residual(residual))
     }
 
+    /// Partial kernel convolution (Morimitsu et al., *RPKNet*, AAAI 2024): the part of the kernel for the channels that `x`
+    /// has and for the first `outputs`. Panics when the convolution has fewer.
+    pub fn partial(&self, x: Tensor<4>, outputs: usize, epilogue: Epilogue) -> Tensor<4> {
+        let weight = self.weight();
+        let inputs = weight.dims()[1].min(x.dims()[1]);
+        let weight = weight.narrow(0, 0, outputs).narrow(1, 0, inputs);
+        let bias = self.bias().map(|bias| bias.narrow(0, 0, outputs));
+        self.apply(x, weight, &self.cache, epilogue.bias(bias))
+    }
+
     fn with_epilogue(&self, x: Tensor<4>, epilogue: Epilogue) -> Tensor<4> {
         self.apply(x, self.weight(), &self.cache, epilogue)
     }

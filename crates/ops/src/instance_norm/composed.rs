@@ -38,7 +38,11 @@ pub(crate) fn standardized<B: Backend>(x: FloatTensor<B>, epsilon: f64) -> (Floa
 }
 
 /// Gradient of what was [`standardized`] from that of its first output.
-pub(crate) fn standardized_backward<B: Backend>(x: FloatTensor<B>, grad: FloatTensor<B>, epsilon: f64) -> FloatTensor<B> {
+pub(crate) fn standardized_backward<B: Backend>(
+    x: FloatTensor<B>,
+    grad: FloatTensor<B>,
+    epsilon: f64,
+) -> FloatTensor<B> {
     let (normal, scale) = standardized::<B>(x, epsilon);
     let mean = B::float_mean_dim(grad.clone(), 1);
     let along = B::float_mean_dim(B::float_mul(grad.clone(), normal.clone()), 1);

@@ -45,5 +45,6 @@ pub fn group_norm(input: Tensor<4>, groups: usize, activation: Activation) -> Te
     let dims @ [batch, channels, height, width] = input.dims();
     assert!(groups > 0 && channels.is_multiple_of(groups), "{channels} channels in {groups} groups");
     let planes = input.reshape([batch, groups, channels / groups * height, width]);
-    apply::<_, 1, 4>(InstanceNorm { epsilon: GROUP_EPSILON, activation }, [planes.into_dispatch()]).reshape(dims)
+    apply::<_, 1, 4>(InstanceNorm { epsilon: GROUP_EPSILON, activation }, [planes.into_dispatch()])
+        .reshape(dims)
 }

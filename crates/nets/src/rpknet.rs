@@ -1,0 +1,488 @@
+//! RPKNet (Morimitsu et al., *Recurrent Partial Kernel Network for Efficient Optical Flow Estimation*, AAAI 2024). One encoder
+//! makes all levels of a pyramid with parts of the same kernels, and flow is refined from the coarsest to the finest. Parity
+//! with the reference: `PARITY.md`.
+
+use burn::module::{Initializer, Module, Param};
+use burn::tensor::activation::relu;
+use burn::tensor::{Device, Tensor};
+use srflow_nn::layers::{Conv2d, Conv2dConfig};
+use srflow_ops::Activation::{self, Gelu, Identity, Relu, Sigmoid, Tanh};
+use srflow_ops::activation::tensor::activated_sum;
+use srflow_ops::conv2d::tensor::Epilogue;
+use srflow_ops::correlation::tensor::Correlation;
+use srflow_ops::depthwise::tensor::depthwise;
+use srflow_ops::gru::tensor::{reset, update};
+use srflow_ops::instance_norm::tensor::group_norm;
+use srflow_ops::layer_norm::tensor::layer_norm;
+
+use crate::MemoryNeed;
+use crate::blocks::{ConvGru, FlowHead, MotionEncoder, WideConvexMask, resize_bilinear};
+use crate::estimate::{Estimate, Request};
+use crate::facts::{Facts, IterationPresets, Start, ptlflow};
+use crate::features::Features;
+use crate::frames::{Border, Frames, prepared};
+use crate::recurrent::{STRIDE, pixel_grid};
+use crate::settings::{Allowed, Setting};
+use crate::table::{Entry, FlowNetwork};
+
+/// Levels of the pyramid in which flow is refined.
+const LEVELS: usize = 3;
+/// Pixels of a frame along the side of a pixel of the coarsest level.
+const COARSEST_STRIDE: usize = STRIDE << (LEVELS - 1);
+/// Channels of the encoder's hidden state: those that go into and come out of each of its steps, of which each halves the
+/// size.
+const STEPS: [[usize; 2]; 4] = [[32, 64], [64, 96], [96, 96], [96, 96]];
+/// Channels of the encoder at most.
+const WIDEST: usize = 96;
+/// Channels of a level: the first two thirds are matched, the rest is context.
+const FEATURES: usize = 2 * WIDEST;
+/// Channels of the hidden state that refines flow, and of the context.
+const HIDDEN: usize = 64;
+/// Channels of the features of flow and correlation.
+const MOTION: usize = 128;
+/// Radius of the window of correlations that is looked up.
+const RADIUS: usize = 4;
+/// Length of the two kernels of a separable large one.
+const LONG: usize = 23;
+/// What the output of every branch of a block is multiplied with before training.
+const LAYER_SCALE: f64 = 1e-2;
+/// Groups of channels that the published weights were trained with.
+const GROUPS: usize = 8;
+
+pub(crate) const RPKNET: Entry<RpkNet> = Entry {
+    facts: Facts {
+        name: "rpknet",
+        title: "RPKNet",
+        paper: "https://doi.org/10.1609/aaai.v38i5.28224",
+        parameters: 2_846_624,
+        padding: COARSEST_STRIDE,
+        smallest_side: 2 * COARSEST_STRIDE,
+        iterations: IterationPresets { default: 12, authors: 32, training: 12 },
+        start: Start::Coarse(COARSEST_STRIDE),
+        trains: true,
+        memory: MemoryNeed { fixed: 400_000_000, per_pixel: 250, attending: 0, most_weights: 0 },
+        authors: "https://github.com/hmorimitsu/ptlflow",
+        licence: "Apache-2.0; weights for research only",
+        published: &[
+            ptlflow!("rpknet", "chairs", "a705b345"),
+            ptlflow!("rpknet", "things", "f79b0d81"),
+            ptlflow!("rpknet", "sintel", "e7cc969e"),
+            ptlflow!("rpknet", "kitti", "39504eb4"),
+        ],
+        ..Facts::DEFAULT
+    },
+    init: RpkNet::new,
+};
+
+/// The network of the paper.
+#[derive(Module, Debug)]
+pub struct RpkNet {
+    fnet: Encoder,
+    update_block: UpdateBlock,
+    upnet_gate_layer: UpGate,
+    groups: usize,
+}
+
+/// `PKConvSLKEncoder`.
+#[derive(Module, Debug)]
+struct Encoder {
+    stem: [Conv2d; 1],
+    forward_gru: ConvGru,
+    down_gru: Conv2d,
+    rec_stage: Stage,
+    out_1x1: Conv2d,
+}
+
+/// `PKConvSLK`.
+#[derive(Module, Debug)]
+struct Stage {
+    down: Transition,
+    blocks: Vec<Block>,
+}
+
+/// `LayerTransition`.
+#[derive(Module, Debug)]
+struct Transition {
+    proj: Conv2d,
+}
+
+/// `SLK`: a large kernel in two strips, then a perceptron, each added to its input.
+#[derive(Module, Debug)]
+struct Block {
+    layer_scale_1: Param<Tensor<1>>,
+    layer_scale_2: Param<Tensor<1>>,
+    attn: Strips,
+    mlp: Perceptron,
+}
+
+/// `SLKUnit`.
+#[derive(Module, Debug)]
+struct Strips {
+    proj_1: Conv2d,
+    spatial_gating_unit: StripsCore,
+    proj_2: Conv2d,
+}
+
+/// `SLKUnitCore`.
+#[derive(Module, Debug)]
+struct StripsCore {
+    conv1_branches: [Conv2d; 1],
+    conv2_branches: [Conv2d; 1],
+    conv_out: Conv2d,
+}
+
+/// `Mlp`.
+#[derive(Module, Debug)]
+struct Perceptron {
+    fc1: Conv2d,
+    dwconv: Depthwise,
+    fc2: Conv2d,
+}
+
+/// `DWConv`.
+#[derive(Module, Debug)]
+struct Depthwise {
+    dwconv: Conv2d,
+}
+
+/// `UpdatePartialBlock`.
+#[derive(Module, Debug)]
+struct UpdateBlock {
+    encoder: MotionEncoder,
+    gru_list: [StageGru; 2],
+    flow_head: FlowHead,
+    mask: WideConvexMask,
+}
+
+/// `PKConvSLKGRU`.
+#[derive(Module, Debug)]
+struct StageGru {
+    convz: Stage,
+    convr: Stage,
+    convq: Stage,
+}
+
+/// `UpNetPartial`: how much of the hidden state of the coarser level is kept.
+#[derive(Module, Debug)]
+struct UpGate {
+    conv: Conv2d,
+    res: Residual,
+}
+
+/// `ResidualPartialBlock`, as it is used here.
+#[derive(Module, Debug)]
+struct Residual {
+    conv1: Conv2d,
+    conv2: Conv2d,
+}
+
+/// Which numbers are normalized as one.
+#[derive(Debug, Clone, Copy)]
+enum Norm {
+    /// Those of a group of channels, of which there are so many.
+    Groups(usize),
+    /// Those of a pixel.
+    Layer,
+}
+
+/// Where a pair of frames is matched, and what its refinements read.
+struct Level {
+    correlation: Correlation,
+    context: Tensor<4>,
+    /// The hidden state that this level would start from.
+    hidden: Tensor<4>,
+}
+
+impl Norm {
+    /// `activation(norm(x))`.
+    fn of(self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
+        match self {
+            Self::Groups(groups) => group_norm(x, groups, activation),
+            Self::Layer => layer_norm(x, activation),
+        }
+    }
+}
+
+impl RpkNet {
+    /// With random parameters, as training starts.
+    pub(crate) fn new(device: &Device) -> Self {
+        let conv = |channels, kernel| Conv2dConfig::new(channels, [kernel; 2]);
+        let gate = || Stage::new([HIDDEN + HIDDEN + MOTION, HIDDEN], 1, device);
+        let gru = || StageGru { convz: gate(), convr: gate(), convq: gate() };
+        Self {
+            fnet: Encoder {
+                stem: [conv([3, STEPS[0][0]], 7).with_stride(2).init(device)],
+                forward_gru: ConvGru::new(WIDEST, WIDEST, device),
+                down_gru: conv([WIDEST, WIDEST], 3).with_stride(2).init(device),
+                rec_stage: Stage::new([WIDEST, WIDEST], 2, device),
+                out_1x1: conv([WIDEST, FEATURES], 1).init(device),
+            },
+            update_block: UpdateBlock {
+                encoder: MotionEncoder::of_entries((2 * RADIUS + 1) * (2 * RADIUS + 1), device),
+                gru_list: [gru(), gru()],
+                flow_head: FlowHead::new(HIDDEN, 256, device),
+                mask: WideConvexMask::new(HIDDEN, device),
+            },
+            upnet_gate_layer: UpGate {
+                conv: conv([2 * HIDDEN, HIDDEN], 1).init(device),
+                res: Residual {
+                    conv1: conv([HIDDEN, HIDDEN], 3).init(device),
+                    conv2: conv([HIDDEN, HIDDEN], 3).init(device),
+                },
+            },
+            groups: GROUPS,
+        }
+    }
+
+    fn norm(&self) -> Norm {
+        Norm::Groups(self.groups)
+    }
+
+    /// Of frames in -1..1 with a border, coarsest level first.
+    fn pyramid(&self, frames: Tensor<4>) -> Vec<Tensor<4>> {
+        // The reference was trained with blue first.
+        self.fnet.forward(frames.flip([1]), self.norm())
+    }
+}
+
+impl FlowNetwork for RpkNet {
+    fn features(&self, frames: Tensor<4>) -> Features {
+        let [batch, _, height, width] = frames.dims();
+        let frames = prepared(frames, Border::new([height, width], COARSEST_STRIDE));
+        Features::new(batch, self.pyramid(frames))
+    }
+
+    fn forward(&self, frames: Frames, request: &Request) -> Estimate {
+        assert!(request.iterations > 0, "at least one iteration");
+        let (first, second, border) = frames.prepared(COARSEST_STRIDE);
+        let [batch, _, height, width] = first.dims();
+        let [firsts, seconds] = match &request.features {
+            Some(known) => known.clone().map(|features| features.into_maps::<LEVELS>()),
+            // One after the other: both at once would double the memory.
+            None => [first, second].map(|frames| {
+                let levels = self.pyramid(frames);
+                levels.try_into().expect("a map for each level")
+            }),
+        };
+        let iterations = request.iterations.div_ceil(LEVELS);
+        let mut flows = Vec::new();
+        let mut hidden = None;
+        let mut flow: Option<Tensor<4>> = None;
+        for (number, (first, second)) in firsts.into_iter().zip(seconds).enumerate() {
+            let finest = number + 1 == LEVELS;
+            let stride = COARSEST_STRIDE >> number;
+            let size = [height / stride, width / stride];
+            let grid = pixel_grid([batch, size[0], size[1]], &first.device());
+            let level = Level::new(first, second);
+            let (mut state, mut now) = match (hidden.take(), flow.take()) {
+                (Some(coarser), Some(flow)) => {
+                    (self.upnet_gate_layer.forward(coarser, level.hidden, self.norm()), enlarged(flow, size))
+                }
+                _ => (level.hidden, start(request, &grid)),
+            };
+            for iteration in 1..=iterations {
+                now = now.detach();
+                let windows = level.correlation.windows(grid.clone() + now.clone(), RADIUS);
+                let [next, change] = self.update_block.step(state, &level.context, now.clone(), windows);
+                state = next;
+                now = now + change;
+                if request.every_iteration || (finest && iteration == iterations) {
+                    let fine = if finest {
+                        self.update_block.mask.upsample(&state, now.clone())
+                    } else {
+                        enlarged(now.clone(), [height, width])
+                    };
+                    flows.push(border.remove(fine));
+                }
+            }
+            (hidden, flow) = (Some(state), Some(now));
+        }
+        let coarsest = [height / COARSEST_STRIDE, width / COARSEST_STRIDE];
+        Estimate { coarse: flow.map(|flow| enlarged(flow, coarsest)), ..Estimate::of_flows(flows) }
+    }
+
+    fn settings(&mut self) -> Vec<Setting<'_>> {
+        vec![Setting {
+            name: "groups",
+            description: "groups of channels of the encoder's norms, which weights do not say; ptlflow's default, with \
+                          which its weights were trained (its configurations of training say 4)",
+            allowed: Allowed::OneOf(&[1, 2, 4, 8, 16, 32]),
+            value: &mut self.groups,
+        }]
+    }
+}
+
+/// The flow that refinement starts from, of a pixel for each of the coarsest grid.
+fn start(request: &Request, grid: &Tensor<4>) -> Tensor<4> {
+    let Some(start) = &request.start else { return grid.zeros_like() };
+    assert_eq!(start.dims(), grid.dims(), "the coarse flow to start from");
+    start.clone()
+}
+
+/// Flow in pixels of another size, larger or smaller.
+fn enlarged(flow: Tensor<4>, size: [usize; 2]) -> Tensor<4> {
+    let [_, _, height, _] = flow.dims();
+    resize_bilinear(flow, size) * (size[0] as f64 / height as f64)
+}
+
+impl Encoder {
+    fn forward(&self, frames: Tensor<4>, norm: Norm) -> Vec<Tensor<4>> {
+        let [stem] = &self.stem;
+        let mut x = norm.of(stem.forward(frames, Identity), Identity);
+        let mut hidden = None;
+        let mut levels = Vec::with_capacity(LEVELS);
+        for (number, [_, outputs]) in STEPS.into_iter().enumerate() {
+            let state = self.forward_gru.step(hidden, x);
+            x = self.rec_stage.forward(state.clone(), outputs, norm, Identity);
+            let last = number + 1 == STEPS.len();
+            hidden = (!last).then(|| self.down_gru.partial(state, outputs, Epilogue::with(Tanh)));
+            if number + LEVELS >= STEPS.len() {
+                levels.push(self.out_1x1.partial(x.clone(), FEATURES, Epilogue::default()));
+            }
+        }
+        levels.reverse();
+        levels
+    }
+}
+
+impl Level {
+    fn new(first: Tensor<4>, second: Tensor<4>) -> Self {
+        let matched = FEATURES / 3 * 2;
+        let half = HIDDEN / 2;
+        let both = |from: usize| {
+            let [first, second] = [&first, &second].map(|map| map.clone().narrow(1, matched + from, half));
+            Tensor::cat(vec![first, second], 1)
+        };
+        let (context, hidden) = (relu(both(0)), both(half).tanh());
+        let [first, second] = [first, second].map(|map| map.narrow(1, 0, matched));
+        Self { correlation: Correlation::new(first, second, 1), context, hidden }
+    }
+}
+
+impl UpGate {
+    /// The hidden state of a level from that of the coarser one and its own.
+    fn forward(&self, coarser: Tensor<4>, own: Tensor<4>, norm: Norm) -> Tensor<4> {
+        let [_, _, height, width] = own.dims();
+        let coarser = resize_bilinear(coarser, [height, width]).tanh();
+        let x = self.conv.forward(Tensor::cat(vec![coarser.clone(), own.clone()], 1), Relu);
+        let y = norm.of(self.res.conv1.forward(x.clone(), Identity), Relu);
+        let y = norm.of(self.res.conv2.forward(y, Identity), Identity);
+        let gate = activated_sum(x, y, Sigmoid);
+        own.clone() + gate * (coarser - own)
+    }
+}
+
+impl UpdateBlock {
+    /// The next hidden state, and the change of the flow.
+    fn step(
+        &self,
+        mut hidden: Tensor<4>,
+        context: &Tensor<4>,
+        flow: Tensor<4>,
+        windows: Tensor<4>,
+    ) -> [Tensor<4>; 2] {
+        let motion = self.encoder.forward(flow, windows);
+        let input = Tensor::cat(vec![context.clone(), motion], 1);
+        for gru in &self.gru_list {
+            hidden = gru.step(hidden, &input);
+        }
+        [hidden.clone(), self.flow_head.forward(hidden)]
+    }
+}
+
+impl StageGru {
+    fn step(&self, hidden: Tensor<4>, input: &Tensor<4>) -> Tensor<4> {
+        let sum = |stage: &Stage, hidden: &Tensor<4>, activation| {
+            let x = Tensor::cat(vec![hidden.clone(), input.clone()], 1);
+            stage.forward(x, HIDDEN, Norm::Layer, activation)
+        };
+        let gates = [&self.convz, &self.convr].map(|stage| sum(stage, &hidden, Sigmoid));
+        let gates = Tensor::cat(gates.into(), 1);
+        let candidate = sum(&self.convq, &reset(gates.clone(), hidden.clone()), Tanh);
+        update(gates, hidden, candidate)
+    }
+}
+
+impl Stage {
+    fn new(channels @ [_, outputs]: [usize; 2], stride: usize, device: &Device) -> Self {
+        let kernel = if stride > 1 { [3, 3] } else { [1, 1] };
+        let proj = Conv2dConfig::new(channels, kernel).with_stride(stride).init(device);
+        let block = |_| Block::new(outputs, device);
+        Self { down: Transition { proj }, blocks: (0..2).map(block).collect() }
+    }
+
+    /// `activation(norm(...))` of so many channels.
+    fn forward(&self, x: Tensor<4>, outputs: usize, norm: Norm, activation: Activation) -> Tensor<4> {
+        let mut x = norm.of(self.down.proj.partial(x, outputs, Epilogue::default()), Identity);
+        for block in &self.blocks {
+            x = block.forward(x, norm);
+        }
+        norm.of(x, activation)
+    }
+}
+
+impl Block {
+    fn new(channels: usize, device: &Device) -> Self {
+        let pointwise = |inputs, outputs| Conv2dConfig::new([inputs, outputs], [1, 1]).init(device);
+        let depthwise =
+            |channels, kernel| Conv2dConfig::new([channels; 2], kernel).with_depthwise(true).init(device);
+        let scale = || Initializer::Constant { value: LAYER_SCALE }.init([channels], device);
+        let wide = 4 * channels;
+        Self {
+            layer_scale_1: scale(),
+            layer_scale_2: scale(),
+            attn: Strips {
+                proj_1: pointwise(channels, channels),
+                spatial_gating_unit: StripsCore {
+                    conv1_branches: [depthwise(channels, [LONG, 1])],
+                    conv2_branches: [depthwise(channels, [1, LONG])],
+                    conv_out: pointwise(channels, channels),
+                },
+                proj_2: pointwise(channels, channels),
+            },
+            mlp: Perceptron {
+                fc1: pointwise(channels, wide),
+                dwconv: Depthwise { dwconv: depthwise(wide, [3, 3]) },
+                fc2: pointwise(wide, channels),
+            },
+        }
+    }
+
+    fn forward(&self, x: Tensor<4>, norm: Norm) -> Tensor<4> {
+        let strips = self.attn.forward(norm.of(x.clone(), Identity));
+        let x = add_scaled(x, strips, &self.layer_scale_1);
+        let perceptron = self.mlp.forward(norm.of(x.clone(), Identity));
+        add_scaled(x, perceptron, &self.layer_scale_2)
+    }
+}
+
+/// `x + scale * branch`, a factor for each channel; of more factors the first are taken.
+fn add_scaled(x: Tensor<4>, branch: Tensor<4>, scale: &Param<Tensor<1>>) -> Tensor<4> {
+    let channels = x.dims()[1];
+    let scale = scale.val().narrow(0, 0, channels).reshape([channels, 1, 1, 1]);
+    depthwise(branch, scale, Epilogue::default().residual(x), [0, 0])
+}
+
+impl Strips {
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let channels = x.dims()[1];
+        let plus = |conv: &Conv2d, y: Tensor<4>, added: &Tensor<4>| {
+            conv.partial(y, channels, Epilogue::default().residual(added.clone()))
+        };
+        let StripsCore { conv1_branches: [down], conv2_branches: [across], conv_out } =
+            &self.spatial_gating_unit;
+        let inner = self.proj_1.partial(x.clone(), channels, Epilogue::with(Gelu));
+        let y = plus(down, inner.clone(), &inner);
+        let y = plus(across, y.clone(), &y);
+        plus(&self.proj_2, plus(conv_out, y, &inner), &x)
+    }
+}
+
+impl Perceptron {
+    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+        let channels = x.dims()[1];
+        let x = self.fc1.partial(x, 4 * channels, Epilogue::default());
+        let x = self.dwconv.dwconv.partial(x, 4 * channels, Epilogue::with(Gelu));
+        self.fc2.partial(x, channels, Epilogue::default())
+    }
+}

@@ -20,7 +20,7 @@ import argparse
 from pathlib import Path
 
 SEED = 7
-NETWORKS = ["raft", "raft_small", "gma", "skflow", "rpknet"]
+NETWORKS = ["raft", "raft_small", "gma", "skflow", "rpknet", "sea_raft_s", "sea_raft_m"]
 
 
 def random_state(network):

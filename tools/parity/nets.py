@@ -8,11 +8,13 @@ crates/nets/tests/parity.rs repeats. Written for each network and case, as NETWO
     gain/PART    a number that parameters with PART in their name are multiplied with
     coarse_N     after N iterations, the flow that a warm start takes, [batch, 2, rows, columns], where there is one
     flow_N       the flow after N iterations at every 7th row and column, [batch, 2, rows, columns]
-and of a training step, where the reference can be trained, for the mean over all numbers of (flow - [4, 2])^2, weighted with
-0.8 towards the last of all flows that the network gives, with the running statistics of batch norm (running) and with those
-of the batch (batch):
+    log_weights_N, log_scales_N   likewise, of networks that give a mixture
+and of a training step, where the reference can be trained, for the mean over all numbers of (flow - [4, 2])^2, and of a
+mixture of (log_weights - [1, -1])^2 and (log_scales - [2, -2])^2, weighted with 0.8 towards the last of all flows that the
+network gives, with the running statistics of batch norm (running) and with those of the batch (batch):
     training_iterations   how many
     running/NAME, batch/NAME   the gradient of a parameter, 17 numbers of it: see `samples`
+    gradients/NETWORK   in place of these, where they are stored for a network of the same parts
 """
 
 import sys
@@ -43,11 +45,23 @@ class Network:
     arguments: dict = field(default_factory=dict)
     # Parts of names of parameters, and what those are multiplied with, so that activations and flow keep their size.
     gains: dict = field(default_factory=dict)
+    # Whether it gives a mixture of Laplace distributions beside each flow, as SEA-RAFT does.
+    mixture: bool = False
+    # A network of the same parts whose gradients are stored.
+    gradients: str = ""
 
 
 # Of SKFlow's blocks, whose parts are added to their own input, four in a row: full weights would explode. The last keeps the
 # flow inside the frame.
 SUPER_KERNELS = {"ffn1.2.": 0.5, "conv_list.": 0.5, "pw.": 0.5, "flow_head.ffn2.2.": 0.25}
+
+
+def sea_raft(name, iterations, flow_head, **more):
+    """Its encoders' blocks add to their input; full weights would explode, and hardly upsample by other than the mean."""
+    gains = {".conv2.": 0.4, "upsample_weight.2.": 8, "flow_head.2.": flow_head}
+    return Network(name, iterations=iterations, gains=gains, mixture=True, **more)
+
+
 
 # The coarsest of four levels of a correlation pyramid must be larger than one pixel, or the reference divides by zero.
 NETWORKS = [
@@ -57,6 +71,9 @@ NETWORKS = [
     Network("skflow", gains=SUPER_KERNELS),
     # Weights that the reference cut out and kept without gradients would have none in training.
     Network("rpknet", gains={"flow_head.conv2.": 0.5}, arguments={"cache_pkconv_weights": False}),
+    sea_raft("sea_raft_s", (1, 4), 2),
+    sea_raft("sea_raft_m", (1, 4), 1, gradients="sea_raft_s"),
+    sea_raft("sea_raft_l", (1, 12), 0.5, gradients="sea_raft_s"),
 ]
 
 
@@ -80,7 +97,7 @@ def parameter(name, shape, gains):
 
 def one_name(name, state):
     """What is stored twice is one parameter, named as downsample.1."""
-    for twice in ("norm3.", "norm4."):
+    for twice in ("norm3.", "norm4.", "bn3."):
         owner, _, rest = name.partition(twice)
         if rest and f"{owner}downsample.1.{rest}" in state:
             return f"{owner}downsample.1.{rest}"
@@ -119,14 +136,29 @@ def gradients(network, model, images, batch_statistics):
             module.train(batch_statistics)
             module.momentum = 0.0  # the running statistics stay
     model.zero_grad()
-    flows = model({"images": images})["flow_preds"]
-    truth = torch.tensor([4.0, 2.0]).reshape(1, 2, 1, 1)
-    last = len(flows) - 1
-    sum(0.8 ** (last - i) * ((flow - truth) ** 2).mean() for i, flow in enumerate(flows)).backward()
+    result = model({"images": images})
+    flows = result["flow_preds"]
+    distance = lambda found, truth: ((found - torch.tensor(truth).reshape(1, 2, 1, 1)) ** 2).mean()
+    losses = [distance(flow, [4.0, 2.0]) for flow in flows]
+    if network.mixture:
+        losses = [
+            loss + distance(mixture[:, :2], [1.0, -1.0]) + distance(mixture[:, 2:], [2.0, -2.0])
+            for loss, mixture in zip(losses, result["info_preds"], strict=True)
+        ]
+    sum(0.8 ** (len(losses) - 1 - i) * loss for i, loss in enumerate(losses)).backward()
     model.eval()
     state = model.state_dict()
     parameters = [(one_name(name, state), value) for name, value in model.named_parameters()]
     return {name: value.grad.numpy() for name, value in parameters if value.grad is not None}
+
+
+def last_mixture(model, images):
+    """Log weights and log scales beside the last flow, which the reference only gives in training."""
+    model.training = True  # of the model alone: batch norm stays as it is
+    with torch.no_grad():
+        mixture = model({"images": images})["info_preds"][-1]
+    model.training = False
+    return mixture[:, :2], mixture[:, 2:]
 
 
 def write(network, folder):
@@ -148,7 +180,12 @@ def write(network, folder):
             if "flow_small" in result:
                 out[f"coarse_{iterations}"] = result["flow_small"].numpy()
             out[f"flow_{iterations}"] = result["flows"][:, 0, :, ::EVERY, ::EVERY].numpy()
-        if network.training_iterations:
+            if network.mixture:
+                for part, values in zip(("log_weights", "log_scales"), last_mixture(model, images)):
+                    out[f"{part}_{iterations}"] = values[:, :, ::EVERY, ::EVERY].numpy()
+        if network.gradients:
+            out[f"gradients/{network.gradients}"] = np.array([1])
+        elif network.training_iterations:
             out["training_iterations"] = np.array([network.training_iterations])
             for kind, batch_statistics in [("running", False), ("batch", True)]:
                 for name, gradient in gradients(network, model, images, batch_statistics).items():

@@ -45,6 +45,8 @@ pub struct Facts {
     /// The name here of what a file of weights calls otherwise; `None` for what is no parameter. Called with each name of
     /// the file, after containers and prefixes are taken off.
     pub renamed: fn(&str) -> Option<String>,
+    /// Networks of the table that take the same weights and differ in their iterations alone, by name.
+    pub same_weights: &'static [&'static str],
     /// Networks whose parameters have the same names and shapes: nothing in a file distinguishes them.
     pub lookalikes: &'static [&'static str],
     /// Weights that are downloaded by name.
@@ -88,6 +90,11 @@ impl Facts {
         self.iterations.default > 1
     }
 
+    /// Its name and those of the networks with the same weights, such as `sea-raft-m and sea-raft-l`.
+    pub fn names_of_weights(&self) -> String {
+        [&[self.name], self.same_weights].concat().join(" and ")
+    }
+
     /// What most networks have in common. Name, paper, numbers and licence are each network's own.
     pub(crate) const DEFAULT: Self = Self {
         name: "",
@@ -108,6 +115,7 @@ impl Facts {
         authors: "",
         licence: "",
         renamed: |name| Some(name.to_owned()),
+        same_weights: &[],
         lookalikes: &[],
         published: &[],
     };

@@ -28,7 +28,10 @@ impl fmt::Display for Fit {
         let Self { architecture, expected, matching, difference } = self;
         let name = architecture.name();
         match difference {
-            None => write!(f, "they are the parameters of {name}{}", lookalikes(*architecture)),
+            None => {
+                let names = architecture.facts().names_of_weights();
+                write!(f, "they are the parameters of {names}{}", lookalikes(*architecture))
+            }
             Some(_) if *matching == 0 => {
                 f.write_str("no network known here has parameters of these names and shapes")
             }

@@ -17,6 +17,7 @@ mod raft_small;
 mod recurrent;
 mod rpknet;
 mod scale;
+mod sea_raft;
 mod settings;
 mod skflow;
 mod table;

@@ -9,7 +9,7 @@ use crate::facts::Facts;
 use crate::features::Features;
 use crate::frames::Frames;
 use crate::settings::{Setting, SettingError, set};
-use crate::{gma, raft, raft_small, rpknet, skflow};
+use crate::{gma, raft, raft_small, rpknet, sea_raft, skflow};
 
 /// What the table says of a network.
 pub(crate) struct Entry<N> {
@@ -143,6 +143,9 @@ networks! {
     Gma(gma::Gma) = gma::GMA,
     SkFlow(skflow::SkFlow) = skflow::SKFLOW,
     RpkNet(rpknet::RpkNet) = rpknet::RPKNET,
+    SeaRaftS(sea_raft::SeaRaft) = sea_raft::SEA_RAFT_S,
+    SeaRaftM(sea_raft::SeaRaft) = sea_raft::SEA_RAFT_M,
+    SeaRaftL(sea_raft::SeaRaft) = sea_raft::SEA_RAFT_L,
 }
 
 #[cfg(test)]
@@ -155,8 +158,10 @@ mod tests {
             assert_eq!(Architecture::from_name(architecture.name()), Some(architecture));
             for weights in architecture.facts().published {
                 let file = weights.file_name();
-                let network = architecture.name().replace('-', "_");
-                assert_eq!(file, format!("{network}-{}-{}.ckpt", weights.trained_on, &weights.sha256[..8]));
+                let end = format!("-{}-{}.ckpt", weights.trained_on, &weights.sha256[..8]);
+                let network = file.strip_suffix(&end).expect(file).replace('_', "-");
+                let facts = architecture.facts();
+                assert!(network == facts.name || facts.same_weights.contains(&network.as_str()), "{file}");
             }
         }
         assert_eq!(Architecture::from_name("RAFT"), None);

@@ -7,8 +7,8 @@ use srflow_nn::{WeightsError, words};
 use crate::table::Architecture;
 
 /// Networks that are not known here and whose weights people have.
-const OTHERS: [&str; 8] =
-    ["MemFlow", "SEA-RAFT", "FlowFormer", "VideoFlow", "StreamFlow", "UniMatch", "DPFlow", "RPKNet"];
+const OTHERS: [&str; 7] =
+    ["MemFlow", "FlowFormer", "VideoFlow", "StreamFlow", "UniMatch", "DPFlow", "RPKNet"];
 
 /// What a file of weights says beside its parameters.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -57,10 +57,10 @@ mod tests {
     fn a_network_of_the_same_parameters_is_told_by_the_files_words() {
         let claim = |said| claimed(Architecture::SkFlow, said);
         assert_eq!(claim("memflow things  hyper parameters"), Claim::Other("MemFlow"));
-        assert_eq!(claim("weights  model searaft"), Claim::Other("SEA-RAFT"));
+        assert_eq!(claim("weights  model streamflow"), Claim::Other("StreamFlow"));
         assert_eq!(claim("skflow memflow"), Claim::Own, "both are named");
         assert_eq!(claim("best"), Claim::Silent(&["MemFlow"]));
         assert_eq!(claimed(Architecture::Raft, "best"), Claim::Own);
-        assert_eq!(claimed(Architecture::Raft, "searaft"), Claim::Other("SEA-RAFT"));
+        assert_eq!(claimed(Architecture::Raft, "streamflow"), Claim::Other("StreamFlow"));
     }
 }

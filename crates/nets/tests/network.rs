@@ -67,6 +67,22 @@ fn every_iteration_gives_the_flow_of_that_many_iterations() {
     }
 }
 
+/// SEA-RAFT computes a flow of both frames before it refines it.
+#[test]
+fn a_first_flow_comes_before_those_of_the_iterations() {
+    let device = Device::flex();
+    let network = network(Architecture::SeaRaftS, &device);
+    let all = Request { every_iteration: true, ..Request::new(2) };
+    let all = network.forward(frames(&device), &all);
+    assert_eq!((all.flows.len(), all.mixtures.len()), (3, 3));
+    let alone = network.forward(frames(&device), &Request::new(1));
+    assert_eq!((alone.flows.len(), alone.mixtures.len()), (1, 1));
+    let same = |a: &Tensor<4>, b: &Tensor<4>| numbers(a.clone()) == numbers(b.clone());
+    assert!(same(alone.last(), &all.flows[1]) && !same(alone.last(), &all.flows[0]));
+    assert!(same(&alone.mixtures[0].log_scales, &all.mixtures[1].log_scales));
+    assert!(!same(&alone.mixtures[0].log_scales, &all.mixtures[0].log_scales));
+}
+
 #[test]
 fn the_flow_starts_where_the_request_says() {
     let device = Device::flex();

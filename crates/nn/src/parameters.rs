@@ -97,7 +97,8 @@ struct Path(Vec<String>);
 impl Path {
     fn enter(&mut self, name: &str, container: &str) {
         if !is_variant(container) {
-            self.0.push(name.to_owned());
+            // A field may have a name that is a word of Rust, such as `r#final`.
+            self.0.push(name.trim_start_matches("r#").to_owned());
         }
     }
 

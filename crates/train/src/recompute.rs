@@ -40,16 +40,19 @@ pub(crate) fn add_gradients(
         let request = Request {
             encoded: Some(encoded(&leaves)),
             start: coarse.map(Tensor::from_inner),
+            every_iteration: true,
             ..Request::new(1)
         };
         let estimate = network.forward(frames.clone(), &request);
-        let prediction = Prediction::from(estimate.last().clone());
-        let of_one = losses(&settings.loss, &[prediction], &inputs)?;
+        let (hidden, _) = state(&estimate);
+        // More than one where the network has a flow before its first refinement.
+        let predictions = Prediction::of(estimate);
+        let of_one = losses(&settings.loss, &predictions, &inputs)?;
         let share = settings.loss.gamma.powi((settings.iterations - 1 - iteration) as i32);
         losses_of_batch.add(&BatchLosses::of(&of_one), share);
         let mut total = of_one.total * share;
         if let Some(after) = gradient[0].take() {
-            total = total + (state(estimate).0 * Tensor::from_inner(after)).sum();
+            total = total + (hidden * Tensor::from_inner(after)).sum();
         }
         let gradients = total.backward();
         sum.add(network, layout, &gradients, weight);
@@ -95,14 +98,15 @@ fn states(
         if iteration == iterations {
             last = numbers(estimate.last().clone());
         }
-        (parts[0], coarse) = state(estimate);
+        (parts[0], coarse) = state(&estimate);
     }
     (states, last)
 }
 
 /// The state after a refinement.
-fn state(estimate: Estimate) -> State {
-    (estimate.hidden.expect("a network whose refinements are computed one by one"), estimate.coarse)
+fn state(estimate: &Estimate) -> State {
+    let hidden = estimate.hidden.clone().expect("a network whose refinements are computed one by one");
+    (hidden, estimate.coarse.clone())
 }
 
 /// The hidden state, and what stays the same in every refinement.

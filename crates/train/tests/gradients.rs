@@ -8,7 +8,7 @@ use srflow_nets::Architecture;
 use srflow_read::flow::Sample;
 use srflow_train::batch::Batch;
 use srflow_train::config::Config;
-use srflow_train::loss::LossConfig;
+use srflow_train::loss::{LossConfig, SEQUENCE_LOSSES};
 use srflow_train::replica::{Pass, PassSettings, Replicas};
 use srflow_train::training_log::Record;
 use srflow_train::training_set::TrainingSample;
@@ -50,7 +50,10 @@ fn pass(
     recompute: bool,
     batch: &Batch,
 ) -> (Pass, Vec<f32>) {
-    let loss = LossConfig { tvr: 0.05, fdr: 0.05, igvar: 0.1, ..LossConfig::default() };
+    let has_mixture = architecture.facts().mixture;
+    let sequence = SEQUENCE_LOSSES.iter().find(|loss| loss.needs_mixture() == has_mixture);
+    let sequence = sequence.expect("losses of both kinds");
+    let loss = LossConfig { sequence, tvr: 0.05, fdr: 0.05, igvar: 0.1, ..LossConfig::default() };
     let settings = PassSettings { loss, iterations: 3, accumulate, recompute };
     let devices = vec![Device::flex(); devices];
     let (replicas, mut values) =
@@ -86,7 +89,8 @@ fn two_devices_give_the_gradients_of_the_joined_batch() {
 #[test]
 fn recomputed_refinements_give_the_same_gradients() {
     let batch = batch(2);
-    for architecture in [Architecture::RaftSmall, Architecture::Raft, Architecture::SkFlow] {
+    use Architecture::{Raft, RaftSmall, SeaRaftS, SkFlow};
+    for architecture in [RaftSmall, Raft, SkFlow, SeaRaftS] {
         let (kept, _) = pass(architecture, 1, 1, false, &batch);
         let (recomputed, _) = pass(architecture, 1, 1, true, &batch);
         assert_same(&kept, &recomputed, 1e-3);

@@ -283,7 +283,7 @@ fn export(args: Export, context: &Context) -> anyhow::Result<()> {
         let exported = serde_json::json!({ "file": out, "network": name });
         return crate::output::print_json(&exported);
     }
-    say!("{}: weights of {name}", out.display())?;
+    say!("{}: weights of {}", out.display(), architecture.facts().names_of_weights())?;
     if pytorch && architecture.facts().in_ptlflow {
         let model = name.replace('-', "_"); // ptlflow's name
         say!("  ptlflow.get_model(\"{model}\", ckpt_path=\"{}\")", out.display())?;

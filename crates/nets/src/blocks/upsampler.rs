@@ -11,7 +11,7 @@ use crate::recurrent::STRIDE;
 /// What the reference multiplies the weights with "to balance gradients".
 const MASK_SCALE: f32 = 0.25;
 
-/// Weights of convex upsampling from the hidden state: the sequence `update_block.mask`.
+/// Weights of convex upsampling from the hidden state: the sequence `update_block.mask`, or `upsample_weight`.
 pub(crate) type ConvexMask = (Conv2d, NoParameters, Conv2d);
 
 pub(crate) fn convex_mask(hidden: usize, device: &Device) -> ConvexMask {

@@ -59,8 +59,10 @@ fn once<T>(mut found: BTreeMap<String, T>) -> BTreeMap<String, T> {
         .map(|(block, rest)| (block.to_owned(), rest.to_owned()))
         .collect();
     for (block, rest) in shortcuts {
-        if found.remove(&format!("{block}norm4.{rest}")).is_none() {
-            found.remove(&format!("{block}norm3.{rest}"));
+        // Only the last of them: in a block of three convolutions `norm3` is a norm of its own.
+        let copy = ["norm4", "norm3", "bn3"].map(|norm| format!("{block}{norm}.{rest}"));
+        if let Some(copy) = copy.iter().find(|name| found.contains_key(*name)) {
+            found.remove(copy);
         }
     }
     found
@@ -96,6 +98,14 @@ mod tests {
             named(&["model.fnet.weight", "model.cnet.weight", "ema.fnet.weight"]),
             (Some("model"), String::new(), plain())
         );
+    }
+
+    #[test]
+    fn the_norm_of_a_shortcut_is_there_once() {
+        let kept = |norms: &[&str]| named(&[norms, &["downsample.1.weight"]].concat()).2;
+        assert_eq!(kept(&["norm3.weight"]), ["downsample.1.weight"]);
+        assert_eq!(kept(&["norm3.weight", "norm4.weight"]), ["downsample.1.weight", "norm3.weight"]);
+        assert_eq!(kept(&["bn2.weight", "bn3.weight"]), ["bn2.weight", "downsample.1.weight"]);
     }
 
     #[test]

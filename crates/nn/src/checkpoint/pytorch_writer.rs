@@ -95,7 +95,8 @@ impl<'a> State<'a> {
         }
         let second = |tensor: &Tensor| {
             let (block, rest) = tensor.name.split_once("downsample.1.")?;
-            let name = format!("{block}norm3.{rest}");
+            let norm = if parameters.contains_key(&format!("{block}bn1.weight")) { "bn3" } else { "norm3" };
+            let name = format!("{block}{norm}.{rest}");
             Some(Tensor { name, shape: tensor.shape.clone(), storage: tensor.storage })
         };
         let second: Vec<Tensor> = state.tensors.iter().filter_map(second).collect();

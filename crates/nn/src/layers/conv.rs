@@ -29,6 +29,9 @@ pub struct Conv2dConfig {
     /// Of the weight.
     #[config(default = "weight_initializer()")]
     initializer: Initializer,
+    /// Of the bias.
+    #[config(default = "bias_initializer()")]
+    bias_initializer: Initializer,
 }
 
 /// PyTorch's default for weights: uniform within `1 / sqrt(fan_in)`.
@@ -63,7 +66,7 @@ impl Conv2dConfig {
         let shape = [outputs, group, self.kernel[0], self.kernel[1]];
         Conv2d {
             weight: self.initializer.init_with(shape, fans.0, fans.1, device),
-            bias: self.bias.then(|| bias_initializer().init_with([outputs], fans.0, fans.1, device)),
+            bias: self.bias.then(|| self.bias_initializer.init_with([outputs], fans.0, fans.1, device)),
             stride: self.stride,
             padding: self.padding.unwrap_or(self.kernel.map(|side| side / 2)),
             depthwise: self.depthwise,

@@ -3,6 +3,7 @@
 mod batch_norm;
 mod conv;
 mod dropout;
+mod layer_norm;
 mod linear;
 
 use burn::module::Module;
@@ -10,6 +11,7 @@ use burn::module::Module;
 pub use batch_norm::{BatchNorm, with_batch_statistics};
 pub use conv::{Conv2d, Conv2dConfig};
 pub use dropout::dropout;
+pub use layer_norm::LayerNorm;
 pub use linear::Linear;
 
 /// A layer without parameters in a sequence: the layers after it have the reference's numbers in their names.

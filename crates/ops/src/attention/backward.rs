@@ -1,10 +1,10 @@
 //! Gradients of queries and keys.
 //!
-//! With weights `w_ij`, the gradient `g_i` of the output of pixel `i`, and values `v_j`, the gradient of the score of `i` and
-//! `j` is `w_ij (g_i . v_j - g_i . out_i)`. Several outputs with the same weights differ only in `g` and `v`: the sum of their
-//! products is formed block by block, so one pass serves all of them and no gradient of the weights is stored. Queries and
-//! keys need the gradients of scores summed along different sides; so a strip of them (some queries, all keys) is stored,
-//! used for both, and replaced by the next.
+//! With weights `w_ij`, the gradient `g_i` of the output of pixel `i`, values `v_j`, and the gradient `l_i` of the logarithm of
+//! the sum of pixel `i`, the gradient of the score of `i` and `j` is `w_ij (g_i . v_j - g_i . out_i + l_i)`. Several outputs with
+//! the same weights differ only in `g` and `v`: the sum of their products is formed block by block, so one pass serves all of
+//! them and no gradient of the weights is stored. Queries and keys need the gradients of scores summed along different
+//! sides; so a strip of them (some queries, all keys) is stored, used for both, and replaced by the next.
 
 use rayon::prelude::*;
 use srflow_simd::{Output, SharedMut, Start, Steps, panel_columns};
@@ -26,9 +26,16 @@ pub(crate) struct Gathered<'a> {
 }
 
 impl AttentionWeights {
-    /// Gradients of queries and keys from all outputs computed with these weights.
-    pub(crate) fn backward(&self, queries: &[f32], keys: &[f32], gathered: &[Gathered]) -> [Vec<f32>; 2] {
-        self.backward_in_strips(queries, keys, gathered, STRIP_BYTES)
+    /// Gradients of queries and keys from all outputs computed with these weights, and from the gradient of
+    /// [`Self::log_sums`].
+    pub(crate) fn backward(
+        &self,
+        queries: &[f32],
+        keys: &[f32],
+        gathered: &[Gathered],
+        of_log_sums: &[f32],
+    ) -> [Vec<f32>; 2] {
+        self.backward_in_strips(queries, keys, gathered, of_log_sums, STRIP_BYTES)
     }
 
     pub(super) fn backward_in_strips(
@@ -36,17 +43,18 @@ impl AttentionWeights {
         queries: &[f32],
         keys: &[f32],
         gathered: &[Gathered],
+        of_log_sums: &[f32],
         strip_bytes: usize,
     ) -> [Vec<f32>; 2] {
         let (isa, pixels) = (self.isa, self.pixels);
         let width = panel_columns(isa);
         let (mut d_queries, mut d_keys) = (vec![0.0; queries.len()], vec![0.0; keys.len()]);
-        if gathered.is_empty() {
+        if gathered.is_empty() && of_log_sums.iter().all(|&gradient| gradient == 0.0) {
             return [d_queries, d_keys];
         }
         let products: Vec<Pairs> =
             gathered.iter().map(|of| Pairs::new(isa, of.grad, of.values, pixels)).collect();
-        let means = self.mean_gradients(gathered);
+        let means = self.mean_gradients(gathered, of_log_sums);
         let packed_keys = channels_as_rows(isa, keys, pixels, BLOCK);
         // A group of queries is one block for the keys.
         let packed_queries = channels_as_rows(isa, queries, pixels, PANELS * width);
@@ -93,10 +101,11 @@ impl AttentionWeights {
         [d_queries, d_keys]
     }
 
-    /// `g_i . out_i` for each query, summed over all outputs; zero in the padding of the last panel.
-    fn mean_gradients(&self, gathered: &[Gathered]) -> Vec<f32> {
+    /// `g_i . out_i` for each query, summed over all outputs, minus `l_i`; zero in the padding of the last panel.
+    fn mean_gradients(&self, gathered: &[Gathered], of_log_sums: &[f32]) -> Vec<f32> {
         let width = panel_columns(self.isa);
-        let mut means = vec![0.0; self.pixels.div_ceil(width) * width];
+        let mut means: Vec<f32> = of_log_sums.iter().map(|gradient| -gradient).collect();
+        means.resize(self.pixels.div_ceil(width) * width, 0.0);
         means.par_chunks_mut(PANELS * width).enumerate().for_each(|(number, means)| {
             let group = Group::of(self.isa, number, self.pixels);
             let pixels = group.first * width..group.first * width + group.columns;
@@ -127,6 +136,11 @@ impl AttentionWeights {
         let width = panel_columns(self.isa);
         let panel_len = self.pixels * width;
         let (weights, step) = self.of_queries(group, block, scratch);
+        if products.is_empty() {
+            for panel in 0..group.panels {
+                out[panel * panel_len..][..block.1 * width].fill(0.0);
+            }
+        }
         let mut output = Output::new(out, Steps { row: width, panel: panel_len });
         for (number, products) in products.iter().enumerate() {
             let start = if number == 0 { Start::Zero } else { Start::Output };

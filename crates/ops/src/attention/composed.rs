@@ -46,10 +46,24 @@ impl ImagePieces {
 
     /// Attention weights of the pixels of piece `number`: `[1, pixels, 1, columns]`, columns summing to one.
     fn compute(&self, number: usize) -> Tensor<4> {
+        softmax(self.scores(number), 1)
+    }
+
+    /// `[1, pixels, 1, columns]`.
+    fn scores(&self, number: usize) -> Tensor<4> {
         let first = number * self.piece;
         let count = self.piece.min(self.queries.dims()[3] - first);
-        let queries = self.queries.clone().narrow(3, first, count);
-        softmax(product(queries, self.keys.clone()), 1)
+        product(self.queries.clone().narrow(3, first, count), self.keys.clone())
+    }
+
+    /// `[1, 1, 1, pixels]`.
+    pub(super) fn log_sums(&self) -> Tensor<4> {
+        let of_piece = |number| {
+            let scores = self.scores(number);
+            let largest = scores.clone().max_dim(1).detach();
+            (scores - largest.clone()).exp().sum_dim(1).log() + largest
+        };
+        Tensor::cat((0..self.pieces()).map(of_piece).collect(), 3)
     }
 
     /// Applies the weights to `values` (`[1, channels, height, width]`).

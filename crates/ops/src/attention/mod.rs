@@ -63,7 +63,7 @@ pub fn attention_backward(
         let weights = AttentionWeights::new(Isa::best(), queries, keys, sizes[2], 0);
         let gathered = weights.gather(values);
         let gathered = Gathered { values, gathered: &gathered, grad };
-        let [d_queries, d_keys] = weights.backward(queries, keys, &[gathered]);
+        let [d_queries, d_keys] = weights.backward(queries, keys, &[gathered], &vec![0.0; sizes[2]]);
         [d_queries, d_keys, weights.gather_backward(queries, keys, grad)]
     };
     let images = each_image([values, grad], [queries, keys], sizes, backward);

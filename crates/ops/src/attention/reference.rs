@@ -32,6 +32,25 @@ pub fn attention(queries: &[f64], keys: &[f64], values: &[f64], pixels: usize) -
     weighted(values, pixels, |i, j| weights[i * pixels + j])
 }
 
+/// `ln sum_j exp(q_i . k_j)` of one image.
+pub fn log_sums(queries: &[f64], keys: &[f64], pixels: usize) -> Vec<f64> {
+    let log_sum = |i: usize| {
+        let scores: Vec<f64> = (0..pixels).map(|j| product(queries, i, keys, j, pixels)).collect();
+        let most = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        most + scores.iter().map(|score| (score - most).exp()).sum::<f64>().ln()
+    };
+    (0..pixels).map(log_sum).collect()
+}
+
+/// Gradients of queries and keys, from `grad`, that of [`log_sums`].
+pub fn log_sums_backward(queries: &[f64], keys: &[f64], grad: &[f64], pixels: usize) -> [Vec<f64>; 2] {
+    let weights = weights(queries, keys, pixels);
+    [
+        weighted(keys, pixels, |i, j| grad[i] * weights[i * pixels + j]),
+        weighted(queries, pixels, |j, i| grad[i] * weights[i * pixels + j]),
+    ]
+}
+
 /// See [`super::attention_backward`]; one image.
 pub fn attention_backward(
     queries: &[f64],

@@ -54,8 +54,8 @@ impl Prepared {
     }
 }
 
-/// Prepares gathering by queries and keys, `[batch, channels, height, width]` each. The number returned stands for the
-/// weights where gradients are tracked, and is zero.
+/// Prepares gathering by queries and keys, `[batch, channels, height, width]` each, and gives the logarithms of the sums,
+/// `[batch, 1, height, width]`, which stand for the weights where gradients are tracked.
 #[derive(Debug, Clone)]
 struct Weigh(Prepared);
 
@@ -69,7 +69,7 @@ impl Operation<2> for Weigh {
     fn cpu(&self, [queries, keys]: [CpuTensor; 2]) -> Vec<CpuTensor> {
         let Self(prepared) = self;
         let [batch, _, height, width] = queries.dims();
-        prepared.images.get_or_init(|| {
+        let images = prepared.images.get_or_init(|| {
             let (q, k) = (queries.slice(), keys.slice());
             let kept_bytes = prepared.kept_bytes / batch;
             let weights = |n| {
@@ -79,11 +79,13 @@ impl Operation<2> for Weigh {
             let weights = (0..batch).into_par_iter().map(weights).collect();
             Images { weights, queries, keys }
         });
-        vec![CpuTensor::new(vec![0.0], [1])]
+        let log_sums = images.weights.iter().flat_map(AttentionWeights::log_sums).collect();
+        vec![CpuTensor::new(log_sums, [batch, 1, height, width])]
     }
 
-    fn cpu_backward(&self, _: Backprop<CpuTensor>) -> [Option<CpuTensor>; 2] {
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 2] {
         let Self(prepared) = self;
+        let ([], of_log_sums) = back.into_parts();
         let all = std::mem::take(&mut *prepared.gathered.lock().unwrap_or_else(PoisonError::into_inner));
         let all: Vec<[&[f32]; 3]> =
             all.iter().map(|tensors| tensors.each_ref().map(CpuTensor::slice)).collect();
@@ -98,7 +100,7 @@ impl Operation<2> for Weigh {
                     grad: of_image(grad),
                 })
                 .collect();
-            weights.backward(queries, keys, &gathered)
+            weights.backward(queries, keys, &gathered, of_image(of_log_sums.slice()))
         });
         [0, 1].map(|of| {
             let values: Vec<&[f32]> = gradients.iter().map(|gradients| &gradients[of][..]).collect();
@@ -141,8 +143,9 @@ impl Operation<2> for Gather {
             let mut all = prepared.gathered.lock().unwrap_or_else(PoisonError::into_inner);
             all.push([values, gathered, grad]);
         }
-        // The zero that stands for the weights stands for their gradient as well.
-        [Some(weights), Some(of_values)]
+        // The gradients of the weights are not formed: zeros stand for them.
+        let of_weights = collect.then(|| weights.like(vec![0.0; weights.slice().len()]));
+        [of_weights, Some(of_values)]
     }
 }
 
@@ -158,11 +161,7 @@ pub struct Attention {
 
 #[derive(Debug)]
 enum Way {
-    /// The tensor that stands for the weights.
-    Kernel {
-        weights: Box<Tensor<1>>,
-        prepared: Prepared,
-    },
+    Kernel { log_sums: Box<Tensor<4>>, prepared: Prepared },
     Pieces(Vec<ImagePieces>),
 }
 
@@ -176,8 +175,8 @@ impl Attention {
         let (size, autodiff) = Self::check(&queries, &keys);
         // The gradients of values want their weights in another order: half for each.
         let prepared = Prepared::new(if autodiff { kept_bytes / 2 } else { kept_bytes });
-        let weights = apply(Weigh(prepared.clone()), [queries.into_dispatch(), keys.into_dispatch()]);
-        Self { size, way: Way::Kernel { weights: Box::new(weights), prepared } }
+        let log_sums = apply(Weigh(prepared.clone()), [queries.into_dispatch(), keys.into_dispatch()]);
+        Self { size, way: Way::Kernel { log_sums: Box::new(log_sums), prepared } }
     }
 
     /// For devices without the kernel.
@@ -201,13 +200,26 @@ impl Attention {
         (queries.dims(), queries.is_autodiff() || keys.is_autodiff())
     }
 
+    /// `ln sum_j exp(q_i . k_j)`, `[batch, 1, height, width]`: by them, what is gathered from several images is weighted to
+    /// what one softmax over all of them would gather.
+    pub fn log_sums(&self) -> Tensor<4> {
+        match &self.way {
+            Way::Kernel { log_sums, .. } => log_sums.as_ref().clone(),
+            Way::Pieces(images) => {
+                let [_, _, height, width] = self.size;
+                let of_image = |image: &ImagePieces| image.log_sums().reshape([1, 1, height, width]);
+                Tensor::cat(images.iter().map(of_image).collect(), 0)
+            }
+        }
+    }
+
     /// What each pixel gathers of `values`, `[batch, value channels, height, width]`. Panics when the sizes do not fit.
     pub fn gather(&self, values: Tensor<4>) -> Tensor<4> {
         let ([batch, _, height, width], [of, _, rows, columns]) = (self.size, values.dims());
         assert_eq!([of, rows, columns], [batch, height, width], "attention: values of the same pixels");
         match &self.way {
-            Way::Kernel { weights, prepared } => {
-                let weights = weights.as_ref().clone().into_dispatch();
+            Way::Kernel { log_sums, prepared } => {
+                let weights = log_sums.as_ref().clone().into_dispatch();
                 apply(Gather(prepared.clone()), [weights, values.into_dispatch()])
             }
             Way::Pieces(images) => {

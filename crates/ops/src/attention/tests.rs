@@ -19,17 +19,19 @@ fn each_instruction_set_computes_the_definition_whatever_is_kept() {
     for pixels in [1, 30, 131, 450] {
         let [queries, keys, values] = image(pixels);
         let expected = reference::attention(&wide(&queries), &wide(&keys), &wide(&values), pixels);
+        let log_sums = reference::log_sums(&wide(&queries), &wide(&keys), pixels);
         for isa in Isa::to_test() {
             for kept_bytes in [0, 4 * panel_columns(isa) * 4 * pixels, usize::MAX] {
                 let weights = AttentionWeights::new(isa, &queries, &keys, pixels, kept_bytes);
                 let what = format!("{pixels} pixels, {isa:?}, {kept_bytes} bytes allowed");
                 assert_close(&what, &weights.gather(&values), &expected, 5e-6);
+                assert_close(&what, &weights.log_sums(), &log_sums, 5e-6);
             }
         }
     }
 }
 
-/// Gradients of what is gathered twice, of other values the second time.
+/// Gradients of what is gathered twice, of other values the second time, and of the logarithms of the sums.
 #[test]
 fn each_instruction_set_computes_the_gradients_of_the_definition_whatever_is_kept() {
     for pixels in [1, 30, 131, 450] {
@@ -40,8 +42,12 @@ fn each_instruction_set_computes_the_gradients_of_the_definition_whatever_is_kep
         let expected = gatherings.each_ref().map(|(values, grad)| {
             reference::attention_backward(&wide_queries, &wide_keys, &wide(values), &wide(grad), pixels)
         });
+        let of_log_sums = values(pixels, 7);
+        let by_log_sums =
+            reference::log_sums_backward(&wide_queries, &wide_keys, &wide(&of_log_sums), pixels);
         let sum = |of: usize| -> Vec<f64> {
-            expected[0][of].iter().zip(&expected[1][of]).map(|(a, b)| a + b).collect()
+            let all = expected[0][of].iter().zip(&expected[1][of]).zip(&by_log_sums[of]);
+            all.map(|((a, b), c)| a + b + c).collect()
         };
         for isa in Isa::to_test() {
             for kept_bytes in [0, 4 * panel_columns(isa) * 4 * pixels, usize::MAX] {
@@ -53,7 +59,11 @@ fn each_instruction_set_computes_the_gradients_of_the_definition_whatever_is_kep
                     .zip(&outs)
                     .map(|((values, grad), gathered)| Gathered { values, gathered, grad })
                     .collect();
-                let [d_queries, d_keys] = weights.backward(&queries, &keys, &gathered);
+                let [d_queries, d_keys] = weights.backward(&queries, &keys, &gathered, &of_log_sums);
+                let alone = weights.backward(&queries, &keys, &[], &of_log_sums);
+                for (found, expected) in alone.iter().zip(&by_log_sums) {
+                    assert_close(&format!("by the sums alone, {what}"), found, expected, 1e-5);
+                }
                 // The weight of a single pixel is always one: then there is no gradient but what rounding leaves.
                 for (found, of) in [(&d_queries, 0), (&d_keys, 1)] {
                     let expected = sum(of);
@@ -68,7 +78,7 @@ fn each_instruction_set_computes_the_gradients_of_the_definition_whatever_is_kep
                     let found = weights.gather_backward(&queries, &keys, grad);
                     assert_close(&format!("values, {what}"), &found, &expected[2], 5e-6);
                 }
-                let in_strips = weights.backward_in_strips(&queries, &keys, &gathered, 0);
+                let in_strips = weights.backward_in_strips(&queries, &keys, &gathered, &of_log_sums, 0);
                 assert!(in_strips == [d_queries, d_keys], "strips, {what}");
             }
         }
@@ -156,7 +166,8 @@ fn what_is_not_a_number_is_not_turned_into_one() {
                     let of_values = weights.gather_backward(queries, keys, values);
                     assert!(is_nan(&of_values) == nans(&gradients[2]), "values, {what}");
                     let gathered = Gathered { values, gathered: &gathered, grad: values };
-                    let [d_queries, d_keys] = weights.backward(queries, keys, &[gathered]);
+                    let [d_queries, d_keys] =
+                        weights.backward(queries, keys, &[gathered], &vec![0.0; pixels]);
                     assert!(is_nan(&d_queries) == nans(&gradients[0]), "queries, {what}");
                     assert!(is_nan(&d_keys) == nans(&gradients[1]), "keys, {what}");
                 }
@@ -181,11 +192,12 @@ fn scores_of_minus_infinity_have_no_weight() {
     }
 }
 
-/// Values gathered twice; on other devices by the whole matrix of all pairs, and by pieces of two rows and of one.
+/// Values gathered twice, and the logarithms of the sums; on other devices by the whole matrix of all pairs, and by pieces of two rows and of one.
 pub(crate) fn cases() -> Vec<Case> {
     let case = |[batch, channels, height, width]: [usize; 4], kept_bytes, piece_bytes| {
         let gather = |attention: tensor::Attention, values: Tensor<4>| {
-            attention.gather(values.clone()) + attention.gather(values * 0.5)
+            let gathered = attention.gather(values.clone()) + attention.gather(values * 0.5);
+            Tensor::cat(vec![gathered, attention.log_sums()], 1)
         };
         let tensors = |inputs: Vec<_>| array(inputs.into_iter().map(Tensor::from_dispatch).collect());
         let pixels = height * width;
@@ -201,18 +213,28 @@ pub(crate) fn cases() -> Vec<Case> {
             move |x| {
                 let of_image = |n| {
                     let [queries, keys, values] = [0, 1, 2].map(|input| image(&x[input], n));
-                    reference::attention(&queries, &keys, &values, pixels)
+                    let gathered = reference::attention(&queries, &keys, &values, pixels);
+                    let log_sums = reference::log_sums(&queries, &keys, pixels);
+                    gathered.into_iter().map(|x| 1.5 * x).chain(log_sums)
                 };
-                (0..batch).flat_map(of_image).map(|x| 1.5 * x).collect()
+                (0..batch).flat_map(of_image).collect()
             },
             move |x, grad| {
                 let of_image = |n| {
                     let [queries, keys, values] = [0, 1, 2].map(|input| image(&x[input], n));
-                    reference::attention_backward(&queries, &keys, &values, &image(grad, n), pixels)
+                    let grad = image(grad, n);
+                    let (of_gathered, of_log_sums) = grad.split_at(2 * pixels);
+                    let of_gathered: Vec<f64> = of_gathered.iter().map(|x| 1.5 * x).collect();
+                    let [mut of_queries, mut of_keys, of_values] =
+                        reference::attention_backward(&queries, &keys, &values, &of_gathered, pixels);
+                    let by_log_sums = reference::log_sums_backward(&queries, &keys, of_log_sums, pixels);
+                    for (sum, more) in [&mut of_queries, &mut of_keys].into_iter().zip(by_log_sums) {
+                        sum.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
+                    }
+                    [of_queries, of_keys, of_values]
                 };
                 let images: Vec<[Vec<f64>; 3]> = (0..batch).map(of_image).collect();
-                let of_input = |input: usize| images.iter().flat_map(move |gradients| &gradients[input]);
-                [0, 1, 2].map(|input| of_input(input).map(|x| 1.5 * x).collect()).into()
+                [0, 1, 2].map(|input| images.iter().flat_map(|image| &image[input]).copied().collect()).into()
             },
         )
         .or(move |inputs| {

@@ -226,6 +226,13 @@ impl AttentionWeights {
         Self { isa, pixels, sums, kept_bytes, by_query, by_key: OnceLock::new() }
     }
 
+    /// `ln sum_j exp(q_i . k_j)` for each pixel.
+    pub(crate) fn log_sums(&self) -> Vec<f32> {
+        let Sums { maxima, inverse_sums } = &self.sums;
+        let sums = maxima.iter().zip(inverse_sums).map(|(maximum, inverse)| maximum - inverse.ln());
+        sums.take(self.pixels).collect()
+    }
+
     /// The weighted sum of `values` (`[channels, pixels]`) for each pixel, likewise `[channels, pixels]`. Panics when the length
     /// of the slice does not match.
     pub(crate) fn gather(&self, values: &[f32]) -> Vec<f32> {

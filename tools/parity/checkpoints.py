@@ -32,11 +32,25 @@ torch.save(prefixed, folder / "zip.pth")
 torch.save(prefixed, folder / "legacy.pth", _use_new_zipfile_serialization=False)
 half = {name: value.half() if value.is_floating_point() else value for name, value in state.items()}
 torch.save(half, folder / "half.pt")
+# The name of a hyper-parameter among other texts: where it is a key, the pickle refers to the text that was written before.
 lightning = {
+    "train_avg_length": 1,
     "epoch": 3,
     "state_dict": {f"network.{name}": value for name, value in state.items()},
     "optimizer_states": [{"state": {0: {"exp_avg": torch.ones(4)}}}],
-    "hyper_parameters": {"lr": 1e-4, "train_avg_length": 6750},
+    "hyper_parameters": {
+        "critical_params": ("corr_levels", "train_avg_length"),
+        "lr": 1e-4,
+        "pretrain": True,
+        "corr_levels": 4,
+        "gamma": -0.5,
+        "top_k": None,
+        "iters": [8, 10],
+        "train_avg_length": 6624.0,
+        "num_steps": 120000,
+        "offset": -3,
+        "count": 1 << 40,
+    },
 }
 torch.save(lightning, folder / "lightning.ckpt")
 # A kilobyte that claims a gigabyte: one number, repeated by a stride of zero.

@@ -71,6 +71,27 @@ fn a_file_says_what_it_is_before_its_values_are_read() {
     assert_eq!(said("lightning.ckpt"), (Format::PytorchZip, state_dict, "network.".into(), types("F32")));
 }
 
+/// Numbers alone, however they are written; not one of the same name outside of the hyper-parameters.
+#[test]
+fn numbers_of_the_hyper_parameters_are_read() {
+    let file = Checkpoint::open(&checkpoint("lightning.ckpt")).expect("lightning.ckpt");
+    let expected = [
+        ("corr_levels", 4.0),
+        ("count", (1_u64 << 40) as f64),
+        ("gamma", -0.5),
+        ("lr", 1e-4),
+        ("num_steps", 120_000.0),
+        ("offset", -3.0),
+        ("train_avg_length", 6624.0),
+    ];
+    let found: Vec<(&str, f64)> =
+        file.hyper_parameters().iter().map(|(name, number)| (name.as_str(), *number)).collect();
+    assert_eq!(found, expected);
+    for name in ["zip.pth", "legacy.pth", "half.pt"] {
+        assert!(Checkpoint::open(&checkpoint(name)).expect(name).hyper_parameters().is_empty(), "{name}");
+    }
+}
+
 #[test]
 fn safetensors_and_burnpack_are_told_apart_by_content() {
     let (_folder, path) = scratch();

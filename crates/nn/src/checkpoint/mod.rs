@@ -4,6 +4,7 @@
 //! tensors; every size it claims is checked against the length of the file before memory is taken.
 
 mod burnpack;
+mod hyper_parameters;
 mod naming;
 mod pytorch;
 mod pytorch_writer;
@@ -66,6 +67,13 @@ pub struct Checkpoint {
     container: Option<&'static str>,
     prefix: String,
     tensors: BTreeMap<String, StoredTensor>,
+    hyper_parameters: BTreeMap<String, f64>,
+}
+
+/// What a file holds, its tensors under the names that they have there.
+struct Contents {
+    tensors: BTreeMap<String, StoredTensor>,
+    hyper_parameters: BTreeMap<String, f64>,
 }
 
 /// A tensor in a file.
@@ -104,11 +112,12 @@ impl Checkpoint {
         };
         let broken = |problem: String| WeightsError::broken(path, format, &problem);
         let found = match format {
-            Format::PytorchZip | Format::PytorchLegacy => pytorch::tensors(path, format, len),
-            Format::Safetensors => safetensors::tensors(file, len),
-            Format::Burnpack => burnpack::tensors(file, len),
+            Format::PytorchZip | Format::PytorchLegacy => pytorch::contents(path, format, len),
+            Format::Safetensors => safetensors::tensors(file, len).map(Contents::from),
+            Format::Burnpack => burnpack::tensors(file, len).map(Contents::from),
         };
-        let named = naming::reference_names(found.map_err(broken)?);
+        let Contents { tensors, hyper_parameters } = found.map_err(broken)?;
+        let named = naming::reference_names(tensors);
         if named.tensors.is_empty() {
             return Err(WeightsError::Empty { path: path.to_owned() });
         }
@@ -122,6 +131,7 @@ impl Checkpoint {
             container: named.container,
             prefix: named.prefix,
             tensors: named.tensors,
+            hyper_parameters,
         })
     }
 
@@ -145,6 +155,12 @@ impl Checkpoint {
         let types: BTreeSet<String> =
             self.tensors.values().map(|tensor| format!("{:?}", tensor.dtype)).collect();
         types.into_iter().collect()
+    }
+
+    /// The numbers among the `hyper_parameters` of a PyTorch file, where Lightning puts what a network was made with, by name;
+    /// true and false are none.
+    pub fn hyper_parameters(&self) -> &BTreeMap<String, f64> {
+        &self.hyper_parameters
     }
 
     /// Names and shapes, by name.
@@ -171,6 +187,12 @@ impl Checkpoint {
     pub fn read(self) -> Result<Parameters, WeightsError> {
         let parameters = read_all(&self.path, self.format, self.tensors)?;
         Ok(parameters.into_iter().map(|(name, data)| (name, data.convert::<f32>())).collect())
+    }
+}
+
+impl From<BTreeMap<String, StoredTensor>> for Contents {
+    fn from(tensors: BTreeMap<String, StoredTensor>) -> Self {
+        Self { tensors, hyper_parameters: BTreeMap::new() }
     }
 }
 

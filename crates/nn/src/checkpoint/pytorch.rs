@@ -9,7 +9,8 @@ use pytorch_reader::PytorchReader;
 use srflow_field::{FileKind, open_file};
 use zip::ZipArchive;
 
-use super::{Format, MOST_CLAIMED, StoredBytes, StoredTensor};
+use super::hyper_parameters::{Follower, LONGEST_NAME};
+use super::{Contents, Format, MOST_CLAIMED, StoredBytes, StoredTensor};
 
 /// Largest pickle. Those of real checkpoints are under a megabyte, as they hold no values.
 const MAX_PICKLE_BYTES: u64 = 16 << 20;
@@ -18,12 +19,8 @@ const MAX_PICKLE_BYTES: u64 = 16 << 20;
 /// training, with what the optimizer remembers of a thousand tensors, has 200,000.
 const MAX_OPCODES: u32 = 500_000;
 
-pub(super) fn tensors(
-    path: &Path,
-    format: Format,
-    len: u64,
-) -> Result<BTreeMap<String, StoredTensor>, String> {
-    check_pickles(path, format, len)?;
+pub(super) fn contents(path: &Path, format: Format, len: u64) -> Result<Contents, String> {
+    let hyper_parameters = check_pickles(path, format, len)?;
     let reader = PytorchReader::new(path).map_err(|error| error.to_string())?;
     let found = reader.into_tensors().into_iter().filter_map(|(name, tensor)| {
         let dtype = match tensor.dtype() {
@@ -36,13 +33,13 @@ pub(super) fn tensors(
         let shape = tensor.shape().to_vec();
         Some((name, StoredTensor { dtype, shape, bytes: StoredBytes::Pytorch(tensor) }))
     });
-    Ok(found.collect())
+    Ok(Contents { tensors: found.collect(), hyper_parameters })
 }
 
-/// Walks the pickles of a file before they are parsed.
-fn check_pickles(path: &Path, format: Format, len: u64) -> Result<(), String> {
+/// Walks the pickles of a file before they are parsed, and gives the numbers among its hyper-parameters.
+fn check_pickles(path: &Path, format: Format, len: u64) -> Result<BTreeMap<String, f64>, String> {
     let (file, _) = open_file(path, FileKind::Checkpoint).map_err(|error| error.problem.to_string())?;
-    let mut left = MAX_OPCODES;
+    let (mut left, mut numbers) = (MAX_OPCODES, BTreeMap::new());
     if format == Format::PytorchLegacy {
         // A magic number, a version, the system, the parameters and the names of the storages: five pickles in a row.
         let mut pickles = BufReader::new(file.take(MAX_PICKLE_BYTES));
@@ -50,9 +47,9 @@ fn check_pickles(path: &Path, format: Format, len: u64) -> Result<(), String> {
             if pickles.fill_buf().map_err(|error| error.to_string())?.is_empty() {
                 break; // a pickle alone
             }
-            walk_pickle(&mut pickles, &mut left)?;
+            walk_pickle(&mut pickles, &mut left, &mut numbers)?;
         }
-        return Ok(());
+        return Ok(numbers);
     }
     let mut archive = ZipArchive::new(BufReader::new(file)).map_err(|error| error.to_string())?;
     let most = MAX_PICKLE_BYTES.min(len.saturating_mul(MOST_CLAIMED));
@@ -67,13 +64,19 @@ fn check_pickles(path: &Path, format: Format, len: u64) -> Result<(), String> {
                 entry.size()
             ));
         }
-        walk_pickle(&mut BufReader::new(entry.take(most)), &mut left)?;
+        walk_pickle(&mut BufReader::new(entry.take(most)), &mut left, &mut numbers)?;
     }
-    Ok(())
+    Ok(numbers)
 }
 
-/// Passes over one pickle and counts its opcodes. Nothing is made of it.
-fn walk_pickle(pickle: &mut impl BufRead, left: &mut u32) -> Result<(), String> {
+/// Passes over one pickle and counts its opcodes. Nothing is made of it but `numbers`, those of its hyper-parameters.
+fn walk_pickle(
+    pickle: &mut impl BufRead,
+    left: &mut u32,
+    numbers: &mut BTreeMap<String, f64>,
+) -> Result<(), String> {
+    let mut follower = Follower::default();
+    let mut start = Vec::with_capacity(LONGEST_NAME);
     loop {
         *left = left.checked_sub(1).ok_or_else(|| {
             format!("its pickle has more than {MAX_OPCODES} operations: it holds more than the weights of a network")
@@ -92,10 +95,16 @@ fn walk_pickle(pickle: &mut impl BufRead, left: &mut u32) -> Result<(), String> 
             b'c' | b'i' => (0, 2),
             _ => (0, 0), // none; what is no opcode the parser names
         };
-        let passed = io::copy(&mut pickle.by_ref().take(argument), &mut io::sink());
-        if passed.map_err(|error| error.to_string())? < argument {
+        start.clear();
+        let mut argument_bytes = pickle.by_ref().take(argument);
+        let read = argument_bytes.by_ref().take(LONGEST_NAME as u64).read_to_end(&mut start);
+        let rest = io::copy(&mut argument_bytes, &mut io::sink());
+        let (read, rest) =
+            (read.map_err(|error| error.to_string())?, rest.map_err(|error| error.to_string())?);
+        if read as u64 + rest < argument {
             return Err("its pickle is cut short".into());
         }
+        follower.follow(opcode, &start, rest == 0, numbers);
         for _ in 0..lines {
             if pickle.skip_until(b'\n').map_err(|error| error.to_string())? == 0 {
                 return Err("its pickle is cut short".into());

@@ -9,6 +9,8 @@ crates/nets/tests/parity.rs repeats. Written for each network and case, as NETWO
     coarse_N     after N iterations, the flow that a warm start takes, [batch, 2, rows, columns], where there is one
     flow_N       the flow after N iterations at every 7th row and column, [batch, 2, rows, columns]
     log_weights_N, log_scales_N   likewise, of networks that give a mixture
+    next_P_N     likewise, the flow of pair P of the video that the pair begins, of a network that remembers the pairs before
+    setting/NAME what a network is set to, where that is not its default
 and of a training step, where the reference can be trained, for the mean over all numbers of (flow - [4, 2])^2, and of a
 mixture of (log_weights - [1, -1])^2 and (log_scales - [2, -2])^2, weighted with 0.8 towards the last of all flows that the
 network gives, with the running statistics of batch norm (running) and with those of the batch (batch):
@@ -43,6 +45,12 @@ class Network:
     cases: tuple = ((1, 128, 160), (2, 133, 150))
     # Of the model's class, where they are not its defaults.
     arguments: dict = field(default_factory=dict)
+    # Pairs of a video, of a network that remembers the pairs before.
+    pairs: int = 1
+    # Arguments of the model that are settings here, and their values.
+    settings: dict = field(default_factory=dict)
+    # What stands before every name of a parameter.
+    prefix: str = ""
     # Parts of names of parameters, and what those are multiplied with, so that activations and flow keep their size.
     gains: dict = field(default_factory=dict)
     # Whether it gives a mixture of Laplace distributions beside each flow, as SEA-RAFT does.
@@ -74,6 +82,15 @@ NETWORKS = [
     sea_raft("sea_raft_s", (1, 4), 2),
     sea_raft("sea_raft_m", (1, 4), 1, gradients="sea_raft_s"),
     sea_raft("sea_raft_l", (1, 12), 0.5, gradients="sea_raft_s"),
+    # Crops of 128x160, and what is remembered is full from the fourth pair on.
+    Network(
+        "memflow",
+        attribute="decoder_depth",
+        pairs=4,
+        prefix="network.",
+        settings={"train_avg_length": 480},
+        gains={**SUPER_KERNELS, "to_qk.": 4},
+    ),
 ]
 
 
@@ -95,8 +112,19 @@ def parameter(name, shape, gains):
     return np.float32(0.1) * u
 
 
-def one_name(name, state):
+def inputs(network, images, goes_on=False):
+    """Of a pair; of a network that remembers, the first of a video unless that goes on."""
+    if network.pairs == 1:
+        return {"images": images}
+    return {"images": images, "meta": {"is_seq_start": not goes_on, "is_seq_end": False}}
+
+
+def one_name(network, name, state):
     """What is stored twice is one parameter, named as downsample.1."""
+    return shared_name(name, state).removeprefix(network.prefix)
+
+
+def shared_name(name, state):
     for twice in ("norm3.", "norm4.", "bn3."):
         owner, _, rest = name.partition(twice)
         if rest and f"{owner}downsample.1.{rest}" in state:
@@ -127,6 +155,19 @@ def samples(gradient):
     return np.append(np.sqrt(np.mean(flat**2)), flat[np.arange(16) * flat.size // 16])
 
 
+def every_flow(network, model, images):
+    """The flow after each iteration, of which a model without training code gives the last one, and the mixtures."""
+    last = network.training_iterations
+    found = model(inputs(network, images))
+    if "flow_preds" in found:
+        return found["flow_preds"], found.get("info_preds")
+    flows = []
+    for iterations in range(1, last + 1):
+        setattr(model, network.attribute, iterations)
+        flows.append(model(inputs(network, images))["flows"][:, 0])
+    return flows, None
+
+
 def gradients(network, model, images, batch_statistics):
     """By parameter, after a backward pass of the training loss."""
     setattr(model, network.attribute, network.training_iterations)
@@ -136,19 +177,18 @@ def gradients(network, model, images, batch_statistics):
             module.train(batch_statistics)
             module.momentum = 0.0  # the running statistics stay
     model.zero_grad()
-    result = model({"images": images})
-    flows = result["flow_preds"]
+    flows, mixtures = every_flow(network, model, images)
     distance = lambda found, truth: ((found - torch.tensor(truth).reshape(1, 2, 1, 1)) ** 2).mean()
     losses = [distance(flow, [4.0, 2.0]) for flow in flows]
     if network.mixture:
         losses = [
             loss + distance(mixture[:, :2], [1.0, -1.0]) + distance(mixture[:, 2:], [2.0, -2.0])
-            for loss, mixture in zip(losses, result["info_preds"], strict=True)
+            for loss, mixture in zip(losses, mixtures, strict=True)
         ]
     sum(0.8 ** (len(losses) - 1 - i) * loss for i, loss in enumerate(losses)).backward()
     model.eval()
     state = model.state_dict()
-    parameters = [(one_name(name, state), value) for name, value in model.named_parameters()]
+    parameters = [(one_name(network, name, state), value) for name, value in model.named_parameters()]
     return {name: value.grad.numpy() for name, value in parameters if value.grad is not None}
 
 
@@ -162,27 +202,33 @@ def last_mixture(model, images):
 
 
 def write(network, folder):
-    model = ptlflow.get_model_reference(network.name)(**network.arguments).eval()
+    model = ptlflow.get_model_reference(network.name)(**network.arguments, **network.settings).eval()
     state = model.state_dict()
     for name, value in state.items():
         if value.dtype == torch.float32:
-            values = parameter(one_name(name, state), tuple(value.shape), network.gains)
+            values = parameter(one_name(network, name, state), tuple(value.shape), network.gains)
             state[name] = torch.from_numpy(np.ascontiguousarray(values))
     model.load_state_dict(state)
     for batch, height, width in network.cases:
-        pair = np.stack([frame(batch, height, width, shift) for shift in (0, 4)], axis=1)
-        images = torch.from_numpy(pair[:, :, ::-1].copy())  # the reference takes BGR
+        video = np.stack([frame(batch, height, width, 4 * number) for number in range(network.pairs + 1)], axis=1)
+        video = torch.from_numpy(video[:, :, ::-1].copy())  # the reference takes BGR
+        images = video[:, :2]
         out = {f"gain/{part}": np.array([gain]) for part, gain in network.gains.items()}
+        out |= {f"setting/{name}": np.array([value]) for name, value in network.settings.items()}
         for iterations in network.iterations:
             setattr(model, network.attribute, iterations)
             with torch.no_grad():
-                result = model({"images": images})
+                result = model(inputs(network, images))
             if "flow_small" in result:
                 out[f"coarse_{iterations}"] = result["flow_small"].numpy()
             out[f"flow_{iterations}"] = result["flows"][:, 0, :, ::EVERY, ::EVERY].numpy()
             if network.mixture:
                 for part, values in zip(("log_weights", "log_scales"), last_mixture(model, images)):
                     out[f"{part}_{iterations}"] = values[:, :, ::EVERY, ::EVERY].numpy()
+            for number in range(1, network.pairs):
+                with torch.no_grad():
+                    result = model(inputs(network, video[:, number : number + 2], goes_on=True))
+                out[f"next_{number + 1}_{iterations}"] = result["flows"][:, 0, :, ::EVERY, ::EVERY].numpy()
         if network.gradients:
             out[f"gradients/{network.gradients}"] = np.array([1])
         elif network.training_iterations:

@@ -178,18 +178,22 @@ impl NetworkArgs {
     }
 }
 
-/// Prints a note if the weights could also be another network's.
+/// Prints a note if the weights could also be another network's, or are those of a network with the same parameters.
 ///
 /// # Errors
 /// When the file cannot be read.
 pub fn note_if_ambiguous(architecture: Architecture, path: &Path) -> anyhow::Result<()> {
-    if let Claim::Silent(others) = claim(architecture, path)? {
-        note!(
-            "note: {}: these may be weights of {} or of {}, whose parameters have the same names and shapes",
-            path.display(),
-            architecture.facts().title,
+    let (file, facts) = (path.display(), architecture.facts());
+    match claim(architecture, path)? {
+        Claim::Silent(others) => note!(
+            "note: {file}: these may be weights of {} or of {}, whose parameters have the same names and shapes",
+            facts.title,
             others.join(", ")
-        );
+        ),
+        Claim::Other(other) if facts.lookalikes.contains(&other) => {
+            note!("note: {file}: these are weights of {other}, from which {} starts", facts.title);
+        }
+        _ => {}
     }
     Ok(())
 }

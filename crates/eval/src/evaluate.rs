@@ -1,9 +1,12 @@
 //! Runs estimators over the pairs of a dataset and scores them.
 
 use std::num::NonZeroUsize;
+use std::path::PathBuf;
 use std::time::Instant;
 
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, Mask, MeanMetrics, ScoreError, score};
+use srflow_field::{
+    EstimateError, FlowEstimator, FlowField, FlowSequence, Image, Mask, MeanMetrics, ScoreError, score,
+};
 use srflow_read::flow::{DatasetError, Entry, FlowDataset, Sample};
 
 use crate::crop::{CropError, Window, head_window};
@@ -152,8 +155,11 @@ pub enum PairProblem {
 /// first.
 ///
 /// Pairs, or batches of pairs of one size, run one after another, each method on the current rayon pool; a method's time is
-/// that of estimation alone, divided evenly over the pairs of a batch. One pair or batch is in memory at a time.
+/// that of estimation alone, divided evenly over the pairs of a batch. One pair or batch is in memory at a time. A method that
+/// [remembers](FlowEstimator::remembers) estimates the pairs one by one, and starts a new sequence when a pair does not begin
+/// with the last frame of the previous pair, in the same scene.
 ///
+/// # Errors
 /// When no pair has ground truth or none could be scored; with [`OnFailure::Stop`], at the first pair that fails.
 pub fn evaluate(
     dataset: &FlowDataset,
@@ -175,6 +181,7 @@ pub fn evaluate(
     let mut failures = Vec::new();
     let mut scored = 0;
     let most = settings.batch.map_or(1, NonZeroUsize::get);
+    let mut videos: Vec<Video> = methods.iter().map(|_| Video::default()).collect();
     let mut entries = chosen.into_iter().peekable();
     let mut next: Option<Outcome<Pair>> = None;
     while next.is_some() || entries.peek().is_some() {
@@ -192,7 +199,7 @@ pub fn evaluate(
                 break;
             }
         }
-        for (name, outcome) in estimate_batch(batch, &methods, on_event) {
+        for (name, outcome) in estimate_batch(batch, &methods, &mut videos, on_event) {
             match outcome {
                 Ok((pair, estimates)) => {
                     let pair = ScoredPair {
@@ -247,6 +254,8 @@ struct Pair {
     /// Width and height of the frames before cropping.
     whole: (usize, usize),
     window: Option<Window>,
+    scene: String,
+    files: [PathBuf; 2],
 }
 
 impl Pair {
@@ -259,7 +268,8 @@ impl Pair {
             None => sample,
         };
         let truth = sample.flow.take().ok_or(PairProblem::NoTruth)?;
-        Ok(Self { sample, truth, whole, window })
+        let files = [entry.frame1.clone(), entry.frame2.clone()];
+        Ok(Self { sample, truth, whole, window, scene: entry.scene.clone(), files })
     }
 
     fn frames(&self) -> [&Image; 2] {
@@ -271,15 +281,43 @@ impl Pair {
     }
 }
 
+/// The sequence that a method which remembers is estimating.
+#[derive(Default)]
+struct Video<'a> {
+    sequence: Option<Box<dyn FlowSequence + 'a>>,
+    /// Scene and file of the last frame.
+    last: (String, PathBuf),
+}
+
+impl<'a> Video<'a> {
+    /// The flow of the next pair, and the seconds it took.
+    fn timed_flow(
+        &mut self,
+        estimator: &'a dyn FlowEstimator,
+        pair: &Pair,
+    ) -> Result<(FlowField, f64), EstimateError> {
+        let [first, second] = pair.files.clone();
+        if self.last != (pair.scene.clone(), first) {
+            self.sequence = None;
+        }
+        let start = Instant::now();
+        let mut sequence = self.sequence.take().unwrap_or_else(|| estimator.sequence(false));
+        let flow = sequence.push_pair(pair.frames())?;
+        (self.sequence, self.last) = (Some(sequence), (pair.scene.clone(), second));
+        Ok((flow, start.elapsed().as_secs_f64()))
+    }
+}
+
 /// Runs every method on pairs of one size. A pair that fails with one method is not passed to the next.
-fn estimate_batch(
+fn estimate_batch<'a>(
     batch: Vec<Outcome<Pair>>,
-    methods: &[Method<'_>],
+    methods: &[Method<'a>],
+    videos: &mut [Video<'a>],
     on_event: &mut dyn FnMut(Event<'_>),
 ) -> Vec<Outcome<(Pair, Vec<Estimate>)>> {
     let mut batch: Vec<Outcome<(Pair, Vec<Estimate>)>> =
         batch.into_iter().map(|(name, pair)| (name, pair.map(|pair| (pair, Vec::new())))).collect();
-    for source in methods {
+    for (source, video) in methods.iter().zip(videos) {
         let method = source.name();
         let pairs = || batch.iter().filter_map(|(name, pair)| Some((name, &pair.as_ref().ok()?.0)));
         let Some((pair, _)) = pairs().next() else { break };
@@ -287,6 +325,10 @@ fn estimate_batch(
         let failed = |source| PairProblem::Estimate { method: method.to_owned(), source };
         let unread = |source| PairProblem::File { method: method.to_owned(), source };
         let flows: Vec<Result<(FlowField, Option<f64>), PairProblem>> = match source {
+            Method::Estimator(estimator) if estimator.remembers() => {
+                let timed = pairs().map(|(_, pair)| video.timed_flow(*estimator, pair));
+                timed.map(|flow| flow.map(|(flow, seconds)| (flow, Some(seconds))).map_err(failed)).collect()
+            }
             Method::Estimator(estimator) => {
                 let frames: Vec<[&Image; 2]> = pairs().map(|(_, pair)| pair.frames()).collect();
                 let timed = timed_flows(*estimator, &frames).into_iter();

@@ -8,7 +8,8 @@ use srflow_eval::{
     EvaluateError, Evaluation, Event, FlowFiles, Method, OnFailure, Region, Settings, evaluate,
 };
 use srflow_field::{
-    EstimateError, FlowEstimator, FlowField, Image, Mask, write_flow, write_image_png, write_mask_png,
+    EstimateError, FlowEstimator, FlowField, FlowSequence, Image, Mask, write_flow, write_image_png,
+    write_mask_png,
 };
 use srflow_read::flow::{DatasetSpec, FlowDataset};
 
@@ -213,6 +214,68 @@ fn scores_do_not_depend_on_how_many_pairs_are_estimated_at_once() {
         assert_eq!(counts, expected, "batch {batch}");
         assert_eq!(together, alone, "batch {batch}");
     }
+}
+
+/// Moves everything by as many pixels as it has seen pairs of a video.
+struct Remembering;
+
+struct Seen(u8);
+
+impl FlowEstimator for Remembering {
+    fn name(&self) -> &str {
+        "remembering"
+    }
+
+    fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
+        Seen(0).push_pair([frame1, frame2])
+    }
+
+    fn remembers(&self) -> bool {
+        true
+    }
+
+    fn sequence(&self, _: bool) -> Box<dyn FlowSequence + '_> {
+        Box::new(Seen(0))
+    }
+}
+
+impl FlowSequence for Seen {
+    fn push(&mut self, _: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
+        unreachable!("pairs are pushed")
+    }
+
+    fn push_pair(&mut self, [frame1, _]: [&Image; 2]) -> Result<FlowField, EstimateError> {
+        self.0 += 1;
+        Ok(FlowField::filled(frame1.width(), frame1.height(), [f32::from(self.0), 0.0]))
+    }
+}
+
+#[test]
+fn a_method_that_remembers_sees_scenes_in_order_and_starts_anew_in_each() {
+    let dir = tempfile::tempdir().unwrap();
+    for (scene, frames) in [("anna", 4), ("ben", 3)] {
+        for folder in ["frames", "flow"] {
+            std::fs::create_dir_all(dir.path().join(folder).join(scene)).unwrap();
+        }
+        for number in 0..frames {
+            let path = |folder: &str, end: &str| dir.path().join(format!("{folder}/{scene}/{number}.{end}"));
+            write_image_png(&path("frames", "png"), &Image::new(SIZE.0, SIZE.1)).unwrap();
+            if number + 1 < frames {
+                write_flow(&path("flow", "flo"), &FlowField::new(SIZE.0, SIZE.1)).unwrap();
+            }
+        }
+    }
+    let seen = |settings: Settings| -> Vec<f64> {
+        let evaluation = run(&open(dir.path()), &Remembering, settings).unwrap();
+        evaluation.methods[1].pairs.iter().map(|pair| pair.whole.as_ref().unwrap().epe).collect()
+    };
+    assert_eq!(seen(Settings::default()), [1.0, 2.0, 3.0, 1.0, 2.0]);
+    assert_eq!(
+        seen(Settings { batch: NonZeroUsize::new(3), ..Settings::default() }),
+        [1.0, 2.0, 3.0, 1.0, 2.0]
+    );
+    assert_eq!(seen(Settings { crop: Some((16, 8)), ..Settings::default() }), [1.0, 2.0, 3.0, 1.0, 2.0]);
+    assert_eq!(seen(Settings { limit: Some(2), ..Settings::default() }), [1.0, 1.0], "pairs apart");
 }
 
 #[test]

@@ -35,6 +35,11 @@ pub trait FlowEstimator: Send + Sync {
         })
     }
 
+    /// Whether the flow of a pair in a [`sequence`](Self::sequence) depends on the previous pairs even without a warm start.
+    fn remembers(&self) -> bool {
+        false
+    }
+
     /// Flow along a video. With `warm_start` a pair starts from the flow of the previous one, projected forward
     /// ([`forward_interpolate`]).
     fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {
@@ -50,6 +55,13 @@ pub trait FlowSequence {
     /// # Errors
     /// As [`FlowEstimator::estimate`]. After an error the sequence can be continued.
     fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError>;
+
+    /// The flow of the next pair, whose first frame need not be the last frame of the pair before: it may be another window
+    /// of it.
+    ///
+    /// # Errors
+    /// As [`push`](Self::push).
+    fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowField, EstimateError>;
 }
 
 /// For methods that work on two frames.
@@ -63,24 +75,35 @@ struct PairByPair<'a, E: ?Sized> {
 impl<E: FlowEstimator + ?Sized> FlowSequence for PairByPair<'_, E> {
     fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
         let mut flows = Vec::with_capacity(frames.len());
-        let mut last = self.last.as_ref();
+        let before = self.last.take();
+        let mut last = before.as_ref();
         for frame in frames {
             if let Some(last) = last {
-                let flow = match &self.flow {
-                    Some(before) => {
-                        self.estimator.estimate_from(last, frame, &forward_interpolate(before))?
-                    }
-                    None => self.estimator.estimate(last, frame)?,
-                };
-                if self.warm_start {
-                    self.flow = Some(flow.clone());
-                }
-                flows.push(flow);
+                flows.push(self.next([last, frame])?);
             }
             last = Some(frame);
         }
-        self.last = frames.last().cloned().or(self.last.take());
+        self.last = frames.last().cloned().or(before);
         Ok(flows)
+    }
+
+    fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowField, EstimateError> {
+        let flow = self.next(pair)?;
+        self.last = Some(pair[1].clone());
+        Ok(flow)
+    }
+}
+
+impl<E: FlowEstimator + ?Sized> PairByPair<'_, E> {
+    fn next(&mut self, [first, second]: [&Image; 2]) -> Result<FlowField, EstimateError> {
+        let flow = match &self.flow {
+            Some(before) => self.estimator.estimate_from(first, second, &forward_interpolate(before))?,
+            None => self.estimator.estimate(first, second)?,
+        };
+        if self.warm_start {
+            self.flow = Some(flow.clone());
+        }
+        Ok(flow)
     }
 }
 

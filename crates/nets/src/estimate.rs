@@ -82,5 +82,4 @@ pub struct Encoded {
 
 /// What a network keeps of the earlier pairs of a video. Its tensors are the network's business.
 #[derive(Debug, Clone)]
-#[expect(dead_code, reason = "for networks that remember")]
 pub struct Memory(pub(crate) Vec<Tensor<4>>);

@@ -6,6 +6,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
 use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image, forward_interpolate};
 
+use crate::shots::is_cut;
 use crate::tiles::check_sizes;
 use crate::{Estimate, Facts, Features, Frames, Memory, Network, Request, Start};
 
@@ -184,6 +185,10 @@ impl FlowEstimator for NetworkEstimator {
         Ok(self.between(&[[frame1, frame2]], Some(initial))?.remove(0))
     }
 
+    fn remembers(&self) -> bool {
+        self.facts().remembers
+    }
+
     fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {
         Box::new(NetworkSequence { estimator: self, warm_start, state: None })
     }
@@ -242,7 +247,7 @@ impl FlowSequence for NetworkSequence<'_> {
             self.estimator.start_stride()?;
         }
         // A warm start and a memory wait for the pair before.
-        let waits = self.warm_start || self.estimator.facts().remembers;
+        let waits = self.warm_start || self.estimator.remembers();
         let at_once = if waits { 1 } else { frames.len() };
         let mut flows = Vec::with_capacity(frames.len());
         for frames in frames.chunks(at_once) {
@@ -250,13 +255,27 @@ impl FlowSequence for NetworkSequence<'_> {
         }
         Ok(flows)
     }
+
+    fn push_pair(&mut self, [first, second]: [&Image; 2]) -> Result<FlowField, EstimateError> {
+        let size = self.state.as_ref().map_or(first.size(), |state| state.canvas.size);
+        [first, second].iter().try_for_each(|frame| check_sizes(size, frame.size()))?;
+        match &mut self.state {
+            Some(state) if state.canvas.extended(first) == state.last.frame => {}
+            Some(state) => state.last = self.estimator.encoded(first),
+            None => drop(self.push(std::slice::from_ref(first))?),
+        }
+        match self.push(std::slice::from_ref(second))?.pop() {
+            Some(flow) => Ok(flow),
+            None => Ok(FlowField::new(size.0, size.1)), // of frames without pixels
+        }
+    }
 }
 
 impl NetworkSequence<'_> {
     /// Estimates all pairs at once. `frames` is not empty, its frames of one size.
     fn next(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
         let canvas = self.estimator.canvas(frames[0].size());
-        let (last, coarse, memory) = match self.state.take() {
+        let (last, coarse, mut memory) = match self.state.take() {
             Some(state) => (Some(state.last), state.coarse, state.memory),
             None => (None, None, None),
         };
@@ -265,11 +284,14 @@ impl NetworkSequence<'_> {
         video.extend(frames.iter().map(|frame| self.estimator.encoded(frame)));
         let (mut flows, mut next_coarse, mut next_memory) = (Ok(Vec::new()), None, None);
         if video.len() > 1 {
+            // Of a pair across a cut nothing is remembered, nor does it see what was before.
+            let cut = self.estimator.remembers() && is_cut(&video[0].frame, &video[1].frame);
+            memory = memory.filter(|_| !cut);
             let start = coarse.map(|coarse| self.estimator.moved_on(&coarse)).transpose()?;
             let estimate = self.estimator.forward(&video, video.len() - 1, start, memory);
             flows = self.estimator.fields(estimate.last(), canvas);
             next_coarse = estimate.coarse.filter(|_| self.warm_start);
-            next_memory = estimate.memory;
+            next_memory = estimate.memory.filter(|_| !cut);
         }
         self.state = video.pop().map(|last| State { canvas, last, coarse: next_coarse, memory: next_memory });
         flows

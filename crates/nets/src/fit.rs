@@ -1,5 +1,6 @@
 //! Which network a file of weights belongs to, and networks with the weights of a file.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::path::Path;
 
@@ -8,6 +9,7 @@ use srflow_nn::{
     Checkpoint, ParameterInfo, ParametersError, WeightsError, compare, load_from, parameter_infos,
 };
 
+use crate::settings::Setting;
 use crate::table::{Architecture, Network};
 use crate::whose::{Claim, claim};
 
@@ -51,6 +53,22 @@ fn lookalikes(architecture: Architecture) -> String {
     }
 }
 
+/// How well the parameters of a file fit each network, the best first. Where several have the same parameters, the one that
+/// the file names comes before the others.
+///
+/// # Errors
+/// When the file cannot be read or is no checkpoint.
+pub fn fits_of_file(path: &Path) -> Result<Vec<Fit>, WeightsError> {
+    let mut fits = fits(&Checkpoint::open(path)?.parameters());
+    let whole = fits.iter().take_while(|fit| fit.difference.is_none()).count();
+    if let Some(own) =
+        fits[..whole].iter().position(|fit| matches!(claim(fit.architecture, path), Ok(Claim::Own)))
+    {
+        fits[..=own].rotate_right(1);
+    }
+    Ok(fits)
+}
+
 /// How well the parameters fit each network, the best first.
 pub fn fits(given: &[ParameterInfo]) -> Vec<Fit> {
     let mut fits = Architecture::ALL.map(|architecture| fit(architecture, given));
@@ -74,39 +92,73 @@ fn fit(architecture: Architecture, given: &[ParameterInfo]) -> Fit {
     Fit { architecture, expected: infos.len(), matching: infos.len() - wrong, difference }
 }
 
-/// A network of the given architecture with the weights of a checkpoint. When they are another's, the error says which
-/// network fits best, or which the file names.
+/// A network of the given architecture with the weights of a checkpoint, and those of its [settings](Network::settings) that the
+/// file holds. When they are another's, the error says which network fits best, or which the file names.
 ///
 /// # Errors
-/// Those of [`srflow_nn::load`], and [`WeightsError::OtherNetwork`] where the parameters fit and the file says that it is of another
+/// Those of [`load_to_train`], and [`WeightsError::OtherNetwork`] where the parameters fit and the file says that it is of another
 /// network.
 pub fn load_network(
     architecture: Architecture,
     path: &Path,
     device: &Device,
 ) -> Result<Network, WeightsError> {
-    let named = || claim(architecture, path).ok();
-    let checkpoint = Checkpoint::open(path)?.renamed(architecture.facts().renamed);
-    let network = load_from(architecture.init(device), checkpoint, path).map_err(|error| match error {
-        WeightsError::Mismatch { path, difference, .. } => {
-            let hint = match named() {
-                Some(Claim::Other(other)) => {
-                    format!("\n  the file names {other}, which is not among the networks here")
-                }
-                _ => {
-                    let nearest = Checkpoint::open(&path).map(|file| fits(&file.parameters()).swap_remove(0));
-                    nearest.map_or_else(|_| String::new(), |nearest| format!("\n  {nearest}"))
-                }
-            };
-            WeightsError::Mismatch { path, difference, hint }
-        }
-        other => other,
-    })?;
+    let network = load_to_train(architecture, path, device)?;
     let facts = architecture.facts();
-    match named() {
-        Some(Claim::Other(other)) if facts.lookalikes.contains(&other) => {
+    match claim(architecture, path)? {
+        Claim::Other(other) if facts.lookalikes.contains(&other) => {
             Err(WeightsError::OtherNetwork { path: path.to_owned(), network: facts.title, other })
         }
         _ => Ok(network),
     }
+}
+
+/// [`load_network`], also with the weights of a network that has the same parameters: training may start from them, as that of
+/// MemFlow's authors starts from SKFlow's.
+///
+/// # Errors
+/// Those of [`srflow_nn::load`], also where the file holds a setting out of its range.
+pub fn load_to_train(
+    architecture: Architecture,
+    path: &Path,
+    device: &Device,
+) -> Result<Network, WeightsError> {
+    let named = || claim(architecture, path).ok();
+    let checkpoint = Checkpoint::open(path)?.renamed(architecture.facts().renamed);
+    let (format, numbers) = (checkpoint.format(), checkpoint.hyper_parameters().clone());
+    let mut network =
+        load_from(architecture.init(device), checkpoint, path).map_err(|error| match error {
+            WeightsError::Mismatch { path, difference, .. } => {
+                let hint = match named() {
+                    Some(Claim::Other(other)) => {
+                        format!("\n  the file names {other}, which is not among the networks here")
+                    }
+                    _ => {
+                        let nearest = fits_of_file(&path).map(|mut fits| fits.swap_remove(0));
+                        nearest.map_or_else(|_| String::new(), |nearest| format!("\n  {nearest}"))
+                    }
+                };
+                WeightsError::Mismatch { path, difference, hint }
+            }
+            other => other,
+        })?;
+    set_from(&mut network, &numbers).map_err(|problem| WeightsError::Broken {
+        path: path.to_owned(),
+        format,
+        problem,
+    })?;
+    Ok(network)
+}
+
+/// Takes over the settings that a file holds.
+fn set_from(network: &mut Network, numbers: &BTreeMap<String, f64>) -> Result<(), String> {
+    for Setting { in_files, allowed, value, .. } in network.settings() {
+        let Some((name, number)) = in_files.and_then(|name| numbers.get_key_value(name)) else { continue };
+        let whole = number.round() as usize; // what is no whole number is next to one, as half of an odd number of tokens
+        if !number.is_finite() || *number < 0.0 || !allowed.contains(whole) {
+            return Err(format!("its {name} is {number}, expected a number that is {allowed}"));
+        }
+        *value = whole;
+    }
+    Ok(())
 }

@@ -8,9 +8,10 @@ use crate::blocks::{
     Aggregate, Attention, ConvexMask, Encoder, EncoderConfig, FlowHead, MotionEncoder, NormKind, SepConvGru,
     convex_mask, convex_upsample,
 };
+use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
 use crate::raft::{HIDDEN, RADIUS};
-use crate::recurrent::{self, Encoders, Recurrent};
+use crate::recurrent::{self, Encoders, Recurrent, Refined};
 use crate::table::Entry;
 
 pub(crate) const GMA: Entry<Gma> = Entry {
@@ -75,7 +76,11 @@ impl Recurrent for Gma {
         Encoders { features: &self.fnet, context: &self.cnet, hidden: HIDDEN, radius: RADIUS }
     }
 
-    fn step(&self, context: Tensor<4>) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> [Tensor<4>; 2] {
+    fn step(
+        &self,
+        context: Tensor<4>,
+        _: Option<&Memory>,
+    ) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined {
         let block = &self.update_block;
         let gru = block.gru.prepared(&context);
         let attention = self.att.forward(context);
@@ -83,7 +88,7 @@ impl Recurrent for Gma {
             let motion = block.encoder.forward(flow, windows);
             let global = block.aggregator.forward(&attention, motion.clone());
             let hidden = gru.step(hidden, Tensor::cat(vec![motion, global], 1));
-            [hidden.clone(), block.flow_head.forward(hidden)]
+            Refined { change: block.flow_head.forward(hidden.clone()), hidden, memory: None }
         }
     }
 

@@ -8,8 +8,9 @@ use crate::blocks::{
     ConvexMask, Encoder, EncoderConfig, FlowHead, MotionEncoder, NormKind, SepConvGru, convex_mask,
     convex_upsample,
 };
+use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
-use crate::recurrent::{self, Encoders, Recurrent};
+use crate::recurrent::{self, Encoders, Recurrent, Refined};
 use crate::table::Entry;
 
 /// Channels of the hidden state, and of the context.
@@ -75,12 +76,16 @@ impl Recurrent for Raft {
         Encoders { features: &self.fnet, context: &self.cnet, hidden: HIDDEN, radius: RADIUS }
     }
 
-    fn step(&self, context: Tensor<4>) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> [Tensor<4>; 2] {
+    fn step(
+        &self,
+        context: Tensor<4>,
+        _: Option<&Memory>,
+    ) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined {
         let block = &self.update_block;
         let gru = block.gru.prepared(&context);
         move |hidden, flow, windows| {
             let hidden = gru.step(hidden, block.encoder.forward(flow, windows));
-            [hidden.clone(), block.flow_head.forward(hidden)]
+            Refined { change: block.flow_head.forward(hidden.clone()), hidden, memory: None }
         }
     }
 

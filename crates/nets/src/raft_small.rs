@@ -8,9 +8,10 @@ use crate::MemoryNeed;
 use crate::blocks::{
     ConvGru, Encoder, EncoderConfig, FlowHead, NormKind, SmallMotionEncoder, bilinear_upsample,
 };
+use crate::estimate::Memory;
 use crate::facts::{Facts, ptlflow};
 use crate::raft::RAFT;
-use crate::recurrent::{Encoders, Recurrent};
+use crate::recurrent::{Encoders, Recurrent, Refined};
 use crate::table::Entry;
 
 /// Channels of the hidden state.
@@ -67,12 +68,16 @@ impl Recurrent for RaftSmall {
         Encoders { features: &self.fnet, context: &self.cnet, hidden: HIDDEN, radius: RADIUS }
     }
 
-    fn step(&self, context: Tensor<4>) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> [Tensor<4>; 2] {
+    fn step(
+        &self,
+        context: Tensor<4>,
+        _: Option<&Memory>,
+    ) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined {
         let block = &self.update_block;
         let gru = block.gru.prepared(&context);
         move |hidden, flow, windows| {
             let hidden = gru.step(hidden, block.encoder.forward(flow, windows));
-            [hidden.clone(), block.flow_head.forward(hidden)]
+            Refined { change: block.flow_head.forward(hidden.clone()), hidden, memory: None }
         }
     }
 

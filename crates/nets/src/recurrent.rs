@@ -7,10 +7,11 @@ use srflow_ops::correlation::tensor::Correlation;
 
 use crate::MemoryNeed;
 use crate::blocks::{Encoder, KEPT_BYTES};
-use crate::estimate::{Encoded, Estimate, Request};
+use crate::estimate::{Encoded, Estimate, Memory, Request};
 use crate::facts::{Facts, Start};
 use crate::features::Features;
 use crate::frames::{Border, Frames, prepared};
+use crate::settings::Setting;
 use crate::table::FlowNetwork;
 
 /// Pixels of a frame along the side of a coarse pixel.
@@ -43,12 +44,31 @@ impl Encoders<'_> {
 pub(crate) trait Recurrent {
     fn encoders(&self) -> Encoders<'_>;
 
-    /// From hidden state, flow and windows of correlations to the next hidden state and the change of the flow, for one
-    /// context.
-    fn step(&self, context: Tensor<4>) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> [Tensor<4>; 2];
+    /// From hidden state, flow and windows of correlations to what a refinement gives, for one context and what is remembered
+    /// of the pairs before.
+    fn step(
+        &self,
+        context: Tensor<4>,
+        memory: Option<&Memory>,
+    ) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined;
 
     /// Fine flow from the hidden state and coarse flow.
     fn upsample(&self, hidden: &Tensor<4>, flow: Tensor<4>) -> Tensor<4>;
+
+    /// See [`Network::settings`](crate::Network::settings).
+    fn settings(&mut self) -> Vec<Setting<'_>> {
+        Vec::new()
+    }
+}
+
+/// What a refinement gives.
+pub(crate) struct Refined {
+    /// The next hidden state.
+    pub(crate) hidden: Tensor<4>,
+    /// What is added to the flow.
+    pub(crate) change: Tensor<4>,
+    /// What the next pair remembers if this refinement is the last.
+    pub(crate) memory: Option<Memory>,
 }
 
 /// Of every network that refines as RAFT does; the coarsest level of a correlation pyramid is two pixels wide at the smallest
@@ -77,6 +97,10 @@ impl<N: Recurrent> FlowNetwork for N {
         let [batch, _, height, width] = frames.dims();
         let frames = prepared(frames, Border::new([height, width], STRIDE));
         Features::new(batch, vec![self.encoders().features.forward(frames)])
+    }
+
+    fn settings(&mut self) -> Vec<Setting<'_>> {
+        Recurrent::settings(self)
     }
 
     fn encode(&self, frames: Frames) -> Option<Encoded> {
@@ -108,7 +132,7 @@ impl<N: Recurrent> FlowNetwork for N {
             }
         };
         let correlation = Correlation::new(first, second, LEVELS);
-        let step = self.step(context);
+        let step = self.step(context, request.memory.as_ref());
 
         let [batch, _, height, width] = hidden.dims();
         let grid = pixel_grid([batch, height, width], &hidden.device());
@@ -117,18 +141,18 @@ impl<N: Recurrent> FlowNetwork for N {
             assert_eq!(start.dims(), flow.dims(), "the coarse flow to start from");
             flow = start.clone();
         }
-        let mut flows = Vec::new();
+        let (mut flows, mut memory) = (Vec::new(), None);
         for iteration in 1..=request.iterations {
             flow = flow.detach();
             let windows = correlation.windows(grid.clone() + flow.clone(), encoders.radius);
-            let [next, change] = step(hidden, flow.clone(), windows);
-            hidden = next;
-            flow = flow + change;
+            let refined = step(hidden, flow.clone(), windows);
+            (hidden, memory) = (refined.hidden, refined.memory);
+            flow = flow + refined.change;
             if request.every_iteration || iteration == request.iterations {
                 flows.push(border.remove(self.upsample(&hidden, flow.clone())));
             }
         }
-        Estimate { coarse: Some(flow), hidden: Some(hidden), ..Estimate::of_flows(flows) }
+        Estimate { coarse: Some(flow), hidden: Some(hidden), memory, ..Estimate::of_flows(flows) }
     }
 }
 

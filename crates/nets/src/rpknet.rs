@@ -307,6 +307,7 @@ impl FlowNetwork for RpkNet {
             description: "groups of channels of the encoder's norms, which weights do not say; ptlflow's default, with \
                           which its weights were trained (its configurations of training say 4)",
             allowed: Allowed::OneOf(&[1, 2, 4, 8, 16, 32]),
+            in_files: None,
             value: &mut self.groups,
         }]
     }

@@ -71,6 +71,10 @@ impl FlowEstimator for Scaled {
         Ok(resize_flow_antialiased(&flow, frame1.size()))
     }
 
+    fn remembers(&self) -> bool {
+        self.estimator.remembers()
+    }
+
     fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {
         Box::new(ScaledSequence { scaled: self, sequence: self.estimator.sequence(warm_start), size: None })
     }
@@ -90,6 +94,13 @@ impl FlowSequence for ScaledSequence<'_> {
         let smaller: Vec<Image> = frames.iter().map(|frame| self.scaled.smaller(frame)).collect();
         let flows = self.sequence.push(&smaller)?;
         Ok(flows.iter().map(|flow| resize_flow_antialiased(flow, size)).collect())
+    }
+
+    fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowField, EstimateError> {
+        let size = *self.size.get_or_insert(pair[0].size());
+        pair.iter().try_for_each(|frame| check_sizes(size, frame.size()))?;
+        let smaller = pair.map(|frame| self.scaled.smaller(frame));
+        Ok(resize_flow_antialiased(&self.sequence.push_pair(smaller.each_ref())?, size))
     }
 }
 

@@ -10,6 +10,8 @@ pub struct Setting<'a> {
     /// One line on what it is, and where its default comes from.
     pub description: &'static str,
     pub allowed: Allowed,
+    /// What it is called among the hyper-parameters of a file of weights, where weights are trained for one value.
+    pub in_files: Option<&'static str>,
     pub value: &'a mut usize,
 }
 
@@ -31,7 +33,7 @@ pub enum SettingError {
 }
 
 impl Allowed {
-    fn contains(&self, value: usize) -> bool {
+    pub(crate) fn contains(&self, value: usize) -> bool {
         match self {
             Self::Range(range) => range.contains(&value),
             Self::OneOf(values) => values.contains(&value),
@@ -90,9 +92,11 @@ mod tests {
         let (mut groups, mut length) = (8, 1);
         let mut give = |name: &str, value| {
             let allowed = Allowed::OneOf(&[1, 2, 4, 8]);
-            let groups = Setting { name: "groups", description: "", allowed, value: &mut groups };
+            let groups =
+                Setting { name: "groups", description: "", allowed, in_files: None, value: &mut groups };
             let allowed = Allowed::Range(1..=16);
-            let length = Setting { name: "length", description: "", allowed, value: &mut length };
+            let length =
+                Setting { name: "length", description: "", allowed, in_files: None, value: &mut length };
             set("net", vec![groups, length], name, value).map_err(|error| error.to_string())
         };
         assert_eq!(give("groups", 4), Ok(()));

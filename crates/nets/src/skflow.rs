@@ -11,9 +11,10 @@ use crate::blocks::{
     Aggregate, Attention, ConvexMask, Encoder, EncoderConfig, NormKind, convex_mask, convex_upsample,
     window_entries,
 };
+use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
 use crate::raft::{HIDDEN, RADIUS};
-use crate::recurrent::{self, Encoders, Recurrent};
+use crate::recurrent::{self, Encoders, Recurrent, Refined};
 use crate::table::Entry;
 
 /// Sides of the depthwise kernels of the motion encoder and the flow head.
@@ -45,25 +46,25 @@ pub(crate) const SKFLOW: Entry<SkFlow> = Entry {
 /// The network of the paper.
 #[derive(Module, Debug)]
 pub struct SkFlow {
-    fnet: Encoder,
-    cnet: Encoder,
-    update_block: UpdateBlock,
-    att: Attention,
+    pub(crate) fnet: Encoder,
+    pub(crate) cnet: Encoder,
+    pub(crate) update_block: UpdateBlock,
+    pub(crate) att: Attention,
 }
 
 /// `SKUpdateBlock6_Deep_nopoolres_AllDecoder`.
 #[derive(Module, Debug)]
-struct UpdateBlock {
-    encoder: MotionEncoder,
+pub(crate) struct UpdateBlock {
+    pub(crate) encoder: MotionEncoder,
     gru: SuperKernelBlock,
     flow_head: SuperKernelBlock,
-    mask: ConvexMask,
-    aggregator: Aggregate,
+    pub(crate) mask: ConvexMask,
+    pub(crate) aggregator: Aggregate,
 }
 
 /// `SKMotionEncoder6_Deep_nopool_res`: 128 channels, the last two of them the flow.
 #[derive(Module, Debug)]
-struct MotionEncoder {
+pub(crate) struct MotionEncoder {
     convc1: SuperKernelBlock,
     convc2: SuperKernelBlock,
     convf1: Conv2d,
@@ -110,14 +111,18 @@ impl Recurrent for SkFlow {
         Encoders { features: &self.fnet, context: &self.cnet, hidden: HIDDEN, radius: RADIUS }
     }
 
-    fn step(&self, context: Tensor<4>) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> [Tensor<4>; 2] {
+    fn step(
+        &self,
+        context: Tensor<4>,
+        _: Option<&Memory>,
+    ) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined {
         let block = &self.update_block;
         let attention = self.att.forward(context.clone());
         move |hidden, flow, windows| {
             let motion = block.encoder.forward(flow, windows);
             let global = block.aggregator.forward(&attention, motion.clone());
-            let hidden = block.gru.forward(Tensor::cat(vec![hidden, context.clone(), motion, global], 1));
-            [hidden.clone(), block.flow_head.forward(hidden)]
+            let [hidden, change] = block.forward(hidden, context.clone(), motion, global);
+            Refined { hidden, change, memory: None }
         }
     }
 
@@ -126,8 +131,22 @@ impl Recurrent for SkFlow {
     }
 }
 
+impl UpdateBlock {
+    /// The next hidden state and the change of the flow, from motion features and those that are gathered of them.
+    pub(crate) fn forward(
+        &self,
+        hidden: Tensor<4>,
+        context: Tensor<4>,
+        motion: Tensor<4>,
+        global: Tensor<4>,
+    ) -> [Tensor<4>; 2] {
+        let hidden = self.gru.forward(Tensor::cat(vec![hidden, context, motion, global], 1));
+        [hidden.clone(), self.flow_head.forward(hidden)]
+    }
+}
+
 impl MotionEncoder {
-    fn forward(&self, flow: Tensor<4>, windows: Tensor<4>) -> Tensor<4> {
+    pub(crate) fn forward(&self, flow: Tensor<4>, windows: Tensor<4>) -> Tensor<4> {
         let correlation = self.convc2.forward(self.convc1.forward_activated(windows));
         let motion = self.convf2.forward(self.convf1.forward(flow.clone(), Identity));
         let out = self.conv.forward(Tensor::cat(vec![correlation, motion], 1));

@@ -9,7 +9,7 @@ use crate::facts::Facts;
 use crate::features::Features;
 use crate::frames::Frames;
 use crate::settings::{Setting, SettingError, set};
-use crate::{gma, raft, raft_small, rpknet, sea_raft, skflow};
+use crate::{gma, memflow, raft, raft_small, rpknet, sea_raft, skflow};
 
 /// What the table says of a network.
 pub(crate) struct Entry<N> {
@@ -68,7 +68,7 @@ macro_rules! networks {
         ///
         /// Its parameters have the same names as those of the network inside.
         #[derive(Module, Debug)]
-        #[expect(clippy::large_enum_variant, reason = "few are alive at a time, and none is moved in a loop")]
+        #[allow(clippy::large_enum_variant, reason = "few are alive at a time, and none is moved in a loop")]
         pub enum Network {
             $($variant($network),)*
         }
@@ -146,6 +146,7 @@ networks! {
     SeaRaftS(sea_raft::SeaRaft) = sea_raft::SEA_RAFT_S,
     SeaRaftM(sea_raft::SeaRaft) = sea_raft::SEA_RAFT_M,
     SeaRaftL(sea_raft::SeaRaft) = sea_raft::SEA_RAFT_L,
+    MemFlow(memflow::MemFlow) = memflow::MEMFLOW,
 }
 
 #[cfg(test)]

@@ -308,6 +308,10 @@ impl FlowEstimator for Tiled {
         Ok(flows?.remove(0))
     }
 
+    fn remembers(&self) -> bool {
+        self.estimator.remembers()
+    }
+
     fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {
         Box::new(TiledSequence { tiled: self, warm_start, state: None })
     }
@@ -322,6 +326,23 @@ struct TiledSequence<'a> {
 
 impl FlowSequence for TiledSequence<'_> {
     fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
+        let frames: Vec<&Image> = frames.iter().collect();
+        self.blended(&frames, |sequence, cut| sequence.push(cut))
+    }
+
+    fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowField, EstimateError> {
+        let flows = self.blended(&pair, |sequence, cut| Ok(vec![sequence.push_pair([&cut[0], &cut[1]])?]));
+        Ok(flows?.remove(0))
+    }
+}
+
+impl<'a> TiledSequence<'a> {
+    /// What `push` gives for each tile's part of the frames, blended.
+    fn blended(
+        &mut self,
+        frames: &[&Image],
+        push: impl Fn(&mut (dyn FlowSequence + 'a), &[Image]) -> Result<Vec<FlowField>, EstimateError>,
+    ) -> Result<Vec<FlowField>, EstimateError> {
         let Some(first) = frames.first() else { return Ok(Vec::new()) };
         if self.state.is_none() {
             let tiles = self.tiled.tiles(first.size())?;
@@ -331,14 +352,14 @@ impl FlowSequence for TiledSequence<'_> {
         }
         let Some((tiles, sequences)) = &mut self.state else { return Ok(Vec::new()) };
         frames.iter().try_for_each(|frame| check_sizes(tiles.frame, frame.size()))?;
-        if let [sequence] = sequences.as_mut_slice() {
-            return sequence.push(frames);
-        }
         let (width, height) = tiles.size();
         let mut blends: Vec<Blend> = Vec::new();
         for (number, ((left, top), sequence)) in tiles.corners().zip(sequences).enumerate() {
             let cut: Vec<Image> = frames.iter().map(|frame| frame.crop(left, top, width, height)).collect();
-            let flows = sequence.push(&cut)?;
+            let flows = push(sequence.as_mut(), &cut)?;
+            if tiles.count() == 1 {
+                return Ok(flows);
+            }
             blends.resize_with(flows.len(), || Blend::new(tiles));
             for (blend, flow) in blends.iter_mut().zip(&flows) {
                 blend.add(number, flow);

@@ -7,8 +7,7 @@ use srflow_nn::{WeightsError, words};
 use crate::table::Architecture;
 
 /// Networks that are not known here and whose weights people have.
-const OTHERS: [&str; 7] =
-    ["MemFlow", "FlowFormer", "VideoFlow", "StreamFlow", "UniMatch", "DPFlow", "RPKNet"];
+const OTHERS: [&str; 7] = ["FlowFormer", "VideoFlow", "StreamFlow", "UniMatch", "DPFlow", "CCMR", "FlowNet"];
 
 /// What a file of weights says beside its parameters.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -60,6 +59,10 @@ mod tests {
         assert_eq!(claim("weights  model streamflow"), Claim::Other("StreamFlow"));
         assert_eq!(claim("skflow memflow"), Claim::Own, "both are named");
         assert_eq!(claim("best"), Claim::Silent(&["MemFlow"]));
+        let claim = |said| claimed(Architecture::MemFlow, said);
+        assert_eq!(claim("memflow things  hyper parameters"), Claim::Own);
+        assert_eq!(claim("skflow things"), Claim::Other("SKFlow"));
+        assert_eq!(claim("best"), Claim::Silent(&["SKFlow"]));
         assert_eq!(claimed(Architecture::Raft, "best"), Claim::Own);
         assert_eq!(claimed(Architecture::Raft, "streamflow"), Claim::Other("StreamFlow"));
     }

@@ -8,6 +8,7 @@ use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, forward_inter
 use srflow_nets::{
     Architecture, Frames, Network, NetworkEstimator, Request, Scaled, TileSize, Tiled, Tiling,
 };
+use srflow_nn::{parameters, with_parameters};
 
 const ITERATIONS: usize = 3;
 
@@ -135,6 +136,73 @@ fn a_warm_start_is_the_coarse_flow_moved_along_itself() {
     let expected = field(expected.last().clone());
     assert_near(&flows[1], &expected, "the second starts from the first");
     assert!(field(cold.last().clone()) != expected, "the start makes a difference");
+}
+
+/// MemFlow, whose attention counts, which it does not as training starts.
+fn remembering() -> Network {
+    let network = Architecture::MemFlow.init(&Device::flex());
+    let mut values = parameters(&network);
+    values.insert("update_block.aggregator.gamma".into(), TensorData::new(vec![1.0_f32], [1]));
+    with_parameters(network, values).expect("its own names and shapes")
+}
+
+/// Two videos, one after the other: each pair remembers those before it, but none across the cut between them.
+#[test]
+fn a_sequence_remembers_the_pairs_before_up_to_a_cut() {
+    let network = remembering();
+    let estimator = estimator(&network);
+    let size = (140, 131);
+    let negative = |frame: Image| {
+        Image::from_fn(size.0, size.1, |x, y| frame.get(size.0 - 1 - x, y).map(|level| level / 4))
+    };
+    let frames: Vec<Image> =
+        video(size, 4).into_iter().chain(video(size, 3).into_iter().map(negative)).collect();
+    let mut memory = None;
+    let mut expected = Vec::new();
+    for (number, pair) in frames.windows(2).enumerate() {
+        let across = number == 3;
+        memory = memory.filter(|_| !across);
+        let frames = Frames { first: tensor(&pair[0]), second: tensor(&pair[1]) };
+        let estimate = network.forward(frames, &Request { memory, ..Request::new(ITERATIONS) });
+        expected.push(field(estimate.last().clone()));
+        memory = estimate.memory.filter(|_| !across);
+    }
+    let flows = estimator.sequence(false).push(&frames).expect("flows");
+    assert_eq!(flows.len(), expected.len());
+    for (number, (found, expected)) in flows.iter().zip(&expected).enumerate() {
+        assert_near(found, expected, &format!("pair {number}"));
+        let alone = estimator.estimate(&frames[number], &frames[number + 1]).expect("flow");
+        let same = [0, 3, 4].contains(&number);
+        assert_eq!(alone == *found, same, "pair {number}: what comes before matters, but not across a cut");
+    }
+}
+
+/// Frames that are not the last of the pair before, such as another window, do not end the video.
+#[test]
+fn pairs_of_other_windows_are_of_the_same_video() {
+    let network = remembering();
+    let frames = video((150, 131), 3);
+    let tiled = Tiled::new(Box::new(estimator(&network)), tiling(200, 200, 64));
+    let estimator = estimator(&network);
+    let window = |number: usize, left: usize| frames[number].crop(left, 0, 140, 131);
+    let pairs = [[window(0, 0), window(1, 0)], [window(1, 3), window(2, 3)]];
+    let mut sequence = estimator.sequence(false);
+    let flows = pairs.each_ref().map(|pair| sequence.push_pair(pair.each_ref()).expect("flow"));
+    let alone = pairs.each_ref().map(|[first, second]| estimator.estimate(first, second).expect("flow"));
+    assert_near(&flows[0], &alone[0], "the first");
+    assert!(flows[1] != alone[1], "the second remembers the first");
+    // Where the frames are the same, as if they had been pushed.
+    let same = [[&frames[0], &frames[1]], [&frames[1], &frames[2]]];
+    let pushed = estimator.sequence(false).push(&frames).expect("flows");
+    for estimator in [&estimator as &dyn FlowEstimator, &tiled] {
+        let mut sequence = estimator.sequence(false);
+        for (pair, pushed) in same.iter().zip(&pushed) {
+            assert_near(&sequence.push_pair(*pair).expect("flow"), pushed, "the same frames");
+        }
+    }
+    let mut sequence = estimator.sequence(false);
+    assert!(sequence.push_pair([&frames[0], &window(1, 0)]).is_err(), "of two sizes");
+    assert_eq!(sequence.push_pair([&frames[0], &frames[1]]).expect("flow").size(), (150, 131));
 }
 
 /// Also where the frame gets a border, and where it is made up to the smallest size.

@@ -8,9 +8,10 @@
 use std::path::PathBuf;
 use std::sync::LazyLock;
 
+use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData, s};
 use srflow_golden::{Golden, name_hash, noise, numbers};
-use srflow_nets::{Architecture, Frames, LaplaceMixture, Network, Request};
+use srflow_nets::{Architecture, Frames, LaplaceMixture, Memory, Network, Request};
 use srflow_nn::{
     HostGradients, Layout, Parameters, Segment, parameter_infos, with_batch_statistics, with_parameters,
 };
@@ -46,7 +47,12 @@ fn parameter(name: &str, shape: &[usize], gains: &[(String, f32)]) -> Vec<f32> {
         .collect()
 }
 
-fn filled(network: Network, golden: &Golden) -> Network {
+fn filled(mut network: Network, golden: &Golden) -> Network {
+    for key in golden.names() {
+        if let Some(name) = key.strip_prefix("setting/") {
+            network.set(name, golden.values(key)[0] as usize).expect(key);
+        }
+    }
     let gain = |key: &str| Some((key.strip_prefix("gain/")?.to_owned(), golden.values(key)[0]));
     let gains: Vec<(String, f32)> = golden.names().filter_map(gain).collect();
     let parameters: Parameters = parameter_infos(&network)
@@ -124,7 +130,35 @@ fn networks() -> Vec<Architecture> {
 }
 
 fn frames(case: [usize; 3], device: &Device) -> Frames {
-    Frames { first: frame(case, 0, device), second: frame(case, 4, device) }
+    pair(case, 1, device)
+}
+
+/// A pair of the video, from 1.
+fn pair(case: [usize; 3], number: i64, device: &Device) -> Frames {
+    let frame = |number: i64| frame(case, 4 * number, device);
+    Frames { first: frame(number - 1), second: frame(number) }
+}
+
+/// Holds what a network that remembers gives for the pairs after the first to golden values `next_P_N`.
+fn check_next(
+    golden: &Golden,
+    network: &Network,
+    case: [usize; 3],
+    iterations: usize,
+    memory: Option<Memory>,
+) {
+    let mut memory = memory;
+    for number in 2.. {
+        let key = format!("next_{number}_{iterations}");
+        if !golden.has(&key) {
+            break;
+        }
+        let device = &network.devices()[0];
+        let request = Request { memory, ..Request::new(iterations) };
+        let estimate = network.forward(pair(case, number, device), &request);
+        assert_close(golden, &key, thinned(estimate.last().clone()), [1e-3, 1e-2]);
+        memory = estimate.memory;
+    }
 }
 
 /// The numbers of iterations of which there are golden values `coarse_N` or `flow_N`, rising.
@@ -166,6 +200,7 @@ fn every_network_gives_the_references_flow() {
                         assert_close(&golden, &format!("{part}_{iterations}"), thinned(found), limits);
                     }
                 }
+                check_next(&golden, &network, case, iterations, estimate.memory);
             }
         }
     }

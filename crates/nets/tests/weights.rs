@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use burn::tensor::{Device, TensorData};
-use srflow_nets::{Architecture, Claim, Network, claim, fits, load_network};
-use srflow_nn::{Checkpoint, ParameterInfo, parameters, safetensors_bytes, save_parameters, with_parameters};
+use srflow_nets::{Architecture, Claim, Network, claim, fits, fits_of_file, load_network, load_to_train};
+use srflow_nn::{ParameterInfo, parameters, safetensors_bytes, save_parameters, with_parameters};
 
 /// Saves a network's parameters and hands their file to `check`.
 fn with_saved(architecture: Architecture, check: impl FnOnce(&Network, &Path)) {
@@ -22,10 +22,13 @@ fn what_is_saved_is_loaded_again_and_recognized() {
         with_saved(architecture, |network, path| {
             let loaded = load_network(architecture, path, &Device::flex()).expect(name);
             assert!(parameters(&loaded) == parameters(network), "{name}");
-            let fits = fits(&Checkpoint::open(path).expect(name).parameters());
-            let (found, same_weights) = (fits[0].architecture.name(), architecture.facts().same_weights);
-            assert!(found == name || same_weights.contains(&found), "{found} for {name}");
-            assert_eq!(fits[0].difference, None);
+            let fits = fits_of_file(path).expect(name);
+            let facts = architecture.facts();
+            let fit = fits.iter().find(|fit| fit.architecture == architecture).expect(name);
+            let first = fits[0].architecture.facts();
+            let same = first.lookalikes.contains(&facts.title) || facts.same_weights.contains(&first.name);
+            assert!(first.name == name || same, "{name}: {first:?} comes first");
+            assert_eq!(fit.difference, None, "{name}");
         });
     }
 }
@@ -88,7 +91,23 @@ fn weights_that_say_they_are_another_networks_are_refused() {
     assert!(load_network(Architecture::SkFlow, &silent, &Device::flex()).is_ok());
     assert_eq!(claim(Architecture::SkFlow, &silent).expect("readable"), Claim::Silent(&["MemFlow"]));
     let error = load_network(Architecture::Raft, &said, &Device::flex()).expect_err("no RAFT").to_string();
-    assert!(error.ends_with("the file names MemFlow, which is not among the networks here"), "{error}");
+    let hint = "they are the parameters of memflow (or of SKFlow, whose have the same names and shapes)";
+    assert!(error.ends_with(hint), "{error}");
+
+    assert!(load_network(Architecture::MemFlow, &said, &Device::flex()).is_ok());
+    let of_skflow = folder.path().join("skflow_things.safetensors");
+    save_parameters(&network, &of_skflow).expect("weights");
+    let error =
+        load_network(Architecture::MemFlow, &of_skflow, &Device::flex()).expect_err("SKFlow's").to_string();
+    assert!(error.contains("skflow_things") && error.contains("weights of SKFlow"), "{error}");
+    assert!(
+        load_to_train(Architecture::MemFlow, &of_skflow, &Device::flex()).is_ok(),
+        "a start for training"
+    );
+    for (path, first) in [(&said, "memflow"), (&of_skflow, "skflow"), (&silent, "skflow")] {
+        let fits = fits_of_file(path).expect("readable");
+        assert_eq!(fits[0].architecture.name(), first, "{}", path.display());
+    }
 }
 
 /// Hugging Face's files hold what is stored twice under one of its names, which is not the one here.

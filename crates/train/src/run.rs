@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use burn::tensor::Device;
 use srflow_field::{FileError, create_folder, write_file};
-use srflow_nets::load_network;
+use srflow_nets::load_to_train;
 use srflow_nn::{AdamW, AdamWState, Layout, Rounding, WeightsError, clip_norm};
 
 use crate::batch::Batch;
@@ -317,7 +317,7 @@ impl Trainer {
     fn load_weights(&mut self, config: &Config) -> Result<(), TrainError> {
         let weights = &config.network.weights;
         if !weights.as_os_str().is_empty() {
-            let network = load_network(config.network.architecture, weights, &self.device)?;
+            let network = load_to_train(config.network.architecture, weights, &self.device)?;
             (_, self.values) = Layout::of(&network);
             self.replicas.fill(&self.values);
         }

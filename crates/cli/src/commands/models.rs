@@ -3,7 +3,7 @@ use std::path::PathBuf;
 use anyhow::ensure;
 use clap::{Args, Subcommand};
 use serde::Serialize;
-use srflow_nets::{Allowed, Architecture, Fit, Setting, fits, load_network, weights_folder};
+use srflow_nets::{Allowed, Architecture, Fit, Setting, fits_of_file, load_network, weights_folder};
 use srflow_nn::{Checkpoint, ParameterInfo, ParametersError, save_parameters, save_pytorch};
 
 use crate::Context;
@@ -118,7 +118,7 @@ struct ListedWeights {
 
 impl ListedSetting {
     fn new(setting: Setting) -> Self {
-        let Setting { name, description, allowed, value } = setting;
+        let Setting { name, description, allowed, value, .. } = setting;
         let (least, most, values) = match &allowed {
             Allowed::Range(range) => (*range.start(), *range.end(), None),
             Allowed::OneOf(values) => {
@@ -224,7 +224,7 @@ struct Near {
 fn inspect(args: Inspect, context: &Context) -> anyhow::Result<()> {
     let checkpoint = Checkpoint::open(&args.file)?;
     let infos = checkpoint.parameters();
-    let fits = fits(&infos);
+    let fits = fits_of_file(&args.file)?;
     let best = &fits[0];
     let types = checkpoint.types();
     if context.json {
@@ -272,7 +272,7 @@ fn export(args: Export, context: &Context) -> anyhow::Result<()> {
     };
     ensure!(force || !out.exists(), "{}: the file exists; give --force to overwrite it", out.display());
     let path = weights_file(None, &weights)?;
-    let architecture = fits(&Checkpoint::open(&path)?.parameters())[0].architecture;
+    let architecture = fits_of_file(&path)?[0].architecture;
     let network = load_network(architecture, &path, &Default::default())?;
     match pytorch {
         true => save_pytorch(&network, &out)?,

@@ -77,6 +77,10 @@ impl FlowEstimator for Labelled {
         self.estimator.estimate_from(frame1, frame2, initial)
     }
 
+    fn remembers(&self) -> bool {
+        self.estimator.remembers()
+    }
+
     fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {
         self.estimator.sequence(warm_start)
     }

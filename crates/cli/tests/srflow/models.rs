@@ -92,9 +92,11 @@ fn exported_weights_are_the_same_to_the_bit() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
     for architecture in srflow_nets::Architecture::ALL {
-        let own = path("own.safetensors");
+        // Where several networks have the same parameters, a file's name says whose they are.
+        let own = path(&format!("{}.safetensors", architecture.name()));
         srflow_nn::save_parameters(&architecture.init(&Default::default()), own.as_ref()).unwrap();
-        let (exported, back) = (path("exported.ckpt"), path("back.safetensors"));
+        let exported = path(&format!("{}.ckpt", architecture.name()));
+        let back = path("back.safetensors");
         let text = succeeds(&["export", &own, "-o", &exported, "--force"]);
         assert!(text.contains("weights of ") && text.contains(architecture.name()), "{text}");
         assert_eq!(json(&["inspect", &exported])["container"], "state_dict");
@@ -104,8 +106,8 @@ fn exported_weights_are_the_same_to_the_bit() {
         assert!(fs::read(&back).unwrap() == fs::read(&own).unwrap(), "{}", architecture.name());
     }
     let export = |weights: &str, to: &str| models(&["export", weights, "-o", &path(to)]);
-    refuses(&export(&path("own.safetensors"), "exported.ckpt"), 1, &["--force"]);
-    refuses(&export(&path("own.safetensors"), "weights.onnx"), 2, &["weights.onnx"]);
+    refuses(&export(&path("raft.safetensors"), "raft.ckpt"), 1, &["--force"]);
+    refuses(&export(&path("raft.safetensors"), "weights.onnx"), 2, &["weights.onnx"]);
     let other = checkpoint("zip.pth");
     refuses(&export(other.to_str().unwrap(), "other.ckpt"), 1, &["no network known here"]);
 }

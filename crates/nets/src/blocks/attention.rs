@@ -55,12 +55,22 @@ impl Attention {
 
     /// From the context, `[batch, dim, height, width]`.
     pub(crate) fn forward(&self, context: Tensor<4>) -> AttentionMap {
+        let [queries, keys] = self.queries_and_keys(context);
+        attention_map(queries, keys)
+    }
+
+    /// Both `[batch, dim, height, width]`; the queries are divided by the root of `dim`.
+    pub(crate) fn queries_and_keys(&self, context: Tensor<4>) -> [Tensor<4>; 2] {
         let dim = context.dims()[1];
         let both = self.to_qk.forward(context, Activation::Identity);
-        let queries = both.clone().narrow(1, 0, dim) * (dim as f64).powf(-0.5);
-        let kept_bytes = if both.is_autodiff() { KEPT_BYTES_IN_TRAINING } else { KEPT_BYTES };
-        AttentionMap::new(queries, both.narrow(1, dim, dim), kept_bytes)
+        [both.clone().narrow(1, 0, dim) * (dim as f64).powf(-0.5), both.narrow(1, dim, dim)]
     }
+}
+
+/// For values that change in each iteration.
+pub(crate) fn attention_map(queries: Tensor<4>, keys: Tensor<4>) -> AttentionMap {
+    let kept_bytes = if queries.is_autodiff() { KEPT_BYTES_IN_TRAINING } else { KEPT_BYTES };
+    AttentionMap::new(queries, keys, kept_bytes)
 }
 
 impl Aggregate {
@@ -73,7 +83,17 @@ impl Aggregate {
 
     /// `motion` and what is gathered of it, times a learned number.
     pub(crate) fn forward(&self, map: &AttentionMap, motion: Tensor<4>) -> Tensor<4> {
-        let values = self.to_v.forward(motion.clone(), Activation::Identity);
-        motion + map.gather(values) * self.gamma.val().reshape([1, 1, 1, 1])
+        let gathered = map.gather(self.values(motion.clone()));
+        self.add(motion, gathered)
+    }
+
+    /// What is gathered of `motion`.
+    pub(crate) fn values(&self, motion: Tensor<4>) -> Tensor<4> {
+        self.to_v.forward(motion, Activation::Identity)
+    }
+
+    /// `motion`, and `gathered` times a learned number.
+    pub(crate) fn add(&self, motion: Tensor<4>, gathered: Tensor<4>) -> Tensor<4> {
+        motion + gathered * self.gamma.val().reshape([1, 1, 1, 1])
     }
 }

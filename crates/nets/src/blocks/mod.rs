@@ -6,7 +6,7 @@ mod gru;
 mod motion;
 mod upsampler;
 
-pub(crate) use attention::{Aggregate, Attention, KEPT_BYTES};
+pub(crate) use attention::{Aggregate, Attention, KEPT_BYTES, attention_map};
 pub(crate) use encoder::{Encoder, EncoderConfig, NormKind};
 pub(crate) use gru::{ConvGru, SepConvGru};
 pub(crate) use motion::{FlowHead, MotionEncoder, SmallMotionEncoder, window_entries};

@@ -120,7 +120,11 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     let source = Source::open(&args.frames)?;
     let mut outputs = Outputs::plan(&args, &source)?;
     let estimator = methods::estimator(&args.method, &args.parameters)?;
-    let resumed = outputs.claim(&identity(&args)?, &source, args.warm_start)?;
+    if estimator.remembers() && network.batch > 1 {
+        wrong_usage!("{} waits for the pair before, so that --batch is 1: leave it out", estimator.name());
+    }
+    let one_by_one = args.warm_start || estimator.remembers();
+    let resumed = outputs.claim(&identity(&args)?, &source, one_by_one)?;
 
     let template = match source.pairs() {
         Some(_) => "{bar:30} {pos}/{len} flows, {per_sec}, {eta} left",

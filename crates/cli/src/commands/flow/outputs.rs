@@ -122,12 +122,13 @@ impl Outputs {
         }
     }
 
-    /// Creates the folders, and returns how many pairs an interrupted run of the same identity has finished. A run into a
-    /// folder keeps its identity there until [`finish`](Self::finish).
+    /// Creates the folders, and returns how many pairs an interrupted run of the same identity has finished: none if they go into
+    /// one file, or if each flow depends on the previous ones (`one_by_one`). A run into a folder keeps its identity there
+    /// until [`finish`](Self::finish).
     ///
     /// # Errors
     /// When a folder cannot be created; without such a run, when a file of a pair exists and `--force` was not given.
-    pub fn claim(&mut self, identity: &str, source: &Source, warm_start: bool) -> anyhow::Result<u64> {
+    pub fn claim(&mut self, identity: &str, source: &Source, one_by_one: bool) -> anyhow::Result<u64> {
         let Some(note) = self.note() else {
             self.prepare(&source.stems())?;
             return Ok(0);
@@ -140,8 +141,8 @@ impl Outputs {
         }
         self.force = true; // existing files belong to this run
         self.prepare(&[])?;
-        if warm_start || self.video().is_some() {
-            return Ok(0); // each flow depends on the previous one, or is part of one file
+        if one_by_one || self.video().is_some() {
+            return Ok(0);
         }
         let whole = |stem: &String| {
             let PairFiles { flow, viz } = self.pair(stem);

@@ -20,7 +20,9 @@ import argparse
 from pathlib import Path
 
 SEED = 7
-NETWORKS = ["raft", "raft_small", "gma", "skflow", "rpknet", "sea_raft_s", "sea_raft_m"]
+NETWORKS = [
+    "raft", "raft_small", "gma", "skflow", "rpknet", "sea_raft_s", "sea_raft_m", "flownets", "flownetc", "flownetcss"
+]
 
 
 def random_state(network):

@@ -13,20 +13,24 @@ crates/nets/tests/parity.rs repeats. Written for each network and case, as NETWO
     setting/NAME what a network is set to, where that is not its default
 and of a training step, where the reference can be trained, for the mean over all numbers of (flow - [4, 2])^2, and of a
 mixture of (log_weights - [1, -1])^2 and (log_scales - [2, -2])^2, weighted with 0.8 towards the last of all flows that the
-network gives, with the running statistics of batch norm (running) and with those of the batch (batch):
+network gives, with the running statistics of batch norm (running) and, where there is batch norm, with those
+of the batch (batch):
     training_iterations   how many
     running/NAME, batch/NAME   the gradient of a parameter, 17 numbers of it: see `samples`
     gradients/NETWORK   in place of these, where they are stored for a network of the same parts
 """
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import ptlflow
 import torch
+import torch.nn.functional as F
 from golden import name_hash, noise, write_safetensors
+from ptlflow.utils.utils import InputScaler
 
 EVERY = 7
 
@@ -57,6 +61,16 @@ class Network:
     mixture: bool = False
     # A network of the same parts whose gradients are stored.
     gradients: str = ""
+    # The flows that training compares with the truth, in full size, the last one last: from the outputs and the frames.
+    flows: Callable = lambda outputs, images: outputs["flow_preds"]
+
+
+def flownet_flows(outputs, images):
+    """FlowNet gives five flows, each in its own size, the finest first; the reference enlarges the finest in this way."""
+    scaler = InputScaler(images.shape, stride=64, interpolation_align_corners=True)
+    size = (scaler.tgt_height, scaler.tgt_width)
+    enlarged = [20 * F.interpolate(flow, size, mode="bilinear") for flow in reversed(outputs["flow_preds"])]
+    return [scaler.unfill(flow, is_flow=True) for flow in enlarged]
 
 
 # Of SKFlow's blocks, whose parts are added to their own input, four in a row: full weights would explode. The last keeps the
@@ -70,6 +84,14 @@ def sea_raft(name, iterations, flow_head, **more):
     return Network(name, iterations=iterations, gains=gains, mixture=True, **more)
 
 
+# FlowNet has no norm, and every leaky ReLU halves the variance.
+FLOWNET = {
+    "iterations": (1,),
+    "training_iterations": 1,
+    "cases": ((1, 128, 192), (2, 100, 150)),
+    "gains": {"conv": 1.7, "upsampled": 2.0, "predict_flow": 1.5},
+    "flows": flownet_flows,
+}
 
 # The coarsest of four levels of a correlation pyramid must be larger than one pixel, or the reference divides by zero.
 NETWORKS = [
@@ -91,6 +113,10 @@ NETWORKS = [
         settings={"train_avg_length": 480},
         gains={**SUPER_KERNELS, "to_qk.": 4},
     ),
+    Network("flownets", **FLOWNET),
+    Network("flownetc", **FLOWNET),
+    # Stacked, large flows through frames full of grain would enlarge every rounding error.
+    Network("flownetcss", **{**FLOWNET, "gains": {"conv": 1.7, "upsampled": 2.0, "predict_flow": 0.75}}),
 ]
 
 
@@ -160,7 +186,7 @@ def every_flow(network, model, images):
     last = network.training_iterations
     found = model(inputs(network, images))
     if "flow_preds" in found:
-        return found["flow_preds"], found.get("info_preds")
+        return network.flows(found, images), found.get("info_preds")
     flows = []
     for iterations in range(1, last + 1):
         setattr(model, network.attribute, iterations)
@@ -233,7 +259,8 @@ def write(network, folder):
             out[f"gradients/{network.gradients}"] = np.array([1])
         elif network.training_iterations:
             out["training_iterations"] = np.array([network.training_iterations])
-            for kind, batch_statistics in [("running", False), ("batch", True)]:
+            normed = any(isinstance(module, torch.nn.BatchNorm2d) for module in model.modules())
+            for kind, batch_statistics in [("running", False), ("batch", True)][: 1 + normed]:
                 for name, gradient in gradients(network, model, images, batch_statistics).items():
                     out[f"{kind}/{name}"] = samples(gradient)
         write_safetensors(folder / f"{network.name}_{batch}x{height}x{width}.safetensors", out)

@@ -27,6 +27,7 @@ from torch.func import functional_call
 ACTIVATIONS = {
     "identity": lambda x: x,
     "relu": torch.relu,
+    "leaky relu": lambda x: F.leaky_relu(x, 0.1),
     "gelu": F.gelu,
     "tanh": torch.tanh,
     "sigmoid": torch.sigmoid,
@@ -41,6 +42,12 @@ CONVOLUTIONS = [
     ([16, 6, 7], 17, [3, 3], [1, 1], [1, 1]),
     ([16, 6, 7], 17, [1, 5], [1, 1], [0, 2]),
     ([16, 6, 7], 17, [5, 1], [1, 1], [2, 0]),
+]
+# The same, transposed: FlowNet's and one of uneven stride.
+TRANSPOSED = [
+    ([3, 4, 5], 2, [4, 4], [2, 2], [1, 1]),
+    ([16, 3, 9], 17, [4, 4], [2, 2], [1, 1]),
+    ([2, 4, 3], 3, [3, 5], [3, 2], [0, 2]),
 ]
 # Kernel, padding.
 DEPTHWISE = [([5, 3], [1, 0]), ([7, 7], [3, 3]), ([15, 15], [7, 7])]
@@ -83,6 +90,12 @@ def conv2d(name, size, outputs, kernel, stride, padding, activation, residual):
         shapes["residual"] = (2, outputs, *out)
     convolve = lambda x: F.conv2d(x["input"], x["weight"], x["bias"], stride, padding)
     case(f"conv2d {name}", shapes, lambda x: finished(convolve(x), x, activation))
+
+
+def conv_transpose2d(name, size, outputs, kernel, stride, padding):
+    shapes = {"input": (2, *size), "weight": (size[0], outputs, *kernel), "bias": (outputs,)}
+    convolve = lambda x: F.conv_transpose2d(x["input"], x["weight"], x["bias"], stride, padding)
+    case(f"conv_transpose2d {name}", shapes, lambda x: F.leaky_relu(convolve(x), 0.1))
 
 
 def depthwise(name, size, kernel, padding, activation, residual):
@@ -132,6 +145,8 @@ def main(path):
             depthwise(name, [3, 9, 11], [7, 7], [3, 3], activation, residual)
     for number, sizes in enumerate(CONVOLUTIONS):
         conv2d(str(number), *sizes, "gelu", True)
+    for number, sizes in enumerate(TRANSPOSED):
+        conv_transpose2d(str(number), *sizes)
     for number, (kernel, padding) in enumerate(DEPTHWISE):
         depthwise(str(number), [3, 17, 19], kernel, padding, "gelu", True)
     for levels, radius in LOOKUPS:

@@ -13,7 +13,8 @@ pub struct Facts {
     pub paper: &'static str,
     /// Learned numbers; the statistics of batch norm are none.
     pub parameters: usize,
-    /// Height and width of frames are padded to multiples of this many pixels.
+    /// Height and width of frames are made multiples of this many pixels: by a border, or by resizing where the network's
+    /// authors resize.
     pub padding: usize,
     /// Shorter sides of a frame are padded to this many pixels by repeating the border, where the reference implementation
     /// gives NaN or fails.

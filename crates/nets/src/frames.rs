@@ -47,17 +47,22 @@ impl Border {
 }
 
 impl Frames {
-    /// Both frames in -1..1, with a border to sizes of a multiple of `multiple`.
-    ///
-    /// Panics when the frames are empty or differ in size.
-    pub(crate) fn prepared(self, multiple: usize) -> (Tensor<4>, Tensor<4>, Border) {
+    /// Height and width. Panics when the frames are empty or differ in size.
+    pub(crate) fn size(&self) -> [usize; 2] {
         let dims @ [batch, channels, height, width] = self.first.dims();
         assert_eq!(dims, self.second.dims(), "frames: the size of the second");
         assert!(
             channels == 3 && batch * height * width > 0,
             "frames: [batch, 3, height, width], not {dims:?}"
         );
-        let border = Border::new([height, width], multiple);
+        [height, width]
+    }
+
+    /// Both frames in -1..1, with a border to sizes of a multiple of `multiple`.
+    ///
+    /// Panics when the frames are empty or differ in size.
+    pub(crate) fn prepared(self, multiple: usize) -> (Tensor<4>, Tensor<4>, Border) {
+        let border = Border::new(self.size(), multiple);
         (prepared(self.first, border), prepared(self.second, border), border)
     }
 }

@@ -9,6 +9,8 @@ mod estimator;
 mod facts;
 mod features;
 mod fit;
+mod flownet;
+mod flownetcss;
 mod frames;
 mod gma;
 mod memflow;

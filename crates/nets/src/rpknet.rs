@@ -16,7 +16,7 @@ use srflow_ops::instance_norm::tensor::group_norm;
 use srflow_ops::layer_norm::tensor::layer_norm;
 
 use crate::MemoryNeed;
-use crate::blocks::{ConvGru, FlowHead, MotionEncoder, WideConvexMask, resize_bilinear};
+use crate::blocks::{ConvGru, FlowHead, Grids, MotionEncoder, WideConvexMask, resize};
 use crate::estimate::{Estimate, Request};
 use crate::facts::{Facts, IterationPresets, Start, ptlflow};
 use crate::features::Features;
@@ -323,7 +323,7 @@ fn start(request: &Request, grid: &Tensor<4>) -> Tensor<4> {
 /// Flow in pixels of another size, larger or smaller.
 fn enlarged(flow: Tensor<4>, size: [usize; 2]) -> Tensor<4> {
     let [_, _, height, _] = flow.dims();
-    resize_bilinear(flow, size) * (size[0] as f64 / height as f64)
+    resize(flow, size, Grids::CornersOnCorners) * (size[0] as f64 / height as f64)
 }
 
 impl Encoder {
@@ -364,7 +364,7 @@ impl UpGate {
     /// The hidden state of a level from that of the coarser one and its own.
     fn forward(&self, coarser: Tensor<4>, own: Tensor<4>, norm: Norm) -> Tensor<4> {
         let [_, _, height, width] = own.dims();
-        let coarser = resize_bilinear(coarser, [height, width]).tanh();
+        let coarser = resize(coarser, [height, width], Grids::CornersOnCorners).tanh();
         let x = self.conv.forward(Tensor::cat(vec![coarser.clone(), own.clone()], 1), Relu);
         let y = norm.of(self.res.conv1.forward(x.clone(), Identity), Relu);
         let y = norm.of(self.res.conv2.forward(y, Identity), Identity);

@@ -9,7 +9,7 @@ use crate::facts::Facts;
 use crate::features::Features;
 use crate::frames::Frames;
 use crate::settings::{Setting, SettingError, set};
-use crate::{gma, memflow, raft, raft_small, rpknet, sea_raft, skflow};
+use crate::{flownet, flownetcss, gma, memflow, raft, raft_small, rpknet, sea_raft, skflow};
 
 /// What the table says of a network.
 pub(crate) struct Entry<N> {
@@ -147,6 +147,9 @@ networks! {
     SeaRaftM(sea_raft::SeaRaft) = sea_raft::SEA_RAFT_M,
     SeaRaftL(sea_raft::SeaRaft) = sea_raft::SEA_RAFT_L,
     MemFlow(memflow::MemFlow) = memflow::MEMFLOW,
+    FlowNetS(flownet::FlowNet) = flownet::FLOWNETS,
+    FlowNetC(flownet::FlowNet) = flownet::FLOWNETC,
+    FlowNetCss(flownetcss::FlowNetCss) = flownetcss::FLOWNETCSS,
 }
 
 #[cfg(test)]

@@ -28,6 +28,7 @@ pub mod activation;
 pub mod attention;
 pub mod batch_norm;
 pub mod conv2d;
+pub mod conv_transpose2d;
 pub mod convolution;
 pub mod correlation;
 pub mod depthwise;

@@ -10,6 +10,7 @@ use srflow_golden::{Golden, name_hash, noise, numbers};
 use srflow_ops::Activation;
 use srflow_ops::attention::tensor::Attention;
 use srflow_ops::batch_norm::tensor::batch_norm;
+use srflow_ops::conv_transpose2d::tensor::conv_transpose2d;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::depthwise::tensor::depthwise;
@@ -20,9 +21,10 @@ use srflow_ops::pointwise::tensor::{LayerOptions, PointwiseLayer, pointwise_laye
 use srflow_ops::upsample::tensor::convex_upsample;
 use srflow_ops::warp::tensor::warp;
 
-const ACTIVATIONS: [(&str, Activation); 5] = [
+const ACTIVATIONS: [(&str, Activation); 6] = [
     ("identity", Activation::Identity),
     ("relu", Activation::Relu),
+    ("leaky relu", Activation::LeakyRelu),
     ("gelu", Activation::Gelu),
     ("tanh", Activation::Tanh),
     ("sigmoid", Activation::Sigmoid),
@@ -173,6 +175,31 @@ fn convolutions_of_every_kind() {
         let input = [2, channels, height, width];
         let weight = [outputs, channels, kernel[0], kernel[1]];
         check_conv2d(&number.to_string(), input, weight, options, Activation::Gelu, true);
+    }
+}
+
+/// FlowNet's, and one of uneven stride.
+#[test]
+fn transposed_convolutions() {
+    for (number, (input, outputs, kernel, [stride, padding])) in [
+        ([3, 4, 5], 2, [4, 4], [[2, 2], [1, 1]]),
+        ([16, 3, 9], 17, [4, 4], [[2, 2], [1, 1]]),
+        ([2, 4, 3], 3, [3, 5], [[3, 2], [0, 2]]),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let [channels, height, width] = input;
+        let shapes = [
+            ("input", [2, channels, height, width]),
+            ("weight", [channels, outputs, kernel[0], kernel[1]]),
+            ("bias", [outputs, 1, 1, 1]),
+        ];
+        check(&format!("conv_transpose2d {number}"), &shapes, |inputs| {
+            let [input, weight, bias] = <[Tensor<4>; 3]>::try_from(inputs).expect("three");
+            let options = Conv2dOptions::new(stride, padding);
+            conv_transpose2d(input, weight, Some(bias.flatten(0, 3)), Activation::LeakyRelu, options)
+        });
     }
 }
 

@@ -13,6 +13,8 @@ pub enum Activation {
     Identity,
     /// `max(x, 0)`.
     Relu,
+    /// `max(x, 0.1 x)`: PyTorch's `LeakyReLU(0.1)`, which FlowNet and its successors use.
+    LeakyRelu,
     /// `x (1 + erf(x / sqrt 2)) / 2`, the exact form, which PyTorch's `gelu` computes by default.
     Gelu,
     /// The hyperbolic tangent.
@@ -22,23 +24,30 @@ pub enum Activation {
 }
 
 impl Activation {
+    /// Slope of LeakyRelu below zero.
+    pub const LEAK: f32 = 0.1;
+
     /// The activation of `x` in f64: the definition.
     pub fn reference(self, x: f64) -> f64 {
         match self {
             Activation::Identity => x,
             Activation::Relu if x < 0.0 => 0.0,
             Activation::Relu => x,
+            Activation::LeakyRelu if x < 0.0 => f64::from(Self::LEAK) * x,
+            Activation::LeakyRelu => x,
             Activation::Gelu => 0.5 * x * (1.0 + libm::erf(x / std::f64::consts::SQRT_2)),
             Activation::Tanh => x.tanh(),
             Activation::Sigmoid => 1.0 / (1.0 + (-x).exp()),
         }
     }
 
-    /// The derivative at `x` in f64; 0 at 0 for Relu, as in PyTorch.
+    /// The derivative at `x` in f64; at 0 that of Relu is 0 and that of LeakyRelu 0.1, as in PyTorch.
     pub fn reference_derivative(self, x: f64) -> f64 {
         match self {
             Activation::Identity => 1.0,
             Activation::Relu => f64::from(u8::from(x > 0.0)),
+            Activation::LeakyRelu if x > 0.0 => 1.0,
+            Activation::LeakyRelu => f64::from(Self::LEAK),
             Activation::Gelu => {
                 let cumulative = 0.5 * (1.0 + libm::erf(x / std::f64::consts::SQRT_2));
                 let density = (-0.5 * x * x).exp() / (2.0 * std::f64::consts::PI).sqrt();
@@ -56,7 +65,9 @@ impl Activation {
     pub fn keeps(self) -> Keeps {
         match self {
             Activation::Identity => Keeps::Nothing,
-            Activation::Relu | Activation::Tanh | Activation::Sigmoid => Keeps::Output,
+            Activation::Relu | Activation::LeakyRelu | Activation::Tanh | Activation::Sigmoid => {
+                Keeps::Output
+            }
             Activation::Gelu => Keeps::Sum,
         }
     }
@@ -67,6 +78,7 @@ impl Activation {
         match self {
             Activation::Identity => x,
             Activation::Relu => s.max(s.splat(0.0), x),
+            Activation::LeakyRelu => s.max(s.mul(s.splat(Self::LEAK), x), x),
             Activation::Gelu => {
                 let half = s.mul(s.splat(0.5), x);
                 s.mul_add(half, erf(s, s.mul(s.splat(std::f32::consts::FRAC_1_SQRT_2), x)), half)
@@ -84,6 +96,9 @@ impl Activation {
         match self {
             Activation::Identity => grad,
             Activation::Relu => s.select(s.greater(kept, s.splat(0.0)), grad, s.splat(0.0)),
+            Activation::LeakyRelu => {
+                s.select(s.greater(kept, s.splat(0.0)), grad, s.mul(s.splat(Self::LEAK), grad))
+            }
             Activation::Gelu => {
                 let half = s.splat(0.5);
                 let sum = s.mul(s.splat(std::f32::consts::FRAC_1_SQRT_2), kept);
@@ -183,12 +198,19 @@ fn backward_kernel<S: Simd>(s: S, activation: Activation, kept: &[f32], grad: &m
 mod tests {
     use super::*;
 
+    const ALL: [Activation; 6] = [
+        Activation::Identity,
+        Activation::Relu,
+        Activation::LeakyRelu,
+        Activation::Gelu,
+        Activation::Tanh,
+        Activation::Sigmoid,
+    ];
+
     /// Otherwise a diverged network would look fine.
     #[test]
     fn nan_stays_nan() {
-        for activation in
-            [Activation::Identity, Activation::Relu, Activation::Gelu, Activation::Tanh, Activation::Sigmoid]
-        {
+        for activation in ALL {
             for isa in Isa::to_test() {
                 let mut out = [f32::NAN; 19];
                 activate(isa, activation, None, &mut out);
@@ -201,9 +223,7 @@ mod tests {
     #[test]
     fn vectors_compute_the_derivative() {
         let x: Vec<f32> = (-20_000..=20_000).map(|i| i as f32 * 1e-3).chain([1e4, -1e4]).collect();
-        for activation in
-            [Activation::Identity, Activation::Relu, Activation::Gelu, Activation::Tanh, Activation::Sigmoid]
-        {
+        for activation in ALL {
             let kept: Vec<f32> = match activation.keeps() {
                 Keeps::Output => x.iter().map(|&x| activation.reference(f64::from(x)) as f32).collect(),
                 Keeps::Sum | Keeps::Nothing => x.clone(),
@@ -224,7 +244,7 @@ mod tests {
 
     #[test]
     fn the_derivative_is_that_of_the_function() {
-        for activation in [Activation::Relu, Activation::Gelu, Activation::Tanh, Activation::Sigmoid] {
+        for activation in ALL {
             for x in [-3.1, -0.7, -1e-3, 0.2, 1.9, 6.0] {
                 let step = 1e-5;
                 let slope = (activation.reference(x + step) - activation.reference(x - step)) / (2.0 * step);
@@ -237,9 +257,7 @@ mod tests {
     fn vectors_compute_the_definition() {
         let x: Vec<f32> =
             (-40_000..=40_000).map(|i| i as f32 * 5e-4).chain([1e4, -1e4, 1e30, -1e30]).collect();
-        for activation in
-            [Activation::Identity, Activation::Relu, Activation::Gelu, Activation::Tanh, Activation::Sigmoid]
-        {
+        for activation in ALL {
             for isa in Isa::to_test() {
                 let mut out = vec![0.0; x.len()];
                 activate(isa, activation, Some(&x), &mut out);

@@ -347,7 +347,7 @@ unsafe fn tile<S: Simd, const ROWS: usize>(
                 }
             };
         }
-        apply!(Relu Gelu Tanh Sigmoid);
+        apply!(Relu LeakyRelu Gelu Tanh Sigmoid);
         each_vector::<S, ROWS>(columns, |i, row, x, lanes| {
             let value = s.load(values.add(i * S::LANES));
             let to = out.add(row * output.steps.row + x);

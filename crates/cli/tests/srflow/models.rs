@@ -91,7 +91,9 @@ fn what_is_no_checkpoint_is_an_error() {
 fn exported_weights_are_the_same_to_the_bit() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name).display().to_string();
-    for architecture in srflow_nets::Architecture::ALL {
+    // The largest would fill gigabytes with more of the same layers.
+    let networks = srflow_nets::Architecture::ALL.into_iter();
+    for architecture in networks.filter(|network| network.facts().parameters < 50_000_000) {
         // Where several networks have the same parameters, a file's name says whose they are.
         let own = path(&format!("{}.safetensors", architecture.name()));
         srflow_nn::save_parameters(&architecture.init(&Default::default()), own.as_ref()).unwrap();

@@ -4,12 +4,12 @@ mod attention;
 mod encoder;
 mod gru;
 mod motion;
+mod resize;
 mod upsampler;
 
 pub(crate) use attention::{Aggregate, Attention, KEPT_BYTES, attention_map};
 pub(crate) use encoder::{Encoder, EncoderConfig, NormKind};
 pub(crate) use gru::{ConvGru, SepConvGru};
 pub(crate) use motion::{FlowHead, MotionEncoder, SmallMotionEncoder, window_entries};
-pub(crate) use upsampler::{
-    ConvexMask, WideConvexMask, bilinear_upsample, convex_mask, convex_upsample, resize_bilinear,
-};
+pub(crate) use resize::{Grids, resize, resize_flow};
+pub(crate) use upsampler::{ConvexMask, WideConvexMask, bilinear_upsample, convex_mask, convex_upsample};

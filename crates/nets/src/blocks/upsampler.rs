@@ -6,6 +6,7 @@ use srflow_nn::layers::{Conv2d, Conv2dConfig, NoParameters};
 use srflow_ops::Activation;
 use srflow_ops::upsample::tensor;
 
+use super::{Grids, resize};
 use crate::recurrent::STRIDE;
 
 /// What the reference multiplies the weights with "to balance gradients".
@@ -55,27 +56,5 @@ impl WideConvexMask {
 /// Fine flow by bilinear interpolation, corners on corners (`upflow8`).
 pub(crate) fn bilinear_upsample(flow: Tensor<4>) -> Tensor<4> {
     let [_, _, height, width] = flow.dims();
-    resize_bilinear(flow, [height, width].map(|side| side * STRIDE)) * STRIDE as f64
-}
-
-/// Maps of another height and width by bilinear interpolation, corners on corners
-/// (`F.interpolate(..., mode="bilinear", align_corners=True)`).
-pub(crate) fn resize_bilinear(x: Tensor<4>, [height, width]: [usize; 2]) -> Tensor<4> {
-    let [batch, channels, old_height, old_width] = x.dims();
-    let along = |new: usize, old: usize| {
-        interpolation(new, old, &x.device()).reshape([1, 1, new, old]).expand([batch, channels, new, old])
-    };
-    let columns = along(width, old_width).swap_dims(2, 3);
-    along(height, old_height).matmul(x).matmul(columns)
-}
-
-/// Weight of each old position at each new one: `[new, old]`.
-fn interpolation(new: usize, old: usize, device: &Device) -> Tensor<2> {
-    let step = (old - 1) as f64 / (new - 1).max(1) as f64;
-    let weight = |i: usize| {
-        let at = (i / old) as f64 * step;
-        (1.0 - (at - (i % old) as f64).abs()).max(0.0) as f32
-    };
-    let weights: Vec<f32> = (0..new * old).map(weight).collect();
-    Tensor::<1>::from_floats(weights.as_slice(), device).reshape([new, old])
+    resize(flow, [height, width].map(|side| STRIDE * side), Grids::CornersOnCorners) * STRIDE as f64
 }

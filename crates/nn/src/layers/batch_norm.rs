@@ -1,7 +1,7 @@
 //! PyTorch's `BatchNorm2d` and its running statistics.
 
 use burn::module::{Flag, Initializer, Module, ModuleMapper, Param, RunningState};
-use burn::tensor::activation::{gelu, relu, sigmoid};
+use burn::tensor::activation::{gelu, leaky_relu, relu, sigmoid};
 use burn::tensor::{Device, Tensor};
 use srflow_ops::batch_norm::tensor::batch_norm;
 use srflow_ops::conv2d::tensor::Epilogue;
@@ -68,6 +68,7 @@ impl BatchNorm {
             let y = self.by_the_batch(y, None, activation == Activation::Relu);
             return match activation {
                 Activation::Identity | Activation::Relu => y,
+                Activation::LeakyRelu => leaky_relu(y, f64::from(Activation::LEAK)),
                 Activation::Gelu => gelu(y),
                 Activation::Tanh => y.tanh(),
                 Activation::Sigmoid => sigmoid(y),

@@ -2,6 +2,7 @@
 
 mod batch_norm;
 mod conv;
+mod conv_transpose;
 mod dropout;
 mod layer_norm;
 mod linear;
@@ -10,6 +11,7 @@ use burn::module::Module;
 
 pub use batch_norm::{BatchNorm, with_batch_statistics};
 pub use conv::{Conv2d, Conv2dConfig};
+pub use conv_transpose::{ConvTranspose2d, ConvTranspose2dConfig};
 pub use dropout::dropout;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;

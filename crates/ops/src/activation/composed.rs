@@ -35,6 +35,7 @@ pub(crate) fn activate_tensor<B: Backend>(x: FloatTensor<B>, activation: Activat
     match activation {
         Activation::Identity => x,
         Activation::Relu => B::relu(x),
+        Activation::LeakyRelu => B::leaky_relu(x, Activation::LEAK.into()),
         Activation::Gelu => B::gelu(x),
         Activation::Tanh => B::float_tanh(x),
         Activation::Sigmoid => B::sigmoid(x),
@@ -50,6 +51,11 @@ pub(super) fn activate_tensor_backward<B: Backend>(
     match activation {
         Activation::Identity => grad,
         Activation::Relu => B::relu_backward(kept, grad),
+        Activation::LeakyRelu => {
+            let everywhere = B::float_mul_scalar(grad.clone(), Activation::LEAK.into());
+            let above_zero = B::float_mul_scalar(grad, (1.0 - Activation::LEAK).into());
+            B::float_add(everywhere, B::relu_backward(kept, above_zero))
+        }
         Activation::Gelu => {
             // Burn's own derivative is that of the tanh approximation.
             let half_squares = B::float_mul(kept.clone(), kept.clone());

@@ -1,8 +1,9 @@
 use rayon::prelude::*;
-use srflow_simd::Isa;
+use srflow_simd::{Activation, Isa, pack_rows};
 
 use super::Epilogue;
-use super::forward::{BLOCK, Plan, Tile, convolve_packed, convolve_row, pack, pack_weights};
+use super::forward::{convolve_packed, pack};
+use super::panels::{self, Reads};
 use crate::convolution::Conv2dShape;
 use crate::sums::sum;
 
@@ -32,7 +33,7 @@ pub fn conv2d_backward_input(grad: &[f32], weight: &[f32], shape: &Conv2dShape) 
 
 /// [`conv2d_backward_input`] with a chosen instruction set.
 pub(super) fn backward_input_with(isa: Isa, grad: &[f32], weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
-    backward_input_packed(isa, grad, &pack_backward(isa, weight, shape), None, shape)
+    backward_input_packed(isa, grad, &pack_backward(isa, weight, shape), &Epilogue::default(), shape)
 }
 
 /// The single convolution that computes the gradient of the input, if there is one.
@@ -53,36 +54,61 @@ pub(crate) fn pack_backward(isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Ve
     assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
     match as_convolution(shape) {
         Some(backward) => pack(isa, &turn_around(weight, shape, [0, 0]), &backward),
-        None => remainders(shape).flat_map(|remainder| turn_around(weight, shape, remainder)).collect(),
+        None => {
+            remainders(shape).flat_map(|remainder| pack_remainder(isa, weight, shape, remainder)).collect()
+        }
     }
 }
 
-/// [`conv2d_backward_input`] plus `add`, with weights from [`pack_backward`] for the same instruction set and shape.
+fn pack_remainder(isa: Isa, weight: &[f32], shape: &Conv2dShape, remainder: [usize; 2]) -> Vec<f32> {
+    let turned = turn_around(weight, shape, remainder);
+    let mut packed = vec![0.0; turned.len()];
+    pack_rows(isa, &turned, turned.len() / shape.in_channels.max(1), &mut packed);
+    packed
+}
+
+/// [`conv2d_backward_input`], then the epilogue, whose bias is one number for each input channel, with weights from
+/// [`pack_backward`] for the same instruction set and shape.
 pub(crate) fn backward_input_packed(
     isa: Isa,
     grad: &[f32],
     packed: &[f32],
-    add: Option<&[f32]>,
+    epilogue: &Epilogue,
     shape: &Conv2dShape,
 ) -> Vec<f32> {
     assert_eq!(grad.len(), shape.output_len(), "gradient of {shape:?}");
-    if shape.input_len() == 0 || grad.is_empty() {
-        return add.map_or_else(|| vec![0.0; shape.input_len()], <[f32]>::to_vec);
+    epilogue.check(shape.in_channels, shape.input_len());
+    if shape.input_len() == 0 {
+        return Vec::new();
+    }
+    let [height, width] = shape.input;
+    if grad.is_empty() {
+        let channels = (0..shape.batch * shape.in_channels).map(|plane| plane % shape.in_channels);
+        let bias = |channel: usize| epilogue.bias.map_or(0.0, |bias| bias[channel]);
+        let mut out: Vec<f32> =
+            channels.flat_map(|channel| std::iter::repeat_n(bias(channel), height * width)).collect();
+        epilogue.finish(isa, 0, &mut out);
+        return out;
     }
     if let Some(backward) = as_convolution(shape) {
-        let epilogue = Epilogue { residual: add, ..Epilogue::default() };
-        return convolve_packed(isa, grad, packed, &epilogue, &backward);
+        return convolve_packed(isa, grad, packed, epilogue, &backward);
     }
+    // A residual lies in the order of all pixels, and is added when they are together.
+    let activation = if epilogue.residual.is_some() { Activation::Identity } else { epilogue.activation };
+    let of_remainder = Epilogue { residual: None, activation, ..*epilogue };
     let mut out = vec![0.0; shape.input_len()];
     let mut rest = packed;
     for remainder in remainders(shape) {
         let taps = taps_of(shape, remainder);
-        let (turned, others) = rest.split_at(shape.in_channels * shape.out_channels * taps[0] * taps[1]);
-        backward_remainder(isa, grad, turned, shape, remainder, &mut out);
+        let (own, others) = rest.split_at(shape.in_channels * shape.out_channels * taps[0] * taps[1]);
+        let pixels = Pixels::of(shape, remainder);
+        let sums = panels::convolve(isa, grad, own, &of_remainder, &pixels.reads(shape, taps));
+        pixels.place(&sums, shape, &mut out);
         rest = others;
     }
-    if let Some(add) = add {
-        out.par_iter_mut().zip(add).for_each(|(out, add)| *out += add);
+    if epilogue.residual.is_some() {
+        let rows = out.par_chunks_mut(width).enumerate();
+        rows.for_each(|(number, row)| epilogue.finish(isa, number * width, row));
     }
     out
 }
@@ -129,100 +155,55 @@ fn turn_around(weight: &[f32], shape: &Conv2dShape, remainder: [usize; 2]) -> Ve
     out
 }
 
-/// The input's pixels `(stride * q + remainder - padding)`, for all `q`.
-fn backward_remainder(
-    isa: Isa,
-    grad: &[f32],
-    turned: &[f32],
-    shape: &Conv2dShape,
+/// The input's pixels `stride * q + remainder - padding` of one remainder.
+struct Pixels {
     remainder: [usize; 2],
-    out: &mut [f32],
-) {
-    let taps = taps_of(shape, remainder);
-    if taps.contains(&0) {
-        return; // no tap reaches these pixels: their gradient is zero
-    }
-    // Pixel q of this remainder sums the output gradient at q, q - 1, ... q - (taps - 1).
-    let first_q = [0, 1].map(|i| shape.padding[i].saturating_sub(remainder[i]).div_ceil(shape.stride[i]));
-    let count = [0, 1].map(|i| {
-        let end = (shape.input[i] + shape.padding[i]).saturating_sub(remainder[i]).div_ceil(shape.stride[i]);
-        end.saturating_sub(first_q[i])
-    });
-    if count.contains(&0) {
-        return;
-    }
-    let gathered = gather(isa, grad, turned, shape, taps, first_q, count);
-    let [height, width] = shape.input;
-    let [stride_y, stride_x] = shape.stride;
-    out.par_chunks_mut(height * width).zip(gathered.par_chunks(count[0] * count[1])).for_each(
-        |(to, from)| {
-            for (row, values) in from.chunks_exact(count[1]).enumerate() {
-                let y = (first_q[0] + row) * stride_y + remainder[0] - shape.padding[0];
-                let x = first_q[1] * stride_x + remainder[1] - shape.padding[1];
-                for (i, &value) in values.iter().enumerate() {
-                    to[y * width + x + i * stride_x] = value;
-                }
-            }
-        },
-    );
+    /// The `q` of the first row and column inside the input.
+    first: [usize; 2],
+    /// Rows and columns.
+    count: [usize; 2],
 }
 
-/// `[N, C_in, count]`: at each `q` from `first_q`, the taps of the flipped kernel applied to the zero-padded output gradient.
-fn gather(
-    isa: Isa,
-    grad: &[f32],
-    turned: &[f32],
-    shape: &Conv2dShape,
-    taps: [usize; 2],
-    first_q: [usize; 2],
-    count: [usize; 2],
-) -> Vec<f32> {
-    let [grad_height, grad_width] = shape.output();
-    // Row j of the padded gradient is row first_q + j - (taps - 1) of the gradient.
-    let padded = [count[0] + taps[0] - 1, count[1] + taps[1] - 1];
-    let row = shape.out_channels * padded[1];
-    let mut source = vec![0.0; shape.batch * padded[0] * row];
-    source.par_chunks_mut(row).enumerate().for_each(|(index, to)| {
-        let (n, j) = (index / padded[0], index % padded[0]);
-        let Some(y) = (first_q[0] + j).checked_sub(taps[0] - 1).filter(|&y| y < grad_height) else { return };
-        for (o, to) in to.chunks_exact_mut(padded[1]).enumerate() {
-            let from = &grad[((n * shape.out_channels + o) * grad_height + y) * grad_width..][..grad_width];
-            for (i, to) in to.iter_mut().enumerate() {
-                if let Some(x) = (first_q[1] + i).checked_sub(taps[1] - 1).filter(|&x| x < grad_width) {
-                    *to = from[x];
-                }
-            }
+impl Pixels {
+    fn of(shape: &Conv2dShape, remainder: [usize; 2]) -> Self {
+        let first = [0, 1].map(|i| shape.padding[i].saturating_sub(remainder[i]).div_ceil(shape.stride[i]));
+        let count = [0, 1].map(|i| {
+            let end =
+                (shape.input[i] + shape.padding[i]).saturating_sub(remainder[i]).div_ceil(shape.stride[i]);
+            end.saturating_sub(first[i])
+        });
+        Self { remainder, first, count }
+    }
+
+    /// Their gradients as a convolution of the output's: pixel `q` gathers it at `q`, `q - 1`, ... `q - (taps - 1)`.
+    fn reads(&self, shape: &Conv2dShape, taps: [usize; 2]) -> Reads {
+        Reads {
+            batch: shape.batch,
+            in_channels: shape.out_channels,
+            out_channels: shape.in_channels,
+            input: shape.output(),
+            kernel: taps,
+            stride: [1, 1],
+            origin: [0, 1].map(|i| self.first[i] as isize + 1 - taps[i] as isize),
+            output: self.count,
         }
-    });
-    let plan = Plan {
-        channels: shape.out_channels,
-        source_channel: padded[1],
-        source_row: row,
-        taps: (0..taps[0] * taps[1]).map(|tap| tap / taps[1] * row + tap % taps[1]).collect(),
-        rows: count[0],
-        columns: count[1],
-        out_channel: count[0] * count[1],
-    };
-    let inner = plan.channels * plan.taps.len();
-    let weights = pack_weights(turned, shape.in_channels, inner);
-    let mut out = vec![0.0; shape.batch * shape.in_channels * plan.out_channel];
-    out.par_chunks_mut(shape.in_channels * plan.out_channel).enumerate().for_each(|(n, image)| {
-        image.par_chunks_mut(BLOCK * plan.out_channel).enumerate().for_each(|(block, channels)| {
-            let first = n * padded[0] * row;
-            for row in 0..plan.rows {
-                let tile = Tile {
-                    source: source[first + row * plan.source_row..].as_ptr(),
-                    weights: weights[block * BLOCK * inner..].as_ptr(),
-                    start: [0.0; BLOCK],
-                    out_channels: channels.len() / plan.out_channel,
-                    columns: plan.columns,
-                    out: channels[row * plan.columns..].as_mut_ptr(),
-                };
-                // SAFETY: the padded gradient holds every tap of every pixel, and the output chunk
-                // holds all its channels.
-                unsafe { convolve_row(isa, &plan, &tile) }
+    }
+
+    /// Puts `[batch, in_channels, rows, columns]` among the pixels of the other remainders.
+    fn place(&self, values: &[f32], shape: &Conv2dShape, to: &mut [f32]) {
+        let [rows, columns] = self.count;
+        if rows * columns == 0 {
+            return;
+        }
+        let [height, width] = shape.input;
+        let [down, across] = shape.stride;
+        let place = |i: usize| self.first[i] * shape.stride[i] + self.remainder[i] - shape.padding[i];
+        let (top, left) = (place(0), place(1));
+        to.par_chunks_mut(height * width).zip(values.par_chunks(rows * columns)).for_each(|(to, from)| {
+            for (row, from) in from.chunks_exact(columns).enumerate() {
+                let to = &mut to[(top + row * down) * width + left..];
+                to.iter_mut().step_by(across).zip(from).for_each(|(to, from)| *to = *from);
             }
         });
-    });
-    out
+    }
 }

@@ -1,13 +1,14 @@
 use rayon::prelude::*;
 use srflow_simd::{Isa, SharedMut, Simd, dispatch, pack_rows};
 
+use super::Epilogue;
+use super::panels::{self, Reads};
 use super::winograd::{self, Scheme};
-use super::{Epilogue, panels};
 use crate::convolution::Conv2dShape;
 use crate::pointwise::{Add, Layer, Map, pointwise};
 
 /// Output channels of a register tile.
-pub(super) const BLOCK: usize = 8;
+const BLOCK: usize = 8;
 /// Vectors of pixels of a register tile.
 const VECTORS: usize = 3;
 /// Output rows per task: enough to reuse the weights in the first-level cache, few enough to balance the load.
@@ -97,7 +98,7 @@ pub(crate) fn convolve_packed(
             pointwise(isa, input, [shape.batch, shape.in_channels, shape.input[0] * shape.input[1]], &[layer])
         }
         Method::Winograd(scheme) => winograd::convolve(isa, scheme, input, packed, epilogue, shape),
-        Method::Panels => panels::convolve(isa, input, packed, epilogue, shape),
+        Method::Panels => panels::convolve(isa, input, packed, epilogue, &Reads::of(shape)),
         Method::Direct => convolve_directly(isa, input, packed, epilogue, shape),
     }
 }
@@ -161,7 +162,7 @@ fn convolve_directly(
 }
 
 /// Reorders `[rows, inner]` into blocks of [`BLOCK`] rows (the last may have fewer), each `[inner, rows of the block]`.
-pub(super) fn pack_weights(weight: &[f32], rows: usize, inner: usize) -> Vec<f32> {
+fn pack_weights(weight: &[f32], rows: usize, inner: usize) -> Vec<f32> {
     let mut packed = vec![0.0; rows * inner];
     packed.par_chunks_mut(BLOCK * inner).zip(weight.par_chunks(BLOCK * inner)).for_each(|(to, from)| {
         let rows = from.len() / inner;
@@ -249,24 +250,24 @@ impl<'a> Padded<'a> {
 }
 
 /// Data shared by all rows of a convolution.
-pub(super) struct Plan {
-    pub(super) channels: usize,
-    pub(super) source_channel: usize,
-    pub(super) source_row: usize,
-    pub(super) taps: Vec<usize>,
-    pub(super) rows: usize,
-    pub(super) columns: usize,
-    pub(super) out_channel: usize,
+struct Plan {
+    channels: usize,
+    source_channel: usize,
+    source_row: usize,
+    taps: Vec<usize>,
+    rows: usize,
+    columns: usize,
+    out_channel: usize,
 }
 
 /// A row, or a part of it, of up to [`BLOCK`] output channels.
-pub(super) struct Tile {
-    pub(super) source: *const f32,
-    pub(super) weights: *const f32,
-    pub(super) start: [f32; BLOCK],
-    pub(super) out_channels: usize,
-    pub(super) columns: usize,
-    pub(super) out: *mut f32,
+struct Tile {
+    source: *const f32,
+    weights: *const f32,
+    start: [f32; BLOCK],
+    out_channels: usize,
+    columns: usize,
+    out: *mut f32,
 }
 
 dispatch! {
@@ -274,7 +275,7 @@ dispatch! {
     ///
     /// # Safety
     /// The source is readable at every tap of every channel and column, and the output is writable.
-    pub(super) unsafe fn convolve_row = convolve_row_kernel(plan: &Plan, tile: &Tile)
+    unsafe fn convolve_row = convolve_row_kernel(plan: &Plan, tile: &Tile)
 }
 
 #[inline(always)]

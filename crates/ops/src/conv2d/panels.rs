@@ -8,26 +8,60 @@ use srflow_simd::{Isa, Product, Start, Steps, fill_columns, multiply, panel_colu
 use super::Epilogue;
 use crate::convolution::Conv2dShape;
 
-/// [`super::conv2d`] with weights `[out_channels, in_channels * taps]` in the order of [`srflow_simd::pack_rows`].
+/// Sizes of a convolution whose output may begin and end anywhere, and what it reads. Layouts as in [`Conv2dShape`].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Reads {
+    pub(super) batch: usize,
+    pub(super) in_channels: usize,
+    pub(super) out_channels: usize,
+    pub(super) input: [usize; 2],
+    pub(super) kernel: [usize; 2],
+    pub(super) stride: [usize; 2],
+    /// Row and column of the input under the first tap of the first output pixel. All outside of the input is zero.
+    pub(super) origin: [isize; 2],
+    pub(super) output: [usize; 2],
+}
+
+impl Reads {
+    /// Of an ordinary convolution.
+    pub(super) fn of(shape: &Conv2dShape) -> Self {
+        Self {
+            batch: shape.batch,
+            in_channels: shape.in_channels,
+            out_channels: shape.out_channels,
+            input: shape.input,
+            kernel: shape.kernel,
+            stride: shape.stride,
+            origin: shape.padding.map(|zeros| -(zeros as isize)),
+            output: shape.output(),
+        }
+    }
+
+    /// Products of an output element.
+    fn depth(&self) -> usize {
+        self.in_channels * self.kernel[0] * self.kernel[1]
+    }
+}
+
+/// Convolution with weights `[out_channels, in_channels * taps]` in the order of [`srflow_simd::pack_rows`], then the epilogue.
 pub(super) fn convolve(
     isa: Isa,
     input: &[f32],
     packed: &[f32],
     epilogue: &Epilogue,
-    shape: &Conv2dShape,
+    reads: &Reads,
 ) -> Vec<f32> {
-    let [height, width] = shape.output();
-    let pixels = height * width;
-    let depth = shape.in_channels * shape.taps();
+    let pixels = reads.output[0] * reads.output[1];
+    let depth = reads.depth();
     let panel = panel_columns(isa);
-    let image = shape.in_channels * shape.input[0] * shape.input[1];
+    let image = reads.in_channels * reads.input[0] * reads.input[1];
     let scratch = || vec![0.0; depth * panel];
-    fill_columns(isa, [shape.batch, shape.out_channels, pixels], panel, scratch, |taps, n, own, out| {
-        gather(&input[n * image..][..image], shape, own.clone(), panel, taps);
-        let at = n * shape.out_channels * pixels + own.start;
+    fill_columns(isa, [reads.batch, reads.out_channels, pixels], panel, scratch, |taps, n, own, out| {
+        gather(&input[n * image..][..image], reads, own.clone(), panel, taps);
+        let at = n * reads.out_channels * pixels + own.start;
         let product = Product {
             left: packed,
-            rows: shape.out_channels,
+            rows: reads.out_channels,
             depth,
             right: taps,
             right_panel: depth * panel,
@@ -40,23 +74,27 @@ pub(super) fn convolve(
     })
 }
 
-/// The inputs under each tap of each channel for some output pixels: `[in_channels * taps, columns]`.
-fn gather(image: &[f32], shape: &Conv2dShape, pixels: Range<usize>, columns: usize, taps: &mut [f32]) {
-    let [height, width] = shape.input;
-    let [kernel_height, kernel_width] = shape.kernel;
-    let out_width = shape.output()[1];
+/// What lies under each tap of each channel at some output pixels: `[in_channels * taps, columns]`.
+fn gather(image: &[f32], reads: &Reads, pixels: Range<usize>, columns: usize, taps: &mut [f32]) {
+    let [height, width] = reads.input;
+    let [kernel_height, kernel_width] = reads.kernel;
+    let out_width = reads.output[1];
+    if taps.is_empty() {
+        return;
+    }
     let mut at = 0;
     while pixels.start + at < pixels.end {
         let (y, x) = ((pixels.start + at) / out_width, (pixels.start + at) % out_width);
         let len = (out_width - x).min(pixels.len() - at);
         for (row, to) in taps.chunks_exact_mut(kernel_width * columns).enumerate() {
             let (channel, ky) = (row / kernel_height, row % kernel_height);
-            let row = (y * shape.stride[0] + ky).checked_sub(shape.padding[0]).filter(|&row| row < height);
+            let row =
+                (y * reads.stride[0] + ky).checked_add_signed(reads.origin[0]).filter(|&row| row < height);
             let source = row.map(|row| &image[(channel * height + row) * width..][..width]);
             for (kx, to) in to.chunks_exact_mut(columns).enumerate() {
                 let to = &mut to[at..at + len];
                 match source {
-                    Some(source) => take(source, x, kx, shape.stride[1], shape.padding[1], to),
+                    Some(source) => take(source, x, kx as isize + reads.origin[1], reads.stride[1], to),
                     None => to.fill(0.0),
                 }
             }
@@ -65,18 +103,19 @@ fn gather(image: &[f32], shape: &Conv2dShape, pixels: Range<usize>, columns: usi
     }
 }
 
-/// The elements of a row under tap `kx` for the output columns from `x`; zero outside the row.
-fn take(source: &[f32], x: usize, kx: usize, stride: usize, padding: usize, to: &mut [f32]) {
-    // Output column i reads source column i * stride + kx - padding.
-    let first = padding.saturating_sub(kx).div_ceil(stride).saturating_sub(x).min(to.len());
-    let end =
-        (source.len() + padding).saturating_sub(kx).div_ceil(stride).saturating_sub(x).clamp(first, to.len());
+/// The elements `column * stride + offset` of a row for the output columns from `x` on; zero outside of the row.
+fn take(source: &[f32], x: usize, offset: isize, stride: usize, to: &mut [f32]) {
+    // Columns from `x` to the first that reads at `place` or behind it.
+    let before = |place: usize| {
+        place.saturating_add_signed(offset.saturating_neg()).div_ceil(stride).saturating_sub(x).min(to.len())
+    };
+    let (first, end) = (before(0), before(source.len()));
     to[..first].fill(0.0);
     to[end..].fill(0.0);
     if first == end {
         return;
     }
-    let source = &source[(x + first) * stride + kx - padding..];
+    let source = &source[((x + first) * stride).saturating_add_signed(offset)..];
     match stride {
         1 => to[first..end].copy_from_slice(&source[..end - first]),
         2 => to[first..end].iter_mut().zip(source.chunks(2)).for_each(|(to, pair)| *to = pair[0]),

@@ -1,10 +1,16 @@
 //! The convolution on tensors: [`conv2d`] with gradients.
 
-use burn::tensor::Tensor;
+use std::sync::Arc;
 
+use burn::tensor::Tensor;
+use srflow_simd::Isa;
+
+use super::{pack, pack_backward};
 use crate::WeightCache;
 pub use crate::convolution::Epilogue;
-use crate::convolution::{Kernels, convolve};
+use crate::convolution::{Conv2dShape, Kernels, convolve};
+use crate::flex::CpuTensor;
+use crate::weight_cache::{Packing, Pass};
 
 /// How a kernel moves over its input.
 #[derive(Debug, Clone)]
@@ -21,6 +27,16 @@ impl Conv2dOptions {
     /// With a cache that no other call shares.
     pub fn new(stride: [usize; 2], padding: [usize; 2]) -> Self {
         Self { stride, padding, cache: WeightCache::default() }
+    }
+
+    /// The weight in the order of the dense kernels.
+    pub(crate) fn packed(&self, pass: Pass, weight: &CpuTensor, shape: &Conv2dShape) -> Arc<Vec<f32>> {
+        let isa = Isa::best();
+        let packing = Packing { pass, isa, stride: shape.stride, padding: shape.padding };
+        self.cache.get(packing, weight.tensor(), |weight| match pass {
+            Pass::Forward => pack(isa, weight, shape),
+            Pass::Backward => pack_backward(isa, weight, shape),
+        })
     }
 }
 

@@ -1,8 +1,6 @@
 //! Convolutions that end with `activation(sum + bias + residual)`, dense and depthwise, as one operation. [`mod@reference`] is
 //! the definition.
 
-use std::sync::Arc;
-
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, TensorMetadata};
 use burn::tensor::{Shape, Tensor};
@@ -14,7 +12,7 @@ use crate::conv2d::{self, conv2d_backward_bias, conv2d_backward_weight, tensor::
 use crate::depthwise::{self, depthwise_backward_weight};
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Composition, Operation, apply, array};
-use crate::weight_cache::{Packing, Pass};
+use crate::weight_cache::Pass;
 
 pub mod reference;
 mod shape;
@@ -52,16 +50,6 @@ impl Convolution {
             stride: self.options.stride,
             padding: self.options.padding,
         }
-    }
-
-    /// The weight in the order of the dense kernels.
-    fn packed(&self, pass: Pass, weight: &CpuTensor, shape: &Conv2dShape) -> Arc<Vec<f32>> {
-        let isa = Isa::best();
-        let packing = Packing { pass, isa, stride: shape.stride, padding: shape.padding };
-        self.options.cache.get(packing, weight.tensor(), |weight| match pass {
-            Pass::Forward => conv2d::pack(isa, weight, shape),
-            Pass::Backward => conv2d::pack_backward(isa, weight, shape),
-        })
     }
 }
 
@@ -113,7 +101,7 @@ impl<const N: usize> Operation<N> for Convolution {
         let epilogue = conv2d::Epilogue { bias, residual, activation: self.activation };
         let out = match self.kernels {
             Kernels::Dense => {
-                let packed = self.packed(Pass::Forward, weight, &shape);
+                let packed = self.options.packed(Pass::Forward, weight, &shape);
                 conv2d::convolve_packed(Isa::best(), input.slice(), &packed, &epilogue, &shape)
             }
             Kernels::Depthwise => depthwise::depthwise(input.slice(), weight.slice(), &epilogue, &shape),
@@ -127,10 +115,11 @@ impl<const N: usize> Operation<N> for Convolution {
             |[input, weight]| self.shape(input.shape(), weight.shape()),
             |[input, weight], grad, add, shape| {
                 let (isa, grad, add) = (Isa::best(), grad.slice(), add.map(CpuTensor::slice));
+                let epilogue = conv2d::Epilogue { residual: add, ..conv2d::Epilogue::default() };
                 input.like(match self.kernels {
                     Kernels::Dense => {
-                        let packed = self.packed(Pass::Backward, weight, shape);
-                        conv2d::backward_input_packed(isa, grad, &packed, add, shape)
+                        let packed = self.options.packed(Pass::Backward, weight, shape);
+                        conv2d::backward_input_packed(isa, grad, &packed, &epilogue, shape)
                     }
                     Kernels::Depthwise => {
                         depthwise::backward_input_with(isa, grad, weight.slice(), add, shape)

@@ -57,6 +57,12 @@ impl Conv2dShape {
         [self.out_channels, self.in_channels / self.groups, self.kernel[0], self.kernel[1]]
     }
 
+    /// The input's shape.
+    pub(crate) fn input_shape(&self) -> [usize; 4] {
+        let [height, width] = self.input;
+        [self.batch, self.in_channels, height, width]
+    }
+
     /// The output's shape.
     pub(crate) fn output_shape(&self) -> [usize; 4] {
         let [height, width] = self.output();

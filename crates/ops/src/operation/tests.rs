@@ -24,6 +24,7 @@ operations! {
     attention: crate::attention::tests::cases,
     batch_norm: crate::batch_norm::tests::cases,
     conv2d: crate::conv2d::tests::cases,
+    conv_transpose2d: crate::conv_transpose2d::tests::cases,
     correlation_lookup: crate::correlation::tests::cases,
     depthwise: crate::depthwise::tests::cases,
     gru: crate::gru::tests::cases,
@@ -35,8 +36,14 @@ operations! {
     warp: crate::warp::tests::cases,
 }
 
-pub(crate) const ACTIVATIONS: [Activation; 5] =
-    [Activation::Identity, Activation::Relu, Activation::Gelu, Activation::Tanh, Activation::Sigmoid];
+pub(crate) const ACTIVATIONS: [Activation; 6] = [
+    Activation::Identity,
+    Activation::Relu,
+    Activation::LeakyRelu,
+    Activation::Gelu,
+    Activation::Tanh,
+    Activation::Sigmoid,
+];
 
 /// Of the largest number of a tensor. A rounding in f32 is 6e-8 of a number. Sums of some hundred products, and differences
 /// of numbers that nearly agree, cost one or two digits; so do positions some tens of pixels from the origin.

@@ -19,6 +19,9 @@ use transforms::{OUTPUTS, WEIGHTS_3, WEIGHTS_5, input_3, input_5, output_3, outp
 
 /// Fewer channels do not pay for the transforms.
 const FEWEST_CHANNELS: usize = 16;
+/// Pairs of input and output channels. Transformed weights take up to four times the memory of the weights; networks have more
+/// pairs only in maps of so few pixels that the products saved are not worth it.
+const MOST_PAIRS: usize = 1 << 19;
 
 /// Which dimensions are transformed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,7 +37,9 @@ pub(super) enum Scheme {
 impl Scheme {
     /// The scheme for a convolution, if there is one.
     pub(super) fn of(shape: &Conv2dShape) -> Option<Self> {
-        if shape.stride != [1, 1] || shape.in_channels.min(shape.out_channels) < FEWEST_CHANNELS {
+        let [inputs, outputs] = [shape.in_channels, shape.out_channels];
+        let worth_it = inputs.min(outputs) >= FEWEST_CHANNELS && inputs * outputs <= MOST_PAIRS;
+        if shape.stride != [1, 1] || !worth_it {
             return None;
         }
         match shape.kernel {

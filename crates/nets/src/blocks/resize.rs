@@ -1,0 +1,95 @@
+//! Maps and flows in another size.
+
+use burn::tensor::{Device, Int, Tensor, TensorData};
+
+/// Which points of the two grids lie on each other.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Grids {
+    /// The centres of the corner pixels (`align_corners=True` of PyTorch).
+    CornersOnCorners,
+    /// The edges of the image (`align_corners=False`).
+    EdgesOnEdges,
+}
+
+/// `x` in height and width `size`, by bilinear interpolation between the four nearest pixels, as PyTorch's `interpolate`
+/// without antialiasing.
+pub(crate) fn resize(x: Tensor<4>, size: [usize; 2], grids: Grids) -> Tensor<4> {
+    let rows = along(x, 2, size[0], grids);
+    along(rows, 3, size[1], grids)
+}
+
+/// `flow` in height and width `size`, with its vectors in the pixels of that size.
+pub(crate) fn resize_flow(flow: Tensor<4>, size: [usize; 2], grids: Grids) -> Tensor<4> {
+    let [_, _, height, width] = flow.dims();
+    if [height, width] == size {
+        return flow;
+    }
+    let scale = [size[1] as f32 / width as f32, size[0] as f32 / height as f32];
+    let scale = Tensor::<1>::from_floats(scale, &flow.device()).reshape([1, 2, 1, 1]);
+    resize(flow, size, grids) * scale
+}
+
+fn along(x: Tensor<4>, axis: usize, size: usize, grids: Grids) -> Tensor<4> {
+    let from = x.dims()[axis];
+    if from == size {
+        return x;
+    }
+    let places: Vec<f64> = (0..size).map(|i| place(i, from, size, grids)).collect();
+    let (lower, upper): (Vec<i64>, Vec<i64>) = places
+        .iter()
+        .map(|place| (place.floor() as i64, (place.floor() as i64 + 1).min(from as i64 - 1)))
+        .unzip();
+    let fractions: Vec<f32> = places.iter().map(|place| (place - place.floor()) as f32).collect();
+    let device = x.device();
+    let mut shape = [1; 4];
+    shape[axis] = size;
+    let fractions = Tensor::<1>::from_data(TensorData::new(fractions, [size]), &device).reshape(shape);
+    let lower = x.clone().select(axis, indices(lower, &device));
+    let upper = x.select(axis, indices(upper, &device));
+    lower.clone() + (upper - lower) * fractions
+}
+
+fn indices(of: Vec<i64>, device: &Device) -> Tensor<1, Int> {
+    let count = of.len();
+    Tensor::from_data(TensorData::new(of, [count]), device)
+}
+
+/// Where pixel `i` of `size` lies among `from` pixels.
+fn place(i: usize, from: usize, size: usize, grids: Grids) -> f64 {
+    match grids {
+        Grids::CornersOnCorners => (i * (from - 1)) as f64 / (size - 1).max(1) as f64,
+        Grids::EdgesOnEdges => {
+            let place = (i as f64 + 0.5) * from as f64 / size as f64 - 0.5;
+            place.clamp(0.0, (from - 1) as f64)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use srflow_golden::numbers;
+
+    use super::*;
+
+    fn row(values: [f32; 3]) -> Tensor<4> {
+        Tensor::<1>::from_floats(values, &Device::flex()).reshape([1, 1, 1, 3])
+    }
+
+    /// What `torch.nn.functional.interpolate` gives.
+    #[test]
+    fn grids_lie_corner_on_corner_or_edge_on_edge() {
+        let resized = |size, grids| numbers(resize(row([0.0, 6.0, 0.0]), [2, size], grids));
+        let corners = [0.0, 3.0, 6.0, 3.0, 0.0];
+        assert_eq!(resized(5, Grids::CornersOnCorners), [corners, corners].concat());
+        let edges = [0.0, 1.5, 4.5, 4.5, 1.5, 0.0];
+        assert_eq!(resized(6, Grids::EdgesOnEdges), [edges, edges].concat());
+        assert_eq!(resized(1, Grids::CornersOnCorners), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_resized_flow_points_at_the_same_place_of_the_image() {
+        let flow = Tensor::<4>::ones([1, 2, 4, 8], &Device::flex());
+        let resized = resize_flow(flow, [6, 4], Grids::CornersOnCorners);
+        assert_eq!(numbers(resized), [vec![0.5; 24], vec![1.5; 24]].concat());
+    }
+}

@@ -1,0 +1,85 @@
+//! FlowNet2-CSS (Ilg et al., *FlowNet 2.0*, CVPR 2017, section 4): <https://arxiv.org/abs/1612.01925>. FlowNetC, and two FlowNetS
+//! that each see what the flow before them leaves unexplained. Parity with the reference: `PARITY.md`.
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use srflow_ops::warp::tensor::warp;
+
+use crate::MemoryNeed;
+use crate::estimate::{Estimate, Request};
+use crate::facts::{Facts, ptlflow};
+use crate::features::Features;
+use crate::flownet::{FLOW_SCALE, FLOWNETS, FlowNet, Kind, estimate, full_size, prepared, towers};
+use crate::frames::Frames;
+use crate::table::{Entry, FlowNetwork};
+
+/// Both images, the second warped, the flow, and what differs.
+const CHANNELS: usize = 3 + 3 + 3 + 2 + 1;
+/// A warped pixel counts when so much of it comes from inside of the image.
+const INSIDE: f64 = 0.9999;
+
+pub(crate) const FLOWNETCSS: Entry<FlowNetCss> = Entry {
+    facts: Facts {
+        name: "flownetcss",
+        title: "FlowNet2-CSS",
+        paper: "https://arxiv.org/abs/1612.01925",
+        parameters: 116_565_942,
+        memory: MemoryNeed { fixed: 760_000_000, per_pixel: 345, attending: 0, most_weights: 0 },
+        published: &[ptlflow!("flownetcss", "things", "b42e67d0")],
+        ..FLOWNETS.facts
+    },
+    init: FlowNetCss::new,
+};
+
+/// The network of the paper.
+#[derive(Module, Debug)]
+pub struct FlowNetCss {
+    flownetc: FlowNet,
+    flownets_1: FlowNet,
+    flownets_2: FlowNet,
+}
+
+impl FlowNetCss {
+    /// With random parameters, as training starts.
+    pub(crate) fn new(device: &Device) -> Self {
+        let simple = Kind::Simple { channels: CHANNELS };
+        Self {
+            flownetc: FlowNet::new(Kind::Correlating, device),
+            flownets_1: FlowNet::new(simple, device),
+            flownets_2: FlowNet::new(simple, device),
+        }
+    }
+}
+
+impl FlowNetwork for FlowNetCss {
+    fn features(&self, frames: Tensor<4>) -> Features {
+        let batch = frames.dims()[0];
+        self.flownetc.tower(prepared(frames)).into_features(batch)
+    }
+
+    fn forward(&self, frames: Frames, request: &Request) -> Estimate {
+        let size = frames.size();
+        let [first, second] = towers(&self.flownetc, frames.clone(), request);
+        let mut flows = self.flownetc.correlating(first, second.conv3);
+        let images = [frames.first, frames.second].map(prepared);
+        for network in [&self.flownets_1, &self.flownets_2] {
+            let Some(finest) = flows.pop() else { break };
+            flows = network.simple(explained(&images, finest));
+        }
+        estimate(flows, size, request)
+    }
+}
+
+/// What FlowNetS sees after a flow: `[batch, CHANNELS, height, width]`.
+fn explained([first, second]: &[Tensor<4>; 2], flow: Tensor<4>) -> Tensor<4> {
+    let [batch, _, height, width] = first.dims();
+    let flow = full_size(flow, [height, width]);
+    let ones = Tensor::ones([batch, 1, height, width], &first.device());
+    let warped = warp(Tensor::cat(vec![second.clone(), ones], 1), flow.clone());
+    let inside = warped.clone().narrow(1, 3, 1).detach().greater_equal_elem(INSIDE).float();
+    let warped = warped.narrow(1, 0, 3) * inside;
+    let squares = (first.clone() - warped.clone()).square().sum_dim(1);
+    // The root has no gradient at zero, where the reference takes zero.
+    let brightness = squares.clamp_min(1e-30).sqrt();
+    Tensor::cat(vec![first.clone(), second.clone(), warped, flow / FLOW_SCALE, brightness], 1)
+}

@@ -6,8 +6,6 @@ mod farneback;
 mod planar;
 mod tvl1;
 
-use srflow_field::{EstimateError, FlowField, Image};
-
 pub use farneback::{Farneback, FarnebackParameters};
 pub use tvl1::{TvL1, TvL1Parameters};
 
@@ -23,14 +21,4 @@ pub struct ParameterError {
     pub expected: &'static str,
     /// The value found.
     pub found: f64,
-}
-
-/// Refuses frames, or an initial flow, of different sizes.
-fn check_sizes(frame1: &Image, frame2: &Image, initial: Option<&FlowField>) -> Result<(), EstimateError> {
-    let first = frame1.size();
-    let others = [Some(frame2.size()), initial.map(FlowField::size)];
-    match others.into_iter().flatten().find(|size| *size != first) {
-        Some(second) => Err(EstimateError::SizeMismatch { first, second }),
-        None => Ok(()),
-    }
 }

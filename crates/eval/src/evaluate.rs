@@ -302,7 +302,7 @@ impl<'a> Video<'a> {
         }
         let start = Instant::now();
         let mut sequence = self.sequence.take().unwrap_or_else(|| estimator.sequence(false));
-        let flow = sequence.push_pair(pair.frames())?;
+        let flow = sequence.push_pair(pair.frames())?.flow;
         (self.sequence, self.last) = (Some(sequence), (pair.scene.clone(), second));
         Ok((flow, start.elapsed().as_secs_f64()))
     }

@@ -1,4 +1,4 @@
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image};
+use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, check_frame_sizes};
 
 /// The estimator of zero flow: its EPE is the mean length of the true flow, and a method that does not beat it has detected
 /// no motion.
@@ -11,9 +11,7 @@ impl FlowEstimator for Zero {
     }
 
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        if frame1.size() != frame2.size() {
-            return Err(EstimateError::SizeMismatch { first: frame1.size(), second: frame2.size() });
-        }
+        check_frame_sizes(frame1.size(), [frame2.size()])?;
         Ok(FlowField::new(frame1.width(), frame1.height()))
     }
 }

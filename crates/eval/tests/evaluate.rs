@@ -8,8 +8,8 @@ use srflow_eval::{
     EvaluateError, Evaluation, Event, FlowFiles, Method, OnFailure, Region, Settings, evaluate,
 };
 use srflow_field::{
-    EstimateError, FlowEstimator, FlowField, FlowSequence, Image, Mask, write_flow, write_image_png,
-    write_mask_png,
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Mask, write_flow,
+    write_image_png, write_mask_png,
 };
 use srflow_read::flow::{DatasetSpec, FlowDataset};
 
@@ -227,7 +227,7 @@ impl FlowEstimator for Remembering {
     }
 
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        Seen(0).push_pair([frame1, frame2])
+        Ok(Seen(0).push_pair([frame1, frame2])?.flow)
     }
 
     fn remembers(&self) -> bool {
@@ -240,13 +240,13 @@ impl FlowEstimator for Remembering {
 }
 
 impl FlowSequence for Seen {
-    fn push(&mut self, _: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
+    fn push(&mut self, _: &[Image]) -> Result<Vec<FlowEstimate>, EstimateError> {
         unreachable!("pairs are pushed")
     }
 
-    fn push_pair(&mut self, [frame1, _]: [&Image; 2]) -> Result<FlowField, EstimateError> {
+    fn push_pair(&mut self, [frame1, _]: [&Image; 2]) -> Result<FlowEstimate, EstimateError> {
         self.0 += 1;
-        Ok(FlowField::filled(frame1.width(), frame1.height(), [f32::from(self.0), 0.0]))
+        Ok(FlowField::filled(frame1.width(), frame1.height(), [f32::from(self.0), 0.0]).into())
     }
 }
 

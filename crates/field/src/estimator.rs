@@ -1,4 +1,21 @@
-use crate::{FlowField, Image, forward_interpolate};
+use crate::{FlowField, Image, Plane, forward_interpolate};
+
+/// The flow of a pair, with what else a method predicts for it. All have the size of the frames.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FlowEstimate {
+    /// From the first frame to the second. Every pixel is finite.
+    pub flow: FlowField,
+    /// Expected error of each component of the flow, in pixels.
+    pub uncertainty: Option<Plane>,
+    /// Probability that a pixel of the first frame is hidden in the second.
+    pub occlusion: Option<Plane>,
+}
+
+impl From<FlowField> for FlowEstimate {
+    fn from(flow: FlowField) -> Self {
+        Self { flow, uncertainty: None, occlusion: None }
+    }
+}
 
 /// A method that computes optical flow between two frames, classical or a network.
 pub trait FlowEstimator: Send + Sync {
@@ -54,14 +71,14 @@ pub trait FlowSequence {
     ///
     /// # Errors
     /// As [`FlowEstimator::estimate`]. After an error the sequence can be continued.
-    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError>;
+    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowEstimate>, EstimateError>;
 
     /// The flow of the next pair, whose first frame need not be the last frame of the pair before: it may be another window
     /// of it.
     ///
     /// # Errors
     /// As [`push`](Self::push).
-    fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowField, EstimateError>;
+    fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowEstimate, EstimateError>;
 }
 
 /// For methods that work on two frames.
@@ -73,13 +90,13 @@ struct PairByPair<'a, E: ?Sized> {
 }
 
 impl<E: FlowEstimator + ?Sized> FlowSequence for PairByPair<'_, E> {
-    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
+    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowEstimate>, EstimateError> {
         let mut flows = Vec::with_capacity(frames.len());
         let before = self.last.take();
         let mut last = before.as_ref();
         for frame in frames {
             if let Some(last) = last {
-                flows.push(self.next([last, frame])?);
+                flows.push(self.next([last, frame])?.into());
             }
             last = Some(frame);
         }
@@ -87,10 +104,10 @@ impl<E: FlowEstimator + ?Sized> FlowSequence for PairByPair<'_, E> {
         Ok(flows)
     }
 
-    fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowField, EstimateError> {
+    fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowEstimate, EstimateError> {
         let flow = self.next(pair)?;
         self.last = Some(pair[1].clone());
-        Ok(flow)
+        Ok(flow.into())
     }
 }
 
@@ -104,6 +121,20 @@ impl<E: FlowEstimator + ?Sized> PairByPair<'_, E> {
             self.flow = Some(flow.clone());
         }
         Ok(flow)
+    }
+}
+
+/// Checks that frames, or an initial flow, have the size of the first frame.
+///
+/// # Errors
+/// [`EstimateError::SizeMismatch`] with the first of `others` that differs.
+pub fn check_frame_sizes(
+    first: (usize, usize),
+    others: impl IntoIterator<Item = (usize, usize)>,
+) -> Result<(), EstimateError> {
+    match others.into_iter().find(|size| *size != first) {
+        Some(second) => Err(EstimateError::SizeMismatch { first, second }),
+        None => Ok(()),
     }
 }
 

@@ -29,7 +29,7 @@ pub use codec::npz::open_zip;
 pub use codec::npz::{NpzArray, write_npz};
 pub use codec::{FlowFormat, read_flow, read_flow_as, write_flow, write_flow_as};
 pub use color::parse_color;
-pub use estimator::{EstimateError, FlowEstimator, FlowSequence};
+pub use estimator::{EstimateError, FlowEstimate, FlowEstimator, FlowSequence, check_frame_sizes};
 pub use excerpt::{excerpt, excerpts, is_unprintable, printable};
 pub use file_error::{FileError, FileProblem};
 pub use flow_colors::{flow_colors, longest_flow};

@@ -1,6 +1,7 @@
 //! What is asked of a network, and what it gives.
 
 use burn::tensor::Tensor;
+use burn::tensor::activation::sigmoid;
 
 use crate::features::Features;
 
@@ -68,6 +69,27 @@ pub struct LaplaceMixture {
     pub log_weights: Tensor<4>,
     /// Logarithms of their scales in pixels, before they are limited: `[batch, 2, height, width]`, the wide one first.
     pub log_scales: Tensor<4>,
+}
+
+impl LaplaceMixture {
+    /// The range of [`limited_log_scales`](Self::limited_log_scales) that the authors train and evaluate with.
+    pub const LOG_SCALE_RANGE: [f64; 2] = [0.0, 10.0];
+
+    /// Logarithms of the scales of the wide and the narrow distribution, `[batch, 1, height, width]` each: the wide one is limited
+    /// to 0 and `high`, the narrow one to `low` and 0.
+    pub fn limited_log_scales(&self, [low, high]: [f64; 2]) -> [Tensor<4>; 2] {
+        [(0, 0.0, high), (1, low, 0.0)]
+            .map(|(k, low, high)| self.log_scales.clone().narrow(1, k, 1).clamp(low, high))
+    }
+
+    /// The mean of both scales weighted by the probabilities of the two distributions, in pixels, `[batch, 1, height, width]`: the
+    /// expected distance of each component of the flow from the truth.
+    pub fn mean_scale(&self) -> Tensor<4> {
+        let [wide, narrow] = self.limited_log_scales(Self::LOG_SCALE_RANGE).map(Tensor::exp);
+        let [wide_weight, narrow_weight] = [0, 1].map(|k| self.log_weights.clone().narrow(1, k, 1));
+        let wide_share = sigmoid(wide_weight - narrow_weight);
+        narrow.clone() + wide_share * (wide - narrow)
+    }
 }
 
 /// The output of the encoders for a pair of frames. With [`Request::encoded`] a network skips its encoders and refines from any

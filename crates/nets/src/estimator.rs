@@ -4,10 +4,12 @@ use std::num::NonZeroUsize;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
-use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image, forward_interpolate};
+use srflow_field::{
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Plane, check_frame_sizes,
+    forward_interpolate,
+};
 
 use crate::shots::is_cut;
-use crate::tiles::check_sizes;
 use crate::{Estimate, Facts, Features, Frames, Memory, Network, Request, Start};
 
 /// A [`Network`] that estimates flow between images of any size.
@@ -105,6 +107,29 @@ impl NetworkEstimator {
         Ok((0..pairs).map(field).collect())
     }
 
+    /// The estimates of a batch, in the size of the frames.
+    fn estimates(&self, estimate: &Estimate, canvas: Canvas) -> Result<Vec<FlowEstimate>, EstimateError> {
+        let uncertainty = estimate.mixtures.last().map(|mixture| mixture.mean_scale());
+        let mut uncertainty = self.planes(uncertainty, canvas)?.into_iter();
+        let mut occlusion = self.planes(estimate.occlusion.clone(), canvas)?.into_iter();
+        let flows = self.fields(estimate.last(), canvas)?;
+        let beside =
+            |flow| FlowEstimate { flow, uncertainty: uncertainty.next(), occlusion: occlusion.next() };
+        Ok(flows.into_iter().map(beside).collect())
+    }
+
+    /// `[batch, 1, height, width]` as planes in the size of the frames; none without a tensor.
+    fn planes(&self, tensor: Option<Tensor<4>>, canvas: Canvas) -> Result<Vec<Plane>, EstimateError> {
+        let Some(tensor) = tensor else { return Ok(Vec::new()) };
+        let [_, _, height, width] = tensor.dims();
+        let numbers = self.numbers(tensor)?;
+        let (left, top) = canvas.corner;
+        let plane = |numbers: &[f32]| {
+            Plane::from_fn(canvas.size.0, canvas.size.1, |x, y| numbers[(top + y) * width + left + x])
+        };
+        Ok(numbers.chunks(width * height).map(plane).collect())
+    }
+
     fn numbers(&self, tensor: Tensor<4>) -> Result<Vec<f32>, EstimateError> {
         let data = tensor.into_data().convert::<f32>();
         let numbers: Vec<f32> = data.try_to_vec().map_err(|error| self.unsupported(format!("{error:?}")))?;
@@ -181,7 +206,7 @@ impl FlowEstimator for NetworkEstimator {
         frame2: &Image,
         initial: &FlowField,
     ) -> Result<FlowField, EstimateError> {
-        check_sizes(frame1.size(), initial.size())?;
+        check_frame_sizes(frame1.size(), [initial.size()])?;
         Ok(self.between(&[[frame1, frame2]], Some(initial))?.remove(0))
     }
 
@@ -203,7 +228,7 @@ impl NetworkEstimator {
     ) -> Result<Vec<FlowField>, EstimateError> {
         let Some([first, _]) = pairs.first() else { return Ok(Vec::new()) };
         let canvas = self.canvas(first.size());
-        pairs.as_flattened().iter().try_for_each(|frame| check_sizes(canvas.size, frame.size()))?;
+        check_frame_sizes(canvas.size, pairs.as_flattened().iter().map(|frame| frame.size()))?;
         if canvas.is_empty() {
             return Ok(vec![FlowField::new(canvas.size.0, canvas.size.1); pairs.len()]);
         }
@@ -236,10 +261,10 @@ struct State {
 }
 
 impl FlowSequence for NetworkSequence<'_> {
-    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
+    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowEstimate>, EstimateError> {
         let Some(first) = frames.first() else { return Ok(Vec::new()) };
         let size = self.state.as_ref().map_or(first.size(), |state| state.canvas.size);
-        frames.iter().try_for_each(|frame| check_sizes(size, frame.size()))?;
+        check_frame_sizes(size, frames.iter().map(Image::size))?;
         if self.estimator.canvas(size).is_empty() {
             return Ok(Vec::new());
         }
@@ -249,31 +274,31 @@ impl FlowSequence for NetworkSequence<'_> {
         // A warm start and a memory wait for the pair before.
         let waits = self.warm_start || self.estimator.remembers();
         let at_once = if waits { 1 } else { frames.len() };
-        let mut flows = Vec::with_capacity(frames.len());
+        let mut estimates = Vec::with_capacity(frames.len());
         for frames in frames.chunks(at_once) {
-            flows.extend(self.next(frames)?);
+            estimates.extend(self.next(frames)?);
         }
-        Ok(flows)
+        Ok(estimates)
     }
 
-    fn push_pair(&mut self, [first, second]: [&Image; 2]) -> Result<FlowField, EstimateError> {
+    fn push_pair(&mut self, [first, second]: [&Image; 2]) -> Result<FlowEstimate, EstimateError> {
         let size = self.state.as_ref().map_or(first.size(), |state| state.canvas.size);
-        [first, second].iter().try_for_each(|frame| check_sizes(size, frame.size()))?;
+        check_frame_sizes(size, [first.size(), second.size()])?;
         match &mut self.state {
             Some(state) if state.canvas.extended(first) == state.last.frame => {}
             Some(state) => state.last = self.estimator.encoded(first),
             None => drop(self.push(std::slice::from_ref(first))?),
         }
         match self.push(std::slice::from_ref(second))?.pop() {
-            Some(flow) => Ok(flow),
-            None => Ok(FlowField::new(size.0, size.1)), // of frames without pixels
+            Some(estimate) => Ok(estimate),
+            None => Ok(FlowField::new(size.0, size.1).into()), // of frames without pixels
         }
     }
 }
 
 impl NetworkSequence<'_> {
     /// Estimates all pairs at once. `frames` is not empty, its frames of one size.
-    fn next(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
+    fn next(&mut self, frames: &[Image]) -> Result<Vec<FlowEstimate>, EstimateError> {
         let canvas = self.estimator.canvas(frames[0].size());
         let (last, coarse, mut memory) = match self.state.take() {
             Some(state) => (Some(state.last), state.coarse, state.memory),
@@ -282,19 +307,19 @@ impl NetworkSequence<'_> {
         // One frame after the other: the encoder is where memory is needed most.
         let mut video: Vec<EncodedFrame> = last.into_iter().collect();
         video.extend(frames.iter().map(|frame| self.estimator.encoded(frame)));
-        let (mut flows, mut next_coarse, mut next_memory) = (Ok(Vec::new()), None, None);
+        let (mut estimates, mut next_coarse, mut next_memory) = (Ok(Vec::new()), None, None);
         if video.len() > 1 {
             // Of a pair across a cut nothing is remembered, nor does it see what was before.
             let cut = self.estimator.remembers() && is_cut(&video[0].frame, &video[1].frame);
             memory = memory.filter(|_| !cut);
             let start = coarse.map(|coarse| self.estimator.moved_on(&coarse)).transpose()?;
             let estimate = self.estimator.forward(&video, video.len() - 1, start, memory);
-            flows = self.estimator.fields(estimate.last(), canvas);
+            estimates = self.estimator.estimates(&estimate, canvas);
             next_coarse = estimate.coarse.filter(|_| self.warm_start);
             next_memory = estimate.memory.filter(|_| !cut);
         }
         self.state = video.pop().map(|last| State { canvas, last, coarse: next_coarse, memory: next_memory });
-        flows
+        estimates
     }
 }
 

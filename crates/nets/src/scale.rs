@@ -1,9 +1,9 @@
 //! Flow estimated at another scale of the frames.
 
-use srflow_field::resize::{resize_flow_antialiased, resize_image_antialiased};
-use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image};
-
-use crate::tiles::check_sizes;
+use srflow_field::resize::{resize_flow_antialiased, resize_image_antialiased, resize_plane_antialiased};
+use srflow_field::{
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, check_frame_sizes,
+};
 
 /// An estimator on frames resized by a factor; its flow is resized back.
 pub struct Scaled {
@@ -50,7 +50,7 @@ impl FlowEstimator for Scaled {
 
     fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
         let Some([first, _]) = pairs.first() else { return Ok(Vec::new()) };
-        pairs.as_flattened().iter().try_for_each(|frame| check_sizes(first.size(), frame.size()))?;
+        check_frame_sizes(first.size(), pairs.as_flattened().iter().map(|frame| frame.size()))?;
         let smaller: Vec<[Image; 2]> =
             pairs.iter().map(|pair| pair.map(|frame| self.smaller(frame))).collect();
         let smaller: Vec<[&Image; 2]> = smaller.iter().map(|pair| pair.each_ref()).collect();
@@ -64,8 +64,7 @@ impl FlowEstimator for Scaled {
         frame2: &Image,
         initial: &FlowField,
     ) -> Result<FlowField, EstimateError> {
-        check_sizes(frame1.size(), frame2.size())?;
-        check_sizes(frame1.size(), initial.size())?;
+        check_frame_sizes(frame1.size(), [frame2.size(), initial.size()])?;
         let initial = resize_flow_antialiased(initial, scaled_size(initial.size(), self.factor));
         let flow = self.estimator.estimate_from(&self.smaller(frame1), &self.smaller(frame2), &initial)?;
         Ok(resize_flow_antialiased(&flow, frame1.size()))
@@ -87,25 +86,43 @@ struct ScaledSequence<'a> {
 }
 
 impl FlowSequence for ScaledSequence<'_> {
-    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
+    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowEstimate>, EstimateError> {
         let Some(first) = frames.first() else { return Ok(Vec::new()) };
         let size = *self.size.get_or_insert(first.size());
-        frames.iter().try_for_each(|frame| check_sizes(size, frame.size()))?;
+        check_frame_sizes(size, frames.iter().map(Image::size))?;
         let smaller: Vec<Image> = frames.iter().map(|frame| self.scaled.smaller(frame)).collect();
-        let flows = self.sequence.push(&smaller)?;
-        Ok(flows.iter().map(|flow| resize_flow_antialiased(flow, size)).collect())
+        let estimates = self.sequence.push(&smaller)?;
+        Ok(estimates.into_iter().map(|estimate| resized(estimate, size)).collect())
     }
 
-    fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowField, EstimateError> {
+    fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowEstimate, EstimateError> {
         let size = *self.size.get_or_insert(pair[0].size());
-        pair.iter().try_for_each(|frame| check_sizes(size, frame.size()))?;
+        check_frame_sizes(size, pair.map(Image::size))?;
         let smaller = pair.map(|frame| self.scaled.smaller(frame));
-        Ok(resize_flow_antialiased(&self.sequence.push_pair(smaller.each_ref())?, size))
+        Ok(resized(self.sequence.push_pair(smaller.each_ref())?, size))
+    }
+}
+
+/// An estimate in frames of another size. The uncertainty, one for both components of the flow, grows by the geometric mean of
+/// the sides.
+fn resized(estimate: FlowEstimate, size: (usize, usize)) -> FlowEstimate {
+    let from = estimate.flow.size();
+    if from == size {
+        return estimate;
+    }
+    let grow = |to: usize, from: usize| to as f32 / from.max(1) as f32;
+    let gain = (grow(size.0, from.0) * grow(size.1, from.1)).sqrt();
+    FlowEstimate {
+        flow: resize_flow_antialiased(&estimate.flow, size),
+        uncertainty: estimate.uncertainty.map(|plane| resize_plane_antialiased(&plane, size, gain)),
+        occlusion: estimate.occlusion.map(|plane| resize_plane_antialiased(&plane, size, 1.0)),
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use srflow_field::Plane;
+
     use super::*;
 
     /// Says the size of what it sees, a hundredth a pixel.
@@ -123,6 +140,29 @@ mod tests {
     }
 
     #[test]
+    fn uncertainty_is_in_pixels_of_the_frame_and_occlusion_a_probability() {
+        let estimate = FlowEstimate {
+            flow: FlowField::filled(50, 31, [1.0, 1.0]),
+            uncertainty: Some(Plane::filled(50, 31, 3.0)),
+            occlusion: Some(Plane::filled(50, 31, 0.25)),
+        };
+        let FlowEstimate { flow, uncertainty, occlusion } = resized(estimate.clone(), (100, 62));
+        let near = |plane: Option<Plane>, expected: f32| {
+            let plane = plane.expect("kept");
+            assert_eq!(plane.size(), (100, 62));
+            assert!(
+                plane.pixels().iter().all(|value| (value - expected).abs() < 1e-5),
+                "{}",
+                plane.get(0, 0)
+            );
+        };
+        assert_eq!(flow.size(), (100, 62));
+        near(uncertainty, 6.0);
+        near(occlusion, 0.25);
+        assert_eq!(resized(estimate.clone(), (50, 31)), estimate);
+    }
+
+    #[test]
     fn the_method_sees_the_scaled_frame_and_the_flow_comes_back_in_its_pixels() {
         let frame = Image::new(100, 61);
         for (factor, seen) in [(0.5, (50, 31)), (2.0, (200, 122)), (1.0, (100, 61)), (0.02, (2, 1))] {
@@ -130,7 +170,7 @@ mod tests {
             assert_eq!(scaled_size(frame.size(), factor), seen);
             let flow = scaled.estimate(&frame, &frame).expect("flow");
             let moving = scaled.sequence(false).push(&[frame.clone(), frame.clone()]).expect("flow");
-            for flow in [&flow, &moving[0]] {
+            for flow in [&flow, &moving[0].flow] {
                 assert_eq!(flow.size(), (100, 61));
                 // What it saw, times how much smaller that was: the frame's own size again.
                 let near = |[u, v]: [f32; 2]| (u - 1.0).abs() < 1e-4 && (v - 0.61).abs() < 1e-4;

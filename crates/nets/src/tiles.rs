@@ -4,7 +4,9 @@
 //! tile by more than the overlap, the attention of GMA and SKFlow to the rest of the frame, and the rest of the frame in
 //! instance norm. Overlapping tiles are blended with weights that fall smoothly towards their edges.
 
-use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image};
+use srflow_field::{
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Plane, check_frame_sizes,
+};
 
 /// The smallest side of a tile of a fixed size.
 pub const SMALLEST_TILE_SIDE: usize = 128;
@@ -154,6 +156,30 @@ impl Tiles {
     fn corners(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         self.down.iter().flat_map(|top| self.across.iter().map(move |left| (*left, *top)))
     }
+
+    /// The tile of a frame whose left and top are these.
+    fn cut(&self, frame: &Image, (left, top): (usize, usize)) -> Image {
+        frame.crop(left, top, self.size.0, self.size.1)
+    }
+
+    /// Blends the estimates that `estimate` returns for each tile, given its number and its left and top.
+    fn blended(
+        &self,
+        mut estimate: impl FnMut(usize, (usize, usize)) -> Result<Vec<FlowEstimate>, EstimateError>,
+    ) -> Result<Vec<FlowEstimate>, EstimateError> {
+        let mut blends: Vec<Blend> = Vec::new();
+        for (number, corner) in self.corners().enumerate() {
+            let estimates = estimate(number, corner)?;
+            if self.count() == 1 {
+                return Ok(estimates);
+            }
+            if number == 0 {
+                blends = estimates.iter().map(|of| Blend::new(self, of)).collect();
+            }
+            blends.iter_mut().zip(&estimates).for_each(|(blend, estimate)| blend.add(number, estimate));
+        }
+        Ok(blends.into_iter().map(Blend::finish).collect())
+    }
 }
 
 /// Where tiles of `size` pixels begin along `length` pixels.
@@ -191,40 +217,63 @@ fn weights(starts: &[usize], number: usize, size: usize) -> Vec<f32> {
     (0..size).map(weight).collect()
 }
 
-/// The weighted mean of the flows of tiles.
+/// The weighted mean of the estimates of tiles.
 struct Blend<'a> {
     tiles: &'a Tiles,
-    sums: FlowField,
+    sums: FlowEstimate,
     weights: Vec<f32>,
 }
 
 impl<'a> Blend<'a> {
-    fn new(tiles: &'a Tiles) -> Self {
+    /// For estimates that predict what `of` predicts.
+    fn new(tiles: &'a Tiles, of: &FlowEstimate) -> Self {
         let (width, height) = tiles.frame;
-        Self { tiles, sums: FlowField::new(width, height), weights: vec![0.0; width * height] }
+        let blank = |plane: &Option<Plane>| plane.as_ref().map(|_| Plane::new(width, height));
+        let sums = FlowEstimate {
+            flow: FlowField::new(width, height),
+            uncertainty: blank(&of.uncertainty),
+            occlusion: blank(&of.occlusion),
+        };
+        Self { tiles, sums, weights: vec![0.0; width * height] }
     }
 
-    /// Adds the flow of tile `number`.
-    fn add(&mut self, number: usize, flow: &FlowField) {
+    /// Adds the estimate of tile `number`.
+    fn add(&mut self, number: usize, estimate: &FlowEstimate) {
         let (across, down) = (&self.tiles.across, &self.tiles.down);
         let (column, row) = (number % across.len(), number / across.len());
         let (width, height) = self.tiles.size;
         let (along, below) = (weights(across, column, width), weights(down, row, height));
         for (y, below) in below.iter().enumerate() {
             let start = (down[row] + y) * self.tiles.frame.0 + across[column];
-            let sums = &mut self.sums.pixels_mut()[start..start + width];
-            let totals = &mut self.weights[start..start + width];
-            for (((sum, total), vector), along) in sums.iter_mut().zip(totals).zip(flow.row(y)).zip(&along) {
-                let weight = along * below;
+            let whole = start..start + width;
+            let weights: Vec<f32> = along.iter().map(|along| along * below).collect();
+            for (total, weight) in self.weights[whole.clone()].iter_mut().zip(&weights) {
                 *total += weight;
+            }
+            let sums = &mut self.sums.flow.pixels_mut()[whole.clone()];
+            for ((sum, vector), weight) in sums.iter_mut().zip(estimate.flow.row(y)).zip(&weights) {
                 *sum = [sum[0] + weight * vector[0], sum[1] + weight * vector[1]];
+            }
+            let planes = [
+                (&mut self.sums.uncertainty, &estimate.uncertainty),
+                (&mut self.sums.occlusion, &estimate.occlusion),
+            ];
+            for (sums, values) in planes {
+                let (Some(sums), Some(values)) = (sums, values) else { continue };
+                let sums = &mut sums.pixels_mut()[whole.clone()];
+                for ((sum, value), weight) in sums.iter_mut().zip(values.row(y)).zip(&weights) {
+                    *sum += weight * value;
+                }
             }
         }
     }
 
-    fn finish(mut self) -> FlowField {
-        for (sum, total) in self.sums.pixels_mut().iter_mut().zip(&self.weights) {
+    fn finish(mut self) -> FlowEstimate {
+        for (sum, total) in self.sums.flow.pixels_mut().iter_mut().zip(&self.weights) {
             *sum = sum.map(|part| part / total);
+        }
+        for plane in [&mut self.sums.uncertainty, &mut self.sums.occlusion].into_iter().flatten() {
+            plane.pixels_mut().iter_mut().zip(&self.weights).for_each(|(sum, total)| *sum /= total);
         }
         self.sums
     }
@@ -248,34 +297,23 @@ impl Tiled {
         })
     }
 
-    /// Calls `estimate` with the same tile of every pair, and where it lies.
+    /// Calls `estimate` with the same tile of every pair, and its left and top.
     fn blended(
         &self,
         pairs: &[[&Image; 2]],
         estimate: impl Fn(&[[&Image; 2]], (usize, usize)) -> Result<Vec<FlowField>, EstimateError>,
     ) -> Result<Vec<FlowField>, EstimateError> {
         let Some([first, _]) = pairs.first() else { return Ok(Vec::new()) };
-        pairs.as_flattened().iter().try_for_each(|frame| check_sizes(first.size(), frame.size()))?;
+        check_frame_sizes(first.size(), pairs.as_flattened().iter().map(|frame| frame.size()))?;
         let tiles = self.tiles(first.size())?;
-        if tiles.count() == 1 {
-            return estimate(pairs, (0, 0));
-        }
-        let (width, height) = tiles.size();
-        let mut blends: Vec<Blend> = pairs.iter().map(|_| Blend::new(&tiles)).collect();
-        for (number, (left, top)) in tiles.corners().enumerate() {
+        let blended = tiles.blended(|_, corner| {
             let cut: Vec<[Image; 2]> =
-                pairs.iter().map(|pair| pair.map(|frame| frame.crop(left, top, width, height))).collect();
+                pairs.iter().map(|pair| pair.map(|frame| tiles.cut(frame, corner))).collect();
             let cut: Vec<[&Image; 2]> = cut.iter().map(|pair| pair.each_ref()).collect();
-            for (blend, flow) in blends.iter_mut().zip(estimate(&cut, (left, top))?) {
-                blend.add(number, &flow);
-            }
-        }
-        Ok(blends.into_iter().map(Blend::finish).collect())
+            Ok(estimate(&cut, corner)?.into_iter().map(FlowEstimate::from).collect())
+        });
+        Ok(blended?.into_iter().map(|estimate| estimate.flow).collect())
     }
-}
-
-pub(crate) fn check_sizes(first: (usize, usize), second: (usize, usize)) -> Result<(), EstimateError> {
-    if first == second { Ok(()) } else { Err(EstimateError::SizeMismatch { first, second }) }
 }
 
 impl FlowEstimator for Tiled {
@@ -297,7 +335,7 @@ impl FlowEstimator for Tiled {
         frame2: &Image,
         initial: &FlowField,
     ) -> Result<FlowField, EstimateError> {
-        check_sizes(frame1.size(), initial.size())?;
+        check_frame_sizes(frame1.size(), [initial.size()])?;
         let flows = self.blended(&[[frame1, frame2]], |tiles, (left, top)| {
             let estimate = |[tile1, tile2]: &[&Image; 2]| {
                 let initial = initial.crop(left, top, tile1.width(), tile1.height());
@@ -325,24 +363,25 @@ struct TiledSequence<'a> {
 }
 
 impl FlowSequence for TiledSequence<'_> {
-    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowField>, EstimateError> {
+    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowEstimate>, EstimateError> {
         let frames: Vec<&Image> = frames.iter().collect();
         self.blended(&frames, |sequence, cut| sequence.push(cut))
     }
 
-    fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowField, EstimateError> {
-        let flows = self.blended(&pair, |sequence, cut| Ok(vec![sequence.push_pair([&cut[0], &cut[1]])?]));
-        Ok(flows?.remove(0))
+    fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowEstimate, EstimateError> {
+        let estimates =
+            self.blended(&pair, |sequence, cut| Ok(vec![sequence.push_pair([&cut[0], &cut[1]])?]));
+        Ok(estimates?.remove(0))
     }
 }
 
 impl<'a> TiledSequence<'a> {
-    /// What `push` gives for each tile's part of the frames, blended.
+    /// What `push` returns for each tile's part of the frames, blended.
     fn blended(
         &mut self,
         frames: &[&Image],
-        push: impl Fn(&mut (dyn FlowSequence + 'a), &[Image]) -> Result<Vec<FlowField>, EstimateError>,
-    ) -> Result<Vec<FlowField>, EstimateError> {
+        push: impl Fn(&mut (dyn FlowSequence + 'a), &[Image]) -> Result<Vec<FlowEstimate>, EstimateError>,
+    ) -> Result<Vec<FlowEstimate>, EstimateError> {
         let Some(first) = frames.first() else { return Ok(Vec::new()) };
         if self.state.is_none() {
             let tiles = self.tiled.tiles(first.size())?;
@@ -351,21 +390,11 @@ impl<'a> TiledSequence<'a> {
             self.state = Some((tiles, sequences));
         }
         let Some((tiles, sequences)) = &mut self.state else { return Ok(Vec::new()) };
-        frames.iter().try_for_each(|frame| check_sizes(tiles.frame, frame.size()))?;
-        let (width, height) = tiles.size();
-        let mut blends: Vec<Blend> = Vec::new();
-        for (number, ((left, top), sequence)) in tiles.corners().zip(sequences).enumerate() {
-            let cut: Vec<Image> = frames.iter().map(|frame| frame.crop(left, top, width, height)).collect();
-            let flows = push(sequence.as_mut(), &cut)?;
-            if tiles.count() == 1 {
-                return Ok(flows);
-            }
-            blends.resize_with(flows.len(), || Blend::new(tiles));
-            for (blend, flow) in blends.iter_mut().zip(&flows) {
-                blend.add(number, flow);
-            }
-        }
-        Ok(blends.into_iter().map(Blend::finish).collect())
+        check_frame_sizes(tiles.frame, frames.iter().map(|frame| frame.size()))?;
+        tiles.blended(|number, corner| {
+            let cut: Vec<Image> = frames.iter().map(|frame| tiles.cut(frame, corner)).collect();
+            push(sequences[number].as_mut(), &cut)
+        })
     }
 }
 
@@ -421,13 +450,36 @@ mod tests {
             let mut sequence = tiled.sequence(false);
             assert_eq!(sequence.push(std::slice::from_ref(&frame)).expect("none before it"), []);
             let moving = sequence.push(&[frame.clone(), frame.clone()]).expect("flows");
-            for flow in [&found, &moving[0], &moving[1]] {
+            for flow in [&found, &moving[0].flow, &moving[1].flow] {
                 let far = |a: &[f32; 2], b: &[f32; 2]| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
                 let worst =
                     whole.pixels().iter().zip(flow.pixels()).map(|(a, b)| far(a, b)).fold(0.0, f32::max);
                 assert!(worst < 1e-3, "{size:?} in {tile:?}: {worst} px");
             }
         }
+    }
+
+    #[test]
+    fn what_is_predicted_beside_the_flow_is_blended_with_it() {
+        let frame = places(100, 90);
+        let tiles = Tiles::new((100, 90), tiling(48, 40, 16)).expect("tiles");
+        assert!(tiles.count() > 1);
+        let part = |of: usize| Plane::from_fn(100, 90, |x, y| f32::from(frame.get(x, y)[of]));
+        let whole = FlowEstimate {
+            flow: Places.estimate(&frame, &frame).expect("flow"),
+            uncertainty: Some(part(0)),
+            occlusion: None,
+        };
+        let blended = tiles.blended(|_, (left, top)| {
+            let (width, height) = tiles.size();
+            let cut = |plane: &Plane| plane.crop(left, top, width, height);
+            let flow = whole.flow.crop(left, top, width, height);
+            Ok(vec![FlowEstimate { flow, uncertainty: whole.uncertainty.as_ref().map(cut), occlusion: None }])
+        });
+        let blended = blended.expect("blended").remove(0);
+        let (found, expected) = (blended.uncertainty.expect("kept"), part(0));
+        let apart = found.pixels().iter().zip(expected.pixels()).map(|(a, b)| (a - b).abs());
+        assert!(apart.fold(0.0, f32::max) < 1e-3 && blended.occlusion.is_none());
     }
 
     #[test]

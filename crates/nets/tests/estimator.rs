@@ -4,7 +4,7 @@ use std::num::NonZeroUsize;
 
 use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{Device, Tensor, TensorData};
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, forward_interpolate};
+use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, Plane, forward_interpolate};
 use srflow_nets::{
     Architecture, Frames, Network, NetworkEstimator, Request, Scaled, TileSize, Tiled, Tiling,
 };
@@ -36,6 +36,12 @@ fn frame(size: (usize, usize), number: usize) -> Image {
 
 fn video(size: (usize, usize), frames: usize) -> Vec<Image> {
     (0..frames).map(|number| frame(size, number)).collect()
+}
+
+/// Of all frames at once.
+fn flows_of(estimator: &dyn FlowEstimator, warm_start: bool, frames: &[Image]) -> Vec<FlowField> {
+    let estimates = estimator.sequence(warm_start).push(frames).expect("flows");
+    estimates.into_iter().map(|estimate| estimate.flow).collect()
 }
 
 /// RGB in 0..1, channels first.
@@ -85,7 +91,7 @@ fn a_sequence_gives_the_flow_of_every_pair() {
         for piece in &pieces {
             let (now, later) = rest.split_at(*piece);
             rest = later;
-            flows.extend(sequence.push(now).expect("flows"));
+            flows.extend(sequence.push(now).expect("flows").into_iter().map(|estimate| estimate.flow));
         }
         assert_eq!(flows.len(), 4);
         for (number, (found, expected)) in flows.iter().zip(&pairs).enumerate() {
@@ -131,7 +137,7 @@ fn a_warm_start_is_the_coarse_flow_moved_along_itself() {
     let expected = network.forward(pair(1), &Request { start: Some(start), ..Request::new(ITERATIONS) });
 
     let estimator = estimator(&network);
-    let flows = estimator.sequence(true).push(&frames).expect("flows");
+    let flows = flows_of(&estimator, true, &frames);
     assert_near(&flows[0], &field(first.flows[0].clone()), "the first has nothing to start from");
     let expected = field(expected.last().clone());
     assert_near(&flows[1], &expected, "the second starts from the first");
@@ -167,7 +173,7 @@ fn a_sequence_remembers_the_pairs_before_up_to_a_cut() {
         expected.push(field(estimate.last().clone()));
         memory = estimate.memory.filter(|_| !across);
     }
-    let flows = estimator.sequence(false).push(&frames).expect("flows");
+    let flows = flows_of(&estimator, false, &frames);
     assert_eq!(flows.len(), expected.len());
     for (number, (found, expected)) in flows.iter().zip(&expected).enumerate() {
         assert_near(found, expected, &format!("pair {number}"));
@@ -187,22 +193,22 @@ fn pairs_of_other_windows_are_of_the_same_video() {
     let window = |number: usize, left: usize| frames[number].crop(left, 0, 140, 131);
     let pairs = [[window(0, 0), window(1, 0)], [window(1, 3), window(2, 3)]];
     let mut sequence = estimator.sequence(false);
-    let flows = pairs.each_ref().map(|pair| sequence.push_pair(pair.each_ref()).expect("flow"));
+    let flows = pairs.each_ref().map(|pair| sequence.push_pair(pair.each_ref()).expect("flow").flow);
     let alone = pairs.each_ref().map(|[first, second]| estimator.estimate(first, second).expect("flow"));
     assert_near(&flows[0], &alone[0], "the first");
     assert!(flows[1] != alone[1], "the second remembers the first");
     // Where the frames are the same, as if they had been pushed.
     let same = [[&frames[0], &frames[1]], [&frames[1], &frames[2]]];
-    let pushed = estimator.sequence(false).push(&frames).expect("flows");
+    let pushed = flows_of(&estimator, false, &frames);
     for estimator in [&estimator as &dyn FlowEstimator, &tiled] {
         let mut sequence = estimator.sequence(false);
         for (pair, pushed) in same.iter().zip(&pushed) {
-            assert_near(&sequence.push_pair(*pair).expect("flow"), pushed, "the same frames");
+            assert_near(&sequence.push_pair(*pair).expect("flow").flow, pushed, "the same frames");
         }
     }
     let mut sequence = estimator.sequence(false);
     assert!(sequence.push_pair([&frames[0], &window(1, 0)]).is_err(), "of two sizes");
-    assert_eq!(sequence.push_pair([&frames[0], &frames[1]]).expect("flow").size(), (150, 131));
+    assert_eq!(sequence.push_pair([&frames[0], &frames[1]]).expect("flow").flow.size(), (150, 131));
 }
 
 /// Also where the frame gets a border, and where it is made up to the smallest size.
@@ -269,15 +275,65 @@ fn tiles_and_scales_of_a_network() {
     let tiled = Tiled::new(boxed(), tiling(192, 128, 64));
     let scaled = Scaled::new(Box::new(Tiled::new(boxed(), tiling(160, 128, 32))), 0.75).expect("in range");
     for estimator in [&tiled as &dyn FlowEstimator, &scaled] {
-        let flows = estimator.sequence(false).push(&frames).expect("flows");
+        let flows = flows_of(estimator, false, &frames);
         for (number, pair) in frames.windows(2).enumerate() {
             let expected = estimator.estimate(&pair[0], &pair[1]).expect("flow");
             assert_near(&flows[number], &expected, "in a sequence");
         }
-        let warm = estimator.sequence(true).push(&frames).expect("flows");
+        let warm = flows_of(estimator, true, &frames);
         assert_near(&warm[0], &flows[0], "nothing to start from");
         assert!(warm[1] != flows[1], "each tile starts from its own flow");
     }
+}
+
+/// The mean of both scales, weighted by the softmax of the log weights, computed for each pixel in `f64`.
+#[test]
+fn a_mixture_becomes_the_uncertainty_of_the_flow() {
+    // Random parameters, scaled up: as training starts, all scales are near 1 pixel.
+    let network = Architecture::SeaRaftS.init(&Device::flex());
+    let mut values = parameters(&network);
+    let bias = TensorData::new(vec![0.0_f32, 0.0, 1.0, -1.0, 12.0, -2.0], [6]);
+    values.insert("flow_head.2.bias".into(), bias);
+    let network = with_parameters(network, values).expect("its own names and shapes");
+    let size = (140, 131);
+    let frames = video(size, 3);
+    let expected: Vec<Plane> = (0..2)
+        .map(|n| {
+            let pair = Frames { first: tensor(&frames[n]), second: tensor(&frames[n + 1]) };
+            let mixture = network.forward(pair, &Request::new(ITERATIONS)).mixtures.pop().expect("a mixture");
+            let numbers = |tensor: Tensor<4>| -> Vec<f64> { tensor.into_data().iter::<f64>().collect() };
+            let (weights, scales) = (numbers(mixture.log_weights), numbers(mixture.log_scales));
+            let pixels = size.0 * size.1;
+            Plane::from_fn(size.0, size.1, |x, y| {
+                let at = y * size.0 + x;
+                let weights = [weights[at], weights[pixels + at]].map(f64::exp);
+                let scales = [scales[at].clamp(0.0, 10.0).exp(), 1.0];
+                ((weights[0] * scales[0] + weights[1] * scales[1]) / (weights[0] + weights[1])) as f32
+            })
+        })
+        .collect();
+    let named =
+        NetworkEstimator::new("s", network, NonZeroUsize::new(ITERATIONS).expect("some"), Device::flex());
+    let tiled = Tiled::new(Box::new(named), tiling(200, 200, 64));
+    for at_once in [1, 3] {
+        let mut sequence = tiled.sequence(false);
+        let found: Vec<Plane> = frames
+            .chunks(at_once)
+            .flat_map(|frames| sequence.push(frames).expect("flows"))
+            .map(|estimate| estimate.uncertainty.expect("a mixture"))
+            .collect();
+        assert_eq!(found.len(), expected.len());
+        for (found, expected) in found.iter().zip(&expected) {
+            let pairs = found.pixels().iter().zip(expected.pixels());
+            let worst = pairs.map(|(found, expected)| (found / expected - 1.0).abs()).fold(0.0, f32::max);
+            assert!(worst < 1e-3, "{at_once} at once: {worst} of the expected value");
+            let (least, most) =
+                expected.pixels().iter().fold((f32::MAX, 0.0_f32), |(a, b), v| (a.min(*v), b.max(*v)));
+            assert!(least > 1.0 && most > 1.01 * least, "from {least} to {most} px");
+        }
+    }
+    let without = estimator(&self::network()).sequence(false).push(&frames).expect("flows");
+    assert!(without.iter().all(|estimate| estimate.uncertainty.is_none() && estimate.occlusion.is_none()));
 }
 
 struct Broken;

@@ -12,7 +12,7 @@ mod update;
 mod window;
 
 use srflow_field::resize::{resize_linear_of_two, shrink_area};
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, luminance};
+use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, check_frame_sizes, luminance};
 
 use crate::ParameterError;
 use crate::planar::PlanarFlow;
@@ -146,7 +146,7 @@ impl FlowEstimator for Farneback {
     }
 
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        crate::check_sizes(frame1, frame2, None)?;
+        check_frame_sizes(frame1.size(), [frame2.size()])?;
         Ok(self.flow(frame1, frame2, None))
     }
 
@@ -156,7 +156,7 @@ impl FlowEstimator for Farneback {
         frame2: &Image,
         initial: &FlowField,
     ) -> Result<FlowField, EstimateError> {
-        crate::check_sizes(frame1, frame2, Some(initial))?;
+        check_frame_sizes(frame1.size(), [frame2.size(), initial.size()])?;
         Ok(self.flow(frame1, frame2, Some(initial)))
     }
 }

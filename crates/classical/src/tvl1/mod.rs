@@ -11,7 +11,7 @@ mod state;
 mod warp;
 
 use srflow_field::resize::{resize_linear, resize_linear_by};
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, Plane, luminance};
+use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, Plane, check_frame_sizes, luminance};
 
 use crate::ParameterError;
 use crate::planar::PlanarFlow;
@@ -190,7 +190,7 @@ impl FlowEstimator for TvL1 {
     }
 
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        crate::check_sizes(frame1, frame2, None)?;
+        check_frame_sizes(frame1.size(), [frame2.size()])?;
         Ok(self.flow(frame1, frame2, None))
     }
 
@@ -200,7 +200,7 @@ impl FlowEstimator for TvL1 {
         frame2: &Image,
         initial: &FlowField,
     ) -> Result<FlowField, EstimateError> {
-        crate::check_sizes(frame1, frame2, Some(initial))?;
+        check_frame_sizes(frame1.size(), [frame2.size(), initial.size()])?;
         Ok(self.flow(frame1, frame2, Some(initial)))
     }
 }

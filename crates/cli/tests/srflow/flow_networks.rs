@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 
 use burn::tensor::Device;
 use safetensors::tensor::{Dtype, TensorView};
-use srflow_field::{FlowField, Image, read_flow, read_image, write_flow, write_image_png};
+use srflow_field::{FlowField, Image, read_flow, read_image, read_npy_plane, write_flow, write_image_png};
 use srflow_nets::Architecture;
 use srflow_nn::parameter_infos;
 
@@ -56,6 +56,7 @@ fn data() -> &'static Path {
         write_weights(&path.join("two.safetensors"), Architecture::RaftSmall, 2);
         write_weights(&path.join("rpknet.safetensors"), Architecture::RpkNet, 3);
         write_weights(&path.join("memflow.safetensors"), Architecture::MemFlow, 4);
+        write_weights(&path.join("sea-raft-s.safetensors"), Architecture::SeaRaftS, 5);
         (dir, path)
     });
     path
@@ -96,6 +97,49 @@ fn a_pair_gives_a_flow_and_a_report() {
     let of_its_own = ["flow", "--method", "raft-small=one.safetensors", "--iters", "2", "-o", "pair/own.flo"];
     succeeds(&srflow(&[&of_its_own[..], &["video/0.png", "video/1.png"]].concat()));
     assert_eq!(read("pair/own.flo"), read("pair/flow.flo"));
+}
+
+/// In a file beside the flow of a pair, and in a folder along a sequence, with pictures if the flow has them.
+#[test]
+fn uncertainty_is_written_beside_the_flow() {
+    let sea_raft = |more: &[&str]| {
+        let method = ["flow", "--method", "sea-raft-s=sea-raft-s.safetensors", "--iters", "2", "--json"];
+        srflow(&[&method, more].concat())
+    };
+    let pair = ["video/0.png", "video/1.png"];
+    let plane = |file: &str| read_npy_plane(&data().join(file)).unwrap();
+    let files = ["-o", "sure/a.flo", "--uncertainty", "sure/a.npy", "--viz", "sure/flow.png"];
+    let report = json(&sea_raft(&[&pair[..], &files].concat()));
+    assert_eq!(report["pairs"][0]["uncertainty"], "sure/a.npy");
+    let alone = plane("sure/a.npy");
+    assert_eq!(alone.size(), SIZE);
+    assert!(alone.pixels().iter().all(|pixels| *pixels >= 1.0), "the smallest scale is that of 1 pixel");
+    assert_eq!(read_image(&data().join("sure/a.png")).unwrap().size(), SIZE);
+
+    let folders = ["-o", "sure/flows", "--uncertainty", "sure/planes", "--tile", "160x160", "--scale", "0.9"];
+    succeeds(&sea_raft(&[&["video"][..], &folders].concat()));
+    let scaled: Vec<f32> = (0..5).map(|n| plane(&format!("sure/planes/{n}.npy")).get(70, 60)).collect();
+    assert!(scaled.iter().all(|pixels| *pixels > 1.05), "of smaller frames: {scaled:?}");
+    assert!(!data().join("sure/planes/0.png").exists() && !data().join("sure/planes/5.npy").exists());
+
+    let refused = |more: &[&str], words: &[&str]| refuses(&sea_raft(&[&pair[..], more].concat()), 2, words);
+    refused(&["-o", "sure/b.flo", "--uncertainty", "sure/b.png"], &["sure/b.png", ".npy"]);
+    refused(&["-o", "sure/b.npy", "--uncertainty", "sure/b.npy"], &["sure/b.npy", "overwrite each other"]);
+    refused(
+        &["-o", "sure/b.flo", "--occlusion", "sure/b.npy"],
+        &["--occlusion", "sea-raft-s does not predict"],
+    );
+    refused(
+        &["-o", "sure/b.flo", "--uncertainty", "sure/b.npy", "--initial-flow", "sure/a.flo"],
+        &["--initial-flow"],
+    );
+    let video = ["video", "-o", "sure/x", "--viz", "sure/y", "--uncertainty", "sure/y/"];
+    refuses(&sea_raft(&video), 2, &["sure/y", "overwrite each other"]);
+    let classical = ["flow", "--method", "tvl1", "video", "-o", "sure/z", "--uncertainty", "sure/u"];
+    refuses(&srflow(&classical), 2, &["tvl1 does not predict", "sea-raft-m"]);
+    // What is there is not overwritten.
+    let again = sea_raft(&[&pair[..], &["-o", "sure/c.flo", "--uncertainty", "sure/a.npy"]].concat());
+    refuses(&again, 1, &["sure/a.npy", "--force"]);
 }
 
 /// The groups of RPKNet's norms, of which its weights say nothing.

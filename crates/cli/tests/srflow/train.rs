@@ -104,6 +104,35 @@ fn a_killed_run_goes_on_to_the_same_bytes() {
     refuses(&train(&["--resume", &killed_text, "--batch", "3"]), 1, &["--resume"]);
 }
 
+/// SEA-RAFT's own loss, from configuration to weights that a resumed run ends with too.
+#[test]
+fn a_mixture_of_laplace_distributions_is_trained_and_resumed() {
+    let dir = tempfile::tempdir().unwrap();
+    make_pairs(dir.path(), 3);
+    let data = format!("folder:{}", dir.path().display());
+    let [through, stopped] = ["through", "stopped"].map(|name| dir.path().join(name));
+    let run = |out: &Path, more: &[&str]| {
+        let out = out.display().to_string();
+        let arguments = ["--config", "sea-raft", "--data", &data, "--out", &out, "--network", "sea-raft-s"];
+        let sizes = ["--crop", "64x64", "--batch", "2", "--iterations", "2", "--steps", "4"];
+        let rest = ["--threads", "2", "--seed", "3", "--set", "checkpoints.every=2"];
+        train(&[&arguments[..], &sizes, &rest, more].concat())
+    };
+    succeed(&run(&through, &[]));
+    assert_eq!(run(&stopped, &["--stop-after-step", "2"]).status.code(), Some(75));
+    succeed(&train(&["--resume", &stopped.display().to_string(), "--threads", "2"]));
+    let [one, other] = [&through, &stopped].map(|run| std::fs::read(run.join("last.safetensors")).unwrap());
+    assert!(one == other, "a resumed run ends with the same weights");
+    let log = std::fs::read_to_string(through.join("log.jsonl")).unwrap();
+    let losses: Vec<f64> = log
+        .lines()
+        .map(|line| serde_json::from_str::<Value>(line).unwrap())
+        .filter(|record| record["kind"] == "step")
+        .map(|record| record["loss"].as_f64().unwrap())
+        .collect();
+    assert!(losses.len() == 4 && losses.iter().all(|loss| loss.is_finite()), "{losses:?}");
+}
+
 #[test]
 fn a_folder_that_another_process_trains_in_is_refused() {
     let dir = tempfile::tempdir().unwrap();

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use crate::{FlowField, Image};
+use crate::{FlowField, Image, Plane};
 
 /// One output pixel reads the input from `first` on, with these weights, which sum to one.
 struct Tap {
@@ -79,6 +79,15 @@ pub fn resize_flow_antialiased(flow: &FlowField, size: (usize, usize)) -> FlowFi
     let mut resized = FlowField::new(size.0, size.1);
     resized.pixels_mut().copy_from_slice(&numbers);
     resized
+}
+
+/// Resizes a plane and multiplies it by `gain`. A plane without pixels is returned unchanged.
+pub fn resize_plane_antialiased(plane: &Plane, size: (usize, usize), gain: f32) -> Plane {
+    if plane.pixels().is_empty() {
+        return plane.clone();
+    }
+    let numbers = resize(plane.pixels(), plane.size(), size, |value| [value * gain]);
+    Plane::from_buffer(size.0, size.1, numbers.into_flattened())
 }
 
 #[cfg(test)]

@@ -47,13 +47,15 @@ macro_rules! presets {
     };
 }
 
-/// The configurations that come with the program: the rows of the paper's Table V, and two that a small computer manages.
+/// The configurations that come with the program: the rows of the paper's Table V, other networks, and two that a
+/// small computer manages.
 pub const PRESETS: &[Preset] = presets![
     "skflow",
     "srflownet-tvr",
     "srflownet-fdr",
     "srflownet-migar",
     "srflownet-igvar",
+    "sea-raft",
     "cpu-small",
     "cpu-srflownet"
 ];

@@ -1,4 +1,5 @@
 use serde::{Deserialize, Serialize};
+use srflow_nets::LaplaceMixture;
 
 use super::table::{Regularizer, SEQUENCE_LOSSES, SequenceLoss};
 use super::{LossError, fdr, igvar, migar, tvr};
@@ -44,7 +45,7 @@ macro_rules! regularizers {
                     sequence: &SEQUENCE_LOSSES[0],
                     gamma: 0.8,
                     max_magnitude: 400.0,
-                    log_scale_range: [0.0, 10.0],
+                    log_scale_range: LaplaceMixture::LOG_SCALE_RANGE,
                     $($name: 0.0,)*
                     m_total: MaskReading::Interior,
                     border: Border::Replicate,

@@ -17,17 +17,17 @@ pub(super) const MIXTURE_OF_LAPLACE: SequenceLoss = SequenceLoss {
 fn negative_log_likelihood(
     difference: Tensor<4>,
     mixture: &LaplaceMixture,
-    [low, high]: [f64; 2],
+    log_scale_range: [f64; 2],
 ) -> Tensor<4> {
     let distance = difference.abs();
-    let component = |k: usize, low: f64, high: f64| {
-        let log_scale = mixture.log_scales.clone().narrow(1, k, 1).clamp(low, high);
+    let component = |k: usize, log_scale: Tensor<4>| {
         let log_weight = mixture.log_weights.clone().narrow(1, k, 1);
         let log_peak = log_weight.clone() - log_scale.clone() - std::f64::consts::LN_2;
         (log_weight, log_peak - distance.clone() * (-log_scale).exp())
     };
-    let (wide_weight, wide) = component(0, 0.0, high);
-    let (narrow_weight, narrow) = component(1, low, 0.0);
+    let [wide, narrow] = mixture.limited_log_scales(log_scale_range);
+    let (wide_weight, wide) = component(0, wide);
+    let (narrow_weight, narrow) = component(1, narrow);
     log_sum_exp(wide_weight, narrow_weight) - log_sum_exp(wide, narrow)
 }
 

@@ -1,8 +1,9 @@
+mod beside;
 mod frames;
 mod outputs;
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Instant;
 
@@ -10,10 +11,13 @@ use anyhow::{Context as _, ensure};
 use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
+use srflow_eval::report::heat;
 use srflow_field::{
-    FlowEstimator, FlowField, FlowFormat, Image, flow_colors, read_flow, write_flow, write_image_png,
+    FlowEstimate, FlowEstimator, FlowField, FlowFormat, Image, flow_colors, read_flow, write_flow,
+    write_image_png, write_npy_plane,
 };
 
+use self::beside::Beside;
 use self::frames::{Frame, Source};
 use self::outputs::Outputs;
 use crate::Context;
@@ -52,7 +56,13 @@ pub struct Flow {
     /// Also draw the flow in colours: into a PNG file, a folder of PNG files, or a video
     #[arg(long, value_name = "OUT")]
     viz: Option<PathBuf>,
-    /// Length in pixels of the flow with full colour [default: the longest of each flow]
+    /// Also write the expected error of the flow, in pixels
+    #[arg(long, value_name = "OUT", help = Beside::Uncertainty.help())]
+    uncertainty: Option<PathBuf>,
+    /// Also write the probability that a pixel of the first frame is hidden in the second
+    #[arg(long, value_name = "OUT", help = Beside::Occlusion.help())]
+    occlusion: Option<PathBuf>,
+    /// Length in pixels of the flow with full colour, and the uncertainty with the brightest [default: the largest of each pair]
     #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = super::convert::positive)]
     viz_max: Option<f32>,
     /// Start from this flow (for two frames)
@@ -103,10 +113,22 @@ struct EstimatedPair {
     flow: PathBuf,
     #[serde(skip_serializing_if = "Option::is_none")]
     viz: Option<PathBuf>,
+    #[serde(flatten)]
+    beside: BTreeMap<&'static str, PathBuf>,
     width: usize,
     height: usize,
     /// Time of estimation, without reading and writing; in a batch, an equal share.
     seconds: f64,
+}
+
+impl Flow {
+    /// Where to write what is predicted beside the flow.
+    fn beside(&self, beside: Beside) -> Option<&Path> {
+        match beside {
+            Beside::Uncertainty => self.uncertainty.as_deref(),
+            Beside::Occlusion => self.occlusion.as_deref(),
+        }
+    }
 }
 
 pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
@@ -119,6 +141,11 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     }
     let source = Source::open(&args.frames)?;
     let mut outputs = Outputs::plan(&args, &source)?;
+    for beside in Beside::ALL {
+        if args.beside(beside).is_some() && !beside.is_predicted_by(args.method.method) {
+            wrong_usage!("{}", beside.missing(args.method.method.name()));
+        }
+    }
     let estimator = methods::estimator(&args.method, &args.parameters)?;
     if estimator.remembers() && network.batch > 1 {
         wrong_usage!("{} waits for the pair before, so that --batch is 1: leave it out", estimator.name());
@@ -196,11 +223,13 @@ fn identity(args: &Flow) -> anyhow::Result<String> {
     let method: Vec<String> = records.iter().map(|record| record.identity()).collect();
     let frames: Vec<PathBuf> = args.frames.iter().map(std::path::absolute).collect::<Result<_, _>>()?;
     Ok(format!(
-        "{}\n{frames:?}\n{} {:?} {:?} {}\n",
+        "{}\n{frames:?}\n{} {:?} {:?} {:?} {:?} {}\n",
         method.join("\n"),
         args.format,
         args.viz,
         args.viz_max,
+        args.uncertainty,
+        args.occlusion,
         args.warm_start
     ))
 }
@@ -233,7 +262,7 @@ impl Work<'_> {
             .estimate_from(&first.image, &second.image, initial)
             .with_context(|| format!("{} and {}", first.label, second.label))?;
         let seconds = start.elapsed().as_secs_f64();
-        Ok(vec![self.write((&first.label, &first.stem), &second.label, &flow, seconds, &mut None)?])
+        Ok(vec![self.write((&first.label, &first.stem), &second.label, &flow.into(), seconds, &mut None)?])
     }
 
     /// A sequence, `--batch` pairs at a time.
@@ -256,11 +285,11 @@ impl Work<'_> {
                 break;
             }
             let start = Instant::now();
-            let flows = sequence.push(&images).with_context(|| self.labels(&names))?;
-            let seconds = start.elapsed().as_secs_f64() / flows.len().max(1) as f64;
-            for (pair, flow) in names.windows(2).zip(&flows) {
+            let estimates = sequence.push(&images).with_context(|| self.labels(&names))?;
+            let seconds = start.elapsed().as_secs_f64() / estimates.len().max(1) as f64;
+            for (pair, estimate) in names.windows(2).zip(&estimates) {
                 let (label, stem) = &pair[0];
-                reports.push(self.write((label, stem), &pair[1].0, flow, seconds, &mut video)?);
+                reports.push(self.write((label, stem), &pair[1].0, estimate, seconds, &mut video)?);
             }
             names.drain(..names.len() - 1);
         }
@@ -280,13 +309,21 @@ impl Work<'_> {
         &self,
         (label, stem): (&str, &str),
         next: &str,
-        flow: &FlowField,
+        estimate: &FlowEstimate,
         seconds: f64,
         video: &mut Option<VideoWriter>,
     ) -> anyhow::Result<EstimatedPair> {
         self.outputs.check_pair(stem)?;
         let files = self.outputs.pair(stem);
+        let flow = &estimate.flow;
         write_flow(&files.flow, flow)?;
+        for (beside, plane_files) in &files.beside {
+            let plane = beside.of(estimate).with_context(|| beside.missing(self.estimator.name()))?;
+            write_npy_plane(&plane_files.npy, plane)?;
+            if let Some(png) = &plane_files.png {
+                write_image_png(png, &heat(plane, beside.brightest(plane, self.args.viz_max)))?;
+            }
+        }
         let colours = || flow_colors(flow, self.args.viz_max);
         if let Some(viz) = &files.viz {
             write_image_png(viz, &colours())?;
@@ -304,6 +341,7 @@ impl Work<'_> {
             frame2: next.to_owned(),
             flow: files.flow,
             viz: files.viz,
+            beside: files.beside.into_iter().map(|(beside, files)| (beside.name(), files.npy)).collect(),
             width: flow.width(),
             height: flow.height(),
             seconds,

@@ -8,6 +8,7 @@ use anyhow::{Context as _, ensure};
 use srflow_field::{FileKind, FlowFormat, create_folder, read_text, write_file};
 
 use super::Flow;
+use super::beside::Beside;
 use super::frames::Source;
 use crate::output::ensure_free;
 use crate::usage::wrong_usage;
@@ -17,6 +18,8 @@ use crate::video::is_video;
 pub struct Outputs {
     flows: Flows,
     viz: Option<Viz>,
+    /// Files, or folders when the flow goes into a folder.
+    beside: Vec<(Beside, PathBuf)>,
     force: bool,
 }
 
@@ -36,6 +39,20 @@ enum Viz {
 pub struct PairFiles {
     pub flow: PathBuf,
     pub viz: Option<PathBuf>,
+    pub beside: Vec<(Beside, PlaneFiles)>,
+}
+
+/// The files of a plane.
+pub struct PlaneFiles {
+    pub npy: PathBuf,
+    pub png: Option<PathBuf>,
+}
+
+impl PairFiles {
+    fn all(&self) -> impl Iterator<Item = &Path> {
+        let planes = self.beside.iter().flat_map(|(_, files)| [Some(&files.npy), files.png.as_ref()]);
+        [Some(&self.flow), self.viz.as_ref()].into_iter().chain(planes).flatten().map(PathBuf::as_path)
+    }
 }
 
 impl Outputs {
@@ -50,7 +67,35 @@ impl Outputs {
             && args.out.extension().is_some()
             && !ends_with_separator(&args.out);
         let (flows, viz) = if is_file { Self::file(args)? } else { Self::folder(args, source)? };
-        Ok(Self { flows, viz, force: args.force })
+        let mut beside = Vec::new();
+        for kind in Beside::ALL {
+            let Some(path) = args.beside(kind) else { continue };
+            if args.initial_flow.is_some() {
+                wrong_usage!(
+                    "--{} does not go together with --initial-flow: leave one of them out",
+                    kind.name()
+                );
+            }
+            let is_npy = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("npy"));
+            if is_file && (!is_npy || path.is_dir()) {
+                wrong_usage!(
+                    "{}: two frames give one array: expected the name of a file ending in .npy",
+                    path.display()
+                );
+            }
+            if !is_file && !path.is_dir() && (is_npy || path.is_file()) {
+                wrong_usage!("{}: {source} give a folder of .npy files, not one file", path.display());
+            }
+            beside.push((kind, path.to_owned()));
+        }
+        let outputs = Self { flows, viz, beside, force: args.force };
+        let files = outputs.pair("frame");
+        let mut names = HashSet::new();
+        if let Some(twice) = files.all().find(|file| !names.insert(*file)) {
+            let place = if is_file { twice } else { twice.parent().unwrap_or(twice) };
+            wrong_usage!("{}: two outputs would overwrite each other here; rename one", place.display());
+        }
+        Ok(outputs)
     }
 
     fn file(args: &Flow) -> anyhow::Result<(Flows, Option<Viz>)> {
@@ -111,7 +156,17 @@ impl Outputs {
                 Some(Viz::Folder(folder)) => Some(named(folder, "png")),
                 Some(Viz::Video(_)) | None => None,
             },
+            beside: self.beside.iter().map(|(kind, path)| (*kind, self.plane(path, stem))).collect(),
         }
+    }
+
+    /// The files of a plane of the pair whose first frame has this name; `path` as on the command line.
+    fn plane(&self, path: &Path, stem: &str) -> PlaneFiles {
+        let npy = match self.flows {
+            Flows::File(_) => path.to_owned(),
+            Flows::Folder(..) => path.join(format!("{stem}.npy")),
+        };
+        PlaneFiles { png: self.viz.is_some().then(|| npy.with_extension("png")), npy }
     }
 
     /// The video of the colours, if requested.
@@ -144,10 +199,7 @@ impl Outputs {
         if one_by_one || self.video().is_some() {
             return Ok(0);
         }
-        let whole = |stem: &String| {
-            let PairFiles { flow, viz } = self.pair(stem);
-            flow.is_file() && viz.is_none_or(|viz| viz.is_file())
-        };
+        let whole = |stem: &String| self.pair(stem).all().all(Path::is_file);
         Ok(source.all_stems().take_while(whole).count() as u64)
     }
 
@@ -176,9 +228,8 @@ impl Outputs {
         for stem in stems {
             self.check_pair(stem)?;
         }
-        let files = self.pair("");
-        let parents = [Some(files.flow.as_path()), files.viz.as_deref(), self.video()];
-        for folder in parents.into_iter().flatten().filter_map(Path::parent) {
+        let files = self.pair("frame");
+        for folder in files.all().chain(self.video()).filter_map(Path::parent) {
             if !folder.as_os_str().is_empty() {
                 create_folder(folder)?;
             }
@@ -189,8 +240,7 @@ impl Outputs {
     /// # Errors
     /// When a file of the pair exists and `--force` was not given.
     pub fn check_pair(&self, stem: &str) -> anyhow::Result<()> {
-        let files = self.pair(stem);
-        self.check_free([Some(files.flow), files.viz].into_iter().flatten())
+        self.check_free(self.pair(stem).all().map(Path::to_owned))
     }
 
     fn check_free(&self, files: impl IntoIterator<Item = PathBuf>) -> anyhow::Result<()> {

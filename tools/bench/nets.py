@@ -26,6 +26,8 @@ import numpy as np
 from weights import SEED, random_state
 
 ROOT = Path(__file__).resolve().parents[2]
+# Names of the attribute that holds a model's iterations.
+ITERATIONS = {"dpflow": "iters_per_level", "memflow": "decoder_depth"}
 
 
 def texture(height, width, y, x):
@@ -66,7 +68,7 @@ def reference(network, iterations, threads, repeats, weights, pixels, out, heigh
     torch.set_num_threads(threads)
     model = ptlflow.get_model(network).eval()
     model.load_state_dict(torch.load(weights, weights_only=True))
-    model.iters = iterations
+    setattr(model, ITERATIONS.get(network, "iters"), iterations)
     pair = np.fromfile(pixels, "<f4").reshape(1, 2, 3, height, width)[:, :, ::-1].copy()  # ptlflow takes BGR
     images = torch.from_numpy(pair)
     for _ in range(repeats):

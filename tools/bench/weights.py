@@ -21,7 +21,7 @@ from pathlib import Path
 
 SEED = 7
 NETWORKS = [
-    "raft", "raft_small", "gma", "skflow", "rpknet", "sea_raft_s", "sea_raft_m", "flownets", "flownetc", "flownetcss"
+    "raft", "raft_small", "gma", "skflow", "rpknet", "dpflow", "sea_raft_s", "sea_raft_m", "flownets", "flownetc", "flownetcss"
 ]
 
 

@@ -63,6 +63,10 @@ class Network:
     gradients: str = ""
     # The flows that training compares with the truth, in full size, the last one last: from the outputs and the frames.
     flows: Callable = lambda outputs, images: outputs["flow_preds"]
+    # Pixels of a padded frame for each of the flow that a warm start takes, where the reference makes it of a finer one.
+    coarsest: int = 0
+    # A further case without gradients: batch, height and width, what the model's attributes are set to, and our settings.
+    set_to: tuple = ()
 
 
 def flownet_flows(outputs, images):
@@ -117,6 +121,16 @@ NETWORKS = [
     Network("flownetc", **FLOWNET),
     # Stacked, large flows through frames full of grain would enlarge every rounding error.
     Network("flownetcss", **{**FLOWNET, "gains": {"conv": 1.7, "upsampled": 2.0, "predict_flow": 0.75}}),
+    Network(
+        "dpflow",
+        iterations=(1, 4),
+        training_iterations=2,
+        attribute="iters_per_level",
+        gains={"flow_head.conv2.": 0.5},
+        mixture=True,
+        coarsest=32,
+        set_to=((1, 100, 140), {"pyramid_levels": 4, "output_stride": 64}, {"levels": 4}),
+    ),
 ]
 
 
@@ -194,6 +208,33 @@ def every_flow(network, model, images):
     return flows, None
 
 
+def with_mixtures(model):
+    """DPFlow computes its mixtures for its loss alone: gives them as SEA-RAFT does."""
+    predict, forward = model.predict, model.forward
+    found = {}
+
+    def predicted(*arguments, **named):
+        result = predict(*arguments, **named)
+        found["info_preds"] = result[3]
+        return result
+
+    def forwarded(pair):
+        batch, _, _, height, width = pair["images"].shape
+        truth = torch.zeros(batch, 1, 2, height, width)  # of its loss, which nobody reads
+        return {**forward({**pair, "flows": truth}), **found}
+
+    model.predict, model.forward = predicted, forwarded
+
+
+def coarse(stride, flow):
+    """The flow that a warm start takes, from what the reference gives the next pair."""
+    if not stride:
+        return flow
+    size = [side * 8 // stride for side in flow.shape[2:]]
+    smaller = torch.nn.functional.interpolate(flow, size, mode="bilinear", align_corners=True)
+    return smaller * (8 / stride)
+
+
 def gradients(network, model, images, batch_statistics):
     """By parameter, after a backward pass of the training loss."""
     setattr(model, network.attribute, network.training_iterations)
@@ -235,18 +276,24 @@ def write(network, folder):
             values = parameter(one_name(network, name, state), tuple(value.shape), network.gains)
             state[name] = torch.from_numpy(np.ascontiguousarray(values))
     model.load_state_dict(state)
-    for batch, height, width in network.cases:
+    if network.name == "dpflow":
+        with_mixtures(model)
+    cases = [(size, {}, network.settings) for size in network.cases]
+    for (batch, height, width), attributes, settings in [*cases, *filter(None, [network.set_to])]:
+        for name, value in attributes.items():
+            setattr(model, name, value)
+        stride = attributes.get("output_stride", network.coarsest)
         video = np.stack([frame(batch, height, width, 4 * number) for number in range(network.pairs + 1)], axis=1)
         video = torch.from_numpy(video[:, :, ::-1].copy())  # the reference takes BGR
         images = video[:, :2]
         out = {f"gain/{part}": np.array([gain]) for part, gain in network.gains.items()}
-        out |= {f"setting/{name}": np.array([value]) for name, value in network.settings.items()}
+        out |= {f"setting/{name}": np.array([value]) for name, value in settings.items()}
         for iterations in network.iterations:
             setattr(model, network.attribute, iterations)
             with torch.no_grad():
                 result = model(inputs(network, images))
             if "flow_small" in result:
-                out[f"coarse_{iterations}"] = result["flow_small"].numpy()
+                out[f"coarse_{iterations}"] = coarse(stride, result["flow_small"]).numpy()
             out[f"flow_{iterations}"] = result["flows"][:, 0, :, ::EVERY, ::EVERY].numpy()
             if network.mixture:
                 for part, values in zip(("log_weights", "log_scales"), last_mixture(model, images)):
@@ -257,7 +304,7 @@ def write(network, folder):
                 out[f"next_{number + 1}_{iterations}"] = result["flows"][:, 0, :, ::EVERY, ::EVERY].numpy()
         if network.gradients:
             out[f"gradients/{network.gradients}"] = np.array([1])
-        elif network.training_iterations:
+        elif network.training_iterations and not attributes:
             out["training_iterations"] = np.array([network.training_iterations])
             normed = any(isinstance(module, torch.nn.BatchNorm2d) for module in model.modules())
             for kind, batch_statistics in [("running", False), ("batch", True)][: 1 + normed]:

@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use clap::Args;
 use serde::Serialize;
 use srflow_field::Size;
-use srflow_nets::{SMALLEST_TILE_SIDE, TileSize, Tiles, Tiling, scaled_size};
+use srflow_nets::{Padding, SMALLEST_TILE_SIDE, TileSize, Tiles, Tiling, scaled_size};
 
 use crate::machine;
 use crate::methods::Method;
@@ -47,8 +47,8 @@ pub struct Resolution {
     width: usize,
     height: usize,
     /// Of each tile; with a single tile, of the frame.
-    tile_width: usize,
-    tile_height: usize,
+    pub tile_width: usize,
+    pub tile_height: usize,
     tiles: usize,
 }
 
@@ -93,8 +93,8 @@ impl LargeFrames {
     /// When `auto` is requested and the free memory is unknown.
     pub fn tiling(&self, method: Method, network: &NetworkArgs) -> anyhow::Result<Option<Tiling>> {
         let alignment = match method {
-            Method::Network(architecture) => architecture.facts().padding,
-            _ => CLASSICAL_ALIGNMENT,
+            Method::Network(architecture) => network.init(architecture)?.padding(),
+            _ => Padding::Fixed(CLASSICAL_ALIGNMENT),
         };
         let size = self.tile_size(method, network)?;
         Ok(size.map(|size| Tiling { size, overlap: self.tile_overlap, alignment }))

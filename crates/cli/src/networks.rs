@@ -91,9 +91,18 @@ impl NetworkArgs {
     /// # Errors
     /// When a value is out of range.
     pub fn settings(&self, architecture: Architecture) -> anyhow::Result<BTreeMap<&'static str, usize>> {
+        let mut network = self.init(architecture)?;
+        Ok(network.settings().into_iter().map(|setting| (setting.name, *setting.value)).collect())
+    }
+
+    /// A network with random parameters and the given settings.
+    ///
+    /// # Errors
+    /// When a value is out of range.
+    pub fn init(&self, architecture: Architecture) -> anyhow::Result<Network> {
         let mut network = architecture.init(&Default::default());
         self.set(&mut network)?;
-        Ok(network.settings().into_iter().map(|setting| (setting.name, *setting.value)).collect())
+        Ok(network)
     }
 
     /// Applies the settings that the network has; the rest is for other networks.

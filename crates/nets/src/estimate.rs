@@ -11,7 +11,7 @@ pub struct Request {
     /// Refinements; a network without them takes no notice.
     pub iterations: usize,
     /// The coarse flow to start from, such as [`Estimate::coarse`] of the previous pair, warped forward; zero without one.
-    /// For networks with [`Start::Coarse`](crate::Start::Coarse).
+    /// For networks with [`Start::Coarse`](crate::Start::Coarse) or [`Start::CoarsestLevel`](crate::Start::CoarsestLevel).
     pub start: Option<Tensor<4>>,
     /// Return every flow that the network computes on its way, as training needs; otherwise only the last is made in full size.
     pub every_iteration: bool,
@@ -41,7 +41,7 @@ pub struct Estimate {
     /// networks with [`Facts::occlusion`](crate::Facts::occlusion).
     pub occlusion: Option<Tensor<4>>,
     /// The last flow in coarse pixels, a start for the next pair of frames; for networks with
-    /// [`Start::Coarse`](crate::Start::Coarse).
+    /// [`Start::Coarse`](crate::Start::Coarse) or [`Start::CoarsestLevel`](crate::Start::CoarsestLevel).
     pub coarse: Option<Tensor<4>>,
     /// The last hidden state, where refinements can be computed one by one.
     pub hidden: Option<Tensor<4>>,

@@ -40,14 +40,21 @@ impl NetworkEstimator {
         EncodedFrame { frame, features }
     }
 
+    /// What the sides of an extended frame are padded to multiples of.
+    fn padding(&self, Canvas { extended: (width, height), .. }: Canvas) -> usize {
+        self.network.padding().of([height, width])
+    }
+
     fn unsupported(&self, reason: impl Into<String>) -> EstimateError {
         EstimateError::Unsupported { method: self.name.clone(), reason: reason.into() }
     }
 
-    /// Pixels along a side of a coarse pixel of the flow that an estimate starts from.
-    fn start_stride(&self) -> Result<usize, EstimateError> {
+    /// Pixels along a side of a coarse pixel of the flow that an estimate starts from, where frames are padded to multiples of
+    /// `padding`.
+    fn start_stride(&self, padding: usize) -> Result<usize, EstimateError> {
         match self.facts().start {
             Start::Coarse(stride) => Ok(stride),
+            Start::CoarsestLevel => Ok(padding),
             Start::Frames(why) => Err(self.unsupported(format!("cannot start from an earlier flow: {why}"))),
         }
     }
@@ -143,8 +150,8 @@ impl NetworkEstimator {
 
     /// `flow`, in the size of the frames, as a coarse flow in coarse pixels.
     fn coarse(&self, flow: &FlowField, canvas: Canvas) -> Result<Tensor<4>, EstimateError> {
-        let stride = self.start_stride()?;
-        let padding = self.facts().padding;
+        let padding = self.padding(canvas);
+        let stride = self.start_stride(padding)?;
         let padded = [canvas.extended.0, canvas.extended.1].map(|side| side.next_multiple_of(padding));
         let [width, height] = padded.map(|side| side / stride);
         let border = [padded[0] - canvas.extended.0, padded[1] - canvas.extended.1];
@@ -265,11 +272,12 @@ impl FlowSequence for NetworkSequence<'_> {
         let Some(first) = frames.first() else { return Ok(Vec::new()) };
         let size = self.state.as_ref().map_or(first.size(), |state| state.canvas.size);
         check_frame_sizes(size, frames.iter().map(Image::size))?;
-        if self.estimator.canvas(size).is_empty() {
+        let canvas = self.estimator.canvas(size);
+        if canvas.is_empty() {
             return Ok(Vec::new());
         }
         if self.warm_start {
-            self.estimator.start_stride()?;
+            self.estimator.start_stride(self.estimator.padding(canvas))?;
         }
         // A warm start and a memory wait for the pair before.
         let waits = self.warm_start || self.estimator.remembers();

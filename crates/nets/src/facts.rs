@@ -14,7 +14,7 @@ pub struct Facts {
     /// Learned numbers; the statistics of batch norm are none.
     pub parameters: usize,
     /// Height and width of frames are made multiples of this many pixels: by a border, or by resizing where the network's
-    /// authors resize.
+    /// authors resize. Those of large frames perhaps of more: [`Network::padding`](crate::Network::padding).
     pub padding: usize,
     /// Shorter sides of a frame are padded to this many pixels by repeating the border, where the reference implementation
     /// gives NaN or fails.
@@ -65,11 +65,32 @@ pub struct IterationPresets {
     pub training: usize,
 }
 
+/// What height and width of a frame are padded to multiples of.
+#[derive(Debug, Clone, Copy)]
+pub enum Padding {
+    /// So many pixels, whatever the size.
+    Fixed(usize),
+    /// Pixels by height and width.
+    BySize(fn([usize; 2]) -> usize),
+}
+
+impl Padding {
+    /// For a frame of this height and width.
+    pub fn of(self, size: [usize; 2]) -> usize {
+        match self {
+            Self::Fixed(pixels) => pixels,
+            Self::BySize(pixels) => pixels(size),
+        }
+    }
+}
+
 /// Where a flow may start from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Start {
     /// From a coarse flow, such as that of the pair before: with so many pixels of the padded frame along a side of its pixels.
     Coarse(usize),
+    /// From a coarse flow whose pixels are as large as the padding: the coarsest level of a pyramid.
+    CoarsestLevel,
     /// From nothing else than the frames. Says why, as the end of a sentence.
     Frames(&'static str),
 }

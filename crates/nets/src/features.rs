@@ -23,6 +23,11 @@ impl Features {
         self.maps.try_into().unwrap_or_else(|_| panic!("features of another network: {count} maps for {N}"))
     }
 
+    /// The maps of a network that makes as many as it has levels.
+    pub(crate) fn into_levels(self) -> Vec<Tensor<4>> {
+        self.maps
+    }
+
     /// Those of several batches of frames of one size, as one. Panics without a batch.
     pub fn cat(batches: Vec<Self>) -> Self {
         let map = |number: usize| {

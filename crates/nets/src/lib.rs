@@ -4,6 +4,7 @@
 //! without a table of names.
 
 mod blocks;
+mod dpflow;
 mod estimate;
 mod estimator;
 mod facts;
@@ -30,7 +31,7 @@ mod whose;
 
 pub use estimate::{Encoded, Estimate, LaplaceMixture, Memory, Request};
 pub use estimator::NetworkEstimator;
-pub use facts::{Facts, IterationPresets, PublishedWeights, Start};
+pub use facts::{Facts, IterationPresets, Padding, PublishedWeights, Start};
 pub use features::Features;
 pub use fit::{Fit, fits, fits_of_file, load_network, load_to_train};
 pub use frames::Frames;

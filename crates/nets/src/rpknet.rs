@@ -11,12 +11,13 @@ use srflow_ops::activation::tensor::activated_sum;
 use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::depthwise::tensor::depthwise;
-use srflow_ops::gru::tensor::{reset, update};
 use srflow_ops::instance_norm::tensor::group_norm;
 use srflow_ops::layer_norm::tensor::layer_norm;
 
 use crate::MemoryNeed;
-use crate::blocks::{ConvGru, FlowHead, Grids, MotionEncoder, WideConvexMask, resize};
+use crate::blocks::{
+    ConvGru, FlowHead, Grids, MotionEncoder, StageGru, WideConvexMask, resize, resize_flow, upsample_by,
+};
 use crate::estimate::{Estimate, Request};
 use crate::facts::{Facts, IterationPresets, Start, ptlflow};
 use crate::features::Features;
@@ -58,7 +59,7 @@ pub(crate) const RPKNET: Entry<RpkNet> = Entry {
         padding: COARSEST_STRIDE,
         smallest_side: 2 * COARSEST_STRIDE,
         iterations: IterationPresets { default: 12, authors: 32, training: 12 },
-        start: Start::Coarse(COARSEST_STRIDE),
+        start: Start::CoarsestLevel,
         trains: true,
         memory: MemoryNeed { fixed: 400_000_000, per_pixel: 250, attending: 0, most_weights: 0 },
         authors: "https://github.com/hmorimitsu/ptlflow",
@@ -149,17 +150,9 @@ struct Depthwise {
 #[derive(Module, Debug)]
 struct UpdateBlock {
     encoder: MotionEncoder,
-    gru_list: [StageGru; 2],
+    gru_list: [StageGru<Stage>; 2],
     flow_head: FlowHead,
     mask: WideConvexMask,
-}
-
-/// `PKConvSLKGRU`.
-#[derive(Module, Debug)]
-struct StageGru {
-    convz: Stage,
-    convr: Stage,
-    convq: Stage,
 }
 
 /// `UpNetPartial`: how much of the hidden state of the coarser level is kept.
@@ -208,7 +201,7 @@ impl RpkNet {
     pub(crate) fn new(device: &Device) -> Self {
         let conv = |channels, kernel| Conv2dConfig::new(channels, [kernel; 2]);
         let gate = || Stage::new([HIDDEN + HIDDEN + MOTION, HIDDEN], 1, device);
-        let gru = || StageGru { convz: gate(), convr: gate(), convq: gate() };
+        let gru = || StageGru::new(gate);
         Self {
             fnet: Encoder {
                 stem: [conv([3, STEPS[0][0]], 7).with_stride(2).init(device)],
@@ -275,9 +268,10 @@ impl FlowNetwork for RpkNet {
             let grid = pixel_grid([batch, size[0], size[1]], &first.device());
             let level = Level::new(first, second);
             let (mut state, mut now) = match (hidden.take(), flow.take()) {
-                (Some(coarser), Some(flow)) => {
-                    (self.upnet_gate_layer.forward(coarser, level.hidden, self.norm()), enlarged(flow, size))
-                }
+                (Some(coarser), Some(flow)) => (
+                    self.upnet_gate_layer.forward(coarser, level.hidden, self.norm()),
+                    resize_flow(flow, size, Grids::CornersOnCorners),
+                ),
                 _ => (level.hidden, start(request, &grid)),
             };
             for iteration in 1..=iterations {
@@ -288,9 +282,9 @@ impl FlowNetwork for RpkNet {
                 now = now + change;
                 if request.every_iteration || (finest && iteration == iterations) {
                     let fine = if finest {
-                        self.update_block.mask.upsample(&state, now.clone())
+                        upsample_by(&self.update_block.mask.weights(&state), now.clone())
                     } else {
-                        enlarged(now.clone(), [height, width])
+                        resize_flow(now.clone(), [height, width], Grids::CornersOnCorners)
                     };
                     flows.push(border.remove(fine));
                 }
@@ -298,7 +292,14 @@ impl FlowNetwork for RpkNet {
             (hidden, flow) = (Some(state), Some(now));
         }
         let coarsest = [height / COARSEST_STRIDE, width / COARSEST_STRIDE];
-        Estimate { coarse: flow.map(|flow| enlarged(flow, coarsest)), ..Estimate::of_flows(flows) }
+        Estimate {
+            coarse: flow.map(|flow| resize_flow(flow, coarsest, Grids::CornersOnCorners)),
+            ..Estimate::of_flows(flows)
+        }
+    }
+
+    fn levels(&self, _: [usize; 2]) -> Option<usize> {
+        Some(LEVELS)
     }
 
     fn settings(&mut self) -> Vec<Setting<'_>> {
@@ -318,12 +319,6 @@ fn start(request: &Request, grid: &Tensor<4>) -> Tensor<4> {
     let Some(start) = &request.start else { return grid.zeros_like() };
     assert_eq!(start.dims(), grid.dims(), "the coarse flow to start from");
     start.clone()
-}
-
-/// Flow in pixels of another size, larger or smaller.
-fn enlarged(flow: Tensor<4>, size: [usize; 2]) -> Tensor<4> {
-    let [_, _, height, _] = flow.dims();
-    resize(flow, size, Grids::CornersOnCorners) * (size[0] as f64 / height as f64)
 }
 
 impl Encoder {
@@ -385,22 +380,11 @@ impl UpdateBlock {
         let motion = self.encoder.forward(flow, windows);
         let input = Tensor::cat(vec![context.clone(), motion], 1);
         for gru in &self.gru_list {
-            hidden = gru.step(hidden, &input);
+            hidden = gru.step(hidden, &input, |stage, x, activation| {
+                stage.forward(x, HIDDEN, Norm::Layer, activation)
+            });
         }
         [hidden.clone(), self.flow_head.forward(hidden)]
-    }
-}
-
-impl StageGru {
-    fn step(&self, hidden: Tensor<4>, input: &Tensor<4>) -> Tensor<4> {
-        let sum = |stage: &Stage, hidden: &Tensor<4>, activation| {
-            let x = Tensor::cat(vec![hidden.clone(), input.clone()], 1);
-            stage.forward(x, HIDDEN, Norm::Layer, activation)
-        };
-        let gates = [&self.convz, &self.convr].map(|stage| sum(stage, &hidden, Sigmoid));
-        let gates = Tensor::cat(gates.into(), 1);
-        let candidate = sum(&self.convq, &reset(gates.clone(), hidden.clone()), Tanh);
-        update(gates, hidden, candidate)
     }
 }
 

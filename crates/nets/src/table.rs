@@ -5,11 +5,11 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 
 use crate::estimate::{Encoded, Estimate, Request};
-use crate::facts::Facts;
+use crate::facts::{Facts, Padding};
 use crate::features::Features;
 use crate::frames::Frames;
 use crate::settings::{Setting, SettingError, set};
-use crate::{flownet, flownetcss, gma, memflow, raft, raft_small, rpknet, sea_raft, skflow};
+use crate::{dpflow, flownet, flownetcss, gma, memflow, raft, raft_small, rpknet, sea_raft, skflow};
 
 /// What the table says of a network.
 pub(crate) struct Entry<N> {
@@ -28,6 +28,16 @@ pub(crate) trait FlowNetwork {
 
     /// See [`Network::encode`].
     fn encode(&self, _frames: Frames) -> Option<Encoded> {
+        None
+    }
+
+    /// See [`Network::padding`]; `None` for that of [`Facts::padding`].
+    fn padding(&self) -> Option<Padding> {
+        None
+    }
+
+    /// See [`Network::levels`].
+    fn levels(&self, _size: [usize; 2]) -> Option<usize> {
         None
     }
 
@@ -104,6 +114,22 @@ macro_rules! networks {
                 }
             }
 
+            /// What height and width of frames are padded to multiples of.
+            pub fn padding(&self) -> Padding {
+                let own = match self {
+                    $(Self::$variant(network) => FlowNetwork::padding(network),)*
+                };
+                own.unwrap_or(Padding::Fixed(self.architecture().facts().padding))
+            }
+
+            /// In how many levels, from coarse to fine, the flow between frames of this height and width is refined; `None` for
+            /// a network that refines it in one, or not at all.
+            pub fn levels(&self, size: [usize; 2]) -> Option<usize> {
+                match self {
+                    $(Self::$variant(network) => FlowNetwork::levels(network, size),)*
+                }
+            }
+
             /// What can be set beside the parameters, with its present value.
             pub fn settings(&mut self) -> Vec<Setting<'_>> {
                 match self {
@@ -143,6 +169,7 @@ networks! {
     Gma(gma::Gma) = gma::GMA,
     SkFlow(skflow::SkFlow) = skflow::SKFLOW,
     RpkNet(rpknet::RpkNet) = rpknet::RPKNET,
+    DpFlow(dpflow::DpFlow) = dpflow::DPFLOW,
     SeaRaftS(sea_raft::SeaRaft) = sea_raft::SEA_RAFT_S,
     SeaRaftM(sea_raft::SeaRaft) = sea_raft::SEA_RAFT_M,
     SeaRaftL(sea_raft::SeaRaft) = sea_raft::SEA_RAFT_L,

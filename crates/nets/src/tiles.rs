@@ -8,6 +8,8 @@ use srflow_field::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Plane, check_frame_sizes,
 };
 
+use crate::Padding;
+
 /// The smallest side of a tile of a fixed size.
 pub const SMALLEST_TILE_SIDE: usize = 128;
 /// Pixels along a side of a coarse pixel, for each of which there is a weight of attention to every other.
@@ -16,14 +18,14 @@ const ATTENTION_STRIDE: usize = 8;
 const MARGIN: f32 = 1.0 / 8.0;
 
 /// How a frame is divided.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct Tiling {
     pub size: TileSize,
     /// Pixels that neighbouring tiles share, about or more.
     pub overlap: usize,
     /// Tiles start at multiples of this, so that the coarse pixels of a network are those of the whole frame:
-    /// [`Facts::padding`](crate::Facts::padding).
-    pub alignment: usize,
+    /// what [`Network::padding`](crate::Network::padding) says of it.
+    pub alignment: Padding,
 }
 
 /// How large tiles are.
@@ -96,10 +98,11 @@ impl Tiles {
     /// # Errors
     /// When no tile fits into the memory.
     pub fn new(frame: (usize, usize), tiling: Tiling) -> Result<Self, NothingFits> {
-        let Tiling { size, overlap, alignment } = tiling;
+        let Tiling { size, overlap, .. } = tiling;
+        let alignment = tiling.alignment.of([frame.1, frame.0]);
         let (width, height) = match size {
             TileSize::Fixed(width, height) => (width, height),
-            TileSize::Fitting { need, bytes } => Self::fitting(frame, tiling, need, bytes)?,
+            TileSize::Fitting { need, bytes } => Self::fitting(frame, [overlap, alignment], need, bytes)?,
         };
         let side = |side: usize, frame: usize| side.max(2 * alignment).min(frame);
         let size = (side(width, frame.0), side(height, frame.1));
@@ -114,7 +117,7 @@ impl Tiles {
     /// Tries one tile, then two, and so on; for each count, the grid with the smallest tiles.
     fn fitting(
         frame: (usize, usize),
-        Tiling { overlap, alignment, .. }: Tiling,
+        [overlap, alignment]: [usize; 2],
         need: MemoryNeed,
         bytes: u64,
     ) -> Result<(usize, usize), NothingFits> {
@@ -431,7 +434,7 @@ mod tests {
     }
 
     fn tiling(width: usize, height: usize, overlap: usize) -> Tiling {
-        Tiling { size: TileSize::Fixed(width, height), overlap, alignment: 8 }
+        Tiling { size: TileSize::Fixed(width, height), overlap, alignment: Padding::Fixed(8) }
     }
 
     fn places(width: usize, height: usize) -> Image {
@@ -517,7 +520,7 @@ mod tests {
         let need = MemoryNeed { fixed: 100_000_000, per_pixel: 600, attending: 0, most_weights: 0 };
         let tiles = |bytes| {
             let size = TileSize::Fitting { need, bytes };
-            Tiles::new((3840, 2160), Tiling { size, overlap: 128, alignment: 8 })
+            Tiles::new((3840, 2160), Tiling { size, overlap: 128, alignment: Padding::Fixed(8) })
         };
         assert_eq!(tiles(6_000_000_000).expect("fits whole").count(), 1);
         let mut last = 1;

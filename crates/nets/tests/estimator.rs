@@ -6,7 +6,7 @@ use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, Plane, forward_interpolate};
 use srflow_nets::{
-    Architecture, Frames, Network, NetworkEstimator, Request, Scaled, TileSize, Tiled, Tiling,
+    Architecture, Frames, Network, NetworkEstimator, Padding, Request, Scaled, TileSize, Tiled, Tiling,
 };
 use srflow_nn::{parameters, with_parameters};
 
@@ -17,7 +17,7 @@ fn network() -> Network {
 }
 
 fn tiling(width: usize, height: usize, overlap: usize) -> Tiling {
-    Tiling { size: TileSize::Fixed(width, height), overlap, alignment: 8 }
+    Tiling { size: TileSize::Fixed(width, height), overlap, alignment: Padding::Fixed(8) }
 }
 
 fn estimator(network: &Network) -> NetworkEstimator {
@@ -247,13 +247,15 @@ fn an_initial_flow_becomes_the_coarse_start() {
 
 #[test]
 fn frames_of_any_size_have_a_flow() {
-    let network = network();
-    let estimator = estimator(&network);
-    for size in [(1, 1), (16, 16), (1, 130), (127, 9), (129, 128)] {
-        let flow = estimator.estimate(&frame(size, 0), &frame(size, 1)).expect("flow");
-        assert_eq!(flow.size(), size);
-        assert!(flow.pixels().as_flattened().iter().all(|value| value.is_finite()));
+    for architecture in [Architecture::RaftSmall, Architecture::DpFlow] {
+        let estimator = estimator(&architecture.init(&Device::flex()));
+        for size in [(1, 1), (16, 16), (1, 130), (127, 9), (129, 128)] {
+            let flow = estimator.estimate(&frame(size, 0), &frame(size, 1)).expect("flow");
+            assert_eq!(flow.size(), size);
+            assert!(flow.pixels().as_flattened().iter().all(|value| value.is_finite()), "{architecture:?}");
+        }
     }
+    let estimator = estimator(&network());
     assert_eq!(estimator.estimate(&Image::new(0, 0), &Image::new(0, 0)).expect("nothing").size(), (0, 0));
     let error = estimator.estimate(&frame((130, 128), 0), &frame((128, 130), 0)).expect_err("other size");
     assert!(matches!(error, EstimateError::SizeMismatch { .. }), "{error}");

@@ -16,11 +16,12 @@ const SIZES: [(usize, usize); 10] = [
 ];
 
 /// Peaks in MB at these sizes, without that of a frame of 128x128, by `tools/bench/memory.py`. GMA was not run at the last.
-const PEAKS: [(Architecture, &[u64]); 5] = [
+const PEAKS: [(Architecture, &[u64]); 6] = [
     (Architecture::Raft, &[49, 109, 189, 259, 492, 529, 602, 761, 1179, 3001]),
     (Architecture::RaftSmall, &[0, 33, 63, 98, 235, 264, 356, 566, 681, 1642]),
     (Architecture::Gma, &[51, 150, 293, 440, 1123, 1397, 1490, 1702, 2064]),
     (Architecture::SkFlow, &[58, 159, 302, 443, 1135, 1390, 1458, 1687, 1905, 3318]),
+    (Architecture::DpFlow, &[66, 176, 297, 401, 685, 740, 887, 1466, 2245, 6151]),
     (Architecture::SeaRaftS, &[53, 127, 217, 286, 527, 536, 638, 806, 1169, 2999]),
 ];
 

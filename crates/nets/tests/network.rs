@@ -83,10 +83,29 @@ fn a_first_flow_comes_before_those_of_the_iterations() {
     assert!(!same(&alone.mixtures[0].log_scales, &all.mixtures[0].log_scales));
 }
 
+/// DPFlow has a level more for each doubling of the diagonal, unless it is set; the coarsest has a pixel for each multiple of the
+/// padding.
+#[test]
+fn levels_follow_the_size_of_the_frames_or_the_setting() {
+    let mut network = Architecture::DpFlow.init(&Device::flex());
+    let sizes = [[540, 960], [1080, 1920], [2160, 3840]];
+    assert_eq!(sizes.map(|size| network.levels(size)), [3, 4, 5].map(Some));
+    assert_eq!(sizes.map(|size| network.padding().of(size)), [32, 64, 128]);
+    network.set("levels", 4).expect("a number of levels");
+    assert_eq!(sizes.map(|size| network.levels(size)), [Some(4); 3]);
+    assert_eq!(sizes.map(|size| network.padding().of(size)), [64; 3]);
+    let coarse = network.forward(frames(&Device::flex()), &Request::new(1)).coarse.expect("a coarse flow");
+    assert_eq!(coarse.dims(), [1, 2, 1, 2], "of 64x128 pixels");
+    let levels = |architecture: Architecture| architecture.init(&Device::flex()).levels(sizes[1]);
+    assert_eq!([Architecture::RpkNet, Architecture::Raft].map(levels), [Some(3), None]);
+}
+
 #[test]
 fn the_flow_starts_where_the_request_says() {
     let device = Device::flex();
-    for (architecture, size) in [(Architecture::Raft, [8, 9]), (Architecture::RpkNet, [2, 3])] {
+    for (architecture, size) in
+        [(Architecture::Raft, [8, 9]), (Architecture::RpkNet, [2, 3]), (Architecture::DpFlow, [2, 3])]
+    {
         let network = network(architecture, &device);
         let from = |start: Option<Tensor<4>>| {
             let request = Request { start, ..Request::new(1) };

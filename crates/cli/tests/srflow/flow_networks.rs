@@ -57,6 +57,7 @@ fn data() -> &'static Path {
         write_weights(&path.join("rpknet.safetensors"), Architecture::RpkNet, 3);
         write_weights(&path.join("memflow.safetensors"), Architecture::MemFlow, 4);
         write_weights(&path.join("sea-raft-s.safetensors"), Architecture::SeaRaftS, 5);
+        write_weights(&path.join("dpflow.safetensors"), Architecture::DpFlow, 6);
         (dir, path)
     });
     path
@@ -168,6 +169,30 @@ fn a_setting_changes_what_a_network_computes() {
     refuses(&rpknet(&["--set", "depth=2", "-o", "2.flo"]), 2, &["--set depth: no network has this setting"]);
     let pair = ["video/0.png", "video/1.png", "-o", "no.flo"];
     refuses(&self::flow(&[&["--set", "groups=4"], &pair[..]].concat()), 2, &["a setting of rpknet"]);
+}
+
+/// Of DPFlow's pyramid: 3 for small frames.
+#[test]
+fn the_report_names_the_levels_in_which_flow_is_refined() {
+    let dpflow = |more: &[&str]| {
+        let method = ["flow", "--method", "dpflow=dpflow.safetensors", "--iters", "1", "--json"];
+        srflow(&[&method, more, &["video/0.png", "video/1.png"]].concat())
+    };
+    let levels = |out: &str, more: &[&str]| {
+        let report = json(&dpflow(&[&["-o", out], more].concat()));
+        (report["network"]["levels"].as_u64().unwrap(), read(out))
+    };
+    let (of_size, flow) = levels("levels/size.flo", &[]);
+    let (three, same) = levels("levels/3.flo", &["--set", "levels=3"]);
+    let (four, other) = levels("levels/4.flo", &["--set", "levels=4"]);
+    assert_eq!([of_size, three, four], [3, 3, 4]);
+    assert_eq!(flow, same);
+    assert!(compare(&flow, &other).0 > 0.01);
+    refuses(
+        &dpflow(&["--set", "levels=2", "-o", "2.flo"]),
+        2,
+        &["levels to be 0, 3, 4, 5, 6, 7 or 8, found 2"],
+    );
 }
 
 /// With any batch size.

@@ -15,6 +15,14 @@ pub(crate) struct ConvGru {
     convq: Conv2d,
 }
 
+/// A unit whose sums are those of stages of several layers (`PKConvSLKGRU` of RPKNet, `CGUGRU` of DPFlow).
+#[derive(Module, Debug)]
+pub(crate) struct StageGru<S: Module> {
+    convz: S,
+    convr: S,
+    convq: S,
+}
+
 /// A gated step along rows, then one along columns.
 #[derive(Module, Debug)]
 pub(crate) struct SepConvGru {
@@ -80,6 +88,27 @@ impl ConvGru {
         let gates = sum(both, &[&self.convz, &self.convr], Activation::Sigmoid);
         let both = Tensor::cat(vec![reset(gates.clone(), hidden.clone()), input], 1);
         update(gates, hidden, sum(both, &[&self.convq], Activation::Tanh))
+    }
+}
+
+impl<S: Module> StageGru<S> {
+    pub(crate) fn new(stage: impl Fn() -> S) -> Self {
+        Self { convz: stage(), convr: stage(), convq: stage() }
+    }
+
+    /// The next hidden state; `sum` gives what a stage makes of hidden state and input, activated.
+    pub(crate) fn step(
+        &self,
+        hidden: Tensor<4>,
+        input: &Tensor<4>,
+        sum: impl Fn(&S, Tensor<4>, Activation) -> Tensor<4>,
+    ) -> Tensor<4> {
+        let with = |hidden: &Tensor<4>| Tensor::cat(vec![hidden.clone(), input.clone()], 1);
+        let both = with(&hidden);
+        let gates = [&self.convz, &self.convr].map(|stage| sum(stage, both.clone(), Activation::Sigmoid));
+        let gates = Tensor::cat(gates.into(), 1);
+        let candidate = with(&reset(gates.clone(), hidden.clone()));
+        update(gates, hidden, sum(&self.convq, candidate, Activation::Tanh))
     }
 }
 

@@ -9,7 +9,9 @@ mod upsampler;
 
 pub(crate) use attention::{Aggregate, Attention, KEPT_BYTES, attention_map};
 pub(crate) use encoder::{Encoder, EncoderConfig, NormKind};
-pub(crate) use gru::{ConvGru, SepConvGru};
+pub(crate) use gru::{ConvGru, SepConvGru, StageGru};
 pub(crate) use motion::{FlowHead, MotionEncoder, SmallMotionEncoder, window_entries};
 pub(crate) use resize::{Grids, resize, resize_flow};
-pub(crate) use upsampler::{ConvexMask, WideConvexMask, bilinear_upsample, convex_mask, convex_upsample};
+pub(crate) use upsampler::{
+    ConvexMask, WideConvexMask, bilinear_upsample, convex_mask, convex_upsample, upsample_by,
+};

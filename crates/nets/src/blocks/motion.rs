@@ -86,7 +86,12 @@ pub(crate) struct FlowHead {
 
 impl FlowHead {
     pub(crate) fn new(inputs: usize, hidden: usize, device: &Device) -> Self {
-        Self { conv1: conv([inputs, hidden], 3, device), conv2: conv([hidden, 2], 3, device) }
+        Self::of_outputs(inputs, hidden, 2, device)
+    }
+
+    /// With more than the change of the flow.
+    pub(crate) fn of_outputs(inputs: usize, hidden: usize, outputs: usize, device: &Device) -> Self {
+        Self { conv1: conv([inputs, hidden], 3, device), conv2: conv([hidden, outputs], 3, device) }
     }
 
     pub(crate) fn forward(&self, hidden: Tensor<4>) -> Tensor<4> {

@@ -45,12 +45,16 @@ impl WideConvexMask {
         }
     }
 
-    /// Fine flow as a convex combination of coarse neighbours.
-    pub(crate) fn upsample(&self, hidden: &Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
+    /// For [`upsample_by`].
+    pub(crate) fn weights(&self, hidden: &Tensor<4>) -> Tensor<4> {
         let weights = self.conv1.forward(hidden.clone(), Activation::Relu);
-        let weights = self.conv2.forward(weights, Activation::Identity);
-        tensor::convex_upsample(flow, weights, 1.0, STRIDE)
+        self.conv2.forward(weights, Activation::Identity)
     }
+}
+
+/// Fine flow as a convex combination of coarse neighbours.
+pub(crate) fn upsample_by(weights: &Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
+    tensor::convex_upsample(flow, weights.clone(), 1.0, STRIDE)
 }
 
 /// Fine flow by bilinear interpolation, corners on corners (`upflow8`).

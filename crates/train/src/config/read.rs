@@ -47,10 +47,13 @@ macro_rules! presets {
     };
 }
 
-/// The configurations that come with the program: the rows of the paper's Table V, other networks, and two that a
-/// small computer manages.
+/// The configurations that come with the program: the rows of the paper's Tables III and V, SEA-RAFT, and two that
+/// a small computer manages.
 pub const PRESETS: &[Preset] = presets![
     "skflow",
+    "rpknet",
+    "memflow",
+    "dpflow",
     "srflownet-tvr",
     "srflownet-fdr",
     "srflownet-migar",

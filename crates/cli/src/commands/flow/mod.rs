@@ -101,6 +101,9 @@ struct NetworkUsed {
     iterations: usize,
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     settings: BTreeMap<&'static str, usize>,
+    /// In which the flow of an input of this size is refined.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    levels: Option<usize>,
     device: String,
     batch: usize,
     warm_start: bool,
@@ -200,6 +203,10 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
                 weights: args.method.weights.clone().or_else(|| network.weights.clone()),
                 iterations: network.iterations(architecture),
                 settings: network.settings(architecture)?,
+                levels: match &resolution {
+                    Some(input) => network.init(architecture)?.levels([input.tile_height, input.tile_width]),
+                    None => None,
+                },
                 device: network.device.clone(),
                 batch: network.batch,
                 warm_start: args.warm_start,

@@ -1,7 +1,7 @@
-//! The paper's ablation (section V-B): the same training with one regularizer at a time, with several seeds.
+//! The paper's ablation (section V-B): the same training with each regularizer alone, with several seeds.
 //!
-//! Every cell of the table is a run in a folder of its own, `LOSS-seed-N`. A run that was finished is not run again, one that
-//! was stopped continues, and the table is made from the files of the runs.
+//! Every row and seed of the table is a run in its own folder, `LOSS-seed-N`. Finished runs are not repeated, interrupted ones
+//! resume, and the table is built from their files.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use srflow_read::flow::FlowDataset;
 use crate::checkpoint::Checkpoints;
 use crate::config::Config;
 use crate::loss::{MaskReading, REGULARIZERS, Regularizer};
-use crate::run::{Beginning, Event, TrainError, train};
+use crate::run::{Event, RunMode, TrainError, train};
 use crate::validation::score_weights;
 
 /// A row of the table.
@@ -22,14 +22,15 @@ use crate::validation::score_weights;
 pub struct Variant {
     /// Name in folders and on the command line.
     pub name: String,
+    /// Name in tables.
     pub title: String,
-    /// Whether it is trained; otherwise the weights that the others start from are scored.
+    /// Whether it is trained; if not, the initial weights of the other rows are scored.
     pub trained: bool,
     regularizer: Option<&'static Regularizer>,
     m_total: MaskReading,
 }
 
-/// The rows that can be run: the paper's, and the regularizers that look at `M_total` with its literal reading.
+/// Every row that can be run: the paper's, and each regularizer that reads `M_total` with the literal reading of it.
 pub fn variants() -> Vec<Variant> {
     let plain = |name: &str, title: &str, trained| Variant {
         name: name.to_owned(),
@@ -55,7 +56,7 @@ pub fn variants() -> Vec<Variant> {
 }
 
 impl Variant {
-    /// The configuration of this row with this seed: `base` with its loss and nothing else changed.
+    /// The configuration of this row: `base` with another loss and seed.
     pub fn config(&self, base: &Config, seed: u64) -> Config {
         let mut config = base.clone();
         config.training.seed = seed;
@@ -68,45 +69,46 @@ impl Variant {
     }
 }
 
-/// One scored run.
+/// The scores of one run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Cell {
     /// Name of the [`Variant`].
     pub variant: String,
     pub seed: u64,
-    /// Steps of the training; 0 where there was none.
+    /// Training steps; 0 for a row that is not trained.
     pub steps: u64,
     /// Scores of the last weights on the test set, over all pixels.
     pub scores: Metrics,
-    /// Mean end-point error of zero flow there, in pixels.
+    /// Mean end-point error of zero flow on the test set, in pixels.
     pub zero_epe: f64,
 }
 
-/// What [`ablate`] reports while it runs.
+/// Progress of [`ablate`].
 #[derive(Debug)]
 pub enum AblationEvent<'a> {
-    /// A run begins, continues or was finished before.
+    /// A run starts or resumes, or is already finished.
     Cell {
         variant: &'a Variant,
         seed: u64,
-        /// Whether it was finished before.
+        /// Whether it is already finished.
         done: bool,
     },
     Training(Event<'a>),
 }
 
+/// The runs of an ablation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AblationSettings {
-    /// The training that all runs share; their losses and seeds aside.
+    /// The configuration of all runs, apart from loss and seed.
     pub base: Config,
     pub variants: Vec<Variant>,
     pub seeds: Vec<u64>,
 }
 
 impl AblationSettings {
-    /// What is run and scored, in this order: every row with every seed. What is not trained comes once, since no seed changes
-    /// it.
+    /// Every row with every seed, in the order in which they run. A row that is not trained occurs once, as it does not depend
+    /// on the seed.
     pub fn runs(&self) -> Vec<(Variant, u64)> {
         let all = self
             .seeds
@@ -116,27 +118,27 @@ impl AblationSettings {
     }
 }
 
-/// Why an ablation ended early.
+/// Errors that end an ablation.
 #[derive(Debug, thiserror::Error)]
 pub enum AblationError {
     #[error("{run}: {error}")]
     Run { run: String, error: Box<TrainError> },
     #[error(
-        "{}: this folder holds a run with other settings; give the ablation another --out, or delete the folder", .run.display()
+        "{}: this folder contains a run with other settings; choose another --out, or delete the folder", .run.display()
     )]
     OtherSettings { run: PathBuf },
-    #[error("{}: {reason}; delete it to have the run scored again", .path.display())]
+    #[error("{}: {reason}; delete the file to score the run again", .path.display())]
     Result { path: PathBuf, reason: String },
 }
 
 /// Name of the file with the scores of a finished run.
 const RESULT: &str = "test.json";
 
-/// Trains every row with every seed, in that order, each in a folder of `out`, and scores the last weights on `test`. What is
-/// finished is not run again. A row that is not [`trained`](Variant::trained) needs weights in the configuration.
+/// Trains every row with every seed, each in a subfolder of `out`, and scores its last weights on `test`. Finished runs are not
+/// repeated. A row that is not [`trained`](Variant::trained) needs `network.weights` in the configuration.
 ///
 /// # Errors
-/// At the first run that fails. Those before it are kept.
+/// Stops at the first run that fails; finished runs are kept.
 pub fn ablate(
     settings: &AblationSettings,
     test: &FlowDataset,
@@ -168,8 +170,8 @@ pub fn ablate(
         let done = result.exists();
         on_event(AblationEvent::Cell { variant: &variant, seed, done });
         if !done {
-            let beginning = if begun { Beginning::Resume } else { Beginning::New };
-            let outcome = train(&config, devices, &run, beginning, None, &mut |event| {
+            let mode = if begun { RunMode::Resume } else { RunMode::New };
+            let outcome = train(&config, devices, &run, mode, None, &mut |event| {
                 on_event(AblationEvent::Training(event));
             })
             .map_err(failed)?;
@@ -198,18 +200,18 @@ const PAPER: [(&str, [f64; 6]); 6] = [
     ("SRFlowNet-IGVAR", [0.4000, 0.8993, 0.9927, 0.9989, 0.7270, 83.8422]),
 ];
 
-/// Our runs in the form of the paper's Table V: the mean over the seeds.
+/// The scores of the runs as in the paper's Table V: one row per variant, means over the seeds.
 pub fn table(cells: &[Cell], title: String) -> Table {
     Table { title, columns: score_columns(), rows: rows(cells, "", mean), ..Table::default() }
 }
 
-/// The spread of the table: the standard deviation over the seeds (of a sample: divided by their number less one).
+/// The sample standard deviation over the seeds (divided by `n - 1`), in the form of [`table`].
 pub fn spread_table(cells: &[Cell], title: String) -> Table {
     let columns = score_columns().into_iter().map(|column| Column { better: None, ..column }).collect();
     Table { title, columns, rows: rows(cells, "± ", deviation), ..Table::default() }
 }
 
-/// The paper's Table V, never in one table with ours: other data, other size, other length of training.
+/// The paper's Table V. It is kept apart from [`table`]: its data, image size and training length differ.
 pub fn paper_table() -> Table {
     let row = |(name, values): (&str, [f64; 6])| Row {
         name: name.to_owned(),
@@ -261,7 +263,7 @@ mod tests {
     }
 
     #[test]
-    fn a_row_is_the_mean_over_its_seeds_and_the_spread_stands_apart() {
+    fn tables_show_mean_and_deviation_over_the_seeds() {
         let cells = [cell("none", 1, 1.0), cell("fdr", 1, 0.5), cell("none", 2, 2.0), cell("none", 3, 3.0)];
         let ours = table(&cells, "ours".to_owned());
         let names: Vec<&str> = ours.rows.iter().map(|row| row.name.as_str()).collect();
@@ -273,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn a_variant_changes_the_loss_and_the_seed_alone() {
+    fn variants_differ_only_in_loss_and_seed() {
         let base = Config::default();
         for variant in variants() {
             let config = variant.config(&base, 7);

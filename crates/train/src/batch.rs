@@ -1,4 +1,4 @@
-//! Samples side by side, as a network and the losses want them.
+//! Batches of samples as tensors for networks and losses.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_nets::Frames;
@@ -6,26 +6,30 @@ use srflow_nets::Frames;
 use crate::loss::LossInputs;
 use crate::training_set::TrainingSample;
 
-/// A batch in host memory: planes of each sample one behind the other.
+/// A batch in host memory, NCHW.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Batch {
+    /// Names of the samples.
     pub names: Vec<String>,
-    /// Height and width, the same of all.
+    /// Height and width of all samples.
     pub size: [usize; 2],
     /// First frames, RGB in 0..1: `[samples, 3, height, width]`.
     pub first: Vec<f32>,
-    /// Second frames.
+    /// Second frames, like `first`.
     pub second: Vec<f32>,
     /// True flow in pixels, 0 where it is unknown: `[samples, 2, height, width]`.
     pub flow: Vec<f32>,
-    /// 1 where the flow is known: `[samples, 1, height, width]`.
+    /// 1 where the flow is known, else 0: `[samples, 1, height, width]`.
     pub valid: Vec<f32>,
-    /// 1 on the head, and everywhere in a sample without mask: `[samples, 1, height, width]`.
+    /// 1 on the head, and everywhere in a sample without mask, else 0: `[samples, 1, height, width]`.
     pub foreground: Vec<f32>,
 }
 
 impl Batch {
-    /// Panics when the samples differ in size or one has no flow: the training set makes none such.
+    /// Joins samples of one size.
+    ///
+    /// # Panics
+    /// When the samples differ in size or one has no flow; a training set does not make such samples.
     pub fn new(samples: &[TrainingSample]) -> Self {
         let mut batch = Self::default();
         for TrainingSample { name, sample } in samples {
@@ -63,7 +67,7 @@ impl Batch {
         self.names.is_empty()
     }
 
-    /// Cut into at most `parts` of nearly equal size, in order. None is empty.
+    /// Splits the batch, in order, into at most `parts` non-empty parts of nearly equal size.
     pub fn split(&self, parts: usize) -> Vec<Self> {
         let count = self.len();
         let parts = parts.clamp(1, count.max(1));
@@ -91,12 +95,12 @@ impl Batch {
         Tensor::from_data(TensorData::new(values.to_vec(), shape), device)
     }
 
-    /// What the network sees.
+    /// The input of the network.
     pub fn frames(&self, device: &Device) -> Frames {
         Frames { first: self.tensor(&self.first, 3, device), second: self.tensor(&self.second, 3, device) }
     }
 
-    /// What its flow is held against.
+    /// The targets of the loss.
     pub fn loss_inputs(&self, device: &Device) -> LossInputs {
         LossInputs {
             truth: self.tensor(&self.flow, 2, device),
@@ -106,7 +110,8 @@ impl Batch {
         }
     }
 
-    /// Mean distance of `flow` (`[samples, 2, height, width]`) from the truth over the known pixels, in pixels; 0 without one.
+    /// Mean end-point error of `flow` (`[samples, 2, height, width]`) over the pixels with a known flow, in pixels; 0 when there
+    /// are none.
     pub fn end_point_error(&self, flow: &[f32]) -> f64 {
         let pixels = self.size[0] * self.size[1];
         let (mut sum, mut count) = (0.0, 0.0);

@@ -1,9 +1,9 @@
-//! Everything that a run needs to continue as if it had never stopped.
+//! Checkpoints of a run, from which it resumes exactly.
 //!
-//! A checkpoint is a folder `step-NNNNNNNN` of three files: `model.safetensors`, the network's parameters under the names
-//! of the reference implementation; `optimizer.safetensors`, what AdamW remembers; `state.json`, where the run is. The
-//! folder is made under another name and renamed when it is whole. There is no random state to keep: every random number
-//! comes from the seed, the step and the place in the batch.
+//! A checkpoint is a folder `step-NNNNNNNN` with three files: `model.safetensors`, the parameters under the names of the
+//! reference implementation; `optimizer.safetensors`, the state of AdamW; `state.json`, progress and configuration. The
+//! folder is written under a temporary name and renamed when complete. No random state needs saving: every random number
+//! derives from the seed, the step and the place in the batch.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -20,23 +20,24 @@ const FOLDER: &str = "checkpoints";
 const MODEL: &str = "model.safetensors";
 const OPTIMIZER: &str = "optimizer.safetensors";
 const STATE: &str = "state.json";
-/// What the names of unfinished checkpoints begin with.
+/// Prefix of the folders of unfinished checkpoints.
 const UNFINISHED: &str = ".step-";
-/// What the names of the two averages begin with.
+/// Prefixes of the tensors of AdamW's two averages.
 const AVERAGES: [&str; 2] = ["mean.", "square."];
 
-/// Where a run is.
+/// Progress of a run.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Progress {
-    /// Steps that were taken, those that were skipped among them.
+    /// Steps done, including skipped ones.
     pub step: u64,
-    /// Epochs that were finished.
+    /// Complete epochs.
     pub epoch: u64,
-    /// Steps that were skipped because the loss or the gradients were not finite.
+    /// Steps skipped because the loss or the gradients were not finite.
     pub skipped: u64,
-    /// How many of the last steps were skipped one after the other.
+    /// Consecutive skipped steps up to now.
     pub skipped_in_a_row: u64,
+    /// Updates of the parameters.
     pub optimizer_steps: u64,
     /// The best validation so far.
     pub best: Option<Best>,
@@ -46,22 +47,19 @@ pub struct Progress {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Best {
-    /// After how many steps.
     pub step: u64,
     /// Mean end-point error in pixels.
     pub epe: f64,
 }
 
-/// What a checkpoint holds.
+/// The contents of a checkpoint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Checkpoint {
-    /// Where the run is.
     pub progress: Progress,
     /// The run's configuration as TOML.
     pub config: String,
-    /// The network's numbers, in the order of its [`Layout`].
+    /// Parameters and running statistics of the network, in the order of its [`Layout`].
     pub values: Vec<f32>,
-    /// What the optimizer remembers.
     pub optimizer: AdamWState,
 }
 
@@ -72,7 +70,7 @@ struct StateFile {
     config: String,
 }
 
-/// Why a checkpoint was not written or read.
+/// Errors of reading and writing checkpoints.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     #[error("{}: {doing}: {error}", .path.display())]
@@ -87,21 +85,22 @@ pub enum CheckpointError {
     None { folder: PathBuf },
 }
 
+/// The checkpoints of a run.
 pub struct Checkpoints {
     run: PathBuf,
     folder: PathBuf,
 }
 
 impl Checkpoints {
-    /// Those of the run in this folder.
+    /// The checkpoints of the run in the folder `run`, which need not exist yet.
     pub fn of_run(run: &Path) -> Self {
         Self { run: run.to_owned(), folder: run.join(FOLDER) }
     }
 
-    /// The steps that there are checkpoints of, in order.
+    /// Steps with a checkpoint, ascending.
     ///
     /// # Errors
-    /// When the folder exists and cannot be listed.
+    /// When the folder exists but cannot be listed.
     pub fn steps(&self) -> Result<Vec<u64>, CheckpointError> {
         if !self.folder.is_dir() {
             return Ok(Vec::new());
@@ -114,15 +113,15 @@ impl Checkpoints {
         Ok(steps)
     }
 
-    /// The folder of one step.
+    /// The folder of the checkpoint of `step`.
     pub fn path(&self, step: u64) -> PathBuf {
         self.folder.join(format!("step-{step:08}"))
     }
 
-    /// Writes a checkpoint, and `last.safetensors` beside the folder of all. One of the same step is replaced.
+    /// Writes a checkpoint, replacing one of the same step, and its parameters to `last.safetensors` in the run's folder.
     ///
     /// # Errors
-    /// When a file cannot be written; what was there before stays, and nothing half written does.
+    /// When a file cannot be written; existing files are then left unchanged, and no partial ones remain.
     pub fn write(&self, checkpoint: &Checkpoint, layout: &Layout) -> Result<(), CheckpointError> {
         let Checkpoint { progress, config, values, optimizer } = checkpoint;
         let model = model_bytes(layout, values);
@@ -149,7 +148,7 @@ impl Checkpoints {
         self.write_model("last", &model)
     }
 
-    /// Into `partial`, which takes the name `path` when it is complete.
+    /// Writes files into the folder `partial`, then renames it to `path`.
     fn write_folder(
         &self,
         partial: &Path,
@@ -165,10 +164,10 @@ impl Checkpoints {
         fs::rename(partial, path).map_err(io_error(path, "renaming the finished checkpoint"))
     }
 
-    /// Writes `best.safetensors` beside the folder of all checkpoints.
+    /// Writes `best.safetensors` into the run's folder.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// When the file cannot be written.
     pub fn write_best(&self, layout: &Layout, values: &[f32]) -> Result<(), CheckpointError> {
         self.write_model("best", &model_bytes(layout, values))
     }
@@ -178,7 +177,7 @@ impl Checkpoints {
         Ok(write_file(&path, bytes)?)
     }
 
-    /// Deletes all but the last `keep` and the one of step `best`, and what a killed run left unfinished.
+    /// Deletes all checkpoints but the last `keep` and that of step `best`, then [unfinished files](Self::remove_unfinished).
     ///
     /// # Errors
     /// When a file or folder cannot be removed.
@@ -190,8 +189,8 @@ impl Checkpoints {
         self.remove_unfinished()
     }
 
-    /// Deletes what a killed run left unfinished: checkpoints, and files beside them. Nobody else may write into the run's
-    /// folder meanwhile.
+    /// Deletes the partial files and checkpoints that a killed run left behind. No other process may write into the run's folder
+    /// at the same time.
     ///
     /// # Errors
     /// When a file or folder cannot be removed.
@@ -209,10 +208,10 @@ impl Checkpoints {
         Ok(())
     }
 
-    /// The last checkpoint of the run.
+    /// Reads the last checkpoint of the run.
     ///
     /// # Errors
-    /// When there is none, or it is broken or of another network.
+    /// When there is none, it is broken, or its tensors do not match `layout`.
     pub fn read_last(&self, layout: &Layout) -> Result<Checkpoint, CheckpointError> {
         let path = self.last()?;
         let StateFile { progress, config } = read_state(&path)?;
@@ -224,10 +223,10 @@ impl Checkpoints {
         Ok(Checkpoint { progress, config, values, optimizer })
     }
 
-    /// The configuration of the run, from its last checkpoint.
+    /// Reads the configuration of the run, as TOML, from its last checkpoint.
     ///
     /// # Errors
-    /// When there is none or it is broken.
+    /// When there is no checkpoint, or it is broken.
     pub fn read_config(&self) -> Result<String, CheckpointError> {
         Ok(read_state(&self.last()?)?.config)
     }
@@ -273,8 +272,8 @@ fn read_state(checkpoint: &Path) -> Result<StateFile, CheckpointError> {
     })
 }
 
-/// The tensors called `prefix` and a name of the layout; those that are not trained may be missing, as the optimizer keeps
-/// nothing of them.
+/// Reads the tensors whose names are `prefix` plus a name of the layout. With a prefix, tensors that are not trained may be
+/// missing, as the optimizer has no state for them.
 fn read_tensors(
     path: &Path,
     layout: &Layout,
@@ -296,7 +295,7 @@ fn read_tensors(
         let name = format!("{prefix}{}", segment.name);
         let Some(data) = found.remove(&name) else {
             if segment.trained || prefix.is_empty() {
-                return Err(broken(format!("expected the tensor {name}, found none of that name")));
+                return Err(broken(format!("expected a tensor {name}, found none")));
             }
             continue;
         };
@@ -387,7 +386,7 @@ mod tests {
     }
 
     #[test]
-    fn a_checkpoint_that_cannot_be_written_leaves_nothing() {
+    fn a_failed_write_leaves_no_partial_files() {
         let run = tempfile::tempdir().unwrap();
         let checkpoints = Checkpoints::of_run(run.path());
         checkpoints.write(&checkpoint(1), &layout()).unwrap();

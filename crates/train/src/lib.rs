@@ -1,4 +1,4 @@
-//! Training optical flow networks: losses, regularizers made for skin, trainer, exact resume, ablation.
+//! Trains optical flow networks: losses, the paper's regularizers for skin, trainer, exact resume, ablation.
 
 pub mod ablation;
 pub mod batch;
@@ -18,6 +18,6 @@ pub mod training_set;
 mod validation;
 
 pub use report::report;
-pub use run::{Beginning, Event, Outcome, Start, TrainError, config_of_run, train};
+pub use run::{Event, Outcome, RunMode, Start, TrainError, config_of_run, train};
 pub use run_lock::LockError;
 pub use validation::ValidationError;

@@ -1,14 +1,14 @@
-//! Items made on several threads, ahead of the consumer that takes them in order.
+//! Makes items on several threads ahead of a consumer that takes them in order.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Items number `first`, `first + 1`, and so on. Which thread makes an item depends on its number alone, and no item on how
-/// many threads there are.
+/// Makes the items `first`, `first + 1`, and so on. The worker of an item follows from its number, and no item depends on the
+/// number of workers.
 pub(crate) struct Prefetcher<T> {
-    /// One for each worker: items number `first + worker`, `first + worker + workers`, and so on.
+    /// One per worker, which makes the items `first + worker`, `first + worker + workers`, and so on.
     made: Vec<Receiver<T>>,
     next: usize,
     workers: Vec<JoinHandle<()>>,
@@ -16,8 +16,8 @@ pub(crate) struct Prefetcher<T> {
 }
 
 impl<T: Send + 'static> Prefetcher<T> {
-    /// Starts at most `workers` threads that call `make`; at most `capacity` items are finished or in the making and not yet
-    /// taken. There is at least one thread and one item.
+    /// Starts up to `workers` threads that call `make`. At most `capacity` items are in progress or waiting to be taken. Both
+    /// limits are at least 1.
     pub(crate) fn new(
         first: u64,
         workers: usize,
@@ -25,7 +25,7 @@ impl<T: Send + 'static> Prefetcher<T> {
         make: impl Fn(u64) -> T + Send + Sync + 'static,
     ) -> Self {
         let workers = workers.clamp(1, capacity.max(1));
-        let waiting = capacity.max(1) / workers - 1; // beside the one that a worker holds
+        let waiting = capacity.max(1) / workers - 1; // besides the one that a worker is making or sending
         let make = Arc::new(make);
         let (made, workers) = (0..workers)
             .map(|worker| {
@@ -47,7 +47,7 @@ impl<T: Send + 'static> Prefetcher<T> {
         taken
     }
 
-    /// How long [`take`](Self::take) has waited in total.
+    /// Total time that [`take`](Self::take) has waited.
     pub(crate) fn waited(&self) -> Duration {
         self.waited
     }
@@ -56,7 +56,7 @@ impl<T: Send + 'static> Prefetcher<T> {
 fn work<T>(numbers: impl Iterator<Item = u64>, make: &impl Fn(u64) -> T, made: &SyncSender<T>) {
     for number in numbers {
         if made.send(make(number)).is_err() {
-            return; // nobody takes it any more
+            return; // the consumer is gone
         }
     }
 }
@@ -65,7 +65,7 @@ impl<T> Drop for Prefetcher<T> {
     fn drop(&mut self) {
         self.made.clear();
         for worker in self.workers.drain(..) {
-            let _ = worker.join(); // its panic was reported where it happened
+            let _ = worker.join(); // the panic hook has already reported a panic
         }
     }
 }
@@ -77,9 +77,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn items_come_in_order_whichever_thread_made_them() {
+    fn items_arrive_in_order_with_any_number_of_workers() {
         for workers in [1, 2, 7] {
-            // The later an item, the sooner it is made.
+            // Later items take less time to make.
             let spin =
                 |number: u64| (0..(60 - number) * 1000).fold(number, |x, i| x ^ std::hint::black_box(i));
             let mut prefetcher = Prefetcher::new(5, workers, 3, move |number| (number, spin(number)).0);
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn no_more_is_made_than_the_capacity() {
+    fn workers_run_no_further_ahead_than_the_capacity() {
         for (workers, capacity) in [(4, 6), (4, 2), (1, 1), (3, 9)] {
             let made = Arc::new(AtomicU64::new(0));
             let count = made.clone();
@@ -104,7 +104,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panic_ends_the_waiting() {
+    fn take_returns_none_after_a_panic() {
         let mut prefetcher = Prefetcher::new(0, 2, 4, |number| assert!(number != 3, "on purpose"));
         let taken = (0..10).take_while(|_| prefetcher.take().is_some()).count();
         assert_eq!(taken, 3);

@@ -1,10 +1,11 @@
-//! The gradients of a batch with the memory of one refinement.
+//! Gradient checkpointing: the gradients of a batch with the memory of one refinement iteration.
 //!
-//! Automatic differentiation keeps everything that every refinement computed. Here a first pass, without it, keeps the hidden
-//! state and the coarse flow before each refinement only; the way back runs each refinement again from there, with it, last
-//! one first, and carries the gradient of the hidden state on to the one before. What all refinements read (context,
-//! features) collects its gradient, which then goes through the encoders once. The networks cut the gradient of the coarse
-//! flow between refinements, so these are the same gradients, in another order of summation.
+//! Plain automatic differentiation stores the activations of all iterations. Here the forward pass runs without it and stores
+//! only the hidden state and the coarse flow before each iteration. The backward pass goes from the last iteration to the
+//! first: it runs each again from the stored state, now with gradients, and passes the gradient of the hidden state on to the
+//! iteration before. Gradients of what all iterations read (context, features) are summed and go through the encoders once.
+//! Since the networks detach the coarse flow between iterations, the gradients equal those of plain differentiation up to the
+//! order of summation.
 
 use burn::module::Module;
 use burn::tensor::Tensor;
@@ -15,7 +16,7 @@ use crate::batch::Batch;
 use crate::loss::{LossError, Prediction, losses};
 use crate::replica::{BatchLosses, PassSettings};
 
-/// Adds the gradients of the mean loss of `batch`, times `weight`.
+/// Adds the gradients of the mean loss of `batch`, times `weight`, to `sum`.
 pub(crate) fn add_gradients(
     network: &Network,
     batch: &Batch,
@@ -32,7 +33,7 @@ pub(crate) fn add_gradients(
     let (states, last) = states(network, batch, &plain, settings.iterations);
 
     let mut losses_of_batch = BatchLosses { epe: batch.end_point_error(&last), ..BatchLosses::default() };
-    // Of the hidden state after the refinement, and of what all refinements read.
+    // Gradients of the hidden state after the iteration, then of the constant parts.
     let mut gradient: Vec<Option<Tensor<4>>> = vec![None; plain.len()];
     for (iteration, (hidden, coarse)) in states.into_iter().enumerate().rev() {
         let parts = std::iter::once(hidden).chain(plain[1..].iter().cloned());
@@ -45,7 +46,7 @@ pub(crate) fn add_gradients(
         };
         let estimate = network.forward(frames.clone(), &request);
         let (hidden, _) = state(&estimate);
-        // More than one where the network has a flow before its first refinement.
+        // More than one if the network predicts a flow before its first iteration.
         let predictions = Prediction::of(estimate);
         let of_one = losses(&settings.loss, &predictions, &inputs)?;
         let share = settings.loss.gamma.powi((settings.iterations - 1 - iteration) as i32);
@@ -75,10 +76,10 @@ pub(crate) fn add_gradients(
     Ok(losses_of_batch)
 }
 
-/// The hidden state and the coarse flow before a refinement; no flow before the first.
+/// The hidden state and the coarse flow before an iteration; no flow before the first.
 type State = (Tensor<4>, Option<Tensor<4>>);
 
-/// The states before each refinement, and the last prediction in host memory.
+/// The states before each iteration, and the last prediction in host memory.
 fn states(
     network: &Network,
     batch: &Batch,
@@ -103,13 +104,13 @@ fn states(
     (states, last)
 }
 
-/// The state after a refinement.
+/// The state after an iteration.
 fn state(estimate: &Estimate) -> State {
-    let hidden = estimate.hidden.clone().expect("a network whose refinements are computed one by one");
+    let hidden = estimate.hidden.clone().expect("a network that supports recompute");
     (hidden, estimate.coarse.clone())
 }
 
-/// The hidden state, and what stays the same in every refinement.
+/// The hidden state, followed by the tensors that all iterations share.
 fn parts(Encoded { hidden, constant }: Encoded) -> Vec<Tensor<4>> {
     std::iter::once(hidden).chain(constant).collect()
 }

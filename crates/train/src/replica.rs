@@ -1,8 +1,8 @@
-//! The gradients of a batch: on one device, or on several at a time.
+//! Gradients of a batch, data-parallel over one or more devices.
 //!
-//! Every device has a copy of the network and computes the gradients of its share of the batch; they are added up in host
-//! memory in the order of the devices. The sum is that of the whole batch: each share counts as many samples as it holds.
-//! Batch norm in training takes its statistics from what one device sees at a time, as in PyTorch's data-parallel training
+//! Every device has a copy of the network and computes the gradients of its share of the batch. They are summed in host
+//! memory in the order of the devices, weighted by the number of samples in each share, which gives the gradients of the
+//! whole batch. Live batch norm computes its statistics on each device separately, as in PyTorch's data-parallel training
 //! without synchronization; the running statistics of the devices are averaged after each step.
 
 use std::sync::{Mutex, PoisonError};
@@ -16,32 +16,32 @@ use crate::batch::Batch;
 use crate::loss::{LossConfig, LossError, Losses, Prediction, losses};
 use crate::recompute;
 
-/// What a pass over a batch is asked for.
+/// Settings of a forward and backward pass over a batch.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PassSettings {
     pub loss: LossConfig,
-    /// Refinements.
+    /// Refinement iterations of the network.
     pub iterations: usize,
-    /// Parts that a share is cut into.
+    /// Parts that the share of a device is split into, to save memory.
     pub accumulate: usize,
-    /// Keep hidden states only, and compute the rest again on the way back.
+    /// Keep only the hidden states, and recompute the rest in the backward pass.
     pub recompute: bool,
 }
 
-/// What a pass over a batch gave.
+/// Result of a pass over a batch.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pass {
-    /// The gradients of the mean loss of the batch.
+    /// Gradients of the mean loss of the batch.
     pub gradients: HostGradients,
-    /// The mean loss, the sequence loss and each regularizer that is on.
     pub losses: BatchLosses,
 }
 
-/// The mean loss of a batch.
+/// The mean losses of a batch.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct BatchLosses {
+    /// The minimised loss, the sum of `parts`.
     pub total: f64,
-    /// Its parts by name.
+    /// The sequence loss and each active regularizer, weighted, by name.
     pub parts: Vec<(&'static str, f64)>,
     /// Mean end-point error of the last prediction, in pixels.
     pub epe: f64,
@@ -71,29 +71,28 @@ impl BatchLosses {
     }
 }
 
-/// Burn draws the parameters of all networks of a device from one sequence: two networks that are made at the same time would
-/// share it.
+/// Held while parameters are drawn: all networks of a device share one random generator, so drawing two at once would make
+/// either depend on the other.
 static SEEDING: Mutex<()> = Mutex::new(());
 
-/// Copies of a network on devices.
+/// Copies of a network, one per device.
 pub struct Replicas {
     layout: Layout,
     copies: Vec<Replica>,
     settings: PassSettings,
 }
 
-/// A network on one device.
 struct Replica {
     device: Device,
     network: Network,
 }
 
 impl Replicas {
-    /// The network that `init` makes, with random parameters from `seed`, one copy on each of `devices`, and its numbers.
-    /// Batch norm takes its statistics from the batch where it is live.
+    /// Copies of the network of `init` on each of `devices`, all with the same random parameters from `seed`, and the values of
+    /// those in the order of the [`layout`](Self::layout). With `live_batch_norm`, batch norm uses the statistics of the batch.
     ///
     /// # Panics
-    /// Without a device.
+    /// When `devices` is empty.
     pub fn new(
         init: impl Fn(&Device) -> Network,
         devices: &[Device],
@@ -117,11 +116,12 @@ impl Replicas {
         (replicas, values)
     }
 
-    /// Where each tensor lies among the numbers.
+    /// The position of each tensor among the values.
     pub fn layout(&self) -> &Layout {
         &self.layout
     }
 
+    /// Sets the parameters of all copies.
     pub fn fill(&mut self, values: &[f32]) {
         for copy in &mut self.copies {
             let network = copy.network.clone();
@@ -129,16 +129,16 @@ impl Replicas {
         }
     }
 
-    /// The network as it is used for estimation, on the first device: batch norm by its running statistics, no gradients.
+    /// The network of the first device in evaluation mode: without gradients, batch norm with its running statistics.
     pub fn for_estimation(&self) -> Network {
         self.copies[0].network.valid()
     }
 
-    /// The gradients of a batch. The running statistics of live batch norm follow on each device; see
+    /// Losses and gradients of a batch. Live batch norm updates its running statistics on each device; see
     /// [`collect_statistics`](Self::collect_statistics).
     ///
     /// # Errors
-    /// When the loss does not fit the network.
+    /// When the loss needs a prediction that the network does not make.
     pub fn pass(&self, batch: &Batch) -> Result<Pass, LossError> {
         let shares = batch.split(self.copies.len());
         let passes: Vec<Result<Pass, LossError>> = std::thread::scope(|scope| {
@@ -165,7 +165,7 @@ impl Replicas {
         Ok(sum)
     }
 
-    /// Takes over what the passes did to the tensors that are not trained, averaged over the copies.
+    /// Writes the running statistics, averaged over the copies, into `values`.
     pub fn collect_statistics(&self, values: &mut [f32]) {
         let copies: Vec<Vec<f32>> = self.copies.iter().map(|copy| Layout::of(&copy.network).1).collect();
         for segment in self.layout.segments().iter().filter(|segment| !segment.trained) {
@@ -187,7 +187,7 @@ impl Replica {
         Ok(pass)
     }
 
-    /// Adds the gradients of the mean loss of `batch`, times `weight`.
+    /// Adds the gradients of the mean loss of `batch`, times `weight`, to `sum`.
     fn add_gradients(
         &self,
         batch: &Batch,

@@ -1,4 +1,4 @@
-//! A run as a page: curves of losses and scores, and what the run was asked for.
+//! The HTML report of a run: curves of losses and scores, and the configuration.
 
 use srflow_eval::report::{Axis, Chart, Curve, Figure, Page, Section, curves, facts, tiles};
 
@@ -6,10 +6,10 @@ use crate::config::Config;
 use crate::loss::REGULARIZERS;
 use crate::training_log::{Record, StepRecord, ValidationRecord};
 
-/// Points of a curve of steps; more are averaged together.
+/// Most points of a curve over steps; groups of steps are averaged to stay below it.
 const POINTS: usize = 300;
 
-/// The page of a run that wrote down these records. `machine` says what it ran on.
+/// The report of a run from the records of its log. `machine` describes the hardware.
 pub fn report(config: &Config, records: &[Record], machine: &str) -> Page {
     let steps: Vec<&StepRecord> = records
         .iter()
@@ -25,7 +25,7 @@ pub fn report(config: &Config, records: &[Record], machine: &str) -> Page {
     }
     sections.push(Section::new(
         "Configuration",
-        "Every key. `config.toml` beside this page is the same as a file.",
+        "All settings of the run, as in `config.toml` next to this page.",
         vec![facts(&configuration(config))],
     ));
     let network = config.network.architecture.facts().title;
@@ -48,7 +48,10 @@ fn numbers(steps: &[&StepRecord], validations: &[&ValidationRecord]) -> Vec<(Str
     let waited: f64 = steps.iter().map(|step| step.waited).sum();
     let mut numbers = vec![
         (steps.len().to_string(), "steps".to_owned()),
-        (format!("{:.2}", steps.len() as f64 / seconds.max(f64::MIN_POSITIVE)), "steps a second".to_owned()),
+        (
+            format!("{:.2}", steps.len() as f64 / seconds.max(f64::MIN_POSITIVE)),
+            "steps per second".to_owned(),
+        ),
         (format!("{:.1}%", 100.0 * waited / seconds.max(f64::MIN_POSITIVE)), "waiting for data".to_owned()),
     ];
     let best = validations.iter().filter(|scores| scores.dataset == validations[0].dataset);
@@ -86,14 +89,10 @@ fn validation(validations: &[&ValidationRecord]) -> Section {
         [
             curves(&epe, Axis::Logarithmic, true, &chart("EPE, px", "Mean end-point error.")),
             curves(&shares, Axis::Linear, true, &chart("share", "Pixels within 1, 3 and 5 px of the truth.")),
-            curves(&wauc, Axis::Linear, true, &chart("WAUC", "Weighted area under the curve of errors.")),
+            curves(&wauc, Axis::Linear, true, &chart("WAUC", "Weighted area under the error curve.")),
         ]
     });
-    Section::new(
-        "Validation",
-        "Scores on pairs that were not trained on, as in the paper's tables.",
-        figures.collect(),
-    )
+    Section::new("Validation", "Scores on held-out pairs, as in the paper's tables.", figures.collect())
 }
 
 fn training(config: &Config, steps: &[&StepRecord]) -> Section {
@@ -101,7 +100,7 @@ fn training(config: &Config, steps: &[&StepRecord]) -> Section {
         steps.first().map_or(Vec::new(), |step| step.parts.iter().map(|(name, _)| name.as_str()).collect());
     let mut losses = vec![averaged(steps, "total", &|step| step.loss)];
     if names.len() > 1 {
-        // A log that somebody edited may lack a part.
+        // An edited log may lack a part.
         let part = |step: &StepRecord, name: &str| {
             step.parts.iter().find(|(other, _)| other == name).map_or(f64::NAN, |(_, value)| *value)
         };
@@ -120,13 +119,13 @@ fn training(config: &Config, steps: &[&StepRecord]) -> Section {
         vec![
             figure(&losses, Axis::Logarithmic, "Loss", "loss", &loss_caption(config)),
             figure(&epe, Axis::Logarithmic, "Training error", "EPE, px", epe_caption),
-            figure(&norm, Axis::Logarithmic, "Gradients", "norm", "Norm of all gradients together."),
+            figure(&norm, Axis::Logarithmic, "Gradients", "norm", "Norm of all gradients."),
             figure(&rate, Axis::Linear, "Learning rate", "rate", "One cycle: up, then down."),
         ],
     )
 }
 
-/// What the parts of the loss are, each times its weight.
+/// Describes the parts of the loss and their weights.
 fn loss_caption(config: &Config) -> String {
     let mut caption = format!("The minimised loss. sequence: {}", config.loss.sequence.description);
     for regularizer in REGULARIZERS.iter().filter(|regularizer| config.loss.weight(regularizer) != 0.0) {
@@ -151,7 +150,7 @@ fn averaged(steps: &[&StepRecord], name: &str, value: &dyn Fn(&StepRecord) -> f6
     Curve { name: name.to_owned(), points: steps.chunks(together).map(point).collect(), baseline: false }
 }
 
-/// Keys with their sections, and values.
+/// Keys, as `section.key`, and values.
 fn configuration(config: &Config) -> Vec<(String, String)> {
     let mut section = String::new();
     let mut pairs = Vec::new();

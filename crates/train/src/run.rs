@@ -1,4 +1,4 @@
-//! A training run, from its first step or its last checkpoint to its end.
+//! The training loop, from the first step or the last checkpoint to the end of the run.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -24,7 +24,7 @@ use crate::validation::{Validation, ValidationError};
 /// Name of the configuration in a run's folder.
 const CONFIG: &str = "config.toml";
 
-/// Why a run did not begin or ended early.
+/// Errors that end a run, or keep it from starting.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
     #[error(transparent)]
@@ -46,59 +46,59 @@ pub enum TrainError {
     #[error(transparent)]
     File(#[from] FileError),
     #[error(
-        "{0}: this folder holds a run of {steps} steps; continue it with --resume {0}, or choose another --out",
+        "{0}: this folder already contains a run of {steps} steps; continue it with --resume {0}, or choose another --out",
         .folder.display()
     )]
     AnotherRun {
         folder: PathBuf,
-        /// How far it went.
+        /// Step of its last checkpoint.
         steps: u64,
     },
     #[error(
         "the loss or its gradients were not finite in {in_a_row} consecutive steps; the last one, step {step}, had the pairs\n  \
-         {samples}\n{kept}. Check these pairs, or lower training.learning_rate"
+         {samples}\n{last_checkpoint}. Check these pairs, or lower training.learning_rate"
     )]
     NotFinite {
-        /// The last of these steps, from 1.
+        /// The last of these steps, counted from 1.
         step: u64,
         in_a_row: u64,
         /// The first frames of its batch.
         samples: String,
-        /// The last checkpoint, in words.
-        kept: String,
+        /// A sentence that names the last checkpoint.
+        last_checkpoint: String,
     },
-    #[error("a thread that reads training pairs ended early; its message is above")]
+    #[error("a thread that reads training pairs panicked; see its message above")]
     Worker,
 }
 
-/// What [`train`] reports while it runs.
+/// Progress of [`train`].
 #[derive(Debug)]
 pub enum Event<'a> {
     Started(&'a Start),
-    /// After each step, skipped ones too, and each validation, in the order of the log.
+    /// A step, taken or skipped, or a validation, in the order of the log.
     Recorded(&'a Record),
+    /// A checkpoint was written.
     Saved {
         path: &'a Path,
-        /// After how many steps.
         step: u64,
     },
 }
 
-/// What a run begins with.
+/// Summary of a run when it starts or resumes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Start {
-    /// Steps that were taken before.
+    /// Steps done before, 0 for a new run.
     pub done: u64,
     /// Steps of the whole run.
     pub steps: u64,
     pub steps_per_epoch: u64,
-    /// The training data, a line for each dataset.
+    /// The training data, one line per dataset.
     pub data: Vec<String>,
-    /// The validation data, likewise; none where no dataset has any.
+    /// The validation data, one line per dataset; empty without validation.
     pub validation: Vec<String>,
-    /// Whether the network has batch norm, and it keeps the statistics that it starts with.
+    /// Whether the network has batch norm with frozen running statistics.
     pub frozen_batch_norm: bool,
-    /// Learned numbers of the network.
+    /// Number of trained parameters, counted as scalars.
     pub parameters: usize,
 }
 
@@ -106,38 +106,38 @@ pub struct Start {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outcome {
     pub progress: Progress,
-    /// Whether it was stopped on request, before its last step.
+    /// Whether the run stopped on request before its last step.
     pub stopped: bool,
-    /// Seconds of this process, validation and checkpoints included.
+    /// Wall-clock seconds of this process, including validation and checkpoints.
     pub seconds: f64,
-    /// Share of the steps' time in which the device waited for data.
+    /// Share of step time spent waiting for data, `0..=1`.
     pub waiting_share: f64,
 }
 
-/// How a run begins.
+/// Whether to start a new run or resume one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Beginning {
-    /// At step 0, in a folder without a run.
+pub enum RunMode {
+    /// Start at step 0, in a folder without checkpoints.
     New,
-    /// At the last checkpoint of the run in the folder.
+    /// Continue from the last checkpoint in the folder.
     Resume,
 }
 
-/// The configuration of the run in this folder.
+/// The configuration of the run in the folder `run`, from its last checkpoint.
 ///
 /// # Errors
-/// When there is no checkpoint or it is broken.
+/// When the folder has no checkpoint, or its last one is broken.
 pub fn config_of_run(run: &Path) -> Result<Config, TrainError> {
     let text = Checkpoints::of_run(run).read_config()?;
     Ok(Config::parse(&text, &run.display().to_string())?)
 }
 
-/// Trains as `config` says, on all of `devices` at a time, and writes into the folder `run`: `config.toml`, `log.jsonl`,
-/// `tensorboard/`, `checkpoints/`, `last.safetensors` and, with validation data, `best.safetensors`.
+/// Trains a network on `devices` in parallel, and writes `config.toml`, `log.jsonl`, `tensorboard/`, `checkpoints/`,
+/// `last.safetensors` and, with validation data, `best.safetensors` into the folder `run`.
 ///
-/// With `stop_after` it stops after that step, with a checkpoint of it. Checkpoints are the same bytes for the same
-/// configuration and number of devices, whether the run went through or was stopped or killed and resumed. The weights of
-/// `network.weights` are only read at the beginning.
+/// With `stop_after`, training stops after that step and writes a checkpoint. For a given configuration and number of devices,
+/// checkpoints have the same bytes whether the run was interrupted and resumed or not. `network.weights` is only read by new
+/// runs.
 ///
 /// # Errors
 /// See [`TrainError`].
@@ -145,7 +145,7 @@ pub fn train(
     config: &Config,
     devices: &[Device],
     run: &Path,
-    beginning: Beginning,
+    mode: RunMode,
     stop_after: Option<u64>,
     on_event: &mut dyn FnMut(Event<'_>),
 ) -> Result<Outcome, TrainError> {
@@ -155,17 +155,17 @@ pub fn train(
     let set = Arc::new(TrainingSet::open(config)?);
     let validation = Validation::open(config)?;
     let mut trainer = Trainer::new(config, devices, &set);
-    if beginning == Beginning::New {
+    if mode == RunMode::New {
         trainer.load_weights(config)?;
     }
     create_folder(run)?;
     let _lock = RunLock::take(run)?;
-    match (beginning, checkpoints.steps()?.last()) {
-        (Beginning::New, None) => {}
-        (Beginning::New, Some(&steps)) => {
+    match (mode, checkpoints.steps()?.last()) {
+        (RunMode::New, None) => {}
+        (RunMode::New, Some(&steps)) => {
             return Err(TrainError::AnotherRun { folder: run.to_owned(), steps });
         }
-        (Beginning::Resume, _) => trainer.restore(checkpoints.read_last(trainer.replicas.layout())?),
+        (RunMode::Resume, _) => trainer.restore(checkpoints.read_last(trainer.replicas.layout())?),
     }
     checkpoints.remove_unfinished()?;
     let text = config.to_toml();
@@ -201,8 +201,8 @@ pub fn train(
                 record(Record::Skipped(SkippedRecord { step, samples: samples.names.clone() }), on_event)?;
                 if in_a_row >= config.training.bad_steps {
                     let samples = samples.names.join("\n  ");
-                    let kept = kept_in_words(&checkpoints)?;
-                    return Err(TrainError::NotFinite { step, in_a_row, samples, kept });
+                    let last_checkpoint = last_checkpoint_in_words(&checkpoints)?;
+                    return Err(TrainError::NotFinite { step, in_a_row, samples, last_checkpoint });
                 }
             }
         }
@@ -237,14 +237,14 @@ fn prefetcher(
     })
 }
 
-fn kept_in_words(checkpoints: &Checkpoints) -> Result<String, CheckpointError> {
+fn last_checkpoint_in_words(checkpoints: &Checkpoints) -> Result<String, CheckpointError> {
     Ok(match checkpoints.steps()?.last() {
         Some(&step) => format!("The last good checkpoint is {}", checkpoints.path(step).display()),
         None => "There is no checkpoint yet".to_owned(),
     })
 }
 
-/// The state of a run and what it needs for a step.
+/// The state of a run, and everything a step needs.
 struct Trainer {
     replicas: Replicas,
     values: Vec<f32>,
@@ -300,7 +300,7 @@ impl Trainer {
     }
 
     fn start(&self, config: &Config, set: &TrainingSet, validation: &Validation) -> Start {
-        // What is not trained are the statistics of batch norm.
+        // Only the running statistics of batch norm are not trained.
         let (trained, statistics): (Vec<_>, Vec<_>) =
             self.replicas.layout().segments().iter().partition(|segment| segment.trained);
         Start {
@@ -352,7 +352,7 @@ impl Trainer {
         if !(pass.losses.is_finite() && norm.is_finite()) {
             self.progress.skipped += 1;
             self.progress.skipped_in_a_row += 1;
-            self.replicas.fill(&self.values); // the running statistics may have followed
+            self.replicas.fill(&self.values); // the pass may have updated running statistics
             return Ok(None);
         }
         self.progress.skipped_in_a_row = 0;
@@ -382,14 +382,13 @@ impl Trainer {
         }))
     }
 
-    /// Whether something that is done every `every` steps, or for 0 after each epoch, is done now. It is after the last
-    /// step in any case.
+    /// Whether a task with an interval of `every` steps, 0 for an epoch, is due. After the last step it always is.
     fn due(&self, every: u64) -> bool {
         let every = if every == 0 { self.steps_per_epoch } else { every };
         self.progress.step.is_multiple_of(every) || self.progress.step == self.steps
     }
 
-    /// Scores the network; says whether it is the best so far, which is then written.
+    /// Scores the network and, if it is the best so far, writes it. Returns whether it is.
     fn validate(
         &mut self,
         validation: &Validation,

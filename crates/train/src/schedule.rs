@@ -1,23 +1,24 @@
-//! The learning rate of every step.
+//! The learning rate schedule.
 
-/// `torch.optim.lr_scheduler.OneCycleLR` with `anneal_strategy="linear"` and `cycle_momentum=False`: up in a straight
-/// line, then down in a straight line.
+/// `torch.optim.lr_scheduler.OneCycleLR` with `anneal_strategy="linear"` and `cycle_momentum=False`: a linear rise, then a
+/// linear fall.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OneCycle {
+    /// Maximum learning rate (`max_lr`).
     pub peak: f64,
-    /// Steps of the whole cycle. SKFlow plans 100 more than it trains, so that the rate never reaches its end.
+    /// Steps of the whole cycle. SKFlow plans 100 more than it trains, so the rate never reaches its final value.
     pub total_steps: u64,
-    /// Share of the cycle in which the rate rises (`pct_start`).
+    /// Share of the cycle in which the rate rises (`pct_start`), `0..1`.
     pub rising: f64,
 }
 
-/// The peak is this many times the rate of the first step (`div_factor`).
+/// Ratio of the peak to the rate of the first step (`div_factor`).
 const FIRST_DIVISOR: f64 = 25.0;
-/// The rate of the first step is this many times that of the last (`final_div_factor`).
+/// Ratio of the rate of the first step to that of the last (`final_div_factor`).
 const LAST_DIVISOR: f64 = 1e4;
 
 impl OneCycle {
-    /// The learning rate of step `step`, counted from 0. Past the end of the cycle it stays at its last value.
+    /// The learning rate of `step`, from 0. After the end of the cycle it keeps its last value.
     pub fn learning_rate(&self, step: u64) -> f64 {
         let first = self.peak / FIRST_DIVISOR;
         let last = first / LAST_DIVISOR;

@@ -1,17 +1,17 @@
-//! Event files of TensorBoard: records of a protocol buffer each, with checksums (TFRecord).
+//! Event files of TensorBoard: protocol buffers in TFRecord framing, with checksums.
 
 use std::fs::File;
 use std::io::{self, Write};
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-/// A file that numbers are appended to.
+/// An event file open for appending.
 pub(crate) struct EventFile {
     file: File,
 }
 
 impl EventFile {
-    /// Makes a file in `folder`. TensorBoard reads all that are there, one after the other by their names.
+    /// Creates a file in `folder`. TensorBoard reads all event files of a folder in the order of their names.
     pub(crate) fn create(folder: &Path) -> io::Result<Self> {
         std::fs::create_dir_all(folder)?;
         let seconds = now();
@@ -24,7 +24,7 @@ impl EventFile {
         Ok(file)
     }
 
-    /// Appends the numbers of one step, each under its tag.
+    /// Appends the tagged scalars of one step.
     pub(crate) fn write(&mut self, step: u64, numbers: &[(String, f64)]) -> io::Result<()> {
         let mut summary = Vec::new();
         for (tag, number) in numbers {
@@ -76,7 +76,7 @@ fn push_bytes(out: &mut Vec<u8>, field: u64, bytes: &[u8]) {
     out.extend(bytes);
 }
 
-/// Length, its checksum, data, its checksum.
+/// A TFRecord: length, checksum of the length, data, checksum of the data.
 fn record(data: &[u8]) -> Vec<u8> {
     let length = (data.len() as u64).to_le_bytes();
     let mut out = Vec::with_capacity(data.len() + 16);
@@ -87,12 +87,12 @@ fn record(data: &[u8]) -> Vec<u8> {
     out
 }
 
-/// The checksum of TFRecord: CRC-32C, rotated and offset, so that data may hold checksums of its own.
+/// The masked CRC-32C of TFRecord: rotated and offset, since the CRC of data that contains CRCs is problematic.
 fn masked_crc32c(data: &[u8]) -> u32 {
     crc32c(data).rotate_right(15).wrapping_add(0xA282_EAD8)
 }
 
-/// CRC-32C (Castagnoli), bit by bit: a few hundred bytes a step.
+/// CRC-32C (Castagnoli), bit by bit: fast enough for a few hundred bytes per step.
 fn crc32c(data: &[u8]) -> u32 {
     let bit = |crc: u32, _| if crc & 1 == 1 { crc >> 1 ^ 0x82F6_3B78 } else { crc >> 1 };
     !data.iter().fold(!0, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), bit))
@@ -104,7 +104,7 @@ mod tests {
 
     /// RFC 3720, section B.4.
     #[test]
-    fn checksums_are_the_published_ones() {
+    fn checksums_match_the_published_values() {
         assert_eq!(crc32c(&[0; 32]), 0x8A91_36AA);
         assert_eq!(crc32c(&[0xFF; 32]), 0x62A8_AB43);
         assert_eq!(crc32c(&(0..32).collect::<Vec<u8>>()), 0x46DD_794E);

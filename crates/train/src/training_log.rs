@@ -1,4 +1,4 @@
-//! What a run logs: `log.jsonl`, a JSON object a line, and event files for TensorBoard.
+//! The log of a run: `log.jsonl`, one JSON object per line, and event files for TensorBoard.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
@@ -17,7 +17,6 @@ use crate::tensorboard::EventFile;
 #[serde(tag = "kind", rename_all = "lowercase", deny_unknown_fields)]
 pub enum Record {
     Step(StepRecord),
-    /// A step that was skipped because the loss or the gradients were not finite.
     Skipped(SkippedRecord),
     Validation(ValidationRecord),
 }
@@ -25,48 +24,48 @@ pub enum Record {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StepRecord {
-    /// Its number, from 1.
+    /// From 1.
     pub step: u64,
-    /// The epoch that it is part of, from 1.
+    /// From 1.
     pub epoch: u64,
-    /// What was minimised, the mean over the batch.
+    /// The minimised loss, averaged over the batch.
     pub loss: f64,
-    /// Its parts: name and value.
+    /// Its parts, weighted, by name.
     pub parts: Vec<(String, f64)>,
     /// Mean end-point error of the last prediction, in pixels.
     pub epe: f64,
     pub learning_rate: f64,
-    /// Norm of all gradients before they were clipped.
+    /// Norm of all gradients before clipping.
     pub gradient_norm: f64,
-    /// Wall-clock seconds of the step, waiting for data included.
+    /// Wall-clock seconds of the step, including waiting for data.
     pub seconds: f64,
-    /// Seconds of them in which the device waited for data.
+    /// Seconds of them spent waiting for data.
     pub waited: f64,
 }
 
-/// A step that was skipped.
+/// A step that was skipped because the loss or the gradients were not finite.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SkippedRecord {
-    /// Its number, from 1.
+    /// From 1.
     pub step: u64,
     /// The first frames of its batch.
     pub samples: Vec<String>,
 }
 
-/// The scores of one dataset.
+/// The scores on one dataset, means over its pairs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ValidationRecord {
-    /// After how many steps.
+    /// Steps done before.
     pub step: u64,
     pub dataset: String,
     pub pairs: usize,
-    /// Over all pixels with a known truth.
+    /// Over all pixels with a known flow.
     pub whole: Metrics,
-    /// Inside the head's mask, where there is one.
+    /// Over the pixels of the head, if the dataset has masks.
     pub head: Option<Metrics>,
-    /// Mean end-point error in pixels of saying that nothing moves.
+    /// Mean end-point error of zero flow, in pixels.
     pub zero_epe: f64,
 }
 
@@ -79,7 +78,7 @@ impl Record {
         }
     }
 
-    /// Numbers by the tags that TensorBoard shows them under.
+    /// Scalars with their tags for TensorBoard.
     fn tagged(&self) -> Vec<(String, f64)> {
         match self {
             Self::Step(record) => {
@@ -109,7 +108,7 @@ impl Record {
     }
 }
 
-/// The log of a running training.
+/// The log of a run, open for appending.
 pub(crate) struct TrainingLog {
     run: PathBuf,
     log: File,
@@ -121,7 +120,7 @@ const LOG: &str = "log.jsonl";
 /// Name of the folder of event files in a run's folder.
 const EVENTS: &str = "tensorboard";
 
-/// Why the log was not written or read.
+/// An error of opening or reading a log.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {reason}", .path.display())]
 pub struct LogError {
@@ -130,8 +129,7 @@ pub struct LogError {
 }
 
 impl TrainingLog {
-    /// Continues the log of the run in this folder after `step`: removes later lines, which a run wrote that was killed
-    /// before its next checkpoint.
+    /// Opens the log of the run in this folder, removing records after `step`, the step of the checkpoint to continue from.
     pub(crate) fn open(run: &Path, step: u64) -> Result<Self, LogError> {
         let path = run.join(LOG);
         let failed = |path: &Path, error: &dyn std::fmt::Display| LogError {
@@ -153,7 +151,7 @@ impl TrainingLog {
         })
     }
 
-    /// Appends a line and the numbers for TensorBoard.
+    /// Appends a record to the log and to the event file.
     pub(crate) fn write(&mut self, record: &Record) -> Result<(), FileError> {
         let written = write_line(&mut self.log, record)
             .and_then(|()| self.events.write(record.step(), &record.tagged()));
@@ -168,15 +166,15 @@ fn write_line(file: &mut impl Write, record: &Record) -> io::Result<()> {
     file.write_all(line.as_bytes())
 }
 
-/// Everything that the run in this folder has written down.
+/// Reads the log of the run in this folder.
 ///
 /// # Errors
-/// When there is no log, or a line of it is not one of ours.
+/// When there is no log, or a line is not a valid record.
 pub fn read_log(run: &Path) -> Result<Vec<Record>, LogError> {
     read_whole_lines(&run.join(LOG))
 }
 
-/// The last line may have been cut by a kill: it is left out when nothing ends it.
+/// Skips a last line without a line break, which a killed run may have left.
 fn read_whole_lines(path: &Path) -> Result<Vec<Record>, LogError> {
     let failed = |reason: String| LogError { path: path.to_owned(), reason };
     let text = read_text(path, FileKind::Log).map_err(|error| failed(error.problem.to_string()))?;
@@ -207,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn a_log_that_was_cut_goes_on_from_its_checkpoint() {
+    fn a_truncated_log_continues_from_the_checkpoint() {
         let run = tempfile::tempdir().unwrap();
         let mut log = TrainingLog::open(run.path(), 0).unwrap();
         (1..=5).for_each(|number| log.write(&step(number)).unwrap());

@@ -1,7 +1,7 @@
-//! The pairs that are trained on: a mix of datasets, shuffled in every epoch, each pair augmented.
+//! The training pairs: a mix of datasets, reshuffled every epoch, each pair augmented.
 //!
-//! Which pair comes when, and how it is changed, depends on the seed, the step and the place in the batch alone. Any
-//! sample can be made on its own, on any thread, in any order.
+//! The pair at a place of a batch and its augmentation depend only on the seed, the step and the place, so any sample can be
+//! made on any thread, in any order.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -14,12 +14,12 @@ use srflow_read::flow::{DatasetError, FlowDataset, Sample, Split};
 
 use crate::config::{Config, Source};
 
-/// Why there is nothing to train on, or a pair could not be used.
+/// Errors in the training data.
 #[derive(Debug, thiserror::Error)]
 pub enum DataError {
     #[error(
-        "data.train is empty: name what to train on, e.g. --data srflow:DIR, or --data folder:DIR for a plain folder of \
-         pairs"
+        "data.train is empty: choose a dataset to train on, e.g. --data srflow:DIR, or --data folder:DIR for a plain folder \
+         of pairs"
     )]
     NoData,
     #[error(transparent)]
@@ -29,8 +29,8 @@ pub enum DataError {
     )]
     NoTruth { dataset: String, dir: PathBuf, pairs: usize, advice: &'static str },
     #[error(
-        "{pair}: its frames are {}x{}, less than half of the crop {crop} (WIDTHxHEIGHT); set data.crop (--crop) to a size \
-         that the frames have",
+        "{pair}: its frames are {}x{}, less than half the crop of {crop} (WIDTHxHEIGHT); set data.crop (--crop) to at most \
+         the size of the frames",
         .frame.0, .frame.1
     )]
     TooSmall {
@@ -45,34 +45,32 @@ pub enum DataError {
     Augment { pair: String, source: AugmentError },
 }
 
-/// What to do about a dataset without flow.
 const NO_TRUTH_ADVICE: &str = "choose a split whose truth is published, or for a plain folder put a flow beside each pair \
                                (docs/training.md)";
 
-/// The pairs that are trained on.
+/// The training pairs of all datasets.
 pub struct TrainingSet {
     parts: Vec<Part>,
     crop: Size,
     seed: u64,
-    /// The orders of the epochs that are in use.
+    /// Shuffled orders of the epochs in use.
     orders: Mutex<BTreeMap<u64, Arc<[usize]>>>,
 }
 
 /// One dataset of the mix.
 struct Part {
     dataset: FlowDataset,
-    /// The pairs with a true flow, by their place in the dataset.
+    /// Indices of the pairs with a true flow.
     with_truth: Vec<usize>,
     times: usize,
     augmentation: Augmentation,
 }
 
-/// A pair as training sees it.
+/// An augmented and cropped pair.
 #[derive(Debug, Clone)]
 pub struct TrainingSample {
     /// File of the first frame, which identifies the pair.
     pub name: String,
-    /// Augmented and cropped.
     pub sample: Sample,
 }
 
@@ -80,7 +78,7 @@ impl TrainingSet {
     /// Lists the pairs of every dataset of `data.train`.
     ///
     /// # Errors
-    /// When there is none, one cannot be listed or has no true flow.
+    /// When `data.train` is empty, a dataset cannot be listed, or none of its pairs has a true flow.
     pub fn open(config: &Config) -> Result<Self, DataError> {
         if config.data.train.is_empty() {
             return Err(DataError::NoData);
@@ -94,17 +92,17 @@ impl TrainingSet {
         })
     }
 
-    /// Pairs in an epoch, those that come several times counted as often.
+    /// Pairs in an epoch, repeated ones counted as often as they occur.
     pub fn pairs(&self) -> usize {
         self.parts.iter().map(Part::pairs).sum()
     }
 
-    /// Steps in an epoch; what does not fill a batch is left out. A set smaller than a batch fills it by coming again.
+    /// Steps in an epoch, at least one. An incomplete last batch is dropped; a set smaller than one batch is repeated to fill it.
     pub fn steps_per_epoch(&self, batch: usize) -> u64 {
         (self.pairs() / batch).max(1) as u64
     }
 
-    /// Each dataset with its split and pairs, for people.
+    /// One line per dataset: name, split and number of pairs.
     pub fn describe(&self) -> Vec<String> {
         let words = |part: &Part| {
             let times = if part.times == 1 { String::new() } else { format!(", {} times each", part.times) };
@@ -114,10 +112,10 @@ impl TrainingSet {
         self.parts.iter().map(words).collect()
     }
 
-    /// The pair at `place` of the batch of `step`.
+    /// The pair at `place`, from 0, of the batch of `step`, from 0.
     ///
     /// # Errors
-    /// When its files cannot be read or its frames are far too small for the crop.
+    /// When its files cannot be read, or its frames are smaller than half the crop.
     pub fn sample(&self, step: u64, place: usize, batch: usize) -> Result<TrainingSample, DataError> {
         let steps = self.steps_per_epoch(batch);
         let order = self.order(step / steps);
@@ -137,7 +135,7 @@ impl TrainingSet {
         }
     }
 
-    /// The pairs of an epoch in their order.
+    /// Numbers of the pairs of an epoch, shuffled.
     fn order(&self, epoch: u64) -> Arc<[usize]> {
         let mut orders = self.orders.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(order) = orders.get(&epoch) {
@@ -145,7 +143,7 @@ impl TrainingSet {
         }
         let order = shuffled(self.pairs(), Key::new(self.seed).scene(epoch as u32));
         orders.insert(epoch, order.clone());
-        // Reading ahead is never more than an epoch away.
+        // Prefetching never reaches further than the next epoch.
         orders.retain(|&other, _| other.abs_diff(epoch) <= 1);
         order
     }
@@ -185,7 +183,7 @@ impl Part {
     }
 }
 
-/// The split asked for, else the `usual` one, else all pairs of a dataset without splits.
+/// Opens the split of `source`, by default the split `usual`, or all pairs of a dataset without splits.
 pub(crate) fn open_dataset(source: &Source, usual: Split) -> Result<FlowDataset, DatasetError> {
     if source.split.is_some() {
         return FlowDataset::open(&source.spec, source.split);
@@ -196,7 +194,7 @@ pub(crate) fn open_dataset(source: &Source, usual: Split) -> Result<FlowDataset,
     };
     match FlowDataset::open(&source.spec, None) {
         Ok(dataset) if dataset.split() == Split::All => Ok(dataset),
-        // A plain folder need not have a folder of the split: the problem is that of the folder itself.
+        // A plain folder need not have subfolders for splits, so the error about the folder itself is the useful one.
         Err(plain) if source.spec.kind == "folder" && !source.spec.dir.join(usual.to_string()).is_dir() => {
             Err(plain)
         }
@@ -216,7 +214,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_order_holds_every_pair_once_and_changes_with_the_epoch() {
+    fn an_order_contains_every_pair_once_and_differs_between_epochs() {
         let orders: Vec<_> = (0..3).map(|epoch| shuffled(100, Key::new(7).scene(epoch))).collect();
         for order in &orders {
             let mut sorted = order.to_vec();

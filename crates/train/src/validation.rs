@@ -1,4 +1,4 @@
-//! Scoring a network while it is trained.
+//! Scores a network during training.
 
 use std::num::NonZeroUsize;
 use std::path::Path;
@@ -13,13 +13,14 @@ use crate::run::TrainError;
 use crate::training_log::ValidationRecord;
 use crate::training_set::open_dataset;
 
+/// The validation datasets and settings of a run.
 pub(crate) struct Validation {
     datasets: Vec<FlowDataset>,
     settings: Settings,
     iterations: NonZeroUsize,
 }
 
-/// Why a network could not be scored.
+/// Errors of validation.
 #[derive(Debug, thiserror::Error)]
 pub enum ValidationError {
     #[error("validation: {0}")]
@@ -50,14 +51,14 @@ impl Validation {
         };
         let crop = config.validation.crop.map(|crop| (crop.width, crop.height));
         let limit = (config.validation.limit > 0).then_some(config.validation.limit);
-        // A checked configuration trains with at least one.
+        // A checked configuration trains with at least one iteration.
         let iterations = [config.validation.iterations, config.training.iterations];
         let iterations = iterations.into_iter().find_map(NonZeroUsize::new).unwrap_or(NonZeroUsize::MIN);
         let settings = Settings { crop, limit, on_failure: OnFailure::Stop, batch: None };
         Ok(Self { datasets, settings, iterations })
     }
 
-    /// Each dataset with its split and pairs.
+    /// One line per dataset: name, split and number of pairs.
     pub(crate) fn describe(&self) -> Vec<String> {
         let words = |dataset: &FlowDataset| {
             format!("{} ({}): {} pairs", dataset.name(), dataset.split(), dataset.entries().len())
@@ -65,12 +66,11 @@ impl Validation {
         self.datasets.iter().map(words).collect()
     }
 
-    /// Whether there is nothing to score.
     pub(crate) fn is_empty(&self) -> bool {
         self.datasets.is_empty()
     }
 
-    /// Scores `network`, a plain one without automatic differentiation.
+    /// Scores `network`, which must not track gradients, on each dataset.
     pub(crate) fn score(
         &self,
         network: Network,
@@ -89,7 +89,7 @@ impl Validation {
     }
 }
 
-/// The scores of the weights in a file on `dataset`, as `config` validates.
+/// Scores the weights in a file on `dataset` with the validation settings of `config`.
 pub(crate) fn score_weights(
     config: &Config,
     device: &Device,
@@ -111,7 +111,7 @@ fn val_split(source: &Source) -> Result<Option<FlowDataset>, DatasetError> {
     }
 }
 
-/// As after step 0.
+/// The record of an evaluation, with step 0.
 fn scores(evaluation: Evaluation) -> Result<ValidationRecord, ValidationError> {
     // The baseline comes first.
     let [zero, network] = &evaluation.methods[..] else { unreachable!("two methods were scored") };

@@ -1,4 +1,4 @@
-//! The gradients of a batch, however it is cut up, and a whole run in the library.
+//! Gradients of a batch on any number of devices and parts, and whole runs.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use srflow_train::loss::{LossConfig, SEQUENCE_LOSSES};
 use srflow_train::replica::{Pass, PassSettings, Replicas};
 use srflow_train::training_log::Record;
 use srflow_train::training_set::TrainingSample;
-use srflow_train::{Beginning, Event, TrainError, train};
+use srflow_train::{Event, RunMode, TrainError, train};
 
 fn frame(size: usize, number: usize, shift: f32) -> Image {
     Image::from_fn(size, size, |x, y| {
@@ -22,7 +22,7 @@ fn frame(size: usize, number: usize, shift: f32) -> Image {
     })
 }
 
-/// Pairs that move by different lengths, the last with pixels whose flow is unknown, all with masks of the head.
+/// Pairs with different motions and with head masks; the flow of the last pair is unknown at some pixels.
 fn batch(count: usize) -> Batch {
     const SIZE: usize = 64;
     let samples: Vec<TrainingSample> = (0..count)
@@ -69,15 +69,15 @@ fn assert_same(one: &Pass, other: &Pass, tolerance: f64) {
     let pairs = || one.gradients.values.iter().zip(&other.gradients.values);
     let size = norm(&mut pairs().map(|(one, _)| f64::from(*one)));
     let apart = norm(&mut pairs().map(|(one, other)| f64::from(one - other)));
-    assert!(size > 1e-3, "there are gradients: {size}");
-    assert!(apart < tolerance * size, "{apart} apart, of {size}");
+    assert!(size > 1e-3, "gradients of norm {size} check nothing");
+    assert!(apart < tolerance * size, "{apart} apart, norm {size}");
     assert!((one.losses.total - other.losses.total).abs() < 1e-5 * one.losses.total.abs());
     let names = |pass: &Pass| pass.losses.parts.iter().map(|part| part.0).collect::<Vec<_>>();
     assert_eq!(names(one), names(other));
 }
 
 #[test]
-fn two_devices_give_the_gradients_of_the_joined_batch() {
+fn gradients_do_not_depend_on_the_number_of_devices() {
     let batch = batch(3);
     let (one, _) = pass(Architecture::RaftSmall, 1, 1, false, &batch);
     assert_same(&one, &pass(Architecture::RaftSmall, 2, 1, false, &batch).0, 1e-4);
@@ -85,9 +85,9 @@ fn two_devices_give_the_gradients_of_the_joined_batch() {
     assert_same(&one, &pass(Architecture::RaftSmall, 4, 1, false, &batch).0, 1e-4);
 }
 
-/// The attention of GMA and SKFlow is begun without effect (`gamma` is 0): the gradients of its other numbers are zero.
+/// The attention of GMA and SKFlow is initialized without effect (`gamma` is 0): all its other gradients are zero.
 #[test]
-fn recomputed_refinements_give_the_same_gradients() {
+fn recomputed_iterations_give_the_same_gradients() {
     let batch = batch(2);
     use Architecture::{Raft, RaftSmall, SeaRaftS, SkFlow};
     for architecture in [RaftSmall, Raft, SkFlow, SeaRaftS] {
@@ -99,14 +99,14 @@ fn recomputed_refinements_give_the_same_gradients() {
 }
 
 #[test]
-fn parts_of_a_batch_give_its_gradients() {
+fn accumulated_gradients_match_those_of_the_whole_batch() {
     let batch = batch(3);
     let (one, _) = pass(Architecture::RaftSmall, 1, 1, false, &batch);
     assert_same(&one, &pass(Architecture::RaftSmall, 1, 2, false, &batch).0, 1e-4);
 }
 
 #[test]
-fn a_batch_is_cut_into_parts_of_nearly_equal_size() {
+fn a_batch_is_split_into_parts_of_nearly_equal_size() {
     let batch = batch(5);
     let parts = batch.split(3);
     assert_eq!(parts.iter().map(Batch::len).collect::<Vec<_>>(), [1, 2, 2]);
@@ -134,26 +134,24 @@ fn small_run(dir: &Path) -> Config {
     Config::parse(&text, "test").expect("a configuration")
 }
 
-/// A run whose network has a number that is none: no step can be taken, the pairs are named, and what was there stays.
+/// With an infinite weight every step is skipped; the error names the pairs.
 #[test]
-fn losses_that_are_not_finite_end_the_run() {
+fn non_finite_losses_end_the_run() {
     let dir = tempfile::tempdir().unwrap();
     make_pairs(dir.path(), 3);
     let run = dir.path().join("run");
     let mut config = small_run(dir.path());
     let devices = [Device::flex()];
-    train(&config, &devices, &run, Beginning::New, None, &mut |_| {}).expect("a short run");
+    train(&config, &devices, &run, RunMode::New, None, &mut |_| {}).expect("a short run");
 
-    // The same weights, with one that is infinite, for a new run.
-    let good = std::fs::read(run.join("last.safetensors")).unwrap();
-    let mut bytes = good.clone();
+    let mut bytes = std::fs::read(run.join("last.safetensors")).unwrap();
     let at = bytes.len() - 4;
     bytes[at..].copy_from_slice(&f32::INFINITY.to_le_bytes());
     config.network.weights = dir.path().join("bad.safetensors");
     std::fs::write(&config.network.weights, bytes).unwrap();
     let other = dir.path().join("other");
     let mut skipped = Vec::new();
-    let result = train(&config, &devices, &other, Beginning::New, None, &mut |event| {
+    let result = train(&config, &devices, &other, RunMode::New, None, &mut |event| {
         if let Event::Recorded(Record::Skipped(record)) = event {
             skipped.push(record.clone());
         }
@@ -169,15 +167,15 @@ fn losses_that_are_not_finite_end_the_run() {
     assert!(error.to_string().contains("no checkpoint yet"), "{error}");
 }
 
-/// A run whose network leaves the numbers after its second step, which has a checkpoint.
+/// A run that resumes from a checkpoint with an infinite weight.
 #[test]
-fn the_last_good_checkpoint_stays_and_is_named() {
+fn non_finite_losses_leave_the_last_checkpoint_unchanged_and_name_it() {
     let dir = tempfile::tempdir().unwrap();
     make_pairs(dir.path(), 3);
     let run = dir.path().join("run");
     let config = small_run(dir.path());
     let devices = [Device::flex()];
-    train(&config, &devices, &run, Beginning::New, None, &mut |_| {}).expect("a short run");
+    train(&config, &devices, &run, RunMode::New, None, &mut |_| {}).expect("a short run");
     std::fs::remove_dir_all(run.join("checkpoints/step-00000004")).unwrap();
     let model = run.join("checkpoints/step-00000002/model.safetensors");
     let mut bytes = std::fs::read(&model).unwrap();
@@ -185,14 +183,16 @@ fn the_last_good_checkpoint_stays_and_is_named() {
     bytes[at..].copy_from_slice(&f32::INFINITY.to_le_bytes());
     std::fs::write(&model, &bytes).unwrap();
 
-    let result = train(&config, &devices, &run, Beginning::Resume, None, &mut |_| {});
-    let Err(TrainError::NotFinite { step: 4, in_a_row: 2, kept, .. }) = &result else { panic!("{result:?}") };
+    let result = train(&config, &devices, &run, RunMode::Resume, None, &mut |_| {});
+    let Err(TrainError::NotFinite { step: 4, in_a_row: 2, last_checkpoint, .. }) = &result else {
+        panic!("{result:?}")
+    };
     assert_eq!(
-        kept,
+        last_checkpoint,
         &format!("The last good checkpoint is {}", run.join("checkpoints/step-00000002").display())
     );
     assert_eq!(std::fs::read(&model).unwrap(), bytes);
-    assert!(!run.join("checkpoints/step-00000004").exists(), "nothing is written of what is not finite");
+    assert!(!run.join("checkpoints/step-00000004").exists(), "no checkpoint of a skipped step");
 }
 
 #[test]
@@ -207,7 +207,7 @@ fn a_run_gives_the_same_weights_on_any_number_of_threads() {
         let weights = |threads: usize| {
             let run = dir.path().join(format!("{architecture:?}-{threads}"));
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-            let train = || train(&config, &[Device::flex()], &run, Beginning::New, None, &mut |_| {});
+            let train = || train(&config, &[Device::flex()], &run, RunMode::New, None, &mut |_| {});
             pool.install(train).expect("a short run");
             std::fs::read(run.join("last.safetensors")).expect("weights")
         };

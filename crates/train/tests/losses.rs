@@ -1,5 +1,5 @@
-//! The losses have the values and the gradients that the paper's equations have in PyTorch (`tools/parity/losses.py`), and
-//! stay finite where there is nothing to learn.
+//! Values and gradients of the losses against the paper's equations in PyTorch (`tools/parity/losses.py`), and corner cases such
+//! as batches without valid pixels.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_golden::{Golden, numbers};
@@ -28,7 +28,7 @@ fn inputs(golden: &Golden, device: &Device) -> LossInputs {
     }
 }
 
-/// The stored predictions as leaves of the gradient's graph.
+/// The golden predictions as leaves of the autodiff graph.
 fn predictions(golden: &Golden, device: &Device) -> Vec<Prediction> {
     let leaf = |name: &str, i: usize| golden.tensor::<4>(&format!("{name}_{i}"), device).require_grad();
     (0..PREDICTIONS)
@@ -42,7 +42,7 @@ fn predictions(golden: &Golden, device: &Device) -> Vec<Prediction> {
         .collect()
 }
 
-/// Holds the part of this name (or the total) and its gradients to a stored case.
+/// Compares a part of the loss (or `total`) and its gradients with a golden case.
 fn check(case: &str, part: &str, config: &LossConfig) {
     let golden = golden();
     let device = Device::flex().autodiff();
@@ -67,7 +67,7 @@ fn check(case: &str, part: &str, config: &LossConfig) {
         for (leaf, tensor) in leaves {
             let name = format!("{case}.{leaf}_{i}");
             if !golden.has(&name) {
-                assert!(tensor.grad(&grads).is_none(), "{name}: a gradient that the loss does not have");
+                assert!(tensor.grad(&grads).is_none(), "{name}: expected no gradient");
                 continue;
             }
             let expected = golden.values(&name);
@@ -92,14 +92,14 @@ fn sequence(name: &str) -> &'static SequenceLoss {
 }
 
 #[test]
-fn sequence_losses_are_those_of_the_references() {
+fn sequence_losses_match_the_references() {
     for (case, name) in [("l1", "l1"), ("l2", "l2"), ("mixture", "mixture-of-laplace")] {
         check(case, "sequence", &LossConfig { sequence: sequence(name), ..LossConfig::default() });
     }
 }
 
 #[test]
-fn regularizers_are_the_papers_equations() {
+fn regularizers_match_the_papers_equations() {
     let zero = |name| LossConfig { border: Border::Zero, ..only(name) };
     let unit = |name| LossConfig { image_max: 1.0, ..only(name) };
     let literal = |name| LossConfig { m_total: MaskReading::Literal, ..only(name) };
@@ -116,7 +116,7 @@ fn regularizers_are_the_papers_equations() {
     check("igvar literal", "igvar", &literal("igvar"));
 }
 
-/// Everything that the paper combines or does not.
+/// The default loss with all regularizers.
 fn all() -> LossConfig {
     let with = |config: LossConfig, regularizer| config.with(regularizer, regularizer.paper_weight);
     REGULARIZERS.iter().fold(LossConfig::default(), with)
@@ -135,9 +135,9 @@ fn the_total_is_the_sum_of_the_parts() {
     assert!((sum - total).abs() < 1e-4 * total, "{sum} for {total}");
 }
 
-/// Along a random direction. A few absolute values change their sign within the step, each of which moves the difference.
+/// Along a random direction. The tolerance is wide because a few absolute values change sign within the step.
 #[test]
-fn gradients_are_the_differences_of_the_values() {
+fn gradients_match_finite_differences() {
     let golden = golden();
     let mixture = LossConfig { sequence: sequence("mixture-of-laplace"), ..LossConfig::default() };
     let l2 = LossConfig { sequence: sequence("l2"), ..LossConfig::default() };
@@ -162,12 +162,11 @@ fn gradients_are_the_differences_of_the_values() {
     }
 }
 
-/// A flow of one value everywhere.
 fn constant(value: f32, [height, width]: [usize; 2], channels: usize, device: &Device) -> Tensor<4> {
     Tensor::full([1, channels, height, width], value, device)
 }
 
-/// All losses and their gradient for a constant prediction of a constant frame.
+/// All losses, and the gradient of their total, for a constant prediction on a constant frame.
 fn of_constants(
     size: [usize; 2],
     [flow, truth, valid, head]: [f32; 4],
@@ -204,12 +203,12 @@ fn constant_images_and_flows_have_no_variation() {
 }
 
 #[test]
-fn what_cannot_be_learnt_from_has_neither_loss_nor_gradient() {
+fn without_valid_pixels_losses_and_gradients_are_zero() {
     for (sequence, size) in
         SEQUENCE_LOSSES.iter().flat_map(|loss| [[6, 5], [1, 5], [1, 1]].map(|size| (loss, size)))
     {
         let config = LossConfig { sequence, ..all() };
-        // No valid pixel, whatever the truth holds; no pixel of the head.
+        // No valid pixel, whatever the values of the truth, and no head.
         for truth in [0.0, f32::NAN, f32::INFINITY] {
             let (parts, grad) = of_constants(size, [3.0, truth, 0.0, 0.0], &config);
             assert!(
@@ -217,11 +216,11 @@ fn what_cannot_be_learnt_from_has_neither_loss_nor_gradient() {
                 "{sequence:?} {size:?}: {parts:?}, {grad:?}"
             );
         }
-        // An unknown truth that claims to be valid.
+        // A NaN truth that is marked valid.
         let (parts, grad) = of_constants(size, [3.0, f32::NAN, 1.0, 1.0], &config);
         assert!(parts.iter().chain(&grad).all(|x| *x == 0.0), "{sequence:?} {size:?}: {parts:?}, {grad:?}");
     }
-    // Zero flow that is right: the distance has no slope there, and none is made up.
+    // A correct prediction of zero, where the distance is not differentiable.
     for sequence in [sequence("l1"), sequence("l2")] {
         let (parts, grad) =
             of_constants([4, 4], [0.0; 4].map(|x| x + 0.0), &LossConfig { sequence, ..all() });
@@ -231,9 +230,9 @@ fn what_cannot_be_learnt_from_has_neither_loss_nor_gradient() {
     }
 }
 
-/// With frames in 0..255, the base of MIGAR's weights overflows and the weights underflow: the loss must not notice.
+/// With frames in 0..255, the base of MIGAR's weights overflows and the weights underflow.
 #[test]
-fn the_harshest_frames_give_finite_weights() {
+fn frames_of_the_highest_contrast_give_finite_losses() {
     let device = Device::flex().autodiff();
     let [height, width] = [8, 10];
     let checkers: Vec<f32> = (0..3 * height * width)
@@ -254,9 +253,10 @@ fn the_harshest_frames_give_finite_weights() {
     assert!(parts.iter().chain(&grad).all(|x| x.is_finite()), "{parts:?}");
 }
 
-/// By hand: of a head of 3x3 pixels in 5x6 the middle alone has no gradient of the mask. A flow of 2 is 2 there and 0 around.
+/// Computed by hand: for a head of 3x3 pixels in a 5x6 image, only the gradient of the mask at the centre is zero. A flow of 2 is
+/// masked to 2 there and 0 elsewhere.
 #[test]
-fn a_mask_keeps_the_inside_of_the_head() {
+fn the_mask_keeps_only_the_interior_of_the_head() {
     let device = Device::flex().autodiff();
     let [height, width] = [5, 6];
     let inside = |i: usize| (1..4).contains(&(i / width)) && (1..4).contains(&(i % width));
@@ -272,13 +272,13 @@ fn a_mask_keeps_the_inside_of_the_head() {
         let losses = losses(config, &[flow.into()], &inputs).expect("a loss");
         number(losses.parts.into_iter().find(|(name, _)| *name == part).expect(part).1)
     };
-    // The kernel's absolute values sum to 8; for x and y, and for u and v.
+    // The absolute values of the kernel sum to 8; twice for x and y, twice for u and v.
     let expected = 2.0 * 8.0 * 2.0 * 2.0 / (height * width) as f32;
     for part in ["migar", "igvar"] {
         let found = value(&only(part), part);
         assert!((found - expected).abs() < 1e-5, "{part}: {found} for {expected}");
     }
-    // As printed, it is the pixel at the top left corner alone, whose derivatives reach as far.
+    // As printed, the mask keeps only the top left pixel, whose derivatives have the same sum.
     let literal = LossConfig { m_total: MaskReading::Literal, ..only("migar") };
     assert!((value(&literal, "migar") - expected).abs() < 1e-5);
     assert_eq!(value(&all(), "tvr"), 0.0);
@@ -286,7 +286,7 @@ fn a_mask_keeps_the_inside_of_the_head() {
 }
 
 #[test]
-fn without_a_mask_every_pixel_is_of_the_head() {
+fn without_a_mask_every_pixel_counts_as_head() {
     let golden = golden();
     let device = Device::flex().autodiff();
     let with = |foreground| LossInputs { foreground, ..inputs(&golden, &device) };
@@ -299,7 +299,7 @@ fn without_a_mask_every_pixel_is_of_the_head() {
 }
 
 #[test]
-fn later_predictions_count_more() {
+fn later_predictions_have_larger_weights() {
     let device = Device::flex().autodiff();
     let size = [4, 4];
     let inputs = LossInputs {
@@ -314,7 +314,7 @@ fn later_predictions_count_more() {
 }
 
 #[test]
-fn settings_that_make_no_sense_are_named() {
+fn invalid_settings_are_reported() {
     let message = |config: LossConfig| config.check().expect_err("wrong").to_string();
     assert_eq!(all().check(), Ok(()));
     assert_eq!(

@@ -1,4 +1,4 @@
-//! AdamW, clipping and the schedule against PyTorch; golden values by `tools/parity/optimizer.py`.
+//! AdamW, clipping and the schedule against PyTorch (golden values: `tools/parity/optimizer.py`).
 
 use srflow_nn::{AdamW, AdamWState, Layout, Rounding, Segment, clip_norm};
 use srflow_train::schedule::OneCycle;
@@ -14,7 +14,7 @@ fn tensor(size: usize, seed: usize) -> impl Iterator<Item = f32> {
 }
 
 #[test]
-fn the_schedule_is_pytorchs() {
+fn the_schedule_matches_pytorch() {
     for schedule in golden()["schedules"].as_array().expect("schedules") {
         let one_cycle = OneCycle {
             peak: schedule["peak"].as_f64().expect("peak"),
@@ -30,7 +30,7 @@ fn the_schedule_is_pytorchs() {
 }
 
 #[test]
-fn a_schedule_of_any_length_has_a_rate_at_any_step() {
+fn schedules_of_any_length_have_a_valid_rate_at_every_step() {
     for total_steps in [0, 1, 2, 19, 20, 21] {
         let one_cycle = OneCycle { peak: 1.0, total_steps, rising: 0.05 };
         for step in 0..30 {
@@ -41,7 +41,7 @@ fn a_schedule_of_any_length_has_a_rate_at_any_step() {
 }
 
 #[test]
-fn steps_and_clipping_are_pytorchs() {
+fn steps_and_clipping_match_pytorch() {
     let sizes = [SIZES[0], SIZES[1], 3];
     let mut end = 0;
     let layout = Layout::from_segments(

@@ -9,7 +9,7 @@ use srflow_field::write_file;
 use srflow_ops::device;
 use srflow_train::config::{Config, PRESETS};
 use srflow_train::training_log::{Record, StepRecord, read_log};
-use srflow_train::{Beginning, Event, Outcome, Start, config_of_run, report, train};
+use srflow_train::{Event, Outcome, RunMode, Start, config_of_run, report, train};
 
 use crate::networks::{note_if_ambiguous, weights_file};
 use crate::output::exit_stopped;
@@ -159,14 +159,14 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
             "--resume continues with the configuration of the run: leave out options that would change it"
         );
     }
-    let (mut config, out, beginning) = match (args.resume, args.out) {
-        (Some(run), _) => (config_of_run(&run)?, run, Beginning::Resume),
+    let (mut config, out, mode) = match (args.resume, args.out) {
+        (Some(run), _) => (config_of_run(&run)?, run, RunMode::Resume),
         (None, out) => {
             let config = match &args.config {
                 Some(name) => Config::read(name)?,
                 None => Config::default(),
             };
-            (args.overrides.apply(config)?, out.unwrap_or_default(), Beginning::New)
+            (args.overrides.apply(config)?, out.unwrap_or_default(), RunMode::New)
         }
     };
     if args.print_config {
@@ -176,13 +176,13 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
         }
         return say!("{}", config.to_toml().trim_end());
     }
-    if beginning == Beginning::New {
+    if mode == RunMode::New {
         find_weights(&mut config)?;
     }
     let devices = args.device.iter().map(|name| device(name)).collect::<Result<Vec<_>, _>>()?;
     let mut progress = Progress::new();
     let result =
-        train(&config, &devices, &out, beginning, args.stop_after_step, &mut |event| progress.show(&event));
+        train(&config, &devices, &out, mode, args.stop_after_step, &mut |event| progress.show(&event));
     progress.finish();
     let outcome = result?;
     if outcome.stopped {

@@ -3,43 +3,42 @@ use srflow_field::Size;
 use srflow_read::augment::AugmentConfig;
 use srflow_read::flow::TruthDensity;
 
-/// How samples are changed at random before they are used.
+/// Random augmentation of the training samples. Probabilities are in `0..=1`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct AugmentationConfig {
-    /// Which of SKFlow's two augmentations.
     pub kind: AugmentationKind,
-    /// Limits of the base-2 logarithm of the scale.
+    /// Range of the base-2 logarithm of the scale.
     pub log2_scale: [f32; 2],
-    /// How often a sample is scaled at all.
+    /// Probability of scaling a sample.
     pub scale_probability: f32,
-    /// How often a sample is mirrored left to right.
+    /// Probability of a horizontal flip.
     pub horizontal_flip: f32,
-    /// How often a sample with dense truth is mirrored top to bottom.
+    /// Probability of a vertical flip, for samples with dense ground truth.
     pub vertical_flip: f32,
-    /// How often frame 2 is cropped somewhere else than frame 1, which adds one motion to the whole flow; not SKFlow's.
+    /// Probability of cropping frame 2 at an offset from frame 1, which adds a constant to the flow; not in SKFlow.
     pub shift_probability: f32,
-    /// How far at most, in pixels of the crop.
+    /// Largest offset, in pixels of the crop.
     pub max_shift: u32,
-    /// How often one or two rectangles of frame 2 are painted over.
+    /// Probability of erasing one or two rectangles of frame 2.
     pub eraser_probability: f32,
-    /// Limits of a rectangle's sides, in pixels of the frame before it is scaled.
+    /// Range of the sides of a rectangle, in pixels of the unscaled frame.
     pub eraser_sides: [u32; 2],
-    /// How much colours change: 1 as in SKFlow, 0 not at all.
+    /// Strength of the colour jitter: 1 as in SKFlow, 0 for none.
     pub color: f32,
 }
 
-/// Which of SKFlow's augmentations.
+/// SKFlow's dense or sparse augmentation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum AugmentationKind {
-    /// Sparse for datasets whose truth is sparse (KITTI, HD1K), dense for all others.
+    /// Sparse for datasets with sparse ground truth (KITTI, HD1K), dense for all others.
     Auto,
     /// For flow that is known nearly everywhere.
     Dense,
     /// For flow that is known at some pixels.
     Sparse,
-    /// A crop at a random place, and nothing else.
+    /// Only a random crop.
     None,
 }
 
@@ -48,7 +47,7 @@ impl Default for AugmentationConfig {
         let skflow = AugmentConfig::default();
         Self {
             kind: AugmentationKind::Auto,
-            // SKFlow's range for Sintel, the set whose frames resemble SRFlow's most.
+            // SKFlow's range for Sintel, whose frames are the most similar to SRFlow's.
             log2_scale: [-0.2, 0.6],
             scale_probability: skflow.scale_probability,
             horizontal_flip: skflow.horizontal_flip,
@@ -63,7 +62,7 @@ impl Default for AugmentationConfig {
 }
 
 impl AugmentationConfig {
-    /// What is done to samples whose truth is dense or sparse.
+    /// The augmentation of samples with this density of ground truth.
     pub(crate) fn settings(&self, truth: TruthDensity, crop: Size) -> AugmentConfig {
         let crop = [crop.width, crop.height];
         let sparse = match self.kind {

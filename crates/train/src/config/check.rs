@@ -1,29 +1,29 @@
-//! Whether the numbers of a configuration make sense.
+//! Validates the values of a configuration.
 
 use burn::tensor::Device;
 
 use super::{Config, ConfigError};
 use crate::loss::LossError;
 
-/// More iterations than anybody uses; a typing mistake would fill the memory.
+/// More than any network needs; larger values are typing mistakes that would exhaust memory.
 const MOST_ITERATIONS: usize = 200;
 
 impl Config {
-    /// Whether every number makes sense. Files and folders are not looked at.
+    /// Checks every value, without accessing any files.
     ///
     /// # Errors
-    /// Names the first key whose value does not, and what it may be.
+    /// Names the first key with an invalid value, and what was expected.
     pub fn check(&self) -> Result<(), ConfigError> {
         let training = &self.training;
         let validation = &self.validation;
         let whole = |key, value: usize, least: usize, most: usize| {
             let found = value.to_string();
             Key { key, found, expected: format!("a whole number from {least} to {most}") }
-                .holds((least..=most).contains(&value))
+                .require((least..=most).contains(&value))
         };
         let number = |key, value: f64, expected: &str, fine: bool| {
             Key { key, found: value.to_string(), expected: expected.to_owned() }
-                .holds(fine && value.is_finite())
+                .require(fine && value.is_finite())
         };
         whole("data.workers", self.data.workers, 1, 256)?;
         whole("data.prefetch", self.data.prefetch, 1, 4096)?;
@@ -53,11 +53,11 @@ impl Config {
             return Err(LossError::NoMixture.into());
         }
         let found = network.name.to_owned();
-        Key { key: "network.architecture", found, expected: "a network that can be trained here".to_owned() }
-            .holds(network.trains)?;
-        let expected = format!("false: the refinements of {} are not computed one by one", network.name);
+        Key { key: "network.architecture", found, expected: "a network that can be trained".to_owned() }
+            .require(network.trains)?;
+        let expected = format!("false: {} cannot compute its iterations one by one", network.name);
         Key { key: "training.recompute", found: training.recompute.to_string(), expected }
-            .holds(network.recompute || !training.recompute)?;
+            .require(network.recompute || !training.recompute)?;
         let mut network = self.network.architecture.init(&Device::flex());
         for (name, value) in &self.network.settings {
             network.set(name, *value)?;
@@ -74,7 +74,7 @@ struct Key {
 }
 
 impl Key {
-    fn holds(self, fine: bool) -> Result<(), ConfigError> {
+    fn require(self, fine: bool) -> Result<(), ConfigError> {
         if fine {
             return Ok(());
         }

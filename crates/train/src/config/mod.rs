@@ -1,4 +1,4 @@
-//! The configuration of a training run: one TOML file; each key can be overridden on the command line.
+//! The configuration of a training run: a TOML file, each key of which can be overridden on the command line.
 
 mod augmentation;
 mod check;
@@ -18,7 +18,8 @@ pub use augmentation::{AugmentationConfig, AugmentationKind};
 pub use read::{ConfigError, PRESETS, Preset};
 pub use text::Source;
 
-/// A training run. The default is the paper's retrained SKFlow (section V-A1); what the paper leaves open is SKFlow's.
+/// Configuration of a training run. The default is the paper's retrained SKFlow (section V-A1), with SKFlow's own settings where
+/// the paper gives none.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
@@ -39,29 +40,28 @@ pub struct NetworkConfig {
     pub architecture: Architecture,
     /// Weights to start from, PyTorch or safetensors; empty for random ones.
     pub weights: PathBuf,
-    /// What batch norm does.
     pub batch_norm: BatchNorm,
-    /// Settings of the network, by name; the others are its own.
+    /// Settings of the network by name; those left out keep their defaults.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub settings: BTreeMap<String, usize>,
 }
 
-/// Where the statistics of batch norm come from.
+/// Source of the statistics of batch norm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum BatchNorm {
-    /// Frozen when training starts from weights, as the authors of RAFT fine-tune; live from random ones.
+    /// `Frozen` when training starts from weights, as RAFT's authors do for fine-tuning; otherwise `Live`.
     Auto,
-    /// From the batch, and the running ones follow. For training from random weights.
+    /// Use the statistics of the batch and update the running ones. For training from random weights.
     Live,
-    /// The running ones, unchanged. For fine-tuning, and for batches too small for statistics.
+    /// Use the running statistics and leave them unchanged. For fine-tuning, and for batches too small for statistics.
     Frozen,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DataConfig {
-    /// Datasets: `KIND:DIR`, `@SPLIT` for another split than `train`, `*TIMES` for a pair to come several times in an
+    /// Datasets: `KIND:DIR`, then `@SPLIT` for a split other than `train`, then `*TIMES` to repeat each pair that often in an
     /// epoch.
     #[serde(with = "text::by_texts")]
     pub train: Vec<Source>,
@@ -70,7 +70,7 @@ pub struct DataConfig {
     pub crop: Size,
     /// Threads that read and augment pairs.
     pub workers: usize,
-    /// Pairs that are read ahead.
+    /// Most pairs that are prefetched.
     pub prefetch: usize,
 }
 
@@ -79,61 +79,61 @@ pub struct DataConfig {
 pub struct TrainingConfig {
     /// Seed of every random choice.
     pub seed: u64,
-    /// Times that every pair is used; what does not fill a batch at the end of an epoch is left out.
+    /// Passes over the data; an incomplete last batch of an epoch is dropped.
     pub epochs: u64,
-    /// Steps, whatever the epochs; 0 for as many as the epochs take.
+    /// Training steps, overriding `epochs`; 0 to train for `epochs`.
     pub steps: u64,
-    /// Pairs in a step.
+    /// Pairs per step.
     pub batch: usize,
-    /// Parts that a batch is cut into, one after the other through the network, to save memory.
+    /// Parts that a batch is split into, processed one after another to save memory.
     pub accumulate: usize,
-    /// Refinements of the network.
+    /// Refinement iterations of the network.
     pub iterations: usize,
-    /// Keep only the hidden state of each refinement and compute the rest again on the way back: less memory, more time,
-    /// the same gradients.
+    /// Store only the hidden state of each iteration and recompute the rest in the backward pass: less memory, more time, the
+    /// same gradients.
     pub recompute: bool,
-    /// The greatest learning rate of the cycle.
+    /// The peak learning rate of the one-cycle schedule.
     pub learning_rate: f64,
     /// Share of the cycle in which the learning rate rises.
     pub rising: f64,
-    /// Steps that the cycle is longer than the training.
+    /// Steps by which the cycle is longer than the training.
     pub extra_steps: u64,
     /// AdamW's weight decay.
     pub weight_decay: f64,
     /// AdamW's epsilon.
     pub epsilon: f64,
-    /// AdamW's decay rates.
+    /// AdamW's betas: decay rates of its averages.
     pub betas: [f64; 2],
-    /// The greatest norm of all gradients together; longer ones are scaled down.
+    /// Largest norm of all gradients; larger ones are scaled down to it.
     pub clip: f64,
-    /// Steps with a loss that is not finite, one after the other, that end the run. Each is skipped.
+    /// Consecutive steps with a non-finite loss or gradient after which the run ends; fewer are skipped.
     pub bad_steps: u64,
 }
 
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct ValidationConfig {
-    /// Datasets, as in `data.train`; the usual split is `val`. Without any, those of `data.train` that have one. The
-    /// first decides which checkpoint is the best.
+    /// Datasets, as in `data.train`, with the default split `val`. If empty, the `val` splits of `data.train`. The first decides
+    /// which checkpoint is the best.
     #[serde(with = "text::by_texts")]
     pub data: Vec<Source>,
-    /// Steps between two validations; 0 for one at the end of each epoch.
+    /// Steps between two validations; 0 for one after each epoch.
     pub every: u64,
-    /// Refinements; 0 for as many as in training.
+    /// Refinement iterations of the network; 0 for as many as in training.
     pub iterations: usize,
-    /// Size of the window around the head that is scored, WIDTHxHEIGHT; empty for whole frames.
+    /// Size of the scored window around the head, WIDTHxHEIGHT; empty for whole frames.
     #[serde(with = "text::optional_size")]
     pub crop: Option<Size>,
-    /// Score only so many pairs of each dataset, spread evenly; 0 for all.
+    /// Score only this many pairs of each dataset, spread evenly; 0 for all.
     pub limit: usize,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CheckpointConfig {
-    /// Steps between two checkpoints; 0 for one at the end of each epoch. The last step has one in any case.
+    /// Steps between two checkpoints; 0 for one after each epoch. The last step always has one.
     pub every: u64,
-    /// How many of the last ones are kept, beside the best.
+    /// Number of latest checkpoints to keep, in addition to the best.
     pub keep: usize,
 }
 
@@ -149,20 +149,20 @@ impl Default for NetworkConfig {
 }
 
 impl NetworkConfig {
-    /// The network with random parameters.
+    /// A network with these settings and random parameters.
     pub(crate) fn init(&self, device: &Device) -> Network {
         self.with_settings(self.architecture.init(device))
     }
 
-    /// Panics where the settings were not [checked](Config::check).
+    /// `network` with these settings. Panics when they are invalid; see [`Config::check`].
     pub(crate) fn with_settings(&self, mut network: Network) -> Network {
         for (name, value) in &self.settings {
-            network.set(name, *value).expect("settings that were checked");
+            network.set(name, *value).expect("checked settings");
         }
         network
     }
 
-    /// Whether batch norm takes its statistics from the batches.
+    /// Whether batch norm uses the statistics of the batch.
     pub fn has_live_batch_norm(&self) -> bool {
         match self.batch_norm {
             BatchNorm::Auto => self.weights.as_os_str().is_empty(),

@@ -1,4 +1,4 @@
-//! Configurations from files, presets and the command line.
+//! Reads configurations from files, presets and the command line.
 
 use std::path::Path;
 
@@ -9,19 +9,15 @@ use toml::{Table, Value};
 use super::Config;
 use crate::loss::LossError;
 
-/// Why a configuration cannot be used.
+/// Errors of reading or checking a configuration.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
-    #[error("{error}; give a TOML file or one of the presets: {presets}")]
-    Read {
-        /// The file and what the system says.
-        error: FileError,
-        presets: String,
-    },
+    #[error("{error}; pass a TOML file or one of the presets: {presets}")]
+    Read { error: FileError, presets: String },
     #[error("{file}: {reason}")]
     File {
         file: String,
-        /// The line, the key and what was expected.
+        /// Names the line and the key, and what was expected.
         reason: String,
     },
     #[error("--set {given}: {reason}")]
@@ -34,10 +30,11 @@ pub enum ConfigError {
     Loss(#[from] LossError),
 }
 
-/// A configuration that comes with the program.
+/// A built-in configuration.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Preset {
     pub name: &'static str,
+    /// TOML.
     pub text: &'static str,
 }
 
@@ -47,8 +44,7 @@ macro_rules! presets {
     };
 }
 
-/// The configurations that come with the program: the rows of the paper's Tables III and V, SEA-RAFT, and two that
-/// a small computer manages.
+/// The built-in configurations: the rows of the paper's Tables III and V, SEA-RAFT, and two for small computers.
 pub const PRESETS: &[Preset] = presets![
     "skflow",
     "rpknet",
@@ -64,10 +60,10 @@ pub const PRESETS: &[Preset] = presets![
 ];
 
 impl Config {
-    /// The preset of that name, else the file at that path.
+    /// Reads the preset called `name`, or else the file at that path.
     ///
     /// # Errors
-    /// When there is neither, or the file is no configuration.
+    /// When neither exists, or the file is not a valid configuration.
     pub fn read(name: &Path) -> Result<Self, ConfigError> {
         if let Some(preset) = PRESETS.iter().find(|preset| Path::new(preset.name) == name) {
             return Self::parse(preset.text, &format!("preset {}", preset.name));
@@ -79,7 +75,7 @@ impl Config {
         Self::parse(&text, &name.display().to_string())
     }
 
-    /// A configuration from its text; `file` is what errors call it. What the text leaves out has its default.
+    /// Parses TOML; missing keys have their defaults. Errors call the text `file`.
     ///
     /// # Errors
     /// Names the line and the key.
@@ -90,16 +86,15 @@ impl Config {
         })
     }
 
-    /// As TOML, with every key.
+    /// This configuration as TOML, with every key.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a configuration is a table of plain values")
     }
 
-    /// With another value of one key: `KEY=VALUE`, the key with its section, e.g. `training.batch=4`. A text needs no
-    /// quotes.
+    /// This configuration with one key changed: `SECTION.KEY=VALUE`, e.g. `training.batch=4`. Strings need no quotes.
     ///
     /// # Errors
-    /// When there is no such key or the value is not of its kind.
+    /// When the key does not exist, or the value has the wrong type.
     pub fn with_override(&self, given: &str) -> Result<Self, ConfigError> {
         let wrong = |reason: String| ConfigError::Override { given: given.to_owned(), reason };
         let (key, value) = given
@@ -115,9 +110,9 @@ impl Config {
             .and_then(Value::as_table_mut)
             .map(|keys| (names(keys), keys.get_mut(name)));
         match place {
-            None => return Err(wrong(format!("no section `{section}`; there are {}", names(&table)))),
+            None => return Err(wrong(format!("no section `{section}`; the sections are {}", names(&table)))),
             Some((keys, None)) => {
-                return Err(wrong(format!("no key `{name}` in [{section}]; there are {keys}")));
+                return Err(wrong(format!("no key `{name}` in [{section}]; the keys are {keys}")));
             }
             Some((_, Some(place))) => *place = parsed(value),
         }
@@ -133,7 +128,7 @@ fn names(table: &Table) -> String {
     table.keys().map(String::as_str).collect::<Vec<_>>().join(", ")
 }
 
-/// A number, truth value or list as TOML has them; anything else is text.
+/// A TOML value, or else a string.
 fn parsed(value: &str) -> Value {
     let line = format!("value = {value}");
     match line.parse::<Table>() {
@@ -162,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn mistakes_are_named_with_their_line() {
+    fn parse_errors_name_the_line_and_the_key() {
         let error = Config::parse("[training]\nbatch = 4\nlr = 1\n", "my.toml").expect_err("no key lr");
         let message = error.to_string();
         for part in ["my.toml", "line 3", "`lr`", "learning_rate"] {

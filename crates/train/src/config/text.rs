@@ -1,19 +1,18 @@
-//! Values that a configuration writes as one word.
+//! Configuration values that are written as strings.
 
 use std::fmt;
 use std::str::FromStr;
 
 use srflow_read::flow::{DatasetSpec, Split};
 
-/// A dataset in a mix: `KIND:DIR`, then `@SPLIT` for another split than the usual one, then `*TIMES` for how often each
-/// of its pairs comes in an epoch, e.g. `sintel-clean:/data/Sintel@all*100`.
+/// A dataset in a mix: `KIND:DIR`, then `@SPLIT` for a split other than the default, then `*TIMES` to repeat each pair that often
+/// in an epoch, e.g. `sintel-clean:/data/Sintel@all*100`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Source {
-    /// Kind and folder.
     pub spec: DatasetSpec,
-    /// The split asked for.
+    /// `None` for the default split.
     pub split: Option<Split>,
-    /// How often each pair comes in an epoch, at least once.
+    /// Occurrences of each pair in an epoch, at least 1.
     pub times: usize,
 }
 
@@ -47,7 +46,7 @@ impl FromStr for Source {
     }
 }
 
-/// Serde for what is written as its `Display` text.
+/// Serde through `Display` and `FromStr`.
 pub(super) mod by_text {
     use std::fmt::Display;
     use std::str::FromStr;
@@ -67,7 +66,7 @@ pub(super) mod by_text {
     }
 }
 
-/// Serde for a list of what is written as its `Display` text; one alone needs no brackets.
+/// Serde for lists through `Display` and `FromStr`; a single element needs no brackets.
 pub(super) mod by_texts {
     use std::fmt::Display;
     use std::str::FromStr;
@@ -98,7 +97,7 @@ pub(super) mod by_texts {
     }
 }
 
-/// Serde for a size that may be left out, as empty text.
+/// Serde for an optional size; an empty string is `None`.
 pub(super) mod optional_size {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
     use srflow_field::Size;
@@ -116,7 +115,7 @@ pub(super) mod optional_size {
     }
 }
 
-/// Serde for a network by its name.
+/// Serde for networks by name.
 pub(super) mod architecture {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
     use srflow_nets::Architecture;
@@ -129,7 +128,7 @@ pub(super) mod architecture {
         let name = String::deserialize(deserializer)?;
         Architecture::from_name(&name).ok_or_else(|| {
             let names = Architecture::ALL.map(Architecture::name).join(", ");
-            Error::custom(format!("`{name}` is no network; there are {names}"))
+            Error::custom(format!("`{name}` is not a network; expected one of {names}"))
         })
     }
 }
@@ -139,7 +138,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sources_are_read_from_the_end() {
+    fn sources_are_parsed_from_the_end() {
         let source: Source = "sintel-clean:/data/a@b/Sintel@all*100".parse().unwrap();
         assert_eq!((source.split, source.times), (Some(Split::All), 100));
         assert_eq!(source.spec.dir.to_str(), Some("/data/a@b/Sintel"));

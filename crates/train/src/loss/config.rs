@@ -4,37 +4,36 @@ use srflow_nets::LaplaceMixture;
 use super::table::{Regularizer, SEQUENCE_LOSSES, SequenceLoss};
 use super::{LossError, fdr, igvar, migar, tvr};
 
-/// The table of regularizers, and the settings of the loss with a weight for each.
+/// Defines the table of regularizers, and the loss settings with a weight for each.
 macro_rules! regularizers {
     ($($name:ident),*) => {
         /// Every regularizer, in the paper's order.
         pub static REGULARIZERS: &[Regularizer] = &[$($name::REGULARIZER),*];
 
-        /// What is minimised: one sequence loss, and any of the regularizers.
+        /// Settings of the loss: one sequence loss, and any of the regularizers.
         #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
         #[serde(default, deny_unknown_fields)]
         pub struct LossConfig {
-            /// How a predicted flow is compared with the truth, by its name.
             #[serde(with = "sequence_name")]
             pub sequence: &'static SequenceLoss,
-            /// Each prediction counts `gamma` times what the next one does, in the sequence loss and in every regularizer;
-            /// in (0, 1]. SKFlow: 0.8, and 0.85 for fine-tuning on Sintel and KITTI.
+            /// Decay of the weight from each prediction to the one before, for the sequence loss and the regularizers; in
+            /// (0, 1]. SKFlow: 0.8, and 0.85 for fine-tuning on Sintel and KITTI.
             pub gamma: f64,
-            /// A pixel whose true motion is this long or longer does not count in the sequence loss, in pixels.
+            /// The sequence loss ignores pixels whose true motion is at least this long, in pixels.
             pub max_magnitude: f64,
-            /// Limits of the mixture's log scales: of the first component 0 and the second number, of the other the first
-            /// number and 0. SEA-RAFT: 0 and 10.
+            /// Clamps the log scales of the mixture: `[0, second]` for the first component, `[first, 0]` for the other.
+            /// SEA-RAFT: 0 and 10.
             pub log_scale_range: [f64; 2],
             $(
-                /// Weight of the regularizer of this name, 0 for none.
+                /// Weight of the regularizer, 0 to turn it off.
                 pub $name: f64,
             )*
-            /// Which pixels of the head MIGAR and IGVAR look at.
+            /// Mask of MIGAR and IGVAR.
             pub m_total: MaskReading,
-            /// What lies outside the image for the Sobel operator.
+            /// Padding of the Sobel operator.
             pub border: Border,
-            /// The value of a white pixel when the first frame's gradients are taken for MIGAR and IGVAR. 255, or 1 for
-            /// frames in 0..1.
+            /// Value of a white pixel in the first frame when MIGAR and IGVAR compute its gradients: 255, or 1 for frames in
+            /// 0..1.
             pub image_max: f64,
         }
 
@@ -55,7 +54,7 @@ macro_rules! regularizers {
         }
 
         impl LossConfig {
-            /// The weight of a regularizer; 0 where it is off.
+            /// The weight of a regularizer; 0 if it is off.
             pub fn weight(&self, regularizer: &Regularizer) -> f64 {
                 [$(($name::REGULARIZER.name, self.$name)),*]
                     .into_iter()
@@ -63,7 +62,7 @@ macro_rules! regularizers {
                     .unwrap_or(0.0)
             }
 
-            /// This configuration with another weight of one regularizer.
+            /// This configuration with the weight of one regularizer changed.
             pub fn with(mut self, regularizer: &Regularizer, weight: f64) -> Self {
                 for (name, place) in [$(($name::REGULARIZER.name, &mut self.$name)),*] {
                     if name == regularizer.name {
@@ -78,42 +77,42 @@ macro_rules! regularizers {
 
 regularizers!(tvr, fdr, migar, igvar);
 
-/// How the paper's formula of `M_total` (equation 16) is read.
+/// Reading of the paper's formula of `M_total` (equation 16).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MaskReading {
-    /// The pixels of the head at which the mask's gradient is zero: all but the outline.
+    /// The head pixels where the gradient of the mask is zero: all but the outline.
     Interior,
-    /// The pixels of the head at which both components of the mask's gradient are above zero, as it is printed: only those
-    /// on outlines that face up and to the left.
+    /// The head pixels where both components of the gradient of the mask are positive, as printed: only the parts of the
+    /// outline that face up and left.
     Literal,
 }
 
-/// What lies outside the image for the Sobel operator.
+/// Padding of the Sobel operator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Border {
-    /// The nearest pixel, so that a constant image has no gradient anywhere.
+    /// The nearest pixel, so that a constant image has zero gradients everywhere.
     Replicate,
-    /// Zeros, as a convolution with padding has.
+    /// Zeros, as in a padded convolution.
     Zero,
 }
 
 impl LossConfig {
-    /// Whether every number makes sense.
+    /// Checks every value.
     ///
     /// # Errors
-    /// Names the first that does not, and what it may be.
+    /// Names the first key with an invalid value, and what was expected.
     pub fn check(&self) -> Result<(), LossError> {
-        let holds = |key, found: String, expected, fine: bool| match fine {
+        let require = |key, found: String, expected, fine: bool| match fine {
             true => Ok(()),
             false => Err(LossError::Setting { key, found, expected }),
         };
-        let number = |key, value: f64, expected, fine| holds(key, value.to_string(), expected, fine);
+        let number = |key, value: f64, expected, fine| require(key, value.to_string(), expected, fine);
         let Self { gamma, max_magnitude, image_max, log_scale_range: [low, high], .. } = *self;
         number("gamma", gamma, "a number above 0 and at most 1", gamma > 0.0 && gamma <= 1.0)?;
         number("max_magnitude", max_magnitude, "a length above 0, in pixels", max_magnitude > 0.0)?;
-        holds(
+        require(
             "log_scale_range",
             format!("[{low}, {high}]"),
             "[a, b] with -50 <= a <= 0 <= b <= 50",
@@ -129,7 +128,7 @@ impl LossConfig {
     }
 }
 
-/// A sequence loss by its name.
+/// Serde for sequence losses by name.
 mod sequence_name {
     use serde::{Deserialize, Deserializer, Serializer, de::Error};
 
@@ -145,7 +144,7 @@ mod sequence_name {
         let name = String::deserialize(deserializer)?;
         SEQUENCE_LOSSES.iter().find(|loss| loss.name == name).ok_or_else(|| {
             let names: Vec<&str> = SEQUENCE_LOSSES.iter().map(|loss| loss.name).collect();
-            Error::custom(format!("`{name}` is no sequence loss; there are {}", names.join(", ")))
+            Error::custom(format!("`{name}` is not a sequence loss; expected one of {}", names.join(", ")))
         })
     }
 }
@@ -165,13 +164,13 @@ mod tests {
         });
         for rows in [sequence.collect::<String>(), regularizers.collect()] {
             let at = docs.find(&rows).unwrap_or_else(|| panic!("docs/losses.md without the rows\n{rows}"));
-            assert!(docs[..at].ends_with("|\n"), "a heading above");
-            assert!(!docs[at + rows.len()..].starts_with('|'), "no row of something else below");
+            assert!(docs[..at].ends_with("|\n"), "expected a table header above");
+            assert!(!docs[at + rows.len()..].starts_with('|'), "unknown rows below");
         }
     }
 
     #[test]
-    fn each_regularizer_has_the_key_of_its_name() {
+    fn the_key_of_a_regularizer_is_its_name() {
         for regularizer in REGULARIZERS {
             let text = format!("{} = 0.25\n", regularizer.name);
             let config: LossConfig = toml::from_str(&text).expect(&text);

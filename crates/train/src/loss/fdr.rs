@@ -14,9 +14,9 @@ pub(super) const REGULARIZER: Regularizer = Regularizer {
 };
 
 /// The paper's equations 11 and 12 for one prediction (`[batch, 2, height, width]`): the absolute differences to the right and
-/// to the lower neighbour (stride 1) where `foreground` (`[batch, 1, height, width]`, `M_bg`) is 1 at the pixel itself,
-/// summed over both directions and both components, divided by the pixels of all images. The last column has no right
-/// neighbour and the last row no lower one: an image one pixel wide or high has no difference that way.
+/// lower neighbours (stride 1) of pixels where `foreground` (`M_bg`, `[batch, 1, height, width]`) is 1, summed over both
+/// directions and both components, and divided by the number of pixels of all images. The last column has no right neighbour,
+/// the last row no lower one.
 fn flow_difference(flow: Tensor<4>, foreground: &Tensor<4>, _: Border) -> Tensor<1> {
     let [batch, _, height, width] = flow.dims();
     let along = |dim: usize, size: usize| {

@@ -12,11 +12,11 @@ pub(super) const REGULARIZER: Regularizer = Regularizer {
     value: RegularizerValue::WeightedVariation { log_base },
 };
 
-/// The logarithm of the base of the weights, the paper's equation 19: `base = max(Var(G) / 100, e)`, the variance over the pixels of
-/// each image at which `foreground` is 1. Both `[batch, 1, height, width]`; the result is `[batch, 1, 1, 1]`.
+/// Logarithm of the base of the weights, `[batch, 1, 1, 1]`, by the paper's equation 19: `base = max(Var(G) / 100, e)`, where the
+/// variance is over the pixels of each image with `foreground` 1. Both inputs are `[batch, 1, height, width]`.
 ///
-/// The variance is that of a whole population (divided by the number of pixels), so that one pixel has one; no pixel at all
-/// has variance 0, which makes the base `e`.
+/// It is the population variance (divided by the number of pixels), which is defined for a single pixel. Without any pixel it is
+/// 0, and the base `e`.
 fn log_base(gradient: Tensor<4>, foreground: &Tensor<4>) -> Tensor<4> {
     let count = foreground.clone().sum_dims(&[2, 3]).clamp_min(1.0);
     let mean = |x: Tensor<4>| (x * foreground.clone()).sum_dims(&[2, 3]) / count.clone();

@@ -12,8 +12,8 @@ pub(super) const REGULARIZER: Regularizer = Regularizer {
     value: RegularizerValue::WeightedVariation { log_base },
 };
 
-/// The logarithm of the base of the weights, the paper's equation 14: the mean over all pixels of each image of `gradient` (`G`,
-/// `[batch, 1, height, width]`). As `[batch, 1, 1, 1]`.
+/// Logarithm of the base of the weights, `[batch, 1, 1, 1]`, by the paper's equation 14: the mean of `gradient` (`G`,
+/// `[batch, 1, height, width]`) over all pixels of each image.
 fn log_base(gradient: Tensor<4>, _: &Tensor<4>) -> Tensor<4> {
     gradient.mean_dims(&[2, 3])
 }

@@ -1,4 +1,4 @@
-//! Mixture of two Laplace distributions for each pixel (Wang, Lipson and Deng, *SEA-RAFT*, ECCV 2024, section 3.2).
+//! The mixture-of-Laplace loss (Wang, Lipson and Deng, *SEA-RAFT*, ECCV 2024, section 3.2).
 
 use burn::tensor::Tensor;
 use srflow_nets::LaplaceMixture;
@@ -31,7 +31,7 @@ fn negative_log_likelihood(
     log_sum_exp(wide_weight, narrow_weight) - log_sum_exp(wide, narrow)
 }
 
-/// `ln(e^a + e^b)`, in a form that neither overflows nor has a kink where `a = b`.
+/// `ln(e^a + e^b)` without overflow, and differentiable at `a = b`.
 fn log_sum_exp(a: Tensor<4>, b: Tensor<4>) -> Tensor<4> {
     let apart = (a.clone() - b.clone()).abs();
     (a + b + apart.clone()) * 0.5 + (-apart).exp().log1p()

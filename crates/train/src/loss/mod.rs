@@ -1,6 +1,6 @@
-//! What training minimises: a sequence loss (RAFT's, SKFlow's, SEA-RAFT's) and the paper's four regularizers for skin.
+//! Training losses: a sequence loss (RAFT's, SKFlow's, SEA-RAFT's) and the paper's four regularizers for skin.
 //!
-//! `docs/losses.md` says what the paper leaves open (image range, borders, reduction) and what is done here, and why.
+//! `docs/losses.md` explains the choices that the paper leaves open (image range, borders, reduction).
 
 mod config;
 mod fdr;
@@ -24,17 +24,17 @@ pub use table::{Regularizer, SEQUENCE_LOSSES, SequenceLoss};
 use table::RegularizerValue;
 use weighted_variation::{gradient_magnitude, total_mask, weighted_variation, weights};
 
-/// What a network gives after one iteration.
+/// The prediction of a network after one iteration.
 #[derive(Debug, Clone)]
 pub struct Prediction {
     /// Flow in pixels, `[batch, 2, height, width]` (u, v).
     pub flow: Tensor<4>,
-    /// How sure it is, for networks that say.
+    /// The distribution of the error of the flow, if the network predicts it.
     pub mixture: Option<LaplaceMixture>,
 }
 
 impl Prediction {
-    /// All flows of an estimate, the last one last.
+    /// The predictions of all iterations, in order.
     pub fn of(estimate: Estimate) -> Vec<Self> {
         let mixtures = estimate.mixtures.into_iter().map(Some).chain(std::iter::repeat(None));
         estimate.flows.into_iter().zip(mixtures).map(|(flow, mixture)| Self { flow, mixture }).collect()
@@ -42,28 +42,27 @@ impl Prediction {
 }
 
 impl From<Tensor<4>> for Prediction {
-    /// A flow alone.
     fn from(flow: Tensor<4>) -> Self {
         Self { flow, mixture: None }
     }
 }
 
-/// What a batch of predictions is held against. No gradient flows into any of it.
+/// Targets of the loss. No gradients flow into them.
 #[derive(Debug, Clone)]
 pub struct LossInputs {
-    /// True flow in pixels, `[batch, 2, height, width]` (u, v). It may be anything, NaN too, where it is not valid.
+    /// True flow in pixels, `[batch, 2, height, width]` (u, v). Values of invalid pixels are ignored and may be NaN.
     pub truth: Tensor<4>,
     /// 1 where the true flow is known, else 0: `[batch, 1, height, width]`.
     pub valid: Tensor<4>,
     /// The first frame as the network sees it, RGB in 0..1: `[batch, 3, height, width]`.
     pub first_frame: Tensor<4>,
-    /// `M_bg`: 1 on the head in the first frame, 0 on background, `[batch, 1, height, width]`. Without one, every pixel is
-    /// of the head.
+    /// `M_bg`: 1 on the head in the first frame, 0 on the background, `[batch, 1, height, width]`. `None` counts every pixel as
+    /// head.
     pub foreground: Option<Tensor<4>>,
 }
 
 impl LossInputs {
-    /// `M_bg` of zeros and ones.
+    /// `M_bg`, rounded to zeros and ones.
     fn foreground_or_all(&self) -> Tensor<4> {
         match &self.foreground {
             Some(mask) => mask.clone().greater_elem(0.5).float(),
@@ -75,41 +74,40 @@ impl LossInputs {
 /// The loss of a batch.
 #[derive(Debug, Clone)]
 pub struct Losses {
-    /// What to minimise: the sum of the parts.
+    /// The sum of the parts, to minimise.
     pub total: Tensor<1>,
-    /// `sequence`, then each regularizer that is on by its [name](Regularizer::name), all as they enter the total.
+    /// `sequence`, then each active regularizer by [name](Regularizer::name), weighted as in the total.
     pub parts: Vec<(&'static str, Tensor<1>)>,
 }
 
-/// Why there is no loss.
+/// Errors of computing a loss.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LossError {
     #[error("loss.{key} = {found}: expected {expected}")]
     Setting { key: &'static str, found: String, expected: &'static str },
-    /// The mixture of Laplace distributions was asked of a network that predicts none.
     #[error(
-        "loss.sequence = \"mixture-of-laplace\" needs a network that predicts a mixture beside the flow, as SEA-RAFT does: \
-         set it to \"l1\" or \"l2\", or train such a network"
+        "loss.sequence = \"mixture-of-laplace\" needs a network that also predicts a mixture, such as SEA-RAFT: set it to \
+         \"l1\" or \"l2\", or train such a network"
     )]
     NoMixture,
 }
 
-/// The loss of the predictions of all iterations, the last one last: `sum_i gamma^(n - 1 - i) L(prediction i)` for the sequence
-/// loss and each regularizer whose weight is not 0, times that weight.
+/// The loss of the predictions of all iterations, in order: `sum_i gamma^(n - 1 - i) L(prediction i)` for the sequence loss and
+/// for each active regularizer, times its weight.
 ///
-/// The sequence loss of one prediction, over the pixels that are valid and whose true motion is shorter than
+/// The sequence loss of one prediction is, where pixels count if they are valid and their true motion is shorter than
 /// [`LossConfig::max_magnitude`]:
-/// - L1: `|prediction - truth|` averaged over both components of all pixels of all images, those that do not count as 0;
-/// - L2: the distance of the two, averaged over all pixels of all images, those that do not count as 0;
-/// - mixture of Laplace: the negative log-likelihood averaged over both components of the pixels that count.
+/// - L1: `|prediction - truth|`, averaged over both components of all pixels; pixels that do not count contribute 0;
+/// - L2: the end-point error, averaged over all pixels; pixels that do not count contribute 0;
+/// - mixture of Laplace: the negative log-likelihood, averaged over both components of the pixels that count.
 ///
-/// A batch in which no pixel counts has a sequence loss of 0 and no gradient.
+/// If no pixel of the batch counts, sequence loss and gradient are 0.
 ///
 /// # Errors
-/// [`LossError::NoMixture`] when the predictions hold no mixture and the sequence loss needs one.
+/// [`LossError::NoMixture`] when the sequence loss needs a mixture that the predictions lack.
 ///
 /// # Panics
-/// When there is no prediction, or the tensors are empty or differ in size.
+/// Without predictions, or when tensors are empty or differ in size.
 pub fn losses(
     config: &LossConfig,
     predictions: &[Prediction],
@@ -122,11 +120,11 @@ pub fn losses(
     let mut parts = vec![("sequence", over_iterations(config.gamma, sequence))];
     parts.extend(regularizers(config, predictions, inputs));
     let total = parts.iter().map(|(_, part)| part.clone()).reduce(|sum, part| sum + part);
-    let total = total.expect("the sequence loss is there");
+    let total = total.expect("at least the sequence loss");
     Ok(Losses { total, parts })
 }
 
-/// Each regularizer that is on, of all predictions.
+/// The active regularizers over all predictions, weighted.
 fn regularizers(
     config: &LossConfig,
     predictions: &[Prediction],
@@ -151,7 +149,7 @@ fn regularizers(
     REGULARIZERS.iter().filter(|regularizer| config.weight(regularizer) != 0.0).map(part).collect()
 }
 
-/// The weight of each pixel, `[batch, 1, height, width]`, and the logarithm of the base, `[batch, 1, 1, 1]`.
+/// Weights of the pixels, `[batch, 1, height, width]`, and the logarithm of their base, `[batch, 1, 1, 1]`.
 fn pixel_weights(
     log_base: fn(Tensor<4>, &Tensor<4>) -> Tensor<4>,
     config: &LossConfig,
@@ -168,7 +166,7 @@ fn over_iterations(gamma: f64, losses: impl IntoIterator<Item = Tensor<1>>) -> T
     losses.into_iter().reduce(|sum, loss| sum * gamma + loss).expect("a loss needs a prediction")
 }
 
-/// The sum of all elements, row by row: in an order that does not depend on the threads.
+/// The sum of all elements. Row sums first make the order, and so the rounding, independent of the number of threads.
 fn sum(x: Tensor<4>) -> Tensor<1> {
     x.sum_dim(3).sum()
 }

@@ -1,4 +1,4 @@
-//! The regularizers of one flow, for looking at.
+//! The regularizers of a single flow, for inspection.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use serde::Serialize;
@@ -10,30 +10,30 @@ use super::{LossConfig, LossInputs, Prediction, REGULARIZERS, pixel_weights, reg
 /// The value of one regularizer.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FlowRegularizer {
-    /// Its name in configurations and logs.
+    /// Name in configurations and logs.
     pub name: &'static str,
     /// The paper's abbreviation.
     #[serde(skip)]
     pub title: &'static str,
-    /// What it adds to the loss with the paper's weight.
+    /// Its term of the loss, with the paper's weight.
     pub value: f64,
-    /// How MIGAR and IGVAR weight the pixels; nothing for the others.
+    /// Pixel weights of MIGAR and IGVAR; `None` for the others.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weights: Option<ImageWeights>,
 }
 
-/// The weights that an image gives its pixels.
+/// Statistics of the pixel weights.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ImageWeights {
     /// Natural logarithm of the base.
     pub log_base: f64,
-    /// The mean weight of the pixels of `M_total`; 0 when it has none.
+    /// Mean weight over the pixels of `M_total`; 0 when it is empty.
     pub mean_weight: f64,
-    /// How many pixels `M_total` has.
+    /// Number of pixels of `M_total`.
     pub pixels: usize,
 }
 
-/// Why a flow has no regularizers.
+/// Errors of [`regularizers_of_flow`].
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum RegularizerError {
     #[error(transparent)]
@@ -41,7 +41,7 @@ pub enum RegularizerError {
     #[error("the flow is {}x{} (WIDTHxHEIGHT): expected at least one pixel", .0.0, .0.1)]
     Empty((usize, usize)),
     #[error(
-        "the flow at pixel ({x}, {y}) is ({u}, {v}): a regularizer needs every pixel; an estimated flow has them"
+        "the flow at pixel ({x}, {y}) is ({u}, {v}): expected finite values at every pixel, as in an estimated flow"
     )]
     Unknown {
         x: usize,
@@ -53,11 +53,11 @@ pub enum RegularizerError {
     },
 }
 
-/// Every regularizer of one flow, as they enter the loss of a single prediction with the paper's weights. `head` is `M_bg`;
-/// without one, every pixel counts. Of `config` the reading of `M_total`, the border and the image's range matter.
+/// Every regularizer of one flow as a term of the loss of a single prediction, with the paper's weights. `head` is `M_bg`;
+/// without one, every pixel counts as head. Of `config`, only `m_total`, `border` and `image_max` are used.
 ///
 /// # Errors
-/// When the sizes differ, or the flow is empty or not known everywhere.
+/// When the sizes differ, the flow is empty, or a pixel of it is unknown.
 pub fn regularizers_of_flow(
     config: &LossConfig,
     flow: &FlowField,
@@ -111,7 +111,7 @@ pub fn regularizers_of_flow(
     Ok(described.collect())
 }
 
-/// `[1, N, height, width]` of a grid of pixels.
+/// Pixels, row-major, as a tensor `[1, N, height, width]`.
 fn planes<T: Copy, const N: usize>(
     (width, height): (usize, usize),
     pixels: &[[T; N]],

@@ -1,4 +1,4 @@
-//! The sequence loss of one prediction.
+//! The sequence loss of a single prediction.
 
 use burn::tensor::Tensor;
 
@@ -15,24 +15,24 @@ pub(super) const L1: SequenceLoss = SequenceLoss {
 pub(super) const L2: SequenceLoss = SequenceLoss {
     name: "l2",
     description: "end-point distance",
-    // The distance has no gradient at zero: below a millionth of a pixel it is held constant.
+    // The gradient of the square root is infinite at zero, so distances are clamped to at least 1e-6 pixels.
     distance: Distance::OfFlow(|difference| difference.square().sum_dim(1).clamp_min(1e-12).sqrt()),
     channels: 1,
 };
 
-/// The truth of a batch, prepared once for all predictions.
+/// The ground truth of a batch, prepared once for all predictions.
 pub(super) struct Truth<'a> {
     config: &'a LossConfig,
-    /// Zero where it does not count, so that an unknown (NaN) flow harms nothing.
+    /// Zero at pixels that do not count: NaN times a weight of 0 would still be NaN.
     flow: Tensor<4>,
-    /// What a pixel counts, `[batch, 1, height, width]`.
+    /// Weights of the pixels, `[batch, 1, height, width]`.
     weight: Tensor<4>,
 }
 
 impl<'a> Truth<'a> {
     pub(super) fn new(config: &'a LossConfig, inputs: &LossInputs) -> Self {
         let [batch, _, height, width] = inputs.truth.dims();
-        // NaN is below nothing: an unknown flow does not count, whatever `valid` says.
+        // Comparisons with NaN are false, so an unknown flow never counts, whatever `valid` says.
         let magnitude = inputs.truth.clone().square().sum_dim(1).sqrt();
         let counts =
             inputs.valid.clone().greater_equal_elem(0.5).bool_and(magnitude.lower_elem(config.max_magnitude));

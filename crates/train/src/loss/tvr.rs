@@ -15,8 +15,8 @@ pub(super) const REGULARIZER: Regularizer = Regularizer {
 };
 
 /// `R(u) + R(v)` of the paper's equations 9 and 10 for one prediction (`[batch, 2, height, width]`): the absolute Sobel
-/// derivatives, normalised by 8, summed over both directions and both components, and their mean over all pixels of all
-/// images. There is no mask.
+/// derivatives divided by 8, summed over both directions and both components, and averaged over all pixels of all images,
+/// without a mask.
 fn total_variation(flow: Tensor<4>, _: &Tensor<4>, border: Border) -> Tensor<1> {
     let [batch, _, height, width] = flow.dims();
     let [along_x, along_y] = sobel(flow, border);

@@ -1,24 +1,24 @@
-//! What MIGAR and IGVAR share (the paper's section IV-B3): total variation inside a mask, weighted by the first frame.
+//! Common part of MIGAR and IGVAR (the paper's section IV-B3): total variation inside a mask, weighted by the first frame.
 
 use burn::tensor::Tensor;
 
 use super::sobel::sobel;
 use super::{Border, MaskReading, sum};
 
-/// `G` of the paper's equation 13: the magnitude of the frame's standard Sobel gradient, averaged over the colour channels,
-/// `[batch, 1, height, width]` from `[batch, 3, height, width]`.
+/// `G` of the paper's equation 13: the magnitude of the standard Sobel gradient of a frame `[batch, 3, height, width]`, averaged
+/// over the colour channels, `[batch, 1, height, width]`.
 pub(super) fn gradient_magnitude(frame: Tensor<4>, border: Border) -> Tensor<4> {
     let [along_x, along_y] = sobel(frame, border);
     (along_x.square() + along_y.square()).sqrt().mean_dim(1)
 }
 
-/// `w = base^-G` of the paper's equation 15, from the logarithm of the base (`[batch, 1, 1, 1]`). Computed as `exp(-G ln base)`:
-/// with frames in 0..255, MIGAR's base itself overflows `f32` where the mean of `G` is above 88. A weight below 1e-45 is zero.
+/// `w = base^-G` of the paper's equation 15 as `exp(-G ln base)`, from the logarithm of the base (`[batch, 1, 1, 1]`): with
+/// frames in 0..255, MIGAR's base overflows `f32` if the mean of `G` exceeds 88. Weights below 1e-45 become zero.
 pub(super) fn weights(gradient: Tensor<4>, log_base: Tensor<4>) -> Tensor<4> {
     (-gradient * log_base).exp()
 }
 
-/// `M_total` of the paper's equation 16 from `M_bg`, both `[batch, 1, height, width]` of zeros and ones.
+/// `M_total` of the paper's equation 16 from `M_bg`, both `[batch, 1, height, width]` with zeros and ones.
 pub(super) fn total_mask(foreground: Tensor<4>, reading: MaskReading, border: Border) -> Tensor<4> {
     let [along_x, along_y] = sobel(foreground.clone(), border);
     let kept = match reading {
@@ -29,8 +29,8 @@ pub(super) fn total_mask(foreground: Tensor<4>, reading: MaskReading, border: Bo
 }
 
 /// `R_wpp(u) + R_wpp(v)` of the paper's equation 17 for one prediction (`[batch, 2, height, width]`): the flow is set to zero
-/// outside `mask`, and its absolute standard Sobel derivatives are weighted by `weights`, summed over both directions and
-/// both components, and averaged over all pixels of all images. `mask` and `weights` are `[batch, 1, height, width]`.
+/// outside `mask`; its absolute standard Sobel derivatives are multiplied by `weights`, summed over both directions and both
+/// components, and averaged over all pixels of all images. `mask` and `weights` are `[batch, 1, height, width]`.
 pub(super) fn weighted_variation(
     flow: Tensor<4>,
     mask: Tensor<4>,

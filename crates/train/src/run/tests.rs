@@ -1,5 +1,3 @@
-//! A step that cannot be taken.
-
 use srflow_field::{FlowField, Image, write_flow, write_image_png};
 
 use super::*;
@@ -31,7 +29,7 @@ fn trainer(dir: &Path) -> (Trainer, Batch, Batch) {
 }
 
 #[test]
-fn a_skipped_step_leaves_no_trace_in_what_is_learned() {
+fn a_skipped_step_changes_neither_weights_nor_optimizer() {
     let dir = tempfile::tempdir().unwrap();
     let (mut steady, batch, _) = trainer(dir.path());
     let (mut disturbed, _, broken) = trainer(dir.path());
@@ -47,12 +45,12 @@ fn a_skipped_step_leaves_no_trace_in_what_is_learned() {
     let after = disturbed.checkpoint("");
     assert_eq!((&after.values, &after.optimizer), (&before.values, &before.optimizer));
 
-    // The next step sees the network as if nothing had been there.
+    // The next step gives the same result as without the skipped ones.
     let [expected, found] =
         [&mut steady, &mut disturbed].map(|trainer| trainer.step(&batch).unwrap().unwrap());
     assert_eq!((found.loss, found.gradient_norm), (expected.loss, expected.gradient_norm));
     assert_eq!((found.step, expected.step), (4, 2));
     assert_eq!((disturbed.progress.skipped, disturbed.progress.skipped_in_a_row), (2, 0));
-    assert_ne!(disturbed.checkpoint("").values, before.values, "training goes on");
+    assert_ne!(disturbed.checkpoint("").values, before.values, "training continues");
     assert!(disturbed.values.iter().all(|value| value.is_finite()));
 }

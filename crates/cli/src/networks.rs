@@ -194,7 +194,7 @@ impl NetworkArgs {
 pub fn note_if_ambiguous(architecture: Architecture, path: &Path) -> anyhow::Result<()> {
     let (file, facts) = (path.display(), architecture.facts());
     match claim(architecture, path)? {
-        Claim::Silent(others) => note!(
+        Claim::Ambiguous(others) => note!(
             "note: {file}: these may be weights of {} or of {}, whose parameters have the same names and shapes",
             facts.title,
             others.join(", ")

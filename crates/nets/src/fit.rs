@@ -1,4 +1,4 @@
-//! Which network a file of weights belongs to, and networks with the weights of a file.
+//! Loads networks from files of weights, and finds the network that weights belong to.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -9,19 +9,19 @@ use srflow_nn::{
     Checkpoint, ParameterInfo, ParametersError, WeightsError, compare, load_from, parameter_infos,
 };
 
+use crate::claim::{Claim, claim};
 use crate::settings::Setting;
 use crate::table::{Architecture, Network};
-use crate::whose::{Claim, claim};
 
 /// How well parameters fit a network.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fit {
     pub architecture: Architecture,
-    /// Parameters that the network has.
+    /// Number of parameter tensors of the network.
     pub expected: usize,
-    /// Those of them that are given in the right shape.
+    /// Number of those that are given with the right shape.
     pub matching: usize,
-    /// What is wrong; nothing when the parameters are those of the network, each and no other.
+    /// `None` when the parameters are exactly those of the network.
     pub difference: Option<ParametersError>,
 }
 
@@ -35,29 +35,29 @@ impl fmt::Display for Fit {
                 write!(f, "they are the parameters of {names}{}", lookalikes(*architecture))
             }
             Some(_) if *matching == 0 => {
-                f.write_str("no network known here has parameters of these names and shapes")
+                f.write_str("no network of srflow has parameters with these names and shapes")
             }
             Some(_) => write!(
                 f,
-                "the nearest network is {name}: {matching} of its {expected} parameters are there in its shape"
+                "the closest network is {name}: {matching} of its {expected} parameters match in name and shape"
             ),
         }
     }
 }
 
-/// Networks with the same parameters, for the end of a sentence.
+/// Names the networks with the same parameters, at the end of a sentence.
 fn lookalikes(architecture: Architecture) -> String {
     match architecture.facts().lookalikes {
         [] => String::new(),
-        others => format!(" (or of {}, whose have the same names and shapes)", others.join(", ")),
+        others => format!(" (or of {}, whose parameters have the same names and shapes)", others.join(", ")),
     }
 }
 
-/// How well the parameters of a file fit each network, the best first. Where several have the same parameters, the one that
-/// the file names comes before the others.
+/// How well the parameters of a file fit each network, best first. Among networks with the same parameters, the one that the
+/// file [identifies](claim) comes first.
 ///
 /// # Errors
-/// When the file cannot be read or is no checkpoint.
+/// When the file cannot be read or is not a checkpoint.
 pub fn fits_of_file(path: &Path) -> Result<Vec<Fit>, WeightsError> {
     let mut fits = fits(&Checkpoint::open(path)?.parameters());
     let whole = fits.iter().take_while(|fit| fit.difference.is_none()).count();
@@ -69,7 +69,7 @@ pub fn fits_of_file(path: &Path) -> Result<Vec<Fit>, WeightsError> {
     Ok(fits)
 }
 
-/// How well the parameters fit each network, the best first.
+/// How well parameters fit each network, best first.
 pub fn fits(given: &[ParameterInfo]) -> Vec<Fit> {
     let mut fits = Architecture::ALL.map(|architecture| fit(architecture, given));
     fits.sort_by_key(|fit| {
@@ -92,12 +92,11 @@ fn fit(architecture: Architecture, given: &[ParameterInfo]) -> Fit {
     Fit { architecture, expected: infos.len(), matching: infos.len() - wrong, difference }
 }
 
-/// A network of the given architecture with the weights of a checkpoint, and those of its [settings](Network::settings) that the
-/// file holds. When they are another's, the error says which network fits best, or which the file names.
+/// Loads a network from a checkpoint, including the [settings](Network::settings) in it. If the weights do not fit, the error
+/// names the network that they fit best, or the one that the file identifies.
 ///
 /// # Errors
-/// Those of [`load_to_train`], and [`WeightsError::OtherNetwork`] where the parameters fit and the file says that it is of another
-/// network.
+/// Those of [`load_to_train`], and [`WeightsError::OtherNetwork`] when the parameters fit, but the file identifies another network.
 pub fn load_network(
     architecture: Architecture,
     path: &Path,
@@ -113,11 +112,11 @@ pub fn load_network(
     }
 }
 
-/// [`load_network`], also with the weights of a network that has the same parameters: training may start from them, as that of
-/// MemFlow's authors starts from SKFlow's.
+/// Like [`load_network`], but also accepts weights of another network with the same parameters, as a start for training: MemFlow's
+/// authors start from SKFlow.
 ///
 /// # Errors
-/// Those of [`srflow_nn::load`], also where the file holds a setting out of its range.
+/// Those of [`srflow_nn::load`], and when a setting in the file is out of range.
 pub fn load_to_train(
     architecture: Architecture,
     path: &Path,
@@ -131,7 +130,7 @@ pub fn load_to_train(
             WeightsError::Mismatch { path, difference, .. } => {
                 let hint = match named() {
                     Some(Claim::Other(other)) => {
-                        format!("\n  the file names {other}, which is not among the networks here")
+                        format!("\n  the file is of {other}, a network that srflow does not have")
                     }
                     _ => {
                         let nearest = fits_of_file(&path).map(|mut fits| fits.swap_remove(0));
@@ -150,13 +149,13 @@ pub fn load_to_train(
     Ok(network)
 }
 
-/// Takes over the settings that a file holds.
+/// Applies the settings in a file.
 fn set_from(network: &mut Network, numbers: &BTreeMap<String, f64>) -> Result<(), String> {
     for Setting { in_files, allowed, value, .. } in network.settings() {
         let Some((name, number)) = in_files.and_then(|name| numbers.get_key_value(name)) else { continue };
-        let whole = number.round() as usize; // what is no whole number is next to one, as half of an odd number of tokens
+        let whole = number.round() as usize; // some files have fractions, such as half of an odd number of tokens
         if !number.is_finite() || *number < 0.0 || !allowed.contains(whole) {
-            return Err(format!("its {name} is {number}, expected a number that is {allowed}"));
+            return Err(format!("its {name} is {number}, expected a number {allowed}"));
         }
         *value = whole;
     }

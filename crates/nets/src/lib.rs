@@ -1,9 +1,9 @@
-//! Optical flow networks: one file per network, and the loop that they share.
+//! Optical flow networks: one file per network, and the refinement loop that they share.
 //!
-//! A network's parameters carry the names that the reference implementation gives them, so that published weights load
-//! without a table of names.
+//! Parameters have the names of the reference implementation, so published weights load without a table of names.
 
 mod blocks;
+mod claim;
 mod dpflow;
 mod estimate;
 mod estimator;
@@ -27,8 +27,8 @@ mod shots;
 mod skflow;
 mod table;
 mod tiles;
-mod whose;
 
+pub use claim::{Claim, claim};
 pub use estimate::{Encoded, Estimate, LaplaceMixture, Memory, Request};
 pub use estimator::NetworkEstimator;
 pub use facts::{Facts, IterationPresets, Padding, PublishedWeights, Start};
@@ -40,4 +40,3 @@ pub use scale::{Scaled, scaled_size};
 pub use settings::{Allowed, Setting, SettingError};
 pub use table::{Architecture, Network};
 pub use tiles::{MemoryNeed, NothingFits, SMALLEST_TILE_SIDE, TileSize, Tiled, Tiles, Tiling};
-pub use whose::{Claim, claim};

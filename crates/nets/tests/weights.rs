@@ -1,4 +1,4 @@
-//! Weights in the network that they belong to, and in another.
+//! Loading weights into the network that they belong to, and into others.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use burn::tensor::{Device, TensorData};
 use srflow_nets::{Architecture, Claim, Network, claim, fits, fits_of_file, load_network, load_to_train};
 use srflow_nn::{ParameterInfo, parameters, safetensors_bytes, save_parameters, with_parameters};
 
-/// Saves a network's parameters and hands their file to `check`.
+/// Saves random parameters of a network and calls `check` with it and the file.
 fn with_saved(architecture: Architecture, check: impl FnOnce(&Network, &Path)) {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("weights");
@@ -16,7 +16,7 @@ fn with_saved(architecture: Architecture, check: impl FnOnce(&Network, &Path)) {
 }
 
 #[test]
-fn what_is_saved_is_loaded_again_and_recognized() {
+fn saved_weights_load_again_and_are_recognized() {
     for architecture in Architecture::ALL {
         let name = architecture.name();
         with_saved(architecture, |network, path| {
@@ -34,10 +34,10 @@ fn what_is_saved_is_loaded_again_and_recognized() {
 }
 
 #[test]
-fn weights_of_another_network_are_named() {
+fn errors_name_the_network_that_weights_fit() {
     let device = Device::flex();
     with_saved(Architecture::Gma, |_, path| {
-        let error = load_network(Architecture::Raft, path, &device).expect_err("GMA is no RAFT").to_string();
+        let error = load_network(Architecture::Raft, path, &device).expect_err("weights of GMA").to_string();
         assert!(error.contains("weights: the parameters do not fit the network"), "{error}");
         assert!(error.contains("unknown: att."), "{error}");
         assert!(error.ends_with("they are the parameters of gma"), "{error}");
@@ -57,62 +57,67 @@ fn weights_of_another_network_are_named() {
     let error = with_parameters(Architecture::SkFlow.init(&device), given).expect_err("three are wrong");
     assert_eq!(error.missing, ["update_block.gru.pw.bias"]);
     assert_eq!(error.misshapen, ["fnet.conv1.bias (expected [64], found [2])"]);
-    assert_eq!(error.unknown, ["\\u{1b}[2J"], "a name cannot steer the terminal");
+    assert_eq!(error.unknown, ["\\u{1b}[2J"], "control characters are escaped");
     assert_eq!(nearest.difference, Some(error));
 }
 
 #[test]
-fn ten_names_are_listed_and_the_rest_counted() {
+fn errors_list_at_most_ten_names() {
     let device = Device::flex();
     let error = load_network(Architecture::Raft, Path::new("../nn/tests/checkpoints/zip.pth"), &device)
-        .expect_err("no RAFT");
+        .expect_err("not RAFT");
     let message = error.to_string();
     let count = parameters(&Architecture::Raft.init(&device)).len();
     assert!(message.contains("zip.pth"), "{message}");
     assert!(message.contains(&format!("{count} missing: fnet.conv1.weight")), "{message}");
     assert!(message.contains(&format!("and {} more", count - 10)), "{message}");
     assert!(message.contains("8 unknown: conv1.bias"), "{message}");
-    assert!(message.ends_with("no network known here has parameters of these names and shapes"), "{message}");
+    assert!(
+        message.ends_with("no network of srflow has parameters with these names and shapes"),
+        "{message}"
+    );
 }
 
-/// MemFlow's parameters have the names and shapes of SKFlow's: only words tell.
+/// The parameters of MemFlow have the names and shapes of SKFlow's, so only the text of a file distinguishes them.
 #[test]
-fn weights_that_say_they_are_another_networks_are_refused() {
+fn weights_that_identify_a_lookalike_are_refused() {
     let folder = tempfile::tempdir().expect("folder");
     let network = Architecture::SkFlow.init(&Device::flex());
-    let [said, silent] =
+    let [of_memflow, ambiguous] =
         ["MemFlow_things.safetensors", "best.safetensors"].map(|name| folder.path().join(name));
-    for path in [&said, &silent] {
+    for path in [&of_memflow, &ambiguous] {
         save_parameters(&network, path).expect("weights");
     }
     let error =
-        load_network(Architecture::SkFlow, &said, &Device::flex()).expect_err("MemFlow's").to_string();
-    assert!(error.contains("MemFlow_things") && error.contains("weights of MemFlow"), "{error}");
-    assert!(load_network(Architecture::SkFlow, &silent, &Device::flex()).is_ok());
-    assert_eq!(claim(Architecture::SkFlow, &silent).expect("readable"), Claim::Silent(&["MemFlow"]));
-    let error = load_network(Architecture::Raft, &said, &Device::flex()).expect_err("no RAFT").to_string();
-    let hint = "they are the parameters of memflow (or of SKFlow, whose have the same names and shapes)";
+        load_network(Architecture::SkFlow, &of_memflow, &Device::flex()).expect_err("MemFlow's").to_string();
+    assert!(error.contains("MemFlow_things") && error.contains("those of MemFlow"), "{error}");
+    assert!(load_network(Architecture::SkFlow, &ambiguous, &Device::flex()).is_ok());
+    assert_eq!(claim(Architecture::SkFlow, &ambiguous).expect("readable"), Claim::Ambiguous(&["MemFlow"]));
+    let error =
+        load_network(Architecture::Raft, &of_memflow, &Device::flex()).expect_err("not RAFT").to_string();
+    let hint =
+        "they are the parameters of memflow (or of SKFlow, whose parameters have the same names and shapes)";
     assert!(error.ends_with(hint), "{error}");
 
-    assert!(load_network(Architecture::MemFlow, &said, &Device::flex()).is_ok());
+    assert!(load_network(Architecture::MemFlow, &of_memflow, &Device::flex()).is_ok());
     let of_skflow = folder.path().join("skflow_things.safetensors");
     save_parameters(&network, &of_skflow).expect("weights");
     let error =
         load_network(Architecture::MemFlow, &of_skflow, &Device::flex()).expect_err("SKFlow's").to_string();
-    assert!(error.contains("skflow_things") && error.contains("weights of SKFlow"), "{error}");
+    assert!(error.contains("skflow_things") && error.contains("those of SKFlow"), "{error}");
     assert!(
         load_to_train(Architecture::MemFlow, &of_skflow, &Device::flex()).is_ok(),
-        "a start for training"
+        "allowed as a start for training"
     );
-    for (path, first) in [(&said, "memflow"), (&of_skflow, "skflow"), (&silent, "skflow")] {
+    for (path, first) in [(&of_memflow, "memflow"), (&of_skflow, "skflow"), (&ambiguous, "skflow")] {
         let fits = fits_of_file(path).expect("readable");
         assert_eq!(fits[0].architecture.name(), first, "{}", path.display());
     }
 }
 
-/// Hugging Face's files hold what is stored twice under one of its names, which is not the one here.
+/// Files of Hugging Face keep only one of the two names of a tensor that PyTorch stores twice.
 #[test]
-fn the_norm_of_a_shortcut_is_known_by_its_second_name() {
+fn the_norm_of_a_shortcut_loads_by_its_second_name() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("model.safetensors");
     let network = Architecture::SeaRaftS.init(&Device::flex());

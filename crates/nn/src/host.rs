@@ -1,7 +1,7 @@
-//! A network's parameters in host memory, one tensor after the other.
+//! The parameters of a network in host memory, all tensors concatenated.
 //!
-//! The optimizer, checkpoints and the exchange between devices work on these; a device holds a copy that is filled again
-//! after every step.
+//! The optimizer, checkpoints and the exchange between devices work on this form; after every step the parameters are copied
+//! back to the devices.
 
 use std::ops::Range;
 
@@ -10,37 +10,38 @@ use burn::tensor::{Gradients, Tensor, TensorData};
 
 use crate::parameters::parameter_infos;
 
-/// Where each tensor of a network is among its numbers.
+/// Position of each tensor of a network in the concatenation of all.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Layout {
     segments: Vec<Segment>,
 }
 
-/// One tensor.
+/// A tensor of a [`Layout`].
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Segment {
-    /// As the reference implementation calls it, such as `fnet.layer1.0.conv1.weight`.
+    /// Name in the reference implementation, such as `fnet.layer1.0.conv1.weight`.
     pub name: String,
     pub shape: Vec<usize>,
-    /// Its place among all numbers.
+    /// Position among the values of all tensors.
     pub range: Range<usize>,
-    /// Whether it has gradients; the running statistics of batch norm have none.
+    /// Whether it has gradients; running statistics of batch norm have none.
     pub trained: bool,
 }
 
 impl Layout {
-    /// The tensors of a network in the order of its definition, and their numbers.
+    /// The layout of a network, in the order of its definition, and the values of its tensors.
     ///
-    /// The network must be on a device with automatic differentiation, which knows which tensors are trained.
+    /// The network must be on a device with automatic differentiation: [`Segment::trained`] is whether a tensor requires
+    /// gradients.
     pub fn of(network: &impl Module) -> (Self, Vec<f32>) {
-        let mut reading = Reading::default();
-        network.visit(&mut reading);
+        let mut reader = Reader::default();
+        network.visit(&mut reader);
         let names = parameter_infos(network).into_iter().map(|info| info.name);
-        let segments = names.zip(reading.tensors).map(|(name, tensor)| Segment { name, ..tensor }).collect();
-        (Self { segments }, reading.values)
+        let segments = names.zip(reader.tensors).map(|(name, tensor)| Segment { name, ..tensor }).collect();
+        (Self { segments }, reader.values)
     }
 
-    /// Of consecutive tensors.
+    /// A layout of these tensors, whose ranges must be consecutive.
     pub fn from_segments(segments: Vec<Segment>) -> Self {
         Self { segments }
     }
@@ -49,7 +50,7 @@ impl Layout {
         &self.segments
     }
 
-    /// How many numbers there are.
+    /// Number of values of all tensors.
     pub fn len(&self) -> usize {
         self.segments.last().map_or(0, |segment| segment.range.end)
     }
@@ -59,22 +60,25 @@ impl Layout {
     }
 }
 
-/// `network` with these numbers, on the device that it is on.
+/// `network` with the parameters `values`, on its current device.
+///
+/// # Panics
+/// When `layout` is not that of the network, or `values` is shorter than it.
 pub fn filled<M: Module>(network: M, layout: &Layout, values: &[f32]) -> M {
-    network.map(&mut Filling { segments: layout.segments.iter(), values })
+    network.map(&mut Filler { segments: layout.segments.iter(), values })
 }
 
-/// Gradients of all tensors of a network.
+/// Gradients of all tensors of a network, in host memory.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HostGradients {
-    /// In the order of the [`Layout`]; zero where there are none.
+    /// In the order of the [`Layout`]; zero for tensors without a gradient.
     pub values: Vec<f32>,
-    /// For each tensor whether a gradient reached it.
+    /// Whether each tensor has a gradient.
     pub reached: Vec<bool>,
 }
 
 impl HostGradients {
-    /// Zero, with no tensor reached.
+    /// Zeros; no tensor has a gradient yet.
     pub fn zero(layout: &Layout) -> Self {
         Self { values: vec![0.0; layout.len()], reached: vec![false; layout.segments.len()] }
     }
@@ -82,10 +86,10 @@ impl HostGradients {
     /// Adds the gradients of a backward pass, times `weight`.
     pub fn add(&mut self, network: &impl Module, layout: &Layout, gradients: &Gradients, weight: f32) {
         let segments = layout.segments.iter().enumerate();
-        network.visit(&mut Adding { segments, gradients, weight, sum: self });
+        network.visit(&mut GradientAdder { segments, gradients, weight, sum: self });
     }
 
-    /// Adds other gradients, times `weight`.
+    /// Adds gradients of the same layout, times `weight`.
     pub fn add_host(&mut self, other: &Self, weight: f32) {
         for (sum, &value) in self.values.iter_mut().zip(&other.values) {
             *sum += weight * value;
@@ -97,13 +101,13 @@ impl HostGradients {
 }
 
 #[derive(Default)]
-struct Reading {
-    /// Without their names.
+struct Reader {
+    /// With empty names.
     tensors: Vec<Segment>,
     values: Vec<f32>,
 }
 
-impl ModuleVisitor for Reading {
+impl ModuleVisitor for Reader {
     fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
         let tensor = param.val();
         let start = self.values.len();
@@ -114,12 +118,12 @@ impl ModuleVisitor for Reading {
     }
 }
 
-struct Filling<'a> {
+struct Filler<'a> {
     segments: std::slice::Iter<'a, Segment>,
     values: &'a [f32],
 }
 
-impl ModuleMapper for Filling<'_> {
+impl ModuleMapper for Filler<'_> {
     fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
         let segment = self.segments.next().expect("the layout of this network");
         let data = TensorData::new(self.values[segment.range.clone()].to_vec(), segment.shape.clone());
@@ -129,14 +133,14 @@ impl ModuleMapper for Filling<'_> {
     }
 }
 
-struct Adding<'a> {
+struct GradientAdder<'a> {
     segments: std::iter::Enumerate<std::slice::Iter<'a, Segment>>,
     gradients: &'a Gradients,
     weight: f32,
     sum: &'a mut HostGradients,
 }
 
-impl ModuleVisitor for Adding<'_> {
+impl ModuleVisitor for GradientAdder<'_> {
     fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
         let (number, segment) = self.segments.next().expect("the layout of this network");
         let Some(gradient) = param.val().grad(self.gradients) else { return };
@@ -147,7 +151,7 @@ impl ModuleVisitor for Adding<'_> {
     }
 }
 
-/// The numbers of a tensor in host memory.
+/// Copies the values of a tensor to host memory, as `f32`, row-major.
 pub fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
     tensor.into_data().convert::<f32>().try_to_vec().expect("converted to f32")
 }

@@ -1,4 +1,4 @@
-//! The base of all networks: layers, parameters under the names of the reference implementations, checkpoint files, AdamW.
+//! Foundation of all networks: layers, parameters under the names of the reference implementations, checkpoint files, AdamW.
 
 mod checkpoint;
 mod host;
@@ -7,7 +7,9 @@ mod optimizer;
 mod parameters;
 mod weights;
 
-pub use checkpoint::{Checkpoint, Format, read_safetensors, safetensors_bytes, save_pytorch, words};
+pub use checkpoint::{
+    Checkpoint, Format, read_safetensors, safetensors_bytes, save_pytorch, searchable_text,
+};
 pub use host::{HostGradients, Layout, Segment, filled, numbers};
 pub use layers::with_batch_statistics;
 pub use optimizer::{AdamW, AdamWState, ModuleAdamW, Rounding, clip_norm, norm};

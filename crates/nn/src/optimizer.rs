@@ -1,6 +1,6 @@
-//! AdamW and the clipping of gradients, as PyTorch computes them.
+//! AdamW and gradient clipping, as PyTorch computes them.
 //!
-//! Both work on plain numbers in host memory. Results are the same bits for any number of threads.
+//! Both work in host memory. Results are bit-identical for any number of threads.
 
 use std::collections::HashMap;
 
@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use crate::host::{Layout, numbers};
 
-/// Numbers per task. Sums are taken block by block, in order.
+/// Values per task. Norms are summed block by block, in order.
 const BLOCK: usize = 1 << 14;
 
 /// Settings of AdamW (Loshchilov and Hutter, ICLR 2019), named as in `torch.optim.AdamW`. Without weight decay it is Adam
@@ -19,27 +19,25 @@ const BLOCK: usize = 1 << 14;
 pub struct AdamW {
     /// Decay rates of the averages of the gradient and of its square.
     pub betas: [f64; 2],
-    /// Added to the root of the second average.
+    /// Added to the square root of the second average.
     pub epsilon: f64,
-    /// Share by which each step shrinks a parameter, times the learning rate.
+    /// Each step shrinks a parameter by this share times the learning rate.
     pub weight_decay: f64,
-    /// How the products are rounded.
     pub rounding: Rounding,
 }
 
-/// The order in which two products of three factors are multiplied; the results differ in the last bit.
+/// Order of multiplication in two products of three factors, which affects the last bit of the results.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rounding {
     /// `((1 - beta2) g) g` and `(step mean) / root`: `_single_tensor_adamw` of PyTorch.
     Pytorch,
-    /// `(1 - beta2) (g g)` and `step (mean / root)`: as for the classifiers' results of docs/results.md.
+    /// `(1 - beta2) (g g)` and `step (mean / root)`: reproduces the classifier results of docs/results.md.
     Grouped,
 }
 
-/// The state of AdamW between steps, for the numbers of a [`Layout`] or of one tensor.
+/// The state of AdamW between steps, for the values of a [`Layout`] or of one tensor.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct AdamWState {
-    /// Steps taken.
     pub steps: u64,
     /// Averages of the gradients.
     pub mean: Vec<f32>,
@@ -48,15 +46,15 @@ pub struct AdamWState {
 }
 
 impl AdamWState {
-    /// Before the first step, for `count` numbers.
+    /// The state before the first step, for `count` values.
     pub fn new(count: usize) -> Self {
         Self { steps: 0, mean: vec![0.0; count], square: vec![0.0; count] }
     }
 }
 
 impl AdamW {
-    /// Moves `values` against `gradients`. Tensors that are not trained, and those that no gradient reached
-    /// (`reached[i]` false), stay as they are, as in PyTorch.
+    /// Updates `values`. Tensors that are not trained, and those without a gradient (`reached[i]` false), stay unchanged, as in
+    /// PyTorch.
     pub fn step(
         &self,
         layout: &Layout,
@@ -98,7 +96,7 @@ impl AdamW {
     }
 }
 
-/// The numbers of one step.
+/// Coefficients of one step.
 #[derive(Clone, Copy)]
 struct Update {
     kept: f32,
@@ -141,7 +139,7 @@ impl Update {
     }
 }
 
-/// AdamW on a network's own tensors, without the copies of a [`Layout`].
+/// AdamW on the tensors of a network in place, without the copies of a [`Layout`].
 #[derive(Debug)]
 pub struct ModuleAdamW {
     settings: AdamW,
@@ -149,12 +147,11 @@ pub struct ModuleAdamW {
 }
 
 impl ModuleAdamW {
-    /// Before the first step.
     pub fn new(settings: AdamW) -> Self {
         Self { settings, states: HashMap::new() }
     }
 
-    /// The network after one step. Parameters without a gradient stay as they are.
+    /// The network after one step. Parameters without a gradient stay unchanged.
     pub fn step<M: Module>(&mut self, network: M, gradients: &Gradients, learning_rate: f64) -> M {
         network.map(&mut ModuleStep { optimizer: self, gradients, learning_rate })
     }
@@ -184,7 +181,7 @@ impl ModuleMapper for ModuleStep<'_> {
     }
 }
 
-/// Euclidean norm of all gradients together.
+/// Euclidean norm of all gradients.
 pub fn norm(gradients: &[f32]) -> f64 {
     let squares: Vec<f64> = gradients
         .par_chunks(BLOCK)
@@ -193,8 +190,8 @@ pub fn norm(gradients: &[f32]) -> f64 {
     squares.iter().sum::<f64>().sqrt()
 }
 
-/// Scales the gradients so that their [`norm`] is at most `limit`, as `torch.nn.utils.clip_grad_norm_` does; returns
-/// the norm before.
+/// Scales the gradients so that their [`norm`] is at most `limit`, as `torch.nn.utils.clip_grad_norm_` does. Returns the norm
+/// before clipping.
 pub fn clip_norm(gradients: &mut [f32], limit: f64) -> f64 {
     let norm = norm(gradients);
     let scale = limit / (norm + 1e-6);
@@ -209,7 +206,7 @@ pub fn clip_norm(gradients: &mut [f32], limit: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// torch 2.11: `Adam([x], lr=0.1)`, x = (1, -2, 3), gradients (0.5, -1e-9, 4) and then (-0.25, 0, 4).
+    /// Expected values: torch 2.11, `Adam([x], lr=0.1)`, x = (1, -2, 3), gradients (0.5, -1e-9, 4), then (-0.25, 0, 4).
     #[test]
     fn without_weight_decay_it_is_adam() {
         for rounding in [Rounding::Pytorch, Rounding::Grouped] {

@@ -1,33 +1,33 @@
-//! A network's parameters by name.
+//! Parameters of networks by name.
 
 use std::collections::BTreeMap;
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Tensor, TensorData};
 
-/// Names listed in an error, of however many there are.
+/// Most names listed in an error.
 const NAMES_SHOWN: usize = 10;
 
 /// Name and shape of a parameter.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ParameterInfo {
-    /// As the reference implementation calls it, such as `fnet.layer1.0.conv1.weight`.
+    /// Name in the reference implementation, such as `fnet.layer1.0.conv1.weight`.
     pub name: String,
     pub shape: Vec<usize>,
 }
 
-/// Values for parameters, by name.
+/// Values of parameters, by name.
 pub type Parameters = BTreeMap<String, TensorData>;
 
-/// Why parameters do not fit a network.
+/// The differences between given parameters and those of a network.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("the parameters do not fit the network:{}{}{}", listed("missing", .missing), listed("unknown", .unknown), listed("of another shape", .misshapen))]
+#[error("the parameters do not fit the network:{}{}{}", listed("missing", .missing), listed("unknown", .unknown), listed("with another shape", .misshapen))]
 pub struct ParametersError {
-    /// Parameters of the network that were not given.
+    /// Names that only the network has.
     pub missing: Vec<String>,
-    /// Given names that the network does not have.
+    /// Names that the network does not have.
     pub unknown: Vec<String>,
-    /// Parameters given in another shape: the name, the shape expected and the shape found.
+    /// Names with different shapes, each followed by the expected and the found shape.
     pub misshapen: Vec<String>,
 }
 
@@ -41,34 +41,37 @@ fn listed(what: &str, names: &[String]) -> String {
     format!("\n  {} {what}: {shown}{rest}", names.len())
 }
 
-/// Every parameter of a network, in the order of its definition.
+/// Names and shapes of the parameters of a network, including running statistics, in the order of its definition.
 pub fn parameter_infos(network: &impl Module) -> Vec<ParameterInfo> {
-    let mut listing = Listing::default();
-    network.visit(&mut listing);
-    listing.found
+    let mut lister = Lister::default();
+    network.visit(&mut lister);
+    lister.found
 }
 
-/// Every parameter of a network with its values, as `f32`.
+/// The parameters of a network, including running statistics, as `f32`.
 pub fn parameters(network: &impl Module) -> Parameters {
-    let mut reading = Reading::default();
-    network.visit(&mut reading);
-    reading.found
+    let mut reader = Reader::default();
+    network.visit(&mut reader);
+    reader.found
 }
 
-/// `network` with the given parameters. `parameters` must hold each of the network's and no other, as `f32`.
+/// `network` with the given parameters, which must be `f32`.
+///
+/// # Errors
+/// When names or shapes are not exactly those of the network.
 pub fn with_parameters<M: Module>(network: M, parameters: Parameters) -> Result<M, ParametersError> {
     let given: Vec<ParameterInfo> = parameters
         .iter()
         .map(|(name, data)| ParameterInfo { name: name.clone(), shape: data.shape().to_vec() })
         .collect();
     compare(&parameter_infos(&network), &given)?;
-    Ok(network.map(&mut Filling { path: Path::default(), parameters }))
+    Ok(network.map(&mut Filler { path: Path::default(), parameters }))
 }
 
-/// Whether `given` are the parameters of a network that expects `expected`, each and no other.
+/// Checks that `given` has exactly the names and shapes of `expected`, in any order.
 ///
 /// # Errors
-/// What is missing, unknown or of another shape.
+/// Lists the missing, unknown and misshapen parameters.
 pub fn compare(expected: &[ParameterInfo], given: &[ParameterInfo]) -> Result<(), ParametersError> {
     let mut given: BTreeMap<&str, &[usize]> =
         given.iter().map(|info| (info.name.as_str(), info.shape.as_slice())).collect();
@@ -90,14 +93,14 @@ pub fn compare(expected: &[ParameterInfo], given: &[ParameterInfo]) -> Result<()
     }
 }
 
-/// Where in the network a parameter is.
+/// Path of a parameter in the network.
 #[derive(Default)]
 struct Path(Vec<String>);
 
 impl Path {
     fn enter(&mut self, name: &str, container: &str) {
         if !is_variant(container) {
-            // A field may have a name that is a word of Rust, such as `r#final`.
+            // Fields named like Rust keywords are raw identifiers, such as `r#final`.
             self.0.push(name.trim_start_matches("r#").to_owned());
         }
     }
@@ -113,18 +116,18 @@ impl Path {
     }
 }
 
-/// Burn puts an enum's variant into the path; the reference has no such level.
+/// Burn adds the variant of an enum to the path; the reference has no such level.
 fn is_variant(container: &str) -> bool {
     container.starts_with("Enum:")
 }
 
 #[derive(Default)]
-struct Listing {
+struct Lister {
     path: Path,
     found: Vec<ParameterInfo>,
 }
 
-impl ModuleVisitor for Listing {
+impl ModuleVisitor for Lister {
     fn enter_module(&mut self, name: &str, container: &str) {
         self.path.enter(name, container);
     }
@@ -139,12 +142,12 @@ impl ModuleVisitor for Listing {
 }
 
 #[derive(Default)]
-struct Reading {
+struct Reader {
     path: Path,
     found: Parameters,
 }
 
-impl ModuleVisitor for Reading {
+impl ModuleVisitor for Reader {
     fn enter_module(&mut self, name: &str, container: &str) {
         self.path.enter(name, container);
     }
@@ -158,12 +161,12 @@ impl ModuleVisitor for Reading {
     }
 }
 
-struct Filling {
+struct Filler {
     path: Path,
     parameters: Parameters,
 }
 
-impl ModuleMapper for Filling {
+impl ModuleMapper for Filler {
     fn enter_module(&mut self, name: &str, container: &str) {
         self.path.enter(name, container);
     }

@@ -1,4 +1,4 @@
-//! Networks with the parameters of a checkpoint, and checkpoints of networks.
+//! Loads the parameters of networks from checkpoints, and saves them.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -9,77 +9,66 @@ use srflow_field::{FileError, write_atomically};
 use crate::checkpoint::{Checkpoint, Format, safetensors_bytes};
 use crate::parameters::{Parameters, ParametersError, compare, parameter_infos, parameters, with_parameters};
 
-/// Why a checkpoint was not loaded.
+/// Errors of loading a checkpoint.
 #[derive(Debug, thiserror::Error)]
 pub enum WeightsError {
-    /// The file could not be opened.
     #[error(transparent)]
     File(#[from] FileError),
-    /// The file could not be read.
     #[error("{}: {error}", .path.display())]
     Read { path: PathBuf, error: io::Error },
-    /// The file is no checkpoint.
+    /// The file is not a checkpoint.
     #[error(
-        "{}: expected weights as PyTorch (.pth, .pt, .ckpt), safetensors or burnpack file, found {found}",
+        "{}: expected weights in a PyTorch (.pth, .pt, .ckpt), safetensors or burnpack file, found {found}",
         .path.display()
     )]
     Unrecognized {
         path: PathBuf,
-        /// What it seems to be.
+        /// Description of the file.
         found: String,
     },
-    /// The file starts as a checkpoint and cannot be read as one.
+    /// The file starts like a checkpoint but is corrupt or truncated.
     #[error(
         "{}: expected a whole {format} file, but {problem}; download it again, or save the network's state_dict again",
         .path.display()
     )]
-    Broken {
-        path: PathBuf,
-        /// What it starts as.
-        format: Format,
-        /// What is wrong with it.
-        problem: String,
-    },
-    /// A checkpoint without a single tensor of floating-point numbers.
-    #[error("{}: holds no floating-point tensors, which weights are (counters and indices are whole numbers); give the file that the network was saved to", .path.display())]
+    Broken { path: PathBuf, format: Format, problem: String },
+    #[error("{}: contains no floating-point tensors, only integers such as counters and indices; pass the file that the network was saved to", .path.display())]
     Empty { path: PathBuf },
-    /// The weights are those of another network.
+    /// Names or shapes of the parameters differ from those of the network.
     #[error("{}: {difference}{hint}", .path.display())]
     Mismatch {
         path: PathBuf,
         difference: ParametersError,
-        /// More for the user, such as which network they fit; on a line of its own.
+        /// Advice on its own line, such as which network the weights fit; may be empty.
         hint: String,
     },
-    /// The parameters fit, but the file says that they are another network's.
+    /// The parameters fit, but the name or hyper-parameters of the file identify another network.
     #[error(
-        "{}: its name or hyper-parameters say that these are weights of {other}, whose parameters have the names and shapes of \
-         {network}'s but are computed with otherwise; use weights of {network}, or rename the file if it holds them",
+        "{}: its name or hyper-parameters identify these weights as those of {other}, which uses parameters of the same names \
+         and shapes as {network} in a different way; use weights of {network}, or rename the file if it contains them",
         .path.display()
     )]
     OtherNetwork {
         path: PathBuf,
-        /// The network that was asked for.
+        /// The requested network.
         network: &'static str,
-        /// The network that the file names.
+        /// The network that the file identifies.
         other: &'static str,
     },
 }
 
-/// `network` with the weights of a checkpoint: PyTorch (zip, legacy, Lightning), safetensors or burnpack, recognized
-/// by content.
+/// Loads a checkpoint into `network`: PyTorch (zip, legacy, Lightning), safetensors or burnpack, recognized by content.
 ///
 /// # Errors
-/// When the file cannot be read, or its parameters are not those of the network, each and no other.
+/// When the file cannot be read, or the names and shapes of its parameters are not exactly those of the network.
 pub fn load<M: Module>(network: M, path: &Path) -> Result<M, WeightsError> {
     load_from(network, Checkpoint::open(path)?, path)
 }
 
-/// `network` with the weights of a checkpoint that is open, such as one whose tensors were
-/// [renamed](Checkpoint::renamed).
+/// Loads an open checkpoint into `network`, such as one with [renamed](Checkpoint::renamed) tensors. `path` is for errors.
 ///
 /// # Errors
-/// As [`load`].
+/// See [`load`].
 pub fn load_from<M: Module>(network: M, checkpoint: Checkpoint, path: &Path) -> Result<M, WeightsError> {
     let infos = checkpoint.parameters();
     let mismatch =
@@ -88,15 +77,15 @@ pub fn load_from<M: Module>(network: M, checkpoint: Checkpoint, path: &Path) -> 
     with_parameters(network, checkpoint.read()?).map_err(mismatch)
 }
 
-/// The parameters in a checkpoint, as `f32`; see [`Checkpoint`].
+/// Reads the parameters in a checkpoint, as `f32`; see [`Checkpoint`].
 ///
 /// # Errors
-/// When the file cannot be read or is no checkpoint.
+/// When the file cannot be read or is not a checkpoint.
 pub fn read_parameters(path: &Path) -> Result<Parameters, WeightsError> {
     Checkpoint::open(path)?.read()
 }
 
-/// Writes the parameters of a network as a safetensors file, under the reference's names, as `f32`: whole or not at all.
+/// Writes the parameters of a network to a safetensors file, under the reference's names, as `f32`. The write is atomic.
 ///
 /// # Errors
 /// When the file cannot be written.

@@ -1,4 +1,4 @@
-//! Checkpoints as other programs save them. The files of `tests/checkpoints` are made by `tools/parity/checkpoints.py`.
+//! Reading checkpoints of other programs. `tools/parity/checkpoints.py` makes the files in `tests/checkpoints`.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -17,7 +17,7 @@ fn checkpoint(name: &str) -> PathBuf {
     Path::new("tests/checkpoints").join(name)
 }
 
-/// A folder, and a file in it that is yet to be written.
+/// A temporary folder, and the path of a file in it.
 fn scratch() -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("weights");
@@ -32,7 +32,7 @@ fn bytes_of(numbers: &[f32]) -> Vec<u8> {
     numbers.iter().flat_map(|x| x.to_le_bytes()).collect()
 }
 
-/// Names without prefix, no counter (`num_batches_tracked`), the shortcut's norm once.
+/// Names without prefix, counters (`num_batches_tracked`) and the copy of the shortcut's norm.
 const NAMES: [&str; 8] = [
     "conv1.bias",
     "conv1.weight",
@@ -45,7 +45,7 @@ const NAMES: [&str; 8] = [
 ];
 
 #[test]
-fn every_form_of_a_pytorch_file_gives_the_same_parameters() {
+fn all_kinds_of_pytorch_files_contain_the_same_parameters() {
     let expected = read_parameters(&checkpoint("zip.pth")).expect("zip.pth");
     assert_eq!(expected.keys().collect::<Vec<_>>(), NAMES);
     assert_eq!(expected["conv1.weight"].shape().as_slice(), [3, 2, 3, 3]);
@@ -57,23 +57,23 @@ fn every_form_of_a_pytorch_file_gives_the_same_parameters() {
 }
 
 #[test]
-fn a_file_says_what_it_is_before_its_values_are_read() {
-    let said = |name: &str| {
+fn format_container_prefix_and_types_are_recognized() {
+    let opened = |name: &str| {
         let file = Checkpoint::open(&checkpoint(name)).expect(name);
         let container = file.container().map(str::to_owned);
         (file.format(), container, file.prefix().to_owned(), file.types().join(" "))
     };
     let types = |types: &str| types.to_owned();
-    assert_eq!(said("zip.pth"), (Format::PytorchZip, None, "module.".into(), types("F32")));
-    assert_eq!(said("legacy.pth"), (Format::PytorchLegacy, None, "module.".into(), types("F32")));
-    assert_eq!(said("half.pt"), (Format::PytorchZip, None, String::new(), types("F16")));
+    assert_eq!(opened("zip.pth"), (Format::PytorchZip, None, "module.".into(), types("F32")));
+    assert_eq!(opened("legacy.pth"), (Format::PytorchLegacy, None, "module.".into(), types("F32")));
+    assert_eq!(opened("half.pt"), (Format::PytorchZip, None, String::new(), types("F16")));
     let state_dict = Some("state_dict".to_owned());
-    assert_eq!(said("lightning.ckpt"), (Format::PytorchZip, state_dict, "network.".into(), types("F32")));
+    assert_eq!(opened("lightning.ckpt"), (Format::PytorchZip, state_dict, "network.".into(), types("F32")));
 }
 
-/// Numbers alone, however they are written; not one of the same name outside of the hyper-parameters.
+/// Numbers in any encoding, but no other values, and nothing outside of the hyper-parameters.
 #[test]
-fn numbers_of_the_hyper_parameters_are_read() {
+fn numeric_hyper_parameters_are_read() {
     let file = Checkpoint::open(&checkpoint("lightning.ckpt")).expect("lightning.ckpt");
     let expected = [
         ("corr_levels", 4.0),
@@ -93,7 +93,7 @@ fn numbers_of_the_hyper_parameters_are_read() {
 }
 
 #[test]
-fn safetensors_and_burnpack_are_told_apart_by_content() {
+fn safetensors_and_burnpack_are_recognized_by_content() {
     let (_folder, path) = scratch();
     let bytes = bytes_of(&[1.5, -2.0]);
     let view = TensorView::new(Dtype::F32, vec![2], &bytes).expect("a view");
@@ -102,7 +102,7 @@ fn safetensors_and_burnpack_are_told_apart_by_content() {
     let found = read_parameters(&path).expect("safetensors");
     assert_eq!(numbers(&found["a.bias"]), [1.5, -2.0]);
 
-    // Burn's path of a parameter starts with the variant of an enum.
+    // Names in burnpack start with the variant of an enum.
     std::fs::write(&path, burnpack("Raft.a.bias", &bytes)).expect("written");
     assert_eq!(Checkpoint::open(&path).expect("burnpack").format(), Format::Burnpack);
     let found = read_parameters(&path).expect("burnpack");
@@ -116,7 +116,7 @@ fn burnpack(name: &str, bytes: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn what_is_saved_is_loaded_again() {
+fn saved_parameters_load_again() {
     let (folder, path) = scratch();
     let network = Linear::new(3, 2, &Device::flex());
     save_parameters(&network, &path).expect("saved");
@@ -127,7 +127,7 @@ fn what_is_saved_is_loaded_again() {
     assert!(error.to_string().contains("no/weights: creating"), "{error}");
 }
 
-/// Whole files of every format.
+/// Valid files of every format.
 fn whole_files() -> Vec<(&'static str, Vec<u8>)> {
     let bytes = bytes_of(&[1.5, -2.0]);
     let view = TensorView::new(Dtype::F32, vec![2], &bytes).expect("a view");
@@ -142,7 +142,7 @@ fn whole_files() -> Vec<(&'static str, Vec<u8>)> {
 }
 
 #[test]
-fn a_file_cut_short_is_an_error() {
+fn truncated_files_are_errors() {
     let (_folder, path) = scratch();
     for (name, whole) in whole_files() {
         for len in (0..whole.len()).step_by(13) {
@@ -152,10 +152,9 @@ fn a_file_cut_short_is_an_error() {
     }
 }
 
-/// A changed byte of a value cannot be noticed in every format. Whatever is noticed is an error and no crash, and what is
-/// read is no more than the file holds.
+/// Not every format detects a changed byte of a value, so reading may succeed; then the size of the result is bounded.
 #[test]
-fn a_changed_byte_is_no_crash() {
+fn corrupted_files_never_panic() {
     let (_folder, path) = scratch();
     for (name, whole) in whole_files() {
         let mut errors = 0;
@@ -179,7 +178,7 @@ fn byte_count(parameters: &Parameters) -> usize {
     parameters.values().map(|data| data.as_bytes().len()).sum()
 }
 
-/// The error of reading a file of this content.
+/// The error of reading a file with this content.
 fn refused(content: &[u8]) -> String {
     let (_folder, path) = scratch();
     std::fs::write(&path, content).expect("written");
@@ -188,7 +187,7 @@ fn refused(content: &[u8]) -> String {
 }
 
 #[test]
-fn claims_are_held_to_the_length_of_the_file() {
+fn sizes_are_checked_against_the_length_of_the_file() {
     let error = read_parameters(&checkpoint("expanded.pth")).expect_err("a gigabyte").to_string();
     assert!(error.contains("its tensors claim 1073741824 bytes, the file has 1584"), "{error}");
 
@@ -209,9 +208,9 @@ fn claims_are_held_to_the_length_of_the_file() {
     assert!(error.starts_with("expected a whole burnpack file"), "{error}");
 }
 
-/// A deflated pickle of a few kilobytes that would fill the memory.
+/// A few kilobytes that inflate to a pickle of 32 MB.
 #[test]
-fn a_pickle_that_swells_is_an_error() {
+fn a_decompression_bomb_is_an_error() {
     let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     archive.start_file("archive/data.pkl", SimpleFileOptions::default()).expect("an entry");
     let lists = vec![b']'; 1 << 20];
@@ -224,9 +223,9 @@ fn a_pickle_that_swells_is_an_error() {
     assert!(error.contains("its data.pkl claims 33554432 bytes"), "{error}");
 }
 
-/// A megabyte of dictionaries in dictionaries, which parsed would take a gigabyte.
+/// A megabyte of nested dictionaries, which would take a gigabyte when parsed.
 #[test]
-fn a_pickle_of_too_many_objects_is_an_error() {
+fn a_pickle_with_too_many_objects_is_an_error() {
     let mut pickle = b"\x80\x02".to_vec();
     for _ in 0..200 {
         pickle.extend(b"}X\x01\0\0\0a".repeat(900));
@@ -238,7 +237,7 @@ fn a_pickle_of_too_many_objects_is_an_error() {
     let mut archive = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     archive.start_file("archive/data.pkl", SimpleFileOptions::default()).expect("an entry");
     archive.write_all(&pickle).expect("deflated");
-    // Its size is held to the file's first: what fills the file is no part of the pickle.
+    // Padding, so that the pickle passes the check against the length of the file.
     archive
         .start_file(
             "archive/data/0",
@@ -251,7 +250,7 @@ fn a_pickle_of_too_many_objects_is_an_error() {
 }
 
 #[test]
-fn what_is_no_checkpoint_is_said_to_be_none() {
+fn other_files_are_described_in_the_error() {
     let error = refused(b"<!DOCTYPE html>\n<html>");
     assert!(error.contains("found a file that starts with `<!DOCTYPE html>\\n<html>`"), "{error}");
     assert!(refused(b"").contains("found an empty file"));

@@ -63,7 +63,7 @@ fn weights_of_no_network_are_described_too() {
     let path = checkpoint("lightning.ckpt");
     let text = succeeds(&["inspect", path.to_str().unwrap()]);
     for said in
-        ["PyTorch (zip)", "under state_dict", "prefix network. removed", "8 tensors", "no network known here"]
+        ["PyTorch (zip)", "under state_dict", "prefix network. removed", "8 tensors", "no network of srflow"]
     {
         assert!(text.contains(said), "{said} in {text}");
     }
@@ -111,7 +111,7 @@ fn exported_weights_are_the_same_to_the_bit() {
     refuses(&export(&path("raft.safetensors"), "raft.ckpt"), 1, &["--force"]);
     refuses(&export(&path("raft.safetensors"), "weights.onnx"), 2, &["weights.onnx"]);
     let other = checkpoint("zip.pth");
-    refuses(&export(other.to_str().unwrap(), "other.ckpt"), 1, &["no network known here"]);
+    refuses(&export(other.to_str().unwrap(), "other.ckpt"), 1, &["no network of srflow"]);
 }
 
 /// The lists of networks in the documents. `SRFLOW_WRITE_DOCS=1` updates them.

@@ -9,7 +9,7 @@ use burn_pack::{Bytes, Reader};
 
 use super::{StoredBytes, StoredTensor};
 
-/// The whole file is read: the reader's lazy bytes cannot report that reading failed.
+/// Reads the whole file, since the lazy reader of the format cannot report read errors.
 pub(super) fn tensors(mut file: File, len: u64) -> Result<BTreeMap<String, StoredTensor>, String> {
     let mut bytes = Vec::new();
     file.seek(SeekFrom::Start(0)).map_err(|error| error.to_string())?;
@@ -32,7 +32,7 @@ pub(super) fn tensors(mut file: File, len: u64) -> Result<BTreeMap<String, Store
     Ok(found)
 }
 
-/// Burn puts an enum's variant into the path, in capitals as Rust writes it. PyTorch has no such level.
+/// Removes the variant of an enum (in upper camel case) that Burn puts into the path; PyTorch has no such level.
 fn without_variant(name: &str) -> String {
     match name.split_once('.') {
         Some((first, rest)) if first.starts_with(|c: char| c.is_ascii_uppercase()) => rest.to_owned(),

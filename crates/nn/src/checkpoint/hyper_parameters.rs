@@ -1,30 +1,30 @@
-//! Numbers among the hyper-parameters of a PyTorch file, such as Lightning saves them: read off the operations of the pickle as
-//! they pass, of which nothing is made.
+//! Finds the numeric hyper-parameters that Lightning saves in a PyTorch file by scanning the opcodes of its pickle, without
+//! building any objects.
 
 use std::collections::{BTreeMap, HashMap};
 
-/// Key of the dictionary in a checkpoint of Lightning.
+/// Key of the dictionary in a Lightning checkpoint.
 const KEY: &[u8] = b"hyper_parameters";
-/// Longest name of a hyper-parameter; longer texts are none.
+/// Longest name of a hyper-parameter; longer strings are ignored.
 pub(super) const LONGEST_NAME: usize = 64;
 
-/// Follows the operations of one pickle. A dictionary is written as its keys, each before its value, so that a number after a
-/// text is the value of that key; a text that was written before is referred to by its number.
+/// Scans the opcodes of one pickle. A dictionary is written as alternating keys and values, so a number right after a string is
+/// the value of that key. A repeated string is a reference to the memo.
 #[derive(Debug, Default)]
-pub(super) struct Follower {
-    /// The text that was written last, and nothing since.
+pub(super) struct Scanner {
+    /// The string on top of the stack, if the last operation pushed one.
     last: Option<String>,
-    /// Texts that may be referred to.
-    texts: HashMap<u32, String>,
-    /// Objects that may be referred to.
-    objects: u32,
-    /// Whether the hyper-parameters have begun.
-    begun: bool,
+    /// Strings in the memo.
+    memo: HashMap<u32, String>,
+    /// Entries of the memo, strings or not.
+    memo_len: u32,
+    /// Whether [`KEY`] has occurred.
+    found_key: bool,
 }
 
-impl Follower {
-    /// The next operation, and the beginning of its argument; `whole` says whether that is all of it.
-    pub(super) fn follow(
+impl Scanner {
+    /// Scans one operation. `argument` is its argument, or the first part of it if not `whole`.
+    pub(super) fn scan(
         &mut self,
         opcode: u8,
         argument: &[u8],
@@ -34,15 +34,15 @@ impl Follower {
         match opcode {
             b'X' | 0x8c => {
                 self.last = str::from_utf8(argument).ok().filter(|_| whole).map(str::to_owned);
-                self.begun |= whole && argument == KEY;
+                self.found_key |= whole && argument == KEY;
             }
-            b'q' | b'r' => self.remember(little_endian(argument) as u32),
-            0x94 => self.remember(self.objects),
-            b'h' | b'j' => self.last = self.texts.get(&(little_endian(argument) as u32)).cloned(),
-            0x95 => {} // a frame begins
+            b'q' | b'r' => self.memoize(little_endian(argument) as u32),
+            0x94 => self.memoize(self.memo_len),
+            b'h' | b'j' => self.last = self.memo.get(&(little_endian(argument) as u32)).cloned(),
+            0x95 => {} // FRAME, which changes nothing on the stack
             _ => {
                 if let (Some(name), Some(number)) = (self.last.take(), number(opcode, argument))
-                    && self.begun
+                    && self.found_key
                 {
                     numbers.entry(name).or_insert(number);
                 }
@@ -50,16 +50,16 @@ impl Follower {
         }
     }
 
-    fn remember(&mut self, index: u32) {
-        self.objects = self.objects.saturating_add(1);
+    fn memoize(&mut self, index: u32) {
+        self.memo_len = self.memo_len.saturating_add(1);
         match &self.last {
-            Some(text) => self.texts.insert(index, text.clone()),
-            None => self.texts.remove(&index),
+            Some(string) => self.memo.insert(index, string.clone()),
+            None => self.memo.remove(&index),
         };
     }
 }
 
-/// The number that the operation makes, if it makes one.
+/// The number that an operation pushes, if any.
 fn number(opcode: u8, argument: &[u8]) -> Option<f64> {
     match opcode {
         b'K' | b'M' => Some(little_endian(argument) as f64),
@@ -73,7 +73,7 @@ fn number(opcode: u8, argument: &[u8]) -> Option<f64> {
     }
 }
 
-/// Of at most eight bytes.
+/// The value of at most eight bytes.
 fn little_endian(bytes: &[u8]) -> u64 {
     bytes.iter().rev().fold(0, |number, &byte| number << 8 | u64::from(byte))
 }
@@ -83,16 +83,16 @@ mod tests {
     use super::*;
 
     fn numbers(operations: &[(u8, &[u8])]) -> Vec<(String, f64)> {
-        let (mut follower, mut numbers) = (Follower::default(), BTreeMap::new());
+        let (mut scanner, mut numbers) = (Scanner::default(), BTreeMap::new());
         for (opcode, argument) in operations {
-            follower.follow(*opcode, argument, true, &mut numbers);
+            scanner.scan(*opcode, argument, true, &mut numbers);
         }
         numbers.into_iter().collect()
     }
 
-    /// Protocol 4 numbers what it remembers by itself.
+    /// `MEMOIZE` of protocol 4 has no index of its own.
     #[test]
-    fn a_text_is_referred_to_by_its_number() {
+    fn memoized_strings_are_names() {
         let found = numbers(&[
             (0x95, &[0; 8]),
             (b'}', &[]),
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_after_anything_else_has_no_name() {
+    fn numbers_without_a_name_are_ignored() {
         let found = numbers(&[
             (b'X', b"before"),
             (b'K', &[1]),

@@ -1,7 +1,7 @@
 //! Checkpoint files of other programs, recognized by their content.
 //!
-//! PyTorch files are pickles: they are parsed, never executed. Opening a file reads the names, types and shapes of its
-//! tensors; every size it claims is checked against the length of the file before memory is taken.
+//! PyTorch files are pickles: they are parsed, never executed. Opening a file reads names, types and shapes of its tensors; every
+//! size in it is checked against the length of the file before memory is allocated.
 
 mod burnpack;
 mod hyper_parameters;
@@ -9,11 +9,11 @@ mod naming;
 mod pytorch;
 mod pytorch_writer;
 mod safetensors;
-mod words;
+mod searchable_text;
 
 pub use pytorch_writer::save_pytorch;
 pub use safetensors::{read_safetensors, safetensors_bytes};
-pub use words::words;
+pub use searchable_text::searchable_text;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -28,21 +28,21 @@ use srflow_field::{FileKind, excerpt, open_file};
 use crate::parameters::{ParameterInfo, Parameters};
 use crate::weights::WeightsError;
 
-/// Tensors of an honest checkpoint may share bytes, or be deflated, but not claim so many times the length of the file.
-const MOST_CLAIMED: u64 = 8;
-/// Bytes of a file that tell what it is.
-const START: u64 = 262;
+/// Most bytes of tensors per byte of the file. Valid checkpoints may share storages or be compressed, but reach less.
+const MAX_CLAIM_RATIO: u64 = 8;
+/// Bytes needed to recognize a format.
+const MAGIC_BYTES: u64 = 262;
 
-/// What kind of file a checkpoint is.
+/// Format of a checkpoint file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Format {
-    /// Of `torch.save` since PyTorch 1.6, and of Lightning (`.ckpt`).
+    /// From `torch.save` since PyTorch 1.6, and from Lightning (`.ckpt`).
     PytorchZip,
-    /// Of `torch.save` before PyTorch 1.6, or with `_use_new_zipfile_serialization=False`.
+    /// From `torch.save` before PyTorch 1.6, or with `_use_new_zipfile_serialization=False`.
     PytorchLegacy,
-    /// Of Hugging Face, and of [`save_parameters`](crate::save_parameters).
+    /// From Hugging Face's library, and from [`save_parameters`](crate::save_parameters).
     Safetensors,
-    /// Of Burn.
+    /// From Burn.
     Burnpack,
 }
 
@@ -57,9 +57,8 @@ impl fmt::Display for Format {
     }
 }
 
-/// A checkpoint file, opened: its parameters under the names that the reference implementations give them, none of
-/// them read yet. Containers and prefixes are taken off, counters and index tables left out, what is stored twice is
-/// there once.
+/// An open checkpoint file: its floating-point tensors under the names of the reference implementation, their values not read
+/// yet. Containers and prefixes of names are removed, and so are duplicates.
 #[derive(Debug)]
 pub struct Checkpoint {
     path: PathBuf,
@@ -70,13 +69,12 @@ pub struct Checkpoint {
     hyper_parameters: BTreeMap<String, f64>,
 }
 
-/// What a file holds, its tensors under the names that they have there.
+/// The contents of a file, under the names in the file.
 struct Contents {
     tensors: BTreeMap<String, StoredTensor>,
     hyper_parameters: BTreeMap<String, f64>,
 }
 
-/// A tensor in a file.
 #[derive(Debug)]
 struct StoredTensor {
     dtype: DType,
@@ -84,31 +82,25 @@ struct StoredTensor {
     bytes: StoredBytes,
 }
 
-/// Where the bytes of a tensor are.
 #[derive(Debug)]
 enum StoredBytes {
-    /// So many, from there on.
-    Range {
-        file: Rc<File>,
-        start: u64,
-        len: usize,
-    },
+    Range { file: Rc<File>, start: u64, len: usize },
     Pytorch(pytorch_reader::Tensor),
     Memory(Vec<u8>),
 }
 
 impl Checkpoint {
-    /// Opens a file and reads what it holds, but no values.
+    /// Opens a file and reads everything but the values.
     ///
     /// # Errors
-    /// When the file cannot be read, is no checkpoint or a broken one, or holds no tensor of floating-point numbers.
+    /// When the file cannot be read, is not a checkpoint or a broken one, or contains no floating-point tensors.
     pub fn open(path: &Path) -> Result<Self, WeightsError> {
         let read_error = |error| WeightsError::Read { path: path.to_owned(), error };
         let (mut file, len) = open_file(path, FileKind::Checkpoint)?;
         let mut start = Vec::new();
-        (&mut file).take(START).read_to_end(&mut start).map_err(read_error)?;
+        (&mut file).take(MAGIC_BYTES).read_to_end(&mut start).map_err(read_error)?;
         let Some(format) = format_of(&start) else {
-            return Err(WeightsError::Unrecognized { path: path.to_owned(), found: described(&start) });
+            return Err(WeightsError::Unrecognized { path: path.to_owned(), found: describe_start(&start) });
         };
         let broken = |problem: String| WeightsError::broken(path, format, &problem);
         let found = match format {
@@ -122,7 +114,7 @@ impl Checkpoint {
             return Err(WeightsError::Empty { path: path.to_owned() });
         }
         let claimed = named.tensors.values().map(StoredTensor::byte_len).fold(0, u64::saturating_add);
-        if claimed > len.saturating_mul(MOST_CLAIMED) {
+        if claimed > len.saturating_mul(MAX_CLAIM_RATIO) {
             return Err(broken(format!("its tensors claim {claimed} bytes, the file has {len}")));
         }
         Ok(Self {
@@ -135,35 +127,34 @@ impl Checkpoint {
         })
     }
 
-    /// What kind of file it is.
     pub fn format(&self) -> Format {
         self.format
     }
 
-    /// The dictionary of the file that holds the parameters, such as `state_dict`, where they are not at its root.
+    /// The dictionary with the parameters, such as `state_dict`; `None` if they are at the root of the file.
     pub fn container(&self) -> Option<&str> {
         self.container
     }
 
-    /// What stood before every name and is taken off, such as `module.`; empty when nothing did.
+    /// The prefix that was removed from every name, such as `module.`; may be empty.
     pub fn prefix(&self) -> &str {
         &self.prefix
     }
 
-    /// Types of the stored numbers, such as `F32`.
+    /// Element types of the stored tensors, such as `F32`.
     pub fn types(&self) -> Vec<String> {
         let types: BTreeSet<String> =
             self.tensors.values().map(|tensor| format!("{:?}", tensor.dtype)).collect();
         types.into_iter().collect()
     }
 
-    /// The numbers among the `hyper_parameters` of a PyTorch file, where Lightning puts what a network was made with, by name;
-    /// true and false are none.
+    /// Numbers in the `hyper_parameters` of a PyTorch file, where Lightning stores the arguments of the network, by name. Booleans
+    /// are not included.
     pub fn hyper_parameters(&self) -> &BTreeMap<String, f64> {
         &self.hyper_parameters
     }
 
-    /// Names and shapes, by name.
+    /// Names and shapes, sorted by name.
     pub fn parameters(&self) -> Vec<ParameterInfo> {
         let info = |(name, tensor): (&String, &StoredTensor)| ParameterInfo {
             name: name.clone(),
@@ -172,7 +163,7 @@ impl Checkpoint {
         self.tensors.iter().map(info).collect()
     }
 
-    /// The same under other names; a tensor without a new name is left out.
+    /// Renames every tensor; those for which `name` returns `None` are dropped.
     #[must_use]
     pub fn renamed(mut self, name: impl Fn(&str) -> Option<String>) -> Self {
         let tensors = std::mem::take(&mut self.tensors);
@@ -183,7 +174,7 @@ impl Checkpoint {
     /// Reads the values, as `f32`.
     ///
     /// # Errors
-    /// When the file ends before them or cannot be read.
+    /// When the file is truncated or cannot be read.
     pub fn read(self) -> Result<Parameters, WeightsError> {
         let parameters = read_all(&self.path, self.format, self.tensors)?;
         Ok(parameters.into_iter().map(|(name, data)| (name, data.convert::<f32>())).collect())
@@ -196,7 +187,7 @@ impl From<BTreeMap<String, StoredTensor>> for Contents {
     }
 }
 
-/// The values of all tensors, in the types that they are stored in.
+/// Reads the values of all tensors, in their stored types.
 fn read_all(
     path: &Path,
     format: Format,
@@ -205,7 +196,7 @@ fn read_all(
     let read = |(name, tensor): (String, StoredTensor)| {
         let data = tensor.read().map_err(|error| match error.kind() {
             io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => match format {
-                // PyTorch's names the tensor.
+                // Errors of the PyTorch reader already name the tensor.
                 Format::PytorchZip | Format::PytorchLegacy => {
                     WeightsError::broken(path, format, &error.to_string())
                 }
@@ -252,26 +243,26 @@ impl StoredTensor {
     }
 }
 
-/// What a file is, by its first bytes. A broken one is what it seems to be.
+/// Recognizes a format by the first bytes of a file.
 fn format_of(start: &[u8]) -> Option<Format> {
     if start.starts_with(b"PK\x03\x04") || start.starts_with(b"PK\x05\x06") {
         Some(Format::PytorchZip)
     } else if start.starts_with(&burn_pack::MAGIC_NUMBER.to_le_bytes()) {
         Some(Format::Burnpack)
     } else if start.get(8) == Some(&b'{') {
-        // Eight bytes of length, then JSON. No pickle has a brace there.
+        // Eight bytes of length, then JSON. No pickle has a brace at this position.
         Some(Format::Safetensors)
     } else if start.get(257..) == Some(b"ustar") {
         None
     } else if start.first() == Some(&0x80) {
-        Some(Format::PytorchLegacy) // the opcode PROTO, with which every pickle of torch.save starts
+        Some(Format::PytorchLegacy) // the opcode PROTO, the first of every pickle of torch.save
     } else {
         None
     }
 }
 
-/// The start of a file for people to recognize.
-fn described(start: &[u8]) -> String {
+/// Describes a file by its first bytes, for errors.
+fn describe_start(start: &[u8]) -> String {
     if start.is_empty() {
         return "an empty file".into();
     }

@@ -1,34 +1,34 @@
-//! From the names in a file to those of the reference implementations.
+//! Maps the names in a file to those of the reference implementation.
 
 use std::collections::BTreeMap;
 
-/// Dictionaries that training programs put the weights in, beside other things.
+/// Dictionaries in which training scripts store the weights next to other data.
 const CONTAINERS: [&str; 4] = ["state_dict", "model_state_dict", "model", "network"];
-/// What wrappers of a network put before every name: `DataParallel`, trainers, `torch.compile`.
+/// Prefixes that wrappers add to every name: `DataParallel`, trainers, `torch.compile`.
 const PREFIXES: [&str; 5] = ["module.", "network.", "model.", "net.", "_orig_mod."];
 
 /// Tensors under the reference's names.
 pub(super) struct Named<T> {
-    /// The dictionary they were in, where it is not the root of the file.
+    /// The dictionary that contained them; `None` for the root of the file.
     pub(super) container: Option<&'static str>,
-    /// What stood before every name.
+    /// The removed prefix.
     pub(super) prefix: String,
     pub(super) tensors: BTreeMap<String, T>,
 }
 
-/// Takes off container and prefixes, and what is stored twice.
+/// Removes containers, prefixes and duplicates.
 pub(super) fn reference_names<T>(found: BTreeMap<String, T>) -> Named<T> {
     let (container, found) = without_container(found);
     let (prefix, found) = without_prefix(found);
-    Named { container, prefix, tensors: once(found) }
+    Named { container, prefix, tensors: without_duplicates(found) }
 }
 
-/// Only what the first container that is there holds.
+/// Keeps only the contents of the first container present.
 fn without_container<T>(found: BTreeMap<String, T>) -> (Option<&'static str>, BTreeMap<String, T>) {
     for container in CONTAINERS {
         let inside = |name: &str| Some(name.strip_prefix(container)?.strip_prefix('.')?.to_owned());
         let held = found.keys().filter(|name| inside(name).is_some()).count();
-        // `model.` and `network.` before every name are what a wrapper puts there.
+        // `model.` or `network.` in front of every name comes from a wrapper.
         let wrapper = held == found.len() && PREFIXES.contains(&format!("{container}.").as_str());
         if held > 0 && !wrapper {
             let kept = found.into_iter().filter_map(|(name, tensor)| Some((inside(&name)?, tensor)));
@@ -38,7 +38,7 @@ fn without_container<T>(found: BTreeMap<String, T>) -> (Option<&'static str>, BT
     (None, found)
 }
 
-/// Takes off prefixes that every name has.
+/// Removes prefixes common to all names.
 fn without_prefix<T>(mut found: BTreeMap<String, T>) -> (String, BTreeMap<String, T>) {
     let mut taken = String::new();
     while let Some(prefix) = PREFIXES
@@ -51,15 +51,15 @@ fn without_prefix<T>(mut found: BTreeMap<String, T>) -> (String, BTreeMap<String
     (taken, found)
 }
 
-/// Leaves out the second copy of a shortcut's norm: `downsample.1`, and as the last numbered norm of the block.
-fn once<T>(mut found: BTreeMap<String, T>) -> BTreeMap<String, T> {
+/// Drops the second copy of the norm of a shortcut, which is stored as `downsample.1` and as the last numbered norm of the block.
+fn without_duplicates<T>(mut found: BTreeMap<String, T>) -> BTreeMap<String, T> {
     let shortcuts: Vec<(String, String)> = found
         .keys()
         .filter_map(|name| name.split_once("downsample.1."))
         .map(|(block, rest)| (block.to_owned(), rest.to_owned()))
         .collect();
     for (block, rest) in shortcuts {
-        // Only the last of them: in a block of three convolutions `norm3` is a norm of its own.
+        // Only the last one: in a block of three convolutions, `norm3` is not a copy.
         let copy = ["norm4", "norm3", "bn3"].map(|norm| format!("{block}{norm}.{rest}"));
         if let Some(copy) = copy.iter().find(|name| found.contains_key(*name)) {
             found.remove(copy);
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn containers_and_prefixes_come_off() {
+    fn containers_and_prefixes_are_removed() {
         let plain = || vec!["cnet.weight".to_string(), "fnet.weight".to_string()];
         assert_eq!(named(&["fnet.weight", "cnet.weight"]), (None, String::new(), plain()));
         assert_eq!(
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn the_norm_of_a_shortcut_is_there_once() {
+    fn copies_of_shortcut_norms_are_dropped() {
         let kept = |norms: &[&str]| named(&[norms, &["downsample.1.weight"]].concat()).2;
         assert_eq!(kept(&["norm3.weight"]), ["downsample.1.weight"]);
         assert_eq!(kept(&["norm3.weight", "norm4.weight"]), ["downsample.1.weight", "norm3.weight"]);
@@ -109,7 +109,7 @@ mod tests {
     }
 
     #[test]
-    fn a_prefix_of_some_names_is_a_part_of_the_network() {
+    fn a_prefix_of_only_some_names_is_kept() {
         let names = vec!["head.weight".to_string(), "net.weight".to_string()];
         assert_eq!(named(&["net.weight", "head.weight"]), (None, String::new(), names));
     }

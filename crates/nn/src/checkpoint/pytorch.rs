@@ -1,4 +1,4 @@
-//! PyTorch's files: a pickle that names the tensors, and their bytes.
+//! PyTorch files: a pickle that describes the tensors, and their bytes.
 
 use std::collections::BTreeMap;
 use std::io::{self, BufRead, BufReader, Read};
@@ -9,14 +9,14 @@ use pytorch_reader::PytorchReader;
 use srflow_field::{FileKind, open_file};
 use zip::ZipArchive;
 
-use super::hyper_parameters::{Follower, LONGEST_NAME};
-use super::{Contents, Format, MOST_CLAIMED, StoredBytes, StoredTensor};
+use super::hyper_parameters::{LONGEST_NAME, Scanner};
+use super::{Contents, Format, MAX_CLAIM_RATIO, StoredBytes, StoredTensor};
 
-/// Largest pickle. Those of real checkpoints are under a megabyte, as they hold no values.
+/// Largest pickle. Those of real checkpoints are below a megabyte, as they contain no values.
 const MAX_PICKLE_BYTES: u64 = 16 << 20;
 
-/// Most operations of the pickles of a file: each can make an object of half a kilobyte out of a byte. The checkpoint of a
-/// training, with what the optimizer remembers of a thousand tensors, has 200,000.
+/// Most operations in the pickles of a file. A single byte can create an object of half a kilobyte; a training checkpoint with
+/// the optimizer state of a thousand tensors has 200,000 operations.
 const MAX_OPCODES: u32 = 500_000;
 
 pub(super) fn contents(path: &Path, format: Format, len: u64) -> Result<Contents, String> {
@@ -36,50 +36,50 @@ pub(super) fn contents(path: &Path, format: Format, len: u64) -> Result<Contents
     Ok(Contents { tensors: found.collect(), hyper_parameters })
 }
 
-/// Walks the pickles of a file before they are parsed, and gives the numbers among its hyper-parameters.
+/// Checks the pickles of a file before they are parsed, and returns the numeric hyper-parameters.
 fn check_pickles(path: &Path, format: Format, len: u64) -> Result<BTreeMap<String, f64>, String> {
     let (file, _) = open_file(path, FileKind::Checkpoint).map_err(|error| error.problem.to_string())?;
     let (mut left, mut numbers) = (MAX_OPCODES, BTreeMap::new());
     if format == Format::PytorchLegacy {
-        // A magic number, a version, the system, the parameters and the names of the storages: five pickles in a row.
+        // Five pickles in a row: magic number, version, system information, tensors and storage keys.
         let mut pickles = BufReader::new(file.take(MAX_PICKLE_BYTES));
         for _ in 0..5 {
             if pickles.fill_buf().map_err(|error| error.to_string())?.is_empty() {
-                break; // a pickle alone
+                break; // a bare pickle
             }
             walk_pickle(&mut pickles, &mut left, &mut numbers)?;
         }
         return Ok(numbers);
     }
     let mut archive = ZipArchive::new(BufReader::new(file)).map_err(|error| error.to_string())?;
-    let most = MAX_PICKLE_BYTES.min(len.saturating_mul(MOST_CLAIMED));
+    let most = MAX_PICKLE_BYTES.min(len.saturating_mul(MAX_CLAIM_RATIO));
     for index in 0..archive.len() {
         let entry = archive.by_index(index).map_err(|error| error.to_string())?;
         if !entry.name().map_err(|error| error.to_string())?.ends_with("data.pkl") {
             continue;
         }
         if entry.size() > most {
-            return Err(format!(
-                "its data.pkl claims {} bytes, of which at most {most} are read",
-                entry.size()
-            ));
+            return Err(format!("its data.pkl claims {} bytes, more than the limit of {most}", entry.size()));
         }
         walk_pickle(&mut BufReader::new(entry.take(most)), &mut left, &mut numbers)?;
     }
     Ok(numbers)
 }
 
-/// Passes over one pickle and counts its opcodes. Nothing is made of it but `numbers`, those of its hyper-parameters.
+/// Scans one pickle without building objects: subtracts its operations from `left`, and adds its numeric hyper-parameters to
+/// `numbers`.
 fn walk_pickle(
     pickle: &mut impl BufRead,
     left: &mut u32,
     numbers: &mut BTreeMap<String, f64>,
 ) -> Result<(), String> {
-    let mut follower = Follower::default();
+    let mut scanner = Scanner::default();
     let mut start = Vec::with_capacity(LONGEST_NAME);
     loop {
         *left = left.checked_sub(1).ok_or_else(|| {
-            format!("its pickle has more than {MAX_OPCODES} operations: it holds more than the weights of a network")
+            format!(
+                "its pickle has more than {MAX_OPCODES} operations, too many for the weights of a network"
+            )
         })?;
         let [opcode] = bytes(pickle)?;
         let (argument, lines) = match opcode {
@@ -93,7 +93,7 @@ fn walk_pickle(
             0x8d | 0x8e | 0x96 => (u64::from_le_bytes(bytes(pickle)?), 0),
             b'I' | b'F' | b'L' | b'S' | b'V' | b'P' | b'g' | b'p' => (0, 1),
             b'c' | b'i' => (0, 2),
-            _ => (0, 0), // none; what is no opcode the parser names
+            _ => (0, 0), // no argument; the parser rejects invalid opcodes
         };
         start.clear();
         let mut argument_bytes = pickle.by_ref().take(argument);
@@ -102,12 +102,12 @@ fn walk_pickle(
         let (read, rest) =
             (read.map_err(|error| error.to_string())?, rest.map_err(|error| error.to_string())?);
         if read as u64 + rest < argument {
-            return Err("its pickle is cut short".into());
+            return Err("its pickle is truncated".into());
         }
-        follower.follow(opcode, &start, rest == 0, numbers);
+        scanner.scan(opcode, &start, rest == 0, numbers);
         for _ in 0..lines {
             if pickle.skip_until(b'\n').map_err(|error| error.to_string())? == 0 {
-                return Err("its pickle is cut short".into());
+                return Err("its pickle is truncated".into());
             }
         }
     }
@@ -117,7 +117,7 @@ fn bytes<const N: usize>(pickle: &mut impl BufRead) -> Result<[u8; N], String> {
     let mut bytes = [0; N];
     match pickle.read_exact(&mut bytes) {
         Ok(()) => Ok(bytes),
-        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Err("its pickle is cut short".into()),
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Err("its pickle is truncated".into()),
         Err(error) => Err(error.to_string()),
     }
 }

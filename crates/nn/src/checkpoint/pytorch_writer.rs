@@ -1,7 +1,7 @@
-//! Checkpoints as PyTorch and Lightning read them: a zip file of a pickle that names the tensors, and their bytes.
+//! Writes checkpoints for PyTorch and Lightning: a zip file with a pickle that describes the tensors, and their bytes.
 //!
-//! The pickle is of the small part of protocol 2 that `torch.load` takes with `weights_only=True`: dictionaries, texts, whole
-//! numbers, and tensors by `torch._utils._rebuild_tensor_v2`.
+//! The pickle uses the part of protocol 2 that `torch.load` accepts with `weights_only=True`: dictionaries, strings, integers,
+//! and tensors built by `torch._utils._rebuild_tensor_v2`.
 
 use std::borrow::Cow;
 use std::io::Write;
@@ -14,19 +14,19 @@ use zip::{CompressionMethod, ZipWriter};
 
 use crate::parameters::{Parameters, parameters};
 
-/// Folder inside the zip file; `torch.save` calls it as the file, `torch.load` takes any.
+/// Folder inside the zip file; `torch.save` names it after the file, `torch.load` accepts any name.
 const ARCHIVE: &str = "archive";
-/// Of the zip format of `torch.save`.
+/// Version of the zip format of `torch.save`.
 const FORMAT_VERSION: &str = "3\n";
-/// `torch.load` with `mmap=True` wants the tensors' bytes at multiples of this.
+/// Alignment of tensors that `torch.load` with `mmap=True` requires.
 const ALIGNMENT: u16 = 64;
-/// What Lightning migrates the file from.
+/// Lightning migrates files from the version in them to its own.
 const LIGHTNING_VERSION: &str = "2.4.0";
 
-/// Writes the parameters of a network under the reference's names as a Lightning checkpoint, whole or not at all: `torch.load`,
-/// `load_from_checkpoint` and ptlflow's `get_model(ckpt_path=...)` read it. What PyTorch's modules hold beside parameters is
-/// added, since their `load_state_dict` insists on it: the counters of batch norm, the second name of a shortcut's norm,
-/// and the table of indices of relative positions.
+/// Writes the parameters of a network, under the reference's names, to a Lightning checkpoint, which `torch.load`,
+/// `load_from_checkpoint` and ptlflow's `get_model(ckpt_path=...)` read. The write is atomic. It adds the tensors besides
+/// parameters that `load_state_dict` requires: counters of batch norm, the second name of the norm of a shortcut, and the index
+/// table of relative positions.
 ///
 /// # Errors
 /// When the file cannot be written.
@@ -53,7 +53,7 @@ pub fn save_pytorch(network: &impl Module, path: &Path) -> Result<(), FileError>
     })
 }
 
-/// Tensors by name, and their numbers, which two may share.
+/// Tensors by name, and their storages, which two tensors may share.
 struct State<'a> {
     tensors: Vec<Tensor>,
     storages: Vec<Storage<'a>>,
@@ -198,7 +198,7 @@ impl Pickle {
         self.items(items);
     }
 
-    /// Into the dictionary that came before.
+    /// Adds items to the dictionary on the stack.
     fn items(&mut self, items: impl FnOnce(&mut Self)) {
         self.0.push(MARK);
         items(self);

@@ -1,4 +1,4 @@
-//! Safetensors: eight bytes of length, a JSON table of the tensors, their bytes without gaps. Our own checkpoints are.
+//! Safetensors, the format of our own checkpoints: eight bytes of length, a JSON table of the tensors, their bytes without gaps.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -15,10 +15,10 @@ use super::{Format, StoredBytes, StoredTensor, read_all};
 use crate::parameters::Parameters;
 use crate::weights::WeightsError;
 
-/// Bytes before the table.
+/// Bytes of the length of the table.
 const LENGTH: u64 = 8;
 
-/// Reads the table alone, and holds it to the length of the file. The values are read by ranges.
+/// Reads only the table, and checks it against the length of the file.
 pub(super) fn tensors(mut file: File, len: u64) -> Result<BTreeMap<String, StoredTensor>, String> {
     let mut table_len = [0; LENGTH as usize];
     file.seek(SeekFrom::Start(0)).map_err(|error| error.to_string())?;
@@ -54,10 +54,10 @@ pub(super) fn tensors(mut file: File, len: u64) -> Result<BTreeMap<String, Store
     Ok(found.collect())
 }
 
-/// The tensors of floating-point numbers in a safetensors file, under the names and in the types that they have there.
+/// Reads the floating-point tensors of a safetensors file, with the names and types of the file.
 ///
 /// # Errors
-/// When the file cannot be read or is not a whole one.
+/// When the file cannot be read, or is truncated or corrupt.
 pub fn read_safetensors(path: &Path) -> Result<Parameters, WeightsError> {
     let (file, len) = open_file(path, FileKind::Checkpoint)?;
     let tensors =
@@ -65,10 +65,10 @@ pub fn read_safetensors(path: &Path) -> Result<Parameters, WeightsError> {
     read_all(path, Format::Safetensors, tensors)
 }
 
-/// A safetensors file of tensors with their names, shapes and values: the same bytes for the same tensors in any order.
+/// Serializes tensors (name, shape, values) in the safetensors format. The bytes do not depend on the order of the tensors.
 ///
 /// # Panics
-/// When a shape does not hold as many values, or a name exists twice.
+/// When the number of values does not match a shape, or a name occurs twice.
 pub fn safetensors_bytes<'a>(tensors: impl IntoIterator<Item = (String, &'a [usize], &'a [f32])>) -> Vec<u8> {
     let bytes_of = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect();
     let tensors: Vec<(String, &[usize], Vec<u8>)> =

@@ -1,4 +1,4 @@
-//! What a checkpoint says of itself in words: its file's name, hyper-parameters, keys beside the weights.
+//! Text of a checkpoint that may identify its network: file name, hyper-parameters, keys next to the weights.
 
 use std::io::{BufReader, Read};
 use std::path::Path;
@@ -8,15 +8,15 @@ use zip::ZipArchive;
 
 use crate::weights::WeightsError;
 
-/// Words stand before the weights, within so many bytes.
-const MOST: u64 = 4 << 20;
+/// Bytes that are searched; text precedes the weights in every format.
+const SEARCHED_BYTES: u64 = 4 << 20;
 
-/// Name and words of a checkpoint file in lower case, of ASCII letters and digits alone: `SEA-RAFT` is `searaft`. The words
-/// are those of the pickle of a PyTorch file and of what stands before the weights in others.
+/// File name of a checkpoint, and the text of its pickle (PyTorch) or of its first bytes (other formats), in lower case: hyphens
+/// and underscores are removed (`SEA-RAFT` becomes `searaft`), all other characters but ASCII letters and digits become spaces.
 ///
 /// # Errors
 /// When the file cannot be read.
-pub fn words(path: &Path) -> Result<String, WeightsError> {
+pub fn searchable_text(path: &Path) -> Result<String, WeightsError> {
     let (file, _) = open_file(path, FileKind::Checkpoint)?;
     let read_error = |error| WeightsError::Read { path: path.to_owned(), error };
     let mut bytes = path.file_stem().unwrap_or_default().to_string_lossy().into_owned().into_bytes();
@@ -27,12 +27,12 @@ pub fn words(path: &Path) -> Result<String, WeightsError> {
             let pickle = names.find(|name| name.ends_with("data.pkl"));
             drop(names);
             if let Some(Ok(pickle)) = pickle.map(|name| archive.by_name(&name)) {
-                pickle.take(MOST).read_to_end(&mut bytes).map_err(read_error)?;
+                pickle.take(SEARCHED_BYTES).read_to_end(&mut bytes).map_err(read_error)?;
             }
         }
         Err(_) => {
             let (file, _) = open_file(path, FileKind::Checkpoint)?;
-            file.take(MOST).read_to_end(&mut bytes).map_err(read_error)?;
+            file.take(SEARCHED_BYTES).read_to_end(&mut bytes).map_err(read_error)?;
         }
     }
     let kept = |byte: u8| match byte {

@@ -12,7 +12,7 @@ use super::Conv2d;
 /// Added to the variance; PyTorch's default.
 const EPSILON: f64 = 1e-5;
 
-/// Normalizes each channel by the running statistics, or by those of the batch; see [`with_batch_statistics`].
+/// PyTorch's `BatchNorm2d`, by the running statistics or by those of the batch; see [`with_batch_statistics`].
 #[derive(Module, Debug)]
 pub struct BatchNorm {
     weight: Param<Tensor<1>>,
@@ -22,23 +22,23 @@ pub struct BatchNorm {
     batch_statistics: Param<Flag>,
 }
 
-/// Sets whether batch norm takes mean and variance from the batch (`true`, as PyTorch's modules do in training) or from the
-/// running statistics (`false`, as all are made). With the first, every forward pass also moves the running statistics
-/// towards those of its batch. [`Module::valid`] gives a network with `false`.
+/// Sets whether all batch norms of a network use mean and variance of the batch (`true`, as PyTorch in training mode) or the
+/// running statistics (`false`, the default). With `true`, every forward pass also updates the running statistics. The result
+/// of [`Module::valid`] has `false`.
 pub fn with_batch_statistics<M: Module>(network: M, batch_statistics: bool) -> M {
-    struct Setting(bool);
+    struct SetFlag(bool);
 
-    impl ModuleMapper for Setting {
+    impl ModuleMapper for SetFlag {
         fn map_flag(&mut self, flag: Param<Flag>) -> Param<Flag> {
             flag.with_value(self.0)
         }
     }
 
-    network.map(&mut Setting(batch_statistics))
+    network.map(&mut SetFlag(batch_statistics))
 }
 
 impl BatchNorm {
-    /// Weight 1, bias 0; running mean 0, variance 1.
+    /// Weight 1, bias 0, running mean 0, running variance 1.
     pub fn new(channels: usize, device: &Device) -> Self {
         Self {
             weight: Initializer::Ones.init([channels], device),
@@ -49,23 +49,23 @@ impl BatchNorm {
         }
     }
 
-    /// `norm(x)`.
+    /// `norm(x)` of `[batch, channels, height, width]`.
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        self.normalized(x, None, false)
+        self.normalize(x, None, false)
     }
 
-    /// `relu(norm(conv(x)))`. The norm cancels the bias of the convolution: with the batch's statistics it only enters the
+    /// `relu(norm(conv(x)))`. With batch statistics the norm cancels the bias of the convolution, which then only enters the
     /// running mean and has no gradient.
     pub fn relu_after(&self, conv: &Conv2d, x: Tensor<4>) -> Tensor<4> {
-        self.normalized(conv.forward_without_bias(x), conv.bias(), true)
+        self.normalize(conv.forward_without_bias(x), conv.bias(), true)
     }
 
-    /// `activation(norm(conv(x)))`. Running statistics are folded into the convolution; with the batch's, the gradient of its
-    /// bias is rounding error, as in PyTorch.
+    /// `activation(norm(conv(x)))`. Running statistics are folded into the convolution. With batch statistics the gradient of its
+    /// bias is only rounding error, as in PyTorch.
     pub fn after(&self, conv: &Conv2d, x: Tensor<4>, activation: Activation) -> Tensor<4> {
         if self.batch_statistics.val().is_enabled() {
             let y = conv.forward(x, Activation::Identity);
-            let y = self.by_the_batch(y, None, activation == Activation::Relu);
+            let y = self.normalize_by_batch(y, None, activation == Activation::Relu);
             return match activation {
                 Activation::Identity | Activation::Relu => y,
                 Activation::LeakyRelu => leaky_relu(y, f64::from(Activation::LEAK)),
@@ -83,10 +83,10 @@ impl BatchNorm {
         conv.apply(x, folded, &WeightCache::default(), Epilogue::with(activation).bias(Some(shift)))
     }
 
-    /// Of `x + offset`, `offset` one number a channel.
-    fn normalized(&self, x: Tensor<4>, offset: Option<Tensor<1>>, rectify: bool) -> Tensor<4> {
+    /// Normalizes `x + offset`, with an `offset` per channel.
+    fn normalize(&self, x: Tensor<4>, offset: Option<Tensor<1>>, rectify: bool) -> Tensor<4> {
         if self.batch_statistics.val().is_enabled() {
-            return self.by_the_batch(x, offset, rectify);
+            return self.normalize_by_batch(x, offset, rectify);
         }
         let [scale, shift] = self.scale_and_shift(offset);
         let channels = x.dims()[1];
@@ -95,8 +95,8 @@ impl BatchNorm {
         if rectify { relu(output) } else { output }
     }
 
-    /// Of `x + offset` by its own statistics, which go into the running ones.
-    fn by_the_batch(&self, x: Tensor<4>, offset: Option<Tensor<1>>, rectify: bool) -> Tensor<4> {
+    /// Normalizes `x + offset` by its own statistics, and updates the running ones.
+    fn normalize_by_batch(&self, x: Tensor<4>, offset: Option<Tensor<1>>, rectify: bool) -> Tensor<4> {
         let mut norm = batch_norm(x, self.weight.val(), self.bias.val(), rectify);
         if let Some(offset) = offset {
             norm.mean = norm.mean + offset.detach();
@@ -109,7 +109,7 @@ impl BatchNorm {
         norm.output
     }
 
-    /// The norm of `x + offset` by the running statistics is `x * scale + shift`.
+    /// Scale and shift of each channel that normalize `x + offset` by the running statistics: `x * scale + shift`.
     fn scale_and_shift(&self, offset: Option<Tensor<1>>) -> [Tensor<1>; 2] {
         let scale = self.weight.val() / (self.running_var.value() + EPSILON).sqrt();
         let centre = match offset {
@@ -151,7 +151,7 @@ mod tests {
 
     /// Golden values: `tools/parity/batch_norm.py`.
     #[test]
-    fn batch_norm_trains_as_pytorchs() {
+    fn training_matches_pytorch() {
         let device = Device::flex().autodiff();
         let conv = Conv2dConfig::new([2, 3], [1, 1]).init(&device);
         let conv = conv.filled(numbers([3, 2, 1, 1], 1, &device), numbers([3], 2, &device));
@@ -173,9 +173,8 @@ mod tests {
         assert_close("of the weight", weight.grad(&grads).expect("a gradient"), &WEIGHT_GRADIENT);
     }
 
-    /// The same frames, estimated with the statistics that training gathered.
     #[test]
-    fn running_statistics_come_to_those_of_the_batch() {
+    fn running_statistics_converge_to_those_of_the_batch() {
         let device = Device::flex();
         let conv = Conv2dConfig::new([2, 3], [1, 1]).init(&device);
         let norm = with_batch_statistics(BatchNorm::new(3, &device), true);

@@ -8,28 +8,27 @@ use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::pointwise::tensor::{LayerOptions, PointwiseLayer};
 use srflow_ops::{Activation, WeightCache};
 
-/// How a [`Conv2d`] is made.
+/// Configuration of a [`Conv2d`].
 #[derive(Config, Debug)]
 pub struct Conv2dConfig {
     /// Input and output channels.
     channels: [usize; 2],
     /// Height and width.
     kernel: [usize; 2],
-    /// Down and across.
+    /// In both directions.
     #[config(default = "1")]
     stride: usize,
-    /// Zeros above and below, left and right; by default as many as keep the size for stride 1 and odd kernels.
+    /// Zeros above and below, and left and right; by default half the kernel, which keeps the size for stride 1 and odd kernels.
     padding: Option<[usize; 2]>,
-    /// One kernel for each channel.
+    /// One kernel per channel.
     #[config(default = "false")]
     depthwise: bool,
-    /// Add a number to each output channel.
     #[config(default = "true")]
     bias: bool,
-    /// Of the weight.
+    /// Initializer of the weight.
     #[config(default = "weight_initializer()")]
     initializer: Initializer,
-    /// Of the bias.
+    /// Initializer of the bias.
     #[config(default = "bias_initializer()")]
     bias_initializer: Initializer,
 }
@@ -57,7 +56,7 @@ pub struct Conv2d {
 }
 
 impl Conv2dConfig {
-    /// With random parameters, drawn when they are first read.
+    /// A layer with random parameters, drawn when they are first read.
     pub fn init(&self, device: &Device) -> Conv2d {
         let [inputs, outputs] = self.channels;
         let taps = self.kernel[0] * self.kernel[1];
@@ -81,7 +80,7 @@ impl Conv2d {
         Self { weight: Param::from_tensor(weight), bias: Some(Param::from_tensor(bias)), ..self }
     }
 
-    /// `[outputs, inputs, height, width]`; inputs 1 for a depthwise convolution.
+    /// `[outputs, inputs, height, width]`; `inputs` is 1 for a depthwise convolution.
     pub fn weight(&self) -> Tensor<4> {
         self.weight.val()
     }
@@ -91,23 +90,23 @@ impl Conv2d {
         self.bias.as_ref().map(Param::val)
     }
 
-    /// `activation(conv(x) + bias)`.
+    /// `activation(conv(x) + bias)` of `[batch, inputs, height, width]`.
     pub fn forward(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
         self.with_epilogue(x, Epilogue::with(activation).bias(self.bias()))
     }
 
-    /// `conv(x)`, the bias left out.
+    /// `conv(x)` without the bias.
     pub(super) fn forward_without_bias(&self, x: Tensor<4>) -> Tensor<4> {
         self.with_epilogue(x, Epilogue::default())
     }
 
-    /// `activation(conv(x) + bias + residual)`.
+    /// `activation(conv(x) + bias + residual)`; `residual` has the shape of the output.
     pub fn forward_add(&self, x: Tensor<4>, residual: Tensor<4>, activation: Activation) -> Tensor<4> {
         self.with_epilogue(x, Epilogue::with(activation).bias(self.bias()).residual(residual))
     }
 
-    /// Partial kernel convolution (Morimitsu et al., *RPKNet*, AAAI 2024): the part of the kernel for the channels that `x`
-    /// has and for the first `outputs`. Panics when the convolution has fewer.
+    /// Partial kernel convolution (Morimitsu et al., *RPKNet*, AAAI 2024): uses the part of the kernel for the first `outputs`
+    /// output channels and as many input channels as `x` has. Panics when the convolution has fewer outputs.
     pub fn partial(&self, x: Tensor<4>, outputs: usize, epilogue: Epilogue) -> Tensor<4> {
         let weight = self.weight();
         let inputs = weight.dims()[1].min(x.dims()[1]);
@@ -120,7 +119,7 @@ impl Conv2d {
         self.apply(x, self.weight(), &self.cache, epilogue)
     }
 
-    /// With another weight of the same kernel, and a cache for that.
+    /// Convolves with another weight of the same kernel size; `cache` belongs to that weight. The bias is that of `epilogue`.
     pub fn apply(
         &self,
         x: Tensor<4>,
@@ -136,12 +135,13 @@ impl Conv2d {
         }
     }
 
-    /// Whether every output needs only its own pixel.
+    /// Whether every output pixel depends only on the same input pixel.
     pub fn is_pointwise(&self) -> bool {
         self.stride == 1 && self.weight.lazy_shape()[2..] == [1, 1]
     }
 
-    /// As a layer of a chain, which must be pointwise.
+    /// This convolution, which must be [pointwise](Self::is_pointwise), as a layer of
+    /// [`pointwise_layers`](srflow_ops::pointwise::tensor::pointwise_layers).
     pub fn layer(&self, add_input_of: Option<usize>, activation: Activation) -> PointwiseLayer {
         let weight = self.weight();
         let bias = self.bias().unwrap_or_else(|| Tensor::zeros([weight.dims()[0]], &weight.device()));

@@ -9,26 +9,25 @@ use srflow_ops::{Activation, WeightCache};
 
 use super::conv::{bias_initializer, weight_initializer};
 
-/// How a [`ConvTranspose2d`] is made.
+/// Configuration of a [`ConvTranspose2d`].
 #[derive(Config, Debug)]
 pub struct ConvTranspose2dConfig {
     /// Input and output channels.
     channels: [usize; 2],
     /// Height and width.
     kernel: [usize; 2],
-    /// Pixels of the output for each of the input, down and across.
+    /// Upsampling factor in both directions.
     #[config(default = "1")]
     stride: usize,
-    /// Rows above and below, and columns left and right, that the output lacks.
+    /// Rows cropped above and below, and columns cropped left and right of the output.
     #[config(default = "[0, 0]")]
     padding: [usize; 2],
-    /// Add a number to each output channel.
     #[config(default = "true")]
     bias: bool,
-    /// Of the weight.
+    /// Initializer of the weight.
     #[config(default = "weight_initializer()")]
     initializer: Initializer,
-    /// Of the bias.
+    /// Initializer of the bias.
     #[config(default = "bias_initializer()")]
     bias_initializer: Initializer,
 }
@@ -45,11 +44,11 @@ pub struct ConvTranspose2d {
 }
 
 impl ConvTranspose2dConfig {
-    /// With random parameters, drawn when they are first read.
+    /// A layer with random parameters, drawn when they are first read.
     pub fn init(&self, device: &Device) -> ConvTranspose2d {
         let [inputs, outputs] = self.channels;
         let taps = self.kernel[0] * self.kernel[1];
-        // PyTorch takes the outputs for inputs here: the weight's second axis.
+        // PyTorch computes the fan-in from the second axis of the weight, which is the outputs here.
         let fans = (Some(outputs * taps), Some(inputs * taps));
         let shape = [inputs, outputs, self.kernel[0], self.kernel[1]];
         let bias = || self.bias_initializer.init_with([outputs], fans.0, fans.1, device);
@@ -64,7 +63,7 @@ impl ConvTranspose2dConfig {
 }
 
 impl ConvTranspose2d {
-    /// `activation(conv_transpose(x) + bias)`.
+    /// `activation(conv_transpose(x) + bias)` of `[batch, inputs, height, width]`.
     pub fn forward(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
         let Self { stride, padding, .. } = *self;
         let options = Conv2dOptions { stride: [stride; 2], padding, cache: self.cache.clone() };

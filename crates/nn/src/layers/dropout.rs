@@ -1,9 +1,9 @@
 use burn::tensor::{Tensor, TensorData};
 use srflow_field::random::Stream;
 
-/// Sets half of the values to zero and doubles the others, as `stream` chooses; without a stream, nothing.
+/// Dropout with probability one half: sets random values to zero and doubles the others. Without a stream, returns `x`.
 ///
-/// The choice does not come from the backend's generator: it does not depend on what other threads draw.
+/// The mask does not come from the backend's generator, so it does not depend on what other threads draw.
 pub fn dropout<const D: usize>(x: Tensor<D>, stream: Option<&mut Stream>) -> Tensor<D> {
     let Some(stream) = stream else { return x };
     let shape = x.shape();
@@ -25,7 +25,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn half_of_the_values_go_and_the_mean_stays() {
+    fn half_of_the_values_are_dropped_and_the_others_doubled() {
         let x = Tensor::<2>::ones([100, 101], &Device::flex());
         let mut stream = Key::new(1).stream("test");
         let dropped = dropout(x.clone(), Some(&mut stream));

@@ -19,7 +19,7 @@ impl LayerNorm {
         }
     }
 
-    /// Of `[batch, channels, height, width]`.
+    /// Normalizes `[batch, channels, height, width]`.
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let channels = x.dims()[1];
         let of_channels = |values: Tensor<1>| values.reshape([1, channels, 1, 1]);

@@ -15,7 +15,7 @@ pub struct Linear {
 }
 
 impl Linear {
-    /// With random parameters, drawn when they are first read.
+    /// A layer with random parameters, drawn when they are first read.
     pub fn new(inputs: usize, outputs: usize, device: &Device) -> Self {
         let fans = (Some(inputs), Some(outputs));
         Self {
@@ -30,14 +30,14 @@ impl Linear {
         x.matmul(self.weight.val().transpose()) + self.bias.val().unsqueeze()
     }
 
-    /// `activation(linear(x))` of each pixel: `[batch, outputs, height, width]` from `[batch, inputs, height, width]`.
+    /// `activation(linear(x))` per pixel: `[batch, outputs, height, width]` from `[batch, inputs, height, width]`.
     pub fn forward_pixels(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
         let epilogue = Epilogue::with(activation).bias(Some(self.bias()));
         let options = Conv2dOptions { stride: [1, 1], padding: [0, 0], cache: self.cache.clone() };
         conv2d(x, self.kernel(), epilogue, options)
     }
 
-    /// The weight as that of a convolution of one pixel, `[outputs, inputs, 1, 1]`.
+    /// The weight as that of a 1x1 convolution, `[outputs, inputs, 1, 1]`.
     pub fn kernel(&self) -> Tensor<4> {
         let weight = self.weight.val();
         let [outputs, inputs] = weight.dims();

@@ -1,4 +1,4 @@
-//! Layers with PyTorch's parameters: names, shapes and initial distributions.
+//! Layers whose parameters have PyTorch's names, shapes and initial distributions.
 
 mod batch_norm;
 mod conv;
@@ -16,6 +16,7 @@ pub use dropout::dropout;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;
 
-/// A layer without parameters in a sequence: the layers after it have the reference's numbers in their names.
+/// Placeholder for a layer without parameters, such as an activation, so that later layers of a sequence keep the numbers that the
+/// reference has in their names.
 #[derive(Module, Debug)]
 pub struct NoParameters;

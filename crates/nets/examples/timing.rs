@@ -1,8 +1,9 @@
-//! Seconds per pair of frames: `cargo run --release -p srflow-nets --example timing -- raft 512x800 32`
-//! (HEIGHTxWIDTH, iterations) with random parameters and frames. Threads: `RAYON_NUM_THREADS`.
+//! Measures seconds per pair of frames with random parameters and frames:
+//! `cargo run --release -p srflow-nets --example timing -- raft 512x800 32` (network, HEIGHTxWIDTH, iterations).
+//! `RAYON_NUM_THREADS` sets the number of threads.
 //!
-//! More arguments, as `tools/bench/nets.py` gives them: repeats, weights, a file of both frames and one for the flow, each
-//! plain `f32`, `[2, 3, height, width]` in 0..1 and `[2, height, width]`.
+//! More arguments, used by `tools/bench/nets.py`: repeats, weights, a file with both frames, and a file for the flow. The files
+//! are raw `f32`, `[2, 3, height, width]` in 0..1 and `[2, height, width]`.
 
 use std::path::Path;
 use std::time::Instant;
@@ -49,7 +50,7 @@ fn main() {
         if let ([_, _, _, flow], true) = (rest, repeat + 1 == repeats) {
             let numbers: Vec<f32> = estimate.last().clone().into_data().try_to_vec().expect("f32");
             let bytes: Vec<u8> = numbers.into_iter().flat_map(f32::to_le_bytes).collect();
-            std::fs::write(flow, bytes).expect("the flow is written");
+            std::fs::write(flow, bytes).expect("writing the flow");
         }
     }
 }

@@ -1,81 +1,81 @@
-//! What is known of a network.
+//! Facts about networks: names, sources, needs and abilities.
 
 use crate::MemoryNeed;
 
 /// Facts about a network.
 #[derive(Debug, Clone, Copy)]
 pub struct Facts {
-    /// On the command line.
+    /// Name on the command line.
     pub name: &'static str,
-    /// In its paper.
+    /// Name in the paper.
     pub title: &'static str,
-    /// Where the paper is.
+    /// URL of the paper.
     pub paper: &'static str,
-    /// Learned numbers; the statistics of batch norm are none.
+    /// Number of trained parameters, counted as scalars; running statistics of batch norm do not count.
     pub parameters: usize,
-    /// Height and width of frames are made multiples of this many pixels: by a border, or by resizing where the network's
-    /// authors resize. Those of large frames perhaps of more: [`Network::padding`](crate::Network::padding).
+    /// Height and width of frames are brought to multiples of this many pixels, by padding, or by resizing if the authors do so.
+    /// Large frames may need larger multiples: [`Network::padding`](crate::Network::padding).
     pub padding: usize,
-    /// Shorter sides of a frame are padded to this many pixels by repeating the border, where the reference implementation
-    /// gives NaN or fails.
+    /// Sides of a frame below this many pixels are padded to it by repeating the border; the reference implementation gives NaN
+    /// or fails for these.
     pub smallest_side: usize,
-    /// Common numbers of refinements.
+    /// Common numbers of refinement iterations.
     pub iterations: IterationPresets,
-    /// Where a flow may start from.
+    /// Whether a flow can be given to start from.
     pub start: Start,
-    /// Whether [`Network::encode`](crate::Network::encode) gives the parts that refinements are computed from one by one.
+    /// Whether iterations can be computed one by one from the output of [`Network::encode`](crate::Network::encode).
     pub recompute: bool,
-    /// Whether it can be trained here, which its reference implementation can too.
+    /// Whether training is supported, by srflow and by the reference implementation.
     pub trains: bool,
-    /// Whether it estimates how sure it is of a flow: [`Estimate::mixtures`](crate::Estimate::mixtures).
+    /// Whether it estimates the uncertainty of the flow: [`Estimate::mixtures`](crate::Estimate::mixtures).
     pub mixture: bool,
     /// Whether it estimates which pixels are occluded: [`Estimate::occlusion`](crate::Estimate::occlusion).
     pub occlusion: bool,
-    /// Whether it remembers earlier pairs of a video: [`Estimate::memory`](crate::Estimate::memory).
+    /// Whether it uses earlier pairs of a video: [`Estimate::memory`](crate::Estimate::memory).
     pub remembers: bool,
-    /// Memory that estimating one pair takes on a CPU at its peak, beside parameters and the program itself (100 MB): laid
-    /// above the peaks of whole processes at 320x256 to 3840x2160 that `tools/bench/memory.py` measured on two threads
-    /// (`docs/benchmarks.md` lists them). The number of iterations does not matter.
+    /// Peak memory for estimating one pair on a CPU, without parameters and the program itself (100 MB): an upper bound of the
+    /// peaks of whole processes at 320x256 to 3840x2160 that `tools/bench/memory.py` measured on two threads (listed in
+    /// `docs/benchmarks.md`). It does not depend on the number of iterations.
     pub memory: MemoryNeed,
     /// Whether ptlflow has it, under its name with underscores.
     pub in_ptlflow: bool,
-    /// Where the authors publish their code and weights.
+    /// URL of the authors' code.
     pub authors: &'static str,
-    /// Licence of the authors' code, as their repository states it, and of their weights, where they have another.
+    /// Licence of the authors' code, as stated in their repository, and of their weights, if different.
     pub licence: &'static str,
-    /// The name here of what a file of weights calls otherwise; `None` for what is no parameter. Called with each name of
-    /// the file, after containers and prefixes are taken off.
+    /// Maps names in files of weights to names of parameters; `None` drops the tensor. Called for each name in the file, after
+    /// containers and prefixes are removed.
     pub renamed: fn(&str) -> Option<String>,
-    /// Networks of the table that take the same weights and differ in their iterations alone, by name.
+    /// Names of networks in the table that use the same weights and differ only in their iterations.
     pub same_weights: &'static [&'static str],
-    /// Networks whose parameters have the same names and shapes: nothing in a file distinguishes them.
+    /// Titles of networks whose parameters have the same names and shapes.
     pub lookalikes: &'static [&'static str],
-    /// Weights that are downloaded by name.
+    /// Weights that can be downloaded by name.
     pub published: &'static [PublishedWeights],
 }
 
-/// Common numbers of refinements; 1 for a network without refinement.
+/// Common numbers of refinement iterations; 1 for a network without refinement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct IterationPresets {
-    /// Of ptlflow, with which the published tables of many networks are made. The default here.
+    /// The default, which is that of ptlflow, the source of published results for many networks.
     pub default: usize,
-    /// Of the authors' evaluation on Sintel.
+    /// The authors' number for evaluation on Sintel.
     pub authors: usize,
-    /// Of the authors' training.
+    /// The authors' number for training.
     pub training: usize,
 }
 
-/// What height and width of a frame are padded to multiples of.
+/// Number of pixels of which height and width of a frame are made multiples.
 #[derive(Debug, Clone, Copy)]
 pub enum Padding {
-    /// So many pixels, whatever the size.
+    /// Independent of the size.
     Fixed(usize),
-    /// Pixels by height and width.
+    /// Depending on height and width.
     BySize(fn([usize; 2]) -> usize),
 }
 
 impl Padding {
-    /// For a frame of this height and width.
+    /// The number of pixels for a frame of this height and width.
     pub fn of(self, size: [usize; 2]) -> usize {
         match self {
             Self::Fixed(pixels) => pixels,
@@ -84,40 +84,40 @@ impl Padding {
     }
 }
 
-/// Where a flow may start from.
+/// Whether a network can start from a given flow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Start {
-    /// From a coarse flow, such as that of the pair before: with so many pixels of the padded frame along a side of its pixels.
+    /// It can start from a coarse flow, such as that of the previous pair. The number is the side of a coarse pixel in pixels of
+    /// the padded frame.
     Coarse(usize),
-    /// From a coarse flow whose pixels are as large as the padding: the coarsest level of a pyramid.
+    /// It can start from a flow at the coarsest level of its pyramid, whose pixels have the size of the [`Padding`].
     CoarsestLevel,
-    /// From nothing else than the frames. Says why, as the end of a sentence.
+    /// It uses only the frames, for the given reason, which completes an error message.
     Frames(&'static str),
 }
 
-/// Weights that somebody publishes.
+/// A published file of weights.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PublishedWeights {
-    /// The last stage of their training.
+    /// Dataset of the last stage of training.
     pub trained_on: &'static str,
-    /// Where the file is.
     pub url: &'static str,
-    /// How the SHA-256 of the file begins, in lower-case hexadecimal digits; all 64 where the file could be checked.
+    /// First digits of the SHA-256 of the file in lower-case hexadecimal; all 64 if the file could be verified.
     pub sha256: &'static str,
 }
 
 impl Facts {
-    /// Whether flow is refined, so that the number of iterations matters.
+    /// Whether the network refines its flow, so that the number of iterations matters.
     pub fn refines(&self) -> bool {
         self.iterations.default > 1
     }
 
-    /// Its name and those of the networks with the same weights, such as `sea-raft-m and sea-raft-l`.
+    /// The names of all networks that use its weights, such as `sea-raft-m and sea-raft-l`.
     pub fn names_of_weights(&self) -> String {
         [&[self.name], self.same_weights].concat().join(" and ")
     }
 
-    /// What most networks have in common. Name, paper, numbers and licence are each network's own.
+    /// Base for struct update. Every network sets at least name, title, paper, parameters, memory, authors and licence.
     pub(crate) const DEFAULT: Self = Self {
         name: "",
         title: "",
@@ -149,7 +149,7 @@ impl PublishedWeights {
     }
 }
 
-/// Weights that ptlflow publishes, which names a file after the network, the training and the first digits of its SHA-256.
+/// Weights published by ptlflow, in files named after the network, the dataset and the first digits of the SHA-256.
 macro_rules! ptlflow {
     ($network:literal, $trained_on:literal, $sha256:literal) => {
         $crate::facts::PublishedWeights {

@@ -1,6 +1,6 @@
 //! FlowNetS and FlowNetC (Dosovitskiy et al., *FlowNet*, ICCV 2015: <https://arxiv.org/abs/1504.06852>) with the weights of
-//! FlowNet 2.0 (Ilg et al., CVPR 2017: <https://arxiv.org/abs/1612.01925>), which stacks them. Maps of an eighth to a 64th of
-//! the size, and flow from the coarsest back to a quarter of the size. Parity with the reference: `PARITY.md`.
+//! FlowNet 2.0 (Ilg et al., CVPR 2017: <https://arxiv.org/abs/1612.01925>), which stacks them. Encoders down to 1/64 of the size,
+//! and a decoder that predicts flow at 1/64 to 1/4 of it. Parity with the reference: `PARITY.md`.
 
 use burn::module::{Initializer, Module};
 use burn::tensor::activation::leaky_relu;
@@ -18,13 +18,13 @@ use crate::frames::Frames;
 use crate::recurrent::pixel_grid;
 use crate::table::{Entry, FlowNetwork};
 
-/// Height and width of frames are resized to multiples of it.
+/// Height and width of frames are resized to multiples of this.
 const MULTIPLE: usize = 64;
-/// Flow in pixels for 1 of the network's.
+/// Pixels per unit of the network's flow.
 pub(crate) const FLOW_SCALE: f64 = 20.0;
-/// Displacements to each side that FlowNetC correlates.
+/// Displacements of FlowNetC's correlation to each side.
 const REACH: usize = 10;
-/// Pixels between them.
+/// Pixels between displacements.
 const SPACING: usize = 2;
 
 pub(crate) const FLOWNETS: Entry<FlowNet> = Entry {
@@ -62,12 +62,12 @@ type Conv = (Conv2d, NoParameters);
 /// A transposed convolution and its activation.
 type Deconv = (ConvTranspose2d, NoParameters);
 
-/// Which of the two networks.
+/// FlowNetS or FlowNetC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Kind {
-    /// FlowNetS, of so many channels in all.
+    /// FlowNetS with this many input channels.
     Simple { channels: usize },
-    /// FlowNetC, of two images.
+    /// FlowNetC, which encodes two images separately.
     Correlating,
 }
 
@@ -100,12 +100,12 @@ pub struct FlowNet {
     upsampled_flow3_to_2: ConvTranspose2d,
 }
 
-/// What FlowNetC computes of an image alone.
+/// Feature maps that FlowNetC computes from a single image.
 #[derive(Debug, Clone)]
 pub(crate) struct Tower {
-    /// A quarter of the size.
+    /// 1/4 of the size.
     pub(crate) conv2: Tensor<4>,
-    /// An eighth of the size.
+    /// 1/8 of the size.
     pub(crate) conv3: Tensor<4>,
 }
 
@@ -116,7 +116,7 @@ fn conv(channels: [usize; 2], kernel: usize, stride: usize) -> Conv2dConfig {
         .with_bias_initializer(Initializer::Uniform { min: 0.0, max: 1.0 })
 }
 
-/// To twice the size.
+/// Doubles the size.
 fn deconv(channels: [usize; 2]) -> ConvTranspose2dConfig {
     ConvTranspose2dConfig::new(channels, [4, 4])
         .with_stride(2)
@@ -126,7 +126,6 @@ fn deconv(channels: [usize; 2]) -> ConvTranspose2dConfig {
 }
 
 impl FlowNet {
-    /// With random parameters, as training starts.
     pub(crate) fn new(kind: Kind, device: &Device) -> Self {
         let activated =
             |channels, kernel, stride| (conv(channels, kernel, stride).init(device), NoParameters);
@@ -166,19 +165,19 @@ impl FlowNet {
         }
     }
 
-    /// Of images for FlowNetC, or of all that FlowNetS sees.
+    /// The first layers, applied to an image (FlowNetC) or to the whole input (FlowNetS).
     pub(crate) fn tower(&self, x: Tensor<4>) -> Tower {
         let conv2 = self.conv2.0.forward(self.conv1.0.forward(x, LeakyRelu), LeakyRelu);
         Tower { conv3: self.conv3.0.forward(conv2.clone(), LeakyRelu), conv2 }
     }
 
-    /// FlowNetS: five flows, the coarsest, a 64th of the size, first.
+    /// FlowNetS: five flows at 1/64 to 1/4 of the size, coarsest first.
     pub(crate) fn simple(&self, x: Tensor<4>) -> Vec<Tensor<4>> {
         let Tower { conv2, conv3 } = self.tower(x);
         self.refined(conv2, self.conv3_1.0.forward(conv3, LeakyRelu))
     }
 
-    /// FlowNetC: five flows as of FlowNetS.
+    /// FlowNetC: five flows as in [`simple`](Self::simple).
     pub(crate) fn correlating(&self, first: Tower, second: Tensor<4>) -> Vec<Tensor<4>> {
         let correlation = leaky_relu(correlation(first.conv3.clone(), second), f64::from(Activation::LEAK));
         let redirected = self.conv_redir.as_ref().map(|conv| conv.0.forward(first.conv3, LeakyRelu));
@@ -242,7 +241,7 @@ impl Tower {
     }
 }
 
-/// Of both frames, as far as the request does not have them.
+/// Towers of both frames, taken from the request if it has them.
 pub(crate) fn towers(network: &FlowNet, frames: Frames, request: &Request) -> [Tower; 2] {
     match &request.features {
         Some(known) => known.clone().map(Tower::of_features),
@@ -250,7 +249,7 @@ pub(crate) fn towers(network: &FlowNet, frames: Frames, request: &Request) -> [T
     }
 }
 
-/// Each frame less its mean colour, resized to multiples of [`MULTIPLE`].
+/// Subtracts the mean colour of each frame, and resizes to multiples of [`MULTIPLE`].
 pub(crate) fn prepared(frames: Tensor<4>) -> Tensor<4> {
     let [_, _, height, width] = frames.dims();
     let mean = frames.clone().mean_dim(3).mean_dim(2);
@@ -261,7 +260,7 @@ pub(crate) fn prepared(frames: Tensor<4>) -> Tensor<4> {
     )
 }
 
-/// From the flows of the last network, the coarsest first, those that are asked for, in the size of the frames.
+/// The requested flows, resized to the frames, from those of the last network, coarsest first.
 pub(crate) fn estimate(mut flows: Vec<Tensor<4>>, size: [usize; 2], request: &Request) -> Estimate {
     let resized = size.map(|side| side.next_multiple_of(MULTIPLE));
     if !request.every_iteration {
@@ -271,32 +270,32 @@ pub(crate) fn estimate(mut flows: Vec<Tensor<4>>, size: [usize; 2], request: &Re
     Estimate::of_flows(flows.into_iter().map(finished).collect())
 }
 
-/// A flow of the network, in pixels and in height and width `size`.
+/// Resizes a flow of the network to height and width `size`, and scales it to pixels.
 pub(crate) fn full_size(flow: Tensor<4>, size: [usize; 2]) -> Tensor<4> {
     resize(flow, size, Grids::EdgesOnEdges) * FLOW_SCALE
 }
 
-/// Mean of the products of each pixel of the first map with those of the second around it, every other row and column:
-/// `[batch, 21 * 21, height, width]`, zero outside. Height and width must be even.
+/// Correlation of each pixel of the first map with a 21x21 window of every second pixel of the other around it, averaged over
+/// channels: `[batch, 21 * 21, height, width]`, zero outside of the map. Height and width must be even.
 ///
-/// Only pixels of one remainder modulo 2 meet, so the maps are looked up remainder by remainder.
+/// Pixels are only compared with pixels of the same parity of row and column, so the maps are split by parity.
 fn correlation(first: Tensor<4>, second: Tensor<4>) -> Tensor<4> {
     let [batch, channels, height, width] = first.dims();
     let [rows, columns] = [height / SPACING, width / SPACING];
-    let by_remainder =
+    let by_parity =
         |map: Tensor<4>| {
             map.reshape([batch, channels, rows, SPACING, columns, SPACING])
                 .permute([0, 3, 5, 1, 2, 4])
                 .reshape([batch * SPACING * SPACING, channels, rows, columns])
         };
     let grid = pixel_grid([batch * SPACING * SPACING, rows, columns], &first.device());
-    let windows = Correlation::new(by_remainder(first), by_remainder(second), 1).windows(grid, REACH);
+    let windows = Correlation::new(by_parity(first), by_parity(second), 1).windows(grid, REACH);
     let side = 2 * REACH + 1;
-    // The lookup counts down the columns of a window first, the network along its rows.
+    // The lookup orders a window column by column, the network row by row.
     let ordered = windows
         .reshape([batch, SPACING, SPACING, side, side, rows, columns])
         .permute([0, 4, 3, 5, 1, 6, 2])
         .reshape([batch, side * side, height, width]);
-    // It divides by the root of the number of channels, the network by the number.
+    // The lookup divides by the square root of the number of channels, the network by the number itself.
     ordered / (channels as f64).sqrt()
 }

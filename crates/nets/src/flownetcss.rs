@@ -1,5 +1,6 @@
-//! FlowNet2-CSS (Ilg et al., *FlowNet 2.0*, CVPR 2017, section 4): <https://arxiv.org/abs/1612.01925>. FlowNetC, and two FlowNetS
-//! that each see what the flow before them leaves unexplained. Parity with the reference: `PARITY.md`.
+//! FlowNet2-CSS (Ilg et al., *FlowNet 2.0*, CVPR 2017, section 4): <https://arxiv.org/abs/1612.01925>. FlowNetC followed by two
+//! FlowNetS, each of which sees the frames, the frame warped by the previous flow, and the remaining error. Parity with the
+//! reference: `PARITY.md`.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
@@ -13,9 +14,9 @@ use crate::flownet::{FLOW_SCALE, FLOWNETS, FlowNet, Kind, estimate, full_size, p
 use crate::frames::Frames;
 use crate::table::{Entry, FlowNetwork};
 
-/// Both images, the second warped, the flow, and what differs.
+/// Both images, the warped second image, the flow, and the brightness error.
 const CHANNELS: usize = 3 + 3 + 3 + 2 + 1;
-/// A warped pixel counts when so much of it comes from inside of the image.
+/// A warped pixel counts if at least this share of its interpolation weights lies inside the image.
 const INSIDE: f64 = 0.9999;
 
 pub(crate) const FLOWNETCSS: Entry<FlowNetCss> = Entry {
@@ -31,7 +32,6 @@ pub(crate) const FLOWNETCSS: Entry<FlowNetCss> = Entry {
     init: FlowNetCss::new,
 };
 
-/// The network of the paper.
 #[derive(Module, Debug)]
 pub struct FlowNetCss {
     flownetc: FlowNet,
@@ -40,7 +40,6 @@ pub struct FlowNetCss {
 }
 
 impl FlowNetCss {
-    /// With random parameters, as training starts.
     pub(crate) fn new(device: &Device) -> Self {
         let simple = Kind::Simple { channels: CHANNELS };
         Self {
@@ -64,14 +63,14 @@ impl FlowNetwork for FlowNetCss {
         let images = [frames.first, frames.second].map(prepared);
         for network in [&self.flownets_1, &self.flownets_2] {
             let Some(finest) = flows.pop() else { break };
-            flows = network.simple(explained(&images, finest));
+            flows = network.simple(stacked_input(&images, finest));
         }
         estimate(flows, size, request)
     }
 }
 
-/// What FlowNetS sees after a flow: `[batch, CHANNELS, height, width]`.
-fn explained([first, second]: &[Tensor<4>; 2], flow: Tensor<4>) -> Tensor<4> {
+/// Input of the next network of the stack, `[batch, CHANNELS, height, width]`, from prepared images and the previous flow.
+fn stacked_input([first, second]: &[Tensor<4>; 2], flow: Tensor<4>) -> Tensor<4> {
     let [batch, _, height, width] = first.dims();
     let flow = full_size(flow, [height, width]);
     let ones = Tensor::ones([batch, 1, height, width], &first.device());
@@ -79,7 +78,7 @@ fn explained([first, second]: &[Tensor<4>; 2], flow: Tensor<4>) -> Tensor<4> {
     let inside = warped.clone().narrow(1, 3, 1).detach().greater_equal_elem(INSIDE).float();
     let warped = warped.narrow(1, 0, 3) * inside;
     let squares = (first.clone() - warped.clone()).square().sum_dim(1);
-    // The root has no gradient at zero, where the reference takes zero.
+    // The gradient of the square root is infinite at zero; the reference uses a gradient of zero there.
     let brightness = squares.clamp_min(1e-30).sqrt();
     Tensor::cat(vec![first.clone(), second.clone(), warped, flow / FLOW_SCALE, brightness], 1)
 }

@@ -1,4 +1,4 @@
-//! Pairs of frames as networks take them.
+//! Input frames of networks.
 
 use burn::tensor::Tensor;
 use burn::tensor::ops::PadMode;
@@ -6,13 +6,13 @@ use burn::tensor::ops::PadMode;
 /// Two batches of frames, RGB in 0..1, `[batch, 3, height, width]`.
 #[derive(Debug, Clone)]
 pub struct Frames {
-    /// The frames whose pixels the flow is given for.
+    /// The frames that the flow starts from.
     pub first: Tensor<4>,
-    /// The frames that the flow points into.
+    /// The frames that the flow points to.
     pub second: Tensor<4>,
 }
 
-/// Rows and columns added around a frame.
+/// Padding around a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Border {
     size: [usize; 2],
@@ -21,13 +21,14 @@ pub(crate) struct Border {
 }
 
 impl Border {
-    /// As few as make height and width multiples of `multiple`, the larger half below and to the right.
+    /// The smallest padding that makes height and width multiples of `multiple`; of an odd number, the larger half is below and
+    /// to the right.
     pub(crate) fn new(size: [usize; 2], multiple: usize) -> Self {
         let padded = size.map(|size| size.next_multiple_of(multiple));
         Self { size, before: [0, 1].map(|i| (padded[i] - size[i]) / 2), padded }
     }
 
-    /// Repeats the outermost rows and columns.
+    /// Pads by repeating the outermost rows and columns.
     fn add(&self, x: Tensor<4>) -> Tensor<4> {
         if self.padded == self.size {
             return x;
@@ -37,7 +38,7 @@ impl Border {
         x.pad((left, right, top, bottom), PadMode::Edge)
     }
 
-    /// Takes away what [`Border::add`] added.
+    /// Crops the padding of [`Border::add`].
     pub(crate) fn remove(&self, x: Tensor<4>) -> Tensor<4> {
         if self.padded == self.size {
             return x;
@@ -58,16 +59,14 @@ impl Frames {
         [height, width]
     }
 
-    /// Both frames in -1..1, with a border to sizes of a multiple of `multiple`.
-    ///
-    /// Panics when the frames are empty or differ in size.
+    /// Both frames scaled to -1..1 and padded to multiples of `multiple`. Panics when the frames are empty or differ in size.
     pub(crate) fn prepared(self, multiple: usize) -> (Tensor<4>, Tensor<4>, Border) {
         let border = Border::new(self.size(), multiple);
         (prepared(self.first, border), prepared(self.second, border), border)
     }
 }
 
-/// Frames in -1..1, with a border.
+/// Frames scaled to -1..1 and padded.
 pub(crate) fn prepared(frames: Tensor<4>, border: Border) -> Tensor<4> {
     border.add(frames * 2.0 - 1.0)
 }
@@ -79,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_border_repeats_the_edge_and_comes_off_again() {
+    fn padding_repeats_the_edge_and_can_be_removed() {
         let device = Device::flex();
         let frame = Tensor::<1>::from_floats([1., 2., 3., 4., 5., 6.], &device).reshape([1, 1, 2, 3]);
         let border = Border::new([2, 3], 4);

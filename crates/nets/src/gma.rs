@@ -1,5 +1,5 @@
-//! GMA (Jiang et al., ICCV 2021): <https://arxiv.org/abs/2104.02409>. RAFT whose hidden state also sees the motion of
-//! pixels of similar context. Parity with the reference: `PARITY.md`.
+//! GMA (Jiang et al., ICCV 2021): <https://arxiv.org/abs/2104.02409>. RAFT with attention that propagates motion between pixels
+//! with similar context. Parity with the reference: `PARITY.md`.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
@@ -35,7 +35,7 @@ pub(crate) const GMA: Entry<Gma> = Entry {
     init: Gma::new,
 };
 
-/// The network of the paper: one head, attention to content only.
+/// The published variant: one head, content-only attention.
 #[derive(Module, Debug)]
 pub struct Gma {
     fnet: Encoder,
@@ -54,7 +54,6 @@ struct UpdateBlock {
 }
 
 impl Gma {
-    /// With random parameters, as training starts.
     pub(crate) fn new(device: &Device) -> Self {
         Self {
             fnet: EncoderConfig::basic(256, NormKind::Instance).init(device),

@@ -1,5 +1,5 @@
-//! MemFlow (Dong and Fu, CVPR 2024): <https://arxiv.org/abs/2404.04808>. SKFlow whose attention also reaches back to the pairs
-//! before in a video. Its parameters have the names and shapes of SKFlow's. Parity with the reference: `PARITY.md`.
+//! MemFlow (Dong and Fu, CVPR 2024): <https://arxiv.org/abs/2404.04808>. SKFlow whose attention also covers earlier pairs of a
+//! video. Its parameters have the names and shapes of SKFlow's. Parity with the reference: `PARITY.md`.
 
 use burn::module::Module;
 use burn::tensor::activation::{log_sigmoid, sigmoid};
@@ -38,9 +38,9 @@ pub(crate) const MEMFLOW: Entry<MemFlow> = Entry {
     init: MemFlow::new,
 };
 
-/// The network of the paper, with encoders of its own rather than those of Twins.
+/// MemFlow with RAFT's encoders, not the variant MemFlow-T with those of Twins.
 ///
-/// Its [`Memory`] holds two tensors for each pair, the oldest first: keys and values, `[batch, 128, height / 8, width / 8]`.
+/// Its [`Memory`] consists of two tensors per pair, oldest pair first: keys and values, `[batch, 128, height / 8, width / 8]`.
 #[derive(Module, Debug)]
 pub struct MemFlow {
     fnet: Encoder,
@@ -52,13 +52,12 @@ pub struct MemFlow {
 }
 
 impl MemFlow {
-    /// With random parameters, as training starts.
     pub(crate) fn new(device: &Device) -> Self {
         let SkFlow { fnet, cnet, update_block, att } = SkFlow::new(device);
         Self { fnet, cnet, update_block, att, train_avg_length: 6750, remembered_pairs: 2 }
     }
 
-    /// Attention from the context of a pair to the pair itself and to those that are remembered.
+    /// Attention from the context of a pair to the pair itself and to the remembered pairs.
     fn attention(&self, context: Tensor<4>, memory: Option<&Memory>) -> Attended {
         let remembered = memory.map_or(&[][..], |Memory(tensors)| tensors);
         let pairs = remembered.as_chunks::<2>().0;
@@ -69,7 +68,7 @@ impl MemFlow {
         let tokens = (1 + pairs.len()) * height * width;
         let queries = queries * (tokens as f64).log(self.train_avg_length as f64);
         let of_pair = |[keys, values]: &[Tensor<4>; 2]| {
-            // Gathered of once, so that no weights are kept.
+            // Used only once, so no weights need to be kept.
             let map = AttentionMap::new(queries.clone(), keys.clone(), 0);
             Gathered { values: map.gather(values.clone()), log_sums: map.log_sums() }
         };
@@ -84,8 +83,8 @@ impl MemFlow {
     }
 }
 
-/// The way from a pair's pixels to what they attend to. Of the values, those of the pair alone change from one refinement to the
-/// next: what is gathered of earlier pairs is gathered once.
+/// Attention of a pair. Only the values of the pair itself change between iterations, so the output over earlier pairs is computed
+/// once.
 struct Attended {
     map: AttentionMap,
     earlier: Option<Earlier>,
@@ -93,22 +92,22 @@ struct Attended {
     remembered: Vec<Tensor<4>>,
 }
 
-/// What is gathered of earlier pairs.
+/// Attention output over earlier pairs.
 struct Earlier {
-    /// With their part of the weight.
+    /// Weighted by the total attention to earlier pairs.
     values: Tensor<4>,
-    /// The part of the weight that the pair itself has, `[batch, 1, height, width]`.
+    /// Total attention to the pair itself, `[batch, 1, height, width]`.
     share_of_pair: Tensor<4>,
 }
 
-/// What is gathered of some pixels, and the logarithms of the sums by which their weights were divided.
+/// Attention output over a set of pixels, and the logarithms of its softmax denominators.
 struct Gathered {
     values: Tensor<4>,
     log_sums: Tensor<4>,
 }
 
 impl Gathered {
-    /// Of the pixels of both.
+    /// The attention output over the pixels of both.
     fn and(self, other: Self) -> Self {
         let difference = self.log_sums.clone() - other.log_sums;
         let share = sigmoid(difference.clone());
@@ -120,7 +119,7 @@ impl Gathered {
 }
 
 impl Attended {
-    /// From the values of the pair.
+    /// The attention output for the values of the pair.
     fn gather(&self, values: Tensor<4>) -> Tensor<4> {
         let gathered = self.map.gather(values);
         match &self.earlier {
@@ -129,7 +128,7 @@ impl Attended {
         }
     }
 
-    /// For the next pair.
+    /// The memory for the next pair.
     fn with(&self, values: Tensor<4>) -> Memory {
         Memory(self.remembered.iter().cloned().chain([self.keys.clone(), values]).collect())
     }
@@ -164,14 +163,14 @@ impl Recurrent for MemFlow {
         vec![
             Setting {
                 name: "train_avg_length",
-                description: "coarse pixels to attend to that the weights were trained with; from their file, else ptlflow's",
+                description: "average number of attended coarse pixels in training; from the weights file, else ptlflow's default",
                 allowed: Allowed::Range(2..=1_000_000_000),
                 in_files: Some("train_avg_length"),
                 value: &mut self.train_avg_length,
             },
             Setting {
                 name: "remembered_pairs",
-                description: "earlier pairs of a video that are attended to; ptlflow's, the authors' programs have 1",
+                description: "earlier pairs of a video to attend to; ptlflow's default, the authors' code has 1",
                 allowed: Allowed::Range(0..=16),
                 in_files: None,
                 value: &mut self.remembered_pairs,

@@ -1,4 +1,4 @@
-//! Published weights by name: fetched once, kept in a folder, checked by their SHA-256.
+//! Published weights by name: downloaded once, cached in a folder, verified by SHA-256.
 
 use std::env;
 use std::fs::File;
@@ -17,45 +17,37 @@ const MAX_DOWNLOAD_BYTES: u64 = 4 << 30;
 /// Connection timeout, and timeout until the response begins.
 const TIMEOUT: Duration = Duration::from_secs(30);
 
-/// Why there are no weights.
+/// Errors of finding weights.
 #[derive(Debug, thiserror::Error)]
 pub enum PublishedError {
-    /// Neither a file nor a name.
-    #[error("{given}: expected a file of weights or a name, found neither; the names are {}", published_names().join(", "))]
-    Unknown {
-        /// What was asked for.
-        given: String,
-    },
-    /// No folder to keep weights in.
-    #[error("no folder to keep weights in is known: set SRFLOW_CACHE to one")]
+    #[error("{given}: not a file, nor the name of published weights; expected one of {}", published_names().join(", "))]
+    Unknown { given: String },
+    #[error("found no cache folder for downloaded weights: set SRFLOW_CACHE to a folder")]
     NoFolder,
-    /// The file could not be fetched.
-    #[error("fetching {url}: {problem}\n  without a network, fetch it elsewhere and put it there as {}", .path.display())]
+    #[error("downloading {url}: {problem}\n  without network access, download it elsewhere and copy it to {}", .path.display())]
     Fetch {
-        /// Where it is.
         url: String,
-        /// Where it would be kept.
+        /// Destination of the download.
         path: PathBuf,
-        /// What happened.
         problem: String,
     },
-    /// The kept file is not the published one.
-    #[error("{}: expected a file whose SHA-256 starts with {expected}, found {found}; remove it, and it is fetched again", .path.display())]
+    /// The cached file is not the published one.
+    #[error("{}: expected a file whose SHA-256 starts with {expected}, found {found}; delete it to download it again", .path.display())]
     Changed {
         path: PathBuf,
-        /// How the digest must start.
+        /// First digits of the published digest.
         expected: String,
         found: String,
     },
-    /// The kept file could not be read.
+    /// The cached file could not be read.
     #[error("{}: {error}", .path.display())]
     Read { path: PathBuf, error: io::Error },
-    /// The kept file could not be opened, or its folder not be made.
+    /// The cached file could not be opened, or the folder not created.
     #[error("{0}")]
     File(FileError),
 }
 
-/// Every name, such as `skflow-things`.
+/// Names of all published weights, such as `skflow-things`.
 pub fn published_names() -> Vec<String> {
     let of = |architecture: Architecture| {
         let published = architecture.facts().published.iter();
@@ -64,7 +56,7 @@ pub fn published_names() -> Vec<String> {
     Architecture::ALL.into_iter().flat_map(of).collect()
 }
 
-/// The weights of a name such as `skflow-things`, or `things` where the network is known, and whose they are.
+/// Published weights by name, such as `skflow-things`, or `things` if the network is given, and their network.
 pub fn published(
     architecture: Option<Architecture>,
     name: &str,
@@ -94,12 +86,12 @@ pub fn weights_folder() -> Option<PathBuf> {
     Some(cache.join("srflow").join("weights"))
 }
 
-/// The file of weights that `given` names: an existing file, or published weights by name (see [`published`]), which are
-/// downloaded unless `folder` (see [`weights_folder`]) has them already. `progress` is called with
-/// the bytes downloaded so far, and in total where that is known.
+/// The path of a file of weights: `given` itself if the file exists, else that of the [published](published) weights of this
+/// name in `folder` (see [`weights_folder`]), downloaded if missing. `progress` is called with the bytes downloaded so far, and
+/// the total if known.
 ///
 /// # Errors
-/// When `given` is neither, when there is no network, or when the file is not the published one.
+/// When `given` is neither, the download fails, or the SHA-256 of the file does not match.
 pub fn find_weights(
     given: &Path,
     architecture: Option<Architecture>,
@@ -114,11 +106,11 @@ pub fn find_weights(
         return Err(PublishedError::Unknown { given: given.display().to_string() });
     };
     let path = folder.ok_or(PublishedError::NoFolder)?.join(weights.file_name());
-    kept_or_fetched(weights.url, weights.sha256, &path, progress)?;
+    download_if_missing(weights.url, weights.sha256, &path, progress)?;
     Ok(path)
 }
 
-fn kept_or_fetched(
+fn download_if_missing(
     url: &str,
     sha256: &str,
     path: &Path,
@@ -143,7 +135,7 @@ fn kept_or_fetched(
     Err(PublishedError::Changed { path: path.to_owned(), expected: sha256.to_owned(), found })
 }
 
-/// The file takes its name when it is whole and its digest is right.
+/// Downloads a file; it appears at `path` only if it is complete and its digest matches.
 fn fetch(
     url: &str,
     sha256: &str,
@@ -203,10 +195,10 @@ mod tests {
 
     use super::*;
 
-    /// What `sha256sum` says of "weights".
+    /// First digits of the SHA-256 of "weights".
     const DIGEST: &str = "9a129038d9a00aed0cf6a7ea059ca50a";
 
-    /// Answers one request with so many bytes promised and `body` sent.
+    /// Serves one request, sending `body` with a Content-Length of `promised`.
     fn serve(status: &'static str, promised: usize, body: &'static [u8]) -> (SocketAddr, JoinHandle<String>) {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
@@ -235,20 +227,20 @@ mod tests {
         let (address, server) = serve("200 OK", 7, b"weights");
         let url = format!("http://{address}/weights1/a.ckpt");
         let mut heard = Vec::new();
-        kept_or_fetched(&url, DIGEST, &path, &mut |done, len| heard.push((done, len))).unwrap();
+        download_if_missing(&url, DIGEST, &path, &mut |done, len| heard.push((done, len))).unwrap();
         assert_eq!(server.join().unwrap(), "GET /weights1/a.ckpt HTTP/1.1");
         assert_eq!(std::fs::read(&path).unwrap(), b"weights");
         assert_eq!(heard, [(7, Some(7))]);
-        // Nobody listens any more.
-        kept_or_fetched(&url, DIGEST, &path, &mut |_, _| panic!("fetched again")).unwrap();
+        // The server is gone.
+        download_if_missing(&url, DIGEST, &path, &mut |_, _| panic!("fetched again")).unwrap();
         std::fs::write(&path, "weight").unwrap();
-        let error = kept_or_fetched(&url, DIGEST, &path, &mut |_, _| ()).unwrap_err();
+        let error = download_if_missing(&url, DIGEST, &path, &mut |_, _| ()).unwrap_err();
         assert!(matches!(error, PublishedError::Changed { .. }), "{error}");
-        assert!(error.to_string().contains("remove it"), "{error}");
+        assert!(error.to_string().contains("delete it"), "{error}");
     }
 
     #[test]
-    fn nothing_is_left_of_a_failed_fetch_and_the_message_says_what_to_do() {
+    fn failed_downloads_leave_no_files_and_give_advice() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.ckpt");
         let cases = [
@@ -259,16 +251,16 @@ mod tests {
         for (status, promised, body, said) in cases {
             let (address, server) = serve(status, promised, body);
             let url = format!("http://{address}/a.ckpt");
-            let error = kept_or_fetched(&url, DIGEST, &path, &mut |_, _| ()).unwrap_err().to_string();
+            let error = download_if_missing(&url, DIGEST, &path, &mut |_, _| ()).unwrap_err().to_string();
             server.join().unwrap();
             assert!(error.contains(&url) && error.contains(said), "{error}");
-            assert!(error.ends_with(&format!("put it there as {}", path.display())), "{error}");
+            assert!(error.ends_with(&format!("copy it to {}", path.display())), "{error}");
             assert!(entries(folder.path()).is_empty(), "{status}");
         }
     }
 
     #[test]
-    fn names_are_whole_or_short_where_the_network_is_known() {
+    fn weights_are_found_by_full_or_short_names() {
         let file = |architecture, name| Some(published(architecture, name)?.1.file_name());
         assert_eq!(file(None, "skflow-things"), Some("skflow-things-f84e6538.ckpt"));
         assert_eq!(file(None, "raft-small-things"), Some("raft_small-things-b7d9f997.ckpt"));

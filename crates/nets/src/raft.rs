@@ -15,7 +15,7 @@ use crate::table::Entry;
 
 /// Channels of the hidden state, and of the context.
 pub(crate) const HIDDEN: usize = 128;
-/// Radius of the window of correlations that is looked up in each level.
+/// Radius of the lookup window in each level.
 pub(crate) const RADIUS: usize = 4;
 
 pub(crate) const RAFT: Entry<Raft> = Entry {
@@ -39,7 +39,6 @@ pub(crate) const RAFT: Entry<Raft> = Entry {
     init: Raft::new,
 };
 
-/// The network of the paper.
 #[derive(Module, Debug)]
 pub struct Raft {
     fnet: Encoder,
@@ -56,7 +55,6 @@ struct UpdateBlock {
 }
 
 impl Raft {
-    /// With random parameters, as training starts.
     pub(crate) fn new(device: &Device) -> Self {
         Self {
             fnet: EncoderConfig::basic(256, NormKind::Instance).init(device),

@@ -1,4 +1,4 @@
-//! RAFT-S, the small network of RAFT (Teed and Deng, ECCV 2020): <https://arxiv.org/abs/2003.12039>. Parity with the
+//! RAFT-S, the small variant of RAFT (Teed and Deng, ECCV 2020): <https://arxiv.org/abs/2003.12039>. Parity with the
 //! reference: `PARITY.md`.
 
 use burn::module::Module;
@@ -18,7 +18,7 @@ use crate::table::Entry;
 const HIDDEN: usize = 96;
 /// Channels of the context.
 const CONTEXT: usize = 64;
-/// Radius of the window of correlations that is looked up in each level.
+/// Radius of the lookup window in each level.
 const RADIUS: usize = 3;
 
 pub(crate) const RAFT_SMALL: Entry<RaftSmall> = Entry {
@@ -33,7 +33,6 @@ pub(crate) const RAFT_SMALL: Entry<RaftSmall> = Entry {
     init: RaftSmall::new,
 };
 
-/// The network of the paper.
 #[derive(Module, Debug)]
 pub struct RaftSmall {
     fnet: Encoder,
@@ -49,7 +48,6 @@ struct UpdateBlock {
 }
 
 impl RaftSmall {
-    /// With random parameters, as training starts.
     pub(crate) fn new(device: &Device) -> Self {
         Self {
             fnet: EncoderConfig::small(128, NormKind::Instance).init(device),

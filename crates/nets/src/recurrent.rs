@@ -1,5 +1,5 @@
-//! The loop of RAFT (Teed and Deng 2020) and the networks derived from it: look up correlations where the flow points,
-//! update a hidden state, and add the change of the flow that it gives.
+//! The refinement loop of RAFT (Teed and Deng 2020) and the networks derived from it: look up correlations around the target of
+//! the flow, update a hidden state, and add the change of the flow that is decoded from it.
 
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Int, Tensor};
@@ -14,25 +14,25 @@ use crate::frames::{Border, Frames, prepared};
 use crate::settings::Setting;
 use crate::table::FlowNetwork;
 
-/// Pixels of a frame along the side of a coarse pixel.
+/// Side of a coarse pixel in pixels of the frame.
 pub(crate) const STRIDE: usize = 8;
 /// Levels of the correlation pyramid.
 pub(crate) const LEVELS: usize = 4;
 
-/// What all of these networks compute before the first iteration.
+/// The encoders that run before the first iteration.
 pub(crate) struct Encoders<'a> {
-    /// For correlations.
+    /// Encodes both frames for correlations.
     pub(crate) features: &'a Encoder,
-    /// For the first hidden state and the context.
+    /// Encodes the first frame to the initial hidden state and the context.
     pub(crate) context: &'a Encoder,
     /// Channels of the hidden state.
     pub(crate) hidden: usize,
-    /// Radius of the window of correlations that is looked up in each level.
+    /// Radius of the lookup window in each level.
     pub(crate) radius: usize,
 }
 
 impl Encoders<'_> {
-    /// The first hidden state, and the context, which no iteration changes.
+    /// The initial hidden state, and the context, which is constant over the iterations.
     fn hidden_and_context(&self, first: Tensor<4>) -> [Tensor<4>; 2] {
         let both = self.context.forward(first);
         let context = both.dims()[1] - self.hidden;
@@ -40,19 +40,19 @@ impl Encoders<'_> {
     }
 }
 
-/// A network that refines flow as RAFT does; it implements what differs between them.
+/// A network that refines flow like RAFT.
 pub(crate) trait Recurrent {
     fn encoders(&self) -> Encoders<'_>;
 
-    /// From hidden state, flow and windows of correlations to what a refinement gives, for one context and what is remembered
-    /// of the pairs before.
+    /// The function that computes an iteration from hidden state, flow and correlation windows, for this context and the memory
+    /// of earlier pairs.
     fn step(
         &self,
         context: Tensor<4>,
         memory: Option<&Memory>,
     ) -> impl Fn(Tensor<4>, Tensor<4>, Tensor<4>) -> Refined;
 
-    /// Fine flow from the hidden state and coarse flow.
+    /// Upsamples coarse flow, `[batch, 2, height, width]`, to 8 times the size, in fine pixels.
     fn upsample(&self, hidden: &Tensor<4>, flow: Tensor<4>) -> Tensor<4>;
 
     /// See [`Network::settings`](crate::Network::settings).
@@ -61,18 +61,17 @@ pub(crate) trait Recurrent {
     }
 }
 
-/// What a refinement gives.
+/// Output of an iteration.
 pub(crate) struct Refined {
     /// The next hidden state.
     pub(crate) hidden: Tensor<4>,
-    /// What is added to the flow.
+    /// Added to the flow.
     pub(crate) change: Tensor<4>,
-    /// What the next pair remembers if this refinement is the last.
+    /// Memory for the next pair, if this iteration is the last.
     pub(crate) memory: Option<Memory>,
 }
 
-/// Of every network that refines as RAFT does; the coarsest level of a correlation pyramid is two pixels wide at the smallest
-/// side.
+/// Common facts of these networks. At the smallest side, the coarsest level of the correlation pyramid is two pixels wide.
 pub(crate) const FACTS: Facts = Facts {
     padding: STRIDE,
     smallest_side: 128,
@@ -82,13 +81,13 @@ pub(crate) const FACTS: Facts = Facts {
     ..Facts::DEFAULT
 };
 
-/// Memory of GMA and SKFlow, which keep the weights of their attention.
+/// Memory needs of GMA and the networks derived from it, which keep attention weights.
 pub(crate) const ATTENDING: MemoryNeed =
     MemoryNeed { fixed: 370_000_000, per_pixel: 275, attending: 1, most_weights: KEPT_BYTES as u64 };
 
-/// Features of the frames of both sides of as many pairs, already prepared.
+/// Features of the prepared first and second frames.
 fn features_of_both(encoder: &Encoder, frames: [Tensor<4>; 2]) -> [Tensor<4>; 2] {
-    // One after the other: both at once would double the memory, which is at its highest here.
+    // One after the other, since peak memory is reached here and encoding both at once would double it.
     frames.map(|frames| encoder.forward(frames))
 }
 
@@ -156,7 +155,7 @@ impl<N: Recurrent> FlowNetwork for N {
     }
 }
 
-/// Every pixel's x and y: `[batch, 2, height, width]`.
+/// Coordinates (x, y) of every pixel: `[batch, 2, height, width]`.
 pub(crate) fn pixel_grid([batch, height, width]: [usize; 3], device: &Device) -> Tensor<4> {
     let axis = |len: usize| Tensor::<1, Int>::arange(0..len as i64, device).float();
     let x = axis(width).reshape([1, 1, 1, width]).expand([batch, 1, height, width]);

@@ -1,6 +1,6 @@
-//! RPKNet (Morimitsu et al., *Recurrent Partial Kernel Network for Efficient Optical Flow Estimation*, AAAI 2024). One encoder
-//! makes all levels of a pyramid with parts of the same kernels, and flow is refined from the coarsest to the finest. Parity
-//! with the reference: `PARITY.md`.
+//! RPKNet (Morimitsu et al., *Recurrent Partial Kernel Network for Efficient Optical Flow Estimation*, AAAI 2024). A recurrent
+//! encoder computes all levels of a feature pyramid with parts of the same kernels, and flow is refined from the coarsest level to
+//! the finest. Parity with the reference: `PARITY.md`.
 
 use burn::module::{Initializer, Module, Param};
 use burn::tensor::activation::relu;
@@ -26,28 +26,27 @@ use crate::recurrent::{STRIDE, pixel_grid};
 use crate::settings::{Allowed, Setting};
 use crate::table::{Entry, FlowNetwork};
 
-/// Levels of the pyramid in which flow is refined.
+/// Levels of the pyramid at which flow is refined.
 const LEVELS: usize = 3;
-/// Pixels of a frame along the side of a pixel of the coarsest level.
+/// Side of a pixel of the coarsest level in pixels of the frame.
 const COARSEST_STRIDE: usize = STRIDE << (LEVELS - 1);
-/// Channels of the encoder's hidden state: those that go into and come out of each of its steps, of which each halves the
-/// size.
+/// Input and output channels of the encoder's hidden state at each of its steps, each of which halves the size.
 const STEPS: [[usize; 2]; 4] = [[32, 64], [64, 96], [96, 96], [96, 96]];
-/// Channels of the encoder at most.
+/// Most channels of the encoder.
 const WIDEST: usize = 96;
 /// Channels of a level: the first two thirds are matched, the rest is context.
 const FEATURES: usize = 2 * WIDEST;
-/// Channels of the hidden state that refines flow, and of the context.
+/// Channels of the hidden state of the refinement, and of the context.
 const HIDDEN: usize = 64;
-/// Channels of the features of flow and correlation.
+/// Channels of the motion encoder.
 const MOTION: usize = 128;
-/// Radius of the window of correlations that is looked up.
+/// Radius of the lookup window.
 const RADIUS: usize = 4;
-/// Length of the two kernels of a separable large one.
+/// Length of the two strips of a separable large kernel.
 const LONG: usize = 23;
-/// What the output of every branch of a block is multiplied with before training.
+/// Initial layer scale of every branch of a block.
 const LAYER_SCALE: f64 = 1e-2;
-/// Groups of channels that the published weights were trained with.
+/// Groups of the group norms that the published weights were trained with.
 const GROUPS: usize = 8;
 
 pub(crate) const RPKNET: Entry<RpkNet> = Entry {
@@ -75,7 +74,6 @@ pub(crate) const RPKNET: Entry<RpkNet> = Entry {
     init: RpkNet::new,
 };
 
-/// The network of the paper.
 #[derive(Module, Debug)]
 pub struct RpkNet {
     fnet: Encoder,
@@ -107,7 +105,7 @@ struct Transition {
     proj: Conv2d,
 }
 
-/// `SLK`: a large kernel in two strips, then a perceptron, each added to its input.
+/// `SLK`: a large kernel in two strips, then an MLP, both residual.
 #[derive(Module, Debug)]
 struct Block {
     layer_scale_1: Param<Tensor<1>>,
@@ -155,34 +153,34 @@ struct UpdateBlock {
     mask: WideConvexMask,
 }
 
-/// `UpNetPartial`: how much of the hidden state of the coarser level is kept.
+/// `UpNetPartial`: gates the hidden state of the coarser level.
 #[derive(Module, Debug)]
 struct UpGate {
     conv: Conv2d,
     res: Residual,
 }
 
-/// `ResidualPartialBlock`, as it is used here.
+/// `ResidualPartialBlock`, without the options that the network does not use.
 #[derive(Module, Debug)]
 struct Residual {
     conv1: Conv2d,
     conv2: Conv2d,
 }
 
-/// Which numbers are normalized as one.
+/// Group norm or layer norm, without learned scale.
 #[derive(Debug, Clone, Copy)]
 enum Norm {
-    /// Those of a group of channels, of which there are so many.
+    /// Over the pixels of each of this many groups of channels.
     Groups(usize),
-    /// Those of a pixel.
+    /// Over the channels of each pixel.
     Layer,
 }
 
-/// Where a pair of frames is matched, and what its refinements read.
+/// A level of the pyramid of a pair of frames.
 struct Level {
     correlation: Correlation,
     context: Tensor<4>,
-    /// The hidden state that this level would start from.
+    /// Initial hidden state, before that of the coarser level is mixed in.
     hidden: Tensor<4>,
 }
 
@@ -197,7 +195,6 @@ impl Norm {
 }
 
 impl RpkNet {
-    /// With random parameters, as training starts.
     pub(crate) fn new(device: &Device) -> Self {
         let conv = |channels, kernel| Conv2dConfig::new(channels, [kernel; 2]);
         let gate = || Stage::new([HIDDEN + HIDDEN + MOTION, HIDDEN], 1, device);
@@ -231,9 +228,9 @@ impl RpkNet {
         Norm::Groups(self.groups)
     }
 
-    /// Of frames in -1..1 with a border, coarsest level first.
+    /// Feature maps of padded frames in -1..1, coarsest level first.
     fn pyramid(&self, frames: Tensor<4>) -> Vec<Tensor<4>> {
-        // The reference was trained with blue first.
+        // The reference was trained with BGR.
         self.fnet.forward(frames.flip([1]), self.norm())
     }
 }
@@ -251,7 +248,7 @@ impl FlowNetwork for RpkNet {
         let [batch, _, height, width] = first.dims();
         let [firsts, seconds] = match &request.features {
             Some(known) => known.clone().map(|features| features.into_maps::<LEVELS>()),
-            // One after the other: both at once would double the memory.
+            // One after the other, since encoding both at once would double the memory.
             None => [first, second].map(|frames| {
                 let levels = self.pyramid(frames);
                 levels.try_into().expect("a map for each level")
@@ -305,8 +302,8 @@ impl FlowNetwork for RpkNet {
     fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![Setting {
             name: "groups",
-            description: "groups of channels of the encoder's norms, which weights do not say; ptlflow's default, with \
-                          which its weights were trained (its configurations of training say 4)",
+            description: "groups of the encoder's group norms; not stored in weights. The default is that of ptlflow and its \
+                          weights (its training configurations have 4)",
             allowed: Allowed::OneOf(&[1, 2, 4, 8, 16, 32]),
             in_files: None,
             value: &mut self.groups,
@@ -314,7 +311,7 @@ impl FlowNetwork for RpkNet {
     }
 }
 
-/// The flow that refinement starts from, of a pixel for each of the coarsest grid.
+/// The flow to start from, at the size of the coarsest level.
 fn start(request: &Request, grid: &Tensor<4>) -> Tensor<4> {
     let Some(start) = &request.start else { return grid.zeros_like() };
     assert_eq!(start.dims(), grid.dims(), "the coarse flow to start from");
@@ -356,7 +353,7 @@ impl Level {
 }
 
 impl UpGate {
-    /// The hidden state of a level from that of the coarser one and its own.
+    /// Combines the hidden state of the coarser level with that of a level.
     fn forward(&self, coarser: Tensor<4>, own: Tensor<4>, norm: Norm) -> Tensor<4> {
         let [_, _, height, width] = own.dims();
         let coarser = resize(coarser, [height, width], Grids::CornersOnCorners).tanh();
@@ -396,7 +393,7 @@ impl Stage {
         Self { down: Transition { proj }, blocks: (0..2).map(block).collect() }
     }
 
-    /// `activation(norm(...))` of so many channels.
+    /// Applies the stage with the first `outputs` output channels, then the activation.
     fn forward(&self, x: Tensor<4>, outputs: usize, norm: Norm, activation: Activation) -> Tensor<4> {
         let mut x = norm.of(self.down.proj.partial(x, outputs, Epilogue::default()), Identity);
         for block in &self.blocks {
@@ -441,7 +438,7 @@ impl Block {
     }
 }
 
-/// `x + scale * branch`, a factor for each channel; of more factors the first are taken.
+/// `x + scale * branch`, with the first factors of `scale` as factors of the channels.
 fn add_scaled(x: Tensor<4>, branch: Tensor<4>, scale: &Param<Tensor<1>>) -> Tensor<4> {
     let channels = x.dims()[1];
     let scale = scale.val().narrow(0, 0, channels).reshape([channels, 1, 1, 1]);

@@ -1,6 +1,6 @@
-//! SEA-RAFT (Wang, Lipson and Deng, ECCV 2024): <https://arxiv.org/abs/2405.14793>. RAFT that starts from a flow computed of
-//! both frames at once, refines it with blocks of ConvNeXt, and gives a mixture of Laplace distributions around it. Parity
-//! with the reference: `PARITY.md`.
+//! SEA-RAFT (Wang, Lipson and Deng, ECCV 2024): <https://arxiv.org/abs/2405.14793>. RAFT that regresses an initial flow from both
+//! frames, refines it with ConvNeXt blocks, and predicts a mixture of Laplace distributions of its error. Parity with the
+//! reference: `PARITY.md`.
 
 use burn::module::{Initializer, Module, Param};
 use burn::tensor::{Device, Tensor};
@@ -25,14 +25,14 @@ use crate::table::{Entry, FlowNetwork};
 const CONTEXT: usize = HIDDEN;
 /// Blocks that update the hidden state in each iteration.
 const BLOCKS: usize = 2;
-/// Channels of the encoders at a half, a quarter and an eighth of the size.
+/// Channels of the encoders at 1/2, 1/4 and 1/8 of the size.
 const WIDTHS: [usize; 3] = [64, 128, 256];
-/// Residual blocks of each of these, in ResNet-18 and ResNet-34.
+/// Residual blocks at each of these sizes, in ResNet-18 and ResNet-34.
 const RESNET18: [usize; 3] = [2, 2, 2];
 const RESNET34: [usize; 3] = [3, 4, 6];
-/// Added to the variance by the layer norm of ConvNeXt.
+/// Added to the variance in the layer norm of ConvNeXt.
 const EPSILON: f64 = 1e-6;
-/// What a block of ConvNeXt multiplies its changes with when training starts.
+/// Initial layer scale of ConvNeXt blocks.
 const LAYER_SCALE: f64 = 1e-6;
 
 pub(crate) const SEA_RAFT_S: Entry<SeaRaft> = Entry {
@@ -44,7 +44,7 @@ pub(crate) const SEA_RAFT_S: Entry<SeaRaft> = Entry {
         padding: STRIDE,
         smallest_side: 128,
         iterations: IterationPresets { default: 4, authors: 4, training: 4 },
-        start: Start::Frames("it computes its first flow of both frames"),
+        start: Start::Frames("it computes its initial flow from the frames"),
         recompute: true,
         trains: true,
         mixture: true,
@@ -96,13 +96,13 @@ pub(crate) const SEA_RAFT_L: Entry<SeaRaft> = Entry {
     init: SEA_RAFT_M.init,
 };
 
-/// The network of the paper, of any size.
+/// SEA-RAFT of any size.
 #[derive(Module, Debug)]
 pub struct SeaRaft {
     cnet: Encoder,
     init_conv: Conv2d,
     upsample_weight: ConvexMask,
-    /// Change of the flow, log weights and log scales: 2 channels each.
+    /// Outputs the change of the flow, log weights and log scales, 2 channels each.
     flow_head: (Conv2d, NoParameters, Conv2d),
     fnet: Encoder,
     update_block: UpdateBlock,
@@ -125,7 +125,7 @@ struct ConvNextBlock {
     r#final: Conv2d,
 }
 
-/// `ResNetFPN`: a ResNet without its last stage, to an eighth of the size.
+/// `ResNetFPN`: a ResNet without its last stage, which reduces the size to an eighth.
 #[derive(Module, Debug)]
 struct Encoder {
     conv1: Conv2d,
@@ -136,7 +136,7 @@ struct Encoder {
     final_conv: Conv2d,
 }
 
-/// `BasicBlock`. Where it halves the size, the reference stores the norm of the shortcut twice, as `downsample.1` and as
+/// `BasicBlock`. For blocks that halve the size, the reference stores the norm of the shortcut twice: as `downsample.1` and as
 /// `bn3`.
 #[derive(Module, Debug)]
 struct ResidualBlock {
@@ -147,7 +147,7 @@ struct ResidualBlock {
     downsample: Option<(Conv2d, BatchNorm)>,
 }
 
-/// What the flow head gives for a hidden state, in coarse pixels.
+/// Output of the flow head, in coarse pixels.
 struct Change {
     flow: Tensor<4>,
     /// Log weights, then log scales: `[batch, 4, height, width]`.
@@ -155,7 +155,6 @@ struct Change {
 }
 
 impl SeaRaft {
-    /// With random parameters, as training starts.
     fn new(blocks: [usize; 3], device: &Device) -> Self {
         let conv = |inputs, outputs| Conv2dConfig::new([inputs, outputs], [3, 3]).init(device);
         Self {
@@ -171,7 +170,7 @@ impl SeaRaft {
         }
     }
 
-    /// The first hidden state, and the context, which no iteration changes.
+    /// The initial hidden state, and the context, which is constant over the iterations.
     fn hidden_and_context(&self, first: Tensor<4>, second: Tensor<4>) -> [Tensor<4>; 2] {
         let both = self.cnet.forward(Tensor::cat(vec![first, second], 1));
         let both = self.init_conv.forward(both, Identity);
@@ -183,8 +182,8 @@ impl SeaRaft {
         Change { flow: change.clone().narrow(1, 0, 2), mixture: change.narrow(1, 2, 4) }
     }
 
-    /// Adds the flow and its mixture, in full size, to the estimate.
-    fn give(
+    /// Adds the flow and its mixture to the estimate, upsampled.
+    fn push_upsampled(
         &self,
         estimate: &mut Estimate,
         hidden: &Tensor<4>,
@@ -225,7 +224,7 @@ impl FlowNetwork for SeaRaft {
                 let [hidden, context] = self.hidden_and_context(first.clone(), second.clone());
                 let features = match &request.features {
                     Some(known) => known.clone().map(|features| features.into_maps::<1>()).map(|[map]| map),
-                    // One after the other: both at once would double the memory, which is at its highest here.
+                    // One after the other, since peak memory is reached here and encoding both at once would double it.
                     None => [first, second].map(|frames| self.fnet.forward(frames)),
                 };
                 (hidden, context, features)
@@ -242,7 +241,7 @@ impl FlowNetwork for SeaRaft {
                 let change = self.change(hidden.clone());
                 let flow = change.flow.clone();
                 if request.every_iteration {
-                    self.give(&mut estimate, &hidden, change, border);
+                    self.push_upsampled(&mut estimate, &hidden, change, border);
                 }
                 flow
             }
@@ -254,7 +253,7 @@ impl FlowNetwork for SeaRaft {
             let change = self.change(hidden.clone());
             flow = flow + change.flow.clone();
             if request.every_iteration || iteration == request.iterations {
-                self.give(&mut estimate, &hidden, Change { flow: flow.clone(), ..change }, border);
+                self.push_upsampled(&mut estimate, &hidden, Change { flow: flow.clone(), ..change }, border);
             }
         }
         Estimate { coarse: Some(flow), hidden: Some(hidden), ..estimate }

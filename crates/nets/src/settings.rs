@@ -1,29 +1,29 @@
-//! What can be set of a network beside its parameters, such as the number of groups of a norm.
+//! Settings of networks besides their parameters, such as the number of groups of a norm.
 
 use std::fmt;
 use std::ops::RangeInclusive;
 
-/// A whole number that a network computes with and that its file of weights may not say.
+/// An integer that affects the results of a network and may be missing in its file of weights.
 #[derive(Debug)]
 pub struct Setting<'a> {
     pub name: &'static str,
-    /// One line on what it is, and where its default comes from.
+    /// One line, including the source of the default.
     pub description: &'static str,
     pub allowed: Allowed,
-    /// What it is called among the hyper-parameters of a file of weights, where weights are trained for one value.
+    /// Its name among the hyper-parameters in files of weights, if weights are trained for one value.
     pub in_files: Option<&'static str>,
     pub value: &'a mut usize,
 }
 
-/// The values that a setting takes.
+/// The allowed values of a setting.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Allowed {
     Range(RangeInclusive<usize>),
-    /// Rising.
+    /// In ascending order.
     OneOf(&'static [usize]),
 }
 
-/// Why a setting was not set.
+/// Errors of changing a setting.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SettingError {
     #[error("{network} has no setting `{name}`; {}", listed(.known))]
@@ -64,7 +64,7 @@ fn listed(known: &[&str]) -> String {
     if known.is_empty() { "it has none".to_owned() } else { format!("it has {}", known.join(", ")) }
 }
 
-/// Gives the setting of that name another value.
+/// Sets the setting called `name`.
 pub(crate) fn set(
     network: &'static str,
     settings: Vec<Setting>,
@@ -88,7 +88,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_setting_is_known_by_its_name_and_keeps_to_what_is_allowed() {
+    fn settings_accept_only_known_names_and_allowed_values() {
         let (mut groups, mut length) = (8, 1);
         let mut give = |name: &str, value| {
             let allowed = Allowed::OneOf(&[1, 2, 4, 8]);

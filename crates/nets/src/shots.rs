@@ -1,26 +1,26 @@
-//! Where a video cuts from one shot to another.
+//! Detects cuts between the shots of a video.
 
 use srflow_field::Image;
 
 /// Cells along each side of a frame.
 const CELLS: usize = 4;
-/// Levels of 255. Pans by a tenth of the frame stay below 30, frames of unrelated scenes lie above 40.
-const FARTHEST: f64 = 30.0;
+/// Threshold in grey levels. Pans by a tenth of the frame stay below 30, frames of unrelated scenes lie above 40.
+const MAX_DISTANCE: f64 = 30.0;
 
-/// Whether two frames of one size, one after the other in a video, are of different shots: in each of 4x4 cells and each
-/// channel, the sorted values of the pixels are compared, one by one; in different shots they differ by more than 30 levels on
-/// average. That does not depend on small motion, which leaves most of a cell's pixels in it.
+/// Whether there is a cut between two consecutive frames of one size: whether the histograms of each of 4x4 cells and each
+/// channel are more than 30 grey levels apart on average (1-Wasserstein distance). Small motion hardly changes them, as it
+/// leaves most pixels in their cell.
 pub(crate) fn is_cut(before: &Image, after: &Image) -> bool {
     let (before, after) = (histograms(before), histograms(after));
     let distances = before.iter().zip(&after).flat_map(|(a, b)| a.iter().zip(b)).map(|(a, b)| distance(a, b));
     let (sum, count) = distances.flatten().fold((0.0, 0), |(sum, count), far| (sum + far, count + 1));
-    sum > FARTHEST * f64::from(count)
+    sum > MAX_DISTANCE * f64::from(count)
 }
 
-/// How many pixels of a cell have each level.
+/// Number of pixels per grey level.
 type Histogram = [u32; 256];
 
-/// Of each cell and channel.
+/// Histograms of each cell and channel.
 fn histograms(frame: &Image) -> Vec<[Histogram; 3]> {
     let (width, height) = frame.size();
     let mut cells = vec![[[0; 256]; 3]; CELLS * CELLS];
@@ -36,7 +36,7 @@ fn histograms(frame: &Image) -> Vec<[Histogram; 3]> {
     cells
 }
 
-/// Mean difference of the sorted levels: the area between the cumulated histograms. `None` of a cell without pixels.
+/// 1-Wasserstein distance of two histograms: the area between the cumulative ones. `None` for a cell without pixels.
 fn distance(a: &Histogram, b: &Histogram) -> Option<f64> {
     let pixels: u32 = a.iter().sum();
     let (mut ahead, mut area) = (0_i64, 0);
@@ -62,7 +62,7 @@ mod tests {
     }
 
     #[test]
-    fn motion_and_light_are_no_cut_and_another_scene_is() {
+    fn only_another_scene_is_a_cut() {
         let size = (320, 200);
         let frame = |seed, shift: (usize, usize), brighter| {
             let color = textured(seed, brighter);

@@ -1,5 +1,5 @@
-//! SKFlow (Sun et al., NeurIPS 2022): <https://arxiv.org/abs/2205.14623>. GMA with super kernels: every part of the update
-//! is a block with large depthwise kernels. Parity with the reference: `PARITY.md`.
+//! SKFlow (Sun et al., NeurIPS 2022): <https://arxiv.org/abs/2205.14623>. GMA with super kernels: blocks with large depthwise
+//! kernels replace the layers of the update. Parity with the reference: `PARITY.md`.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
@@ -17,9 +17,9 @@ use crate::raft::{HIDDEN, RADIUS};
 use crate::recurrent::{self, Encoders, Recurrent, Refined};
 use crate::table::Entry;
 
-/// Sides of the depthwise kernels of the motion encoder and the flow head.
+/// Depthwise kernel sizes of the motion encoder and the flow head.
 const KERNELS: [usize; 2] = [1, 15];
-/// Sides of the depthwise kernels of the update of the hidden state.
+/// Depthwise kernel sizes of the update of the hidden state.
 const UPDATE_KERNELS: [usize; 2] = [1, 7];
 
 pub(crate) const SKFLOW: Entry<SkFlow> = Entry {
@@ -43,7 +43,6 @@ pub(crate) const SKFLOW: Entry<SkFlow> = Entry {
     init: SkFlow::new,
 };
 
-/// The network of the paper.
 #[derive(Module, Debug)]
 pub struct SkFlow {
     pub(crate) fnet: Encoder,
@@ -82,7 +81,6 @@ struct SuperKernelBlock {
 }
 
 impl SkFlow {
-    /// With random parameters, as training starts.
     pub(crate) fn new(device: &Device) -> Self {
         let block = |inputs, outputs| SuperKernelBlock::new([inputs, outputs], KERNELS, device);
         Self {
@@ -132,7 +130,7 @@ impl Recurrent for SkFlow {
 }
 
 impl UpdateBlock {
-    /// The next hidden state and the change of the flow, from motion features and those that are gathered of them.
+    /// The next hidden state and the change of the flow, from motion features and their attention output.
     pub(crate) fn forward(
         &self,
         hidden: Tensor<4>,
@@ -169,16 +167,16 @@ impl SuperKernelBlock {
     }
 
     fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        self.ending_with(x, Identity)
+        self.forward_with(x, Identity)
     }
 
     /// `gelu(forward(x))`.
     fn forward_activated(&self, x: Tensor<4>) -> Tensor<4> {
-        self.ending_with(x, Gelu)
+        self.forward_with(x, Gelu)
     }
 
-    fn ending_with(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
-        // What is pointwise is computed in one go, where nothing in between needs to be stored.
+    fn forward_with(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
+        // Consecutive pointwise layers are fused, so that no intermediate map is stored.
         let (mut x, rest) = match self.conv_list.as_slice() {
             [first, rest @ ..] if first.is_pointwise() => {
                 let layers = [

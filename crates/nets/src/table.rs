@@ -1,5 +1,5 @@
-//! The table of networks, at the end of this file: a network is a file of this crate with an [`Entry`] for each of its names,
-//! and a line here for each. Names, facts, dispatch, memory needs, the list of `srflow models` and the parity tests follow.
+//! The table of networks, at the end of this file. To add a network, add a file with an [`Entry`] for each of its names, and a
+//! line here for each. Names, facts, dispatch, memory needs, the list of `srflow models` and the parity tests follow from it.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
@@ -11,14 +11,14 @@ use crate::frames::Frames;
 use crate::settings::{Setting, SettingError, set};
 use crate::{dpflow, flownet, flownetcss, gma, memflow, raft, raft_small, rpknet, sea_raft, skflow};
 
-/// What the table says of a network.
+/// An entry of the table.
 pub(crate) struct Entry<N> {
     pub(crate) facts: Facts,
-    /// The network of the paper with random parameters, as training starts.
+    /// See [`Architecture::init`].
     pub(crate) init: fn(&Device) -> N,
 }
 
-/// What every network does. Those that refine flow as RAFT does implement [`Recurrent`](crate::recurrent::Recurrent) instead.
+/// Interface of all networks. Those that refine flow like RAFT implement [`Recurrent`](crate::recurrent::Recurrent) instead.
 pub(crate) trait FlowNetwork {
     /// See [`Network::features`].
     fn features(&self, frames: Tensor<4>) -> Features;
@@ -49,24 +49,22 @@ pub(crate) trait FlowNetwork {
 
 macro_rules! networks {
     ($($variant:ident($network:ty) = $entry:path,)*) => {
-        /// A network by its name; a line of the table.
+        /// A network of the table, without parameters.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
         pub enum Architecture {
             $($variant,)*
         }
 
         impl Architecture {
-            /// Every network.
             pub const ALL: [Self; [$(stringify!($variant)),*].len()] = [$(Self::$variant),*];
 
-            /// The facts about it.
             pub fn facts(self) -> &'static Facts {
                 match self {
                     $(Self::$variant => &$entry.facts,)*
                 }
             }
 
-            /// The network of the paper with random parameters, as training starts.
+            /// The network with random parameters from the initial distributions of the reference implementation.
             pub fn init(self, device: &Device) -> Network {
                 match self {
                     $(Self::$variant => Network::$variant(($entry.init)(device)),)*
@@ -74,9 +72,8 @@ macro_rules! networks {
             }
         }
 
-        /// A network of any [`Architecture`], made by [`Architecture::init`] or [`load_network`](crate::load_network).
-        ///
-        /// Its parameters have the same names as those of the network inside.
+        /// A network of any [`Architecture`], from [`Architecture::init`] or [`load_network`](crate::load_network). The enum adds
+        /// nothing to the names of parameters.
         #[derive(Module, Debug)]
         #[allow(clippy::large_enum_variant, reason = "few are alive at a time, and none is moved in a loop")]
         pub enum Network {
@@ -90,31 +87,29 @@ macro_rules! networks {
                 }
             }
 
-            /// What the network computes of each frame alone, RGB in 0..1, `[batch, 3, height, width]`, for
-            /// [`Request::features`].
+            /// Features of frames, RGB in 0..1, `[batch, 3, height, width]`, for [`Request::features`].
             pub fn features(&self, frames: Tensor<4>) -> Features {
                 match self {
                     $(Self::$variant(network) => FlowNetwork::features(network, frames),)*
                 }
             }
 
-            /// Flow from the first frames to the second. Panics when the frames differ in size, no iteration is asked for,
-            /// or a start is of another size.
+            /// Estimates the flow from the first frames to the second. Panics when the frames differ in size, the number of
+            /// iterations is 0, or [`Request::start`] has the wrong size.
             pub fn forward(&self, frames: Frames, request: &Request) -> Estimate {
                 match self {
                     $(Self::$variant(network) => FlowNetwork::forward(network, frames, request),)*
                 }
             }
 
-            /// What refinements start from and read, for networks whose refinements can be computed one by one
-            /// ([`Facts::recompute`]). Panics when the frames differ in size.
+            /// The output of the encoders, for networks with [`Facts::recompute`]. Panics when the frames differ in size.
             pub fn encode(&self, frames: Frames) -> Option<Encoded> {
                 match self {
                     $(Self::$variant(network) => FlowNetwork::encode(network, frames),)*
                 }
             }
 
-            /// What height and width of frames are padded to multiples of.
+            /// Number of pixels of which height and width of frames are made multiples.
             pub fn padding(&self) -> Padding {
                 let own = match self {
                     $(Self::$variant(network) => FlowNetwork::padding(network),)*
@@ -122,15 +117,15 @@ macro_rules! networks {
                 own.unwrap_or(Padding::Fixed(self.architecture().facts().padding))
             }
 
-            /// In how many levels, from coarse to fine, the flow between frames of this height and width is refined; `None` for
-            /// a network that refines it in one, or not at all.
+            /// Number of levels, from coarse to fine, in which flow between frames of this height and width is refined; `None`
+            /// for networks with a single level or without refinement.
             pub fn levels(&self, size: [usize; 2]) -> Option<usize> {
                 match self {
                     $(Self::$variant(network) => FlowNetwork::levels(network, size),)*
                 }
             }
 
-            /// What can be set beside the parameters, with its present value.
+            /// The settings besides parameters, with their current values.
             pub fn settings(&mut self) -> Vec<Setting<'_>> {
                 match self {
                     $(Self::$variant(network) => FlowNetwork::settings(network),)*
@@ -141,22 +136,22 @@ macro_rules! networks {
 }
 
 impl Architecture {
-    /// The network of that name.
+    /// The network with this [name](Self::name).
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|architecture| architecture.name() == name)
     }
 
-    /// As typed on a command line, such as `raft-small`.
+    /// Name on the command line, such as `raft-small`.
     pub fn name(self) -> &'static str {
         self.facts().name
     }
 }
 
 impl Network {
-    /// Gives one of the [`settings`](Self::settings) another value.
+    /// Changes one of the [`settings`](Self::settings).
     ///
     /// # Errors
-    /// When the network has no such setting, or does not take the value.
+    /// When the network has no such setting, or the value is not allowed.
     pub fn set(&mut self, name: &str, value: usize) -> Result<(), SettingError> {
         let network = self.architecture().name();
         set(network, self.settings(), name, value)
@@ -184,7 +179,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn published_files_carry_the_name_and_the_digest() {
+    fn published_files_are_named_after_network_and_digest() {
         for architecture in Architecture::ALL {
             assert_eq!(Architecture::from_name(architecture.name()), Some(architecture));
             for weights in architecture.facts().published {

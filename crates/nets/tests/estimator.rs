@@ -1,4 +1,4 @@
-//! Networks as estimators of flow between images.
+//! Networks as estimators: sequences, batches, tiles, scales and warm starts.
 
 use std::num::NonZeroUsize;
 
@@ -25,7 +25,7 @@ fn estimator(network: &Network) -> NetworkEstimator {
     NetworkEstimator::new("raft-small", network.clone(), iterations, Device::flex())
 }
 
-/// A texture that moves by 3 pixels right and 1 down in each frame.
+/// A texture that moves by 3 pixels to the right and 1 down per frame.
 fn frame(size: (usize, usize), number: usize) -> Image {
     Image::from_fn(size.0, size.1, |x, y| {
         let (x, y) = (x as f32 - 3.0 * number as f32, y as f32 - number as f32);
@@ -66,9 +66,9 @@ fn assert_near(found: &FlowField, expected: &FlowField, what: &str) {
     assert!(far <= 1e-4 + 1e-4 * longest && longest > 1e-3, "{what}: {far} px apart of {longest}");
 }
 
-/// The same flow as the network gives for the tensors, in frames that need a border.
+/// For frames that need padding.
 #[test]
-fn an_estimate_is_what_the_network_gives() {
+fn an_estimate_is_the_flow_of_the_network() {
     let network = network();
     let (first, second) = (frame((203, 150), 0), frame((203, 150), 1));
     let frames = Frames { first: tensor(&first), second: tensor(&second) };
@@ -77,9 +77,8 @@ fn an_estimate_is_what_the_network_gives() {
     assert_near(&found, &field(expected.last().clone()), "estimate");
 }
 
-/// However many frames are given at once.
 #[test]
-fn a_sequence_gives_the_flow_of_every_pair() {
+fn a_sequence_gives_the_flow_of_every_pair_in_pieces_of_any_length() {
     let network = network();
     let estimator = estimator(&network);
     let frames = video((140, 131), 5);
@@ -100,9 +99,9 @@ fn a_sequence_gives_the_flow_of_every_pair() {
     }
 }
 
-/// Alone, in tiles and scaled.
+/// Untiled, tiled and scaled.
 #[test]
-fn pairs_at_once_get_the_flow_of_each() {
+fn batches_give_the_flow_of_each_pair() {
     let network = network();
     let boxed = || Box::new(estimator(&network));
     let tiled = Tiled::new(boxed(), tiling(128, 128, 64));
@@ -122,9 +121,9 @@ fn pairs_at_once_get_the_flow_of_each() {
     }
 }
 
-/// The second pair starts from the coarse flow of the first, moved along itself, as in RAFT's evaluation on Sintel.
+/// As in RAFT's evaluation on Sintel.
 #[test]
-fn a_warm_start_is_the_coarse_flow_moved_along_itself() {
+fn a_warm_start_is_the_forward_warped_coarse_flow() {
     let network = network();
     let frames = video((136, 128), 3);
     let pair = |n: usize| Frames { first: tensor(&frames[n]), second: tensor(&frames[n + 1]) };
@@ -138,24 +137,24 @@ fn a_warm_start_is_the_coarse_flow_moved_along_itself() {
 
     let estimator = estimator(&network);
     let flows = flows_of(&estimator, true, &frames);
-    assert_near(&flows[0], &field(first.flows[0].clone()), "the first has nothing to start from");
+    assert_near(&flows[0], &field(first.flows[0].clone()), "the first starts from zero");
     let expected = field(expected.last().clone());
     assert_near(&flows[1], &expected, "the second starts from the first");
     assert!(field(cold.last().clone()) != expected, "the start makes a difference");
 }
 
-/// MemFlow, whose attention counts, which it does not as training starts.
-fn remembering() -> Network {
+/// MemFlow with a nonzero `gamma`: it is initialized to zero, which disables attention.
+fn memflow() -> Network {
     let network = Architecture::MemFlow.init(&Device::flex());
     let mut values = parameters(&network);
     values.insert("update_block.aggregator.gamma".into(), TensorData::new(vec![1.0_f32], [1]));
     with_parameters(network, values).expect("its own names and shapes")
 }
 
-/// Two videos, one after the other: each pair remembers those before it, but none across the cut between them.
+/// Two concatenated videos.
 #[test]
-fn a_sequence_remembers_the_pairs_before_up_to_a_cut() {
-    let network = remembering();
+fn a_sequence_remembers_earlier_pairs_but_not_across_a_cut() {
+    let network = memflow();
     let estimator = estimator(&network);
     let size = (140, 131);
     let negative = |frame: Image| {
@@ -179,14 +178,14 @@ fn a_sequence_remembers_the_pairs_before_up_to_a_cut() {
         assert_near(found, expected, &format!("pair {number}"));
         let alone = estimator.estimate(&frames[number], &frames[number + 1]).expect("flow");
         let same = [0, 3, 4].contains(&number);
-        assert_eq!(alone == *found, same, "pair {number}: what comes before matters, but not across a cut");
+        assert_eq!(alone == *found, same, "pair {number}: memory is used, but not across a cut");
     }
 }
 
-/// Frames that are not the last of the pair before, such as another window, do not end the video.
+/// A pair need not start with the last frame of the previous pair, such as with windows that move.
 #[test]
-fn pairs_of_other_windows_are_of_the_same_video() {
-    let network = remembering();
+fn memory_is_kept_when_windows_move() {
+    let network = memflow();
     let frames = video((150, 131), 3);
     let tiled = Tiled::new(Box::new(estimator(&network)), tiling(200, 200, 64));
     let estimator = estimator(&network);
@@ -197,7 +196,7 @@ fn pairs_of_other_windows_are_of_the_same_video() {
     let alone = pairs.each_ref().map(|[first, second]| estimator.estimate(first, second).expect("flow"));
     assert_near(&flows[0], &alone[0], "the first");
     assert!(flows[1] != alone[1], "the second remembers the first");
-    // Where the frames are the same, as if they had been pushed.
+    // Pairs that share frames give the same as pushing the frames.
     let same = [[&frames[0], &frames[1]], [&frames[1], &frames[2]]];
     let pushed = flows_of(&estimator, false, &frames);
     for estimator in [&estimator as &dyn FlowEstimator, &tiled] {
@@ -211,9 +210,9 @@ fn pairs_of_other_windows_are_of_the_same_video() {
     assert_eq!(sequence.push_pair([&frames[0], &frames[1]]).expect("flow").flow.size(), (150, 131));
 }
 
-/// Also where the frame gets a border, and where it is made up to the smallest size.
+/// Without padding, with padding, and for frames below the smallest size.
 #[test]
-fn an_initial_flow_becomes_the_coarse_start() {
+fn an_initial_flow_is_reduced_to_the_coarse_start() {
     let network = network();
     let estimator = estimator(&network);
     for (size, grid) in [((136, 128), [16, 17]), ((131, 150), [19, 17]), ((60, 50), [16, 16])] {
@@ -263,9 +262,8 @@ fn frames_of_any_size_have_a_flow() {
     assert!(sequence.push(&[frame((130, 128), 0), frame((128, 130), 0)]).is_err());
 }
 
-/// One tile is the frame; several give a flow, the same in a sequence.
 #[test]
-fn tiles_and_scales_of_a_network() {
+fn tiles_and_scales_give_the_same_flow_in_a_sequence() {
     let network = network();
     let size = (300, 160);
     let frames = video(size, 3);
@@ -347,7 +345,7 @@ impl ModuleMapper for Broken {
 }
 
 #[test]
-fn a_flow_of_no_numbers_is_an_error() {
+fn a_nan_flow_is_an_error() {
     let network = network().map(&mut Broken);
     let error = estimator(&network).estimate(&frame((128, 128), 0), &frame((128, 128), 1)).expect_err("NaN");
     assert!(error.to_string().contains("raft-small: gave NaN for a flow"), "{error}");

@@ -1,12 +1,12 @@
-//! What a network makes of a frame alone serves both pairs the frame is in.
+//! Features of a frame can be reused for both of its pairs.
 
 use burn::tensor::{Device, Distribution, Tensor};
 use srflow_golden::numbers;
 use srflow_nets::{Architecture, Features, Frames, Request};
 
-/// Frames of a size that needs padding, two pairs at once: the features of each frame computed on its own.
+/// Two pairs at once, of a size that needs padding; the features of each frame are computed separately.
 #[test]
-fn known_features_give_the_same_flow() {
+fn precomputed_features_give_the_same_flow() {
     for architecture in [Architecture::RaftSmall, Architecture::RpkNet] {
         check(architecture);
     }
@@ -34,5 +34,5 @@ fn check(architecture: Architecture) {
 
     let swapped = features.map(|[first, second]| [second, first]);
     let other = network.forward(frames, &Request { features: swapped, ..Request::new(3) });
-    assert!(numbers(other.last().clone()) != expected, "the features are what is looked up");
+    assert!(numbers(other.last().clone()) != expected, "swapped features change the flow");
 }

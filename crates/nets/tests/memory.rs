@@ -1,4 +1,4 @@
-//! What networks are said to need of the memory, held to what they took.
+//! Memory needs of the networks against measured peaks.
 
 use srflow_nets::{Architecture, MemoryNeed};
 
@@ -15,7 +15,8 @@ const SIZES: [(usize, usize); 10] = [
     (3840, 2160),
 ];
 
-/// Peaks in MB at these sizes, without that of a frame of 128x128, by `tools/bench/memory.py`. GMA was not run at the last.
+/// Peaks in MB at these sizes, less that of a 128x128 frame, measured by `tools/bench/memory.py`. GMA was not measured at the
+/// last size.
 const PEAKS: [(Architecture, &[u64]); 6] = [
     (Architecture::Raft, &[49, 109, 189, 259, 492, 529, 602, 761, 1179, 3001]),
     (Architecture::RaftSmall, &[0, 33, 63, 98, 235, 264, 356, 566, 681, 1642]),
@@ -26,7 +27,7 @@ const PEAKS: [(Architecture, &[u64]); 6] = [
 ];
 
 #[test]
-fn no_measured_peak_passes_the_need_nor_is_far_below_it() {
+fn needs_are_tight_upper_bounds_of_measured_peaks() {
     for (architecture, peaks) in PEAKS {
         for ((width, height), &megabytes) in SIZES.into_iter().zip(peaks) {
             let need = architecture.facts().memory.bytes(width * height) / 1_000_000;
@@ -38,7 +39,7 @@ fn no_measured_peak_passes_the_need_nor_is_far_below_it() {
 }
 
 #[test]
-fn more_pixels_and_more_pairs_need_more() {
+fn needs_grow_with_pixels_and_pairs() {
     for architecture in Architecture::ALL {
         let need = architecture.facts().memory;
         let of = |pixels: usize, pairs: usize| need.of_batch(pairs).bytes(pixels);
@@ -53,7 +54,7 @@ fn more_pixels_and_more_pairs_need_more() {
 }
 
 #[test]
-fn attention_takes_the_square_of_the_pixels_up_to_what_is_kept() {
+fn attention_grows_with_the_square_of_the_pixels_up_to_the_limit() {
     let need = MemoryNeed { fixed: 1000, per_pixel: 2, attending: 1, most_weights: 50_000 };
     assert_eq!(need.bytes(6400), 1000 + 12_800 + 4 * 100 * 100);
     assert_eq!(need.bytes(12_800), 1000 + 25_600 + 50_000);

@@ -1,11 +1,11 @@
-//! What a network promises beside its flow: what a request asks for, and gradients.
+//! Options of requests, and gradients by finite differences.
 
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_golden::numbers;
 use srflow_nets::{Architecture, Frames, Network, Request};
 use srflow_nn::{HostGradients, Layout, Parameters, parameter_infos, with_parameters};
 
-/// Values in -1..1 that repeat nowhere near.
+/// Pseudorandom values in -1..1.
 fn values(count: usize, seed: u32) -> Vec<f32> {
     (0..count as u32)
         .map(|i| {
@@ -15,7 +15,7 @@ fn values(count: usize, seed: u32) -> Vec<f32> {
         .collect()
 }
 
-/// Parameters that keep activations at their size.
+/// Parameters that preserve the scale of activations.
 fn parameters(network: &Network) -> Parameters {
     let infos = parameter_infos(network).into_iter().zip(1..);
     infos
@@ -49,7 +49,7 @@ fn frames(device: &Device) -> Frames {
 }
 
 #[test]
-fn every_iteration_gives_the_flow_of_that_many_iterations() {
+fn every_iteration_returns_the_flow_of_each_iteration() {
     let device = Device::flex();
     for architecture in [Architecture::Raft, Architecture::RaftSmall, Architecture::SkFlow] {
         let network = network(architecture, &device);
@@ -67,9 +67,9 @@ fn every_iteration_gives_the_flow_of_that_many_iterations() {
     }
 }
 
-/// SEA-RAFT computes a flow of both frames before it refines it.
+/// SEA-RAFT predicts a flow before its first iteration.
 #[test]
-fn a_first_flow_comes_before_those_of_the_iterations() {
+fn the_initial_flow_comes_before_those_of_the_iterations() {
     let device = Device::flex();
     let network = network(Architecture::SeaRaftS, &device);
     let all = Request { every_iteration: true, ..Request::new(2) };
@@ -101,7 +101,7 @@ fn levels_follow_the_size_of_the_frames_or_the_setting() {
 }
 
 #[test]
-fn the_flow_starts_where_the_request_says() {
+fn refinement_starts_from_the_requested_flow() {
     let device = Device::flex();
     for (architecture, size) in
         [(Architecture::Raft, [8, 9]), (Architecture::RpkNet, [2, 3]), (Architecture::DpFlow, [2, 3])]
@@ -115,22 +115,22 @@ fn the_flow_starts_where_the_request_says() {
         assert!(numbers(from(None)) == numbers(from(Some(zero.clone()))), "{architecture:?}");
         let moved = numbers(from(Some(zero + 5.0)));
         let difference = moved.iter().zip(numbers(from(None))).map(|(a, b)| a - b);
-        // One iteration changes the flow by little: most of the start is still there.
+        // One iteration changes the flow little, so most of the start remains.
         let mean = difference.sum::<f32>() / moved.len() as f32;
         assert!((mean - 5.0).abs() < 2.5, "{architecture:?}: moved by {mean} on average");
     }
 }
 
-/// Central differences along a random direction. One iteration: later ones look up where the detached flow points.
+/// Central differences. One iteration only: later ones depend on the detached flow, which gradients ignore.
 #[test]
-fn gradients_of_parameters_are_those_of_the_flow() {
+fn gradients_of_parameters_match_finite_differences() {
     let plain = Device::flex();
     let tracked = Device::flex().autodiff();
     let weights = values(2 * 64 * 72, 3);
     let weighted = |flow: &Tensor<4>| -> f64 {
         numbers(flow.clone()).iter().zip(&weights).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
     };
-    // A step is short where activations bend soon, and long where the flow changes little.
+    // Short steps where activations are strongly nonlinear, long ones where the flow changes little.
     let cases: [(Architecture, &[(&str, f64)]); 2] = [
         (
             Architecture::Raft,
@@ -162,8 +162,8 @@ fn gradients_of_parameters_are_those_of_the_flow() {
             let segment = layout.segments().iter().find(|segment| segment.name == name).expect(name);
             let grad = &gradients.values[segment.range.clone()];
             let norm = grad.iter().map(|x| f64::from(x * x)).sum::<f64>().sqrt();
-            assert!(norm > 0.0, "{name} matters");
-            // Along the gradient itself, where the change is largest against rounding.
+            assert!(norm > 0.0, "{name} has a gradient");
+            // Along the gradient, where the change is largest compared with rounding errors.
             let moved = |by: f64| {
                 let other = architecture.init(&plain);
                 let mut parameters = parameters(&other);

@@ -1,9 +1,8 @@
-//! Every network gives the flow of the reference implementation (ptlflow 0.4.2) from the same parameters, and in training
-//! the gradients.
+//! Flow and gradients of every network against the reference implementation (ptlflow 0.4.2) with the same parameters.
 //!
-//! Golden values: `tools/parity/nets.py`, whose rules for parameters and frames are repeated here. Every network of the table
-//! is held to every file of its name in `tests/golden`, which says what was asked of the reference. `SRFLOW_TEST_DEVICE` names
-//! the device (docs/devices.md), `SRFLOW_TEST_NETWORK` one network.
+//! `tools/parity/nets.py` makes the golden values; its rules for parameters and frames are repeated here. Every network of the
+//! table is compared with every file of its name in `tests/golden`, which also stores the settings of the reference.
+//! `SRFLOW_TEST_DEVICE` selects the device (docs/devices.md), `SRFLOW_TEST_NETWORK` a single network.
 
 use std::path::PathBuf;
 use std::sync::LazyLock;
@@ -16,16 +15,16 @@ use srflow_nn::{
     HostGradients, Layout, Parameters, Segment, parameter_infos, with_batch_statistics, with_parameters,
 };
 
-/// Rows and columns of the flow that are stored.
+/// Stored rows and columns of the flow: every seventh.
 const EVERY: isize = 7;
 
-/// Found once: to ask drivers for their devices takes time.
+/// Opened once, as enumerating devices takes time.
 static DEVICE: LazyLock<Device> = LazyLock::new(|| {
     let name = std::env::var("SRFLOW_TEST_DEVICE");
     srflow_ops::device(name.as_deref().unwrap_or("cpu")).expect("the device of SRFLOW_TEST_DEVICE")
 });
 
-/// Weights of variance 1 / fan_in, so that activations keep their size; the rest near what training leaves.
+/// Weights with variance 1 / fan_in, which preserves the scale of activations; other parameters near typical trained values.
 fn parameter(name: &str, shape: &[usize], gains: &[(String, f32)]) -> Vec<f32> {
     let count: usize = shape.iter().product();
     let seed = name_hash(name);
@@ -65,12 +64,12 @@ fn filled(mut network: Network, golden: &Golden) -> Network {
     with_parameters(network, parameters).expect("its own names and shapes")
 }
 
-/// A triangle wave of whole numbers, in 0..1.
+/// A triangle wave over the integers, in 0..1.
 fn wave(n: i64, period: i64) -> f64 {
     (n.rem_euclid(2 * period) - period).abs() as f64 / period as f64
 }
 
-/// Three waves and some grain, moved by `shift` pixels right and half of it down.
+/// Three waves and some noise, moved by `shift` pixels to the right and half of it down.
 fn frame([batch, height, width]: [usize; 3], shift: i64, device: &Device) -> Tensor<4> {
     let mut values = Vec::with_capacity(batch * 3 * height * width);
     for (n, c) in (0..batch as i64).flat_map(|n| (0..3).map(move |c| (n, c))) {
@@ -89,7 +88,7 @@ fn thinned(flow: Tensor<4>) -> Tensor<4> {
     flow.slice(s![.., .., ..;EVERY, ..;EVERY])
 }
 
-/// Holds `found` to the stored tensor: mean and largest difference in pixels of the flow's own grid.
+/// Compares `found` with the golden tensor, with limits on the mean and largest difference.
 fn assert_close(golden: &Golden, name: &str, found: Tensor<4>, [mean, largest]: [f32; 2]) {
     assert_eq!(golden.shape(name), found.dims(), "{name}");
     let differences: Vec<f32> =
@@ -100,7 +99,7 @@ fn assert_close(golden: &Golden, name: &str, found: Tensor<4>, [mean, largest]: 
     assert!(average <= mean && worst <= largest, "{name}: mean difference {average}, largest {worst}");
 }
 
-/// Batch, height and width of every case of a network, and its golden values: those that need no padding first.
+/// Batch, height and width of the cases of a network, and their golden values; cases without padding come first.
 fn cases(architecture: Architecture) -> Vec<([usize; 3], Golden)> {
     let name = format!("{}_", architecture.name().replace('-', "_"));
     let files = std::fs::read_dir("tests/golden").expect("the folder of golden values");
@@ -121,7 +120,7 @@ fn cases(architecture: Architecture) -> Vec<([usize; 3], Golden)> {
     cases.into_iter().map(|(case, path)| (case, Golden::read(path))).collect()
 }
 
-/// Those of the table, or the one that `SRFLOW_TEST_NETWORK` names.
+/// All networks, or the one in `SRFLOW_TEST_NETWORK`.
 fn networks() -> Vec<Architecture> {
     match std::env::var("SRFLOW_TEST_NETWORK") {
         Ok(name) => vec![Architecture::from_name(&name).expect("the network of SRFLOW_TEST_NETWORK")],
@@ -133,13 +132,13 @@ fn frames(case: [usize; 3], device: &Device) -> Frames {
     pair(case, 1, device)
 }
 
-/// A pair of the video, from 1.
+/// Pair `number` of the video, from 1.
 fn pair(case: [usize; 3], number: i64, device: &Device) -> Frames {
     let frame = |number: i64| frame(case, 4 * number, device);
     Frames { first: frame(number - 1), second: frame(number) }
 }
 
-/// Holds what a network that remembers gives for the pairs after the first to golden values `next_P_N`.
+/// Compares the flows of later pairs of a video with the golden values `next_P_N`, for networks with memory.
 fn check_next(
     golden: &Golden,
     network: &Network,
@@ -161,7 +160,7 @@ fn check_next(
     }
 }
 
-/// The numbers of iterations of which there are golden values `coarse_N` or `flow_N`, rising.
+/// Numbers of iterations with golden values `flow_N`, ascending.
 fn iterations(golden: &Golden) -> Vec<usize> {
     let number = |key: &str| key.strip_prefix("flow_")?.parse().ok();
     let mut numbers: Vec<usize> = golden.names().filter_map(number).collect();
@@ -171,7 +170,7 @@ fn iterations(golden: &Golden) -> Vec<usize> {
 }
 
 #[test]
-fn every_network_gives_the_references_flow() {
+fn flow_matches_the_reference() {
     let device = DEVICE.clone();
     for architecture in networks() {
         println!("{}:", architecture.name());
@@ -179,8 +178,8 @@ fn every_network_gives_the_references_flow() {
             let network = filled(architecture.init(&device), &golden);
             assert_eq!(network.architecture(), architecture);
             for iterations in iterations(&golden) {
-                // Another device may be a software one, which takes minutes for what the processor does in seconds: there
-                // one iteration has to do for the batch with borders.
+                // Other devices may be emulated in software, which takes minutes instead of seconds; one iteration of the
+                // padded batch is enough there.
                 if device != Device::flex() && number > 0 && iterations > 1 {
                     continue;
                 }
@@ -206,7 +205,7 @@ fn every_network_gives_the_references_flow() {
     }
 }
 
-/// By parameter, after a backward pass of the mean of `(flow - [4, 2])^2`, weighted with 0.8 towards the last flow.
+/// Gradients of each parameter for the loss `mean((flow - [4, 2])^2)`, decayed by 0.8 from each flow to the one before.
 fn gradients(network: &Network, frames: Frames, iterations: usize) -> Vec<(String, Option<Vec<f32>>)> {
     let device = frames.first.device();
     let request = Request { every_iteration: true, ..Request::new(iterations) };
@@ -230,10 +229,10 @@ fn gradients(network: &Network, frames: Frames, iterations: usize) -> Vec<(Strin
     layout.segments().iter().zip(sum.reached.clone()).map(of).collect()
 }
 
-/// Holds the gradients of all parameters to the stored numbers. Distances are root mean squares, relative to that of all the
-/// gradient's numbers: a noise of 1e-7 in the frames, which moves some sums to the other side of a ReLU's kink, changes single
-/// numbers of the reference's gradients by up to 0.2 of it. What an instance norm takes away again has a gradient of rounding
-/// errors only.
+/// Compares the gradients of all parameters with sampled golden values. The distance is the root mean square of the differences
+/// relative to that of the whole gradient. Noise of 1e-7 in the frames, which moves some sums across the kink of a ReLU, changes
+/// single values of the reference's gradients by up to 0.2 of it. Gradients of biases before an instance norm are only rounding
+/// errors.
 fn check_gradients(architecture: Architecture) {
     let device = DEVICE.clone().autodiff();
     let name = architecture.name();
@@ -254,7 +253,7 @@ fn check_gradients(architecture: Architecture) {
         let iterations = golden.values("training_iterations")[0] as usize;
         let kinds = [("running", false), ("batch", true)].into_iter().filter(|(_, batch)| normed || !batch);
         for (kind, batch_statistics) in kinds {
-            // A new network: a pass with the batch's statistics moves the running ones, which clones share.
+            // A new network, as a pass with batch statistics updates the running ones, which clones share.
             let network =
                 with_batch_statistics(filled(architecture.init(&device), &golden), batch_statistics);
             let mut distances = Vec::new();
@@ -283,13 +282,13 @@ fn check_gradients(architecture: Architecture) {
 }
 
 #[test]
-fn every_network_that_trains_has_the_references_gradients() {
+fn gradients_match_the_reference() {
     networks().into_iter().filter(|network| network.facts().trains).for_each(check_gradients);
 }
 
-/// Batch norm statistics are no parameters in PyTorch.
+/// Running statistics of batch norm are not parameters in PyTorch.
 #[test]
-fn the_networks_have_the_references_parameters() {
+fn the_number_of_parameters_matches_the_reference() {
     for architecture in Architecture::ALL {
         let infos = parameter_infos(&architecture.init(&Device::flex()));
         let learned = infos.iter().filter(|info| !info.name.contains("running_"));

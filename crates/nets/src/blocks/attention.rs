@@ -1,5 +1,5 @@
-//! Global motion aggregation (Jiang et al. 2021, `gma_utils.py`): a pixel takes over the motion of pixels whose context is
-//! like its own. One head, content only, as the published networks have it.
+//! Global motion aggregation (Jiang et al. 2021, `gma_utils.py`): attention that propagates motion between pixels with similar
+//! context. One head and content only, as in the published networks.
 
 use burn::module::{Initializer, Module, Param};
 use burn::tensor::{Device, Tensor};
@@ -7,23 +7,22 @@ use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation;
 use srflow_ops::attention::tensor::Attention as AttentionMap;
 
-/// The weights between all pairs of pixels do not change between iterations: up to this size they are kept, the rest is
-/// recomputed in each iteration.
+/// Attention weights, which are constant over the iterations, are kept up to this size. The rest is recomputed in each iteration.
 pub(crate) const KEPT_BYTES: usize = 800 << 20;
-/// With gradients, where most of a step is spent elsewhere: frames of 256x192 keep all, and at 800x512, where a map takes
-/// 164 MB and as much for the gradients of values, recomputing all of them is about 2 % of a step.
+/// The limit with gradients. It suffices for all weights at 256x192; at 800x512, where a map takes 164 MB and as much again for
+/// the gradients of values, recomputing all weights takes about 2 % of a training step.
 const KEPT_BYTES_IN_TRAINING: usize = 1 << 28;
-/// Positions that the reference has an embedding for, in each direction.
+/// Relative positions with an embedding in the reference, in each direction.
 const POSITIONS: usize = 2 * 160 - 1;
 
-/// Which pixels resemble which (`att`).
+/// Queries and keys of attention (`att`).
 #[derive(Module, Debug)]
 pub(crate) struct Attention {
     to_qk: Conv2d,
     pos_emb: PositionEmbedding,
 }
 
-/// Stored in every checkpoint, used by none of the published networks.
+/// Stored in every checkpoint, but not used by the published networks.
 #[derive(Module, Debug)]
 struct PositionEmbedding {
     rel_height: Embedding,
@@ -35,7 +34,7 @@ struct Embedding {
     weight: Param<Tensor<2>>,
 }
 
-/// Adds what attention gathers to motion features (`update_block.aggregator`).
+/// Adds attention output to motion features (`update_block.aggregator`).
 #[derive(Module, Debug)]
 pub(crate) struct Aggregate {
     to_v: Conv2d,
@@ -53,13 +52,13 @@ impl Attention {
         }
     }
 
-    /// From the context, `[batch, dim, height, width]`.
+    /// The attention of a context `[batch, dim, height, width]`.
     pub(crate) fn forward(&self, context: Tensor<4>) -> AttentionMap {
         let [queries, keys] = self.queries_and_keys(context);
         attention_map(queries, keys)
     }
 
-    /// Both `[batch, dim, height, width]`; the queries are divided by the root of `dim`.
+    /// Queries, divided by the square root of `dim`, and keys, both `[batch, dim, height, width]`.
     pub(crate) fn queries_and_keys(&self, context: Tensor<4>) -> [Tensor<4>; 2] {
         let dim = context.dims()[1];
         let both = self.to_qk.forward(context, Activation::Identity);
@@ -67,7 +66,7 @@ impl Attention {
     }
 }
 
-/// For values that change in each iteration.
+/// Attention that keeps its weights, for use in several iterations.
 pub(crate) fn attention_map(queries: Tensor<4>, keys: Tensor<4>) -> AttentionMap {
     let kept_bytes = if queries.is_autodiff() { KEPT_BYTES_IN_TRAINING } else { KEPT_BYTES };
     AttentionMap::new(queries, keys, kept_bytes)
@@ -81,18 +80,18 @@ impl Aggregate {
         }
     }
 
-    /// `motion` and what is gathered of it, times a learned number.
+    /// `motion + gamma * attention(values(motion))`.
     pub(crate) fn forward(&self, map: &AttentionMap, motion: Tensor<4>) -> Tensor<4> {
         let gathered = map.gather(self.values(motion.clone()));
         self.add(motion, gathered)
     }
 
-    /// What is gathered of `motion`.
+    /// The values of `motion`.
     pub(crate) fn values(&self, motion: Tensor<4>) -> Tensor<4> {
         self.to_v.forward(motion, Activation::Identity)
     }
 
-    /// `motion`, and `gathered` times a learned number.
+    /// `motion + gamma * gathered`.
     pub(crate) fn add(&self, motion: Tensor<4>, gathered: Tensor<4>) -> Tensor<4> {
         motion + gathered * self.gamma.val().reshape([1, 1, 1, 1])
     }

@@ -1,4 +1,4 @@
-//! Feature and context encoder of RAFT (`extractor.py`), to an eighth of the size.
+//! Feature and context encoder of RAFT (`extractor.py`), which reduces the size to an eighth.
 
 use burn::module::{Initializer, Module};
 use burn::tensor::{Device, Tensor};
@@ -7,7 +7,7 @@ use srflow_ops::Activation;
 use srflow_ops::activation::tensor::activated_sum;
 use srflow_ops::instance_norm::tensor::instance_norm;
 
-/// Which normalization an encoder has.
+/// Normalization of an encoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum NormKind {
     None,
@@ -15,7 +15,7 @@ pub(crate) enum NormKind {
     Batch,
 }
 
-/// What normalizes the output of a convolution. The variant is no part of a parameter's name.
+/// Normalization after a convolution. The variant does not appear in the names of parameters.
 #[derive(Module, Debug)]
 #[allow(clippy::large_enum_variant)] // A network has some dozen of them.
 enum Norm {
@@ -24,18 +24,18 @@ enum Norm {
     Batch(BatchNorm),
 }
 
-/// Sizes of an [`Encoder`].
+/// Configuration of an [`Encoder`].
 #[derive(Debug, Clone)]
 pub(crate) struct EncoderConfig {
-    /// Of the stem and first layer, the second, the third.
+    /// Channels of the stem and the first layer, the second layer, the third layer.
     channels: [usize; 3],
-    /// Blocks of three convolutions through a quarter of the channels, rather than of two.
+    /// Bottleneck blocks: three convolutions, through a quarter of the channels, instead of two.
     bottleneck: bool,
     output: usize,
     norm: NormKind,
 }
 
-/// Three layers of two residual blocks; the second and third layer halve the size, as the stem does.
+/// A stem and three layers of two residual blocks; the stem and the second and third layers halve the size.
 #[derive(Module, Debug)]
 pub(crate) struct Encoder {
     conv1: Conv2d,
@@ -46,8 +46,8 @@ pub(crate) struct Encoder {
     conv2: Conv2d,
 }
 
-/// A residual block. Where it halves the size, the reference stores the norm of the shortcut twice, as `downsample.1`
-/// and as `norm3` (`norm4` in a bottleneck).
+/// A residual block. For blocks that halve the size, the reference stores the norm of the shortcut twice: as `downsample.1` and
+/// as `norm3` (`norm4` in a bottleneck).
 #[derive(Module, Debug)]
 struct Block {
     conv1: Conv2d,

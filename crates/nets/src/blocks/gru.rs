@@ -1,4 +1,4 @@
-//! Convolutional gated recurrent units of RAFT (`update.py`), and of the encoders of RPKNet and DPFlow.
+//! Convolutional GRUs of RAFT (`update.py`), and of the encoders of RPKNet and DPFlow.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
@@ -7,7 +7,7 @@ use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::gru::tensor::{reset, update};
 use srflow_ops::{Activation, WeightCache};
 
-/// One gated step over a 3x3 neighbourhood.
+/// A GRU with 3x3 convolutions.
 #[derive(Module, Debug)]
 pub(crate) struct ConvGru {
     convz: Conv2d,
@@ -15,7 +15,7 @@ pub(crate) struct ConvGru {
     convq: Conv2d,
 }
 
-/// A unit whose sums are those of stages of several layers (`PKConvSLKGRU` of RPKNet, `CGUGRU` of DPFlow).
+/// A GRU with stages of several layers instead of convolutions (`PKConvSLKGRU` of RPKNet, `CGUGRU` of DPFlow).
 #[derive(Module, Debug)]
 pub(crate) struct StageGru<S: Module> {
     convz: S,
@@ -23,7 +23,7 @@ pub(crate) struct StageGru<S: Module> {
     convq: S,
 }
 
-/// A gated step along rows, then one along columns.
+/// A separable GRU: a step along rows (1x5), then one along columns (5x1).
 #[derive(Module, Debug)]
 pub(crate) struct SepConvGru {
     convz1: Conv2d,
@@ -34,15 +34,15 @@ pub(crate) struct SepConvGru {
     convq2: Conv2d,
 }
 
-/// A unit whose part of the sums that comes from the context, which no iteration changes, is there already.
+/// A GRU for one context. The context is constant over the iterations, so its part of the convolutions is computed once.
 pub(crate) struct PreparedGru<'a> {
     steps: Vec<PreparedStep<'a>>,
 }
 
 struct PreparedStep<'a> {
-    /// Any of the convolutions: they differ in weight and bias only.
+    /// Any of the three convolutions: they differ only in weight and bias, which are passed separately.
     conv: &'a Conv2d,
-    /// Weights of update and reset gate, one below the other, for the hidden state and the input that changes.
+    /// Stacked weights of update and reset gate for the hidden state and the input.
     gates_weight: Tensor<4>,
     gates_cache: WeightCache,
     gates_context: Tensor<4>,
@@ -65,13 +65,13 @@ impl ConvGru {
         PreparedGru { steps: vec![PreparedStep::new([&self.convz, &self.convr, &self.convq], context)] }
     }
 
-    /// The next hidden state from `hidden`, or from zero, and an input of as many channels. Where the unit has more, the
-    /// part of its kernels for these is taken.
+    /// The next hidden state from `hidden`, zero by default, and an input with as many channels. If the GRU has more channels,
+    /// it uses the first part of its kernels.
     pub(crate) fn step(&self, hidden: Option<Tensor<4>>, input: Tensor<4>) -> Tensor<4> {
         let channels = input.dims()[1];
         let sum = |x: Tensor<4>, convs: &[&Conv2d], activation| {
             let own = x.dims()[1];
-            // Input channels of a kernel: the hidden state, then the input. Zeros add nothing.
+            // A kernel's input channels are the hidden state, then the input; a hidden state of zero is skipped.
             let weight =
                 |conv: &&Conv2d| conv.weight().narrow(0, 0, channels).narrow(1, 2 * channels - own, own);
             let weights = convs.iter().map(weight).collect();
@@ -126,7 +126,7 @@ impl SepConvGru {
         }
     }
 
-    /// The input of a step is `context`, then what is given to [`PreparedGru::step`].
+    /// A GRU whose input is `context` followed by the input of [`PreparedGru::step`].
     pub(crate) fn prepared(&self, context: &Tensor<4>) -> PreparedGru<'_> {
         let rows = PreparedStep::new([&self.convz1, &self.convr1, &self.convq1], context);
         let columns = PreparedStep::new([&self.convz2, &self.convr2, &self.convq2], context);

@@ -1,4 +1,4 @@
-//! Parts that several networks share.
+//! Parts shared by several networks.
 
 mod attention;
 mod encoder;

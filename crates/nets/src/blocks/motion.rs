@@ -1,4 +1,4 @@
-//! What makes features of flow and correlation, and flow of the hidden state (`update.py` of RAFT).
+//! Motion encoders, which encode flow and correlations, and the flow head, which decodes the hidden state (`update.py` of RAFT).
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
@@ -11,7 +11,7 @@ fn conv(channels: [usize; 2], kernel: usize, device: &Device) -> Conv2d {
     Conv2dConfig::new(channels, [kernel; 2]).init(device)
 }
 
-/// Correlations that are looked up for a pixel: windows of this radius in all levels of the pyramid.
+/// Correlations per pixel: windows of this radius in all levels of the pyramid.
 pub(crate) fn window_entries(radius: usize) -> usize {
     LEVELS * (2 * radius + 1) * (2 * radius + 1)
 }
@@ -31,7 +31,7 @@ impl MotionEncoder {
         Self::of_entries(window_entries(radius), device)
     }
 
-    /// From so many correlations for each pixel.
+    /// An encoder for this many correlations per pixel.
     pub(crate) fn of_entries(entries: usize, device: &Device) -> Self {
         Self {
             convc1: conv([entries, 256], 1, device),
@@ -77,7 +77,7 @@ impl SmallMotionEncoder {
     }
 }
 
-/// `FlowHead`: the change of the flow.
+/// `FlowHead`: decodes the change of the flow from the hidden state.
 #[derive(Module, Debug)]
 pub(crate) struct FlowHead {
     conv1: Conv2d,

@@ -1,8 +1,8 @@
-//! Maps and flows in another size.
+//! Resizing of feature maps and flows.
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
 
-/// Which points of the two grids lie on each other.
+/// Alignment of the pixel grids of two sizes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Grids {
     /// The centres of the corner pixels (`align_corners=True` of PyTorch).
@@ -11,14 +11,14 @@ pub(crate) enum Grids {
     EdgesOnEdges,
 }
 
-/// `x` in height and width `size`, by bilinear interpolation between the four nearest pixels, as PyTorch's `interpolate`
-/// without antialiasing.
+/// Resizes `x`, `[batch, channels, height, width]`, to height and width `size` by bilinear interpolation, as PyTorch's
+/// `interpolate` without antialiasing.
 pub(crate) fn resize(x: Tensor<4>, size: [usize; 2], grids: Grids) -> Tensor<4> {
     let rows = along(x, 2, size[0], grids);
     along(rows, 3, size[1], grids)
 }
 
-/// `flow` in height and width `size`, with its vectors in the pixels of that size.
+/// Resizes `flow` to height and width `size`, and scales its vectors to pixels of that size.
 pub(crate) fn resize_flow(flow: Tensor<4>, size: [usize; 2], grids: Grids) -> Tensor<4> {
     let [_, _, height, width] = flow.dims();
     if [height, width] == size {
@@ -54,7 +54,7 @@ fn indices(of: Vec<i64>, device: &Device) -> Tensor<1, Int> {
     Tensor::from_data(TensorData::new(of, [count]), device)
 }
 
-/// Where pixel `i` of `size` lies among `from` pixels.
+/// Position of pixel `i` of `size` in a grid of `from` pixels.
 fn place(i: usize, from: usize, size: usize, grids: Grids) -> f64 {
     match grids {
         Grids::CornersOnCorners => (i * (from - 1)) as f64 / (size - 1).max(1) as f64,
@@ -75,9 +75,9 @@ mod tests {
         Tensor::<1>::from_floats(values, &Device::flex()).reshape([1, 1, 1, 3])
     }
 
-    /// What `torch.nn.functional.interpolate` gives.
+    /// Expected values: `torch.nn.functional.interpolate`.
     #[test]
-    fn grids_lie_corner_on_corner_or_edge_on_edge() {
+    fn resizing_matches_pytorch_with_either_alignment() {
         let resized = |size, grids| numbers(resize(row([0.0, 6.0, 0.0]), [2, size], grids));
         let corners = [0.0, 3.0, 6.0, 3.0, 0.0];
         assert_eq!(resized(5, Grids::CornersOnCorners), [corners, corners].concat());
@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn a_resized_flow_points_at_the_same_place_of_the_image() {
+    fn resized_flow_is_in_pixels_of_the_new_size() {
         let flow = Tensor::<4>::ones([1, 2, 4, 8], &Device::flex());
         let resized = resize_flow(flow, [6, 4], Grids::CornersOnCorners);
         assert_eq!(numbers(resized), [vec![0.5; 24], vec![1.5; 24]].concat());

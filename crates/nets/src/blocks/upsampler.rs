@@ -1,4 +1,4 @@
-//! From the flow that is refined to the flow of every pixel.
+//! Upsampling of coarse flow to full resolution.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
@@ -9,10 +9,10 @@ use srflow_ops::upsample::tensor;
 use super::{Grids, resize};
 use crate::recurrent::STRIDE;
 
-/// What the reference multiplies the weights with "to balance gradients".
+/// Factor of the weights in the reference, "to balance gradients".
 const MASK_SCALE: f32 = 0.25;
 
-/// Weights of convex upsampling from the hidden state: the sequence `update_block.mask`, or `upsample_weight`.
+/// Computes weights of convex upsampling from the hidden state: the sequence `update_block.mask`, or `upsample_weight`.
 pub(crate) type ConvexMask = (Conv2d, NoParameters, Conv2d);
 
 pub(crate) fn convex_mask(hidden: usize, device: &Device) -> ConvexMask {
@@ -23,14 +23,14 @@ pub(crate) fn convex_mask(hidden: usize, device: &Device) -> ConvexMask {
     )
 }
 
-/// Fine flow as a convex combination of coarse neighbours.
+/// Upsamples coarse flow `[batch, 2, height, width]` 8 times, each fine pixel as a convex combination of 3x3 coarse neighbours.
 pub(crate) fn convex_upsample(mask: &ConvexMask, hidden: &Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
     let weights = mask.0.forward(hidden.clone(), Activation::Relu);
     let weights = mask.2.forward(weights, Activation::Identity);
     tensor::convex_upsample(flow, weights, MASK_SCALE, STRIDE)
 }
 
-/// `ConvexMask` of RPKNet and DPFlow: weights of convex upsampling from the hidden state.
+/// `ConvexMask` of RPKNet and DPFlow: computes weights of convex upsampling from the hidden state.
 #[derive(Module, Debug)]
 pub(crate) struct WideConvexMask {
     conv1: Conv2d,
@@ -45,19 +45,19 @@ impl WideConvexMask {
         }
     }
 
-    /// For [`upsample_by`].
+    /// Weights for [`upsample_by`].
     pub(crate) fn weights(&self, hidden: &Tensor<4>) -> Tensor<4> {
         let weights = self.conv1.forward(hidden.clone(), Activation::Relu);
         self.conv2.forward(weights, Activation::Identity)
     }
 }
 
-/// Fine flow as a convex combination of coarse neighbours.
+/// Upsamples coarse flow 8 times with precomputed weights; see [`convex_upsample`].
 pub(crate) fn upsample_by(weights: &Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
     tensor::convex_upsample(flow, weights.clone(), 1.0, STRIDE)
 }
 
-/// Fine flow by bilinear interpolation, corners on corners (`upflow8`).
+/// Upsamples coarse flow 8 times by bilinear interpolation with `align_corners=True` (`upflow8`).
 pub(crate) fn bilinear_upsample(flow: Tensor<4>) -> Tensor<4> {
     let [_, _, height, width] = flow.dims();
     resize(flow, [height, width].map(|side| STRIDE * side), Grids::CornersOnCorners) * STRIDE as f64

@@ -5,7 +5,7 @@
     srflow models export WEIGHTS -o x.safetensors
     python tools/parity/pytorch_export.py raft x.ckpt x.safetensors
 
-The first argument is ptlflow's name of the network: raft, raft_small, gma or skflow.
+The first argument is ptlflow's name of the network, such as raft_small.
 """
 
 import json
@@ -29,11 +29,12 @@ def safetensors(path):
 
 
 name, checkpoint_path, safetensors_path = sys.argv[1:]
+prefix = "network." if name == "memflow" else ""
 for mmap in (False, True):
     checkpoint = torch.load(checkpoint_path, map_location="cpu", weights_only=True, mmap=mmap)
     state = checkpoint["state_dict"]
     for key, expected in safetensors(safetensors_path):
-        assert torch.equal(state[key].view(torch.int32), expected.view(torch.int32)), key
+        assert torch.equal(state[prefix + key].view(torch.int32), expected.view(torch.int32)), key
 
 fresh = ptlflow.get_model(name)
 network = ptlflow.get_model(name, ckpt_path=checkpoint_path)  # load_state_dict with strict=True

@@ -39,6 +39,8 @@ pub struct Facts {
     pub memory: MemoryNeed,
     /// Whether ptlflow has it, under its name with underscores.
     pub in_ptlflow: bool,
+    /// Prefix of the names of its parameters in ptlflow.
+    pub ptlflow_prefix: &'static str,
     /// URL of the authors' code.
     pub authors: &'static str,
     /// Licence of the authors' code, as stated in their repository, and of their weights, if different.
@@ -134,6 +136,7 @@ impl Facts {
         remembers: false,
         memory: MemoryNeed { fixed: 0, per_pixel: 0, attending: 0, most_weights: 0 },
         in_ptlflow: true,
+        ptlflow_prefix: "",
         authors: "",
         licence: "",
         renamed: |name| Some(name.to_owned()),

@@ -10,6 +10,7 @@ use srflow_nn::{
 };
 
 use crate::claim::{Claim, claim};
+use crate::save::OWN;
 use crate::settings::Setting;
 use crate::table::{Architecture, Network};
 
@@ -151,8 +152,10 @@ pub fn load_to_train(
 
 /// Applies the settings in a file.
 fn set_from(network: &mut Network, numbers: &BTreeMap<String, f64>) -> Result<(), String> {
-    for Setting { in_files, allowed, value, .. } in network.settings() {
-        let Some((name, number)) = in_files.and_then(|name| numbers.get_key_value(name)) else { continue };
+    for Setting { name, in_files, allowed, value, .. } in network.settings() {
+        let own = numbers.get_key_value(&format!("{OWN}{name}"));
+        let found = own.or_else(|| in_files.and_then(|name| numbers.get_key_value(name)));
+        let Some((name, number)) = found else { continue };
         let whole = number.round() as usize; // some files have fractions, such as half of an odd number of tokens
         if !number.is_finite() || *number < 0.0 || !allowed.contains(whole) {
             return Err(format!("its {name} is {number}, expected a number {allowed}"));

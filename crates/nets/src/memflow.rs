@@ -27,6 +27,7 @@ pub(crate) const MEMFLOW: Entry<MemFlow> = Entry {
         authors: "https://github.com/DQiaole/MemFlow",
         licence: "Apache-2.0",
         lookalikes: &["SKFlow"],
+        ptlflow_prefix: "network.",
         published: &[
             ptlflow!("memflow", "things", "90d0b74c"),
             ptlflow!("memflow", "sintel", "38621d84"),

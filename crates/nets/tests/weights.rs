@@ -3,7 +3,10 @@
 use std::path::Path;
 
 use burn::tensor::{Device, TensorData};
-use srflow_nets::{Architecture, Claim, Network, claim, fits, fits_of_file, load_network, load_to_train};
+use srflow_nets::{
+    Architecture, Claim, Network, claim, fits, fits_of_file, load_network, load_to_train, save_network,
+    save_network_pytorch,
+};
 use srflow_nn::{ParameterInfo, parameters, safetensors_bytes, save_parameters, with_parameters};
 
 /// Saves random parameters of a network and calls `check` with it and the file.
@@ -11,7 +14,7 @@ fn with_saved(architecture: Architecture, check: impl FnOnce(&Network, &Path)) {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("weights");
     let network = architecture.init(&Device::flex());
-    save_parameters(&network, &path).expect("saved");
+    save_parameters(&network, None, &path).expect("saved");
     check(&network, &path);
 }
 
@@ -86,7 +89,7 @@ fn weights_that_identify_a_lookalike_are_refused() {
     let [of_memflow, ambiguous] =
         ["MemFlow_things.safetensors", "best.safetensors"].map(|name| folder.path().join(name));
     for path in [&of_memflow, &ambiguous] {
-        save_parameters(&network, path).expect("weights");
+        save_parameters(&network, None, path).expect("weights");
     }
     let error =
         load_network(Architecture::SkFlow, &of_memflow, &Device::flex()).expect_err("MemFlow's").to_string();
@@ -101,7 +104,7 @@ fn weights_that_identify_a_lookalike_are_refused() {
 
     assert!(load_network(Architecture::MemFlow, &of_memflow, &Device::flex()).is_ok());
     let of_skflow = folder.path().join("skflow_things.safetensors");
-    save_parameters(&network, &of_skflow).expect("weights");
+    save_parameters(&network, None, &of_skflow).expect("weights");
     let error =
         load_network(Architecture::MemFlow, &of_skflow, &Device::flex()).expect_err("SKFlow's").to_string();
     assert!(error.contains("skflow_things") && error.contains("those of SKFlow"), "{error}");
@@ -112,6 +115,35 @@ fn weights_that_identify_a_lookalike_are_refused() {
     for (path, first) in [(&of_memflow, "memflow"), (&of_skflow, "skflow"), (&ambiguous, "skflow")] {
         let fits = fits_of_file(path).expect("readable");
         assert_eq!(fits[0].architecture.name(), first, "{}", path.display());
+    }
+}
+
+/// Settings that a network was trained with are applied when its weights are loaded.
+#[test]
+fn settings_are_saved_with_the_weights() {
+    let folder = tempfile::tempdir().expect("folder");
+    let (plain, pytorch) = (folder.path().join("best.safetensors"), folder.path().join("best.ckpt"));
+    for (architecture, name, value) in
+        [(Architecture::RpkNet, "groups", 4), (Architecture::MemFlow, "train_avg_length", 1234)]
+    {
+        let mut network = architecture.init(&Device::flex());
+        network.set(name, value).expect("allowed");
+        save_network(&network, &plain).expect("saved");
+        let bytes = std::fs::read(&plain).expect("readable");
+        save_network(&network, &plain).expect("saved again");
+        assert!(std::fs::read(&plain).expect("readable") == bytes, "the same bytes each time");
+        save_network_pytorch(&network, &pytorch).expect("saved");
+        for path in [&plain, &pytorch] {
+            assert_eq!(
+                claim(architecture, path).expect("readable"),
+                Claim::Own,
+                "its own name is in the file"
+            );
+            assert_eq!(fits_of_file(path).expect("readable")[0].architecture, architecture);
+            let mut loaded = load_network(architecture, path, &Device::flex()).expect("its own weights");
+            let found = loaded.settings().into_iter().find(|setting| setting.name == name);
+            assert_eq!(found.map(|setting| *setting.value), Some(value), "{}", path.display());
+        }
     }
 }
 
@@ -126,7 +158,7 @@ fn the_norm_of_a_shortcut_loads_by_its_second_name() {
         let values = data.as_slice::<f32>().expect("f32");
         (name.replace(".downsample.1.", ".bn3."), data.shape().as_slice(), values)
     });
-    std::fs::write(&path, safetensors_bytes(named)).expect("written");
+    std::fs::write(&path, safetensors_bytes(named, None)).expect("written");
     let loaded = load_network(Architecture::SeaRaftS, &path, &Device::flex()).expect("its weights");
     assert!(srflow_nn::parameters(&loaded) == parameters);
 }

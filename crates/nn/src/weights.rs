@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use burn::module::Module;
 use srflow_field::{FileError, write_atomically};
 
-use crate::checkpoint::{Checkpoint, Format, safetensors_bytes};
+use crate::checkpoint::{About, Checkpoint, Format, safetensors_bytes};
 use crate::parameters::{Parameters, ParametersError, compare, parameter_infos, parameters, with_parameters};
 
 /// Errors of loading a checkpoint.
@@ -89,12 +89,12 @@ pub fn read_parameters(path: &Path) -> Result<Parameters, WeightsError> {
 ///
 /// # Errors
 /// When the file cannot be written.
-pub fn save_parameters(network: &impl Module, path: &Path) -> Result<(), FileError> {
+pub fn save_parameters(network: &impl Module, about: Option<&About>, path: &Path) -> Result<(), FileError> {
     let parameters = parameters(network);
     let tensors = parameters.iter().map(|(name, data)| {
         let values = data.as_slice::<f32>().expect("parameters are f32");
         (name.clone(), data.shape().as_slice(), values)
     });
-    let bytes = safetensors_bytes(tensors);
+    let bytes = safetensors_bytes(tensors, about);
     write_atomically(path, |writer| writer.write_all(&bytes))
 }

@@ -119,11 +119,11 @@ fn burnpack(name: &str, bytes: &[u8]) -> Vec<u8> {
 fn saved_parameters_load_again() {
     let (folder, path) = scratch();
     let network = Linear::new(3, 2, &Device::flex());
-    save_parameters(&network, &path).expect("saved");
+    save_parameters(&network, None, &path).expect("saved");
     assert_eq!(Checkpoint::open(&path).expect("a checkpoint").format(), Format::Safetensors);
     let loaded = load(Linear::new(3, 2, &Device::flex()), &path).expect("loaded");
     assert!(parameters(&loaded) == parameters(&network));
-    let error = save_parameters(&network, &folder.path().join("no/weights")).expect_err("no folder");
+    let error = save_parameters(&network, None, &folder.path().join("no/weights")).expect_err("no folder");
     assert!(error.to_string().contains("no/weights: creating"), "{error}");
 }
 

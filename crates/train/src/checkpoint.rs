@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use srflow_field::{
     FileError, FileKind, PARTIAL_EXTENSION, create_folder, parse_error_in_words, read_text, write_file,
 };
-use srflow_nn::{AdamWState, Layout, WeightsError, read_safetensors, safetensors_bytes};
+use srflow_nn::{About, AdamWState, Layout, WeightsError, read_safetensors, safetensors_bytes};
 
 /// Name of the folder of checkpoints in a run's folder.
 const FOLDER: &str = "checkpoints";
@@ -89,12 +89,18 @@ pub enum CheckpointError {
 pub struct Checkpoints {
     run: PathBuf,
     folder: PathBuf,
+    about: Option<About>,
 }
 
 impl Checkpoints {
     /// The checkpoints of the run in the folder `run`, which need not exist yet.
     pub fn of_run(run: &Path) -> Self {
-        Self { run: run.to_owned(), folder: run.join(FOLDER) }
+        Self { run: run.to_owned(), folder: run.join(FOLDER), about: None }
+    }
+
+    /// With what the weights to be written say of their network.
+    pub fn about(self, about: About) -> Self {
+        Self { about: Some(about), ..self }
     }
 
     /// Steps with a checkpoint, ascending.
@@ -124,11 +130,11 @@ impl Checkpoints {
     /// When a file cannot be written; existing files are then left unchanged, and no partial ones remain.
     pub fn write(&self, checkpoint: &Checkpoint, layout: &Layout) -> Result<(), CheckpointError> {
         let Checkpoint { progress, config, values, optimizer } = checkpoint;
-        let model = model_bytes(layout, values);
+        let model = self.model_bytes(layout, values);
         let state = StateFile { progress: progress.clone(), config: config.clone() };
         let state = serde_json::to_string_pretty(&state).expect("plain numbers and text") + "\n";
         let averages = AVERAGES.into_iter().zip([&optimizer.mean, &optimizer.square]);
-        let optimizer = safetensors_bytes(averages.flat_map(|(prefix, values)| {
+        let optimizer = averages.flat_map(|(prefix, values)| {
             let trained = layout.segments().iter().filter(|segment| segment.trained);
             trained.map(move |segment| {
                 (
@@ -137,7 +143,8 @@ impl Checkpoints {
                     &values[segment.range.clone()],
                 )
             })
-        }));
+        });
+        let optimizer = safetensors_bytes(optimizer, None);
         let files = [(MODEL, &model), (OPTIMIZER, &optimizer), (STATE, &state.into_bytes())];
         let partial = self.folder.join(format!("{UNFINISHED}{:08}.{PARTIAL_EXTENSION}", progress.step));
         let written = self.write_folder(&partial, &self.path(progress.step), &files);
@@ -169,7 +176,7 @@ impl Checkpoints {
     /// # Errors
     /// When the file cannot be written.
     pub fn write_best(&self, layout: &Layout, values: &[f32]) -> Result<(), CheckpointError> {
-        self.write_model("best", &model_bytes(layout, values))
+        self.write_model("best", &self.model_bytes(layout, values))
     }
 
     fn write_model(&self, name: &str, bytes: &[u8]) -> Result<(), CheckpointError> {
@@ -223,6 +230,14 @@ impl Checkpoints {
         Ok(Checkpoint { progress, config, values, optimizer })
     }
 
+    fn model_bytes(&self, layout: &Layout, values: &[f32]) -> Vec<u8> {
+        let tensors = layout
+            .segments()
+            .iter()
+            .map(|segment| (segment.name.clone(), segment.shape.as_slice(), &values[segment.range.clone()]));
+        safetensors_bytes(tensors, self.about.as_ref())
+    }
+
     /// Reads the configuration of the run, as TOML, from its last checkpoint.
     ///
     /// # Errors
@@ -252,15 +267,6 @@ fn remove_folder(path: &Path) -> Result<(), CheckpointError> {
         fs::remove_dir_all(path).map_err(io_error(path, "removing the folder"))?;
     }
     Ok(())
-}
-
-fn model_bytes(layout: &Layout, values: &[f32]) -> Vec<u8> {
-    safetensors_bytes(
-        layout
-            .segments()
-            .iter()
-            .map(|segment| (segment.name.clone(), segment.shape.as_slice(), &values[segment.range.clone()])),
-    )
 }
 
 fn read_state(checkpoint: &Path) -> Result<StateFile, CheckpointError> {

@@ -6,8 +6,8 @@ use std::time::Instant;
 
 use burn::tensor::Device;
 use srflow_field::{FileError, create_folder, write_file};
-use srflow_nets::load_to_train;
-use srflow_nn::{AdamW, AdamWState, Layout, Rounding, WeightsError, clip_norm};
+use srflow_nets::about;
+use srflow_nn::{AdamW, AdamWState, Rounding, WeightsError, clip_norm};
 
 use crate::batch::Batch;
 use crate::checkpoint::{Best, Checkpoint, CheckpointError, Checkpoints, Progress};
@@ -151,12 +151,18 @@ pub fn train(
 ) -> Result<Outcome, TrainError> {
     config.check()?;
     let start = Instant::now();
-    let checkpoints = Checkpoints::of_run(run);
     let set = Arc::new(TrainingSet::open(config)?);
     let validation = Validation::open(config)?;
+    let mut config = config.clone();
+    let weights = match mode {
+        RunMode::New => config.network.load_weights(&devices[0])?,
+        RunMode::Resume => None,
+    };
+    let config = &config;
     let mut trainer = Trainer::new(config, devices, &set);
-    if mode == RunMode::New {
-        trainer.load_weights(config)?;
+    let checkpoints = Checkpoints::of_run(run).about(about(&trainer.replicas.for_estimation()));
+    if let Some(weights) = weights {
+        trainer.fill(weights);
     }
     create_folder(run)?;
     let _lock = RunLock::take(run)?;
@@ -314,19 +320,13 @@ impl Trainer {
         }
     }
 
-    fn load_weights(&mut self, config: &Config) -> Result<(), TrainError> {
-        let weights = &config.network.weights;
-        if !weights.as_os_str().is_empty() {
-            let network = load_to_train(config.network.architecture, weights, &self.device)?;
-            (_, self.values) = Layout::of(&network);
-            self.replicas.fill(&self.values);
-        }
-        Ok(())
+    fn fill(&mut self, values: Vec<f32>) {
+        self.replicas.fill(&values);
+        self.values = values;
     }
 
     fn restore(&mut self, checkpoint: Checkpoint) {
-        self.replicas.fill(&checkpoint.values);
-        self.values = checkpoint.values;
+        self.fill(checkpoint.values);
         self.optimizer_state = checkpoint.optimizer;
         self.progress = checkpoint.progress;
     }

@@ -3,8 +3,11 @@ use std::path::PathBuf;
 use anyhow::ensure;
 use clap::{Args, Subcommand};
 use serde::Serialize;
-use srflow_nets::{Allowed, Architecture, Fit, Setting, fits_of_file, load_network, weights_folder};
-use srflow_nn::{Checkpoint, ParameterInfo, ParametersError, save_parameters, save_pytorch};
+use srflow_nets::{
+    Allowed, Architecture, Fit, Setting, fits_of_file, load_network, save_network, save_network_pytorch,
+    weights_folder,
+};
+use srflow_nn::{Checkpoint, ParameterInfo, ParametersError};
 
 use crate::Context;
 use crate::networks::weights_file;
@@ -275,8 +278,8 @@ fn export(args: Export, context: &Context) -> anyhow::Result<()> {
     let architecture = fits_of_file(&path)?[0].architecture;
     let network = load_network(architecture, &path, &Default::default())?;
     match pytorch {
-        true => save_pytorch(&network, &out)?,
-        false => save_parameters(&network, &out)?,
+        true => save_network_pytorch(&network, &out)?,
+        false => save_network(&network, &out)?,
     }
     let name = architecture.name();
     if context.json {

@@ -45,7 +45,7 @@ fn a_file_of_weights_is_described() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("mine.safetensors");
     let network = srflow_nets::Architecture::SkFlow.init(&Default::default());
-    srflow_nn::save_parameters(&network, &path).unwrap();
+    srflow_nets::save_network(&network, &path).unwrap();
     let path = path.to_str().unwrap();
     let text = succeeds(&["inspect", path]);
     assert!(text.contains("mine.safetensors: safetensors"), "{text}");
@@ -96,7 +96,7 @@ fn exported_weights_are_the_same_to_the_bit() {
     for architecture in networks.filter(|network| network.facts().parameters < 50_000_000) {
         // Where several networks have the same parameters, a file's name says whose they are.
         let own = path(&format!("{}.safetensors", architecture.name()));
-        srflow_nn::save_parameters(&architecture.init(&Default::default()), own.as_ref()).unwrap();
+        srflow_nets::save_network(&architecture.init(&Default::default()), own.as_ref()).unwrap();
         let exported = path(&format!("{}.ckpt", architecture.name()));
         let back = path("back.safetensors");
         let text = succeeds(&["export", &own, "-o", &exported, "--force"]);
@@ -105,7 +105,7 @@ fn exported_weights_are_the_same_to_the_bit() {
         let read = |path: &str| srflow_nn::read_parameters(path.as_ref()).unwrap();
         assert!(read(&exported) == read(&own), "{}", architecture.name());
         succeeds(&["export", &exported, "-o", &back, "--force"]);
-        assert!(fs::read(&back).unwrap() == fs::read(&own).unwrap(), "{}", architecture.name());
+        assert!(read(&back) == read(&own), "{}", architecture.name());
     }
     let export = |weights: &str, to: &str| models(&["export", weights, "-o", &path(to)]);
     refuses(&export(&path("raft.safetensors"), "raft.ckpt"), 1, &["--force"]);

@@ -133,6 +133,30 @@ fn a_mixture_of_laplace_distributions_is_trained_and_resumed() {
     assert!(losses.len() == 4 && losses.iter().all(|loss| loss.is_finite()), "{losses:?}");
 }
 
+/// The groups of RPKNet's norms, which its weights were trained with.
+#[test]
+fn settings_of_the_weights_stay_in_a_run() {
+    let dir = tempfile::tempdir().unwrap();
+    make_pairs(dir.path(), 2);
+    let (weights, run) = (dir.path().join("rpknet.safetensors"), dir.path().join("run"));
+    let mut network = srflow_nets::Architecture::RpkNet.init(&Default::default());
+    network.set("groups", 4).unwrap();
+    srflow_nets::save_network(&network, &weights).unwrap();
+    let (data, out) = (format!("folder:{}", dir.path().display()), run.display().to_string());
+    let files =
+        ["--data", &data, "--out", &out, "--network", "rpknet", "--weights", weights.to_str().unwrap()];
+    let sizes = ["--crop", "64x64", "--batch", "1", "--iterations", "1", "--steps", "1"];
+    succeed(&train(&[&files[..], &sizes].concat()));
+    assert!(std::fs::read_to_string(run.join("config.toml")).unwrap().contains("groups = 4"));
+    let mut trained = srflow_nets::load_network(
+        srflow_nets::Architecture::RpkNet,
+        &run.join("last.safetensors"),
+        &Default::default(),
+    )
+    .unwrap();
+    assert_eq!(*trained.settings()[0].value, 4);
+}
+
 #[test]
 fn a_folder_that_another_process_trains_in_is_refused() {
     let dir = tempfile::tempdir().unwrap();
@@ -156,7 +180,7 @@ fn a_run_reports_its_start() {
     let out = dir.path().join("run").display().to_string();
     let weights = dir.path().join("raft.safetensors");
     let network = srflow_nets::Architecture::Raft.init(&Default::default());
-    srflow_nn::save_parameters(&network, &weights).unwrap();
+    srflow_nets::save_network(&network, &weights).unwrap();
     let mut arguments = small(&data, &out);
     arguments.extend(["--steps", "1", "--weights", weights.to_str().unwrap()]);
     refuses(&train(&arguments), 1, &["they are the parameters of raft"]);

@@ -23,6 +23,7 @@ use std::path::{Path, PathBuf};
 use std::rc::Rc;
 
 use burn::tensor::{DType, TensorData};
+use serde::{Deserialize, Serialize};
 use srflow_field::{FileKind, excerpt, open_file};
 
 use crate::parameters::{ParameterInfo, Parameters};
@@ -75,6 +76,17 @@ struct Contents {
     hyper_parameters: BTreeMap<String, f64>,
 }
 
+/// Metadata that files written by srflow hold besides the parameters.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct About {
+    /// Name of the network.
+    pub network: String,
+    /// Settings of the network that are not parameters, by name.
+    pub settings: BTreeMap<String, usize>,
+    /// The settings that the reference implementation reads, under its names.
+    pub hyper_parameters: BTreeMap<String, usize>,
+}
+
 #[derive(Debug)]
 struct StoredTensor {
     dtype: DType,
@@ -105,7 +117,7 @@ impl Checkpoint {
         let broken = |problem: String| WeightsError::broken(path, format, &problem);
         let found = match format {
             Format::PytorchZip | Format::PytorchLegacy => pytorch::contents(path, format, len),
-            Format::Safetensors => safetensors::tensors(file, len).map(Contents::from),
+            Format::Safetensors => safetensors::contents(file, len),
             Format::Burnpack => burnpack::tensors(file, len).map(Contents::from),
         };
         let Contents { tensors, hyper_parameters } = found.map_err(broken)?;
@@ -148,8 +160,8 @@ impl Checkpoint {
         types.into_iter().collect()
     }
 
-    /// Numbers in the `hyper_parameters` of a PyTorch file, where Lightning stores the arguments of the network, by name. Booleans
-    /// are not included.
+    /// Numbers in the `hyper_parameters` of a PyTorch file, where Lightning stores the arguments of the network, by name, and the
+    /// settings in a file written by srflow ([`About`]). Booleans are not included.
     pub fn hyper_parameters(&self) -> &BTreeMap<String, f64> {
         &self.hyper_parameters
     }

@@ -4,6 +4,7 @@
 //! and tensors built by `torch._utils._rebuild_tensor_v2`.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
 
@@ -12,6 +13,7 @@ use srflow_field::{FileError, write_atomically};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
+use super::About;
 use crate::parameters::{Parameters, parameters};
 
 /// Folder inside the zip file; `torch.save` names it after the file, `torch.load` accepts any name.
@@ -26,13 +28,22 @@ const LIGHTNING_VERSION: &str = "2.4.0";
 /// Writes the parameters of a network, under the reference's names, to a Lightning checkpoint, which `torch.load`,
 /// `load_from_checkpoint` and ptlflow's `get_model(ckpt_path=...)` read. The write is atomic. It adds the tensors besides
 /// parameters that `load_state_dict` requires: counters of batch norm, the second name of the norm of a shortcut, and the index
-/// table of relative positions.
+/// table of relative positions. `prefix` is
+/// prepended to every name.
 ///
 /// # Errors
 /// When the file cannot be written.
-pub fn save_pytorch(network: &impl Module, path: &Path) -> Result<(), FileError> {
+pub fn save_pytorch(
+    network: &impl Module,
+    prefix: &str,
+    about: &About,
+    path: &Path,
+) -> Result<(), FileError> {
     let parameters = parameters(network);
-    let state = State::new(&parameters);
+    let mut state = State::new(&parameters);
+    for tensor in &mut state.tensors {
+        tensor.name.insert_str(0, prefix);
+    }
     write_atomically(path, |file| {
         let mut zip = ZipWriter::new(file);
         let options = SimpleFileOptions::default()
@@ -42,7 +53,7 @@ pub fn save_pytorch(network: &impl Module, path: &Path) -> Result<(), FileError>
             zip.start_file(format!("{ARCHIVE}/{name}"), options)?;
             zip.write_all(bytes)
         };
-        write("data.pkl", &state.pickle())?;
+        write("data.pkl", &state.pickle(about))?;
         write("byteorder", b"little")?;
         for (key, storage) in state.storages.iter().enumerate() {
             write(&format!("data/{key}"), &storage.bytes)?;
@@ -114,13 +125,27 @@ impl<'a> State<'a> {
         });
     }
 
-    fn pickle(&self) -> Vec<u8> {
+    fn pickle(&self, about: &About) -> Vec<u8> {
         let mut pickle = Pickle(vec![PROTO, 2]);
         pickle.dict(|pickle| {
             pickle.item("epoch", |pickle| pickle.int(0));
             pickle.item("global_step", |pickle| pickle.int(0));
             pickle.item("pytorch-lightning_version", |pickle| pickle.text(LIGHTNING_VERSION));
-            pickle.item("hyper_parameters", |pickle| pickle.dict(|_| {}));
+            let numbers = |pickle: &mut Pickle, numbers: &BTreeMap<String, usize>| {
+                for (name, number) in numbers {
+                    pickle.item(name, |pickle| pickle.int(*number));
+                }
+            };
+            pickle.item("hyper_parameters", |pickle| {
+                pickle.dict(|pickle| numbers(pickle, &about.hyper_parameters));
+            });
+            // Lightning gives every hyper-parameter to the network's constructor: what it does not know stands beside them.
+            pickle.item("srflow", |pickle| {
+                pickle.dict(|pickle| {
+                    pickle.item("network", |pickle| pickle.text(&about.network));
+                    numbers(pickle, &about.settings);
+                });
+            });
             pickle.item("state_dict", |pickle| {
                 pickle.call("collections", "OrderedDict", |_| {});
                 pickle.items(|pickle| {

@@ -1,6 +1,6 @@
 //! Safetensors, the format of our own checkpoints: eight bytes of length, a JSON table of the tensors, their bytes without gaps.
 
-use std::collections::BTreeMap;
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
@@ -11,15 +11,17 @@ use safetensors::Dtype;
 use safetensors::tensor::{Metadata, TensorView};
 use srflow_field::{FileKind, open_file};
 
-use super::{Format, StoredBytes, StoredTensor, read_all};
+use super::{About, Contents, Format, StoredBytes, StoredTensor, read_all};
 use crate::parameters::Parameters;
 use crate::weights::WeightsError;
 
 /// Bytes of the length of the table.
 const LENGTH: u64 = 8;
+/// Key of [`About`], as JSON, among the metadata. One key for all: their order in the file is not ours.
+const ABOUT: &str = "srflow";
 
 /// Reads only the table, and checks it against the length of the file.
-pub(super) fn tensors(mut file: File, len: u64) -> Result<BTreeMap<String, StoredTensor>, String> {
+pub(super) fn contents(mut file: File, len: u64) -> Result<Contents, String> {
     let mut table_len = [0; LENGTH as usize];
     file.seek(SeekFrom::Start(0)).map_err(|error| error.to_string())?;
     file.read_exact(&mut table_len).map_err(|error| error.to_string())?;
@@ -51,7 +53,14 @@ pub(super) fn tensors(mut file: File, len: u64) -> Result<BTreeMap<String, Store
         let bytes = StoredBytes::Range { file: file.clone(), start: start_in_file, len: end - start };
         Some((name, StoredTensor { dtype, shape: info.shape.clone(), bytes }))
     });
-    Ok(found.collect())
+    let about = table.metadata().as_ref().and_then(|metadata| metadata.get(ABOUT));
+    let about: Option<About> = about.and_then(|about| serde_json::from_str(about).ok());
+    let numbers =
+        about.into_iter().flat_map(|about| about.settings.into_iter().chain(about.hyper_parameters));
+    Ok(Contents {
+        tensors: found.collect(),
+        hyper_parameters: numbers.map(|(name, number)| (name, number as f64)).collect(),
+    })
 }
 
 /// Reads the floating-point tensors of a safetensors file, with the names and types of the file.
@@ -60,16 +69,20 @@ pub(super) fn tensors(mut file: File, len: u64) -> Result<BTreeMap<String, Store
 /// When the file cannot be read, or is truncated or corrupt.
 pub fn read_safetensors(path: &Path) -> Result<Parameters, WeightsError> {
     let (file, len) = open_file(path, FileKind::Checkpoint)?;
-    let tensors =
-        tensors(file, len).map_err(|problem| WeightsError::broken(path, Format::Safetensors, &problem))?;
-    read_all(path, Format::Safetensors, tensors)
+    let contents =
+        contents(file, len).map_err(|problem| WeightsError::broken(path, Format::Safetensors, &problem))?;
+    read_all(path, Format::Safetensors, contents.tensors)
 }
 
-/// Serializes tensors (name, shape, values) in the safetensors format. The bytes do not depend on the order of the tensors.
+/// Serializes tensors (name, shape, values) and metadata in the safetensors format. The bytes do not depend on the order of the
+/// tensors.
 ///
 /// # Panics
 /// When the number of values does not match a shape, or a name occurs twice.
-pub fn safetensors_bytes<'a>(tensors: impl IntoIterator<Item = (String, &'a [usize], &'a [f32])>) -> Vec<u8> {
+pub fn safetensors_bytes<'a>(
+    tensors: impl IntoIterator<Item = (String, &'a [usize], &'a [f32])>,
+    about: Option<&About>,
+) -> Vec<u8> {
     let bytes_of = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect();
     let tensors: Vec<(String, &[usize], Vec<u8>)> =
         tensors.into_iter().map(|(name, shape, values)| (name, shape, bytes_of(values))).collect();
@@ -78,5 +91,7 @@ pub fn safetensors_bytes<'a>(tensors: impl IntoIterator<Item = (String, &'a [usi
             TensorView::new(Dtype::F32, shape.to_vec(), bytes).expect("as many values as the shape says");
         (name, view)
     });
-    safetensors::serialize(views, None).expect("tensors that fit their shapes")
+    let about = about.map(|about| serde_json::to_string(about).expect("texts and numbers"));
+    let metadata = about.map(|about| HashMap::from([(ABOUT.to_owned(), about)]));
+    safetensors::serialize(views, metadata).expect("tensors that fit their shapes")
 }

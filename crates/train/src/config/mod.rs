@@ -11,7 +11,8 @@ use std::path::PathBuf;
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
 use srflow_field::Size;
-use srflow_nets::{Architecture, Network};
+use srflow_nets::{Architecture, Network, load_to_train};
+use srflow_nn::{Layout, WeightsError};
 
 use crate::loss::LossConfig;
 pub use augmentation::{AugmentationConfig, AugmentationKind};
@@ -152,6 +153,22 @@ impl NetworkConfig {
     /// A network with these settings and random parameters.
     pub(crate) fn init(&self, device: &Device) -> Network {
         self.with_settings(self.architecture.init(device))
+    }
+
+    /// Loads the initial weights, if there are any, in the order of their [`Layout`]. Adds settings in their file that the
+    /// configuration does not set.
+    pub(crate) fn load_weights(&mut self, device: &Device) -> Result<Option<Vec<f32>>, WeightsError> {
+        if self.weights.as_os_str().is_empty() {
+            return Ok(None);
+        }
+        let mut network = load_to_train(self.architecture, &self.weights, device)?;
+        let mut random = self.architecture.init(device);
+        for (of_file, default) in network.settings().into_iter().zip(random.settings()) {
+            if of_file.value != default.value {
+                self.settings.entry(of_file.name.to_owned()).or_insert(*of_file.value);
+            }
+        }
+        Ok(Some(Layout::of(&network).1))
     }
 
     /// `network` with these settings. Panics when they are invalid; see [`Config::check`].

@@ -67,7 +67,7 @@ pub struct IterationPresets {
     pub training: usize,
 }
 
-/// Number of pixels of which height and width of a frame are made multiples.
+/// The multiple, in pixels, to which height and width of frames are padded.
 #[derive(Debug, Clone, Copy)]
 pub enum Padding {
     /// Independent of the size.
@@ -77,7 +77,7 @@ pub enum Padding {
 }
 
 impl Padding {
-    /// The number of pixels for a frame of this height and width.
+    /// The multiple for a frame of this height and width.
     pub fn of(self, size: [usize; 2]) -> usize {
         match self {
             Self::Fixed(pixels) => pixels,

@@ -19,7 +19,9 @@ impl Features {
     /// The maps. Panics when there are not `N` of them.
     pub(crate) fn into_maps<const N: usize>(self) -> [Tensor<4>; N] {
         let count = self.maps.len();
-        self.maps.try_into().unwrap_or_else(|_| panic!("features of another network: {count} maps for {N}"))
+        self.maps.try_into().unwrap_or_else(|_| {
+            panic!("expected {N} feature maps, found {count}: features of another network")
+        })
     }
 
     /// The maps of a network with a variable number of levels.

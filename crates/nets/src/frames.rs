@@ -51,7 +51,7 @@ impl Frames {
     /// Height and width. Panics when the frames are empty or differ in size.
     pub(crate) fn size(&self) -> [usize; 2] {
         let dims @ [batch, channels, height, width] = self.first.dims();
-        assert_eq!(dims, self.second.dims(), "frames: the size of the second");
+        assert_eq!(dims, self.second.dims(), "the size of the second frames");
         assert!(
             channels == 3 && batch * height * width > 0,
             "frames: [batch, 3, height, width], not {dims:?}"

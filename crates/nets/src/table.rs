@@ -109,7 +109,7 @@ macro_rules! networks {
                 }
             }
 
-            /// Number of pixels of which height and width of frames are made multiples.
+            /// The multiple, in pixels, to which height and width of frames are padded.
             pub fn padding(&self) -> Padding {
                 let own = match self {
                     $(Self::$variant(network) => FlowNetwork::padding(network),)*

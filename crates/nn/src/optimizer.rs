@@ -53,8 +53,8 @@ impl AdamWState {
 }
 
 impl AdamW {
-    /// Updates `values`. Tensors that are not trained, and those without a gradient (`reached[i]` false), stay unchanged, as in
-    /// PyTorch.
+    /// Updates `values`, which like `gradients` and `state` are in the order of `layout`. Tensors that are not trained, and those
+    /// without a gradient (`reached[i]` false for tensor `i`), stay unchanged, as in PyTorch.
     pub fn step(
         &self,
         layout: &Layout,

@@ -163,7 +163,7 @@ mod tests {
             format!("| `{name}` | {title} | {paper_weight} | {description} |\n")
         });
         for rows in [sequence.collect::<String>(), regularizers.collect()] {
-            let at = docs.find(&rows).unwrap_or_else(|| panic!("docs/losses.md without the rows\n{rows}"));
+            let at = docs.find(&rows).unwrap_or_else(|| panic!("docs/losses.md lacks the rows\n{rows}"));
             assert!(docs[..at].ends_with("|\n"), "expected a table header above");
             assert!(!docs[at + rows.len()..].starts_with('|'), "unknown rows below");
         }

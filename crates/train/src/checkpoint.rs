@@ -98,7 +98,7 @@ impl Checkpoints {
         Self { run: run.to_owned(), folder: run.join(FOLDER), about: None }
     }
 
-    /// With what the weights to be written say of their network.
+    /// Sets the metadata of the network that is written with its weights.
     pub fn about(self, about: About) -> Self {
         Self { about: Some(about), ..self }
     }

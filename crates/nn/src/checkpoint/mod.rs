@@ -76,7 +76,7 @@ struct Contents {
     hyper_parameters: BTreeMap<String, f64>,
 }
 
-/// Metadata that files written by srflow hold besides the parameters.
+/// Metadata in files written by srflow.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct About {
     /// Name of the network.

@@ -28,8 +28,7 @@ const LIGHTNING_VERSION: &str = "2.4.0";
 /// Writes the parameters of a network, under the reference's names, to a Lightning checkpoint, which `torch.load`,
 /// `load_from_checkpoint` and ptlflow's `get_model(ckpt_path=...)` read. The write is atomic. It adds the tensors besides
 /// parameters that `load_state_dict` requires: counters of batch norm, the second name of the norm of a shortcut, and the index
-/// table of relative positions. `prefix` is
-/// prepended to every name.
+/// table of relative positions. `prefix` is prepended to every name.
 ///
 /// # Errors
 /// When the file cannot be written.
@@ -139,7 +138,7 @@ impl<'a> State<'a> {
             pickle.item("hyper_parameters", |pickle| {
                 pickle.dict(|pickle| numbers(pickle, &about.hyper_parameters));
             });
-            // Lightning gives every hyper-parameter to the network's constructor: what it does not know stands beside them.
+            // Lightning passes every hyper-parameter to the constructor of the network, so unknown ones are stored separately.
             pickle.item("srflow", |pickle| {
                 pickle.dict(|pickle| {
                     pickle.item("network", |pickle| pickle.text(&about.network));

@@ -17,7 +17,8 @@ use crate::weights::WeightsError;
 
 /// Bytes of the length of the table.
 const LENGTH: u64 = 8;
-/// Key of [`About`], as JSON, among the metadata. One key for all: their order in the file is not ours.
+/// Metadata key of [`About`], stored as JSON. Only a single key makes the bytes of a file deterministic, as the format's writer
+/// does not sort keys.
 const ABOUT: &str = "srflow";
 
 /// Reads only the table, and checks it against the length of the file.
@@ -91,7 +92,7 @@ pub fn safetensors_bytes<'a>(
             TensorView::new(Dtype::F32, shape.to_vec(), bytes).expect("as many values as the shape says");
         (name, view)
     });
-    let about = about.map(|about| serde_json::to_string(about).expect("texts and numbers"));
+    let about = about.map(|about| serde_json::to_string(about).expect("strings and numbers"));
     let metadata = about.map(|about| HashMap::from([(ABOUT.to_owned(), about)]));
     safetensors::serialize(views, metadata).expect("tensors that fit their shapes")
 }

@@ -42,7 +42,7 @@ def main():
     parser.add_argument("method", nargs="+", help="NETWORK=WEIGHTS")
     parser.add_argument("--srflow", default=ROOT / "target/release/srflow")
     parser.add_argument("--sizes", nargs="+", default=["x".join(map(str, size)) for size in SIZES])
-    parser.add_argument("--iterations", default="1")
+    parser.add_argument("--iterations", default="1", help="0 for networks without")
     parser.add_argument("--tile", help="as srflow flow takes it")
     args = parser.parse_args()
     sizes = [tuple(map(int, size.split("x"))) for size in args.sizes]
@@ -56,7 +56,8 @@ def main():
                 if not frame.exists():
                     noise = random.integers(0, 256, (size[1], size[0], 3), dtype=np.uint8)
                     Image.fromarray(noise).save(frame, compress_level=0)
-            command = [args.srflow, "flow", "--method", method, "--iters", args.iterations, "--force", "-o", folder / "flow.flo"]
+            command = [args.srflow, "flow", "--method", method, "--force", "-o", folder / "flow.flo"]
+            command += [] if args.iterations == "0" else ["--iters", args.iterations]
             tile = ["--tile", args.tile] if args.tile else []
             return peak_bytes([*command, *tile, *frames])
 

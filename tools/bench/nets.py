@@ -23,7 +23,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from weights import SEED, random_state
+from weights import SEED, new_model, random_state
 
 ROOT = Path(__file__).resolve().parents[2]
 # Names of the attribute that holds a model's iterations.
@@ -62,11 +62,10 @@ def run(command, environment):
 
 def reference(network, iterations, threads, repeats, weights, pixels, out, height, width):
     """What the process of ptlflow's side does."""
-    import ptlflow
     import torch
 
     torch.set_num_threads(threads)
-    model = ptlflow.get_model(network).eval()
+    model = new_model(network).eval()
     model.load_state_dict(torch.load(weights, weights_only=True))
     setattr(model, ITERATIONS.get(network, "iters"), iterations)
     pair = np.fromfile(pixels, "<f4").reshape(1, 2, 3, height, width)[:, :, ::-1].copy()  # ptlflow takes BGR

@@ -17,21 +17,34 @@ the same flow (that of 16 bits nearly). For `--weights` wherever documents name 
 """
 
 import argparse
+import sys
 from pathlib import Path
 
+sys.path.append(str(Path(__file__).resolve().parents[1] / "parity"))
 SEED = 7
 NETWORKS = [
-    "raft", "raft_small", "gma", "skflow", "rpknet", "dpflow", "sea_raft_s", "sea_raft_m", "flownets", "flownetc", "flownetcss"
+    "raft", "raft_small", "gma", "skflow", "rpknet", "dpflow", "sea_raft_s", "sea_raft_m", "flownets", "flownetc", "flownetcss",
+    "flownet3_css",
 ]
+
+
+def new_model(network):
+    """Of ptlflow, or one that it lacks."""
+    if network == "flownet3_css":
+        from flownet3 import FlowNet3
+
+        return FlowNet3()
+    import ptlflow
+
+    return ptlflow.get_model(network)
 
 
 def random_state(network):
     """The state_dict of a new network under ptlflow's name, always the same."""
-    import ptlflow
     import torch
 
     torch.manual_seed(SEED)
-    return ptlflow.get_model(network).state_dict()
+    return new_model(network).state_dict()
 
 
 def main():

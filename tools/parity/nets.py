@@ -1,4 +1,4 @@
-"""Golden values for the networks: runs those of ptlflow on a made-up pair of frames.
+"""Golden values for the networks: runs those of ptlflow, and others that it lacks, on a made-up pair of frames.
 
     pip install ptlflow==0.4.2
     python tools/parity/nets.py crates/nets/tests/golden [NETWORK...]
@@ -8,6 +8,7 @@ crates/nets/tests/parity.rs repeats. Written for each network and case, as NETWO
     gain/PART    a number that parameters with PART in their name are multiplied with
     coarse_N     after N iterations, the flow that a warm start takes, [batch, 2, rows, columns], where there is one
     flow_N       the flow after N iterations at every 7th row and column, [batch, 2, rows, columns]
+    occlusion_N  likewise, the probability of occlusion, [batch, 1, rows, columns], of networks that give one
     log_weights_N, log_scales_N   likewise, of networks that give a mixture
     next_P_N     likewise, the flow of pair P of the video that the pair begins, of a network that remembers the pairs before
     setting/NAME what a network is set to, where that is not its default
@@ -29,6 +30,7 @@ import numpy as np
 import ptlflow
 import torch
 import torch.nn.functional as F
+from flownet3 import FlowNet3
 from golden import name_hash, noise, write_safetensors
 from ptlflow.utils.utils import InputScaler
 
@@ -37,7 +39,7 @@ EVERY = 7
 
 @dataclass
 class Network:
-    """A network of ptlflow, and how it is run. The first case needs no padding, the second does."""
+    """A network of ptlflow or of its own file here, and how it is run. The first case needs no padding, the second does."""
 
     name: str
     # Of each forward pass, and of the training step; 0 where the reference cannot be trained.
@@ -67,6 +69,8 @@ class Network:
     coarsest: int = 0
     # A further case without gradients: batch, height and width, what the model's attributes are set to, and our settings.
     set_to: tuple = ()
+    # Makes the model, where it is none of ptlflow's.
+    model: Callable = None
 
 
 def flownet_flows(outputs, images):
@@ -130,6 +134,14 @@ NETWORKS = [
         mixture=True,
         coarsest=32,
         set_to=((1, 100, 140), {"pyramid_levels": 4, "output_stride": 64}, {"levels": 4}),
+    ),
+    Network(
+        "flownet3_css",
+        iterations=(1,),
+        training_iterations=1,
+        cases=FLOWNET["cases"],
+        gains={"conv": 1.7, "predict": 2.0},
+        model=FlowNet3,
     ),
 ]
 
@@ -269,7 +281,8 @@ def last_mixture(model, images):
 
 
 def write(network, folder):
-    model = ptlflow.get_model_reference(network.name)(**network.arguments, **network.settings).eval()
+    make = network.model or ptlflow.get_model_reference(network.name)
+    model = make(**network.arguments, **network.settings).eval()
     state = model.state_dict()
     for name, value in state.items():
         if value.dtype == torch.float32:
@@ -295,6 +308,8 @@ def write(network, folder):
             if "flow_small" in result:
                 out[f"coarse_{iterations}"] = coarse(stride, result["flow_small"]).numpy()
             out[f"flow_{iterations}"] = result["flows"][:, 0, :, ::EVERY, ::EVERY].numpy()
+            if "occlusion" in result:
+                out[f"occlusion_{iterations}"] = result["occlusion"][:, :, ::EVERY, ::EVERY].numpy()
             if network.mixture:
                 for part, values in zip(("log_weights", "log_scales"), last_mixture(model, images)):
                     out[f"{part}_{iterations}"] = values[:, :, ::EVERY, ::EVERY].numpy()

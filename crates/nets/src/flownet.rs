@@ -19,13 +19,15 @@ use crate::recurrent::pixel_grid;
 use crate::table::{Entry, FlowNetwork};
 
 /// Height and width of frames are resized to multiples of this.
-const MULTIPLE: usize = 64;
+pub(crate) const MULTIPLE: usize = 64;
 /// Pixels per unit of the network's flow.
 pub(crate) const FLOW_SCALE: f64 = 20.0;
 /// Displacements of FlowNetC's correlation to each side.
 const REACH: usize = 10;
 /// Pixels between displacements.
 const SPACING: usize = 2;
+/// Channels of the correlation.
+pub(crate) const CORRELATED: usize = (2 * REACH + 1) * (2 * REACH + 1);
 
 pub(crate) const FLOWNETS: Entry<FlowNet> = Entry {
     facts: Facts {
@@ -134,7 +136,7 @@ impl FlowNet {
         let correlating = kind == Kind::Correlating;
         let (images, correlated) = match kind {
             Kind::Simple { channels } => (channels, 256),
-            Kind::Correlating => (3, 32 + (2 * REACH + 1).pow(2)),
+            Kind::Correlating => (3, 32 + CORRELATED),
         };
         let upsampled = || deconv([2, 2]).with_bias(correlating).init(device);
         Self {
@@ -235,7 +237,7 @@ impl Tower {
         Features::new(frames, vec![self.conv2, self.conv3])
     }
 
-    fn of_features(features: Features) -> Self {
+    pub(crate) fn of_features(features: Features) -> Self {
         let [conv2, conv3] = features.into_maps();
         Self { conv2, conv3 }
     }
@@ -276,10 +278,10 @@ pub(crate) fn full_size(flow: Tensor<4>, size: [usize; 2]) -> Tensor<4> {
 }
 
 /// Correlation of each pixel of the first map with a 21x21 window of every second pixel of the other around it, averaged over
-/// channels: `[batch, 21 * 21, height, width]`, zero outside of the map. Height and width must be even.
+/// channels: `[batch, CORRELATED, height, width]`, zero outside of the map. Height and width must be even.
 ///
 /// Pixels are only compared with pixels of the same parity of row and column, so the maps are split by parity.
-fn correlation(first: Tensor<4>, second: Tensor<4>) -> Tensor<4> {
+pub(crate) fn correlation(first: Tensor<4>, second: Tensor<4>) -> Tensor<4> {
     let [batch, channels, height, width] = first.dims();
     let [rows, columns] = [height / SPACING, width / SPACING];
     let by_parity =
@@ -295,7 +297,7 @@ fn correlation(first: Tensor<4>, second: Tensor<4>) -> Tensor<4> {
     let ordered = windows
         .reshape([batch, SPACING, SPACING, side, side, rows, columns])
         .permute([0, 4, 3, 5, 1, 6, 2])
-        .reshape([batch, side * side, height, width]);
+        .reshape([batch, CORRELATED, height, width]);
     // The lookup divides by the square root of the number of channels, the network by the number itself.
     ordered / (channels as f64).sqrt()
 }

@@ -11,6 +11,7 @@ mod facts;
 mod features;
 mod fit;
 mod flownet;
+mod flownet3;
 mod flownetcss;
 mod frames;
 mod gma;

@@ -9,7 +9,7 @@ use crate::facts::{Facts, Padding};
 use crate::features::Features;
 use crate::frames::Frames;
 use crate::settings::{Setting, SettingError, set};
-use crate::{dpflow, flownet, flownetcss, gma, memflow, raft, raft_small, rpknet, sea_raft, skflow};
+use crate::{dpflow, flownet, flownet3, flownetcss, gma, memflow, raft, raft_small, rpknet, sea_raft, skflow};
 
 /// An entry of the table.
 pub(crate) struct Entry<N> {
@@ -172,6 +172,7 @@ networks! {
     FlowNetS(flownet::FlowNet) = flownet::FLOWNETS,
     FlowNetC(flownet::FlowNet) = flownet::FLOWNETC,
     FlowNetCss(flownetcss::FlowNetCss) = flownetcss::FLOWNETCSS,
+    FlowNet3Css(flownet3::FlowNet3) = flownet3::FLOWNET3_CSS,
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
-//! Flow and gradients of every network against the reference implementation (ptlflow 0.4.2) with the same parameters.
+//! Flow and gradients of every network against the reference implementation with the same parameters: ptlflow 0.4.2, or a network
+//! of `tools/parity` for those that ptlflow lacks.
 //!
 //! `tools/parity/nets.py` makes the golden values; its rules for parameters and frames are repeated here. Every network of the
 //! table is compared with every file of its name in `tests/golden`, which also stores the settings of the reference.
@@ -192,6 +193,11 @@ fn flow_matches_the_reference() {
                 let limits = if iterations == 1 { [1e-3, 1e-2] } else { limits };
                 let flow = format!("flow_{iterations}");
                 assert_close(&golden, &flow, thinned(estimate.last().clone()), limits);
+                let occlusion = format!("occlusion_{iterations}");
+                assert_eq!(golden.has(&occlusion), architecture.facts().occlusion, "{occlusion}");
+                if let Some(found) = estimate.occlusion {
+                    assert_close(&golden, &occlusion, thinned(found), [1e-4, 1e-3]);
+                }
                 assert_eq!(estimate.mixtures.len(), usize::from(architecture.facts().mixture), "mixtures");
                 for LaplaceMixture { log_weights, log_scales } in estimate.mixtures {
                     let parts = [("log_weights", log_weights), ("log_scales", log_scales)];

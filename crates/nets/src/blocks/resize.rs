@@ -9,10 +9,14 @@ pub(crate) enum Grids {
     CornersOnCorners,
     /// The edges of the image (`align_corners=False`).
     EdgesOnEdges,
+    /// The same; if the map gets smaller, each pixel is a weighted mean of all pixels it covers (`antialias=True`).
+    EdgesOnEdgesSmoothed,
+    /// The centres of the first pixels; distances are scaled by the ratio of the sizes (`resize_images` of TensorFlow 1).
+    FirstOnFirst,
 }
 
 /// Resizes `x`, `[batch, channels, height, width]`, to height and width `size` by bilinear interpolation, as PyTorch's
-/// `interpolate` without antialiasing.
+/// `interpolate`.
 pub(crate) fn resize(x: Tensor<4>, size: [usize; 2], grids: Grids) -> Tensor<4> {
     let rows = along(x, 2, size[0], grids);
     along(rows, 3, size[1], grids)
@@ -34,6 +38,9 @@ fn along(x: Tensor<4>, axis: usize, size: usize, grids: Grids) -> Tensor<4> {
     if from == size {
         return x;
     }
+    if grids == Grids::EdgesOnEdgesSmoothed && size < from {
+        return smaller(x, axis, size);
+    }
     let places: Vec<f64> = (0..size).map(|i| place(i, from, size, grids)).collect();
     let (lower, upper): (Vec<i64>, Vec<i64>) = places
         .iter()
@@ -49,6 +56,39 @@ fn along(x: Tensor<4>, axis: usize, size: usize, grids: Grids) -> Tensor<4> {
     lower.clone() + (upper - lower) * fractions
 }
 
+/// Weights decrease linearly from the centre of a pixel to the centres of its neighbours.
+fn smaller(x: Tensor<4>, axis: usize, size: usize) -> Tensor<4> {
+    let from = x.dims()[axis];
+    let width = from as f64 / size as f64;
+    let centre = |i: usize| (i as f64 + 0.5) * width - 0.5;
+    let weight = |i: usize, j: usize| (1.0 - (j as f64 - centre(i)).abs() / width).max(0.0);
+    let first = |i: usize| (centre(i) - width).ceil().max(0.0) as usize;
+    let sums: Vec<f64> =
+        (0..size).map(|i| (first(i)..from.min(first(i) + taps(width))).map(|j| weight(i, j)).sum()).collect();
+    let device = x.device();
+    let mut shape = [1; 4];
+    shape[axis] = size;
+    (0..taps(width))
+        .map(|tap| {
+            let places = (0..size).map(|i| first(i) + tap);
+            let weights = places
+                .clone()
+                .enumerate()
+                .map(|(i, j)| if j < from { (weight(i, j) / sums[i]) as f32 } else { 0.0 });
+            let weights = TensorData::new(weights.collect::<Vec<f32>>(), [size]);
+            let places = places.map(|j| j.min(from - 1) as i64).collect();
+            let pixels = x.clone().select(axis, indices(places, &device));
+            pixels * Tensor::<1>::from_data(weights, &device).reshape(shape)
+        })
+        .reduce(|sum, tap| sum + tap)
+        .unwrap_or(x)
+}
+
+/// Maximum number of pixels within a distance of `width`.
+fn taps(width: f64) -> usize {
+    (2.0 * width).floor() as usize + 1
+}
+
 fn indices(of: Vec<i64>, device: &Device) -> Tensor<1, Int> {
     let count = of.len();
     Tensor::from_data(TensorData::new(of, [count]), device)
@@ -58,7 +98,8 @@ fn indices(of: Vec<i64>, device: &Device) -> Tensor<1, Int> {
 fn place(i: usize, from: usize, size: usize, grids: Grids) -> f64 {
     match grids {
         Grids::CornersOnCorners => (i * (from - 1)) as f64 / (size - 1).max(1) as f64,
-        Grids::EdgesOnEdges => {
+        Grids::FirstOnFirst => (i * from) as f64 / size as f64,
+        Grids::EdgesOnEdges | Grids::EdgesOnEdgesSmoothed => {
             let place = (i as f64 + 0.5) * from as f64 / size as f64 - 0.5;
             place.clamp(0.0, (from - 1) as f64)
         }
@@ -84,6 +125,26 @@ mod tests {
         let edges = [0.0, 1.5, 4.5, 4.5, 1.5, 0.0];
         assert_eq!(resized(6, Grids::EdgesOnEdges), [edges, edges].concat());
         assert_eq!(resized(1, Grids::CornersOnCorners), [0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_smaller_map_is_smoothed() {
+        let ramp = Tensor::<1>::from_floats([0., 1., 2., 3., 10.], &Device::flex()).reshape([1, 1, 1, 5]);
+        let resized = |size| numbers(resize(ramp.clone(), [1, size], Grids::EdgesOnEdgesSmoothed));
+        let expected = [0.428571, 2.0, 6.999999];
+        for (found, expected) in resized(3).into_iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-6, "{found}, not {expected}");
+        }
+        assert_eq!(resized(5), [0., 1., 2., 3., 10.]);
+        // A larger map is interpolated.
+        assert_eq!(resized(10)[..4], [0., 0.25, 0.75, 1.25]);
+    }
+
+    /// What `tf.image.resize_images` of TensorFlow 1 gives.
+    #[test]
+    fn first_pixels_lie_on_each_other() {
+        let resized = numbers(resize(row([0.0, 6.0, 0.0]), [1, 6], Grids::FirstOnFirst));
+        assert_eq!(resized, [0.0, 3.0, 6.0, 3.0, 0.0, 0.0]);
     }
 
     #[test]

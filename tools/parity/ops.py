@@ -22,6 +22,8 @@ from ptlflow.models.raft.raft import RAFT
 from ptlflow.models.raft.utils import bilinear_sampler, coords_grid
 from ptlflow.models.rpknet.local_timm.norm import GroupNorm, LayerNorm2d
 from ptlflow.models.skflow.update import PCBlock4_Deep_nopool_res
+from ptlflow.models.unimatch.attention import single_head_split_window_attention
+from ptlflow.models.unimatch.utils import generate_shift_window_attn_mask
 from torch.func import functional_call
 
 ACTIVATIONS = {
@@ -121,6 +123,21 @@ def attention():
     case("attention", {"queries": (2, 3, 4, 5), "keys": (2, 3, 4, 5), "values": (2, 2, 4, 5)}, gather)
 
 
+def windowed_attention():
+    """UniMatch's in whole windows, and in windows that are rolled and masked."""
+    shapes = {name: (2, 3, 4, 6) for name in ("queries", "keys", "values")}
+    size, window = (4, 6), (2, 3)
+    mask = generate_shift_window_attn_mask(size, *window, *(side // 2 for side in window), device="cpu").double()
+
+    def attend(x, shifted):
+        queries, keys, values = (x[name].flatten(2).transpose(1, 2) for name in shapes)
+        out = single_head_split_window_attention(4 * queries, keys, values, 2, shifted, *size, mask)
+        return out.transpose(1, 2).reshape(x["values"].shape)
+
+    case("windowed attention", shapes, lambda x: attend(x, False))
+    case("windowed attention shifted", shapes, lambda x: attend(x, True))
+
+
 def skflow_block():
     """Its pointwise layers, and the depthwise ones of 1x1 and 15x15."""
     block = PCBlock4_Deep_nopool_res(6, 4, k_conv=[1, 15]).double()
@@ -160,6 +177,7 @@ def main(path):
     upsample = lambda x: RAFT.upsample_flow(None, x["flow"], 0.25 * x["mask"])
     case("upsample", {"flow": (2, 2, 3, 4), "mask": (2, 9 * 64, 3, 4)}, upsample)
     attention()
+    windowed_attention()
     skflow_block()
     gru()
     for name, activation in ACTIVATIONS.items():

@@ -26,6 +26,8 @@ use crate::recurrent::{STRIDE, pixel_grid};
 use crate::settings::{Allowed, Setting};
 use crate::table::{Entry, FlowNetwork};
 
+/// Added to the variance by layer norms.
+const EPSILON: f64 = 1e-6;
 /// Levels of the pyramid for frames of ordinary size; the reference has no fewer.
 const FEWEST_LEVELS: usize = 3;
 /// Length in pixels of the diagonal of the frames that the network was trained for, by the reference's measure.
@@ -496,7 +498,7 @@ impl Stage {
     /// `activation(norm(...))` of a stage of single maps.
     fn forward(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
         let x = self.blocks.iter().fold(self.transition(x), |x, block| block.forward(x));
-        layer_norm(x, activation)
+        layer_norm(x, EPSILON, activation)
     }
 
     /// Of the maps of both frames.
@@ -516,7 +518,7 @@ impl Unit {
     }
 
     fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        let gated = self.conv_self.gated(layer_norm(x.clone(), Identity));
+        let gated = self.conv_self.gated(layer_norm(x.clone(), EPSILON, Identity));
         self.add_scaled(&self.conv_self.fc2, gated, x)
     }
 

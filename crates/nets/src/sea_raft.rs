@@ -4,7 +4,7 @@
 
 use burn::module::{Initializer, Module, Param};
 use burn::tensor::{Device, Tensor};
-use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, LayerNorm, Linear, NoParameters};
+use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, LayerNorm, Linear, LinearConfig, NoParameters};
 use srflow_ops::Activation::{Gelu, Identity, Relu};
 use srflow_ops::WeightCache;
 use srflow_ops::activation::tensor::activated_sum;
@@ -282,8 +282,8 @@ impl ConvNextBlock {
         Self {
             dwconv: Conv2dConfig::new([inputs, inputs], [7, 7]).with_depthwise(true).init(device),
             norm: LayerNorm::new(inputs, EPSILON, device),
-            pwconv1: Linear::new(inputs, 4 * hidden, device),
-            pwconv2: Linear::new(4 * hidden, inputs, device),
+            pwconv1: LinearConfig::new(inputs, 4 * hidden).init(device),
+            pwconv2: LinearConfig::new(4 * hidden, inputs).init(device),
             gamma: Initializer::Constant { value: LAYER_SCALE }.init([inputs], device),
             r#final: Conv2dConfig::new([inputs, hidden], [1, 1]).init(device),
         }
@@ -295,7 +295,8 @@ impl ConvNextBlock {
         let gamma = self.gamma.val();
         let channels = gamma.dims()[0];
         let kernel = self.pwconv2.kernel() * gamma.clone().reshape([channels, 1, 1, 1]);
-        let epilogue = Epilogue::default().bias(Some(self.pwconv2.bias() * gamma)).residual(x);
+        let bias = self.pwconv2.bias().map(|bias| bias * gamma);
+        let epilogue = Epilogue::default().bias(bias).residual(x);
         let options = Conv2dOptions { stride: [1, 1], padding: [0, 0], cache: WeightCache::default() };
         self.r#final.forward(conv2d(y, kernel, epilogue, options), Identity)
     }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use burn::tensor::{Device, TensorData};
 use burn_pack::{Bytes, DType};
 use safetensors::tensor::{Dtype, TensorView};
-use srflow_nn::layers::Linear;
+use srflow_nn::layers::LinearConfig;
 use srflow_nn::{
     Checkpoint, Format, Parameters, WeightsError, load, parameters, read_parameters, save_parameters,
 };
@@ -118,10 +118,10 @@ fn burnpack(name: &str, bytes: &[u8]) -> Vec<u8> {
 #[test]
 fn saved_parameters_load_again() {
     let (folder, path) = scratch();
-    let network = Linear::new(3, 2, &Device::flex());
+    let network = LinearConfig::new(3, 2).init(&Device::flex());
     save_parameters(&network, None, &path).expect("saved");
     assert_eq!(Checkpoint::open(&path).expect("a checkpoint").format(), Format::Safetensors);
-    let loaded = load(Linear::new(3, 2, &Device::flex()), &path).expect("loaded");
+    let loaded = load(LinearConfig::new(3, 2).init(&Device::flex()), &path).expect("loaded");
     assert!(parameters(&loaded) == parameters(&network));
     let error = save_parameters(&network, None, &folder.path().join("no/weights")).expect_err("no folder");
     assert!(error.to_string().contains("no/weights: creating"), "{error}");

@@ -9,6 +9,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use srflow_golden::{Golden, name_hash, noise, numbers};
 use srflow_ops::Activation;
 use srflow_ops::attention::tensor::Attention;
+use srflow_ops::attention::{self, Windows};
 use srflow_ops::batch_norm::tensor::batch_norm;
 use srflow_ops::conv_transpose2d::tensor::conv_transpose2d;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
@@ -243,13 +244,27 @@ fn convex_upsampling() {
 
 /// GMA's scales the queries by one over the root of their channels, and adds to the values what they gather.
 #[test]
-fn attention() {
+fn attention_map() {
     for kept_bytes in [0, usize::MAX] {
         let shapes = [("queries", [2, 3, 4, 5]), ("keys", [2, 3, 4, 5]), ("values", [2, 2, 4, 5])];
         check("attention", &shapes, |inputs| {
             let [queries, keys, values] = inputs.try_into().expect("three");
             let attention = Attention::new(queries * (4.0 / 3.0_f32.sqrt()), keys, kept_bytes);
             attention.gather(values.clone()) + values
+        });
+    }
+}
+
+/// UniMatch's, which rolls and masks windows that are moved.
+#[test]
+fn windowed_attention() {
+    let map = [2, 3, 4, 6];
+    let shapes = [("queries", map), ("keys", map), ("values", map)];
+    let ways = [("", Windows::split([4, 6], 2)), (" shifted", Windows::shifted([4, 6], 2))];
+    for (way, windows) in ways {
+        check(&format!("windowed attention{way}"), &shapes, |inputs| {
+            let [queries, keys, values] = inputs.try_into().expect("three");
+            attention::tensor::attention(queries * (4.0 / 3.0_f32.sqrt()), keys, values, &windows)
         });
     }
 }
@@ -336,7 +351,7 @@ fn normalization_of_groups_and_layers() {
         });
         check(&format!("layer norm {name}"), &shapes, |inputs| {
             let [input] = inputs.try_into().expect("one");
-            layer_norm(input, activation)
+            layer_norm(input, 1e-6, activation)
         });
     }
 }

@@ -5,7 +5,7 @@ use burn::module::Module;
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
 use srflow_field::random::Stream as RandomStream;
-use srflow_nn::layers::{Conv2d, Conv2dConfig, Linear, NoParameters, dropout};
+use srflow_nn::layers::{Conv2d, Conv2dConfig, Linear, LinearConfig, NoParameters, dropout};
 use srflow_ops::Activation;
 use srflow_ops::max_pool::tensor::max_pool;
 
@@ -39,7 +39,7 @@ impl Classifier for OffApexNet {
     fn new(device: &Device, classes: usize) -> Self {
         let conv = |channels| Conv2dConfig::new(channels, [5, 5]).init(device);
         let stream = || Stream { conv1: conv([1, 6]), conv2: conv([6, 16]) };
-        let linear = |inputs, outputs| Linear::new(inputs, outputs, device);
+        let linear = |inputs, outputs| LinearConfig::new(inputs, outputs).init(device);
         Self {
             cnn1: stream(),
             cnn2: stream(),

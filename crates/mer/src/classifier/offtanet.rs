@@ -7,7 +7,7 @@ use burn::tensor::activation::{relu, sigmoid, softmax};
 use burn::tensor::module::adaptive_avg_pool2d;
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_field::random::Stream;
-use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, Linear, NoParameters, dropout};
+use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, Linear, LinearConfig, NoParameters, dropout};
 use srflow_ops::Activation;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::max_pool::tensor::max_pool;
@@ -86,7 +86,7 @@ impl Classifier for OffTaNet {
     const INPUT: [usize; 3] = [3, FEATURE_SIDE, FEATURE_SIDE];
 
     fn new(device: &Device, classes: usize) -> Self {
-        let linear = |inputs, outputs| Linear::new(inputs, outputs, device);
+        let linear = |inputs, outputs| LinearConfig::new(inputs, outputs).init(device);
         Self {
             conv1: (conv([3, 8], 7).with_stride(2).init(device), NoParameters, BatchNorm::new(8, device)),
             res1: Residual::new(8, 18, device),

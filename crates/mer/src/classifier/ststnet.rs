@@ -6,7 +6,7 @@ use burn::tensor::module::{avg_pool2d, max_pool2d};
 use burn::tensor::ops::{AvgPoolOptions, MaxPoolOptions};
 use burn::tensor::{Device, Tensor};
 use srflow_field::random::Stream;
-use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, Linear, dropout};
+use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, Linear, LinearConfig, dropout};
 use srflow_ops::Activation;
 
 use super::{Classifier, ClassifierFacts, reduced};
@@ -41,7 +41,7 @@ impl Classifier for StstNet {
         let [conv1, conv2, conv3] = STREAMS
             .map(|channels| Conv2dConfig::new([3, channels], [3, 3]).with_padding(Some([2, 2])).init(device));
         let [bn1, bn2, bn3] = STREAMS.map(|channels| BatchNorm::new(channels, device));
-        let fc = Linear::new(5 * 5 * STREAMS.iter().sum::<usize>(), classes, device);
+        let fc = LinearConfig::new(5 * 5 * STREAMS.iter().sum::<usize>(), classes).init(device);
         Self { conv1, conv2, conv3, bn1, bn2, bn3, fc }
     }
 

@@ -1,5 +1,9 @@
 use burn::module::{Initializer, Module, Param};
 use burn::tensor::{Device, Tensor};
+use srflow_ops::Activation;
+use srflow_ops::conv2d::tensor::Epilogue;
+use srflow_ops::depthwise::tensor::depthwise;
+use srflow_ops::layer_norm::tensor::layer_norm;
 
 /// PyTorch's `LayerNorm` over the channels of each pixel.
 #[derive(Module, Debug)]
@@ -21,11 +25,18 @@ impl LayerNorm {
 
     /// Normalizes `[batch, channels, height, width]`.
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
-        let channels = x.dims()[1];
-        let of_channels = |values: Tensor<1>| values.reshape([1, channels, 1, 1]);
-        let centred = x.clone() - x.mean_dim(1);
-        let variance = centred.clone().square().mean_dim(1);
-        let normal = centred / (variance + self.epsilon).sqrt();
-        normal * of_channels(self.weight.val()) + of_channels(self.bias.val())
+        self.with_epilogue(x, Epilogue::default())
+    }
+
+    /// `norm(x) + residual`.
+    pub fn forward_add(&self, x: Tensor<4>, residual: Tensor<4>) -> Tensor<4> {
+        self.with_epilogue(x, Epilogue::default().residual(residual))
+    }
+
+    fn with_epilogue(&self, x: Tensor<4>, epilogue: Epilogue) -> Tensor<4> {
+        let normal = layer_norm(x, self.epsilon, Activation::Identity);
+        let scale = self.weight.val();
+        let channels = scale.dims()[0];
+        depthwise(normal, scale.reshape([channels, 1, 1, 1]), epilogue.bias(Some(self.bias.val())), [0, 0])
     }
 }

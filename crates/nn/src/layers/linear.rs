@@ -1,40 +1,70 @@
-use burn::module::{Module, Param};
+use burn::config::Config;
+use burn::module::{Initializer, Module, Param};
 use burn::tensor::{Device, Tensor};
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
+use srflow_ops::pointwise::tensor::{LayerOptions, PointwiseLayer};
 use srflow_ops::{Activation, WeightCache};
 
 use super::conv::{bias_initializer, weight_initializer};
+
+/// How a [`Linear`] is made.
+#[derive(Config, Debug)]
+pub struct LinearConfig {
+    inputs: usize,
+    outputs: usize,
+    /// Add a number to each output.
+    #[config(default = "true")]
+    bias: bool,
+    /// Of the weight.
+    #[config(default = "weight_initializer()")]
+    initializer: Initializer,
+}
 
 /// PyTorch's `Linear`: the weight is `[outputs, inputs]`.
 #[derive(Module, Debug)]
 pub struct Linear {
     weight: Param<Tensor<2>>,
-    bias: Param<Tensor<1>>,
+    bias: Option<Param<Tensor<1>>>,
     #[module(skip)]
     cache: WeightCache,
 }
 
-impl Linear {
+impl LinearConfig {
     /// A layer with random parameters, drawn when they are first read.
-    pub fn new(inputs: usize, outputs: usize, device: &Device) -> Self {
+    pub fn init(&self, device: &Device) -> Linear {
+        let Self { inputs, outputs, bias, .. } = *self;
         let fans = (Some(inputs), Some(outputs));
-        Self {
-            weight: weight_initializer().init_with([outputs, inputs], fans.0, fans.1, device),
-            bias: bias_initializer().init_with([outputs], fans.0, fans.1, device),
+        Linear {
+            weight: self.initializer.init_with([outputs, inputs], fans.0, fans.1, device),
+            bias: bias.then(|| bias_initializer().init_with([outputs], fans.0, fans.1, device)),
             cache: WeightCache::default(),
         }
     }
+}
 
+impl Linear {
     /// `[batch, outputs]` from `[batch, inputs]`.
     pub fn forward(&self, x: Tensor<2>) -> Tensor<2> {
-        x.matmul(self.weight.val().transpose()) + self.bias.val().unsqueeze()
+        let products = x.matmul(self.weight.val().transpose());
+        match self.bias() {
+            Some(bias) => products + bias.unsqueeze(),
+            None => products,
+        }
     }
 
     /// `activation(linear(x))` per pixel: `[batch, outputs, height, width]` from `[batch, inputs, height, width]`.
     pub fn forward_pixels(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
-        let epilogue = Epilogue::with(activation).bias(Some(self.bias()));
+        let epilogue = Epilogue::with(activation).bias(self.bias());
         let options = Conv2dOptions { stride: [1, 1], padding: [0, 0], cache: self.cache.clone() };
         conv2d(x, self.kernel(), epilogue, options)
+    }
+
+    /// As a layer of `pointwise_layers`.
+    pub fn layer(&self, activation: Activation) -> PointwiseLayer {
+        let weight = self.kernel();
+        let bias = self.bias().unwrap_or_else(|| Tensor::zeros([weight.dims()[0]], &weight.device()));
+        let options = LayerOptions { activation, cache: self.cache.clone(), ..LayerOptions::default() };
+        PointwiseLayer { weight, bias, options }
     }
 
     /// The weight as that of a 1x1 convolution, `[outputs, inputs, 1, 1]`.
@@ -45,7 +75,7 @@ impl Linear {
     }
 
     /// `[outputs]`.
-    pub fn bias(&self) -> Tensor<1> {
-        self.bias.val()
+    pub fn bias(&self) -> Option<Tensor<1>> {
+        self.bias.as_ref().map(Param::val)
     }
 }

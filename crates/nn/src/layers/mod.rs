@@ -14,7 +14,7 @@ pub use conv::{Conv2d, Conv2dConfig};
 pub use conv_transpose::{ConvTranspose2d, ConvTranspose2dConfig};
 pub use dropout::dropout;
 pub use layer_norm::LayerNorm;
-pub use linear::Linear;
+pub use linear::{Linear, LinearConfig};
 
 /// Placeholder for a layer without parameters, such as an activation, so that later layers of a sequence keep the numbers that the
 /// reference has in their names.

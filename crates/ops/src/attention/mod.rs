@@ -2,8 +2,8 @@
 //!
 //! Pairs are computed in blocks that stay in cache. The largest score of each pixel and the sum of its exponentials are
 //! computed once; after that, a pass over values needs each pair once, and so do the gradients. As many weights as the memory
-//! limit allows are kept, since the networks apply the same weights to different values many times. [`mod@reference`] is the
-//! definition.
+//! limit allows are kept, since the networks apply the same weights to different values many times. Where they are applied
+//! once, [`windowed_attention`] computes each pair once. [`mod@reference`] is the definition.
 
 use srflow_simd::Isa;
 
@@ -17,6 +17,9 @@ pub mod reference;
 mod softmax;
 pub mod tensor;
 mod weights;
+mod windows;
+
+pub use windows::{Windows, windowed_attention, windowed_attention_backward};
 
 /// Calls `of` with queries, keys and the `others` of each image.
 fn each_image<'a, const N: usize, T>(

@@ -23,6 +23,19 @@ pub(super) fn to_panels(isa: Isa, matrix: &[f32], pixels: usize) -> Vec<f32> {
     panels
 }
 
+/// What [`to_panels`] reordered, as `[rows, pixels]` again.
+pub(super) fn from_panels(isa: Isa, panels: &[f32], pixels: usize) -> Vec<f32> {
+    let width = panel_columns(isa);
+    let rows = panels.len() / pixels.next_multiple_of(width);
+    let mut matrix = vec![0.0; rows * pixels];
+    matrix.par_chunks_mut(pixels).enumerate().for_each(|(row, to)| {
+        for (to, panel) in to.chunks_mut(width).zip(panels.chunks_exact(rows * width)) {
+            to.copy_from_slice(&panel[row * width..][..to.len()]);
+        }
+    });
+    matrix
+}
+
 /// Packs `[channels, pixels]` as a left side with one row per pixel.
 pub(super) fn pixels_as_rows(isa: Isa, matrix: &[f32], pixels: usize) -> Vec<f32> {
     let channels = matrix.len() / pixels;

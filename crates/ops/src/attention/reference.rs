@@ -1,5 +1,8 @@
 //! The definition, in f64.
 
+use super::Windows;
+use super::windows::Window;
+
 /// Scores `q_i . k_j` of one image, `[pixels i, pixels j]`, to `softmax_j`. Queries and keys are `[channels, pixels]`.
 fn weights(queries: &[f64], keys: &[f64], pixels: usize) -> Vec<f64> {
     let mut weights = Vec::with_capacity(pixels * pixels);
@@ -71,4 +74,55 @@ pub fn attention_backward(
         weighted(queries, pixels, |j, i| scores[i * pixels + j]),
         weighted(grad, pixels, |j, i| weights[i * pixels + j]),
     ]
+}
+
+/// Pixels of an image of so many rows and columns, window after window.
+fn each_window(windows: &Windows) -> Vec<Vec<usize>> {
+    let [_, width] = windows.sides();
+    let pixels = |window: Window| {
+        let row = |y: usize| window.columns.clone().map(move |x| y * width + x);
+        window.rows.clone().flat_map(row).collect()
+    };
+    windows.each().into_iter().map(pixels).collect()
+}
+
+/// The channels of some pixels.
+fn part(image: &[f64], pixels: usize, own: &[usize]) -> Vec<f64> {
+    image.chunks_exact(pixels).flat_map(|plane| own.iter().map(|&pixel| plane[pixel])).collect()
+}
+
+/// `whole` with a part put in.
+fn put(whole: &mut [f64], pixels: usize, own: &[usize], part: &[f64]) {
+    for (plane, part) in whole.chunks_exact_mut(pixels).zip(part.chunks_exact(own.len())) {
+        own.iter().zip(part).for_each(|(&pixel, &x)| plane[pixel] = x);
+    }
+}
+
+/// See [`super::windowed_attention`]; one image.
+pub fn windowed_attention(queries: &[f64], keys: &[f64], values: &[f64], windows: &Windows) -> Vec<f64> {
+    let pixels = windows.sides().iter().product();
+    let mut out = vec![0.0; values.len()];
+    for own in each_window(windows) {
+        let [queries, keys, values] = [queries, keys, values].map(|map| part(map, pixels, &own));
+        put(&mut out, pixels, &own, &attention(&queries, &keys, &values, own.len()));
+    }
+    out
+}
+
+/// See [`super::windowed_attention_backward`]; one image.
+pub fn windowed_attention_backward(
+    queries: &[f64],
+    keys: &[f64],
+    values: &[f64],
+    grad: &[f64],
+    windows: &Windows,
+) -> [Vec<f64>; 3] {
+    let pixels = windows.sides().iter().product();
+    let mut gradients = [queries, keys, values].map(|map| vec![0.0; map.len()]);
+    for own in each_window(windows) {
+        let [queries, keys, values, grad] = [queries, keys, values, grad].map(|map| part(map, pixels, &own));
+        let parts = attention_backward(&queries, &keys, &values, &grad, own.len());
+        gradients.iter_mut().zip(parts).for_each(|(whole, part)| put(whole, pixels, &own, &part));
+    }
+    gradients
 }

@@ -1,7 +1,7 @@
 //! Softmax weights from scores, its sums, and its gradient. A block holds one panel's numbers for neighbouring pixels, `[rows,
 //! columns of the panel]`.
 
-use srflow_simd::{Simd, dispatch, exp};
+use srflow_simd::{Simd, dispatch, exp, multiversioned};
 
 dispatch! {
     /// Raises `maxima` to the largest score of each column, and adds `exp(score - maximum)` to `sums`, which are rescaled when the
@@ -29,6 +29,58 @@ fn add_to_sums_kernel<S: Simd>(s: S, scores: &[f32], maxima: &mut [f32], sums: &
         }
         s.write(largest, &mut maxima[x..]);
         s.write(sum, &mut sums[x..]);
+    }
+}
+
+dispatch! {
+    /// Raises `maxima` to the largest score of each column, converts scores to `exp(score - maximum)` and adds them to `sums`.
+    /// What was summed with smaller maxima is to be multiplied by `factors`, as the sums are.
+    pub(super) fn exponentiate =
+        exponentiate_kernel(scores: &mut [f32], maxima: &mut [f32], sums: &mut [f32], factors: &mut [f32])
+}
+
+#[inline(always)]
+fn exponentiate_kernel<S: Simd>(
+    s: S,
+    scores: &mut [f32],
+    maxima: &mut [f32],
+    sums: &mut [f32],
+    factors: &mut [f32],
+) {
+    let width = maxima.len();
+    let rows = scores.len() / width;
+    assert!(width.is_multiple_of(S::LANES) && sums.len() == width && factors.len() == width);
+    let start = scores.as_mut_ptr();
+    for x in (0..width).step_by(S::LANES) {
+        let before = s.read(&maxima[x..]);
+        let mut largest = before;
+        for row in 0..rows {
+            // SAFETY: `x` is at least a vector before the end of a row, and there are this many rows.
+            largest = s.max(largest, unsafe { s.load(start.add(row * width + x)) });
+        }
+        let factor = exp(s, s.sub(before, largest));
+        let mut sum = s.mul(s.read(&sums[x..]), factor);
+        for row in 0..rows {
+            // SAFETY: as above.
+            unsafe {
+                let at = start.add(row * width + x);
+                let weight = exp(s, s.sub(s.load(at), largest));
+                s.store(at, weight);
+                sum = s.add(sum, weight);
+            }
+        }
+        s.write(largest, &mut maxima[x..]);
+        s.write(sum, &mut sums[x..]);
+        s.write(factor, &mut factors[x..]);
+    }
+}
+
+multiversioned! {
+    /// Multiplies each column of `rows`, which are as wide as there are factors.
+    pub(super) fn scale_columns(rows: &mut [f32], factors: &[f32]) {
+        for row in rows.chunks_exact_mut(factors.len()) {
+            row.iter_mut().zip(factors).for_each(|(x, factor)| *x *= factor);
+        }
     }
 }
 

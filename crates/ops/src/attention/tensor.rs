@@ -1,5 +1,6 @@
-//! Attention on tensors: [`Attention`], with gradients.
+//! Attention on tensors, with gradients: [`attention`], and [`Attention`] for weights that are used many times.
 
+use std::ops::Range;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use burn::tensor::{Device, Tensor};
@@ -10,6 +11,7 @@ use super::backward::Gathered;
 use super::composed::ImagePieces;
 use super::image;
 use super::weights::AttentionWeights;
+use super::{Windows, windowed_attention, windowed_attention_backward};
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Composition, Operation, apply};
 
@@ -229,4 +231,73 @@ impl Attention {
             }
         }
     }
+}
+
+/// Attention within windows of queries, keys and values.
+#[derive(Debug, Clone)]
+struct Windowed(Windows);
+
+impl Composition<3> for Windowed {}
+
+impl Operation<3> for Windowed {
+    fn saved_outputs<T>(outputs: &[T]) -> &[T] {
+        outputs
+    }
+
+    fn cpu(&self, [queries, keys, values]: [CpuTensor; 3]) -> Vec<CpuTensor> {
+        let shape = queries.map_shape();
+        let [out, statistics] =
+            windowed_attention(queries.slice(), keys.slice(), values.slice(), &shape, &self.0);
+        vec![values.like(out), CpuTensor::new(statistics, shape.with_channels(2).dims())]
+    }
+
+    fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 3] {
+        let wants_values = back.wants(2);
+        let ([queries, keys, values, out, statistics], grad) = back.into_parts();
+        let inputs = [&queries, &keys, &values].map(CpuTensor::slice);
+        let outputs = [out.slice(), statistics.slice()];
+        let shape = queries.map_shape();
+        let [d_queries, d_keys, d_values] =
+            windowed_attention_backward(inputs, outputs, grad.slice(), &shape, &self.0, wants_values);
+        let d_values = wants_values.then(|| values.like(d_values));
+        [Some(queries.like(d_queries)), Some(keys.like(d_keys)), d_values]
+    }
+}
+
+/// `out_i = sum_j softmax_j(q_i . k_j) v_j` over the pixels `j` of the window of pixel `i`.
+///
+/// Queries and keys are `[batch, channels, height, width]`, values and output `[batch, value channels, height, width]`. No
+/// weight is stored on the CPU; elsewhere they are computed in pieces, all of which stand in memory if there are gradients.
+/// Panics when the sizes do not fit.
+pub fn attention(queries: Tensor<4>, keys: Tensor<4>, values: Tensor<4>, windows: &Windows) -> Tensor<4> {
+    let ([batch, _, height, width], [of, _, rows, columns]) = (queries.dims(), values.dims());
+    assert_eq!(queries.dims(), keys.dims(), "attention: as many keys as queries");
+    assert_eq!([of, rows, columns], [batch, height, width], "attention: values of the same pixels");
+    assert_eq!(windows.sides(), [height, width], "attention: windows of the image");
+    if queries.device() != Device::flex() {
+        return attention_in_pieces(queries, keys, values, windows.clone(), PIECE_BYTES);
+    }
+    apply(Windowed(windows.clone()), [queries, keys, values].map(Tensor::into_dispatch))
+}
+
+/// For devices without the kernel.
+pub(super) fn attention_in_pieces(
+    queries: Tensor<4>,
+    keys: Tensor<4>,
+    values: Tensor<4>,
+    windows: Windows,
+    piece_bytes: usize,
+) -> Tensor<4> {
+    let [rows, columns] = windows.into_bands();
+    let of_window = |rows: &Range<usize>, columns: &Range<usize>| {
+        let part = |map: &Tensor<4>| {
+            let band = map.clone().narrow(2, rows.start, rows.len());
+            band.narrow(3, columns.start, columns.len())
+        };
+        Attention::in_pieces(part(&queries), part(&keys), 0, piece_bytes).gather(part(&values))
+    };
+    let of_band = |rows: &Range<usize>| {
+        Tensor::cat(columns.iter().map(|columns| of_window(rows, columns)).collect(), 3)
+    };
+    Tensor::cat(rows.iter().map(of_band).collect(), 2)
 }

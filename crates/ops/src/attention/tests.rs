@@ -249,3 +249,107 @@ pub(crate) fn cases() -> Vec<Case> {
         case([2, 9, 17, 19], 0, 1),
     ]
 }
+
+/// The whole image, windows, and windows that are moved; of more pixels than a block, of one, of fewer than a panel.
+pub(crate) fn windowed_cases() -> Vec<Case> {
+    let case = |[channels, height, width]: [usize; 3], windows: Windows| {
+        let map = [2, channels, height, width];
+        let image = move |x: &[f64], n: usize| x[n * x.len() / 2..][..x.len() / 2].to_vec();
+        let inputs = move |x: &[Vec<f64>], n| [0, 1, 2].map(|input| image(&x[input], n));
+        let tensors = |inputs: Vec<_>| array::<_, 3>(inputs.into_iter().map(Tensor::from_dispatch).collect());
+        let [kernel, composed, forward, backward] = std::array::from_fn(|_| windows.clone());
+        Case::new(
+            &format!("attention of {height}x{width} in {windows:?}"),
+            &[&map, &map, &[2, 5, height, width]],
+            move |inputs| {
+                let [queries, keys, values] = tensors(inputs);
+                tensor::attention(queries, keys, values, &kernel)
+            },
+            move |x| {
+                let of_image = |n| {
+                    let [queries, keys, values] = inputs(x, n);
+                    reference::windowed_attention(&queries, &keys, &values, &forward)
+                };
+                (0..2).flat_map(of_image).collect()
+            },
+            move |x, grad| {
+                let images: [[Vec<f64>; 3]; 2] = [0, 1].map(|n| {
+                    let [queries, keys, values] = inputs(x, n);
+                    let grad = image(grad, n);
+                    reference::windowed_attention_backward(&queries, &keys, &values, &grad, &backward)
+                });
+                [0, 1, 2].map(|input| images.iter().flat_map(|image| &image[input]).copied().collect()).into()
+            },
+        )
+        .or(move |inputs| {
+            let [queries, keys, values] = tensors(inputs);
+            tensor::attention_in_pieces(queries, keys, values, composed.clone(), usize::MAX)
+        })
+        .change(0, |_, query| 3.0 * query)
+    };
+    vec![
+        case([3, 17, 19], Windows::split([17, 19], 1)),
+        case([4, 6, 8], Windows::split([6, 8], 2)),
+        case([4, 6, 8], Windows::shifted([6, 8], 2)),
+        case([3, 9, 3], Windows::shifted([9, 3], 3)),
+    ]
+}
+
+#[test]
+fn moved_windows_are_cut_at_the_edges() {
+    let windows = |windows: Windows| -> Vec<[Vec<usize>; 2]> {
+        let window = |window: super::windows::Window| [window.rows.collect(), window.columns.collect()];
+        windows.each().into_iter().map(window).collect()
+    };
+    let bands = |windows: Vec<[Vec<usize>; 2]>, axis: usize| {
+        let mut bands: Vec<Vec<usize>> = windows.into_iter().map(|window| window[axis].clone()).collect();
+        bands.dedup();
+        bands
+    };
+    assert_eq!(bands(windows(Windows::split([6, 3], 3)), 0), [[0, 1], [2, 3], [4, 5]]);
+    assert_eq!(bands(windows(Windows::shifted([6, 3], 3)), 0), [vec![0], vec![1, 2], vec![3, 4], vec![5]]);
+    assert_eq!(bands(windows(Windows::shifted([6, 4], 2)), 0), [vec![0], vec![1, 2, 3], vec![4, 5]]);
+    assert_eq!(bands(windows(Windows::shifted([2, 4], 2)), 0), [[0], [1]], "a pixel has no half");
+    assert_eq!(windows(Windows::shifted([4, 4], 2)).len(), 9);
+}
+
+/// Scores that grow from block to block, so that what was summed is scaled again, and those of not a number.
+#[test]
+fn each_instruction_set_attends_as_the_definition() {
+    for pixels in [1, 30, 131, 600] {
+        let [queries, mut keys, values] = image(pixels);
+        for growing in [false, true] {
+            if growing {
+                keys.iter_mut()
+                    .enumerate()
+                    .for_each(|(i, key)| *key *= (1 + i % pixels) as f32 / pixels as f32);
+            }
+            let expected = reference::attention(&wide(&queries), &wide(&keys), &wide(&values), pixels);
+            for isa in Isa::to_test() {
+                let (found, _) = super::windows::attend(isa, &queries, &keys, &values, pixels);
+                let what = format!("{pixels} pixels, {isa:?}, growing: {growing}");
+                assert_close(&what, &found, &expected, 5e-6);
+            }
+        }
+    }
+}
+
+#[test]
+fn attention_in_windows_does_not_hide_what_is_not_a_number() {
+    let pixels = 600;
+    let sound = image(pixels);
+    let nans = |x: &[f64]| -> Vec<bool> { x.iter().map(|x| x.is_nan()).collect() };
+    for (input, pixel) in [(0, 5), (0, 599), (1, 5), (1, 270), (1, 599), (2, 5)] {
+        let mut inputs = sound.clone();
+        inputs[input][pixel] = f32::NAN;
+        let [q, k, v] = inputs.each_ref().map(|input| wide(input));
+        let expected = nans(&reference::attention(&q, &k, &v, pixels));
+        for isa in Isa::to_test() {
+            let [queries, keys, values] = &inputs;
+            let (found, _) = super::windows::attend(isa, queries, keys, values, pixels);
+            assert!(nans(&wide(&found)) == expected, "in input {input} at {pixel}, {isa:?}");
+        }
+    }
+    let out = |keys: &[f32]| super::windows::attend(Isa::best(), &sound[0], keys, &sound[2], pixels).0;
+    assert!(out(&vec![f32::NEG_INFINITY; sound[1].len()]).iter().all(|x| x.is_nan()), "as in the definition");
+}

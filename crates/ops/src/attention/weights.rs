@@ -24,11 +24,11 @@ pub(crate) struct AttentionWeights {
 
 /// The softmax statistics of each query, in whole panels.
 #[derive(Debug)]
-struct Sums {
+pub(super) struct Sums {
     /// The largest score.
-    maxima: Vec<f32>,
+    pub(super) maxima: Vec<f32>,
     /// The inverse of the sum of `exp(score - maximum)`.
-    inverse_sums: Vec<f32>,
+    pub(super) inverse_sums: Vec<f32>,
 }
 
 /// Products of pixels in panels with all pixels in blocks: `sum_c columns_ci rows_cj`.
@@ -129,6 +129,11 @@ impl Gathering<'_> {
 }
 
 impl Sums {
+    /// Before the first score of each column.
+    pub(super) fn of_nothing(columns: usize) -> Self {
+        Self { maxima: vec![f32::MIN; columns], inverse_sums: vec![0.0; columns] }
+    }
+
     fn of(
         &self,
         queries: Queries,
@@ -153,6 +158,14 @@ impl Sums {
     }
 }
 
+/// Sums of exponentials to their inverses.
+pub(super) fn invert(sums: &mut [f32], maxima: &[f32]) {
+    for (sum, maximum) in sums.iter_mut().zip(maxima) {
+        // If all scores are minus infinity, the weights are NaN, as in the definition.
+        *sum = if *maximum == f32::MIN { f32::NAN } else { 1.0 / *sum };
+    }
+}
+
 /// Number of panels of `pixels` that fit in `kept_bytes`: all, or whole groups.
 fn panels_within(isa: Isa, pixels: usize, kept_bytes: usize) -> usize {
     let panels = pixels.div_ceil(panel_columns(isa));
@@ -171,7 +184,7 @@ impl AttentionWeights {
         let panel_len = pixels * width;
         let kept_panels = panels_within(isa, pixels, kept_bytes);
         let columns = pixels.div_ceil(width) * width;
-        let mut sums = Sums { maxima: vec![f32::MIN; columns], inverse_sums: vec![0.0; columns] };
+        let mut sums = Sums::of_nothing(columns);
         let fill = |kept: SharedMut| {
             let maxima = sums.maxima.par_chunks_mut(PANELS * width);
             let groups = maxima.zip(sums.inverse_sums.par_chunks_mut(PANELS * width));
@@ -203,10 +216,7 @@ impl AttentionWeights {
                             add_to_sums(isa, scores, &mut maxima[columns.clone()], &mut sums[columns]);
                         }
                     }
-                    for (sum, maximum) in sums.iter_mut().zip(maxima.iter()) {
-                        // If all scores are minus infinity, the weights are NaN, as in the definition.
-                        *sum = if *maximum == f32::MIN { f32::NAN } else { 1.0 / *sum };
-                    }
+                    invert(sums, maxima);
                     for panel in 0..if keep { group.panels } else { 0 } {
                         let columns = panel * width..(panel + 1) * width;
                         let normal = Normal::OfColumns {
@@ -224,6 +234,13 @@ impl AttentionWeights {
         let kept = unsafe { SharedMut::fill_new(kept_panels * panel_len, fill) };
         let by_query = Side { scores, queries: Queries::InColumns, kept, kept_panels };
         Self { isa, pixels, sums, kept_bytes, by_query, by_key: OnceLock::new() }
+    }
+
+    /// Of sums that are known; nothing is kept.
+    pub(super) fn of_sums(isa: Isa, queries: &[f32], keys: &[f32], pixels: usize, sums: Sums) -> Self {
+        let scores = Pairs::new(isa, queries, keys, pixels);
+        let by_query = Side { scores, queries: Queries::InColumns, kept: Vec::new(), kept_panels: 0 };
+        Self { isa, pixels, sums, kept_bytes: 0, by_query, by_key: OnceLock::new() }
     }
 
     /// `ln sum_j exp(q_i . k_j)` for each pixel.

@@ -1,5 +1,5 @@
-//! Layer normalization (Ba et al. 2016) over the channels of each pixel without learned scale, as the units of RPKNet and
-//! DPFlow have it, with the activation that follows. [`mod@reference`] is the definition.
+//! Layer normalization (Ba et al. 2016) over the channels of each pixel without learned scale, with the activation that follows.
+//! [`mod@reference`] is the definition.
 
 use rayon::prelude::*;
 use srflow_simd::{Isa, activate, fill_pieces, multiversioned};
@@ -10,18 +10,16 @@ mod composed;
 pub mod reference;
 pub mod tensor;
 
-/// Added to the variance; that of the reference implementations.
-pub(crate) const EPSILON: f64 = 1e-6;
 /// Pixels whose channels are summed up together, so that they are read from memory once.
 const BLOCK: usize = 128;
 
-/// `activation((x - mean) / sqrt(variance + 1e-6))` of the channels of each pixel. Panics when the input does not
+/// `activation((x - mean) / sqrt(variance + epsilon))` of the channels of each pixel. Panics when the input does not
 /// fit `shape`, or there are no channels or pixels.
-pub fn layer_norm(input: &[f32], shape: &MapShape, activation: Activation) -> Vec<f32> {
+pub fn layer_norm(input: &[f32], shape: &MapShape, epsilon: f64, activation: Activation) -> Vec<f32> {
     let (channels, pixels) = (shape.channels, shape.pixels());
     let isa = Isa::best();
     let moments = of_pixels(shape, [input], |image, own, [mean, scale, _, _]| {
-        standardize(image[0], pixels, own, mean, scale);
+        standardize(image[0], pixels, epsilon, own, mean, scale);
     });
     fill_pieces(
         input.len(),
@@ -40,10 +38,10 @@ pub fn layer_norm(input: &[f32], shape: &MapShape, activation: Activation) -> Ve
 }
 
 /// Gradient of the input of a normalization without activation, from `grad`, that of its output. Panics as [`layer_norm`].
-pub fn layer_norm_backward(input: &[f32], grad: &[f32], shape: &MapShape) -> Vec<f32> {
+pub fn layer_norm_backward(input: &[f32], grad: &[f32], shape: &MapShape, epsilon: f64) -> Vec<f32> {
     let (channels, pixels) = (shape.channels, shape.pixels());
     let moments = of_pixels(shape, [input, grad], |[input, grad], own, [mean, scale, shift, stretch]| {
-        standardize(input, pixels, own, mean, scale);
+        standardize(input, pixels, epsilon, own, mean, scale);
         shift_and_stretch([input, grad], pixels, own, [mean, scale], shift, stretch);
     });
     fill_pieces(
@@ -101,7 +99,14 @@ fn of_pixels<const N: usize>(
 
 multiversioned! {
     /// Mean and one over the standard deviation of the pixels from `first` on.
-    fn standardize(planes: &[f32], pixels: usize, first: usize, mean: &mut [f32], scale: &mut [f32]) {
+    fn standardize(
+        planes: &[f32],
+        pixels: usize,
+        epsilon: f64,
+        first: usize,
+        mean: &mut [f32],
+        scale: &mut [f32],
+    ) {
         let count = (planes.len() / pixels) as f32;
         for plane in planes.chunks_exact(pixels) {
             let plane = &plane[first..][..mean.len()];
@@ -114,7 +119,7 @@ multiversioned! {
                 *scale += (x - mean) * (x - mean);
             }
         }
-        scale.iter_mut().for_each(|scale| *scale = 1.0 / (*scale / count + EPSILON as f32).sqrt());
+        scale.iter_mut().for_each(|scale| *scale = 1.0 / (*scale / count + epsilon as f32).sqrt());
     }
 }
 

@@ -1,13 +1,12 @@
 //! The definition, in f64.
 
-use super::EPSILON;
 use crate::instance_norm::reference::{instance_norm, instance_norm_backward};
 use crate::{Activation, MapShape};
 
 /// See [`super::layer_norm`]: every pixel's channels are a plane of their own.
-pub fn layer_norm(input: &[f64], shape: &MapShape, activation: Activation) -> Vec<f64> {
+pub fn layer_norm(input: &[f64], shape: &MapShape, epsilon: f64, activation: Activation) -> Vec<f64> {
     let (channels, pixels) = (shape.channels, shape.pixels());
-    let normal = instance_norm(&transposed(input, channels, pixels), channels, EPSILON, activation);
+    let normal = instance_norm(&transposed(input, channels, pixels), channels, epsilon, activation);
     transposed(&normal, pixels, channels)
 }
 
@@ -16,11 +15,12 @@ pub fn layer_norm_backward(
     input: &[f64],
     grad: &[f64],
     shape: &MapShape,
+    epsilon: f64,
     activation: Activation,
 ) -> Vec<f64> {
     let (channels, pixels) = (shape.channels, shape.pixels());
     let [input, grad] = [input, grad].map(|values| transposed(values, channels, pixels));
-    let gradient = instance_norm_backward(&input, &grad, channels, EPSILON, activation);
+    let gradient = instance_norm_backward(&input, &grad, channels, epsilon, activation);
     transposed(&gradient, pixels, channels)
 }
 

@@ -2,16 +2,18 @@ use super::tensor::LayerNorm;
 use super::*;
 use crate::operation::tests::{ACTIVATIONS, Case};
 
+const EPSILON: f64 = 1e-6;
+
 /// Pixels whose mean is larger than their spread.
 pub(crate) fn cases() -> Vec<Case> {
     let case = |[channels, height, width]: [usize; 3], activation| {
         let shape = MapShape::from([2, channels, height, width]);
         Case::of(
             &format!("layer norm, {activation:?}, {channels}x{height}x{width}"),
-            LayerNorm(activation),
+            LayerNorm { epsilon: EPSILON, activation },
             [&[2, channels, height, width]],
-            move |x| reference::layer_norm(&x[0], &shape, activation),
-            move |x, grad| vec![reference::layer_norm_backward(&x[0], grad, &shape, activation)],
+            move |x| reference::layer_norm(&x[0], &shape, EPSILON, activation),
+            move |x, grad| vec![reference::layer_norm_backward(&x[0], grad, &shape, EPSILON, activation)],
         )
         .change(0, move |i, x| (i % (height * width) % 4) as f32 + x)
     };

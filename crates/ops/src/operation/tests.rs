@@ -22,6 +22,7 @@ macro_rules! operations {
 operations! {
     activated_sum: crate::activation::tests::cases,
     attention: crate::attention::tests::cases,
+    windowed_attention: crate::attention::tests::windowed_cases,
     batch_norm: crate::batch_norm::tests::cases,
     conv2d: crate::conv2d::tests::cases,
     conv_transpose2d: crate::conv_transpose2d::tests::cases,

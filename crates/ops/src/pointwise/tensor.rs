@@ -1,4 +1,4 @@
-//! A chain of three pointwise layers on tensors, with gradients.
+//! A chain of pointwise layers on tensors, with gradients.
 
 use burn::tensor::Tensor;
 use srflow_simd::{Isa, pack_rows};
@@ -7,6 +7,7 @@ use super::{Add, Layer, Map, pointwise};
 use crate::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use crate::depthwise::tensor::depthwise;
 use crate::flex::CpuTensor;
+use crate::operation::array;
 use crate::weight_cache::{Packing, Pass};
 use crate::{Activation, WeightCache};
 
@@ -34,9 +35,10 @@ pub struct PointwiseLayer {
     pub options: LayerOptions,
 }
 
-/// Three pointwise layers on `input` (`[batch, channels, height, width]`), one after another; what lies between them is
+/// Pointwise layers, at least one, on `input` (`[batch, channels, height, width]`), one after another; what lies between them is
 /// never stored as a whole. Panics when the sizes do not fit each other.
-pub fn pointwise_layers(input: Tensor<4>, layers: [PointwiseLayer; 3]) -> Tensor<4> {
+pub fn pointwise_layers<const N: usize>(input: Tensor<4>, layers: [PointwiseLayer; N]) -> Tensor<4> {
+    const { assert!(N > 0) };
     let mut channels = vec![input.dims()[1]];
     for (number, PointwiseLayer { weight, bias, options }) in layers.iter().enumerate() {
         let [outputs, inputs, 1, 1] = weight.dims() else {
@@ -59,16 +61,24 @@ pub fn pointwise_layers(input: Tensor<4>, layers: [PointwiseLayer; 3]) -> Tensor
 }
 
 /// The input, and weight and bias of each layer, where all are on the CPU and not part of a graph.
-fn cpu_operands(input: &Tensor<4>, layers: &[PointwiseLayer]) -> Option<(CpuTensor, Vec<[CpuTensor; 2]>)> {
+fn cpu_operands<const N: usize>(
+    input: &Tensor<4>,
+    layers: &[PointwiseLayer; N],
+) -> Option<(CpuTensor, [[CpuTensor; 2]; N])> {
     let of_layer =
         |layer: &PointwiseLayer| Some([CpuTensor::of(&layer.weight)?, CpuTensor::of(&layer.bias)?]);
-    Some((CpuTensor::of(input)?, layers.iter().map(of_layer).collect::<Option<_>>()?))
+    let operands = layers.iter().map(of_layer).collect::<Option<Vec<_>>>()?;
+    Some((CpuTensor::of(input)?, array(operands)))
 }
 
-fn fused(input: &CpuTensor, operands: &[[CpuTensor; 2]], options: [&LayerOptions; 3]) -> Tensor<4> {
+fn fused<const N: usize>(
+    input: &CpuTensor,
+    operands: &[[CpuTensor; 2]; N],
+    options: [&LayerOptions; N],
+) -> Tensor<4> {
     let isa = Isa::best();
     let packing = Packing { pass: Pass::Forward, isa, stride: [1, 1], padding: [0, 0] };
-    let packed = [0, 1, 2].map(|i| {
+    let packed: [_; N] = std::array::from_fn(|i| {
         let [weight, _] = &operands[i];
         let [_, depth, _, _] = weight.dims();
         options[i].cache.get(packing, weight.tensor(), |weight| {
@@ -80,19 +90,19 @@ fn fused(input: &CpuTensor, operands: &[[CpuTensor; 2]], options: [&LayerOptions
             packed
         })
     });
-    let layers = [0, 1, 2].map(|i| Layer {
+    let layers: [Layer; N] = std::array::from_fn(|i| Layer {
         map: if options[i].scale { Map::Scale(&packed[i]) } else { Map::Dense(&packed[i]) },
         bias: Some(operands[i][1].slice()),
         add: options[i].add_input_of.map_or(Add::Nothing, Add::InputOf),
         activation: options[i].activation,
     });
     let [batch, channels, height, width] = input.dims();
-    let [outputs] = operands[2][1].dims();
+    let [outputs] = operands[N - 1][1].dims();
     let out = pointwise(isa, input.slice(), [batch, channels, height * width], &layers);
     CpuTensor::new(out, [batch, outputs, height, width]).into_tensor()
 }
 
-fn one_by_one(input: Tensor<4>, layers: [PointwiseLayer; 3]) -> Tensor<4> {
+fn one_by_one<const N: usize>(input: Tensor<4>, layers: [PointwiseLayer; N]) -> Tensor<4> {
     let mut inputs = Vec::with_capacity(layers.len());
     let mut x = input;
     for PointwiseLayer { weight, bias, options } in layers {

@@ -1,0 +1,254 @@
+//! Attention whose weights are used once: every pair of pixels is computed once, in the cache, and nothing of it is kept but the
+//! sums that its gradients need. An image may be cut into windows, as in Swin (Liu et al., ICCV 2021).
+
+use std::borrow::Cow;
+use std::ops::Range;
+
+use rayon::prelude::*;
+use srflow_simd::{Isa, Output, Start, Steps, panel_columns};
+
+use super::backward::Gathered;
+use super::panels::{BLOCK, Group, PANELS, blocks, channels_as_rows, from_panels};
+use super::softmax::{exponentiate, scale_columns};
+use super::weights::{AttentionWeights, Gathering, Pairs, Sums, invert};
+use crate::MapShape;
+
+/// Windows that an image is cut into: the pixels of each attend to each other alone.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Windows {
+    /// Bands of rows, from the top.
+    rows: Vec<Range<usize>>,
+    /// Bands of columns, from the left.
+    columns: Vec<Range<usize>>,
+}
+
+/// A rectangle of an image.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Window {
+    pub(super) rows: Range<usize>,
+    pub(super) columns: Range<usize>,
+}
+
+impl Windows {
+    /// `splits` windows of one size along each side, or one of the whole image. Panics when the sides, height and width, are not
+    /// multiples of `splits`.
+    pub fn split(sides: [usize; 2], splits: usize) -> Self {
+        Self::bands(sides, splits, |_| 0)
+    }
+
+    /// [`Self::split`], moved by half a window down and right. What lies outside of whole windows then, which Swin moves to the
+    /// other end of the image and masks, are smaller windows.
+    pub fn shifted(sides: [usize; 2], splits: usize) -> Self {
+        Self::bands(sides, splits, |window| window / 2)
+    }
+
+    fn bands(sides: [usize; 2], splits: usize, shift: fn(usize) -> usize) -> Self {
+        let [rows, columns] = sides.map(|side| {
+            assert!(splits > 0 && side.is_multiple_of(splits), "{splits} windows along {side} pixels");
+            let window = side / splits;
+            let cuts = (0..splits).map(|number| shift(window) + number * window);
+            let mut cuts: Vec<usize> = std::iter::once(0).chain(cuts).chain([side]).collect();
+            cuts.dedup();
+            cuts.windows(2).map(|ends| ends[0]..ends[1]).collect()
+        });
+        Self { rows, columns }
+    }
+
+    /// Bands of rows, from the top, and of columns, from the left.
+    pub(super) fn into_bands(self) -> [Vec<Range<usize>>; 2] {
+        [self.rows, self.columns]
+    }
+
+    /// Height and width of the image.
+    pub(super) fn sides(&self) -> [usize; 2] {
+        [&self.rows, &self.columns].map(|bands| bands.last().map_or(0, |last| last.end))
+    }
+
+    /// Row by row.
+    pub(super) fn each(&self) -> Vec<Window> {
+        let row = |rows: &Range<usize>| {
+            let rows = rows.clone();
+            self.columns.iter().map(move |columns| Window { rows: rows.clone(), columns: columns.clone() })
+        };
+        self.rows.iter().flat_map(row).collect()
+    }
+}
+
+impl Window {
+    fn pixels(&self) -> usize {
+        self.rows.len() * self.columns.len()
+    }
+
+    /// Its part of an image of `[channels, height, width]`, as `[channels, pixels]`.
+    fn of<'a>(&self, image: &'a [f32], [height, width]: [usize; 2]) -> Cow<'a, [f32]> {
+        if self.pixels() == height * width {
+            return Cow::Borrowed(image);
+        }
+        let planes = image.chunks_exact(height * width);
+        let rows =
+            planes.flat_map(|plane| plane.chunks_exact(width).take(self.rows.end).skip(self.rows.start));
+        Cow::Owned(rows.flat_map(|row| &row[self.columns.clone()]).copied().collect())
+    }
+
+    /// Writes channel `channel` of what [`Self::of`] gave to a plane of the image.
+    fn put(&self, part: &[f32], channel: usize, plane: &mut [f32], width: usize) {
+        let from = &part[channel * self.pixels()..][..self.pixels()];
+        let rows = plane.chunks_exact_mut(width).take(self.rows.end).skip(self.rows.start);
+        for (to, from) in rows.zip(from.chunks_exact(self.columns.len())) {
+            to[self.columns.clone()].copy_from_slice(from);
+        }
+    }
+}
+
+/// `of` for each window of each image, given its part of each input: `N` tensors of the images, made of the parts
+/// `[channels, pixels]` that it gives.
+fn in_windows<const I: usize, const N: usize>(
+    windows: &Windows,
+    batch: usize,
+    inputs: [&[f32]; I],
+    of: impl Fn([Cow<'_, [f32]>; I], usize) -> [Vec<f32>; N] + Sync,
+) -> [Vec<f32>; N] {
+    let sides @ [height, width] = windows.sides();
+    let each = windows.each();
+    let tasks = (0..batch * each.len()).into_par_iter();
+    let parts: Vec<[Vec<f32>; N]> = tasks
+        .map(|task| {
+            let (n, window) = (task / each.len(), &each[task % each.len()]);
+            let own = inputs.map(|input| {
+                let image = input.len() / batch;
+                window.of(&input[n * image..][..image], sides)
+            });
+            of(own, window.pixels())
+        })
+        .collect();
+    std::array::from_fn(|output| {
+        let channels = parts[0][output].len() / each[0].pixels();
+        let mut whole = vec![0.0; batch * channels * height * width];
+        whole.par_chunks_exact_mut((height * width).max(1)).enumerate().for_each(|(plane, to)| {
+            let (n, channel) = (plane / channels, plane % channels);
+            for (window, parts) in each.iter().zip(&parts[n * each.len()..]) {
+                window.put(&parts[output], channel, to, width);
+            }
+        });
+        whole
+    })
+}
+
+/// `out_i = sum_j softmax_j(q_i . k_j) v_j` over the pixels of the window of `i`, and the softmax statistics for
+/// [`windowed_attention_backward`], `[batch, 2, height, width]`.
+///
+/// Queries and keys are of `shape`, values of any number of channels. Panics when the length of a slice does not match, or the
+/// windows are not of these images.
+pub fn windowed_attention(
+    queries: &[f32],
+    keys: &[f32],
+    values: &[f32],
+    shape: &MapShape,
+    windows: &Windows,
+) -> [Vec<f32>; 2] {
+    check([queries, keys], [values], shape, windows);
+    in_windows(windows, shape.batch, [queries, keys, values], |[queries, keys, values], pixels| {
+        let (out, Sums { maxima, inverse_sums }) = attend(Isa::best(), &queries, &keys, &values, pixels);
+        [out, [&maxima[..pixels], &inverse_sums[..pixels]].concat()]
+    })
+}
+
+/// Gradients of queries, keys and values, given what [`windowed_attention`] gave and `grad`, the gradient of its output. That of
+/// the values is empty unless it is wanted. Panics as [`windowed_attention`].
+pub fn windowed_attention_backward(
+    [queries, keys, values]: [&[f32]; 3],
+    [out, statistics]: [&[f32]; 2],
+    grad: &[f32],
+    shape: &MapShape,
+    windows: &Windows,
+    of_values: bool,
+) -> [Vec<f32>; 3] {
+    check([queries, keys], [values, out, grad], shape, windows);
+    assert_eq!(statistics.len(), shape.with_channels(2).elements(), "statistics of {shape:?}");
+    let isa = Isa::best();
+    let inputs = [queries, keys, values, out, statistics, grad];
+    let backward = |[queries, keys, values, out, statistics, grad]: [Cow<[f32]>; 6], pixels: usize| {
+        let mut sums = Sums::of_nothing(pixels.next_multiple_of(panel_columns(isa)));
+        let (maxima, inverse_sums) = statistics.split_at(pixels);
+        sums.maxima[..pixels].copy_from_slice(maxima);
+        sums.inverse_sums[..pixels].copy_from_slice(inverse_sums);
+        let weights = AttentionWeights::of_sums(isa, &queries, &keys, pixels, sums);
+        let gathered = Gathered { values: &values, gathered: &out, grad: &grad };
+        let [d_queries, d_keys] = weights.backward(&queries, &keys, &[gathered], &vec![0.0; pixels]);
+        let d_values = if of_values { weights.gather_backward(&queries, &keys, &grad) } else { Vec::new() };
+        [d_queries, d_keys, d_values]
+    };
+    in_windows(windows, shape.batch, inputs, backward)
+}
+
+fn check<const N: usize>(pairs: [&[f32]; 2], others: [&[f32]; N], shape: &MapShape, windows: &Windows) {
+    assert!(shape.elements() > 0, "attention: pixels and channels: {shape:?}");
+    assert_eq!(windows.sides(), [shape.height, shape.width], "attention: windows of the image");
+    for pair in pairs {
+        assert_eq!(pair.len(), shape.elements(), "queries and keys of {shape:?}");
+    }
+    for other in others {
+        assert_eq!(other.len(), others[0].len(), "as many outputs as values");
+        assert!(other.len().is_multiple_of(shape.with_channels(1).elements()), "values of {shape:?}");
+    }
+}
+
+/// Attention between all pixels of a window, and the sums by which its weights can be computed again. All are
+/// `[channels, pixels]`.
+pub(super) fn attend(
+    isa: Isa,
+    queries: &[f32],
+    keys: &[f32],
+    values: &[f32],
+    pixels: usize,
+) -> (Vec<f32>, Sums) {
+    let width = panel_columns(isa);
+    let channels = values.len() / pixels;
+    let pairs = Pairs::new(isa, queries, keys, pixels);
+    let values = channels_as_rows(isa, values, pixels, BLOCK);
+    let gathering = Gathering { isa, pixels, values: &values };
+    let columns = pixels.next_multiple_of(width);
+    let mut sums = Sums::of_nothing(columns);
+    let mut out = vec![0.0; channels * columns];
+    let statistics = sums.maxima.par_chunks_mut(PANELS * width);
+    let statistics = statistics.zip(sums.inverse_sums.par_chunks_mut(PANELS * width));
+    out.par_chunks_mut(PANELS * channels * width).zip(statistics).enumerate().for_each_init(
+        || (vec![0.0; PANELS * BLOCK * width], vec![0.0; PANELS * width]),
+        |(scores, factors), (number, (out, (maxima, sums)))| {
+            let group = Group::of(isa, number, pixels);
+            let step = BLOCK * width;
+            for block @ (first, len) in blocks(pixels) {
+                let mut output = Output::new(scores, Steps { row: width, panel: step });
+                pairs.multiply(group, block, Start::Zero, &mut output);
+                for panel in 0..group.panels {
+                    let own = panel * width..(panel + 1) * width;
+                    let (maxima, sums) = (&mut maxima[own.clone()], &mut sums[own.clone()]);
+                    exponentiate(
+                        isa,
+                        &mut scores[panel * step..][..len * width],
+                        maxima,
+                        sums,
+                        &mut factors[own],
+                    );
+                }
+                if first > 0 {
+                    scale(out, channels, factors, width);
+                }
+                let mut output = Output::new(out, Steps { row: width, panel: channels * width });
+                gathering.add(group, block, scores, step, &mut output);
+            }
+            invert(sums, maxima);
+            scale(out, channels, sums, width);
+        },
+    );
+    (from_panels(isa, &out, pixels), sums)
+}
+
+/// Multiplies the columns of panels of `channels` rows.
+fn scale(panels: &mut [f32], channels: usize, factors: &[f32], width: usize) {
+    for (panel, factors) in panels.chunks_exact_mut(channels * width).zip(factors.chunks_exact(width)) {
+        if factors.iter().any(|&factor| factor != 1.0) {
+            scale_columns(panel, factors);
+        }
+    }
+}

@@ -27,7 +27,7 @@ from weights import SEED, new_model, random_state
 
 ROOT = Path(__file__).resolve().parents[2]
 # Names of the attribute that holds a model's iterations.
-ITERATIONS = {"dpflow": "iters_per_level", "memflow": "decoder_depth"}
+ITERATIONS = {"dpflow": "iters_per_level", "memflow": "decoder_depth", "unimatch_sc2_ref6": "num_reg_refine"}
 
 
 def texture(height, width, y, x):

@@ -25,6 +25,7 @@ SEED = 7
 NETWORKS = [
     "raft", "raft_small", "gma", "skflow", "rpknet", "dpflow", "sea_raft_s", "sea_raft_m", "flownets", "flownetc", "flownetcss",
     "flownet3_css",
+    "unimatch", "unimatch_sc2", "unimatch_sc2_ref6"
 ]
 
 

@@ -92,6 +92,15 @@ def sea_raft(name, iterations, flow_head, **more):
     return Network(name, iterations=iterations, gains=gains, mixture=True, **more)
 
 
+def unimatch(name, gains, **more):
+    """Full weights would match hardly anything but by chance: the softmax of large scores leaps from pixel to pixel."""
+    return Network(name, attribute="num_reg_refine", cases=((1, 128, 160), (2, 100, 150)), gains=gains, **more)
+
+
+# A fine scale warps features, as FlowNet2-CSS warps frames.
+UNIMATCH_SC2 = {"q_proj.": 0.3, "trident_conv.": 0.3, "flow_head.conv2.": 0.25}
+
+
 # FlowNet has no norm, and every leaky ReLU halves the variance.
 FLOWNET = {
     "iterations": (1,),
@@ -123,6 +132,9 @@ NETWORKS = [
     ),
     Network("flownets", **FLOWNET),
     Network("flownetc", **FLOWNET),
+    unimatch("unimatch", {"q_proj.": 0.5, "feature_flow_attn.": 0.7}, iterations=(1,), training_iterations=1),
+    unimatch("unimatch_sc2", UNIMATCH_SC2, iterations=(1,), gradients="unimatch_sc2_ref6"),
+    unimatch("unimatch_sc2_ref6", UNIMATCH_SC2, iterations=(1, 6)),
     # Stacked, large flows through frames full of grain would enlarge every rounding error.
     Network("flownetcss", **{**FLOWNET, "gains": {"conv": 1.7, "upsampled": 2.0, "predict_flow": 0.75}}),
     Network(

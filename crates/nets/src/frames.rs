@@ -29,7 +29,7 @@ impl Border {
     }
 
     /// Pads by repeating the outermost rows and columns.
-    fn add(&self, x: Tensor<4>) -> Tensor<4> {
+    pub(crate) fn add(&self, x: Tensor<4>) -> Tensor<4> {
         if self.padded == self.size {
             return x;
         }

@@ -29,6 +29,7 @@ mod shots;
 mod skflow;
 mod table;
 mod tiles;
+mod unimatch;
 
 pub use claim::{Claim, claim};
 pub use estimate::{Encoded, Estimate, LaplaceMixture, Memory, Request};

@@ -5,12 +5,12 @@ use burn::tensor::{Device, Tensor};
 
 use crate::MemoryNeed;
 use crate::blocks::{
-    ConvexMask, Encoder, EncoderConfig, FlowHead, MotionEncoder, NormKind, SepConvGru, convex_mask,
-    convex_upsample,
+    ConvexMask, Encoder, EncoderConfig, FlowHead, MotionEncoder, NormKind, SepConvGru, convex_mask_by,
+    convex_upsample, window_entries,
 };
 use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
-use crate::recurrent::{self, Encoders, Recurrent, Refined};
+use crate::recurrent::{self, Encoders, Recurrent, Refined, STRIDE};
 use crate::table::Entry;
 
 /// Channels of the hidden state, and of the context.
@@ -46,12 +46,13 @@ pub struct Raft {
     update_block: UpdateBlock,
 }
 
+/// `BasicUpdateBlock`.
 #[derive(Module, Debug)]
-struct UpdateBlock {
-    encoder: MotionEncoder,
-    gru: SepConvGru,
-    flow_head: FlowHead,
-    mask: ConvexMask,
+pub(crate) struct UpdateBlock {
+    pub(crate) encoder: MotionEncoder,
+    pub(crate) gru: SepConvGru,
+    pub(crate) flow_head: FlowHead,
+    pub(crate) mask: ConvexMask,
 }
 
 impl Raft {
@@ -59,12 +60,19 @@ impl Raft {
         Self {
             fnet: EncoderConfig::basic(256, NormKind::Instance).init(device),
             cnet: EncoderConfig::basic(2 * HIDDEN, NormKind::Batch).init(device),
-            update_block: UpdateBlock {
-                encoder: MotionEncoder::new(RADIUS, device),
-                gru: SepConvGru::new(HIDDEN, 128 + HIDDEN, device),
-                flow_head: FlowHead::new(HIDDEN, 256, device),
-                mask: convex_mask(HIDDEN, device),
-            },
+            update_block: UpdateBlock::new(window_entries(RADIUS), STRIDE, device),
+        }
+    }
+}
+
+impl UpdateBlock {
+    /// From so many correlations for each pixel, to flow of a grid `factor` times as fine.
+    pub(crate) fn new(entries: usize, factor: usize, device: &Device) -> Self {
+        Self {
+            encoder: MotionEncoder::of_entries(entries, device),
+            gru: SepConvGru::new(HIDDEN, 128 + HIDDEN, device),
+            flow_head: FlowHead::new(HIDDEN, 256, device),
+            mask: convex_mask_by(factor, HIDDEN, device),
         }
     }
 }

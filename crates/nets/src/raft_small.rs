@@ -11,7 +11,7 @@ use crate::blocks::{
 use crate::estimate::Memory;
 use crate::facts::{Facts, ptlflow};
 use crate::raft::RAFT;
-use crate::recurrent::{Encoders, Recurrent, Refined};
+use crate::recurrent::{Encoders, Recurrent, Refined, STRIDE};
 use crate::table::Entry;
 
 /// Channels of the hidden state.
@@ -80,6 +80,6 @@ impl Recurrent for RaftSmall {
     }
 
     fn upsample(&self, _: &Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
-        bilinear_upsample(flow)
+        bilinear_upsample(flow, STRIDE)
     }
 }

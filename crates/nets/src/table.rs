@@ -9,7 +9,9 @@ use crate::facts::{Facts, Padding};
 use crate::features::Features;
 use crate::frames::Frames;
 use crate::settings::{Setting, SettingError, set};
-use crate::{dpflow, flownet, flownet3, flownetcss, gma, memflow, raft, raft_small, rpknet, sea_raft, skflow};
+use crate::{
+    dpflow, flownet, flownet3, flownetcss, gma, memflow, raft, raft_small, rpknet, sea_raft, skflow, unimatch,
+};
 
 /// An entry of the table.
 pub(crate) struct Entry<N> {
@@ -173,6 +175,9 @@ networks! {
     FlowNetC(flownet::FlowNet) = flownet::FLOWNETC,
     FlowNetCss(flownetcss::FlowNetCss) = flownetcss::FLOWNETCSS,
     FlowNet3Css(flownet3::FlowNet3) = flownet3::FLOWNET3_CSS,
+    UniMatch(unimatch::UniMatch) = unimatch::UNIMATCH,
+    UniMatchSc2(unimatch::UniMatch) = unimatch::UNIMATCH_SC2,
+    UniMatchSc2Ref6(unimatch::UniMatch) = unimatch::UNIMATCH_SC2_REF6,
 }
 
 #[cfg(test)]
@@ -186,7 +191,9 @@ mod tests {
             for weights in architecture.facts().published {
                 let file = weights.file_name();
                 let end = format!("-{}-{}.ckpt", weights.trained_on, &weights.sha256[..8]);
+                // ptlflow's models have shorter names than its files.
                 let network = file.strip_suffix(&end).expect(file).replace('_', "-");
+                let network = network.replace("-scale", "-sc").replace("-refine", "-ref");
                 let facts = architecture.facts();
                 assert!(network == facts.name || facts.same_weights.contains(&network.as_str()), "{file}");
             }

@@ -55,6 +55,7 @@ fn data() -> &'static Path {
         write_weights(&path.join("one.safetensors"), Architecture::RaftSmall, 1);
         write_weights(&path.join("two.safetensors"), Architecture::RaftSmall, 2);
         write_weights(&path.join("rpknet.safetensors"), Architecture::RpkNet, 3);
+        write_weights(&path.join("unimatch-sc2.safetensors"), Architecture::UniMatchSc2, 3);
         write_weights(&path.join("memflow.safetensors"), Architecture::MemFlow, 4);
         write_weights(&path.join("sea-raft-s.safetensors"), Architecture::SeaRaftS, 5);
         write_weights(&path.join("dpflow.safetensors"), Architecture::DpFlow, 6);
@@ -193,6 +194,31 @@ fn the_report_names_the_levels_in_which_flow_is_refined() {
         2,
         &["levels to be 0, 3, 4, 5, 6, 7 or 8, found 2"],
     );
+}
+
+#[test]
+fn unimatch_has_settings_for_each_scale() {
+    let run = |out: &str, more: &[&str]| {
+        let method = ["flow", "--method", "unimatch-sc2=unimatch-sc2.safetensors", "--json", "-o", out];
+        let report = json(&srflow(&[&method, more, &["video/0.png", "video/1.png"]].concat()));
+        let names = [
+            "attn_splits_1",
+            "corr_radius_1",
+            "prop_radius_1",
+            "attn_splits_2",
+            "corr_radius_2",
+            "prop_radius_2",
+        ];
+        (names.map(|name| report["network"]["settings"][name].as_u64().unwrap()), read(out))
+    };
+    let (settings, flow) = run("unimatch/default.flo", &[]);
+    assert_eq!(settings, [2, 0, 0, 8, 4, 1], "those of the published networks");
+    for change in
+        ["attn_splits_1=1", "corr_radius_1=8", "prop_radius_1=2", "attn_splits_2=4", "corr_radius_2=2"]
+    {
+        let (_, other) = run("unimatch/other.flo", &["--force", "--set", change]);
+        assert!(compare(&flow, &other).0 > 1e-3, "{change}");
+    }
 }
 
 /// With any batch size.

@@ -1,10 +1,12 @@
-//! Feature and context encoder of RAFT (`extractor.py`), which reduces the size to an eighth.
+//! Feature and context encoder of RAFT (`extractor.py`), which reduces the size to an eighth, and encoder of UniMatch
+//! (`backbone.py`), which reduces it to an eighth or to a quarter.
 
-use burn::module::{Initializer, Module};
+use burn::module::{Initializer, Module, Param};
 use burn::tensor::{Device, Tensor};
 use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, NoParameters};
 use srflow_ops::Activation;
 use srflow_ops::activation::tensor::activated_sum;
+use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::instance_norm::tensor::instance_norm;
 
 /// Normalization of an encoder.
@@ -33,9 +35,16 @@ pub(crate) struct EncoderConfig {
     bottleneck: bool,
     output: usize,
     norm: NormKind,
+    /// Whether convolutions before a norm add a bias, except in shortcuts, where all do.
+    bias: bool,
+    /// Of the third layer.
+    last_stride: usize,
+    /// Sizes in which the output is made.
+    scales: usize,
 }
 
-/// A stem and three layers of two residual blocks; the stem and the second and third layers halve the size.
+/// A stem and three layers of two residual blocks; the stem, the second layer and, except with several scales, the third halve
+/// the size.
 #[derive(Module, Debug)]
 pub(crate) struct Encoder {
     conv1: Conv2d,
@@ -44,10 +53,19 @@ pub(crate) struct Encoder {
     layer2: Vec<Block>,
     layer3: Vec<Block>,
     conv2: Conv2d,
+    trident_conv: Option<TridentConv>,
 }
 
-/// A residual block. For blocks that halve the size, the reference stores the norm of the shortcut twice: as `downsample.1` and
-/// as `norm3` (`norm4` in a bottleneck).
+/// `MultiScaleTridentConv`: one kernel makes all scales of the output; its stride doubles from one scale to the next coarser.
+#[derive(Module, Debug)]
+struct TridentConv {
+    weight: Param<Tensor<4>>,
+    #[module(skip)]
+    scales: usize,
+}
+
+/// A residual block. For blocks that change size or channels, the reference stores the norm of the shortcut twice: as
+/// `downsample.1` and as `norm3` (`norm4` in a bottleneck).
 #[derive(Module, Debug)]
 struct Block {
     conv1: Conv2d,
@@ -67,12 +85,26 @@ fn conv(channels: [usize; 2], kernel: usize) -> Conv2dConfig {
 impl EncoderConfig {
     /// `BasicEncoder`.
     pub(crate) fn basic(output: usize, norm: NormKind) -> Self {
-        Self { channels: [64, 96, 128], bottleneck: false, output, norm }
+        Self {
+            channels: [64, 96, 128],
+            bottleneck: false,
+            output,
+            norm,
+            bias: true,
+            last_stride: 2,
+            scales: 1,
+        }
+    }
+
+    /// `CNNEncoder`, to an eighth of the size; of several scales the finest is a quarter.
+    pub(crate) fn of_scales(output: usize, scales: usize) -> Self {
+        let last_stride = if scales > 1 { 1 } else { 2 };
+        Self { bias: false, last_stride, scales, ..Self::basic(output, NormKind::Instance) }
     }
 
     /// `SmallEncoder`.
     pub(crate) fn small(output: usize, norm: NormKind) -> Self {
-        Self { channels: [32, 64, 96], bottleneck: true, output, norm }
+        Self { channels: [32, 64, 96], bottleneck: true, ..Self::basic(output, norm) }
     }
 
     pub(crate) fn init(&self, device: &Device) -> Encoder {
@@ -81,31 +113,33 @@ impl EncoderConfig {
             vec![self.block([inputs, outputs], stride, device), self.block([outputs, outputs], 1, device)]
         };
         Encoder {
-            conv1: conv([3, first], 7).with_stride(2).init(device),
+            conv1: conv([3, first], 7).with_stride(2).with_bias(self.bias).init(device),
             norm1: Norm::new(self.norm, first, device),
             layer1: layer(first, first, 1),
             layer2: layer(first, second, 2),
-            layer3: layer(second, third, 2),
+            layer3: layer(second, third, self.last_stride),
             conv2: conv([third, self.output], 1).init(device),
+            trident_conv: (self.scales > 1).then(|| TridentConv::new(self.output, self.scales, device)),
         }
     }
 
     fn block(&self, [inputs, outputs]: [usize; 2], stride: usize, device: &Device) -> Block {
         let norm = |channels| Norm::new(self.norm, channels, device);
+        let before_norm = |channels, kernel| conv(channels, kernel).with_bias(self.bias);
         let inner = if self.bottleneck { outputs / 4 } else { outputs };
         let (first, second) = if self.bottleneck {
-            (conv([inputs, inner], 1), conv([inner, inner], 3).with_stride(stride))
+            (before_norm([inputs, inner], 1), before_norm([inner, inner], 3).with_stride(stride))
         } else {
-            (conv([inputs, inner], 3).with_stride(stride), conv([inner, inner], 3))
+            (before_norm([inputs, inner], 3).with_stride(stride), before_norm([inner, inner], 3))
         };
         Block {
             conv1: first.init(device),
             norm1: norm(inner),
             conv2: second.init(device),
             norm2: norm(inner),
-            conv3: self.bottleneck.then(|| conv([inner, outputs], 1).init(device)),
+            conv3: self.bottleneck.then(|| before_norm([inner, outputs], 1).init(device)),
             norm3: self.bottleneck.then(|| norm(outputs)),
-            downsample: (stride > 1)
+            downsample: (stride > 1 || inputs != outputs)
                 .then(|| (conv([inputs, outputs], 1).with_stride(stride).init(device), norm(outputs))),
         }
     }
@@ -131,13 +165,38 @@ impl Norm {
 }
 
 impl Encoder {
-    /// `[batch, output, height / 8, width / 8]` from `[batch, 3, height, width]`.
+    /// `[batch, output, height / 8, width / 8]`, or a quarter of the size, from `[batch, 3, height, width]`.
     pub(crate) fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let mut x = self.norm1.after(&self.conv1, x, Activation::Relu);
         for block in self.layer1.iter().chain(&self.layer2).chain(&self.layer3) {
             x = block.forward(x);
         }
         self.conv2.forward(x, Activation::Identity)
+    }
+
+    /// The output in each scale, the coarsest first.
+    pub(crate) fn forward_scales(&self, x: Tensor<4>) -> Vec<Tensor<4>> {
+        let x = self.forward(x);
+        match &self.trident_conv {
+            Some(conv) => conv.forward(&x),
+            None => vec![x],
+        }
+    }
+}
+
+impl TridentConv {
+    fn new(channels: usize, scales: usize, device: &Device) -> Self {
+        let initializer = Initializer::KaimingUniform { gain: std::f64::consts::SQRT_2, fan_out_only: false };
+        let fan = Some(9 * channels);
+        Self { weight: initializer.init_with([channels, channels, 3, 3], fan, fan, device), scales }
+    }
+
+    fn forward(&self, x: &Tensor<4>) -> Vec<Tensor<4>> {
+        let of_scale = |scale: usize| {
+            let options = Conv2dOptions::new([1 << scale; 2], [1, 1]);
+            conv2d(x.clone(), self.weight.val(), Epilogue::default(), options)
+        };
+        (0..self.scales).rev().map(of_scale).collect()
     }
 }
 

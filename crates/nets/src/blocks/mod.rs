@@ -13,5 +13,6 @@ pub(crate) use gru::{ConvGru, SepConvGru, StageGru};
 pub(crate) use motion::{FlowHead, MotionEncoder, SmallMotionEncoder, window_entries};
 pub(crate) use resize::{Grids, resize, resize_flow};
 pub(crate) use upsampler::{
-    ConvexMask, WideConvexMask, bilinear_upsample, convex_mask, convex_upsample, upsample_by,
+    ConvexMask, WideConvexMask, bilinear_upsample, convex_mask, convex_mask_by, convex_upsample,
+    unscaled_convex_upsample, upsample_by,
 };

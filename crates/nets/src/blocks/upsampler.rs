@@ -12,22 +12,41 @@ use crate::recurrent::STRIDE;
 /// Factor of the weights in the reference, "to balance gradients".
 const MASK_SCALE: f32 = 0.25;
 
-/// Computes weights of convex upsampling from the hidden state: the sequence `update_block.mask`, or `upsample_weight`.
+/// Computes weights of convex upsampling from the hidden state: the sequence `update_block.mask`, `upsample_weight` or
+/// `upsampler`.
 pub(crate) type ConvexMask = (Conv2d, NoParameters, Conv2d);
 
 pub(crate) fn convex_mask(hidden: usize, device: &Device) -> ConvexMask {
+    convex_mask_by(STRIDE, hidden, device)
+}
+
+/// For `factor` fine pixels along the side of a coarse one, from so many channels.
+pub(crate) fn convex_mask_by(factor: usize, inputs: usize, device: &Device) -> ConvexMask {
     (
-        Conv2dConfig::new([hidden, 256], [3, 3]).init(device),
+        Conv2dConfig::new([inputs, 256], [3, 3]).init(device),
         NoParameters,
-        Conv2dConfig::new([256, STRIDE * STRIDE * 9], [1, 1]).init(device),
+        Conv2dConfig::new([256, factor * factor * 9], [1, 1]).init(device),
     )
 }
 
 /// Upsamples coarse flow `[batch, 2, height, width]` 8 times, each fine pixel as a convex combination of 3x3 coarse neighbours.
 pub(crate) fn convex_upsample(mask: &ConvexMask, hidden: &Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
-    let weights = mask.0.forward(hidden.clone(), Activation::Relu);
-    let weights = mask.2.forward(weights, Activation::Identity);
+    let weights = mask_weights(mask, hidden);
     tensor::convex_upsample(flow, weights, MASK_SCALE, STRIDE)
+}
+
+/// [`convex_upsample`] by `factor`, with weights that are not scaled (UniMatch).
+pub(crate) fn unscaled_convex_upsample(
+    mask: &ConvexMask,
+    x: &Tensor<4>,
+    flow: Tensor<4>,
+    factor: usize,
+) -> Tensor<4> {
+    tensor::convex_upsample(flow, mask_weights(mask, x), 1.0, factor)
+}
+
+fn mask_weights(mask: &ConvexMask, x: &Tensor<4>) -> Tensor<4> {
+    mask.2.forward(mask.0.forward(x.clone(), Activation::Relu), Activation::Identity)
 }
 
 /// `ConvexMask` of RPKNet and DPFlow: computes weights of convex upsampling from the hidden state.
@@ -57,8 +76,8 @@ pub(crate) fn upsample_by(weights: &Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
     tensor::convex_upsample(flow, weights.clone(), 1.0, STRIDE)
 }
 
-/// Upsamples coarse flow 8 times by bilinear interpolation with `align_corners=True` (`upflow8`).
-pub(crate) fn bilinear_upsample(flow: Tensor<4>) -> Tensor<4> {
+/// Upsamples coarse flow `factor` times by bilinear interpolation with `align_corners=True` (`upflow8`).
+pub(crate) fn bilinear_upsample(flow: Tensor<4>, factor: usize) -> Tensor<4> {
     let [_, _, height, width] = flow.dims();
-    resize(flow, [height, width].map(|side| STRIDE * side), Grids::CornersOnCorners) * STRIDE as f64
+    resize(flow, [height, width].map(|side| factor * side), Grids::CornersOnCorners) * factor as f64
 }

@@ -24,6 +24,7 @@ mod size;
 mod warp;
 
 pub use atomic_write::{PARTIAL_EXTENSION, create_folder, write_atomically, write_file};
+pub use codec::hdf5::{Hdf5Array, MAGIC as HDF5_MAGIC, hdf5_arrays};
 pub use codec::npy::{Array, read_npy, read_npy_plane, write_npy, write_npy_plane};
 pub use codec::npz::open_zip;
 pub use codec::npz::{NpzArray, write_npz};

@@ -162,3 +162,102 @@ fn the_norm_of_a_shortcut_loads_by_its_second_name() {
     let loaded = load_network(Architecture::SeaRaftS, &path, &Device::flex()).expect("its weights");
     assert!(srflow_nn::parameters(&loaded) == parameters);
 }
+
+/// The authors' names in a TensorFlow checkpoint, from ours.
+fn name_in_tensorflow(name: &str) -> String {
+    let name = name.replace(".predict.", ".predict.conv.").replace("weight", "kernel").replace('.', "/");
+    match name.split_once('/') {
+        Some(("net1", rest)) if !rest.starts_with("features") => format!("net1/upper/{rest}"),
+        Some(("net1", _)) => name,
+        _ => name.replace("/features/", "/encoder/"),
+    }
+}
+
+/// A checkpoint as `tf.train.Saver` writes it: names, kernels `[height, width, inputs, outputs]` and the table beside.
+#[test]
+fn a_tensorflow_checkpoint_of_flownet3_is_loaded() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("snapshot-250000.index");
+    let network = Architecture::FlowNet3Css.init(&Device::flex());
+    let expected = parameters(&network);
+    let mut entries = vec![(String::new(), vec![0x08, 1])];
+    let mut tensors = Vec::new();
+    for (name, data) in &expected {
+        let numbers = data.as_slice::<f32>().expect("f32");
+        let mut shape = data.shape().to_vec();
+        let mut bytes: Vec<u8> = Vec::new();
+        if let [outer, inner, height, width] = shape[..] {
+            let taps = height * width;
+            let order =
+                (0..taps).flat_map(|tap| (0..inner).flat_map(move |i| (0..outer).map(move |o| (o, i, tap))));
+            bytes.extend(order.flat_map(|(o, i, tap)| numbers[(o * inner + i) * taps + tap].to_le_bytes()));
+            shape = vec![height, width, inner, outer];
+        } else {
+            bytes.extend(numbers.iter().flat_map(|number| number.to_le_bytes()));
+        }
+        let dimensions = shape.iter().flat_map(|&size| message(2, &number(1, size))).collect::<Vec<u8>>();
+        let mut entry =
+            [number(1, 1), message(2, &dimensions), number(4, tensors.len()), number(5, bytes.len())]
+                .concat();
+        entry.push(6 << 3 | 5);
+        entry.extend(checksum(&bytes));
+        entries.push((name_in_tensorflow(name), entry));
+        tensors.extend(bytes);
+    }
+    entries.sort();
+    std::fs::write(folder.path().join("snapshot-250000.data-00000-of-00001"), tensors).expect("tensors");
+    let mut table = Vec::new();
+    let place = block(&mut table, &entries);
+    let index = block(&mut table, &[("z".to_owned(), place)]);
+    let mut footer = [vec![0, 0], index].concat();
+    footer.resize(40, 0);
+    footer.extend(0xdb47_7524_8b80_fb57_u64.to_le_bytes());
+    table.extend(footer);
+    std::fs::write(&path, table).expect("a table");
+
+    let loaded = load_network(Architecture::FlowNet3Css, &path, &Device::flex()).expect("its weights");
+    assert!(parameters(&loaded) == expected);
+    assert_eq!(fits_of_file(&path).expect("readable")[0].architecture, Architecture::FlowNet3Css);
+}
+
+fn varint(mut number: usize) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    while number >= 0x80 {
+        bytes.push(number as u8 | 0x80);
+        number >>= 7;
+    }
+    bytes.push(number as u8);
+    bytes
+}
+
+/// A field of a protocol buffer.
+fn number(field: u8, value: usize) -> Vec<u8> {
+    [vec![field << 3], varint(value)].concat()
+}
+
+fn message(field: u8, content: &[u8]) -> Vec<u8> {
+    [vec![field << 3 | 2], varint(content.len()), content.to_vec()].concat()
+}
+
+fn checksum(bytes: &[u8]) -> [u8; 4] {
+    crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
+}
+
+/// Appends a block of a LevelDB table, without shared prefixes, and returns its place.
+fn block(table: &mut Vec<u8>, entries: &[(String, Vec<u8>)]) -> Vec<u8> {
+    let start = table.len();
+    let mut bytes = Vec::new();
+    for (key, value) in entries {
+        bytes.push(0);
+        bytes.extend(
+            [varint(key.len()), varint(value.len()), key.as_bytes().to_vec(), value.clone()].concat(),
+        );
+    }
+    bytes.extend([0_u32, 1].map(u32::to_le_bytes).concat());
+    let len = bytes.len();
+    bytes.push(0);
+    let checksum = checksum(&bytes);
+    table.extend(bytes);
+    table.extend(checksum);
+    [varint(start), varint(len)].concat()
+}

@@ -18,7 +18,8 @@ pub enum WeightsError {
     Read { path: PathBuf, error: io::Error },
     /// The file is not a checkpoint.
     #[error(
-        "{}: expected weights in a PyTorch (.pth, .pt, .ckpt), safetensors or burnpack file, found {found}",
+        "{}: expected weights in a PyTorch (.pth, .pt, .ckpt), safetensors, burnpack, TensorFlow (.index) or Keras (.h5) file, \
+         found {found}",
         .path.display()
     )]
     Unrecognized {
@@ -57,7 +58,8 @@ pub enum WeightsError {
     },
 }
 
-/// Loads a checkpoint into `network`: PyTorch (zip, legacy, Lightning), safetensors or burnpack, recognized by content.
+/// Loads a checkpoint into `network`: PyTorch (zip, legacy, Lightning), safetensors, burnpack, TensorFlow or Keras, recognized by
+/// content.
 ///
 /// # Errors
 /// When the file cannot be read, or the names and shapes of its parameters are not exactly those of the network.

@@ -1,4 +1,5 @@
-//! Reading checkpoints of other programs. `tools/parity/checkpoints.py` makes the files in `tests/checkpoints`.
+//! Reading checkpoints of other programs. `tools/parity/checkpoints.py` and `tools/parity/tensorflow_checkpoints.py` make the files
+//! in `tests/checkpoints`.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -115,6 +116,176 @@ fn burnpack(name: &str, bytes: &[u8]) -> Vec<u8> {
     burn_pack::Writer::new(vec![tensor]).into_bytes().expect("a pack").to_vec()
 }
 
+/// 0, 0.125, 0.25 and so on, in the order of PyTorch.
+fn eighths(count: usize) -> Vec<f32> {
+    (0..count).map(|i| i as f32 / 8.0).collect()
+}
+
+/// Names and the order of numbers are PyTorch's; what Adam remembers and counters are left out.
+#[test]
+fn checkpoints_of_tensorflow_and_keras_are_read_as_pytorchs() {
+    let found = read_parameters(&checkpoint("tensorflow.index")).expect("tensorflow.index");
+    let expected: [(&str, &[usize]); 5] = [
+        ("net1.conv1.bias", &[4]),
+        ("net1.conv1.weight", &[4, 2, 3, 1]),
+        ("net2.bn.running_var", &[3]),
+        ("net2.deconv.weight", &[2, 1, 4, 4]),
+        ("net2.half.bias", &[3]),
+    ];
+    assert_eq!(found.keys().collect::<Vec<_>>(), expected.map(|(name, _)| name));
+    for (name, shape) in expected {
+        assert_eq!(found[name].shape().as_slice(), shape, "{name}");
+        assert_eq!(numbers(&found[name]), eighths(shape.iter().product()), "{name}");
+    }
+    let file = Checkpoint::open(&checkpoint("tensorflow.index")).expect("tensorflow.index");
+    assert_eq!((file.format(), file.types().join(" ")), (Format::Tensorflow, "F16 F32".to_owned()));
+
+    let expected: [(&str, &[usize]); 4] = [
+        ("conv1.bias", &[4]),
+        ("conv1.weight", &[4, 2, 3, 1]),
+        ("deconv.bias", &[1]),
+        ("deconv.weight", &[4, 1, 4, 4]),
+    ];
+    for file in ["keras.h5", "keras-model.h5"] {
+        let found = read_parameters(&checkpoint(file)).expect(file);
+        assert_eq!(found.keys().collect::<Vec<_>>(), expected.map(|(name, _)| name), "{file}");
+        for (name, shape) in expected {
+            assert_eq!(found[name].shape().as_slice(), shape, "{file}: {name}");
+            assert_eq!(numbers(&found[name]), eighths(shape.iter().product()), "{file}: {name}");
+        }
+        assert_eq!(Checkpoint::open(&checkpoint(file)).expect(file).format(), Format::Keras);
+    }
+}
+
+/// The table of a checkpoint, its tensors beside it, and a change to one of the two.
+fn changed_tensorflow(change: impl FnOnce(&mut Vec<u8>, &mut Vec<u8>)) -> String {
+    let folder = tempfile::tempdir().expect("folder");
+    let read = |name: &str| std::fs::read(checkpoint(name)).expect(name);
+    let (mut table, mut data) = (read("tensorflow.index"), read("tensorflow.data-00000-of-00001"));
+    change(&mut table, &mut data);
+    let path = folder.path().join("a.index");
+    std::fs::write(&path, table).expect("written");
+    if !data.is_empty() {
+        std::fs::write(folder.path().join("a.data-00000-of-00001"), data).expect("written");
+    }
+    read_parameters(&path).expect_err("changed").to_string()
+}
+
+#[test]
+fn what_is_wrong_with_a_tensorflow_checkpoint_is_said() {
+    let error = changed_tensorflow(|_, data| data.clear());
+    assert!(error.contains("a.index") && error.contains("a.data-00000-of-00001"), "{error}");
+    let error = changed_tensorflow(|_, data| data.truncate(100));
+    assert!(error.contains("net1/conv1/kernel: it claims 96 bytes from 24 on"), "{error}");
+    let error = changed_tensorflow(|_, data| data[30] ^= 1);
+    assert!(error.contains("net1.conv1.weight: the checksum of its bytes is wrong"), "{error}");
+    let error = changed_tensorflow(|table, _| table[8] ^= 1);
+    assert!(error.contains("the checksum of a block of its table at 0 is wrong"), "{error}");
+
+    let (folder, path) = scratch();
+    std::fs::copy(checkpoint("tensorflow.index"), &path).expect("copied");
+    let error = read_parameters(&path).expect_err("without its name").to_string();
+    assert!(error.contains("has to be called NAME.index"), "{error}");
+    let data = folder.path().join("a.data-00000-of-00001");
+    std::fs::copy(checkpoint("tensorflow.data-00000-of-00001"), &data).expect("copied");
+    let error = read_parameters(&data).expect_err("tensors alone").to_string();
+    assert!(error.contains("give its table instead, a.index"), "{error}");
+}
+
+/// Of a table whose checksums are right, so that what is behind them is read.
+#[test]
+fn a_changed_byte_behind_the_checksum_of_a_table_is_no_crash() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("a.index");
+    let data = std::fs::read(checkpoint("tensorflow.data-00000-of-00001")).expect("tensors");
+    std::fs::write(folder.path().join("a.data-00000-of-00001"), &data).expect("copied");
+    let table = std::fs::read(checkpoint("tensorflow.index")).expect("a table");
+    // The entries come first; their checksum is after how they are compressed.
+    let masked =
+        |bytes: &[u8]| crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes();
+    let len =
+        (0..table.len()).find(|&len| table[len + 1..len + 5] == masked(&table[..=len])).expect("a block");
+    let mut errors = 0;
+    for (at, change) in (0..len).flat_map(|at| [0x01, 0x02, 0x10, 0x80, 0xff].map(|change| (at, change))) {
+        let mut changed = table.clone();
+        changed[at] ^= change;
+        let checksum = masked(&changed[..=len]);
+        changed[len + 1..len + 5].copy_from_slice(&checksum);
+        std::fs::write(&path, &changed).expect("written");
+        match read_parameters(&path) {
+            Ok(found) => assert!(byte_count(&found) <= 8 * (table.len() + data.len()), "byte {at}"),
+            Err(error) => {
+                errors += 1;
+                assert!(error.to_string().len() < 4000, "{error}");
+            }
+        }
+    }
+    assert!(errors > len, "{errors} errors");
+}
+
+/// TensorFlow compresses blocks where it is told to.
+#[test]
+fn a_compressed_block_is_read() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("a.index");
+    let table = std::fs::read(checkpoint("tensorflow.index")).expect("a table");
+    std::fs::write(&path, compressed(&table)).expect("written");
+    let data = "tensorflow.data-00000-of-00001";
+    std::fs::copy(checkpoint(data), folder.path().join("a.data-00000-of-00001")).expect("copied");
+    let found = read_parameters(&path).expect("compressed");
+    assert!(found == read_parameters(&checkpoint("tensorflow.index")).expect("plain"));
+}
+
+/// A table of one block of entries, with that and the block of places compressed.
+fn compressed(table: &[u8]) -> Vec<u8> {
+    fn varint(bytes: &[u8]) -> (usize, &[u8]) {
+        let len = 1 + bytes.iter().take_while(|byte| **byte & 0x80 != 0).count();
+        let number = bytes[..len].iter().rev().fold(0, |number, byte| number << 7 | usize::from(byte & 0x7f));
+        (number, &bytes[len..])
+    }
+    fn to_varint(mut number: usize) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        while number >= 0x80 {
+            bytes.push(number as u8 | 0x80);
+            number >>= 7;
+        }
+        bytes.push(number as u8);
+        bytes
+    }
+    let append = |file: &mut Vec<u8>, block: &[u8]| {
+        let start = file.len();
+        let mut stored = snap::raw::Encoder::new().compress_vec(block).expect("compressed");
+        let len = stored.len();
+        stored.push(1);
+        let checksum = crc32c::crc32c(&stored).rotate_right(15).wrapping_add(0xa282_ead8);
+        file.extend(stored);
+        file.extend(checksum.to_le_bytes());
+        [to_varint(start), to_varint(len)].concat()
+    };
+    let footer = &table[table.len() - 48..];
+    let (_, rest) = varint(footer);
+    let (_, rest) = varint(rest);
+    let (index_start, rest) = varint(rest);
+    let (index_len, _) = varint(rest);
+    let index = &table[index_start..index_start + index_len];
+    // Shares nothing; the length of its key and of its value, then both.
+    let (key_len, rest) = varint(&index[1..]);
+    let (_, rest) = varint(rest);
+    let (key, place) = rest.split_at(key_len);
+    let (start, place) = varint(place);
+    let (len, _) = varint(place);
+    let mut file = Vec::new();
+    let place = append(&mut file, &table[start..start + len]);
+    let entry = [&[0], to_varint(key.len()).as_slice(), &to_varint(place.len()), key, &place].concat();
+    let restarts = [0_u32, 1].map(u32::to_le_bytes).concat();
+    let place = append(&mut file, &[entry, restarts].concat());
+    let mut footer = [vec![0, 0], place].concat();
+    footer.resize(40, 0);
+    file.extend(footer);
+    file.extend(&table[table.len() - 8..]);
+    file
+}
+
 #[test]
 fn saved_parameters_load_again() {
     let (folder, path) = scratch();
@@ -136,6 +307,7 @@ fn whole_files() -> Vec<(&'static str, Vec<u8>)> {
         read("zip.pth"),
         read("legacy.pth"),
         read("lightning.ckpt"),
+        read("keras.h5"),
         ("safetensors", safetensors::serialize([("a.bias", view)], None).expect("bytes")),
         ("burnpack", burnpack("a.bias", &bytes)),
     ]

@@ -40,7 +40,7 @@ enum Action {
 #[command(after_help = "Example:
   srflow models inspect skflow-things.ckpt")]
 struct Inspect {
-    /// Weights: PyTorch (.pth, .pt, .ckpt), safetensors or burnpack
+    /// Weights: PyTorch (.pth, .pt, .ckpt), safetensors, burnpack, TensorFlow (.index) or Keras (.h5)
     #[arg(value_name = "FILE")]
     file: PathBuf,
 }

@@ -113,6 +113,12 @@ fn samples(folder: &Path) -> Vec<Sample> {
         let bytes = fs::read(root().join("crates/nn/tests/checkpoints").join(name)).unwrap();
         samples.push(Sample { name, bytes, file, arguments: INSPECT });
     }
+    let beside = "crates/nn/tests/checkpoints/tensorflow.data-00000-of-00001";
+    fs::copy(root().join(beside), folder.join("a.data-00000-of-00001")).unwrap();
+    for (name, file) in [("tensorflow.index", "a.index"), ("keras.h5", "a.h5")] {
+        let bytes = fs::read(root().join("crates/nn/tests/checkpoints").join(name)).unwrap();
+        samples.push(Sample { name, bytes, file, arguments: INSPECT });
+    }
     let numbers = [0_u8; 8];
     let view = TensorView::new(Dtype::F32, vec![2], &numbers).unwrap();
     let bytes = safetensors::serialize([("a.bias", view)], None).unwrap();
@@ -273,6 +279,17 @@ fn mutated(bytes: &[u8], dice: &mut Dice) -> Vec<u8> {
         }
         return archive(&parts);
     }
+    if let Some(len) = first_block(bytes).filter(|_| dice.below(2) == 0) {
+        // The entries of a TensorFlow checkpoint, behind a valid checksum.
+        let mut bytes = bytes.to_vec();
+        let block: Vec<u8> = mutated(&bytes[..len], dice);
+        for (byte, new) in bytes[..len].iter_mut().zip(block) {
+            *byte = new;
+        }
+        let checksum = table_checksum(&bytes[..=len]);
+        bytes[len + 1..len + 5].copy_from_slice(&checksum);
+        return bytes;
+    }
     let mut bytes = bytes.to_vec();
     for _ in 0..=dice.below(3) {
         let at = dice.below(bytes.len());
@@ -314,6 +331,17 @@ fn mutated(bytes: &[u8], dice: &mut Dice) -> Vec<u8> {
         }
     }
     bytes
+}
+
+/// Length of the first block of a LevelDB table; its compression and checksum follow.
+fn first_block(bytes: &[u8]) -> Option<usize> {
+    let is_table = bytes.ends_with(&[0x57, 0xfb, 0x80, 0x8b, 0x24, 0x75, 0x47, 0xdb]);
+    let mut lengths = 0..bytes.len().saturating_sub(5);
+    lengths.find(|&len| is_table && bytes[len + 1..len + 5] == table_checksum(&bytes[..=len]))
+}
+
+fn table_checksum(bytes: &[u8]) -> [u8; 4] {
+    crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
 }
 
 /// The problem with how the binary handled the file; `None` if there is none.

@@ -3,7 +3,7 @@
 mod claim;
 mod flo;
 mod flo5;
-mod hdf5;
+pub(crate) mod hdf5;
 mod kitti_png;
 pub(crate) mod npy;
 pub(crate) mod npz;

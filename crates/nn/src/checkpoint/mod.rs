@@ -5,11 +5,13 @@
 
 mod burnpack;
 mod hyper_parameters;
+mod keras;
 mod naming;
 mod pytorch;
 mod pytorch_writer;
 mod safetensors;
 mod searchable_text;
+mod tensorflow;
 
 pub use pytorch_writer::save_pytorch;
 pub use safetensors::{read_safetensors, safetensors_bytes};
@@ -31,8 +33,9 @@ use crate::weights::WeightsError;
 
 /// Most bytes of tensors per byte of the file. Valid checkpoints may share storages or be compressed, but reach less.
 const MAX_CLAIM_RATIO: u64 = 8;
-/// Bytes needed to recognize a format.
+/// Bytes needed to recognize a format, at the start and at the end of a file.
 const MAGIC_BYTES: u64 = 262;
+const END_BYTES: u64 = 8;
 
 /// Format of a checkpoint file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,6 +48,10 @@ pub enum Format {
     Safetensors,
     /// From Burn.
     Burnpack,
+    /// Of TensorFlow (`tf.train.Saver`): the `.index` file, whose tensors are in files beside it.
+    Tensorflow,
+    /// Of Keras, in HDF5.
+    Keras,
 }
 
 impl fmt::Display for Format {
@@ -54,6 +61,8 @@ impl fmt::Display for Format {
             Self::PytorchLegacy => "PyTorch (legacy)",
             Self::Safetensors => "safetensors",
             Self::Burnpack => "burnpack",
+            Self::Tensorflow => "TensorFlow checkpoint (.index)",
+            Self::Keras => "Keras (HDF5)",
         })
     }
 }
@@ -74,6 +83,8 @@ pub struct Checkpoint {
 struct Contents {
     tensors: BTreeMap<String, StoredTensor>,
     hyper_parameters: BTreeMap<String, f64>,
+    /// Bytes of other files that its tensors are in.
+    beside: u64,
 }
 
 /// Metadata in files written by srflow.
@@ -96,8 +107,21 @@ struct StoredTensor {
 
 #[derive(Debug)]
 enum StoredBytes {
-    Range { file: Rc<File>, start: u64, len: usize },
+    Range {
+        file: Rc<File>,
+        start: u64,
+        len: usize,
+    },
     Pytorch(pytorch_reader::Tensor),
+    /// As TensorFlow orders them, of a tensor that has this shape there.
+    Tensorflow {
+        file: Rc<File>,
+        start: u64,
+        len: usize,
+        /// As it is stored.
+        crc32c: u32,
+        shape: Vec<usize>,
+    },
     Memory(Vec<u8>),
 }
 
@@ -111,23 +135,30 @@ impl Checkpoint {
         let (mut file, len) = open_file(path, FileKind::Checkpoint)?;
         let mut start = Vec::new();
         (&mut file).take(MAGIC_BYTES).read_to_end(&mut start).map_err(read_error)?;
-        let Some(format) = format_of(&start) else {
-            return Err(WeightsError::Unrecognized { path: path.to_owned(), found: describe_start(&start) });
+        let mut end = Vec::new();
+        file.seek(SeekFrom::Start(len.saturating_sub(END_BYTES))).map_err(read_error)?;
+        (&mut file).take(END_BYTES).read_to_end(&mut end).map_err(read_error)?;
+        let Some(format) = format_of(&start, &end) else {
+            let found = describe_file(path, &start);
+            return Err(WeightsError::Unrecognized { path: path.to_owned(), found });
         };
         let broken = |problem: String| WeightsError::broken(path, format, &problem);
         let found = match format {
             Format::PytorchZip | Format::PytorchLegacy => pytorch::contents(path, format, len),
             Format::Safetensors => safetensors::contents(file, len),
             Format::Burnpack => burnpack::tensors(file, len).map(Contents::from),
+            Format::Tensorflow => tensorflow::contents(path, file, len),
+            Format::Keras => keras::contents(file, len),
         };
-        let Contents { tensors, hyper_parameters } = found.map_err(broken)?;
+        let Contents { tensors, hyper_parameters, beside } = found.map_err(broken)?;
         let named = naming::reference_names(tensors);
         if named.tensors.is_empty() {
             return Err(WeightsError::Empty { path: path.to_owned() });
         }
         let claimed = named.tensors.values().map(StoredTensor::byte_len).fold(0, u64::saturating_add);
-        if claimed > len.saturating_mul(MAX_CLAIM_RATIO) {
-            return Err(broken(format!("its tensors claim {claimed} bytes, the file has {len}")));
+        let stored = len.saturating_add(beside);
+        if claimed > stored.saturating_mul(MAX_CLAIM_RATIO) {
+            return Err(broken(format!("its tensors claim {claimed} bytes, the file has {stored}")));
         }
         Ok(Self {
             path: path.to_owned(),
@@ -195,7 +226,7 @@ impl Checkpoint {
 
 impl From<BTreeMap<String, StoredTensor>> for Contents {
     fn from(tensors: BTreeMap<String, StoredTensor>) -> Self {
-        Self { tensors, hyper_parameters: BTreeMap::new() }
+        Self { tensors, hyper_parameters: BTreeMap::new(), beside: 0 }
     }
 }
 
@@ -212,7 +243,7 @@ fn read_all(
                 Format::PytorchZip | Format::PytorchLegacy => {
                     WeightsError::broken(path, format, &error.to_string())
                 }
-                Format::Safetensors | Format::Burnpack => {
+                Format::Safetensors | Format::Burnpack | Format::Tensorflow | Format::Keras => {
                     WeightsError::broken(path, format, &format!("{name}: {error}"))
                 }
             },
@@ -237,30 +268,41 @@ impl StoredTensor {
 
     fn read(self) -> io::Result<TensorData> {
         let expected = self.byte_len();
+        let invalid = |problem: String| io::Error::new(io::ErrorKind::InvalidData, problem);
         let bytes = match self.bytes {
-            StoredBytes::Range { file, start, len } => {
-                let mut bytes = vec![0; len];
-                (&*file).seek(SeekFrom::Start(start))?;
-                (&*file).read_exact(&mut bytes)?;
-                bytes
+            StoredBytes::Range { file, start, len } => read_range(&file, start, len)?,
+            StoredBytes::Tensorflow { file, start, len, crc32c, shape } => {
+                let bytes = read_range(&file, start, len)?;
+                if tensorflow::masked(crc32c::crc32c(&bytes)) != crc32c {
+                    return Err(invalid("the checksum of its bytes is wrong".into()));
+                }
+                tensorflow::layout::reference_order(bytes, &shape, self.dtype.size())
             }
             StoredBytes::Pytorch(tensor) => tensor.read()?,
             StoredBytes::Memory(bytes) => bytes,
         };
         if bytes.len() as u64 != expected {
-            let problem = format!("expected {expected} bytes, found {}", bytes.len());
-            return Err(io::Error::new(io::ErrorKind::InvalidData, problem));
+            return Err(invalid(format!("expected {expected} bytes, found {}", bytes.len())));
         }
         Ok(TensorData::from_bytes_vec(bytes, self.shape, self.dtype))
     }
 }
 
-/// Recognizes a format by the first bytes of a file.
-fn format_of(start: &[u8]) -> Option<Format> {
+fn read_range(mut file: &File, start: u64, len: usize) -> io::Result<Vec<u8>> {
+    let mut bytes = vec![0; len];
+    file.seek(SeekFrom::Start(start))?;
+    file.read_exact(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// Recognizes a format by the first and last bytes of a file.
+fn format_of(start: &[u8], end: &[u8]) -> Option<Format> {
     if start.starts_with(b"PK\x03\x04") || start.starts_with(b"PK\x05\x06") {
         Some(Format::PytorchZip)
     } else if start.starts_with(&burn_pack::MAGIC_NUMBER.to_le_bytes()) {
         Some(Format::Burnpack)
+    } else if start.starts_with(srflow_field::HDF5_MAGIC) {
+        Some(Format::Keras)
     } else if start.get(8) == Some(&b'{') {
         // Eight bytes of length, then JSON. No pickle has a brace at this position.
         Some(Format::Safetensors)
@@ -268,13 +310,21 @@ fn format_of(start: &[u8]) -> Option<Format> {
         None
     } else if start.first() == Some(&0x80) {
         Some(Format::PytorchLegacy) // the opcode PROTO, the first of every pickle of torch.save
+    } else if tensorflow::is_table(end) {
+        Some(Format::Tensorflow)
     } else {
         None
     }
 }
 
-/// Describes a file by its first bytes, for errors.
-fn describe_start(start: &[u8]) -> String {
+/// Describes a file by its name and first bytes, for errors.
+fn describe_file(path: &Path, start: &[u8]) -> String {
+    if let Some(table) = tensorflow::table_of(path) {
+        return format!(
+            "the tensors of a TensorFlow checkpoint; give its table instead, {}",
+            excerpt(&table)
+        );
+    }
     if start.is_empty() {
         return "an empty file".into();
     }

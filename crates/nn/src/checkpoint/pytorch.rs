@@ -33,7 +33,7 @@ pub(super) fn contents(path: &Path, format: Format, len: u64) -> Result<Contents
         let shape = tensor.shape().to_vec();
         Some((name, StoredTensor { dtype, shape, bytes: StoredBytes::Pytorch(tensor) }))
     });
-    Ok(Contents { tensors: found.collect(), hyper_parameters })
+    Ok(Contents { hyper_parameters, ..Contents::from(found.collect::<BTreeMap<_, _>>()) })
 }
 
 /// Checks the pickles of a file before they are parsed, and returns the numeric hyper-parameters.

@@ -1,6 +1,6 @@
 //! Safetensors, the format of our own checkpoints: eight bytes of length, a JSON table of the tensors, their bytes without gaps.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
@@ -59,8 +59,8 @@ pub(super) fn contents(mut file: File, len: u64) -> Result<Contents, String> {
     let numbers =
         about.into_iter().flat_map(|about| about.settings.into_iter().chain(about.hyper_parameters));
     Ok(Contents {
-        tensors: found.collect(),
         hyper_parameters: numbers.map(|(name, number)| (name, number as f64)).collect(),
+        ..Contents::from(found.collect::<BTreeMap<_, _>>())
     })
 }
 

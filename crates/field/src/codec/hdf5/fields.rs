@@ -37,6 +37,19 @@ impl<'a> Fields<'a> {
         Ok(taken)
     }
 
+    /// A text that ends with a zero byte, which is left out.
+    pub(super) fn terminated(&self, longest: usize) -> Result<&'a [u8], FileProblem> {
+        let text = &self.rest[..self.rest.len().min(longest + 1)];
+        let end = text.iter().position(|byte| *byte == 0);
+        end.map(|end| &text[..end]).ok_or_else(|| {
+            FileProblem::field(
+                self.structure,
+                format!("a text of at most {longest} bytes"),
+                "one without an end",
+            )
+        })
+    }
+
     /// An unsigned number of 1 to 8 bytes.
     pub(super) fn number(&mut self, bytes: usize) -> Result<u64, FileProblem> {
         let mut number = [0; 8];

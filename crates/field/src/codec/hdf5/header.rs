@@ -4,9 +4,13 @@ use super::fields::Fields;
 use super::{MAGIC, UNDEFINED};
 use crate::FileProblem;
 
+/// Longest name of a member of a group.
+const MAX_NAME: usize = 4096;
+
 /// Message types of section IV.A.2.
 pub(super) mod message {
     pub(in crate::codec::hdf5) const DATASPACE: u16 = 0x01;
+    pub(in crate::codec::hdf5) const LINK_INFO: u16 = 0x02;
     pub(in crate::codec::hdf5) const DATATYPE: u16 = 0x03;
     pub(in crate::codec::hdf5) const LINK: u16 = 0x06;
     pub(in crate::codec::hdf5) const LAYOUT: u16 = 0x08;
@@ -157,21 +161,69 @@ impl<'a> Messages<'a> {
 
 /// Address of the object header of `name` in the root group.
 pub(super) fn find_in_root(file: &[u8], name: &str) -> Result<u64, FileProblem> {
-    let mut found = None;
-    for (kind, data) in messages(file, root_group(file)?)? {
-        match kind {
-            message::SYMBOL_TABLE => found = found.or(find_in_symbol_table(file, data, name)?),
-            message::LINK => found = found.or(link_target(data, name)?),
-            _ => {}
-        }
-    }
-    found.filter(|address| *address != UNDEFINED).ok_or_else(|| {
+    let root = messages(file, root_group(file)?)?;
+    let links = links(file, &root, &mut LinkBudget::new(file))?;
+    let found = links.into_iter().find(|(link, _)| *link == name.as_bytes()).map(|(_, address)| address);
+    found.ok_or_else(|| {
         FileProblem::field("root group", format!("a dataset `{name}`"), "no dataset of this name")
     })
 }
 
+/// What all groups of a file together may take to read: their nodes and names have places of their own, so that more bytes
+/// than the file has mean a loop.
+pub(super) struct LinkBudget {
+    nodes: usize,
+    names: usize,
+}
+
+impl LinkBudget {
+    pub(super) fn new(file: &[u8]) -> Self {
+        Self { nodes: file.len(), names: file.len() }
+    }
+
+    fn take(left: &mut usize, bytes: usize) -> Result<(), FileProblem> {
+        let after = left.checked_sub(bytes);
+        *left =
+            after.ok_or_else(|| FileProblem::field("group", "a tree", "a cycle, or parts that overlap"))?;
+        Ok(())
+    }
+}
+
+/// Names and addresses of what a group holds, from its messages; nothing for a dataset.
+pub(super) fn links<'a>(
+    file: &'a [u8],
+    messages: &[(u16, &'a [u8])],
+    budget: &mut LinkBudget,
+) -> Result<Vec<(&'a [u8], u64)>, FileProblem> {
+    let mut links = Vec::new();
+    for (kind, data) in messages {
+        match *kind {
+            message::SYMBOL_TABLE => read_symbol_table(file, data, &mut links, budget)?,
+            message::LINK => links.extend(hard_link(data)?),
+            message::LINK_INFO => {
+                let mut fields = Fields::new(data, "link info");
+                fields.one_of("link info version", &[0])?;
+                let flags = fields.u8()?;
+                fields.bytes(if flags & 1 != 0 { 8 } else { 0 })?; // largest creation order
+                if fields.u64()? != UNDEFINED {
+                    let found = "a heap of links, as of groups with many members in new files";
+                    return Err(FileProblem::field("group", "links in its header (h5py's default)", found));
+                }
+            }
+            _ => {}
+        }
+    }
+    links.retain(|(_, address)| *address != UNDEFINED);
+    Ok(links)
+}
+
 /// A group of the old kind (sections III.A.1, III.B to III.D): a B-tree of symbol nodes and a heap of names.
-fn find_in_symbol_table(file: &[u8], data: &[u8], name: &str) -> Result<Option<u64>, FileProblem> {
+fn read_symbol_table<'a>(
+    file: &'a [u8],
+    data: &[u8],
+    links: &mut Vec<(&'a [u8], u64)>,
+    budget: &mut LinkBudget,
+) -> Result<(), FileProblem> {
     let mut fields = Fields::new(data, "symbol table message");
     let (tree, heap) = (fields.u64()?, fields.u64()?);
     let mut heap = Fields::at(file, heap, "local heap")?;
@@ -179,31 +231,26 @@ fn find_in_symbol_table(file: &[u8], data: &[u8], name: &str) -> Result<Option<u
     heap.bytes(4 + 8 + 8)?; // version, size, free list
     let names = heap.u64()?;
 
-    // Each node has its own place in the file: more visits than nodes can fit means a loop.
-    let mut nodes_left = file.len() / 24;
     let mut waiting = vec![tree];
     while let Some(address) = waiting.pop() {
-        nodes_left = nodes_left
-            .checked_sub(1)
-            .ok_or_else(|| FileProblem::field("group B-tree", "a tree", "a cycle of nodes"))?;
         let mut node = Fields::at(file, address, "group B-tree")?;
         if node.clone().signature(b"SNOD").is_ok() {
             node.bytes(4 + 2)?; // signature, version, reserved
-            for _ in 0..node.u16()? {
+            let entries = node.u16()?;
+            LinkBudget::take(&mut budget.nodes, 8 + 40 * usize::from(entries))?;
+            for _ in 0..entries {
                 let (entry_name, header) = (node.u64()?, node.u64()?);
                 node.bytes(4 + 4 + 16)?; // cache
-                let mut text = Fields::at(file, names.saturating_add(entry_name), "name in a group")?;
-                if text
-                    .bytes(name.len() + 1)
-                    .is_ok_and(|text| text.split_last() == Some((&0, name.as_bytes())))
-                {
-                    return Ok(Some(header));
-                }
+                let text = Fields::at(file, names.saturating_add(entry_name), "name in a group")?;
+                let name = text.terminated(MAX_NAME)?;
+                LinkBudget::take(&mut budget.names, name.len() + 1)?;
+                links.push((name, header));
             }
         } else {
             node.signature(b"TREE")?;
             node.bytes(2)?; // type, level
             let entries = node.u16()?;
+            LinkBudget::take(&mut budget.nodes, 24 + 16 * usize::from(entries))?;
             node.bytes(16)?; // siblings
             for _ in 0..entries {
                 node.u64()?; // first name
@@ -211,11 +258,11 @@ fn find_in_symbol_table(file: &[u8], data: &[u8], name: &str) -> Result<Option<u
             }
         }
     }
-    Ok(None)
+    Ok(())
 }
 
-/// A link message (section IV.A.2.g): its target if it is a hard link with that name.
-fn link_target(data: &[u8], name: &str) -> Result<Option<u64>, FileProblem> {
+/// A link message (section IV.A.2.g): name and target of a hard link.
+fn hard_link(data: &[u8]) -> Result<Option<(&[u8], u64)>, FileProblem> {
     let mut fields = Fields::new(data, "link message");
     fields.one_of("link message version", &[1])?;
     let flags = fields.u8()?;
@@ -223,6 +270,6 @@ fn link_target(data: &[u8], name: &str) -> Result<Option<u64>, FileProblem> {
     fields.bytes(if flags & 0x04 != 0 { 8 } else { 0 })?; // creation order
     fields.bytes(if flags & 0x10 != 0 { 1 } else { 0 })?; // character set
     let length = fields.number(1 << (flags & 3))?;
-    let link_name = fields.bytes(usize::try_from(length).unwrap_or(usize::MAX))?;
-    if kind == 0 && link_name == name.as_bytes() { fields.u64().map(Some) } else { Ok(None) }
+    let name = fields.bytes(usize::try_from(length).unwrap_or(usize::MAX))?;
+    if kind == 0 { Ok(Some((name, fields.u64()?))) } else { Ok(None) }
 }

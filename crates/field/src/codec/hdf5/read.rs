@@ -27,7 +27,7 @@ impl<'a> Dataset<'a> {
         let (mut shape, mut sample, mut layout, mut filters) = (None, None, None, Vec::new());
         for (kind, data) in messages(file, find_in_root(file, name)?)? {
             match kind {
-                message::DATASPACE => shape = Some(parse_shape(data)?),
+                message::DATASPACE => shape = Some(parse_image_shape(data)?),
                 message::DATATYPE => sample = Some(parse_sample(data)?),
                 message::FILTERS => filters = chunks::parse_filters(data)?,
                 message::LAYOUT => layout = Some(data),
@@ -111,7 +111,6 @@ impl<'a> Dataset<'a> {
 }
 
 impl<'a> Storage<'a> {
-    /// The data layout message (section IV.A.2.i).
     fn parse(
         file: &'a [u8],
         data: &'a [u8],
@@ -119,6 +118,29 @@ impl<'a> Storage<'a> {
         sample: Sample,
         filters: Vec<Filter>,
     ) -> Result<Self, FileProblem> {
+        match Layout::parse(file, data)? {
+            Layout::Contiguous(bytes) => Ok(Self::Contiguous(bytes)),
+            Layout::Chunked { version, fields } => {
+                let (chunk_shape, chunks) = chunks_of_layout(file, fields, version, shape, sample, &filters)?;
+                Ok(Self::Chunked { shape: chunk_shape, filters, chunks })
+            }
+        }
+    }
+}
+
+/// Where the values of a dataset are.
+pub(super) enum Layout<'a> {
+    Contiguous(&'a [u8]),
+    /// In chunks, which the rest of the message describes.
+    Chunked {
+        version: u8,
+        fields: Fields<'a>,
+    },
+}
+
+impl<'a> Layout<'a> {
+    /// The data layout message (section IV.A.2.i).
+    pub(super) fn parse(file: &'a [u8], data: &'a [u8]) -> Result<Self, FileProblem> {
         let mut fields = Fields::new(data, "data layout");
         let version = fields.one_of("data layout version", &[3, 4, 5])?;
         match fields.one_of("data layout class", &[0, 1, 2])? {
@@ -138,10 +160,7 @@ impl<'a> Storage<'a> {
                 let size = usize::try_from(size).unwrap_or(usize::MAX);
                 Ok(Self::Contiguous(Fields::at(file, address, "contiguous data")?.bytes(size)?))
             }
-            _ => {
-                let (chunk_shape, chunks) = chunks_of_layout(file, fields, version, shape, sample, &filters)?;
-                Ok(Self::Chunked { shape: chunk_shape, filters, chunks })
-            }
+            _ => Ok(Self::Chunked { version, fields }),
         }
     }
 }
@@ -167,17 +186,24 @@ fn place(offset: [u64; 3], chunk: &[f32], chunk_shape: [u64; 3], values: &mut [f
     }
 }
 
+/// The shape of a dataset of three dimensions.
+fn parse_image_shape(data: &[u8]) -> Result<[u64; 3], FileProblem> {
+    let shape = parse_shape(data)?;
+    let found = format!("{} of them: {shape:?}", shape.len());
+    shape.try_into().map_err(|_| FileProblem::field("dataspace", "3 dimensions", found))
+}
+
 /// The dataspace message (section IV.A.2.b).
-fn parse_shape(data: &[u8]) -> Result<[u64; 3], FileProblem> {
+pub(super) fn parse_shape(data: &[u8]) -> Result<Vec<u64>, FileProblem> {
     let mut fields = Fields::new(data, "dataspace");
     let version = fields.one_of("dataspace version", &[1, 2])?;
-    fields.one_of("number of dimensions", &[3])?;
+    let dimensions = fields.u8()?;
     fields.bytes(if version == 1 { 6 } else { 2 })?; // flags, reserved or type
-    Ok([fields.u64()?, fields.u64()?, fields.u64()?])
+    (0..dimensions).map(|_| fields.u64()).collect()
 }
 
 /// The datatype message (section IV.A.2.d): an IEEE floating-point number.
-fn parse_sample(data: &[u8]) -> Result<Sample, FileProblem> {
+pub(super) fn parse_sample(data: &[u8]) -> Result<Sample, FileProblem> {
     let mut fields = Fields::new(data, "datatype");
     let class = fields.u8()? & 0x0f;
     let bits = fields.number(3)?;

@@ -67,7 +67,8 @@ def reference(network, iterations, threads, repeats, weights, pixels, out, heigh
     torch.set_num_threads(threads)
     model = new_model(network).eval()
     model.load_state_dict(torch.load(weights, weights_only=True))
-    setattr(model, ITERATIONS.get(network, "iters"), iterations)
+    if iterations > 0:
+        setattr(model, ITERATIONS.get(network, "iters"), iterations)
     pair = np.fromfile(pixels, "<f4").reshape(1, 2, 3, height, width)[:, :, ::-1].copy()  # ptlflow takes BGR
     images = torch.from_numpy(pair)
     for _ in range(repeats):
@@ -88,7 +89,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--networks", nargs="+", default=["raft", "gma", "skflow"], help="ptlflow's names")
     parser.add_argument("--sizes", nargs="+", default=["800x512"], help="WIDTHxHEIGHT")
-    parser.add_argument("--iterations", type=int, default=32)
+    parser.add_argument("--iterations", type=int, default=0, help="0: as many as ptlflow's default for each network")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--timing", default=str(ROOT / "target/release/examples/timing"), help="our side")
@@ -104,7 +105,7 @@ def main():
         return
 
     environment = dict(os.environ, RAYON_NUM_THREADS=str(args.threads), OMP_NUM_THREADS=str(args.threads))
-    print(f"{platform.machine()}, {args.threads} threads, {args.iterations} iterations, median of {args.repeats}\n")
+    print(f"{platform.machine()}, {args.threads} threads, {args.iterations or 'default'} iterations, median of {args.repeats}\n")
     print("| network | width x height | ours | ptlflow | times as fast | ours, GB | ptlflow, GB | difference, px | largest | mean flow |")
     print("|---|---|---|---|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:

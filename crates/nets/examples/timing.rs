@@ -1,6 +1,6 @@
 //! Measures seconds per pair of frames with random parameters and frames:
 //! `cargo run --release -p srflow-nets --example timing -- raft 512x800 32` (network, HEIGHTxWIDTH, iterations).
-//! `RAYON_NUM_THREADS` sets the number of threads.
+//! With 0 iterations it uses the network's default. `RAYON_NUM_THREADS` sets the number of threads.
 //!
 //! More arguments, used by `tools/bench/nets.py`: repeats, weights, a file with both frames, and a file for the flow. The files
 //! are raw `f32`, `[2, 3, height, width]` in 0..1 and `[2, height, width]`.
@@ -9,8 +9,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
-use srflow_nets::{Architecture, Frames, Request};
-use srflow_nn::load;
+use srflow_nets::{Architecture, Frames, Request, load_network};
 use srflow_ops::ReusingAllocator;
 
 #[global_allocator]
@@ -29,14 +28,18 @@ fn main() {
     };
     let (height, width) = size.split_once('x').expect("HEIGHTxWIDTH");
     let shape = [1, 3, height.parse().expect("height"), width.parse().expect("width")];
-    let request = Request::new(iterations.parse().expect("iterations"));
+    let architecture = Architecture::from_name(network).expect("a network");
+    let request = Request::new(match iterations.parse().expect("iterations") {
+        0 => architecture.facts().iterations.default,
+        iterations => iterations,
+    });
     let repeats: usize = rest.first().map_or(3, |repeats| repeats.parse().expect("repeats"));
     let device = Device::flex();
-    let mut network = Architecture::from_name(network).expect("a network").init(&device);
+    let mut network = architecture.init(&device);
     let frame = || Tensor::<4>::random(shape, Distribution::Uniform(0.0, 1.0), &device);
     let mut frames = Frames { first: frame(), second: frame() };
     if let [_, weights, pixels, _] = rest {
-        network = load(network, Path::new(weights)).expect("weights");
+        network = load_network(architecture, Path::new(weights), &device).expect("weights");
         let bytes = std::fs::read(pixels).expect("frames");
         let numbers = bytes.chunks_exact(4).map(|bytes| f32::from_le_bytes(bytes.try_into().expect("four")));
         let numbers: Vec<f32> = numbers.collect();

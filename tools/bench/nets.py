@@ -28,6 +28,8 @@ from weights import SEED, new_model, random_state
 ROOT = Path(__file__).resolve().parents[2]
 # Names of the attribute that holds a model's iterations.
 ITERATIONS = {"dpflow": "iters_per_level", "memflow": "decoder_depth", "unimatch_sc2_ref6": "num_reg_refine"}
+# Iterations in each level of models that take a list, by default; others are in proportion, as srflow has them.
+OF_LEVELS = {"ccmr": (8, 10, 15), "ccmr_p": (8, 10, 10, 10)}
 
 
 def texture(height, width, y, x):
@@ -68,6 +70,8 @@ def reference(network, iterations, threads, repeats, weights, pixels, out, heigh
     model = new_model(network).eval()
     model.load_state_dict(torch.load(weights, weights_only=True))
     if iterations > 0:
+        if levels := OF_LEVELS.get(network):
+            iterations = [-(-own * iterations // levels[-1]) for own in levels]
         setattr(model, ITERATIONS.get(network, "iters"), iterations)
     pair = np.fromfile(pixels, "<f4").reshape(1, 2, 3, height, width)[:, :, ::-1].copy()  # ptlflow takes BGR
     images = torch.from_numpy(pair)

@@ -23,7 +23,8 @@ from pathlib import Path
 sys.path.append(str(Path(__file__).resolve().parents[1] / "parity"))
 SEED = 7
 NETWORKS = [
-    "raft", "raft_small", "gma", "skflow", "rpknet", "dpflow", "sea_raft_s", "sea_raft_m", "memflow", "flownets", "flownetc", "flownetcss",
+    "raft", "raft_small", "gma", "skflow", "rpknet", "dpflow", "ccmr", "ccmr_p",
+    "sea_raft_s", "sea_raft_m", "memflow", "flownets", "flownetc", "flownetcss",
     "flownet3_css",
     "unimatch", "unimatch_sc2", "unimatch_sc2_ref6"
 ]

@@ -67,6 +67,8 @@ class Network:
     flows: Callable = lambda outputs, images: outputs["flow_preds"]
     # Pixels of a padded frame for each of the flow that a warm start takes, where the reference makes it of a finer one.
     coarsest: int = 0
+    # What the attribute is set to for so many iterations.
+    set_iterations: Callable = lambda iterations: iterations
     # A further case without gradients: batch, height and width, what the model's attributes are set to, and our settings.
     set_to: tuple = ()
     # Makes the model, where it is none of ptlflow's.
@@ -109,6 +111,13 @@ FLOWNET = {
     "gains": {"conv": 1.7, "upsampled": 2.0, "predict_flow": 1.5},
     "flows": flownet_flows,
 }
+
+def ccmr(name, levels, **more):
+    """In each level as many iterations as are in proportion to those of the finest."""
+    gains = {"gamma": 8, "temperature": 30, "flow_head.conv2.": 0.5}
+    set_iterations = lambda finest: [-(-own * finest // levels[-1]) for own in levels]
+    return Network(name, iterations=(1, levels[-1]), gains=gains, set_iterations=set_iterations, **more)
+
 
 # The coarsest of four levels of a correlation pyramid must be larger than one pixel, or the reference divides by zero.
 NETWORKS = [
@@ -155,6 +164,8 @@ NETWORKS = [
         gains={"conv": 1.7, "predict": 2.0},
         model=FlowNet3,
     ),
+    ccmr("ccmr", (8, 10, 15), gradients="ccmr_p"),
+    ccmr("ccmr_p", (8, 10, 10, 10), training_iterations=2),
 ]
 
 
@@ -250,6 +261,22 @@ def with_mixtures(model):
     model.predict, model.forward = predicted, forwarded
 
 
+def without_chance(model):
+    """CCMR leaves out branches by chance in training. Its authors' correlation has no gradient of the positions."""
+    module = sys.modules[type(model).forward.__module__]
+
+    look_up = module.get_corr_block
+
+    def detached(**named):
+        correlation = look_up(**named)
+        return lambda coords: correlation(coords.detach())
+
+    module.get_corr_block = detached
+    for part in model.modules():
+        if type(part).__name__ == "DropPath":
+            part.drop_prob = 0.0
+
+
 def coarse(stride, flow):
     """The flow that a warm start takes, from what the reference gives the next pair."""
     if not stride:
@@ -261,7 +288,7 @@ def coarse(stride, flow):
 
 def gradients(network, model, images, batch_statistics):
     """By parameter, after a backward pass of the training loss."""
-    setattr(model, network.attribute, network.training_iterations)
+    setattr(model, network.attribute, network.set_iterations(network.training_iterations))
     model.train()
     for module in model.modules():
         if isinstance(module, torch.nn.BatchNorm2d):
@@ -303,6 +330,8 @@ def write(network, folder):
     model.load_state_dict(state)
     if network.name == "dpflow":
         with_mixtures(model)
+    if network.name.startswith("ccmr"):
+        without_chance(model)
     cases = [(size, {}, network.settings) for size in network.cases]
     for (batch, height, width), attributes, settings in [*cases, *filter(None, [network.set_to])]:
         for name, value in attributes.items():
@@ -314,10 +343,11 @@ def write(network, folder):
         out = {f"gain/{part}": np.array([gain]) for part, gain in network.gains.items()}
         out |= {f"setting/{name}": np.array([value]) for name, value in settings.items()}
         for iterations in network.iterations:
-            setattr(model, network.attribute, iterations)
+            setattr(model, network.attribute, network.set_iterations(iterations))
             with torch.no_grad():
                 result = model(inputs(network, images))
-            if "flow_small" in result:
+            # CCMR's is of the frame without its border, and does not fit where there is one.
+            if "flow_small" in result and not (network.name.startswith("ccmr") and (height % 32 or width % 32)):
                 out[f"coarse_{iterations}"] = coarse(stride, result["flow_small"]).numpy()
             out[f"flow_{iterations}"] = result["flows"][:, 0, :, ::EVERY, ::EVERY].numpy()
             if "occlusion" in result:

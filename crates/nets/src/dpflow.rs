@@ -189,7 +189,7 @@ fn levels_of([height, width]: [usize; 2]) -> usize {
 }
 
 fn norm(x: Tensor<4>, activation: Activation) -> Tensor<4> {
-    group_norm(x, GROUPS, activation)
+    group_norm(x, GROUPS, EPSILON, activation)
 }
 
 fn conv(channels: [usize; 2], kernel: usize, stride: usize, device: &Device) -> Conv2d {

@@ -3,6 +3,7 @@
 //! Parameters have the names of the reference implementation, so published weights load without a table of names.
 
 mod blocks;
+mod ccmr;
 mod claim;
 mod dpflow;
 mod estimate;

@@ -46,7 +46,7 @@ const RADIUS: usize = 4;
 const LONG: usize = 23;
 /// Initial layer scale of every branch of a block.
 const LAYER_SCALE: f64 = 1e-2;
-/// Added to the variance by layer norms.
+/// Added to the variance by norms.
 const EPSILON: f64 = 1e-6;
 /// Groups of the group norms that the published weights were trained with.
 const GROUPS: usize = 8;
@@ -190,7 +190,7 @@ impl Norm {
     /// `activation(norm(x))`.
     fn of(self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
         match self {
-            Self::Groups(groups) => group_norm(x, groups, activation),
+            Self::Groups(groups) => group_norm(x, groups, EPSILON, activation),
             Self::Layer => layer_norm(x, EPSILON, activation),
         }
     }

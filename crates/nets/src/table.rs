@@ -10,7 +10,8 @@ use crate::features::Features;
 use crate::frames::Frames;
 use crate::settings::{Setting, SettingError, set};
 use crate::{
-    dpflow, flownet, flownet3, flownetcss, gma, memflow, raft, raft_small, rpknet, sea_raft, skflow, unimatch,
+    ccmr, dpflow, flownet, flownet3, flownetcss, gma, memflow, raft, raft_small, rpknet, sea_raft, skflow,
+    unimatch,
 };
 
 /// An entry of the table.
@@ -167,6 +168,8 @@ networks! {
     SkFlow(skflow::SkFlow) = skflow::SKFLOW,
     RpkNet(rpknet::RpkNet) = rpknet::RPKNET,
     DpFlow(dpflow::DpFlow) = dpflow::DPFLOW,
+    Ccmr(ccmr::Ccmr) = ccmr::CCMR,
+    CcmrP(ccmr::Ccmr) = ccmr::CCMR_P,
     SeaRaftS(sea_raft::SeaRaft) = sea_raft::SEA_RAFT_S,
     SeaRaftM(sea_raft::SeaRaft) = sea_raft::SEA_RAFT_M,
     SeaRaftL(sea_raft::SeaRaft) = sea_raft::SEA_RAFT_L,
@@ -193,7 +196,7 @@ mod tests {
                 let end = format!("-{}-{}.ckpt", weights.trained_on, &weights.sha256[..8]);
                 // ptlflow's models have shorter names than its files.
                 let network = file.strip_suffix(&end).expect(file).replace('_', "-");
-                let network = network.replace("-scale", "-sc").replace("-refine", "-ref");
+                let network = network.replace("-scale", "-sc").replace("-refine", "-ref").replace('+', "-p");
                 let facts = architecture.facts();
                 assert!(network == facts.name || facts.same_weights.contains(&network.as_str()), "{file}");
             }

@@ -246,7 +246,7 @@ fn an_initial_flow_is_reduced_to_the_coarse_start() {
 
 #[test]
 fn frames_of_any_size_have_a_flow() {
-    for architecture in [Architecture::RaftSmall, Architecture::DpFlow] {
+    for architecture in [Architecture::RaftSmall, Architecture::DpFlow, Architecture::CcmrP] {
         let estimator = estimator(&architecture.init(&Device::flex()));
         for size in [(1, 1), (16, 16), (1, 130), (127, 9), (129, 128)] {
             let flow = estimator.estimate(&frame(size, 0), &frame(size, 1)).expect("flow");

@@ -97,16 +97,40 @@ fn levels_follow_the_size_of_the_frames_or_the_setting() {
     let coarse = network.forward(frames(&Device::flex()), &Request::new(1)).coarse.expect("a coarse flow");
     assert_eq!(coarse.dims(), [1, 2, 1, 2], "of 64x128 pixels");
     let levels = |architecture: Architecture| architecture.init(&Device::flex()).levels(sizes[1]);
-    assert_eq!([Architecture::RpkNet, Architecture::Raft].map(levels), [Some(3), None]);
+    let others = [Architecture::RpkNet, Architecture::Ccmr, Architecture::CcmrP, Architecture::Raft];
+    assert_eq!(others.map(levels), [Some(3), Some(3), Some(4), None]);
+}
+
+/// CCMR+ gives, in fewer levels, what it has found when it comes to the next.
+#[test]
+fn fewer_levels_give_the_flow_up_to_there() {
+    let device = Device::flex();
+    let mut network = network(Architecture::CcmrP, &device);
+    let all = Request { every_iteration: true, ..Request::new(1) };
+    let all = network.forward(frames(&device), &all);
+    assert_eq!(all.flows.len(), 4);
+    for (levels, flow) in (1..).zip(&all.flows) {
+        network.set("levels", levels).expect("a number of levels");
+        let fewer = network.forward(frames(&device), &Request::new(1));
+        assert!(numbers(fewer.last().clone()) == numbers(flow.clone()), "{levels} levels");
+    }
+    assert!(network.set("levels", 5).is_err());
 }
 
 #[test]
 fn refinement_starts_from_the_requested_flow() {
     let device = Device::flex();
-    for (architecture, size) in
-        [(Architecture::Raft, [8, 9]), (Architecture::RpkNet, [2, 3]), (Architecture::DpFlow, [2, 3])]
-    {
-        let network = network(architecture, &device);
+    for (architecture, size) in [
+        (Architecture::Raft, [8, 9]),
+        (Architecture::RpkNet, [2, 3]),
+        (Architecture::DpFlow, [2, 3]),
+        (Architecture::Ccmr, [4, 6]),
+    ] {
+        let mut network = network(architecture, &device);
+        if architecture == Architecture::Ccmr {
+            // In finer levels one iteration changes more than this start, which points out of the frame.
+            network.set("levels", 1).expect("a number of levels");
+        }
         let from = |start: Option<Tensor<4>>| {
             let request = Request { start, ..Request::new(1) };
             network.forward(frames(&device), &request).coarse.expect("a coarse flow")

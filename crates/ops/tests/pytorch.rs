@@ -347,7 +347,7 @@ fn normalization_of_groups_and_layers() {
     for (name, activation) in ACTIVATIONS {
         check(&format!("group norm {name}"), &shapes, |inputs| {
             let [input] = inputs.try_into().expect("one");
-            group_norm(input, 3, activation)
+            group_norm(input, 3, 1e-6, activation)
         });
         check(&format!("layer norm {name}"), &shapes, |inputs| {
             let [input] = inputs.try_into().expect("one");

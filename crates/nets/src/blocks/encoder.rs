@@ -3,11 +3,14 @@
 
 use burn::module::{Initializer, Module, Param};
 use burn::tensor::{Device, Tensor};
-use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, NoParameters};
+use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, GroupNorm, NoParameters};
 use srflow_ops::Activation;
 use srflow_ops::activation::tensor::activated_sum;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::instance_norm::tensor::instance_norm;
+
+/// Channels of a group.
+const GROUP: usize = 8;
 
 /// Normalization of an encoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -15,15 +18,18 @@ pub(crate) enum NormKind {
     None,
     Instance,
     Batch,
+    /// In groups of eight channels.
+    Group,
 }
 
 /// Normalization after a convolution. The variant does not appear in the names of parameters.
 #[derive(Module, Debug)]
 #[allow(clippy::large_enum_variant)] // A network has some dozen of them.
-enum Norm {
+pub(crate) enum Norm {
     None(NoParameters),
     Instance(NoParameters),
     Batch(BatchNorm),
+    Group(GroupNorm),
 }
 
 /// Configuration of an [`Encoder`].
@@ -67,7 +73,7 @@ struct TridentConv {
 /// A residual block. For blocks that change size or channels, the reference stores the norm of the shortcut twice: as
 /// `downsample.1` and as `norm3` (`norm4` in a bottleneck).
 #[derive(Module, Debug)]
-struct Block {
+pub(crate) struct Block {
     conv1: Conv2d,
     norm1: Norm,
     conv2: Conv2d,
@@ -77,7 +83,8 @@ struct Block {
     downsample: Option<(Conv2d, Norm)>,
 }
 
-fn conv(channels: [usize; 2], kernel: usize) -> Conv2dConfig {
+/// As the encoders of RAFT start.
+pub(crate) fn conv(channels: [usize; 2], kernel: usize) -> Conv2dConfig {
     Conv2dConfig::new(channels, [kernel; 2])
         .with_initializer(Initializer::KaimingNormal { gain: std::f64::consts::SQRT_2, fan_out_only: true })
 }
@@ -123,7 +130,8 @@ impl EncoderConfig {
         }
     }
 
-    fn block(&self, [inputs, outputs]: [usize; 2], stride: usize, device: &Device) -> Block {
+    /// From so many channels to so many.
+    pub(crate) fn block(&self, [inputs, outputs]: [usize; 2], stride: usize, device: &Device) -> Block {
         let norm = |channels| Norm::new(self.norm, channels, device);
         let before_norm = |channels, kernel| conv(channels, kernel).with_bias(self.bias);
         let inner = if self.bottleneck { outputs / 4 } else { outputs };
@@ -146,20 +154,22 @@ impl EncoderConfig {
 }
 
 impl Norm {
-    fn new(kind: NormKind, channels: usize, device: &Device) -> Self {
+    pub(crate) fn new(kind: NormKind, channels: usize, device: &Device) -> Self {
         match kind {
             NormKind::None => Self::None(NoParameters),
             NormKind::Instance => Self::Instance(NoParameters),
             NormKind::Batch => Self::Batch(BatchNorm::new(channels, device)),
+            NormKind::Group => Self::Group(GroupNorm::new(channels / GROUP, channels, device)),
         }
     }
 
     /// `activation(norm(conv(x)))`.
-    fn after(&self, conv: &Conv2d, x: Tensor<4>, activation: Activation) -> Tensor<4> {
+    pub(crate) fn after(&self, conv: &Conv2d, x: Tensor<4>, activation: Activation) -> Tensor<4> {
         match self {
             Self::None(_) => conv.forward(x, activation),
             Self::Instance(_) => instance_norm(conv.forward(x, Activation::Identity), activation),
             Self::Batch(norm) => norm.after(conv, x, activation),
+            Self::Group(norm) => norm.forward(conv.forward(x, Activation::Identity), activation),
         }
     }
 }
@@ -201,7 +211,12 @@ impl TridentConv {
 }
 
 impl Block {
-    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+    /// Its convolutions alone, where channels change and size does not (CCMR).
+    pub(crate) fn without_shortcut(self) -> Self {
+        Self { downsample: None, ..self }
+    }
+
+    pub(crate) fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let mut y = self.norm1.after(&self.conv1, x.clone(), Activation::Relu);
         y = self.norm2.after(&self.conv2, y, Activation::Relu);
         if let (Some(conv), Some(norm)) = (&self.conv3, &self.norm3) {
@@ -209,6 +224,7 @@ impl Block {
         }
         let shortcut = match &self.downsample {
             Some((conv, norm)) => norm.after(conv, x, Activation::Identity),
+            None if x.dims() != y.dims() => return y,
             None => x,
         };
         activated_sum(shortcut, y, Activation::Relu)

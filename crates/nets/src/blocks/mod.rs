@@ -1,6 +1,7 @@
 //! Parts shared by several networks.
 
 mod attention;
+mod cross_covariance;
 mod encoder;
 mod gru;
 mod motion;
@@ -8,7 +9,8 @@ mod resize;
 mod upsampler;
 
 pub(crate) use attention::{Aggregate, Attention, KEPT_BYTES, attention_map};
-pub(crate) use encoder::{Encoder, EncoderConfig, NormKind};
+pub(crate) use cross_covariance::CrossCovariance;
+pub(crate) use encoder::{Block, Encoder, EncoderConfig, Norm, NormKind, conv as encoder_conv};
 pub(crate) use gru::{ConvGru, SepConvGru, StageGru};
 pub(crate) use motion::{FlowHead, MotionEncoder, SmallMotionEncoder, window_entries};
 pub(crate) use resize::{Grids, resize, resize_flow};

@@ -9,6 +9,8 @@ use srflow_ops::upsample::tensor;
 use super::{Grids, resize};
 use crate::recurrent::STRIDE;
 
+/// Coarse pixels that a fine one is a combination of.
+const NEIGHBOURS: usize = 9;
 /// Factor of the weights in the reference, "to balance gradients".
 const MASK_SCALE: f32 = 0.25;
 
@@ -25,14 +27,15 @@ pub(crate) fn convex_mask_by(factor: usize, inputs: usize, device: &Device) -> C
     (
         Conv2dConfig::new([inputs, 256], [3, 3]).init(device),
         NoParameters,
-        Conv2dConfig::new([256, factor * factor * 9], [1, 1]).init(device),
+        Conv2dConfig::new([256, factor * factor * NEIGHBOURS], [1, 1]).init(device),
     )
 }
 
-/// Upsamples coarse flow `[batch, 2, height, width]` 8 times, each fine pixel as a convex combination of 3x3 coarse neighbours.
+/// Upsamples coarse flow `[batch, 2, height, width]` by the factor of the mask, each fine pixel as a convex combination of 3x3 coarse neighbours.
 pub(crate) fn convex_upsample(mask: &ConvexMask, hidden: &Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
     let weights = mask_weights(mask, hidden);
-    tensor::convex_upsample(flow, weights, MASK_SCALE, STRIDE)
+    let factor = (weights.dims()[1] / NEIGHBOURS).isqrt();
+    tensor::convex_upsample(flow, weights, MASK_SCALE, factor)
 }
 
 /// [`convex_upsample`] by `factor`, with weights that are not scaled (UniMatch).
@@ -60,7 +63,7 @@ impl WideConvexMask {
     pub(crate) fn new(hidden: usize, device: &Device) -> Self {
         Self {
             conv1: Conv2dConfig::new([hidden, 2 * hidden], [3, 3]).init(device),
-            conv2: Conv2dConfig::new([2 * hidden, STRIDE * STRIDE * 9], [1, 1]).init(device),
+            conv2: Conv2dConfig::new([2 * hidden, STRIDE * STRIDE * NEIGHBOURS], [1, 1]).init(device),
         }
     }
 

@@ -23,6 +23,11 @@ impl LayerNorm {
         }
     }
 
+    /// Weight and bias, `[channels]` each.
+    pub fn weight_and_bias(&self) -> [Tensor<1>; 2] {
+        [self.weight.val(), self.bias.val()]
+    }
+
     /// Normalizes `[batch, channels, height, width]`.
     pub fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         self.with_epilogue(x, Epilogue::default())

@@ -4,6 +4,7 @@ mod batch_norm;
 mod conv;
 mod conv_transpose;
 mod dropout;
+mod group_norm;
 mod layer_norm;
 mod linear;
 
@@ -13,6 +14,7 @@ pub use batch_norm::{BatchNorm, with_batch_statistics};
 pub use conv::{Conv2d, Conv2dConfig};
 pub use conv_transpose::{ConvTranspose2d, ConvTranspose2dConfig};
 pub use dropout::dropout;
+pub use group_norm::GroupNorm;
 pub use layer_norm::LayerNorm;
 pub use linear::{Linear, LinearConfig};
 

@@ -7,9 +7,6 @@ use crate::Activation;
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Operation, apply};
 
-/// Added to the variance of a group, in the reference implementations that have groups.
-const GROUP_EPSILON: f64 = 1e-6;
-
 #[derive(Debug, Clone)]
 pub(super) struct InstanceNorm {
     pub(super) epsilon: f64,
@@ -39,12 +36,11 @@ pub fn instance_norm(input: Tensor<4>, activation: Activation) -> Tensor<4> {
     apply(InstanceNorm { epsilon: EPSILON, activation }, [input.into_dispatch()])
 }
 
-/// As many `groups` of neighbouring channels, each less its mean over channels and pixels, over its standard deviation, then
-/// the activation. Panics when there are no pixels or the channels are not whole groups.
-pub fn group_norm(input: Tensor<4>, groups: usize, activation: Activation) -> Tensor<4> {
+/// As many `groups` of neighbouring channels, each less its mean over channels and pixels, over its standard deviation, with
+/// `epsilon` added to the variance, then the activation. Panics when there are no pixels or the channels are not whole groups.
+pub fn group_norm(input: Tensor<4>, groups: usize, epsilon: f64, activation: Activation) -> Tensor<4> {
     let dims @ [batch, channels, height, width] = input.dims();
     assert!(groups > 0 && channels.is_multiple_of(groups), "{channels} channels in {groups} groups");
     let planes = input.reshape([batch, groups, channels / groups * height, width]);
-    apply::<_, 1, 4>(InstanceNorm { epsilon: GROUP_EPSILON, activation }, [planes.into_dispatch()])
-        .reshape(dims)
+    apply::<_, 1, 4>(InstanceNorm { epsilon, activation }, [planes.into_dispatch()]).reshape(dims)
 }

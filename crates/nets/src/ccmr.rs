@@ -1,0 +1,310 @@
+//! CCMR and CCMR+ (Jahedi et al., WACV 2024): flow is refined from coarse to fine, and in each level channels of the motion
+//! attend to each other as those of the context do. Parity with the reference: `PARITY.md`.
+
+use burn::module::Module;
+use burn::tensor::{Device, Tensor};
+use srflow_nn::layers::Conv2d;
+use srflow_ops::Activation::{self, Identity, Relu, Tanh};
+use srflow_ops::WeightCache;
+use srflow_ops::conv2d::tensor::Epilogue;
+use srflow_ops::correlation::tensor::Correlation;
+
+use crate::MemoryNeed;
+use crate::blocks::{
+    Block, ConvexMask, CrossCovariance, EncoderConfig, FlowHead, Grids, MotionEncoder, Norm, NormKind,
+    SepConvGru, convex_mask_by, convex_upsample, encoder_conv, resize, resize_flow,
+};
+use crate::estimate::{Estimate, Request};
+use crate::facts::{Facts, IterationPresets, Start, ptlflow};
+use crate::features::Features;
+use crate::frames::{Border, Frames, prepared};
+use crate::raft::{HIDDEN, RADIUS};
+use crate::recurrent::pixel_grid;
+use crate::settings::{Allowed, Setting};
+use crate::table::{Entry, FlowNetwork};
+
+/// Pixels of a frame along a side of a pixel of the coarsest level.
+const COARSEST_STRIDE: usize = 16;
+/// Height and width of frames are made multiples of this.
+const PADDING: usize = 2 * COARSEST_STRIDE;
+/// How many times finer each level is than the one before, and how much a flow is enlarged by its weights.
+const FACTOR: usize = 2;
+/// Channels of the encoders at a half, a quarter, an eighth and a sixteenth of the size.
+const WIDTHS: [usize; 4] = [64, 96, 128, 160];
+/// Levels of the correlation pyramid in each level of the network.
+const CORRELATION_LEVELS: usize = 2;
+/// Channels of the context, and of what attention makes of it and of the motion.
+const CONTEXT: usize = HIDDEN;
+/// Refinements of CCMR in each level, coarsest first, in ptlflow and in the authors' evaluation on Sintel.
+const ITERATIONS: [usize; 3] = [8, 10, 15];
+/// Of CCMR+.
+const ITERATIONS_PLUS: [usize; 4] = [8, 10, 10, 10];
+
+pub(crate) const CCMR: Entry<Ccmr> = Entry {
+    facts: Facts {
+        name: "ccmr",
+        title: "CCMR",
+        paper: "https://openaccess.thecvf.com/content/WACV2024/papers/Jahedi_CCMR_High_Resolution_Optical_Flow_Estimation_via_Coarse-To-Fine_Context-Guided_Motion_WACV_2024_paper.pdf",
+        parameters: 10_780_884,
+        padding: PADDING,
+        smallest_side: 2 * PADDING,
+        iterations: IterationPresets { default: 15, authors: 15, training: 8 },
+        start: Start::Coarse(COARSEST_STRIDE),
+        trains: true,
+        memory: MemoryNeed { fixed: 240_000_000, per_pixel: 1100, attending: 0, most_weights: 0 },
+        authors: "https://github.com/cv-stuttgart/CCMR",
+        licence: "BSD-3-Clause, not for military use; weights CC BY-NC-SA 3.0",
+        published: &[ptlflow!("ccmr", "sintel", "e1760f37"), ptlflow!("ccmr", "kitti", "612444b9")],
+        ..Facts::DEFAULT
+    },
+    init: |device| Ccmr::new(&ITERATIONS, device),
+};
+
+pub(crate) const CCMR_P: Entry<Ccmr> = Entry {
+    facts: Facts {
+        name: "ccmr-p",
+        title: "CCMR+",
+        parameters: 11_523_620,
+        iterations: IterationPresets { default: 10, authors: 10, training: 6 },
+        memory: MemoryNeed { fixed: 330_000_000, per_pixel: 3450, attending: 0, most_weights: 0 },
+        published: &[ptlflow!("ccmr+", "sintel", "055b44ec"), ptlflow!("ccmr+", "kitti", "c289d5e6")],
+        ..CCMR.facts
+    },
+    init: |device| Ccmr::new(&ITERATIONS_PLUS, device),
+};
+
+/// The network of the paper, with three or four levels.
+#[derive(Module, Debug)]
+pub struct Ccmr {
+    fnet: Encoder,
+    cnet: Encoder,
+    update_block: UpdateBlock,
+    xcit: Vec<CrossCovariance>,
+    /// Levels in which flow is refined, coarsest first.
+    levels: usize,
+}
+
+/// `BasicEncoder_resconv` and `Basic_Context_Encoder_resconv`: down to a sixteenth of the size, and up again.
+#[derive(Module, Debug)]
+struct Encoder {
+    conv1: Conv2d,
+    norm1: Norm,
+    layer1: Vec<Block>,
+    layer2: Vec<Block>,
+    layer3: Vec<Block>,
+    layer4: Vec<Block>,
+    conv2: Conv2d,
+    up_layer2: Vec<Block>,
+    after_up_layer2_conv: Conv2d,
+    up_layer1: Vec<Block>,
+    after_up_layer1_conv: Conv2d,
+    up_layer0: Option<Vec<Block>>,
+    after_up_layer0_conv: Option<Conv2d>,
+}
+
+/// `BasicUpdateBlock`.
+#[derive(Module, Debug)]
+struct UpdateBlock {
+    encoder: MotionEncoder,
+    gru: SepConvGru,
+    flow_head: FlowHead,
+    mask: ConvexMask,
+    aggregator: Vec<CrossCovariance>,
+}
+
+impl Ccmr {
+    /// With random parameters, as training starts, and the levels of these refinements.
+    fn new(iterations: &[usize], device: &Device) -> Self {
+        let levels = iterations.len();
+        let entries = CORRELATION_LEVELS * (2 * RADIUS + 1) * (2 * RADIUS + 1);
+        Self {
+            fnet: Encoder::new(levels, None, device),
+            cnet: Encoder::new(levels, Some(HIDDEN + CONTEXT), device),
+            update_block: UpdateBlock {
+                encoder: MotionEncoder::of_entries(entries, device),
+                gru: SepConvGru::new(HIDDEN, 3 * CONTEXT, device),
+                flow_head: FlowHead::new(HIDDEN, 256, device),
+                mask: convex_mask_by(FACTOR, HIDDEN, device),
+                aggregator: (0..levels).map(|_| CrossCovariance::of_values(CONTEXT, device)).collect(),
+            },
+            xcit: (0..levels).map(|_| CrossCovariance::of_itself(CONTEXT, device)).collect(),
+            levels,
+        }
+    }
+
+    /// Of every level, coarsest first, where the finest of all has `finest`: in proportion to those of the reference.
+    fn iterations(&self, finest: usize) -> Vec<usize> {
+        let of_all: &[usize] =
+            if self.xcit.len() == ITERATIONS.len() { &ITERATIONS } else { &ITERATIONS_PLUS };
+        let most = of_all.last().copied().unwrap_or(1);
+        of_all.iter().take(self.levels).map(|own| (own * finest).div_ceil(most)).collect()
+    }
+
+    /// Features to match of frames in -1..1 with a border, coarsest level first.
+    fn matched(&self, frames: Tensor<4>) -> Vec<Tensor<4>> {
+        let maps = self.fnet.forward(frames, self.levels);
+        maps.into_iter().zip(self.fnet.outputs()).map(|(map, conv)| conv.forward(map, Identity)).collect()
+    }
+}
+
+impl FlowNetwork for Ccmr {
+    fn features(&self, frames: Tensor<4>) -> Features {
+        let [batch, _, height, width] = frames.dims();
+        let frames = prepared(frames, Border::new([height, width], PADDING));
+        Features::new(batch, self.matched(frames))
+    }
+
+    fn forward(&self, frames: Frames, request: &Request) -> Estimate {
+        assert!(request.iterations > 0, "at least one iteration");
+        let (first, second, border) = frames.prepared(PADDING);
+        let [batch, _, height, width] = first.dims();
+        let device = first.device();
+        let contexts = self.cnet.forward(first.clone(), self.levels);
+        let [firsts, seconds] = match &request.features {
+            Some(known) => known.clone().map(Features::into_levels),
+            // One after the other: both at once would double the memory.
+            None => [first, second].map(|frames| self.matched(frames)),
+        };
+        let coarsest = [height, width].map(|side| side / COARSEST_STRIDE);
+        let mut flow = Tensor::zeros([batch, 2, coarsest[0], coarsest[1]], &device);
+        if let Some(start) = &request.start {
+            assert_eq!(start.dims(), flow.dims(), "the coarse flow to start from");
+            flow = start.clone();
+        }
+        let block = &self.update_block;
+        let iterations = self.iterations(request.iterations);
+        let mut flows = Vec::new();
+        let mut last = None;
+        let levels = contexts.into_iter().zip(self.cnet.outputs()).zip(firsts.into_iter().zip(seconds));
+        for (number, ((context, split), (first, second))) in levels.enumerate() {
+            let [mut hidden, context] = hidden_and_context(context, split);
+            let correlation = Correlation::new(first, second, CORRELATION_LEVELS);
+            let aggregator = &block.aggregator[number];
+            let attending = aggregator.attending(self.xcit[number].forward(context.clone()));
+            let gru = block.gru.prepared(&context);
+            let [_, _, rows, columns] = hidden.dims();
+            let grid = pixel_grid([batch, rows, columns], &device);
+            for iteration in 1..=iterations[number] {
+                // The weights that enlarged the flow of the level before are learned here too.
+                if iteration > 1 || number == 0 {
+                    flow = flow.detach();
+                }
+                let windows = correlation.windows(grid.clone() + flow.clone(), RADIUS);
+                let motion = block.encoder.forward(flow.clone(), windows);
+                let gathered = aggregator.gather(&attending, motion.clone());
+                hidden = gru.step(hidden, Tensor::cat(vec![motion, gathered], 1));
+                flow = flow + block.flow_head.forward(hidden.clone());
+                if request.every_iteration || [number + 1, iteration] == [self.levels, iterations[number]] {
+                    let whole = enlarged(convex_upsample(&block.mask, &hidden, flow.clone()), height);
+                    flows.push(border.remove(whole.clone()));
+                    last = Some(whole);
+                }
+            }
+            if number + 1 < self.levels {
+                flow = convex_upsample(&block.mask, &hidden, flow.detach());
+            }
+        }
+        Estimate {
+            coarse: last.map(|flow| resize_flow(flow, coarsest, Grids::CornersOnCorners)),
+            ..Estimate::of_flows(flows)
+        }
+    }
+
+    fn levels(&self, _: [usize; 2]) -> Option<usize> {
+        Some(self.levels)
+    }
+
+    fn settings(&mut self) -> Vec<Setting<'_>> {
+        let allowed = if self.xcit.len() == ITERATIONS.len() { &[1, 2, 3][..] } else { &[1, 2, 3, 4] };
+        vec![Setting {
+            name: "levels",
+            description: "levels in which flow is refined, the coarsest first, at a sixteenth of the size; all by default",
+            allowed: Allowed::OneOf(allowed),
+            in_files: None,
+            value: &mut self.levels,
+        }]
+    }
+}
+
+/// The first hidden state of a level and its context, from a map of the context encoder and the layer that makes both of it.
+fn hidden_and_context(map: Tensor<4>, layer: &Conv2d) -> [Tensor<4>; 2] {
+    let half = |first: usize, activation: Activation| {
+        let bias = layer.bias().map(|bias| bias.narrow(0, first, HIDDEN));
+        let weight = layer.weight().narrow(0, first, HIDDEN);
+        layer.apply(map.clone(), weight, &WeightCache::default(), Epilogue::with(activation).bias(bias))
+    };
+    [half(0, Tanh), half(HIDDEN, Relu)]
+}
+
+/// Flow in frames of that height, doubled as often as that takes (`upflow2`).
+fn enlarged(mut flow: Tensor<4>, height: usize) -> Tensor<4> {
+    while flow.dims()[2] < height {
+        let [_, _, rows, columns] = flow.dims();
+        flow = resize_flow(flow, [2 * rows, 2 * columns], Grids::CornersOnCorners);
+    }
+    flow
+}
+
+fn through(layer: &[Block], x: Tensor<4>) -> Tensor<4> {
+    layer.iter().fold(x, |x, block| block.forward(x))
+}
+
+impl Encoder {
+    /// With as many channels in each level as there are below, or `outputs`.
+    fn new(levels: usize, outputs: Option<usize>, device: &Device) -> Self {
+        let config = EncoderConfig::basic(0, NormKind::Group);
+        let layer = |inputs, outputs, stride| {
+            vec![config.block([inputs, outputs], stride, device), config.block([outputs, outputs], 1, device)]
+        };
+        let [half, quarter, eighth, sixteenth] = WIDTHS;
+        let out = |width| outputs.unwrap_or(width);
+        let last = |width| encoder_conv([width, out(width)], 1).init(device);
+        let up = |coarser, width| {
+            let first = config.block([out(coarser) + width, width], 1, device).without_shortcut();
+            vec![first, config.block([width, width], 1, device)]
+        };
+        let four = levels == ITERATIONS_PLUS.len();
+        Self {
+            conv1: encoder_conv([3, half], 7).with_stride(2).init(device),
+            norm1: Norm::new(NormKind::Group, half, device),
+            layer1: layer(half, half, 1),
+            layer2: layer(half, quarter, 2),
+            layer3: layer(quarter, eighth, 2),
+            layer4: layer(eighth, sixteenth, 2),
+            conv2: last(sixteenth),
+            up_layer2: up(sixteenth, eighth),
+            after_up_layer2_conv: last(eighth),
+            up_layer1: up(eighth, quarter),
+            after_up_layer1_conv: last(quarter),
+            up_layer0: four.then(|| up(quarter, half)),
+            after_up_layer0_conv: four.then(|| last(half)),
+        }
+    }
+
+    /// What makes the output of a level, coarsest first.
+    fn outputs(&self) -> impl Iterator<Item = &Conv2d> {
+        let three = [&self.conv2, &self.after_up_layer2_conv, &self.after_up_layer1_conv];
+        three.into_iter().chain(&self.after_up_layer0_conv)
+    }
+
+    /// The maps of so many levels before [`outputs`](Self::outputs), coarsest first.
+    fn forward(&self, frames: Tensor<4>, levels: usize) -> Vec<Tensor<4>> {
+        let mut x = through(&self.layer1, self.norm1.after(&self.conv1, frames, Relu));
+        let mut finer = vec![x.clone()];
+        for layer in [&self.layer2, &self.layer3] {
+            x = through(layer, x);
+            finer.push(x.clone());
+        }
+        x = through(&self.layer4, x);
+        let mut maps = vec![x.clone()];
+        let ups = [&self.up_layer2, &self.up_layer1].into_iter().chain(&self.up_layer0).zip(self.outputs());
+        for (layer, output) in ups.take(levels - 1) {
+            let Some(own) = finer.pop() else { break };
+            let [_, _, height, width] = own.dims();
+            let coarser = resize(output.forward(x, Identity), [height, width], Grids::EdgesOnEdges);
+            x = through(layer, Tensor::cat(vec![coarser, own], 1));
+            maps.push(x.clone());
+        }
+        maps
+    }
+}

@@ -36,16 +36,17 @@ pub(super) fn from_panels(isa: Isa, panels: &[f32], pixels: usize) -> Vec<f32> {
     matrix
 }
 
-/// Packs `[channels, pixels]` as a left side with one row per pixel.
+/// Packs `[channels, pixels]` as a left side with one row per pixel: what [`pack_rows`] makes of the transposed matrix.
 pub(super) fn pixels_as_rows(isa: Isa, matrix: &[f32], pixels: usize) -> Vec<f32> {
     let channels = matrix.len() / pixels;
     let mut packed = vec![0.0; matrix.len()];
     packed.par_chunks_mut(BLOCK * channels).enumerate().for_each(|(block, packed)| {
-        let first = block * BLOCK;
-        let rows: Vec<f32> = (first..first + packed.len() / channels)
-            .flat_map(|pixel| matrix[pixel..].iter().step_by(pixels).copied())
-            .collect();
-        pack_rows(isa, &rows, channels, packed);
+        for (tile, packed) in packed.chunks_mut(isa.tile_rows() * channels).enumerate() {
+            let (first, rows) = (block * BLOCK + tile * isa.tile_rows(), packed.len() / channels);
+            for (to, plane) in packed.chunks_exact_mut(rows).zip(matrix.chunks_exact(pixels)) {
+                to.copy_from_slice(&plane[first..first + rows]);
+            }
+        }
     });
     packed
 }
@@ -56,10 +57,10 @@ pub(super) fn channels_as_rows(isa: Isa, matrix: &[f32], pixels: usize, block: u
     let mut packed = vec![0.0; matrix.len()];
     packed.par_chunks_mut(block * channels).enumerate().for_each(|(number, packed)| {
         let depth = packed.len() / channels;
-        let rows: Vec<f32> = matrix
-            .chunks_exact(pixels)
-            .flat_map(|plane| plane[number * block..number * block + depth].iter().copied())
-            .collect();
+        let mut rows = Vec::with_capacity(packed.len());
+        for plane in matrix.chunks_exact(pixels) {
+            rows.extend_from_slice(&plane[number * block..][..depth]);
+        }
         pack_rows(isa, &rows, depth, packed);
     });
     packed

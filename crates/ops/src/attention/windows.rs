@@ -84,10 +84,13 @@ impl Window {
         if self.pixels() == height * width {
             return Cow::Borrowed(image);
         }
-        let planes = image.chunks_exact(height * width);
-        let rows =
-            planes.flat_map(|plane| plane.chunks_exact(width).take(self.rows.end).skip(self.rows.start));
-        Cow::Owned(rows.flat_map(|row| &row[self.columns.clone()]).copied().collect())
+        let mut part = Vec::with_capacity(image.len() / (height * width) * self.pixels());
+        for plane in image.chunks_exact(height * width) {
+            for row in plane.chunks_exact(width).take(self.rows.end).skip(self.rows.start) {
+                part.extend_from_slice(&row[self.columns.clone()]);
+            }
+        }
+        Cow::Owned(part)
     }
 
     /// Writes channel `channel` of what [`Self::of`] gave to a plane of the image.

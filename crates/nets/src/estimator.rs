@@ -1,4 +1,4 @@
-//! A network as an estimator of flow between images.
+//! Networks as [`FlowEstimator`]s.
 
 use std::num::NonZeroUsize;
 
@@ -21,7 +21,7 @@ pub struct NetworkEstimator {
 }
 
 impl NetworkEstimator {
-    /// The network, on the device its parameters are on, under the name shown in tables.
+    /// An estimator with `network`, whose parameters must be on `device`. `name` is for tables and errors.
     pub fn new(name: impl Into<String>, network: Network, iterations: NonZeroUsize, device: Device) -> Self {
         Self { name: name.into(), network, iterations, device }
     }
@@ -40,7 +40,7 @@ impl NetworkEstimator {
         EncodedFrame { frame, features }
     }
 
-    /// What the sides of an extended frame are padded to multiples of.
+    /// The multiple to which the sides of an extended frame are padded.
     fn padding(&self, Canvas { extended: (width, height), .. }: Canvas) -> usize {
         self.network.padding().of([height, width])
     }
@@ -49,17 +49,16 @@ impl NetworkEstimator {
         EstimateError::Unsupported { method: self.name.clone(), reason: reason.into() }
     }
 
-    /// Pixels along a side of a coarse pixel of the flow that an estimate starts from, where frames are padded to multiples of
-    /// `padding`.
+    /// Side of a coarse pixel of [`Request::start`] in pixels, for frames that are padded to multiples of `padding`.
     fn start_stride(&self, padding: usize) -> Result<usize, EstimateError> {
         match self.facts().start {
             Start::Coarse(stride) => Ok(stride),
             Start::CoarsestLevel => Ok(padding),
-            Start::Frames(why) => Err(self.unsupported(format!("cannot start from an earlier flow: {why}"))),
+            Start::Frames(why) => Err(self.unsupported(format!("cannot start from a given flow: {why}"))),
         }
     }
 
-    /// `[frames, 3, height, width]`.
+    /// Frames of one size as a tensor `[frames, 3, height, width]` in 0..1.
     fn tensor(&self, frames: &[&Image]) -> Tensor<4> {
         let (width, height) = frames[0].size();
         let pixels = width * height;
@@ -77,7 +76,7 @@ impl NetworkEstimator {
         Tensor::from_data(TensorData::new(numbers, [frames.len(), 3, height, width]), &self.device)
     }
 
-    /// From the first `pairs` frames to the last.
+    /// Estimates flow from the first `pairs` frames to the last `pairs` frames.
     fn forward(
         &self,
         frames: &[EncodedFrame],
@@ -98,7 +97,7 @@ impl NetworkEstimator {
         self.network.forward(frames, &request)
     }
 
-    /// The flows of a batch, in the size of the frames.
+    /// The flows of a batch, cropped to the size of the frames.
     fn fields(&self, flows: &Tensor<4>, canvas: Canvas) -> Result<Vec<FlowField>, EstimateError> {
         let [pairs, _, height, width] = flows.dims();
         let numbers = self.numbers(flows.clone())?;
@@ -114,18 +113,18 @@ impl NetworkEstimator {
         Ok((0..pairs).map(field).collect())
     }
 
-    /// The estimates of a batch, in the size of the frames.
+    /// The estimates of a batch, cropped to the size of the frames.
     fn estimates(&self, estimate: &Estimate, canvas: Canvas) -> Result<Vec<FlowEstimate>, EstimateError> {
         let uncertainty = estimate.mixtures.last().map(|mixture| mixture.mean_scale());
         let mut uncertainty = self.planes(uncertainty, canvas)?.into_iter();
         let mut occlusion = self.planes(estimate.occlusion.clone(), canvas)?.into_iter();
         let flows = self.fields(estimate.last(), canvas)?;
-        let beside =
+        let with_planes =
             |flow| FlowEstimate { flow, uncertainty: uncertainty.next(), occlusion: occlusion.next() };
-        Ok(flows.into_iter().map(beside).collect())
+        Ok(flows.into_iter().map(with_planes).collect())
     }
 
-    /// `[batch, 1, height, width]` as planes in the size of the frames; none without a tensor.
+    /// Planes of a tensor `[batch, 1, height, width]`, cropped to the size of the frames; empty without a tensor.
     fn planes(&self, tensor: Option<Tensor<4>>, canvas: Canvas) -> Result<Vec<Plane>, EstimateError> {
         let Some(tensor) = tensor else { return Ok(Vec::new()) };
         let [_, _, height, width] = tensor.dims();
@@ -142,13 +141,13 @@ impl NetworkEstimator {
         let numbers: Vec<f32> = data.try_to_vec().map_err(|error| self.unsupported(format!("{error:?}")))?;
         if let Some(wrong) = numbers.iter().find(|number| !number.is_finite()) {
             return Err(self.unsupported(format!(
-                "gave {wrong} for a flow: its weights are broken, or do not go with so many iterations; try others"
+                "computed {wrong} instead of a flow: its weights are broken, or unsuitable for this number of iterations; try others"
             )));
         }
         Ok(numbers)
     }
 
-    /// `flow`, in the size of the frames, as a coarse flow in coarse pixels.
+    /// Reduces `flow`, which has the size of the frames, to a coarse flow in coarse pixels, the mean over the known pixels of each.
     fn coarse(&self, flow: &FlowField, canvas: Canvas) -> Result<Tensor<4>, EstimateError> {
         let padding = self.padding(canvas);
         let stride = self.start_stride(padding)?;
@@ -179,8 +178,8 @@ impl NetworkEstimator {
         Ok(Tensor::from_data(TensorData::new(planes, [1, 2, height, width]), &self.device))
     }
 
-    /// A coarse flow for the next pair, from that of the pair before.
-    fn moved_on(&self, coarse: &Tensor<4>) -> Result<Tensor<4>, EstimateError> {
+    /// The start of the next pair: the coarse flow of the previous pair, warped forward.
+    fn warped_forward(&self, coarse: &Tensor<4>) -> Result<Tensor<4>, EstimateError> {
         let dims @ [_, _, height, width] = coarse.dims();
         let numbers = self.numbers(coarse.clone())?;
         let (u, v) = numbers.split_at(width * height);
@@ -227,7 +226,7 @@ impl FlowEstimator for NetworkEstimator {
 }
 
 impl NetworkEstimator {
-    /// `initial` is for a single pair.
+    /// Estimates pairs of one size. `initial` is only allowed for a single pair.
     fn between(
         &self,
         pairs: &[[&Image; 2]],
@@ -247,7 +246,7 @@ impl NetworkEstimator {
     }
 }
 
-/// A frame and its features.
+/// A padded frame and its features.
 struct EncodedFrame {
     frame: Image,
     features: Features,
@@ -262,7 +261,7 @@ struct NetworkSequence<'a> {
 struct State {
     canvas: Canvas,
     last: EncodedFrame,
-    /// Of the pair before, for a warm start.
+    /// Coarse flow of the previous pair, for a warm start.
     coarse: Option<Tensor<4>>,
     memory: Option<Memory>,
 }
@@ -279,9 +278,9 @@ impl FlowSequence for NetworkSequence<'_> {
         if self.warm_start {
             self.estimator.start_stride(self.estimator.padding(canvas))?;
         }
-        // A warm start and a memory wait for the pair before.
-        let waits = self.warm_start || self.estimator.remembers();
-        let at_once = if waits { 1 } else { frames.len() };
+        // Warm start and memory need the result of the previous pair.
+        let sequential = self.warm_start || self.estimator.remembers();
+        let at_once = if sequential { 1 } else { frames.len() };
         let mut estimates = Vec::with_capacity(frames.len());
         for frames in frames.chunks(at_once) {
             estimates.extend(self.next(frames)?);
@@ -299,28 +298,28 @@ impl FlowSequence for NetworkSequence<'_> {
         }
         match self.push(std::slice::from_ref(second))?.pop() {
             Some(estimate) => Ok(estimate),
-            None => Ok(FlowField::new(size.0, size.1).into()), // of frames without pixels
+            None => Ok(FlowField::new(size.0, size.1).into()), // frames without pixels
         }
     }
 }
 
 impl NetworkSequence<'_> {
-    /// Estimates all pairs at once. `frames` is not empty, its frames of one size.
+    /// Estimates all pairs at once. `frames` must not be empty, and its frames must have one size.
     fn next(&mut self, frames: &[Image]) -> Result<Vec<FlowEstimate>, EstimateError> {
         let canvas = self.estimator.canvas(frames[0].size());
         let (last, coarse, mut memory) = match self.state.take() {
             Some(state) => (Some(state.last), state.coarse, state.memory),
             None => (None, None, None),
         };
-        // One frame after the other: the encoder is where memory is needed most.
+        // One frame after another, since memory peaks in the encoder.
         let mut video: Vec<EncodedFrame> = last.into_iter().collect();
         video.extend(frames.iter().map(|frame| self.estimator.encoded(frame)));
         let (mut estimates, mut next_coarse, mut next_memory) = (Ok(Vec::new()), None, None);
         if video.len() > 1 {
-            // Of a pair across a cut nothing is remembered, nor does it see what was before.
+            // A pair across a cut neither uses the memory nor is remembered.
             let cut = self.estimator.remembers() && is_cut(&video[0].frame, &video[1].frame);
             memory = memory.filter(|_| !cut);
-            let start = coarse.map(|coarse| self.estimator.moved_on(&coarse)).transpose()?;
+            let start = coarse.map(|coarse| self.estimator.warped_forward(&coarse)).transpose()?;
             let estimate = self.estimator.forward(&video, video.len() - 1, start, memory);
             estimates = self.estimator.estimates(&estimate, canvas);
             next_coarse = estimate.coarse.filter(|_| self.warm_start);
@@ -331,7 +330,7 @@ impl NetworkSequence<'_> {
     }
 }
 
-/// The place of a frame in its padded image.
+/// Position of a frame in its padding to the smallest side.
 #[derive(Debug, Clone, Copy)]
 struct Canvas {
     size: (usize, usize),

@@ -1,27 +1,27 @@
-//! Flow estimated at another scale of the frames.
+//! Estimates flow on resized frames.
 
 use srflow_field::resize::{resize_flow_antialiased, resize_image_antialiased, resize_plane_antialiased};
 use srflow_field::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, check_frame_sizes,
 };
 
-/// An estimator on frames resized by a factor; its flow is resized back.
+/// Applies an estimator to frames resized by a factor, and resizes its results back.
 pub struct Scaled {
     estimator: Box<dyn FlowEstimator>,
     factor: f64,
 }
 
-/// Width and height of a frame scaled by [`Scaled`]: each times `factor`, rounded, at least 1.
+/// Width and height of a frame after scaling by [`Scaled`]: each times `factor`, rounded, at least 1.
 pub fn scaled_size((width, height): (usize, usize), factor: f64) -> (usize, usize) {
     let side = |side: usize| ((side as f64 * factor).round() as usize).max(1);
     (side(width), side(height))
 }
 
 impl Scaled {
-    /// `estimator` on frames whose sides are `factor` times as long.
+    /// Scales the sides of frames by `factor` for `estimator`.
     ///
     /// # Errors
-    /// When `factor` is not within 1/64 to 64.
+    /// When `factor` is not in 1/64 to 64.
     pub fn new(estimator: Box<dyn FlowEstimator>, factor: f64) -> Result<Self, EstimateError> {
         if (1.0 / 64.0..=64.0).contains(&factor) {
             return Ok(Self { estimator, factor });
@@ -34,7 +34,7 @@ impl Scaled {
         })
     }
 
-    fn smaller(&self, frame: &Image) -> Image {
+    fn resized_frame(&self, frame: &Image) -> Image {
         resize_image_antialiased(frame, scaled_size(frame.size(), self.factor))
     }
 }
@@ -51,10 +51,10 @@ impl FlowEstimator for Scaled {
     fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
         let Some([first, _]) = pairs.first() else { return Ok(Vec::new()) };
         check_frame_sizes(first.size(), pairs.as_flattened().iter().map(|frame| frame.size()))?;
-        let smaller: Vec<[Image; 2]> =
-            pairs.iter().map(|pair| pair.map(|frame| self.smaller(frame))).collect();
-        let smaller: Vec<[&Image; 2]> = smaller.iter().map(|pair| pair.each_ref()).collect();
-        let flows = self.estimator.estimate_pairs(&smaller)?;
+        let scaled: Vec<[Image; 2]> =
+            pairs.iter().map(|pair| pair.map(|frame| self.resized_frame(frame))).collect();
+        let scaled: Vec<[&Image; 2]> = scaled.iter().map(|pair| pair.each_ref()).collect();
+        let flows = self.estimator.estimate_pairs(&scaled)?;
         Ok(flows.iter().map(|flow| resize_flow_antialiased(flow, first.size())).collect())
     }
 
@@ -66,7 +66,11 @@ impl FlowEstimator for Scaled {
     ) -> Result<FlowField, EstimateError> {
         check_frame_sizes(frame1.size(), [frame2.size(), initial.size()])?;
         let initial = resize_flow_antialiased(initial, scaled_size(initial.size(), self.factor));
-        let flow = self.estimator.estimate_from(&self.smaller(frame1), &self.smaller(frame2), &initial)?;
+        let flow = self.estimator.estimate_from(
+            &self.resized_frame(frame1),
+            &self.resized_frame(frame2),
+            &initial,
+        )?;
         Ok(resize_flow_antialiased(&flow, frame1.size()))
     }
 
@@ -90,21 +94,21 @@ impl FlowSequence for ScaledSequence<'_> {
         let Some(first) = frames.first() else { return Ok(Vec::new()) };
         let size = *self.size.get_or_insert(first.size());
         check_frame_sizes(size, frames.iter().map(Image::size))?;
-        let smaller: Vec<Image> = frames.iter().map(|frame| self.scaled.smaller(frame)).collect();
-        let estimates = self.sequence.push(&smaller)?;
+        let scaled: Vec<Image> = frames.iter().map(|frame| self.scaled.resized_frame(frame)).collect();
+        let estimates = self.sequence.push(&scaled)?;
         Ok(estimates.into_iter().map(|estimate| resized(estimate, size)).collect())
     }
 
     fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowEstimate, EstimateError> {
         let size = *self.size.get_or_insert(pair[0].size());
         check_frame_sizes(size, pair.map(Image::size))?;
-        let smaller = pair.map(|frame| self.scaled.smaller(frame));
-        Ok(resized(self.sequence.push_pair(smaller.each_ref())?, size))
+        let scaled = pair.map(|frame| self.scaled.resized_frame(frame));
+        Ok(resized(self.sequence.push_pair(scaled.each_ref())?, size))
     }
 }
 
-/// An estimate in frames of another size. The uncertainty, one for both components of the flow, grows by the geometric mean of
-/// the sides.
+/// Resizes an estimate. The uncertainty, which is common to both components of the flow, is scaled by the geometric mean of the
+/// two factors.
 fn resized(estimate: FlowEstimate, size: (usize, usize)) -> FlowEstimate {
     let from = estimate.flow.size();
     if from == size {
@@ -125,7 +129,7 @@ mod tests {
 
     use super::*;
 
-    /// Says the size of what it sees, a hundredth a pixel.
+    /// The flow is the size of the frames, in hundreds of pixels.
     struct Sizes;
 
     impl FlowEstimator for Sizes {
@@ -163,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn the_method_sees_the_scaled_frame_and_the_flow_comes_back_in_its_pixels() {
+    fn the_estimator_gets_scaled_frames_and_flow_is_scaled_back() {
         let frame = Image::new(100, 61);
         for (factor, seen) in [(0.5, (50, 31)), (2.0, (200, 122)), (1.0, (100, 61)), (0.02, (2, 1))] {
             let scaled = Scaled::new(Box::new(Sizes), factor).expect("a factor in range");
@@ -172,7 +176,7 @@ mod tests {
             let moving = scaled.sequence(false).push(&[frame.clone(), frame.clone()]).expect("flow");
             for flow in [&flow, &moving[0].flow] {
                 assert_eq!(flow.size(), (100, 61));
-                // What it saw, times how much smaller that was: the frame's own size again.
+                // The size of the scaled frame times the inverse factor is the size of the frame.
                 let near = |[u, v]: [f32; 2]| (u - 1.0).abs() < 1e-4 && (v - 0.61).abs() < 1e-4;
                 assert!(flow.pixels().iter().all(|vector| near(*vector)), "{factor}: {:?}", flow.get(0, 0));
             }

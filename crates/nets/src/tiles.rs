@@ -1,8 +1,8 @@
-//! Flow of frames too large for the memory, estimated in tiles.
+//! Estimates flow in tiles, for frames that do not fit in memory.
 //!
-//! A tile is the same rectangle of both frames, estimated on its own. Context outside of it is lost: motion that leaves the
-//! tile by more than the overlap, the attention of GMA and SKFlow to the rest of the frame, and the rest of the frame in
-//! instance norm. Overlapping tiles are blended with weights that fall smoothly towards their edges.
+//! A tile is the same rectangle of both frames, processed independently. It lacks the context of the rest of the frame: motion
+//! that leaves the tile by more than the overlap, attention in GMA and its relatives, and the statistics of instance norm.
+//! Overlapping tiles are blended with weights that fall smoothly towards their edges.
 
 use srflow_field::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Plane, check_frame_sizes,
@@ -10,48 +10,47 @@ use srflow_field::{
 
 use crate::Padding;
 
-/// The smallest side of a tile of a fixed size.
+/// Smallest side of tiles with a fixed size.
 pub const SMALLEST_TILE_SIDE: usize = 128;
-/// Pixels along a side of a coarse pixel, for each of which there is a weight of attention to every other.
+/// Side of a coarse pixel, between which attention is computed, in pixels.
 const ATTENTION_STRIDE: usize = 8;
-/// Part of an overlap, at the edge of each tile, where the weight of that tile is zero.
+/// Share of an overlap, at the edge of each tile, where the weight of that tile is zero.
 const MARGIN: f32 = 1.0 / 8.0;
 
-/// How a frame is divided.
+/// Division of a frame into tiles.
 #[derive(Debug, Clone, Copy)]
 pub struct Tiling {
     pub size: TileSize,
-    /// Pixels that neighbouring tiles share, about or more.
+    /// Least overlap of neighbouring tiles in pixels, up to alignment.
     pub overlap: usize,
-    /// Tiles start at multiples of this, so that the coarse pixels of a network are those of the whole frame:
-    /// what [`Network::padding`](crate::Network::padding) says of it.
+    /// Tiles start at multiples of this, so that coarse pixels of a network coincide with those of the whole frame; see
+    /// [`Network::padding`](crate::Network::padding).
     pub alignment: Padding,
 }
 
-/// How large tiles are.
+/// Size of tiles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum TileSize {
-    /// Width and height in pixels; a frame that is not larger is one tile.
+    /// Width and height in pixels, at most those of the frame.
     Fixed(usize, usize),
-    /// The fewest equal and nearly square tiles that fit into this much memory.
+    /// The fewest equal and roughly square tiles that fit in this much memory.
     Fitting { need: MemoryNeed, bytes: u64 },
 }
 
-/// Peak memory of estimating, beside that of the program itself.
+/// Peak memory for estimating flow, in addition to that of the program itself, in bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryNeed {
     pub fixed: u64,
-    /// Bytes for each pixel of a frame.
+    /// Bytes per pixel of a frame.
     pub per_pixel: u64,
-    /// Pairs of frames in which every pixel of the coarse flow attends to every other, with a weight of 4 bytes; 0 without
-    /// attention.
+    /// Pairs of frames with attention between all coarse pixels, 4 bytes per weight; 0 without attention.
     pub attending: u64,
-    /// Limit on the bytes of these weights.
+    /// Limit on the bytes of attention weights.
     pub most_weights: u64,
 }
 
 impl MemoryNeed {
-    /// For a frame or tile of this many pixels.
+    /// Bytes for a frame or tile of this many pixels.
     pub fn bytes(&self, pixels: usize) -> u64 {
         let pixels = pixels as u64;
         let coarse = pixels.div_ceil((ATTENTION_STRIDE * ATTENTION_STRIDE) as u64);
@@ -60,14 +59,14 @@ impl MemoryNeed {
         self.fixed.saturating_add(each).saturating_add(weights.min(self.most_weights))
     }
 
-    /// For this many pairs at once.
+    /// The need for a batch of this many pairs.
     pub fn of_batch(&self, pairs: usize) -> Self {
         let times = |bytes: u64| bytes.saturating_mul(pairs as u64);
         Self { per_pixel: times(self.per_pixel), attending: times(self.attending), ..*self }
     }
 }
 
-/// The tiles of a frame, of one size.
+/// The tiles of a frame, all of one size.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Tiles {
     frame: (usize, usize),
@@ -76,27 +75,29 @@ pub struct Tiles {
     size: (usize, usize),
 }
 
-/// No tile, however small, fits into the memory.
+/// Not even the smallest tile fits in memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{} MB of memory are free, and the smallest tile of {}x{} pixels takes {} MB: free some, or scale the frames down",
+    "{} MB of memory are free, but the smallest tile of {}x{} pixels takes {} MB: free some memory, or scale the frames down",
     .free / 1_000_000, .smallest.0, .smallest.1, .needed.div_ceil(1_000_000)
 )]
 pub struct NothingFits {
-    /// Width and height.
+    /// Width and height of the smallest tile.
     pub smallest: (usize, usize),
+    /// Bytes that it needs.
     pub needed: u64,
+    /// Bytes that are free.
     pub free: u64,
 }
 
 impl Tiles {
-    /// The smallest side of a tile that is chosen to fit.
+    /// Smallest side of tiles of [`TileSize::Fitting`].
     const SMALLEST_SIDE: usize = 256;
 
-    /// Lays tiles over a frame of `(width, height)`, evenly. The overlap is at most half of a tile's side.
+    /// Distributes tiles evenly over a frame of `(width, height)`. The overlap is at most half the side of a tile.
     ///
     /// # Errors
-    /// When no tile fits into the memory.
+    /// When no tile fits in memory.
     pub fn new(frame: (usize, usize), tiling: Tiling) -> Result<Self, NothingFits> {
         let Tiling { size, overlap, .. } = tiling;
         let alignment = tiling.alignment.of([frame.1, frame.0]);
@@ -114,7 +115,7 @@ impl Tiles {
         })
     }
 
-    /// Tries one tile, then two, and so on; for each count, the grid with the smallest tiles.
+    /// Tile size for one tile, then two, and so on, until it fits; for each count, from the grid with the smallest tiles.
     fn fitting(
         frame: (usize, usize),
         [overlap, alignment]: [usize; 2],
@@ -150,22 +151,22 @@ impl Tiles {
         self.across.len() * self.down.len()
     }
 
-    /// Width and height of each.
+    /// Width and height of each tile.
     pub fn size(&self) -> (usize, usize) {
         self.size
     }
 
-    /// Left and top of each.
+    /// Left and top of each tile.
     fn corners(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
         self.down.iter().flat_map(|top| self.across.iter().map(move |left| (*left, *top)))
     }
 
-    /// The tile of a frame whose left and top are these.
+    /// The tile of a frame at this corner.
     fn cut(&self, frame: &Image, (left, top): (usize, usize)) -> Image {
         frame.crop(left, top, self.size.0, self.size.1)
     }
 
-    /// Blends the estimates that `estimate` returns for each tile, given its number and its left and top.
+    /// Blends the results of `estimate` for each tile, called with its number and its left and top.
     fn blended(
         &self,
         mut estimate: impl FnMut(usize, (usize, usize)) -> Result<Vec<FlowEstimate>, EstimateError>,
@@ -185,12 +186,12 @@ impl Tiles {
     }
 }
 
-/// Where tiles of `size` pixels begin along `length` pixels.
+/// Start positions of tiles of `size` pixels along `length` pixels.
 fn starts(length: usize, size: usize, overlap: usize, alignment: usize) -> Vec<usize> {
     if length <= size {
         return vec![0];
     }
-    // What alignment takes off an overlap is less than this.
+    // Alignment shortens an overlap by less than `alignment`.
     let overlap = overlap.clamp(alignment.min(size / 2), size / 2);
     let count = (length - overlap).div_ceil(size - overlap);
     let last = length - size;
@@ -201,7 +202,7 @@ fn starts(length: usize, size: usize, overlap: usize, alignment: usize) -> Vec<u
     starts
 }
 
-/// The weight of each pixel of a tile along one axis: 1 inside, falling to 0 towards an edge that another tile overlaps.
+/// Weights of the pixels of a tile along one axis: 1 inside, falling to 0 towards edges that another tile overlaps.
 fn weights(starts: &[usize], number: usize, size: usize) -> Vec<f32> {
     let overlap = |before: usize, after: usize| (before + size).saturating_sub(after) as f32;
     let left = number.checked_sub(1).map(|before| overlap(starts[before], starts[number]));
@@ -220,7 +221,7 @@ fn weights(starts: &[usize], number: usize, size: usize) -> Vec<f32> {
     (0..size).map(weight).collect()
 }
 
-/// The weighted mean of the estimates of tiles.
+/// Weighted mean of the estimates of tiles.
 struct Blend<'a> {
     tiles: &'a Tiles,
     sums: FlowEstimate,
@@ -228,7 +229,7 @@ struct Blend<'a> {
 }
 
 impl<'a> Blend<'a> {
-    /// For estimates that predict what `of` predicts.
+    /// A blend of estimates with the same planes as `of`.
     fn new(tiles: &'a Tiles, of: &FlowEstimate) -> Self {
         let (width, height) = tiles.frame;
         let blank = |plane: &Option<Plane>| plane.as_ref().map(|_| Plane::new(width, height));
@@ -282,7 +283,7 @@ impl<'a> Blend<'a> {
     }
 }
 
-/// An estimator that works on tiles.
+/// Applies an estimator to tiles.
 pub struct Tiled {
     estimator: Box<dyn FlowEstimator>,
     tiling: Tiling,
@@ -300,7 +301,7 @@ impl Tiled {
         })
     }
 
-    /// Calls `estimate` with the same tile of every pair, and its left and top.
+    /// Blends the results of `estimate` for each tile, called with that tile of every pair and its left and top.
     fn blended(
         &self,
         pairs: &[[&Image; 2]],
@@ -358,7 +359,7 @@ impl FlowEstimator for Tiled {
     }
 }
 
-/// Every tile is a video of its own.
+/// A separate sequence for each tile.
 struct TiledSequence<'a> {
     tiled: &'a Tiled,
     warm_start: bool,
@@ -379,7 +380,7 @@ impl FlowSequence for TiledSequence<'_> {
 }
 
 impl<'a> TiledSequence<'a> {
-    /// What `push` returns for each tile's part of the frames, blended.
+    /// Blends the results of `push` for the sequence and the frames of each tile.
     fn blended(
         &mut self,
         frames: &[&Image],
@@ -405,7 +406,7 @@ impl<'a> TiledSequence<'a> {
 mod tests {
     use super::*;
 
-    /// Red is x, green y: the flow says where its tile lies.
+    /// The flow is the red and green of frame 1, which [`places`] sets to x and y.
     struct Places;
 
     impl FlowEstimator for Places {
@@ -419,7 +420,7 @@ mod tests {
         }
     }
 
-    /// The flow is the number of the call: neighbouring tiles differ.
+    /// The flow is the number of the call, so tiles differ.
     struct Counting(std::sync::atomic::AtomicUsize);
 
     impl FlowEstimator for Counting {
@@ -442,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_that_agree_give_what_the_whole_gives() {
+    fn consistent_tiles_give_the_flow_of_the_whole_frame() {
         for (size, tile, overlap) in
             [((250, 131), (64, 48), 16), ((65, 240), (64, 64), 40), ((100, 90), (30, 31), 1)]
         {
@@ -463,7 +464,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_predicted_beside_the_flow_is_blended_with_it() {
+    fn uncertainty_is_blended_like_the_flow() {
         let frame = places(100, 90);
         let tiles = Tiles::new((100, 90), tiling(48, 40, 16)).expect("tiles");
         assert!(tiles.count() > 1);
@@ -486,7 +487,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_that_disagree_are_blended_smoothly() {
+    fn inconsistent_tiles_are_blended_smoothly() {
         let frame = Image::new(200, 20);
         let estimator = Counting(0.into());
         let tiled = Tiled::new(Box::new(estimator), tiling(80, 80, 20));
@@ -500,7 +501,7 @@ mod tests {
     }
 
     #[test]
-    fn tiles_cover_the_frame_and_share_their_overlap() {
+    fn tiles_cover_the_frame_with_the_requested_overlap() {
         let cases = [(3840, 1000, 128), (2160, 1000, 128), (1001, 1000, 64), (512, 512, 64), (700, 100, 90)];
         for ((length, size, overlap), alignment) in cases.into_iter().zip([8, 32, 8, 64, 16]) {
             let starts = starts(length, size, overlap, alignment);

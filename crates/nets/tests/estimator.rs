@@ -348,5 +348,5 @@ impl ModuleMapper for Broken {
 fn a_nan_flow_is_an_error() {
     let network = network().map(&mut Broken);
     let error = estimator(&network).estimate(&frame((128, 128), 0), &frame((128, 128), 1)).expect_err("NaN");
-    assert!(error.to_string().contains("raft-small: gave NaN for a flow"), "{error}");
+    assert!(error.to_string().contains("raft-small: computed NaN instead of a flow"), "{error}");
 }

@@ -7,7 +7,7 @@ use srflow_nn::{WeightsError, searchable_text};
 use crate::table::Architecture;
 
 /// Titles of networks that are not in the table, but whose weights are common.
-const OTHERS: [&str; 4] = ["FlowFormer", "VideoFlow", "StreamFlow", "CCMR"];
+const OTHERS: [&str; 3] = ["FlowFormer", "VideoFlow", "StreamFlow"];
 
 /// The network that the text in a file of weights identifies.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -1,6 +1,6 @@
-//! DPFlow (Morimitsu et al., CVPR 2025): <https://arxiv.org/abs/2503.14880>. One encoder makes as many levels of a pyramid as
-//! the size of the frames asks for, down and up again, and flow is refined from the coarsest to the finest. Parity with the
-//! reference: `PARITY.md`.
+//! DPFlow (Morimitsu et al., CVPR 2025): <https://arxiv.org/abs/2503.14880>. A recurrent encoder computes a feature pyramid, down
+//! and up again, with a number of levels that depends on the size of the frames; flow is refined from the coarsest level to the
+//! finest. Parity with the reference: `PARITY.md`.
 
 use burn::module::{Initializer, Module, Param};
 use burn::tensor::activation::relu;
@@ -28,27 +28,27 @@ use crate::table::{Entry, FlowNetwork};
 
 /// Added to the variance by layer norms.
 const EPSILON: f64 = 1e-6;
-/// Levels of the pyramid for frames of ordinary size; the reference has no fewer.
+/// Fewest levels of the pyramid.
 const FEWEST_LEVELS: usize = 3;
-/// Length in pixels of the diagonal of the frames that the network was trained for, by the reference's measure.
+/// Diagonal in pixels from which the reference computes the number of levels.
 const DIAGONAL: f64 = 1100.0;
-/// Channels of the encoder's stems: at half and at a quarter of the size.
+/// Channels of the encoder's stems, at 1/2 and 1/4 of the size.
 const STEM: [usize; 2] = [64, 96];
-/// Channels of the hidden state and of the context, in the encoder and in the refinements.
+/// Channels of the hidden state and of the context, in encoder and refinement.
 const HIDDEN: usize = 128;
 /// Channels of a level: the first two thirds are matched, the rest is context.
 const FEATURES: usize = 3 * HIDDEN;
-/// Channels of the features of flow and correlation.
+/// Channels of the motion encoder.
 const MOTION: usize = 128;
-/// Radius of the window of correlations that is looked up.
+/// Radius of the lookup window.
 const RADIUS: usize = 4;
 /// Blocks of a stage.
 const BLOCKS: usize = 4;
-/// What the output of every block is multiplied with before training.
+/// Initial layer scale of every block.
 const LAYER_SCALE: f64 = 1e-2;
-/// Of every resized map and flow.
+/// Alignment for all resizing.
 const GRIDS: Grids = Grids::CornersOnCorners;
-/// Groups of channels of the encoder's norms.
+/// Groups of the encoder's group norms.
 const GROUPS: usize = 8;
 
 pub(crate) const DPFLOW: Entry<DpFlow> = Entry {
@@ -78,12 +78,11 @@ pub(crate) const DPFLOW: Entry<DpFlow> = Entry {
     init: DpFlow::new,
 };
 
-/// The network of the paper.
 #[derive(Module, Debug)]
 pub struct DpFlow {
     fnet: Encoder,
     update_block: UpdateBlock,
-    /// Of the pyramid; 0 for as many as the size of the frames asks for.
+    /// Levels of the pyramid; 0 to choose by the size of the frames.
     levels: usize,
 }
 
@@ -103,7 +102,7 @@ struct Encoder {
     out_stages: Stage,
 }
 
-/// `ResStem`: to a quarter of the size.
+/// `ResStem`: reduces the size to 1/4.
 #[derive(Module, Debug)]
 struct Stem {
     conv1: Conv2d,
@@ -133,7 +132,7 @@ struct Transition {
     proj: Conv2d,
 }
 
-/// `CGU`: a gate on each map, and where two frames are encoded together one on each from both.
+/// `CGU`: gates each map by itself and, if two frames are encoded together, by both maps.
 #[derive(Module, Debug)]
 struct Unit {
     layer_scale: Param<Tensor<1>>,
@@ -177,12 +176,12 @@ struct UpdateBlock {
     mask: WideConvexMask,
 }
 
-/// Pixels to multiples of which a frame is padded for so many levels, the coarsest of which has one for each of them.
+/// The multiple to which frames are padded for this many levels; also the side of a pixel of the coarsest level.
 const fn padding(levels: usize) -> usize {
     STRIDE << (levels - 1)
 }
 
-/// How many levels frames of this height and width ask for (`compute_pyramid_levels`).
+/// Number of levels for frames of this height and width (`compute_pyramid_levels`).
 fn levels_of([height, width]: [usize; 2]) -> usize {
     let factor = (height as f64).hypot(width as f64) / DIAGONAL;
     FEWEST_LEVELS + factor.max(1.0).log2().round_ties_even() as usize
@@ -196,7 +195,7 @@ fn conv(channels: [usize; 2], kernel: usize, stride: usize, device: &Device) -> 
     Conv2dConfig::new(channels, [kernel; 2]).with_stride(stride).init(device)
 }
 
-/// What `of` makes of each frame's pair.
+/// Applies `of` to the maps of the first frame, and to those of the second.
 fn of_each(
     a: [Tensor<4>; 2],
     b: [Tensor<4>; 2],
@@ -207,7 +206,6 @@ fn of_each(
 }
 
 impl DpFlow {
-    /// With random parameters, as training starts.
     pub(crate) fn new(device: &Device) -> Self {
         let gate = || Stage::alone([2 * HIDDEN + MOTION, HIDDEN], device);
         Self {
@@ -226,8 +224,8 @@ impl DpFlow {
         if self.levels == 0 { levels_of(size) } else { self.levels }
     }
 
-    /// Adds flow and mixture, in full size, to the estimate.
-    fn give(
+    /// Adds the flow and its mixture to the estimate, upsampled.
+    fn push_upsampled(
         &self,
         estimate: &mut Estimate,
         hidden: &Tensor<4>,
@@ -246,7 +244,7 @@ impl DpFlow {
     }
 }
 
-/// What a refinement gives, in pixels of its level.
+/// Output of an iteration, in pixels of its level.
 struct Found {
     flow: Tensor<4>,
     /// Log weights, then log scales: `[batch, 4, height, width]`.
@@ -270,7 +268,7 @@ impl FlowNetwork for DpFlow {
         let device = first.device();
         let stems = match &request.features {
             Some(known) => known.clone().map(Features::into_levels),
-            // One after the other: both at once would double the memory.
+            // One after the other, since encoding both at once would double the memory.
             None => [first, second].map(|frames| self.fnet.stems(frames, levels)),
         };
         let coarsest = [height, width].map(|side| side / padding(levels));
@@ -296,7 +294,7 @@ impl FlowNetwork for DpFlow {
                 let last = number + 1 == levels && iteration == request.iterations;
                 if request.every_iteration || last {
                     let found = Found { flow: flow.clone(), mixture: change.narrow(1, 2, 4) };
-                    self.give(&mut estimate, &hidden, found, [height, width], border);
+                    self.push_upsampled(&mut estimate, &hidden, found, [height, width], border);
                 }
             }
         }
@@ -317,8 +315,8 @@ impl FlowNetwork for DpFlow {
     fn settings(&mut self) -> Vec<Setting<'_>> {
         vec![Setting {
             name: "levels",
-            description: "levels of the pyramid; 0 takes 3 for frames of a diagonal of up to 1555 pixels and one more \
-                          for each doubling, as ptlflow does",
+            description: "levels of the pyramid; 0 for 3 up to a diagonal of 1555 pixels and one more for each doubling, \
+                          as in ptlflow",
             allowed: Allowed::OneOf(&[0, 3, 4, 5, 6, 7, 8]),
             in_files: None,
             value: &mut self.levels,
@@ -326,7 +324,7 @@ impl FlowNetwork for DpFlow {
     }
 }
 
-/// Where a pair of frames is matched in a level, the context, and the hidden state that refinements start from.
+/// Correlation, context and initial hidden state of a level.
 fn level(first: Tensor<4>, second: Tensor<4>) -> (Correlation, Tensor<4>, Tensor<4>) {
     let matched = FEATURES / 3 * 2;
     let half = HIDDEN / 2;
@@ -361,7 +359,7 @@ impl Encoder {
         }
     }
 
-    /// What is made of each frame alone: input and hidden state of the first level, then for each level the frame in its size.
+    /// Maps of each frame alone: input and hidden state of the first level, then a map of the frame for each level.
     fn stems(&self, frames: Tensor<4>, levels: usize) -> Vec<Tensor<4>> {
         let [_, _, height, width] = frames.dims();
         let mut maps = vec![self.stem.forward(frames.clone())];
@@ -371,7 +369,7 @@ impl Encoder {
         maps
     }
 
-    /// The maps of both frames in every level, coarsest first.
+    /// The maps of both frames at every level, coarsest first.
     fn pyramid(&self, stems: [Vec<Tensor<4>>; 2]) -> Vec<[Tensor<4>; 2]> {
         let [mut first, mut second] = stems.map(Vec::into_iter);
         let mut next = || Some([first.next()?, second.next()?]);
@@ -401,7 +399,7 @@ impl Encoder {
                 None => down.clone().map(|x| self.backward_gru.step(None, x)),
             };
             let up = self.back_stage.pair(state.clone());
-            let merged = of_each(of_each(down, up, beside), alone, beside);
+            let merged = of_each(of_each(down, up, cat), alone, cat);
             let merged = merged.map(|maps| self.out_merge_conv.forward(relu(maps), Identity));
             levels.push(self.out_stages.pair(merged).map(|map| self.out_1x1.forward(map, Identity)));
             hidden = Some(state);
@@ -410,13 +408,13 @@ impl Encoder {
     }
 }
 
-/// The channels of `a`, then those of `b`.
-fn beside(a: Tensor<4>, b: Tensor<4>) -> Tensor<4> {
+/// Concatenates channels.
+fn cat(a: Tensor<4>, b: Tensor<4>) -> Tensor<4> {
     Tensor::cat(vec![a, b], 1)
 }
 
 impl UpdateBlock {
-    /// The next hidden state; and the change of the flow, then its mixture.
+    /// The next hidden state, and the output of the flow head: the change of the flow, then the mixture.
     fn step(
         &self,
         mut hidden: Tensor<4>,
@@ -425,7 +423,7 @@ impl UpdateBlock {
         windows: Tensor<4>,
     ) -> [Tensor<4>; 2] {
         let motion = self.encoder.forward(flow, windows);
-        let input = beside(context.clone(), motion);
+        let input = cat(context.clone(), motion);
         for gru in &self.gru_list {
             hidden = gru.step(hidden, &input, Stage::forward);
         }
@@ -474,13 +472,13 @@ impl Residual {
 }
 
 impl Stage {
-    /// Of the maps of both frames.
+    /// A stage for the maps of both frames.
     fn crossing(stride: usize, device: &Device) -> Self {
         let transition = (stride > 1).then(|| Transition { proj: conv([HIDDEN; 2], 3, stride, device) });
         Self { conv_transition: transition, blocks: (0..BLOCKS).map(|_| Unit::new(true, device)).collect() }
     }
 
-    /// Of single maps, from other channels.
+    /// A stage for single maps, with other input channels.
     fn alone(channels: [usize; 2], device: &Device) -> Self {
         Self {
             conv_transition: Some(Transition { proj: conv(channels, 1, 1, device) }),
@@ -495,13 +493,13 @@ impl Stage {
         }
     }
 
-    /// `activation(norm(...))` of a stage of single maps.
+    /// Applies a stage for single maps, then the activation.
     fn forward(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
         let x = self.blocks.iter().fold(self.transition(x), |x, block| block.forward(x));
         layer_norm(x, EPSILON, activation)
     }
 
-    /// Of the maps of both frames.
+    /// Applies a stage to the maps of both frames.
     fn pair(&self, maps: [Tensor<4>; 2]) -> [Tensor<4>; 2] {
         let maps = maps.map(|x| self.transition(x));
         self.blocks.iter().fold(maps, |maps, block| block.pair(maps)).map(|x| norm(x, Identity))
@@ -531,7 +529,7 @@ impl Unit {
         [first, second]
     }
 
-    /// `x + layer_scale * conv(branch)`, the scale multiplied into the kernel.
+    /// `x + layer_scale * conv(branch)`, with the scale multiplied into the kernel.
     fn add_scaled(&self, conv: &Conv2d, branch: Tensor<4>, x: Tensor<4>) -> Tensor<4> {
         let scale = self.layer_scale.val();
         let kernel = conv.weight() * scale.clone().reshape([HIDDEN, 1, 1, 1]);
@@ -556,7 +554,7 @@ impl Gated {
         self.fc2.forward(self.gated(x), Identity)
     }
 
-    /// What the last convolution is applied to.
+    /// The input of the last convolution.
     fn gated(&self, x: Tensor<4>) -> Tensor<4> {
         let gate = self.dwconv_g.dwconv.forward(self.fc1_g.forward(x.clone(), Identity), Gelu);
         gate * self.dwconv_x.dwconv.forward(self.fc1_x.forward(x, Identity), Identity)
@@ -576,9 +574,9 @@ impl CrossGated {
         }
     }
 
-    /// What the last convolution is applied to.
+    /// The input of the last convolution.
     fn gated(&self, x: Tensor<4>, y: Tensor<4>) -> Tensor<4> {
-        let both = self.merge_fc_g.forward(beside(x, y.clone()), Identity);
+        let both = self.merge_fc_g.forward(cat(x, y.clone()), Identity);
         let gate = self.dwconv_g.dwconv.forward(self.fc1_g.forward(both, Identity), Gelu);
         gate * self.dwconv_y.dwconv.forward(self.fc1_y.forward(y, Identity), Identity)
     }
@@ -594,9 +592,9 @@ impl Depthwise {
 mod tests {
     use super::*;
 
-    /// The paper's 1K, 2K, 4K and 8K, and sizes to both sides of where a level is added.
+    /// The paper's 1K, 2K, 4K and 8K, and sizes on both sides of a threshold.
     #[test]
-    fn levels_follow_the_size_as_in_the_reference() {
+    fn the_number_of_levels_matches_the_reference() {
         let levels = [[540, 960], [1080, 1920], [2160, 3840], [4320, 7680]].map(levels_of);
         assert_eq!(levels, [3, 4, 5, 6]);
         assert_eq!([[1, 1], [1099, 1099], [1101, 1101]].map(levels_of), [3, 3, 4]);

@@ -1,6 +1,6 @@
 //! FlowNet3's stack of three small networks, `css` (Ilg, Saikia, Keuper and Brox, *Occlusions, Motion and Depth Boundaries with a
-//! Generic Network for Disparity, Optical Flow or Scene Flow*, ECCV 2018): <https://arxiv.org/abs/1808.01838>. FlowNetC, and two
-//! FlowNetS that each correct the flow and the occlusions of the one before. Parity with the reference: `PARITY.md`.
+//! Generic Network for Disparity, Optical Flow or Scene Flow*, ECCV 2018): <https://arxiv.org/abs/1808.01838>. FlowNetC followed by
+//! two FlowNetS, each of which corrects flow and occlusions of the previous network. Parity with the reference: `PARITY.md`.
 
 use burn::module::{Initializer, Module};
 use burn::tensor::activation::{relu, softmax};
@@ -19,14 +19,15 @@ use crate::frames::Frames;
 use crate::recurrent::pixel_grid;
 use crate::table::{Entry, FlowNetwork};
 
-/// Taken from every channel of the frames.
+/// Subtracted from every channel of the frames.
 const MEAN: f64 = 0.4;
-/// Eighths of FlowNet's channels that the networks have.
+/// Width of the networks in eighths of FlowNet's channels.
 const EIGHTHS: usize = 3;
-/// For a pixel of flow, in what the second and third network see.
-const SEEN_FLOW: f64 = 0.05;
-/// Both images, the flow, the second image warped, and how probably a pixel is seen and hidden.
-const SEEN: usize = 3 + 3 + 2 + 3 + 2;
+/// Scale of the flow in the input of the second and third network.
+const INPUT_FLOW_SCALE: f64 = 0.05;
+/// Input channels of the second and third network: both images, the flow, the warped second image, and the probabilities that a
+/// pixel is visible and occluded.
+const INPUT_CHANNELS: usize = 3 + 3 + 2 + 3 + 2;
 
 pub(crate) const FLOWNET3_CSS: Entry<FlowNet3> = Entry {
     facts: Facts {
@@ -47,7 +48,6 @@ pub(crate) const FLOWNET3_CSS: Entry<FlowNet3> = Entry {
     init: FlowNet3::new,
 };
 
-/// The network of the paper.
 #[derive(Module, Debug)]
 pub struct FlowNet3 {
     net1: Net,
@@ -63,7 +63,7 @@ struct Net {
     decoder: Decoder,
 }
 
-/// To an eighth of the size.
+/// Reduces the size to 1/8.
 #[derive(Module, Debug)]
 struct Lower {
     conv1: Conv2d,
@@ -71,7 +71,7 @@ struct Lower {
     conv3: Conv2d,
 }
 
-/// From an eighth to a 64th of the size, and what is predicted there.
+/// Reduces the size from 1/8 to 1/64, and predicts there.
 #[derive(Module, Debug)]
 struct Encoder {
     conv_redir: Option<Conv2d>,
@@ -85,7 +85,7 @@ struct Encoder {
     predict: Conv2d,
 }
 
-/// Back to a quarter of the size, or to all of it.
+/// Increases the size to 1/4, or to full size.
 #[derive(Module, Debug)]
 struct Decoder {
     refine_5: Refine,
@@ -97,32 +97,32 @@ struct Decoder {
     conv_edges: Option<Conv2d>,
 }
 
-/// To twice the size.
+/// Doubles the size.
 #[derive(Module, Debug)]
 struct Refine {
     deconv: ConvTranspose2d,
     predict: Conv2d,
 }
 
-/// Which of the networks, and what it predicts.
+/// Position of a network in the stack.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Role {
     /// Correlates two images.
     First,
     Second,
-    /// Predicts in full size, and boundaries of motion too.
+    /// Predicts at full size, and also predicts motion boundaries.
     Last,
 }
 
-/// The maps of half, a quarter and an eighth of the size.
+/// Feature maps at 1/2, 1/4 and 1/8 of the size.
 struct Maps {
     conv1: Tensor<4>,
     tower: Tower,
 }
 
-/// Flow in pixels of the resized frames, and scores (logits) of each pixel to be seen and to be hidden: `[batch, 2, ...]` each.
+/// Flow in pixels of the resized frames, and logits of each pixel being visible and occluded: `[batch, 2, ...]` each.
 #[derive(Clone)]
-struct Found {
+struct Prediction {
     flow: Tensor<4>,
     occlusion: Tensor<4>,
 }
@@ -138,20 +138,19 @@ fn conv(channels: [usize; 2], kernel: usize, stride: usize) -> Conv2dConfig {
         .with_bias_initializer(Initializer::Zeros)
 }
 
-/// The part of FlowNet's channels that there are here.
+/// Scales a number of channels of FlowNet.
 const fn part(channels: usize) -> usize {
     channels * EIGHTHS / 8
 }
 
 impl Role {
-    /// Of flow, occlusion and boundaries of motion.
+    /// Output channels: flow and occlusion, and motion boundaries.
     fn predicted(self) -> usize {
         if self == Self::Last { 6 } else { 4 }
     }
 }
 
 impl FlowNet3 {
-    /// With random parameters, as training starts.
     pub(crate) fn new(device: &Device) -> Self {
         Self {
             net1: Net::new(Role::First, device),
@@ -169,7 +168,7 @@ impl Net {
         };
         let predict = |inputs| self::conv([inputs, role.predicted()], 3, 1).init(device);
         let inner = |channels, stride| conv(channels, 3, stride);
-        let images = if correlating { 3 } else { SEEN };
+        let images = if correlating { 3 } else { INPUT_CHANNELS };
         let redirected = if correlating { part(32) + CORRELATED } else { part(256) };
         let from_images = |images, outputs, kernel, stride| {
             self::conv([images, part(outputs)], kernel, stride).init(device)
@@ -224,8 +223,8 @@ impl Net {
         Maps { conv1, tower: Tower { conv2, conv3 } }
     }
 
-    /// FlowNetC: five predictions, the coarsest, a 64th of the size, first.
-    fn correlating(&self, first: Tower, second: Tensor<4>) -> Vec<Found> {
+    /// FlowNetC: five predictions at 1/64 to 1/4 of the size, coarsest first.
+    fn correlating(&self, first: Tower, second: Tensor<4>) -> Vec<Prediction> {
         let Tower { conv2, conv3 } = first;
         let correlation = relu(correlation(conv3.clone(), second));
         let redirected = self.encoder.conv_redir.as_ref().map(|conv| conv.forward(conv3, LeakyRelu));
@@ -233,15 +232,16 @@ impl Net {
         self.predictions(joined, vec![conv2])
     }
 
-    /// FlowNetS, and with the image its predictions of half and all of the size.
-    fn simple(&self, x: Tensor<4>, image: &Tensor<4>) -> Vec<Found> {
+    /// FlowNetS: predictions at 1/64 to 1/4 of the size, coarsest first; the last network also predicts at 1/2 and full size, for
+    /// which it uses `image`.
+    fn simple(&self, x: Tensor<4>, image: &Tensor<4>) -> Vec<Prediction> {
         let Maps { conv1, tower } = self.lower(x);
         let edges = self.decoder.conv_edges.as_ref().map(|conv| conv.forward(image.clone(), LeakyRelu));
         self.predictions(tower.conv3, [tower.conv2, conv1].into_iter().chain(edges).collect())
     }
 
-    /// From a map of an eighth of the size, with the maps of a quarter of it and more.
-    fn predictions(&self, x: Tensor<4>, finer: Vec<Tensor<4>>) -> Vec<Found> {
+    /// Predictions from a map at 1/8 of the size and the finer maps, from 1/4 on.
+    fn predictions(&self, x: Tensor<4>, finer: Vec<Tensor<4>>) -> Vec<Prediction> {
         let Self { encoder, decoder, .. } = self;
         let halved = |x: &Tensor<4>, first: &Conv2d, second: &Conv2d| {
             second.forward(first.forward(x.clone(), LeakyRelu), LeakyRelu)
@@ -251,7 +251,7 @@ impl Net {
         let map5 = halved(&map4, &encoder.conv5, &encoder.conv5_1);
         let mut map = halved(&map5, &encoder.conv6, &encoder.conv6_1);
         let mut prediction = encoder.predict.forward(map.clone(), Identity);
-        let mut predictions = vec![Found::of_prediction(&prediction)];
+        let mut predictions = vec![Prediction::of_channels(&prediction)];
         let Decoder { refine_5, refine_4, refine_3, refine_2, refine_1, refine_0, .. } = decoder;
         let refines = [refine_5, refine_4, refine_3, refine_2].into_iter().chain(refine_1).chain(refine_0);
         for (refine, finer) in refines.zip([map5, map4, map3].into_iter().chain(finer)) {
@@ -259,15 +259,15 @@ impl Net {
             let upsampled = resized_constant(prediction, &coarser);
             map = Tensor::cat(vec![finer, coarser, upsampled], 1);
             prediction = refine.predict.forward(map.clone(), Identity);
-            predictions.push(Found::of_prediction(&prediction));
+            predictions.push(Prediction::of_channels(&prediction));
         }
         predictions
     }
 }
 
-impl Found {
-    fn of_prediction(prediction: &Tensor<4>) -> Self {
-        Self { flow: prediction.clone().narrow(1, 0, 2), occlusion: prediction.clone().narrow(1, 2, 2) }
+impl Prediction {
+    fn of_channels(channels: &Tensor<4>) -> Self {
+        Self { flow: channels.clone().narrow(1, 0, 2), occlusion: channels.clone().narrow(1, 2, 2) }
     }
 }
 
@@ -300,24 +300,24 @@ impl FlowNetwork for FlowNet3 {
                 flows.push(finest.flow.clone());
             }
             let flow = resize(finest.flow.clone(), resized, Grids::FirstOnFirst);
-            let seen = softmax(resized_constant(finest.occlusion, &first), 1);
-            let explained = Tensor::cat(
+            let visibility = softmax(resized_constant(finest.occlusion, &first), 1);
+            let input = Tensor::cat(
                 vec![
                     first.clone(),
                     second.clone(),
-                    flow.clone() * SEEN_FLOW,
+                    flow.clone() * INPUT_FLOW_SCALE,
                     warped(second.clone(), flow),
-                    seen.clone(),
+                    visibility.clone(),
                 ],
                 1,
             );
-            let mut corrections = net.simple(explained, &first);
+            let mut corrections = net.simple(input, &first);
             if !request.every_iteration {
                 corrections.drain(..corrections.len() - 1);
             }
-            let corrected = |by: Found| Found {
+            let corrected = |by: Prediction| Prediction {
                 flow: resized_constant(finest.flow.clone(), &by.flow) + by.flow,
-                occlusion: resized_constant(seen.clone(), &by.occlusion) + by.occlusion,
+                occlusion: resized_constant(visibility.clone(), &by.occlusion) + by.occlusion,
             };
             found = corrections.into_iter().map(corrected).collect();
         }
@@ -344,14 +344,14 @@ fn prepared(frames: Tensor<4>) -> Tensor<4> {
     resize(frames - MEAN, padded([height, width]), Grids::EdgesOnEdges)
 }
 
-/// Resized to the size of another map, without a gradient, as in the reference.
+/// Resizes `x` to the size of another map and detaches it, as in the reference.
 fn resized_constant(x: Tensor<4>, like: &Tensor<4>) -> Tensor<4> {
     let [_, _, height, width] = like.dims();
     resize(x, [height, width], Grids::EdgesOnEdges).detach()
 }
 
-/// `image` at each pixel displaced by `flow`, and zero where that leaves the image. The last row and column reach to where the
-/// next would be.
+/// Samples `image` at each pixel displaced by `flow`; zero outside of the image, which extends by one pixel beyond the last row and
+/// column.
 fn warped(image: Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
     let [batch, _, height, width] = flow.dims();
     let grid = pixel_grid([batch, height, width], &flow.device());
@@ -362,8 +362,8 @@ fn warped(image: Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
     warp(image, flow.max_pair(least).min_pair(end - 1.0)) * inside
 }
 
-/// From the names of the authors' program: those of FlowNetC's encoder are a level deeper than FlowNetS's, whose first maps are
-/// no part of their own.
+/// Maps names of the authors' program, in which FlowNetC's encoder is nested one level deeper than FlowNetS's, and only FlowNetC has
+/// a separate module for the first maps.
 fn own_name(name: &str) -> Option<String> {
     let mut name = name.replace(".upper.", ".").replace("predict.conv.", "predict.");
     for map in ["conv1", "conv2", "conv3"] {
@@ -379,9 +379,9 @@ mod tests {
 
     use super::*;
 
-    /// Names in the authors' checkpoint, with dots for slashes.
+    /// Names of the authors' checkpoint, with dots instead of slashes.
     #[test]
-    fn the_authors_names_are_known() {
+    fn the_authors_names_are_mapped() {
         let network = FlowNet3::new(&Device::flex());
         let names: Vec<String> = parameter_infos(&network).into_iter().map(|info| info.name).collect();
         for theirs in [
@@ -397,11 +397,14 @@ mod tests {
             let ours = own_name(theirs).expect("a parameter");
             assert!(names.contains(&ours), "{theirs}: {ours}");
         }
-        assert!(names.iter().all(|name| own_name(name).as_ref() == Some(name)), "its own names stay");
+        assert!(
+            names.iter().all(|name| own_name(name).as_ref() == Some(name)),
+            "its own names stay unchanged"
+        );
     }
 
     #[test]
-    fn the_last_column_reaches_to_where_the_next_would_be() {
+    fn warping_extends_the_last_column_by_a_pixel() {
         let device = Device::flex();
         let image = Tensor::<1>::from_floats([1.0, 2.0, 4.0], &device).reshape([1, 1, 1, 3]);
         let at = |u: [f32; 3]| {

@@ -66,7 +66,7 @@ impl Raft {
 }
 
 impl UpdateBlock {
-    /// From so many correlations for each pixel, to flow of a grid `factor` times as fine.
+    /// For this many correlations per pixel, and upsampling by `factor`.
     pub(crate) fn new(entries: usize, factor: usize, device: &Device) -> Self {
         Self {
             encoder: MotionEncoder::of_entries(entries, device),

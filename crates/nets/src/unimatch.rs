@@ -1,7 +1,7 @@
 //! UniMatch for flow (Xu et al., *Unifying Flow, Stereo and Depth Estimation*, TPAMI 2023): <https://arxiv.org/abs/2211.05783>,
-//! also called GMFlow+. Features of both frames look at themselves and at each other by attention; a softmax over all pairs
-//! of pixels gives the flow, and attention of the first frame spreads it to where nothing matches. It may be repeated at a finer
-//! scale, and refined as RAFT does. Parity with the reference: `PARITY.md`.
+//! also called GMFlow+. Self-attention and cross-attention enhance the features of both frames; a softmax over the correlations of
+//! all pixels gives the flow, and self-attention of the first frame propagates it to pixels without a match. Optionally this is
+//! repeated at a finer scale, and refined like in RAFT. Parity with the reference: `PARITY.md`.
 
 use std::f64::consts::PI;
 
@@ -35,16 +35,16 @@ use crate::table::{Entry, FlowNetwork};
 const CHANNELS: usize = 128;
 /// Blocks of the transformer.
 const BLOCKS: usize = 6;
-/// Radius of the window of correlations that a refinement looks up.
+/// Radius of the lookup window of a refinement.
 const REFINEMENT_RADIUS: usize = 4;
-/// Height and width of frames are made multiples of it.
+/// Height and width of frames are padded to multiples of this.
 const MULTIPLE: usize = 32;
 /// Added to the variance by layer norms.
 const EPSILON: f64 = 1e-5;
 /// Mean and standard deviation of red, green and blue in ImageNet.
 const MEAN: [f32; 3] = [0.485, 0.456, 0.406];
 const DEVIATION: [f32; 3] = [0.229, 0.224, 0.225];
-/// Added to scores of places outside of the image.
+/// Added to the scores of positions outside of the image.
 const OUTSIDE: f32 = -1e9;
 
 pub(crate) const UNIMATCH: Entry<UniMatch> = Entry {
@@ -98,14 +98,14 @@ pub(crate) const UNIMATCH_SC2_REF6: Entry<UniMatch> = Entry {
     init: |device| UniMatch::new(vec![GLOBAL, LOCAL], true, device),
 };
 
-/// What can be set of a scale.
+/// Settings of a scale.
 #[derive(Debug, Clone, Copy)]
 struct Scale {
     /// Windows of the transformer's attention along each side.
     splits: usize,
-    /// Farthest displacement that is matched, in pixels of the scale; 0 is any.
+    /// Largest displacement that is matched, in pixels of the scale; 0 for no limit.
     matching_radius: usize,
-    /// Distance from which flow is taken over, in pixels of the scale; 0 is any.
+    /// Largest distance over which flow is propagated, in pixels of the scale; 0 for no limit.
     propagation_radius: usize,
 }
 
@@ -114,7 +114,7 @@ const GLOBAL: Scale = Scale { splits: 2, matching_radius: 0, propagation_radius:
 /// The finer one.
 const LOCAL: Scale = Scale { splits: 8, matching_radius: 4, propagation_radius: 1 };
 
-/// Name, meaning and allowed values of the settings of each scale; its feature maps must divide into the windows.
+/// Name, description and allowed values of the settings of each scale. Its feature maps must divide evenly into the windows.
 const SETTINGS: [[(&str, &str, Allowed); 3]; 2] = [
     [
         (
@@ -140,13 +140,13 @@ const SETTINGS: [[(&str, &str, Allowed); 3]; 2] = [
     ],
 ];
 
-/// Any of the three networks.
+/// UniMatch with one or two scales, with or without refinement.
 #[derive(Module, Debug)]
 pub struct UniMatch {
     backbone: Encoder,
     transformer: Transformer,
     feature_flow_attn: Propagation,
-    /// Of networks without refinement.
+    /// Only in networks without refinement.
     upsampler: Option<ConvexMask>,
     refine_proj: Option<Conv2d>,
     refine: Option<UpdateBlock>,
@@ -168,7 +168,7 @@ struct TransformerBlock {
     cross_attn_ffn: TransformerLayer,
 }
 
-/// `TransformerLayer`; only that of attention between frames has a perceptron.
+/// `TransformerLayer`; only that of cross-attention has an MLP.
 #[derive(Module, Debug)]
 struct TransformerLayer {
     q_proj: Linear,
@@ -180,7 +180,7 @@ struct TransformerLayer {
     norm2: Option<LayerNorm>,
 }
 
-/// `SelfAttnPropagation`: a pixel takes over the flow of pixels whose features are like its own.
+/// `SelfAttnPropagation`: propagates flow between pixels with similar features.
 #[derive(Module, Debug)]
 struct Propagation {
     q_proj: Linear,
@@ -188,9 +188,8 @@ struct Propagation {
 }
 
 impl UniMatch {
-    /// With random parameters, as training starts.
     fn new(scales: Vec<Scale>, refined: bool, device: &Device) -> Self {
-        // Pixels of a frame along the side of one of the finest scale.
+        // Side of a pixel of the finest scale in pixels of the frame.
         let stride = if scales.len() > 1 { 4 } else { 8 };
         Self {
             backbone: EncoderConfig::of_scales(CHANNELS, scales.len()).init(device),
@@ -206,12 +205,12 @@ impl UniMatch {
         }
     }
 
-    /// Pixels of a frame along the side of one of the scale.
+    /// Side of a pixel of the scale in pixels of the frame.
     fn stride(&self, scale: usize) -> usize {
         8 >> scale
     }
 
-    /// Matches features of both frames at a scale, from the flow of the coarser one.
+    /// Matches features of both frames at a scale, starting from the flow of the coarser scale.
     fn matched(&self, scale: usize, [first, second]: [Tensor<4>; 2], coarser: Option<Tensor<4>>) -> Matched {
         let Scale { splits, matching_radius, propagation_radius } = self.scales[scale];
         let start = coarser.map(|flow| bilinear_upsample(flow, 2).detach());
@@ -230,11 +229,11 @@ impl UniMatch {
     }
 }
 
-/// What a scale gives.
+/// Output of a scale.
 struct Matched {
-    /// Of the first frame, attended.
+    /// Features of the first frame after the transformer.
     features: Tensor<4>,
-    /// As it was matched, and as it was propagated.
+    /// Flow after matching, and after propagation.
     flows: [Tensor<4>; 2],
 }
 
@@ -249,12 +248,12 @@ impl FlowNetwork for UniMatch {
         let border = Border::new(frames.size(), MULTIPLE);
         let [firsts, seconds] = match &request.features {
             Some(known) => known.clone().map(Features::into_levels),
-            // One after the other: both at once would double the memory.
+            // One after the other, since encoding both at once would double the memory.
             None => [frames.first, frames.second]
                 .map(|frames| self.backbone.forward_scales(standardized(frames, border))),
         };
         let mut flows = Vec::new();
-        let mut give = |fine: Tensor<4>| flows.push(border.remove(fine));
+        let mut push = |fine: Tensor<4>| flows.push(border.remove(fine));
         let mut coarser = None;
         let last = self.scales.len() - 1;
         for (scale, pair) in firsts.into_iter().zip(seconds).map(<[_; 2]>::from).enumerate() {
@@ -263,20 +262,20 @@ impl FlowNetwork for UniMatch {
                 self.matched(scale, pair.clone(), coarser.take());
             let upsampled = scale == last && self.upsampler.is_some();
             if request.every_iteration {
-                give(bilinear_upsample(matched, stride));
+                push(bilinear_upsample(matched, stride));
                 if !upsampled {
-                    give(bilinear_upsample(flow.clone(), stride));
+                    push(bilinear_upsample(flow.clone(), stride));
                 }
             }
             if scale == last {
                 if let Some(mask) = &self.upsampler {
                     let x = Tensor::cat(vec![flow.clone(), features.clone()], 1);
-                    give(unscaled_convex_upsample(mask, &x, flow.clone(), stride));
+                    push(unscaled_convex_upsample(mask, &x, flow.clone(), stride));
                 }
                 if let (Some(proj), Some(block)) = (&self.refine_proj, &self.refine) {
                     let start = proj.forward(features, Identity);
                     flow = refine(block, pair, start, flow, request, |mask, hidden, flow| {
-                        give(unscaled_convex_upsample(mask, hidden, flow, stride));
+                        push(unscaled_convex_upsample(mask, hidden, flow, stride));
                     });
                 }
             }
@@ -301,15 +300,15 @@ impl FlowNetwork for UniMatch {
     }
 }
 
-/// Flow after the refinements, each of which starts anew from the same hidden state (the first half of `start`) and context.
-/// Calls `give` with mask, hidden state and flow where the flow is asked for in full size.
+/// Flow after the refinements, all of which use the same hidden state (the first half of `start`) and context. Calls `push` with
+/// mask, hidden state and flow for each flow that is requested at full size.
 fn refine(
     block: &UpdateBlock,
     [first, second]: [Tensor<4>; 2],
     start: Tensor<4>,
     mut flow: Tensor<4>,
     request: &Request,
-    mut give: impl FnMut(&ConvexMask, &Tensor<4>, Tensor<4>),
+    mut push: impl FnMut(&ConvexMask, &Tensor<4>, Tensor<4>),
 ) -> Tensor<4> {
     assert!(request.iterations > 0, "at least one iteration");
     let [batch, _, height, width] = flow.dims();
@@ -323,25 +322,25 @@ fn refine(
         let hidden = gru.step(hidden.clone(), block.encoder.forward(flow.clone(), windows));
         flow = flow + block.flow_head.forward(hidden.clone());
         if request.every_iteration || iteration == request.iterations {
-            give(&block.mask, &hidden, flow.clone());
+            push(&block.mask, &hidden, flow.clone());
         }
     }
     flow
 }
 
-/// Windows of correlations, which are stored column by column as RAFT has them.
+/// Reorders correlation windows, which are stored column by column as in RAFT, row by row.
 fn row_by_row(windows: Tensor<4>) -> Tensor<4> {
     let dims @ [batch, entries, height, width] = windows.dims();
     let side = entries.isqrt();
     windows.reshape([batch, side, side, height * width]).swap_dims(1, 2).reshape(dims)
 }
 
-/// Entries in a row of a window.
+/// Entries per row of a window.
 fn window_side(radius: usize) -> usize {
     2 * radius + 1
 }
 
-/// Frames as those of ImageNet are given to networks, with a border.
+/// Frames normalized by ImageNet's mean and standard deviation, then padded.
 fn standardized(frames: Tensor<4>, border: Border) -> Tensor<4> {
     let device = frames.device();
     let [mean, deviation] =
@@ -349,8 +348,8 @@ fn standardized(frames: Tensor<4>, border: Border) -> Tensor<4> {
     border.add((frames - mean) / deviation)
 }
 
-/// Flow from each pixel to where the second map is like the first: the mean of all places, or of those no farther than
-/// `radius`, weighted by the softmax of their correlation.
+/// Flow by matching: for each pixel of the first map, the mean displacement to all pixels of the second, or to those within
+/// `radius`, weighted by the softmax of their correlations.
 fn matching(first: Tensor<4>, second: Tensor<4>, radius: usize) -> Tensor<4> {
     let [batch, channels, height, width] = first.dims();
     let grid = pixel_grid([batch, height, width], &first.device());
@@ -365,16 +364,16 @@ fn matching(first: Tensor<4>, second: Tensor<4>, radius: usize) -> Tensor<4> {
     conv2d(weights, displacements, Epilogue::default(), options)
 }
 
-/// What scores of attention are multiplied with.
+/// Scale of attention scores.
 fn scale_of(channels: usize) -> f64 {
     (channels as f64).powf(-0.5)
 }
 
-/// Scores of windows, those of places outside of the image lowered until they have no weight.
+/// Lowers the scores of positions outside of the image, so that their softmax weights are zero.
 fn inside(scores: Tensor<4>, radius: usize) -> Tensor<4> {
     let dims @ [batch, _, height, width] = scores.dims();
     let side = window_side(radius);
-    // For each displacement along an axis and each pixel along it.
+    // For each displacement along an axis, and each pixel.
     let outside = |len: usize| -> Vec<f32> {
         let at = |displacement: usize| (0..len).map(move |pixel| pixel + displacement);
         let inside = radius..radius + len;
@@ -387,7 +386,7 @@ fn inside(scores: Tensor<4>, radius: usize) -> Tensor<4> {
     (scores.reshape([batch, side, side * height, width]) + columns + rows).reshape(dims)
 }
 
-/// The displacement of each entry of a window, column by column, as the weight of a convolution.
+/// The displacement of each entry of a window, column by column, as the weight of a 1x1 convolution.
 fn displacements(radius: usize, device: &Device) -> Tensor<4> {
     let side = window_side(radius);
     let along = |i: usize| i as f32 - radius as f32;
@@ -401,7 +400,7 @@ fn linear(inputs: usize, outputs: usize) -> LinearConfig {
 }
 
 impl Transformer {
-    /// Features of both frames, each having attended to itself and to the other, in windows: so many along each side.
+    /// Features of both frames after self-attention and cross-attention in windows, `splits` along each side.
     fn forward(&self, first: Tensor<4>, second: Tensor<4>, splits: usize) -> [Tensor<4>; 2] {
         let [batch, _, height, width] = first.dims();
         let places = positions([height, width], splits, &first.device());
@@ -415,8 +414,8 @@ impl Transformer {
     }
 }
 
-/// Sines and cosines of the place in its window (`PositionEmbeddingSine`), `[1, CHANNELS, height, width]`: half of the channels
-/// by row, half by column.
+/// Sine embedding of the position within its window (`PositionEmbeddingSine`), `[1, CHANNELS, height, width]`: half of the channels
+/// for the row, half for the column.
 fn positions([height, width]: [usize; 2], splits: usize, device: &Device) -> Tensor<4> {
     let along = |len: usize| -> Vec<f32> {
         let window = len / splits;
@@ -443,7 +442,7 @@ impl TransformerBlock {
         }
     }
 
-    /// Of features of the first frames, then as many of the second.
+    /// Features of the first frames, followed by those of the second.
     fn forward(&self, both: Tensor<4>, windows: &Windows) -> Tensor<4> {
         let batch = both.dims()[0] / 2;
         let others = vec![both.clone().narrow(0, batch, batch), both.clone().narrow(0, 0, batch)];
@@ -453,7 +452,7 @@ impl TransformerBlock {
 }
 
 impl TransformerLayer {
-    fn new(perceptron: bool, device: &Device) -> Self {
+    fn new(with_mlp: bool, device: &Device) -> Self {
         let plain = |inputs, outputs| linear(inputs, outputs).with_bias(false).init(device);
         let square = || plain(CHANNELS, CHANNELS);
         let norm = || LayerNorm::new(CHANNELS, EPSILON, device);
@@ -464,8 +463,8 @@ impl TransformerLayer {
             v_proj: square(),
             merge: square(),
             norm1: norm(),
-            mlp: perceptron.then(|| (plain(2 * CHANNELS, wide), NoParameters, plain(wide, CHANNELS))),
-            norm2: perceptron.then(norm),
+            mlp: with_mlp.then(|| (plain(2 * CHANNELS, wide), NoParameters, plain(wide, CHANNELS))),
+            norm2: with_mlp.then(norm),
         }
     }
 
@@ -486,13 +485,12 @@ impl TransformerLayer {
 }
 
 impl Propagation {
-    /// The mean of the flow of all pixels, or of those no farther than `radius`, weighted by the softmax of how much their
-    /// features are like the pixel's own.
+    /// The mean flow of all pixels, or of those within `radius`, weighted by the softmax of the similarity of features.
     fn forward(&self, features: &Tensor<4>, flow: Tensor<4>, radius: usize) -> Tensor<4> {
         let [batch, channels, height, width] = features.dims();
         let queries = self.q_proj.forward_pixels(features.clone(), Identity);
         if radius == 0 {
-            // The published networks were trained with keys of the queries.
+            // The reference computes keys from the queries here, and the published weights were trained that way.
             let keys = self.k_proj.forward_pixels(queries.clone(), Identity);
             let whole = Windows::split([height, width], 1);
             return attention(queries * scale_of(channels), keys, flow, &whole);
@@ -500,13 +498,13 @@ impl Propagation {
         let keys = self.k_proj.forward_pixels(features.clone(), Identity);
         let grid = pixel_grid([batch, height, width], &features.device());
         let weights = softmax(Correlation::new(queries, keys, 1).windows(grid, radius), 1);
-        // Outside of the image keys and flow are zero, and the weights are not.
+        // Outside of the image, keys and flow are zero, but weights are not.
         let padded = flow.pad((radius, radius, radius, radius), PadMode::Constant(0.0));
         let side = window_side(radius);
-        let taken = (0..side * side).map(|entry| {
+        let weighted = (0..side * side).map(|entry| {
             let neighbour = padded.clone().narrow(2, entry % side, height).narrow(3, entry / side, width);
             weights.clone().narrow(1, entry, 1) * neighbour
         });
-        taken.reduce(|sum, more| sum + more).unwrap_or(padded)
+        weighted.reduce(|sum, more| sum + more).unwrap_or(padded)
     }
 }

@@ -1,5 +1,5 @@
-//! Flow and gradients of every network against the reference implementation with the same parameters: ptlflow 0.4.2, or a network
-//! of `tools/parity` for those that ptlflow lacks.
+//! Flow and gradients of every network against the reference implementation with the same parameters: ptlflow 0.4.2, or for networks
+//! that it lacks, a version in `tools/parity`.
 //!
 //! `tools/parity/nets.py` makes the golden values; its rules for parameters and frames are repeated here. Every network of the
 //! table is compared with every file of its name in `tests/golden`, which also stores the settings of the reference.

@@ -163,7 +163,7 @@ fn the_norm_of_a_shortcut_loads_by_its_second_name() {
     assert!(srflow_nn::parameters(&loaded) == parameters);
 }
 
-/// The authors' names in a TensorFlow checkpoint, from ours.
+/// Maps a name to that in the authors' TensorFlow checkpoint.
 fn name_in_tensorflow(name: &str) -> String {
     let name = name.replace(".predict.", ".predict.conv.").replace("weight", "kernel").replace('.', "/");
     match name.split_once('/') {
@@ -173,9 +173,9 @@ fn name_in_tensorflow(name: &str) -> String {
     }
 }
 
-/// A checkpoint as `tf.train.Saver` writes it: names, kernels `[height, width, inputs, outputs]` and the table beside.
+/// A checkpoint like those of `tf.train.Saver`: names, kernels `[height, width, inputs, outputs]`, and a separate table.
 #[test]
-fn a_tensorflow_checkpoint_of_flownet3_is_loaded() {
+fn a_tensorflow_checkpoint_of_flownet3_loads() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("snapshot-250000.index");
     let network = Architecture::FlowNet3Css.init(&Device::flex());
@@ -243,7 +243,7 @@ fn checksum(bytes: &[u8]) -> [u8; 4] {
     crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
 }
 
-/// Appends a block of a LevelDB table, without shared prefixes, and returns its place.
+/// Appends a block of a LevelDB table, without shared prefixes, and returns its handle.
 fn block(table: &mut Vec<u8>, entries: &[(String, Vec<u8>)]) -> Vec<u8> {
     let start = table.len();
     let mut bytes = Vec::new();

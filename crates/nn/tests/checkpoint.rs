@@ -116,14 +116,14 @@ fn burnpack(name: &str, bytes: &[u8]) -> Vec<u8> {
     burn_pack::Writer::new(vec![tensor]).into_bytes().expect("a pack").to_vec()
 }
 
-/// 0, 0.125, 0.25 and so on, in the order of PyTorch.
+/// 0, 0.125, 0.25 and so on.
 fn eighths(count: usize) -> Vec<f32> {
     (0..count).map(|i| i as f32 / 8.0).collect()
 }
 
-/// Names and the order of numbers are PyTorch's; what Adam remembers and counters are left out.
+/// Names and memory order become PyTorch's; optimizer state and counters are dropped.
 #[test]
-fn checkpoints_of_tensorflow_and_keras_are_read_as_pytorchs() {
+fn tensorflow_and_keras_checkpoints_are_converted_to_pytorchs_layout() {
     let found = read_parameters(&checkpoint("tensorflow.index")).expect("tensorflow.index");
     let expected: [(&str, &[usize]); 5] = [
         ("net1.conv1.bias", &[4]),
@@ -157,7 +157,7 @@ fn checkpoints_of_tensorflow_and_keras_are_read_as_pytorchs() {
     }
 }
 
-/// The table of a checkpoint, its tensors beside it, and a change to one of the two.
+/// The error of reading a checkpoint after `change` was applied to its table and its tensors.
 fn changed_tensorflow(change: impl FnOnce(&mut Vec<u8>, &mut Vec<u8>)) -> String {
     let folder = tempfile::tempdir().expect("folder");
     let read = |name: &str| std::fs::read(checkpoint(name)).expect(name);
@@ -172,11 +172,11 @@ fn changed_tensorflow(change: impl FnOnce(&mut Vec<u8>, &mut Vec<u8>)) -> String
 }
 
 #[test]
-fn what_is_wrong_with_a_tensorflow_checkpoint_is_said() {
+fn broken_tensorflow_checkpoints_are_errors_with_advice() {
     let error = changed_tensorflow(|_, data| data.clear());
     assert!(error.contains("a.index") && error.contains("a.data-00000-of-00001"), "{error}");
     let error = changed_tensorflow(|_, data| data.truncate(100));
-    assert!(error.contains("net1/conv1/kernel: it claims 96 bytes from 24 on"), "{error}");
+    assert!(error.contains("net1/conv1/kernel: it claims 96 bytes at 24"), "{error}");
     let error = changed_tensorflow(|_, data| data[30] ^= 1);
     assert!(error.contains("net1.conv1.weight: the checksum of its bytes is wrong"), "{error}");
     let error = changed_tensorflow(|table, _| table[8] ^= 1);
@@ -185,22 +185,22 @@ fn what_is_wrong_with_a_tensorflow_checkpoint_is_said() {
     let (folder, path) = scratch();
     std::fs::copy(checkpoint("tensorflow.index"), &path).expect("copied");
     let error = read_parameters(&path).expect_err("without its name").to_string();
-    assert!(error.contains("has to be called NAME.index"), "{error}");
+    assert!(error.contains("its name must be NAME.index"), "{error}");
     let data = folder.path().join("a.data-00000-of-00001");
     std::fs::copy(checkpoint("tensorflow.data-00000-of-00001"), &data).expect("copied");
     let error = read_parameters(&data).expect_err("tensors alone").to_string();
-    assert!(error.contains("give its table instead, a.index"), "{error}");
+    assert!(error.contains("pass its table instead, a.index"), "{error}");
 }
 
-/// Of a table whose checksums are right, so that what is behind them is read.
+/// The checksums are corrected after each change, so that the parser behind them is reached.
 #[test]
-fn a_changed_byte_behind_the_checksum_of_a_table_is_no_crash() {
+fn corrupted_tables_with_valid_checksums_never_panic() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("a.index");
     let data = std::fs::read(checkpoint("tensorflow.data-00000-of-00001")).expect("tensors");
     std::fs::write(folder.path().join("a.data-00000-of-00001"), &data).expect("copied");
     let table = std::fs::read(checkpoint("tensorflow.index")).expect("a table");
-    // The entries come first; their checksum is after how they are compressed.
+    // The block of entries comes first, then one byte for the kind of compression, then the checksum.
     let masked =
         |bytes: &[u8]| crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes();
     let len =
@@ -223,9 +223,9 @@ fn a_changed_byte_behind_the_checksum_of_a_table_is_no_crash() {
     assert!(errors > len, "{errors} errors");
 }
 
-/// TensorFlow compresses blocks where it is told to.
+/// Compression is an option of TensorFlow.
 #[test]
-fn a_compressed_block_is_read() {
+fn compressed_blocks_are_read() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("a.index");
     let table = std::fs::read(checkpoint("tensorflow.index")).expect("a table");
@@ -236,7 +236,7 @@ fn a_compressed_block_is_read() {
     assert!(found == read_parameters(&checkpoint("tensorflow.index")).expect("plain"));
 }
 
-/// A table of one block of entries, with that and the block of places compressed.
+/// A table with one block of entries, recompressed along with the index block.
 fn compressed(table: &[u8]) -> Vec<u8> {
     fn varint(bytes: &[u8]) -> (usize, &[u8]) {
         let len = 1 + bytes.iter().take_while(|byte| **byte & 0x80 != 0).count();
@@ -268,7 +268,7 @@ fn compressed(table: &[u8]) -> Vec<u8> {
     let (index_start, rest) = varint(rest);
     let (index_len, _) = varint(rest);
     let index = &table[index_start..index_start + index_len];
-    // Shares nothing; the length of its key and of its value, then both.
+    // An entry without shared prefix: lengths of key and value, then both.
     let (key_len, rest) = varint(&index[1..]);
     let (_, rest) = varint(rest);
     let (key, place) = rest.split_at(key_len);

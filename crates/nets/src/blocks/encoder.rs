@@ -1,5 +1,5 @@
-//! Feature and context encoder of RAFT (`extractor.py`), which reduces the size to an eighth, and encoder of UniMatch
-//! (`backbone.py`), which reduces it to an eighth or to a quarter.
+//! Feature and context encoder of RAFT (`extractor.py`), which reduces the size to 1/8, and encoder of UniMatch (`backbone.py`),
+//! which reduces it to 1/8 or 1/4.
 
 use burn::module::{Initializer, Module, Param};
 use burn::tensor::{Device, Tensor};
@@ -41,16 +41,16 @@ pub(crate) struct EncoderConfig {
     bottleneck: bool,
     output: usize,
     norm: NormKind,
-    /// Whether convolutions before a norm add a bias, except in shortcuts, where all do.
+    /// Whether convolutions before a norm have a bias; those in shortcuts always do.
     bias: bool,
-    /// Of the third layer.
+    /// Stride of the third layer.
     last_stride: usize,
-    /// Sizes in which the output is made.
+    /// Number of output scales.
     scales: usize,
 }
 
-/// A stem and three layers of two residual blocks; the stem, the second layer and, except with several scales, the third halve
-/// the size.
+/// A stem and three layers of two residual blocks. The stem and the second layer halve the size, and so does the third, if there is
+/// a single scale.
 #[derive(Module, Debug)]
 pub(crate) struct Encoder {
     conv1: Conv2d,
@@ -62,7 +62,7 @@ pub(crate) struct Encoder {
     trident_conv: Option<TridentConv>,
 }
 
-/// `MultiScaleTridentConv`: one kernel makes all scales of the output; its stride doubles from one scale to the next coarser.
+/// `MultiScaleTridentConv`: one kernel for all output scales, whose stride doubles from each scale to the next coarser one.
 #[derive(Module, Debug)]
 struct TridentConv {
     weight: Param<Tensor<4>>,
@@ -103,7 +103,7 @@ impl EncoderConfig {
         }
     }
 
-    /// `CNNEncoder`, to an eighth of the size; of several scales the finest is a quarter.
+    /// `CNNEncoder`: 1/8 of the size for one scale; for several, the finest is 1/4.
     pub(crate) fn of_scales(output: usize, scales: usize) -> Self {
         let last_stride = if scales > 1 { 1 } else { 2 };
         Self { bias: false, last_stride, scales, ..Self::basic(output, NormKind::Instance) }
@@ -175,7 +175,7 @@ impl Norm {
 }
 
 impl Encoder {
-    /// `[batch, output, height / 8, width / 8]`, or a quarter of the size, from `[batch, 3, height, width]`.
+    /// `[batch, output, height / 8, width / 8]`, or 1/4 of the size for several scales, from `[batch, 3, height, width]`.
     pub(crate) fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let mut x = self.norm1.after(&self.conv1, x, Activation::Relu);
         for block in self.layer1.iter().chain(&self.layer2).chain(&self.layer3) {
@@ -184,7 +184,7 @@ impl Encoder {
         self.conv2.forward(x, Activation::Identity)
     }
 
-    /// The output in each scale, the coarsest first.
+    /// The output at each scale, coarsest first.
     pub(crate) fn forward_scales(&self, x: Tensor<4>) -> Vec<Tensor<4>> {
         let x = self.forward(x);
         match &self.trident_conv {

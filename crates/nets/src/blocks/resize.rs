@@ -9,9 +9,9 @@ pub(crate) enum Grids {
     CornersOnCorners,
     /// The edges of the image (`align_corners=False`).
     EdgesOnEdges,
-    /// The same; if the map gets smaller, each pixel is a weighted mean of all pixels it covers (`antialias=True`).
+    /// Like `EdgesOnEdges`, but antialiased when the size is reduced (`antialias=True`).
     EdgesOnEdgesSmoothed,
-    /// The centres of the first pixels; distances are scaled by the ratio of the sizes (`resize_images` of TensorFlow 1).
+    /// The centres of the first pixels, with distances scaled by the ratio of the sizes (`resize_images` of TensorFlow 1).
     FirstOnFirst,
 }
 
@@ -56,7 +56,7 @@ fn along(x: Tensor<4>, axis: usize, size: usize, grids: Grids) -> Tensor<4> {
     lower.clone() + (upper - lower) * fractions
 }
 
-/// Weights decrease linearly from the centre of a pixel to the centres of its neighbours.
+/// Reduces an axis with a triangle filter that reaches to the centres of the neighbouring output pixels.
 fn smaller(x: Tensor<4>, axis: usize, size: usize) -> Tensor<4> {
     let from = x.dims()[axis];
     let width = from as f64 / size as f64;
@@ -84,7 +84,7 @@ fn smaller(x: Tensor<4>, axis: usize, size: usize) -> Tensor<4> {
         .unwrap_or(x)
 }
 
-/// Maximum number of pixels within a distance of `width`.
+/// Most input pixels within a distance of `width` from a point.
 fn taps(width: f64) -> usize {
     (2.0 * width).floor() as usize + 1
 }
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn a_smaller_map_is_smoothed() {
+    fn reduced_maps_are_antialiased() {
         let ramp = Tensor::<1>::from_floats([0., 1., 2., 3., 10.], &Device::flex()).reshape([1, 1, 1, 5]);
         let resized = |size| numbers(resize(ramp.clone(), [1, size], Grids::EdgesOnEdgesSmoothed));
         let expected = [0.428571, 2.0, 6.999999];
@@ -136,13 +136,13 @@ mod tests {
             assert!((found - expected).abs() < 1e-6, "{found}, not {expected}");
         }
         assert_eq!(resized(5), [0., 1., 2., 3., 10.]);
-        // A larger map is interpolated.
+        // Enlarged maps are interpolated.
         assert_eq!(resized(10)[..4], [0., 0.25, 0.75, 1.25]);
     }
 
-    /// What `tf.image.resize_images` of TensorFlow 1 gives.
+    /// Expected values: `tf.image.resize_images` of TensorFlow 1.
     #[test]
-    fn first_pixels_lie_on_each_other() {
+    fn resizing_matches_tensorflow() {
         let resized = numbers(resize(row([0.0, 6.0, 0.0]), [1, 6], Grids::FirstOnFirst));
         assert_eq!(resized, [0.0, 3.0, 6.0, 3.0, 0.0, 0.0]);
     }

@@ -22,7 +22,7 @@ pub(crate) fn convex_mask(hidden: usize, device: &Device) -> ConvexMask {
     convex_mask_by(STRIDE, hidden, device)
 }
 
-/// For `factor` fine pixels along the side of a coarse one, from so many channels.
+/// A [`convex_mask`] for another upsampling factor and number of input channels.
 pub(crate) fn convex_mask_by(factor: usize, inputs: usize, device: &Device) -> ConvexMask {
     (
         Conv2dConfig::new([inputs, 256], [3, 3]).init(device),
@@ -38,7 +38,7 @@ pub(crate) fn convex_upsample(mask: &ConvexMask, hidden: &Tensor<4>, flow: Tenso
     tensor::convex_upsample(flow, weights, MASK_SCALE, factor)
 }
 
-/// [`convex_upsample`] by `factor`, with weights that are not scaled (UniMatch).
+/// [`convex_upsample`] by `factor`, without [`MASK_SCALE`] (UniMatch).
 pub(crate) fn unscaled_convex_upsample(
     mask: &ConvexMask,
     x: &Tensor<4>,

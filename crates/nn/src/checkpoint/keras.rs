@@ -1,5 +1,5 @@
-//! Weights of Keras in HDF5 (`model.save_weights`, `model.save`): a group for each layer, and in it what the layer calls its
-//! weights, such as `conv1/conv1/kernel:0`.
+//! Keras weights in HDF5 (`model.save_weights`, `model.save`): a group per layer, which contains the weights under names that
+//! include the layer, such as `conv1/conv1/kernel:0`.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -10,12 +10,12 @@ use srflow_field::{Hdf5Array, hdf5_arrays};
 use super::tensorflow::layout::{reference_name, reference_order, reference_shape};
 use super::{Contents, StoredBytes, StoredTensor};
 
-/// The group of the weights in a file of a whole model.
+/// Group of the weights in the file of a whole model.
 const OF_MODEL: &str = "model_weights/";
-/// Beside it.
+/// Group of the optimizer state in the file of a whole model.
 const OF_OPTIMIZER: &str = "optimizer_weights/";
 
-/// The whole file is read: what is in it is found by following addresses.
+/// Reads the whole file, as HDF5 is parsed by following addresses in it.
 pub(super) fn contents(mut file: File, len: u64) -> Result<Contents, String> {
     let mut bytes = Vec::new();
     file.seek(SeekFrom::Start(0)).map_err(|error| error.to_string())?;
@@ -35,7 +35,7 @@ pub(super) fn contents(mut file: File, len: u64) -> Result<Contents, String> {
     Ok(Contents::from(tensors))
 }
 
-/// What a layer calls its weights starts with its own name.
+/// Removes the group of a layer, since the name of a weight in it starts with the layer again.
 fn without_layer(path: &str) -> &str {
     match path.split_once('/') {
         Some((layer, rest)) if rest.strip_prefix(layer).is_some_and(|rest| rest.starts_with('/')) => rest,
@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_group_of_a_layer_is_no_part_of_a_name() {
+    fn groups_of_layers_are_removed() {
         assert_eq!(without_layer("conv1/conv1/kernel:0"), "conv1/kernel:0");
         assert_eq!(without_layer("conv1/conv10/kernel:0"), "conv1/conv10/kernel:0");
         assert_eq!(without_layer("conv1/kernel:0"), "conv1/kernel:0");

@@ -48,9 +48,9 @@ pub enum Format {
     Safetensors,
     /// From Burn.
     Burnpack,
-    /// Of TensorFlow (`tf.train.Saver`): the `.index` file, whose tensors are in files beside it.
+    /// From TensorFlow (`tf.train.Saver`): the `.index` file; the tensors are in other files of the same folder.
     Tensorflow,
-    /// Of Keras, in HDF5.
+    /// From Keras, in HDF5.
     Keras,
 }
 
@@ -83,8 +83,8 @@ pub struct Checkpoint {
 struct Contents {
     tensors: BTreeMap<String, StoredTensor>,
     hyper_parameters: BTreeMap<String, f64>,
-    /// Bytes of other files that its tensors are in.
-    beside: u64,
+    /// Bytes of the other files of a checkpoint with several files.
+    shard_bytes: u64,
 }
 
 /// Metadata in files written by srflow.
@@ -113,13 +113,13 @@ enum StoredBytes {
         len: usize,
     },
     Pytorch(pytorch_reader::Tensor),
-    /// As TensorFlow orders them, of a tensor that has this shape there.
     Tensorflow {
         file: Rc<File>,
         start: u64,
         len: usize,
-        /// As it is stored.
+        /// Masked.
         crc32c: u32,
+        /// In TensorFlow's order.
         shape: Vec<usize>,
     },
     Memory(Vec<u8>),
@@ -150,13 +150,13 @@ impl Checkpoint {
             Format::Tensorflow => tensorflow::contents(path, file, len),
             Format::Keras => keras::contents(file, len),
         };
-        let Contents { tensors, hyper_parameters, beside } = found.map_err(broken)?;
+        let Contents { tensors, hyper_parameters, shard_bytes } = found.map_err(broken)?;
         let named = naming::reference_names(tensors);
         if named.tensors.is_empty() {
             return Err(WeightsError::Empty { path: path.to_owned() });
         }
         let claimed = named.tensors.values().map(StoredTensor::byte_len).fold(0, u64::saturating_add);
-        let stored = len.saturating_add(beside);
+        let stored = len.saturating_add(shard_bytes);
         if claimed > stored.saturating_mul(MAX_CLAIM_RATIO) {
             return Err(broken(format!("its tensors claim {claimed} bytes, the file has {stored}")));
         }
@@ -226,7 +226,7 @@ impl Checkpoint {
 
 impl From<BTreeMap<String, StoredTensor>> for Contents {
     fn from(tensors: BTreeMap<String, StoredTensor>) -> Self {
-        Self { tensors, hyper_parameters: BTreeMap::new(), beside: 0 }
+        Self { tensors, hyper_parameters: BTreeMap::new(), shard_bytes: 0 }
     }
 }
 
@@ -321,7 +321,7 @@ fn format_of(start: &[u8], end: &[u8]) -> Option<Format> {
 fn describe_file(path: &Path, start: &[u8]) -> String {
     if let Some(table) = tensorflow::table_of(path) {
         return format!(
-            "the tensors of a TensorFlow checkpoint; give its table instead, {}",
+            "a file of tensors of a TensorFlow checkpoint; pass its table instead, {}",
             excerpt(&table)
         );
     }

@@ -33,7 +33,7 @@ impl LayerNorm {
         self.with_epilogue(x, Epilogue::default())
     }
 
-    /// `norm(x) + residual`.
+    /// `norm(x) + residual`; `residual` has the shape of `x`.
     pub fn forward_add(&self, x: Tensor<4>, residual: Tensor<4>) -> Tensor<4> {
         self.with_epilogue(x, Epilogue::default().residual(residual))
     }

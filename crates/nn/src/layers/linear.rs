@@ -7,15 +7,14 @@ use srflow_ops::{Activation, WeightCache};
 
 use super::conv::{bias_initializer, weight_initializer};
 
-/// How a [`Linear`] is made.
+/// Configuration of a [`Linear`].
 #[derive(Config, Debug)]
 pub struct LinearConfig {
     inputs: usize,
     outputs: usize,
-    /// Add a number to each output.
     #[config(default = "true")]
     bias: bool,
-    /// Of the weight.
+    /// Initializer of the weight.
     #[config(default = "weight_initializer()")]
     initializer: Initializer,
 }
@@ -59,7 +58,7 @@ impl Linear {
         conv2d(x, self.kernel(), epilogue, options)
     }
 
-    /// As a layer of `pointwise_layers`.
+    /// This layer as a layer of [`pointwise_layers`](srflow_ops::pointwise::tensor::pointwise_layers).
     pub fn layer(&self, activation: Activation) -> PointwiseLayer {
         let weight = self.kernel();
         let bias = self.bias().unwrap_or_else(|| Tensor::zeros([weight.dims()[0]], &weight.device()));

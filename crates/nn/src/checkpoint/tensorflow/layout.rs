@@ -1,10 +1,10 @@
-//! From the names and the order of numbers of TensorFlow and Keras to those of PyTorch.
+//! Converts names and memory order of TensorFlow and Keras to those of PyTorch.
 
-/// Beside a variable, what optimizers remember of it, and its running average.
+/// Suffixes of optimizer slots and moving averages of a variable.
 const OF_OPTIMIZERS: [&str; 8] =
     ["Adam", "Adam_1", "Momentum", "RMSProp", "RMSProp_1", "Adagrad", "Adadelta", "ExponentialMovingAverage"];
 
-/// `net/conv1/kernel` (or `kernel:0`) is `net.conv1.weight`; nothing for what belongs to an optimizer.
+/// Name in PyTorch, such as `net.conv1.weight` for `net/conv1/kernel` (or `kernel:0`); `None` for optimizer state.
 pub(in crate::checkpoint) fn reference_name(name: &str) -> Option<String> {
     let (owner, last) = name.rsplit_once('/').unwrap_or(("", name));
     let last = last.split_once(':').map_or(last, |(last, _)| last);
@@ -22,8 +22,8 @@ pub(in crate::checkpoint) fn reference_name(name: &str) -> Option<String> {
     Some(if owner.is_empty() { last.to_owned() } else { format!("{owner}.{last}") })
 }
 
-/// A kernel `[height, width, inputs, outputs]` is a weight `[outputs, inputs, height, width]`, of a transposed convolution
-/// `[height, width, outputs, inputs]` one of `[inputs, outputs, height, width]`; a matrix is transposed.
+/// Shape in PyTorch: a kernel `[height, width, inputs, outputs]` becomes `[outputs, inputs, height, width]`, that of a transposed
+/// convolution `[height, width, outputs, inputs]` becomes `[inputs, outputs, height, width]`; matrices are transposed.
 pub(in crate::checkpoint) fn reference_shape(stored: &[usize]) -> Vec<usize> {
     match *stored {
         [height, width, third, fourth] => vec![fourth, third, height, width],
@@ -32,7 +32,7 @@ pub(in crate::checkpoint) fn reference_shape(stored: &[usize]) -> Vec<usize> {
     }
 }
 
-/// The numbers of a tensor, of so many bytes each, in the order of [`reference_shape`].
+/// Reorders the values of a tensor, each of `number` bytes, to the order of [`reference_shape`].
 pub(in crate::checkpoint) fn reference_order(bytes: Vec<u8>, stored: &[usize], number: usize) -> Vec<u8> {
     let (taps, third, fourth) = match *stored {
         [height, width, third, fourth] => (height * width, third, fourth),
@@ -57,7 +57,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_pytorchs() {
+    fn names_become_pytorchs() {
         let cases = [
             ("net1/features/conv1/kernel", Some("net1.features.conv1.weight")),
             ("conv1/bias:0", Some("conv1.bias")),
@@ -73,11 +73,11 @@ mod tests {
     }
 
     #[test]
-    fn kernels_are_turned() {
+    fn kernels_are_transposed() {
         let stored = [1, 2, 3, 2]; // [height, width, inputs, outputs]
         assert_eq!(reference_shape(&stored), [2, 3, 1, 2]);
         let bytes: Vec<u8> = (0..12).collect();
-        // Of the first output, both taps of the first input: numbers 0 and 6.
+        // First output, first input: both taps, values 0 and 6.
         assert_eq!(reference_order(bytes, &stored, 1), [0, 6, 2, 8, 4, 10, 1, 7, 3, 9, 5, 11]);
         assert_eq!(reference_order(vec![0, 1, 2, 3, 4, 5], &[3, 2], 1), [0, 2, 4, 1, 3, 5]);
         assert_eq!(reference_order(vec![7, 8, 9], &[3], 1), [7, 8, 9]);

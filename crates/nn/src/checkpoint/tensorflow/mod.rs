@@ -1,7 +1,7 @@
-//! Checkpoints of TensorFlow (`tf.train.Saver`, "bundles"): a table of the tensors (`NAME.index`), and their bytes beside it
-//! (`NAME.data-00000-of-00001`, as many files as its header says).
+//! TensorFlow checkpoints (`tf.train.Saver`, "bundles"): a table of the tensors (`NAME.index`), and one or more files with their
+//! bytes in the same folder (`NAME.data-00000-of-00001`).
 //!
-//! The messages are those of `tensorflow/core/protobuf/tensor_bundle.proto`, the table is LevelDB's.
+//! The messages are defined in `tensorflow/core/protobuf/tensor_bundle.proto`; the table is LevelDB's.
 
 pub(super) mod layout;
 mod proto;
@@ -21,16 +21,16 @@ use proto::Fields;
 
 pub(super) use table::{is_table, masked};
 
-/// Largest table of tensors. That of a network of a thousand tensors is under 100 kB.
+/// Largest table of tensors. For a network with a thousand tensors it has less than 100 kB.
 const MAX_TABLE_BYTES: u64 = 64 << 20;
-/// Most files of tensors. Programs of one machine write one.
+/// Most files of tensors. Programs on a single machine write one.
 const MAX_SHARDS: u64 = 1024;
 
-/// What the table says of a tensor.
+/// The table entry of a tensor.
 struct Entry {
-    /// None for what is no floating-point number.
+    /// `None` for types other than floating point.
     dtype: Option<DType>,
-    /// As it is stored.
+    /// In TensorFlow's order.
     shape: Vec<usize>,
     shard: u64,
     start: u64,
@@ -38,7 +38,7 @@ struct Entry {
     crc32c: u32,
 }
 
-/// The files of tensors beside a table.
+/// The files of tensors that belong to a table.
 struct Shards<'a> {
     table: &'a Path,
     count: u64,
@@ -60,7 +60,7 @@ pub(super) fn contents(path: &Path, mut file: File, len: u64) -> Result<Contents
     let mut shards = Shards { table: path, count: shard_count(&header)?, opened: BTreeMap::new() };
     let mut tensors = BTreeMap::new();
     for (name, entry) in entries {
-        // What is no text is the key of a part of a variable.
+        // Keys of parts of partitioned variables are not UTF-8.
         let Ok(name) = String::from_utf8(name) else { continue };
         let Some(reference_name) = layout::reference_name(&name) else { continue };
         let in_entry = |problem: String| format!("{}: {problem}", excerpt(&name));
@@ -70,11 +70,12 @@ pub(super) fn contents(path: &Path, mut file: File, len: u64) -> Result<Contents
         let shape = layout::reference_shape(&entry.shape);
         tensors.insert(reference_name, StoredTensor { dtype, shape, bytes });
     }
-    let beside = shards.opened.values().map(|(_, len)| len).fold(0, |sum: u64, len| sum.saturating_add(*len));
-    Ok(Contents { beside, ..Contents::from(tensors) })
+    let shard_bytes =
+        shards.opened.values().map(|(_, len)| len).fold(0, |sum: u64, len| sum.saturating_add(*len));
+    Ok(Contents { shard_bytes, ..Contents::from(tensors) })
 }
 
-/// The name of the table beside a file that is called as files of tensors are.
+/// The name of the table of a file of tensors; `None` if the file is not named like one.
 pub(super) fn table_of(path: &Path) -> Option<String> {
     let (stem, parts) = path.file_name()?.to_str()?.rsplit_once(".data-")?;
     let (shard, count) = parts.split_once("-of-")?;
@@ -82,14 +83,14 @@ pub(super) fn table_of(path: &Path) -> Option<String> {
     (digits(shard) && digits(count)).then(|| format!("{stem}.index"))
 }
 
-/// The message `BundleHeaderProto`.
+/// Number of shards in a `BundleHeaderProto`.
 fn shard_count(header: &[u8]) -> Result<u64, String> {
     let mut count = 0;
     for field in Fields::new(header) {
         match field? {
             (1, value) => count = value.number()?,
             (2, value) if value.number()? != 0 => {
-                return Err("its numbers are big-endian; save it on a little-endian machine".into());
+                return Err("its values are big-endian; save it on a little-endian machine".into());
             }
             _ => {}
         }
@@ -101,7 +102,7 @@ fn shard_count(header: &[u8]) -> Result<u64, String> {
 }
 
 impl Entry {
-    /// The message `BundleEntryProto`.
+    /// Parses a `BundleEntryProto`.
     fn parse(entry: &[u8]) -> Result<Self, String> {
         let mut found = Self { dtype: None, shape: Vec::new(), shard: 0, start: 0, len: 0, crc32c: 0 };
         for field in Fields::new(entry) {
@@ -122,7 +123,7 @@ impl Entry {
                 (6, value) => found.crc32c = value.fixed32()?,
                 (7, _) => {
                     let advice = "save it without a partitioner";
-                    return Err(format!("a variable in several parts, which are not supported; {advice}"));
+                    return Err(format!("partitioned variables are not supported; {advice}"));
                 }
                 _ => {}
             }
@@ -131,7 +132,7 @@ impl Entry {
     }
 }
 
-/// The message `TensorShapeProto`.
+/// Parses a `TensorShapeProto`.
 fn shape(message: Fields) -> Result<Vec<usize>, String> {
     let mut shape = Vec::new();
     for field in message {
@@ -142,21 +143,21 @@ fn shape(message: Fields) -> Result<Vec<usize>, String> {
                     size = value.number()?;
                 }
             }
-            // Of a negative number the first bit is set.
+            // Negative sizes, such as -1 for unknown ones, are above `isize::MAX` as unsigned numbers.
             let size = usize::try_from(size).ok().filter(|size| *size <= isize::MAX as usize);
-            shape.push(size.ok_or("a negative length in its shape")?);
+            shape.push(size.ok_or("its shape has a negative size")?);
         }
     }
     Ok(shape)
 }
 
 impl Shards<'_> {
-    /// Holds what an entry claims to its file.
+    /// Checks the range of an entry against its file, and its length against its shape.
     fn bytes_of(&mut self, entry: &Entry, dtype: DType) -> Result<StoredBytes, String> {
         let Entry { shard, start, len, crc32c, .. } = *entry;
         let (file, file_len) = self.open(shard)?;
         if start.checked_add(len).is_none_or(|end| end > file_len) {
-            let claim = format!("{len} bytes from {start} on in file {shard} of {}", self.count);
+            let claim = format!("{len} bytes at {start} in file {shard} of {}", self.count);
             return Err(format!("it claims {claim}, which has {file_len}"));
         }
         let numbers = entry.shape.iter().map(|&size| size as u64).fold(1, u64::saturating_mul);
@@ -179,12 +180,12 @@ impl Shards<'_> {
         let Some(stem) = name.and_then(|name| name.strip_suffix(".index")) else {
             let expected = format!("NAME.data-00000-of-{:05}", self.count);
             return Err(format!(
-                "its tensors are in {expected} beside it, so it has to be called NAME.index; give it its name again"
+                "its tensors are in {expected}, so its name must be NAME.index; rename it to match that file"
             ));
         };
         let path = self.table.with_file_name(format!("{stem}.data-{shard:05}-of-{:05}", self.count));
         let (file, len) = open_file(&path, FileKind::Checkpoint)
-            .map_err(|error| format!("its tensors are in another file beside it, and {error}"))?;
+            .map_err(|error| format!("opening the file of its tensors: {error}"))?;
         let file = Rc::new(file);
         self.opened.insert(shard, (file.clone(), len));
         Ok((file, len))

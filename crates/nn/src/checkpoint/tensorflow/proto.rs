@@ -1,17 +1,17 @@
-//! Protocol buffers, as much as the messages of a bundle need.
+//! The part of protocol buffers that the messages of a bundle need.
 
-/// The fields of a message: their numbers and values, up to the first that is broken.
+/// Iterates over the fields of a message, numbers and values, up to the first error.
 pub(super) struct Fields<'a> {
     rest: &'a [u8],
 }
 
 /// The value of a field.
 pub(super) enum Value<'a> {
-    /// Whole numbers, truth values and enumerations.
+    /// An integer, boolean or enumeration.
     Number(u64),
     Fixed32(u32),
     Fixed64,
-    /// Text, or a message of its own.
+    /// A string or a nested message.
     Bytes(&'a [u8]),
 }
 
@@ -55,26 +55,26 @@ impl<'a> Value<'a> {
     pub(super) fn number(&self) -> Result<u64, String> {
         match self {
             Self::Number(number) => Ok(*number),
-            _ => Err("a message in its table holds something else where a whole number was expected".into()),
+            _ => Err("a message in its table has another type than the expected integer".into()),
         }
     }
 
     pub(super) fn fixed32(&self) -> Result<u32, String> {
         match self {
             Self::Fixed32(number) => Ok(*number),
-            _ => Err("a message in its table holds something else where a checksum was expected".into()),
+            _ => Err("a message in its table has another type than the expected checksum".into()),
         }
     }
 
     pub(super) fn message(&self) -> Result<Fields<'a>, String> {
         match self {
             Self::Bytes(bytes) => Ok(Fields::new(bytes)),
-            _ => Err("a message in its table holds something else where a message was expected".into()),
+            _ => Err("a message in its table has another type than the expected message".into()),
         }
     }
 }
 
-/// Takes a number of variable length, seven bits per byte and the lowest first.
+/// Takes a varint: seven bits per byte, lowest first.
 pub(super) fn varint(bytes: &mut &[u8]) -> Option<u64> {
     let mut number = 0;
     for shift in (0..64).step_by(7) {
@@ -88,7 +88,7 @@ pub(super) fn varint(bytes: &mut &[u8]) -> Option<u64> {
     None
 }
 
-/// Takes so many bytes.
+/// Takes `count` bytes.
 pub(super) fn taken<'a>(bytes: &mut &'a [u8], count: usize) -> Option<&'a [u8]> {
     let (taken, rest) = bytes.split_at_checked(count)?;
     *bytes = rest;

@@ -1,19 +1,19 @@
-//! LevelDB's tables of sorted keys: <https://github.com/google/leveldb/blob/main/doc/table_format.md>.
+//! LevelDB tables: <https://github.com/google/leveldb/blob/main/doc/table_format.md>.
 
 use super::proto::{taken, varint};
 use crate::checkpoint::MAX_CLAIM_RATIO;
 
 /// The last eight bytes.
 const MAGIC: u64 = 0xdb47_7524_8b80_fb57;
-/// Two handles in so many bytes, then the magic number.
+/// Bytes of the footer: two block handles, padding and the magic number.
 const FOOTER: usize = 48;
-/// After each block: how it is compressed, and its checksum.
+/// Bytes after each block: kind of compression, and checksum.
 const TRAILER: usize = 5;
 
 /// A key and its value.
 type Entry = (Vec<u8>, Vec<u8>);
 
-/// Whether a file ends as a table does, by its last bytes.
+/// Whether the last bytes of a file are those of a table.
 pub(in crate::checkpoint) fn is_table(end: &[u8]) -> bool {
     end.ends_with(&MAGIC.to_le_bytes())
 }
@@ -21,9 +21,9 @@ pub(in crate::checkpoint) fn is_table(end: &[u8]) -> bool {
 /// All entries, in the order of their keys.
 pub(super) fn entries(file: &[u8]) -> Result<Vec<Entry>, String> {
     let footer = file.len().checked_sub(FOOTER).map(|start| &file[start..]);
-    let mut footer = footer.filter(|footer| is_table(footer)).ok_or("its table has no end")?;
-    let broken = || "a place in its table is broken".to_owned();
-    handle(&mut footer).ok_or_else(broken)?; // of blocks of metadata, which bundles have none of
+    let mut footer = footer.filter(|footer| is_table(footer)).ok_or("its table has no footer")?;
+    let broken = || "a block handle in its table is broken".to_owned();
+    handle(&mut footer).ok_or_else(broken)?; // of the metaindex block, which is empty in bundles
     let index = handle(&mut footer).ok_or_else(broken)?;
     let mut left = Left { file_bytes: file.len() as u64, entry_bytes: MAX_CLAIM_RATIO * file.len() as u64 };
     let mut entries = Vec::new();
@@ -34,11 +34,11 @@ pub(super) fn entries(file: &[u8]) -> Result<Vec<Entry>, String> {
     Ok(entries)
 }
 
-/// What a table may still claim.
+/// Bytes that a table may still claim.
 struct Left {
-    /// Blocks do not overlap.
+    /// At most the length of the file in total, since blocks do not overlap.
     file_bytes: u64,
-    /// Keys share their beginnings, and blocks may be compressed, but not without end.
+    /// Limited although keys share prefixes and blocks may be compressed.
     entry_bytes: u64,
 }
 
@@ -55,7 +55,7 @@ fn handle(bytes: &mut &[u8]) -> Option<(u64, u64)> {
     Some((varint(bytes)?, varint(bytes)?))
 }
 
-/// The contents of a block.
+/// The decompressed contents of a block.
 fn block(file: &[u8], (start, len): (u64, u64), left: &mut Left) -> Result<Vec<u8>, String> {
     let outside =
         || format!("its table claims a block of {len} bytes at {start}, the file has {}", file.len());
@@ -78,12 +78,12 @@ fn block(file: &[u8], (start, len): (u64, u64), left: &mut Left) -> Result<Vec<u
             Left::take(&mut left.entry_bytes, snap::raw::decompress_len(contents).map_err(snappy)?)?;
             snap::raw::Decoder::new().decompress_vec(contents).map_err(snappy)
         }
-        other => Err(format!("a block of its table at {start} is compressed in an unknown way ({other})")),
+        other => Err(format!("a block of its table at {start} has an unknown compression ({other})")),
     }
 }
 
-/// The entries of a block. A key is what it shares with the key before it and a rest; at the end stand the places where nothing
-/// is shared.
+/// The entries of a block. A key is stored as the length of the prefix that it shares with the previous key, and the rest. The
+/// block ends with a list of restart points, which is not needed here.
 fn block_entries(block: &[u8], left: &mut Left) -> Result<Vec<Entry>, String> {
     let broken = || "an entry of its table is broken".to_owned();
     let restarts = block.last_chunk().map(|count| u32::from_le_bytes(*count) as usize);
@@ -107,7 +107,7 @@ fn block_entries(block: &[u8], left: &mut Left) -> Result<Vec<Entry>, String> {
     Ok(entries)
 }
 
-/// A checksum as it is stored: what is stored beside other checksums is no checksum of itself.
+/// The masked form in which checksums are stored, since the CRC of data that contains CRCs is problematic.
 pub(in crate::checkpoint) fn masked(crc32c: u32) -> u32 {
     crc32c.rotate_right(15).wrapping_add(0xa282_ead8)
 }

@@ -1,5 +1,5 @@
-//! CCMR and CCMR+ (Jahedi et al., WACV 2024): flow is refined from coarse to fine, and in each level channels of the motion
-//! attend to each other as those of the context do. Parity with the reference: `PARITY.md`.
+//! CCMR and CCMR+ (Jahedi et al., WACV 2024): coarse-to-fine refinement, where at each level the channels of motion features attend
+//! to each other with weights from the context. Parity with the reference: `PARITY.md`.
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
@@ -23,21 +23,21 @@ use crate::recurrent::pixel_grid;
 use crate::settings::{Allowed, Setting};
 use crate::table::{Entry, FlowNetwork};
 
-/// Pixels of a frame along a side of a pixel of the coarsest level.
+/// Side of a pixel of the coarsest level in pixels of the frame.
 const COARSEST_STRIDE: usize = 16;
-/// Height and width of frames are made multiples of this.
+/// Height and width of frames are padded to multiples of this.
 const PADDING: usize = 2 * COARSEST_STRIDE;
-/// How many times finer each level is than the one before, and how much a flow is enlarged by its weights.
+/// Upsampling factor between levels.
 const FACTOR: usize = 2;
-/// Channels of the encoders at a half, a quarter, an eighth and a sixteenth of the size.
+/// Channels of the encoders at 1/2, 1/4, 1/8 and 1/16 of the size.
 const WIDTHS: [usize; 4] = [64, 96, 128, 160];
-/// Levels of the correlation pyramid in each level of the network.
+/// Levels of the correlation pyramid at each level of the network.
 const CORRELATION_LEVELS: usize = 2;
-/// Channels of the context, and of what attention makes of it and of the motion.
+/// Channels of the context, and of the attention outputs.
 const CONTEXT: usize = HIDDEN;
-/// Refinements of CCMR in each level, coarsest first, in ptlflow and in the authors' evaluation on Sintel.
+/// Iterations of CCMR at each level, coarsest first, in ptlflow and in the authors' evaluation on Sintel.
 const ITERATIONS: [usize; 3] = [8, 10, 15];
-/// Of CCMR+.
+/// Iterations of CCMR+, likewise.
 const ITERATIONS_PLUS: [usize; 4] = [8, 10, 10, 10];
 
 pub(crate) const CCMR: Entry<Ccmr> = Entry {
@@ -73,18 +73,18 @@ pub(crate) const CCMR_P: Entry<Ccmr> = Entry {
     init: |device| Ccmr::new(&ITERATIONS_PLUS, device),
 };
 
-/// The network of the paper, with three or four levels.
+/// CCMR (three levels) or CCMR+ (four).
 #[derive(Module, Debug)]
 pub struct Ccmr {
     fnet: Encoder,
     cnet: Encoder,
     update_block: UpdateBlock,
     xcit: Vec<CrossCovariance>,
-    /// Levels in which flow is refined, coarsest first.
+    /// Number of levels at which flow is refined, from the coarsest on.
     levels: usize,
 }
 
-/// `BasicEncoder_resconv` and `Basic_Context_Encoder_resconv`: down to a sixteenth of the size, and up again.
+/// `BasicEncoder_resconv` and `Basic_Context_Encoder_resconv`: down to 1/16 of the size, and up again.
 #[derive(Module, Debug)]
 struct Encoder {
     conv1: Conv2d,
@@ -113,7 +113,7 @@ struct UpdateBlock {
 }
 
 impl Ccmr {
-    /// With random parameters, as training starts, and the levels of these refinements.
+    /// A network with as many levels as `iterations`.
     fn new(iterations: &[usize], device: &Device) -> Self {
         let levels = iterations.len();
         let entries = CORRELATION_LEVELS * (2 * RADIUS + 1) * (2 * RADIUS + 1);
@@ -132,7 +132,7 @@ impl Ccmr {
         }
     }
 
-    /// Of every level, coarsest first, where the finest of all has `finest`: in proportion to those of the reference.
+    /// Iterations at each level, coarsest first, in the proportions of the reference with `finest` at its finest level.
     fn iterations(&self, finest: usize) -> Vec<usize> {
         let of_all: &[usize] =
             if self.xcit.len() == ITERATIONS.len() { &ITERATIONS } else { &ITERATIONS_PLUS };
@@ -140,7 +140,7 @@ impl Ccmr {
         of_all.iter().take(self.levels).map(|own| (own * finest).div_ceil(most)).collect()
     }
 
-    /// Features to match of frames in -1..1 with a border, coarsest level first.
+    /// Features for matching from padded frames in -1..1, coarsest level first.
     fn matched(&self, frames: Tensor<4>) -> Vec<Tensor<4>> {
         let maps = self.fnet.forward(frames, self.levels);
         maps.into_iter().zip(self.fnet.outputs()).map(|(map, conv)| conv.forward(map, Identity)).collect()
@@ -162,7 +162,7 @@ impl FlowNetwork for Ccmr {
         let contexts = self.cnet.forward(first.clone(), self.levels);
         let [firsts, seconds] = match &request.features {
             Some(known) => known.clone().map(Features::into_levels),
-            // One after the other: both at once would double the memory.
+            // One after the other, since encoding both at once would double the memory.
             None => [first, second].map(|frames| self.matched(frames)),
         };
         let coarsest = [height, width].map(|side| side / COARSEST_STRIDE);
@@ -185,7 +185,7 @@ impl FlowNetwork for Ccmr {
             let [_, _, rows, columns] = hidden.dims();
             let grid = pixel_grid([batch, rows, columns], &device);
             for iteration in 1..=iterations[number] {
-                // The weights that enlarged the flow of the level before are learned here too.
+                // The first iteration of a level also trains the upsampling from the level before.
                 if iteration > 1 || number == 0 {
                     flow = flow.detach();
                 }
@@ -195,7 +195,7 @@ impl FlowNetwork for Ccmr {
                 hidden = gru.step(hidden, Tensor::cat(vec![motion, gathered], 1));
                 flow = flow + block.flow_head.forward(hidden.clone());
                 if request.every_iteration || [number + 1, iteration] == [self.levels, iterations[number]] {
-                    let whole = enlarged(convex_upsample(&block.mask, &hidden, flow.clone()), height);
+                    let whole = upsampled_to(height, convex_upsample(&block.mask, &hidden, flow.clone()));
                     flows.push(border.remove(whole.clone()));
                     last = Some(whole);
                 }
@@ -218,7 +218,7 @@ impl FlowNetwork for Ccmr {
         let allowed = if self.xcit.len() == ITERATIONS.len() { &[1, 2, 3][..] } else { &[1, 2, 3, 4] };
         vec![Setting {
             name: "levels",
-            description: "levels in which flow is refined, the coarsest first, at a sixteenth of the size; all by default",
+            description: "levels at which flow is refined, starting from the coarsest at 1/16 of the size; default: all",
             allowed: Allowed::OneOf(allowed),
             in_files: None,
             value: &mut self.levels,
@@ -226,7 +226,7 @@ impl FlowNetwork for Ccmr {
     }
 }
 
-/// The first hidden state of a level and its context, from a map of the context encoder and the layer that makes both of it.
+/// The initial hidden state and the context of a level, from a map of the context encoder and the layer that computes both.
 fn hidden_and_context(map: Tensor<4>, layer: &Conv2d) -> [Tensor<4>; 2] {
     let half = |first: usize, activation: Activation| {
         let bias = layer.bias().map(|bias| bias.narrow(0, first, HIDDEN));
@@ -236,8 +236,8 @@ fn hidden_and_context(map: Tensor<4>, layer: &Conv2d) -> [Tensor<4>; 2] {
     [half(0, Tanh), half(HIDDEN, Relu)]
 }
 
-/// Flow in frames of that height, doubled as often as that takes (`upflow2`).
-fn enlarged(mut flow: Tensor<4>, height: usize) -> Tensor<4> {
+/// Doubles the size of a flow until it has this height (`upflow2`).
+fn upsampled_to(height: usize, mut flow: Tensor<4>) -> Tensor<4> {
     while flow.dims()[2] < height {
         let [_, _, rows, columns] = flow.dims();
         flow = resize_flow(flow, [2 * rows, 2 * columns], Grids::CornersOnCorners);
@@ -250,7 +250,7 @@ fn through(layer: &[Block], x: Tensor<4>) -> Tensor<4> {
 }
 
 impl Encoder {
-    /// With as many channels in each level as there are below, or `outputs`.
+    /// An encoder with `outputs` output channels at each level, by default those of the level below.
     fn new(levels: usize, outputs: Option<usize>, device: &Device) -> Self {
         let config = EncoderConfig::basic(0, NormKind::Group);
         let layer = |inputs, outputs, stride| {
@@ -281,13 +281,13 @@ impl Encoder {
         }
     }
 
-    /// What makes the output of a level, coarsest first.
+    /// The output layers, coarsest level first.
     fn outputs(&self) -> impl Iterator<Item = &Conv2d> {
         let three = [&self.conv2, &self.after_up_layer2_conv, &self.after_up_layer1_conv];
         three.into_iter().chain(&self.after_up_layer0_conv)
     }
 
-    /// The maps of so many levels before [`outputs`](Self::outputs), coarsest first.
+    /// The inputs of the [`outputs`](Self::outputs) of this many levels, coarsest first.
     fn forward(&self, frames: Tensor<4>, levels: usize) -> Vec<Tensor<4>> {
         let mut x = through(&self.layer1, self.norm1.after(&self.conv1, frames, Relu));
         let mut finer = vec![x.clone()];

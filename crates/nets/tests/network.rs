@@ -101,9 +101,9 @@ fn levels_follow_the_size_of_the_frames_or_the_setting() {
     assert_eq!(others.map(levels), [Some(3), Some(3), Some(4), None]);
 }
 
-/// CCMR+ gives, in fewer levels, what it has found when it comes to the next.
+/// With fewer levels, CCMR+ returns the flow at the end of the last one.
 #[test]
-fn fewer_levels_give_the_flow_up_to_there() {
+fn fewer_levels_return_the_flow_of_the_last_one() {
     let device = Device::flex();
     let mut network = network(Architecture::CcmrP, &device);
     let all = Request { every_iteration: true, ..Request::new(1) };
@@ -128,7 +128,7 @@ fn refinement_starts_from_the_requested_flow() {
     ] {
         let mut network = network(architecture, &device);
         if architecture == Architecture::Ccmr {
-            // In finer levels one iteration changes more than this start, which points out of the frame.
+            // At finer levels, one iteration changes more than this start, which points out of the frame.
             network.set("levels", 1).expect("a number of levels");
         }
         let from = |start: Option<Tensor<4>>| {

@@ -1,5 +1,5 @@
-//! Cross-covariance attention of XCiT (El-Nouby et al., NeurIPS 2021: <https://arxiv.org/abs/2106.09681>), as CCMR has it
-//! (`xcit.py`): channels attend to channels, so that memory and time grow with the pixels and not with their square.
+//! Cross-covariance attention of XCiT (El-Nouby et al., NeurIPS 2021: <https://arxiv.org/abs/2106.09681>) as used in CCMR
+//! (`xcit.py`): channels attend to channels, so memory and time are linear in the number of pixels.
 
 use burn::module::{Initializer, Module, Param};
 use burn::tensor::activation::softmax;
@@ -10,25 +10,25 @@ use srflow_ops::WeightCache;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::layer_norm::tensor::layer_norm;
 
-/// Groups of channels that attend among themselves, and of the norm between the depthwise convolutions.
+/// Attention heads, and groups of the norm between the depthwise convolutions.
 const HEADS: usize = 8;
-/// Sines and cosines of each coordinate.
+/// Sines and cosines per coordinate.
 const WAVES: usize = 32;
-/// The longest wave over the shortest.
+/// Ratio of the longest to the shortest wavelength.
 const TEMPERATURE: f32 = 10_000.0;
-/// Added to the variance of a layer norm.
+/// Added to the variance by layer norms.
 const EPSILON: f64 = 1e-6;
-/// The least length that queries and keys are divided by.
-const LEAST_LENGTH: f32 = 1e-12;
+/// Smallest norm by which queries and keys are divided.
+const SMALLEST_NORM: f32 = 1e-12;
 
-/// `XCiT` of one block: adds the positions of pixels to a map, by whose channels those of values attend to each other.
+/// `XCiT` with one block: adds a positional encoding to a map, and computes attention weights between channels from it.
 #[derive(Module, Debug)]
 pub(crate) struct CrossCovariance {
     blocks: [Block; 1],
     pos_embeder: Positions,
 }
 
-/// `XCABlock`: attention, neighbouring pixels, a perceptron, each added to its input.
+/// `XCABlock`: attention, local patch interaction and an MLP, all residual.
 #[derive(Module, Debug)]
 struct Block {
     norm1: LayerNorm,
@@ -42,7 +42,7 @@ struct Block {
     gamma2: Param<Tensor<1>>,
 }
 
-/// The variant is no part of a parameter's name.
+/// The variant does not appear in the names of parameters.
 #[derive(Module, Debug)]
 #[allow(clippy::large_enum_variant)] // A network has at most eight of them.
 enum Attention {
@@ -88,19 +88,19 @@ struct Positions {
     token_projection: Conv2d,
 }
 
-/// A layer on single pixels: `[outputs, inputs]` and `[outputs, 1]`.
+/// A pointwise layer: weight `[outputs, inputs]` and bias `[outputs, 1]`.
 #[derive(Debug, Clone)]
 struct Pointwise {
     weight: Tensor<2>,
     bias: Tensor<2>,
 }
 
-/// A map that attends, ready for any number of values: which channels attend to which does not depend on these.
+/// A map with its attention weights, which do not depend on the values and can be reused.
 #[derive(Debug, Clone)]
 pub(crate) struct Attending {
-    /// With positions.
+    /// Includes the positional encoding.
     map: Tensor<4>,
-    /// From normalized values to what is added to the map, an image each.
+    /// Maps normalized values to the residual of the map; one layer per image.
     gather: Vec<Pointwise>,
 }
 
@@ -115,13 +115,13 @@ impl Pointwise {
         Self { weight, bias }
     }
 
-    /// The outputs from `first` on.
+    /// The layer of `outputs` outputs, starting with `first`.
     fn outputs(&self, first: usize, outputs: usize) -> Self {
         let of = |x: &Tensor<2>| x.clone().narrow(0, first, outputs);
         Self { weight: of(&self.weight), bias: of(&self.bias) }
     }
 
-    /// Of what `norm` makes, for what is not yet multiplied with its weight.
+    /// Folds weight and bias of `norm` into the layer, which then takes values that are normalized without them.
     fn after(self, norm: &LayerNorm) -> Self {
         let [weight, bias] = norm.weight_and_bias();
         let [inputs] = weight.dims();
@@ -129,7 +129,7 @@ impl Pointwise {
         Self { weight: self.weight * weight.reshape([1, inputs]), bias: self.bias + shift }
     }
 
-    /// Its outputs times `gamma`.
+    /// Multiplies the outputs by `gamma`.
     fn times(self, gamma: &Param<Tensor<1>>) -> Self {
         let gamma = gamma.val();
         let [outputs] = gamma.dims();
@@ -137,7 +137,7 @@ impl Pointwise {
         Self { weight: self.weight * gamma.clone(), bias: self.bias * gamma }
     }
 
-    /// Of `x`, `[batch, inputs, height, width]`.
+    /// Applies the layer to `[batch, inputs, height, width]`.
     fn apply(&self, x: Tensor<4>, epilogue: Epilogue) -> Tensor<4> {
         let [outputs, inputs] = self.weight.dims();
         let weight = self.weight.clone().reshape([outputs, inputs, 1, 1]);
@@ -148,7 +148,7 @@ impl Pointwise {
 }
 
 impl CrossCovariance {
-    /// Of a map whose channels attend to each other.
+    /// Self-attention between the channels of a map.
     pub(crate) fn of_itself(channels: usize, device: &Device) -> Self {
         Self::new(
             channels,
@@ -161,7 +161,7 @@ impl CrossCovariance {
         )
     }
 
-    /// Of a map that tells which channels of other values attend to each other.
+    /// Attention between the channels of separate values, with weights from the map.
     pub(crate) fn of_values(channels: usize, device: &Device) -> Self {
         Self::new(
             channels,
@@ -201,7 +201,7 @@ impl CrossCovariance {
         Self { blocks: [block], pos_embeder: Positions { token_projection } }
     }
 
-    /// `[batch, channels, height, width]`, ready for values of that size.
+    /// Computes the attention weights of a map `[batch, channels, height, width]`, for values of the same shape.
     pub(crate) fn attending(&self, map: Tensor<4>) -> Attending {
         let [block] = &self.blocks;
         let map = self.pos_embeder.add_to(map);
@@ -229,14 +229,14 @@ impl CrossCovariance {
         Attending { gather: gather.collect(), map }
     }
 
-    /// What a map makes of itself.
+    /// Applies the block to a map with the map as values.
     pub(crate) fn forward(&self, map: Tensor<4>) -> Tensor<4> {
         let attending = self.attending(map);
         let values = attending.map.clone();
         self.gather(&attending, values)
     }
 
-    /// The map, with what its channels gather of `values`, of its size.
+    /// Applies the block with separate `values`, which have the shape of the map.
     pub(crate) fn gather(&self, attending: &Attending, values: Tensor<4>) -> Tensor<4> {
         let [block] = &self.blocks;
         let values = layer_norm(values, EPSILON, Identity);
@@ -253,7 +253,7 @@ impl CrossCovariance {
 }
 
 impl Attending {
-    /// The map, with what is gathered of normalized values.
+    /// The map plus the attention output for normalized values.
     fn add_gathered(&self, values: Tensor<4>) -> Tensor<4> {
         if let [gather] = self.gather.as_slice() {
             return gather.apply(values, Epilogue::default().residual(self.map.clone()));
@@ -271,7 +271,7 @@ fn temperature(device: &Device) -> Param<Tensor<3>> {
 }
 
 impl Attention {
-    /// To queries, keys and values.
+    /// Projections to queries, keys and values.
     fn projections(&self) -> [Pointwise; 3] {
         let (first, values) = match self {
             Self::OfItself(own) => (Pointwise::of(&own.qkv), None),
@@ -289,7 +289,7 @@ impl Attention {
         }
     }
 
-    /// What each channel takes of every channel of its head: `[batch * heads, channels, channels]`.
+    /// Attention weights between the channels of each head: `[batch * heads, channels, channels]`.
     fn weights(&self, queries: Tensor<4>, keys: Tensor<4>) -> Tensor<3> {
         let [batch, channels, height, width] = queries.dims();
         let temperature = match self {
@@ -300,7 +300,7 @@ impl Attention {
             [queries, keys].map(|x| x.reshape([batch * HEADS, channels / HEADS, height * width]));
         let [first, second] = [&queries, &keys].map(|x| {
             let square = x.clone().square().sum_dim(2);
-            square.sqrt().clamp_min(LEAST_LENGTH)
+            square.sqrt().clamp_min(SMALLEST_NORM)
         });
         let products = queries.matmul(keys.transpose()) / (first.matmul(second.transpose()));
         softmax(products * temperature.repeat(&[batch, 1, 1]), 2)
@@ -308,7 +308,7 @@ impl Attention {
 }
 
 impl Local {
-    /// `x + gamma * local(y)`, the factor multiplied into the last kernel.
+    /// `x + gamma * local(y)`, with the factor multiplied into the last kernel.
     fn add_to(&self, x: Tensor<4>, y: Tensor<4>, gamma: &Param<Tensor<1>>) -> Tensor<4> {
         let y = self.bn.forward(self.conv1.forward(y, Gelu), Identity);
         let gamma = gamma.val();
@@ -320,7 +320,7 @@ impl Local {
 }
 
 impl Positions {
-    /// Projects the waves of rows and of columns one after the other: the projection of both is their sum.
+    /// Projects the encodings of rows and columns separately, since the projection of both is the sum.
     fn add_to(&self, map: Tensor<4>) -> Tensor<4> {
         let [_, _, height, width] = map.dims();
         let device = map.device();
@@ -336,7 +336,7 @@ impl Positions {
     }
 }
 
-/// Sine and cosine in turn of places along a side, the whole of which is one turn of the shortest wave.
+/// Alternating sines and cosines of the positions along a side, `[WAVES, side]`; the side is one period of the shortest wave.
 fn waves(side: usize) -> TensorData {
     let place = |at: usize| (at + 1) as f32 / (side as f32 + 1e-6) * std::f32::consts::TAU;
     let wave = |number: usize| TEMPERATURE.powf((2 * (number / 2)) as f32 / WAVES as f32);

@@ -9,7 +9,7 @@ use srflow_ops::activation::tensor::activated_sum;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::instance_norm::tensor::instance_norm;
 
-/// Channels of a group.
+/// Channels per group of group norms.
 const GROUP: usize = 8;
 
 /// Normalization of an encoder.
@@ -18,7 +18,7 @@ pub(crate) enum NormKind {
     None,
     Instance,
     Batch,
-    /// In groups of eight channels.
+    /// Group norm with 8 channels per group.
     Group,
 }
 
@@ -83,7 +83,7 @@ pub(crate) struct Block {
     downsample: Option<(Conv2d, Norm)>,
 }
 
-/// As the encoders of RAFT start.
+/// A convolution with the initializer of RAFT's encoders.
 pub(crate) fn conv(channels: [usize; 2], kernel: usize) -> Conv2dConfig {
     Conv2dConfig::new(channels, [kernel; 2])
         .with_initializer(Initializer::KaimingNormal { gain: std::f64::consts::SQRT_2, fan_out_only: true })
@@ -130,7 +130,7 @@ impl EncoderConfig {
         }
     }
 
-    /// From so many channels to so many.
+    /// A residual block with these input and output channels.
     pub(crate) fn block(&self, [inputs, outputs]: [usize; 2], stride: usize, device: &Device) -> Block {
         let norm = |channels| Norm::new(self.norm, channels, device);
         let before_norm = |channels, kernel| conv(channels, kernel).with_bias(self.bias);
@@ -211,7 +211,7 @@ impl TridentConv {
 }
 
 impl Block {
-    /// Its convolutions alone, where channels change and size does not (CCMR).
+    /// The block without its shortcut, as in CCMR for blocks that change only the channels.
     pub(crate) fn without_shortcut(self) -> Self {
         Self { downsample: None, ..self }
     }

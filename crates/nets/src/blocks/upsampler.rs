@@ -9,7 +9,7 @@ use srflow_ops::upsample::tensor;
 use super::{Grids, resize};
 use crate::recurrent::STRIDE;
 
-/// Coarse pixels that a fine one is a combination of.
+/// Coarse pixels per convex combination.
 const NEIGHBOURS: usize = 9;
 /// Factor of the weights in the reference, "to balance gradients".
 const MASK_SCALE: f32 = 0.25;
@@ -31,7 +31,8 @@ pub(crate) fn convex_mask_by(factor: usize, inputs: usize, device: &Device) -> C
     )
 }
 
-/// Upsamples coarse flow `[batch, 2, height, width]` by the factor of the mask, each fine pixel as a convex combination of 3x3 coarse neighbours.
+/// Upsamples coarse flow `[batch, 2, height, width]` by the factor of the mask, each fine pixel as a convex combination of 3x3
+/// coarse neighbours.
 pub(crate) fn convex_upsample(mask: &ConvexMask, hidden: &Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
     let weights = mask_weights(mask, hidden);
     let factor = (weights.dims()[1] / NEIGHBOURS).isqrt();

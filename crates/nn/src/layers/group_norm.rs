@@ -17,7 +17,7 @@ pub struct GroupNorm {
 }
 
 impl GroupNorm {
-    /// Weight 1, bias 0.
+    /// A norm with weight 1 and bias 0.
     pub fn new(groups: usize, channels: usize, device: &Device) -> Self {
         Self {
             weight: Initializer::Ones.init([channels], device),
@@ -26,7 +26,7 @@ impl GroupNorm {
         }
     }
 
-    /// `activation(norm(x))`, of `[batch, channels, height, width]`.
+    /// `activation(norm(x))` of `[batch, channels, height, width]`.
     pub fn forward(&self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
         let normal = group_norm(x, self.groups, EPSILON, Activation::Identity);
         let weight = self.weight.val();

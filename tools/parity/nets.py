@@ -95,7 +95,7 @@ def sea_raft(name, iterations, flow_head, **more):
 
 
 def unimatch(name, gains, **more):
-    """Full weights would match hardly anything but by chance: the softmax of large scores leaps from pixel to pixel."""
+    """With full weights, scores are so large that the softmax jumps between pixels."""
     return Network(name, attribute="num_reg_refine", cases=((1, 128, 160), (2, 100, 150)), gains=gains, **more)
 
 

@@ -1,5 +1,5 @@
-//! Attention whose weights are used once: every pair of pixels is computed once, in the cache, and nothing of it is kept but the
-//! sums that its gradients need. An image may be cut into windows, as in Swin (Liu et al., ICCV 2021).
+//! Attention with weights that are used once: each block of scores is computed in the cache, normalized online and applied, and
+//! only the softmax statistics are kept for the gradients. Attention may be limited to windows, as in Swin (Liu et al., ICCV 2021).
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -13,7 +13,7 @@ use super::softmax::{exponentiate, scale_columns};
 use super::weights::{AttentionWeights, Gathering, Pairs, Sums, invert};
 use crate::MapShape;
 
-/// Windows that an image is cut into: the pixels of each attend to each other alone.
+/// A partition of an image into rectangular windows. Pixels attend only to pixels of their window.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Windows {
     /// Bands of rows, from the top.
@@ -36,8 +36,8 @@ impl Windows {
         Self::bands(sides, splits, |_| 0)
     }
 
-    /// [`Self::split`], moved by half a window down and right. What lies outside of whole windows then, which Swin moves to the
-    /// other end of the image and masks, are smaller windows.
+    /// [`Self::split`], shifted by half a window down and right. The rest at the edges, which Swin rolls to the opposite edge and
+    /// masks, forms smaller windows.
     pub fn shifted(sides: [usize; 2], splits: usize) -> Self {
         Self::bands(sides, splits, |window| window / 2)
     }
@@ -93,7 +93,7 @@ impl Window {
         Cow::Owned(part)
     }
 
-    /// Writes channel `channel` of what [`Self::of`] gave to a plane of the image.
+    /// Writes a channel of a part, laid out as by [`Self::of`], to a plane of the image.
     fn put(&self, part: &[f32], channel: usize, plane: &mut [f32], width: usize) {
         let from = &part[channel * self.pixels()..][..self.pixels()];
         let rows = plane.chunks_exact_mut(width).take(self.rows.end).skip(self.rows.start);
@@ -103,8 +103,8 @@ impl Window {
     }
 }
 
-/// `of` for each window of each image, given its part of each input: `N` tensors of the images, made of the parts
-/// `[channels, pixels]` that it gives.
+/// Calls `of` with the parts of all inputs in each window of each image, `[channels, pixels]` each, and assembles the `N` outputs
+/// of the same layout to whole images.
 fn in_windows<const I: usize, const N: usize>(
     windows: &Windows,
     batch: usize,
@@ -156,8 +156,8 @@ pub fn windowed_attention(
     })
 }
 
-/// Gradients of queries, keys and values, given what [`windowed_attention`] gave and `grad`, the gradient of its output. That of
-/// the values is empty unless it is wanted. Panics as [`windowed_attention`].
+/// Gradients of queries, keys and values, from the outputs of [`windowed_attention`] and `grad`, the gradient of the first. The
+/// gradient of the values is empty unless `of_values`. Panics as [`windowed_attention`].
 pub fn windowed_attention_backward(
     [queries, keys, values]: [&[f32]; 3],
     [out, statistics]: [&[f32]; 2],
@@ -196,8 +196,7 @@ fn check<const N: usize>(pairs: [&[f32]; 2], others: [&[f32]; N], shape: &MapSha
     }
 }
 
-/// Attention between all pixels of a window, and the sums by which its weights can be computed again. All are
-/// `[channels, pixels]`.
+/// Attention between all pixels of a window, `[channels, pixels]` like its inputs, and the softmax statistics.
 pub(super) fn attend(
     isa: Isa,
     queries: &[f32],

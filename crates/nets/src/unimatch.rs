@@ -56,7 +56,7 @@ pub(crate) const UNIMATCH: Entry<UniMatch> = Entry {
         padding: MULTIPLE,
         start: Start::Frames("it matches all pixels of both frames"),
         trains: true,
-        memory: MemoryNeed { fixed: 350_000_000, per_pixel: 600, attending: 0, most_weights: 0 },
+        memory: MemoryNeed { fixed: 215_000_000, per_pixel: 360, attending: 0, most_weights: 0 },
         authors: "https://github.com/autonomousvision/unimatch",
         licence: "MIT",
         published: &[ptlflow!("unimatch", "things", "2433864a"), ptlflow!("unimatch", "mixdata", "9d7c1e4d")],
@@ -70,7 +70,7 @@ pub(crate) const UNIMATCH_SC2: Entry<UniMatch> = Entry {
         name: "unimatch-sc2",
         title: "UniMatch (two scales)",
         parameters: 4_716_720,
-        memory: MemoryNeed { fixed: 350_000_000, per_pixel: 900, attending: 0, most_weights: 0 },
+        memory: MemoryNeed { fixed: 140_000_000, per_pixel: 850, attending: 0, most_weights: 0 },
         published: &[
             ptlflow!("unimatch_scale2", "things", "e75ae2f7"),
             ptlflow!("unimatch_scale2", "mixdata", "b514dde2"),
@@ -258,8 +258,8 @@ impl FlowNetwork for UniMatch {
         let last = self.scales.len() - 1;
         for (scale, pair) in firsts.into_iter().zip(seconds).map(<[_; 2]>::from).enumerate() {
             let stride = self.stride(scale);
-            let Matched { features, flows: [matched, mut flow] } =
-                self.matched(scale, pair.clone(), coarser.take());
+            let to_refine = (scale == last && self.refine.is_some()).then(|| pair.clone());
+            let Matched { features, flows: [matched, mut flow] } = self.matched(scale, pair, coarser.take());
             let upsampled = scale == last && self.upsampler.is_some();
             if request.every_iteration {
                 push(bilinear_upsample(matched, stride));
@@ -272,7 +272,7 @@ impl FlowNetwork for UniMatch {
                     let x = Tensor::cat(vec![flow.clone(), features.clone()], 1);
                     push(unscaled_convex_upsample(mask, &x, flow.clone(), stride));
                 }
-                if let (Some(proj), Some(block)) = (&self.refine_proj, &self.refine) {
+                if let (Some(proj), Some(block), Some(pair)) = (&self.refine_proj, &self.refine, to_refine) {
                     let start = proj.forward(features, Identity);
                     flow = refine(block, pair, start, flow, request, |mask, hidden, flow| {
                         push(unscaled_convex_upsample(mask, hidden, flow, stride));

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use std::ops::Range;
 
 use rayon::prelude::*;
-use srflow_simd::{Isa, Output, Start, Steps, panel_columns};
+use srflow_simd::{Isa, Output, SharedMut, Start, Steps, panel_columns};
 
 use super::backward::Gathered;
 use super::panels::{BLOCK, Group, PANELS, blocks, channels_as_rows, from_panels};
@@ -93,48 +93,53 @@ impl Window {
         Cow::Owned(part)
     }
 
-    /// Writes a channel of a part, laid out as by [`Self::of`], to a plane of the image.
-    fn put(&self, part: &[f32], channel: usize, plane: &mut [f32], width: usize) {
-        let from = &part[channel * self.pixels()..][..self.pixels()];
-        let rows = plane.chunks_exact_mut(width).take(self.rows.end).skip(self.rows.start);
-        for (to, from) in rows.zip(from.chunks_exact(self.columns.len())) {
-            to[self.columns.clone()].copy_from_slice(from);
+    /// Writes a part, laid out as by [`Self::of`], to an image that starts at element `first`.
+    ///
+    /// # Safety
+    /// The window of this image belongs to the calling task alone.
+    unsafe fn put(&self, part: &[f32], images: &SharedMut, first: usize, [height, width]: [usize; 2]) {
+        let rows = part.chunks_exact(self.columns.len());
+        for (number, from) in rows.enumerate() {
+            let (channel, row) = (number / self.rows.len(), self.rows.start + number % self.rows.len());
+            let start = first + (channel * height + row) * width;
+            // SAFETY: these elements are of the window; both ends are checked to lie in the images.
+            unsafe {
+                let last = images.at(start + self.columns.end - 1);
+                let to = images.at(start + self.columns.start);
+                debug_assert_eq!(to.wrapping_add(from.len() - 1), last);
+                std::slice::from_raw_parts_mut(to, from.len()).copy_from_slice(from);
+            }
         }
     }
 }
 
 /// Calls `of` with the parts of all inputs in each window of each image, `[channels, pixels]` each, and assembles the `N` outputs
-/// of the same layout to whole images.
+/// of the same layout, with so many channels, to whole images.
 fn in_windows<const I: usize, const N: usize>(
     windows: &Windows,
     batch: usize,
     inputs: [&[f32]; I],
+    channels: [usize; N],
     of: impl Fn([Cow<'_, [f32]>; I], usize) -> [Vec<f32>; N] + Sync,
 ) -> [Vec<f32>; N] {
     let sides @ [height, width] = windows.sides();
     let each = windows.each();
-    let tasks = (0..batch * each.len()).into_par_iter();
-    let parts: Vec<[Vec<f32>; N]> = tasks
-        .map(|task| {
-            let (n, window) = (task / each.len(), &each[task % each.len()]);
-            let own = inputs.map(|input| {
-                let image = input.len() / batch;
-                window.of(&input[n * image..][..image], sides)
-            });
-            of(own, window.pixels())
-        })
-        .collect();
-    std::array::from_fn(|output| {
-        let channels = parts[0][output].len() / each[0].pixels();
-        let mut whole = vec![0.0; batch * channels * height * width];
-        whole.par_chunks_exact_mut((height * width).max(1)).enumerate().for_each(|(plane, to)| {
-            let (n, channel) = (plane / channels, plane % channels);
-            for (window, parts) in each.iter().zip(&parts[n * each.len()..]) {
-                window.put(&parts[output], channel, to, width);
-            }
+    let mut outputs = channels.map(|channels| vec![0.0; batch * channels * height * width]);
+    let targets = outputs.each_mut().map(|output| SharedMut::new(output));
+    (0..batch * each.len()).into_par_iter().for_each(|task| {
+        let (n, window) = (task / each.len(), &each[task % each.len()]);
+        let own = inputs.map(|input| {
+            let image = input.len() / batch;
+            window.of(&input[n * image..][..image], sides)
         });
-        whole
-    })
+        let parts = of(own, window.pixels());
+        for ((part, target), channels) in parts.iter().zip(&targets).zip(channels) {
+            assert_eq!(part.len(), channels * window.pixels(), "so many channels of a window");
+            // SAFETY: windows do not overlap, and this one of this image is this task's.
+            unsafe { window.put(part, target, n * channels * height * width, sides) }
+        }
+    });
+    outputs
 }
 
 /// `out_i = sum_j softmax_j(q_i . k_j) v_j` over the pixels of the window of `i`, and the softmax statistics for
@@ -150,7 +155,8 @@ pub fn windowed_attention(
     windows: &Windows,
 ) -> [Vec<f32>; 2] {
     check([queries, keys], [values], shape, windows);
-    in_windows(windows, shape.batch, [queries, keys, values], |[queries, keys, values], pixels| {
+    let channels = [values.len() / shape.with_channels(1).elements(), 2];
+    in_windows(windows, shape.batch, [queries, keys, values], channels, |[queries, keys, values], pixels| {
         let (out, Sums { maxima, inverse_sums }) = attend(Isa::best(), &queries, &keys, &values, pixels);
         [out, [&maxima[..pixels], &inverse_sums[..pixels]].concat()]
     })
@@ -181,7 +187,8 @@ pub fn windowed_attention_backward(
         let d_values = if of_values { weights.gather_backward(&queries, &keys, &grad) } else { Vec::new() };
         [d_queries, d_keys, d_values]
     };
-    in_windows(windows, shape.batch, inputs, backward)
+    let of_values = if of_values { values.len() / shape.with_channels(1).elements() } else { 0 };
+    in_windows(windows, shape.batch, inputs, [shape.channels, shape.channels, of_values], backward)
 }
 
 fn check<const N: usize>(pairs: [&[f32]; 2], others: [&[f32]; N], shape: &MapShape, windows: &Windows) {

@@ -25,7 +25,7 @@ SEED = 7
 NETWORKS = [
     "raft", "raft_small", "gma", "skflow", "rpknet", "dpflow", "ccmr", "ccmr_p",
     "sea_raft_s", "sea_raft_m", "memflow", "flownets", "flownetc", "flownetcss",
-    "flownet3_css",
+    "flownet3_css", "ssa",
     "unimatch", "unimatch_sc2", "unimatch_sc2_ref6"
 ]
 
@@ -36,6 +36,10 @@ def new_model(network):
         from flownet3 import FlowNet3
 
         return FlowNet3()
+    if network == "ssa":
+        from ssa import Ssa
+
+        return Ssa()
     import ptlflow
 
     return ptlflow.get_model(network)

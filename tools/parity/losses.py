@@ -38,8 +38,9 @@ def make_inputs():
     flows = [truth + torch.randn_like(truth) for _ in range(PREDICTIONS)]
     log_weights = [torch.randn(BATCH, 2, HEIGHT, WIDTH) for _ in range(PREDICTIONS)]
     log_scales = [2 * torch.randn(BATCH, 2, HEIGHT, WIDTH) for _ in range(PREDICTIONS)]
+    second = (frame + 0.05 * torch.randn_like(frame)).clamp(0, 1)
     return dict(
-        truth=truth, valid=valid, first_frame=frame, foreground=foreground,
+        truth=truth, valid=valid, first_frame=frame, second_frame=second, foreground=foreground,
         **{f"flow_{i}": t for i, t in enumerate(flows)},
         **{f"log_weights_{i}": t for i, t in enumerate(log_weights)},
         **{f"log_scales_{i}": t for i, t in enumerate(log_scales)},
@@ -138,6 +139,15 @@ def mixture(flow, inputs, log_weights, log_scales):
     return -torch.log(density)[mask].mean()
 
 
+def cyclic(flow, inputs):
+    """SSA's: frame 1 at p - flow(p), clamped to the frame, against frame 2."""
+    y, x = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
+    x, y = (x - flow[:, 0]).clamp(0, WIDTH - 1), (y - flow[:, 1]).clamp(0, HEIGHT - 1)
+    grid = torch.stack([2 * x / (WIDTH - 1) - 1, 2 * y / (HEIGHT - 1) - 1], dim=-1)
+    warped = F.grid_sample(inputs["first_frame"], grid, align_corners=True, padding_mode="border")
+    return F.huber_loss(255 * warped, 255 * inputs["second_frame"])
+
+
 def over_predictions(loss, inputs):
     total = 0
     for i in range(PREDICTIONS):
@@ -167,6 +177,7 @@ def main():
         case(f"tvr {border}", lambda flow: tvr(flow, inputs, border))
         case(f"migar {border}", lambda flow: migar(flow, inputs, border, image_max=255.0 if border == "replicate" else 1.0))
         case(f"igvar {border}", lambda flow: igvar(flow, inputs, border))
+    case("cyclic", lambda flow: cyclic(flow, inputs))
     case("fdr", lambda flow: fdr(flow, inputs, None))
     case("migar unit", lambda flow: migar(flow, inputs, "replicate", image_max=1.0))
     case("igvar unit", lambda flow: igvar(flow, inputs, "replicate", image_max=1.0))

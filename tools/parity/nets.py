@@ -33,6 +33,7 @@ import torch.nn.functional as F
 from flownet3 import FlowNet3
 from golden import name_hash, noise, write_safetensors
 from ptlflow.utils.utils import InputScaler
+from ssa import Ssa
 
 EVERY = 7
 
@@ -166,6 +167,15 @@ NETWORKS = [
     ),
     ccmr("ccmr", (8, 10, 15), gradients="ccmr_p"),
     ccmr("ccmr_p", (8, 10, 10, 10), training_iterations=2),
+    # Frames in 0..255, and gains for the rest as for FlowNet.
+    Network(
+        "ssa",
+        iterations=(1,),
+        training_iterations=1,
+        cases=FLOWNET["cases"],
+        gains={"conv1.": 0.008, "conv": 1.7, "join": 1.4, "predict": 2.0},
+        model=Ssa,
+    ),
 ]
 
 

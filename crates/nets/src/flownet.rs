@@ -255,16 +255,17 @@ pub(crate) fn towers(network: &FlowNet, frames: Frames, request: &Request) -> [T
 pub(crate) fn prepared(frames: Tensor<4>) -> Tensor<4> {
     let [_, _, height, width] = frames.dims();
     let mean = frames.clone().mean_dim(3).mean_dim(2);
-    resize(
-        frames - mean,
-        [height, width].map(|side| side.next_multiple_of(MULTIPLE)),
-        Grids::CornersOnCorners,
-    )
+    resize(frames - mean, padded([height, width]), Grids::CornersOnCorners)
+}
+
+/// The size that frames are resized to.
+pub(crate) fn padded(size: [usize; 2]) -> [usize; 2] {
+    size.map(|side| side.next_multiple_of(MULTIPLE))
 }
 
 /// The requested flows, resized to the frames, from those of the last network, coarsest first.
 pub(crate) fn estimate(mut flows: Vec<Tensor<4>>, size: [usize; 2], request: &Request) -> Estimate {
-    let resized = size.map(|side| side.next_multiple_of(MULTIPLE));
+    let resized = padded(size);
     if !request.every_iteration {
         flows.drain(..flows.len() - 1);
     }

@@ -7,14 +7,14 @@ use burn::tensor::activation::{relu, softmax};
 use burn::tensor::{Device, Tensor};
 use srflow_nn::layers::{Conv2d, Conv2dConfig, ConvTranspose2d, ConvTranspose2dConfig};
 use srflow_ops::Activation::{Identity, LeakyRelu};
-use srflow_ops::warp::tensor::warp;
+use srflow_ops::warp::tensor::warp_replicated;
 
 use crate::MemoryNeed;
 use crate::blocks::{Grids, resize, resize_flow};
 use crate::estimate::{Estimate, Request};
 use crate::facts::Facts;
 use crate::features::Features;
-use crate::flownet::{CORRELATED, MULTIPLE, Tower, correlation};
+use crate::flownet::{CORRELATED, MULTIPLE, Tower, correlation, padded};
 use crate::frames::Frames;
 use crate::recurrent::pixel_grid;
 use crate::table::{Entry, FlowNetwork};
@@ -334,11 +334,6 @@ impl FlowNetwork for FlowNet3 {
     }
 }
 
-/// The size that frames are resized to.
-fn padded(size: [usize; 2]) -> [usize; 2] {
-    size.map(|side| side.next_multiple_of(MULTIPLE))
-}
-
 fn prepared(frames: Tensor<4>) -> Tensor<4> {
     let [_, _, height, width] = frames.dims();
     resize(frames - MEAN, padded([height, width]), Grids::EdgesOnEdges)
@@ -354,12 +349,12 @@ fn resized_constant(x: Tensor<4>, like: &Tensor<4>) -> Tensor<4> {
 /// column.
 fn warped(image: Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
     let [batch, _, height, width] = flow.dims();
-    let grid = pixel_grid([batch, height, width], &flow.device());
-    let sizes = Tensor::<1>::from_floats([width as f32, height as f32], &flow.device()).reshape([1, 2, 1, 1]);
-    let [least, end] = [-grid.clone(), sizes - grid];
-    let inside = flow.clone().greater_equal(least.clone()).float() * flow.clone().lower(end.clone()).float();
-    let inside = inside.clone().narrow(1, 0, 1) * inside.narrow(1, 1, 1);
-    warp(image, flow.max_pair(least).min_pair(end - 1.0)) * inside
+    let target = pixel_grid([batch, height, width], &flow.device()) + flow.clone();
+    let inside = |component: usize, size: usize| {
+        let target = target.clone().narrow(1, component, 1);
+        target.clone().greater_equal_elem(0.0).float() * target.lower_elem(size as f64).float()
+    };
+    warp_replicated(image, flow) * inside(0, width) * inside(1, height)
 }
 
 /// Maps names of the authors' program, in which FlowNetC's encoder is nested one level deeper than FlowNetS's, and only FlowNetC has

@@ -28,6 +28,7 @@ mod sea_raft;
 mod settings;
 mod shots;
 mod skflow;
+mod ssa;
 mod table;
 mod tiles;
 mod unimatch;

@@ -11,7 +11,7 @@ use crate::frames::Frames;
 use crate::settings::{Setting, SettingError, set};
 use crate::{
     ccmr, dpflow, flownet, flownet3, flownetcss, gma, memflow, raft, raft_small, rpknet, sea_raft, skflow,
-    unimatch,
+    ssa, unimatch,
 };
 
 /// An entry of the table.
@@ -181,6 +181,7 @@ networks! {
     UniMatch(unimatch::UniMatch) = unimatch::UNIMATCH,
     UniMatchSc2(unimatch::UniMatch) = unimatch::UNIMATCH_SC2,
     UniMatchSc2Ref6(unimatch::UniMatch) = unimatch::UNIMATCH_SC2_REF6,
+    Ssa(ssa::Ssa) = ssa::SSA,
 }
 
 #[cfg(test)]

@@ -106,6 +106,7 @@ impl Batch {
             truth: self.tensor(&self.flow, 2, device),
             valid: self.tensor(&self.valid, 1, device),
             first_frame: self.tensor(&self.first, 3, device),
+            second_frame: self.tensor(&self.second, 3, device),
             foreground: Some(self.tensor(&self.foreground, 1, device)),
         }
     }

@@ -3,7 +3,7 @@
 use srflow_eval::report::{Axis, Chart, Curve, Figure, Page, Section, curves, facts, tiles};
 
 use crate::config::Config;
-use crate::loss::REGULARIZERS;
+use crate::loss::{REGULARIZERS, cyclic};
 use crate::training_log::{Record, StepRecord, ValidationRecord};
 
 /// Most points of a curve over steps; groups of steps are averaged to stay below it.
@@ -131,6 +131,14 @@ fn loss_caption(config: &Config) -> String {
     for regularizer in REGULARIZERS.iter().filter(|regularizer| config.loss.weight(regularizer) != 0.0) {
         let (name, weight) = (regularizer.name, config.loss.weight(regularizer));
         caption.push_str(&format!(". {name}, times {weight}: {}", regularizer.description));
+    }
+    if config.loss.cyclic != 0.0 {
+        caption.push_str(&format!(
+            ". {}, times {}: {}",
+            cyclic::NAME,
+            config.loss.cyclic,
+            cyclic::DESCRIPTION
+        ));
     }
     caption + "."
 }

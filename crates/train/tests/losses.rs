@@ -24,6 +24,7 @@ fn inputs(golden: &Golden, device: &Device) -> LossInputs {
         truth: golden.tensor("truth", device),
         valid: golden.tensor("valid", device),
         first_frame: golden.tensor("first_frame", device),
+        second_frame: golden.tensor("second_frame", device),
         foreground: Some(golden.tensor("foreground", device)),
     }
 }
@@ -78,6 +79,40 @@ fn check(case: &str, part: &str, config: &LossConfig) {
                 assert!((found - expected).abs() <= 1e-4 * largest, "{name}, {at}: {found} for {expected}");
             }
         }
+    }
+}
+
+#[test]
+fn the_cyclic_loss_matches_the_reference() {
+    check("cyclic", "cyclic", &LossConfig { cyclic: 1.0, ..LossConfig::default() });
+}
+
+/// Without any known flow, and with the border repeated.
+#[test]
+fn the_cyclic_loss_is_least_for_the_flow_between_the_frames() {
+    let device = Device::flex();
+    let size @ [height, width] = [4, 40];
+    let frame = |shift: f32| {
+        let value = |i: usize| 0.5 + 0.4 * ((i % width) as f32 / 4.0 - shift / 4.0).sin();
+        let values: Vec<f32> = (0..3 * height * width).map(value).collect();
+        Tensor::from_data(TensorData::new(values, [1, 3, height, width]), &device)
+    };
+    let inputs = LossInputs {
+        truth: constant(f32::NAN, size, 2, &device),
+        valid: constant(0.0, size, 1, &device),
+        first_frame: frame(0.0),
+        second_frame: frame(2.0),
+        foreground: None,
+    };
+    let config = LossConfig { cyclic: 1.0, ..LossConfig::default() };
+    let loss = |u: f32| {
+        let u = constant(u, size, 1, &device);
+        let flow = Tensor::cat(vec![u.clone(), u.zeros_like()], 1);
+        number(losses(&config, &[flow.into()], &inputs).expect("a loss").total)
+    };
+    let right = loss(2.0);
+    for u in [-2.0, 0.0, 1.0, 3.0, 4.0] {
+        assert!(loss(u) > 4.0 * right, "{u}: {}, the right flow {right}", loss(u));
     }
 }
 
@@ -183,6 +218,7 @@ fn of_constants(
         truth: constant(truth, size, 2, &device),
         valid: constant(valid, size, 1, &device),
         first_frame: constant(0.7, size, 3, &device),
+        second_frame: constant(0.7, size, 3, &device),
         foreground: Some(constant(head, size, 1, &device)),
     };
     let losses = losses(config, &[prediction], &inputs).expect("a loss");
@@ -244,6 +280,7 @@ fn frames_of_the_highest_contrast_give_finite_losses() {
     let inputs = LossInputs {
         truth: constant(0.0, [height, width], 2, &device),
         valid: constant(1.0, [height, width], 1, &device),
+        second_frame: first_frame.clone(),
         first_frame,
         foreground: None,
     };
@@ -265,6 +302,7 @@ fn the_mask_keeps_only_the_interior_of_the_head() {
         truth: constant(0.0, [height, width], 2, &device),
         valid: constant(1.0, [height, width], 1, &device),
         first_frame: constant(0.5, [height, width], 3, &device),
+        second_frame: constant(0.5, [height, width], 3, &device),
         foreground: Some(Tensor::from_data(TensorData::new(head, [1, 1, height, width]), &device)),
     };
     let value = |config: &LossConfig, part: &str| {
@@ -306,6 +344,7 @@ fn later_predictions_have_larger_weights() {
         truth: constant(0.0, size, 2, &device),
         valid: constant(1.0, size, 1, &device),
         first_frame: constant(0.0, size, 3, &device),
+        second_frame: constant(0.0, size, 3, &device),
         foreground: None,
     };
     let flows = [1.0, 10.0, 100.0].map(|flow| constant(flow, size, 2, &device).into());
@@ -342,6 +381,7 @@ fn invalid_settings_are_reported() {
         truth: flow.clone(),
         valid: constant(1.0, [2, 2], 1, &device),
         first_frame: constant(0.0, [2, 2], 3, &device),
+        second_frame: constant(0.0, [2, 2], 3, &device),
         foreground: None,
     };
     let mixture = LossConfig { sequence: sequence("mixture-of-laplace"), ..LossConfig::default() };

@@ -133,6 +133,30 @@ fn a_mixture_of_laplace_distributions_is_trained_and_resumed() {
     assert!(losses.len() == 4 && losses.iter().all(|loss| loss.is_finite()), "{losses:?}");
 }
 
+/// Its loss has a part that needs no true flow, with a weight of its own.
+#[test]
+fn ssa_is_trained_with_its_cyclic_loss() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    make_pairs(&data, 2);
+    let (data, out) = (format!("folder:{}", data.display()), dir.path().join("run"));
+    let out_text = out.display().to_string();
+    let mut arguments = vec!["--config", "ssa", "--data", &data, "--out", &out_text, "--crop", "64x64"];
+    arguments.extend(["--batch", "1", "--steps", "2", "--threads", "2"]);
+    succeed(&train(&arguments));
+    let log = std::fs::read_to_string(out.join("log.jsonl")).unwrap();
+    let records = log.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let parts = records.filter(|record| record["kind"] == "step").map(|record| record["parts"].clone());
+    let cyclic: Vec<f64> = parts
+        .map(|parts| {
+            let parts: Vec<(String, f64)> = serde_json::from_value(parts).unwrap();
+            parts.into_iter().find(|(name, _)| name == "cyclic").unwrap().1
+        })
+        .collect();
+    assert!(cyclic.len() == 2 && cyclic.iter().all(|part| *part > 0.0), "{cyclic:?}");
+    assert!(out.join("last.safetensors").exists());
+}
+
 /// The groups of RPKNet's norms, which its weights were trained with.
 #[test]
 fn settings_of_the_weights_stay_in_a_run() {

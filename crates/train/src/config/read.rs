@@ -55,6 +55,7 @@ pub const PRESETS: &[Preset] = presets![
     "srflownet-migar",
     "srflownet-igvar",
     "sea-raft",
+    "ssa",
     "cpu-small",
     "cpu-srflownet"
 ];

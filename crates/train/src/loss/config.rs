@@ -2,7 +2,7 @@ use serde::{Deserialize, Serialize};
 use srflow_nets::LaplaceMixture;
 
 use super::table::{Regularizer, SEQUENCE_LOSSES, SequenceLoss};
-use super::{LossError, fdr, igvar, migar, tvr};
+use super::{LossError, cyclic, fdr, igvar, migar, tvr};
 
 /// Defines the table of regularizers, and the loss settings with a weight for each.
 macro_rules! regularizers {
@@ -28,12 +28,14 @@ macro_rules! regularizers {
                 /// Weight of the regularizer, 0 to turn it off.
                 pub $name: f64,
             )*
+            /// Weight of the cyclic loss, which compares frame 2 with frame 1 warped by the flow, 0 to turn it off.
+            pub cyclic: f64,
             /// Mask of MIGAR and IGVAR.
             pub m_total: MaskReading,
             /// Padding of the Sobel operator.
             pub border: Border,
-            /// Value of a white pixel in the first frame when MIGAR and IGVAR compute its gradients: 255, or 1 for frames in
-            /// 0..1.
+            /// Value of a white pixel for MIGAR and IGVAR, which compute gradients of the first frame, and for the cyclic loss:
+            /// 255, or 1 for frames in 0..1.
             pub image_max: f64,
         }
 
@@ -46,6 +48,7 @@ macro_rules! regularizers {
                     max_magnitude: 400.0,
                     log_scale_range: LaplaceMixture::LOG_SCALE_RANGE,
                     $($name: 0.0,)*
+                    cyclic: 0.0,
                     m_total: MaskReading::Interior,
                     border: Border::Replicate,
                     image_max: 255.0,
@@ -118,10 +121,10 @@ impl LossConfig {
             "[a, b] with -50 <= a <= 0 <= b <= 50",
             low <= 0.0 && high >= 0.0 && low >= -50.0 && high <= 50.0,
         )?;
-        for regularizer in REGULARIZERS {
-            let weight = self.weight(regularizer);
+        let weights = REGULARIZERS.iter().map(|regularizer| (regularizer.name, self.weight(regularizer)));
+        for (name, weight) in weights.chain([(cyclic::NAME, self.cyclic)]) {
             let fine = weight >= 0.0 && weight.is_finite();
-            number(regularizer.name, weight, "a weight of 0 or more", fine)?;
+            number(name, weight, "a weight of 0 or more", fine)?;
         }
         let expected = "255, 1 or another number above 0 and at most 65535";
         number("image_max", image_max, expected, image_max > 0.0 && image_max <= 65535.0)
@@ -162,7 +165,8 @@ mod tests {
             let Regularizer { name, title, paper_weight, description, .. } = entry;
             format!("| `{name}` | {title} | {paper_weight} | {description} |\n")
         });
-        for rows in [sequence.collect::<String>(), regularizers.collect()] {
+        let cyclic = format!("| `{}` | {} |\n", cyclic::NAME, cyclic::DESCRIPTION);
+        for rows in [sequence.collect::<String>(), regularizers.collect(), cyclic] {
             let at = docs.find(&rows).unwrap_or_else(|| panic!("docs/losses.md lacks the rows\n{rows}"));
             assert!(docs[..at].ends_with("|\n"), "expected a table header above");
             assert!(!docs[at + rows.len()..].starts_with('|'), "unknown rows below");

@@ -3,6 +3,7 @@
 //! `docs/losses.md` explains the choices that the paper leaves open (image range, borders, reduction).
 
 mod config;
+pub(crate) mod cyclic;
 mod fdr;
 mod igvar;
 mod migar;
@@ -56,6 +57,8 @@ pub struct LossInputs {
     pub valid: Tensor<4>,
     /// The first frame as the network sees it, RGB in 0..1: `[batch, 3, height, width]`.
     pub first_frame: Tensor<4>,
+    /// The second frame, like the first.
+    pub second_frame: Tensor<4>,
     /// `M_bg`: 1 on the head in the first frame, 0 on the background, `[batch, 1, height, width]`. `None` counts every pixel as
     /// head.
     pub foreground: Option<Tensor<4>>,
@@ -76,7 +79,7 @@ impl LossInputs {
 pub struct Losses {
     /// The sum of the parts, to minimise.
     pub total: Tensor<1>,
-    /// `sequence`, then each active regularizer by [name](Regularizer::name), weighted as in the total.
+    /// `sequence`, then each active regularizer by [name](Regularizer::name), and `cyclic` if active, weighted as in the total.
     pub parts: Vec<(&'static str, Tensor<1>)>,
 }
 
@@ -92,8 +95,8 @@ pub enum LossError {
     NoMixture,
 }
 
-/// The loss of the predictions of all iterations, in order: `sum_i gamma^(n - 1 - i) L(prediction i)` for the sequence loss and
-/// for each active regularizer, times its weight.
+/// The loss of the predictions of all iterations, in order: `sum_i gamma^(n - 1 - i) L(prediction i)` for the sequence loss, and
+/// for each active regularizer and the cyclic loss, times its weight.
 ///
 /// The sequence loss of one prediction is, where pixels count if they are valid and their true motion is shorter than
 /// [`LossConfig::max_magnitude`]:
@@ -119,6 +122,10 @@ pub fn losses(
         predictions.iter().map(|prediction| truth.loss(prediction)).collect::<Result<Vec<_>, _>>()?;
     let mut parts = vec![("sequence", over_iterations(config.gamma, sequence))];
     parts.extend(regularizers(config, predictions, inputs));
+    if config.cyclic != 0.0 {
+        let of = |prediction: &Prediction| cyclic::cyclic(prediction.flow.clone(), inputs, config.image_max);
+        parts.push((cyclic::NAME, over_iterations(config.gamma, predictions.iter().map(of)) * config.cyclic));
+    }
     let total = parts.iter().map(|(_, part)| part.clone()).reduce(|sum, part| sum + part);
     let total = total.expect("at least the sequence loss");
     Ok(Losses { total, parts })
@@ -181,6 +188,7 @@ fn check_sizes(predictions: &[Prediction], inputs: &LossInputs) {
     check("the truth", &inputs.truth, 2);
     check("the valid pixels", &inputs.valid, 1);
     check("the first frame", &inputs.first_frame, 3);
+    check("the second frame", &inputs.second_frame, 3);
     if let Some(mask) = &inputs.foreground {
         check("the foreground", mask, 1);
     }

@@ -79,10 +79,13 @@ pub fn regularizers_of_flow(
         return Err(RegularizerError::Unknown { x: at % width, y: at / width, u, v });
     }
     let flow = planes(size, flow.pixels(), |component| component);
+    let first_frame = planes(size, frame1.pixels(), |value| f32::from(value) / 255.0);
     let inputs = LossInputs {
         valid: Tensor::ones([1, 1, height, width], &flow.device()),
         truth: flow.clone(),
-        first_frame: planes(size, frame1.pixels(), |value| f32::from(value) / 255.0),
+        // No regularizer reads the second frame.
+        second_frame: first_frame.clone(),
+        first_frame,
         foreground: head.map(|head| {
             let inside: Vec<[bool; 1]> = head.pixels().iter().map(|inside| [*inside]).collect();
             planes(size, &inside, |inside| f32::from(u8::from(inside)))

@@ -11,13 +11,14 @@ use srflow_ops::correlation::tensor::Correlation;
 
 use crate::MemoryNeed;
 use crate::blocks::{
-    Block, ConvexMask, CrossCovariance, EncoderConfig, FlowHead, Grids, MotionEncoder, Norm, NormKind,
-    SepConvGru, convex_mask_by, convex_upsample, encoder_conv, resize, resize_flow,
+    Attending, Block, ConvexMask, CrossCovariance, EncoderConfig, FlowHead, Grids, MotionEncoder, Norm,
+    NormKind, PreparedGru, SepConvGru, Strips, convex_mask_by, convex_upsample, encoder_conv, resize,
+    resize_flow,
 };
 use crate::estimate::{Estimate, Request};
 use crate::facts::{Facts, IterationPresets, Start, ptlflow};
 use crate::features::Features;
-use crate::frames::{Border, Frames, prepared};
+use crate::frames::Frames;
 use crate::raft::{HIDDEN, RADIUS};
 use crate::recurrent::pixel_grid;
 use crate::settings::{Allowed, Setting};
@@ -31,10 +32,16 @@ const PADDING: usize = 2 * COARSEST_STRIDE;
 const FACTOR: usize = 2;
 /// Channels of the encoders at 1/2, 1/4, 1/8 and 1/16 of the size.
 const WIDTHS: [usize; 4] = [64, 96, 128, 160];
+/// Channels that are enlarged together.
+const PART: usize = 64;
 /// Levels of the correlation pyramid at each level of the network.
 const CORRELATION_LEVELS: usize = 2;
 /// Channels of the context, and of the attention outputs.
 const CONTEXT: usize = HIDDEN;
+/// Rows to each side that the motion features of a row depend on: kernels of 7, 3 and 3.
+const MOTION_REACH: usize = 5;
+/// Rows to each side that a change of the flow depends on: kernels of 3 and 3 before the gates, 5 and 5 of these, 3 and 3.
+const REFINEMENT_REACH: usize = 8;
 /// Iterations of CCMR at each level, coarsest first, in ptlflow and in the authors' evaluation on Sintel.
 const ITERATIONS: [usize; 3] = [8, 10, 15];
 /// Iterations of CCMR+, likewise.
@@ -66,7 +73,7 @@ pub(crate) const CCMR_P: Entry<Ccmr> = Entry {
         title: "CCMR+",
         parameters: 11_523_620,
         iterations: IterationPresets { default: 10, authors: 10, training: 6 },
-        memory: MemoryNeed { fixed: 330_000_000, per_pixel: 3450, attending: 0, most_weights: 0 },
+        memory: MemoryNeed { fixed: 800_000_000, per_pixel: 1450, attending: 0, most_weights: 0 },
         published: &[ptlflow!("ccmr+", "sintel", "055b44ec"), ptlflow!("ccmr+", "kitti", "c289d5e6")],
         ..CCMR.facts
     },
@@ -82,6 +89,8 @@ pub struct Ccmr {
     xcit: Vec<CrossCovariance>,
     /// Number of levels at which flow is refined, from the coarsest on.
     levels: usize,
+    /// Rows of strips; by default as many as their memory allows.
+    strip_rows: Option<usize>,
 }
 
 /// `BasicEncoder_resconv` and `Basic_Context_Encoder_resconv`: down to 1/16 of the size, and up again.
@@ -129,6 +138,7 @@ impl Ccmr {
             },
             xcit: (0..levels).map(|_| CrossCovariance::of_itself(CONTEXT, device)).collect(),
             levels,
+            strip_rows: None,
         }
     }
 
@@ -148,10 +158,9 @@ impl Ccmr {
 }
 
 impl FlowNetwork for Ccmr {
+    /// None are kept: those of both frames would take a quarter of the memory of a refinement, and save little time.
     fn features(&self, frames: Tensor<4>) -> Features {
-        let [batch, _, height, width] = frames.dims();
-        let frames = prepared(frames, Border::new([height, width], PADDING));
-        Features::new(batch, self.matched(frames))
+        Features::new(frames.dims()[0], Vec::new())
     }
 
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
@@ -160,11 +169,8 @@ impl FlowNetwork for Ccmr {
         let [batch, _, height, width] = first.dims();
         let device = first.device();
         let contexts = self.cnet.forward(first.clone(), self.levels);
-        let [firsts, seconds] = match &request.features {
-            Some(known) => known.clone().map(Features::into_levels),
-            // One after the other, since encoding both at once would double the memory.
-            None => [first, second].map(|frames| self.matched(frames)),
-        };
+        // One after the other: both at once would double the memory.
+        let [firsts, seconds] = [first, second].map(|frames| self.matched(frames));
         let coarsest = [height, width].map(|side| side / COARSEST_STRIDE);
         let mut flow = Tensor::zeros([batch, 2, coarsest[0], coarsest[1]], &device);
         if let Some(start) = &request.start {
@@ -176,13 +182,21 @@ impl FlowNetwork for Ccmr {
         let mut flows = Vec::new();
         let mut last = None;
         let levels = contexts.into_iter().zip(self.cnet.outputs()).zip(firsts.into_iter().zip(seconds));
-        for (number, ((context, split), (first, second))) in levels.enumerate() {
-            let [mut hidden, context] = hidden_and_context(context, split);
-            let correlation = Correlation::new(first, second, CORRELATION_LEVELS);
+        for (number, ((map, split), (first, second))) in levels.enumerate() {
             let aggregator = &block.aggregator[number];
-            let attending = aggregator.attending(self.xcit[number].forward(context.clone()));
-            let gru = block.gru.prepared(&context);
-            let [_, _, rows, columns] = hidden.dims();
+            let context = |map| hidden_or_context(map, split, HIDDEN, Relu);
+            let whole = context(map.clone());
+            let attending = aggregator.attending(self.xcit[number].forward(whole.clone()));
+            let [_, _, rows, columns] = map.dims();
+            let strips = match self.strip_rows {
+                _ if map.is_autodiff() => Strips::of_rows(rows, rows),
+                Some(own) => Strips::of_rows(rows, own),
+                None => Strips::new([rows, columns]),
+            };
+            let gru = strips.whole().then(|| block.gru.prepared(&whole));
+            drop(whole);
+            let mut hidden = hidden_or_context(map.clone(), split, 0, Tanh);
+            let correlation = Correlation::new(first, second, CORRELATION_LEVELS);
             let grid = pixel_grid([batch, rows, columns], &device);
             for iteration in 1..=iterations[number] {
                 // The first iteration of a level also trains the upsampling from the level before.
@@ -190,10 +204,19 @@ impl FlowNetwork for Ccmr {
                     flow = flow.detach();
                 }
                 let windows = correlation.windows(grid.clone() + flow.clone(), RADIUS);
-                let motion = block.encoder.forward(flow.clone(), windows);
-                let gathered = aggregator.gather(&attending, motion.clone());
-                hidden = gru.step(hidden, Tensor::cat(vec![motion, gathered], 1));
-                flow = flow + block.flow_head.forward(hidden.clone());
+                let [next, change] = match &gru {
+                    Some(gru) => {
+                        let motion = block.encoder.forward(flow.clone(), windows);
+                        let gathered = aggregator.gather(&attending, motion.clone());
+                        block.refine(gru, hidden, motion, gathered)
+                    }
+                    None => {
+                        let maps = [hidden, flow.clone(), windows, map.clone()];
+                        block.refine_strips(strips, aggregator, &attending, maps, context)
+                    }
+                };
+                hidden = next;
+                flow = flow + change;
                 if request.every_iteration || [number + 1, iteration] == [self.levels, iterations[number]] {
                     let whole = upsampled_to(height, convex_upsample(&block.mask, &hidden, flow.clone()));
                     flows.push(border.remove(whole.clone()));
@@ -226,14 +249,47 @@ impl FlowNetwork for Ccmr {
     }
 }
 
-/// The initial hidden state and the context of a level, from a map of the context encoder and the layer that computes both.
-fn hidden_and_context(map: Tensor<4>, layer: &Conv2d) -> [Tensor<4>; 2] {
-    let half = |first: usize, activation: Activation| {
-        let bias = layer.bias().map(|bias| bias.narrow(0, first, HIDDEN));
-        let weight = layer.weight().narrow(0, first, HIDDEN);
-        layer.apply(map.clone(), weight, &WeightCache::default(), Epilogue::with(activation).bias(bias))
-    };
-    [half(0, Tanh), half(HIDDEN, Relu)]
+/// Half of the channels that `layer` makes of a map of the context encoder, from `first` on: the first hidden state of a level, or
+/// its context.
+fn hidden_or_context(map: Tensor<4>, layer: &Conv2d, first: usize, activation: Activation) -> Tensor<4> {
+    let bias = layer.bias().map(|bias| bias.narrow(0, first, HIDDEN));
+    let weight = layer.weight().narrow(0, first, HIDDEN);
+    layer.apply(map, weight, &WeightCache::default(), Epilogue::with(activation).bias(bias))
+}
+
+impl UpdateBlock {
+    /// The next hidden state, and the change of the flow.
+    fn refine(
+        &self,
+        gru: &PreparedGru,
+        hidden: Tensor<4>,
+        motion: Tensor<4>,
+        gathered: Tensor<4>,
+    ) -> [Tensor<4>; 2] {
+        let hidden = gru.step(hidden, Tensor::cat(vec![motion, gathered], 1));
+        [hidden.clone(), self.flow_head.forward(hidden)]
+    }
+
+    /// The same in strips, of hidden state, flow, windows of correlations, and a map from which `context` makes the context.
+    fn refine_strips(
+        &self,
+        strips: Strips,
+        aggregator: &CrossCovariance,
+        attending: &Attending,
+        [hidden, flow, windows, map]: [Tensor<4>; 4],
+        context: impl Fn(Tensor<4>) -> Tensor<4>,
+    ) -> [Tensor<4>; 2] {
+        let [_, _, rows, columns] = flow.dims();
+        let [motion] = strips
+            .map([flow, windows], MOTION_REACH, |[flow, windows]| [self.encoder.forward(flow, windows)]);
+        let sums = aggregator.sums(strips, attending, &motion);
+        let inputs = [hidden, motion, map, attending.map().clone()];
+        strips.map(inputs, REFINEMENT_REACH, |[hidden, motion, map, attending_map]| {
+            let attending = attending.part(attending_map);
+            let gathered = aggregator.gather_strip(&attending, motion.clone(), &sums, rows * columns);
+            self.refine(&self.gru.prepared(&context(map)), hidden, motion, gathered)
+        })
+    }
 }
 
 /// Doubles the size of a flow until it has this height (`upflow2`).
@@ -301,10 +357,53 @@ impl Encoder {
         for (layer, output) in ups.take(levels - 1) {
             let Some(own) = finer.pop() else { break };
             let [_, _, height, width] = own.dims();
-            let coarser = resize(output.forward(x, Identity), [height, width], Grids::EdgesOnEdges);
-            x = through(layer, Tensor::cat(vec![coarser, own], 1));
+            let coarser = output.forward(x, Identity);
+            let [_, channels, _, _] = coarser.dims();
+            let enlarged = (0..channels).step_by(PART).map(|first| {
+                let part = coarser.clone().narrow(1, first, PART.min(channels - first));
+                resize(part, [height, width], Grids::EdgesOnEdges)
+            });
+            let [first, rest @ ..] = layer.as_slice() else { break };
+            x = through(rest, first.forward_parts(enlarged.chain([own])));
             maps.push(x.clone());
         }
         maps
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use burn::tensor::TensorData;
+    use srflow_golden::numbers;
+
+    use super::*;
+
+    fn frame(shift: usize) -> Tensor<4> {
+        let place = |i: usize| [i / 3 / 9216 * 7 + i % 9216 / 128, i % 128 + shift];
+        let value = |i: usize| {
+            let [y, x] = place(i);
+            ((x * x + 3 * x * y + 11 * y) % 97) as f32 / 97.0
+        };
+        Tensor::from_data(
+            TensorData::new((0..2 * 3 * 9216).map(value).collect(), [2, 3, 72, 128]),
+            &Device::flex(),
+        )
+    }
+
+    /// Of two pairs, with as many rows as divide some levels and not others.
+    #[test]
+    fn strips_give_the_flow_of_the_whole() {
+        let mut network = Ccmr::new(&ITERATIONS_PLUS, &Device::flex());
+        let flow = |network: &Ccmr| {
+            let frames = Frames { first: frame(0), second: frame(2) };
+            numbers(network.forward(frames, &Request::new(2)).last().clone())
+        };
+        let whole = flow(&network);
+        let longest = whole.iter().fold(0.0_f32, |most, x| most.max(x.abs()));
+        for rows in [8, 11] {
+            network.strip_rows = Some(rows);
+            let far = whole.iter().zip(flow(&network)).fold(0.0_f32, |most, (a, b)| most.max((a - b).abs()));
+            assert!(far < 1e-4 * longest && longest > 0.1, "strips of {rows} rows: {far} px of {longest}");
+        }
     }
 }

@@ -10,6 +10,8 @@ use srflow_ops::WeightCache;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::layer_norm::tensor::layer_norm;
 
+use super::Strips;
+
 /// Attention heads, and groups of the norm between the depthwise convolutions.
 const HEADS: usize = 8;
 /// Sines and cosines per coordinate.
@@ -238,12 +240,43 @@ impl CrossCovariance {
 
     /// Applies the block with separate `values`, which have the shape of the map.
     pub(crate) fn gather(&self, attending: &Attending, values: Tensor<4>) -> Tensor<4> {
-        let [block] = &self.blocks;
-        let values = layer_norm(values, EPSILON, Identity);
-        let x = attending.add_gathered(values);
+        let norm = |y| self.blocks[0].local_mp.bn.forward(y, Identity);
+        self.finish(self.before_norm(attending, values), norm)
+    }
 
-        let y = block.norm3.forward(x.clone());
-        let x = block.local_mp.add_to(x, y, &block.gamma3);
+    /// What [`gather_strip`](Self::gather_strip) needs to know of the whole map.
+    pub(crate) fn sums(&self, strips: Strips, attending: &Attending, values: &Tensor<4>) -> [Tensor<2>; 2] {
+        let of = |[map, values]: [Tensor<4>; 2]| {
+            let [_, y] = self.before_norm(&attending.part(map), values);
+            y
+        };
+        strips.sums(&[attending.map.clone(), values.clone()], 1, of, |y| self.blocks[0].local_mp.bn.sums(y))
+    }
+
+    /// [`gather`](Self::gather) of some rows of a map of so many pixels. Two rows are wrong at either end where the map goes on.
+    pub(crate) fn gather_strip(
+        &self,
+        attending: &Attending,
+        values: Tensor<4>,
+        sums: &[Tensor<2>; 2],
+        pixels: usize,
+    ) -> Tensor<4> {
+        let count = values.dims()[1] / HEADS * pixels;
+        let norm = |y| self.blocks[0].local_mp.bn.forward_by(y, sums, count);
+        self.finish(self.before_norm(attending, values), norm)
+    }
+
+    /// The map with what is gathered, and what the norm between the depthwise convolutions is of.
+    fn before_norm(&self, attending: &Attending, values: Tensor<4>) -> [Tensor<4>; 2] {
+        let [block] = &self.blocks;
+        let x = attending.add_gathered(layer_norm(values, EPSILON, Identity));
+        let y = block.local_mp.conv1.forward(block.norm3.forward(x.clone()), Gelu);
+        [x, y]
+    }
+
+    fn finish(&self, [x, y]: [Tensor<4>; 2], norm: impl Fn(Tensor<4>) -> Tensor<4>) -> Tensor<4> {
+        let [block] = &self.blocks;
+        let x = block.local_mp.add_to(x, norm(y), &block.gamma3);
 
         let hidden = Pointwise::of(&block.mlp.fc1).after(&block.norm2);
         let hidden = hidden.apply(layer_norm(x.clone(), EPSILON, Identity), Epilogue::with(Gelu));
@@ -253,6 +286,15 @@ impl CrossCovariance {
 }
 
 impl Attending {
+    pub(crate) fn map(&self) -> &Tensor<4> {
+        &self.map
+    }
+
+    /// The same of some rows of the map.
+    pub(crate) fn part(&self, map: Tensor<4>) -> Self {
+        Self { map, gather: self.gather.clone() }
+    }
+
     /// The map plus the attention output for normalized values.
     fn add_gathered(&self, values: Tensor<4>) -> Tensor<4> {
         if let [gather] = self.gather.as_slice() {
@@ -308,9 +350,8 @@ impl Attention {
 }
 
 impl Local {
-    /// `x + gamma * local(y)`, with the factor multiplied into the last kernel.
+    /// `x + gamma * conv2(y)`, the factor multiplied into the kernel.
     fn add_to(&self, x: Tensor<4>, y: Tensor<4>, gamma: &Param<Tensor<1>>) -> Tensor<4> {
-        let y = self.bn.forward(self.conv1.forward(y, Gelu), Identity);
         let gamma = gamma.val();
         let [channels] = gamma.dims();
         let kernel = self.conv2.weight() * gamma.clone().reshape([channels, 1, 1, 1]);

@@ -2,12 +2,13 @@
 //! which reduces it to 1/8 or 1/4.
 
 use burn::module::{Initializer, Module, Param};
+use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
 use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, GroupNorm, NoParameters};
-use srflow_ops::Activation;
 use srflow_ops::activation::tensor::activated_sum;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::instance_norm::tensor::instance_norm;
+use srflow_ops::{Activation, WeightCache};
 
 /// Channels per group of group norms.
 const GROUP: usize = 8;
@@ -163,6 +164,16 @@ impl Norm {
         }
     }
 
+    /// `relu(norm(x))`.
+    fn relu(&self, x: Tensor<4>) -> Tensor<4> {
+        match self {
+            Self::None(_) => relu(x),
+            Self::Instance(_) => instance_norm(x, Activation::Relu),
+            Self::Batch(norm) => relu(norm.forward(x)),
+            Self::Group(norm) => norm.forward(x, Activation::Relu),
+        }
+    }
+
     /// `activation(norm(conv(x)))`.
     pub(crate) fn after(&self, conv: &Conv2d, x: Tensor<4>, activation: Activation) -> Tensor<4> {
         match self {
@@ -216,6 +227,24 @@ impl Block {
         Self { downsample: None, ..self }
     }
 
+    /// [`forward`](Self::forward) of the channels of several maps, which are made one after the other and never put together, of a
+    /// block of two convolutions [without a shortcut](Self::without_shortcut). Panics without a map.
+    pub(crate) fn forward_parts(&self, parts: impl Iterator<Item = Tensor<4>>) -> Tensor<4> {
+        let (mut first, mut sum) = (0, None);
+        for part in parts {
+            let [_, channels, _, _] = part.dims();
+            let weight = self.conv1.weight().narrow(1, first, channels);
+            let epilogue = match sum {
+                None => Epilogue::default().bias(self.conv1.bias()),
+                Some(sum) => Epilogue::default().residual(sum),
+            };
+            sum = Some(self.conv1.apply(part, weight, &WeightCache::default(), epilogue));
+            first += channels;
+        }
+        let y = self.norm1.relu(sum.expect("a part"));
+        self.norm2.after(&self.conv2, y, Activation::Relu)
+    }
+
     pub(crate) fn forward(&self, x: Tensor<4>) -> Tensor<4> {
         let mut y = self.norm1.after(&self.conv1, x.clone(), Activation::Relu);
         y = self.norm2.after(&self.conv2, y, Activation::Relu);
@@ -224,7 +253,6 @@ impl Block {
         }
         let shortcut = match &self.downsample {
             Some((conv, norm)) => norm.after(conv, x, Activation::Identity),
-            None if x.dims() != y.dims() => return y,
             None => x,
         };
         activated_sum(shortcut, y, Activation::Relu)

@@ -15,6 +15,7 @@ mean and largest difference of the two flows in pixels, beside the mean length o
 import argparse
 import os
 import platform
+import resource
 import statistics
 import subprocess
 import sys
@@ -26,6 +27,7 @@ import numpy as np
 from weights import SEED, new_model, random_state
 
 ROOT = Path(__file__).resolve().parents[2]
+OUT_OF_MEMORY = 3  # exit status
 # Names of the attribute that holds a model's iterations.
 ITERATIONS = {"dpflow": "iters_per_level", "memflow": "decoder_depth", "unimatch_sc2_ref6": "num_reg_refine"}
 # Iterations in each level of models that take a list, by default; others are in proportion, as srflow has them.
@@ -53,10 +55,12 @@ def frames(height, width):
 
 
 def run(command, environment):
-    """The lines that a process printed, and the most memory it held in GB."""
+    """The lines that a process printed, and the most memory it held in GB; no lines if it ran out of memory."""
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
     lines = process.stdout.read().splitlines()
     _, status, usage = os.wait4(process.pid, 0)
+    if os.waitstatus_to_exitcode(status) == OUT_OF_MEMORY:
+        return [], usage.ru_maxrss * 1024 / 1e9
     if status != 0:
         sys.exit(f"failed: {' '.join(map(str, command))}")
     return lines, usage.ru_maxrss * 1024 / 1e9
@@ -73,12 +77,20 @@ def reference(network, iterations, threads, repeats, weights, pixels, out, heigh
         if levels := OF_LEVELS.get(network):
             iterations = [-(-own * iterations // levels[-1]) for own in levels]
         setattr(model, ITERATIONS.get(network, "iters"), iterations)
+    # An error of its own, before the system stops whatever it chooses.
+    limit = int(0.85 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
     pair = np.fromfile(pixels, "<f4").reshape(1, 2, 3, height, width)[:, :, ::-1].copy()  # ptlflow takes BGR
     images = torch.from_numpy(pair)
     for _ in range(repeats):
         start = time.perf_counter()
-        with torch.no_grad():
-            flow = model({"images": images})["flows"]
+        try:
+            with torch.no_grad():
+                flow = model({"images": images})["flows"]
+        except (MemoryError, RuntimeError) as error:
+            if "memory" not in str(error) and not isinstance(error, MemoryError):
+                raise
+            sys.exit(OUT_OF_MEMORY)
         print(time.perf_counter() - start)
     flow.numpy().astype("<f4").tofile(out)
 
@@ -127,6 +139,9 @@ def main():
                 our_seconds = statistics.median(float(line.split()[0]) for line in lines if line.endswith(" s"))
                 side = [network, str(args.iterations), str(args.threads), *common, theirs, str(height), str(width)]
                 lines, their_memory = run([sys.executable, __file__, "--side", *side], environment)
+                if not lines:
+                    print(f"| {network} | {size} | {our_seconds:.2f} s | out of memory | | {our_memory:.2f} | over {their_memory:.0f} | | | |", flush=True)
+                    continue
                 their_seconds = statistics.median(map(float, lines[-args.repeats :]))
                 a, b = (np.fromfile(path, "<f4").reshape(2, height, width) for path in (ours, theirs))
                 difference = np.linalg.norm(a - b, axis=0)

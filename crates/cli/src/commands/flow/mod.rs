@@ -1,4 +1,4 @@
-mod beside;
+mod extra;
 mod frames;
 mod outputs;
 
@@ -17,7 +17,7 @@ use srflow_field::{
     write_image_png, write_npy_plane,
 };
 
-use self::beside::Beside;
+use self::extra::ExtraOutput;
 use self::frames::{Frame, Source};
 use self::outputs::Outputs;
 use crate::Context;
@@ -57,10 +57,10 @@ pub struct Flow {
     #[arg(long, value_name = "OUT")]
     viz: Option<PathBuf>,
     /// Also write the expected error of the flow, in pixels
-    #[arg(long, value_name = "OUT", help = Beside::Uncertainty.help())]
+    #[arg(long, value_name = "OUT", help = ExtraOutput::Uncertainty.help())]
     uncertainty: Option<PathBuf>,
     /// Also write the probability that a pixel of the first frame is hidden in the second
-    #[arg(long, value_name = "OUT", help = Beside::Occlusion.help())]
+    #[arg(long, value_name = "OUT", help = ExtraOutput::Occlusion.help())]
     occlusion: Option<PathBuf>,
     /// Length in pixels of the flow with full colour, and the uncertainty with the brightest [default: the largest of each pair]
     #[arg(long, value_name = "PIXELS", requires = "viz", value_parser = super::convert::positive)]
@@ -117,7 +117,7 @@ struct EstimatedPair {
     #[serde(skip_serializing_if = "Option::is_none")]
     viz: Option<PathBuf>,
     #[serde(flatten)]
-    beside: BTreeMap<&'static str, PathBuf>,
+    extra: BTreeMap<&'static str, PathBuf>,
     width: usize,
     height: usize,
     /// Time of estimation, without reading and writing; in a batch, an equal share.
@@ -125,11 +125,11 @@ struct EstimatedPair {
 }
 
 impl Flow {
-    /// Where to write what is predicted beside the flow.
-    fn beside(&self, beside: Beside) -> Option<&Path> {
-        match beside {
-            Beside::Uncertainty => self.uncertainty.as_deref(),
-            Beside::Occlusion => self.occlusion.as_deref(),
+    /// Path of an extra output.
+    fn extra(&self, output: ExtraOutput) -> Option<&Path> {
+        match output {
+            ExtraOutput::Uncertainty => self.uncertainty.as_deref(),
+            ExtraOutput::Occlusion => self.occlusion.as_deref(),
         }
     }
 }
@@ -144,9 +144,9 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     }
     let source = Source::open(&args.frames)?;
     let mut outputs = Outputs::plan(&args, &source)?;
-    for beside in Beside::ALL {
-        if args.beside(beside).is_some() && !beside.is_predicted_by(args.method.method) {
-            wrong_usage!("{}", beside.missing(args.method.method.name()));
+    for output in ExtraOutput::ALL {
+        if args.extra(output).is_some() && !output.is_predicted_by(args.method.method) {
+            wrong_usage!("{}", output.missing(args.method.method.name()));
         }
     }
     let estimator = methods::estimator(&args.method, &args.parameters)?;
@@ -324,11 +324,11 @@ impl Work<'_> {
         let files = self.outputs.pair(stem);
         let flow = &estimate.flow;
         write_flow(&files.flow, flow)?;
-        for (beside, plane_files) in &files.beside {
-            let plane = beside.of(estimate).with_context(|| beside.missing(self.estimator.name()))?;
+        for (output, plane_files) in &files.extra {
+            let plane = output.of(estimate).with_context(|| output.missing(self.estimator.name()))?;
             write_npy_plane(&plane_files.npy, plane)?;
             if let Some(png) = &plane_files.png {
-                write_image_png(png, &heat(plane, beside.brightest(plane, self.args.viz_max)))?;
+                write_image_png(png, &heat(plane, output.brightest(plane, self.args.viz_max)))?;
             }
         }
         let colours = || flow_colors(flow, self.args.viz_max);
@@ -348,7 +348,7 @@ impl Work<'_> {
             frame2: next.to_owned(),
             flow: files.flow,
             viz: files.viz,
-            beside: files.beside.into_iter().map(|(beside, files)| (beside.name(), files.npy)).collect(),
+            extra: files.extra.into_iter().map(|(output, files)| (output.name(), files.npy)).collect(),
             width: flow.width(),
             height: flow.height(),
             seconds,

@@ -8,7 +8,7 @@ use anyhow::{Context as _, ensure};
 use srflow_field::{FileKind, FlowFormat, create_folder, read_text, write_file};
 
 use super::Flow;
-use super::beside::Beside;
+use super::extra::ExtraOutput;
 use super::frames::Source;
 use crate::output::ensure_free;
 use crate::usage::wrong_usage;
@@ -19,7 +19,7 @@ pub struct Outputs {
     flows: Flows,
     viz: Option<Viz>,
     /// Files, or folders when the flow goes into a folder.
-    beside: Vec<(Beside, PathBuf)>,
+    extra: Vec<(ExtraOutput, PathBuf)>,
     force: bool,
 }
 
@@ -39,7 +39,7 @@ enum Viz {
 pub struct PairFiles {
     pub flow: PathBuf,
     pub viz: Option<PathBuf>,
-    pub beside: Vec<(Beside, PlaneFiles)>,
+    pub extra: Vec<(ExtraOutput, PlaneFiles)>,
 }
 
 /// The files of a plane.
@@ -50,7 +50,7 @@ pub struct PlaneFiles {
 
 impl PairFiles {
     fn all(&self) -> impl Iterator<Item = &Path> {
-        let planes = self.beside.iter().flat_map(|(_, files)| [Some(&files.npy), files.png.as_ref()]);
+        let planes = self.extra.iter().flat_map(|(_, files)| [Some(&files.npy), files.png.as_ref()]);
         [Some(&self.flow), self.viz.as_ref()].into_iter().chain(planes).flatten().map(PathBuf::as_path)
     }
 }
@@ -67,9 +67,9 @@ impl Outputs {
             && args.out.extension().is_some()
             && !ends_with_separator(&args.out);
         let (flows, viz) = if is_file { Self::file(args)? } else { Self::folder(args, source)? };
-        let mut beside = Vec::new();
-        for kind in Beside::ALL {
-            let Some(path) = args.beside(kind) else { continue };
+        let mut extra = Vec::new();
+        for kind in ExtraOutput::ALL {
+            let Some(path) = args.extra(kind) else { continue };
             if args.initial_flow.is_some() {
                 wrong_usage!(
                     "--{} does not go together with --initial-flow: leave one of them out",
@@ -86,9 +86,9 @@ impl Outputs {
             if !is_file && !path.is_dir() && (is_npy || path.is_file()) {
                 wrong_usage!("{}: {source} give a folder of .npy files, not one file", path.display());
             }
-            beside.push((kind, path.to_owned()));
+            extra.push((kind, path.to_owned()));
         }
-        let outputs = Self { flows, viz, beside, force: args.force };
+        let outputs = Self { flows, viz, extra, force: args.force };
         let files = outputs.pair("frame");
         let mut names = HashSet::new();
         if let Some(twice) = files.all().find(|file| !names.insert(*file)) {
@@ -156,7 +156,7 @@ impl Outputs {
                 Some(Viz::Folder(folder)) => Some(named(folder, "png")),
                 Some(Viz::Video(_)) | None => None,
             },
-            beside: self.beside.iter().map(|(kind, path)| (*kind, self.plane(path, stem))).collect(),
+            extra: self.extra.iter().map(|(kind, path)| (*kind, self.plane(path, stem))).collect(),
         }
     }
 

@@ -1,21 +1,21 @@
-//! What some networks predict beside the flow.
+//! Outputs of some networks in addition to the flow.
 
 use srflow_field::{FlowEstimate, Plane};
 use srflow_nets::Architecture;
 
 use crate::methods::Method;
 
-/// A plane of numbers for each pair, with an option of its own.
+/// One number per pixel of the first frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Beside {
+pub enum ExtraOutput {
     Uncertainty,
     Occlusion,
 }
 
-impl Beside {
+impl ExtraOutput {
     pub const ALL: [Self; 2] = [Self::Uncertainty, Self::Occlusion];
 
-    /// Name of the option, without dashes.
+    /// Name of the option, without the dashes, and key in `--json`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Uncertainty => "uncertainty",
@@ -29,7 +29,7 @@ impl Beside {
             Self::Occlusion => "the probability that a pixel of the first frame is hidden in the second",
         };
         format!(
-            "Also write {what}, as .npy of shape (H, W), a file or a folder like --out; with --viz also as PNG beside it: for {}",
+            "Also write {what}, as .npy of shape (H, W), a file or a folder like --out; with --viz also as PNG next to it; for {}",
             Self::networks(self)
         )
     }
@@ -63,7 +63,7 @@ impl Beside {
         }
     }
 
-    /// The value with the brightest colour in a picture of `plane`.
+    /// The value shown in the brightest colour.
     pub fn brightest(self, plane: &Plane, viz_max: Option<f32>) -> f32 {
         match self {
             Self::Uncertainty => {

@@ -84,16 +84,19 @@ impl NetworkEstimator {
         start: Option<Tensor<4>>,
         memory: Option<Memory>,
     ) -> Estimate {
-        let features = Features::cat(frames.iter().map(|encoded| encoded.features.clone()).collect());
+        let features = match frames {
+            // Concatenating would copy them.
+            [first, second] if pairs == 1 => [first.features.clone(), second.features.clone()],
+            _ => {
+                let all = Features::cat(frames.iter().map(|encoded| encoded.features.clone()).collect());
+                [all.clone().narrow(0, pairs), all.narrow(frames.len() - pairs, pairs)]
+            }
+        };
         let images: Vec<&Image> = frames.iter().map(|encoded| &encoded.frame).collect();
         let second = frames.len() - pairs;
         let frames = Frames { first: self.tensor(&images[..pairs]), second: self.tensor(&images[second..]) };
-        let request = Request {
-            start,
-            features: Some([features.clone().narrow(0, pairs), features.narrow(second, pairs)]),
-            memory,
-            ..Request::new(self.iterations.get())
-        };
+        let request =
+            Request { start, features: Some(features), memory, ..Request::new(self.iterations.get()) };
         self.network.forward(frames, &request)
     }
 

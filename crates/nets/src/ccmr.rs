@@ -172,11 +172,7 @@ impl FlowNetwork for Ccmr {
         // One after the other: both at once would double the memory.
         let [firsts, seconds] = [first, second].map(|frames| self.matched(frames));
         let coarsest = [height, width].map(|side| side / COARSEST_STRIDE);
-        let mut flow = Tensor::zeros([batch, 2, coarsest[0], coarsest[1]], &device);
-        if let Some(start) = &request.start {
-            assert_eq!(start.dims(), flow.dims(), "the coarse flow to start from");
-            flow = start.clone();
-        }
+        let mut flow = request.start_flow(batch, coarsest, &device);
         let block = &self.update_block;
         let iterations = self.iterations(request.iterations);
         let mut flows = Vec::new();

@@ -10,13 +10,13 @@ use srflow_ops::Activation::{self, Gelu, Identity, Relu, Tanh};
 use srflow_ops::WeightCache;
 use srflow_ops::activation::tensor::activated_sum;
 use srflow_ops::conv2d::tensor::Epilogue;
-use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::instance_norm::tensor::group_norm;
 use srflow_ops::layer_norm::tensor::layer_norm;
 
 use crate::MemoryNeed;
 use crate::blocks::{
-    ConvGru, FlowHead, Grids, MotionEncoder, StageGru, WideConvexMask, resize, resize_flow, upsample_by,
+    ConvGru, FlowHead, Grids, Level, MotionEncoder, StageGru, WideConvexMask, resize, resize_flow,
+    upsample_by,
 };
 use crate::estimate::{Estimate, LaplaceMixture, Request};
 use crate::facts::{Facts, IterationPresets, Padding, Start, ptlflow};
@@ -266,23 +266,14 @@ impl FlowNetwork for DpFlow {
         let (first, second, border) = frames.prepared(padding(levels));
         let [_, _, height, width] = first.dims();
         let device = first.device();
-        let stems = match &request.features {
-            Some(known) => known.clone().map(Features::into_levels),
-            // One after the other, since encoding both at once would double the memory.
-            None => [first, second].map(|frames| self.fnet.stems(frames, levels)),
-        };
+        let stems = request
+            .features_of([first, second], Features::into_levels, |frames| self.fnet.stems(frames, levels));
         let coarsest = [height, width].map(|side| side / padding(levels));
-        let mut flow = match &request.start {
-            Some(start) => {
-                assert_eq!(start.dims(), [batch, 2, coarsest[0], coarsest[1]], "the flow to start from");
-                start.clone()
-            }
-            None => Tensor::zeros([batch, 2, coarsest[0], coarsest[1]], &device),
-        };
+        let mut flow = request.start_flow(batch, coarsest, &device);
         let mut estimate = Estimate::of_flows(Vec::new());
         for (number, [first, second]) in self.fnet.pyramid(stems).into_iter().enumerate() {
             let [_, _, rows, columns] = first.dims();
-            let (correlation, context, mut hidden) = level(first, second);
+            let Level { correlation, context, mut hidden } = Level::new(first, second);
             let grid = pixel_grid([batch, rows, columns], &device);
             flow = resize_flow(flow, [rows, columns], GRIDS);
             for iteration in 1..=request.iterations {
@@ -322,19 +313,6 @@ impl FlowNetwork for DpFlow {
             value: &mut self.levels,
         }]
     }
-}
-
-/// Correlation, context and initial hidden state of a level.
-fn level(first: Tensor<4>, second: Tensor<4>) -> (Correlation, Tensor<4>, Tensor<4>) {
-    let matched = FEATURES / 3 * 2;
-    let half = HIDDEN / 2;
-    let both = |from: usize| {
-        let [first, second] = [&first, &second].map(|map| map.clone().narrow(1, matched + from, half));
-        Tensor::cat(vec![first, second], 1)
-    };
-    let (context, hidden) = (relu(both(0)), both(half).tanh());
-    let [first, second] = [first, second].map(|map| map.narrow(1, 0, matched));
-    (Correlation::new(first, second, 1), context, hidden)
 }
 
 impl Encoder {

@@ -1,7 +1,7 @@
 //! Inputs and outputs of networks.
 
-use burn::tensor::Tensor;
 use burn::tensor::activation::sigmoid;
+use burn::tensor::{Device, Tensor};
 
 use crate::features::Features;
 
@@ -27,6 +27,29 @@ impl Request {
     /// A request for the last flow only, starting from zero.
     pub fn new(iterations: usize) -> Self {
         Self { iterations, start: None, every_iteration: false, features: None, encoded: None, memory: None }
+    }
+
+    /// The flow to start from, `[batch, 2, height, width]` in coarse pixels, where `size` is height and width. Panics when it
+    /// has another size.
+    pub(crate) fn start_flow(&self, batch: usize, size: [usize; 2], device: &Device) -> Tensor<4> {
+        let shape = [batch, 2, size[0], size[1]];
+        let Some(start) = &self.start else { return Tensor::zeros(shape, device) };
+        assert_eq!(start.dims(), shape, "the coarse flow to start from");
+        start.clone()
+    }
+
+    /// The features of the first and second frames: those of the request, read by `known`, or those that `encode` computes.
+    pub(crate) fn features_of<T>(
+        &self,
+        frames: [Tensor<4>; 2],
+        known: impl Fn(Features) -> T,
+        encode: impl Fn(Tensor<4>) -> T,
+    ) -> [T; 2] {
+        match &self.features {
+            Some(features) => features.clone().map(known),
+            // One after the other, since peak memory is often reached here and encoding both at once would double it.
+            None => frames.map(encode),
+        }
     }
 }
 
@@ -100,6 +123,16 @@ pub struct Encoded {
     pub hidden: Tensor<4>,
     /// Tensors that are the same in every iteration.
     pub constant: Vec<Tensor<4>>,
+}
+
+impl Encoded {
+    /// Hidden state, context, and the feature maps of both frames. Panics for the output of another network's encoders.
+    pub(crate) fn of_pair(&self) -> (Tensor<4>, Tensor<4>, [Tensor<4>; 2]) {
+        let [context, first, second] = self.constant.as_slice() else {
+            panic!("the output of this network's encoders")
+        };
+        (self.hidden.clone(), context.clone(), [first.clone(), second.clone()])
+    }
 }
 
 /// State of a network from earlier pairs of a video; its tensors are private to the network.

@@ -24,6 +24,12 @@ impl Features {
         })
     }
 
+    /// The map of a network with one. Panics when there are others.
+    pub(crate) fn into_map(self) -> Tensor<4> {
+        let [map] = self.into_maps();
+        map
+    }
+
     /// The maps of a network with a variable number of levels.
     pub(crate) fn into_levels(self) -> Vec<Tensor<4>> {
         self.maps

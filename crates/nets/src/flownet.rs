@@ -111,34 +111,48 @@ pub(crate) struct Tower {
     pub(crate) conv3: Tensor<4>,
 }
 
-fn conv(channels: [usize; 2], kernel: usize, stride: usize) -> Conv2dConfig {
-    Conv2dConfig::new(channels, [kernel; 2])
-        .with_stride(stride)
-        .with_initializer(Initializer::XavierUniform { gain: 1.0 })
-        .with_bias_initializer(Initializer::Uniform { min: 0.0, max: 1.0 })
+/// Initializers of the layers of a network.
+pub(crate) struct Initializers {
+    pub(crate) weight: Initializer,
+    pub(crate) bias: Initializer,
 }
 
-/// Doubles the size.
-fn deconv(channels: [usize; 2]) -> ConvTranspose2dConfig {
-    ConvTranspose2dConfig::new(channels, [4, 4])
-        .with_stride(2)
-        .with_padding([1, 1])
-        .with_initializer(Initializer::XavierUniform { gain: 1.0 })
-        .with_bias_initializer(Initializer::Uniform { min: 0.0, max: 1.0 })
+const INITIALIZERS: Initializers = Initializers {
+    weight: Initializer::XavierUniform { gain: 1.0 },
+    bias: Initializer::Uniform { min: 0.0, max: 1.0 },
+};
+
+impl Initializers {
+    pub(crate) fn conv(&self, channels: [usize; 2], kernel: usize, stride: usize) -> Conv2dConfig {
+        Conv2dConfig::new(channels, [kernel; 2])
+            .with_stride(stride)
+            .with_initializer(self.weight.clone())
+            .with_bias_initializer(self.bias.clone())
+    }
+
+    /// Doubles the size.
+    pub(crate) fn deconv(&self, channels: [usize; 2]) -> ConvTranspose2dConfig {
+        ConvTranspose2dConfig::new(channels, [4, 4])
+            .with_stride(2)
+            .with_padding([1, 1])
+            .with_initializer(self.weight.clone())
+            .with_bias_initializer(self.bias.clone())
+    }
 }
 
 impl FlowNet {
     pub(crate) fn new(kind: Kind, device: &Device) -> Self {
-        let activated =
-            |channels, kernel, stride| (conv(channels, kernel, stride).init(device), NoParameters);
-        let doubled = |channels| (deconv(channels).init(device), NoParameters);
-        let predicted = |channels| conv([channels, 2], 3, 1).init(device);
+        let activated = |channels, kernel, stride| {
+            (INITIALIZERS.conv(channels, kernel, stride).init(device), NoParameters)
+        };
+        let doubled = |channels| (INITIALIZERS.deconv(channels).init(device), NoParameters);
+        let predicted = |channels| INITIALIZERS.conv([channels, 2], 3, 1).init(device);
         let correlating = kind == Kind::Correlating;
         let (images, correlated) = match kind {
             Kind::Simple { channels } => (channels, 256),
             Kind::Correlating => (3, 32 + CORRELATED),
         };
-        let upsampled = || deconv([2, 2]).with_bias(correlating).init(device);
+        let upsampled = || INITIALIZERS.deconv([2, 2]).with_bias(correlating).init(device);
         Self {
             conv1: activated([images, 64], 7, 2),
             conv2: activated([64, 128], 5, 2),
@@ -245,10 +259,9 @@ impl Tower {
 
 /// Towers of both frames, taken from the request if it has them.
 pub(crate) fn towers(network: &FlowNet, frames: Frames, request: &Request) -> [Tower; 2] {
-    match &request.features {
-        Some(known) => known.clone().map(Tower::of_features),
-        None => [frames.first, frames.second].map(|frames| network.tower(prepared(frames))),
-    }
+    request.features_of([frames.first, frames.second], Tower::of_features, |frames| {
+        network.tower(prepared(frames))
+    })
 }
 
 /// Subtracts the mean colour of each frame, and resizes to multiples of [`MULTIPLE`].

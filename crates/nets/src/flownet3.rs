@@ -5,7 +5,7 @@
 use burn::module::{Initializer, Module};
 use burn::tensor::activation::{relu, softmax};
 use burn::tensor::{Device, Tensor};
-use srflow_nn::layers::{Conv2d, Conv2dConfig, ConvTranspose2d, ConvTranspose2dConfig};
+use srflow_nn::layers::{Conv2d, ConvTranspose2d};
 use srflow_ops::Activation::{Identity, LeakyRelu};
 use srflow_ops::warp::tensor::warp_replicated;
 
@@ -14,7 +14,7 @@ use crate::blocks::{Grids, resize, resize_flow};
 use crate::estimate::{Estimate, Request};
 use crate::facts::Facts;
 use crate::features::Features;
-use crate::flownet::{CORRELATED, MULTIPLE, Tower, correlation, padded};
+use crate::flownet::{CORRELATED, Initializers, MULTIPLE, Tower, correlation, padded};
 use crate::frames::Frames;
 use crate::recurrent::pixel_grid;
 use crate::table::{Entry, FlowNetwork};
@@ -127,16 +127,10 @@ struct Prediction {
     occlusion: Tensor<4>,
 }
 
-fn initializer() -> Initializer {
-    Initializer::KaimingNormal { gain: 2.0_f64.sqrt(), fan_out_only: false }
-}
-
-fn conv(channels: [usize; 2], kernel: usize, stride: usize) -> Conv2dConfig {
-    Conv2dConfig::new(channels, [kernel; 2])
-        .with_stride(stride)
-        .with_initializer(initializer())
-        .with_bias_initializer(Initializer::Zeros)
-}
+const INITIALIZERS: Initializers = Initializers {
+    weight: Initializer::KaimingNormal { gain: std::f64::consts::SQRT_2, fan_out_only: false },
+    bias: Initializer::Zeros,
+};
 
 /// Scales a number of channels of FlowNet.
 const fn part(channels: usize) -> usize {
@@ -164,24 +158,19 @@ impl Net {
     fn new(role: Role, device: &Device) -> Self {
         let correlating = role == Role::First;
         let conv = |[inputs, outputs]: [usize; 2], kernel, stride| {
-            conv([part(inputs), part(outputs)], kernel, stride).init(device)
+            INITIALIZERS.conv([part(inputs), part(outputs)], kernel, stride).init(device)
         };
-        let predict = |inputs| self::conv([inputs, role.predicted()], 3, 1).init(device);
+        let predict = |inputs| INITIALIZERS.conv([inputs, role.predicted()], 3, 1).init(device);
         let inner = |channels, stride| conv(channels, 3, stride);
         let images = if correlating { 3 } else { INPUT_CHANNELS };
         let redirected = if correlating { part(32) + CORRELATED } else { part(256) };
         let from_images = |images, outputs, kernel, stride| {
-            self::conv([images, part(outputs)], kernel, stride).init(device)
+            INITIALIZERS.conv([images, part(outputs)], kernel, stride).init(device)
         };
         let mut below = part(1024);
         let mut refine = |features: usize, width: usize| {
             let joined = part(features) + part(width) + role.predicted();
-            let deconv = ConvTranspose2dConfig::new([below, part(width)], [4, 4])
-                .with_stride(2)
-                .with_padding([1, 1])
-                .with_initializer(initializer())
-                .with_bias_initializer(Initializer::Zeros)
-                .init(device);
+            let deconv = INITIALIZERS.deconv([below, part(width)]).init(device);
             below = joined;
             Refine { deconv, predict: predict(joined) }
         };
@@ -273,10 +262,9 @@ impl Prediction {
 
 impl FlowNet3 {
     fn towers(&self, frames: Frames, request: &Request) -> [Tower; 2] {
-        match &request.features {
-            Some(known) => known.clone().map(Tower::of_features),
-            None => [frames.first, frames.second].map(|frames| self.net1.lower(prepared(frames)).tower),
-        }
+        request.features_of([frames.first, frames.second], Tower::of_features, |frames| {
+            self.net1.lower(prepared(frames)).tower
+        })
     }
 }
 

@@ -85,12 +85,6 @@ pub(crate) const FACTS: Facts = Facts {
 pub(crate) const ATTENDING: MemoryNeed =
     MemoryNeed { fixed: 370_000_000, per_pixel: 275, attending: 1, most_weights: KEPT_BYTES as u64 };
 
-/// Features of the prepared first and second frames.
-fn features_of_both(encoder: &Encoder, frames: [Tensor<4>; 2]) -> [Tensor<4>; 2] {
-    // One after the other, since peak memory is reached here and encoding both at once would double it.
-    frames.map(|frames| encoder.forward(frames))
-}
-
 impl<N: Recurrent> FlowNetwork for N {
     fn features(&self, frames: Tensor<4>) -> Features {
         let [batch, _, height, width] = frames.dims();
@@ -105,7 +99,7 @@ impl<N: Recurrent> FlowNetwork for N {
     fn encode(&self, frames: Frames) -> Option<Encoded> {
         let encoders = self.encoders();
         let (first, second, _) = frames.prepared(STRIDE);
-        let [of_first, of_second] = features_of_both(encoders.features, [first.clone(), second]);
+        let [of_first, of_second] = [first.clone(), second].map(|frames| encoders.features.forward(frames));
         let [hidden, context] = encoders.hidden_and_context(first);
         Some(Encoded { hidden, constant: vec![context, of_first, of_second] })
     }
@@ -115,18 +109,12 @@ impl<N: Recurrent> FlowNetwork for N {
         let encoders = self.encoders();
         let (first, second, border) = frames.prepared(STRIDE);
         let (mut hidden, context, [first, second]) = match &request.encoded {
-            Some(Encoded { hidden, constant }) => {
-                let [context, first, second] = constant.as_slice() else {
-                    panic!("the output of this network's encoders")
-                };
-                (hidden.clone(), context.clone(), [first.clone(), second.clone()])
-            }
+            Some(encoded) => encoded.of_pair(),
             None => {
                 let [hidden, context] = encoders.hidden_and_context(first.clone());
-                let features = match &request.features {
-                    Some(known) => known.clone().map(|features| features.into_maps::<1>()).map(|[map]| map),
-                    None => features_of_both(encoders.features, [first, second]),
-                };
+                let features = request.features_of([first, second], Features::into_map, |frames| {
+                    encoders.features.forward(frames)
+                });
                 (hidden, context, features)
             }
         };
@@ -135,11 +123,7 @@ impl<N: Recurrent> FlowNetwork for N {
 
         let [batch, _, height, width] = hidden.dims();
         let grid = pixel_grid([batch, height, width], &hidden.device());
-        let mut flow = grid.zeros_like();
-        if let Some(start) = &request.start {
-            assert_eq!(start.dims(), flow.dims(), "the coarse flow to start from");
-            flow = start.clone();
-        }
+        let mut flow = request.start_flow(batch, [height, width], &grid.device());
         let (mut flows, mut memory) = (Vec::new(), None);
         for iteration in 1..=request.iterations {
             flow = flow.detach();

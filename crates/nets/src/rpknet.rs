@@ -3,20 +3,19 @@
 //! the finest. Parity with the reference: `PARITY.md`.
 
 use burn::module::{Initializer, Module, Param};
-use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
 use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation::{self, Gelu, Identity, Relu, Sigmoid, Tanh};
 use srflow_ops::activation::tensor::activated_sum;
 use srflow_ops::conv2d::tensor::Epilogue;
-use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::instance_norm::tensor::group_norm;
 use srflow_ops::layer_norm::tensor::layer_norm;
 
 use crate::MemoryNeed;
 use crate::blocks::{
-    ConvGru, FlowHead, Grids, MotionEncoder, StageGru, WideConvexMask, resize, resize_flow, upsample_by,
+    ConvGru, FlowHead, Grids, Level, MotionEncoder, StageGru, WideConvexMask, resize, resize_flow,
+    upsample_by,
 };
 use crate::estimate::{Estimate, Request};
 use crate::facts::{Facts, IterationPresets, Start, ptlflow};
@@ -178,14 +177,6 @@ enum Norm {
     Layer,
 }
 
-/// A level of the pyramid of a pair of frames.
-struct Level {
-    correlation: Correlation,
-    context: Tensor<4>,
-    /// Initial hidden state, before that of the coarser level is mixed in.
-    hidden: Tensor<4>,
-}
-
 impl Norm {
     /// `activation(norm(x))`.
     fn of(self, x: Tensor<4>, activation: Activation) -> Tensor<4> {
@@ -248,14 +239,8 @@ impl FlowNetwork for RpkNet {
         assert!(request.iterations > 0, "at least one iteration");
         let (first, second, border) = frames.prepared(COARSEST_STRIDE);
         let [batch, _, height, width] = first.dims();
-        let [firsts, seconds] = match &request.features {
-            Some(known) => known.clone().map(|features| features.into_maps::<LEVELS>()),
-            // One after the other, since encoding both at once would double the memory.
-            None => [first, second].map(|frames| {
-                let levels = self.pyramid(frames);
-                levels.try_into().expect("a map for each level")
-            }),
-        };
+        let [firsts, seconds] =
+            request.features_of([first, second], Features::into_levels, |frames| self.pyramid(frames));
         let iterations = request.iterations.div_ceil(LEVELS);
         let mut flows = Vec::new();
         let mut hidden = None;
@@ -271,7 +256,7 @@ impl FlowNetwork for RpkNet {
                     self.upnet_gate_layer.forward(coarser, level.hidden, self.norm()),
                     resize_flow(flow, size, Grids::CornersOnCorners),
                 ),
-                _ => (level.hidden, start(request, &grid)),
+                _ => (level.hidden, request.start_flow(batch, size, &grid.device())),
             };
             for iteration in 1..=iterations {
                 now = now.detach();
@@ -313,13 +298,6 @@ impl FlowNetwork for RpkNet {
     }
 }
 
-/// The flow to start from, at the size of the coarsest level.
-fn start(request: &Request, grid: &Tensor<4>) -> Tensor<4> {
-    let Some(start) = &request.start else { return grid.zeros_like() };
-    assert_eq!(start.dims(), grid.dims(), "the coarse flow to start from");
-    start.clone()
-}
-
 impl Encoder {
     fn forward(&self, frames: Tensor<4>, norm: Norm) -> Vec<Tensor<4>> {
         let [stem] = &self.stem;
@@ -337,20 +315,6 @@ impl Encoder {
         }
         levels.reverse();
         levels
-    }
-}
-
-impl Level {
-    fn new(first: Tensor<4>, second: Tensor<4>) -> Self {
-        let matched = FEATURES / 3 * 2;
-        let half = HIDDEN / 2;
-        let both = |from: usize| {
-            let [first, second] = [&first, &second].map(|map| map.clone().narrow(1, matched + from, half));
-            Tensor::cat(vec![first, second], 1)
-        };
-        let (context, hidden) = (relu(both(0)), both(half).tanh());
-        let [first, second] = [first, second].map(|map| map.narrow(1, 0, matched));
-        Self { correlation: Correlation::new(first, second, 1), context, hidden }
     }
 }
 

@@ -214,19 +214,11 @@ impl FlowNetwork for SeaRaft {
         assert!(request.iterations > 0, "at least one iteration");
         let (first, second, border) = frames.prepared(STRIDE);
         let (mut hidden, context, [first, second]) = match &request.encoded {
-            Some(Encoded { hidden, constant }) => {
-                let [context, first, second] = constant.as_slice() else {
-                    panic!("the output of this network's encoders")
-                };
-                (hidden.clone(), context.clone(), [first.clone(), second.clone()])
-            }
+            Some(encoded) => encoded.of_pair(),
             None => {
                 let [hidden, context] = self.hidden_and_context(first.clone(), second.clone());
-                let features = match &request.features {
-                    Some(known) => known.clone().map(|features| features.into_maps::<1>()).map(|[map]| map),
-                    // One after the other, since peak memory is reached here and encoding both at once would double it.
-                    None => [first, second].map(|frames| self.fnet.forward(frames)),
-                };
+                let features = request
+                    .features_of([first, second], Features::into_map, |frames| self.fnet.forward(frames));
                 (hidden, context, features)
             }
         };

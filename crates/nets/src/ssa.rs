@@ -5,7 +5,7 @@
 use burn::module::{Initializer, Module};
 use burn::tensor::ops::PadMode;
 use burn::tensor::{Device, Tensor};
-use srflow_nn::layers::{Conv2d, Conv2dConfig, ConvTranspose2d, ConvTranspose2dConfig};
+use srflow_nn::layers::{Conv2d, ConvTranspose2d};
 use srflow_ops::Activation::{Identity, LeakyRelu, Relu};
 
 use crate::MemoryNeed;
@@ -13,7 +13,7 @@ use crate::blocks::{Grids, resize, resize_flow};
 use crate::estimate::{Estimate, Request};
 use crate::facts::Facts;
 use crate::features::Features;
-use crate::flownet::{MULTIPLE, padded};
+use crate::flownet::{Initializers, MULTIPLE, padded};
 use crate::frames::Frames;
 use crate::table::{Entry, FlowNetwork};
 
@@ -72,61 +72,45 @@ struct Tower {
     conv3: Tensor<4>,
 }
 
-fn initializer() -> Initializer {
-    Initializer::XavierUniform { gain: 1.0 }
-}
+const INITIALIZERS: Initializers =
+    Initializers { weight: Initializer::XavierUniform { gain: 1.0 }, bias: Initializer::Zeros };
 
-fn conv(channels: [usize; 2], kernel: usize, device: &Device) -> Conv2d {
-    Conv2dConfig::new(channels, [kernel; 2])
-        .with_initializer(initializer())
-        .with_bias_initializer(Initializer::Zeros)
-        .init(device)
-}
-
-/// With stride 2, for [`halved`].
-fn halving(channels: [usize; 2], kernel: usize, device: &Device) -> Conv2d {
-    Conv2dConfig::new(channels, [kernel; 2])
-        .with_stride(2)
-        .with_padding(Some([0, 0]))
-        .with_initializer(initializer())
-        .with_bias_initializer(Initializer::Zeros)
-        .init(device)
-}
-
-/// To twice the size.
-fn doubling(channels: [usize; 2], device: &Device) -> ConvTranspose2d {
-    ConvTranspose2dConfig::new(channels, [4, 4])
-        .with_stride(2)
-        .with_padding([1, 1])
-        .with_initializer(initializer())
-        .with_bias_initializer(Initializer::Zeros)
-        .init(device)
+impl Tower {
+    fn of_features(features: Features) -> Self {
+        let [conv1, conv2, conv3] = features.into_maps();
+        Self { conv1, conv2, conv3 }
+    }
 }
 
 impl Ssa {
     /// With random parameters, as training starts.
     pub(crate) fn new(device: &Device) -> Self {
-        let predict = |channels| conv([channels, 2], 3, device);
+        let conv = |channels, kernel| INITIALIZERS.conv(channels, kernel, 1).init(device);
+        // For `halved`, which pads.
+        let halving =
+            |channels, kernel| INITIALIZERS.conv(channels, kernel, 2).with_padding(Some([0, 0])).init(device);
+        let doubling = |channels| INITIALIZERS.deconv(channels).init(device);
+        let predict = |channels| conv([channels, 2], 3);
         Self {
-            conv1: halving([3, 64], 7, device),
-            conv2: halving([64, 128], 5, device),
-            conv3: halving([128, 256], 5, device),
-            conv_redir: conv([256, 32], 1, device),
-            conv3_1: conv([32 + 2 * 256, 256], 3, device),
-            conv4: halving([256, 512], 3, device),
-            conv4_1: conv([512, 512], 3, device),
-            conv5: halving([512, 512], 3, device),
-            conv5_1: conv([512, 512], 3, device),
-            conv6: halving([512, 1024], 3, device),
-            conv6_1: conv([1024, 1024], 3, device),
-            deconv5: doubling([1024, 512], device),
-            deconv4: doubling([1024, 512], device),
-            deconv3: doubling([1024, 256], device),
-            deconv2: doubling([512, 128], device),
-            deconv1: doubling([258, 64], device),
-            join5: conv([512 + 512 + 2, 1024], 1, device),
-            join4: conv([512 + 512 + 2, 1024], 1, device),
-            join3: conv([256 + 256 + 2, 512], 1, device),
+            conv1: halving([3, 64], 7),
+            conv2: halving([64, 128], 5),
+            conv3: halving([128, 256], 5),
+            conv_redir: conv([256, 32], 1),
+            conv3_1: conv([32 + 2 * 256, 256], 3),
+            conv4: halving([256, 512], 3),
+            conv4_1: conv([512, 512], 3),
+            conv5: halving([512, 512], 3),
+            conv5_1: conv([512, 512], 3),
+            conv6: halving([512, 1024], 3),
+            conv6_1: conv([1024, 1024], 3),
+            deconv5: doubling([1024, 512]),
+            deconv4: doubling([1024, 512]),
+            deconv3: doubling([1024, 256]),
+            deconv2: doubling([512, 128]),
+            deconv1: doubling([258, 64]),
+            join5: conv([512 + 512 + 2, 1024], 1),
+            join4: conv([512 + 512 + 2, 1024], 1),
+            join3: conv([256 + 256 + 2, 512], 1),
             predict6: predict(1024),
             predict5: predict(1024),
             predict4: predict(1024),
@@ -183,13 +167,9 @@ impl FlowNetwork for Ssa {
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
         let size = frames.size();
         // The finer maps of the second frame are not needed: they are dropped here.
-        let [first, Tower { conv3: second, .. }] = match &request.features {
-            Some(known) => known.clone().map(|features| {
-                let [conv1, conv2, conv3] = features.into_maps();
-                Tower { conv1, conv2, conv3 }
-            }),
-            None => [frames.first, frames.second].map(|frames| self.tower(frames)),
-        };
+        let [first, Tower { conv3: second, .. }] =
+            request
+                .features_of([frames.first, frames.second], Tower::of_features, |frames| self.tower(frames));
         let mut flows = self.flows(first, second);
         if !request.every_iteration {
             flows.drain(..flows.len() - 1);

@@ -246,12 +246,10 @@ impl FlowNetwork for UniMatch {
 
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
         let border = Border::new(frames.size(), MULTIPLE);
-        let [firsts, seconds] = match &request.features {
-            Some(known) => known.clone().map(Features::into_levels),
-            // One after the other, since encoding both at once would double the memory.
-            None => [frames.first, frames.second]
-                .map(|frames| self.backbone.forward_scales(standardized(frames, border))),
-        };
+        let [firsts, seconds] =
+            request.features_of([frames.first, frames.second], Features::into_levels, |frames| {
+                self.backbone.forward_scales(standardized(frames, border))
+            });
         let mut flows = Vec::new();
         let mut push = |fine: Tensor<4>| flows.push(border.remove(fine));
         let mut coarser = None;

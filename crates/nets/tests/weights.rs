@@ -7,7 +7,10 @@ use srflow_nets::{
     Architecture, Claim, Network, claim, fits, fits_of_file, load_network, load_to_train, save_network,
     save_network_pytorch,
 };
-use srflow_nn::{ParameterInfo, parameters, safetensors_bytes, save_parameters, with_parameters};
+use srflow_nn::{
+    ParameterInfo, masked_crc32c, parameters, push_varint, safetensors_bytes, save_parameters,
+    with_parameters,
+};
 
 /// Saves random parameters of a network and calls `check` with it and the file.
 fn with_saved(architecture: Architecture, check: impl FnOnce(&Network, &Path)) {
@@ -200,7 +203,7 @@ fn a_tensorflow_checkpoint_of_flownet3_loads() {
             [number(1, 1), message(2, &dimensions), number(4, tensors.len()), number(5, bytes.len())]
                 .concat();
         entry.push(6 << 3 | 5);
-        entry.extend(checksum(&bytes));
+        entry.extend(masked_crc32c(&bytes).to_le_bytes());
         entries.push((name_in_tensorflow(name), entry));
         tensors.extend(bytes);
     }
@@ -220,13 +223,9 @@ fn a_tensorflow_checkpoint_of_flownet3_loads() {
     assert_eq!(fits_of_file(&path).expect("readable")[0].architecture, Architecture::FlowNet3Css);
 }
 
-fn varint(mut number: usize) -> Vec<u8> {
+fn varint(number: usize) -> Vec<u8> {
     let mut bytes = Vec::new();
-    while number >= 0x80 {
-        bytes.push(number as u8 | 0x80);
-        number >>= 7;
-    }
-    bytes.push(number as u8);
+    push_varint(&mut bytes, number as u64);
     bytes
 }
 
@@ -237,10 +236,6 @@ fn number(field: u8, value: usize) -> Vec<u8> {
 
 fn message(field: u8, content: &[u8]) -> Vec<u8> {
     [vec![field << 3 | 2], varint(content.len()), content.to_vec()].concat()
-}
-
-fn checksum(bytes: &[u8]) -> [u8; 4] {
-    crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
 }
 
 /// Appends a block of a LevelDB table, without shared prefixes, and returns its handle.
@@ -256,8 +251,8 @@ fn block(table: &mut Vec<u8>, entries: &[(String, Vec<u8>)]) -> Vec<u8> {
     bytes.extend([0_u32, 1].map(u32::to_le_bytes).concat());
     let len = bytes.len();
     bytes.push(0);
-    let checksum = checksum(&bytes);
+    let checksum = masked_crc32c(&bytes);
     table.extend(bytes);
-    table.extend(checksum);
+    table.extend(checksum.to_le_bytes());
     [varint(start), varint(len)].concat()
 }

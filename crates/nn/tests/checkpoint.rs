@@ -9,7 +9,8 @@ use burn_pack::{Bytes, DType};
 use safetensors::tensor::{Dtype, TensorView};
 use srflow_nn::layers::LinearConfig;
 use srflow_nn::{
-    Checkpoint, Format, Parameters, WeightsError, load, parameters, read_parameters, save_parameters,
+    Checkpoint, Format, Parameters, WeightsError, load, masked_crc32c, parameters, push_varint,
+    read_parameters, save_parameters,
 };
 use tempfile::TempDir;
 use zip::write::SimpleFileOptions;
@@ -201,8 +202,7 @@ fn corrupted_tables_with_valid_checksums_never_panic() {
     std::fs::write(folder.path().join("a.data-00000-of-00001"), &data).expect("copied");
     let table = std::fs::read(checkpoint("tensorflow.index")).expect("a table");
     // The block of entries comes first, then one byte for the kind of compression, then the checksum.
-    let masked =
-        |bytes: &[u8]| crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes();
+    let masked = |bytes: &[u8]| masked_crc32c(bytes).to_le_bytes();
     let len =
         (0..table.len()).find(|&len| table[len + 1..len + 5] == masked(&table[..=len])).expect("a block");
     let mut errors = 0;
@@ -243,13 +243,9 @@ fn compressed(table: &[u8]) -> Vec<u8> {
         let number = bytes[..len].iter().rev().fold(0, |number, byte| number << 7 | usize::from(byte & 0x7f));
         (number, &bytes[len..])
     }
-    fn to_varint(mut number: usize) -> Vec<u8> {
+    fn to_varint(number: usize) -> Vec<u8> {
         let mut bytes = Vec::new();
-        while number >= 0x80 {
-            bytes.push(number as u8 | 0x80);
-            number >>= 7;
-        }
-        bytes.push(number as u8);
+        push_varint(&mut bytes, number as u64);
         bytes
     }
     let append = |file: &mut Vec<u8>, block: &[u8]| {
@@ -257,7 +253,7 @@ fn compressed(table: &[u8]) -> Vec<u8> {
         let mut stored = snap::raw::Encoder::new().compress_vec(block).expect("compressed");
         let len = stored.len();
         stored.push(1);
-        let checksum = crc32c::crc32c(&stored).rotate_right(15).wrapping_add(0xa282_ead8);
+        let checksum = masked_crc32c(&stored);
         file.extend(stored);
         file.extend(checksum.to_le_bytes());
         [to_varint(start), to_varint(len)].concat()

@@ -5,6 +5,8 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use srflow_nn::{masked_crc32c, push_varint};
+
 /// An event file open for appending.
 pub(crate) struct EventFile {
     file: File,
@@ -53,14 +55,6 @@ const FIXED_64: u64 = 1;
 const LENGTH: u64 = 2;
 const FIXED_32: u64 = 5;
 
-fn push_varint(out: &mut Vec<u8>, mut value: u64) {
-    while value >= 0x80 {
-        out.push(value as u8 | 0x80);
-        value >>= 7;
-    }
-    out.push(value as u8);
-}
-
 fn push_key(out: &mut Vec<u8>, field: u64, wire_type: u64) {
     push_varint(out, field << 3 | wire_type);
 }
@@ -87,29 +81,9 @@ fn record(data: &[u8]) -> Vec<u8> {
     out
 }
 
-/// The masked CRC-32C of TFRecord: rotated and offset, since the CRC of data that contains CRCs is problematic.
-fn masked_crc32c(data: &[u8]) -> u32 {
-    crc32c(data).rotate_right(15).wrapping_add(0xA282_EAD8)
-}
-
-/// CRC-32C (Castagnoli), bit by bit: fast enough for a few hundred bytes per step.
-fn crc32c(data: &[u8]) -> u32 {
-    let bit = |crc: u32, _| if crc & 1 == 1 { crc >> 1 ^ 0x82F6_3B78 } else { crc >> 1 };
-    !data.iter().fold(!0, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), bit))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    /// RFC 3720, section B.4.
-    #[test]
-    fn checksums_match_the_published_values() {
-        assert_eq!(crc32c(&[0; 32]), 0x8A91_36AA);
-        assert_eq!(crc32c(&[0xFF; 32]), 0x62A8_AB43);
-        assert_eq!(crc32c(&(0..32).collect::<Vec<u8>>()), 0x46DD_794E);
-        assert_eq!(crc32c(b"123456789"), 0xE306_9283);
-    }
 
     /// Fields of a message, in order: number, wire type, and its bytes or the value of a varint.
     fn fields(mut bytes: &[u8]) -> Vec<(u64, u64, Vec<u8>, u64)> {

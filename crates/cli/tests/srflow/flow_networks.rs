@@ -139,7 +139,7 @@ fn uncertainty_is_written_beside_the_flow() {
     refuses(&sea_raft(&video), 2, &["sure/y", "overwrite each other"]);
     let classical = ["flow", "--method", "tvl1", "video", "-o", "sure/z", "--uncertainty", "sure/u"];
     refuses(&srflow(&classical), 2, &["tvl1 does not predict", "sea-raft-m"]);
-    // What is there is not overwritten.
+    // Existing files are not overwritten.
     let again = sea_raft(&[&pair[..], &["-o", "sure/c.flo", "--uncertainty", "sure/a.npy"]].concat());
     refuses(&again, 1, &["sure/a.npy", "--force"]);
 }

@@ -341,7 +341,7 @@ fn first_block(bytes: &[u8]) -> Option<usize> {
 }
 
 fn table_checksum(bytes: &[u8]) -> [u8; 4] {
-    crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8).to_le_bytes()
+    srflow_nn::masked_crc32c(bytes).to_le_bytes()
 }
 
 /// The problem with how the binary handled the file; `None` if there is none.

@@ -16,6 +16,7 @@ mod tensorflow;
 pub use pytorch_writer::save_pytorch;
 pub use safetensors::{read_safetensors, safetensors_bytes};
 pub use searchable_text::searchable_text;
+pub use tensorflow::{masked_crc32c, push_varint};
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -273,7 +274,7 @@ impl StoredTensor {
             StoredBytes::Range { file, start, len } => read_range(&file, start, len)?,
             StoredBytes::Tensorflow { file, start, len, crc32c, shape } => {
                 let bytes = read_range(&file, start, len)?;
-                if tensorflow::masked(crc32c::crc32c(&bytes)) != crc32c {
+                if masked_crc32c(&bytes) != crc32c {
                     return Err(invalid("the checksum of its bytes is wrong".into()));
                 }
                 tensorflow::layout::reference_order(bytes, &shape, self.dtype.size())

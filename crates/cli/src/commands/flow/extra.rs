@@ -3,8 +3,6 @@
 use srflow_field::{FlowEstimate, Plane};
 use srflow_nets::Architecture;
 
-use crate::methods::Method;
-
 /// One number per pixel of the first frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ExtraOutput {
@@ -30,15 +28,11 @@ impl ExtraOutput {
         };
         format!(
             "Also write {what}, as .npy of shape (H, W), a file or a folder like --out; with --viz also as PNG next to it; for {}",
-            Self::networks(self)
+            self.networks()
         )
     }
 
-    pub fn is_predicted_by(self, method: Method) -> bool {
-        method.network().is_some_and(|network| self.is_predicted_by_network(network))
-    }
-
-    fn is_predicted_by_network(self, network: Architecture) -> bool {
+    pub fn is_predicted_by(self, network: Architecture) -> bool {
         match self {
             Self::Uncertainty => network.facts().mixture,
             Self::Occlusion => network.facts().occlusion,
@@ -47,7 +41,7 @@ impl ExtraOutput {
 
     /// Names of the networks that predict it.
     fn networks(self) -> String {
-        let names = Architecture::ALL.into_iter().filter(|network| self.is_predicted_by_network(*network));
+        let names = Architecture::ALL.into_iter().filter(|network| self.is_predicted_by(*network));
         names.map(Architecture::name).collect::<Vec<_>>().join(", ")
     }
 

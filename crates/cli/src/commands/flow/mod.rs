@@ -144,9 +144,11 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     }
     let source = Source::open(&args.frames)?;
     let mut outputs = Outputs::plan(&args, &source)?;
+    let method = args.method.method;
     for output in ExtraOutput::ALL {
-        if args.extra(output).is_some() && !output.is_predicted_by(args.method.method) {
-            wrong_usage!("{}", output.missing(args.method.method.name()));
+        let is_predicted = method.network().is_some_and(|network| output.is_predicted_by(network));
+        if args.extra(output).is_some() && !is_predicted {
+            wrong_usage!("{}", output.missing(method.name()));
         }
     }
     let estimator = methods::estimator(&args.method, &args.parameters)?;

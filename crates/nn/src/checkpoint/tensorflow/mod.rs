@@ -19,7 +19,9 @@ use srflow_field::{FileKind, excerpt, open_file};
 use super::{Contents, StoredBytes, StoredTensor};
 use proto::Fields;
 
-pub(super) use table::{is_table, masked};
+pub use proto::push_varint;
+pub(super) use table::is_table;
+pub use table::masked_crc32c;
 
 /// Largest table of tensors. For a network with a thousand tensors it has less than 100 kB.
 const MAX_TABLE_BYTES: u64 = 64 << 20;

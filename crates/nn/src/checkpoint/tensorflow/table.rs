@@ -67,7 +67,7 @@ fn block(file: &[u8], (start, len): (u64, u64), left: &mut Left) -> Result<Vec<u
     let trailer = taken(&mut rest, TRAILER).ok_or_else(outside)?;
     Left::take(&mut left.file_bytes, len.saturating_add(TRAILER))?;
     let stored = trailer[1..].try_into().map(u32::from_le_bytes).map_err(|_| outside())?;
-    if masked(crc32c::crc32c(with_kind)) != stored {
+    if masked_crc32c(with_kind) != stored {
         return Err(format!("the checksum of a block of its table at {start} is wrong"));
     }
     match trailer[0] {
@@ -107,7 +107,22 @@ fn block_entries(block: &[u8], left: &mut Left) -> Result<Vec<Entry>, String> {
     Ok(entries)
 }
 
-/// The masked form in which checksums are stored, since the CRC of data that contains CRCs is problematic.
-pub(in crate::checkpoint) fn masked(crc32c: u32) -> u32 {
-    crc32c.rotate_right(15).wrapping_add(0xa282_ead8)
+/// CRC-32C in the masked form in which LevelDB and TensorFlow store it, since the CRC of data that contains CRCs is problematic.
+pub fn masked_crc32c(bytes: &[u8]) -> u32 {
+    crc32c::crc32c(bytes).rotate_right(15).wrapping_add(0xa282_ead8)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// RFC 3720, section B.4.
+    #[test]
+    fn checksums_match_the_published_values() {
+        let crc32c = |bytes: &[u8]| masked_crc32c(bytes).wrapping_sub(0xa282_ead8).rotate_left(15);
+        assert_eq!(crc32c(&[0; 32]), 0x8A91_36AA);
+        assert_eq!(crc32c(&[0xFF; 32]), 0x62A8_AB43);
+        assert_eq!(crc32c(&(0..32).collect::<Vec<u8>>()), 0x46DD_794E);
+        assert_eq!(crc32c(b"123456789"), 0xE306_9283);
+    }
 }

@@ -26,25 +26,28 @@ pub struct Array {
 /// # Errors
 /// When the file cannot be read, contains another type of array, or does not match its header.
 pub fn read_npy(path: &Path) -> Result<Array, FileError> {
-    read_with(path, FileKind::Array, |reader, len| {
-        let header = Header::read(reader, len)?;
-        let count = header.shape.iter().try_fold(1_u64, |count, side| count.checked_mul(*side));
-        let count = count.filter(|count| *count <= 4 * MAX_PIXELS).ok_or_else(|| {
-            FileProblem::field(
-                "shape",
-                format!("at most {} values", 4 * MAX_PIXELS),
-                format!("{:?}", header.shape),
-            )
-        })?;
-        check_file_size(header.bytes + count * header.sample.bytes() as u64, len)?;
-        let mut values = blank(count as usize)?;
-        read_samples(reader, header.sample, &mut values)?;
-        let shape: Vec<usize> = header.shape.iter().map(|side| *side as usize).collect();
-        if header.fortran_order {
-            values = row_major_from_fortran(&shape, &values);
-        }
-        Ok(Array { shape, values })
-    })
+    read_with(path, FileKind::Array, |reader, len| decode(reader, len))
+}
+
+/// The array of a file of `len` bytes.
+pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<Array, FileProblem> {
+    let header = Header::read(reader, len)?;
+    let count = header.shape.iter().try_fold(1_u64, |count, side| count.checked_mul(*side));
+    let count = count.filter(|count| *count <= 4 * MAX_PIXELS).ok_or_else(|| {
+        FileProblem::field(
+            "shape",
+            format!("at most {} values", 4 * MAX_PIXELS),
+            format!("{:?}", header.shape),
+        )
+    })?;
+    check_file_size(header.bytes + count * header.sample.bytes() as u64, len)?;
+    let mut values = blank(count as usize)?;
+    read_samples(reader, header.sample, &mut values)?;
+    let shape: Vec<usize> = header.shape.iter().map(|side| *side as usize).collect();
+    if header.fortran_order {
+        values = row_major_from_fortran(&shape, &values);
+    }
+    Ok(Array { shape, values })
 }
 
 /// Writes a `.npy` file of little-endian `f32`, whole or not at all (see [`write_atomically`]). For an image of three

@@ -1,17 +1,18 @@
 //! NumPy's `.npz`: a zip archive of `.npy` files. The array named `flow` is read, or the only one in the archive; an archive
-//! with the arrays of [`super::npz16`] is read as that format. [`write_npz`] writes several arrays, including text, for
-//! Python programs.
+//! with the arrays of [`super::npz16`] is read as that format. [`Npz`] reads the arrays of any archive by name, and
+//! [`write_npz`] writes several arrays, including text, for Python programs.
 
 use std::io::{self, Cursor, Read, Seek, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use zip::result::ZipError;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipArchive, ZipWriter};
 
 use super::claim::{check_deflated, read_all};
-use super::{npy, npz16};
-use crate::{FileError, FileProblem, FlowField, write_atomically};
+use super::npy::Array;
+use super::{npy, npz16, read_with};
+use crate::{FileError, FileKind, FileProblem, FlowField, excerpts, write_atomically};
 
 pub(super) const MAGIC: &[u8] = b"PK\x03\x04";
 
@@ -73,6 +74,82 @@ fn check_end(bytes: &[u8]) -> Result<(), FileProblem> {
 pub(super) fn broken(error: ZipError) -> FileProblem {
     let expected = "a valid .npz file with one array or one named `flow`, or an .npz16 file";
     FileProblem::field("archive", expected, error.to_string())
+}
+
+/// A `.npz` archive of named arrays, as NumPy's `savez` and `savez_compressed` write it. Arrays are decoded one by one when they
+/// are asked for; others may have types that are not read, such as text or pickled objects.
+#[derive(Debug)]
+pub struct Npz {
+    path: PathBuf,
+    archive: ZipArchive<Cursor<Vec<u8>>>,
+    names: Vec<String>,
+}
+
+impl Npz {
+    /// Opens an archive.
+    ///
+    /// # Errors
+    /// When the file cannot be read or is not a zip archive.
+    pub fn open(path: &Path) -> Result<Self, FileError> {
+        read_with(path, FileKind::Array, |reader, len| {
+            let archive = open_zip(read_all(reader, len)?)?;
+            let files = archive.file_names().map(|name| name.map(|name| name.into_owned()));
+            let files: Vec<String> = files.collect::<Result<_, _>>().map_err(damaged)?;
+            let names =
+                files.iter().filter_map(|file| file.strip_suffix(".npy")).map(str::to_owned).collect();
+            Ok(Self { path: path.to_owned(), archive, names })
+        })
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Names of the arrays, in file order.
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    pub fn has(&self, name: &str) -> bool {
+        self.names.iter().any(|known| known == name)
+    }
+
+    /// The array called `name`, converted to `f32` as by [`read_npy`](super::npy::read_npy).
+    ///
+    /// # Errors
+    /// When the archive has no such array, or it is corrupt or does not hold numbers.
+    pub fn array(&mut self, name: &str) -> Result<Array, FileError> {
+        self.decode(name).map_err(|problem| problem.in_file(&self.path))
+    }
+
+    fn decode(&mut self, name: &str) -> Result<Array, FileProblem> {
+        if !self.has(name) {
+            let found = format!("the arrays {}", excerpts(self.names.iter().map(String::as_str), 20));
+            return Err(FileProblem::field("array", format!("one called `{name}`"), found));
+        }
+        let mut file = self.archive.by_name(&format!("{name}.npy")).map_err(damaged)?;
+        let size = file.size();
+        check_deflated(size, file.compressed_size())?;
+        let array = npy::decode(&mut file, size).map_err(|problem| match problem {
+            FileProblem::Field { field, expected, found } => {
+                FileProblem::field(field, expected, format!("{found} in the array `{name}`"))
+            }
+            problem => problem,
+        })?;
+        // The archive's checksum is verified at the end of the data.
+        match file.read(&mut [0]).map_err(FileProblem::reading)? {
+            0 => Ok(array),
+            _ => {
+                let expected = format!("{size} bytes according to the archive");
+                Err(FileProblem::field("array size", expected, format!("more in the array `{name}`")))
+            }
+        }
+    }
+}
+
+fn damaged(error: ZipError) -> FileProblem {
+    FileProblem::field("archive", "a valid .npz archive", error.to_string())
 }
 
 /// An array of a `.npz` archive: its shape, empty for a scalar, and its values, row-major.
@@ -201,6 +278,15 @@ mod tests {
         assert!(header.contains("'<U2'"), "{header}");
         assert_eq!(values, [0x61_u32, 0xE9, 0, 0].map(u32::to_le_bytes).concat());
         assert!(read("one.npy").0.contains("'shape': ()"));
+
+        let mut back = Npz::open(&path).unwrap();
+        assert_eq!(back.names(), ["x", "y", "name", "one"]);
+        assert_eq!(back.array("x").unwrap(), Array { shape: vec![2, 1], values: vec![0.5, -1.0] });
+        assert_eq!(back.array("y").unwrap().values, [7.0, -1.0]);
+        let missing = back.array("z").unwrap_err().to_string();
+        assert!(missing.contains("one called `z`, found the arrays x, y, name, one"), "{missing}");
+        let text = back.array("name").unwrap_err().to_string();
+        assert!(text.contains("'<U2' in the array `name`"), "{text}");
 
         let wrong = write_npz(&path, &[("x", NpzArray::Float(&[3], &[0.0]))]).unwrap_err().to_string();
         assert!(wrong.contains("values for [3], found 1 values"), "{wrong}");

@@ -119,7 +119,7 @@ impl Avatar {
     /// When the model is inconsistent or has no landmarks.
     pub fn of(model: HeadModel, identity: &[f32], seed: u64) -> Result<Self, AvatarError> {
         model.validate()?;
-        if model.landmarks.len() != 68 {
+        if model.landmarks.len() < 68 {
             return Err(AvatarError::Landmarks { model: model.name, found: model.landmarks.len() });
         }
         let shaped = model.shaped(identity);

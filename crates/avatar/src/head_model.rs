@@ -1,39 +1,17 @@
-use std::ops::Range;
+use std::borrow::Cow;
+use std::collections::BTreeMap;
 
 use glam::{Mat3, Quat, Vec3};
 
+mod shape;
+mod skeleton;
 mod validation;
 
+pub use shape::{Offsets, PoseCorrective, Shape};
+pub use skeleton::{Joint, JointRole, Skinning};
 pub use validation::HeadModelError;
 
-/// The joints of every head model, in FLAME's order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Joint {
-    /// Moves the whole head and neck.
-    Root,
-    /// Moves the head on the neck.
-    Neck,
-    /// Opens the mouth.
-    Jaw,
-    /// Rotates the subject's left eyeball.
-    LeftEye,
-    /// Rotates the subject's right eyeball.
-    RightEye,
-}
-
-impl Joint {
-    /// All joints, in order.
-    pub const ALL: [Joint; 5] = [Joint::Root, Joint::Neck, Joint::Jaw, Joint::LeftEye, Joint::RightEye];
-
-    /// The parent joint; `None` for the root.
-    pub fn parent(self) -> Option<Joint> {
-        match self {
-            Joint::Root => None,
-            Joint::Neck => Some(Joint::Root),
-            Joint::Jaw | Joint::LeftEye | Joint::RightEye => Some(Joint::Neck),
-        }
-    }
-}
+use skeleton::joint_transforms;
 
 /// The region of a triangle, which determines how it is dressed with Gaussians.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -52,47 +30,12 @@ pub enum Region {
     InnerLid,
     /// Neck and shoulders.
     Neck,
-    /// Eyeball. The iris is located by the eye joint and the rest gaze (+z).
+    /// Eyeball. The iris is located by the centre of the eye and the rest gaze (+z).
     Eyeball,
     /// Upper or lower teeth.
     Teeth,
     /// Gums, tongue and the inside of the mouth.
     MouthInside,
-}
-
-/// A named displacement of some vertices.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Shape {
-    /// The model's own name, e.g. `AU12_L` or `mouthSmile_L`.
-    pub name: String,
-    /// Vertex index and displacement in metres at weight 1; vertices that do not move are omitted.
-    pub offsets: Vec<(u32, Vec3)>,
-    /// Curvature of the path between weights 0 and 1: the largest deviation from the straight line, at weight 0.5, scaled by
-    /// `4w(1 - w)`, and zero outside. An eyelid needs it to slide around the eyeball. Empty for the purely linear shapes of
-    /// FLAME and ICT-FaceKit.
-    pub arc: Vec<(u32, Vec3)>,
-}
-
-impl Shape {
-    /// A linear shape.
-    pub fn linear(name: impl Into<String>, offsets: Vec<(u32, Vec3)>) -> Self {
-        Self { name: name.into(), offsets, arc: Vec::new() }
-    }
-
-    fn add_to(&self, vertices: &mut [Vec3], weight: f32) {
-        if weight == 0.0 {
-            return;
-        }
-        for &(vertex, offset) in &self.offsets {
-            vertices[vertex as usize] += offset * weight;
-        }
-        if weight > 0.0 && weight < 1.0 {
-            let bend = 4.0 * weight * (1.0 - weight);
-            for &(vertex, offset) in &self.arc {
-                vertices[vertex as usize] += offset * bend;
-            }
-        }
-    }
 }
 
 /// The half of the face that an action unit moves.
@@ -115,12 +58,12 @@ pub struct ActionUnit {
     pub side: Side,
     /// Expression and its weight at full intensity.
     pub expressions: Vec<(usize, f32)>,
-    /// Joint and its rotation at full intensity, as axis times angle in radians.
-    pub joints: Vec<(Joint, Vec3)>,
+    /// Index of a joint and its rotation at full intensity, as axis times angle in radians.
+    pub joints: Vec<(usize, Vec3)>,
 }
 
 /// A head that can change shape and move: template, identity and expression bases, and joints with linear blend skinning, as
-/// in FLAME (Li et al. 2017). The built-in head, ICT-FaceKit and FLAME are all this struct.
+/// in FLAME (Li et al. 2017). Every kind of head is this struct, whatever file it comes from.
 #[derive(Debug, Clone)]
 pub struct HeadModel {
     /// E.g. `builtin`, `ict`.
@@ -135,19 +78,24 @@ pub struct HeadModel {
     pub identities: Vec<Shape>,
     /// Expression basis.
     pub expressions: Vec<Shape>,
-    /// Position of each [`Joint`] in the template.
-    pub joints: [Vec3; 5],
-    /// Joint regressor: for each joint, vertices and weights. A joint moves by the weighted sum of these vertices'
-    /// displacements from the template (equivalent to FLAME's regressor, given the template's joints).
-    pub joint_regressor: [Vec<(u32, f32)>; 5],
-    /// Joint weights of each vertex, in the order of [`Joint`]; they sum to 1.
-    pub skinning: Vec<[f32; 5]>,
+    /// At least one joint; parents come before their children, and every role occurs at most once.
+    pub joints: Vec<Joint>,
+    /// Whether expressions and [`HeadPose::offset`] displace the joints as the identity does, as in FLAME. Otherwise they move
+    /// vertices alone.
+    pub joints_follow_expressions: bool,
+    /// Joint weights of each vertex; they sum to 1.
+    pub skinning: Skinning,
+    /// Displacements by the rotations of joints; empty for plain linear blend skinning.
+    pub pose_correctives: Vec<PoseCorrective>,
     /// Action units in terms of expressions and joints.
     pub action_units: Vec<ActionUnit>,
-    /// 68 facial landmarks (dlib order) as triangle and barycentric coordinates; empty if the model has none.
+    /// Facial landmarks as triangle and barycentric coordinates: the 68 in dlib's order, then the model's others; empty if the
+    /// model has none.
     pub landmarks: Vec<(u32, Vec3)>,
-    /// Vertices of the two eyeballs, left and right.
-    pub eyeballs: [Range<u32>; 2],
+    /// Vertices of the two eyeballs, left and right, in ascending order.
+    pub eyeballs: [Vec<u32>; 2],
+    /// The model's own groups of vertices by name, such as the masks of FLAME; each in ascending order.
+    pub vertex_groups: BTreeMap<String, Vec<u32>>,
 }
 
 /// A head model's template with an identity applied: the input of [`HeadModel::vertices`].
@@ -155,61 +103,112 @@ pub struct HeadModel {
 pub struct ShapedHead {
     /// Vertices at rest, metres.
     pub vertices: Vec<Vec3>,
-    /// Rest position of each [`Joint`], metres.
-    pub joints: [Vec3; 5],
+    /// Rest position of each joint, metres.
+    pub joints: Vec<Vec3>,
 }
 
-/// The input of [`HeadModel::vertices`] that changes over time.
+/// The input of [`HeadModel::vertices`] that changes over time. The default is the head at rest.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct HeadPose {
     /// Weight of each expression of the model; missing ones are zero.
     pub expressions: Vec<f32>,
-    /// Rotation of each [`Joint`] about its rest position, relative to its parent.
-    pub joints: [Quat; 5],
+    /// Rotation of each joint of the model about its rest position, relative to its parent; missing ones do not rotate.
+    pub joints: Vec<Quat>,
     /// Translation of the whole head, metres, after the rotations.
     pub translation: Vec3,
+    /// Displacement of each vertex at rest, metres, beyond the expressions (`dynamic_offset` of VHAP); empty for none.
+    pub offset: Vec<Vec3>,
+}
+
+impl HeadPose {
+    /// The rotation of joint number `joint`.
+    pub fn joint(&self, joint: usize) -> Quat {
+        self.joints.get(joint).copied().unwrap_or(Quat::IDENTITY)
+    }
+
+    /// The rotation of joint number `joint`, to be changed.
+    pub fn joint_mut(&mut self, joint: usize) -> &mut Quat {
+        if self.joints.len() <= joint {
+            self.joints.resize(joint + 1, Quat::IDENTITY);
+        }
+        &mut self.joints[joint]
+    }
 }
 
 impl HeadModel {
+    /// The index of the joint with this role, if the model has one.
+    pub fn joint(&self, role: JointRole) -> Option<usize> {
+        self.joints.iter().position(|joint| joint.role == Some(role))
+    }
+
     /// The template with the identity of the given weights, one per shape of `identities`; missing weights are zero, and
     /// excess weights are ignored.
     pub fn shaped(&self, identity: &[f32]) -> ShapedHead {
+        self.shaped_with_offset(identity, &[])
+    }
+
+    /// As [`HeadModel::shaped`], with a displacement of each vertex in addition, metres (`static_offset` of VHAP); missing ones
+    /// are zero, and excess ones are ignored. Joints with a regressor follow it, as in FLAME.
+    pub fn shaped_with_offset(&self, identity: &[f32], offset: &[Vec3]) -> ShapedHead {
         let mut vertices = self.template.clone();
         for (shape, &weight) in self.identities.iter().zip(identity) {
             shape.add_to(&mut vertices, weight);
         }
-        let joints = std::array::from_fn(|joint| {
-            let displacement =
-                self.joint_regressor[joint].iter().fold(Vec3::ZERO, |sum, &(vertex, weight)| {
-                    sum + weight * (vertices[vertex as usize] - self.template[vertex as usize])
-                });
-            self.joints[joint] + displacement
+        for (vertex, offset) in vertices.iter_mut().zip(offset) {
+            *vertex += *offset;
+        }
+        let rest = self.joints.iter().map(|joint| {
+            let moved = joint.identities.iter().zip(identity);
+            let by_identity =
+                moved.fold(joint.position, |position, (offset, weight)| position + *offset * *weight);
+            by_identity + regressed_displacement(joint, &self.template, &vertices)
         });
+        let joints = rest.collect();
         ShapedHead { vertices, joints }
     }
 
     /// Writes the vertices of `shaped` in `pose`, metres, into `out`, reusing its memory.
     ///
-    /// Linear blend skinning as in FLAME: expressions are added to the identity's vertices, the joints rotate about their rest
-    /// positions along the chain root, neck, {jaw, eyes}, every vertex follows its joints by their weights, and the
-    /// translation is applied last.
+    /// Linear blend skinning as in FLAME: expressions and the pose's offset are added to the identity's vertices, the joints
+    /// follow if the model says so, pose correctives are added, the joints rotate about their rest positions along the chain
+    /// of their parents, every vertex follows its joints by their weights, and the translation is applied last.
     pub fn vertices(&self, shaped: &ShapedHead, pose: &HeadPose, out: &mut Vec<Vec3>) {
         out.clone_from(&shaped.vertices);
         for (shape, &weight) in self.expressions.iter().zip(&pose.expressions) {
             shape.add_to(out, weight);
         }
-        let posed_from_rest = joint_transforms(&shaped.joints, pose);
-        for (vertex, weights) in out.iter_mut().zip(&self.skinning) {
+        for (vertex, offset) in out.iter_mut().zip(&pose.offset) {
+            *vertex += *offset;
+        }
+        let rest = self.rest_joints(shaped, out);
+        for corrective in &self.pose_correctives {
+            let turn = Mat3::from_quat(pose.joint(corrective.joint)) - Mat3::IDENTITY;
+            for (entry, weight) in corrective.entries.iter().zip(turn.transpose().to_cols_array()) {
+                if weight != 0.0 {
+                    entry.add_to(out, weight);
+                }
+            }
+        }
+        let posed_from_rest = joint_transforms(&self.joints, &rest, pose);
+        for (vertex, weights) in out.iter_mut().zip(self.skinning.iter()) {
             let mut rotation = Mat3::ZERO;
             let mut translation = Vec3::ZERO;
-            for (transform, &weight) in posed_from_rest.iter().zip(weights) {
-                if weight != 0.0 {
-                    rotation += transform.rotation * weight;
-                    translation += transform.translation * weight;
-                }
+            for &(joint, weight) in weights {
+                let transform = &posed_from_rest[joint as usize];
+                rotation += transform.rotation * weight;
+                translation += transform.translation * weight;
             }
             *vertex = rotation * *vertex + translation;
         }
+    }
+
+    /// Rest positions of the joints of `shaped` with an expression, whose vertices before pose correctives are `vertices`.
+    fn rest_joints<'a>(&self, shaped: &'a ShapedHead, vertices: &[Vec3]) -> Cow<'a, [Vec3]> {
+        if !self.joints_follow_expressions {
+            return Cow::Borrowed(&shaped.joints);
+        }
+        let rest = self.joints.iter().zip(&shaped.joints);
+        rest.map(|(joint, rest)| *rest + regressed_displacement(joint, &shaped.vertices, vertices)).collect()
     }
 
     /// Where the landmarks lie on these vertices, which are those of the model in some shape and pose.
@@ -230,7 +229,7 @@ impl HeadModel {
     pub fn pose_of_action_units(&self, units: &[(u8, Side, f32)]) -> Result<HeadPose, HeadModelError> {
         let mut expressions = vec![0.0_f32; self.expressions.len()];
         let mut full = vec![0.0_f32; self.expressions.len()];
-        let mut turns = [Vec3::ZERO; 5];
+        let mut turns = vec![Vec3::ZERO; self.joints.len()];
         for &(number, side, intensity) in units {
             // max before min: a NaN intensity becomes 0.
             #[expect(clippy::manual_clamp, reason = "clamp keeps NaN")]
@@ -243,14 +242,15 @@ impl HeadModel {
                     }
                 }
                 for &(joint, turn) in &unit.joints {
-                    turns[joint as usize] += turn * intensity;
+                    turns[joint] += turn * intensity;
                 }
             }
         }
         for (weight, full) in expressions.iter_mut().zip(full) {
             *weight = weight.clamp(full.min(0.0), full.max(0.0));
         }
-        Ok(HeadPose { expressions, joints: turns.map(Quat::from_scaled_axis), translation: Vec3::ZERO })
+        let joints = turns.into_iter().map(Quat::from_scaled_axis).collect();
+        Ok(HeadPose { expressions, joints, ..HeadPose::default() })
     }
 
     /// The listed units that make up one side, or both, of unit `number`.
@@ -269,24 +269,11 @@ impl HeadModel {
     }
 }
 
-/// Transform of a point that follows only this joint: `rotation * point + translation`.
-#[derive(Debug, Clone, Copy)]
-struct JointTransform {
-    rotation: Mat3,
-    translation: Vec3,
-}
-
-fn joint_transforms(rest: &[Vec3; 5], pose: &HeadPose) -> [JointTransform; 5] {
-    let mut posed_from_rest = [JointTransform { rotation: Mat3::IDENTITY, translation: pose.translation }; 5];
-    for joint in Joint::ALL {
-        let index = joint as usize;
-        let parent = joint.parent().map_or(posed_from_rest[index], |parent| posed_from_rest[parent as usize]);
-        let turn = Mat3::from_quat(pose.joints[index]);
-        let rotation = parent.rotation * turn;
-        let position = parent.rotation * rest[index] + parent.translation;
-        posed_from_rest[index] = JointTransform { rotation, translation: position - rotation * rest[index] };
-    }
-    posed_from_rest
+/// How far the regressor moves a joint when its vertices move.
+fn regressed_displacement(joint: &Joint, from: &[Vec3], to: &[Vec3]) -> Vec3 {
+    joint.follows.iter().fold(Vec3::ZERO, |sum, &(vertex, weight)| {
+        sum + weight * (to[vertex as usize] - from[vertex as usize])
+    })
 }
 
 #[cfg(test)]

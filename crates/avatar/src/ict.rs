@@ -4,6 +4,7 @@
 //! The published head is in centimetres with our axes. The meaning of each vertex is fixed by the topology of 26,719 vertices,
 //! and documented in the README of ICT-FaceKit.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -14,7 +15,7 @@ use srflow_field::{FileKind, parse_error_in_words, read_file};
 
 use crate::avatar::AvatarError;
 use crate::obj::{read_obj, read_obj_positions};
-use crate::{ActionUnit, HeadModel, Joint, Region, Shape, Side};
+use crate::{ActionUnit, HeadModel, Joint, JointRole, Offsets, Region, Shape, Side, Skinning};
 
 const VERTICES: usize = 26_719;
 const METRES_PER_UNIT: f32 = 0.01;
@@ -64,8 +65,12 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
     let landmark_vertices = landmark_positions(&indices.idx_to_landmark_verts, &template);
     let (triangles, regions) = dressed_triangles(&neutral.polygons, &template, &landmark_vertices);
     let landmarks = landmark_triangles(&indices.idx_to_landmark_verts, &triangles);
-    let joints = joints(&template, &landmark_vertices);
-    let skinning = skinning(&template, &joints, &landmark_vertices, &expressions);
+    let positions = joints(&template, &landmark_vertices);
+    let skinning = skinning(&template, &positions, &landmark_vertices, &expressions);
+    let mut joints = Joint::of_roles(positions);
+    for (joint, follows) in joints.iter_mut().zip(joint_regressor(&indices.idx_to_landmark_verts)) {
+        joint.follows = follows;
+    }
     let mut model = HeadModel {
         name: "ict".into(),
         action_units: action_units(&expressions),
@@ -75,10 +80,12 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
         identities,
         expressions,
         joints,
-        joint_regressor: joint_regressor(&indices.idx_to_landmark_verts),
+        joints_follow_expressions: false,
         skinning,
+        pose_correctives: Vec::new(),
         landmarks,
-        eyeballs: EYEBALLS,
+        eyeballs: EYEBALLS.map(Iterator::collect),
+        vertex_groups: BTreeMap::new(),
     };
     face_eyeballs_forward(&mut model);
     Ok(model)
@@ -143,7 +150,7 @@ fn shapes(dir: &Path, files: Vec<(String, PathBuf)>, template: &[Vec3]) -> Resul
                 .map(|(v, (&moved, &rest))| (v as u32, moved * METRES_PER_UNIT - rest))
                 .filter(|(_, offset)| offset.length() > NEGLIGIBLE_OFFSET)
                 .collect();
-            Ok(Shape::linear(name, offsets))
+            Ok(Shape::linear(name, Offsets::Sparse(offsets)))
         })
         .collect()
 }
@@ -344,19 +351,14 @@ fn eye_center(template: &[Vec3], eye: usize) -> Vec3 {
         .map_or(mean, |c| mean + c.truncate().as_vec3())
 }
 
-fn skinning(
-    template: &[Vec3],
-    joints: &[Vec3; 5],
-    landmarks: &[Vec3],
-    expressions: &[Shape],
-) -> Vec<[f32; 5]> {
+fn skinning(template: &[Vec3], joints: &[Vec3; 5], landmarks: &[Vec3], expressions: &[Shape]) -> Skinning {
     let chin = landmarks[8];
-    let jaw = jaw_weights(template, joints[Joint::Jaw as usize], chin, expressions);
+    let jaw = jaw_weights(template, joints[JointRole::Jaw as usize], chin, expressions);
     template
         .iter()
         .enumerate()
         .map(|(v, p)| {
-            for (eye, joint) in [(0, Joint::LeftEye), (1, Joint::RightEye)] {
+            for (eye, joint) in [(0, JointRole::LeftEye), (1, JointRole::RightEye)] {
                 if EYEBALLS[eye].contains(&(v as u32)) {
                     let mut weights = [0.0; 5];
                     weights[joint as usize] = 1.0;
@@ -380,9 +382,9 @@ fn jaw_weights(template: &[Vec3], jaw: Vec3, chin: Vec3, expressions: &[Shape]) 
         let mandible = shape
             .offsets
             .iter()
-            .map(|(v, offset)| offset.length() / lever(template[*v as usize]))
+            .map(|(v, offset)| offset.length() / lever(template[v as usize]))
             .fold(0.0, f32::max);
-        for &(v, offset) in &shape.offsets {
+        for (v, offset) in shape.offsets.iter() {
             let p = template[v as usize];
             let downward = offset.y < 0.0 || p.y < chin.y + 0.06;
             let turn = offset.length() / lever(p) / mandible.max(1e-6);
@@ -404,7 +406,7 @@ fn smoothstep(t: f32) -> f32 {
 /// of zero must be +z. The cornea is also lowered to the space that the lids leave for a forward gaze.
 fn face_eyeballs_forward(model: &mut HeadModel) {
     for eye in 0..2 {
-        let center = model.joints[Joint::LeftEye as usize + eye];
+        let center = model.joints[JointRole::LeftEye as usize + eye].position;
         let shell = SCLERAS[eye].start as usize..SCLERAS[eye].end as usize;
         let apex = model.template[shell]
             .iter()

@@ -15,7 +15,8 @@ mod obj;
 pub use avatar::{Avatar, AvatarError, PosedHead};
 pub use binding::{BoundGaussians, TriangleFrame};
 pub use head_model::{
-    ActionUnit, HeadModel, HeadModelError, HeadPose, Joint, Region, Shape, ShapedHead, Side,
+    ActionUnit, HeadModel, HeadModelError, HeadPose, Joint, JointRole, Offsets, PoseCorrective, Region,
+    Shape, ShapedHead, Side, Skinning,
 };
 pub use micro_expression::MicroExpression;
 pub use motion::{Moment, Motion};

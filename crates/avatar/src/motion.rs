@@ -3,7 +3,7 @@
 use glam::{EulerRot, Quat};
 use srflow_field::random::{Key, Stream};
 
-use crate::{HeadModel, HeadPose, Joint, Side};
+use crate::{HeadModel, HeadPose, JointRole, Side};
 
 /// One frame of a motion.
 #[derive(Debug, Clone, PartialEq)]
@@ -137,9 +137,12 @@ impl Motion {
         let mut pose = model.pose_of_action_units(&units).unwrap_or_default();
         let [yaw, pitch, roll] = [0, 1, 2].map(|axis| self.neck[axis].at(time) * ease);
         let turn = |yaw: f32, pitch: f32, roll: f32| Quat::from_euler(EulerRot::YXZ, yaw, -pitch, roll);
-        pose.joints[Joint::Neck as usize] *= turn(yaw, pitch, roll);
-        for eye in [Joint::LeftEye, Joint::RightEye] {
-            pose.joints[eye as usize] *= turn(gaze[0], gaze[1], 0.0);
+        if let Some(neck) = model.joint(JointRole::Neck) {
+            *pose.joint_mut(neck) *= turn(yaw, pitch, roll);
+        }
+        for eye in [JointRole::LeftEye, JointRole::RightEye].into_iter().filter_map(|role| model.joint(role))
+        {
+            *pose.joint_mut(eye) *= turn(gaze[0], gaze[1], 0.0);
         }
         Moment { pose, action_units: units, gaze }
     }

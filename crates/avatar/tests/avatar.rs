@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use glam::{DMat4, DVec3, Quat, Vec3};
-use srflow_avatar::{Avatar, AvatarError, HeadPose, Joint, PosedHead, Region, Side};
+use srflow_avatar::{Avatar, AvatarError, HeadPose, JointRole, PosedHead, Region, Side};
 use srflow_splat::{Camera, Frame, Gaussians, Options, Rasterizer};
 
 fn ict_folder() -> Option<PathBuf> {
@@ -41,9 +41,9 @@ fn extreme_poses(avatar: &Avatar) -> Vec<HeadPose> {
         model.pose_of_action_units(&listed).expect("the model's own units")
     };
     let mut turned = show(&[26]);
-    turned.joints[Joint::Neck as usize] = Quat::from_rotation_y(0.4) * Quat::from_rotation_x(0.25);
-    turned.joints[Joint::LeftEye as usize] = Quat::from_rotation_y(0.4);
-    turned.joints[Joint::RightEye as usize] = Quat::from_rotation_y(0.4);
+    *turned.joint_mut(JointRole::Neck as usize) = Quat::from_rotation_y(0.4) * Quat::from_rotation_x(0.25);
+    *turned.joint_mut(JointRole::LeftEye as usize) = Quat::from_rotation_y(0.4);
+    *turned.joint_mut(JointRole::RightEye as usize) = Quat::from_rotation_y(0.4);
     turned.translation = Vec3::new(0.02, -0.01, 0.03);
     vec![HeadPose::default(), show(&[]), show(&[26]), show(&[6, 12, 25]), show(&[4, 9, 43]), turned]
 }
@@ -152,9 +152,9 @@ fn eyeballs_turn_and_carry_their_irises() {
     let avatar = &*FIRST;
     let mut pose = HeadPose::default();
     let (rest, _) = gaussians(avatar, &pose);
-    pose.joints[Joint::LeftEye as usize] = Quat::from_rotation_y(0.3);
+    *pose.joint_mut(JointRole::LeftEye as usize) = Quat::from_rotation_y(0.3);
     let (looking, _) = gaussians(avatar, &pose);
-    let eye = avatar.shaped().joints[Joint::LeftEye as usize];
+    let eye = avatar.shaped().joints[JointRole::LeftEye as usize];
     let moved: Vec<usize> =
         (0..rest.len()).filter(|&i| rest.positions[i].distance(looking.positions[i]) > 1e-3).collect();
     assert!(moved.len() > 1000, "{} Gaussians moved", moved.len());

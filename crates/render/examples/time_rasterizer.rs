@@ -16,7 +16,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (mut first, mut second) = (Gaussians::default(), Gaussians::default());
     avatar.gaussians_into(&HeadPose::default(), &mut posed, &mut first);
     let mut turned = HeadPose { translation: Vec3::new(0.003, 0.002, 0.0), ..HeadPose::default() };
-    turned.joints[0] = Quat::from_rotation_y(0.03);
+    *turned.joint_mut(0) = Quat::from_rotation_y(0.03);
     avatar.gaussians_into(&turned, &mut posed, &mut second);
 
     // One metre in front of the centre of the head, facing it.

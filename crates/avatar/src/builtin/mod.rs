@@ -21,12 +21,14 @@ mod skinning;
 mod skull;
 mod teeth;
 
+use std::collections::BTreeMap;
+
 use glam::Vec3;
 
 use self::half::{Half, Mark};
 use self::identity::{Plan, Traits};
 use self::landmarks::Landmarks;
-use crate::{ActionUnit, HeadModel, Joint, Shape, Side};
+use crate::{ActionUnit, HeadModel, Joint, JointRole, Shape, Side, Skinning};
 
 const METRES_PER_MILLIMETRE: f32 = 1e-3;
 
@@ -64,10 +66,12 @@ impl HeadModel {
             triangles: whole.triangles,
             identities: Vec::new(),
             expressions,
-            joints: skinning::joints(&plan).map(|joint| joint * METRES_PER_MILLIMETRE),
-            joint_regressor: Default::default(),
+            joints: Joint::of_roles(skinning::joints(&plan).map(|joint| joint * METRES_PER_MILLIMETRE)),
+            joints_follow_expressions: false,
+            pose_correctives: Vec::new(),
             action_units,
-            eyeballs: [eyeball, right_eyeball],
+            eyeballs: [eyeball.collect(), right_eyeball.collect()],
+            vertex_groups: BTreeMap::new(),
         }
     }
 }
@@ -108,7 +112,7 @@ impl Whole {
         left.iter().copied().chain(self.mirrored.iter().map(|&vertex| mirrored(left[vertex as usize])))
     }
 
-    fn skinning(&self, left: &[[f32; 5]]) -> Vec<[f32; 5]> {
+    fn skinning(&self, left: &[[f32; 5]]) -> Skinning {
         let swap_eyes = |[root, neck, jaw, left, right]: [f32; 5]| [root, neck, jaw, right, left];
         left.iter()
             .copied()
@@ -152,7 +156,7 @@ impl Whole {
                 expressions.push(self.shape(format!("AU{number}{suffix}"), side, half, &moved));
             }
         }
-        let jaw = vec![(Joint::Jaw, Vec3::new(action_units::JAW_DROP, 0.0, 0.0))];
+        let jaw = vec![(JointRole::Jaw as usize, Vec3::new(action_units::JAW_DROP, 0.0, 0.0))];
         units.push(ActionUnit { number: 26, side: Side::Both, expressions: vec![], joints: jaw });
         units.sort_by_key(|unit| unit.number);
         (expressions, units)
@@ -160,13 +164,13 @@ impl Whole {
 
     /// One side of a displacement defined on the left half.
     fn shape(&self, name: String, side: Side, half: &Half, moved: &[(Vec3, Vec3)]) -> Shape {
-        let mut shape = Shape::linear(name, Vec::new());
+        let (mut offsets, mut arcs) = (Vec::new(), Vec::new());
         let mut push = |vertex: usize, (offset, arc): (Vec3, Vec3)| {
             if offset.length() > UNMOVED {
-                shape.offsets.push((vertex as u32, offset * METRES_PER_MILLIMETRE));
+                offsets.push((vertex as u32, offset * METRES_PER_MILLIMETRE));
             }
             if arc.length() > UNMOVED {
-                shape.arc.push((vertex as u32, arc * METRES_PER_MILLIMETRE));
+                arcs.push((vertex as u32, arc * METRES_PER_MILLIMETRE));
             }
         };
         for (vertex, (p, &(offset, arc))) in half.points.iter().zip(moved).enumerate() {
@@ -180,7 +184,7 @@ impl Whole {
             let share = action_units::share(side, -half.points[vertex as usize].x);
             push(half.points.len() + number, (mirrored(offset) * share, mirrored(arc) * share));
         }
-        shape
+        Shape { arc: arcs, ..Shape::linear(name, offsets) }
     }
 }
 

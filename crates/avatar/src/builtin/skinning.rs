@@ -4,7 +4,7 @@ use super::curves::{lerp, smoothstep};
 use super::half::{Mark, Part};
 use super::identity::Plan;
 use super::mouth;
-use crate::Joint;
+use crate::JointRole;
 
 /// How far the skin of the upper and lower lid follows the rotation of the eyeball.
 const LID_FOLLOWS: [f32; 2] = [0.30, 0.12];
@@ -22,20 +22,20 @@ pub(super) fn joints(plan: &Plan) -> [Vec3; 5] {
 
 /// Weights of the joints for a vertex of the left half at `p`.
 pub(super) fn weights(plan: &Plan, p: Vec3, mark: &Mark) -> [f32; 5] {
-    let with = |joint: Joint, share: f32| {
+    let with = |joint: JointRole, share: f32| {
         let mut weights = [0.0; 5];
-        weights[Joint::Neck as usize] = 1.0 - share;
+        weights[JointRole::Neck as usize] = 1.0 - share;
         weights[joint as usize] += share;
         weights
     };
     match mark.part {
-        Part::Eyeball => with(Joint::LeftEye, 1.0),
-        Part::Tongue | Part::LowerTeeth => with(Joint::Jaw, 1.0),
-        Part::UpperTeeth | Part::Ear => with(Joint::Neck, 1.0),
-        Part::LidLining => with(Joint::LeftEye, lid_share(mark)),
+        Part::Eyeball => with(JointRole::LeftEye, 1.0),
+        Part::Tongue | Part::LowerTeeth => with(JointRole::Jaw, 1.0),
+        Part::UpperTeeth | Part::Ear => with(JointRole::Neck, 1.0),
+        Part::LidLining => with(JointRole::LeftEye, lid_share(mark)),
         Part::MouthLining { depth } => {
             let deep = (depth as f32 - 5.0) / (mouth::LINING_ROWS as f32 - 5.0);
-            with(Joint::Jaw, lerp(jaw_share(plan, p, mark), 0.5, smoothstep(0.0, 1.0, deep)))
+            with(JointRole::Jaw, lerp(jaw_share(plan, p, mark), 0.5, smoothstep(0.0, 1.0, deep)))
         }
         Part::Skin => {
             let neck = smoothstep(plan.chin - 85.0, plan.chin - 8.0, p.y);
@@ -44,7 +44,11 @@ pub(super) fn weights(plan: &Plan, p: Vec3, mark: &Mark) -> [f32; 5] {
                 return [1.0 - neck, neck - jaw, jaw, 0.0, 0.0];
             }
             let lid = lid_share(mark);
-            if lid > 0.0 { with(Joint::LeftEye, lid) } else { with(Joint::Jaw, jaw_share(plan, p, mark)) }
+            if lid > 0.0 {
+                with(JointRole::LeftEye, lid)
+            } else {
+                with(JointRole::Jaw, jaw_share(plan, p, mark))
+            }
         }
     }
 }

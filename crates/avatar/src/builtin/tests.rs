@@ -126,8 +126,13 @@ fn heads_have_human_measures() {
         within("mouth width", landmark(54).x - landmark(48).x, 41.0, 61.0);
         within("palpebral width", landmark(45).x - landmark(42).x, 25.0, 34.0);
         within("intercanthal width", landmark(42).x - landmark(39).x, 25.0, 40.0);
-        within("interpupillary distance", (head.joints[3].x - head.joints[4].x) / MM, 54.0, 74.0);
-        within("eyes to chin", head.joints[3].y / MM - landmark(8).y, 98.0, 130.0);
+        within(
+            "interpupillary distance",
+            (head.joints[3].position.x - head.joints[4].position.x) / MM,
+            54.0,
+            74.0,
+        );
+        within("eyes to chin", head.joints[3].position.y / MM - landmark(8).y, 98.0, 130.0);
         within("nose over lip", landmark(30).z - landmark(33).z, 9.0, 26.0);
         within("eye opening", landmark(43).y - landmark(47).y, 6.5, 14.0);
     }
@@ -183,7 +188,7 @@ fn the_surface_is_whole_and_faces_outward() {
         let [a, b, c] = triangle.map(|v| head.template[v as usize]);
         let outward = (b - a).cross(c - a);
         let middle = (a + b + c) / 3.0;
-        let eye = head.joints[if middle.x > 0.0 { 3 } else { 4 }];
+        let eye = head.joints[if middle.x > 0.0 { 3 } else { 4 }].position;
         if *region == Region::Eyeball {
             assert!(outward.dot(middle - eye) > 0.0);
         }
@@ -282,16 +287,16 @@ fn eyeballs_turn_rigidly_about_their_joints() {
     let head = HeadModel::builtin(1);
     let shaped = head.shaped(&[]);
     let mut pose = HeadPose::default();
-    pose.joints[Joint::LeftEye as usize] = Quat::from_rotation_y(0.5);
-    pose.joints[Joint::RightEye as usize] = Quat::from_rotation_x(-0.3);
+    *pose.joint_mut(JointRole::LeftEye as usize) = Quat::from_rotation_y(0.5);
+    *pose.joint_mut(JointRole::RightEye as usize) = Quat::from_rotation_x(-0.3);
     pose.expressions = vec![1.0; head.expressions.len()];
     let mut moved = Vec::new();
     head.vertices(&shaped, &pose, &mut moved);
     for (side, range) in head.eyeballs.iter().enumerate() {
-        let joint = Joint::LeftEye as usize + side;
-        let center = head.joints[joint];
+        let joint = JointRole::LeftEye as usize + side;
+        let center = head.joints[joint].position;
         assert!(range.len() > 300);
-        for vertex in range.clone().map(|v| v as usize) {
+        for vertex in range.iter().map(|&v| v as usize) {
             let expected = center + pose.joints[joint] * (head.template[vertex] - center);
             assert!(moved[vertex].distance(expected) < 1e-6);
             assert!((0.011..0.0135).contains(&head.template[vertex].distance(center)));
@@ -309,14 +314,14 @@ fn closed_lids_cover_the_eye() {
                 .iter()
                 .zip(&head.regions)
                 .filter(|(t, r)| {
-                    **r != Region::Eyeball && moved[t[0] as usize].distance(head.joints[3]) < 0.025
+                    **r != Region::Eyeball && moved[t[0] as usize].distance(head.joints[3].position) < 0.025
                 })
                 .map(|(t, _)| *t)
                 .collect();
-            let eye = head.joints[3];
+            let eye = head.joints[3].position;
             let front: Vec<Vec3> = head.eyeballs[0]
-                .clone()
-                .map(|v| moved[v as usize])
+                .iter()
+                .map(|&v| moved[v as usize])
                 .filter(|v| (*v - eye).normalize().z > 0.75)
                 .collect();
             let hidden = |v: &&Vec3| front_at(moved, &lids, v.x, v.y).is_some_and(|z| z > v.z);
@@ -341,7 +346,7 @@ fn closed_lids_cover_the_eye() {
 fn lids_never_cut_into_the_eyeballs() {
     for seed in 0..4 {
         let head = HeadModel::builtin(seed);
-        let eye = head.joints[3];
+        let eye = head.joints[3].position;
         let skin = triangles_of(&head, |region, [corner, ..]| {
             region != Region::Eyeball && corner.distance(eye) < 0.03
         });

@@ -6,7 +6,7 @@ use srflow_field::random::Stream;
 use super::strand::{Strand, add_strand};
 use super::surface::SurfacePoint;
 use super::{Dressing, catmull_rom, near_triangles, nearest_point, smoothstep};
-use crate::{Joint, Region};
+use crate::Region;
 
 const MM: f32 = 1e-3;
 const HAIRS: usize = 460;
@@ -19,8 +19,7 @@ pub(super) fn dress_brows(dressing: &mut Dressing) {
         let spine = landmarks.map(|i| dressing.surface.landmarks[i]);
         let size = dressing.surface.size;
         // Annotated landmarks run along the upper edge of the brow.
-        let eye = dressing.surface.joints
-            [if name == "right brow" { Joint::RightEye } else { Joint::LeftEye } as usize];
+        let eye = dressing.surface.eyes[usize::from(name == "right brow")];
         let mut spine = spine.map(|p| p - Vec3::Y * ((p.y - eye.y) * 0.17));
         // Brows are flatter at rest than the polyline of these landmarks.
         spine[0].y -= 2.4 * MM * size;

@@ -8,7 +8,7 @@ use super::light::{Exposure, Material, shade};
 use super::noise::Noise;
 use super::surface::{Surface, SurfacePoint};
 use super::{Dressing, smoothstep};
-use crate::{Joint, Region};
+use crate::Region;
 
 const MM: f32 = 1e-3;
 
@@ -52,7 +52,7 @@ impl Places {
             nose_tip: l[30],
             nose_wings: [l[31], l[35]],
             chin: l[8],
-            eyes: [Joint::RightEye, Joint::LeftEye].map(|j| surface.joints[j as usize] / surface.size),
+            eyes: [1, 0].map(|eye| surface.eyes[eye] / surface.size),
             bags: [bag(40, 41), bag(46, 47)],
             mouth_corner: (outward(l[48]) + outward(l[54])) * 0.5,
             ear: (outward(l[0]) + outward(l[16])) * 0.5,

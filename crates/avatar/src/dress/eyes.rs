@@ -10,7 +10,7 @@ use super::noise::Noise;
 use super::skin::flat;
 use super::surface::SurfacePoint;
 use super::{Dressing, smoothstep};
-use crate::{Joint, Region};
+use crate::Region;
 
 const MM: f32 = 1e-3;
 /// An adult's iris, metres.
@@ -22,8 +22,8 @@ const PUPIL: f32 = 0.34;
 
 /// Dresses both eyes and the lining of their lids.
 pub(super) fn dress_eyes(dressing: &mut Dressing) {
-    for joint in [Joint::LeftEye, Joint::RightEye] {
-        let eye = Eye::new(dressing, joint);
+    for side in 0..2 {
+        let eye = Eye::new(dressing, side);
         eyeball(dressing, &eye);
         highlight(dressing, &eye);
     }
@@ -31,7 +31,8 @@ pub(super) fn dress_eyes(dressing: &mut Dressing) {
 }
 
 struct Eye {
-    joint: Joint,
+    /// 0 for the left eye, 1 for the right.
+    side: usize,
     centre: Vec3,
     iris_radius: f32,
     fibres: Noise,
@@ -40,17 +41,19 @@ struct Eye {
 }
 
 impl Eye {
-    fn new(dressing: &Dressing, joint: Joint) -> Self {
+    fn new(dressing: &Dressing, side: usize) -> Self {
         let surface = dressing.surface;
-        let centre = surface.joints[joint as usize];
+        let centre = surface.eyes[side];
         let mut stream = dressing.stream("eyes");
-        let range = &surface.model.eyeballs[joint as usize - Joint::LeftEye as usize];
+        let eyeball = &surface.model.eyeballs[side];
         let mut triangles = surface.triangles_of(&[Region::Eyeball]);
-        triangles.retain(|&t| surface.model.triangles[t as usize].iter().all(|v| range.contains(v)));
+        triangles.retain(|&t| {
+            surface.model.triangles[t as usize].iter().all(|v| eyeball.binary_search(v).is_ok())
+        });
         // The back of the eyeball is never visible.
         triangles.retain(|&t| (surface.frames[t as usize].origin - centre).normalize_or(Vec3::Z).z > -0.25);
         let (fibres, veins) = (Noise::new(stream.bits()), Noise::new(stream.bits()));
-        Self { joint, centre, iris_radius: IRIS_RADIUS * surface.size, fibres, veins, triangles }
+        Self { side, centre, iris_radius: IRIS_RADIUS * surface.size, fibres, veins, triangles }
     }
 
     /// Distance from the gaze axis in iris radii; beyond the equator it stays large.
@@ -61,8 +64,7 @@ impl Eye {
 }
 
 fn eyeball(dressing: &mut Dressing, eye: &Eye) {
-    let mut stream =
-        dressing.stream(if eye.joint == Joint::LeftEye { "left eyeball" } else { "right eyeball" });
+    let mut stream = dressing.stream(["left eyeball", "right eyeball"][eye.side]);
     let size = dressing.surface.size;
     let spacing = |point: &SurfacePoint| {
         let rho = eye.rho(point.position);
@@ -164,11 +166,10 @@ fn lid_lining(dressing: &mut Dressing) {
     let surface = dressing.surface;
     let size = surface.size;
     let mut stream = dressing.stream("lid lining");
-    let eyes = [surface.joints[Joint::LeftEye as usize], surface.joints[Joint::RightEye as usize]];
     let mut triangles = surface.triangles_of(&[Region::InnerLid]);
     triangles.retain(|&t| {
         let p = surface.frames[t as usize].origin;
-        eyes.iter().any(|&eye| (p - eye).normalize_or_zero().z > 0.2)
+        surface.eyes.iter().any(|&eye| (p - eye).normalize_or_zero().z > 0.2)
     });
     let pink = dressing.appearance.skin.lerp(Vec3::new(0.60, 0.27, 0.23), 0.6);
     for point in surface.scatter(&triangles, |_| 0.55 * MM * size, &mut stream) {
@@ -188,8 +189,8 @@ fn lid_lining(dressing: &mut Dressing) {
 fn tear_lines(dressing: &mut Dressing, stream: &mut Stream) {
     let surface = dressing.surface;
     let size = surface.size;
-    for (joint, corners) in [(Joint::RightEye, [36, 41, 40, 39]), (Joint::LeftEye, [45, 46, 47, 42])] {
-        let eye = surface.joints[joint as usize];
+    for (side, corners) in [(1, [36, 41, 40, 39]), (0, [45, 46, 47, 42])] {
+        let eye = surface.eyes[side];
         let lids = super::near_triangles(
             surface,
             &[Region::LidMargin, Region::InnerLid, Region::Skin],

@@ -9,7 +9,7 @@ use super::noise::Noise;
 use super::strand::{Strand, add_strand};
 use super::surface::{Buckets, Surface, SurfacePoint};
 use super::{Dressing, smoothstep};
-use crate::{Joint, Region};
+use crate::{JointRole, Region};
 
 const MM: f32 = 1e-3;
 
@@ -308,11 +308,12 @@ impl<'a> Growth<'a> {
 fn anchors(surface: &Surface) -> Vec<u32> {
     let mut still = vec![true; surface.vertices.len()];
     let far = 0.4 * MM * surface.size;
-    for (v, offset) in surface.model.expressions.iter().flat_map(|shape| &shape.offsets) {
-        still[*v as usize] &= offset.length() < far;
+    for (v, offset) in surface.model.expressions.iter().flat_map(|shape| shape.offsets.iter()) {
+        still[v as usize] &= offset.length() < far;
     }
-    for (v, weights) in surface.model.skinning.iter().enumerate() {
-        still[v] &= weights[Joint::Neck as usize] > 0.98;
+    let neck = surface.model.joint(JointRole::Neck).unwrap_or(0);
+    for (v, still) in still.iter_mut().enumerate() {
+        *still &= surface.model.skinning.weight(v, neck) > 0.98;
     }
     let mut anchors = surface.triangles_of(&[Region::Scalp]);
     anchors.retain(|&t| surface.model.triangles[t as usize].iter().all(|&v| still[v as usize]));

@@ -5,22 +5,23 @@ use srflow_field::random::Stream;
 
 use super::strand::{Strand, add_strand};
 use super::{Dressing, catmull_rom, near_triangles, nearest_point};
-use crate::{Joint, Region};
+use crate::Region;
 
 const MM: f32 = 1e-3;
 
 /// One lid: its landmarks from the outer to the inner corner.
 struct Lid {
-    eye: Joint,
+    /// 0 for the left eye, 1 for the right.
+    eye: usize,
     landmarks: [usize; 4],
     upper: bool,
 }
 
 const LIDS: [Lid; 4] = [
-    Lid { eye: Joint::RightEye, landmarks: [36, 37, 38, 39], upper: true },
-    Lid { eye: Joint::RightEye, landmarks: [36, 41, 40, 39], upper: false },
-    Lid { eye: Joint::LeftEye, landmarks: [45, 44, 43, 42], upper: true },
-    Lid { eye: Joint::LeftEye, landmarks: [45, 46, 47, 42], upper: false },
+    Lid { eye: 1, landmarks: [36, 37, 38, 39], upper: true },
+    Lid { eye: 1, landmarks: [36, 41, 40, 39], upper: false },
+    Lid { eye: 0, landmarks: [45, 44, 43, 42], upper: true },
+    Lid { eye: 0, landmarks: [45, 46, 47, 42], upper: false },
 ];
 
 /// Grows the lashes of all four lids.
@@ -28,7 +29,7 @@ pub(super) fn dress_lashes(dressing: &mut Dressing) {
     for (number, lid) in LIDS.iter().enumerate() {
         let mut stream = dressing.stream(["lashes 0", "lashes 1", "lashes 2", "lashes 3"][number]);
         let surface = dressing.surface;
-        let eye = surface.joints[lid.eye as usize];
+        let eye = surface.eyes[lid.eye];
         let regions = [Region::LidMargin, Region::Skin];
         let skin = near_triangles(surface, &regions, eye, 0.028 * surface.size);
         let hairs = if lid.upper { 88 } else { 50 };

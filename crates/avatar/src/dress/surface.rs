@@ -6,7 +6,7 @@ use glam::{IVec3, Quat, Vec3};
 use srflow_field::random::Stream;
 
 use crate::binding::TriangleFrame;
-use crate::{HeadModel, Joint, Region, ShapedHead};
+use crate::{HeadModel, JointRole, Region, ShapedHead};
 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SurfacePoint {
@@ -22,7 +22,8 @@ pub(super) struct SurfacePoint {
 pub(super) struct Surface<'a> {
     pub model: &'a HeadModel,
     pub vertices: &'a [Vec3],
-    pub joints: &'a [Vec3; 5],
+    /// Centres of the left and the right eyeball.
+    pub eyes: [Vec3; 2],
     /// Vertex normals, unit length.
     pub normals: Vec<Vec3>,
     pub frames: Vec<TriangleFrame>,
@@ -53,15 +54,20 @@ impl<'a> Surface<'a> {
             let [a, b, c] = corners(t);
             TriangleFrame::of(a, b, c)
         });
-        let eyes = shaped.joints[Joint::LeftEye as usize].distance(shaped.joints[Joint::RightEye as usize]);
+        let landmarks: Vec<Vec3> = model.landmarks_on(vertices).collect();
+        let roles = [(JointRole::LeftEye, 42), (JointRole::RightEye, 36)];
+        let eyes = roles.map(|(role, first)| match model.joint(role) {
+            Some(joint) => shaped.joints[joint],
+            None => behind_lids(&landmarks[first..first + 6]),
+        });
         Self {
             model,
             vertices,
-            joints: &shaped.joints,
+            eyes,
             normals,
             frames: frames.collect(),
-            landmarks: model.landmarks_on(vertices).collect(),
-            size: (eyes / AVERAGE_EYE_DISTANCE).clamp(0.2, 5.0),
+            landmarks,
+            size: (eyes[0].distance(eyes[1]) / AVERAGE_EYE_DISTANCE).clamp(0.2, 5.0),
         }
     }
 
@@ -222,6 +228,13 @@ impl<'a> Surface<'a> {
             }
         }
     }
+}
+
+/// Centre of the eyeball behind these landmarks of the lids, from one corner to the other: as far behind the corners as in an
+/// average head.
+fn behind_lids(lids: &[Vec3]) -> Vec3 {
+    let corners = lids[0].distance(lids[3]);
+    (lids[0] + lids[3]) * 0.5 - Vec3::Z * (0.3 * corners)
 }
 
 /// Points by grid cell.

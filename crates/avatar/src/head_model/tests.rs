@@ -1,4 +1,4 @@
-use glam::{Mat4, Quat, Vec3};
+use glam::{DMat4, DVec3, Quat, Vec3};
 use srflow_field::random::{Key, Stream};
 
 use super::*;
@@ -7,12 +7,30 @@ fn vector(stream: &mut Stream) -> Vec3 {
     Vec3::new(stream.normal(), stream.normal(), stream.normal())
 }
 
+/// A tree of seven joints: the five of FLAME, and two without a role below the jaw.
+fn joints(stream: &mut Stream) -> Vec<Joint> {
+    let mut joints = Joint::of_roles(std::array::from_fn(|_| vector(stream) * 0.05));
+    for (name, parent) in [("chin", 2), ("tongue", 5)] {
+        joints.push(Joint { name: name.to_owned(), role: None, parent: Some(parent), ..joints[0].clone() });
+    }
+    for (number, joint) in (0..).zip(&mut joints) {
+        joint.position = vector(stream) * 0.05;
+        joint.follows = vec![(3 * number, 0.25), (3 * number + 1, 0.75)];
+        joint.identities = vec![vector(stream) * 0.01, vector(stream) * 0.01];
+    }
+    joints
+}
+
 fn model(stream: &mut Stream) -> HeadModel {
     let count = 60;
+    let sparse = |stream: &mut Stream, step: usize, size: f32| {
+        (0..count).step_by(step).map(|v| (v, vector(stream) * size)).collect::<Vec<_>>()
+    };
+    let dense = |stream: &mut Stream| Offsets::Dense((0..count).map(|_| vector(stream) * 0.02).collect());
     let shape = |stream: &mut Stream, name: &str| Shape {
         name: name.to_owned(),
-        offsets: (0..count).step_by(3).map(|v| (v, vector(stream) * 0.02)).collect(),
-        arc: (0..count).step_by(5).map(|v| (v, vector(stream) * 0.01)).collect(),
+        offsets: sparse(stream, 3, 0.02).into(),
+        arc: sparse(stream, 5, 0.01),
     };
     let unit = |number, side, expression, weight, joints| ActionUnit {
         number,
@@ -20,95 +38,157 @@ fn model(stream: &mut Stream) -> HeadModel {
         expressions: vec![(expression, weight)],
         joints,
     };
+    let corrective = |stream: &mut Stream, joint: usize| PoseCorrective {
+        joint,
+        entries: std::array::from_fn(
+            |i| if i % 2 == 0 { dense(stream) } else { sparse(stream, 4, 0.02).into() },
+        ),
+    };
+    let joints = joints(stream);
     HeadModel {
         name: "test".to_owned(),
         template: (0..count).map(|_| vector(stream) * 0.1).collect(),
         triangles: (0..count - 2).map(|v| [v, v + 1, v + 2]).collect(),
         regions: vec![Region::Skin; count as usize - 2],
-        identities: vec![shape(stream, "wide"), shape(stream, "tall")],
+        identities: vec![shape(stream, "wide"), Shape::linear("tall", dense(stream))],
         expressions: vec![shape(stream, "smile_L"), shape(stream, "smile_R"), shape(stream, "close")],
-        joints: std::array::from_fn(|_| vector(stream) * 0.05),
-        joint_regressor: std::array::from_fn(|joint| {
-            vec![(3 * joint as u32, 0.25), (3 * joint as u32 + 1, 0.75)]
-        }),
+        joints_follow_expressions: stream.unit() < 0.5,
         skinning: (0..count)
             .map(|_| {
-                let raw: [f32; 5] = std::array::from_fn(|_| stream.unit());
-                let sum: f32 = raw.iter().sum();
-                raw.map(|weight| weight / sum)
+                let raw: [f32; 7] = std::array::from_fn(|_| (stream.unit() - 0.3).max(0.0));
+                let sum: f32 = raw.iter().sum::<f32>() + 0.1;
+                let [first, others @ ..] = raw;
+                let mut row = [0.0; 7];
+                row[0] = (first + 0.1) / sum;
+                row[1..].copy_from_slice(&others.map(|weight| weight / sum));
+                row
             })
             .collect(),
+        pose_correctives: vec![corrective(stream, 2), corrective(stream, 6)],
         action_units: vec![
             unit(12, Side::Left, 0, 1.0, vec![]),
             unit(12, Side::Right, 1, 1.0, vec![]),
             unit(43, Side::Both, 2, 0.8, vec![]),
             unit(45, Side::Both, 2, 0.8, vec![]),
-            unit(26, Side::Both, 2, 0.0, vec![(Joint::Jaw, Vec3::new(0.2, 0.0, 0.0))]),
+            unit(26, Side::Both, 2, 0.0, vec![(2, Vec3::new(0.2, 0.0, 0.0))]),
         ],
         landmarks: vec![(3, Vec3::new(0.2, 0.3, 0.5))],
-        eyeballs: [0..2, 2..4],
+        eyeballs: [vec![0, 1], vec![2, 3]],
+        vertex_groups: [("lips".to_owned(), vec![4, 9])].into(),
+        joints,
     }
 }
 
 fn pose(stream: &mut Stream) -> HeadPose {
     HeadPose {
         expressions: vec![0.3, 1.0, -0.5],
-        joints: std::array::from_fn(|_| Quat::from_scaled_axis(vector(stream) * 0.5)),
+        joints: (0..6).map(|_| Quat::from_scaled_axis(vector(stream) * 0.5)).collect(),
         translation: vector(stream) * 0.1,
+        offset: (0..60).map(|_| vector(stream) * 0.005).collect(),
     }
 }
 
-/// Skinning written out with 4x4 matrices, as in FLAME's `lbs.py`.
-fn skinned_by_matrices(model: &HeadModel, shaped: &ShapedHead, pose: &HeadPose) -> Vec<Vec3> {
-    let chain = |joint: usize| -> Vec<usize> {
-        match joint {
-            0 => vec![0],
-            1 => vec![0, 1],
-            other => vec![0, 1, other],
+fn double(v: Vec3) -> DVec3 {
+    v.as_dvec3()
+}
+
+fn offset(offsets: &Offsets, vertex: usize) -> DVec3 {
+    offsets.iter().filter(|(v, _)| *v as usize == vertex).map(|(_, offset)| double(offset)).sum()
+}
+
+/// The definition in f64 with 4x4 matrices, vertex by vertex, as in FLAME's `lbs.py`.
+fn by_definition(model: &HeadModel, identity: &[f32], static_offset: &[Vec3], pose: &HeadPose) -> Vec<DVec3> {
+    let count = model.template.len();
+    let weighted = |shapes: &[Shape], weights: &[f32], v: usize| -> DVec3 {
+        let moved = shapes.iter().zip(weights).map(|(shape, &w)| {
+            let w = f64::from(w);
+            let bend = if (0.0..=1.0).contains(&w) { 4.0 * w * (1.0 - w) } else { 0.0 };
+            offset(&shape.offsets, v) * w + offset(&Offsets::Sparse(shape.arc.clone()), v) * bend
+        });
+        moved.sum()
+    };
+    let displacement = |v: usize, expression: bool| {
+        let still = weighted(&model.identities, identity, v) + double(static_offset[v]);
+        if expression {
+            still + weighted(&model.expressions, &pose.expressions, v) + double(pose.offset[v])
+        } else {
+            still
         }
     };
-    let global: Vec<Mat4> = (0..5)
+    let rest: Vec<DVec3> = model
+        .joints
+        .iter()
         .map(|joint| {
-            chain(joint).into_iter().fold(Mat4::IDENTITY, |matrix, j| {
-                let about = shaped.joints[j];
-                matrix
-                    * Mat4::from_translation(about)
-                    * Mat4::from_quat(pose.joints[j])
-                    * Mat4::from_translation(-about)
-            })
+            let moved = |(v, w): &(u32, f32)| {
+                displacement(*v as usize, model.joints_follow_expressions) * f64::from(*w)
+            };
+            let by_identity = joint.identities.iter().zip(identity).map(|(o, w)| double(*o) * f64::from(*w));
+            double(joint.position)
+                + joint.follows.iter().map(moved).sum::<DVec3>()
+                + by_identity.sum::<DVec3>()
         })
         .collect();
-    (0..shaped.vertices.len())
-        .map(|v| {
-            let mut vertex = shaped.vertices[v];
-            for (shape, &w) in model.expressions.iter().zip(&pose.expressions) {
-                let find =
-                    |list: &[(u32, Vec3)]| list.iter().find(|o| o.0 == v as u32).map_or(Vec3::ZERO, |o| o.1);
-                let bend = if (0.0..=1.0).contains(&w) { 4.0 * w * (1.0 - w) } else { 0.0 };
-                vertex += find(&shape.offsets) * w + find(&shape.arc) * bend;
+    let local = |joint: usize| DMat4::from_quat(pose.joint(joint).as_dquat().normalize());
+    let mut world: Vec<DMat4> = Vec::new();
+    for (number, joint) in model.joints.iter().enumerate() {
+        let about =
+            DMat4::from_translation(rest[number]) * local(number) * DMat4::from_translation(-rest[number]);
+        world.push(joint.parent.map_or(DMat4::IDENTITY, |parent| world[parent]) * about);
+    }
+    let posed = |v: usize| {
+        let mut vertex = double(model.template[v]) + displacement(v, true);
+        for corrective in &model.pose_correctives {
+            let turn = local(corrective.joint);
+            for (entry, shape) in corrective.entries.iter().enumerate() {
+                let (row, column) = (entry / 3, entry % 3);
+                let weight = turn.row(row)[column] - f64::from(u8::from(row == column));
+                vertex += offset(shape, v) * weight;
             }
-            let skinned = (0..5).fold(Vec3::ZERO, |sum, joint| {
-                sum + model.skinning[v][joint] * global[joint].transform_point3(vertex)
-            });
-            skinned + pose.translation
-        })
-        .collect()
+        }
+        let skinned = (0..model.joints.len())
+            .map(|joint| world[joint].transform_point3(vertex) * f64::from(model.skinning.weight(v, joint)));
+        skinned.sum::<DVec3>() + double(pose.translation)
+    };
+    (0..count).map(posed).collect()
 }
 
 #[test]
-fn skinning_agrees_with_the_matrices_of_flame() {
+fn vertices_agree_with_their_definition() {
     for seed in 0..20 {
         let stream = &mut Key::new(seed).stream("head model");
         let (model, pose) = (model(stream), pose(stream));
-        let shaped = model.shaped(&[0.7, -1.3]);
+        let (identity, offset) = ([0.7, -1.3], vec![Vec3::new(1e-3, 2e-3, -1e-3); 60]);
+        let shaped = model.shaped_with_offset(&identity, &offset);
         let mut fast = vec![Vec3::ONE; 7];
         model.vertices(&shaped, &pose, &mut fast);
-        let slow = skinned_by_matrices(&model, &shaped, &pose);
+        let slow = by_definition(&model, &identity, &offset, &pose);
         assert_eq!(fast.len(), slow.len());
         for (fast, slow) in fast.iter().zip(&slow) {
-            assert!(fast.distance(*slow) < 1e-6, "{fast} {slow}");
+            // A millionth of the model's size, which is about half a metre.
+            assert!(double(*fast).distance(*slow) < 5e-7, "{fast} {slow}");
         }
     }
+}
+
+#[test]
+fn a_pose_may_list_fewer_joints_than_the_model_has() {
+    let mut pose = HeadPose::default();
+    assert_eq!(pose.joint(4), Quat::IDENTITY);
+    *pose.joint_mut(2) = Quat::from_rotation_x(0.5);
+    assert_eq!(pose.joints, [Quat::IDENTITY, Quat::IDENTITY, Quat::from_rotation_x(0.5)]);
+}
+
+#[test]
+fn shapes_are_stored_in_the_smaller_form() {
+    let few: Vec<Vec3> = (0..100).map(|v| if v % 10 == 3 { Vec3::ONE } else { Vec3::ZERO }).collect();
+    let sparse = Offsets::compact(few.clone());
+    assert!(matches!(&sparse, Offsets::Sparse(offsets) if offsets.len() == 10));
+    let many: Vec<Vec3> = (0..100).map(|v| if v % 10 == 3 { Vec3::ZERO } else { Vec3::ONE }).collect();
+    assert_eq!(Offsets::compact(many.clone()), Offsets::Dense(many));
+    let mut moved = vec![Vec3::ZERO; 100];
+    sparse.add_to(&mut moved, 1.0);
+    assert_eq!(moved, few);
+    assert!(sparse.iter().all(|(v, offset)| few[v as usize] == offset));
 }
 
 #[test]
@@ -116,10 +196,11 @@ fn the_identity_carries_the_joints_along() {
     let model = model(&mut Key::new(1).stream("head model"));
     let shaped = model.shaped(&[2.0]);
     let moved = |vertex: usize| shaped.vertices[vertex] - model.template[vertex];
-    let expected = model.joints[2] + 0.25 * moved(6) + 0.75 * moved(7);
+    let joint = &model.joints[2];
+    let expected = joint.position + 0.25 * moved(6) + 0.75 * moved(7) + 2.0 * joint.identities[0];
     assert!(shaped.joints[2].distance(expected) < 1e-7);
     assert_eq!(model.shaped(&[]).vertices, model.template);
-    assert_eq!(model.shaped(&[]).joints, model.joints);
+    assert_eq!(model.shaped(&[]).joints, model.joints.iter().map(|j| j.position).collect::<Vec<_>>());
 }
 
 #[test]
@@ -133,8 +214,7 @@ fn action_units_add_up_to_full_weight() {
     assert_eq!(expressions(&[(12, Side::Right, 9.0), (12, Side::Left, f32::NAN)]), Ok(vec![0.0, 1.0, 0.0]));
     let missing = expressions(&[(99, Side::Both, 1.0)]).map_err(|error| error.to_string());
     assert!(missing.is_err_and(|text| text.contains("99") && text.contains("12, 26, 43, 45")));
-    let jaw =
-        model.pose_of_action_units(&[(26, Side::Both, 0.5)]).map(|pose| pose.joints[Joint::Jaw as usize]);
+    let jaw = model.pose_of_action_units(&[(26, Side::Both, 0.5)]).map(|pose| pose.joint(2));
     assert!(jaw.is_ok_and(|turn| turn.to_scaled_axis().distance(Vec3::new(0.1, 0.0, 0.0)) < 1e-6));
 }
 
@@ -152,15 +232,50 @@ fn validation_names_each_fault() {
     };
     fault("triangle", &|m| m.triangles[4][1] = 60, "a triangle refers to number 60");
     fault("regions", &|m| m.regions.truncate(5), "regions has 5 entries, expected 58");
-    fault("skinning", &|m| m.skinning.truncate(5), "skinning has 5 entries, expected 60");
-    fault("weights", &|m| m.skinning[9][0] += 0.5, "joint weights of 9 sum to 1.5");
-    fault("nan weights", &|m| m.skinning[9][0] = f32::NAN, "joint weights of 9 sum to NaN");
+    fault(
+        "skinning",
+        &|m| m.skinning = std::iter::repeat_n([1.0], 5).collect(),
+        "skinning has 5 entries, expected 60",
+    );
+    let weigh =
+        |m: &mut HeadModel, weights: [f32; 8]| m.skinning = std::iter::repeat_n(weights, 60).collect();
+    fault(
+        "weights",
+        &|m| weigh(m, [1.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        "joint weights of 0 sum to 1.5",
+    );
+    fault("nan weights", &|m| weigh(m, [f32::NAN; 8]), "skinning refers to number 7, but there are only 7");
+    fault(
+        "nan weight",
+        &|m| m.skinning = std::iter::repeat_n([f32::NAN], 60).collect(),
+        "joint weights of 0 sum to NaN",
+    );
     fault("vertex", &|m| m.template[2].x = f32::INFINITY, "vertex 2 is not");
-    fault("shape", &|m| m.expressions[1].offsets[0].0 = 1000, "smile_R refers to number 1000");
+    fault(
+        "shape",
+        &|m| m.expressions[1].offsets = Offsets::Sparse(vec![(1000, Vec3::ONE)]),
+        "smile_R refers to number 1000",
+    );
+    fault(
+        "dense shape",
+        &|m| m.expressions[1].offsets = Offsets::Dense(vec![Vec3::ONE; 59]),
+        "a shape has 59 entries, expected 60",
+    );
     fault("arc", &|m| m.expressions[1].arc[0].1.y = f32::NAN, "smile_R 0 is not");
-    fault("regressor", &|m| m.joint_regressor[2][0].0 = 61, "joint regressor refers to number 61");
+    fault("regressor", &|m| m.joints[2].follows[0].0 = 61, "joint regressor refers to number 61");
+    fault("no joints", &|m| m.joints.clear(), "the first joint is not the root");
+    fault("parent", &|m| m.joints[3].parent = Some(3), "parent of a joint refers to number 3");
+    fault("orphan", &|m| m.joints[3].parent = None, "a joint without a parent refers to number 3");
+    fault("roles", &|m| m.joints[4].role = Some(JointRole::Jaw), "right_eye has the role of another joint");
+    fault("corrective", &|m| m.pose_correctives[0].joint = 7, "pose corrective refers to number 7");
+    fault("unit's joint", &|m| m.action_units[4].joints[0].0 = 7, "action unit 26 (Both) refers to number 7");
+    fault(
+        "group",
+        &|m| _ = m.vertex_groups.insert("nose".into(), vec![60]),
+        "group nose refers to number 60",
+    );
     fault("unit", &|m| m.action_units[0].expressions[0].0 = 3, "action unit 12 (Left) refers to number 3");
     fault("landmark", &|m| m.landmarks[0].0 = 58, "landmark refers to number 58");
     fault("barycentric", &|m| m.landmarks[0].1 = Vec3::ONE, "barycentric coordinates of 0 sum to 3");
-    fault("eyeball", &|m| m.eyeballs[1] = 2..61, "eyeball refers to number 61");
+    fault("eyeball", &|m| m.eyeballs[1] = vec![2, 61], "eyeball refers to number 61");
 }

@@ -1,4 +1,4 @@
-use super::{HeadModel, Shape, Side};
+use super::{HeadModel, JointRole, Offsets, Shape, Side};
 
 /// Errors of a head model or its use.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -16,7 +16,7 @@ pub enum HeadModelError {
         /// Entries expected.
         expected: usize,
     },
-    /// An index refers to a vertex, triangle or expression that does not exist.
+    /// An index refers to a vertex, triangle, joint or expression that does not exist.
     #[error("head model {model}: {what} refers to number {index}, but there are only {count}")]
     Index {
         /// Name of the model.
@@ -48,6 +48,20 @@ pub enum HeadModelError {
         /// Vertex or landmark number.
         index: usize,
         sum: f32,
+    },
+    /// The first joint is not the root.
+    #[error("head model {model}: the first joint is not the root of the others")]
+    NoRoot {
+        /// Name of the model.
+        model: String,
+    },
+    /// Two joints have the same role.
+    #[error("head model {model}: the joint {joint} has the role of another joint")]
+    Roles {
+        /// Name of the model.
+        model: String,
+        /// Name of the second joint.
+        joint: String,
     },
     /// The model has no such action unit.
     #[error("head model {model} has no action unit {number} ({side:?}); it has {}", list(.available))]
@@ -81,35 +95,68 @@ impl HeadModel {
     /// # Errors
     /// The first problem found.
     pub fn validate(&self) -> Result<(), HeadModelError> {
-        self.check_count("skinning", self.skinning.len(), self.template.len())?;
+        let vertices = self.template.len();
+        self.check_count("skinning", self.skinning.len(), vertices)?;
         self.check_count("regions", self.regions.len(), self.triangles.len())?;
         self.check_finite("vertex", self.template.iter().map(|v| v.is_finite()))?;
-        self.check_finite("joint", self.joints.iter().map(|v| v.is_finite()))?;
         self.check_indices("a triangle", self.triangles.iter().flatten())?;
         for shape in self.identities.iter().chain(&self.expressions) {
             self.check_shape(shape)?;
         }
-        for follow in &self.joint_regressor {
-            self.check_indices("the joint regressor", follow.iter().map(|(vertex, _)| vertex))?;
-            self.check_finite("weight of the joint regressor", follow.iter().map(|(_, w)| w.is_finite()))?;
+        self.check_joints()?;
+        for corrective in &self.pose_correctives {
+            self.check_index("a pose corrective", corrective.joint, self.joints.len())?;
+            corrective.entries.iter().try_for_each(|entry| self.check_offsets("a pose corrective", entry))?;
         }
         for (vertex, weights) in self.skinning.iter().enumerate() {
-            self.check_sum("joint weights", vertex, weights.iter().sum())?;
+            let joints = weights.iter().map(|(joint, _)| *joint as usize);
+            joints
+                .clone()
+                .try_for_each(|joint| self.check_index("the skinning", joint, self.joints.len()))?;
+            self.check_sum("joint weights", vertex, weights.iter().map(|(_, weight)| weight).sum())?;
         }
         self.check_action_units()?;
         self.check_landmarks()?;
-        for range in &self.eyeballs {
-            self.check_index("an eyeball", range.end as usize, self.template.len() + 1)?;
-            self.check_index("an eyeball", range.start as usize, range.end as usize + 1)?;
-        }
-        Ok(())
+        self.check_indices("an eyeball", self.eyeballs.iter().flatten())?;
+        self.vertex_groups
+            .iter()
+            .try_for_each(|(name, group)| self.check_indices(&format!("the group {name}"), group))
     }
 
     fn check_shape(&self, shape: &Shape) -> Result<(), HeadModelError> {
         let what = format!("shape {}", shape.name);
-        for offsets in [&shape.offsets, &shape.arc] {
-            self.check_indices(&what, offsets.iter().map(|(vertex, _)| vertex))?;
-            self.check_finite(&what, offsets.iter().map(|(_, offset)| offset.is_finite()))?;
+        self.check_offsets(&what, &shape.offsets)?;
+        self.check_indices(&what, shape.arc.iter().map(|(vertex, _)| vertex))?;
+        self.check_finite(&what, shape.arc.iter().map(|(_, offset)| offset.is_finite()))
+    }
+
+    fn check_offsets(&self, what: &str, offsets: &Offsets) -> Result<(), HeadModelError> {
+        match offsets {
+            Offsets::Sparse(offsets) => self.check_indices(what, offsets.iter().map(|(vertex, _)| vertex))?,
+            Offsets::Dense(offsets) => self.check_count("a shape", offsets.len(), self.template.len())?,
+        }
+        self.check_finite(what, offsets.iter().map(|(_, offset)| offset.is_finite()))
+    }
+
+    fn check_joints(&self) -> Result<(), HeadModelError> {
+        if self.joint(JointRole::Root) != Some(0) {
+            return Err(HeadModelError::NoRoot { model: self.name.clone() });
+        }
+        self.check_finite("joint", self.joints.iter().map(|joint| joint.position.is_finite()))?;
+        for (index, joint) in self.joints.iter().enumerate() {
+            match joint.parent {
+                // Parents before children; the first joint has none, and all others have one.
+                Some(parent) => self.check_index("the parent of a joint", parent, index)?,
+                None => self.check_index("a joint without a parent", index, 1)?,
+            }
+            if joint.role.is_some_and(|role| self.joint(role) != Some(index)) {
+                return Err(HeadModelError::Roles { model: self.name.clone(), joint: joint.name.clone() });
+            }
+            self.check_indices("the joint regressor", joint.follows.iter().map(|(vertex, _)| vertex))?;
+            let weights = joint.follows.iter().map(|(_, weight)| weight.is_finite());
+            self.check_finite("weight of the joint regressor", weights)?;
+            let moved = joint.identities.iter().map(|offset| offset.is_finite());
+            self.check_finite("displacement of a joint by identity", moved)?;
         }
         Ok(())
     }
@@ -122,6 +169,9 @@ impl HeadModel {
             }
             self.check_finite(&what, unit.expressions.iter().map(|(_, weight)| weight.is_finite()))?;
             self.check_finite(&what, unit.joints.iter().map(|(_, turn)| turn.is_finite()))?;
+            for &(joint, _) in &unit.joints {
+                self.check_index(&what, joint, self.joints.len())?;
+            }
         }
         Ok(())
     }

@@ -1,7 +1,7 @@
 //! A scene: one moving subject in front of a moving camera. Frames can be computed in any order.
 
 use glam::{EulerRot, Quat};
-use srflow_avatar::{Avatar, HeadModel, HeadPose, Joint, Moment, Motion, Side};
+use srflow_avatar::{Avatar, HeadModel, HeadPose, Moment, Motion, Side};
 use srflow_field::Image;
 use srflow_field::random::{Key, Stream};
 use srflow_splat::Camera;
@@ -131,7 +131,7 @@ impl Action {
         let mut pose = moment.pose.clone();
         let [yaw, pitch, roll] = subject.map(|degrees| degrees.to_radians() as f32);
         let turn = Quat::from_euler(EulerRot::YXZ, yaw, -pitch, roll);
-        let root = &mut pose.joints[Joint::Root as usize];
+        let root = pose.joint_mut(0);
         *root = (turn * *root).normalize();
         FrameState { camera, pose, view, subject, moment }
     }
@@ -140,7 +140,6 @@ impl Action {
 /// The record of a frame.
 pub(crate) fn record(model: &HeadModel, frame: u32, state: &FrameState) -> FrameRecord {
     let weights = model.expressions.iter().zip(&state.pose.expressions);
-    let joints = [Joint::Root, Joint::Neck, Joint::Jaw, Joint::LeftEye, Joint::RightEye];
     FrameRecord {
         frame,
         camera: record_from_camera(&state.camera),
@@ -150,10 +149,11 @@ pub(crate) fn record(model: &HeadModel, frame: u32, state: &FrameState) -> Frame
             .filter(|(_, weight)| **weight != 0.0)
             .map(|(shape, weight)| (shape.name.clone(), *weight))
             .collect(),
-        joints: joints
-            .into_iter()
-            .zip(state.pose.joints)
-            .map(|(joint, rotation)| (joint_name(joint).to_owned(), rotation.to_array()))
+        joints: model
+            .joints
+            .iter()
+            .enumerate()
+            .map(|(number, joint)| (joint.name.clone(), state.pose.joint(number).to_array()))
             .collect(),
         translation: state.pose.translation.to_array(),
         gaze: state.moment.gaze,
@@ -178,16 +178,6 @@ fn soften(moment: &mut Moment, strength: f32) {
     moment.pose.translation *= strength;
     moment.gaze = moment.gaze.map(|angle| angle * strength);
     moment.action_units.iter_mut().for_each(|(_, _, intensity)| *intensity *= strength);
-}
-
-fn joint_name(joint: Joint) -> &'static str {
-    match joint {
-        Joint::Root => "root",
-        Joint::Neck => "neck",
-        Joint::Jaw => "jaw",
-        Joint::LeftEye => "left_eye",
-        Joint::RightEye => "right_eye",
-    }
 }
 
 /// `AU12_L` where a unit has halves, else `AU9`.

@@ -1,7 +1,7 @@
 //! One clip: a head with a micro-expression and a slight drift, in front of a static camera.
 
 use glam::{DVec3, EulerRot, Quat, Vec3};
-use srflow_avatar::{Avatar, HeadModelError, HeadPose, Joint, MicroExpression, PosedHead};
+use srflow_avatar::{Avatar, HeadModelError, HeadPose, MicroExpression, PosedHead};
 use srflow_field::random::{Key, Stream};
 use srflow_read::micro_expression::EmotionClass;
 use srflow_splat::{Camera, Gaussians};
@@ -77,7 +77,7 @@ impl Clip {
         let [yaw, pitch, roll, x, y, z] =
             self.drift.at(frame as f64 / (self.frames - 1).max(1) as f64).map(|value| value as f32);
         let turn = Quat::from_euler(EulerRot::YXZ, yaw.to_radians(), -pitch.to_radians(), roll.to_radians());
-        let root = &mut pose.joints[Joint::Root as usize];
+        let root = pose.joint_mut(0);
         *root = (turn * *root).normalize();
         pose.translation += Vec3::new(x, y, z);
         Ok(pose)
@@ -120,7 +120,7 @@ impl Clip {
 }
 
 fn landmarks<'a>(avatar: &'a Avatar, vertices: &'a [Vec3]) -> impl Iterator<Item = DVec3> + 'a {
-    avatar.model().landmarks_on(vertices).map(|place| place.as_dvec3())
+    avatar.model().landmarks_on(vertices).take(68).map(|place| place.as_dvec3())
 }
 
 /// A camera at a distance of one metre whose square frame the face fills.

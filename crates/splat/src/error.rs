@@ -34,6 +34,21 @@ pub enum RasterizeError {
         /// Width and height of the next camera's image.
         next: (usize, usize),
     },
+    /// A list of gradients does not fit the rendered image.
+    #[error(
+        "the gradients: {list} has {found} entries, an image of {width}x{height} (WIDTHxHEIGHT) needs {} or none",
+        .width * .height
+    )]
+    GradientLength {
+        /// Name of the field, e.g. `color`.
+        list: &'static str,
+        /// Entries found.
+        found: usize,
+        /// Width of the image in pixels.
+        width: usize,
+        /// Height of the image in pixels.
+        height: usize,
+    },
     /// A camera cannot be rendered.
     #[error(transparent)]
     Camera(#[from] CameraError),

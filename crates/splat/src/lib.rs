@@ -10,6 +10,7 @@ mod camera;
 mod error;
 mod frame;
 mod gaussians;
+mod gradients;
 mod ordering;
 mod ply;
 mod projection;
@@ -24,6 +25,7 @@ pub use camera::{
 pub use error::{CameraError, RasterizeError};
 pub use frame::{Frame, Outputs, Statistics};
 pub use gaussians::Gaussians;
+pub use gradients::{CameraGradient, FrameGradients};
 pub use ply::{read_ply, write_ply};
 pub use rasterizer::{Next, Options, Rasterizer};
 

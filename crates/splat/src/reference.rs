@@ -14,7 +14,13 @@
 //! A Gaussian is not drawn when its centre's depth is at most [`NEAR`], its opacity is under 1/255, its quaternion has length
 //! zero, or any of its parameters is not finite.
 
-use glam::{DMat3, DVec2, DVec3};
+mod backward;
+#[cfg(test)]
+mod tests;
+
+use glam::{DMat3, DQuat, DVec2, DVec3};
+
+pub use backward::{Gradients, backward};
 
 use crate::{Camera, Gaussians, NEAR, Next, Options, RasterizeError, sh};
 
@@ -45,8 +51,26 @@ pub struct Pixel {
     pub blended: u32,
 }
 
+/// Everything that a rendering depends on, in `f64`.
+#[derive(Debug, Clone)]
+struct Scene {
+    positions: Vec<DVec3>,
+    scales: Vec<DVec3>,
+    rotations: Vec<DQuat>,
+    opacities: Vec<f64>,
+    sh_degree: usize,
+    sh: Vec<[f64; 3]>,
+    camera: Camera,
+    /// The moved positions and the next camera.
+    next: Option<(Vec<DVec3>, Camera)>,
+    options: Options,
+}
+
 /// A Gaussian on the image plane.
+#[derive(Debug, Clone, Copy)]
 struct Splat {
+    /// Index of the Gaussian.
+    index: usize,
     center: DVec2,
     /// Inverse of the projected covariance: xx, xy, yy.
     conic: [f64; 3],
@@ -67,27 +91,114 @@ pub fn render(
     next: Option<Next<'_>>,
     options: &Options,
 ) -> Result<Vec<Pixel>, RasterizeError> {
-    crate::rasterizer::validate(gaussians, camera, next)?;
-    let mut splats: Vec<Splat> =
-        (0..gaussians.len()).filter_map(|i| project(gaussians, i, camera, next, options)).collect();
-    splats.sort_by(|a, b| (a.depth as f32).total_cmp(&(b.depth as f32))); // stable: equal depths keep their order
-    let mut pixels = Vec::with_capacity(camera.width * camera.height);
-    for y in 0..camera.height {
-        for x in 0..camera.width {
-            pixels.push(blend(&splats, DVec2::new(x as f64, y as f64), options.background));
-        }
-    }
-    Ok(pixels)
+    Ok(Scene::new(gaussians, camera, next, options)?.render())
 }
 
-fn blend(splats: &[Splat], at: DVec2, background: [f32; 3]) -> Pixel {
-    let mut pixel = Pixel::default();
+impl Scene {
+    fn new(
+        gaussians: &Gaussians,
+        camera: &Camera,
+        next: Option<Next<'_>>,
+        options: &Options,
+    ) -> Result<Self, RasterizeError> {
+        crate::rasterizer::validate(gaussians, camera, next)?;
+        let positions = |set: &Gaussians| set.positions.iter().map(|position| position.as_dvec3()).collect();
+        Ok(Self {
+            positions: positions(gaussians),
+            scales: gaussians.scales.iter().map(|scale| scale.as_dvec3()).collect(),
+            rotations: gaussians.rotations.iter().map(|rotation| rotation.as_dquat()).collect(),
+            opacities: gaussians.opacities.iter().copied().map(f64::from).collect(),
+            sh_degree: gaussians.sh_degree,
+            sh: gaussians.sh.iter().map(|coefficient| coefficient.map(f64::from)).collect(),
+            camera: *camera,
+            next: next.map(|next| (positions(next.gaussians), *next.camera)),
+            options: *options,
+        })
+    }
+
+    fn render(&self) -> Vec<Pixel> {
+        let splats = self.splats();
+        self.places().map(|at| blend(&splats, at, self.options.background)).collect()
+    }
+
+    /// The visible Gaussians, front to back.
+    fn splats(&self) -> Vec<Splat> {
+        let mut splats: Vec<Splat> = (0..self.positions.len()).filter_map(|i| self.project(i)).collect();
+        splats.sort_by(|a, b| (a.depth as f32).total_cmp(&(b.depth as f32))); // stable: equal depths keep their order
+        splats
+    }
+
+    /// The pixels' centres, row-major.
+    fn places(&self) -> impl Iterator<Item = DVec2> {
+        let Camera { width, height, .. } = self.camera;
+        (0..height).flat_map(move |y| (0..width).map(move |x| DVec2::new(x as f64, y as f64)))
+    }
+
+    /// The spherical-harmonics coefficients of a Gaussian.
+    fn sh(&self, index: usize) -> &[[f64; 3]] {
+        let each = sh::coefficients(self.sh_degree);
+        &self.sh[index * each..][..each]
+    }
+
+    fn project(&self, index: usize) -> Option<Splat> {
+        let position = self.positions[index];
+        let scale = self.scales[index];
+        let rotation = self.rotations[index];
+        let opacity = self.opacities[index];
+        let sh = self.sh(index);
+        let finite = position.is_finite()
+            && scale.is_finite()
+            && rotation.is_finite()
+            && opacity.is_finite()
+            && sh.as_flattened().iter().all(|c| c.is_finite());
+        let point = self.camera.camera_from_world.transform_point3(position);
+        if !finite || rotation.length() == 0.0 || opacity < ALPHA_MIN || point.z <= NEAR {
+            return None;
+        }
+        let center = self.camera.pixel(point);
+        let (displacement, depth_next) = self.motion(index, center);
+        Some(Splat {
+            index,
+            center,
+            conic: inverse(covariance(projection(&self.camera, point, world_from_axes(rotation, scale)))),
+            opacity,
+            color: sh::color(self.sh_degree, sh, position - self.camera.position()),
+            depth: point.z,
+            displacement,
+            depth_next,
+        })
+    }
+
+    /// Displacement of the projected centre in pixels of the convention, and the centre's depth in the next camera.
+    fn motion(&self, index: usize, center: DVec2) -> (DVec2, f64) {
+        let Some((positions, camera)) = &self.next else { return (DVec2::ZERO, 0.0) };
+        let point = camera.camera_from_world.transform_point3(positions[index]);
+        if !(point.is_finite() && point.z > NEAR) {
+            return (DVec2::ZERO, if point.z.is_finite() { point.z } else { 0.0 });
+        }
+        ((camera.pixel(point) - center) * self.flow_scale(camera), point.z)
+    }
+
+    /// Pixels of the flow's convention per pixel of the next camera's image.
+    fn flow_scale(&self, next: &Camera) -> DVec2 {
+        let convention = self.options.convention;
+        DVec2::new(convention.scale(next.width), convention.scale(next.height))
+    }
+}
+
+/// Opacity times the Gaussian at the offset `d` from its centre, before clamping.
+fn unclamped_alpha(splat: &Splat, d: DVec2) -> f64 {
+    let [xx, xy, yy] = splat.conic;
+    let power = -0.5 * (xx * d.x * d.x + yy * d.y * d.y) - xy * d.x * d.y;
+    splat.opacity * libm::exp(power.min(0.0))
+}
+
+/// Calls `blend` with each splat blended at a pixel, front to back, its alpha, and the transmittance before it. Returns the
+/// final transmittance.
+fn for_each_blended<'a>(splats: &'a [Splat], at: DVec2, mut blend: impl FnMut(&'a Splat, f64, f64)) -> f64 {
     let mut transmittance = 1.0;
     for splat in splats {
-        let d = at - splat.center;
-        let [xx, xy, yy] = splat.conic;
-        let power = -0.5 * (xx * d.x * d.x + yy * d.y * d.y) - xy * d.x * d.y;
-        let alpha = (splat.opacity * libm::exp(power.min(0.0))).min(ALPHA_MAX);
+        let alpha = unclamped_alpha(splat, at - splat.center).min(ALPHA_MAX);
         if alpha < ALPHA_MIN {
             continue;
         }
@@ -95,6 +206,15 @@ fn blend(splats: &[Splat], at: DVec2, background: [f32; 3]) -> Pixel {
         if remaining < TRANSMITTANCE_MIN {
             break;
         }
+        blend(splat, alpha, transmittance);
+        transmittance = remaining;
+    }
+    transmittance
+}
+
+fn blend(splats: &[Splat], at: DVec2, background: [f32; 3]) -> Pixel {
+    let mut pixel = Pixel::default();
+    let transmittance = for_each_blended(splats, at, |splat, alpha, transmittance| {
         let weight = transmittance * alpha;
         for channel in 0..3 {
             pixel.color[channel] += weight * splat.color[channel];
@@ -104,8 +224,7 @@ fn blend(splats: &[Splat], at: DVec2, background: [f32; 3]) -> Pixel {
         pixel.flow[1] += weight * splat.displacement.y;
         pixel.depth_next += weight * splat.depth_next;
         pixel.blended += 1;
-        transmittance = remaining;
-    }
+    });
     pixel.alpha = 1.0 - transmittance;
     for (color, behind) in pixel.color.iter_mut().zip(background) {
         *color += transmittance * f64::from(behind);
@@ -117,75 +236,49 @@ fn blend(splats: &[Splat], at: DVec2, background: [f32; 3]) -> Pixel {
     pixel
 }
 
-fn project(
-    gaussians: &Gaussians,
-    index: usize,
-    camera: &Camera,
-    next: Option<Next<'_>>,
-    options: &Options,
-) -> Option<Splat> {
-    let position = gaussians.positions[index].as_dvec3();
-    let scale = gaussians.scales[index].as_dvec3();
-    let rotation = gaussians.rotations[index].as_dquat();
-    let opacity = f64::from(gaussians.opacities[index]);
-    let sh = &gaussians.sh[index * gaussians.sh_len()..][..gaussians.sh_len()];
-    let finite = position.is_finite()
-        && scale.is_finite()
-        && rotation.is_finite()
-        && opacity.is_finite()
-        && sh.as_flattened().iter().all(|c| c.is_finite());
-    let point = camera.camera_from_world.transform_point3(position);
-    if !finite || rotation.length() == 0.0 || opacity < ALPHA_MIN || point.z <= NEAR {
-        return None;
-    }
-    let world_from_axes = DMat3::from_quat(rotation.normalize()) * DMat3::from_diagonal(scale);
-    let covariance = projected_covariance(camera, point, world_from_axes);
-    let center = camera.pixel(point);
-    let (displacement, depth_next) = motion(index, center, next, options);
-    Some(Splat {
-        center,
-        conic: inverse(covariance),
-        opacity,
-        color: sh::color(gaussians.sh_degree, sh, position - camera.position()),
-        depth: point.z,
-        displacement,
-        depth_next,
-    })
+/// World from the axes of a Gaussian, each as long as its standard deviation: `R S`.
+fn world_from_axes(rotation: DQuat, scale: DVec3) -> DMat3 {
+    DMat3::from_quat(rotation.normalize()) * DMat3::from_diagonal(scale)
 }
 
-/// EWA projection: xx, xy and yy of `J R Sigma R^T J^T`, J the Jacobian of the projection at `point`, plus the
-/// low-pass filter.
-fn projected_covariance(camera: &Camera, point: DVec3, world_from_axes: DMat3) -> [f64; 3] {
+/// The linear map from the axes of a Gaussian at `point` (in camera coordinates) to the image: the Jacobian of the projection
+/// times camera from axes.
+fn projection(camera: &Camera, point: DVec3, world_from_axes: DMat3) -> Projection {
     let margin_x = 0.3 * camera.width as f64 / (2.0 * camera.fx);
     let margin_y = 0.3 * camera.height as f64 / (2.0 * camera.fy);
     let left = (-0.5 - camera.cx) / camera.fx - margin_x;
     let right = (camera.width as f64 - 0.5 - camera.cx) / camera.fx + margin_x;
     let top = (-0.5 - camera.cy) / camera.fy - margin_y;
     let bottom = (camera.height as f64 - 0.5 - camera.cy) / camera.fy + margin_y;
-    let x = (point.x / point.z).clamp(left, right);
-    let y = (point.y / point.z).clamp(top, bottom);
+    let direction = point.truncate() / point.z;
+    let clamped = direction.clamp(DVec2::new(left, top), DVec2::new(right, bottom));
     let jacobian_rows = [
-        DVec3::new(camera.fx, 0.0, -camera.fx * x) / point.z,
-        DVec3::new(0.0, camera.fy, -camera.fy * y) / point.z,
+        DVec3::new(camera.fx, 0.0, -camera.fx * clamped.x) / point.z,
+        DVec3::new(0.0, camera.fy, -camera.fy * clamped.y) / point.z,
     ];
     let camera_from_axes = DMat3::from_mat4(camera.camera_from_world) * world_from_axes;
     let rows = jacobian_rows.map(|row| camera_from_axes.transpose() * row);
+    Projection { direction, clamped, jacobian_rows, camera_from_axes, rows }
+}
+
+/// See [`projection`].
+struct Projection {
+    /// `x / z` and `y / z` of the point.
+    direction: DVec2,
+    /// The direction at which the Jacobian is taken.
+    clamped: DVec2,
+    jacobian_rows: [DVec3; 2],
+    camera_from_axes: DMat3,
+    /// Image from axes.
+    rows: [DVec3; 2],
+}
+
+/// EWA projection: xx, xy and yy of `J R Sigma R^T J^T`, plus the low-pass filter.
+fn covariance(Projection { rows, .. }: Projection) -> [f64; 3] {
     [rows[0].dot(rows[0]) + LOW_PASS, rows[0].dot(rows[1]), rows[1].dot(rows[1]) + LOW_PASS]
 }
 
 fn inverse([xx, xy, yy]: [f64; 3]) -> [f64; 3] {
     let determinant = xx * yy - xy * xy;
     [yy / determinant, -xy / determinant, xx / determinant]
-}
-
-/// Displacement of the projected centre in pixels of the convention, and the centre's depth in the next camera.
-fn motion(index: usize, center: DVec2, next: Option<Next<'_>>, options: &Options) -> (DVec2, f64) {
-    let Some(next) = next else { return (DVec2::ZERO, 0.0) };
-    let point = next.camera.camera_from_world.transform_point3(next.gaussians.positions[index].as_dvec3());
-    if !(point.is_finite() && point.z > NEAR) {
-        return (DVec2::ZERO, if point.z.is_finite() { point.z } else { 0.0 });
-    }
-    let scale =
-        DVec2::new(options.convention.scale(next.camera.width), options.convention.scale(next.camera.height));
-    ((next.camera.pixel(point) - center) * scale, point.z)
 }

@@ -1,5 +1,14 @@
 use glam::DVec3;
 
+// Factors of the basis functions.
+const C1: f64 = 0.488_602_511_902_919_9; // sqrt(3 / pi) / 2
+const C2: f64 = 1.092_548_430_592_079_2; // sqrt(15 / pi) / 2
+const C20: f64 = 0.315_391_565_252_520_05; // sqrt(5 / pi) / 4
+const C33: f64 = 0.590_043_589_926_643_5; // sqrt(35 / (2 pi)) / 4
+const C32: f64 = 2.890_611_442_640_554; // sqrt(105 / pi) / 2
+const C31: f64 = 0.457_045_799_464_465_8; // sqrt(21 / (2 pi)) / 4
+const C30: f64 = 0.373_176_332_590_115_4; // sqrt(7 / pi) / 4
+
 /// Coefficients per Gaussian of spherical harmonics of `degree`.
 pub(crate) const fn coefficients(degree: usize) -> usize {
     (degree + 1) * (degree + 1)
@@ -13,25 +22,19 @@ pub(crate) fn basis(degree: usize, direction: DVec3) -> [f64; 16] {
     let mut basis = [0.0; 16];
     basis[0] = 0.282_094_791_773_878_14; // sqrt(1 / pi) / 2
     if degree >= 1 {
-        const C1: f64 = 0.488_602_511_902_919_9; // sqrt(3 / pi) / 2
         basis[1] = -C1 * y;
         basis[2] = C1 * z;
         basis[3] = -C1 * x;
     }
     let (xx, yy, zz) = (x * x, y * y, z * z);
     if degree >= 2 {
-        const C2: f64 = 1.092_548_430_592_079_2; // sqrt(15 / pi) / 2
         basis[4] = C2 * x * y;
         basis[5] = -C2 * y * z;
-        basis[6] = 0.315_391_565_252_520_05 * (2.0 * zz - xx - yy); // sqrt(5 / pi) / 4
+        basis[6] = C20 * (2.0 * zz - xx - yy);
         basis[7] = -C2 * x * z;
         basis[8] = 0.5 * C2 * (xx - yy);
     }
     if degree >= 3 {
-        const C33: f64 = 0.590_043_589_926_643_5; // sqrt(35 / (2 pi)) / 4
-        const C32: f64 = 2.890_611_442_640_554; // sqrt(105 / pi) / 2
-        const C31: f64 = 0.457_045_799_464_465_8; // sqrt(21 / (2 pi)) / 4
-        const C30: f64 = 0.373_176_332_590_115_4; // sqrt(7 / pi) / 4
         basis[9] = -C33 * y * (3.0 * xx - yy);
         basis[10] = C32 * x * y * z;
         basis[11] = -C31 * y * (4.0 * zz - xx - yy);
@@ -44,15 +47,65 @@ pub(crate) fn basis(degree: usize, direction: DVec3) -> [f64; 16] {
 }
 
 /// Colour seen along `direction` (from the camera to the Gaussian, of any length): `max(0, 0.5 + sum)`.
-pub(crate) fn color(degree: usize, sh: &[[f32; 3]], direction: DVec3) -> [f64; 3] {
+pub(crate) fn color<T: Copy + Into<f64>>(degree: usize, sh: &[[T; 3]], direction: DVec3) -> [f64; 3] {
     let basis = basis(degree, if degree == 0 { direction } else { direction.normalize() });
     let mut color = [0.5; 3];
     for (weight, coefficient) in basis.iter().zip(sh) {
         for channel in 0..3 {
-            color[channel] += weight * f64::from(coefficient[channel]);
+            color[channel] += weight * coefficient[channel].into();
         }
     }
     color.map(|channel| channel.max(0.0))
+}
+
+/// The backward of [`color`]: from the gradient of the colour, which is zero in a clamped channel, the factor of each
+/// coefficient's gradient (its basis function), and the gradient of the direction.
+pub(crate) fn color_backward<T: Copy + Into<f64>>(
+    degree: usize,
+    sh: &[[T; 3]],
+    direction: DVec3,
+    gradient: [f64; 3],
+) -> ([f64; 16], DVec3) {
+    if degree == 0 {
+        return (basis(0, direction), DVec3::ZERO);
+    }
+    let length = direction.length();
+    let unit = direction / length;
+    let mut along = DVec3::ZERO;
+    for (slope, coefficient) in basis_gradient(degree, unit).into_iter().zip(sh) {
+        let weight: f64 = (0..3).map(|channel| gradient[channel] * coefficient[channel].into()).sum();
+        along += weight * slope;
+    }
+    (basis(degree, unit), (along - along.dot(unit) * unit) / length)
+}
+
+/// The gradients of the polynomials that [`basis`] evaluates.
+fn basis_gradient(degree: usize, direction: DVec3) -> [DVec3; 16] {
+    let DVec3 { x, y, z } = direction;
+    let mut gradient = [DVec3::ZERO; 16];
+    if degree >= 1 {
+        gradient[1] = -C1 * DVec3::Y;
+        gradient[2] = C1 * DVec3::Z;
+        gradient[3] = -C1 * DVec3::X;
+    }
+    let (xx, yy, zz) = (x * x, y * y, z * z);
+    if degree >= 2 {
+        gradient[4] = C2 * DVec3::new(y, x, 0.0);
+        gradient[5] = -C2 * DVec3::new(0.0, z, y);
+        gradient[6] = C20 * DVec3::new(-2.0 * x, -2.0 * y, 4.0 * z);
+        gradient[7] = -C2 * DVec3::new(z, 0.0, x);
+        gradient[8] = C2 * DVec3::new(x, -y, 0.0);
+    }
+    if degree >= 3 {
+        gradient[9] = -C33 * DVec3::new(6.0 * x * y, 3.0 * (xx - yy), 0.0);
+        gradient[10] = C32 * DVec3::new(y * z, x * z, x * y);
+        gradient[11] = -C31 * DVec3::new(-2.0 * x * y, 4.0 * zz - xx - 3.0 * yy, 8.0 * y * z);
+        gradient[12] = C30 * DVec3::new(-6.0 * x * z, -6.0 * y * z, 6.0 * zz - 3.0 * (xx + yy));
+        gradient[13] = -C31 * DVec3::new(4.0 * zz - 3.0 * xx - yy, -2.0 * x * y, 8.0 * x * z);
+        gradient[14] = C32 * DVec3::new(x * z, -y * z, 0.5 * (xx - yy));
+        gradient[15] = -C33 * DVec3::new(3.0 * (xx - yy), -6.0 * x * y, 0.0);
+    }
+    gradient
 }
 
 #[cfg(test)]
@@ -82,6 +135,20 @@ mod tests {
         for (i, row) in gram.iter().enumerate() {
             for (j, &value) in row.iter().enumerate() {
                 assert!((value - f64::from(u8::from(i == j))).abs() < 1e-12, "<{i},{j}> = {value}");
+            }
+        }
+    }
+
+    #[test]
+    fn slopes_of_the_basis_match_central_differences() {
+        let at = DVec3::new(0.3, -0.7, 0.5); // the polynomials are differentiated off the unit sphere too
+        let slopes = basis_gradient(3, at);
+        for (axis, direction) in DVec3::AXES.into_iter().enumerate() {
+            let step = direction * 1e-5;
+            let (after, before) = (basis(3, at + step), basis(3, at - step));
+            for i in 0..16 {
+                let difference = (after[i] - before[i]) / 2e-5;
+                assert!((slopes[i][axis] - difference).abs() < 1e-9, "basis {i}, axis {axis}");
             }
         }
     }

@@ -3,10 +3,10 @@
 use glam::{DMat3, DMat4, DVec3, EulerRot, Quat, Vec3};
 use srflow_field::random::{Key, Stream};
 
-use crate::{Camera, Gaussians};
+use crate::{Camera, FrameGradients, Gaussians};
 
 /// A camera at the origin, looking along z; the image size is not a multiple of a tile, the principal point is off-centre.
-pub(super) fn camera() -> Camera {
+pub(crate) fn camera() -> Camera {
     Camera {
         width: 83,
         height: 57,
@@ -19,21 +19,21 @@ pub(super) fn camera() -> Camera {
 }
 
 /// The camera rotated by small angles (radians) and moved.
-pub(super) fn moved(camera: Camera, yaw: f64, pitch: f64, translation: DVec3) -> Camera {
+pub(crate) fn moved(camera: Camera, yaw: f64, pitch: f64, translation: DVec3) -> Camera {
     let rotation = DMat3::from_euler(EulerRot::YXZ, yaw, pitch, 0.1 * yaw);
     let motion = DMat4::from_mat3_translation(rotation, translation);
     Camera { camera_from_world: motion * camera.camera_from_world, ..camera }
 }
 
 /// One Gaussian, round, red.
-pub(super) fn single(position: Vec3, scale: f32, opacity: f32) -> Gaussians {
+pub(crate) fn single(position: Vec3, scale: f32, opacity: f32) -> Gaussians {
     let mut gaussians = Gaussians::default();
     push(&mut gaussians, position, Vec3::splat(scale), Quat::IDENTITY, opacity, [1.0, 0.2, 0.1]);
     gaussians
 }
 
 /// Appends a Gaussian whose colour does not depend on direction.
-pub(super) fn push(
+pub(crate) fn push(
     gaussians: &mut Gaussians,
     position: Vec3,
     scale: Vec3,
@@ -88,11 +88,26 @@ fn rotation(stream: &mut Stream) -> Quat {
 }
 
 /// The same Gaussians, each centre displaced by a normal amount of `deviation` along each axis.
-pub(super) fn jittered(gaussians: &Gaussians, seed: u64, deviation: f32) -> Gaussians {
+pub(crate) fn jittered(gaussians: &Gaussians, seed: u64, deviation: f32) -> Gaussians {
     let mut stream = Key::new(seed).stream("motion");
     let mut next = gaussians.clone();
     for position in &mut next.positions {
         *position += deviation * Vec3::new(stream.normal(), stream.normal(), stream.normal());
     }
     next
+}
+
+/// Random gradients of every output of an image of `pixels` pixels.
+pub(crate) fn gradients(pixels: usize, seed: u64) -> FrameGradients {
+    let mut stream = Key::new(seed).stream("gradients");
+    let mut numbers = |scale: f32| (0..pixels).map(|_| scale * stream.normal()).collect::<Vec<f32>>();
+    let (red, green, blue) = (numbers(1.0), numbers(1.0), numbers(1.0));
+    let (u, v) = (numbers(0.1), numbers(0.1));
+    FrameGradients {
+        color: (0..pixels).map(|i| [red[i], green[i], blue[i]]).collect(),
+        flow: u.into_iter().zip(v).map(|(u, v)| [u, v]).collect(),
+        alpha: numbers(1.0),
+        depth: numbers(0.3),
+        depth_next: numbers(0.3),
+    }
 }

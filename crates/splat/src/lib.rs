@@ -26,7 +26,7 @@ pub use error::{CameraError, RasterizeError};
 pub use frame::{Frame, Outputs, Statistics};
 pub use gaussians::Gaussians;
 pub use gradients::{CameraGradient, FrameGradients};
-pub use ply::{read_ply, write_ply};
+pub use ply::{read_bound_ply, read_ply, write_bound_ply, write_ply};
 pub use rasterizer::{Next, Options, Rasterizer};
 
 #[cfg(test)]

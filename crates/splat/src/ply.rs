@@ -3,7 +3,8 @@
 //!
 //! One element `vertex` with the properties `x y z nx ny nz f_dc_0..2 f_rest_* opacity scale_0..2 rot_0..3`. The file stores
 //! raw parameters: `ln(scale)`, the logit of the opacity, a quaternion `w x y z` of any length, and `f_rest` channel by
-//! channel (all of red, then green, then blue).
+//! channel (all of red, then green, then blue). GaussianAvatars adds `binding_0`, the number of the triangle in whose coordinates
+//! the Gaussian is.
 
 mod header;
 
@@ -21,19 +22,37 @@ use header::{Encoding, Header, Property};
 const RAW_ZERO: f64 = -110.0;
 const RAW_ONE: f64 = 20.0;
 
+/// Largest number of a triangle: every integer up to it is an `f32`.
+const MAX_TRIANGLE: u32 = 1 << 24;
+
+/// Degree of the spherical harmonics in files for GaussianAvatars.
+const FULL_DEGREE: usize = 3;
+
 /// Reads 3D Gaussians; the spherical-harmonics degree follows from the number of `f_rest` properties (0, 9, 24 or 45).
 /// Properties may have any order and type, and other properties (colours, normals) are ignored; binary files of either byte
 /// order and ASCII files are read.
-/// and ASCII are read.
 ///
 /// # Errors
 /// When the file cannot be read, is not a PLY of 3D Gaussians, contains Gaussians bound to a mesh (`binding_0` of
 /// GaussianAvatars: they are in the coordinates of their triangles), is shorter or longer than its header claims, or contains
 /// a value that is not finite, a scale too large for `f32`, or a quaternion of length zero; the error names the vertex.
 pub fn read_ply(path: &Path) -> Result<Gaussians, FileError> {
+    Ok(read(path, false)?.0)
+}
+
+/// Reads 3D Gaussians that are bound to the triangles of a mesh (`point_cloud.ply` of GaussianAvatars): the Gaussians in the
+/// coordinates of their triangles, and the number of each one's triangle (`binding_0`).
+///
+/// # Errors
+/// As [`read_ply`], and when the file has no binding or one that is not an integer from 0.
+pub fn read_bound_ply(path: &Path) -> Result<(Gaussians, Vec<u32>), FileError> {
+    read(path, true)
+}
+
+fn read(path: &Path, bound: bool) -> Result<(Gaussians, Vec<u32>), FileError> {
     let in_file = |problem| FileError { path: path.to_owned(), problem };
     let (file, len) = open_file(path, FileKind::Splats)?;
-    decode(&mut BufReader::with_capacity(1 << 18, file), len).map_err(in_file)
+    decode(&mut BufReader::with_capacity(1 << 18, file), len, bound).map_err(in_file)
 }
 
 /// Writes 3D Gaussians, binary little-endian in the reference's order, whole or not at all
@@ -43,6 +62,20 @@ pub fn read_ply(path: &Path) -> Result<Gaussians, FileError> {
 /// When the lists do not match, a value has no raw form (not finite, a negative scale, an opacity outside 0..=1), or the
 /// file cannot be written.
 pub fn write_ply(path: &Path, gaussians: &Gaussians) -> Result<(), FileError> {
+    write(path, gaussians, None)
+}
+
+/// Writes 3D Gaussians that are bound to triangles, as GaussianAvatars does; see [`read_bound_ply`]. The spherical harmonics are
+/// filled up with zeros to degree 3, which that program expects.
+///
+/// # Errors
+/// As [`write_ply`], and when there is not one triangle per Gaussian, or a triangle's number is beyond 2^24, the largest range of
+/// integers of the file's `f32`.
+pub fn write_bound_ply(path: &Path, gaussians: &Gaussians, triangles: &[u32]) -> Result<(), FileError> {
+    write(path, gaussians, Some(triangles))
+}
+
+fn write(path: &Path, gaussians: &Gaussians, triangles: Option<&[u32]>) -> Result<(), FileError> {
     let in_file = |problem| FileError { path: path.to_owned(), problem };
     gaussians
         .validate("the Gaussians")
@@ -50,7 +83,16 @@ pub fn write_ply(path: &Path, gaussians: &Gaussians) -> Result<(), FileError> {
     for index in 0..gaussians.len() {
         check_activated(gaussians, index).map_err(in_file)?;
     }
-    write_atomically(path, |writer| encode(gaussians, writer))
+    if let Some(triangles) = triangles {
+        if triangles.len() != gaussians.len() {
+            let expected = format!("one triangle for each of {} Gaussians", gaussians.len());
+            return Err(in_file(problem("binding_0", expected, triangles.len())));
+        }
+        if let Some(beyond) = triangles.iter().find(|triangle| **triangle > MAX_TRIANGLE) {
+            return Err(in_file(problem("binding_0", format!("triangles up to {MAX_TRIANGLE}"), beyond)));
+        }
+    }
+    write_atomically(path, |writer| encode(gaussians, triangles, writer))
 }
 
 fn problem(field: &'static str, expected: impl ToString, found: impl ToString) -> FileProblem {
@@ -71,10 +113,12 @@ struct Layout {
     sh_degree: usize,
     /// Red, green and blue of each coefficient.
     sh: Vec<[usize; 3]>,
+    binding: Option<usize>,
 }
 
 impl Layout {
-    fn new(properties: &[Property]) -> Result<Self, FileProblem> {
+    /// The layout of Gaussians in the world, or of `bound` ones.
+    fn new(properties: &[Property], bound: bool) -> Result<Self, FileProblem> {
         let find = |name: &str| {
             properties.iter().position(|property| property.name == name).ok_or_else(|| {
                 problem(
@@ -88,12 +132,20 @@ impl Layout {
                 )
             })
         };
-        if properties.iter().any(|property| property.name == "binding_0") {
+        let binding = properties.iter().position(|property| property.name == "binding_0");
+        if binding.is_some() && !bound {
             return Err(problem(
                 "vertex properties",
                 "Gaussians in the world (each of these is bound to a triangle of a mesh, as in GaussianAvatars: pose the \
-             mesh and export them in the world)",
+                 mesh and export them in the world)",
                 "`binding_0`",
+            ));
+        }
+        if binding.is_none() && bound {
+            return Err(problem(
+                "vertex properties",
+                "`binding_0`, the triangle of each Gaussian (GaussianAvatars writes it when trained with --bind_to_mesh)",
+                "none: these Gaussians are bound to no mesh",
             ));
         }
         let rest = properties.iter().filter(|property| property.name.starts_with("f_rest_")).count();
@@ -114,7 +166,23 @@ impl Layout {
             opacity: find("opacity")?,
             sh_degree,
             sh,
+            binding,
         })
+    }
+
+    /// Appends the triangle of vertex number `index`, if vertices have one.
+    fn push_triangle(&self, triangles: &mut Vec<u32>, values: &[f64], index: u64) -> Result<(), FileProblem> {
+        let Some(at) = self.binding else { return Ok(()) };
+        let value = values[at];
+        if value.fract() != 0.0 || !(0.0..=f64::from(MAX_TRIANGLE)).contains(&value) {
+            return Err(problem(
+                "binding_0",
+                "the number of a triangle",
+                format!("{value} at vertex {index}"),
+            ));
+        }
+        triangles.push(value as u32);
+        Ok(())
     }
 
     /// Activates the values of vertex number `index` and appends the Gaussian.
@@ -157,10 +225,10 @@ impl Layout {
     }
 }
 
-fn decode(reader: &mut impl Read, len: u64) -> Result<Gaussians, FileProblem> {
+fn decode(reader: &mut impl Read, len: u64, bound: bool) -> Result<(Gaussians, Vec<u32>), FileProblem> {
     let header = Header::read(reader)?;
     let vertex = &header.vertex;
-    let layout = Layout::new(&vertex.properties)?;
+    let layout = Layout::new(&vertex.properties, bound)?;
     header.check_file_size(len)?;
     let count = usize::try_from(vertex.count)
         .map_err(|_| problem("vertex count", "a number that fits in memory", vertex.count))?;
@@ -170,6 +238,11 @@ fn decode(reader: &mut impl Read, len: u64) -> Result<Gaussians, FileProblem> {
     gaussians.rotations.reserve_exact(count);
     gaussians.opacities.reserve_exact(count);
     gaussians.sh.reserve_exact(count.saturating_mul(layout.sh.len()));
+    let mut triangles = Vec::with_capacity(if bound { count } else { 0 });
+    let mut push = |values: &[f64], index: u64| {
+        layout.push(&mut gaussians, values, index)?;
+        layout.push_triangle(&mut triangles, values, index)
+    };
 
     let mut values = vec![0.0; vertex.properties.len()];
     if header.encoding == Encoding::Ascii {
@@ -178,12 +251,12 @@ fn decode(reader: &mut impl Read, len: u64) -> Result<Gaussians, FileProblem> {
             for value in &mut values {
                 *value = words.number(index)?;
             }
-            layout.push(&mut gaussians, &values, index)?;
+            push(&values, index)?;
         }
         if !header.followed {
             words.end(vertex.count)?;
         }
-        return Ok(gaussians);
+        return Ok((gaussians, triangles));
     }
     let mut bytes = vec![0; vertex.bytes()];
     for index in 0..vertex.count {
@@ -194,9 +267,9 @@ fn decode(reader: &mut impl Read, len: u64) -> Result<Gaussians, FileProblem> {
             *value = property.scalar.decode(this, header.encoding);
             rest = others;
         }
-        layout.push(&mut gaussians, &values, index)?;
+        push(&values, index)?;
     }
-    Ok(gaussians)
+    Ok((gaussians, triangles))
 }
 
 fn check_activated(gaussians: &Gaussians, index: usize) -> Result<(), FileProblem> {
@@ -220,31 +293,35 @@ fn check_activated(gaussians: &Gaussians, index: usize) -> Result<(), FileProble
     check("spherical harmonics", sh.as_flattened().iter().all(|c| c.is_finite()), "finite numbers", &sh)
 }
 
-fn encode(gaussians: &Gaussians, writer: &mut BufWriter<File>) -> io::Result<()> {
-    let rest = gaussians.sh_len() - 1;
+fn encode(gaussians: &Gaussians, triangles: Option<&[u32]>, writer: &mut BufWriter<File>) -> io::Result<()> {
+    let sh_len = gaussians.sh_len();
+    let rest = if triangles.is_some() { sh::coefficients(FULL_DEGREE) } else { sh_len } - 1;
     let names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"].map(String::from).into_iter();
     let names = names.chain((0..3 * rest).map(|i| format!("f_rest_{i}")));
     let last = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
+    let binding = triangles.map(|_| "binding_0".to_owned());
     writeln!(writer, "ply\nformat binary_little_endian 1.0\nelement vertex {}", gaussians.len())?;
-    for name in names.chain(last.map(String::from)) {
+    for name in names.chain(last.map(String::from)).chain(binding) {
         writeln!(writer, "property float {name}")?;
     }
     writeln!(writer, "end_header")?;
 
-    let mut values: Vec<f32> = Vec::with_capacity(17 + 3 * rest);
+    let mut values: Vec<f32> = Vec::with_capacity(18 + 3 * rest);
     for index in 0..gaussians.len() {
-        let sh = &gaussians.sh[index * (rest + 1)..][..rest + 1];
+        let sh = &gaussians.sh[index * sh_len..][..sh_len];
         values.clear();
         values.extend(gaussians.positions[index].to_array());
         values.extend([0.0; 3]);
         values.extend(sh[0]);
         for channel in 0..3 {
-            values.extend(sh[1..].iter().map(|coefficient| coefficient[channel]));
+            let given = sh[1..].iter().map(|coefficient| coefficient[channel]);
+            values.extend(given.chain(std::iter::repeat(0.0)).take(rest));
         }
         values.push(logit(gaussians.opacities[index]));
         values.extend(gaussians.scales[index].to_array().map(log));
         let [x, y, z, w] = gaussians.rotations[index].to_array();
         values.extend([w, x, y, z]);
+        values.extend(triangles.map(|triangles| triangles[index] as f32));
         for value in &values {
             writer.write_all(&value.to_le_bytes())?;
         }

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde::de::{DeserializeOwned, IgnoredAny};
 use srflow_field::{FileError, FileKind, FileProblem, read_file};
 
-use super::{Camera, camera_path, colmap, gaussian_splatting, own, transforms};
+use super::{Camera, camera_path, colmap, gaussian_splatting, nersemble, own, transforms};
 use crate::CameraError;
 
 /// A camera of a file.
@@ -21,8 +21,8 @@ pub struct NamedCamera {
 }
 
 /// Reads the cameras of a file in file order (COLMAP: by name): our own format, `cameras.json` of 3D Gaussian Splatting,
-/// `transforms.json` of NeRF, instant-ngp and nerfstudio, a camera path of nerfstudio, or a COLMAP model, text or binary: its
-/// folder, or any of its files.
+/// `transforms.json` of NeRF, instant-ngp, nerfstudio and VHAP, a camera path of nerfstudio, `camera_params.json` of NeRSemble, or
+/// a COLMAP model, text or binary: its folder, or any of its files.
 ///
 /// `size` is the width and height for formats that do not store it; `None` looks it up in the pictures that the file lists.
 ///
@@ -73,7 +73,7 @@ struct Format {
     read: fn(&Source) -> Result<Vec<NamedCamera>, FileProblem>,
 }
 
-const FORMATS: [Format; 4] = [
+const FORMATS: [Format; 5] = [
     Format {
         name: "a camera with width, height, fx, fy, cx, cy and w2c",
         key: Some("w2c"),
@@ -93,6 +93,11 @@ const FORMATS: [Format; 4] = [
         name: "a camera path of nerfstudio (with camera_path)",
         key: Some("camera_path"),
         read: camera_path::cameras,
+    },
+    Format {
+        name: "camera_params.json of NeRSemble (with world_2_cam)",
+        key: Some("world_2_cam"),
+        read: nersemble::cameras,
     },
 ];
 

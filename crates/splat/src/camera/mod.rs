@@ -4,6 +4,7 @@ mod camera_path;
 mod colmap;
 mod file;
 mod gaussian_splatting;
+mod nersemble;
 mod orbit;
 mod own;
 mod transforms;

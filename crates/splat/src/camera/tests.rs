@@ -89,6 +89,65 @@ fn transforms_of_nerf_take_their_size_from_the_pictures() {
     assert_eq!(read_cameras(&file, None).unwrap(), given);
 }
 
+fn nersemble(intrinsics: [[f64; 3]; 3]) -> serde_json::Value {
+    let opencv = DMat3::from_cols_array_2d(&OPENGL.map(|[x, y, z]| [x, -y, -z])); // camera from world
+    let place = -(opencv * DVec3::from_array(POSITION));
+    let row = |i: usize| [opencv.row(i).x, opencv.row(i).y, opencv.row(i).z, place[i]];
+    let w2c = [row(0), row(1), row(2), [0.0, 0.0, 0.0, 1.0]];
+    json!({"world_2_cam": {"222200037": w2c, "220700191": w2c}, "intrinsics": intrinsics, "width": 640, "height": 480})
+}
+
+#[test]
+fn cameras_of_nersemble() {
+    let cameras = nersemble([[700.0, 0.0, 330.25], [0.0, 710.0, 235.5], [0.0, 0.0, 1.0]]);
+    let read_back = read("camera_params.json", cameras.to_string()).unwrap();
+    assert_eq!(read_back.len(), 2);
+    assert_sees(&read_back[0], "220700191", 386.1033610124981, 207.87211006073724);
+    let mut unsized_ = cameras.clone();
+    unsized_.as_object_mut().unwrap().remove("height");
+    let full = read("camera_params.json", unsized_.to_string()).unwrap()[0].camera;
+    assert_eq!((full.width, full.height), (2200, 3208), "NeRSemble's own size");
+    let skewed = nersemble([[700.0, 1.0, 330.25], [0.0, 710.0, 235.5], [0.0, 0.0, 1.0]]).to_string();
+    assert!(read("camera_params.json", skewed).unwrap_err().contains("intrinsics"));
+    let mut mirrored = cameras;
+    let x = mirrored["world_2_cam"]["222200037"][0].as_array_mut().unwrap();
+    x.iter_mut().for_each(|value| *value = json!(-value.as_f64().unwrap()));
+    let error = read("camera_params.json", mirrored.to_string()).unwrap_err();
+    assert!(error.contains("222200037") && error.contains("mirrors the world"), "{error}");
+}
+
+/// In every format that counts from the corner of the first pixel, a principal point at the centre of pixel (12, 34) is written
+/// as (12.5, 34.5); VHAP counts its rows from the bottom.
+#[test]
+fn principal_points_from_the_corner_are_converted_by_half_a_pixel() {
+    let ahead = DVec3::from_array(POSITION) - DVec3::from_array(OPENGL.map(|[.., back]| back)); // on the optical axis
+    let frame = |more: serde_json::Value| {
+        let mut frame = json!({"file_path": "a", "transform_matrix": matrix(4), "w": 640, "h": 480, "fl_x": 700.0,
+            "fl_y": 710.0, "cx": 12.5});
+        frame.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+        json!({"frames": [frame]}).to_string()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    colmap_text(folder.path(), "3 PINHOLE 640 480 700 710 12.5 34.5");
+    let matrix = [[700.0, 0.0, 12.5], [0.0, 710.0, 34.5], [0.0, 0.0, 1.0]];
+    for (program, cameras) in [
+        ("nerfstudio", read("transforms.json", frame(json!({"cy": 34.5})))),
+        (
+            "VHAP",
+            read(
+                "transforms.json",
+                frame(json!({"cy": 480.0 - 34.5, "timestep_index": 0, "camera_index": 3})),
+            ),
+        ),
+        ("NeRSemble", read("camera_params.json", nersemble(matrix).to_string())),
+        ("COLMAP", read_cameras(folder.path(), None).map_err(|error| error.to_string())),
+    ] {
+        let camera = cameras.unwrap()[0].camera;
+        let (pixel, _) = camera.project(ahead).expect("in front");
+        assert!(pixel.distance(DVec2::new(12.0, 34.0)) < 1e-9, "{program}: {pixel}");
+    }
+}
+
 #[test]
 fn camera_paths_of_nerfstudio() {
     let stop = json!({"camera_to_world": matrix(4).as_flattened(), "fov": 40.0, "aspect": 1.0});

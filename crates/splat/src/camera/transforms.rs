@@ -1,15 +1,17 @@
 //! `transforms.json`: of NeRF's synthetic scenes (bmild/nerf, `load_blender.py`), and with more keys of instant-ngp,
-//! nerfstudio (`nerfstudio_dataparser.py`) and GaussianAvatars.
+//! nerfstudio (`nerfstudio_dataparser.py`) and VHAP (`vhap/export_as_nerf_dataset.py`), which GaussianAvatars is trained on.
 //!
 //! `transform_matrix` is world from camera in OpenGL's axes (x right, y up, z backward). Focal lengths are in pixels (`fl_x`,
 //! `fl_y`), or given by the horizontal field of view (`camera_angle_x`): `f = w / (2 tan(angle / 2))`. The principal point is
-//! relative to the corner of the first pixel; ours to its centre. Each intrinsic may be at the root, in a frame, or both; the
-//! frame's takes precedence.
+//! relative to the corner of the first pixel; ours to its centre. VHAP, whose frames have a `timestep_index` and a
+//! `camera_index`, counts `cy` from the bottom (`vhap/util/camera.py`, `convert_camera_convention`), all others from the top. Each
+//! intrinsic may be at the root, in a frame, or both; the frame's takes precedence.
 
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
 use serde::Deserialize;
+use serde::de::IgnoredAny;
 use srflow_field::{FileProblem, read_image_size};
 
 use super::Camera;
@@ -30,6 +32,8 @@ struct Frame {
     file_path: String,
     /// World from camera, in row-major order; the last row may be missing.
     transform_matrix: Vec<[f64; 4]>,
+    timestep_index: Option<IgnoredAny>,
+    camera_index: Option<IgnoredAny>,
     #[serde(flatten)]
     own: Intrinsics,
 }
@@ -68,7 +72,8 @@ pub(super) fn cameras(source: &Source) -> Result<Vec<NamedCamera>, FileProblem> 
 }
 
 fn camera(frame: Frame, shared: &Intrinsics, source: &Source) -> Result<NamedCamera, FileProblem> {
-    let Frame { file_path: name, transform_matrix, own } = frame;
+    let Frame { file_path: name, transform_matrix, timestep_index, camera_index, own } = frame;
+    let of_vhap = timestep_index.is_some() && camera_index.is_some();
     if let Some(model) = own.camera_model.as_ref().or(shared.camera_model.as_ref())
         && !PINHOLES.contains(&model.as_str())
     {
@@ -92,7 +97,8 @@ fn camera(frame: Frame, shared: &Intrinsics, source: &Source) -> Result<NamedCam
     let (rotation, position) = world_from_opengl(&transform_matrix, &name)?;
     let mut camera = Camera::centred(size, [fx, fy]).placed(rotation, position);
     camera.cx = given(|i| i.cx).map_or(camera.cx, |cx| cx - 0.5);
-    camera.cy = given(|i| i.cy).map_or(camera.cy, |cy| cy - 0.5);
+    let from_top = |cy: f64| if of_vhap { height - cy } else { cy };
+    camera.cy = given(|i| i.cy).map_or(camera.cy, |cy| from_top(cy) - 0.5);
     let coefficients = own.distortion().into_iter().zip(shared.distortion());
     let distortion =
         distortion(coefficients.map(|((name, own), (_, shared))| (name, own.or(shared).unwrap_or(0.0))));

@@ -4,7 +4,7 @@ use super::*;
 use crate::tests::scenes::random;
 
 fn in_memory(bytes: &[u8]) -> Result<Gaussians, FileProblem> {
-    decode(&mut &*bytes, bytes.len() as u64)
+    Ok(decode(&mut &*bytes, bytes.len() as u64, false)?.0)
 }
 
 #[track_caller]
@@ -189,4 +189,56 @@ fn gaussians_bound_to_a_mesh_are_named_as_such() {
     let text = String::from_utf8(foreign("ascii")).unwrap().replace("segment", "binding_0");
     let error = in_memory(text.as_bytes()).unwrap_err().to_string();
     assert!(error.contains("bound to a triangle") && error.contains("binding_0"), "{error}");
+}
+
+#[test]
+fn bound_gaussians_survive_writing_and_reading_with_the_properties_of_gaussian_avatars() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("point_cloud.ply");
+    for degree in [0, 2, 3] {
+        let gaussians = random(degree as u64, 40, degree);
+        let triangles: Vec<u32> = (0..40).map(|i| i * 257 % 10_144).collect();
+        write_bound_ply(&path, &gaussians, &triangles).unwrap();
+        let (back, bound_to) = read_bound_ply(&path).unwrap();
+        assert_eq!((bound_to, back.sh_degree), (triangles, 3));
+        let mut filled = Gaussians { sh_degree: 3, sh: Vec::new(), ..gaussians.clone() };
+        for sh in gaussians.sh.chunks(gaussians.sh_len()) {
+            filled.sh.extend(sh.iter().copied().chain(std::iter::repeat([0.0; 3])).take(16));
+        }
+        assert_same(&filled, &back);
+    }
+    let bytes = fs::read(&path).unwrap();
+    let header = String::from_utf8_lossy(&bytes[..bytes.len() - 40 * 63 * 4]).into_owned();
+    let names: Vec<&str> = header.lines().filter_map(|line| line.strip_prefix("property float ")).collect();
+    assert_eq!((names.len(), &names[..6]), (63, &["x", "y", "z", "nx", "ny", "nz"][..]));
+    assert_eq!(names[9..11], ["f_rest_0", "f_rest_1"]);
+    assert_eq!(
+        names[54..],
+        ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3", "binding_0"]
+    );
+    assert!(read_ply(&path).unwrap_err().to_string().contains("bound to a triangle"));
+}
+
+#[test]
+fn bindings_that_are_no_triangle_are_refused() {
+    let text = String::from_utf8(foreign("ascii")).unwrap().replace("segment", "binding_0");
+    let read = |text: &str| {
+        let bytes = text.as_bytes();
+        decode(&mut &*bytes, bytes.len() as u64, true)
+            .map(|(_, triangles)| triangles)
+            .map_err(|error| error.to_string())
+    };
+    assert_eq!(read(&text), Ok(vec![7]));
+    for value in ["-1", "7.5", "NaN", "16777217", "1e30"] {
+        let error = read(&text.replace(" 7 255", &format!(" {value} 255"))).unwrap_err();
+        assert!(error.contains("binding_0: expected the number of a triangle"), "{error}");
+    }
+    let free = read(&text.replace("binding_0", "segment")).unwrap_err();
+    assert!(free.contains("these Gaussians are bound to no mesh"), "{free}");
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    let error =
+        |triangles: &[u32]| write_bound_ply(&path, &random(1, 2, 0), triangles).unwrap_err().to_string();
+    assert!(error(&[1]).contains("one triangle for each of 2"));
+    assert!(error(&[1, 1 << 25]).contains("up to 16777216"));
 }

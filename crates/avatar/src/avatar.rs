@@ -6,9 +6,9 @@ use srflow_field::FileError;
 use srflow_field::random::Key;
 use srflow_splat::Gaussians;
 
-use crate::binding::{BoundGaussians, TriangleFrame};
+use crate::binding::{BindingError, BoundGaussians, TriangleFrame};
 use crate::dress::dress;
-use crate::{HeadModel, HeadModelError, HeadPose, ShapedHead, ict};
+use crate::{HeadModel, HeadModelError, HeadParameters, HeadPose, ParametersError, ShapedHead, ict};
 
 /// Why an avatar could not be created.
 #[derive(Debug, thiserror::Error)]
@@ -52,6 +52,12 @@ pub enum AvatarError {
     /// The head model is inconsistent.
     #[error(transparent)]
     Model(#[from] HeadModelError),
+    /// Gaussians refer to triangles that the model lacks.
+    #[error(transparent)]
+    Binding(#[from] BindingError),
+    /// Parameters refer to shapes that the model lacks.
+    #[error(transparent)]
+    Parameters(#[from] ParametersError),
     /// The model has no landmarks, which place brows, lashes and the colours of the face.
     #[error("the head model {model} has {found} landmarks; dressing it needs the 68 of dlib")]
     Landmarks {
@@ -124,6 +130,23 @@ impl Avatar {
         }
         let shaped = model.shaped(identity);
         let gaussians = dress(&model, &shaped, seed);
+        Ok(Self { model, shaped, gaussians })
+    }
+
+    /// A person whose Gaussians are those of a file, on `model` with the identity of `parameters`.
+    ///
+    /// # Errors
+    /// When the model is inconsistent, or lacks a triangle or a shape that the Gaussians or the parameters refer to.
+    pub fn with_gaussians(
+        model: HeadModel,
+        parameters: &HeadParameters,
+        local: Gaussians,
+        triangles: Vec<u32>,
+    ) -> Result<Self, AvatarError> {
+        model.validate()?;
+        parameters.check(&model)?;
+        let gaussians = BoundGaussians::new(local, triangles, model.triangles.len())?;
+        let shaped = model.shaped_with_offset(&parameters.shape, &parameters.static_offset);
         Ok(Self { model, shaped, gaussians })
     }
 

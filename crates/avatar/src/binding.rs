@@ -53,6 +53,20 @@ pub(crate) struct Splat {
     pub color: Vec3,
 }
 
+/// Gaussians cannot be bound to the triangles of a model.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum BindingError {
+    /// Not one triangle per Gaussian.
+    #[error("{gaussians} Gaussians, but {bound} triangles that they are bound to; each needs one")]
+    Count { gaussians: usize, bound: usize },
+    /// A triangle that the model does not have.
+    #[error(
+        "Gaussian {gaussian} is bound to triangle {triangle}, but the head model has {count} triangles; the avatar belongs to \
+         another model (FLAME has 9976, with the teeth of GaussianAvatars 10144)"
+    )]
+    Triangle { gaussian: usize, triangle: u32, count: usize },
+}
+
 /// Gaussians in the local frames of triangles: position, scale and rotation follow the triangle.
 #[derive(Debug, Clone, Default)]
 pub struct BoundGaussians {
@@ -64,6 +78,25 @@ pub struct BoundGaussians {
 const SH_0: f32 = 0.282_094_79;
 
 impl BoundGaussians {
+    /// Gaussians in the local frames of `triangles`, one each.
+    ///
+    /// # Errors
+    /// When there is not one triangle per Gaussian, or one is not of the `count` triangles of the model.
+    pub fn new(local: Gaussians, triangles: Vec<u32>, count: usize) -> Result<Self, BindingError> {
+        if triangles.len() != local.len() {
+            return Err(BindingError::Count { gaussians: local.len(), bound: triangles.len() });
+        }
+        match triangles.iter().position(|&triangle| triangle as usize >= count) {
+            None => Ok(Self { triangles, local }),
+            Some(gaussian) => Err(BindingError::Triangle { gaussian, triangle: triangles[gaussian], count }),
+        }
+    }
+
+    /// The Gaussians in the local frames of their triangles.
+    pub fn local(&self) -> &Gaussians {
+        &self.local
+    }
+
     /// Number of Gaussians.
     pub fn len(&self) -> usize {
         self.triangles.len()
@@ -104,7 +137,7 @@ impl BoundGaussians {
     /// `out` is resized and overwritten, and keeps its memory between frames.
     pub(crate) fn world_into(&self, frames: &[TriangleFrame], out: &mut Gaussians) {
         let n = self.len();
-        out.sh_degree = 0;
+        out.sh_degree = self.local.sh_degree;
         out.positions.resize(n, Vec3::ZERO);
         out.scales.resize(n, Vec3::ZERO);
         out.rotations.resize(n, Quat::IDENTITY);

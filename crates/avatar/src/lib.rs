@@ -5,18 +5,23 @@
 mod avatar;
 mod binding;
 mod builtin;
+pub mod capture;
 mod dress;
+mod files;
 mod head_model;
 mod ict;
 mod micro_expression;
 pub mod motion;
 mod obj;
+mod parameters;
 
 pub use avatar::{Avatar, AvatarError, PosedHead};
-pub use binding::{BoundGaussians, TriangleFrame};
+pub use binding::{BindingError, BoundGaussians, TriangleFrame};
+pub use files::{AvatarFiles, AvatarFilesError};
 pub use head_model::{
     ActionUnit, HeadModel, HeadModelError, HeadPose, Joint, JointRole, Offsets, PoseCorrective, Region,
     Shape, ShapedHead, Side, Skinning,
 };
 pub use micro_expression::MicroExpression;
 pub use motion::{Moment, Motion};
+pub use parameters::{HeadParameters, ParametersError, PoseParameters};

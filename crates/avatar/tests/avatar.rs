@@ -4,7 +4,11 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use glam::{DMat4, DVec3, Quat, Vec3};
-use srflow_avatar::{Avatar, AvatarError, HeadPose, JointRole, PosedHead, Region, Side};
+use srflow_avatar::capture::HeadRecord;
+use srflow_avatar::{
+    Avatar, AvatarError, AvatarFiles, HeadModel, HeadParameters, HeadPose, JointRole, PoseParameters,
+    PosedHead, Region, Side,
+};
 use srflow_splat::{Camera, Frame, Gaussians, Options, Rasterizer};
 
 fn ict_folder() -> Option<PathBuf> {
@@ -220,4 +224,70 @@ fn ict_action_units_are_those_of_the_files_present() {
         |landmark: usize, head: &PosedHead| head.frames()[model.landmarks[landmark].0 as usize].origin;
     let [right, left] = [48, 54].map(|landmark| corner(landmark, &smiling) - corner(landmark, &rest));
     assert!(left.y > 0.004 && left.length() > 5.0 * right.length(), "left {left}, right {right}");
+}
+
+/// The pictures of an avatar that was written as GaussianAvatars' files and read again, in its own motion, are those of the
+/// original to rounding.
+#[test]
+fn an_avatar_survives_its_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let avatar = &*FIRST;
+    let model = avatar.model();
+    let poses: Vec<PoseParameters> =
+        extreme_poses(avatar).iter().skip(1).map(|pose| PoseParameters::of(model, pose)).collect();
+    let parameters = HeadParameters { poses, ..HeadParameters::default() };
+    let record = HeadRecord::new("builtin".into(), 1, model);
+    let dir = folder.path().join("point_cloud/iteration_30000");
+    std::fs::create_dir_all(folder.path().join("point_cloud/iteration_7000")).unwrap();
+    avatar.write(&dir, &parameters, Some(&record)).unwrap();
+
+    let files = AvatarFiles::read(folder.path()).unwrap();
+    assert_eq!((files.head.as_ref(), &files.parameters, &files.dir), (Some(&record), &parameters, &dir));
+    assert_eq!(files.gaussians.sh_degree, 3);
+    let (again, motion) = files.on(HeadModel::builtin(1)).unwrap();
+    let camera = camera(220, 320);
+    let mut pictures = [Frame::new(), Frame::new()];
+    for pose in &motion.poses {
+        let pose = pose.pose(model);
+        for (avatar, picture) in [avatar, &again].into_iter().zip(&mut pictures) {
+            let (gaussians, _) = gaussians(avatar, &pose);
+            Rasterizer::new().render(&gaussians, &camera, None, &Options::default(), picture).unwrap();
+        }
+        let [a, b] = &pictures;
+        let difference =
+            |(a, b): (&[f32; 3], &[f32; 3])| (0..3).map(|c| (a[c] - b[c]).abs()).fold(0.0, f32::max);
+        let greatest = a.color.iter().zip(&b.color).map(difference).fold(0.0, f32::max);
+        assert!(greatest < 2e-3, "{greatest}");
+    }
+}
+
+#[test]
+fn files_of_another_head_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let avatar = &*FIRST;
+    let parameters = HeadParameters {
+        poses: vec![PoseParameters::default()],
+        shape: vec![1.0],
+        ..HeadParameters::default()
+    };
+    avatar.write(folder.path(), &parameters, None).unwrap();
+    let on = |model: HeadModel| AvatarFiles::read(folder.path()).unwrap().on(model).unwrap_err().to_string();
+    let error = on(HeadModel::builtin(1));
+    assert!(error.contains("shape: the parameters have 1, the head model builtin at most 0"), "{error}");
+    HeadParameters { shape: vec![], ..parameters }
+        .write(&folder.path().join("flame_param.npz"), 0, true)
+        .unwrap();
+    let mut few = HeadModel::builtin(1);
+    few.triangles.truncate(9000);
+    few.regions.truncate(9000);
+    few.landmarks.clear();
+    let error = on(few);
+    assert!(error.contains("but the head model has 9000 triangles"), "{error}");
+    std::fs::remove_file(folder.path().join("flame_param.npz")).unwrap();
+    assert!(AvatarFiles::read(folder.path()).unwrap_err().to_string().contains("flame_param.npz: opening"));
+    let nowhere = AvatarFiles::read(&folder.path().join("nowhere")).unwrap_err().to_string();
+    assert!(
+        nowhere.contains("with point_cloud.ply and flame_param.npz") && nowhere.contains("no folder"),
+        "{nowhere}"
+    );
 }

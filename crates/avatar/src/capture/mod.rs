@@ -1,0 +1,163 @@
+//! Captures of a head by several calibrated cameras, in the files that VHAP exports and GaussianAvatars is trained on
+//! (`vhap/export_as_nerf_dataset.py`, `scene/dataset_readers.py`):
+//!
+//! ```text
+//! transforms.json                  cameras and files of every picture; _train, _val and _test hold one split each
+//! images/00012_08.png              timestep 12, camera 8; the head over the background colour
+//! fg_masks/00012_08.png            alpha, 8 bits
+//! flame_param/00012.npz            parameters of the head at timestep 12
+//! canonical_flame_param.npz        the head at rest with the mouth open
+//! landmarks.csv                    the 68 landmarks of dlib in every picture; of this project
+//! head.json                        which head the parameters belong to; of this project
+//! ```
+//!
+//! Images are read one by one when they are asked for, so a capture may be larger than the memory.
+
+mod head;
+mod landmarks;
+mod read;
+mod split;
+#[cfg(test)]
+mod tests;
+mod write;
+
+use std::path::{Path, PathBuf};
+
+use srflow_field::{FileError, FileProblem, Image, Plane, read_image};
+use srflow_splat::Camera;
+
+pub use head::{HEAD_NAME, HeadRecord};
+pub use landmarks::{LANDMARK_COUNT, LANDMARKS_NAME, Landmarks};
+pub use split::{CaptureSplit, FRONT_CAMERA, split_of};
+pub use write::write_transforms;
+
+use crate::HeadParameters;
+
+/// The file whose presence makes GaussianAvatars read a folder as a capture of a moving head.
+pub const CANONICAL_NAME: &str = "canonical_flame_param.npz";
+
+/// One picture of a capture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CaptureView {
+    pub split: CaptureSplit,
+    /// Number of the timestep, from 0.
+    pub timestep: u32,
+    /// Number of the camera, from 0; 8 is the front camera of NeRSemble.
+    pub camera_index: u32,
+    /// Intrinsics and pose, in our conventions.
+    pub camera: Camera,
+    /// The picture, relative to the folder of the capture.
+    pub image: PathBuf,
+    /// Alpha of the head, relative to the folder of the capture.
+    pub mask: Option<PathBuf>,
+    /// Parameters of the head at this timestep, relative to the folder of the capture.
+    pub parameters: Option<PathBuf>,
+}
+
+/// A head captured by several cameras over time.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Capture {
+    dir: PathBuf,
+    views: Vec<CaptureView>,
+}
+
+impl Capture {
+    /// The folder of its files.
+    pub fn dir(&self) -> &Path {
+        &self.dir
+    }
+
+    /// All pictures, sorted by timestep and camera.
+    pub fn views(&self) -> &[CaptureView] {
+        &self.views
+    }
+
+    /// The pictures of one split, sorted by timestep and camera.
+    pub fn of(&self, split: CaptureSplit) -> impl Iterator<Item = &CaptureView> {
+        self.views.iter().filter(move |view| view.split == split)
+    }
+
+    /// Numbers of the timesteps, ascending.
+    pub fn timesteps(&self) -> Vec<u32> {
+        let mut timesteps: Vec<u32> = self.views.iter().map(|view| view.timestep).collect();
+        timesteps.dedup();
+        timesteps
+    }
+
+    /// Numbers of the cameras, ascending.
+    pub fn camera_indices(&self) -> Vec<u32> {
+        let mut cameras: Vec<u32> = self.views.iter().map(|view| view.camera_index).collect();
+        cameras.sort_unstable();
+        cameras.dedup();
+        cameras
+    }
+
+    /// Reads the picture of a view.
+    ///
+    /// # Errors
+    /// When it cannot be read, or does not have the size of the camera.
+    pub fn image(&self, view: &CaptureView) -> Result<Image, FileError> {
+        let path = self.dir.join(&view.image);
+        let image = read_image(&path)?;
+        check_size(&path, image.size(), &view.camera)?;
+        Ok(image)
+    }
+
+    /// Reads the alpha of a view, 0 to 1; `None` if the capture has no masks.
+    ///
+    /// # Errors
+    /// As [`Capture::image`].
+    pub fn mask(&self, view: &CaptureView) -> Result<Option<Plane>, FileError> {
+        let Some(mask) = &view.mask else { return Ok(None) };
+        let path = self.dir.join(mask);
+        let grey = read_image(&path)?;
+        check_size(&path, grey.size(), &view.camera)?;
+        Ok(Some(Plane::from_fn(grey.width(), grey.height(), |x, y| f32::from(grey.get(x, y)[0]) / 255.0)))
+    }
+
+    /// Reads the head's parameters at all timesteps, in the order of [`Capture::timesteps`]. The identity is that of the first.
+    ///
+    /// # Errors
+    /// When a timestep has no file of parameters, or one cannot be read or holds another number of timesteps than one.
+    pub fn parameters(&self) -> Result<HeadParameters, FileError> {
+        let mut all: Option<HeadParameters> = None;
+        let mut last = None;
+        for view in &self.views {
+            if last == Some(view.timestep) {
+                continue;
+            }
+            last = Some(view.timestep);
+            let Some(parameters) = &view.parameters else {
+                let found = format!("none at timestep {}", view.timestep);
+                let problem =
+                    problem("flame_param_path", "the parameters of the head at every timestep", found);
+                return Err(FileError { path: self.dir.clone(), problem });
+            };
+            let path = self.dir.join(parameters);
+            let one = HeadParameters::read(&path)?;
+            if one.poses.len() != 1 {
+                let problem = problem("expr", "one timestep", one.poses.len());
+                return Err(FileError { path, problem });
+            }
+            match &mut all {
+                None => all = Some(one),
+                Some(all) => all.poses.extend(one.poses),
+            }
+        }
+        Ok(all.unwrap_or_default())
+    }
+}
+
+fn check_size(path: &Path, found: (usize, usize), camera: &Camera) -> Result<(), FileError> {
+    let expected = (camera.width, camera.height);
+    if found == expected {
+        return Ok(());
+    }
+    let words = |(width, height): (usize, usize)| format!("{width}x{height}");
+    let expected = format!("{} (WIDTHxHEIGHT), as its camera in transforms.json", words(expected));
+    Err(FileError { path: path.to_owned(), problem: problem("size", expected, words(found)) })
+}
+
+fn problem(field: &'static str, expected: impl ToString, found: impl ToString) -> FileProblem {
+    FileProblem::Field { field, expected: expected.to_string(), found: found.to_string() }
+}

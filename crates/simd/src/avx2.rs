@@ -1,7 +1,7 @@
 use std::arch::x86_64::*;
 
-use crate::Simd;
 use crate::vector::each;
+use crate::{MAX_LANES, Simd};
 
 /// AVX2 with FMA, BMI and POPCNT.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -95,5 +95,37 @@ impl Simd for Avx2 {
         let mut lanes = [0.0_f32; 8];
         self.write(v, &mut lanes);
         lanes.iter().sum()
+    }
+
+    #[inline(always)]
+    fn sum_rows(self, rows: &[[f32; MAX_LANES]; MAX_LANES]) -> [f32; MAX_LANES] {
+        unsafe {
+            // Each step adds the halves of what is left of two rows, and puts the sums of both into one vector.
+            let mut quarters = [_mm256_setzero_ps(); 8];
+            for i in 0..8 {
+                let (a, b) = (&rows[2 * i], &rows[2 * i + 1]);
+                let a = self.add(self.read(a), self.read(&a[8..]));
+                let b = self.add(self.read(b), self.read(&b[8..]));
+                let (low, high) =
+                    (_mm256_permute2f128_ps::<0x20>(a, b), _mm256_permute2f128_ps::<0x31>(a, b));
+                quarters[i] = _mm256_add_ps(low, high);
+            }
+            let mut pairs = [_mm256_setzero_ps(); 4];
+            for i in 0..4 {
+                let (a, b) = (quarters[2 * i], quarters[2 * i + 1]);
+                let (low, high) = (_mm256_shuffle_ps::<0x44>(a, b), _mm256_shuffle_ps::<0xEE>(a, b));
+                pairs[i] = _mm256_add_ps(low, high);
+            }
+            // Rows 0, 2, 4, 6, then 1, 3, 5, 7.
+            let order = _mm256_setr_epi32(0, 4, 1, 5, 2, 6, 3, 7);
+            let mut sums = [0.0; MAX_LANES];
+            for i in 0..2 {
+                let (a, b) = (pairs[2 * i], pairs[2 * i + 1]);
+                let (low, high) = (_mm256_shuffle_ps::<0x88>(a, b), _mm256_shuffle_ps::<0xDD>(a, b));
+                let sorted = _mm256_permutevar8x32_ps(_mm256_add_ps(low, high), order);
+                self.write(sorted, &mut sums[8 * i..]);
+            }
+            sums
+        }
     }
 }

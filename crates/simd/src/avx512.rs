@@ -81,6 +81,38 @@ impl Simd for Avx512 {
     }
 
     #[inline(always)]
+    fn sum_rows(self, rows: &[[f32; MAX_LANES]; MAX_LANES]) -> [f32; MAX_LANES] {
+        unsafe {
+            // Each step adds the halves of what is left of two rows, and puts the sums of both into one vector.
+            let mut halves = [_mm512_setzero_ps(); 8];
+            for i in 0..8 {
+                let (a, b) = (self.read(&rows[2 * i]), self.read(&rows[2 * i + 1]));
+                let (low, high) = (_mm512_shuffle_f32x4::<0x44>(a, b), _mm512_shuffle_f32x4::<0xEE>(a, b));
+                halves[i] = _mm512_add_ps(low, high);
+            }
+            let mut quarters = [_mm512_setzero_ps(); 4];
+            for i in 0..4 {
+                let (a, b) = (halves[2 * i], halves[2 * i + 1]);
+                let (low, high) = (_mm512_shuffle_f32x4::<0x88>(a, b), _mm512_shuffle_f32x4::<0xDD>(a, b));
+                quarters[i] = _mm512_add_ps(low, high);
+            }
+            let mut pairs = [_mm512_setzero_ps(); 2];
+            for i in 0..2 {
+                let (a, b) = (quarters[2 * i], quarters[2 * i + 1]);
+                let (low, high) = (_mm512_shuffle_ps::<0x44>(a, b), _mm512_shuffle_ps::<0xEE>(a, b));
+                pairs[i] = _mm512_add_ps(low, high);
+            }
+            let [a, b] = pairs;
+            let (low, high) = (_mm512_shuffle_ps::<0x88>(a, b), _mm512_shuffle_ps::<0xDD>(a, b));
+            // Row 4 m + k is element 4 k + m.
+            let order = _mm512_setr_epi32(0, 4, 8, 12, 1, 5, 9, 13, 2, 6, 10, 14, 3, 7, 11, 15);
+            let mut sums = [0.0; MAX_LANES];
+            self.write(_mm512_permutexvar_ps(order, _mm512_add_ps(low, high)), &mut sums);
+            sums
+        }
+    }
+
+    #[inline(always)]
     unsafe fn transpose(self, from: &[*const f32; MAX_LANES], to: *mut f32, step: usize) {
         unsafe {
             // Interleaving every fourth row, twice, brings the elements of all rows together.

@@ -89,6 +89,23 @@ pub trait Simd: Copy + Send + Sync + 'static {
     /// The sum of all lanes; its last bits depend on the instruction set.
     fn sum(self, v: Self::Vector) -> f32;
 
+    /// The sum of each row: elements 8 apart are added first, then those 4, 2 and 1 apart. Unlike [`Simd::sum`], the same bits on
+    /// every instruction set.
+    #[inline(always)]
+    fn sum_rows(self, rows: &[[f32; MAX_LANES]; MAX_LANES]) -> [f32; MAX_LANES] {
+        let mut sums = [0.0; MAX_LANES];
+        for (sum, row) in sums.iter_mut().zip(rows) {
+            let mut row = *row;
+            for apart in [8, 4, 2, 1] {
+                for i in 0..apart {
+                    row[i] += row[i + apart];
+                }
+            }
+            *sum = row[0];
+        }
+        sums
+    }
+
     /// Transposes a square: element `i` of each of the `LANES` vectors in `from` goes to row `i` of the target, `step` apart.
     ///
     /// # Safety
@@ -215,6 +232,28 @@ mod tests {
                 let inside = row < isa.lanes() && column < isa.lanes();
                 assert_eq!(found, if inside { from[column][row] } else { -1.0 }, "{isa:?}");
             }
+        }
+    }
+
+    dispatch! {
+        fn sum_rows = sum_rows_kernel(rows: &[[f32; MAX_LANES]; MAX_LANES]) -> [f32; MAX_LANES]
+    }
+
+    fn sum_rows_kernel<S: Simd>(s: S, rows: &[[f32; MAX_LANES]; MAX_LANES]) -> [f32; MAX_LANES] {
+        s.sum_rows(rows)
+    }
+
+    #[test]
+    fn sums_of_rows_have_the_same_bits_on_every_instruction_set() {
+        let rows: [[f32; MAX_LANES]; MAX_LANES] = std::array::from_fn(|row| {
+            std::array::from_fn(|column| ((row * 31 + column * 7) % 23) as f32 / 7.0 - 1.0)
+        });
+        let expected = sum_rows(Isa::Portable(Portable), &rows);
+        for (row, sum) in rows.iter().zip(expected) {
+            assert!((row.iter().sum::<f32>() - sum).abs() < 1e-5);
+        }
+        for isa in Isa::to_test() {
+            assert_eq!(sum_rows(isa, &rows).map(f32::to_bits), expected.map(f32::to_bits), "{isa:?}");
         }
     }
 

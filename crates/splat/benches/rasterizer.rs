@@ -1,7 +1,8 @@
-//! Frame pairs of a head-like cloud: both projections, sorting, and blending of colour, flow, alpha and depth.
+//! Frame pairs of a head-like cloud: both projections, sorting, and blending of colour, flow, alpha and depth. Then the
+//! gradients of the same outputs.
 //!
-//! `cargo bench -p srflow-splat` runs all sizes; `-- 150k` selects one. Besides criterion's times, the summary prints
-//! nanoseconds per blended (Gaussian, pixel) pair.
+//! `cargo bench -p srflow-splat` runs all sizes; `-- 150k` selects one, `-- gradients` the gradients. Besides criterion's
+//! times, the summary prints nanoseconds per blended (Gaussian, pixel) pair.
 
 use std::cell::Cell;
 use std::time::{Duration, Instant};
@@ -9,7 +10,9 @@ use std::time::{Duration, Instant};
 use criterion::Criterion;
 use glam::{DMat4, DVec3, EulerRot, Quat, Vec3};
 use srflow_field::random::Key;
-use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, Rasterizer};
+use srflow_splat::{
+    Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Next, Options, Outputs, Rasterizer,
+};
 
 const SIZES: [(usize, usize); 3] = [(512, 512), (1600, 1200), (2200, 3208)];
 const COUNTS: [usize; 4] = [10_000, 100_000, 150_000, 1_000_000];
@@ -36,6 +39,12 @@ fn main() {
                 bench_pair(&mut criterion, &name, threads, &head, &next, &camera);
             }
         }
+    }
+    let head = head(100_000);
+    let next = moved(&head);
+    for threads in [1, 2] {
+        bench_gradients(&mut criterion, "colour", threads, &head, None);
+        bench_gradients(&mut criterion, "all outputs", threads, &head, Some(&next));
     }
     criterion.final_summary();
 }
@@ -81,6 +90,66 @@ fn bench_pair(
             "{name}, {threads} threads: best {:.1} ms, {:.3} ns per blended pair ({:.1} million pairs)",
             best.get().as_secs_f64() * 1e3,
             best.get().as_nanos() as f64 / frame.statistics.blended as f64,
+            frame.statistics.blended as f64 * 1e-6,
+        );
+    }
+}
+
+/// A rendering at the size of the avatars' training pictures and its backward, in turn: of colour alone, or with a next frame
+/// of everything.
+fn bench_gradients(
+    criterion: &mut Criterion,
+    name: &str,
+    threads: usize,
+    gaussians: &Gaussians,
+    next: Option<&Gaussians>,
+) {
+    let (width, height) = (550, 802);
+    let camera = camera(width, height);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+    let mut rasterizer = Rasterizer::new();
+    let mut frame = Frame::new();
+    let all = Outputs { image: false, ..Outputs::ALL };
+    let outputs = if next.is_some() { all } else { Outputs { color: true, ..Outputs::NONE } };
+    let options = Options { outputs, ..Options::default() };
+    let mut stream = Key::new(2).stream("gradients");
+    let color = (0..width * height).map(|_| std::array::from_fn(|_| stream.normal())).collect();
+    let mut gradients = FrameGradients { color, ..FrameGradients::default() };
+    if next.is_some() {
+        let mut numbers = || (0..width * height).map(|_| stream.normal()).collect();
+        gradients.alpha = numbers();
+        gradients.depth = numbers();
+        gradients.depth_next = numbers();
+        gradients.flow = gradients.alpha.iter().zip(&gradients.depth).map(|(u, v)| [*u, *v]).collect();
+    }
+    let mut out = GaussianGradients::default();
+    let (mut forward, mut backward) = (Vec::new(), Vec::new());
+    criterion.bench_function(&format!("gradients of {name}, {threads} threads"), |bencher| {
+        bencher.iter_custom(|iterations| {
+            let start = Instant::now();
+            for _ in 0..iterations {
+                pool.install(|| {
+                    let start = Instant::now();
+                    let next = next.map(|gaussians| Next { gaussians, camera: &camera });
+                    let mut rendering = rasterizer
+                        .render(gaussians, &camera, next, &options, &mut frame)
+                        .expect("a valid scene");
+                    let middle = Instant::now();
+                    rendering.backward(&gradients, &mut out).expect("gradients that fit");
+                    forward.push(middle - start);
+                    backward.push(middle.elapsed());
+                });
+            }
+            start.elapsed()
+        });
+    });
+    if let (Some(forward), Some(backward)) = (forward.iter().min(), backward.iter().min()) {
+        println!(
+            "gradients of {name}, {threads} threads: forward {:.1} ms, backward {:.1} ms (least), ratio {:.2}; {:.1} million \
+             pairs",
+            forward.as_secs_f64() * 1e3,
+            backward.as_secs_f64() * 1e3,
+            backward.as_secs_f64() / forward.as_secs_f64(),
             frame.statistics.blended as f64 * 1e-6,
         );
     }

@@ -5,6 +5,7 @@
 //!
 //! [`mod@reference`] is the definition, one pixel at a time in `f64`; [`Rasterizer`] is the fast implementation.
 
+mod backward;
 mod blending;
 mod camera;
 mod error;
@@ -19,13 +20,14 @@ pub mod reference;
 mod sh;
 mod strip;
 
+pub use backward::Rendering;
 pub use camera::{
     Camera, MAX_PIXELS, MAX_SIDE, NEAR, NamedCamera, PixelConvention, Surroundings, read_cameras,
 };
 pub use error::{CameraError, RasterizeError};
 pub use frame::{Frame, Outputs, Statistics};
 pub use gaussians::Gaussians;
-pub use gradients::{CameraGradient, FrameGradients};
+pub use gradients::{CameraGradient, FrameGradients, GaussianGradients};
 pub use ply::{read_bound_ply, read_ply, write_bound_ply, write_ply};
 pub use rasterizer::{Next, Options, Rasterizer};
 

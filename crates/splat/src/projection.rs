@@ -85,17 +85,19 @@ pub(crate) fn project(
 }
 
 /// A camera with derived values.
-struct View {
-    camera: Camera,
-    rotation: DMat3,
-    position: DVec3,
+pub(crate) struct View {
+    pub camera: Camera,
+    /// Camera from world.
+    pub rotation: DMat3,
+    /// Of the camera, in the world.
+    pub position: DVec3,
     /// Bounds of the direction at which the Jacobian is taken; see the notes in [`crate::reference`].
     clamp_min: DVec2,
     clamp_max: DVec2,
 }
 
 impl View {
-    fn new(camera: &Camera) -> Self {
+    pub(crate) fn new(camera: &Camera) -> Self {
         let size = DVec2::new(camera.width as f64, camera.height as f64);
         let focal = DVec2::new(camera.fx, camera.fy);
         let principal = DVec2::new(camera.cx, camera.cy);
@@ -140,6 +142,11 @@ impl View {
         Some(Placement { depth_bits: depth.to_bits(), rows, columns })
     }
 
+    /// The direction at which the Jacobian is taken, for a point in this one.
+    pub(crate) fn clamped(&self, direction: DVec2) -> DVec2 {
+        direction.clamp(self.clamp_min, self.clamp_max)
+    }
+
     /// EWA projection of the covariance at `point`, low-pass filter included; `None` for invalid parameters.
     fn ellipse(&self, gaussians: &Gaussians, index: usize, point: DVec3) -> Option<Ellipse> {
         let scale = gaussians.scales[index].as_dvec3();
@@ -149,7 +156,7 @@ impl View {
             return None;
         }
         let axes = self.rotation * DMat3::from_quat(rotation / length);
-        let direction = (point.truncate() / point.z).clamp(self.clamp_min, self.clamp_max);
+        let direction = self.clamped(point.truncate() / point.z);
         let (x, y, z) = (axes.row(0), axes.row(1), axes.row(2));
         let horizontal = (x - direction.x * z) * scale * (self.camera.fx / point.z);
         let vertical = (y - direction.y * z) * scale * (self.camera.fy / point.z);
@@ -198,14 +205,15 @@ impl Ellipse {
 }
 
 /// The target camera of the flow.
-struct Motion {
-    camera: Camera,
-    camera_from_world: DMat4,
-    scale: DVec2,
+pub(crate) struct Motion {
+    pub camera: Camera,
+    pub camera_from_world: DMat4,
+    /// Pixels of the flow's convention per pixel of the image.
+    pub scale: DVec2,
 }
 
 impl Motion {
-    fn new(camera: &Camera, convention: PixelConvention) -> Self {
+    pub(crate) fn new(camera: &Camera, convention: PixelConvention) -> Self {
         Self {
             camera: *camera,
             camera_from_world: camera.camera_from_world,
@@ -218,15 +226,20 @@ impl Motion {
         let point = self.camera_from_world.transform_point3(position.as_dvec3());
         let depth = point.z as f32;
         splat.features[6] = if depth.is_finite() { depth } else { 0.0 };
+        let displacement = self.displacement(point, splat);
+        if let Some(displacement) = displacement {
+            splat.features[4..6].copy_from_slice(&displacement);
+        }
+        displacement.is_some()
+    }
+
+    /// Displacement of the splat whose centre moves to `point`, in coordinates of the next camera.
+    pub(crate) fn displacement(&self, point: DVec3, splat: &Splat) -> Option<[f32; 2]> {
         if !(point.is_finite() && point.z > NEAR) {
-            return false;
+            return None;
         }
         let displacement = (self.camera.pixel(point) - DVec2::from_array(splat.center)) * self.scale;
         let [u, v] = [displacement.x as f32, displacement.y as f32];
-        let defined = u.is_finite() && v.is_finite();
-        if defined {
-            splat.features[4..6].copy_from_slice(&[u, v]);
-        }
-        defined
+        (u.is_finite() && v.is_finite()).then_some([u, v])
     }
 }

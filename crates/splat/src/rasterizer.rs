@@ -1,5 +1,6 @@
 use srflow_simd::{Isa, dispatch};
 
+use crate::backward::{self, Rendering};
 use crate::frame::FrameRows;
 use crate::ordering::{Bins, DepthOrder, Drawn};
 use crate::projection::{Placement, Splat, TILE, project};
@@ -37,12 +38,13 @@ pub struct Next<'a> {
 #[derive(Debug, Default)]
 pub struct Rasterizer {
     /// The widest, unless a test chooses another.
-    isa: Option<Isa>,
-    splats: Vec<Splat>,
-    placements: Vec<Placement>,
+    pub(crate) isa: Option<Isa>,
+    pub(crate) splats: Vec<Splat>,
+    pub(crate) placements: Vec<Placement>,
     order: DepthOrder,
-    strips: Bins<Drawn>,
+    pub(crate) strips: Bins<Drawn>,
     tiles: Vec<Bins<u32>>,
+    pub(crate) backward: backward::Buffers,
 }
 
 impl Rasterizer {
@@ -57,20 +59,20 @@ impl Rasterizer {
     }
 
     /// Renders `gaussians` as seen by `camera` into `frame`, with the flow towards `next` if there is one. Runs on the threads
-    /// of the current rayon pool.
+    /// of the current rayon pool. The returned [`Rendering`] can be differentiated.
     ///
     /// # Errors
     /// When the lists of a set do not match, the two sets differ in number, a camera is not valid ([`Camera::validate`]), or the
     /// two cameras' images differ in size. A Gaussian that cannot be drawn (behind the near plane, not finite) is no error: it
     /// is skipped.
-    pub fn render(
-        &mut self,
-        gaussians: &Gaussians,
+    pub fn render<'a>(
+        &'a mut self,
+        gaussians: &'a Gaussians,
         camera: &Camera,
-        next: Option<Next<'_>>,
+        next: Option<Next<'a>>,
         options: &Options,
         frame: &mut Frame,
-    ) -> Result<(), RasterizeError> {
+    ) -> Result<Rendering<'a>, RasterizeError> {
         validate(gaussians, camera, next)?;
         let has_next = next.is_some();
         let wanted = options.outputs;
@@ -93,7 +95,13 @@ impl Rasterizer {
         };
         let blended = pass.render(0, FrameRows::all(frame), &mut self.tiles);
         frame.statistics = Statistics { visible: order.len(), blended, without_displacement };
-        Ok(())
+        Ok(Rendering {
+            rasterizer: self,
+            gaussians,
+            camera: *camera,
+            next: next.map(|next| (next.gaussians, *next.camera)),
+            options: *options,
+        })
     }
 }
 

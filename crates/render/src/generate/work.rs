@@ -195,7 +195,8 @@ impl Worker {
             .time(Stage::Rasterize, || {
                 self.rasterizer.render(&self.gaussians, &state.camera, next, &options, &mut self.frame)
             })
-            .map_err(|error| refused(scene, frame, error))
+            .map_err(|error| refused(scene, frame, error))?;
+        Ok(())
     }
 
     fn write_pair(
@@ -251,7 +252,8 @@ impl Worker {
                     &mut self.backward,
                 )
             })
-            .map_err(|error| refused(scene, pair + 1, error))
+            .map_err(|error| refused(scene, pair + 1, error))?;
+        Ok(())
     }
 
     /// Writes the files that depend on `self.frame` alone: picture, alpha, mask and depth.

@@ -14,25 +14,18 @@ use super::{
 use crate::gradients::{CameraGradient, FrameGradients};
 use crate::{Camera, Gaussians, NEAR, Next, Options, RasterizeError, sh};
 
-/// Gradients of a loss with respect to everything that a rendering depends on: lists as long as those of the
-/// [`Gaussians`]. They are zero for a Gaussian that is not visible.
-#[derive(Debug, Clone, PartialEq)]
+/// [`GaussianGradients`](crate::GaussianGradients) in `f64`.
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Gradients {
     pub positions: Vec<DVec3>,
     pub scales: Vec<DVec3>,
-    /// `x, y, z, w` of the quaternions as they are stored: the rendering normalises them, so these are perpendicular to them.
     pub rotations: Vec<DVec4>,
     pub opacities: Vec<f64>,
     pub sh: Vec<[f64; 3]>,
-    /// Of the moved positions; empty without a next frame.
     pub next_positions: Vec<DVec3>,
-    /// Of the centres on the image, in pixels, through the blending weights alone: what adaptive density control of 3DGS
-    /// measures. (The reference measures it in normalised device coordinates: times half of the image's width and height.)
     pub centers: Vec<DVec2>,
-    /// The same with the sum over pixels taken of absolute values (AbsGS, Ye et al. 2024, absolute gradients).
     pub centers_absolute: Vec<DVec2>,
     pub camera: CameraGradient,
-    /// Zero without a next frame.
     pub next_camera: CameraGradient,
 }
 

@@ -1,3 +1,4 @@
+mod gradients;
 mod invariance;
 mod motion;
 pub(crate) mod scenes;

@@ -1,0 +1,256 @@
+//! The fast backward: the same strips and tiles as the forward. Each strip writes, into memory of its own, one entry for every
+//! splat that it shows; then each Gaussian adds its entries, strip by strip from the top, and continues through its
+//! projection. So every sum has a fixed order, and no two threads write to one place.
+
+mod projection;
+mod tile;
+
+use rayon::prelude::*;
+use srflow_simd::{Isa, MAX_LANES, Simd, dispatch};
+
+use crate::gradients::{CameraGradient, FrameGradients, GaussianGradients, GaussianGradientsChunk};
+use crate::ordering::{Bins, Drawn};
+use crate::projection::TILE;
+use crate::strip::Scene;
+use crate::{Camera, Gaussians, Options, RasterizeError, Rasterizer};
+use projection::ViewBackward;
+use tile::{Place, Replay, TileGradients, moment};
+
+/// Gaussians in a chunk: the unit of work after the strips, whose sums stay in the cache.
+const CHUNK: usize = 1024;
+
+/// Buffers of the backward, reused between calls.
+#[derive(Debug, Default)]
+pub(crate) struct Buffers {
+    strips: Vec<Strip>,
+}
+
+/// What one strip adds to the gradients of its splats.
+#[derive(Debug, Default)]
+struct Strip {
+    tiles: Bins<u32>,
+    /// Index in `entries` of each splat of the strip's list; [`NO_SLOT`] if it has none.
+    slots: Vec<u32>,
+    entries: Vec<Partial>,
+    /// `entries`, sorted by chunk of Gaussians.
+    sorted: Vec<Partial>,
+    /// Chunk `c` is `sorted[starts[c]..starts[c + 1]]`.
+    starts: Vec<usize>,
+}
+
+const NO_SLOT: u32 = u32::MAX;
+
+/// Sums over pixels of one splat, the size of a cache line.
+#[derive(Debug, Clone, Copy)]
+#[repr(C, align(64))]
+pub(crate) struct Partial {
+    splat: u32,
+    /// [`moment`]s, then the gradients of the features.
+    sums: [f32; MAX_LANES - 1],
+}
+
+/// A rendering that was just made, with all that its backward needs.
+#[derive(Debug)]
+pub struct Rendering<'a> {
+    pub(crate) rasterizer: &'a mut Rasterizer,
+    pub(crate) gaussians: &'a Gaussians,
+    pub(crate) camera: Camera,
+    pub(crate) next: Option<(&'a Gaussians, Camera)>,
+    pub(crate) options: Options,
+}
+
+impl Rendering<'_> {
+    /// Whether each Gaussian can touch a pixel. There are [`Statistics::visible`](crate::Statistics::visible) such ones.
+    pub fn visible(&self) -> impl ExactSizeIterator<Item = bool> {
+        self.rasterizer.placements.iter().map(|placement| !placement.is_hidden())
+    }
+
+    /// The gradients of a loss, given its gradients with respect to the frame. Writes all of `out`, whose memory is reused.
+    /// [`reference::backward`](crate::reference::backward) is the definition. Runs on the threads of the current rayon pool,
+    /// whose number does not change a bit.
+    ///
+    /// The gradients of outputs that were not requested count too; those of flow and next depth need a next frame.
+    ///
+    /// # Errors
+    /// When a list of `gradients` does not fit the image.
+    pub fn backward(
+        &mut self,
+        gradients: &FrameGradients,
+        out: &mut GaussianGradients,
+    ) -> Result<(), RasterizeError> {
+        gradients.validate((self.camera.width, self.camera.height))?;
+        let motion = self.next.is_some() && !(gradients.flow.is_empty() && gradients.depth_next.is_empty());
+        if motion {
+            self.strips::<7>(gradients);
+        } else if !gradients.depth.is_empty() {
+            self.strips::<4>(gradients);
+        } else {
+            self.strips::<3>(gradients);
+        }
+        self.gather(out);
+        Ok(())
+    }
+
+    /// Fills the buffers of the strips. `CHANNELS` features have gradients.
+    fn strips<const CHANNELS: usize>(&mut self, gradients: &FrameGradients) {
+        let Rasterizer { isa, splats, strips: lists, backward, .. } = &mut *self.rasterizer;
+        let isa = isa.unwrap_or_else(Isa::best);
+        let pass = Pass {
+            scene: Scene { splats, background: self.options.background },
+            size: (self.camera.width, self.camera.height),
+            gradients,
+            chunks: splats.len().div_ceil(CHUNK),
+        };
+        backward.strips.resize_with(self.camera.height.div_ceil(TILE), Strip::default);
+        backward.strips.par_iter_mut().enumerate().for_each_init(
+            Replay::default,
+            |replay, (number, strip)| {
+                fill_strip::<CHANNELS>(isa, pass, number, lists.get(number), strip, replay);
+            },
+        );
+    }
+
+    /// Adds the entries of the strips for each Gaussian, and continues through the projection.
+    fn gather(&self, out: &mut GaussianGradients) {
+        let next = self.next.map(|(gaussians, camera)| (gaussians, camera, self.options.convention));
+        let view = ViewBackward::new(&self.camera, next);
+        let (splats, strips) = (&self.rasterizer.splats, &self.rasterizer.backward.strips);
+        out.prepare(self.gaussians, self.next.is_some());
+        let zero = [0.0; MAX_LANES - 1];
+        let cameras: Vec<[CameraGradient; 2]> = out
+            .chunks(CHUNK, self.gaussians.sh_len())
+            .into_par_iter()
+            .enumerate()
+            .map_init(
+                || (vec![zero; CHUNK], vec![false; CHUNK]),
+                |(sums, touched), (chunk, mut out): (usize, GaussianGradientsChunk<'_>)| {
+                    let first = chunk * CHUNK;
+                    sums.fill(zero);
+                    touched.fill(false);
+                    for strip in strips {
+                        for entry in &strip.sorted[strip.starts[chunk]..strip.starts[chunk + 1]] {
+                            let at = entry.splat as usize - first;
+                            touched[at] = true;
+                            for (total, sum) in sums[at].iter_mut().zip(&entry.sums) {
+                                *total += sum;
+                            }
+                        }
+                    }
+                    let mut cameras = [CameraGradient::default(); 2];
+                    for at in 0..out.positions.len() {
+                        let index = first + at;
+                        if touched[at] {
+                            let splat = &splats[index];
+                            view.gaussian(
+                                self.gaussians,
+                                index,
+                                splat,
+                                &sums[at],
+                                &mut out,
+                                at,
+                                &mut cameras,
+                            );
+                        } else {
+                            out.clear(at);
+                        }
+                    }
+                    cameras
+                },
+            )
+            .collect();
+        let mut totals = [CameraGradient::default(); 2];
+        for chunk in cameras {
+            for (total, camera) in totals.iter_mut().zip(chunk) {
+                *total += camera;
+            }
+        }
+        [out.camera, out.next_camera] = totals;
+    }
+}
+
+/// Data shared by the strips of one backward.
+#[derive(Clone, Copy)]
+struct Pass<'a> {
+    scene: Scene<'a>,
+    /// Width and height of the image.
+    size: (usize, usize),
+    gradients: &'a FrameGradients,
+    /// Number of chunks of Gaussians.
+    chunks: usize,
+}
+
+dispatch! {
+    /// See [`fill`].
+    fn fill_strip<const CHANNELS: usize> = fill(
+        pass: Pass<'_>,
+        number: usize,
+        drawn: &[Drawn],
+        strip: &mut Strip,
+        replay: &mut Replay,
+    )
+}
+
+/// Fills strip number `number`, in which `drawn` were drawn.
+#[inline(always)]
+fn fill<const CHANNELS: usize>(
+    s: impl Simd,
+    pass: Pass<'_>,
+    number: usize,
+    drawn: &[Drawn],
+    strip: &mut Strip,
+    replay: &mut Replay,
+) {
+    let Pass { scene: Scene { splats, background }, size: (width, height), gradients, chunks } = pass;
+    let Strip { tiles, slots, entries, sorted, starts } = strip;
+    let columns = width.div_ceil(TILE);
+    let positions = drawn.iter().enumerate();
+    tiles.deal(columns, positions.map(|(position, drawn)| (position as u32, drawn.columns)));
+    slots.clear();
+    slots.resize(drawn.len(), NO_SLOT);
+    entries.clear();
+    for column in 0..columns {
+        let list = tiles.get(column);
+        if list.is_empty() {
+            continue;
+        }
+        let (left, top) = (column * TILE, number * TILE);
+        let (inner_width, inner_height) = (TILE.min(width - left), TILE.min(height - top));
+        let place = Place { image_width: width, left, top, width: inner_width, height: inner_height };
+        let transmittance = replay.forward(s, splats, drawn, list, place);
+        if replay.is_empty() {
+            continue;
+        }
+        let shown = (splats, drawn);
+        let mut tile =
+            TileGradients::<CHANNELS>::new(s, gradients, background, shown, replay, &transmittance, place);
+        replay.backward(s, splats, drawn, place, &mut tile, |position, sums| {
+            let slot = &mut slots[position as usize];
+            if *slot == NO_SLOT {
+                *slot = entries.len() as u32;
+                entries.push(Partial { splat: drawn[position as usize].splat, sums: [0.0; MAX_LANES - 1] });
+            }
+            entries[*slot as usize].add(sums);
+        });
+    }
+    sort_by_chunk(entries, chunks, sorted, starts);
+}
+
+/// Counting sort by chunk of Gaussians.
+fn sort_by_chunk(entries: &[Partial], chunks: usize, sorted: &mut Vec<Partial>, starts: &mut Vec<usize>) {
+    // During the sort, `starts[c + 1]` is the place of the next entry of chunk `c`.
+    starts.clear();
+    starts.resize(chunks + 2, 0);
+    for entry in entries {
+        starts[entry.splat as usize / CHUNK + 2] += 1;
+    }
+    for chunk in 2..starts.len() {
+        starts[chunk] += starts[chunk - 1];
+    }
+    sorted.clear();
+    sorted.resize(entries.len(), Partial { splat: 0, sums: [0.0; MAX_LANES - 1] });
+    for entry in entries {
+        let start = &mut starts[entry.splat as usize / CHUNK + 1];
+        sorted[*start] = *entry;
+        *start += 1;
+    }
+}

@@ -3,10 +3,12 @@ use std::collections::BTreeMap;
 
 use glam::{Mat3, Quat, Vec3};
 
+mod derivative;
 mod shape;
 mod skeleton;
 mod validation;
 
+pub use derivative::{HeadGradient, HeadPoints, HeadState, PointDerivatives, rotation_of_axis_angle};
 pub use shape::{Offsets, PoseCorrective, Shape};
 pub use skeleton::{Joint, JointRole, Skinning};
 pub use validation::HeadModelError;
@@ -173,6 +175,23 @@ impl HeadModel {
     /// follow if the model says so, pose correctives are added, the joints rotate about their rest positions along the chain
     /// of their parents, every vertex follows its joints by their weights, and the translation is applied last.
     pub fn vertices(&self, shaped: &ShapedHead, pose: &HeadPose, out: &mut Vec<Vec3>) {
+        let rest = self.unposed(shaped, pose, out);
+        let posed_from_rest = joint_transforms(&self.joints, &rest, pose);
+        for (vertex, weights) in out.iter_mut().zip(self.skinning.iter()) {
+            let mut rotation = Mat3::ZERO;
+            let mut translation = Vec3::ZERO;
+            for &(joint, weight) in weights {
+                let transform = &posed_from_rest[joint as usize];
+                rotation += transform.rotation * weight;
+                translation += transform.translation * weight;
+            }
+            *vertex = rotation * *vertex + translation;
+        }
+    }
+
+    /// Writes the vertices of `shaped` with the expressions, offset and pose correctives of `pose`, before skinning, into `out`.
+    /// Returns the rest positions of the joints.
+    fn unposed<'a>(&self, shaped: &'a ShapedHead, pose: &HeadPose, out: &mut Vec<Vec3>) -> Cow<'a, [Vec3]> {
         out.clone_from(&shaped.vertices);
         for (shape, &weight) in self.expressions.iter().zip(&pose.expressions) {
             shape.add_to(out, weight);
@@ -189,17 +208,7 @@ impl HeadModel {
                 }
             }
         }
-        let posed_from_rest = joint_transforms(&self.joints, &rest, pose);
-        for (vertex, weights) in out.iter_mut().zip(self.skinning.iter()) {
-            let mut rotation = Mat3::ZERO;
-            let mut translation = Vec3::ZERO;
-            for &(joint, weight) in weights {
-                let transform = &posed_from_rest[joint as usize];
-                rotation += transform.rotation * weight;
-                translation += transform.translation * weight;
-            }
-            *vertex = rotation * *vertex + translation;
-        }
+        rest
     }
 
     /// Rest positions of the joints of `shaped` with an expression, whose vertices before pose correctives are `vertices`.

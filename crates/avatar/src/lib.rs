@@ -19,8 +19,9 @@ pub use avatar::{Avatar, AvatarError, PosedHead};
 pub use binding::{BindingError, BoundGaussians, TriangleFrame};
 pub use files::{AvatarFiles, AvatarFilesError};
 pub use head_model::{
-    ActionUnit, HeadModel, HeadModelError, HeadPose, Joint, JointRole, Offsets, PoseCorrective, Region,
-    Shape, ShapedHead, Side, Skinning,
+    ActionUnit, HeadGradient, HeadModel, HeadModelError, HeadPoints, HeadPose, HeadState, Joint, JointRole,
+    Offsets, PointDerivatives, PoseCorrective, Region, Shape, ShapedHead, Side, Skinning,
+    rotation_of_axis_angle,
 };
 pub use micro_expression::MicroExpression;
 pub use motion::{Moment, Motion};

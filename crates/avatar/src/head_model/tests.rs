@@ -1,4 +1,4 @@
-use glam::{DMat4, DVec3, Quat, Vec3};
+use glam::{DMat4, DQuat, DVec3, Quat, Vec3};
 use srflow_field::random::{Key, Stream};
 
 use super::*;
@@ -21,7 +21,8 @@ fn joints(stream: &mut Stream) -> Vec<Joint> {
     joints
 }
 
-fn model(stream: &mut Stream) -> HeadModel {
+/// A small model with everything that a model can have.
+pub(super) fn model(stream: &mut Stream) -> HeadModel {
     let count = 60;
     let sparse = |stream: &mut Stream, step: usize, size: f32| {
         (0..count).step_by(step).map(|v| (v, vector(stream) * size)).collect::<Vec<_>>()
@@ -79,7 +80,7 @@ fn model(stream: &mut Stream) -> HeadModel {
     }
 }
 
-fn pose(stream: &mut Stream) -> HeadPose {
+pub(super) fn pose(stream: &mut Stream) -> HeadPose {
     HeadPose {
         expressions: vec![0.3, 1.0, -0.5],
         joints: (0..6).map(|_| Quat::from_scaled_axis(vector(stream) * 0.5)).collect(),
@@ -97,20 +98,24 @@ fn offset(offsets: &Offsets, vertex: usize) -> DVec3 {
 }
 
 /// The definition in f64 with 4x4 matrices, vertex by vertex, as in FLAME's `lbs.py`.
-fn by_definition(model: &HeadModel, identity: &[f32], static_offset: &[Vec3], pose: &HeadPose) -> Vec<DVec3> {
+pub(super) fn by_definition(
+    model: &HeadModel,
+    state: &HeadState,
+    static_offset: &[Vec3],
+    dynamic_offset: &[Vec3],
+) -> Vec<DVec3> {
     let count = model.template.len();
-    let weighted = |shapes: &[Shape], weights: &[f32], v: usize| -> DVec3 {
+    let weighted = |shapes: &[Shape], weights: &[f64], v: usize| -> DVec3 {
         let moved = shapes.iter().zip(weights).map(|(shape, &w)| {
-            let w = f64::from(w);
             let bend = if (0.0..=1.0).contains(&w) { 4.0 * w * (1.0 - w) } else { 0.0 };
             offset(&shape.offsets, v) * w + offset(&Offsets::Sparse(shape.arc.clone()), v) * bend
         });
         moved.sum()
     };
     let displacement = |v: usize, expression: bool| {
-        let still = weighted(&model.identities, identity, v) + double(static_offset[v]);
+        let still = weighted(&model.identities, &state.identity, v) + double(static_offset[v]);
         if expression {
-            still + weighted(&model.expressions, &pose.expressions, v) + double(pose.offset[v])
+            still + weighted(&model.expressions, &state.expressions, v) + double(dynamic_offset[v])
         } else {
             still
         }
@@ -122,13 +127,13 @@ fn by_definition(model: &HeadModel, identity: &[f32], static_offset: &[Vec3], po
             let moved = |(v, w): &(u32, f32)| {
                 displacement(*v as usize, model.joints_follow_expressions) * f64::from(*w)
             };
-            let by_identity = joint.identities.iter().zip(identity).map(|(o, w)| double(*o) * f64::from(*w));
+            let by_identity = joint.identities.iter().zip(&state.identity).map(|(o, w)| double(*o) * *w);
             double(joint.position)
                 + joint.follows.iter().map(moved).sum::<DVec3>()
                 + by_identity.sum::<DVec3>()
         })
         .collect();
-    let local = |joint: usize| DMat4::from_quat(pose.joint(joint).as_dquat().normalize());
+    let local = |joint: usize| DMat4::from_quat(state.joint(joint).normalize());
     let mut world: Vec<DMat4> = Vec::new();
     for (number, joint) in model.joints.iter().enumerate() {
         let about =
@@ -147,9 +152,20 @@ fn by_definition(model: &HeadModel, identity: &[f32], static_offset: &[Vec3], po
         }
         let skinned = (0..model.joints.len())
             .map(|joint| world[joint].transform_point3(vertex) * f64::from(model.skinning.weight(v, joint)));
-        skinned.sum::<DVec3>() + double(pose.translation)
+        skinned.sum::<DVec3>() + state.translation
     };
     (0..count).map(posed).collect()
+}
+
+/// The same parameters in f64.
+pub(super) fn state(identity: &[f32], pose: &HeadPose) -> HeadState {
+    let wide = |weights: &[f32]| weights.iter().copied().map(f64::from).collect();
+    HeadState {
+        identity: wide(identity),
+        expressions: wide(&pose.expressions),
+        joints: pose.joints.iter().map(|rotation| DQuat::normalize(rotation.as_dquat())).collect(),
+        translation: double(pose.translation),
+    }
 }
 
 #[test]
@@ -161,7 +177,7 @@ fn vertices_agree_with_their_definition() {
         let shaped = model.shaped_with_offset(&identity, &offset);
         let mut fast = vec![Vec3::ONE; 7];
         model.vertices(&shaped, &pose, &mut fast);
-        let slow = by_definition(&model, &identity, &offset, &pose);
+        let slow = by_definition(&model, &state(&identity, &pose), &offset, &pose.offset);
         assert_eq!(fast.len(), slow.len());
         for (fast, slow) in fast.iter().zip(&slow) {
             // A millionth of the model's size, which is about half a metre.

@@ -1,6 +1,10 @@
+mod backward;
+
 use glam::{Mat3, Quat, Vec3};
 use rayon::prelude::*;
 use srflow_splat::Gaussians;
+
+pub use backward::{BoundGradients, TriangleFrameGradient, vertex_gradients};
 
 /// The local frame of a triangle in GaussianAvatars (Qian et al. 2024; `utils/graphics_utils.py`): origin at the
 /// centroid, axes along the first edge, the normal and their cross product, unit length the mean of base and height.

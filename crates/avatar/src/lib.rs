@@ -16,7 +16,9 @@ mod obj;
 mod parameters;
 
 pub use avatar::{Avatar, AvatarError, PosedHead};
-pub use binding::{BindingError, BoundGaussians, TriangleFrame};
+pub use binding::{
+    BindingError, BoundGaussians, BoundGradients, TriangleFrame, TriangleFrameGradient, vertex_gradients,
+};
 pub use files::{AvatarFiles, AvatarFilesError};
 pub use head_model::{
     ActionUnit, HeadGradient, HeadModel, HeadModelError, HeadPoints, HeadPose, HeadState, Joint, JointRole,

@@ -72,6 +72,8 @@ pub enum AvatarError {
 #[derive(Debug, Clone)]
 pub struct Avatar {
     model: HeadModel,
+    /// Without poses.
+    identity: HeadParameters,
     shaped: ShapedHead,
     gaussians: BoundGaussians,
 }
@@ -130,7 +132,8 @@ impl Avatar {
         }
         let shaped = model.shaped(identity);
         let gaussians = dress(&model, &shaped, seed);
-        Ok(Self { model, shaped, gaussians })
+        let identity = HeadParameters { shape: identity.to_vec(), ..HeadParameters::default() };
+        Ok(Self { model, identity, shaped, gaussians })
     }
 
     /// A person whose Gaussians are those of a file, on `model` with the identity of `parameters`.
@@ -146,12 +149,20 @@ impl Avatar {
         model.validate()?;
         parameters.check(&model)?;
         let gaussians = BoundGaussians::new(local, triangles, model.triangles.len())?;
-        let shaped = model.shaped_with_offset(&parameters.shape, &parameters.static_offset);
-        Ok(Self { model, shaped, gaussians })
+        let HeadParameters { shape, static_offset, .. } = parameters;
+        let shaped = model.shaped_with_offset(shape, static_offset);
+        let identity =
+            HeadParameters { shape: shape.clone(), static_offset: static_offset.clone(), poses: Vec::new() };
+        Ok(Self { model, identity, shaped, gaussians })
     }
 
     pub fn model(&self) -> &HeadModel {
         &self.model
+    }
+
+    /// The identity of the head, without poses.
+    pub fn identity(&self) -> &HeadParameters {
+        &self.identity
     }
 
     pub fn shaped(&self) -> &ShapedHead {

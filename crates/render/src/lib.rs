@@ -1,6 +1,8 @@
-//! Renders datasets: scenes with exact flow and labelled micro-expression clips, with statistics and a check.
+//! Renders datasets: scenes with exact flow, labelled micro-expression clips and captures by many cameras, with statistics and a
+//! check.
 
 pub mod camera;
+pub mod capture;
 pub mod check;
 mod error;
 pub mod generate;

@@ -1,6 +1,7 @@
 //! One file per command: its arguments, and `run`.
 
 pub mod ablation;
+pub mod avatar;
 pub mod check;
 pub mod convert;
 pub mod demo;

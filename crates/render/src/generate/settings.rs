@@ -1,5 +1,6 @@
 //! The settings of a dataset, checked before any work starts, and the plan derived from them.
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -38,6 +39,38 @@ impl Head {
         match self {
             Self::Builtin => Avatar::builtin(subject),
             Self::Ict(dir) => Avatar::ict(dir, subject),
+        }
+    }
+
+    /// A point between chin and crown, independent of the subject, metres.
+    pub(crate) fn centre(&self) -> DVec3 {
+        match self {
+            Self::Builtin => DVec3::new(0.0, 0.03, 0.01),
+            Self::Ict(_) => DVec3::new(0.0, 0.035, 0.02),
+        }
+    }
+
+    /// The head as recorded with a dataset, independent of where its files are.
+    ///
+    /// # Errors
+    /// When its folder cannot be read.
+    pub(crate) fn fingerprint(&self) -> Result<String, RenderError> {
+        match self {
+            Self::Builtin => Ok("builtin".to_owned()),
+            Self::Ict(dir) => {
+                let files = list_files(dir, "--head", "ict: and ICT-FaceKit's FaceXModel folder")?;
+                Ok(format!("ict, {}", fingerprint(&files)))
+            }
+        }
+    }
+}
+
+impl fmt::Display for Head {
+    /// As [`Head::from_str`] reads it.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Builtin => f.pad("builtin"),
+            Self::Ict(dir) => write!(f, "ict:{}", dir.display()),
         }
     }
 }
@@ -192,13 +225,9 @@ impl Settings {
         empty.map(note).collect()
     }
 
-    /// The rig, independent of the subject: centred on a head between chin and crown.
+    /// The rig, independent of the subject.
     pub(crate) fn rig(&self) -> Rig {
-        let centre = match self.head {
-            Head::Builtin => DVec3::new(0.0, 0.03, 0.01),
-            Head::Ict(_) => DVec3::new(0.0, 0.035, 0.02),
-        };
-        Rig::new(self.width, self.height, centre)
+        Rig::new(self.width, self.height, self.head.centre())
     }
 
     /// Number of pairs in the scenes before scene `number`: every scene has the mean, rounded down or up.
@@ -232,19 +261,12 @@ impl Settings {
     }
 
     fn arguments(&self) -> Result<Arguments, RenderError> {
-        let head = match &self.head {
-            Head::Builtin => "builtin".to_owned(),
-            Head::Ict(dir) => format!(
-                "ict, {}",
-                fingerprint(&list_files(dir, "--head", "ict: and ICT-FaceKit's FaceXModel folder")?)
-            ),
-        };
         let background = match &self.background {
             Background::Colour([r, g, b]) => format!("#{r:02x}{g:02x}{b:02x}"),
             Background::Images(dir) => format!("images, {}", fingerprint(&background::images(dir)?)),
         };
         Ok(Arguments {
-            head,
+            head: self.head.fingerprint()?,
             scenes: self.scenes,
             frames: self.frames,
             width: self.width,

@@ -26,6 +26,7 @@ use serde::{Deserialize, Serialize};
 use srflow_field::{FileKind, read_text, write_atomically};
 use srflow_read::micro_expression::EmotionClass;
 
+pub(crate) use sensor::add_noise;
 pub use settings::SynthSettings;
 
 use crate::RenderError;

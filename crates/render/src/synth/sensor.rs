@@ -1,7 +1,7 @@
 //! Imaging effects of recorded video: changing illumination and sensor noise.
 
-use srflow_field::Image;
 use srflow_field::random::{Key, Stream};
+use srflow_field::{Image, Plane};
 
 /// The gamma of the pictures: light that grows by `g` multiplies a value by `g^(1/2.2)`.
 const CODING_POWER: f32 = 2.2;
@@ -54,14 +54,28 @@ impl Light {
                 let gain = libm::powf(light.max(0.0), 1.0 / CODING_POWER);
                 let pixel = image.get(x, y).map(|value| {
                     let value = f32::from(value) * gain;
-                    let variance =
-                        NOISE_IN_BLACK * NOISE_IN_BLACK + NOISE_AT_WHITE * NOISE_AT_WHITE * value / 255.0;
-                    let disturbance =
-                        if noise > 0.0 { noise * variance.sqrt() * stream.normal() } else { 0.0 };
+                    let disturbance = if noise > 0.0 { disturbance(value, noise, &mut stream) } else { 0.0 };
                     (value + disturbance + 0.5).clamp(0.0, 255.0) as u8
                 });
                 image.set(x, y, pixel);
             }
+        }
+    }
+}
+
+/// Noise of a value, in levels of 255.
+fn disturbance(value: f32, noise: f32, stream: &mut Stream) -> f32 {
+    let variance = NOISE_IN_BLACK * NOISE_IN_BLACK + NOISE_AT_WHITE * NOISE_AT_WHITE * value / 255.0;
+    noise * variance.sqrt() * stream.normal()
+}
+
+/// Adds noise of the given strength, weighted by `alpha`: the background was put behind the recorded head later.
+pub fn add_noise(image: &mut Image, alpha: &Plane, noise: f32, key: Key) {
+    let mut stream = key.stream("sensor noise");
+    for (pixel, &alpha) in image.pixels_mut().iter_mut().zip(alpha.pixels()) {
+        for value in pixel {
+            let clean = f32::from(*value);
+            *value = (clean + alpha * disturbance(clean, noise, &mut stream) + 0.5).clamp(0.0, 255.0) as u8;
         }
     }
 }
@@ -98,6 +112,22 @@ mod tests {
         assert!((2.7..3.3).contains(&(stronger / deviation)), "{stronger}");
         assert_ne!(recorded(0.0, 1.0, 0.0, 1), recorded(0.0, 1.0, 0.0, 2));
         assert_eq!(recorded(0.0, 1.0, 0.0, 1), recorded(0.0, 1.0, 0.0, 1));
+    }
+
+    #[test]
+    fn noise_is_on_the_head_alone() {
+        let mut image = Image::filled(64, 64, [128; 3]);
+        add_noise(
+            &mut image,
+            &Plane::from_fn(64, 64, |x, _| if x < 32 { 1.0 } else { 0.0 }),
+            1.0,
+            Key::new(1),
+        );
+        let rows = image.pixels().chunks(64);
+        let (head, behind): (Vec<_>, Vec<_>) = rows.map(|row| row.split_at(32)).unzip();
+        assert!(behind.concat().iter().all(|pixel| *pixel == [128; 3]));
+        let (mean, deviation) = moments(&Image::from_pixels(32, 64, head.concat()).unwrap());
+        assert!((mean - 128.0).abs() < 0.2 && (1.5..2.1).contains(&deviation), "{mean} {deviation}");
     }
 
     #[test]

@@ -1,0 +1,25 @@
+//! `srflow avatar`: head avatars, one file per subcommand.
+
+mod capture;
+
+use clap::{Args, Subcommand};
+
+use crate::Context;
+
+/// Head avatars: captures for training and tracking
+#[derive(Args)]
+pub struct Avatar {
+    #[command(subcommand)]
+    command: AvatarCommand,
+}
+
+#[derive(Subcommand)]
+enum AvatarCommand {
+    Capture(capture::Capture),
+}
+
+pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
+    match args.command {
+        AvatarCommand::Capture(args) => capture::run(args, context),
+    }
+}

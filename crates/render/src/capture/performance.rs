@@ -1,0 +1,74 @@
+//! What is captured: a person, their motion, and the cameras around them.
+
+use glam::{EulerRot, Quat, Vec3};
+use srflow_avatar::{Avatar, Motion, PoseParameters};
+use srflow_field::random::Key;
+use srflow_splat::Camera;
+
+use super::CaptureSettings;
+use crate::RenderError;
+use crate::generate::SmoothPath;
+
+/// Timesteps per second. Captures too short for expressions at this rate have fewer, so that they last at least
+/// [`LEAST_SECONDS`].
+const TIMESTEPS_PER_SECOND: f32 = 24.0;
+const LEAST_SECONDS: f32 = 3.0;
+
+/// Limits of the head's yaw, pitch and roll in degrees, and of its translation in metres.
+const TURN_DEGREES: [f64; 3] = [14.0, 8.0, 5.0];
+const TRANSLATION_METRES: f64 = 0.008;
+
+/// Seconds between control points of the turns and the translation.
+const KNOT_SECONDS: f32 = 0.9;
+
+/// A person who moves in front of cameras.
+pub struct Performance {
+    pub avatar: Avatar,
+    /// Pose at each timestep: expressions, speech, blinks and gaze, and turns of the whole head. The translations have a mean of
+    /// zero, as VHAP moves the world.
+    pub poses: Vec<PoseParameters>,
+    /// Numbers and true cameras.
+    pub cameras: Vec<(u32, Camera)>,
+}
+
+impl Performance {
+    pub fn new(settings: &CaptureSettings) -> Result<Self, RenderError> {
+        let avatar = settings.head.avatar(settings.seed).map_err(|error| RenderError::Head {
+            who: "the capture".to_owned(),
+            reason: error.to_string(),
+        })?;
+        let timesteps = settings.timesteps as usize;
+        let rate = TIMESTEPS_PER_SECOND.min(timesteps as f32 / LEAST_SECONDS).max(1.0);
+        let key = Key::new(settings.seed);
+        let model = avatar.model();
+        let motion = Motion::new(model, key, timesteps, rate);
+        let wander = wander(key, timesteps as f32 / rate);
+        let mut poses: Vec<PoseParameters> = (0..timesteps)
+            .map(|timestep| {
+                let mut pose = motion.at(model, timestep).pose;
+                let t = (timestep as f64 + 0.5) / timesteps as f64;
+                let [yaw, pitch, roll, x, y, z] = wander.at(t).map(|value| value as f32);
+                let turn =
+                    Quat::from_euler(EulerRot::YXZ, yaw.to_radians(), -pitch.to_radians(), roll.to_radians());
+                let root = pose.joint_mut(0);
+                *root = (turn * *root).normalize();
+                pose.translation += Vec3::new(x, y, z);
+                PoseParameters::of(model, &pose)
+            })
+            .collect();
+        let mean = poses.iter().map(|pose| pose.translation).sum::<Vec3>() / timesteps.max(1) as f32;
+        poses.iter_mut().for_each(|pose| pose.translation -= mean);
+        Ok(Self { poses, cameras: settings.true_cameras(), avatar })
+    }
+}
+
+/// Yaw, pitch and roll in degrees and translation in metres of the whole head.
+fn wander(key: Key, seconds: f32) -> SmoothPath<6> {
+    let mut stream = key.stream("head turns");
+    let knots = (seconds / KNOT_SECONDS).ceil().clamp(1.0, 1e5) as usize + 1;
+    let reach = |axis: usize| TURN_DEGREES.get(axis).copied().unwrap_or(TRANSLATION_METRES);
+    let points = (0..knots)
+        .map(|_| std::array::from_fn(|axis| reach(axis) * f64::from(stream.uniform(-1.0, 1.0))))
+        .collect();
+    SmoothPath::through(points)
+}

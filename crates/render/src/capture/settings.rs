@@ -1,0 +1,192 @@
+//! The settings of a capture.
+
+use glam::{DMat3, DQuat, DVec3};
+use serde_json::{Value, json};
+use srflow_field::random::Key;
+use srflow_splat::Camera;
+
+use crate::RenderError;
+use crate::generate::{Head, Rig};
+
+/// Numbers of the rig's cameras, in the order in which fewer than all are chosen: the front one first, then by how much they add
+/// to the views of those before.
+const CHOSEN: [u32; 16] = [8, 1, 15, 4, 11, 6, 10, 2, 14, 0, 13, 5, 12, 7, 9, 3];
+
+/// Standard deviations of the calibration at noise 1: rotation in degrees, position in metres, and focal length as a share. At
+/// 550x802 each moves the picture by about a third of a pixel.
+const ROTATION_DEGREES: f64 = 0.01;
+const POSITION_METRES: f64 = 0.0002;
+const FOCAL_SHARE: f64 = 0.0005;
+
+/// Settings. Noise is none at 0.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CaptureSettings {
+    pub head: Head,
+    /// Number of cameras, up to 16; the front camera, number 8, is always one.
+    pub cameras: usize,
+    /// Number of timesteps.
+    pub timesteps: u32,
+    /// Width and height of the pictures in pixels.
+    pub width: usize,
+    pub height: usize,
+    /// Seed of the person, the motion and the noise.
+    pub seed: u64,
+    /// Behind the head, sRGB.
+    pub background: [u8; 3],
+    /// Sensor noise on the head; 1 is a standard deviation of about 1.8 of 255 in mid-grey.
+    pub noise: f32,
+    /// Error of the written cameras; 1 is about half a pixel at 550x802.
+    pub calibration_noise: f32,
+    /// Standard deviation of the written landmarks, pixels.
+    pub landmark_noise: f32,
+}
+
+impl Default for CaptureSettings {
+    fn default() -> Self {
+        Self {
+            head: Head::Builtin,
+            cameras: CHOSEN.len(),
+            timesteps: 100,
+            width: 550,
+            height: 802,
+            seed: 1,
+            background: [255; 3],
+            noise: 0.0,
+            calibration_noise: 0.0,
+            landmark_noise: 0.0,
+        }
+    }
+}
+
+impl CaptureSettings {
+    pub(super) fn validate(&self) -> Result<(), RenderError> {
+        let wrong = |argument, found: String, expected: &str| {
+            Err(RenderError::Argument { argument, found, expected: expected.to_owned() })
+        };
+        if !(1..=CHOSEN.len()).contains(&self.cameras) {
+            return wrong("--cameras", self.cameras.to_string(), "1 to 16");
+        }
+        if !(1..=100_000).contains(&self.timesteps) {
+            return wrong("--timesteps", self.timesteps.to_string(), "1 to 100000");
+        }
+        if !(16..=16_384).contains(&self.width) || !(16..=16_384).contains(&self.height) {
+            let found = format!("{}x{}", self.width, self.height);
+            return wrong("--size", found, "16x16 to 16384x16384 (WIDTHxHEIGHT)");
+        }
+        for (argument, value) in [
+            ("--noise", self.noise),
+            ("--calibration-noise", self.calibration_noise),
+            ("--landmark-noise", self.landmark_noise),
+        ] {
+            if !(0.0..=100.0).contains(&value) {
+                return wrong(argument, value.to_string(), "0 to 100");
+            }
+        }
+        Ok(())
+    }
+
+    /// What `capture.json` holds.
+    pub(super) fn arguments(&self) -> Result<Value, RenderError> {
+        let [r, g, b] = self.background;
+        Ok(json!({
+            "srflow_version": env!("CARGO_PKG_VERSION"),
+            "head": self.head.fingerprint()?,
+            "cameras": self.cameras,
+            "timesteps": self.timesteps,
+            "width": self.width,
+            "height": self.height,
+            "seed": self.seed,
+            "background": format!("#{r:02x}{g:02x}{b:02x}"),
+            "noise": self.noise,
+            "calibration_noise": self.calibration_noise,
+            "landmark_noise": self.landmark_noise,
+        }))
+    }
+
+    /// Numbers of the cameras, ascending.
+    pub(super) fn camera_indices(&self) -> Vec<u32> {
+        indices(self.cameras)
+    }
+
+    /// The true cameras.
+    pub(super) fn true_cameras(&self) -> Vec<(u32, Camera)> {
+        let rig = Rig::new(self.width, self.height, self.head.centre());
+        let views: Vec<_> = Rig::views().map(|(_, view)| view).collect();
+        let camera = |index: u32| (index, rig.camera(views[index as usize]));
+        self.camera_indices().into_iter().map(camera).collect()
+    }
+
+    /// The cameras as a calibration finds them.
+    pub(super) fn calibrated(&self, cameras: &[(u32, Camera)]) -> Vec<(u32, Camera)> {
+        if self.calibration_noise == 0.0 {
+            return cameras.to_vec();
+        }
+        let noise = f64::from(self.calibration_noise);
+        let calibrated = |&(index, camera): &(u32, Camera)| {
+            let mut stream = Key::new(self.seed).scene(index).stream("calibration noise");
+            let mut vector = |deviation: f64| {
+                DVec3::from_array([0; 3].map(|_| f64::from(stream.normal()))) * deviation * noise
+            };
+            let turn = DQuat::from_scaled_axis(vector(ROTATION_DEGREES.to_radians()));
+            let moved = vector(POSITION_METRES);
+            let focal = 1.0 + vector(FOCAL_SHARE).x;
+            let rotation = DMat3::from_mat4(camera.camera_from_world);
+            let world_from_camera = (DMat3::from_quat(turn) * rotation).transpose();
+            let placed = camera.placed(world_from_camera, camera.position() + moved);
+            (index, Camera { fx: camera.fx * focal, fy: camera.fy * focal, ..placed })
+        };
+        cameras.iter().map(calibrated).collect()
+    }
+}
+
+/// The cameras of a capture with so many, ascending.
+pub(super) fn indices(cameras: usize) -> Vec<u32> {
+    let mut chosen: Vec<u32> = CHOSEN.into_iter().take(cameras).collect();
+    chosen.sort_unstable();
+    chosen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_front_camera_is_always_one_and_has_number_eight() {
+        for cameras in 1..=16 {
+            let settings = CaptureSettings { cameras, ..CaptureSettings::default() };
+            let chosen = settings.true_cameras();
+            assert_eq!(chosen.len(), cameras);
+            assert!(chosen.is_sorted_by_key(|(index, _)| *index));
+            let (_, front) = chosen.iter().find(|(index, _)| *index == 8).expect("the front camera");
+            let ahead = front.camera_from_world.inverse().transform_vector3(DVec3::Z);
+            assert!((ahead - -DVec3::Z).length() < 1e-9, "{ahead}");
+        }
+        assert_eq!(indices(16), (0..16).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn calibration_noise_moves_pictures_by_about_half_a_pixel() {
+        let settings = CaptureSettings { calibration_noise: 1.0, ..CaptureSettings::default() };
+        let cameras = settings.true_cameras();
+        let point = settings.head.centre() + DVec3::new(0.05, 0.08, 0.06);
+        let found = settings.calibrated(&cameras);
+        let shifts = cameras.iter().zip(&found).map(|((_, truth), (_, found))| {
+            found.validate().unwrap();
+            (truth.project(point).unwrap().0 - found.project(point).unwrap().0).length()
+        });
+        let mean = shifts.sum::<f64>() / 16.0;
+        assert!((0.3..1.2).contains(&mean), "{mean}");
+        assert_eq!(CaptureSettings::default().calibrated(&cameras), cameras);
+    }
+
+    #[test]
+    fn wrong_settings_are_named() {
+        let error = |settings: CaptureSettings| settings.validate().unwrap_err().to_string();
+        let base = CaptureSettings::default;
+        assert!(error(CaptureSettings { cameras: 17, ..base() }).contains("--cameras 17: expected 1 to 16"));
+        assert!(error(CaptureSettings { timesteps: 0, ..base() }).contains("--timesteps 0"));
+        assert!(error(CaptureSettings { width: 8, ..base() }).contains("--size 8x802"));
+        assert!(error(CaptureSettings { noise: f32::NAN, ..base() }).contains("--noise NaN"));
+        assert!(error(CaptureSettings { landmark_noise: -1.0, ..base() }).contains("--landmark-noise -1"));
+    }
+}

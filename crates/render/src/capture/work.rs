@@ -1,0 +1,175 @@
+//! Rendering timesteps: the pictures of all cameras, and the parameters of the head.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+use srflow_avatar::capture::{CANONICAL_NAME, CaptureSplit, HEAD_NAME, LANDMARKS_NAME};
+use srflow_avatar::{HeadParameters, PosedHead};
+use srflow_field::random::Key;
+use srflow_field::write_image_png;
+use srflow_splat::{Frame, Gaussians, Options, Outputs, Rasterizer};
+
+use super::performance::Performance;
+use super::settings::indices;
+use super::{CaptureSettings, TRUE_FOLDER};
+use crate::RenderError;
+use crate::generate::write_alpha;
+use crate::job::{Plan, Run, Stage, unless_gone};
+use crate::record::json_text;
+use crate::synth::add_noise;
+
+pub const IMAGES: &str = "images";
+pub const MASKS: &str = "fg_masks";
+const PARAMETERS: &str = "flame_param";
+
+/// The file of a picture or mask, relative to the folder of the capture.
+pub fn image_name(folder: &str, timestep: u32, camera: u32) -> PathBuf {
+    Path::new(folder).join(format!("{timestep:05}_{camera:02}.png"))
+}
+
+/// The file of the head's parameters, relative to the folder of the capture.
+pub fn parameters_name(timestep: u32) -> PathBuf {
+    Path::new(PARAMETERS).join(format!("{timestep:05}.npz"))
+}
+
+type Work<'w, 'a> = crate::job::Work<'w, Timesteps<'a>>;
+
+/// A capture whose units are timesteps.
+pub struct Timesteps<'a> {
+    pub settings: &'a CaptureSettings,
+    /// What `capture.json` holds.
+    pub arguments: Value,
+    pub performance: &'a Performance,
+}
+
+/// The files of a timestep of a capture with these cameras.
+fn files_of(timestep: u32, cameras: &[u32]) -> impl Iterator<Item = PathBuf> {
+    let of_cameras = cameras
+        .iter()
+        .flat_map(move |&camera| [IMAGES, MASKS].map(|folder| image_name(folder, timestep, camera)));
+    std::iter::once(parameters_name(timestep)).chain(of_cameras)
+}
+
+impl<'a> Plan for Timesteps<'a> {
+    type Group = ();
+    type Worker = Renderer;
+
+    const MANIFEST: &'static str = "capture.json";
+    const UNITS: &'static str = "timesteps";
+    const LONGEST_RUN: u32 = 8;
+
+    fn manifest(&self) -> String {
+        json_text(&self.arguments)
+    }
+
+    fn groups(&self) -> Vec<u32> {
+        vec![self.settings.timesteps]
+    }
+
+    fn is_whole(&self, dir: &Path, _group: u32, timestep: u32) -> bool {
+        files_of(timestep, &self.settings.camera_indices()).all(|file| dir.join(file).is_file())
+    }
+
+    fn folders(&self, dir: &Path, _run: &Run) -> Vec<PathBuf> {
+        [IMAGES, MASKS, PARAMETERS].map(|folder| dir.join(folder)).to_vec()
+    }
+
+    fn makes(&self, run: &Run, _folder: &Path, name: &str) -> bool {
+        let timestep: Option<u32> = name.split(['_', '.']).next().and_then(|digits| digits.parse().ok());
+        timestep.is_some_and(|timestep| run.units.contains(&timestep))
+    }
+
+    fn delete(&self, dir: &Path, found: &str) -> Result<(), RenderError> {
+        // If the arguments cannot be read, the capture's files are unknown: they are overwritten instead.
+        let other: Value = serde_json::from_str(found).unwrap_or_default();
+        let number = |key: &str| other[key].as_u64().unwrap_or(0);
+        let cameras = indices(usize::try_from(number("cameras")).unwrap_or(0));
+        let lists = CaptureSplit::ALL.map(|split| format!("transforms_{split}.json"));
+        let lists = || lists.iter().map(String::as_str).chain(["transforms.json", LANDMARKS_NAME]);
+        let of_all = lists().chain([CANONICAL_NAME, HEAD_NAME]).map(PathBuf::from);
+        let truth = lists().map(|name| Path::new(TRUE_FOLDER).join(name));
+        // The lists first: without them the capture does not count as complete.
+        let remove = |file: PathBuf| unless_gone(&dir.join(&file), fs::remove_file(dir.join(&file)));
+        of_all.chain(truth).try_for_each(remove)?;
+        let timesteps = u32::try_from(number("timesteps")).unwrap_or(0);
+        (0..timesteps).flat_map(|timestep| files_of(timestep, &cameras)).try_for_each(remove)?;
+        for folder in [IMAGES, MASKS, PARAMETERS, TRUE_FOLDER] {
+            let _ = fs::remove_dir(dir.join(folder)); // fails, and stays, if it contains other files
+        }
+        Ok(())
+    }
+
+    fn group(&self, _number: u32) -> Result<(), RenderError> {
+        Ok(())
+    }
+
+    fn worker(&self) -> Renderer {
+        let background = self.settings.background.map(|channel| f32::from(channel) / 255.0);
+        let outputs = Outputs { image: true, alpha: true, ..Outputs::NONE };
+        Renderer { options: Options { background, outputs, ..Options::default() }, ..Renderer::default() }
+    }
+
+    fn make(
+        &self,
+        work: &Work<'_, 'a>,
+        _group: &(),
+        run: &Run,
+        renderer: &mut Renderer,
+    ) -> Result<(), RenderError> {
+        for timestep in run.units.clone() {
+            if !work.begin() {
+                break;
+            }
+            renderer.make(work, timestep)?;
+            work.done();
+        }
+        Ok(())
+    }
+}
+
+/// The buffers of one worker, reused for every picture.
+#[derive(Default)]
+pub struct Renderer {
+    rasterizer: Rasterizer,
+    options: Options,
+    head: PosedHead,
+    gaussians: Gaussians,
+    frame: Frame,
+    bytes: Vec<u8>,
+}
+
+impl Renderer {
+    fn make(&mut self, work: &Work, timestep: u32) -> Result<(), RenderError> {
+        let Timesteps { settings, performance, .. } = work.plan;
+        let avatar = &performance.avatar;
+        let parameters = &performance.poses[timestep as usize];
+        work.clock.time(Stage::Motion, || {
+            avatar.gaussians_into(&parameters.pose(avatar.model()), &mut self.head, &mut self.gaussians);
+        });
+        for (index, camera) in &performance.cameras {
+            work.clock
+                .time(Stage::Rasterize, || {
+                    self.rasterizer.render(&self.gaussians, camera, None, &self.options, &mut self.frame)
+                })
+                .map_err(|error| RenderError::Rasterize {
+                    frame: format!("timestep {timestep}, camera {index}"),
+                    error,
+                })?;
+            if settings.noise > 0.0 {
+                let key = Key::new(settings.seed).scene(*index).frame(timestep);
+                add_noise(&mut self.frame.image, &self.frame.alpha, settings.noise, key);
+            }
+            let file = |folder: &str| work.dir.join(image_name(folder, timestep, *index));
+            work.write(Stage::Frames, &file(IMAGES), |path| write_image_png(path, &self.frame.image))?;
+            work.write(Stage::Planes, &file(MASKS), |path| {
+                write_alpha(path, &self.frame.alpha, &mut self.bytes)
+            })?;
+        }
+        let one = HeadParameters { poses: vec![parameters.clone()], ..performance.avatar.identity().clone() };
+        // The parameters mark the timestep as complete, so they come last.
+        work.write(Stage::Records, &work.dir.join(parameters_name(timestep)), |path| {
+            one.write(path, avatar.model().template.len(), false)
+        })
+    }
+}

@@ -4,6 +4,8 @@ use glam::{Mat3, Quat, Vec3};
 use rayon::prelude::*;
 use srflow_splat::Gaussians;
 
+use crate::train::{GaussianAdam, LearningRates, ParameterGradients};
+
 pub use backward::{BoundGradients, TriangleFrameGradient, vertex_gradients};
 
 /// The local frame of a triangle in GaussianAvatars (Qian et al. 2024; `utils/graphics_utils.py`): origin at the
@@ -136,10 +138,20 @@ impl BoundGaussians {
         )
     }
 
-    /// Writes all Gaussians in world units, for the current frames of the model's triangles.
+    /// Moves the local Gaussians by one step of Adam; see [`GaussianAdam::step`].
+    pub fn step(
+        &mut self,
+        adam: &mut GaussianAdam,
+        gradients: ParameterGradients<'_>,
+        rates: &LearningRates,
+    ) {
+        adam.step(&mut self.local, gradients, rates);
+    }
+
+    /// Writes all Gaussians in world units, for the current frames of the model's triangles. Panics when a frame is missing.
     ///
     /// `out` is resized and overwritten, and keeps its memory between frames.
-    pub(crate) fn world_into(&self, frames: &[TriangleFrame], out: &mut Gaussians) {
+    pub fn world_into(&self, frames: &[TriangleFrame], out: &mut Gaussians) {
         let n = self.len();
         out.sh_degree = self.local.sh_degree;
         out.positions.resize(n, Vec3::ZERO);

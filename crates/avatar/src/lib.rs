@@ -14,6 +14,7 @@ mod micro_expression;
 pub mod motion;
 mod obj;
 mod parameters;
+pub mod train;
 
 pub use avatar::{Avatar, AvatarError, PosedHead};
 pub use binding::{

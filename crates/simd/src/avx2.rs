@@ -52,6 +52,7 @@ impl Simd for Avx2 {
         neg_mul_add(a: __m256, b: __m256, c: __m256) -> __m256 = unsafe { _mm256_fnmadd_ps(a, b, c) };
         min(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_min_ps(a, b) };
         max(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_max_ps(a, b) };
+        sqrt(a: __m256) -> __m256 = unsafe { _mm256_sqrt_ps(a) };
         negative(a: __m256) -> __m256 = unsafe { _mm256_or_ps(a, _mm256_set1_ps(-0.0)) };
         at_least(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_cmp_ps::<_CMP_GE_OQ>(a, b) };
         greater(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_cmp_ps::<_CMP_GT_OQ>(a, b) };

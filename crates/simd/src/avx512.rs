@@ -42,6 +42,7 @@ impl Simd for Avx512 {
         neg_mul_add(a: __m512, b: __m512, c: __m512) -> __m512 = unsafe { _mm512_fnmadd_ps(a, b, c) };
         min(a: __m512, b: __m512) -> __m512 = unsafe { _mm512_min_ps(a, b) };
         max(a: __m512, b: __m512) -> __m512 = unsafe { _mm512_max_ps(a, b) };
+        sqrt(a: __m512) -> __m512 = unsafe { _mm512_sqrt_ps(a) };
         negative(a: __m512) -> __m512 = unsafe { _mm512_or_ps(a, _mm512_set1_ps(-0.0)) };
         at_least(a: __m512, b: __m512) -> __mmask16 = unsafe { _mm512_cmp_ps_mask::<_CMP_GE_OQ>(a, b) };
         greater(a: __m512, b: __m512) -> __mmask16 = unsafe { _mm512_cmp_ps_mask::<_CMP_GT_OQ>(a, b) };

@@ -64,6 +64,7 @@ impl Simd for Portable {
         neg_mul_add(a: F, b: F, c: F) -> F = array::from_fn(|i| (-a[i]).mul_add(b[i], c[i]));
         min(a: F, b: F) -> F = array::from_fn(|i| if a[i] < b[i] { a[i] } else { b[i] });
         max(a: F, b: F) -> F = array::from_fn(|i| if a[i] > b[i] { a[i] } else { b[i] });
+        sqrt(a: F) -> F = a.map(f32::sqrt);
         negative(a: F) -> F = a.map(|a| -a.abs());
         at_least(a: F, b: F) -> M = array::from_fn(|i| a[i] >= b[i]);
         greater(a: F, b: F) -> M = array::from_fn(|i| a[i] > b[i]);

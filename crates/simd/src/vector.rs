@@ -57,6 +57,26 @@ pub trait Simd: Copy + Send + Sync + 'static {
         unsafe { self.store(to.as_mut_ptr(), v) }
     }
 
+    /// Reads as many elements as the slice has, at most `LANES`; the other lanes are zero.
+    #[inline(always)]
+    fn read_first(self, from: &[f32]) -> Self::Vector {
+        if from.len() >= Self::LANES {
+            return self.read(from);
+        }
+        // SAFETY: the slice holds as many elements.
+        unsafe { self.load_first(from.as_ptr(), from.len()) }
+    }
+
+    /// Writes as many lanes as the slice has elements, at most `LANES`.
+    #[inline(always)]
+    fn write_first(self, v: Self::Vector, to: &mut [f32]) {
+        if to.len() >= Self::LANES {
+            return self.write(v, to);
+        }
+        // SAFETY: the slice holds as many elements.
+        unsafe { self.store_first(to.as_mut_ptr(), v, to.len()) }
+    }
+
     fn add(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     fn sub(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     fn mul(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
@@ -69,6 +89,8 @@ pub trait Simd: Copy + Send + Sync + 'static {
     fn min(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
     /// The larger of two; `b` when either is NaN.
     fn max(self, a: Self::Vector, b: Self::Vector) -> Self::Vector;
+    /// The square root, rounded correctly.
+    fn sqrt(self, a: Self::Vector) -> Self::Vector;
     /// `-|a|`.
     fn negative(self, a: Self::Vector) -> Self::Vector;
     /// `a * 2^n`, where `rounded` is `n + 1.5 * 2^23`; `a` and the result must be normal numbers.
@@ -236,6 +258,33 @@ mod tests {
     }
 
     dispatch! {
+        fn copy_first = copy_first_kernel(from: &[f32], to: &mut [f32])
+    }
+
+    fn copy_first_kernel<S: Simd>(s: S, from: &[f32], to: &mut [f32]) {
+        s.write_first(s.read_first(from), to);
+    }
+
+    #[test]
+    fn a_short_slice_is_read_and_written_as_far_as_it_goes() {
+        let elements: Vec<f32> = (1..=20).map(|i| i as f32).collect();
+        for isa in Isa::to_test() {
+            for (read, written) in (0..20).flat_map(|read| (0..20).map(move |written| (read, written))) {
+                let mut to = [-1.0; 20];
+                copy_first(isa, &elements[..read], &mut to[..written]);
+                for (i, &found) in to.iter().enumerate() {
+                    let expected = match i {
+                        _ if i >= written || i >= isa.lanes() => -1.0,
+                        _ if i >= read => 0.0,
+                        _ => elements[i],
+                    };
+                    assert_eq!(found, expected, "{isa:?}: {read} read, {written} written");
+                }
+            }
+        }
+    }
+
+    dispatch! {
         fn sum_rows = sum_rows_kernel(rows: &[[f32; MAX_LANES]; MAX_LANES]) -> [f32; MAX_LANES]
     }
 
@@ -278,6 +327,7 @@ mod tests {
         apply(&|a, b, c| s.neg_mul_add(a, b, c));
         apply(&|a, b, _| s.min(a, b));
         apply(&|a, b, _| s.max(a, b));
+        apply(&|a, _, _| s.sqrt(a));
         apply(&|a, _, _| s.negative(a));
         apply(&|a, b, c| s.select(s.at_least(a, b), a, c));
         apply(&|a, b, c| s.select(s.greater(a, b), a, c));

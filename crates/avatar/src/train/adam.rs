@@ -1,0 +1,402 @@
+//! Adam over the parameters of Gaussians, one pass for each kind: activation, its derivative, moments and update together.
+
+use glam::{Vec3, Vec4};
+use rayon::prelude::*;
+use srflow_simd::{Isa, Simd, dispatch, exp2};
+use srflow_splat::Gaussians;
+
+/// Gradients of a loss with respect to [`Gaussians`], lists as long as theirs.
+#[derive(Debug, Clone, Copy)]
+pub struct ParameterGradients<'a> {
+    pub positions: &'a [Vec3],
+    pub scales: &'a [Vec3],
+    pub rotations: &'a [Vec4],
+    pub opacities: &'a [f32],
+    pub sh: &'a [[f32; 3]],
+}
+
+/// How far one step of [`GaussianAdam`] goes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LearningRates {
+    pub positions: f32,
+    /// Of the logarithms of scales.
+    pub scales: f32,
+    pub rotations: f32,
+    /// Of the logits of opacities.
+    pub opacities: f32,
+    /// Of the coefficients of degree 0.
+    pub sh_0: f32,
+    /// Of the coefficients of higher degrees.
+    pub sh_rest: f32,
+}
+
+impl Default for LearningRates {
+    /// Those at the start of the training of GaussianAvatars (`arguments/__init__.py`); that of positions is meant for a scene of
+    /// extent 1.
+    fn default() -> Self {
+        Self {
+            positions: 0.005,
+            scales: 0.017,
+            rotations: 0.001,
+            opacities: 0.05,
+            sh_0: 0.0025,
+            sh_rest: 0.0025 / 20.0,
+        }
+    }
+}
+
+/// Adam (Kingma and Ba 2015, algorithm 1) as 3D Gaussian Splatting uses it: betas 0.9 and 0.999, epsilon 1e-15; scales move by
+/// their logarithms, opacities by their logits, everything else by its own value. Results do not depend on the number of threads
+/// or the processor.
+#[derive(Debug, Clone)]
+pub struct GaussianAdam {
+    isa: Isa,
+    steps: i32,
+    /// Logarithms of the scales.
+    log_scales: Vec<f32>,
+    /// Logits of the opacities.
+    logits: Vec<f32>,
+    positions: Moments,
+    scales: Moments,
+    rotations: Moments,
+    opacities: Moments,
+    sh: Moments,
+}
+
+/// Running means of gradients and of their squares.
+#[derive(Debug, Clone)]
+struct Moments {
+    first: Vec<f32>,
+    second: Vec<f32>,
+}
+
+impl Moments {
+    fn new(len: usize) -> Self {
+        Self { first: vec![0.0; len], second: vec![0.0; len] }
+    }
+}
+
+const BETA_1: f64 = 0.9;
+const BETA_2: f64 = 0.999;
+const EPSILON: f32 = 1e-15;
+
+/// Numbers in a block: the unit of work of a thread.
+const BLOCK: usize = 1 << 14;
+
+impl GaussianAdam {
+    /// The state before the first step, for these Gaussians.
+    pub fn new(gaussians: &Gaussians) -> Self {
+        let n = gaussians.len();
+        let scales = gaussians.scales.iter().flat_map(|scale| scale.to_array());
+        Self {
+            isa: Isa::best(),
+            steps: 0,
+            // A scale of zero would never move again.
+            log_scales: scales.map(|scale| libm::logf(scale.max(1e-20))).collect(),
+            logits: gaussians.opacities.iter().map(|&opacity| logit(opacity)).collect(),
+            positions: Moments::new(3 * n),
+            scales: Moments::new(3 * n),
+            rotations: Moments::new(4 * n),
+            opacities: Moments::new(n),
+            sh: Moments::new(3 * gaussians.sh.len()),
+        }
+    }
+
+    /// Moves `gaussians` by one step against `gradients`.
+    ///
+    /// Panics when a list has another length than those of the Gaussians that this was created for.
+    pub fn step(
+        &mut self,
+        gaussians: &mut Gaussians,
+        gradients: ParameterGradients<'_>,
+        rates: &LearningRates,
+    ) {
+        self.steps += 1;
+        let constants = Constants {
+            step: (1.0 / (1.0 - libm::pow(BETA_1, f64::from(self.steps)))) as f32,
+            root: (1.0 / libm::sqrt(1.0 - libm::pow(BETA_2, f64::from(self.steps)))) as f32,
+        };
+        let isa = self.isa;
+        let same = |rate: f32| vec![rate; BLOCK];
+        let own = Link::Identity;
+        let values: &mut [f32] = bytemuck::cast_slice_mut(&mut gaussians.positions);
+        let slopes = bytemuck::cast_slice(gradients.positions);
+        update(isa, own, constants, &same(rates.positions), values, &mut [], slopes, &mut self.positions);
+        let values = bytemuck::cast_slice_mut(&mut gaussians.scales);
+        let slopes = bytemuck::cast_slice(gradients.scales);
+        let raw = &mut self.log_scales;
+        update(isa, Link::Exp, constants, &same(rates.scales), values, raw, slopes, &mut self.scales);
+        let values = bytemuck::cast_slice_mut(&mut gaussians.rotations);
+        let slopes = bytemuck::cast_slice(gradients.rotations);
+        update(isa, own, constants, &same(rates.rotations), values, &mut [], slopes, &mut self.rotations);
+        let (values, slopes) = (&mut gaussians.opacities, gradients.opacities);
+        let (raw, moments) = (&mut self.logits, &mut self.opacities);
+        update(isa, Link::Sigmoid, constants, &same(rates.opacities), values, raw, slopes, moments);
+        let each = 3 * gaussians.sh_len();
+        let block = (BLOCK / each).max(1) * each;
+        let sh_rates: Vec<f32> =
+            (0..block).map(|i| if i % each < 3 { rates.sh_0 } else { rates.sh_rest }).collect();
+        let (values, slopes) = (gaussians.sh.as_flattened_mut(), gradients.sh.as_flattened());
+        update(isa, own, constants, &sh_rates, values, &mut [], slopes, &mut self.sh);
+    }
+}
+
+/// The number whose logistic function is `opacity`; finite for any opacity.
+fn logit(opacity: f32) -> f32 {
+    let opacity = f64::from(opacity).clamp(1e-7, 1.0 - 1e-7);
+    libm::log(opacity / (1.0 - opacity)) as f32
+}
+
+/// What makes a value out of the number that is optimized.
+#[derive(Clone, Copy, PartialEq)]
+enum Link {
+    Identity,
+    Exp,
+    Sigmoid,
+}
+
+/// Corrections for the moments' start at zero.
+#[derive(Clone, Copy)]
+struct Constants {
+    step: f32,
+    root: f32,
+}
+
+/// Updates one kind of parameters, in parallel. `rates` are those of one block of numbers, and the same for each; `raw` are the
+/// numbers that are optimized, empty for the values themselves.
+#[expect(clippy::too_many_arguments, reason = "the lists that one update reads and writes")]
+fn update(
+    isa: Isa,
+    link: Link,
+    constants: Constants,
+    rates: &[f32],
+    values: &mut [f32],
+    raw: &mut [f32],
+    gradients: &[f32],
+    moments: &mut Moments,
+) {
+    let Moments { first, second } = moments;
+    let lengths =
+        [values.len(), gradients.len(), if link == Link::Identity { first.len() } else { raw.len() }];
+    assert_eq!(lengths, [first.len(); 3], "lists of another number of Gaussians");
+    let mut raw = raw.chunks_mut(rates.len());
+    let blocks: Vec<Block<'_>> = values
+        .chunks_mut(rates.len())
+        .zip(gradients.chunks(rates.len()))
+        .zip(first.chunks_mut(rates.len()).zip(second.chunks_mut(rates.len())))
+        .map(|((values, gradients), (first, second))| Block {
+            values,
+            raw: raw.next().unwrap_or_default(),
+            gradients,
+            first,
+            second,
+        })
+        .collect();
+    blocks.into_par_iter().for_each(|block| update_block(isa, link, constants, rates, block));
+}
+
+/// A part of the lists of one kind of parameters.
+struct Block<'a> {
+    values: &'a mut [f32],
+    raw: &'a mut [f32],
+    gradients: &'a [f32],
+    first: &'a mut [f32],
+    second: &'a mut [f32],
+}
+
+dispatch! {
+    fn update_block = update_block_kernel(link: Link, constants: Constants, rates: &[f32], block: Block<'_>)
+}
+
+#[inline(always)]
+fn update_block_kernel<S: Simd>(s: S, link: Link, constants: Constants, rates: &[f32], block: Block<'_>) {
+    match link {
+        Link::Identity => update_kernel(s, Link::Identity, constants, rates, block),
+        Link::Exp => update_kernel(s, Link::Exp, constants, rates, block),
+        Link::Sigmoid => update_kernel(s, Link::Sigmoid, constants, rates, block),
+    }
+}
+
+#[inline(always)]
+fn update_kernel<S: Simd>(s: S, link: Link, constants: Constants, rates: &[f32], block: Block<'_>) {
+    let Block { values, raw, gradients, first, second } = block;
+    let constant = |x: f64| s.splat(x as f32);
+    let one = s.splat(1.0);
+    for at in (0..values.len()).step_by(S::LANES) {
+        let end = values.len().min(at + S::LANES);
+        let value = s.read_first(&values[at..end]);
+        let gradient = s.read_first(&gradients[at..end]);
+        let gradient = match link {
+            Link::Identity => gradient,
+            Link::Exp => s.mul(gradient, value),
+            Link::Sigmoid => s.mul(gradient, s.mul(value, s.sub(one, value))),
+        };
+        let mean = s.mul(constant(BETA_1), s.read_first(&first[at..end]));
+        let mean = s.mul_add(constant(1.0 - BETA_1), gradient, mean);
+        let square = s.mul(constant(BETA_2), s.read_first(&second[at..end]));
+        let square = s.mul_add(constant(1.0 - BETA_2), s.mul(gradient, gradient), square);
+        s.write_first(mean, &mut first[at..end]);
+        s.write_first(square, &mut second[at..end]);
+        let size = s.mul_add(s.sqrt(square), s.splat(constants.root), s.splat(EPSILON));
+        let length = s.mul(s.read_first(&rates[at..end]), s.splat(constants.step));
+        let change = s.div(s.mul(length, mean), size);
+        if link == Link::Identity {
+            s.write_first(s.sub(value, change), &mut values[at..end]);
+            continue;
+        }
+        // Within what exp2 can take, and far beyond any use.
+        let limit = s.splat(60.0);
+        let moved = s.sub(s.read_first(&raw[at..end]), change);
+        let moved = s.max(s.sub(s.splat(0.0), limit), s.min(limit, moved));
+        s.write_first(moved, &mut raw[at..end]);
+        let exponent = s.mul(moved, s.splat(std::f32::consts::LOG2_E));
+        let value = if link == Link::Exp {
+            exp2(s, exponent)
+        } else {
+            s.div(one, s.add(one, exp2(s, s.sub(s.splat(0.0), exponent))))
+        };
+        s.write_first(value, &mut values[at..end]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::Quat;
+    use srflow_field::random::{Key, Stream};
+
+    use super::*;
+
+    fn gaussians(count: usize, stream: &mut Stream) -> Gaussians {
+        let mut vector = || Vec3::new(stream.normal(), stream.normal(), stream.normal());
+        Gaussians {
+            positions: (0..count).map(|_| vector()).collect(),
+            scales: (0..count).map(|_| vector().abs() + 0.01).collect(),
+            rotations: (0..count).map(|_| Quat::from_scaled_axis(vector())).collect(),
+            opacities: (0..count).map(|_| vector().x.abs().min(1.0)).collect(),
+            sh_degree: 1,
+            sh: (0..4 * count).map(|_| vector().to_array()).collect(),
+        }
+    }
+
+    /// Random gradients, a tenth of them zero.
+    struct Slopes(Gaussians);
+
+    impl Slopes {
+        fn new(count: usize, stream: &mut Stream) -> Self {
+            let mut slopes = gaussians(count, stream);
+            for i in (0..count).step_by(10) {
+                (slopes.positions[i], slopes.opacities[i]) = (Vec3::ZERO, 0.0);
+            }
+            Self(slopes)
+        }
+
+        fn rotations(&self) -> Vec<Vec4> {
+            self.0.rotations.iter().map(|&rotation| Vec4::from(rotation)).collect()
+        }
+
+        fn lists<'a>(&'a self, rotations: &'a [Vec4]) -> ParameterGradients<'a> {
+            let Gaussians { positions, scales, opacities, sh, .. } = &self.0;
+            ParameterGradients { positions, scales, rotations, opacities, sh }
+        }
+    }
+
+    /// Algorithm 1 of the paper for one number, in `f64`.
+    #[derive(Default, Clone, Copy)]
+    struct Number {
+        mean: f64,
+        square: f64,
+        steps: i32,
+    }
+
+    impl Number {
+        fn change(&mut self, gradient: f64, rate: f64) -> f64 {
+            self.steps += 1;
+            self.mean = 0.9 * self.mean + 0.1 * gradient;
+            self.square = 0.999 * self.square + 0.001 * gradient * gradient;
+            let mean = self.mean / (1.0 - 0.9_f64.powi(self.steps));
+            let square = self.square / (1.0 - 0.999_f64.powi(self.steps));
+            rate * mean / (square.sqrt() + 1e-15)
+        }
+    }
+
+    #[test]
+    fn steps_are_those_of_the_paper() {
+        let mut stream = Key::new(8).stream("adam");
+        let start = gaussians(23, &mut stream);
+        let mut found = start.clone();
+        let mut adam = GaussianAdam::new(&found);
+        let rates = LearningRates::default();
+        let mut numbers = vec![[Number::default(); 6]; 23];
+        let mut position = f64::from(start.positions[7].y);
+        let mut log_scale = f64::from(start.scales[7].z).ln();
+        let mut quaternion = f64::from(start.rotations[7].w);
+        let mut logit = (f64::from(start.opacities[7]) / (1.0 - f64::from(start.opacities[7]))).ln();
+        let (mut color, mut rest) = (f64::from(start.sh[28][1]), f64::from(start.sh[30][2]));
+        for _ in 0..30 {
+            let slopes = Slopes::new(23, &mut stream);
+            adam.step(&mut found, slopes.lists(&slopes.rotations()), &rates);
+            let [p, s, q, o, c, r] = &mut numbers[7];
+            let slopes = slopes.0;
+            position -= p.change(f64::from(slopes.positions[7].y), 0.005);
+            log_scale -= s.change(f64::from(slopes.scales[7].z) * log_scale.exp(), 0.017);
+            quaternion -= q.change(f64::from(slopes.rotations[7].w), 0.001);
+            let opacity = 1.0 / (1.0 + (-logit).exp());
+            logit -= o.change(f64::from(slopes.opacities[7]) * opacity * (1.0 - opacity), 0.05);
+            color -= c.change(f64::from(slopes.sh[28][1]), 0.0025);
+            rest -= r.change(f64::from(slopes.sh[30][2]), 0.000125);
+        }
+        let opacity = 1.0 / (1.0 + (-logit).exp());
+        let close = |found: f32, expected: f64| {
+            assert!(
+                (f64::from(found) - expected).abs() < 2e-5 * (1.0 + expected.abs()),
+                "{found}, {expected}"
+            );
+        };
+        close(found.positions[7].y, position);
+        close(found.scales[7].z, log_scale.exp());
+        close(found.rotations[7].w, quaternion);
+        close(found.opacities[7], opacity);
+        close(found.sh[28][1], color);
+        close(found.sh[30][2], rest);
+    }
+
+    #[test]
+    fn steps_have_the_same_bits_on_every_processor_and_number_of_threads() {
+        let run = |isa: Isa, threads: usize| {
+            let mut stream = Key::new(9).stream("adam");
+            let mut found = gaussians(9001, &mut stream);
+            let mut adam = GaussianAdam { isa, ..GaussianAdam::new(&found) };
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            for _ in 0..3 {
+                let slopes = Slopes::new(9001, &mut stream);
+                let rotations = slopes.rotations();
+                pool.install(|| adam.step(&mut found, slopes.lists(&rotations), &LearningRates::default()));
+            }
+            found
+        };
+        let expected = run(Isa::best(), 1);
+        for isa in Isa::to_test() {
+            for threads in [1, 2, 5] {
+                assert!(run(isa, threads) == expected, "{isa:?}, {threads} threads");
+            }
+        }
+    }
+
+    #[test]
+    fn parameters_stay_in_their_range_under_steep_gradients() {
+        let mut stream = Key::new(10).stream("adam");
+        let mut found = gaussians(40, &mut stream);
+        found.scales[0] = Vec3::ZERO;
+        (found.opacities[1], found.opacities[2]) = (0.0, 1.0);
+        let mut adam = GaussianAdam::new(&found);
+        let rates = LearningRates { scales: 10.0, opacities: 10.0, ..LearningRates::default() };
+        for _ in 0..50 {
+            let mut slopes = Slopes::new(40, &mut stream);
+            slopes.0.opacities.iter_mut().for_each(|slope| *slope *= 1e15);
+            slopes.0.scales.iter_mut().step_by(2).for_each(|slope| *slope *= -1e15);
+            adam.step(&mut found, slopes.lists(&slopes.rotations()), &rates);
+        }
+        assert!(found.scales.iter().all(|scale| scale.is_finite() && scale.cmpgt(Vec3::ZERO).all()));
+        assert!(found.opacities.iter().all(|opacity| (0.0..=1.0).contains(opacity)));
+    }
+}

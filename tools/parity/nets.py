@@ -17,6 +17,7 @@ mixture of (log_weights - [1, -1])^2 and (log_scales - [2, -2])^2, weighted with
 network gives, with the running statistics of batch norm (running) and, where there is batch norm, with those
 of the batch (batch):
     training_iterations   how many
+    training_pairs   pairs of the video over which the loss is summed, of a network that remembers the pairs before
     running/NAME, batch/NAME   the gradient of a parameter, 17 numbers of it: see `samples`
     gradients/NETWORK   in place of these, where they are stored for a network of the same parts
 """
@@ -197,11 +198,11 @@ def parameter(name, shape, gains):
     return np.float32(0.1) * u
 
 
-def inputs(network, images, goes_on=False):
-    """Of a pair; of a network that remembers, the first of a video unless that goes on."""
+def inputs(network, images, goes_on=False, ends=False):
+    """Of a pair; of a network that remembers, the first of a video unless that goes on, and remembered unless it ends."""
     if network.pairs == 1:
         return {"images": images}
-    return {"images": images, "meta": {"is_seq_start": not goes_on, "is_seq_end": False}}
+    return {"images": images, "meta": {"is_seq_start": not goes_on, "is_seq_end": ends}}
 
 
 def one_name(network, name, state):
@@ -242,15 +243,18 @@ def samples(gradient):
 
 def every_flow(network, model, images):
     """The flow after each iteration, of which a model without training code gives the last one, and the mixtures."""
-    last = network.training_iterations
     found = model(inputs(network, images))
     if "flow_preds" in found:
         return network.flows(found, images), found.get("info_preds")
+    return flow_by_iterations(network, model, inputs(network, images)), None
+
+
+def flow_by_iterations(network, model, pair):
     flows = []
-    for iterations in range(1, last + 1):
+    for iterations in range(1, network.training_iterations + 1):
         setattr(model, network.attribute, iterations)
-        flows.append(model(inputs(network, images))["flows"][:, 0])
-    return flows, None
+        flows.append(model(pair)["flows"][:, 0])
+    return flows
 
 
 def with_mixtures(model):
@@ -296,7 +300,7 @@ def coarse(stride, flow):
     return smaller * (8 / stride)
 
 
-def gradients(network, model, images, batch_statistics):
+def gradients(network, model, video, batch_statistics):
     """By parameter, after a backward pass of the training loss."""
     setattr(model, network.attribute, network.set_iterations(network.training_iterations))
     model.train()
@@ -305,7 +309,7 @@ def gradients(network, model, images, batch_statistics):
             module.train(batch_statistics)
             module.momentum = 0.0  # the running statistics stay
     model.zero_grad()
-    flows, mixtures = every_flow(network, model, images)
+    flows, mixtures = every_flow(network, model, video[:, :2])
     distance = lambda found, truth: ((found - torch.tensor(truth).reshape(1, 2, 1, 1)) ** 2).mean()
     losses = [distance(flow, [4.0, 2.0]) for flow in flows]
     if network.mixture:
@@ -313,7 +317,12 @@ def gradients(network, model, images, batch_statistics):
             loss + distance(mixture[:, :2], [1.0, -1.0]) + distance(mixture[:, 2:], [2.0, -2.0])
             for loss, mixture in zip(losses, mixtures, strict=True)
         ]
-    sum(0.8 ** (len(losses) - 1 - i) * loss for i, loss in enumerate(losses)).backward()
+    decayed = lambda losses: sum(0.8 ** (len(losses) - 1 - i) * loss for i, loss in enumerate(losses))
+    total = decayed(losses)
+    if network.pairs > 1:
+        second = inputs(network, video[:, 1:3], goes_on=True, ends=True)
+        total = total + decayed([distance(flow, [4.0, 2.0]) for flow in flow_by_iterations(network, model, second)])
+    total.backward()
     model.eval()
     state = model.state_dict()
     parameters = [(one_name(network, name, state), value) for name, value in model.named_parameters()]
@@ -373,9 +382,10 @@ def write(network, folder):
             out[f"gradients/{network.gradients}"] = np.array([1])
         elif network.training_iterations and not attributes:
             out["training_iterations"] = np.array([network.training_iterations])
+            out |= {"training_pairs": np.array([2])} if network.pairs > 1 else {}
             normed = any(isinstance(module, torch.nn.BatchNorm2d) for module in model.modules())
             for kind, batch_statistics in [("running", False), ("batch", True)][: 1 + normed]:
-                for name, gradient in gradients(network, model, images, batch_statistics).items():
+                for name, gradient in gradients(network, model, video, batch_statistics).items():
                     out[f"{kind}/{name}"] = samples(gradient)
         write_safetensors(folder / f"{network.name}_{batch}x{height}x{width}.safetensors", out)
         sizes = {name: round(float(np.abs(value).mean()), 3) for name, value in out.items() if "_" in name and "/" not in name}

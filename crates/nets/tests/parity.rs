@@ -11,7 +11,7 @@ use std::sync::LazyLock;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData, s};
 use srflow_golden::{Golden, name_hash, noise, numbers};
-use srflow_nets::{Architecture, Frames, LaplaceMixture, Memory, Network, Request};
+use srflow_nets::{Architecture, Estimate, Frames, LaplaceMixture, Memory, Network, Request};
 use srflow_nn::{
     HostGradients, Layout, Parameters, Segment, parameter_infos, with_batch_statistics, with_parameters,
 };
@@ -211,20 +211,17 @@ fn flow_matches_the_reference() {
     }
 }
 
-/// Gradients of each parameter for the loss `mean((flow - [4, 2])^2)`, decayed by 0.8 from each flow to the one before.
-fn gradients(network: &Network, frames: Frames, iterations: usize) -> Vec<(String, Option<Vec<f32>>)> {
-    let device = frames.first.device();
-    let request = Request { every_iteration: true, ..Request::new(iterations) };
-    let distance = |found: &Tensor<4>, truth: [f32; 2]| {
-        let truth = Tensor::<1>::from_data(truth, &device).reshape([1, 2, 1, 1]);
-        (found.clone() - truth).powi_scalar(2).mean()
-    };
-    let estimate = network.forward(frames, &request);
-    let mut losses: Vec<Tensor<1>> = estimate.flows.iter().map(|flow| distance(flow, [4.0, 2.0])).collect();
-    for (loss, LaplaceMixture { log_weights, log_scales }) in losses.iter_mut().zip(&estimate.mixtures) {
-        *loss = loss.clone() + distance(log_weights, [1.0, -1.0]) + distance(log_scales, [2.0, -2.0]);
-    }
-    let total = losses.into_iter().reduce(|sum, loss| sum * 0.8 + loss).expect("a flow");
+/// Gradients of each parameter for the loss `mean((flow - [4, 2])^2)`, decayed by 0.8 from each flow to the one before, summed over
+/// the pairs of a video.
+fn gradients(network: &Network, pairs: Vec<Frames>, iterations: usize) -> Vec<(String, Option<Vec<f32>>)> {
+    let mut memory = None;
+    let of_pairs = pairs.into_iter().map(|frames| {
+        let request = Request { every_iteration: true, memory: memory.take(), ..Request::new(iterations) };
+        let mut estimate = network.forward(frames, &request);
+        memory = estimate.memory.take();
+        loss(estimate)
+    });
+    let total = of_pairs.reduce(|sum, loss| sum + loss).expect("a pair");
     let gradients = total.backward();
     let (layout, _) = Layout::of(network);
     let mut sum = HostGradients::zero(&layout);
@@ -233,6 +230,19 @@ fn gradients(network: &Network, frames: Frames, iterations: usize) -> Vec<(Strin
         (segment.name.clone(), reached.then(|| sum.values[segment.range.clone()].to_vec()))
     };
     layout.segments().iter().zip(sum.reached.clone()).map(of).collect()
+}
+
+fn loss(estimate: Estimate) -> Tensor<1> {
+    let device = estimate.last().device();
+    let distance = |found: &Tensor<4>, truth: [f32; 2]| {
+        let truth = Tensor::<1>::from_data(truth, &device).reshape([1, 2, 1, 1]);
+        (found.clone() - truth).powi_scalar(2).mean()
+    };
+    let mut losses: Vec<Tensor<1>> = estimate.flows.iter().map(|flow| distance(flow, [4.0, 2.0])).collect();
+    for (loss, LaplaceMixture { log_weights, log_scales }) in losses.iter_mut().zip(&estimate.mixtures) {
+        *loss = loss.clone() + distance(log_weights, [1.0, -1.0]) + distance(log_scales, [2.0, -2.0]);
+    }
+    losses.into_iter().reduce(|sum, loss| sum * 0.8 + loss).expect("a flow")
 }
 
 /// Compares the gradients of all parameters with sampled golden values. The distance is the root mean square of the differences
@@ -257,13 +267,16 @@ fn check_gradients(architecture: Architecture) {
         }
         held += 1;
         let iterations = golden.values("training_iterations")[0] as usize;
+        let pairs = if golden.has("training_pairs") { golden.values("training_pairs")[0] as i64 } else { 1 };
+        assert_eq!(pairs > 1, architecture.facts().remembers, "{name}: a video, for networks that remember");
         let kinds = [("running", false), ("batch", true)].into_iter().filter(|(_, batch)| normed || !batch);
         for (kind, batch_statistics) in kinds {
             // A new network, as a pass with batch statistics updates the running ones, which clones share.
             let network =
                 with_batch_statistics(filled(architecture.init(&device), &golden), batch_statistics);
+            let video: Vec<Frames> = (1..=pairs).map(|number| pair(case, number, &device)).collect();
             let mut distances = Vec::new();
-            for (parameter, gradient) in gradients(&network, frames(case, &device), iterations) {
+            for (parameter, gradient) in gradients(&network, video.clone(), iterations) {
                 let key = format!("{kind}/{parameter}");
                 let Some(gradient) = gradient else {
                     assert!(!golden.has(&key), "{key}: no gradient");

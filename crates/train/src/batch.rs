@@ -30,7 +30,7 @@ impl Batch {
     ///
     /// # Panics
     /// When the samples differ in size or one has no flow; a training set does not make such samples.
-    pub fn new(samples: &[TrainingSample]) -> Self {
+    pub fn new<'a>(samples: impl IntoIterator<Item = &'a TrainingSample>) -> Self {
         let mut batch = Self::default();
         for TrainingSample { name, sample } in samples {
             let (width, height) = sample.frame1.size();

@@ -59,7 +59,8 @@ impl BatchLosses {
         Self { total: number(&losses.total), parts: parts.collect(), epe: 0.0 }
     }
 
-    pub(crate) fn add(&mut self, other: &Self, weight: f64) {
+    /// Adds `weight` times the losses of another batch.
+    pub fn add(&mut self, other: &Self, weight: f64) {
         if self.parts.is_empty() {
             self.parts = other.parts.iter().map(|&(name, _)| (name, 0.0)).collect();
         }
@@ -134,13 +135,15 @@ impl Replicas {
         self.copies[0].network.valid()
     }
 
-    /// Losses and gradients of a batch. Live batch norm updates its running statistics on each device; see
+    /// Losses and gradients of a batch of clips, means over their pairs. `pairs` holds the first pairs of all clips, then the second
+    /// ones, and so on; a network that [remembers](srflow_nets::Facts::remembers) goes along the clips, and gradients through
+    /// its memory. Live batch norm updates its running statistics on each device; see
     /// [`collect_statistics`](Self::collect_statistics).
     ///
     /// # Errors
     /// When the loss needs a prediction that the network does not make.
-    pub fn pass(&self, batch: &Batch) -> Result<Pass, LossError> {
-        let shares = batch.split(self.copies.len());
+    pub fn pass(&self, pairs: &[Batch]) -> Result<Pass, LossError> {
+        let shares = split(pairs, self.copies.len());
         let passes: Vec<Result<Pass, LossError>> = std::thread::scope(|scope| {
             let (first, others) = self.copies.split_first().expect("a device");
             let others: Vec<_> = others
@@ -157,7 +160,7 @@ impl Replicas {
         let mut sum = Pass { gradients: HostGradients::zero(&self.layout), losses: BatchLosses::default() };
         passes.try_for_each(|(pass, share)| {
             let pass = pass?;
-            let weight = share.len() as f64 / batch.len() as f64;
+            let weight = share[0].len() as f64 / pairs[0].len() as f64;
             sum.gradients.add_host(&pass.gradients, weight as f32);
             sum.losses.add(&pass.losses, weight);
             Ok(())
@@ -176,36 +179,56 @@ impl Replicas {
     }
 }
 
+/// Parts of a batch of clips, each with its first pairs, its second ones, and so on; see [`Batch::split`].
+fn split(pairs: &[Batch], parts: usize) -> Vec<Vec<Batch>> {
+    let mut of_parts: Vec<Vec<Batch>> = Vec::new();
+    for (part, batch) in pairs.iter().flat_map(|batch| batch.split(parts).into_iter().enumerate()) {
+        match of_parts.get_mut(part) {
+            Some(pairs) => pairs.push(batch),
+            None => of_parts.push(vec![batch]),
+        }
+    }
+    of_parts
+}
+
 impl Replica {
-    fn pass(&self, share: &Batch, layout: &Layout, settings: &PassSettings) -> Result<Pass, LossError> {
+    fn pass(&self, share: &[Batch], layout: &Layout, settings: &PassSettings) -> Result<Pass, LossError> {
         let mut pass = Pass { gradients: HostGradients::zero(layout), losses: BatchLosses::default() };
-        for part in share.split(settings.accumulate) {
-            let weight = part.len() as f64 / share.len() as f64;
+        for part in split(share, settings.accumulate) {
+            let weight = part[0].len() as f64 / share[0].len() as f64;
             let losses = self.add_gradients(&part, layout, settings, weight as f32, &mut pass.gradients)?;
             pass.losses.add(&losses, weight);
         }
         Ok(pass)
     }
 
-    /// Adds the gradients of the mean loss of `batch`, times `weight`, to `sum`.
+    /// Adds the gradients of the mean loss of `pairs`, times `weight`, to `sum`.
     fn add_gradients(
         &self,
-        batch: &Batch,
+        pairs: &[Batch],
         layout: &Layout,
         settings: &PassSettings,
         weight: f32,
         sum: &mut HostGradients,
     ) -> Result<BatchLosses, LossError> {
-        if settings.recompute {
-            return recompute::add_gradients(&self.network, batch, layout, settings, weight, sum);
+        if let ([pair], true) = (pairs, settings.recompute) {
+            return recompute::add_gradients(&self.network, pair, layout, settings, weight, sum);
         }
-        let request = Request { every_iteration: true, ..Request::new(settings.iterations) };
-        let estimate = self.network.forward(batch.frames(&self.device), &request);
-        let last = numbers(estimate.last().clone().inner());
-        let predictions = Prediction::of(estimate);
-        let losses = losses(&settings.loss, &predictions, &batch.loss_inputs(&self.device))?;
-        let gradients = losses.total.backward();
-        sum.add(&self.network, layout, &gradients, weight);
-        Ok(BatchLosses { epe: batch.end_point_error(&last), ..BatchLosses::of(&losses) })
+        let share = 1.0 / pairs.len() as f64;
+        let mut total = Tensor::zeros([1], &self.device);
+        let mut mean = BatchLosses::default();
+        let mut memory = None;
+        for pair in pairs {
+            let request = Request { every_iteration: true, memory, ..Request::new(settings.iterations) };
+            let mut estimate = self.network.forward(pair.frames(&self.device), &request);
+            memory = estimate.memory.take();
+            let last = numbers(estimate.last().clone().inner());
+            let predictions = Prediction::of(estimate);
+            let losses = losses(&settings.loss, &predictions, &pair.loss_inputs(&self.device))?;
+            mean.add(&BatchLosses { epe: pair.end_point_error(&last), ..BatchLosses::of(&losses) }, share);
+            total = total + losses.total * share;
+        }
+        sum.add(&self.network, layout, &total.backward(), weight);
+        Ok(mean)
     }
 }

@@ -190,12 +190,12 @@ pub fn train(
     let last = stop_after.map_or(trainer.steps, |step| step.min(trainer.steps));
     while trainer.progress.step < last {
         let (began, waited_before) = (Instant::now(), prefetcher.waited());
-        let samples: Vec<TrainingSample> = (0..batch)
+        let clips: Vec<Vec<TrainingSample>> = (0..batch)
             .map(|_| prefetcher.take().ok_or(TrainError::Worker)?.map_err(Into::into))
             .collect::<Result<_, TrainError>>()?;
         let waited = (prefetcher.waited() - waited_before).as_secs_f64();
-        let samples = Batch::new(&samples);
-        let step = trainer.step(&samples)?;
+        let pairs = batches(&clips);
+        let step = trainer.step(&pairs)?;
         let seconds = began.elapsed().as_secs_f64();
         step_seconds += seconds;
         match step {
@@ -204,9 +204,10 @@ pub fn train(
             }
             None => {
                 let (step, in_a_row) = (trainer.progress.step, trainer.progress.skipped_in_a_row);
-                record(Record::Skipped(SkippedRecord { step, samples: samples.names.clone() }), on_event)?;
+                let samples = pairs[0].names.clone();
+                record(Record::Skipped(SkippedRecord { step, samples: samples.clone() }), on_event)?;
                 if in_a_row >= config.training.bad_steps {
-                    let samples = samples.names.join("\n  ");
+                    let samples = samples.join("\n  ");
                     let last_checkpoint = last_checkpoint_in_words(&checkpoints)?;
                     return Err(TrainError::NotFinite { step, in_a_row, samples, last_checkpoint });
                 }
@@ -235,12 +236,17 @@ fn prefetcher(
     set: &Arc<TrainingSet>,
     config: &Config,
     step: u64,
-) -> Prefetcher<Result<TrainingSample, DataError>> {
+) -> Prefetcher<Result<Vec<TrainingSample>, DataError>> {
     let (set, batch) = (set.clone(), config.training.batch);
     let per_step = batch as u64;
     Prefetcher::new(step * per_step, config.data.workers, config.data.prefetch, move |number| {
         set.sample(number / per_step, (number % per_step) as usize, batch)
     })
+}
+
+/// The batches of the first pairs of all clips, of their second ones, and so on.
+fn batches(clips: &[Vec<TrainingSample>]) -> Vec<Batch> {
+    (0..clips[0].len()).map(|pair| Batch::new(clips.iter().map(|clip| &clip[pair]))).collect()
 }
 
 fn last_checkpoint_in_words(checkpoints: &Checkpoints) -> Result<String, CheckpointError> {
@@ -340,10 +346,11 @@ impl Trainer {
         }
     }
 
-    /// Takes a step, or skips it (`None`) when its loss or gradients are not finite.
-    fn step(&mut self, batch: &Batch) -> Result<Option<StepRecord>, TrainError> {
+    /// Takes a step on clips, given by the [`batches`] of their pairs, or skips it (`None`) when its loss or gradients are not
+    /// finite.
+    fn step(&mut self, pairs: &[Batch]) -> Result<Option<StepRecord>, TrainError> {
         let learning_rate = self.schedule.learning_rate(self.progress.step);
-        let mut pass = self.replicas.pass(batch)?;
+        let mut pass = self.replicas.pass(pairs)?;
         let norm = clip_norm(&mut pass.gradients.values, self.clip);
         let step = self.progress.step + 1;
         let epoch = self.progress.step / self.steps_per_epoch + 1;

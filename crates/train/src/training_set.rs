@@ -1,6 +1,6 @@
-//! The training pairs: a mix of datasets, reshuffled every epoch, each pair augmented.
+//! The training samples: pairs, or clips of consecutive pairs, of a mix of datasets, reshuffled every epoch and augmented.
 //!
-//! The pair at a place of a batch and its augmentation depend only on the seed, the step and the place, so any sample can be
+//! The sample at a place of a batch and its augmentation depend only on the seed, the step and the place, so any sample can be
 //! made on any thread, in any order.
 
 use std::collections::BTreeMap;
@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use srflow_field::Size;
 use srflow_field::random::Key;
 use srflow_read::augment::{AugmentError, Augmentation};
-use srflow_read::flow::{DatasetError, FlowDataset, Sample, Split};
+use srflow_read::flow::{DatasetError, Entry, FlowDataset, Sample, Split};
 
 use crate::config::{Config, Source};
 
@@ -28,6 +28,11 @@ pub enum DataError {
         "{dataset} in {}: none of its {pairs} pairs has a true flow to learn from; {advice}", .dir.display()
     )]
     NoTruth { dataset: String, dir: PathBuf, pairs: usize, advice: &'static str },
+    #[error(
+        "{dataset} in {}: no {frames} consecutive frames with a true flow for each pair (training.clip_frames); choose a \
+         dataset of videos, or set training.clip_frames=2 to train on pairs", .dir.display()
+    )]
+    NoClip { dataset: String, dir: PathBuf, frames: usize },
     #[error(
         "{pair}: its frames are {}x{}, less than half the crop of {crop} (WIDTHxHEIGHT); set data.crop (--crop) to at most \
          the size of the frames",
@@ -48,9 +53,11 @@ pub enum DataError {
 const NO_TRUTH_ADVICE: &str = "choose a split whose truth is published, or for a plain folder put a flow beside each pair \
                                (docs/training.md)";
 
-/// The training pairs of all datasets.
+/// The training samples of all datasets.
 pub struct TrainingSet {
     parts: Vec<Part>,
+    /// Pairs of a sample.
+    pairs: usize,
     crop: Size,
     seed: u64,
     /// Shuffled orders of the epochs in use.
@@ -60,8 +67,8 @@ pub struct TrainingSet {
 /// One dataset of the mix.
 struct Part {
     dataset: FlowDataset,
-    /// Indices of the pairs with a true flow.
-    with_truth: Vec<usize>,
+    /// Indices of the first pairs of samples all of whose pairs have a true flow.
+    first_pairs: Vec<usize>,
     times: usize,
     augmentation: Augmentation,
 }
@@ -75,10 +82,11 @@ pub struct TrainingSample {
 }
 
 impl TrainingSet {
-    /// Lists the pairs of every dataset of `data.train`.
+    /// Lists the samples of every dataset of `data.train`.
     ///
     /// # Errors
-    /// When `data.train` is empty, a dataset cannot be listed, or none of its pairs has a true flow.
+    /// When `data.train` is empty, a dataset cannot be listed, none of its pairs has a true flow, or it has no clips as long as
+    /// the configuration says.
     pub fn open(config: &Config) -> Result<Self, DataError> {
         if config.data.train.is_empty() {
             return Err(DataError::NoData);
@@ -86,76 +94,86 @@ impl TrainingSet {
         let parts = config.data.train.iter().map(|source| Part::open(source, config));
         Ok(Self {
             parts: parts.collect::<Result<_, _>>()?,
+            pairs: config.training.pairs(),
             crop: config.data.crop,
             seed: config.training.seed,
             orders: Mutex::default(),
         })
     }
 
-    /// Pairs in an epoch, repeated ones counted as often as they occur.
-    pub fn pairs(&self) -> usize {
-        self.parts.iter().map(Part::pairs).sum()
+    /// Samples in an epoch, repeated ones counted as often as they occur.
+    pub fn samples(&self) -> usize {
+        self.parts.iter().map(Part::samples).sum()
     }
 
     /// Steps in an epoch, at least one. An incomplete last batch is dropped; a set smaller than one batch is repeated to fill it.
     pub fn steps_per_epoch(&self, batch: usize) -> u64 {
-        (self.pairs() / batch).max(1) as u64
+        (self.samples() / batch).max(1) as u64
     }
 
-    /// One line per dataset: name, split and number of pairs.
+    /// One line per dataset: name, split and number of pairs or clips.
     pub fn describe(&self) -> Vec<String> {
         let words = |part: &Part| {
             let times = if part.times == 1 { String::new() } else { format!(", {} times each", part.times) };
             let dataset = &part.dataset;
-            format!("{} ({}): {} pairs{times}", dataset.name(), dataset.split(), part.with_truth.len())
+            let of_frames = match self.pairs {
+                1 => "pairs".to_owned(),
+                pairs => format!("clips of {} frames", pairs + 1),
+            };
+            let count = part.first_pairs.len();
+            format!("{} ({}): {count} {of_frames}{times}", dataset.name(), dataset.split())
         };
         self.parts.iter().map(words).collect()
     }
 
-    /// The pair at `place`, from 0, of the batch of `step`, from 0.
+    /// The pairs of the sample at `place`, from 0, of the batch of `step`, from 0, all with the same augmentation.
     ///
     /// # Errors
     /// When its files cannot be read, or its frames are smaller than half the crop.
-    pub fn sample(&self, step: u64, place: usize, batch: usize) -> Result<TrainingSample, DataError> {
+    pub fn sample(&self, step: u64, place: usize, batch: usize) -> Result<Vec<TrainingSample>, DataError> {
         let steps = self.steps_per_epoch(batch);
         let order = self.order(step / steps);
         let position = (step % steps) as usize * batch + place;
-        let (part, entry) = self.pair(order[position % order.len()]);
-        let entry = &part.dataset.entries()[entry];
+        let (part, first) = self.first_pair(order[position % order.len()]);
+        let key = Key::new(self.seed).scene(step as u32).frame(place as u32);
+        let entries = &part.dataset.entries()[first..first + self.pairs];
+        entries.iter().map(|entry| self.pair(part, entry, key)).collect()
+    }
+
+    fn pair(&self, part: &Part, entry: &Entry, key: Key) -> Result<TrainingSample, DataError> {
         let name = entry.frame1.display().to_string();
         let sample = part.dataset.read(entry)?;
         let frame @ (width, height) = sample.frame1.size();
         if 2 * width < self.crop.width || 2 * height < self.crop.height {
             return Err(DataError::TooSmall { pair: name, frame, crop: self.crop });
         }
-        let key = Key::new(self.seed).scene(step as u32).frame(place as u32);
         match part.augmentation.apply(sample, key) {
             Ok(sample) => Ok(TrainingSample { name, sample }),
             Err(source) => Err(DataError::Augment { pair: name, source }),
         }
     }
 
-    /// Numbers of the pairs of an epoch, shuffled.
+    /// Numbers of the samples of an epoch, shuffled.
     fn order(&self, epoch: u64) -> Arc<[usize]> {
         let mut orders = self.orders.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(order) = orders.get(&epoch) {
             return order.clone();
         }
-        let order = shuffled(self.pairs(), Key::new(self.seed).scene(epoch as u32));
+        let order = shuffled(self.samples(), Key::new(self.seed).scene(epoch as u32));
         orders.insert(epoch, order.clone());
         // Prefetching never reaches further than the next epoch.
         orders.retain(|&other, _| other.abs_diff(epoch) <= 1);
         order
     }
 
-    fn pair(&self, mut number: usize) -> (&Part, usize) {
+    fn first_pair(&self, mut number: usize) -> (&Part, usize) {
         let mut parts = self.parts.iter();
         loop {
-            let part = parts.next().expect("a number below the pairs of all parts");
-            if number < part.pairs() {
-                return (part, part.with_truth[number % part.with_truth.len()]);
+            let part = parts.next().expect("a number below the samples of all parts");
+            if number < part.samples() {
+                return (part, part.first_pairs[number % part.first_pairs.len()]);
             }
-            number -= part.pairs();
+            number -= part.samples();
         }
     }
 }
@@ -164,23 +182,36 @@ impl Part {
     fn open(source: &Source, config: &Config) -> Result<Self, DataError> {
         let dataset = open_dataset(source, Split::Train)?;
         let entries = dataset.entries();
-        let with_truth: Vec<usize> = (0..entries.len()).filter(|&i| entries[i].flow.is_some()).collect();
-        if with_truth.is_empty() {
+        let title = || format!("{} ({})", dataset.name(), dataset.split());
+        if entries.iter().all(|entry| entry.flow.is_none()) {
             return Err(DataError::NoTruth {
-                dataset: format!("{} ({})", dataset.name(), dataset.split()),
+                dataset: title(),
                 dir: dataset.dir().to_owned(),
                 pairs: entries.len(),
                 advice: NO_TRUTH_ADVICE,
             });
         }
+        let clips = entries.windows(config.training.pairs()).enumerate();
+        let first_pairs: Vec<usize> =
+            clips.filter(|(_, pairs)| is_clip(pairs)).map(|(first, _)| first).collect();
+        if first_pairs.is_empty() {
+            let frames = config.training.clip_frames;
+            return Err(DataError::NoClip { dataset: title(), dir: dataset.dir().to_owned(), frames });
+        }
         let settings = config.augmentation.settings(dataset.density(), config.data.crop);
         let augmentation = Augmentation::new(settings).map_err(DataError::Settings)?;
-        Ok(Self { dataset, with_truth, times: source.times, augmentation })
+        Ok(Self { dataset, first_pairs, times: source.times, augmentation })
     }
 
-    fn pairs(&self) -> usize {
-        self.with_truth.len() * self.times
+    fn samples(&self) -> usize {
+        self.first_pairs.len() * self.times
     }
+}
+
+/// Whether all pairs have a true flow and each continues the one before.
+fn is_clip(pairs: &[Entry]) -> bool {
+    pairs.iter().all(|pair| pair.flow.is_some())
+        && pairs.windows(2).all(|two| two[0].frame2 == two[1].frame1 && two[0].scene == two[1].scene)
 }
 
 /// Opens the split of `source`, by default the split `usual`, or all pairs of a dataset without splits.

@@ -9,9 +9,9 @@ use srflow_read::flow::Sample;
 use srflow_train::batch::Batch;
 use srflow_train::config::Config;
 use srflow_train::loss::{LossConfig, SEQUENCE_LOSSES};
-use srflow_train::replica::{Pass, PassSettings, Replicas};
+use srflow_train::replica::{BatchLosses, Pass, PassSettings, Replicas};
 use srflow_train::training_log::Record;
-use srflow_train::training_set::TrainingSample;
+use srflow_train::training_set::{TrainingSample, TrainingSet};
 use srflow_train::{Event, RunMode, TrainError, train};
 
 fn frame(size: usize, number: usize, shift: f32) -> Image {
@@ -50,6 +50,16 @@ fn pass(
     recompute: bool,
     batch: &Batch,
 ) -> (Pass, Vec<f32>) {
+    pass_of_clips(architecture, devices, accumulate, recompute, std::slice::from_ref(batch))
+}
+
+fn pass_of_clips(
+    architecture: Architecture,
+    devices: usize,
+    accumulate: usize,
+    recompute: bool,
+    pairs: &[Batch],
+) -> (Pass, Vec<f32>) {
     let has_mixture = architecture.facts().mixture;
     let sequence = SEQUENCE_LOSSES.iter().find(|loss| loss.needs_mixture() == has_mixture);
     let sequence = sequence.expect("losses of both kinds");
@@ -58,7 +68,7 @@ fn pass(
     let devices = vec![Device::flex(); devices];
     let (replicas, mut values) =
         Replicas::new(|device| architecture.init(device), &devices, 3, false, settings);
-    let pass = replicas.pass(batch).expect("a loss");
+    let pass = replicas.pass(pairs).expect("a loss");
     replicas.collect_statistics(&mut values);
     (pass, values)
 }
@@ -96,6 +106,80 @@ fn recomputed_iterations_give_the_same_gradients() {
         assert_same(&kept, &recomputed, 1e-3);
         assert!((kept.losses.epe - recomputed.losses.epe).abs() < 1e-3);
     }
+}
+
+/// Memory does not matter here: the attention of MemFlow is initialized without effect. `crates/nets/tests/parity.rs` compares
+/// gradients through memory with the reference.
+#[test]
+fn the_loss_of_clips_is_the_mean_of_their_pairs() {
+    let mut second = batch(3);
+    second.flow.iter_mut().for_each(|flow| *flow += 1.5);
+    let pairs = [batch(3), second];
+    for architecture in [Architecture::RaftSmall, Architecture::MemFlow] {
+        let [first, second] = pairs.each_ref().map(|pairs| pass(architecture, 1, 1, false, pairs).0);
+        let mut mean = Pass { losses: BatchLosses::default(), ..first.clone() };
+        for (mean, second) in mean.gradients.values.iter_mut().zip(&second.gradients.values) {
+            *mean = 0.5 * (*mean + second);
+        }
+        for pass in [&first, &second] {
+            mean.losses.add(&pass.losses, 0.5);
+        }
+        for [devices, accumulate] in [[1, 1], [2, 1], [1, 2]] {
+            let (clips, _) = pass_of_clips(architecture, devices, accumulate, false, &pairs);
+            assert_same(&mean, &clips, 1e-3);
+            // In parts, the end-point error weights samples equally, not their known pixels.
+            assert!(devices * accumulate > 1 || (mean.losses.epe - clips.losses.epe).abs() < 1e-3);
+        }
+    }
+}
+
+/// Two videos in the structure of Sintel, of five frames and of two.
+#[test]
+fn clips_consist_of_consecutive_frames_with_one_augmentation() {
+    let dir = tempfile::tempdir().unwrap();
+    for (scene, frames) in [("alley_1", 5), ("bamboo_1", 2)] {
+        let folder = |kind: &str| dir.path().join("training").join(kind).join(scene);
+        for number in 1..=frames {
+            for kind in ["clean", "final", "flow"] {
+                std::fs::create_dir_all(folder(kind)).unwrap();
+            }
+            for kind in ["clean", "final"] {
+                let path = folder(kind).join(format!("frame_{number:04}.png"));
+                write_image_png(&path, &frame(160, 0, number as f32)).unwrap();
+            }
+            if number < frames {
+                let path = folder("flow").join(format!("frame_{number:04}.flo"));
+                write_flow(&path, &FlowField::filled(160, 160, [1.0, 0.0])).unwrap();
+            }
+        }
+    }
+    let text = |clip_frames: usize, kind: &str, architecture: &str| {
+        format!(
+            "[network]\narchitecture = \"{architecture}\"\n[data]\ntrain = \"{kind}:{}\"\ncrop = \"128x128\"\n\
+             [augmentation]\ncolor = 0.0\neraser_probability = 0.0\n\
+             [training]\nsteps = 1\nbatch = 2\niterations = 1\nclip_frames = {clip_frames}\n",
+            dir.path().display()
+        )
+    };
+    let config =
+        |clip_frames: usize| Config::parse(&text(clip_frames, "sintel-clean", "memflow"), "test").unwrap();
+    let set = TrainingSet::open(&config(3)).unwrap();
+    assert_eq!(set.samples(), 3, "frames 1 to 3, 2 to 4 and 3 to 5 of the first scene");
+    assert_eq!(TrainingSet::open(&config(2)).unwrap().samples(), 5);
+    for step in 0..3 {
+        let clip = set.sample(step, 0, 1).unwrap();
+        let [first, second] = clip.as_slice() else { panic!("two pairs: {}", clip.len()) };
+        assert!(first.name < second.name);
+        assert!(first.sample.frame2 == second.sample.frame1, "one augmentation for the clip");
+    }
+    let Err(error) = TrainingSet::open(&config(6)) else { panic!("no clip of six frames") };
+    assert!(error.to_string().contains("no 6 consecutive frames"), "{error}");
+    let error = Config::parse(&text(3, "sintel-clean", "skflow"), "test").unwrap().check().unwrap_err();
+    assert!(error.to_string().contains("training.clip_frames"), "{error}");
+
+    let run = dir.path().join("run");
+    let outcome = train(&config(3), &[Device::flex()], &run, RunMode::New, None, &mut |_| {}).unwrap();
+    assert_eq!((outcome.progress.step, outcome.progress.skipped), (1, 0));
 }
 
 #[test]

@@ -28,6 +28,7 @@ impl Config {
         whole("data.workers", self.data.workers, 1, 256)?;
         whole("data.prefetch", self.data.prefetch, 1, 4096)?;
         whole("training.batch", training.batch, 1, 4096)?;
+        whole("training.clip_frames", training.clip_frames, 2, 16)?;
         whole("training.accumulate", training.accumulate, 1, training.batch)?;
         whole("training.iterations", training.iterations, 1, MOST_ITERATIONS)?;
         whole("validation.iterations", validation.iterations, 0, MOST_ITERATIONS)?;
@@ -58,6 +59,12 @@ impl Config {
         let expected = format!("false: {} cannot compute its iterations one by one", network.name);
         Key { key: "training.recompute", found: training.recompute.to_string(), expected }
             .require(network.recompute || !training.recompute)?;
+        let expected = format!("2: {} does not remember earlier pairs", network.name);
+        Key { key: "training.clip_frames", found: training.clip_frames.to_string(), expected }
+            .require(network.remembers || training.clip_frames <= 2)?;
+        let expected = "false: the memory of a clip needs the gradients of all its pairs at once".to_owned();
+        Key { key: "training.recompute", found: training.recompute.to_string(), expected }
+            .require(training.clip_frames == 2 || !training.recompute)?;
         let mut network = self.network.architecture.init(&Device::flex());
         for (name, value) in &self.network.settings {
             network.set(name, *value)?;

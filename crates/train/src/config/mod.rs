@@ -84,8 +84,10 @@ pub struct TrainingConfig {
     pub epochs: u64,
     /// Training steps, overriding `epochs`; 0 to train for `epochs`.
     pub steps: u64,
-    /// Pairs per step.
+    /// Samples per step.
     pub batch: usize,
+    /// Frames of a sample: 2 for a pair; more for clips, only for networks that remember earlier pairs of a video.
+    pub clip_frames: usize,
     /// Parts that a batch is split into, processed one after another to save memory.
     pub accumulate: usize,
     /// Refinement iterations of the network.
@@ -202,6 +204,7 @@ impl Default for TrainingConfig {
             epochs: 45,
             steps: 0,
             batch: 8,
+            clip_frames: 2,
             accumulate: 1,
             iterations: 12,
             recompute: false,
@@ -214,6 +217,13 @@ impl Default for TrainingConfig {
             clip: 1.0,
             bad_steps: 10,
         }
+    }
+}
+
+impl TrainingConfig {
+    /// Pairs of a sample.
+    pub(crate) fn pairs(&self) -> usize {
+        self.clip_frames.max(2) - 1
     }
 }
 

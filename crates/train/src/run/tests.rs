@@ -22,7 +22,7 @@ fn trainer(dir: &Path) -> (Trainer, Batch, Batch) {
     );
     let config = Config::parse(&text, "test").unwrap();
     let set = Arc::new(TrainingSet::open(&config).unwrap());
-    let batch = Batch::new(&[set.sample(0, 0, 1).unwrap()]);
+    let batch = Batch::new(&set.sample(0, 0, 1).unwrap());
     let mut broken = batch.clone();
     broken.first[7] = f32::NAN;
     (Trainer::new(&config, &[Device::flex()], &set), batch, broken)
@@ -34,11 +34,11 @@ fn a_skipped_step_changes_neither_weights_nor_optimizer() {
     let (mut steady, batch, _) = trainer(dir.path());
     let (mut disturbed, _, broken) = trainer(dir.path());
     for trainer in [&mut steady, &mut disturbed] {
-        assert!(trainer.step(&batch).unwrap().is_some());
+        assert!(trainer.step(std::slice::from_ref(&batch)).unwrap().is_some());
     }
     let before = disturbed.checkpoint("");
     for in_a_row in 1..=2 {
-        assert!(disturbed.step(&broken).unwrap().is_none());
+        assert!(disturbed.step(std::slice::from_ref(&broken)).unwrap().is_none());
         let Progress { step, skipped, skipped_in_a_row, .. } = disturbed.progress;
         assert_eq!((step, skipped, skipped_in_a_row), (1 + in_a_row, in_a_row, in_a_row));
     }
@@ -46,8 +46,8 @@ fn a_skipped_step_changes_neither_weights_nor_optimizer() {
     assert_eq!((&after.values, &after.optimizer), (&before.values, &before.optimizer));
 
     // The next step gives the same result as without the skipped ones.
-    let [expected, found] =
-        [&mut steady, &mut disturbed].map(|trainer| trainer.step(&batch).unwrap().unwrap());
+    let [expected, found] = [&mut steady, &mut disturbed]
+        .map(|trainer| trainer.step(std::slice::from_ref(&batch)).unwrap().unwrap());
     assert_eq!((found.loss, found.gradient_norm), (expected.loss, expected.gradient_norm));
     assert_eq!((found.step, expected.step), (4, 2));
     assert_eq!((disturbed.progress.skipped, disturbed.progress.skipped_in_a_row), (2, 0));

@@ -1,6 +1,8 @@
 //! CCMR and CCMR+ (Jahedi et al., WACV 2024): coarse-to-fine refinement, where at each level the channels of motion features attend
 //! to each other with weights from the context. Parity with the reference: `PARITY.md`.
 
+use std::ops::Range;
+
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use srflow_nn::layers::Conv2d;
@@ -11,8 +13,8 @@ use srflow_ops::correlation::tensor::Correlation;
 
 use crate::MemoryNeed;
 use crate::blocks::{
-    Attending, Block, ConvexMask, CrossCovariance, EncoderConfig, FlowHead, Grids, MotionEncoder, Norm,
-    NormKind, PreparedGru, SepConvGru, Strips, convex_mask_by, convex_upsample, encoder_conv, resize,
+    Attending, Block, ConvexMask, CrossCovariance, Divided, EncoderConfig, FlowHead, Grids, MotionEncoder,
+    Norm, NormKind, SepConvGru, Strips, convex_mask_by, convex_upsample_of_strips, encoder_conv, resize,
     resize_flow,
 };
 use crate::estimate::{Estimate, Request};
@@ -191,36 +193,42 @@ impl FlowNetwork for Ccmr {
             };
             let gru = strips.whole().then(|| block.gru.prepared(&whole));
             drop(whole);
-            let mut hidden = hidden_or_context(map.clone(), split, 0, Tanh);
+            let mut hidden = strips.divided(map.clone(), |map| hidden_or_context(map, split, 0, Tanh));
             let correlation = Correlation::new(first, second, CORRELATION_LEVELS);
+            let upsample =
+                |hidden: &Divided, flow| convex_upsample_of_strips(strips, &block.mask, hidden, flow);
             let grid = pixel_grid([batch, rows, columns], &device);
             for iteration in 1..=iterations[number] {
                 // The first iteration of a level also trains the upsampling from the level before.
                 if iteration > 1 || number == 0 {
                     flow = flow.detach();
                 }
-                let windows = correlation.windows(grid.clone() + flow.clone(), RADIUS);
-                let [next, change] = match &gru {
+                let positions = grid.clone() + flow.clone();
+                let (next, change) = match &gru {
                     Some(gru) => {
+                        let windows = correlation.windows(positions, RADIUS);
                         let motion = block.encoder.forward(flow.clone(), windows);
                         let gathered = aggregator.gather(&attending, motion.clone());
-                        block.refine(gru, hidden, motion, gathered)
+                        let next = gru.step(hidden.whole(), Tensor::cat(vec![motion, gathered], 1));
+                        let change = block.flow_head.forward(next.clone());
+                        (Divided::of_whole(next), change)
                     }
                     None => {
-                        let maps = [hidden, flow.clone(), windows, map.clone()];
-                        block.refine_strips(strips, aggregator, &attending, maps, context)
+                        let motion = block.motion_of_strips(strips, &correlation, [flow.clone(), positions]);
+                        let maps = [motion, map.clone()];
+                        block.refine_strips(strips, aggregator, &attending, hidden, maps, context)
                     }
                 };
                 hidden = next;
                 flow = flow + change;
                 if request.every_iteration || [number + 1, iteration] == [self.levels, iterations[number]] {
-                    let whole = upsampled_to(height, convex_upsample(&block.mask, &hidden, flow.clone()));
+                    let whole = upsampled_to(height, upsample(&hidden, flow.clone()));
                     flows.push(border.remove(whole.clone()));
                     last = Some(whole);
                 }
             }
             if number + 1 < self.levels {
-                flow = convex_upsample(&block.mask, &hidden, flow.detach());
+                flow = upsample(&hidden, flow.detach());
             }
         }
         Estimate {
@@ -254,37 +262,43 @@ fn hidden_or_context(map: Tensor<4>, layer: &Conv2d, first: usize, activation: A
 }
 
 impl UpdateBlock {
-    /// The next hidden state, and the change of the flow.
-    fn refine(
-        &self,
-        gru: &PreparedGru,
-        hidden: Tensor<4>,
-        motion: Tensor<4>,
-        gathered: Tensor<4>,
-    ) -> [Tensor<4>; 2] {
-        let hidden = gru.step(hidden, Tensor::cat(vec![motion, gathered], 1));
-        [hidden.clone(), self.flow_head.forward(hidden)]
+    /// Motion features of a flow and the positions to which it leads, in strips.
+    fn motion_of_strips(&self, strips: Strips, correlation: &Correlation, maps: [Tensor<4>; 2]) -> Tensor<4> {
+        let [motion] = strips.map(maps, MOTION_REACH, |rows, [flow, positions]| {
+            [self.encoder.forward(flow, correlation.of_rows(rows).windows(positions, RADIUS))]
+        });
+        motion
     }
 
-    /// The same in strips, of hidden state, flow, windows of correlations, and a map from which `context` makes the context.
+    /// The next hidden state and the change of the flow, in strips, from the hidden state, motion features, and a map from which
+    /// `context` makes the context.
     fn refine_strips(
         &self,
         strips: Strips,
         aggregator: &CrossCovariance,
         attending: &Attending,
-        [hidden, flow, windows, map]: [Tensor<4>; 4],
+        mut hidden: Divided,
+        [motion, map]: [Tensor<4>; 2],
         context: impl Fn(Tensor<4>) -> Tensor<4>,
-    ) -> [Tensor<4>; 2] {
-        let [_, _, rows, columns] = flow.dims();
-        let [motion] = strips
-            .map([flow, windows], MOTION_REACH, |[flow, windows]| [self.encoder.forward(flow, windows)]);
+    ) -> (Divided, Tensor<4>) {
+        let [_, _, height, width] = motion.dims();
         let sums = aggregator.sums(strips, attending, &motion);
-        let inputs = [hidden, motion, map, attending.map().clone()];
-        strips.map(inputs, REFINEMENT_REACH, |[hidden, motion, map, attending_map]| {
+        let inputs = [motion, map, attending.map().clone()];
+        let (mut next, mut changes) = (Divided::default(), Vec::new());
+        let of_strip = |rows: Range<usize>, [motion, map, attending_map]: [Tensor<4>; 3]| {
+            // Strips above were refined, and strips below read only these rows and those below.
+            hidden.free_above(rows.start);
             let attending = attending.part(attending_map);
-            let gathered = aggregator.gather_strip(&attending, motion.clone(), &sums, rows * columns);
-            self.refine(&self.gru.prepared(&context(map)), hidden, motion, gathered)
-        })
+            let gathered = aggregator.gather_strip(&attending, motion.clone(), &sums, height * width);
+            let input = Tensor::cat(vec![motion, gathered], 1);
+            let hidden = self.gru.step(&context(map), hidden.rows(rows), input);
+            [hidden.clone(), self.flow_head.forward(hidden)]
+        };
+        strips.each(&inputs, REFINEMENT_REACH, of_strip, |[hidden, change]| {
+            next.push(hidden);
+            changes.push(change);
+        });
+        (next, Tensor::cat(changes, 2))
     }
 }
 

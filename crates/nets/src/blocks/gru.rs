@@ -132,6 +132,15 @@ impl SepConvGru {
         let columns = PreparedStep::new([&self.convz2, &self.convr2, &self.convq2], context);
         PreparedGru { steps: vec![rows, columns] }
     }
+
+    /// [`PreparedGru::step`] for a context that is used once: takes less memory than the prepared GRU.
+    pub(crate) fn step(&self, context: &Tensor<4>, hidden: Tensor<4>, input: Tensor<4>) -> Tensor<4> {
+        let rows = [&self.convz1, &self.convr1, &self.convq1];
+        let columns = [&self.convz2, &self.convr2, &self.convq2];
+        [rows, columns]
+            .into_iter()
+            .fold(hidden, |hidden, convs| PreparedStep::new(convs, context).forward(hidden, input.clone()))
+    }
 }
 
 impl PreparedGru<'_> {

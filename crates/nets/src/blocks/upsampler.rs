@@ -6,7 +6,7 @@ use srflow_nn::layers::{Conv2d, Conv2dConfig, NoParameters};
 use srflow_ops::Activation;
 use srflow_ops::upsample::tensor;
 
-use super::{Grids, resize};
+use super::{Divided, Grids, Strips, resize};
 use crate::recurrent::STRIDE;
 
 /// Coarse pixels per convex combination.
@@ -34,7 +34,21 @@ pub(crate) fn convex_mask_by(factor: usize, inputs: usize, device: &Device) -> C
 /// Upsamples coarse flow `[batch, 2, height, width]` by the factor of the mask, each fine pixel as a convex combination of 3x3
 /// coarse neighbours.
 pub(crate) fn convex_upsample(mask: &ConvexMask, hidden: &Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
-    let weights = mask_weights(mask, hidden);
+    scaled_convex_upsample(mask_weights(mask, hidden), flow)
+}
+
+/// [`convex_upsample`] with weights computed in strips.
+pub(crate) fn convex_upsample_of_strips(
+    strips: Strips,
+    mask: &ConvexMask,
+    hidden: &Divided,
+    flow: Tensor<4>,
+) -> Tensor<4> {
+    let [weights] = strips.map([], 1, |rows, []| [mask_weights(mask, &hidden.rows(rows))]);
+    scaled_convex_upsample(weights, flow)
+}
+
+fn scaled_convex_upsample(weights: Tensor<4>, flow: Tensor<4>) -> Tensor<4> {
     let factor = (weights.dims()[1] / NEIGHBOURS).isqrt();
     tensor::convex_upsample(flow, weights, MASK_SCALE, factor)
 }

@@ -1,6 +1,6 @@
 //! The correlation lookup on CubeCL devices.
 //!
-//! Layouts: first map `[batch, height, width, channels]`; pyramid of the second, its levels one after another, each
+//! Layouts: first map, or some rows of it, `[batch, height, width, channels]`; pyramid of the second, its levels one after another, each
 //! `[batch, height, width, channels]`; positions `[batch, 2, height, width]`; windows
 //! `[batch, levels * side^2, height, width]`. The channels of a pixel are adjacent, so the threads that share a dot product
 //! read contiguous memory.
@@ -24,7 +24,7 @@ const GROUP: usize = 8;
 const SHARED: usize = 4096;
 
 pub(super) fn lookup(lookup: Lookup, inputs: [CubeTensor; 3]) -> CubeTensor {
-    let Lookup { levels, radius } = lookup;
+    let Lookup { second: [second_height, second_width], levels, radius } = lookup;
     let [first, second, coords] = inputs.map(contiguous);
     let [batch, height, width, channels] = first.shape().dims();
     let (side, reach) = (2 * radius + 1, 2 * radius + 2);
@@ -41,6 +41,8 @@ pub(super) fn lookup(lookup: Lookup, inputs: [CubeTensor; 3]) -> CubeTensor {
         second.into_tensor_arg(),
         coords.into_tensor_arg(),
         out.clone().into_tensor_arg(),
+        second_height,
+        second_width,
         levels,
         1.0 / (channels as f32).sqrt(),
         radius,
@@ -51,7 +53,7 @@ pub(super) fn lookup(lookup: Lookup, inputs: [CubeTensor; 3]) -> CubeTensor {
 
 /// Gradients of both maps.
 pub(super) fn lookup_backward(lookup: Lookup, inputs: [CubeTensor; 3], grad: CubeTensor) -> [CubeTensor; 2] {
-    let Lookup { levels, radius } = lookup;
+    let Lookup { second: [second_height, second_width], levels, radius } = lookup;
     let ([first, second, coords], grad) = (inputs.map(contiguous), contiguous(grad));
     let [batch, height, width, channels] = first.shape().dims();
     let (d_first, d_second) = (empty(&first, first.shape()), zeros(&second, second.shape()));
@@ -71,6 +73,8 @@ pub(super) fn lookup_backward(lookup: Lookup, inputs: [CubeTensor; 3], grad: Cub
         grad.into_tensor_arg(),
         d_first.clone().into_tensor_arg(),
         d_second.clone().into_tensor_arg(),
+        second_height,
+        second_width,
         1.0 / (channels as f32).sqrt(),
         levels,
         radius,
@@ -145,6 +149,8 @@ fn lookup_kernel<N: Size>(
     second: &Tensor<Vector<f32, N>>,
     coords: &Tensor<f32>,
     out: &mut Tensor<f32>,
+    second_height: usize,
+    second_width: usize,
     levels: usize,
     scale: f32,
     #[comptime] radius: usize,
@@ -162,7 +168,7 @@ fn lookup_kernel<N: Size>(
         terminate!();
     }
     let first_pixel = CUBE_POS % groups * group;
-    let level = level_of(height, width, batch * vectors, number);
+    let level = level_of(second_height, second_width, batch * vectors, number);
 
     let mut shares = Shared::new_slice(comptime!(products * LANES));
     let unit = UNIT_POS as usize;
@@ -239,6 +245,8 @@ fn gradient_kernel<A: AtomicAdd>(
     grad: &Tensor<f32>,
     d_first: &mut Tensor<f32>,
     d_second: &mut Tensor<Atomic<A::Cell>>,
+    second_height: usize,
+    second_width: usize,
     scale: f32,
     #[comptime] levels: usize,
     #[comptime] radius: usize,
@@ -261,7 +269,7 @@ fn gradient_kernel<A: AtomicAdd>(
         let number = product / area;
         let column = product % area % reach;
         let row = product % area / reach;
-        let level = level_of(height, width, batch * channels, number);
+        let level = level_of(second_height, second_width, batch * channels, number);
         let window = window_of(coords, n, at, pixels, level.scale, radius);
         let mut sum = 0.0;
         // The samples for which this product is the upper left, upper right, lower left and lower right corner.
@@ -285,7 +293,7 @@ fn gradient_kernel<A: AtomicAdd>(
         let own = first[pixel * channels + c];
         let mut sum = 0.0;
         for number in 0..levels {
-            let level = level_of(height, width, batch * channels, number);
+            let level = level_of(second_height, second_width, batch * channels, number);
             let window = window_of(coords, n, at, pixels, level.scale, radius);
             for position in 0..area {
                 let x = window.left + f32::cast_from(position % reach);

@@ -1,5 +1,7 @@
 //! The lookup on tensors: [`Correlation`], with gradients of both feature maps.
 
+use std::ops::Range;
+
 use burn::tensor::Tensor;
 use burn::tensor::module::avg_pool2d;
 use burn::tensor::ops::AvgPoolOptions;
@@ -11,21 +13,30 @@ use super::{FeaturePyramid, correlation_lookup, correlation_lookup_backward};
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Composition, Operation, apply};
 
-/// Of the first map, `[batch, height, width, channels]`, the second's pyramid, packed as [`Correlation`] does, and
-/// positions, `[batch, 2, height, width]`, which have no gradient.
+/// Of the first map or some rows of it, `[batch, height, width, channels]`, the second's pyramid, packed as [`Correlation`] does,
+/// and positions, `[batch, 2, height, width]`, which have no gradient.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Lookup {
+    /// Height and width of the second map.
+    pub(super) second: [usize; 2],
     pub(super) levels: usize,
     pub(super) radius: usize,
+}
+
+impl Lookup {
+    fn pyramid(self, packed: &[f32], [batch, _, _, channels]: [usize; 4]) -> FeaturePyramid<'_> {
+        let [height, width] = self.second;
+        FeaturePyramid::of_packed(packed, [batch, height, width, channels], self.levels)
+    }
 }
 
 impl Composition<3> for Lookup {}
 
 impl Operation<3> for Lookup {
     fn cpu(&self, [first, second, coords]: [CpuTensor; 3]) -> Vec<CpuTensor> {
-        let Self { levels, radius } = *self;
+        let Self { levels, radius, .. } = *self;
         let shape @ [batch, height, width, _] = first.dims();
-        let pyramid = FeaturePyramid::of_packed(second.slice(), shape, levels);
+        let pyramid = self.pyramid(second.slice(), shape);
         let out = correlation_lookup(first.slice(), &pyramid, coords.slice(), [height, width], radius);
         vec![CpuTensor::new(out, [batch, levels * (2 * radius + 1) * (2 * radius + 1), height, width])]
     }
@@ -33,7 +44,7 @@ impl Operation<3> for Lookup {
     fn cpu_backward(&self, back: Backprop<CpuTensor>) -> [Option<CpuTensor>; 3] {
         let ([first, second, coords], grad) = back.into_parts();
         let shape @ [_, height, width, _] = first.dims();
-        let pyramid = FeaturePyramid::of_packed(second.slice(), shape, self.levels);
+        let pyramid = self.pyramid(second.slice(), shape);
         let (d_first, d_levels) = correlation_lookup_backward(
             first.slice(),
             &pyramid,
@@ -61,8 +72,10 @@ impl Operation<3> for Lookup {
 /// Two feature maps, ready to be looked up many times.
 #[derive(Debug, Clone)]
 pub struct Correlation {
-    /// `[batch, height, width, channels]`.
+    /// `[batch, rows, width, channels]`.
     first: Tensor<4>,
+    /// Height and width of the second map.
+    size: [usize; 2],
     /// The levels of the second map's pyramid one after another, each `[batch, height, width, channels]`.
     second: Tensor<1>,
     levels: usize,
@@ -87,7 +100,12 @@ impl Correlation {
             pyramid.push(channels_last(level.clone()));
         }
         let first = channels_last(first).reshape([batch, height, width, channels]);
-        Self { first, second: Tensor::cat(pyramid, 0), levels }
+        Self { first, size: [height, width], second: Tensor::cat(pyramid, 0), levels }
+    }
+
+    /// Of these rows of the first map.
+    pub fn of_rows(&self, rows: Range<usize>) -> Self {
+        Self { first: self.first.clone().narrow(1, rows.start, rows.len()), ..self.clone() }
     }
 
     /// Windows of `radius` around `coords` (`[batch, 2, height, width]`: x, then y, in pixels of the feature map):
@@ -102,6 +120,6 @@ impl Correlation {
             self.second.clone().into_dispatch(),
             coords.detach().into_dispatch(),
         ];
-        apply(Lookup { levels: self.levels, radius }, inputs)
+        apply(Lookup { second: self.size, levels: self.levels, radius }, inputs)
     }
 }

@@ -1,3 +1,5 @@
+use std::ops::Range;
+
 use burn::tensor::Tensor;
 use srflow_simd::Isa;
 
@@ -67,5 +69,43 @@ pub(crate) fn cases() -> Vec<Case> {
         )
         .change(2, move |i, _| coords[i])
     };
-    vec![case([2, 4, 6, 7], 3, 2), case([2, 3, 6, 7], 2, 4), case([2, 256, 9, 13], 4, 4)]
+    vec![case([2, 4, 6, 7], 3, 2), case([2, 3, 6, 7], 2, 4), case([2, 256, 9, 13], 4, 4), some_rows()]
+}
+
+/// Windows of some rows of the first map: those rows of all windows.
+fn some_rows() -> Case {
+    const ROWS: Range<usize> = 2..5;
+    let maps @ [batch, _, height, width] = [2, 4, 7, 6];
+    let shape = LookupShape { maps, levels: 3, radius: 2 };
+    let part = ROWS.start * width..ROWS.end * width;
+    let with_others = {
+        let part = part.clone();
+        move |rows: &[f64]| {
+            let whole = rows.chunks_exact(part.len()).flat_map(|rows| {
+                let mut plane = vec![0.0; height * width];
+                plane[part.clone()].copy_from_slice(rows);
+                plane
+            });
+            whole.collect::<Vec<_>>()
+        }
+    };
+    let rows_of = move |planes: &[f64]| -> Vec<f64> {
+        planes.chunks_exact(height * width).flat_map(|plane| plane[part.clone()].to_vec()).collect()
+    };
+    let own = rows_of(&wide(&positions(maps)));
+    let whole = with_others.clone();
+    Case::new(
+        "of some rows",
+        &[&maps, &maps, &[batch, 2, ROWS.len(), width]],
+        move |inputs| {
+            let [first, second, coords] = array(inputs.into_iter().map(Tensor::from_dispatch).collect());
+            tensor::Correlation::new(first, second, 3).of_rows(ROWS).windows(coords, 2)
+        },
+        move |x| rows_of(&reference::correlation_lookup(&x[0], &x[1], &whole(&x[2]), &shape)),
+        move |x, grad| {
+            let (coords, grad) = (with_others(&x[2]), with_others(grad));
+            reference::correlation_lookup_backward(&x[0], &x[1], &coords, &grad, &shape).into()
+        },
+    )
+    .change(2, move |i, _| own[i] as f32)
 }

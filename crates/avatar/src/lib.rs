@@ -8,6 +8,7 @@ mod builtin;
 pub mod capture;
 mod dress;
 mod files;
+pub mod fit;
 mod head_model;
 mod ict;
 mod micro_expression;

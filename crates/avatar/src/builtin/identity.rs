@@ -1,40 +1,55 @@
 use glam::{Vec2, Vec3};
 use srflow_field::random::Key;
 
-/// The traits that distinguish one person's head from another's: each is roughly normal with mean 0 and deviation 1, clamped
-/// to two deviations so that every combination looks human.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Traits {
-    pub head_width: f32,
-    pub head_length: f32,
-    pub crown_height: f32,
-    pub forehead_slope: f32,
-    pub brow_ridge: f32,
-    pub cheekbones: f32,
-    pub cheek_fullness: f32,
-    pub face_length: f32,
-    pub jaw_width: f32,
-    pub chin_width: f32,
-    pub chin_projection: f32,
-    pub chin_height: f32,
-    pub nose_length: f32,
-    pub nose_width: f32,
-    pub nose_bridge: f32,
-    pub nose_hump: f32,
-    pub nose_tip: f32,
-    pub nose_turn: f32,
-    pub mouth_width: f32,
-    pub upper_lip: f32,
-    pub lower_lip: f32,
-    pub eye_opening: f32,
-    pub eye_width: f32,
-    pub eye_spacing: f32,
-    pub eye_tilt: f32,
-    pub eye_depth: f32,
-    pub lid_crease: f32,
-    pub ear_size: f32,
-    pub ear_protrusion: f32,
-    pub neck_girth: f32,
+macro_rules! traits {
+    ($($name:ident),* $(,)?) => {
+        /// The traits that distinguish one person's head from another's: each is roughly normal with mean 0 and deviation 1,
+        /// clamped to two deviations so that every combination looks human. The default is the average head.
+        #[derive(Debug, Clone, Copy, Default, PartialEq)]
+        pub(super) struct Traits {
+            $(pub $name: f32,)*
+        }
+
+        impl Traits {
+            /// The average head but for one trait: its name, and a function of the trait's value.
+            pub(super) fn each() -> Vec<(&'static str, fn(f32) -> Self)> {
+                vec![$((stringify!($name), |$name| Self { $name, ..Self::default() }),)*]
+            }
+        }
+    };
+}
+
+traits! {
+    head_width,
+    head_length,
+    crown_height,
+    forehead_slope,
+    brow_ridge,
+    cheekbones,
+    cheek_fullness,
+    face_length,
+    jaw_width,
+    chin_width,
+    chin_projection,
+    chin_height,
+    nose_length,
+    nose_width,
+    nose_bridge,
+    nose_hump,
+    nose_tip,
+    nose_turn,
+    mouth_width,
+    upper_lip,
+    lower_lip,
+    eye_opening,
+    eye_width,
+    eye_spacing,
+    eye_tilt,
+    eye_depth,
+    lid_crease,
+    ear_size,
+    ear_protrusion,
+    neck_girth,
 }
 
 impl Traits {

@@ -24,11 +24,12 @@ mod teeth;
 use std::collections::BTreeMap;
 
 use glam::Vec3;
+use rayon::prelude::*;
 
 use self::half::{Half, Mark};
 use self::identity::{Plan, Traits};
 use self::landmarks::Landmarks;
-use crate::{ActionUnit, HeadModel, Joint, JointRole, Shape, Side, Skinning};
+use crate::{ActionUnit, HeadModel, Joint, JointRole, Offsets, Shape, Side, Skinning};
 
 const METRES_PER_MILLIMETRE: f32 = 1e-3;
 
@@ -41,7 +42,35 @@ impl HeadModel {
     /// All persons share one topology: vertex and triangle numbers mean the same place on every head; only hairline and
     /// brows, that is [`HeadModel::regions`], follow each person. The identity is in the template; there is no basis.
     pub fn builtin(seed: u64) -> Self {
-        let plan = Plan::new(Traits::of(seed));
+        Self::sculpted(Traits::of(seed))
+    }
+
+    /// The average built-in head, with the traits that persons differ in as its identity basis, in standard deviations: the head of
+    /// an unknown person, to be fitted. The basis is linear, and persons of [`HeadModel::builtin`] are not: they also differ by
+    /// a fraction of a millimetre in the shapes of their expressions.
+    pub fn builtin_average() -> Self {
+        let average = Self::sculpted(Traits::default());
+        let shape = |(name, of): (&str, fn(f32) -> Traits)| {
+            let [more, less] = [1.0, -1.0].map(|value| Self::sculpted(of(value)));
+            let halves = |more: &[Vec3], less: &[Vec3]| -> Vec<Vec3> {
+                more.iter().zip(less).map(|(more, less)| (*more - *less) * 0.5).collect()
+            };
+            let positions =
+                |model: &Self| model.joints.iter().map(|joint| joint.position).collect::<Vec<_>>();
+            let offsets = Offsets::compact(halves(&more.template, &less.template));
+            (Shape::linear(name, offsets), halves(&positions(&more), &positions(&less)))
+        };
+        let shapes: Vec<(Shape, Vec<Vec3>)> = Traits::each().into_par_iter().map(shape).collect();
+        let mut joints = average.joints;
+        for (number, joint) in joints.iter_mut().enumerate() {
+            joint.identities = shapes.iter().map(|(_, moved)| moved[number]).collect();
+        }
+        let identities = shapes.into_iter().map(|(shape, _)| shape).collect();
+        Self { name: "builtin-average".to_owned(), identities, joints, ..average }
+    }
+
+    fn sculpted(traits: Traits) -> Self {
+        let plan = Plan::new(traits);
         let mut half = Half::default();
         let skin = skin::Grid::new(&plan).lay(&mut half);
         let eyeball = eyes::add_eyeball(&mut half, &plan);

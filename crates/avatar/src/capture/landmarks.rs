@@ -1,6 +1,8 @@
 //! `landmarks.csv`: one row per landmark, `timestep,camera,landmark,x,y`. Coordinates are pixels, an integer being the centre of
 //! a pixel; a landmark without a row is missing.
 
+mod detectors;
+
 use std::collections::BTreeMap;
 use std::io::Write;
 use std::path::Path;
@@ -18,7 +20,7 @@ pub const LANDMARK_COUNT: usize = 68;
 const HEADER: &str = "timestep,camera,landmark,x,y";
 
 /// The landmarks of one picture: pixel, or `None` where missing.
-type Face = [Option<[f64; 2]>; LANDMARK_COUNT];
+pub type Face = [Option<[f64; 2]>; LANDMARK_COUNT];
 
 /// The 68 landmarks of dlib in the pictures of a capture.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -35,6 +37,15 @@ impl Landmarks {
     /// Sets the landmarks of a picture.
     pub fn insert(&mut self, timestep: u32, camera_index: u32, face: Face) {
         self.faces.insert((timestep, camera_index), face);
+    }
+
+    /// Number of pictures with landmarks.
+    pub fn len(&self) -> usize {
+        self.faces.len()
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.faces.is_empty()
     }
 
     /// Writes the file, with coordinates to a thousandth of a pixel.

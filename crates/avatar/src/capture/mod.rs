@@ -27,7 +27,7 @@ use srflow_field::{FileError, FileProblem, Image, Plane, read_image};
 use srflow_splat::Camera;
 
 pub use head::{HEAD_NAME, HeadRecord};
-pub use landmarks::{LANDMARK_COUNT, LANDMARKS_NAME, Landmarks};
+pub use landmarks::{Face, LANDMARK_COUNT, LANDMARKS_NAME, Landmarks};
 pub use split::{CaptureSplit, FRONT_CAMERA, split_of};
 pub use write::write_transforms;
 

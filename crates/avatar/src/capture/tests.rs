@@ -350,3 +350,90 @@ fn the_head_of_a_capture_is_recognized() {
     fs::write(folder.path().join(HEAD_NAME), "{}").unwrap();
     assert!(HeadRecord::read(folder.path()).unwrap_err().to_string().contains("head.json"));
 }
+
+/// A table of `count` landmarks: landmark n of frame f is at (n + f, 2 n) times `scale`.
+fn table(columns: &str, rows: &[(&str, f64)], count: usize, scale: f64) -> String {
+    let names = |axis: &str| (0..count).map(|n| format!(", {axis}_{n}")).collect::<String>();
+    let mut text = format!("{columns}{}{}\n", names("x"), names("y"));
+    for (start, frame) in rows {
+        text += start;
+        text.extend((0..count).map(|n| format!(", {}", (n as f64 + frame) * scale)));
+        text.extend((0..count).map(|n| format!(", {}", 2.0 * n as f64 * scale)));
+        text += "\n";
+    }
+    text
+}
+
+#[test]
+fn tables_of_openface_and_mediapipe_are_read() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("faces.csv");
+    let read = |text: &str| {
+        fs::write(&path, text).expect("written");
+        let mut landmarks = Landmarks::default();
+        landmarks.add_table(&path, 3, (1000, 500)).map(|()| landmarks).map_err(|error| error.to_string())
+    };
+    // The second face of frame 1 is surer; frame 2 failed; frame 4 has a hole.
+    let rows = [("1,0.5,1", 1.0), ("1,0.9,1", 5.0), ("1,0.7,1", 9.0), ("2,0.0,0", 0.0), ("4,0.9,1", 2.0)];
+    let openface = table("frame, confidence, success", &rows, 68, 1.0).replacen(", 67, ", ", nan, ", 1);
+    let landmarks = read(&openface).expect("OpenFace");
+    let at = |timestep: u32, landmark: usize| landmarks.get(timestep, 3).and_then(|face| face[landmark]);
+    assert_eq!(at(0, 0), Some([5.0, 0.0]));
+    assert_eq!(at(0, 67), Some([72.0, 134.0]));
+    assert_eq!(at(1, 0), None);
+    assert_eq!(at(2, 0), None);
+    assert_eq!(at(3, 30), Some([32.0, 60.0]));
+    assert!(landmarks.get(0, 0).is_none());
+
+    for count in [468, 478] {
+        let text = table("frame", &[("0", 0.0), ("7", 0.0)], count, 1.0 / 1024.0);
+        let landmarks = read(&text).expect("MediaPipe");
+        // The tip of the nose is vertex 4 of the mesh, the middle of the chin 152.
+        for (landmark, vertex) in [(30, 4.0), (8, 152.0)] {
+            let expected = [vertex / 1024.0 * 1000.0 - 0.5, 2.0 * vertex / 1024.0 * 500.0 - 0.5];
+            assert_eq!(landmarks.get(7, 3).and_then(|face| face[landmark]), Some(expected));
+        }
+    }
+
+    let fault = |text: &str, part: &str| {
+        let error = read(text).expect_err(part);
+        assert!(error.contains(part), "{error}");
+    };
+    fault("", "0 of x and 0 of y");
+    fault(&table("frame", &[], 67, 1.0), "67 of x and 67 of y");
+    fault(&table("frame", &[("1", 0.0), ("x\u{1b}[31m", 0.0)], 68, 1.0), "x\\u{1b}[31m in line 3");
+    fault(&table("frame", &[("0", 0.0)], 68, 1.0), "line 2 counts to -1");
+    fault(&table("frame", &[("1.5", 0.0)], 468, 1.0), "line 2 counts to 1.5");
+    fault(&(table("frame", &[("1", 0.0)], 68, 1.0) + "2,1,1\n"), "3 in line 3");
+}
+
+#[test]
+fn annotations_of_ibug_are_read() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let body: String = (0..68).map(|n| format!("{}.5 {}\n", n + 1, 2 * n)).collect();
+    let write = |name: &str, text: &str| fs::write(dir.path().join(name), text).expect("written");
+    let fault = |part: &str| {
+        let error = Landmarks::read_points(dir.path()).expect_err(part).to_string();
+        assert!(error.contains(part), "{error}");
+    };
+    fault("files like 00012_08.pts");
+    write(
+        "00012_08.pts",
+        &format!("version: 1\nn_points:  68\n{{\n{}}}\n", body.replacen("3.5 4", "nan 4", 1)),
+    );
+    write("notes.txt", "not of landmarks");
+    let landmarks = Landmarks::read_points(dir.path()).expect("annotations");
+    let face = landmarks.get(12, 8).expect("a face");
+    assert_eq!((face[0], face[2], face[67]), (Some([0.5, -1.0]), None, Some([67.5, 133.0])));
+    assert_eq!(landmarks.len(), 1);
+    write("12_8.pts", &format!("{{\n{body}}}\n"));
+    fault("another file of the same timestep and camera");
+    write("12_8.pts", &format!("{{\n{body}1 1\n}}\n"));
+    fault("found 69");
+    write("12_8.pts", "{\n1 2\n3 four\n}\n");
+    fault("3 four in line 3");
+    write("12_8.pts", "");
+    write("a_8.pts", "");
+    fs::remove_file(dir.path().join("12_8.pts")).expect("removed");
+    fault("a_8");
+}

@@ -1,0 +1,166 @@
+//! Fitting a head model to landmarks in calibrated views: identity, and expressions, joint rotations and translation of every
+//! timestep.
+//!
+//! The most probable parameters are found by Levenberg-Marquardt with analytic derivatives. A landmark's distance in the picture
+//! counts by the loss of Geman and McClure in units of the detector's noise, so that outliers lose their pull; priors and
+//! smoothness over time are normal distributions ([`Priors`]). Stages follow VHAP (`vhap/model/tracker.py`): the pose of one
+//! timestep, then all its parameters and the identity, then the others one after the other, and at last all timesteps together,
+//! with the identity. The result is the same for any number of threads.
+
+mod arrow;
+mod dense;
+mod initial;
+mod problem;
+mod report;
+
+use srflow_splat::Camera;
+
+pub use problem::Priors;
+pub use report::{CameraFit, FitReport, Reach, ViewFit};
+
+use crate::capture::{Face, LANDMARK_COUNT};
+use crate::{HeadModel, HeadParameters, HeadState, PoseParameters};
+use problem::{Problem, Window};
+
+/// One picture of a head.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LandmarkView {
+    pub timestep: u32,
+    pub camera_index: u32,
+    pub camera: Camera,
+    /// All missing where the detector found no face.
+    pub landmarks: Face,
+}
+
+/// Settings of [`fit`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct FitOptions {
+    /// How many shapes of the identity basis are fitted, from the first one; the others stay at zero.
+    pub identities: usize,
+    /// How many shapes of the expression basis are fitted, from the first one.
+    pub expressions: usize,
+    /// Standard deviation of a landmark's coordinates in pixels; `None` to estimate it from the residuals.
+    pub noise: Option<f64>,
+    /// A landmark further from the fit than this many standard deviations counts as an outlier.
+    pub outlier: f64,
+    /// How many times less precise the contour of the jaw (landmarks 0 to 16) is than other landmarks, until each landmark's
+    /// precision is learned from its residuals: detectors put it on the edge of the face in the picture, not on a point of the
+    /// skin.
+    pub contour: f64,
+    pub priors: Priors,
+}
+
+impl Default for FitOptions {
+    fn default() -> Self {
+        Self {
+            identities: 100,
+            expressions: 100,
+            noise: None,
+            outlier: 4.0,
+            contour: 2.0,
+            priors: Priors::default(),
+        }
+    }
+}
+
+/// A stage of the fit, for progress.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum FitStage {
+    /// Pose, then all parameters, of one timestep.
+    First,
+    /// The other timesteps, one after the other.
+    Track,
+    /// All timesteps together.
+    Refine,
+}
+
+/// A fitted head.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fit {
+    /// Numbers of the timesteps, ascending.
+    pub timesteps: Vec<u32>,
+    /// One for each timestep; the identity is the same in all.
+    pub states: Vec<HeadState>,
+    pub report: FitReport,
+}
+
+impl Fit {
+    /// The parameters in the form of files.
+    pub fn parameters(&self, model: &HeadModel) -> HeadParameters {
+        let identity = self.states.first().map_or(&[][..], |state| &state.identity);
+        HeadParameters {
+            shape: identity.iter().map(|weight| *weight as f32).collect(),
+            static_offset: Vec::new(),
+            poses: self.states.iter().map(|state| PoseParameters::of(model, &state.pose())).collect(),
+        }
+    }
+}
+
+/// Why a head could not be fitted.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FitError {
+    /// The model has no landmarks.
+    #[error("the head model {model} has {found} landmarks; fitting it needs the {LANDMARK_COUNT} of dlib")]
+    Model { model: String, found: usize },
+    /// No picture shows enough of the face.
+    #[error(
+        "no picture has {} landmarks or more (the best has {best}), which the pose of the head needs; check the landmarks' timestep and camera numbers against those of the pictures",
+        initial::LEAST
+    )]
+    Landmarks { best: usize },
+    /// The pose of the head cannot be found.
+    #[error(
+        "the landmarks of timestep {timestep} agree with no pose of the head in front of its cameras; check that they belong to these cameras, and that x and y are pixels"
+    )]
+    Pose { timestep: u32 },
+}
+
+/// Fits `model` to the landmarks in `views`, of which each timestep may have any number, also with no landmark at all: such
+/// timesteps follow from their neighbours. `progress` gets the stage, how many steps of it are done, and how many it has.
+///
+/// # Errors
+/// When the model has no landmarks, or no timestep has enough of them to begin with.
+pub fn fit(
+    model: &HeadModel,
+    views: &[LandmarkView],
+    options: &FitOptions,
+    mut progress: impl FnMut(FitStage, usize, usize),
+) -> Result<Fit, FitError> {
+    if model.landmarks.len() < LANDMARK_COUNT {
+        return Err(FitError::Model { model: model.name.clone(), found: model.landmarks.len() });
+    }
+    let mut problem = Problem::new(model, views, options);
+    let most = views.iter().map(|view| view.landmarks.iter().flatten().count()).max().unwrap_or(0);
+    if most < initial::LEAST {
+        return Err(FitError::Landmarks { best: most });
+    }
+    let count = problem.timesteps.len();
+    let first = problem.first_timestep();
+
+    progress(FitStage::First, 0, 1);
+    let mut states = vec![HeadState::default(); count];
+    let rest = problem.rest();
+    let posed = problem.posed(first, &rest).ok_or(FitError::Pose { timestep: problem.timesteps[first] })?;
+    states[first] = posed;
+    let mut noise = problem.anneal(&mut states, &Window::one(first).with_identity());
+    progress(FitStage::First, 1, 1);
+
+    // From the first timestep to both ends, each from its neighbour.
+    let after = (first + 1..count).map(|timestep| (timestep, timestep - 1));
+    let before = (0..first).rev().map(|timestep| (timestep, timestep + 1));
+    for (done, (timestep, neighbour)) in after.chain(before).enumerate() {
+        progress(FitStage::Track, done, count - 1);
+        states[timestep] = states[neighbour].clone();
+        problem.track(&mut states, timestep, neighbour, noise);
+    }
+
+    progress(FitStage::Refine, 0, 2);
+    let window = Window::all(count).with_identity();
+    noise = problem.anneal(&mut states, &window);
+    progress(FitStage::Refine, 1, 2);
+    problem.weigh_landmarks(&states, noise);
+    noise = problem.anneal(&mut states, &window);
+    progress(FitStage::Refine, 2, 2);
+    let report = problem.report(&states, first, noise);
+    Ok(Fit { timesteps: problem.timesteps, states, report })
+}

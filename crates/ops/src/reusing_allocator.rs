@@ -9,10 +9,8 @@ use std::sync::{Mutex, PoisonError};
 
 /// Smaller blocks are left to the system allocator.
 const SMALLEST: usize = 128 << 10;
-/// Bytes that may be kept in any case.
+/// Bytes that may be kept in any case; also the most by which free and used blocks may exceed the peak use.
 const KEPT_BYTES: usize = 384 << 20;
-/// Most bytes beyond the peak use that free and used blocks may total.
-const SURPLUS: usize = 512 << 20;
 /// Size classes: eight between consecutive powers of two.
 const SIZES: usize = 8 * usize::BITS as usize;
 /// Alignment of every block that may be kept: a cache line.
@@ -24,7 +22,7 @@ const HUGE_PAGE: usize = 2 << 20;
 /// Use as `#[global_allocator] static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();`.
 ///
 /// Free blocks are kept while they total at most 384 MiB, or while free and used blocks together total at most five quarters of the
-/// peak use, and at most 512 MiB more than it: a training step frees most of its memory, and the next one allocates the same sizes again, though not all at once.
+/// peak use, and at most 384 MiB more than it: a training step frees most of its memory, and the next one allocates the same sizes again, though not all at once.
 #[derive(Debug)]
 pub struct ReusingAllocator {
     kept: Mutex<Kept>,
@@ -95,7 +93,7 @@ impl Kept {
     }
 
     fn take_surplus(&mut self) -> Option<(*mut u8, usize)> {
-        let allowed = KEPT_BYTES.max(self.most_in_use + SURPLUS.min(self.most_in_use / 4) - self.in_use);
+        let allowed = KEPT_BYTES.max(self.most_in_use + KEPT_BYTES.min(self.most_in_use / 4) - self.in_use);
         if self.bytes <= allowed || self.oldest.is_null() {
             return None;
         }

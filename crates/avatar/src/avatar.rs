@@ -4,11 +4,13 @@ use glam::Vec3;
 use rayon::prelude::*;
 use srflow_field::FileError;
 use srflow_field::random::Key;
-use srflow_splat::Gaussians;
+use srflow_splat::{GaussianGradients, Gaussians};
 
-use crate::binding::{BindingError, BoundGaussians, TriangleFrame};
+use crate::binding::{BindingError, BoundGaussians, BoundGradients, TriangleFrame, vertex_gradients};
 use crate::dress::dress;
-use crate::{HeadModel, HeadModelError, HeadParameters, HeadPose, ParametersError, ShapedHead, ict};
+use crate::{
+    HeadGradient, HeadModel, HeadModelError, HeadParameters, HeadPose, ParametersError, ShapedHead, ict,
+};
 
 /// Why an avatar could not be created.
 #[derive(Debug, thiserror::Error)]
@@ -188,5 +190,24 @@ impl Avatar {
             })
             .collect_into_vec(&mut head.frames);
         self.gaussians.world_into(&head.frames, out);
+    }
+
+    /// The backward of [`Avatar::gaussians_into`], which gave `head` in `pose`: from the gradients of the Gaussians in the world to
+    /// those of the bound ones, which go into `bound`, and of the head's parameters. `identity` are the weights that the head was
+    /// made with. Does not depend on the number of threads.
+    ///
+    /// Panics when `head` is of another model, or `world` of another number of Gaussians.
+    pub fn backward(
+        &self,
+        identity: &[f32],
+        pose: &HeadPose,
+        head: &PosedHead,
+        world: &GaussianGradients,
+        bound: &mut BoundGradients,
+    ) -> HeadGradient {
+        self.gaussians.backward(&head.frames, world, bound);
+        let mut vertices = Vec::new();
+        vertex_gradients(&self.model.triangles, &head.vertices, &bound.frames, &mut vertices);
+        self.model.backward(identity, &self.shaped, pose, &vertices)
     }
 }

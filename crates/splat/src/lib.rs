@@ -3,7 +3,8 @@
 //! One pass over depth-sorted 3D Gaussians gives colour, optical flow, alpha and depth, with the constants of the
 //! 3D Gaussian Splatting reference (Kerbl et al. 2023) and the flow of the SRFlow paper (section III-B).
 //!
-//! [`mod@reference`] is the definition, one pixel at a time in `f64`; [`Rasterizer`] is the fast implementation.
+//! [`mod@reference`] is the definition, one pixel at a time in `f64`; [`Rasterizer`] is the fast implementation. Both have a
+//! backward: the gradients of a loss with respect to the Gaussians and the cameras.
 
 mod backward;
 mod blending;

@@ -149,6 +149,9 @@ impl Motion {
     ) -> (DVec3, DVec2) {
         let camera = &self.camera;
         let point = self.camera_from_world.transform_point3(position);
+        if !point.is_finite() {
+            return (DVec3::ZERO, DVec2::ZERO);
+        }
         let mut gradient = DVec3::ZERO;
         let mut center = DVec2::ZERO;
         if self.displacement(point, splat).is_some() {

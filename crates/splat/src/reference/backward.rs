@@ -171,13 +171,14 @@ impl Scene {
         let mut center = gradient.center;
         if let Some((positions, next)) = &self.next {
             let next_point = next.camera_from_world.transform_point3(positions[index]);
-            let mut point_gradient = DVec3::ZERO;
-            if next_point.is_finite() && next_point.z > NEAR {
-                let displacement = DVec2::new(u, v) * self.flow_scale(next);
-                center -= displacement;
-                point_gradient = pixel_backward(next, next_point, displacement, &mut out.next_camera);
-            }
-            if next_point.z.is_finite() {
+            // A moved position that is not finite has no gradient.
+            if next_point.is_finite() {
+                let mut point_gradient = DVec3::ZERO;
+                if next_point.z > NEAR {
+                    let displacement = DVec2::new(u, v) * self.flow_scale(next);
+                    center -= displacement;
+                    point_gradient = pixel_backward(next, next_point, displacement, &mut out.next_camera);
+                }
                 point_gradient.z += depth_next;
                 out.next_positions[index] =
                     point_backward(next, next_point, point_gradient, &mut out.next_camera);

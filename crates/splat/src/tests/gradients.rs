@@ -213,6 +213,21 @@ fn earlier_gradients_leave_no_trace() {
 }
 
 #[test]
+fn a_moved_position_that_is_not_finite_has_no_gradient_and_harms_no_other() {
+    let gaussians = random(7, 60, 0);
+    let all = gradients(camera().width * camera().height, 2);
+    for bad in [f32::NAN, f32::INFINITY] {
+        let mut next = jittered(&gaussians, 7, 0.02);
+        next.positions.iter_mut().step_by(3).for_each(|position| position.x = bad);
+        let next = Next { gaussians: &next, camera: &second() };
+        let found = assert_agree(&gaussians, &camera(), Some(next), &all);
+        assert!(lists_of(&found).iter().all(|value| value.is_finite()));
+        assert!(found.next_positions.iter().step_by(3).all(|gradient| *gradient == Vec3::ZERO));
+        assert!(found.next_positions.iter().any(|gradient| *gradient != Vec3::ZERO));
+    }
+}
+
+#[test]
 fn lists_that_do_not_fit_the_image_are_refused() {
     let gaussians = random(1, 2, 0);
     let mut rasterizer = Rasterizer::new();

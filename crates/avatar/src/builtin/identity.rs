@@ -15,6 +15,12 @@ macro_rules! traits {
             pub(super) fn each() -> Vec<(&'static str, fn(f32) -> Self)> {
                 vec![$((stringify!($name), |$name| Self { $name, ..Self::default() }),)*]
             }
+
+            /// The values, in the same order.
+            #[cfg(test)]
+            pub(super) fn values(&self) -> Vec<f32> {
+                vec![$(self.$name,)*]
+            }
         }
     };
 }

@@ -418,3 +418,26 @@ fn any_combination_of_action_units_is_finite() {
         assert!(moved.iter().all(|v| v.is_finite()) && far < 0.06, "{units:?} moves {far} m");
     }
 }
+
+#[test]
+fn the_average_head_becomes_a_person_by_the_weights_of_their_traits() {
+    let average = HeadModel::builtin_average();
+    assert_eq!(average.identities.len(), Traits::each().len());
+    let names: std::collections::BTreeSet<&str> =
+        average.identities.iter().map(|shape| shape.name.as_str()).collect();
+    assert_eq!(names.len(), average.identities.len());
+    for seed in 1..6 {
+        let person = HeadModel::builtin(seed);
+        let traits = Traits::of(seed);
+        let shaped = average.shaped(&traits.values());
+        let distance = |vertices: &[Vec3]| {
+            let distances = vertices.iter().zip(&person.template).map(|(a, b)| a.distance(*b));
+            distances.sum::<f32>() / vertices.len() as f32
+        };
+        let (before, after) = (distance(&average.template), distance(&shaped.vertices));
+        // Traits interact, so not exactly.
+        assert!(after < 0.2 * before && after < 5e-4, "seed {seed}: {before} m, {after} m");
+        let joints = shaped.joints.iter().zip(&person.joints).map(|(a, b)| a.distance(b.position));
+        assert!(joints.fold(0.0, f32::max) < 5e-4);
+    }
+}

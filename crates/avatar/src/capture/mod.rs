@@ -13,6 +13,7 @@
 //!
 //! Images are read one by one when they are asked for, so a capture may be larger than the memory.
 
+mod export;
 mod head;
 mod landmarks;
 mod read;
@@ -26,6 +27,7 @@ use std::path::{Path, PathBuf};
 use srflow_field::{FileError, FileProblem, Image, Plane, read_image};
 use srflow_splat::Camera;
 
+pub use export::{PARAMETERS_FOLDER, parameters_name, write_canonical, write_tracked};
 pub use head::{HEAD_NAME, HeadRecord};
 pub use landmarks::{Face, LANDMARK_COUNT, LANDMARKS_NAME, Landmarks};
 pub use split::{CaptureSplit, FRONT_CAMERA, split_of};

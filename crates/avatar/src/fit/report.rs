@@ -1,6 +1,7 @@
 //! What a fit leaves unexplained, and what the landmarks cannot determine.
 
 use glam::DVec3;
+use serde::Serialize;
 
 use super::dense::{inverse, product, subtract_transposed_product};
 use super::initial::median;
@@ -9,7 +10,7 @@ use crate::HeadState;
 use crate::capture::LANDMARK_COUNT;
 
 /// How well a fit explains its landmarks, and what they determine.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FitReport {
     /// Standard deviation of a landmark's coordinates, pixels: as given, or as estimated.
     pub noise: f64,
@@ -32,7 +33,7 @@ pub struct FitReport {
 }
 
 /// The landmarks of one camera.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CameraFit {
     pub camera_index: u32,
     /// Pictures.
@@ -45,7 +46,7 @@ pub struct CameraFit {
 }
 
 /// The landmarks of one view.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct ViewFit {
     pub timestep: u32,
     pub camera_index: u32,
@@ -56,7 +57,7 @@ pub struct ViewFit {
 
 /// Standard deviations of the fit by its Hessian, and parameters that the priors determine more than the landmarks: those whose
 /// variance stays above half of the prior's.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reach {
     /// The timestep that this is about.
     pub timestep: u32,

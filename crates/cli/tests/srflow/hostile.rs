@@ -12,9 +12,12 @@ use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+use glam::DMat4;
 use safetensors::tensor::{Dtype, TensorView};
+use srflow_avatar::HeadModel;
+use srflow_avatar::capture::{CaptureSplit, CaptureView, write_transforms};
 use srflow_field::{FlowField, FlowFormat, Image, is_unprintable, write_flow_as, write_image_png};
-use srflow_splat::{Gaussians, write_ply};
+use srflow_splat::{Camera, Gaussians, write_ply};
 use zip::write::SimpleFileOptions;
 
 use crate::frames::write_frames;
@@ -150,7 +153,69 @@ fn samples(folder: &Path) -> Vec<Sample> {
         file: "generic_neutral_mesh.obj",
         arguments: head,
     });
+    let (own, openface) = tracked(folder);
+    let fit = &[
+        "avatar",
+        "fit",
+        "DIR",
+        "--model",
+        "builtin",
+        "--out",
+        "DIR/fitted",
+        "--force",
+        "--landmarks",
+        "FILE",
+    ];
+    samples.push(Sample {
+        name: "capture's landmarks",
+        bytes: own.into(),
+        file: "landmarks.csv",
+        arguments: fit,
+    });
+    let fit = &[
+        "avatar",
+        "fit",
+        "DIR",
+        "--model",
+        "builtin",
+        "--out",
+        "DIR/fitted",
+        "--force",
+        "--landmarks-of",
+        "0=FILE",
+    ];
+    samples.push(Sample { name: "openface", bytes: openface.into(), file: "openface.csv", arguments: fit });
     samples
+}
+
+/// The list of one picture of the built-in head, and its landmarks in both forms of tables.
+fn tracked(folder: &Path) -> (String, String) {
+    let camera = Camera {
+        camera_from_world: DMat4::from_cols_array(&[
+            1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0, 1.0,
+        ]),
+        ..Camera::centred((110, 160), [400.0, 400.0])
+    };
+    let view = CaptureView {
+        split: CaptureSplit::Train,
+        timestep: 0,
+        camera_index: 0,
+        camera,
+        image: "images/00000_00.png".into(),
+        mask: None,
+        parameters: None,
+    };
+    write_transforms(folder, &[view]).unwrap();
+    let model = HeadModel::builtin(1);
+    let landmarks = model.landmarks_on(&model.template);
+    let pixels: Vec<_> = landmarks.map(|place| camera.project(place.as_dvec3()).unwrap().0).collect();
+    let rows = pixels.iter().enumerate().map(|(number, p)| format!("0,0,{number},{:.2},{:.2}\n", p.x, p.y));
+    let own = format!("timestep,camera,landmark,x,y\n{}", rows.collect::<String>());
+    let names = |axis: &str| (0..68).map(|n| format!(", {axis}_{n}")).collect::<String>();
+    let x: String = pixels.iter().map(|p| format!(", {:.1}", p.x)).collect();
+    let y: String = pixels.iter().map(|p| format!(", {:.1}", p.y)).collect();
+    let openface = format!("frame, confidence, success{}{}\n1, 0.98, 1{x}{y}\n", names("x"), names("y"));
+    (own, openface)
 }
 
 /// A clip whose frames are `frame1.png` and `frame2.png` beside the table.

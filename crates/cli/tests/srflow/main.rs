@@ -10,6 +10,7 @@ mod architecture;
 mod capture;
 mod demo;
 mod eval;
+mod fit;
 mod flow;
 mod flow_networks;
 mod frames;

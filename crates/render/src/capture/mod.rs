@@ -21,10 +21,9 @@ use std::path::Path;
 
 use serde::Serialize;
 use srflow_avatar::capture::{
-    CANONICAL_NAME, CaptureView, HeadRecord, LANDMARK_COUNT, LANDMARKS_NAME, Landmarks, split_of,
-    write_transforms,
+    CaptureView, HeadRecord, LANDMARK_COUNT, LANDMARKS_NAME, Landmarks, parameters_name, split_of,
+    write_canonical, write_transforms,
 };
-use srflow_avatar::{HeadParameters, PoseParameters};
 use srflow_field::random::Key;
 use srflow_field::{FileError, create_folder};
 use srflow_splat::Camera;
@@ -34,13 +33,10 @@ use crate::job::{self, Made, Request, StageTime};
 pub use settings::CaptureSettings;
 
 use performance::Performance;
-use work::{Timesteps, image_name, parameters_name};
+use work::{Timesteps, image_name};
 
 /// The folder of the true cameras and landmarks in a capture.
 pub const TRUE_FOLDER: &str = "true";
-
-/// Jaw rotation of the canonical head, whose mouth is open (`write_canonical_flame_param` of VHAP).
-const OPEN_JAW: glam::Vec3 = glam::Vec3::new(0.3, 0.0, 0.0);
 
 /// The result of [`capture`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -83,17 +79,7 @@ fn finish(dir: &Path, settings: &CaptureSettings, performance: &Performance) -> 
     let model = performance.avatar.model();
     let record = HeadRecord::new(settings.head.to_string(), settings.seed, model);
     record.write(dir)?;
-    let canonical = PoseParameters {
-        expr: vec![0.0; model.expressions.len()],
-        jaw: OPEN_JAW,
-        other_joints: performance
-            .poses
-            .first()
-            .map_or_else(Vec::new, |pose| vec![glam::Vec3::ZERO; pose.other_joints.len()]),
-        ..PoseParameters::default()
-    };
-    let canonical = HeadParameters { poses: vec![canonical], ..performance.avatar.identity().clone() };
-    canonical.write(&dir.join(CANONICAL_NAME), model.template.len(), false)?;
+    write_canonical(dir, model, performance.avatar.identity())?;
 
     let truth = dir.join(TRUE_FOLDER);
     create_folder(&truth)?;

@@ -4,7 +4,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
-use srflow_avatar::capture::{CANONICAL_NAME, CaptureSplit, HEAD_NAME, LANDMARKS_NAME};
+use srflow_avatar::capture::{
+    CANONICAL_NAME, CaptureSplit, HEAD_NAME, LANDMARKS_NAME, PARAMETERS_FOLDER, parameters_name,
+};
 use srflow_avatar::{HeadParameters, PosedHead};
 use srflow_field::random::Key;
 use srflow_field::write_image_png;
@@ -21,16 +23,10 @@ use crate::synth::add_noise;
 
 pub const IMAGES: &str = "images";
 pub const MASKS: &str = "fg_masks";
-const PARAMETERS: &str = "flame_param";
 
 /// The file of a picture or mask, relative to the folder of the capture.
 pub fn image_name(folder: &str, timestep: u32, camera: u32) -> PathBuf {
     Path::new(folder).join(format!("{timestep:05}_{camera:02}.png"))
-}
-
-/// The file of the head's parameters, relative to the folder of the capture.
-pub fn parameters_name(timestep: u32) -> PathBuf {
-    Path::new(PARAMETERS).join(format!("{timestep:05}.npz"))
 }
 
 type Work<'w, 'a> = crate::job::Work<'w, Timesteps<'a>>;
@@ -72,7 +68,7 @@ impl<'a> Plan for Timesteps<'a> {
     }
 
     fn folders(&self, dir: &Path, _run: &Run) -> Vec<PathBuf> {
-        [IMAGES, MASKS, PARAMETERS].map(|folder| dir.join(folder)).to_vec()
+        [IMAGES, MASKS, PARAMETERS_FOLDER].map(|folder| dir.join(folder)).to_vec()
     }
 
     fn makes(&self, run: &Run, _folder: &Path, name: &str) -> bool {
@@ -94,7 +90,7 @@ impl<'a> Plan for Timesteps<'a> {
         of_all.chain(truth).try_for_each(remove)?;
         let timesteps = u32::try_from(number("timesteps")).unwrap_or(0);
         (0..timesteps).flat_map(|timestep| files_of(timestep, &cameras)).try_for_each(remove)?;
-        for folder in [IMAGES, MASKS, PARAMETERS, TRUE_FOLDER] {
+        for folder in [IMAGES, MASKS, PARAMETERS_FOLDER, TRUE_FOLDER] {
             let _ = fs::remove_dir(dir.join(folder)); // fails, and stays, if it contains other files
         }
         Ok(())

@@ -1,6 +1,7 @@
 //! `srflow avatar`: head avatars, one file per subcommand.
 
 mod capture;
+mod fit;
 
 use clap::{Args, Subcommand};
 
@@ -16,10 +17,12 @@ pub struct Avatar {
 #[derive(Subcommand)]
 enum AvatarCommand {
     Capture(capture::Capture),
+    Fit(fit::Fit),
 }
 
 pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
     match args.command {
         AvatarCommand::Capture(args) => capture::run(args, context),
+        AvatarCommand::Fit(args) => fit::run(args, context),
     }
 }

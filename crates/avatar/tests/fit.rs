@@ -138,3 +138,20 @@ fn too_few_landmarks_are_an_error() {
         Err(FitError::Landmarks { best: 0 })
     );
 }
+
+#[test]
+fn shapes_that_are_not_fitted_stay_at_zero() {
+    let (views, _) = capture(&MODEL, Capture { timesteps: 2, ..EASY });
+    let options = FitOptions { identities: 5, expressions: 9, ..FitOptions::default() };
+    let fit = fit(&MODEL, &views, &options, |_, _, _| ()).expect("a fit");
+    let parameters = fit.parameters(&MODEL);
+    assert_eq!(parameters.shape.len(), MODEL.identities.len());
+    assert!(
+        parameters.shape[..5].iter().all(|w| *w != 0.0) && parameters.shape[5..].iter().all(|w| *w == 0.0)
+    );
+    for pose in &parameters.poses {
+        assert_eq!(pose.expr.len(), MODEL.expressions.len());
+        assert!(pose.expr[9..].iter().all(|weight| *weight == 0.0));
+    }
+    assert_eq!((fit.report.reach.identities, fit.report.reach.expressions), (5, 9));
+}

@@ -85,14 +85,17 @@ pub struct Fit {
 }
 
 impl Fit {
-    /// The parameters in the form of files.
+    /// The parameters in the form of files, with a weight for every shape of the model: zero for those that were not fitted.
     pub fn parameters(&self, model: &HeadModel) -> HeadParameters {
-        let identity = self.states.first().map_or(&[][..], |state| &state.identity);
-        HeadParameters {
-            shape: identity.iter().map(|weight| *weight as f32).collect(),
-            static_offset: Vec::new(),
-            poses: self.states.iter().map(|state| PoseParameters::of(model, &state.pose())).collect(),
-        }
+        let mut shape: Vec<f32> =
+            self.states.first().map_or(&[][..], |state| &state.identity).iter().map(|w| *w as f32).collect();
+        shape.resize(model.identities.len(), 0.0);
+        let pose = |state: &HeadState| {
+            let mut pose = PoseParameters::of(model, &state.pose());
+            pose.expr.resize(model.expressions.len(), 0.0);
+            pose
+        };
+        HeadParameters { shape, static_offset: Vec::new(), poses: self.states.iter().map(pose).collect() }
     }
 }
 

@@ -11,8 +11,8 @@ use super::{FitOptions, LandmarkView};
 use crate::capture::LANDMARK_COUNT;
 use crate::{HeadModel, HeadPoints, HeadState, JointRole, rotation_of_axis_angle};
 
-/// Standard deviations of normal distributions: of parameters about rest, and of their change from one timestep to the next
-/// (`*_change`).
+/// Standard deviations of normal distributions: of parameters about rest, and of their change from one timestep to the next that
+/// has a picture (`*_change`).
 ///
 /// VHAP's weights (`vhap/config/base.py`, `nersemble.py`) belong to distances in normalised device coordinates that are averaged over
 /// landmarks. Here landmarks have a noise in pixels, so each prior is a width in the parameter's own unit; they keep the order

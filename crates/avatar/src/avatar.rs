@@ -3,23 +3,26 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 use rayon::prelude::*;
 use srflow_field::FileError;
-use srflow_field::random::Key;
 use srflow_splat::{GaussianGradients, Gaussians};
 
 use crate::binding::{BindingError, BoundGaussians, BoundGradients, TriangleFrame, vertex_gradients};
 use crate::dress::dress;
 use crate::{
-    HeadGradient, HeadModel, HeadModelError, HeadParameters, HeadPose, ParametersError, ShapedHead, ict,
+    HeadGradient, HeadModel, HeadModelError, HeadParameters, HeadPose, HeadSource, ParametersError,
+    ShapedHead,
 };
 
 /// Why an avatar could not be created.
 #[derive(Debug, thiserror::Error)]
 pub enum AvatarError {
     /// A file could not be read.
+    #[error(transparent)]
+    Read(#[from] FileError),
+    /// A file of ICT-FaceKit's folder could not be read.
     #[error(
         "{0}. An ICT-FaceKit folder (FaceXModel) contains generic_neutral_mesh.obj, vertex_indices.json, identityNNN.obj and one OBJ per expression"
     )]
-    Read(FileError),
+    IctFolder(FileError),
     /// A file is malformed.
     #[error("{}:{line}: {problem}", .path.display())]
     Malformed {
@@ -29,11 +32,12 @@ pub enum AvatarError {
         /// What was expected, and what was found.
         problem: String,
     },
-    /// The neutral mesh does not have the published topology.
-    #[error("{}: {found} vertices, where the topology of ICT-FaceKit's light model has {expected}; use the published file", .path.display())]
+    /// A mesh does not have the published topology.
+    #[error("{}: {found} vertices, where the topology of {model} has {expected}; use the published file", .path.display())]
     Topology {
-        /// The neutral mesh.
         path: PathBuf,
+        /// Whose topology it is.
+        model: &'static str,
         /// Vertices of the published topology.
         expected: usize,
         /// Vertices in the file.
@@ -115,12 +119,7 @@ impl Avatar {
     /// # Errors
     /// Names the file that is missing, malformed, or has another topology.
     pub fn ict(dir: &Path, seed: u64) -> Result<Self, AvatarError> {
-        let model = ict::load(dir)?;
-        let mut stream = Key::new(seed).stream("identity");
-        // Principal components: standard normal, clamped.
-        let identity: Vec<f32> =
-            model.identities.iter().map(|_| stream.normal().clamp(-1.8, 1.8) * 0.8).collect();
-        Self::of(model, &identity, seed)
+        HeadSource::ict(dir).avatar(seed)
     }
 
     /// A person on any head model, with the given weights of its identity basis. The seed determines skin, hair and eyes.
@@ -169,6 +168,15 @@ impl Avatar {
 
     pub fn shaped(&self) -> &ShapedHead {
         &self.shaped
+    }
+
+    /// Translation that brings the eyes to where the average built-in head has them, metres: the origins of head models differ.
+    /// Zero for the built-in head and ICT-FaceKit.
+    pub fn home(&self) -> Vec3 {
+        const EYES: Vec3 = Vec3::new(0.0, 0.028, 0.0695);
+        let is_at_home = ["builtin", "builtin-average", "ict"].contains(&self.model.name.as_str());
+        let eyes = self.model.eye_centres(&self.shaped).filter(|_| !is_at_home);
+        eyes.map_or(Vec3::ZERO, |[left, right]| EYES - (left + right) * 0.5)
     }
 
     /// The Gaussians in the local frames of the triangles.

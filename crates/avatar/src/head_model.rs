@@ -38,6 +38,8 @@ pub enum Region {
     Teeth,
     /// Gums, tongue and the inside of the mouth.
     MouthInside,
+    /// The cornea and other transparent parts in front of the eye: not dressed.
+    Clear,
 }
 
 /// The half of the face that an action unit moves.
@@ -220,6 +222,17 @@ impl HeadModel {
         rest.map(|(joint, rest)| *rest + regressed_displacement(joint, &shaped.vertices, vertices)).collect()
     }
 
+    /// Centres of the left and the right eyeball of `shaped`: the eyes' joints, or places behind the landmarks of the lids; `None` if
+    /// the model has neither.
+    pub fn eye_centres(&self, shaped: &ShapedHead) -> Option<[Vec3; 2]> {
+        let landmarks: Vec<Vec3> = self.landmarks_on(&shaped.vertices).collect();
+        let centre = |role: JointRole, first: usize| match self.joint(role) {
+            Some(joint) => Some(shaped.joints[joint]),
+            None => landmarks.get(first..first + 6).map(behind_lids),
+        };
+        Some([centre(JointRole::LeftEye, 42)?, centre(JointRole::RightEye, 36)?])
+    }
+
     /// Where the landmarks lie on these vertices, which are those of the model in some shape and pose.
     pub fn landmarks_on(&self, vertices: &[Vec3]) -> impl Iterator<Item = Vec3> {
         self.landmarks.iter().map(|&(triangle, weights)| {
@@ -276,6 +289,13 @@ impl HeadModel {
         }
         Ok(found)
     }
+}
+
+/// Centre of the eyeball behind these landmarks of the lids, from one corner to the other: as far behind the corners as in an
+/// average head.
+fn behind_lids(lids: &[Vec3]) -> Vec3 {
+    let corners = lids[0].distance(lids[3]);
+    (lids[0] + lids[3]) * 0.5 - Vec3::Z * (0.3 * corners)
 }
 
 /// How far the regressor moves a joint when its vertices move.

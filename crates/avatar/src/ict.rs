@@ -13,9 +13,11 @@ use rayon::prelude::*;
 use serde::Deserialize;
 use srflow_field::{FileKind, parse_error_in_words, read_file};
 
+use crate::arkit::{ACTION_UNITS, action_units};
 use crate::avatar::AvatarError;
 use crate::obj::{read_obj, read_obj_positions};
-use crate::{ActionUnit, HeadModel, Joint, JointRole, Offsets, Region, Shape, Side, Skinning};
+use crate::regions::RegionMap;
+use crate::{HeadModel, Joint, JointRole, Offsets, Region, Shape, Skinning};
 
 const VERTICES: usize = 26_719;
 const METRES_PER_UNIT: f32 = 0.01;
@@ -52,6 +54,7 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
     if neutral.positions.len() != VERTICES {
         return Err(AvatarError::Topology {
             path: neutral_path,
+            model: "ICT-FaceKit's light model",
             expected: VERTICES,
             found: neutral.positions.len(),
         });
@@ -73,7 +76,7 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
     }
     let mut model = HeadModel {
         name: "ict".into(),
-        action_units: action_units(&expressions),
+        action_units: action_units(expressions.iter().map(|shape| shape.name.as_str())),
         template,
         triangles,
         regions,
@@ -92,7 +95,7 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
 }
 
 fn read_indices(path: &Path) -> Result<VertexIndices, AvatarError> {
-    let bytes = read_file(path, FileKind::Json).map_err(AvatarError::Read)?;
+    let bytes = read_file(path, FileKind::Json).map_err(AvatarError::IctFolder)?;
     let malformed =
         |problem: String, line| AvatarError::Malformed { path: path.to_path_buf(), line, problem };
     let indices: VertexIndices = serde_json::from_slice(&bytes)
@@ -172,7 +175,7 @@ fn dressed_triangles(
     for polygon in polygons {
         for i in 2..polygon.len() {
             let triangle = [polygon[0], polygon[i - 1], polygon[i]];
-            if let Some(region) = map.region(triangle, template) {
+            if let Some(region) = region(&map, triangle, template) {
                 triangles.push(triangle);
                 regions.push(region);
             }
@@ -181,116 +184,26 @@ fn dressed_triangles(
     (triangles, regions)
 }
 
-/// The hairline in profile, metres from back to front: [z, y].
-const HAIRLINE: [[f32; 2]; 15] = [
-    [-0.090, -0.035],
-    [-0.042, -0.028],
-    [-0.030, 0.002],
-    [-0.022, 0.020],
-    [-0.017, 0.050],
-    [0.010, 0.052],
-    [0.015, 0.036],
-    [0.019, 0.012],
-    [0.031, 0.014],
-    [0.037, 0.040],
-    [0.045, 0.064],
-    [0.055, 0.083],
-    [0.063, 0.098],
-    [0.073, 0.107],
-    [0.095, 0.114],
-];
-
-/// Boundaries of the regions that the topology does not separate.
-struct RegionMap {
-    lips: Vec<Vec3>,
-    brows: [Vec<Vec3>; 2],
-    eyes: [Vec<Vec3>; 2],
-    chin: Vec3,
-    ear: Vec3,
-}
-
-impl RegionMap {
-    fn new(landmarks: &[Vec3]) -> Self {
-        Self {
-            lips: landmarks[48..60].to_vec(),
-            brows: [landmarks[17..22].to_vec(), landmarks[22..27].to_vec()],
-            eyes: [landmarks[36..42].to_vec(), landmarks[42..48].to_vec()],
-            chin: landmarks[8],
-            ear: (landmarks[0] + landmarks[16]) * 0.5,
-        }
+/// The region of a triangle; `None` if it is not dressed.
+fn region(map: &RegionMap, triangle: [u32; 3], template: &[Vec3]) -> Option<Region> {
+    let in_range = |range: &Range<u32>| triangle.iter().all(|v| range.contains(v));
+    if SCLERAS.iter().any(&in_range) {
+        return Some(Region::Eyeball);
     }
-
-    fn region(&self, triangle: [u32; 3], template: &[Vec3]) -> Option<Region> {
-        let in_range = |range: &Range<u32>| triangle.iter().all(|v| range.contains(v));
-        if SCLERAS.iter().any(&in_range) {
-            return Some(Region::Eyeball);
-        }
-        if in_range(&TEETH) {
-            return Some(Region::Teeth);
-        }
-        if [GUMS_AND_TONGUE, MOUTH_SOCKET].iter().any(&in_range) {
-            return Some(Region::MouthInside);
-        }
-        if in_range(&EYE_SOCKETS) {
-            return Some(Region::InnerLid);
-        }
-        if !in_range(&(0..HEAD_AND_NECK.end)) {
-            return None;
-        }
-        let [a, b, c] = triangle.map(|v| template[v as usize]);
-        Some(self.skin_region((a + b + c) / 3.0))
+    if in_range(&TEETH) {
+        return Some(Region::Teeth);
     }
-
-    fn skin_region(&self, p: Vec3) -> Region {
-        let front = p.z > self.ear.z;
-        if front && inside_polygon(p, &self.lips) && p.z > self.lips[0].z - 0.004 {
-            Region::Lips
-        } else if front && self.eyes.iter().any(|eye| inside_polygon(p, eye)) {
-            Region::LidMargin
-        } else if front && self.brows.iter().any(|brow| near_polyline(p + Vec3::Y * 0.003, brow, 0.008)) {
-            Region::Brow
-        } else if self.is_neck(p) {
-            Region::Neck
-        } else if self.is_scalp(p) {
-            Region::Scalp
-        } else {
-            Region::Skin
-        }
+    if [GUMS_AND_TONGUE, MOUTH_SOCKET].iter().any(&in_range) {
+        return Some(Region::MouthInside);
     }
-
-    /// Below a plane from under the chin to the nape.
-    fn is_neck(&self, p: Vec3) -> bool {
-        let behind = (self.chin.z - 0.03 - p.z).max(0.0);
-        p.y < self.chin.y - 0.012 + (behind * 0.45).min(0.035)
+    if in_range(&EYE_SOCKETS) {
+        return Some(Region::InnerLid);
     }
-
-    /// Above the hairline: over the forehead, down the temples to the sideburns, around the ears, down to the nape.
-    fn is_scalp(&self, p: Vec3) -> bool {
-        let i = HAIRLINE.partition_point(|[z, _]| *z < p.z).clamp(1, HAIRLINE.len() - 1);
-        let ([z0, y0], [z1, y1]) = (HAIRLINE[i - 1], HAIRLINE[i]);
-        let t = ((p.z - z0) / (z1 - z0)).clamp(0.0, 1.0);
-        p.y > y0 + (y1 - y0) * t
+    if !in_range(&(0..HEAD_AND_NECK.end)) {
+        return None;
     }
-}
-
-/// Whether a point is inside a polygon, both seen from the front.
-fn inside_polygon(p: Vec3, polygon: &[Vec3]) -> bool {
-    let mut inside = false;
-    for (i, a) in polygon.iter().enumerate() {
-        let b = polygon[(i + 1) % polygon.len()];
-        if (a.y > p.y) != (b.y > p.y) && p.x < (b.x - a.x) * (p.y - a.y) / (b.y - a.y) + a.x {
-            inside = !inside;
-        }
-    }
-    inside
-}
-
-fn near_polyline(p: Vec3, line: &[Vec3], distance: f32) -> bool {
-    line.windows(2).any(|ends| {
-        let along = ends[1] - ends[0];
-        let t = ((p - ends[0]).dot(along) / along.length_squared().max(1e-12)).clamp(0.0, 1.0);
-        (p - ends[0] - along * t).length() < distance
-    })
+    let [a, b, c] = triangle.map(|v| template[v as usize]);
+    Some(map.skin_region((a + b + c) / 3.0))
 }
 
 /// Each landmark is a vertex: the first, second or third corner of a triangle that contains it.
@@ -418,53 +331,4 @@ fn face_eyeballs_forward(model: &mut HeadModel) {
             model.template[v] = center + turn * (model.template[v] - center);
         }
     }
-}
-
-/// Action units from the table in ICT-FaceKit's README, for the expressions that exist. `cheekRaiser` is used for AU 6 in
-/// addition to the table's `cheekSquint`; AU 26 is a dropped jaw, AU 27 the mouth stretched open, AU 25 lips just apart.
-const ACTION_UNITS: &[(u8, &[(&str, f32)])] = &[
-    (1, &[("browInnerUp", 1.0)]),
-    (2, &[("browOuterUp", 1.0)]),
-    (4, &[("browDown", 1.0)]),
-    (5, &[("eyeWide", 1.0)]),
-    (6, &[("cheekRaiser", 1.0), ("cheekSquint", 1.0)]),
-    (7, &[("eyeSquint", 1.0)]),
-    (9, &[("noseSneer", 1.0)]),
-    (10, &[("mouthUpperUp", 1.0)]),
-    (12, &[("mouthSmile", 1.0)]),
-    (14, &[("mouthDimple", 1.0)]),
-    (15, &[("mouthFrown", 1.0)]),
-    (16, &[("mouthLowerDown", 1.0)]),
-    (17, &[("mouthShrugLower", 1.0)]),
-    (18, &[("mouthPucker", 1.0)]),
-    (20, &[("mouthStretch", 1.0)]),
-    (22, &[("mouthFunnel", 1.0)]),
-    (24, &[("mouthPress", 1.0)]),
-    (25, &[("jawOpen", 0.12)]),
-    (26, &[("jawOpen", 0.45)]),
-    (27, &[("jawOpen", 0.9)]),
-    (28, &[("mouthRollLower", 1.0), ("mouthRollUpper", 1.0)]),
-    (29, &[("jawForward", 1.0)]),
-    (33, &[("cheekPuff", 1.0)]),
-    (43, &[("eyeBlink", 1.0)]),
-    (45, &[("eyeBlink", 1.0)]),
-];
-
-fn action_units(expressions: &[Shape]) -> Vec<ActionUnit> {
-    let mut units = Vec::new();
-    for &(number, parts) in ACTION_UNITS {
-        for (side, suffix) in [(Side::Both, ""), (Side::Left, "_L"), (Side::Right, "_R")] {
-            let expressions: Vec<(usize, f32)> = parts
-                .iter()
-                .filter_map(|(stem, weight)| {
-                    let index = expressions.iter().position(|s| s.name == format!("{stem}{suffix}"))?;
-                    Some((index, *weight))
-                })
-                .collect();
-            if !expressions.is_empty() {
-                units.push(ActionUnit { number, side, expressions, joints: Vec::new() });
-            }
-        }
-    }
-    units
 }

@@ -2,6 +2,7 @@
 //!
 //! World units are metres. A head looks along +z, +y is up, and +x is the subject's left, as in FLAME.
 
+mod arkit;
 mod avatar;
 mod binding;
 mod builtin;
@@ -9,12 +10,21 @@ pub mod capture;
 mod dress;
 mod files;
 pub mod fit;
+mod flame;
+mod gltf;
+mod gnm;
 mod head_model;
+mod head_source;
 mod ict;
+mod landmark_file;
+mod mesh;
 mod micro_expression;
 pub mod motion;
 mod obj;
 mod parameters;
+mod pickle;
+mod regions;
+mod skeleton_names;
 pub mod train;
 
 pub use avatar::{Avatar, AvatarError, PosedHead};
@@ -27,6 +37,8 @@ pub use head_model::{
     Offsets, PointDerivatives, PoseCorrective, Region, Shape, ShapedHead, Side, Skinning,
     rotation_of_axis_angle,
 };
+pub use head_source::{HEAD_KINDS, HeadKind, HeadSource};
+pub use mesh::{MeshFormat, write_mesh};
 pub use micro_expression::MicroExpression;
 pub use motion::{Moment, Motion};
 pub use parameters::{HeadParameters, ParametersError, PoseParameters};

@@ -34,7 +34,7 @@ pub(crate) fn read_obj_positions(path: &Path) -> Result<Vec<Vec3>, AvatarError> 
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, AvatarError> {
-    read_file(path, FileKind::Mesh).map_err(AvatarError::Read)
+    read_file(path, FileKind::Mesh).map_err(AvatarError::IctFolder)
 }
 
 fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {

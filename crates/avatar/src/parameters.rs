@@ -8,14 +8,20 @@
 //! | `eyes_pose` | (T, 6) | rotations of the left and the right eye |
 //! | `translation` | (T, 3) | after the rotations, metres |
 //! | `static_offset` | (1, V, 3) | displacement of each vertex at rest, metres |
+//! | `dynamic_offset` | (T, V, 3) | displacement of each vertex at rest beyond the expression, metres |
 //! | `other_joints` | (T, 3 J) | rotations of the joints without such a role, in the model's order; for heads that have them |
 //!
-//! The names are FLAME's; other heads use them for what means the same.
+//! The names are FLAME's; other heads use them for what means the same. A JSON file has the same names with nested lists, and
+//! may leave out the dimension T for a single timestep: `{"jaw_pose": [0.2, 0, 0]}`.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use glam::{Quat, Vec3};
-use srflow_field::{Array, FileError, FileProblem, Npz, NpzArray, write_npz};
+use serde_json::Value;
+use srflow_field::{
+    Array, FileError, FileKind, FileProblem, Npz, NpzArray, parse_error_in_words, read_file, write_npz,
+};
 
 use crate::{HeadModel, HeadPose, JointRole};
 
@@ -44,6 +50,8 @@ pub struct PoseParameters {
     pub other_joints: Vec<Vec3>,
     /// Metres, after the rotations.
     pub translation: Vec3,
+    /// Displacement of each vertex at rest, metres; empty for none.
+    pub dynamic_offset: Vec<Vec3>,
 }
 
 /// Parameters do not fit a head model.
@@ -60,7 +68,7 @@ pub struct ParametersError {
 }
 
 impl PoseParameters {
-    /// The parameters of a pose of `model`. [`HeadPose::offset`] has no place in them.
+    /// The parameters of a pose of `model`.
     pub fn of(model: &HeadModel, pose: &HeadPose) -> Self {
         let of_joint = |joint: usize| pose.joint(joint).to_scaled_axis();
         let of = |role| model.joint(role).map_or(Vec3::ZERO, of_joint);
@@ -73,6 +81,7 @@ impl PoseParameters {
             eyes: [of(JointRole::LeftEye), of(JointRole::RightEye)],
             other_joints: others.map(|(number, _)| of_joint(number)).collect(),
             translation: pose.translation,
+            dynamic_offset: pose.offset.clone(),
         }
     }
 
@@ -92,92 +101,112 @@ impl PoseParameters {
             expressions: self.expr.clone(),
             joints: joints.map(Quat::from_scaled_axis).collect(),
             translation: self.translation,
-            ..HeadPose::default()
+            offset: self.dynamic_offset.clone(),
         }
     }
 }
 
 impl HeadParameters {
-    /// Reads a file of parameters. `shape` and `static_offset` may be missing, as in files of motion alone; other arrays than those
-    /// listed above are ignored.
+    /// Reads a file of parameters, `.json` or `.npz`. Missing arrays are zero, and other arrays than those listed above are ignored.
     ///
     /// # Errors
-    /// When the file cannot be read, an array is missing or has another shape, timesteps differ in number, or a number is not
-    /// finite.
+    /// When the file cannot be read, has none of the arrays, an array has another shape, timesteps differ in number, or a number
+    /// is not finite.
     pub fn read(path: &Path) -> Result<Self, FileError> {
-        let mut file = Npz::open(path)?;
+        let mut tables = Tables::open(path)?;
         let in_file = |problem| FileError { path: path.to_owned(), problem };
-        let expr = file.array("expr")?;
-        let &[timesteps, expressions] = &expr.shape[..] else {
-            return Err(in_file(wrong_shape("expr", "(T, E)", &expr.shape)));
-        };
-        if timesteps == 0 {
-            return Err(in_file(field("expr", "one timestep or more", "none")));
+        let mut arrays = BTreeMap::new();
+        for name in TIMED.iter().map(|(name, _)| *name).chain(STILL) {
+            if let Some(array) = tables.array(name)? {
+                check_finite(name, &array).map_err(in_file)?;
+                arrays.insert(name, array);
+            }
         }
-        check_finite("expr", &expr).map_err(in_file)?;
-        let mut rows = |name: &'static str, columns: usize| {
-            let array = file.array(name)?;
-            if array.shape != [timesteps, columns] {
-                let expected = format!("({timesteps}, {columns}), as expr has {timesteps} timesteps");
-                return Err(in_file(wrong_shape(name, &expected, &array.shape)));
+        Self::of(arrays).map_err(in_file)
+    }
+
+    fn of(mut arrays: BTreeMap<&'static str, Array>) -> Result<Self, FileProblem> {
+        let Some((first, timesteps)) = TIMED.iter().find_map(|(name, _)| {
+            let array = arrays.get(name)?;
+            Some((*name, array.shape.first().copied().unwrap_or(0)))
+        }) else {
+            if arrays.is_empty() {
+                let names: Vec<&str> = TIMED.iter().map(|(name, _)| *name).chain(STILL).collect();
+                return Err(field("arrays", format!("some of {}", names.join(", ")), "none of them"));
             }
-            check_finite(name, &array).map_err(in_file)?;
-            Ok(array.values)
+            return Self::of_timesteps(arrays, 1);
         };
-        let [rotation, neck, jaw] = ["rotation", "neck_pose", "jaw_pose"].map(|name| rows(name, 3));
-        let (rotation, neck, jaw) = (rotation?, neck?, jaw?);
-        let (eyes, translation) = (rows("eyes_pose", 6)?, rows("translation", 3)?);
-        let vector = |values: &[f32], number: usize| {
-            values.as_chunks::<3>().0.get(number).map_or(Vec3::ZERO, |vector| Vec3::from_array(*vector))
-        };
-        let others = if file.has("other_joints") {
-            let array = file.array("other_joints")?;
-            let columns = array.shape.get(1).copied().unwrap_or(0);
-            if array.shape != [timesteps, columns] || columns % 3 != 0 {
-                return Err(in_file(wrong_shape("other_joints", "(T, 3 J)", &array.shape)));
+        let of_first = arrays.get(first).is_some_and(|array| array.shape.len() > 1);
+        if timesteps == 0 && of_first {
+            return Err(field(first, "one timestep or more", "none"));
+        }
+        for (name, shape) in TIMED {
+            let Some(array) = arrays.get(name) else { continue };
+            let fits = match (name, &array.shape[..]) {
+                ("expr", [_, _]) | ("dynamic_offset", [_, _, 3]) => true,
+                ("other_joints", [_, columns]) => columns % 3 == 0,
+                ("eyes_pose", [_, 6]) => true,
+                ("rotation" | "neck_pose" | "jaw_pose" | "translation", [_, 3]) => true,
+                _ => false,
+            };
+            if !fits || array.shape[0] != timesteps {
+                let same = format!(", as {first} has {timesteps} timesteps");
+                let expected = match name == first {
+                    true => shape.to_owned(),
+                    false => shape.replace('T', &timesteps.to_string()) + &same,
+                };
+                return Err(wrong_shape(name, &expected, &array.shape));
             }
-            check_finite("other_joints", &array).map_err(in_file)?;
-            array.values
-        } else {
-            Vec::new()
+        }
+        // Many files have one of zeros for all vertices at all timesteps.
+        arrays.retain(|name, array| {
+            *name != "dynamic_offset" || array.values.iter().any(|value| *value != 0.0)
+        });
+        Self::of_timesteps(arrays, timesteps)
+    }
+
+    fn of_timesteps(
+        mut arrays: BTreeMap<&'static str, Array>,
+        timesteps: usize,
+    ) -> Result<Self, FileProblem> {
+        let row = |name: &str, t: usize| -> &[f32] {
+            let Some(array) = arrays.get(name) else { return &[] };
+            let width = array.values.len() / timesteps;
+            &array.values[t * width..(t + 1) * width]
         };
-        let of_others = others.len() / timesteps / 3;
+        let vectors = |name: &str, t: usize| -> Vec<Vec3> {
+            row(name, t).as_chunks().0.iter().map(|vector| Vec3::from_array(*vector)).collect()
+        };
+        let vector = |name: &str, t: usize| vectors(name, t).first().copied().unwrap_or_default();
         let pose = |t: usize| PoseParameters {
-            expr: expr.values[t * expressions..][..expressions].to_vec(),
-            rotation: vector(&rotation, t),
-            neck: vector(&neck, t),
-            jaw: vector(&jaw, t),
-            eyes: [vector(&eyes, 2 * t), vector(&eyes, 2 * t + 1)],
-            other_joints: (0..of_others).map(|joint| vector(&others, t * of_others + joint)).collect(),
-            translation: vector(&translation, t),
+            expr: row("expr", t).to_vec(),
+            rotation: vector("rotation", t),
+            neck: vector("neck_pose", t),
+            jaw: vector("jaw_pose", t),
+            eyes: vectors("eyes_pose", t).try_into().unwrap_or_default(),
+            other_joints: vectors("other_joints", t),
+            translation: vector("translation", t),
+            dynamic_offset: vectors("dynamic_offset", t),
         };
         let poses = (0..timesteps).map(pose).collect();
-        let mut optional = |name: &'static str| {
-            if !file.has(name) {
-                return Ok(Array { shape: vec![0], values: Vec::new() });
-            }
-            let array = file.array(name)?;
-            check_finite(name, &array).map_err(in_file)?;
-            Ok(array)
-        };
-        let (shape, offset) = (optional("shape")?, optional("static_offset")?);
+        let shape = arrays.remove("shape").unwrap_or(Array { shape: vec![0], values: Vec::new() });
         if shape.shape.iter().product::<usize>() != shape.shape.last().copied().unwrap_or(0) {
-            return Err(in_file(wrong_shape("shape", "(S), of one head", &shape.shape)));
+            return Err(wrong_shape("shape", "(S), of one head", &shape.shape));
         }
-        let static_offset = match offset.shape[..] {
-            [0] => Vec::new(),
-            [1, _, 3] | [_, 3] => {
-                let vectors: Vec<Vec3> =
-                    offset.values.as_chunks().0.iter().copied().map(Vec3::from_array).collect();
-                if vectors.iter().all(|offset| *offset == Vec3::ZERO) { Vec::new() } else { vectors }
+        let static_offset = match arrays.get("static_offset") {
+            None => Vec::new(),
+            Some(array) if !matches!(array.shape[..], [1, _, 3] | [_, 3]) => {
+                return Err(wrong_shape("static_offset", "(1, V, 3)", &array.shape));
             }
-            _ => return Err(in_file(wrong_shape("static_offset", "(1, V, 3)", &offset.shape))),
+            Some(array) if array.values.iter().all(|value| *value == 0.0) => Vec::new(),
+            Some(array) => array.values.as_chunks().0.iter().copied().map(Vec3::from_array).collect(),
         };
         Ok(Self { shape: shape.values, static_offset, poses })
     }
 
     /// Writes the parameters for a head of `vertices` vertices with the arrays that GaussianAvatars' loader reads from the files
-    /// of a capture. With `of_avatar` also those of the file beside a `point_cloud.ply`: `dynamic_offset`, which is zero.
+    /// of a capture. `dynamic_offset` is written if a pose has one, and with `of_avatar`, since the file beside a
+    /// `point_cloud.ply` must have it.
     ///
     /// # Errors
     /// When the timesteps have different numbers of weights or joints, or the file cannot be written.
@@ -203,7 +232,12 @@ impl HeadParameters {
         let other_joints = rows(|pose| pose.other_joints.clone());
         let mut offset: Vec<f32> = self.static_offset.iter().flat_map(|offset| offset.to_array()).collect();
         offset.resize(3 * vertices, 0.0);
-        let dynamic = vec![0.0; if of_avatar { timesteps * vertices * 3 } else { 0 }];
+        let has_dynamic = of_avatar || self.poses.iter().any(|pose| !pose.dynamic_offset.is_empty());
+        let mut dynamic: Vec<f32> = Vec::new();
+        for (t, pose) in self.poses.iter().enumerate().filter(|_| has_dynamic) {
+            dynamic.extend(pose.dynamic_offset.iter().take(vertices).flat_map(|offset| offset.to_array()));
+            dynamic.resize((t + 1) * vertices * 3, 0.0);
+        }
         let (three, six) = ([timesteps, 3], [timesteps, 6]);
         let (shape, expr_shape) = ([self.shape.len()], [timesteps, expressions]);
         let (offset_shape, dynamic_shape) = ([1, vertices, 3], [timesteps, vertices, 3]);
@@ -218,7 +252,7 @@ impl HeadParameters {
             ("expr", NpzArray::Float(&expr_shape, &expr)),
             ("static_offset", NpzArray::Float(&offset_shape, &offset)),
         ];
-        if of_avatar {
+        if has_dynamic {
             arrays.push(("dynamic_offset", NpzArray::Float(&dynamic_shape, &dynamic)));
         }
         if others > 0 {
@@ -232,10 +266,11 @@ impl HeadParameters {
     /// # Errors
     /// Names the array that is too long for the model.
     pub fn check(&self, model: &HeadModel) -> Result<(), ParametersError> {
-        let expressions = self.poses.iter().map(|pose| pose.expr.len()).max().unwrap_or(0);
+        let most = |of: fn(&PoseParameters) -> usize| self.poses.iter().map(of).max().unwrap_or(0);
         for (what, found, most) in [
             ("shape", self.shape.len(), model.identities.len()),
-            ("expr", expressions, model.expressions.len()),
+            ("expr", most(|pose| pose.expr.len()), model.expressions.len()),
+            ("dynamic_offset", most(|pose| pose.dynamic_offset.len()), model.template.len()),
             ("static_offset", self.static_offset.len(), model.template.len()),
         ] {
             if found > most {
@@ -244,6 +279,73 @@ impl HeadParameters {
         }
         Ok(())
     }
+}
+
+/// The arrays that change over time, and their shapes.
+const TIMED: [(&str, &str); 8] = [
+    ("expr", "(T, E)"),
+    ("rotation", "(T, 3)"),
+    ("neck_pose", "(T, 3)"),
+    ("jaw_pose", "(T, 3)"),
+    ("eyes_pose", "(T, 6)"),
+    ("translation", "(T, 3)"),
+    ("other_joints", "(T, 3 J)"),
+    ("dynamic_offset", "(T, V, 3)"),
+];
+
+/// The arrays that hold for all timesteps.
+const STILL: [&str; 2] = ["shape", "static_offset"];
+
+/// A file of arrays by name.
+enum Tables {
+    Npz(Npz),
+    Json(BTreeMap<String, Array>),
+}
+
+impl Tables {
+    fn open(path: &Path) -> Result<Self, FileError> {
+        if path.extension().is_none_or(|extension| !extension.eq_ignore_ascii_case("json")) {
+            return Npz::open(path).map(Self::Npz);
+        }
+        let bytes = read_file(path, FileKind::Json)?;
+        let wrong = |found: String| {
+            let problem = field("JSON", "an object of lists of numbers, equally long", found);
+            FileError { path: path.to_owned(), problem }
+        };
+        let object: BTreeMap<String, Value> =
+            serde_json::from_slice(&bytes).map_err(|error| wrong(parse_error_in_words(&error)))?;
+        let mut arrays = BTreeMap::new();
+        for (name, shape) in TIMED.into_iter().chain(STILL.map(|name| (name, ""))) {
+            let Some(value) = object.get(name) else { continue };
+            let mut array = array_of(value).ok_or_else(|| wrong(format!("another value of `{name}`")))?;
+            if array.shape.len() + 1 == shape.split(',').count() {
+                array.shape.insert(0, 1);
+            }
+            arrays.insert(name.to_owned(), array);
+        }
+        Ok(Self::Json(arrays))
+    }
+
+    fn array(&mut self, name: &str) -> Result<Option<Array>, FileError> {
+        match self {
+            Self::Npz(file) => file.has(name).then(|| file.array(name)).transpose(),
+            Self::Json(arrays) => Ok(arrays.remove(name)),
+        }
+    }
+}
+
+/// Nested lists as an array; `None` if they are not equally long or hold something else than numbers.
+fn array_of(value: &Value) -> Option<Array> {
+    if let Some(number) = value.as_f64() {
+        return Some(Array { shape: Vec::new(), values: vec![number as f32] });
+    }
+    let items = value.as_array()?.iter().map(array_of).collect::<Option<Vec<_>>>()?;
+    let inner = items.first().map_or(&[][..], |first| first.shape.as_slice());
+    if items.iter().any(|item| item.shape != inner) {
+        return None;
+    }
+    let shape = [&[items.len()], inner].concat();
+    Some(Array { shape, values: items.into_iter().flat_map(|item| item.values).collect() })
 }
 
 fn field(field: &'static str, expected: impl ToString, found: impl ToString) -> FileProblem {
@@ -258,5 +360,51 @@ fn check_finite(name: &'static str, array: &Array) -> Result<(), FileProblem> {
     match array.values.iter().find(|value| !value.is_finite()) {
         None => Ok(()),
         Some(value) => Err(field(name, "finite numbers", value)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(json: &str) -> Result<HeadParameters, String> {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("p.json");
+        std::fs::write(&path, json).unwrap();
+        HeadParameters::read(&path).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn json_of_the_wrong_shape_is_named() {
+        for (json, expected) in [
+            (r#"{"other": [1]}"#, "some of expr, rotation"),
+            (r#"[1]"#, "an object of lists"),
+            (r#"{"expr": [[1, 2], [3]]}"#, "another value of `expr`"),
+            (r#"{"expr": "a"}"#, "another value of `expr`"),
+            (r#"{"rotation": [1, 2]}"#, "rotation: expected the shape (T, 3)"),
+            (r#"{"rotation": 1}"#, "rotation: expected the shape"),
+            (r#"{"rotation": []}"#, "rotation: expected the shape (T, 3)"),
+            (r#"{"eyes_pose": [[1, 2, 3]]}"#, "eyes_pose: expected the shape (T, 6)"),
+            (r#"{"shape": [[1], [2]]}"#, "of one head"),
+            (r#"{"static_offset": [1, 2, 3]}"#, "(1, V, 3)"),
+            (r#"{"expr": [[1], [2]], "jaw_pose": [0, 0, 0]}"#, "(2, 3), as expr has 2 timesteps"),
+            (r#"{"expr": [1e60]}"#, "finite numbers"),
+        ] {
+            let error = read(json).unwrap_err();
+            assert!(error.contains(expected), "{json}: {error}");
+        }
+    }
+
+    #[test]
+    fn json_may_hold_a_single_pose_alone() {
+        let model = HeadModel::builtin(1);
+        let parameters = read(r#"{"translation": [1, 0, 0], "jaw_pose": [0.1, 0, 0]}"#).unwrap();
+        let [pose] = &parameters.poses[..] else { panic!("{parameters:?}") };
+        let pose = pose.pose(&model);
+        assert_eq!(pose.translation, Vec3::X);
+        assert!(pose.joint(2).to_scaled_axis().distance(Vec3::X * 0.1) < 1e-6);
+        assert_eq!(read(r#"{"shape": [0.5]}"#).map(|p| (p.shape, p.poses.len())), Ok((vec![0.5], 1)));
+        let moved = read(r#"{"dynamic_offset": [[0, 0, 1]]}"#).unwrap();
+        assert_eq!(moved.poses[0].dynamic_offset, [Vec3::Z]);
     }
 }

@@ -68,16 +68,18 @@ fn advice(error: &io::Error) -> &'static str {
 }
 
 impl FileProblem {
-    pub(crate) fn field(field: &'static str, expected: impl Into<String>, found: impl Into<String>) -> Self {
+    /// A field with an unexpected value.
+    pub fn field(field: &'static str, expected: impl Into<String>, found: impl Into<String>) -> Self {
         Self::Field { field, expected: expected.into(), found: found.into() }
     }
 
-    pub(crate) fn reading(error: io::Error) -> Self {
+    /// An error of the operating system while reading.
+    pub fn reading(error: io::Error) -> Self {
         Self::Io { doing: "reading", error }
     }
 
     /// Adds the file's name.
-    pub(crate) fn in_file(self, path: &Path) -> FileError {
+    pub fn in_file(self, path: &Path) -> FileError {
         FileError { path: path.to_owned(), problem: self }
     }
 }

@@ -25,7 +25,7 @@ mod warp;
 
 pub use atomic_write::{PARTIAL_EXTENSION, create_folder, write_atomically, write_file};
 pub use codec::hdf5::{Hdf5Array, MAGIC as HDF5_MAGIC, hdf5_arrays};
-pub use codec::npy::{Array, read_npy, read_npy_plane, write_npy, write_npy_plane};
+pub use codec::npy::{Array, npy_pickle, read_npy, read_npy_plane, write_npy, write_npy_plane};
 pub use codec::npz::open_zip;
 pub use codec::npz::{Npz, NpzArray, write_npz};
 pub use codec::{FlowFormat, read_flow, read_flow_as, write_flow, write_flow_as};

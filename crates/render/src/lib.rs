@@ -6,6 +6,7 @@ pub mod capture;
 pub mod check;
 mod error;
 pub mod generate;
+mod head;
 pub mod job;
 pub mod record;
 pub mod statistics;

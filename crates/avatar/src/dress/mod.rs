@@ -103,7 +103,7 @@ fn nearest_point(surface: &Surface, triangles: &[u32], p: Vec3) -> Option<Surfac
 }
 
 /// Barycentric coordinates of the point of a triangle nearest to `p` (Ericson, *Real-Time Collision Detection*, 5.1.5).
-fn nearest_weights([a, b, c]: [Vec3; 3], p: Vec3) -> Vec3 {
+pub(crate) fn nearest_weights([a, b, c]: [Vec3; 3], p: Vec3) -> Vec3 {
     let (ab, ac) = (b - a, c - a);
     let (d1, d2) = (ab.dot(p - a), ac.dot(p - a));
     let (d3, d4) = (ab.dot(p - b), ac.dot(p - b));

@@ -6,7 +6,7 @@ use glam::{IVec3, Quat, Vec3};
 use srflow_field::random::Stream;
 
 use crate::binding::TriangleFrame;
-use crate::{HeadModel, JointRole, Region, ShapedHead};
+use crate::{HeadModel, Region, ShapedHead};
 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct SurfacePoint {
@@ -54,19 +54,14 @@ impl<'a> Surface<'a> {
             let [a, b, c] = corners(t);
             TriangleFrame::of(a, b, c)
         });
-        let landmarks: Vec<Vec3> = model.landmarks_on(vertices).collect();
-        let roles = [(JointRole::LeftEye, 42), (JointRole::RightEye, 36)];
-        let eyes = roles.map(|(role, first)| match model.joint(role) {
-            Some(joint) => shaped.joints[joint],
-            None => behind_lids(&landmarks[first..first + 6]),
-        });
+        let eyes = model.eye_centres(shaped).unwrap_or_default();
         Self {
             model,
             vertices,
             eyes,
             normals,
             frames: frames.collect(),
-            landmarks,
+            landmarks: model.landmarks_on(vertices).collect(),
             size: (eyes[0].distance(eyes[1]) / AVERAGE_EYE_DISTANCE).clamp(0.2, 5.0),
         }
     }
@@ -228,13 +223,6 @@ impl<'a> Surface<'a> {
             }
         }
     }
-}
-
-/// Centre of the eyeball behind these landmarks of the lids, from one corner to the other: as far behind the corners as in an
-/// average head.
-fn behind_lids(lids: &[Vec3]) -> Vec3 {
-    let corners = lids[0].distance(lids[3]);
-    (lids[0] + lids[3]) * 0.5 - Vec3::Z * (0.3 * corners)
 }
 
 /// Points by grid cell.

@@ -2,8 +2,9 @@ use std::path::PathBuf;
 
 use clap::Args;
 use serde_json::json;
+use srflow_avatar::HeadSource;
 use srflow_field::{FlowFormat, Size};
-use srflow_render::generate::{Background, Head, Report, Settings, generate};
+use srflow_render::generate::{Background, Report, Settings, generate};
 use srflow_render::job::{Made, Shard};
 use srflow_render::statistics::Statistics;
 
@@ -24,9 +25,9 @@ pub struct Render {
     /// Folder of the dataset
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Head model: `builtin`, or `ict:DIR` with ICT-FaceKit's FaceXModel folder
-    #[arg(long, value_name = "HEAD", default_value = "builtin")]
-    head: Head,
+    /// Head model
+    #[arg(long, value_name = "HEAD", default_value = "builtin", help = head_help())]
+    head: HeadSource,
     /// Number of scenes, one subject each
     #[arg(long, value_name = "N", default_value_t = Settings::default().scenes)]
     scenes: u32,
@@ -59,6 +60,11 @@ pub struct Render {
 }
 
 type Shares = [f64; 3];
+
+/// The help of `--head`.
+pub fn head_help() -> String {
+    format!("Head model: {}", HeadSource::help())
+}
 
 fn flow_format_help() -> String {
     format!("File format of the flow: {}", FlowFormat::ALL.map(FlowFormat::extension).join(", "))

@@ -185,6 +185,7 @@ fn samples(folder: &Path) -> Vec<Sample> {
         "0=FILE",
     ];
     samples.push(Sample { name: "openface", bytes: openface.into(), file: "openface.csv", arguments: fit });
+    samples.extend(heads(folder));
     samples
 }
 
@@ -217,6 +218,72 @@ fn tracked(folder: &Path) -> (String, String) {
     let openface = format!("frame, confidence, success{}{}\n1, 0.98, 1{x}{y}\n", names("x"), names("y"));
     (own, openface)
 }
+
+/// The files of a FLAME head, and parameters for one.
+fn heads(folder: &Path) -> Vec<Sample> {
+    let data = root().join("crates/avatar/tests/data/flame");
+    fs::copy(data.join("arrays.npz"), folder.join("flame.npz")).unwrap();
+    let model = &["avatar", "mesh", "--model", "flame-toothless:FILE", "-o", "DIR/out.obj", "--force"];
+    let beside =
+        &["avatar", "mesh", "--model", "flame-toothless:DIR/flame.npz", "-o", "DIR/out.glb", "--force"];
+    let parameters = &[
+        "avatar",
+        "mesh",
+        "--model",
+        "flame-toothless:DIR/flame.npz",
+        "--params",
+        "FILE",
+        "-o",
+        "DIR/out.ply",
+        "--force",
+    ];
+    let files: [(&str, &str, &'static [&'static str]); 9] = [
+        ("python2.pkl", "a.pkl", model),
+        ("python2-text.pkl", "a.pkl", model),
+        ("python3-protocol2.pkl", "a.pkl", model),
+        ("python3-protocol5.pkl", "a.pkl", model),
+        ("arrays.npz", "a.npz", model),
+        ("FLAME_masks.pkl", "FLAME_masks.pkl", beside),
+        ("landmark_embedding_with_eyes.npy", "landmark_embedding_with_eyes.npy", beside),
+        ("parameters.npz", "a.npz", parameters),
+        ("parameters.json", "a.json", parameters),
+    ];
+    let sample =
+        |(name, file, arguments)| Sample { name, bytes: fs::read(data.join(name)).unwrap(), file, arguments };
+    let mut samples: Vec<Sample> = files.into_iter().map(sample).collect();
+    let data = root().join("crates/avatar/tests/data/gnm");
+    fs::copy(data.join("gnm_head.npz"), folder.join("gnm.npz")).unwrap();
+    let gnm = &["avatar", "mesh", "--model", "gnm:FILE", "-o", "DIR/out.obj", "--force"];
+    let bytes = fs::read(data.join("gnm_head.npz")).unwrap();
+    samples.push(Sample { name: "gnm", bytes, file: "a.npz", arguments: gnm });
+    let gnm = &["avatar", "mesh", "--model", "gnm:DIR/gnm.npz", "-o", "DIR/out.obj", "--force"];
+    let bytes = fs::read(data.join("head_sparse_68.txt")).unwrap();
+    samples.push(Sample { name: "head_sparse_68", bytes, file: "head_sparse_68.txt", arguments: gnm });
+    let gltf = &["avatar", "mesh", "--model", "gltf:FILE", "-o", "DIR/out.obj", "--force"];
+    // 255 bytes of zeros: a triangle with a skin and a morph target.
+    let text = GLTF.replace("ZEROS", &"A".repeat(340));
+    samples.push(Sample { name: "gltf", bytes: text.into(), file: "a.gltf", arguments: gltf });
+    let corners = [[0.0; 3].into(), [1.0, 0.0, 0.0].into(), [0.0, 1.0, 0.0].into()];
+    srflow_avatar::write_mesh(&folder.join("a.glb"), &corners, &[[0, 1, 2]]).unwrap();
+    let bytes = fs::read(folder.join("a.glb")).unwrap();
+    samples.push(Sample { name: "glb", bytes, file: "b.glb", arguments: gltf });
+    samples
+}
+
+const GLTF: &str = r#"{"asset": {"version": "2.0"}, "scenes": [{"nodes": [0, 1]}],
+    "nodes": [{"name": "head"}, {"mesh": 0, "skin": 0, "translation": [0, 1, 0]}],
+    "meshes": [{"extras": {"targetNames": ["jawOpen"]}, "primitives": [{
+        "attributes": {"POSITION": 0, "JOINTS_0": 1, "WEIGHTS_0": 2}, "targets": [{"POSITION": 4}]}]}],
+    "skins": [{"joints": [0], "inverseBindMatrices": 3}],
+    "accessors": [
+        {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+        {"bufferView": 0, "componentType": 5121, "count": 3, "type": "VEC4"},
+        {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC4"},
+        {"bufferView": 0, "componentType": 5126, "count": 1, "type": "MAT4"},
+        {"componentType": 5126, "count": 3, "type": "VEC3", "sparse": {"count": 1,
+            "indices": {"bufferView": 0, "componentType": 5123}, "values": {"bufferView": 0}}}],
+    "bufferViews": [{"buffer": 0, "byteLength": 255}],
+    "buffers": [{"byteLength": 255, "uri": "data:application/octet-stream;base64,ZEROS"}]}"#;
 
 /// A clip whose frames are `frame1.png` and `frame2.png` beside the table.
 const FACES: &str = "clip,subject,onset,apex,offset,class\n.,s1,1,2,2,negative\n";
@@ -589,7 +656,8 @@ fn lying_zip64_counts_are_refused() {
         }
         fs::write(folder.path().join(file), bytes).unwrap();
     }
-    assert_eq!(names, ["a.npz", "a.npz16", "xlsx", "zip.pth", "lightning.ckpt"]);
+    let heads = ["arrays.npz", "parameters.npz", "gnm"];
+    assert_eq!(names, [&["a.npz", "a.npz16", "xlsx", "zip.pth", "lightning.ckpt"][..], &heads].concat());
 }
 
 #[test]

@@ -7,6 +7,7 @@ use serde_json::Value;
 
 mod ablation;
 mod architecture;
+mod avatar;
 mod capture;
 mod demo;
 mod eval;

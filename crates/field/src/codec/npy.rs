@@ -5,7 +5,7 @@
 use std::io::{self, Read, Write};
 use std::path::Path;
 
-use super::claim::{MAX_PIXELS, blank, check_file_size, check_size};
+use super::claim::{MAX_PIXELS, blank, check_file_size, check_size, read_all};
 use super::samples::{Endian, Sample, read_samples, write_f32_little_endian};
 use super::{check_finite_or_unknown, quote, read_with};
 use crate::{FileError, FileKind, FileProblem, FlowField, Plane, write_atomically};
@@ -19,6 +19,33 @@ pub struct Array {
     pub shape: Vec<usize>,
     /// The values, row-major.
     pub values: Vec<f32>,
+}
+
+impl Array {
+    /// The array that NumPy stores as `bytes`: `descr` is the type, e.g. `<f8`, and `fortran_order` the order of the values.
+    ///
+    /// # Errors
+    /// When the type is not a number, or `shape` does not match the number of bytes.
+    pub fn from_numpy(
+        descr: &str,
+        shape: Vec<usize>,
+        fortran_order: bool,
+        bytes: &[u8],
+    ) -> Result<Self, FileProblem> {
+        let sample = sample_of(descr)
+            .ok_or_else(|| FileProblem::field("descr", "a real number, integer or boolean", descr))?;
+        let count = shape.iter().try_fold(1_usize, |count, side| count.checked_mul(*side));
+        if count.and_then(|count| count.checked_mul(sample.bytes())) != Some(bytes.len()) {
+            let expected = format!("{} bytes of values", bytes.len());
+            return Err(FileProblem::field("shape", expected, format!("{shape:?} of {descr}")));
+        }
+        let mut values = blank(bytes.len() / sample.bytes())?;
+        read_samples(&mut &*bytes, sample, &mut values)?;
+        if fortran_order {
+            values = row_major_from_fortran(&shape, &values);
+        }
+        Ok(Self { shape, values })
+    }
 }
 
 /// Reads a `.npy` file of numbers, converted to `f32`; Fortran order becomes row-major. Values may be NaN or infinite.
@@ -40,14 +67,55 @@ pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<Array, FileProbl
             format!("{:?}", header.shape),
         )
     })?;
-    check_file_size(header.bytes + count * header.sample.bytes() as u64, len)?;
+    let sample = header.sample()?;
+    check_file_size(header.bytes + count * sample.bytes() as u64, len)?;
     let mut values = blank(count as usize)?;
-    read_samples(reader, header.sample, &mut values)?;
+    read_samples(reader, sample, &mut values)?;
     let shape: Vec<usize> = header.shape.iter().map(|side| *side as usize).collect();
     if header.fortran_order {
         values = row_major_from_fortran(&shape, &values);
     }
     Ok(Array { shape, values })
+}
+
+/// The texts of a `.npy` file of `len` bytes of Unicode text (`<U`), row-major.
+pub(super) fn decode_texts(reader: &mut dyn Read, len: u64) -> Result<Vec<String>, FileProblem> {
+    let header = Header::read(reader, len)?;
+    let width = header.descr.as_deref().and_then(|descr| descr.strip_prefix("<U")?.parse::<u64>().ok());
+    let count = header.shape.iter().try_fold(1_u64, |count, side| count.checked_mul(*side));
+    let (Some(width), false) = (width, header.fortran_order && header.shape.len() > 1) else {
+        return Err(FileProblem::field("descr", "row-major Unicode text (<U)", header.shown_type()));
+    };
+    let bytes = count.and_then(|count| count.checked_mul(width)?.checked_mul(4));
+    let bytes = bytes.filter(|_| count.is_some_and(|count| count <= MAX_PIXELS));
+    let bytes = bytes.ok_or_else(|| {
+        FileProblem::field("shape", format!("at most {MAX_PIXELS} texts"), format!("{:?}", header.shape))
+    })?;
+    check_file_size(header.bytes.saturating_add(bytes), len)?;
+    let values = read_all(reader, bytes)?;
+    let text = |letters: &[u8]| -> String {
+        let letters = letters.as_chunks::<4>().0.iter().map(|letter| u32::from_le_bytes(*letter));
+        letters.take_while(|letter| *letter != 0).map(|c| char::from_u32(c).unwrap_or('\u{fffd}')).collect()
+    };
+    match width {
+        0 => Ok(Vec::new()),
+        width => Ok(values.chunks_exact(4 * width as usize).map(text).collect()),
+    }
+}
+
+/// The pickle in a `.npy` file of Python objects (`|O`), which NumPy loads with `allow_pickle`; `None` for other bytes.
+///
+/// # Errors
+/// When it is a `.npy` file with a broken header, or of another type.
+pub fn npy_pickle(bytes: &[u8]) -> Result<Option<&[u8]>, FileProblem> {
+    if !bytes.starts_with(MAGIC) {
+        return Ok(None);
+    }
+    let header = Header::read(&mut &*bytes, bytes.len() as u64)?;
+    match header.descr.as_deref() {
+        Some("|O" | "O") => Ok(bytes.get(header.bytes as usize..)),
+        _ => Err(FileProblem::field("descr", "pickled objects (|O)", header.shown_type())),
+    }
 }
 
 /// Writes a `.npy` file of little-endian `f32`, whole or not at all (see [`write_atomically`]). For an image of three
@@ -95,10 +163,11 @@ pub(super) fn decode_flow(reader: &mut dyn Read, len: u64) -> Result<FlowField, 
     let (width, height) =
         check_size(i64::try_from(width).unwrap_or(i64::MAX), i64::try_from(height).unwrap_or(i64::MAX))?;
     let count = 2 * width as u64 * height as u64;
-    check_file_size(header.bytes + count * header.sample.bytes() as u64, len)?;
+    let sample = header.sample()?;
+    check_file_size(header.bytes + count * sample.bytes() as u64, len)?;
 
     let mut flow = FlowField::from_buffer(width, height, blank(width * height)?);
-    read_samples(reader, header.sample, flow.pixels_mut().as_flattened_mut())?;
+    read_samples(reader, sample, flow.pixels_mut().as_flattened_mut())?;
     if header.fortran_order {
         let columns = flow.pixels().as_flattened();
         let (u, v) = columns.split_at(width * height);
@@ -159,7 +228,8 @@ pub(super) fn header_bytes(descr: &str, shape: &[usize]) -> Vec<u8> {
 struct Header {
     /// Length of the header in the file.
     bytes: u64,
-    sample: Sample,
+    /// The type of the values, e.g. `<f4`; `None` for a structured type.
+    descr: Option<String>,
     fortran_order: bool,
     shape: Vec<u64>,
 }
@@ -214,10 +284,7 @@ impl Header {
         };
         let descr = entry("descr")?;
         let name = descr.strip_prefix(['\'', '"']).and_then(|rest| rest.split(['\'', '"']).next());
-        let sample = name.and_then(sample_of).ok_or_else(|| {
-            let found = name.map_or("a structured type".to_owned(), |name| format!("'{name}'"));
-            FileProblem::field("descr", "real numbers, integers or booleans (save with dtype float32)", found)
-        })?;
+        let descr = name.map(str::to_owned);
         let order = entry("fortran_order")?;
         let fortran_order = order.starts_with("True");
         if !fortran_order && !order.starts_with("False") {
@@ -228,7 +295,18 @@ impl Header {
         let (inside, _) = shape.strip_prefix('(').and_then(|s| s.split_once(')')).ok_or_else(wrong_shape)?;
         let sides = inside.split(',').map(str::trim).filter(|side| !side.is_empty());
         let shape = sides.map(|side| side.parse().map_err(|_| wrong_shape())).collect::<Result<_, _>>()?;
-        Ok(Self { bytes, sample, fortran_order, shape })
+        Ok(Self { bytes, descr, fortran_order, shape })
+    }
+
+    fn sample(&self) -> Result<Sample, FileProblem> {
+        self.descr.as_deref().and_then(sample_of).ok_or_else(|| {
+            let expected = "real numbers, integers or booleans (save with dtype float32)";
+            FileProblem::field("descr", expected, self.shown_type())
+        })
+    }
+
+    fn shown_type(&self) -> String {
+        self.descr.as_ref().map_or("a structured type".to_owned(), |name| format!("'{name}'"))
     }
 }
 

@@ -120,10 +120,22 @@ impl Npz {
     /// # Errors
     /// When the archive has no such array, or it is corrupt or does not hold numbers.
     pub fn array(&mut self, name: &str) -> Result<Array, FileError> {
-        self.decode(name).map_err(|problem| problem.in_file(&self.path))
+        self.decode(name, npy::decode).map_err(|problem| problem.in_file(&self.path))
     }
 
-    fn decode(&mut self, name: &str) -> Result<Array, FileProblem> {
+    /// The texts of the array called `name`, row-major; one for a scalar.
+    ///
+    /// # Errors
+    /// When the archive has no such array, or it is corrupt or does not hold Unicode text (`<U`).
+    pub fn texts(&mut self, name: &str) -> Result<Vec<String>, FileError> {
+        self.decode(name, npy::decode_texts).map_err(|problem| problem.in_file(&self.path))
+    }
+
+    fn decode<T>(
+        &mut self,
+        name: &str,
+        decode: impl Fn(&mut dyn Read, u64) -> Result<T, FileProblem>,
+    ) -> Result<T, FileProblem> {
         if !self.has(name) {
             let found = format!("the arrays {}", excerpts(self.names.iter().map(String::as_str), 20));
             return Err(FileProblem::field("array", format!("one called `{name}`"), found));
@@ -131,7 +143,7 @@ impl Npz {
         let mut file = self.archive.by_name(&format!("{name}.npy")).map_err(damaged)?;
         let size = file.size();
         check_deflated(size, file.compressed_size())?;
-        let array = npy::decode(&mut file, size).map_err(|problem| match problem {
+        let array = decode(&mut file, size).map_err(|problem| match problem {
             FileProblem::Field { field, expected, found } => {
                 FileProblem::field(field, expected, format!("{found} in the array `{name}`"))
             }
@@ -285,6 +297,10 @@ mod tests {
         assert_eq!(back.array("y").unwrap().values, [7.0, -1.0]);
         let missing = back.array("z").unwrap_err().to_string();
         assert!(missing.contains("one called `z`, found the arrays x, y, name, one"), "{missing}");
+        assert_eq!(back.texts("name").unwrap(), ["aé", ""]);
+        assert_eq!(back.texts("one").unwrap(), ["{}"]);
+        let numbers = back.texts("x").unwrap_err().to_string();
+        assert!(numbers.contains("text (<U)") && numbers.contains("<f4"), "{numbers}");
         let text = back.array("name").unwrap_err().to_string();
         assert!(text.contains("'<U2' in the array `name`"), "{text}");
 

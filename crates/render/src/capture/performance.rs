@@ -25,7 +25,7 @@ const KNOT_SECONDS: f32 = 0.9;
 pub struct Performance {
     pub avatar: Avatar,
     /// Pose at each timestep: expressions, speech, blinks and gaze, and turns of the whole head. The translations have a mean of
-    /// zero, as VHAP moves the world.
+    /// zero, as VHAP moves the world, or of [`Avatar::home`].
     pub poses: Vec<PoseParameters>,
     /// Numbers and true cameras.
     pub cameras: Vec<(u32, Camera)>,
@@ -57,7 +57,7 @@ impl Performance {
             })
             .collect();
         let mean = poses.iter().map(|pose| pose.translation).sum::<Vec3>() / timesteps.max(1) as f32;
-        poses.iter_mut().for_each(|pose| pose.translation -= mean);
+        poses.iter_mut().for_each(|pose| pose.translation += avatar.home() - mean);
         Ok(Self { poses, cameras: settings.true_cameras(), avatar })
     }
 }

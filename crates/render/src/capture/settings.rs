@@ -2,11 +2,13 @@
 
 use glam::{DMat3, DQuat, DVec3};
 use serde_json::{Value, json};
+use srflow_avatar::HeadSource;
 use srflow_field::random::Key;
 use srflow_splat::Camera;
 
 use crate::RenderError;
-use crate::generate::{Head, Rig};
+use crate::generate::Rig;
+use crate::head;
 
 /// Numbers of the rig's cameras, in the order in which fewer than all are chosen: the front one first, then by how much they add
 /// to the views of those before.
@@ -21,7 +23,7 @@ const FOCAL_SHARE: f64 = 0.0005;
 /// Settings. Noise is none at 0.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CaptureSettings {
-    pub head: Head,
+    pub head: HeadSource,
     /// Number of cameras, up to 16; the front camera, number 8, is always one.
     pub cameras: usize,
     /// Number of timesteps.
@@ -44,7 +46,7 @@ pub struct CaptureSettings {
 impl Default for CaptureSettings {
     fn default() -> Self {
         Self {
-            head: Head::Builtin,
+            head: HeadSource::builtin(),
             cameras: CHOSEN.len(),
             timesteps: 100,
             width: 550,
@@ -90,7 +92,7 @@ impl CaptureSettings {
         let [r, g, b] = self.background;
         Ok(json!({
             "srflow_version": env!("CARGO_PKG_VERSION"),
-            "head": self.head.fingerprint()?,
+            "head": head::recorded(&self.head)?,
             "cameras": self.cameras,
             "timesteps": self.timesteps,
             "width": self.width,
@@ -110,7 +112,7 @@ impl CaptureSettings {
 
     /// The true cameras.
     pub(super) fn true_cameras(&self) -> Vec<(u32, Camera)> {
-        let rig = Rig::new(self.width, self.height, self.head.centre());
+        let rig = Rig::new(self.width, self.height, head::centre(&self.head));
         let views: Vec<_> = Rig::views().map(|(_, view)| view).collect();
         let camera = |index: u32| (index, rig.camera(views[index as usize]));
         self.camera_indices().into_iter().map(camera).collect()
@@ -168,7 +170,7 @@ mod tests {
     fn calibration_noise_moves_pictures_by_about_half_a_pixel() {
         let settings = CaptureSettings { calibration_noise: 1.0, ..CaptureSettings::default() };
         let cameras = settings.true_cameras();
-        let point = settings.head.centre() + DVec3::new(0.05, 0.08, 0.06);
+        let point = head::centre(&settings.head) + DVec3::new(0.05, 0.08, 0.06);
         let found = settings.calibrated(&cameras);
         let shifts = cameras.iter().zip(&found).map(|((_, truth), (_, found))| {
             found.validate().unwrap();

@@ -10,7 +10,7 @@ use srflow_read::manifest::{MANIFEST_NAME, Manifest, RigCamera, SceneEntry, Scen
 
 use super::Problem;
 use crate::camera::{camera_from_record, record_from_camera};
-use crate::generate::{Action, Head, Settings, Views, record};
+use crate::generate::{Action, Settings, Views, record};
 use crate::job::first_difference;
 use crate::record::FrameRecord;
 
@@ -92,8 +92,8 @@ impl Expected {
     pub fn of_scene(manifest: &Manifest, number: u32, scene: &SceneEntry) -> Option<Self> {
         let (settings, _) = Settings::of(manifest).ok().filter(|_| is_of_this_version(manifest))?;
         let rig = settings.rig();
-        let action = (settings.head == Head::Builtin).then(|| {
-            let model = HeadModel::builtin(scene.subject);
+        let model = settings.head.is_builtin().then(|| settings.head.model(scene.subject).ok()).flatten();
+        let action = model.map(|model| {
             let action = Action::new(&settings, &rig, number, scene, &model);
             (model, action)
         });

@@ -30,7 +30,8 @@ pub use pictures::DEPTH_UNITS_PER_METRE;
 pub(crate) use pictures::write_alpha;
 pub use rig::{CANONICAL_CAMERA, FULL_SIZE, Rig, View};
 pub(crate) use scene::{Action, Views, record, unit_name};
-pub use settings::{Head, Settings};
+pub use settings::Settings;
+pub(crate) use settings::{fingerprint, list_files};
 
 /// The result of [`generate`].
 #[derive(Debug, Clone)]
@@ -49,7 +50,7 @@ pub struct Report {
 /// background image cannot be read. Complete files stay, and the next call with the same settings continues.
 pub fn generate(settings: &Settings, request: Request) -> Result<Report, RenderError> {
     let manifest = settings.plan()?;
-    if let (Head::Ict(_), Some(entry)) = (&settings.head, manifest.scenes.first()) {
+    if let (false, Some(entry)) = (settings.head.is_builtin(), manifest.scenes.first()) {
         scene::subject(&settings.head, entry)?; // fails before anything is written
     }
     let plan = work::Scenes { settings, rig: settings.rig(), manifest };

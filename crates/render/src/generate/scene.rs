@@ -1,7 +1,7 @@
 //! A scene: one moving subject in front of a moving camera. Frames can be computed in any order.
 
-use glam::{EulerRot, Quat};
-use srflow_avatar::{Avatar, HeadModel, HeadPose, Moment, Motion, Side};
+use glam::{EulerRot, Quat, Vec3};
+use srflow_avatar::{Avatar, HeadModel, HeadPose, HeadSource, Moment, Motion, Side};
 use srflow_field::Image;
 use srflow_field::random::{Key, Stream};
 use srflow_splat::Camera;
@@ -9,7 +9,7 @@ use srflow_splat::Camera;
 use super::background::{self, Background};
 use super::path::Path;
 use super::rig::{Rig, View};
-use super::settings::{Head, Settings};
+use super::settings::Settings;
 use crate::RenderError;
 use crate::camera::record_from_camera;
 use crate::record::FrameRecord;
@@ -46,6 +46,8 @@ pub(super) struct Scene {
 pub(crate) struct Action {
     views: Views,
     motion: Motion,
+    /// See [`Avatar::home`].
+    home: Vec3,
 }
 
 /// The path of the camera around the head, and the rotation of the subject.
@@ -65,7 +67,7 @@ pub(crate) struct FrameState {
     moment: Moment,
 }
 
-pub(super) fn subject(head: &Head, entry: &SceneEntry) -> Result<Avatar, RenderError> {
+pub(super) fn subject(head: &HeadSource, entry: &SceneEntry) -> Result<Avatar, RenderError> {
     head.avatar(entry.subject)
         .map_err(|error| RenderError::Head { who: entry.name.clone(), reason: error.to_string() })
 }
@@ -80,7 +82,7 @@ impl Scene {
             }
             _ => None,
         };
-        let action = Action::new(settings, rig, number, entry, avatar.model());
+        let action = Action::new(settings, rig, number, entry, avatar.model()).at(avatar.home());
         Ok(Self { entry: entry.clone(), avatar, background, action })
     }
 
@@ -121,7 +123,12 @@ impl Action {
         Self {
             views: Views::new(settings, rig, number, entry.pairs),
             motion: Motion::new(model, key, entry.pairs as usize + 1, FRAMES_PER_SECOND),
+            home: Vec3::ZERO,
         }
+    }
+
+    fn at(self, home: Vec3) -> Self {
+        Self { home, ..self }
     }
 
     pub fn frame(&self, model: &HeadModel, frame: u32) -> FrameState {
@@ -133,6 +140,7 @@ impl Action {
         let turn = Quat::from_euler(EulerRot::YXZ, yaw, -pitch, roll);
         let root = pose.joint_mut(0);
         *root = (turn * *root).normalize();
+        pose.translation += self.home;
         FrameState { camera, pose, view, subject, moment }
     }
 }

@@ -1,17 +1,14 @@
 //! The settings of a dataset, checked before any work starts, and the plan derived from them.
 
-use std::fmt;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 
-use glam::DVec3;
-use srflow_avatar::{Avatar, AvatarError};
+use srflow_avatar::HeadSource;
 use srflow_field::FlowFormat;
 use srflow_field::random::Key;
 
 use super::background::{self, Background};
 use super::{FULL_SIZE, Rig};
-use crate::RenderError;
+use crate::{RenderError, head};
 use srflow_read::manifest::{Arguments, LAYOUT_VERSION, Manifest, SceneEntry, SceneSplit};
 
 /// Maximum number of scenes, and of pairs in a scene: file names have a fixed number of digits.
@@ -21,77 +18,11 @@ const MAX_PAIRS: f64 = 99_999.0;
 /// Minimum and maximum side of a frame, in pixels.
 const SIDES: std::ops::RangeInclusive<usize> = 16..=16_384;
 
-/// The head model of the subjects.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Head {
-    /// The procedural head.
-    Builtin,
-    /// ICT-FaceKit, read from its published folder.
-    Ict(PathBuf),
-}
-
-impl Head {
-    /// The avatar of a subject.
-    ///
-    /// # Errors
-    /// When the files of the head cannot be read, or are not those of its model.
-    pub fn avatar(&self, subject: u64) -> Result<Avatar, AvatarError> {
-        match self {
-            Self::Builtin => Avatar::builtin(subject),
-            Self::Ict(dir) => Avatar::ict(dir, subject),
-        }
-    }
-
-    /// A point between chin and crown, independent of the subject, metres.
-    pub(crate) fn centre(&self) -> DVec3 {
-        match self {
-            Self::Builtin => DVec3::new(0.0, 0.03, 0.01),
-            Self::Ict(_) => DVec3::new(0.0, 0.035, 0.02),
-        }
-    }
-
-    /// The head as recorded with a dataset, independent of where its files are.
-    ///
-    /// # Errors
-    /// When its folder cannot be read.
-    pub(crate) fn fingerprint(&self) -> Result<String, RenderError> {
-        match self {
-            Self::Builtin => Ok("builtin".to_owned()),
-            Self::Ict(dir) => {
-                let files = list_files(dir, "--head", "ict: and ICT-FaceKit's FaceXModel folder")?;
-                Ok(format!("ict, {}", fingerprint(&files)))
-            }
-        }
-    }
-}
-
-impl fmt::Display for Head {
-    /// As [`Head::from_str`] reads it.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Builtin => f.pad("builtin"),
-            Self::Ict(dir) => write!(f, "ict:{}", dir.display()),
-        }
-    }
-}
-
-impl FromStr for Head {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text.split_once(':') {
-            None if text == "builtin" => Ok(Self::Builtin),
-            Some(("ict", dir)) if !dir.is_empty() => Ok(Self::Ict(dir.into())),
-            _ => Err(format!("`{text}`: expected `builtin` or `ict:DIR`")),
-        }
-    }
-}
-
 /// The settings of a dataset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
     /// Head model.
-    pub head: Head,
+    pub head: HeadSource,
     /// Number of scenes, one subject each.
     pub scenes: u32,
     /// Mean number of frame pairs per scene; `scenes * frames`, rounded, are distributed as evenly as possible.
@@ -117,7 +48,7 @@ impl Default for Settings {
     /// The paper's dataset: 11,161 pairs of 27 scenes at 2200x3208.
     fn default() -> Self {
         Self {
-            head: Head::Builtin,
+            head: HeadSource::builtin(),
             scenes: 27,
             frames: 413.37,
             width: FULL_SIZE.0,
@@ -173,11 +104,9 @@ impl Settings {
             |name: &str, found: &str, expected: &str| format!("{name} `{found}`: expected {expected}");
         let (head, background) = (arguments.head.as_str(), arguments.background.as_str());
         let settings = Self {
-            head: match head {
-                "builtin" => Head::Builtin,
-                _ if head.starts_with("ict, ") => Head::Ict(PathBuf::new()),
-                _ => return Err(wrong("head", head, "`builtin` or `ict` with a fingerprint")),
-            },
+            head: HeadSource::of_kind(head.split(", ").next().unwrap_or_default())
+                .filter(|source| source.is_builtin() != head.contains(", "))
+                .ok_or_else(|| wrong("head", head, "`builtin`, or the kind of a head with a fingerprint"))?,
             scenes: arguments.scenes,
             frames: arguments.frames,
             width: arguments.width,
@@ -227,7 +156,7 @@ impl Settings {
 
     /// The rig, independent of the subject.
     pub(crate) fn rig(&self) -> Rig {
-        Rig::new(self.width, self.height, self.head.centre())
+        Rig::new(self.width, self.height, head::centre(&self.head))
     }
 
     /// Number of pairs in the scenes before scene `number`: every scene has the mean, rounded down or up.
@@ -266,7 +195,7 @@ impl Settings {
             Background::Images(dir) => format!("images, {}", fingerprint(&background::images(dir)?)),
         };
         Ok(Arguments {
-            head: self.head.fingerprint()?,
+            head: head::recorded(&self.head)?,
             scenes: self.scenes,
             frames: self.frames,
             width: self.width,
@@ -285,7 +214,7 @@ impl Settings {
 ///
 /// # Errors
 /// When the folder cannot be read; the error names the `argument` and what was `expected` of it.
-pub(super) fn list_files(
+pub(crate) fn list_files(
     dir: &Path,
     argument: &'static str,
     expected: &'static str,
@@ -304,7 +233,7 @@ pub(super) fn list_files(
 }
 
 /// A short hash of the names and sizes of files (FNV-1a), independent of their folder.
-fn fingerprint(files: &[(String, u64)]) -> String {
+pub(crate) fn fingerprint(files: &[(String, u64)]) -> String {
     let text: String = files.iter().map(|(name, size)| format!("{name} {size}\n")).collect();
     let hash = text
         .bytes()
@@ -405,12 +334,8 @@ mod tests {
         assert!(error(Settings { splits: [1.5, -0.5, 0.0], ..base() }).contains("from 0 to 1"));
         let images = Background::Images("/nowhere".into());
         assert!(error(Settings { background: images, ..base() }).contains("--background /nowhere"));
-        assert!(error(Settings { head: Head::Ict("/nowhere".into()), ..base() }).contains("--head /nowhere"));
-    }
-
-    #[test]
-    fn heads_are_read() {
-        assert_eq!("ict:/a:b".parse(), Ok(Head::Ict("/a:b".into())));
-        assert!("flame".parse::<Head>().is_err() && "ict:".parse::<Head>().is_err());
+        assert!(
+            error(Settings { head: "ict:/nowhere".parse().unwrap(), ..base() }).contains("--head /nowhere")
+        );
     }
 }

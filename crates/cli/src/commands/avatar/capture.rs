@@ -1,11 +1,12 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use srflow_avatar::HeadSource;
 use srflow_field::{Size, parse_color};
 use srflow_render::capture::{CaptureReport, CaptureSettings, capture};
-use srflow_render::generate::Head;
 
 use crate::Context;
+use crate::commands::render::head_help;
 use crate::rendering::{RenderingArgs, exit_if_stopped};
 
 /// Capture a moving head by many cameras, in the files that VHAP exports and GaussianAvatars is trained on
@@ -22,9 +23,9 @@ pub struct Capture {
     /// Folder of the capture
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
-    /// Head model: `builtin`, or `ict:DIR` with ICT-FaceKit's FaceXModel folder
-    #[arg(long, value_name = "HEAD", default_value = "builtin")]
-    head: Head,
+    /// Head model
+    #[arg(long, value_name = "HEAD", default_value = "builtin", help = head_help())]
+    head: HeadSource,
     /// Number of cameras, 1 to 16
     #[arg(long, value_name = "N", default_value_t = CaptureSettings::default().cameras)]
     cameras: usize,

@@ -1,17 +1,16 @@
-use std::fmt;
 use std::path::{Component, Path, PathBuf};
 use std::str::FromStr;
 
 use anyhow::{Context as _, bail};
 use clap::Args;
 use serde::Serialize;
-use srflow_avatar::HeadModel;
 use srflow_avatar::capture::{Capture, CaptureView, HeadRecord, LANDMARKS_NAME, Landmarks, write_tracked};
 use srflow_avatar::fit::{FitError, FitOptions, FitReport, FitStage, LandmarkView, Reach, fit};
+use srflow_avatar::{HeadModel, HeadSource};
 use srflow_field::{create_folder, excerpts, write_file};
-use srflow_render::generate::Head;
 
 use crate::Context;
+use crate::commands::render::head_help;
 use crate::output::{ensure_folder, ensure_free, print_json};
 use crate::progress::bar;
 use crate::usage::wrong_usage;
@@ -29,10 +28,9 @@ pub struct Fit {
     /// Folder of the capture: transforms.json or transforms_train.json with its cameras, and landmarks.csv
     #[arg(value_name = "DATA")]
     data: PathBuf,
-    /// Head model: `builtin-average` for an unknown person, `builtin` for the person of --seed, or `ict:DIR` with
-    /// ICT-FaceKit's FaceXModel folder
-    #[arg(long, value_name = "HEAD")]
-    model: Model,
+    /// Head model
+    #[arg(long, value_name = "HEAD", help = head_help())]
+    model: HeadSource,
     /// Folder to write
     #[arg(short, long, value_name = "DIR")]
     out: PathBuf,
@@ -60,49 +58,6 @@ pub struct Fit {
     /// Overwrite an earlier fit in the folder
     #[arg(long)]
     force: bool,
-}
-
-/// A head model to fit.
-#[derive(Debug, Clone)]
-enum Model {
-    /// The average built-in head and its traits.
-    Average,
-    Of(Head),
-}
-
-impl Model {
-    fn read(&self, seed: u64) -> anyhow::Result<HeadModel> {
-        match self {
-            Self::Average => Ok(HeadModel::builtin_average()),
-            Self::Of(Head::Builtin) => Ok(HeadModel::builtin(seed)),
-            Self::Of(head) => {
-                Ok(head.avatar(seed).with_context(|| format!("reading {head}"))?.model().clone())
-            }
-        }
-    }
-}
-
-impl fmt::Display for Model {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Average => f.write_str("builtin-average"),
-            Self::Of(head) => head.fmt(f),
-        }
-    }
-}
-
-impl FromStr for Model {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "builtin-average" => Ok(Self::Average),
-            text => text
-                .parse()
-                .map(Self::Of)
-                .map_err(|_| format!("`{text}`: expected `builtin-average`, `builtin` or `ict:DIR`")),
-        }
-    }
 }
 
 /// `CAMERA=FILE`.
@@ -157,7 +112,7 @@ pub fn run(args: Fit, context: &Context) -> anyhow::Result<()> {
         );
     }
     let landmarks = landmarks(&args, &capture)?;
-    let model = args.model.read(args.seed)?;
+    let model = args.model.model(args.seed).with_context(|| format!("reading {}", args.model))?;
 
     let used: Vec<&CaptureView> = capture
         .views()

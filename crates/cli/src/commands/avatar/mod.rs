@@ -1,13 +1,14 @@
-//! `srflow avatar`: head avatars, one file per subcommand.
+//! `srflow avatar`: head models and avatars, one file per subcommand.
 
 mod capture;
 mod fit;
+mod mesh;
 
 use clap::{Args, Subcommand};
 
 use crate::Context;
 
-/// Head avatars: captures for training and tracking
+/// Head models and avatars: captures for training and tracking, meshes
 #[derive(Args)]
 pub struct Avatar {
     #[command(subcommand)]
@@ -18,11 +19,13 @@ pub struct Avatar {
 enum AvatarCommand {
     Capture(capture::Capture),
     Fit(fit::Fit),
+    Mesh(mesh::Mesh),
 }
 
 pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
     match args.command {
         AvatarCommand::Capture(args) => capture::run(args, context),
         AvatarCommand::Fit(args) => fit::run(args, context),
+        AvatarCommand::Mesh(args) => mesh::run(args, context),
     }
 }

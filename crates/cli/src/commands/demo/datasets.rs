@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use srflow_avatar::HeadSource;
 use srflow_eval::head_window;
 use srflow_eval::report::{
     Film, Panel, Picture, flow_scale, sample_panels, shrink_flow, shrink_image, shrink_mask,
@@ -11,7 +12,7 @@ use srflow_eval::report::{
 use srflow_field::{FlowField, FlowFormat, Image, Size, flow_colors};
 use srflow_read::flow::{DatasetSpec, FlowDataset, Sample, Split};
 use srflow_read::manifest::Manifest;
-use srflow_render::generate::{self, Background, Head, Report, Settings};
+use srflow_render::generate::{self, Background, Report, Settings};
 
 use crate::rendering::RenderingArgs;
 
@@ -61,7 +62,7 @@ impl Plan {
     ///
     /// # Errors
     /// Those of [`generate::generate`] and of opening the result.
-    pub fn render(self, out: &Path, head: &Head, seed: u64, force: bool) -> anyhow::Result<Rendered> {
+    pub fn render(self, out: &Path, head: &HeadSource, seed: u64, force: bool) -> anyhow::Result<Rendered> {
         let settings = Settings {
             head: head.clone(),
             scenes: HEADS,
@@ -82,12 +83,9 @@ impl Plan {
     }
 
     /// The command that renders the same dataset.
-    pub fn command(self, head: &Head, seed: u64) -> String {
+    pub fn command(self, head: &HeadSource, seed: u64) -> String {
         let size = self.size;
-        let head = match head {
-            Head::Builtin => String::new(),
-            Head::Ict(dir) => format!(" --head ict:{}", dir.display()),
-        };
+        let head = if head.is_builtin() { String::new() } else { format!(" --head {head}") };
         let [r, g, b] = BACKGROUND;
         format!(
             "srflow render --out {} --scenes {} --frames {} --size {size} --splits 0,0,1{head} --seed {seed} --flow-format npz \\

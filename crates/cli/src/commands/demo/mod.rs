@@ -11,12 +11,14 @@ use std::process::Command;
 use anyhow::Context as _;
 use clap::Args;
 use serde_json::json;
+use srflow_avatar::HeadSource;
 use srflow_eval::report::{Figure, pair_figures};
 use srflow_eval::{Evaluation, OnFailure, Settings};
 use srflow_field::{FlowEstimator, Size, write_file};
 use srflow_read::flow::{DatasetSpec, FlowDataset};
-use srflow_render::generate::{FULL_SIZE, Head};
+use srflow_render::generate::FULL_SIZE;
 
+use crate::commands::render::head_help;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::output::ensure_free;
 use crate::scoring;
@@ -35,9 +37,9 @@ pub struct Demo {
     /// Folder for the datasets, the scores and report.html
     #[arg(long, value_name = "DIR", default_value = "srflow-demo")]
     out: PathBuf,
-    /// Head model: `builtin`, or `ict:DIR` with ICT-FaceKit's FaceXModel folder
-    #[arg(long, value_name = "HEAD", default_value = "builtin")]
-    head: Head,
+    /// Head model
+    #[arg(long, value_name = "HEAD", default_value = "builtin", help = head_help())]
+    head: HeadSource,
     /// Random seed; another seed gives other heads
     #[arg(long, value_name = "N", default_value_t = 5)]
     seed: u64,

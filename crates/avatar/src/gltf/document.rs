@@ -1,0 +1,389 @@
+//! The parts of a glTF document that make a head: JSON and the bytes of its buffers. Every reference and length is checked before use.
+
+use std::cell::Cell;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::Deserialize;
+use serde_json::Value;
+use srflow_field::{FileKind, FileProblem, excerpt, parse_error_in_words, read_file};
+
+use crate::avatar::AvatarError;
+
+/// Most numbers that a file may expand to: accessors may share bytes.
+const MAX_VALUES: usize = 1 << 26;
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct Json {
+    pub scene: Option<usize>,
+    pub scenes: Vec<Scene>,
+    pub nodes: Vec<Node>,
+    pub meshes: Vec<Mesh>,
+    pub skins: Vec<Skin>,
+    pub materials: Vec<Named>,
+    accessors: Vec<Accessor>,
+    buffer_views: Vec<BufferView>,
+    buffers: Vec<Buffer>,
+    extensions_required: Vec<String>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct Scene {
+    pub nodes: Vec<usize>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct Named {
+    pub name: String,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct Node {
+    pub name: String,
+    pub children: Vec<usize>,
+    pub mesh: Option<usize>,
+    pub skin: Option<usize>,
+    pub matrix: Option<[f64; 16]>,
+    pub translation: Option<[f64; 3]>,
+    pub rotation: Option<[f64; 4]>,
+    pub scale: Option<[f64; 3]>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct Mesh {
+    pub name: String,
+    pub primitives: Vec<Primitive>,
+    extras: Value,
+}
+
+impl Mesh {
+    /// Names of the morph targets, where exporters put them.
+    pub fn target_names(&self) -> Vec<&str> {
+        let names = self.extras.get("targetNames").and_then(Value::as_array);
+        names.into_iter().flatten().map(|name| name.as_str().unwrap_or_default()).collect()
+    }
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+pub(super) struct Primitive {
+    pub attributes: BTreeMap<String, usize>,
+    pub indices: Option<usize>,
+    pub mode: Option<u32>,
+    pub material: Option<usize>,
+    pub targets: Vec<BTreeMap<String, usize>>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub(super) struct Skin {
+    pub joints: Vec<usize>,
+    pub inverse_bind_matrices: Option<usize>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Accessor {
+    buffer_view: Option<usize>,
+    #[serde(default)]
+    byte_offset: usize,
+    component_type: u32,
+    #[serde(default)]
+    normalized: bool,
+    count: usize,
+    #[serde(rename = "type")]
+    kind: String,
+    sparse: Option<Sparse>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Sparse {
+    count: usize,
+    indices: SparseIndices,
+    values: SparseValues,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct SparseIndices {
+    buffer_view: usize,
+    #[serde(default)]
+    byte_offset: usize,
+    component_type: u32,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct SparseValues {
+    buffer_view: usize,
+    #[serde(default)]
+    byte_offset: usize,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct BufferView {
+    buffer: usize,
+    #[serde(default)]
+    byte_offset: usize,
+    byte_length: usize,
+    byte_stride: Option<usize>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(default)]
+struct Buffer {
+    uri: Option<String>,
+}
+
+/// A document with the bytes of its buffers.
+pub(super) struct Document {
+    pub json: Json,
+    buffers: Vec<Vec<u8>>,
+    values: Cell<usize>,
+}
+
+impl Document {
+    /// Reads a `.glb` or `.gltf` file, and the files beside it that the latter names.
+    pub fn open(path: &Path) -> Result<Self, AvatarError> {
+        let bytes = read_file(path, FileKind::Mesh)?;
+        Self::parse(path, bytes)
+    }
+
+    fn parse(path: &Path, bytes: Vec<u8>) -> Result<Self, AvatarError> {
+        let in_file = |problem: FileProblem| problem.in_file(path);
+        let (text, binary) = if bytes.starts_with(b"glTF") {
+            chunks(&bytes).ok_or_else(|| {
+                in_file(problem("chunks", "binary glTF 2 with a chunk of JSON", "a broken or truncated file"))
+            })?
+        } else {
+            (bytes.as_slice(), None)
+        };
+        let json: Json = serde_json::from_slice(text)
+            .map_err(|error| in_file(problem("JSON", "glTF 2.0", parse_error_in_words(&error))))?;
+        if let Some(extension) = json.extensions_required.iter().find(|name| *name != "KHR_mesh_quantization")
+        {
+            let expected = "a file without required extensions; export it without compression";
+            return Err(in_file(problem("extensionsRequired", expected, extension)).into());
+        }
+        let mut buffers = Vec::new();
+        for (number, buffer) in json.buffers.iter().enumerate() {
+            buffers.push(match (&buffer.uri, binary) {
+                (None, Some(binary)) if number == 0 => binary.to_vec(),
+                (Some(uri), _) => read_uri(path, uri)?,
+                _ => return Err(in_file(problem("buffer", "a uri or a binary chunk", "neither")).into()),
+            });
+        }
+        Ok(Self { json, buffers, values: Cell::new(0) })
+    }
+
+    /// The numbers of an accessor of `components` per element; `count` elements if given.
+    pub fn numbers(
+        &self,
+        accessor: usize,
+        components: usize,
+        count: Option<usize>,
+    ) -> Result<Vec<f32>, FileProblem> {
+        let wrong = |expected: &str, found: String| problem("accessor", expected, found);
+        let accessor = self
+            .json
+            .accessors
+            .get(accessor)
+            .ok_or_else(|| wrong("one of the file's", accessor.to_string()))?;
+        let found = match accessor.kind.as_str() {
+            "SCALAR" => 1,
+            "VEC2" => 2,
+            "VEC3" => 3,
+            "VEC4" => 4,
+            "MAT4" => 16,
+            _ => 0,
+        };
+        if found != components || count.is_some_and(|count| count != accessor.count) {
+            let expected = match count {
+                Some(count) => format!("{count} elements of {components} numbers"),
+                None => format!("elements of {components} numbers"),
+            };
+            return Err(wrong(&expected, format!("{} of type {}", accessor.count, excerpt(&accessor.kind))));
+        }
+        let used = accessor.count.checked_mul(components).and_then(|n| n.checked_add(self.values.get()));
+        match used.filter(|used| *used <= MAX_VALUES) {
+            Some(used) => self.values.set(used),
+            None => return Err(wrong("a head of sane size", format!("{} elements", accessor.count))),
+        }
+        let kind = Kind::of(accessor.component_type, accessor.normalized)?;
+        let mut numbers = match accessor.buffer_view {
+            Some(view) => self.packed(view, accessor.byte_offset, accessor.count, components, kind)?,
+            None => vec![0.0; accessor.count * components],
+        };
+        if let Some(Sparse { count, indices, values }) = &accessor.sparse {
+            let index_kind = Kind::of(indices.component_type, false)?;
+            let places = self.packed(indices.buffer_view, indices.byte_offset, *count, 1, index_kind)?;
+            let values = self.packed(values.buffer_view, values.byte_offset, *count, components, kind)?;
+            for (place, value) in places.iter().zip(values.chunks_exact(components)) {
+                let start = (*place as usize).saturating_mul(components);
+                let slot = numbers.get_mut(start..start.saturating_add(components));
+                let slot = slot.ok_or_else(|| wrong("sparse indices inside it", place.to_string()))?;
+                slot.copy_from_slice(value);
+            }
+        }
+        match numbers.iter().find(|number| !number.is_finite()) {
+            None => Ok(numbers),
+            Some(number) => Err(wrong("finite numbers", number.to_string())),
+        }
+    }
+
+    /// Elements in a view of a buffer.
+    fn packed(
+        &self,
+        view: usize,
+        offset: usize,
+        count: usize,
+        components: usize,
+        kind: Kind,
+    ) -> Result<Vec<f32>, FileProblem> {
+        let wrong = || problem("bufferView", "bytes inside its buffer", format!("number {view} beyond them"));
+        let view = self.json.buffer_views.get(view).ok_or_else(wrong)?;
+        let buffer = self.buffers.get(view.buffer).ok_or_else(wrong)?;
+        let end = view.byte_offset.checked_add(view.byte_length).ok_or_else(wrong)?;
+        let bytes =
+            buffer.get(view.byte_offset..end).and_then(|bytes| bytes.get(offset..)).ok_or_else(wrong)?;
+        let element = components * kind.bytes();
+        let stride = view.byte_stride.unwrap_or(element);
+        let needed =
+            count.checked_sub(1).map_or(Some(0), |last| last.checked_mul(stride)?.checked_add(element));
+        if stride < element || needed.is_none_or(|needed| needed > bytes.len()) {
+            return Err(wrong());
+        }
+        let mut numbers = Vec::with_capacity(count * components);
+        for at in 0..count {
+            let element = &bytes[at * stride..at * stride + element];
+            numbers.extend(element.chunks_exact(kind.bytes()).map(|bytes| kind.number(bytes)));
+        }
+        Ok(numbers)
+    }
+}
+
+/// The type of a component (section 3.6.2.2 of the specification).
+#[derive(Debug, Clone, Copy)]
+struct Kind {
+    bytes: usize,
+    float: bool,
+    signed: bool,
+    normalized: bool,
+}
+
+impl Kind {
+    fn of(code: u32, normalized: bool) -> Result<Self, FileProblem> {
+        let integer = |bytes, signed| Ok(Self { bytes, float: false, signed, normalized });
+        match code {
+            5120 => integer(1, true),
+            5121 => integer(1, false),
+            5122 => integer(2, true),
+            5123 => integer(2, false),
+            5125 => integer(4, false),
+            5126 => Ok(Self { bytes: 4, float: true, signed: true, normalized: false }),
+            other => Err(problem("componentType", "a number from 5120 to 5126", other.to_string())),
+        }
+    }
+
+    fn bytes(self) -> usize {
+        self.bytes
+    }
+
+    fn number(self, bytes: &[u8]) -> f32 {
+        let mut whole = [0; 4];
+        whole[..bytes.len()].copy_from_slice(bytes);
+        if self.float {
+            return f32::from_le_bytes(whole);
+        }
+        let bits = u32::from_le_bytes(whole);
+        let unused = 32 - 8 * self.bytes as u32;
+        let number = if self.signed { ((bits << unused) as i32 >> unused) as f32 } else { bits as f32 };
+        if !self.normalized {
+            return number;
+        }
+        let most = (1_u64 << (8 * self.bytes - usize::from(self.signed))) - 1;
+        (number / most as f32).max(-1.0)
+    }
+}
+
+/// The chunks of JSON and binary data of a `.glb` file.
+fn chunks(bytes: &[u8]) -> Option<(&[u8], Option<&[u8]>)> {
+    let number = |at: usize| Some(u32::from_le_bytes(*bytes.get(at..)?.first_chunk()?));
+    let chunk = |at: usize, kind: &[u8; 4]| {
+        let length = number(at)? as usize;
+        let start = at.checked_add(8)?;
+        (bytes.get(at + 4..start)? == kind).then_some(())?;
+        Some((bytes.get(start..start.checked_add(length)?)?, start + length))
+    };
+    if number(4)? != 2 {
+        return None;
+    }
+    let (json, end) = chunk(12, b"JSON")?;
+    Some((json, chunk(end, b"BIN\0").map(|(binary, _)| binary)))
+}
+
+/// The bytes of a `data:` uri, or of a file beside the document.
+fn read_uri(path: &Path, uri: &str) -> Result<Vec<u8>, AvatarError> {
+    let refused = |expected: &str| problem("uri", expected, excerpt(uri)).in_file(path);
+    if let Some(data) = uri.strip_prefix("data:") {
+        let encoded = data.split_once(";base64,").map(|(_, encoded)| encoded);
+        return Ok(encoded.and_then(from_base64).ok_or_else(|| refused("data in base64"))?);
+    }
+    let is_plain = !uri.is_empty() && !uri.contains(['/', '\\', ':']) && uri != "..";
+    if !is_plain {
+        return Err(refused("the name of a file in the same folder").into());
+    }
+    Ok(read_file(&path.with_file_name(uri.replace("%20", " ")), FileKind::Mesh)?)
+}
+
+fn from_base64(text: &str) -> Option<Vec<u8>> {
+    let mut bytes = Vec::with_capacity(text.len() / 4 * 3);
+    let (mut bits, mut held) = (0_u32, 0);
+    for byte in text.trim_end_matches('=').bytes() {
+        let value = match byte {
+            b'A'..=b'Z' => byte - b'A',
+            b'a'..=b'z' => byte - b'a' + 26,
+            b'0'..=b'9' => byte - b'0' + 52,
+            b'+' => 62,
+            b'/' => 63,
+            _ => return None,
+        };
+        bits = bits << 6 | u32::from(value);
+        held += 6;
+        if held >= 8 {
+            held -= 8;
+            bytes.push((bits >> held) as u8);
+        }
+    }
+    Some(bytes)
+}
+
+pub(super) fn problem(field: &'static str, expected: &str, found: impl Into<String>) -> FileProblem {
+    FileProblem::field(field, expected, found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_and_numbers_are_decoded() {
+        assert_eq!(from_base64("aGVhZA=="), Some(b"head".to_vec()));
+        assert_eq!(from_base64("aGVh"), Some(b"hea".to_vec()));
+        assert_eq!(from_base64("a!"), None);
+        let number = |code, normalized, bytes: &[u8]| Kind::of(code, normalized).unwrap().number(bytes);
+        assert_eq!(number(5120, true, &[0x81]), -1.0);
+        assert_eq!(number(5120, true, &[0x80]), -1.0);
+        assert_eq!(number(5121, true, &[255]), 1.0);
+        assert_eq!(number(5122, false, &[0xfe, 0xff]), -2.0);
+        assert_eq!(number(5123, false, &[1, 2]), 513.0);
+        assert_eq!(number(5126, false, &0.3_f32.to_le_bytes()), 0.3);
+        assert!(Kind::of(5124, false).is_err());
+    }
+}

@@ -1,0 +1,445 @@
+//! Any rigged head as glTF 2.0 (`.glb` or `.gltf`) with morph targets and a skin.
+//!
+//! All triangles of the scene become one mesh, in the pose that the file's nodes have. Morph targets of the same name on several meshes are one
+//! expression; ARKit's names give action units. The joints of the skins are the joints of the model, and so is every node with a
+//! mesh that has no skin, such as an eyeball. They rotate about their positions in the file, in the axes of the model. Landmarks
+//! are not part of glTF: the file `landmarks_68.txt` beside it may list them, as GNM's `head_sparse_68.txt` does.
+
+mod document;
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+
+use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
+use srflow_field::FileProblem;
+
+use self::document::{Document, Node, Primitive, problem};
+use crate::arkit::action_units;
+use crate::avatar::AvatarError;
+use crate::landmark_file::{on_triangle, read_rows};
+use crate::regions::RegionMap;
+use crate::skeleton_names::roles;
+use crate::{HeadModel, Joint, JointRole, Offsets, Region, Shape, Skinning};
+
+/// Landmarks beside the model: 68 rows of three vertices and their weights. Vertices count through the meshes in the order of the scene.
+pub(crate) const COMPANIONS: [&str; 1] = ["landmarks_68.txt"];
+
+/// Parts of names that tell what a mesh is; the first that occurs counts.
+const PARTS: [(&str, Region); 22] = [
+    ("lash", Region::Clear),
+    ("brow", Region::Clear),
+    ("hair", Region::Clear),
+    ("beard", Region::Clear),
+    ("glass", Region::Clear),
+    ("cornea", Region::Clear),
+    ("tear", Region::Clear),
+    ("occlusion", Region::Clear),
+    ("shirt", Region::Clear),
+    ("outfit", Region::Clear),
+    ("cloth", Region::Clear),
+    ("hat", Region::Clear),
+    ("cap", Region::Clear),
+    ("teeth", Region::Teeth),
+    ("tooth", Region::Teeth),
+    ("tongue", Region::MouthInside),
+    ("gum", Region::MouthInside),
+    ("mouth", Region::MouthInside),
+    ("eyelid", Region::Skin),
+    ("eye", Region::Eyeball),
+    ("iris", Region::Eyeball),
+    ("sclera", Region::Eyeball),
+];
+
+/// Reads a model, with its landmarks if they are found.
+///
+/// # Errors
+/// Names the file and the part that is missing or malformed.
+pub(crate) fn load(path: &Path) -> Result<HeadModel, AvatarError> {
+    let document = Document::open(path)?;
+    let mut model =
+        Builder::new(&document).and_then(Builder::model).map_err(|problem| problem.in_file(path))?;
+    let landmarks = path.with_file_name(COMPANIONS[0]);
+    if landmarks.exists() {
+        let rows = read_rows(&landmarks, model.template.len())?;
+        model.landmarks =
+            rows.iter().map(|row| on_triangle(row, &model.template, &model.triangles)).collect();
+    }
+    model.validate()?;
+    refine_skin(&mut model);
+    Ok(model)
+}
+
+/// A node of the scene.
+struct Placed {
+    node: usize,
+    /// The nearest ancestor, as an index into [`Builder::nodes`].
+    parent: Option<usize>,
+    global: DMat4,
+}
+
+struct Builder<'a> {
+    document: &'a Document,
+    /// The nodes of the scene, parents first.
+    nodes: Vec<Placed>,
+    /// The joint of each node that is one.
+    joint_of: HashMap<usize, u32>,
+    joints: Vec<Joint>,
+    template: Vec<Vec3>,
+    triangles: Vec<[u32; 3]>,
+    regions: Vec<Region>,
+    skinning: Skinning,
+    expressions: Vec<(String, Vec<(u32, Vec3)>)>,
+    numbers: HashMap<String, usize>,
+}
+
+impl<'a> Builder<'a> {
+    fn new(document: &'a Document) -> Result<Self, FileProblem> {
+        let nodes = scene(document)?;
+        let mut builder = Self {
+            document,
+            nodes,
+            joint_of: HashMap::new(),
+            joints: Vec::new(),
+            template: Vec::new(),
+            triangles: Vec::new(),
+            regions: Vec::new(),
+            skinning: Skinning::default(),
+            expressions: Vec::new(),
+            numbers: HashMap::new(),
+        };
+        builder.find_joints()?;
+        Ok(builder)
+    }
+
+    fn node(&self, placed: usize) -> &'a Node {
+        &self.document.json.nodes[self.nodes[placed].node]
+    }
+
+    /// Joints of the skins, and nodes with a mesh but no skin; below one root.
+    fn find_joints(&mut self) -> Result<(), FileProblem> {
+        let json = &self.document.json;
+        let mut is_joint = vec![false; json.nodes.len()];
+        for placed in 0..self.nodes.len() {
+            let node = self.node(placed);
+            match (node.mesh, node.skin) {
+                (Some(_), Some(skin)) => {
+                    let skin = json
+                        .skins
+                        .get(skin)
+                        .ok_or_else(|| problem("skin", "one of the file's", skin.to_string()))?;
+                    for &joint in &skin.joints {
+                        let found = is_joint.get_mut(joint);
+                        *found.ok_or_else(|| problem("joint", "a node of the file", joint.to_string()))? =
+                            true;
+                    }
+                }
+                (Some(_), None) => is_joint[self.nodes[placed].node] = true,
+                _ => {}
+            }
+        }
+        let above = |mut placed: usize, nodes: &[Placed]| loop {
+            placed = nodes[placed].parent?;
+            if is_joint[nodes[placed].node] {
+                return Some(placed);
+            }
+        };
+        let listed: Vec<usize> = (0..self.nodes.len()).filter(|&p| is_joint[self.nodes[p].node]).collect();
+        let tops = listed.iter().filter(|&&placed| above(placed, &self.nodes).is_none()).count();
+        if tops != 1 {
+            self.joints.extend(Joint::of_roles([Vec3::ZERO; 5]).into_iter().take(1));
+        }
+        let mut number_of: HashMap<usize, usize> = HashMap::new();
+        for placed in listed {
+            let Placed { node, global, .. } = self.nodes[placed];
+            let number = self.joints.len();
+            let parent = above(placed, &self.nodes).and_then(|above| number_of.get(&above).copied());
+            let name = &json.nodes[node].name;
+            self.joints.push(Joint {
+                name: if name.is_empty() { format!("node {node}") } else { name.clone() },
+                role: None,
+                parent: parent.or((number > 0).then_some(0)),
+                position: global.w_axis.truncate().as_vec3(),
+                follows: Vec::new(),
+                identities: Vec::new(),
+            });
+            number_of.insert(placed, number);
+            self.joint_of.insert(node, number as u32);
+        }
+        let names: Vec<String> = self.joints.iter().map(|joint| joint.name.clone()).collect();
+        for (joint, role) in self.joints.iter_mut().zip(roles(&names)) {
+            joint.role = role;
+        }
+        Ok(())
+    }
+
+    fn model(mut self) -> Result<HeadModel, FileProblem> {
+        for placed in 0..self.nodes.len() {
+            if let Some(mesh) = self.node(placed).mesh {
+                self.add_mesh(placed, mesh)?;
+            }
+        }
+        if self.triangles.is_empty() {
+            return Err(problem("meshes", "a scene with triangles", "none"));
+        }
+        let expressions: Vec<Shape> = self
+            .expressions
+            .into_iter()
+            .map(|(name, offsets)| Shape::linear(name, Offsets::Sparse(offsets)))
+            .collect();
+        let eyeballs = eyeballs(&self.joints, &self.skinning, &self.template, &self.triangles, &self.regions);
+        Ok(HeadModel {
+            name: "gltf".into(),
+            action_units: action_units(expressions.iter().map(|shape| shape.name.as_str())),
+            template: self.template,
+            triangles: self.triangles,
+            regions: self.regions,
+            identities: Vec::new(),
+            expressions,
+            joints: self.joints,
+            joints_follow_expressions: false,
+            skinning: self.skinning,
+            pose_correctives: Vec::new(),
+            landmarks: Vec::new(),
+            eyeballs,
+            vertex_groups: BTreeMap::new(),
+        })
+    }
+
+    fn add_mesh(&mut self, placed: usize, number: usize) -> Result<(), FileProblem> {
+        let json = &self.document.json;
+        let mesh = json
+            .meshes
+            .get(number)
+            .ok_or_else(|| problem("mesh", "one of the file's", number.to_string()))?;
+        let names = mesh.target_names();
+        for primitive in &mesh.primitives {
+            // Points and lines are not part of a head.
+            if primitive.mode.unwrap_or(4) != 4 {
+                continue;
+            }
+            let material = primitive.material.and_then(|material| json.materials.get(material));
+            let words =
+                [&mesh.name, &self.node(placed).name, material.map_or(&mesh.name, |named| &named.name)];
+            let words = words.map(|word| word.to_lowercase()).join(" ");
+            let region = PARTS
+                .iter()
+                .find(|(part, _)| words.contains(part))
+                .map_or(Region::Skin, |(_, region)| *region);
+            self.add_primitive(placed, primitive, &names, region)?;
+        }
+        Ok(())
+    }
+
+    fn add_primitive(
+        &mut self,
+        placed: usize,
+        primitive: &Primitive,
+        names: &[&str],
+        region: Region,
+    ) -> Result<(), FileProblem> {
+        let attribute = |name: &str| primitive.attributes.get(name).copied();
+        let positions = attribute("POSITION").ok_or_else(|| problem("attributes", "POSITION", "none"))?;
+        let positions = self.document.numbers(positions, 3, None)?;
+        let count = positions.len() / 3;
+        let first = self.template.len();
+        if first + count > u32::MAX as usize / 2 {
+            return Err(problem("vertices", "a head of sane size", (first + count).to_string()));
+        }
+        let transforms = self.transforms(placed, primitive, count)?;
+        let at = |numbers: &[f32], v: usize| {
+            DVec3::new(
+                f64::from(numbers[3 * v]),
+                f64::from(numbers[3 * v + 1]),
+                f64::from(numbers[3 * v + 2]),
+            )
+        };
+        for (v, transform) in transforms.iter().enumerate() {
+            self.template.push(transform.transform_point3(at(&positions, v)).as_vec3());
+        }
+        let mirrored = self.nodes[placed].global.determinant() < 0.0 && self.node(placed).skin.is_none();
+        let indices: Vec<usize> = match primitive.indices {
+            Some(indices) => {
+                self.document.numbers(indices, 1, None)?.into_iter().map(|i| i as usize).collect()
+            }
+            None => (0..count).collect(),
+        };
+        if let Some(beyond) = indices.iter().find(|index| **index >= count) {
+            return Err(problem("indices", &format!("vertices below {count}"), beyond.to_string()));
+        }
+        for &[a, b, c] in indices.as_chunks().0 {
+            let [b, c] = if mirrored { [c, b] } else { [b, c] };
+            self.triangles.push([a, b, c].map(|v| (first + v) as u32));
+            self.regions.push(region);
+        }
+        for (number, target) in primitive.targets.iter().enumerate() {
+            let Some(&accessor) = target.get("POSITION") else { continue };
+            let moved = self.document.numbers(accessor, 3, Some(count))?;
+            let name = names.get(number).filter(|name| !name.is_empty());
+            let name = name.map_or_else(|| format!("target {number}"), |name| (*name).to_owned());
+            let next = self.expressions.len();
+            let index = *self.numbers.entry(name.clone()).or_insert(next);
+            if index == next {
+                self.expressions.push((name, Vec::new()));
+            }
+            let offsets = transforms.iter().enumerate().map(|(v, transform)| {
+                let offset = DMat3::from_mat4(*transform) * at(&moved, v);
+                ((first + v) as u32, offset.as_vec3())
+            });
+            self.expressions[index].1.extend(offsets.filter(|(_, offset)| *offset != Vec3::ZERO));
+        }
+        Ok(())
+    }
+
+    /// Where each vertex goes in the pose of the file, and, in [`Self::skinning`], the joints that it follows.
+    fn transforms(
+        &mut self,
+        placed: usize,
+        primitive: &Primitive,
+        count: usize,
+    ) -> Result<Vec<DMat4>, FileProblem> {
+        let Some(skin) = self.node(placed).skin else {
+            let joint = self.joint_of.get(&self.nodes[placed].node).copied().unwrap_or(0);
+            (0..count).for_each(|_| self.skinning.push([(joint, 1.0)]));
+            return Ok(vec![self.nodes[placed].global; count]);
+        };
+        let skin = &self.document.json.skins[skin];
+        let bind: Vec<DMat4> = match skin.inverse_bind_matrices {
+            Some(accessor) => {
+                let numbers = self.document.numbers(accessor, 16, Some(skin.joints.len()))?;
+                numbers.as_chunks().0.iter().map(|m| DMat4::from_cols_array(&m.map(f64::from))).collect()
+            }
+            None => vec![DMat4::IDENTITY; skin.joints.len()],
+        };
+        let globals: HashMap<usize, DMat4> =
+            self.nodes.iter().map(|placed| (placed.node, placed.global)).collect();
+        let posed: Vec<Option<(u32, DMat4)>> = skin
+            .joints
+            .iter()
+            .zip(&bind)
+            .map(|(joint, bind)| Some((*self.joint_of.get(joint)?, *globals.get(joint)? * *bind)))
+            .collect();
+        let mut influences: Vec<Vec<(usize, f64)>> = vec![Vec::new(); count];
+        for set in 0.. {
+            let attribute = |name: &str| primitive.attributes.get(&format!("{name}_{set}")).copied();
+            let (Some(joints), Some(weights)) = (attribute("JOINTS"), attribute("WEIGHTS")) else { break };
+            let joints = self.document.numbers(joints, 4, Some(count))?;
+            let weights = self.document.numbers(weights, 4, Some(count))?;
+            for (slot, (joint, weight)) in joints.into_iter().zip(weights).enumerate() {
+                if weight > 0.0 {
+                    influences[slot / 4].push((joint as usize, f64::from(weight)));
+                }
+            }
+        }
+        let mut transforms = Vec::with_capacity(count);
+        for influences in influences {
+            let sum: f64 = influences.iter().map(|(_, weight)| weight).sum();
+            let influences = if sum > 0.0 { influences } else { vec![(0, 1.0)] };
+            let sum = if sum > 0.0 { sum } else { 1.0 };
+            let mut transform = DMat4::ZERO;
+            let mut weights = Vec::with_capacity(influences.len());
+            for (joint, weight) in influences {
+                let found = posed.get(joint).copied().flatten();
+                let (joint, matrix) = found.ok_or_else(|| {
+                    problem("JOINTS", "joints of the skin, in the scene", joint.to_string())
+                })?;
+                transform += matrix * (weight / sum);
+                weights.push((joint, (weight / sum) as f32));
+            }
+            self.skinning.push(weights);
+            transforms.push(transform);
+        }
+        Ok(transforms)
+    }
+}
+
+/// The nodes of the scene that is shown, parents first.
+fn scene(document: &Document) -> Result<Vec<Placed>, FileProblem> {
+    let json = &document.json;
+    let roots: Vec<usize> = match json.scenes.get(json.scene.unwrap_or(0)) {
+        Some(scene) => scene.nodes.clone(),
+        None => {
+            let mut is_child = vec![false; json.nodes.len()];
+            for child in json.nodes.iter().flat_map(|node| &node.children).filter(|c| **c < json.nodes.len())
+            {
+                is_child[*child] = true;
+            }
+            (0..json.nodes.len()).filter(|node| !is_child[*node]).collect()
+        }
+    };
+    let mut nodes: Vec<Placed> = Vec::new();
+    let mut seen = vec![false; json.nodes.len()];
+    // In depth, so that the numbers of vertices follow the order of the file.
+    let mut left: Vec<(usize, Option<usize>)> = roots.into_iter().rev().map(|root| (root, None)).collect();
+    while let Some((number, parent)) = left.pop() {
+        let seen =
+            seen.get_mut(number).ok_or_else(|| problem("node", "one of the file's", number.to_string()))?;
+        if std::mem::replace(seen, true) {
+            return Err(problem("nodes", "a tree", format!("node {number} twice")));
+        }
+        let node = &json.nodes[number];
+        let local = local(node);
+        let global = parent.map_or(local, |parent| nodes[parent].global * local);
+        if !global.is_finite() || global.to_cols_array().iter().any(|entry| entry.abs() > 1e9) {
+            return Err(problem("node", "a finite transform", format!("that of node {number}")));
+        }
+        let placed = nodes.len();
+        nodes.push(Placed { node: number, parent, global });
+        left.extend(node.children.iter().rev().map(|child| (*child, Some(placed))));
+    }
+    Ok(nodes)
+}
+
+fn local(node: &Node) -> DMat4 {
+    if let Some(matrix) = node.matrix {
+        return DMat4::from_cols_array(&matrix);
+    }
+    let rotation = DQuat::from_array(node.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]));
+    let rotation = if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY };
+    let scale = DVec3::from_array(node.scale.unwrap_or([1.0; 3]));
+    DMat4::from_scale_rotation_translation(
+        scale,
+        rotation,
+        DVec3::from_array(node.translation.unwrap_or_default()),
+    )
+}
+
+/// Vertices of the eyes' joints, or else of the meshes that are eyeballs, by their side.
+fn eyeballs(
+    joints: &[Joint],
+    skinning: &Skinning,
+    template: &[Vec3],
+    triangles: &[[u32; 3]],
+    regions: &[Region],
+) -> [Vec<u32>; 2] {
+    let eyeball = triangles.iter().zip(regions).filter(|(_, region)| **region == Region::Eyeball);
+    let mut meshes: Vec<u32> = eyeball.flat_map(|(triangle, _)| *triangle).collect();
+    meshes.sort_unstable();
+    meshes.dedup();
+    [(JointRole::LeftEye, 1.0), (JointRole::RightEye, -1.0)].map(|(role, side)| {
+        let joint = joints.iter().position(|joint| joint.role == Some(role));
+        let of_joint = |v: &u32| joint.is_some_and(|joint| skinning.weight(*v as usize, joint) > 0.5);
+        let mut found: Vec<u32> = (0..template.len() as u32).filter(of_joint).collect();
+        if found.is_empty() {
+            found = meshes.iter().copied().filter(|v| template[*v as usize].x * side > 0.0).collect();
+        }
+        found
+    })
+}
+
+/// Divides the skin into its regions by the landmarks, if there are any.
+fn refine_skin(model: &mut HeadModel) {
+    let landmarks: Vec<Vec3> = model.landmarks_on(&model.template).collect();
+    if landmarks.len() < 68 {
+        return;
+    }
+    let map = RegionMap::of_any_head(&landmarks);
+    for (region, triangle) in model.regions.iter_mut().zip(&model.triangles) {
+        if *region == Region::Skin {
+            let [a, b, c] = triangle.map(|v| model.template[v as usize]);
+            *region = map.skin_region((a + b + c) / 3.0);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

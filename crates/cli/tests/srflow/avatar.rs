@@ -1,0 +1,86 @@
+//! `srflow avatar`.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde_json::Value;
+
+use crate::{json, refuses, srflow, succeeds};
+
+fn flame(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../avatar/tests/data/flame").join(name)
+}
+
+/// Positions and triangles of an OBJ file.
+fn obj(path: &Path) -> (Vec<[f64; 3]>, usize) {
+    let text = fs::read_to_string(path).unwrap();
+    let positions = text.lines().filter_map(|line| line.strip_prefix("v ")).map(|line| {
+        let numbers: Vec<f64> = line.split(' ').map(|word| word.parse().unwrap()).collect();
+        numbers.try_into().unwrap()
+    });
+    (positions.collect(), text.lines().filter(|line| line.starts_with("f ")).count())
+}
+
+#[test]
+fn meshes_of_the_builtin_head_have_every_format() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut sizes = Vec::new();
+    for name in ["head.obj", "head.ply", "head.glb"] {
+        let path = folder.path().join(name);
+        let mesh = ["avatar", "mesh", "--model", "builtin", "--json", "-o"];
+        let made = json(&srflow().args(mesh).arg(&path).output().unwrap());
+        sizes.push((made["vertices"].clone(), made["triangles"].clone()));
+        assert!(fs::metadata(&path).unwrap().len() > 100_000, "{name}");
+        refuses(&srflow().args(mesh).arg(&path).output().unwrap(), 1, &[name, "--force"]);
+    }
+    let (positions, triangles) = obj(&folder.path().join("head.obj"));
+    assert!(sizes.iter().all(|size| size.0 == positions.len() && size.1 == triangles), "{sizes:?}");
+    // The nose of another person is elsewhere.
+    let other = folder.path().join("other.obj");
+    let mesh = ["avatar", "mesh", "--model", "builtin", "--seed", "9", "-o"];
+    succeeds(&srflow().args(mesh).arg(&other).output().unwrap());
+    assert_ne!(obj(&other).0, positions);
+}
+
+#[test]
+fn a_flame_head_has_the_pose_of_its_timestep() {
+    let folder = tempfile::tempdir().unwrap();
+    let expected: Value = serde_json::from_slice(&fs::read(flame("expected.json")).unwrap()).unwrap();
+    let model = format!("flame-toothless:{}", flame("python2.pkl").display());
+    for (parameters, timestep) in [("parameters.npz", "1"), ("parameters.json", "0")] {
+        let path = folder.path().join(format!("{parameters}.obj"));
+        let mut mesh = srflow();
+        mesh.args(["avatar", "mesh", "--model", &model, "--timestep", timestep, "-o"]).arg(&path);
+        succeeds(&mesh.arg("--params").arg(flame(parameters)).output().unwrap());
+        let (positions, triangles) = obj(&path);
+        assert_eq!((positions.len(), triangles), (8, 8));
+        for (v, position) in positions.iter().enumerate() {
+            for axis in 0..3 {
+                let error = position[axis] - expected["vertices"][v][axis].as_f64().unwrap();
+                assert!(error.abs() < 4e-7, "{parameters}, vertex {v}: {error} m");
+            }
+        }
+    }
+}
+
+#[test]
+fn wrong_arguments_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("a.obj").display().to_string();
+    let model = format!("flame-toothless:{}", flame("arrays.npz").display());
+    let (teeth, parameters) =
+        (model.replace("-toothless", ""), flame("parameters.npz").display().to_string());
+    let mesh = |arguments: &[&str]| {
+        let mut command = srflow();
+        command.args(["avatar", "mesh", "--model"]).args(arguments).output().unwrap()
+    };
+    refuses(&mesh(&["cube", "-o", &out]), 2, &["`cube`", "`builtin`", "`flame:FILE`"]);
+    refuses(&mesh(&["builtin", "-o", "a.stl"]), 2, &["a.stl", ".obj, .ply, .glb"]);
+    refuses(&mesh(&["flame:/nowhere.pkl", "-o", &out]), 1, &["/nowhere.pkl"]);
+    refuses(&mesh(&[&teeth, "-o", &out]), 1, &["arrays.npz: 8 vertices", "5023"]);
+    let late = [&model, "--params", &parameters, "--timestep", "2", "-o", &out].map(|text: &str| text);
+    refuses(&mesh(&late), 2, &["--timestep 2", "timesteps 0 to 1"]);
+    let misfit = ["builtin", "--params", &parameters, "-o", &out];
+    refuses(&mesh(&misfit), 1, &["parameters.npz", "shape: the parameters have 300"]);
+    assert!(!Path::new(&out).exists());
+}

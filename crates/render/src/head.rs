@@ -1,0 +1,47 @@
+//! The heads of datasets: where they are, and what is recorded of their files.
+
+use glam::DVec3;
+use srflow_avatar::HeadSource;
+
+use crate::RenderError;
+use crate::generate::{fingerprint, list_files};
+
+/// A point between chin and crown, independent of the subject, metres.
+pub(crate) fn centre(head: &HeadSource) -> DVec3 {
+    match head.kind() {
+        "ict" => DVec3::new(0.0, 0.035, 0.02),
+        _ => DVec3::new(0.0, 0.03, 0.01),
+    }
+}
+
+/// The head as recorded with a dataset, independent of where its files are.
+///
+/// # Errors
+/// When its files cannot be read.
+pub(crate) fn recorded(head: &HeadSource) -> Result<String, RenderError> {
+    match head.is_builtin() {
+        true => Ok(head.kind().to_owned()),
+        false => Ok(format!("{}, {}", head.kind(), fingerprint(&head_files(head)?))),
+    }
+}
+
+/// Names and sizes of the files of a head that is not made by code.
+fn head_files(head: &HeadSource) -> Result<Vec<(String, u64)>, RenderError> {
+    let mut files = Vec::new();
+    for path in head.paths() {
+        let failed = |error| RenderError::Folder {
+            argument: "--head",
+            path: path.clone(),
+            error,
+            expected: "the file or folder of a head model, as docs/avatars.md describes it",
+        };
+        let metadata = std::fs::metadata(&path).map_err(failed)?;
+        if metadata.is_dir() {
+            files.extend(list_files(&path, "--head", "the folder of a head model")?);
+        } else {
+            let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            files.push((name, metadata.len()));
+        }
+    }
+    Ok(files)
+}

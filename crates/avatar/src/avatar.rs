@@ -9,7 +9,7 @@ use crate::binding::{BindingError, BoundGaussians, BoundGradients, TriangleFrame
 use crate::dress::dress;
 use crate::{
     HeadGradient, HeadModel, HeadModelError, HeadParameters, HeadPose, HeadSource, ParametersError,
-    ShapedHead,
+    PoseParameters, ShapedHead,
 };
 
 /// Why an avatar could not be created.
@@ -64,6 +64,15 @@ pub enum AvatarError {
     /// Parameters refer to shapes that the model lacks.
     #[error(transparent)]
     Parameters(#[from] ParametersError),
+    /// The files of an avatar do not fit the head model.
+    #[error("{}: {error}", .dir.display())]
+    Misfit { dir: PathBuf, error: Box<AvatarError> },
+    /// The files of an avatar do not name their head model.
+    #[error("{}: the files name no head model, so it is FLAME's: give it too, as avatar:{}@flame:FILE", .0.display(), .0.display())]
+    NoHeadName(PathBuf),
+    /// The files of an avatar name a head model that there is not.
+    #[error("{}: head {reason}; give another, as avatar:{}@HEAD", .dir.display(), .dir.display())]
+    HeadName { dir: PathBuf, reason: String },
     /// The model has no landmarks, which place brows, lashes and the colours of the face.
     #[error("the head model {model} has {found} landmarks; dressing it needs the 68 of dlib")]
     Landmarks {
@@ -80,6 +89,7 @@ pub struct Avatar {
     model: HeadModel,
     /// Without poses.
     identity: HeadParameters,
+    own_motion: Vec<PoseParameters>,
     shaped: ShapedHead,
     gaussians: BoundGaussians,
 }
@@ -134,27 +144,26 @@ impl Avatar {
         let shaped = model.shaped(identity);
         let gaussians = dress(&model, &shaped, seed);
         let identity = HeadParameters { shape: identity.to_vec(), ..HeadParameters::default() };
-        Ok(Self { model, identity, shaped, gaussians })
+        Ok(Self { model, identity, own_motion: Vec::new(), shaped, gaussians })
     }
 
-    /// A person whose Gaussians are those of a file, on `model` with the identity of `parameters`.
+    /// A person whose Gaussians are those of a file, on `model` with the identity and the motion of `parameters`.
     ///
     /// # Errors
     /// When the model is inconsistent, or lacks a triangle or a shape that the Gaussians or the parameters refer to.
     pub fn with_gaussians(
         model: HeadModel,
-        parameters: &HeadParameters,
+        parameters: HeadParameters,
         local: Gaussians,
         triangles: Vec<u32>,
     ) -> Result<Self, AvatarError> {
         model.validate()?;
         parameters.check(&model)?;
         let gaussians = BoundGaussians::new(local, triangles, model.triangles.len())?;
-        let HeadParameters { shape, static_offset, .. } = parameters;
-        let shaped = model.shaped_with_offset(shape, static_offset);
-        let identity =
-            HeadParameters { shape: shape.clone(), static_offset: static_offset.clone(), poses: Vec::new() };
-        Ok(Self { model, identity, shaped, gaussians })
+        let own_motion = parameters.poses;
+        let identity = HeadParameters { poses: Vec::new(), ..parameters };
+        let shaped = model.shaped_with_offset(&identity.shape, &identity.static_offset);
+        Ok(Self { model, identity, own_motion, shaped, gaussians })
     }
 
     pub fn model(&self) -> &HeadModel {
@@ -164,6 +173,11 @@ impl Avatar {
     /// The identity of the head, without poses.
     pub fn identity(&self) -> &HeadParameters {
         &self.identity
+    }
+
+    /// The poses that the person was recorded in; empty for one that was made up.
+    pub fn own_motion(&self) -> &[PoseParameters] {
+        &self.own_motion
     }
 
     pub fn shaped(&self) -> &ShapedHead {

@@ -11,11 +11,14 @@ use std::path::{Path, PathBuf};
 use srflow_field::{FileError, FileProblem, create_folder};
 use srflow_splat::{Gaussians, read_bound_ply, write_bound_ply};
 
-use crate::capture::HeadRecord;
+use crate::capture::{HEAD_NAME, HeadRecord};
 use crate::{Avatar, AvatarError, HeadModel, HeadParameters};
 
 const GAUSSIANS: &str = "point_cloud.ply";
 const PARAMETERS: &str = "flame_param.npz";
+
+/// The files that are read; the last may be missing.
+pub(crate) const NAMES: [&str; 3] = [GAUSSIANS, PARAMETERS, HEAD_NAME];
 
 /// An avatar as in its files, before it is put on a head model.
 #[derive(Debug, Clone)]
@@ -30,16 +33,6 @@ pub struct AvatarFiles {
     pub parameters: HeadParameters,
     /// The head model, if the files name it.
     pub head: Option<HeadRecord>,
-}
-
-/// Why the files of an avatar could not be put on a head model.
-#[derive(Debug, thiserror::Error)]
-pub enum AvatarFilesError {
-    #[error(transparent)]
-    File(#[from] FileError),
-    /// The model does not fit.
-    #[error("{}: {error}", .dir.display())]
-    Avatar { dir: PathBuf, error: AvatarError },
 }
 
 impl AvatarFiles {
@@ -60,15 +53,13 @@ impl AvatarFiles {
     ///
     /// # Errors
     /// When the model is not the one that the files belong to.
-    pub fn on(self, model: HeadModel) -> Result<(Avatar, HeadParameters), AvatarFilesError> {
+    pub fn on(self, model: HeadModel) -> Result<Avatar, AvatarError> {
         let Self { dir, gaussians, triangles, parameters, head } = self;
         if let Some(head) = head {
             head.check(&dir, &model)?;
         }
-        match Avatar::with_gaussians(model, &parameters, gaussians, triangles) {
-            Ok(avatar) => Ok((avatar, parameters)),
-            Err(error) => Err(AvatarFilesError::Avatar { dir, error }),
-        }
+        Avatar::with_gaussians(model, parameters, gaussians, triangles)
+            .map_err(|error| AvatarError::Misfit { dir, error: Box::new(error) })
     }
 }
 
@@ -95,7 +86,7 @@ impl Avatar {
 }
 
 /// The folder with the Gaussians: `dir`, or below it that of the highest iteration.
-fn last_iteration(dir: &Path) -> Result<PathBuf, FileError> {
+pub(crate) fn last_iteration(dir: &Path) -> Result<PathBuf, FileError> {
     if dir.join(GAUSSIANS).is_file() {
         return Ok(dir.to_owned());
     }

@@ -7,7 +7,8 @@ use std::str::FromStr;
 use srflow_field::random::Key;
 
 use crate::avatar::AvatarError;
-use crate::{Avatar, HeadModel, flame, gltf, gnm, ict};
+use crate::capture::HeadRecord;
+use crate::{Avatar, AvatarFiles, HeadModel, files, flame, gltf, gnm, ict};
 
 /// A kind of head, as in `--head KIND:PATH`.
 pub struct HeadKind {
@@ -24,7 +25,7 @@ pub struct HeadKind {
 }
 
 /// The kinds of head. The first two are the built-in head and ICT-FaceKit.
-pub static HEAD_KINDS: [HeadKind; 7] = [
+pub static HEAD_KINDS: [HeadKind; 8] = [
     HeadKind {
         name: "builtin",
         path: "",
@@ -74,7 +75,17 @@ pub static HEAD_KINDS: [HeadKind; 7] = [
         companions: &gltf::COMPANIONS,
         load: |file, _| gltf::load(file),
     },
+    HeadKind {
+        name: AVATAR,
+        path: "DIR",
+        about: "a trained avatar: point_cloud.ply and flame_param.npz; DIR@HEAD where no head.json names its head model",
+        companions: &[],
+        load: |dir, _| Ok(AvatarPath::parse(dir).open()?.1),
+    },
 ];
+
+/// The kind of the files of an avatar, which have Gaussians of their own.
+const AVATAR: &str = "avatar";
 
 /// A head to read or make: `builtin`, or a kind and a path, as `flame:FILE`. [`HEAD_KINDS`] lists the kinds.
 #[derive(Clone)]
@@ -120,6 +131,9 @@ impl HeadSource {
         if self.is_builtin() {
             return Vec::new();
         }
+        if self.kind.name == AVATAR {
+            return AvatarPath::parse(&self.path).paths();
+        }
         let beside = self.kind.companions.iter().map(|name| self.path.with_file_name(name));
         std::iter::once(self.path.clone()).chain(beside.filter(|path| path.exists())).collect()
     }
@@ -141,17 +155,84 @@ impl HeadSource {
         (self.kind.load)(&self.path, seed)
     }
 
-    /// A person on this head. The seed determines shape, skin, hair and eyes.
+    /// A person on this head. The seed determines shape, skin, hair and eyes, but nothing of a trained avatar.
     ///
     /// # Errors
-    /// As [`HeadSource::model`], and when the model has no landmarks.
+    /// As [`HeadSource::model`], and when the model has no landmarks or does not fit a trained avatar.
     pub fn avatar(&self, seed: u64) -> Result<Avatar, AvatarError> {
+        if self.kind.name == AVATAR {
+            let (files, model) = AvatarPath::parse(&self.path).open()?;
+            return files.on(model);
+        }
         let model = self.model(seed)?;
         let mut stream = Key::new(seed).stream("identity");
         // Principal components: standard normal, clamped.
         let identity: Vec<f32> =
             model.identities.iter().map(|_| stream.normal().clamp(-1.8, 1.8) * 0.8).collect();
         Avatar::of(model, &identity, seed)
+    }
+}
+
+impl HeadSource {
+    /// The record of the head model `model`, which this source made for `seed`, for files of its parameters.
+    ///
+    /// # Errors
+    /// When the files of an avatar cannot be read.
+    pub fn record(&self, seed: u64, model: &HeadModel) -> Result<HeadRecord, AvatarError> {
+        if self.kind.name != AVATAR {
+            return Ok(HeadRecord::new(self.to_string(), seed, model));
+        }
+        let path = AvatarPath::parse(&self.path);
+        let files = AvatarFiles::read(&path.dir)?;
+        let (head, seed) = path.head(&files)?;
+        Ok(HeadRecord::new(head.to_string(), seed, model))
+    }
+}
+
+/// What follows `avatar:`: a folder, or a folder and its head model.
+struct AvatarPath {
+    dir: PathBuf,
+    on: Option<HeadSource>,
+}
+
+impl AvatarPath {
+    fn parse(path: &Path) -> Self {
+        // A folder may have an @ in its name: only one before a head counts.
+        let named = path.to_str().and_then(|text| text.rsplit_once('@'));
+        let named = named.filter(|(dir, _)| !dir.is_empty());
+        match named.and_then(|(dir, on)| Some((dir, on.parse().ok()?))) {
+            Some((dir, on)) => Self { dir: dir.into(), on: Some(on) },
+            None => Self { dir: path.to_owned(), on: None },
+        }
+    }
+
+    /// The files, and the head model that the Gaussians are bound to.
+    fn open(&self) -> Result<(AvatarFiles, HeadModel), AvatarError> {
+        let files = AvatarFiles::read(&self.dir)?;
+        let (head, seed) = self.head(&files)?;
+        let model = head.model(seed)?;
+        Ok((files, model))
+    }
+
+    /// The given head model, or the one that the files name; and the seed of its shape.
+    fn head(&self, files: &AvatarFiles) -> Result<(HeadSource, u64), AvatarError> {
+        let named = |reason| AvatarError::HeadName { dir: files.dir.clone(), reason };
+        let head = match (&self.on, &files.head) {
+            (Some(on), _) => on.clone(),
+            (None, Some(record)) => record.head.parse().map_err(named)?,
+            (None, None) => return Err(AvatarError::NoHeadName(files.dir.clone())),
+        };
+        if head.kind.name == AVATAR {
+            return Err(named(format!("`{head}`: an avatar is no head model")));
+        }
+        Ok((head, files.head.as_ref().map_or(0, |record| record.subject)))
+    }
+
+    fn paths(&self) -> Vec<PathBuf> {
+        let dir = files::last_iteration(&self.dir).unwrap_or_else(|_| self.dir.clone());
+        let [gaussians, others @ ..] = files::NAMES.map(|name| dir.join(name));
+        let on = self.on.iter().flat_map(HeadSource::paths);
+        std::iter::once(gaussians).chain(others.into_iter().filter(|path| path.exists())).chain(on).collect()
     }
 }
 
@@ -213,6 +294,19 @@ mod tests {
             let source: HeadSource = text.parse().unwrap();
             assert_eq!(source.to_string(), text);
             assert_eq!(source.is_builtin(), text == "builtin");
+        }
+        for (text, dir, on) in [
+            ("avatar:/a@b", "/a@b", None),
+            ("avatar:/a@b@builtin", "/a@b", Some("builtin")),
+            ("avatar:a@ict:/c", "a", Some("ict:/c")),
+        ] {
+            let source: HeadSource = text.parse().unwrap();
+            assert_eq!(source.to_string(), text);
+            let path = AvatarPath::parse(source.path());
+            assert_eq!(
+                (path.dir.as_path(), path.on.map(|on| on.to_string()).as_deref()),
+                (Path::new(dir), on)
+            );
         }
         for text in ["flame", "ict:", "builtin:", "builtin:a", "other:a", ""] {
             let error = text.parse::<HeadSource>().unwrap_err();

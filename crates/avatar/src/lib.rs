@@ -31,7 +31,7 @@ pub use avatar::{Avatar, AvatarError, PosedHead};
 pub use binding::{
     BindingError, BoundGaussians, BoundGradients, TriangleFrame, TriangleFrameGradient, vertex_gradients,
 };
-pub use files::{AvatarFiles, AvatarFilesError};
+pub use files::AvatarFiles;
 pub use head_model::{
     ActionUnit, HeadGradient, HeadModel, HeadModelError, HeadPoints, HeadPose, HeadState, Joint, JointRole,
     Offsets, PointDerivatives, PoseCorrective, Region, Shape, ShapedHead, Side, Skinning,

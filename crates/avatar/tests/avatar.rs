@@ -6,10 +6,10 @@ use std::sync::LazyLock;
 use glam::{DMat4, DVec3, Quat, Vec3};
 use srflow_avatar::capture::HeadRecord;
 use srflow_avatar::{
-    Avatar, AvatarError, AvatarFiles, HeadModel, HeadParameters, HeadPose, JointRole, PoseParameters,
-    PosedHead, Region, Side,
+    Avatar, AvatarError, AvatarFiles, HeadModel, HeadParameters, HeadPose, HeadSource, JointRole,
+    PoseParameters, PosedHead, Region, Side,
 };
-use srflow_splat::{Camera, Frame, Gaussians, Options, Rasterizer};
+use srflow_splat::{Camera, Frame, Gaussians, Options, Rasterizer, write_bound_ply};
 
 fn ict_folder() -> Option<PathBuf> {
     let folder = Path::new("../../../shared/data").join("ict-facekit/FaceXModel");
@@ -244,10 +244,10 @@ fn an_avatar_survives_its_files() {
     let files = AvatarFiles::read(folder.path()).unwrap();
     assert_eq!((files.head.as_ref(), &files.parameters, &files.dir), (Some(&record), &parameters, &dir));
     assert_eq!(files.gaussians.sh_degree, 3);
-    let (again, motion) = files.on(HeadModel::builtin(1)).unwrap();
+    let again = files.on(HeadModel::builtin(1)).unwrap();
     let camera = camera(220, 320);
     let mut pictures = [Frame::new(), Frame::new()];
-    for pose in &motion.poses {
+    for pose in again.own_motion() {
         let pose = pose.pose(model);
         for (avatar, picture) in [avatar, &again].into_iter().zip(&mut pictures) {
             let (gaussians, _) = gaussians(avatar, &pose);
@@ -290,4 +290,55 @@ fn files_of_another_head_are_refused() {
         nowhere.contains("with point_cloud.ply and flame_param.npz") && nowhere.contains("no folder"),
         "{nowhere}"
     );
+}
+
+/// Gaussians in GaussianAvatars' files follow the triangles of FLAME, posed by the `flame_param.npz` beside them: `x' = k R x + T`
+/// on the vertices that `tools/golden/flame.py` computed.
+#[test]
+fn gaussians_follow_flame_in_the_motion_of_their_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = Path::new("tests/data/flame");
+    std::fs::copy(data.join("parameters.npz"), folder.path().join("flame_param.npz")).unwrap();
+    let text = format!("flame-toothless:{}", data.join("python2.pkl").display());
+    let count = text.parse::<HeadSource>().unwrap().model(0).unwrap().triangles.len();
+    let triangles: Vec<u32> = (0..200).map(|i| i % count as u32).collect();
+    let n = triangles.len();
+    let local = Gaussians {
+        positions: (0..n)
+            .map(|i| Vec3::new((i % 7) as f32 - 3.0, (i % 5) as f32, (i % 3) as f32) * 0.3)
+            .collect(),
+        scales: vec![Vec3::splat(0.5); n],
+        rotations: vec![Quat::from_rotation_z(0.3); n],
+        opacities: vec![0.8; n],
+        sh_degree: 1,
+        sh: vec![[0.5, 0.25, -0.5]; 4 * n],
+    };
+    write_bound_ply(&folder.path().join("point_cloud.ply"), &local, &triangles).unwrap();
+    let unnamed: HeadSource = format!("avatar:{}", folder.path().display()).parse().unwrap();
+    let error = unnamed.avatar(1).unwrap_err().to_string();
+    assert!(error.contains("the files name no head model, so it is FLAME's"), "{error}");
+
+    let source: HeadSource = format!("{unnamed}@{text}").parse().unwrap();
+    let paths = source.paths();
+    let named = |name: &str| paths.iter().any(|path| path.ends_with(name));
+    assert!(["point_cloud.ply", "flame_param.npz", "python2.pkl"].into_iter().all(named), "{paths:?}");
+    let avatar = source.avatar(1).unwrap();
+    assert_eq!(avatar.own_motion().len(), 2);
+    let pose = avatar.own_motion()[1].pose(avatar.model());
+    let (posed, _) = gaussians(&avatar, &pose);
+    let expected: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(data.join("expected.json")).unwrap()).unwrap();
+    let vertices: Vec<DVec3> = serde_json::from_value(expected["vertices"].clone()).unwrap();
+    for (i, &triangle) in triangles.iter().enumerate() {
+        let [a, b, c] = avatar.model().triangles[triangle as usize].map(|vertex| vertices[vertex as usize]);
+        let a0 = (b - a).normalize();
+        let a1 = a0.cross(c - a).normalize();
+        let a2 = -a1.cross(a0).normalize();
+        let k = ((b - a).length() + a2.dot(c - a).abs()) / 2.0;
+        let x = local.positions[i].as_dvec3();
+        let at = k * (a0 * x.x + a1 * x.y + a2 * x.z) + (a + b + c) / 3.0;
+        assert!(posed.positions[i].as_dvec3().distance(at) < 2e-5, "{i}: {} {at}", posed.positions[i]);
+        assert!((f64::from(posed.scales[i].x) - 0.5 * k).abs() < 1e-5);
+    }
+    assert_eq!((posed.sh_degree, posed.sh.len()), (3, 16 * n));
 }

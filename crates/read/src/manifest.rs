@@ -71,6 +71,18 @@ pub struct Arguments {
     pub depth: bool,
     /// `#rrggbb`, or `images` with a fingerprint of the files in the folder.
     pub background: String,
+    /// `curves`, `own` (the motion in an avatar's files), or `recorded` with a fingerprint of the files read.
+    #[serde(default = "curves", skip_serializing_if = "is_curves")]
+    pub motion: String,
+}
+
+/// The motion of datasets that name none.
+fn curves() -> String {
+    "curves".to_owned()
+}
+
+fn is_curves(motion: &String) -> bool {
+    *motion == curves()
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -329,6 +341,7 @@ mod tests {
                 backward: false,
                 depth: true,
                 background: "#ffffff".into(),
+                motion: "curves".into(),
             },
             rig: vec![],
             scenes: vec![SceneEntry {

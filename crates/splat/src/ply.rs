@@ -136,8 +136,8 @@ impl Layout {
         if binding.is_some() && !bound {
             return Err(problem(
                 "vertex properties",
-                "Gaussians in the world (each of these is bound to a triangle of a mesh, as in GaussianAvatars: pose the \
-                 mesh and export them in the world)",
+                "Gaussians in the world (each of these is bound to a triangle of a mesh, as in GaussianAvatars: give the \
+                 folder of the avatar as `--head avatar:DIR`)",
                 "`binding_0`",
             ));
         }

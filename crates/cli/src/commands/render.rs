@@ -4,7 +4,7 @@ use clap::Args;
 use serde_json::json;
 use srflow_avatar::HeadSource;
 use srflow_field::{FlowFormat, Size};
-use srflow_render::generate::{Background, Report, Settings, generate};
+use srflow_render::generate::{Background, MotionSource, Report, Settings, generate};
 use srflow_render::job::{Made, Shard};
 use srflow_render::statistics::Statistics;
 
@@ -55,6 +55,10 @@ pub struct Render {
     /// Background: white, black, #rrggbb, or a folder of images
     #[arg(long, value_name = "COLOUR|DIR", default_value = "white")]
     background: Background,
+    /// Motion: `curves` (random expressions, speech, blinks, gaze and turns), `own` (the one that an avatar was trained on), or a
+    /// flame_param.npz or capture of another subject with the same kind of head
+    #[arg(long, value_name = "MOTION", default_value = "curves")]
+    motion: MotionSource,
     #[command(flatten)]
     rendering: RenderingArgs,
 }
@@ -90,6 +94,7 @@ pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
         backward: args.backward,
         depth: args.depth,
         background: args.background,
+        motion: args.motion,
     };
     let notes = settings.empty_splits();
     for note in &notes {

@@ -14,10 +14,10 @@ use std::time::{Duration, Instant};
 
 use glam::DMat4;
 use safetensors::tensor::{Dtype, TensorView};
-use srflow_avatar::HeadModel;
-use srflow_avatar::capture::{CaptureSplit, CaptureView, write_transforms};
+use srflow_avatar::capture::{CaptureSplit, CaptureView, HeadRecord, write_transforms};
+use srflow_avatar::{HeadModel, HeadParameters, PoseParameters};
 use srflow_field::{FlowField, FlowFormat, Image, is_unprintable, write_flow_as, write_image_png};
-use srflow_splat::{Camera, Gaussians, write_ply};
+use srflow_splat::{Camera, Gaussians, write_bound_ply, write_ply};
 use zip::write::SimpleFileOptions;
 
 use crate::frames::write_frames;
@@ -41,6 +41,32 @@ const CONVERT: &[&str] = &["convert", "FILE", "DIR/out.npy", "--force"];
 const INSPECT: &[&str] = &["models", "inspect", "FILE"];
 const CAMERA: &str = r#"{"width": 24, "height": 16, "fx": 20, "fy": 20.5, "cx": 11.5, "cy": 7.5,
     "w2c": [[1,0,0,0], [0,1,0,0], [0,0,1,1], [0,0,0,1]]}"#;
+const MOTION_OF_FILE: &[&str] = &[
+    "rasterize",
+    "--head",
+    "builtin",
+    "--motion",
+    "FILE",
+    "--camera",
+    "DIR/camera.json",
+    "--out",
+    "DIR/out",
+    "--force",
+];
+const AVATAR: &[&str] =
+    &["rasterize", "--head", "avatar:DIR", "--camera", "DIR/camera.json", "--out", "DIR/out", "--force"];
+const MOTION_OF_FOLDER: &[&str] = &[
+    "rasterize",
+    "--head",
+    "builtin",
+    "--motion",
+    "DIR",
+    "--camera",
+    "DIR/camera.json",
+    "--out",
+    "DIR/out",
+    "--force",
+];
 const CLIPS: &str =
     "clip,subject,onset,apex,offset,class,label\nc1,s1,1,3,5,negative,fear\nc2,s2,2,,9,surprise,x\n";
 
@@ -83,6 +109,25 @@ fn samples(folder: &Path) -> Vec<Sample> {
     samples.push(Sample { name: "ascii ply", bytes: ascii.into(), file: "b.ply", arguments: rasterize });
     let camera = &["rasterize", "DIR/a.ply", "--camera", "FILE", "--out", "DIR/out", "--force"];
     samples.push(Sample { name: "camera", bytes: CAMERA.into(), file: "c.json", arguments: camera });
+
+    HeadParameters { poses: vec![PoseParameters::default(); 2], ..HeadParameters::default() }
+        .write(&folder.join("flame_param.npz"), 3, true)
+        .unwrap();
+    let parameters = fs::read(folder.join("flame_param.npz")).unwrap();
+    samples.push(Sample {
+        name: "parameters",
+        bytes: parameters,
+        file: "motion.npz",
+        arguments: MOTION_OF_FILE,
+    });
+    write_bound_ply(&folder.join("point_cloud.ply"), &gaussians, &[7, 8]).unwrap();
+    let bound = fs::read(folder.join("point_cloud.ply")).unwrap();
+    samples.push(Sample { name: "bound ply", bytes: bound, file: "point_cloud.ply", arguments: AVATAR });
+    HeadRecord::new("builtin".into(), 1, &HeadModel::builtin(1)).write(folder).unwrap();
+    let record = fs::read(folder.join("head.json")).unwrap();
+    samples.push(Sample { name: "head", bytes: record, file: "head.json", arguments: AVATAR });
+    let one = HeadParameters { poses: vec![PoseParameters::default()], ..HeadParameters::default() };
+    one.write(&folder.join("00000.npz"), 3, false).unwrap();
 
     let clips = &["mer", "data", "--labels-only", "--clips", "clips:FILE"];
     samples.push(Sample { name: "clips", bytes: CLIPS.into(), file: "clips.csv", arguments: clips });
@@ -154,6 +199,12 @@ fn samples(folder: &Path) -> Vec<Sample> {
         arguments: head,
     });
     let (own, openface) = tracked(folder);
+    samples.push(Sample {
+        name: "transforms",
+        bytes: fs::read(folder.join("transforms_train.json")).unwrap(),
+        file: "transforms_train.json",
+        arguments: MOTION_OF_FOLDER,
+    });
     let fit = &[
         "avatar",
         "fit",
@@ -204,7 +255,7 @@ fn tracked(folder: &Path) -> (String, String) {
         camera,
         image: "images/00000_00.png".into(),
         mask: None,
-        parameters: None,
+        parameters: Some("00000.npz".into()),
     };
     write_transforms(folder, &[view]).unwrap();
     let model = HeadModel::builtin(1);
@@ -656,8 +707,18 @@ fn lying_zip64_counts_are_refused() {
         }
         fs::write(folder.path().join(file), bytes).unwrap();
     }
-    let heads = ["arrays.npz", "parameters.npz", "gnm"];
-    assert_eq!(names, [&["a.npz", "a.npz16", "xlsx", "zip.pth", "lightning.ckpt"][..], &heads].concat());
+    let expected = [
+        "a.npz",
+        "a.npz16",
+        "parameters",
+        "xlsx",
+        "zip.pth",
+        "lightning.ckpt",
+        "arrays.npz",
+        "parameters.npz",
+        "gnm",
+    ];
+    assert_eq!(names, expected);
 }
 
 #[test]

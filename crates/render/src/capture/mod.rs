@@ -21,8 +21,8 @@ use std::path::Path;
 
 use serde::Serialize;
 use srflow_avatar::capture::{
-    CaptureView, HeadRecord, LANDMARK_COUNT, LANDMARKS_NAME, Landmarks, parameters_name, split_of,
-    write_canonical, write_transforms,
+    CaptureView, LANDMARK_COUNT, LANDMARKS_NAME, Landmarks, parameters_name, split_of, write_canonical,
+    write_transforms,
 };
 use srflow_field::random::Key;
 use srflow_field::{FileError, create_folder};
@@ -77,8 +77,7 @@ pub fn capture(settings: &CaptureSettings, request: Request) -> Result<CaptureRe
 /// Writes the files of a complete capture that are about all its timesteps.
 fn finish(dir: &Path, settings: &CaptureSettings, performance: &Performance) -> Result<(), RenderError> {
     let model = performance.avatar.model();
-    let record = HeadRecord::new(settings.head.to_string(), settings.seed, model);
-    record.write(dir)?;
+    performance.head.write(dir)?;
     write_canonical(dir, model, performance.avatar.identity())?;
 
     let truth = dir.join(TRUE_FOLDER);

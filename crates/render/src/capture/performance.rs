@@ -1,7 +1,8 @@
 //! What is captured: a person, their motion, and the cameras around them.
 
 use glam::{EulerRot, Quat, Vec3};
-use srflow_avatar::{Avatar, Motion, PoseParameters};
+use srflow_avatar::capture::HeadRecord;
+use srflow_avatar::{Avatar, AvatarError, Motion, PoseParameters};
 use srflow_field::random::Key;
 use srflow_splat::Camera;
 
@@ -24,8 +25,10 @@ const KNOT_SECONDS: f32 = 0.9;
 /// A person who moves in front of cameras.
 pub struct Performance {
     pub avatar: Avatar,
+    /// Which head model it is.
+    pub head: HeadRecord,
     /// Pose at each timestep: expressions, speech, blinks and gaze, and turns of the whole head. The translations have a mean of
-    /// zero, as VHAP moves the world, or of [`Avatar::home`].
+    /// zero, as VHAP moves the world.
     pub poses: Vec<PoseParameters>,
     /// Numbers and true cameras.
     pub cameras: Vec<(u32, Camera)>,
@@ -33,10 +36,12 @@ pub struct Performance {
 
 impl Performance {
     pub fn new(settings: &CaptureSettings) -> Result<Self, RenderError> {
-        let avatar = settings.head.avatar(settings.seed).map_err(|error| RenderError::Head {
+        let failed = |error: AvatarError| RenderError::Head {
             who: "the capture".to_owned(),
             reason: error.to_string(),
-        })?;
+        };
+        let avatar = settings.head.avatar(settings.seed).map_err(failed)?;
+        let head = settings.head.record(settings.seed, avatar.model()).map_err(failed)?;
         let timesteps = settings.timesteps as usize;
         let rate = TIMESTEPS_PER_SECOND.min(timesteps as f32 / LEAST_SECONDS).max(1.0);
         let key = Key::new(settings.seed);
@@ -57,8 +62,8 @@ impl Performance {
             })
             .collect();
         let mean = poses.iter().map(|pose| pose.translation).sum::<Vec3>() / timesteps.max(1) as f32;
-        poses.iter_mut().for_each(|pose| pose.translation += avatar.home() - mean);
-        Ok(Self { poses, cameras: settings.true_cameras(), avatar })
+        poses.iter_mut().for_each(|pose| pose.translation -= mean);
+        Ok(Self { head, poses, cameras: settings.true_cameras(avatar.home()), avatar })
     }
 }
 

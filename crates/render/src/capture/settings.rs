@@ -1,6 +1,6 @@
 //! The settings of a capture.
 
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3, Vec3};
 use serde_json::{Value, json};
 use srflow_avatar::HeadSource;
 use srflow_field::random::Key;
@@ -110,9 +110,9 @@ impl CaptureSettings {
         indices(self.cameras)
     }
 
-    /// The true cameras.
-    pub(super) fn true_cameras(&self) -> Vec<(u32, Camera)> {
-        let rig = Rig::new(self.width, self.height, head::centre(&self.head));
+    /// The true cameras, around a head that has to be moved by `home` to be where the built-in heads are.
+    pub(super) fn true_cameras(&self, home: Vec3) -> Vec<(u32, Camera)> {
+        let rig = Rig::new(self.width, self.height, head::centre(&self.head) - home.as_dvec3());
         let views: Vec<_> = Rig::views().map(|(_, view)| view).collect();
         let camera = |index: u32| (index, rig.camera(views[index as usize]));
         self.camera_indices().into_iter().map(camera).collect()
@@ -156,7 +156,7 @@ mod tests {
     fn the_front_camera_is_always_one_and_has_number_eight() {
         for cameras in 1..=16 {
             let settings = CaptureSettings { cameras, ..CaptureSettings::default() };
-            let chosen = settings.true_cameras();
+            let chosen = settings.true_cameras(Vec3::ZERO);
             assert_eq!(chosen.len(), cameras);
             assert!(chosen.is_sorted_by_key(|(index, _)| *index));
             let (_, front) = chosen.iter().find(|(index, _)| *index == 8).expect("the front camera");
@@ -169,7 +169,7 @@ mod tests {
     #[test]
     fn calibration_noise_moves_pictures_by_about_half_a_pixel() {
         let settings = CaptureSettings { calibration_noise: 1.0, ..CaptureSettings::default() };
-        let cameras = settings.true_cameras();
+        let cameras = settings.true_cameras(Vec3::ZERO);
         let point = head::centre(&settings.head) + DVec3::new(0.05, 0.08, 0.06);
         let found = settings.calibrated(&cameras);
         let shifts = cameras.iter().zip(&found).map(|((_, truth), (_, found))| {

@@ -10,7 +10,7 @@ use srflow_read::manifest::{MANIFEST_NAME, Manifest, RigCamera, SceneEntry, Scen
 
 use super::Problem;
 use crate::camera::{camera_from_record, record_from_camera};
-use crate::generate::{Action, Settings, Views, record};
+use crate::generate::{Action, MotionSource, Settings, Views, record};
 use crate::job::first_difference;
 use crate::record::FrameRecord;
 
@@ -83,7 +83,7 @@ fn differs<T: Serialize>(found: &T, planned: &T) -> Option<String> {
 /// The expected records of a scene.
 pub struct Expected {
     views: Views,
-    /// For the built-in heads, which follow from the manifest alone.
+    /// For the built-in heads in random motion, which follow from the manifest alone.
     action: Option<(HeadModel, Action)>,
 }
 
@@ -92,7 +92,8 @@ impl Expected {
     pub fn of_scene(manifest: &Manifest, number: u32, scene: &SceneEntry) -> Option<Self> {
         let (settings, _) = Settings::of(manifest).ok().filter(|_| is_of_this_version(manifest))?;
         let rig = settings.rig();
-        let model = settings.head.is_builtin().then(|| settings.head.model(scene.subject).ok()).flatten();
+        let follows = settings.head.is_builtin() && settings.motion == MotionSource::Curves;
+        let model = follows.then(|| settings.head.model(scene.subject).ok()).flatten();
         let action = model.map(|model| {
             let action = Action::new(&settings, &rig, number, scene, &model);
             (model, action)

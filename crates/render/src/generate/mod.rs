@@ -4,6 +4,7 @@
 //! statistics. Every file's bytes depend on the settings alone: not on shards, interruptions, or the number of threads.
 
 mod background;
+mod motion;
 mod occlusion;
 mod path;
 mod pictures;
@@ -15,6 +16,7 @@ mod work;
 use std::path::Path;
 
 use rayon::prelude::*;
+use srflow_avatar::Avatar;
 use srflow_field::write_file;
 
 use crate::RenderError;
@@ -24,6 +26,7 @@ use crate::statistics::{FlowSummary, Statistics};
 use srflow_read::manifest::{Manifest, STATISTICS_NAME};
 
 pub use background::Background;
+pub use motion::MotionSource;
 pub use occlusion::DEPTH_TOLERANCE;
 pub(crate) use path::Path as SmoothPath;
 pub use pictures::DEPTH_UNITS_PER_METRE;
@@ -50,13 +53,30 @@ pub struct Report {
 /// background image cannot be read. Complete files stay, and the next call with the same settings continues.
 pub fn generate(settings: &Settings, request: Request) -> Result<Report, RenderError> {
     let manifest = settings.plan()?;
-    if let (false, Some(entry)) = (settings.head.is_builtin(), manifest.scenes.first()) {
-        scene::subject(&settings.head, entry)?; // fails before anything is written
+    let from_files = !settings.head.is_builtin() || settings.motion != MotionSource::Curves;
+    if let (true, Some(entry)) = (from_files, manifest.scenes.first()) {
+        // Fails before anything is written.
+        let avatar = scene::subject(&settings.head, entry)?;
+        check_length(settings, &manifest, &avatar)?;
     }
     let plan = work::Scenes { settings, rig: settings.rig(), manifest };
     let (run, whole) = job::make(&plan, request)?;
     let statistics = if whole { Some(write_statistics(request.dir, &plan.manifest)?) } else { None };
     Ok(Report { run, statistics })
+}
+
+/// A recorded motion has a pose for every frame of every scene.
+fn check_length(settings: &Settings, manifest: &Manifest, avatar: &Avatar) -> Result<(), RenderError> {
+    let Some(poses) = settings.motion.poses(avatar)? else { return Ok(()) };
+    let longest = manifest.scenes.iter().map(|scene| scene.pairs).max().unwrap_or(0);
+    if longest as usize >= poses.len() {
+        return Err(RenderError::Argument {
+            argument: "--frames",
+            found: settings.frames.to_string(),
+            expected: format!("less than the {} timesteps of the motion", poses.len()),
+        });
+    }
+    Ok(())
 }
 
 fn write_statistics(dir: &Path, manifest: &Manifest) -> Result<Statistics, RenderError> {

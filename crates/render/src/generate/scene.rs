@@ -1,12 +1,13 @@
 //! A scene: one moving subject in front of a moving camera. Frames can be computed in any order.
 
 use glam::{EulerRot, Quat, Vec3};
-use srflow_avatar::{Avatar, HeadModel, HeadPose, HeadSource, Moment, Motion, Side};
+use srflow_avatar::{Avatar, HeadModel, HeadPose, HeadSource, Moment, Motion, PoseParameters, Side};
 use srflow_field::Image;
 use srflow_field::random::{Key, Stream};
 use srflow_splat::Camera;
 
 use super::background::{self, Background};
+use super::motion::MotionSource;
 use super::path::Path;
 use super::rig::{Rig, View};
 use super::settings::Settings;
@@ -48,6 +49,8 @@ pub(crate) struct Action {
     motion: Motion,
     /// See [`Avatar::home`].
     home: Vec3,
+    /// The motion, where it is recorded.
+    recorded: Option<Vec<PoseParameters>>,
 }
 
 /// The path of the camera around the head, and the rotation of the subject.
@@ -55,7 +58,8 @@ pub(crate) struct Views {
     pairs: u32,
     rig: Rig,
     camera_path: Path<3>,
-    subject_path: Path<3>,
+    /// `None` where the motion is recorded: the whole head's turns are part of it.
+    subject_path: Option<Path<3>>,
 }
 
 /// The state of one frame, without its pixels.
@@ -82,7 +86,8 @@ impl Scene {
             }
             _ => None,
         };
-        let action = Action::new(settings, rig, number, entry, avatar.model()).at(avatar.home());
+        let action = Action::new(settings, rig, number, entry, avatar.model());
+        let action = Action { home: avatar.home(), recorded: settings.motion.poses(&avatar)?, ..action };
         Ok(Self { entry: entry.clone(), avatar, background, action })
     }
 
@@ -104,7 +109,8 @@ impl Views {
             pairs,
             rig: rig.clone(),
             camera_path: camera_path(&mut key.stream("camera"), pairs),
-            subject_path: subject_path(&mut key.stream("subject turns"), pairs),
+            subject_path: (settings.motion == MotionSource::Curves)
+                .then(|| subject_path(&mut key.stream("subject turns"), pairs)),
         }
     }
 
@@ -113,7 +119,8 @@ impl Views {
         let t = f64::from(frame) / f64::from(self.pairs.max(1));
         let view = self.camera_path.at(t);
         let [azimuth, elevation, roll] = view;
-        (self.rig.camera(View { azimuth, elevation, roll }), view, self.subject_path.at(t))
+        let subject = self.subject_path.as_ref().map_or([0.0; 3], |path| path.at(t));
+        (self.rig.camera(View { azimuth, elevation, roll }), view, subject)
     }
 }
 
@@ -124,15 +131,18 @@ impl Action {
             views: Views::new(settings, rig, number, entry.pairs),
             motion: Motion::new(model, key, entry.pairs as usize + 1, FRAMES_PER_SECOND),
             home: Vec3::ZERO,
+            recorded: None,
         }
-    }
-
-    fn at(self, home: Vec3) -> Self {
-        Self { home, ..self }
     }
 
     pub fn frame(&self, model: &HeadModel, frame: u32) -> FrameState {
         let (camera, view, subject) = self.views.at(frame);
+        if let Some(parameters) = self.recorded.as_ref().and_then(|recorded| recorded.get(frame as usize)) {
+            let mut pose = parameters.pose(model);
+            pose.translation += self.home;
+            let moment = Moment { pose: pose.clone(), action_units: Vec::new(), gaze: [0.0; 2] };
+            return FrameState { camera, pose, view, subject, moment };
+        }
         let mut moment = self.motion.at(model, frame as usize);
         soften(&mut moment, self.views.pairs as f32 / FRAMES_OF_FULL_MOTION);
         let mut pose = moment.pose.clone();

@@ -7,7 +7,7 @@ use srflow_field::FlowFormat;
 use srflow_field::random::Key;
 
 use super::background::{self, Background};
-use super::{FULL_SIZE, Rig};
+use super::{FULL_SIZE, MotionSource, Rig};
 use crate::{RenderError, head};
 use srflow_read::manifest::{Arguments, LAYOUT_VERSION, Manifest, SceneEntry, SceneSplit};
 
@@ -42,6 +42,7 @@ pub struct Settings {
     /// Whether to write depth too.
     pub depth: bool,
     pub background: Background,
+    pub motion: MotionSource,
 }
 
 impl Default for Settings {
@@ -59,6 +60,7 @@ impl Default for Settings {
             backward: false,
             depth: false,
             background: Background::Colour([255; 3]),
+            motion: MotionSource::Curves,
         }
     }
 }
@@ -120,6 +122,14 @@ impl Settings {
                 _ if background.starts_with("images, ") => Background::Images(PathBuf::new()),
                 Ok(colour @ Background::Colour(_)) => colour,
                 _ => return Err(wrong("background", background, "#rrggbb or `images` with a fingerprint")),
+            },
+            motion: match arguments.motion.as_str() {
+                _ if arguments.motion.starts_with("recorded, ") => MotionSource::Recorded(PathBuf::new()),
+                "curves" => MotionSource::Curves,
+                "own" => MotionSource::Own,
+                other => {
+                    return Err(wrong("motion", other, "`curves`, `own`, or `recorded` with a fingerprint"));
+                }
             },
         };
         settings.validate().map_err(|error| error.to_string())?;
@@ -206,6 +216,12 @@ impl Settings {
             backward: self.backward,
             depth: self.depth,
             background,
+            motion: match &self.motion {
+                MotionSource::Recorded(path) => {
+                    format!("recorded, {}", fingerprint(&files_at(path, "--motion")?))
+                }
+                made => made.to_string(),
+            },
         })
     }
 }
@@ -230,6 +246,18 @@ pub(crate) fn list_files(
     }
     files.sort();
     Ok(files)
+}
+
+/// Name and size of a file, or of the files in a folder.
+fn files_at(path: &Path, argument: &'static str) -> Result<Vec<(String, u64)>, RenderError> {
+    const EXPECTED: &str = "a file or folder that can be read";
+    let failed = |error| RenderError::Folder { argument, path: path.to_owned(), error, expected: EXPECTED };
+    let metadata = std::fs::metadata(path).map_err(failed)?;
+    if metadata.is_dir() {
+        return list_files(path, argument, EXPECTED);
+    }
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    Ok(vec![(name, metadata.len())])
 }
 
 /// A short hash of the names and sizes of files (FNV-1a), independent of their folder.

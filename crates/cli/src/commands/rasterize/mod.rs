@@ -1,4 +1,5 @@
 mod cameras;
+mod head;
 mod path;
 
 use std::path::{Path, PathBuf};
@@ -10,15 +11,16 @@ use srflow_field::{
     FileError, create_folder, longest_flow, parse_color, write_flow, write_image_png, write_mask_png,
     write_npy, write_npy_plane,
 };
-use srflow_splat::{Frame, Next, Options, Outputs, PixelConvention, Rasterizer, read_ply};
+use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, PixelConvention, Rasterizer, read_ply};
 
 use self::cameras::{CameraArgs, Orbit};
+use self::head::HeadArgs;
 use crate::Context;
 use crate::output::{ensure_folder, ensure_free};
 use crate::usage::wrong_usage;
 use crate::video::is_video;
 
-/// Rasterize a file of 3D Gaussians: colour, flow, alpha and depth
+/// Rasterize a file of 3D Gaussians or a head: colour, flow, alpha and depth
 ///
 /// Writes into OUT: color.png (8-bit), color.npy (H, W, 3, unclamped; 0 to 1 is displayable), alpha.npy, depth.npy (expected
 /// depth, 0 where nothing is visible), mask.png (alpha above one half), flow.flo (blended displacement of the Gaussians, not
@@ -34,10 +36,12 @@ use crate::video::is_video;
   srflow rasterize frame0.ply --next frame1.ply --camera cam.json --out rendered
   srflow rasterize point_cloud.ply --camera cameras.json --view 00012 --view-next 00013 --out rendered
   srflow rasterize head.ply --orbit 360x120 --size 720x720 --background white --out turn.mp4
+  srflow rasterize --head avatar:DIR --timestep 12 --timestep-next 13 --out rendered
 
 CAM is a file of cameras:
   cameras.json of 3D Gaussian Splatting
-  transforms.json of NeRF, instant-ngp, nerfstudio or GaussianAvatars
+  transforms.json of NeRF, instant-ngp, nerfstudio or VHAP
+  camera_params.json of NeRSemble
   a camera path that the viewer of nerfstudio saved
   the folder of a COLMAP model (cameras and images, .bin or .txt)
   or one pinhole camera (x right, y down, z forward; an integer coordinate is the centre of a pixel):
@@ -47,11 +51,13 @@ CAM is a file of cameras:
 PLY is a file of 3D Gaussian Splatting (spherical harmonics of degree 0 to 3), in the world of the cameras.")]
 pub struct Rasterize {
     /// Gaussians of this frame
-    #[arg(value_name = "PLY")]
-    gaussians: PathBuf,
+    #[arg(value_name = "PLY", required_unless_present = "head", conflicts_with = "head")]
+    gaussians: Option<PathBuf>,
     /// Gaussians of the next frame: the same ones in the same order
     #[arg(long, value_name = "PLY")]
     next: Option<PathBuf>,
+    #[command(flatten)]
+    head: HeadArgs,
     #[command(flatten)]
     cameras: CameraArgs,
     /// Move the camera around the centre of the Gaussians, to the right where DEGREES are positive [default: a frame every 3
@@ -129,7 +135,7 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
     if !moves {
         return one_frame(&args, &options, context);
     }
-    let gaussians = read_ply(&args.gaussians)?;
+    let (gaussians, _) = read_gaussians(&args)?;
     let cameras = match (args.orbit, &args.path) {
         (Some(orbit), _) => args.cameras.orbit(orbit, &gaussians)?,
         (None, Some(file)) => args.cameras.path(file)?,
@@ -150,19 +156,8 @@ fn one_frame(args: &Rasterize, options: &Options, context: &Context) -> anyhow::
     ensure_free(FILES.map(|name| args.out.join(name)), args.force)?;
     // Camera errors are reported before large files are read.
     let camera_next = args.cameras.next()?;
-    let gaussians = read_ply(&args.gaussians)?;
+    let (gaussians, moved) = read_gaussians(args)?;
     let camera = args.cameras.first(&gaussians)?;
-    let moved = args.next.as_deref().map(read_ply).transpose()?;
-    if let (Some(moved), Some(path)) = (&moved, &args.next) {
-        ensure!(
-            moved.len() == gaussians.len(),
-            "{} holds {} Gaussians and {} holds {}: flow needs the same Gaussians in both, in the same order",
-            args.gaussians.display(),
-            gaussians.len(),
-            path.display(),
-            moved.len()
-        );
-    }
 
     create_folder(&args.out)?;
 
@@ -185,6 +180,27 @@ fn one_frame(args: &Rasterize, options: &Options, context: &Context) -> anyhow::
         crate::output::print_json_line(&rendered(&args.out, &frame, gaussians.len()))?;
     }
     Ok(())
+}
+
+/// The Gaussians of this frame, and those of the next if they move.
+fn read_gaussians(args: &Rasterize) -> anyhow::Result<(Gaussians, Option<Gaussians>)> {
+    if let Some(posed) = args.head.gaussians()? {
+        return Ok(posed);
+    }
+    let Some(path) = &args.gaussians else { wrong_usage!("give a PLY of Gaussians, or --head") };
+    let gaussians = read_ply(path)?;
+    let moved = args.next.as_deref().map(read_ply).transpose()?;
+    if let (Some(moved), Some(next)) = (&moved, &args.next) {
+        ensure!(
+            moved.len() == gaussians.len(),
+            "{} holds {} Gaussians and {} holds {}: flow needs the same Gaussians in both, in the same order",
+            path.display(),
+            gaussians.len(),
+            next.display(),
+            moved.len()
+        );
+    }
+    Ok((gaussians, moved))
 }
 
 fn write(frame: &Frame, out: &Path) -> Result<(), FileError> {

@@ -1,0 +1,98 @@
+//! The motion of the subjects: random curves, or recorded parameters.
+
+use std::fmt;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use srflow_avatar::capture::Capture;
+use srflow_avatar::{Avatar, HeadParameters, PoseParameters};
+
+use crate::RenderError;
+
+/// Where the motion of the subjects comes from.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub enum MotionSource {
+    /// Random expressions, speech, blinks, gaze and turns, of each scene its own.
+    #[default]
+    Curves,
+    /// The motion that an avatar was trained on, which is in its files.
+    Own,
+    /// A file of parameters (`flame_param.npz`) or the folder of a capture, of the same kind of head.
+    Recorded(PathBuf),
+}
+
+impl MotionSource {
+    /// The recorded poses for `avatar`; `None` for random motion.
+    ///
+    /// # Errors
+    /// When the file cannot be read, is of another kind of head, or the avatar has no motion of its own.
+    pub fn poses(&self, avatar: &Avatar) -> Result<Option<Vec<PoseParameters>>, RenderError> {
+        self.poses_of(self.read()?, avatar)
+    }
+
+    /// The recorded parameters; `None` for motion that is not in files of its own.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    pub fn read(&self) -> Result<Option<HeadParameters>, RenderError> {
+        let Self::Recorded(path) = self else { return Ok(None) };
+        Ok(Some(if path.is_dir() { Capture::read(path)?.parameters()? } else { HeadParameters::read(path)? }))
+    }
+
+    /// As [`MotionSource::poses`], with the parameters that [`MotionSource::read`] returned.
+    ///
+    /// # Errors
+    /// When they are of another kind of head, or the avatar has no motion of its own.
+    pub fn poses_of(
+        &self,
+        recorded: Option<HeadParameters>,
+        avatar: &Avatar,
+    ) -> Result<Option<Vec<PoseParameters>>, RenderError> {
+        let parameters = match self {
+            Self::Own if avatar.own_motion().is_empty() => {
+                return Err(RenderError::Argument {
+                    argument: "--motion",
+                    found: "own".to_owned(),
+                    expected: "curves or a file for this head: only the avatars of --head avatar:DIR have a motion of their own"
+                        .to_owned(),
+                });
+            }
+            Self::Own => return Ok(Some(avatar.own_motion().to_vec())),
+            Self::Curves | Self::Recorded(_) => match recorded {
+                Some(parameters) => parameters,
+                None => return Ok(None),
+            },
+        };
+        // The identity stays the avatar's: only the motion is of another.
+        let motion = HeadParameters { poses: parameters.poses, ..HeadParameters::default() };
+        motion.check(avatar.model()).map_err(|error| RenderError::Argument {
+            argument: "--motion",
+            found: self.to_string(),
+            expected: format!("the motion of the same kind of head ({error})"),
+        })?;
+        Ok(Some(motion.poses))
+    }
+}
+
+impl FromStr for MotionSource {
+    type Err = std::convert::Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        Ok(match text {
+            "curves" => Self::Curves,
+            "own" => Self::Own,
+            path => Self::Recorded(path.into()),
+        })
+    }
+}
+
+impl fmt::Display for MotionSource {
+    /// As [`MotionSource::from_str`] reads it.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Curves => f.pad("curves"),
+            Self::Own => f.pad("own"),
+            Self::Recorded(path) => path.display().fmt(f),
+        }
+    }
+}

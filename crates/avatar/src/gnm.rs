@@ -14,6 +14,7 @@ use crate::avatar::AvatarError;
 use crate::landmark_file::{on_triangle, place, read_rows};
 use crate::regions::RegionMap;
 use crate::skeleton_names::roles;
+use crate::unit_fit::fitted_units;
 use crate::{HeadModel, Joint, Offsets, PoseCorrective, Region, Shape, Skinning};
 
 /// The landmarks, beside the model or where the repository has them.
@@ -59,6 +60,7 @@ pub(crate) fn load(path: &Path) -> Result<HeadModel, AvatarError> {
     };
     model.validate()?;
     model.regions = regions(&model);
+    model.action_units = fitted_units(&model, &[]).into_iter().map(|fitted| fitted.unit).collect();
     Ok(model)
 }
 

@@ -26,6 +26,7 @@ mod pickle;
 mod regions;
 mod skeleton_names;
 pub mod train;
+mod unit_fit;
 
 pub use avatar::{Avatar, AvatarError, PosedHead};
 pub use binding::{

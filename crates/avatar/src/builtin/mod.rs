@@ -69,6 +69,11 @@ impl HeadModel {
         Self { name: "builtin-average".to_owned(), identities, joints, ..average }
     }
 
+    /// The average built-in head, without an identity basis.
+    pub(crate) fn sculpted_average() -> Self {
+        Self::sculpted(Traits::default())
+    }
+
     fn sculpted(traits: Traits) -> Self {
         let plan = Plan::new(traits);
         let mut half = Half::default();

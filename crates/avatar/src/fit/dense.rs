@@ -31,7 +31,7 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// The inverse of a symmetric positive definite matrix (n x n), of which the lower triangle is read; `None` if it is not
 /// positive definite.
-pub(super) fn inverse(mut a: Vec<f64>, n: usize) -> Option<Vec<f64>> {
+pub(crate) fn inverse(mut a: Vec<f64>, n: usize) -> Option<Vec<f64>> {
     if n == 0 {
         return Some(a);
     }

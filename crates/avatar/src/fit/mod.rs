@@ -8,7 +8,7 @@
 //! with the identity. The result is the same for any number of threads.
 
 mod arrow;
-mod dense;
+pub(crate) mod dense;
 mod initial;
 mod problem;
 mod report;

@@ -18,6 +18,7 @@ use self::teeth::Teeth;
 use crate::avatar::AvatarError;
 use crate::pickle::Pickle;
 use crate::regions::RegionMap;
+use crate::unit_fit::fitted_units;
 use crate::{
     ActionUnit, HeadModel, Joint, JointRole, Offsets, PoseCorrective, Region, Shape, Side, Skinning,
 };
@@ -78,6 +79,9 @@ pub(crate) fn load(path: &Path, with_teeth: bool) -> Result<HeadModel, AvatarErr
     };
     model.validate()?;
     model.regions = regions(&model);
+    let known: Vec<u8> = model.action_units.iter().map(|unit| unit.number).collect();
+    model.action_units.extend(fitted_units(&model, &known).into_iter().map(|fitted| fitted.unit));
+    model.action_units.sort_by_key(|unit| unit.number);
     Ok(model)
 }
 

@@ -60,7 +60,7 @@ pub(crate) const CCMR: Entry<Ccmr> = Entry {
         iterations: IterationPresets { default: 15, authors: 15, training: 8 },
         start: Start::Coarse(COARSEST_STRIDE),
         trains: true,
-        memory: MemoryNeed { fixed: 240_000_000, per_pixel: 1100, attending: 0, most_weights: 0 },
+        memory: MemoryNeed { fixed: 460_000_000, per_pixel: 720, attending: 0, most_weights: 0 },
         authors: "https://github.com/cv-stuttgart/CCMR",
         licence: "BSD-3-Clause, not for military use; weights CC BY-NC-SA 3.0",
         published: &[ptlflow!("ccmr", "sintel", "e1760f37"), ptlflow!("ccmr", "kitti", "612444b9")],
@@ -75,7 +75,7 @@ pub(crate) const CCMR_P: Entry<Ccmr> = Entry {
         title: "CCMR+",
         parameters: 11_523_620,
         iterations: IterationPresets { default: 10, authors: 10, training: 6 },
-        memory: MemoryNeed { fixed: 800_000_000, per_pixel: 1450, attending: 0, most_weights: 0 },
+        memory: MemoryNeed { fixed: 1_850_000_000, per_pixel: 780, attending: 0, most_weights: 0 },
         published: &[ptlflow!("ccmr+", "sintel", "055b44ec"), ptlflow!("ccmr+", "kitti", "c289d5e6")],
         ..CCMR.facts
     },

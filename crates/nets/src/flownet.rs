@@ -38,7 +38,7 @@ pub(crate) const FLOWNETS: Entry<FlowNet> = Entry {
         padding: MULTIPLE,
         start: Start::Frames("FlowNet computes flow from the frames alone"),
         trains: true,
-        memory: MemoryNeed { fixed: 300_000_000, per_pixel: 240, attending: 0, most_weights: 0 },
+        memory: MemoryNeed { fixed: 180_000_000, per_pixel: 234, attending: 0, most_weights: 0 },
         authors: "https://github.com/NVIDIA/flownet2-pytorch",
         licence: "Apache-2.0, weights for research only",
         published: &[ptlflow!("flownets", "things", "98cde14d")],
@@ -52,7 +52,7 @@ pub(crate) const FLOWNETC: Entry<FlowNet> = Entry {
         name: "flownetc",
         title: "FlowNetC",
         parameters: 39_175_298,
-        memory: MemoryNeed { fixed: 360_000_000, per_pixel: 260, attending: 0, most_weights: 0 },
+        memory: MemoryNeed { fixed: 185_000_000, per_pixel: 322, attending: 0, most_weights: 0 },
         published: &[ptlflow!("flownetc", "things", "cc8ac7fd")],
         ..FLOWNETS.facts
     },

@@ -25,7 +25,7 @@ pub(crate) const FLOWNETCSS: Entry<FlowNetCss> = Entry {
         title: "FlowNet2-CSS",
         paper: "https://arxiv.org/abs/1612.01925",
         parameters: 116_565_942,
-        memory: MemoryNeed { fixed: 760_000_000, per_pixel: 345, attending: 0, most_weights: 0 },
+        memory: MemoryNeed { fixed: 150_000_000, per_pixel: 400, attending: 0, most_weights: 0 },
         published: &[ptlflow!("flownetcss", "things", "b42e67d0")],
         ..FLOWNETS.facts
     },

@@ -61,7 +61,7 @@ pub(crate) const RPKNET: Entry<RpkNet> = Entry {
         iterations: IterationPresets { default: 12, authors: 32, training: 12 },
         start: Start::CoarsestLevel,
         trains: true,
-        memory: MemoryNeed { fixed: 400_000_000, per_pixel: 250, attending: 0, most_weights: 0 },
+        memory: MemoryNeed { fixed: 240_000_000, per_pixel: 315, attending: 0, most_weights: 0 },
         authors: "https://github.com/hmorimitsu/ptlflow",
         licence: "Apache-2.0; weights for research only",
         published: &[

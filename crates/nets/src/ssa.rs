@@ -25,7 +25,7 @@ pub(crate) const SSA: Entry<Ssa> = Entry {
         parameters: 49_437_364,
         padding: MULTIPLE,
         trains: true,
-        memory: MemoryNeed { fixed: 180_000_000, per_pixel: 1010, attending: 0, most_weights: 0 },
+        memory: MemoryNeed { fixed: 190_000_000, per_pixel: 660, attending: 0, most_weights: 0 },
         in_ptlflow: false,
         authors: "https://github.com/malkaddour/Self-Supervised-Approach-for-facial-movement-based-optical-flow",
         licence: "none stated",

@@ -15,14 +15,20 @@ const SIZES: [(usize, usize); 10] = [
     (3840, 2160),
 ];
 
-/// Peaks in MB at these sizes, less that of a 128x128 frame, measured by `tools/bench/memory.py`. GMA was not measured at the
-/// last size.
-const PEAKS: [(Architecture, &[u64]); 6] = [
+/// Peaks in MB at these sizes, less that of a 128x128 frame, measured by `tools/bench/memory.py`; of some networks not at the last
+/// size.
+const PEAKS: [(Architecture, &[u64]); 12] = [
     (Architecture::Raft, &[49, 109, 189, 259, 492, 529, 602, 761, 1179, 3001]),
     (Architecture::RaftSmall, &[0, 33, 63, 98, 235, 264, 356, 566, 681, 1642]),
     (Architecture::Gma, &[51, 150, 293, 440, 1123, 1397, 1490, 1702, 2064]),
     (Architecture::SkFlow, &[58, 159, 302, 443, 1135, 1390, 1458, 1687, 1905, 3318]),
     (Architecture::DpFlow, &[66, 176, 297, 401, 685, 740, 887, 1466, 2245, 6151]),
+    (Architecture::RpkNet, &[39, 115, 189, 257, 435, 429, 558, 827, 994]),
+    (Architecture::FlowNetS, &[17, 72, 105, 158, 291, 391, 381, 510, 731]),
+    (Architecture::FlowNetC, &[30, 107, 137, 228, 433, 474, 496, 643, 1014]),
+    (Architecture::FlowNetCss, &[31, 106, 154, 223, 365, 509, 547, 857, 1248]),
+    (Architecture::FlowNet3Css, &[42, 113, 232, 277, 498, 584, 641, 1040, 1323]),
+    (Architecture::Ssa, &[69, 180, 310, 405, 696, 788, 925, 1372, 2079]),
     (Architecture::SeaRaftS, &[53, 127, 217, 286, 527, 536, 638, 806, 1169, 2999]),
 ];
 

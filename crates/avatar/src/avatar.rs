@@ -198,6 +198,10 @@ impl Avatar {
         &self.gaussians
     }
 
+    pub(crate) fn bound_mut(&mut self) -> &mut BoundGaussians {
+        &mut self.gaussians
+    }
+
     /// Writes the Gaussians in `pose`, in world metres, into `out`. All poses have the same Gaussians in the same order, so any
     /// two are in correspondence. `head` and `out` keep their memory between frames.
     pub fn gaussians_into(&self, pose: &HeadPose, head: &mut PosedHead, out: &mut Gaussians) {

@@ -148,6 +148,17 @@ impl BoundGaussians {
         adam.step(&mut self.local, gradients, rates);
     }
 
+    /// Replaces the Gaussians by copies of their `parents` on the same triangles; see [`GaussianAdam::inherit`].
+    pub(crate) fn inherit(&mut self, adam: &mut GaussianAdam, parents: &[u32], survivors: usize) {
+        self.triangles = parents.iter().map(|&parent| self.triangles[parent as usize]).collect();
+        adam.inherit(&mut self.local, parents, survivors);
+    }
+
+    /// The Gaussians in the local frames of their triangles. Their number must stay.
+    pub(crate) fn local_mut(&mut self) -> &mut Gaussians {
+        &mut self.local
+    }
+
     /// Writes all Gaussians in world units, for the current frames of the model's triangles. Panics when a frame is missing.
     ///
     /// `out` is resized and overwritten, and keeps its memory between frames.

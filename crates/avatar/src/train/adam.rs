@@ -74,6 +74,36 @@ impl Moments {
     fn new(len: usize) -> Self {
         Self { first: vec![0.0; len], second: vec![0.0; len] }
     }
+
+    /// Those of the parents, of `each` numbers per Gaussian; zero from Gaussian number `survivors` on.
+    fn inherit(&mut self, parents: &[u32], survivors: usize, each: usize) {
+        for list in [&mut self.first, &mut self.second] {
+            *list = inherited(list, &parents[..survivors], each);
+            list.resize(parents.len() * each, 0.0);
+        }
+    }
+
+    /// More numbers per Gaussian, whose moments are zero.
+    fn widen(&mut self, each: usize, wanted: usize) {
+        for list in [&mut self.first, &mut self.second] {
+            *list = widened(list, each, wanted);
+        }
+    }
+}
+
+/// The entries of the parents, of `each` numbers.
+fn inherited<T: Copy>(list: &[T], parents: &[u32], each: usize) -> Vec<T> {
+    parents.iter().flat_map(|&parent| &list[parent as usize * each..][..each]).copied().collect()
+}
+
+/// Entries of `each` numbers, followed by zeros up to `wanted`.
+fn widened<T: Copy + Default>(list: &[T], each: usize, wanted: usize) -> Vec<T> {
+    let mut wide = Vec::with_capacity(list.len() / each * wanted);
+    for entry in list.chunks(each) {
+        wide.extend_from_slice(entry);
+        wide.resize(wide.len() + wanted - each, T::default());
+    }
+    wide
 }
 
 const BETA_1: f64 = 0.9;
@@ -91,8 +121,7 @@ impl GaussianAdam {
         Self {
             isa: Isa::best(),
             steps: 0,
-            // A scale of zero would never move again.
-            log_scales: scales.map(|scale| libm::logf(scale.max(1e-20))).collect(),
+            log_scales: scales.map(log_of_scale).collect(),
             logits: gaussians.opacities.iter().map(|&opacity| logit(opacity)).collect(),
             positions: Moments::new(3 * n),
             scales: Moments::new(3 * n),
@@ -139,6 +168,60 @@ impl GaussianAdam {
         let (values, slopes) = (gaussians.sh.as_flattened_mut(), gradients.sh.as_flattened());
         update(isa, own, constants, &sh_rates, values, &mut [], slopes, &mut self.sh);
     }
+}
+
+impl GaussianAdam {
+    /// Replaces the `gaussians` by copies of their `parents`, given by number. The first `survivors` keep their moments; those of
+    /// the others start at zero, with the count of steps that all share, as in 3D Gaussian Splatting.
+    ///
+    /// Panics when a parent does not exist.
+    pub(crate) fn inherit(&mut self, gaussians: &mut Gaussians, parents: &[u32], survivors: usize) {
+        let sh_len = gaussians.sh_len();
+        gaussians.positions = inherited(&gaussians.positions, parents, 1);
+        gaussians.scales = inherited(&gaussians.scales, parents, 1);
+        gaussians.rotations = inherited(&gaussians.rotations, parents, 1);
+        gaussians.opacities = inherited(&gaussians.opacities, parents, 1);
+        gaussians.sh = inherited(&gaussians.sh, parents, sh_len);
+        self.log_scales = inherited(&self.log_scales, parents, 3);
+        self.logits = inherited(&self.logits, parents, 1);
+        self.positions.inherit(parents, survivors, 3);
+        self.scales.inherit(parents, survivors, 3);
+        self.rotations.inherit(parents, survivors, 4);
+        self.opacities.inherit(parents, survivors, 1);
+        self.sh.inherit(parents, survivors, 3 * sh_len);
+    }
+
+    /// Sets the scale of Gaussian number `at`.
+    pub(crate) fn set_scale(&mut self, gaussians: &mut Gaussians, at: usize, scale: Vec3) {
+        gaussians.scales[at] = scale;
+        self.log_scales[3 * at..][..3].copy_from_slice(&scale.to_array().map(log_of_scale));
+    }
+
+    /// Lowers every opacity to `most`, and forgets the moments of all opacities: the reset of 3D Gaussian Splatting.
+    pub(crate) fn reset_opacities(&mut self, gaussians: &mut Gaussians, most: f32) {
+        let limit = logit(most);
+        for (opacity, raw) in gaussians.opacities.iter_mut().zip(&mut self.logits) {
+            if *raw > limit {
+                (*opacity, *raw) = (most, limit);
+            }
+        }
+        self.opacities = Moments::new(gaussians.len());
+    }
+
+    /// Raises the degree of the spherical harmonics. New coefficients and their moments are zero, as if they had been there from
+    /// the start without being drawn.
+    pub(crate) fn raise_sh_degree(&mut self, gaussians: &mut Gaussians, degree: usize) {
+        let before = gaussians.sh_len();
+        gaussians.sh_degree = degree;
+        let after = gaussians.sh_len();
+        gaussians.sh = widened(&gaussians.sh, before, after);
+        self.sh.widen(3 * before, 3 * after);
+    }
+}
+
+fn log_of_scale(scale: f32) -> f32 {
+    // A scale of zero would never move again.
+    libm::logf(scale.max(1e-20))
 }
 
 /// The number whose logistic function is `opacity`; finite for any opacity.
@@ -398,5 +481,84 @@ mod tests {
         }
         assert!(found.scales.iter().all(|scale| scale.is_finite() && scale.cmpgt(Vec3::ZERO).all()));
         assert!(found.opacities.iter().all(|opacity| (0.0..=1.0).contains(opacity)));
+    }
+
+    /// Copies move like their parents as long as the moments are the same, and from the first step on otherwise than a parent with
+    /// moments where they are not.
+    #[test]
+    fn survivors_keep_their_moments_and_others_start_without() {
+        let mut stream = Key::new(11).stream("adam");
+        let mut whole = gaussians(6, &mut stream);
+        let mut adam = GaussianAdam::new(&whole);
+        let rates = LearningRates::default();
+        for _ in 0..3 {
+            let slopes = Slopes::new(6, &mut stream);
+            adam.step(&mut whole, slopes.lists(&slopes.rotations()), &rates);
+        }
+        let (mut part, mut part_adam) = (whole.clone(), adam.clone());
+        part_adam.inherit(&mut part, &[4, 1, 1], 2);
+        assert_eq!(part.positions, [whole.positions[4], whole.positions[1], whole.positions[1]]);
+        assert_eq!(part.sh[8..], whole.sh[4..8]);
+        let slopes = Slopes::new(6, &mut stream);
+        adam.step(&mut whole, slopes.lists(&slopes.rotations()), &rates);
+        let mut chosen = slopes.0;
+        GaussianAdam::new(&chosen.clone()).inherit(&mut chosen, &[4, 1, 1], 0);
+        let chosen = Slopes(chosen);
+        part_adam.step(&mut part, chosen.lists(&chosen.rotations()), &rates);
+        for (i, parent) in [4, 1].into_iter().enumerate() {
+            assert_eq!(part.positions[i], whole.positions[parent]);
+            assert_eq!(part.scales[i], whole.scales[parent]);
+            assert_eq!(part.opacities[i], whole.opacities[parent]);
+            assert_eq!(part.sh[4 * i..][..4], whole.sh[4 * parent..][..4]);
+        }
+        assert_ne!(part.positions[2], whole.positions[1], "without its parent's moments");
+        assert!(part_adam.opacities.first[2] != 0.0 && part_adam.opacities.first.len() == 3);
+    }
+
+    #[test]
+    fn a_reset_lowers_opacities_and_forgets_their_moments() {
+        let mut stream = Key::new(12).stream("adam");
+        let mut found = gaussians(9, &mut stream);
+        found.opacities[3] = 0.002;
+        let mut adam = GaussianAdam::new(&found);
+        let slopes = Slopes::new(9, &mut stream);
+        adam.step(&mut found, slopes.lists(&slopes.rotations()), &LearningRates::default());
+        let before = found.clone();
+        adam.reset_opacities(&mut found, 0.01);
+        assert!(found.opacities.iter().all(|&opacity| opacity <= 0.01));
+        assert_eq!(found.opacities[3], before.opacities[3], "a lower one stays");
+        assert!(adam.opacities.first.iter().chain(&adam.opacities.second).all(|moment| *moment == 0.0));
+        // Only opacities were touched, and the next step starts from the value that is shown.
+        assert_eq!(Gaussians { opacities: before.opacities.clone(), ..found.clone() }, before);
+        let rates = LearningRates { opacities: 0.0, ..LearningRates::default() };
+        let shown = found.opacities.clone();
+        adam.step(&mut found, slopes.lists(&slopes.rotations()), &rates);
+        assert!(found.opacities.iter().zip(&shown).all(|(a, b)| (a - b).abs() < 1e-6));
+    }
+
+    /// The reference trains with all coefficients from the start, of which the higher ones have no gradient at first.
+    #[test]
+    fn a_higher_degree_moves_as_if_it_had_been_there() {
+        let mut stream = Key::new(13).stream("adam");
+        let mut low = gaussians(5, &mut stream);
+        let mut low_adam = GaussianAdam::new(&low);
+        let (mut high, mut high_adam) = (low.clone(), low_adam.clone());
+        high_adam.raise_sh_degree(&mut high, 2);
+        assert_eq!((high.sh_len(), high.sh.len()), (9, 45));
+        for step in 0..4 {
+            let slopes = Slopes::new(5, &mut stream);
+            let rotations = slopes.rotations();
+            let mut wide = slopes.0.clone();
+            GaussianAdam::new(&wide.clone()).raise_sh_degree(&mut wide, 2);
+            let wide = Slopes(wide);
+            if step < 3 {
+                low_adam.step(&mut low, slopes.lists(&rotations), &LearningRates::default());
+            } else {
+                low_adam.raise_sh_degree(&mut low, 2);
+                low_adam.step(&mut low, wide.lists(&rotations), &LearningRates::default());
+            }
+            high_adam.step(&mut high, wide.lists(&rotations), &LearningRates::default());
+        }
+        assert_eq!(low, high);
     }
 }

@@ -1,7 +1,23 @@
 //! Training the Gaussians of an avatar on pictures.
 
 mod adam;
+mod config;
+mod density;
 pub mod image_loss;
+mod initial;
+mod pose_adam;
+mod regularizers;
+mod schedule;
+mod score;
+mod trainer;
 
 pub use adam::{GaussianAdam, LearningRates, ParameterGradients};
+pub use config::TrainConfig;
+pub use density::{DensityChange, DensityControl, DensityScene, DensityStatistics, Strategy, change_density};
 pub use image_loss::ImageLoss;
+pub use initial::{camera_extent, initial_gaussians};
+pub use pose_adam::{PoseAdam, PoseRates};
+pub use regularizers::{RegularizerValue, Regularizers};
+pub use schedule::RateSchedule;
+pub use score::Score;
+pub use trainer::{StepReport, TrainError, Trainer};

@@ -1,0 +1,55 @@
+//! What training starts from.
+
+use glam::{Quat, Vec3};
+use srflow_field::random::Key;
+use srflow_splat::{Camera, Gaussians};
+
+use crate::BoundGaussians;
+
+/// One faint Gaussian in the middle of each of `count` triangles, of local scale 1 and a nearly grey colour that depends on `seed`
+/// (`create_from_pcd` in `scene/gaussian_model.py` of GaussianAvatars).
+pub fn initial_gaussians(count: usize, seed: u64) -> BoundGaussians {
+    let mut stream = Key::new(seed).stream("initial colours");
+    let local = Gaussians {
+        positions: vec![Vec3::ZERO; count],
+        scales: vec![Vec3::ONE; count],
+        rotations: vec![Quat::IDENTITY; count],
+        opacities: vec![0.1; count],
+        sh_degree: 0,
+        sh: (0..count).map(|_| std::array::from_fn(|_| stream.unit() / 255.0)).collect(),
+    };
+    BoundGaussians::new(local, (0..count as u32).collect(), count).expect("one triangle each")
+}
+
+/// The extent of a scene in 3D Gaussian Splatting: 1.1 times the largest distance of a camera from the mean of all, in the units of
+/// the world (`getNerfppNorm` in `scene/dataset_readers.py`). 0 without cameras.
+pub fn camera_extent<'a>(cameras: impl Iterator<Item = &'a Camera>) -> f64 {
+    let positions: Vec<_> = cameras.map(Camera::position).collect();
+    let mean = positions.iter().sum::<glam::DVec3>() / positions.len().max(1) as f64;
+    1.1 * positions.iter().map(|position| position.distance(mean)).fold(0.0, f64::max)
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::{DMat3, DVec3};
+
+    use super::*;
+
+    #[test]
+    fn every_triangle_starts_with_one_gaussian() {
+        let bound = initial_gaussians(50, 3);
+        assert!(bound.triangles().iter().copied().eq(0..50));
+        let sh = bound.local().sh.as_flattened();
+        assert!(sh.iter().all(|value| (0.0..1.0 / 255.0).contains(value)) && sh[0] != sh[1]);
+        assert_eq!(bound.local(), initial_gaussians(50, 3).local());
+        assert_ne!(bound.local(), initial_gaussians(50, 4).local());
+    }
+
+    #[test]
+    fn the_extent_is_that_of_the_cameras_around_their_mean() {
+        let at = |x: f64| Camera::centred((4, 4), [4.0; 2]).placed(DMat3::IDENTITY, DVec3::new(x, 5.0, 0.0));
+        let cameras = [at(0.0), at(1.0), at(5.0)];
+        assert!((camera_extent(cameras.iter()) - 1.1 * 3.0).abs() < 1e-12);
+        assert_eq!(camera_extent([].iter()), 0.0);
+    }
+}

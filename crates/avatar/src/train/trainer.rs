@@ -1,0 +1,354 @@
+//! The loop of training: one picture at a time, from the pose to the step of Adam.
+
+use std::path::{Path, PathBuf};
+
+use srflow_field::FileError;
+use srflow_field::random::Key;
+use srflow_splat::{
+    Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Options, Outputs, RasterizeError, Rasterizer,
+};
+
+use super::image_loss::{ImageLossError, ImageLossValue};
+use super::{
+    DensityChange, DensityScene, DensityStatistics, GaussianAdam, ImageLoss, ParameterGradients, PoseAdam,
+    RegularizerValue, Score, TrainConfig, camera_extent, change_density, initial_gaussians,
+};
+use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};
+use crate::{
+    Avatar, AvatarError, BoundGradients, HeadGradient, HeadModel, HeadParameters, HeadPose, PosedHead,
+    TriangleFrame,
+};
+
+/// Why an avatar could not be trained.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// A file of the capture could not be read, or of the avatar written.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// The head model does not fit the capture.
+    #[error("{}: {error}", .dir.display())]
+    Avatar { dir: PathBuf, error: AvatarError },
+    /// No picture to train on.
+    #[error("{}: a capture with pictures for training was expected, found {found}, all held out; see transforms_train.json", .dir.display())]
+    NoPictures { dir: PathBuf, found: usize },
+    /// A view cannot be rendered.
+    #[error("{}: {error}", .image.display())]
+    Render { image: PathBuf, error: RasterizeError },
+    #[error(transparent)]
+    Loss(#[from] ImageLossError),
+}
+
+/// What one iteration did.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepReport {
+    /// From 1.
+    pub iteration: u64,
+    pub image: ImageLossValue,
+    pub regularizers: RegularizerValue,
+    /// If Gaussians were added and removed.
+    pub change: Option<DensityChange>,
+}
+
+/// Learns the Gaussians of an avatar from the pictures of a capture, as GaussianAvatars does (Qian et al. 2024; `train.py`), and
+/// corrects its poses. Pictures are read one at a time. Equal configurations and captures give equal bits, for any number of
+/// threads and on any processor.
+#[derive(Debug)]
+pub struct Trainer {
+    config: TrainConfig,
+    capture: Capture,
+    /// Numbers of the views for training, in the order of the epoch that `epoch` names.
+    order: Vec<usize>,
+    epoch: Option<u64>,
+    timesteps: Vec<u32>,
+    parameters: HeadParameters,
+    poses: Vec<HeadPose>,
+    avatar: Avatar,
+    adam: GaussianAdam,
+    pose_adam: PoseAdam,
+    statistics: DensityStatistics,
+    /// Iterations done.
+    iteration: u64,
+    /// Of the cameras for training, metres.
+    extent: f64,
+    /// Metres per local unit of each triangle, of the head at rest.
+    units_at_rest: Vec<f32>,
+    buffers: Buffers,
+}
+
+/// Memory that is reused between pictures.
+#[derive(Debug, Default)]
+struct Buffers {
+    rasterizer: Rasterizer,
+    frame: Frame,
+    head: PosedHead,
+    world: Gaussians,
+    loss: ImageLoss,
+    frame_gradients: FrameGradients,
+    world_gradients: GaussianGradients,
+    bound_gradients: BoundGradients,
+    visible: Vec<bool>,
+}
+
+impl Trainer {
+    /// A training of `model`, with the parameters of the capture, from one Gaussian per triangle.
+    ///
+    /// # Errors
+    /// When the capture has no pictures for training, its parameters cannot be read, or they do not fit the model.
+    pub fn new(capture: Capture, model: HeadModel, config: TrainConfig) -> Result<Self, TrainError> {
+        let dir = || capture.dir().to_owned();
+        let views = capture.views();
+        let training: Vec<usize> =
+            (0..views.len()).filter(|&number| views[number].split == CaptureSplit::Train).collect();
+        if training.is_empty() {
+            return Err(TrainError::NoPictures { dir: dir(), found: views.len() });
+        }
+        let parameters = capture.parameters()?;
+        let start = initial_gaussians(model.triangles.len(), config.seed);
+        let (local, triangles) = (start.local().clone(), start.triangles().to_vec());
+        let avatar = Avatar::with_gaussians(model, parameters.clone(), local, triangles)
+            .map_err(|error| TrainError::Avatar { dir: dir(), error })?;
+        let (model, at_rest) = (avatar.model(), &avatar.shaped().vertices);
+        let unit = |triangle: &[u32; 3]| {
+            let [a, b, c] = triangle.map(|vertex| at_rest[vertex as usize]);
+            TriangleFrame::of(a, b, c).scale
+        };
+        let mut buffers = Buffers::default();
+        buffers.loss.ssim_weight = config.ssim_weight;
+        Ok(Self {
+            units_at_rest: model.triangles.iter().map(unit).collect(),
+            poses: parameters.poses.iter().map(|pose| pose.pose(model)).collect(),
+            extent: camera_extent(training.iter().map(|&number| &views[number].camera)),
+            timesteps: capture.timesteps(),
+            adam: GaussianAdam::new(avatar.bound().local()),
+            pose_adam: PoseAdam::new(&parameters.poses, config.pose_rates),
+            statistics: DensityStatistics::new(avatar.bound().len()),
+            order: training,
+            epoch: None,
+            iteration: 0,
+            buffers,
+            config,
+            capture,
+            parameters,
+            avatar,
+        })
+    }
+
+    /// Iterations done.
+    pub fn iteration(&self) -> u64 {
+        self.iteration
+    }
+
+    /// The avatar as it is now. Its own motion is that of the capture; the corrected poses are in [`Trainer::parameters`].
+    pub fn avatar(&self) -> &Avatar {
+        &self.avatar
+    }
+
+    /// The parameters of the head as they are now, its poses in the order of [`Capture::timesteps`].
+    pub fn parameters(&self) -> &HeadParameters {
+        &self.parameters
+    }
+
+    /// Writes the avatar as it is now; see [`Avatar::write`].
+    ///
+    /// # Errors
+    /// When a file cannot be written.
+    pub fn write_avatar(&self, dir: &Path, head: Option<&HeadRecord>) -> Result<(), FileError> {
+        self.avatar.write(dir, &self.parameters, head)
+    }
+
+    /// Trains on one picture.
+    ///
+    /// # Errors
+    /// When the picture cannot be read or its view not be rendered; the avatar is then unchanged.
+    pub fn step(&mut self) -> Result<StepReport, TrainError> {
+        let iteration = self.iteration + 1;
+        let view = self.view_of(iteration);
+        let view = &self.capture.views()[view];
+        let target = picture(&self.capture, view)?;
+        let degree = self.config.sh_degree_at(iteration);
+        if degree > self.avatar.bound().local().sh_degree {
+            self.adam.raise_sh_degree(self.avatar.bound_mut().local_mut(), degree);
+        }
+
+        let Self { config, avatar, buffers, .. } = self;
+        let camera = camera_of(view, config.faithful);
+        let size = (camera.width, camera.height);
+        let timestep = timestep_place(&self.timesteps, view);
+        let pose = &self.poses[timestep];
+        avatar.gaussians_into(pose, &mut buffers.head, &mut buffers.world);
+        let cannot = |error| TrainError::Render { image: view.image.clone(), error };
+        let Buffers { rasterizer, frame, world, loss, .. } = buffers;
+        let mut rendering =
+            rasterizer.render(world, &camera, None, &options(config), frame).map_err(cannot)?;
+        let image = loss.backward(&frame.color, &target, size, &mut buffers.frame_gradients.color)?;
+        buffers.visible.clear();
+        buffers.visible.extend(rendering.visible());
+        rendering.backward(&buffers.frame_gradients, &mut buffers.world_gradients).map_err(cannot)?;
+        let bound_gradients = &mut buffers.bound_gradients;
+        let bound = avatar.bound();
+        let (head, world_gradients) = (&buffers.head, &buffers.world_gradients);
+        let of_head = if config.finetune_head {
+            Some(avatar.backward(&self.parameters.shape, pose, head, world_gradients, bound_gradients))
+        } else {
+            bound.backward(head.frames(), world_gradients, bound_gradients);
+            None
+        };
+        let regularizers = config.regularizers.backward(
+            bound.local(),
+            &buffers.visible,
+            &mut bound_gradients.positions,
+            &mut bound_gradients.scales,
+        );
+
+        let control = config.density;
+        if iteration < control.until {
+            self.statistics.add(control.strategy, &buffers.world_gradients, &buffers.visible, size);
+        }
+        if let Some(gradient) = of_head {
+            self.pose_step(iteration, timestep, &gradient);
+        }
+        let change = if self.config.faithful {
+            let change = self.change_density(iteration);
+            let resets = self.reset_opacities(iteration);
+            if change.is_none() && iteration < self.config.iterations {
+                self.adam_step(iteration, resets);
+            }
+            change
+        } else {
+            self.adam_step(iteration, false);
+            let change = self.change_density(iteration);
+            self.reset_opacities(iteration);
+            change
+        };
+        self.iteration = iteration;
+        Ok(StepReport { iteration, image, regularizers, change })
+    }
+
+    /// The scores of all pictures of a split, in the order of the capture, one by one to `on_view`, and their mean; `None` for a
+    /// split without pictures.
+    ///
+    /// # Errors
+    /// When a picture cannot be read or its view not be rendered.
+    pub fn score(
+        &mut self,
+        split: CaptureSplit,
+        mut on_view: impl FnMut(&CaptureView, &Score),
+    ) -> Result<Option<Score>, TrainError> {
+        let mut scores = Vec::new();
+        for view in self.capture.of(split) {
+            let target = picture(&self.capture, view)?;
+            let camera = camera_of(view, self.config.faithful);
+            let Buffers { rasterizer, frame, head, world, loss, .. } = &mut self.buffers;
+            let pose = &self.poses[timestep_place(&self.timesteps, view)];
+            self.avatar.gaussians_into(pose, head, world);
+            rasterizer
+                .render(world, &camera, None, &options(&self.config), frame)
+                .map_err(|error| TrainError::Render { image: view.image.clone(), error })?;
+            let score = Score::of(&frame.color, &target, (camera.width, camera.height), loss)?;
+            on_view(view, &score);
+            scores.push(score);
+        }
+        Ok(Score::mean(&scores))
+    }
+
+    /// The number of the view of an iteration: all views for training come once in each epoch, in an order of its own.
+    fn view_of(&mut self, iteration: u64) -> usize {
+        let count = self.order.len() as u64;
+        let epoch = (iteration - 1) / count;
+        if self.epoch != Some(epoch) {
+            self.order.sort_unstable();
+            Key::new(self.config.seed).scene(epoch as u32).stream("views").shuffle(&mut self.order);
+            self.epoch = Some(epoch);
+        }
+        self.order[((iteration - 1) % count) as usize]
+    }
+
+    /// Moves the Gaussians against the gradients of the last picture; not their opacities if they were just reset.
+    fn adam_step(&mut self, iteration: u64, just_reset: bool) {
+        if just_reset {
+            self.buffers.world_gradients.opacities.fill(0.0);
+        }
+        let Buffers { world_gradients, bound_gradients, .. } = &self.buffers;
+        let gradients = ParameterGradients {
+            positions: &bound_gradients.positions,
+            scales: &bound_gradients.scales,
+            rotations: &bound_gradients.rotations,
+            opacities: &world_gradients.opacities,
+            sh: &world_gradients.sh,
+        };
+        let rates = self.config.rates.at(iteration, self.extent);
+        self.avatar.bound_mut().step(&mut self.adam, gradients, &rates);
+    }
+
+    /// Moves the pose of a timestep against its gradient at the last picture.
+    fn pose_step(&mut self, iteration: u64, timestep: usize, gradient: &HeadGradient) {
+        let Self { config, avatar, parameters: HeadParameters { poses, .. }, pose_adam, .. } = self;
+        let model = avatar.model();
+        if !config.faithful {
+            pose_adam.step(model, timestep, &mut poses[timestep], gradient);
+            self.poses[timestep] = poses[timestep].pose(model);
+        } else if iteration < config.iterations {
+            pose_adam.step_all(model, timestep, poses, gradient);
+            self.poses = poses.iter().map(|pose| pose.pose(model)).collect();
+        }
+    }
+
+    fn change_density(&mut self, iteration: u64) -> Option<DensityChange> {
+        let TrainConfig { seed, density: control, faithful, .. } = self.config;
+        if !control.is_due(iteration) {
+            return None;
+        }
+        let last: Vec<f32>;
+        let units = if faithful {
+            last = self.buffers.head.frames().iter().map(|frame| frame.scale).collect();
+            &last
+        } else {
+            &self.units_at_rest
+        };
+        let scene = DensityScene {
+            units,
+            extent: self.extent as f32,
+            prune_large: iteration > control.reset_interval,
+            faithful,
+        };
+        let mut stream = Key::new(seed).scene(iteration as u32).stream("split");
+        let bound = self.avatar.bound_mut();
+        Some(change_density(bound, &mut self.adam, &mut self.statistics, &control, &scene, &mut stream))
+    }
+
+    /// Lowers the opacities if they are due; returns whether.
+    fn reset_opacities(&mut self, iteration: u64) -> bool {
+        let control = self.config.density;
+        let due = control.resets(iteration, self.config.background == [1.0; 3]);
+        if due {
+            self.adam.reset_opacities(self.avatar.bound_mut().local_mut(), control.reset_opacity);
+        }
+        due
+    }
+}
+
+fn options(config: &TrainConfig) -> Options {
+    let outputs = Outputs { color: true, ..Outputs::NONE };
+    Options { background: config.background, outputs, ..Options::default() }
+}
+
+/// GaussianAvatars renders with a symmetric frustum and square pixels (`scene/cameras.py`).
+fn camera_of(view: &CaptureView, faithful: bool) -> Camera {
+    let camera = view.camera;
+    if !faithful {
+        return camera;
+    }
+    let centred = Camera::centred((camera.width, camera.height), [camera.fx; 2]);
+    Camera { camera_from_world: camera.camera_from_world, ..centred }
+}
+
+/// The place of a view's timestep among those of the capture, which has parameters for each.
+fn timestep_place(timesteps: &[u32], view: &CaptureView) -> usize {
+    timesteps.partition_point(|&timestep| timestep < view.timestep)
+}
+
+/// The picture of a view, 0..1, row-major.
+fn picture(capture: &Capture, view: &CaptureView) -> Result<Vec<[f32; 3]>, FileError> {
+    let image = capture.image(view)?;
+    Ok(image.pixels().iter().map(|pixel| pixel.map(|channel| f32::from(channel) / 255.0)).collect())
+}

@@ -1,0 +1,173 @@
+//! Training on a small capture of the built-in head shows it from cameras that it was not trained on.
+
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+use glam::{DMat3, DVec3, Vec3};
+use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView, write_transforms};
+use srflow_avatar::train::{DensityControl, StepReport, Strategy, TrainConfig, TrainError, Trainer};
+use srflow_avatar::{Avatar, AvatarFiles, HeadParameters, HeadPose, PoseParameters, PosedHead};
+use srflow_field::write_image_png;
+use srflow_splat::{Camera, Frame, Gaussians, Options, Outputs, Rasterizer};
+
+const SIZE: (usize, usize) = (96, 128);
+
+/// The head is 1 m in front of each camera; they are this many degrees to its side.
+const CAMERAS: [f64; 4] = [-35.0, 0.0, 35.0, 15.0];
+
+struct Made {
+    /// Removed when the tests end.
+    folder: tempfile::TempDir,
+    avatar: Avatar,
+}
+
+/// Two timesteps by four cameras, of which the last is held out; a third timestep is held out too.
+static MADE: LazyLock<Made> = LazyLock::new(|| {
+    let folder = tempfile::tempdir().expect("a folder");
+    let avatar = Avatar::builtin(1).expect("an avatar");
+    write_capture(folder.path(), &avatar);
+    Made { folder, avatar }
+});
+
+fn camera(degrees: f64, middle: DVec3) -> Camera {
+    let turn = DMat3::from_rotation_y(degrees.to_radians());
+    let facing = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
+    let camera = Camera { cx: 45.0, ..Camera::centred(SIZE, [340.0, 335.0]) };
+    camera.placed(turn * facing, middle + turn * DVec3::Z)
+}
+
+fn write_capture(dir: &Path, avatar: &Avatar) {
+    let vertices = &avatar.shaped().vertices;
+    let (low, high) = vertices
+        .iter()
+        .fold((Vec3::MAX, Vec3::MIN), |(low, high), &vertex| (low.min(vertex), high.max(vertex)));
+    let middle = (0.5 * (low + high)).as_dvec3();
+    for folder in ["images", "flame_param"] {
+        std::fs::create_dir(dir.join(folder)).expect("a folder");
+    }
+    let outputs = Outputs::IMAGE;
+    let options = Options { background: [1.0; 3], outputs, ..Options::default() };
+    let (mut rasterizer, mut frame) = (Rasterizer::new(), Frame::new());
+    let (mut head, mut gaussians) = (PosedHead::default(), Gaussians::default());
+    let mut views = Vec::new();
+    for timestep in 0..3 {
+        let mut pose = HeadPose::default();
+        pose.translation.x = 0.01 * timestep as f32;
+        pose.expressions = vec![0.1 * timestep as f32; avatar.model().expressions.len()];
+        let parameters = HeadParameters {
+            poses: vec![PoseParameters::of(avatar.model(), &pose)],
+            ..avatar.identity().clone()
+        };
+        let file = PathBuf::from(format!("flame_param/{timestep:05}.npz"));
+        parameters.write(&dir.join(&file), vertices.len(), false).expect("parameters");
+        avatar.gaussians_into(&pose, &mut head, &mut gaussians);
+        for (camera_index, degrees) in (0..).zip(CAMERAS) {
+            let camera = camera(degrees, middle);
+            rasterizer.render(&gaussians, &camera, None, &options, &mut frame).expect("a picture");
+            let image = PathBuf::from(format!("images/{timestep:05}_{camera_index:02}.png"));
+            write_image_png(&dir.join(&image), &frame.image).expect("a picture");
+            let split = match (timestep, camera_index) {
+                (2, _) => CaptureSplit::Test,
+                (_, 3) => CaptureSplit::Val,
+                _ => CaptureSplit::Train,
+            };
+            let parameters = Some(file.clone());
+            views.push(CaptureView { split, timestep, camera_index, camera, image, mask: None, parameters });
+        }
+    }
+    write_transforms(dir, &views).expect("cameras");
+}
+
+/// Everything early, as in a training of a hundred iterations.
+fn config() -> TrainConfig {
+    let mut config = TrainConfig { iterations: 60, sh_interval: 20, ..TrainConfig::default() };
+    config.rates.position_steps = 60;
+    config.rates.sh_0 = 0.02;
+    config.density =
+        DensityControl { from: 10, until: 50, interval: 20, reset_interval: 1000, ..config.density };
+    // Not the reset before white at `from`, which would cost the few iterations of this test.
+    config.density.reset_opacity = 1.0;
+    config
+}
+
+fn trainer(config: TrainConfig) -> Trainer {
+    let capture = Capture::read(MADE.folder.path()).expect("a capture");
+    Trainer::new(capture, MADE.avatar.model().clone(), config).expect("a trainer")
+}
+
+fn train(trainer: &mut Trainer, steps: u64) -> Vec<StepReport> {
+    (0..steps).map(|_| trainer.step().expect("a step")).collect()
+}
+
+#[test]
+fn held_out_cameras_and_timesteps_come_to_look_like_their_pictures() {
+    let mut trainer = trainer(config());
+    let score = |trainer: &mut Trainer, split, count| {
+        let mut views = 0;
+        let score = trainer.score(split, |_, _| views += 1).expect("scores").expect("held-out pictures");
+        assert_eq!(views, count);
+        score
+    };
+    let before = [(CaptureSplit::Val, 2), (CaptureSplit::Test, 4)]
+        .map(|(split, count)| score(&mut trainer, split, count));
+    let reports = train(&mut trainer, 60);
+    let after = [(CaptureSplit::Val, 2), (CaptureSplit::Test, 4)]
+        .map(|(split, count)| score(&mut trainer, split, count));
+    for (before, after) in before.iter().zip(&after) {
+        assert!(after.psnr > before.psnr + 6.0 && after.ssim > before.ssim, "{before:?}, {after:?}");
+    }
+    let changes: Vec<u64> =
+        reports.iter().filter(|report| report.change.is_some()).map(|report| report.iteration).collect();
+    assert_eq!(changes, [20, 40]);
+    let bound = trainer.avatar().bound();
+    let given = Capture::read(MADE.folder.path()).unwrap().parameters().unwrap().poses;
+    let learned = &trainer.parameters().poses;
+    assert!(learned[0] != given[0] && learned[1] != given[1], "poses are corrected");
+    assert_eq!(learned[2], given[2], "where pictures are for training");
+    let mut has_one = vec![false; trainer.avatar().model().triangles.len()];
+    bound.triangles().iter().for_each(|&triangle| has_one[triangle as usize] = true);
+    assert!(has_one.iter().all(|has_one| *has_one), "a Gaussian on every triangle");
+    assert_eq!(bound.local().sh_degree, 3);
+
+    let folder = tempfile::tempdir().unwrap();
+    trainer.write_avatar(folder.path(), None).unwrap();
+    let read = AvatarFiles::read(folder.path()).unwrap().on(MADE.avatar.model().clone()).unwrap();
+    assert_eq!((read.bound().len(), read.own_motion()), (bound.len(), &trainer.parameters().poses[..]));
+}
+
+#[test]
+fn training_has_the_same_bits_for_any_number_of_threads_and_others_for_another_seed() {
+    let run = |threads: usize, seed: u64, faithful: bool| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut config = TrainConfig { seed, faithful, ..config() };
+        config.density.strategy = Strategy::AbsGs;
+        config.density.from = 0;
+        config.density.interval = 5;
+        config.density.gradient_threshold = Some(1e-5);
+        let mut trainer = trainer(config);
+        let reports = pool.install(|| train(&mut trainer, 12));
+        assert!(reports.iter().any(|report| report.change.is_some_and(|change| change.split > 0)));
+        let bound = trainer.avatar().bound();
+        (reports, bound.triangles().to_vec(), bound.local().clone())
+    };
+    let expected = run(1, 4, false);
+    assert!(run(3, 4, false) == expected);
+    assert!(run(2, 5, false).2 != expected.2);
+    assert!(run(2, 4, true).2 != expected.2);
+}
+
+#[test]
+fn captures_without_pictures_for_training_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    write_capture(folder.path(), &MADE.avatar);
+    let capture = Capture::read(folder.path()).unwrap();
+    let held_out: Vec<CaptureView> = capture
+        .views()
+        .iter()
+        .map(|view| CaptureView { split: CaptureSplit::Test, ..view.clone() })
+        .collect();
+    write_transforms(folder.path(), &held_out).unwrap();
+    let capture = Capture::read(folder.path()).unwrap();
+    let error = Trainer::new(capture, MADE.avatar.model().clone(), config()).unwrap_err();
+    assert!(matches!(error, TrainError::NoPictures { found: 12, .. }), "{error}");
+}

@@ -12,7 +12,7 @@ use srflow_field::{Array, FileError, FileProblem, Npz};
 
 use crate::avatar::AvatarError;
 use crate::landmark_file::{on_triangle, place, read_rows};
-use crate::regions::RegionMap;
+use crate::regions::{divide_skin, mark_parts};
 use crate::skeleton_names::roles;
 use crate::unit_fit::fitted_units;
 use crate::{HeadModel, Joint, Offsets, PoseCorrective, Region, Shape, Skinning};
@@ -59,7 +59,7 @@ pub(crate) fn load(path: &Path) -> Result<HeadModel, AvatarError> {
         vertex_groups,
     };
     model.validate()?;
-    model.regions = regions(&model);
+    set_regions(&mut model);
     model.action_units = fitted_units(&model, &[]).into_iter().map(|fitted| fitted.unit).collect();
     Ok(model)
 }
@@ -191,42 +191,20 @@ fn landmarks(
     Ok(rows.iter().map(|row| on_triangle(row, template, triangles)).collect())
 }
 
-/// The region of each triangle: by the groups of vertices, and for skin by the landmarks.
-fn regions(model: &HeadModel) -> Vec<Region> {
-    let member = |names: &[&str]| {
-        let mut inside = vec![false; model.template.len()];
-        let groups = names.iter().filter_map(|name| model.vertex_groups.get(*name));
-        groups.flatten().for_each(|v| inside[*v as usize] = true);
-        inside
-    };
-    // The first that holds all vertices of a triangle counts.
+/// Sets the regions: by the groups of vertices, and for skin by the landmarks.
+fn set_regions(model: &mut HeadModel) {
     let parts = [
-        (member(&["eye_exteriors"]), Region::Clear),
-        (member(&["left_eye", "right_eye", "eyes"]), Region::Eyeball),
-        (member(&["teeth"]), Region::Teeth),
-        (
-            member(&["upper_teeth_and_gums", "lower_teeth_and_gums", "tongue", "mouth_sock"]),
-            Region::MouthInside,
-        ),
-        (member(&["eye_sockets"]), Region::InnerLid),
-        (member(&["upper_lip", "lower_lip"]), Region::Lips),
+        (&["eye_exteriors"][..], Region::Clear),
+        (&["left_eye", "right_eye", "eyes"], Region::Eyeball),
+        (&["teeth"], Region::Teeth),
+        (&["upper_teeth_and_gums", "lower_teeth_and_gums", "tongue", "mouth_sock"], Region::MouthInside),
+        (&["eye_sockets"], Region::InnerLid),
+        (&["upper_lip", "lower_lip"], Region::Lips),
     ];
+    let parts = parts.map(|(names, region)| (model.in_groups(names), region));
+    mark_parts(model, &parts);
     let has_lips = model.vertex_groups.contains_key("upper_lip");
-    let landmarks: Vec<Vec3> = model.landmarks_on(&model.template).collect();
-    let map = (landmarks.len() >= 68).then(|| RegionMap::of_any_head(&landmarks));
-    let region = |triangle: &[u32; 3]| {
-        let all = |inside: &[bool]| triangle.iter().all(|v| inside[*v as usize]);
-        if let Some((_, region)) = parts.iter().find(|(inside, _)| all(inside)) {
-            return *region;
-        }
-        let [a, b, c] = triangle.map(|v| model.template[v as usize]);
-        match map.as_ref().map(|map| map.skin_region((a + b + c) / 3.0)) {
-            Some(Region::Lips) if has_lips => Region::Skin,
-            Some(region) => region,
-            None => Region::Skin,
-        }
-    };
-    model.triangles.iter().map(region).collect()
+    divide_skin(model, if has_lips { &[Region::Lips] } else { &[] });
 }
 
 #[cfg(test)]

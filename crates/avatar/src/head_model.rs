@@ -233,6 +233,11 @@ impl HeadModel {
         Some([centre(JointRole::LeftEye, 42)?, centre(JointRole::RightEye, 36)?])
     }
 
+    /// Vertices of these groups, as far as the model has them.
+    pub(crate) fn in_groups(&self, names: &[&str]) -> Vec<u32> {
+        names.iter().filter_map(|name| self.vertex_groups.get(*name)).flatten().copied().collect()
+    }
+
     /// Where the landmarks lie on these vertices, which are those of the model in some shape and pose.
     pub fn landmarks_on(&self, vertices: &[Vec3]) -> impl Iterator<Item = Vec3> {
         self.landmarks.iter().map(|&(triangle, weights)| {

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use crate::Region;
+use crate::{HeadModel, Region};
 
 /// The hairline in profile, metres from back to front: [z, y].
 const HAIRLINE: [[f32; 2]; 15] = [
@@ -27,6 +27,40 @@ const HAIRLINE: [[f32; 2]; 15] = [
 /// below refer to this head.
 const ICT_EYES: (Vec3, f32) = (Vec3::new(0.0, 0.0343, 0.0860), 0.0892);
 
+/// Sets the region of each triangle all of whose vertices are in a part, a list of vertices: that of the first such part.
+pub(crate) fn mark_parts(model: &mut HeadModel, parts: &[(Vec<u32>, Region)]) {
+    let masks = parts.iter().map(|(part, region)| {
+        let mut inside = vec![false; model.template.len()];
+        part.iter().for_each(|v| inside[*v as usize] = true);
+        (inside, *region)
+    });
+    let masks: Vec<(Vec<bool>, Region)> = masks.collect();
+    for (own, triangle) in model.regions.iter_mut().zip(&model.triangles) {
+        let holds = |inside: &[bool]| triangle.iter().all(|v| inside[*v as usize]);
+        if let Some((_, region)) = masks.iter().find(|(inside, _)| holds(inside)) {
+            *own = *region;
+        }
+    }
+}
+
+/// Divides the skin into its regions by the landmarks, if there are the 68. Regions that the model marks itself are left to it.
+pub(crate) fn divide_skin(model: &mut HeadModel, marked: &[Region]) {
+    let landmarks: Vec<Vec3> = model.landmarks_on(&model.template).collect();
+    if landmarks.len() < 68 {
+        return;
+    }
+    let map = RegionMap::of_any_head(&landmarks);
+    for (region, triangle) in model.regions.iter_mut().zip(&model.triangles) {
+        if *region == Region::Skin {
+            let [a, b, c] = triangle.map(|v| model.template[v as usize]);
+            *region = map.skin_region((a + b + c) / 3.0);
+            if marked.contains(region) {
+                *region = Region::Skin;
+            }
+        }
+    }
+}
+
 /// Boundaries of the regions that the topology does not separate.
 pub(crate) struct RegionMap {
     /// ICT-FaceKit's coordinates from the head's own: its eyes, those of ICT-FaceKit, and the scale between.
@@ -42,7 +76,7 @@ pub(crate) struct RegionMap {
 
 impl RegionMap {
     /// For any head with 68 landmarks: it is moved and scaled so that the corners of its eyes are where ICT-FaceKit's are.
-    pub(crate) fn of_any_head(landmarks: &[Vec3]) -> Self {
+    fn of_any_head(landmarks: &[Vec3]) -> Self {
         let (eyes_there, apart) = ICT_EYES;
         let eyes_here = (landmarks[36] + landmarks[45]) * 0.5;
         let scale = apart / landmarks[36].distance(landmarks[45]).max(1e-6);

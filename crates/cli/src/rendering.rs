@@ -18,7 +18,7 @@ pub struct RenderingArgs {
     /// Render only part I of N
     #[arg(long, value_name = "I/N", default_value = "1/1", hide_default_value = true)]
     pub shard: Shard,
-    /// Stop after rendering N pairs or clips, with exit code 75; the same command continues
+    /// Stop after rendering N pairs, clips or timesteps, with exit code 75; the same command continues
     #[arg(long, value_name = "N")]
     pub stop_after: Option<u64>,
     /// Delete the dataset in the folder and start over

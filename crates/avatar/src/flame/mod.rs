@@ -17,7 +17,7 @@ use self::source::Source;
 use self::teeth::Teeth;
 use crate::avatar::AvatarError;
 use crate::pickle::Pickle;
-use crate::regions::RegionMap;
+use crate::regions::{divide_skin, mark_parts};
 use crate::unit_fit::fitted_units;
 use crate::{
     ActionUnit, HeadModel, Joint, JointRole, Offsets, PoseCorrective, Region, Shape, Side, Skinning,
@@ -78,7 +78,7 @@ pub(crate) fn load(path: &Path, with_teeth: bool) -> Result<HeadModel, AvatarErr
         vertex_groups,
     };
     model.validate()?;
-    model.regions = regions(&model);
+    set_regions(&mut model);
     let known: Vec<u8> = model.action_units.iter().map(|unit| unit.number).collect();
     model.action_units.extend(fitted_units(&model, &known).into_iter().map(|fitted| fitted.unit));
     model.action_units.sort_by_key(|unit| unit.number);
@@ -260,48 +260,18 @@ fn jaw_units() -> Vec<ActionUnit> {
     vec![unit(26, JAW_DROP), unit(27, JAW_STRETCH)]
 }
 
-/// The region of each triangle: by the masks, as far as there are any, and else by the landmarks.
-fn regions(model: &HeadModel) -> Vec<Region> {
-    let member = |names: &[&str]| {
-        let mut inside = vec![false; model.template.len()];
-        let groups = names.iter().filter_map(|name| model.vertex_groups.get(*name));
-        groups.flatten().for_each(|v| inside[*v as usize] = true);
-        inside
-    };
-    let teeth = member(&["teeth"]);
-    let eyeballs = {
-        let mut inside = vec![false; model.template.len()];
-        model.eyeballs.iter().flatten().for_each(|v| inside[*v as usize] = true);
-        inside
-    };
-    let masks = [
-        (member(&["lips"]), Region::Lips),
-        (member(&["neck", "boundary"]), Region::Neck),
-        (member(&["scalp"]), Region::Scalp),
+/// Sets the regions: by the masks, as far as there are any, and else by the landmarks.
+fn set_regions(model: &mut HeadModel) {
+    let parts = [
+        (model.in_groups(&["teeth"]), Region::Teeth),
+        (model.eyeballs.concat(), Region::Eyeball),
+        (model.in_groups(&["lips"]), Region::Lips),
+        (model.in_groups(&["neck", "boundary"]), Region::Neck),
+        (model.in_groups(&["scalp"]), Region::Scalp),
     ];
-    let landmarks: Vec<Vec3> = model.landmarks_on(&model.template).collect();
-    let map = (landmarks.len() >= 68).then(|| RegionMap::of_any_head(&landmarks));
+    mark_parts(model, &parts);
     let masked = model.vertex_groups.contains_key("scalp");
-    let region = |triangle: &[u32; 3]| {
-        let all = |inside: &[bool]| triangle.iter().all(|v| inside[*v as usize]);
-        if all(&teeth) {
-            return Region::Teeth;
-        }
-        if all(&eyeballs) {
-            return Region::Eyeball;
-        }
-        if let Some((_, region)) = masks.iter().find(|(inside, _)| all(inside)) {
-            return *region;
-        }
-        let [a, b, c] = triangle.map(|v| model.template[v as usize]);
-        match map.as_ref().map(|map| map.skin_region((a + b + c) / 3.0)) {
-            // Where the masks say where lips, neck and scalp are, the landmarks do not.
-            Some(Region::Lips | Region::Neck | Region::Scalp) if masked => Region::Skin,
-            Some(region) => region,
-            None => Region::Skin,
-        }
-    };
-    model.triangles.iter().map(region).collect()
+    divide_skin(model, if masked { &[Region::Lips, Region::Neck, Region::Scalp] } else { &[] });
 }
 
 #[cfg(test)]

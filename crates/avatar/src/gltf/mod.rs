@@ -17,7 +17,7 @@ use self::document::{Document, Node, Primitive, problem};
 use crate::arkit::action_units;
 use crate::avatar::AvatarError;
 use crate::landmark_file::{on_triangle, read_rows};
-use crate::regions::RegionMap;
+use crate::regions::divide_skin;
 use crate::skeleton_names::roles;
 use crate::{HeadModel, Joint, JointRole, Offsets, Region, Shape, Skinning};
 
@@ -65,7 +65,7 @@ pub(crate) fn load(path: &Path) -> Result<HeadModel, AvatarError> {
             rows.iter().map(|row| on_triangle(row, &model.template, &model.triangles)).collect();
     }
     model.validate()?;
-    refine_skin(&mut model);
+    divide_skin(&mut model, &[]);
     Ok(model)
 }
 
@@ -424,21 +424,6 @@ fn eyeballs(
         }
         found
     })
-}
-
-/// Divides the skin into its regions by the landmarks, if there are any.
-fn refine_skin(model: &mut HeadModel) {
-    let landmarks: Vec<Vec3> = model.landmarks_on(&model.template).collect();
-    if landmarks.len() < 68 {
-        return;
-    }
-    let map = RegionMap::of_any_head(&landmarks);
-    for (region, triangle) in model.regions.iter_mut().zip(&model.triangles) {
-        if *region == Region::Skin {
-            let [a, b, c] = triangle.map(|v| model.template[v as usize]);
-            *region = map.skin_region((a + b + c) / 3.0);
-        }
-    }
 }
 
 #[cfg(test)]

@@ -110,7 +110,7 @@ impl<'a> ViewBackward<'a> {
 
         // The point: through the centre, the depth, and the Jacobian.
         let stretch = [horizontal_gradient.dot(horizontal), vertical_gradient.dot(vertical)];
-        let mut point_gradient = pixel_backward(camera, point, center, camera_gradient);
+        let mut point_gradient = camera.pixel_backward(point, center, camera_gradient);
         point_gradient.z += feature(3) - (stretch[0] + stretch[1]) / point.z;
         camera_gradient.fx += stretch[0] / camera.fx;
         camera_gradient.fy += stretch[1] / camera.fy;
@@ -157,7 +157,7 @@ impl Motion {
         if self.displacement(point, splat).is_some() {
             let pixel = displacement * self.scale;
             center = -pixel;
-            gradient = pixel_backward(camera, point, pixel, out);
+            gradient = camera.pixel_backward(point, pixel, out);
         }
         if (point.z as f32).is_finite() {
             gradient.z += depth;
@@ -166,14 +166,4 @@ impl Motion {
         out.rotation += point.cross(gradient);
         (DMat3::from_mat4(self.camera_from_world).transpose() * gradient, center)
     }
-}
-
-/// The backward of [`Camera::pixel`]: the gradient of the point, and those of the intrinsics, which are added to `out`.
-fn pixel_backward(camera: &Camera, point: DVec3, pixel: DVec2, out: &mut CameraGradient) -> DVec3 {
-    out.fx += pixel.x * point.x / point.z;
-    out.fy += pixel.y * point.y / point.z;
-    out.cx += pixel.x;
-    out.cy += pixel.y;
-    let (x, y) = (camera.fx * pixel.x, camera.fy * pixel.y);
-    DVec3::new(x, y, -(x * point.x + y * point.y) / point.z) / point.z
 }

@@ -18,6 +18,7 @@ pub use file::{NamedCamera, read_cameras};
 pub use orbit::Surroundings;
 
 use crate::CameraError;
+use crate::gradients::CameraGradient;
 
 /// Maximum number of pixels of an image: 134 million (16384x8192), as for flow files.
 pub const MAX_PIXELS: usize = 1 << 27;
@@ -97,6 +98,17 @@ impl Camera {
     /// Pixel of a point in camera coordinates, which must be in front of the camera.
     pub(crate) fn pixel(&self, point: DVec3) -> DVec2 {
         DVec2::new(self.fx * point.x / point.z + self.cx, self.fy * point.y / point.z + self.cy)
+    }
+
+    /// The backward of [`pixel`](Self::pixel), given the gradient of the pixel: the gradient of the point; those of the
+    /// intrinsics are added to `out`.
+    pub(crate) fn pixel_backward(&self, point: DVec3, gradient: DVec2, out: &mut CameraGradient) -> DVec3 {
+        out.fx += gradient.x * point.x / point.z;
+        out.fy += gradient.y * point.y / point.z;
+        out.cx += gradient.x;
+        out.cy += gradient.y;
+        let (x, y) = (self.fx * gradient.x, self.fy * gradient.y);
+        DVec3::new(x, y, -(x * point.x + y * point.y) / point.z) / point.z
     }
 
     /// Checks whether the camera can be rendered.

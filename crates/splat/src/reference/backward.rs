@@ -177,7 +177,7 @@ impl Scene {
                 if next_point.z > NEAR {
                     let displacement = DVec2::new(u, v) * self.flow_scale(next);
                     center -= displacement;
-                    point_gradient = pixel_backward(next, next_point, displacement, &mut out.next_camera);
+                    point_gradient = next.pixel_backward(next_point, displacement, &mut out.next_camera);
                 }
                 point_gradient.z += depth_next;
                 out.next_positions[index] =
@@ -186,7 +186,7 @@ impl Scene {
         }
 
         // Centre and depth.
-        let mut point_gradient = pixel_backward(camera, point, center, &mut out.camera);
+        let mut point_gradient = camera.pixel_backward(point, center, &mut out.camera);
         point_gradient.z += depth;
 
         // From the inverse of the projected covariance, C, to the covariance: d(C) = -C d(covariance) C.
@@ -244,16 +244,6 @@ impl Scene {
 
 fn symmetric([xx, xy, yy]: [f64; 3]) -> DMat2 {
     DMat2::from_cols_array(&[xx, xy, xy, yy])
-}
-
-/// The backward of [`Camera::pixel`]: the gradient of the point, and those of the intrinsics, which are added to `out`.
-fn pixel_backward(camera: &Camera, point: DVec3, pixel: DVec2, out: &mut CameraGradient) -> DVec3 {
-    out.fx += pixel.x * point.x / point.z;
-    out.fy += pixel.y * point.y / point.z;
-    out.cx += pixel.x;
-    out.cy += pixel.y;
-    let (x, y) = (camera.fx * pixel.x, camera.fy * pixel.y);
-    DVec3::new(x, y, -(x * point.x + y * point.y) / point.z) / point.z
 }
 
 /// From the gradient of a point in camera coordinates to that of the point in the world, and to those of the pose, which are

@@ -3,7 +3,7 @@
 use glam::{DVec3, Quat, Vec3};
 use srflow_simd::Isa;
 
-use super::scenes::{camera, gradients, jittered, moved, push, random};
+use super::scenes::{camera, gradients, jittered, moved, push, push_each, random};
 use crate::reference::{self, Gradients};
 use crate::{
     Camera, CameraGradient, Frame, FrameGradients, GaussianGradients, Gaussians, Next, Options, Outputs,
@@ -247,11 +247,7 @@ fn extreme_but_finite_parameters_give_no_nan() {
     for a in extremes {
         for b in extremes {
             let mut gaussians = random(2, 20, 0);
-            push(&mut gaussians, Vec3::new(a, b, 1.0), Vec3::splat(0.1), Quat::IDENTITY, 0.5, [0.5; 3]);
-            push(&mut gaussians, Vec3::new(0.0, a, b), Vec3::new(b, a, 0.1), Quat::IDENTITY, 0.5, [0.5; 3]);
-            push(&mut gaussians, Vec3::Z, Vec3::new(a, b, 0.1), Quat::IDENTITY, 0.5, [0.5; 3]);
-            push(&mut gaussians, Vec3::Z, Vec3::splat(0.2), Quat::from_xyzw(a, b, a, b), 0.5, [0.5; 3]);
-            push(&mut gaussians, Vec3::Z, Vec3::splat(0.2), Quat::IDENTITY, a, [b, 0.5, 0.5]);
+            push_each(&mut gaussians, a, b);
             let mut next = gaussians.clone();
             next.positions.reverse();
             let next = Next { gaussians: &next, camera: &camera() };

@@ -50,6 +50,15 @@ pub(crate) fn push(
     gaussians.sh.extend(std::iter::repeat_n([0.0; 3], gaussians.sh_len() - 1));
 }
 
+/// Appends Gaussians that have `a` and `b` as parameters of each kind in turn.
+pub(crate) fn push_each(gaussians: &mut Gaussians, a: f32, b: f32) {
+    push(gaussians, Vec3::new(a, b, 1.0), Vec3::splat(0.1), Quat::IDENTITY, 0.5, [0.5; 3]);
+    push(gaussians, Vec3::new(0.0, a, b), Vec3::new(b, a, 0.1), Quat::IDENTITY, 0.5, [0.5; 3]);
+    push(gaussians, Vec3::Z, Vec3::new(a, b, 0.1), Quat::IDENTITY, 0.5, [0.5; 3]);
+    push(gaussians, Vec3::Z, Vec3::splat(0.2), Quat::from_xyzw(a, b, a, b), 0.5, [0.5; 3]);
+    push(gaussians, Vec3::Z, Vec3::splat(0.2), Quat::IDENTITY, a, [b, 0.5, 0.5]);
+}
+
 /// `count` Gaussians in front of, beside and behind [`camera`]. Footprints range from under a pixel to the whole image,
 /// shapes from round to needles of 1:300; some opacities are 0, 1, or under 1/255.
 pub(crate) fn random(seed: u64, count: usize, sh_degree: usize) -> Gaussians {

@@ -2,7 +2,7 @@
 
 use glam::{DVec3, Quat, Vec3};
 
-use super::scenes::{camera, jittered, moved, push, random, single};
+use super::scenes::{camera, jittered, moved, push, push_each, random, single};
 use crate::reference::{self, Pixel};
 use crate::{Camera, Frame, Gaussians, Next, Options, Rasterizer};
 
@@ -205,11 +205,7 @@ fn extreme_but_finite_parameters_do_no_harm() {
     for a in extremes {
         for b in extremes {
             let mut gaussians = single(Vec3::new(0.0, 0.0, 1.0), 0.1, 0.5);
-            push(&mut gaussians, Vec3::new(a, b, 1.0), Vec3::splat(0.1), Quat::IDENTITY, 0.5, [0.5; 3]);
-            push(&mut gaussians, Vec3::new(0.0, a, b), Vec3::new(b, a, 0.1), Quat::IDENTITY, 0.5, [0.5; 3]);
-            push(&mut gaussians, Vec3::Z, Vec3::new(a, b, 0.1), Quat::IDENTITY, 0.5, [0.5; 3]);
-            push(&mut gaussians, Vec3::Z, Vec3::splat(0.2), Quat::from_xyzw(a, b, a, b), 0.5, [0.5; 3]);
-            push(&mut gaussians, Vec3::Z, Vec3::splat(0.2), Quat::IDENTITY, a, [b, 0.5, 0.5]);
+            push_each(&mut gaussians, a, b);
             let mut next = gaussians.clone();
             next.positions.reverse();
             let (frame, _) = both(&gaussians, &camera(), Some(Next { gaussians: &next, camera: &camera() }));

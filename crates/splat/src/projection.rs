@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use crate::blending::LOG2_ALPHA_MIN;
 use crate::reference::{ALPHA_MIN, LOW_PASS};
-use crate::{Camera, Gaussians, NEAR, Next, PixelConvention, sh};
+use crate::{Camera, Gaussians, NEAR, Next, Options, PixelConvention, sh};
 
 /// Sides of a tile in pixels.
 pub(crate) const TILE: usize = 16;
@@ -52,15 +52,15 @@ pub(crate) fn project(
     gaussians: &Gaussians,
     camera: &Camera,
     next: Option<Next<'_>>,
-    convention: PixelConvention,
+    options: &Options,
     splats: &mut Vec<Splat>,
     placements: &mut Vec<Placement>,
 ) -> usize {
     const CHUNK: usize = 2048;
     splats.resize(gaussians.len(), Splat::default());
     placements.resize(gaussians.len(), Placement::HIDDEN);
-    let view = View::new(camera);
-    let motion = next.map(|next| (next.gaussians, Motion::new(next.camera, convention)));
+    let view = View::new(camera, options.antialiased);
+    let motion = next.map(|next| (next.gaussians, Motion::new(next.camera, options.convention)));
     splats
         .par_chunks_mut(CHUNK)
         .zip(placements.par_chunks_mut(CHUNK))
@@ -94,10 +94,12 @@ pub(crate) struct View {
     /// Bounds of the direction at which the Jacobian is taken; see the notes in [`crate::reference`].
     clamp_min: DVec2,
     clamp_max: DVec2,
+    /// See [`Options::antialiased`].
+    pub antialiased: bool,
 }
 
 impl View {
-    pub(crate) fn new(camera: &Camera) -> Self {
+    pub(crate) fn new(camera: &Camera, antialiased: bool) -> Self {
         let size = DVec2::new(camera.width as f64, camera.height as f64);
         let focal = DVec2::new(camera.fx, camera.fy);
         let principal = DVec2::new(camera.cx, camera.cy);
@@ -108,6 +110,7 @@ impl View {
             position: camera.position(),
             clamp_min: (DVec2::splat(-0.5) - principal) / focal - margin,
             clamp_max: (size - 0.5 - principal) / focal + margin,
+            antialiased,
         }
     }
 
@@ -124,6 +127,11 @@ impl View {
             return None;
         }
         let ellipse = self.ellipse(gaussians, index, point)?;
+        let opacity = if self.antialiased { opacity * ellipse.compensation() } else { opacity };
+        let drawn = opacity >= ALPHA_MIN;
+        if !drawn {
+            return None;
+        }
         let center = self.camera.pixel(point);
         let log2_opacity = libm::log2(opacity);
         let extent = ellipse.extent(log2_opacity);
@@ -163,9 +171,15 @@ impl View {
         let xx = horizontal.length_squared();
         let yy = vertical.length_squared();
         // The determinant of A A^T is the sum of the squared minors of A: no cancellation for needles.
-        let determinant =
-            horizontal.cross(vertical).length_squared() + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS;
-        Some(Ellipse { xx: xx + LOW_PASS, xy: horizontal.dot(vertical), yy: yy + LOW_PASS, determinant })
+        let sharp_determinant = horizontal.cross(vertical).length_squared();
+        let determinant = sharp_determinant + LOW_PASS * (xx + yy) + LOW_PASS * LOW_PASS;
+        Some(Ellipse {
+            xx: xx + LOW_PASS,
+            xy: horizontal.dot(vertical),
+            yy: yy + LOW_PASS,
+            determinant,
+            sharp_determinant,
+        })
     }
 }
 
@@ -183,9 +197,16 @@ struct Ellipse {
     xy: f64,
     yy: f64,
     determinant: f64,
+    /// The determinant without the low-pass filter, px^4.
+    sharp_determinant: f64,
 }
 
 impl Ellipse {
+    /// The factor by which the low-pass filter reduces the opacity; see [`Options::antialiased`].
+    fn compensation(&self) -> f64 {
+        (self.sharp_determinant / self.determinant).sqrt()
+    }
+
     /// Half sides in pixels of the box around the pixels whose alpha is at least 1/255.
     fn extent(&self, log2_opacity: f64) -> DVec2 {
         // Alpha reaches 1/255 where the squared Mahalanobis distance is at most this.

@@ -14,13 +14,24 @@ pub struct Options {
     pub background: [f32; 3],
     /// Pixel convention of the flow.
     pub convention: PixelConvention,
+    /// Whether the low-pass filter, which makes every Gaussian about a pixel wide at least, reduces its opacity by the factor
+    /// by which it enlarges its area: `sqrt(det S / det(S + 0.3 I))`, with `S` the projected covariance. A Gaussian smaller than
+    /// a pixel then contributes in proportion to its area at any distance. This is the 2D filter of Mip-Splatting (Yu et al.
+    /// 2024) as in gsplat's `rasterize_mode="antialiased"` and the 3DGS reference's `--antialiasing`. Gaussians must be rendered
+    /// as they were trained.
+    pub antialiased: bool,
     pub outputs: Outputs,
 }
 
 impl Default for Options {
-    /// Black background, [`PixelConvention::Splat`], every output.
+    /// Black background, [`PixelConvention::Splat`], not antialiased, every output.
     fn default() -> Self {
-        Self { background: [0.0; 3], convention: PixelConvention::Splat, outputs: Outputs::ALL }
+        Self {
+            background: [0.0; 3],
+            convention: PixelConvention::Splat,
+            antialiased: false,
+            outputs: Outputs::ALL,
+        }
     }
 }
 
@@ -81,7 +92,7 @@ impl Rasterizer {
         frame.prepare(camera.width, camera.height, outputs);
 
         let without_displacement =
-            project(gaussians, camera, next, options.convention, &mut self.splats, &mut self.placements);
+            project(gaussians, camera, next, options, &mut self.splats, &mut self.placements);
         let order = self.order.sort(&self.placements);
         let strips = camera.height.div_ceil(TILE);
         self.strips.deal(strips, order.iter().map(|drawn| (*drawn, drawn.rows)));

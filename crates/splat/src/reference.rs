@@ -13,6 +13,10 @@
 //!
 //! A Gaussian is not drawn when its centre's depth is at most [`NEAR`], its opacity is under 1/255, its quaternion has length
 //! zero, or any of its parameters is not finite.
+//!
+//! With [`Options::antialiased`] the opacity is that after the reduction, for this decision too. The factor is gsplat's (`add_blur`
+//! in `gsplat/cuda/include/Utils.cuh`), zero for a Gaussian that is flat and seen from its edge; the 3DGS reference limits it to at
+//! least 0.005.
 
 mod backward;
 #[cfg(test)]
@@ -74,6 +78,7 @@ struct Splat {
     center: DVec2,
     /// Inverse of the projected covariance: xx, xy, yy.
     conic: [f64; 3],
+    /// Reduced if antialiased.
     opacity: f64,
     color: [f64; 3],
     depth: f64,
@@ -155,12 +160,17 @@ impl Scene {
         if !finite || rotation.length() == 0.0 || opacity < ALPHA_MIN || point.z <= NEAR {
             return None;
         }
+        let projection = projection(&self.camera, point, world_from_axes(rotation, scale));
+        let opacity = if self.options.antialiased { opacity * compensation(&projection) } else { opacity };
+        if opacity < ALPHA_MIN {
+            return None;
+        }
         let center = self.camera.pixel(point);
         let (displacement, depth_next) = self.motion(index, center);
         Some(Splat {
             index,
             center,
-            conic: inverse(covariance(projection(&self.camera, point, world_from_axes(rotation, scale)))),
+            conic: inverse(covariance(&projection)),
             opacity,
             color: sh::color(self.sh_degree, sh, position - self.camera.position()),
             depth: point.z,
@@ -274,8 +284,16 @@ struct Projection {
 }
 
 /// EWA projection: xx, xy and yy of `J R Sigma R^T J^T`, plus the low-pass filter.
-fn covariance(Projection { rows, .. }: Projection) -> [f64; 3] {
+fn covariance(Projection { rows, .. }: &Projection) -> [f64; 3] {
     [rows[0].dot(rows[0]) + LOW_PASS, rows[0].dot(rows[1]), rows[1].dot(rows[1]) + LOW_PASS]
+}
+
+/// The square root of the ratio of the covariance's determinants without and with the low-pass filter.
+fn compensation(Projection { rows, .. }: &Projection) -> f64 {
+    // The determinant of A A^T is the sum of the squared minors of A.
+    let sharp = rows[0].cross(rows[1]).length_squared();
+    let trace = rows[0].length_squared() + rows[1].length_squared();
+    (sharp / (sharp + LOW_PASS * trace + LOW_PASS * LOW_PASS)).sqrt()
 }
 
 fn inverse([xx, xy, yy]: [f64; 3]) -> [f64; 3] {

@@ -5,7 +5,8 @@ use glam::{DMat3, DQuat, DVec2, DVec3, DVec4};
 use super::moment;
 use crate::gradients::{CameraGradient, GaussianGradientsChunk};
 use crate::projection::{Motion, Splat, View};
-use crate::{Camera, Gaussians, PixelConvention, sh};
+use crate::reference::LOW_PASS;
+use crate::{Camera, Gaussians, Options, sh};
 
 /// The inverse of the projected covariance is this times the transpose of [`Splat::factor`] times the factor.
 const CONIC: f64 = 2.0 * std::f64::consts::LN_2;
@@ -17,9 +18,9 @@ pub(super) struct ViewBackward<'a> {
 }
 
 impl<'a> ViewBackward<'a> {
-    pub(super) fn new(camera: &Camera, next: Option<(&'a Gaussians, Camera, PixelConvention)>) -> Self {
-        let next = next.map(|(gaussians, camera, convention)| (gaussians, Motion::new(&camera, convention)));
-        Self { view: View::new(camera), next }
+    pub(super) fn new(camera: &Camera, next: Option<(&'a Gaussians, Camera)>, options: &Options) -> Self {
+        let next = next.map(|(gaussians, camera)| (gaussians, Motion::new(&camera, options.convention)));
+        Self { view: View::new(camera, options.antialiased), next }
     }
 
     /// Writes the gradients of Gaussian number `index`, given those of its splat ([`Partial::sums`](super::Partial)), to
@@ -88,8 +89,13 @@ impl<'a> ViewBackward<'a> {
         let (fx, fy) = (camera.fx / point.z, camera.fy / point.z);
         let (across, down) = (x - clamped.x * z, y - clamped.y * z);
         let (horizontal, vertical) = (across * scale * fx, down * scale * fy);
-        let horizontal_gradient = 2.0 * (covariance[0] * horizontal + covariance[1] * vertical);
-        let vertical_gradient = 2.0 * (covariance[1] * horizontal + covariance[2] * vertical);
+        let mut horizontal_gradient = 2.0 * (covariance[0] * horizontal + covariance[1] * vertical);
+        let mut vertical_gradient = 2.0 * (covariance[1] * horizontal + covariance[2] * vertical);
+        if self.view.antialiased {
+            let slopes = log_compensation_slopes(horizontal, vertical);
+            horizontal_gradient += sum(moment::V) * slopes[0];
+            vertical_gradient += sum(moment::V) * slopes[1];
+        }
         let (across_gradient, down_gradient) =
             (horizontal_gradient * scale * fx, vertical_gradient * scale * fy);
         let scales = horizontal_gradient * across * fx + vertical_gradient * down * fy;
@@ -135,6 +141,19 @@ impl<'a> ViewBackward<'a> {
         out.positions[at] = moved.as_vec3();
         out.opacities[at] = (sum(moment::V) / f64::from(gaussians.opacities[index])) as f32;
     }
+}
+
+/// The derivatives of the natural logarithm of the opacity's factor ([`Options::antialiased`]) with respect to the two rows
+/// whose inner products are the projected covariance.
+fn log_compensation_slopes(horizontal: DVec3, vertical: DVec3) -> [DVec3; 2] {
+    let normal = horizontal.cross(vertical);
+    let sharp_determinant = normal.length_squared();
+    let added = LOW_PASS * (horizontal.length_squared() + vertical.length_squared()) + LOW_PASS * LOW_PASS;
+    let determinant = sharp_determinant + added;
+    // Not zero: the factor of a splat that is drawn is at least 1/255 of its opacity.
+    let area = added / determinant / sharp_determinant;
+    let trace = LOW_PASS / determinant;
+    [area * vertical.cross(normal) - trace * horizontal, area * normal.cross(horizontal) - trace * vertical]
 }
 
 impl Motion {

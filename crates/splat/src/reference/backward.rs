@@ -9,7 +9,8 @@
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3, DVec4};
 
 use super::{
-    ALPHA_MAX, Projection, Scene, Splat, for_each_blended, projection, unclamped_alpha, world_from_axes,
+    ALPHA_MAX, LOW_PASS, Projection, Scene, Splat, compensation, for_each_blended, projection,
+    unclamped_alpha, world_from_axes,
 };
 use crate::gradients::{CameraGradient, FrameGradients};
 use crate::{Camera, Gaussians, NEAR, Next, Options, RasterizeError, sh};
@@ -195,10 +196,20 @@ impl Scene {
         let covariance = -(conic * symmetric([xx, 0.5 * xy, yy]) * conic);
         // To the rows of J W, whose inner products it has.
         let axes = world_from_axes(self.rotations[index], self.scales[index]);
-        let Projection { direction, clamped, jacobian_rows, camera_from_axes, rows } =
-            projection(camera, point, axes);
-        let row_gradients =
+        let projection = projection(camera, point, axes);
+        let rows = projection.rows;
+        let mut row_gradients =
             [0, 1].map(|i| 2.0 * (covariance.col(i).x * rows[0] + covariance.col(i).y * rows[1]));
+        out.opacities[index] = gradient.opacity;
+        if self.options.antialiased {
+            // The opacity on the image is the Gaussian's times the compensation.
+            out.opacities[index] *= compensation(&projection);
+            let slopes = compensation_slopes(&projection);
+            for (row, slope) in row_gradients.iter_mut().zip(slopes) {
+                *row += gradient.opacity * self.opacities[index] * slope;
+            }
+        }
+        let Projection { direction, clamped, jacobian_rows, camera_from_axes, .. } = projection;
         // To J and W.
         let jacobian = row_gradients.map(|row| camera_from_axes * row);
         let camera_from_axes_gradient = DMat3::from_cols_array_2d(&std::array::from_fn(|axis| {
@@ -238,8 +249,25 @@ impl Scene {
         out.rotations[index] = quaternion_backward(self.rotations[index], rotation_gradient);
 
         out.positions[index] += point_backward(camera, point, point_gradient, &mut out.camera);
-        out.opacities[index] = gradient.opacity;
     }
+}
+
+/// The derivatives of [`compensation`] with respect to the two rows. With `n` their cross product, it is `|n| / sqrt(d)`, where
+/// `d = n . n + LOW_PASS (r0 . r0 + r1 . r1) + LOW_PASS^2`.
+fn compensation_slopes(Projection { rows, .. }: &Projection) -> [DVec3; 2] {
+    let normal = rows[0].cross(rows[1]);
+    let length = normal.length();
+    let determinant = normal.length_squared()
+        + LOW_PASS * (rows[0].length_squared() + rows[1].length_squared())
+        + LOW_PASS * LOW_PASS;
+    // d |n| / d r0 is r1 x n / |n|. The length of a Gaussian that is drawn is not zero, and this has length |r1| however small
+    // that is.
+    let length_slopes = [rows[1].cross(normal) / length, normal.cross(rows[0]) / length];
+    [0, 1].map(|i| {
+        let determinant_slope = 2.0 * length * length_slopes[i] + 2.0 * LOW_PASS * rows[i];
+        length_slopes[i] / determinant.sqrt()
+            - 0.5 * length * determinant_slope / (determinant * determinant.sqrt())
+    })
 }
 
 fn symmetric([xx, xy, yy]: [f64; 3]) -> DMat2 {

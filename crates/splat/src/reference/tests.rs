@@ -159,7 +159,8 @@ fn gradients_of_random_scenes_match_central_differences() {
         let moved_gaussians = jittered(&gaussians, seed, 0.05);
         let second = Camera { fx: 42.0, ..moved(small(), 0.05, -0.03, DVec3::new(0.05, 0.02, -0.1)) };
         let convention = [PixelConvention::Splat, PixelConvention::Paper][seed as usize % 2];
-        let options = Options { background: [0.2, 0.9, 0.4], convention, ..Options::default() };
+        let antialiased = seed >= 4;
+        let options = Options { background: [0.2, 0.9, 0.4], convention, antialiased, ..Options::default() };
         let next = Next { gaussians: &moved_gaussians, camera: &second };
         let mut scene = scene(&gaussians, Some(next), &options);
         scene.camera = moved(scene.camera, -0.1, 0.05, DVec3::new(0.1, 0.0, 0.2));
@@ -179,8 +180,31 @@ fn gradients_beyond_every_border_match_central_differences() {
         gaussians.scales.fill(Vec3::new(0.4, 0.5, 0.7));
         gaussians.opacities = vec![0.8, 0.9, 0.7];
         let next = Next { gaussians: &gaussians, camera: &small() };
-        assert!(assert_gradients(&scene(&gaussians, Some(next), &Options::default()), 5) > 50);
+        for antialiased in [false, true] {
+            let options = Options { antialiased, ..Options::default() };
+            assert!(assert_gradients(&scene(&gaussians, Some(next), &options), 5) > 50);
+        }
     }
+}
+
+/// Needles, discs seen from their edge and balls, down to sizes at which antialiasing leaves hardly any opacity.
+#[test]
+fn gradients_of_antialiased_gaussians_smaller_than_a_pixel_match_central_differences() {
+    let mut nonzero = 0;
+    for (seed, size) in [0.002, 0.005, 0.02, 0.1].into_iter().enumerate() {
+        let mut gaussians = random(seed as u64, 9, 1);
+        for i in 0..gaussians.len() {
+            gaussians.positions[i] =
+                Vec3::new(0.06 * i as f32 - 0.2, 0.03 * (i % 4) as f32, 0.9 + 0.1 * i as f32);
+            gaussians.opacities[i] = 0.9;
+            gaussians.scales[i] =
+                size * [Vec3::ONE, Vec3::new(1.0, 0.1, 0.2), Vec3::new(1.0, 0.8, 0.05)][i % 3];
+        }
+        let options = Options { antialiased: true, ..Options::default() };
+        let next = Next { gaussians: &gaussians, camera: &small() };
+        nonzero += assert_gradients(&scene(&gaussians, Some(next), &options), seed as u64);
+    }
+    assert!(nonzero > 300, "only {nonzero} gradients are not zero");
 }
 
 #[test]

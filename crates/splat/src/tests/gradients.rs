@@ -13,18 +13,22 @@ use crate::{
 const OPTIONS: Options = Options {
     background: [0.1, 0.5, 0.9],
     convention: crate::PixelConvention::Paper,
+    antialiased: false,
     outputs: Outputs::NONE,
 };
+
+const ANTIALIASED: Options = Options { antialiased: true, ..OPTIONS };
 
 fn fast(
     rasterizer: &mut Rasterizer,
     gaussians: &Gaussians,
     camera: &Camera,
     next: Option<Next<'_>>,
+    options: &Options,
     gradients: &FrameGradients,
 ) -> GaussianGradients {
     let mut out = GaussianGradients::default();
-    let mut rendering = rasterizer.render(gaussians, camera, next, &OPTIONS, &mut Frame::new()).unwrap();
+    let mut rendering = rasterizer.render(gaussians, camera, next, options, &mut Frame::new()).unwrap();
     rendering.backward(gradients, &mut out).unwrap();
     out
 }
@@ -77,14 +81,15 @@ fn norm(values: &[f64]) -> f64 {
     values.iter().map(|value| value * value).sum::<f64>().sqrt()
 }
 
-/// Compares each list: its error within 1e-4 of its norm, and that of each Gaussian within 1 % of its own gradient.
+/// Compares each list: its error within 3e-4 of its norm (what the `f32` sums of needles of 1:300 need), and that of each
+/// Gaussian within 1 % of its own gradient.
 #[track_caller]
 fn assert_close(found: &GaussianGradients, expected: &Gradients) {
     for (name, each, found, expected) in lists(found, expected) {
         assert_eq!(found.len(), expected.len(), "{name}");
         let error: Vec<f64> = found.iter().zip(&expected).map(|(a, b)| a - b).collect();
         let whole = norm(&expected);
-        assert!(norm(&error) <= 1e-4 * whole + 1e-12, "{name}: error {:e} of {whole:e}", norm(&error));
+        assert!(norm(&error) <= 3e-4 * whole + 1e-12, "{name}: error {:e} of {whole:e}", norm(&error));
         for (i, (error, expected)) in error.chunks(each).zip(expected.chunks(each)).enumerate() {
             let (error, own) = (norm(error), norm(expected));
             assert!(error <= 1e-2 * own + 1e-7 * whole + 1e-12, "{name} {i}: error {error:e} of {own:e}");
@@ -97,10 +102,11 @@ fn assert_agree(
     gaussians: &Gaussians,
     camera: &Camera,
     next: Option<Next<'_>>,
+    options: &Options,
     gradients: &FrameGradients,
 ) -> GaussianGradients {
-    let found = fast(&mut Rasterizer::new(), gaussians, camera, next, gradients);
-    assert_close(&found, &reference::backward(gaussians, camera, next, &OPTIONS, gradients).unwrap());
+    let found = fast(&mut Rasterizer::new(), gaussians, camera, next, options, gradients);
+    assert_close(&found, &reference::backward(gaussians, camera, next, options, gradients).unwrap());
     found
 }
 
@@ -117,7 +123,7 @@ fn gradients_of_random_scenes_agree() {
         let moved_gaussians = jittered(&gaussians, seed, 0.02);
         let next = Next { gaussians: &moved_gaussians, camera: &second() };
         let all = gradients(camera().width * camera().height, seed);
-        let found = assert_agree(&gaussians, &camera(), Some(next), &all);
+        let found = assert_agree(&gaussians, &camera(), Some(next), &OPTIONS, &all);
         let nonzero = found.positions.iter().filter(|gradient| **gradient != Vec3::ZERO).count();
         assert!(nonzero * 8 >= count, "{nonzero} of {count} have a gradient");
 
@@ -127,9 +133,10 @@ fn gradients_of_random_scenes_agree() {
         let depth = FrameGradients { depth: all.depth.clone(), alpha: all.alpha.clone(), ..none.clone() };
         let flow = FrameGradients { flow: all.flow.clone(), ..none.clone() };
         for some in [&none, &color, &depth, &flow, &all] {
-            assert_agree(&gaussians, &camera(), Some(next), some);
-            assert_agree(&gaussians, &camera(), None, some);
+            assert_agree(&gaussians, &camera(), Some(next), &OPTIONS, some);
+            assert_agree(&gaussians, &camera(), None, &OPTIONS, some);
         }
+        assert_agree(&gaussians, &camera(), Some(next), &ANTIALIASED, &all);
     }
 }
 
@@ -143,7 +150,7 @@ fn gradients_in_a_tall_image_agree() {
     }
     gaussians.scales.fill(Vec3::new(0.2, 2.0, 0.3));
     gaussians.rotations.fill(Quat::from_rotation_z(0.1));
-    assert_agree(&gaussians, &tall, None, &gradients(21 * 611, 1));
+    assert_agree(&gaussians, &tall, None, &OPTIONS, &gradients(21 * 611, 1));
 }
 
 #[test]
@@ -173,7 +180,7 @@ fn large(rasterizer: &mut Rasterizer, seed: u64) -> GaussianGradients {
     let gaussians = random(seed, 3000, 3);
     let moved_gaussians = jittered(&gaussians, seed, 0.03);
     let next = Next { gaussians: &moved_gaussians, camera: &Camera { fx: 305.0, ..wide } };
-    fast(rasterizer, &gaussians, &wide, Some(next), &gradients(333 * 217, seed))
+    fast(rasterizer, &gaussians, &wide, Some(next), &OPTIONS, &gradients(333 * 217, seed))
 }
 
 #[test]
@@ -202,13 +209,13 @@ fn earlier_gradients_leave_no_trace() {
     large(&mut rasterizer, 2);
     let few = random(3, 50, 1);
     let pixels = camera().width * camera().height;
-    fast(&mut rasterizer, &few, &camera(), None, &gradients(pixels, 1));
+    fast(&mut rasterizer, &few, &camera(), None, &ANTIALIASED, &gradients(pixels, 1));
     let mut frame = Frame::new();
     let mut out = expected.clone();
     let mut rendering = rasterizer.render(&few, &camera(), None, &OPTIONS, &mut frame).unwrap();
     rendering.backward(&gradients(pixels, 1), &mut out).unwrap();
     rendering.backward(&gradients(pixels, 2), &mut out).unwrap();
-    assert!(out == fast(&mut Rasterizer::new(), &few, &camera(), None, &gradients(pixels, 2)));
+    assert!(out == fast(&mut Rasterizer::new(), &few, &camera(), None, &OPTIONS, &gradients(pixels, 2)));
     assert!(large(&mut rasterizer, 1) == expected);
 }
 
@@ -220,7 +227,7 @@ fn a_moved_position_that_is_not_finite_has_no_gradient_and_harms_no_other() {
         let mut next = jittered(&gaussians, 7, 0.02);
         next.positions.iter_mut().step_by(3).for_each(|position| position.x = bad);
         let next = Next { gaussians: &next, camera: &second() };
-        let found = assert_agree(&gaussians, &camera(), Some(next), &all);
+        let found = assert_agree(&gaussians, &camera(), Some(next), &OPTIONS, &all);
         assert!(lists_of(&found).iter().all(|value| value.is_finite()));
         assert!(found.next_positions.iter().step_by(3).all(|gradient| *gradient == Vec3::ZERO));
         assert!(found.next_positions.iter().any(|gradient| *gradient != Vec3::ZERO));
@@ -251,10 +258,13 @@ fn extreme_but_finite_parameters_give_no_nan() {
             let mut next = gaussians.clone();
             next.positions.reverse();
             let next = Next { gaussians: &next, camera: &camera() };
-            let found =
-                fast(&mut Rasterizer::new(), &gaussians, &camera(), Some(next), &gradients(pixels, 1));
-            let values = lists_of(&found);
-            assert!(values.iter().all(|value| !value.is_nan()), "{a} {b}");
+            let gradients = gradients(pixels, 1);
+            for options in [OPTIONS, ANTIALIASED] {
+                let found =
+                    fast(&mut Rasterizer::new(), &gaussians, &camera(), Some(next), &options, &gradients);
+                let values = lists_of(&found);
+                assert!(values.iter().all(|value| !value.is_nan()), "{a} {b}");
+            }
         }
     }
 }

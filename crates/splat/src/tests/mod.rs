@@ -1,3 +1,4 @@
+mod antialiasing;
 mod gradients;
 mod invariance;
 mod motion;

@@ -10,8 +10,17 @@ const BACKGROUND: [f32; 3] = [0.1, 0.5, 0.9];
 
 /// Both renderings; without `next` nothing moves.
 fn both(gaussians: &Gaussians, camera: &Camera, next: Option<Next<'_>>) -> (Frame, Vec<Pixel>) {
+    both_with(&Options::default(), gaussians, camera, next)
+}
+
+fn both_with(
+    options: &Options,
+    gaussians: &Gaussians,
+    camera: &Camera,
+    next: Option<Next<'_>>,
+) -> (Frame, Vec<Pixel>) {
     let next = next.or(Some(Next { gaussians, camera }));
-    let options = Options { background: BACKGROUND, ..Options::default() };
+    let options = Options { background: BACKGROUND, ..*options };
     let mut frame = Frame::new();
     Rasterizer::new().render(gaussians, camera, next, &options, &mut frame).unwrap();
     (frame, reference::render(gaussians, camera, next, &options).unwrap())
@@ -57,17 +66,19 @@ fn random_scenes_agree() {
     let first = camera();
     let second = moved(first, 0.05, -0.03, DVec3::new(0.05, 0.02, -0.1));
     let mut covered = 0;
-    for seed in 0..16 {
+    for seed in 0..32 {
         let count = [3, 30, 120, 400][seed as usize % 4];
-        let gaussians = random(seed, count, seed as usize / 4);
+        let gaussians = random(seed, count, seed as usize / 4 % 4);
         let next = jittered(&gaussians, seed, 0.02);
-        let (frame, pixels) = both(&gaussians, &first, Some(Next { gaussians: &next, camera: &second }));
+        let next = Next { gaussians: &next, camera: &second };
+        let options = Options { antialiased: seed >= 16, ..Options::default() };
+        let (frame, pixels) = both_with(&options, &gaussians, &first, Some(next));
         covered += assert_close(&frame, &pixels);
         let blended: u64 = pixels.iter().map(|pixel| u64::from(pixel.blended)).sum();
         let difference = frame.statistics.blended.abs_diff(blended);
         assert!(difference * 10_000 <= blended, "{} pairs blended, twin {blended}", frame.statistics.blended);
     }
-    assert!(covered > 20_000, "only {covered} pixels were covered");
+    assert!(covered > 40_000, "only {covered} pixels were covered");
 }
 
 #[test]
@@ -208,9 +219,13 @@ fn extreme_but_finite_parameters_do_no_harm() {
             push_each(&mut gaussians, a, b);
             let mut next = gaussians.clone();
             next.positions.reverse();
-            let (frame, _) = both(&gaussians, &camera(), Some(Next { gaussians: &next, camera: &camera() }));
-            assert!(frame.alpha.pixels().iter().all(|alpha| (0.0..=1.0).contains(alpha)), "{a} {b}");
-            assert!(frame.flow.pixels().iter().flatten().all(|value| !value.is_nan()), "{a} {b}");
+            for antialiased in [false, true] {
+                let options = Options { antialiased, ..Options::default() };
+                let next = Next { gaussians: &next, camera: &camera() };
+                let (frame, _) = both_with(&options, &gaussians, &camera(), Some(next));
+                assert!(frame.alpha.pixels().iter().all(|alpha| (0.0..=1.0).contains(alpha)), "{a} {b}");
+                assert!(frame.flow.pixels().iter().flatten().all(|value| !value.is_nan()), "{a} {b}");
+            }
         }
     }
 }

@@ -79,6 +79,9 @@ pub struct Rasterize {
     /// Convention for pixel coordinates of the flow
     #[arg(long, value_enum, default_value_t = Convention::Splat)]
     pixel_convention: Convention,
+    /// Reduce the opacity of Gaussians smaller than a pixel, for Gaussians that were trained in this way
+    #[arg(long)]
+    antialiased: bool,
     /// Overwrite existing files in OUT
     #[arg(long)]
     force: bool,
@@ -130,6 +133,7 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
             Convention::Splat => PixelConvention::Splat,
             Convention::Paper => PixelConvention::Paper,
         },
+        antialiased: args.antialiased,
         ..Options::default()
     };
     if !moves {

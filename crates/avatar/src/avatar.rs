@@ -67,6 +67,13 @@ pub enum AvatarError {
     /// The files of an avatar do not fit the head model.
     #[error("{}: {error}", .dir.display())]
     Misfit { dir: PathBuf, error: Box<AvatarError> },
+    /// An avatar was not trained on this capture.
+    #[error("{}: not the capture that the avatar was trained on: {problem}; give the one that it was", .dir.display())]
+    OtherCapture {
+        dir: PathBuf,
+        /// How the two differ.
+        problem: String,
+    },
     /// The files of an avatar do not name their head model.
     #[error("{}: the files name no head model, so it is FLAME's: give it too, as avatar:{}@flame:FILE", .0.display(), .0.display())]
     NoHeadName(PathBuf),

@@ -4,9 +4,11 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use glam::{DMat3, DVec3, Vec3};
-use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView, write_transforms};
-use srflow_avatar::train::{DensityControl, StepReport, Strategy, TrainConfig, TrainError, Trainer};
-use srflow_avatar::{Avatar, AvatarFiles, HeadParameters, HeadPose, PoseParameters, PosedHead};
+use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView, HeadRecord, write_transforms};
+use srflow_avatar::train::{
+    DensityControl, Scorer, SplitScore, StepReport, Strategy, TrainConfig, TrainError, Trainer, ViewScore,
+};
+use srflow_avatar::{Avatar, AvatarFiles, HeadModel, HeadParameters, HeadPose, PoseParameters, PosedHead};
 use srflow_field::write_image_png;
 use srflow_splat::{Camera, Frame, Gaussians, Options, Outputs, Rasterizer};
 
@@ -133,6 +135,49 @@ fn held_out_cameras_and_timesteps_come_to_look_like_their_pictures() {
     trainer.write_avatar(folder.path(), None).unwrap();
     let read = AvatarFiles::read(folder.path()).unwrap().on(MADE.avatar.model().clone()).unwrap();
     assert_eq!((read.bound().len(), read.own_motion()), (bound.len(), &trainer.parameters().poses[..]));
+
+    let capture = Capture::read(MADE.folder.path()).unwrap();
+    let poses = capture.poses_of(&read).unwrap();
+    let mut scorer = Scorer::new(Options { background: [1.0; 3], ..Options::default() }, false);
+    let mut scores = Vec::new();
+    for view in capture.of(CaptureSplit::Test) {
+        let score = scorer.score(&read, &poses[view.timestep as usize], &capture, view).unwrap();
+        scores.push(ViewScore::new(view, score));
+        assert_eq!(scorer.rendered().len(), SIZE.0 * SIZE.1);
+    }
+    let of_files = SplitScore::of(CaptureSplit::Test, &scores).unwrap();
+    // Opacities and scales go through their logarithms in the file.
+    assert!((of_files.mean.psnr - after[1].psnr).abs() < 1e-3, "{of_files:?}, {after:?}");
+    assert_eq!(of_files.cameras.iter().map(|of| of.camera).collect::<Vec<_>>(), [0, 1, 2, 3]);
+}
+
+#[test]
+fn an_avatar_is_scored_on_the_capture_that_it_was_trained_on_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    write_capture(dir, &MADE.avatar);
+    let capture = Capture::read(dir).unwrap();
+    let bound = MADE.avatar.bound();
+    let avatar_with = |model: &HeadModel, parameters: HeadParameters| {
+        let (local, triangles) = (bound.local().clone(), bound.triangles().to_vec());
+        Avatar::with_gaussians(model.clone(), parameters, local, triangles).unwrap()
+    };
+    let refusal = |avatar: &Avatar| capture.poses_of(avatar).unwrap_err().to_string();
+    let model = MADE.avatar.model();
+    let parameters = capture.parameters().unwrap();
+    assert_eq!(capture.poses_of(&avatar_with(model, parameters.clone())).unwrap().len(), 3);
+
+    let fewer = HeadParameters { poses: parameters.poses[..2].to_vec(), ..parameters.clone() };
+    let error = refusal(&avatar_with(model, fewer));
+    assert!(error.contains("it has 3 timesteps, and the motion of the avatar 2"), "{error}");
+    let offset = vec![Vec3::X; model.template.len()];
+    let other = HeadParameters { static_offset: offset, ..parameters.clone() };
+    assert!(refusal(&avatar_with(model, other)).contains("static_offset"));
+
+    HeadRecord::new("builtin".to_owned(), 1, model).write(dir).unwrap();
+    assert!(capture.poses_of(&avatar_with(model, parameters.clone())).is_ok());
+    let error = refusal(&avatar_with(&HeadModel::builtin(2), parameters));
+    assert!(error.contains("it shows the head builtin of seed 1"), "{error}");
 }
 
 #[test]

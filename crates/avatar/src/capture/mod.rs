@@ -33,7 +33,7 @@ pub use landmarks::{Face, LANDMARK_COUNT, LANDMARKS_NAME, Landmarks};
 pub use split::{CaptureSplit, FRONT_CAMERA, split_of};
 pub use write::write_transforms;
 
-use crate::HeadParameters;
+use crate::{Avatar, AvatarError, HeadParameters, HeadPose, HeadSource};
 
 /// The file whose presence makes GaussianAvatars read a folder as a capture of a moving head.
 pub const CANONICAL_NAME: &str = "canonical_flame_param.npz";
@@ -54,6 +54,19 @@ pub struct CaptureView {
     pub mask: Option<PathBuf>,
     /// Parameters of the head at this timestep, relative to the folder of the capture.
     pub parameters: Option<PathBuf>,
+}
+
+impl CaptureView {
+    /// The camera to render the view with: its own, or, `faithful` to GaussianAvatars (`scene/cameras.py`), one with a symmetric
+    /// frustum and square pixels.
+    pub fn camera_for(&self, faithful: bool) -> Camera {
+        let camera = self.camera;
+        if !faithful {
+            return camera;
+        }
+        let centred = Camera::centred((camera.width, camera.height), [camera.fx; 2]);
+        Camera { camera_from_world: camera.camera_from_world, ..centred }
+    }
 }
 
 /// A head captured by several cameras over time.
@@ -147,6 +160,36 @@ impl Capture {
             }
         }
         Ok(all.unwrap_or_default())
+    }
+
+    /// The poses of an avatar that was trained on the capture: its own motion, in the order of [`Capture::timesteps`].
+    ///
+    /// # Errors
+    /// When the capture shows another head, its parameters cannot be read, or the avatar does not have one pose for each timestep.
+    pub fn poses_of(&self, avatar: &Avatar) -> Result<Vec<HeadPose>, AvatarError> {
+        let other = |problem: String| AvatarError::OtherCapture { dir: self.dir.clone(), problem };
+        let model = avatar.model();
+        if let Some(record) = HeadRecord::read(&self.dir)? {
+            record.check(&self.dir, model)?;
+            let builtin = record.head.parse().ok().filter(HeadSource::is_builtin);
+            let shown = builtin.map(|head| head.model(record.subject)).transpose()?;
+            if shown.is_some_and(|shown| shown.template != model.template) {
+                return Err(other(format!("it shows the head {} of seed {}", record.head, record.subject)));
+            }
+        }
+        let parameters = self.parameters()?;
+        let identity = avatar.identity();
+        let weights =
+            |shape: &[f32]| shape.iter().rposition(|&weight| weight != 0.0).map_or(0, |last| last + 1);
+        let [shown, own] = [&parameters.shape, &identity.shape].map(|shape| &shape[..weights(shape)]);
+        if shown != own || parameters.static_offset != identity.static_offset {
+            return Err(other("the identity of its head (shape, static_offset) is another".to_owned()));
+        }
+        let (found, expected) = (avatar.own_motion().len(), parameters.poses.len());
+        if found != expected {
+            return Err(other(format!("it has {expected} timesteps, and the motion of the avatar {found}")));
+        }
+        Ok(avatar.own_motion().iter().map(|pose| pose.pose(model)).collect())
     }
 }
 

@@ -1,9 +1,11 @@
 //! Training, validation and test pictures, as VHAP divides them (`split_json`).
 
+use serde::Serialize;
 use srflow_field::named;
 
 /// What a picture of a capture is for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "lowercase")]
 pub enum CaptureSplit {
     Train,
     /// A held-out camera at the timesteps of training: novel views.

@@ -19,5 +19,5 @@ pub use initial::{camera_extent, initial_gaussians};
 pub use pose_adam::{PoseAdam, PoseRates};
 pub use regularizers::{RegularizerValue, Regularizers};
 pub use schedule::RateSchedule;
-pub use score::Score;
+pub use score::{CameraScore, Score, Scorer, SplitScore, ViewScore};
 pub use trainer::{StepReport, TrainError, Trainer};

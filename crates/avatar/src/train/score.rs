@@ -1,9 +1,18 @@
 //! How close rendered pictures are to those of a capture, as GaussianAvatars measures it.
 
+use std::path::PathBuf;
+
+use serde::Serialize;
+use srflow_splat::{Frame, Gaussians, Options, Outputs, Rasterizer};
+
+use super::TrainError;
 use super::image_loss::{ImageLoss, ImageLossError};
+use super::trainer::picture;
+use crate::capture::{Capture, CaptureSplit, CaptureView};
+use crate::{Avatar, HeadPose, PosedHead};
 
 /// Scores of one picture, or their means.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Score {
     /// Peak signal-to-noise ratio of the whole picture, dB (`metrics.py` of GaussianAvatars). Infinite for equal pictures.
     pub psnr: f64,
@@ -52,9 +61,144 @@ impl Score {
     }
 }
 
+/// Scores the renderings of an avatar against the pictures of a capture, one by one.
+#[derive(Debug, Default)]
+pub struct Scorer {
+    options: Options,
+    faithful: bool,
+    rasterizer: Rasterizer,
+    frame: Frame,
+    head: PosedHead,
+    world: Gaussians,
+    loss: ImageLoss,
+}
+
+impl Scorer {
+    /// Renders with `options`, whose outputs do not matter; `faithful` as in [`CaptureView::camera_for`].
+    pub fn new(options: Options, faithful: bool) -> Self {
+        let outputs = Outputs { color: true, ..Outputs::NONE };
+        Self { options: Options { outputs, ..options }, faithful, ..Self::default() }
+    }
+
+    /// The score of `avatar` in `pose` in a view of `capture`.
+    ///
+    /// # Errors
+    /// When the picture cannot be read or its view not be rendered.
+    pub fn score(
+        &mut self,
+        avatar: &Avatar,
+        pose: &HeadPose,
+        capture: &Capture,
+        view: &CaptureView,
+    ) -> Result<Score, TrainError> {
+        let target = picture(capture, view)?;
+        let camera = view.camera_for(self.faithful);
+        avatar.gaussians_into(pose, &mut self.head, &mut self.world);
+        self.rasterizer
+            .render(&self.world, &camera, None, &self.options, &mut self.frame)
+            .map_err(|error| TrainError::Render { image: view.image.clone(), error })?;
+        Ok(Score::of(&self.frame.color, &target, (camera.width, camera.height), &mut self.loss)?)
+    }
+
+    /// The rendering that was scored last, row-major and not clamped.
+    pub fn rendered(&self) -> &[[f32; 3]] {
+        &self.frame.color
+    }
+}
+
+/// The score of one picture of a capture.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ViewScore {
+    pub timestep: u32,
+    pub camera: u32,
+    /// Relative to the folder of the capture.
+    pub image: PathBuf,
+    #[serde(flatten)]
+    pub score: Score,
+}
+
+impl ViewScore {
+    pub fn new(view: &CaptureView, score: Score) -> Self {
+        Self { timestep: view.timestep, camera: view.camera_index, image: view.image.clone(), score }
+    }
+}
+
+/// Mean scores of the pictures of one camera.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CameraScore {
+    pub camera: u32,
+    pub pictures: usize,
+    #[serde(flatten)]
+    pub mean: Score,
+}
+
+/// Scores of the pictures of a split.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SplitScore {
+    pub split: CaptureSplit,
+    pub pictures: usize,
+    /// Over all pictures.
+    #[serde(flatten)]
+    pub mean: Score,
+    /// Ascending by their numbers.
+    pub cameras: Vec<CameraScore>,
+    /// The pictures with the highest and the lowest [`Score::psnr`].
+    pub best: ViewScore,
+    pub worst: ViewScore,
+}
+
+impl SplitScore {
+    /// Of all scored pictures of a split; `None` without one.
+    pub fn of(split: CaptureSplit, views: &[ViewScore]) -> Option<Self> {
+        let mean = |of: &dyn Fn(&&ViewScore) -> bool| {
+            let scores: Vec<Score> = views.iter().filter(of).map(|view| view.score).collect();
+            Some((scores.len(), Score::mean(&scores)?))
+        };
+        let mut numbers: Vec<u32> = views.iter().map(|view| view.camera).collect();
+        numbers.sort_unstable();
+        numbers.dedup();
+        let of_camera = |camera: u32| {
+            let (pictures, mean) = mean(&|view| view.camera == camera)?;
+            Some(CameraScore { camera, pictures, mean })
+        };
+        let by_psnr = |a: &&ViewScore, b: &&ViewScore| a.score.psnr.total_cmp(&b.score.psnr);
+        let (pictures, whole) = mean(&|_| true)?;
+        Some(Self {
+            split,
+            pictures,
+            mean: whole,
+            cameras: numbers.into_iter().filter_map(of_camera).collect(),
+            best: views.iter().max_by(by_psnr)?.clone(),
+            worst: views.iter().min_by(by_psnr)?.clone(),
+        })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_split_has_means_of_its_cameras_and_its_extremes() {
+        let view = |timestep, camera, psnr| ViewScore {
+            timestep,
+            camera,
+            image: PathBuf::new(),
+            score: Score { psnr, psnr_channels: psnr + 1.0, ssim: 0.9 },
+        };
+        let views = [view(0, 8, 30.0), view(0, 1, 20.0), view(1, 8, 34.0)];
+        let split = SplitScore::of(CaptureSplit::Test, &views).unwrap();
+        assert_eq!((split.pictures, split.mean.psnr, split.mean.psnr_channels), (3, 28.0, 29.0));
+        let cameras: Vec<_> = split.cameras.iter().map(|of| (of.camera, of.pictures, of.mean.psnr)).collect();
+        assert_eq!(cameras, [(1, 1, 20.0), (8, 2, 32.0)]);
+        assert_eq!((&split.best, &split.worst), (&views[2], &views[1]));
+        assert_eq!(SplitScore::of(CaptureSplit::Test, &[]), None);
+        let text = serde_json::to_value(&split).unwrap();
+        assert_eq!(
+            (&text["split"], &text["psnr"], &text["best"]["psnr"]),
+            (&"test".into(), &28.0.into(), &34.0.into())
+        );
+    }
 
     #[test]
     fn the_two_ratios_are_those_of_the_reference() {

@@ -5,13 +5,13 @@ use std::path::{Path, PathBuf};
 use srflow_field::FileError;
 use srflow_field::random::Key;
 use srflow_splat::{
-    Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Options, Outputs, RasterizeError, Rasterizer,
+    Frame, FrameGradients, GaussianGradients, Gaussians, Options, Outputs, RasterizeError, Rasterizer,
 };
 
 use super::image_loss::{ImageLossError, ImageLossValue};
 use super::{
     DensityChange, DensityScene, DensityStatistics, GaussianAdam, ImageLoss, ParameterGradients, PoseAdam,
-    RegularizerValue, Score, TrainConfig, camera_extent, change_density, initial_gaussians,
+    RegularizerValue, Score, Scorer, TrainConfig, camera_extent, change_density, initial_gaussians,
 };
 use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};
 use crate::{
@@ -19,7 +19,7 @@ use crate::{
     TriangleFrame,
 };
 
-/// Why an avatar could not be trained.
+/// Why an avatar could not be trained or scored.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
     /// A file of the capture could not be read, or of the avatar written.
@@ -171,7 +171,7 @@ impl Trainer {
         }
 
         let Self { config, avatar, buffers, .. } = self;
-        let camera = camera_of(view, config.faithful);
+        let camera = view.camera_for(config.faithful);
         let size = (camera.width, camera.height);
         let timestep = timestep_place(&self.timesteps, view);
         let pose = &self.poses[timestep];
@@ -234,17 +234,11 @@ impl Trainer {
         split: CaptureSplit,
         mut on_view: impl FnMut(&CaptureView, &Score),
     ) -> Result<Option<Score>, TrainError> {
+        let mut scorer = Scorer::new(options(&self.config), self.config.faithful);
         let mut scores = Vec::new();
         for view in self.capture.of(split) {
-            let target = picture(&self.capture, view)?;
-            let camera = camera_of(view, self.config.faithful);
-            let Buffers { rasterizer, frame, head, world, loss, .. } = &mut self.buffers;
             let pose = &self.poses[timestep_place(&self.timesteps, view)];
-            self.avatar.gaussians_into(pose, head, world);
-            rasterizer
-                .render(world, &camera, None, &options(&self.config), frame)
-                .map_err(|error| TrainError::Render { image: view.image.clone(), error })?;
-            let score = Score::of(&frame.color, &target, (camera.width, camera.height), loss)?;
+            let score = scorer.score(&self.avatar, pose, &self.capture, view)?;
             on_view(view, &score);
             scores.push(score);
         }
@@ -332,23 +326,13 @@ fn options(config: &TrainConfig) -> Options {
     Options { background: config.background, outputs, ..Options::default() }
 }
 
-/// GaussianAvatars renders with a symmetric frustum and square pixels (`scene/cameras.py`).
-fn camera_of(view: &CaptureView, faithful: bool) -> Camera {
-    let camera = view.camera;
-    if !faithful {
-        return camera;
-    }
-    let centred = Camera::centred((camera.width, camera.height), [camera.fx; 2]);
-    Camera { camera_from_world: camera.camera_from_world, ..centred }
-}
-
 /// The place of a view's timestep among those of the capture, which has parameters for each.
 fn timestep_place(timesteps: &[u32], view: &CaptureView) -> usize {
     timesteps.partition_point(|&timestep| timestep < view.timestep)
 }
 
 /// The picture of a view, 0..1, row-major.
-fn picture(capture: &Capture, view: &CaptureView) -> Result<Vec<[f32; 3]>, FileError> {
+pub(super) fn picture(capture: &Capture, view: &CaptureView) -> Result<Vec<[f32; 3]>, FileError> {
     let image = capture.image(view)?;
     Ok(image.pixels().iter().map(|pixel| pixel.map(|channel| f32::from(channel) / 255.0)).collect())
 }

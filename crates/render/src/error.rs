@@ -68,6 +68,9 @@ pub enum RenderError {
     /// The table of clips could not be written.
     #[error(transparent)]
     Table(#[from] MicroExpressionError),
+    /// The true head of a capture is not known.
+    #[error("{}: the true flow is not known: {reason}", .dir.display())]
+    NoTruth { dir: PathBuf, reason: String },
     #[error("{frame}: {error}")]
     Rasterize { frame: String, error: RasterizeError },
     #[error("starting {threads} threads: {reason}")]

@@ -15,6 +15,7 @@
 
 mod performance;
 mod settings;
+mod truth;
 mod work;
 
 use std::path::Path;
@@ -31,9 +32,13 @@ use srflow_splat::Camera;
 use crate::RenderError;
 use crate::job::{self, Made, Request, StageTime};
 pub use settings::CaptureSettings;
+pub use truth::TrueCapture;
 
 use performance::Performance;
 use work::{Timesteps, image_name};
+
+/// The arguments of a capture.
+const MANIFEST_NAME: &str = "capture.json";
 
 /// The folder of the true cameras and landmarks in a capture.
 pub const TRUE_FOLDER: &str = "true";

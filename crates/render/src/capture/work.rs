@@ -14,7 +14,7 @@ use srflow_splat::{Frame, Gaussians, Options, Outputs, Rasterizer};
 
 use super::performance::Performance;
 use super::settings::indices;
-use super::{CaptureSettings, TRUE_FOLDER};
+use super::{CaptureSettings, MANIFEST_NAME, TRUE_FOLDER};
 use crate::RenderError;
 use crate::generate::write_alpha;
 use crate::job::{Plan, Run, Stage, unless_gone};
@@ -51,7 +51,7 @@ impl<'a> Plan for Timesteps<'a> {
     type Group = ();
     type Worker = Renderer;
 
-    const MANIFEST: &'static str = "capture.json";
+    const MANIFEST: &'static str = MANIFEST_NAME;
     const UNITS: &'static str = "timesteps";
     const LONGEST_RUN: u32 = 8;
 

@@ -1,0 +1,493 @@
+//! How exact the flow is that an avatar gives as a label: its distance from the true flow of the head that the avatar was trained on.
+//!
+//! Flow is what `srflow render` writes: at each pixel the displacements of the Gaussians' centres, blended by alpha and not divided by
+//! it. The true flow is that of the true head; it is compared inside of its mask, where its alpha is above one half. Where
+//! the avatar's is not, the avatar has no label: such pixels are missing and counted apart.
+
+use serde::Serialize;
+use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView};
+use srflow_avatar::{Avatar, HeadPose, PosedHead, Region};
+use srflow_field::named;
+use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
+
+use crate::RenderError;
+use crate::capture::TrueCapture;
+
+/// The part of the head that a pixel shows: the one with the largest weight in it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum HeadPart {
+    /// Face, ears and neck, with lips, brows, lashes and stubble.
+    Skin,
+    /// Eyeballs and the lining of the lids.
+    Eyes,
+    /// Teeth, tongue and the inside of the mouth.
+    Mouth,
+    /// Hair, and the scalp below it.
+    Hair,
+}
+
+named!(HeadPart, "a part of the head", { Skin => "skin", Eyes => "eyes", Mouth => "mouth", Hair => "hair" });
+
+impl HeadPart {
+    fn of(region: Region) -> Self {
+        match region {
+            Region::Skin | Region::Lips | Region::Brow | Region::LidMargin | Region::Neck => Self::Skin,
+            Region::Eyeball | Region::InnerLid | Region::Clear => Self::Eyes,
+            Region::Teeth | Region::MouthInside => Self::Mouth,
+            Region::Scalp => Self::Hair,
+        }
+    }
+
+    /// What colour stands for the part in a rendering of parts: of skin none, so that its weight is what others leave of alpha.
+    fn paint(self) -> [f32; 3] {
+        match self {
+            Self::Skin => [0.0, 0.0, 0.0],
+            Self::Eyes => [1.0, 0.0, 0.0],
+            Self::Mouth => [0.0, 1.0, 0.0],
+            Self::Hair => [0.0, 0.0, 1.0],
+        }
+    }
+
+    fn largest([eyes, mouth, hair]: [f32; 3], alpha: f32) -> Self {
+        let skin = alpha - (eyes + mouth + hair);
+        let mut largest = (Self::Skin, skin);
+        for (part, weight) in [(Self::Eyes, eyes), (Self::Mouth, mouth), (Self::Hair, hair)] {
+            if weight > largest.1 {
+                largest = (part, weight);
+            }
+        }
+        largest.0
+    }
+}
+
+/// A head that moves from one pose to the next, and the camera that sees it in each.
+#[derive(Debug, Clone, Copy)]
+pub struct MovingHead<'a> {
+    pub avatar: &'a Avatar,
+    pub poses: [&'a HeadPose; 2],
+    pub cameras: [&'a Camera; 2],
+}
+
+/// The true flow of a head beside the flow of its avatar. Keeps its buffers.
+#[derive(Debug, Default)]
+pub struct FlowComparison {
+    truth: Frame,
+    avatar: Frame,
+    rasterizer: Rasterizer,
+    head: PosedHead,
+    now: Gaussians,
+    next: Gaussians,
+}
+
+impl FlowComparison {
+    /// Renders the flow of both. `antialiased` is how the avatar is rendered; see [`Options::antialiased`].
+    ///
+    /// # Errors
+    /// When a camera is refused.
+    pub fn render(
+        &mut self,
+        truth: MovingHead<'_>,
+        avatar: MovingHead<'_>,
+        antialiased: bool,
+    ) -> Result<(), RasterizeError> {
+        let outputs = Outputs { flow: true, alpha: true, ..Outputs::NONE };
+        let Self { rasterizer, head, now, next, .. } = self;
+        let mut rendered = |moving: MovingHead<'_>, painted: bool, options: Options, frame: &mut Frame| {
+            let MovingHead { avatar, poses, cameras } = moving;
+            avatar.gaussians_into(poses[1], head, next);
+            avatar.gaussians_into(poses[0], head, now);
+            if painted {
+                paint_parts(avatar, now);
+            }
+            let next = Next { gaussians: next, camera: cameras[1] };
+            rasterizer.render(now, cameras[0], Some(next), &options, frame).map(|_| ())
+        };
+        let of_parts = Outputs { color: true, ..outputs };
+        rendered(truth, true, Options { outputs: of_parts, ..Options::default() }, &mut self.truth)?;
+        rendered(avatar, false, Options { outputs, antialiased, ..Options::default() }, &mut self.avatar)
+    }
+
+    /// Flow and alpha of the true head. Its colours stand for the parts of the head.
+    pub fn truth(&self) -> &Frame {
+        &self.truth
+    }
+
+    /// Flow and alpha of the avatar.
+    pub fn avatar(&self) -> &Frame {
+        &self.avatar
+    }
+
+    /// The part of the head at each pixel, row-major; `None` outside of the true head's mask.
+    pub fn parts(&self) -> impl Iterator<Item = Option<HeadPart>> {
+        let pixels = self.truth.alpha.pixels().iter().zip(&self.truth.color);
+        pixels.map(|(&alpha, &weights)| (alpha > 0.5).then(|| HeadPart::largest(weights, alpha)))
+    }
+
+    /// The end-point error of each pixel, row-major; NaN outside of the true head's mask, and where the avatar is missing.
+    pub fn errors(&self) -> impl Iterator<Item = f32> {
+        let masked = self.truth.alpha.pixels().iter().zip(self.avatar.alpha.pixels());
+        let flows = self.truth.flow.pixels().iter().zip(self.avatar.flow.pixels());
+        masked.zip(flows).map(|((&truth, &avatar), (a, b))| match truth > 0.5 && avatar > 0.5 {
+            true => distance(*a, *b),
+            false => f32::NAN,
+        })
+    }
+}
+
+/// Colours the Gaussians by the part that they belong to.
+fn paint_parts(avatar: &Avatar, gaussians: &mut Gaussians) {
+    /// Of the spherical harmonics of degree 0; a colour of 0.5 has the coefficient 0.
+    const SH_0: f32 = 0.282_094_8;
+    let regions = &avatar.model().regions;
+    let paint = |&triangle: &u32| {
+        HeadPart::of(regions[triangle as usize]).paint().map(|channel| (channel - 0.5) / SH_0)
+    };
+    gaussians.sh_degree = 0;
+    gaussians.sh.clear();
+    gaussians.sh.extend(avatar.bound().triangles().iter().map(paint));
+}
+
+fn distance([u, v]: [f32; 2], [true_u, true_v]: [f32; 2]) -> f32 {
+    let (du, dv) = (u - true_u, v - true_v);
+    (du * du + dv * dv).sqrt()
+}
+
+/// End-point errors over many pixels, in pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ErrorStatistics {
+    pub mean: f64,
+    /// To within 0.4 %, as is the percentile.
+    pub median: f64,
+    pub percentile_95: f64,
+    pub max: f64,
+    /// Share of pixels with an error above 1 px.
+    pub over_1_px: f64,
+    /// Mean length of the true flow, which is the mean error of zero flow.
+    pub true_length: f64,
+}
+
+/// Errors of the flow on the head, or on one of its parts.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PartError {
+    /// Pixels of the part in the mask of the true head.
+    pub pixels: u64,
+    /// Those where the avatar's alpha is not above one half.
+    pub missing: u64,
+    /// Over the pixels that are not missing; `None` without one.
+    pub errors: Option<ErrorStatistics>,
+    /// Mean error over the missing pixels, of the flow that the avatar has there nevertheless.
+    pub missing_mean: Option<f64>,
+}
+
+/// Errors of an avatar's flow over some pairs of frames.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LabelError {
+    pub pairs: u64,
+    /// The whole head.
+    pub head: PartError,
+    /// Its parts, whose pixels make up the head's.
+    pub skin: PartError,
+    pub eyes: PartError,
+    pub mouth: PartError,
+    pub hair: PartError,
+    /// Pixels outside of the true head's mask where the avatar's alpha is above one half.
+    pub surplus: u64,
+}
+
+impl LabelError {
+    /// The whole head and its parts, by name.
+    pub fn parts(&self) -> [(&'static str, &PartError); 5] {
+        let Self { head, skin, eyes, mouth, hair, .. } = self;
+        [("head", head), ("skin", skin), ("eyes", eyes), ("mouth", mouth), ("hair", hair)]
+    }
+}
+
+/// Sums over pairs; [`LabelErrorSum::result`] gives the errors.
+#[derive(Debug, Clone, Default)]
+pub struct LabelErrorSum {
+    pairs: u64,
+    /// In the order of [`HeadPart::ALL`].
+    parts: [PartSum; HeadPart::ALL.len()],
+    surplus: u64,
+}
+
+impl LabelErrorSum {
+    /// Adds the pixels of a pair.
+    pub fn add(&mut self, pair: &FlowComparison) {
+        self.pairs += 1;
+        let flows = pair.truth.flow.pixels().iter().zip(pair.avatar.flow.pixels());
+        for ((part, &alpha), (&truth, &avatar)) in pair.parts().zip(pair.avatar.alpha.pixels()).zip(flows) {
+            let shown = alpha > 0.5;
+            match part {
+                Some(part) => self.parts[part as usize].add(shown, truth, avatar),
+                None => self.surplus += u64::from(shown),
+            }
+        }
+    }
+
+    /// The errors over all pairs.
+    pub fn result(&self) -> LabelError {
+        let mut head = PartSum::default();
+        self.parts.iter().for_each(|part| head.merge(part));
+        let [skin, eyes, mouth, hair] = &self.parts;
+        LabelError {
+            pairs: self.pairs,
+            head: head.result(),
+            skin: skin.result(),
+            eyes: eyes.result(),
+            mouth: mouth.result(),
+            hair: hair.result(),
+            surplus: self.surplus,
+        }
+    }
+}
+
+/// Sums over the pixels of a part.
+#[derive(Debug, Clone, Default)]
+struct PartSum {
+    shown: u64,
+    missing: u64,
+    over_1_px: u64,
+    errors: f64,
+    max: f32,
+    true_lengths: f64,
+    missing_errors: f64,
+    /// Number of pixels for each value of the error's first bits, see [`bin`]; empty without pixels.
+    histogram: Vec<u64>,
+}
+
+/// Bits of an error that its bin leaves out: eight bits of the fraction are left, so that bins are at most 0.4 % wide.
+const DROPPED_BITS: u32 = 15;
+
+/// Bins ascend with the error, which is not negative.
+fn bin(error: f32) -> usize {
+    (error.to_bits() >> DROPPED_BITS) as usize
+}
+
+/// The least error of a bin.
+fn edge(bin: usize) -> f64 {
+    f64::from(f32::from_bits((bin as u32) << DROPPED_BITS))
+}
+
+impl PartSum {
+    fn add(&mut self, shown: bool, truth: [f32; 2], avatar: [f32; 2]) {
+        let error = distance(avatar, truth);
+        if !shown {
+            self.missing += 1;
+            self.missing_errors += f64::from(error);
+            return;
+        }
+        if self.histogram.is_empty() {
+            self.histogram.resize(1 << (u32::BITS - DROPPED_BITS), 0);
+        }
+        self.histogram[bin(error)] += 1;
+        self.shown += 1;
+        self.over_1_px += u64::from(error > 1.0);
+        self.errors += f64::from(error);
+        self.max = self.max.max(error);
+        self.true_lengths += f64::from(distance(truth, [0.0; 2]));
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.shown += other.shown;
+        self.missing += other.missing;
+        self.over_1_px += other.over_1_px;
+        self.errors += other.errors;
+        self.max = self.max.max(other.max);
+        self.true_lengths += other.true_lengths;
+        self.missing_errors += other.missing_errors;
+        if self.histogram.len() < other.histogram.len() {
+            self.histogram.resize(other.histogram.len(), 0);
+        }
+        for (count, more) in self.histogram.iter_mut().zip(&other.histogram) {
+            *count += more;
+        }
+    }
+
+    fn result(&self) -> PartError {
+        let share = |sum: f64, count: u64| (count > 0).then(|| sum / count as f64);
+        let statistics = |mean: f64| ErrorStatistics {
+            mean,
+            median: self.quantile(0.5),
+            percentile_95: self.quantile(0.95),
+            max: f64::from(self.max),
+            over_1_px: self.over_1_px as f64 / self.shown as f64,
+            true_length: self.true_lengths / self.shown as f64,
+        };
+        PartError {
+            pixels: self.shown + self.missing,
+            missing: self.missing,
+            errors: share(self.errors, self.shown).map(statistics),
+            missing_mean: share(self.missing_errors, self.missing),
+        }
+    }
+
+    /// The error below which this share of the pixels is, linear between the edges of its bin.
+    fn quantile(&self, share: f64) -> f64 {
+        let wanted = share * self.shown as f64;
+        let mut below = 0.0;
+        for (number, &count) in self.histogram.iter().enumerate().filter(|(_, count)| **count > 0) {
+            let count = count as f64;
+            if below + count >= wanted {
+                let within = ((wanted - below) / count).clamp(0.0, 1.0);
+                let found = edge(number) + (edge(number + 1) - edge(number)) * within;
+                return found.min(f64::from(self.max));
+            }
+            below += count;
+        }
+        0.0
+    }
+}
+
+/// Two pictures by one camera, between which the flow is compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct FlowPair {
+    pub camera: u32,
+    pub timesteps: [u32; 2],
+}
+
+/// The pairs of pictures of a split that one camera took `step` timesteps apart, by timestep and camera.
+pub fn flow_pairs(capture: &Capture, split: CaptureSplit, step: u32) -> Vec<FlowPair> {
+    let is_of_split = |timestep: u32, camera: u32| {
+        view_at(capture, timestep, camera).is_some_and(|view| view.split == split)
+    };
+    let pair = |view: &CaptureView| {
+        let next = view.timestep.checked_add(step)?;
+        let pair = FlowPair { camera: view.camera_index, timesteps: [view.timestep, next] };
+        is_of_split(next, view.camera_index).then_some(pair)
+    };
+    capture.of(split).filter_map(pair).collect()
+}
+
+fn view_at(capture: &Capture, timestep: u32, camera: u32) -> Option<&CaptureView> {
+    let place =
+        capture.views().binary_search_by_key(&(timestep, camera), |view| (view.timestep, view.camera_index));
+    place.ok().map(|place| &capture.views()[place])
+}
+
+/// An avatar, the capture that it was trained on, and the truth of the latter.
+#[derive(Debug, Clone, Copy)]
+pub struct TestedAvatar<'a> {
+    pub avatar: &'a Avatar,
+    /// Its pose at each timestep of `capture`; see [`Capture::poses_of`].
+    pub poses: &'a [HeadPose],
+    pub capture: &'a Capture,
+    /// Of `capture`, or of the capture whose pictures it shows.
+    pub truth: &'a TrueCapture,
+    /// How the avatar's views are rendered; see [`CaptureView::camera_for`] and [`Options::antialiased`].
+    pub faithful: bool,
+    pub antialiased: bool,
+}
+
+impl TestedAvatar<'_> {
+    /// Compares the flow in these pairs, one by one to `on_pair`. The true head is seen by the true cameras, the avatar by those of its
+    /// capture.
+    ///
+    /// # Errors
+    /// When the truth lacks a picture of a pair or it has another size there, or a view cannot be rendered.
+    pub fn label_error(
+        &self,
+        pairs: &[FlowPair],
+        mut on_pair: impl FnMut(&FlowPair, &FlowComparison),
+    ) -> Result<LabelError, RenderError> {
+        let (true_timesteps, timesteps) = (self.truth.capture.timesteps(), self.capture.timesteps());
+        let mut comparison = FlowComparison::default();
+        let mut sum = LabelErrorSum::default();
+        for pair in pairs {
+            let true_views = self.views(&self.truth.capture, pair)?;
+            let views = self.views(self.capture, pair)?;
+            let size = |view: &CaptureView| (view.camera.width, view.camera.height);
+            if true_views.map(size) != views.map(size) {
+                return Err(
+                    self.no_truth(format!("the pictures of camera {} have another size there", pair.camera))
+                );
+            }
+            let true_cameras = true_views.map(|view| view.camera);
+            let cameras = views.map(|view| view.camera_for(self.faithful));
+            let truth = MovingHead {
+                avatar: &self.truth.avatar,
+                poses: self.at(&true_timesteps, &self.truth.poses, pair)?,
+                cameras: true_cameras.each_ref(),
+            };
+            let avatar = MovingHead {
+                avatar: self.avatar,
+                poses: self.at(&timesteps, self.poses, pair)?,
+                cameras: cameras.each_ref(),
+            };
+            comparison.render(truth, avatar, self.antialiased).map_err(|error| {
+                let [first, second] = pair.timesteps;
+                RenderError::Rasterize {
+                    frame: format!("camera {}, timesteps {first} and {second}", pair.camera),
+                    error,
+                }
+            })?;
+            sum.add(&comparison);
+            on_pair(pair, &comparison);
+        }
+        Ok(sum.result())
+    }
+
+    fn no_truth(&self, reason: String) -> RenderError {
+        RenderError::NoTruth { dir: self.truth.capture.dir().to_owned(), reason }
+    }
+
+    fn views<'a>(&self, capture: &'a Capture, pair: &FlowPair) -> Result<[&'a CaptureView; 2], RenderError> {
+        let view = |timestep: u32| {
+            view_at(capture, timestep, pair.camera).ok_or_else(|| {
+                self.no_truth(format!("no picture of camera {} at timestep {timestep}", pair.camera))
+            })
+        };
+        Ok([view(pair.timesteps[0])?, view(pair.timesteps[1])?])
+    }
+
+    fn at<'a>(
+        &self,
+        timesteps: &[u32],
+        poses: &'a [HeadPose],
+        pair: &FlowPair,
+    ) -> Result<[&'a HeadPose; 2], RenderError> {
+        let pose = |timestep: u32| {
+            let place = timesteps.binary_search(&timestep).ok();
+            place
+                .and_then(|place| poses.get(place))
+                .ok_or_else(|| self.no_truth(format!("no pose at timestep {timestep}")))
+        };
+        Ok([pose(pair.timesteps[0])?, pose(pair.timesteps[1])?])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn statistics_are_those_of_the_errors() {
+        let mut sum = PartSum::default();
+        for i in 0..1000 {
+            sum.add(true, [3.0, 4.0], [3.0, 4.0 + 0.002 * i as f32]);
+        }
+        sum.add(false, [1.0, 0.0], [0.5, 0.0]);
+        let found = sum.result();
+        let errors = found.errors.unwrap();
+        assert_eq!((found.pixels, found.missing, found.missing_mean), (1001, 1, Some(0.5)));
+        assert!((errors.mean - 0.999).abs() < 1e-4 && (errors.true_length - 5.0).abs() < 1e-6, "{errors:?}");
+        assert!(
+            (errors.median - 1.0).abs() < 0.004 && (errors.percentile_95 - 1.9).abs() < 0.008,
+            "{errors:?}"
+        );
+        assert!((errors.over_1_px - 0.499).abs() < 0.002, "{errors:?}");
+        let none = PartSum::default().result();
+        assert_eq!(none, PartError { pixels: 0, missing: 0, errors: None, missing_mean: None });
+    }
+
+    #[test]
+    fn the_part_with_the_largest_weight_is_shown() {
+        assert_eq!(HeadPart::largest([0.0; 3], 0.9), HeadPart::Skin);
+        assert_eq!(HeadPart::largest([0.2, 0.1, 0.2], 0.9), HeadPart::Skin);
+        assert_eq!(HeadPart::largest([0.3, 0.1, 0.4], 1.0), HeadPart::Hair);
+        assert_eq!(HeadPart::largest([0.0, 0.6, 0.0], 0.7), HeadPart::Mouth);
+        for part in HeadPart::ALL {
+            assert_eq!(HeadPart::largest(part.paint(), 1.0), part);
+        }
+    }
+}

@@ -9,7 +9,7 @@ use srflow_avatar::train::{
     DensityControl, Scorer, SplitScore, StepReport, Strategy, TrainConfig, TrainError, Trainer, ViewScore,
 };
 use srflow_avatar::{Avatar, AvatarFiles, HeadModel, HeadParameters, HeadPose, PoseParameters, PosedHead};
-use srflow_field::write_image_png;
+use srflow_field::{Image, write_image_png};
 use srflow_splat::{Camera, Frame, Gaussians, Options, Outputs, Rasterizer};
 
 const SIZE: (usize, usize) = (96, 128);
@@ -199,6 +199,122 @@ fn training_has_the_same_bits_for_any_number_of_threads_and_others_for_another_s
     assert!(run(3, 4, false) == expected);
     assert!(run(2, 5, false).2 != expected.2);
     assert!(run(2, 4, true).2 != expected.2);
+}
+
+/// All that a training has learned.
+fn learned(trainer: &Trainer) -> (Gaussians, Vec<u32>, HeadParameters) {
+    let bound = trainer.avatar().bound();
+    (bound.local().clone(), bound.triangles().to_vec(), trainer.parameters().clone())
+}
+
+/// A configuration of each strategy, and the reference's way, whose Gaussians change every ten iterations.
+fn busy_configs() -> Vec<TrainConfig> {
+    let strategies = [Strategy::Default, Strategy::AbsGs, Strategy::Mcmc, Strategy::Default];
+    let mut configs: Vec<TrainConfig> = Vec::new();
+    for (number, strategy) in strategies.into_iter().enumerate() {
+        let mut config = TrainConfig { faithful: number == 3, ..config() };
+        config.density = DensityControl { strategy, from: 0, interval: 10, ..config.density };
+        config.density.gradient_threshold = Some(1e-5);
+        config.density.reset_interval = 12;
+        config.density.reset_opacity = 0.3;
+        config.antialiased = number == 1;
+        configs.push(config);
+    }
+    configs
+}
+
+#[test]
+fn a_resumed_training_goes_on_exactly() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("checkpoint.npz");
+    for config in busy_configs() {
+        let mut whole = trainer(config);
+        train(&mut whole, 17);
+        whole.write_checkpoint(&path).unwrap();
+        let reports = train(&mut whole, 14);
+        assert!(reports.iter().any(|report| report.change.is_some_and(|change| change.cloned > 0)));
+
+        let capture = Capture::read(MADE.folder.path()).unwrap();
+        let mut resumed = Trainer::resume(capture, MADE.avatar.model().clone(), config, &path).unwrap();
+        assert_eq!(resumed.iteration(), 17);
+        assert_eq!(train(&mut resumed, 14), reports, "{:?}", config.density.strategy);
+        assert!(learned(&resumed) == learned(&whole));
+    }
+}
+
+#[test]
+fn checkpoints_of_other_trainings_and_broken_ones_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("checkpoint.npz");
+    let resume = |dir: &Path, config: TrainConfig| {
+        let capture = Capture::read(dir).unwrap();
+        Trainer::resume(capture, MADE.avatar.model().clone(), config, &path)
+            .map(|trainer| trainer.iteration())
+    };
+    let mut begun = trainer(config());
+    train(&mut begun, 2);
+    begun.write_checkpoint(&path).unwrap();
+    assert_eq!(resume(MADE.folder.path(), config()).unwrap(), 2);
+
+    let other = resume(MADE.folder.path(), TrainConfig { seed: 9, ..config() }).unwrap_err().to_string();
+    assert!(other.contains("seed is 0") && other.contains("found 9"), "{other}");
+    // The same capture with a camera moved.
+    let moved = tempfile::tempdir().unwrap();
+    write_capture(moved.path(), &MADE.avatar);
+    let mut views = Capture::read(moved.path()).unwrap().views().to_vec();
+    views[0].camera.fx += 1.0;
+    write_transforms(moved.path(), &views).unwrap();
+    let other = resume(moved.path(), config()).unwrap_err().to_string();
+    assert!(other.contains("fingerprint"), "{other}");
+
+    let bytes = std::fs::read(&path).unwrap();
+    for len in [0, 100, bytes.len() / 2, bytes.len() - 1] {
+        std::fs::write(&path, &bytes[..len]).unwrap();
+        assert!(resume(MADE.folder.path(), config()).is_err(), "{len} of {} bytes", bytes.len());
+    }
+    let mut flipped = bytes.clone();
+    flipped[bytes.len() / 2] ^= 0x10;
+    std::fs::write(&path, flipped).unwrap();
+    assert!(resume(MADE.folder.path(), config()).is_err());
+    std::fs::remove_file(&path).unwrap();
+    let missing = resume(MADE.folder.path(), config()).unwrap_err().to_string();
+    assert!(missing.contains("checkpoint.npz"), "{missing}");
+}
+
+#[test]
+fn markov_chains_grow_to_their_limit_and_learn_as_well() {
+    let mut config = config();
+    let triangles = MADE.avatar.model().triangles.len();
+    config.density =
+        DensityControl { strategy: Strategy::Mcmc, from: 0, interval: 5, until: 100, ..config.density };
+    config.density.mcmc.most_gaussians = triangles + triangles / 10;
+    let mut trainer = trainer(config);
+    let before = trainer.score(CaptureSplit::Val, |_, _| ()).unwrap().unwrap();
+    train(&mut trainer, 60);
+    let after = trainer.score(CaptureSplit::Val, |_, _| ()).unwrap().unwrap();
+    assert!(after.psnr > before.psnr + 6.0, "{before:?}, {after:?}");
+    assert_eq!(trainer.avatar().bound().len(), config.density.mcmc.most_gaussians);
+}
+
+#[test]
+fn what_is_behind_the_head_can_be_covered_by_the_masks() {
+    let folder = tempfile::tempdir().unwrap();
+    write_capture(folder.path(), &MADE.avatar);
+    let score = |apply_masks: bool| {
+        let capture = Capture::read(folder.path()).unwrap();
+        let config = TrainConfig { apply_masks, background: [0.0; 3], ..config() };
+        let mut trainer = Trainer::new(capture, MADE.avatar.model().clone(), config).unwrap();
+        trainer.score(CaptureSplit::Val, |_, _| ())
+    };
+    let without = score(true).unwrap_err().to_string();
+    assert!(without.contains("apply_masks"), "{without}");
+    // Masks of nothing: the pictures become the background, as that of the trainer where no Gaussian is.
+    let mut views = Capture::read(folder.path()).unwrap().views().to_vec();
+    write_image_png(&folder.path().join("empty.png"), &Image::new(SIZE.0, SIZE.1)).unwrap();
+    views.iter_mut().for_each(|view| view.mask = Some("empty.png".into()));
+    write_transforms(folder.path(), &views).unwrap();
+    let (with, without) = (score(true).unwrap().unwrap(), score(false).unwrap().unwrap());
+    assert!(with.psnr > without.psnr + 1.0, "{with:?}, {without:?}");
 }
 
 #[test]

@@ -2,8 +2,11 @@
 
 use glam::{Vec3, Vec4};
 use rayon::prelude::*;
+use srflow_field::FileError;
 use srflow_simd::{Isa, Simd, dispatch, exp2};
 use srflow_splat::Gaussians;
+
+use super::checkpoint::{Checkpoint, Lists};
 
 /// Gradients of a loss with respect to [`Gaussians`], lists as long as theirs.
 #[derive(Debug, Clone, Copy)]
@@ -110,6 +113,9 @@ const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.999;
 const EPSILON: f32 = 1e-15;
 
+/// Name of the count of steps in checkpoints.
+const STEPS: &str = "steps";
+
 /// Numbers in a block: the unit of work of a thread.
 const BLOCK: usize = 1 << 14;
 
@@ -171,6 +177,44 @@ impl GaussianAdam {
 }
 
 impl GaussianAdam {
+    fn lists_mut(&mut self) -> [(&'static str, &mut Vec<f32>); 12] {
+        let Self { isa: _, steps: _, log_scales, logits, positions, scales, rotations, opacities, sh } = self;
+        [
+            ("log_scales", log_scales),
+            ("logits", logits),
+            ("mean_positions", &mut positions.first),
+            ("mean_scales", &mut scales.first),
+            ("mean_rotations", &mut rotations.first),
+            ("mean_opacities", &mut opacities.first),
+            ("mean_sh", &mut sh.first),
+            ("square_positions", &mut positions.second),
+            ("square_scales", &mut scales.second),
+            ("square_rotations", &mut rotations.second),
+            ("square_opacities", &mut opacities.second),
+            ("square_sh", &mut sh.second),
+        ]
+    }
+
+    /// The state of a checkpoint, for these Gaussians.
+    ///
+    /// # Errors
+    /// When a list is missing or has another length.
+    pub(super) fn load(gaussians: &Gaussians, checkpoint: &mut Checkpoint) -> Result<Self, FileError> {
+        let mut adam = Self::new(gaussians);
+        for (name, list) in adam.lists_mut() {
+            *list = checkpoint.list(name, Some(list.len()))?;
+        }
+        adam.steps = checkpoint.counts(STEPS, Some(1))?[0] as i32;
+        Ok(adam)
+    }
+
+    /// Every list of a checkpoint, by name.
+    pub(super) fn lists(&self) -> Lists {
+        let mut copy = self.clone();
+        let lists = copy.lists_mut().map(|(name, list)| (name, std::mem::take(list)));
+        lists.into_iter().chain([(STEPS, vec![self.steps as f32])]).collect()
+    }
+
     /// Replaces the `gaussians` by copies of their `parents`, given by number. The first `survivors` keep their moments; those of
     /// the others start at zero, with the count of steps that all share, as in 3D Gaussian Splatting.
     ///
@@ -195,6 +239,12 @@ impl GaussianAdam {
     pub(crate) fn set_scale(&mut self, gaussians: &mut Gaussians, at: usize, scale: Vec3) {
         gaussians.scales[at] = scale;
         self.log_scales[3 * at..][..3].copy_from_slice(&scale.to_array().map(log_of_scale));
+    }
+
+    /// Sets the opacity of Gaussian number `at`.
+    pub(crate) fn set_opacity(&mut self, gaussians: &mut Gaussians, at: usize, opacity: f32) {
+        gaussians.opacities[at] = opacity;
+        self.logits[at] = logit(opacity);
     }
 
     /// Lowers every opacity to `most`, and forgets the moments of all opacities: the reset of 3D Gaussian Splatting.

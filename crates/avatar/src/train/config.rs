@@ -2,11 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{DensityControl, PoseRates, RateSchedule, Regularizers};
+use super::{DensityControl, Mcmc, PoseRates, RateSchedule, Regularizers, Strategy};
 
 /// How an avatar is trained. The defaults are those of GaussianAvatars (`arguments/__init__.py`, with the white background that its
 /// documentation trains with).
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainConfig {
     pub seed: u64,
@@ -21,6 +21,11 @@ pub struct TrainConfig {
     pub ssim_weight: f64,
     /// Whether the poses of the head are learned too.
     pub finetune_head: bool,
+    /// Whether Gaussians smaller than a pixel are drawn with their own area; see [`srflow_splat::Options::antialiased`].
+    pub antialiased: bool,
+    /// Whether what is behind the head in the pictures is covered by the background, where the masks of the capture say so. Those of
+    /// VHAP and srflow are over one colour already.
+    pub apply_masks: bool,
     /// As the reference does it, with its defects:
     ///
     /// - cameras have no principal point and no vertical focal length of their own;
@@ -46,6 +51,8 @@ impl Default for TrainConfig {
             sh_interval: 1000,
             ssim_weight: 0.2,
             finetune_head: true,
+            antialiased: false,
+            apply_masks: false,
             faithful: false,
             rates: RateSchedule::default(),
             pose_rates: PoseRates::default(),
@@ -55,7 +62,94 @@ impl Default for TrainConfig {
     }
 }
 
+/// A key of the configuration is out of range.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{key} of the configuration: expected {expected}, found {found}")]
+pub struct ConfigError {
+    pub key: &'static str,
+    expected: &'static str,
+    found: String,
+}
+
 impl TrainConfig {
+    /// Checks that every value is in the range in which it means something.
+    ///
+    /// # Errors
+    /// Names the first key that is not.
+    pub fn check(&self) -> Result<(), ConfigError> {
+        let Self { rates, pose_rates, regularizers, density, .. } = self;
+        let Mcmc { most_gaussians, growth, initial_opacity, noise, opacity_weight, scale_weight } =
+            density.mcmc;
+        const MOST: u64 = 1 << 24;
+        let counts = [
+            ("iterations", self.iterations, 1..=MOST),
+            ("sh_degree", self.sh_degree as u64, 0..=3),
+            ("density.mcmc.most_gaussians", most_gaussians as u64, 1..=MOST),
+        ];
+        for (key, found, range) in counts {
+            if !range.contains(&found) {
+                let expected =
+                    if *range.end() == 3 { "a number from 0 to 3" } else { "a number from 1 to 16777216" };
+                return Err(ConfigError { key, expected, found: found.to_string() });
+            }
+        }
+        let least = f64::MIN_POSITIVE;
+        let any = (0.0, f64::MAX, "a number that is not negative");
+        let positive = (least, f64::MAX, "a positive number");
+        let share = (0.0, 1.0, "a number from 0 to 1");
+        let inside = (least, 1.0 - 1e-6, "a number between 0 and 1");
+        let [red, green, blue] = self.background.map(f64::from);
+        let numbers = [
+            ("background", red, share),
+            ("background", green, share),
+            ("background", blue, share),
+            ("ssim_weight", self.ssim_weight, share),
+            ("rates.positions", rates.positions, positive),
+            ("rates.positions_final", rates.positions_final, positive),
+            ("rates.scales", rates.scales.into(), any),
+            ("rates.rotations", rates.rotations.into(), any),
+            ("rates.opacities", rates.opacities.into(), any),
+            ("rates.sh_0", rates.sh_0.into(), any),
+            ("rates.sh_rest", rates.sh_rest.into(), any),
+            ("pose_rates.expressions", pose_rates.expressions, any),
+            ("pose_rates.joints", pose_rates.joints, any),
+            ("pose_rates.translation", pose_rates.translation, any),
+            ("regularizers.position_weight", regularizers.position_weight.into(), any),
+            ("regularizers.position_threshold", regularizers.position_threshold.into(), any),
+            ("regularizers.scale_weight", regularizers.scale_weight.into(), any),
+            ("regularizers.scale_threshold", regularizers.scale_threshold.into(), any),
+            ("density.gradient_threshold", density.threshold().into(), any),
+            ("density.small", density.small.into(), any),
+            ("density.large", density.large.into(), any),
+            ("density.least_opacity", density.least_opacity.into(), inside),
+            (
+                "density.reset_opacity",
+                density.reset_opacity.into(),
+                (least, 1.0, "a number above 0, up to 1"),
+            ),
+            ("density.mcmc.growth", growth.into(), any),
+            ("density.mcmc.initial_opacity", initial_opacity.into(), inside),
+            ("density.mcmc.noise", noise.into(), any),
+            ("density.mcmc.opacity_weight", opacity_weight.into(), any),
+            ("density.mcmc.scale_weight", scale_weight.into(), any),
+        ];
+        // Written such that NaN is out of every range.
+        match numbers.into_iter().find(|(_, found, (low, high, _))| !(low..=high).contains(&found)) {
+            None => Ok(()),
+            Some((key, found, (_, _, expected))) => {
+                Err(ConfigError { key, expected, found: found.to_string() })
+            }
+        }
+    }
+
+    /// Opacity of all Gaussians at the start.
+    pub(super) fn initial_opacity(&self) -> f32 {
+        match self.density.strategy {
+            Strategy::Default | Strategy::AbsGs => 0.1,
+            Strategy::Mcmc => self.density.mcmc.initial_opacity,
+        }
+    }
+
     /// The degree of the spherical harmonics in an iteration, counted from 1.
     pub fn sh_degree_at(&self, iteration: u64) -> usize {
         let most = self.sh_degree.min(3) as u64;
@@ -76,6 +170,25 @@ mod tests {
         assert_eq!(part.density.threshold(), 8e-4);
         assert_eq!(part.iterations, 600_000);
         assert!(serde_json::from_str::<TrainConfig>(r#"{"rates": {"position": 1}}"#).is_err());
+    }
+
+    #[test]
+    fn values_out_of_range_are_refused_by_name() {
+        assert_eq!(TrainConfig::default().check(), Ok(()));
+        let refused = |text: &str| {
+            let config: TrainConfig = serde_json::from_str(text).unwrap();
+            config.check().unwrap_err().to_string()
+        };
+        let expected = "sh_degree of the configuration: expected a number from 0 to 3, found 4";
+        assert_eq!(refused(r#"{"sh_degree": 4}"#), expected);
+        assert!(refused(r#"{"iterations": 0}"#).contains("iterations"));
+        assert!(refused(r#"{"rates": {"positions": 0}}"#).starts_with("rates.positions of"));
+        assert!(refused(r#"{"rates": {"scales": -1e-3}}"#).contains("found -0.001"));
+        assert!(refused(r#"{"background": [0, 2, 0]}"#).starts_with("background"));
+        assert!(refused(r#"{"density": {"mcmc": {"initial_opacity": 1}}}"#).contains("initial_opacity"));
+        let mut config = TrainConfig::default();
+        config.density.small = f32::NAN;
+        assert!(config.check().is_err());
     }
 
     #[test]

@@ -4,10 +4,12 @@
 
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
+use srflow_field::FileError;
 use srflow_field::random::Stream;
 use srflow_splat::{GaussianGradients, Gaussians};
 
-use super::GaussianAdam;
+use super::checkpoint::{Checkpoint, Lists};
+use super::{GaussianAdam, Mcmc};
 use crate::BoundGaussians;
 
 /// What decides where Gaussians are added.
@@ -19,6 +21,8 @@ pub enum Strategy {
     Default,
     /// The same of the sum of absolute values over pixels, which does not cancel (AbsGS, Ye et al. 2024).
     AbsGs,
+    /// Transparent Gaussians move to opaque ones; see [`Mcmc`].
+    Mcmc,
 }
 
 /// When and how Gaussians are added and removed. The defaults are those of GaussianAvatars.
@@ -44,6 +48,8 @@ pub struct DensityControl {
     pub reset_interval: u64,
     /// To this at most.
     pub reset_opacity: f32,
+    /// Of the strategy `mcmc`, which uses of the others `from`, `until`, `interval` and `least_opacity`.
+    pub mcmc: Mcmc,
 }
 
 impl Default for DensityControl {
@@ -59,6 +65,7 @@ impl Default for DensityControl {
             least_opacity: 0.005,
             reset_interval: 60_000,
             reset_opacity: 0.01,
+            mcmc: Mcmc::default(),
         }
     }
 }
@@ -67,7 +74,7 @@ impl DensityControl {
     /// The gradient from which on a Gaussian is cloned or split.
     pub fn threshold(&self) -> f32 {
         self.gradient_threshold.unwrap_or(match self.strategy {
-            Strategy::Default => 2e-4,
+            Strategy::Default | Strategy::Mcmc => 2e-4,
             Strategy::AbsGs => 8e-4,
         })
     }
@@ -80,13 +87,17 @@ impl DensityControl {
     /// Whether opacities are reset after this iteration. Before a white background they are also at `from`.
     pub fn resets(&self, iteration: u64, white: bool) -> bool {
         let due = is_multiple(iteration, self.reset_interval) || white && iteration == self.from;
-        iteration < self.until && due
+        self.strategy != Strategy::Mcmc && iteration < self.until && due
     }
 }
 
 fn is_multiple(iteration: u64, interval: u64) -> bool {
     iteration.checked_rem(interval) == Some(0)
 }
+
+// Names of lists in checkpoints.
+const SUMS: &str = "gradient_sums";
+const COUNTS: &str = "gradient_counts";
 
 /// How hard the pictures since the last change pull at each Gaussian.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -103,6 +114,20 @@ impl DensityStatistics {
         Self { sums: vec![0.0; len], counts: vec![0; len] }
     }
 
+    /// Every list of a checkpoint, by name.
+    pub(super) fn lists(&self) -> Lists {
+        vec![(SUMS, self.sums.clone()), (COUNTS, self.counts.iter().map(|&count| count as f32).collect())]
+    }
+
+    /// Those of a checkpoint, of `len` Gaussians.
+    ///
+    /// # Errors
+    /// When a list is missing or has another length.
+    pub(super) fn load(len: usize, checkpoint: &mut Checkpoint) -> Result<Self, FileError> {
+        let (sums, counts) = (checkpoint.list(SUMS, Some(len))?, checkpoint.counts(COUNTS, Some(len))?);
+        Ok(Self { sums, counts })
+    }
+
     /// Adds one picture of this size, in pixels, which shows the `visible` ones.
     ///
     /// Panics when the lists are shorter than the number of Gaussians.
@@ -114,7 +139,7 @@ impl DensityStatistics {
         (width, height): (usize, usize),
     ) {
         let centers = match strategy {
-            Strategy::Default => &gradients.centers,
+            Strategy::Default | Strategy::Mcmc => &gradients.centers,
             Strategy::AbsGs => &gradients.centers_absolute,
         };
         let half = 0.5 * glam::Vec2::new(width as f32, height as f32);

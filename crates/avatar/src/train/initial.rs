@@ -6,15 +6,15 @@ use srflow_splat::{Camera, Gaussians};
 
 use crate::BoundGaussians;
 
-/// One faint Gaussian in the middle of each of `count` triangles, of local scale 1 and a nearly grey colour that depends on `seed`
-/// (`create_from_pcd` in `scene/gaussian_model.py` of GaussianAvatars).
-pub fn initial_gaussians(count: usize, seed: u64) -> BoundGaussians {
+/// One Gaussian in the middle of each of `count` triangles, of local scale 1, this opacity (0.1 in GaussianAvatars) and a nearly grey
+/// colour that depends on `seed` (`create_from_pcd` in `scene/gaussian_model.py` of GaussianAvatars).
+pub fn initial_gaussians(count: usize, opacity: f32, seed: u64) -> BoundGaussians {
     let mut stream = Key::new(seed).stream("initial colours");
     let local = Gaussians {
         positions: vec![Vec3::ZERO; count],
         scales: vec![Vec3::ONE; count],
         rotations: vec![Quat::IDENTITY; count],
-        opacities: vec![0.1; count],
+        opacities: vec![opacity; count],
         sh_degree: 0,
         sh: (0..count).map(|_| std::array::from_fn(|_| stream.unit() / 255.0)).collect(),
     };
@@ -37,12 +37,12 @@ mod tests {
 
     #[test]
     fn every_triangle_starts_with_one_gaussian() {
-        let bound = initial_gaussians(50, 3);
+        let bound = initial_gaussians(50, 0.1, 3);
         assert!(bound.triangles().iter().copied().eq(0..50));
         let sh = bound.local().sh.as_flattened();
         assert!(sh.iter().all(|value| (0.0..1.0 / 255.0).contains(value)) && sh[0] != sh[1]);
-        assert_eq!(bound.local(), initial_gaussians(50, 3).local());
-        assert_ne!(bound.local(), initial_gaussians(50, 4).local());
+        assert_eq!(bound.local(), initial_gaussians(50, 0.1, 3).local());
+        assert_ne!(bound.local(), initial_gaussians(50, 0.1, 4).local());
     }
 
     #[test]

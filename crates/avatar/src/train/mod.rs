@@ -1,10 +1,12 @@
 //! Training the Gaussians of an avatar on pictures.
 
 mod adam;
+mod checkpoint;
 mod config;
 mod density;
 pub mod image_loss;
 mod initial;
+mod mcmc;
 mod pose_adam;
 mod regularizers;
 mod schedule;
@@ -12,10 +14,11 @@ mod score;
 mod trainer;
 
 pub use adam::{GaussianAdam, LearningRates, ParameterGradients};
-pub use config::TrainConfig;
+pub use config::{ConfigError, TrainConfig};
 pub use density::{DensityChange, DensityControl, DensityScene, DensityStatistics, Strategy, change_density};
 pub use image_loss::ImageLoss;
 pub use initial::{camera_extent, initial_gaussians};
+pub use mcmc::Mcmc;
 pub use pose_adam::{PoseAdam, PoseRates};
 pub use regularizers::{RegularizerValue, Regularizers};
 pub use schedule::RateSchedule;

@@ -2,7 +2,9 @@
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
+use srflow_field::FileError;
 
+use super::checkpoint::{Checkpoint, Lists};
 use crate::{HeadGradient, HeadModel, JointRole, PoseParameters, rotation_of_axis_angle};
 
 /// How far one step moves a pose. The defaults are those of GaussianAvatars (`flame_expr_lr`, `flame_pose_lr`, `flame_trans_lr` in
@@ -36,14 +38,20 @@ pub struct PoseAdam {
 struct Timestep {
     steps: i32,
     /// Running means of gradients, in the order of [`values`].
-    first: Vec<f64>,
+    first: Vec<f32>,
     /// Running means of their squares.
-    second: Vec<f64>,
+    second: Vec<f32>,
 }
 
 const BETA_1: f64 = 0.9;
 const BETA_2: f64 = 0.999;
 const EPSILON: f64 = 1e-15;
+
+// Names of lists in checkpoints.
+const POSES: &str = "poses";
+const MEANS: &str = "pose_means";
+const SQUARES: &str = "pose_squares";
+const STEPS: &str = "pose_steps";
 
 impl PoseAdam {
     /// The state before the first step, for these poses.
@@ -53,6 +61,49 @@ impl PoseAdam {
             Timestep { steps: 0, first: zeros.clone(), second: zeros }
         };
         Self { rates, timesteps: poses.iter().map(timestep).collect() }
+    }
+
+    /// Every list of a checkpoint, by name, with those of the `poses`.
+    pub(super) fn lists(&self, poses: &[PoseParameters]) -> Lists {
+        let all = |list: fn(&Timestep) -> &[f32]| self.timesteps.iter().flat_map(list).copied().collect();
+        let mut numbers = Vec::new();
+        for pose in poses {
+            numbers.extend(values(&mut pose.clone(), &self.rates).into_iter().map(|(value, _)| *value));
+        }
+        let steps = self.timesteps.iter().map(|timestep| timestep.steps as f32).collect();
+        vec![
+            (POSES, numbers),
+            (MEANS, all(|timestep| &timestep.first)),
+            (SQUARES, all(|timestep| &timestep.second)),
+            (STEPS, steps),
+        ]
+    }
+
+    /// Replaces `poses` and the state of each by those of a checkpoint.
+    ///
+    /// # Errors
+    /// When a list is missing or has another length.
+    pub(super) fn load(
+        &mut self,
+        poses: &mut [PoseParameters],
+        checkpoint: &mut Checkpoint,
+    ) -> Result<(), FileError> {
+        let len = Some(self.timesteps.iter().map(|timestep| timestep.first.len()).sum());
+        let (numbers, means) = (checkpoint.list(POSES, len)?, checkpoint.list(MEANS, len)?);
+        let squares = checkpoint.list(SQUARES, len)?;
+        let steps = checkpoint.counts(STEPS, Some(poses.len()))?;
+        let mut start = 0;
+        for ((timestep, pose), steps) in self.timesteps.iter_mut().zip(poses).zip(steps) {
+            let range = start..start + timestep.first.len();
+            start = range.end;
+            timestep.steps = steps as i32;
+            timestep.first.copy_from_slice(&means[range.clone()]);
+            timestep.second.copy_from_slice(&squares[range.clone()]);
+            for ((value, _), number) in values(pose, &self.rates).into_iter().zip(&numbers[range]) {
+                *value = *number;
+            }
+        }
+        Ok(())
     }
 
     /// Moves the pose of timestep number `timestep` by one step against `gradient`, the gradient at that pose.
@@ -94,9 +145,12 @@ impl Timestep {
         for (((value, rate), (first, second)), slope) in
             values(pose, rates).into_iter().zip(moments).zip(slopes)
         {
-            *first = BETA_1 * *first + (1.0 - BETA_1) * slope;
-            *second = BETA_2 * *second + (1.0 - BETA_2) * slope * slope;
-            let change = rate * *first * mean / (libm::sqrt(*second * square) + EPSILON);
+            let moment =
+                |before: f32, beta: f64, new: f64| (beta * f64::from(before) + (1.0 - beta) * new) as f32;
+            *first = moment(*first, BETA_1, *slope);
+            *second = moment(*second, BETA_2, slope * slope);
+            let change =
+                rate * f64::from(*first) * mean / (libm::sqrt(f64::from(*second) * square) + EPSILON);
             *value = (f64::from(*value) - change) as f32;
         }
     }

@@ -64,6 +64,8 @@ impl Score {
 /// Scores the renderings of an avatar against the pictures of a capture, one by one.
 #[derive(Debug, Default)]
 pub struct Scorer {
+    /// As [`TrainConfig::apply_masks`](super::TrainConfig::apply_masks), with the background of the options.
+    pub apply_masks: bool,
     options: Options,
     faithful: bool,
     rasterizer: Rasterizer,
@@ -91,7 +93,7 @@ impl Scorer {
         capture: &Capture,
         view: &CaptureView,
     ) -> Result<Score, TrainError> {
-        let target = picture(capture, view)?;
+        let target = picture(capture, view, self.apply_masks.then_some(self.options.background))?;
         let camera = view.camera_for(self.faithful);
         avatar.gaussians_into(pose, &mut self.head, &mut self.world);
         self.rasterizer

@@ -2,16 +2,19 @@
 
 use std::path::{Path, PathBuf};
 
-use srflow_field::FileError;
 use srflow_field::random::Key;
+use srflow_field::{FileError, FileProblem, Image};
 use srflow_splat::{
     Frame, FrameGradients, GaussianGradients, Gaussians, Options, Outputs, RasterizeError, Rasterizer,
 };
 
+use super::checkpoint::{self, Checkpoint};
 use super::image_loss::{ImageLossError, ImageLossValue};
+use super::mcmc::{relocate, wander};
 use super::{
-    DensityChange, DensityScene, DensityStatistics, GaussianAdam, ImageLoss, ParameterGradients, PoseAdam,
-    RegularizerValue, Score, Scorer, TrainConfig, camera_extent, change_density, initial_gaussians,
+    ConfigError, DensityChange, DensityScene, DensityStatistics, GaussianAdam, ImageLoss, ParameterGradients,
+    PoseAdam, RegularizerValue, Score, Scorer, Strategy, TrainConfig, camera_extent, change_density,
+    initial_gaussians,
 };
 use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};
 use crate::{
@@ -36,6 +39,8 @@ pub enum TrainError {
     Render { image: PathBuf, error: RasterizeError },
     #[error(transparent)]
     Loss(#[from] ImageLossError),
+    #[error(transparent)]
+    Config(#[from] ConfigError),
 }
 
 /// What one iteration did.
@@ -66,6 +71,8 @@ pub struct Trainer {
     adam: GaussianAdam,
     pose_adam: PoseAdam,
     statistics: DensityStatistics,
+    /// Of the views and parameters of the capture.
+    fingerprint: String,
     /// Iterations done.
     iteration: u64,
     /// Of the cameras for training, metres.
@@ -93,8 +100,10 @@ impl Trainer {
     /// A training of `model`, with the parameters of the capture, from one Gaussian per triangle.
     ///
     /// # Errors
-    /// When the capture has no pictures for training, its parameters cannot be read, or they do not fit the model.
+    /// When the configuration is out of range, the capture has no pictures for training, its parameters cannot be read, or they do not
+    /// fit the model.
     pub fn new(capture: Capture, model: HeadModel, config: TrainConfig) -> Result<Self, TrainError> {
+        config.check()?;
         let dir = || capture.dir().to_owned();
         let views = capture.views();
         let training: Vec<usize> =
@@ -103,7 +112,7 @@ impl Trainer {
             return Err(TrainError::NoPictures { dir: dir(), found: views.len() });
         }
         let parameters = capture.parameters()?;
-        let start = initial_gaussians(model.triangles.len(), config.seed);
+        let start = initial_gaussians(model.triangles.len(), config.initial_opacity(), config.seed);
         let (local, triangles) = (start.local().clone(), start.triangles().to_vec());
         let avatar = Avatar::with_gaussians(model, parameters.clone(), local, triangles)
             .map_err(|error| TrainError::Avatar { dir: dir(), error })?;
@@ -124,6 +133,7 @@ impl Trainer {
             statistics: DensityStatistics::new(avatar.bound().len()),
             order: training,
             epoch: None,
+            fingerprint: fingerprint(views, &parameters),
             iteration: 0,
             buffers,
             config,
@@ -133,9 +143,48 @@ impl Trainer {
         })
     }
 
+    /// The training that [`Trainer::write_checkpoint`] wrote to `path`, to go on as if it had never stopped.
+    ///
+    /// # Errors
+    /// As [`Trainer::new`]; also when the file cannot be read, is damaged, or belongs to another configuration or capture.
+    pub fn resume(
+        capture: Capture,
+        model: HeadModel,
+        config: TrainConfig,
+        path: &Path,
+    ) -> Result<Self, TrainError> {
+        let mut trainer = Self::new(capture, model, config)?;
+        let mut checkpoint = Checkpoint::open(path, &trainer.config, &trainer.fingerprint)?;
+        let bound = checkpoint.gaussians(trainer.units_at_rest.len())?;
+        trainer.adam = GaussianAdam::load(bound.local(), &mut checkpoint)?;
+        trainer.statistics = DensityStatistics::load(bound.len(), &mut checkpoint)?;
+        trainer.pose_adam.load(&mut trainer.parameters.poses, &mut checkpoint)?;
+        *trainer.avatar.bound_mut() = bound;
+        let model = trainer.avatar.model();
+        trainer.poses = trainer.parameters.poses.iter().map(|pose| pose.pose(model)).collect();
+        trainer.iteration = checkpoint.iteration;
+        Ok(trainer)
+    }
+
+    /// Writes the whole state of the training, for [`Trainer::resume`].
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn write_checkpoint(&self, path: &Path) -> Result<(), FileError> {
+        let mut lists = checkpoint::lists_of(self.avatar.bound());
+        lists.extend(self.adam.lists());
+        lists.extend(self.statistics.lists());
+        lists.extend(self.pose_adam.lists(&self.parameters.poses));
+        checkpoint::write(path, &self.config, &self.fingerprint, self.iteration, &lists)
+    }
+
     /// Iterations done.
     pub fn iteration(&self) -> u64 {
         self.iteration
+    }
+
+    pub fn capture(&self) -> &Capture {
+        &self.capture
     }
 
     /// The avatar as it is now. Its own motion is that of the capture; the corrected poses are in [`Trainer::parameters`].
@@ -164,7 +213,7 @@ impl Trainer {
         let iteration = self.iteration + 1;
         let view = self.view_of(iteration);
         let view = &self.capture.views()[view];
-        let target = picture(&self.capture, view)?;
+        let target = picture(&self.capture, view, self.config.apply_masks.then_some(self.config.background))?;
         let degree = self.config.sh_degree_at(iteration);
         if degree > self.avatar.bound().local().sh_degree {
             self.adam.raise_sh_degree(self.avatar.bound_mut().local_mut(), degree);
@@ -201,7 +250,14 @@ impl Trainer {
         );
 
         let control = config.density;
-        if iteration < control.until {
+        let mcmc = control.strategy == Strategy::Mcmc;
+        if mcmc {
+            control.mcmc.backward(
+                avatar.bound().local(),
+                &mut buffers.world_gradients.opacities,
+                &mut buffers.bound_gradients.scales,
+            );
+        } else if iteration < control.until {
             self.statistics.add(control.strategy, &buffers.world_gradients, &buffers.visible, size);
         }
         if let Some(gradient) = of_head {
@@ -216,6 +272,7 @@ impl Trainer {
             change
         } else {
             self.adam_step(iteration, false);
+            self.wander(iteration);
             let change = self.change_density(iteration);
             self.reset_opacities(iteration);
             change
@@ -235,6 +292,7 @@ impl Trainer {
         mut on_view: impl FnMut(&CaptureView, &Score),
     ) -> Result<Option<Score>, TrainError> {
         let mut scorer = Scorer::new(options(&self.config), self.config.faithful);
+        scorer.apply_masks = self.config.apply_masks;
         let mut scores = Vec::new();
         for view in self.capture.of(split) {
             let pose = &self.poses[timestep_place(&self.timesteps, view)];
@@ -243,6 +301,20 @@ impl Trainer {
             scores.push(score);
         }
         Ok(Score::mean(&scores))
+    }
+
+    /// The avatar as it is now, as a view of the capture shows it.
+    ///
+    /// # Errors
+    /// When the view cannot be rendered.
+    pub fn render(&mut self, view: &CaptureView) -> Result<Image, TrainError> {
+        let Buffers { rasterizer, frame, head, world, .. } = &mut self.buffers;
+        self.avatar.gaussians_into(&self.poses[timestep_place(&self.timesteps, view)], head, world);
+        let options = Options { outputs: Outputs::IMAGE, ..options(&self.config) };
+        rasterizer
+            .render(world, &view.camera_for(self.config.faithful), None, &options, frame)
+            .map_err(|error| TrainError::Render { image: view.image.clone(), error })?;
+        Ok(std::mem::replace(&mut frame.image, Image::new(0, 0)))
     }
 
     /// The number of the view of an iteration: all views for training come once in each epoch, in an order of its own.
@@ -292,6 +364,14 @@ impl Trainer {
         if !control.is_due(iteration) {
             return None;
         }
+        let key = Key::new(seed).scene(iteration as u32);
+        let (bound, adam, triangles) = (self.avatar.bound_mut(), &mut self.adam, self.units_at_rest.len());
+        if control.strategy == Strategy::Mcmc {
+            let mut stream = key.stream("relocate");
+            let change = relocate(bound, adam, &control.mcmc, control.least_opacity, triangles, &mut stream);
+            self.statistics = DensityStatistics::new(bound.len());
+            return Some(change);
+        }
         let last: Vec<f32>;
         let units = if faithful {
             last = self.buffers.head.frames().iter().map(|frame| frame.scale).collect();
@@ -305,9 +385,19 @@ impl Trainer {
             prune_large: iteration > control.reset_interval,
             faithful,
         };
-        let mut stream = Key::new(seed).scene(iteration as u32).stream("split");
-        let bound = self.avatar.bound_mut();
-        Some(change_density(bound, &mut self.adam, &mut self.statistics, &control, &scene, &mut stream))
+        let mut stream = key.stream("split");
+        Some(change_density(bound, adam, &mut self.statistics, &control, &scene, &mut stream))
+    }
+
+    /// The random steps of MCMC.
+    fn wander(&mut self, iteration: u64) {
+        let TrainConfig { seed, density: control, rates, .. } = self.config;
+        if control.strategy == Strategy::Mcmc {
+            let share = rates.at(iteration, 1.0).positions / rates.at(0, 1.0).positions;
+            let mut stream = Key::new(seed).scene(iteration as u32).stream("wander");
+            let local = self.avatar.bound_mut().local_mut();
+            wander(local, control.mcmc.noise * share, control.least_opacity, &mut stream);
+        }
     }
 
     /// Lowers the opacities if they are due; returns whether.
@@ -323,7 +413,7 @@ impl Trainer {
 
 fn options(config: &TrainConfig) -> Options {
     let outputs = Outputs { color: true, ..Outputs::NONE };
-    Options { background: config.background, outputs, ..Options::default() }
+    Options { background: config.background, antialiased: config.antialiased, outputs, ..Options::default() }
 }
 
 /// The place of a view's timestep among those of the capture, which has parameters for each.
@@ -331,8 +421,34 @@ fn timestep_place(timesteps: &[u32], view: &CaptureView) -> usize {
     timesteps.partition_point(|&timestep| timestep < view.timestep)
 }
 
-/// The picture of a view, 0..1, row-major.
-pub(super) fn picture(capture: &Capture, view: &CaptureView) -> Result<Vec<[f32; 3]>, FileError> {
+/// Names what a training learns from, except for the pixels: cameras, splits, names of files, and the parameters of the head.
+fn fingerprint(views: &[CaptureView], parameters: &HeadParameters) -> String {
+    let mut hasher = crc32fast::Hasher::new();
+    for view in views {
+        hasher.update(format!("{view:?}\n").as_bytes());
+    }
+    hasher.update(format!("{parameters:?}").as_bytes());
+    format!("{:08x}", hasher.finalize())
+}
+
+/// The picture of a view, 0..1, row-major; with a colour, that covers what is behind the head.
+pub(super) fn picture(
+    capture: &Capture,
+    view: &CaptureView,
+    cover: Option<[f32; 3]>,
+) -> Result<Vec<[f32; 3]>, FileError> {
     let image = capture.image(view)?;
-    Ok(image.pixels().iter().map(|pixel| pixel.map(|channel| f32::from(channel) / 255.0)).collect())
+    let mut picture: Vec<[f32; 3]> =
+        image.pixels().iter().map(|pixel| pixel.map(|channel| f32::from(channel) / 255.0)).collect();
+    if let Some(cover) = cover {
+        let mask = capture.mask(view)?.ok_or_else(|| {
+            let expected = "the mask of every picture, since apply_masks is set";
+            let found = format!("none for {}", view.image.display());
+            FileProblem::field("fg_mask_path", expected, found).in_file(capture.dir())
+        })?;
+        for (pixel, &alpha) in picture.iter_mut().zip(mask.pixels()) {
+            *pixel = std::array::from_fn(|i| alpha * pixel[i] + (1.0 - alpha) * cover[i]);
+        }
+    }
+    Ok(picture)
 }

@@ -128,18 +128,18 @@ impl SepConvGru {
 
     /// A GRU whose input is `context` followed by the input of [`PreparedGru::step`].
     pub(crate) fn prepared(&self, context: &Tensor<4>) -> PreparedGru<'_> {
-        let rows = PreparedStep::new([&self.convz1, &self.convr1, &self.convq1], context);
-        let columns = PreparedStep::new([&self.convz2, &self.convr2, &self.convq2], context);
-        PreparedGru { steps: vec![rows, columns] }
+        PreparedGru { steps: self.steps().map(|convs| PreparedStep::new(convs, context)).into() }
     }
 
     /// [`PreparedGru::step`] for a context that is used once: takes less memory than the prepared GRU.
     pub(crate) fn step(&self, context: &Tensor<4>, hidden: Tensor<4>, input: Tensor<4>) -> Tensor<4> {
-        let rows = [&self.convz1, &self.convr1, &self.convq1];
-        let columns = [&self.convz2, &self.convr2, &self.convq2];
-        [rows, columns]
-            .into_iter()
-            .fold(hidden, |hidden, convs| PreparedStep::new(convs, context).forward(hidden, input.clone()))
+        let step = |hidden, convs| PreparedStep::new(convs, context).forward(hidden, input.clone());
+        self.steps().into_iter().fold(hidden, step)
+    }
+
+    /// The convolutions of update gate, reset gate and candidate, of each step.
+    fn steps(&self) -> [[&Conv2d; 3]; 2] {
+        [[&self.convz1, &self.convr1, &self.convq1], [&self.convz2, &self.convr2, &self.convq2]]
     }
 }
 

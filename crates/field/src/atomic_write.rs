@@ -3,6 +3,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use crate::{FileError, FileProblem};
 
@@ -55,6 +56,34 @@ pub fn create_folder(path: &Path) -> Result<(), FileError> {
     fs::create_dir_all(path).map_err(|error| failed(error).in_file(path))
 }
 
+/// Removes the files and folders in `folder` that a killed process left unfinished: those named `.NAME.partial` whose name (with what
+/// [`write_atomically`] adds to it) and age are `abandoned`. Other processes may remove the same ones.
+///
+/// # Errors
+/// When the folder cannot be listed, or one of them cannot be removed.
+pub fn remove_partial(folder: &Path, abandoned: impl Fn(&str, Duration) -> bool) -> Result<(), FileError> {
+    let failed = |doing| move |error| FileProblem::Io { doing, error }.in_file(folder);
+    for entry in fs::read_dir(folder).map_err(failed("listing the folder"))? {
+        let entry = entry.map_err(failed("listing the folder"))?;
+        let (path, name) = (entry.path(), entry.file_name().to_string_lossy().into_owned());
+        let is_partial = path.extension().is_some_and(|extension| extension == PARTIAL_EXTENSION);
+        let Some(name) = name.strip_prefix('.').filter(|_| is_partial) else { continue };
+        let modified = entry.metadata().and_then(|metadata| metadata.modified());
+        let age = modified.ok().and_then(|modified| modified.elapsed().ok()).unwrap_or_default();
+        if !abandoned(name, age) {
+            continue;
+        }
+        let removed = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+        match removed {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(FileProblem::Io { doing: "removing", error }.in_file(&path));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
 fn fill(file: File, write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> io::Result<()> {
     let mut writer = BufWriter::with_capacity(1 << 18, file);
     write(&mut writer)?;
@@ -95,6 +124,20 @@ mod tests {
         assert!(error.to_string().contains("a.bin: writing: the disk is full"), "{error}");
         assert_eq!(fs::read(&path).unwrap(), b"old");
         assert_eq!(names(folder.path()), ["a.bin"]);
+    }
+
+    #[test]
+    fn what_a_killed_process_left_is_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a.bin", ".a.bin.7-0.partial", ".b.bin.7-1.partial", "c.partial", ".d"] {
+            fs::write(folder.path().join(name), "x").unwrap();
+        }
+        fs::create_dir_all(folder.path().join(".step-4.partial/below")).unwrap();
+        remove_partial(folder.path(), |name, age| !name.starts_with("b.bin") && age.as_secs() < 3600)
+            .unwrap();
+        let mut left = names(folder.path());
+        left.sort();
+        assert_eq!(left, [".b.bin.7-1.partial", ".d", "a.bin", "c.partial"]);
     }
 
     #[test]

@@ -14,16 +14,19 @@ mod forward_interpolate;
 mod grey;
 mod grid;
 mod image_file;
+mod json_lines;
 mod metrics;
 mod named;
 mod open;
 mod parse_words;
 pub mod random;
 pub mod resize;
+mod run_lock;
+mod settings;
 mod size;
 mod warp;
 
-pub use atomic_write::{PARTIAL_EXTENSION, create_folder, write_atomically, write_file};
+pub use atomic_write::{PARTIAL_EXTENSION, create_folder, remove_partial, write_atomically, write_file};
 pub use codec::hdf5::{Hdf5Array, MAGIC as HDF5_MAGIC, hdf5_arrays};
 pub use codec::npy::{Array, npy_pickle, read_npy, read_npy_plane, write_npy, write_npy_plane};
 pub use codec::npz::open_zip;
@@ -41,8 +44,11 @@ pub use grid::{FlowField, Image, Mask, Plane, SizeError, SizeMismatch};
 pub use image_file::{
     IMAGE_EXTENSIONS, read_image, read_image_size, read_mask, write_image_png, write_mask_png,
 };
+pub use json_lines::{JsonLines, read_json_lines};
 pub use metrics::{MAX_SCORED_FLOW, MeanMetrics, Metrics, ScoreError, score};
 pub use open::{FileKind, open_file, read_file, read_text};
 pub use parse_words::parse_error_in_words;
+pub use run_lock::{LockError, RunLock};
+pub use settings::{Preset, SettingsError, parse_settings, read_settings, settings_text, with_setting};
 pub use size::Size;
 pub use warp::{Tolerance, forward_backward_check, warp};

@@ -11,7 +11,8 @@ use std::path::{Path, PathBuf};
 use burn::tensor::DType;
 use serde::{Deserialize, Serialize};
 use srflow_field::{
-    FileError, FileKind, PARTIAL_EXTENSION, create_folder, parse_error_in_words, read_text, write_file,
+    FileError, FileKind, PARTIAL_EXTENSION, create_folder, parse_error_in_words, read_text, remove_partial,
+    write_file,
 };
 use srflow_nn::{About, AdamWState, Layout, WeightsError, read_safetensors, safetensors_bytes};
 
@@ -203,14 +204,7 @@ impl Checkpoints {
     /// When a file or folder cannot be removed.
     pub fn remove_unfinished(&self) -> Result<(), CheckpointError> {
         for folder in [&self.run, &self.folder].into_iter().filter(|folder| folder.is_dir()) {
-            let partial =
-                |name: &String| name.starts_with('.') && name.ends_with(&format!(".{PARTIAL_EXTENSION}"));
-            for path in names(folder)?.iter().filter(|name| partial(name)).map(|name| folder.join(name)) {
-                match path.is_dir() {
-                    true => remove_folder(&path)?,
-                    false => fs::remove_file(&path).map_err(io_error(&path, "removing the file"))?,
-                }
-            }
+            remove_partial(folder, |_, _| true)?;
         }
         Ok(())
     }

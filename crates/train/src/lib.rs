@@ -10,7 +10,6 @@ mod recompute;
 pub mod replica;
 mod report;
 mod run;
-mod run_lock;
 pub mod schedule;
 mod tensorboard;
 pub mod training_log;
@@ -19,5 +18,4 @@ mod validation;
 
 pub use report::report;
 pub use run::{Event, Outcome, RunMode, Start, TrainError, config_of_run, train};
-pub use run_lock::LockError;
 pub use validation::ValidationError;

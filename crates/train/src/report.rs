@@ -1,13 +1,10 @@
 //! The HTML report of a run: curves of losses and scores, and the configuration.
 
-use srflow_eval::report::{Axis, Chart, Curve, Figure, Page, Section, curves, facts, tiles};
+use srflow_eval::report::{Axis, Chart, Curve, Figure, Page, Section, curves, settings_facts, tiles};
 
 use crate::config::Config;
 use crate::loss::{REGULARIZERS, cyclic};
 use crate::training_log::{Record, StepRecord, ValidationRecord};
-
-/// Most points of a curve over steps; groups of steps are averaged to stay below it.
-const POINTS: usize = 300;
 
 /// The report of a run from the records of its log. `machine` describes the hardware.
 pub fn report(config: &Config, records: &[Record], machine: &str) -> Page {
@@ -26,7 +23,7 @@ pub fn report(config: &Config, records: &[Record], machine: &str) -> Page {
     sections.push(Section::new(
         "Configuration",
         "All settings of the run, as in `config.toml` next to this page.",
-        vec![facts(&configuration(config))],
+        vec![settings_facts(&config.to_toml())],
     ));
     let network = config.network.architecture.facts().title;
     Page {
@@ -148,26 +145,6 @@ fn chart(title: &str, y: &str, caption: &str) -> Chart {
 }
 
 fn averaged(steps: &[&StepRecord], name: &str, value: &dyn Fn(&StepRecord) -> f64) -> Curve {
-    let together = steps.len().div_ceil(POINTS).max(1);
-    let point = |steps: &[&StepRecord]| {
-        let mean = |value: &dyn Fn(&StepRecord) -> f64| {
-            steps.iter().map(|step| value(step)).sum::<f64>() / steps.len() as f64
-        };
-        (mean(&|step| step.step as f64), mean(value))
-    };
-    Curve { name: name.to_owned(), points: steps.chunks(together).map(point).collect(), baseline: false }
-}
-
-/// Keys, as `section.key`, and values.
-fn configuration(config: &Config) -> Vec<(String, String)> {
-    let mut section = String::new();
-    let mut pairs = Vec::new();
-    for line in config.to_toml().lines() {
-        if let Some(name) = line.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
-            section = name.to_owned();
-        } else if let Some((key, value)) = line.split_once(" = ") {
-            pairs.push((format!("{section}.{key}"), value.to_owned()));
-        }
-    }
-    pairs
+    let points: Vec<(f64, f64)> = steps.iter().map(|step| (step.step as f64, value(step))).collect();
+    Curve::averaged(name, &points)
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use burn::tensor::Device;
-use srflow_field::{FileError, create_folder, write_file};
+use srflow_field::{FileError, LockError, RunLock, create_folder, write_file};
 use srflow_nets::about;
 use srflow_nn::{AdamW, AdamWState, Rounding, WeightsError, clip_norm};
 
@@ -15,9 +15,8 @@ use crate::config::{Config, ConfigError};
 use crate::loss::LossError;
 use crate::prefetch::Prefetcher;
 use crate::replica::{PassSettings, Replicas};
-use crate::run_lock::{LockError, RunLock};
 use crate::schedule::OneCycle;
-use crate::training_log::{LogError, Record, SkippedRecord, StepRecord, TrainingLog, ValidationRecord};
+use crate::training_log::{Record, SkippedRecord, StepRecord, TrainingLog, ValidationRecord};
 use crate::training_set::{DataError, TrainingSample, TrainingSet};
 use crate::validation::{Validation, ValidationError};
 
@@ -41,8 +40,6 @@ pub enum TrainError {
     Loss(#[from] LossError),
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    #[error(transparent)]
-    Log(#[from] LogError),
     #[error(transparent)]
     File(#[from] FileError),
     #[error(

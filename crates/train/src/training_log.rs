@@ -1,14 +1,10 @@
 //! The log of a run: `log.jsonl`, one JSON object per line, and event files for TensorBoard.
 
-use std::fs::{File, OpenOptions};
-use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use srflow_eval::SCORES;
-use srflow_field::{
-    FileError, FileKind, FileProblem, Metrics, parse_error_in_words, read_text, write_atomically,
-};
+use srflow_field::{FileError, FileProblem, JsonLines, Metrics, read_json_lines};
 
 use crate::tensorboard::EventFile;
 
@@ -111,7 +107,7 @@ impl Record {
 /// The log of a run, open for appending.
 pub(crate) struct TrainingLog {
     run: PathBuf,
-    log: File,
+    log: JsonLines,
     events: EventFile,
 }
 
@@ -120,70 +116,31 @@ const LOG: &str = "log.jsonl";
 /// Name of the folder of event files in a run's folder.
 const EVENTS: &str = "tensorboard";
 
-/// An error of opening or reading a log.
-#[derive(Debug, thiserror::Error)]
-#[error("{}: {reason}", .path.display())]
-pub struct LogError {
-    pub path: PathBuf,
-    pub reason: String,
-}
-
 impl TrainingLog {
     /// Opens the log of the run in this folder, removing records after `step`, the step of the checkpoint to continue from.
-    pub(crate) fn open(run: &Path, step: u64) -> Result<Self, LogError> {
-        let path = run.join(LOG);
-        let failed = |path: &Path, error: &dyn std::fmt::Display| LogError {
-            path: path.to_owned(),
-            reason: error.to_string(),
-        };
-        if path.exists() {
-            let kept: Vec<Record> =
-                read_whole_lines(&path)?.into_iter().filter(|record| record.step() <= step).collect();
-            write_atomically(&path, |file| kept.iter().try_for_each(|record| write_line(file, record)))
-                .map_err(|error| failed(&path, &error))?;
-        }
-        let log = OpenOptions::new().create(true).append(true).open(&path);
+    pub(crate) fn open(run: &Path, step: u64) -> Result<Self, FileError> {
+        let log = JsonLines::open(&run.join(LOG), |record: &Record| record.step() <= step)?;
         let events = run.join(EVENTS);
-        Ok(Self {
-            run: run.to_owned(),
-            log: log.map_err(|error| failed(&path, &error))?,
-            events: EventFile::create(&events).map_err(|error| failed(&events, &error))?,
-        })
+        let created = EventFile::create(&events);
+        let events =
+            created.map_err(|error| FileProblem::Io { doing: "creating", error }.in_file(&events))?;
+        Ok(Self { run: run.to_owned(), log, events })
     }
 
     /// Appends a record to the log and to the event file.
     pub(crate) fn write(&mut self, record: &Record) -> Result<(), FileError> {
-        let written = write_line(&mut self.log, record)
-            .and_then(|()| self.events.write(record.step(), &record.tagged()));
-        let problem = |error| FileProblem::Io { doing: "writing the log", error };
-        written.map_err(|error| FileError { path: self.run.clone(), problem: problem(error) })
+        self.log.append(record)?;
+        let written = self.events.write(record.step(), &record.tagged());
+        written.map_err(|error| FileProblem::Io { doing: "writing the log", error }.in_file(&self.run))
     }
-}
-
-fn write_line(file: &mut impl Write, record: &Record) -> io::Result<()> {
-    let mut line = serde_json::to_string(record)?;
-    line.push('\n');
-    file.write_all(line.as_bytes())
 }
 
 /// Reads the log of the run in this folder.
 ///
 /// # Errors
 /// When there is no log, or a line is not a valid record.
-pub fn read_log(run: &Path) -> Result<Vec<Record>, LogError> {
-    read_whole_lines(&run.join(LOG))
-}
-
-/// Skips a last line without a line break, which a killed run may have left.
-fn read_whole_lines(path: &Path) -> Result<Vec<Record>, LogError> {
-    let failed = |reason: String| LogError { path: path.to_owned(), reason };
-    let text = read_text(path, FileKind::Log).map_err(|error| failed(error.problem.to_string()))?;
-    let whole = text.rfind('\n').map_or("", |end| &text[..end]);
-    let record = |(number, line): (usize, &str)| {
-        serde_json::from_str(line)
-            .map_err(|error| failed(format!("line {}: {}", number + 1, parse_error_in_words(&error))))
-    };
-    whole.lines().enumerate().map(record).collect()
+pub fn read_log(run: &Path) -> Result<Vec<Record>, FileError> {
+    read_json_lines(&run.join(LOG))
 }
 
 #[cfg(test)]

@@ -1,11 +1,9 @@
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
 
 use anyhow::ensure;
 use clap::Args;
-use indicatif::ProgressBar;
 use serde_json::json;
-use srflow_field::write_file;
+use srflow_field::{Preset, write_file};
 use srflow_ops::device;
 use srflow_train::config::{Config, PRESETS};
 use srflow_train::training_log::{Record, StepRecord, read_log};
@@ -13,7 +11,7 @@ use srflow_train::{Event, Outcome, RunMode, Start, config_of_run, report, train}
 
 use crate::networks::{note_if_ambiguous, weights_file};
 use crate::output::exit_stopped;
-use crate::progress::bar;
+use crate::progress::TrainingProgress;
 use crate::{Context, machine};
 
 /// Train an optical flow network
@@ -93,8 +91,7 @@ pub struct Overrides {
 }
 
 fn config_help() -> String {
-    let names: Vec<&str> = PRESETS.iter().map(|preset| preset.name).collect();
-    format!("Preset ({}) or TOML file [default: skflow]", names.join(", "))
+    format!("Preset ({}) or TOML file [default: skflow]", Preset::names(PRESETS))
 }
 
 impl Overrides {
@@ -248,28 +245,12 @@ fn print(out: &Path, outcome: &Outcome, context: &Context) -> anyhow::Result<()>
     Ok(())
 }
 
-/// A bar on standard error if that is a terminal; otherwise a line now and then.
-pub struct Progress {
-    bar: ProgressBar,
-    done: u64,
-    steps: u64,
-    began: Instant,
-    /// When the last line was printed, without a bar.
-    printed: Option<Instant>,
-}
-
-/// Time between two lines when standard error is no terminal.
-const LINES_APART: Duration = Duration::from_secs(30);
+/// Progress of a run.
+pub struct Progress(TrainingProgress);
 
 impl Progress {
     pub fn new() -> Self {
-        Self {
-            bar: bar(0, "{bar:24} {pos}/{len} {msg}, {eta} left"),
-            done: 0,
-            steps: 0,
-            began: Instant::now(),
-            printed: None,
-        }
+        Self(TrainingProgress::new("step"))
     }
 
     pub fn show(&mut self, event: &Event) {
@@ -281,10 +262,7 @@ impl Progress {
     }
 
     fn start(&mut self, start: &Start) {
-        self.bar.set_length(start.steps);
-        self.bar.set_position(start.done);
-        self.bar.reset_eta();
-        (self.done, self.steps, self.began, self.printed) = (start.done, start.steps, Instant::now(), None);
+        self.0.start(start.done, start.steps);
         for line in &start.data {
             self.line(line);
         }
@@ -311,26 +289,9 @@ impl Progress {
 
     fn record(&mut self, record: &Record) {
         match record {
-            Record::Step(step) => {
-                let rate = (step.step - self.done) as f64 / self.began.elapsed().as_secs_f64().max(1e-9);
-                let words = in_words(step, rate);
-                self.bar.set_position(step.step);
-                self.bar.set_message(words.clone());
-                // The first step and the last are always printed.
-                let due = self.printed.is_none_or(|printed| printed.elapsed() >= LINES_APART);
-                if self.bar.is_hidden() && (due || step.step == self.steps) {
-                    self.printed = Some(Instant::now());
-                    let left = (self.steps - step.step) as f64 / rate.max(1e-9);
-                    self.line(&format!(
-                        "step {}/{}: {words}, {:.0} min left",
-                        step.step,
-                        self.steps,
-                        left / 60.0
-                    ));
-                }
-            }
+            Record::Step(step) => self.0.advance(step.step, |rate| in_words(step, rate)),
             Record::Skipped(skipped) => {
-                self.bar.set_position(skipped.step);
+                self.0.skip(skipped.step);
                 self.line(&format!(
                     "step {} skipped: its loss is not finite ({})",
                     skipped.step,
@@ -350,11 +311,11 @@ impl Progress {
     }
 
     pub fn finish(&self) {
-        self.bar.finish_and_clear();
+        self.0.finish();
     }
 
     pub fn line(&self, text: &str) {
-        self.bar.suspend(|| note!("{text}"));
+        self.0.line(text);
     }
 }
 

@@ -14,6 +14,19 @@ pub struct Curve {
     pub baseline: bool,
 }
 
+impl Curve {
+    /// A curve of many points, each the mean of neighbouring ones: at most 300 are drawn.
+    pub fn averaged(name: impl Into<String>, points: &[(f64, f64)]) -> Self {
+        const MOST: usize = 300;
+        let mean = |points: &[(f64, f64)], of: fn(&(f64, f64)) -> f64| {
+            points.iter().map(of).sum::<f64>() / points.len() as f64
+        };
+        let together = points.len().div_ceil(MOST).max(1);
+        let points = points.chunks(together).map(|points| (mean(points, |p| p.0), mean(points, |p| p.1)));
+        Self { name: name.into(), points: points.collect(), baseline: false }
+    }
+}
+
 /// Curves over one pair of axes. With `dots`, every point is marked: for a few measured points.
 pub fn curves(curves: &[Curve], vertical: Axis, dots: bool, chart: &Chart) -> Figure {
     let finite = |curve: &Curve| -> Vec<(f64, f64)> {
@@ -75,6 +88,15 @@ pub fn curves(curves: &[Curve], vertical: Axis, dots: bool, chart: &Chart) -> Fi
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn many_points_are_averaged_and_few_are_kept() {
+        let points: Vec<(f64, f64)> = (0..1000).map(|i| (f64::from(i), f64::from(i % 2))).collect();
+        let curve = Curve::averaged("loss", &points);
+        assert_eq!((curve.points.len(), curve.points[1]), (250, (5.5, 0.5)));
+        assert_eq!(Curve::averaged("loss", &points[..300]).points, points[..300]);
+        assert!(Curve::averaged("loss", &[]).points.is_empty());
+    }
 
     #[test]
     fn an_axis_of_a_single_place_has_distinct_labels() {

@@ -15,3 +15,17 @@ pub fn facts(pairs: &[(String, String)]) -> Figure {
         figure { div.panel.plain { dl.facts { @for (name, value) in pairs { dt { (name) } dd { (value) } } } } }
     })
 }
+
+/// Settings in TOML as [`facts`]: their keys, as `section.key`, and values.
+pub fn settings_facts(toml: &str) -> Figure {
+    let mut section = String::new();
+    let mut pairs = Vec::new();
+    for line in toml.lines() {
+        if let Some(name) = line.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
+            section = format!("{name}.");
+        } else if let Some((key, value)) = line.split_once(" = ") {
+            pairs.push((format!("{section}{key}"), value.to_owned()));
+        }
+    }
+    facts(&pairs)
+}

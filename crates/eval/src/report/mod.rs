@@ -31,7 +31,7 @@ pub use charts::{Axis, Chart};
 pub use compare::compare;
 pub use confusion::confusion_matrix;
 pub use curves::{Curve, curves};
-pub use facts::{facts, tiles};
+pub use facts::{facts, settings_facts, tiles};
 pub use film::{Film, films};
 pub use heat::{error_map, heat};
 pub use histogram::{Bin, histogram};

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use serde_json::Value;
 use srflow_field::{
-    FileKind, PARTIAL_EXTENSION, create_folder, excerpt, parse_error_in_words, read_text, write_file,
+    FileKind, create_folder, excerpt, parse_error_in_words, read_text, remove_partial, write_file,
 };
 
 use super::{Plan, Run};
@@ -95,23 +95,6 @@ pub fn tidy<P: Plan>(dir: &Path, plan: &P, runs: &[Run]) -> Result<(), RenderErr
         for folder in plan.folders(dir, run) {
             create_folder(&folder)?;
             remove_partial(&folder, |name, _| plan.makes(run, &folder, name))?;
-        }
-    }
-    Ok(())
-}
-
-/// Removes the partial files of a folder whose final name and age are `abandoned`.
-fn remove_partial(dir: &Path, abandoned: impl Fn(&str, Duration) -> bool) -> Result<(), RenderError> {
-    let failed = |error| RenderError::io(dir, error);
-    for entry in fs::read_dir(dir).map_err(failed)? {
-        let entry = entry.map_err(failed)?;
-        let name = entry.file_name().to_string_lossy().into_owned();
-        let is_partial = Path::new(&name).extension().is_some_and(|extension| extension == PARTIAL_EXTENSION);
-        let Some(name) = name.strip_prefix('.').filter(|_| is_partial) else { continue };
-        let modified = entry.metadata().and_then(|metadata| metadata.modified());
-        let age = modified.ok().and_then(|modified| modified.elapsed().ok()).unwrap_or_default();
-        if abandoned(name, age) {
-            unless_gone(&entry.path(), fs::remove_file(entry.path()))?;
         }
     }
     Ok(())

@@ -16,7 +16,7 @@ use srflow_nn::{Layout, WeightsError};
 
 use crate::loss::LossConfig;
 pub use augmentation::{AugmentationConfig, AugmentationKind};
-pub use read::{ConfigError, PRESETS, Preset};
+pub use read::{ConfigError, PRESETS};
 pub use text::Source;
 
 /// Configuration of a training run. The default is the paper's retrained SKFlow (section V-A1), with SKFlow's own settings where

@@ -2,9 +2,8 @@
 
 use std::path::Path;
 
-use srflow_field::{FileError, FileKind, parse_error_in_words, read_text};
+use srflow_field::{Preset, SettingsError, parse_settings, read_settings, settings_text, with_setting};
 use srflow_nets::SettingError;
-use toml::{Table, Value};
 
 use super::Config;
 use crate::loss::LossError;
@@ -12,30 +11,14 @@ use crate::loss::LossError;
 /// Errors of reading or checking a configuration.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
-    #[error("{error}; pass a TOML file or one of the presets: {presets}")]
-    Read { error: FileError, presets: String },
-    #[error("{file}: {reason}")]
-    File {
-        file: String,
-        /// Names the line and the key, and what was expected.
-        reason: String,
-    },
-    #[error("--set {given}: {reason}")]
-    Override { given: String, reason: String },
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
     #[error("{key} = {found}: expected {expected}")]
     Value { key: &'static str, found: String, expected: String },
     #[error("network.settings: {0}")]
     Setting(#[from] SettingError),
     #[error(transparent)]
     Loss(#[from] LossError),
-}
-
-/// A built-in configuration.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Preset {
-    pub name: &'static str,
-    /// TOML.
-    pub text: &'static str,
 }
 
 macro_rules! presets {
@@ -61,19 +44,12 @@ pub const PRESETS: &[Preset] = presets![
 ];
 
 impl Config {
-    /// Reads the preset called `name`, or else the file at that path.
+    /// Reads the preset called `name`, or else the file at that path; missing keys have their defaults.
     ///
     /// # Errors
     /// When neither exists, or the file is not a valid configuration.
     pub fn read(name: &Path) -> Result<Self, ConfigError> {
-        if let Some(preset) = PRESETS.iter().find(|preset| Path::new(preset.name) == name) {
-            return Self::parse(preset.text, &format!("preset {}", preset.name));
-        }
-        let text = read_text(name, FileKind::Settings).map_err(|error| ConfigError::Read {
-            error,
-            presets: PRESETS.iter().map(|preset| preset.name).collect::<Vec<_>>().join(", "),
-        })?;
-        Self::parse(&text, &name.display().to_string())
+        Ok(read_settings(name, PRESETS)?)
     }
 
     /// Parses TOML; missing keys have their defaults. Errors call the text `file`.
@@ -81,15 +57,12 @@ impl Config {
     /// # Errors
     /// Names the line and the key.
     pub fn parse(text: &str, file: &str) -> Result<Self, ConfigError> {
-        toml::from_str(text).map_err(|error| ConfigError::File {
-            file: file.to_owned(),
-            reason: parse_error_in_words(&error),
-        })
+        Ok(parse_settings(text, file)?)
     }
 
     /// This configuration as TOML, with every key.
     pub fn to_toml(&self) -> String {
-        toml::to_string(self).expect("a configuration is a table of plain values")
+        settings_text(self)
     }
 
     /// This configuration with one key changed: `SECTION.KEY=VALUE`, e.g. `training.batch=4`. Strings need no quotes.
@@ -97,49 +70,14 @@ impl Config {
     /// # Errors
     /// When the key does not exist, or the value has the wrong type.
     pub fn with_override(&self, given: &str) -> Result<Self, ConfigError> {
-        let wrong = |reason: String| ConfigError::Override { given: given.to_owned(), reason };
-        let (key, value) = given
-            .split_once('=')
-            .ok_or_else(|| wrong("expected KEY=VALUE, e.g. training.batch=4".to_owned()))?;
-        let (key, value) = (key.trim(), value.trim());
-        let mut table = Table::try_from(self).expect("a configuration is a table");
-        let (section, name) = key
-            .split_once('.')
-            .ok_or_else(|| wrong(format!("expected SECTION.KEY; the sections are {}", names(&table))))?;
-        let place = table
-            .get_mut(section)
-            .and_then(Value::as_table_mut)
-            .map(|keys| (names(keys), keys.get_mut(name)));
-        match place {
-            None => return Err(wrong(format!("no section `{section}`; the sections are {}", names(&table)))),
-            Some((keys, None)) => {
-                return Err(wrong(format!("no key `{name}` in [{section}]; the keys are {keys}")));
-            }
-            Some((_, Some(place))) => *place = parsed(value),
-        }
-        Self::deserialize_table(table).map_err(wrong)
-    }
-
-    fn deserialize_table(table: Table) -> Result<Self, String> {
-        table.try_into().map_err(|error| parse_error_in_words(&error).replace('\n', "; "))
-    }
-}
-
-fn names(table: &Table) -> String {
-    table.keys().map(String::as_str).collect::<Vec<_>>().join(", ")
-}
-
-/// A TOML value, or else a string.
-fn parsed(value: &str) -> Value {
-    let line = format!("value = {value}");
-    match line.parse::<Table>() {
-        Ok(mut table) => table.remove("value").expect("the line has it"),
-        Err(_) => Value::String(value.to_owned()),
+        Ok(with_setting(self, given)?)
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use toml::{Table, Value};
+
     use super::*;
 
     #[test]

@@ -13,7 +13,7 @@ const NOTE_BYTES: u64 = 200;
 /// A file lock on a run's folder. The system releases it however the process ends, so a file left by a process that died does
 /// not block the next one.
 #[derive(Debug)]
-pub(crate) struct RunLock {
+pub struct RunLock {
     file: File,
 }
 
@@ -35,7 +35,10 @@ pub enum LockError {
 
 impl RunLock {
     /// Locks the run in `folder`, which must exist.
-    pub(crate) fn take(folder: &Path) -> Result<Self, LockError> {
+    ///
+    /// # Errors
+    /// When another process holds the lock, or its file cannot be created.
+    pub fn take(folder: &Path) -> Result<Self, LockError> {
         let path = folder.join(LOCK);
         let failed = |error| LockError::Io { path: path.clone(), error };
         let options = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(&path);

@@ -205,6 +205,14 @@ fn samples(folder: &Path) -> Vec<Sample> {
         file: "transforms_train.json",
         arguments: MOTION_OF_FOLDER,
     });
+    let arguments = br#"{"srflow_version": "0.1.0", "head": "builtin", "cameras": 1, "timesteps": 1}"#;
+    let eval = &["avatar", "eval", "DIR", "DIR", "--flow", "--split", "train"];
+    samples.push(Sample {
+        name: "capture's arguments",
+        bytes: arguments.to_vec(),
+        file: "capture.json",
+        arguments: eval,
+    });
     let fit = &[
         "avatar",
         "fit",

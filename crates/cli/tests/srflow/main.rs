@@ -8,6 +8,7 @@ use serde_json::Value;
 mod ablation;
 mod architecture;
 mod avatar;
+mod avatar_eval;
 mod avatar_files;
 mod capture;
 mod demo;

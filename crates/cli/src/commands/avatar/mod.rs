@@ -1,14 +1,16 @@
 //! `srflow avatar`: head models and avatars, one file per subcommand.
 
 mod capture;
+mod eval;
 mod fit;
 mod mesh;
+mod scores;
 
 use clap::{Args, Subcommand};
 
 use crate::Context;
 
-/// Head models and avatars: captures for training and tracking, meshes
+/// Head models and avatars: captures for training and tracking, scores, meshes
 #[derive(Args)]
 pub struct Avatar {
     #[command(subcommand)]
@@ -18,6 +20,7 @@ pub struct Avatar {
 #[derive(Subcommand)]
 enum AvatarCommand {
     Capture(capture::Capture),
+    Eval(eval::Eval),
     Fit(fit::Fit),
     Mesh(mesh::Mesh),
 }
@@ -25,6 +28,7 @@ enum AvatarCommand {
 pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
     match args.command {
         AvatarCommand::Capture(args) => capture::run(args, context),
+        AvatarCommand::Eval(args) => eval::run(args, context),
         AvatarCommand::Fit(args) => fit::run(args, context),
         AvatarCommand::Mesh(args) => mesh::run(args, context),
     }

@@ -1,0 +1,258 @@
+//! Pictures of an evaluation: the capture beside the avatar, and the true flow beside the avatar's.
+
+use std::path::Path;
+
+use srflow_avatar::capture::CaptureSplit;
+use srflow_avatar::train::ViewScore;
+use srflow_eval::Table;
+use srflow_eval::report::{
+    Figure, Page, Panel, Picture, PictureError, Section, color_scale, heat, heat_legend, panels, ramp_legend,
+    score_table, shrink_image, side_by_side, wheel_legend,
+};
+use srflow_field::{FileError, FlowField, Image, Plane, flow_colors, write_image_png};
+use srflow_render::label_error::{FlowComparison, FlowPair};
+
+use super::super::scores::split_words;
+use crate::machine;
+
+/// Most width of a picture on the page, pixels.
+const WIDTH: usize = 550;
+
+/// Of pixels of the true head that the avatar lacks, and of those that only the avatar has.
+const MISSING: [u8; 3] = [40, 120, 255];
+const SURPLUS: [u8; 3] = [30, 170, 90];
+
+/// What is shown of an evaluation.
+#[derive(Default)]
+pub struct Panels {
+    pub pictures: Vec<PicturePanels>,
+    pub flows: Vec<FlowPanels>,
+}
+
+/// A picture of the capture, the rendering, and their difference.
+pub struct PicturePanels {
+    split: CaptureSplit,
+    /// E.g. `worst`.
+    word: &'static str,
+    score: ViewScore,
+    truth: Image,
+    rendering: Image,
+    /// Mean absolute difference of the channels, in levels of 255.
+    difference: Plane,
+}
+
+impl PicturePanels {
+    pub fn new(
+        split: CaptureSplit,
+        word: &'static str,
+        score: &ViewScore,
+        truth: Image,
+        rendered: &[[f32; 3]],
+    ) -> Self {
+        let (width, height) = truth.size();
+        let level = |value: f32| value.clamp(0.0, 1.0) * 255.0;
+        let at = |x: usize, y: usize| rendered[y * width + x].map(level);
+        let rendering = Image::from_fn(width, height, |x, y| at(x, y).map(|level| (level + 0.5) as u8));
+        let difference = Plane::from_fn(width, height, |x, y| {
+            let pairs = at(x, y).into_iter().zip(truth.get(x, y));
+            pairs.map(|(a, b)| (a - f32::from(b)).abs()).sum::<f32>() / 3.0
+        });
+        Self { split, word, score: score.clone(), truth, rendering, difference }
+    }
+}
+
+/// The flow of a pair: the true one, the avatar's, and the end-point error.
+pub struct FlowPanels {
+    split: CaptureSplit,
+    step: u32,
+    pair: FlowPair,
+    truth: FlowField,
+    avatar: FlowField,
+    error: Plane,
+    missing: Vec<bool>,
+    surplus: Vec<bool>,
+}
+
+impl FlowPanels {
+    pub fn new(split: CaptureSplit, step: u32, pair: FlowPair, flows: &FlowComparison) -> Self {
+        let (truth, avatar) = (flows.truth(), flows.avatar());
+        let errors: Vec<f32> = flows.errors().collect();
+        let shown =
+            || truth.alpha.pixels().iter().zip(avatar.alpha.pixels()).map(|(a, b)| (*a > 0.5, *b > 0.5));
+        Self {
+            split,
+            step,
+            pair,
+            truth: truth.flow.clone(),
+            avatar: avatar.flow.clone(),
+            error: Plane::from_fn(truth.width, truth.height, |x, y| errors[y * truth.width + x]),
+            missing: shown().map(|(truth, avatar)| truth && !avatar).collect(),
+            surplus: shown().map(|(truth, avatar)| avatar && !truth).collect(),
+        }
+    }
+
+    /// The error in heat colours.
+    fn error_image(&self, max: f64) -> Image {
+        let mut image = heat(&self.error, max as f32);
+        for (pixel, (&missing, &surplus)) in
+            image.pixels_mut().iter_mut().zip(self.missing.iter().zip(&self.surplus))
+        {
+            if missing {
+                *pixel = MISSING;
+            } else if surplus {
+                *pixel = SURPLUS;
+            }
+        }
+        image
+    }
+
+    fn mean(&self) -> f64 {
+        let known = self.error.pixels().iter().filter(|error| !error.is_nan());
+        let (sum, count) =
+            known.fold((0.0, 0_usize), |(sum, count), error| (sum + f64::from(*error), count + 1));
+        sum / count.max(1) as f64
+    }
+}
+
+/// Ends of the colour scales.
+struct Scales {
+    /// Levels of 255.
+    difference: f64,
+    /// Pixels.
+    flow: f64,
+    error: f64,
+}
+
+impl Panels {
+    fn scales(&self) -> Scales {
+        let lengths = self
+            .flows
+            .iter()
+            .flat_map(|flow| flow.truth.pixels())
+            .map(|[u, v]| u.hypot(*v))
+            .filter(|length| *length > 0.0);
+        let errors = self.flows.iter().flat_map(|flow| flow.error.pixels()).copied();
+        let differences = self.pictures.iter().flat_map(|picture| picture.difference.pixels()).copied();
+        Scales {
+            difference: color_scale(differences, 10.0),
+            flow: color_scale(lengths, 0.1),
+            error: color_scale(errors, 0.05),
+        }
+    }
+
+    /// Writes each as one PNG of three pictures side by side.
+    pub fn write(&self, dir: &Path) -> Result<(), FileError> {
+        let scales = self.scales();
+        for picture in &self.pictures {
+            let ViewScore { timestep, camera, .. } = picture.score;
+            let name = format!("picture_{}_{}_{timestep:05}_{camera:02}.png", picture.split, picture.word);
+            write_image_png(&dir.join(name), &beside(&picture.images(&scales)))?;
+        }
+        for flow in &self.flows {
+            let FlowPair { camera, timesteps: [first, _] } = flow.pair;
+            let name = format!("flow_{}_step{}_{first:05}_{camera:02}.png", flow.split, flow.step);
+            write_image_png(&dir.join(name), &beside(&flow.images(&scales)))?;
+        }
+        Ok(())
+    }
+
+    /// The report.
+    ///
+    /// # Errors
+    /// When a picture cannot be encoded.
+    pub fn page(&self, pictures: &[Table], flow: &[Table], lead: &str) -> Result<Page, PictureError> {
+        let scales = self.scales();
+        let definitions = "PSNR of the whole picture is that of GaussianAvatars' metrics.py; the mean of the ratios of the three channels \
+                           is that of its train.py and its paper. SSIM has a window of 11 by 11 pixels.";
+        let tables = pictures.iter().zip(std::iter::once(definitions).chain(std::iter::repeat("")));
+        let mut figures: Vec<Figure> = tables.map(|(table, words)| score_table(table, words)).collect();
+        for picture in &self.pictures {
+            figures.push(picture.figure(&scales)?);
+        }
+        if !self.pictures.is_empty() {
+            let ramp = heat(&Plane::from_fn(256, 1, |x, _| x as f32 / 255.0), 1.0);
+            let words = format!("0 to {} of 255 and more, mean of the channels.", scales.difference);
+            figures.push(ramp_legend(&ramp, "colours of differences, from black to light yellow", &words)?);
+        }
+        let section = "Of each split, the pictures with the lowest and the highest PSNR.";
+        let mut sections = vec![Section::new("Pictures", section, figures)];
+        if !flow.is_empty() {
+            sections.push(self.flow_section(flow, &scales)?);
+        }
+        Ok(Page {
+            title: "Scores of an avatar".to_owned(),
+            kicker: "srflow avatar eval".to_owned(),
+            lead: lead.to_owned(),
+            opening: Vec::new(),
+            sections,
+            colophon: format!("Made by srflow {} on {}.", env!("CARGO_PKG_VERSION"), machine::describe()),
+        })
+    }
+
+    fn flow_section(&self, tables: &[Table], scales: &Scales) -> Result<Section, PictureError> {
+        let mut figures: Vec<Figure> = tables.iter().map(|table| score_table(table, "")).collect();
+        for flow in &self.flows {
+            figures.push(flow.figure(scales)?);
+        }
+        if !self.flows.is_empty() {
+            let words = "Grey: outside of the head. Blue: missing in the avatar. Green: only in the avatar.";
+            let legends = vec![wheel_legend(scales.flow, "")?, heat_legend(scales.error, words)?];
+            figures.push(side_by_side(legends, 420));
+        }
+        Ok(Section::new(
+            "Flow",
+            "The flow that srflow render writes for the avatar, against that of the true head; end-point error in pixels.",
+            figures,
+        ))
+    }
+}
+
+impl PicturePanels {
+    fn images(&self, scales: &Scales) -> [Image; 3] {
+        [self.truth.clone(), self.rendering.clone(), heat(&self.difference, scales.difference as f32)]
+    }
+
+    fn figure(&self, scales: &Scales) -> Result<Figure, PictureError> {
+        let ViewScore { timestep, camera, score, .. } = &self.score;
+        let caption = format!(
+            "{}, {}: timestep {timestep}, camera {camera}: PSNR {:.2} dB (mean of channels {:.2} dB), SSIM {:.4}",
+            split_words(self.split),
+            self.word,
+            score.psnr,
+            score.psnr_channels,
+            score.ssim
+        );
+        row(&self.images(scales), ["Picture", "Avatar", "Difference"], &caption)
+    }
+}
+
+impl FlowPanels {
+    fn images(&self, scales: &Scales) -> [Image; 3] {
+        let colours = |flow: &FlowField| flow_colors(flow, Some(scales.flow as f32));
+        [colours(&self.truth), colours(&self.avatar), self.error_image(scales.error)]
+    }
+
+    fn figure(&self, scales: &Scales) -> Result<Figure, PictureError> {
+        let FlowPair { camera, timesteps: [first, second] } = self.pair;
+        let caption = format!(
+            "{}: camera {camera}, timesteps {first} to {second}: mean error {:.3} px",
+            split_words(self.split),
+            self.mean()
+        );
+        row(&self.images(scales), ["True flow", "Flow of the avatar", "Error"], &caption)
+    }
+}
+
+fn row(images: &[Image; 3], titles: [&str; 3], caption: &str) -> Result<Figure, PictureError> {
+    let panel = |(image, title): (&Image, &str)| {
+        Ok(Panel::new(Picture::jpeg(&shrink_image(image, WIDTH), title)?, title, ""))
+    };
+    let shown = images.iter().zip(titles).map(panel).collect::<Result<Vec<_>, PictureError>>()?;
+    Ok(panels(&shown, 200, caption))
+}
+
+/// Pictures of one size beside each other.
+fn beside(images: &[Image; 3]) -> Image {
+    let (width, height) = images[0].size();
+    Image::from_fn(images.len() * width, height, |x, y| images[x / width].get(x % width, y))
+}

@@ -1,0 +1,54 @@
+//! Scores of held-out pictures as a table.
+
+use srflow_avatar::capture::CaptureSplit;
+use srflow_avatar::train::{Score, SplitScore};
+use srflow_eval::{Column, Row, Table};
+
+/// What a split holds out.
+pub fn split_words(split: CaptureSplit) -> &'static str {
+    match split {
+        CaptureSplit::Train => "pictures for training",
+        CaptureSplit::Val => "held-out camera",
+        CaptureSplit::Test => "held-out timesteps",
+    }
+}
+
+/// A row for each split.
+pub fn split_table<'a>(splits: impl IntoIterator<Item = &'a SplitScore>) -> Table {
+    let row = |split: &SplitScore| Row {
+        name: format!("{} ({})", split_words(split.split), split.split),
+        ..row(split.pictures, &split.mean)
+    };
+    Table { title: "Mean scores".to_owned(), rows: splits.into_iter().map(row).collect(), ..empty_table() }
+}
+
+/// A row for each camera of a split.
+pub fn camera_table(split: &SplitScore) -> Table {
+    let row = |camera: &srflow_avatar::train::CameraScore| Row {
+        name: format!("camera {}", camera.camera),
+        ..row(camera.pictures, &camera.mean)
+    };
+    let title = format!("Mean scores by camera, {}", split_words(split.split));
+    Table { title, rows: split.cameras.iter().map(row).collect(), ..empty_table() }
+}
+
+fn row(pictures: usize, Score { psnr, psnr_channels, ssim }: &Score) -> Row {
+    let values = [pictures as f64, *psnr, *psnr_channels, *ssim].map(Some).to_vec();
+    Row { name: String::new(), values, baseline: false }
+}
+
+fn empty_table() -> Table {
+    let column = |key: &str, header: &str, decimals| Column {
+        key: key.to_owned(),
+        header: header.to_owned(),
+        better: None,
+        decimals,
+    };
+    let columns = vec![
+        column("pictures", "pictures", 0),
+        column("psnr", "PSNR, whole picture", 2),
+        column("psnr_channels", "PSNR, mean of channels", 2),
+        column("ssim", "SSIM", 4),
+    ];
+    Table { columns, ..Table::default() }
+}

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use srflow_field::{FileError, FileKind, parse_error_in_words, read_text, write_file};
 
 use super::problem;
-use crate::HeadModel;
+use crate::{HeadModel, HeadSource};
 
 /// Name of the file.
 pub const HEAD_NAME: &str = "head.json";
@@ -84,5 +84,13 @@ impl HeadRecord {
         );
         let found = format!("one of {}", words(self.vertices, self.triangles, self.expressions.len()));
         Err(FileError { path: dir.join(HEAD_NAME), problem: problem("head", expected, found) })
+    }
+
+    /// Whether `model`, which [`HeadRecord::check`] accepts, may have the shape of this head. That of a built-in head is a person's; the
+    /// others tell no shape.
+    pub fn may_be(&self, model: &HeadModel) -> bool {
+        let builtin = self.head.parse::<HeadSource>().ok().filter(HeadSource::is_builtin);
+        let own = builtin.and_then(|head| head.model(self.subject).ok());
+        own.is_none_or(|own| own.template == model.template)
     }
 }

@@ -33,7 +33,7 @@ pub use landmarks::{Face, LANDMARK_COUNT, LANDMARKS_NAME, Landmarks};
 pub use split::{CaptureSplit, FRONT_CAMERA, split_of};
 pub use write::write_transforms;
 
-use crate::{Avatar, AvatarError, HeadParameters, HeadPose, HeadSource};
+use crate::{Avatar, AvatarError, HeadParameters, HeadPose};
 
 /// The file whose presence makes GaussianAvatars read a folder as a capture of a moving head.
 pub const CANONICAL_NAME: &str = "canonical_flame_param.npz";
@@ -171,9 +171,7 @@ impl Capture {
         let model = avatar.model();
         if let Some(record) = HeadRecord::read(&self.dir)? {
             record.check(&self.dir, model)?;
-            let builtin = record.head.parse().ok().filter(HeadSource::is_builtin);
-            let shown = builtin.map(|head| head.model(record.subject)).transpose()?;
-            if shown.is_some_and(|shown| shown.template != model.template) {
+            if !record.may_be(model) {
                 return Err(other(format!("it shows the head {} of seed {}", record.head, record.subject)));
             }
         }

@@ -8,7 +8,9 @@ pub mod image_loss;
 mod initial;
 mod mcmc;
 mod pose_adam;
+mod presets;
 mod regularizers;
+mod run;
 mod schedule;
 mod score;
 mod trainer;
@@ -20,7 +22,12 @@ pub use image_loss::ImageLoss;
 pub use initial::{camera_extent, initial_gaussians};
 pub use mcmc::Mcmc;
 pub use pose_adam::{PoseAdam, PoseRates};
+pub use presets::PRESETS;
 pub use regularizers::{RegularizerValue, Regularizers};
+pub use run::{
+    IterationsRecord, LogRecord, RunError, RunEvent, RunMode, RunOutcome, RunRecord, RunRequest, RunScores,
+    ScoredSplit, ScoresRecord, read_run, read_run_log, run,
+};
 pub use schedule::RateSchedule;
 pub use score::{CameraScore, Score, Scorer, SplitScore, ViewScore};
 pub use trainer::{StepReport, TrainError, Trainer};

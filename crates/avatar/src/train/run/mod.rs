@@ -1,0 +1,326 @@
+//! A training in a folder, from its first iteration or its last checkpoint to its scores:
+//!
+//! ```text
+//! config.toml                 the configuration
+//! run.json                    the capture and the head model
+//! checkpoint.npz              the exact state, replaced every few minutes
+//! preview.png                 a held-out picture beside its rendering, at the last checkpoint
+//! log.jsonl                   losses, and scores of held-out pictures
+//! point_cloud/iteration_N/    the avatar in the files of GaussianAvatars, ten times in a run
+//! scores.json                 scores of every held-out picture, at the end
+//! .lock                       the process that trains
+//! ```
+
+mod records;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use srflow_field::{
+    FileError, FileKind, FileProblem, Image, JsonLines, LockError, RunLock, SettingsError, create_folder,
+    parse_settings, read_json_lines, read_text, remove_partial, settings_text, write_file, write_image_png,
+};
+
+pub use records::{IterationsRecord, LogRecord, RunRecord, RunScores, ScoredSplit, ScoresRecord};
+use records::{LOG_NAME, RUN_NAME, Window, loss};
+
+use super::trainer::picture;
+use super::{SplitScore, StepReport, TrainConfig, TrainError, Trainer, ViewScore};
+use crate::HeadModel;
+use crate::capture::{Capture, CaptureSplit, CaptureView};
+
+const CONFIG_NAME: &str = "config.toml";
+const CHECKPOINT_NAME: &str = "checkpoint.npz";
+const PREVIEW_NAME: &str = "preview.png";
+
+/// Errors that end a run, or keep it from starting.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    #[error(transparent)]
+    Train(#[from] TrainError),
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    #[error(transparent)]
+    File(#[from] FileError),
+    #[error(transparent)]
+    Lock(#[from] LockError),
+    /// A new run in the folder of another one.
+    #[error("{0}: this folder already contains a run; continue it with --resume {0}, or choose another --out", .folder.display())]
+    AnotherRun { folder: PathBuf },
+    /// A new run in a folder with other files.
+    #[error("{}: expected a new or empty folder for the run, found {found:?} in it; choose another --out", .folder.display())]
+    Occupied { folder: PathBuf, found: String },
+    #[error(
+        "the loss was not finite in iteration {iteration}; the training is as far as iteration {checkpoint} in {}. Lower the rates, \
+         such as rates.positions, or check the pictures and cameras", .folder.display()
+    )]
+    NotFinite {
+        iteration: u64,
+        folder: PathBuf,
+        /// Iteration of its last checkpoint.
+        checkpoint: u64,
+    },
+}
+
+/// Whether to start a new run or resume one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RunMode {
+    /// Start at the first iteration, in a new or empty folder.
+    New,
+    /// Continue from the checkpoint in the folder, or from the start if the run was stopped before the first one.
+    Resume,
+}
+
+/// A run to do.
+#[derive(Debug)]
+pub struct RunRequest<'a> {
+    /// Folder of the run.
+    pub dir: &'a Path,
+    pub mode: RunMode,
+    /// What `capture` and `model` were read from.
+    pub record: RunRecord,
+    pub capture: Capture,
+    pub model: HeadModel,
+    pub config: TrainConfig,
+    /// Least time between checkpoints.
+    pub checkpoint_interval: Duration,
+    /// The iteration to stop after, with a checkpoint; rounded up to a line of the log.
+    pub stop_after: Option<u64>,
+}
+
+/// Progress of [`run`].
+#[derive(Debug)]
+pub enum RunEvent<'a> {
+    /// The training is about to start, after the iterations that are done.
+    Started {
+        trainer: &'a Trainer,
+        /// Of the whole run.
+        iterations: u64,
+    },
+    Stepped(&'a StepReport),
+    /// A line of the log was written.
+    Recorded(&'a LogRecord),
+    /// A checkpoint was written, and the preview.
+    Saved {
+        iteration: u64,
+    },
+    /// A held-out picture was scored.
+    Scored {
+        split: CaptureSplit,
+        done: usize,
+        pictures: usize,
+    },
+}
+
+/// The result of a run.
+#[derive(Debug)]
+pub struct RunOutcome {
+    pub config: TrainConfig,
+    pub trainer: Trainer,
+    /// `None` if it stopped on request before its end.
+    pub scores: Option<RunScores>,
+    /// The folder of the avatar, if there are scores.
+    pub avatar: PathBuf,
+    /// Wall-clock seconds of this process.
+    pub seconds: f64,
+}
+
+impl RunOutcome {
+    /// The picture of a view as it was scored, and its rendering.
+    ///
+    /// # Errors
+    /// When the picture cannot be read or its view not be rendered.
+    pub fn truth_and_rendering(&mut self, view: &CaptureView) -> Result<[Image; 2], TrainError> {
+        truth_and_rendering(&mut self.trainer, &self.config, view)
+    }
+}
+
+/// What the run in `dir` is made from, and its configuration.
+///
+/// # Errors
+/// When `dir` is no folder of a run, or its files are malformed.
+pub fn read_run(dir: &Path) -> Result<(RunRecord, TrainConfig), RunError> {
+    let record = RunRecord::read(dir)?;
+    let path = dir.join(CONFIG_NAME);
+    let text = read_text(&path, FileKind::Settings)?;
+    Ok((record, parse_settings(&text, &path.display().to_string())?))
+}
+
+/// The log of the run in `dir`.
+///
+/// # Errors
+/// When it cannot be read, or a line is malformed.
+pub fn read_run_log(dir: &Path) -> Result<Vec<LogRecord>, FileError> {
+    read_json_lines(&dir.join(LOG_NAME))
+}
+
+/// Trains an avatar and scores it; see the list of files above. For a given configuration and capture, the avatar and the scores
+/// have the same bytes whether the run was interrupted and resumed or not.
+///
+/// # Errors
+/// See [`RunError`].
+pub fn run(request: RunRequest, on_event: &mut dyn FnMut(RunEvent)) -> Result<RunOutcome, RunError> {
+    let RunRequest { dir, mode, record, capture, model, config, checkpoint_interval, stop_after } = request;
+    let start = Instant::now();
+    let checkpoint = dir.join(CHECKPOINT_NAME);
+    let mut trainer = match mode {
+        RunMode::Resume if checkpoint.exists() => Trainer::resume(capture, model, config, &checkpoint)?,
+        RunMode::Resume | RunMode::New => Trainer::new(capture, model, config)?,
+    };
+    create_folder(dir)?;
+    check_place(dir, mode)?;
+    let _lock = RunLock::take(dir)?;
+    if mode == RunMode::New && dir.join(RUN_NAME).exists() {
+        return Err(RunError::AnotherRun { folder: dir.to_owned() });
+    }
+    remove_partial(dir, |_, _| true)?;
+    write_file(&dir.join(CONFIG_NAME), settings_text(&config))?;
+    record.write(dir)?; // last: a folder with it can be resumed
+    let done = trainer.iteration();
+    let mut log = JsonLines::open(&dir.join(LOG_NAME), |record: &LogRecord| record.iteration() <= done)?;
+    on_event(RunEvent::Started { trainer: &trainer, iterations: config.iterations });
+
+    let intervals = Intervals::of(config.iterations);
+    let stop = stop_after.unwrap_or(u64::MAX).min(config.iterations);
+    let last = stop.next_multiple_of(intervals.log).min(config.iterations);
+    let avatar = |iteration: u64| dir.join(format!("point_cloud/iteration_{iteration}"));
+    let (mut saved, mut saved_iteration) = (Instant::now(), done);
+    let mut window = Window::default();
+    while trainer.iteration() < last {
+        let began = Instant::now();
+        let report = trainer.step()?;
+        let iteration = report.iteration;
+        if !loss(&report).is_finite() {
+            return Err(RunError::NotFinite {
+                iteration,
+                folder: dir.to_owned(),
+                checkpoint: saved_iteration,
+            });
+        }
+        window.add(&report, began.elapsed().as_secs_f64());
+        on_event(RunEvent::Stepped(&report));
+        if !iteration.is_multiple_of(intervals.log) && iteration != config.iterations {
+            continue;
+        }
+        let mut append = |record: LogRecord, on_event: &mut dyn FnMut(RunEvent)| {
+            log.append(&record)?;
+            on_event(RunEvent::Recorded(&record));
+            Ok::<(), FileError>(())
+        };
+        append(LogRecord::Iterations(window.take(trainer.avatar().bound().len())), on_event)?;
+        if iteration.is_multiple_of(intervals.score) && iteration != config.iterations {
+            // The scores after the last iteration are those of the run.
+            let split = held_out(trainer.capture());
+            if let Some(ScoredSplit { scores, .. }) = score(&mut trainer, split, on_event)? {
+                append(LogRecord::Scores((iteration, &scores).into()), on_event)?;
+            }
+            trainer.write_avatar(&avatar(iteration), Some(&record.head))?;
+        }
+        if saved.elapsed() >= checkpoint_interval || iteration == last {
+            trainer.write_checkpoint(&checkpoint)?;
+            preview(&mut trainer, &config, &dir.join(PREVIEW_NAME))?;
+            (saved, saved_iteration) = (Instant::now(), iteration);
+            on_event(RunEvent::Saved { iteration });
+        }
+    }
+    let avatar = avatar(config.iterations);
+    let scores = if trainer.iteration() < config.iterations {
+        None
+    } else {
+        trainer.write_avatar(&avatar, Some(&record.head))?;
+        let mut splits = Vec::new();
+        for split in [CaptureSplit::Val, CaptureSplit::Test] {
+            splits.extend(score(&mut trainer, split, on_event)?);
+        }
+        let gaussians = trainer.avatar().bound().len();
+        let scores = RunScores { iteration: config.iterations, gaussians, splits };
+        scores.write(dir)?;
+        Some(scores)
+    };
+    Ok(RunOutcome { config, trainer, scores, avatar, seconds: start.elapsed().as_secs_f64() })
+}
+
+/// Numbers of iterations between what a run does now and then.
+struct Intervals {
+    /// A line of the log; a checkpoint comes after a line.
+    log: u64,
+    /// Scores of held-out pictures and the files of the avatar.
+    score: u64,
+}
+
+impl Intervals {
+    fn of(iterations: u64) -> Self {
+        let log = (iterations / 3000).clamp(1, 100);
+        Self { log, score: iterations.div_ceil(10).next_multiple_of(log) }
+    }
+}
+
+/// Fails for a new run in a folder with other files.
+fn check_place(dir: &Path, mode: RunMode) -> Result<(), RunError> {
+    if mode == RunMode::Resume || dir.join(RUN_NAME).exists() {
+        return Ok(());
+    }
+    let failed = |error| FileProblem::Io { doing: "listing the folder", error }.in_file(dir);
+    for entry in fs::read_dir(dir).map_err(failed)? {
+        let found = entry.map_err(failed)?.file_name().to_string_lossy().into_owned();
+        // What a run leaves that was stopped before it began.
+        if found != CONFIG_NAME && !found.starts_with('.') {
+            return Err(RunError::Occupied { folder: dir.to_owned(), found });
+        }
+    }
+    Ok(())
+}
+
+/// The split that is scored during a run: a camera that is held out, or else timesteps.
+fn held_out(capture: &Capture) -> CaptureSplit {
+    match capture.of(CaptureSplit::Val).next() {
+        Some(_) => CaptureSplit::Val,
+        None => CaptureSplit::Test,
+    }
+}
+
+/// The scores of a split and of each of its pictures; `None` without one.
+fn score(
+    trainer: &mut Trainer,
+    split: CaptureSplit,
+    on_event: &mut dyn FnMut(RunEvent),
+) -> Result<Option<ScoredSplit>, RunError> {
+    let pictures = trainer.capture().of(split).count();
+    let mut views = Vec::with_capacity(pictures);
+    trainer.score(split, |view, score| {
+        views.push(ViewScore::new(view, *score));
+        on_event(RunEvent::Scored { split, done: views.len(), pictures });
+    })?;
+    Ok(SplitScore::of(split, &views).map(|scores| ScoredSplit { scores, views }))
+}
+
+/// Writes a held-out picture beside its rendering.
+fn preview(trainer: &mut Trainer, config: &TrainConfig, path: &Path) -> Result<(), RunError> {
+    let capture = trainer.capture();
+    let views = |split| capture.of(split).collect::<Vec<&CaptureView>>();
+    let [held_out, training] = [held_out(capture), CaptureSplit::Train].map(views);
+    let views = if held_out.is_empty() { training } else { held_out };
+    let Some(view) = views.get(views.len() / 2).copied().cloned() else { return Ok(()) };
+    let [truth, rendered] = truth_and_rendering(trainer, config, &view)?;
+    Ok(write_image_png(path, &beside(&truth, &rendered))?)
+}
+
+fn truth_and_rendering(
+    trainer: &mut Trainer,
+    config: &TrainConfig,
+    view: &CaptureView,
+) -> Result<[Image; 2], TrainError> {
+    let truth = picture(trainer.capture(), view, config.apply_masks.then_some(config.background))?;
+    let (width, height) = (view.camera.width, view.camera.height);
+    let bytes = |x: usize, y: usize| truth[y * width + x].map(|channel| (255.0 * channel + 0.5) as u8);
+    Ok([Image::from_fn(width, height, bytes), trainer.render(view)?])
+}
+
+/// Two pictures of one height beside each other.
+fn beside(left: &Image, right: &Image) -> Image {
+    let width = left.width();
+    Image::from_fn(width + right.width(), left.height(), |x, y| {
+        if x < width { left.get(x, y) } else { right.get(x - width, y) }
+    })
+}

@@ -67,6 +67,11 @@ impl TrainingProgress {
         self.bar.set_position(step);
     }
 
+    /// What is done besides steps, on the bar.
+    pub fn message(&self, words: String) {
+        self.bar.set_message(words);
+    }
+
     pub fn line(&self, text: &str) {
         self.bar.suspend(|| note!("{text}"));
     }

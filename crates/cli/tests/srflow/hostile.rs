@@ -14,8 +14,9 @@ use std::time::{Duration, Instant};
 
 use glam::DMat4;
 use safetensors::tensor::{Dtype, TensorView};
-use srflow_avatar::capture::{CaptureSplit, CaptureView, HeadRecord, write_transforms};
-use srflow_avatar::{HeadModel, HeadParameters, PoseParameters};
+use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView, HeadRecord, write_transforms};
+use srflow_avatar::train::{RunMode, RunRecord, RunRequest, TrainConfig};
+use srflow_avatar::{HeadModel, HeadParameters, HeadSource, PoseParameters};
 use srflow_field::{FlowField, FlowFormat, Image, is_unprintable, write_flow_as, write_image_png};
 use srflow_splat::{Camera, Gaussians, write_bound_ply, write_ply};
 use zip::write::SimpleFileOptions;
@@ -245,17 +246,73 @@ fn samples(folder: &Path) -> Vec<Sample> {
     ];
     samples.push(Sample { name: "openface", bytes: openface.into(), file: "openface.csv", arguments: fit });
     samples.extend(heads(folder));
+    samples.extend(training(folder));
     samples
+}
+
+/// The files of a finished training on one small picture, which goes on from them.
+fn training(folder: &Path) -> Vec<Sample> {
+    let data = folder.join("capture");
+    fs::create_dir(&data).unwrap();
+    write_image_png(&data.join("a.png"), &Image::filled(12, 16, [255; 3])).unwrap();
+    fs::copy(folder.join("00000.npz"), data.join("00000.npz")).unwrap();
+    let view = CaptureView {
+        split: CaptureSplit::Train,
+        timestep: 0,
+        camera_index: 0,
+        camera: front_camera((12, 16)),
+        image: "a.png".into(),
+        mask: None,
+        parameters: Some("00000.npz".into()),
+    };
+    write_transforms(&data, &[view]).unwrap();
+    let head: HeadSource = format!("flame-toothless:{}", folder.join("flame.npz").display()).parse().unwrap();
+    let model = head.model(1).unwrap();
+    let head = HeadRecord::new(head.to_string(), 1, &model);
+    let request = RunRequest {
+        dir: &folder.join("run"),
+        mode: RunMode::New,
+        record: RunRecord { data: data.clone(), head },
+        capture: Capture::read(&data).unwrap(),
+        model,
+        config: TrainConfig { iterations: 1, ..TrainConfig::default() },
+        checkpoint_interval: Duration::ZERO,
+        stop_after: None,
+    };
+    srflow_avatar::train::run(request, &mut |_| ()).unwrap();
+    let sample = |(name, file)| {
+        let path = folder.join("run").join(file);
+        fs::copy(&path, folder.join(file)).unwrap();
+        Sample {
+            name,
+            bytes: fs::read(path).unwrap(),
+            file,
+            arguments: &["avatar", "train", "--resume", "DIR"],
+        }
+    };
+    [
+        ("checkpoint of an avatar", "checkpoint.npz"),
+        ("log of an avatar", "log.jsonl"),
+        ("run of an avatar", "run.json"),
+        ("config of an avatar", "config.toml"),
+    ]
+    .map(sample)
+    .into()
+}
+
+/// A camera that sees the built-in head at the origin.
+fn front_camera(size: (usize, usize)) -> Camera {
+    Camera {
+        camera_from_world: DMat4::from_cols_array(&[
+            1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0, 1.0,
+        ]),
+        ..Camera::centred(size, [2.5 * size.1 as f64; 2])
+    }
 }
 
 /// The list of one picture of the built-in head, and its landmarks in both forms of tables.
 fn tracked(folder: &Path) -> (String, String) {
-    let camera = Camera {
-        camera_from_world: DMat4::from_cols_array(&[
-            1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0, 1.0,
-        ]),
-        ..Camera::centred((110, 160), [400.0, 400.0])
-    };
+    let camera = front_camera((110, 160));
     let view = CaptureView {
         split: CaptureSplit::Train,
         timestep: 0,
@@ -725,6 +782,7 @@ fn lying_zip64_counts_are_refused() {
         "arrays.npz",
         "parameters.npz",
         "gnm",
+        "checkpoint of an avatar",
     ];
     assert_eq!(names, expected);
 }

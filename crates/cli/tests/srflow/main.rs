@@ -10,6 +10,7 @@ mod architecture;
 mod avatar;
 mod avatar_eval;
 mod avatar_files;
+mod avatar_train;
 mod capture;
 mod demo;
 mod eval;

@@ -5,12 +5,13 @@ mod eval;
 mod fit;
 mod mesh;
 mod scores;
+mod train;
 
 use clap::{Args, Subcommand};
 
 use crate::Context;
 
-/// Head models and avatars: captures for training and tracking, scores, meshes
+/// Head models and avatars: captures, fitting, training, scores, meshes
 #[derive(Args)]
 pub struct Avatar {
     #[command(subcommand)]
@@ -23,6 +24,7 @@ enum AvatarCommand {
     Eval(eval::Eval),
     Fit(fit::Fit),
     Mesh(mesh::Mesh),
+    Train(train::Train),
 }
 
 pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
@@ -31,5 +33,6 @@ pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
         AvatarCommand::Eval(args) => eval::run(args, context),
         AvatarCommand::Fit(args) => fit::run(args, context),
         AvatarCommand::Mesh(args) => mesh::run(args, context),
+        AvatarCommand::Train(args) => train::run(args, context),
     }
 }

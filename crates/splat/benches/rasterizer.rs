@@ -11,7 +11,7 @@ use criterion::Criterion;
 use glam::{DMat4, DVec3, EulerRot, Quat, Vec3};
 use srflow_field::random::Key;
 use srflow_splat::{
-    Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Next, Options, Outputs, Rasterizer,
+    Camera, Frame, FrameGradients, GaussianGradients, Gaussians, Next, Options, Outputs, Rasterizer, Sorting,
 };
 
 const SIZES: [(usize, usize); 3] = [(512, 512), (1600, 1200), (2200, 3208)];
@@ -42,9 +42,12 @@ fn main() {
     }
     let head = head(100_000);
     let next = moved(&head);
-    for threads in [1, 2] {
-        bench_gradients(&mut criterion, "colour", threads, &head, None);
-        bench_gradients(&mut criterion, "all outputs", threads, &head, Some(&next));
+    for (sorting, sorted) in [(Sorting::Global, ""), (Sorting::PerPixel, ", sorted per pixel")] {
+        for threads in [1, 2] {
+            bench_gradients(&mut criterion, &format!("colour{sorted}"), threads, &head, None, sorting);
+            let name = format!("all outputs{sorted}");
+            bench_gradients(&mut criterion, &name, threads, &head, Some(&next), sorting);
+        }
     }
     criterion.final_summary();
 }
@@ -103,6 +106,7 @@ fn bench_gradients(
     threads: usize,
     gaussians: &Gaussians,
     next: Option<&Gaussians>,
+    sorting: Sorting,
 ) {
     let (width, height) = (550, 802);
     let camera = camera(width, height);
@@ -111,7 +115,7 @@ fn bench_gradients(
     let mut frame = Frame::new();
     let all = Outputs { image: false, ..Outputs::ALL };
     let outputs = if next.is_some() { all } else { Outputs { color: true, ..Outputs::NONE } };
-    let options = Options { outputs, ..Options::default() };
+    let options = Options { outputs, sorting, ..Options::default() };
     let mut stream = Key::new(2).stream("gradients");
     let color = (0..width * height).map(|_| std::array::from_fn(|_| stream.normal())).collect();
     let mut gradients = FrameGradients { color, ..FrameGradients::default() };

@@ -10,11 +10,13 @@ use srflow_simd::{Isa, MAX_LANES, Simd, dispatch};
 
 use crate::gradients::{CameraGradient, FrameGradients, GaussianGradients, GaussianGradientsChunk};
 use crate::ordering::{Bins, Drawn};
+use crate::pixel_order::PixelOrder;
 use crate::projection::TILE;
+use crate::replay::{Place, Replay};
 use crate::strip::Scene;
 use crate::{Camera, Gaussians, Options, RasterizeError, Rasterizer};
 use projection::ViewBackward;
-use tile::{Place, Replay, TileGradients, moment};
+use tile::{TileGradients, moment};
 
 /// Gaussians in a chunk: the unit of work after the strips, whose sums stay in the cache.
 const CHUNK: usize = 1024;
@@ -93,19 +95,19 @@ impl Rendering<'_> {
 
     /// Fills the buffers of the strips. `CHANNELS` features have gradients.
     fn strips<const CHANNELS: usize>(&mut self, gradients: &FrameGradients) {
-        let Rasterizer { isa, splats, strips: lists, backward, .. } = &mut *self.rasterizer;
+        let Rasterizer { isa, splats, peaks, strips: lists, backward, .. } = &mut *self.rasterizer;
         let isa = isa.unwrap_or_else(Isa::best);
         let pass = Pass {
-            scene: Scene { splats, background: self.options.background },
+            scene: Scene::new(splats, peaks, &self.options),
             size: (self.camera.width, self.camera.height),
             gradients,
             chunks: splats.len().div_ceil(CHUNK),
         };
         backward.strips.resize_with(self.camera.height.div_ceil(TILE), Strip::default);
         backward.strips.par_iter_mut().enumerate().for_each_init(
-            Replay::default,
-            |replay, (number, strip)| {
-                fill_strip::<CHANNELS>(isa, pass, number, lists.get(number), strip, replay);
+            Default::default,
+            |buffers, (number, strip)| {
+                fill_strip::<CHANNELS>(isa, pass, number, lists.get(number), strip, buffers);
             },
         );
     }
@@ -185,7 +187,7 @@ dispatch! {
         number: usize,
         drawn: &[Drawn],
         strip: &mut Strip,
-        replay: &mut Replay,
+        buffers: &mut (Replay, PixelOrder),
     )
 }
 
@@ -197,9 +199,9 @@ fn fill<const CHANNELS: usize>(
     number: usize,
     drawn: &[Drawn],
     strip: &mut Strip,
-    replay: &mut Replay,
+    (replay, order): &mut (Replay, PixelOrder),
 ) {
-    let Pass { scene: Scene { splats, background }, size: (width, height), gradients, chunks } = pass;
+    let Pass { scene: Scene { splats, peaks, background }, size: (width, height), gradients, chunks } = pass;
     let Strip { tiles, slots, entries, sorted, starts } = strip;
     let columns = width.div_ceil(TILE);
     let positions = drawn.iter().enumerate();
@@ -215,14 +217,21 @@ fn fill<const CHANNELS: usize>(
         let (left, top) = (column * TILE, number * TILE);
         let (inner_width, inner_height) = (TILE.min(width - left), TILE.min(height - top));
         let place = Place { image_width: width, left, top, width: inner_width, height: inner_height };
-        let transmittance = replay.forward(s, splats, drawn, list, place);
+        let transmittance = match peaks {
+            None => replay.forward(s, splats, drawn, list, place),
+            Some(peaks) => {
+                let index = |position: u32| drawn[position as usize].splat as usize;
+                order.forward(s, (splats, peaks), list, index, place, replay)
+            }
+        };
         if replay.is_empty() {
             continue;
         }
         let shown = (splats, drawn);
         let mut tile =
             TileGradients::<CHANNELS>::new(s, gradients, background, shown, replay, &transmittance, place);
-        replay.backward(s, splats, drawn, place, &mut tile, |position, sums| {
+        let order = peaks.map(|_| &mut *order);
+        replay.backward(s, splats, drawn, place, &mut tile, order, |position, sums| {
             let slot = &mut slots[position as usize];
             if *slot == NO_SLOT {
                 *slot = entries.len() as u32;

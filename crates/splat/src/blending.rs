@@ -144,6 +144,17 @@ impl<V: Copy> Stripes<V> {
         s.add(self.slope[vector], s.splat(self.shear.0[row]))
     }
 
+    /// One vector of pixels of a row: where the splat reaches them, and its alpha there.
+    #[inline(always)]
+    pub(crate) fn alpha<S: Simd<Vector = V>>(&self, s: S, vector: usize, row: usize) -> (S::Mask, V) {
+        let e1 = self.e1(s, vector, row);
+        let log2_alpha = s.neg_mul_add(e1, e1, s.splat(self.peaks.0[row]));
+        let hit = s.at_least(log2_alpha, s.splat(LOG2_ALPHA_MIN));
+        // Misses are not used, but must stay in the range of exp2.
+        let alpha = exp2(s, s.max(log2_alpha, s.splat(-10.0)));
+        (hit, s.min(alpha, s.splat(ALPHA_MAX as f32)))
+    }
+
     /// Blends the splat over one vector of pixels of a row, whose transmittance is `transmittance`.
     #[inline(always)]
     pub(crate) fn cover<S: Simd<Vector = V>>(
@@ -153,13 +164,7 @@ impl<V: Copy> Stripes<V> {
         row: usize,
         transmittance: V,
     ) -> Cover<S> {
-        let e1 = self.e1(s, vector, row);
-        let log2_alpha = s.neg_mul_add(e1, e1, s.splat(self.peaks.0[row]));
-        let hit = s.at_least(log2_alpha, s.splat(LOG2_ALPHA_MIN));
-        // Misses are not used, but must stay in the range of exp2.
-        let alpha = exp2(s, s.max(log2_alpha, s.splat(-10.0)));
-        let alpha = s.min(alpha, s.splat(ALPHA_MAX as f32));
-
+        let (hit, alpha) = self.alpha(s, vector, row);
         let remaining = s.neg_mul_add(transmittance, alpha, transmittance);
         let enough = s.at_least(remaining, s.splat(TRANSMITTANCE_MIN as f32));
         let blended = s.and(hit, enough);

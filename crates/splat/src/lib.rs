@@ -14,10 +14,12 @@ mod frame;
 mod gaussians;
 mod gradients;
 mod ordering;
+mod pixel_order;
 mod ply;
 mod projection;
 mod rasterizer;
 pub mod reference;
+mod replay;
 mod sh;
 mod strip;
 
@@ -30,7 +32,7 @@ pub use frame::{Frame, Outputs, Statistics};
 pub use gaussians::Gaussians;
 pub use gradients::{CameraGradient, FrameGradients, GaussianGradients};
 pub use ply::{read_bound_ply, read_ply, write_bound_ply, write_ply};
-pub use rasterizer::{Next, Options, Rasterizer};
+pub use rasterizer::{Next, Options, Rasterizer, Sorting};
 
 #[cfg(test)]
 mod tests;

@@ -26,7 +26,7 @@ use glam::{DMat3, DQuat, DVec2, DVec3};
 
 pub use backward::{Gradients, backward};
 
-use crate::{Camera, Gaussians, NEAR, Next, Options, RasterizeError, sh};
+use crate::{Camera, Gaussians, NEAR, Next, Options, RasterizeError, Sorting, sh};
 
 /// Added to the diagonal of the projected covariance, px^2: every Gaussian is at least about a pixel wide.
 pub const LOW_PASS: f64 = 0.3;
@@ -84,6 +84,34 @@ struct Splat {
     depth: f64,
     displacement: DVec2,
     depth_next: f64,
+    peak: Peak,
+}
+
+/// Where a Gaussian, low-pass filtered in space, is densest along rays; see [`Sorting::PerPixel`].
+#[derive(Debug, Clone, Copy)]
+struct Peak {
+    /// The Gaussian's centre in camera coordinates.
+    center: DVec3,
+    /// The Gaussian's axes in camera coordinates, each of length 1.
+    axes: DMat3,
+    /// Along the axes, filter included.
+    variances: DVec3,
+}
+
+impl Peak {
+    fn new(camera: &Camera, center: DVec3, rotation: DQuat, scale: DVec3) -> Self {
+        let axes = DMat3::from_mat4(camera.camera_from_world) * DMat3::from_quat(rotation.normalize());
+        let filter = LOW_PASS * center.z * center.z / (camera.fx * camera.fy);
+        Self { center, axes, variances: scale * scale + filter }
+    }
+
+    /// Camera z of the densest point of the ray through the pixel at `at`: `d . C m / d . C d` for the direction `d` with a z of
+    /// 1, the centre `m` and the inverse of the filtered covariance `C`.
+    fn depth(&self, camera: &Camera, at: DVec2) -> f64 {
+        let direction = DVec3::new((at.x - camera.cx) / camera.fx, (at.y - camera.cy) / camera.fy, 1.0);
+        let (direction, center) = (self.axes.transpose() * direction, self.axes.transpose() * self.center);
+        (direction / self.variances).dot(center) / (direction / self.variances).dot(direction)
+    }
 }
 
 /// Renders row-major pixels, each independently: time grows with pixels times Gaussians.
@@ -123,7 +151,7 @@ impl Scene {
 
     fn render(&self) -> Vec<Pixel> {
         let splats = self.splats();
-        self.places().map(|at| blend(&splats, at, self.options.background)).collect()
+        self.places().map(|at| self.blend(&splats, at)).collect()
     }
 
     /// The visible Gaussians, front to back.
@@ -176,6 +204,7 @@ impl Scene {
             depth: point.z,
             displacement,
             depth_next,
+            peak: Peak::new(&self.camera, point, rotation, scale),
         })
     }
 
@@ -194,6 +223,66 @@ impl Scene {
         let convention = self.options.convention;
         DVec2::new(convention.scale(next.width), convention.scale(next.height))
     }
+
+    /// The splats that reach a pixel with their alphas, front to back, from all in the order of [`Sorting::Global`].
+    fn reaching<'a>(&self, splats: &'a [Splat], at: DVec2) -> Vec<(&'a Splat, f64)> {
+        let alpha = |splat: &Splat| unclamped_alpha(splat, at - splat.center).min(ALPHA_MAX);
+        let with_alpha = splats.iter().map(|splat| (splat, alpha(splat)));
+        let mut reaching: Vec<_> = with_alpha.filter(|(_, alpha)| *alpha >= ALPHA_MIN).collect();
+        match self.options.sorting {
+            Sorting::Global => {}
+            // A stable sort, by `f32` as for the centres. What is not a number is last.
+            Sorting::PerPixel => reaching.sort_by(|(a, _), (b, _)| {
+                let depth = |splat: &Splat| (splat.peak.depth(&self.camera, at) as f32).min(f32::MAX);
+                depth(a).total_cmp(&depth(b))
+            }),
+        }
+        reaching
+    }
+
+    /// Calls `blend` with each splat blended at a pixel, front to back, its alpha, and the transmittance before it. Returns the
+    /// final transmittance.
+    fn for_each_blended<'a>(
+        &self,
+        splats: &'a [Splat],
+        at: DVec2,
+        mut blend: impl FnMut(&'a Splat, f64, f64),
+    ) -> f64 {
+        let mut transmittance = 1.0;
+        for (splat, alpha) in self.reaching(splats, at) {
+            let remaining = transmittance * (1.0 - alpha);
+            if remaining < TRANSMITTANCE_MIN {
+                break;
+            }
+            blend(splat, alpha, transmittance);
+            transmittance = remaining;
+        }
+        transmittance
+    }
+
+    fn blend(&self, splats: &[Splat], at: DVec2) -> Pixel {
+        let mut pixel = Pixel::default();
+        let transmittance = self.for_each_blended(splats, at, |splat, alpha, transmittance| {
+            let weight = transmittance * alpha;
+            for channel in 0..3 {
+                pixel.color[channel] += weight * splat.color[channel];
+            }
+            pixel.depth += weight * splat.depth;
+            pixel.flow[0] += weight * splat.displacement.x;
+            pixel.flow[1] += weight * splat.displacement.y;
+            pixel.depth_next += weight * splat.depth_next;
+            pixel.blended += 1;
+        });
+        pixel.alpha = 1.0 - transmittance;
+        for (color, behind) in pixel.color.iter_mut().zip(self.options.background) {
+            *color += transmittance * f64::from(behind);
+        }
+        if pixel.blended > 0 {
+            pixel.depth /= pixel.alpha;
+            pixel.depth_next /= pixel.alpha;
+        }
+        pixel
+    }
 }
 
 /// Opacity times the Gaussian at the offset `d` from its centre, before clamping.
@@ -201,49 +290,6 @@ fn unclamped_alpha(splat: &Splat, d: DVec2) -> f64 {
     let [xx, xy, yy] = splat.conic;
     let power = -0.5 * (xx * d.x * d.x + yy * d.y * d.y) - xy * d.x * d.y;
     splat.opacity * libm::exp(power.min(0.0))
-}
-
-/// Calls `blend` with each splat blended at a pixel, front to back, its alpha, and the transmittance before it. Returns the
-/// final transmittance.
-fn for_each_blended<'a>(splats: &'a [Splat], at: DVec2, mut blend: impl FnMut(&'a Splat, f64, f64)) -> f64 {
-    let mut transmittance = 1.0;
-    for splat in splats {
-        let alpha = unclamped_alpha(splat, at - splat.center).min(ALPHA_MAX);
-        if alpha < ALPHA_MIN {
-            continue;
-        }
-        let remaining = transmittance * (1.0 - alpha);
-        if remaining < TRANSMITTANCE_MIN {
-            break;
-        }
-        blend(splat, alpha, transmittance);
-        transmittance = remaining;
-    }
-    transmittance
-}
-
-fn blend(splats: &[Splat], at: DVec2, background: [f32; 3]) -> Pixel {
-    let mut pixel = Pixel::default();
-    let transmittance = for_each_blended(splats, at, |splat, alpha, transmittance| {
-        let weight = transmittance * alpha;
-        for channel in 0..3 {
-            pixel.color[channel] += weight * splat.color[channel];
-        }
-        pixel.depth += weight * splat.depth;
-        pixel.flow[0] += weight * splat.displacement.x;
-        pixel.flow[1] += weight * splat.displacement.y;
-        pixel.depth_next += weight * splat.depth_next;
-        pixel.blended += 1;
-    });
-    pixel.alpha = 1.0 - transmittance;
-    for (color, behind) in pixel.color.iter_mut().zip(background) {
-        *color += transmittance * f64::from(behind);
-    }
-    if pixel.blended > 0 {
-        pixel.depth /= pixel.alpha;
-        pixel.depth_next /= pixel.alpha;
-    }
-    pixel
 }
 
 /// World from the axes of a Gaussian, each as long as its standard deviation: `R S`.

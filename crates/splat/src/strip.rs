@@ -5,13 +5,25 @@ use srflow_simd::Simd;
 use crate::blending::{Tile, TileRow};
 use crate::frame::FrameRows;
 use crate::ordering::{Bins, Drawn};
+use crate::pixel_order::{Peaks, PixelOrder};
 use crate::projection::{Splat, TILE};
+use crate::replay::{Place, Replay};
+use crate::{Options, Sorting};
 
 /// Data shared by the strips of one rendering.
 #[derive(Clone, Copy)]
 pub(crate) struct Scene<'a> {
     pub splats: &'a [Splat],
+    /// If the splats are sorted per pixel.
+    pub peaks: Option<&'a Peaks>,
     pub background: [f32; 3],
+}
+
+impl<'a> Scene<'a> {
+    pub(crate) fn new(splats: &'a [Splat], peaks: &'a Peaks, options: &Options) -> Self {
+        let peaks = (options.sorting == Sorting::PerPixel).then_some(peaks);
+        Self { splats, peaks, background: options.background }
+    }
 }
 
 /// Renders strip number `strip` into `pixels`, from the splats drawn there, front to back. `CHANNELS` is 4 (colour and depth)
@@ -23,6 +35,7 @@ pub(crate) fn render<const CHANNELS: usize>(
     strip: usize,
     drawn: &[Drawn],
     bins: &mut Bins<u32>,
+    (order, replay): &mut (PixelOrder, Replay),
     pixels: &mut FrameRows<'_>,
 ) -> u64 {
     let tiles = pixels.width.div_ceil(TILE);
@@ -37,8 +50,21 @@ pub(crate) fn render<const CHANNELS: usize>(
         let left = tile_column * TILE;
         let width = TILE.min(pixels.width - left);
         let mut tile = Tile::<CHANNELS>::new(width);
-        let corner = (left, strip * TILE);
-        blended += tile.blend(s, scene.splats, list, corner, pixels.height);
+        let top = strip * TILE;
+        if let Some(peaks) = scene.peaks {
+            let place = Place { image_width: pixels.width, left, top, width, height: pixels.height };
+            let index = |splat: u32| splat as usize;
+            let shown = (scene.splats, peaks);
+            let transmittance = order.forward(s, shown, list, index, place, replay);
+            let sums = replay.sums::<_, CHANNELS>(s, |splat| &scene.splats[splat as usize], 0);
+            for (row, (transmittance, sums)) in tile.rows.iter_mut().zip(transmittance.into_iter().zip(sums))
+            {
+                *row = TileRow { transmittance, sums };
+            }
+            blended += order.blended;
+        } else {
+            blended += tile.blend(s, scene.splats, list, (left, top), pixels.height);
+        }
         pixels.fill_background(empty_from..left, scene.background);
         empty_from = left + width;
         for (y, row) in tile.rows.iter().enumerate().take(pixels.height) {

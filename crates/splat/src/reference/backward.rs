@@ -9,8 +9,7 @@
 use glam::{DMat2, DMat3, DQuat, DVec2, DVec3, DVec4};
 
 use super::{
-    ALPHA_MAX, LOW_PASS, Projection, Scene, Splat, compensation, for_each_blended, projection,
-    unclamped_alpha, world_from_axes,
+    ALPHA_MAX, LOW_PASS, Projection, Scene, Splat, compensation, projection, unclamped_alpha, world_from_axes,
 };
 use crate::gradients::{CameraGradient, FrameGradients};
 use crate::{Camera, Gaussians, NEAR, Next, Options, RasterizeError, sh};
@@ -102,7 +101,7 @@ impl Scene {
         out: &mut [SplatGradient],
     ) {
         let mut blended = Vec::new();
-        let transmittance = for_each_blended(splats, at, |splat, alpha, transmittance| {
+        let transmittance = self.for_each_blended(splats, at, |splat, alpha, transmittance| {
             blended.push((splat, alpha, transmittance));
         });
         if blended.is_empty() {

@@ -7,17 +7,19 @@ use super::scenes::{camera, gradients, jittered, moved, push, push_each, random}
 use crate::reference::{self, Gradients};
 use crate::{
     Camera, CameraGradient, Frame, FrameGradients, GaussianGradients, Gaussians, Next, Options, Outputs,
-    Rasterizer,
+    Rasterizer, Sorting,
 };
 
 const OPTIONS: Options = Options {
     background: [0.1, 0.5, 0.9],
     convention: crate::PixelConvention::Paper,
     antialiased: false,
+    sorting: Sorting::Global,
     outputs: Outputs::NONE,
 };
 
 const ANTIALIASED: Options = Options { antialiased: true, ..OPTIONS };
+const PER_PIXEL: Options = Options { sorting: Sorting::PerPixel, ..OPTIONS };
 
 fn fast(
     rasterizer: &mut Rasterizer,
@@ -135,6 +137,7 @@ fn gradients_of_random_scenes_agree() {
         for some in [&none, &color, &depth, &flow, &all] {
             assert_agree(&gaussians, &camera(), Some(next), &OPTIONS, some);
             assert_agree(&gaussians, &camera(), None, &OPTIONS, some);
+            assert_agree(&gaussians, &camera(), Some(next), &PER_PIXEL, some);
         }
         assert_agree(&gaussians, &camera(), Some(next), &ANTIALIASED, &all);
     }
@@ -175,38 +178,44 @@ fn a_gaussian_that_is_not_visible_has_no_gradient() {
 }
 
 /// More Gaussians than a chunk, an image of many tiles.
-fn large(rasterizer: &mut Rasterizer, seed: u64) -> GaussianGradients {
+fn large(rasterizer: &mut Rasterizer, options: &Options, seed: u64) -> GaussianGradients {
     let wide = Camera { width: 333, height: 217, fx: 300.0, fy: 310.0, cx: 150.0, cy: 110.0, ..camera() };
     let gaussians = random(seed, 3000, 3);
     let moved_gaussians = jittered(&gaussians, seed, 0.03);
     let next = Next { gaussians: &moved_gaussians, camera: &Camera { fx: 305.0, ..wide } };
-    fast(rasterizer, &gaussians, &wide, Some(next), &OPTIONS, &gradients(333 * 217, seed))
+    fast(rasterizer, &gaussians, &wide, Some(next), options, &gradients(333 * 217, seed))
 }
 
 #[test]
 fn gradients_have_the_same_bits_on_every_instruction_set() {
-    let mut isas = Isa::to_test();
-    let portable = large(&mut Rasterizer::on(isas.next().unwrap()), 1);
-    assert!(norm(&lists_of(&portable)) > 1.0);
-    for isa in isas {
-        assert!(large(&mut Rasterizer::on(isa), 1) == portable, "{isa:?} differs");
+    for options in [OPTIONS, PER_PIXEL] {
+        let mut isas = Isa::to_test();
+        let portable = large(&mut Rasterizer::on(isas.next().unwrap()), &options, 1);
+        assert!(norm(&lists_of(&portable)) > 1.0);
+        for isa in isas {
+            assert!(large(&mut Rasterizer::on(isa), &options, 1) == portable, "{isa:?} differs");
+        }
     }
 }
 
 #[test]
 fn gradients_have_the_same_bits_for_any_number_of_threads() {
-    let found = [1, 2, 5].map(|threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| large(&mut Rasterizer::new(), 1))
-    });
-    assert!(found[0] == found[1] && found[1] == found[2]);
+    for options in [OPTIONS, PER_PIXEL] {
+        let found = [1, 2, 5].map(|threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| large(&mut Rasterizer::new(), &options, 1))
+        });
+        assert!(found[0] == found[1] && found[1] == found[2]);
+    }
 }
 
 #[test]
 fn earlier_gradients_leave_no_trace() {
-    let expected = large(&mut Rasterizer::new(), 1);
+    let expected = large(&mut Rasterizer::new(), &OPTIONS, 1);
+    let expected_per_pixel = large(&mut Rasterizer::new(), &PER_PIXEL, 1);
     let mut rasterizer = Rasterizer::new();
-    large(&mut rasterizer, 2);
+    large(&mut rasterizer, &PER_PIXEL, 2);
+    assert!(large(&mut rasterizer, &PER_PIXEL, 1) == expected_per_pixel);
     let few = random(3, 50, 1);
     let pixels = camera().width * camera().height;
     fast(&mut rasterizer, &few, &camera(), None, &ANTIALIASED, &gradients(pixels, 1));
@@ -216,7 +225,7 @@ fn earlier_gradients_leave_no_trace() {
     rendering.backward(&gradients(pixels, 1), &mut out).unwrap();
     rendering.backward(&gradients(pixels, 2), &mut out).unwrap();
     assert!(out == fast(&mut Rasterizer::new(), &few, &camera(), None, &OPTIONS, &gradients(pixels, 2)));
-    assert!(large(&mut rasterizer, 1) == expected);
+    assert!(large(&mut rasterizer, &OPTIONS, 1) == expected);
 }
 
 #[test]
@@ -259,7 +268,7 @@ fn extreme_but_finite_parameters_give_no_nan() {
             next.positions.reverse();
             let next = Next { gaussians: &next, camera: &camera() };
             let gradients = gradients(pixels, 1);
-            for options in [OPTIONS, ANTIALIASED] {
+            for options in [OPTIONS, ANTIALIASED, PER_PIXEL] {
                 let found =
                     fast(&mut Rasterizer::new(), &gaussians, &camera(), Some(next), &options, &gradients);
                 let values = lists_of(&found);

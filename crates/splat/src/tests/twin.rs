@@ -4,7 +4,7 @@ use glam::{DVec3, Quat, Vec3};
 
 use super::scenes::{camera, jittered, moved, push, push_each, random, single};
 use crate::reference::{self, Pixel};
-use crate::{Camera, Frame, Gaussians, Next, Options, Rasterizer};
+use crate::{Camera, Frame, Gaussians, Next, Options, Rasterizer, Sorting};
 
 const BACKGROUND: [f32; 3] = [0.1, 0.5, 0.9];
 
@@ -66,19 +66,20 @@ fn random_scenes_agree() {
     let first = camera();
     let second = moved(first, 0.05, -0.03, DVec3::new(0.05, 0.02, -0.1));
     let mut covered = 0;
-    for seed in 0..32 {
+    for seed in 0..48 {
         let count = [3, 30, 120, 400][seed as usize % 4];
         let gaussians = random(seed, count, seed as usize / 4 % 4);
         let next = jittered(&gaussians, seed, 0.02);
         let next = Next { gaussians: &next, camera: &second };
-        let options = Options { antialiased: seed >= 16, ..Options::default() };
+        let sorting = if seed >= 32 { Sorting::PerPixel } else { Sorting::Global };
+        let options = Options { antialiased: seed / 16 == 1, sorting, ..Options::default() };
         let (frame, pixels) = both_with(&options, &gaussians, &first, Some(next));
         covered += assert_close(&frame, &pixels);
         let blended: u64 = pixels.iter().map(|pixel| u64::from(pixel.blended)).sum();
         let difference = frame.statistics.blended.abs_diff(blended);
         assert!(difference * 10_000 <= blended, "{} pairs blended, twin {blended}", frame.statistics.blended);
     }
-    assert!(covered > 40_000, "only {covered} pixels were covered");
+    assert!(covered > 60_000, "only {covered} pixels were covered");
 }
 
 #[test]
@@ -219,8 +220,10 @@ fn extreme_but_finite_parameters_do_no_harm() {
             push_each(&mut gaussians, a, b);
             let mut next = gaussians.clone();
             next.positions.reverse();
-            for antialiased in [false, true] {
-                let options = Options { antialiased, ..Options::default() };
+            for (antialiased, sorting) in
+                [(false, Sorting::Global), (true, Sorting::Global), (false, Sorting::PerPixel)]
+            {
+                let options = Options { antialiased, sorting, ..Options::default() };
                 let next = Next { gaussians: &next, camera: &camera() };
                 let (frame, _) = both_with(&options, &gaussians, &camera(), Some(next));
                 assert!(frame.alpha.pixels().iter().all(|alpha| (0.0..=1.0).contains(alpha)), "{a} {b}");

@@ -11,7 +11,9 @@ use srflow_field::{
     FileError, create_folder, longest_flow, parse_color, write_flow, write_image_png, write_mask_png,
     write_npy, write_npy_plane,
 };
-use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, PixelConvention, Rasterizer, read_ply};
+use srflow_splat::{
+    Frame, Gaussians, Next, Options, Outputs, PixelConvention, Rasterizer, Sorting, read_ply,
+};
 
 use self::cameras::{CameraArgs, Orbit};
 use self::head::HeadArgs;
@@ -82,6 +84,9 @@ pub struct Rasterize {
     /// Reduce the opacity of Gaussians smaller than a pixel, for Gaussians that were trained in this way
     #[arg(long)]
     antialiased: bool,
+    /// Sort the Gaussians at each pixel along its ray, in place of once by their centres: nothing pops when the camera moves
+    #[arg(long)]
+    sort_per_pixel: bool,
     /// Overwrite existing files in OUT
     #[arg(long)]
     force: bool,
@@ -134,6 +139,7 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
             Convention::Paper => PixelConvention::Paper,
         },
         antialiased: args.antialiased,
+        sorting: if args.sort_per_pixel { Sorting::PerPixel } else { Sorting::Global },
         ..Options::default()
     };
     if !moves {

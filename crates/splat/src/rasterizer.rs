@@ -38,7 +38,8 @@ pub enum Sorting {
     Global,
     /// At each pixel by the depth at which the Gaussian is densest along the ray through the pixel's centre, equal depths in the
     /// order of [`Sorting::Global`]. Nothing pops: where two Gaussians intersect, the edge between them moves. This is the full
-    /// per-pixel sort of StopThePop (Radl et al. 2024). About five times slower, and more where pixels blend hundreds of Gaussians.
+    /// per-pixel sort of StopThePop (Radl et al. 2024). About five times slower for the small Gaussians of an avatar, more where
+    /// many large ones overlap.
     ///
     /// The density is that of the Gaussian after a low-pass filter as wide in space as that of the image is at its centre: `0.3
     /// z^2 / (fx fy)` is added to each variance. So the depth is well defined for flat Gaussians that are seen from their edge

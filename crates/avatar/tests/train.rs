@@ -138,7 +138,7 @@ fn held_out_cameras_and_timesteps_come_to_look_like_their_pictures() {
 
     let capture = Capture::read(MADE.folder.path()).unwrap();
     let poses = capture.poses_of(&read).unwrap();
-    let mut scorer = Scorer::new(Options { background: [1.0; 3], ..Options::default() }, false);
+    let mut scorer = Scorer::new(config());
     let mut scores = Vec::new();
     for view in capture.of(CaptureSplit::Test) {
         let score = scorer.score(&read, &poses[view.timestep as usize], &capture, view).unwrap();

@@ -80,7 +80,7 @@ pub struct FlowComparison {
 }
 
 impl FlowComparison {
-    /// Renders the flow of both. `antialiased` is how the avatar is rendered; see [`Options::antialiased`].
+    /// Renders the flow of both: of the true head as `srflow render` does, of the avatar with `options`, whose outputs do not matter.
     ///
     /// # Errors
     /// When a camera is refused.
@@ -88,7 +88,7 @@ impl FlowComparison {
         &mut self,
         truth: MovingHead<'_>,
         avatar: MovingHead<'_>,
-        antialiased: bool,
+        options: &Options,
     ) -> Result<(), RasterizeError> {
         let outputs = Outputs { flow: true, alpha: true, ..Outputs::NONE };
         let Self { rasterizer, head, now, next, .. } = self;
@@ -104,7 +104,7 @@ impl FlowComparison {
         };
         let of_parts = Outputs { color: true, ..outputs };
         rendered(truth, true, Options { outputs: of_parts, ..Options::default() }, &mut self.truth)?;
-        rendered(avatar, false, Options { outputs, antialiased, ..Options::default() }, &mut self.avatar)
+        rendered(avatar, false, Options { outputs, ..*options }, &mut self.avatar)
     }
 
     /// Flow and alpha of the true head. Its colours stand for the parts of the head.
@@ -374,9 +374,10 @@ pub struct TestedAvatar<'a> {
     pub capture: &'a Capture,
     /// Of `capture`, or of the capture whose pictures it shows.
     pub truth: &'a TrueCapture,
-    /// How the avatar's views are rendered; see [`CaptureView::camera_for`] and [`Options::antialiased`].
+    /// How the avatar is rendered; the outputs do not matter.
+    pub options: Options,
+    /// See [`CaptureView::camera_for`].
     pub faithful: bool,
-    pub antialiased: bool,
 }
 
 impl TestedAvatar<'_> {
@@ -414,7 +415,7 @@ impl TestedAvatar<'_> {
                 poses: self.at(&timesteps, self.poses, pair)?,
                 cameras: cameras.each_ref(),
             };
-            comparison.render(truth, avatar, self.antialiased).map_err(|error| {
+            comparison.render(truth, avatar, &self.options).map_err(|error| {
                 let [first, second] = pair.timesteps;
                 RenderError::Rasterize {
                     frame: format!("camera {}, timesteps {first} and {second}", pair.camera),

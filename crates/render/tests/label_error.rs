@@ -11,7 +11,7 @@ use srflow_render::job::Request;
 use srflow_render::label_error::{
     FlowComparison, FlowPair, LabelError, LabelErrorSum, MovingHead, PartError, TestedAvatar, flow_pairs,
 };
-use srflow_splat::Camera;
+use srflow_splat::{Camera, Options};
 
 struct Made {
     /// Removed when the tests end.
@@ -36,7 +36,7 @@ static MADE: LazyLock<Made> = LazyLock::new(|| {
 });
 
 fn tested<'a>(capture: &'a Capture, avatar: &'a Avatar, poses: &'a [HeadPose]) -> TestedAvatar<'a> {
-    TestedAvatar { avatar, poses, capture, truth: &MADE.truth, faithful: false, antialiased: false }
+    TestedAvatar { avatar, poses, capture, truth: &MADE.truth, options: Options::default(), faithful: false }
 }
 
 fn mean(part: &PartError) -> f64 {
@@ -77,7 +77,7 @@ fn compared(cameras: [&Camera; 2], avatar_poses: [&HeadPose; 2]) -> LabelError {
     let camera = front();
     let truth = MovingHead { avatar, poses: [&poses[0], &poses[1]], cameras: [&camera; 2] };
     let mut flows = FlowComparison::default();
-    flows.render(truth, MovingHead { avatar, poses: avatar_poses, cameras }, false).unwrap();
+    flows.render(truth, MovingHead { avatar, poses: avatar_poses, cameras }, &Options::default()).unwrap();
     let mut sum = LabelErrorSum::default();
     sum.add(&flows);
     sum.result()

@@ -1,6 +1,7 @@
 //! The configuration of a training.
 
 use serde::{Deserialize, Serialize};
+use srflow_splat::{Options, Outputs};
 
 use super::{DensityControl, Mcmc, PoseRates, RateSchedule, Regularizers, Strategy};
 
@@ -72,6 +73,12 @@ pub struct ConfigError {
 }
 
 impl TrainConfig {
+    /// How views are rendered: their colours.
+    pub fn rendering(&self) -> Options {
+        let outputs = Outputs { color: true, ..Outputs::NONE };
+        Options { background: self.background, antialiased: self.antialiased, outputs, ..Options::default() }
+    }
+
     /// Checks that every value is in the range in which it means something.
     ///
     /// # Errors

@@ -26,7 +26,7 @@ pub use presets::PRESETS;
 pub use regularizers::{RegularizerValue, Regularizers};
 pub use run::{
     IterationsRecord, LogRecord, RunError, RunEvent, RunMode, RunOutcome, RunRecord, RunRequest, RunScores,
-    ScoredSplit, ScoresRecord, read_run, read_run_log, run,
+    ScoredSplit, ScoresRecord, read_run, read_run_log, run, run_of_avatar,
 };
 pub use schedule::RateSchedule;
 pub use score::{CameraScore, Score, Scorer, SplitScore, ViewScore};

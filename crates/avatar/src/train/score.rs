@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
-use srflow_splat::{Frame, Gaussians, Options, Outputs, Rasterizer};
+use srflow_splat::{Frame, Gaussians, Rasterizer};
 
-use super::TrainError;
 use super::image_loss::{ImageLoss, ImageLossError};
 use super::trainer::picture;
+use super::{TrainConfig, TrainError};
 use crate::capture::{Capture, CaptureSplit, CaptureView};
 use crate::{Avatar, HeadPose, PosedHead};
 
@@ -64,10 +64,8 @@ impl Score {
 /// Scores the renderings of an avatar against the pictures of a capture, one by one.
 #[derive(Debug, Default)]
 pub struct Scorer {
-    /// As [`TrainConfig::apply_masks`](super::TrainConfig::apply_masks), with the background of the options.
-    pub apply_masks: bool,
-    options: Options,
-    faithful: bool,
+    config: TrainConfig,
+    picture: Vec<[f32; 3]>,
     rasterizer: Rasterizer,
     frame: Frame,
     head: PosedHead,
@@ -76,10 +74,9 @@ pub struct Scorer {
 }
 
 impl Scorer {
-    /// Renders with `options`, whose outputs do not matter; `faithful` as in [`CaptureView::camera_for`].
-    pub fn new(options: Options, faithful: bool) -> Self {
-        let outputs = Outputs { color: true, ..Outputs::NONE };
-        Self { options: Options { outputs, ..options }, faithful, ..Self::default() }
+    /// Pictures are read and views rendered as in a training with this configuration.
+    pub fn new(config: TrainConfig) -> Self {
+        Self { config, ..Self::default() }
     }
 
     /// The score of `avatar` in `pose` in a view of `capture`.
@@ -93,13 +90,19 @@ impl Scorer {
         capture: &Capture,
         view: &CaptureView,
     ) -> Result<Score, TrainError> {
-        let target = picture(capture, view, self.apply_masks.then_some(self.options.background))?;
-        let camera = view.camera_for(self.faithful);
+        let config = &self.config;
+        self.picture = picture(capture, view, config.apply_masks.then_some(config.background))?;
+        let camera = view.camera_for(config.faithful);
         avatar.gaussians_into(pose, &mut self.head, &mut self.world);
         self.rasterizer
-            .render(&self.world, &camera, None, &self.options, &mut self.frame)
+            .render(&self.world, &camera, None, &config.rendering(), &mut self.frame)
             .map_err(|error| TrainError::Render { image: view.image.clone(), error })?;
-        Ok(Score::of(&self.frame.color, &target, (camera.width, camera.height), &mut self.loss)?)
+        Ok(Score::of(&self.frame.color, &self.picture, (camera.width, camera.height), &mut self.loss)?)
+    }
+
+    /// The picture that was scored last, 0..1, row-major.
+    pub fn picture(&self) -> &[[f32; 3]] {
+        &self.picture
     }
 
     /// The rendering that was scored last, row-major and not clamped.

@@ -228,7 +228,7 @@ impl Trainer {
         let cannot = |error| TrainError::Render { image: view.image.clone(), error };
         let Buffers { rasterizer, frame, world, loss, .. } = buffers;
         let mut rendering =
-            rasterizer.render(world, &camera, None, &options(config), frame).map_err(cannot)?;
+            rasterizer.render(world, &camera, None, &config.rendering(), frame).map_err(cannot)?;
         let image = loss.backward(&frame.color, &target, size, &mut buffers.frame_gradients.color)?;
         buffers.visible.clear();
         buffers.visible.extend(rendering.visible());
@@ -291,8 +291,7 @@ impl Trainer {
         split: CaptureSplit,
         mut on_view: impl FnMut(&CaptureView, &Score),
     ) -> Result<Option<Score>, TrainError> {
-        let mut scorer = Scorer::new(options(&self.config), self.config.faithful);
-        scorer.apply_masks = self.config.apply_masks;
+        let mut scorer = Scorer::new(self.config);
         let mut scores = Vec::new();
         for view in self.capture.of(split) {
             let pose = &self.poses[timestep_place(&self.timesteps, view)];
@@ -310,7 +309,7 @@ impl Trainer {
     pub fn render(&mut self, view: &CaptureView) -> Result<Image, TrainError> {
         let Buffers { rasterizer, frame, head, world, .. } = &mut self.buffers;
         self.avatar.gaussians_into(&self.poses[timestep_place(&self.timesteps, view)], head, world);
-        let options = Options { outputs: Outputs::IMAGE, ..options(&self.config) };
+        let options = Options { outputs: Outputs::IMAGE, ..self.config.rendering() };
         rasterizer
             .render(world, &view.camera_for(self.config.faithful), None, &options, frame)
             .map_err(|error| TrainError::Render { image: view.image.clone(), error })?;
@@ -409,11 +408,6 @@ impl Trainer {
         }
         due
     }
-}
-
-fn options(config: &TrainConfig) -> Options {
-    let outputs = Outputs { color: true, ..Outputs::NONE };
-    Options { background: config.background, antialiased: config.antialiased, outputs, ..Options::default() }
 }
 
 /// The place of a view's timestep among those of the capture, which has parameters for each.

@@ -93,6 +93,28 @@ fn the_true_head_scores_like_itself() {
 }
 
 #[test]
+fn the_avatar_of_a_training_is_rendered_as_there() {
+    let out = tempfile::tempdir().unwrap();
+    let run = out.path().join("run");
+    let trained = crate::srflow()
+        .current_dir(folder())
+        .args(["avatar", "train", "capture", "--iterations", "3", "--set", "background=[0, 0.5, 0]", "--out"])
+        .arg(&run)
+        .output();
+    assert!(trained.unwrap().status.success());
+    let at_the_end: serde_json::Value =
+        serde_json::from_slice(&fs::read(run.join("scores.json")).unwrap()).unwrap();
+    let run = run.to_str().unwrap();
+    let psnr = |more: &[&str]| {
+        let report = json(&eval(&[&[run, "capture", "--json", "--split", "val"], more].concat()));
+        report["pictures"][0]["psnr"].as_f64().unwrap()
+    };
+    let expected = at_the_end["splits"][0]["psnr"].as_f64().unwrap();
+    assert!((psnr(&[]) - expected).abs() < 1e-3, "{at_the_end}");
+    assert!((psnr(&["--background", "white"]) - expected).abs() > 1.0);
+}
+
+#[test]
 fn scores_are_printed_as_tables() {
     let text = succeeds(&eval(&["avatar@builtin", "capture", "--split", "val", "--limit", "1", "--flow"]));
     for part in [

@@ -147,6 +147,11 @@ pub fn read_run(dir: &Path) -> Result<(RunRecord, TrainConfig), RunError> {
     Ok((record, parse_settings(&text, &path.display().to_string())?))
 }
 
+/// The folder of the run that wrote the avatar in `dir`, which is `point_cloud/iteration_N` in it; `None` for other avatars.
+pub fn run_of_avatar(dir: &Path) -> Option<&Path> {
+    dir.ancestors().nth(2).filter(|run| run.join(RUN_NAME).is_file())
+}
+
 /// The log of the run in `dir`.
 ///
 /// # Errors

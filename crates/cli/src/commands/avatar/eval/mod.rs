@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use clap::Args;
 use serde::Serialize;
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView};
-use srflow_avatar::train::{Scorer, SplitScore, ViewScore};
+use srflow_avatar::train::{Scorer, SplitScore, TrainConfig, ViewScore, read_run, run_of_avatar};
 use srflow_avatar::{Avatar, HeadPose, HeadSource};
 use srflow_eval::{Column, Row, Table};
 use srflow_field::random::Key;
@@ -14,7 +14,6 @@ use srflow_field::{create_folder, parse_color, write_file};
 use srflow_render::RenderError;
 use srflow_render::capture::TrueCapture;
 use srflow_render::label_error::{FlowPair, LabelError, PartError, TestedAvatar, flow_pairs};
-use srflow_splat::Options;
 
 use super::scores::{camera_table, split_table, split_words};
 use crate::Context;
@@ -61,13 +60,14 @@ pub struct Eval {
     /// Score N pictures of each split and N pairs of each split and step, drawn at random, the same in every run
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     limit: Option<u32>,
-    /// Colour behind the head in the pictures: white, black, #rrggbb or R,G,B (0 to 255 each)
-    #[arg(long, value_name = "COLOUR", default_value = "white", value_parser = parse_color)]
-    background: [u8; 3],
-    /// Cameras without a principal point and with one focal length, as GaussianAvatars takes them
+    /// Colour behind the head in the pictures: white, black, #rrggbb or R,G,B (0 to 255 each) [default: that of the training, if
+    /// AVATAR is one, else white]
+    #[arg(long, value_name = "COLOUR", value_parser = parse_color)]
+    background: Option<[u8; 3]>,
+    /// Cameras without a principal point and with one focal length, as GaussianAvatars takes them; known of a training
     #[arg(long)]
     faithful: bool,
-    /// The avatar is rendered antialiased, as it was trained; see docs/rasterize.md
+    /// The avatar is rendered antialiased, as it was trained; known of a training
     #[arg(long)]
     antialiased: bool,
     /// Also write eval.json, report.html and pictures into this folder
@@ -134,20 +134,15 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     let avatar = args.avatar.avatar(0).with_context(|| format!("reading {}", args.avatar))?;
     let poses = capture.poses_of(&avatar)?;
 
+    let config = configuration(&args)?;
     let mut panels = Panels::default();
-    let pictures = picture_scores(&args, &capture, &avatar, &poses, &mut panels)?;
+    let pictures = picture_scores(&args, &config, &capture, &avatar, &poses, &mut panels)?;
     let flow = match &truth {
         None => None,
         Some(truth) => {
-            let Eval { faithful, antialiased, .. } = args;
-            let tested = TestedAvatar {
-                avatar: &avatar,
-                poses: &poses,
-                capture: &capture,
-                truth,
-                faithful,
-                antialiased,
-            };
+            let (options, faithful) = (config.rendering(), config.faithful);
+            let tested =
+                TestedAvatar { avatar: &avatar, poses: &poses, capture: &capture, truth, options, faithful };
             Some(FlowSummary { truth: truth_dir.clone(), results: flow_errors(&args, &tested, &mut panels)? })
         }
     };
@@ -165,6 +160,22 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     if context.json { print_json(&summary) } else { print_summary(&summary, args.out.as_deref()) }
 }
 
+/// How the avatar is rendered and pictures are read: as in its training, if it is in the folder of one.
+fn configuration(args: &Eval) -> anyhow::Result<TrainConfig> {
+    let files = args.avatar.paths();
+    let folder = files.first().and_then(|file| file.parent());
+    let mut config = match folder.and_then(run_of_avatar) {
+        Some(run) => read_run(run)?.1,
+        None => TrainConfig::default(),
+    };
+    if let Some(background) = args.background {
+        config.background = background.map(|channel| f32::from(channel) / 255.0);
+    }
+    config.faithful |= args.faithful;
+    config.antialiased |= args.antialiased;
+    Ok(config)
+}
+
 /// `limit` of the items at random, in their order.
 fn drawn<T>(mut items: Vec<T>, limit: Option<u32>) -> Vec<T> {
     let limit = limit.map_or(items.len(), |limit| limit as usize).min(items.len());
@@ -179,14 +190,13 @@ fn drawn<T>(mut items: Vec<T>, limit: Option<u32>) -> Vec<T> {
 
 fn picture_scores(
     args: &Eval,
+    config: &TrainConfig,
     capture: &Capture,
     avatar: &Avatar,
     poses: &[HeadPose],
     panels: &mut Panels,
 ) -> anyhow::Result<Vec<SplitScore>> {
-    let background = args.background.map(|channel| f32::from(channel) / 255.0);
-    let options = Options { background, antialiased: args.antialiased, ..Options::default() };
-    let mut scorer = Scorer::new(options, args.faithful);
+    let mut scorer = Scorer::new(*config);
     let timesteps = capture.timesteps();
     let pose = |view: &CaptureView| &poses[timesteps.partition_point(|&timestep| timestep < view.timestep)];
     let views: Vec<(CaptureSplit, Vec<&CaptureView>)> =
@@ -210,8 +220,8 @@ fn picture_scores(
                 };
                 let Some(view) = views.iter().find(of_score) else { continue };
                 scorer.score(avatar, pose(view), capture, view)?;
-                let truth = capture.image(view)?;
-                panels.pictures.push(PicturePanels::new(split.split, word, shown, truth, scorer.rendered()));
+                let size = (view.camera.width, view.camera.height);
+                panels.pictures.push(PicturePanels::new(split.split, word, shown, size, &scorer));
             }
         }
         splits.push(split);

@@ -3,13 +3,13 @@
 use std::path::Path;
 
 use srflow_avatar::capture::CaptureSplit;
-use srflow_avatar::train::ViewScore;
+use srflow_avatar::train::{Scorer, ViewScore};
 use srflow_eval::Table;
 use srflow_eval::report::{
     Figure, Page, Panel, Picture, PictureError, Section, color_scale, heat, heat_legend, panels, ramp_legend,
     score_table, shrink_image, side_by_side, wheel_legend,
 };
-use srflow_field::{FileError, FlowField, Image, Plane, flow_colors, write_image_png};
+use srflow_field::{FileError, FlowField, Image, Mask, Plane, flow_colors, write_image_png};
 use srflow_render::label_error::{FlowComparison, FlowPair};
 
 use super::super::scores::split_words;
@@ -17,6 +17,9 @@ use crate::machine;
 
 /// Most width of a picture on the page, pixels.
 const WIDTH: usize = 550;
+
+/// Most width of a flow that is kept to be shown, pixels: several are kept at once.
+const KEPT_WIDTH: usize = 1200;
 
 /// Of pixels of the true head that the avatar lacks, and of those that only the avatar has.
 const MISSING: [u8; 3] = [40, 120, 255];
@@ -42,22 +45,34 @@ pub struct PicturePanels {
 }
 
 impl PicturePanels {
+    /// Of the picture that was scored last.
     pub fn new(
         split: CaptureSplit,
         word: &'static str,
         score: &ViewScore,
-        truth: Image,
-        rendered: &[[f32; 3]],
+        (width, height): (usize, usize),
+        scorer: &Scorer,
     ) -> Self {
-        let (width, height) = truth.size();
-        let level = |value: f32| value.clamp(0.0, 1.0) * 255.0;
-        let at = |x: usize, y: usize| rendered[y * width + x].map(level);
-        let rendering = Image::from_fn(width, height, |x, y| at(x, y).map(|level| (level + 0.5) as u8));
-        let difference = Plane::from_fn(width, height, |x, y| {
-            let pairs = at(x, y).into_iter().zip(truth.get(x, y));
-            pairs.map(|(a, b)| (a - f32::from(b)).abs()).sum::<f32>() / 3.0
-        });
-        Self { split, word, score: score.clone(), truth, rendering, difference }
+        let image = |colors: &[[f32; 3]]| {
+            let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
+            Image::from_fn(width, height, |x, y| colors[y * width + x].map(byte))
+        };
+        let difference = |a: [f32; 3], b: [f32; 3]| -> f32 {
+            let channels = a.into_iter().zip(b).map(|(a, b)| (a - b.clamp(0.0, 1.0)).abs());
+            channels.sum::<f32>() * (255.0 / 3.0)
+        };
+        let (truth, rendered) = (scorer.picture(), scorer.rendered());
+        let at = |x: usize, y: usize| y * width + x;
+        let difference =
+            Plane::from_fn(width, height, |x, y| difference(truth[at(x, y)], rendered[at(x, y)]));
+        Self {
+            split,
+            word,
+            score: score.clone(),
+            truth: image(truth),
+            rendering: image(rendered),
+            difference,
+        }
     }
 }
 
@@ -69,25 +84,30 @@ pub struct FlowPanels {
     truth: FlowField,
     avatar: FlowField,
     error: Plane,
-    missing: Vec<bool>,
-    surplus: Vec<bool>,
+    missing: Mask,
+    surplus: Mask,
+    /// Mean error over all pixels.
+    mean: f64,
 }
 
 impl FlowPanels {
     pub fn new(split: CaptureSplit, step: u32, pair: FlowPair, flows: &FlowComparison) -> Self {
         let (truth, avatar) = (flows.truth(), flows.avatar());
         let errors: Vec<f32> = flows.errors().collect();
-        let shown =
-            || truth.alpha.pixels().iter().zip(avatar.alpha.pixels()).map(|(a, b)| (*a > 0.5, *b > 0.5));
+        // Every nth pixel, in both directions.
+        let n = truth.width.div_ceil(KEPT_WIDTH).max(1);
+        let (width, height) = (truth.width / n, truth.height / n);
+        let shown = |x: usize, y: usize| [truth, avatar].map(|frame| frame.alpha.get(n * x, n * y) > 0.5);
         Self {
             split,
             step,
             pair,
-            truth: truth.flow.clone(),
-            avatar: avatar.flow.clone(),
-            error: Plane::from_fn(truth.width, truth.height, |x, y| errors[y * truth.width + x]),
-            missing: shown().map(|(truth, avatar)| truth && !avatar).collect(),
-            surplus: shown().map(|(truth, avatar)| avatar && !truth).collect(),
+            truth: FlowField::from_fn(width, height, |x, y| truth.flow.get(n * x, n * y)),
+            avatar: FlowField::from_fn(width, height, |x, y| avatar.flow.get(n * x, n * y)),
+            error: Plane::from_fn(width, height, |x, y| errors[n * y * truth.width + n * x]),
+            missing: Mask::from_fn(width, height, |x, y| shown(x, y) == [true, false]),
+            surplus: Mask::from_fn(width, height, |x, y| shown(x, y) == [false, true]),
+            mean: mean(&errors),
         }
     }
 
@@ -95,7 +115,7 @@ impl FlowPanels {
     fn error_image(&self, max: f64) -> Image {
         let mut image = heat(&self.error, max as f32);
         for (pixel, (&missing, &surplus)) in
-            image.pixels_mut().iter_mut().zip(self.missing.iter().zip(&self.surplus))
+            image.pixels_mut().iter_mut().zip(self.missing.pixels().iter().zip(self.surplus.pixels()))
         {
             if missing {
                 *pixel = MISSING;
@@ -105,13 +125,13 @@ impl FlowPanels {
         }
         image
     }
+}
 
-    fn mean(&self) -> f64 {
-        let known = self.error.pixels().iter().filter(|error| !error.is_nan());
-        let (sum, count) =
-            known.fold((0.0, 0_usize), |(sum, count), error| (sum + f64::from(*error), count + 1));
-        sum / count.max(1) as f64
-    }
+/// Of the known ones.
+fn mean(errors: &[f32]) -> f64 {
+    let known = errors.iter().filter(|error| !error.is_nan());
+    let (sum, count) = known.fold((0.0, 0_usize), |(sum, count), error| (sum + f64::from(*error), count + 1));
+    sum / count.max(1) as f64
 }
 
 /// Ends of the colour scales.
@@ -237,7 +257,7 @@ impl FlowPanels {
         let caption = format!(
             "{}: camera {camera}, timesteps {first} to {second}: mean error {:.3} px",
             split_words(self.split),
-            self.mean()
+            self.mean
         );
         row(&self.images(scales), ["True flow", "Flow of the avatar", "Error"], &caption)
     }

@@ -82,6 +82,9 @@ struct Overrides {
     /// How Gaussians are added and removed: default (3D Gaussian Splatting), absgs or mcmc
     #[arg(long, value_name = "NAME")]
     strategy: Option<String>,
+    /// Render Gaussians smaller than a pixel antialiased; see docs/rasterize.md
+    #[arg(long)]
+    antialiased: bool,
     /// Keep the defects of GaussianAvatars' code, listed in docs/avatars.md
     #[arg(long)]
     faithful: bool,
@@ -101,11 +104,13 @@ fn config_help() -> String {
 impl Overrides {
     /// The configuration with the command line's overrides.
     fn apply(&self, mut config: TrainConfig) -> Result<TrainConfig, SettingsError> {
+        let switch = |given: bool| given.then(|| "true".to_owned());
         let single = [
             ("iterations", &self.iterations),
             ("seed", &self.seed),
             ("density.strategy", &self.strategy),
-            ("faithful", &self.faithful.then(|| "true".to_owned())),
+            ("antialiased", &switch(self.antialiased)),
+            ("faithful", &switch(self.faithful)),
         ];
         let single = single.iter().filter_map(|(key, value)| Some(format!("{key}={}", value.as_ref()?)));
         for given in single.chain(self.set.iter().cloned()) {

@@ -14,6 +14,7 @@
 mod records;
 
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -28,7 +29,7 @@ use records::{LOG_NAME, RUN_NAME, Window, loss};
 use super::trainer::picture;
 use super::{SplitScore, StepReport, TrainConfig, TrainError, Trainer, ViewScore};
 use crate::HeadModel;
-use crate::capture::{Capture, CaptureSplit, CaptureView};
+use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};
 
 const CONFIG_NAME: &str = "config.toml";
 const CHECKPOINT_NAME: &str = "checkpoint.npz";
@@ -169,16 +170,15 @@ pub fn run(request: RunRequest, on_event: &mut dyn FnMut(RunEvent)) -> Result<Ru
     let RunRequest { dir, mode, record, capture, model, config, checkpoint_interval, stop_after } = request;
     let start = Instant::now();
     let checkpoint = dir.join(CHECKPOINT_NAME);
+    if mode == RunMode::New {
+        check_place(dir)?;
+    }
     let mut trainer = match mode {
         RunMode::Resume if checkpoint.exists() => Trainer::resume(capture, model, config, &checkpoint)?,
         RunMode::Resume | RunMode::New => Trainer::new(capture, model, config)?,
     };
     create_folder(dir)?;
-    check_place(dir, mode)?;
     let _lock = RunLock::take(dir)?;
-    if mode == RunMode::New && dir.join(RUN_NAME).exists() {
-        return Err(RunError::AnotherRun { folder: dir.to_owned() });
-    }
     remove_partial(dir, |_, _| true)?;
     write_file(&dir.join(CONFIG_NAME), settings_text(&config))?;
     record.write(dir)?; // last: a folder with it can be resumed
@@ -220,7 +220,7 @@ pub fn run(request: RunRequest, on_event: &mut dyn FnMut(RunEvent)) -> Result<Ru
             if let Some(ScoredSplit { scores, .. }) = score(&mut trainer, split, on_event)? {
                 append(LogRecord::Scores((iteration, &scores).into()), on_event)?;
             }
-            trainer.write_avatar(&avatar(iteration), Some(&record.head))?;
+            write_avatar(&trainer, &avatar(iteration), &record.head)?;
         }
         if saved.elapsed() >= checkpoint_interval || iteration == last {
             trainer.write_checkpoint(&checkpoint)?;
@@ -233,7 +233,7 @@ pub fn run(request: RunRequest, on_event: &mut dyn FnMut(RunEvent)) -> Result<Ru
     let scores = if trainer.iteration() < config.iterations {
         None
     } else {
-        trainer.write_avatar(&avatar, Some(&record.head))?;
+        write_avatar(&trainer, &avatar, &record.head)?;
         let mut splits = Vec::new();
         for split in [CaptureSplit::Val, CaptureSplit::Test] {
             splits.extend(score(&mut trainer, split, on_event)?);
@@ -261,20 +261,30 @@ impl Intervals {
     }
 }
 
-/// Fails for a new run in a folder with other files.
-fn check_place(dir: &Path, mode: RunMode) -> Result<(), RunError> {
-    if mode == RunMode::Resume || dir.join(RUN_NAME).exists() {
-        return Ok(());
+/// Fails for a new run where another one is, or other files are.
+fn check_place(dir: &Path) -> Result<(), RunError> {
+    if dir.join(RUN_NAME).exists() {
+        return Err(RunError::AnotherRun { folder: dir.to_owned() });
     }
     let failed = |error| FileProblem::Io { doing: "listing the folder", error }.in_file(dir);
-    for entry in fs::read_dir(dir).map_err(failed)? {
+    let entries = match fs::read_dir(dir) {
+        Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => return Ok(()),
+        entries => entries.map_err(failed)?,
+    };
+    for entry in entries {
         let found = entry.map_err(failed)?.file_name().to_string_lossy().into_owned();
-        // What a run leaves that was stopped before it began.
+        // A run that was stopped before it began leaves these.
         if found != CONFIG_NAME && !found.starts_with('.') {
             return Err(RunError::Occupied { folder: dir.to_owned(), found });
         }
     }
     Ok(())
+}
+
+/// Writes the avatar, without what a run left there that was killed as it wrote the same.
+fn write_avatar(trainer: &Trainer, dir: &Path, head: &HeadRecord) -> Result<(), FileError> {
+    trainer.write_avatar(dir, Some(head))?;
+    remove_partial(dir, |_, _| true)
 }
 
 /// The split that is scored during a run: a camera that is held out, or else timesteps.

@@ -16,7 +16,7 @@ use crate::capture::TrueCapture;
 /// The part of the head that a pixel shows: the one with the largest weight in it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum HeadPart {
-    /// Face, ears and neck, with lips, brows, lashes and stubble.
+    /// Face and ears, with lips, brows, lashes and stubble.
     Skin,
     /// Eyeballs and the lining of the lids.
     Eyes,
@@ -24,34 +24,39 @@ pub enum HeadPart {
     Mouth,
     /// Hair, and the scalp below it.
     Hair,
+    /// Neck and shoulders.
+    Neck,
 }
 
-named!(HeadPart, "a part of the head", { Skin => "skin", Eyes => "eyes", Mouth => "mouth", Hair => "hair" });
+named!(HeadPart, "a part of the head", {
+    Skin => "skin", Eyes => "eyes", Mouth => "mouth", Hair => "hair", Neck => "neck",
+});
+
+/// Parts are told apart by rendering them in the three channels of a colour, this many times. Skin has none: its weight is what the
+/// others leave of alpha.
+const PASSES: usize = (HeadPart::ALL.len() - 1).div_ceil(3);
 
 impl HeadPart {
     fn of(region: Region) -> Self {
         match region {
-            Region::Skin | Region::Lips | Region::Brow | Region::LidMargin | Region::Neck => Self::Skin,
+            Region::Skin | Region::Lips | Region::Brow | Region::LidMargin => Self::Skin,
             Region::Eyeball | Region::InnerLid | Region::Clear => Self::Eyes,
             Region::Teeth | Region::MouthInside => Self::Mouth,
             Region::Scalp => Self::Hair,
+            Region::Neck => Self::Neck,
         }
     }
 
-    /// What colour stands for the part in a rendering of parts: of skin none, so that its weight is what others leave of alpha.
-    fn paint(self) -> [f32; 3] {
-        match self {
-            Self::Skin => [0.0, 0.0, 0.0],
-            Self::Eyes => [1.0, 0.0, 0.0],
-            Self::Mouth => [0.0, 1.0, 0.0],
-            Self::Hair => [0.0, 0.0, 1.0],
-        }
+    /// The colour that stands for the part in a pass.
+    fn paint(self, pass: usize) -> [f32; 3] {
+        std::array::from_fn(|channel| if self as usize == 1 + 3 * pass + channel { 1.0 } else { 0.0 })
     }
 
-    fn largest([eyes, mouth, hair]: [f32; 3], alpha: f32) -> Self {
-        let skin = alpha - (eyes + mouth + hair);
-        let mut largest = (Self::Skin, skin);
-        for (part, weight) in [(Self::Eyes, eyes), (Self::Mouth, mouth), (Self::Hair, hair)] {
+    /// From the colours of all passes.
+    fn largest(passes: [[f32; 3]; PASSES], alpha: f32) -> Self {
+        let weights = passes.as_flattened();
+        let mut largest = (Self::Skin, alpha - weights.iter().sum::<f32>());
+        for (&part, &weight) in Self::ALL[1..].iter().zip(weights) {
             if weight > largest.1 {
                 largest = (part, weight);
             }
@@ -73,6 +78,8 @@ pub struct MovingHead<'a> {
 pub struct FlowComparison {
     truth: Frame,
     avatar: Frame,
+    /// The colours of the true head in each pass.
+    parts: [Frame; PASSES],
     rasterizer: Rasterizer,
     head: PosedHead,
     now: Gaussians,
@@ -90,37 +97,43 @@ impl FlowComparison {
         avatar: MovingHead<'_>,
         options: &Options,
     ) -> Result<(), RasterizeError> {
-        let outputs = Outputs { flow: true, alpha: true, ..Outputs::NONE };
+        let outputs = Outputs { flow: true, alpha: true, depth: true, ..Outputs::NONE };
+        let true_options = Options { outputs, ..Options::default() };
         let Self { rasterizer, head, now, next, .. } = self;
-        let mut rendered = |moving: MovingHead<'_>, painted: bool, options: Options, frame: &mut Frame| {
-            let MovingHead { avatar, poses, cameras } = moving;
-            avatar.gaussians_into(poses[1], head, next);
-            avatar.gaussians_into(poses[0], head, now);
-            if painted {
-                paint_parts(avatar, now);
-            }
-            let next = Next { gaussians: next, camera: cameras[1] };
-            rasterizer.render(now, cameras[0], Some(next), &options, frame).map(|_| ())
-        };
-        let of_parts = Outputs { color: true, ..outputs };
-        rendered(truth, true, Options { outputs: of_parts, ..Options::default() }, &mut self.truth)?;
-        rendered(avatar, false, Options { outputs, ..*options }, &mut self.avatar)
+        for (moving, options, frame) in [
+            (truth, true_options, &mut self.truth),
+            (avatar, Options { outputs, ..*options }, &mut self.avatar),
+        ] {
+            moving.avatar.gaussians_into(moving.poses[1], head, next);
+            moving.avatar.gaussians_into(moving.poses[0], head, now);
+            let next = Next { gaussians: next, camera: moving.cameras[1] };
+            rasterizer.render(now, moving.cameras[0], Some(next), &options, frame)?;
+        }
+        truth.avatar.gaussians_into(truth.poses[0], head, now);
+        let of_parts = Options { outputs: Outputs { color: true, ..Outputs::NONE }, ..Options::default() };
+        for (pass, frame) in self.parts.iter_mut().enumerate() {
+            paint_parts(truth.avatar, pass, now);
+            rasterizer.render(now, truth.cameras[0], None, &of_parts, frame)?;
+        }
+        Ok(())
     }
 
-    /// Flow and alpha of the true head. Its colours stand for the parts of the head.
+    /// Flow, alpha and depth of the true head.
     pub fn truth(&self) -> &Frame {
         &self.truth
     }
 
-    /// Flow and alpha of the avatar.
+    /// Flow, alpha and depth of the avatar.
     pub fn avatar(&self) -> &Frame {
         &self.avatar
     }
 
     /// The part of the head at each pixel, row-major; `None` outside of the true head's mask.
     pub fn parts(&self) -> impl Iterator<Item = Option<HeadPart>> {
-        let pixels = self.truth.alpha.pixels().iter().zip(&self.truth.color);
-        pixels.map(|(&alpha, &weights)| (alpha > 0.5).then(|| HeadPart::largest(weights, alpha)))
+        self.truth.alpha.pixels().iter().enumerate().map(|(pixel, &alpha)| {
+            let passes = self.parts.each_ref().map(|frame| frame.color[pixel]);
+            (alpha > 0.5).then(|| HeadPart::largest(passes, alpha))
+        })
     }
 
     /// The end-point error of each pixel, row-major; NaN outside of the true head's mask, and where the avatar is missing.
@@ -135,12 +148,12 @@ impl FlowComparison {
 }
 
 /// Colours the Gaussians by the part that they belong to.
-fn paint_parts(avatar: &Avatar, gaussians: &mut Gaussians) {
+fn paint_parts(avatar: &Avatar, pass: usize, gaussians: &mut Gaussians) {
     /// Of the spherical harmonics of degree 0; a colour of 0.5 has the coefficient 0.
     const SH_0: f32 = 0.282_094_8;
     let regions = &avatar.model().regions;
     let paint = |&triangle: &u32| {
-        HeadPart::of(regions[triangle as usize]).paint().map(|channel| (channel - 0.5) / SH_0)
+        HeadPart::of(regions[triangle as usize]).paint(pass).map(|channel| (channel - 0.5) / SH_0)
     };
     gaussians.sh_degree = 0;
     gaussians.sh.clear();
@@ -173,6 +186,8 @@ pub struct PartError {
     pub pixels: u64,
     /// Those where the avatar's alpha is not above one half.
     pub missing: u64,
+    /// Those that are not missing where the avatar's depth is more than 10 mm behind the true one: it is seen through.
+    pub seen_through: u64,
     /// Over the pixels that are not missing; `None` without one.
     pub errors: Option<ErrorStatistics>,
     /// Mean error over the missing pixels, of the flow that the avatar has there nevertheless.
@@ -190,17 +205,21 @@ pub struct LabelError {
     pub eyes: PartError,
     pub mouth: PartError,
     pub hair: PartError,
+    pub neck: PartError,
     /// Pixels outside of the true head's mask where the avatar's alpha is above one half.
     pub surplus: u64,
 }
 
 impl LabelError {
     /// The whole head and its parts, by name.
-    pub fn parts(&self) -> [(&'static str, &PartError); 5] {
-        let Self { head, skin, eyes, mouth, hair, .. } = self;
-        [("head", head), ("skin", skin), ("eyes", eyes), ("mouth", mouth), ("hair", hair)]
+    pub fn parts(&self) -> [(&'static str, &PartError); 6] {
+        let Self { head, skin, eyes, mouth, hair, neck, .. } = self;
+        [("head", head), ("skin", skin), ("eyes", eyes), ("mouth", mouth), ("hair", hair), ("neck", neck)]
     }
 }
+
+/// How far behind the true surface an avatar is that is seen through it, metres: more than the depths of hair differ.
+const SEEN_THROUGH_METRES: f32 = 0.01;
 
 /// Sums over pairs; [`LabelErrorSum::result`] gives the errors.
 #[derive(Debug, Clone, Default)]
@@ -215,13 +234,17 @@ impl LabelErrorSum {
     /// Adds the pixels of a pair.
     pub fn add(&mut self, pair: &FlowComparison) {
         self.pairs += 1;
-        let flows = pair.truth.flow.pixels().iter().zip(pair.avatar.flow.pixels());
-        for ((part, &alpha), (&truth, &avatar)) in pair.parts().zip(pair.avatar.alpha.pixels()).zip(flows) {
-            let shown = alpha > 0.5;
-            match part {
-                Some(part) => self.parts[part as usize].add(shown, truth, avatar),
-                None => self.surplus += u64::from(shown),
-            }
+        let FlowComparison { truth, avatar, .. } = pair;
+        for (pixel, part) in pair.parts().enumerate() {
+            let shown = avatar.alpha.pixels()[pixel] > 0.5;
+            let Some(part) = part else {
+                self.surplus += u64::from(shown);
+                continue;
+            };
+            let sum = &mut self.parts[part as usize];
+            sum.add(shown, truth.flow.pixels()[pixel], avatar.flow.pixels()[pixel]);
+            let behind = avatar.depth.pixels()[pixel] - truth.depth.pixels()[pixel];
+            sum.seen_through += u64::from(shown && behind > SEEN_THROUGH_METRES);
         }
     }
 
@@ -229,7 +252,7 @@ impl LabelErrorSum {
     pub fn result(&self) -> LabelError {
         let mut head = PartSum::default();
         self.parts.iter().for_each(|part| head.merge(part));
-        let [skin, eyes, mouth, hair] = &self.parts;
+        let [skin, eyes, mouth, hair, neck] = &self.parts;
         LabelError {
             pairs: self.pairs,
             head: head.result(),
@@ -237,6 +260,7 @@ impl LabelErrorSum {
             eyes: eyes.result(),
             mouth: mouth.result(),
             hair: hair.result(),
+            neck: neck.result(),
             surplus: self.surplus,
         }
     }
@@ -247,6 +271,7 @@ impl LabelErrorSum {
 struct PartSum {
     shown: u64,
     missing: u64,
+    seen_through: u64,
     over_1_px: u64,
     errors: f64,
     max: f32,
@@ -291,6 +316,7 @@ impl PartSum {
     fn merge(&mut self, other: &Self) {
         self.shown += other.shown;
         self.missing += other.missing;
+        self.seen_through += other.seen_through;
         self.over_1_px += other.over_1_px;
         self.errors += other.errors;
         self.max = self.max.max(other.max);
@@ -317,6 +343,7 @@ impl PartSum {
         PartError {
             pixels: self.shown + self.missing,
             missing: self.missing,
+            seen_through: self.seen_through,
             errors: share(self.errors, self.shown).map(statistics),
             missing_mean: share(self.missing_errors, self.missing),
         }
@@ -478,17 +505,21 @@ mod tests {
         );
         assert!((errors.over_1_px - 0.499).abs() < 0.002, "{errors:?}");
         let none = PartSum::default().result();
-        assert_eq!(none, PartError { pixels: 0, missing: 0, errors: None, missing_mean: None });
+        assert_eq!(
+            none,
+            PartError { pixels: 0, missing: 0, seen_through: 0, errors: None, missing_mean: None }
+        );
     }
 
     #[test]
     fn the_part_with_the_largest_weight_is_shown() {
-        assert_eq!(HeadPart::largest([0.0; 3], 0.9), HeadPart::Skin);
-        assert_eq!(HeadPart::largest([0.2, 0.1, 0.2], 0.9), HeadPart::Skin);
-        assert_eq!(HeadPart::largest([0.3, 0.1, 0.4], 1.0), HeadPart::Hair);
-        assert_eq!(HeadPart::largest([0.0, 0.6, 0.0], 0.7), HeadPart::Mouth);
+        let largest = |first, alpha| HeadPart::largest([first, [0.25, 0.0, 0.0]], alpha);
+        assert_eq!(largest([0.0; 3], 0.9), HeadPart::Skin);
+        assert_eq!(largest([0.0; 3], 0.4), HeadPart::Neck);
+        assert_eq!(largest([0.0, 0.1, 0.3], 0.7), HeadPart::Hair);
+        assert_eq!(largest([0.0, 0.4, 0.0], 0.7), HeadPart::Mouth);
         for part in HeadPart::ALL {
-            assert_eq!(HeadPart::largest(part.paint(), 1.0), part);
+            assert_eq!(HeadPart::largest([0, 1].map(|pass| part.paint(pass)), 1.0), part);
         }
     }
 }

@@ -59,14 +59,15 @@ fn the_true_head_has_no_error_and_its_parts_make_up_the_whole() {
         })
         .unwrap();
     assert_eq!((seen, error.pairs), (pairs, 3));
-    let LabelError { head, skin, eyes, mouth, hair, surplus, .. } = error;
-    assert_eq!((mean(&head), head.missing, surplus), (0.0, 0, 0));
+    let LabelError { head, skin, eyes, mouth, hair, neck, surplus, .. } = error;
+    assert_eq!((mean(&head), head.missing, head.seen_through, surplus), (0.0, 0, 0, 0));
     assert_eq!(head.errors.unwrap().percentile_95, 0.0);
     let length = head.errors.unwrap().true_length;
     assert!((0.05..20.0).contains(&length), "the head moves by {length} px");
-    let parts = [skin, eyes, mouth, hair];
+    let parts = [skin, eyes, mouth, hair, neck];
     assert_eq!(parts.iter().map(|part| part.pixels).sum::<u64>(), head.pixels);
-    assert!(skin.pixels > 1000 && eyes.pixels > 10 && hair.pixels > 100, "{parts:?}");
+    let [skin, eyes, _, hair, neck] = parts.map(|part| part.pixels);
+    assert!(skin > 1000 && eyes > 10 && hair > 100 && neck > 500, "{parts:?}");
     assert_eq!(flow_pairs(&capture, CaptureSplit::Val, 2).len(), 4);
     assert_eq!(flow_pairs(&capture, CaptureSplit::Val, u32::MAX), []);
 }
@@ -130,6 +131,21 @@ fn where_the_avatar_does_not_show_the_head_pixels_are_missing() {
     assert!(head.missing > 200 && surplus > 200 && head.missing_mean.unwrap() > 0.0, "{error:?}");
     assert_eq!(error.parts()[1..].iter().map(|(_, part)| part.missing).sum::<u64>(), head.missing);
     assert!(mean(&head) < head.errors.unwrap().true_length, "the flow is similar, only elsewhere");
+}
+
+#[test]
+fn what_is_behind_the_true_surface_is_seen_through_it() {
+    let camera = front();
+    let seen_through = |metres: f32| {
+        let [first, second] = [0, 1].map(|timestep| {
+            let mut pose = MADE.truth.poses[timestep].clone();
+            pose.translation.z -= metres;
+            pose
+        });
+        let PartError { pixels, missing, seen_through, .. } = compared([&camera; 2], [&first, &second]).head;
+        seen_through as f64 / (pixels - missing) as f64
+    };
+    assert!(seen_through(0.03) > 0.95 && seen_through(-0.03) < 0.05);
 }
 
 #[test]

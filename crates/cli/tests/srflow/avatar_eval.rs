@@ -74,7 +74,8 @@ fn the_true_head_scores_like_itself() {
         // Opacities and scales go through their logarithms in the files of the avatar.
         assert!(set["head"]["errors"]["mean"].as_f64().unwrap() < 0.01, "{set}");
         assert!(set["head"]["errors"]["true_length"].as_f64().unwrap() > 0.1, "{set}");
-        let pixels = ["skin", "eyes", "mouth", "hair"].map(|part| set[part]["pixels"].as_u64().unwrap());
+        let pixels =
+            ["skin", "eyes", "mouth", "hair", "neck"].map(|part| set[part]["pixels"].as_u64().unwrap());
         assert_eq!(pixels.iter().sum::<u64>(), set["head"]["pixels"].as_u64().unwrap());
     }
     let saved: serde_json::Value =

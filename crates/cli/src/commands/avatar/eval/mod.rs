@@ -334,6 +334,7 @@ fn flow_tables(summary: &Summary) -> Vec<Table> {
         last.notes = vec![
             "Pixels of the true head's mask, without those that the avatar misses: its alpha is not above one half.".to_owned(),
             "The error of zero flow is the mean length of the true flow.".to_owned(),
+            "Seen through: the avatar is more than 10 mm behind the true surface.".to_owned(),
         ];
     }
     tables
@@ -346,9 +347,10 @@ fn flow_table(result: &FlowResult) -> Table {
             [errors.mean, errors.median, errors.percentile_95, 100.0 * errors.over_1_px, errors.true_length]
         });
         let errors = of_errors.map_or([None; 5], |errors| errors.map(Some));
-        let missing = (part.pixels > 0).then(|| 100.0 * part.missing as f64 / part.pixels as f64);
+        let of_pixels = |count: u64| (part.pixels > 0).then(|| 100.0 * count as f64 / part.pixels as f64);
         let share = 100.0 * part.pixels as f64 / error.head.pixels.max(1) as f64;
-        let values = [Some(share)].into_iter().chain(errors).chain([missing]).collect();
+        let counts = [of_pixels(part.missing), of_pixels(part.seen_through)];
+        let values = [Some(share)].into_iter().chain(errors).chain(counts).collect();
         Row { name: name.to_owned(), values, baseline: false }
     };
     let timesteps = if *step == 1 { "1 timestep".to_owned() } else { format!("{step} timesteps") };
@@ -366,6 +368,7 @@ fn flow_table(result: &FlowResult) -> Table {
             Column::plain("over_1_px", "% over 1 px", 2),
             Column::plain("true_length", "zero flow", 3),
             Column::plain("missing", "% missing", 2),
+            Column::plain("seen_through", "% seen through", 2),
         ],
         rows: error.parts().into_iter().map(row).collect(),
         notes: Vec::new(),

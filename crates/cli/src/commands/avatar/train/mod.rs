@@ -302,11 +302,9 @@ impl Progress {
     }
 
     fn step(&mut self, report: &StepReport) {
-        let (loss, gaussians) = match &self.last {
-            Some(last) => (last.loss, format!(", {} Gaussians", last.gaussians)),
-            None => (report.image.total, String::new()),
-        };
-        self.bar
-            .advance(report.iteration, |rate| format!("{rate:.1} iterations/s, loss {loss:.4}{gaussians}"));
+        let last = self.last.as_ref();
+        let last = last.map(|last| format!(", loss {:.4}, {} Gaussians", last.loss, last.gaussians));
+        let last = last.unwrap_or_default();
+        self.bar.advance(report.iteration, |rate| format!("{rate:.1} iterations/s{last}"));
     }
 }

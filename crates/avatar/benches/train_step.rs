@@ -115,6 +115,7 @@ fn selection(
         opacities: numbers.iter().map(|&i| all.opacities[i]).collect(),
         sh_degree: SH_DEGREE,
         sh: Vec::new(),
+        antialiased: false,
     };
     local.sh = vec![[0.0; 3]; COUNT * local.sh_len()];
     for (i, &number) in numbers.iter().enumerate() {

@@ -165,6 +165,7 @@ impl BoundGaussians {
     pub fn world_into(&self, frames: &[TriangleFrame], out: &mut Gaussians) {
         let n = self.len();
         out.sh_degree = self.local.sh_degree;
+        out.antialiased = self.local.antialiased;
         out.positions.resize(n, Vec3::ZERO);
         out.scales.resize(n, Vec3::ZERO);
         out.rotations.resize(n, Quat::IDENTITY);

@@ -312,6 +312,7 @@ fn gaussians_follow_flame_in_the_motion_of_their_files() {
         opacities: vec![0.8; n],
         sh_degree: 1,
         sh: vec![[0.5, 0.25, -0.5]; 4 * n],
+        antialiased: false,
     };
     write_bound_ply(&folder.path().join("point_cloud.ply"), &local, &triangles).unwrap();
     let unnamed: HeadSource = format!("avatar:{}", folder.path().display()).parse().unwrap();

@@ -114,7 +114,7 @@ impl Rendering<'_> {
 
     /// Adds the entries of the strips for each Gaussian, and continues through the projection.
     fn gather(&self, out: &mut GaussianGradients) {
-        let view = ViewBackward::new(&self.camera, self.next, &self.options);
+        let view = ViewBackward::new(self.gaussians, &self.camera, self.next, &self.options);
         let (splats, strips) = (&self.rasterizer.splats, &self.rasterizer.backward.strips);
         out.prepare(self.gaussians, self.next.is_some());
         let zero = [0.0; MAX_LANES - 1];

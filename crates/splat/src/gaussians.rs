@@ -19,6 +19,12 @@ pub struct Gaussians {
     /// Spherical-harmonics colour coefficients: `(sh_degree + 1)^2` entries per Gaussian, each `[r, g, b]`, starting with degree
     /// 0. Colour is `max(0, 0.5 + sum of coefficient times basis)`, as in the 3DGS reference.
     pub sh: Vec<[f32; 3]>,
+    /// Whether the low-pass filter, which makes every Gaussian about a pixel wide at least, reduces its opacity by the factor
+    /// by which it enlarges its area: `sqrt(det S / det(S + 0.3 I))`, with `S` the projected covariance. A Gaussian smaller than
+    /// a pixel then contributes in proportion to its area at any distance. This is the 2D filter of Mip-Splatting (Yu et al.
+    /// 2024) as in gsplat's `rasterize_mode="antialiased"` and the 3DGS reference's `--antialiasing`. It belongs to the Gaussians
+    /// and not to a rendering: they look right only as they were trained.
+    pub antialiased: bool,
 }
 
 impl Gaussians {

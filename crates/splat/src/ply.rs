@@ -30,7 +30,7 @@ const FULL_DEGREE: usize = 3;
 
 /// Reads 3D Gaussians; the spherical-harmonics degree follows from the number of `f_rest` properties (0, 9, 24 or 45).
 /// Properties may have any order and type, and other properties (colours, normals) are ignored; binary files of either byte
-/// order and ASCII files are read.
+/// order and ASCII files are read. A comment `SplatRenderMode: mip`, as Brush writes it, means antialiased ones.
 ///
 /// # Errors
 /// When the file cannot be read, is not a PLY of 3D Gaussians, contains Gaussians bound to a mesh (`binding_0` of
@@ -232,7 +232,8 @@ fn decode(reader: &mut impl Read, len: u64, bound: bool) -> Result<(Gaussians, V
     header.check_file_size(len)?;
     let count = usize::try_from(vertex.count)
         .map_err(|_| problem("vertex count", "a number that fits in memory", vertex.count))?;
-    let mut gaussians = Gaussians { sh_degree: layout.sh_degree, ..Gaussians::default() };
+    let mut gaussians =
+        Gaussians { sh_degree: layout.sh_degree, antialiased: header.antialiased, ..Gaussians::default() };
     gaussians.positions.reserve_exact(count);
     gaussians.scales.reserve_exact(count);
     gaussians.rotations.reserve_exact(count);
@@ -300,7 +301,11 @@ fn encode(gaussians: &Gaussians, triangles: Option<&[u32]>, writer: &mut BufWrit
     let names = names.chain((0..3 * rest).map(|i| format!("f_rest_{i}")));
     let last = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
     let binding = triangles.map(|_| "binding_0".to_owned());
-    writeln!(writer, "ply\nformat binary_little_endian 1.0\nelement vertex {}", gaussians.len())?;
+    writeln!(writer, "ply\nformat binary_little_endian 1.0")?;
+    if gaussians.antialiased {
+        writeln!(writer, "{}", header::ANTIALIASED)?;
+    }
+    writeln!(writer, "element vertex {}", gaussians.len())?;
     for name in names.chain(last.map(String::from)).chain(binding) {
         writeln!(writer, "property float {name}")?;
     }

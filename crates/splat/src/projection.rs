@@ -59,7 +59,7 @@ pub(crate) fn project(
     const CHUNK: usize = 2048;
     splats.resize(gaussians.len(), Splat::default());
     placements.resize(gaussians.len(), Placement::HIDDEN);
-    let view = View::new(camera, options.antialiased);
+    let view = View::new(camera, gaussians.antialiased);
     let motion = next.map(|next| (next.gaussians, Motion::new(next.camera, options.convention)));
     splats
         .par_chunks_mut(CHUNK)
@@ -94,7 +94,7 @@ pub(crate) struct View {
     /// Bounds of the direction at which the Jacobian is taken; see the notes in [`crate::reference`].
     clamp_min: DVec2,
     clamp_max: DVec2,
-    /// See [`Options::antialiased`].
+    /// See [`Gaussians::antialiased`].
     pub antialiased: bool,
 }
 
@@ -202,7 +202,7 @@ struct Ellipse {
 }
 
 impl Ellipse {
-    /// The factor by which the low-pass filter reduces the opacity; see [`Options::antialiased`].
+    /// The factor by which the low-pass filter reduces the opacity; see [`Gaussians::antialiased`].
     fn compensation(&self) -> f64 {
         (self.sharp_determinant / self.determinant).sqrt()
     }

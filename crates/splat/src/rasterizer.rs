@@ -18,12 +18,6 @@ pub struct Options {
     pub background: [f32; 3],
     /// Pixel convention of the flow.
     pub convention: PixelConvention,
-    /// Whether the low-pass filter, which makes every Gaussian about a pixel wide at least, reduces its opacity by the factor
-    /// by which it enlarges its area: `sqrt(det S / det(S + 0.3 I))`, with `S` the projected covariance. A Gaussian smaller than
-    /// a pixel then contributes in proportion to its area at any distance. This is the 2D filter of Mip-Splatting (Yu et al.
-    /// 2024) as in gsplat's `rasterize_mode="antialiased"` and the 3DGS reference's `--antialiasing`. Gaussians must be rendered
-    /// as they were trained.
-    pub antialiased: bool,
     /// The order in which the Gaussians at a pixel are blended.
     pub sorting: Sorting,
     pub outputs: Outputs,
@@ -50,12 +44,11 @@ pub enum Sorting {
 }
 
 impl Default for Options {
-    /// Black background, [`PixelConvention::Splat`], not antialiased, [`Sorting::Global`], every output.
+    /// Black background, [`PixelConvention::Splat`], [`Sorting::Global`], every output.
     fn default() -> Self {
         Self {
             background: [0.0; 3],
             convention: PixelConvention::Splat,
-            antialiased: false,
             sorting: Sorting::Global,
             outputs: Outputs::ALL,
         }

@@ -14,7 +14,7 @@
 //! A Gaussian is not drawn when its centre's depth is at most [`NEAR`], its opacity is under 1/255, its quaternion has length
 //! zero, or any of its parameters is not finite.
 //!
-//! With [`Options::antialiased`] the opacity is that after the reduction, for this decision too. The factor is gsplat's (`add_blur`
+//! With [`Gaussians::antialiased`] the opacity is that after the reduction, for this decision too. The factor is gsplat's (`add_blur`
 //! in `gsplat/cuda/include/Utils.cuh`), zero for a Gaussian that is flat and seen from its edge; the 3DGS reference limits it to at
 //! least 0.005.
 
@@ -68,6 +68,7 @@ struct Scene {
     /// The moved positions and the next camera.
     next: Option<(Vec<DVec3>, Camera)>,
     options: Options,
+    antialiased: bool,
 }
 
 /// A Gaussian on the image plane.
@@ -146,6 +147,7 @@ impl Scene {
             camera: *camera,
             next: next.map(|next| (positions(next.gaussians), *next.camera)),
             options: *options,
+            antialiased: gaussians.antialiased,
         })
     }
 
@@ -189,7 +191,7 @@ impl Scene {
             return None;
         }
         let projection = projection(&self.camera, point, world_from_axes(rotation, scale));
-        let opacity = if self.options.antialiased { opacity * compensation(&projection) } else { opacity };
+        let opacity = if self.antialiased { opacity * compensation(&projection) } else { opacity };
         if opacity < ALPHA_MIN {
             return None;
         }

@@ -228,6 +228,7 @@ mod tests {
                 opacities: vec![1.0],
                 sh: vec![[0.0; 3]],
                 sh_degree: 0,
+                antialiased: false,
             };
             let world = GaussianGradients {
                 positions: vec![gradient.0.as_vec3()],
@@ -278,6 +279,7 @@ mod tests {
             opacities: vec![1.0; count],
             sh: vec![[0.0; 3]; count],
             sh_degree: 0,
+            antialiased: false,
         };
         let world = GaussianGradients {
             positions: (0..count).map(|_| small()).collect(),

@@ -408,6 +408,7 @@ mod tests {
             opacities: (0..count).map(|_| vector().x.abs().min(1.0)).collect(),
             sh_degree: 1,
             sh: (0..4 * count).map(|_| vector().to_array()).collect(),
+            antialiased: false,
         }
     }
 

@@ -29,7 +29,7 @@ const MOST_EXACT: f32 = 16_777_216.0;
 
 /// The lists of [`Checkpoint::gaussians`].
 pub(super) fn lists_of(bound: &BoundGaussians) -> Lists {
-    let Gaussians { positions, scales, rotations, opacities, sh_degree: _, sh } = bound.local();
+    let Gaussians { positions, scales, rotations, opacities, sh, .. } = bound.local();
     vec![
         (TRIANGLES, bound.triangles().iter().map(|&triangle| triangle as f32).collect()),
         (POSITIONS, bytemuck::cast_slice(positions).to_vec()),
@@ -154,6 +154,7 @@ impl Checkpoint {
             opacities,
             sh_degree,
             sh: sh.chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect(),
+            antialiased: false,
         };
         BoundGaussians::new(local, triangles, triangle_count)
             .map_err(|error| self.broken(TRIANGLES, "triangles of the head model", error))

@@ -1,7 +1,7 @@
 //! The configuration of a training.
 
 use serde::{Deserialize, Serialize};
-use srflow_splat::{Options, Outputs};
+use srflow_splat::{Options, Outputs, Sorting};
 
 use super::{DensityControl, Mcmc, PoseRates, RateSchedule, Regularizers, Strategy};
 
@@ -22,8 +22,10 @@ pub struct TrainConfig {
     pub ssim_weight: f64,
     /// Whether the poses of the head are learned too.
     pub finetune_head: bool,
-    /// Whether Gaussians smaller than a pixel are drawn with their own area; see [`srflow_splat::Options::antialiased`].
+    /// Whether Gaussians smaller than a pixel are drawn with their own area; see [`srflow_splat::Gaussians::antialiased`].
     pub antialiased: bool,
+    /// Whether Gaussians are sorted at each pixel; see [`Sorting::PerPixel`].
+    pub sort_per_pixel: bool,
     /// Whether what is behind the head in the pictures is covered by the background, where the masks of the capture say so. Those of
     /// VHAP and srflow are over one colour already.
     pub apply_masks: bool,
@@ -53,6 +55,7 @@ impl Default for TrainConfig {
             ssim_weight: 0.2,
             finetune_head: true,
             antialiased: false,
+            sort_per_pixel: false,
             apply_masks: false,
             faithful: false,
             rates: RateSchedule::default(),
@@ -76,7 +79,8 @@ impl TrainConfig {
     /// How views are rendered: their colours.
     pub fn rendering(&self) -> Options {
         let outputs = Outputs { color: true, ..Outputs::NONE };
-        Options { background: self.background, antialiased: self.antialiased, outputs, ..Options::default() }
+        let sorting = if self.sort_per_pixel { Sorting::PerPixel } else { Sorting::Global };
+        Options { background: self.background, sorting, outputs, ..Options::default() }
     }
 
     /// Checks that every value is in the range in which it means something.

@@ -326,6 +326,7 @@ mod tests {
             opacities: vec![0.5; n],
             sh_degree: 0,
             sh: vec![[0.1; 3]; n],
+            antialiased: false,
         };
         BoundGaussians::new(local, triangles.to_vec(), 4).unwrap()
     }

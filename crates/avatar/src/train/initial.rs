@@ -17,6 +17,7 @@ pub fn initial_gaussians(count: usize, opacity: f32, seed: u64) -> BoundGaussian
         opacities: vec![opacity; count],
         sh_degree: 0,
         sh: (0..count).map(|_| std::array::from_fn(|_| stream.unit() / 255.0)).collect(),
+        antialiased: false,
     };
     BoundGaussians::new(local, (0..count as u32).collect(), count).expect("one triangle each")
 }

@@ -184,6 +184,7 @@ mod tests {
             opacities: opacities.to_vec(),
             sh_degree: 0,
             sh: (0..n).map(|i| [i as f32; 3]).collect(),
+            antialiased: false,
         };
         BoundGaussians::new(local, triangles.to_vec(), 3).unwrap()
     }

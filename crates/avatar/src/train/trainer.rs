@@ -113,7 +113,8 @@ impl Trainer {
         }
         let parameters = capture.parameters()?;
         let start = initial_gaussians(model.triangles.len(), config.initial_opacity(), config.seed);
-        let (local, triangles) = (start.local().clone(), start.triangles().to_vec());
+        let local = Gaussians { antialiased: config.antialiased, ..start.local().clone() };
+        let triangles = start.triangles().to_vec();
         let avatar = Avatar::with_gaussians(model, parameters.clone(), local, triangles)
             .map_err(|error| TrainError::Avatar { dir: dir(), error })?;
         let (model, at_rest) = (avatar.model(), &avatar.shaped().vertices);
@@ -155,7 +156,8 @@ impl Trainer {
     ) -> Result<Self, TrainError> {
         let mut trainer = Self::new(capture, model, config)?;
         let mut checkpoint = Checkpoint::open(path, &trainer.config, &trainer.fingerprint)?;
-        let bound = checkpoint.gaussians(trainer.units_at_rest.len())?;
+        let mut bound = checkpoint.gaussians(trainer.units_at_rest.len())?;
+        bound.local_mut().antialiased = trainer.config.antialiased;
         trainer.adam = GaussianAdam::load(bound.local(), &mut checkpoint)?;
         trainer.statistics = DensityStatistics::load(bound.len(), &mut checkpoint)?;
         trainer.pose_adam.load(&mut trainer.parameters.poses, &mut checkpoint)?;

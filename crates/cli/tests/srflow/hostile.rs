@@ -95,6 +95,7 @@ fn samples(folder: &Path) -> Vec<Sample> {
         opacities: vec![0.9; 2],
         sh_degree: 1,
         sh: vec![[1.0, -1.0, 0.5]; 8],
+        antialiased: false,
     };
     write_ply(&folder.join("a.ply"), &gaussians).unwrap();
     fs::write(folder.join("camera.json"), CAMERA).unwrap();

@@ -21,6 +21,7 @@ fn gaussians(x: f32, count: usize) -> Gaussians {
         opacities: vec![0.9; count],
         sh_degree: 0,
         sh: vec![[1.7, -1.7, -1.7]; count],
+        antialiased: false,
     }
 }
 

@@ -32,6 +32,7 @@ fn scene() -> tempfile::TempDir {
         opacities: vec![0.9; count],
         sh_degree: 0,
         sh: (0..count).map(|i| [(i % 3) as f32 - 1.0, (i % 5) as f32 - 2.0, 0.5]).collect(),
+        antialiased: false,
     };
     write_ply(&folder.path().join("a.ply"), &gaussians).unwrap();
     let frames: Vec<_> = (0..4)

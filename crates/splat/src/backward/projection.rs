@@ -18,9 +18,14 @@ pub(super) struct ViewBackward<'a> {
 }
 
 impl<'a> ViewBackward<'a> {
-    pub(super) fn new(camera: &Camera, next: Option<(&'a Gaussians, Camera)>, options: &Options) -> Self {
+    pub(super) fn new(
+        gaussians: &Gaussians,
+        camera: &Camera,
+        next: Option<(&'a Gaussians, Camera)>,
+        options: &Options,
+    ) -> Self {
         let next = next.map(|(gaussians, camera)| (gaussians, Motion::new(&camera, options.convention)));
-        Self { view: View::new(camera, options.antialiased), next }
+        Self { view: View::new(camera, gaussians.antialiased), next }
     }
 
     /// Writes the gradients of Gaussian number `index`, given those of its splat ([`Partial::sums`](super::Partial)), to

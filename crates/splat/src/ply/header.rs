@@ -96,12 +96,17 @@ impl Vertex {
     }
 }
 
+/// The comment of antialiased Gaussians, as Brush writes it.
+pub(super) const ANTIALIASED: &str = "comment SplatRenderMode: mip";
+
 #[derive(Debug)]
 pub(super) struct Header {
     pub encoding: Encoding,
     pub vertex: Vertex,
     /// Whether other elements follow the vertices.
     pub followed: bool,
+    /// Whether a comment says so; see [`ANTIALIASED`].
+    pub antialiased: bool,
     /// Length of the header in the file.
     bytes: usize,
 }
@@ -117,10 +122,12 @@ impl Header {
         let mut encoding = None;
         let mut vertex: Option<Vertex> = None;
         let mut followed = false;
+        let mut antialiased = false;
         loop {
             let line = lines.next()?;
             match line.split_ascii_whitespace().collect::<Vec<_>>()[..] {
                 ["end_header"] => break,
+                ["comment", "SplatRenderMode:", "mip"] => antialiased = true,
                 ["comment" | "obj_info", ..] | [] => {}
                 ["format", name, "1.0"] => encoding = Some(parse_encoding(name)?),
                 ["element", "vertex", count] if vertex.is_none() => {
@@ -154,6 +161,7 @@ impl Header {
             encoding: encoding.ok_or_else(|| problem("format", "a line `format ... 1.0`", "none"))?,
             vertex: vertex.ok_or_else(|| problem("element", "`vertex`", "none"))?,
             followed,
+            antialiased,
             bytes: lines.bytes,
         })
     }

@@ -220,6 +220,22 @@ fn bound_gaussians_survive_writing_and_reading_with_the_properties_of_gaussian_a
 }
 
 #[test]
+fn antialiased_gaussians_stay_antialiased() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.ply");
+    for antialiased in [false, true] {
+        write_ply(&path, &Gaussians { antialiased, ..random(1, 2, 0) }).unwrap();
+        assert_eq!(read_ply(&path).unwrap().antialiased, antialiased);
+        let text = String::from_utf8_lossy(&fs::read(&path).unwrap()).into_owned();
+        assert_eq!(text.contains("\ncomment SplatRenderMode: mip\n"), antialiased);
+    }
+    // As Brush marks others.
+    let text = String::from_utf8(foreign("ascii")).unwrap();
+    let other = text.replacen("element", "comment SplatRenderMode: default\nelement", 1);
+    assert!(!decode(&mut other.as_bytes(), other.len() as u64, false).unwrap().0.antialiased);
+}
+
+#[test]
 fn bindings_that_are_no_triangle_are_refused() {
     let text = String::from_utf8(foreign("ascii")).unwrap().replace("segment", "binding_0");
     let read = |text: &str| {

@@ -200,7 +200,7 @@ impl Scene {
         let mut row_gradients =
             [0, 1].map(|i| 2.0 * (covariance.col(i).x * rows[0] + covariance.col(i).y * rows[1]));
         out.opacities[index] = gradient.opacity;
-        if self.options.antialiased {
+        if self.antialiased {
             // The opacity on the image is the Gaussian's times the compensation.
             out.opacities[index] *= compensation(&projection);
             let slopes = compensation_slopes(&projection);

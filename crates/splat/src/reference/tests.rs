@@ -155,14 +155,13 @@ fn gradients_of_random_scenes_match_central_differences() {
     let mut nonzero = 0;
     for seed in 0..12 {
         let degree = seed as usize % 4;
-        let gaussians = random(seed, 14, degree);
+        let mut gaussians = random(seed, 14, degree);
+        gaussians.antialiased = seed / 4 == 1;
         let moved_gaussians = jittered(&gaussians, seed, 0.05);
         let second = Camera { fx: 42.0, ..moved(small(), 0.05, -0.03, DVec3::new(0.05, 0.02, -0.1)) };
         let convention = [PixelConvention::Splat, PixelConvention::Paper][seed as usize % 2];
-        let antialiased = seed / 4 == 1;
         let sorting = if seed >= 8 { Sorting::PerPixel } else { Sorting::Global };
-        let options =
-            Options { background: [0.2, 0.9, 0.4], convention, antialiased, sorting, ..Options::default() };
+        let options = Options { background: [0.2, 0.9, 0.4], convention, sorting, ..Options::default() };
         let next = Next { gaussians: &moved_gaussians, camera: &second };
         let mut scene = scene(&gaussians, Some(next), &options);
         scene.camera = moved(scene.camera, -0.1, 0.05, DVec3::new(0.1, 0.0, 0.2));
@@ -181,10 +180,10 @@ fn gradients_beyond_every_border_match_central_differences() {
         gaussians.positions = vec![Vec3::new(x, y, 1.0), Vec3::new(1.1 * x, y, 1.1), Vec3::new(x, y, 1.4)];
         gaussians.scales.fill(Vec3::new(0.4, 0.5, 0.7));
         gaussians.opacities = vec![0.8, 0.9, 0.7];
-        let next = Next { gaussians: &gaussians, camera: &small() };
         for antialiased in [false, true] {
-            let options = Options { antialiased, ..Options::default() };
-            assert!(assert_gradients(&scene(&gaussians, Some(next), &options), 5) > 50);
+            gaussians.antialiased = antialiased;
+            let next = Next { gaussians: &gaussians, camera: &small() };
+            assert!(assert_gradients(&scene(&gaussians, Some(next), &Options::default()), 5) > 50);
         }
     }
 }
@@ -202,9 +201,9 @@ fn gradients_of_antialiased_gaussians_smaller_than_a_pixel_match_central_differe
             gaussians.scales[i] =
                 size * [Vec3::ONE, Vec3::new(1.0, 0.1, 0.2), Vec3::new(1.0, 0.8, 0.05)][i % 3];
         }
-        let options = Options { antialiased: true, ..Options::default() };
+        gaussians.antialiased = true;
         let next = Next { gaussians: &gaussians, camera: &small() };
-        nonzero += assert_gradients(&scene(&gaussians, Some(next), &options), seed as u64);
+        nonzero += assert_gradients(&scene(&gaussians, Some(next), &Options::default()), seed as u64);
     }
     assert!(nonzero > 300, "only {nonzero} gradients are not zero");
 }

@@ -1,4 +1,4 @@
-//! What [`Options::antialiased`] is for.
+//! What [`Gaussians::antialiased`] is for.
 
 use glam::{Quat, Vec3};
 
@@ -7,8 +7,8 @@ use crate::{Camera, Frame, Gaussians, Options, Rasterizer};
 
 fn render(gaussians: &Gaussians, camera: &Camera, antialiased: bool) -> Frame {
     let mut frame = Frame::new();
-    let options = Options { antialiased, ..Options::default() };
-    Rasterizer::new().render(gaussians, camera, None, &options, &mut frame).unwrap();
+    let gaussians = Gaussians { antialiased, ..gaussians.clone() };
+    Rasterizer::new().render(&gaussians, camera, None, &Options::default(), &mut frame).unwrap();
     frame
 }
 

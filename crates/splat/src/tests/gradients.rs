@@ -13,12 +13,10 @@ use crate::{
 const OPTIONS: Options = Options {
     background: [0.1, 0.5, 0.9],
     convention: crate::PixelConvention::Paper,
-    antialiased: false,
     sorting: Sorting::Global,
     outputs: Outputs::NONE,
 };
 
-const ANTIALIASED: Options = Options { antialiased: true, ..OPTIONS };
 const PER_PIXEL: Options = Options { sorting: Sorting::PerPixel, ..OPTIONS };
 
 fn fast(
@@ -139,7 +137,8 @@ fn gradients_of_random_scenes_agree() {
             assert_agree(&gaussians, &camera(), None, &OPTIONS, some);
             assert_agree(&gaussians, &camera(), Some(next), &PER_PIXEL, some);
         }
-        assert_agree(&gaussians, &camera(), Some(next), &ANTIALIASED, &all);
+        let antialiased = Gaussians { antialiased: true, ..gaussians };
+        assert_agree(&antialiased, &camera(), Some(next), &OPTIONS, &all);
     }
 }
 
@@ -218,7 +217,8 @@ fn earlier_gradients_leave_no_trace() {
     assert!(large(&mut rasterizer, &PER_PIXEL, 1) == expected_per_pixel);
     let few = random(3, 50, 1);
     let pixels = camera().width * camera().height;
-    fast(&mut rasterizer, &few, &camera(), None, &ANTIALIASED, &gradients(pixels, 1));
+    let antialiased = Gaussians { antialiased: true, ..few.clone() };
+    fast(&mut rasterizer, &antialiased, &camera(), None, &OPTIONS, &gradients(pixels, 1));
     let mut frame = Frame::new();
     let mut out = expected.clone();
     let mut rendering = rasterizer.render(&few, &camera(), None, &OPTIONS, &mut frame).unwrap();
@@ -268,7 +268,8 @@ fn extreme_but_finite_parameters_give_no_nan() {
             next.positions.reverse();
             let next = Next { gaussians: &next, camera: &camera() };
             let gradients = gradients(pixels, 1);
-            for options in [OPTIONS, ANTIALIASED, PER_PIXEL] {
+            for (antialiased, options) in [(false, OPTIONS), (true, OPTIONS), (false, PER_PIXEL)] {
+                gaussians.antialiased = antialiased;
                 let found =
                     fast(&mut Rasterizer::new(), &gaussians, &camera(), Some(next), &options, &gradients);
                 let values = lists_of(&found);

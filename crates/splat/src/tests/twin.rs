@@ -68,11 +68,12 @@ fn random_scenes_agree() {
     let mut covered = 0;
     for seed in 0..48 {
         let count = [3, 30, 120, 400][seed as usize % 4];
-        let gaussians = random(seed, count, seed as usize / 4 % 4);
+        let mut gaussians = random(seed, count, seed as usize / 4 % 4);
+        gaussians.antialiased = seed / 16 == 1;
         let next = jittered(&gaussians, seed, 0.02);
         let next = Next { gaussians: &next, camera: &second };
         let sorting = if seed >= 32 { Sorting::PerPixel } else { Sorting::Global };
-        let options = Options { antialiased: seed / 16 == 1, sorting, ..Options::default() };
+        let options = Options { sorting, ..Options::default() };
         let (frame, pixels) = both_with(&options, &gaussians, &first, Some(next));
         covered += assert_close(&frame, &pixels);
         let blended: u64 = pixels.iter().map(|pixel| u64::from(pixel.blended)).sum();
@@ -223,7 +224,8 @@ fn extreme_but_finite_parameters_do_no_harm() {
             for (antialiased, sorting) in
                 [(false, Sorting::Global), (true, Sorting::Global), (false, Sorting::PerPixel)]
             {
-                let options = Options { antialiased, sorting, ..Options::default() };
+                gaussians.antialiased = antialiased;
+                let options = Options { sorting, ..Options::default() };
                 let next = Next { gaussians: &next, camera: &camera() };
                 let (frame, _) = both_with(&options, &gaussians, &camera(), Some(next));
                 assert!(frame.alpha.pixels().iter().all(|alpha| (0.0..=1.0).contains(alpha)), "{a} {b}");

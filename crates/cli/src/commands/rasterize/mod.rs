@@ -81,7 +81,7 @@ pub struct Rasterize {
     /// Convention for pixel coordinates of the flow
     #[arg(long, value_enum, default_value_t = Convention::Splat)]
     pixel_convention: Convention,
-    /// Reduce the opacity of Gaussians smaller than a pixel, for Gaussians that were trained in this way
+    /// Reduce the opacity of Gaussians smaller than a pixel, for Gaussians that were trained in this way [default: as their file says]
     #[arg(long)]
     antialiased: bool,
     /// Sort the Gaussians at each pixel along its ray, in place of once by their centres: nothing pops when the camera moves
@@ -138,7 +138,6 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
             Convention::Splat => PixelConvention::Splat,
             Convention::Paper => PixelConvention::Paper,
         },
-        antialiased: args.antialiased,
         sorting: if args.sort_per_pixel { Sorting::PerPixel } else { Sorting::Global },
         ..Options::default()
     };
@@ -194,11 +193,13 @@ fn one_frame(args: &Rasterize, options: &Options, context: &Context) -> anyhow::
 
 /// The Gaussians of this frame, and those of the next if they move.
 fn read_gaussians(args: &Rasterize) -> anyhow::Result<(Gaussians, Option<Gaussians>)> {
-    if let Some(posed) = args.head.gaussians()? {
-        return Ok(posed);
+    if let Some((mut gaussians, next)) = args.head.gaussians()? {
+        gaussians.antialiased |= args.antialiased;
+        return Ok((gaussians, next));
     }
     let Some(path) = &args.gaussians else { wrong_usage!("give a PLY of Gaussians, or --head") };
-    let gaussians = read_ply(path)?;
+    let mut gaussians = read_ply(path)?;
+    gaussians.antialiased |= args.antialiased;
     let moved = args.next.as_deref().map(read_ply).transpose()?;
     if let (Some(moved), Some(next)) = (&moved, &args.next) {
         ensure!(

@@ -67,9 +67,9 @@ pub struct Eval {
     /// Cameras without a principal point and with one focal length, as GaussianAvatars takes them; known of a training
     #[arg(long)]
     faithful: bool,
-    /// The avatar is rendered antialiased, as it was trained; known of a training
+    /// The Gaussians are sorted at each pixel; known of a training
     #[arg(long)]
-    antialiased: bool,
+    sort_per_pixel: bool,
     /// Also write eval.json, report.html and pictures into this folder
     #[arg(short, long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -172,7 +172,7 @@ fn configuration(args: &Eval) -> anyhow::Result<TrainConfig> {
         config.background = background.map(|channel| f32::from(channel) / 255.0);
     }
     config.faithful |= args.faithful;
-    config.antialiased |= args.antialiased;
+    config.sort_per_pixel |= args.sort_per_pixel;
     Ok(config)
 }
 

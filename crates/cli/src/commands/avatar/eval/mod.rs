@@ -131,6 +131,7 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     let capture = Capture::read(&args.capture)?;
     let truth_dir = args.truth.as_ref().unwrap_or(&args.capture);
     let truth = args.flow.then(|| TrueCapture::read(truth_dir)).transpose()?;
+    let pair_sets = if args.flow { pair_sets(&args, &capture)? } else { Vec::new() };
     let avatar = args.avatar.avatar(0).with_context(|| format!("reading {}", args.avatar))?;
     let poses = capture.poses_of(&avatar)?;
 
@@ -143,7 +144,10 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
             let (options, faithful) = (config.rendering(), config.faithful);
             let tested =
                 TestedAvatar { avatar: &avatar, poses: &poses, capture: &capture, truth, options, faithful };
-            Some(FlowSummary { truth: truth_dir.clone(), results: flow_errors(&args, &tested, &mut panels)? })
+            Some(FlowSummary {
+                truth: truth_dir.clone(),
+                results: flow_errors(&args, &pair_sets, &tested, &mut panels)?,
+            })
         }
     };
     let summary = Summary {
@@ -237,31 +241,46 @@ fn picture_scores(
     Ok(splits)
 }
 
-fn flow_errors(args: &Eval, tested: &TestedAvatar, panels: &mut Panels) -> anyhow::Result<Vec<FlowResult>> {
-    let mut sets: Vec<(CaptureSplit, u32, Vec<FlowPair>)> = Vec::new();
+/// Pairs of one split that are as many timesteps apart.
+struct PairSet {
+    split: CaptureSplit,
+    step: u32,
+    pairs: Vec<FlowPair>,
+}
+
+/// The pairs to compare.
+fn pair_sets(args: &Eval, capture: &Capture) -> anyhow::Result<Vec<PairSet>> {
+    let mut sets: Vec<PairSet> = Vec::new();
     for &split in &args.split {
         for &step in &args.step {
-            let pairs = drawn(flow_pairs(tested.capture, split, step), args.limit);
-            sets.extend((!pairs.is_empty()).then_some((split, step, pairs)));
+            let pairs = drawn(flow_pairs(capture, split, step), args.limit);
+            sets.extend((!pairs.is_empty()).then_some(PairSet { split, step, pairs }));
         }
     }
     if sets.is_empty() {
         wrong_usage!(
             "--step {:?}: one camera has no two pictures of a split so many timesteps apart; the capture has {} timesteps",
             args.step,
-            tested.capture.timesteps().len()
+            capture.timesteps().len()
         );
     }
-    let progress = bar(
-        sets.iter().map(|(.., pairs)| pairs.len() as u64).sum::<u64>(),
-        "flow {bar:30} {pos}/{len}, {eta}",
-    );
+    Ok(sets)
+}
+
+fn flow_errors(
+    args: &Eval,
+    sets: &[PairSet],
+    tested: &TestedAvatar,
+    panels: &mut Panels,
+) -> anyhow::Result<Vec<FlowResult>> {
+    let progress =
+        bar(sets.iter().map(|set| set.pairs.len() as u64).sum::<u64>(), "flow {bar:30} {pos}/{len}, {eta}");
     let mut results = Vec::new();
-    for (split, step, pairs) in sets {
+    for &PairSet { split, step, ref pairs } in sets {
         let shown: Vec<usize> =
             (0..SHOWN_PAIRS).map(|part| (2 * part + 1) * pairs.len() / (2 * SHOWN_PAIRS)).collect();
         let mut place = 0;
-        let error = tested.label_error(&pairs, |pair, flows| {
+        let error = tested.label_error(pairs, |pair, flows| {
             if args.out.is_some() && shown.contains(&place) {
                 panels.flows.push(FlowPanels::new(split, step, *pair, flows));
             }

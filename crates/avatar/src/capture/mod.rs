@@ -15,6 +15,7 @@
 
 mod export;
 mod head;
+mod import;
 mod landmarks;
 mod read;
 mod split;
@@ -29,6 +30,7 @@ use srflow_splat::Camera;
 
 pub use export::{PARAMETERS_FOLDER, parameters_name, write_canonical, write_tracked};
 pub use head::{HEAD_NAME, HeadRecord};
+pub use import::{ImportRequest, Imported, PicturePattern, import};
 pub use landmarks::{Face, LANDMARK_COUNT, LANDMARKS_NAME, Landmarks};
 pub use split::{CaptureSplit, FRONT_CAMERA, split_of};
 pub use write::write_transforms;

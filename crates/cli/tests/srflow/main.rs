@@ -19,6 +19,7 @@ mod flow;
 mod flow_networks;
 mod frames;
 mod hostile;
+mod import;
 mod licences;
 mod mer_data;
 mod mer_run;

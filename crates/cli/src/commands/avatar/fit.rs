@@ -1,7 +1,7 @@
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-use anyhow::{Context as _, bail};
+use anyhow::Context as _;
 use clap::Args;
 use serde::Serialize;
 use srflow_avatar::capture::{Capture, CaptureView, HeadRecord, LANDMARKS_NAME, Landmarks, write_tracked};
@@ -9,6 +9,7 @@ use srflow_avatar::fit::{FitError, FitOptions, FitReport, FitStage, LandmarkView
 use srflow_avatar::{HeadModel, HeadSource};
 use srflow_field::{create_folder, excerpts, write_file};
 
+use super::paths::from_to;
 use crate::Context;
 use crate::commands::render::head_help;
 use crate::output::{ensure_folder, ensure_free, print_json};
@@ -211,21 +212,6 @@ fn fit_with_progress(
 
 fn same_folder(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
-}
-
-/// The path from a folder to another one, both of which exist: relative, so that the two can be moved together.
-fn from_to(from: &Path, to: &Path) -> anyhow::Result<PathBuf> {
-    let whole =
-        |path: &Path| path.canonicalize().with_context(|| format!("{}: finding the folder", path.display()));
-    let (from, to) = (whole(from)?, whole(to)?);
-    let (from, to): (Vec<Component>, Vec<Component>) =
-        (from.components().collect(), to.components().collect());
-    if from.first() != to.first() {
-        bail!("the capture and the output are on different drives; choose a folder beside the capture");
-    }
-    let shared = from.iter().zip(&to).take_while(|(a, b)| a == b).count();
-    let up = std::iter::repeat_n(Component::ParentDir, from.len() - shared);
-    Ok(up.chain(to[shared..].iter().copied()).collect())
 }
 
 fn print_summary(summary: &Summary) -> anyhow::Result<()> {

@@ -3,7 +3,9 @@
 mod capture;
 mod eval;
 mod fit;
+mod import;
 mod mesh;
+mod paths;
 mod scores;
 mod train;
 
@@ -23,6 +25,7 @@ enum AvatarCommand {
     Capture(capture::Capture),
     Eval(eval::Eval),
     Fit(fit::Fit),
+    Import(import::Import),
     Mesh(mesh::Mesh),
     Train(train::Train),
 }
@@ -32,6 +35,7 @@ pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
         AvatarCommand::Capture(args) => capture::run(args, context),
         AvatarCommand::Eval(args) => eval::run(args, context),
         AvatarCommand::Fit(args) => fit::run(args, context),
+        AvatarCommand::Import(args) => import::run(args, context),
         AvatarCommand::Mesh(args) => mesh::run(args, context),
         AvatarCommand::Train(args) => train::run(args, context),
     }

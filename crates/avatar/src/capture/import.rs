@@ -97,8 +97,8 @@ fn matches<'a>(
 pub struct Imported {
     /// In the order of [`Capture::views`](super::Capture::views). Paths are relative to the folder of the pictures.
     pub views: Vec<CaptureView>,
-    /// Names of the cameras, by index.
-    pub cameras: Vec<String>,
+    /// Numbers and names of the cameras.
+    pub cameras: Vec<(u32, String)>,
     /// Names in the pictures that the file of cameras lacks; their pictures are left out.
     pub unknown_cameras: Vec<String>,
     /// Names of the file of cameras without pictures.
@@ -122,8 +122,8 @@ pub struct ImportRequest<'a> {
     pub unit: f64,
 }
 
-/// Finds pictures in a folder, their cameras in a file, and divides them as VHAP does. Cameras are numbered from 0 in the order of
-/// their names, numbers by value. A camera of another size than its pictures is resized if the shape is the same.
+/// Finds pictures in a folder, their cameras in a file, and divides them as VHAP does. Cameras whose
+/// names are all numbers up to 999 keep them; others are numbered from 0 in the order of their names. A camera of another size than its pictures is resized if the shape is the same.
 ///
 /// # Errors
 /// When nothing matches, two pictures have the same camera and timestep, the file of cameras cannot be read, or a camera has
@@ -164,7 +164,8 @@ pub fn import(request: &ImportRequest<'_>) -> Result<Imported, FileError> {
 
     let mut views = BTreeMap::new();
     let (mut without_mask, mut distorted) = (0, None);
-    for (index, name) in (0..).zip(&names) {
+    let indices = indices(&names);
+    for (&index, name) in indices.iter().zip(&names) {
         let NamedCamera { camera, distortion, .. } = known[name.as_str()];
         distorted = distorted.or_else(|| Some((name.clone(), distortion.clone()?)));
         let timesteps = &found[name];
@@ -188,9 +189,20 @@ pub fn import(request: &ImportRequest<'_>) -> Result<Imported, FileError> {
     let mut views: Vec<CaptureView> = views.into_values().collect();
     let mut timesteps: Vec<u32> = views.iter().map(|view| view.timestep).collect();
     timesteps.dedup();
-    let split_of = split_of(&timesteps, &(0..names.len() as u32).collect::<Vec<u32>>());
+    let split_of = split_of(&timesteps, &indices);
     views.iter_mut().for_each(|view| view.split = split_of(view.timestep, view.camera_index));
-    Ok(Imported { views, cameras: names, unknown_cameras, unused_cameras, without_mask, distorted })
+    let cameras = indices.into_iter().zip(names).collect();
+    Ok(Imported { views, cameras, unknown_cameras, unused_cameras, without_mask, distorted })
+}
+
+/// The numbers of cameras of these names, ascending.
+fn indices(names: &[String]) -> Vec<u32> {
+    let numbers: Vec<u32> = names.iter().filter_map(|name| name.parse().ok()).collect();
+    let distinct = numbers.windows(2).all(|pair| pair[0] < pair[1]);
+    if numbers.len() == names.len() && distinct && numbers.last().is_some_and(|&last| last <= 999) {
+        return numbers;
+    }
+    (0..names.len() as u32).collect()
 }
 
 fn some(names: &[String]) -> String {
@@ -347,12 +359,12 @@ mod tests {
         let masks = pattern("seq/cam_{camera}/mask_{timestep}");
         let found =
             import_from(folder.path(), "seq/cam_{camera}/frame_{timestep}.png", Some(&masks)).unwrap();
-        assert_eq!(found.cameras, ["2", "10"], "by value");
+        assert_eq!(found.cameras, [(2, "2".to_owned()), (10, "10".to_owned())]);
         assert_eq!((found.unknown_cameras, found.without_mask), (vec!["x".to_owned()], 4));
         assert_eq!(found.unused_cameras, ["cam_unused"]);
         let places: Vec<(u32, u32)> =
             found.views.iter().map(|view| (view.timestep, view.camera_index)).collect();
-        assert_eq!(places[..3], [(3, 0), (3, 1), (4, 0)]);
+        assert_eq!(places[..3], [(3, 2), (3, 10), (4, 2)]);
         let view = &found.views[1];
         assert_eq!(view.image, Path::new("seq/cam_10/frame_00003.png"));
         assert_eq!((&view.mask, &found.views[0].mask), (&None, &Some("seq/cam_2/mask_00003.png".into())));
@@ -363,6 +375,15 @@ mod tests {
         assert!((found.views[0].camera.position().x - 0.25).abs() < 1e-12);
         let splits: Vec<_> = found.views.iter().map(|view| view.split.to_string()).collect();
         assert_eq!(splits, ["train", "val", "train", "val", "train", "val", "test", "test"]);
+    }
+
+    #[test]
+    fn cameras_keep_small_numbers() {
+        let of = |names: &[&str]| indices(&names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>());
+        assert_eq!(of(&["00", "08", "15"]), [0, 8, 15]);
+        assert_eq!(of(&["8", "08"]), [0, 1]);
+        assert_eq!(of(&["221501007", "222200036"]), [0, 1]);
+        assert_eq!(of(&["7", "front"]), [0, 1]);
     }
 
     #[test]

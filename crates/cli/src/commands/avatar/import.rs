@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
@@ -89,7 +90,7 @@ fn print(args: &Import, imported: &Imported, context: &Context) -> anyhow::Resul
             "out": args.out,
             "pictures": views.len(),
             "timesteps": timesteps.len(),
-            "cameras": cameras,
+            "cameras": cameras.iter().map(|(index, name)| (index.to_string(), name.as_str())).collect::<BTreeMap<_, _>>(),
             "unknown_cameras": unknown_cameras,
             "unused_cameras": unused_cameras,
             "without_mask": without_mask,
@@ -105,7 +106,8 @@ fn print(args: &Import, imported: &Imported, context: &Context) -> anyhow::Resul
         cameras.len(),
         timesteps.len()
     )?;
-    say!("Cameras from 0 on: {}", listed(cameras))?;
+    let numbered: Vec<String> = cameras.iter().map(|(index, name)| format!("{index}: {name}")).collect();
+    say!("Cameras: {}", listed(&numbered))?;
     if !unknown_cameras.is_empty() {
         say!("Left out, since {} lacks them: cameras {}", args.cameras.display(), listed(unknown_cameras))?;
     }

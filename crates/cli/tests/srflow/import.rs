@@ -17,8 +17,10 @@ fn pictures_and_cameras_become_a_capture_that_can_be_fitted() {
     let size = ["--cameras", "3", "--timesteps", "4", "--size", "110x160", "--seed", "4"];
     json(&run(&[&["capture", "--out", "made", "--json"], &size[..]].concat()));
     // As a person has them, without our names.
+    let made = Capture::read(&folder.join("made")).unwrap();
+    let numbers = made.camera_indices();
     for timestep in 0..4 {
-        for camera in 0..3 {
+        for &camera in &numbers {
             let from = |kind: &str| folder.join(format!("made/{kind}/{timestep:05}_{camera:02}.png"));
             let to = folder.join(format!("video/cam_{camera:02}"));
             fs::create_dir_all(&to).unwrap();
@@ -39,12 +41,13 @@ fn pictures_and_cameras_become_a_capture_that_can_be_fitted() {
         run(&[&["import", "video", "--cameras", "calibration.json"], &patterns[..], more].concat())
     };
     let report = json(&import(&["--out", "capture", "--json"]));
-    assert_eq!(
-        (&report["pictures"], &report["cameras"]),
-        (&12.into(), &serde_json::json!(["00", "01", "02"]))
+    assert_eq!(report["pictures"], 12);
+    let found = report["cameras"].as_object().unwrap();
+    assert!(
+        numbers.iter().all(|camera| found[&camera.to_string()] == format!("{camera:02}")) && found.len() == 3
     );
     assert_eq!((&report["train"], &report["val"], &report["test"]), (&6.into(), &3.into(), &3.into()));
-    let [made, imported] = ["made", "capture"].map(|name| Capture::read(&folder.join(name)).unwrap());
+    let imported = Capture::read(&folder.join("capture")).unwrap();
     assert_eq!(made.views().len(), imported.views().len());
     for (made_view, view) in made.views().iter().zip(imported.views()) {
         let place =

@@ -214,8 +214,8 @@ pub fn run(request: RunRequest, on_event: &mut dyn FnMut(RunEvent)) -> Result<Ru
             Ok::<(), FileError>(())
         };
         append(LogRecord::Iterations(window.take(trainer.avatar().bound().len())), on_event)?;
-        if iteration.is_multiple_of(intervals.score) && iteration != config.iterations {
-            // The scores after the last iteration are those of the run.
+        // The scores after the last iteration are those of the run.
+        if intervals.scores(iteration) && iteration + intervals.score <= config.iterations {
             let split = held_out(trainer.capture());
             if let Some(ScoredSplit { scores, .. }) = score(&mut trainer, split, on_event)? {
                 append(LogRecord::Scores((iteration, &scores).into()), on_event)?;
@@ -258,6 +258,12 @@ impl Intervals {
     fn of(iterations: u64) -> Self {
         let log = (iterations / 3000).clamp(1, 100);
         Self { log, score: iterations.div_ceil(10).next_multiple_of(log) }
+    }
+
+    /// In the middle of each interval: at round numbers of iterations opacities are reset.
+    fn scores(&self, iteration: u64) -> bool {
+        let middle = self.score / 2 / self.log * self.log;
+        iteration % self.score == middle
     }
 }
 

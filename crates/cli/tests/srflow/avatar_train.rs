@@ -131,7 +131,7 @@ fn a_killed_run_goes_on_to_the_same_bytes() {
     going.wait().unwrap();
     assert!(!killed.join("scores.json").exists(), "it was killed too late");
     fs::write(killed.join(".checkpoint.npz.1-1.partial"), "half").unwrap();
-    fs::write(killed.join("point_cloud/iteration_16/.point_cloud.ply.1-2.partial"), "half").unwrap();
+    fs::write(killed.join("point_cloud/iteration_20/.point_cloud.ply.1-2.partial"), "half").unwrap();
     let resumed = train(&["--resume", killed_text, "--threads", "1"]);
     finishes(&resumed);
     assert!(String::from_utf8_lossy(&resumed.stderr).contains("from iteration 13"));

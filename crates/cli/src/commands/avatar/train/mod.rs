@@ -88,7 +88,7 @@ struct Overrides {
     /// Keep the defects of GaussianAvatars' code, listed in docs/avatars.md
     #[arg(long)]
     faithful: bool,
-    /// Any key of the configuration, e.g. background=[0,0,0] or density.until=15000
+    /// Any key of the configuration, e.g. ssim_weight=0.1 or density.until=15000
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
 }

@@ -132,6 +132,15 @@ macro_rules! grid {
                 self.pixels
             }
 
+            /// Those of one height beside each other, from left to right. Panics when their heights differ.
+            pub fn beside(all: &[Self]) -> Self {
+                let height = all.first().map_or(0, Self::height);
+                assert!(all.iter().all(|one| one.height == height), "heights differ");
+                let width = all.iter().map(Self::width).sum();
+                let pixels = (0..height).flat_map(|y| all.iter().flat_map(move |one| one.row(y))).copied().collect();
+                Self { width, height, pixels }
+            }
+
             /// The rectangle of `width` by `height` whose top left pixel is `(left, top)`.
             /// Panics when it is not inside.
             pub fn crop(&self, left: usize, top: usize, width: usize, height: usize) -> Self {
@@ -175,5 +184,19 @@ impl FlowField {
     pub fn known(&self) -> Mask {
         let pixels = self.pixels.iter().map(|[u, v]| u.is_finite() && v.is_finite()).collect();
         Mask { width: self.width, height: self.height, pixels }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn grids_beside_each_other_keep_their_rows() {
+        let grid = |width, first: f32| Plane::from_fn(width, 2, |x, y| first + (y * width + x) as f32);
+        let both = Plane::beside(&[grid(1, 0.0), grid(3, 10.0)]);
+        assert_eq!(both.size(), (4, 2));
+        assert_eq!(both.pixels(), [0.0, 10.0, 11.0, 12.0, 1.0, 13.0, 14.0, 15.0]);
+        assert_eq!(Plane::beside(&[]).size(), (0, 0));
     }
 }

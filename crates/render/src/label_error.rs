@@ -32,7 +32,7 @@ named!(HeadPart, "a part of the head", {
     Skin => "skin", Eyes => "eyes", Mouth => "mouth", Hair => "hair", Neck => "neck",
 });
 
-/// Parts are told apart by rendering them in the three channels of a colour, this many times. Skin has none: its weight is what the
+/// Parts are recognized by rendering them in the three channels of a colour, this many times. Skin has none: its weight is what the
 /// others leave of alpha.
 const PASSES: usize = (HeadPart::ALL.len() - 1).div_ceil(3);
 

@@ -7,7 +7,7 @@ use std::str::FromStr;
 use srflow_field::{FileError, FileProblem, excerpt, excerpts, read_image_size};
 use srflow_splat::{Camera, NamedCamera, read_cameras};
 
-use super::{CaptureView, problem, split_of};
+use super::{Capture, CaptureSplit, CaptureView, problem};
 
 /// How the pictures of a capture are named: a path with `{camera}` and `{timestep}`, such as `cam_{camera}/frame_{timestep}.jpg`.
 /// Without an ending it stands for PNG and JPEG.
@@ -60,11 +60,16 @@ impl FromStr for PicturePattern {
 impl PicturePattern {
     /// The camera and the timestep of a path, written with slashes; `None` if it does not have this form.
     pub fn matches<'a>(&self, path: &'a str) -> Option<(&'a str, u32)> {
-        let lower = path.to_ascii_lowercase();
-        let ending = ENDINGS.into_iter().find(|ending| lower.ends_with(ending))?;
         let whole = |path: &'a str| matches(&self.parts, path, None, None);
-        whole(&path[..path.len() - ending.len()]).or_else(|| whole(path))
+        whole(without_ending(path)?).or_else(|| whole(path))
     }
+}
+
+/// The path of a picture without its ending; `None` for other files.
+fn without_ending(path: &str) -> Option<&str> {
+    let lower = path.to_ascii_lowercase();
+    let ending = ENDINGS.into_iter().find(|ending| lower.ends_with(ending))?;
+    Some(&path[..path.len() - ending.len()])
 }
 
 /// The camera and the timestep of `text`, which has the form of `parts` and may have had some before.
@@ -122,8 +127,9 @@ pub struct ImportRequest<'a> {
     pub unit: f64,
 }
 
-/// Finds pictures in a folder, their cameras in a file, and divides them as VHAP does. Cameras whose
-/// names are all numbers up to 999 keep them; others are numbered from 0 in the order of their names. A camera of another size than its pictures is resized if the shape is the same.
+/// Finds pictures in a folder, their cameras in a file, and divides them as VHAP does. Cameras whose names are all numbers up to 999
+/// keep them; others are numbered from 0 in the order of their names. A camera of another size than its pictures is resized if the
+/// shape is the same.
 ///
 /// # Errors
 /// When nothing matches, two pictures have the same camera and timestep, the file of cameras cannot be read, or a camera has
@@ -175,7 +181,7 @@ pub fn import(request: &ImportRequest<'_>) -> Result<Imported, FileError> {
             let mask = mask_of.get(&(name.as_str(), timestep));
             without_mask += usize::from(masks.is_some() && mask.is_none());
             let view = CaptureView {
-                split: super::CaptureSplit::Train,
+                split: CaptureSplit::Train,
                 timestep,
                 camera_index: index,
                 camera,
@@ -186,13 +192,10 @@ pub fn import(request: &ImportRequest<'_>) -> Result<Imported, FileError> {
             views.insert((timestep, index), view);
         }
     }
-    let mut views: Vec<CaptureView> = views.into_values().collect();
-    let mut timesteps: Vec<u32> = views.iter().map(|view| view.timestep).collect();
-    timesteps.dedup();
-    let split_of = split_of(&timesteps, &indices);
-    views.iter_mut().for_each(|view| view.split = split_of(view.timestep, view.camera_index));
+    let mut capture = Capture { dir: pictures.to_owned(), views: views.into_values().collect() };
+    capture.divide();
     let cameras = indices.into_iter().zip(names).collect();
-    Ok(Imported { views, cameras, unknown_cameras, unused_cameras, without_mask, distorted })
+    Ok(Imported { views: capture.views, cameras, unknown_cameras, unused_cameras, without_mask, distorted })
 }
 
 /// The numbers of cameras of these names, ascending.
@@ -215,9 +218,7 @@ fn key<'a>(name: &'a str, pattern: &PicturePattern) -> &'a str {
         return camera;
     }
     let file = name.rsplit(['/', '\\']).next().unwrap_or(name);
-    let lower = file.to_ascii_lowercase();
-    let ending = ENDINGS.into_iter().find(|ending| lower.ends_with(ending));
-    ending.map_or(file, |ending| &file[..file.len() - ending.len()])
+    without_ending(file).unwrap_or(file)
 }
 
 /// The pictures of each camera by timestep.

@@ -59,6 +59,11 @@ pub struct CaptureView {
 }
 
 impl CaptureView {
+    /// The place of the view's timestep among those of its capture.
+    pub fn timestep_place(&self, timesteps: &[u32]) -> usize {
+        timesteps.partition_point(|&timestep| timestep < self.timestep)
+    }
+
     /// The camera to render the view with: its own, or, `faithful` to GaussianAvatars (`scene/cameras.py`), one with a symmetric
     /// frustum and square pixels.
     pub fn camera_for(&self, faithful: bool) -> Camera {
@@ -92,6 +97,12 @@ impl Capture {
     /// The pictures of one split, sorted by timestep and camera.
     pub fn of(&self, split: CaptureSplit) -> impl Iterator<Item = &CaptureView> {
         self.views.iter().filter(move |view| view.split == split)
+    }
+
+    /// Divides the pictures by [`split_of`].
+    fn divide(&mut self) {
+        let split_of = split_of(&self.timesteps(), &self.camera_indices());
+        self.views.iter_mut().for_each(|view| view.split = split_of(view.timestep, view.camera_index));
     }
 
     /// Numbers of the timesteps, ascending.

@@ -7,7 +7,7 @@ use serde::Deserialize;
 use srflow_field::{FileError, FileKind, FileProblem, parse_error_in_words, read_file};
 use srflow_splat::read_cameras;
 
-use super::{CANONICAL_NAME, Capture, CaptureSplit, CaptureView, problem, split_of};
+use super::{CANONICAL_NAME, Capture, CaptureSplit, CaptureView, problem};
 
 #[derive(Deserialize)]
 struct Transforms {
@@ -36,7 +36,8 @@ impl Capture {
     pub fn read(dir: &Path) -> Result<Self, FileError> {
         let path_of = |split: CaptureSplit| dir.join(format!("transforms_{split}.json"));
         let mut views = BTreeMap::new();
-        if path_of(CaptureSplit::Train).exists() {
+        let is_divided = path_of(CaptureSplit::Train).exists();
+        if is_divided {
             for split in CaptureSplit::ALL {
                 let path = path_of(split);
                 // VHAP's validation set of one camera is empty, and a combined set may have no test part.
@@ -52,13 +53,11 @@ impl Capture {
                 return Err(FileError { path: dir.to_owned(), problem });
             }
             add(&mut views, &path, CaptureSplit::Train)?;
-            let unsplit = Self { dir: dir.to_owned(), views: views.values().cloned().collect() };
-            let split_of = split_of(&unsplit.timesteps(), &unsplit.camera_indices());
-            for (&(timestep, camera), view) in &mut views {
-                view.split = split_of(timestep, camera);
-            }
         }
-        let capture = Self { dir: dir.to_owned(), views: views.into_values().collect() };
+        let mut capture = Self { dir: dir.to_owned(), views: views.into_values().collect() };
+        if !is_divided {
+            capture.divide();
+        }
         if capture.views.is_empty() {
             let problem = problem("frames", "one picture or more", "none");
             return Err(FileError { path: path_of(CaptureSplit::Train), problem });

@@ -285,22 +285,30 @@ fn heirs(
     heirs
 }
 
+/// The number of the most opaque Gaussian of each of `triangles` triangles, the first of equal ones. `gaussians` are numbers,
+/// triangles and opacities.
+pub(super) fn most_opaque(
+    gaussians: impl Iterator<Item = (usize, usize, f32)>,
+    triangles: usize,
+) -> Vec<Option<usize>> {
+    let mut best: Vec<Option<(usize, f32)>> = vec![None; triangles];
+    for (number, triangle, opacity) in gaussians {
+        if best[triangle].is_none_or(|(_, most)| opacity > most) {
+            best[triangle] = Some((number, opacity));
+        }
+    }
+    best.into_iter().map(|best| best.map(|(number, _)| number)).collect()
+}
+
 /// Keeps, on each triangle of which all Gaussians are to be removed, the most opaque one, or as the reference all.
 fn spare_last(heirs: &mut [Heir], bound: &BoundGaussians, scene: &DensityScene<'_>) {
     let triangle = |heir: &Heir| bound.triangles()[heir.parent as usize] as usize;
     let opacity = |heir: &Heir| bound.local().opacities[heir.parent as usize];
     let mut has_survivor = vec![false; scene.units.len()];
-    let mut most_opaque: Vec<Option<usize>> = vec![None; scene.units.len()];
-    for (i, heir) in heirs.iter().enumerate() {
-        if heir.prune {
-            let best = &mut most_opaque[triangle(heir)];
-            if best.is_none_or(|best| opacity(heir) > opacity(&heirs[best])) {
-                *best = Some(i);
-            }
-        } else {
-            has_survivor[triangle(heir)] = true;
-        }
-    }
+    heirs.iter().filter(|heir| !heir.prune).for_each(|heir| has_survivor[triangle(heir)] = true);
+    let pruned = heirs.iter().enumerate().filter(|(_, heir)| heir.prune);
+    let most_opaque =
+        most_opaque(pruned.map(|(i, heir)| (i, triangle(heir), opacity(heir))), scene.units.len());
     for (i, heir) in heirs.iter_mut().enumerate() {
         let of = triangle(heir);
         if !has_survivor[of] && (scene.faithful || most_opaque[of] == Some(i)) {

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use srflow_field::random::Stream;
 use srflow_splat::Gaussians;
 
+use super::density::most_opaque;
 use super::{DensityChange, GaussianAdam};
 use crate::BoundGaussians;
 
@@ -115,19 +116,11 @@ pub fn relocate(
 /// such.
 fn living(bound: &BoundGaussians, least_opacity: f32, triangles: usize) -> Vec<u32> {
     let opacities = &bound.local().opacities;
-    let mut best: Vec<Option<u32>> = vec![None; triangles];
-    for (number, &triangle) in (0..).zip(bound.triangles()) {
-        let best = &mut best[triangle as usize];
-        if best.is_none_or(|best| opacities[number as usize] > opacities[best as usize]) {
-            *best = Some(number);
-        }
-    }
-    (0..bound.len() as u32)
-        .filter(|&number| {
-            let i = number as usize;
-            opacities[i] > least_opacity || best[bound.triangles()[i] as usize] == Some(number)
-        })
-        .collect()
+    let triangle = |number: usize| bound.triangles()[number] as usize;
+    let all = opacities.iter().enumerate().map(|(number, &opacity)| (number, triangle(number), opacity));
+    let best = most_opaque(all, triangles);
+    let lives = |&number: &usize| opacities[number] > least_opacity || best[triangle(number)] == Some(number);
+    (0..bound.len()).filter(lives).map(|number| number as u32).collect()
 }
 
 /// Moves the positions by normally distributed steps of covariance `(strength share(o))^2 Sigma^2`, with the covariance `Sigma` of each

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use serde::Serialize;
+use srflow_field::Image;
 use srflow_splat::{Frame, Gaussians, Rasterizer};
 
 use super::image_loss::{ImageLoss, ImageLossError};
@@ -90,14 +91,37 @@ impl Scorer {
         capture: &Capture,
         view: &CaptureView,
     ) -> Result<Score, TrainError> {
-        let config = &self.config;
+        self.draw(avatar, pose, capture, view)?;
+        let Self { frame, picture, loss, .. } = self;
+        Ok(Score::of(&frame.color, picture, (frame.width, frame.height), loss)?)
+    }
+
+    /// Reads the picture and renders the avatar.
+    ///
+    /// # Errors
+    /// As [`Scorer::score`].
+    pub(super) fn draw(
+        &mut self,
+        avatar: &Avatar,
+        pose: &HeadPose,
+        capture: &Capture,
+        view: &CaptureView,
+    ) -> Result<(), TrainError> {
+        let Self { config, rasterizer, frame, head, world, .. } = self;
         self.picture = picture(capture, view, config.apply_masks.then_some(config.background))?;
-        let camera = view.camera_for(config.faithful);
-        avatar.gaussians_into(pose, &mut self.head, &mut self.world);
-        self.rasterizer
-            .render(&self.world, &camera, None, &config.rendering(), &mut self.frame)
+        avatar.gaussians_into(pose, head, world);
+        rasterizer
+            .render(world, &view.camera_for(config.faithful), None, &config.rendering(), frame)
             .map_err(|error| TrainError::Render { image: view.image.clone(), error })?;
-        Ok(Score::of(&self.frame.color, &self.picture, (camera.width, camera.height), &mut self.loss)?)
+        Ok(())
+    }
+
+    /// The picture and the rendering that were scored last, with 8 bits.
+    pub fn images(&self) -> [Image; 2] {
+        let Frame { width, height, .. } = self.frame;
+        let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
+        [self.picture(), self.rendered()]
+            .map(|colors| Image::from_fn(width, height, |x, y| colors[y * width + x].map(byte)))
     }
 
     /// The picture that was scored last, 0..1, row-major.

@@ -4,9 +4,7 @@ use std::path::{Path, PathBuf};
 
 use srflow_field::random::Key;
 use srflow_field::{FileError, FileProblem, Image};
-use srflow_splat::{
-    Frame, FrameGradients, GaussianGradients, Gaussians, Options, Outputs, RasterizeError, Rasterizer,
-};
+use srflow_splat::{Frame, FrameGradients, GaussianGradients, Gaussians, RasterizeError, Rasterizer};
 
 use super::checkpoint::{self, Checkpoint};
 use super::image_loss::{ImageLossError, ImageLossValue};
@@ -224,7 +222,7 @@ impl Trainer {
         let Self { config, avatar, buffers, .. } = self;
         let camera = view.camera_for(config.faithful);
         let size = (camera.width, camera.height);
-        let timestep = timestep_place(&self.timesteps, view);
+        let timestep = view.timestep_place(&self.timesteps);
         let pose = &self.poses[timestep];
         avatar.gaussians_into(pose, &mut buffers.head, &mut buffers.world);
         let cannot = |error| TrainError::Render { image: view.image.clone(), error };
@@ -296,7 +294,7 @@ impl Trainer {
         let mut scorer = Scorer::new(self.config);
         let mut scores = Vec::new();
         for view in self.capture.of(split) {
-            let pose = &self.poses[timestep_place(&self.timesteps, view)];
+            let pose = &self.poses[view.timestep_place(&self.timesteps)];
             let score = scorer.score(&self.avatar, pose, &self.capture, view)?;
             on_view(view, &score);
             scores.push(score);
@@ -304,18 +302,15 @@ impl Trainer {
         Ok(Score::mean(&scores))
     }
 
-    /// The avatar as it is now, as a view of the capture shows it.
+    /// The picture of a view as it is trained on, and the avatar as it is now in the same view.
     ///
     /// # Errors
-    /// When the view cannot be rendered.
-    pub fn render(&mut self, view: &CaptureView) -> Result<Image, TrainError> {
-        let Buffers { rasterizer, frame, head, world, .. } = &mut self.buffers;
-        self.avatar.gaussians_into(&self.poses[timestep_place(&self.timesteps, view)], head, world);
-        let options = Options { outputs: Outputs::IMAGE, ..self.config.rendering() };
-        rasterizer
-            .render(world, &view.camera_for(self.config.faithful), None, &options, frame)
-            .map_err(|error| TrainError::Render { image: view.image.clone(), error })?;
-        Ok(std::mem::replace(&mut frame.image, Image::new(0, 0)))
+    /// When the picture cannot be read or its view not be rendered.
+    pub fn truth_and_rendering(&self, view: &CaptureView) -> Result<[Image; 2], TrainError> {
+        let mut scorer = Scorer::new(self.config);
+        let pose = &self.poses[view.timestep_place(&self.timesteps)];
+        scorer.draw(&self.avatar, pose, &self.capture, view)?;
+        Ok(scorer.images())
     }
 
     /// The number of the view of an iteration: all views for training come once in each epoch, in an order of its own.
@@ -410,11 +405,6 @@ impl Trainer {
         }
         due
     }
-}
-
-/// The place of a view's timestep among those of the capture, which has parameters for each.
-fn timestep_place(timesteps: &[u32], view: &CaptureView) -> usize {
-    timesteps.partition_point(|&timestep| timestep < view.timestep)
 }
 
 /// Names what a training learns from, except for the pixels: cameras, splits, names of files, and the parameters of the head.

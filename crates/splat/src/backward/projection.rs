@@ -148,7 +148,7 @@ impl<'a> ViewBackward<'a> {
     }
 }
 
-/// The derivatives of the natural logarithm of the opacity's factor ([`Options::antialiased`]) with respect to the two rows
+/// The derivatives of the natural logarithm of the opacity's factor ([`Gaussians::antialiased`]) with respect to the two rows
 /// whose inner products are the projected covariance.
 fn log_compensation_slopes(horizontal: DVec3, vertical: DVec3) -> [DVec3; 2] {
     let normal = horizontal.cross(vertical);

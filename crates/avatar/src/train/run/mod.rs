@@ -26,7 +26,6 @@ use srflow_field::{
 pub use records::{IterationsRecord, LogRecord, RunRecord, RunScores, ScoredSplit, ScoresRecord};
 use records::{LOG_NAME, RUN_NAME, Window, loss};
 
-use super::trainer::picture;
 use super::{SplitScore, StepReport, TrainConfig, TrainError, Trainer, ViewScore};
 use crate::HeadModel;
 use crate::capture::{Capture, CaptureSplit, CaptureView, HeadRecord};
@@ -127,16 +126,6 @@ pub struct RunOutcome {
     pub seconds: f64,
 }
 
-impl RunOutcome {
-    /// The picture of a view as it was scored, and its rendering.
-    ///
-    /// # Errors
-    /// When the picture cannot be read or its view not be rendered.
-    pub fn truth_and_rendering(&mut self, view: &CaptureView) -> Result<[Image; 2], TrainError> {
-        truth_and_rendering(&mut self.trainer, &self.config, view)
-    }
-}
-
 /// What the run in `dir` is made from, and its configuration.
 ///
 /// # Errors
@@ -224,7 +213,7 @@ pub fn run(request: RunRequest, on_event: &mut dyn FnMut(RunEvent)) -> Result<Ru
         }
         if saved.elapsed() >= checkpoint_interval || iteration == last {
             trainer.write_checkpoint(&checkpoint)?;
-            preview(&mut trainer, &config, &dir.join(PREVIEW_NAME))?;
+            preview(&trainer, &dir.join(PREVIEW_NAME))?;
             (saved, saved_iteration) = (Instant::now(), iteration);
             on_event(RunEvent::Saved { iteration });
         }
@@ -317,31 +306,11 @@ fn score(
 }
 
 /// Writes a held-out picture beside its rendering.
-fn preview(trainer: &mut Trainer, config: &TrainConfig, path: &Path) -> Result<(), RunError> {
+fn preview(trainer: &Trainer, path: &Path) -> Result<(), RunError> {
     let capture = trainer.capture();
     let views = |split| capture.of(split).collect::<Vec<&CaptureView>>();
     let [held_out, training] = [held_out(capture), CaptureSplit::Train].map(views);
     let views = if held_out.is_empty() { training } else { held_out };
-    let Some(view) = views.get(views.len() / 2).copied().cloned() else { return Ok(()) };
-    let [truth, rendered] = truth_and_rendering(trainer, config, &view)?;
-    Ok(write_image_png(path, &beside(&truth, &rendered))?)
-}
-
-fn truth_and_rendering(
-    trainer: &mut Trainer,
-    config: &TrainConfig,
-    view: &CaptureView,
-) -> Result<[Image; 2], TrainError> {
-    let truth = picture(trainer.capture(), view, config.apply_masks.then_some(config.background))?;
-    let (width, height) = (view.camera.width, view.camera.height);
-    let bytes = |x: usize, y: usize| truth[y * width + x].map(|channel| (255.0 * channel + 0.5) as u8);
-    Ok([Image::from_fn(width, height, bytes), trainer.render(view)?])
-}
-
-/// Two pictures of one height beside each other.
-fn beside(left: &Image, right: &Image) -> Image {
-    let width = left.width();
-    Image::from_fn(width + right.width(), left.height(), |x, y| {
-        if x < width { left.get(x, y) } else { right.get(x - width, y) }
-    })
+    let Some(view) = views.get(views.len() / 2) else { return Ok(()) };
+    Ok(write_image_png(path, &Image::beside(&trainer.truth_and_rendering(view)?))?)
 }

@@ -4,6 +4,10 @@ use srflow_avatar::capture::CaptureSplit;
 use srflow_avatar::train::{Score, SplitScore};
 use srflow_eval::{Column, Row, Table};
 
+/// What the columns of the tables are.
+pub const SCORE_DEFINITIONS: &str = "PSNR of the whole picture is that of GaussianAvatars' metrics.py; the mean of the ratios of the three \
+                                     channels is that of its train.py and its paper. SSIM has a window of 11 by 11 pixels.";
+
 /// What a split holds out.
 pub fn split_words(split: CaptureSplit) -> &'static str {
     match split {
@@ -38,17 +42,11 @@ fn row(pictures: usize, Score { psnr, psnr_channels, ssim }: &Score) -> Row {
 }
 
 fn empty_table() -> Table {
-    let column = |key: &str, header: &str, decimals| Column {
-        key: key.to_owned(),
-        header: header.to_owned(),
-        better: None,
-        decimals,
-    };
     let columns = vec![
-        column("pictures", "pictures", 0),
-        column("psnr", "PSNR, whole picture", 2),
-        column("psnr_channels", "PSNR, mean of channels", 2),
-        column("ssim", "SSIM", 4),
+        Column::plain("pictures", "pictures", 0),
+        Column::plain("psnr", "PSNR, whole picture", 2),
+        Column::plain("psnr_channels", "PSNR, mean of channels", 2),
+        Column::plain("ssim", "SSIM", 4),
     ];
     Table { columns, ..Table::default() }
 }

@@ -202,7 +202,7 @@ fn picture_scores(
 ) -> anyhow::Result<Vec<SplitScore>> {
     let mut scorer = Scorer::new(*config);
     let timesteps = capture.timesteps();
-    let pose = |view: &CaptureView| &poses[timesteps.partition_point(|&timestep| timestep < view.timestep)];
+    let pose = |view: &CaptureView| &poses[view.timestep_place(&timesteps)];
     let views: Vec<(CaptureSplit, Vec<&CaptureView>)> =
         args.split.iter().map(|&split| (split, drawn(capture.of(split).collect(), args.limit))).collect();
     let progress = bar(

@@ -12,7 +12,7 @@ use srflow_eval::report::{
 use srflow_field::{FileError, FlowField, Image, Mask, Plane, flow_colors, write_image_png};
 use srflow_render::label_error::{FlowComparison, FlowPair};
 
-use super::super::scores::split_words;
+use super::super::scores::{SCORE_DEFINITIONS, split_words};
 use crate::machine;
 
 /// Most width of a picture on the page, pixels.
@@ -53,26 +53,16 @@ impl PicturePanels {
         (width, height): (usize, usize),
         scorer: &Scorer,
     ) -> Self {
-        let image = |colors: &[[f32; 3]]| {
-            let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0 + 0.5) as u8;
-            Image::from_fn(width, height, |x, y| colors[y * width + x].map(byte))
-        };
         let difference = |a: [f32; 3], b: [f32; 3]| -> f32 {
             let channels = a.into_iter().zip(b).map(|(a, b)| (a - b.clamp(0.0, 1.0)).abs());
             channels.sum::<f32>() * (255.0 / 3.0)
         };
-        let (truth, rendered) = (scorer.picture(), scorer.rendered());
+        let (picture, rendered) = (scorer.picture(), scorer.rendered());
         let at = |x: usize, y: usize| y * width + x;
         let difference =
-            Plane::from_fn(width, height, |x, y| difference(truth[at(x, y)], rendered[at(x, y)]));
-        Self {
-            split,
-            word,
-            score: score.clone(),
-            truth: image(truth),
-            rendering: image(rendered),
-            difference,
-        }
+            Plane::from_fn(width, height, |x, y| difference(picture[at(x, y)], rendered[at(x, y)]));
+        let [truth, rendering] = scorer.images();
+        Self { split, word, score: score.clone(), truth, rendering, difference }
     }
 }
 
@@ -166,12 +156,12 @@ impl Panels {
         for picture in &self.pictures {
             let ViewScore { timestep, camera, .. } = picture.score;
             let name = format!("picture_{}_{}_{timestep:05}_{camera:02}.png", picture.split, picture.word);
-            write_image_png(&dir.join(name), &beside(&picture.images(&scales)))?;
+            write_image_png(&dir.join(name), &Image::beside(&picture.images(&scales)))?;
         }
         for flow in &self.flows {
             let FlowPair { camera, timesteps: [first, _] } = flow.pair;
             let name = format!("flow_{}_step{}_{first:05}_{camera:02}.png", flow.split, flow.step);
-            write_image_png(&dir.join(name), &beside(&flow.images(&scales)))?;
+            write_image_png(&dir.join(name), &Image::beside(&flow.images(&scales)))?;
         }
         Ok(())
     }
@@ -182,9 +172,7 @@ impl Panels {
     /// When a picture cannot be encoded.
     pub fn page(&self, pictures: &[Table], flow: &[Table], lead: &str) -> Result<Page, PictureError> {
         let scales = self.scales();
-        let definitions = "PSNR of the whole picture is that of GaussianAvatars' metrics.py; the mean of the ratios of the three channels \
-                           is that of its train.py and its paper. SSIM has a window of 11 by 11 pixels.";
-        let tables = pictures.iter().zip(std::iter::once(definitions).chain(std::iter::repeat("")));
+        let tables = pictures.iter().zip(std::iter::once(SCORE_DEFINITIONS).chain(std::iter::repeat("")));
         let mut figures: Vec<Figure> = tables.map(|(table, words)| score_table(table, words)).collect();
         for picture in &self.pictures {
             figures.push(picture.figure(&scales)?);
@@ -269,10 +257,4 @@ fn row(images: &[Image; 3], titles: [&str; 3], caption: &str) -> Result<Figure, 
     };
     let shown = images.iter().zip(titles).map(panel).collect::<Result<Vec<_>, PictureError>>()?;
     Ok(panels(&shown, 200, caption))
-}
-
-/// Pictures of one size beside each other.
-fn beside(images: &[Image; 3]) -> Image {
-    let (width, height) = images[0].size();
-    Image::from_fn(images.len() * width, height, |x, y| images[x / width].get(x % width, y))
 }

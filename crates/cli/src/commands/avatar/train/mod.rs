@@ -167,9 +167,9 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
     let mut progress = Progress::new();
     let result = train(request, &mut |event| progress.show(&event));
     progress.bar.finish();
-    let mut outcome = result?;
+    let outcome = result?;
     if outcome.scores.is_some() {
-        let page = page::page(&mut outcome, &read_run_log(&dir)?)?;
+        let page = page::page(&outcome, &read_run_log(&dir)?)?;
         write_file(&dir.join(REPORT_NAME), page.html())?;
     }
     print(&dir, &outcome, context)?;

@@ -9,7 +9,7 @@ use srflow_eval::report::{
 };
 use srflow_field::settings_text;
 
-use super::super::scores::{camera_table, split_table, split_words};
+use super::super::scores::{SCORE_DEFINITIONS, camera_table, split_table, split_words};
 use crate::machine;
 
 /// Most width of a picture, pixels.
@@ -19,8 +19,8 @@ const WIDTH: usize = 550;
 ///
 /// # Errors
 /// When a picture cannot be read, rendered or encoded.
-pub fn page(outcome: &mut RunOutcome, log: &[LogRecord]) -> anyhow::Result<Page> {
-    let splits = outcome.scores.as_ref().map_or(Vec::new(), |scores| scores.splits.clone());
+pub fn page(outcome: &RunOutcome, log: &[LogRecord]) -> anyhow::Result<Page> {
+    let splits = outcome.scores.as_ref().map_or(&[][..], |scores| &scores.splits);
     let lines: Vec<&IterationsRecord> = log
         .iter()
         .filter_map(|record| if let LogRecord::Iterations(line) = record { Some(line) } else { None })
@@ -30,10 +30,10 @@ pub fn page(outcome: &mut RunOutcome, log: &[LogRecord]) -> anyhow::Result<Page>
         .filter_map(|record| if let LogRecord::Scores(scores) = record { Some(scores) } else { None })
         .collect();
     let mut sections = Vec::new();
-    for split in &splits {
+    for split in splits {
         sections.push(held_out(outcome, split)?);
     }
-    sections.push(training(&lines, &scored, &splits, outcome.config.iterations));
+    sections.push(training(&lines, &scored, splits, outcome.config.iterations));
     sections.push(Section::new(
         "Configuration",
         "All settings of the run, as in config.toml next to this page.",
@@ -41,11 +41,9 @@ pub fn page(outcome: &mut RunOutcome, log: &[LogRecord]) -> anyhow::Result<Page>
     ));
     let trainer = &outcome.trainer;
     let capture = trainer.capture();
-    let mut opening = vec![tiles(&numbers(trainer, &splits, &lines))];
+    let mut opening = vec![tiles(&numbers(trainer, splits, &lines))];
     if !splits.is_empty() {
-        let definitions = "PSNR of the whole picture is that of GaussianAvatars' metrics.py; the mean of the ratios of the three \
-                           channels is that of its train.py and its paper. SSIM has a window of 11 by 11 pixels.";
-        opening.push(score_table(&split_table(splits.iter().map(|split| &split.scores)), definitions));
+        opening.push(score_table(&split_table(splits.iter().map(|split| &split.scores)), SCORE_DEFINITIONS));
     }
     Ok(Page {
         title: "Training an avatar".to_owned(),
@@ -78,7 +76,7 @@ fn numbers(trainer: &Trainer, splits: &[ScoredSplit], lines: &[&IterationsRecord
 }
 
 /// The pictures of a split with the lowest, the median and the highest ratio, each under a divider with its rendering.
-fn held_out(outcome: &mut RunOutcome, split: &ScoredSplit) -> anyhow::Result<Section> {
+fn held_out(outcome: &RunOutcome, split: &ScoredSplit) -> anyhow::Result<Section> {
     let mut views: Vec<&ViewScore> = split.views.iter().collect();
     views.sort_by(|a, b| a.score.psnr.total_cmp(&b.score.psnr));
     let mut places = vec![("worst", 0), ("median", views.len() / 2), ("best", views.len().saturating_sub(1))];
@@ -101,13 +99,13 @@ fn held_out(outcome: &mut RunOutcome, split: &ScoredSplit) -> anyhow::Result<Sec
     ))
 }
 
-fn slider(outcome: &mut RunOutcome, word: &str, scored: &ViewScore) -> anyhow::Result<Figure> {
+fn slider(outcome: &RunOutcome, word: &str, scored: &ViewScore) -> anyhow::Result<Figure> {
     let of_score = |view: &&srflow_avatar::capture::CaptureView| {
         (view.timestep, view.camera_index) == (scored.timestep, scored.camera)
     };
-    let view = outcome.trainer.capture().views().iter().find(of_score).cloned();
+    let view = outcome.trainer.capture().views().iter().find(of_score);
     let view = view.ok_or_else(|| anyhow::anyhow!("{}: not in the capture", scored.image.display()))?;
-    let [truth, rendered] = outcome.truth_and_rendering(&view)?;
+    let [truth, rendered] = outcome.trainer.truth_and_rendering(view)?;
     let name = format!("timestep {}, camera {}", scored.timestep, scored.camera);
     let [truth, rendered] = [(&truth, "picture"), (&rendered, "rendering")]
         .map(|(image, what)| Picture::jpeg(&shrink_image(image, WIDTH), &format!("{what} of {name}")));

@@ -44,10 +44,10 @@ fn write_capture(dir: &Path, avatar: &Avatar) {
         .iter()
         .fold((Vec3::MAX, Vec3::MIN), |(low, high), &vertex| (low.min(vertex), high.max(vertex)));
     let middle = (0.5 * (low + high)).as_dvec3();
-    for folder in ["images", "flame_param"] {
+    for folder in ["images", "flame_param", "masks"] {
         std::fs::create_dir(dir.join(folder)).expect("a folder");
     }
-    let outputs = Outputs::IMAGE;
+    let outputs = Outputs { alpha: true, ..Outputs::IMAGE };
     let options = Options { background: [1.0; 3], outputs, ..Options::default() };
     let (mut rasterizer, mut frame) = (Rasterizer::new(), Frame::new());
     let (mut head, mut gaussians) = (PosedHead::default(), Gaussians::default());
@@ -68,6 +68,9 @@ fn write_capture(dir: &Path, avatar: &Avatar) {
             rasterizer.render(&gaussians, &camera, None, &options, &mut frame).expect("a picture");
             let image = PathBuf::from(format!("images/{timestep:05}_{camera_index:02}.png"));
             write_image_png(&dir.join(&image), &frame.image).expect("a picture");
+            let byte = |x: usize, y: usize| [(255.0 * frame.alpha.row(y)[x]).round() as u8; 3];
+            let alpha = Image::from_fn(SIZE.0, SIZE.1, byte);
+            write_image_png(&dir.join(mask_of(&image)), &alpha).expect("a mask");
             let split = match (timestep, camera_index) {
                 (2, _) => CaptureSplit::Test,
                 (_, 3) => CaptureSplit::Val,
@@ -78,6 +81,11 @@ fn write_capture(dir: &Path, avatar: &Avatar) {
         }
     }
     write_transforms(dir, &views).expect("cameras");
+}
+
+/// The true alpha of a picture, which the capture does not name.
+fn mask_of(image: &Path) -> PathBuf {
+    Path::new("masks").join(image.file_name().expect("a name"))
 }
 
 /// Everything early, as in a training of a hundred iterations.
@@ -315,6 +323,35 @@ fn what_is_behind_the_head_can_be_covered_by_the_masks() {
     write_transforms(folder.path(), &views).unwrap();
     let (with, without) = (score(true).unwrap().unwrap(), score(false).unwrap().unwrap());
     assert!(with.psnr > without.psnr + 1.0, "{with:?}, {without:?}");
+}
+
+#[test]
+fn the_colour_behind_a_masked_head_can_change_in_each_iteration() {
+    let folder = tempfile::tempdir().unwrap();
+    write_capture(folder.path(), &MADE.avatar);
+    let trained = |random_background: bool| {
+        let capture = Capture::read(folder.path()).unwrap();
+        let config = TrainConfig { random_background, ..config() };
+        let mut trainer = Trainer::new(capture, MADE.avatar.model().clone(), config).unwrap();
+        let losses: Vec<f64> = train(&mut trainer, 60).iter().map(|step| step.image.l1).collect();
+        (trainer.score(CaptureSplit::Val, |_, _| ()).unwrap().unwrap(), losses)
+    };
+    let (white, before_white) = trained(false);
+    assert_eq!(trained(true), (white, before_white.clone()), "without masks, pictures stay as they are");
+
+    let mut views = Capture::read(folder.path()).unwrap().views().to_vec();
+    views.iter_mut().for_each(|view| view.mask = Some(mask_of(&view.image)));
+    write_transforms(folder.path(), &views).unwrap();
+    let (random, before_random) = trained(true);
+    assert_ne!(before_random, before_white);
+    // Picture and rendering show the same colour beside the head: what differs is on it, which is a part of the picture.
+    let covered = |view: &CaptureView| {
+        let mask = Capture::read(folder.path()).unwrap().mask(view).unwrap().unwrap();
+        f64::from(mask.pixels().iter().sum::<f32>()) / mask.pixels().len() as f64
+    };
+    let most = views.iter().map(covered).fold(0.0, f64::max);
+    assert!(most < 0.8 && before_random[0] < 0.5 * most, "{} on {most}", before_random[0]);
+    assert!(random.psnr > white.psnr - 1.0, "{random:?}, {white:?}");
 }
 
 #[test]

@@ -14,7 +14,8 @@ use crate::RenderError;
 use crate::capture::TrueCapture;
 
 /// The part of the head that a pixel shows: the one with the largest weight in it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum HeadPart {
     /// Face and ears, with lips, brows, lashes and stubble.
     Skin,
@@ -37,7 +38,7 @@ named!(HeadPart, "a part of the head", {
 const PASSES: usize = (HeadPart::ALL.len() - 1).div_ceil(3);
 
 impl HeadPart {
-    fn of(region: Region) -> Self {
+    pub(crate) fn of(region: Region) -> Self {
         match region {
             Region::Skin | Region::Lips | Region::Brow | Region::LidMargin => Self::Skin,
             Region::Eyeball | Region::InnerLid | Region::Clear => Self::Eyes,
@@ -376,7 +377,7 @@ pub struct FlowPair {
 /// The pairs of pictures of a split that one camera took `step` timesteps apart, by timestep and camera.
 pub fn flow_pairs(capture: &Capture, split: CaptureSplit, step: u32) -> Vec<FlowPair> {
     let is_of_split = |timestep: u32, camera: u32| {
-        view_at(capture, timestep, camera).is_some_and(|view| view.split == split)
+        capture.view_at(timestep, camera).is_some_and(|view| view.split == split)
     };
     let pair = |view: &CaptureView| {
         let next = view.timestep.checked_add(step)?;
@@ -384,12 +385,6 @@ pub fn flow_pairs(capture: &Capture, split: CaptureSplit, step: u32) -> Vec<Flow
         is_of_split(next, view.camera_index).then_some(pair)
     };
     capture.of(split).filter_map(pair).collect()
-}
-
-fn view_at(capture: &Capture, timestep: u32, camera: u32) -> Option<&CaptureView> {
-    let place =
-        capture.views().binary_search_by_key(&(timestep, camera), |view| (view.timestep, view.camera_index));
-    place.ok().map(|place| &capture.views()[place])
 }
 
 /// An avatar, the capture that it was trained on, and the truth of the latter.
@@ -461,7 +456,7 @@ impl TestedAvatar<'_> {
 
     fn views<'a>(&self, capture: &'a Capture, pair: &FlowPair) -> Result<[&'a CaptureView; 2], RenderError> {
         let view = |timestep: u32| {
-            view_at(capture, timestep, pair.camera).ok_or_else(|| {
+            capture.view_at(timestep, pair.camera).ok_or_else(|| {
                 self.no_truth(format!("no picture of camera {} at timestep {timestep}", pair.camera))
             })
         };

@@ -1,5 +1,5 @@
 //! Renders datasets: scenes with exact flow, labelled micro-expression clips and captures by many cameras, with statistics and a
-//! check; measures how exact the flow of a trained avatar is.
+//! check; measures how exact a tracked mesh and the flow of a trained avatar are.
 
 pub mod camera;
 pub mod capture;
@@ -9,6 +9,7 @@ pub mod generate;
 mod head;
 pub mod job;
 pub mod label_error;
+pub mod mesh_error;
 pub mod record;
 pub mod statistics;
 pub mod synth;

@@ -5,12 +5,14 @@ use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView, HeadRecord, write_tracked};
-use srflow_avatar::{Avatar, HeadPose};
+use srflow_avatar::{Avatar, HeadModel, HeadPose};
 use srflow_render::capture::{CaptureSettings, TrueCapture, capture};
 use srflow_render::job::Request;
 use srflow_render::label_error::{
-    FlowComparison, FlowPair, LabelError, LabelErrorSum, MovingHead, PartError, TestedAvatar, flow_pairs,
+    FlowComparison, FlowPair, HeadPart, LabelError, LabelErrorSum, MovingHead, PartError, TestedAvatar,
+    flow_pairs,
 };
+use srflow_render::mesh_error::mesh_error;
 use srflow_splat::{Camera, Options};
 
 struct Made {
@@ -173,6 +175,22 @@ fn an_avatar_in_another_world_is_compared_through_its_own_cameras() {
     let pairs = flow_pairs(&tracked, CaptureSplit::Val, 1);
     let error = tested(&tracked, avatar, &poses).label_error(&pairs, |_, _| ()).unwrap();
     assert!(mean(&error.head) < 1e-3, "{error:?}");
+
+    let of_mesh = |poses: &[HeadPose]| {
+        mesh_error(&MADE.truth, &tracked, avatar.model(), avatar.shaped(), poses).expect("the same mesh")
+    };
+    let same = of_mesh(&poses);
+    assert_eq!((same.timesteps, same.parts.len()), (poses.len(), HeadPart::ALL.len()));
+    assert!(same.parts.iter().all(|part| part.percentile_95_mm < 0.01), "{same:?}");
+    let mut moved = poses.clone();
+    moved.iter_mut().for_each(|pose| pose.translation.y += 0.002);
+    for part in of_mesh(&moved).parts {
+        assert!((part.mean_mm - 2.0).abs() < 0.01 && (part.percentile_95_mm - 2.0).abs() < 0.01, "{part:?}");
+        // Up and down, surfaces that face sideways slide along themselves.
+        assert!(part.normal_mean_mm < 1.5 && part.normal_percentile_95_mm < 2.01, "{part:?}");
+    }
+    let other = HeadModel { triangles: avatar.model().triangles[1..].to_vec(), ..avatar.model().clone() };
+    assert_eq!(mesh_error(&MADE.truth, &tracked, &other, avatar.shaped(), &poses), None);
 
     let unknown = FlowPair { camera: 8, timesteps: [7, 8] };
     let refused = tested(&tracked, avatar, &poses).label_error(&[unknown], |_, _| ()).unwrap_err();

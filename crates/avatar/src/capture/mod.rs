@@ -99,6 +99,13 @@ impl Capture {
         self.views.iter().filter(move |view| view.split == split)
     }
 
+    /// The picture of a camera at a timestep.
+    pub fn view_at(&self, timestep: u32, camera: u32) -> Option<&CaptureView> {
+        let place =
+            self.views.binary_search_by_key(&(timestep, camera), |view| (view.timestep, view.camera_index));
+        place.ok().map(|place| &self.views[place])
+    }
+
     /// Divides the pictures by [`split_of`].
     fn divide(&mut self) {
         let split_of = split_of(&self.timesteps(), &self.camera_indices());

@@ -1,6 +1,7 @@
 //! The configuration of a training.
 
 use serde::{Deserialize, Serialize};
+use srflow_field::random::Key;
 use srflow_splat::{Options, Outputs, Sorting};
 
 use super::{DensityControl, Mcmc, PoseRates, RateSchedule, Regularizers, Strategy};
@@ -29,6 +30,10 @@ pub struct TrainConfig {
     /// Whether what is behind the head in the pictures is covered by the background, where the masks of the capture say so. Those of
     /// VHAP and srflow are over one colour already.
     pub apply_masks: bool,
+    /// Whether pictures with a mask have a colour behind the head that is drawn at random for each iteration. An opaque head looks
+    /// the same before all of them; before one colour, a thin one can too. (The option of this name in 3D Gaussian Splatting leaves the
+    /// colour in the pictures.)
+    pub random_background: bool,
     /// As the reference does it, with its defects:
     ///
     /// - cameras have no principal point and no vertical focal length of their own;
@@ -57,6 +62,7 @@ impl Default for TrainConfig {
             antialiased: false,
             sort_per_pixel: false,
             apply_masks: false,
+            random_background: false,
             faithful: false,
             rates: RateSchedule::default(),
             pose_rates: PoseRates::default(),
@@ -76,7 +82,7 @@ pub struct ConfigError {
 }
 
 impl TrainConfig {
-    /// How views are rendered: their colours.
+    /// How views are rendered: their colours before [`TrainConfig::background`].
     pub fn rendering(&self) -> Options {
         let outputs = Outputs { color: true, ..Outputs::NONE };
         let sorting = if self.sort_per_pixel { Sorting::PerPixel } else { Sorting::Global };
@@ -151,6 +157,15 @@ impl TrainConfig {
                 Err(ConfigError { key, expected, found: found.to_string() })
             }
         }
+    }
+
+    /// The colour behind the head in an iteration.
+    pub(super) fn background_at(&self, iteration: u64) -> [f32; 3] {
+        if !self.random_background {
+            return self.background;
+        }
+        let mut stream = Key::new(self.seed).scene(iteration as u32).stream("background");
+        std::array::from_fn(|_| stream.unit())
     }
 
     /// Opacity of all Gaussians at the start.

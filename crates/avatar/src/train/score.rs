@@ -108,7 +108,7 @@ impl Scorer {
         view: &CaptureView,
     ) -> Result<(), TrainError> {
         let Self { config, rasterizer, frame, head, world, .. } = self;
-        self.picture = picture(capture, view, config.apply_masks.then_some(config.background))?;
+        (self.picture, _) = picture(capture, view, config, config.background)?;
         avatar.gaussians_into(pose, head, world);
         rasterizer
             .render(world, &view.camera_for(config.faithful), None, &config.rendering(), frame)

@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 
 use srflow_field::random::Key;
 use srflow_field::{FileError, FileProblem, Image};
-use srflow_splat::{Frame, FrameGradients, GaussianGradients, Gaussians, RasterizeError, Rasterizer};
+use srflow_splat::{
+    Frame, FrameGradients, GaussianGradients, Gaussians, Options, RasterizeError, Rasterizer,
+};
 
 use super::checkpoint::{self, Checkpoint};
 use super::image_loss::{ImageLossError, ImageLossValue};
@@ -213,7 +215,8 @@ impl Trainer {
         let iteration = self.iteration + 1;
         let view = self.view_of(iteration);
         let view = &self.capture.views()[view];
-        let target = picture(&self.capture, view, self.config.apply_masks.then_some(self.config.background))?;
+        let background = self.config.background_at(iteration);
+        let (target, background) = picture(&self.capture, view, &self.config, background)?;
         let degree = self.config.sh_degree_at(iteration);
         if degree > self.avatar.bound().local().sh_degree {
             self.adam.raise_sh_degree(self.avatar.bound_mut().local_mut(), degree);
@@ -227,8 +230,8 @@ impl Trainer {
         avatar.gaussians_into(pose, &mut buffers.head, &mut buffers.world);
         let cannot = |error| TrainError::Render { image: view.image.clone(), error };
         let Buffers { rasterizer, frame, world, loss, .. } = buffers;
-        let mut rendering =
-            rasterizer.render(world, &camera, None, &config.rendering(), frame).map_err(cannot)?;
+        let options = Options { background, ..config.rendering() };
+        let mut rendering = rasterizer.render(world, &camera, None, &options, frame).map_err(cannot)?;
         let image = loss.backward(&frame.color, &target, size, &mut buffers.frame_gradients.color)?;
         buffers.visible.clear();
         buffers.visible.extend(rendering.visible());
@@ -417,24 +420,34 @@ fn fingerprint(views: &[CaptureView], parameters: &HeadParameters) -> String {
     format!("{:08x}", hasher.finalize())
 }
 
-/// The picture of a view, 0..1, row-major; with a colour, that covers what is behind the head.
+/// The picture of a view before `background`, 0..1, row-major, and the colour that is behind the head in it: that of the
+/// configuration if the picture has no mask.
 pub(super) fn picture(
     capture: &Capture,
     view: &CaptureView,
-    cover: Option<[f32; 3]>,
-) -> Result<Vec<[f32; 3]>, FileError> {
+    config: &TrainConfig,
+    background: [f32; 3],
+) -> Result<(Vec<[f32; 3]>, [f32; 3]), FileError> {
     let image = capture.image(view)?;
     let mut picture: Vec<[f32; 3]> =
         image.pixels().iter().map(|pixel| pixel.map(|channel| f32::from(channel) / 255.0)).collect();
-    if let Some(cover) = cover {
-        let mask = capture.mask(view)?.ok_or_else(|| {
-            let expected = "the mask of every picture, since apply_masks is set";
-            let found = format!("none for {}", view.image.display());
-            FileProblem::field("fg_mask_path", expected, found).in_file(capture.dir())
-        })?;
-        for (pixel, &alpha) in picture.iter_mut().zip(mask.pixels()) {
-            *pixel = std::array::from_fn(|i| alpha * pixel[i] + (1.0 - alpha) * cover[i]);
-        }
+    if !config.apply_masks && background == config.background {
+        return Ok((picture, background));
     }
-    Ok(picture)
+    let Some(mask) = capture.mask(view)? else {
+        if !config.apply_masks {
+            return Ok((picture, config.background));
+        }
+        let expected = "the mask of every picture, since apply_masks is set";
+        let found = format!("none for {}", view.image.display());
+        return Err(FileProblem::field("fg_mask_path", expected, found).in_file(capture.dir()));
+    };
+    // A picture whose mask is applied already shows `config.background` where the mask is below one.
+    let kept = |alpha: f32| if config.apply_masks { alpha } else { 1.0 };
+    let behind = if config.apply_masks { [0.0; 3] } else { config.background };
+    for (pixel, &alpha) in picture.iter_mut().zip(mask.pixels()) {
+        *pixel =
+            std::array::from_fn(|i| kept(alpha) * pixel[i] + (1.0 - alpha) * (background[i] - behind[i]));
+    }
+    Ok((picture, background))
 }

@@ -70,6 +70,8 @@ fn the_true_head_scores_like_itself() {
     let sets: Vec<_> =
         flow.iter().map(|set| (set["split"].as_str(), set["step"].as_u64(), set["pairs"].as_u64())).collect();
     assert_eq!(sets, [(Some("val"), Some(1), Some(2)), (Some("val"), Some(2), Some(1))]);
+    let mesh = report["flow"]["mesh"]["parts"].as_array().unwrap();
+    assert!(mesh.iter().all(|part| part["mean_mm"].as_f64().unwrap() < 0.01), "{mesh:?}");
     for set in flow {
         // Opacities and scales go through their logarithms in the files of the avatar.
         assert!(set["head"]["errors"]["mean"].as_f64().unwrap() < 0.01, "{set}");

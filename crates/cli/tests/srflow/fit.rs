@@ -30,7 +30,10 @@ fn a_captured_head_is_found_and_written_as_a_capture() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     captured(folder);
-    let report = json(&fit(folder, &[&PERSON[..], &["--json"]].concat()));
+    let report = json(&fit(folder, &[&PERSON[..], &["--truth", "capture", "--json"]].concat()));
+    let mesh = report["mesh_error"]["parts"].as_array().unwrap();
+    let skin = mesh.iter().find(|part| part["part"] == "skin").unwrap();
+    assert!(skin["mean_mm"].as_f64().unwrap() < 1.0, "{mesh:?}");
     assert_eq!((&report["timesteps"], &report["pictures"]), (&3.into(), &9.into()));
     assert_eq!(report["outliers"], 0, "{report}");
     for camera in report["cameras"].as_array().unwrap() {
@@ -62,6 +65,8 @@ fn a_captured_head_is_found_and_written_as_a_capture() {
     assert!(sum.length() < 1e-6, "{sum}");
 
     refuses(&fit(folder, &PERSON), 1, &["fitted/transforms.json exists", "--force"]);
+    let no_truth = fit(folder, &[&PERSON[..], &["--force", "--truth", "fitted"]].concat());
+    refuses(&no_truth, 1, &["--truth", "no capture.json"]);
     let text = succeeds(&fit(folder, &[&PERSON[..], &["--force", "--cameras", "8"]].concat()));
     assert!(text.contains("pictures: 3, cameras: 1;") && text.contains("One camera sees no scale"), "{text}");
 }

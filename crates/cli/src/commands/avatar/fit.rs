@@ -6,13 +6,16 @@ use clap::Args;
 use serde::Serialize;
 use srflow_avatar::capture::{Capture, CaptureView, HeadRecord, LANDMARKS_NAME, Landmarks, write_tracked};
 use srflow_avatar::fit::{FitError, FitOptions, FitReport, FitStage, LandmarkView, Reach, fit};
-use srflow_avatar::{HeadModel, HeadSource};
+use srflow_avatar::{HeadModel, HeadPose, HeadSource};
 use srflow_field::{create_folder, excerpts, write_file};
+use srflow_render::capture::TrueCapture;
+use srflow_render::mesh_error::{MeshError, mesh_error};
 
 use super::paths::from_to;
+use super::scores::mesh_table;
 use crate::Context;
 use crate::commands::render::head_help;
-use crate::output::{ensure_folder, ensure_free, print_json};
+use crate::output::{ensure_folder, ensure_free, print_json, print_tables};
 use crate::progress::bar;
 use crate::usage::wrong_usage;
 
@@ -56,6 +59,9 @@ pub struct Fit {
     /// Seed of a built-in head
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
+    /// Compare the mesh with that of the true head, which `srflow avatar capture` wrote into this folder: DATA, if that is it
+    #[arg(long, value_name = "DIR")]
+    truth: Option<PathBuf>,
     /// Overwrite an earlier fit in the folder
     #[arg(long)]
     force: bool,
@@ -96,6 +102,10 @@ struct Summary {
     origin: [f64; 3],
     #[serde(flatten)]
     report: FitReport,
+    #[serde(skip)]
+    has_truth: bool,
+    /// `None` without a true head, or where that has another mesh.
+    mesh_error: Option<MeshError>,
 }
 
 const FIT_NAME: &str = "fit.json";
@@ -113,6 +123,7 @@ pub fn run(args: Fit, context: &Context) -> anyhow::Result<()> {
         );
     }
     let landmarks = landmarks(&args, &capture)?;
+    let truth = args.truth.as_deref().map(TrueCapture::read).transpose().context("--truth")?;
     let model = args.model.model(args.seed).with_context(|| format!("reading {}", args.model))?;
 
     let used: Vec<&CaptureView> = capture
@@ -156,6 +167,15 @@ pub fn run(args: Fit, context: &Context) -> anyhow::Result<()> {
     let record = HeadRecord::new(args.model.to_string(), args.seed, &model);
     let parameters = fitted.parameters(&model);
     let origin = write_tracked(&args.out, &model, &record, &views, &fitted.timesteps, parameters)?;
+    let mesh_error = match &truth {
+        None => None,
+        Some(truth) => {
+            let written = Capture::read(&args.out)?;
+            let parameters = written.parameters()?;
+            let poses: Vec<HeadPose> = parameters.poses.iter().map(|pose| pose.pose(&model)).collect();
+            mesh_error(truth, &written, &model, &model.shaped(&parameters.shape), &poses)
+        }
+    };
     let summary = Summary {
         data: args.data,
         model: args.model.to_string(),
@@ -166,6 +186,8 @@ pub fn run(args: Fit, context: &Context) -> anyhow::Result<()> {
         unused_faces,
         origin: origin.to_array(),
         report: fitted.report,
+        has_truth: truth.is_some(),
+        mesh_error,
     };
     write_file(&summary.out.join(FIT_NAME), serde_json::to_string_pretty(&summary)? + "\n")?;
     if context.json { print_json(&summary) } else { print_summary(&summary) }
@@ -251,7 +273,17 @@ fn print_summary(summary: &Summary) -> anyhow::Result<()> {
             report.suspect_views.iter().map(|view| format!("{:05}_{:02}", view.timestep, view.camera_index));
         say!("Most landmarks are outliers in pictures {}", listed(&names.collect::<Vec<_>>()))?;
     }
-    print_reach(&report.reach)
+    print_reach(&report.reach)?;
+    if let Some(error) = &summary.mesh_error {
+        say!("")?;
+        print_tables(&[mesh_table(error)])?;
+    } else if summary.has_truth {
+        say!(
+            "The true head has another mesh than {}: no points correspond, and no distance is known.",
+            summary.model
+        )?;
+    }
+    Ok(())
 }
 
 fn print_reach(reach: &Reach) -> anyhow::Result<()> {

@@ -1,8 +1,9 @@
-//! Scores of held-out pictures as a table.
+//! Scores of held-out pictures, and errors of a mesh, as tables.
 
 use srflow_avatar::capture::CaptureSplit;
 use srflow_avatar::train::{Score, SplitScore};
 use srflow_eval::{Column, Row, Table};
+use srflow_render::mesh_error::{MeshError, PartDistance};
 
 /// What the columns of the tables are.
 pub const SCORE_DEFINITIONS: &str = "PSNR of the whole picture is that of GaussianAvatars' metrics.py; the mean of the ratios of the three \
@@ -34,6 +35,31 @@ pub fn camera_table(split: &SplitScore) -> Table {
     };
     let title = format!("Mean scores by camera, {}", split_words(split.split));
     Table { title, rows: split.cameras.iter().map(row).collect(), ..empty_table() }
+}
+
+/// A row for each part of the head.
+pub fn mesh_table(error: &MeshError) -> Table {
+    let row = |part: &PartDistance| {
+        let PartDistance { part, mean_mm, percentile_95_mm, normal_mean_mm, normal_percentile_95_mm } = *part;
+        let values = [mean_mm, percentile_95_mm, normal_mean_mm, normal_percentile_95_mm].map(Some).to_vec();
+        Row { name: part.to_string(), values, baseline: false }
+    };
+    Table {
+        title: format!("Distance of the mesh from the true one, mm (timesteps: {})", error.timesteps),
+        columns: vec![
+            Column::plain("mean_mm", "mean", 2),
+            Column::plain("percentile_95_mm", "95 %", 2),
+            Column::plain("normal_mean_mm", "along the normal, mean", 2),
+            Column::plain("normal_percentile_95_mm", "95 %", 2),
+        ],
+        rows: error.parts.iter().map(row).collect(),
+        notes: vec![
+            "Between corresponding points of the whole surface, also where hair and clothes cover it; along the normal of the true one: \
+             what is left if points may slide along the surface."
+                .to_owned(),
+        ],
+        ..Table::default()
+    }
 }
 
 fn row(pictures: usize, Score { psnr, psnr_channels, ssim }: &Score) -> Row {

@@ -14,8 +14,9 @@ use srflow_field::{create_folder, parse_color, write_file};
 use srflow_render::RenderError;
 use srflow_render::capture::TrueCapture;
 use srflow_render::label_error::{FlowPair, LabelError, PartError, TestedAvatar, flow_pairs};
+use srflow_render::mesh_error::{MeshError, mesh_error};
 
-use super::scores::{camera_table, split_table, split_words};
+use super::scores::{camera_table, mesh_table, split_table, split_words};
 use crate::Context;
 use crate::output::{ensure_folder, ensure_free, print_json, print_tables};
 use crate::progress::bar;
@@ -27,8 +28,8 @@ use panels::{FlowPanels, Panels, PicturePanels};
 /// Pictures are compared with those of the capture: PSNR of the whole picture, as in GaussianAvatars' metrics.py; PSNR as the mean over
 /// the channels, as in its train.py and its paper; SSIM.
 ///
-/// With --flow, the flow that `srflow render` would write for the avatar is compared with that of the true head, for captures of
-/// `srflow avatar capture`, whose heads can be made again.
+/// With --flow, the flow that `srflow render` would write for the avatar is compared with that of the true head, and its mesh with the
+/// true one, for captures of `srflow avatar capture`, whose heads can be made again.
 #[derive(Args)]
 #[command(after_help = "\
 Examples:
@@ -48,7 +49,7 @@ pub struct Eval {
     /// Pictures to score: val (held-out camera), test (held-out timesteps), train
     #[arg(long, value_name = "SPLIT", num_args = 1.., value_delimiter = ',', default_values = ["val", "test"])]
     split: Vec<CaptureSplit>,
-    /// Also compare the avatar's flow with the true flow
+    /// Also compare the avatar's flow and mesh with the true ones
     #[arg(long)]
     flow: bool,
     /// Timesteps between the two pictures of a pair
@@ -100,6 +101,8 @@ struct Summary {
 struct FlowSummary {
     /// The capture whose head is the true one.
     truth: PathBuf,
+    /// `None` where the true head has another mesh.
+    mesh: Option<MeshError>,
     results: Vec<FlowResult>,
 }
 
@@ -146,6 +149,7 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
                 TestedAvatar { avatar: &avatar, poses: &poses, capture: &capture, truth, options, faithful };
             Some(FlowSummary {
                 truth: truth_dir.clone(),
+                mesh: mesh_error(truth, &capture, avatar.model(), avatar.shaped(), &poses),
                 results: flow_errors(&args, &pair_sets, &tested, &mut panels)?,
             })
         }
@@ -345,7 +349,7 @@ fn picture_tables(summary: &Summary) -> Vec<Table> {
     std::iter::once(split_table(&summary.pictures)).chain(several.map(camera_table)).collect()
 }
 
-/// A table for each split and step.
+/// A table for each split and step, and one of the mesh.
 fn flow_tables(summary: &Summary) -> Vec<Table> {
     let results = summary.flow.iter().flat_map(|flow| &flow.results);
     let mut tables: Vec<Table> = results.map(flow_table).collect();
@@ -356,6 +360,7 @@ fn flow_tables(summary: &Summary) -> Vec<Table> {
             "Seen through: the avatar is more than 10 mm behind the true surface.".to_owned(),
         ];
     }
+    tables.extend(summary.flow.iter().filter_map(|flow| flow.mesh.as_ref()).map(mesh_table));
     tables
 }
 

@@ -61,6 +61,7 @@ pub struct Context {
 enum Command {
     Demo(commands::demo::Demo),
     Render(commands::render::Render),
+    Shapes(commands::shapes::Shapes),
     Avatar(commands::avatar::Avatar),
     Flow(commands::flow::Flow),
     Train(commands::train::Train),
@@ -95,6 +96,7 @@ fn main() -> ExitCode {
     let result: anyhow::Result<()> = match cli.command {
         Command::Demo(args) => commands::demo::run(args, &context),
         Command::Render(args) => commands::render::run(args, &context),
+        Command::Shapes(args) => commands::shapes::run(args, &context),
         Command::Avatar(args) => commands::avatar::run(args, &context),
         Command::Flow(args) => commands::flow::run(args, &context),
         Command::Train(args) => commands::train::run(args, &context),

@@ -1,4 +1,4 @@
-//! Datasets that are made unit by unit, in parts, and continued: `srflow render` and `srflow mer synth`.
+//! Datasets that are made unit by unit, in parts, and continued: `srflow render`, `srflow shapes`, `srflow mer synth` ...
 
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};

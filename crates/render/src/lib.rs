@@ -1,4 +1,4 @@
-//! Renders datasets: scenes with exact flow, labelled micro-expression clips and captures by many cameras, with statistics and a
+//! Renders datasets: scenes with exact flow, generic pairs, labelled micro-expression clips and captures by many cameras, with statistics and a
 //! check; measures how exact a tracked mesh and the flow of a trained avatar are.
 
 pub mod camera;
@@ -11,6 +11,7 @@ pub mod job;
 pub mod label_error;
 pub mod mesh_error;
 pub mod record;
+pub mod shapes;
 pub mod statistics;
 pub mod synth;
 

@@ -1,7 +1,9 @@
 //! A rendered micro-expression dataset is complete, independent of the number of threads, and its flow is the motion.
 
+mod tree;
+
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Mutex;
 
 use srflow_field::{read_flow, read_image};
@@ -9,6 +11,7 @@ use srflow_read::micro_expression::{Classes, ClipDataset, count_classes};
 use srflow_render::RenderError;
 use srflow_render::job::{Event, Request, Shard};
 use srflow_render::synth::{SynthReport, SynthSettings, synthesize};
+use tree::contents;
 
 /// Small and short: the heads take longer than the frames.
 fn settings() -> SynthSettings {
@@ -34,24 +37,6 @@ fn make(settings: &SynthSettings, dir: &Path, threads: usize) -> Result<u64, Ren
 fn run(settings: &SynthSettings, request: Request, threads: usize) -> Result<SynthReport, RenderError> {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     pool.install(|| synthesize(settings, request))
-}
-
-/// Every file below a folder, with its bytes.
-fn contents(dir: &Path) -> Vec<(PathBuf, Vec<u8>)> {
-    let mut found = Vec::new();
-    let mut folders = vec![dir.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(&folder).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                found.push((path.strip_prefix(dir).unwrap().to_owned(), fs::read(&path).unwrap()));
-            }
-        }
-    }
-    found.sort();
-    found
 }
 
 #[test]

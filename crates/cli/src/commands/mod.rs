@@ -12,4 +12,5 @@ pub mod metrics;
 pub mod models;
 pub mod rasterize;
 pub mod render;
+pub mod shapes;
 pub mod train;

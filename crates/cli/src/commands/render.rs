@@ -70,7 +70,8 @@ pub fn head_help() -> String {
     format!("Head model: {}", HeadSource::help())
 }
 
-fn flow_format_help() -> String {
+/// The help of `--flow-format`.
+pub fn flow_format_help() -> String {
     format!("File format of the flow: {}", FlowFormat::ALL.map(FlowFormat::extension).join(", "))
 }
 

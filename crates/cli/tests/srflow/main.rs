@@ -27,6 +27,7 @@ mod metrics_and_convert;
 mod models;
 mod rasterize;
 mod render_check;
+mod shapes;
 mod train;
 mod videos;
 

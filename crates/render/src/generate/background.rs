@@ -31,21 +31,30 @@ impl FromStr for Background {
     }
 }
 
-/// Names and sizes of the image files in a folder, by name.
-pub(super) fn images(dir: &Path) -> Result<Vec<(String, u64)>, RenderError> {
-    let mut files = list_files(dir, "--background", "white, black, #rrggbb or a folder of images")?;
+/// Names and sizes of the image files in a folder, by name. Errors name the `argument` and what was `expected` of it.
+pub(crate) fn images_in(
+    dir: &Path,
+    argument: &'static str,
+    expected: &'static str,
+) -> Result<Vec<(String, u64)>, RenderError> {
+    let mut files = list_files(dir, argument, expected)?;
     files.retain(|(name, _)| {
         let ending = name.rsplit_once('.').map_or("", |(_, ending)| ending);
         IMAGE_EXTENSIONS.iter().any(|known| known.eq_ignore_ascii_case(ending))
     });
     if files.is_empty() {
         return Err(RenderError::Argument {
-            argument: "--background",
+            argument,
             found: dir.display().to_string(),
             expected: format!("a folder with images ({})", IMAGE_EXTENSIONS.join(", ")),
         });
     }
     Ok(files)
+}
+
+/// The images of `--background`.
+pub(super) fn images(dir: &Path) -> Result<Vec<(String, u64)>, RenderError> {
+    images_in(dir, "--background", "white, black, #rrggbb or a folder of images")
 }
 
 /// The image of each scene, if backgrounds are images.

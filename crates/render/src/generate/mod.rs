@@ -26,6 +26,7 @@ use crate::statistics::{FlowSummary, Statistics};
 use srflow_read::manifest::{Manifest, STATISTICS_NAME};
 
 pub use background::Background;
+pub(crate) use background::images_in;
 pub use motion::MotionSource;
 pub use occlusion::DEPTH_TOLERANCE;
 pub(crate) use path::Path as SmoothPath;

@@ -1,0 +1,214 @@
+//! Making pairs, from the layers to the files.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use srflow_field::random::{Key, Stream};
+use srflow_field::resize::resize_image_antialiased;
+use srflow_field::{FlowFormat, Image, read_image, write_flow_as, write_image_png, write_mask_png};
+
+use super::texture::Texture;
+use super::{ShapePair, ShapesSettings};
+use crate::RenderError;
+use crate::generate::{fingerprint, images_in};
+use crate::job::{Plan, Run, Stage, unless_gone};
+use crate::record::json_text;
+
+const SETTINGS_NAME: &str = "shapes.json";
+const DATA: &str = "data";
+pub const SPLIT_NAME: &str = "FlyingChairs_train_val.txt";
+
+/// The files of a pair, after its number.
+const PICTURES: [&str; 3] = ["_img1.png", "_img2.png", "_occlusion.png"];
+
+/// Share of the layers that show a photograph, if there are any.
+const PHOTOGRAPHS: f32 = 0.5;
+
+/// Photographs that a worker keeps, and the side to which larger ones are reduced.
+const KEPT: usize = 32;
+const LARGEST_SIDE: usize = 1024;
+
+/// The contents of `shapes.json`.
+#[derive(Debug, Serialize, Deserialize)]
+struct Arguments {
+    srflow_version: String,
+    pairs: u32,
+    width: usize,
+    height: usize,
+    seed: u64,
+    motion: [f32; 2],
+    /// `made`, or the number and the fingerprint of the photographs.
+    textures: String,
+    flow_format: String,
+}
+
+type Work<'w, 'a> = crate::job::Work<'w, Pairs<'a>>;
+
+/// A dataset of generic pairs, in one group.
+pub struct Pairs<'a> {
+    settings: &'a ShapesSettings,
+    /// Photographs by name.
+    photographs: Vec<PathBuf>,
+    textures: String,
+}
+
+impl<'a> Pairs<'a> {
+    pub fn new(settings: &'a ShapesSettings) -> Result<Self, RenderError> {
+        settings.validate()?;
+        let Some(dir) = &settings.textures else {
+            return Ok(Self { settings, photographs: Vec::new(), textures: "made".to_owned() });
+        };
+        let files = images_in(dir, "--textures", "a folder of images")?;
+        let photographs = files.iter().map(|(name, _)| dir.join(name)).collect();
+        Ok(Self { settings, photographs, textures: fingerprint(&files) })
+    }
+
+    fn flow_path(&self, dir: &Path, pair: u32, format: FlowFormat) -> PathBuf {
+        dir.join(DATA).join(format!("{:05}_flow.{}", pair + 1, format.extension()))
+    }
+
+    fn pictures(dir: &Path, pair: u32) -> [PathBuf; 3] {
+        PICTURES.map(|suffix| dir.join(DATA).join(format!("{:05}{suffix}", pair + 1)))
+    }
+}
+
+impl<'a> Plan for Pairs<'a> {
+    type Group = ();
+    type Worker = Photographs;
+
+    const MANIFEST: &'static str = SETTINGS_NAME;
+    const UNITS: &'static str = "pairs";
+    const LONGEST_RUN: u32 = 16;
+
+    fn manifest(&self) -> String {
+        let ShapesSettings { pairs, width, height, seed, motion, flow_format, .. } = *self.settings;
+        json_text(&Arguments {
+            srflow_version: env!("CARGO_PKG_VERSION").to_owned(),
+            pairs,
+            width,
+            height,
+            seed,
+            motion,
+            textures: self.textures.clone(),
+            flow_format: flow_format.extension().to_owned(),
+        })
+    }
+
+    fn groups(&self) -> Vec<u32> {
+        vec![self.settings.pairs]
+    }
+
+    fn is_whole(&self, dir: &Path, _group: u32, pair: u32) -> bool {
+        let flow = self.flow_path(dir, pair, self.settings.flow_format);
+        Self::pictures(dir, pair).iter().chain([&flow]).all(|file| file.is_file())
+    }
+
+    fn folders(&self, dir: &Path, _run: &Run) -> Vec<PathBuf> {
+        vec![dir.join(DATA)]
+    }
+
+    fn makes(&self, run: &Run, _folder: &Path, name: &str) -> bool {
+        let number: Option<u32> = name.split('_').next().and_then(|digits| digits.parse().ok());
+        number.and_then(|number| number.checked_sub(1)).is_some_and(|pair| run.units.contains(&pair))
+    }
+
+    fn delete(&self, dir: &Path, found: &str) -> Result<(), RenderError> {
+        // If the settings cannot be read, the dataset's files are unknown: they are overwritten instead.
+        let Ok(other) = serde_json::from_str::<Arguments>(found) else { return Ok(()) };
+        let split = dir.join(SPLIT_NAME);
+        unless_gone(&split, fs::remove_file(&split))?;
+        for pair in 0..other.pairs {
+            let flow = other.flow_format.parse().ok().map(|format| self.flow_path(dir, pair, format));
+            for file in flow.into_iter().chain(Self::pictures(dir, pair)) {
+                unless_gone(&file, fs::remove_file(&file))?;
+            }
+        }
+        Ok(())
+    }
+
+    fn group(&self, _number: u32) -> Result<(), RenderError> {
+        Ok(())
+    }
+
+    fn worker(&self) -> Photographs {
+        Photographs::default()
+    }
+
+    fn make(
+        &self,
+        work: &Work<'_, 'a>,
+        _group: &(),
+        run: &Run,
+        photographs: &mut Photographs,
+    ) -> Result<(), RenderError> {
+        let ShapesSettings { width, height, seed, motion, flow_format, .. } = *self.settings;
+        for number in run.units.clone() {
+            if !work.begin() {
+                break;
+            }
+            let mut unread = None;
+            let mut photograph = |stream: &mut Stream| {
+                photographs.draw(&self.photographs, stream).unwrap_or_else(|error| {
+                    unread.get_or_insert(error);
+                    None
+                })
+            };
+            let pair = work.clock.time(Stage::Rasterize, || {
+                ShapePair::random((width, height), Key::new(seed).scene(number), motion, &mut photograph)
+            });
+            if let Some(error) = unread {
+                return Err(error);
+            }
+            let [frame1, frame2, occlusion] = Self::pictures(work.dir, number);
+            work.write(Stage::Frames, &frame1, |path| write_image_png(path, &pair.frame1))?;
+            work.write(Stage::Frames, &frame2, |path| write_image_png(path, &pair.frame2))?;
+            work.write(Stage::Planes, &occlusion, |path| write_mask_png(path, &pair.occlusion))?;
+            let flow = self.flow_path(work.dir, number, flow_format);
+            work.write(Stage::Flow, &flow, |path| write_flow_as(path, &pair.flow, flow_format))?;
+            work.done();
+        }
+        Ok(())
+    }
+}
+
+/// The photographs that one worker has read, by their numbers.
+#[derive(Default)]
+pub struct Photographs(BTreeMap<usize, Image>);
+
+impl Photographs {
+    /// A random one of `paths` as a texture, or none.
+    fn draw(&mut self, paths: &[PathBuf], stream: &mut Stream) -> Result<Option<Texture>, RenderError> {
+        if paths.is_empty() || stream.unit() >= PHOTOGRAPHS {
+            return Ok(None);
+        }
+        let number = stream.below(paths.len() as u32) as usize;
+        if !self.0.contains_key(&number) {
+            let image = reduced(read_image(&paths[number])?);
+            if image.pixels().is_empty() {
+                return Err(RenderError::Argument {
+                    argument: "--textures",
+                    found: paths[number].display().to_string(),
+                    expected: "images with at least one pixel".into(),
+                });
+            }
+            if self.0.len() == KEPT {
+                self.0.pop_first();
+            }
+            self.0.insert(number, image);
+        }
+        Ok(Some(Texture::photograph(&self.0[&number], stream)))
+    }
+}
+
+/// The image, smaller if it is larger than [`LARGEST_SIDE`].
+fn reduced(image: Image) -> Image {
+    let (width, height) = image.size();
+    let side = width.max(height);
+    if side <= LARGEST_SIDE {
+        return image;
+    }
+    let scaled = |length: usize| (length * LARGEST_SIDE / side).max(1);
+    resize_image_antialiased(&image, (scaled(width), scaled(height)))
+}

@@ -98,9 +98,8 @@ impl Bend {
         let place = point / self.spacing;
         let cell = place.floor();
         let [x, y] = (place - cell).to_array().map(cubic);
-        // Periodic; also for places that are not finite.
-        let first = cell.rem_euclid(DVec2::splat(POINTS as f64));
-        let (column, row) = (first.x as usize, first.y as usize);
+        // A conversion of what is not finite is some number too.
+        let [column, row] = cell.to_array().map(|place| (place as i32).rem_euclid(POINTS as i32) as usize);
         let (mut value, mut along_x, mut along_y) = (DVec2::ZERO, DVec2::ZERO, DVec2::ZERO);
         for (j, (weight_y, slope_y)) in y.into_iter().enumerate() {
             let points = &self.points[(row + j) % POINTS];

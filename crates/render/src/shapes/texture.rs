@@ -69,14 +69,15 @@ impl Texture {
         Self { width, height, texels, is_mirrored, texel_from_pixel, offset, gain, shift }
     }
 
-    /// The colour at a point of frame 1, about 0..1: interpolated between texels by cubic convolution (Keys 1981), so that frames sample
+    /// The colour at a point of frame 1, about 0..1 (any for one that is not finite): interpolated between texels by cubic convolution (Keys 1981), so that frames sample
     /// it equally, wherever between the texels their pixels lie.
     pub fn color(&self, point: DVec2) -> Vec3 {
         let place = self.texel_from_pixel * point + self.offset;
         let first = place.floor();
         let [x, y] = (place - first).to_array().map(|t| keys(t as f32));
-        let [columns, rows] = [(first.x, self.width), (first.y, self.height)]
-            .map(|(first, size)| [-1.0, 0.0, 1.0, 2.0].map(|step| self.texel(first + step, size)));
+        let [columns, rows] = [(first.x, self.width), (first.y, self.height)].map(|(first, size)| {
+            [-1, 0, 1, 2].map(|step| self.texel((first as i32).saturating_add(step), size))
+        });
         let mut color = Vec3::ZERO;
         for (row, weight_y) in rows.into_iter().zip(y) {
             let row = &self.texels[row * self.width..][..self.width];
@@ -89,11 +90,11 @@ impl Texture {
         (color - 0.5) * self.gain + 0.5 + self.shift
     }
 
-    /// The texel at a place along an axis; any for a place that is not finite.
-    fn texel(&self, place: f64, size: usize) -> usize {
+    /// The texel at a place along an axis.
+    fn texel(&self, place: i32, size: usize) -> usize {
         let period = if self.is_mirrored { 2 * size } else { size };
-        let place = place.rem_euclid(period as f64) as usize;
-        if place < size { place } else { (period - 1).saturating_sub(place) }
+        let place = place.rem_euclid(period as i32) as usize;
+        if place < size { place } else { period - 1 - place }
     }
 }
 

@@ -54,8 +54,7 @@ pub fn mesh_table(error: &MeshError) -> Table {
         ],
         rows: error.parts.iter().map(row).collect(),
         notes: vec![
-            "Between corresponding points of the whole surface, also where hair and clothes cover it; along the normal of the true one: \
-             what is left if points may slide along the surface."
+            "Between corresponding points, over the whole surface; along the normal: what is left if points may slide along it."
                 .to_owned(),
         ],
         ..Table::default()

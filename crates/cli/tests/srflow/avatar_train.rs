@@ -215,7 +215,7 @@ fn configurations_are_printed_and_their_mistakes_named() {
     let printed = train(&["--preset", "cpu", "--faithful", "--set", "background=[0,0,0]", "--print-config"]);
     let text = succeeds(&printed);
     for line in
-        ["iterations = 30000", "faithful = true", "background = [0.0, 0.0, 0.0]", "position_steps = 30000"]
+        ["iterations = 10000", "faithful = true", "background = [0.0, 0.0, 0.0]", "position_steps = 10000"]
     {
         assert!(text.contains(line), "{line} in {text}");
     }

@@ -23,6 +23,7 @@ use srflow_field::{
     Array, FileError, FileKind, FileProblem, Npz, NpzArray, parse_error_in_words, read_file, write_npz,
 };
 
+use crate::flame::FLAME_VERTICES;
 use crate::{HeadModel, HeadPose, JointRole};
 
 /// The identity of a head and its poses over time.
@@ -57,7 +58,7 @@ pub struct PoseParameters {
 /// Parameters do not fit a head model.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
-    "{what}: the parameters have {found}, the head model {model} at most {most}; give the parameters of the same kind of head"
+    "{what}: the parameters have {found}, the head model {model} has {most}; give the parameters of the same kind of head"
 )]
 pub struct ParametersError {
     /// Name of the array.
@@ -261,10 +262,11 @@ impl HeadParameters {
         write_npz(path, &arrays)
     }
 
-    /// Checks that `model` has all that the parameters give weights or offsets to.
+    /// Checks that `model` has all that the parameters give weights to, and as many vertices as they give offsets to. Offsets of FLAME
+    /// as published also fit FLAME with teeth, which have none then.
     ///
     /// # Errors
-    /// Names the array that is too long for the model.
+    /// Names the array that does not fit the model.
     pub fn check(&self, model: &HeadModel) -> Result<(), ParametersError> {
         let most = |of: fn(&PoseParameters) -> usize| self.poses.iter().map(of).max().unwrap_or(0);
         for (what, found, most) in [
@@ -273,7 +275,9 @@ impl HeadParameters {
             ("dynamic_offset", most(|pose| pose.dynamic_offset.len()), model.template.len()),
             ("static_offset", self.static_offset.len(), model.template.len()),
         ] {
-            if found > most {
+            let is_offset = what.ends_with("_offset");
+            let vertices_match = [0, FLAME_VERTICES, most].contains(&found);
+            if found > most || is_offset && !vertices_match {
                 return Err(ParametersError { what, found, model: model.name.clone(), most });
             }
         }

@@ -273,7 +273,7 @@ fn files_of_another_head_are_refused() {
     avatar.write(folder.path(), &parameters, None).unwrap();
     let on = |model: HeadModel| AvatarFiles::read(folder.path()).unwrap().on(model).unwrap_err().to_string();
     let error = on(HeadModel::builtin(1));
-    assert!(error.contains("shape: the parameters have 1, the head model builtin at most 0"), "{error}");
+    assert!(error.contains("shape: the parameters have 1, the head model builtin has 0"), "{error}");
     HeadParameters { shape: vec![], ..parameters }
         .write(&folder.path().join("flame_param.npz"), 0, true)
         .unwrap();

@@ -359,6 +359,10 @@ fn captures_without_pictures_for_training_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     write_capture(folder.path(), &MADE.avatar);
     let capture = Capture::read(folder.path()).unwrap();
+    let trained = |capture| Trainer::new(capture, MADE.avatar.model().clone(), config());
+    std::fs::remove_file(folder.path().join("images/00002_01.png")).unwrap();
+    let error = trained(capture.clone()).unwrap_err().to_string();
+    assert!(error.contains("1 missing, such as images/00002_01.png"), "{error}");
     let held_out: Vec<CaptureView> = capture
         .views()
         .iter()
@@ -366,6 +370,6 @@ fn captures_without_pictures_for_training_are_refused() {
         .collect();
     write_transforms(folder.path(), &held_out).unwrap();
     let capture = Capture::read(folder.path()).unwrap();
-    let error = Trainer::new(capture, MADE.avatar.model().clone(), config()).unwrap_err();
+    let error = trained(capture).unwrap_err();
     assert!(matches!(error, TrainError::NoPictures { found: 12, .. }), "{error}");
 }

@@ -9,6 +9,7 @@ pub fn parse_error_in_words(error: &impl Display) -> String {
     let whole = error.to_string();
     let mut message: String = printable(whole.trim_end()).chars().take(LONGEST).collect();
     for (theirs, words) in [
+        ("expected value at line", "a value that is not JSON, such as NaN or Infinity, at line"),
         ("missing field ", "missing key "),
         ("unknown field ", "unknown key "),
         ("duplicate field ", "duplicate key "),
@@ -77,6 +78,10 @@ mod tests {
             ("data did not match any variant of untagged enum OneOrMore", "expected one of the known names"),
             ("missing field `width` at line 2 column 1", "missing key `width` at line 2 column 1"),
             ("unknown field `lr`, expected one of `a`, `b`", "unknown key `lr`, expected one of `a`, `b`"),
+            (
+                "expected value at line 1 column 9",
+                "a value that is not JSON, such as NaN or Infinity, at line 1 column 9",
+            ),
             ("expected `,` or `}` at line 1 column 4", "expected `,` or `}` at line 1 column 4"),
         ] {
             assert_eq!(parse_error_in_words(&theirs), ours);

@@ -127,6 +127,20 @@ impl Capture {
         cameras
     }
 
+    /// Checks that all pictures exist, and all masks if they are needed, without reading them.
+    ///
+    /// # Errors
+    /// Counts those that do not, and names the first.
+    pub fn check_pictures(&self, with_masks: bool) -> Result<(), FileError> {
+        let masks = self.views.iter().filter_map(|view| view.mask.as_ref()).filter(|_| with_masks);
+        let files = self.views.iter().map(|view| &view.image).chain(masks);
+        let mut missing = files.filter(|file| !self.dir.join(file).is_file());
+        let Some(first) = missing.next() else { return Ok(()) };
+        let found = format!("{} missing, such as {}", 1 + missing.count(), first.display());
+        let problem = problem("pictures", "the files that the lists of the capture name", found);
+        Err(FileError { path: self.dir.clone(), problem })
+    }
+
     /// Reads the picture of a view.
     ///
     /// # Errors

@@ -257,7 +257,15 @@ fn parameters_survive_writing_and_reading() {
         assert_eq!((&back.expressions, back.translation), (&pose.expressions, pose.translation));
     }
     let error = written.check(&model).unwrap_err().to_string();
-    assert!(error.contains("shape: the parameters have 2, the head model builtin at most 0"), "{error}");
+    assert!(error.contains("shape: the parameters have 2, the head model builtin has 0"), "{error}");
+    // As many offsets as vertices, or as FLAME has without VHAP's teeth.
+    let with_offsets = |count| {
+        let offsets =
+            HeadParameters { shape: Vec::new(), static_offset: vec![Vec3::ONE; count], poses: Vec::new() };
+        offsets.check(&model).map_err(|error| error.to_string())
+    };
+    assert!([0, 5023, model.template.len()].into_iter().all(|count| with_offsets(count).is_ok()));
+    assert!(with_offsets(7).unwrap_err().starts_with("static_offset: the parameters have 7, the head model"));
 }
 
 #[test]

@@ -15,6 +15,8 @@ use srflow_field::{Array, FileError, FileProblem};
 
 use self::source::Source;
 use self::teeth::Teeth;
+
+pub(crate) use self::teeth::FLAME_VERTICES;
 use crate::avatar::AvatarError;
 use crate::pickle::Pickle;
 use crate::regions::{divide_skin, mark_parts};

@@ -8,7 +8,7 @@ use crate::JointRole;
 use crate::avatar::AvatarError;
 
 /// Vertices of FLAME, after which those of the teeth come.
-const FLAME_VERTICES: usize = 5023;
+pub(crate) const FLAME_VERTICES: usize = 5023;
 
 /// Vertices along a row.
 const ROW: usize = 15;

@@ -100,8 +100,8 @@ impl Trainer {
     /// A training of `model`, with the parameters of the capture, from one Gaussian per triangle.
     ///
     /// # Errors
-    /// When the configuration is out of range, the capture has no pictures for training, its parameters cannot be read, or they do not
-    /// fit the model.
+    /// When the configuration is out of range, the capture has no pictures for training, one of its pictures is missing, its parameters
+    /// cannot be read, or they do not fit the model.
     pub fn new(capture: Capture, model: HeadModel, config: TrainConfig) -> Result<Self, TrainError> {
         config.check()?;
         let dir = || capture.dir().to_owned();
@@ -111,6 +111,7 @@ impl Trainer {
         if training.is_empty() {
             return Err(TrainError::NoPictures { dir: dir(), found: views.len() });
         }
+        capture.check_pictures(config.apply_masks || config.random_background)?;
         let parameters = capture.parameters()?;
         let start = initial_gaussians(model.triangles.len(), config.initial_opacity(), config.seed);
         let local = Gaussians { antialiased: config.antialiased, ..start.local().clone() };

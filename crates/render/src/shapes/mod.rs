@@ -22,11 +22,11 @@ mod work;
 use serde::Serialize;
 use srflow_field::write_file;
 
-pub use pair::ShapePair;
 pub use settings::ShapesSettings;
 
 use crate::RenderError;
 use crate::job::{self, Request};
+use pair::ShapePair;
 use work::Pairs;
 
 /// The result of [`shapes`].

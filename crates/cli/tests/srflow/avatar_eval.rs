@@ -93,6 +93,10 @@ fn the_true_head_scores_like_itself() {
     let page = fs::read_to_string(out.path().join("report.html")).unwrap();
     assert!(page.contains("Flow of the avatar") && page.contains("held-out camera"));
     refuses(&eval(&arguments), 1, &["eval.json exists", "--force"]);
+    succeeds(&eval(&["avatar", "capture", "--split", "val", "--out", to, "--force"]));
+    let panels = fs::read_dir(out.path().join("panels")).unwrap().map(|entry| entry.unwrap().file_name());
+    let names: Vec<String> = panels.map(|name| name.to_string_lossy().into_owned()).collect();
+    assert!(names.len() == 2 && names.iter().all(|name| name.starts_with("picture_val")), "{names:?}");
 }
 
 #[test]

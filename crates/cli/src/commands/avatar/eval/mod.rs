@@ -304,8 +304,9 @@ fn flow_errors(
 }
 
 fn write(out: &Path, summary: &Summary, panels: &Panels) -> anyhow::Result<()> {
-    create_folder(&out.join(PANELS_FOLDER))?;
-    panels.write(&out.join(PANELS_FOLDER))?;
+    let folder = out.join(PANELS_FOLDER);
+    create_folder(&folder)?;
+    panels.write(&folder)?;
     write_file(&out.join(JSON_NAME), serde_json::to_string_pretty(summary)? + "\n")?;
     write_file(
         &out.join(REPORT_NAME),

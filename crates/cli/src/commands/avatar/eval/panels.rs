@@ -9,7 +9,7 @@ use srflow_eval::report::{
     Figure, Page, Panel, Picture, PictureError, Section, color_scale, heat, heat_legend, panels, ramp_legend,
     score_table, shrink_image, side_by_side, wheel_legend,
 };
-use srflow_field::{FileError, FlowField, Image, Mask, Plane, flow_colors, write_image_png};
+use srflow_field::{FileError, FileProblem, FlowField, Image, Mask, Plane, flow_colors, write_image_png};
 use srflow_render::label_error::{FlowComparison, FlowPair};
 
 use super::super::scores::{SCORE_DEFINITIONS, split_words};
@@ -150,9 +150,17 @@ impl Panels {
         }
     }
 
-    /// Writes each as one PNG of three pictures side by side.
+    /// Writes each as one PNG of three pictures side by side, and deletes those of an earlier report.
     pub fn write(&self, dir: &Path) -> Result<(), FileError> {
         let scales = self.scales();
+        let failed = |error| FileProblem::Io { doing: "deleting an earlier picture", error }.in_file(dir);
+        for entry in std::fs::read_dir(dir).map_err(failed)? {
+            let path = entry.map_err(failed)?.path();
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            if ["picture_", "flow_"].iter().any(|kind| name.starts_with(kind)) && name.ends_with(".png") {
+                std::fs::remove_file(&path).map_err(failed)?;
+            }
+        }
         for picture in &self.pictures {
             let ViewScore { timestep, camera, .. } = picture.score;
             let name = format!("picture_{}_{}_{timestep:05}_{camera:02}.png", picture.split, picture.word);

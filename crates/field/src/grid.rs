@@ -168,6 +168,10 @@ grid! {
     Mask, bool, false
 }
 grid! {
+    /// One number per pixel, `H x W`, that says what the pixel shows; the file or function it comes from says which number is what.
+    Labels, u8, 0
+}
+grid! {
     /// Optical flow, `H x W x 2` in pixels: `[u, v]`, `u` to the right, `v` down, from frame 1 to frame 2, stored at frame 1's
     /// pixel. A pixel with unknown flow (no ground truth) is NaN in both components; all other values are finite.
     FlowField, [f32; 2], [0.0; 2]

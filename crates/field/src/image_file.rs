@@ -1,4 +1,4 @@
-//! Images and masks on disk.
+//! Images, masks and labels on disk.
 
 use std::io::{self, Cursor, Read, Seek, Write};
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use crate::codec::{MAX_PIXELS, PngOutline, check_size, read_all, read_with};
-use crate::{FileError, FileKind, FileProblem, Image, Mask, write_atomically};
+use crate::{FileError, FileKind, FileProblem, Image, Labels, Mask, write_atomically};
 
 /// File extensions of [`read_image`], in lower case.
 pub const IMAGE_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "ppm", "pgm", "pnm", "bmp"];
@@ -56,6 +56,24 @@ pub fn read_mask(path: &Path) -> Result<Mask, FileError> {
     })
 }
 
+/// Reads labels from an 8-bit grey image: the values as they are stored.
+///
+/// # Errors
+/// As [`read_image`], and when the image is not grey with 8 bits. Indexed images are not: their colours are stored, and the numbers of
+/// the colours have no fixed meaning.
+pub fn read_labels(path: &Path) -> Result<Labels, FileError> {
+    read_with(path, FileKind::Image, |reader, len| match decode(&read_all(reader, len)?)? {
+        DynamicImage::ImageLuma8(pixels) => {
+            let (width, height) = (pixels.width() as usize, pixels.height() as usize);
+            Ok(Labels::from_buffer(width, height, pixels.into_raw()))
+        }
+        other => {
+            let expected = "8-bit grey values, one label per pixel (convert the image)";
+            Err(FileProblem::field("pixels", expected, format!("{:?}", other.color())))
+        }
+    })
+}
+
 /// Writes an image as PNG with fast compression, whole or not at all (see [`write_atomically`]).
 ///
 /// # Errors
@@ -73,6 +91,16 @@ pub fn write_image_png(path: &Path, image: &Image) -> Result<(), FileError> {
 pub fn write_mask_png(path: &Path, mask: &Mask) -> Result<(), FileError> {
     let grey: Vec<u8> = mask.pixels().iter().map(|inside| if *inside { 255 } else { 0 }).collect();
     write_atomically(path, |writer| encode_png(writer, mask.size(), png::ColorType::Grayscale, &grey))
+}
+
+/// Writes labels as a grey PNG with the values as they are; see [`write_image_png`].
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_labels_png(path: &Path, labels: &Labels) -> Result<(), FileError> {
+    write_atomically(path, |writer| {
+        encode_png(writer, labels.size(), png::ColorType::Grayscale, labels.pixels())
+    })
 }
 
 fn encode_png(

@@ -40,9 +40,10 @@ pub use flow_colors::{flow_colors, longest_flow};
 pub use forward_interpolate::forward_interpolate;
 pub use grey::{luminance, opencv_grey, pillow_grey};
 pub(crate) use grid::check_same_size;
-pub use grid::{FlowField, Image, Mask, Plane, SizeError, SizeMismatch};
+pub use grid::{FlowField, Image, Labels, Mask, Plane, SizeError, SizeMismatch};
 pub use image_file::{
-    IMAGE_EXTENSIONS, read_image, read_image_size, read_mask, write_image_png, write_mask_png,
+    IMAGE_EXTENSIONS, read_image, read_image_size, read_labels, read_mask, write_image_png, write_labels_png,
+    write_mask_png,
 };
 pub use json_lines::{JsonLines, read_json_lines};
 pub use metrics::{MAX_SCORED_FLOW, MeanMetrics, Metrics, ScoreError, score};

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;
 use srflow_field::{
-    Image, Mask, Plane, read_image, read_mask, read_npy, read_npy_plane, write_image_png, write_mask_png,
-    write_npy, write_npy_plane,
+    Image, Labels, Mask, Plane, read_image, read_labels, read_mask, read_npy, read_npy_plane,
+    write_image_png, write_labels_png, write_mask_png, write_npy, write_npy_plane,
 };
 
 fn data(name: &str) -> PathBuf {
@@ -48,13 +48,26 @@ fn a_mask_is_true_over_127() {
     assert_eq!(mask, Mask::from_fn(10, 7, |x, _| 25 * x > 127));
 }
 
+#[test]
+fn labels_are_the_grey_values_and_nothing_else_is_read_as_labels() {
+    let labels = read_labels(&data("image_grey.png")).unwrap();
+    assert_eq!(labels, Labels::from_fn(10, 7, |x, _| 25 * x as u8));
+    for (name, found) in [("image.png", "Rgb8"), ("image_16bit.png", "Rgb16"), ("image.bmp", "Rgb8")] {
+        let error = read_labels(&data(name)).unwrap_err().to_string();
+        let expected = format!("{name}: pixels: expected 8-bit grey values");
+        assert!(error.contains(&expected) && error.contains(found), "{error}");
+    }
+}
+
 fn read_bytes(bytes: &[u8]) -> Result<Image, String> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("image.any");
     fs::write(&path, bytes).unwrap();
     let mask = read_mask(&path).map(|mask| mask.size());
+    let labels = read_labels(&path).map(|labels| labels.size());
     let image = read_image(&path).map_err(|error| error.to_string());
     assert_eq!(mask.ok(), image.as_ref().ok().map(Image::size));
+    assert!(labels.is_err() || labels.ok() == image.as_ref().ok().map(Image::size));
     image
 }
 
@@ -92,7 +105,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 200, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn png_keeps_images_and_masks(
+    fn png_keeps_images_masks_and_labels(
         (width, height, pixels) in (1_usize..40, 1_usize..20).prop_flat_map(|(width, height)| {
             (Just(width), Just(height), prop::collection::vec(any::<[u8; 3]>(), width * height))
         }),
@@ -100,11 +113,14 @@ proptest! {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.png");
         let mask = Mask::from_fn(width, height, |x, y| pixels[y * width + x][0] > 99);
+        let labels = Labels::from_fn(width, height, |x, y| pixels[y * width + x][1]);
         let image = Image::from_pixels(width, height, pixels).unwrap();
         write_image_png(&path, &image).unwrap();
         prop_assert_eq!(&read_image(&path).unwrap(), &image);
         write_mask_png(&path, &mask).unwrap();
         prop_assert_eq!(&read_mask(&path).unwrap(), &mask);
+        write_labels_png(&path, &labels).unwrap();
+        prop_assert_eq!(&read_labels(&path).unwrap(), &labels);
     }
 
     #[test]

@@ -4,3 +4,4 @@ pub mod augment;
 pub mod flow;
 pub mod manifest;
 pub mod micro_expression;
+pub mod region_map;

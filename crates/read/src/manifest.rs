@@ -12,10 +12,11 @@
 //! train/mask/scene-0003/00000.png              alpha of frame 0 above one half
 //! train/occlusion/scene-0003/00000.png         pixels of frame 0 that are not visible in frame 1
 //! train/depth/scene-0003/00000.png             depth of frame 0 (--depth)
+//! train/regions/scene-0003/00000.png           parts of the head in frame 0 (--regions)
 //! train/pairs/scene-0003/00000.json            cameras, motion and action units of frames 0 and 1; written last
 //! ```
 //!
-//! A scene of `n` pairs has `n + 1` frames, alphas, masks and depths, and `n` of everything else.
+//! A scene of `n` pairs has `n + 1` frames, alphas, masks, depths and region maps, and `n` of everything else.
 
 use std::path::{Path, PathBuf};
 
@@ -74,6 +75,9 @@ pub struct Arguments {
     /// `curves`, `own` (the motion in an avatar's files), or `recorded` with a fingerprint of the files read.
     #[serde(default = "curves", skip_serializing_if = "is_curves")]
     pub motion: String,
+    /// Whether there are [region maps](crate::region_map).
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub regions: bool,
 }
 
 /// The motion of datasets that name none.
@@ -161,6 +165,8 @@ pub struct PairFiles {
     pub occlusion: PathBuf,
     /// Depth of frame 1, 16-bit PNG.
     pub depth: Option<PathBuf>,
+    /// [Region map](crate::region_map) of frame 1.
+    pub regions: Option<PathBuf>,
     /// Cameras, motion and action units of both frames.
     pub record: PathBuf,
 }
@@ -172,6 +178,7 @@ impl PairFiles {
             .into_iter()
             .chain(&self.flow_backward)
             .chain(&self.depth)
+            .chain(&self.regions)
     }
 }
 
@@ -186,12 +193,14 @@ pub struct FrameFiles {
     pub mask: PathBuf,
     /// Depth, 16-bit PNG.
     pub depth: Option<PathBuf>,
+    /// [Region map](crate::region_map), 8-bit PNG.
+    pub regions: Option<PathBuf>,
 }
 
 impl FrameFiles {
     /// All files.
     pub fn all(&self) -> impl Iterator<Item = &PathBuf> {
-        [&self.frame, &self.alpha, &self.mask].into_iter().chain(&self.depth)
+        [&self.frame, &self.alpha, &self.mask].into_iter().chain(&self.depth).chain(&self.regions)
     }
 }
 
@@ -274,15 +283,16 @@ impl Manifest {
 
     /// The folders of each split, one per kind of file.
     pub fn kinds(&self) -> impl Iterator<Item = &'static str> + use<> {
-        let Arguments { backward, depth, .. } = self.arguments;
+        let Arguments { backward, depth, regions, .. } = self.arguments;
         let kinds = ["frames", "flow", "alpha", "mask", "occlusion", "pairs"];
-        kinds.into_iter().chain(backward.then_some("flow_backward")).chain(depth.then_some("depth"))
+        let optional = [(backward, "flow_backward"), (depth, "depth"), (regions, "regions")];
+        kinds.into_iter().chain(optional.into_iter().filter_map(|(has, kind)| has.then_some(kind)))
     }
 
     /// The files of pair `pair` (frames `pair` and `pair + 1`) of `scene`, in the dataset's folder `dir`. They need not exist.
     pub fn files(&self, dir: &Path, scene: &SceneEntry, pair: u32) -> PairFiles {
         let file = |kind: &str, ending: &str| file(dir, scene, kind, pair, ending);
-        let FrameFiles { frame, alpha, mask, depth } = self.frame_files(dir, scene, pair);
+        let FrameFiles { frame, alpha, mask, depth, regions } = self.frame_files(dir, scene, pair);
         let flow_ending = self.flow_ending();
         PairFiles {
             frame1: frame,
@@ -293,6 +303,7 @@ impl Manifest {
             mask,
             occlusion: file("occlusion", "png"),
             depth,
+            regions,
             record: file("pairs", "json"),
         }
     }
@@ -305,6 +316,7 @@ impl Manifest {
             alpha: file("alpha"),
             mask: file("mask"),
             depth: self.arguments.depth.then(|| file("depth")),
+            regions: self.arguments.regions.then(|| file("regions")),
         }
     }
 
@@ -342,6 +354,7 @@ mod tests {
                 depth: true,
                 background: "#ffffff".into(),
                 motion: "curves".into(),
+                regions: true,
             },
             rig: vec![],
             scenes: vec![SceneEntry {
@@ -367,12 +380,25 @@ mod tests {
     }
 
     #[test]
+    fn a_dataset_without_regions_has_the_manifest_of_earlier_versions() {
+        let mut without = manifest();
+        without.arguments.regions = false;
+        let text = serde_json::to_string(&without).unwrap();
+        assert!(!text.contains("regions"), "{text}");
+        assert_eq!(read(&text).unwrap(), without);
+        assert!(!without.kinds().any(|kind| kind == "regions"));
+        let files = without.files(Path::new("d"), &without.scenes[0], 3);
+        assert_eq!((files.regions, manifest().kinds().last()), (None, Some("regions")));
+    }
+
+    #[test]
     fn files_follow_the_layout() {
         let manifest = manifest();
         let files = manifest.files(Path::new("d"), &manifest.scenes[0], 3);
         assert_eq!(files.frame2, Path::new("d/train/frames/scene-0000/00004.png"));
         assert_eq!(files.flow, Path::new("d/train/flow/scene-0000/00003.flo"));
         assert_eq!(files.depth.as_deref(), Some(Path::new("d/train/depth/scene-0000/00003.png")));
+        assert_eq!(files.regions.as_deref(), Some(Path::new("d/train/regions/scene-0000/00003.png")));
         assert_eq!(files.flow_backward, None);
         let last = manifest.frame_files(Path::new("d"), &manifest.scenes[0], 4);
         assert_eq!(last.mask, Path::new("d/train/mask/scene-0000/00004.png"));

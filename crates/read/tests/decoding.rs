@@ -4,7 +4,9 @@ use std::fs;
 use std::path::Path;
 
 use rayon::prelude::*;
-use srflow_field::{FlowField, Image, Mask, write_flow, write_image_png, write_mask_png, write_npy};
+use srflow_field::{
+    FlowField, Image, Labels, Mask, write_flow, write_image_png, write_labels_png, write_mask_png, write_npy,
+};
 use srflow_read::flow::{DatasetSpec, FlowDataset, Sample, Split};
 use tempfile::TempDir;
 
@@ -79,6 +81,26 @@ fn a_plain_folder_in_every_flow_format() {
         assert_holds(&found[1], 1, 2, &flow(7));
         assert_eq!((&found[0].mask, &found[1].mask), (&Some(corner_mask()), &None));
     }
+}
+
+#[test]
+fn region_maps_have_the_size_of_their_frames() {
+    let dir = TempDir::new().unwrap();
+    (0..3).for_each(|n| put_frame(dir.path(), &format!("frames/{n}.png"), n));
+    let map = Labels::from_fn(WIDTH, HEIGHT, |x, _| x as u8);
+    write_labels_png(&made(dir.path(), "regions/0.png"), &map).unwrap();
+    let read = || open("folder", dir.path()).entries()[0].read_regions().map_err(|error| error.to_string());
+    assert_eq!(read().unwrap(), Some(map.clone()));
+    assert_eq!(open("folder", dir.path()).entries()[1].read_regions().unwrap(), None);
+    let path = dir.path().join("regions/0.png");
+    write_labels_png(&path, &map.crop(0, 0, WIDTH, 3)).unwrap();
+    let error = read().unwrap_err();
+    for part in ["regions/0.png: expected 6x4 (WIDTHxHEIGHT) to go with", "frames/0.png, found 6x3"] {
+        assert!(error.contains(part), "{error}");
+    }
+    write_labels_png(&path, &Labels::filled(WIDTH, HEIGHT, 200)).unwrap();
+    let error = read().unwrap_err();
+    assert!(error.contains("regions/0.png: pixel (0, 0)") && error.contains("found 200"), "{error}");
 }
 
 #[test]

@@ -136,6 +136,7 @@ mod folder {
             "b_img2.png",
             "b_flow.flo",
             "b_mask.png",
+            "b_regions.png",
             "a_img1.jpg",
             "a_img2.jpg",
             "a_flow.pfm",
@@ -148,6 +149,8 @@ mod folder {
             ["a: a_img1.jpg > a_img2.jpg = a_flow.pfm", "b: b_img1.png > b_img2.png = b_flow.flo"]
         );
         assert_eq!(dataset.entries()[1].mask, Some(dir.path().join("b_mask.png")));
+        assert_eq!(dataset.entries()[1].regions, Some(dir.path().join("b_regions.png")));
+        assert_eq!(dataset.entries()[0].regions, None);
     }
 
     #[test]
@@ -186,6 +189,7 @@ mod folder {
             "flow/s10/1.png",
             "mask/s10/0.png",
             "occlusion/s10/1.png",
+            "regions/s10/1.png",
         ]);
         let dataset = open("folder", dir.path(), None).unwrap();
         assert_eq!(
@@ -201,6 +205,7 @@ mod folder {
             dataset.entries()[2].occlusion,
             Some(Occlusion::Picture(dir.path().join("occlusion/s10/1.png")))
         );
+        assert_eq!(dataset.entries()[2].regions, Some(dir.path().join("regions/s10/1.png")));
     }
 
     #[test]
@@ -212,15 +217,17 @@ mod folder {
             "flow/0.flo",
             "flow/7.flo",
             "mask/8.png",
+            "regions/9.png",
             "flow/s/0.flo",
         ]);
         assert_says(
             open("folder", dir.path(), None),
             &[
-                "4 problems",
+                "5 problems",
                 "frames/1.png has no flow flow/1.*",
                 "flow/7.flo",
                 "mask/8.png",
+                "regions/9.png",
                 "flow/s: no folder frames/s",
             ],
         );
@@ -618,10 +625,14 @@ mod srflow {
 
     /// A dataset with a scene of two pairs for training and one of one pair for testing, laid out as by `srflow render`.
     fn srflow(backward: bool) -> TempDir {
+        srflow_with(backward, false)
+    }
+
+    fn srflow_with(backward: bool, regions: bool) -> TempDir {
         let scenes = [("train", "scene-0000", 2), ("test", "scene-0001", 1)];
         let mut files = Vec::new();
         for (split, scene, pairs) in scenes {
-            for part in ["frames", "alpha", "mask"] {
+            for part in ["frames", "alpha", "mask"].into_iter().chain(regions.then_some("regions")) {
                 files.extend((0..=pairs).map(|n| format!("{split}/{part}/{scene}/{n:05}.png")));
             }
             for n in 0..pairs {
@@ -637,15 +648,37 @@ mod srflow {
         let scenes = scenes.map(|(split, name, pairs)| {
             serde_json::json!({ "name": name, "split": split, "subject": 1, "pairs": pairs })
         });
-        let manifest = serde_json::json!({
+        let mut manifest = serde_json::json!({
             "layout_version": 1, "srflow_version": "0.1.0", "rig": [], "scenes": scenes,
             "arguments": {
                 "head": "builtin", "scenes": 2, "frames": 1.5, "width": 8, "height": 8, "splits": [0.5, 0.0, 0.5], "seed": 1,
                 "flow_format": "npz", "backward": backward, "depth": false, "background": "#ffffff",
             },
         });
+        if regions {
+            manifest["arguments"]["regions"] = true.into();
+        }
         fs::write(dir.path().join("dataset.json"), manifest.to_string()).unwrap();
         dir
+    }
+
+    #[test]
+    fn region_maps_are_those_of_the_first_frame_of_a_pair() {
+        let dir = srflow_with(true, true);
+        let map = |frame: &str| Some(dir.path().join(format!("train/regions/scene-0000/{frame}.png")));
+        let maps = |kind| {
+            let dataset = open(kind, dir.path(), Some(Split::Train)).unwrap();
+            dataset.entries().iter().map(|entry| entry.regions.clone()).collect::<Vec<_>>()
+        };
+        assert_eq!(maps("srflow"), [map("00000"), map("00001")]);
+        assert_eq!(maps("srflow-backward"), [map("00001"), map("00002")]);
+        let without = open("srflow", srflow(false).path(), Some(Split::Train)).unwrap();
+        assert!(without.entries().iter().all(|entry| entry.regions.is_none()));
+        fs::remove_file(map("00001").unwrap()).unwrap();
+        assert_says(
+            open("srflow", dir.path(), Some(Split::Train)),
+            &["1 problem", "no train/regions/scene-0000/00001.png"],
+        );
     }
 
     #[test]

@@ -6,65 +6,13 @@
 
 use serde::Serialize;
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView};
-use srflow_avatar::{Avatar, HeadPose, PosedHead, Region};
-use srflow_field::named;
+use srflow_avatar::{Avatar, HeadPose, PosedHead};
+use srflow_read::region_map::HeadPart;
 use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
 
 use crate::RenderError;
 use crate::capture::TrueCapture;
-
-/// The part of the head that a pixel shows: the one with the largest weight in it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum HeadPart {
-    /// Face and ears, with lips, brows, lashes and stubble.
-    Skin,
-    /// Eyeballs and the lining of the lids.
-    Eyes,
-    /// Teeth, tongue and the inside of the mouth.
-    Mouth,
-    /// Hair, and the scalp below it.
-    Hair,
-    /// Neck and shoulders.
-    Neck,
-}
-
-named!(HeadPart, "a part of the head", {
-    Skin => "skin", Eyes => "eyes", Mouth => "mouth", Hair => "hair", Neck => "neck",
-});
-
-/// Parts are recognized by rendering them in the three channels of a colour, this many times. Skin has none: its weight is what the
-/// others leave of alpha.
-const PASSES: usize = (HeadPart::ALL.len() - 1).div_ceil(3);
-
-impl HeadPart {
-    pub(crate) fn of(region: Region) -> Self {
-        match region {
-            Region::Skin | Region::Lips | Region::Brow | Region::LidMargin => Self::Skin,
-            Region::Eyeball | Region::InnerLid | Region::Clear => Self::Eyes,
-            Region::Teeth | Region::MouthInside => Self::Mouth,
-            Region::Scalp => Self::Hair,
-            Region::Neck => Self::Neck,
-        }
-    }
-
-    /// The colour that stands for the part in a pass.
-    fn paint(self, pass: usize) -> [f32; 3] {
-        std::array::from_fn(|channel| if self as usize == 1 + 3 * pass + channel { 1.0 } else { 0.0 })
-    }
-
-    /// From the colours of all passes.
-    fn largest(passes: [[f32; 3]; PASSES], alpha: f32) -> Self {
-        let weights = passes.as_flattened();
-        let mut largest = (Self::Skin, alpha - weights.iter().sum::<f32>());
-        for (&part, &weight) in Self::ALL[1..].iter().zip(weights) {
-            if weight > largest.1 {
-                largest = (part, weight);
-            }
-        }
-        largest.0
-    }
-}
+use crate::parts::PartWeights;
 
 /// A head that moves from one pose to the next, and the camera that sees it in each.
 #[derive(Debug, Clone, Copy)]
@@ -79,8 +27,8 @@ pub struct MovingHead<'a> {
 pub struct FlowComparison {
     truth: Frame,
     avatar: Frame,
-    /// The colours of the true head in each pass.
-    parts: [Frame; PASSES],
+    /// Of the true head.
+    parts: PartWeights,
     rasterizer: Rasterizer,
     head: PosedHead,
     now: Gaussians,
@@ -111,12 +59,7 @@ impl FlowComparison {
             rasterizer.render(now, moving.cameras[0], Some(next), &options, frame)?;
         }
         truth.avatar.gaussians_into(truth.poses[0], head, now);
-        let of_parts = Options { outputs: Outputs { color: true, ..Outputs::NONE }, ..Options::default() };
-        for (pass, frame) in self.parts.iter_mut().enumerate() {
-            paint_parts(truth.avatar, pass, now);
-            rasterizer.render(now, truth.cameras[0], None, &of_parts, frame)?;
-        }
-        Ok(())
+        self.parts.render(rasterizer, truth.avatar, now, truth.cameras[0])
     }
 
     /// Flow, alpha and depth of the true head.
@@ -131,10 +74,7 @@ impl FlowComparison {
 
     /// The part of the head at each pixel, row-major; `None` outside of the true head's mask.
     pub fn parts(&self) -> impl Iterator<Item = Option<HeadPart>> {
-        self.truth.alpha.pixels().iter().enumerate().map(|(pixel, &alpha)| {
-            let passes = self.parts.each_ref().map(|frame| frame.color[pixel]);
-            (alpha > 0.5).then(|| HeadPart::largest(passes, alpha))
-        })
+        self.parts.parts(&self.truth.alpha)
     }
 
     /// The end-point error of each pixel, row-major; NaN outside of the true head's mask, and where the avatar is missing.
@@ -146,19 +86,6 @@ impl FlowComparison {
             false => f32::NAN,
         })
     }
-}
-
-/// Colours the Gaussians by the part that they belong to.
-fn paint_parts(avatar: &Avatar, pass: usize, gaussians: &mut Gaussians) {
-    /// Of the spherical harmonics of degree 0; a colour of 0.5 has the coefficient 0.
-    const SH_0: f32 = 0.282_094_8;
-    let regions = &avatar.model().regions;
-    let paint = |&triangle: &u32| {
-        HeadPart::of(regions[triangle as usize]).paint(pass).map(|channel| (channel - 0.5) / SH_0)
-    };
-    gaussians.sh_degree = 0;
-    gaussians.sh.clear();
-    gaussians.sh.extend(avatar.bound().triangles().iter().map(paint));
 }
 
 fn distance([u, v]: [f32; 2], [true_u, true_v]: [f32; 2]) -> f32 {
@@ -504,17 +431,5 @@ mod tests {
             none,
             PartError { pixels: 0, missing: 0, seen_through: 0, errors: None, missing_mean: None }
         );
-    }
-
-    #[test]
-    fn the_part_with_the_largest_weight_is_shown() {
-        let largest = |first, alpha| HeadPart::largest([first, [0.25, 0.0, 0.0]], alpha);
-        assert_eq!(largest([0.0; 3], 0.9), HeadPart::Skin);
-        assert_eq!(largest([0.0; 3], 0.4), HeadPart::Neck);
-        assert_eq!(largest([0.0, 0.1, 0.3], 0.7), HeadPart::Hair);
-        assert_eq!(largest([0.0, 0.4, 0.0], 0.7), HeadPart::Mouth);
-        for part in HeadPart::ALL {
-            assert_eq!(HeadPart::largest([0, 1].map(|pass| part.paint(pass)), 1.0), part);
-        }
     }
 }

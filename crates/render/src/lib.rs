@@ -10,6 +10,7 @@ mod head;
 pub mod job;
 pub mod label_error;
 pub mod mesh_error;
+mod parts;
 pub mod record;
 pub mod shapes;
 pub mod statistics;

@@ -4,9 +4,10 @@ use glam::{DVec3, Vec3};
 use serde::Serialize;
 use srflow_avatar::capture::Capture;
 use srflow_avatar::{HeadModel, HeadPose, ShapedHead, TriangleFrame};
+use srflow_read::region_map::HeadPart;
 
 use crate::capture::TrueCapture;
-use crate::label_error::HeadPart;
+use crate::parts::part_of;
 
 /// Distances between corresponding points of two meshes, millimetres, over the surface of the true one: triangles count by their
 /// areas.
@@ -67,7 +68,7 @@ pub fn mesh_error(
             let off = found.origin + offset - true_frame.origin;
             let normal = true_frame.rotation * Vec3::Y;
             let distance = Distance { any: off.length(), normal: off.dot(normal).abs(), area };
-            distances[HeadPart::of(*region) as usize].push(distance);
+            distances[part_of(*region) as usize].push(distance);
         }
     }
     let parts = HeadPart::ALL.iter().zip(distances);

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde_json::Value;
-use srflow_field::{FlowField, read_flow, write_flow};
+use srflow_field::{FlowField, Labels, read_flow, read_labels, write_flow, write_labels_png};
 use srflow_render::check::check;
 use srflow_render::generate::{Settings, generate};
 use srflow_render::job::Request;
@@ -19,6 +19,7 @@ fn render(dir: &Path) {
         seed: 4,
         backward: true,
         depth: true,
+        regions: true,
         ..Settings::default()
     };
     generate(&settings, Request::new(dir)).unwrap();
@@ -113,4 +114,46 @@ fn every_change_is_reported() {
         .unwrap();
     let found = problems(dir);
     assert!(found.len() == 1 && found[0].contains("depth and mask contradict each other"), "{found:?}");
+}
+
+#[test]
+fn damaged_region_maps_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    render(dir);
+    let name = "train/regions/scene-0000/00002.png";
+    let path = dir.join(name);
+    let sound = read_labels(&path).unwrap();
+    let changed = |change: fn(&mut Labels)| {
+        let mut map = sound.clone();
+        change(&mut map);
+        write_labels_png(&path, &map).unwrap();
+        let found = problems(dir);
+        assert_eq!(found.len(), 1, "{found:?}");
+        found[0].clone()
+    };
+    // The corners show the background, the middle the head.
+    let outside = changed(|map| map.set(0, 0, 1));
+    assert_eq!(outside, format!("{name}: region map and mask contradict each other in 1 pixels"));
+    let inside = changed(|map| map.set(55, 80, 0));
+    assert_eq!(inside, format!("{name}: region map and mask contradict each other in 1 pixels"));
+    let meaningless = changed(|map| map.set(55, 80, 6));
+    assert!(
+        meaningless.starts_with(&format!("{name}: pixel (55, 80): expected 0 (background)")),
+        "{meaningless}"
+    );
+    let small = changed(|map| *map = map.crop(0, 0, 110, 159));
+    assert!(
+        small.starts_with(&format!("{name}: expected 110x160 as in dataset.json, found 110x159")),
+        "{small}"
+    );
+    // A picture of colours is no region map, even of the right size.
+    fs::copy(dir.join("train/frames/scene-0000/00002.png"), &path).unwrap();
+    assert!(
+        problems(dir)[0].starts_with(&format!("{name}: pixels: expected 8-bit grey")),
+        "{:?}",
+        problems(dir)
+    );
+    fs::remove_file(&path).unwrap();
+    assert_eq!(problems(dir), [format!("{name}: the file is missing")]);
 }

@@ -6,11 +6,11 @@ use std::sync::LazyLock;
 
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView, HeadRecord, write_tracked};
 use srflow_avatar::{Avatar, HeadModel, HeadPose};
+use srflow_read::region_map::HeadPart;
 use srflow_render::capture::{CaptureSettings, TrueCapture, capture};
 use srflow_render::job::Request;
 use srflow_render::label_error::{
-    FlowComparison, FlowPair, HeadPart, LabelError, LabelErrorSum, MovingHead, PartError, TestedAvatar,
-    flow_pairs,
+    FlowComparison, FlowPair, LabelError, LabelErrorSum, MovingHead, PartError, TestedAvatar, flow_pairs,
 };
 use srflow_render::mesh_error::mesh_error;
 use srflow_splat::{Camera, Options};

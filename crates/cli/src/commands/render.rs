@@ -52,6 +52,9 @@ pub struct Render {
     /// Also write depth
     #[arg(long)]
     depth: bool,
+    /// Also write region maps: whether a pixel shows skin, eyes, mouth, hair or neck
+    #[arg(long)]
+    regions: bool,
     /// Background: white, black, #rrggbb, or a folder of images
     #[arg(long, value_name = "COLOUR|DIR", default_value = "white")]
     background: Background,
@@ -96,6 +99,7 @@ pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
         depth: args.depth,
         background: args.background,
         motion: args.motion,
+        regions: args.regions,
     };
     let notes = settings.empty_splits();
     for note in &notes {

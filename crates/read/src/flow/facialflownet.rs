@@ -83,6 +83,7 @@ impl FacialFlowNet {
                 flow: Some(flow),
                 mask: masks.next(),
                 occlusion: None,
+                regions: None,
             })
         };
         Ok(images.windows(2).zip(flows).filter_map(entry).collect())

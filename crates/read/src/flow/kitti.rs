@@ -91,6 +91,7 @@ fn entry_of(root: &Path, frame_dir: &Path, scene: &str, with_flow: bool, gaps: &
         flow: with_flow.then_some(flow),
         mask: None,
         occlusion: (with_flow && visible.is_file()).then_some(Occlusion::VisibleFlow(visible)),
+        regions: None,
         frame1,
         frame2,
     })

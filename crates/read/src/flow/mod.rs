@@ -50,6 +50,8 @@ pub struct Entry {
     pub mask: Option<PathBuf>,
     /// Source of the occlusions of frame 1, if there is one.
     pub occlusion: Option<Occlusion>,
+    /// File of the [region map](crate::region_map) of frame 1, if there is one.
+    pub regions: Option<PathBuf>,
 }
 
 impl Entry {
@@ -63,7 +65,7 @@ impl Entry {
         let occlusion = self.occlusion.as_ref().map(|occlusion| match occlusion {
             Occlusion::Picture(path) | Occlusion::VisibleFlow(path) => path,
         });
-        let optional = [self.flow.as_ref(), self.mask.as_ref(), occlusion];
+        let optional = [self.flow.as_ref(), self.mask.as_ref(), occlusion, self.regions.as_ref()];
         [&self.frame1, &self.frame2].into_iter().chain(optional.into_iter().flatten()).map(PathBuf::as_path)
     }
 }
@@ -132,7 +134,7 @@ impl FlowDataset {
         let dir = frame1.parent().unwrap_or(Path::new("")).to_owned();
         let frame = listing::stem(&frame1);
         let (scene, flow) = (String::new(), Some(flow));
-        let entry = Entry { scene, frame, frame1, frame2, flow, mask: None, occlusion: None };
+        let entry = Entry { scene, frame, frame1, frame2, flow, mask: None, occlusion: None, regions: None };
         Self {
             name: "pair".to_owned(),
             dir,

@@ -5,7 +5,7 @@
 //!   first frame of each pair;
 //! - the same with a folder per scene: `frames/SCENE/*.png`, `flow/SCENE/*.flo`.
 //!
-//! `mask/` and `occlusion/` (or `_mask`, `_occlusion`) may accompany `flow/` in the same way. Without any flow the pairs have
+//! `mask/`, `occlusion/` and `regions/` (or `_mask`, `_occlusion`, `_regions`) may accompany `flow/` in the same way. Without any flow the pairs have
 //! no ground truth. A split `train`, `val` or `test` is a subfolder of that name with such a layout.
 
 use std::collections::BTreeMap;
@@ -67,7 +67,7 @@ fn scenes(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
     let mut scenes = vec![String::new()];
     scenes.extend(listing::folders(&frames)?.iter().map(|folder| listing::name(folder)));
     let with_flow = dir.join("flow").is_dir();
-    for part in ["flow", "mask", "occlusion"] {
+    for part in ["flow", "mask", "occlusion", "regions"] {
         listing::folders_without(&dir.join(part), &frames, gaps)?;
     }
     let mut entries = Vec::new();
@@ -95,6 +95,7 @@ fn pairs_of_scene(
     let mut flows = by_stem("flow", listing::FLOWS)?;
     let mut masks = by_stem("mask", listing::MASKS)?;
     let mut occlusions = by_stem("occlusion", listing::IMAGES)?;
+    let mut regions = by_stem("regions", listing::IMAGES)?;
     let frames = listing::files(&dir.join("frames").join(scene), listing::IMAGES)?;
 
     let mut entries = Vec::new();
@@ -111,6 +112,7 @@ fn pairs_of_scene(
             flow,
             mask: masks.remove(&frame),
             occlusion: occlusions.remove(&frame).map(Occlusion::Picture),
+            regions: regions.remove(&frame),
             frame,
             frame1: frame1.clone(),
             frame2: frame2.clone(),
@@ -120,7 +122,8 @@ fn pairs_of_scene(
         gaps.push(format!("{}: no frame of that name with a next frame after it", gaps.shown(flow)));
     }
     let last = frames.last().map(|frame| listing::stem(frame));
-    for (name, file) in masks.iter().chain(&occlusions).filter(|(name, _)| Some(*name) != last.as_ref()) {
+    let unpaired = masks.iter().chain(&occlusions).chain(&regions);
+    for (name, file) in unpaired.filter(|(name, _)| Some(*name) != last.as_ref()) {
         gaps.push(format!("{}: no frame of the name {name}", gaps.shown(file)));
     }
     Ok(entries)

@@ -3,9 +3,12 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{FlowField, Image, Mask, read_flow, read_image, read_mask, read_npy};
+use srflow_field::{
+    FlowField, Image, Labels, Mask, read_flow, read_image, read_image_size, read_mask, read_npy,
+};
 
 use super::{DatasetError, Entry, Occlusion};
+use crate::region_map::read_region_map;
 
 /// One decoded pair of frames; all parts have the same size.
 #[derive(Debug, Clone, PartialEq)]
@@ -100,6 +103,24 @@ impl Truth {
             }
         }
         flow
+    }
+}
+
+impl Entry {
+    /// Decodes the [region map](crate::region_map) of frame 1; `None` when there is none. It is not a part of [`Sample`], since few
+    /// readers of samples need it.
+    ///
+    /// # Errors
+    /// When the file cannot be read, is no region map, or has another size than frame 1.
+    pub fn read_regions(&self) -> Result<Option<Labels>, DatasetError> {
+        let Some(path) = &self.regions else { return Ok(None) };
+        let map = read_region_map(path)?;
+        let expected = read_image_size(&self.frame1)?;
+        if map.size() == expected {
+            return Ok(Some(map));
+        }
+        let (path, frame) = (path.clone(), self.frame1.clone());
+        Err(DatasetError::SizeMismatch { path, found: map.size(), frame, expected })
     }
 }
 

@@ -82,6 +82,7 @@ impl Sequence<'_> {
                 flow,
                 mask: None,
                 occlusion: self.occlusions.remove(&start).map(Occlusion::Picture),
+                regions: None,
             });
         }
         let end = match direction {

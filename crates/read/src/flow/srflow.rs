@@ -89,17 +89,21 @@ impl SrFlow {
 
     fn entry(&self, manifest: &Manifest, dir: &Path, scene: &SceneEntry, pair: u32) -> Entry {
         let files = manifest.files(dir, scene, pair);
-        let (frame1, frame2, flow, mask, occlusion) = match self.direction {
-            Direction::Forward => {
-                (files.frame1, files.frame2, Some(files.flow), Some(files.mask), Some(files.occlusion))
-            }
-            Direction::Backward => {
-                let mask = manifest.frame_files(dir, scene, pair.saturating_add(1)).mask;
-                (files.frame2, files.frame1, files.flow_backward, Some(mask), None)
-            }
+        let (frames, flow, occlusion) = match self.direction {
+            Direction::Forward => ([pair, pair.saturating_add(1)], Some(files.flow), Some(files.occlusion)),
+            Direction::Backward => ([pair.saturating_add(1), pair], files.flow_backward, None),
         };
-        let (scene, frame) = (scene.name.clone(), listing::stem(&frame1));
-        Entry { scene, frame, frame1, frame2, flow, mask, occlusion: occlusion.map(Occlusion::Picture) }
+        let [first, second] = frames.map(|frame| manifest.frame_files(dir, scene, frame));
+        Entry {
+            scene: scene.name.clone(),
+            frame: listing::stem(&first.frame),
+            frame1: first.frame,
+            frame2: second.frame,
+            flow,
+            mask: Some(first.mask),
+            occlusion: occlusion.map(Occlusion::Picture),
+            regions: first.regions,
+        }
     }
 }
 

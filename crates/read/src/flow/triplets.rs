@@ -8,12 +8,13 @@ use super::listing;
 use super::{DatasetError, Entry, Occlusion};
 
 /// Parts of a triplet by the suffix of their stem, and the extensions that each may have.
-const PARTS: [(&str, &[&str]); 5] = [
+const PARTS: [(&str, &[&str]); 6] = [
     ("_img1", listing::IMAGES),
     ("_img2", listing::IMAGES),
     ("_flow", listing::FLOWS),
     ("_mask", listing::MASKS),
     ("_occlusion", listing::IMAGES),
+    ("_regions", listing::IMAGES),
 ];
 
 /// The pairs of `dir` in natural order. Either all have a flow or none; anything else is a gap.
@@ -32,7 +33,8 @@ pub fn triplets(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError>
     let with_flow = !found[2].is_empty();
     let mut entries = Vec::new();
     for name in names {
-        let [frame1, frame2, flow, mask, occlusion] = found.each_mut().map(|files| files.remove(&name));
+        let [frame1, frame2, flow, mask, occlusion, regions] =
+            found.each_mut().map(|files| files.remove(&name));
         let missing = [
             ("_img1", frame1.is_none()),
             ("_img2", frame2.is_none()),
@@ -43,7 +45,8 @@ pub fn triplets(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError>
         }
         if let (Some(frame1), Some(frame2)) = (frame1, frame2) {
             let occlusion = occlusion.map(Occlusion::Picture);
-            entries.push(Entry { scene: String::new(), frame: name, frame1, frame2, flow, mask, occlusion });
+            let scene = String::new();
+            entries.push(Entry { scene, frame: name, frame1, frame2, flow, mask, occlusion, regions });
         }
     }
     Ok(entries)

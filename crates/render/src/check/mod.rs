@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use serde::Serialize;
 use srflow_field::{
-    FileKind, FlowField, Image, Mask, parse_error_in_words, read_flow, read_image, read_mask, read_text, warp,
+    FileKind, FlowField, Image, Labels, Mask, parse_error_in_words, read_flow, read_image, read_mask,
+    read_text, warp,
 };
 
 use crate::camera::camera_from_record;
@@ -17,6 +18,7 @@ use crate::record::PairRecord;
 use crate::statistics::{BINS, FlowSummary, Statistics, bin_edges};
 use plan::{Expected, problems_of_manifest, unexpected_files};
 use srflow_read::manifest::{FrameFiles, Manifest, ManifestError, STATISTICS_NAME, SceneEntry};
+use srflow_read::region_map::read_region_map;
 
 /// Maximum number of pairs examined at once, each with about 0.3 GB at 2200x3208.
 const MAX_AT_ONCE: usize = 16;
@@ -236,16 +238,32 @@ impl PairFindings {
         }
         if let Some(path) = &files.depth
             && let Some(depth) = self.read_image(path, size)
-            && let Some(mask) = &mask
         {
-            let differ =
-                depth.pixels().iter().zip(mask.pixels()).filter(|(depth, inside)| (depth[0] > 0) != **inside);
-            let differ = differ.count();
-            if differ > 0 {
-                self.problem(path, format!("depth and mask contradict each other in {differ} pixels"));
-            }
+            let shown = depth.pixels().iter().map(|depth| depth[0] > 0);
+            self.agrees_with_mask("depth", path, shown, mask.as_ref());
+        }
+        if let Some(path) = &files.regions
+            && let Some(map) = self.read(path, size, read_region_map, Labels::size)
+        {
+            let shown = map.pixels().iter().map(|&label| label > 0);
+            self.agrees_with_mask("region map", path, shown, mask.as_ref());
         }
         mask
+    }
+
+    /// Reports a file that shows the head elsewhere than the mask does.
+    fn agrees_with_mask(
+        &mut self,
+        what: &str,
+        file: &Path,
+        shown: impl Iterator<Item = bool>,
+        mask: Option<&Mask>,
+    ) {
+        let Some(mask) = mask else { return };
+        let differ = shown.zip(mask.pixels()).filter(|(shown, inside)| shown != *inside).count();
+        if differ > 0 {
+            self.problem(file, format!("{what} and mask contradict each other in {differ} pixels"));
+        }
     }
 }
 

@@ -4,7 +4,10 @@ use std::io;
 use std::path::Path;
 
 use srflow_field::{FileError, Plane, write_atomically};
+use srflow_read::region_map::HeadPart;
 use srflow_splat::Frame;
+
+use crate::parts::PartWeights;
 
 /// Depth units per metre in a depth picture; 0 is no depth.
 pub const DEPTH_UNITS_PER_METRE: f32 = 10_000.0;
@@ -28,6 +31,18 @@ pub fn write_depth(path: &Path, frame: &Frame, bytes: &mut Vec<u8>) -> Result<()
         (depth as u16).to_be_bytes()
     }));
     write_grey(path, frame.depth.size(), png::BitDepth::Sixteen, bytes)
+}
+
+/// Writes the region map of the head that `alpha` is of: the label of the part with the largest weight inside of the mask, 0 elsewhere.
+pub fn write_regions(
+    path: &Path,
+    weights: &PartWeights,
+    alpha: &Plane,
+    bytes: &mut Vec<u8>,
+) -> Result<(), FileError> {
+    bytes.clear();
+    bytes.extend(weights.parts(alpha).map(|part| part.map_or(0, HeadPart::label)));
+    write_grey(path, alpha.size(), png::BitDepth::Eight, bytes)
 }
 
 fn write_grey(

@@ -43,6 +43,8 @@ pub struct Settings {
     pub depth: bool,
     pub background: Background,
     pub motion: MotionSource,
+    /// Whether to write [region maps](srflow_read::region_map) too.
+    pub regions: bool,
 }
 
 impl Default for Settings {
@@ -61,6 +63,7 @@ impl Default for Settings {
             depth: false,
             background: Background::Colour([255; 3]),
             motion: MotionSource::Curves,
+            regions: false,
         }
     }
 }
@@ -131,6 +134,7 @@ impl Settings {
                     return Err(wrong("motion", other, "`curves`, `own`, or `recorded` with a fingerprint"));
                 }
             },
+            regions: arguments.regions,
         };
         settings.validate().map_err(|error| error.to_string())?;
         let images = matches!(settings.background, Background::Images(_));
@@ -222,6 +226,7 @@ impl Settings {
                 }
                 made => made.to_string(),
             },
+            regions: self.regions,
         })
     }
 }

@@ -13,12 +13,13 @@ use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Ras
 
 use super::background::{self, Background};
 use super::occlusion::{occlusion, surface_into};
-use super::pictures::{write_alpha, write_depth};
+use super::pictures::{write_alpha, write_depth, write_regions};
 use super::rig::Rig;
 use super::scene::{FrameState, Scene};
 use super::settings::Settings;
 use crate::RenderError;
 use crate::job::{Plan, Run, Stage, unless_gone};
+use crate::parts::PartWeights;
 use crate::record::{PairRecord, json_text};
 use crate::statistics::FlowSummary;
 use srflow_read::manifest::{
@@ -133,6 +134,8 @@ pub(super) struct Worker {
     backward: Frame,
     /// Depth of the next frame where its alpha is above one half, else 0.
     next_surface: Vec<f32>,
+    /// Empty without region maps; with them, another 0.2 GB.
+    parts: PartWeights,
     bytes: Vec<u8>,
 }
 
@@ -152,7 +155,7 @@ impl Worker {
         let outputs = Outputs { image: is_last, alpha: true, depth: true, ..Outputs::NONE };
         self.render(work, scene, end, &next, None, outputs)?;
         if is_last {
-            self.write_frame(work, scene, end)?;
+            self.write_frame(work, scene, end, &next)?;
         }
         for pair in run.units.clone().rev() {
             if !work.begin() {
@@ -209,7 +212,7 @@ impl Worker {
     ) -> Result<(), RenderError> {
         let PairFiles { flow, flow_backward, occlusion: hidden_path, record, .. } =
             work.plan.manifest.files(work.dir, &scene.entry, pair);
-        self.write_frame(work, scene, pair)?;
+        self.write_frame(work, scene, pair, state)?;
         let format = work.plan.settings.flow_format;
         work.write(Stage::Flow, &flow, |path| write_flow_as(path, &self.frame.flow, format))?;
         let (hidden, summary) = work.clock.time(Stage::Occlusion, || {
@@ -256,8 +259,15 @@ impl Worker {
         Ok(())
     }
 
-    /// Writes the files that depend on `self.frame` alone: picture, alpha, mask and depth.
-    fn write_frame(&mut self, work: &Work, scene: &Scene, frame: u32) -> Result<(), RenderError> {
+    /// Writes the files that depend on one frame alone: picture, alpha, mask, depth and region map. The Gaussians lose their colours
+    /// if there are region maps, and are used for flow alone from then on.
+    fn write_frame(
+        &mut self,
+        work: &Work,
+        scene: &Scene,
+        frame: u32,
+        state: &FrameState,
+    ) -> Result<(), RenderError> {
         let files: FrameFiles = work.plan.manifest.frame_files(work.dir, &scene.entry, frame);
         let mask = work.clock.time(Stage::Occlusion, || {
             if let Some(behind) = &scene.background {
@@ -272,6 +282,15 @@ impl Worker {
         work.write(Stage::Planes, &files.mask, |path| write_mask_png(path, &mask))?;
         if let Some(path) = &files.depth {
             work.write(Stage::Planes, path, |path| write_depth(path, &self.frame, &mut self.bytes))?;
+        }
+        if let Some(path) = &files.regions {
+            let Self { parts, rasterizer, gaussians, .. } = self;
+            work.clock
+                .time(Stage::Rasterize, || parts.render(rasterizer, &scene.avatar, gaussians, &state.camera))
+                .map_err(|error| refused(scene, frame, error))?;
+            work.write(Stage::Planes, path, |path| {
+                write_regions(path, &self.parts, &self.frame.alpha, &mut self.bytes)
+            })?;
         }
         Ok(())
     }
@@ -295,6 +314,7 @@ mod tests {
             width: 110,
             height: 160,
             splits: [1.0, 0.0, 0.0],
+            regions: true,
             ..Settings::default()
         };
         let plan = Scenes { settings: &settings, rig: settings.rig(), manifest: settings.plan().unwrap() };
@@ -316,5 +336,7 @@ mod tests {
         assert_eq!(left(), [2]);
         fs::remove_file(manifest.files(dir, scene, 0).occlusion).unwrap();
         assert_eq!(left(), [0, 2]);
+        fs::remove_file(manifest.files(dir, scene, 1).regions.unwrap()).unwrap();
+        assert_eq!(left(), [0, 1, 2]);
     }
 }

@@ -18,10 +18,14 @@
 //!
 //! A scene of `n` pairs has `n + 1` frames, alphas, masks, depths and region maps, and `n` of everything else.
 
+mod recording;
+
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use srflow_field::{FileError, FileKind, FlowFormat, excerpt, named, read_text};
+
+pub use recording::Recording;
 
 /// Name of the file in the dataset's folder.
 pub const MANIFEST_NAME: &str = "dataset.json";
@@ -70,14 +74,17 @@ pub struct Arguments {
     pub backward: bool,
     /// Whether there are depth maps.
     pub depth: bool,
-    /// `#rrggbb`, or `images` with a fingerprint of the files in the folder.
+    /// `#rrggbb`, `procedural`, or `images` with a fingerprint of the files in the folder.
     pub background: String,
-    /// `curves`, `own` (the motion in an avatar's files), or `recorded` with a fingerprint of the files read.
+    /// `curves`, `mixed`, `own` (the motion in an avatar's files), or `recorded` with a fingerprint of the files read.
     #[serde(default = "curves", skip_serializing_if = "is_curves")]
     pub motion: String,
     /// Whether there are [region maps](crate::region_map).
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub regions: bool,
+    /// Imaging effects on the frames.
+    #[serde(default, skip_serializing_if = "Recording::is_none")]
+    pub recording: Recording,
 }
 
 /// The motion of datasets that name none.
@@ -355,6 +362,7 @@ mod tests {
                 background: "#ffffff".into(),
                 motion: "curves".into(),
                 regions: true,
+                recording: Recording::none(),
             },
             rig: vec![],
             scenes: vec![SceneEntry {
@@ -376,7 +384,13 @@ mod tests {
     #[test]
     fn written_files_are_read_back() {
         let manifest = manifest();
-        assert_eq!(read(&serde_json::to_string_pretty(&manifest).unwrap()).unwrap(), manifest);
+        let text = serde_json::to_string_pretty(&manifest).unwrap();
+        assert_eq!(read(&text).unwrap(), manifest);
+        // As datasets without effects were always written.
+        assert!(!text.contains("recording"), "{text}");
+        let mut recorded = manifest;
+        recorded.arguments.recording = Recording::wild();
+        assert_eq!(read(&serde_json::to_string_pretty(&recorded).unwrap()).unwrap(), recorded);
     }
 
     #[test]

@@ -12,6 +12,7 @@ pub mod label_error;
 pub mod mesh_error;
 mod parts;
 pub mod record;
+mod recording;
 pub mod shapes;
 pub mod statistics;
 pub mod synth;

@@ -55,11 +55,11 @@ pub struct Render {
     /// Also write region maps: whether a pixel shows skin, eyes, mouth, hair or neck
     #[arg(long)]
     regions: bool,
-    /// Background: white, black, #rrggbb, or a folder of images
+    /// Background: white, black, #rrggbb, `procedural` (rooms, textures, gradients, lights), or a folder of images
     #[arg(long, value_name = "COLOUR|DIR", default_value = "white")]
     background: Background,
-    /// Motion: `curves` (random expressions, speech, blinks, gaze and turns), `own` (the one that an avatar was trained on), or a
-    /// flame_param.npz or capture of another subject with the same kind of head
+    /// Motion: `curves` (random expressions, speech, blinks, gaze and turns), `mixed` (with micro-expressions, small and large),
+    /// `own` (the one that an avatar was trained on), or a flame_param.npz or capture of another subject with the same kind of head
     #[arg(long, value_name = "MOTION", default_value = "curves")]
     motion: MotionSource,
     #[command(flatten)]
@@ -100,6 +100,7 @@ pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
         background: args.background,
         motion: args.motion,
         regions: args.regions,
+        ..Settings::default()
     };
     let notes = settings.empty_splits();
     for note in &notes {

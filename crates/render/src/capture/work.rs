@@ -19,7 +19,7 @@ use crate::RenderError;
 use crate::generate::write_alpha;
 use crate::job::{Plan, Run, Stage, unless_gone};
 use crate::record::json_text;
-use crate::synth::add_noise;
+use crate::recording::add_noise;
 
 pub const IMAGES: &str = "images";
 pub const MASKS: &str = "fg_masks";

@@ -10,7 +10,7 @@ use srflow_read::manifest::{MANIFEST_NAME, Manifest, RigCamera, SceneEntry, Scen
 
 use super::Problem;
 use crate::camera::{camera_from_record, record_from_camera};
-use crate::generate::{Action, MotionSource, Settings, Views, record};
+use crate::generate::{Action, Settings, Views, record};
 use crate::job::first_difference;
 use crate::record::FrameRecord;
 
@@ -92,7 +92,7 @@ impl Expected {
     pub fn of_scene(manifest: &Manifest, number: u32, scene: &SceneEntry) -> Option<Self> {
         let (settings, _) = Settings::of(manifest).ok().filter(|_| is_of_this_version(manifest))?;
         let rig = settings.rig();
-        let follows = settings.head.is_builtin() && settings.motion == MotionSource::Curves;
+        let follows = settings.head.is_builtin() && !settings.motion.is_of_files();
         let model = follows.then(|| settings.head.model(scene.subject).ok()).flatten();
         let action = model.map(|model| {
             let action = Action::new(&settings, &rig, number, scene, &model);
@@ -106,7 +106,7 @@ impl Expected {
         let expected = match &self.action {
             Some((model, action)) => record(model, found.frame, &action.frame(model, found.frame)),
             None => {
-                let (camera, view, subject) = self.views.at(found.frame);
+                let (camera, view, subject) = self.views.at(f64::from(found.frame));
                 FrameRecord { camera: record_from_camera(&camera), view, subject, ..found.clone() }
             }
         };

@@ -1,10 +1,13 @@
-//! The background: a colour, or a still image that is cropped and resized to the frame.
+//! The background: a colour, or a still image, made by code or cropped and resized to the frame.
+
+mod procedural;
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use srflow_field::random::Key;
-use srflow_field::{IMAGE_EXTENSIONS, Image, Plane, parse_color, read_image};
+use srflow_field::{IMAGE_EXTENSIONS, Image, parse_color, read_image};
+use srflow_splat::Frame;
 
 use super::settings::list_files;
 use crate::RenderError;
@@ -14,6 +17,8 @@ use crate::RenderError;
 pub enum Background {
     /// One sRGB colour.
     Colour([u8; 3]),
+    /// Made by code, another for each scene: rooms, textures, gradients, lights.
+    Procedural,
     /// A random image of this folder for each scene.
     Images(PathBuf),
 }
@@ -21,14 +26,34 @@ pub enum Background {
 impl FromStr for Background {
     type Err = String;
 
-    /// Parses a colour ([`parse_color`]) or the path of a folder.
+    /// Parses a colour ([`parse_color`]), `procedural`, or the path of a folder.
     fn from_str(text: &str) -> Result<Self, String> {
+        if text == PROCEDURAL {
+            return Ok(Self::Procedural);
+        }
         match parse_color(text) {
             Ok(colour) => Ok(Self::Colour(colour)),
             Err(expected) if text.starts_with('#') => Err(format!("`{text}`: {expected}")),
             Err(_) => Ok(Self::Images(text.into())),
         }
     }
+}
+
+/// [`Background::Procedural`] in arguments and in `dataset.json`.
+pub(super) const PROCEDURAL: &str = "procedural";
+
+/// The image behind the scene of `key`, whose chosen file is called `name`; `None` for a colour.
+pub(super) fn behind(
+    background: &Background,
+    name: Option<&str>,
+    (width, height): (usize, usize),
+    key: Key,
+) -> Result<Option<Image>, RenderError> {
+    Ok(match (background, name) {
+        (Background::Images(dir), Some(name)) => Some(load(&dir.join(name), width, height)?),
+        (Background::Procedural, _) => Some(procedural::procedural(width, height, key)),
+        (Background::Images(_), None) | (Background::Colour(_), _) => None,
+    })
 }
 
 /// Names and sizes of the image files in a folder, by name. Errors name the `argument` and what was `expected` of it.
@@ -54,7 +79,7 @@ pub(crate) fn images_in(
 
 /// The images of `--background`.
 pub(super) fn images(dir: &Path) -> Result<Vec<(String, u64)>, RenderError> {
-    images_in(dir, "--background", "white, black, #rrggbb or a folder of images")
+    images_in(dir, "--background", "white, black, #rrggbb, procedural or a folder of images")
 }
 
 /// The image of each scene, if backgrounds are images.
@@ -74,7 +99,7 @@ pub(super) fn choose(
 }
 
 /// Reads an image, and crops its centre and resizes it to `width` by `height`.
-pub(super) fn load(path: &Path, width: usize, height: usize) -> Result<Image, RenderError> {
+fn load(path: &Path, width: usize, height: usize) -> Result<Image, RenderError> {
     let image = read_image(path)?;
     if image.width() == 0 || image.height() == 0 {
         return Err(RenderError::Argument {
@@ -126,9 +151,11 @@ fn taps(targets: usize, sources: usize, scale: f64) -> Vec<Vec<(usize, f64)>> {
     (0..targets).map(of).collect()
 }
 
-/// Blends `behind` into a frame rendered over black.
-pub(super) fn composite(frame: &mut Image, alpha: &Plane, behind: &Image) {
-    for ((pixel, &alpha), behind) in frame.pixels_mut().iter_mut().zip(alpha.pixels()).zip(behind.pixels()) {
+/// Blends the background, unless it is a colour, into a frame that was then rendered over black.
+pub(super) fn composite(frame: &mut Frame, behind: Option<&Image>) {
+    let Some(behind) = behind else { return };
+    let pixels = frame.image.pixels_mut().iter_mut().zip(frame.alpha.pixels()).zip(behind.pixels());
+    for ((pixel, &alpha), behind) in pixels {
         let seen_through = 1.0 - alpha;
         for (value, &behind) in pixel.iter_mut().zip(behind) {
             *value = (f32::from(*value) + seen_through * f32::from(behind) + 0.5) as u8;
@@ -138,12 +165,15 @@ pub(super) fn composite(frame: &mut Image, alpha: &Plane, behind: &Image) {
 
 #[cfg(test)]
 mod tests {
+    use srflow_field::Plane;
+
     use super::*;
 
     #[test]
     fn colours_and_folders_are_distinguished() {
         assert_eq!("white".parse(), Ok(Background::Colour([255; 3])));
         assert_eq!("#0a80fF".parse(), Ok(Background::Colour([10, 128, 255])));
+        assert_eq!("procedural".parse(), Ok(Background::Procedural));
         assert_eq!("images/indoor".parse(), Ok(Background::Images("images/indoor".into())));
         for text in ["#12345", "#1234567", "#12345g", "#+12345"] {
             assert!(text.parse::<Background>().unwrap_err().contains(text));
@@ -166,10 +196,11 @@ mod tests {
 
     #[test]
     fn the_background_is_weighted_by_one_minus_alpha() {
-        let mut frame = Image::from_fn(3, 1, |x, _| [[0; 3], [60, 0, 0], [200, 10, 0]][x]);
-        let alpha = Plane::from_fn(3, 1, |x, _| [0.0, 0.5, 1.0][x]);
-        composite(&mut frame, &alpha, &Image::filled(3, 1, [100, 50, 255]));
-        assert_eq!(frame.pixels(), [[100, 50, 255], [110, 25, 128], [200, 10, 0]]);
+        let mut frame = Frame::new();
+        frame.image = Image::from_fn(3, 1, |x, _| [[0; 3], [60, 0, 0], [200, 10, 0]][x]);
+        frame.alpha = Plane::from_fn(3, 1, |x, _| [0.0, 0.5, 1.0][x]);
+        composite(&mut frame, Some(&Image::filled(3, 1, [100, 50, 255])));
+        assert_eq!(frame.image.pixels(), [[100, 50, 255], [110, 25, 128], [200, 10, 0]]);
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //! statistics. Every file's bytes depend on the settings alone: not on shards, interruptions, or the number of threads.
 
 mod background;
+mod lamps;
 mod motion;
 mod occlusion;
 mod path;
@@ -54,7 +55,7 @@ pub struct Report {
 /// background image cannot be read. Complete files stay, and the next call with the same settings continues.
 pub fn generate(settings: &Settings, request: Request) -> Result<Report, RenderError> {
     let manifest = settings.plan()?;
-    let from_files = !settings.head.is_builtin() || settings.motion != MotionSource::Curves;
+    let from_files = !settings.head.is_builtin() || settings.motion.is_of_files();
     if let (true, Some(entry)) = (from_files, manifest.scenes.first()) {
         // Fails before anything is written.
         let avatar = scene::subject(&settings.head, entry)?;

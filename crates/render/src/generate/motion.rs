@@ -15,6 +15,9 @@ pub enum MotionSource {
     /// Random expressions, speech, blinks, gaze and turns, of each scene its own.
     #[default]
     Curves,
+    /// As curves, with micro-expressions in between, at frame rates from 6 to 200 per second, and in one scene of three hardly
+    /// anything else: small and large motion.
+    Mixed,
     /// The motion that an avatar was trained on, which is in its files.
     Own,
     /// A file of parameters (`flame_param.npz`) or the folder of a capture, of the same kind of head.
@@ -22,6 +25,11 @@ pub enum MotionSource {
 }
 
 impl MotionSource {
+    /// Whether it is in files, an avatar's own or others.
+    pub(crate) fn is_of_files(&self) -> bool {
+        matches!(self, Self::Own | Self::Recorded(_))
+    }
+
     /// The recorded poses for `avatar`; `None` for random motion.
     ///
     /// # Errors
@@ -58,7 +66,7 @@ impl MotionSource {
                 });
             }
             Self::Own => return Ok(Some(avatar.own_motion().to_vec())),
-            Self::Curves | Self::Recorded(_) => match recorded {
+            Self::Curves | Self::Mixed | Self::Recorded(_) => match recorded {
                 Some(parameters) => parameters,
                 None => return Ok(None),
             },
@@ -80,6 +88,7 @@ impl FromStr for MotionSource {
     fn from_str(text: &str) -> Result<Self, Self::Err> {
         Ok(match text {
             "curves" => Self::Curves,
+            "mixed" => Self::Mixed,
             "own" => Self::Own,
             path => Self::Recorded(path.into()),
         })
@@ -91,6 +100,7 @@ impl fmt::Display for MotionSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Curves => f.pad("curves"),
+            Self::Mixed => f.pad("mixed"),
             Self::Own => f.pad("own"),
             Self::Recorded(path) => path.display().fmt(f),
         }

@@ -9,7 +9,7 @@ use srflow_field::random::Key;
 use super::background::{self, Background};
 use super::{FULL_SIZE, MotionSource, Rig};
 use crate::{RenderError, head};
-use srflow_read::manifest::{Arguments, LAYOUT_VERSION, Manifest, SceneEntry, SceneSplit};
+use srflow_read::manifest::{Arguments, LAYOUT_VERSION, Manifest, Recording, SceneEntry, SceneSplit};
 
 /// Maximum number of scenes, and of pairs in a scene: file names have a fixed number of digits.
 const MAX_SCENES: u32 = 10_000;
@@ -45,6 +45,8 @@ pub struct Settings {
     pub motion: MotionSource,
     /// Whether to write [region maps](srflow_read::region_map) too.
     pub regions: bool,
+    /// Imaging effects on the frames.
+    pub recording: Recording,
 }
 
 impl Default for Settings {
@@ -64,11 +66,23 @@ impl Default for Settings {
             background: Background::Colour([255; 3]),
             motion: MotionSource::Curves,
             regions: false,
+            recording: Recording::none(),
         }
     }
 }
 
 impl Settings {
+    /// The preset `wild`: frames that look like recordings, with procedural backgrounds, and small and large motion; else the
+    /// defaults.
+    pub fn wild() -> Self {
+        Self {
+            background: Background::Procedural,
+            motion: MotionSource::Mixed,
+            recording: Recording::wild(),
+            ..Self::default()
+        }
+    }
+
     /// Checks the settings and plans the dataset.
     ///
     /// # Errors
@@ -123,18 +137,27 @@ impl Settings {
             depth: arguments.depth,
             background: match background.parse() {
                 _ if background.starts_with("images, ") => Background::Images(PathBuf::new()),
-                Ok(colour @ Background::Colour(_)) => colour,
-                _ => return Err(wrong("background", background, "#rrggbb or `images` with a fingerprint")),
+                Ok(made @ (Background::Colour(_) | Background::Procedural)) => made,
+                _ => {
+                    let expected = "#rrggbb, `procedural`, or `images` with a fingerprint";
+                    return Err(wrong("background", background, expected));
+                }
             },
             motion: match arguments.motion.as_str() {
                 _ if arguments.motion.starts_with("recorded, ") => MotionSource::Recorded(PathBuf::new()),
                 "curves" => MotionSource::Curves,
+                "mixed" => MotionSource::Mixed,
                 "own" => MotionSource::Own,
                 other => {
-                    return Err(wrong("motion", other, "`curves`, `own`, or `recorded` with a fingerprint"));
+                    return Err(wrong(
+                        "motion",
+                        other,
+                        "`curves`, `mixed`, `own`, or `recorded` with a fingerprint",
+                    ));
                 }
             },
             regions: arguments.regions,
+            recording: arguments.recording,
         };
         settings.validate().map_err(|error| error.to_string())?;
         let images = matches!(settings.background, Background::Images(_));
@@ -200,12 +223,30 @@ impl Settings {
             let found = format!("{train},{val},{test}");
             return wrong("--splits", found, format!("three shares from 0 to 1 that sum to 1, not {sum:.6}"));
         }
+        let Recording { noise, lighting, lamps, shutter, defocus, jpeg } = self.recording;
+        for (argument, value, most, unit) in [
+            ("--noise", noise, 50.0, ""),
+            ("--lighting", lighting, 4.0, ""),
+            ("--lamps", lamps, 1.0, ""),
+            ("--shutter", shutter, 1.0, ""),
+            ("--defocus", defocus, 64.0, " pixels"),
+        ] {
+            if !(0.0..=most).contains(&value) {
+                return wrong(argument, value.to_string(), format!("0 to {most}{unit}"));
+            }
+        }
+        if let Some(quality) = jpeg
+            && !(1..=100).contains(&quality)
+        {
+            return wrong("--jpeg", quality.to_string(), "1 to 100".to_owned());
+        }
         Ok(())
     }
 
     fn arguments(&self) -> Result<Arguments, RenderError> {
         let background = match &self.background {
             Background::Colour([r, g, b]) => format!("#{r:02x}{g:02x}{b:02x}"),
+            Background::Procedural => background::PROCEDURAL.to_owned(),
             Background::Images(dir) => format!("images, {}", fingerprint(&background::images(dir)?)),
         };
         Ok(Arguments {
@@ -227,6 +268,7 @@ impl Settings {
                 made => made.to_string(),
             },
             regions: self.regions,
+            recording: self.recording,
         })
     }
 }
@@ -370,5 +412,12 @@ mod tests {
         assert!(
             error(Settings { head: "ict:/nowhere".parse().unwrap(), ..base() }).contains("--head /nowhere")
         );
+        let recorded = |recording| error(Settings { recording, ..base() });
+        assert!(recorded(Recording { noise: f32::NAN, ..Recording::none() }).contains("--noise NaN"));
+        assert!(recorded(Recording { lighting: -1.0, ..Recording::none() }).contains("--lighting -1"));
+        assert!(recorded(Recording { lamps: 2.0, ..Recording::none() }).contains("--lamps 2"));
+        assert!(recorded(Recording { shutter: 1.1, ..Recording::none() }).contains("--shutter 1.1"));
+        assert!(recorded(Recording { defocus: 65.0, ..Recording::none() }).contains("--defocus 65"));
+        assert!(recorded(Recording { jpeg: Some(0), ..Recording::none() }).contains("--jpeg 0"));
     }
 }

@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use srflow_avatar::PosedHead;
-use srflow_field::{write_file, write_flow_as, write_image_png, write_mask_png};
+use srflow_field::{longest_flow, write_file, write_flow_as, write_image_png, write_mask_png};
 use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
 
 use super::background::{self, Background};
@@ -21,6 +21,7 @@ use crate::RenderError;
 use crate::job::{Plan, Run, Stage, unless_gone};
 use crate::parts::PartWeights;
 use crate::record::{PairRecord, json_text};
+use crate::recording::Exposure;
 use crate::statistics::FlowSummary;
 use srflow_read::manifest::{
     FrameFiles, MANIFEST_NAME, Manifest, PairFiles, STATISTICS_NAME, SceneEntry, SceneSplit,
@@ -132,6 +133,10 @@ pub(super) struct Worker {
     next_gaussians: Gaussians,
     frame: Frame,
     backward: Frame,
+    /// The Gaussians and the picture at a moment of an open shutter, and the sum of such pictures.
+    moving: Gaussians,
+    moment: Frame,
+    exposure: Exposure,
     /// Depth of the next frame where its alpha is above one half, else 0.
     next_surface: Vec<f32>,
     /// Empty without region maps; with them, another 0.2 GB.
@@ -143,19 +148,26 @@ impl Worker {
     fn new(settings: &Settings) -> Self {
         let background = match settings.background {
             Background::Colour(colour) => colour.map(|channel| f32::from(channel) / 255.0),
-            Background::Images(_) => [0.0; 3],
+            Background::Images(_) | Background::Procedural => [0.0; 3],
         };
         Self { options: Options { background, ..Options::default() }, ..Self::default() }
     }
 
     fn make_run(&mut self, work: &Work, scene: &Scene, run: &Run) -> Result<(), RenderError> {
         let end = run.units.end;
-        let mut next = self.pose(work, scene, end);
         let is_last = end == scene.entry.pairs;
-        let outputs = Outputs { image: is_last, alpha: true, depth: true, ..Outputs::NONE };
-        self.render(work, scene, end, &next, None, outputs)?;
+        // Nothing follows the last frame: its blur is that of the motion from the frame before.
+        let before = (is_last && scene.blurs_motion()).then(|| {
+            let before = self.pose(work, scene, end - 1);
+            std::mem::swap(&mut self.gaussians, &mut self.next_gaussians);
+            before
+        });
+        let mut next = self.pose(work, scene, end);
+        let outputs =
+            Outputs { image: is_last, alpha: true, depth: true, flow: before.is_some(), ..Outputs::NONE };
+        self.render(work, scene, end, &next, before.as_ref(), outputs)?;
         if is_last {
-            self.write_frame(work, scene, end, &next)?;
+            self.write_frame(work, scene, end, &next, -1.0)?;
         }
         for pair in run.units.clone().rev() {
             if !work.begin() {
@@ -178,6 +190,9 @@ impl Worker {
         work.clock.time(Stage::Motion, || {
             let state = scene.frame(frame);
             scene.avatar.gaussians_into(&state.pose, &mut self.head, &mut self.gaussians);
+            if let Some(lamps) = &scene.lamps {
+                lamps.shade(&scene.avatar, &self.head, &mut self.gaussians);
+            }
             state
         })
     }
@@ -212,7 +227,7 @@ impl Worker {
     ) -> Result<(), RenderError> {
         let PairFiles { flow, flow_backward, occlusion: hidden_path, record, .. } =
             work.plan.manifest.files(work.dir, &scene.entry, pair);
-        self.write_frame(work, scene, pair, state)?;
+        self.write_frame(work, scene, pair, state, 1.0)?;
         let format = work.plan.settings.flow_format;
         work.write(Stage::Flow, &flow, |path| write_flow_as(path, &self.frame.flow, format))?;
         let (hidden, summary) = work.clock.time(Stage::Occlusion, || {
@@ -259,22 +274,65 @@ impl Worker {
         Ok(())
     }
 
-    /// Writes the files that depend on one frame alone: picture, alpha, mask, depth and region map. The Gaussians lose their colours
-    /// if there are region maps, and are used for flow alone from then on.
+    /// Replaces the picture of `self.frame` by the mean of those while the shutter is open, each with its background. Gaussians
+    /// move in straight lines to or from those in `self.next_gaussians`, the frame `step` frames later: the trace of a point is its
+    /// flow times the share of the time that the shutter is open, and its middle is the point.
+    fn open_shutter(
+        &mut self,
+        work: &Work,
+        scene: &Scene,
+        frame: u32,
+        step: f32,
+        moments: &[f32],
+    ) -> Result<(), RenderError> {
+        let outputs = Outputs { alpha: scene.background.is_some(), ..Outputs::IMAGE };
+        let options = Options { outputs, ..self.options };
+        self.moving.clone_from(&self.gaussians);
+        for moment in moments {
+            work.clock.time(Stage::Motion, || {
+                let ways = self.gaussians.positions.iter().zip(&self.next_gaussians.positions);
+                for (place, (here, there)) in self.moving.positions.iter_mut().zip(ways) {
+                    *place = *here + (*there - *here) * (moment * step);
+                }
+            });
+            let camera = scene.camera(f64::from(frame) + f64::from(*moment));
+            work.clock
+                .time(Stage::Rasterize, || {
+                    self.rasterizer.render(&self.moving, &camera, None, &options, &mut self.moment)
+                })
+                .map_err(|error| refused(scene, frame, error))?;
+            work.clock.time(Stage::Occlusion, || {
+                background::composite(&mut self.moment, scene.background.as_ref());
+                self.exposure.add(&self.moment.image);
+            });
+        }
+        self.exposure.develop(&mut self.frame.image);
+        Ok(())
+    }
+
+    /// Writes the files that depend on one frame alone: picture, alpha, mask, depth and region map. The Gaussians in
+    /// `self.next_gaussians` are those of the frame `step` frames later, where the shutter is open for some time. The frame's own lose
+    /// their colours if there are region maps, and are used for flow alone from then on.
     fn write_frame(
         &mut self,
         work: &Work,
         scene: &Scene,
         frame: u32,
         state: &FrameState,
+        step: f32,
     ) -> Result<(), RenderError> {
         let files: FrameFiles = work.plan.manifest.frame_files(work.dir, &scene.entry, frame);
         let mask = work.clock.time(Stage::Occlusion, || {
-            if let Some(behind) = &scene.background {
-                background::composite(&mut self.frame.image, &self.frame.alpha, behind);
-            }
+            background::composite(&mut self.frame, scene.background.as_ref());
             self.frame.mask()
         });
+        if scene.blurs_motion() {
+            let moments = scene.moments(longest_flow(&self.frame.flow));
+            if !moments.is_empty() {
+                self.open_shutter(work, scene, frame, step, &moments)?;
+            }
+        }
+        work.clock.time(Stage::Frames, || scene.record_picture(&mut self.frame.image, frame));
         work.write(Stage::Frames, &files.frame, |path| write_image_png(path, &self.frame.image))?;
         work.write(Stage::Planes, &files.alpha, |path| {
             write_alpha(path, &self.frame.alpha, &mut self.bytes)

@@ -16,7 +16,7 @@ pub enum Stage {
     Rasterize,
     /// Masks, occlusion, statistics and backgrounds.
     Occlusion,
-    /// Encoding and writing frames.
+    /// Imaging effects, encoding and writing frames.
     Frames,
     /// Encoding and writing flow.
     Flow,

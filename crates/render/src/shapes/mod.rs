@@ -23,6 +23,7 @@ use serde::Serialize;
 use srflow_field::write_file;
 
 pub use settings::ShapesSettings;
+pub(crate) use texture::Texture;
 
 use crate::RenderError;
 use crate::job::{self, Request};

@@ -8,7 +8,7 @@ use srflow_field::{FlowField, Image, Mask, Plane};
 use super::motion::Motion;
 use super::outline::Outline;
 use super::texture::Texture;
-use crate::synth::add_noise;
+use crate::recording::add_noise;
 
 /// Two frames and the exact motion between them.
 #[derive(Debug, Clone, PartialEq)]

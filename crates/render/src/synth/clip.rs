@@ -6,9 +6,9 @@ use srflow_field::random::{Key, Stream};
 use srflow_read::micro_expression::EmotionClass;
 use srflow_splat::{Camera, Gaussians};
 
-use super::sensor::Light;
 use super::settings::{ClipPlan, FRAMES_AT_REST, SynthSettings};
 use crate::generate::{Rig, SmoothPath, View, unit_name};
+use crate::recording::Light;
 
 /// Width of the frame relative to the face's landmarks.
 const MARGIN: f64 = 1.18;
@@ -24,7 +24,7 @@ const VIEW_DEGREES: [f32; 3] = [6.0, 4.0, 2.0];
 const DRIFT_KNOT_SECONDS: f32 = 0.25;
 
 /// Typical action units of each class (those coded in CASME II and SAMM).
-fn action_unit_sets(class: EmotionClass) -> &'static [&'static [u8]] {
+pub fn action_unit_sets(class: EmotionClass) -> &'static [&'static [u8]] {
     match class {
         EmotionClass::Negative => {
             &[&[4], &[4, 7], &[9], &[4, 9], &[10], &[14], &[15], &[15, 17], &[17], &[20], &[1, 4], &[4, 5]]

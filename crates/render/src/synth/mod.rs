@@ -14,7 +14,6 @@
 //! the number of threads.
 
 mod clip;
-mod sensor;
 mod settings;
 mod work;
 
@@ -26,7 +25,7 @@ use serde::{Deserialize, Serialize};
 use srflow_field::{FileKind, read_text, write_atomically};
 use srflow_read::micro_expression::EmotionClass;
 
-pub(crate) use sensor::add_noise;
+pub(crate) use clip::action_unit_sets;
 pub use settings::SynthSettings;
 
 use crate::RenderError;

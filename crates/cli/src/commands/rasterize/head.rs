@@ -108,6 +108,11 @@ impl HeadArgs {
         }
         let default = if avatar.own_motion().is_empty() { MotionSource::Curves } else { MotionSource::Own };
         let source = self.motion.as_ref().unwrap_or(&default);
+        if *source == MotionSource::Mixed {
+            wrong_usage!(
+                "--motion mixed: expected own, curves or a file; mixed is a motion of `srflow render`"
+            );
+        }
         let recorded = match source.poses_of(recorded, avatar) {
             Err(error @ srflow_render::RenderError::Argument { .. }) => wrong_usage!("{error}"),
             poses => poses?,

@@ -13,47 +13,79 @@ const NOISE_AT_WHITE: f32 = 2.1;
 /// Frequency of lamp flicker in Hz, with alternating current of 50 Hz.
 const FLICKER_HZ: f32 = 100.0;
 
-/// The illumination changes of one clip, relative to its mean.
+/// Exposure and white balance of scenes at strength 1, in stops to either side: of all channels; of red, and the other way of
+/// blue; of green.
+const EXPOSURE_STOPS: f32 = 0.5;
+const WARMTH_STOPS: f32 = 0.2;
+const TINT_STOPS: f32 = 0.06;
+
+/// Change of the white balance within a scene at strength 1: the share by which red grows and blue falls.
+const WARMTH_CHANGE: f32 = 0.01;
+
+/// The illumination of one clip or scene: constant gains, and changes around them.
 #[derive(Debug, Clone)]
 pub struct Light {
     /// For the whole picture, its horizontal and its vertical gradient: strength, cycles per second, phase.
     waves: [[f32; 3]; 3],
     flicker: [f32; 2],
+    /// Factors of red, green and blue.
+    gains: [f32; 3],
+    /// Of the white balance, as `waves`.
+    warmth: [f32; 3],
 }
 
 impl Light {
+    /// Nothing changes.
+    pub const CONSTANT: Self =
+        Self { waves: [[0.0; 3]; 3], flicker: [0.0; 2], gains: [1.0; 3], warmth: [0.0; 3] };
+
+    /// Changing illumination of constant mean and colour.
     pub fn random(key: Key, strength: f32) -> Self {
         let mut stream = key.stream("lighting");
-        let wave = |reach: f32, stream: &mut Stream| {
-            let turn = std::f32::consts::TAU;
-            [strength * reach * stream.uniform(0.3, 1.0), stream.uniform(0.3, 1.5), stream.uniform(0.0, turn)]
-        };
-        let waves = [0.02, 0.012, 0.012].map(|reach| wave(reach, &mut stream));
+        let waves = [0.02, 0.012, 0.012].map(|reach| wave(strength * reach, &mut stream));
         let flicker = [strength * 0.003 * stream.unit(), stream.uniform(0.0, std::f32::consts::TAU)];
-        Self { waves, flicker }
+        Self { waves, flicker, ..Self::CONSTANT }
+    }
+
+    /// Changing illumination as seen by a camera whose exposure and white balance are not quite right, and drift.
+    pub fn exposed(key: Key, strength: f32) -> Self {
+        let mut stream = key.stream("exposure");
+        let mut stops = |reach: f32| strength * reach * stream.uniform(-1.0, 1.0);
+        let (exposure, warm, tint) = (stops(EXPOSURE_STOPS), stops(WARMTH_STOPS), stops(TINT_STOPS));
+        let gains = [exposure + warm, exposure + tint, exposure - warm].map(libm::exp2f);
+        let warmth = wave(strength * WARMTH_CHANGE, &mut stream);
+        Self { gains, warmth, ..Self::random(key, strength) }
     }
 
     /// Illumination at a time: factors for the whole picture, the gradient to the right, and the gradient downwards.
     fn at(&self, seconds: f32) -> [f32; 3] {
-        let turn = std::f32::consts::TAU;
-        let mut light =
-            self.waves.map(|[reach, hertz, phase]| reach * libm::sinf(turn * hertz * seconds + phase));
-        light[0] += self.flicker[0] * libm::sinf(turn * FLICKER_HZ * seconds + self.flicker[1]);
+        let mut light = self.waves.map(|wave| height(wave, seconds));
+        light[0] +=
+            self.flicker[0] * libm::sinf(std::f32::consts::TAU * FLICKER_HZ * seconds + self.flicker[1]);
         light
+    }
+
+    /// Factors of the coded red, green and blue at a time.
+    fn coded_gains(&self, seconds: f32) -> [f32; 3] {
+        let warmth = height(self.warmth, seconds);
+        let [red, green, blue] = self.gains;
+        [red * (1.0 + warmth), green, blue * (1.0 - warmth)].map(coded)
     }
 
     /// Applies the illumination at a time in seconds, and adds noise of the given strength keyed by `key`.
     pub fn record(&self, image: &mut Image, seconds: f32, noise: f32, key: Key) {
         let (width, height) = image.size();
         let [whole, right, down] = self.at(seconds);
+        let gains = self.coded_gains(seconds);
         let mut stream = key.stream("sensor noise");
         let across = |at: usize, len: usize| 2.0 * (at as f32 + 0.5) / len as f32 - 1.0;
         for y in 0..height {
             for x in 0..width {
                 let light = 1.0 + whole + right * across(x, width) + down * across(y, height);
-                let gain = libm::powf(light.max(0.0), 1.0 / CODING_POWER);
-                let pixel = image.get(x, y).map(|value| {
-                    let value = f32::from(value) * gain;
+                let gain = coded(light);
+                let clean = image.get(x, y);
+                let pixel = std::array::from_fn(|channel| {
+                    let value = f32::from(clean[channel]) * gain * gains[channel];
                     let disturbance = if noise > 0.0 { disturbance(value, noise, &mut stream) } else { 0.0 };
                     (value + disturbance + 0.5).clamp(0.0, 255.0) as u8
                 });
@@ -61,6 +93,21 @@ impl Light {
             }
         }
     }
+}
+
+/// A random wave of up to `reach`: strength, cycles per second, phase.
+fn wave(reach: f32, stream: &mut Stream) -> [f32; 3] {
+    let turn = std::f32::consts::TAU;
+    [reach * stream.uniform(0.3, 1.0), stream.uniform(0.3, 1.5), stream.uniform(0.0, turn)]
+}
+
+fn height([reach, hertz, phase]: [f32; 3], seconds: f32) -> f32 {
+    reach * libm::sinf(std::f32::consts::TAU * hertz * seconds + phase)
+}
+
+/// The factor of a coded value for a factor of light.
+pub fn coded(light: f32) -> f32 {
+    libm::powf(light.max(0.0), 1.0 / CODING_POWER)
 }
 
 /// Noise of a value, in levels of 255.

@@ -1,0 +1,171 @@
+//! Lamps that shade a head beside the light that its Gaussians already carry. Heads cast no shadows on themselves.
+
+use glam::Vec3;
+use srflow_avatar::{Avatar, PosedHead};
+use srflow_field::random::{Key, Stream};
+use srflow_splat::Gaussians;
+
+use crate::recording::coded;
+
+/// Factor of colour per coefficient of degree 0: `sqrt(1 / pi) / 2`.
+const SH_0: f32 = 0.282_094_8;
+
+/// Least and greatest factor of light on any surface.
+const LIGHT: (f32, f32) = (0.2, 2.5);
+
+/// The lamps of one scene, which stand still in the world.
+#[derive(Debug, Clone)]
+pub(super) struct Lamps {
+    ambient: Vec3,
+    lamps: Vec<Lamp>,
+}
+
+#[derive(Debug, Clone)]
+struct Lamp {
+    /// From the head.
+    direction: Vec3,
+    /// Red, green and blue on a surface that faces it.
+    light: Vec3,
+}
+
+impl Lamps {
+    /// One to three lamps and ambient light, which together leave a head that is lit from all sides of its front as it was on
+    /// average. `strength`, 0 to 1, is the share of the light that comes from lamps at most.
+    pub fn random(key: Key, strength: f32) -> Self {
+        let mut stream = key.stream("lamps");
+        let directed = strength * stream.uniform(0.3, 1.0);
+        let count = 1 + stream.below(3);
+        let mut lamps = Self { ambient: Vec3::splat(1.0 - directed), lamps: Vec::new() };
+        for number in 0..count {
+            // Each is half as strong as the one before, and may stand farther to the side and behind.
+            let light = directed * libm::exp2f(-(number as f32)) * tint(&mut stream);
+            let azimuth = stream.uniform(-1.0, 1.0) * (70.0 + 45.0 * number as f32);
+            let elevation = stream.uniform(-15.0, 65.0);
+            lamps.lamps.push(Lamp { direction: direction(azimuth, elevation), light });
+        }
+        let front = [(0.0, 0.0), (-50.0, 0.0), (50.0, 0.0), (0.0, 40.0), (0.0, -40.0)];
+        let mean: Vec3 =
+            front.iter().map(|&(azimuth, elevation)| lamps.at(direction(azimuth, elevation))).sum::<Vec3>()
+                / 5.0;
+        // The lamps' tints stay; the mean of the channels is 1.
+        let scale = 3.0 / mean.element_sum();
+        lamps.ambient *= scale;
+        lamps.lamps.iter_mut().for_each(|lamp| lamp.light *= scale);
+        lamps
+    }
+
+    /// Light on a surface with this normal, relative to before.
+    fn at(&self, normal: Vec3) -> Vec3 {
+        // Lamps are large: their light reaches a little beyond the surfaces that face them.
+        const WRAP: f32 = 0.25;
+        let of = |lamp: &Lamp| lamp.light * ((normal.dot(lamp.direction) + WRAP) / (1.0 + WRAP)).max(0.0);
+        self.ambient + self.lamps.iter().map(of).sum::<Vec3>()
+    }
+
+    /// Shades the Gaussians of a posed head.
+    pub fn shade(&self, avatar: &Avatar, head: &PosedHead, gaussians: &mut Gaussians) {
+        let lights: Vec<[f32; 3]> = normals(avatar, head)
+            .into_iter()
+            .map(|normal| self.at(normal).to_array().map(|light| coded(light.clamp(LIGHT.0, LIGHT.1))))
+            .collect();
+        let coefficients = (gaussians.sh_degree + 1) * (gaussians.sh_degree + 1);
+        let triangles = avatar.bound().triangles();
+        for (sh, &triangle) in gaussians.sh.chunks_mut(coefficients).zip(triangles) {
+            let Some(light) = lights.get(triangle as usize) else { continue };
+            for (number, coefficient) in sh.iter_mut().enumerate() {
+                for (value, light) in coefficient.iter_mut().zip(light) {
+                    // The colour is 0.5 and the sum of the terms.
+                    let constant = if number == 0 { 0.5 * (light - 1.0) / SH_0 } else { 0.0 };
+                    *value = *value * light + constant;
+                }
+            }
+        }
+    }
+}
+
+/// Warm, white or cool.
+fn tint(stream: &mut Stream) -> Vec3 {
+    let warmth = stream.uniform(-0.12, 0.18);
+    Vec3::new(1.0 + warmth, 1.0, 1.0 - warmth)
+}
+
+/// The direction with an azimuth to the subject's left and an elevation, in degrees; both zero is where the head looks.
+fn direction(azimuth: f32, elevation: f32) -> Vec3 {
+    let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
+    let level = libm::cosf(elevation);
+    Vec3::new(level * libm::sinf(azimuth), libm::sinf(elevation), level * libm::cosf(azimuth))
+}
+
+/// A normal of each triangle, averaged with its neighbours so that edges do not show.
+fn normals(avatar: &Avatar, head: &PosedHead) -> Vec<Vec3> {
+    let (vertices, triangles) = (head.vertices(), &avatar.model().triangles);
+    let corners = |triangle: &[u32; 3]| triangle.map(|corner| corner as usize);
+    let mut around = vec![Vec3::ZERO; vertices.len()];
+    for [a, b, c] in triangles.iter().map(corners) {
+        // As long as twice the triangle's area.
+        let normal = (vertices[b] - vertices[a]).cross(vertices[c] - vertices[a]);
+        for corner in [a, b, c] {
+            around[corner] += normal;
+        }
+    }
+    let of = |triangle| corners(triangle).map(|corner| around[corner]).into_iter().sum::<Vec3>();
+    triangles.iter().map(|triangle| of(triangle).normalize_or(Vec3::Z)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use srflow_avatar::HeadPose;
+
+    use super::*;
+
+    fn posed(avatar: &Avatar) -> (PosedHead, Gaussians) {
+        let (mut head, mut gaussians) = (PosedHead::default(), Gaussians::default());
+        avatar.gaussians_into(&HeadPose::default(), &mut head, &mut gaussians);
+        (head, gaussians)
+    }
+
+    #[test]
+    fn the_lit_side_is_brighter_and_the_mean_stays() {
+        let avatar = Avatar::builtin(2).unwrap();
+        let (head, plain) = posed(&avatar);
+        let left = Lamp { direction: Vec3::X, light: Vec3::splat(1.0) };
+        let lamps = Lamps { ambient: Vec3::splat(0.5), lamps: vec![left] };
+        let mut shaded = plain.clone();
+        lamps.shade(&avatar, &head, &mut shaded);
+        let colour = |sh: &[f32; 3]| 0.5 + SH_0 * sh[1];
+        let change = |wanted: fn(f32) -> bool| {
+            let places = plain.positions.iter().zip(plain.sh.iter().zip(&shaded.sh));
+            let sums =
+                places.filter(|(place, _)| wanted(place.x)).fold([0.0; 2], |sums, (_, (before, after))| {
+                    [sums[0] + colour(before), sums[1] + colour(after)]
+                });
+            sums[1] / sums[0]
+        };
+        let (lit, unlit) = (change(|x| x > 0.05), change(|x| x < -0.05));
+        assert!(lit > 1.03 && unlit < 0.9, "{lit} {unlit}");
+        assert_eq!(plain.positions, shaded.positions);
+
+        for scene in 0..50 {
+            let lamps = Lamps::random(Key::new(3).scene(scene), 1.0);
+            let front = lamps.at(Vec3::Z).element_sum() / 3.0;
+            assert!((0.5..2.0).contains(&front), "{scene}: {front}");
+        }
+        let mut same = plain.clone();
+        Lamps::random(Key::new(3), 0.0).shade(&avatar, &head, &mut same);
+        let pairs = same.sh.as_flattened().iter().zip(plain.sh.as_flattened());
+        assert!(pairs.clone().all(|(a, b)| (a - b).abs() < 1e-4));
+    }
+
+    #[test]
+    fn normals_point_outwards() {
+        let avatar = Avatar::builtin(1).unwrap();
+        let (head, _) = posed(&avatar);
+        let centre = avatar.shaped().vertices.iter().sum::<Vec3>() / avatar.shaped().vertices.len() as f32;
+        let triangles = &avatar.model().triangles;
+        let outwards = normals(&avatar, &head)
+            .into_iter()
+            .zip(triangles)
+            .filter(|(normal, triangle)| normal.dot(head.vertices()[triangle[0] as usize] - centre) > 0.0);
+        assert!(outwards.count() * 10 > 7 * triangles.len());
+    }
+}

@@ -27,7 +27,7 @@ struct Frame {
 
 impl Capture {
     /// Reads the list of pictures of a VHAP export, of one sequence or combined from several: `transforms_train.json`,
-    /// `transforms_val.json` and `transforms_test.json`, or where they are missing `transforms.json`, divided by [`split_of`].
+    /// `transforms_val.json` and `transforms_test.json`, or where they are missing `transforms.json`, divided by [`split_of`](super::split_of).
     /// Pictures, masks and parameters are read later, when asked for.
     ///
     /// # Errors

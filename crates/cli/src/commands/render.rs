@@ -4,6 +4,7 @@ use clap::Args;
 use serde_json::json;
 use srflow_avatar::HeadSource;
 use srflow_field::{FlowFormat, Size};
+use srflow_read::manifest::Recording;
 use srflow_render::generate::{Background, MotionSource, Report, Settings, generate};
 use srflow_render::job::{Made, Shard};
 use srflow_render::statistics::Statistics;
@@ -18,6 +19,7 @@ Examples:
   srflow render --out srflow               the paper's 11,161 pairs at 2200x3208
   srflow render --out tiny --scenes 3 --frames 8 --size 550x802
   srflow render --out part --shard 2/8     one of eight parts; merge by copying
+  srflow render --out train --preset wild --size 550x802     frames that look like recordings
 
 The same command given again continues where a run was stopped. `srflow check`
 examines the dataset; its files are described in docs/dataset.md.")]
@@ -56,14 +58,64 @@ pub struct Render {
     #[arg(long)]
     regions: bool,
     /// Background: white, black, #rrggbb, `procedural` (rooms, textures, gradients, lights), or a folder of images
-    #[arg(long, value_name = "COLOUR|DIR", default_value = "white")]
-    background: Background,
+    /// [default: white]
+    #[arg(long, value_name = "COLOUR|DIR")]
+    background: Option<Background>,
     /// Motion: `curves` (random expressions, speech, blinks, gaze and turns), `mixed` (with micro-expressions, small and large),
     /// `own` (the one that an avatar was trained on), or a flame_param.npz or capture of another subject with the same kind of head
-    #[arg(long, value_name = "MOTION", default_value = "curves")]
-    motion: MotionSource,
+    /// [default: curves]
+    #[arg(long, value_name = "MOTION")]
+    motion: Option<MotionSource>,
+    #[command(flatten)]
+    effects: Effects,
     #[command(flatten)]
     rendering: RenderingArgs,
+}
+
+/// Each scene draws its own strength of every effect, up to the one given here. Flow, masks and depth stay exact.
+#[derive(Args)]
+#[command(next_help_heading = "Frames like recordings")]
+struct Effects {
+    /// `wild` is --background procedural --motion mixed --noise 2 --lighting 1 --lamps 0.8 --shutter 0.8 --defocus 1.5 --jpeg 40,
+    /// where not given otherwise
+    #[arg(long, value_name = "NAME", value_parser = ["wild"])]
+    preset: Option<String>,
+    /// Sensor noise; at 1 a standard deviation of 1.8 of 255 levels in mid-grey
+    #[arg(long, value_name = "F")]
+    noise: Option<f32>,
+    /// Exposure and white balance; at 1 off by half a stop at most, changing by 2 % within a scene
+    #[arg(long, value_name = "F")]
+    lighting: Option<f32>,
+    /// Share of the head's light that comes from lamps on some sides, 0 to 1
+    #[arg(long, value_name = "SHARE")]
+    lamps: Option<f32>,
+    /// Motion blur: share of the time between frames during which the shutter is open, 0 to 1
+    #[arg(long, value_name = "SHARE")]
+    shutter: Option<f32>,
+    /// Radius of the blur of a lens out of focus, pixels
+    #[arg(long, value_name = "PX")]
+    defocus: Option<f32>,
+    /// Least quality of JPEG compression, 1 to 100; a scene's is from here to 95
+    #[arg(long, value_name = "QUALITY")]
+    jpeg: Option<u8>,
+}
+
+impl Effects {
+    fn preset(&self) -> Settings {
+        if self.preset.is_some() { Settings::wild() } else { Settings::default() }
+    }
+
+    /// Those of the preset, where not given.
+    fn recording(&self, preset: Recording) -> Recording {
+        Recording {
+            noise: self.noise.unwrap_or(preset.noise),
+            lighting: self.lighting.unwrap_or(preset.lighting),
+            lamps: self.lamps.unwrap_or(preset.lamps),
+            shutter: self.shutter.unwrap_or(preset.shutter),
+            defocus: self.defocus.unwrap_or(preset.defocus),
+            jpeg: self.jpeg.or(preset.jpeg),
+        }
+    }
 }
 
 type Shares = [f64; 3];
@@ -86,6 +138,7 @@ fn shares(text: &str) -> Result<Shares, String> {
 }
 
 pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
+    let preset = args.effects.preset();
     let settings = Settings {
         head: args.head,
         scenes: args.scenes,
@@ -97,10 +150,10 @@ pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
         flow_format: args.flow_format,
         backward: args.backward,
         depth: args.depth,
-        background: args.background,
-        motion: args.motion,
+        background: args.background.unwrap_or(preset.background),
+        motion: args.motion.unwrap_or(preset.motion),
         regions: args.regions,
-        ..Settings::default()
+        recording: args.effects.recording(preset.recording),
     };
     let notes = settings.empty_splits();
     for note in &notes {

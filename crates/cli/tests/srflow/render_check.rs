@@ -209,7 +209,7 @@ fn another_dataset_is_not_mixed_in() {
 fn wrong_arguments_are_reported_before_any_work() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("data");
-    let cases: [(&[&str], i32, &str); 13] = [
+    let cases: [(&[&str], i32, &str); 16] = [
         (
             &["--splits", "0.5,0.1,0.1"],
             2,
@@ -227,6 +227,9 @@ fn wrong_arguments_are_reported_before_any_work() {
         (&["--background", "#12"], 2, "expected white, black, #rrggbb"),
         (&["--head", "ict:/no/such/folder"], 1, "--head /no/such/folder"),
         (&["--flow-format", "jpeg"], 2, "jpeg"),
+        (&["--noise", "nan"], 2, "--noise NaN: expected 0 to 50"),
+        (&["--jpeg", "0"], 2, "--jpeg 0: expected 1 to 100"),
+        (&["--preset", "tame"], 2, "wild"),
     ];
     for (arguments, code, expected) in cases {
         let mut command = crate::srflow();
@@ -280,6 +283,29 @@ fn backgrounds_stand_still_behind_the_head() {
     assert!(frames.iter().all(|frame| frame.get(1, 3) == left));
     let flow = srflow_field::read_flow(&out.join("train/flow/scene-0000/00001.npz16")).unwrap();
     assert_eq!(flow.get(1, 3), [0.0, 0.0]);
+    succeeds(&check(&out).0);
+}
+
+#[test]
+fn the_preset_wild_gives_what_is_not_given() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("data");
+    let some = ["--preset", "wild", "--frames", "2", "--motion", "curves", "--noise", "0.5", "--jpeg", "60"];
+    succeeds(
+        &crate::srflow()
+            .args(["render", "--out", out.to_str().unwrap()])
+            .args(["--scenes", "1", "--size", "110x160", "--seed", "4", "--splits", "1,0,0"])
+            .args(some)
+            .output()
+            .unwrap(),
+    );
+    let manifest: Value = serde_json::from_slice(&fs::read(out.join("dataset.json")).unwrap()).unwrap();
+    let arguments = &manifest["arguments"];
+    assert_eq!(arguments["background"], "procedural");
+    assert_eq!(arguments["motion"], Value::Null); // the default
+    let recording = &arguments["recording"];
+    assert_eq!([&recording["noise"], &recording["jpeg"]], [&Value::from(0.5), &Value::from(60)]);
+    assert_eq!(recording["lighting"], 1.0);
     succeeds(&check(&out).0);
 }
 

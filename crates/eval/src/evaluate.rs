@@ -1,18 +1,21 @@
 //! Runs estimators over the pairs of a dataset and scores them.
 
+use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::time::Instant;
 
 use srflow_field::{
-    EstimateError, FlowEstimator, FlowField, FlowSequence, Image, Mask, MeanMetrics, ScoreError, score,
+    EstimateError, FlowEstimator, FlowField, FlowSequence, Image, Mask, MeanMetrics, Metrics, ScoreError,
+    score,
 };
 use srflow_read::flow::{DatasetError, Entry, FlowDataset, Sample};
 
 use crate::crop::{CropError, Window, head_window};
 use crate::error_curve::ErrorCurve;
 use crate::flow_files::{FlowFileError, FlowFiles};
-use crate::results::{Evaluation, Failure, MethodScores, PairScores, title};
+use crate::regions;
+use crate::results::{Evaluation, Failure, MethodScores, PairScores, Region, title};
 use crate::zero::Zero;
 
 /// The source of the flow that is scored.
@@ -34,7 +37,7 @@ impl<'a> Method<'a> {
 }
 
 /// Settings of an evaluation.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Settings {
     /// Width and height of the window around the head that estimators see and scores count; `None` for whole frames.
     pub crop: Option<(usize, usize)>,
@@ -44,6 +47,10 @@ pub struct Settings {
     pub on_failure: OnFailure,
     /// Pairs of one size that a method estimates at once, where it can; `None` for one.
     pub batch: Option<NonZeroUsize>,
+    /// Also score the regions of [region maps](srflow_read::region_map), which all pairs must have.
+    pub regions: bool,
+    /// Also score the pixels whose true flow is shorter than this many pixels; of the head, where there are masks.
+    pub small_motion: Option<f32>,
 }
 
 /// What to do when a pair cannot be read, cropped or estimated.
@@ -115,6 +122,18 @@ pub enum EvaluateError {
         /// How many pairs it has.
         pairs: usize,
     },
+    /// Regions are to be scored, and pairs have no region maps.
+    #[error(
+        "{dataset}: {lacking} of {pairs} pairs have no region map, which --regions needs; `srflow render --regions` makes datasets with them"
+    )]
+    NoRegions {
+        /// The dataset and its split.
+        dataset: String,
+        /// How many of the pairs to be scored have none.
+        lacking: usize,
+        /// How many pairs are to be scored.
+        pairs: usize,
+    },
     /// A pair could not be scored.
     #[error("{pair}: {problem}")]
     Pair { pair: String, problem: PairProblem },
@@ -151,8 +170,8 @@ pub enum PairProblem {
 }
 
 /// Scores every method over the pairs of a dataset that have ground truth: per pair, then the mean over pairs, over all
-/// pixels, inside the head's mask and outside occlusions where the dataset has them. The [`Zero`] baseline always comes
-/// first.
+/// pixels, inside the head's mask and outside occlusions where the dataset has them, and in the regions that `settings` name; the
+/// mean of a region is over the pairs that show it. The [`Zero`] baseline always comes first.
 ///
 /// Pairs, or batches of pairs of one size, run one after another, each method on the current rayon pool; a method's time is
 /// that of estimation alone, divided evenly over the pairs of a batch. One pair or batch is in memory at a time. A method that
@@ -160,7 +179,8 @@ pub enum PairProblem {
 /// with the last frame of the previous pair, in the same scene.
 ///
 /// # Errors
-/// When no pair has ground truth or none could be scored; with [`OnFailure::Stop`], at the first pair that fails.
+/// When no pair has ground truth, region maps are missing, or none could be scored; with [`OnFailure::Stop`], at the first pair that
+/// fails.
 pub fn evaluate(
     dataset: &FlowDataset,
     methods: &[Method<'_>],
@@ -175,6 +195,10 @@ pub fn evaluate(
         .chain(methods.iter().copied().filter(|method| method.name() != Zero.name()))
         .collect();
     let chosen = chosen(dataset, settings.limit);
+    let lacking = chosen.iter().filter(|entry| entry.regions.is_none()).count();
+    if settings.regions && lacking > 0 {
+        return Err(EvaluateError::NoRegions { dataset: title, lacking, pairs: chosen.len() });
+    }
     on_event(Event::Started { pairs: chosen.len() });
 
     let mut sums: Vec<MethodSums> = methods.iter().map(|method| MethodSums::new(method.name())).collect();
@@ -189,7 +213,7 @@ pub fn evaluate(
         while batch.len() < most
             && let Some(entry) = entries.next()
         {
-            let read = (entry.id(), Pair::read(dataset, entry, settings.crop));
+            let read = (entry.id(), Pair::read(dataset, entry, settings));
             let size = |(_, pair): &Outcome<Pair>| pair.as_ref().ok().map(Pair::size);
             let sizes: Vec<_> = batch.iter().chain([&read]).filter_map(size).collect();
             if sizes.iter().all(|size| *size == sizes[0]) {
@@ -235,6 +259,7 @@ pub fn evaluate(
             folder: dataset.dir().display().to_string(),
             crop: settings.crop,
             limit: settings.limit,
+            small_motion: settings.small_motion,
             pairs: scored,
             methods: sums.into_iter().map(MethodSums::finish).collect(),
             failures,
@@ -251,6 +276,8 @@ type Outcome<T> = (String, Result<T, PairProblem>);
 struct Pair {
     sample: Sample,
     truth: FlowField,
+    /// The pixels of each region, cropped.
+    regions: Vec<(Region, Mask)>,
     /// Width and height of the frames before cropping.
     whole: (usize, usize),
     window: Option<Window>,
@@ -259,17 +286,32 @@ struct Pair {
 }
 
 impl Pair {
-    fn read(dataset: &FlowDataset, entry: &Entry, crop: Option<(usize, usize)>) -> Result<Self, PairProblem> {
+    fn read(dataset: &FlowDataset, entry: &Entry, settings: Settings) -> Result<Self, PairProblem> {
         let sample = dataset.read(entry)?;
         let whole = sample.frame1.size();
-        let window = crop.map(|crop| head_window(whole, crop, sample.mask.as_ref())).transpose()?;
+        let place = |crop| head_window(whole, crop, sample.mask.as_ref());
+        let window = settings.crop.map(place).transpose()?;
         let mut sample = match window {
             Some(window) => cropped(&sample, window),
             None => sample,
         };
         let truth = sample.flow.take().ok_or(PairProblem::NoTruth)?;
+        let mut regions = Vec::new();
+        regions.extend(sample.mask.clone().map(|head| (Region::Head, head)));
+        regions.extend(sample.occlusion.as_ref().map(|hidden| (Region::Visible, inverse(hidden))));
+        if let Some(map) = settings.regions.then(|| entry.read_regions()).transpose()?.flatten() {
+            // Divided before it is cropped, so that a crop does not move the rim.
+            let in_window = |mask: Mask| match window {
+                Some(Window { left, top, width, height }) => mask.crop(left, top, width, height),
+                None => mask,
+            };
+            regions.extend(regions::of_map(&map).into_iter().map(|(region, mask)| (region, in_window(mask))));
+        }
+        if let Some(limit) = settings.small_motion {
+            regions.push((Region::SmallMotion, regions::small_motion(&truth, sample.mask.as_ref(), limit)));
+        }
         let files = [entry.frame1.clone(), entry.frame2.clone()];
-        Ok(Self { sample, truth, whole, window, scene: entry.scene.clone(), files })
+        Ok(Self { sample, truth, regions, whole, window, scene: entry.scene.clone(), files })
     }
 
     fn frames(&self) -> [&Image; 2] {
@@ -374,35 +416,33 @@ fn timed_flows(
 fn scored(
     name: &str,
     method: &str,
-    Pair { sample, truth, .. }: &Pair,
+    pair: &Pair,
     flow: FlowField,
     seconds: Option<f64>,
 ) -> Result<Estimate, PairProblem> {
-    let visible = sample.occlusion.as_ref().map(inverse);
-    let scores = scores_of(name, seconds, &flow, truth, sample.mask.as_ref(), visible.as_ref())
+    let scores = scores_of(name, seconds, &flow, pair)
         .map_err(|source| PairProblem::Score { method: method.to_owned(), source })?;
     Ok(Estimate { method: method.to_owned(), baseline: method == Zero.name(), flow, scores })
 }
 
 /// The scores of one flow in every region of the pair.
-pub(crate) fn scores_of(
-    pair: &str,
+fn scores_of(
+    name: &str,
     seconds: Option<f64>,
     flow: &FlowField,
-    truth: &FlowField,
-    head: Option<&Mask>,
-    visible: Option<&Mask>,
+    pair: &Pair,
 ) -> Result<PairScores, ScoreError> {
-    let inside = |mask: Option<&Mask>| match mask {
-        Some(mask) => score(flow, truth, Some(mask)),
-        None => Ok(None),
-    };
+    let mut found = BTreeMap::new();
+    for (region, mask) in &pair.regions {
+        found.extend(score(flow, &pair.truth, Some(mask))?.map(|metrics| (*region, metrics)));
+    }
     Ok(PairScores {
-        pair: pair.to_owned(),
+        pair: name.to_owned(),
         seconds,
-        whole: score(flow, truth, None)?,
-        head: inside(head)?,
-        visible: inside(visible)?,
+        whole: score(flow, &pair.truth, None)?,
+        head: found.remove(&Region::Head),
+        visible: found.remove(&Region::Visible),
+        regions: found,
     })
 }
 
@@ -441,9 +481,7 @@ fn inverse(mask: &Mask) -> Mask {
 /// Sums over the pairs of one method.
 struct MethodSums {
     scores: MethodScores,
-    whole: MeanMetrics,
-    head: MeanMetrics,
-    visible: MeanMetrics,
+    regions: BTreeMap<Region, MeanMetrics>,
     curve: ErrorCurve,
 }
 
@@ -453,26 +491,27 @@ impl MethodSums {
         let baseline = name == Zero.name();
         Self {
             scores: MethodScores { name, baseline, ..MethodScores::default() },
-            whole: MeanMetrics::default(),
-            head: MeanMetrics::default(),
-            visible: MeanMetrics::default(),
+            regions: BTreeMap::new(),
             curve: ErrorCurve::default(),
         }
     }
 
     fn add(&mut self, pair: &ScoredPair<'_>, estimate: &Estimate) {
-        self.whole.add(estimate.scores.whole.as_ref());
-        self.head.add(estimate.scores.head.as_ref());
-        self.visible.add(estimate.scores.visible.as_ref());
+        for region in Region::ALL {
+            self.regions.entry(region).or_default().add(estimate.scores.region(region));
+        }
         self.curve.add(&estimate.flow, pair.truth);
         self.scores.pairs.push(estimate.scores.clone());
     }
 
     fn finish(self) -> MethodScores {
+        let means = self.regions.iter().filter_map(|(region, sum)| Some((*region, sum.mean()?)));
+        let mut means: BTreeMap<Region, Metrics> = means.collect();
         MethodScores {
-            whole: self.whole.mean(),
-            head: self.head.mean(),
-            visible: self.visible.mean(),
+            whole: means.remove(&Region::Whole),
+            head: means.remove(&Region::Head),
+            visible: means.remove(&Region::Visible),
+            regions: means,
             within: self.curve.mean(),
             ..self.scores
         }

@@ -5,6 +5,7 @@ mod error_curve;
 mod evaluate;
 mod flow_files;
 mod method_record;
+mod regions;
 pub mod report;
 mod results;
 mod table;

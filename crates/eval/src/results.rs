@@ -1,5 +1,7 @@
 //! The results of an evaluation, and their tables.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use srflow_field::{Metrics, named};
 use srflow_read::flow::Split;
@@ -18,6 +20,9 @@ pub struct Evaluation {
     pub crop: Option<(usize, usize)>,
     /// The limit on the number of pairs; `None` for all.
     pub limit: Option<usize>,
+    /// The length of true flow, pixels, that [`Region::SmallMotion`] stays below; `None` when it is not scored.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub small_motion: Option<f32>,
     /// The number of pairs in the mean of every row.
     pub pairs: usize,
     /// The methods, baseline first.
@@ -45,6 +50,9 @@ pub struct MethodScores {
     pub head: Option<Metrics>,
     /// The same over pixels that are not occluded; `None` when the dataset has no occlusions.
     pub visible: Option<Metrics>,
+    /// The same in each of the regions that were asked for; the mean is over the pairs that show the region.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub regions: BTreeMap<Region, Metrics>,
     /// Mean over pairs of the share of pixels whose end-point error is at most 0.05, 0.10, ... 5 px.
     pub within: Vec<f64>,
     pub pairs: Vec<PairScores>,
@@ -63,6 +71,9 @@ pub struct PairScores {
     pub head: Option<Metrics>,
     /// Over pixels that are not occluded.
     pub visible: Option<Metrics>,
+    /// In each of the regions that were asked for and that the pair shows.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub regions: BTreeMap<Region, Metrics>,
 }
 
 /// A pair left out.
@@ -74,8 +85,8 @@ pub struct Failure {
 }
 
 /// The pixels that a score covers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Region {
     /// All with ground truth.
     Whole,
@@ -83,17 +94,48 @@ pub enum Region {
     Head,
     /// Those that are not occluded.
     Visible,
+    /// Those of a part of the head, by region map, that are not in the rim.
+    Skin,
+    Eyes,
+    Mouth,
+    Hair,
+    Neck,
+    /// Those of the head, by region map, at most 3 px away from the background.
+    Rim,
+    /// Those that do not show the head, by region map.
+    Background,
+    /// Those whose true flow is short; of the head, where there are masks.
+    SmallMotion,
 }
 
-named!(Region, "a region", { Whole => "whole", Head => "head", Visible => "visible" });
+named!(Region, "a region", {
+    Whole => "whole",
+    Head => "head",
+    Visible => "visible",
+    Skin => "skin",
+    Eyes => "eyes",
+    Mouth => "mouth",
+    Hair => "hair",
+    Neck => "neck",
+    Rim => "rim",
+    Background => "background",
+    SmallMotion => "small_motion",
+});
 
 impl Region {
+    /// The regions that a region map divides a frame into.
+    pub const OF_MAPS: [Self; 7] =
+        [Self::Skin, Self::Eyes, Self::Mouth, Self::Hair, Self::Neck, Self::Rim, Self::Background];
+
     /// Name in table titles.
     pub fn words(self) -> &'static str {
         match self {
             Region::Whole => "all pixels",
             Region::Head => "inside the head mask",
             Region::Visible => "outside occlusions",
+            Region::SmallMotion => "small motion",
+            Region::Rim => "rim of the head",
+            part => part.name(),
         }
     }
 }
@@ -133,10 +175,11 @@ impl Evaluation {
                 baseline: method.baseline,
             }
         };
-        let crop =
-            self.crop.map_or(String::new(), |(width, height)| format!(", cropped to {width}x{height}"));
+        let crop = self.crop_in_words();
+        let limit = self.small_motion.filter(|_| region == Region::SmallMotion);
+        let limit = limit.map_or(String::new(), |limit| format!(" (true flow under {limit} px)"));
         Some(Table {
-            title: format!("{}, {}{crop}, {}", self.title(), self.pairs_in_words(), region.words()),
+            title: format!("{}, {}{crop}, {}{limit}", self.title(), self.pairs_in_words(), region.words()),
             columns: score_columns().into_iter().chain([seconds]).collect(),
             rows: self.methods.iter().map(row).collect(),
             notes: self.left_out.clone(),
@@ -151,6 +194,44 @@ impl Evaluation {
     /// `1 pair`, `12 pairs`.
     pub fn pairs_in_words(&self) -> String {
         format!("{} pair{}", self.pairs, if self.pairs == 1 { "" } else { "s" })
+    }
+
+    fn crop_in_words(&self) -> String {
+        self.crop.map_or(String::new(), |(width, height)| format!(", cropped to {width}x{height}"))
+    }
+
+    /// The EPE of each method in the regions that were asked for, and its ratio to the EPE of zero flow, which is the mean length of
+    /// the true flow; empty when no region was asked for.
+    pub fn by_region(&self) -> Vec<Table> {
+        let shown = |region: &Region| self.methods.iter().any(|method| method.regions.contains_key(region));
+        let regions: Vec<Region> = Region::ALL.into_iter().filter(shown).collect();
+        let epe = |method: &MethodScores, region: Region| Some(method.regions.get(&region)?.epe);
+        let length = |region: Region| epe(self.methods.iter().find(|method| method.baseline)?, region);
+        let relative = |method: &MethodScores, region: Region| {
+            Some(epe(method, region)? / length(region)?).filter(|ratio| ratio.is_finite())
+        };
+        let table = |what: &str, value: &dyn Fn(&MethodScores, Region) -> Option<f64>| {
+            let column = |region: &Region| Column::ranked(region.name(), region.words(), Better::Lower);
+            let row = |method: &MethodScores| Row {
+                name: method.name.clone(),
+                values: regions.iter().map(|region| value(method, *region)).collect(),
+                baseline: method.baseline,
+            };
+            let crop = self.crop_in_words();
+            Table {
+                title: format!("{}, {}{crop}, {what}", self.title(), self.pairs_in_words()),
+                columns: regions.iter().map(column).collect(),
+                rows: self.methods.iter().map(row).collect(),
+                notes: self.left_out.clone(),
+            }
+        };
+        match regions.is_empty() {
+            true => Vec::new(),
+            false => vec![
+                table("EPE by region", &epe),
+                table("EPE by region, relative to the mean length of the true flow", &relative),
+            ],
+        }
     }
 
     /// By how many percent of the other's score each score is better than that of another method (the paper's Table III);
@@ -185,10 +266,10 @@ impl Evaluation {
         })
     }
 
-    /// The tables of all regions that the dataset has, and that of improvements.
+    /// The tables of all regions that were scored, those that compare regions, and that of improvements.
     pub fn tables(&self) -> Vec<Table> {
         let regions = Region::ALL.into_iter().filter_map(|region| self.table(region));
-        regions.chain(self.improvement()).collect()
+        regions.chain(self.by_region()).chain(self.improvement()).collect()
     }
 
     /// Comma-separated values at full precision: one line per method and region, the mean over pairs.
@@ -231,6 +312,7 @@ impl MethodScores {
             Region::Whole => self.whole.as_ref(),
             Region::Head => self.head.as_ref(),
             Region::Visible => self.visible.as_ref(),
+            other => self.regions.get(&other),
         }
     }
 
@@ -251,6 +333,7 @@ impl PairScores {
             Region::Whole => self.whole.as_ref(),
             Region::Head => self.head.as_ref(),
             Region::Visible => self.visible.as_ref(),
+            other => self.regions.get(&other),
         }
     }
 }

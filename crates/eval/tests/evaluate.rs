@@ -5,11 +5,11 @@ use std::path::Path;
 use std::sync::Mutex;
 
 use srflow_eval::{
-    EvaluateError, Evaluation, Event, FlowFiles, Method, OnFailure, Region, Settings, evaluate,
+    EvaluateError, Evaluation, Event, FlowFiles, Method, OnFailure, Region, SCORES, Settings, evaluate,
 };
 use srflow_field::{
-    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Mask, write_flow,
-    write_image_png, write_mask_png,
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Labels, Mask, Metrics,
+    write_flow, write_image_png, write_labels_png, write_mask_png,
 };
 use srflow_read::flow::{DatasetSpec, FlowDataset};
 
@@ -107,6 +107,147 @@ fn regions_count_their_own_pixels() {
     assert_eq!(epe(&evaluation, 1, Region::Head), 0.0);
     assert!((epe(&evaluation, 1, Region::Visible) - 1.0).abs() < 1e-6); // a third of what is not occluded
     assert_eq!(evaluation.tables().len(), 3);
+}
+
+/// The region map of the head in the right half: hair above, neck below, an eye and a mouth in the skin between. Its rim is the columns
+/// 20 to 22.
+fn region_map() -> Labels {
+    Labels::from_fn(SIZE.0, SIZE.1, |x, y| match (x, y) {
+        (..20, _) => 0,
+        (_, ..4) => 4,
+        (_, 20..) => 5,
+        (28..32, 8..10) => 2,
+        (28..34, 14..16) => 3,
+        _ => 1,
+    })
+}
+
+fn dataset_with_regions(dir: &Path, pairs: usize) -> FlowDataset {
+    dataset(dir, pairs);
+    for pair in 0..pairs {
+        write_labels_png(&dir.join(format!("pair{pair}_regions.png")), &region_map()).unwrap();
+    }
+    open(dir)
+}
+
+/// The truth of [`write_pair`], with an error of 2 px at some pixels.
+struct WrongAt<F>(F);
+
+impl<F: Fn(usize, usize) -> bool + Send + Sync> FlowEstimator for WrongAt<F> {
+    fn name(&self) -> &str {
+        "wrong"
+    }
+
+    fn estimate(&self, frame1: &Image, _frame2: &Image) -> Result<FlowField, EstimateError> {
+        Ok(FlowField::from_fn(frame1.width(), frame1.height(), |x, y| {
+            // The frames say where they were before they were cropped.
+            let [column, row, _] = frame1.get(x, y);
+            let wrong = (self.0)(column.into(), row.into());
+            [f32::from(column) / 4.0, if wrong { 2.0 } else { 0.0 }]
+        }))
+    }
+}
+
+#[test]
+fn an_error_in_one_region_is_in_its_scores_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dataset_with_regions(dir.path(), 1);
+    let map = region_map();
+    let is_in = |region: Region, x: usize, y: usize| match region {
+        Region::Background => x < 20,
+        Region::Rim => (20..23).contains(&x),
+        part => {
+            x >= 23 && map.get(x, y) as usize == 1 + Region::OF_MAPS.iter().position(|r| *r == part).unwrap()
+        }
+    };
+    // Of the head, the crop contains the columns 26 to 33: no rim.
+    for crop in [None, Some((8, 24))] {
+        let settings = Settings { regions: true, crop, ..Settings::default() };
+        for wrong in Region::OF_MAPS {
+            let evaluation = run(&dataset, &WrongAt(|x, y| is_in(wrong, x, y)), settings).unwrap();
+            let scores = &evaluation.methods[1].regions;
+            let shown = Region::OF_MAPS
+                .iter()
+                .filter(|region| crop.is_none() || !matches!(region, Region::Rim | Region::Background));
+            assert!(scores.keys().eq(shown), "{crop:?}: {:?}", scores.keys());
+            for (region, metrics) in scores {
+                let expected = if *region == wrong { 2.0 } else { 0.0 };
+                assert_eq!(metrics.epe, expected, "{region} with an error in {wrong}");
+            }
+        }
+    }
+}
+
+#[test]
+fn regions_of_a_map_make_up_the_whole() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dataset_with_regions(dir.path(), 2);
+    let method = Knowing { left: [0.3, 1.0], right: [3.0, 2.0] };
+    let settings = Settings { regions: true, ..Settings::default() };
+    let evaluation = run(&dataset, &method, settings).unwrap();
+    for scores in evaluation.methods.iter().flat_map(|method| &method.pairs) {
+        let whole = scores.whole.as_ref().unwrap();
+        assert_eq!(scores.regions.len(), Region::OF_MAPS.len());
+        let pixels: u64 = scores.regions.values().map(|metrics| metrics.valid_pixels).sum();
+        assert_eq!(pixels, whole.valid_pixels);
+        let sum = |value: fn(&Metrics) -> f64| -> f64 {
+            scores.regions.values().map(|metrics| value(metrics) * metrics.valid_pixels as f64).sum()
+        };
+        for (key, .., value) in SCORES {
+            let difference = sum(value) / pixels as f64 - value(whole);
+            assert!(difference.abs() < 1e-9, "{key}: {difference}");
+        }
+    }
+    let without = run(&dataset, &method, Settings::default()).unwrap();
+    assert!(without.methods.iter().all(|method| method.regions.is_empty()));
+    assert_eq!(without.methods[1].whole, evaluation.methods[1].whole);
+    assert!(!serde_json::to_string(&without).unwrap().contains("regions"));
+
+    let titles: Vec<String> = evaluation.tables().into_iter().map(|table| table.title).collect();
+    assert_eq!(titles.len(), 3 + Region::OF_MAPS.len() + 2, "{titles:?}");
+    let json = serde_json::to_string(&evaluation).unwrap();
+    assert_eq!(serde_json::from_str::<Evaluation>(&json).unwrap(), evaluation);
+    assert_eq!(evaluation.csv().lines().count(), 1 + 2 * (3 + Region::OF_MAPS.len()));
+    let [epe, relative] = &evaluation.by_region()[..] else { panic!("two tables") };
+    let mouth = epe.columns.iter().position(|column| column.key == "mouth").unwrap();
+    let (error, length) = (epe.rows[1].value(mouth).unwrap(), epe.rows[0].value(mouth).unwrap());
+    assert!((error - 13.0_f64.sqrt()).abs() < 1e-6 && (length - 30.5 / 4.0).abs() < 1e-6, "{error} {length}");
+    assert_eq!(relative.rows[1].value(mouth), Some(error / length));
+    assert_eq!(relative.rows[0].value(mouth), Some(1.0));
+}
+
+#[test]
+fn pairs_without_a_region_map_cannot_be_scored_by_region() {
+    let dir = tempfile::tempdir().unwrap();
+    dataset_with_regions(dir.path(), 3);
+    std::fs::remove_file(dir.path().join("pair2_regions.png")).unwrap();
+    let exact = Knowing { left: [0.0; 2], right: [0.0; 2] };
+    let settings = Settings { regions: true, ..Settings::default() };
+    let error = run(&open(dir.path()), &exact, settings).unwrap_err().to_string();
+    assert!(error.contains("1 of 3 pairs") && error.contains("srflow render --regions"), "{error}");
+    assert!(run(&open(dir.path()), &exact, Settings { limit: Some(2), ..settings }).is_ok(), "pairs 0 and 1");
+    write_labels_png(&dir.path().join("pair2_regions.png"), &Labels::new(3, 3)).unwrap();
+    let error = run(&open(dir.path()), &exact, settings).unwrap_err().to_string();
+    assert!(error.contains("pair2") && error.contains("40x24") && error.contains("3x3"), "{error}");
+}
+
+#[test]
+fn small_motion_is_scored_on_the_head() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dataset(dir.path(), 1);
+    let method = Knowing { left: [9.0, 0.0], right: [0.0, 0.5] };
+    let settings = Settings { small_motion: Some(6.0), ..Settings::default() };
+    let evaluation = run(&dataset, &method, settings).unwrap();
+    // The columns 20 to 23 move by 5 to 5.75 px.
+    let metrics = &evaluation.methods[1].regions[&Region::SmallMotion];
+    assert_eq!((metrics.epe, metrics.valid_pixels), (0.5, 4 * (SIZE.1 as u64 - 1)));
+    let [_, relative] = &evaluation.by_region()[..] else { panic!("two tables") };
+    assert!((relative.rows[1].value(0).unwrap() - 0.5 / 5.375).abs() < 1e-6);
+    assert!(
+        evaluation.tables().iter().any(|table| table.title.contains("small motion (true flow under 6 px)"))
+    );
+    let none = run(&dataset, &method, Settings { small_motion: Some(0.5), ..settings }).unwrap();
+    assert!(none.methods[1].regions.is_empty() && none.by_region().is_empty(), "the head moves faster");
 }
 
 #[test]

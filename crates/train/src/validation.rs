@@ -4,7 +4,7 @@ use std::num::NonZeroUsize;
 use std::path::Path;
 
 use burn::tensor::Device;
-use srflow_eval::{Evaluation, Method, OnFailure, Settings, evaluate};
+use srflow_eval::{Evaluation, Method, Settings, evaluate};
 use srflow_nets::{Network, NetworkEstimator, load_network};
 use srflow_read::flow::{DatasetError, FlowDataset, Split};
 
@@ -54,7 +54,7 @@ impl Validation {
         // A checked configuration trains with at least one iteration.
         let iterations = [config.validation.iterations, config.training.iterations];
         let iterations = iterations.into_iter().find_map(NonZeroUsize::new).unwrap_or(NonZeroUsize::MIN);
-        let settings = Settings { crop, limit, on_failure: OnFailure::Stop, batch: None };
+        let settings = Settings { crop, limit, ..Settings::default() };
         Ok(Self { datasets, settings, iterations })
     }
 

@@ -34,6 +34,7 @@ this layout, into DIR/METHOD.
 
 Examples:
   srflow eval --dataset srflow:srflow --method farneback tvl1 --crop 1200x1600 --out scores
+  srflow eval --dataset srflow:srflow --method farneback tvl1 --regions --small-motion 0.5
   srflow eval --dataset sintel-clean:/data/Sintel --method skflow=skflow-things.ckpt raft=raft.pth raft=mine.pth --iters 12
   srflow eval --dataset sintel-clean:/data/Sintel --method tvl1 Theirs:files:out/theirs --save-flow flows
 
@@ -59,6 +60,13 @@ pub struct Eval {
     /// pair's time is an equal share of the batch's
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     batch: u16,
+    /// Also score skin, eyes, mouth, hair, neck, the rim of the head (the 3 px beside the background; no other region contains
+    /// them) and the background, by the region maps of `srflow render --regions`
+    #[arg(long)]
+    regions: bool,
+    /// Also score the pixels whose true flow is shorter than this, e.g. 0.5; of the head, where there are masks
+    #[arg(long, value_name = "PIXELS", allow_negative_numbers = true, value_parser = super::convert::positive)]
+    small_motion: Option<f32>,
     /// Leave out pairs that cannot be scored, for every method, and continue; the exit code is still 1
     #[arg(long)]
     keep_going: bool,
@@ -127,6 +135,8 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         limit,
         on_failure: if args.keep_going { OnFailure::LeaveOut } else { OnFailure::Stop },
         batch: NonZeroUsize::new(args.batch.into()),
+        regions: args.regions,
+        small_motion: args.small_motion,
     };
     if let Some(out) = &args.out {
         create_folder(out)?; // before the long work, so that an error costs nothing

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::Output;
 
 use serde_json::Value;
-use srflow_field::{Mask, write_mask_png};
+use srflow_field::{Labels, Mask, write_labels_png, write_mask_png};
 
 use crate::frames::{write_frames, write_pairs};
 use crate::{json, refuses, succeeds};
@@ -54,6 +54,43 @@ fn scores_are_printed_and_written() {
 
     refuses(&eval(&arguments), 1, &["scores.txt", "--force"]);
     succeeds(&eval(&[&arguments[..], &["--force"]].concat()));
+}
+
+#[test]
+fn scores_by_region_are_printed_and_written() {
+    let dir = tempfile::tempdir().unwrap();
+    make_pairs(dir.path(), 2);
+    let dataset = folder(dir.path());
+    let out = dir.path().join("scores").display().to_string();
+    let arguments = ["--dataset", &dataset, "--method", "farneback", "--regions"];
+    refuses(&eval(&arguments), 1, &["2 of 2 pairs have no region map", "srflow render --regions"]);
+    let map = Labels::from_fn(SIZE.0, SIZE.1, |x, y| match ((30..90).contains(&x), (20..80).contains(&y)) {
+        (true, true) => 1 + (x / 12 % 5) as u8,
+        _ => 0,
+    });
+    for pair in 0..2 {
+        write_labels_png(&dir.path().join(format!("p{pair}_regions.png")), &map).unwrap();
+    }
+    let text = succeeds(&eval(&[&arguments[..], &["--small-motion", "4", "--out", &out]].concat()));
+    for part in [
+        "2 pairs, mouth\n",
+        "2 pairs, EPE by region\n",
+        "small motion (true flow under 4 px)",
+        "rim of the head",
+    ] {
+        assert!(text.contains(part), "{part:?} in {text}");
+    }
+    let scores: Value =
+        serde_json::from_str(&fs::read_to_string(format!("{out}/scores.json")).unwrap()).unwrap();
+    let regions = &scores["methods"][0]["regions"];
+    for region in ["skin", "eyes", "mouth", "hair", "neck", "rim", "background", "small_motion"] {
+        assert_eq!(regions[region]["epe"], f64::from(SHIFT), "{region}");
+    }
+    assert!(fs::read_to_string(format!("{out}/scores.csv")).unwrap().contains("\nfarneback,small_motion,"));
+
+    fs::write(dir.path().join("p1_regions.png"), b"not a picture").unwrap();
+    refuses(&eval(&arguments), 1, &["p1_regions.png"]);
+    refuses(&eval(&[&arguments[..], &["--small-motion", "-1"]].concat()), 2, &["--small-motion", "positive"]);
 }
 
 #[test]

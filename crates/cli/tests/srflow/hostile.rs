@@ -17,7 +17,10 @@ use safetensors::tensor::{Dtype, TensorView};
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView, HeadRecord, write_transforms};
 use srflow_avatar::train::{RunMode, RunRecord, RunRequest, TrainConfig};
 use srflow_avatar::{HeadModel, HeadParameters, HeadSource, PoseParameters};
-use srflow_field::{FlowField, FlowFormat, Image, is_unprintable, write_flow_as, write_image_png};
+use srflow_field::{
+    FlowField, FlowFormat, Image, Labels, is_unprintable, write_flow, write_flow_as, write_image_png,
+    write_labels_png,
+};
 use srflow_splat::{Camera, Gaussians, write_bound_ply, write_ply};
 use zip::write::SimpleFileOptions;
 
@@ -87,6 +90,18 @@ fn samples(folder: &Path) -> Vec<Sample> {
         &["flow", "--method", "farneback", "DIR/frame1.png", "FILE", "-o", "DIR/out.flo", "--force"];
     let png = fs::read(folder.join("frame2.png")).unwrap();
     samples.push(Sample { name: "frame", bytes: png, file: "b.png", arguments: estimate });
+    for (frame, ending) in [("frame1.png", "img1"), ("frame2.png", "img2")] {
+        fs::copy(folder.join(frame), folder.join(format!("p_{ending}.png"))).unwrap();
+    }
+    write_flow(&folder.join("p_flow.flo"), &FlowField::new(24, 16)).unwrap();
+    let map = Labels::from_fn(24, 16, |x, y| ((x + y) % 6) as u8);
+    write_labels_png(&folder.join("p_regions.png"), &map).unwrap();
+    samples.push(Sample {
+        name: "region map",
+        bytes: fs::read(folder.join("p_regions.png")).unwrap(),
+        file: "p_regions.png",
+        arguments: &["eval", "--dataset", "folder:DIR", "--method", "farneback", "--regions"],
+    });
 
     let gaussians = Gaussians {
         positions: vec![[0.0; 3].into(), [0.1, 0.0, 0.0].into()],

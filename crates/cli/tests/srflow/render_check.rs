@@ -80,15 +80,25 @@ fn check(dir: &Path) -> (Output, Value) {
 fn a_dataset_is_sound_and_explained_by_its_flow() {
     let dir = tempfile::tempdir().unwrap();
     let out = dir.path().join("data");
-    let arguments =
-        ["--frames", "5", "--size", "220x320", "--backward", "--depth", "--splits", "0,0,1", "--json"];
+    let arguments = [
+        "--frames",
+        "5",
+        "--size",
+        "220x320",
+        "--backward",
+        "--depth",
+        "--regions",
+        "--splits",
+        "0,0,1",
+        "--json",
+    ];
     let mut command = crate::srflow();
     command.args(["render", "--scenes", "1", "--out", out.to_str().unwrap()]).args(arguments);
     let summary = json(&command.output().unwrap());
     assert_eq!(summary["statistics"]["average_frames"], 5.0);
     assert_eq!(summary["statistics"]["scenes"], 1);
-    // 6 frames, alphas, masks and depths; 5 flows, backward flows, occlusions and records; two files for the dataset.
-    assert_eq!(tree(&out).len(), 4 * 6 + 4 * 5 + 2);
+    // 6 frames, alphas, masks, depths and region maps; 5 flows, backward flows, occlusions and records; two files for the dataset.
+    assert_eq!(tree(&out).len(), 5 * 6 + 4 * 5 + 2);
 
     let (output, report) = check(&out);
     succeeds(&output);

@@ -13,7 +13,7 @@ use clap::Args;
 use serde_json::json;
 use srflow_avatar::HeadSource;
 use srflow_eval::report::{Figure, pair_figures};
-use srflow_eval::{Evaluation, OnFailure, Settings};
+use srflow_eval::{Evaluation, Settings};
 use srflow_field::{FlowEstimator, Size, write_file};
 use srflow_read::flow::{DatasetSpec, FlowDataset};
 use srflow_render::generate::FULL_SIZE;
@@ -145,7 +145,7 @@ fn score(
     crop: Option<(usize, usize)>,
     pairs: usize,
 ) -> anyhow::Result<(Evaluation, Vec<Figure>)> {
-    let settings = Settings { crop, limit: Some(pairs), on_failure: OnFailure::Stop, batch: None };
+    let settings = Settings { crop, limit: Some(pairs), ..Settings::default() };
     let methods: Vec<_> =
         estimators.iter().map(|estimator| srflow_eval::Method::Estimator(estimator.as_ref())).collect();
     let mut figures = Vec::new();

@@ -67,9 +67,10 @@ pub struct Render {
     #[arg(long, value_name = "MOTION")]
     motion: Option<MotionSource>,
     #[command(flatten)]
-    effects: Effects,
-    #[command(flatten)]
     rendering: RenderingArgs,
+    // Last: its heading holds for all that follow.
+    #[command(flatten)]
+    effects: Effects,
 }
 
 /// Each scene draws its own strength of every effect, up to the one given here. Flow, masks and depth stay exact.

@@ -1,4 +1,5 @@
 use std::io;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use srflow_avatar::HeadModelError;
@@ -8,6 +9,22 @@ use srflow_read::micro_expression::MicroExpressionError;
 use srflow_splat::RasterizeError;
 
 use crate::record::RecordError;
+
+/// Checks `--size` against the shortest and the longest side, in pixels.
+pub(crate) fn check_size(
+    (width, height): (usize, usize),
+    sides: RangeInclusive<usize>,
+) -> Result<(), RenderError> {
+    if sides.contains(&width) && sides.contains(&height) {
+        return Ok(());
+    }
+    let (low, high) = sides.into_inner();
+    Err(RenderError::Argument {
+        argument: "--size",
+        found: format!("{width}x{height}"),
+        expected: format!("{low}x{low} to {high}x{high} (WIDTHxHEIGHT)"),
+    })
+}
 
 /// Why a dataset could not be rendered or completed.
 #[derive(Debug, thiserror::Error)]

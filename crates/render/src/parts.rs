@@ -3,7 +3,7 @@
 use srflow_avatar::{Avatar, Region};
 use srflow_field::Plane;
 use srflow_read::region_map::HeadPart;
-use srflow_splat::{Camera, Frame, Gaussians, Options, Outputs, RasterizeError, Rasterizer};
+use srflow_splat::{Camera, Frame, Gaussians, Options, Outputs, RasterizeError, Rasterizer, SH_0};
 
 /// Parts are rendered in the three channels of a colour, this many times. Skin has none: its weight is what the others leave of
 /// alpha.
@@ -59,11 +59,9 @@ impl PartWeights {
 
 /// Colours the Gaussians by the part that they belong to.
 fn paint_parts(avatar: &Avatar, pass: usize, gaussians: &mut Gaussians) {
-    /// Of the spherical harmonics of degree 0; a colour of 0.5 has the coefficient 0.
-    const SH_0: f32 = 0.282_094_8;
     let regions = &avatar.model().regions;
     let colour = |&triangle: &u32| {
-        paint(part_of(regions[triangle as usize]), pass).map(|channel| (channel - 0.5) / SH_0)
+        paint(part_of(regions[triangle as usize]), pass).map(|channel| (channel - 0.5) / SH_0 as f32)
     };
     gaussians.sh_degree = 0;
     gaussians.sh.clear();

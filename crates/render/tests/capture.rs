@@ -1,5 +1,7 @@
 //! A capture made by `srflow avatar capture` is what its files say: read back and rendered again it gives the same pictures.
 
+mod tree;
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -28,20 +30,8 @@ fn make(dir: &Path, settings: &CaptureSettings, threads: usize, stop_after: Opti
 }
 
 /// Every file below a folder, by relative path.
-fn tree(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    let mut folders = vec![dir.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                files.insert(path.strip_prefix(dir).unwrap().to_owned(), fs::read(path).unwrap());
-            }
-        }
-    }
-    files
+fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    tree::contents(dir).into_iter().collect()
 }
 
 #[test]
@@ -99,7 +89,7 @@ fn a_capture_that_is_stopped_goes_on_and_ends_with_the_same_bytes() {
     fs::write(parts.join("images/.00002_08.png.1-1.partial"), "left by a killed run").unwrap();
     let second = make(&parts, &noisy, 2, None);
     assert!(second.complete && second.made == 2);
-    let (whole, parts) = (tree(&whole), tree(&parts));
+    let (whole, parts) = (files(&whole), files(&parts));
     assert_eq!(whole.keys().collect::<Vec<_>>(), parts.keys().collect::<Vec<_>>());
     for (path, bytes) in &whole {
         assert!(*bytes == parts[path], "{} differs", path.display());
@@ -118,7 +108,7 @@ fn noise_is_in_the_written_files_and_the_truth_beside_them() {
         2,
         None,
     );
-    let (a, b) = (tree(&clean), tree(&noisy));
+    let (a, b) = (files(&clean), files(&noisy));
     for same in
         ["flame_param/00000.npz", "fg_masks/00000_08.png", "true/landmarks.csv", "true/transforms.json"]
     {

@@ -1,5 +1,7 @@
 //! A rendered dataset passes its check, and every change to it is detected.
 
+mod tiny;
+
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -10,18 +12,7 @@ use srflow_render::generate::{Settings, generate};
 use srflow_render::job::Request;
 
 fn render(dir: &Path) {
-    let settings = Settings {
-        scenes: 1,
-        frames: 3.0,
-        width: 110,
-        height: 160,
-        splits: [1.0, 0.0, 0.0],
-        seed: 4,
-        backward: true,
-        depth: true,
-        regions: true,
-        ..Settings::default()
-    };
+    let settings = Settings { backward: true, depth: true, regions: true, ..tiny::settings() };
     generate(&settings, Request::new(dir)).unwrap();
 }
 

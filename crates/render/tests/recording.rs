@@ -1,5 +1,6 @@
 //! Frames with imaging effects: of the same scenes with the same labels, the same bytes however they are rendered.
 
+mod tiny;
 mod tree;
 
 use std::fs;
@@ -13,19 +14,8 @@ use srflow_render::job::{Request, Shard};
 use tree::contents;
 
 fn settings(recording: Recording) -> Settings {
-    Settings {
-        scenes: 1,
-        frames: 3.0,
-        width: 110,
-        height: 160,
-        splits: [1.0, 0.0, 0.0],
-        seed: 4,
-        backward: true,
-        depth: true,
-        regions: true,
-        recording,
-        ..Settings::wild()
-    }
+    let Settings { background, motion, .. } = Settings::wild();
+    Settings { backward: true, depth: true, regions: true, background, motion, recording, ..tiny::settings() }
 }
 
 fn render(dir: &Path, settings: &Settings, threads: usize) {

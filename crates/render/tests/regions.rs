@@ -1,5 +1,6 @@
 //! Region maps divide the mask of the head into its parts, and change nothing else of a dataset.
 
+mod tiny;
 mod tree;
 
 use std::path::{Path, PathBuf};
@@ -12,16 +13,7 @@ use srflow_render::generate::{Settings, generate};
 use srflow_render::job::{Request, Shard};
 
 fn settings(regions: bool) -> Settings {
-    Settings {
-        scenes: 1,
-        frames: 3.0,
-        width: 110,
-        height: 160,
-        splits: [1.0, 0.0, 0.0],
-        seed: 4,
-        regions,
-        ..Settings::default()
-    }
+    Settings { regions, ..tiny::settings() }
 }
 
 #[test]

@@ -33,6 +33,7 @@ pub use gaussians::Gaussians;
 pub use gradients::{CameraGradient, FrameGradients, GaussianGradients};
 pub use ply::{read_bound_ply, read_ply, write_bound_ply, write_ply};
 pub use rasterizer::{Next, Options, Rasterizer, Sorting};
+pub use sh::SH_0;
 
 #[cfg(test)]
 mod tests;

@@ -9,6 +9,9 @@ const C32: f64 = 2.890_611_442_640_554; // sqrt(105 / pi) / 2
 const C31: f64 = 0.457_045_799_464_465_8; // sqrt(21 / (2 pi)) / 4
 const C30: f64 = 0.373_176_332_590_115_4; // sqrt(7 / pi) / 4
 
+/// The spherical harmonic of degree 0: colour per coefficient, `sqrt(1 / pi) / 2`.
+pub const SH_0: f64 = 0.282_094_791_773_878_14;
+
 /// Coefficients per Gaussian of spherical harmonics of `degree`.
 pub(crate) const fn coefficients(degree: usize) -> usize {
     (degree + 1) * (degree + 1)
@@ -20,7 +23,7 @@ pub(crate) const fn coefficients(degree: usize) -> usize {
 pub(crate) fn basis(degree: usize, direction: DVec3) -> [f64; 16] {
     let DVec3 { x, y, z } = direction;
     let mut basis = [0.0; 16];
-    basis[0] = 0.282_094_791_773_878_14; // sqrt(1 / pi) / 2
+    basis[0] = SH_0;
     if degree >= 1 {
         basis[1] = -C1 * y;
         basis[2] = C1 * z;

@@ -1,4 +1,5 @@
 use std::path::PathBuf;
+use std::str::FromStr;
 
 use clap::Args;
 use serde_json::json;
@@ -77,9 +78,7 @@ pub struct Render {
 #[derive(Args)]
 #[command(next_help_heading = "Frames like recordings")]
 struct Effects {
-    /// `wild` is --background procedural --motion mixed --noise 2 --lighting 1 --lamps 0.8 --shutter 0.8 --defocus 1.5 --jpeg 40,
-    /// where not given otherwise
-    #[arg(long, value_name = "NAME", value_parser = ["wild"])]
+    #[arg(long, value_name = "NAME", value_parser = ["wild"], help = preset_help())]
     preset: Option<String>,
     /// Sensor noise; at 1 a standard deviation of 1.8 of 255 levels in mid-grey
     #[arg(long, value_name = "F")]
@@ -131,10 +130,23 @@ pub fn flow_format_help() -> String {
     format!("File format of the flow: {}", FlowFormat::ALL.map(FlowFormat::extension).join(", "))
 }
 
+/// `N` numbers between commas.
+pub fn numbers<T: FromStr, const N: usize>(text: &str) -> Option<[T; N]> {
+    let numbers: Option<Vec<T>> = text.split(',').map(|number| number.trim().parse().ok()).collect();
+    numbers?.try_into().ok()
+}
+
+fn preset_help() -> String {
+    let Recording { noise, lighting, lamps, shutter, defocus, jpeg } = Recording::wild();
+    let jpeg = jpeg.map_or(String::new(), |quality| format!(" --jpeg {quality}"));
+    format!(
+        "`wild` is --background procedural --motion mixed --noise {noise} --lighting {lighting} --lamps {lamps} --shutter {shutter} \
+         --defocus {defocus}{jpeg}, where not given otherwise"
+    )
+}
+
 fn shares(text: &str) -> Result<Shares, String> {
-    let shares: Option<Vec<f64>> = text.split(',').map(|share| share.trim().parse().ok()).collect();
-    shares
-        .and_then(|shares| shares.try_into().ok())
+    numbers(text)
         .ok_or_else(|| format!("expected three shares TRAIN,VAL,TEST, e.g. 0.61,0.11,0.28, found `{text}`"))
 }
 

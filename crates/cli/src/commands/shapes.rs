@@ -4,7 +4,7 @@ use clap::Args;
 use srflow_field::{FlowFormat, Size};
 use srflow_render::shapes::{ShapesReport, ShapesSettings, shapes};
 
-use super::render::flow_format_help;
+use super::render::{flow_format_help, numbers};
 use crate::Context;
 use crate::rendering::{RenderingArgs, exit_if_stopped};
 
@@ -47,10 +47,7 @@ pub struct Shapes {
 type Lengths = [f32; 2];
 
 fn lengths(text: &str) -> Result<Lengths, String> {
-    let lengths: Option<Vec<f32>> = text.split(',').map(|length| length.trim().parse().ok()).collect();
-    lengths
-        .and_then(|lengths| lengths.try_into().ok())
-        .ok_or_else(|| format!("expected two lengths in pixels, e.g. 0.25,32, found `{text}`"))
+    numbers(text).ok_or_else(|| format!("expected two lengths in pixels, e.g. 0.25,32, found `{text}`"))
 }
 
 pub fn run(args: Shapes, context: &Context) -> anyhow::Result<()> {

@@ -7,6 +7,7 @@ use srflow_field::random::Key;
 use srflow_splat::Camera;
 
 use crate::RenderError;
+use crate::error::check_size;
 use crate::generate::Rig;
 use crate::head;
 
@@ -71,10 +72,7 @@ impl CaptureSettings {
         if !(1..=100_000).contains(&self.timesteps) {
             return wrong("--timesteps", self.timesteps.to_string(), "1 to 100000");
         }
-        if !(16..=16_384).contains(&self.width) || !(16..=16_384).contains(&self.height) {
-            let found = format!("{}x{}", self.width, self.height);
-            return wrong("--size", found, "16x16 to 16384x16384 (WIDTHxHEIGHT)");
-        }
+        check_size((self.width, self.height), 16..=16_384)?;
         for (argument, value) in [
             ("--noise", self.noise),
             ("--calibration-noise", self.calibration_noise),

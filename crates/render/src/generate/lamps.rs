@@ -3,12 +3,9 @@
 use glam::Vec3;
 use srflow_avatar::{Avatar, PosedHead};
 use srflow_field::random::{Key, Stream};
-use srflow_splat::Gaussians;
+use srflow_splat::{Gaussians, SH_0};
 
 use crate::recording::coded;
-
-/// Factor of colour per coefficient of degree 0: `sqrt(1 / pi) / 2`.
-const SH_0: f32 = 0.282_094_8;
 
 /// Least and greatest factor of light on any surface.
 const LIGHT: (f32, f32) = (0.2, 2.5);
@@ -68,14 +65,14 @@ impl Lamps {
             .into_iter()
             .map(|normal| self.at(normal).to_array().map(|light| coded(light.clamp(LIGHT.0, LIGHT.1))))
             .collect();
-        let coefficients = (gaussians.sh_degree + 1) * (gaussians.sh_degree + 1);
+        let coefficients = gaussians.sh_len();
         let triangles = avatar.bound().triangles();
         for (sh, &triangle) in gaussians.sh.chunks_mut(coefficients).zip(triangles) {
             let Some(light) = lights.get(triangle as usize) else { continue };
             for (number, coefficient) in sh.iter_mut().enumerate() {
                 for (value, light) in coefficient.iter_mut().zip(light) {
                     // The colour is 0.5 and the sum of the terms.
-                    let constant = if number == 0 { 0.5 * (light - 1.0) / SH_0 } else { 0.0 };
+                    let constant = if number == 0 { 0.5 * (light - 1.0) / SH_0 as f32 } else { 0.0 };
                     *value = *value * light + constant;
                 }
             }
@@ -132,7 +129,7 @@ mod tests {
         let lamps = Lamps { ambient: Vec3::splat(0.5), lamps: vec![left] };
         let mut shaded = plain.clone();
         lamps.shade(&avatar, &head, &mut shaded);
-        let colour = |sh: &[f32; 3]| 0.5 + SH_0 * sh[1];
+        let colour = |sh: &[f32; 3]| 0.5 + SH_0 as f32 * sh[1];
         let change = |wanted: fn(f32) -> bool| {
             let places = plain.positions.iter().zip(plain.sh.iter().zip(&shaded.sh));
             let sums =

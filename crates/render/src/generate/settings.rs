@@ -8,6 +8,7 @@ use srflow_field::random::Key;
 
 use super::background::{self, Background};
 use super::{FULL_SIZE, MotionSource, Rig};
+use crate::error::check_size;
 use crate::{RenderError, head};
 use srflow_read::manifest::{Arguments, LAYOUT_VERSION, Manifest, Recording, SceneEntry, SceneSplit};
 
@@ -212,11 +213,7 @@ impl Settings {
         if !(1.0..=MAX_PAIRS).contains(&self.frames) {
             return wrong("--frames", self.frames.to_string(), format!("1 to {MAX_PAIRS}"));
         }
-        if !(SIDES.contains(&self.width) && SIDES.contains(&self.height)) {
-            let (low, high) = (SIDES.start(), SIDES.end());
-            let found = format!("{}x{}", self.width, self.height);
-            return wrong("--size", found, format!("{low}x{low} to {high}x{high} (WIDTHxHEIGHT)"));
-        }
+        check_size((self.width, self.height), SIDES)?;
         let sum: f64 = self.splits.iter().sum();
         if self.splits.iter().any(|share| !(0.0..=1.0).contains(share)) || (sum - 1.0).abs() > 1e-6 {
             let [train, val, test] = self.splits;

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use srflow_field::FlowFormat;
 
 use crate::RenderError;
+use crate::error::check_size;
 
 /// Maximum number of pairs: file names have five digits.
 const MAX_PAIRS: u32 = 99_999;
@@ -62,11 +63,7 @@ impl ShapesSettings {
         if !(1..=MAX_PAIRS).contains(&self.pairs) {
             return wrong("--pairs", self.pairs.to_string(), format!("1 to {MAX_PAIRS}"));
         }
-        if !(SIDES.contains(&self.width) && SIDES.contains(&self.height)) {
-            let (low, high) = (SIDES.start(), SIDES.end());
-            let found = format!("{}x{}", self.width, self.height);
-            return wrong("--size", found, format!("{low}x{low} to {high}x{high} (WIDTHxHEIGHT)"));
-        }
+        check_size((self.width, self.height), SIDES)?;
         let [shortest, longest] = self.motion;
         if !(LENGTHS.contains(&shortest) && LENGTHS.contains(&longest) && shortest <= longest) {
             let (low, high) = (LENGTHS.start(), LENGTHS.end());

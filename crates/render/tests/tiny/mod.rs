@@ -1,0 +1,16 @@
+//! The smallest dataset that has everything.
+
+use srflow_render::generate::Settings;
+
+/// One scene of three pairs, without the optional files.
+pub fn settings() -> Settings {
+    Settings {
+        scenes: 1,
+        frames: 3.0,
+        width: 110,
+        height: 160,
+        splits: [1.0, 0.0, 0.0],
+        seed: 4,
+        ..Settings::default()
+    }
+}

@@ -15,10 +15,14 @@ use crate::landmark_file::{on_triangle, place, read_rows};
 use crate::regions::{divide_skin, mark_parts};
 use crate::skeleton_names::roles;
 use crate::unit_fit::fitted_units;
+use crate::unit_table::{UNITS_NAME, read_units};
 use crate::{HeadModel, Joint, Offsets, PoseCorrective, Region, Shape, Skinning};
 
 /// The landmarks, beside the model or where the repository has them.
-pub(crate) const COMPANIONS: [&str; 2] = ["head_sparse_68.txt", "../../landmarks/head_sparse_68.txt"];
+const LANDMARKS: [&str; 2] = ["head_sparse_68.txt", "../../landmarks/head_sparse_68.txt"];
+
+/// Files beside the model that are used if they exist.
+pub(crate) const COMPANIONS: [&str; 3] = [LANDMARKS[0], LANDMARKS[1], UNITS_NAME];
 
 /// Smaller weights of a vertex do not make it a member of a group (`_NONZERO_THRESHOLD`).
 const MEMBER: f32 = 1e-4;
@@ -51,6 +55,7 @@ pub(crate) fn load(path: &Path) -> Result<HeadModel, AvatarError> {
         expressions,
         joints,
         joints_follow_expressions: false,
+        expressions_are_components: true,
         skinning,
         pose_correctives,
         action_units: Vec::new(),
@@ -60,7 +65,8 @@ pub(crate) fn load(path: &Path) -> Result<HeadModel, AvatarError> {
     };
     model.validate()?;
     set_regions(&mut model);
-    model.action_units = fitted_units(&model, &[]).into_iter().map(|fitted| fitted.unit).collect();
+    let units = read_units(&path.with_file_name(UNITS_NAME), &model)?;
+    model.action_units = units.unwrap_or_else(|| fitted_units(&model, &[]));
     Ok(model)
 }
 
@@ -180,7 +186,7 @@ fn landmarks(
     template: &[Vec3],
     triangles: &[[u32; 3]],
 ) -> Result<Vec<(u32, Vec3)>, AvatarError> {
-    let paths = COMPANIONS.map(|name| model.with_file_name(name));
+    let paths = LANDMARKS.map(|name| model.with_file_name(name));
     let Some(path) = paths.into_iter().find(|path| path.exists()) else { return Ok(Vec::new()) };
     let mut rows = read_rows(&path, template.len())?;
     // The published rows 2 to 6 run from the chin to the ear, against dlib's order.

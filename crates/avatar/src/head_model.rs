@@ -2,6 +2,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use glam::{Mat3, Quat, Vec3};
+use serde::{Deserialize, Serialize};
 
 mod derivative;
 mod shape;
@@ -43,7 +44,8 @@ pub enum Region {
 }
 
 /// The half of the face that an action unit moves.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Side {
     /// Both halves, or an action unit without halves.
     Both,
@@ -87,6 +89,9 @@ pub struct HeadModel {
     /// Whether expressions and [`HeadPose::offset`] displace the joints as the identity does, as in FLAME. Otherwise they move
     /// vertices alone.
     pub joints_follow_expressions: bool,
+    /// Whether expressions are principal components, as in FLAME and GNM: weights of either sign, of deviation 1 among people. Otherwise
+    /// each is a shape of its own, which a weight of 1 shows fully.
+    pub expressions_are_components: bool,
     /// Joint weights of each vertex; they sum to 1.
     pub skinning: Skinning,
     /// Displacements by the rotations of joints; empty for plain linear blend skinning.
@@ -248,8 +253,8 @@ impl HeadModel {
 
     /// The pose with each of the given action units: (number, side, intensity 0 to 1).
     ///
-    /// Units add up, but no expression exceeds its full weight: an eye closed by two units is closed. Intensities are clamped
-    /// to 0..1. [`Side::Both`] of a unit with halves uses both; one side of a unit without halves uses the whole of it.
+    /// Units add up, but no expression exceeds its full weight: an eye closed by two units is closed. Components have no full weight; there,
+    /// units that are the same in all but their number count once, with the larger intensity. Intensities are clamped to 0..1. [`Side::Both`] of a unit with halves uses both; one side of a unit without halves uses the whole of it.
     ///
     /// # Errors
     /// [`HeadModelError::NoActionUnit`] for a unit that this model does not have.
@@ -257,27 +262,42 @@ impl HeadModel {
         let mut expressions = vec![0.0_f32; self.expressions.len()];
         let mut full = vec![0.0_f32; self.expressions.len()];
         let mut turns = vec![Vec3::ZERO; self.joints.len()];
+        let mut used: Vec<(&ActionUnit, f32)> = Vec::new();
         for &(number, side, intensity) in units {
             // max before min: a NaN intensity becomes 0.
             #[expect(clippy::manual_clamp, reason = "clamp keeps NaN")]
             let intensity = intensity.max(0.0).min(1.0);
             for unit in self.halves(number, side)? {
-                for &(expression, weight) in &unit.expressions {
-                    expressions[expression] += weight * intensity;
-                    if weight.abs() > full[expression].abs() {
-                        full[expression] = weight;
-                    }
-                }
-                for &(joint, turn) in &unit.joints {
-                    turns[joint] += turn * intensity;
+                let same = used.iter_mut().find(|(other, _)| self.are_same(other, unit));
+                match same {
+                    Some((_, most)) => *most = most.max(intensity),
+                    None => used.push((unit, intensity)),
                 }
             }
         }
-        for (weight, full) in expressions.iter_mut().zip(full) {
-            *weight = weight.clamp(full.min(0.0), full.max(0.0));
+        for (unit, intensity) in used {
+            for &(expression, weight) in &unit.expressions {
+                expressions[expression] += weight * intensity;
+                if weight.abs() > full[expression].abs() {
+                    full[expression] = weight;
+                }
+            }
+            for &(joint, turn) in &unit.joints {
+                turns[joint] += turn * intensity;
+            }
+        }
+        if !self.expressions_are_components {
+            for (weight, full) in expressions.iter_mut().zip(full) {
+                *weight = weight.clamp(full.min(0.0), full.max(0.0));
+            }
         }
         let joints = turns.into_iter().map(Quat::from_scaled_axis).collect();
         Ok(HeadPose { expressions, joints, ..HeadPose::default() })
+    }
+
+    /// Whether two units of components are one by two numbers, such as 43 and 45, and so must not add up.
+    fn are_same(&self, a: &ActionUnit, b: &ActionUnit) -> bool {
+        self.expressions_are_components && a.expressions == b.expressions && a.joints == b.joints
     }
 
     /// The listed units that make up one side, or both, of unit `number`.

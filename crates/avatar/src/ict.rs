@@ -17,6 +17,7 @@ use crate::arkit::{ACTION_UNITS, action_units};
 use crate::avatar::AvatarError;
 use crate::obj::{read_obj, read_obj_positions};
 use crate::regions::RegionMap;
+use crate::unit_table::{UNITS_NAME, read_units};
 use crate::{HeadModel, Joint, JointRole, Offsets, Region, Shape, Skinning};
 
 const VERTICES: usize = 26_719;
@@ -84,6 +85,7 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
         expressions,
         joints,
         joints_follow_expressions: false,
+        expressions_are_components: false,
         skinning,
         pose_correctives: Vec::new(),
         landmarks,
@@ -91,6 +93,9 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
         vertex_groups: BTreeMap::new(),
     };
     face_eyeballs_forward(&mut model);
+    if let Some(units) = read_units(&dir.join(UNITS_NAME), &model)? {
+        model.action_units = units;
+    }
     Ok(model)
 }
 

@@ -27,6 +27,7 @@ mod regions;
 mod skeleton_names;
 pub mod train;
 mod unit_fit;
+mod unit_table;
 
 pub use avatar::{Avatar, AvatarError, PosedHead};
 pub use binding::{
@@ -43,3 +44,5 @@ pub use mesh::{MeshFormat, write_mesh};
 pub use micro_expression::MicroExpression;
 pub use motion::{Moment, Motion};
 pub use parameters::{HeadParameters, ParametersError, PoseParameters};
+pub use unit_fit::{Left, UnitQuality, unit_qualities};
+pub use unit_table::{UNITS_NAME, write_units};

@@ -102,6 +102,7 @@ impl HeadModel {
             expressions,
             joints: Joint::of_roles(skinning::joints(&plan).map(|joint| joint * METRES_PER_MILLIMETRE)),
             joints_follow_expressions: false,
+            expressions_are_components: false,
             pose_correctives: Vec::new(),
             action_units,
             eyeballs: [eyeball.collect(), right_eyeball.collect()],

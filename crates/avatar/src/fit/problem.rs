@@ -663,10 +663,11 @@ pub(super) fn landmarks_in(views: &[&LandmarkView]) -> usize {
     views.iter().map(|view| view.landmarks.iter().flatten().count()).sum()
 }
 
-/// The range of weights of each expression that an action unit is made of: from zero to its weight at full intensity.
+/// The range of weights of each expression that an action unit is made of: from zero to its weight at full intensity. Components have none.
 fn ranges(model: &HeadModel, count: usize) -> Vec<Option<[f64; 2]>> {
     let mut ranges: Vec<Option<[f64; 2]>> = vec![None; model.expressions.len()];
-    for &(expression, weight) in model.action_units.iter().flat_map(|unit| &unit.expressions) {
+    let units = model.action_units.iter().filter(|_| !model.expressions_are_components);
+    for &(expression, weight) in units.flat_map(|unit| &unit.expressions) {
         let [low, high] = ranges[expression].get_or_insert([0.0; 2]);
         (*low, *high) = (low.min(f64::from(weight)), high.max(f64::from(weight)));
     }

@@ -21,6 +21,7 @@ use crate::avatar::AvatarError;
 use crate::pickle::Pickle;
 use crate::regions::{divide_skin, mark_parts};
 use crate::unit_fit::fitted_units;
+use crate::unit_table::{UNITS_NAME, read_units};
 use crate::{
     ActionUnit, HeadModel, Joint, JointRole, Offsets, PoseCorrective, Region, Shape, Side, Skinning,
 };
@@ -31,8 +32,8 @@ const SHAPES: usize = 300;
 const JOINTS: usize = 5;
 
 /// Files beside the model that are used if they exist, by their published names: vertices of the regions, and landmarks (VHAP's
-/// file first, whose 70 include the eyes).
-pub(crate) const COMPANIONS: [&str; 3] = [MASKS, LANDMARKS[0], LANDMARKS[1]];
+/// file first, whose 70 include the eyes). And the table of action units.
+pub(crate) const COMPANIONS: [&str; 4] = [MASKS, LANDMARKS[0], LANDMARKS[1], UNITS_NAME];
 const MASKS: &str = "FLAME_masks.pkl";
 const LANDMARKS: [&str; 2] = ["landmark_embedding_with_eyes.npy", "landmark_embedding.npy"];
 
@@ -73,6 +74,7 @@ pub(crate) fn load(path: &Path, with_teeth: bool) -> Result<HeadModel, AvatarErr
         expressions,
         joints,
         joints_follow_expressions: true,
+        expressions_are_components: true,
         skinning,
         pose_correctives,
         action_units: jaw_units(),
@@ -81,8 +83,12 @@ pub(crate) fn load(path: &Path, with_teeth: bool) -> Result<HeadModel, AvatarErr
     };
     model.validate()?;
     set_regions(&mut model);
+    if let Some(units) = read_units(&path.with_file_name(UNITS_NAME), &model)? {
+        model.action_units = units;
+        return Ok(model);
+    }
     let known: Vec<u8> = model.action_units.iter().map(|unit| unit.number).collect();
-    model.action_units.extend(fitted_units(&model, &known).into_iter().map(|fitted| fitted.unit));
+    model.action_units.extend(fitted_units(&model, &known));
     model.action_units.sort_by_key(|unit| unit.number);
     Ok(model)
 }

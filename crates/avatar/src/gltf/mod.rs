@@ -19,10 +19,15 @@ use crate::avatar::AvatarError;
 use crate::landmark_file::{on_triangle, read_rows};
 use crate::regions::divide_skin;
 use crate::skeleton_names::roles;
+use crate::unit_fit::fitted_units;
+use crate::unit_table::{UNITS_NAME, read_units};
 use crate::{HeadModel, Joint, JointRole, Offsets, Region, Shape, Skinning};
 
 /// Landmarks beside the model: 68 rows of three vertices and their weights. Vertices count through the meshes in the order of the scene.
-pub(crate) const COMPANIONS: [&str; 1] = ["landmarks_68.txt"];
+const LANDMARKS: &str = "landmarks_68.txt";
+
+/// Files beside the model that are used if they exist.
+pub(crate) const COMPANIONS: [&str; 2] = [LANDMARKS, UNITS_NAME];
 
 /// Parts of names that tell what a mesh is; the first that occurs counts.
 const PARTS: [(&str, Region); 22] = [
@@ -58,7 +63,7 @@ pub(crate) fn load(path: &Path) -> Result<HeadModel, AvatarError> {
     let document = Document::open(path)?;
     let mut model =
         Builder::new(&document).and_then(Builder::model).map_err(|problem| problem.in_file(path))?;
-    let landmarks = path.with_file_name(COMPANIONS[0]);
+    let landmarks = path.with_file_name(LANDMARKS);
     if landmarks.exists() {
         let rows = read_rows(&landmarks, model.template.len())?;
         model.landmarks =
@@ -66,6 +71,11 @@ pub(crate) fn load(path: &Path) -> Result<HeadModel, AvatarError> {
     }
     model.validate()?;
     divide_skin(&mut model, &[]);
+    if let Some(units) = read_units(&path.with_file_name(UNITS_NAME), &model)? {
+        model.action_units = units;
+    } else if model.action_units.is_empty() {
+        model.action_units = fitted_units(&model, &[]);
+    }
     Ok(model)
 }
 
@@ -197,6 +207,7 @@ impl<'a> Builder<'a> {
             expressions,
             joints: self.joints,
             joints_follow_expressions: false,
+            expressions_are_components: false,
             skinning: self.skinning,
             pose_correctives: Vec::new(),
             landmarks: Vec::new(),

@@ -54,6 +54,7 @@ pub(super) fn model(stream: &mut Stream) -> HeadModel {
         identities: vec![shape(stream, "wide"), Shape::linear("tall", dense(stream))],
         expressions: vec![shape(stream, "smile_L"), shape(stream, "smile_R"), shape(stream, "close")],
         joints_follow_expressions: stream.unit() < 0.5,
+        expressions_are_components: false,
         skinning: (0..count)
             .map(|_| {
                 let raw: [f32; 7] = std::array::from_fn(|_| (stream.unit() - 0.3).max(0.0));

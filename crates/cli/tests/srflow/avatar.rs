@@ -64,6 +64,40 @@ fn a_flame_head_has_the_pose_of_its_timestep() {
 }
 
 #[test]
+fn a_table_of_action_units_is_written_and_read_again_beside_its_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let written = folder.path().join("table.json");
+    let units = ["avatar", "units", "--model", "builtin", "--json"];
+    let made = json(&srflow().args(units).arg("-o").arg(&written).output().unwrap());
+    let smile = |made: &Value| {
+        let units = made["units"].as_array().unwrap().clone();
+        units.into_iter().find(|unit| unit["number"] == 12 && unit["side"] == "left").unwrap()
+    };
+    // Persons differ from the average head, whose units they are compared with.
+    let left = smile(&made)["left_on_skin"].as_f64().unwrap();
+    assert!(smile(&made)["motion_mm"].as_f64().unwrap() > 0.5 && left < 0.5, "{made}");
+    refuses(&srflow().args(units).arg("-o").arg(&written).output().unwrap(), 1, &["table.json", "--force"]);
+    refuses(&srflow().args(units).args(["-o", "table.txt"]).output().unwrap(), 2, &[".json"]);
+
+    // A table beside a model is what its units are.
+    fs::copy(flame("arrays.npz"), folder.path().join("head.npz")).unwrap();
+    let model = format!("flame-toothless:{}", folder.path().join("head.npz").display());
+    let listed = |model: &str| {
+        json(&srflow().args(["avatar", "units", "--json", "--model", model]).output().unwrap())["listed"]
+            .clone()
+    };
+    assert_eq!(listed(&model), 2, "the jaw alone, without landmarks");
+    let beside = folder.path().join("action_units.json");
+    let table =
+        r#"{"model": "flame", "units": [{"number": 12, "side": "both", "expressions": {"NAME": 1.5}}]}"#;
+    fs::write(&beside, table.replace("NAME", "expression002")).unwrap();
+    assert_eq!(listed(&model), 1);
+    fs::write(&beside, table.replace("NAME", "smile")).unwrap();
+    let spoiled = srflow().args(["avatar", "units", "--model", &model]).output().unwrap();
+    refuses(&spoiled, 1, &["action_units.json", "`smile` in action unit 12", "flame"]);
+}
+
+#[test]
 fn wrong_arguments_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("a.obj").display().to_string();

@@ -391,6 +391,17 @@ fn heads(folder: &Path) -> Vec<Sample> {
     let gnm = &["avatar", "mesh", "--model", "gnm:DIR/gnm.npz", "-o", "DIR/out.obj", "--force"];
     let bytes = fs::read(data.join("head_sparse_68.txt")).unwrap();
     samples.push(Sample { name: "head_sparse_68", bytes, file: "head_sparse_68.txt", arguments: gnm });
+    // In a folder of its own: beside the other heads it would be read with them.
+    fs::create_dir(folder.join("units")).unwrap();
+    fs::copy(data.join("gnm_head.npz"), folder.join("units/gnm.npz")).unwrap();
+    let gnm = &["avatar", "mesh", "--model", "gnm:DIR/gnm.npz", "-o", "DIR/out.obj", "--force"];
+    let units = r#"{"model": "gnm", "units": [{"number": 12, "side": "left", "expressions": {"lower_face_region_0": 0.5}}]}"#;
+    samples.push(Sample {
+        name: "action_units",
+        bytes: units.into(),
+        file: "units/action_units.json",
+        arguments: gnm,
+    });
     let gltf = &["avatar", "mesh", "--model", "gltf:FILE", "-o", "DIR/out.obj", "--force"];
     // 255 bytes of zeros: a triangle with a skin and a morph target.
     let text = GLTF.replace("ZEROS", &"A".repeat(340));
@@ -686,11 +697,9 @@ fn broken_files_of_every_format_are_refused_or_read() {
     let next = AtomicUsize::new(0);
     let work = || {
         let own = tempfile::tempdir().unwrap();
-        for entry in fs::read_dir(folder.path()).unwrap().map(Result::unwrap) {
-            if entry.path().is_file() {
-                fs::copy(entry.path(), own.path().join(entry.file_name())).unwrap();
-            }
-        }
+        copy_files(folder.path(), own.path());
+        fs::create_dir(own.path().join("units")).unwrap();
+        copy_files(&folder.path().join("units"), &own.path().join("units"));
         let mut failures = Vec::new();
         loop {
             let case = next.fetch_add(1, Ordering::Relaxed);
@@ -713,6 +722,15 @@ fn broken_files_of_every_format_are_refused_or_read() {
         threads.into_iter().flat_map(|thread| thread.join().unwrap()).collect()
     });
     assert!(failures.is_empty(), "seed {seed}, {} of {cases}:\n{}", failures.len(), failures.join("\n"));
+}
+
+/// Without the folders.
+fn copy_files(from: &Path, to: &Path) {
+    for entry in fs::read_dir(from).unwrap().map(Result::unwrap) {
+        if entry.path().is_file() {
+            fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
+        }
+    }
 }
 
 /// The error of a command on a file with this content, within the limits.

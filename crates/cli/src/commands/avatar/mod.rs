@@ -8,12 +8,13 @@ mod mesh;
 mod paths;
 mod scores;
 mod train;
+mod units;
 
 use clap::{Args, Subcommand};
 
 use crate::Context;
 
-/// Head models and avatars: captures, fitting, training, scores, meshes
+/// Head models and avatars: captures, fitting, training, scores, meshes, action units
 #[derive(Args)]
 pub struct Avatar {
     #[command(subcommand)]
@@ -28,6 +29,7 @@ enum AvatarCommand {
     Import(import::Import),
     Mesh(mesh::Mesh),
     Train(train::Train),
+    Units(units::Units),
 }
 
 pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
@@ -38,5 +40,6 @@ pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
         AvatarCommand::Import(args) => import::run(args, context),
         AvatarCommand::Mesh(args) => mesh::run(args, context),
         AvatarCommand::Train(args) => train::run(args, context),
+        AvatarCommand::Units(args) => units::run(args, context),
     }
 }

@@ -61,6 +61,7 @@ pub(crate) fn load(path: &Path) -> Result<HeadModel, AvatarError> {
         action_units: Vec::new(),
         landmarks,
         eyeballs,
+        texture: None,
         vertex_groups,
     };
     model.validate()?;

@@ -7,11 +7,13 @@ use serde::{Deserialize, Serialize};
 mod derivative;
 mod shape;
 mod skeleton;
+mod texture;
 mod validation;
 
 pub use derivative::{HeadGradient, HeadPoints, HeadState, PointDerivatives, rotation_of_axis_angle};
 pub use shape::{Offsets, PoseCorrective, Shape};
 pub use skeleton::{Joint, JointRole, Skinning};
+pub use texture::TextureMap;
 pub use validation::HeadModelError;
 
 use skeleton::joint_transforms;
@@ -103,6 +105,8 @@ pub struct HeadModel {
     pub landmarks: Vec<(u32, Vec3)>,
     /// Vertices of the two eyeballs, left and right, in ascending order.
     pub eyeballs: [Vec<u32>; 2],
+    /// Texture coordinates, if the model has some.
+    pub texture: Option<TextureMap>,
     /// The model's own groups of vertices by name, such as the masks of FLAME; each in ascending order.
     pub vertex_groups: BTreeMap<String, Vec<u32>>,
 }

@@ -15,10 +15,10 @@ use srflow_field::{FileKind, parse_error_in_words, read_file};
 
 use crate::arkit::{ACTION_UNITS, action_units};
 use crate::avatar::AvatarError;
-use crate::obj::{read_obj, read_obj_positions};
+use crate::obj::{Obj, read_obj, read_obj_positions};
 use crate::regions::RegionMap;
 use crate::unit_table::{UNITS_NAME, read_units};
-use crate::{HeadModel, Joint, JointRole, Offsets, Region, Shape, Skinning};
+use crate::{HeadModel, Joint, JointRole, Offsets, Region, Shape, Skinning, TextureMap};
 
 const VERTICES: usize = 26_719;
 const METRES_PER_UNIT: f32 = 0.01;
@@ -67,7 +67,7 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
     let identities = shapes(dir, present(dir, identity_names), &template)?;
 
     let landmark_vertices = landmark_positions(&indices.idx_to_landmark_verts, &template);
-    let (triangles, regions) = dressed_triangles(&neutral.polygons, &template, &landmark_vertices);
+    let Dressed { triangles, regions, texture } = dressed_triangles(neutral, &template, &landmark_vertices);
     let landmarks = landmark_triangles(&indices.idx_to_landmark_verts, &triangles);
     let positions = joints(&template, &landmark_vertices);
     let skinning = skinning(&template, &positions, &landmark_vertices, &expressions);
@@ -90,6 +90,7 @@ pub(crate) fn load(dir: &Path) -> Result<HeadModel, AvatarError> {
         pose_correctives: Vec::new(),
         landmarks,
         eyeballs: EYEBALLS.map(Iterator::collect),
+        texture,
         vertex_groups: BTreeMap::new(),
     };
     face_eyeballs_forward(&mut model);
@@ -167,26 +168,34 @@ fn landmark_positions(vertices: &[u32], template: &[Vec3]) -> Vec<Vec3> {
     vertices.iter().map(|&v| template[v as usize]).collect()
 }
 
-/// Triangles of everything that is dressed, with their regions. The tear film, the meshes that blend and shade the eyes, and
-/// the strips of lashes are omitted: they are meant to be rendered transparent.
-fn dressed_triangles(
-    polygons: &[Vec<u32>],
-    template: &[Vec3],
-    landmarks: &[Vec3],
-) -> (Vec<[u32; 3]>, Vec<Region>) {
+/// Triangles with their regions and texture coordinates.
+struct Dressed {
+    triangles: Vec<[u32; 3]>,
+    regions: Vec<Region>,
+    texture: Option<TextureMap>,
+}
+
+/// Triangles of everything that is dressed. The tear film, the meshes that blend and shade the eyes, and the strips of lashes are
+/// omitted: they are meant to be rendered transparent.
+fn dressed_triangles(neutral: Obj, template: &[Vec3], landmarks: &[Vec3]) -> Dressed {
     let map = RegionMap::new(landmarks);
-    let mut triangles = Vec::new();
-    let mut regions = Vec::new();
-    for polygon in polygons {
+    let mut dressed = Dressed { triangles: Vec::new(), regions: Vec::new(), texture: None };
+    let mut texture = Vec::new();
+    for (number, polygon) in neutral.polygons.iter().enumerate() {
         for i in 2..polygon.len() {
             let triangle = [polygon[0], polygon[i - 1], polygon[i]];
             if let Some(region) = region(&map, triangle, template) {
-                triangles.push(triangle);
-                regions.push(region);
+                dressed.triangles.push(triangle);
+                dressed.regions.push(region);
+                let corners = neutral.texture_polygons.get(number);
+                texture.extend(corners.map(|corners| [corners[0], corners[i - 1], corners[i]]));
             }
         }
     }
-    (triangles, regions)
+    if !neutral.texture_polygons.is_empty() {
+        dressed.texture = Some(TextureMap { points: neutral.texture, triangles: texture });
+    }
+    dressed
 }
 
 /// The region of a triangle; `None` if it is not dressed.

@@ -36,7 +36,7 @@ pub use binding::{
 pub use files::AvatarFiles;
 pub use head_model::{
     ActionUnit, HeadGradient, HeadModel, HeadModelError, HeadPoints, HeadPose, HeadState, Joint, JointRole,
-    Offsets, PointDerivatives, PoseCorrective, Region, Shape, ShapedHead, Side, Skinning,
+    Offsets, PointDerivatives, PoseCorrective, Region, Shape, ShapedHead, Side, Skinning, TextureMap,
     rotation_of_axis_angle,
 };
 pub use head_source::{HEAD_KINDS, HeadKind, HeadSource};

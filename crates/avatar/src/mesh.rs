@@ -1,11 +1,14 @@
 //! Meshes in files: OBJ, PLY and binary glTF.
 
+use std::collections::HashMap;
 use std::ffi::OsStr;
 use std::io::{self, Write};
 use std::path::Path;
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use srflow_field::{FileError, FileProblem, write_atomically};
+
+use crate::TextureMap;
 
 /// The formats of [`write_mesh`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -37,11 +40,20 @@ impl MeshFormat {
 }
 
 /// Writes a mesh in the format of the file's extension, whole or not at all: vertices in metres, triangles counter-clockwise seen
-/// from outside. Coordinates keep every bit.
+/// from outside, and texture coordinates if there are some. Coordinates keep every bit.
+///
+/// In PLY (`s`, `t`) and glTF (`TEXCOORD_0`) a vertex has one point of the texture. Vertices on a seam are repeated after all others, once
+/// for each further point.
 ///
 /// # Errors
-/// When the extension is none of [`MeshFormat::ALL`], a triangle has a vertex that does not exist, or the file cannot be written.
-pub fn write_mesh(path: &Path, vertices: &[Vec3], triangles: &[[u32; 3]]) -> Result<(), FileError> {
+/// When the extension is none of [`MeshFormat::ALL`], a triangle has a vertex or a point of the texture that does not exist, or the file
+/// cannot be written.
+pub fn write_mesh(
+    path: &Path,
+    vertices: &[Vec3],
+    triangles: &[[u32; 3]],
+    texture: Option<&TextureMap>,
+) -> Result<(), FileError> {
     let problem = |problem: FileProblem| problem.in_file(path);
     let format = MeshFormat::of(path).ok_or_else(|| {
         let known = MeshFormat::ALL.map(|format| format!(".{}", format.extension())).join(", ");
@@ -51,37 +63,120 @@ pub fn write_mesh(path: &Path, vertices: &[Vec3], triangles: &[[u32; 3]]) -> Res
             path.extension().unwrap_or_default().to_string_lossy(),
         ))
     })?;
-    if let Some(beyond) = triangles.iter().flatten().find(|v| **v as usize >= vertices.len()) {
-        let expected = format!("vertices below {}", vertices.len());
-        return Err(problem(FileProblem::field("triangle", expected, beyond.to_string())));
+    let check = |what: &'static str, triangles: &[[u32; 3]], count: usize| {
+        let beyond = triangles.iter().flatten().find(|index| **index as usize >= count);
+        beyond.map_or(Ok(()), |beyond| {
+            let expected = format!("{what} below {count}");
+            Err(problem(FileProblem::field("triangle", expected, beyond.to_string())))
+        })
+    };
+    check("vertices", triangles, vertices.len())?;
+    if let Some(texture) = texture {
+        check("points of the texture", &texture.triangles, texture.points.len())?;
+        if texture.triangles.len() != triangles.len() {
+            let expected = format!("{} triangles, as the mesh has", triangles.len());
+            return Err(problem(FileProblem::field(
+                "texture",
+                expected,
+                texture.triangles.len().to_string(),
+            )));
+        }
     }
-    write_atomically(path, |writer| match format {
-        MeshFormat::Obj => write_obj(writer, vertices, triangles),
-        MeshFormat::Ply => write_ply(writer, vertices, triangles),
-        MeshFormat::Glb => write_glb(writer, vertices, triangles),
+    write_atomically(path, |writer| match (format, texture) {
+        (MeshFormat::Obj, texture) => write_obj(writer, vertices, triangles, texture),
+        (MeshFormat::Ply, None) => write_ply(writer, vertices, triangles, None),
+        (MeshFormat::Glb, None) => write_glb(writer, vertices, triangles, None),
+        (format, Some(texture)) => {
+            let Unfolded { vertices, triangles, texture } = Unfolded::new(vertices, triangles, texture);
+            match format {
+                MeshFormat::Glb => write_glb(writer, &vertices, &triangles, Some(&texture)),
+                _ => write_ply(writer, &vertices, &triangles, Some(&texture)),
+            }
+        }
     })
 }
 
-fn write_obj(writer: &mut impl Write, vertices: &[Vec3], triangles: &[[u32; 3]]) -> io::Result<()> {
+/// A mesh with one point of the texture for each vertex.
+struct Unfolded {
+    vertices: Vec<Vec3>,
+    triangles: Vec<[u32; 3]>,
+    texture: Vec<Vec2>,
+}
+
+impl Unfolded {
+    /// A vertex keeps its number with the first of its points, and is repeated for the others. Vertices of no triangle get (0, 0).
+    fn new(vertices: &[Vec3], triangles: &[[u32; 3]], texture: &TextureMap) -> Self {
+        let mut point_of: Vec<Option<u32>> = vec![None; vertices.len()];
+        let mut repeated: HashMap<(u32, u32), u32> = HashMap::new();
+        let mut unfolded = Self { vertices: vertices.to_vec(), triangles: Vec::new(), texture: Vec::new() };
+        let mut further = Vec::new();
+        for (triangle, points) in triangles.iter().zip(&texture.triangles) {
+            unfolded.triangles.push(std::array::from_fn(|corner| {
+                let (vertex, point) = (triangle[corner], points[corner]);
+                if *point_of[vertex as usize].get_or_insert(point) == point {
+                    return vertex;
+                }
+                *repeated.entry((vertex, point)).or_insert_with(|| {
+                    unfolded.vertices.push(vertices[vertex as usize]);
+                    further.push(point);
+                    unfolded.vertices.len() as u32 - 1
+                })
+            }));
+        }
+        let at = |point: u32| texture.points[point as usize];
+        unfolded.texture = point_of.iter().map(|point| point.map_or(Vec2::ZERO, at)).collect();
+        unfolded.texture.extend(further.into_iter().map(at));
+        unfolded
+    }
+}
+
+fn write_obj(
+    writer: &mut impl Write,
+    vertices: &[Vec3],
+    triangles: &[[u32; 3]],
+    texture: Option<&TextureMap>,
+) -> io::Result<()> {
     for v in vertices {
         writeln!(writer, "v {} {} {}", v.x, v.y, v.z)?;
     }
-    for triangle in triangles {
-        let [a, b, c] = triangle.map(|v| v + 1);
-        writeln!(writer, "f {a} {b} {c}")?;
+    let Some(texture) = texture else {
+        return triangles.iter().try_for_each(|triangle| {
+            let [a, b, c] = triangle.map(|v| v + 1);
+            writeln!(writer, "f {a} {b} {c}")
+        });
+    };
+    for point in &texture.points {
+        writeln!(writer, "vt {} {}", point.x, point.y)?;
+    }
+    for (triangle, points) in triangles.iter().zip(&texture.triangles) {
+        let ([a, b, c], [s, t, u]) = (triangle.map(|v| v + 1), points.map(|point| point + 1));
+        writeln!(writer, "f {a}/{s} {b}/{t} {c}/{u}")?;
     }
     Ok(())
 }
 
-fn write_ply(writer: &mut impl Write, vertices: &[Vec3], triangles: &[[u32; 3]]) -> io::Result<()> {
+/// `texture` has one point for each vertex.
+fn write_ply(
+    writer: &mut impl Write,
+    vertices: &[Vec3],
+    triangles: &[[u32; 3]],
+    texture: Option<&[Vec2]>,
+) -> io::Result<()> {
     write!(
         writer,
         "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\n\
-         property float z\nelement face {}\nproperty list uchar uint vertex_indices\nend_header\n",
+         property float z\n{}element face {}\nproperty list uchar uint vertex_indices\nend_header\n",
         vertices.len(),
+        if texture.is_some() { "property float s\nproperty float t\n" } else { "" },
         triangles.len()
     )?;
-    write_floats(writer, vertices)?;
+    match texture {
+        None => write_floats(writer, vertices.iter().flat_map(|v| v.to_array()))?,
+        Some(texture) => {
+            let both = vertices.iter().zip(texture);
+            write_floats(writer, both.flat_map(|(v, point)| [v.x, v.y, v.z, point.x, point.y]))?;
+        }
+    }
     for triangle in triangles {
         writer.write_all(&[3])?;
         write_indices(writer, &[*triangle])?;
@@ -90,15 +185,22 @@ fn write_ply(writer: &mut impl Write, vertices: &[Vec3], triangles: &[[u32; 3]])
 }
 
 /// The glTF 2.0 specification, section 4: a header, a chunk of JSON padded with spaces, and one of binary data.
-fn write_glb(writer: &mut impl Write, vertices: &[Vec3], triangles: &[[u32; 3]]) -> io::Result<()> {
+/// `texture` has one point for each vertex.
+fn write_glb(
+    writer: &mut impl Write,
+    vertices: &[Vec3],
+    triangles: &[[u32; 3]],
+    texture: Option<&[Vec2]>,
+) -> io::Result<()> {
     let (points, indices) = (12 * vertices.len(), 12 * triangles.len());
+    let texture_bytes = texture.map_or(0, |texture| 8 * texture.len());
     let low = vertices.iter().copied().fold(Vec3::INFINITY, Vec3::min).to_array();
     let high = vertices.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max).to_array();
     const FLOAT: u32 = 5126;
     const UNSIGNED_INT: u32 = 5125;
     const ARRAY_BUFFER: u32 = 34962;
     const ELEMENT_ARRAY_BUFFER: u32 = 34963;
-    let json = serde_json::json!({
+    let mut json = serde_json::json!({
         "asset": {"version": "2.0", "generator": concat!("srflow ", env!("CARGO_PKG_VERSION"))},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
@@ -112,13 +214,24 @@ fn write_glb(writer: &mut impl Write, vertices: &[Vec3], triangles: &[[u32; 3]])
             {"buffer": 0, "byteLength": points, "target": ARRAY_BUFFER},
             {"buffer": 0, "byteOffset": points, "byteLength": indices, "target": ELEMENT_ARRAY_BUFFER},
         ],
-        "buffers": [{"byteLength": points + indices}],
+        "buffers": [{"byteLength": points + indices + texture_bytes}],
     });
+    if texture.is_some() {
+        json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = 2.into();
+        let accessor = serde_json::json!({"bufferView": 2, "componentType": FLOAT, "count": vertices.len(), "type": "VEC2"});
+        let view = serde_json::json!({
+            "buffer": 0, "byteOffset": points + indices, "byteLength": texture_bytes, "target": ARRAY_BUFFER,
+        });
+        for (list, entry) in [("accessors", accessor), ("bufferViews", view)] {
+            json[list].as_array_mut().expect("made above").push(entry);
+        }
+    }
     let mut json = json.to_string();
     while !json.len().is_multiple_of(4) {
         json.push(' ');
     }
-    let whole = 12 + 8 + json.len() + 8 + points + indices;
+    let binary = points + indices + texture_bytes;
+    let whole = 12 + 8 + json.len() + 8 + binary;
     let size =
         |bytes: usize| u32::try_from(bytes).map_err(|_| io::Error::other("a .glb file holds at most 4 GiB"));
     writer.write_all(b"glTF")?;
@@ -127,14 +240,15 @@ fn write_glb(writer: &mut impl Write, vertices: &[Vec3], triangles: &[[u32; 3]])
     }
     writer.write_all(b"JSON")?;
     writer.write_all(json.as_bytes())?;
-    writer.write_all(&size(points + indices)?.to_le_bytes())?;
+    writer.write_all(&size(binary)?.to_le_bytes())?;
     writer.write_all(b"BIN\0")?;
-    write_floats(writer, vertices)?;
-    write_indices(writer, triangles)
+    write_floats(writer, vertices.iter().flat_map(|v| v.to_array()))?;
+    write_indices(writer, triangles)?;
+    // glTF counts from the top.
+    write_floats(writer, texture.into_iter().flatten().flat_map(|point| [point.x, 1.0 - point.y]))
 }
 
-fn write_floats(writer: &mut impl Write, vertices: &[Vec3]) -> io::Result<()> {
-    let mut values = vertices.iter().flat_map(|v| v.to_array());
+fn write_floats(writer: &mut impl Write, mut values: impl Iterator<Item = f32>) -> io::Result<()> {
     values.try_for_each(|value| writer.write_all(&value.to_le_bytes()))
 }
 
@@ -144,6 +258,8 @@ fn write_indices(writer: &mut impl Write, triangles: &[[u32; 3]]) -> io::Result<
 
 #[cfg(test)]
 mod tests {
+    use std::str::FromStr;
+
     use super::*;
     use crate::obj::read_obj;
 
@@ -154,7 +270,7 @@ mod tests {
     fn written(name: &str) -> Vec<u8> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(name);
-        write_mesh(&path, &VERTICES, &TRIANGLES).unwrap();
+        write_mesh(&path, &VERTICES, &TRIANGLES, None).unwrap();
         std::fs::read(path).unwrap()
     }
 
@@ -167,7 +283,7 @@ mod tests {
     fn obj_keeps_every_bit() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.OBJ");
-        write_mesh(&path, &VERTICES, &TRIANGLES).unwrap();
+        write_mesh(&path, &VERTICES, &TRIANGLES, None).unwrap();
         let read = read_obj(&path).unwrap();
         assert_eq!((read.positions, read.polygons), (VERTICES.to_vec(), vec![vec![2, 0, 1]]));
     }
@@ -193,14 +309,85 @@ mod tests {
         assert_eq!(glb[28 + json..], [floats, indices].concat());
     }
 
+    /// Two triangles whose common edge is a seam at one end: vertex 1 has two points.
+    fn seam() -> (Vec<Vec3>, Vec<[u32; 3]>, TextureMap) {
+        let points = vec![Vec2::ZERO, Vec2::X, Vec2::Y, Vec2::new(0.25, 0.75)];
+        let vertices = vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::ONE];
+        (vertices, vec![[0, 1, 2], [2, 1, 3]], TextureMap { points, triangles: vec![[0, 1, 2], [2, 3, 1]] })
+    }
+
+    #[test]
+    fn textures_are_read_again_from_obj() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.obj");
+        let (vertices, triangles, texture) = seam();
+        write_mesh(&path, &vertices, &triangles, Some(&texture)).unwrap();
+        let read = read_obj(&path).unwrap();
+        assert_eq!((read.positions, read.texture), (vertices, texture.points));
+        assert_eq!(read.polygons, [[0, 1, 2], [2, 1, 3]]);
+        assert_eq!(
+            read.texture_polygons,
+            texture.triangles.iter().map(|triangle| triangle.to_vec()).collect::<Vec<_>>()
+        );
+    }
+
+    #[test]
+    fn vertices_on_seams_are_repeated_in_ply_and_glb() {
+        let folder = tempfile::tempdir().unwrap();
+        let (vertices, triangles, texture) = seam();
+        let floats = |numbers: &[f32]| numbers.iter().flat_map(|n| n.to_le_bytes()).collect::<Vec<u8>>();
+        let written = |name: &str| {
+            let path = folder.path().join(name);
+            write_mesh(&path, &vertices, &triangles, Some(&texture)).unwrap();
+            (std::fs::read(&path).unwrap(), path)
+        };
+        let (ply, _) = written("a.ply");
+        let header = ply.windows(11).position(|window| window == b"end_header\n").unwrap() + 11;
+        let text = std::str::from_utf8(&ply[..header]).unwrap();
+        assert!(
+            text.contains("element vertex 5\n") && text.contains("z\nproperty float s\nproperty float t\n")
+        );
+        let second = floats(&[1.0, 0.0, 0.0, 1.0, 0.0]);
+        let fifth = floats(&[1.0, 0.0, 0.0, 0.25, 0.75]);
+        assert_eq!(
+            (&ply[header + 20..header + 40], &ply[header + 80..header + 100]),
+            (&second[..], &fifth[..])
+        );
+        let indices: Vec<u8> = [[0, 1, 2], [2, 4, 3_u32]]
+            .iter()
+            .flat_map(|triangle| [vec![3], triangle.iter().flat_map(|v| v.to_le_bytes()).collect()].concat())
+            .collect();
+        assert_eq!(ply[header + 100..], indices);
+
+        // The reader of glTF heads reads the same back.
+        let (_, path) = written("a.glb");
+        let model =
+            crate::HeadSource::from_str(&format!("gltf:{}", path.display())).unwrap().model(1).unwrap();
+        assert_eq!(model.triangles, [[0, 1, 2], [2, 4, 3]]);
+        let read = model.texture.unwrap();
+        assert_eq!(read.points, [0, 1, 2, 1, 3].map(|point| texture.points[point]));
+        assert_eq!(read.triangles, model.triangles);
+    }
+
     #[test]
     fn wrong_meshes_and_names_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         let error = |name: &str, triangles: &[[u32; 3]]| {
-            write_mesh(&folder.path().join(name), &VERTICES, triangles).unwrap_err().to_string()
+            write_mesh(&folder.path().join(name), &VERTICES, triangles, None).unwrap_err().to_string()
         };
         assert!(error("a.stl", &TRIANGLES).contains("expected .obj, .ply, .glb, found stl"));
         assert!(error("a.obj", &[[0, 1, 3]]).contains("vertices below 3, found 3"));
+        for (texture, expected) in [
+            (
+                TextureMap { points: vec![Vec2::X], triangles: vec![[0, 0, 1]] },
+                "points of the texture below 1, found 1",
+            ),
+            (TextureMap::default(), "1 triangles, as the mesh has"),
+        ] {
+            let path = folder.path().join("a.ply");
+            let error = write_mesh(&path, &VERTICES, &TRIANGLES, Some(&texture)).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
         assert!(std::fs::read_dir(folder.path()).unwrap().next().is_none());
     }
 }

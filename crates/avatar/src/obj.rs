@@ -1,31 +1,50 @@
 use std::path::Path;
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use srflow_field::{FileKind, excerpt, read_file};
 
 use crate::avatar::AvatarError;
 
-/// The parts of a Wavefront OBJ file that are read: positions and polygons, vertex indices from 0.
+/// The parts of a Wavefront OBJ file that are read: positions, polygons and texture coordinates, indices from 0.
 #[derive(Debug, Default)]
 pub(crate) struct Obj {
     pub positions: Vec<Vec3>,
     /// Vertex indices of each polygon, at least three, all below `positions.len()`.
     pub polygons: Vec<Vec<u32>>,
+    /// Texture coordinates.
+    pub texture: Vec<Vec2>,
+    /// Indices of the texture coordinates at the corners of each polygon, all below `texture.len()`; empty unless every polygon has
+    /// them.
+    pub texture_polygons: Vec<Vec<u32>>,
 }
 
 /// Larger coordinates are not a head in any unit, and would overflow later sums.
 const LARGEST_COORDINATE: f32 = 1e6;
 
-/// Reads positions and polygons; texture coordinates, normals, groups and materials are ignored.
+/// Reads positions, polygons and texture coordinates; normals, groups and materials are ignored.
 pub(crate) fn read_obj(path: &Path) -> Result<Obj, AvatarError> {
     let bytes = read(path)?;
-    let mut obj = Obj { positions: positions_in(path, &bytes)?, polygons: Vec::new() };
+    let mut obj = Obj { positions: positions_in(path, &bytes)?, ..Obj::default() };
+    obj.texture = points(path, &bytes, b"vt ", "two")?.into_iter().map(Vec2::from_array).collect();
     for (number, line) in lines(&bytes) {
         if let Some(rest) = line.strip_prefix(b"f ") {
-            obj.polygons.push(polygon(path, number, rest, obj.positions.len())?);
+            let count = obj.positions.len();
+            obj.polygons.push(polygon(path, number, "vertex", words(rest).map(|word| part(word, 0)), count)?);
+            if words(rest).all(|word| !part(word, 1).is_empty()) {
+                let corners = words(rest).map(|word| part(word, 1));
+                obj.texture_polygons.push(polygon(path, number, "texture", corners, obj.texture.len())?);
+            }
         }
     }
+    if obj.texture_polygons.len() != obj.polygons.len() {
+        obj.texture_polygons.clear();
+    }
     Ok(obj)
+}
+
+/// The index number `at` of a corner, as in `12/7/3`; empty for none.
+fn part(corner: &str, at: usize) -> &str {
+    corner.split('/').nth(at).unwrap_or("")
 }
 
 /// Reads only the positions.
@@ -42,45 +61,55 @@ fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
 }
 
 fn positions_in(path: &Path, bytes: &[u8]) -> Result<Vec<Vec3>, AvatarError> {
-    let mut positions = Vec::new();
+    Ok(points(path, bytes, b"v ", "three")?.into_iter().map(Vec3::from_array).collect())
+}
+
+/// The first N numbers of the lines that begin with `key`.
+fn points<const N: usize>(
+    path: &Path,
+    bytes: &[u8],
+    key: &[u8],
+    in_words: &str,
+) -> Result<Vec<[f32; N]>, AvatarError> {
+    let mut points = Vec::new();
     for (number, line) in lines(bytes) {
-        if let Some(rest) = line.strip_prefix(b"v ") {
-            positions.push(position(path, number, rest)?);
+        let Some(rest) = line.strip_prefix(key) else { continue };
+        let mut point = [0.0_f32; N];
+        let mut words = words(rest);
+        for value in &mut point {
+            let word = words.next().unwrap_or("");
+            let sane = word.parse().ok().filter(|v: &f32| v.abs() <= LARGEST_COORDINATE);
+            *value = sane.ok_or_else(|| {
+                let found = excerpt(word);
+                malformed(path, number, format!("expected {in_words} finite coordinates, found `{found}`"))
+            })?;
         }
+        points.push(point);
     }
-    Ok(positions)
+    Ok(points)
 }
 
-fn position(path: &Path, line: usize, text: &[u8]) -> Result<Vec3, AvatarError> {
-    let mut xyz = [0.0_f32; 3];
-    let mut words = words(text);
-    for value in &mut xyz {
-        let word = words.next().unwrap_or("");
-        *value = word.parse().ok().filter(|v: &f32| v.abs() <= LARGEST_COORDINATE).ok_or_else(|| {
-            malformed(path, line, format!("expected three finite coordinates, found `{}`", excerpt(word)))
-        })?;
-    }
-    Ok(Vec3::from_array(xyz))
-}
-
-fn polygon(path: &Path, line: usize, text: &[u8], vertices: usize) -> Result<Vec<u32>, AvatarError> {
+/// The indices in the corners of a polygon, which count `what`, of which there are `count`.
+fn polygon<'a>(
+    path: &Path,
+    line: usize,
+    what: &str,
+    corners: impl Iterator<Item = &'a str>,
+    count: usize,
+) -> Result<Vec<u32>, AvatarError> {
     let mut polygon = Vec::with_capacity(4);
-    for word in words(text) {
-        let number = word.split('/').next().unwrap_or("");
+    for number in corners {
         // OBJ counts from 1, and negative numbers count from the end.
         let index = match number.parse::<i64>() {
             Ok(n) if n > 0 => n - 1,
-            Ok(n) if n < 0 => n.saturating_add(vertices as i64),
+            Ok(n) if n < 0 => n.saturating_add(count as i64),
             _ => {
-                return Err(malformed(
-                    path,
-                    line,
-                    format!("expected a vertex number, found `{}`", excerpt(word)),
-                ));
+                let found = excerpt(number);
+                return Err(malformed(path, line, format!("expected a {what} number, found `{found}`")));
             }
         };
-        if index < 0 || index >= vertices as i64 {
-            return Err(malformed(path, line, format!("vertex {number} of {vertices} does not exist")));
+        if index < 0 || index >= count as i64 {
+            return Err(malformed(path, line, format!("{what} {number} of {count} does not exist")));
         }
         polygon.push(index as u32);
     }
@@ -117,6 +146,14 @@ mod tests {
         .unwrap();
         assert_eq!(obj.positions, [Vec3::new(1.0, 2.0, 3.0), Vec3::new(0.0, 0.0, 1e-3), Vec3::Y]);
         assert_eq!(obj.polygons, [[0, 1, 2], [0, 2, 1]]);
+        assert!(obj.texture_polygons.is_empty(), "one polygon has no texture coordinates");
+    }
+
+    #[test]
+    fn reads_texture_coordinates() {
+        let obj = read_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0.5 1 0\nvt 0.25 0\nf 1/2/1 2/-2 3/1\n").unwrap();
+        assert_eq!(obj.texture, [Vec2::new(0.5, 1.0), Vec2::new(0.25, 0.0)]);
+        assert_eq!((obj.polygons, obj.texture_polygons), (vec![vec![0, 1, 2]], vec![vec![1, 0, 0]]));
     }
 
     #[test]
@@ -134,6 +171,8 @@ mod tests {
             (format!("{triangle}f 1 2 -9223372036854775808\n"), "of 3"),
             (format!("{triangle}f 1 2\n"), "found 2"),
             (format!("{triangle}f a b c\n"), "`a`"),
+            (format!("{triangle}vt 0\n"), "two finite coordinates"),
+            (format!("{triangle}vt 0 0\nf 1/1 2/1 3/2\n"), "texture 2 of 1"),
         ] {
             let message = read_text(&text).unwrap_err().to_string();
             assert!(message.contains(expected), "{text:?}: {message}");

@@ -106,6 +106,7 @@ impl HeadModel {
             pose_correctives: Vec::new(),
             action_units,
             eyeballs: [eyeball.collect(), right_eyeball.collect()],
+            texture: None,
             vertex_groups: BTreeMap::new(),
         }
     }

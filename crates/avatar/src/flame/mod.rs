@@ -4,11 +4,12 @@
 //! 100 expression components), `posedirs` (V, 3, 36: the entries of R - I of joints 1 to 4), `J_regressor` (5, V),
 //! `kintree_table` (2, 5), `weights` (V, 5) and `f` (triangles). Units and axes are ours.
 
+mod groups;
 mod source;
 mod teeth;
 
-use std::collections::BTreeMap;
-use std::path::Path;
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
 use srflow_field::{Array, FileError, FileProblem};
@@ -18,12 +19,14 @@ use self::teeth::Teeth;
 
 pub(crate) use self::teeth::FLAME_VERTICES;
 use crate::avatar::AvatarError;
+use crate::obj::{Obj, read_obj};
 use crate::pickle::Pickle;
 use crate::regions::{divide_skin, mark_parts};
 use crate::unit_fit::fitted_units;
 use crate::unit_table::{UNITS_NAME, read_units};
 use crate::{
     ActionUnit, HeadModel, Joint, JointRole, Offsets, PoseCorrective, Region, Shape, Side, Skinning,
+    TextureMap,
 };
 
 /// Components of shape in `shapedirs`, before those of expression.
@@ -31,17 +34,19 @@ const SHAPES: usize = 300;
 
 const JOINTS: usize = 5;
 
-/// Files beside the model that are used if they exist, by their published names: vertices of the regions, and landmarks (VHAP's
-/// file first, whose 70 include the eyes). And the table of action units.
-pub(crate) const COMPANIONS: [&str; 4] = [MASKS, LANDMARKS[0], LANDMARKS[1], UNITS_NAME];
+/// Files beside the model that are used if they exist, by their published names: vertices of the regions, landmarks (VHAP's
+/// file first, whose 70 include the eyes), and texture coordinates. And the table of action units.
+pub(crate) const COMPANIONS: [&str; 5] = [MASKS, LANDMARKS[0], LANDMARKS[1], TEMPLATE, UNITS_NAME];
 const MASKS: &str = "FLAME_masks.pkl";
+const TEMPLATE: &str = "head_template_mesh.obj";
 const LANDMARKS: [&str; 2] = ["landmark_embedding_with_eyes.npy", "landmark_embedding.npy"];
 
 /// Opening of the jaw at full intensity of action units 26 (jaw drop) and 27 (mouth stretch), radians.
 const JAW_DROP: f32 = 0.20;
 const JAW_STRETCH: f32 = 0.42;
 
-/// Reads a model (`.npz`, or `.pkl` as published) with the landmarks and masks in its folder, and with VHAP's teeth if asked for.
+/// Reads a model (`.npz`, or `.pkl` as published) with the landmarks, masks and texture coordinates in its folder, and with VHAP's teeth
+/// if asked for.
 ///
 /// # Errors
 /// Names the file and the array that is missing, malformed, or of another shape.
@@ -55,8 +60,19 @@ pub(crate) fn load(path: &Path, with_teeth: bool) -> Result<HeadModel, AvatarErr
     let (identities, expressions) = shapes(&mut source, count, teeth.as_ref())?;
     let pose_correctives = pose_correctives(&mut source, count, teeth.as_ref())?;
     let mut skinning = skinning(&mut source, count)?;
+    let eyeballs =
+        [JointRole::LeftEye, JointRole::RightEye].map(|eye| vertices_of_joint(&skinning, eye as usize));
+    let template_mesh = template_mesh(path, count)?;
+    let mut texture =
+        template_mesh.as_ref().map(|(path, mesh)| texture(path, mesh, &triangles)).transpose()?.flatten();
     let mut vertex_groups = masks(path, count)?;
+    let symmetric = template_mesh.as_ref().map(|(_, mesh)| mesh.positions.as_slice());
+    groups::add(&mut vertex_groups, &template, &triangles, &eyeballs, symmetric);
     if let Some(teeth) = &teeth {
+        if let Some(texture) = &mut texture {
+            teeth::add_to_texture(texture);
+        }
+        teeth::add_to_halves(&mut vertex_groups);
         template.extend(&teeth.vertices);
         triangles.extend(teeth::triangles());
         teeth::joints().for_each(|joint| skinning.push([(joint as u32, 1.0)]));
@@ -66,8 +82,8 @@ pub(crate) fn load(path: &Path, with_teeth: bool) -> Result<HeadModel, AvatarErr
     let mut model = HeadModel {
         name: "flame".into(),
         regions: vec![Region::Skin; triangles.len()],
-        eyeballs: [JointRole::LeftEye, JointRole::RightEye]
-            .map(|eye| vertices_of_joint(&skinning, eye as usize)),
+        eyeballs,
+        texture,
         template,
         triangles,
         identities,
@@ -242,6 +258,45 @@ fn masks(model: &Path, vertices: usize) -> Result<BTreeMap<String, Vec<u32>>, Av
     file.names().into_iter().map(group).collect()
 }
 
+/// The mesh beside the model that has texture coordinates, if there is one, and its path.
+fn template_mesh(model: &Path, vertices: usize) -> Result<Option<(PathBuf, Obj)>, AvatarError> {
+    let path = model.with_file_name(TEMPLATE);
+    if !path.exists() {
+        return Ok(None);
+    }
+    let mesh = read_obj(&path)?;
+    if mesh.positions.len() != vertices {
+        let (expected, found) = (vertices, mesh.positions.len());
+        return Err(AvatarError::Topology { path, model: "the FLAME model beside it", expected, found });
+    }
+    Ok(Some((path, mesh)))
+}
+
+/// The texture coordinates of each triangle in the triangle of the mesh with the same corners; `None` if the mesh has none.
+fn texture(path: &Path, mesh: &Obj, triangles: &[[u32; 3]]) -> Result<Option<TextureMap>, AvatarError> {
+    if mesh.texture_polygons.is_empty() {
+        return Ok(None);
+    }
+    let polygons = mesh.polygons.iter().zip(&mesh.texture_polygons);
+    let by_corners: HashMap<[u32; 3], [u32; 3]> = polygons
+        .filter_map(|(corners, points)| {
+            Some((corners.as_slice().try_into().ok()?, points.as_slice().try_into().ok()?))
+        })
+        .collect();
+    let points_of = |&[a, b, c]: &[u32; 3]| {
+        // A triangle may begin with any of its corners.
+        let first = by_corners.get(&[a, b, c]).copied();
+        let second = || by_corners.get(&[b, c, a]).map(|[b, c, a]| [*a, *b, *c]);
+        let third = || by_corners.get(&[c, a, b]).map(|[c, a, b]| [*a, *b, *c]);
+        first.or_else(second).or_else(third).ok_or_else(|| {
+            let found = format!("none with the vertices {}, {} and {}", a + 1, b + 1, c + 1);
+            FileProblem::field("f", "the triangles of the FLAME model beside it", found).in_file(path)
+        })
+    };
+    let triangles = triangles.iter().map(points_of).collect::<Result<_, _>>()?;
+    Ok(Some(TextureMap { points: mesh.texture.clone(), triangles }))
+}
+
 /// The full embedding of landmarks (`full_lmk_faces_idx`, `full_lmk_bary_coords`), if there is one.
 fn landmarks(model: &Path, triangles: usize) -> Result<Vec<(u32, Vec3)>, AvatarError> {
     let paths = LANDMARKS.map(|name| model.with_file_name(name));
@@ -273,6 +328,8 @@ fn set_regions(model: &mut HeadModel) {
     let parts = [
         (model.in_groups(&["teeth"]), Region::Teeth),
         (model.eyeballs.concat(), Region::Eyeball),
+        (model.in_groups(&["left_eye_socket", "right_eye_socket"]), Region::InnerLid),
+        (model.in_groups(&["lip_inside"]), Region::MouthInside),
         (model.in_groups(&["lips"]), Region::Lips),
         (model.in_groups(&["neck", "boundary"]), Region::Neck),
         (model.in_groups(&["scalp"]), Region::Scalp),

@@ -1,11 +1,12 @@
 //! VHAP's teeth (`model/flame.py`, `add_teeth`): two strips behind the lips, made from the rings of vertices at their edges.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 
-use crate::JointRole;
 use crate::avatar::AvatarError;
+use crate::{JointRole, TextureMap};
 
 /// Vertices of FLAME, after which those of the teeth come.
 pub(crate) const FLAME_VERTICES: usize = 5023;
@@ -128,6 +129,45 @@ pub(super) fn triangles() -> Vec<[u32; 3]> {
         }
     }
     triangles
+}
+
+/// The vertices on the outer edges of the lips that the teeth are made from, `lip_outside_ring_upper` and `lip_outside_ring_lower`.
+pub(super) fn rings_of_lips() -> [(String, Vec<u32>); 2] {
+    [("upper", UPPER_LIP), ("lower", LOWER_LIP)].map(|(lip, ring)| {
+        let mut vertices = ring.map(|v| v as u32).to_vec();
+        vertices.sort_unstable();
+        (format!("lip_outside_ring_{lip}"), vertices)
+    })
+}
+
+/// Adds the texture coordinates of the teeth to those of FLAME: rows near the upper edge of the picture.
+pub(super) fn add_to_texture(texture: &mut TextureMap) {
+    /// Which of seven heights each row has, from the top.
+    const HEIGHTS: [u8; ROWS] = [3, 2, 0, 1, 3, 4, 6, 5];
+    let first = texture.points.len() as u32;
+    for height in HEIGHTS {
+        let v = 1.0 - 0.0083 - (0.0425 - 0.0083) * f32::from(height) / 6.0;
+        let point = |column: usize| Vec2::new(0.62 - 0.24 * column as f32 / (ROW - 1) as f32, v);
+        texture.points.extend((0..ROW).map(point));
+    }
+    // One point for each vertex of the teeth.
+    let points = triangles().into_iter().map(|corners| corners.map(|v| v - FLAME_VERTICES as u32 + first));
+    texture.triangles.extend(points);
+}
+
+/// Adds the teeth to groups that FLAME has: the halves, whose middle column both have. (VHAP's right half lacks vertex 5096.)
+pub(super) fn add_to_halves(groups: &mut BTreeMap<String, Vec<u32>>) {
+    for (name, columns) in [("left_half", 0..ROW / 2 + 1), ("right_half", ROW / 2..ROW)] {
+        if let Some(half) = groups.get_mut(name) {
+            half.extend(
+                (0..ROWS).flat_map(|row| columns.clone().map(move |column| vertex(row * ROW + column))),
+            );
+        }
+    }
+}
+
+fn vertex(number: usize) -> u32 {
+    (FLAME_VERTICES + number) as u32
 }
 
 /// Groups of vertices: all teeth, the upper and the lower.

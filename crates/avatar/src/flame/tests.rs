@@ -214,3 +214,209 @@ fn errors_name_the_file_and_what_is_wrong() {
         "{mask}"
     );
 }
+
+/// A surface with FLAME's structure: a tube of 32 columns from the mouth down to the neck, and two eyeballs in sockets.
+struct MadeUp {
+    template: Vec<Vec3>,
+    triangles: Vec<[u32; 3]>,
+}
+
+const COLUMNS: u32 = 32;
+const RINGS: u32 = 20;
+
+impl MadeUp {
+    fn new() -> Self {
+        let mut made = Self { template: Vec::new(), triangles: Vec::new() };
+        for ring in 0..RINGS {
+            // Turned a little from ring to ring, as where edges are not straight.
+            let turn = 0.02 * ring as f32;
+            let (size, down) = (0.02 + 0.002 * ring as f32, 0.01 * ring as f32);
+            for column in 0..COLUMNS {
+                let angle = std::f32::consts::TAU * column as f32 / COLUMNS as f32 + turn;
+                made.template.push(Vec3::new(size * angle.cos(), 0.6 * size * angle.sin() - down, -down));
+            }
+        }
+        made.quads(0, COLUMNS, RINGS);
+        for side in [1.0, -1.0] {
+            for radius in [0.012, 0.014] {
+                made.sphere(Vec3::new(0.04 * side, 0.06, 0.0), radius);
+            }
+        }
+        made
+    }
+
+    fn quads(&mut self, first: u32, columns: u32, rings: u32) {
+        for ring in 0..rings - 1 {
+            for column in 0..columns {
+                let at = |ring: u32, column: u32| first + ring * columns + column % columns;
+                let [a, b] = [at(ring, column), at(ring, column + 1)];
+                let [c, d] = [at(ring + 1, column + 1), at(ring + 1, column)];
+                self.triangles.extend([[a, b, c], [a, c, d]]);
+            }
+        }
+    }
+
+    /// 8 rings of 12 vertices, then the front and the back.
+    fn sphere(&mut self, centre: Vec3, radius: f32) {
+        let first = self.template.len() as u32;
+        for ring in 1..9 {
+            let down = std::f32::consts::PI * ring as f32 / 9.0;
+            for column in 0..12 {
+                let around = std::f32::consts::TAU * column as f32 / 12.0;
+                let out = Vec3::new(around.cos() * down.sin(), around.sin() * down.sin(), down.cos());
+                self.template.push(centre + out * radius);
+            }
+        }
+        self.template.extend([centre + Vec3::Z * radius, centre - Vec3::Z * radius]);
+        self.quads(first, 12, 8);
+        for column in 0..12 {
+            let next = (column + 1) % 12;
+            self.triangles.push([first + 96, first + next, first + column]);
+            self.triangles.push([first + 97, first + 84 + column, first + 84 + next]);
+        }
+    }
+}
+
+#[test]
+fn groups_follow_from_how_the_mesh_is_connected() {
+    let MadeUp { template, triangles } = MadeUp::new();
+    let tube = COLUMNS * RINGS;
+    let sphere = |number: u32| (tube + 98 * number..tube + 98 * (number + 1)).collect::<Vec<u32>>();
+    let mut groups: BTreeMap<String, Vec<u32>> = [
+        ("face", vec![0, 1, 2]),
+        ("neck", vec![5]),
+        ("scalp", vec![1, 5, 6, 7]),
+        ("left_ear", vec![9, 10]),
+        ("right_ear", vec![8, 9]),
+        ("left_eyeball", sphere(0)),
+        ("right_eyeball", sphere(2)),
+    ]
+    .map(|(name, group)| (name.to_owned(), group))
+    .into();
+    groups::add(&mut groups, &template, &triangles, &[sphere(0), sphere(2)], Some(&template));
+
+    let rings = |rings: std::ops::Range<u32>, columns: &[u32]| -> Vec<u32> {
+        rings.flat_map(|ring| columns.iter().map(move |column| ring * COLUMNS + column)).collect()
+    };
+    let all: Vec<u32> = (0..COLUMNS).collect();
+    let (upper, lower): (Vec<u32>, Vec<u32>) = ((1..16).collect(), (17..32).collect());
+    let with_corners: Vec<u32> = (0..=16).collect();
+    let front = |first: u32| [(0..36).map(|v| first + v).collect(), vec![first + 96]].concat();
+    let back = |first: u32| [(60..96).map(|v| first + v).collect(), vec![first + 97]].concat();
+    let sclera = |eye: u32| sphere(eye).into_iter().filter(move |v| !front(tube + 98 * eye).contains(v));
+    for (name, expected) in [
+        ("lip_inside_ring", rings(0..1, &all)),
+        ("lip_inside_ring_upper", rings(0..1, &upper)),
+        ("lip_inside_ring_lower", rings(0..1, &lower)),
+        ("lip_inside", rings(0..4, &all)),
+        ("lip_inside_upper", rings(0..3, &with_corners)),
+        ("lip_inside_lower", rings(0..3, &lower)),
+        ("bottomline", rings(RINGS - 1..RINGS, &all)),
+        ("neck_lower", rings(RINGS - 7..RINGS - 2, &all)),
+        ("left_iris", front(tube)),
+        ("right_iris", front(tube + 196)),
+        ("irises", [front(tube), front(tube + 196)].concat()),
+        ("sclerae", sclera(0).chain(sclera(2)).collect()),
+        ("left_eye_socket", back(tube + 98)),
+        ("right_eye_socket", back(tube + 294)),
+        ("ears", vec![8, 9, 10]),
+        ("hair", vec![6, 7]),
+    ] {
+        assert_eq!(groups[name], expected, "{name}");
+    }
+    let halves = ["left_half", "right_half"].map(|name| &groups[name]);
+    assert!(halves[0].iter().all(|v| template[*v as usize].x >= 0.0) && halves[0].contains(&0));
+    assert!(halves[1].iter().all(|v| template[*v as usize].x <= 0.0));
+    assert!(!groups.contains_key("left_eye"), "the masks lack left_eye_region");
+    assert!(!groups.contains_key("neck_left_point"), "it is another mesh");
+}
+
+#[test]
+fn other_meshes_have_none_of_the_groups_that_need_flames_boundaries() {
+    let closed = [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]];
+    let template = [Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::Z];
+    // Edges that three triangles have, and triangles of one vertex.
+    let wild = [[0, 1, 2], [0, 1, 3], [1, 0, 2], [2, 2, 2]];
+    for triangles in [&closed[..], &wild, &[]] {
+        let mut groups = BTreeMap::new();
+        groups::add(&mut groups, &template, triangles, &[vec![], vec![3]], None);
+        assert!(!groups.contains_key("lip_inside") && !groups.contains_key("left_half"), "{groups:?}");
+    }
+}
+
+/// The lists of a copy of VHAP in the folder `SRFLOW_VHAP`, on its own mesh.
+#[test]
+fn groups_are_those_of_vhap() {
+    let Some(folder) = std::env::var_os("SRFLOW_VHAP").map(PathBuf::from) else {
+        eprintln!("skipped: the folder of VHAP is not in SRFLOW_VHAP");
+        return;
+    };
+    let code = std::fs::read_to_string(folder.join("vhap/model/flame.py")).unwrap();
+    let mesh = read_obj(&folder.join("asset/flame/head_template_mesh.obj")).unwrap();
+    let triangles: Vec<[u32; 3]> =
+        mesh.polygons.iter().map(|corners| corners.as_slice().try_into().unwrap()).collect();
+    let eyeballs = [3931..4477, 4477..5023].map(Iterator::collect);
+    let mut groups = BTreeMap::new();
+    groups::add(&mut groups, &mesh.positions, &triangles, &eyeballs, Some(&mesh.positions));
+    let mut compared = Vec::new();
+    for part in code.split("register_buffer(").skip(1) {
+        let Some((name, list)) = part.split_once("torch.tensor([") else { continue };
+        let Some(name) = name.split('"').nth(1) else { continue };
+        let list = list.split(']').next().unwrap().split(',').filter_map(|word| word.trim().parse().ok());
+        let mut listed: Vec<u32> = list.collect();
+        listed.sort_unstable();
+        let Some(found) = groups.get(name).filter(|_| name != "lip_inside_ring") else { continue };
+        assert_eq!(*found, listed, "{name}");
+        compared.push(name);
+    }
+    assert_eq!(compared.len(), 17, "{compared:?}");
+    let map = texture(&folder, &mesh, &triangles).unwrap().unwrap();
+    assert_eq!((map.points.len(), map.triangles.len()), (5118, 9976));
+}
+
+#[test]
+fn texture_coordinates_are_those_of_the_mesh_beside_it_and_of_vhaps_teeth() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = large_model(folder.path());
+    assert_eq!(load(&path, true).unwrap().texture, None);
+    let write = |vertices: usize, faces: &str| {
+        let vertices: String = (0..vertices).map(|v| format!("v {} 0 1\n", v as i32 % 3 - 1)).collect();
+        let text = format!("{vertices}vt 0.1 0.2\nvt 0.3 0.4\nvt 0.5 0.6\nvt 0.7 0.8\n{faces}");
+        std::fs::write(folder.path().join(TEMPLATE), text).unwrap();
+    };
+    write(5023, "f 2/1 3/2 1/4\n");
+    let bare = load(&path, false).unwrap();
+    let map = bare.texture.unwrap();
+    assert_eq!((map.points.len(), &map.triangles[..]), (4, &[[3, 0, 1]][..]));
+    assert_eq!(bare.vertex_groups["left_half"][..3], [1, 2, 4]);
+    let model = load(&path, true).unwrap();
+    model.validate().unwrap();
+    let map = model.texture.unwrap();
+    assert_eq!((map.points.len(), map.triangles.len()), (124, 169));
+    // linspace(0.62, 0.38, 15) and linspace(0.9917, 0.9575, 7)[[3, 2, 0, 1, 3, 4, 6, 5]].
+    for (row, height) in
+        [0.9746, 0.9803, 0.9917, 0.986, 0.9746, 0.9689, 0.9575, 0.9632].into_iter().enumerate()
+    {
+        for (column, along) in [(0, 0.62), (7, 0.5), (14, 0.38)] {
+            let found = map.points[4 + 15 * row + column];
+            let off = (f64::from(found.x) - along).abs().max((f64::from(found.y) - height).abs());
+            assert!(off < 1e-6, "row {row}, column {column}: {found}");
+        }
+    }
+    for (triangle, points) in model.triangles.iter().zip(&map.triangles).skip(1) {
+        assert_eq!(points.map(|point| point - 4), triangle.map(|v| v - 5023));
+    }
+    let half = |name: &str| model.vertex_groups[name].iter().filter(|v| **v >= 5023).count();
+    assert_eq!((half("left_half"), half("right_half")), (64, 64));
+    assert!(model.vertex_groups["right_half"].contains(&5096));
+    assert!(model.vertex_groups["left_half"].is_sorted());
+
+    write(5022, "f 2/1 3/2 1/4\n");
+    let short = load(&path, false).unwrap_err().to_string();
+    assert!(short.contains("head_template_mesh.obj: 5022 vertices"), "{short}");
+    write(5023, "f 2/1 3/2 4/4\n");
+    let other = load(&path, false).unwrap_err().to_string();
+    assert!(other.contains("none with the vertices 1, 2 and 3"), "{other}");
+    write(5023, "f 2 3 1\n");
+    assert_eq!(load(&path, false).unwrap().texture, None);
+}

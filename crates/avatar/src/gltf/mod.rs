@@ -10,7 +10,7 @@ mod document;
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
-use glam::{DMat3, DMat4, DQuat, DVec3, Vec3};
+use glam::{DMat3, DMat4, DQuat, DVec3, Vec2, Vec3};
 use srflow_field::FileProblem;
 
 use self::document::{Document, Node, Primitive, problem};
@@ -21,7 +21,7 @@ use crate::regions::divide_skin;
 use crate::skeleton_names::roles;
 use crate::unit_fit::fitted_units;
 use crate::unit_table::{UNITS_NAME, read_units};
-use crate::{HeadModel, Joint, JointRole, Offsets, Region, Shape, Skinning};
+use crate::{HeadModel, Joint, JointRole, Offsets, Region, Shape, Skinning, TextureMap};
 
 /// Landmarks beside the model: 68 rows of three vertices and their weights. Vertices count through the meshes in the order of the scene.
 const LANDMARKS: &str = "landmarks_68.txt";
@@ -97,6 +97,9 @@ struct Builder<'a> {
     template: Vec<Vec3>,
     triangles: Vec<[u32; 3]>,
     regions: Vec<Region>,
+    /// Texture coordinates of each vertex.
+    texture: Vec<Vec2>,
+    has_texture: bool,
     skinning: Skinning,
     expressions: Vec<(String, Vec<(u32, Vec3)>)>,
     numbers: HashMap<String, usize>,
@@ -113,6 +116,8 @@ impl<'a> Builder<'a> {
             template: Vec::new(),
             triangles: Vec::new(),
             regions: Vec::new(),
+            texture: Vec::new(),
+            has_texture: false,
             skinning: Skinning::default(),
             expressions: Vec::new(),
             numbers: HashMap::new(),
@@ -196,6 +201,9 @@ impl<'a> Builder<'a> {
             .into_iter()
             .map(|(name, offsets)| Shape::linear(name, Offsets::Sparse(offsets)))
             .collect();
+        // One point per vertex; those of meshes without coordinates are (0, 0).
+        let texture =
+            self.has_texture.then(|| TextureMap { points: self.texture, triangles: self.triangles.clone() });
         let eyeballs = eyeballs(&self.joints, &self.skinning, &self.template, &self.triangles, &self.regions);
         Ok(HeadModel {
             name: "gltf".into(),
@@ -212,6 +220,7 @@ impl<'a> Builder<'a> {
             pose_correctives: Vec::new(),
             landmarks: Vec::new(),
             eyeballs,
+            texture,
             vertex_groups: BTreeMap::new(),
         })
     }
@@ -266,6 +275,15 @@ impl<'a> Builder<'a> {
         };
         for (v, transform) in transforms.iter().enumerate() {
             self.template.push(transform.transform_point3(at(&positions, v)).as_vec3());
+        }
+        match attribute("TEXCOORD_0") {
+            Some(accessor) => {
+                let numbers = self.document.numbers(accessor, 2, Some(count))?;
+                // glTF counts from the top.
+                self.texture.extend(numbers.as_chunks().0.iter().map(|[u, v]| Vec2::new(*u, 1.0 - v)));
+                self.has_texture = true;
+            }
+            None => self.texture.resize(first + count, Vec2::ZERO),
         }
         let mirrored = self.nodes[placed].global.determinant() < 0.0 && self.node(placed).skin.is_none();
         let indices: Vec<usize> = match primitive.indices {

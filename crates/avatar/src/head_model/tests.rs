@@ -1,4 +1,4 @@
-use glam::{DMat4, DQuat, DVec3, Quat, Vec3};
+use glam::{DMat4, DQuat, DVec3, Quat, Vec2, Vec3};
 use srflow_field::random::{Key, Stream};
 
 use super::*;
@@ -76,6 +76,10 @@ pub(super) fn model(stream: &mut Stream) -> HeadModel {
         ],
         landmarks: vec![(3, Vec3::new(0.2, 0.3, 0.5))],
         eyeballs: [vec![0, 1], vec![2, 3]],
+        texture: Some(TextureMap {
+            points: vec![Vec2::ZERO, Vec2::X, Vec2::Y],
+            triangles: vec![[0, 1, 2]; count as usize - 2],
+        }),
         vertex_groups: [("lips".to_owned(), vec![4, 9])].into(),
         joints,
     }
@@ -294,5 +298,17 @@ fn validation_names_each_fault() {
     fault("unit", &|m| m.action_units[0].expressions[0].0 = 3, "action unit 12 (Left) refers to number 3");
     fault("landmark", &|m| m.landmarks[0].0 = 58, "landmark refers to number 58");
     fault("barycentric", &|m| m.landmarks[0].1 = Vec3::ONE, "barycentric coordinates of 0 sum to 3");
+    let texture = |m: &mut HeadModel| m.texture.take().unwrap();
+    fault(
+        "texture",
+        &|m| m.texture = Some(TextureMap { triangles: Vec::new(), ..texture(m) }),
+        "texture has 0 entries, expected 58",
+    );
+    fault(
+        "point",
+        &|m| m.texture = Some(TextureMap { points: vec![Vec2::X; 2], ..texture(m) }),
+        "texture of a triangle refers to number 2",
+    );
+    fault("point", &|m| m.texture.as_mut().unwrap().points[1].y = f32::NAN, "texture coordinate 1 is not");
     fault("eyeball", &|m| m.eyeballs[1] = vec![2, 61], "eyeball refers to number 61");
 }

@@ -118,6 +118,14 @@ impl HeadModel {
         self.check_action_units()?;
         self.check_landmarks()?;
         self.check_indices("an eyeball", self.eyeballs.iter().flatten())?;
+        if let Some(texture) = &self.texture {
+            self.check_count("texture", texture.triangles.len(), self.triangles.len())?;
+            self.check_finite("texture coordinate", texture.points.iter().map(|point| point.is_finite()))?;
+            let mut corners = texture.triangles.iter().flatten();
+            corners.try_for_each(|point| {
+                self.check_index("the texture of a triangle", *point as usize, texture.points.len())
+            })?;
+        }
         self.vertex_groups
             .iter()
             .try_for_each(|(name, group)| self.check_indices(&format!("the group {name}"), group))

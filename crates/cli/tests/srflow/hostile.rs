@@ -383,6 +383,18 @@ fn heads(folder: &Path) -> Vec<Sample> {
     let sample =
         |(name, file, arguments)| Sample { name, bytes: fs::read(data.join(name)).unwrap(), file, arguments };
     let mut samples: Vec<Sample> = files.into_iter().map(sample).collect();
+    let vertices: String = (0..8).map(|v| format!("v 0 {v} 0\nvt 0.{v} 0.5\n")).collect();
+    let faces: String = (0..8)
+        .map(|v| [v, (v + 1) % 8, (v + 2) % 8].map(|v| v + 1))
+        .map(|[a, b, c]| format!("f {a}/{a} {b}/{b} {c}/{c}\n"))
+        .collect();
+    let bytes = (vertices + &faces).into();
+    samples.push(Sample {
+        name: "head_template_mesh",
+        bytes,
+        file: "head_template_mesh.obj",
+        arguments: beside,
+    });
     let data = root().join("crates/avatar/tests/data/gnm");
     fs::copy(data.join("gnm_head.npz"), folder.join("gnm.npz")).unwrap();
     let gnm = &["avatar", "mesh", "--model", "gnm:FILE", "-o", "DIR/out.obj", "--force"];
@@ -407,7 +419,7 @@ fn heads(folder: &Path) -> Vec<Sample> {
     let text = GLTF.replace("ZEROS", &"A".repeat(340));
     samples.push(Sample { name: "gltf", bytes: text.into(), file: "a.gltf", arguments: gltf });
     let corners = [[0.0; 3].into(), [1.0, 0.0, 0.0].into(), [0.0, 1.0, 0.0].into()];
-    srflow_avatar::write_mesh(&folder.join("a.glb"), &corners, &[[0, 1, 2]]).unwrap();
+    srflow_avatar::write_mesh(&folder.join("a.glb"), &corners, &[[0, 1, 2]], None).unwrap();
     let bytes = fs::read(folder.join("a.glb")).unwrap();
     samples.push(Sample { name: "glb", bytes, file: "b.glb", arguments: gltf });
     samples

@@ -63,7 +63,7 @@ pub fn run(args: Mesh, context: &Context) -> anyhow::Result<()> {
     };
     let mut vertices = Vec::new();
     model.vertices(&shaped, &pose, &mut vertices);
-    write_mesh(&args.output, &vertices, &model.triangles)?;
+    write_mesh(&args.output, &vertices, &model.triangles, model.texture.as_ref())?;
     if context.json {
         let (vertices, triangles) = (vertices.len(), model.triangles.len());
         print_json_line(&json!({ "output": args.output, "vertices": vertices, "triangles": triangles }))?;

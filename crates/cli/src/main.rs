@@ -15,6 +15,7 @@ macro_rules! note {
 mod commands;
 mod large_frames;
 mod machine;
+mod made;
 mod methods;
 mod networks;
 mod output;

@@ -15,6 +15,7 @@ use crate::checkpoint::Checkpoints;
 use crate::config::Config;
 use crate::loss::{MaskReading, REGULARIZERS, Regularizer};
 use crate::run::{Event, RunMode, TrainError, train};
+use crate::training_set::OpenMade;
 use crate::validation::score_weights;
 
 /// A row of the table.
@@ -142,6 +143,7 @@ const RESULT: &str = "test.json";
 pub fn ablate(
     settings: &AblationSettings,
     test: &FlowDataset,
+    open_made: &OpenMade,
     devices: &[Device],
     out: &Path,
     on_event: &mut dyn FnMut(AblationEvent<'_>),
@@ -171,7 +173,7 @@ pub fn ablate(
         on_event(AblationEvent::Cell { variant: &variant, seed, done });
         if !done {
             let mode = if begun { RunMode::Resume } else { RunMode::New };
-            let outcome = train(&config, devices, &run, mode, None, &mut |event| {
+            let outcome = train(&config, open_made, devices, &run, mode, None, &mut |event| {
                 on_event(AblationEvent::Training(event));
             })
             .map_err(failed)?;

@@ -5,6 +5,7 @@ pub mod batch;
 pub mod checkpoint;
 pub mod config;
 pub mod loss;
+mod made;
 mod prefetch;
 mod recompute;
 pub mod replica;

@@ -17,7 +17,7 @@ use crate::prefetch::Prefetcher;
 use crate::replica::{PassSettings, Replicas};
 use crate::schedule::OneCycle;
 use crate::training_log::{Record, SkippedRecord, StepRecord, TrainingLog, ValidationRecord};
-use crate::training_set::{DataError, TrainingSample, TrainingSet};
+use crate::training_set::{DataError, OpenMade, TrainingSample, TrainingSet};
 use crate::validation::{Validation, ValidationError};
 
 /// Name of the configuration in a run's folder.
@@ -132,7 +132,7 @@ pub fn config_of_run(run: &Path) -> Result<Config, TrainError> {
 /// Trains a network on `devices` in parallel, and writes `config.toml`, `log.jsonl`, `tensorboard/`, `checkpoints/`,
 /// `last.safetensors` and, with validation data, `best.safetensors` into the folder `run`.
 ///
-/// With `stop_after`, training stops after that step and writes a checkpoint. For a given configuration and number of devices,
+/// Data that is made while training is opened with `open_made`. With `stop_after`, training stops after that step and writes a checkpoint. For a given configuration and number of devices,
 /// checkpoints have the same bytes whether the run was interrupted and resumed or not. `network.weights` is only read by new
 /// runs.
 ///
@@ -140,6 +140,7 @@ pub fn config_of_run(run: &Path) -> Result<Config, TrainError> {
 /// See [`TrainError`].
 pub fn train(
     config: &Config,
+    open_made: &OpenMade,
     devices: &[Device],
     run: &Path,
     mode: RunMode,
@@ -148,7 +149,7 @@ pub fn train(
 ) -> Result<Outcome, TrainError> {
     config.check()?;
     let start = Instant::now();
-    let set = Arc::new(TrainingSet::open(config)?);
+    let set = Arc::new(TrainingSet::open(config, open_made)?);
     let validation = Validation::open(config)?;
     let mut config = config.clone();
     let weights = match mode {

@@ -1,4 +1,5 @@
-//! The training samples: pairs, or clips of consecutive pairs, of a mix of datasets, reshuffled every epoch and augmented.
+//! The training samples: pairs, or clips of consecutive pairs, of a mix of datasets, in files or made, reshuffled every epoch and
+//! augmented.
 //!
 //! The sample at a place of a batch and its augmentation depend only on the seed, the step and the place, so any sample can be
 //! made on any thread, in any order.
@@ -10,9 +11,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use srflow_field::Size;
 use srflow_field::random::Key;
 use srflow_read::augment::{AugmentError, Augmentation};
-use srflow_read::flow::{DatasetError, Entry, FlowDataset, Sample, Split};
+use srflow_read::flow::{
+    DatasetError, DatasetSpec, Entry, FlowDataset, MadeError, MadePairs, Sample, Split, TruthDensity,
+};
 
-use crate::config::{Config, Source};
+use crate::config::{Config, DataSpec, MadeSpec, Source};
+use crate::made::Made;
 
 /// Errors in the training data.
 #[derive(Debug, thiserror::Error)]
@@ -44,6 +48,12 @@ pub enum DataError {
         frame: (usize, usize),
         crop: Size,
     },
+    #[error("`{data}`: {source}")]
+    Made {
+        /// As in `data.train`, e.g. `rendered:`, or a pair of it.
+        data: String,
+        source: MadeError,
+    },
     #[error("{0}")]
     Settings(AugmentError),
     #[error("{pair}: {source}")]
@@ -64,34 +74,52 @@ pub struct TrainingSet {
     orders: Mutex<BTreeMap<u64, Arc<[usize]>>>,
 }
 
+/// Opens data that is made while training, with the settings of the configuration.
+pub type OpenMade<'a> = dyn Fn(&MadeSpec, &Config) -> Result<Box<dyn MadePairs>, MadeError> + 'a;
+
+/// An [`OpenMade`] for programs that only read files.
+///
+/// # Errors
+/// Always.
+pub fn only_files(_: &MadeSpec, _: &Config) -> Result<Box<dyn MadePairs>, MadeError> {
+    Err("this program makes no pairs; train on a dataset in files".into())
+}
+
 /// One dataset of the mix.
 struct Part {
-    dataset: FlowDataset,
-    /// Indices of the first pairs of samples all of whose pairs have a true flow.
-    first_pairs: Vec<usize>,
+    data: Data,
     times: usize,
     augmentation: Augmentation,
+}
+
+enum Data {
+    Files {
+        dataset: FlowDataset,
+        /// Indices of the first pairs of samples all of whose pairs have a true flow.
+        first_pairs: Vec<usize>,
+    },
+    Made(Made),
 }
 
 /// An augmented and cropped pair.
 #[derive(Debug, Clone)]
 pub struct TrainingSample {
-    /// File of the first frame, which identifies the pair.
+    /// File of the first frame, or the number of a made pair, which identifies it.
     pub name: String,
     pub sample: Sample,
 }
 
 impl TrainingSet {
-    /// Lists the samples of every dataset of `data.train`.
+    /// Lists the samples of every dataset of `data.train`, and opens data that is made with `open_made`.
     ///
     /// # Errors
-    /// When `data.train` is empty, a dataset cannot be listed, none of its pairs has a true flow, or it has no clips as long as
-    /// the configuration says.
-    pub fn open(config: &Config) -> Result<Self, DataError> {
+    /// When `data.train` is empty, a dataset cannot be listed or opened, none of its pairs has a true flow, or it has no clips as long
+    /// as the configuration says.
+    pub fn open(config: &Config, open_made: &OpenMade) -> Result<Self, DataError> {
         if config.data.train.is_empty() {
             return Err(DataError::NoData);
         }
-        let parts = config.data.train.iter().map(|source| Part::open(source, config));
+        let parts = config.data.train.iter().map(|source| Part::open(source, config, open_made));
         Ok(Self {
             parts: parts.collect::<Result<_, _>>()?,
             pairs: config.training.pairs(),
@@ -111,17 +139,27 @@ impl TrainingSet {
         (self.samples() / batch).max(1) as u64
     }
 
-    /// One line per dataset: name, split and number of pairs or clips.
+    /// One line per dataset: name, split and number of pairs or clips in an epoch.
     pub fn describe(&self) -> Vec<String> {
         let words = |part: &Part| {
             let times = if part.times == 1 { String::new() } else { format!(", {} times each", part.times) };
-            let dataset = &part.dataset;
             let of_frames = match self.pairs {
                 1 => "pairs".to_owned(),
                 pairs => format!("clips of {} frames", pairs + 1),
             };
-            let count = part.first_pairs.len();
-            format!("{} ({}): {count} {of_frames}{times}", dataset.name(), dataset.split())
+            match &part.data {
+                Data::Files { dataset, first_pairs } => {
+                    let count = first_pairs.len();
+                    format!("{} ({}): {count} {of_frames}{times}", dataset.name(), dataset.split())
+                }
+                Data::Made(made) => {
+                    format!(
+                        "{} (made while training): {} new {of_frames} an epoch{times}",
+                        made.name(),
+                        made.samples()
+                    )
+                }
+            }
         };
         self.parts.iter().map(words).collect()
     }
@@ -129,20 +167,37 @@ impl TrainingSet {
     /// The pairs of the sample at `place`, from 0, of the batch of `step`, from 0, all with the same augmentation.
     ///
     /// # Errors
-    /// When its files cannot be read, or its frames are smaller than half the crop.
+    /// When its files cannot be read, it cannot be made, or its frames are smaller than half the crop.
     pub fn sample(&self, step: u64, place: usize, batch: usize) -> Result<Vec<TrainingSample>, DataError> {
         let steps = self.steps_per_epoch(batch);
-        let order = self.order(step / steps);
+        let epoch = step / steps;
+        let order = self.order(epoch);
         let position = (step % steps) as usize * batch + place;
-        let (part, first) = self.first_pair(order[position % order.len()]);
+        let (part, number) = self.part(order[position % order.len()]);
         let key = Key::new(self.seed).scene(step as u32).frame(place as u32);
-        let entries = &part.dataset.entries()[first..first + self.pairs];
-        entries.iter().map(|entry| self.pair(part, entry, key)).collect()
+        match &part.data {
+            Data::Files { dataset, first_pairs } => {
+                let first = first_pairs[number];
+                let read = |entry: &Entry| {
+                    let name = entry.frame1.display().to_string();
+                    self.augmented(part, name, dataset.read(entry)?, key)
+                };
+                dataset.entries()[first..first + self.pairs].iter().map(read).collect()
+            }
+            Data::Made(made) => {
+                let pairs = made.sample(epoch, number)?.into_iter();
+                pairs.map(|(name, sample)| self.augmented(part, name, sample, key)).collect()
+            }
+        }
     }
 
-    fn pair(&self, part: &Part, entry: &Entry, key: Key) -> Result<TrainingSample, DataError> {
-        let name = entry.frame1.display().to_string();
-        let sample = part.dataset.read(entry)?;
+    fn augmented(
+        &self,
+        part: &Part,
+        name: String,
+        sample: Sample,
+        key: Key,
+    ) -> Result<TrainingSample, DataError> {
         let frame @ (width, height) = sample.frame1.size();
         if 2 * width < self.crop.width || 2 * height < self.crop.height {
             return Err(DataError::TooSmall { pair: name, frame, crop: self.crop });
@@ -153,25 +208,40 @@ impl TrainingSet {
         }
     }
 
-    /// Numbers of the samples of an epoch, shuffled.
+    /// Numbers of the samples of an epoch, shuffled. Those of made data have their own order, at the places that the shuffle gives
+    /// them.
     fn order(&self, epoch: u64) -> Arc<[usize]> {
         let mut orders = self.orders.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(order) = orders.get(&epoch) {
             return order.clone();
         }
-        let order = shuffled(self.samples(), Key::new(self.seed).scene(epoch as u32));
+        let key = Key::new(self.seed).scene(epoch as u32);
+        let mut order = shuffled(self.samples(), key);
+        let mut start = 0;
+        for (number, part) in (0..).zip(&self.parts) {
+            let end = start + part.samples();
+            if let Data::Made(made) = &part.data {
+                let places = order.iter_mut().filter(|sample| (start..end).contains(*sample));
+                for (place, sample) in places.zip(made.order(part.times, key.frame(number))) {
+                    *place = start + sample;
+                }
+            }
+            start = end;
+        }
+        let order: Arc<[usize]> = order.into();
         orders.insert(epoch, order.clone());
         // Prefetching never reaches further than the next epoch.
         orders.retain(|&other, _| other.abs_diff(epoch) <= 1);
         order
     }
 
-    fn first_pair(&self, mut number: usize) -> (&Part, usize) {
+    /// The part of a sample, and the sample's number in the part without repetitions.
+    fn part(&self, mut number: usize) -> (&Part, usize) {
         let mut parts = self.parts.iter();
         loop {
             let part = parts.next().expect("a number below the samples of all parts");
             if number < part.samples() {
-                return (part, part.first_pairs[number % part.first_pairs.len()]);
+                return (part, number % part.different());
             }
             number -= part.samples();
         }
@@ -179,8 +249,35 @@ impl TrainingSet {
 }
 
 impl Part {
-    fn open(source: &Source, config: &Config) -> Result<Self, DataError> {
-        let dataset = open_dataset(source, Split::Train)?;
+    fn open(source: &Source, config: &Config, open_made: &OpenMade) -> Result<Self, DataError> {
+        let (data, density) = match &source.spec {
+            DataSpec::Files(spec) => {
+                let dataset = open_dataset(spec, source.split, Split::Train)?;
+                let density = dataset.density();
+                (Data::files(dataset, config)?, density)
+            }
+            DataSpec::Made(spec) => (Data::Made(Made::open(spec, config, open_made)?), TruthDensity::Dense),
+        };
+        let settings = config.augmentation.settings(density, config.data.crop);
+        let augmentation = Augmentation::new(settings).map_err(DataError::Settings)?;
+        Ok(Self { data, times: source.times, augmentation })
+    }
+
+    /// Samples, without repetitions.
+    fn different(&self) -> usize {
+        match &self.data {
+            Data::Files { first_pairs, .. } => first_pairs.len(),
+            Data::Made(made) => made.samples(),
+        }
+    }
+
+    fn samples(&self) -> usize {
+        self.different() * self.times
+    }
+}
+
+impl Data {
+    fn files(dataset: FlowDataset, config: &Config) -> Result<Self, DataError> {
         let entries = dataset.entries();
         let title = || format!("{} ({})", dataset.name(), dataset.split());
         if entries.iter().all(|entry| entry.flow.is_none()) {
@@ -198,13 +295,7 @@ impl Part {
             let frames = config.training.clip_frames;
             return Err(DataError::NoClip { dataset: title(), dir: dataset.dir().to_owned(), frames });
         }
-        let settings = config.augmentation.settings(dataset.density(), config.data.crop);
-        let augmentation = Augmentation::new(settings).map_err(DataError::Settings)?;
-        Ok(Self { dataset, first_pairs, times: source.times, augmentation })
-    }
-
-    fn samples(&self) -> usize {
-        self.first_pairs.len() * self.times
+        Ok(Self::Files { dataset, first_pairs })
     }
 }
 
@@ -214,30 +305,32 @@ fn is_clip(pairs: &[Entry]) -> bool {
         && pairs.windows(2).all(|two| two[0].frame2 == two[1].frame1 && two[0].scene == two[1].scene)
 }
 
-/// Opens the split of `source`, by default the split `usual`, or all pairs of a dataset without splits.
-pub(crate) fn open_dataset(source: &Source, usual: Split) -> Result<FlowDataset, DatasetError> {
-    if source.split.is_some() {
-        return FlowDataset::open(&source.spec, source.split);
+/// Opens a split of a dataset, by default the split `usual`, or all pairs of a dataset without splits.
+pub(crate) fn open_dataset(
+    spec: &DatasetSpec,
+    split: Option<Split>,
+    usual: Split,
+) -> Result<FlowDataset, DatasetError> {
+    if split.is_some() {
+        return FlowDataset::open(spec, split);
     }
-    let error = match FlowDataset::open(&source.spec, Some(usual)) {
+    let error = match FlowDataset::open(spec, Some(usual)) {
         Ok(dataset) => return Ok(dataset),
         Err(error) => error,
     };
-    match FlowDataset::open(&source.spec, None) {
+    match FlowDataset::open(spec, None) {
         Ok(dataset) if dataset.split() == Split::All => Ok(dataset),
         // A plain folder need not have subfolders for splits, so the error about the folder itself is the useful one.
-        Err(plain) if source.spec.kind == "folder" && !source.spec.dir.join(usual.to_string()).is_dir() => {
-            Err(plain)
-        }
+        Err(plain) if spec.kind == "folder" && !spec.dir.join(usual.to_string()).is_dir() => Err(plain),
         _ => Err(error),
     }
 }
 
 /// `0..count` in a random order.
-fn shuffled(count: usize, key: Key) -> Arc<[usize]> {
+fn shuffled(count: usize, key: Key) -> Vec<usize> {
     let mut order: Vec<usize> = (0..count).collect();
     key.stream("training order").shuffle(&mut order);
-    order.into()
+    order
 }
 
 #[cfg(test)]
@@ -248,7 +341,7 @@ mod tests {
     fn an_order_contains_every_pair_once_and_differs_between_epochs() {
         let orders: Vec<_> = (0..3).map(|epoch| shuffled(100, Key::new(7).scene(epoch))).collect();
         for order in &orders {
-            let mut sorted = order.to_vec();
+            let mut sorted = order.clone();
             sorted.sort_unstable();
             assert_eq!(sorted, (0..100).collect::<Vec<_>>());
         }

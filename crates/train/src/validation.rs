@@ -46,7 +46,7 @@ impl Validation {
                 .validation
                 .data
                 .iter()
-                .map(|source| open_dataset(source, Split::Val))
+                .filter_map(|source| Some(open_dataset(source.files()?, source.split, Split::Val)))
                 .collect::<Result<_, _>>()?
         };
         let crop = config.validation.crop.map(|crop| (crop.width, crop.height));
@@ -104,7 +104,8 @@ pub(crate) fn score_weights(
 
 /// The split `val` of a training dataset, if it has one.
 fn val_split(source: &Source) -> Result<Option<FlowDataset>, DatasetError> {
-    match FlowDataset::open(&source.spec, Some(Split::Val)) {
+    let Some(spec) = source.files() else { return Ok(None) };
+    match FlowDataset::open(spec, Some(Split::Val)) {
         Ok(dataset) => Ok(Some(dataset)),
         Err(DatasetError::NoSplit { .. } | DatasetError::NotThere { .. }) => Ok(None),
         Err(error) => Err(error),

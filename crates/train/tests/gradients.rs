@@ -11,7 +11,7 @@ use srflow_train::config::Config;
 use srflow_train::loss::{LossConfig, SEQUENCE_LOSSES};
 use srflow_train::replica::{BatchLosses, Pass, PassSettings, Replicas};
 use srflow_train::training_log::Record;
-use srflow_train::training_set::{TrainingSample, TrainingSet};
+use srflow_train::training_set::{TrainingSample, TrainingSet, only_files};
 use srflow_train::{Event, RunMode, TrainError, train};
 
 fn frame(size: usize, number: usize, shift: f32) -> Image {
@@ -163,22 +163,23 @@ fn clips_consist_of_consecutive_frames_with_one_augmentation() {
     };
     let config =
         |clip_frames: usize| Config::parse(&text(clip_frames, "sintel-clean", "memflow"), "test").unwrap();
-    let set = TrainingSet::open(&config(3)).unwrap();
+    let set = TrainingSet::open(&config(3), &only_files).unwrap();
     assert_eq!(set.samples(), 3, "frames 1 to 3, 2 to 4 and 3 to 5 of the first scene");
-    assert_eq!(TrainingSet::open(&config(2)).unwrap().samples(), 5);
+    assert_eq!(TrainingSet::open(&config(2), &only_files).unwrap().samples(), 5);
     for step in 0..3 {
         let clip = set.sample(step, 0, 1).unwrap();
         let [first, second] = clip.as_slice() else { panic!("two pairs: {}", clip.len()) };
         assert!(first.name < second.name);
         assert!(first.sample.frame2 == second.sample.frame1, "one augmentation for the clip");
     }
-    let Err(error) = TrainingSet::open(&config(6)) else { panic!("no clip of six frames") };
+    let Err(error) = TrainingSet::open(&config(6), &only_files) else { panic!("no clip of six frames") };
     assert!(error.to_string().contains("no 6 consecutive frames"), "{error}");
     let error = Config::parse(&text(3, "sintel-clean", "skflow"), "test").unwrap().check().unwrap_err();
     assert!(error.to_string().contains("training.clip_frames"), "{error}");
 
     let run = dir.path().join("run");
-    let outcome = train(&config(3), &[Device::flex()], &run, RunMode::New, None, &mut |_| {}).unwrap();
+    let outcome =
+        train(&config(3), &only_files, &[Device::flex()], &run, RunMode::New, None, &mut |_| {}).unwrap();
     assert_eq!((outcome.progress.step, outcome.progress.skipped), (1, 0));
 }
 
@@ -226,7 +227,7 @@ fn non_finite_losses_end_the_run() {
     let run = dir.path().join("run");
     let mut config = small_run(dir.path());
     let devices = [Device::flex()];
-    train(&config, &devices, &run, RunMode::New, None, &mut |_| {}).expect("a short run");
+    train(&config, &only_files, &devices, &run, RunMode::New, None, &mut |_| {}).expect("a short run");
 
     let mut bytes = std::fs::read(run.join("last.safetensors")).unwrap();
     let at = bytes.len() - 4;
@@ -235,7 +236,7 @@ fn non_finite_losses_end_the_run() {
     std::fs::write(&config.network.weights, bytes).unwrap();
     let other = dir.path().join("other");
     let mut skipped = Vec::new();
-    let result = train(&config, &devices, &other, RunMode::New, None, &mut |event| {
+    let result = train(&config, &only_files, &devices, &other, RunMode::New, None, &mut |event| {
         if let Event::Recorded(Record::Skipped(record)) = event {
             skipped.push(record.clone());
         }
@@ -259,7 +260,7 @@ fn non_finite_losses_leave_the_last_checkpoint_unchanged_and_name_it() {
     let run = dir.path().join("run");
     let config = small_run(dir.path());
     let devices = [Device::flex()];
-    train(&config, &devices, &run, RunMode::New, None, &mut |_| {}).expect("a short run");
+    train(&config, &only_files, &devices, &run, RunMode::New, None, &mut |_| {}).expect("a short run");
     std::fs::remove_dir_all(run.join("checkpoints/step-00000004")).unwrap();
     let model = run.join("checkpoints/step-00000002/model.safetensors");
     let mut bytes = std::fs::read(&model).unwrap();
@@ -267,7 +268,7 @@ fn non_finite_losses_leave_the_last_checkpoint_unchanged_and_name_it() {
     bytes[at..].copy_from_slice(&f32::INFINITY.to_le_bytes());
     std::fs::write(&model, &bytes).unwrap();
 
-    let result = train(&config, &devices, &run, RunMode::Resume, None, &mut |_| {});
+    let result = train(&config, &only_files, &devices, &run, RunMode::Resume, None, &mut |_| {});
     let Err(TrainError::NotFinite { step: 4, in_a_row: 2, last_checkpoint, .. }) = &result else {
         panic!("{result:?}")
     };
@@ -291,7 +292,8 @@ fn a_run_gives_the_same_weights_on_any_number_of_threads() {
         let weights = |threads: usize| {
             let run = dir.path().join(format!("{architecture:?}-{threads}"));
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-            let train = || train(&config, &[Device::flex()], &run, RunMode::New, None, &mut |_| {});
+            let train =
+                || train(&config, &only_files, &[Device::flex()], &run, RunMode::New, None, &mut |_| {});
             pool.install(train).expect("a short run");
             std::fs::read(run.join("last.safetensors")).expect("weights")
         };

@@ -13,6 +13,7 @@ use srflow_train::ablation::{
 use srflow_train::config::{Config, Source};
 
 use super::train::{Overrides, Progress, find_weights};
+use crate::made::open_made;
 use crate::output::{latex, print_tables};
 use crate::{Context, machine};
 
@@ -71,7 +72,10 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
         anyhow::bail!("--data KIND:DIR is missing: name the training data");
     };
     let split = if args.test.is_some() { source.split } else { Some(Split::Test) };
-    let test = FlowDataset::open(&source.spec, split)?;
+    let Some(files) = source.files() else {
+        anyhow::bail!("--test KIND:DIR is missing: {source} is made while training and has no test split");
+    };
+    let test = FlowDataset::open(files, split)?;
     let devices = args.device.iter().map(|name| device(name)).collect::<Result<Vec<_>, _>>()?;
     create_folder(&args.out)?;
 
@@ -79,7 +83,7 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
     let runs = settings.runs().len();
     let mut number = 0;
     let mut progress = Progress::new();
-    let result = ablate(&settings, &test, &devices, &args.out, &mut |event| match event {
+    let result = ablate(&settings, &test, &open_made, &devices, &args.out, &mut |event| match event {
         AblationEvent::Cell { variant, seed, done } => {
             number += 1;
             let state = if done { ", finished before" } else { "" };

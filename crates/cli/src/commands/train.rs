@@ -9,6 +9,7 @@ use srflow_train::config::{Config, PRESETS};
 use srflow_train::training_log::{Record, StepRecord, read_log};
 use srflow_train::{Event, Outcome, RunMode, Start, config_of_run, report, train};
 
+use crate::made::open_made;
 use crate::networks::{note_if_ambiguous, weights_file};
 use crate::output::exit_stopped;
 use crate::progress::TrainingProgress;
@@ -22,6 +23,7 @@ Examples:
   srflow train --config srflownet-fdr --data srflow:DIR --out runs/fdr --device cuda:0 --device cuda:1
   srflow train --config skflow --data folder:DIR --crop 384x512 --batch 4 --weights skflow.pth --out runs/mine
   srflow train --config skflow --set training.weight_decay=1e-5 --print-config
+  srflow train --config cpu-small --data shapes: --data rendered:*2 --out runs/made
   srflow train --resume runs/first
 
 docs/training.md is the guide: your own data, what the keys mean, what a run writes.")]
@@ -52,7 +54,7 @@ pub struct Train {
 #[derive(Args, Clone, Default)]
 #[command(next_help_heading = "Overriding the configuration")]
 pub struct Overrides {
-    /// Training dataset, KIND:DIR; several for a mix, KIND:DIR*TIMES
+    /// Training dataset, KIND:DIR; several for a mix, KIND:DIR*TIMES; `shapes:` and `rendered:` make pairs while training
     #[arg(long, value_name = "KIND:DIR")]
     data: Vec<String>,
     /// Validation dataset [default: the val split of the training data]
@@ -178,8 +180,9 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
     }
     let devices = args.device.iter().map(|name| device(name)).collect::<Result<Vec<_>, _>>()?;
     let mut progress = Progress::new();
-    let result =
-        train(&config, &devices, &out, mode, args.stop_after_step, &mut |event| progress.show(&event));
+    let result = train(&config, &open_made, &devices, &out, mode, args.stop_after_step, &mut |event| {
+        progress.show(&event)
+    });
     progress.finish();
     let outcome = result?;
     if outcome.stopped {

@@ -308,3 +308,88 @@ fn configurations_are_printed_and_their_mistakes_named() {
     refuses(&print(["--set", "loss.sequence=mixture-of-laplace"]), 1, &["SEA-RAFT", "\"l1\""]);
     refuses(&train(&["--config", "skflow"]), 2, &["--out"]);
 }
+
+/// The loss of the first step on one pair that is made, and on the same pair in files.
+#[test]
+fn made_data_trains_as_its_files_do() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = |name: &str| dir.path().join(name).display().to_string();
+    let write = |arguments: &[&str]| succeed(&crate::srflow().args(arguments).output().unwrap());
+    let (shapes, rendered) = (path("shapes"), path("rendered"));
+    let common = ["--size", "64x64", "--seed", "3", "--flow-format", "flo", "--threads", "2"];
+    write(&[&["shapes", "--out", &shapes, "--pairs", "1", "--motion", "1,2"][..], &common].concat());
+    let one = ["--scenes", "1", "--frames", "1", "--splits", "1,0,0", "--preset", "wild", "--noise", "4"];
+    write(&[&["render", "--out", &rendered][..], &one, &common].concat());
+
+    let settings = dir.path().join("made.toml");
+    let text = "[data.shapes]\npairs = 1\nsize = \"64x64\"\nmotion = [1, 2]\nseed = 3\n\
+                [data.rendered]\nscenes = 1\nframes = 1\nsize = \"64x64\"\nseed = 3\n[augmentation]\nkind = \"none\"\n";
+    std::fs::write(&settings, text).unwrap();
+    let settings = settings.display().to_string();
+    let loss = |data: &str, out: &str| -> f64 {
+        let out = path(out);
+        let mut arguments = small(data, &out);
+        arguments.extend(["--config", &settings, "--steps", "1", "--threads", "2"]);
+        arguments.extend(["--set", "data.rendered.recording.noise=4"]);
+        succeed(&train(&arguments));
+        let text = std::fs::read_to_string(Path::new(&out).join("log.jsonl")).unwrap();
+        serde_json::from_str::<Value>(text.lines().next().unwrap()).unwrap()["loss"].as_f64().unwrap()
+    };
+    let of_files = [format!("chairs:{shapes}@all"), format!("srflow:{rendered}")];
+    for (number, made, files) in [(0, "shapes:", &of_files[0]), (1, "rendered:", &of_files[1])] {
+        let losses = [loss(made, &format!("made-{number}")), loss(files, &format!("files-{number}"))];
+        assert_eq!(losses[0], losses[1], "{made}");
+    }
+}
+
+#[test]
+fn a_resumed_run_goes_on_with_the_same_made_pairs() {
+    let dir = tempfile::tempdir().unwrap();
+    let run = |name: &str, workers: &str, more: &[&str]| {
+        let out = dir.path().join(name).display().to_string();
+        let mut arguments = small("shapes:*2", &out);
+        let workers = format!("data.workers={workers}");
+        arguments.extend(["--data", "rendered:", "--steps", "6", "--threads", "2", "--set", &workers]);
+        arguments.extend(["--set", "data.shapes.pairs=3", "--set", "data.rendered.scenes=1"]);
+        arguments.extend(["--set", "data.rendered.frames=3", "--set", "data.rendered.size=64x64"]);
+        train(&[&arguments, more].concat())
+    };
+    succeed(&run("through", "3", &[]));
+    let stopped = run("stopped", "1", &["--stop-after-step", "3"]);
+    assert_eq!(stopped.status.code(), Some(75), "{}", String::from_utf8_lossy(&stopped.stderr));
+    let [through, resumed] = ["through", "stopped"].map(|name| dir.path().join(name));
+    succeed(&train(&["--resume", &resumed.display().to_string(), "--threads", "2"]));
+    let [one, two] = [&through, &resumed].map(|run| std::fs::read(run.join("last.safetensors")).unwrap());
+    assert!(one == two);
+}
+
+#[test]
+fn made_data_that_cannot_be_made_says_why() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("run").display().to_string();
+    let empty = dir.path().display().to_string();
+    let empty = format!("shapes:{empty}");
+    for (data, set, parts) in [
+        ("shapes:/no/such/dir", "data.workers=1", &["`shapes:/no/such/dir`: ", "a folder of images"][..]),
+        (&empty, "data.workers=1", &["a folder with images"]),
+        ("rendered:nonsense", "data.workers=1", &["`rendered:nonsense`: ", "`builtin`, `ict:DIR`"]),
+        ("rendered:ict:/no/such/dir", "data.workers=1", &["/no/such/dir: ", "head model"]),
+        ("shapes:", "data.shapes.size=40x40", &["data.shapes.size = 40x40", "at least the crop, 64x64"]),
+        ("rendered:", "data.rendered.size=64x40", &["data.rendered.size = 64x40"]),
+        ("shapes:", "data.shapes.pairs=0", &["data.shapes.pairs = 0"]),
+        ("shapes:", "data.shapes.motion=[5, 1]", &["data.shapes.motion = 5,1: expected two lengths"]),
+        ("rendered:", "data.rendered.background=#12", &["data.rendered.background: `#12`"]),
+        (
+            "rendered:",
+            "data.rendered.recording.lamps=3",
+            &["data.rendered.recording.lamps = 3: expected 0 to 1"],
+        ),
+    ] {
+        refuses(&train(&[&small(data, &out)[..], &["--set", set]].concat()), 1, parts);
+    }
+    refuses(
+        &train(&[&small("shapes:", &out)[..], &["--validation", "shapes:"]].concat()),
+        1,
+        &["validation.data"],
+    );
+}

@@ -12,6 +12,7 @@ mod hd1k;
 mod kind;
 mod kitti;
 pub(crate) mod listing;
+mod made;
 mod plain;
 mod sample;
 mod sequence;
@@ -27,6 +28,7 @@ use std::path::{Path, PathBuf};
 pub use error::DatasetError;
 pub use kind::{DatasetSpec, KINDS, Kind};
 pub use listing::pictures;
+pub use made::{MadeError, MadePairs, SCENES_AT_ONCE};
 pub use sample::{Sample, TruthDensity};
 pub use split::Split;
 

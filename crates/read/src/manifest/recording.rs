@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 /// The imaging effects on the frames of a dataset. Each scene draws its own camera within these bounds; 0 and `None` are no
 /// effect. Flow, alpha, mask, occlusion and depth stay those of the clean geometry.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Recording {
     /// Greatest strength of sensor noise, 0 to 50: 1 is a standard deviation of 0.9 levels of 255 in black, 1.8 in mid-grey and
     /// 2.3 in white. A scene's is uniform from 0.

@@ -90,12 +90,17 @@ pub(super) fn choose(
 ) -> Result<Vec<Option<String>>, RenderError> {
     let Background::Images(dir) = background else { return Ok(vec![None; scenes]) };
     let images = images(dir)?;
+    Ok((0..).take(scenes).map(|scene| chosen(&images, scene, seed)).collect())
+}
+
+/// The name of the image of a scene; `None` without images.
+pub(super) fn chosen(images: &[(String, u64)], scene: u32, seed: u64) -> Option<String> {
+    if images.is_empty() {
+        return None;
+    }
     let count = u32::try_from(images.len()).unwrap_or(u32::MAX);
-    let pick = |scene| {
-        let chosen = Key::new(seed).scene(scene).stream("background").below(count);
-        images.get(chosen as usize).map(|(name, _)| name.clone())
-    };
-    Ok((0..).take(scenes).map(pick).collect())
+    let chosen = Key::new(seed).scene(scene).stream("background").below(count);
+    images.get(chosen as usize).map(|(name, _)| name.clone())
 }
 
 /// Reads an image, and crops its centre and resizes it to `width` by `height`.

@@ -5,6 +5,7 @@
 
 mod background;
 mod lamps;
+mod made;
 mod motion;
 mod occlusion;
 mod path;
@@ -28,6 +29,7 @@ use srflow_read::manifest::{Manifest, STATISTICS_NAME};
 
 pub use background::Background;
 pub(crate) use background::images_in;
+pub use made::ScenePairs;
 pub use motion::MotionSource;
 pub use occlusion::DEPTH_TOLERANCE;
 pub(crate) use path::Path as SmoothPath;
@@ -54,17 +56,22 @@ pub struct Report {
 /// Before any work when a setting is wrong or the folder has another dataset; later when a file cannot be written or a
 /// background image cannot be read. Complete files stay, and the next call with the same settings continues.
 pub fn generate(settings: &Settings, request: Request) -> Result<Report, RenderError> {
-    let manifest = settings.plan()?;
-    let from_files = !settings.head.is_builtin() || settings.motion.is_of_files();
-    if let (true, Some(entry)) = (from_files, manifest.scenes.first()) {
-        // Fails before anything is written.
-        let avatar = scene::subject(&settings.head, entry)?;
-        check_length(settings, &manifest, &avatar)?;
-    }
+    let manifest = checked_plan(settings)?;
     let plan = work::Scenes { settings, rig: settings.rig(), manifest };
     let (run, whole) = job::make(&plan, request)?;
     let statistics = if whole { Some(write_statistics(request.dir, &plan.manifest)?) } else { None };
     Ok(Report { run, statistics })
+}
+
+/// The plan, once the files of head and motion have been read: fails before anything is made.
+fn checked_plan(settings: &Settings) -> Result<Manifest, RenderError> {
+    let manifest = settings.plan()?;
+    let from_files = !settings.head.is_builtin() || settings.motion.is_of_files();
+    if let (true, Some(entry)) = (from_files, manifest.scenes.first()) {
+        let avatar = scene::subject(&settings.head, entry)?;
+        check_length(settings, &manifest, &avatar)?;
+    }
+    Ok(manifest)
 }
 
 /// A recorded motion has a pose for every frame of every scene.

@@ -97,12 +97,9 @@ impl Settings {
     /// The plan for valid settings.
     fn lay_out(&self, arguments: Arguments, backgrounds: Vec<Option<String>>) -> Manifest {
         let splits = assign_splits(self.scenes as usize, self.splits, self.seed);
-        let entry = |(number, (split, background)): (u32, (SceneSplit, Option<String>))| SceneEntry {
-            name: format!("scene-{number:04}"),
-            split,
-            subject: u64::from(Key::new(self.seed).scene(number).stream("subject").bits()),
-            pairs: self.pairs_before(number + 1) - self.pairs_before(number),
-            background,
+        let entry = |(number, (split, background)): (u32, (SceneSplit, Option<String>))| {
+            let pairs = self.pairs_before(number + 1) - self.pairs_before(number);
+            self.entry(number, split, pairs, background)
         };
         Manifest {
             layout_version: LAYOUT_VERSION,
@@ -111,6 +108,18 @@ impl Settings {
             rig: self.rig().cameras(),
             scenes: (0..).zip(splits.into_iter().zip(backgrounds)).map(entry).collect(),
         }
+    }
+
+    /// Scene `number`, which does not depend on the number of scenes.
+    pub(super) fn entry(
+        &self,
+        number: u32,
+        split: SceneSplit,
+        pairs: u32,
+        background: Option<String>,
+    ) -> SceneEntry {
+        let subject = u64::from(Key::new(self.seed).scene(number).stream("subject").bits());
+        SceneEntry { name: format!("scene-{number:04}"), split, subject, pairs, background }
     }
 
     /// The settings of an existing dataset, except for the folders of the head and the backgrounds; and the manifest that they

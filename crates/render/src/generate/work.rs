@@ -5,6 +5,7 @@
 //! depth alone.
 
 use std::fs;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use srflow_avatar::PosedHead;
@@ -18,11 +19,12 @@ use super::rig::Rig;
 use super::scene::{FrameState, Scene};
 use super::settings::Settings;
 use crate::RenderError;
-use crate::job::{Plan, Run, Stage, unless_gone};
+use crate::job::{Clock, Plan, Run, Stage, unless_gone};
 use crate::parts::PartWeights;
 use crate::record::{PairRecord, json_text};
 use crate::recording::Exposure;
 use crate::statistics::FlowSummary;
+use srflow_read::flow::Sample;
 use srflow_read::manifest::{
     FrameFiles, MANIFEST_NAME, Manifest, PairFiles, STATISTICS_NAME, SceneEntry, SceneSplit,
 };
@@ -145,7 +147,7 @@ pub(super) struct Worker {
 }
 
 impl Worker {
-    fn new(settings: &Settings) -> Self {
+    pub fn new(settings: &Settings) -> Self {
         let background = match settings.background {
             Background::Colour(colour) => colour.map(|channel| f32::from(channel) / 255.0),
             Background::Images(_) | Background::Procedural => [0.0; 3],
@@ -156,28 +158,15 @@ impl Worker {
     fn make_run(&mut self, work: &Work, scene: &Scene, run: &Run) -> Result<(), RenderError> {
         let end = run.units.end;
         let is_last = end == scene.entry.pairs;
-        // Nothing follows the last frame: its blur is that of the motion from the frame before.
-        let before = (is_last && scene.blurs_motion()).then(|| {
-            let before = self.pose(work, scene, end - 1);
-            std::mem::swap(&mut self.gaussians, &mut self.next_gaussians);
-            before
-        });
-        let mut next = self.pose(work, scene, end);
-        let outputs =
-            Outputs { image: is_last, alpha: true, depth: true, flow: before.is_some(), ..Outputs::NONE };
-        self.render(work, scene, end, &next, before.as_ref(), outputs)?;
+        let mut next = self.last_frame(&work.clock, scene, end, is_last)?;
         if is_last {
-            self.write_frame(work, scene, end, &next, -1.0)?;
+            self.write_frame(work, scene, end, &next)?;
         }
         for pair in run.units.clone().rev() {
             if !work.begin() {
                 break;
             }
-            surface_into(&self.frame, &mut self.next_surface);
-            std::mem::swap(&mut self.gaussians, &mut self.next_gaussians);
-            let state = self.pose(work, scene, pair);
-            let outputs = Outputs { color: false, ..Outputs::ALL };
-            self.render(work, scene, pair, &state, Some(&next), outputs)?;
+            let state = self.frame_before(&work.clock, scene, pair, &next)?;
             self.write_pair(work, scene, pair, &state, &next)?;
             work.done();
             next = state;
@@ -185,9 +174,72 @@ impl Worker {
         Ok(())
     }
 
+    /// Renders consecutive pairs of a scene: the samples that are read back from the files of [`Worker::make_run`].
+    pub fn samples(&mut self, scene: &Scene, pairs: Range<u32>) -> Result<Vec<Sample>, RenderError> {
+        let clock = Clock::default();
+        let mut next = self.last_frame(&clock, scene, pairs.end, true)?;
+        let mut samples = Vec::with_capacity(pairs.len());
+        let mut frame2 = self.frame.image.clone();
+        for pair in pairs.rev() {
+            next = self.frame_before(&clock, scene, pair, &next)?;
+            let frame1 = self.frame.image.clone();
+            samples.push(Sample {
+                frame2: std::mem::replace(&mut frame2, frame1.clone()),
+                frame1,
+                flow: Some(self.frame.flow.clone()),
+                mask: Some(self.frame.mask()),
+                occlusion: Some(occlusion(&self.frame, &self.next_surface)),
+            });
+        }
+        samples.reverse();
+        Ok(samples)
+    }
+
+    /// Renders the frame that ends a run, for its depth, and with its picture if it is `pictured`.
+    fn last_frame(
+        &mut self,
+        clock: &Clock,
+        scene: &Scene,
+        frame: u32,
+        pictured: bool,
+    ) -> Result<FrameState, RenderError> {
+        // Nothing follows a scene's last frame: its blur is that of the motion from the frame before.
+        let step = if frame == scene.entry.pairs { -1 } else { 1 };
+        let other = (pictured && scene.blurs_motion()).then(|| {
+            let other = self.pose(clock, scene, frame.saturating_add_signed(step));
+            std::mem::swap(&mut self.gaussians, &mut self.next_gaussians);
+            other
+        });
+        let state = self.pose(clock, scene, frame);
+        let outputs =
+            Outputs { image: pictured, alpha: true, depth: true, flow: other.is_some(), ..Outputs::NONE };
+        self.render(clock, scene, frame, &state, other.as_ref(), outputs)?;
+        if pictured {
+            self.take_picture(clock, scene, frame, step as f32)?;
+        }
+        Ok(state)
+    }
+
+    /// Renders the frame before the one rendered last, whose state is `next`, with its picture and its flow.
+    fn frame_before(
+        &mut self,
+        clock: &Clock,
+        scene: &Scene,
+        frame: u32,
+        next: &FrameState,
+    ) -> Result<FrameState, RenderError> {
+        surface_into(&self.frame, &mut self.next_surface);
+        std::mem::swap(&mut self.gaussians, &mut self.next_gaussians);
+        let state = self.pose(clock, scene, frame);
+        let outputs = Outputs { color: false, ..Outputs::ALL };
+        self.render(clock, scene, frame, &state, Some(next), outputs)?;
+        self.take_picture(clock, scene, frame, 1.0)?;
+        Ok(state)
+    }
+
     /// Poses the head as in `frame`, into `self.gaussians`.
-    fn pose(&mut self, work: &Work, scene: &Scene, frame: u32) -> FrameState {
-        work.clock.time(Stage::Motion, || {
+    fn pose(&mut self, clock: &Clock, scene: &Scene, frame: u32) -> FrameState {
+        clock.time(Stage::Motion, || {
             let state = scene.frame(frame);
             scene.avatar.gaussians_into(&state.pose, &mut self.head, &mut self.gaussians);
             if let Some(lamps) = &scene.lamps {
@@ -200,7 +252,7 @@ impl Worker {
     /// Renders `self.gaussians` into `self.frame`, with the flow to `self.next_gaussians`.
     fn render(
         &mut self,
-        work: &Work,
+        clock: &Clock,
         scene: &Scene,
         frame: u32,
         state: &FrameState,
@@ -209,7 +261,7 @@ impl Worker {
     ) -> Result<(), RenderError> {
         let options = Options { outputs, ..self.options };
         let next = next.map(|next| Next { gaussians: &self.next_gaussians, camera: &next.camera });
-        work.clock
+        clock
             .time(Stage::Rasterize, || {
                 self.rasterizer.render(&self.gaussians, &state.camera, next, &options, &mut self.frame)
             })
@@ -227,7 +279,7 @@ impl Worker {
     ) -> Result<(), RenderError> {
         let PairFiles { flow, flow_backward, occlusion: hidden_path, record, .. } =
             work.plan.manifest.files(work.dir, &scene.entry, pair);
-        self.write_frame(work, scene, pair, state, 1.0)?;
+        self.write_frame(work, scene, pair, state)?;
         let format = work.plan.settings.flow_format;
         work.write(Stage::Flow, &flow, |path| write_flow_as(path, &self.frame.flow, format))?;
         let (hidden, summary) = work.clock.time(Stage::Occlusion, || {
@@ -279,7 +331,7 @@ impl Worker {
     /// flow times the share of the time that the shutter is open, and its middle is the point.
     fn open_shutter(
         &mut self,
-        work: &Work,
+        clock: &Clock,
         scene: &Scene,
         frame: u32,
         step: f32,
@@ -289,19 +341,19 @@ impl Worker {
         let options = Options { outputs, ..self.options };
         self.moving.clone_from(&self.gaussians);
         for moment in moments {
-            work.clock.time(Stage::Motion, || {
+            clock.time(Stage::Motion, || {
                 let ways = self.gaussians.positions.iter().zip(&self.next_gaussians.positions);
                 for (place, (here, there)) in self.moving.positions.iter_mut().zip(ways) {
                     *place = *here + (*there - *here) * (moment * step);
                 }
             });
             let camera = scene.camera(f64::from(frame) + f64::from(*moment));
-            work.clock
+            clock
                 .time(Stage::Rasterize, || {
                     self.rasterizer.render(&self.moving, &camera, None, &options, &mut self.moment)
                 })
                 .map_err(|error| refused(scene, frame, error))?;
-            work.clock.time(Stage::Occlusion, || {
+            clock.time(Stage::Occlusion, || {
                 background::composite(&mut self.moment, scene.background.as_ref());
                 self.exposure.add(&self.moment.image);
             });
@@ -310,8 +362,27 @@ impl Worker {
         Ok(())
     }
 
-    /// Writes the files that depend on one frame alone: picture, alpha, mask, depth and region map. The Gaussians in
-    /// `self.next_gaussians` are those of the frame `step` frames later, where the shutter is open for some time. The frame's own lose
+    /// Turns the picture of `self.frame`, rendered over black or a colour, into the one that the scene's camera records. The
+    /// Gaussians in `self.next_gaussians` are those of the frame `step` frames later, where the shutter is open for some time.
+    fn take_picture(
+        &mut self,
+        clock: &Clock,
+        scene: &Scene,
+        frame: u32,
+        step: f32,
+    ) -> Result<(), RenderError> {
+        clock.time(Stage::Occlusion, || background::composite(&mut self.frame, scene.background.as_ref()));
+        if scene.blurs_motion() {
+            let moments = scene.moments(longest_flow(&self.frame.flow));
+            if !moments.is_empty() {
+                self.open_shutter(clock, scene, frame, step, &moments)?;
+            }
+        }
+        clock.time(Stage::Frames, || scene.record_picture(&mut self.frame.image, frame));
+        Ok(())
+    }
+
+    /// Writes the files that depend on one frame alone: picture, alpha, mask, depth and region map. The frame's own Gaussians lose
     /// their colours if there are region maps, and are used for flow alone from then on.
     fn write_frame(
         &mut self,
@@ -319,20 +390,9 @@ impl Worker {
         scene: &Scene,
         frame: u32,
         state: &FrameState,
-        step: f32,
     ) -> Result<(), RenderError> {
         let files: FrameFiles = work.plan.manifest.frame_files(work.dir, &scene.entry, frame);
-        let mask = work.clock.time(Stage::Occlusion, || {
-            background::composite(&mut self.frame, scene.background.as_ref());
-            self.frame.mask()
-        });
-        if scene.blurs_motion() {
-            let moments = scene.moments(longest_flow(&self.frame.flow));
-            if !moments.is_empty() {
-                self.open_shutter(work, scene, frame, step, &moments)?;
-            }
-        }
-        work.clock.time(Stage::Frames, || scene.record_picture(&mut self.frame.image, frame));
+        let mask = work.clock.time(Stage::Occlusion, || self.frame.mask());
         work.write(Stage::Frames, &files.frame, |path| write_image_png(path, &self.frame.image))?;
         work.write(Stage::Planes, &files.alpha, |path| {
             write_alpha(path, &self.frame.alpha, &mut self.bytes)

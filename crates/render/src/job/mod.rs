@@ -19,6 +19,7 @@ use serde::Serialize;
 use crate::RenderError;
 
 pub(crate) use folder::{first_difference, unless_gone};
+pub(crate) use timing::Clock;
 pub use timing::{Stage, StageTime};
 pub(crate) use work::Work;
 

@@ -24,11 +24,11 @@ use srflow_field::write_file;
 
 pub use settings::ShapesSettings;
 pub(crate) use texture::Texture;
+pub use work::ShapePairs;
 
 use crate::RenderError;
 use crate::job::{self, Request};
 use pair::ShapePair;
-use work::Pairs;
 
 /// The result of [`shapes`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -54,7 +54,7 @@ pub struct ShapesReport {
 /// Before any work when a setting is out of range, a folder cannot be read, or the output has another dataset; later when a file
 /// cannot be read or written. Complete files stay, and the next call with the same settings continues.
 pub fn shapes(settings: &ShapesSettings, request: Request) -> Result<ShapesReport, RenderError> {
-    let plan = Pairs::new(settings)?;
+    let plan = ShapePairs::new(settings.clone())?;
     let (made, is_whole) = job::make(&plan, request)?;
     if is_whole {
         let lines: String =

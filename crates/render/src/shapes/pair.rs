@@ -4,6 +4,7 @@ use glam::{DVec2, Vec3};
 use rayon::prelude::*;
 use srflow_field::random::{Key, Stream};
 use srflow_field::{FlowField, Image, Mask, Plane};
+use srflow_read::flow::Sample;
 
 use super::motion::Motion;
 use super::outline::Outline;
@@ -19,6 +20,12 @@ pub struct ShapePair {
     pub flow: FlowField,
     /// `true` where another layer covers the point in frame 2, or it is outside of the picture.
     pub occlusion: Mask,
+}
+
+impl From<ShapePair> for Sample {
+    fn from(ShapePair { frame1, frame2, flow, occlusion }: ShapePair) -> Self {
+        Self { frame1, frame2, flow: Some(flow), mask: None, occlusion: Some(occlusion) }
+    }
 }
 
 /// Layers in front of the background.

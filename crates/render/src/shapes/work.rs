@@ -2,12 +2,15 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
 use srflow_field::random::{Key, Stream};
 use srflow_field::resize::resize_image_antialiased;
 use srflow_field::{FlowFormat, Image, read_image, write_flow_as, write_image_png, write_mask_png};
+use srflow_read::flow::{MadeError, MadePairs, Sample};
 
 use super::texture::Texture;
 use super::{ShapePair, ShapesSettings};
@@ -44,25 +47,46 @@ struct Arguments {
     flow_format: String,
 }
 
-type Work<'w, 'a> = crate::job::Work<'w, Pairs<'a>>;
+type Work<'w> = crate::job::Work<'w, ShapePairs>;
 
-/// A dataset of generic pairs, in one group.
-pub struct Pairs<'a> {
-    settings: &'a ShapesSettings,
+/// The pairs of a dataset of generic pairs, one group of a plan. As [`MadePairs`], without end, each is a scene of its own.
+pub struct ShapePairs {
+    settings: ShapesSettings,
     /// Photographs by name.
     photographs: Vec<PathBuf>,
     textures: String,
+    /// One for each thread that has made pairs in memory.
+    read: Mutex<Vec<Photographs>>,
 }
 
-impl<'a> Pairs<'a> {
-    pub fn new(settings: &'a ShapesSettings) -> Result<Self, RenderError> {
+impl ShapePairs {
+    /// # Errors
+    /// When a setting is out of range, or the folder of textures cannot be read or has no images.
+    pub fn new(settings: ShapesSettings) -> Result<Self, RenderError> {
         settings.validate()?;
-        let Some(dir) = &settings.textures else {
-            return Ok(Self { settings, photographs: Vec::new(), textures: "made".to_owned() });
+        let (photographs, textures) = match &settings.textures {
+            None => (Vec::new(), "made".to_owned()),
+            Some(dir) => {
+                let files = images_in(dir, "--textures", "a folder of images")?;
+                (files.iter().map(|(name, _)| dir.join(name)).collect(), fingerprint(&files))
+            }
         };
-        let files = images_in(dir, "--textures", "a folder of images")?;
-        let photographs = files.iter().map(|(name, _)| dir.join(name)).collect();
-        Ok(Self { settings, photographs, textures: fingerprint(&files) })
+        Ok(Self { settings, photographs, textures, read: Mutex::default() })
+    }
+
+    /// Pair `number`, from 0.
+    fn pair(&self, number: u32, photographs: &mut Photographs) -> Result<ShapePair, RenderError> {
+        let ShapesSettings { width, height, seed, motion, .. } = self.settings;
+        let mut unread = None;
+        let mut photograph = |stream: &mut Stream| {
+            photographs.draw(&self.photographs, stream).unwrap_or_else(|error| {
+                unread.get_or_insert(error);
+                None
+            })
+        };
+        let key = Key::new(seed).scene(number);
+        let pair = ShapePair::random((width, height), key, motion, &mut photograph);
+        unread.map_or(Ok(pair), Err)
     }
 
     fn flow_path(&self, dir: &Path, pair: u32, format: FlowFormat) -> PathBuf {
@@ -74,7 +98,7 @@ impl<'a> Pairs<'a> {
     }
 }
 
-impl<'a> Plan for Pairs<'a> {
+impl Plan for ShapePairs {
     type Group = ();
     type Worker = Photographs;
 
@@ -83,7 +107,7 @@ impl<'a> Plan for Pairs<'a> {
     const LONGEST_RUN: u32 = 16;
 
     fn manifest(&self) -> String {
-        let ShapesSettings { pairs, width, height, seed, motion, flow_format, .. } = *self.settings;
+        let ShapesSettings { pairs, width, height, seed, motion, flow_format, .. } = self.settings;
         json_text(&Arguments {
             srflow_version: env!("CARGO_PKG_VERSION").to_owned(),
             pairs,
@@ -138,38 +162,45 @@ impl<'a> Plan for Pairs<'a> {
 
     fn make(
         &self,
-        work: &Work<'_, 'a>,
+        work: &Work<'_>,
         _group: &(),
         run: &Run,
         photographs: &mut Photographs,
     ) -> Result<(), RenderError> {
-        let ShapesSettings { width, height, seed, motion, flow_format, .. } = *self.settings;
         for number in run.units.clone() {
             if !work.begin() {
                 break;
             }
-            let mut unread = None;
-            let mut photograph = |stream: &mut Stream| {
-                photographs.draw(&self.photographs, stream).unwrap_or_else(|error| {
-                    unread.get_or_insert(error);
-                    None
-                })
-            };
-            let pair = work.clock.time(Stage::Rasterize, || {
-                ShapePair::random((width, height), Key::new(seed).scene(number), motion, &mut photograph)
-            });
-            if let Some(error) = unread {
-                return Err(error);
-            }
+            let pair = work.clock.time(Stage::Rasterize, || self.pair(number, photographs))?;
             let [frame1, frame2, occlusion] = Self::pictures(work.dir, number);
             work.write(Stage::Frames, &frame1, |path| write_image_png(path, &pair.frame1))?;
             work.write(Stage::Frames, &frame2, |path| write_image_png(path, &pair.frame2))?;
             work.write(Stage::Planes, &occlusion, |path| write_mask_png(path, &pair.occlusion))?;
+            let flow_format = self.settings.flow_format;
             let flow = self.flow_path(work.dir, number, flow_format);
             work.write(Stage::Flow, &flow, |path| write_flow_as(path, &pair.flow, flow_format))?;
             work.done();
         }
         Ok(())
+    }
+}
+
+impl MadePairs for ShapePairs {
+    fn pairs_per_scene(&self) -> u32 {
+        1
+    }
+
+    fn name(&self, scene: u32, _pair: u32) -> String {
+        format!("pair {} of seed {}", u64::from(scene) + 1, self.settings.seed)
+    }
+
+    fn make(&self, scene: u32, run: Range<u32>) -> Result<Vec<Sample>, MadeError> {
+        let lock = || self.read.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut photographs = lock().pop().unwrap_or_default();
+        let samples = run.map(|_| Ok(self.pair(scene, &mut photographs)?.into()));
+        let samples = samples.collect::<Result<_, RenderError>>()?;
+        lock().push(photographs);
+        Ok(samples)
     }
 }
 

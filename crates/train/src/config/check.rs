@@ -30,6 +30,12 @@ impl Config {
         whole("training.batch", training.batch, 1, 4096)?;
         whole("training.clip_frames", training.clip_frames, 2, 16)?;
         whole("training.accumulate", training.accumulate, 1, training.batch)?;
+        self.data.check_made(training.pairs())?;
+        if let Some(made) = validation.data.iter().find(|source| source.made().is_some()) {
+            let expected =
+                "a dataset in files, such as one that `srflow shapes` or `srflow render` writes".to_owned();
+            return Err(ConfigError::Value { key: "validation.data", found: made.to_string(), expected });
+        }
         whole("training.iterations", training.iterations, 1, MOST_ITERATIONS)?;
         whole("validation.iterations", validation.iterations, 0, MOST_ITERATIONS)?;
         whole("checkpoints.keep", self.checkpoints.keep, 1, 1000)?;

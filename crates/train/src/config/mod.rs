@@ -2,6 +2,7 @@
 
 mod augmentation;
 mod check;
+mod made;
 mod read;
 mod text;
 
@@ -16,8 +17,9 @@ use srflow_nn::{Layout, WeightsError};
 
 use crate::loss::LossConfig;
 pub use augmentation::{AugmentationConfig, AugmentationKind};
+pub use made::{RenderedConfig, ShapesConfig};
 pub use read::{ConfigError, PRESETS};
-pub use text::Source;
+pub use text::{DataSpec, MadeKind, MadeSpec, Source};
 
 /// Configuration of a training run. The default is the paper's retrained SKFlow (section V-A1), with SKFlow's own settings where
 /// the paper gives none.
@@ -63,16 +65,18 @@ pub enum BatchNorm {
 #[serde(default, deny_unknown_fields)]
 pub struct DataConfig {
     /// Datasets: `KIND:DIR`, then `@SPLIT` for a split other than `train`, then `*TIMES` to repeat each pair that often in an
-    /// epoch.
+    /// epoch. `shapes:` or `shapes:TEXTURES_DIR`, and `rendered:` or `rendered:HEAD`, are made while training.
     #[serde(with = "text::by_texts")]
     pub train: Vec<Source>,
     /// Size of the crops, WIDTHxHEIGHT.
     #[serde(with = "text::by_text")]
     pub crop: Size,
-    /// Threads that read and augment pairs.
+    /// Threads that read, make and augment pairs.
     pub workers: usize,
     /// Most pairs that are prefetched.
     pub prefetch: usize,
+    pub shapes: ShapesConfig,
+    pub rendered: RenderedConfig,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -193,7 +197,14 @@ impl NetworkConfig {
 
 impl Default for DataConfig {
     fn default() -> Self {
-        Self { train: Vec::new(), crop: Size { width: 512, height: 800 }, workers: 2, prefetch: 16 }
+        Self {
+            train: Vec::new(),
+            crop: Size { width: 512, height: 800 },
+            workers: 2,
+            prefetch: 16,
+            shapes: ShapesConfig::default(),
+            rendered: RenderedConfig::default(),
+        }
     }
 }
 

@@ -154,6 +154,59 @@ mod tests {
     }
 
     #[test]
+    fn wrong_settings_of_made_data_are_reported() {
+        let error = |train: &str, keys: &str| {
+            let text = format!("[data]\ntrain = \"{train}\"\ncrop = \"64x48\"\n{keys}");
+            Config::parse(&text, "my.toml").expect(keys).check().expect_err(keys).to_string()
+        };
+        for (train, keys, parts) in [
+            (
+                "shapes:",
+                "[data.shapes]\nsize = \"63x60\"",
+                ["data.shapes.size = 63x60", "at least the crop, 64x48"],
+            ),
+            ("rendered:", "[data.rendered]\nsize = \"64x47\"", ["data.rendered.size = 64x47", "64x48"]),
+            ("shapes:", "[data.shapes]\npairs = 0", ["data.shapes.pairs = 0", "1 to 99999"]),
+            ("rendered:", "[data.rendered]\nscenes = 0", ["data.rendered.scenes = 0", "1 to 10000"]),
+            ("rendered:", "[data.rendered]\nframes = 0", ["data.rendered.frames = 0", "1 to 1000"]),
+            (
+                "shapes:",
+                "[training]\nclip_frames = 3",
+                ["training.clip_frames = 3", "do not follow each other"],
+            ),
+            (
+                "rendered:",
+                "[data.rendered]\nframes = 3\n[training]\nclip_frames = 5",
+                ["data.rendered.frames = 3", "4 to 1000"],
+            ),
+            ("shapes:", "[validation]\ndata = \"shapes:\"", ["validation.data = shapes:", "in files"]),
+        ] {
+            let error = error(train, keys);
+            assert!(parts.iter().all(|part| error.contains(part)), "{error}");
+        }
+        // What is not used is not checked.
+        let config = Config::parse("[data]\ntrain = \"folder:a\"\n[data.shapes]\npairs = 0\n", "my.toml");
+        config.expect("a configuration").check().expect("files alone");
+        let unknown = Config::parse("[data.rendered.recording]\nnois = 1\n", "my.toml").expect_err("nois");
+        assert!(unknown.to_string().contains("`noise`"), "{unknown}");
+    }
+
+    #[test]
+    fn made_frames_contain_the_crop() {
+        for crop in ["320x320", "192x280", "512x800", "8x1000", "1x1"] {
+            let data = Config::default().with_override(&format!("data.crop={crop}")).expect(crop).data;
+            for size in [data.shapes_size(), data.rendered_size()] {
+                assert!(size.width > data.crop.width && size.height > data.crop.height, "{crop}: {size}");
+            }
+        }
+        let data = Config::default().with_override("data.crop=320x320").expect("a size").data;
+        assert_eq!(
+            (data.shapes_size().to_string(), data.rendered_size().to_string()),
+            ("360x360".into(), "360x525".into())
+        );
+    }
+
+    #[test]
     fn invalid_numbers_are_reported() {
         for given in
             ["training.batch=0", "training.clip=-1", "training.rising=1", "loss.gamma=2", "data.workers=0"]

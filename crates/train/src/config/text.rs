@@ -3,22 +3,73 @@
 use std::fmt;
 use std::str::FromStr;
 
-use srflow_read::flow::{DatasetSpec, Split};
+use srflow_read::flow::{DatasetError, DatasetSpec, Split};
 
 /// A dataset in a mix: `KIND:DIR`, then `@SPLIT` for a split other than the default, then `*TIMES` to repeat each pair that often
-/// in an epoch, e.g. `sintel-clean:/data/Sintel@all*100`.
+/// in an epoch, e.g. `sintel-clean:/data/Sintel@all*100`. Data that is made while training has no splits.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Source {
-    pub spec: DatasetSpec,
+    pub spec: DataSpec,
     /// `None` for the default split.
     pub split: Option<Split>,
     /// Occurrences of each pair in an epoch, at least 1.
     pub times: usize,
 }
 
+/// A dataset in files, or one that is made while training.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum DataSpec {
+    Files(DatasetSpec),
+    Made(MadeSpec),
+}
+
+/// Data that is made while training: `shapes:TEXTURES_DIR` or `rendered:HEAD`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct MadeSpec {
+    pub kind: MadeKind,
+    /// The folder or the head, not looked at; may be empty.
+    pub of: String,
+}
+
+/// The kinds of data that is made while training.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MadeKind {
+    Shapes,
+    Rendered,
+}
+
+srflow_field::named!(MadeKind, "a kind of made data", { Shapes => "shapes", Rendered => "rendered" });
+
+impl Source {
+    /// The dataset, if it is in files.
+    pub fn files(&self) -> Option<&DatasetSpec> {
+        match &self.spec {
+            DataSpec::Files(spec) => Some(spec),
+            DataSpec::Made(_) => None,
+        }
+    }
+
+    /// The data, if it is made while training.
+    pub fn made(&self) -> Option<&MadeSpec> {
+        match &self.spec {
+            DataSpec::Files(_) => None,
+            DataSpec::Made(spec) => Some(spec),
+        }
+    }
+}
+
+impl fmt::Display for MadeSpec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:{}", self.kind, self.of)
+    }
+}
+
 impl fmt::Display for Source {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.spec)?;
+        match &self.spec {
+            DataSpec::Files(spec) => spec.fmt(f)?,
+            DataSpec::Made(spec) => spec.fmt(f)?,
+        }
         if let Some(split) = self.split {
             write!(f, "@{split}")?;
         }
@@ -41,7 +92,17 @@ impl FromStr for Source {
             Some((rest, Ok(split))) => (rest, Some(split)),
             _ => (rest, None),
         };
-        let spec = rest.parse::<DatasetSpec>().map_err(|error| error.to_string())?;
+        let made = rest.split_once(':').and_then(|(kind, of)| Some((kind.parse().ok()?, of.to_owned())));
+        let spec = match (made, split) {
+            (Some((kind, of)), None) => DataSpec::Made(MadeSpec { kind, of }),
+            (Some(_), Some(_)) => {
+                return Err(format!("`{text}`: data that is made while training has no splits"));
+            }
+            (None, _) => DataSpec::Files(rest.parse().map_err(|error: DatasetError| {
+                let [shapes, rendered] = MadeKind::ALL;
+                format!("{error}. To make pairs while training: {shapes}: or {rendered}:")
+            })?),
+        };
         Ok(Self { spec, split, times })
     }
 }
@@ -141,7 +202,21 @@ mod tests {
     fn sources_are_parsed_from_the_end() {
         let source: Source = "sintel-clean:/data/a@b/Sintel@all*100".parse().unwrap();
         assert_eq!((source.split, source.times), (Some(Split::All), 100));
-        assert_eq!(source.spec.dir.to_str(), Some("/data/a@b/Sintel"));
+        assert_eq!(source.files().unwrap().dir.to_str(), Some("/data/a@b/Sintel"));
+        for (text, kind, of) in [
+            ("shapes:", MadeKind::Shapes, ""),
+            ("shapes:/a b:c", MadeKind::Shapes, "/a b:c"),
+            ("rendered:avatar:/a@ict:/c", MadeKind::Rendered, "avatar:/a@ict:/c"),
+        ] {
+            let source: Source = text.parse().unwrap();
+            assert_eq!((source.to_string(), source.times), (text.to_owned(), 1));
+            assert_eq!(source.made(), Some(&MadeSpec { kind, of: of.to_owned() }));
+        }
+        assert_eq!("rendered:*4".parse::<Source>().unwrap().times, 4);
+        let error = "shapes:@val".parse::<Source>().unwrap_err();
+        assert!(error.contains("no splits"), "{error}");
+        let error = "shape:".parse::<Source>().unwrap_err();
+        assert!(error.contains("shapes: or rendered:"), "{error}");
         for text in ["folder:/data", "folder:a*b", "srflow:x@val", "kitti:k*200", "folder:/a:b@train*3"] {
             let source: Source = text.parse().unwrap();
             assert_eq!(source.to_string(), text);

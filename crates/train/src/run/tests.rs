@@ -1,6 +1,7 @@
 use srflow_field::{FlowField, Image, write_flow, write_image_png};
 
 use super::*;
+use crate::training_set::only_files;
 
 fn trainer(dir: &Path) -> (Trainer, Batch, Batch) {
     for i in 0..2 {
@@ -21,7 +22,7 @@ fn trainer(dir: &Path) -> (Trainer, Batch, Batch) {
         dir.display()
     );
     let config = Config::parse(&text, "test").unwrap();
-    let set = Arc::new(TrainingSet::open(&config).unwrap());
+    let set = Arc::new(TrainingSet::open(&config, &only_files).unwrap());
     let batch = Batch::new(&set.sample(0, 0, 1).unwrap());
     let mut broken = batch.clone();
     broken.first[7] = f32::NAN;

@@ -10,7 +10,7 @@ use srflow_ops::Activation::{Identity, LeakyRelu};
 use srflow_ops::warp::tensor::warp_replicated;
 
 use crate::MemoryNeed;
-use crate::blocks::{Grids, resize, resize_flow};
+use crate::blocks::{Grids, resize, resize_flow_smoothed, resize_smoothed};
 use crate::estimate::{Estimate, Request};
 use crate::facts::Facts;
 use crate::features::Features;
@@ -310,13 +310,13 @@ impl FlowNetwork for FlowNet3 {
             found = corrections.into_iter().map(corrected).collect();
         }
         let occlusion = found.last().map(|last| {
-            let scores = resize(last.occlusion.clone(), size, Grids::EdgesOnEdgesSmoothed);
+            let scores = resize_smoothed(last.occlusion.clone(), size);
             softmax(scores, 1).narrow(1, 1, 1)
         });
         flows.extend(found.into_iter().map(|found| found.flow));
         let finished = |flow| {
             let full = resize(flow, resized, Grids::EdgesOnEdges);
-            resize_flow(full, size, Grids::EdgesOnEdgesSmoothed)
+            resize_flow_smoothed(full, size)
         };
         Estimate { occlusion, ..Estimate::of_flows(flows.into_iter().map(finished).collect()) }
     }

@@ -16,7 +16,7 @@ pub(crate) use encoder::{Block, Encoder, EncoderConfig, Norm, NormKind, conv as 
 pub(crate) use gru::{ConvGru, SepConvGru, StageGru};
 pub(crate) use level::Level;
 pub(crate) use motion::{FlowHead, MotionEncoder, SmallMotionEncoder, window_entries};
-pub(crate) use resize::{Grids, resize, resize_flow};
+pub(crate) use resize::{Grids, resize, resize_flow, resize_flow_smoothed, resize_smoothed};
 pub(crate) use strips::{Divided, Strips};
 pub(crate) use upsampler::{
     ConvexMask, WideConvexMask, bilinear_upsample, convex_mask, convex_mask_by, convex_upsample,

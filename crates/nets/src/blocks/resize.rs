@@ -1,64 +1,42 @@
 //! Resizing of feature maps and flows.
 
 use burn::tensor::{Device, Int, Tensor, TensorData};
-
-/// Alignment of the pixel grids of two sizes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Grids {
-    /// The centres of the corner pixels (`align_corners=True` of PyTorch).
-    CornersOnCorners,
-    /// The edges of the image (`align_corners=False`).
-    EdgesOnEdges,
-    /// Like `EdgesOnEdges`, but antialiased when the size is reduced (`antialias=True`).
-    EdgesOnEdgesSmoothed,
-    /// The centres of the first pixels, with distances scaled by the ratio of the sizes (`resize_images` of TensorFlow 1).
-    FirstOnFirst,
-}
-
-/// Resizes `x`, `[batch, channels, height, width]`, to height and width `size` by bilinear interpolation, as PyTorch's
-/// `interpolate`.
-pub(crate) fn resize(x: Tensor<4>, size: [usize; 2], grids: Grids) -> Tensor<4> {
-    let rows = along(x, 2, size[0], grids);
-    along(rows, 3, size[1], grids)
-}
+pub(crate) use srflow_ops::resize::Grids;
+pub(crate) use srflow_ops::resize::tensor::resize;
 
 /// Resizes `flow` to height and width `size`, and scales its vectors to pixels of that size.
 pub(crate) fn resize_flow(flow: Tensor<4>, size: [usize; 2], grids: Grids) -> Tensor<4> {
+    scaled_flow(flow, size, |flow| resize(flow, size, grids))
+}
+
+/// As [`resize_flow`], by [`resize_smoothed`].
+pub(crate) fn resize_flow_smoothed(flow: Tensor<4>, size: [usize; 2]) -> Tensor<4> {
+    scaled_flow(flow, size, |flow| resize_smoothed(flow, size))
+}
+
+fn scaled_flow(flow: Tensor<4>, size: [usize; 2], resize: impl Fn(Tensor<4>) -> Tensor<4>) -> Tensor<4> {
     let [_, _, height, width] = flow.dims();
     if [height, width] == size {
         return flow;
     }
     let scale = [size[1] as f32 / width as f32, size[0] as f32 / height as f32];
     let scale = Tensor::<1>::from_floats(scale, &flow.device()).reshape([1, 2, 1, 1]);
-    resize(flow, size, grids) * scale
+    resize(flow) * scale
 }
 
-fn along(x: Tensor<4>, axis: usize, size: usize, grids: Grids) -> Tensor<4> {
-    let from = x.dims()[axis];
-    if from == size {
-        return x;
-    }
-    if grids == Grids::EdgesOnEdgesSmoothed && size < from {
-        return smaller(x, axis, size);
-    }
-    let places: Vec<f64> = (0..size).map(|i| place(i, from, size, grids)).collect();
-    let (lower, upper): (Vec<i64>, Vec<i64>) = places
-        .iter()
-        .map(|place| (place.floor() as i64, (place.floor() as i64 + 1).min(from as i64 - 1)))
-        .unzip();
-    let fractions: Vec<f32> = places.iter().map(|place| (place - place.floor()) as f32).collect();
-    let device = x.device();
-    let mut shape = [1; 4];
-    shape[axis] = size;
-    let fractions = Tensor::<1>::from_data(TensorData::new(fractions, [size]), &device).reshape(shape);
-    let lower = x.clone().select(axis, indices(lower, &device));
-    let upper = x.select(axis, indices(upper, &device));
-    lower.clone() + (upper - lower) * fractions
+/// As [`resize`] with [`Grids::EdgesOnEdges`], but antialiased along an axis whose size is reduced (`antialias=True` of PyTorch).
+pub(crate) fn resize_smoothed(x: Tensor<4>, size: [usize; 2]) -> Tensor<4> {
+    let [_, _, height, width] = x.dims();
+    let enlarged = resize(x, [height.max(size[0]), width.max(size[1])], Grids::EdgesOnEdges);
+    [2, 3].into_iter().zip(size).fold(enlarged, |x, (axis, size)| smaller(x, axis, size))
 }
 
 /// Reduces an axis with a triangle filter that reaches to the centres of the neighbouring output pixels.
 fn smaller(x: Tensor<4>, axis: usize, size: usize) -> Tensor<4> {
     let from = x.dims()[axis];
+    if from == size {
+        return x;
+    }
     let width = from as f64 / size as f64;
     let centre = |i: usize| (i as f64 + 0.5) * width - 0.5;
     let weight = |i: usize, j: usize| (1.0 - (j as f64 - centre(i)).abs() / width).max(0.0);
@@ -94,18 +72,6 @@ fn indices(of: Vec<i64>, device: &Device) -> Tensor<1, Int> {
     Tensor::from_data(TensorData::new(of, [count]), device)
 }
 
-/// Position of pixel `i` of `size` in a grid of `from` pixels.
-fn place(i: usize, from: usize, size: usize, grids: Grids) -> f64 {
-    match grids {
-        Grids::CornersOnCorners => (i * (from - 1)) as f64 / (size - 1).max(1) as f64,
-        Grids::FirstOnFirst => (i * from) as f64 / size as f64,
-        Grids::EdgesOnEdges | Grids::EdgesOnEdgesSmoothed => {
-            let place = (i as f64 + 0.5) * from as f64 / size as f64 - 0.5;
-            place.clamp(0.0, (from - 1) as f64)
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use srflow_golden::numbers;
@@ -130,7 +96,7 @@ mod tests {
     #[test]
     fn reduced_maps_are_antialiased() {
         let ramp = Tensor::<1>::from_floats([0., 1., 2., 3., 10.], &Device::flex()).reshape([1, 1, 1, 5]);
-        let resized = |size| numbers(resize(ramp.clone(), [1, size], Grids::EdgesOnEdgesSmoothed));
+        let resized = |size| numbers(resize_smoothed(ramp.clone(), [1, size]));
         let expected = [0.428571, 2.0, 6.999999];
         for (found, expected) in resized(3).into_iter().zip(expected) {
             assert!((found - expected).abs() < 1e-6, "{found}, not {expected}");

@@ -31,8 +31,10 @@ operations! {
     gru: crate::gru::tests::cases,
     instance_norm: crate::instance_norm::tests::cases,
     layer_norm: crate::layer_norm::tests::cases,
+    lucas_kanade: crate::lucas_kanade::tests::cases,
     max_pool: crate::max_pool::tests::cases,
     pointwise_chain: crate::pointwise::tests::cases,
+    resize: crate::resize::tests::cases,
     convex_upsample: crate::upsample::tests::cases,
     warp: crate::warp::tests::cases,
 }
@@ -194,6 +196,9 @@ impl Case {
         let device = device.clone().autodiff();
         let (leaves, inputs) = self.tensors(&device, wanted);
         let out = function(inputs);
+        if wanted.is_empty() {
+            return (numbers(out), vec![None; leaves.len()]);
+        }
         let grad = Tensor::from_data(TensorData::new(grad.to_vec(), out.dims()), &device);
         let grads = (out.clone() * grad).sum().backward();
         let gradients = leaves.iter().map(|leaf| leaf.grad(&grads).map(numbers));

@@ -34,6 +34,7 @@ import torch.nn.functional as F
 from flownet3 import FlowNet3
 from golden import name_hash, noise, write_safetensors
 from ptlflow.utils.utils import InputScaler
+from srflow_net import SrFlow
 from ssa import Ssa
 
 EVERY = 7
@@ -123,6 +124,7 @@ def ccmr(name, levels, **more):
 
 # The coarsest of four levels of a correlation pyramid must be larger than one pixel, or the reference divides by zero.
 NETWORKS = [
+    Network("srflow", iterations=(1, 2), training_iterations=2, gains={"conv": 1.4, "predict": 0.3}, mixture=True, model=SrFlow),
     Network("raft"),
     Network("raft_small"),
     Network("gma"),

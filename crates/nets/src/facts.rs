@@ -9,7 +9,7 @@ pub struct Facts {
     pub name: &'static str,
     /// Name in the paper.
     pub title: &'static str,
-    /// URL of the paper.
+    /// URL of the paper; empty for a network of srflow's own.
     pub paper: &'static str,
     /// Number of trained parameters, counted as scalars; running statistics of batch norm do not count.
     pub parameters: usize,
@@ -41,7 +41,7 @@ pub struct Facts {
     pub in_ptlflow: bool,
     /// Prefix of the names of its parameters in ptlflow.
     pub ptlflow_prefix: &'static str,
-    /// URL of the authors' code.
+    /// URL of the authors' code; empty for a network of srflow's own.
     pub authors: &'static str,
     /// Licence of the authors' code, as stated in their repository, and of their weights, if different.
     pub licence: &'static str,

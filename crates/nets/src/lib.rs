@@ -28,6 +28,7 @@ mod sea_raft;
 mod settings;
 mod shots;
 mod skflow;
+mod srflow;
 mod ssa;
 mod table;
 mod tiles;

@@ -11,7 +11,7 @@ use crate::frames::Frames;
 use crate::settings::{Setting, SettingError, set};
 use crate::{
     ccmr, dpflow, flownet, flownet3, flownetcss, gma, memflow, raft, raft_small, rpknet, sea_raft, skflow,
-    ssa, unimatch,
+    srflow, ssa, unimatch,
 };
 
 /// An entry of the table.
@@ -162,6 +162,7 @@ impl Network {
 }
 
 networks! {
+    SrFlow(srflow::SrFlow) = srflow::SRFLOW,
     Raft(raft::Raft) = raft::RAFT,
     RaftSmall(raft_small::RaftSmall) = raft_small::RAFT_SMALL,
     Gma(gma::Gma) = gma::GMA,

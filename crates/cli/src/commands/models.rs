@@ -183,7 +183,7 @@ fn list(context: &Context) -> anyhow::Result<()> {
         )?;
     }
     say!("\nPapers, and the authors' code and weights:")?;
-    for Listed { name, paper, authors, .. } in &networks {
+    for Listed { name, paper, authors, .. } in networks.iter().filter(|network| !network.paper.is_empty()) {
         say!("  {name:<width$}  {paper}  {authors}")?;
     }
     if networks.iter().any(|network| !network.settings.is_empty()) {

@@ -421,7 +421,7 @@ mod tests {
         let labelled = MethodSpec { label: Some("Ours: 3".to_owned()), ..with_weights };
         assert_eq!(spec("Ours: 3:skflow=a=b/c.ckpt"), Ok(labelled));
         assert_eq!(spec("tvl1").unwrap().label, None);
-        assert!(spec("pwc").unwrap_err().contains("farneback, tvl1, raft"));
+        assert!(spec("pwc").unwrap_err().contains("farneback, tvl1, srflow, raft"));
         assert!(spec("a:pwc").unwrap_err().contains("unknown method `pwc`"));
         assert!(spec("tvl1=a").is_err() && spec("raft=").is_err() && spec("").is_err());
         assert!(spec(":tvl1").unwrap_err().contains("empty name"));

@@ -309,7 +309,7 @@ fn errors_name_the_problem() {
         assert!(!data().join("never.flo").exists(), "{arguments:?}");
     };
     refused(&["--method", "raft"], 2, &["raft needs weights", "--weights FILE", "srflow models"]);
-    refused(&["--method", "pwc"], 2, &["unknown method `pwc`", "farneback, tvl1, raft"]);
+    refused(&["--method", "pwc"], 2, &["unknown method `pwc`", "farneback, tvl1, srflow, raft"]);
     refused(&["--method", "tvl1=a.ckpt"], 2, &["tvl1 has no weights"]);
     refused(&["--method", "tvl1", "--iters", "5"], 2, &["--iters is for networks"]);
     refused(&["--method", "tvl1", "--tile", "auto"], 2, &["--tile auto is for networks"]);

@@ -129,15 +129,16 @@ fn the_documents_list_the_networks() {
             true => format!("{}, {}, {}", iterations.default, iterations.authors, iterations.training),
             false => "none".to_owned(),
         };
+        let (paper, code) = match facts.paper {
+            "" => ("our own, [below](#srflow)".to_owned(), "here".to_owned()),
+            paper => (format!("[{}]({paper})", facts.title), format!("[{code}]({})", facts.authors)),
+        };
         networks += &format!(
-            "| `{}` | [{}]({}) | {} | {} | {iterations} | {} | [{code}]({}) | {} |\n",
+            "| `{}` | {paper} | {} | {} | {iterations} | {} | {code} | {} |\n",
             facts.name,
-            facts.title,
-            facts.paper,
             with_commas(facts.parameters),
             facts.padding,
             if facts.trains { "yes" } else { "no" },
-            facts.authors,
             facts.licence,
         );
         let trained: Vec<String> =
@@ -146,7 +147,8 @@ fn the_documents_list_the_networks() {
             weights += &format!("| `{}-` | {} |\n", facts.name, trained.join(", "));
         }
     }
-    let titles: Vec<&str> = all.iter().map(|facts| facts.title).collect();
+    let published = all.iter().filter(|facts| !facts.paper.is_empty());
+    let titles: Vec<&str> = published.map(|facts| facts.title).collect();
     let (last, others) = titles.split_last().unwrap();
     let titles = format!("{} and {last}", others.join(", "));
     is_listed("../../docs/networks.md", "<!-- networks", &networks);

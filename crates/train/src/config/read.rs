@@ -27,7 +27,7 @@ macro_rules! presets {
     };
 }
 
-/// The built-in configurations: the rows of the paper's Tables III and V, SEA-RAFT, and two for small computers.
+/// The built-in configurations: the rows of the paper's Tables III and V, SEA-RAFT, our own network, and two for small computers.
 pub const PRESETS: &[Preset] = presets![
     "skflow",
     "rpknet",
@@ -39,6 +39,7 @@ pub const PRESETS: &[Preset] = presets![
     "srflownet-igvar",
     "sea-raft",
     "ssa",
+    "srflow",
     "cpu-small",
     "cpu-srflownet"
 ];

@@ -87,7 +87,7 @@ def cells(x):
 
 
 def twice(x):
-    return F.interpolate(x, scale_factor=2, mode="nearest")
+    return F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
 
 
 def convex_upsample(flow, mask):

@@ -13,6 +13,7 @@ use srflow_ops::Activation::{Identity, LeakyRelu};
 use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::lucas_kanade::tensor::lucas_kanade;
 use srflow_ops::lucas_kanade::{CELL, LucasKanade, PER_WINDOW};
+use srflow_ops::space_to_depth::tensor::space_to_depth;
 use srflow_ops::upsample::tensor::convex_upsample;
 use srflow_ops::warp::tensor::warp_replicated;
 
@@ -213,6 +214,7 @@ impl Refinement {
         let Found { flow, state, .. } = found;
         let (warped, evidence) = evidence(frames, &flow);
         let first = frames[0].clone();
+        let cells = |frames| space_to_depth(frames, STRIDE);
         let difference = (first.clone() - warped) * DIFFERENCE_SCALE;
         let seen = vec![cells(first), cells(difference), evidence.clone(), flow.clone(), state];
         let fine = self.enter.forward(Tensor::cat(seen, 1), LeakyRelu);
@@ -242,24 +244,10 @@ impl Found {
     }
 }
 
-/// The pixels of each cell as its channels.
-fn cells(x: Tensor<4>) -> Tensor<4> {
-    let [batch, channels, height, width] = x.dims();
-    let [rows, columns] = [height / STRIDE, width / STRIDE];
-    x.reshape([batch, channels, rows, STRIDE, columns, STRIDE]).permute([0, 1, 3, 5, 2, 4]).reshape([
-        batch,
-        channels * STRIDE * STRIDE,
-        rows,
-        columns,
-    ])
-}
-
-/// `x` at twice the size, each value four times.
+/// `x` at twice the size.
 fn twice(x: Tensor<4>) -> Tensor<4> {
-    let [batch, channels, height, width] = x.dims();
-    x.reshape([batch, channels, height, 1, width, 1])
-        .expand([batch, channels, height, 2, width, 2])
-        .reshape([batch, channels, 2 * height, 2 * width])
+    let [_, _, height, width] = x.dims();
+    resize(x, [2 * height, 2 * width], Grids::EdgesOnEdges)
 }
 
 impl FlowNetwork for SrFlow {

@@ -30,11 +30,13 @@ operations! {
     depthwise: crate::depthwise::tests::cases,
     gru: crate::gru::tests::cases,
     instance_norm: crate::instance_norm::tests::cases,
+    laplace_mixture: crate::laplace_mixture::tests::cases,
     layer_norm: crate::layer_norm::tests::cases,
     lucas_kanade: crate::lucas_kanade::tests::cases,
     max_pool: crate::max_pool::tests::cases,
     pointwise_chain: crate::pointwise::tests::cases,
     resize: crate::resize::tests::cases,
+    space_to_depth: crate::space_to_depth::tests::cases,
     convex_upsample: crate::upsample::tests::cases,
     warp: crate::warp::tests::cases,
 }

@@ -2,6 +2,7 @@
 
 use burn::tensor::Tensor;
 use srflow_nets::LaplaceMixture;
+use srflow_ops::laplace_mixture::{LogScaleRange, tensor};
 
 use super::table::{Distance, SequenceLoss};
 
@@ -12,27 +13,13 @@ pub(super) const MIXTURE_OF_LAPLACE: SequenceLoss = SequenceLoss {
     channels: 2,
 };
 
-/// `-ln p(difference)` for each component of the flow, `[batch, 2, height, width]`, where
-/// `p(d) = sum_k w_k / (2 b_k) exp(-|d| / b_k)`. Both components of the flow share the weights `w` and the scales `b`.
+/// See [`srflow_ops::laplace_mixture::negative_log_likelihood`].
 fn negative_log_likelihood(
     difference: Tensor<4>,
     mixture: &LaplaceMixture,
-    log_scale_range: [f64; 2],
+    [low, high]: [f64; 2],
 ) -> Tensor<4> {
-    let distance = difference.abs();
-    let component = |k: usize, log_scale: Tensor<4>| {
-        let log_weight = mixture.log_weights.clone().narrow(1, k, 1);
-        let log_peak = log_weight.clone() - log_scale.clone() - std::f64::consts::LN_2;
-        (log_weight, log_peak - distance.clone() * (-log_scale).exp())
-    };
-    let [wide, narrow] = mixture.limited_log_scales(log_scale_range);
-    let (wide_weight, wide) = component(0, wide);
-    let (narrow_weight, narrow) = component(1, narrow);
-    log_sum_exp(wide_weight, narrow_weight) - log_sum_exp(wide, narrow)
-}
-
-/// `ln(e^a + e^b)` without overflow, and differentiable at `a = b`.
-fn log_sum_exp(a: Tensor<4>, b: Tensor<4>) -> Tensor<4> {
-    let apart = (a.clone() - b.clone()).abs();
-    (a + b + apart.clone()) * 0.5 + (-apart).exp().log1p()
+    let LaplaceMixture { log_weights, log_scales } = mixture.clone();
+    let range = LogScaleRange { low: low as f32, high: high as f32 };
+    tensor::negative_log_likelihood(difference, log_weights, log_scales, range)
 }

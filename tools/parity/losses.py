@@ -139,6 +139,12 @@ def mixture(flow, inputs, log_weights, log_scales):
     return -torch.log(density)[mask].mean()
 
 
+def l1_and_mixture(flow, inputs, log_weights, log_scales):
+    distance = (flow - inputs["truth"]).abs()
+    distance = distance[counted(inputs).expand_as(distance)].mean()
+    return distance + 0.2 * mixture(flow.detach(), inputs, log_weights, log_scales)
+
+
 def cyclic(flow, inputs):
     """SSA's: frame 1 at p - flow(p), clamped to the frame, against frame 2."""
     y, x = torch.meshgrid(torch.arange(HEIGHT), torch.arange(WIDTH), indexing="ij")
@@ -173,6 +179,8 @@ def main():
     case("l2", lambda flow: l2(flow, inputs))
     predicted = ("flow", "log_weights", "log_scales")
     case("mixture", lambda flow, weights, scales: mixture(flow, inputs, weights, scales), predicted)
+    both = lambda flow, weights, scales: l1_and_mixture(flow, inputs, weights, scales)
+    case("l1 and mixture", both, predicted)
     for border in ("replicate", "zero"):
         case(f"tvr {border}", lambda flow: tvr(flow, inputs, border))
         case(f"migar {border}", lambda flow: migar(flow, inputs, border, image_max=255.0 if border == "replicate" else 1.0))

@@ -6,6 +6,8 @@
 Parameters and frames are not stored: both come from rules over names, shapes and positions, which
 crates/nets/tests/parity.rs repeats. Written for each network and case, as NETWORK_BATCHxHEIGHTxWIDTH.safetensors:
     gain/PART    a number that parameters with PART in their name are multiplied with
+    start        six numbers, of a network whose start is not the reference's: u of the coarse flow to start from is start[0] +
+                 start[1] x + start[2] y in coarse pixels, v likewise of the last three
     coarse_N     after N iterations, the flow that a warm start takes, [batch, 2, rows, columns], where there is one
     flow_N       the flow after N iterations at every 7th row and column, [batch, 2, rows, columns]
     occlusion_N  likewise, the probability of occlusion, [batch, 1, rows, columns], of networks that give one
@@ -34,7 +36,7 @@ import torch.nn.functional as F
 from flownet3 import FlowNet3
 from golden import name_hash, noise, write_safetensors
 from ptlflow.utils.utils import InputScaler
-from srflow_net import SrFlow
+from srflow_net import COARSEST_STRIDE, SrFlow
 from ssa import Ssa
 
 EVERY = 7
@@ -64,6 +66,9 @@ class Network:
     gains: dict = field(default_factory=dict)
     # Whether it gives a mixture of Laplace distributions beside each flow, as SEA-RAFT does.
     mixture: bool = False
+    # The coarse flow to start from, see above, and the pixels of a padded frame for each of its own.
+    start: tuple = ()
+    start_stride: int = 0
     # A network of the same parts whose gradients are stored.
     gradients: str = ""
     # The flows that training compares with the truth, in full size, the last one last: from the outputs and the frames.
@@ -124,7 +129,16 @@ def ccmr(name, levels, **more):
 
 # The coarsest of four levels of a correlation pyramid must be larger than one pixel, or the reference divides by zero.
 NETWORKS = [
-    Network("srflow", iterations=(1, 2), training_iterations=2, gains={"conv": 1.4, "predict": 0.3}, mixture=True, model=SrFlow),
+    Network(
+        "srflow",
+        iterations=(1, 2),
+        training_iterations=2,
+        gains={"enter.": 2.0, "down.": 1.6, "up.": 1.6, "mask.": 2.0, "predict.": 0.25},
+        mixture=True,
+        start=(1.5, 0.01, -0.005, 1.25, -0.005, 0.01),
+        start_stride=2,
+        model=SrFlow,
+    ),
     Network("raft"),
     Network("raft_small"),
     Network("gma"),
@@ -202,9 +216,19 @@ def parameter(name, shape, gains):
 
 def inputs(network, images, goes_on=False, ends=False):
     """Of a pair; of a network that remembers, the first of a video unless that goes on, and remembered unless it ends."""
+    if network.start:
+        return {"images": images, "start": start(network, images)}
     if network.pairs == 1:
         return {"images": images}
     return {"images": images, "meta": {"is_seq_start": not goes_on, "is_seq_end": ends}}
+
+
+def start(network, images):
+    batch, _, _, *size = images.shape
+    height, width = (-(-side // COARSEST_STRIDE) * COARSEST_STRIDE // network.start_stride for side in size)
+    y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    flow = torch.stack([base + of_x * x + of_y * y for base, of_x, of_y in (network.start[:3], network.start[3:])])
+    return flow.expand(batch, -1, -1, -1)
 
 
 def one_name(network, name, state):
@@ -331,11 +355,11 @@ def gradients(network, model, video, batch_statistics):
     return {name: value.grad.numpy() for name, value in parameters if value.grad is not None}
 
 
-def last_mixture(model, images):
+def last_mixture(network, model, images):
     """Log weights and log scales beside the last flow, which the reference only gives in training."""
     model.training = True  # of the model alone: batch norm stays as it is
     with torch.no_grad():
-        mixture = model({"images": images})["info_preds"][-1]
+        mixture = model(inputs(network, images))["info_preds"][-1]
     model.training = False
     return mixture[:, :2], mixture[:, 2:]
 
@@ -362,6 +386,7 @@ def write(network, folder):
         video = torch.from_numpy(video[:, :, ::-1].copy())  # the reference takes BGR
         images = video[:, :2]
         out = {f"gain/{part}": np.array([gain]) for part, gain in network.gains.items()}
+        out |= {"start": np.array(network.start)} if network.start else {}
         out |= {f"setting/{name}": np.array([value]) for name, value in settings.items()}
         for iterations in network.iterations:
             setattr(model, network.attribute, network.set_iterations(iterations))
@@ -374,7 +399,7 @@ def write(network, folder):
             if "occlusion" in result:
                 out[f"occlusion_{iterations}"] = result["occlusion"][:, :, ::EVERY, ::EVERY].numpy()
             if network.mixture:
-                for part, values in zip(("log_weights", "log_scales"), last_mixture(model, images)):
+                for part, values in zip(("log_weights", "log_scales"), last_mixture(network, model, images)):
                     out[f"{part}_{iterations}"] = values[:, :, ::EVERY, ::EVERY].numpy()
             for number in range(1, network.pairs):
                 with torch.no_grad():

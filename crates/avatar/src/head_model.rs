@@ -257,8 +257,9 @@ impl HeadModel {
 
     /// The pose with each of the given action units: (number, side, intensity 0 to 1).
     ///
-    /// Units add up, but no expression exceeds its full weight: an eye closed by two units is closed. Components have no full weight; there,
-    /// units that are the same in all but their number count once, with the larger intensity. Intensities are clamped to 0..1. [`Side::Both`] of a unit with halves uses both; one side of a unit without halves uses the whole of it.
+    /// Units add up, but no expression exceeds its full weight: an eye closed by two units is closed. Components have no full weight;
+    /// there, units that are the same in all but their number count once, with the larger intensity. Intensities are clamped to 0..1.
+    /// [`Side::Both`] of a unit with halves uses both; one side of a unit without halves uses the whole of it.
     ///
     /// # Errors
     /// [`HeadModelError::NoActionUnit`] for a unit that this model does not have.

@@ -7,8 +7,8 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::Args;
 use srflow_nets::{
-    Architecture, Claim, Network, NetworkEstimator, SettingError, claim, find_weights, load_network,
-    weights_folder,
+    Architecture, Claim, Network, NetworkEstimator, SettingError, claim, find_weights, load_included,
+    load_network, weights_folder,
 };
 use srflow_ops::{device, device_kinds};
 
@@ -17,6 +17,13 @@ use crate::usage::wrong_usage;
 
 /// The default device.
 const CPU: &str = "cpu";
+
+/// Where the weights of a network are.
+pub enum Weights {
+    File(PathBuf),
+    /// They come with srflow.
+    Included,
+}
 
 /// Parameters of networks.
 #[derive(Args, Debug, Clone)]
@@ -149,14 +156,15 @@ impl NetworkArgs {
         Ok(())
     }
 
-    /// The file of a network's weights: its own, or that of `--weights`.
+    /// Where a network's weights are: its own, those of `--weights`, or the ones that come with srflow.
     ///
     /// # Errors
-    /// When no weights are given, or they cannot be found.
-    pub fn weights_of(&self, architecture: Architecture, own: Option<&str>) -> anyhow::Result<PathBuf> {
+    /// When no weights are given and none come with srflow, or they cannot be found.
+    pub fn weights_of(&self, architecture: Architecture, own: Option<&str>) -> anyhow::Result<Weights> {
         let name = architecture.name();
         match own.or(self.weights.as_deref()) {
-            Some(weights) => weights_file(Some(architecture), weights),
+            Some(weights) => weights_file(Some(architecture), weights).map(Weights::File),
+            None if architecture.facts().included.is_some() => Ok(Weights::Included),
             None => wrong_usage!(
                 "{name} needs weights: give --weights FILE, or --method {name}=FILE; `srflow models` lists where to get \
                 them"
@@ -178,10 +186,15 @@ impl NetworkArgs {
             Ok(device) => device,
             Err(error) => wrong_usage!("--device: {error}"),
         };
-        let path = self.weights_of(architecture, weights)?;
-        let mut network = load_network(architecture, &path, &device)?;
+        let mut network = match self.weights_of(architecture, weights)? {
+            Weights::Included => load_included(architecture, &device).context("no weights")?,
+            Weights::File(path) => {
+                let network = load_network(architecture, &path, &device)?;
+                note_if_ambiguous(architecture, &path)?;
+                network
+            }
+        };
         self.set(&mut network)?;
-        note_if_ambiguous(architecture, &path)?;
         let iterations = NonZeroUsize::new(self.iterations(architecture)).context("no iterations")?;
         Ok(NetworkEstimator::new(label, network, iterations, device))
     }

@@ -13,6 +13,7 @@ use srflow_read::flow::{DatasetError, Entry, FlowDataset, Sample};
 
 use crate::crop::{CropError, Window, head_window};
 use crate::error_curve::ErrorCurve;
+use crate::expression::Expression;
 use crate::flow_files::{FlowFileError, FlowFiles};
 use crate::regions;
 use crate::results::{Evaluation, Failure, MethodScores, PairScores, Region, title};
@@ -51,6 +52,8 @@ pub struct Settings {
     pub regions: bool,
     /// Also score the pixels whose true flow is shorter than this many pixels; of the head, where there are masks.
     pub small_motion: Option<f32>,
+    /// Also score the motion of the [`Expression`].
+    pub expression: bool,
 }
 
 /// What to do when a pair cannot be read, cropped or estimated.
@@ -278,6 +281,8 @@ struct Pair {
     truth: FlowField,
     /// The pixels of each region, cropped.
     regions: Vec<(Region, Mask)>,
+    /// Whether the motion of the expression is scored.
+    expression: bool,
     /// Width and height of the frames before cropping.
     whole: (usize, usize),
     window: Option<Window>,
@@ -311,7 +316,16 @@ impl Pair {
             regions.push((Region::SmallMotion, regions::small_motion(&truth, sample.mask.as_ref(), limit)));
         }
         let files = [entry.frame1.clone(), entry.frame2.clone()];
-        Ok(Self { sample, truth, regions, whole, window, scene: entry.scene.clone(), files })
+        Ok(Self {
+            sample,
+            truth,
+            regions,
+            expression: settings.expression,
+            whole,
+            window,
+            scene: entry.scene.clone(),
+            files,
+        })
     }
 
     fn frames(&self) -> [&Image; 2] {
@@ -443,6 +457,10 @@ fn scores_of(
         head: found.remove(&Region::Head),
         visible: found.remove(&Region::Visible),
         regions: found,
+        expression: match pair.expression {
+            true => Expression::of(flow, &pair.truth, pair.sample.mask.as_ref()),
+            false => None,
+        },
     })
 }
 
@@ -512,6 +530,7 @@ impl MethodSums {
             head: means.remove(&Region::Head),
             visible: means.remove(&Region::Visible),
             regions: means,
+            expression: Expression::mean(self.scores.pairs.iter().filter_map(|pair| pair.expression)),
             within: self.curve.mean(),
             ..self.scores
         }

@@ -3,6 +3,7 @@
 mod crop;
 mod error_curve;
 mod evaluate;
+mod expression;
 mod flow_files;
 mod method_record;
 mod regions;
@@ -16,6 +17,7 @@ pub use evaluate::{
     Estimate, EvaluateError, Event, Method, OnFailure, PairProblem, ScoredPair, Settings, evaluate,
     scored_pairs,
 };
+pub use expression::Expression;
 pub use flow_files::{FlowFileError, FlowFiles, FlowFilesError};
 pub use method_record::MethodRecord;
 pub use results::{

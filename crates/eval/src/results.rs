@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use srflow_field::{Metrics, named};
 use srflow_read::flow::Split;
 
+use crate::expression::Expression;
 use crate::table::{Better, Column, Row, Table, csv_text};
 
 /// The scores of every method over one dataset.
@@ -53,6 +54,9 @@ pub struct MethodScores {
     /// The same in each of the regions that were asked for; the mean is over the pairs that show the region.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub regions: BTreeMap<Region, Metrics>,
+    /// The same of the motion of the expression, if it was asked for; the mean is over the pairs that show one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expression: Option<Expression>,
     /// Mean over pairs of the share of pixels whose end-point error is at most 0.05, 0.10, ... 5 px.
     pub within: Vec<f64>,
     pub pairs: Vec<PairScores>,
@@ -74,6 +78,9 @@ pub struct PairScores {
     /// In each of the regions that were asked for and that the pair shows.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub regions: BTreeMap<Region, Metrics>,
+    /// Of the motion of the expression, if it was asked for and the pair shows one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expression: Option<Expression>,
 }
 
 /// A pair left out.
@@ -234,6 +241,36 @@ impl Evaluation {
         }
     }
 
+    /// How well each method shows the motion of expressions; `None` when it was not asked for.
+    pub fn expression(&self) -> Option<Table> {
+        self.methods.iter().find_map(|method| method.expression)?;
+        let row = |method: &MethodScores| Row {
+            name: method.name.clone(),
+            values: [
+                method.expression.map(|found| found.correlation).filter(|_| !method.baseline),
+                method.expression.map(|found| found.strength).filter(|_| !method.baseline),
+            ]
+            .into(),
+            baseline: method.baseline,
+        };
+        let rms =
+            self.methods.iter().find_map(|method| method.expression).map_or(0.0, |found| found.true_rms);
+        let crop = self.crop_in_words();
+        Some(Table {
+            title: format!(
+                "{}, {}{crop}, motion of the expression ({rms:.3} px root mean square)",
+                self.title(),
+                self.pairs_in_words()
+            ),
+            columns: vec![
+                Column::ranked("correlation", "correlation", Better::Higher),
+                Column::plain("strength", "strength", 4),
+            ],
+            rows: self.methods.iter().map(row).collect(),
+            notes: self.left_out.clone(),
+        })
+    }
+
     /// By how many percent of the other's score each score is better than that of another method (the paper's Table III);
     /// `None` when nothing is held against another.
     pub fn improvement(&self) -> Option<Table> {
@@ -266,10 +303,10 @@ impl Evaluation {
         })
     }
 
-    /// The tables of all regions that were scored, those that compare regions, and that of improvements.
+    /// The tables of all regions that were scored, those that compare regions, that of expressions and that of improvements.
     pub fn tables(&self) -> Vec<Table> {
         let regions = Region::ALL.into_iter().filter_map(|region| self.table(region));
-        regions.chain(self.by_region()).chain(self.improvement()).collect()
+        regions.chain(self.by_region()).chain(self.expression()).chain(self.improvement()).collect()
     }
 
     /// Comma-separated values at full precision: one line per method and region, the mean over pairs.

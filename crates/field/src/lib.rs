@@ -25,6 +25,7 @@ pub mod resize;
 mod run_lock;
 mod settings;
 mod size;
+mod spares;
 mod warp;
 
 pub use atomic_write::{PARTIAL_EXTENSION, create_folder, remove_partial, write_atomically, write_file};
@@ -54,4 +55,5 @@ pub use recent::Recent;
 pub use run_lock::{LockError, RunLock};
 pub use settings::{Preset, SettingsError, parse_settings, read_settings, settings_text, with_setting};
 pub use size::Size;
+pub use spares::Spares;
 pub use warp::{Tolerance, forward_backward_check, warp};

@@ -95,20 +95,22 @@ pub struct LaplaceMixture {
 }
 
 impl LaplaceMixture {
-    /// Range of [`limited_log_scales`](Self::limited_log_scales) in the authors' training and evaluation.
+    /// Range of the logarithms of the scales in SEA-RAFT's training and evaluation: the wide distribution's are clamped to 0 to the
+    /// second number, the narrow one's to the first to 0.
     pub const LOG_SCALE_RANGE: [f64; 2] = [0.0, 10.0];
 
     /// Logarithms of the scales of the wide and the narrow distribution, `[batch, 1, height, width]` each, clamped to `0..=high` and
     /// `low..=0`.
-    pub fn limited_log_scales(&self, [low, high]: [f64; 2]) -> [Tensor<4>; 2] {
+    fn limited_log_scales(&self, [low, high]: [f64; 2]) -> [Tensor<4>; 2] {
         [(0, 0.0, high), (1, low, 0.0)]
             .map(|(k, low, high)| self.log_scales.clone().narrow(1, k, 1).clamp(low, high))
     }
 
     /// The expected absolute error of each component of the flow, in pixels, `[batch, 1, height, width]`: the mean of both scales,
-    /// weighted by the probabilities of the two distributions.
-    pub fn mean_scale(&self) -> Tensor<4> {
-        let [wide, narrow] = self.limited_log_scales(Self::LOG_SCALE_RANGE).map(Tensor::exp);
+    /// weighted by the probabilities of the two distributions. The range is that of the network,
+    /// [`Facts::log_scale_range`](crate::Facts::log_scale_range).
+    pub fn mean_scale(&self, log_scale_range: [f64; 2]) -> Tensor<4> {
+        let [wide, narrow] = self.limited_log_scales(log_scale_range).map(Tensor::exp);
         let [wide_weight, narrow_weight] = [0, 1].map(|k| self.log_weights.clone().narrow(1, k, 1));
         let wide_share = sigmoid(wide_weight - narrow_weight);
         narrow.clone() + wide_share * (wide - narrow)

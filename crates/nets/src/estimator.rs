@@ -118,7 +118,8 @@ impl NetworkEstimator {
 
     /// The estimates of a batch, cropped to the size of the frames.
     fn estimates(&self, estimate: &Estimate, canvas: Canvas) -> Result<Vec<FlowEstimate>, EstimateError> {
-        let uncertainty = estimate.mixtures.last().map(|mixture| mixture.mean_scale());
+        let uncertainty =
+            estimate.mixtures.last().map(|mixture| mixture.mean_scale(self.facts().log_scale_range));
         let mut uncertainty = self.planes(uncertainty, canvas)?.into_iter();
         let mut occlusion = self.planes(estimate.occlusion.clone(), canvas)?.into_iter();
         let flows = self.fields(estimate.last(), canvas)?;

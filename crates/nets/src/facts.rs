@@ -1,6 +1,6 @@
 //! Facts about networks: names, sources, needs and abilities.
 
-use crate::MemoryNeed;
+use crate::{LaplaceMixture, MemoryNeed};
 
 /// Facts about a network.
 #[derive(Debug, Clone, Copy)]
@@ -29,6 +29,8 @@ pub struct Facts {
     pub trains: bool,
     /// Whether it estimates the uncertainty of the flow: [`Estimate::mixtures`](crate::Estimate::mixtures).
     pub mixture: bool,
+    /// Range of the logarithms of the scales of that mixture in training, as [`LaplaceMixture::LOG_SCALE_RANGE`].
+    pub log_scale_range: [f64; 2],
     /// Whether it estimates which pixels are occluded: [`Estimate::occlusion`](crate::Estimate::occlusion).
     pub occlusion: bool,
     /// Whether it uses earlier pairs of a video: [`Estimate::memory`](crate::Estimate::memory).
@@ -54,6 +56,8 @@ pub struct Facts {
     pub lookalikes: &'static [&'static str],
     /// Weights that can be downloaded by name.
     pub published: &'static [PublishedWeights],
+    /// The file of weights that comes with srflow, if there is one.
+    pub included: Option<&'static [u8]>,
 }
 
 /// Common numbers of refinement iterations; 1 for a network without refinement.
@@ -132,6 +136,7 @@ impl Facts {
         recompute: false,
         trains: false,
         mixture: false,
+        log_scale_range: LaplaceMixture::LOG_SCALE_RANGE,
         occlusion: false,
         remembers: false,
         memory: MemoryNeed { fixed: 0, per_pixel: 0, attending: 0, most_weights: 0 },
@@ -143,6 +148,7 @@ impl Facts {
         same_weights: &[],
         lookalikes: &[],
         published: &[],
+        included: None,
     };
 }
 

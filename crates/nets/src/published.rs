@@ -183,7 +183,7 @@ fn digest(mut file: File) -> io::Result<String> {
     Ok(hexadecimal(hash))
 }
 
-fn hexadecimal(hash: Sha256) -> String {
+pub(crate) fn hexadecimal(hash: Sha256) -> String {
     hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
 }
 

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use srflow_field::FileError;
-use srflow_nn::{About, save_parameters, save_pytorch};
+use srflow_nn::{About, StoredAs, save_parameters, save_pytorch};
 
 use crate::settings::Setting;
 use crate::table::Network;
@@ -30,8 +30,8 @@ pub fn about(network: &Network) -> About {
 ///
 /// # Errors
 /// When the file cannot be written.
-pub fn save_network(network: &Network, path: &Path) -> Result<(), FileError> {
-    save_parameters(network, Some(&about(network)), path)
+pub fn save_network(network: &Network, stored_as: StoredAs, path: &Path) -> Result<(), FileError> {
+    save_parameters(network, stored_as, Some(&about(network)), path)
 }
 
 /// Writes the weights and settings of a network to a Lightning checkpoint; see [`save_pytorch`]. The write is atomic.

@@ -1,16 +1,20 @@
-//! The network of srflow's own: small and fast, for the small motions of faces. Flow is estimated from coarse to fine by matching
-//! learned features, as in PWC-Net (Sun et al. 2018), then refined at half of the size by a U-Net, repeatedly with shared weights and
-//! with frame 2 warped, as in RAFT; uncertainty is SEA-RAFT's. Each step also sees, and starts from, what the method of Lucas and
-//! Kanade finds between the frames at that size: where brightness determines the motion, nothing needs to be learned.
-//! `tools/parity/srflow_net.py` is the same in PyTorch.
+//! The network of srflow's own: small and fast, for the small motions of faces. It starts from what TV-L1 finds at half of the size, and
+//! corrects that flow by a U-Net, repeatedly with shared weights and with frame 2 warped, as in RAFT; uncertainty is SEA-RAFT's. From
+//! coarse to fine, the U-Net blends the start with the flow of the coarser size, so that it can fill a head with one smooth motion up to
+//! the outline. It also sees what the method of Lucas and Kanade finds between frame 1 and the warped frame 2, and decides how much
+//! of that to add. `tools/parity/srflow_net.py` is the same in PyTorch, but for the start.
+
+use std::sync::LazyLock;
 
 use burn::module::{Initializer, Module};
 use burn::tensor::module::avg_pool2d;
 use burn::tensor::ops::AvgPoolOptions;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
+use rayon::prelude::*;
+use srflow_classical::{TvL1, TvL1Parameters};
+use srflow_field::Plane;
 use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation::{Identity, LeakyRelu};
-use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::lucas_kanade::tensor::lucas_kanade;
 use srflow_ops::lucas_kanade::{CELL, LucasKanade, PER_WINDOW};
 use srflow_ops::space_to_depth::tensor::space_to_depth;
@@ -20,49 +24,58 @@ use srflow_ops::warp::tensor::warp_replicated;
 use crate::MemoryNeed;
 use crate::blocks::{Grids, resize, resize_flow};
 use crate::estimate::{Estimate, LaplaceMixture, Request};
-use crate::facts::{Facts, IterationPresets};
+use crate::facts::{Facts, IterationPresets, Start};
 use crate::features::Features;
-use crate::frames::{Border, Frames, prepared};
-use crate::recurrent::pixel_grid;
+use crate::frames::Frames;
 use crate::table::{Entry, FlowNetwork};
 
-/// Channels of the feature maps from 1/2 to 1/16 of the size.
-const CHANNELS: [usize; 4] = [24, 48, 64, 64];
-/// Pixels of the frame per pixel of the maps that are matched, along each axis.
-const STRIDES: [usize; 3] = [4, 8, 16];
-const COARSEST_STRIDE: usize = STRIDES[2];
-/// Radius of the search at each of them: together they reach about 120 px.
-const RADII: [usize; 3] = [3, 3, 4];
-/// Channels within a matching.
-const MATCHING: usize = 64;
-/// Channels that a matching or refinement hands to the next one.
-const STATE: usize = 32;
-/// Of the flow: its change; logarithms of the weights and of the scales of two Laplace distributions.
-const OUTPUTS: usize = 2 + 2 + 2;
-/// Pixels of the frame per pixel of the map that is refined, along each axis.
+/// Pixels of the frame per pixel of the map that is corrected, along each axis: a cell.
 const STRIDE: usize = 2;
-/// Channels of the refinement at 1/2, 1/4 and 1/8 of the size.
-const WIDTHS: [usize; 3] = [32, 64, 96];
-/// Channels of what a refinement sees: the pixels of frame 1 and of the warped frame 2 in each cell, the evidence, the flow and
-/// the state.
-const SEEN: usize = 2 * 3 * STRIDE * STRIDE + LucasKanade::OUTPUTS + 2 + STATE;
-/// Scale of the difference of the frames, which is small where the flow is nearly right.
+/// Channels from 1/2 to 1/32 of the size. The motion of a head is smooth up to its outline, which takes a wide view.
+const WIDTHS: [usize; 5] = [32, 64, 96, 128, 160];
+/// Pixels of the frame per pixel of the coarsest map.
+const COARSEST_STRIDE: usize = STRIDE << (WIDTHS.len() - 1);
+/// Channels that a correction hands to the next one.
+const STATE: usize = WIDTHS[0];
+/// Windows of the evidence.
+const WINDOWS: usize = 2;
+/// Logarithms of the weights and of the scales of two Laplace distributions.
+const MIXTURE: usize = 2 + 2;
+/// At each size: the share of the coarser flow in place of the start's, a change, and the mixture.
+const OUTPUTS: usize = 1 + 2 + MIXTURE;
+/// Pixels of a frame in a cell.
+const PIXELS: usize = 3 * STRIDE * STRIDE;
+/// What a correction sees of the frames as they are, see [`still`].
+const STILL: usize = PIXELS + STRIDE * STRIDE + LucasKanade::OUTPUTS;
+/// What it sees: that, the difference from the warped frame 2, the evidence, the flow and the state.
+const SEEN: usize = STILL + PIXELS + LucasKanade::OUTPUTS + 2 + STATE;
+/// Scale of differences of frames, which are small where the flow is nearly right.
 const DIFFERENCE_SCALE: f64 = 4.0;
 /// What brightness says about the remaining motion. The noise is the square of about 1.5 of 255 levels.
 const EVIDENCE: LucasKanade = LucasKanade { radii: [1, 3], noise: 1.4e-4, reach: 2.0 };
+/// Weights of red, green and blue in luminance.
+const LUMINANCE: [f32; 3] = [0.299, 0.587, 0.114];
+/// More warps hardly change the flow of faces, and fit more of the noise of backgrounds.
+static TV_L1: LazyLock<TvL1> = LazyLock::new(|| {
+    TvL1::new(TvL1Parameters { warps: 2, ..Default::default() }).expect("parameters within their ranges")
+});
 
 pub(crate) const SRFLOW: Entry<SrFlow> = Entry {
     facts: Facts {
         name: "srflow",
         title: "srflow",
-        parameters: 1_079_764,
+        parameters: 1_582_153,
         padding: COARSEST_STRIDE,
         smallest_side: 2 * COARSEST_STRIDE,
         iterations: IterationPresets { default: 2, authors: 2, training: 2 },
+        start: Start::Coarse(STRIDE),
         trains: true,
         mixture: true,
-        memory: MemoryNeed { fixed: 275_000_000, per_pixel: 335, attending: 0, most_weights: 0 },
+        // Errors are small parts of a pixel.
+        log_scale_range: [-2.3, 10.0],
+        memory: MemoryNeed { fixed: 325_000_000, per_pixel: 343, attending: 0, most_weights: 0 },
         in_ptlflow: false,
+        included: Some(include_bytes!("../weights/srflow.safetensors")),
         licence: "MIT OR Apache-2.0",
         ..Facts::DEFAULT
     },
@@ -71,12 +84,16 @@ pub(crate) const SRFLOW: Entry<SrFlow> = Entry {
 
 #[derive(Module, Debug)]
 pub struct SrFlow {
-    /// From the frame to 1/16 of the size.
-    pyramid: Vec<Step>,
-    /// At 1/4, 1/8 and 1/16 of the size.
-    matchings: Vec<Matching>,
-    refinement: Refinement,
-    /// Weights of the 9 coarse neighbours of each of the 4 pixels.
+    enter: Conv2d,
+    /// To 1/4 of the size, to 1/8 and so on.
+    down: Vec<Step>,
+    /// To 1/2 of the size, to 1/4 and so on.
+    up: Vec<Conv2d>,
+    /// At 1/2 of the size, at 1/4 and so on.
+    predict: Vec<Conv2d>,
+    /// Share of the motion that each window of the evidence shows, to be added.
+    evidence: Conv2d,
+    /// Weights of the 9 neighbouring cells of each pixel of a cell.
     mask: Conv2d,
 }
 
@@ -87,41 +104,26 @@ struct Step {
     same: Conv2d,
 }
 
-/// Estimates how far the flow of a level is off, from the correlation of both frames' features around it.
-#[derive(Module, Debug)]
-struct Matching {
-    conv1: Conv2d,
-    conv2: Conv2d,
-    conv3: Conv2d,
-    predict: Conv2d,
-}
-
-/// Estimates how far the flow is off from the pixels of frame 1 and the warped frame 2: a U-Net down to 1/8 of the size.
-#[derive(Module, Debug)]
-struct Refinement {
-    enter: Conv2d,
-    down: Vec<Step>,
-    /// From 1/4 to 1/2 of the size.
-    up: Vec<Conv2d>,
-    state: Conv2d,
-    predict: Conv2d,
-}
-
-/// The estimate at a level.
+/// An estimate at one of the sizes.
 struct Found {
-    /// In pixels of the level.
+    /// In cells.
     flow: Tensor<4>,
     mixture: Tensor<4>,
     state: Tensor<4>,
 }
 
+/// Initialized so that activations keep their size, as there is no normalization.
 fn conv(inputs: usize, outputs: usize, stride: usize, device: &Device) -> Conv2d {
-    Conv2dConfig::new([inputs, outputs], [3, 3]).with_stride(stride).init(device)
+    Conv2dConfig::new([inputs, outputs], [3, 3])
+        .with_stride(stride)
+        .with_initializer(Initializer::KaimingNormal { gain: std::f64::consts::SQRT_2, fan_out_only: false })
+        .with_bias_initializer(Initializer::Zeros)
+        .init(device)
 }
 
-/// At first nothing is added to the evidence: untrained, the network is the coarse-to-fine method of Lucas and Kanade.
-fn prediction(device: &Device) -> Conv2d {
-    Conv2dConfig::new([STATE, OUTPUTS], [3, 3])
+/// At first nothing is changed: untrained, the network is its start.
+fn prediction(channels: usize, outputs: usize, device: &Device) -> Conv2d {
+    Conv2dConfig::new([channels, outputs], [3, 3])
         .with_initializer(Initializer::Zeros)
         .with_bias_initializer(Initializer::Zeros)
         .init(device)
@@ -139,109 +141,100 @@ impl Step {
 
 impl SrFlow {
     fn new(device: &Device) -> Self {
-        let step = |level: usize| {
-            let inputs = if level == 0 { 3 } else { CHANNELS[level - 1] };
-            Step::new(inputs, CHANNELS[level], device)
-        };
+        let levels = || WIDTHS.windows(2).map(|pair| (pair[0], pair[1]));
         Self {
-            pyramid: (0..CHANNELS.len()).map(step).collect(),
-            matchings: (0..STRIDES.len()).map(|level| Matching::new(level, device)).collect(),
-            refinement: Refinement::new(device),
+            enter: conv(SEEN, WIDTHS[0], 1, device),
+            down: levels().map(|(fine, coarse)| Step::new(fine, coarse, device)).collect(),
+            up: levels().map(|(fine, coarse)| conv(coarse + fine + 2, fine, 1, device)).collect(),
+            predict: WIDTHS.map(|channels| prediction(channels, OUTPUTS, device)).into(),
+            evidence: prediction(STATE, WINDOWS, device),
             mask: conv(STATE, 9 * STRIDE * STRIDE, 1, device),
         }
     }
 
-    /// Feature maps at 1/4, 1/8 and 1/16 of the size.
-    fn maps(&self, frames: Tensor<4>) -> Vec<Tensor<4>> {
-        let mut x = frames;
-        let mut maps = Vec::with_capacity(self.pyramid.len());
-        for step in &self.pyramid {
-            x = step.forward(x);
-            maps.push(x.clone());
-        }
-        maps.split_off(1)
-    }
-}
-
-impl Matching {
-    fn new(level: usize, device: &Device) -> Self {
-        // Windows, features and their difference, evidence, flow, state.
-        let side = 2 * RADII[level] + 1;
-        let inputs = side * side + 2 * CHANNELS[level + 1] + LucasKanade::OUTPUTS + 2 + STATE;
-        Self {
-            conv1: conv(inputs, MATCHING, 1, device),
-            conv2: conv(MATCHING, MATCHING, 1, device),
-            conv3: conv(MATCHING, STATE, 1, device),
-            predict: prediction(device),
-        }
-    }
-
-    /// The change of `found`, and the next state. `frames` have cells of the size of the maps' pixels.
-    fn forward(
+    /// The estimates that follow on a flow and state, from 1/32 to 1/2 of the size.
+    fn corrected(
         &self,
-        radius: usize,
-        frames: [&Tensor<4>; 2],
         [first, second]: [&Tensor<4>; 2],
-        found: Found,
-    ) -> Found {
-        let Found { flow, state, .. } = found;
-        let [batch, _, height, width] = first.dims();
-        let grid = pixel_grid([batch, height, width], &first.device());
-        let windows = Correlation::new(first.clone(), second.clone(), 1).windows(grid + flow.clone(), radius);
-        let difference = first.clone() - warp_replicated(second.clone(), flow.clone());
-        let (_, evidence) = evidence(frames, &flow);
-        let seen = vec![windows, first.clone(), difference, evidence.clone(), flow.clone(), state];
-        let x = self.conv1.forward(Tensor::cat(seen, 1), LeakyRelu);
-        let state = self.conv3.forward(self.conv2.forward(x, LeakyRelu), LeakyRelu);
-        Found::new(flow, evidence, self.predict.forward(state.clone(), Identity), state)
-    }
-}
-
-impl Refinement {
-    fn new(device: &Device) -> Self {
-        let [fine, middle, coarse] = WIDTHS;
-        Self {
-            enter: conv(SEEN, fine, 1, device),
-            down: vec![Step::new(fine, middle, device), Step::new(middle, coarse, device)],
-            up: vec![conv(coarse + middle, middle, 1, device), conv(middle + fine, fine, 1, device)],
-            state: conv(fine, STATE, 1, device),
-            predict: prediction(device),
+        still: &Tensor<4>,
+        [flow, state]: [Tensor<4>; 2],
+    ) -> Vec<Found> {
+        let [_, _, height, width] = first.dims();
+        let warped =
+            warp_replicated(second.clone(), resize_flow(flow.clone(), [height, width], Grids::EdgesOnEdges));
+        let evidence = lucas_kanade(EVIDENCE, first.clone(), warped.clone());
+        let difference = space_to_depth((first.clone() - warped) * DIFFERENCE_SCALE, STRIDE);
+        let seen = vec![still.clone(), difference, evidence.clone(), flow.clone(), state];
+        // From fine to coarse, with the flow at each size.
+        let mut maps = vec![self.enter.forward(Tensor::cat(seen, 1), LeakyRelu)];
+        let mut starts = vec![flow];
+        for step in &self.down {
+            maps.push(step.forward(maps[maps.len() - 1].clone()));
+            starts.push(halved(starts[starts.len() - 1].clone()));
         }
-    }
-
-    /// The change of `found`, and the next state.
-    fn forward(&self, frames: [&Tensor<4>; 2], found: Found) -> Found {
-        let Found { flow, state, .. } = found;
-        let (warped, evidence) = evidence(frames, &flow);
-        let first = frames[0].clone();
-        let cells = |frames| space_to_depth(frames, STRIDE);
-        let difference = (first.clone() - warped) * DIFFERENCE_SCALE;
-        let seen = vec![cells(first), cells(difference), evidence.clone(), flow.clone(), state];
-        let fine = self.enter.forward(Tensor::cat(seen, 1), LeakyRelu);
-        let middle = self.down[0].forward(fine.clone());
-        let coarse = self.down[1].forward(middle.clone());
-        let middle = self.up[0].forward(Tensor::cat(vec![twice(coarse), middle], 1), LeakyRelu);
-        let fine = self.up[1].forward(Tensor::cat(vec![twice(middle), fine], 1), LeakyRelu);
-        let state = self.state.forward(fine, LeakyRelu);
-        Found::new(flow, evidence, self.predict.forward(state.clone(), Identity), state)
+        let mut found: Vec<Found> = Vec::with_capacity(maps.len());
+        for (level, (map, start)) in maps.into_iter().zip(starts).enumerate().rev() {
+            let (state, coarser) = match found.last() {
+                None => (map, start.zeros_like()),
+                Some(coarser) => {
+                    let (state, flow) = (twice(coarser.state.clone()), twice(coarser.flow.clone()));
+                    let seen = vec![state, map, flow.clone() - start.clone()];
+                    (self.up[level].forward(Tensor::cat(seen, 1), LeakyRelu), flow)
+                }
+            };
+            let predicted = self.predict[level].forward(state.clone(), Identity);
+            let share = predicted.clone().narrow(1, 0, 1).tanh();
+            let flow = start.clone() + (coarser - start) * share + predicted.clone().narrow(1, 1, 2);
+            found.push(Found { flow, mixture: predicted.narrow(1, 3, MIXTURE), state });
+        }
+        let finest = found.last_mut().expect("several sizes");
+        let shares = self.evidence.forward(finest.state.clone(), Identity).tanh();
+        for window in 0..WINDOWS {
+            let motion = evidence.clone().narrow(1, window * PER_WINDOW, 2) / CELL as f64;
+            finest.flow = finest.flow.clone() + motion * shares.clone().narrow(1, window, 1);
+        }
+        found
     }
 }
 
-/// Frame 2 warped by `flow`, which is in pixels of cells, and what remains of the motion.
-fn evidence([first, second]: [&Tensor<4>; 2], flow: &Tensor<4>) -> (Tensor<4>, Tensor<4>) {
-    let [_, _, height, width] = first.dims();
-    let flow = resize_flow(flow.clone(), [height, width], Grids::EdgesOnEdges);
-    let warped = warp_replicated(second.clone(), flow);
-    let evidence = lucas_kanade(EVIDENCE, first.clone(), warped.clone());
-    (warped, evidence)
+/// The pixels of frame 1 in each cell, how far their mean over the channels is from that of frame 2 where nothing moves, and the evidence
+/// there.
+fn still([first, second]: [&Tensor<4>; 2]) -> Tensor<4> {
+    let change = (first.clone() - second.clone()).mean_dim(1) * DIFFERENCE_SCALE;
+    let evidence = lucas_kanade(EVIDENCE, first.clone(), second.clone());
+    Tensor::cat(vec![space_to_depth(first.clone(), STRIDE), space_to_depth(change, STRIDE), evidence], 1)
 }
 
-impl Found {
-    fn new(start: Tensor<4>, evidence: Tensor<4>, predicted: Tensor<4>, state: Tensor<4>) -> Self {
-        let of_evidence = evidence.narrow(1, PER_WINDOW, 2) / CELL as f64;
-        let flow = start + of_evidence + predicted.clone().narrow(1, 0, 2);
-        Self { flow, mixture: predicted.narrow(1, 2, OUTPUTS - 2), state }
-    }
+/// What TV-L1 finds between the means of cells, in cells, `[batch, 2, height / 2, width / 2]`. It is computed on the CPU.
+fn start([first, second]: [&Tensor<4>; 2]) -> Tensor<4> {
+    let device = first.device();
+    let cells = |frames: &Tensor<4>| {
+        let cells = avg_pool2d(frames.clone().detach(), AvgPoolOptions::new([STRIDE; 2]));
+        let [_, _, height, width] = cells.dims();
+        let numbers: Vec<f32> = cells.into_data().convert::<f32>().try_to_vec().expect("converted to f32");
+        let luminance = |frame: &[f32]| {
+            Plane::from_fn(width, height, |x, y| {
+                let at = y * width + x;
+                let channels = LUMINANCE.iter().zip(frame.chunks_exact(width * height));
+                127.5 * (1.0 + channels.map(|(weight, channel)| weight * channel[at]).sum::<f32>())
+            })
+        };
+        numbers.chunks_exact(3 * width * height).map(luminance).collect::<Vec<Plane>>()
+    };
+    let [firsts, seconds] = [first, second].map(cells);
+    let shape = [firsts.len(), 2, firsts[0].height(), firsts[0].width()];
+    let flow = |(first, second)| {
+        let flow = TV_L1.between_planes(first, second).expect("frames of one size");
+        let component = |axis| flow.pixels().iter().map(move |vector: &[f32; 2]| vector[axis]);
+        component(0).chain(component(1)).collect::<Vec<f32>>()
+    };
+    let flows: Vec<Vec<f32>> = firsts.into_par_iter().zip(seconds).map(flow).collect();
+    Tensor::from_data(TensorData::new(flows.concat(), shape), &device)
+}
+
+/// `x` at half of the size.
+fn halved(x: Tensor<4>) -> Tensor<4> {
+    avg_pool2d(x, AvgPoolOptions::new([2; 2]))
 }
 
 /// `x` at twice the size.
@@ -252,56 +245,89 @@ fn twice(x: Tensor<4>) -> Tensor<4> {
 
 impl FlowNetwork for SrFlow {
     fn features(&self, frames: Tensor<4>) -> Features {
-        let [batch, _, height, width] = frames.dims();
-        let frames = prepared(frames, Border::new([height, width], COARSEST_STRIDE));
-        Features::new(batch, self.maps(frames))
+        Features::new(frames.dims()[0], Vec::new())
     }
 
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
         assert!(request.iterations > 0, "at least one iteration");
         let (first, second, border) = frames.prepared(COARSEST_STRIDE);
+        let frames = [&first, &second];
         let [batch, _, height, width] = first.dims();
+        let cells = [height / STRIDE, width / STRIDE];
         let device = first.device();
-        let maps = [first.clone(), second.clone()];
-        let [firsts, seconds] = request.features_of(maps, Features::into_levels, |frames| self.maps(frames));
-        let coarsest = [height / COARSEST_STRIDE, width / COARSEST_STRIDE];
-        let zeros = |channels| Tensor::zeros([batch, channels, coarsest[0], coarsest[1]], &device);
-        let mut found = Found { flow: zeros(2), mixture: zeros(OUTPUTS - 2), state: zeros(STATE) };
+        let mut flow = match &request.start {
+            Some(_) => request.start_flow(batch, cells, &device),
+            None => start(frames),
+        };
+        let mut state = Tensor::zeros([batch, STATE, cells[0], cells[1]], &device);
         let mut estimate = Estimate::of_flows(Vec::new());
-        let mut add = |flow: Tensor<4>, mixture: &Tensor<4>| {
-            let mixture = border.remove(resize(mixture.clone(), [height, width], Grids::EdgesOnEdges));
-            let part = |from| mixture.clone().narrow(1, from, 2);
+        let mut add = |flow: Tensor<4>, mixture: Tensor<4>| {
+            let mixture = resize(mixture, [height, width], Grids::EdgesOnEdges);
+            let part = |from| border.remove(mixture.clone().narrow(1, from, 2));
             estimate.flows.push(border.remove(flow));
             estimate.mixtures.push(LaplaceMixture { log_weights: part(0), log_scales: part(2) });
         };
-        // Both frames at half, a quarter and an eighth of the size.
-        let smaller = [first.clone(), second.clone()].map(|frames| smaller(frames, STRIDES.len()));
-        for level in (0..STRIDES.len()).rev() {
-            let frames = [&smaller[0][level], &smaller[1][level]];
-            let maps = [&firsts[level], &seconds[level]];
-            found = self.matchings[level].forward(RADII[level], frames, maps, found);
-            let size = [2 * height / STRIDES[level], 2 * width / STRIDES[level]];
-            if request.every_iteration {
-                add(resize_flow(found.flow.clone(), [height, width], Grids::EdgesOnEdges), &found.mixture);
-            }
-            // Each matching and refinement learns by its own prediction, as in RAFT.
-            let flow = resize_flow(found.flow.detach(), size, Grids::EdgesOnEdges);
-            found = Found { flow, state: twice(found.state), ..found };
-        }
+        let still = still(frames);
         for iteration in 1..=request.iterations {
-            found = self.refinement.forward([&first, &second], found);
-            if request.every_iteration || iteration == request.iterations {
-                let weights = self.mask.forward(found.state.clone(), Identity);
-                add(convex_upsample(found.flow.clone(), weights, 1.0, STRIDE), &found.mixture);
+            // Each correction learns by its own predictions, as in RAFT.
+            let mut found = self.corrected(frames, &still, [flow.detach(), state]);
+            let finest = found.pop().expect("several sizes");
+            if request.every_iteration {
+                // Every second size is enough to teach the coarse maps.
+                for Found { flow, mixture, .. } in found.into_iter().step_by(2) {
+                    add(resize(flow, [height, width], Grids::EdgesOnEdges) * STRIDE as f64, mixture);
+                }
             }
-            found.flow = found.flow.detach();
+            if request.every_iteration || iteration == request.iterations {
+                let weights = self.mask.forward(finest.state.clone(), Identity);
+                add(convex_upsample(finest.flow.clone(), weights, 1.0, STRIDE), finest.mixture);
+            }
+            (flow, state) = (finest.flow, finest.state);
         }
+        estimate.coarse = Some(flow);
         estimate
     }
 }
 
-/// Frames at half of the size, a quarter and so on.
-fn smaller(frames: Tensor<4>, levels: usize) -> Vec<Tensor<4>> {
-    let half = |frames: &Tensor<4>| Some(avg_pool2d(frames.clone(), AvgPoolOptions::new([2, 2])));
-    std::iter::successors(half(&frames), half).take(levels).collect()
+#[cfg(test)]
+mod tests {
+    use srflow_golden::numbers;
+
+    use super::*;
+
+    /// Waves of a few pixels, moved by `[u, v]`.
+    fn frame([u, v]: [f32; 2]) -> Tensor<4> {
+        let [height, width] = [60, 76];
+        let pixel = |c: usize, y: f32, x: f32| {
+            0.5 + 0.2 * ((0.4 + 0.1 * c as f32) * x).sin() * (0.3 * y).cos() + 0.1 * (0.7 * y - 0.2 * x).sin()
+        };
+        let values: Vec<f32> = (0..3 * height * width)
+            .map(|i| pixel(i / (height * width), (i / width % height) as f32 - v, (i % width) as f32 - u))
+            .collect();
+        Tensor::from_data(TensorData::new(values, [1, 3, height, width]), &Device::flex())
+    }
+
+    #[test]
+    fn untrained_it_gives_its_start() {
+        let frames = Frames { first: frame([0.0, 0.0]), second: frame([1.5, -0.75]) };
+        let network = SrFlow::new(&Device::flex());
+        let inner = |flow: &Tensor<4>| numbers(flow.clone().narrow(2, 8, 44).narrow(3, 8, 60));
+        let distance = |flow: Vec<f32>, truth: [f32; 2]| {
+            let (u, v) = flow.split_at(flow.len() / 2);
+            let sum: f32 = u.iter().zip(v).map(|(u, v)| (u - truth[0]).hypot(v - truth[1])).sum();
+            sum / u.len() as f32
+        };
+        // By default that of TV-L1.
+        let found = network.forward(frames.clone(), &Request::new(2));
+        let error = distance(inner(found.last()), [1.5, -0.75]);
+        assert!(error < 0.2, "{error}");
+        assert_eq!(found.coarse.expect("for a warm start").dims(), [1, 2, 32, 48]);
+        // Or a given one, in cells.
+        let start = Tensor::<1>::from_floats([2.0, 1.0], &Device::flex())
+            .reshape([1, 2, 1, 1])
+            .expand([1, 2, 32, 48]);
+        let found = network.forward(frames, &Request { start: Some(start), ..Request::new(1) });
+        let error = distance(inner(found.last()), [4.0, 2.0]);
+        assert!(error < 1e-4, "{error}");
+    }
 }

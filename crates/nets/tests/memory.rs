@@ -18,7 +18,7 @@ const SIZES: [(usize, usize); 10] = [
 /// Peaks in MB at these sizes, less that of a 128x128 frame, measured by `tools/bench/memory.py`; of some networks not at the last
 /// size.
 const PEAKS: [(Architecture, &[u64]); 13] = [
-    (Architecture::SrFlow, &[47, 143, 194, 262, 511, 533, 656, 908, 1263, 2773]),
+    (Architecture::SrFlow, &[37, 126, 188, 258, 490, 567, 717, 842, 1309, 2854]),
     (Architecture::Raft, &[49, 109, 189, 259, 492, 529, 602, 761, 1179, 3001]),
     (Architecture::RaftSmall, &[0, 33, 63, 98, 235, 264, 356, 566, 681, 1642]),
     (Architecture::Gma, &[51, 150, 293, 440, 1123, 1397, 1490, 1702, 2064]),

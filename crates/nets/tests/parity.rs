@@ -11,7 +11,7 @@ use std::sync::LazyLock;
 use burn::module::Module;
 use burn::tensor::{Device, Tensor, TensorData, s};
 use srflow_golden::{Golden, name_hash, noise, numbers};
-use srflow_nets::{Architecture, Estimate, Frames, LaplaceMixture, Memory, Network, Request};
+use srflow_nets::{Architecture, Estimate, Facts, Frames, LaplaceMixture, Memory, Network, Request, Start};
 use srflow_nn::{
     HostGradients, Layout, Parameters, Segment, parameter_infos, with_batch_statistics, with_parameters,
 };
@@ -139,6 +139,30 @@ fn pair(case: [usize; 3], number: i64, device: &Device) -> Frames {
     Frames { first: frame(number - 1), second: frame(number) }
 }
 
+/// A request that starts from the golden file's flow, for a network whose own start the reference lacks.
+fn request(
+    golden: &Golden,
+    network: &Network,
+    [batch, height, width]: [usize; 3],
+    iterations: usize,
+) -> Request {
+    let start = golden.has("start").then(|| {
+        let Facts { padding, start: Start::Coarse(stride), .. } = *network.architecture().facts() else {
+            panic!("{}: starts from a coarse flow", network.architecture().name())
+        };
+        let [height, width] = [height, width].map(|side| side.next_multiple_of(padding) / stride);
+        let numbers = golden.values("start");
+        let component = |of: &[f32]| {
+            let at = |i: usize| of[0] + of[1] * (i % width) as f32 + of[2] * (i / width) as f32;
+            (0..height * width).map(at).collect::<Vec<f32>>()
+        };
+        let flow = [component(&numbers[..3]), component(&numbers[3..])].concat();
+        let flows = TensorData::new(flow.repeat(batch), [batch, 2, height, width]);
+        Tensor::from_data(flows, &network.devices()[0])
+    });
+    Request { start, ..Request::new(iterations) }
+}
+
 /// Compares the flows of later pairs of a video with the golden values `next_P_N`, for networks with memory.
 fn check_next(
     golden: &Golden,
@@ -184,7 +208,8 @@ fn flow_matches_the_reference() {
                 if device != Device::flex() && number > 0 && iterations > 1 {
                     continue;
                 }
-                let estimate = network.forward(frames(case, &device), &Request::new(iterations));
+                let request = request(&golden, &network, case, iterations);
+                let estimate = network.forward(frames(case, &device), &request);
                 let limits = if iterations == 1 { [1e-4, 1e-3] } else { [1e-3, 1e-2] };
                 let coarse = format!("coarse_{iterations}");
                 if golden.has(&coarse) {
@@ -213,10 +238,10 @@ fn flow_matches_the_reference() {
 
 /// Gradients of each parameter for the loss `mean((flow - [4, 2])^2)`, decayed by 0.8 from each flow to the one before, summed over
 /// the pairs of a video.
-fn gradients(network: &Network, pairs: Vec<Frames>, iterations: usize) -> Vec<(String, Option<Vec<f32>>)> {
+fn gradients(network: &Network, pairs: Vec<Frames>, request: &Request) -> Vec<(String, Option<Vec<f32>>)> {
     let mut memory = None;
     let of_pairs = pairs.into_iter().map(|frames| {
-        let request = Request { every_iteration: true, memory: memory.take(), ..Request::new(iterations) };
+        let request = Request { every_iteration: true, memory: memory.take(), ..request.clone() };
         let mut estimate = network.forward(frames, &request);
         memory = estimate.memory.take();
         loss(estimate)
@@ -276,7 +301,8 @@ fn check_gradients(architecture: Architecture) {
                 with_batch_statistics(filled(architecture.init(&device), &golden), batch_statistics);
             let video: Vec<Frames> = (1..=pairs).map(|number| pair(case, number, &device)).collect();
             let mut distances = Vec::new();
-            for (parameter, gradient) in gradients(&network, video.clone(), iterations) {
+            let request = request(&golden, &network, case, iterations);
+            for (parameter, gradient) in gradients(&network, video.clone(), &request) {
                 let key = format!("{kind}/{parameter}");
                 let Some(gradient) = gradient else {
                     assert!(!golden.has(&key), "{key}: no gradient");

@@ -8,7 +8,7 @@ use srflow_nets::{
     save_network_pytorch,
 };
 use srflow_nn::{
-    ParameterInfo, masked_crc32c, parameters, push_varint, safetensors_bytes, save_parameters,
+    ParameterInfo, StoredAs, masked_crc32c, parameters, push_varint, safetensors_bytes, save_parameters,
     with_parameters,
 };
 
@@ -17,7 +17,7 @@ fn with_saved(architecture: Architecture, check: impl FnOnce(&Network, &Path)) {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("weights");
     let network = architecture.init(&Device::flex());
-    save_parameters(&network, None, &path).expect("saved");
+    save_parameters(&network, StoredAs::F32, None, &path).expect("saved");
     check(&network, &path);
 }
 
@@ -92,7 +92,7 @@ fn weights_that_identify_a_lookalike_are_refused() {
     let [of_memflow, ambiguous] =
         ["MemFlow_things.safetensors", "best.safetensors"].map(|name| folder.path().join(name));
     for path in [&of_memflow, &ambiguous] {
-        save_parameters(&network, None, path).expect("weights");
+        save_parameters(&network, StoredAs::F32, None, path).expect("weights");
     }
     let error =
         load_network(Architecture::SkFlow, &of_memflow, &Device::flex()).expect_err("MemFlow's").to_string();
@@ -107,7 +107,7 @@ fn weights_that_identify_a_lookalike_are_refused() {
 
     assert!(load_network(Architecture::MemFlow, &of_memflow, &Device::flex()).is_ok());
     let of_skflow = folder.path().join("skflow_things.safetensors");
-    save_parameters(&network, None, &of_skflow).expect("weights");
+    save_parameters(&network, StoredAs::F32, None, &of_skflow).expect("weights");
     let error =
         load_network(Architecture::MemFlow, &of_skflow, &Device::flex()).expect_err("SKFlow's").to_string();
     assert!(error.contains("skflow_things") && error.contains("those of SKFlow"), "{error}");
@@ -131,9 +131,9 @@ fn settings_are_saved_with_the_weights() {
     {
         let mut network = architecture.init(&Device::flex());
         network.set(name, value).expect("allowed");
-        save_network(&network, &plain).expect("saved");
+        save_network(&network, StoredAs::F32, &plain).expect("saved");
         let bytes = std::fs::read(&plain).expect("readable");
-        save_network(&network, &plain).expect("saved again");
+        save_network(&network, StoredAs::F32, &plain).expect("saved again");
         assert!(std::fs::read(&plain).expect("readable") == bytes, "the same bytes each time");
         save_network_pytorch(&network, &pytorch).expect("saved");
         for path in [&plain, &pytorch] {
@@ -161,7 +161,7 @@ fn the_norm_of_a_shortcut_loads_by_its_second_name() {
         let values = data.as_slice::<f32>().expect("f32");
         (name.replace(".downsample.1.", ".bn3."), data.shape().as_slice(), values)
     });
-    std::fs::write(&path, safetensors_bytes(named, None)).expect("written");
+    std::fs::write(&path, safetensors_bytes(named, StoredAs::F32, None)).expect("written");
     let loaded = load_network(Architecture::SeaRaftS, &path, &Device::flex()).expect("its weights");
     assert!(srflow_nn::parameters(&loaded) == parameters);
 }

@@ -8,8 +8,8 @@ mod parameters;
 mod weights;
 
 pub use checkpoint::{
-    About, Checkpoint, Format, masked_crc32c, push_varint, read_safetensors, safetensors_bytes, save_pytorch,
-    searchable_text,
+    About, Checkpoint, Format, StoredAs, masked_crc32c, parameters_of_safetensors, push_varint,
+    read_safetensors, safetensors_bytes, save_pytorch, searchable_text,
 };
 pub use host::{HostGradients, Layout, Segment, filled, numbers};
 pub use layers::with_batch_statistics;

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use burn::module::Module;
 use srflow_field::{FileError, write_atomically};
 
-use crate::checkpoint::{About, Checkpoint, Format, safetensors_bytes};
+use crate::checkpoint::{About, Checkpoint, Format, StoredAs, safetensors_bytes};
 use crate::parameters::{Parameters, ParametersError, compare, parameter_infos, parameters, with_parameters};
 
 /// Errors of loading a checkpoint.
@@ -87,16 +87,21 @@ pub fn read_parameters(path: &Path) -> Result<Parameters, WeightsError> {
     Checkpoint::open(path)?.read()
 }
 
-/// Writes the parameters of a network to a safetensors file, under the reference's names, as `f32`. The write is atomic.
+/// Writes the parameters of a network to a safetensors file, under the reference's names. The write is atomic.
 ///
 /// # Errors
 /// When the file cannot be written.
-pub fn save_parameters(network: &impl Module, about: Option<&About>, path: &Path) -> Result<(), FileError> {
+pub fn save_parameters(
+    network: &impl Module,
+    stored_as: StoredAs,
+    about: Option<&About>,
+    path: &Path,
+) -> Result<(), FileError> {
     let parameters = parameters(network);
     let tensors = parameters.iter().map(|(name, data)| {
         let values = data.as_slice::<f32>().expect("parameters are f32");
         (name.clone(), data.shape().as_slice(), values)
     });
-    let bytes = safetensors_bytes(tensors, about);
+    let bytes = safetensors_bytes(tensors, stored_as, about);
     write_atomically(path, |writer| writer.write_all(&bytes))
 }

@@ -9,7 +9,7 @@ use burn_pack::{Bytes, DType};
 use safetensors::tensor::{Dtype, TensorView};
 use srflow_nn::layers::LinearConfig;
 use srflow_nn::{
-    Checkpoint, Format, Parameters, WeightsError, load, masked_crc32c, parameters, push_varint,
+    Checkpoint, Format, Parameters, StoredAs, WeightsError, load, masked_crc32c, parameters, push_varint,
     read_parameters, save_parameters,
 };
 use tempfile::TempDir;
@@ -286,11 +286,12 @@ fn compressed(table: &[u8]) -> Vec<u8> {
 fn saved_parameters_load_again() {
     let (folder, path) = scratch();
     let network = LinearConfig::new(3, 2).init(&Device::flex());
-    save_parameters(&network, None, &path).expect("saved");
+    save_parameters(&network, StoredAs::F32, None, &path).expect("saved");
     assert_eq!(Checkpoint::open(&path).expect("a checkpoint").format(), Format::Safetensors);
     let loaded = load(LinearConfig::new(3, 2).init(&Device::flex()), &path).expect("loaded");
     assert!(parameters(&loaded) == parameters(&network));
-    let error = save_parameters(&network, None, &folder.path().join("no/weights")).expect_err("no folder");
+    let error = save_parameters(&network, StoredAs::F32, None, &folder.path().join("no/weights"))
+        .expect_err("no folder");
     assert!(error.to_string().contains("no/weights: creating"), "{error}");
 }
 

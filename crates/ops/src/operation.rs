@@ -10,9 +10,9 @@ use burn::backend::autodiff::ops::{Backward, Ops, OpsKind};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{
     Autodiff, AutodiffBackend, Backend, BackendTensor, Dispatch, DispatchAutodiffContext, DispatchTensor,
-    DispatchTensorKind, ExtensionType, Flex, backend_extension,
+    DispatchTensorKind, ExtensionType, Flex, TensorMetadata, backend_extension,
 };
-use burn::tensor::Tensor;
+use burn::tensor::{Slice, Tensor};
 #[cfg(feature = "cube")]
 use burn_cubecl::{CubeBackend, tensor::CubeTensor};
 
@@ -66,6 +66,22 @@ pub(crate) trait Composition<const N: usize>: Clone + Debug + Send + 'static {
     fn composed_backward<B: Backend>(&self, _back: Backprop<FloatTensor<B>>) -> [Option<FloatTensor<B>>; N] {
         unreachable!("gradients of {self:?} are not composed")
     }
+}
+
+/// `count` elements of `x` along an axis, from `first` on.
+pub(crate) fn narrow<B: Backend>(
+    x: FloatTensor<B>,
+    axis: usize,
+    first: usize,
+    count: usize,
+) -> FloatTensor<B> {
+    let slice = |(dimension, size): (usize, &usize)| {
+        let range = if dimension == axis { first..first + count } else { 0..*size };
+        Slice::new(range.start as isize, Some(range.end as isize), 1)
+    };
+    let shape = x.shape();
+    let slices: Vec<Slice> = shape.iter().enumerate().map(slice).collect();
+    B::float_slice(x, &slices)
 }
 
 /// What a backward pass starts from.

@@ -6,7 +6,7 @@ use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
 
-use srflow_field::{read_flow, read_image};
+use srflow_field::{read_flow, read_image, read_mask};
 use srflow_read::micro_expression::{Classes, ClipDataset, count_classes};
 use srflow_render::RenderError;
 use srflow_render::job::{Event, Request, Shard};
@@ -80,7 +80,8 @@ fn a_set_is_whole_and_the_same_however_it_is_made() {
         assert_eq!(clip.frames.len() as u64, a.offset - a.onset + 1);
         let flow = read_flow(&one.join(format!("{}_flow.flo", a.clip))).unwrap();
         let onset = read_image(clip.frame(a.onset).unwrap()).unwrap();
-        assert_eq!((flow.size(), onset.size()), ((64, 64), (64, 64)));
+        let mask = read_mask(&one.join(format!("{}_mask.png", a.clip))).unwrap();
+        assert_eq!((flow.size(), onset.size(), mask.size()), ((64, 64), (64, 64), (64, 64)));
         let longest = flow.pixels().iter().map(|[u, v]| u.hypot(*v)).fold(0.0, f32::max);
         assert!(longest > 0.05 && longest < 6.0, "{longest} px: a micro-expression");
     }

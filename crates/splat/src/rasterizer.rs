@@ -1,5 +1,4 @@
-use std::sync::{Mutex, PoisonError};
-
+use srflow_field::Spares;
 use srflow_simd::{Isa, dispatch};
 
 use crate::backward::{self, Rendering};
@@ -77,7 +76,7 @@ pub struct Rasterizer {
     pub(crate) strips: Bins<Drawn>,
     tiles: Vec<Bins<u32>>,
     /// One for each thread that has sorted per pixel.
-    sorters: Mutex<Vec<(PixelOrder, Replay)>>,
+    sorters: Spares<(PixelOrder, Replay)>,
     pub(crate) backward: backward::Buffers,
 }
 
@@ -148,7 +147,7 @@ struct Pass<'a> {
     isa: Isa,
     scene: Scene<'a>,
     strips: &'a Bins<Drawn>,
-    sorters: &'a Mutex<Vec<(PixelOrder, Replay)>>,
+    sorters: &'a Spares<(PixelOrder, Replay)>,
     /// Whether displacements and next depths are blended too.
     motion: bool,
 }
@@ -178,12 +177,11 @@ impl Pass<'_> {
         tiles: &mut Bins<u32>,
     ) -> u64 {
         let drawn = self.strips.get(strip);
-        let sorters = || self.sorters.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut sorter = self.scene.peaks.and_then(|_| sorters().pop()).unwrap_or_default();
+        let mut sorter = self.scene.peaks.and_then(|_| self.sorters.take()).unwrap_or_default();
         let blended =
             render_strip::<CHANNELS>(self.isa, self.scene, strip, drawn, tiles, &mut sorter, &mut rows);
         if self.scene.peaks.is_some() {
-            sorters().push(sorter);
+            self.sorters.put(sorter);
         }
         blended
     }

@@ -14,7 +14,7 @@ use srflow_field::{
     FileError, FileKind, PARTIAL_EXTENSION, create_folder, parse_error_in_words, read_text, remove_partial,
     write_file,
 };
-use srflow_nn::{About, AdamWState, Layout, WeightsError, read_safetensors, safetensors_bytes};
+use srflow_nn::{About, AdamWState, Layout, StoredAs, WeightsError, read_safetensors, safetensors_bytes};
 
 /// Name of the folder of checkpoints in a run's folder.
 const FOLDER: &str = "checkpoints";
@@ -145,7 +145,7 @@ impl Checkpoints {
                 )
             })
         });
-        let optimizer = safetensors_bytes(optimizer, None);
+        let optimizer = safetensors_bytes(optimizer, StoredAs::F32, None);
         let files = [(MODEL, &model), (OPTIMIZER, &optimizer), (STATE, &state.into_bytes())];
         let partial = self.folder.join(format!("{UNFINISHED}{:08}.{PARTIAL_EXTENSION}", progress.step));
         let written = self.write_folder(&partial, &self.path(progress.step), &files);
@@ -229,7 +229,7 @@ impl Checkpoints {
             .segments()
             .iter()
             .map(|segment| (segment.name.clone(), segment.shape.as_slice(), &values[segment.range.clone()]));
-        safetensors_bytes(tensors, self.about.as_ref())
+        safetensors_bytes(tensors, StoredAs::F32, self.about.as_ref())
     }
 
     /// Reads the configuration of the run, as TOML, from its last checkpoint.

@@ -1,10 +1,8 @@
 //! Samples that are made while training.
 
-use std::sync::{Mutex, PoisonError};
-
 use rayon::ThreadPool;
-use srflow_field::Recent;
 use srflow_field::random::Key;
+use srflow_field::{Recent, Spares};
 use srflow_read::flow::{MadeError, MadePairs, SCENES_AT_ONCE, Sample};
 
 use crate::config::{Config, MadeKind, MadeSpec};
@@ -30,7 +28,7 @@ pub(crate) struct Made {
     runs: Recent<(u32, u32), Vec<Sample>>,
     /// Pools of one thread each, one for each thread of the loader: the work for a pair neither waits for the training's threads nor
     /// takes their turn.
-    pools: Mutex<Vec<ThreadPool>>,
+    pools: Spares<ThreadPool>,
 }
 
 impl Made {
@@ -49,7 +47,7 @@ impl Made {
             pairs_of_sample: config.training.pairs() as u32,
             pairs,
             runs: Recent::new(KEPT),
-            pools: Mutex::default(),
+            pools: Spares::default(),
             name,
         })
     }
@@ -106,15 +104,13 @@ impl Made {
     }
 
     fn make(&self, scene: u32, run: u32) -> Result<Vec<Sample>, MadeError> {
-        let pools = || self.pools.lock().unwrap_or_else(PoisonError::into_inner);
-        let free = pools().pop();
-        let pool = match free {
+        let pool = match self.pools.take() {
             Some(pool) => pool,
             None => rayon::ThreadPoolBuilder::new().num_threads(1).build()?,
         };
         let pairs = run * RUN..self.pairs_of_scene.min((run + 1) * RUN);
         let made = pool.install(|| self.pairs.make(scene, pairs));
-        pools().push(pool);
+        self.pools.put(pool);
         made
     }
 }

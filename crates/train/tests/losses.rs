@@ -128,7 +128,9 @@ fn sequence(name: &str) -> &'static SequenceLoss {
 
 #[test]
 fn sequence_losses_match_the_references() {
-    for (case, name) in [("l1", "l1"), ("l2", "l2"), ("mixture", "mixture-of-laplace")] {
+    for (case, name) in
+        [("l1", "l1"), ("l2", "l2"), ("mixture", "mixture-of-laplace"), ("l1 and mixture", "l1-and-mixture")]
+    {
         check(case, "sequence", &LossConfig { sequence: sequence(name), ..LossConfig::default() });
     }
 }

@@ -8,7 +8,7 @@ use super::warp::Warp;
 use crate::{HeadModel, HeadPose, Region, Side};
 
 /// Landmarks that correspond between heads.
-pub(super) const LANDMARKS: usize = 68;
+const LANDMARKS: usize = 68;
 
 /// Vertices at which deformations are compared; of models with more, every second one or fewer.
 const MOST_SAMPLES: usize = 3000;
@@ -140,8 +140,8 @@ fn vertices(model: &HeadModel, pose: &HeadPose) -> Vec<Vec3> {
     vertices
 }
 
-/// The first landmarks of a model on these vertices.
-fn landmarks(model: &HeadModel, vertices: &[Vec3]) -> Vec<DVec3> {
+/// The landmarks that correspond between heads, of a model on these vertices.
+pub(super) fn landmarks(model: &HeadModel, vertices: &[Vec3]) -> Vec<DVec3> {
     model.landmarks_on(vertices).take(LANDMARKS).map(Vec3::as_dvec3).collect()
 }
 

@@ -8,8 +8,8 @@ mod warp;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use self::carry::{Carried, CarriedUnit, LANDMARKS};
-use crate::fit::dense;
+use self::carry::{Carried, CarriedUnit, landmarks};
+use crate::fit::dense::{self, dot};
 use crate::{ActionUnit, HeadModel, HeadPose, Side};
 
 /// Deviation of what an expression need not explain at one landmark, metres, against weights of deviation 1: components are scaled
@@ -66,8 +66,7 @@ pub fn unit_qualities(model: &HeadModel) -> Vec<UnitQuality> {
         let moved = vertices(&model.pose_of_action_units(&[(unit.number, unit.side, 1.0)]).ok()?);
         let moved: Vec<Vec3> = moved.iter().zip(&rest).map(|(moved, rest)| *moved - *rest).collect();
         let skin = carried.samples.iter().map(|(vertex, _)| moved[*vertex as usize].as_dvec3());
-        let landmarks = model.landmarks_on(&moved).take(LANDMARKS).map(Vec3::as_dvec3);
-        Some(carried.left(unit, skin, landmarks))
+        Some(carried.left(unit, skin, landmarks(model, &moved).into_iter()))
     };
     let quality = |unit: &CarriedUnit| UnitQuality {
         number: unit.number,
@@ -156,9 +155,7 @@ impl Basis {
             expression.offsets.iter().for_each(|(vertex, offset)| dense[vertex as usize] += offset);
             let surface: Vec<DVec3> =
                 carried.samples.iter().map(|(vertex, _)| dense[*vertex as usize].as_dvec3()).collect();
-            let landmarks: Vec<DVec3> =
-                model.landmarks_on(&dense).take(LANDMARKS).map(Vec3::as_dvec3).collect();
-            carried.row(&surface, &landmarks)
+            carried.row(&surface, &landmarks(model, &dense))
         };
         let rows: Vec<Vec<f64>> = model.expressions.par_iter().map(row).collect();
         let count = rows.len();
@@ -215,18 +212,6 @@ impl Basis {
         }
         weights
     }
-}
-
-/// In eight sums, which the compiler can keep in one register.
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
-    let mut sums = [0.0; 8];
-    for (a, b) in a.iter().zip(b) {
-        for (sum, (a, b)) in sums.iter_mut().zip(a.iter().zip(b)) {
-            *sum += a * b;
-        }
-    }
-    sums.iter().sum::<f64>() + a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum::<f64>()
 }
 
 #[cfg(test)]

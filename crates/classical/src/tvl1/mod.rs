@@ -109,12 +109,20 @@ impl TvL1 {
         Ok(Self { parameters })
     }
 
-    fn flow(&self, frame1: &Image, frame2: &Image, initial: Option<&FlowField>) -> FlowField {
-        if frame1.pixels().is_empty() {
-            return FlowField::new(frame1.width(), frame1.height());
+    /// The flow between two planes of luminance in 0 to 255, which need not be whole numbers.
+    ///
+    /// # Errors
+    /// When the planes differ in size.
+    pub fn between_planes(&self, first: Plane, second: Plane) -> Result<FlowField, EstimateError> {
+        check_frame_sizes(first.size(), [second.size()])?;
+        Ok(self.flow([first, second], None))
+    }
+
+    fn flow(&self, frames: [Plane; 2], initial: Option<&FlowField>) -> FlowField {
+        if frames[0].pixels().is_empty() {
+            return FlowField::new(frames[0].width(), frames[0].height());
         }
-        let scales = [frame1, frame2].map(|frame| self.scales(luminance(frame)));
-        let [first, second] = &scales;
+        let [first, second] = &frames.map(|frame| self.scales(frame));
         let coarsest = first.len() - 1;
         let mut flow = match initial {
             Some(initial) => (0..coarsest).fold(PlanarFlow::from(initial), |flow, scale| {
@@ -191,7 +199,7 @@ impl FlowEstimator for TvL1 {
 
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
         check_frame_sizes(frame1.size(), [frame2.size()])?;
-        Ok(self.flow(frame1, frame2, None))
+        Ok(self.flow([frame1, frame2].map(luminance), None))
     }
 
     fn estimate_from(
@@ -201,6 +209,6 @@ impl FlowEstimator for TvL1 {
         initial: &FlowField,
     ) -> Result<FlowField, EstimateError> {
         check_frame_sizes(frame1.size(), [frame2.size(), initial.size()])?;
-        Ok(self.flow(frame1, frame2, Some(initial)))
+        Ok(self.flow([frame1, frame2].map(luminance), Some(initial)))
     }
 }

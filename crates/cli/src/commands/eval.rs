@@ -3,6 +3,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use clap::Args;
+use clap::builder::ArgPredicate;
 use serde::Serialize;
 use srflow_eval::report::{Figure, PaperPanels, pair_figures, paper_figure, score_report};
 use srflow_eval::{
@@ -48,7 +49,7 @@ pub struct Eval {
     #[arg(long)]
     split: Option<Split>,
     /// Methods to score
-    #[arg(long, value_name = "METHOD", required_unless_present = "rows", num_args = 1.., value_delimiter = ',', value_parser = methods::scored_method, help = methods::Method::help_of_several("Methods to score"))]
+    #[arg(long, value_name = "METHOD", default_value = methods::Method::DEFAULT.name(), default_value_if("rows", ArgPredicate::IsPresent, None), num_args = 1.., value_delimiter = ',', value_parser = methods::scored_method, help = methods::Method::help_of_several("Methods to score"))]
     method: Vec<MethodSpec>,
     /// Crop that is estimated and scored, centred on the head (without a mask, on the frame)
     #[arg(long, value_name = "WIDTHxHEIGHT")]
@@ -67,6 +68,10 @@ pub struct Eval {
     /// Also score the pixels whose true flow is shorter than this, e.g. 0.5; of the head, where there are masks
     #[arg(long, value_name = "PIXELS", allow_negative_numbers = true, value_parser = super::convert::positive)]
     small_motion: Option<f32>,
+    /// Also score the motion that remains inside the head (without a mask, in the frame) when that of the head, its best affine
+    /// fit, is taken away from the estimated and the true flow: the correlation of the two, and how strong the estimated one is
+    #[arg(long)]
+    expression: bool,
     /// Leave out pairs that cannot be scored, for every method, and continue; the exit code is still 1
     #[arg(long)]
     keep_going: bool,
@@ -137,6 +142,7 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         batch: NonZeroUsize::new(args.batch.into()),
         regions: args.regions,
         small_motion: args.small_motion,
+        expression: args.expression,
     };
     if let Some(out) = &args.out {
         create_folder(out)?; // before the long work, so that an error costs nothing

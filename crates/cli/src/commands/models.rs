@@ -1,13 +1,13 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::ensure;
 use clap::{Args, Subcommand};
 use serde::Serialize;
 use srflow_nets::{
-    Allowed, Architecture, Fit, Setting, fits_of_file, load_network, save_network, save_network_pytorch,
-    weights_folder,
+    Allowed, Architecture, Fit, Setting, fits_of_file, load_included, load_network, save_network,
+    save_network_pytorch, weights_folder,
 };
-use srflow_nn::{Checkpoint, ParameterInfo, ParametersError};
+use srflow_nn::{Checkpoint, ParameterInfo, ParametersError, StoredAs};
 
 use crate::Context;
 use crate::networks::weights_file;
@@ -54,12 +54,16 @@ struct Inspect {
 #[command(after_help = "Example:
   srflow models export runs/first/best.safetensors -o raft.ckpt")]
 struct Export {
-    /// Weights of one of the networks: a file, or the name of published weights, such as skflow-things
+    /// Weights of one of the networks: a file, the name of published weights, such as skflow-things, or the name of a network
+    /// whose weights come with srflow
     #[arg(value_name = "FILE|NAME")]
     weights: String,
     /// File to write: .ckpt, .pt or .pth (PyTorch), or .safetensors
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
+    /// Store 16-bit numbers, rounded to the nearest, in half of the bytes; for .safetensors
+    #[arg(long)]
+    half: bool,
     /// Overwrite an existing file
     #[arg(long)]
     force: bool,
@@ -88,6 +92,8 @@ struct Listed {
     occlusion: bool,
     settings: Vec<ListedSetting>,
     weights: Vec<ListedWeights>,
+    /// Whether weights come with srflow.
+    included: bool,
 }
 
 #[derive(Serialize)]
@@ -162,6 +168,7 @@ impl Listed {
             occlusion: facts.occlusion,
             settings,
             weights: weights.collect(),
+            included: facts.included.is_some(),
         }
     }
 }
@@ -175,8 +182,10 @@ fn list(context: &Context) -> anyhow::Result<()> {
     let licences = networks.iter().map(|network| network.licence.len()).max().unwrap_or(0);
     say!("{:<width$}  parameters  padding  iterations  {:<licences$}  weights by name", "name", "licence")?;
     for network in &networks {
-        let Listed { name, parameters, padding, iterations, licence, weights, .. } = network;
-        let weights: Vec<&str> = weights.iter().map(|weights| weights.name.as_str()).collect();
+        let Listed { name, parameters, padding, iterations, licence, weights, included, .. } = network;
+        let included = included.then_some("included").into_iter();
+        let weights: Vec<&str> =
+            included.chain(weights.iter().map(|weights| weights.name.as_str())).collect();
         let (iterations, weights) = (iterations.default, weights.join(", "));
         say!(
             "{name:<width$}  {parameters:>10}  {padding:>7}  {iterations:>10}  {licence:<licences$}  {weights}"
@@ -266,7 +275,7 @@ fn inspect(args: Inspect, context: &Context) -> anyhow::Result<()> {
 }
 
 fn export(args: Export, context: &Context) -> anyhow::Result<()> {
-    let Export { weights, out, force } = args;
+    let Export { weights, out, half, force } = args;
     let extension = out.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
     let pytorch = match extension {
         "ckpt" | "pt" | "pth" => true,
@@ -274,12 +283,23 @@ fn export(args: Export, context: &Context) -> anyhow::Result<()> {
         _ => wrong_usage!("{}: expected a name that ends in .ckpt, .pt, .pth or .safetensors", out.display()),
     };
     ensure!(force || !out.exists(), "{}: the file exists; give --force to overwrite it", out.display());
-    let path = weights_file(None, &weights)?;
-    let architecture = fits_of_file(&path)?[0].architecture;
-    let network = load_network(architecture, &path, &Default::default())?;
-    match pytorch {
-        true => save_network_pytorch(&network, &out)?,
-        false => save_network(&network, &out)?,
+    if pytorch && half {
+        wrong_usage!("--half: for files that end in .safetensors, and not for {}", out.display());
+    }
+    let device = Default::default();
+    let included = Architecture::from_name(&weights).and_then(|named| load_included(named, &device));
+    let network = match included.filter(|_| !Path::new(&weights).exists()) {
+        Some(network) => network,
+        None => {
+            let path = weights_file(None, &weights)?;
+            load_network(fits_of_file(&path)?[0].architecture, &path, &device)?
+        }
+    };
+    let architecture = network.architecture();
+    match (pytorch, half) {
+        (true, _) => save_network_pytorch(&network, &out)?,
+        (false, true) => save_network(&network, StoredAs::F16, &out)?,
+        (false, false) => save_network(&network, StoredAs::F32, &out)?,
     }
     let name = architecture.name();
     if context.json {

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use clap::Args;
-use srflow_classical::{Farneback, FarnebackParameters, TvL1, TvL1Parameters};
+use srflow_classical::{Farneback, FarnebackParameters, Refined, TvL1, TvL1Parameters};
 use srflow_eval::{FlowFiles, Zero};
 use srflow_field::FlowEstimator;
 use srflow_nets::{Architecture, Scaled, Tiled};
@@ -38,6 +38,9 @@ impl Method {
     /// Methods without weights.
     pub const CLASSICAL: [Self; 2] = [Self::Farneback, Self::TvL1];
 
+    /// The method of commands that are given none: a network whose weights come with srflow.
+    pub const DEFAULT: Self = Self::Network(Architecture::SrFlow);
+
     /// Name on the command line.
     pub fn name(self) -> &'static str {
         match self {
@@ -59,7 +62,7 @@ impl Method {
     /// Help of an option that takes one method.
     pub fn help() -> String {
         format!(
-            "How to estimate the flow: {}; a network followed by its weights, as in raft=FILE",
+            "How to estimate the flow: {}; a network followed by its weights, as in raft=FILE; srflow has its own",
             Self::names()
         )
     }
@@ -67,8 +70,8 @@ impl Method {
     /// Help of an option that takes several methods, for the purpose `what`.
     pub fn help_of_several(what: &str) -> String {
         format!(
-            "{what}: {}; networks with their weights, as in skflow=FILE; files:DIR for flow files of another program; \
-            NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE",
+            "{what}: {}; networks with their weights, as in skflow=FILE; srflow has its own; files:DIR for flow files of \
+            another program; NAME:METHOD sets the name in tables, as in SRFlowNet:skflow=FILE",
             Self::names()
         )
     }
@@ -165,6 +168,10 @@ fn label_and_files(text: &str) -> Option<(Option<&str>, &str)> {
 /// Parameters of the methods. Each applies to the methods in its heading and has a default.
 #[derive(Args, Debug, Clone, Default)]
 pub struct MethodParameters {
+    /// Refine the flow of every method by TV-L1 at the size of the frames, with one scale and one warp unless --nscales and --warps
+    /// say otherwise; the other parameters of tvl1 apply as well
+    #[arg(long)]
+    refine: bool,
     #[command(flatten)]
     pub network: NetworkArgs,
     #[command(flatten)]
@@ -353,7 +360,7 @@ fn built(
     let large_frames = &parameters.large_frames;
     let estimator: Box<dyn FlowEstimator> = match spec.method {
         Method::Farneback => Box::new(Farneback::new(parameters.farneback.parameters())?),
-        Method::TvL1 => Box::new(TvL1::new(parameters.tvl1.parameters())?),
+        Method::TvL1 => Box::new(TvL1::new(parameters.tvl1.or(TvL1Parameters::default()))?),
         Method::Network(architecture) => {
             let network = parameters.network.of(spec.iterations, &spec.settings);
             Box::new(network.estimator(architecture, spec.weights.as_deref(), label.clone())?)
@@ -364,9 +371,13 @@ fn built(
         Some(tiling) => Box::new(Tiled::new(estimator, tiling)),
         None => estimator,
     };
-    let estimator: Box<dyn FlowEstimator> = match large_frames.scale {
+    let scaled: Box<dyn FlowEstimator> = match large_frames.scale {
         Some(factor) => Box::new(Scaled::new(tiled, factor)?),
         None => tiled,
+    };
+    let estimator: Box<dyn FlowEstimator> = match parameters.refinement() {
+        Some(refinement) => Box::new(Refined::new(scaled, TvL1::new(refinement)?)),
+        None => scaled,
     };
     Ok(if estimator.name() == label { estimator } else { Box::new(Labelled { label, estimator }) })
 }
@@ -386,9 +397,15 @@ impl FarnebackArgs {
     }
 }
 
+impl MethodParameters {
+    /// The parameters of the refinement, if there is one.
+    fn refinement(&self) -> Option<TvL1Parameters> {
+        self.refine.then(|| self.tvl1.or(Refined::parameters()))
+    }
+}
+
 impl TvL1Args {
-    fn parameters(&self) -> TvL1Parameters {
-        let default = TvL1Parameters::default();
+    fn or(&self, default: TvL1Parameters) -> TvL1Parameters {
         TvL1Parameters {
             tau: self.tau.unwrap_or(default.tau),
             lambda: self.lambda.unwrap_or(default.lambda),

@@ -1,10 +1,13 @@
 //! The description of flow methods that results store.
 
+use srflow_classical::TvL1Parameters;
 use srflow_eval::MethodRecord;
 use srflow_mer::file_digest;
+use srflow_nets::included_sha256;
 
 use super::labels::labels;
 use super::{Method, MethodParameters, MethodSpec, distinct};
+use crate::networks::Weights;
 
 /// One record per method, in the order of [`super::estimators`].
 ///
@@ -17,17 +20,17 @@ pub fn records(specs: &[MethodSpec], parameters: &MethodParameters) -> anyhow::R
 }
 
 fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> anyhow::Result<MethodRecord> {
-    let MethodParameters { network, large_frames, farneback, tvl1 } = parameters;
+    let MethodParameters { network, large_frames, farneback, tvl1, .. } = parameters;
     let network = network.of(spec.iterations, &spec.settings);
     let (mut own, weights) = match spec.method {
         Method::Farneback => (format!("{:?}", farneback.parameters()), None),
-        Method::TvL1 => (format!("{:?}", tvl1.parameters()), None),
+        Method::TvL1 => (format!("{:?}", tvl1.or(TvL1Parameters::default())), None),
         Method::Network(architecture) => {
             let mut own = format!("{} iterations on {}", network.iterations(architecture), network.device);
             for (name, value) in network.settings(architecture)? {
                 own += &format!(", {name}={value}");
             }
-            (own, Some(network.weights_of(architecture, spec.weights.as_deref())?))
+            (own, Some((architecture, network.weights_of(architecture, spec.weights.as_deref())?)))
         }
         Method::Files => (format!("files in {}", spec.weights.as_deref().unwrap_or_default()), None),
     };
@@ -39,12 +42,20 @@ fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> any
     if large_frames.given() {
         own += &format!(", {large_frames:?}");
     }
+    if let Some(refinement) = parameters.refinement() {
+        own += &format!(", refined by {refinement:?}");
+    }
+    let (weights, sha256) = match weights {
+        None => (None, None),
+        Some((_, Weights::File(path))) => (Some(path.display().to_string()), Some(file_digest(&path)?)),
+        Some((network, Weights::Included)) => (Some("included".to_owned()), included_sha256(network)),
+    };
     Ok(MethodRecord {
         name,
         method: spec.method.name(),
         parameters: own,
-        sha256: weights.as_deref().map(file_digest).transpose()?,
-        weights: weights.map(|path| path.display().to_string()),
+        sha256,
+        weights,
         iterations,
         device,
     })

@@ -207,5 +207,4 @@ fn rows_of_a_table_come_from_a_file() {
     let (baseline, ours) = (text.find("  Baseline").unwrap(), text.find("  Ours").unwrap());
     assert!(baseline < ours, "in the order of the file");
     refuses(&eval(&["--dataset", &dataset, "--rows", "paper-table-99"]), 1, &["paper-table-2"]);
-    refuses(&eval(&["--dataset", &dataset]), 2, &["--method"]);
 }

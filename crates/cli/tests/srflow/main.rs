@@ -20,6 +20,7 @@ mod flow_networks;
 mod frames;
 mod hostile;
 mod import;
+mod included;
 mod licences;
 mod mer_data;
 mod mer_run;

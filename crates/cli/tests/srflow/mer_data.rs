@@ -52,6 +52,24 @@ fn a_rendered_set_is_listed() {
 }
 
 #[test]
+fn the_motion_of_expressions_is_scored_on_a_rendered_set() {
+    let arguments = ["eval", "--dataset", "clips:set", "--method", "tvl1", "--expression"];
+    let eval =
+        |more: &[&str]| crate::srflow().current_dir(SET.path()).args(arguments).args(more).output().unwrap();
+    let scores = crate::json(&eval(&["--json"]));
+    let of = |method: usize, what: &str| scores["methods"][method]["expression"][what].as_f64().unwrap();
+    assert!(of(1, "correlation") > 0.3 && of(1, "correlation") < 1.0, "{}", of(1, "correlation"));
+    assert!(of(1, "strength") > 0.1 && of(1, "strength") < 1.5, "{}", of(1, "strength"));
+    assert_eq!((of(0, "correlation"), of(0, "strength")), (0.0, 0.0), "zero flow shows none");
+    assert!(of(1, "true_rms") > 0.01);
+    assert!(scores["methods"][1]["head"]["epe"].is_number(), "the masks of the set");
+    let text = succeeds(&eval(&[]));
+    for part in ["clips, 3 pairs, motion of the expression (0.", "correlation ↑", "strength"] {
+        assert!(text.contains(part), "{part:?} in {text}");
+    }
+}
+
+#[test]
 fn the_published_annotations_are_listed_with_dropped_rows() {
     let Some(dir) = annotations() else { return };
     let folder = tempfile::tempdir().unwrap();

@@ -45,7 +45,7 @@ fn a_file_of_weights_is_described() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("mine.safetensors");
     let network = srflow_nets::Architecture::SkFlow.init(&Default::default());
-    srflow_nets::save_network(&network, &path).unwrap();
+    srflow_nets::save_network(&network, srflow_nn::StoredAs::F32, &path).unwrap();
     let path = path.to_str().unwrap();
     let text = succeeds(&["inspect", path]);
     assert!(text.contains("mine.safetensors: safetensors"), "{text}");
@@ -96,7 +96,12 @@ fn exported_weights_are_the_same_to_the_bit() {
     for architecture in networks.filter(|network| network.facts().parameters < 50_000_000) {
         // Where several networks have the same parameters, a file's name says whose they are.
         let own = path(&format!("{}.safetensors", architecture.name()));
-        srflow_nets::save_network(&architecture.init(&Default::default()), own.as_ref()).unwrap();
+        srflow_nets::save_network(
+            &architecture.init(&Default::default()),
+            srflow_nn::StoredAs::F32,
+            own.as_ref(),
+        )
+        .unwrap();
         let exported = path(&format!("{}.ckpt", architecture.name()));
         let back = path("back.safetensors");
         let text = succeeds(&["export", &own, "-o", &exported, "--force"]);

@@ -165,7 +165,7 @@ fn settings_of_the_weights_stay_in_a_run() {
     let (weights, run) = (dir.path().join("rpknet.safetensors"), dir.path().join("run"));
     let mut network = srflow_nets::Architecture::RpkNet.init(&Default::default());
     network.set("groups", 4).unwrap();
-    srflow_nets::save_network(&network, &weights).unwrap();
+    srflow_nets::save_network(&network, srflow_nn::StoredAs::F32, &weights).unwrap();
     let (data, out) = (format!("folder:{}", dir.path().display()), run.display().to_string());
     let files =
         ["--data", &data, "--out", &out, "--network", "rpknet", "--weights", weights.to_str().unwrap()];
@@ -204,7 +204,7 @@ fn a_run_reports_its_start() {
     let out = dir.path().join("run").display().to_string();
     let weights = dir.path().join("raft.safetensors");
     let network = srflow_nets::Architecture::Raft.init(&Default::default());
-    srflow_nets::save_network(&network, &weights).unwrap();
+    srflow_nets::save_network(&network, srflow_nn::StoredAs::F32, &weights).unwrap();
     let mut arguments = small(&data, &out);
     arguments.extend(["--steps", "1", "--weights", weights.to_str().unwrap()]);
     refuses(&train(&arguments), 1, &["they are the parameters of raft"]);

@@ -14,7 +14,7 @@ mod searchable_text;
 mod tensorflow;
 
 pub use pytorch_writer::save_pytorch;
-pub use safetensors::{read_safetensors, safetensors_bytes};
+pub use safetensors::{StoredAs, parameters_of_safetensors, read_safetensors, safetensors_bytes};
 pub use searchable_text::searchable_text;
 pub use tensorflow::{masked_crc32c, push_varint};
 

@@ -6,7 +6,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 use std::rc::Rc;
 
-use burn::tensor::DType;
+use burn::tensor::{DType, TensorData, f16};
 use safetensors::Dtype;
 use safetensors::tensor::{Metadata, TensorView};
 use srflow_field::{FileKind, open_file};
@@ -42,13 +42,7 @@ pub(super) fn contents(mut file: File, len: u64) -> Result<Contents, String> {
     }
     let file = Rc::new(file);
     let found = table.tensors().into_iter().filter_map(|(name, info)| {
-        let dtype = match info.dtype {
-            Dtype::F64 => DType::F64,
-            Dtype::F32 => DType::F32,
-            Dtype::F16 => DType::F16,
-            Dtype::BF16 => DType::BF16,
-            _ => return None,
-        };
+        let dtype = dtype(info.dtype)?;
         let (start, end) = info.data_offsets;
         let start_in_file = LENGTH + table_len + start as u64;
         let bytes = StoredBytes::Range { file: file.clone(), start: start_in_file, len: end - start };
@@ -75,6 +69,39 @@ pub fn read_safetensors(path: &Path) -> Result<Parameters, WeightsError> {
     read_all(path, Format::Safetensors, contents.tensors)
 }
 
+/// The floating-point tensors in the bytes of a safetensors file, as `f32`.
+///
+/// # Errors
+/// Says what is wrong with the bytes.
+pub fn parameters_of_safetensors(bytes: &[u8]) -> Result<Parameters, String> {
+    let file = safetensors::SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?;
+    let tensors = file.iter().filter_map(|(name, view)| {
+        let data =
+            TensorData::from_bytes_vec(view.data().to_vec(), view.shape().to_vec(), dtype(view.dtype())?);
+        Some((name.to_owned(), data.convert::<f32>()))
+    });
+    Ok(tensors.collect())
+}
+
+/// The type of floating-point numbers; `None` for others.
+fn dtype(stored: Dtype) -> Option<DType> {
+    match stored {
+        Dtype::F64 => Some(DType::F64),
+        Dtype::F32 => Some(DType::F32),
+        Dtype::F16 => Some(DType::F16),
+        Dtype::BF16 => Some(DType::BF16),
+        _ => None,
+    }
+}
+
+/// Type of numbers in files that srflow writes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum StoredAs {
+    F32,
+    /// Rounded to the nearest.
+    F16,
+}
+
 /// Serializes tensors (name, shape, values) and metadata in the safetensors format. The bytes do not depend on the order of the
 /// tensors.
 ///
@@ -82,14 +109,23 @@ pub fn read_safetensors(path: &Path) -> Result<Parameters, WeightsError> {
 /// When the number of values does not match a shape, or a name occurs twice.
 pub fn safetensors_bytes<'a>(
     tensors: impl IntoIterator<Item = (String, &'a [usize], &'a [f32])>,
+    stored_as: StoredAs,
     about: Option<&About>,
 ) -> Vec<u8> {
-    let bytes_of = |values: &[f32]| values.iter().flat_map(|value| value.to_le_bytes()).collect();
+    let dtype = match stored_as {
+        StoredAs::F32 => Dtype::F32,
+        StoredAs::F16 => Dtype::F16,
+    };
+    let bytes_of = |values: &[f32]| -> Vec<u8> {
+        match stored_as {
+            StoredAs::F32 => values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+            StoredAs::F16 => values.iter().flat_map(|value| f16::from_f32(*value).to_le_bytes()).collect(),
+        }
+    };
     let tensors: Vec<(String, &[usize], Vec<u8>)> =
         tensors.into_iter().map(|(name, shape, values)| (name, shape, bytes_of(values))).collect();
     let views = tensors.iter().map(|(name, shape, bytes)| {
-        let view =
-            TensorView::new(Dtype::F32, shape.to_vec(), bytes).expect("as many values as the shape says");
+        let view = TensorView::new(dtype, shape.to_vec(), bytes).expect("as many values as the shape says");
         (name, view)
     });
     let about = about.map(|about| serde_json::to_string(about).expect("strings and numbers"));

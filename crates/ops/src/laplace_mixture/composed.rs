@@ -1,12 +1,11 @@
 //! The same by a backend's own operations.
 
+use burn::backend::Backend;
 use burn::backend::tensor::FloatTensor;
-use burn::backend::{Backend, TensorMetadata};
-use burn::tensor::Slice;
 
 use super::PARTS;
 use super::tensor::NegativeLogLikelihood;
-use crate::operation::{Backprop, Composition};
+use crate::operation::{Backprop, Composition, narrow};
 
 impl Composition<3> for NegativeLogLikelihood {
     fn composed<B: Backend>(
@@ -74,15 +73,7 @@ impl NegativeLogLikelihood {
 
 /// The channels, each `[batch, 1, height, width]`.
 fn parts<B: Backend>(x: &FloatTensor<B>) -> [FloatTensor<B>; PARTS] {
-    let sizes = x.shape().to_vec();
-    std::array::from_fn(|k| {
-        let slice = |(dimension, &size): (usize, &usize)| match dimension {
-            1 => Slice::new(k as isize, Some(k as isize + 1), 1),
-            _ => Slice::new(0, Some(size as isize), 1),
-        };
-        let slices: Vec<Slice> = sizes.iter().enumerate().map(slice).collect();
-        B::float_slice(x.clone(), &slices)
-    })
+    std::array::from_fn(|k| narrow::<B>(x.clone(), 1, k, 1))
 }
 
 /// `ln(e^a + e^b)` without overflow.

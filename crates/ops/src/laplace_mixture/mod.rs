@@ -25,7 +25,6 @@ pub struct LogScaleRange {
 }
 
 /// A mixture at a pixel.
-#[derive(Clone, Copy)]
 struct Mixture {
     log_weights: [f32; PARTS],
     /// Within their ranges.
@@ -68,22 +67,22 @@ fn softmax(x: [f32; PARTS]) -> [f32; PARTS] {
     x.map(|x| (x - sum).exp())
 }
 
-/// Lengths of the slices for so many pixels in each of `batch` images.
+/// The number of images, of so many pixels each. Panics when the lengths do not fit.
 fn check(difference: &[f32], log_weights: &[f32], log_scales: &[f32], pixels: usize) -> usize {
-    let channels = COMPONENTS.max(PARTS) * pixels;
-    let batch = difference.len() / channels.max(1);
-    assert_eq!(difference.len(), batch * channels, "two components for {pixels} pixels");
+    let numbers = COMPONENTS * pixels;
+    let batch = difference.len() / numbers.max(1);
+    assert_eq!(difference.len(), batch * numbers, "two components for {pixels} pixels");
     assert_eq!(log_weights.len(), difference.len(), "two weights for each pixel");
     assert_eq!(log_scales.len(), difference.len(), "two scales for each pixel");
     batch
 }
 
-/// Calls `chunk(image's offset, first pixel, end)` for pieces of all images, on all threads.
+/// Calls `piece(offset of the image's numbers, pixels)` for pieces of all images, on all threads.
 fn for_pieces(batch: usize, pixels: usize, piece: impl Fn(usize, std::ops::Range<usize>) + Sync) {
     let pieces = pixels.div_ceil(CHUNK);
     (0..batch * pieces).into_par_iter().for_each(|number| {
         let first = number % pieces * CHUNK;
-        piece(number / pieces * 2 * pixels, first..(first + CHUNK).min(pixels));
+        piece(number / pieces * COMPONENTS * pixels, first..(first + CHUNK).min(pixels));
     });
 }
 

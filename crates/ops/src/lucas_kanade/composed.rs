@@ -2,10 +2,9 @@
 
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, TensorMetadata};
-use burn::tensor::Slice;
 
-use super::{CELL, LucasKanade, SUMS};
-use crate::operation::{Backprop, Composition};
+use super::{CELL, LucasKanade, PRODUCTS};
+use crate::operation::{Backprop, Composition, narrow};
 
 impl Composition<2> for LucasKanade {
     fn composed<B: Backend>(&self, [first, second]: [FloatTensor<B>; 2]) -> Vec<FloatTensor<B>> {
@@ -35,9 +34,9 @@ impl Composition<2> for LucasKanade {
 }
 
 impl LucasKanade {
-    fn solved<B: Backend>(&self, sums: FloatTensor<B>) -> Vec<FloatTensor<B>> {
-        let [xx, xy, yy, xt, yt]: [FloatTensor<B>; SUMS] =
-            std::array::from_fn(|sum| part::<B>(sums.clone(), 1, sum, 1));
+    fn solved<B: Backend>(&self, means: FloatTensor<B>) -> Vec<FloatTensor<B>> {
+        let [xx, xy, yy, xt, yt]: [FloatTensor<B>; PRODUCTS] =
+            std::array::from_fn(|product| narrow::<B>(means.clone(), 1, product, 1));
         let noisy = |squared: FloatTensor<B>| B::float_add_scalar(squared, self.noise.into());
         let limited = |x| B::float_clamp(x, (-self.reach).into(), self.reach.into());
         let product = |a: &FloatTensor<B>, b: &FloatTensor<B>| B::float_mul(a.clone(), b.clone());
@@ -57,19 +56,8 @@ impl LucasKanade {
 /// Half of the difference of both neighbours along an axis; beyond the border there is a copy of the last one.
 fn slope<B: Backend>(x: FloatTensor<B>, axis: usize) -> FloatTensor<B> {
     let size = x.shape()[axis];
-    let part = |from, count| part::<B>(x.clone(), axis, from, count);
+    let part = |from, count| narrow::<B>(x.clone(), axis, from, count);
     let after = B::float_cat(vec![part(1, size - 1), part(size - 1, 1)], axis);
     let before = B::float_cat(vec![part(0, 1), part(0, size - 1)], axis);
     B::float_mul_scalar(B::float_sub(after, before), 0.5.into())
-}
-
-fn part<B: Backend>(x: FloatTensor<B>, axis: usize, from: usize, count: usize) -> FloatTensor<B> {
-    let slice = |dimension: usize, size: usize| match dimension == axis {
-        true => Slice::new(from as isize, Some((from + count) as isize), 1),
-        false => Slice::new(0, Some(size as isize), 1),
-    };
-    let sizes: Vec<usize> = x.shape().to_vec();
-    let slices: Vec<Slice> =
-        sizes.into_iter().enumerate().map(|(dimension, size)| slice(dimension, size)).collect();
-    B::float_slice(x, &slices)
 }

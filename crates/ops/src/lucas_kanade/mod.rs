@@ -13,8 +13,8 @@ pub mod tensor;
 pub const CELL: usize = 2;
 /// Outputs per window: the motion `u` and `v` in pixels, and how much of `u` and of `v` the frames determine, 0 to 1.
 pub const PER_WINDOW: usize = 4;
-/// Sums over a window: of `xx`, `xy`, `yy`, `xt` and `yt`, where `x` and `y` are slopes of brightness and `t` its change.
-const SUMS: usize = 5;
+/// Means over a window: of `xx`, `xy`, `yy`, `xt` and `yt`, where `x` and `y` are slopes of brightness and `t` its change.
+const PRODUCTS: usize = 5;
 
 /// Windows and regularization.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,21 +47,21 @@ impl LucasKanade {
             let products = Products::new(&frame(first), &frame(second), shape);
             for (radius, out) in self.radii.into_iter().zip(out.chunks_exact_mut(PER_WINDOW * cells.pixels()))
             {
-                self.solve(&products.sums(radius), out);
+                self.solve(&products.over_windows(radius), out);
             }
         }
         out
     }
 
     /// Of one window around each cell.
-    fn solve(&self, sums: &[Vec<f32>; SUMS], out: &mut [f32]) {
-        let cells = sums[0].len();
+    fn solve(&self, means: &[Vec<f32>; PRODUCTS], out: &mut [f32]) {
+        let cells = means[0].len();
         let (u, rest) = out.split_at_mut(cells);
         let (v, rest) = rest.split_at_mut(cells);
         let (of_u, of_v) = rest.split_at_mut(cells);
         let limited = |x: f32| x.clamp(-self.reach, self.reach);
         for cell in 0..cells {
-            let [xx, xy, yy, xt, yt] = std::array::from_fn(|sum| sums[sum][cell]);
+            let [xx, xy, yy, xt, yt] = std::array::from_fn(|product| means[product][cell]);
             let (noisy_xx, noisy_yy) = (xx + self.noise, yy + self.noise);
             let determinant = noisy_xx * noisy_yy - xy * xy;
             u[cell] = limited((xy * yt - noisy_yy * xt) / determinant);
@@ -94,7 +94,7 @@ fn mean_of_channels(frames: &[f32], shape: MapShape) -> Vec<f32> {
 struct Products {
     height: usize,
     width: usize,
-    means: [Vec<f32>; SUMS],
+    means: [Vec<f32>; PRODUCTS],
 }
 
 impl Products {
@@ -119,19 +119,19 @@ impl Products {
                 let four =
                     [(upper, CELL * x), (upper, CELL * x + 1), (lower, CELL * x), (lower, CELL * x + 1)]
                         .map(|(rows, x)| pixel(rows, x));
-                std::array::from_fn::<f32, SUMS, _>(|i| {
+                std::array::from_fn::<f32, PRODUCTS, _>(|i| {
                     0.25 * (four[0][i] + four[1][i] + four[2][i] + four[3][i])
                 })
             };
             (0..width).map(cell).collect::<Vec<_>>()
         };
-        let rows: Vec<Vec<[f32; SUMS]>> = (0..height).into_par_iter().map(row).collect();
+        let rows: Vec<Vec<[f32; PRODUCTS]>> = (0..height).into_par_iter().map(row).collect();
         let means = std::array::from_fn(|i| rows.iter().flatten().map(|cell| cell[i]).collect());
         Self { height, width, means }
     }
 
     /// Means over the window of this radius around each cell.
-    fn sums(&self, radius: usize) -> [Vec<f32>; SUMS] {
+    fn over_windows(&self, radius: usize) -> [Vec<f32>; PRODUCTS] {
         let Self { height, width, .. } = *self;
         let window = |i: usize, size: usize| i.saturating_sub(radius)..(i + radius + 1).min(size);
         let mean = |plane: &Vec<f32>| {

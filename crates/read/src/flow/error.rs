@@ -4,6 +4,7 @@ use srflow_field::FileError;
 
 use super::Split;
 use crate::manifest::ManifestError;
+use crate::micro_expression::MicroExpressionError;
 
 /// Why a dataset could not be opened, or one of its pairs could not be read.
 #[derive(Debug, thiserror::Error)]
@@ -88,4 +89,7 @@ pub enum DatasetError {
     /// `dataset.json` of an SRFlow dataset could not be used.
     #[error(transparent)]
     Manifest(#[from] ManifestError),
+    /// The clips of a micro-expression dataset could not be read.
+    #[error(transparent)]
+    Clips(#[from] Box<MicroExpressionError>),
 }

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use super::error::DatasetError;
-use super::{Reader, chairs, facialflownet, hd1k, kitti, plain, sintel, spring, srflow, things};
+use super::{Reader, chairs, clips, facialflownet, hd1k, kitti, plain, sintel, spring, srflow, things};
 
 /// A kind of dataset, as in `--dataset KIND:DIR`.
 pub struct Kind {
@@ -18,7 +18,7 @@ pub struct Kind {
 }
 
 /// The kinds of dataset.
-pub static KINDS: [Kind; 9] = [
+pub static KINDS: [Kind; 10] = [
     srflow::KIND,
     plain::KIND,
     chairs::KIND,
@@ -28,6 +28,7 @@ pub static KINDS: [Kind; 9] = [
     hd1k::KIND,
     spring::KIND,
     facialflownet::KIND,
+    clips::KIND,
 ];
 
 impl fmt::Display for Kind {

@@ -5,6 +5,7 @@
 //! file per dataset.
 
 mod chairs;
+mod clips;
 mod error;
 mod facialflownet;
 mod gaps;

@@ -1,5 +1,5 @@
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use super::frames::ClipFolders;
@@ -78,15 +78,22 @@ impl FromStr for ClipSource {
         let known =
             |word: &str| kind.releases.iter().find(|known| **known == word).copied().ok_or_else(wrong);
         let release = release.map(known).transpose()?;
-        Ok(Self {
-            kind,
-            release,
-            dir: dir.into(),
+        Ok(Self { kind, release, ..Self::plain(Path::new(dir)) })
+    }
+}
+
+impl ClipSource {
+    /// Plain clips in a folder.
+    pub(crate) fn plain(dir: &Path) -> Self {
+        Self {
+            kind: &plain::KIND,
+            release: None,
+            dir: dir.to_owned(),
             annotations: None,
             apex_list: None,
             classes: Classes::default(),
             only_key_frames: false,
-        })
+        }
     }
 }
 

@@ -1,9 +1,8 @@
 //! Scenes whose pairs are rendered when they are asked for.
 
 use std::ops::Range;
-use std::sync::{Mutex, PoisonError};
 
-use srflow_field::Recent;
+use srflow_field::{Recent, Spares};
 use srflow_read::flow::{MadeError, MadePairs, SCENES_AT_ONCE, Sample};
 use srflow_read::manifest::SceneSplit;
 
@@ -27,7 +26,7 @@ pub struct ScenePairs {
     backgrounds: Vec<(String, u64)>,
     scenes: Recent<u32, Scene>,
     /// One for each thread that has rendered.
-    workers: Mutex<Vec<Worker>>,
+    workers: Spares<Worker>,
 }
 
 impl ScenePairs {
@@ -51,7 +50,7 @@ impl ScenePairs {
             rig: settings.rig(),
             backgrounds,
             scenes: Recent::new(KEPT),
-            workers: Mutex::default(),
+            workers: Spares::default(),
             settings,
         })
     }
@@ -74,10 +73,9 @@ impl MadePairs for ScenePairs {
 
     fn make(&self, scene: u32, run: Range<u32>) -> Result<Vec<Sample>, MadeError> {
         let scene = self.scenes.get(scene, || self.scene(scene))?;
-        let lock = || self.workers.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut worker = lock().pop().unwrap_or_else(|| Worker::new(&self.settings));
+        let mut worker = self.workers.take().unwrap_or_else(|| Worker::new(&self.settings));
         let samples = worker.samples(&scene, run)?;
-        lock().push(worker);
+        self.workers.put(worker);
         Ok(samples)
     }
 }

@@ -4,12 +4,11 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, PoisonError};
 
 use serde::{Deserialize, Serialize};
 use srflow_field::random::{Key, Stream};
 use srflow_field::resize::resize_image_antialiased;
-use srflow_field::{FlowFormat, Image, read_image, write_flow_as, write_image_png, write_mask_png};
+use srflow_field::{FlowFormat, Image, Spares, read_image, write_flow_as, write_image_png, write_mask_png};
 use srflow_read::flow::{MadeError, MadePairs, Sample};
 
 use super::texture::Texture;
@@ -56,7 +55,7 @@ pub struct ShapePairs {
     photographs: Vec<PathBuf>,
     textures: String,
     /// One for each thread that has made pairs in memory.
-    read: Mutex<Vec<Photographs>>,
+    read: Spares<Photographs>,
 }
 
 impl ShapePairs {
@@ -71,7 +70,7 @@ impl ShapePairs {
                 (files.iter().map(|(name, _)| dir.join(name)).collect(), fingerprint(&files))
             }
         };
-        Ok(Self { settings, photographs, textures, read: Mutex::default() })
+        Ok(Self { settings, photographs, textures, read: Spares::default() })
     }
 
     /// Pair `number`, from 0.
@@ -195,11 +194,10 @@ impl MadePairs for ShapePairs {
     }
 
     fn make(&self, scene: u32, run: Range<u32>) -> Result<Vec<Sample>, MadeError> {
-        let lock = || self.read.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut photographs = lock().pop().unwrap_or_default();
+        let mut photographs = self.read.take().unwrap_or_default();
         let samples = run.map(|_| Ok(self.pair(scene, &mut photographs)?.into()));
         let samples = samples.collect::<Result<_, RenderError>>()?;
-        lock().push(photographs);
+        self.read.put(photographs);
         Ok(samples)
     }
 }

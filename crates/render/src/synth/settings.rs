@@ -92,6 +92,11 @@ impl ClipPlan {
         dir.join(format!("{}_flow.{}", self.name, format.extension()))
     }
 
+    /// The mask of the head at the onset.
+    pub fn mask(&self, dir: &Path) -> PathBuf {
+        dir.join(format!("{}_mask.png", self.name))
+    }
+
     /// The record of the clip; written last.
     pub fn record(&self, dir: &Path) -> PathBuf {
         dir.join(format!("{}.json", self.name))

@@ -1,11 +1,11 @@
-//! Rendering clips: their frames, flow and record.
+//! Rendering clips: their frames, flow, mask and record.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use srflow_avatar::{Avatar, PosedHead};
-use srflow_field::{write_file, write_flow_as, write_image_png};
+use srflow_field::{write_file, write_flow_as, write_image_png, write_mask_png};
 use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
 
 use super::clip::Clip;
@@ -50,7 +50,9 @@ impl<'a> Plan for Clips<'a> {
 
     fn is_whole(&self, dir: &Path, subject: u32, within: u32) -> bool {
         let clip = self.clip(subject, within);
-        [clip.record(dir), clip.flow(dir, self.settings.flow_format)].iter().all(|file| file.is_file())
+        [clip.record(dir), clip.flow(dir, self.settings.flow_format), clip.mask(dir)]
+            .iter()
+            .all(|file| file.is_file())
     }
 
     fn folders(&self, dir: &Path, run: &Run) -> Vec<PathBuf> {
@@ -74,7 +76,7 @@ impl<'a> Plan for Clips<'a> {
         let Ok(other) = serde_json::from_str::<SynthSettings>(found) else { return Ok(()) };
         for clip in other.plan()? {
             // The record first: without it the clip does not count.
-            for file in [clip.record(dir), clip.flow(dir, other.flow_format)] {
+            for file in [clip.record(dir), clip.flow(dir, other.flow_format), clip.mask(dir)] {
                 unless_gone(&file, fs::remove_file(&file))?;
             }
             let folder = clip.folder(dir);
@@ -123,7 +125,7 @@ pub struct Renderer {
 }
 
 impl Renderer {
-    /// Renders a clip, its flow and its record.
+    /// Renders a clip, its flow, its mask and its record.
     fn make(&mut self, work: &Work, avatar: &Avatar, plan: &ClipPlan) -> Result<(), RenderError> {
         let settings = work.plan.settings;
         let clip = Clip::new(avatar, settings, plan)?;
@@ -154,6 +156,8 @@ impl Renderer {
         work.write(Stage::Flow, &plan.flow(work.dir, format), |path| {
             write_flow_as(path, &self.frame.flow, format)
         })?;
+
+        work.write(Stage::Planes, &plan.mask(work.dir), |path| write_mask_png(path, &self.frame.mask()))?;
 
         let action_units: BTreeMap<String, f32> = clip.action_units().collect();
         let record = ClipRecord {

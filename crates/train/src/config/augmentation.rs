@@ -26,6 +26,8 @@ pub struct AugmentationConfig {
     pub eraser_sides: [u32; 2],
     /// Strength of the colour jitter: 1 as in SKFlow, 0 for none.
     pub color: f32,
+    /// Probability that both frames change colour independently, for samples with dense ground truth.
+    pub asymmetric_color: f32,
 }
 
 /// SKFlow's dense or sparse augmentation.
@@ -57,6 +59,7 @@ impl Default for AugmentationConfig {
             eraser_probability: skflow.eraser_probability,
             eraser_sides: skflow.eraser_sides,
             color: 1.0,
+            asymmetric_color: skflow.asymmetric_probability,
         }
     }
 }
@@ -85,6 +88,7 @@ impl AugmentationConfig {
             contrast: skflow.contrast * self.color,
             saturation: skflow.saturation * self.color,
             hue: skflow.hue * self.color,
+            asymmetric_probability: if sparse { 0.0 } else { self.asymmetric_color },
             ..skflow
         }
     }

@@ -6,7 +6,7 @@ use std::fmt;
 use burn::tensor::Tensor;
 use srflow_nets::LaplaceMixture;
 
-use super::{Border, sequence};
+use super::{Border, mixture, sequence};
 
 /// A loss between predicted and true flow: an entry of [`SEQUENCE_LOSSES`].
 pub struct SequenceLoss {
@@ -30,7 +30,7 @@ pub(super) enum Distance {
 
 /// Every sequence loss, the default first.
 pub static SEQUENCE_LOSSES: &[SequenceLoss] =
-    &[sequence::L1, sequence::L2, super::mixture::MIXTURE_OF_LAPLACE];
+    &[sequence::L1, sequence::L2, mixture::MIXTURE_OF_LAPLACE, mixture::L1_AND_MIXTURE];
 
 impl SequenceLoss {
     /// Whether the network must also predict a [`LaplaceMixture`].

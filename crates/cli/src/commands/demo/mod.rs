@@ -71,8 +71,9 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
     let report = args.out.join("report.html");
     ensure_free([&report], args.force)?;
     let photographs = photographs(&args)?;
-    let estimators =
-        methods::estimators(&Method::CLASSICAL.map(MethodSpec::from), &MethodParameters::default())?;
+    let shown = [&[Method::DEFAULT][..], &Method::CLASSICAL].concat();
+    let shown: Vec<MethodSpec> = shown.into_iter().map(MethodSpec::from).collect();
+    let estimators = methods::estimators(&shown, &MethodParameters::default())?;
 
     let (stills_plan, clips_plan) = (datasets::stills(args.size), datasets::clips(args.size));
     let mut stages = Stages::of(if photographs.is_some() { 6 } else { 5 });

@@ -31,7 +31,7 @@ use crate::video::VideoWriter;
 #[derive(Args)]
 #[command(after_help = "\
 Examples:
-  srflow flow --method farneback frame1.png frame2.png -o flow.flo --viz flow.png
+  srflow flow frame1.png frame2.png -o flow.flo --viz flow.png
   srflow flow --method farneback video/ -o flows/ --format flo5 --viz colours/
   srflow flow --method skflow --weights skflow-things.ckpt clip.mp4 -o flows/ --viz colours.mp4 --viz-max 20
   srflow flow --method raft --weights raft.pth --tile auto 4k1.png 4k2.png -o flow.flo
@@ -48,7 +48,7 @@ pub struct Flow {
     #[arg(short, long, value_name = "OUT")]
     out: PathBuf,
     /// How to estimate the flow
-    #[arg(long, value_name = "METHOD", help = Method::help())]
+    #[arg(long, value_name = "METHOD", default_value = Method::DEFAULT.name(), help = Method::help())]
     method: MethodSpec,
     /// Format of the files in a folder
     #[arg(long, value_name = "FORMAT", default_value = "flo")]

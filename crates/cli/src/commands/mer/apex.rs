@@ -32,7 +32,7 @@ pub struct Apex {
     #[arg(long, value_name = "RULE", default_value_t = ApexRule::Strain)]
     rule: ApexRule,
     /// How to estimate the flow, for the rule `strain`
-    #[arg(long, value_name = "METHOD", default_value = "farneback", help = method_help())]
+    #[arg(long, value_name = "METHOD", default_value = Method::DEFAULT.name(), help = method_help())]
     method: MethodSpec,
     /// Write the apex frames as a CSV list
     #[arg(short, long, value_name = "FILE")]

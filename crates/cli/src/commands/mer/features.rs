@@ -33,7 +33,7 @@ pub struct Features {
     #[arg(long, required = true, num_args = 1.., value_name = "KIND:DIR")]
     data: Vec<ClipSource>,
     /// How to estimate the flow from onset to apex
-    #[arg(long, value_name = "METHOD", required = true, num_args = 1.., value_delimiter = ',', help = Method::help_of_several("How to estimate the flow from onset to apex"))]
+    #[arg(long, value_name = "METHOD", default_value = Method::DEFAULT.name(), num_args = 1.., value_delimiter = ',', help = Method::help_of_several("How to estimate the flow from onset to apex"))]
     method: Vec<MethodSpec>,
     /// Archive to write
     #[arg(short, long, value_name = "FILE.npz")]

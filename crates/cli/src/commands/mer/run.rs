@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use clap::builder::ArgPredicate;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use srflow_field::create_folder;
 use srflow_mer::{
@@ -38,7 +39,7 @@ pub struct Run {
     #[arg(long, required = true, num_args = 1.., value_name = "KIND:DIR")]
     data: Vec<ClipSource>,
     /// How to estimate the flow from onset to apex
-    #[arg(long, value_name = "METHOD", required_unless_present = "rows", num_args = 1.., value_delimiter = ',', help = Method::help_of_several("How to estimate the flow from onset to apex"))]
+    #[arg(long, value_name = "METHOD", default_value = Method::DEFAULT.name(), default_value_if("rows", ArgPredicate::IsPresent, None), num_args = 1.., value_delimiter = ',', help = Method::help_of_several("How to estimate the flow from onset to apex"))]
     method: Vec<MethodSpec>,
     /// Classifier of the features
     #[arg(long, value_name = "CLASSIFIER", default_value = CLASSIFIERS[0].facts.name, value_parser = classifiers())]

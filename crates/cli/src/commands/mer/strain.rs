@@ -42,7 +42,7 @@ pub struct Strain {
     #[arg(long, value_name = "STRAIN", requires = "viz", value_parser = super::super::convert::positive)]
     viz_max: Option<f32>,
     /// How to estimate the flow
-    #[arg(long, value_name = "METHOD", default_value = "farneback", help = Method::help())]
+    #[arg(long, value_name = "METHOD", default_value = Method::DEFAULT.name(), help = Method::help())]
     method: MethodSpec,
     /// Formula: literature or off-tanet
     #[arg(long, value_name = "FORMULA", default_value_t = StrainFormula::Literature)]

@@ -41,6 +41,19 @@ pub fn exp<S: Simd>(s: S, x: S::Vector) -> S::Vector {
     s.scale_by_power_of_two(sum, rounded)
 }
 
+/// `ln(1 + x)` for `x` in `0..=1`, relative error under 3e-7. NaN stays NaN.
+#[inline(always)]
+pub fn ln_1p<S: Simd>(s: S, x: S::Vector) -> S::Vector {
+    // ln((1 + z) / (1 - z)) = 2 (z + z^3 / 3 + z^5 / 5 + ...); z is at most a third.
+    let z = s.div(x, s.add(x, s.splat(2.0)));
+    let square = s.mul(z, z);
+    let mut sum = s.splat(1.0 / 13.0);
+    for odd in [11.0, 9.0, 7.0, 5.0, 3.0, 1.0] {
+        sum = s.mul_add(sum, square, s.splat(1.0 / odd));
+    }
+    s.mul(s.add(z, z), sum)
+}
+
 /// `x P(x^2) / Q(x^2)` on `[-limit, limit]`, constant outside.
 #[inline(always)]
 fn odd_rational<S: Simd>(s: S, x: S::Vector, limit: f32, p: &[f32], q: &[f32]) -> S::Vector {
@@ -122,6 +135,16 @@ mod tests {
             exponentials(isa, &mut nans);
             assert!(nans.iter().all(|x| x.is_nan()), "{isa:?}");
         }
+    }
+
+    #[test]
+    fn ln_1p_has_a_relative_error_under_3e_7() {
+        for i in 0..=100_000 {
+            let x = i as f32 * 1e-5;
+            let (found, truth) = (ln_1p(Portable, Portable.splat(x))[0], f64::from(x).ln_1p());
+            assert!((f64::from(found) - truth).abs() <= 3e-7 * truth, "ln(1 + {x}) = {found}");
+        }
+        assert!(ln_1p(Portable, Portable.splat(f32::NAN))[0].is_nan());
     }
 
     #[test]

@@ -30,7 +30,7 @@ pub use activation::{Activation, Keeps, activate, activated, activation_backward
 pub use avx2::Avx2;
 #[cfg(target_arch = "x86_64")]
 pub use avx512::Avx512;
-pub use functions::{exp, exp2};
+pub use functions::{exp, exp2, ln_1p};
 pub use isa::Isa;
 pub use portable::Portable;
 pub use product::{Output, Product, Start, Steps, multiply, multiply_diagonal, pack_rows, panel_columns};

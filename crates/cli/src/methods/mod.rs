@@ -1,6 +1,7 @@
 //! The table behind `--method`: every estimator by name.
 
 mod labels;
+mod options;
 mod record;
 mod rows;
 
@@ -18,6 +19,7 @@ use crate::large_frames::LargeFrames;
 use crate::networks::NetworkArgs;
 use crate::usage::wrong_usage;
 use labels::{Labelled, labels};
+pub use options::estimator_of;
 pub use record::records;
 pub use rows::{Rows, RowsArgs};
 

@@ -5,7 +5,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
-const PIPELINE: [&str; 15] = [
+const PIPELINE: [&str; 16] = [
     "srflow-simd",
     "srflow-field",
     "srflow-splat",
@@ -21,6 +21,7 @@ const PIPELINE: [&str; 15] = [
     "srflow-train",
     "srflow-mer",
     "srflow",
+    "srflow-python",
 ];
 
 fn cargo(arguments: &[&str]) -> Vec<u8> {

@@ -1,0 +1,42 @@
+//! The Python package `srflow`: arrays and exceptions around the libraries. Its functions are documented in Python; `srflow/__init__.py`
+//! says which are public.
+
+mod arrays;
+mod compute;
+mod dataset;
+mod errors;
+mod fields;
+mod methods;
+
+use std::ffi::OsString;
+
+use pyo3::prelude::*;
+use srflow_ops::ReusingAllocator;
+
+#[global_allocator]
+static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();
+
+/// Runs the command `srflow` with the arguments of a process, of which the first is its name. Returns its exit code.
+#[pyfunction]
+fn run(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
+    py.detach(|| srflow::run(arguments))
+}
+
+#[pymodule]
+mod _srflow {
+    #[pymodule_export]
+    use super::dataset::Dataset;
+    #[pymodule_export]
+    use super::fields::{consistency, flow_to_rgb, metrics, read_flow, warp, write_flow};
+    #[pymodule_export]
+    use super::methods::{Network, Sequence, flow};
+    #[pymodule_export]
+    use super::run;
+
+    use pyo3::prelude::*;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}

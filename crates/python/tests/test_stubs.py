@@ -1,0 +1,52 @@
+import ast
+import inspect
+import pathlib
+
+import srflow
+from srflow import _srflow
+
+
+def parameters(arguments, without):
+    """Names and defaults, in order, as of a function in the stubs; the first `without` are left out."""
+    named = arguments.posonlyargs + arguments.args
+    defaults = [None] * (len(named) - len(arguments.defaults)) + arguments.defaults
+    found = [(x.arg, default) for x, default in zip(named, defaults, strict=True)][without:]
+    found += [(x.arg, default) for x, default in zip(arguments.kwonlyargs, arguments.kw_defaults, strict=True)]
+    found = [(name, None if default is None else ast.literal_eval(default)) for name, default in found]
+    return found + ([("**", arguments.kwarg.arg)] if arguments.kwarg else [])
+
+
+def of_signature(function, without):
+    found = []
+    for name, parameter in list(inspect.signature(function).parameters.items())[without:]:
+        if parameter.kind is parameter.VAR_KEYWORD:
+            found.append(("**", name))
+        else:
+            found.append((name, None if parameter.default is parameter.empty else parameter.default))
+    return found
+
+
+def test_the_stubs_have_every_function_with_its_parameters():
+    stubs = ast.parse((pathlib.Path(srflow.__file__).parent / "_srflow.pyi").read_text())
+    found = {node.name: node for node in stubs.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    public = {name for name in dir(_srflow) if not name.startswith("_")}
+    only_types = {"Estimate", "Metrics", "Pair"}
+    assert set(found) - only_types == public
+    assert set(srflow.__all__) == public - {"run"}
+    for name in public:
+        item = getattr(_srflow, name)
+        assert item.__doc__, f"{name} has no documentation"
+        if isinstance(found[name], ast.FunctionDef):
+            assert parameters(found[name].args, 0) == of_signature(item, 0), name
+            continue
+        methods = {node.name: node for node in found[name].body if isinstance(node, ast.FunctionDef)}
+        hidden = {"__repr__", "__reduce__"}
+        own = {attribute for attribute in vars(item) if attribute not in ("__doc__", "__module__")}
+        assert set(methods) == own - hidden, name
+        for method, node in methods.items():
+            if node.decorator_list:  # a property
+                continue
+            if method == "__new__":
+                assert parameters(node.args, 1) == of_signature(item, 0), name
+            elif not method.startswith("__"):  # those have no signature
+                assert parameters(node.args, 1) == of_signature(getattr(item, method), 1), f"{name}.{method}"

@@ -287,8 +287,8 @@ fn export(args: Export, context: &Context) -> anyhow::Result<()> {
         wrong_usage!("--half: for files that end in .safetensors, and not for {}", out.display());
     }
     let device = Default::default();
-    let included = Architecture::from_name(&weights).and_then(|named| load_included(named, &device));
-    let network = match included.filter(|_| !Path::new(&weights).exists()) {
+    let named = Architecture::from_name(&weights).filter(|_| !Path::new(&weights).exists());
+    let network = match named.and_then(|named| load_included(named, &device)) {
         Some(network) => network,
         None => {
             let path = weights_file(None, &weights)?;

@@ -1,8 +1,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use clap::builder::ArgPredicate;
-use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::builder::{ArgPredicate, PossibleValue, PossibleValuesParser, TypedValueParser};
 use srflow_field::create_folder;
 use srflow_mer::{
     CLASSIFIERS, ClassifierEntry, Protocol, ResultsFolder, ResultsRecord, RunFolders, RunMethod, RunSettings,

@@ -40,4 +40,4 @@ def _main():
     from ._srflow import run
 
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # Python's own handler would wait for the command's end
-    sys.exit(run(sys.argv))
+    sys.exit(run(["srflow", *sys.argv[1:]]))

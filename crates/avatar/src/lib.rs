@@ -27,6 +27,7 @@ mod regions;
 mod skeleton_names;
 pub mod train;
 mod unit_fit;
+mod unit_name;
 mod unit_table;
 
 pub use avatar::{Avatar, AvatarError, PosedHead};
@@ -40,9 +41,10 @@ pub use head_model::{
     rotation_of_axis_angle,
 };
 pub use head_source::{HEAD_KINDS, HeadKind, HeadSource};
-pub use mesh::{MeshFormat, write_mesh};
+pub use mesh::{MeshFormat, MeshMotion, add_mesh, write_mesh};
 pub use micro_expression::MicroExpression;
 pub use motion::{Moment, Motion};
 pub use parameters::{HeadParameters, ParametersError, PoseParameters};
 pub use unit_fit::{Left, UnitQuality, unit_qualities};
+pub use unit_name::unit_name;
 pub use unit_table::{UNITS_NAME, write_units};

@@ -6,7 +6,9 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use glam::{Vec2, Vec3};
+use serde_json::json;
 use srflow_field::{FileError, FileProblem, write_atomically};
+use srflow_splat::gltf::GltfBuilder;
 
 use crate::TextureMap;
 
@@ -63,42 +65,74 @@ pub fn write_mesh(
             path.extension().unwrap_or_default().to_string_lossy(),
         ))
     })?;
-    let check = |what: &'static str, triangles: &[[u32; 3]], count: usize| {
-        let beyond = triangles.iter().flatten().find(|index| **index as usize >= count);
-        beyond.map_or(Ok(()), |beyond| {
-            let expected = format!("{what} below {count}");
-            Err(problem(FileProblem::field("triangle", expected, beyond.to_string())))
-        })
-    };
-    check("vertices", triangles, vertices.len())?;
-    if let Some(texture) = texture {
-        check("points of the texture", &texture.triangles, texture.points.len())?;
-        if texture.triangles.len() != triangles.len() {
-            let expected = format!("{} triangles, as the mesh has", triangles.len());
-            return Err(problem(FileProblem::field(
-                "texture",
-                expected,
-                texture.triangles.len().to_string(),
-            )));
-        }
+    check(vertices, triangles, texture).map_err(problem)?;
+    if format == MeshFormat::Glb {
+        let mut builder = GltfBuilder::new();
+        add_checked(&mut builder, vertices, triangles, texture, None);
+        return builder.write(path);
     }
     write_atomically(path, |writer| match (format, texture) {
-        (MeshFormat::Obj, texture) => write_obj(writer, vertices, triangles, texture),
         (MeshFormat::Ply, None) => write_ply(writer, vertices, triangles, None),
-        (MeshFormat::Glb, None) => write_glb(writer, vertices, triangles, None),
-        (format, Some(texture)) => {
-            let Unfolded { vertices, triangles, texture } = Unfolded::new(vertices, triangles, texture);
-            match format {
-                MeshFormat::Glb => write_glb(writer, &vertices, &triangles, Some(&texture)),
-                _ => write_ply(writer, &vertices, &triangles, Some(&texture)),
-            }
+        (MeshFormat::Ply, Some(texture)) => {
+            let Unfolded { vertices, triangles, texture, .. } = Unfolded::new(vertices, triangles, texture);
+            write_ply(writer, &vertices, &triangles, Some(&texture))
         }
+        (_, texture) => write_obj(writer, vertices, triangles, texture),
     })
+}
+
+/// Adds a node `head` with a mesh to a glTF scene; see [`write_mesh`]. With a motion the mesh moves: each further timestep is a morph target,
+/// whose weight is 1 at its time and falls linearly to 0 at those of its neighbours.
+///
+/// # Errors
+/// When a triangle has a vertex or a point of the texture that does not exist, or a timestep of the motion another number of vertices.
+pub fn add_mesh(
+    builder: &mut GltfBuilder,
+    vertices: &[Vec3],
+    triangles: &[[u32; 3]],
+    texture: Option<&TextureMap>,
+    motion: Option<&MeshMotion>,
+) -> Result<(), FileProblem> {
+    check(vertices, triangles, texture)?;
+    if let Some(odd) = motion.and_then(|motion| motion.further.iter().find(|v| v.len() != vertices.len())) {
+        let expected = format!("{} vertices at every timestep", vertices.len());
+        return Err(FileProblem::field("motion", expected, odd.len().to_string()));
+    }
+    add_checked(builder, vertices, triangles, texture, motion);
+    Ok(())
+}
+
+/// Where the vertices of a mesh go.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct MeshMotion {
+    /// Vertices at the timesteps after the first, metres.
+    pub further: Vec<Vec<Vec3>>,
+    /// Timesteps per second.
+    pub rate: f32,
+}
+
+fn check(vertices: &[Vec3], triangles: &[[u32; 3]], texture: Option<&TextureMap>) -> Result<(), FileProblem> {
+    let within = |what: &'static str, triangles: &[[u32; 3]], count: usize| {
+        let beyond = triangles.iter().flatten().find(|index| **index as usize >= count);
+        beyond.map_or(Ok(()), |beyond| {
+            Err(FileProblem::field("triangle", format!("{what} below {count}"), beyond.to_string()))
+        })
+    };
+    within("vertices", triangles, vertices.len())?;
+    let Some(texture) = texture else { return Ok(()) };
+    within("points of the texture", &texture.triangles, texture.points.len())?;
+    if texture.triangles.len() != triangles.len() {
+        let expected = format!("{} triangles, as the mesh has", triangles.len());
+        return Err(FileProblem::field("texture", expected, texture.triangles.len().to_string()));
+    }
+    Ok(())
 }
 
 /// A mesh with one point of the texture for each vertex.
 struct Unfolded {
     vertices: Vec<Vec3>,
+    /// The vertex that each one is or repeats.
+    source: Vec<u32>,
     triangles: Vec<[u32; 3]>,
     texture: Vec<Vec2>,
 }
@@ -108,7 +142,12 @@ impl Unfolded {
     fn new(vertices: &[Vec3], triangles: &[[u32; 3]], texture: &TextureMap) -> Self {
         let mut point_of: Vec<Option<u32>> = vec![None; vertices.len()];
         let mut repeated: HashMap<(u32, u32), u32> = HashMap::new();
-        let mut unfolded = Self { vertices: vertices.to_vec(), triangles: Vec::new(), texture: Vec::new() };
+        let mut unfolded = Self {
+            vertices: vertices.to_vec(),
+            source: (0..vertices.len() as u32).collect(),
+            triangles: Vec::new(),
+            texture: Vec::new(),
+        };
         let mut further = Vec::new();
         for (triangle, points) in triangles.iter().zip(&texture.triangles) {
             unfolded.triangles.push(std::array::from_fn(|corner| {
@@ -118,6 +157,7 @@ impl Unfolded {
                 }
                 *repeated.entry((vertex, point)).or_insert_with(|| {
                     unfolded.vertices.push(vertices[vertex as usize]);
+                    unfolded.source.push(vertex);
                     further.push(point);
                     unfolded.vertices.len() as u32 - 1
                 })
@@ -184,68 +224,49 @@ fn write_ply(
     Ok(())
 }
 
-/// The glTF 2.0 specification, section 4: a header, a chunk of JSON padded with spaces, and one of binary data.
-/// `texture` has one point for each vertex.
-fn write_glb(
-    writer: &mut impl Write,
+fn add_checked(
+    builder: &mut GltfBuilder,
     vertices: &[Vec3],
     triangles: &[[u32; 3]],
-    texture: Option<&[Vec2]>,
-) -> io::Result<()> {
-    let (points, indices) = (12 * vertices.len(), 12 * triangles.len());
-    let texture_bytes = texture.map_or(0, |texture| 8 * texture.len());
-    let low = vertices.iter().copied().fold(Vec3::INFINITY, Vec3::min).to_array();
-    let high = vertices.iter().copied().fold(Vec3::NEG_INFINITY, Vec3::max).to_array();
-    const FLOAT: u32 = 5126;
-    const UNSIGNED_INT: u32 = 5125;
-    const ARRAY_BUFFER: u32 = 34962;
-    const ELEMENT_ARRAY_BUFFER: u32 = 34963;
-    let mut json = serde_json::json!({
-        "asset": {"version": "2.0", "generator": concat!("srflow ", env!("CARGO_PKG_VERSION"))},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0, "name": "head"}],
-        "meshes": [{"name": "head", "primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "accessors": [
-            {"bufferView": 0, "componentType": FLOAT, "count": vertices.len(), "type": "VEC3", "min": low, "max": high},
-            {"bufferView": 1, "componentType": UNSIGNED_INT, "count": 3 * triangles.len(), "type": "SCALAR"},
-        ],
-        "bufferViews": [
-            {"buffer": 0, "byteLength": points, "target": ARRAY_BUFFER},
-            {"buffer": 0, "byteOffset": points, "byteLength": indices, "target": ELEMENT_ARRAY_BUFFER},
-        ],
-        "buffers": [{"byteLength": points + indices + texture_bytes}],
+    texture: Option<&TextureMap>,
+    motion: Option<&MeshMotion>,
+) {
+    let unfolded = texture.map(|texture| Unfolded::new(vertices, triangles, texture));
+    let (vertices, triangles) = match &unfolded {
+        Some(unfolded) => (&unfolded.vertices[..], &unfolded.triangles[..]),
+        None => (vertices, triangles),
+    };
+    let mut attributes = json!({"POSITION": builder.floats(vertices.iter().map(Vec3::to_array))});
+    let indices = builder.indices(triangles);
+    if let Some(unfolded) = &unfolded {
+        // glTF counts from the top.
+        let points = unfolded.texture.iter().map(|point| [point.x, 1.0 - point.y]);
+        attributes["TEXCOORD_0"] = builder.floats(points).into();
+    }
+    let mut primitive = json!({"attributes": attributes, "indices": indices});
+    let Some(MeshMotion { further, rate }) = motion.filter(|motion| !motion.further.is_empty()) else {
+        builder.add_mesh("head", &json!({"primitives": [primitive]}));
+        return;
+    };
+    let mut targets = Vec::with_capacity(further.len());
+    for moved in further {
+        let source = |v: usize| unfolded.as_ref().map_or(v, |unfolded| unfolded.source[v] as usize);
+        let offsets = vertices.iter().enumerate().map(|(v, rest)| (moved[source(v)] - rest).to_array());
+        targets.push(json!({"POSITION": builder.floats(offsets)}));
+    }
+    primitive["targets"] = targets.into();
+    let mesh = json!({"primitives": [primitive], "weights": vec![0.0; further.len()]});
+    let node = builder.add_mesh("head", &mesh);
+    let times = builder.keys((0..=further.len()).map(|timestep| timestep as f32 / rate));
+    let weights = (0..=further.len()).flat_map(|timestep| {
+        (1..=further.len()).map(move |target| if target == timestep { 1.0 } else { 0.0 })
     });
-    if texture.is_some() {
-        json["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"] = 2.into();
-        let accessor = serde_json::json!({"bufferView": 2, "componentType": FLOAT, "count": vertices.len(), "type": "VEC2"});
-        let view = serde_json::json!({
-            "buffer": 0, "byteOffset": points + indices, "byteLength": texture_bytes, "target": ARRAY_BUFFER,
-        });
-        for (list, entry) in [("accessors", accessor), ("bufferViews", view)] {
-            json[list].as_array_mut().expect("made above").push(entry);
-        }
-    }
-    let mut json = json.to_string();
-    while !json.len().is_multiple_of(4) {
-        json.push(' ');
-    }
-    let binary = points + indices + texture_bytes;
-    let whole = 12 + 8 + json.len() + 8 + binary;
-    let size =
-        |bytes: usize| u32::try_from(bytes).map_err(|_| io::Error::other("a .glb file holds at most 4 GiB"));
-    writer.write_all(b"glTF")?;
-    for number in [2, size(whole)?, size(json.len())?] {
-        writer.write_all(&number.to_le_bytes())?;
-    }
-    writer.write_all(b"JSON")?;
-    writer.write_all(json.as_bytes())?;
-    writer.write_all(&size(binary)?.to_le_bytes())?;
-    writer.write_all(b"BIN\0")?;
-    write_floats(writer, vertices.iter().flat_map(|v| v.to_array()))?;
-    write_indices(writer, triangles)?;
-    // glTF counts from the top.
-    write_floats(writer, texture.into_iter().flatten().flat_map(|point| [point.x, 1.0 - point.y]))
+    let weights = builder.keys(weights);
+    builder.add_animation(json!({
+        "name": "motion",
+        "samplers": [{"input": times, "output": weights, "interpolation": "LINEAR"}],
+        "channels": [{"sampler": 0, "target": {"node": node, "path": "weights"}}],
+    }));
 }
 
 fn write_floats(writer: &mut impl Write, mut values: impl Iterator<Item = f32>) -> io::Result<()> {
@@ -367,6 +388,39 @@ mod tests {
         let read = model.texture.unwrap();
         assert_eq!(read.points, [0, 1, 2, 1, 3].map(|point| texture.points[point]));
         assert_eq!(read.triangles, model.triangles);
+    }
+
+    #[test]
+    fn a_motion_is_one_morph_target_per_further_timestep() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.glb");
+        let (vertices, triangles, texture) = seam();
+        let moved = |shift: f32| vertices.iter().map(|v| *v + shift * Vec3::Z).collect::<Vec<_>>();
+        let motion = MeshMotion { further: vec![moved(0.5), moved(0.75)], rate: 25.0 };
+        let mut builder = GltfBuilder::new();
+        add_mesh(&mut builder, &vertices, &triangles, Some(&texture), Some(&motion)).unwrap();
+        builder.write(&path).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        let json = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+        let value: serde_json::Value = serde_json::from_slice(&bytes[20..20 + json]).unwrap();
+        assert_eq!(value["meshes"][0]["weights"], json!([0.0, 0.0]));
+        let accessor = |number: &serde_json::Value| &value["accessors"][number.as_u64().unwrap() as usize];
+        let sampler = &value["animations"][0]["samplers"][0];
+        assert_eq!(
+            (&accessor(&sampler["input"])["count"], &accessor(&sampler["output"])["count"]),
+            (&3.into(), &6.into())
+        );
+        assert_eq!(accessor(&sampler["input"])["max"][0].as_f64().unwrap() as f32, 0.08);
+        let model =
+            crate::HeadSource::from_str(&format!("gltf:{}", path.display())).unwrap().model(1).unwrap();
+        assert_eq!(model.expressions.len(), 2);
+        let offsets: Vec<_> = model.expressions[1].offsets.iter().collect();
+        assert_eq!(offsets.len(), 5, "the repeated vertex moves too");
+        assert!(offsets.iter().all(|(_, offset)| *offset == Vec3::new(0.0, 0.0, 0.75)), "{offsets:?}");
+
+        let wrong = MeshMotion { further: vec![Vec::new()], rate: 25.0 };
+        let error = add_mesh(&mut GltfBuilder::new(), &vertices, &triangles, None, Some(&wrong)).unwrap_err();
+        assert!(error.to_string().contains("4 vertices at every timestep, found 0"), "{error}");
     }
 
     #[test]

@@ -15,11 +15,13 @@ macro_rules! note {
 
 mod commands;
 mod large_frames;
+mod library;
 mod machine;
 mod made;
 mod methods;
 mod networks;
 mod output;
+mod posed_head;
 mod progress;
 mod rendering;
 mod scoring;
@@ -31,6 +33,9 @@ use std::io::{self, Write};
 
 use clap::{Args, Parser, Subcommand};
 
+pub use commands::render::render;
+pub use commands::train::train;
+pub use library::Watch;
 pub use methods::estimator_of;
 pub use usage::UsageError;
 
@@ -77,6 +82,7 @@ enum Command {
     Convert(commands::convert::Convert),
     Rasterize(commands::rasterize::Rasterize),
     Models(commands::models::Models),
+    View(commands::view::View),
     Check(commands::check::Check),
 }
 
@@ -114,6 +120,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Convert(args) => commands::convert::run(args, &context),
         Command::Rasterize(args) => commands::rasterize::run(args, &context),
         Command::Models(args) => commands::models::run(args, &context),
+        Command::View(args) => commands::view::run(args, &context),
         Command::Check(args) => commands::check::run(args, &context),
     };
     match result.and_then(|()| Ok(io::stdout().flush()?)) {

@@ -2,12 +2,15 @@
 
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use clap::Args;
 use indicatif::ProgressBar;
+use serde_json::json;
 use srflow_render::RenderError;
 use srflow_render::job::{Event, Request, Shard};
 
+use crate::library::Watch;
 use crate::output::{ensure_folder, exit_stopped};
 use crate::progress::bar;
 use crate::usage::wrong_usage;
@@ -37,13 +40,47 @@ impl RenderingArgs {
         units: &str,
         make: impl FnOnce(Request) -> Result<T, RenderError>,
     ) -> anyhow::Result<T> {
-        ensure_folder(out)?;
         let progress = Progress::new(units);
-        let Self { shard, force, stop_after } = *self;
-        let made =
-            make(Request { dir: out, shard, force, stop_after, on_event: &|event| progress.show(event) });
+        let made = self.make_with(out, &|event| progress.show(event), &|| false, make);
         progress.bar.finish_and_clear();
-        match made {
+        made
+    }
+
+    /// Renders the dataset in `out` with `make`. Progress has the key `bytes` too: what was written.
+    ///
+    /// # Errors
+    /// As [`RenderingArgs::make`].
+    pub fn make_watched<T>(
+        &self,
+        out: &Path,
+        watch: &Watch,
+        make: impl FnOnce(Request) -> Result<T, RenderError>,
+    ) -> anyhow::Result<T> {
+        let state = Mutex::new((0, 0, 0));
+        let on_event = |event| {
+            // Workers report at the same time: what is done only grows.
+            let mut state = state.lock().unwrap_or_else(PoisonError::into_inner);
+            let (done, total, written) = *state;
+            *state = match event {
+                Event::Started { units, whole } => (whole, units, written),
+                Event::Made { bytes } => (done + 1, total, written.max(bytes)),
+            };
+            let (done, total, bytes) = *state;
+            (watch.on_progress)(json!({ "done": done, "total": total, "bytes": bytes }));
+        };
+        self.make_with(out, &on_event, watch.stop, make)
+    }
+
+    fn make_with<T>(
+        &self,
+        out: &Path,
+        on_event: &(dyn Fn(Event) + Sync),
+        stop: &(dyn Fn() -> bool + Sync),
+        make: impl FnOnce(Request) -> Result<T, RenderError>,
+    ) -> anyhow::Result<T> {
+        ensure_folder(out)?;
+        let Self { shard, force, stop_after } = *self;
+        match make(Request { dir: out, shard, force, stop_after, stop, on_event }) {
             Err(error @ RenderError::Argument { .. }) => wrong_usage!("{error}"),
             made => Ok(made?),
         }

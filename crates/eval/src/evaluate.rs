@@ -16,7 +16,7 @@ use crate::error_curve::ErrorCurve;
 use crate::expression::Expression;
 use crate::flow_files::{FlowFileError, FlowFiles};
 use crate::regions;
-use crate::results::{Evaluation, Failure, MethodScores, PairScores, Region, title};
+use crate::results::{Evaluation, Failure, MethodScores, PairScores, Region, dataset_title};
 use crate::zero::Zero;
 
 /// The source of the flow that is scored.
@@ -190,7 +190,7 @@ pub fn evaluate(
     settings: Settings,
     on_event: &mut dyn FnMut(Event<'_>),
 ) -> Result<Evaluation, EvaluateError> {
-    let title = title(dataset.name(), dataset.split());
+    let title = dataset_title(dataset.name(), dataset.split());
     if dataset.entries().iter().all(|entry| entry.flow.is_none()) {
         return Err(EvaluateError::NoTruth { dataset: title, pairs: dataset.entries().len() });
     }
@@ -476,7 +476,7 @@ pub(crate) fn chosen(dataset: &FlowDataset, limit: Option<usize>) -> Vec<&Entry>
 }
 
 /// `limit` indices spread evenly over `0..count`, or all of them when `limit` is not below `count`.
-fn spread(count: usize, limit: Option<usize>) -> Vec<usize> {
+pub fn spread(count: usize, limit: Option<usize>) -> Vec<usize> {
     let wanted = limit.unwrap_or(count).min(count);
     (0..wanted).map(|i| i * count / wanted).collect()
 }

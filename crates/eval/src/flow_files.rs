@@ -117,6 +117,14 @@ impl FlowFiles {
         &self.name
     }
 
+    /// The flow of a pair whose frames have the size `frame`. Panics when the pair is not one of those of [`FlowFiles::find`].
+    ///
+    /// # Errors
+    /// When the file cannot be read or has another size.
+    pub fn flow(&self, pair: &str, frame: (usize, usize)) -> Result<FlowField, FlowFileError> {
+        self.read(pair, frame, None)
+    }
+
     /// The flow of a pair whose frames have the size `frame`, cropped to `window`. The file may hold the window alone.
     pub(crate) fn read(
         &self,

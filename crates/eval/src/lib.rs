@@ -15,13 +15,14 @@ mod zero;
 pub use crop::{CropError, Window, head_window};
 pub use evaluate::{
     Estimate, EvaluateError, Event, Method, OnFailure, PairProblem, ScoredPair, Settings, evaluate,
-    scored_pairs,
+    scored_pairs, spread,
 };
 pub use expression::Expression;
 pub use flow_files::{FlowFileError, FlowFiles, FlowFilesError};
 pub use method_record::MethodRecord;
 pub use results::{
-    Evaluation, Failure, MethodScores, PairScores, Region, SCORES, ScoreColumn, score_columns,
+    Evaluation, Failure, MethodScores, PairScores, Region, SCORES, ScoreColumn, dataset_title,
+    improvement_columns, improvement_percent, score_columns,
 };
 pub use table::{
     Better, Column, Mark, Row, Table, TextStyle, joined, latex_escape, latex_file, markdown_file,

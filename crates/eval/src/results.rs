@@ -165,6 +165,23 @@ pub fn score_columns() -> Vec<Column> {
     SCORES.map(|(key, header, better, _)| Column::ranked(key, header, better)).to_vec()
 }
 
+/// The columns of [`SCORES`] in a table of [`improvement_percent`].
+pub fn improvement_columns() -> Vec<Column> {
+    let column = |(key, header, ..): ScoreColumn| {
+        Column::plain(&format!("{key}_improvement_percent"), &format!("{header} %"), 2)
+    };
+    SCORES.map(column).to_vec()
+}
+
+/// By how many percent of `other` the score `own` is better; `None` where that is no number.
+pub fn improvement_percent(better: Better, own: f64, other: f64) -> Option<f64> {
+    let change = match better {
+        Better::Lower => other - own,
+        Better::Higher => own - other,
+    };
+    Some(100.0 * change / other).filter(|percent| percent.is_finite())
+}
+
 impl Evaluation {
     /// The paper's Table II for one region, with the median seconds per pair appended; `None` when the dataset has no such
     /// region.
@@ -193,9 +210,9 @@ impl Evaluation {
         })
     }
 
-    /// The dataset and its split, e.g. `sintel-clean, train split`.
+    /// See [`dataset_title`].
     pub fn title(&self) -> String {
-        title(&self.dataset, self.split)
+        dataset_title(&self.dataset, self.split)
     }
 
     /// `1 pair`, `12 pairs`.
@@ -243,7 +260,7 @@ impl Evaluation {
 
     /// How well each method shows the motion of expressions; `None` when it was not asked for.
     pub fn expression(&self) -> Option<Table> {
-        self.methods.iter().find_map(|method| method.expression)?;
+        let rms = self.methods.iter().find_map(|method| method.expression)?.true_rms;
         let row = |method: &MethodScores| Row {
             name: method.name.clone(),
             values: [
@@ -253,8 +270,6 @@ impl Evaluation {
             .into(),
             baseline: method.baseline,
         };
-        let rms =
-            self.methods.iter().find_map(|method| method.expression).map_or(0.0, |found| found.true_rms);
         let crop = self.crop_in_words();
         Some(Table {
             title: format!(
@@ -277,27 +292,16 @@ impl Evaluation {
         let of = |name: &str| self.methods.iter().find(|method| method.name == name)?.whole.as_ref();
         let row = |(name, other): &(String, String)| {
             let (own, other) = (of(name)?, of(other)?);
-            let value = |(.., better, value): &ScoreColumn| {
-                let change = match better {
-                    Better::Lower => value(other) - value(own),
-                    Better::Higher => value(own) - value(other),
-                };
-                Some(100.0 * change / value(other)).filter(|percent| percent.is_finite())
-            };
+            let value =
+                |(.., better, value): &ScoreColumn| improvement_percent(*better, value(own), value(other));
             Some(Row { name: name.clone(), values: SCORES.iter().map(value).collect(), baseline: false })
         };
         let rows: Vec<Row> = self.improvements.iter().filter_map(row).collect();
         let against: Vec<String> =
             self.improvements.iter().map(|(name, other)| format!("{name} against {other}")).collect();
-        let column = |(key, header, ..): ScoreColumn| Column {
-            key: format!("{key}_improvement_percent"),
-            header: format!("{header} %"),
-            better: None,
-            decimals: 2,
-        };
         (!rows.is_empty()).then(|| Table {
             title: format!("{}: improvement in percent", self.title()),
-            columns: SCORES.map(column).to_vec(),
+            columns: improvement_columns(),
             rows,
             notes: vec![against.join(", ")],
         })
@@ -375,7 +379,8 @@ impl PairScores {
     }
 }
 
-pub(crate) fn title(dataset: &str, split: Split) -> String {
+/// A kind of dataset and its split, e.g. `sintel-clean, train split`.
+pub fn dataset_title(dataset: &str, split: Split) -> String {
     match split {
         Split::All => dataset.to_owned(),
         split => format!("{dataset}, {split} split"),

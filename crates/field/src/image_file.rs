@@ -6,7 +6,7 @@ use std::path::Path;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
 use crate::codec::{MAX_PIXELS, PngOutline, check_size, read_all, read_with};
-use crate::{FileError, FileKind, FileProblem, Image, Labels, Mask, write_atomically};
+use crate::{FileError, FileKind, FileProblem, Image, Labels, Mask, Plane, write_atomically};
 
 /// File extensions of [`read_image`], in lower case.
 pub const IMAGE_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "ppm", "pgm", "pnm", "bmp"];
@@ -71,6 +71,20 @@ pub fn read_labels(path: &Path) -> Result<Labels, FileError> {
             let expected = "8-bit grey values, one label per pixel (convert the image)";
             Err(FileProblem::field("pixels", expected, format!("{:?}", other.color())))
         }
+    })
+}
+
+/// Reads a 16-bit grey image: the values as they are stored, 0 to 65535.
+///
+/// # Errors
+/// As [`read_image`], and when the image is not grey with 16 bits.
+pub fn read_grey16(path: &Path) -> Result<Plane, FileError> {
+    read_with(path, FileKind::Image, |reader, len| match decode(&read_all(reader, len)?)? {
+        DynamicImage::ImageLuma16(pixels) => {
+            let (width, height) = (pixels.width() as usize, pixels.height() as usize);
+            Ok(Plane::from_buffer(width, height, pixels.iter().copied().map(f32::from).collect()))
+        }
+        other => Err(FileProblem::field("pixels", "16-bit grey values", format!("{:?}", other.color()))),
     })
 }
 

@@ -44,8 +44,8 @@ pub use grey::{luminance, opencv_grey, pillow_grey};
 pub(crate) use grid::check_same_size;
 pub use grid::{FlowField, Image, Labels, Mask, Plane, SizeError, SizeMismatch};
 pub use image_file::{
-    IMAGE_EXTENSIONS, read_image, read_image_size, read_labels, read_mask, write_image_png, write_labels_png,
-    write_mask_png,
+    IMAGE_EXTENSIONS, read_grey16, read_image, read_image_size, read_labels, read_mask, write_image_png,
+    write_labels_png, write_mask_png,
 };
 pub use json_lines::{JsonLines, read_json_lines};
 pub use metrics::{MAX_SCORED_FLOW, MeanMetrics, Metrics, ScoreError, score};

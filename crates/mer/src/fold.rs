@@ -24,22 +24,27 @@ pub(crate) struct Trained {
     pub(crate) seconds: f64,
 }
 
-/// The loss was not finite in this epoch.
+/// Why a fold has no result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Diverged {
-    pub(crate) epoch: usize,
+pub(crate) enum Unfinished {
+    /// The loss was not finite in this epoch.
+    Diverged {
+        epoch: usize,
+    },
+    Stopped,
 }
 
 /// Trains on `training` and scores `tested`, which must not be empty. Random numbers are keyed by `name`, the identity of the
-/// fold, so the result does not depend on which folds run, or where.
+/// fold, so the result does not depend on which folds run, or where. `goes_on` is called after each epoch; a fold whose last
+/// epoch is done is finished whatever it says.
 pub(crate) fn train_fold<C: Classifier>(
     name: &str,
     classes: usize,
     training: &[&Example],
     tested: &[&Example],
     protocol: &Protocol,
-    on_epoch: &dyn Fn(usize),
-) -> Result<Trained, Diverged> {
+    goes_on: &dyn Fn() -> bool,
+) -> Result<Trained, Unfinished> {
     let start = Instant::now();
     let key = Key::new(protocol.seed);
     let device = Device::flex().autodiff();
@@ -59,7 +64,7 @@ pub(crate) fn train_fold<C: Classifier>(
             let inputs = stacked::<C>(&examples, &device);
             let loss = network.step(inputs, labels, protocol.learning_rate(epoch), Some(&mut dropout));
             if !loss.is_finite() {
-                return Err(Diverged { epoch });
+                return Err(Unfinished::Diverged { epoch });
             }
             sum += f64::from(loss) * batch.len() as f64;
         }
@@ -67,7 +72,9 @@ pub(crate) fn train_fold<C: Classifier>(
             losses.push(sum / training.len() as f64);
             scores.push(score(network.network(), tested, protocol.batch));
         }
-        on_epoch(epoch);
+        if !goes_on() && epoch + 1 < protocol.epochs {
+            return Err(Unfinished::Stopped);
+        }
     }
     Ok(Trained { scores, losses, seconds: start.elapsed().as_secs_f64() })
 }

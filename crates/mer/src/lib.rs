@@ -32,7 +32,10 @@ pub use extract::{
 pub use face::{ClipCrop, FaceBox, FaceCrop, FaceError, FacePoints, Landmarks};
 pub use features::{Channel, FEATURE_SIDE, FeatureError, Features, Sample};
 pub use features_file::{FeatureRecipe, write_features};
-pub use loso::{FoldRecord, Loso, LosoError, LosoEvent, leave_one_subject_out};
+pub use loso::{
+    Fold, FoldRecord, LabelledClip, Loso, LosoError, LosoEvent, folds, leave_one_subject_out,
+    leave_one_subject_out_by,
+};
 pub use metrics::{Confusion, Scores};
 pub use predictions::{Prediction, PredictionsError, Trial, read_predictions, write_predictions};
 pub use protocol::{Protocol, ProtocolError};

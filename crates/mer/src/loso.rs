@@ -5,6 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
+use std::time::Instant;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -12,7 +13,7 @@ use srflow_field::{FileError, FileKind, create_folder, read_file, write_atomical
 
 use crate::classifier::Classifier;
 use crate::features::Sample;
-use crate::fold::{Diverged, Example, Trained, train_fold};
+use crate::fold::{Example, Trained, Unfinished, train_fold};
 use crate::predictions::Prediction;
 use crate::protocol::{Protocol, ProtocolError};
 
@@ -44,6 +45,33 @@ pub struct FoldRecord {
     pub seconds: f64,
     /// Whether an earlier run computed it.
     pub resumed: bool,
+}
+
+/// A clip with its class. (dataset, subject, clip) identifies it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct LabelledClip<'a> {
+    pub dataset: &'a str,
+    pub subject: &'a str,
+    pub clip: &'a str,
+    /// Class number.
+    pub class: usize,
+}
+
+impl<'a> From<&'a Sample> for LabelledClip<'a> {
+    fn from(Sample { dataset, subject, clip, class, .. }: &'a Sample) -> Self {
+        Self { dataset, subject, clip, class: *class }
+    }
+}
+
+/// A held-out subject. The indices of clips are in order of dataset, subject and clip.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Fold {
+    pub dataset: String,
+    pub subject: String,
+    /// The subject's clips.
+    pub tested: Vec<usize>,
+    /// All others.
+    pub training: Vec<usize>,
 }
 
 /// Progress, reported from any thread.
@@ -85,6 +113,21 @@ pub enum LosoError {
         subject: String,
         epoch: usize,
     },
+    /// A classifier of another program did not give one class for each clip.
+    #[error("{dataset} subject {subject}: expected the classes of {clips} clips, numbers from 0 to {}; found {found}", .classes.saturating_sub(1))]
+    Predicted {
+        dataset: String,
+        /// The held-out subject.
+        subject: String,
+        clips: usize,
+        /// Number of classes.
+        classes: usize,
+        /// What the classifier gave.
+        found: String,
+    },
+    /// It was asked to stop.
+    #[error("stopped on request")]
+    Stopped,
     /// A finished fold could not be read or written.
     #[error(transparent)]
     File(#[from] FileError),
@@ -94,65 +137,116 @@ fn listed(subjects: &[String]) -> String {
     if subjects.is_empty() { "none".to_owned() } else { subjects.join(", ") }
 }
 
+/// The folds over these clips, by dataset, then subject.
+///
+/// # Errors
+/// When there are fewer than two subjects, or two clips share a name.
+pub fn folds(clips: &[LabelledClip]) -> Result<Vec<Fold>, LosoError> {
+    let name = |index: usize| [clips[index].dataset, clips[index].subject, clips[index].clip];
+    let mut order: Vec<usize> = (0..clips.len()).collect();
+    order.sort_by_key(|&index| name(index));
+    if let Some(pair) = order.windows(2).find(|pair| name(pair[0]) == name(pair[1])) {
+        let [dataset, subject, clip] = name(pair[0]).map(str::to_owned);
+        return Err(LosoError::SameClip { dataset, subject, clip });
+    }
+    let mut subjects: Vec<[&str; 2]> =
+        order.iter().map(|&index| [clips[index].dataset, clips[index].subject]).collect();
+    subjects.dedup();
+    if subjects.len() < 2 {
+        return Err(LosoError::Subjects(subjects.iter().map(|subject| subject.join(" ")).collect()));
+    }
+    let fold = |[dataset, subject]: [&str; 2]| {
+        let held_out = |&index: &usize| clips[index].dataset == dataset && clips[index].subject == subject;
+        let (tested, training) = order.iter().copied().partition(held_out);
+        Fold { dataset: dataset.to_owned(), subject: subject.to_owned(), tested, training }
+    };
+    Ok(subjects.into_iter().map(fold).collect())
+}
+
+/// Leaves one subject out with a classifier of another program: `classify` gets every fold in order, and gives the class of each of its
+/// tested clips. What it predicts is recorded as epoch 0, with a score of 1 for the class and 0 for the others.
+///
+/// # Errors
+/// Those of [`folds`]; [`LosoError::Predicted`]; and the errors of `classify`, of which the first ends the run.
+pub fn leave_one_subject_out_by<E: From<LosoError>>(
+    clips: &[LabelledClip],
+    classes: &Arc<[String]>,
+    mut classify: impl FnMut(&Fold) -> Result<Vec<usize>, E>,
+) -> Result<Loso, E> {
+    let folds = folds(clips)?;
+    let mut finished = Vec::with_capacity(folds.len());
+    for fold in &folds {
+        let start = Instant::now();
+        let predicted = classify(fold)?;
+        if predicted.len() != fold.tested.len() || predicted.iter().any(|class| *class >= classes.len()) {
+            return Err(LosoError::Predicted {
+                dataset: fold.dataset.clone(),
+                subject: fold.subject.clone(),
+                clips: fold.tested.len(),
+                classes: classes.len(),
+                found: format!("{} numbers: {predicted:?}", predicted.len()),
+            }
+            .into());
+        }
+        let score =
+            |class: usize| (0..classes.len()).map(|other| f32::from(u8::from(other == class))).collect();
+        let scores = vec![predicted.into_iter().map(score).collect()];
+        let trained = Trained { scores, losses: Vec::new(), seconds: start.elapsed().as_secs_f64() };
+        finished.push(Finished { trained, resumed: false });
+    }
+    Ok(assembled(clips, classes, &[0], &folds, finished))
+}
+
 /// For each subject, trains a classifier on the samples of all others, and records its predictions for the subject's clips.
 /// `classes` are the classes' names; the samples' classes are indices into them.
 ///
 /// Folds are distributed over the threads of the current pool. Each is computed by one thread with its own random numbers: the
 /// result is bit-identical for any number of threads. Finished folds are stored in `folder`, under names that depend on
-/// protocol, classifier and every sample, and are not run again.
+/// protocol, classifier and every sample, and are not run again. `stop` is asked after each epoch, from any thread;
+/// a fold that has run its last epoch is still stored.
 ///
 /// # Errors
-/// When there are fewer than two subjects, two clips share a name, training diverges, or a fold cannot be stored.
+/// When there are fewer than two subjects, two clips share a name, training diverges, a fold cannot be stored, or `stop` says so.
 pub fn leave_one_subject_out<C: Classifier>(
     samples: &[Sample],
     classes: &Arc<[String]>,
     protocol: &Protocol,
     folder: Option<&Path>,
     on_event: &(dyn Fn(LosoEvent) + Sync),
+    stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Loso, LosoError> {
     protocol.check()?;
-    let samples = sorted(samples)?;
-    let mut folds: BTreeMap<[&str; 2], Vec<usize>> = BTreeMap::new();
-    for (index, sample) in samples.iter().enumerate() {
-        folds.entry([&sample.dataset, &sample.subject]).or_default().push(index);
-    }
-    if folds.len() < 2 {
-        return Err(LosoError::Subjects(
-            folds.keys().map(|[dataset, subject]| format!("{dataset} {subject}")).collect(),
-        ));
-    }
+    let clips: Vec<LabelledClip> = samples.iter().map(LabelledClip::from).collect();
+    let folds = folds(&clips)?;
     let store = match folder {
-        Some(folder) => Some(Store::open::<C>(folder, classes, protocol, &samples)?),
+        Some(folder) => Some(Store::open::<C>(folder, classes, protocol, &sorted(samples))?),
         None => None,
     };
     let examples: Vec<Example> = samples
         .iter()
         .map(|sample| Example { input: C::input(&sample.features), class: sample.class })
         .collect();
-    let folds: Vec<([&str; 2], Vec<usize>)> = folds.into_iter().collect();
-    let run = |&([dataset, subject], ref clips): &([&str; 2], Vec<usize>)| -> Result<Finished, LosoError> {
+    let run = |Fold { dataset, subject, tested, training }: &Fold| -> Result<Finished, LosoError> {
         let file = store.as_ref().map(|store| store.file(dataset, subject));
-        let (tested, training): (Vec<_>, Vec<_>) =
-            (0..examples.len()).partition(|index| clips.contains(index));
         let clips = training.len();
         let shape = [protocol.recorded().len(), tested.len(), classes.len()];
         if let Some(finished) = file.as_deref().map(|file| read_fold(file, shape)).transpose()?.flatten() {
             on_event(LosoEvent::Fold { clips, resumed: true });
             return Ok(finished);
         }
-        let of = |indices: Vec<usize>| -> Vec<&Example> { indices.iter().map(|&i| &examples[i]).collect() };
+        let of = |indices: &[usize]| -> Vec<&Example> { indices.iter().map(|&i| &examples[i]).collect() };
         let name = format!("{dataset}/{subject}");
-        let trained = train_fold::<C>(&name, classes.len(), &of(training), &of(tested), protocol, &|_| {
+        let trained = train_fold::<C>(&name, classes.len(), &of(training), &of(tested), protocol, &|| {
             on_event(LosoEvent::Epoch { clips });
+            !stop()
         });
-        let finished = Finished {
-            trained: trained.map_err(|Diverged { epoch }| LosoError::Diverged {
-                dataset: dataset.to_owned(),
-                subject: subject.to_owned(),
-                epoch,
-            })?,
-            resumed: false,
-        };
+        let trained = trained.map_err(|unfinished| match unfinished {
+            Unfinished::Diverged { epoch } => {
+                LosoError::Diverged { dataset: dataset.clone(), subject: subject.clone(), epoch }
+            }
+            Unfinished::Stopped => LosoError::Stopped,
+        })?;
+        let finished = Finished { trained, resumed: false };
         if let Some(file) = &file {
             write_fold(file, &name, &finished.trained)?;
         }
@@ -160,31 +254,38 @@ pub fn leave_one_subject_out<C: Classifier>(
         Ok(finished)
     };
     let finished = each_on_one_thread(&folds, run)?;
+    Ok(assembled(&clips, classes, &protocol.recorded(), &folds, finished))
+}
 
+/// The results of all folds, with predictions at these `epochs`.
+fn assembled(
+    clips: &[LabelledClip],
+    classes: &Arc<[String]>,
+    epochs: &[usize],
+    folds: &[Fold],
+    finished: Vec<Finished>,
+) -> Loso {
     let mut loso = Loso { classes: classes.clone(), predictions: Vec::new(), folds: Vec::new() };
-    for (([dataset, subject], clips), Finished { trained, resumed }) in folds.iter().zip(finished) {
-        let seen: BTreeSet<usize> = (0..samples.len())
-            .filter(|index| !clips.contains(index))
-            .map(|index| samples[index].class)
-            .collect();
+    for (fold, Finished { trained, resumed }) in folds.iter().zip(finished) {
+        let seen: BTreeSet<usize> = fold.training.iter().map(|&index| clips[index].class).collect();
         let unseen = (0..classes.len()).filter(|class| !seen.contains(class));
         loso.folds.push(FoldRecord {
-            dataset: (*dataset).to_owned(),
-            subject: (*subject).to_owned(),
-            clips: clips.len(),
+            dataset: fold.dataset.clone(),
+            subject: fold.subject.clone(),
+            clips: fold.tested.len(),
             unseen_classes: unseen.map(|class| classes[class].clone()).collect(),
             training_losses: trained.losses,
             seconds: trained.seconds,
             resumed,
         });
-        for (position, &index) in clips.iter().enumerate() {
-            let sample = samples[index];
-            for (epoch, scores) in protocol.recorded().into_iter().zip(&trained.scores) {
+        for (position, &index) in fold.tested.iter().enumerate() {
+            let LabelledClip { dataset, subject, clip, class } = clips[index];
+            for (&epoch, scores) in epochs.iter().zip(&trained.scores) {
                 loso.predictions.push(Prediction {
-                    dataset: sample.dataset.clone(),
-                    subject: sample.subject.clone(),
-                    clip: sample.clip.clone(),
-                    truth: sample.class,
+                    dataset: dataset.to_owned(),
+                    subject: subject.to_owned(),
+                    clip: clip.to_owned(),
+                    truth: class,
                     epoch,
                     predicted: Prediction::class_of(&scores[position]),
                     scores: scores[position].clone(),
@@ -192,21 +293,14 @@ pub fn leave_one_subject_out<C: Classifier>(
             }
         }
     }
-    Ok(loso)
+    loso
 }
 
 /// By dataset, subject, clip: the result does not depend on the order of the samples.
-fn sorted(samples: &[Sample]) -> Result<Vec<&Sample>, LosoError> {
-    let name = |sample: &Sample| [&sample.dataset, &sample.subject, &sample.clip].map(String::clone);
+fn sorted(samples: &[Sample]) -> Vec<&Sample> {
     let mut sorted: Vec<&Sample> = samples.iter().collect();
-    sorted.sort_by_key(|sample| name(sample));
-    match sorted.windows(2).find(|pair| name(pair[0]) == name(pair[1])) {
-        None => Ok(sorted),
-        Some(pair) => {
-            let [dataset, subject, clip] = name(pair[0]);
-            Err(LosoError::SameClip { dataset, subject, clip })
-        }
-    }
+    sorted.sort_by(|a, b| (&a.dataset, &a.subject, &a.clip).cmp(&(&b.dataset, &b.subject, &b.clip)));
+    sorted
 }
 
 struct Finished {

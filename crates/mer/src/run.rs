@@ -227,8 +227,9 @@ pub fn run(
             on_event(RunEvent::Folds { set, method });
             let of_set = samples.iter().filter(|sample| members.contains(&sample.dataset));
             let of_set: Vec<Sample> = of_set.cloned().collect();
+            let folder = Some(folders.folds);
             let loso =
-                classifier.leave_one_subject_out(&of_set, classes, protocol, Some(folders.folds), &on_fold);
+                classifier.leave_one_subject_out(&of_set, classes, protocol, folder, &on_fold, &|| false);
             let loso =
                 loso.map_err(|error| RunError::Training { set: set.clone(), method: method.clone(), error })?;
             outcomes.push(Outcome::of(method, set, &loso)?);

@@ -6,8 +6,9 @@ use std::sync::Mutex;
 use srflow_field::Plane;
 use srflow_field::random::Key;
 use srflow_mer::{
-    Classifier, FEATURE_SIDE, Features, Loso, LosoEvent, OffTaNet, Protocol, Sample, StstNet, Summary,
-    leave_one_subject_out, read_predictions, write_predictions,
+    Classifier, FEATURE_SIDE, Features, Fold, LabelledClip, Loso, LosoError, LosoEvent, OffTaNet, Protocol,
+    Sample, StstNet, Summary, leave_one_subject_out, leave_one_subject_out_by, read_predictions,
+    write_predictions,
 };
 use srflow_read::micro_expression::Classes;
 
@@ -70,7 +71,10 @@ fn run<C: Classifier>(
             .unwrap()
     };
     let loso = pool
-        .install(|| leave_one_subject_out::<C>(samples, Classes::default().names(), protocol, folder, &log))
+        .install(|| {
+            let classes = Classes::default();
+            leave_one_subject_out::<C>(samples, classes.names(), protocol, folder, &log, &|| false)
+        })
         .unwrap();
     (loso, events.into_inner().unwrap())
 }
@@ -178,7 +182,8 @@ fn any_number_of_classes_goes_from_training_to_tables() {
         sample.class += usize::from(sample.clip == "clip 5");
     }
     let classes: std::sync::Arc<[String]> = ["sad", "glad", "awed", "struck"].map(str::to_owned).into();
-    let loso = leave_one_subject_out::<StstNet>(&samples, &classes, &protocol(2), None, &|_| {}).unwrap();
+    let loso = leave_one_subject_out::<StstNet>(&samples, &classes, &protocol(2), None, &|_| {}, &|| false);
+    let loso = loso.unwrap();
     assert!(loso.predictions.iter().all(|prediction| prediction.scores.len() == 4));
     let trial = srflow_mer::Trial {
         method: "made up".into(),
@@ -201,9 +206,67 @@ fn any_number_of_classes_goes_from_training_to_tables() {
 }
 
 #[test]
+fn a_run_that_is_stopped_keeps_its_finished_folds() {
+    let folder = tempfile::tempdir().unwrap();
+    let (samples, classes) = (samples(2), Classes::default());
+    let (whole, _) = run::<StstNet>(&samples, &protocol(2), None, 2);
+    let finished = std::sync::atomic::AtomicUsize::new(0);
+    let on_event = |event| {
+        if let LosoEvent::Fold { .. } = event {
+            finished.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+        }
+    };
+    let stop = || finished.load(std::sync::atomic::Ordering::Relaxed) >= 2;
+    let kept = Some(folder.path());
+    let stopped =
+        leave_one_subject_out::<StstNet>(&samples, classes.names(), &protocol(2), kept, &on_event, &stop);
+    assert!(matches!(stopped, Err(LosoError::Stopped)));
+    let (resumed, events) = run::<StstNet>(&samples, &protocol(2), kept, 2);
+    assert!(folds(&events, true) >= 2);
+    assert_eq!(resumed.predictions, whole.predictions);
+}
+
+#[test]
+fn a_classifier_of_another_program_gets_the_same_folds() {
+    let (samples, classes) = (samples(2), Classes::default());
+    let (ours, _) = run::<StstNet>(&samples, &protocol(1), None, 2);
+    let clips: Vec<LabelledClip> = samples.iter().map(LabelledClip::from).collect();
+    let truth = |fold: &Fold| fold.tested.iter().map(|&index| clips[index].class).collect::<Vec<_>>();
+    let by = |classify: &mut dyn FnMut(&Fold) -> Result<Vec<usize>, LosoError>| {
+        leave_one_subject_out_by(&clips, classes.names(), classify)
+    };
+    let loso = by(&mut |fold| {
+        assert_eq!(fold.tested.len() + fold.training.len(), samples.len());
+        assert!(fold.training.iter().all(|index| !fold.tested.contains(index)));
+        Ok(truth(fold))
+    })
+    .unwrap();
+    let names = |loso: &Loso| -> Vec<[String; 3]> {
+        let first = loso.predictions.iter().filter(|prediction| prediction.epoch == 0);
+        first.map(|p| [&p.dataset, &p.subject, &p.clip].map(String::clone)).collect()
+    };
+    assert_eq!(names(&loso), names(&ours));
+    let subjects = |loso: &Loso| -> Vec<(String, usize, Vec<String>)> {
+        let of =
+            |fold: &srflow_mer::FoldRecord| (fold.subject.clone(), fold.clips, fold.unseen_classes.clone());
+        loso.folds.iter().map(of).collect()
+    };
+    assert_eq!(subjects(&loso), subjects(&ours));
+    assert_eq!(Summary::of(&loso.classes, &loso.predictions).unwrap().last().mean.accuracy, 1.0);
+
+    let error = by(&mut |_| Ok(vec![3])).unwrap_err().to_string();
+    assert!(
+        error.contains("expected the classes of 6 clips, numbers from 0 to 2; found 1 numbers: [3]"),
+        "{error}"
+    );
+    assert!(matches!(by(&mut |_| Err(LosoError::Stopped)), Err(LosoError::Stopped)));
+}
+
+#[test]
 fn impossible_runs_are_explained() {
     let error = |samples: &[Sample], protocol: &Protocol| {
-        leave_one_subject_out::<StstNet>(samples, Classes::default().names(), protocol, None, &|_| {})
+        let classes = Classes::default();
+        leave_one_subject_out::<StstNet>(samples, classes.names(), protocol, None, &|_| {}, &|| false)
             .unwrap_err()
             .to_string()
     };

@@ -1,7 +1,8 @@
-//! Images, flow and masks from and to numpy's arrays.
+//! Images, flow, masks and lists of numbers from and to numpy's arrays.
 
 use numpy::{
-    Element, PyArray1, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods,
+    Element, PyArray1, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyUntypedArray,
+    PyUntypedArrayMethods, dtype,
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -22,6 +23,88 @@ fn elements<T: Element + Copy>(array: &Bound<'_, PyUntypedArray>) -> Option<Vec<
     let array = array.cast::<PyArrayDyn<T>>().ok()?.readonly();
     let view = array.as_array();
     Some(view.as_slice().map_or_else(|| view.iter().copied().collect(), <[T]>::to_vec))
+}
+
+/// The shape and the elements, row-major, converted to `T` from any type of `kinds`, as numpy names them.
+fn converted<T: Element + Copy>(
+    object: &Bound<'_, PyAny>,
+    name: &str,
+    expected: &str,
+    kinds: &[u8],
+) -> PyResult<(Vec<usize>, Vec<T>)> {
+    let array = array(object)?;
+    let error = || wrong(name, expected, &array);
+    let values = match elements(&array) {
+        Some(values) => values,
+        None if kinds.contains(&array.dtype().kind()) => {
+            let same = array.call_method1("astype", (dtype::<T>(object.py()),))?.cast_into()?;
+            elements(&same).ok_or_else(error)?
+        }
+        None => return Err(error()),
+    };
+    Ok((array.shape().to_vec(), values))
+}
+
+/// What was found of an array with this shape, for messages about its shape.
+fn mismatch(object: &Bound<'_, PyAny>, name: &str, expected: &str) -> PyErr {
+    array(object).map_or_else(|error| error, |array| wrong(name, expected, &array))
+}
+
+/// Real numbers of any shape, in double or single precision, and their shape; `expected` says which.
+pub fn numbers<T: Element + Copy>(
+    object: &Bound<'_, PyAny>,
+    name: &str,
+    expected: &str,
+) -> PyResult<(Vec<usize>, Vec<T>)> {
+    converted(object, name, expected, b"fiu")
+}
+
+/// Real numbers, `count x N`.
+pub fn rows<T: Element + Copy, const N: usize>(
+    object: &Bound<'_, PyAny>,
+    name: &str,
+    expected: &str,
+) -> PyResult<Vec<[T; N]>> {
+    let (shape, values) = numbers(object, name, expected)?;
+    match shape[..] {
+        [_, width] if width == N => Ok(values.as_chunks().0.to_vec()),
+        _ => Err(mismatch(object, name, expected)),
+    }
+}
+
+/// `N` real numbers.
+pub fn vector<T: Element + Copy, const N: usize>(
+    object: &Bound<'_, PyAny>,
+    name: &str,
+    expected: &str,
+) -> PyResult<[T; N]> {
+    let (shape, values) = numbers(object, name, expected)?;
+    let same = if shape.len() == 1 { values.try_into().ok() } else { None };
+    same.ok_or_else(|| mismatch(object, name, expected))
+}
+
+/// Real numbers of this shape.
+pub fn shaped<T: Element + Copy>(
+    object: &Bound<'_, PyAny>,
+    name: &str,
+    expected: &str,
+    shape: &[usize],
+) -> PyResult<Vec<T>> {
+    let (found, values) = numbers(object, name, expected)?;
+    if found == shape { Ok(values) } else { Err(mismatch(object, name, expected)) }
+}
+
+/// Whole numbers from 0, one for each of `count` things where that is known.
+pub fn indices(
+    object: &Bound<'_, PyAny>,
+    name: &str,
+    expected: &str,
+    count: Option<usize>,
+) -> PyResult<Vec<usize>> {
+    let (shape, values) = converted::<i64>(object, name, expected, b"iu")?;
+    let fits = shape.len() == 1 && count.is_none_or(|count| count == values.len());
+    let found = values.into_iter().map(|value| usize::try_from(value).ok()).collect::<Option<Vec<_>>>();
+    found.filter(|_| fits).ok_or_else(|| mismatch(object, name, expected))
 }
 
 fn wrong(name: &str, expected: &str, array: &Bound<'_, PyUntypedArray>) -> PyErr {
@@ -47,14 +130,10 @@ pub fn image(object: &Bound<'_, PyAny>, name: &str) -> PyResult<Image> {
 
 /// `H x W x 2`, floating point; a pixel with a component that is not finite is unknown.
 pub fn flow(object: &Bound<'_, PyAny>, name: &str) -> PyResult<FlowField> {
-    let array = array(object)?;
-    let error = || wrong(name, "a flow, float32 H x W x 2 (u to the right, v down, pixels)", &array);
-    if array.dtype().kind() != b'f' {
-        return Err(error());
-    }
-    let single = array.call_method1("astype", ("float32",))?.cast_into::<PyUntypedArray>()?;
-    let values: Vec<f32> = elements(&single).ok_or_else(error)?;
-    let &[height, width, 2] = array.shape() else { return Err(error()) };
+    let expected = "a flow, float32 H x W x 2 (u to the right, v down, pixels)";
+    let error = || mismatch(object, name, expected);
+    let (shape, values) = converted::<f32>(object, name, expected, b"f")?;
+    let [height, width, 2] = shape[..] else { return Err(error()) };
     let known = |flow: &[f32; 2]| if flow.iter().all(|x| x.is_finite()) { *flow } else { [f32::NAN; 2] };
     let pixels = values.as_chunks().0.iter().map(known).collect();
     FlowField::from_pixels(width, height, pixels)
@@ -72,8 +151,8 @@ pub fn mask(object: &Bound<'_, PyAny>, name: &str) -> PyResult<Mask> {
     Mask::from_pixels(width, height, values).map_err(|_| error())
 }
 
-/// Rows of pixels of so many numbers each.
-fn new_array<'py, T: Element>(
+/// An array that owns these values, row-major.
+pub fn new_array<'py, T: Element>(
     py: Python<'py>,
     values: Vec<T>,
     shape: &[usize],

@@ -1,7 +1,8 @@
 //! Computes without the interpreter's lock, on threads that survive a fork, and ends on Ctrl-C.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -60,5 +61,75 @@ pub fn wait_for<R: Send>(py: Python<'_>, result: &mut Receiver<R>) -> PyResult<R
                 ));
             }
         }
+    }
+}
+
+/// Where work on other threads reports to, while Python waits for it.
+pub struct Reporter<E> {
+    /// Returns when Python has heard the event; `None` if nobody listens any more.
+    tell: Mutex<Box<dyn FnMut(E) -> Option<()> + Send>>,
+    stop: Arc<AtomicBool>,
+}
+
+impl<E> Reporter<E> {
+    /// Waits until `on_event` has returned, unless the work is to stop.
+    pub fn report(&self, event: E) {
+        let mut tell = self.tell.lock().unwrap_or_else(PoisonError::into_inner);
+        if !self.stops() && tell(event).is_none() {
+            self.stop.store(true, Ordering::Relaxed);
+        }
+    }
+
+    /// Whether `on_event` has failed, or Ctrl-C was pressed.
+    pub fn stops(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+}
+
+/// What the thread that waits is told.
+enum Told<E, R> {
+    Event(E),
+    Done(R),
+}
+
+/// The result of `work`, which reports to `on_event` on this thread. When that fails, or on Ctrl-C, `work` is asked to stop, and the error is
+/// raised when it has; a second Ctrl-C does not wait.
+pub fn compute_reporting<E: Send + 'static, R: Send + 'static>(
+    py: Python<'_>,
+    mut on_event: impl FnMut(E) -> PyResult<()>,
+    work: impl FnOnce(&Reporter<E>) -> R + Send + 'static,
+) -> PyResult<R> {
+    let ((sender, mut told), (answer, answered)) = (channel(), channel());
+    let stop = Arc::new(AtomicBool::new(false));
+    let events = sender.clone();
+    let tell = move |event| {
+        events.send(Told::Event(event)).ok()?;
+        answered.recv().ok()
+    };
+    let reporter = Reporter { tell: Mutex::new(Box::new(tell)), stop: stop.clone() };
+    // Not the threads of `compute`: the callback may compute too, while this work waits for it.
+    new_threads()?.spawn(move || {
+        if let Ok(found) = catch_unwind(AssertUnwindSafe(|| work(&reporter))) {
+            _ = sender.send(Told::Done(found));
+        }
+    });
+    let mut failed: Option<PyErr> = None;
+    loop {
+        let error = match wait_for(py, &mut told) {
+            Ok(Told::Done(found)) => return failed.map_or(Ok(found), Err),
+            Ok(Told::Event(event)) => {
+                let heard = if failed.is_none() { on_event(event) } else { Ok(()) };
+                stop.fetch_or(heard.is_err(), Ordering::Relaxed);
+                _ = answer.send(());
+                match heard {
+                    Ok(()) => continue,
+                    Err(error) => error,
+                }
+            }
+            Err(error) if failed.is_some() => return Err(failed.unwrap_or(error)),
+            Err(error) => error,
+        };
+        stop.store(true, Ordering::Relaxed);
+        failed.get_or_insert(error);
     }
 }

@@ -4,6 +4,7 @@ use std::io;
 
 use pyo3::PyErr;
 use pyo3::exceptions::PyValueError;
+use srflow_avatar::AvatarError;
 use srflow_field::{FileError, FileProblem};
 use srflow_read::flow::DatasetError;
 
@@ -22,6 +23,9 @@ fn kind(cause: &(dyn std::error::Error + 'static)) -> Option<io::ErrorKind> {
         return Some(error.kind());
     }
     if let Some(DatasetError::File(error)) = cause.downcast_ref() {
+        return kind(error);
+    }
+    if let Some(AvatarError::Read(error) | AvatarError::IctFolder(error)) = cause.downcast_ref() {
         return kind(error);
     }
     if let Some(DatasetError::NotThere { .. }) = cause.downcast_ref() {

@@ -2,11 +2,18 @@
 //! says which are public.
 
 mod arrays;
+mod avatar;
+mod camera;
 mod compute;
 mod dataset;
 mod errors;
 mod fields;
+mod gaussians;
+mod jobs;
+mod mer;
 mod methods;
+mod options;
+mod rasterize;
 
 use std::ffi::OsString;
 
@@ -25,13 +32,30 @@ fn run(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
 #[pymodule]
 mod _srflow {
     #[pymodule_export]
+    use super::avatar::Avatar;
+    #[pymodule_export]
+    use super::camera::Camera;
+    #[pymodule_export]
     use super::dataset::Dataset;
     #[pymodule_export]
     use super::fields::{consistency, flow_to_rgb, metrics, read_flow, warp, write_flow};
     #[pymodule_export]
+    use super::gaussians::Gaussians;
+    #[pymodule_export]
+    use super::jobs::{render, train};
+    #[pymodule_export]
     use super::methods::{Network, Sequence, flow};
     #[pymodule_export]
+    use super::rasterize::{rasterize, rasterize_backward};
+    #[pymodule_export]
     use super::run;
+
+    /// See `srflow/mer.py`.
+    #[pymodule]
+    mod mer {
+        #[pymodule_export]
+        use crate::mer::{features, loso, metrics, strain};
+    }
 
     use pyo3::prelude::*;
 

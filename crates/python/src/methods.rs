@@ -5,39 +5,23 @@ use std::sync::{Arc, Mutex};
 
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use pyo3::types::{PyBool, PyDict, PyList, PyTuple};
+use pyo3::types::PyDict;
 use srflow_field::{EstimateError, FlowEstimate, FlowEstimator, Image};
 use srflow_nets::Architecture;
 
 use crate::arrays;
 use crate::compute::{compute, new_threads, wait_for};
 use crate::errors::exception;
-
-/// The options of the command line: `tile="auto"` is `--tile=auto`, `refine=True` is `--refine`.
-fn options(given: Option<&Bound<'_, PyDict>>) -> PyResult<Vec<String>> {
-    let mut options = Vec::new();
-    for (name, value) in given.into_iter().flatten() {
-        let name = name.to_string().replace('_', "-");
-        if let Ok(settings) = value.cast::<PyDict>() {
-            for (key, value) in settings {
-                options.push(format!("--{name}={key}={value}"));
-            }
-        } else if let Ok(flag) = value.cast::<PyBool>() {
-            options.extend(flag.is_true().then(|| format!("--{name}")));
-        } else if value.is_instance_of::<PyList>() || value.is_instance_of::<PyTuple>() {
-            for value in value.try_iter()? {
-                options.push(format!("--{name}={}", value?));
-            }
-        } else if !value.is_none() {
-            options.push(format!("--{name}={value}"));
-        }
-    }
-    Ok(options)
-}
+use crate::options::options;
 
 type Estimator = Arc<dyn FlowEstimator>;
 
-fn load(py: Python<'_>, method: Option<String>, given: Option<&Bound<'_, PyDict>>) -> PyResult<Estimator> {
+/// The estimator of a method with these options.
+pub fn load(
+    py: Python<'_>,
+    method: Option<String>,
+    given: Option<&Bound<'_, PyDict>>,
+) -> PyResult<Estimator> {
     let options = options(given)?;
     let found = compute(py, move || srflow::estimator_of(method.as_deref(), options))?;
     Ok(found.map_err(exception)?.into())
@@ -145,8 +129,12 @@ impl Network {
 #[pyclass(module = "srflow", frozen)]
 pub struct Sequence {
     frames: Sender<Image>,
-    found: Mutex<Receiver<Result<Option<FlowEstimate>, EstimateError>>>,
+    /// `None` after an interruption: what would come next belongs to the frame whose push was interrupted.
+    found: Mutex<Option<Receiver<Found>>>,
 }
+
+/// What a frame gives: nothing yet if it is the first.
+type Found = Result<Option<FlowEstimate>, EstimateError>;
 
 impl Sequence {
     fn new(estimator: Estimator, warm_start: bool) -> PyResult<Self> {
@@ -164,7 +152,7 @@ impl Sequence {
                 }
             });
         });
-        Ok(Self { frames, found: found.into() })
+        Ok(Self { frames, found: Some(found).into() })
     }
 }
 
@@ -175,13 +163,18 @@ impl Sequence {
     fn push<'py>(&self, frame: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyDict>>> {
         let py = frame.py();
         let frame = arrays::image(frame, "frame")?;
-        let mut found = self.found.try_lock().map_err(|_| {
+        let mut place = self.found.try_lock().map_err(|_| {
             PyValueError::new_err(
                 "another thread is adding a frame: a sequence takes one frame after another",
             )
         })?;
+        let mut found = place.take().ok_or_else(|| {
+            PyValueError::new_err("this sequence was interrupted within a frame: begin another one")
+        })?;
         _ = self.frames.send(frame); // if the other side has panicked, nothing is received
-        let Some(estimate) = wait_for(py, &mut found)?.map_err(exception)? else { return Ok(None) };
+        let estimate = wait_for(py, &mut found)?;
+        *place = Some(found);
+        let Some(estimate) = estimate.map_err(exception)? else { return Ok(None) };
         let dict = PyDict::new(py);
         dict.set_item("flow", arrays::from_flow(py, estimate.flow)?)?;
         if let Some(uncertainty) = estimate.uncertainty {

@@ -1,11 +1,21 @@
-"""Facial optical flow: estimate, score and read it.
+"""Facial optical flow: estimate, score, read and render it; avatars of 3D Gaussians; micro-expressions.
 
 >>> import srflow
 >>> flow = srflow.flow(frame1, frame2)  # uint8 H x W x 3 each -> float32 H x W x 2
+
+>>> avatar = srflow.Avatar.builtin(7)
+>>> rest, smile = avatar.pose(), avatar.pose({12: 0.8})
+>>> frame = srflow.rasterize(rest, srflow.Camera.facing(rest), next=smile)
+>>> frame["image"], frame["flow"]  # a picture, and its exact flow
 """
 
+from . import mer
+
 from ._srflow import (
+    Avatar,
+    Camera,
     Dataset,
+    Gaussians,
     Network,
     Sequence,
     __version__,
@@ -13,20 +23,32 @@ from ._srflow import (
     flow,
     flow_to_rgb,
     metrics,
+    rasterize,
+    rasterize_backward,
     read_flow,
+    render,
+    train,
     warp,
     write_flow,
 )
 
 __all__ = [
+    "Avatar",
+    "Camera",
     "Dataset",
+    "Gaussians",
     "Network",
     "Sequence",
     "consistency",
     "flow",
     "flow_to_rgb",
+    "mer",
     "metrics",
+    "rasterize",
+    "rasterize_backward",
     "read_flow",
+    "render",
+    "train",
     "warp",
     "write_flow",
 ]

@@ -1,12 +1,15 @@
 """Types of the functions; their documentation is in the module. `tests/test_stubs.py` holds the two together."""
 
 import os
+from collections.abc import Callable
+from types import ModuleType
 from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __version__: str
+mer: ModuleType
 
 class Metrics(TypedDict):
     epe: float
@@ -31,6 +34,96 @@ class Estimate(TypedDict, total=False):
     uncertainty: NDArray[np.float32]
     occlusion: NDArray[np.float32]
 
+class Frame(TypedDict, total=False):
+    color: NDArray[np.float32]
+    image: NDArray[np.uint8]
+    alpha: NDArray[np.float32]
+    mask: NDArray[np.bool_]
+    depth: NDArray[np.float32]
+    flow: NDArray[np.float32]
+    flow_normalized: NDArray[np.float32]
+    depth_next: NDArray[np.float32]
+
+class CameraGradient(TypedDict):
+    translation: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+class Gradients(TypedDict, total=False):
+    means: NDArray[np.float32]
+    scales: NDArray[np.float32]
+    rotations: NDArray[np.float32]
+    opacities: NDArray[np.float32]
+    sh: NDArray[np.float32]
+    means_next: NDArray[np.float32]
+    camera: CameraGradient
+    camera_next: CameraGradient
+    centers: NDArray[np.float32]
+    centers_absolute: NDArray[np.float32]
+    visible: NDArray[np.bool_]
+
+class Avatar:
+    @staticmethod
+    def builtin(seed: int = 1) -> Avatar: ...
+    @staticmethod
+    def read(head: str | os.PathLike[str], seed: int = 1) -> Avatar: ...
+    def pose(
+        self,
+        units: dict[int | str, float] | None = None,
+        *,
+        rotation: ArrayLike | None = None,
+        neck: ArrayLike | None = None,
+        jaw: ArrayLike | None = None,
+        eyes: ArrayLike | None = None,
+        translation: ArrayLike | None = None,
+    ) -> Gaussians: ...
+    def at(self, timestep: int) -> Gaussians: ...
+    @property
+    def timesteps(self) -> int: ...
+    @property
+    def action_units(self) -> list[int]: ...
+
+class Camera:
+    def __new__(
+        cls,
+        width: int,
+        height: int,
+        fx: float,
+        fy: float | None = None,
+        cx: float | None = None,
+        cy: float | None = None,
+        camera_from_world: ArrayLike | None = None,
+    ) -> Camera: ...
+    @staticmethod
+    def facing(gaussians: Gaussians, width: int = 800, height: int = 800) -> Camera: ...
+    @staticmethod
+    def read(path: str | os.PathLike[str], size: tuple[int, int] | None = None) -> list[Camera]: ...
+    def resized(self, width: int, height: int) -> Camera: ...
+    def orbit(self, center: ArrayLike, degrees: float, count: int) -> list[Camera]: ...
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
+    @property
+    def fx(self) -> float: ...
+    @property
+    def fy(self) -> float: ...
+    @property
+    def cx(self) -> float: ...
+    @property
+    def cy(self) -> float: ...
+    @property
+    def camera_from_world(self) -> NDArray[np.float64]: ...
+    @property
+    def position(self) -> NDArray[np.float64]: ...
+    @property
+    def name(self) -> str: ...
+    @property
+    def distortion(self) -> str | None: ...
+
 class Dataset:
     def __new__(cls, spec: str, split: str | None = None) -> Dataset: ...
     def __len__(self) -> int: ...
@@ -39,6 +132,33 @@ class Dataset:
     def ids(self) -> list[str]: ...
     @property
     def split(self) -> str: ...
+
+class Gaussians:
+    def __new__(
+        cls,
+        means: ArrayLike,
+        scales: ArrayLike,
+        rotations: ArrayLike,
+        opacities: ArrayLike,
+        sh: ArrayLike,
+        antialiased: bool = False,
+    ) -> Gaussians: ...
+    @staticmethod
+    def read(path: str | os.PathLike[str]) -> Gaussians: ...
+    def write(self, path: str | os.PathLike[str]) -> None: ...
+    @property
+    def means(self) -> NDArray[np.float32]: ...
+    @property
+    def scales(self) -> NDArray[np.float32]: ...
+    @property
+    def rotations(self) -> NDArray[np.float32]: ...
+    @property
+    def opacities(self) -> NDArray[np.float32]: ...
+    @property
+    def sh(self) -> NDArray[np.float32]: ...
+    @property
+    def antialiased(self) -> bool: ...
+    def __len__(self) -> int: ...
 
 class Network:
     def __new__(cls, name: str = "srflow", weights: str | os.PathLike[str] | None = None, **options: Any) -> Network: ...
@@ -66,4 +186,37 @@ def flow_to_rgb(flow: ArrayLike, max_flow: float | None = None) -> NDArray[np.ui
 def warp(frame2: ArrayLike, flow: ArrayLike) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]: ...
 def consistency(forward: ArrayLike, backward: ArrayLike, pixels: float | None = None) -> NDArray[np.bool_]: ...
 def metrics(prediction: ArrayLike, truth: ArrayLike, mask: ArrayLike | None = None) -> Metrics: ...
+def rasterize(
+    gaussians: Gaussians,
+    camera: Camera,
+    next: Gaussians | None = None,
+    *,
+    camera_next: Camera | None = None,
+    background: ArrayLike | str | None = None,
+    sort_per_pixel: bool = False,
+    antialiased: bool | None = None,
+    pixel_convention: str = "splat",
+) -> Frame: ...
+def rasterize_backward(
+    gradients: dict[str, Any],
+    gaussians: Gaussians,
+    camera: Camera,
+    next: Gaussians | None = None,
+    *,
+    camera_next: Camera | None = None,
+    background: ArrayLike | str | None = None,
+    sort_per_pixel: bool = False,
+    antialiased: bool | None = None,
+    pixel_convention: str = "splat",
+) -> Gradients: ...
+def render(
+    out: str | os.PathLike[str], *, callback: Callable[[dict[str, int]], object] | None = None, **options: Any
+) -> dict[str, Any]: ...
+def train(
+    config: str | os.PathLike[str] | None = None,
+    out: str | os.PathLike[str] | None = None,
+    *,
+    callback: Callable[[dict[str, Any]], object] | None = None,
+    **options: Any,
+) -> dict[str, Any]: ...
 def run(arguments: list[str]) -> int: ...

@@ -1,8 +1,12 @@
+import signal
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+
+# Shells start programs in the background with Ctrl-C ignored, and these tests press it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def frame(u, v, width=96, height=64):

@@ -1,6 +1,8 @@
+import _thread
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
@@ -120,6 +122,19 @@ def test_a_sequence_gives_the_flow_of_each_pair_and_its_uncertainty(frames):
         assert found["uncertainty"].shape == (64, 96) and found["uncertainty"].min() > 0
     with pytest.raises(ValueError, match="differ in size"):
         sequence.push(first[:32])
+
+
+def test_an_interrupted_sequence_gives_no_flow_of_another_frame():
+    frames = np.random.default_rng(1).integers(0, 256, (2, 1200, 1600, 3), dtype=np.uint8)
+    sequence = srflow.Network().sequence()
+    sequence.push(frames[0])
+    timer = threading.Timer(0.2, _thread.interrupt_main)
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        sequence.push(frames[1])
+    timer.join()
+    with pytest.raises(ValueError, match="this sequence was interrupted within a frame: begin another one"):
+        sequence.push(frames[0])
 
 
 INTERRUPTED = """

@@ -2,6 +2,8 @@ import ast
 import inspect
 import pathlib
 
+import pytest
+
 import srflow
 from srflow import _srflow
 
@@ -26,15 +28,17 @@ def of_signature(function, without):
     return found
 
 
-def test_the_stubs_have_every_function_with_its_parameters():
-    stubs = ast.parse((pathlib.Path(srflow.__file__).parent / "_srflow.pyi").read_text())
+ONLY_TYPES = {"CameraGradient", "Estimate", "Frame", "Gradients", "Metrics", "Pair", "Results", "Scores"}
+
+
+@pytest.mark.parametrize("file, module", [("_srflow.pyi", _srflow), ("mer.pyi", srflow.mer)])
+def test_the_stubs_have_every_function_with_its_parameters(file, module):
+    stubs = ast.parse((pathlib.Path(srflow.__file__).parent / file).read_text())
     found = {node.name: node for node in stubs.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-    public = {name for name in dir(_srflow) if not name.startswith("_")}
-    only_types = {"Estimate", "Metrics", "Pair"}
-    assert set(found) - only_types == public
-    assert set(srflow.__all__) == public - {"run"}
+    public = {name for name in dir(module) if not name.startswith("_")} - {"mer"}
+    assert set(found) - ONLY_TYPES == public
     for name in public:
-        item = getattr(_srflow, name)
+        item = getattr(module, name)
         assert item.__doc__, f"{name} has no documentation"
         if isinstance(found[name], ast.FunctionDef):
             assert parameters(found[name].args, 0) == of_signature(item, 0), name
@@ -44,9 +48,17 @@ def test_the_stubs_have_every_function_with_its_parameters():
         own = {attribute for attribute in vars(item) if attribute not in ("__doc__", "__module__")}
         assert set(methods) == own - hidden, name
         for method, node in methods.items():
-            if node.decorator_list:  # a property
+            decorators = [decorator.id for decorator in node.decorator_list]
+            if decorators == ["property"]:
                 continue
             if method == "__new__":
                 assert parameters(node.args, 1) == of_signature(item, 0), name
             elif not method.startswith("__"):  # those have no signature
-                assert parameters(node.args, 1) == of_signature(getattr(item, method), 1), f"{name}.{method}"
+                itself = 0 if decorators == ["staticmethod"] else 1
+                expected = of_signature(getattr(item, method), itself)
+                assert parameters(node.args, itself) == expected, f"{name}.{method}"
+
+
+def test_everything_public_is_exported():
+    assert set(srflow.__all__) == {name for name in dir(_srflow) if not name.startswith("_")} - {"run"}
+    assert set(srflow.mer.__all__) == {name for name in dir(_srflow.mer) if not name.startswith("_")}

@@ -42,6 +42,18 @@ impl Gaussians {
         sh::coefficients(self.sh_degree)
     }
 
+    /// Turns the world by 180 degrees about the x axis, exactly: y and z change their signs, and with them rotations and spherical
+    /// harmonics. What was upright where -y is up (OpenCV's axes) is upright where +y is (glTF's), and the reverse.
+    pub fn turn_about_x(&mut self) {
+        for position in &mut self.positions {
+            *position = Vec3::new(position.x, -position.y, -position.z);
+        }
+        for rotation in &mut self.rotations {
+            *rotation = Quat::from_xyzw(rotation.x, -rotation.y, -rotation.z, rotation.w);
+        }
+        sh::turn_about_x(self.sh_degree.min(3), &mut self.sh);
+    }
+
     /// Checks that the lists have matching lengths; `set` names the set in the error.
     pub(crate) fn validate(&self, set: &'static str) -> Result<(), RasterizeError> {
         if self.sh_degree > 3 {

@@ -10,12 +10,13 @@ mod backward;
 mod blending;
 mod camera;
 mod error;
+mod files;
 mod frame;
 mod gaussians;
+pub mod gltf;
 mod gradients;
 mod ordering;
 mod pixel_order;
-mod ply;
 mod projection;
 mod rasterizer;
 pub mod reference;
@@ -28,10 +29,13 @@ pub use camera::{
     Camera, MAX_PIXELS, MAX_SIDE, NEAR, NamedCamera, PixelConvention, Surroundings, read_cameras,
 };
 pub use error::{CameraError, RasterizeError};
+pub use files::{
+    SPLAT_FORMATS, SplatFormat, Up, read_bound_ply, read_gaussians, read_ply, write_bound_ply,
+    write_gaussians, write_ply,
+};
 pub use frame::{Frame, Outputs, Statistics};
 pub use gaussians::Gaussians;
 pub use gradients::{CameraGradient, FrameGradients, GaussianGradients};
-pub use ply::{read_bound_ply, read_ply, write_bound_ply, write_ply};
 pub use rasterizer::{Next, Options, Rasterizer, Sorting};
 pub use sh::SH_0;
 

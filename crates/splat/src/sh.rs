@@ -1,4 +1,4 @@
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 // Factors of the basis functions.
 const C1: f64 = 0.488_602_511_902_919_9; // sqrt(3 / pi) / 2
@@ -47,6 +47,69 @@ pub(crate) fn basis(degree: usize, direction: DVec3) -> [f64; 16] {
         basis[15] = -C33 * x * (xx - 3.0 * yy);
     }
     basis
+}
+
+/// Replaces coefficients by those of the same colours turned by `rotation`, which must be one: the colour along `rotation d` is what that
+/// along `d` was.
+pub(crate) fn rotate(degree: usize, sh: &mut [[f32; 3]], rotation: DMat3) {
+    let count = coefficients(degree);
+    if degree == 0 {
+        return;
+    }
+    // The coefficient of Y_i is the integral of the turned function times Y_i.
+    let mut turn = [[0.0; 16]; 16];
+    let back = rotation.transpose();
+    for (direction, weight) in directions() {
+        let (new, old) = (basis(degree, direction), basis(degree, back * direction));
+        for (row, new) in turn.iter_mut().zip(new) {
+            for (entry, old) in row.iter_mut().zip(old) {
+                *entry += weight * new * old;
+            }
+        }
+    }
+    for of_one in sh.chunks_exact_mut(count) {
+        let mut turned = [[0.0; 3]; 16];
+        for (turned, row) in turned.iter_mut().zip(&turn) {
+            for (entry, old) in row.iter().zip(of_one.iter()) {
+                for (sum, old) in turned.iter_mut().zip(old) {
+                    *sum += entry * f64::from(*old);
+                }
+            }
+        }
+        for (new, turned) in of_one.iter_mut().zip(turned) {
+            *new = turned.map(|channel| channel as f32);
+        }
+    }
+}
+
+/// Turns coefficients by 180 degrees about the x axis, exactly: those of functions that are odd in y and z together change their sign.
+pub(crate) fn turn_about_x(degree: usize, sh: &mut [[f32; 3]]) {
+    const ODD: [usize; 8] = [1, 2, 4, 7, 9, 11, 12, 14];
+    for of_one in sh.chunks_exact_mut(coefficients(degree)) {
+        for at in ODD {
+            if let Some(coefficient) = of_one.get_mut(at) {
+                *coefficient = coefficient.map(|channel| -channel);
+            }
+        }
+    }
+}
+
+/// Directions and weights that integrate polynomials of degree 7 over the sphere exactly: Gauss-Legendre in z times equal steps in azimuth.
+fn directions() -> impl Iterator<Item = (DVec3, f64)> {
+    const NODES: [(f64, f64); 4] = [
+        (-0.861_136_311_594_052_6, 0.347_854_845_137_453_85),
+        (-0.339_981_043_584_856_26, 0.652_145_154_862_546_1),
+        (0.339_981_043_584_856_26, 0.652_145_154_862_546_1),
+        (0.861_136_311_594_052_6, 0.347_854_845_137_453_85),
+    ];
+    NODES.into_iter().flat_map(|(z, weight)| {
+        (0..8).map(move |step| {
+            let azimuth = std::f64::consts::TAU * (f64::from(step) + 0.3) / 8.0;
+            let radius = libm::sqrt(1.0 - z * z);
+            let direction = DVec3::new(radius * libm::cos(azimuth), radius * libm::sin(azimuth), z);
+            (direction, weight * std::f64::consts::TAU / 8.0)
+        })
+    })
 }
 
 /// Colour seen along `direction` (from the camera to the Gaussian, of any length): `max(0, 0.5 + sum)`.
@@ -115,23 +178,14 @@ fn basis_gradient(degree: usize, direction: DVec3) -> [DVec3; 16] {
 mod tests {
     use super::*;
 
-    /// Gauss-Legendre in z times equal steps in azimuth integrates polynomials of degree 7 exactly.
     #[test]
     fn basis_is_orthonormal_on_the_sphere() {
-        let nodes = [
-            (0.861_136_311_594_052_6, 0.347_854_845_137_453_85),
-            (0.339_981_043_584_856_26, 0.652_145_154_862_546_1),
-        ];
         let mut gram = [[0.0; 16]; 16];
-        for (node, weight) in nodes.into_iter().flat_map(|(z, w)| [(z, w), (-z, w)]) {
-            for step in 0..8 {
-                let azimuth = std::f64::consts::TAU * (f64::from(step) + 0.3) / 8.0;
-                let r = (1.0_f64 - node * node).sqrt();
-                let values = basis(3, DVec3::new(r * azimuth.cos(), r * azimuth.sin(), node));
-                for i in 0..16 {
-                    for j in 0..16 {
-                        gram[i][j] += weight * std::f64::consts::TAU / 8.0 * values[i] * values[j];
-                    }
+        for (direction, weight) in directions() {
+            let values = basis(3, direction);
+            for i in 0..16 {
+                for j in 0..16 {
+                    gram[i][j] += weight * values[i] * values[j];
                 }
             }
         }
@@ -173,5 +227,36 @@ mod tests {
         let [r, g, b] = color(0, &sh, DVec3::Z);
         assert!((r - 0.782_094_791_773_878_1).abs() < 1e-15);
         assert_eq!([g, b], [0.5, 0.0]);
+    }
+
+    #[test]
+    fn turned_colours_are_seen_from_turned_directions() {
+        let degrees = |degree: usize| -> Vec<[f32; 3]> {
+            let part = |i: usize| libm::sinf(i as f32 * 1.7 + degree as f32);
+            (0..2 * coefficients(degree)).map(|i| [part(3 * i), part(3 * i + 1), part(3 * i + 2)]).collect()
+        };
+        let about_x = DMat3::from_rotation_x(std::f64::consts::PI);
+        let any = DMat3::from_quat(glam::DQuat::from_xyzw(0.1, -0.7, 0.3, 0.6).normalize());
+        let seen = DVec3::new(0.4, -0.3, 0.8).normalize();
+        for degree in 0..=3 {
+            for (rotation, exact) in [(any, false), (about_x, false), (about_x, true)] {
+                let (old, mut new) = (degrees(degree), degrees(degree));
+                if exact {
+                    turn_about_x(degree, &mut new)
+                } else {
+                    rotate(degree, &mut new, rotation)
+                }
+                let count = coefficients(degree);
+                for (old, new) in old.chunks_exact(count).zip(new.chunks_exact(count)) {
+                    let (old, new) = (color(degree, old, seen), color(degree, new, rotation * seen));
+                    for channel in 0..3 {
+                        assert!(
+                            (old[channel] - new[channel]).abs() < 1e-6,
+                            "degree {degree}: {old:?} {new:?}"
+                        );
+                    }
+                }
+            }
+        }
     }
 }

@@ -7,12 +7,15 @@ use std::path::{Path, PathBuf};
 
 use burn::tensor::Device;
 use serde::{Deserialize, Serialize};
-use srflow_eval::{Column, Row, SCORES, ScoreColumn, Table, score_columns};
+use srflow_eval::{
+    Column, Region, Row, SCORES, ScoreColumn, Table, dataset_title, improvement_columns, improvement_percent,
+    score_columns,
+};
 use srflow_field::{FileKind, Metrics, parse_error_in_words, read_text, write_file};
 use srflow_read::flow::FlowDataset;
 
 use crate::checkpoint::Checkpoints;
-use crate::config::Config;
+use crate::config::{Config, Source};
 use crate::loss::{MaskReading, REGULARIZERS, Regularizer};
 use crate::run::{Event, RunMode, TrainError, train};
 use crate::training_set::OpenMade;
@@ -25,24 +28,35 @@ pub struct Variant {
     pub name: String,
     /// Name in tables.
     pub title: String,
-    /// Whether it is trained; if not, the initial weights of the other rows are scored.
-    pub trained: bool,
+    pub data: VariantData,
     regularizer: Option<&'static Regularizer>,
     m_total: MaskReading,
 }
 
-/// Every row that can be run: the paper's, and each regularizer that reads `M_total` with the literal reading of it.
+/// What a row is trained on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum VariantData {
+    /// Nothing: the initial weights of the other rows are scored.
+    None,
+    /// [`AblationSettings::control`].
+    Control,
+    /// The training data of the configuration.
+    Own,
+}
+
+/// Every row that can be run: the paper's, a control that trains as long on other data, and each regularizer that reads `M_total`
+/// with the literal reading of it.
 pub fn variants() -> Vec<Variant> {
-    let plain = |name: &str, title: &str, trained| Variant {
+    let plain = |name: &str, title: &str, data| Variant {
         name: name.to_owned(),
         title: title.to_owned(),
-        trained,
+        data,
         regularizer: None,
         m_total: MaskReading::Interior,
     };
     let with = |regularizer: &'static Regularizer| Variant {
         regularizer: Some(regularizer),
-        ..plain(regularizer.name, regularizer.title, true)
+        ..plain(regularizer.name, regularizer.title, VariantData::Own)
     };
     let literal = |regularizer: &'static Regularizer| Variant {
         name: format!("{}-literal", regularizer.name),
@@ -50,25 +64,19 @@ pub fn variants() -> Vec<Variant> {
         m_total: MaskReading::Literal,
         ..with(regularizer)
     };
-    let mut rows = vec![plain("start", "before training", false), plain("none", "no regularizer", true)];
+    let mut rows = vec![
+        plain(START, "before training", VariantData::None),
+        plain("control", "trained on the control data", VariantData::Control),
+        plain(PLAIN, "no regularizer", VariantData::Own),
+    ];
     rows.extend(REGULARIZERS.iter().map(with));
     rows.extend(REGULARIZERS.iter().filter(|regularizer| regularizer.reads_total_mask()).map(literal));
     rows
 }
 
-impl Variant {
-    /// The configuration of this row: `base` with another loss and seed.
-    pub fn config(&self, base: &Config, seed: u64) -> Config {
-        let mut config = base.clone();
-        config.training.seed = seed;
-        for regularizer in REGULARIZERS {
-            let weight = if Some(regularizer) == self.regularizer { regularizer.paper_weight } else { 0.0 };
-            config.loss = config.loss.with(regularizer, weight);
-        }
-        config.loss.m_total = self.m_total;
-        config
-    }
-}
+/// The row that others are improvements on, and the one that regularizers are held against.
+const START: &str = "start";
+const PLAIN: &str = "none";
 
 /// The scores of one run.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -79,9 +87,24 @@ pub struct Cell {
     pub seed: u64,
     /// Training steps; 0 for a row that is not trained.
     pub steps: u64,
-    /// Scores of the last weights on the test set, over all pixels.
-    pub scores: Metrics,
-    /// Mean end-point error of zero flow on the test set, in pixels.
+    /// Scores of the last weights on each test set.
+    pub tests: Vec<TestScores>,
+}
+
+/// The scores of one run on one dataset: means over the pairs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TestScores {
+    /// Kind and split.
+    pub dataset: String,
+    /// Folder of the dataset.
+    pub folder: PathBuf,
+    pub pairs: usize,
+    /// Over all pixels with a known flow.
+    pub whole: Metrics,
+    /// Over the pixels of the head, if the dataset has masks.
+    pub head: Option<Metrics>,
+    /// Mean end-point error of zero flow, in pixels.
     pub zero_epe: f64,
 }
 
@@ -103,6 +126,8 @@ pub enum AblationEvent<'a> {
 pub struct AblationSettings {
     /// The configuration of all runs, apart from loss and seed.
     pub base: Config,
+    /// Training data of the rows with [`VariantData::Control`].
+    pub control: Vec<Source>,
     pub variants: Vec<Variant>,
     pub seeds: Vec<u64>,
 }
@@ -115,7 +140,26 @@ impl AblationSettings {
             .seeds
             .iter()
             .flat_map(|&seed| self.variants.iter().map(move |variant| (variant.clone(), seed)));
-        all.filter(|(variant, seed)| variant.trained || Some(seed) == self.seeds.first()).collect()
+        let once = |(variant, seed): &(Variant, u64)| {
+            variant.data != VariantData::None || Some(seed) == self.seeds.first()
+        };
+        all.filter(once).collect()
+    }
+
+    /// The configuration of a run: the base with another loss and seed, and with other data in the control.
+    fn config(&self, variant: &Variant, seed: u64) -> Config {
+        let mut config = self.base.clone();
+        config.training.seed = seed;
+        if variant.data == VariantData::Control {
+            config.data.train.clone_from(&self.control);
+        }
+        for regularizer in REGULARIZERS {
+            let weight =
+                if Some(regularizer) == variant.regularizer { regularizer.paper_weight } else { 0.0 };
+            config.loss = config.loss.with(regularizer, weight);
+        }
+        config.loss.m_total = variant.m_total;
+        config
     }
 }
 
@@ -135,14 +179,15 @@ pub enum AblationError {
 /// Name of the file with the scores of a finished run.
 const RESULT: &str = "test.json";
 
-/// Trains every row with every seed, each in a subfolder of `out`, and scores its last weights on `test`. Finished runs are not
-/// repeated. A row that is not [`trained`](Variant::trained) needs `network.weights` in the configuration.
+/// Trains every row with every seed, each in a subfolder of `out`, and scores its last weights on each of `tests`. Finished runs are
+/// not repeated, and are only scored again on other datasets. A row that is not trained needs `network.weights` in the
+/// configuration.
 ///
 /// # Errors
 /// Stops at the first run that fails; finished runs are kept.
 pub fn ablate(
     settings: &AblationSettings,
-    test: &FlowDataset,
+    tests: &[FlowDataset],
     open_made: &OpenMade,
     devices: &[Device],
     out: &Path,
@@ -151,15 +196,25 @@ pub fn ablate(
     let mut cells = Vec::new();
     for (variant, seed) in settings.runs() {
         let run = out.join(format!("{}-seed-{seed}", variant.name));
-        let config = variant.config(&settings.base, seed);
+        let config = settings.config(&variant, seed);
         let failed =
             |error: TrainError| AblationError::Run { run: run.display().to_string(), error: Box::new(error) };
         let score = |weights: &Path, steps: u64| -> Result<Cell, AblationError> {
-            let scores = score_weights(&config, &devices[0], weights, test).map_err(failed)?;
-            let variant = variant.name.clone();
-            Ok(Cell { variant, seed, steps, scores: scores.whole, zero_epe: scores.zero_epe })
+            let tests = tests.iter().map(|test| {
+                let scores = score_weights(&config, &devices[0], weights, test).map_err(failed)?;
+                Ok(TestScores {
+                    dataset: scores.dataset,
+                    folder: test.dir().to_owned(),
+                    pairs: scores.pairs,
+                    whole: scores.whole,
+                    head: scores.head,
+                    zero_epe: scores.zero_epe,
+                })
+            });
+            let tests = tests.collect::<Result<_, AblationError>>()?;
+            Ok(Cell { variant: variant.name.clone(), seed, steps, tests })
         };
-        if !variant.trained {
+        if variant.data == VariantData::None {
             on_event(AblationEvent::Cell { variant: &variant, seed, done: false });
             cells.push(score(&config.network.weights, 0)?);
             continue;
@@ -169,21 +224,38 @@ pub fn ablate(
         if begun && crate::run::config_of_run(&run).map_err(failed)? != config {
             return Err(AblationError::OtherSettings { run });
         }
-        let done = result.exists();
-        on_event(AblationEvent::Cell { variant: &variant, seed, done });
-        if !done {
-            let mode = if begun { RunMode::Resume } else { RunMode::New };
-            let outcome = train(&config, open_made, devices, &run, mode, None, &mut |event| {
-                on_event(AblationEvent::Training(event));
-            })
-            .map_err(failed)?;
-            let cell = score(&run.join("last.safetensors"), outcome.progress.step)?;
-            let text = serde_json::to_string_pretty(&cell).expect("plain numbers and text") + "\n";
-            write_file(&result, text).map_err(|error| failed(error.into()))?;
-        }
-        cells.push(read_cell(&result)?);
+        let before = if result.exists() { Some(read_cell(&result)?) } else { None };
+        on_event(AblationEvent::Cell { variant: &variant, seed, done: before.is_some() });
+        let steps = match &before {
+            Some(cell) => cell.steps,
+            None => {
+                let mode = if begun { RunMode::Resume } else { RunMode::New };
+                let outcome = train(&config, open_made, devices, &run, mode, None, &mut |event| {
+                    on_event(AblationEvent::Training(event));
+                });
+                outcome.map_err(failed)?.progress.step
+            }
+        };
+        cells.push(match before.filter(|cell| cell.is_of(tests)) {
+            Some(cell) => cell,
+            None => {
+                let cell = score(&run.join("last.safetensors"), steps)?;
+                let text = serde_json::to_string_pretty(&cell).expect("plain numbers and text") + "\n";
+                write_file(&result, text).map_err(|error| failed(error.into()))?;
+                read_cell(&result)?
+            }
+        });
     }
     Ok(cells)
+}
+
+impl Cell {
+    fn is_of(&self, tests: &[FlowDataset]) -> bool {
+        let same = |(scores, test): (&TestScores, &FlowDataset)| {
+            scores.folder == test.dir() && scores.dataset == dataset_title(test.name(), test.split())
+        };
+        self.tests.len() == tests.len() && self.tests.iter().zip(tests).all(same)
+    }
 }
 
 fn read_cell(path: &Path) -> Result<Cell, AblationError> {
@@ -193,7 +265,7 @@ fn read_cell(path: &Path) -> Result<Cell, AblationError> {
 }
 
 /// The paper's Table V, as printed: SKFlow as published, retrained on SRFlow, and the four SRFlowNets.
-const PAPER: [(&str, [f64; 6]); 6] = [
+const PAPER_TABLE_V: [(&str, [f64; 6]); 6] = [
     ("SKFlow", [0.5361, 0.8452, 0.9678, 0.9927, 3.2159, 80.3533]),
     ("SKFlow+SRFlow", [0.3998, 0.8975, 0.9933, 0.9992, 0.6722, 83.8335]),
     ("SRFlowNet-TVR", [0.4056, 0.8977, 0.9924, 0.9988, 0.7622, 83.6409]),
@@ -202,47 +274,163 @@ const PAPER: [(&str, [f64; 6]); 6] = [
     ("SRFlowNet-IGVAR", [0.4000, 0.8993, 0.9927, 0.9989, 0.7270, 83.8422]),
 ];
 
-/// The scores of the runs as in the paper's Table V: one row per variant, means over the seeds.
-pub fn table(cells: &[Cell], title: String) -> Table {
-    Table { title, columns: score_columns(), rows: rows(cells, "", mean), ..Table::default() }
-}
+/// The paper's Table III, as printed: by how many percent training on SRFlow improved each score.
+const PAPER_TABLE_III: [(&str, [f64; 6]); 4] = [
+    ("SKFlow+SRFlow", [25.42, 6.19, 2.63, 0.65, 79.10, 4.33]),
+    ("RPKNet+SRFlow", [8.99, 2.11, 1.32, 0.37, 41.58, 0.68]),
+    ("MemFlow+SRFlow", [41.88, 9.62, 2.74, 0.66, 88.35, 8.18]),
+    ("DPFlow+SRFlow", [36.02, 8.93, 2.73, 0.63, 86.99, 5.48]),
+];
 
-/// The sample standard deviation over the seeds (divided by `n - 1`), in the form of [`table`].
-pub fn spread_table(cells: &[Cell], title: String) -> Table {
-    let columns = score_columns().into_iter().map(|column| Column { better: None, ..column }).collect();
-    Table { title, columns, rows: rows(cells, "± ", deviation), ..Table::default() }
-}
-
-/// The paper's Table V. It is kept apart from [`table`]: its data, image size and training length differ.
-pub fn paper_table() -> Table {
-    let row = |(name, values): (&str, [f64; 6])| Row {
-        name: name.to_owned(),
-        values: values.map(Some).to_vec(),
-        baseline: false,
+/// The paper's tables, which are kept apart from ours: their data, image size and training length differ.
+pub fn paper_tables() -> [Table; 2] {
+    let rows = |rows: &[(&str, [f64; 6])]| {
+        let row = |(name, values): &(&str, [f64; 6])| Row {
+            name: (*name).to_owned(),
+            values: values.map(Some).to_vec(),
+            baseline: false,
+        };
+        rows.iter().map(row).collect()
     };
-    Table {
-        title: "The paper's Table V (arXiv 2601.06479), as printed".to_owned(),
-        columns: score_columns(),
-        rows: PAPER.map(row).to_vec(),
+    let table = |title: &str, columns, rows| Table {
+        title: format!("The paper's Table {title} (arXiv 2601.06479), as printed"),
+        columns,
+        rows,
         ..Table::default()
+    };
+    [
+        table("V", score_columns(), rows(&PAPER_TABLE_V)),
+        table("III, improvement in percent", improvement_columns(), rows(&PAPER_TABLE_III)),
+    ]
+}
+
+/// The tables of the scores on one test set, over all its pixels or inside its heads.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TestTables {
+    /// The test set and the pixels.
+    pub title: String,
+    /// Means over the seeds, as in the paper's Table V; standard deviations (divided by `n - 1`); improvement of the means on the row
+    /// before training, as in the paper's Table III; and the difference of each regularizer from none with the same seed. The
+    /// last two are missing where what they are held against was not run.
+    pub tables: Vec<Table>,
+}
+
+/// The tables of each test set; inside its heads too, where it has masks.
+pub fn test_tables(cells: &[Cell]) -> Vec<TestTables> {
+    let Some(first) = cells.first() else { return Vec::new() };
+    let mut all = Vec::new();
+    for (test, scores) in first.tests.iter().enumerate() {
+        for region in [Region::Whole, Region::Head] {
+            let runs: Vec<Run<'_>> = cells.iter().filter_map(|cell| Run::new(cell, test, region)).collect();
+            if runs.is_empty() {
+                continue;
+            }
+            let title = format!("{}, {}", scores.dataset, region.words());
+            let mut tables = vec![
+                table(&runs, format!("{title}: mean over the seeds"), score_columns(), mean),
+                table(&runs, format!("{title}: standard deviation over the seeds"), unranked(), deviation),
+            ];
+            tables.extend(improvements(&runs, &title));
+            tables.extend(differences(&runs, &title));
+            all.push(TestTables { title, tables });
+        }
+    }
+    all
+}
+
+/// One run's scores on the pixels of a table.
+struct Run<'a> {
+    variant: &'a str,
+    seed: u64,
+    scores: &'a Metrics,
+}
+
+impl<'a> Run<'a> {
+    fn new(cell: &'a Cell, test: usize, region: Region) -> Option<Self> {
+        let scores = cell.tests.get(test)?;
+        let scores = if region == Region::Head { scores.head.as_ref()? } else { &scores.whole };
+        Some(Self { variant: &cell.variant, seed: cell.seed, scores })
     }
 }
 
-fn rows(cells: &[Cell], prefix: &str, over_seeds: impl Fn(&[f64]) -> Option<f64>) -> Vec<Row> {
-    variants()
-        .iter()
-        .map(|variant| {
-            (variant, cells.iter().filter(|cell| cell.variant == variant.name).collect::<Vec<&Cell>>())
-        })
-        .filter(|(_, cells)| !cells.is_empty())
-        .map(|(variant, cells)| {
-            let value = |(.., value): &ScoreColumn| {
-                over_seeds(&cells.iter().map(|cell| value(&cell.scores)).collect::<Vec<f64>>())
-            };
-            let name = format!("{prefix}{}", variant.title);
-            Row { name, values: SCORES.iter().map(value).collect(), baseline: false }
-        })
-        .collect()
+fn unranked() -> Vec<Column> {
+    score_columns().into_iter().map(|column| Column { better: None, ..column }).collect()
+}
+
+/// The rows of the variants that were run, in the order of [`variants`].
+fn rows(runs: &[Run<'_>], values: impl Fn(&[&Run<'_>]) -> Option<Vec<Option<f64>>>) -> Vec<Row> {
+    let row = |variant: Variant| {
+        let runs: Vec<&Run<'_>> = runs.iter().filter(|run| run.variant == variant.name).collect();
+        let values = if runs.is_empty() { None } else { values(&runs) };
+        Some(Row { name: variant.title, values: values?, baseline: false })
+    };
+    variants().into_iter().filter_map(row).collect()
+}
+
+fn table(
+    runs: &[Run<'_>],
+    title: String,
+    columns: Vec<Column>,
+    over_seeds: impl Fn(&[f64]) -> Option<f64>,
+) -> Table {
+    let values = |runs: &[&Run<'_>]| Some(scores_over(runs, &over_seeds));
+    Table { title, columns, rows: rows(runs, values), ..Table::default() }
+}
+
+fn scores_over(runs: &[&Run<'_>], over_seeds: impl Fn(&[f64]) -> Option<f64>) -> Vec<Option<f64>> {
+    let value = |(.., value): &ScoreColumn| {
+        over_seeds(&runs.iter().map(|run| value(run.scores)).collect::<Vec<f64>>())
+    };
+    SCORES.iter().map(value).collect()
+}
+
+fn improvements(runs: &[Run<'_>], title: &str) -> Option<Table> {
+    let start = runs.iter().find(|run| run.variant == START)?;
+    let values = |runs: &[&Run<'_>]| {
+        let improved = |(mean, (_, _, better, value)): (Option<f64>, &ScoreColumn)| {
+            improvement_percent(*better, mean?, value(start.scores))
+        };
+        (runs[0].variant != START)
+            .then(|| scores_over(runs, mean).into_iter().zip(&SCORES).map(improved).collect())
+    };
+    Some(Table {
+        title: format!("{title}: improvement on the row before training, in percent"),
+        columns: improvement_columns(),
+        rows: rows(runs, values),
+        ..Table::default()
+    })
+}
+
+/// Held against the run with the same seed, what the seeds have in common cancels.
+fn differences(runs: &[Run<'_>], title: &str) -> Option<Table> {
+    let plain = |seed: u64| runs.iter().find(|run| run.variant == PLAIN && run.seed == seed);
+    let held: Vec<&ScoreColumn> =
+        SCORES.iter().filter(|(key, ..)| matches!(*key, "epe" | "f1_all")).collect();
+    let values = |runs: &[&Run<'_>]| {
+        let regularized =
+            variants().iter().any(|row| row.name == runs[0].variant && row.regularizer.is_some());
+        let of = |value: fn(&Metrics) -> f64| -> Vec<f64> {
+            let pairs = runs.iter().filter_map(|run| Some((run, plain(run.seed)?)));
+            pairs.map(|(run, plain)| value(run.scores) - value(plain.scores)).collect()
+        };
+        let columns = held.iter().flat_map(|(.., value)| [mean(&of(*value)), deviation(&of(*value))]);
+        regularized.then(|| columns.collect())
+    };
+    let column = |(key, header, ..): &&ScoreColumn| {
+        [
+            Column::plain(&format!("{key}_difference"), header, 4),
+            Column::plain(&format!("{key}_difference_deviation"), &format!("± {header}"), 4),
+        ]
+    };
+    let rows = rows(runs, values);
+    (!rows.is_empty() && runs.iter().any(|run| run.variant == PLAIN)).then(|| Table {
+        title: format!(
+            "{title}: difference from no regularizer with the same seed, mean and standard deviation"
+        ),
+        columns: held.iter().flat_map(column).collect(),
+        rows,
+        ..Table::default()
+    })
 }
 
 fn mean(values: &[f64]) -> Option<f64> {
@@ -260,33 +448,69 @@ mod tests {
     use super::*;
 
     fn cell(variant: &str, seed: u64, epe: f64) -> Cell {
-        let scores = Metrics { epe, px1: 0.5, px3: 0.9, px5: 1.0, f1_all: 2.0, wauc: 80.0, valid_pixels: 9 };
-        Cell { variant: variant.to_owned(), seed, steps: 4, scores, zero_epe: 2.0 }
+        let whole =
+            Metrics { epe, px1: 0.5, px3: 0.9, px5: 1.0, f1_all: 2.0 * epe, wauc: 80.0, valid_pixels: 9 };
+        let test = TestScores {
+            dataset: "srflow, test split".to_owned(),
+            folder: "faces".into(),
+            pairs: 1,
+            whole,
+            head: None,
+            zero_epe: 2.0,
+        };
+        Cell { variant: variant.to_owned(), seed, steps: 4, tests: vec![test] }
     }
 
     #[test]
-    fn tables_show_mean_and_deviation_over_the_seeds() {
-        let cells = [cell("none", 1, 1.0), cell("fdr", 1, 0.5), cell("none", 2, 2.0), cell("none", 3, 3.0)];
-        let ours = table(&cells, "ours".to_owned());
-        let names: Vec<&str> = ours.rows.iter().map(|row| row.name.as_str()).collect();
-        assert_eq!(names, ["no regularizer", "FDR"]);
-        assert_eq!(ours.rows[0].value(0), Some(2.0));
-        let spread = spread_table(&cells, "spread".to_owned());
-        assert_eq!(spread.rows[0].value(0), Some(1.0));
-        assert_eq!(spread.rows[1].value(0), None); // one seed has no spread
+    fn tables_show_mean_deviation_improvement_and_difference_over_the_seeds() {
+        let cells = [
+            cell("start", 1, 4.0),
+            cell("none", 1, 1.0),
+            cell("fdr", 1, 0.5),
+            cell("none", 2, 2.0),
+            cell("none", 3, 3.0),
+            cell("fdr", 3, 3.5),
+        ];
+        let all = test_tables(&cells);
+        let [TestTables { title, tables }] = &all[..] else { panic!("no masks, so one set of tables") };
+        assert_eq!(title, "srflow, test split, all pixels");
+        let [means, deviations, improvements, differences] = &tables[..] else { panic!("{tables:?}") };
+        let names = |table: &Table| table.rows.iter().map(|row| row.name.clone()).collect::<Vec<_>>();
+        assert_eq!(names(means), ["before training", "no regularizer", "FDR"]);
+        assert_eq!(means.rows[1].value(0), Some(2.0));
+        assert_eq!(deviations.rows[0].value(0), None); // one run has no deviation
+        assert_eq!(deviations.rows[1].value(0), Some(1.0));
+        assert_eq!(names(improvements), ["no regularizer", "FDR"]);
+        assert_eq!(improvements.rows[0].value(0), Some(50.0));
+        assert_eq!(improvements.rows[0].value(1), Some(0.0)); // px1 is the same
+        assert_eq!(names(differences), ["FDR"]);
+        assert_eq!(differences.rows[0].value(0), Some(0.0)); // -0.5 and +0.5
+        assert_eq!(differences.rows[0].value(2), Some(0.0));
+        assert!((differences.rows[0].value(3).unwrap() - 2.0_f64.sqrt()).abs() < 1e-12);
+
+        // Without what they are held against, the last two tables are missing.
+        assert_eq!(test_tables(&cells[2..3])[0].tables.len(), 2);
     }
 
     #[test]
-    fn variants_differ_only_in_loss_and_seed() {
-        let base = Config::default();
+    fn variants_differ_only_in_loss_data_and_seed() {
+        let control: Source = "chairs:shapes".parse().unwrap();
+        let settings = AblationSettings {
+            base: Config::default(),
+            control: vec![control.clone()],
+            variants: variants(),
+            seeds: vec![7],
+        };
         for variant in variants() {
-            let config = variant.config(&base, 7);
-            let mut back = config.clone();
-            back.training.seed = base.training.seed;
-            back.loss = base.loss.clone();
-            assert_eq!(back, base);
+            let config = settings.config(&variant, 7);
             let on: Vec<_> = REGULARIZERS.iter().filter(|entry| config.loss.weight(entry) > 0.0).collect();
             assert_eq!(on, variant.regularizer.into_iter().collect::<Vec<_>>());
+            assert_eq!(config.data.train == [control.clone()], variant.name == "control");
+            let mut back = config.clone();
+            back.training.seed = settings.base.training.seed;
+            back.loss = settings.base.loss.clone();
+            back.data.train.clone_from(&settings.base.data.train);
+            assert_eq!(back, settings.base);
         }
     }
 }

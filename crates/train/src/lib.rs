@@ -18,5 +18,5 @@ pub mod training_set;
 mod validation;
 
 pub use report::report;
-pub use run::{Event, Outcome, RunMode, Start, TrainError, config_of_run, train};
+pub use run::{Event, Outcome, RunMode, Start, TrainError, config_of_run, train, train_until};
 pub use validation::ValidationError;

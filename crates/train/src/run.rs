@@ -147,6 +147,24 @@ pub fn train(
     stop_after: Option<u64>,
     on_event: &mut dyn FnMut(Event<'_>),
 ) -> Result<Outcome, TrainError> {
+    let stop = |done| stop_after.is_some_and(|last| done >= last);
+    train_until(config, open_made, devices, run, mode, &stop, on_event)
+}
+
+/// As [`train`], until `stop` says so: it is asked with the number of steps done, before the first step and after each. When it stops
+/// after a step, a checkpoint is written.
+///
+/// # Errors
+/// See [`TrainError`].
+pub fn train_until(
+    config: &Config,
+    open_made: &OpenMade,
+    devices: &[Device],
+    run: &Path,
+    mode: RunMode,
+    stop: &dyn Fn(u64) -> bool,
+    on_event: &mut dyn FnMut(Event<'_>),
+) -> Result<Outcome, TrainError> {
     config.check()?;
     let start = Instant::now();
     let set = Arc::new(TrainingSet::open(config, open_made)?);
@@ -185,8 +203,8 @@ pub fn train(
     let batch = config.training.batch;
     let mut prefetcher = prefetcher(&set, config, trainer.progress.step);
     let mut step_seconds = 0.0;
-    let last = stop_after.map_or(trainer.steps, |step| step.min(trainer.steps));
-    while trainer.progress.step < last {
+    let mut last = trainer.progress.step >= trainer.steps || stop(trainer.progress.step);
+    while !last {
         let (began, waited_before) = (Instant::now(), prefetcher.waited());
         let clips: Vec<Vec<TrainingSample>> = (0..batch)
             .map(|_| prefetcher.take().ok_or(TrainError::Worker)?.map_err(Into::into))
@@ -216,7 +234,8 @@ pub fn train(
         if !validation.is_empty() && trainer.due(config.validation.every) {
             is_best = trainer.validate(&validation, &checkpoints, &mut |scores| record(scores, on_event))?;
         }
-        if is_best || step == last || trainer.due(config.checkpoints.every) {
+        last = step == trainer.steps || stop(step);
+        if is_best || last || trainer.due(config.checkpoints.every) {
             checkpoints.write(&trainer.checkpoint(&text), trainer.replicas.layout())?;
             checkpoints.prune(config.checkpoints.keep, trainer.progress.best.map(|best| best.step))?;
             on_event(Event::Saved { path: &checkpoints.path(step), step });

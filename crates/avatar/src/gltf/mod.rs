@@ -5,15 +5,13 @@
 //! mesh that has no skin, such as an eyeball. They rotate about their positions in the file, in the axes of the model. Landmarks
 //! are not part of glTF: the file `landmarks_68.txt` beside it may list them, as GNM's `head_sparse_68.txt` does.
 
-mod document;
-
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
-use glam::{DMat3, DMat4, DQuat, DVec3, Vec2, Vec3};
-use srflow_field::FileProblem;
+use glam::{DMat3, DMat4, DVec3, Vec2, Vec3};
+use srflow_field::{FileKind, FileProblem};
+use srflow_splat::gltf::{Document, Node, Placed, Primitive, TRIANGLES};
 
-use self::document::{Document, Node, Primitive, problem};
 use crate::arkit::action_units;
 use crate::avatar::AvatarError;
 use crate::landmark_file::{on_triangle, read_rows};
@@ -60,7 +58,7 @@ const PARTS: [(&str, Region); 22] = [
 /// # Errors
 /// Names the file and the part that is missing or malformed.
 pub(crate) fn load(path: &Path) -> Result<HeadModel, AvatarError> {
-    let document = Document::open(path)?;
+    let document = Document::open(path, FileKind::Mesh)?;
     let mut model =
         Builder::new(&document).and_then(Builder::model).map_err(|problem| problem.in_file(path))?;
     let landmarks = path.with_file_name(LANDMARKS);
@@ -77,14 +75,6 @@ pub(crate) fn load(path: &Path) -> Result<HeadModel, AvatarError> {
         model.action_units = fitted_units(&model, &[]);
     }
     Ok(model)
-}
-
-/// A node of the scene.
-struct Placed {
-    node: usize,
-    /// The nearest ancestor, as an index into [`Builder::nodes`].
-    parent: Option<usize>,
-    global: DMat4,
 }
 
 struct Builder<'a> {
@@ -107,7 +97,7 @@ struct Builder<'a> {
 
 impl<'a> Builder<'a> {
     fn new(document: &'a Document) -> Result<Self, FileProblem> {
-        let nodes = scene(document)?;
+        let nodes = document.scene()?;
         let mut builder = Self {
             document,
             nodes,
@@ -234,7 +224,7 @@ impl<'a> Builder<'a> {
         let names = mesh.target_names();
         for primitive in &mesh.primitives {
             // Points and lines are not part of a head.
-            if primitive.mode.unwrap_or(4) != 4 {
+            if primitive.mode.unwrap_or(TRIANGLES) != TRIANGLES {
                 continue;
             }
             let material = primitive.material.and_then(|material| json.materials.get(material));
@@ -381,55 +371,8 @@ impl<'a> Builder<'a> {
     }
 }
 
-/// The nodes of the scene that is shown, parents first.
-fn scene(document: &Document) -> Result<Vec<Placed>, FileProblem> {
-    let json = &document.json;
-    let roots: Vec<usize> = match json.scenes.get(json.scene.unwrap_or(0)) {
-        Some(scene) => scene.nodes.clone(),
-        None => {
-            let mut is_child = vec![false; json.nodes.len()];
-            for child in json.nodes.iter().flat_map(|node| &node.children).filter(|c| **c < json.nodes.len())
-            {
-                is_child[*child] = true;
-            }
-            (0..json.nodes.len()).filter(|node| !is_child[*node]).collect()
-        }
-    };
-    let mut nodes: Vec<Placed> = Vec::new();
-    let mut seen = vec![false; json.nodes.len()];
-    // In depth, so that the numbers of vertices follow the order of the file.
-    let mut left: Vec<(usize, Option<usize>)> = roots.into_iter().rev().map(|root| (root, None)).collect();
-    while let Some((number, parent)) = left.pop() {
-        let seen =
-            seen.get_mut(number).ok_or_else(|| problem("node", "one of the file's", number.to_string()))?;
-        if std::mem::replace(seen, true) {
-            return Err(problem("nodes", "a tree", format!("node {number} twice")));
-        }
-        let node = &json.nodes[number];
-        let local = local(node);
-        let global = parent.map_or(local, |parent| nodes[parent].global * local);
-        if !global.is_finite() || global.to_cols_array().iter().any(|entry| entry.abs() > 1e9) {
-            return Err(problem("node", "a finite transform", format!("that of node {number}")));
-        }
-        let placed = nodes.len();
-        nodes.push(Placed { node: number, parent, global });
-        left.extend(node.children.iter().rev().map(|child| (*child, Some(placed))));
-    }
-    Ok(nodes)
-}
-
-fn local(node: &Node) -> DMat4 {
-    if let Some(matrix) = node.matrix {
-        return DMat4::from_cols_array(&matrix);
-    }
-    let rotation = DQuat::from_array(node.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]));
-    let rotation = if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY };
-    let scale = DVec3::from_array(node.scale.unwrap_or([1.0; 3]));
-    DMat4::from_scale_rotation_translation(
-        scale,
-        rotation,
-        DVec3::from_array(node.translation.unwrap_or_default()),
-    )
+fn problem(field: &'static str, expected: &str, found: impl Into<String>) -> FileProblem {
+    FileProblem::field(field, expected, found)
 }
 
 /// Vertices of the eyes' joints, or else of the meshes that are eyeballs, by their side.

@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use anyhow::{Context as _, ensure};
+use anyhow::{Context as _, anyhow};
 use clap::Args;
 use srflow_eval::report::{Page, Section, score_table};
 use srflow_eval::{Table, TextStyle, joined, markdown_file};
@@ -8,7 +8,8 @@ use srflow_field::{create_folder, write_file};
 use srflow_ops::device;
 use srflow_read::flow::{FlowDataset, Split};
 use srflow_train::ablation::{
-    AblationEvent, AblationSettings, Cell, Variant, ablate, paper_table, spread_table, table, variants,
+    AblationEvent, AblationSettings, Cell, TestTables, Variant, VariantData, ablate, paper_tables,
+    test_tables, variants,
 };
 use srflow_train::config::{Config, Source};
 
@@ -21,10 +22,14 @@ use crate::{Context, machine};
 #[derive(Args)]
 #[command(after_help = "\
 Trains each row with each seed, from the same weights and on the same data, and scores the last weights on the test \
-split. Run the same command again to continue an interrupted run; finished runs are kept.
+sets. Run the same command again to continue an interrupted run; finished runs are kept.
 
-Example: the table at a size that two CPU cores manage
-  srflow ablation --config cpu-small --data srflow:DIR --seeds 1,2,3 --out runs/ablation")]
+Examples:
+The table at a size that two CPU cores manage
+  srflow ablation --config cpu-small --data srflow:DIR --seeds 1,2,3 --out runs/ablation
+Also what as much training on other data gives, all scored on both
+  srflow ablation --config cpu-small --data srflow:DIR --control chairs:SHAPES --weights start.safetensors \
+    --test srflow:DIR@test --test chairs:SHAPES@val --out runs/ablation")]
 pub struct Ablation {
     /// Preset or TOML file shared by all runs, except for its loss weights and seed [default: skflow]
     #[arg(long, value_name = "PRESET|FILE")]
@@ -38,9 +43,12 @@ pub struct Ablation {
     /// Seeds for every row
     #[arg(long, value_name = "N", value_delimiter = ',', default_values_t = [1, 2, 3])]
     seeds: Vec<u64>,
-    /// Dataset to score on, KIND:DIR@SPLIT [default: the test split of the first training dataset]
+    /// Training data of the row `control`, KIND:DIR; several for a mix
     #[arg(long, value_name = "KIND:DIR")]
-    test: Option<Source>,
+    control: Vec<Source>,
+    /// Dataset to score on, KIND:DIR@SPLIT; several for tables of each [default: the test split of the first training dataset]
+    #[arg(long, value_name = "KIND:DIR")]
+    test: Vec<Source>,
     /// Device to train on; several devices share each batch
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     device: Vec<String>,
@@ -49,7 +57,10 @@ pub struct Ablation {
 }
 
 fn rows_help() -> String {
-    format!("Rows to run: {} [default: all; start, which is not trained, only with --weights]", row_names())
+    format!(
+        "Rows to run: {} [default: all; start, which is not trained, only with --weights, control only with --control]",
+        row_names()
+    )
 }
 
 fn row_names() -> String {
@@ -64,26 +75,28 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
     };
     let mut base = args.overrides.apply(config)?;
     find_weights(&mut base)?;
-    let variants = rows(&args.rows, !base.network.weights.as_os_str().is_empty())?;
+    let can_run = |data: VariantData| match data {
+        VariantData::None if base.network.weights.as_os_str().is_empty() => {
+            Err("give the weights to score, --weights FILE")
+        }
+        VariantData::Control if args.control.is_empty() => {
+            Err("give the data to train on, --control KIND:DIR")
+        }
+        _ => Ok(()),
+    };
+    let variants = rows(&args.rows, &can_run)?;
     let mut seeds = args.seeds;
     seeds.sort_unstable();
     seeds.dedup();
-    let Some(source) = args.test.as_ref().or(base.data.train.first()) else {
-        anyhow::bail!("--data KIND:DIR is missing: name the training data");
-    };
-    let split = if args.test.is_some() { source.split } else { Some(Split::Test) };
-    let Some(files) = source.files() else {
-        anyhow::bail!("--test KIND:DIR is missing: {source} is made while training and has no test split");
-    };
-    let test = FlowDataset::open(files, split)?;
+    let tests = test_sets(&args.test, &base)?;
     let devices = args.device.iter().map(|name| device(name)).collect::<Result<Vec<_>, _>>()?;
     create_folder(&args.out)?;
 
-    let settings = AblationSettings { base, variants, seeds };
+    let settings = AblationSettings { base, control: args.control, variants, seeds };
     let runs = settings.runs().len();
     let mut number = 0;
     let mut progress = Progress::new();
-    let result = ablate(&settings, &test, &open_made, &devices, &args.out, &mut |event| match event {
+    let result = ablate(&settings, &tests, &open_made, &devices, &args.out, &mut |event| match event {
         AblationEvent::Cell { variant, seed, done } => {
             number += 1;
             let state = if done { ", finished before" } else { "" };
@@ -93,66 +106,97 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
     });
     progress.finish();
     let cells = result?;
-    let tables = tables(&settings, &cells, &test);
-    write(&args.out, &cells, &tables)?;
+    let ours = test_tables(&cells);
+    write(&args.out, &lead(&settings, &cells), &cells, &ours)?;
     if context.json {
         crate::output::print_json(&cells)?;
         return Ok(());
     }
-    print_tables(&tables)?;
+    say!("{}", lead(&settings, &cells))?;
+    print_tables(&all_tables(&ours))?;
     say!("\nReport: {}", args.out.join("ablation.html").display())
 }
 
+fn test_sets(given: &[Source], base: &Config) -> anyhow::Result<Vec<FlowDataset>> {
+    let first;
+    let sources = if given.is_empty() {
+        let Some(source) = base.data.train.first() else {
+            anyhow::bail!("--data KIND:DIR is missing: name the training data");
+        };
+        first = [Source { split: Some(Split::Test), ..source.clone() }];
+        &first[..]
+    } else {
+        given
+    };
+    let open = |source: &Source| {
+        let Some(files) = source.files() else {
+            anyhow::bail!(
+                "--test KIND:DIR is missing: {source} is made while training and has no test split"
+            );
+        };
+        Ok(FlowDataset::open(files, source.split)?)
+    };
+    sources.iter().map(open).collect()
+}
+
 /// The rows with these names; without names, all that can be run.
-fn rows(names: &[String], has_weights: bool) -> anyhow::Result<Vec<Variant>> {
+fn rows(
+    names: &[String],
+    can_run: &dyn Fn(VariantData) -> Result<(), &'static str>,
+) -> anyhow::Result<Vec<Variant>> {
     if names.is_empty() {
-        return Ok(variants().into_iter().filter(|row| row.trained || has_weights).collect());
+        return Ok(variants().into_iter().filter(|row| can_run(row.data).is_ok()).collect());
     }
     let row = |name: &String| {
         let row = variants().into_iter().find(|row| row.name == *name);
         let row = row.with_context(|| format!("--rows {name}: unknown row; the rows are {}", row_names()))?;
-        ensure!(row.trained || has_weights, "--rows {name}: give the weights to score, --weights FILE");
+        can_run(row.data).map_err(|missing| anyhow!("--rows {name}: {missing}"))?;
         Ok(row)
     };
     names.iter().map(row).collect()
 }
 
-/// Our means, our standard deviations, and the paper's values.
-fn tables(settings: &AblationSettings, cells: &[Cell], test: &FlowDataset) -> [Table; 3] {
+/// What was run, in a sentence.
+fn lead(settings: &AblationSettings, cells: &[Cell]) -> String {
     let network = settings.base.network.architecture.facts().title;
     let steps = cells.iter().map(|cell| cell.steps).max().unwrap_or(0);
-    let zero = cells.first().map_or(f64::NAN, |cell| cell.zero_epe);
     let seeds: Vec<String> = settings.seeds.iter().map(u64::to_string).collect();
-    let what = format!(
-        "{network}, {steps} steps, {} ({} split), EPE of zero flow {zero:.4} px",
-        test.name(),
-        test.split()
-    );
-    [
-        table(cells, format!("Ours: mean over seeds {} of {what}", seeds.join(", "))),
-        spread_table(cells, "Ours: standard deviation over the seeds".to_owned()),
-        paper_table(),
-    ]
+    let tests = cells.first().map_or(&[][..], |cell| &cell.tests);
+    let zero: Vec<String> = tests
+        .iter()
+        .map(|test| format!("{:.4} px in {} (pairs: {})", test.zero_epe, test.dataset, test.pairs))
+        .collect();
+    format!("{network}, {steps} steps, seeds {}; EPE of zero flow {}.", seeds.join(", "), zero.join(", "))
 }
 
-fn write(out: &std::path::Path, cells: &[Cell], tables: &[Table; 3]) -> anyhow::Result<()> {
+fn all_tables(ours: &[TestTables]) -> Vec<Table> {
+    ours.iter().flat_map(|test| test.tables.clone()).chain(paper_tables()).collect()
+}
+
+fn write(out: &std::path::Path, lead: &str, cells: &[Cell], ours: &[TestTables]) -> anyhow::Result<()> {
+    let scores = |tables: &[Table]| tables.iter().map(|table| score_table(table, "")).collect();
+    let mut sections: Vec<Section> = ours
+        .iter()
+        .map(|test| {
+            let what = "A difference within the deviation over the seeds is not significant.";
+            Section::new(&test.title, what, scores(&test.tables))
+        })
+        .collect();
+    let what = "From another resolution, another dataset and longer training: compare the order of the rows, not the values.";
+    sections.push(Section::new("The paper's", what, scores(&paper_tables())));
     let report = Page {
         title: "Ablation of the regularizers".to_owned(),
         kicker: "srflow ablation".to_owned(),
-        lead: "The same training with one loss at a time. The paper's numbers come from another resolution, another dataset and \
-        longer training: compare the order of the rows, not the values."
-            .to_owned(),
+        lead: lead.to_owned(),
         opening: Vec::new(),
-        sections: vec![
-            Section::new("Ours", "Means over the seeds, and their standard deviation: a difference within the spread is not significant.", vec![score_table(&tables[0], ""), score_table(&tables[1], "")]),
-            Section::new("The paper's", "", vec![score_table(&tables[2], "")]),
-        ],
+        sections,
         colophon: format!("Made on {}.", machine::describe()),
     };
+    let tables = all_tables(ours);
     let contents = [
-        ("ablation.txt", joined(tables, |table| table.text(TextStyle::Plain))),
-        ("ablation.md", markdown_file(tables)),
-        ("ablation.tex", latex(tables)),
+        ("ablation.txt", format!("{lead}\n\n{}", joined(&tables, |table| table.text(TextStyle::Plain)))),
+        ("ablation.md", format!("{lead}\n\n{}", markdown_file(&tables))),
+        ("ablation.tex", latex(&tables)),
         ("ablation.json", serde_json::to_string_pretty(cells)? + "\n"),
         ("ablation.html", report.html()),
     ];

@@ -14,3 +14,4 @@ pub mod rasterize;
 pub mod render;
 pub mod shapes;
 pub mod train;
+pub mod view;

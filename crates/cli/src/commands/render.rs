@@ -1,8 +1,9 @@
-use std::path::PathBuf;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use clap::Args;
-use serde_json::json;
+use serde_json::{Value, json};
 use srflow_avatar::HeadSource;
 use srflow_field::{FlowFormat, Size};
 use srflow_read::manifest::Recording;
@@ -11,6 +12,7 @@ use srflow_render::job::{Made, Shard};
 use srflow_render::statistics::Statistics;
 
 use crate::Context;
+use crate::library::{Watch, parsed};
 use crate::rendering::{RenderingArgs, exit_if_stopped};
 
 /// Render a facial optical-flow dataset with exact flow from a head avatar
@@ -150,24 +152,41 @@ fn shares(text: &str) -> Result<Shares, String> {
         .ok_or_else(|| format!("expected three shares TRAIN,VAL,TEST, e.g. 0.61,0.11,0.28, found `{text}`"))
 }
 
+impl Render {
+    fn settings(&self) -> Settings {
+        let preset = self.effects.preset();
+        Settings {
+            head: self.head.clone(),
+            scenes: self.scenes,
+            frames: self.frames,
+            width: self.size.width,
+            height: self.size.height,
+            splits: self.splits,
+            seed: self.seed,
+            flow_format: self.flow_format,
+            backward: self.backward,
+            depth: self.depth,
+            background: self.background.clone().unwrap_or(preset.background),
+            motion: self.motion.clone().unwrap_or(preset.motion),
+            regions: self.regions,
+            recording: self.effects.recording(preset.recording),
+        }
+    }
+}
+
+/// `srflow render` with these options. Returns what `--json` prints.
+///
+/// # Errors
+/// Those of the command; [`UsageError`](crate::UsageError) for a wrong option.
+pub fn render(options: impl IntoIterator<Item = OsString>, watch: &Watch) -> anyhow::Result<Value> {
+    let args: Render = parsed("srflow render", options)?;
+    let settings = args.settings();
+    let report = args.rendering.make_watched(&args.out, watch, |request| generate(&settings, request))?;
+    Ok(summary(&args.out, &report, &settings.empty_splits()))
+}
+
 pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
-    let preset = args.effects.preset();
-    let settings = Settings {
-        head: args.head,
-        scenes: args.scenes,
-        frames: args.frames,
-        width: args.size.width,
-        height: args.size.height,
-        splits: args.splits,
-        seed: args.seed,
-        flow_format: args.flow_format,
-        backward: args.backward,
-        depth: args.depth,
-        background: args.background.unwrap_or(preset.background),
-        motion: args.motion.unwrap_or(preset.motion),
-        regions: args.regions,
-        recording: args.effects.recording(preset.recording),
-    };
+    let settings = args.settings();
     let notes = settings.empty_splits();
     for note in &notes {
         note!("note: {note}");
@@ -181,7 +200,7 @@ pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
     exit_if_stopped(report.run.stopped)
 }
 
-fn summary(out: &std::path::Path, report: &Report, notes: &[String]) -> serde_json::Value {
+fn summary(out: &Path, report: &Report, notes: &[String]) -> Value {
     json!({
         "dataset": out,
         "pairs": report.run.units,

@@ -1,14 +1,17 @@
+use std::cell::Cell;
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::ensure;
 use clap::Args;
-use serde_json::json;
+use serde_json::{Value, json};
 use srflow_field::{Preset, write_file};
 use srflow_ops::device;
 use srflow_train::config::{Config, PRESETS};
 use srflow_train::training_log::{Record, StepRecord, read_log};
-use srflow_train::{Event, Outcome, RunMode, Start, config_of_run, report, train};
+use srflow_train::{Event, Outcome, RunMode, Start, config_of_run, report, train_until};
 
+use crate::library::{Watch, parsed};
 use crate::made::open_made;
 use crate::networks::{note_if_ambiguous, weights_file};
 use crate::output::exit_stopped;
@@ -151,46 +154,126 @@ impl Overrides {
     }
 }
 
-pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
-    if args.resume.is_some() {
-        ensure!(
-            args.overrides.is_empty(),
-            "--resume continues with the configuration of the run: leave out options that would change it"
-        );
-    }
-    let (mut config, out, mode) = match (args.resume, args.out) {
-        (Some(run), _) => (config_of_run(&run)?, run, RunMode::Resume),
-        (None, out) => {
-            let config = match &args.config {
-                Some(name) => Config::read(name)?,
-                None => Config::default(),
-            };
-            (args.overrides.apply(config)?, out.unwrap_or_default(), RunMode::New)
+/// The run that the arguments describe.
+struct Job {
+    config: Config,
+    out: PathBuf,
+    mode: RunMode,
+    devices: Vec<String>,
+    stop_after: Option<u64>,
+}
+
+impl Train {
+    fn job(self) -> anyhow::Result<Job> {
+        if self.resume.is_some() {
+            ensure!(
+                self.overrides.is_empty(),
+                "--resume continues with the configuration of the run: leave out options that would change it"
+            );
         }
+        let (config, out, mode) = match (self.resume, self.out) {
+            (Some(run), _) => (config_of_run(&run)?, run, RunMode::Resume),
+            (None, out) => {
+                let config = match &self.config {
+                    Some(name) => Config::read(name)?,
+                    None => Config::default(),
+                };
+                (self.overrides.apply(config)?, out.unwrap_or_default(), RunMode::New)
+            }
+        };
+        Ok(Job { config, out, mode, devices: self.device, stop_after: self.stop_after_step })
+    }
+}
+
+impl Job {
+    /// Trains, and writes the report of a run that is then complete.
+    fn run(
+        &mut self,
+        stop: &dyn Fn() -> bool,
+        on_event: &mut dyn FnMut(Event<'_>),
+    ) -> anyhow::Result<Outcome> {
+        let Self { config, out, mode, devices, stop_after } = self;
+        if *mode == RunMode::New {
+            find_weights(config)?;
+        }
+        let devices = devices.iter().map(|name| device(name)).collect::<Result<Vec<_>, _>>()?;
+        let stop = |done| stop_after.is_some_and(|last| done >= last) || stop();
+        let outcome = train_until(config, &open_made, &devices, out, *mode, &stop, on_event)?;
+        if !outcome.stopped {
+            let page = report(config, &read_log(out)?, &machine::describe()).html();
+            write_file(&out.join("report.html"), page)?;
+        }
+        Ok(outcome)
+    }
+}
+
+/// `srflow train` with these options. Returns what `--json` prints.
+///
+/// # Errors
+/// Those of the command; [`UsageError`](crate::UsageError) for a wrong option.
+pub fn train(options: impl IntoIterator<Item = OsString>, watch: &Watch) -> anyhow::Result<Value> {
+    let args: Train = parsed("srflow train", options)?;
+    let print_config = args.print_config;
+    let mut job = args.job()?;
+    if print_config {
+        job.config.check()?;
+        return Ok(serde_json::to_value(&job.config)?);
+    }
+    let steps = Cell::new(0);
+    let outcome = job.run(watch.stop, &mut |event| {
+        if let Event::Started(start) = &event {
+            steps.set(start.steps);
+        }
+        (watch.on_progress)(as_json(&event, steps.get()));
+    })?;
+    Ok(summary(&job.out, &outcome))
+}
+
+/// An event of a run of so many `steps`: `done`, `total`, what it is as `event`, and its numbers.
+fn as_json(event: &Event, steps: u64) -> Value {
+    let (name, done, mut value) = match event {
+        Event::Started(start) => {
+            let Start { steps_per_epoch, data, validation, parameters, .. } = start;
+            let facts = json!({
+                "steps_per_epoch": steps_per_epoch, "data": data, "validation": validation, "parameters": parameters,
+            });
+            ("started", start.done, facts)
+        }
+        Event::Recorded(record) => match record {
+            Record::Step(step) => {
+                let parts: serde_json::Map<String, Value> =
+                    step.parts.iter().map(|(name, value)| (name.clone(), json!(value))).collect();
+                let mut facts = json!(step);
+                facts["parts"] = parts.into();
+                ("step", step.step, facts)
+            }
+            Record::Skipped(skipped) => ("skipped", skipped.step, json!(skipped)),
+            Record::Validation(scores) => ("validation", scores.step, json!(scores)),
+        },
+        Event::Saved { path, step } => ("saved", *step, json!({ "path": path })),
     };
-    if args.print_config {
-        config.check()?;
+    value["event"] = json!(name);
+    value["done"] = json!(done);
+    value["total"] = json!(steps);
+    value
+}
+
+pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
+    let print_config = args.print_config;
+    let mut job = args.job()?;
+    if print_config {
+        job.config.check()?;
         if context.json {
-            return crate::output::print_json(&config);
+            return crate::output::print_json(&job.config);
         }
-        return say!("{}", config.to_toml().trim_end());
+        return say!("{}", job.config.to_toml().trim_end());
     }
-    if mode == RunMode::New {
-        find_weights(&mut config)?;
-    }
-    let devices = args.device.iter().map(|name| device(name)).collect::<Result<Vec<_>, _>>()?;
     let mut progress = Progress::new();
-    let result = train(&config, &open_made, &devices, &out, mode, args.stop_after_step, &mut |event| {
-        progress.show(&event)
-    });
+    let result = job.run(&|| false, &mut |event| progress.show(&event));
     progress.finish();
     let outcome = result?;
-    if outcome.stopped {
-        print(&out, &outcome, context)?;
-        return exit_stopped();
-    }
-    write_file(&out.join("report.html"), report(&config, &read_log(&out)?, &machine::describe()).html())?;
-    print(&out, &outcome, context)
+    print(&job.out, &outcome, context)?;
+    if outcome.stopped { exit_stopped() } else { Ok(()) }
 }
 
 /// Fetches published weights if a name and not a file is given.
@@ -203,26 +286,33 @@ pub fn find_weights(config: &mut Config) -> anyhow::Result<()> {
     Ok(())
 }
 
+fn weights_of(out: &Path) -> [PathBuf; 2] {
+    ["best.safetensors", "last.safetensors"].map(|name| out.join(name))
+}
+
+fn summary(out: &Path, outcome: &Outcome) -> Value {
+    let Outcome { progress, stopped, seconds, waiting_share } = outcome;
+    let [best, last] = weights_of(out);
+    json!({
+        "run": out,
+        "steps": progress.step,
+        "stopped": stopped,
+        "skipped": progress.skipped,
+        "best": progress.best,
+        "weights": if progress.best.is_some() { best } else { last },
+        "seconds": seconds,
+        "waiting_share": waiting_share,
+        "peak_memory_bytes": machine::peak_memory(),
+    })
+}
+
 fn print(out: &Path, outcome: &Outcome, context: &Context) -> anyhow::Result<()> {
+    if context.json {
+        return crate::output::print_json(&summary(out, outcome));
+    }
     let Outcome { progress, stopped, seconds, waiting_share } = outcome;
     let peak = machine::peak_memory();
-    let best = out.join("best.safetensors");
-    let last = out.join("last.safetensors");
-    if context.json {
-        let summary = json!({
-            "run": out,
-            "steps": progress.step,
-            "stopped": stopped,
-            "skipped": progress.skipped,
-            "best": progress.best,
-            "weights": if progress.best.is_some() { &best } else { &last },
-            "seconds": seconds,
-            "waiting_share": waiting_share,
-            "peak_memory_bytes": peak,
-        });
-        crate::output::print_json(&summary)?;
-        return Ok(());
-    }
+    let [best, last] = weights_of(out);
     say!("{} steps, {} of them skipped, in {seconds:.1} s", progress.step, progress.skipped)?;
     say!("Waiting for data  {:.1}% of the time", 100.0 * waiting_share)?;
     if let Some(bytes) = peak {

@@ -11,7 +11,7 @@ use std::str::FromStr;
 use clap::Args;
 use srflow_classical::{Farneback, FarnebackParameters, Refined, TvL1, TvL1Parameters};
 use srflow_eval::{FlowFiles, Zero};
-use srflow_field::FlowEstimator;
+use srflow_field::{FlowEstimator, FlowField, Image};
 use srflow_nets::{Architecture, Scaled, Tiled};
 use srflow_read::flow::FlowDataset;
 
@@ -280,6 +280,17 @@ impl Source {
         match self {
             Self::Estimator(estimator) => srflow_eval::Method::Estimator(estimator.as_ref()),
             Self::Files(files) => srflow_eval::Method::Files(files),
+        }
+    }
+
+    /// The flow of one of the pairs that the sources were opened for, which has this name and these frames.
+    ///
+    /// # Errors
+    /// When it cannot be estimated, or its file not read.
+    pub fn flow(&self, pair: &str, frame1: &Image, frame2: &Image) -> anyhow::Result<FlowField> {
+        match self {
+            Self::Estimator(estimator) => Ok(estimator.estimate(frame1, frame2)?),
+            Self::Files(files) => Ok(files.flow(pair, frame1.size())?),
         }
     }
 }

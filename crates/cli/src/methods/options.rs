@@ -1,18 +1,12 @@
 //! Methods of programs that use this crate as a library, with the options of the command line.
 
-use clap::{Parser, error::ErrorKind};
+use std::ffi::OsString;
+
 use srflow_field::FlowEstimator;
 
 use super::{Method, MethodParameters, MethodSpec, estimator};
+use crate::library::parsed;
 use crate::usage::UsageError;
-
-/// The options of a method alone.
-#[derive(Parser)]
-#[command(no_binary_name = true, disable_help_flag = true)]
-struct Options {
-    #[command(flatten)]
-    parameters: MethodParameters,
-}
 
 /// A method as `srflow flow --method METHOD` takes it, with the options of that command, as in `--tile=auto`. Without a name, the one
 /// that the command takes.
@@ -21,26 +15,14 @@ struct Options {
 /// [`UsageError`] when there is no such method or option, or its value is wrong; otherwise when weights cannot be loaded.
 pub fn estimator_of(
     method: Option<&str>,
-    options: impl IntoIterator<Item = String>,
+    options: impl IntoIterator<Item = OsString>,
 ) -> anyhow::Result<Box<dyn FlowEstimator>> {
     let spec = match method {
         Some(method) => method.parse().map_err(UsageError)?,
         None => MethodSpec::from(Method::DEFAULT),
     };
-    let options = Options::try_parse_from(options).map_err(|error| UsageError(in_short(&error)))?;
-    estimator(&spec, &options.parameters)
-}
-
-/// What is wrong, without the usage of a command.
-fn in_short(error: &clap::Error) -> String {
-    let text = error.render().to_string();
-    let text = text.split("\n\nUsage:").next().unwrap_or(&text);
-    let text = text.split("\n\nFor more information").next().unwrap_or(text);
-    let text = text.strip_prefix("error: ").unwrap_or(text).trim_end();
-    match error.kind() {
-        ErrorKind::UnknownArgument => format!("{text}; `srflow flow --help` lists the options of methods"),
-        _ => text.to_owned(),
-    }
+    let parameters: MethodParameters = parsed("srflow flow", options)?;
+    estimator(&spec, &parameters)
 }
 
 #[cfg(test)]
@@ -49,9 +31,8 @@ mod tests {
 
     #[test]
     fn options_are_those_of_the_command_line() {
-        let of = |method: &str, options: &[&str]| {
-            estimator_of(Some(method), options.iter().map(ToString::to_string))
-        };
+        let of =
+            |method: &str, options: &[&str]| estimator_of(Some(method), options.iter().map(OsString::from));
         assert_eq!(estimator_of(None, []).unwrap().name(), "srflow");
         assert_eq!(of("tvl1", &["--warps=2", "--refine"]).unwrap().name(), "tvl1");
         for (method, options, message) in [

@@ -48,17 +48,23 @@ fn the_table_stands_beside_the_papers_and_a_stopped_run_goes_on() {
     let [through, stopped] = ["through", "stopped"].map(|name| folder.path().join(name));
     let output = succeed(command(&data, &through, "none,fdr", &[]));
     let text = String::from_utf8(output.stdout).unwrap();
-    let ours = text.find("Ours: mean over seeds 1, 2 of RAFT-S, 2 steps").expect(&text);
-    let spread = text.find("Ours: standard deviation over the seeds").expect(&text);
+    assert!(
+        text.contains(
+            "RAFT-S, 2 steps, seeds 1, 2; EPE of zero flow 1.5000 px in folder, test split (pairs: 1)"
+        ),
+        "{text}"
+    );
+    let ours = text.find("all pixels: mean over the seeds").expect(&text);
+    let spread = text.find("all pixels: standard deviation over the seeds").expect(&text);
     let paper = text.find("The paper's Table V").expect(&text);
     assert!(ours < spread && spread < paper, "{text}");
     assert!(text[ours..paper].contains("FDR") && !text[..paper].contains("TVR"), "only what was run: {text}");
     assert!(text[paper..].contains("SRFlowNet-TVR") && text[paper..].contains("0.4056"), "{text}");
     let json: Value = serde_json::from_slice(&std::fs::read(through.join("ablation.json")).unwrap()).unwrap();
-    let epe = |cell: &Value| cell["scores"]["epe"].as_f64().unwrap();
+    let epe = |cell: &Value| cell["tests"][0]["whole"]["epe"].as_f64().unwrap();
     let cells = json.as_array().unwrap();
     assert_eq!(cells.len(), 4);
-    assert!(cells.iter().all(|cell| epe(cell).is_finite() && cell["zero_epe"] == 1.5), "{json}");
+    assert!(cells.iter().all(|cell| epe(cell).is_finite() && cell["tests"][0]["zero_epe"] == 1.5), "{json}");
     let mean = |variant: &str| -> f64 {
         cells.iter().filter(|cell| cell["variant"] == variant).map(epe).sum::<f64>() / 2.0
     };
@@ -96,5 +102,32 @@ fn the_table_stands_beside_the_papers_and_a_stopped_run_goes_on() {
     let start = json.as_array().unwrap();
     assert_eq!(start.len(), 1);
     assert_eq!(start[0]["steps"], 0);
-    assert_eq!(start[0]["scores"], cells[3]["scores"], "the same weights on the same pairs");
+    assert_eq!(start[0]["tests"], cells[3]["tests"], "the same weights on the same pairs");
+
+    // A control on other data, and scores on two datasets, of what is finished too.
+    let without = command(&data, &stopped, "control", &[]).output().unwrap();
+    let error = String::from_utf8(without.stderr).unwrap();
+    assert!(!without.status.success() && error.contains("--control"), "{error}");
+    write_pairs(&folder.path().join("other/train"), 2, (72, 64), 0.5);
+    let other = format!("folder:{}", folder.path().join("other").display());
+    let (faces, others) = (format!("{data}@test"), format!("{other}@train"));
+    let more = ["--json", "--weights", weights.to_str().unwrap(), "--control", &other, "--test", &faces];
+    let more = [&more[..], &["--test", &others, "--seeds", "1"]].concat();
+    let output = succeed(command(&data, &folder.path().join("both"), "start,control,none", &more));
+    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let cells = json.as_array().unwrap();
+    let zero = |cell: &Value| [0, 1].map(|test| cell["tests"][test]["zero_epe"].as_f64().unwrap());
+    assert_eq!(cells.iter().map(zero).collect::<Vec<_>>(), [[1.5, 0.5]; 3]);
+    let config =
+        |run: &str| std::fs::read_to_string(folder.path().join("both").join(run).join("config.toml"));
+    assert!(
+        config("control-seed-1").unwrap().contains(&other) && config("none-seed-1").unwrap().contains(&data)
+    );
+    let finished = std::fs::read(folder.path().join("both/none-seed-1/last.safetensors")).unwrap();
+    let again = ["--json", "--weights", weights.to_str().unwrap(), "--test", &others, "--seeds", "1"];
+    let output = succeed(command(&data, &folder.path().join("both"), "none", &again));
+    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(json[0]["tests"].as_array().unwrap().len(), 1);
+    assert_eq!(json[0]["tests"][0], cells[2]["tests"][1], "scored again, not trained again");
+    assert_eq!(std::fs::read(folder.path().join("both/none-seed-1/last.safetensors")).unwrap(), finished);
 }

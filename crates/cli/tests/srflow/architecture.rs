@@ -5,7 +5,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
-const PIPELINE: [&str; 16] = [
+const PIPELINE: [&str; 17] = [
     "srflow-simd",
     "srflow-field",
     "srflow-splat",
@@ -20,6 +20,7 @@ const PIPELINE: [&str; 16] = [
     "srflow-nets",
     "srflow-train",
     "srflow-mer",
+    "srflow-view",
     "srflow",
     "srflow-python",
 ];

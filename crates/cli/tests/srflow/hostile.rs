@@ -21,7 +21,7 @@ use srflow_field::{
     FlowField, FlowFormat, Image, Labels, is_unprintable, write_flow, write_flow_as, write_image_png,
     write_labels_png,
 };
-use srflow_splat::{Camera, Gaussians, write_bound_ply, write_ply};
+use srflow_splat::{Camera, Gaussians, write_bound_ply, write_gaussians, write_ply};
 use zip::write::SimpleFileOptions;
 
 use crate::frames::write_frames;
@@ -117,6 +117,11 @@ fn samples(folder: &Path) -> Vec<Sample> {
     let rasterize = &["rasterize", "FILE", "--camera", "DIR/camera.json", "--out", "DIR/out", "--force"];
     let ply = fs::read(folder.join("a.ply")).unwrap();
     samples.push(Sample { name: "ply", bytes: ply, file: "b.ply", arguments: rasterize });
+    for (name, file) in [("splat", "b.splat"), ("spz", "b.spz"), ("glb of Gaussians", "c.glb")] {
+        write_gaussians(&folder.join(file), &gaussians).unwrap();
+        let bytes = fs::read(folder.join(file)).unwrap();
+        samples.push(Sample { name, bytes, file, arguments: rasterize });
+    }
     let names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"];
     let names = names.into_iter().chain(["rot_0", "rot_1", "rot_2", "rot_3"]);
     let properties: String = names.map(|name| format!("property float {name}\n")).collect();
@@ -566,6 +571,11 @@ fn mutated(bytes: &[u8], dice: &mut Dice) -> Vec<u8> {
         }
         return archive(&parts);
     }
+    if bytes.starts_with(b"\x1f\x8b") && dice.below(2) == 0 {
+        let mut content = Vec::new();
+        flate2::read::GzDecoder::new(bytes).read_to_end(&mut content).unwrap();
+        return gzip(&mutated(&content, dice));
+    }
     if let Some(len) = first_block(bytes).filter(|_| dice.below(2) == 0) {
         // The entries of a TensorFlow checkpoint, behind a valid checksum.
         let mut bytes = bytes.to_vec();
@@ -625,6 +635,12 @@ fn first_block(bytes: &[u8]) -> Option<usize> {
     let is_table = bytes.ends_with(&[0x57, 0xfb, 0x80, 0x8b, 0x24, 0x75, 0x47, 0xdb]);
     let mut lengths = 0..bytes.len().saturating_sub(5);
     lengths.find(|&len| is_table && bytes[len + 1..len + 5] == table_checksum(&bytes[..=len]))
+}
+
+fn gzip(content: &[u8]) -> Vec<u8> {
+    let mut encoder = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    encoder.write_all(content).unwrap();
+    encoder.finish().unwrap()
 }
 
 fn table_checksum(bytes: &[u8]) -> [u8; 4] {
@@ -833,6 +849,26 @@ fn lying_zip64_counts_are_refused() {
     assert_eq!(names, expected);
 }
 
+/// The counts of a file of Gaussians take no memory before they are compared with its size, and a gzip stream is read no further than
+/// they go.
+#[test]
+fn lying_files_of_gaussians_are_refused() {
+    let rasterize = &["rasterize", "FILE", "--out", "DIR/out"];
+    let header = |count: u32| {
+        let mut header = b"NGSP\x03\0\0\0".to_vec();
+        header.extend(count.to_le_bytes());
+        header.extend([0, 12, 0, 0]);
+        header
+    };
+    assert!(refusal("a.spz", &gzip(&header(u32::MAX)), rasterize).contains("at most 10000000"));
+    assert!(refusal("a.spz", &gzip(&header(10_000_000)), rasterize).contains("at most what a file of"));
+    let bomb = [header(100_000), vec![1; 1 << 28]].concat();
+    assert!(refusal("a.spz", &gzip(&bomb), rasterize).contains("found more"));
+    let nan = [f32::NAN.to_le_bytes(); 8].concat();
+    assert!(refusal("a.splat", &nan, rasterize).contains("finite numbers, found"));
+    assert!(refusal("a.splat", &[1; 31], rasterize).contains("a multiple of 32 bytes"));
+}
+
 #[test]
 fn text_of_files_is_escaped_and_truncated() {
     let evil = format!("clip,subject,onset,apex,offset,class\nc,s,1,2,3,\x1b[31m{}\n", "x".repeat(1 << 20));
@@ -861,13 +897,14 @@ fn nothing_but_regular_files_is_opened() {
     use std::os::unix::ffi::OsStrExt as _;
     let folder = tempfile::tempdir().unwrap();
     samples(folder.path());
-    let commands: [&[&str]; 8] = [
+    let commands: [&[&str]; 9] = [
         INSPECT,
         CONVERT,
         &["metrics", "FILE", "FILE"],
         &["flow", "--method", "farneback", "DIR/frame1.png", "FILE", "-o", "DIR/out.flo"],
         &["rasterize", "FILE", "--camera", "DIR/camera.json", "--out", "DIR/out"],
         &["rasterize", "DIR/a.ply", "--camera", "FILE", "--out", "DIR/out"],
+        &["avatar", "export", "--head", "builtin", "--camera", "FILE", "-o", "DIR/out.glb"],
         &["train", "--config", "FILE", "--print-config"],
         &["mer", "tables", "FILE"],
     ];

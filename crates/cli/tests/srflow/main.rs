@@ -29,8 +29,10 @@ mod models;
 mod rasterize;
 mod render_check;
 mod shapes;
+mod splats;
 mod train;
 mod videos;
+mod view;
 
 /// The program under test. Read when the tests run: a path fixed at build time would break if the checkout moves.
 fn binary() -> PathBuf {

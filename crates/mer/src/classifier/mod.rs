@@ -69,6 +69,7 @@ type LeaveOneSubjectOut = fn(
     &Protocol,
     Option<&Path>,
     &(dyn Fn(LosoEvent) + Sync),
+    &(dyn Fn() -> bool + Sync),
 ) -> Result<Loso, LosoError>;
 
 /// The classifiers by name; the first is the SRFlow paper's.
@@ -99,8 +100,9 @@ impl ClassifierEntry {
         protocol: &Protocol,
         folder: Option<&Path>,
         on_event: &(dyn Fn(LosoEvent) + Sync),
+        stop: &(dyn Fn() -> bool + Sync),
     ) -> Result<Loso, LosoError> {
-        (self.leave_one_subject_out)(samples, classes, protocol, folder, on_event)
+        (self.leave_one_subject_out)(samples, classes, protocol, folder, on_event, stop)
     }
 }
 

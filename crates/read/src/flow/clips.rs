@@ -58,6 +58,7 @@ fn pair(clip: &Clip, gaps: &mut Gaps) -> Option<Entry> {
         mask: beside(clip, "mask", listing::MASKS),
         occlusion: None,
         regions: None,
+        depth: None,
     })
 }
 

@@ -84,6 +84,7 @@ impl FacialFlowNet {
                 mask: masks.next(),
                 occlusion: None,
                 regions: None,
+                depth: None,
             })
         };
         Ok(images.windows(2).zip(flows).filter_map(entry).collect())

@@ -92,6 +92,7 @@ fn entry_of(root: &Path, frame_dir: &Path, scene: &str, with_flow: bool, gaps: &
         mask: None,
         occlusion: (with_flow && visible.is_file()).then_some(Occlusion::VisibleFlow(visible)),
         regions: None,
+        depth: None,
         frame1,
         frame2,
     })

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 use std::path::{Path, PathBuf};
 
-use srflow_field::IMAGE_EXTENSIONS;
+use srflow_field::{FlowFormat, IMAGE_EXTENSIONS};
 
 use super::error::DatasetError;
 use super::gaps::Gaps;
@@ -67,6 +67,15 @@ pub fn files(dir: &Path, endings: &[&str]) -> Result<Vec<PathBuf>, DatasetError>
 /// When the folder cannot be read.
 pub fn pictures(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
     files(dir, IMAGES)
+}
+
+/// The flow files in `dir`, in natural order: all but `.png`, which are pictures as often. Hidden files are skipped.
+///
+/// # Errors
+/// When the folder cannot be read.
+pub fn flow_files(dir: &Path) -> Result<Vec<PathBuf>, DatasetError> {
+    let formats = FlowFormat::ALL.into_iter().filter(|format| *format != FlowFormat::KittiPng);
+    files(dir, &formats.map(FlowFormat::extension).collect::<Vec<&str>>())
 }
 
 /// [`files`], or nothing if the folder does not exist.

@@ -28,7 +28,7 @@ use std::path::{Path, PathBuf};
 
 pub use error::DatasetError;
 pub use kind::{DatasetSpec, KINDS, Kind};
-pub use listing::pictures;
+pub use listing::{flow_files, pictures};
 pub use made::{MadeError, MadePairs, SCENES_AT_ONCE};
 pub use sample::{Sample, TruthDensity};
 pub use split::Split;
@@ -55,6 +55,8 @@ pub struct Entry {
     pub occlusion: Option<Occlusion>,
     /// File of the [region map](crate::region_map) of frame 1, if there is one.
     pub regions: Option<PathBuf>,
+    /// File of the depth of frame 1, if there is one: see [`Entry::read_depth`].
+    pub depth: Option<PathBuf>,
 }
 
 impl Entry {
@@ -68,7 +70,8 @@ impl Entry {
         let occlusion = self.occlusion.as_ref().map(|occlusion| match occlusion {
             Occlusion::Picture(path) | Occlusion::VisibleFlow(path) => path,
         });
-        let optional = [self.flow.as_ref(), self.mask.as_ref(), occlusion, self.regions.as_ref()];
+        let optional =
+            [self.flow.as_ref(), self.mask.as_ref(), occlusion, self.regions.as_ref(), self.depth.as_ref()];
         [&self.frame1, &self.frame2].into_iter().chain(optional.into_iter().flatten()).map(PathBuf::as_path)
     }
 }
@@ -137,7 +140,17 @@ impl FlowDataset {
         let dir = frame1.parent().unwrap_or(Path::new("")).to_owned();
         let frame = listing::stem(&frame1);
         let (scene, flow) = (String::new(), Some(flow));
-        let entry = Entry { scene, frame, frame1, frame2, flow, mask: None, occlusion: None, regions: None };
+        let entry = Entry {
+            scene,
+            frame,
+            frame1,
+            frame2,
+            flow,
+            mask: None,
+            occlusion: None,
+            regions: None,
+            depth: None,
+        };
         Self {
             name: "pair".to_owned(),
             dir,

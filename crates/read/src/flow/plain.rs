@@ -113,6 +113,7 @@ fn pairs_of_scene(
             mask: masks.remove(&frame),
             occlusion: occlusions.remove(&frame).map(Occlusion::Picture),
             regions: regions.remove(&frame),
+            depth: None,
             frame,
             frame1: frame1.clone(),
             frame2: frame2.clone(),

@@ -4,7 +4,8 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use srflow_field::{
-    FlowField, Image, Labels, Mask, read_flow, read_image, read_image_size, read_mask, read_npy,
+    FlowField, Image, Labels, Mask, Plane, read_flow, read_grey16, read_image, read_image_size, read_mask,
+    read_npy,
 };
 
 use super::{DatasetError, Entry, Occlusion};
@@ -121,6 +122,24 @@ impl Entry {
         }
         let (path, frame) = (path.clone(), self.frame1.clone());
         Err(DatasetError::SizeMismatch { path, found: map.size(), frame, expected })
+    }
+}
+
+impl Entry {
+    /// Decodes the depth of frame 1 in metres, 0 where there is none (16-bit grey PNG in tenths of a millimetre, as `srflow render
+    /// --depth` writes it); `None` when there is no file.
+    ///
+    /// # Errors
+    /// When the file cannot be read, is no 16-bit grey picture, or has another size than frame 1.
+    pub fn read_depth(&self) -> Result<Option<Plane>, DatasetError> {
+        let Some(path) = &self.depth else { return Ok(None) };
+        let depth = read_grey16(path)?;
+        let expected = read_image_size(&self.frame1)?;
+        if depth.size() == expected {
+            return Ok(Some(Plane::from_fn(expected.0, expected.1, |x, y| depth.get(x, y) * 1e-4)));
+        }
+        let (path, frame) = (path.clone(), self.frame1.clone());
+        Err(DatasetError::SizeMismatch { path, found: depth.size(), frame, expected })
     }
 }
 

@@ -83,6 +83,7 @@ impl Sequence<'_> {
                 mask: None,
                 occlusion: self.occlusions.remove(&start).map(Occlusion::Picture),
                 regions: None,
+                depth: None,
             });
         }
         let end = match direction {

@@ -103,6 +103,7 @@ impl SrFlow {
             mask: Some(first.mask),
             occlusion: occlusion.map(Occlusion::Picture),
             regions: first.regions,
+            depth: first.depth,
         }
     }
 }

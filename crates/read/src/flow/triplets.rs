@@ -46,7 +46,17 @@ pub fn triplets(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError>
         if let (Some(frame1), Some(frame2)) = (frame1, frame2) {
             let occlusion = occlusion.map(Occlusion::Picture);
             let scene = String::new();
-            entries.push(Entry { scene, frame: name, frame1, frame2, flow, mask, occlusion, regions });
+            entries.push(Entry {
+                scene,
+                frame: name,
+                frame1,
+                frame2,
+                flow,
+                mask,
+                occlusion,
+                regions,
+                depth: None,
+            });
         }
     }
     Ok(entries)

@@ -88,13 +88,15 @@ pub struct Request<'a> {
     pub force: bool,
     /// Stop after this many units.
     pub stop_after: Option<u64>,
+    /// Asked before each unit, from any thread: whether to stop after those that are in progress.
+    pub stop: &'a (dyn Fn() -> bool + Sync),
     pub on_event: &'a (dyn Fn(Event) + Sync),
 }
 
 impl<'a> Request<'a> {
     /// The dataset, or the part of it to render.
     pub fn new(dir: &'a Path) -> Self {
-        Self { dir, shard: Shard::WHOLE, force: false, stop_after: None, on_event: &|_| {} }
+        Self { dir, shard: Shard::WHOLE, force: false, stop_after: None, stop: &|| false, on_event: &|_| {} }
     }
 }
 
@@ -120,14 +122,14 @@ pub struct Made {
     pub seconds: f64,
     /// The workers' time by stage.
     pub stages: Vec<StageTime>,
-    /// Whether `stop_after` ended the run before the shard was complete.
+    /// Whether the run was stopped before the shard was complete.
     pub stopped: bool,
 }
 
 /// Renders the missing units of a shard, with the threads of the current rayon pool, and returns whether the dataset is then
 /// complete, including all other shards.
 pub(crate) fn make<P: Plan>(plan: &P, request: Request) -> Result<(Made, bool), RenderError> {
-    let Request { dir, shard, force, stop_after, on_event } = request;
+    let Request { dir, shard, force, on_event, .. } = request;
     folder::claim(dir, plan, force)?;
     let groups = plan.groups();
     let part = units_of_shard(&groups, shard);
@@ -138,7 +140,7 @@ pub(crate) fn make<P: Plan>(plan: &P, request: Request) -> Result<(Made, bool), 
 
     let start = Instant::now();
     let runs = cut(missing, run_length(lacking, P::LONGEST_RUN));
-    let work = Work::new(plan, dir, &runs, (units - lacking, units), stop_after, on_event);
+    let work = Work::new(plan, &request, &runs, (units - lacking, units));
     work.make()?;
     let made = work.made();
     let report = Made {

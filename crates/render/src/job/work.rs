@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use srflow_field::FileError;
 
 use super::timing::{Clock, Stage};
-use super::{Event, MAX_WORKERS, Plan, Run};
+use super::{Event, MAX_WORKERS, Plan, Request, Run};
 use crate::RenderError;
 
 /// State shared by all workers.
@@ -19,6 +19,7 @@ pub(crate) struct Work<'a, P: Plan> {
     before: u64,
     total: u64,
     stop_after: u64,
+    stop: &'a (dyn Fn() -> bool + Sync),
     on_event: &'a (dyn Fn(Event) + Sync),
     pub clock: Clock,
     /// The group that was started last.
@@ -33,12 +34,11 @@ pub(crate) struct Work<'a, P: Plan> {
 impl<'a, P: Plan> Work<'a, P> {
     pub(super) fn new(
         plan: &'a P,
-        dir: &'a Path,
+        request: &Request<'a>,
         runs: &'a [Run],
         (before, total): (u64, u64),
-        stop_after: Option<u64>,
-        on_event: &'a (dyn Fn(Event) + Sync),
     ) -> Self {
+        let Request { dir, stop_after, stop, on_event, .. } = *request;
         Self {
             plan,
             dir,
@@ -46,6 +46,7 @@ impl<'a, P: Plan> Work<'a, P> {
             before,
             total,
             stop_after: stop_after.unwrap_or(u64::MAX),
+            stop,
             on_event,
             clock: Clock::default(),
             current: Mutex::default(),
@@ -114,7 +115,7 @@ impl<'a, P: Plan> Work<'a, P> {
 
     /// Whether to render another unit.
     pub fn begin(&self) -> bool {
-        if self.begun.fetch_add(1, Ordering::Relaxed) >= self.stop_after {
+        if self.begun.fetch_add(1, Ordering::Relaxed) >= self.stop_after || (self.stop)() {
             self.stopped.store(true, Ordering::Relaxed);
         }
         !self.stopped.load(Ordering::Relaxed)

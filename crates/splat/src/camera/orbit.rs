@@ -53,6 +53,13 @@ impl Camera {
             .placed(world_from_camera, seen.centre + distance * DVec3::Z)
     }
 
+    /// As [`Camera::facing`] from -z where -y is up, as for most scenes that were reconstructed from photographs.
+    pub fn facing_down(seen: Surroundings, (width, height): (usize, usize)) -> Self {
+        let turn = DVec3::new(1.0, -1.0, -1.0);
+        let camera = Self::facing(Surroundings { centre: seen.centre * turn, ..seen }, (width, height));
+        Self { camera_from_world: camera.camera_from_world * DMat4::from_scale(turn), ..camera }
+    }
+
     /// `count` cameras on a circle around `centre`, starting from this one, `degrees / count` apart: to the right where that is
     /// positive, with the circle's axis along the up direction of this camera's picture.
     pub fn orbit(&self, centre: DVec3, degrees: f64, count: usize) -> Vec<Self> {

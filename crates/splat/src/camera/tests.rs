@@ -293,14 +293,18 @@ fn a_camera_faces_all_but_strays_from_the_front() {
     }
     gaussians.positions.push(glam::Vec3::splat(1e6));
     gaussians.scales = vec![glam::Vec3::splat(0.01); gaussians.positions.len()];
-    let camera = Camera::facing(Surroundings::of(&gaussians).unwrap(), (300, 200));
-    camera.validate().unwrap();
-    for position in &gaussians.positions[..500] {
-        let (pixel, _) = camera.project(position.as_dvec3()).unwrap();
-        assert!((0.0..300.0).contains(&pixel.x) && (0.0..200.0).contains(&pixel.y), "{pixel}");
+    let seen = Surroundings::of(&gaussians).unwrap();
+    let cameras = [Camera::facing(seen, (300, 200)), Camera::facing_down(seen, (300, 200))];
+    for (camera, high) in cameras.into_iter().zip([1.0, -1.0]) {
+        camera.validate().unwrap();
+        for position in &gaussians.positions[..500] {
+            let (pixel, _) = camera.project(position.as_dvec3()).unwrap();
+            assert!((0.0..300.0).contains(&pixel.x) && (0.0..200.0).contains(&pixel.y), "{pixel}");
+        }
+        let (above, _) = camera.project(DVec3::new(5.0, high, 0.0)).unwrap();
+        assert!(above.y < 60.0, "{high} y is up: {above}");
+        assert_eq!(camera.position().z.signum(), high, "seen from the front");
     }
-    let (above, _) = camera.project(DVec3::new(5.0, 1.0, 0.0)).unwrap();
-    assert!(above.y < 60.0, "+y is up: {above}");
     assert_eq!(Surroundings::of(&Gaussians::default()), None);
 }
 

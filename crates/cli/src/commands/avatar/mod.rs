@@ -2,6 +2,7 @@
 
 mod capture;
 mod eval;
+mod export;
 mod fit;
 mod import;
 mod mesh;
@@ -14,7 +15,7 @@ use clap::{Args, Subcommand};
 
 use crate::Context;
 
-/// Head models and avatars: captures, fitting, training, scores, meshes, action units
+/// Head models and avatars: captures, fitting, training, scores, meshes, export, action units
 #[derive(Args)]
 pub struct Avatar {
     #[command(subcommand)]
@@ -25,6 +26,7 @@ pub struct Avatar {
 enum AvatarCommand {
     Capture(capture::Capture),
     Eval(eval::Eval),
+    Export(export::Export),
     Fit(fit::Fit),
     Import(import::Import),
     Mesh(mesh::Mesh),
@@ -36,6 +38,7 @@ pub fn run(args: Avatar, context: &Context) -> anyhow::Result<()> {
     match args.command {
         AvatarCommand::Capture(args) => capture::run(args, context),
         AvatarCommand::Eval(args) => eval::run(args, context),
+        AvatarCommand::Export(args) => export::run(args, context),
         AvatarCommand::Fit(args) => fit::run(args, context),
         AvatarCommand::Import(args) => import::run(args, context),
         AvatarCommand::Mesh(args) => mesh::run(args, context),

@@ -1,7 +1,7 @@
 //! Every action unit of a head: the face at rest, at full intensity, and the flow between the two.
 
 use glam::{DVec3, Vec3};
-use srflow_avatar::{Avatar, HeadPose, PosedHead, Side};
+use srflow_avatar::{Avatar, HeadPose, PosedHead, Side, unit_name};
 use srflow_eval::report::{ActionCard, Picture, flow_scale, shrink_flow, shrink_image};
 use srflow_field::{Image, flow_colors};
 use srflow_render::generate::{Rig, View};
@@ -14,32 +14,6 @@ const SHOWN_WIDTH: usize = 280;
 
 /// How many times closer than the rig the camera is.
 const ZOOM: f64 = 2.1;
-
-/// The FACS name of each unit (Ekman, Friesen and Hager 2002).
-const NAMES: [(u8, &str); 22] = [
-    (1, "inner brow raiser"),
-    (2, "outer brow raiser"),
-    (4, "brow lowerer"),
-    (5, "upper lid raiser"),
-    (6, "cheek raiser"),
-    (7, "lid tightener"),
-    (9, "nose wrinkler"),
-    (10, "upper lip raiser"),
-    (12, "lip corner puller"),
-    (14, "dimpler"),
-    (15, "lip corner depressor"),
-    (16, "lower lip depressor"),
-    (17, "chin raiser"),
-    (18, "lip pucker"),
-    (20, "lip stretcher"),
-    (23, "lip tightener"),
-    (24, "lip pressor"),
-    (25, "lips part"),
-    (26, "jaw drop"),
-    (27, "mouth stretch"),
-    (43, "eyes closed"),
-    (45, "blink"),
-];
 
 /// One card per action unit of the avatar's head, both halves of the face together.
 ///
@@ -59,7 +33,7 @@ pub fn cards(avatar: &Avatar, background: [u8; 3]) -> anyhow::Result<Vec<ActionC
         let pose = avatar.model().pose_of_action_units(&[(number, Side::Both, 1.0)])?;
         avatar.gaussians_into(&pose, &mut head, &mut full);
         let furthest = furthest_millimetres(&rest_vertices, head.vertices());
-        let name = NAMES.iter().find(|(known, _)| *known == number).map_or("", |(_, name)| name);
+        let name = unit_name(number).unwrap_or("");
         let alt = format!("action unit {number}, {name}");
         Ok(ActionCard {
             title: format!("AU {number}"),

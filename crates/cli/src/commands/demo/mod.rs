@@ -19,8 +19,10 @@ use srflow_read::flow::{DatasetSpec, FlowDataset};
 use srflow_render::generate::FULL_SIZE;
 
 use crate::commands::render::head_help;
+use crate::commands::view::avatar_page;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::output::ensure_free;
+use crate::posed_head::MovingHead;
 use crate::scoring;
 use crate::{Context, machine};
 use stage::Stages;
@@ -87,9 +89,10 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
         let films = datasets::films(&clips)?;
         Ok((clips, films))
     })?;
-    let (gaussians, cards) = stages.run("Showing every action unit", || {
-        let avatar = args.head.avatar(stills.first_subject()?)?;
-        Ok((avatar.bound().len(), action_units::cards(&avatar, datasets::BACKGROUND)?))
+    let (gaussians, avatar, cards) = stages.run("Showing every action unit", || {
+        let head = MovingHead::open(&args.head, None, stills.first_subject()?)?;
+        let cards = action_units::cards(&head.avatar, datasets::BACKGROUND)?;
+        Ok((head.avatar.bound().len(), avatar_page(&head, "The first head")?.html(), cards))
     })?;
     let at_full_size = stages.run("Estimating and scoring at full size", || {
         score(&stills.dataset, &estimators, Some(paper_crop(args.size)), 3)
@@ -113,6 +116,7 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
         clips,
         films,
         gaussians,
+        avatar,
         cards,
         at_full_size,
         in_motion,

@@ -3,7 +3,7 @@
 use srflow_eval::Evaluation;
 use srflow_eval::report::{
     ActionCard, Axis, Bar, Bin, Chart, Figure, Film, Page, Panel, Section, action_cards, bars, compare,
-    facts, films, histogram, panels, score_figures, side_by_side, tiles, wheel_legend,
+    embedded, facts, films, histogram, panels, score_figures, side_by_side, tiles, wheel_legend,
 };
 
 use super::datasets::{Rendered, Still};
@@ -21,6 +21,8 @@ pub struct Shown {
     pub films: (Vec<Film>, f64),
     /// Number of Gaussians of the first head.
     pub gaussians: usize,
+    /// The first head as a page of its own.
+    pub avatar: String,
     /// Action units.
     pub cards: Vec<ActionCard>,
     /// Scores on the paper's crop of the stills, and pictures of the pairs.
@@ -108,10 +110,18 @@ fn action_units(shown: &Shown) -> Section {
         "Action units",
         "The muscles of facial expression by their numbers in the Facial Action Coding System, each at full \
             intensity beside its flow from rest. They combine, and micro-expressions are short, faint episodes of them.",
-        vec![action_cards(
-            &shown.cards,
-            "Millimetres are those of the vertex that moves most. Each flow has its own scale, to make small motion visible.",
-        )],
+        vec![
+            embedded(
+                &shown.avatar,
+                "The first head, to turn and to move",
+                "Drag to turn, scroll to zoom; the sliders are action units, and the flow is the exact one of the motion to the next frame or \
+                to rest. The command srflow view makes such a page of any head, file of Gaussians or dataset.",
+            ),
+            action_cards(
+                &shown.cards,
+                "Millimetres are those of the vertex that moves most. Each flow has its own scale, to make small motion visible.",
+            ),
+        ],
     )
 }
 

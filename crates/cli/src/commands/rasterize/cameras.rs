@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use clap::Args;
 use srflow_field::{Size, excerpt, excerpts};
-use srflow_splat::{Camera, Gaussians, NamedCamera, Surroundings, read_cameras};
+use srflow_splat::{Camera, Gaussians, NamedCamera, Surroundings, Up, read_cameras};
 
 use crate::usage::wrong_usage;
 
@@ -15,7 +15,8 @@ const SIZE: Size = Size { width: 800, height: 800 };
 /// The camera of a frame, and that of the next.
 #[derive(Args)]
 pub struct CameraArgs {
-    /// Camera of this frame [default: one that sees all Gaussians from +z, where +y is up]
+    /// Camera of this frame [default: one that sees all Gaussians from +z, where +y is up; those of a .splat file from -z, where -y is
+    /// up]
     #[arg(long, value_name = "CAM")]
     camera: Option<PathBuf>,
     /// Camera of CAM to use: its name (that of its picture, with or without folder and extension), or its number from 0
@@ -65,10 +66,10 @@ impl CameraArgs {
     ///
     /// # Errors
     /// When it cannot be read, or the file holds several and none was selected.
-    pub fn first(&self, gaussians: &Gaussians) -> anyhow::Result<Camera> {
+    pub fn first(&self, gaussians: &Gaussians, up: Up) -> anyhow::Result<Camera> {
         match &self.camera {
             Some(file) => self.chosen(file, self.view.as_deref(), "--view"),
-            None => Ok(self.facing(gaussians)),
+            None => Ok(self.facing(gaussians, up)),
         }
     }
 
@@ -92,9 +93,9 @@ impl CameraArgs {
     ///
     /// # Errors
     /// As [`CameraArgs::first`].
-    pub fn orbit(&self, orbit: Orbit, gaussians: &Gaussians) -> anyhow::Result<Vec<Camera>> {
+    pub fn orbit(&self, orbit: Orbit, gaussians: &Gaussians, up: Up) -> anyhow::Result<Vec<Camera>> {
         let centre = Surroundings::of(gaussians).map_or_else(Default::default, |seen| seen.centre);
-        Ok(self.first(gaussians)?.orbit(centre, orbit.degrees, orbit.frames))
+        Ok(self.first(gaussians, up)?.orbit(centre, orbit.degrees, orbit.frames))
     }
 
     /// All cameras of a file.
@@ -126,11 +127,14 @@ impl CameraArgs {
         Ok(cameras)
     }
 
-    fn facing(&self, gaussians: &Gaussians) -> Camera {
+    fn facing(&self, gaussians: &Gaussians, up: Up) -> Camera {
         let Size { width, height } = self.size.unwrap_or(SIZE);
         let seen =
             Surroundings::of(gaussians).unwrap_or(Surroundings { centre: Default::default(), radius: 1.0 });
-        Camera::facing(seen, (width, height))
+        match up {
+            Up::PlusY => Camera::facing(seen, (width, height)),
+            Up::MinusY => Camera::facing_down(seen, (width, height)),
+        }
     }
 
     fn chosen(&self, file: &Path, view: Option<&str>, option: &str) -> anyhow::Result<Camera> {

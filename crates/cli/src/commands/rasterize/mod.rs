@@ -12,11 +12,12 @@ use srflow_field::{
     write_npy, write_npy_plane,
 };
 use srflow_splat::{
-    Frame, Gaussians, Next, Options, Outputs, PixelConvention, Rasterizer, Sorting, read_ply,
+    Frame, Gaussians, Next, Options, Outputs, PixelConvention, Rasterizer, Sorting, SplatFormat, Up,
+    read_gaussians,
 };
 
 use self::cameras::{CameraArgs, Orbit};
-use self::head::HeadArgs;
+use self::head::TwoPoses;
 use crate::Context;
 use crate::output::{ensure_folder, ensure_free};
 use crate::usage::wrong_usage;
@@ -50,16 +51,16 @@ CAM is a file of cameras:
     {\"width\": 550, \"height\": 802, \"fx\": 1200, \"fy\": 1200, \"cx\": 274.5, \"cy\": 400.5,
      \"w2c\": [[1,0,0,0], [0,1,0,0], [0,0,1,1.5], [0,0,0,1]]}
   w2c is camera from world, a 4x4 matrix by rows.
-PLY is a file of 3D Gaussian Splatting (spherical harmonics of degree 0 to 3), in the world of the cameras.")]
+FILE is a file of 3D Gaussian Splatting (spherical harmonics of degree 0 to 3), in the world of the cameras.")]
 pub struct Rasterize {
-    /// Gaussians of this frame
-    #[arg(value_name = "PLY", required_unless_present = "head", conflicts_with = "head")]
+    /// Gaussians of this frame: .ply, .splat, .spz or .glb
+    #[arg(value_name = "FILE", required_unless_present = "head", conflicts_with = "head")]
     gaussians: Option<PathBuf>,
     /// Gaussians of the next frame: the same ones in the same order
-    #[arg(long, value_name = "PLY")]
+    #[arg(long, value_name = "FILE")]
     next: Option<PathBuf>,
     #[command(flatten)]
-    head: HeadArgs,
+    head: TwoPoses,
     #[command(flatten)]
     cameras: CameraArgs,
     /// Move the camera around the centre of the Gaussians, to the right where DEGREES are positive [default: a frame every 3
@@ -144,9 +145,9 @@ pub fn run(args: Rasterize, context: &Context) -> anyhow::Result<()> {
     if !moves {
         return one_frame(&args, &options, context);
     }
-    let (gaussians, _) = read_gaussians(&args)?;
+    let Scene { gaussians, up, .. } = Scene::open(&args)?;
     let cameras = match (args.orbit, &args.path) {
-        (Some(orbit), _) => args.cameras.orbit(orbit, &gaussians)?,
+        (Some(orbit), _) => args.cameras.orbit(orbit, &gaussians, up)?,
         (None, Some(file)) => args.cameras.path(file)?,
         (None, None) => Vec::new(),
     };
@@ -165,8 +166,8 @@ fn one_frame(args: &Rasterize, options: &Options, context: &Context) -> anyhow::
     ensure_free(FILES.map(|name| args.out.join(name)), args.force)?;
     // Camera errors are reported before large files are read.
     let camera_next = args.cameras.next()?;
-    let (gaussians, moved) = read_gaussians(args)?;
-    let camera = args.cameras.first(&gaussians)?;
+    let Scene { gaussians, moved, up } = Scene::open(args)?;
+    let camera = args.cameras.first(&gaussians, up)?;
 
     create_folder(&args.out)?;
 
@@ -191,27 +192,54 @@ fn one_frame(args: &Rasterize, options: &Options, context: &Context) -> anyhow::
     Ok(())
 }
 
-/// The Gaussians of this frame, and those of the next if they move.
-fn read_gaussians(args: &Rasterize) -> anyhow::Result<(Gaussians, Option<Gaussians>)> {
-    if let Some((mut gaussians, next)) = args.head.gaussians()? {
+/// What is rendered.
+struct Scene {
+    gaussians: Gaussians,
+    /// Those of the next frame, if they move.
+    moved: Option<Gaussians>,
+    up: Up,
+}
+
+impl Scene {
+    fn open(args: &Rasterize) -> anyhow::Result<Self> {
+        if let Some((mut gaussians, moved)) = args.head.gaussians()? {
+            gaussians.antialiased |= args.antialiased;
+            return Ok(Self { gaussians, moved, up: Up::PlusY });
+        }
+        let Some(path) = &args.gaussians else { wrong_usage!("give a file of Gaussians, or --head") };
+        if args.next.is_some() {
+            for file in args.gaussians.iter().chain(&args.next) {
+                ensure_ordered(file)?;
+            }
+        }
+        let mut gaussians = read_gaussians(path)?;
         gaussians.antialiased |= args.antialiased;
-        return Ok((gaussians, next));
+        let moved = args.next.as_deref().map(read_gaussians).transpose()?;
+        if let (Some(moved), Some(next)) = (&moved, &args.next) {
+            ensure!(
+                moved.len() == gaussians.len(),
+                "{} holds {} Gaussians and {} holds {}: flow needs the same Gaussians in both, in the same order",
+                path.display(),
+                gaussians.len(),
+                next.display(),
+                moved.len()
+            );
+        }
+        let up = SplatFormat::of(path).and_then(|format| format.up).unwrap_or(Up::PlusY);
+        Ok(Self { gaussians, moved, up })
     }
-    let Some(path) = &args.gaussians else { wrong_usage!("give a PLY of Gaussians, or --head") };
-    let mut gaussians = read_ply(path)?;
-    gaussians.antialiased |= args.antialiased;
-    let moved = args.next.as_deref().map(read_ply).transpose()?;
-    if let (Some(moved), Some(next)) = (&moved, &args.next) {
-        ensure!(
-            moved.len() == gaussians.len(),
-            "{} holds {} Gaussians and {} holds {}: flow needs the same Gaussians in both, in the same order",
-            path.display(),
-            gaussians.len(),
-            next.display(),
-            moved.len()
-        );
+}
+
+/// Fails where Gaussians have lost their order, so that those of two files do not correspond.
+fn ensure_ordered(file: &Path) -> anyhow::Result<()> {
+    match SplatFormat::of(file).filter(|format| !format.keeps_order) {
+        None => Ok(()),
+        Some(format) => wrong_usage!(
+            "{}: the Gaussians of a .{} file are sorted by their size, so there is no flow between two of them: give another format, such as .ply",
+            file.display(),
+            format.extension
+        ),
     }
-    Ok((gaussians, moved))
 }
 
 fn write(frame: &Frame, out: &Path) -> Result<(), FileError> {

@@ -1,21 +1,25 @@
-//! The parts of a glTF document that make a head: JSON and the bytes of its buffers. Every reference and length is checked before use.
+//! JSON and the bytes of its buffers. Every reference and length is checked before use.
 
 use std::cell::Cell;
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::Path;
 
+use glam::{DMat4, DQuat, DVec3};
 use serde::Deserialize;
 use serde_json::Value;
-use srflow_field::{FileKind, FileProblem, excerpt, parse_error_in_words, read_file};
+use srflow_field::{FileError, FileKind, FileProblem, excerpt, parse_error_in_words, read_file};
 
-use crate::avatar::AvatarError;
-
-/// Most numbers that a file may expand to: accessors may share bytes.
+/// Most numbers that a small file may expand to: accessors may share bytes, or have none. A larger file may hold a number per byte.
 const MAX_VALUES: usize = 1 << 26;
 
+/// Extensions without which a file cannot be understood, and which this understands or has no use for.
+const KNOWN_EXTENSIONS: [&str; 2] = ["KHR_mesh_quantization", "KHR_gaussian_splatting"];
+
+/// A document; see the specification for its parts.
 #[derive(Debug, Default, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
-pub(super) struct Json {
+pub struct Json {
     pub scene: Option<usize>,
     pub scenes: Vec<Scene>,
     pub nodes: Vec<Node>,
@@ -30,19 +34,20 @@ pub(super) struct Json {
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
-pub(super) struct Scene {
+pub struct Scene {
     pub nodes: Vec<usize>,
 }
 
+/// A part of which only the name matters.
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
-pub(super) struct Named {
+pub struct Named {
     pub name: String,
 }
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
-pub(super) struct Node {
+pub struct Node {
     pub name: String,
     pub children: Vec<usize>,
     pub mesh: Option<usize>,
@@ -55,7 +60,7 @@ pub(super) struct Node {
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
-pub(super) struct Mesh {
+pub struct Mesh {
     pub name: String,
     pub primitives: Vec<Primitive>,
     extras: Value,
@@ -71,17 +76,18 @@ impl Mesh {
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(default)]
-pub(super) struct Primitive {
+pub struct Primitive {
     pub attributes: BTreeMap<String, usize>,
     pub indices: Option<usize>,
     pub mode: Option<u32>,
     pub material: Option<usize>,
     pub targets: Vec<BTreeMap<String, usize>>,
+    pub extensions: BTreeMap<String, Value>,
 }
 
 #[derive(Debug, Default, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
-pub(super) struct Skin {
+pub struct Skin {
     pub joints: Vec<usize>,
     pub inverse_bind_matrices: Option<usize>,
 }
@@ -142,47 +148,75 @@ struct Buffer {
 }
 
 /// A document with the bytes of its buffers.
-pub(super) struct Document {
+#[derive(Debug)]
+pub struct Document {
     pub json: Json,
     buffers: Vec<Vec<u8>>,
+    /// Numbers that were read, and how many may be.
     values: Cell<usize>,
+    most_values: usize,
+}
+
+/// A node of the scene.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Placed {
+    /// Its number in the document, which has it.
+    pub node: usize,
+    /// Its parent, as an index into the nodes of the scene.
+    pub parent: Option<usize>,
+    /// Scene from node.
+    pub global: DMat4,
 }
 
 impl Document {
-    /// Reads a `.glb` or `.gltf` file, and the files beside it that the latter names.
-    pub fn open(path: &Path) -> Result<Self, AvatarError> {
-        let bytes = read_file(path, FileKind::Mesh)?;
-        Self::parse(path, bytes)
+    /// Reads a `.glb` or `.gltf` file, and the files beside it that the latter names; each may be as large as one of its `kind`.
+    ///
+    /// # Errors
+    /// When a file cannot be read, is not glTF 2.0, or requires an extension that is not understood.
+    pub fn open(path: &Path, kind: FileKind) -> Result<Self, FileError> {
+        let bytes = read_file(path, kind)?;
+        Self::parse(path, bytes, kind)
     }
 
-    fn parse(path: &Path, bytes: Vec<u8>) -> Result<Self, AvatarError> {
+    fn parse(path: &Path, mut bytes: Vec<u8>, kind: FileKind) -> Result<Self, FileError> {
         let in_file = |problem: FileProblem| problem.in_file(path);
         let (text, binary) = if bytes.starts_with(b"glTF") {
             chunks(&bytes).ok_or_else(|| {
                 in_file(problem("chunks", "binary glTF 2 with a chunk of JSON", "a broken or truncated file"))
             })?
         } else {
-            (bytes.as_slice(), None)
+            (0..bytes.len(), None)
         };
-        let json: Json = serde_json::from_slice(text)
+        let json: Json = serde_json::from_slice(bytes.get(text).unwrap_or_default())
             .map_err(|error| in_file(problem("JSON", "glTF 2.0", parse_error_in_words(&error))))?;
-        if let Some(extension) = json.extensions_required.iter().find(|name| *name != "KHR_mesh_quantization")
-        {
+        let is_known = |name: &str| KNOWN_EXTENSIONS.contains(&name);
+        if let Some(extension) = json.extensions_required.iter().find(|name| !is_known(name)) {
             let expected = "a file without required extensions; export it without compression";
-            return Err(in_file(problem("extensionsRequired", expected, extension)).into());
+            return Err(in_file(problem("extensionsRequired", expected, extension)));
         }
+        // In place: the binary chunk is most of the file.
+        let mut binary = binary.map(|chunk| {
+            bytes.truncate(chunk.end);
+            bytes.drain(..chunk.start);
+            bytes
+        });
         let mut buffers = Vec::new();
         for (number, buffer) in json.buffers.iter().enumerate() {
-            buffers.push(match (&buffer.uri, binary) {
-                (None, Some(binary)) if number == 0 => binary.to_vec(),
-                (Some(uri), _) => read_uri(path, uri)?,
-                _ => return Err(in_file(problem("buffer", "a uri or a binary chunk", "neither")).into()),
+            buffers.push(match (&buffer.uri, binary.take_if(|_| number == 0)) {
+                (None, Some(binary)) => binary,
+                (Some(uri), _) => read_uri(path, uri, kind)?,
+                _ => return Err(in_file(problem("buffer", "a uri or a binary chunk", "neither"))),
             });
         }
-        Ok(Self { json, buffers, values: Cell::new(0) })
+        let most_values = MAX_VALUES.max(buffers.iter().map(Vec::len).sum());
+        Ok(Self { json, buffers, values: Cell::new(0), most_values })
     }
 
-    /// The numbers of an accessor of `components` per element; `count` elements if given.
+    /// The finite numbers of an accessor of `components` per element; `count` elements if given. Integers are not converted unless they
+    /// are normalized.
+    ///
+    /// # Errors
+    /// When there is no such accessor, or its bytes are not all in the file.
     pub fn numbers(
         &self,
         accessor: usize,
@@ -211,9 +245,14 @@ impl Document {
             return Err(wrong(&expected, format!("{} of type {}", accessor.count, excerpt(&accessor.kind))));
         }
         let used = accessor.count.checked_mul(components).and_then(|n| n.checked_add(self.values.get()));
-        match used.filter(|used| *used <= MAX_VALUES) {
+        match used.filter(|used| *used <= self.most_values) {
             Some(used) => self.values.set(used),
-            None => return Err(wrong("a head of sane size", format!("{} elements", accessor.count))),
+            None => {
+                return Err(wrong(
+                    "no more elements than the file can hold",
+                    format!("{} elements", accessor.count),
+                ));
+            }
         }
         let kind = Kind::of(accessor.component_type, accessor.normalized)?;
         let mut numbers = match accessor.buffer_view {
@@ -235,6 +274,49 @@ impl Document {
             None => Ok(numbers),
             Some(number) => Err(wrong("finite numbers", number.to_string())),
         }
+    }
+
+    /// The nodes of the scene that is shown, parents first.
+    ///
+    /// # Errors
+    /// When the nodes are not a forest, or one has a transform that is not finite.
+    pub fn scene(&self) -> Result<Vec<Placed>, FileProblem> {
+        let json = &self.json;
+        let roots: Vec<usize> = match json.scenes.get(json.scene.unwrap_or(0)) {
+            Some(scene) => scene.nodes.clone(),
+            None => {
+                let mut is_child = vec![false; json.nodes.len()];
+                for child in
+                    json.nodes.iter().flat_map(|node| &node.children).filter(|c| **c < json.nodes.len())
+                {
+                    is_child[*child] = true;
+                }
+                (0..json.nodes.len()).filter(|node| !is_child[*node]).collect()
+            }
+        };
+        let mut nodes: Vec<Placed> = Vec::new();
+        let mut seen = vec![false; json.nodes.len()];
+        // In depth, so that the numbers of vertices follow the order of the file.
+        let mut left: Vec<(usize, Option<usize>)> =
+            roots.into_iter().rev().map(|root| (root, None)).collect();
+        while let Some((number, parent)) = left.pop() {
+            let seen = seen
+                .get_mut(number)
+                .ok_or_else(|| problem("node", "one of the file's", number.to_string()))?;
+            if std::mem::replace(seen, true) {
+                return Err(problem("nodes", "a tree", format!("node {number} twice")));
+            }
+            let node = &json.nodes[number];
+            let local = local(node);
+            let global = parent.map_or(local, |parent| nodes[parent].global * local);
+            if !global.is_finite() || global.to_cols_array().iter().any(|entry| entry.abs() > 1e9) {
+                return Err(problem("node", "a finite transform", format!("that of node {number}")));
+            }
+            let placed = nodes.len();
+            nodes.push(Placed { node: number, parent, global });
+            left.extend(node.children.iter().rev().map(|child| (*child, Some(placed))));
+        }
+        Ok(nodes)
     }
 
     /// Elements in a view of a buffer.
@@ -266,6 +348,21 @@ impl Document {
         }
         Ok(numbers)
     }
+}
+
+/// Parent from node.
+fn local(node: &Node) -> DMat4 {
+    if let Some(matrix) = node.matrix {
+        return DMat4::from_cols_array(&matrix);
+    }
+    let rotation = DQuat::from_array(node.rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]));
+    let rotation = if rotation.length_squared() > 0.0 { rotation.normalize() } else { DQuat::IDENTITY };
+    let scale = DVec3::from_array(node.scale.unwrap_or([1.0; 3]));
+    DMat4::from_scale_rotation_translation(
+        scale,
+        rotation,
+        DVec3::from_array(node.translation.unwrap_or_default()),
+    )
 }
 
 /// The type of a component (section 3.6.2.2 of the specification).
@@ -312,34 +409,36 @@ impl Kind {
     }
 }
 
-/// The chunks of JSON and binary data of a `.glb` file.
-fn chunks(bytes: &[u8]) -> Option<(&[u8], Option<&[u8]>)> {
+/// Where the chunks of JSON and binary data of a `.glb` file are.
+fn chunks(bytes: &[u8]) -> Option<(Range<usize>, Option<Range<usize>>)> {
     let number = |at: usize| Some(u32::from_le_bytes(*bytes.get(at..)?.first_chunk()?));
     let chunk = |at: usize, kind: &[u8; 4]| {
         let length = number(at)? as usize;
         let start = at.checked_add(8)?;
         (bytes.get(at + 4..start)? == kind).then_some(())?;
-        Some((bytes.get(start..start.checked_add(length)?)?, start + length))
+        let chunk = start..start.checked_add(length)?;
+        bytes.get(chunk.clone()).map(|_| chunk)
     };
     if number(4)? != 2 {
         return None;
     }
-    let (json, end) = chunk(12, b"JSON")?;
-    Some((json, chunk(end, b"BIN\0").map(|(binary, _)| binary)))
+    let json = chunk(12, b"JSON")?;
+    let binary = chunk(json.end, b"BIN\0");
+    Some((json, binary))
 }
 
 /// The bytes of a `data:` uri, or of a file beside the document.
-fn read_uri(path: &Path, uri: &str) -> Result<Vec<u8>, AvatarError> {
+fn read_uri(path: &Path, uri: &str, kind: FileKind) -> Result<Vec<u8>, FileError> {
     let refused = |expected: &str| problem("uri", expected, excerpt(uri)).in_file(path);
     if let Some(data) = uri.strip_prefix("data:") {
         let encoded = data.split_once(";base64,").map(|(_, encoded)| encoded);
-        return Ok(encoded.and_then(from_base64).ok_or_else(|| refused("data in base64"))?);
+        return encoded.and_then(from_base64).ok_or_else(|| refused("data in base64"));
     }
     let is_plain = !uri.is_empty() && !uri.contains(['/', '\\', ':']) && uri != "..";
     if !is_plain {
-        return Err(refused("the name of a file in the same folder").into());
+        return Err(refused("the name of a file in the same folder"));
     }
-    Ok(read_file(&path.with_file_name(uri.replace("%20", " ")), FileKind::Mesh)?)
+    read_file(&path.with_file_name(uri.replace("%20", " ")), kind)
 }
 
 fn from_base64(text: &str) -> Option<Vec<u8>> {
@@ -364,7 +463,7 @@ fn from_base64(text: &str) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-pub(super) fn problem(field: &'static str, expected: &str, found: impl Into<String>) -> FileProblem {
+fn problem(field: &'static str, expected: &str, found: impl Into<String>) -> FileProblem {
     FileProblem::field(field, expected, found)
 }
 

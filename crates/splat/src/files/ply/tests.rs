@@ -1,5 +1,7 @@
 use std::fs;
 
+use glam::Quat;
+
 use super::*;
 use crate::tests::scenes::random;
 
@@ -133,7 +135,7 @@ fn errors_say_what_was_expected_and_found() {
     let zero = text.replace("0 2 0 0 0 30", "0 0 0 0 0 30");
     assert_eq!(
         message(zero.as_bytes()),
-        "rotation: expected a quaternion that is not zero, found zero at vertex 0"
+        "rotation: expected a quaternion that is not zero, found zero of Gaussian 0"
     );
     let large = text.replace(" -3 ", " 300 ");
     assert!(message(large.as_bytes()).starts_with("scale: expected logarithms of lengths"));

@@ -12,9 +12,10 @@ use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Write};
 use std::path::Path;
 
-use glam::{Quat, Vec3};
+use glam::Vec3;
 use srflow_field::{FileError, FileKind, FileProblem, excerpts, open_file, write_atomically};
 
+use super::{check, problem, room_for, unit_rotation};
 use crate::{Gaussians, sh};
 use header::{Encoding, Header, Property};
 
@@ -77,12 +78,7 @@ pub fn write_bound_ply(path: &Path, gaussians: &Gaussians, triangles: &[u32]) ->
 
 fn write(path: &Path, gaussians: &Gaussians, triangles: Option<&[u32]>) -> Result<(), FileError> {
     let in_file = |problem| FileError { path: path.to_owned(), problem };
-    gaussians
-        .validate("the Gaussians")
-        .map_err(|error| in_file(problem("lists", "lists of matching lengths", error)))?;
-    for index in 0..gaussians.len() {
-        check_activated(gaussians, index).map_err(in_file)?;
-    }
+    check(gaussians).map_err(in_file)?;
     if let Some(triangles) = triangles {
         if triangles.len() != gaussians.len() {
             let expected = format!("one triangle for each of {} Gaussians", gaussians.len());
@@ -93,10 +89,6 @@ fn write(path: &Path, gaussians: &Gaussians, triangles: Option<&[u32]>) -> Resul
         }
     }
     write_atomically(path, |writer| encode(gaussians, triangles, writer))
-}
-
-fn problem(field: &'static str, expected: impl ToString, found: impl ToString) -> FileProblem {
-    FileProblem::Field { field, expected: expected.to_string(), found: found.to_string() }
 }
 
 fn reading(error: io::Error) -> FileProblem {
@@ -203,20 +195,12 @@ impl Layout {
             return Err(problem("scale", "logarithms of lengths, under 88", found));
         }
         let [w, x, y, z] = self.rotation.map(|at| get("rotation", at));
-        let rotation = [x?, y?, z?, w?].map(f64::from);
-        let length = rotation.iter().map(|part| part * part).sum::<f64>().sqrt();
-        if length == 0.0 {
-            return Err(problem(
-                "rotation",
-                "a quaternion that is not zero",
-                format!("zero at vertex {index}"),
-            ));
-        }
+        let rotation = unit_rotation([x?, y?, z?, w?].map(f64::from), gaussians.len())?;
         let opacity = 1.0 / (1.0 + libm::exp(-f64::from(get("opacity", self.opacity)?)));
 
         gaussians.positions.push(Vec3::from(position));
         gaussians.scales.push(Vec3::from(scale));
-        gaussians.rotations.push(Quat::from_array(rotation.map(|part| (part / length) as f32)));
+        gaussians.rotations.push(rotation);
         gaussians.opacities.push(opacity as f32);
         for &at in &self.sh {
             gaussians.sh.push(get3("spherical harmonics", at)?);
@@ -230,16 +214,9 @@ fn decode(reader: &mut impl Read, len: u64, bound: bool) -> Result<(Gaussians, V
     let vertex = &header.vertex;
     let layout = Layout::new(&vertex.properties, bound)?;
     header.check_file_size(len)?;
-    let count = usize::try_from(vertex.count)
-        .map_err(|_| problem("vertex count", "a number that fits in memory", vertex.count))?;
-    let mut gaussians =
-        Gaussians { sh_degree: layout.sh_degree, antialiased: header.antialiased, ..Gaussians::default() };
-    gaussians.positions.reserve_exact(count);
-    gaussians.scales.reserve_exact(count);
-    gaussians.rotations.reserve_exact(count);
-    gaussians.opacities.reserve_exact(count);
-    gaussians.sh.reserve_exact(count.saturating_mul(layout.sh.len()));
-    let mut triangles = Vec::with_capacity(if bound { count } else { 0 });
+    let mut gaussians = room_for(vertex.count, layout.sh_degree)?;
+    gaussians.antialiased = header.antialiased;
+    let mut triangles = Vec::new();
     let mut push = |values: &[f64], index: u64| {
         layout.push(&mut gaussians, values, index)?;
         layout.push_triangle(&mut triangles, values, index)
@@ -271,27 +248,6 @@ fn decode(reader: &mut impl Read, len: u64, bound: bool) -> Result<(Gaussians, V
         push(&values, index)?;
     }
     Ok((gaussians, triangles))
-}
-
-fn check_activated(gaussians: &Gaussians, index: usize) -> Result<(), FileProblem> {
-    let sh_len = gaussians.sh_len();
-    let check = |field, holds: bool, expected: &str, value: &dyn std::fmt::Debug| {
-        if holds { Ok(()) } else { Err(problem(field, expected, format!("{value:?} of Gaussian {index}"))) }
-    };
-    let (position, scale) = (gaussians.positions[index], gaussians.scales[index]);
-    let (rotation, opacity) = (gaussians.rotations[index], gaussians.opacities[index]);
-    let sh = &gaussians.sh[index * sh_len..][..sh_len];
-    check("position", position.is_finite(), "finite numbers", &position)?;
-    let lengths = scale.is_finite() && scale.cmpge(Vec3::ZERO).all();
-    check("scale", lengths, "finite lengths, not negative", &scale)?;
-    check(
-        "rotation",
-        rotation.is_finite() && rotation != Quat::from_array([0.0; 4]),
-        "a quaternion",
-        &rotation,
-    )?;
-    check("opacity", (0.0..=1.0).contains(&opacity), "0 to 1", &opacity)?;
-    check("spherical harmonics", sh.as_flattened().iter().all(|c| c.is_finite()), "finite numbers", &sh)
 }
 
 fn encode(gaussians: &Gaussians, triangles: Option<&[u32]>, writer: &mut BufWriter<File>) -> io::Result<()> {

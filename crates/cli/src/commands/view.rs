@@ -1,0 +1,454 @@
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, anyhow, bail, ensure};
+use clap::Args;
+use serde::{Deserialize, Serialize};
+use srflow_avatar::HeadSource;
+use srflow_eval::spread;
+use srflow_field::{
+    FileKind, FlowField, FlowFormat, Mask, parse_error_in_words, read_flow, read_text, score, write_file,
+};
+use srflow_read::flow::{DatasetSpec, Entry, FlowDataset, Split, flow_files};
+use srflow_render::generate::MotionSource;
+use srflow_splat::{SplatFormat, Up, read_gaussians};
+use srflow_view::{Answer, Pack, Page, Server, ViewedFlow, ViewedMotion, ViewedPair};
+
+use crate::methods::{self, Method, MethodParameters, MethodSpec, Source};
+use crate::output::{ensure_extension, ensure_free, print_json};
+use crate::posed_head::{FRAMES_PER_SECOND, MovingHead};
+use crate::progress::bar;
+use crate::scoring::folder_name;
+use crate::usage::wrong_usage;
+use crate::{Context, in_words};
+
+/// Show Gaussians, an avatar, a dataset or flow in a browser
+///
+/// Writes one HTML page that needs no network: a file of Gaussians from all sides; an avatar with its motion, sliders for its action
+/// units, gaze and head, and the true flow of both; the pairs of a dataset with flow, masks, depth and the flow of methods beside the
+/// truth, with the values under the pointer.
+#[derive(Args)]
+#[command(after_help = "\
+THING is one of
+  a file of Gaussians      scene.ply, .splat, .spz or .glb
+  a head                   builtin, avatar:DIR, flame:FILE, ... as for `srflow rasterize --head`
+  a dataset                srflow:DIR, sintel-clean:DIR, ... as for `srflow eval --dataset`
+  a folder                 of an avatar, a dataset of srflow, flow files, or results of `srflow eval --out DIR --save-flow DIR/flow`
+  a flow file              flow.flo, .npz, ...
+
+Examples:
+  srflow view builtin --seed 7
+  srflow view runs/avatar -o avatar.html
+  srflow view srflow:small --split test --method srflow tvl1 -o pairs.html
+  srflow view srflow:large --serve")]
+pub struct View {
+    /// What to show
+    #[arg(value_name = "THING")]
+    thing: String,
+    /// The page to write [default: the name of the thing with .html, in this folder]
+    #[arg(short, long, value_name = "HTML")]
+    output: Option<PathBuf>,
+    /// Serve the page on this machine instead of writing it, and load pairs when they are looked at; on any free port unless
+    /// given one
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0", conflicts_with = "output")]
+    serve: Option<u16>,
+    /// Split of a dataset: train, val, test or all [default: the one that results are usually reported on]
+    #[arg(long)]
+    split: Option<Split>,
+    /// Show N pairs, spread evenly over the dataset [default: all if served, else as many as make 48 MB, at most 24]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    limit: Option<u32>,
+    /// Motion of a head: `own`, `curves`, or a file, as for `srflow rasterize` [default: own if it has one, else curves]
+    #[arg(long, value_name = "MOTION")]
+    motion: Option<MotionSource>,
+    /// Seed of the person and of the random motion, for heads that are made from one
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// Overwrite the page
+    #[arg(long)]
+    force: bool,
+    #[arg(long, value_name = "METHOD", num_args = 1.., value_delimiter = ',', value_parser = methods::scored_method, help = Method::help_of_several("Methods whose flow is shown beside a dataset's"))]
+    method: Vec<MethodSpec>,
+    #[command(flatten)]
+    parameters: MethodParameters,
+}
+
+/// Bytes of the pairs in a page for which nothing else was asked, and their most.
+const USUAL_BYTES: usize = 48 << 20;
+const USUAL_PAIRS: usize = 24;
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Written<'a> {
+    page: &'a Path,
+    bytes: usize,
+}
+
+/// What `--json` prints with `--serve`.
+#[derive(Serialize)]
+struct Served<'a> {
+    url: &'a str,
+}
+
+pub fn run(args: View, context: &Context) -> anyhow::Result<()> {
+    let output = match (&args.output, args.serve) {
+        (Some(output), _) => output.clone(),
+        (None, _) => usual_name(&args.thing),
+    };
+    if args.serve.is_none() {
+        ensure_extension(&output, "html")?;
+        ensure_free([&output], args.force)?;
+    }
+    let view = open(&args)?;
+    match args.serve {
+        Some(port) => serve(&view, &args, port, context),
+        None => write(&view, &output, &args, context),
+    }
+}
+
+/// `avatar.html` for `runs/avatar` and for `avatar:runs/avatar`.
+fn usual_name(thing: &str) -> PathBuf {
+    let name = thing.trim_end_matches('/').rsplit(['/', '\\', ':']).next().unwrap_or_default();
+    let stem = Path::new(name).file_stem().unwrap_or("view".as_ref());
+    Path::new(stem).with_added_extension("html")
+}
+
+/// What is shown, opened.
+enum Opened {
+    /// A page in one piece.
+    Whole {
+        title: String,
+        main: Pack,
+    },
+    Pairs(Pairs),
+}
+
+/// Pairs that are read one by one.
+struct Pairs {
+    title: String,
+    kind: PairKind,
+}
+
+enum PairKind {
+    /// With the methods whose flow is shown.
+    Dataset(FlowDataset, Vec<Source>),
+    Flows(Vec<PathBuf>),
+}
+
+fn open(args: &View) -> anyhow::Result<Opened> {
+    let opened = match Thing::find(&args.thing)? {
+        Thing::Splats(file) => {
+            let title = name_of(&file);
+            let up = SplatFormat::of(&file).and_then(|format| format.up).unwrap_or(Up::PlusY);
+            let main = srflow_view::splats(&title, &read_gaussians(&file)?, up)
+                .with_context(|| file.display().to_string())?;
+            Opened::Whole { title, main }
+        }
+        Thing::Head(source) => {
+            let head = MovingHead::open(&source, args.motion.as_ref(), args.seed)?;
+            let title = source.to_string();
+            let main = avatar_pack(&head, &title)?;
+            Opened::Whole { title, main }
+        }
+        Thing::Dataset(spec) => {
+            let dataset = FlowDataset::open(&spec, args.split)?;
+            let limit = args.limit.map(|limit| limit as usize);
+            let methods = match args.method.is_empty() {
+                true => Vec::new(),
+                false => methods::sources(&args.method, &args.parameters, &dataset, limit)?,
+            };
+            let title = format!("{spec}, {} split", dataset.split());
+            return Ok(Opened::Pairs(Pairs { title, kind: PairKind::Dataset(dataset, methods) }));
+        }
+        Thing::Flows(files) => {
+            Opened::Pairs(Pairs { title: args.thing.clone(), kind: PairKind::Flows(files) })
+        }
+        Thing::Results { dataset, split, limit, methods } => {
+            let dataset = FlowDataset::open(&dataset, Some(split))?;
+            let methods = methods::sources(&methods, &args.parameters, &dataset, limit)?;
+            let title = format!("{}, {} split", args.thing, dataset.split());
+            Opened::Pairs(Pairs { title, kind: PairKind::Dataset(dataset, methods) })
+        }
+    };
+    if !args.method.is_empty() {
+        wrong_usage!("--method is for datasets: its flow is shown beside theirs");
+    }
+    Ok(opened)
+}
+
+fn avatar_pack(head: &MovingHead, title: &str) -> anyhow::Result<Pack> {
+    let motion = ViewedMotion { poses: head.poses(), frames_per_second: FRAMES_PER_SECOND };
+    Ok(srflow_view::avatar(title, &head.avatar, &motion)?)
+}
+
+/// The page of a head.
+///
+/// # Errors
+/// When it has no Gaussians.
+pub fn avatar_page(head: &MovingHead, title: &str) -> anyhow::Result<Page> {
+    let mut page = Page::new(title);
+    page.embed("main", &avatar_pack(head, title)?);
+    Ok(page)
+}
+
+/// What a word of the command line names.
+enum Thing {
+    Splats(PathBuf),
+    Head(HeadSource),
+    Dataset(DatasetSpec),
+    Flows(Vec<PathBuf>),
+    Results { dataset: DatasetSpec, split: Split, limit: Option<usize>, methods: Vec<MethodSpec> },
+}
+
+impl Thing {
+    fn find(text: &str) -> anyhow::Result<Self> {
+        let path = Path::new(text);
+        if path.is_dir() {
+            return Self::in_folder(path);
+        }
+        let is_flow = |path: &Path| FlowFormat::from_path(path).is_some();
+        match (text.parse::<HeadSource>(), text.parse::<DatasetSpec>()) {
+            _ if path.exists() && SplatFormat::of(path).is_some() => Ok(Self::Splats(path.to_owned())),
+            _ if path.exists() && is_flow(path) => Ok(Self::Flows(vec![path.to_owned()])),
+            (Ok(head), _) => Ok(Self::Head(head)),
+            (_, Ok(dataset)) => Ok(Self::Dataset(dataset)),
+            _ => {
+                let found = if path.exists() { "a file of another kind" } else { "no such file or folder" };
+                wrong_usage!(
+                    "{text}: expected a file of Gaussians ({}), a flow file ({}), a head such as builtin or avatar:DIR, a dataset \
+                     such as srflow:DIR, or a folder; found {found}",
+                    SplatFormat::extensions(),
+                    FlowFormat::ALL.map(|format| format!(".{}", format.extension())).join(", "),
+                )
+            }
+        }
+    }
+
+    fn in_folder(dir: &Path) -> anyhow::Result<Self> {
+        let has = |name: &str| dir.join(name).is_file();
+        let spec = |kind: &str| DatasetSpec { kind: kind.to_owned(), dir: dir.to_owned() };
+        if has("point_cloud.ply") {
+            let text = format!("avatar:{}", dir.display());
+            return Ok(Self::Head(text.parse().map_err(anyhow::Error::msg)?));
+        }
+        if has("dataset.json") {
+            return Ok(Self::Dataset(spec("srflow")));
+        }
+        if has("scores.json") {
+            return results(dir);
+        }
+        if FlowDataset::open(&spec("folder"), None).is_ok() {
+            return Ok(Self::Dataset(spec("folder")));
+        }
+        let files = flow_files(dir)?;
+        if !files.is_empty() {
+            return Ok(Self::Flows(files));
+        }
+        bail!(
+            "{}: expected the folder of an avatar (point_cloud.ply), of a dataset of srflow (dataset.json), of results (scores.json) or \
+             of flow files; found none of them. Name other datasets with their kind, such as sintel-clean:{}",
+            dir.display(),
+            dir.display()
+        )
+    }
+}
+
+/// The part of `scores.json` that says what was scored.
+#[derive(Deserialize)]
+struct Scored {
+    dataset: String,
+    folder: PathBuf,
+    split: Split,
+    limit: Option<usize>,
+    made_by: Vec<MadeBy>,
+}
+
+#[derive(Deserialize)]
+struct MadeBy {
+    name: String,
+}
+
+/// The folder in which results keep the flow of each method.
+const FLOW: &str = "flow";
+
+fn results(dir: &Path) -> anyhow::Result<Thing> {
+    let file = dir.join("scores.json");
+    let text = read_text(&file, FileKind::Json)?;
+    let scored: Scored = serde_json::from_str(&text).map_err(|error| {
+        anyhow!(
+            "{}: expected what `srflow eval --out` writes; {}",
+            file.display(),
+            parse_error_in_words(&error)
+        )
+    })?;
+    let method = |method: &MadeBy| {
+        let flow = dir.join(FLOW).join(folder_name(&method.name));
+        ensure!(
+            flow.is_dir(),
+            "{}: no such folder; keep the flow of each method with `srflow eval --out {} --save-flow {}`",
+            flow.display(),
+            dir.display(),
+            dir.join(FLOW).display()
+        );
+        Ok(MethodSpec {
+            label: Some(method.name.clone()),
+            weights: Some(flow.display().to_string()),
+            ..Method::Files.into()
+        })
+    };
+    Ok(Thing::Results {
+        dataset: DatasetSpec { kind: scored.dataset, dir: scored.folder },
+        split: scored.split,
+        limit: scored.limit,
+        methods: scored.made_by.iter().map(method).collect::<anyhow::Result<_>>()?,
+    })
+}
+
+fn name_of(file: &Path) -> String {
+    file.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+impl Pairs {
+    fn len(&self) -> usize {
+        match &self.kind {
+            PairKind::Dataset(dataset, _) => dataset.entries().len(),
+            PairKind::Flows(files) => files.len(),
+        }
+    }
+
+    fn name(&self, number: usize) -> String {
+        match &self.kind {
+            PairKind::Dataset(dataset, _) => dataset.entries()[number].id(),
+            PairKind::Flows(files) => name_of(&files[number]),
+        }
+    }
+
+    fn pack(&self, number: usize) -> anyhow::Result<Pack> {
+        match &self.kind {
+            PairKind::Dataset(dataset, methods) => pair_pack(dataset, &dataset.entries()[number], methods),
+            PairKind::Flows(files) => {
+                let flow = read_flow(&files[number])?;
+                Ok(ViewedPair { flow: Some(&flow), ..ViewedPair::default() }.pack()?)
+            }
+        }
+    }
+
+    fn main(&self, numbers: &[usize]) -> Pack {
+        let about = match (numbers.len(), self.len()) {
+            (shown, all) if shown < all => format!("{shown} of {all} pairs"),
+            (1, _) => String::new(),
+            (all, _) => format!("{all} pairs"),
+        };
+        let names: Vec<String> = numbers.iter().map(|&number| self.name(number)).collect();
+        srflow_view::pairs(&self.title, &about, &names)
+    }
+}
+
+fn pair_pack(dataset: &FlowDataset, entry: &Entry, methods: &[Source]) -> anyhow::Result<Pack> {
+    let sample = dataset.read(entry)?;
+    let depth = entry.read_depth()?;
+    let flows = methods
+        .iter()
+        .map(|method| method.flow(&entry.id(), &sample.frame1, &sample.frame2))
+        .collect::<anyhow::Result<Vec<_>>>()?;
+    let epe = |flow: &FlowField, mask: Option<&Mask>| {
+        let Some(truth) = &sample.flow else { return Ok(None) };
+        anyhow::Ok(score(flow, truth, mask)?.map(|metrics| metrics.epe))
+    };
+    let viewed = methods.iter().zip(&flows).map(|(method, flow)| {
+        let inside = match &sample.mask {
+            Some(mask) => epe(flow, Some(mask))?,
+            None => None,
+        };
+        Ok(ViewedFlow { name: method.method().name().to_owned(), flow, epe: [epe(flow, None)?, inside] })
+    });
+    let pair = ViewedPair {
+        frames: Some([&sample.frame1, &sample.frame2]),
+        flow: sample.flow.as_ref(),
+        mask: sample.mask.as_ref(),
+        occlusion: sample.occlusion.as_ref(),
+        depth: depth.as_ref(),
+        methods: viewed.collect::<anyhow::Result<_>>()?,
+    };
+    Ok(pair.pack()?)
+}
+
+fn write(view: &Opened, output: &Path, args: &View, context: &Context) -> anyhow::Result<()> {
+    let page = match view {
+        Opened::Whole { title, main } => {
+            let mut page = Page::new(title);
+            page.embed("main", main);
+            page
+        }
+        Opened::Pairs(pairs) => pairs_page(pairs, args.limit.map(|limit| limit as usize))?,
+    };
+    let html = page.html();
+    write_file(output, html.as_bytes())?;
+    match context.json {
+        true => print_json(&Written { page: output, bytes: html.len() }),
+        false => say!("{} ({:.1} MB): open it in a browser", output.display(), html.len() as f64 / 1e6),
+    }
+}
+
+fn pairs_page(pairs: &Pairs, limit: Option<usize>) -> anyhow::Result<Page> {
+    let first = pairs.pack(0)?;
+    let usual = (USUAL_BYTES / first.gzipped().len()).clamp(1, USUAL_PAIRS);
+    let numbers = spread(pairs.len(), Some(limit.unwrap_or(usual)));
+    let bar = bar(numbers.len() as u64, "{wide_bar} {pos}/{len} pairs, {eta} left");
+    let mut page = Page::new(&pairs.title);
+    page.embed("main", &pairs.main(&numbers));
+    for (place, &number) in numbers.iter().enumerate() {
+        page.embed(place.to_string(), &pairs.pack(number)?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok(page)
+}
+
+fn serve(view: &Opened, args: &View, port: u16, context: &Context) -> anyhow::Result<()> {
+    let server = Server::new(port)?;
+    let url = server.url();
+    match context.json {
+        true => print_json(&Served { url: &url })?,
+        false => say!("{url}: open it in a browser; Ctrl-C ends")?,
+    }
+    io::stdout().flush()?;
+    let packs = |pack: anyhow::Result<Pack>| match pack {
+        Ok(pack) => Answer::Pack(pack.gzipped()),
+        Err(error) => Answer::Failed(in_words(&error)),
+    };
+    server.run(|name| match (view, name) {
+        (Opened::Whole { title, .. } | Opened::Pairs(Pairs { title, .. }), "") => {
+            Answer::Page(Page::new(title).html())
+        }
+        (Opened::Whole { main, .. }, "main") => Answer::Pack(main.gzipped()),
+        (Opened::Pairs(pairs), name) => {
+            let numbers = spread(pairs.len(), args.limit.map(|limit| limit as usize));
+            match name.parse().ok().and_then(|place: usize| numbers.get(place)) {
+                Some(&number) => packs(pairs.pack(number)),
+                None if name == "main" => Answer::Pack(pairs.main(&numbers).gzipped()),
+                None => Answer::Failed(format!("there is no pair {name}")),
+            }
+        }
+        _ => Answer::Failed(format!("there is no pack {name}")),
+    })?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_is_named_after_its_thing() {
+        for (thing, name) in [
+            ("runs/avatar", "avatar.html"),
+            ("avatar:runs/avatar/", "avatar.html"),
+            ("scene.ply", "scene.html"),
+            ("builtin", "builtin.html"),
+            ("..", "view.html"),
+        ] {
+            assert_eq!(usual_name(thing), Path::new(name), "{thing}");
+        }
+    }
+}

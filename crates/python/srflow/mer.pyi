@@ -1,0 +1,53 @@
+"""Types of the functions; their documentation is in the module. `tests/test_stubs.py` holds the two together."""
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+class Scores(TypedDict):
+    p_m: float
+    r_m: float
+    f1_m: float
+    f1_mu: float
+    g_m: float
+    uf1: float
+    uar: float
+    confusion: NDArray[np.int64]
+
+class Results(TypedDict):
+    last: dict[str, Any]
+    best: list[dict[str, Any]]
+    epochs: list[dict[str, Any]]
+    baseline: dict[str, Any]
+    folds: list[dict[str, Any]]
+    classes: list[str]
+    predictions: NDArray[np.int64]
+
+def features(
+    onset: ArrayLike,
+    apex: ArrayLike,
+    method: str | None = None,
+    *,
+    resize: str = "before",
+    strain: str = "literature",
+    **options: Any,
+) -> NDArray[np.float32]: ...
+def strain(flow: ArrayLike, formula: str = "literature") -> NDArray[np.float32]: ...
+def loso(
+    features: Mapping[str, Any],
+    classifier: Callable[[NDArray[Any], NDArray[np.int64], NDArray[Any]], ArrayLike] | str | None = None,
+    *,
+    callback: Callable[[dict[str, int]], object] | None = None,
+    folder: str | os.PathLike[str] | None = None,
+    epochs: int | None = None,
+    record_every: int | None = None,
+    batch: int | None = None,
+    learning_rate: float | None = None,
+    seed: int | None = None,
+) -> Results: ...
+def metrics(
+    truth: ArrayLike, predicted: ArrayLike, subjects: Iterable[object], *, classes: int | None = None
+) -> Scores: ...

@@ -1,0 +1,180 @@
+//! Files of 3D Gaussians: a table with one line per format. Each format is one file in this folder.
+
+mod glb;
+mod ply;
+mod splat;
+mod spz;
+
+use std::ffi::OsStr;
+use std::path::Path;
+
+use glam::{Quat, Vec3};
+use srflow_field::{FileError, FileProblem};
+
+use crate::Gaussians;
+
+pub use ply::{read_bound_ply, read_ply, write_bound_ply, write_ply};
+
+/// A format of files of 3D Gaussians.
+#[derive(Debug)]
+pub struct SplatFormat {
+    /// Ending of the file's name, in lower case.
+    pub extension: &'static str,
+    /// The direction that is up in its files; `None` where the format leaves it to the scene.
+    pub up: Option<Up>,
+    /// Whether the Gaussians keep their order, so that those of two files correspond.
+    pub keeps_order: bool,
+    /// What is lost on writing, for a note; `None` where every value is kept.
+    pub loses: Option<&'static str>,
+    read: fn(&Path) -> Result<Gaussians, FileError>,
+    write: fn(&Path, &Gaussians) -> Result<(), FileError>,
+}
+
+/// The direction that is up in the world of Gaussians.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Up {
+    /// +y, as of the heads of this project and in glTF: x right, y up, z towards the viewer.
+    PlusY,
+    /// -y, as of most scenes that were reconstructed from photographs: x right, y down, z away from the viewer.
+    MinusY,
+}
+
+/// The formats. The first is that of files with any other extension.
+pub static SPLAT_FORMATS: [SplatFormat; 4] = [
+    SplatFormat {
+        extension: "ply",
+        up: None,
+        keeps_order: true,
+        loses: None,
+        read: ply::read_ply,
+        write: ply::write_ply,
+    },
+    SplatFormat {
+        extension: "splat",
+        up: Some(Up::MinusY),
+        keeps_order: false,
+        loses: Some(
+            "the order of the Gaussians, spherical harmonics above degree 0 and whether they are antialiased; \
+             colours, opacities and rotations are rounded to 8 bits",
+        ),
+        read: splat::read,
+        write: splat::write,
+    },
+    SplatFormat {
+        extension: "spz",
+        up: Some(Up::PlusY),
+        keeps_order: true,
+        loses: Some("precision: scales are rounded to steps of 6 %, spherical harmonics to 4 or 5 bits"),
+        read: spz::read,
+        write: spz::write,
+    },
+    SplatFormat {
+        extension: "glb",
+        up: Some(Up::PlusY),
+        keeps_order: true,
+        loses: None,
+        read: glb::read,
+        write: glb::write,
+    },
+];
+
+impl SplatFormat {
+    /// The format of a file's extension, in any case; `None` for an unknown one.
+    pub fn of(path: &Path) -> Option<&'static Self> {
+        let extension = path.extension().and_then(OsStr::to_str)?;
+        SPLAT_FORMATS.iter().find(|format| format.extension.eq_ignore_ascii_case(extension))
+    }
+
+    /// All extensions, for messages: `.ply, .splat, .spz, .glb`.
+    pub fn extensions() -> String {
+        SPLAT_FORMATS.each_ref().map(|format| format!(".{}", format.extension)).join(", ")
+    }
+}
+
+/// Reads 3D Gaussians in the format of the file's extension, in the coordinates of the file; a file with another extension is read as
+/// a PLY, which names itself in its first line.
+///
+/// # Errors
+/// When the file cannot be read, is not of that format, is shorter or longer than its header claims, or contains a value that is
+/// not finite, a negative scale or a rotation that is none; the error names the Gaussian.
+pub fn read_gaussians(path: &Path) -> Result<Gaussians, FileError> {
+    let format = SplatFormat::of(path).unwrap_or(&SPLAT_FORMATS[0]);
+    (format.read)(path)
+}
+
+/// Writes 3D Gaussians in the format of the file's extension, in their own coordinates, whole or not at all.
+///
+/// # Errors
+/// When the extension is unknown, the lists do not match, a value has no form in the file (not finite, a negative scale, an opacity
+/// outside 0..=1, a position out of range), or the file cannot be written.
+pub fn write_gaussians(path: &Path, gaussians: &Gaussians) -> Result<(), FileError> {
+    let format = SplatFormat::of(path).ok_or_else(|| {
+        let found = path.extension().unwrap_or_default().to_string_lossy().into_owned();
+        problem("extension", SplatFormat::extensions(), found).in_file(path)
+    })?;
+    (format.write)(path, gaussians)
+}
+
+fn problem(field: &'static str, expected: impl ToString, found: impl ToString) -> FileProblem {
+    FileProblem::Field { field, expected: expected.to_string(), found: found.to_string() }
+}
+
+/// Empty lists with memory for `count` Gaussians, which must have been compared with the size of the file.
+fn room_for(count: u64, sh_degree: usize) -> Result<Gaussians, FileProblem> {
+    let mut gaussians = Gaussians { sh_degree, ..Gaussians::default() };
+    let reserve = |gaussians: &mut Gaussians| {
+        let count = usize::try_from(count).ok()?;
+        let sh = count.checked_mul(gaussians.sh_len())?;
+        gaussians.positions.try_reserve_exact(count).ok()?;
+        gaussians.scales.try_reserve_exact(count).ok()?;
+        gaussians.rotations.try_reserve_exact(count).ok()?;
+        gaussians.opacities.try_reserve_exact(count).ok()?;
+        gaussians.sh.try_reserve_exact(sh).ok()
+    };
+    match reserve(&mut gaussians) {
+        Some(()) => Ok(gaussians),
+        None => Err(problem("number of Gaussians", "memory for them", count)),
+    }
+}
+
+/// Checks what every writer relies on.
+fn check(gaussians: &Gaussians) -> Result<(), FileProblem> {
+    gaussians
+        .validate("the Gaussians")
+        .map_err(|error| problem("lists", "lists of matching lengths", error))?;
+    (0..gaussians.len()).try_for_each(|index| check_one(gaussians, index))
+}
+
+fn check_one(gaussians: &Gaussians, index: usize) -> Result<(), FileProblem> {
+    let sh_len = gaussians.sh_len();
+    let check = |field, holds: bool, expected: &str, value: &dyn std::fmt::Debug| {
+        if holds { Ok(()) } else { Err(problem(field, expected, format!("{value:?} of Gaussian {index}"))) }
+    };
+    let (position, scale) = (gaussians.positions[index], gaussians.scales[index]);
+    let (rotation, opacity) = (gaussians.rotations[index], gaussians.opacities[index]);
+    let sh = &gaussians.sh[index * sh_len..][..sh_len];
+    check("position", position.is_finite(), "finite numbers", &position)?;
+    let lengths = scale.is_finite() && scale.cmpge(Vec3::ZERO).all();
+    check("scale", lengths, "finite lengths, not negative", &scale)?;
+    check(
+        "rotation",
+        rotation.is_finite() && rotation != Quat::from_array([0.0; 4]),
+        "a quaternion",
+        &rotation,
+    )?;
+    check("opacity", (0.0..=1.0).contains(&opacity), "0 to 1", &opacity)?;
+    check("spherical harmonics", sh.as_flattened().iter().all(|c| c.is_finite()), "finite numbers", &sh)
+}
+
+/// The quaternion of length 1, or an error that names the Gaussian.
+fn unit_rotation(rotation: [f64; 4], index: usize) -> Result<Quat, FileProblem> {
+    let length = rotation.iter().map(|part| part * part).sum::<f64>().sqrt();
+    if length > 0.0 && length.is_finite() {
+        return Ok(Quat::from_array(rotation.map(|part| (part / length) as f32)));
+    }
+    let found = if length == 0.0 { "zero" } else { "one that is not finite" };
+    Err(problem("rotation", "a quaternion that is not zero", format!("{found} of Gaussian {index}")))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,75 @@
+// Writes the golden files of crates/splat/src/files/golden: four Gaussians in every format, each by the program that the format comes from.
+//
+//   npm install @adobe/spz@0.2.2 @playcanvas/splat-transform@2.7.1
+//   node splats.mjs main.js ../../crates/splat/src/files/golden
+//
+// main.js is that of github.com/antimatter15/splat (commit ba182b5); @adobe/spz is nianticlabs/spz compiled for the web. The .ply is by the
+// rule below. splat-transform takes -y of a .ply as up and turns by 180 degrees about the z axis on writing .glb; the others turn nothing.
+
+import { execFileSync } from 'node:child_process';
+import { mkdirSync, readFileSync, writeFileSync } from 'node:fs';
+import { createRequire } from 'node:module';
+import { dirname, join } from 'node:path';
+
+const [mainJs, out] = process.argv.slice(2);
+mkdirSync(out, { recursive: true });
+
+const COUNT = 4;
+const REST = 45;
+const names = ['x', 'y', 'z', 'nx', 'ny', 'nz', 'f_dc_0', 'f_dc_1', 'f_dc_2']
+    .concat(Array.from({ length: REST }, (_, i) => `f_rest_${i}`))
+    .concat(['opacity', 'scale_0', 'scale_1', 'scale_2', 'rot_0', 'rot_1', 'rot_2', 'rot_3']);
+const wave = (i, seed) => Math.fround(Math.sin(12.9898 * (i + 1) + 78.233 * seed));
+const value = (name, i) => {
+    const number = Number(name.match(/\d+$/) ?? 0);
+    if (name === 'x') return i === 0 ? 1500 : wave(i, 1); // 12 fractional bits hold no more than 2048
+    if (name === 'y') return wave(i, 2);
+    if (name === 'z') return wave(i, 3);
+    if (name.startsWith('f_dc')) return 2 * wave(i, 10 + number);
+    if (name.startsWith('f_rest')) return 0.7 * wave(i, 20 + number);
+    if (name === 'opacity') return 3 * wave(i, 4);
+    if (name.startsWith('scale')) return -5 + 2 * wave(i, 5 + number);
+    if (name.startsWith('rot')) return wave(i, 90 + number);
+    return 0;
+};
+const rows = Array.from({ length: COUNT }, (_, i) => names.map((name) => Math.fround(value(name, i))));
+const header = `ply\nformat binary_little_endian 1.0\nelement vertex ${COUNT}\n${names
+    .map((name) => `property float ${name}\n`)
+    .join('')}end_header\n`;
+const ply = Buffer.concat([Buffer.from(header), Buffer.from(new Float32Array(rows.flat()).buffer)]);
+writeFileSync(join(out, 'tiny.ply'), ply);
+
+const source = readFileSync(mainJs, 'utf8');
+const start = source.indexOf('function processPlyBuffer(inputBuffer)');
+const end = source.indexOf('\n    }\n', start) + 6;
+const quiet = { log() {}, time() {}, timeEnd() {} };
+const processPlyBuffer = new Function('console', `${source.slice(start, end)}; return processPlyBuffer;`)(quiet);
+const copy = ply.buffer.slice(ply.byteOffset, ply.byteOffset + ply.byteLength);
+writeFileSync(join(out, 'tiny.splat'), Buffer.from(processPlyBuffer(copy)));
+
+const require = createRequire(join(process.cwd(), 'package.json'));
+const spz = await (await import(require.resolve('@adobe/spz'))).default();
+const column = (name) => names.indexOf(name);
+const gather = (list) => Float32Array.from(rows.flatMap((row) => list.map((name) => row[column(name)])));
+const rest = REST / 3;
+const byCoefficient = Array.from({ length: REST }, (_, k) => `f_rest_${(k % 3) * rest + Math.floor(k / 3)}`);
+const cloud = {
+    numPoints: COUNT,
+    shDegree: 3,
+    antialiased: true,
+    extensions: [],
+    positions: gather(['x', 'y', 'z']),
+    scales: gather(['scale_0', 'scale_1', 'scale_2']),
+    rotations: gather(['rot_1', 'rot_2', 'rot_3', 'rot_0']),
+    alphas: gather(['opacity']),
+    colors: gather(['f_dc_0', 'f_dc_1', 'f_dc_2']),
+    sh: gather(byCoefficient),
+};
+for (const version of [2, 3]) {
+    const from = spz.CoordinateSystem.UNSPECIFIED;
+    const bytes = spz.saveSpzToBuffer(cloud, { version, from, sh1Bits: 5, shRestBits: 4 });
+    writeFileSync(join(out, `tiny-v${version}.spz`), Buffer.from(bytes));
+}
+
+const cli = join(dirname(require.resolve('@playcanvas/splat-transform')), '..', 'bin', 'cli.mjs');
+execFileSync(process.execPath, [cli, '-w', join(out, 'tiny.ply'), join(out, 'tiny.glb')]);

@@ -14,6 +14,7 @@ macro_rules! note {
 }
 
 mod commands;
+mod face;
 mod large_frames;
 mod library;
 mod machine;

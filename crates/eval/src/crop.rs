@@ -15,6 +15,21 @@ pub struct Window {
     pub height: usize,
 }
 
+impl Window {
+    /// Itself, if it has pixels and lies in a frame of this width and height.
+    pub(crate) fn inside(self, (width, height): (usize, usize)) -> Result<Self, String> {
+        let fits = |start: usize, len: usize, size: usize| {
+            len > 0 && start.checked_add(len).is_some_and(|end| end <= size)
+        };
+        match fits(self.left, self.width, width) && fits(self.top, self.height, height) {
+            true => Ok(self),
+            false => {
+                Err(format!("expected a window inside of the frame of {width}x{height}, found {self:?}"))
+            }
+        }
+    }
+}
+
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "the crop {}x{} does not fit the frame of {}x{} (WIDTHxHEIGHT): choose a crop that is no larger than the frames",
@@ -37,12 +52,24 @@ pub fn head_window(
     crop: (usize, usize),
     head: Option<&Mask>,
 ) -> Result<Window, CropError> {
+    let centre = head.filter(|head| head.size() == frame).and_then(centroid);
+    let middle = ((frame.0 as f64 - 1.0) / 2.0, (frame.1 as f64 - 1.0) / 2.0);
+    window_about(frame, crop, centre.unwrap_or(middle))
+}
+
+/// The window of `crop` (width, height) centred on a pixel (column, row), then moved inside the frame.
+///
+/// # Errors
+/// When the crop is larger than the frame, or empty.
+pub fn window_about(
+    frame: (usize, usize),
+    crop: (usize, usize),
+    (x, y): (f64, f64),
+) -> Result<Window, CropError> {
     let (width, height) = crop;
     if width > frame.0 || height > frame.1 || width == 0 || height == 0 {
         return Err(CropError { crop, frame });
     }
-    let centre = head.filter(|head| head.size() == frame).and_then(centroid);
-    let (x, y) = centre.unwrap_or(((frame.0 as f64 - 1.0) / 2.0, (frame.1 as f64 - 1.0) / 2.0));
     // The first pixel of the window centred nearest; casting a negative number gives 0.
     let first = |centre: f64, size: usize, limit: usize| {
         ((centre - (size as f64 - 1.0) / 2.0).round() as usize).min(limit - size)

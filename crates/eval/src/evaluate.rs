@@ -39,9 +39,11 @@ impl<'a> Method<'a> {
 
 /// Settings of an evaluation.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Settings {
+pub struct Settings<'a> {
     /// Width and height of the window around the head that estimators see and scores count; `None` for whole frames.
     pub crop: Option<(usize, usize)>,
+    /// Windows by the names of pairs, in place of `crop`; or why a pair has none, so that it cannot be scored.
+    pub windows: Option<&'a BTreeMap<String, Result<Window, String>>>,
     /// Score only this many pairs, spread evenly over the dataset.
     pub limit: Option<usize>,
     /// What to do with a pair that cannot be scored.
@@ -161,6 +163,9 @@ pub enum PairProblem {
     NoTruth,
     #[error(transparent)]
     Crop(#[from] CropError),
+    /// The windows that were given have none for it.
+    #[error("{0}")]
+    Window(String),
     /// A method failed.
     #[error("{method} gave no flow: {source}")]
     Estimate { method: String, source: EstimateError },
@@ -187,7 +192,7 @@ pub enum PairProblem {
 pub fn evaluate(
     dataset: &FlowDataset,
     methods: &[Method<'_>],
-    settings: Settings,
+    settings: Settings<'_>,
     on_event: &mut dyn FnMut(Event<'_>),
 ) -> Result<Evaluation, EvaluateError> {
     let title = dataset_title(dataset.name(), dataset.split());
@@ -261,6 +266,7 @@ pub fn evaluate(
             split: dataset.split(),
             folder: dataset.dir().display().to_string(),
             crop: settings.crop,
+            at_faces: settings.windows.is_some(),
             limit: settings.limit,
             small_motion: settings.small_motion,
             pairs: scored,
@@ -291,11 +297,18 @@ struct Pair {
 }
 
 impl Pair {
-    fn read(dataset: &FlowDataset, entry: &Entry, settings: Settings) -> Result<Self, PairProblem> {
+    fn read(dataset: &FlowDataset, entry: &Entry, settings: Settings<'_>) -> Result<Self, PairProblem> {
         let sample = dataset.read(entry)?;
         let whole = sample.frame1.size();
-        let place = |crop| head_window(whole, crop, sample.mask.as_ref());
-        let window = settings.crop.map(place).transpose()?;
+        let window = match (settings.windows, settings.crop) {
+            (Some(windows), _) => {
+                let missing = || Err("it has no window".to_owned());
+                let window = windows.get(&entry.id()).cloned().unwrap_or_else(missing);
+                Some(window.and_then(|window| window.inside(whole)).map_err(PairProblem::Window)?)
+            }
+            (None, Some(crop)) => Some(head_window(whole, crop, sample.mask.as_ref())?),
+            (None, None) => None,
+        };
         let mut sample = match window {
             Some(window) => cropped(&sample, window),
             None => sample,

@@ -12,7 +12,7 @@ mod results;
 mod table;
 mod zero;
 
-pub use crop::{CropError, Window, head_window};
+pub use crop::{CropError, Window, head_window, window_about};
 pub use evaluate::{
     Estimate, EvaluateError, Event, Method, OnFailure, PairProblem, ScoredPair, Settings, evaluate,
     scored_pairs, spread,

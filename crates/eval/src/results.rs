@@ -19,6 +19,9 @@ pub struct Evaluation {
     pub folder: String,
     /// Width and height of the window around the head; `None` for whole frames.
     pub crop: Option<(usize, usize)>,
+    /// Whether each pair was scored in a window of its own about the face; of the size `crop`, if it is given.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub at_faces: bool,
     /// The limit on the number of pairs; `None` for all.
     pub limit: Option<usize>,
     /// The length of true flow, pixels, that [`Region::SmallMotion`] stays below; `None` when it is not scored.
@@ -221,7 +224,12 @@ impl Evaluation {
     }
 
     fn crop_in_words(&self) -> String {
-        self.crop.map_or(String::new(), |(width, height)| format!(", cropped to {width}x{height}"))
+        match (self.crop, self.at_faces) {
+            (Some((width, height)), false) => format!(", cropped to {width}x{height}"),
+            (Some((width, height)), true) => format!(", cropped to {width}x{height} about the face"),
+            (None, true) => ", cropped to the face".to_owned(),
+            (None, false) => String::new(),
+        }
     }
 
     /// The EPE of each method in the regions that were asked for, and its ratio to the EPE of zero flow, which is the mean length of

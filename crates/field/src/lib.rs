@@ -15,6 +15,7 @@ mod grey;
 mod grid;
 mod image_file;
 mod json_lines;
+mod landmarks;
 mod metrics;
 mod named;
 mod open;
@@ -48,6 +49,7 @@ pub use image_file::{
     write_labels_png, write_mask_png,
 };
 pub use json_lines::{JsonLines, read_json_lines};
+pub use landmarks::MEDIAPIPE_OF_DLIB;
 pub use metrics::{MAX_SCORED_FLOW, MeanMetrics, Metrics, ScoreError, score};
 pub use open::{FileKind, open_file, read_file, read_text};
 pub use parse_words::parse_error_in_words;

@@ -29,6 +29,8 @@ pub enum FileKind {
     Log,
     /// Network weights or training state.
     Checkpoint,
+    /// A network of another program for one purpose, such as finding faces, or a package with it.
+    Network,
     /// A video, which another program reads piece by piece: unlimited.
     Video,
 }
@@ -50,6 +52,7 @@ impl FileKind {
             Self::Json => ("a JSON file", 256 * MIB),
             Self::Log => ("a log", GIB),
             Self::Checkpoint => ("a checkpoint", 16 * GIB),
+            Self::Network => ("a network", 256 * MIB),
             Self::Video => ("a video", u64::MAX),
         }
     }

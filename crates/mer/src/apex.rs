@@ -2,12 +2,13 @@
 
 use rayon::prelude::*;
 use serde::Serialize;
+use srflow_face::{FacePoints, FrameCrop};
 use srflow_field::resize::resize_cubic;
 use srflow_field::{FlowEstimator, Plane, luminance, named, read_image};
 use srflow_read::micro_expression::Clip;
 
 use crate::extract::{ExtractError, ExtractProblem};
-use crate::face::{ClipCrop, FaceCrop, FacePoints};
+use crate::face::FaceCrop;
 use crate::features::FEATURE_SIDE;
 use crate::strain::{StrainFormula, optical_strain};
 
@@ -181,7 +182,7 @@ fn mean_ratio(onset: &Plane, before: &Plane, now: &Plane, [columns, rows]: &Cell
 }
 
 /// The ten cells about mouth, chin, nose, eyes and brows, half a mouth wide, in the cropped picture; none without the 68 points.
-fn cells(face: &FacePoints, crop: &ClipCrop) -> Vec<Cell> {
+fn cells(face: &FacePoints, crop: &FrameCrop) -> Vec<Cell> {
     let Some(dlib) = &face.dlib else { return Vec::new() };
     let at = |index: usize| crop.point(dlib[index]);
     let [mouth_left, mouth_right, chin] = [at(48), at(54), at(8)];
@@ -279,7 +280,7 @@ mod tests {
         points[19] = [75.0, 60.0];
         points[24] = [125.0, 60.0];
         let face = FacePoints { eyes: [[75.0, 80.0], [125.0, 80.0]], dlib: Some(Box::new(points)) };
-        let cells = cells(&face, &ClipCrop::Whole);
+        let cells = cells(&face, &FrameCrop::Whole);
         assert_eq!(cells[0], [[70, 90], [140, 160]], "the left corner of the mouth");
         assert_eq!(cells[2], [[90, 110], [170, 190]], "the chin");
         assert_eq!(cells[4], [[110, 130], [120, 140]], "right of the nose");

@@ -4,12 +4,15 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
+use srflow_face::{FaceError, FrameCrop};
 use srflow_field::resize::{resize_cubic, resize_flow_area};
-use srflow_field::{EstimateError, FileError, FlowEstimator, FlowField, Image, Plane, named, read_image};
+use srflow_field::{
+    EstimateError, FileError, FlowEstimator, FlowField, Image, Plane, named, printable, read_image,
+};
 use srflow_read::micro_expression::Clip;
 
 use crate::cache::FeatureCache;
-use crate::face::{ClipCrop, FaceCrop, FaceError};
+use crate::face::FaceCrop;
 use crate::features::{FEATURE_SIDE, FeatureError, Features, Sample};
 use crate::strain::{StrainFormula, optical_strain};
 
@@ -75,6 +78,13 @@ pub enum ExtractProblem {
     /// A frame could not be cropped.
     #[error(transparent)]
     Face(#[from] FaceError),
+    /// The face of the onset could not be found.
+    #[error("{}: {error}", printable(&.onset.to_string_lossy()))]
+    NoSingleFace {
+        /// The onset's file.
+        onset: PathBuf,
+        error: FaceError,
+    },
     /// The flow method failed.
     #[error(transparent)]
     Estimate(#[from] EstimateError),
@@ -156,7 +166,7 @@ pub(crate) fn faces_of_clip(clip: &Clip, face: &FaceCrop) -> Result<[Image; 2], 
     faces().map_err(|problem| ExtractError { clip: clip.id(), problem })
 }
 
-fn read_faces(onset: &Path, apex: &Path, crop: &ClipCrop) -> Result<[Image; 2], ExtractProblem> {
+fn read_faces(onset: &Path, apex: &Path, crop: &FrameCrop) -> Result<[Image; 2], ExtractProblem> {
     let (first, second) = (read_image(onset)?, read_image(apex)?);
     if first.size() != second.size() || first.pixels().is_empty() {
         return Err(ExtractProblem::Sizes {
@@ -171,7 +181,7 @@ fn read_faces(onset: &Path, apex: &Path, crop: &ClipCrop) -> Result<[Image; 2], 
 
 /// Everything apart from the pictures that the features depend on. The crop is this clip's: other rows of a landmark file may
 /// change.
-fn recipe(method: &Method, crop: &ClipCrop, preparation: &Preparation) -> String {
+fn recipe(method: &Method, crop: &FrameCrop, preparation: &Preparation) -> String {
     format!("{}\n{crop:?}\n{}\n{}", method.identity, preparation.resize, preparation.strain)
 }
 

@@ -29,7 +29,7 @@ pub use classifier::{
 pub use extract::{
     ExtractError, ExtractProblem, Extracted, Method, Preparation, ResizeOrder, extract, features_of_frames,
 };
-pub use face::{ClipCrop, FaceBox, FaceCrop, FaceError, FacePoints, Landmarks};
+pub use face::{FaceCrop, Landmarks};
 pub use features::{Channel, FEATURE_SIDE, FeatureError, Features, Sample};
 pub use features_file::{FeatureRecipe, write_features};
 pub use loso::{

@@ -16,7 +16,7 @@ use crate::training_set::open_dataset;
 /// The validation datasets and settings of a run.
 pub(crate) struct Validation {
     datasets: Vec<FlowDataset>,
-    settings: Settings,
+    settings: Settings<'static>,
     iterations: NonZeroUsize,
 }
 

@@ -1,3 +1,4 @@
+use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
@@ -7,13 +8,17 @@ use clap::builder::ArgPredicate;
 use serde::Serialize;
 use srflow_eval::report::{Figure, PaperPanels, pair_figures, paper_figure, score_report};
 use srflow_eval::{
-    Evaluation, Method, MethodRecord, OnFailure, Settings, TextStyle, joined, markdown_file, scored_pairs,
+    Evaluation, Method, MethodRecord, OnFailure, Settings, TextStyle, Window, joined, markdown_file,
+    scored_pairs, window_about,
 };
+use srflow_face::FaceBox;
 use srflow_field::{Size, create_folder, write_file, write_image_png};
 use srflow_read::flow::{DatasetSpec, FlowDataset, KINDS, Split};
 
+use crate::face::FaceArgs;
 use crate::methods::{self, MethodParameters, MethodSpec, Rows, RowsArgs, Source};
 use crate::output::{ensure_folder, ensure_free, latex, print_tables};
+use crate::progress::bar;
 use crate::scoring::{self, folder_name, save_flows};
 use crate::usage::wrong_usage;
 use crate::{Context, machine};
@@ -91,6 +96,8 @@ pub struct Eval {
     #[arg(long)]
     force: bool,
     #[command(flatten)]
+    face: FaceArgs,
+    #[command(flatten)]
     rows: RowsArgs,
     #[command(flatten)]
     parameters: MethodParameters,
@@ -135,7 +142,9 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         }
         create_folder(dir)?;
     }
+    let windows = face_windows(&args, &dataset, limit)?;
     let settings = Settings {
+        windows: windows.as_ref(),
         crop: args.crop.map(|size| (size.width, size.height)),
         limit,
         on_failure: if args.keep_going { OnFailure::LeaveOut } else { OnFailure::Stop },
@@ -198,6 +207,43 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     }
 }
 
+/// The window about the face in the first frame of each pair that is scored, by its name; `None` if faces are not asked for.
+/// Landmarks that are found are written into `--out`.
+fn face_windows(
+    args: &Eval,
+    dataset: &FlowDataset,
+    limit: Option<usize>,
+) -> anyhow::Result<Option<BTreeMap<String, Result<Window, String>>>> {
+    let Some(mut boxes) = args.face.boxes()? else { return Ok(None) };
+    let names = scored_pairs(dataset, limit);
+    let bar = bar(names.len() as u64, "{bar:30} {pos}/{len} faces, {eta} left");
+    let mut windows = BTreeMap::new();
+    for entry in dataset.entries().iter().filter(|entry| names.contains(&entry.id())) {
+        let name = entry.id();
+        let sample = dataset.read(entry);
+        let window = sample.map_err(anyhow::Error::from).and_then(|sample| {
+            let FaceBox { left, top, width, height } = boxes.of_pair(&name, &sample.frame1)?;
+            let middle = |start: usize, len: usize| start as f64 + (len as f64 - 1.0) / 2.0;
+            Ok(match args.crop {
+                None => Window { left, top, width, height },
+                Some(crop) => window_about(
+                    sample.frame1.size(),
+                    (crop.width, crop.height),
+                    (middle(left, width), middle(top, height)),
+                )?,
+            })
+        });
+        windows.insert(name, window.map_err(|error| format!("{error:#}")));
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    if let Some(out) = &args.out {
+        create_folder(out)?;
+        boxes.write(&out.join("landmarks.csv"), args.force)?;
+    }
+    Ok(Some(windows))
+}
+
 /// The contents of `scores.json` and the output of `--json`.
 #[derive(Serialize)]
 struct Scores<'a> {
@@ -216,8 +262,12 @@ impl Scores<'_> {
         let Evaluation { split, folder, crop, limit, pairs, .. } = self.evaluation;
         let limit =
             limit.map_or("all pairs".to_owned(), |limit| format!("at most {limit} pairs, spread evenly"));
-        let crop = crop
-            .map_or("whole frames".to_owned(), |(width, height)| format!("{width}x{height} around the head"));
+        let place = if self.evaluation.at_faces { "face" } else { "head" };
+        let crop = match crop {
+            Some((width, height)) => format!("{width}x{height} around the {place}"),
+            None if self.evaluation.at_faces => "the face".to_owned(),
+            None => "whole frames".to_owned(),
+        };
         let mut settings = vec![
             ("Dataset".to_owned(), format!("{} in {folder}", self.evaluation.dataset)),
             ("Split".to_owned(), split.to_string()),

@@ -5,7 +5,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
-const PIPELINE: [&str; 17] = [
+const PIPELINE: [&str; 18] = [
     "srflow-simd",
     "srflow-field",
     "srflow-splat",
@@ -16,6 +16,7 @@ const PIPELINE: [&str; 17] = [
     "srflow-eval",
     "srflow-golden",
     "srflow-ops",
+    "srflow-face",
     "srflow-nn",
     "srflow-nets",
     "srflow-train",

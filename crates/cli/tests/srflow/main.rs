@@ -14,6 +14,7 @@ mod avatar_train;
 mod capture;
 mod demo;
 mod eval;
+mod face;
 mod fit;
 mod flow;
 mod flow_networks;

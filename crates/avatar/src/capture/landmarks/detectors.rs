@@ -2,21 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use srflow_field::{FileError, FileKind, FileProblem, excerpt, read_text};
+use srflow_field::{FileError, FileKind, FileProblem, MEDIAPIPE_OF_DLIB, excerpt, read_text};
 
 use super::super::problem;
 use super::{Face, LANDMARK_COUNT, Landmarks};
-
-/// The vertices of MediaPipe's face mesh that are nearest to dlib's landmarks, in dlib's order; the correspondence that is in
-/// common use (e.g. `latentsync/utils/image_processor.py` of LatentSync). Those of the jaw and of the brows are approximate.
-const MEDIAPIPE: [usize; LANDMARK_COUNT] = [
-    162, 234, 93, 58, 172, 136, 149, 148, 152, 377, 378, 365, 397, 288, 323, 454, 389, // jaw
-    71, 63, 105, 66, 107, 336, 296, 334, 293, 301, // brows
-    168, 197, 5, 4, 75, 97, 2, 326, 305, // nose
-    33, 160, 158, 133, 153, 144, 362, 385, 387, 263, 373, 380, // eyes
-    61, 39, 37, 0, 267, 269, 291, 405, 314, 17, 84, 181, // outer lips
-    78, 82, 13, 312, 308, 317, 14, 87, // inner lips
-];
 
 /// Numbers of columns `x_*` that are understood: dlib's landmarks, and MediaPipe's without and with irises.
 const COUNTS: [usize; 3] = [LANDMARK_COUNT, 468, 478];
@@ -85,7 +74,8 @@ impl Landmarks {
             let mut face: Face = [None; LANDMARK_COUNT];
             let seen = value(table.success)?.is_none_or(|success| success != 0.0);
             for (landmark, place) in face.iter_mut().enumerate() {
-                let column = if table.x.len() == LANDMARK_COUNT { landmark } else { MEDIAPIPE[landmark] };
+                let column =
+                    if table.x.len() == LANDMARK_COUNT { landmark } else { MEDIAPIPE_OF_DLIB[landmark] };
                 let (x, y) = (value(Some(table.x[column]))?, value(Some(table.y[column]))?);
                 *place = x.zip(y).filter(|_| seen).map(|(x, y)| scale([x, y]));
             }

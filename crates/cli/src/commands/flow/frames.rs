@@ -99,6 +99,19 @@ impl Source {
         }
     }
 
+    /// The first frame.
+    ///
+    /// # Errors
+    /// When it cannot be read.
+    pub fn first(&self) -> anyhow::Result<Image> {
+        let mut first = None;
+        self.read(0, |frame| {
+            first = Some(frame);
+            false
+        });
+        Ok(first.context("expected a frame, found none")??.image)
+    }
+
     /// Reads the frames in order, except the first `skip`; `take` returns whether it wants more.
     pub fn read(&self, skip: u64, mut take: impl FnMut(anyhow::Result<Frame>) -> bool) {
         match self {

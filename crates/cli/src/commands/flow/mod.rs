@@ -12,15 +12,17 @@ use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
 use srflow_eval::report::heat;
+use srflow_face::{FrameCrop, write_landmarks};
 use srflow_field::{
-    FlowEstimate, FlowEstimator, FlowField, FlowFormat, Image, flow_colors, read_flow, write_flow,
-    write_image_png, write_npy_plane,
+    FlowEstimate, FlowEstimator, FlowField, FlowFormat, Image, create_folder, flow_colors, read_flow,
+    write_flow, write_image_png, write_npy_plane,
 };
 
 use self::extra::ExtraOutput;
 use self::frames::{Frame, Source};
 use self::outputs::Outputs;
 use crate::Context;
+use crate::face::{FaceArgs, FoundFace};
 use crate::large_frames::Resolution;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::progress::bar;
@@ -35,11 +37,13 @@ Examples:
   srflow flow --method farneback video/ -o flows/ --format flo5 --viz colours/
   srflow flow --method skflow --weights skflow-things.ckpt clip.mp4 -o flows/ --viz colours.mp4 --viz-max 20
   srflow flow --method raft --weights raft.pth --tile auto 4k1.png 4k2.png -o flow.flo
+  srflow flow --face detect clip.mp4 -o flows/ --save-crops faces/
 
 Two frames give one file, in the format of its extension. More frames, a folder of them (in the order of their numbers), or \
 a video give a folder with the flow from each frame to the next, named after the first frame (in a video after its number, \
 from 1). Run the same command again to continue an interrupted run. Frames are read on demand: memory does not grow with \
-the length of a sequence. Videos are read and written by the program ffmpeg.")]
+the length of a sequence. Videos are read and written by the program ffmpeg. With \
+--face detect the flow is that of the face, upright and cut out of all frames alike: docs/faces.md.")]
 pub struct Flow {
     /// Two frames or more, a folder of them, or a video
     #[arg(required = true, value_name = "FRAME")]
@@ -77,6 +81,11 @@ pub struct Flow {
     /// Overwrite existing files
     #[arg(long)]
     force: bool,
+    /// With --face, --face-box or --landmarks: also write the cropped frames, which the flow belongs to, as PNG files
+    #[arg(long, value_name = "DIR")]
+    save_crops: Option<PathBuf>,
+    #[command(flatten)]
+    face: FaceArgs,
     #[command(flatten)]
     parameters: MethodParameters,
 }
@@ -87,6 +96,9 @@ struct Estimated {
     method: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     network: Option<NetworkUsed>,
+    /// Landmarks of the face that was found.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    landmarks: Option<PathBuf>,
     /// Size of the network's input, after `--scale` and `--tile`.
     resolution: Option<Resolution>,
     /// Pairs already written by an interrupted run; they are not listed.
@@ -155,8 +167,27 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     if estimator.remembers() && network.batch > 1 {
         wrong_usage!("{} waits for the pair before, so that --batch is 1: leave it out", estimator.name());
     }
+    let found = match args.face.is_whole() {
+        true => None,
+        false => Some(args.face.of_first_frame(&source.first()?)?),
+    };
+    if args.save_crops.is_some() && found.is_none() {
+        wrong_usage!("--save-crops writes cropped frames: give --face detect, --face-box or --landmarks too");
+    }
+    let crop = found.as_ref().map_or(FrameCrop::Whole, |found| found.crop.clone());
     let one_by_one = args.warm_start || estimator.remembers();
-    let resumed = outputs.claim(&identity(&args)?, &source, one_by_one)?;
+    let resumed = outputs.claim(&identity(&args, &crop)?, &source, one_by_one)?;
+    if let Some(folder) = &args.save_crops {
+        create_folder(folder)?;
+    }
+    let landmarks = match &found {
+        Some(FoundFace { points: Some(points), .. }) if args.face.detects() => {
+            let file = outputs.landmarks();
+            write_landmarks(&file, &[], args.force, [(Vec::new(), points)])?;
+            Some(file)
+        }
+        _ => None,
+    };
 
     let template = match source.pairs() {
         Some(_) => "{bar:30} {pos}/{len} flows, {per_sec}, {eta} left",
@@ -168,7 +199,9 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
         let (sender, frames) = sync_channel(1);
         scope.spawn(|| {
             let sender = sender; // dropped after the last frame
-            source.read(resumed, |frame| sender.send(frame).is_ok());
+            source.read(resumed, |frame| {
+                sender.send(frame.and_then(|frame| cropped(frame, &crop, args.save_crops.as_deref()))).is_ok()
+            });
         });
         let work = Work {
             args: &args,
@@ -188,6 +221,9 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     if !context.json {
         if resumed > 0 {
             say!("{resumed} flows from the interrupted run were kept")?;
+        }
+        if let Some(file) = &landmarks {
+            say!("{}: landmarks of the face in the first frame", file.display())?;
         }
         for pair in &reports {
             say!("{}  {}x{}  {:.3} s", pair.flow.display(), pair.width, pair.height, pair.seconds)?;
@@ -215,6 +251,7 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
             }),
             _ => None,
         },
+        landmarks,
         resolution,
         resumed,
         pairs: reports,
@@ -227,20 +264,36 @@ fn is_zero(count: &u64) -> bool {
 }
 
 /// Everything the flow depends on: runs with the same identity write the same files.
-fn identity(args: &Flow) -> anyhow::Result<String> {
+fn identity(args: &Flow, crop: &FrameCrop) -> anyhow::Result<String> {
     let records = methods::records(std::slice::from_ref(&args.method), &args.parameters)?;
     let method: Vec<String> = records.iter().map(|record| record.identity()).collect();
     let frames: Vec<PathBuf> = args.frames.iter().map(std::path::absolute).collect::<Result<_, _>>()?;
     Ok(format!(
-        "{}\n{frames:?}\n{} {:?} {:?} {:?} {:?} {}\n",
+        "{}\n{frames:?}\n{} {:?} {:?} {:?} {:?} {}{}\n",
         method.join("\n"),
         args.format,
         args.viz,
         args.viz_max,
         args.uncertainty,
         args.occlusion,
-        args.warm_start
+        args.warm_start,
+        match crop {
+            FrameCrop::Whole => String::new(),
+            crop => format!(" {crop:?}"),
+        }
     ))
+}
+
+/// The face in a frame, also written into `folder`.
+fn cropped(frame: Frame, crop: &FrameCrop, folder: Option<&Path>) -> anyhow::Result<Frame> {
+    if matches!(crop, FrameCrop::Whole) {
+        return Ok(frame);
+    }
+    let image = crop.apply(&frame.image).with_context(|| frame.label.clone())?;
+    if let Some(folder) = folder {
+        write_image_png(&folder.join(format!("{}.png", frame.stem)), &image)?;
+    }
+    Ok(Frame { image, ..frame })
 }
 
 type Frames = Receiver<anyhow::Result<Frame>>;

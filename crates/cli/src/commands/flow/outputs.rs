@@ -169,6 +169,14 @@ impl Outputs {
         PlaneFiles { png: self.viz.is_some().then(|| npy.with_extension("png")), npy }
     }
 
+    /// The file of landmarks that are found.
+    pub fn landmarks(&self) -> PathBuf {
+        match &self.flows {
+            Flows::File(file) => file.with_extension("landmarks.csv"),
+            Flows::Folder(folder, _) => folder.join("landmarks.csv"),
+        }
+    }
+
     /// The video of the colours, if requested.
     pub fn video(&self) -> Option<&Path> {
         match &self.viz {

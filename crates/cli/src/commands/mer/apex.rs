@@ -6,9 +6,9 @@ use serde::Serialize;
 use srflow_mer::{ApexErrors, ApexRule, apex_errors, spot_apexes};
 use srflow_read::micro_expression::{ApexRow, Clip, ClipSource, write_apex_list};
 
-use super::face::FaceArgs;
 use super::sources::{SourceArgs, kinds_help};
 use crate::Context;
+use crate::face::FaceArgs;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::output::{ensure_extension, ensure_free};
 use crate::progress::bar;
@@ -77,10 +77,11 @@ struct SpottedClip {
 pub fn run(args: Apex, context: &Context) -> anyhow::Result<()> {
     args.out.as_ref().map_or(Ok(()), |path| ensure_extension(path, "csv"))?;
     ensure_free(&args.out, args.force)?;
-    let face = args.face.crop()?;
     let estimator = methods::estimator(&args.method, &args.parameters)?;
     let datasets = args.sources.open(args.datasets)?;
     let clips: Vec<&Clip> = datasets.iter().flat_map(|dataset| &dataset.clips).collect();
+    let landmarks = || args.out.as_deref().unwrap_or("apexes".as_ref()).with_extension("landmarks.csv");
+    let face = args.face.of_clips(clips.iter().copied(), landmarks, args.force)?;
     let bar = bar(clips.len() as u64, "{bar:30} {pos}/{len} clips, {eta} left");
     let spotted = spot_apexes(&clips, args.rule, &face, estimator.as_ref(), &|| bar.inc(1));
     bar.finish_and_clear();

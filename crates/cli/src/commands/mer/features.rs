@@ -64,7 +64,6 @@ struct Report {
 pub fn run(args: Features, context: &Context) -> anyhow::Result<()> {
     ensure_extension(&args.out, "npz")?;
     ensure_free([&args.out], args.force)?;
-    let preparation = args.preparation.preparation()?;
     let classes = args.sources.classes()?;
     let estimators = methods::estimators(&args.method, &args.parameters)?;
     let records = methods::records(&args.method, &args.parameters)?;
@@ -72,6 +71,8 @@ pub fn run(args: Features, context: &Context) -> anyhow::Result<()> {
     let of_run: Vec<RunMethod> =
         of_run.map(|(estimator, record)| RunMethod { estimator: estimator.as_ref(), record }).collect();
     let datasets = args.sources.open(args.data)?;
+    let landmarks = || args.out.with_extension("landmarks.csv");
+    let preparation = args.preparation.preparation(&datasets, landmarks, args.force)?;
 
     let progress = RunProgress::default();
     let apex = args.preparation.apex;

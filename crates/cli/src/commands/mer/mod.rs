@@ -2,7 +2,6 @@
 
 mod apex;
 mod data;
-mod face;
 mod features;
 mod preparation;
 mod progress;

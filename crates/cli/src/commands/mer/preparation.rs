@@ -1,9 +1,12 @@
 //! Arguments for turning frames into features.
 
+use std::path::PathBuf;
+
 use clap::Args;
 use srflow_mer::{ApexRule, Preparation, ResizeOrder, StrainFormula};
+use srflow_read::micro_expression::ClipDataset;
 
-use super::face::FaceArgs;
+use crate::face::FaceArgs;
 
 /// From frames to features.
 #[derive(Args, Debug, Clone)]
@@ -22,11 +25,17 @@ pub struct PreparationArgs {
 }
 
 impl PreparationArgs {
-    /// The settings that the arguments describe, except for the apex.
+    /// The settings that the arguments describe, except for the apex. Landmarks that are found are written to `file`.
     ///
     /// # Errors
-    /// When the landmarks cannot be read.
-    pub fn preparation(&self) -> anyhow::Result<Preparation> {
-        Ok(Preparation { face: self.face.crop()?, resize: self.resize, strain: self.strain })
+    /// When the landmarks cannot be read, found or written.
+    pub fn preparation(
+        &self,
+        datasets: &[ClipDataset],
+        file: impl FnOnce() -> PathBuf,
+        force: bool,
+    ) -> anyhow::Result<Preparation> {
+        let face = self.face.of_clips(datasets.iter().flat_map(|dataset| &dataset.clips), file, force)?;
+        Ok(Preparation { face, resize: self.resize, strain: self.strain })
     }
 }

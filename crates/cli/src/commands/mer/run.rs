@@ -4,8 +4,8 @@ use clap::Args;
 use clap::builder::{ArgPredicate, PossibleValue, PossibleValuesParser, TypedValueParser};
 use srflow_field::create_folder;
 use srflow_mer::{
-    CLASSIFIERS, ClassifierEntry, Protocol, ResultsFolder, ResultsRecord, RunFolders, RunMethod, RunSettings,
-    Sets, by_set, unseen_classes,
+    CLASSIFIERS, ClassifierEntry, Preparation, Protocol, ResultsFolder, ResultsRecord, RunFolders, RunMethod,
+    RunSettings, Sets, by_set, unseen_classes,
 };
 use srflow_read::micro_expression::ClipSource;
 
@@ -125,11 +125,11 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
     };
     protocol.check()?;
     let Rows { methods: specs, left_out, .. } = args.rows.with(&args.method)?;
-    let settings = RunSettings {
+    let mut settings = RunSettings {
         classifier: args.classifier,
         sets: args.sets,
         apex: args.preparation.apex,
-        preparation: args.preparation.preparation()?,
+        preparation: Preparation::default(),
         protocol,
         classes: args.sources.classes()?.names().clone(),
         left_out,
@@ -141,6 +141,8 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
     let datasets = args.sources.open(args.data.clone())?;
     settings.check(&datasets)?;
     create_folder(&args.out)?; // before the long work, so that an error costs nothing
+    let landmarks = || args.out.join("landmarks.csv");
+    settings.preparation = args.preparation.preparation(&datasets, landmarks, args.force)?;
     let folders = RunFolders {
         features: &args.cache.clone().unwrap_or_else(|| args.out.join("features")),
         folds: &folder.folds(),

@@ -1,0 +1,184 @@
+//! MediaPipe's short-range face detector, graph `face_detection_short_range`.
+
+use srflow_field::Image;
+
+use crate::region::{Beyond, Region};
+use crate::tflite::Network;
+
+/// A face in shares of the detector's input: left, top, right, bottom, then x and y of right eye, left eye (as the person sees
+/// them), nose, mouth, and the ears.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Detection {
+    pub(crate) score: f32,
+    pub(crate) bounds: [f32; 4],
+    pub(crate) points: [f32; 2 * POINTS],
+}
+
+const POINTS: usize = 6;
+/// Numbers of a detection: centre, size, points.
+const NUMBERS: usize = 4 + 2 * POINTS;
+/// Side of the input in pixels.
+const SIDE: usize = 128;
+/// Anchors: pixels of the input per cell, and anchors of a cell (`SsdAnchorsCalculator` with strides 8, 16, 16, 16).
+const CELLS: [(usize, usize); 2] = [(8, 2), (16, 6)];
+/// `min_score_thresh`.
+const LEAST_SCORE: f32 = 0.5;
+/// `min_suppression_threshold`: faces that overlap more are one.
+const MOST_OVERLAP: f32 = 0.3;
+/// How much larger than the detection the region of the face mesh is.
+const MARGIN: f64 = 1.5;
+
+/// Checks that a network is the detector.
+///
+/// # Errors
+/// A sentence with what was expected and found.
+pub(crate) fn check(network: &Network) -> Result<(), String> {
+    let lens: Vec<usize> = network.run(&vec![0.0; 3 * SIDE * SIDE])?.iter().map(Vec::len).collect();
+    let anchors = anchors().len();
+    match lens.as_slice() {
+        [regressors, scores] if *regressors == NUMBERS * anchors && *scores == anchors => Ok(()),
+        _ => Err(format!("expected outputs of {} and {anchors} numbers, found {lens:?}", NUMBERS * anchors)),
+    }
+}
+
+/// Height and width of the input.
+pub(crate) const INPUT: [usize; 2] = [SIDE, SIDE];
+
+/// Regions of the faces for the face mesh, and their scores, from the highest.
+///
+/// # Errors
+/// When the network does not fit together.
+pub(crate) fn faces(network: &Network, frame: &Image) -> Result<Vec<(Region, f32)>, String> {
+    let region = Region::of_frame(frame);
+    let outputs = network.run(&region.planes(frame, INPUT, [-1.0, 1.0], Beyond::Black))?;
+    let [regressors, scores] = outputs.as_slice() else {
+        return Err(format!("expected two outputs, found {}", outputs.len()));
+    };
+    let detections = merged(decoded(regressors, scores));
+    Ok(detections.iter().map(|detection| (detection.region(&region), detection.score)).collect())
+}
+
+/// Centres of the anchors in shares of the input.
+fn anchors() -> Vec<[f32; 2]> {
+    let of_cells = |(pixels, of_cell): (usize, usize)| {
+        let cells = SIDE / pixels;
+        let centre = move |cell: usize| (cell as f32 + 0.5) / cells as f32;
+        (0..cells * cells * of_cell).map(move |index| {
+            let cell = index / of_cell;
+            [centre(cell % cells), centre(cell / cells)]
+        })
+    };
+    CELLS.into_iter().flat_map(of_cells).collect()
+}
+
+/// `TensorsToDetectionsCalculator`.
+fn decoded(regressors: &[f32], scores: &[f32]) -> Vec<Detection> {
+    let of_anchors = regressors.chunks_exact(NUMBERS).zip(scores).zip(anchors());
+    of_anchors
+        .filter_map(|((numbers, score), anchor)| {
+            let score = 1.0 / (1.0 + (-score.clamp(-100.0, 100.0)).exp());
+            let at = |index: usize| numbers[index] / SIDE as f32;
+            let centre = [at(0) + anchor[0], at(1) + anchor[1]];
+            let half = [at(2) / 2.0, at(3) / 2.0];
+            let bounds = [centre[0] - half[0], centre[1] - half[1], centre[0] + half[0], centre[1] + half[1]];
+            let points = std::array::from_fn(|index| at(4 + index) + anchor[index % 2]);
+            let sane =
+                half.iter().all(|half| *half >= 0.0) && numbers.iter().all(|number| number.is_finite());
+            (score >= LEAST_SCORE && sane).then_some(Detection { score, bounds, points })
+        })
+        .collect()
+}
+
+/// `NonMaxSuppressionCalculator`, weighted: detections that overlap become their mean, weighted by their scores.
+fn merged(mut remaining: Vec<Detection>) -> Vec<Detection> {
+    remaining.sort_by(|a, b| b.score.total_cmp(&a.score));
+    let mut faces = Vec::new();
+    while let Some(best) = remaining.first().cloned() {
+        let (same, others): (Vec<_>, Vec<_>) = remaining
+            .into_iter()
+            .partition(|detection| overlap(&best.bounds, &detection.bounds) > MOST_OVERLAP);
+        let total: f32 = same.iter().map(|detection| detection.score).sum();
+        let mean = |of: &dyn Fn(&Detection) -> f32| {
+            same.iter().map(|detection| of(detection) * detection.score).sum::<f32>() / total
+        };
+        if same.is_empty() {
+            // A face without area overlaps nothing, itself included.
+            remaining = others.into_iter().skip(1).collect();
+            continue;
+        }
+        faces.push(Detection {
+            score: best.score,
+            bounds: std::array::from_fn(|index| mean(&|detection| detection.bounds[index])),
+            points: std::array::from_fn(|index| mean(&|detection| detection.points[index])),
+        });
+        remaining = others;
+    }
+    faces
+}
+
+/// Area that two boxes share, as a share of the area of both.
+fn overlap(a: &[f32; 4], b: &[f32; 4]) -> f32 {
+    let length = |axis: usize| (a[axis + 2].min(b[axis + 2]) - a[axis].max(b[axis])).max(0.0);
+    let area = |bounds: &[f32; 4]| (bounds[2] - bounds[0]) * (bounds[3] - bounds[1]);
+    let shared = length(0) * length(1);
+    let both = area(a) + area(b) - shared;
+    if both > 0.0 { shared / both } else { 0.0 }
+}
+
+impl Detection {
+    /// `DetectionsToRectsCalculator` and `RectTransformationCalculator`: upright by the eyes, square by the longer side.
+    fn region(&self, seen: &Region) -> Region {
+        let place = |x: f32, y: f32| seen.place([f64::from(x), f64::from(y)]);
+        let [left, top, right, bottom] = self.bounds;
+        let [from, to] = [place(self.points[0], self.points[1]), place(self.points[2], self.points[3])];
+        let side = f64::from((right - left).max(bottom - top)) * seen.side;
+        Region {
+            centre: place((left + right) / 2.0, (top + bottom) / 2.0),
+            side: MARGIN * side,
+            rotation: libm::atan2(to[1] - from[1], to[0] - from[0]),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn detection(score: f32, bounds: [f32; 4]) -> Detection {
+        Detection { score, bounds, points: [0.5; 2 * POINTS] }
+    }
+
+    #[test]
+    fn anchors_are_those_of_the_graph() {
+        let anchors = anchors();
+        assert_eq!(anchors.len(), 896);
+        assert_eq!(
+            [anchors[0], anchors[1], anchors[2]],
+            [[1.0 / 32.0; 2], [1.0 / 32.0; 2], [3.0 / 32.0, 1.0 / 32.0]]
+        );
+        assert_eq!([anchors[512], anchors[895]], [[1.0 / 16.0; 2], [15.0 / 16.0; 2]]);
+    }
+
+    #[test]
+    fn detections_of_one_face_become_their_weighted_mean() {
+        let faces = merged(vec![
+            detection(0.6, [0.12, 0.1, 0.32, 0.3]),
+            detection(0.7, [0.6, 0.6, 0.8, 0.8]),
+            detection(0.9, [0.1, 0.1, 0.3, 0.3]),
+            detection(0.8, [0.4, 0.4, 0.4, 0.4]),
+        ]);
+        assert_eq!(faces.iter().map(|face| face.score).collect::<Vec<_>>(), [0.9, 0.7]);
+        assert!((faces[0].bounds[0] - (0.9 * 0.1 + 0.6 * 0.12) / 1.5).abs() < 1e-6);
+        assert_eq!(faces[1].bounds, [0.6, 0.6, 0.8, 0.8]);
+    }
+
+    #[test]
+    fn the_region_is_upright_by_the_eyes() {
+        let seen = Region { centre: [100.0, 50.0], side: 200.0, rotation: 0.0 };
+        let mut face = detection(1.0, [0.4, 0.45, 0.6, 0.55]);
+        face.points[..4].copy_from_slice(&[0.45, 0.45, 0.55, 0.55]);
+        let region = face.region(&seen);
+        assert!((region.rotation - std::f64::consts::FRAC_PI_4).abs() < 1e-6);
+        assert!((region.side - 60.0).abs() < 1e-4 && (region.centre[0] - 100.0).abs() < 1e-4);
+    }
+}

@@ -1,0 +1,239 @@
+//! Networks in TFLite files, as far as MediaPipe's use the format: convolutions, a few steps between them, weights in half precision.
+//!
+//! Fields and numbers are those of `tensorflow/lite/schema/schema.fbs`, version 3.
+
+mod flatbuffer;
+mod operation;
+#[cfg(test)]
+mod tests;
+
+use flatbuffer::{Broken, Bytes, Table};
+use half::slice::HalfFloatSliceExt as _;
+use operation::{Operation, Value};
+
+/// More numbers are in no layer of a network for faces.
+const MAX_NUMBERS: usize = 1 << 24;
+/// More operations are in no network for faces.
+const MAX_OPERATIONS: usize = 4096;
+
+/// A network with one input, a picture.
+#[derive(Debug, Clone)]
+pub(crate) struct Network {
+    /// Height and width of the input, which has three channels.
+    input: [usize; 2],
+    input_slot: usize,
+    slots: usize,
+    operations: Vec<Step>,
+    outputs: Vec<usize>,
+}
+
+/// An operation, and where it takes its inputs from and puts its output.
+#[derive(Debug, Clone)]
+struct Step {
+    operation: Operation,
+    inputs: Vec<usize>,
+    output: usize,
+}
+
+/// A tensor of the file.
+struct Described<'a> {
+    shape: Vec<usize>,
+    kind: u8,
+    data: &'a [u8],
+}
+
+const FLOAT32: u8 = 0;
+const FLOAT16: u8 = 1;
+const INT32: u8 = 2;
+
+impl Network {
+    /// Reads a file, and runs it once so that a file that does not fit together is refused here.
+    ///
+    /// # Errors
+    /// A sentence that says what was expected and what was found.
+    pub(crate) fn parse(bytes: &[u8]) -> Result<Self, String> {
+        if bytes.get(4..8) != Some(b"TFL3") {
+            return Err("expected a TFLite file (TFL3 from its fifth byte on)".to_owned());
+        }
+        let network = read(bytes).map_err(|problem| match problem {
+            Problem::Broken(Broken { at }) => format!("the file is damaged at byte {at}; copy it again"),
+            Problem::Unknown(problem) => problem,
+        })?;
+        let [height, width] = network.input;
+        network.run(&vec![0.0; 3 * height * width])?;
+        Ok(network)
+    }
+
+    /// Height and width of the input.
+    pub(crate) fn input(&self) -> [usize; 2] {
+        self.input
+    }
+
+    /// The outputs for a picture as planes of red, green and blue, in the order of TFLite (rows, columns, channels).
+    ///
+    /// # Errors
+    /// When the sizes of the network's layers do not fit each other.
+    pub(crate) fn run(&self, planes: &[f32]) -> Result<Vec<Vec<f32>>, String> {
+        let mut values: Vec<Option<Value>> = vec![None; self.slots];
+        let [height, width] = self.input;
+        values[self.input_slot] = Some(Value::map([3, height, width], planes.to_vec())?);
+        let mut numbers = 0;
+        for (index, Step { operation, inputs, output }) in self.operations.iter().enumerate() {
+            let inputs: Option<Vec<&Value>> = inputs.iter().map(|slot| values[*slot].as_ref()).collect();
+            let inputs =
+                inputs.ok_or_else(|| format!("operation {index}: expected an input that is known"))?;
+            let value = operation.run(&inputs).map_err(|problem| format!("operation {index}: {problem}"))?;
+            numbers += value.len();
+            if numbers > 4 * MAX_NUMBERS {
+                return Err(format!(
+                    "expected a network of less than {} numbers between its layers",
+                    4 * MAX_NUMBERS
+                ));
+            }
+            values[*output] = Some(value);
+        }
+        let found: Option<Vec<_>> =
+            self.outputs.iter().map(|slot| Some(values[*slot].as_ref()?.rows())).collect();
+        found.ok_or_else(|| "expected operations that lead to each output".to_owned())
+    }
+}
+
+enum Problem {
+    Broken(Broken),
+    Unknown(String),
+}
+
+impl From<Broken> for Problem {
+    fn from(broken: Broken) -> Self {
+        Self::Broken(broken)
+    }
+}
+
+fn unknown(problem: impl Into<String>) -> Problem {
+    Problem::Unknown(problem.into())
+}
+
+fn read(bytes: &[u8]) -> Result<Network, Problem> {
+    let model = Bytes(bytes).root()?;
+    let codes: Vec<i32> = model
+        .tables(1)?
+        .iter()
+        // Operators up to 126 stand in the first field of old files.
+        .map(|code| Ok(code.int(3, 0)?.max(i32::from(code.byte(0)?))))
+        .collect::<Result<_, Broken>>()?;
+    let buffers = model.tables(4)?;
+    let graphs = model.tables(2)?;
+    let [graph] = graphs.as_slice() else {
+        return Err(unknown(format!("expected one graph, found {}", graphs.len())));
+    };
+    let tensors: Vec<Described> =
+        graph.tables(0)?.iter().map(|tensor| described(tensor, &buffers)).collect::<Result<_, _>>()?;
+    let slot = |index: i32| {
+        usize::try_from(index).ok().filter(|index| *index < tensors.len()).ok_or_else(|| {
+            unknown(format!("expected one of {} tensors, found number {index}", tensors.len()))
+        })
+    };
+    let inputs = graph.ints(1)?;
+    let [input] = inputs.as_slice() else {
+        return Err(unknown(format!("expected one input, found {}", inputs.len())));
+    };
+    let input_slot = slot(*input)?;
+    let [1, height, width, 3] = tensors[input_slot].shape[..] else {
+        let found = &tensors[input_slot].shape;
+        return Err(unknown(format!("input: expected 1 x height x width x 3, found {found:?}")));
+    };
+    if height.saturating_mul(width) > MAX_NUMBERS / 3 {
+        return Err(unknown(format!("input: expected a small picture, found {width}x{height}")));
+    }
+    let operators = graph.tables(3)?;
+    if operators.len() > MAX_OPERATIONS {
+        let found = operators.len();
+        return Err(unknown(format!("expected at most {MAX_OPERATIONS} operations, found {found}")));
+    }
+    // Weights in half precision pass through operations that widen them.
+    let mut constants: Vec<Option<Vec<f32>>> =
+        tensors.iter().map(Described::floats).collect::<Result<_, _>>()?;
+    let mut operations = Vec::new();
+    for operator in &operators {
+        let code = codes.get(operator.int(0, 0)? as usize).copied().unwrap_or(-1);
+        let inputs: Vec<usize> = operator.ints(1)?.into_iter().map(slot).collect::<Result<_, _>>()?;
+        let outputs = operator.ints(2)?;
+        let [output] = outputs.as_slice() else {
+            return Err(unknown(format!("expected operations of one output, found {}", outputs.len())));
+        };
+        let output = slot(*output)?;
+        if code == operation::DEQUANTIZE {
+            let widened = inputs.first().and_then(|input| constants[*input].take());
+            constants[output] = Some(widened.ok_or_else(|| unknown("expected weights as 16-bit numbers"))?);
+            continue;
+        }
+        let parameters = Parameters { tensors: &tensors, constants: &constants, inputs: &inputs };
+        let operation = operation::read(code, operator.table(4)?, &parameters)?;
+        let variables = inputs.into_iter().filter(|input| constants[*input].is_none());
+        let variables = variables.filter(|input| tensors[*input].kind == FLOAT32).collect();
+        operations.push(Step { operation, inputs: variables, output });
+    }
+    let outputs = graph.ints(2)?.into_iter().map(slot).collect::<Result<_, _>>()?;
+    Ok(Network { input: [height, width], input_slot, slots: tensors.len(), operations, outputs })
+}
+
+fn described<'a>(tensor: &Table<'a>, buffers: &[Table<'a>]) -> Result<Described<'a>, Problem> {
+    let shape = tensor.ints(0)?.into_iter().map(|size| usize::try_from(size).unwrap_or(0)).collect();
+    let buffer = usize::try_from(tensor.int(2, 0)?).ok().and_then(|index| buffers.get(index));
+    let data = buffer.ok_or_else(|| unknown("expected a buffer for each tensor"))?.bytes(0)?;
+    if tensor.table(6)?.is_some() {
+        return Err(unknown(
+            "expected dense weights, found sparse ones: this is another network of MediaPipe's",
+        ));
+    }
+    Ok(Described { shape, kind: tensor.byte(1)?, data })
+}
+
+impl Described<'_> {
+    /// Numbers that the file holds; `None` for what is computed.
+    fn floats(&self) -> Result<Option<Vec<f32>>, Problem> {
+        let len: Option<usize> = self.shape.iter().try_fold(1, |len: usize, size| len.checked_mul(*size));
+        let size = match self.kind {
+            _ if self.data.is_empty() => return Ok(None),
+            FLOAT32 => 4,
+            FLOAT16 => 2,
+            _ => return Ok(None),
+        };
+        if len.and_then(|len| len.checked_mul(size)) != Some(self.data.len()) {
+            let (shape, found) = (&self.shape, self.data.len());
+            return Err(unknown(format!("expected numbers for a tensor of {shape:?}, found {found} bytes")));
+        }
+        Ok(Some(match self.kind {
+            FLOAT16 => bytemuck::pod_collect_to_vec::<u8, half::f16>(self.data).to_f32_vec(),
+            _ => bytemuck::pod_collect_to_vec(self.data),
+        }))
+    }
+}
+
+/// What an operation is made of.
+struct Parameters<'a> {
+    tensors: &'a [Described<'a>],
+    constants: &'a [Option<Vec<f32>>],
+    inputs: &'a [usize],
+}
+
+impl Parameters<'_> {
+    /// Shape and numbers of an input that the file holds.
+    fn constant(&self, position: usize) -> Result<(&[usize], &[f32]), Problem> {
+        let found = self.inputs.get(position).and_then(|input| {
+            Some((self.tensors[*input].shape.as_slice(), self.constants[*input].as_deref()?))
+        });
+        found.ok_or_else(|| unknown(format!("expected weights as input {position} of an operation")))
+    }
+
+    /// Whole numbers of an input that the file holds.
+    fn whole(&self, position: usize) -> Result<Vec<i32>, Problem> {
+        let tensor = self.inputs.get(position).map(|input| &self.tensors[*input]);
+        match tensor {
+            Some(Described { kind: INT32, data, .. }) if data.len() % 4 == 0 => {
+                Ok(bytemuck::pod_collect_to_vec(data))
+            }
+            _ => Err(unknown(format!("expected whole numbers as input {position} of an operation"))),
+        }
+    }
+}

@@ -6,13 +6,14 @@ use anyhow::bail;
 use clap::Args;
 use clap::builder::ArgPredicate;
 use serde::Serialize;
-use srflow_eval::report::{Figure, PaperPanels, pair_figures, paper_figure, score_report};
+use srflow_eval::report::{Figure, pair_figures, score_report};
 use srflow_eval::{
-    Evaluation, Method, MethodRecord, OnFailure, Settings, TextStyle, Window, joined, markdown_file,
-    scored_pairs, window_about,
+    Evaluation, Method, MethodRecord, OnFailure, ScoredPair, Settings, TextStyle, Window, joined,
+    markdown_file, scored_pairs, window_about,
 };
 use srflow_face::FaceBox;
-use srflow_field::{Size, create_folder, write_file, write_image_png};
+use srflow_field::{Size, create_folder, write_file};
+use srflow_figure::{Content, Pair, Plan, Scale, Scales, Source as Flow, Style};
 use srflow_read::flow::{DatasetSpec, FlowDataset, KINDS, Split};
 
 use crate::face::FaceArgs;
@@ -86,7 +87,8 @@ pub struct Eval {
     /// Also write the flow of each method and pair, as DIR/METHOD/SCENE/FRAME.flo
     #[arg(long, value_name = "DIR")]
     save_flow: Option<PathBuf>,
-    /// Also write a figure for a paper into this folder: figure.svg, and its pictures as PNGs in full size
+    /// Also write a figure for a paper into this folder: figure.svg, figure.pdf, and its panels as PNGs of full size; `srflow figure`
+    /// makes others
     #[arg(long, value_name = "DIR")]
     figure: Option<PathBuf>,
     /// Pairs in the figure, by their names in pairs.csv [default: 4, spread evenly]
@@ -107,8 +109,8 @@ pub struct Eval {
 const OUTPUTS: [&str; 7] =
     ["scores.txt", "scores.csv", "scores.json", "scores.tex", "scores.md", "pairs.csv", "report.html"];
 
-/// The figure that `--figure` gets, beside its pictures.
-const FIGURE: &str = "figure.svg";
+/// The files that `--figure` gets, beside its panels.
+const FIGURES: [&str; 2] = ["figure.svg", "figure.pdf"];
 
 /// Number of pairs shown as pictures in the report.
 const SHOWN_PAIRS: usize = 4;
@@ -132,7 +134,7 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     }
     if let Some(dir) = &args.figure {
         ensure_folder(dir)?;
-        ensure_free([dir.join(FIGURE)], args.force)?;
+        ensure_free(FIGURES.map(|name| dir.join(name)), args.force)?;
         let names = scored_pairs(&dataset, limit);
         if let Some(name) = args.figure_pairs.iter().find(|name| !names.contains(name)) {
             let some = names.iter().take(3).cloned().collect::<Vec<_>>().join(", ");
@@ -156,7 +158,7 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     if let Some(out) = &args.out {
         create_folder(out)?; // before the long work, so that an error costs nothing
     }
-    let (mut figures, mut panels) = (Vec::new(), Vec::new());
+    let (mut figures, mut shown_pairs) = (Vec::new(), Vec::new());
     let evaluation = scoring::score(&dataset, &scored, settings, SHOWN_PAIRS, &mut |pair, shown| {
         if let Some(dir) = &args.save_flow {
             save_flows(pair, dir)?;
@@ -168,15 +170,13 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
             [] => shown,
             names => names.iter().any(|name| name == pair.name),
         };
-        if let (Some(dir), true) = (&args.figure, in_figure) {
-            let pair = PaperPanels::new(pair);
-            write_panels(dir, &pair)?;
-            panels.push(pair);
+        if args.figure.is_some() && in_figure {
+            shown_pairs.push(pair_of(pair));
         }
         Ok(())
     })?;
     if let Some(dir) = &args.figure {
-        write_file(&dir.join(FIGURE), paper_figure(&panels)?.as_bytes())?;
+        write_figure(dir, &scored, &shown_pairs)?;
     }
     let evaluation = Evaluation { left_out, improvements, ..evaluation };
     let scores = Scores {
@@ -293,11 +293,41 @@ fn command_line(arguments: impl Iterator<Item = String>) -> String {
     program.chain(arguments.skip(1).map(quoted)).collect::<Vec<_>>().join(" ")
 }
 
-/// The pictures of a pair, as PAIR METHOD error.png and so on.
-fn write_panels(dir: &Path, pair: &PaperPanels) -> anyhow::Result<()> {
-    for (name, picture) in pair.pictures() {
-        let file = folder_name(&format!("{} {name}.png", pair.name()));
-        write_image_png(&dir.join(file), picture)?;
+/// A scored pair, for a figure.
+fn pair_of(pair: &ScoredPair) -> Pair {
+    let methods = pair.estimates.iter().filter(|estimate| !estimate.baseline);
+    Pair {
+        name: pair.name.to_owned(),
+        frames: [pair.sample.frame1.clone(), pair.sample.frame2.clone()],
+        truth: Some(pair.truth.clone()),
+        flows: methods.map(|estimate| Some(estimate.flow.clone())).collect(),
+    }
+}
+
+/// The qualitative figure of a paper: the frame and the true flow, then for each method its flow above its error, each pair with its
+/// own scales.
+fn write_figure(dir: &Path, methods: &[Method], pairs: &[Pair]) -> anyhow::Result<()> {
+    const COLUMNS: usize = 8;
+    let of_method = |method| vec![Content::Flow(Flow::Method(method)), Content::Error(method)];
+    let first = vec![Content::Flow(Flow::Truth), Content::Frame1];
+    let plan = Plan {
+        methods: methods.iter().map(|method| method.name().to_owned()).collect(),
+        columns: std::iter::once(first).chain((0..methods.len()).map(of_method)).collect(),
+        most_columns: COLUMNS,
+        scales: Scales { flow: Scale::Pair, error: Scale::Pair, strain: Scale::Pair },
+        arrows: None,
+        scores: true,
+        letters: false,
+        titles: None,
+        labels: None,
+        captions: None,
+    };
+    let figure = plan.compose(pairs)?.figure;
+    super::figure::write_panels(dir, &figure)?;
+    let drawing = figure.drawing(&Style::default())?;
+    let contents = [drawing.svg()?.into_bytes(), drawing.pdf()?];
+    for (name, content) in FIGURES.iter().zip(contents) {
+        write_file(&dir.join(name), content)?;
     }
     Ok(())
 }

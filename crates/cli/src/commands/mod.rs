@@ -6,6 +6,7 @@ pub mod check;
 pub mod convert;
 pub mod demo;
 pub mod eval;
+pub mod figure;
 pub mod flow;
 pub mod mer;
 pub mod metrics;

@@ -5,7 +5,7 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
-const PIPELINE: [&str; 18] = [
+const PIPELINE: [&str; 19] = [
     "srflow-simd",
     "srflow-field",
     "srflow-splat",
@@ -21,6 +21,7 @@ const PIPELINE: [&str; 18] = [
     "srflow-nets",
     "srflow-train",
     "srflow-mer",
+    "srflow-figure",
     "srflow-view",
     "srflow",
     "srflow-python",

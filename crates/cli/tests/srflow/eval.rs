@@ -176,14 +176,15 @@ fn a_figure_for_a_paper_shows_the_pairs_that_are_named() {
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
     files.sort();
-    let methods = ["My way error", "My way flow", "farneback error", "farneback flow", "frame", "truth"];
-    let pictures: Vec<String> = methods.map(|name| format!("p1 {name}.png")).into();
-    assert_eq!(files, [vec!["figure.svg".to_owned()], pictures].concat());
-    let truth = srflow_field::read_image(&figure.join("p1 truth.png")).unwrap();
+    let names = ["truth", "flow-farneback", "flow-My-way", "frame1", "error-farneback", "error-My-way"];
+    let pictures = names.iter().enumerate().map(|(number, name)| format!("{:02}-p1-{name}.png", number + 1));
+    let figures = ["figure.pdf", "figure.svg"].map(str::to_owned);
+    assert_eq!(files, pictures.chain(figures).collect::<Vec<_>>());
+    let truth = srflow_field::read_image(&figure.join("01-p1-truth.png")).unwrap();
     assert_eq!(truth.size(), SIZE, "in full size");
     let svg = fs::read_to_string(figure.join("figure.svg")).unwrap();
     assert_eq!(svg.matches("<image ").count(), 6 + 2, "the pictures, the wheel and the ramp");
-    for text in ["My way", "farneback", "Truth", "EPE ", "p1"] {
+    for text in ["My way", "farneback", "Ground truth / Frame 1", "EPE "] {
         assert!(svg.contains(text), "{text}");
     }
 }

@@ -15,6 +15,7 @@ mod capture;
 mod demo;
 mod eval;
 mod face;
+mod figure;
 mod fit;
 mod flow;
 mod flow_networks;

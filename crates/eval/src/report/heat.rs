@@ -1,20 +1,65 @@
-//! The colour map of errors: black through red and orange to light yellow.
+//! Colour maps of errors and of other magnitudes.
 
 use srflow_field::{FlowField, Image, Plane};
 
-/// Ten equidistant colours of matplotlib's `inferno` (CC0), which is perceptually uniform and survives grey printing.
-const STOPS: [[f32; 3]; 10] = [
-    [0.0, 0.0, 4.0],
-    [27.0, 12.0, 65.0],
-    [74.0, 12.0, 107.0],
-    [120.0, 28.0, 109.0],
-    [165.0, 44.0, 96.0],
-    [207.0, 68.0, 70.0],
-    [237.0, 105.0, 37.0],
-    [251.0, 155.0, 6.0],
-    [247.0, 209.0, 61.0],
-    [252.0, 255.0, 164.0],
-];
+/// A perceptually uniform map from a share of a range to a colour, which survives grey printing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ColorMap {
+    /// Black through red and orange to light yellow: errors.
+    Inferno,
+    /// Violet through green to yellow.
+    Viridis,
+}
+
+impl ColorMap {
+    /// Ten equidistant colours of matplotlib's map of that name (CC0).
+    fn stops(self) -> &'static [[u8; 3]; 10] {
+        match self {
+            Self::Inferno => &[
+                [0, 0, 4],
+                [27, 12, 65],
+                [74, 12, 107],
+                [120, 28, 109],
+                [165, 44, 96],
+                [207, 68, 70],
+                [237, 105, 37],
+                [251, 155, 6],
+                [247, 209, 61],
+                [252, 255, 164],
+            ],
+            Self::Viridis => &[
+                [68, 1, 84],
+                [72, 40, 120],
+                [62, 74, 137],
+                [49, 104, 142],
+                [38, 130, 142],
+                [31, 158, 137],
+                [53, 183, 121],
+                [110, 206, 88],
+                [181, 222, 43],
+                [253, 231, 37],
+            ],
+        }
+    }
+
+    /// The colour at `share` of the range, clamped to `0..=1`.
+    pub fn color(self, share: f32) -> [u8; 3] {
+        let stops = self.stops();
+        let place = share.clamp(0.0, 1.0) * (stops.len() - 1) as f32;
+        let below = (place as usize).min(stops.len() - 2);
+        let rest = place - below as f32;
+        let [low, high] = [below, below + 1].map(|stop| stops[stop].map(f32::from));
+        std::array::from_fn(|c| (low[c] * (1.0 - rest) + high[c] * rest + 0.5) as u8)
+    }
+
+    /// A plane in the colours of the map: 0 has the first, `max` and above the last, NaN is grey.
+    pub fn picture(self, plane: &Plane, max: f32) -> Image {
+        Image::from_fn(plane.width(), plane.height(), |x, y| match plane.get(x, y) {
+            value if value.is_nan() => UNKNOWN,
+            value => self.color(value / max),
+        })
+    }
+}
 
 /// The colour of a pixel without ground truth.
 const UNKNOWN: [u8; 3] = [150, 150, 152];
@@ -33,17 +78,7 @@ pub fn error_map(estimate: &FlowField, truth: &FlowField) -> Plane {
 
 /// A plane in heat colours: 0 is black, `max` and above light yellow, NaN grey.
 pub fn heat(plane: &Plane, max: f32) -> Image {
-    let pixels =
-        plane.pixels().iter().map(|value| if value.is_nan() { UNKNOWN } else { colour(value / max) });
-    Image::from_pixels(plane.width(), plane.height(), pixels.collect()).expect("one colour per pixel")
-}
-
-/// The colour at `share` of the range, clamped to `0..=1`.
-pub fn colour(share: f32) -> [u8; 3] {
-    let place = share.clamp(0.0, 1.0) * (STOPS.len() - 1) as f32;
-    let below = (place as usize).min(STOPS.len() - 2);
-    let rest = place - below as f32;
-    std::array::from_fn(|c| (STOPS[below][c] * (1.0 - rest) + STOPS[below + 1][c] * rest + 0.5) as u8)
+    ColorMap::Inferno.picture(plane, max)
 }
 
 #[cfg(test)]
@@ -51,12 +86,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn heat_grows_brighter_with_the_error() {
-        let luminance = |share: f32| colour(share).map(f32::from).iter().sum::<f32>();
-        let steps: Vec<f32> = (0..=50).map(|i| luminance(i as f32 / 50.0)).collect();
-        assert!(steps.windows(2).all(|pair| pair[0] <= pair[1] + 3.0), "{steps:?}");
-        assert_eq!(colour(-1.0), colour(0.0));
-        assert_eq!(colour(9.0), colour(1.0));
+    fn colours_grow_brighter_with_the_value() {
+        for map in [ColorMap::Inferno, ColorMap::Viridis] {
+            // Rec. 709.
+            let luminance = |share: f32| {
+                let [r, g, b] = map.color(share).map(f32::from);
+                0.2126 * r + 0.7152 * g + 0.0722 * b
+            };
+            let steps: Vec<f32> = (0..=50).map(|i| luminance(i as f32 / 50.0)).collect();
+            assert!(steps.windows(2).all(|pair| pair[0] < pair[1] + 1.0), "{map:?}: {steps:?}");
+            assert!(steps[50] > steps[0] + 150.0, "{map:?}: {steps:?}");
+            assert_eq!(map.color(-1.0), map.color(0.0));
+            assert_eq!(map.color(9.0), map.color(1.0));
+        }
     }
 
     #[test]

@@ -2,7 +2,7 @@ use maud::html;
 use srflow_field::{FlowField, Image, flow_colors};
 
 use super::charts::number;
-use super::heat::colour;
+use super::heat::ColorMap;
 use super::{Figure, Picture, PictureError};
 
 /// The legend of [`heat`](super::heat): its colours from 0 to `max` pixels, and a note.
@@ -10,7 +10,7 @@ use super::{Figure, Picture, PictureError};
 /// # Errors
 /// When the ramp cannot be encoded.
 pub fn heat_legend(max: f64, words: &str) -> Result<Figure, PictureError> {
-    let ramp = Image::from_fn(256, 1, |x, _| colour(x as f32 / 255.0));
+    let ramp = Image::from_fn(256, 1, |x, _| ColorMap::Inferno.color(x as f32 / 255.0));
     let words = format!("0 to {} px and more. {words}", number(max));
     ramp_legend(&ramp, "error colours, from black to light yellow", &words)
 }
@@ -29,7 +29,7 @@ pub fn ramp_legend(ramp: &Image, alt: &str, words: &str) -> Result<Figure, Pictu
 /// # Errors
 /// When the disc cannot be encoded.
 pub fn wheel_legend(max: f64, words: &str) -> Result<Figure, PictureError> {
-    let wheel = Picture::exact(&wheel(), "colour wheel of flow directions")?;
+    let wheel = Picture::exact(&color_wheel(), "colour wheel of flow directions")?;
     Ok(Figure(html! {
         div.legend {
             img.wheel src=(wheel.uri) alt=(wheel.alt);
@@ -39,7 +39,7 @@ pub fn wheel_legend(max: f64, words: &str) -> Result<Figure, PictureError> {
 }
 
 /// A disc in flow colours, full at its rim.
-pub(super) fn wheel() -> Image {
+pub fn color_wheel() -> Image {
     const RADIUS: f32 = 62.0;
     let place = |at: usize| (at as f32 - RADIUS) / RADIUS;
     let side = 2 * RADIUS as usize + 1;

@@ -62,19 +62,19 @@ pub fn pair_figures(
 }
 
 /// What the pictures of a pair are made of, with one scale for all methods.
-pub(super) struct PairMaps {
-    pub(super) truth: FlowField,
+struct PairMaps {
+    truth: FlowField,
     /// The place of each method but the baseline among the estimates, and its end-point errors.
-    pub(super) errors: Vec<(usize, Plane)>,
+    errors: Vec<(usize, Plane)>,
     /// Length in pixels of the flow with the full colour.
-    pub(super) longest: f64,
+    longest: f64,
     /// Error in pixels with the lightest colour.
-    pub(super) largest: f64,
+    largest: f64,
 }
 
 impl PairMaps {
     /// At most `max_width` pixels wide.
-    pub(super) fn new(pair: &ScoredPair<'_>, max_width: usize) -> Self {
+    fn new(pair: &ScoredPair<'_>, max_width: usize) -> Self {
         let truth = shrink_flow(pair.truth, max_width);
         let methods = pair.estimates.iter().enumerate().filter(|(_, estimate)| !estimate.baseline);
         let error = |flow| shrink_plane(&error_map(flow, pair.truth), max_width);
@@ -85,18 +85,27 @@ impl PairMaps {
         Self { truth, errors, longest, largest }
     }
 
-    /// A flow in the colours of its directions.
-    pub(super) fn colors(&self, flow: &FlowField) -> Image {
-        flow_colors(&within(flow, self.longest as f32), Some(self.longest as f32))
+    fn colors(&self, flow: &FlowField) -> Image {
+        flow_picture(flow, self.longest)
     }
 }
 
-/// A round length in pixels for the lightest colour of several methods' errors, robust to one method that is far off: the
-/// 98th percentile of the middle method's errors, or of the better of two.
+/// A flow in the colours of its directions, full at `longest` pixels; longer flow has the colour of that length in its direction.
+pub fn flow_picture(flow: &FlowField, longest: f64) -> Image {
+    flow_colors(&within(flow, longest as f32), Some(longest as f32))
+}
+
+/// A round length in pixels for the lightest colour of several methods' errors.
 fn error_scale(errors: &[&Plane]) -> f64 {
-    let mut ends: Vec<f64> = errors.iter().map(|error| share_below(error, 0.98)).collect();
+    middle_scale(errors, 0.98, 0.1)
+}
+
+/// A round upper end of the colour scale of several methods' maps, robust to one method that is far off: the value below which `share`
+/// of the pixels of the middle method lie, or of the better of two; at least `least`.
+pub fn middle_scale(maps: &[&Plane], share: f64, least: f64) -> f64 {
+    let mut ends: Vec<f64> = maps.iter().map(|map| share_below(map, share)).collect();
     ends.sort_by(f64::total_cmp);
-    round_up(ends.get(ends.len().saturating_sub(1) / 2).copied().unwrap_or(0.0).max(0.1))
+    round_up(ends.get(ends.len().saturating_sub(1) / 2).copied().unwrap_or(0.0).max(least))
 }
 
 /// The flow with vectors longer than `longest` shortened to it.

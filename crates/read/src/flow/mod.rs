@@ -160,6 +160,12 @@ impl FlowDataset {
         }
     }
 
+    /// The dataset with these of its pairs alone, by their numbers, in this order. Panics when there is no such pair.
+    pub fn only(mut self, pairs: &[usize]) -> Self {
+        self.entries = pairs.iter().map(|&pair| self.entries[pair].clone()).collect();
+        self
+    }
+
     /// Kind with the options that matter, e.g. `sintel-clean`.
     pub fn name(&self) -> &str {
         &self.name

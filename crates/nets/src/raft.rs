@@ -10,6 +10,7 @@ use crate::blocks::{
 };
 use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
+use crate::onnx;
 use crate::recurrent::{self, Encoders, Recurrent, Refined, STRIDE};
 use crate::table::Entry;
 
@@ -34,6 +35,7 @@ pub(crate) const RAFT: Entry<Raft> = Entry {
             ptlflow!("raft", "sintel", "fb44381e"),
             ptlflow!("raft", "kitti", "3a831a4b"),
         ],
+        onnx: Some(onnx::raft),
         ..recurrent::FACTS
     },
     init: Raft::new,

@@ -10,16 +10,17 @@ use crate::blocks::{
 };
 use crate::estimate::Memory;
 use crate::facts::{Facts, ptlflow};
+use crate::onnx;
 use crate::raft::RAFT;
 use crate::recurrent::{Encoders, Recurrent, Refined, STRIDE};
 use crate::table::Entry;
 
 /// Channels of the hidden state.
-const HIDDEN: usize = 96;
+pub(crate) const HIDDEN: usize = 96;
 /// Channels of the context.
 const CONTEXT: usize = 64;
 /// Radius of the lookup window in each level.
-const RADIUS: usize = 3;
+pub(crate) const RADIUS: usize = 3;
 
 pub(crate) const RAFT_SMALL: Entry<RaftSmall> = Entry {
     facts: Facts {
@@ -28,6 +29,7 @@ pub(crate) const RAFT_SMALL: Entry<RaftSmall> = Entry {
         parameters: 990_162,
         memory: MemoryNeed { fixed: 125_000_000, per_pixel: 235, attending: 0, most_weights: 0 },
         published: &[ptlflow!("raft_small", "things", "b7d9f997")],
+        onnx: Some(onnx::raft_small),
         ..RAFT.facts
     },
     init: RaftSmall::new,

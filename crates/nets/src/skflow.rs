@@ -13,6 +13,7 @@ use crate::blocks::{
 };
 use crate::estimate::Memory;
 use crate::facts::{Facts, IterationPresets, ptlflow};
+use crate::onnx;
 use crate::raft::{HIDDEN, RADIUS};
 use crate::recurrent::{self, Encoders, Recurrent, Refined};
 use crate::table::Entry;
@@ -38,6 +39,7 @@ pub(crate) const SKFLOW: Entry<SkFlow> = Entry {
             ptlflow!("skflow", "sintel", "98fb67cf"),
             ptlflow!("skflow", "kitti", "4e1f8b63"),
         ],
+        onnx: Some(onnx::skflow),
         ..recurrent::FACTS
     },
     init: SkFlow::new,

@@ -27,20 +27,21 @@ use crate::estimate::{Estimate, LaplaceMixture, Request};
 use crate::facts::{Facts, IterationPresets, Start};
 use crate::features::Features;
 use crate::frames::Frames;
+use crate::onnx;
 use crate::table::{Entry, FlowNetwork};
 
 /// Pixels of the frame per pixel of the map that is corrected, along each axis: a cell.
-const STRIDE: usize = 2;
+pub(crate) const STRIDE: usize = 2;
 /// Channels from 1/2 to 1/32 of the size. The motion of a head is smooth up to its outline, which takes a wide view.
-const WIDTHS: [usize; 5] = [32, 64, 96, 128, 160];
+pub(crate) const WIDTHS: [usize; 5] = [32, 64, 96, 128, 160];
 /// Pixels of the frame per pixel of the coarsest map.
 const COARSEST_STRIDE: usize = STRIDE << (WIDTHS.len() - 1);
 /// Channels that a correction hands to the next one.
-const STATE: usize = WIDTHS[0];
+pub(crate) const STATE: usize = WIDTHS[0];
 /// Windows of the evidence.
-const WINDOWS: usize = 2;
+pub(crate) const WINDOWS: usize = 2;
 /// Logarithms of the weights and of the scales of two Laplace distributions.
-const MIXTURE: usize = 2 + 2;
+pub(crate) const MIXTURE: usize = 2 + 2;
 /// At each size: the share of the coarser flow in place of the start's, a change, and the mixture.
 const OUTPUTS: usize = 1 + 2 + MIXTURE;
 /// Pixels of a frame in a cell.
@@ -50,9 +51,11 @@ const STILL: usize = PIXELS + STRIDE * STRIDE + LucasKanade::OUTPUTS;
 /// What it sees: that, the difference from the warped frame 2, the evidence, the flow and the state.
 const SEEN: usize = STILL + PIXELS + LucasKanade::OUTPUTS + 2 + STATE;
 /// Scale of differences of frames, which are small where the flow is nearly right.
-const DIFFERENCE_SCALE: f64 = 4.0;
+pub(crate) const DIFFERENCE_SCALE: f64 = 4.0;
 /// What brightness says about the remaining motion. The noise is the square of about 1.5 of 255 levels.
-const EVIDENCE: LucasKanade = LucasKanade { radii: [1, 3], noise: 1.4e-4, reach: 2.0 };
+pub(crate) const EVIDENCE: LucasKanade = LucasKanade { radii: [1, 3], noise: 1.4e-4, reach: 2.0 };
+/// As [`LaplaceMixture::LOG_SCALE_RANGE`]: errors are small parts of a pixel.
+pub(crate) const LOG_SCALE_RANGE: [f64; 2] = [-2.3, 10.0];
 /// Weights of red, green and blue in luminance.
 const LUMINANCE: [f32; 3] = [0.299, 0.587, 0.114];
 /// More warps hardly change the flow of faces, and fit more of the noise of backgrounds.
@@ -71,12 +74,12 @@ pub(crate) const SRFLOW: Entry<SrFlow> = Entry {
         start: Start::Coarse(STRIDE),
         trains: true,
         mixture: true,
-        // Errors are small parts of a pixel.
-        log_scale_range: [-2.3, 10.0],
+        log_scale_range: LOG_SCALE_RANGE,
         memory: MemoryNeed { fixed: 325_000_000, per_pixel: 343, attending: 0, most_weights: 0 },
         in_ptlflow: false,
         included: Some(include_bytes!("../weights/srflow.safetensors")),
         licence: "MIT OR Apache-2.0",
+        onnx: Some(onnx::srflow),
         ..Facts::DEFAULT
     },
     init: SrFlow::new,

@@ -1,7 +1,7 @@
 """Runs files of ONNX by onnxruntime, and prints how far the outputs are from given ones.
 
 Arguments, for each case: a file, a folder with a file of little-endian f32 per input and expected output, and the size of the frames,
-WIDTHxHEIGHT. Prints `NETWORK SIZE OUTPUT DIFFERENCE` for each output that has a file.
+WIDTHxHEIGHT. Prints `NETWORK SIZE-OF-THE-FILE SIZE OUTPUT DIFFERENCE` for each output that has a file.
 """
 
 import sys
@@ -22,7 +22,7 @@ def network(path):
     onnx.checker.check_model(model, full_check=True)
     metadata = {entry.key: entry.value for entry in model.metadata_props}
     assert {"program", "version", "network", "iterations", "size", "licence"} <= set(metadata), metadata
-    return metadata["network"]
+    return f"{metadata['network']} {metadata['size']}"
 
 
 def session(path):

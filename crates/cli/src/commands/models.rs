@@ -1,11 +1,13 @@
+use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
-use anyhow::ensure;
+use anyhow::{Context as _, ensure};
 use clap::{Args, Subcommand};
 use serde::Serialize;
+use srflow_field::Size;
 use srflow_nets::{
-    Allowed, Architecture, Fit, Setting, fits_of_file, load_included, load_network, save_network,
-    save_network_pytorch, weights_folder,
+    Allowed, Architecture, Fit, OnnxError, OnnxOptions, Setting, fits_of_file, load_included, load_network,
+    save_network, save_network_onnx, save_network_pytorch, weights_folder,
 };
 use srflow_nn::{Checkpoint, ParameterInfo, ParametersError, StoredAs};
 
@@ -45,25 +47,38 @@ struct Inspect {
     file: PathBuf,
 }
 
-/// Export weights for PyTorch, or as safetensors
+/// Export weights for PyTorch or as safetensors, or a network as ONNX
 ///
 /// A .ckpt, .pt or .pth file is a Lightning checkpoint that torch.load reads, even with weights_only=True, and that ptlflow
 /// loads into the network of the same name: get_model("raft", ckpt_path="raft.ckpt"). The parameters have the names of the
 /// reference implementations.
+///
+/// A .onnx file holds a whole network with its weights, for onnxruntime and other programs: srflow, raft, raft-small or skflow. Its
+/// inputs are `frame1` and `frame2`, f32 [1, 3, height, width], RGB in 0..255; its output is `flow`, f32 [1, 2, height, width], in
+/// pixels, to the right and down. It takes frames of any size, or with --size of one, and pads and crops itself. srflow also takes
+/// `start`, a flow to start from, and gives `uncertainty`: docs/networks.md.
 #[derive(Args)]
-#[command(after_help = "Example:
-  srflow models export runs/first/best.safetensors -o raft.ckpt")]
+#[command(after_help = "Examples:
+  srflow models export runs/first/best.safetensors -o raft.ckpt
+  srflow models export raft-things -o raft.onnx --iters 12
+  srflow models export srflow -o srflow.onnx --size 640x480")]
 struct Export {
     /// Weights of one of the networks: a file, the name of published weights, such as skflow-things, or the name of a network
     /// whose weights come with srflow
     #[arg(value_name = "FILE|NAME")]
     weights: String,
-    /// File to write: .ckpt, .pt or .pth (PyTorch), or .safetensors
+    /// File to write: .ckpt, .pt or .pth (PyTorch), .safetensors, or .onnx
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
     /// Store 16-bit numbers, rounded to the nearest, in half of the bytes; for .safetensors
     #[arg(long)]
     half: bool,
+    /// Refinement iterations, each of which is in the file; for .onnx [default: the network's own, see `srflow models`]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000))]
+    iters: Option<u16>,
+    /// The one size of the frames that the file takes, WIDTHxHEIGHT; for .onnx [default: it takes any size]
+    #[arg(long, value_name = "SIZE")]
+    size: Option<Size>,
     /// Overwrite an existing file
     #[arg(long)]
     force: bool,
@@ -274,40 +289,91 @@ fn inspect(args: Inspect, context: &Context) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn export(args: Export, context: &Context) -> anyhow::Result<()> {
-    let Export { weights, out, half, force } = args;
-    let extension = out.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
-    let pytorch = match extension {
-        "ckpt" | "pt" | "pth" => true,
-        "safetensors" => false,
-        _ => wrong_usage!("{}: expected a name that ends in .ckpt, .pt, .pth or .safetensors", out.display()),
-    };
-    ensure!(force || !out.exists(), "{}: the file exists; give --force to overwrite it", out.display());
-    if pytorch && half {
-        wrong_usage!("--half: for files that end in .safetensors, and not for {}", out.display());
+/// A kind of file that networks are exported to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Exported {
+    PyTorch,
+    Safetensors,
+    Onnx,
+}
+
+impl Exported {
+    /// Checks that the given options apply to it.
+    fn check(self, Export { out, half, iters, size, .. }: &Export) -> anyhow::Result<()> {
+        for (option, given, of) in [
+            ("--half", *half, Self::Safetensors),
+            ("--iters", iters.is_some(), Self::Onnx),
+            ("--size", size.is_some(), Self::Onnx),
+        ] {
+            if given && self != of {
+                let ending = if of == Self::Onnx { ".onnx" } else { ".safetensors" };
+                wrong_usage!(
+                    "{option}: for files that end in {ending}, and not for {}: leave it out",
+                    out.display()
+                );
+            }
+        }
+        Ok(())
     }
+}
+
+fn export(args: Export, context: &Context) -> anyhow::Result<()> {
+    let Export { weights, out, half, iters, size, force } = &args;
+    let extension = out.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+    let kind = match extension {
+        "ckpt" | "pt" | "pth" => Exported::PyTorch,
+        "safetensors" => Exported::Safetensors,
+        "onnx" => Exported::Onnx,
+        _ => wrong_usage!(
+            "{}: expected a name that ends in .ckpt, .pt, .pth, .safetensors or .onnx",
+            out.display()
+        ),
+    };
+    kind.check(&args)?;
+    ensure!(*force || !out.exists(), "{}: the file exists; give --force to overwrite it", out.display());
     let device = Default::default();
-    let named = Architecture::from_name(&weights).filter(|_| !Path::new(&weights).exists());
+    let named = Architecture::from_name(weights).filter(|_| !Path::new(weights).exists());
     let network = match named.and_then(|named| load_included(named, &device)) {
         Some(network) => network,
         None => {
-            let path = weights_file(None, &weights)?;
+            let path = weights_file(None, weights)?;
             load_network(fits_of_file(&path)?[0].architecture, &path, &device)?
         }
     };
     let architecture = network.architecture();
-    match (pytorch, half) {
-        (true, _) => save_network_pytorch(&network, &out)?,
-        (false, true) => save_network(&network, StoredAs::F16, &out)?,
-        (false, false) => save_network(&network, StoredAs::F32, &out)?,
+    let (name, facts) = (architecture.name(), architecture.facts());
+    let iterations = iters.map_or(facts.iterations.default, usize::from);
+    match kind {
+        Exported::PyTorch => save_network_pytorch(&network, out)?,
+        Exported::Safetensors => {
+            save_network(&network, if *half { StoredAs::F16 } else { StoredAs::F32 }, out)?;
+        }
+        Exported::Onnx => {
+            let iterations = NonZeroUsize::new(iterations).context("no iterations")?;
+            match save_network_onnx(&network, OnnxOptions { iterations, size: *size }, out) {
+                Err(error @ (OnnxError::NotExported { .. } | OnnxError::TooLarge { .. })) => {
+                    wrong_usage!("{}: {error}", out.display())
+                }
+                saved => saved?,
+            }
+        }
     }
-    let name = architecture.name();
     if context.json {
-        let exported = serde_json::json!({ "file": out, "network": name });
+        let mut exported = serde_json::json!({ "file": out, "network": name });
+        if kind == Exported::Onnx {
+            exported["iterations"] = iterations.into();
+            exported["size"] = size.map(|size| serde_json::json!([size.width, size.height])).into();
+        }
         return crate::output::print_json(&exported);
     }
-    say!("{}: weights of {}", out.display(), architecture.facts().names_of_weights())?;
-    if pytorch && architecture.facts().in_ptlflow {
+    match kind {
+        Exported::Onnx => {
+            let frames = size.map_or("any size".to_owned(), |size| size.to_string());
+            say!("{}: {name} with {iterations} iterations, for frames of {frames}", out.display())?;
+        }
+        _ => say!("{}: weights of {}", out.display(), facts.names_of_weights())?,
+    }
+    if kind == Exported::PyTorch && facts.in_ptlflow {
         let model = name.replace('-', "_"); // ptlflow's name
         say!("  ptlflow.get_model(\"{model}\", ckpt_path=\"{}\")", out.display())?;
     }

@@ -114,9 +114,54 @@ fn exported_weights_are_the_same_to_the_bit() {
     }
     let export = |weights: &str, to: &str| models(&["export", weights, "-o", &path(to)]);
     refuses(&export(&path("raft.safetensors"), "raft.ckpt"), 1, &["--force"]);
-    refuses(&export(&path("raft.safetensors"), "weights.onnx"), 2, &["weights.onnx"]);
+    refuses(&export(&path("raft.safetensors"), "weights.h5"), 2, &["weights.h5", ".onnx"]);
     let other = checkpoint("zip.pth");
     refuses(&export(other.to_str().unwrap(), "other.ckpt"), 1, &["no network of srflow"]);
+}
+
+/// `crates/nets/tests/onnx.rs` runs the files.
+#[test]
+fn networks_are_exported_as_onnx() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let weights = |architecture: srflow_nets::Architecture| {
+        let file = path(&format!("{}.safetensors", architecture.name()));
+        let network = architecture.init(&Default::default());
+        srflow_nets::save_network(&network, srflow_nn::StoredAs::F32, file.as_ref()).unwrap();
+        file
+    };
+    let own = path("own.onnx");
+    assert!(
+        succeeds(&["export", "srflow", "-o", &own])
+            .contains("srflow with 2 iterations, for frames of any size")
+    );
+    let first = fs::read(&own).unwrap();
+    refuses(&models(&["export", "srflow", "-o", &own]), 1, &["own.onnx", "--force"]);
+    succeeds(&["export", "srflow", "-o", &own, "--force"]);
+    assert!(fs::read(&own).unwrap() == first, "the same bytes each time");
+    let raft = weights(srflow_nets::Architecture::RaftSmall);
+    let fixed = path("fixed.onnx");
+    let exported = json(&["export", &raft, "-o", &fixed, "--iters", "3", "--size", "150x133"]);
+    assert_eq!(exported["network"], "raft-small");
+    assert_eq!((&exported["iterations"], &exported["size"]), (&3.into(), &serde_json::json!([150, 133])));
+
+    let refused = |weights: &str, more: &[&str], code: i32, words: &[&str]| {
+        refuses(&models(&[&["export", weights], more].concat()), code, words);
+    };
+    let gma = weights(srflow_nets::Architecture::Gma);
+    let out = path("no.onnx");
+    refused(&gma, &["-o", &out], 2, &["no.onnx", "gma cannot", "srflow, raft, raft-small and skflow"]);
+    refused("raft-nothing", &["-o", &out], 1, &["raft-nothing"]);
+    refused("nonet", &["-o", &out], 1, &["nonet"]);
+    refused(&raft, &["-o", &out, "--half"], 2, &["--half", ".safetensors", "no.onnx"]);
+    refused(&raft, &["-o", &out, "--size", "640"], 2, &["--size", "WIDTHxHEIGHT"]);
+    refused(&raft, &["-o", &out, "--size", "640x0"], 2, &["--size", "WIDTHxHEIGHT"]);
+    refused(&raft, &["-o", &out, "--size", "9000000x64"], 2, &["9000000x64", "too large", "65536"]);
+    refused(&raft, &["-o", &out, "--iters", "0"], 2, &["--iters"]);
+    refused(&raft, &["-o", &path("raft.ckpt"), "--iters", "3"], 2, &["--iters", ".onnx", "raft.ckpt"]);
+    refused(&raft, &["-o", &path("no.safetensors"), "--size", "64x64"], 2, &["--size", ".onnx"]);
+    refused(&raft, &["-o", &path("none/no.onnx")], 1, &["no.onnx"]);
+    assert!(!Path::new(&out).exists());
 }
 
 /// The lists of networks in the documents. `SRFLOW_WRITE_DOCS=1` updates them.

@@ -450,7 +450,7 @@ impl Graph {
             return self.constant(&numbers, &[count]);
         }
         let list = self.list(lengths);
-        let name = self.to_floats(&list);
+        let name = self.floats(&list);
         Value { name, shape: vec![Length::Known(count)] }
     }
 
@@ -466,10 +466,10 @@ impl Graph {
         let axes = self.integers(&[0]);
         let end = self.node("Squeeze", "Squeeze", &[&name, &axes], &[]);
         let range = self.node("Range", "Range", &[&first, &end, &step], &[]);
-        Value { name: self.to_floats(&range), shape: vec![length.clone()] }
+        Value { name: self.floats(&range), shape: vec![length.clone()] }
     }
 
-    fn to_floats(&mut self, integers: &str) -> Rc<str> {
+    fn floats(&mut self, integers: &str) -> Rc<str> {
         self.node("Cast", "Cast", &[integers], &[("to", Attribute::Int(DataType::Float as i64))])
     }
 

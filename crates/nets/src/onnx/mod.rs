@@ -29,7 +29,7 @@ pub(crate) use raft_small::raft_small;
 pub(crate) use skflow::skflow;
 pub(crate) use srflow::srflow;
 
-/// Version of ONNX's operators: the first versions of onnxruntime, TensorRT and OpenVINO that have it are of 2022. Sampling needs 16.
+/// Version of ONNX's operators, which onnxruntime has since 1.12 (2022). Sampling needs 16.
 const OPERATORS: i64 = 17;
 /// Version of the format of files that came with it.
 const FORMAT: i64 = 8;
@@ -207,5 +207,105 @@ impl Pair {
     pub(crate) fn output_flow(&self, graph: &mut Graph, flow: &Value) {
         let description = "Where each pixel of frame 1 is in frame 2, less where it is: pixels to the right, then pixels down.";
         self.output(graph, "flow", description, flow);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use burn::tensor::Device;
+    use srflow_nn::parameter_infos;
+
+    use super::proto::{DimensionValue, NodeProto};
+    use super::*;
+
+    fn model(network: &Network, iterations: usize, size: Option<Size>) -> ModelProto {
+        let iterations = NonZeroUsize::new(iterations).expect("some");
+        let bytes = onnx_bytes(network, OnnxOptions { iterations, size }).expect("a graph");
+        ModelProto::decode(bytes.as_slice()).expect("its own messages")
+    }
+
+    fn count(nodes: &[NodeProto], operator: &str) -> usize {
+        nodes.iter().filter(|node| node.op_type.as_deref() == Some(operator)).count()
+    }
+
+    #[test]
+    fn every_parameter_is_there_under_its_name() {
+        for architecture in Architecture::ALL.into_iter().filter(|of| of.exports_to_onnx()) {
+            let network = architecture.init(&Device::flex());
+            let graph = model(&network, 1, None).graph.expect("a graph");
+            let found: Vec<(String, Vec<usize>)> = graph
+                .initializer
+                .into_iter()
+                .filter_map(|tensor| {
+                    Some((tensor.name?, tensor.dims.into_iter().map(|length| length as usize).collect()))
+                })
+                .collect();
+            for info in parameter_infos(&network) {
+                // Stored in every checkpoint, but used by no published network.
+                let unused = info.name.contains(".pos_emb.");
+                assert_eq!(found.contains(&(info.name.clone(), info.shape)), !unused, "{}", info.name);
+            }
+        }
+    }
+
+    #[test]
+    fn each_iteration_is_in_the_graph_once() {
+        let network = Architecture::RaftSmall.init(&Device::flex());
+        let lookups = |iterations| {
+            let graph = model(&network, iterations, None).graph.expect("a graph");
+            count(&graph.node, "GridSample")
+        };
+        assert_eq!([1, 2, 5].map(lookups), [4, 8, 20], "one for each level of the pyramid");
+    }
+
+    #[test]
+    fn a_fixed_size_is_in_the_file_and_an_open_one_is_computed() {
+        let network = Architecture::SrFlow.init(&Device::flex());
+        let of = |size| {
+            let graph = model(&network, 2, size).graph.expect("a graph");
+            let computed = ["Shape", "Range", "Cast", "Max"].map(|operator| count(&graph.node, operator));
+            let dimensions = graph.input.into_iter().chain(graph.output).flat_map(|value| {
+                let shape = value.r#type.and_then(|kind| kind.tensor_type?.shape).expect("a shape");
+                shape.dim.into_iter().skip(2).map(|dimension| match dimension.value {
+                    Some(DimensionValue::Name(name)) => name,
+                    Some(DimensionValue::Length(length)) => length.to_string(),
+                    None => "unknown".to_owned(),
+                })
+            });
+            (computed, dimensions.collect::<Vec<_>>())
+        };
+        let (computed, dimensions) = of(None);
+        assert!(computed.into_iter().all(|nodes| nodes >= 1), "{computed:?}");
+        assert_eq!(dimensions, ["height", "width"].repeat(5));
+        let (computed, dimensions) = of(Some(Size { width: 150, height: 133 }));
+        assert_eq!(computed, [0; 4]);
+        assert_eq!(dimensions, ["133", "150"].repeat(5));
+    }
+
+    #[test]
+    fn nodes_come_after_what_they_need_and_none_is_for_nothing() {
+        let network = Architecture::SrFlow.init(&Device::flex());
+        let graph = model(&network, 2, None).graph.expect("a graph");
+        let names = |values: Vec<proto::ValueInfoProto>| values.into_iter().filter_map(|value| value.name);
+        let mut known: BTreeSet<String> = names(graph.input).collect();
+        known.extend(graph.initializer.into_iter().filter_map(|tensor| tensor.name));
+        let mut needed: BTreeSet<String> = names(graph.output).collect();
+        for mut node in graph.node {
+            node.input.retain(|input| !input.is_empty()); // left out
+            assert!(node.input.iter().all(|input| known.contains(input)), "{node:?}");
+            needed.extend(node.input);
+            known.extend(node.output);
+        }
+        assert_eq!(known, needed);
+    }
+
+    #[test]
+    fn networks_without_a_graph_are_refused_by_name() {
+        let network = Architecture::Gma.init(&Device::flex());
+        let options = OnnxOptions { iterations: NonZeroUsize::MIN, size: None };
+        let error = onnx_bytes(&network, options).expect_err("no graph").to_string();
+        assert!(error.starts_with("gma cannot be written as ONNX, only srflow, raft, raft-small and skflow"));
     }
 }

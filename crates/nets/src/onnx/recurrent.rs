@@ -56,9 +56,9 @@ struct Level {
 
 /// The encoders of a pair.
 pub(super) fn begun(graph: &mut Graph, pair: &Pair, parts: Parts) -> Begun {
-    graph.begin("features of frame 1");
+    graph.begin("frame1_features");
     let first = encoded(graph, "fnet", &pair.first, Norm::Instance);
-    graph.begin("features of frame 2");
+    graph.begin("frame2_features");
     let second = encoded(graph, "fnet", &pair.second, Norm::Instance);
     graph.begin("context");
     let both = encoded(graph, "cnet", &pair.first, parts.context_norm);
@@ -83,7 +83,7 @@ impl Begun {
         let mut hidden = self.hidden;
         let mut flow = graph.zeros(hidden.with_channels(2));
         for iteration in 1..=iterations {
-            graph.begin(format!("iteration {iteration}"));
+            graph.begin(format!("iteration_{iteration}"));
             let windows = self.correlation.windows(graph, &flow);
             let change;
             [hidden, change] = step(graph, &hidden, &flow, &windows);

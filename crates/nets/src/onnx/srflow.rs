@@ -28,12 +28,12 @@ pub(crate) fn srflow(graph: &mut Graph, pair: &Pair, iterations: usize) {
     let start = pair.extended(graph, &start);
     let start = graph.pooled(&start, CELLS);
     let mut flow = graph.scale(&start, 1.0 / CELLS as f32);
-    graph.begin("frames as they are");
+    graph.begin("still");
     let still = still(graph, [&pair.first, &pair.second]);
     let mut state = graph.zeros(flow.with_channels(STATE as i64));
     let mut mixture = None;
     for iteration in 1..=iterations {
-        graph.begin(format!("correction {iteration}"));
+        graph.begin(format!("iteration_{iteration}"));
         let found = corrected(graph, [&pair.first, &pair.second], &still, [&flow, &state]);
         (flow, state, mixture) = (found.flow, found.state, Some(found.mixture));
     }

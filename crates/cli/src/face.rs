@@ -16,7 +16,7 @@ use crate::progress::bar;
 use crate::usage::wrong_usage;
 
 /// Environment variable with the place of MediaPipe's networks.
-const MODELS_VARIABLE: &str = "SRFLOW_FACE_MODELS";
+pub const FACE_MODELS_VARIABLE: &str = "SRFLOW_FACE_MODELS";
 
 /// How faces are cut out; by default, frames are used whole.
 #[derive(Args, Debug, Clone, Default)]
@@ -64,7 +64,7 @@ impl FaceArgs {
     /// The networks, if faces are to be found.
     fn finder(&self) -> anyhow::Result<Option<FaceFinder>> {
         let Some(_) = &self.face else { return Ok(None) };
-        let models = match (&self.face_models, std::env::var_os(MODELS_VARIABLE)) {
+        let models = match (&self.face_models, std::env::var_os(FACE_MODELS_VARIABLE)) {
             (Some(path), _) => path.clone(),
             (None, Some(path)) => path.into(),
             (None, None) => match installed_mediapipe() {

@@ -36,6 +36,7 @@ use clap::{Args, Parser, Subcommand};
 
 pub use commands::render::render;
 pub use commands::train::train;
+pub use face::FACE_MODELS_VARIABLE;
 pub use library::Watch;
 pub use methods::estimator_of;
 pub use usage::UsageError;

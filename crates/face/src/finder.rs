@@ -130,7 +130,8 @@ fn model_file(path: &Path, name: &str, folder: &str) -> Result<(Vec<u8>, std::pa
         return Ok((read_file(&file, FileKind::Network)?, file));
     }
     let bytes = read_file(path, FileKind::Network)?;
-    let mut zip = open_zip(bytes).map_err(|problem| problem.in_file(path))?;
+    let mut zip =
+        open_zip(bytes).map_err(|problem| missing(format!("a file that is no whole .whl ({problem})")))?;
     let names = zip.file_names().filter_map(Result::ok);
     let mut named =
         names.filter(|entry| entry.rsplit('/').next() == Some(name)).map(|entry| entry.into_owned());

@@ -5,6 +5,7 @@ use std::io;
 use pyo3::PyErr;
 use pyo3::exceptions::PyValueError;
 use srflow_avatar::AvatarError;
+use srflow_face::FaceError;
 use srflow_field::{FileError, FileProblem};
 use srflow_read::flow::DatasetError;
 
@@ -26,6 +27,9 @@ fn kind(cause: &(dyn std::error::Error + 'static)) -> Option<io::ErrorKind> {
         return kind(error);
     }
     if let Some(AvatarError::Read(error) | AvatarError::IctFolder(error)) = cause.downcast_ref() {
+        return kind(error);
+    }
+    if let Some(FaceError::File(error)) = cause.downcast_ref() {
         return kind(error);
     }
     if let Some(DatasetError::NotThere { .. }) = cause.downcast_ref() {

@@ -7,6 +7,7 @@ mod camera;
 mod compute;
 mod dataset;
 mod errors;
+mod face;
 mod fields;
 mod gaussians;
 mod jobs;
@@ -37,6 +38,8 @@ mod _srflow {
     use super::camera::Camera;
     #[pymodule_export]
     use super::dataset::Dataset;
+    #[pymodule_export]
+    use super::face::{FaceFinder, crop_face};
     #[pymodule_export]
     use super::fields::{consistency, flow_to_rgb, metrics, read_flow, warp, write_flow};
     #[pymodule_export]

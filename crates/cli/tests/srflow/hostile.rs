@@ -71,6 +71,30 @@ const MOTION_OF_FOLDER: &[&str] = &[
     "DIR/out",
     "--force",
 ];
+const FACES_OF_FILE: &[&str] = &[
+    "flow",
+    "DIR/frame1.png",
+    "DIR/frame2.png",
+    "-o",
+    "DIR/out.flo",
+    "--force",
+    "--face",
+    "detect",
+    "--face-models",
+    "FILE",
+];
+const FACES_OF_FOLDER: &[&str] = &[
+    "flow",
+    "DIR/frame1.png",
+    "DIR/frame2.png",
+    "-o",
+    "DIR/out.flo",
+    "--force",
+    "--face",
+    "detect",
+    "--face-models",
+    "DIR",
+];
 const CLIPS: &str =
     "clip,subject,onset,apex,offset,class,label\nc1,s1,1,3,5,negative,fear\nc2,s2,2,,9,surprise,x\n";
 
@@ -157,6 +181,7 @@ fn samples(folder: &Path) -> Vec<Sample> {
     let features = &[
         "mer",
         "features",
+        "--data",
         "clips:DIR/faces.csv",
         "--method",
         "farneback",
@@ -169,6 +194,21 @@ fn samples(folder: &Path) -> Vec<Sample> {
     let (eyes, dlib) = (eyes(), dlib());
     samples.push(Sample { name: "eyes", bytes: eyes.into(), file: "eyes.csv", arguments: features });
     samples.push(Sample { name: "landmarks", bytes: dlib.into(), file: "dlib.csv", arguments: features });
+    let network = include_bytes!("../../../face/tests/golden/operations.tflite");
+    const DETECTOR: &str = "face_detection_short_range.tflite";
+    let wheel = archive(&[(format!("mediapipe/modules/face_detection/{DETECTOR}"), network.to_vec())]);
+    samples.push(Sample {
+        name: "network for faces",
+        bytes: network.into(),
+        file: DETECTOR,
+        arguments: FACES_OF_FOLDER,
+    });
+    samples.push(Sample {
+        name: "package for faces",
+        bytes: wheel,
+        file: "models.whl",
+        arguments: FACES_OF_FILE,
+    });
     let sheet = &["mer", "data", "--labels-only", "--clips", "smic:DIR", "--annotations", "smic:FILE"];
     samples.push(Sample { name: "xlsx", bytes: workbook(&[]), file: "a.xlsx", arguments: sheet });
     let predictions = "method,set,dataset,subject,clip,truth,epoch,predicted,score_negative,score_positive,\

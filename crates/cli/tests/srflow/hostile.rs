@@ -878,6 +878,7 @@ fn lying_zip64_counts_are_refused() {
         "a.npz",
         "a.npz16",
         "parameters",
+        "package for faces",
         "xlsx",
         "zip.pth",
         "lightning.ckpt",

@@ -63,7 +63,7 @@ impl Avatar {
 impl Avatar {
     /// The person of `seed` on the built-in head: the seed determines shape, skin, hair and eyes, alike on every machine.
     #[staticmethod]
-    #[pyo3(signature = (seed=1))]
+    #[pyo3(signature = (seed: "int" = 1) -> "Avatar")]
     fn builtin(py: Python<'_>, seed: u64) -> PyResult<Self> {
         Self::of(py, HeadSource::builtin(), seed)
     }
@@ -71,7 +71,7 @@ impl Avatar {
     /// A person on any head: `head` is what `--head` of the command line takes ("builtin", "ict:DIR", "flame:FILE", "gltf:FILE",
     /// "avatar:DIR", ...), or the folder of a trained avatar. `seed` determines what the files leave open.
     #[staticmethod]
-    #[pyo3(signature = (head, seed=1))]
+    #[pyo3(signature = (head: "str | os.PathLike[str]", seed: "int" = 1) -> "Avatar")]
     fn read(py: Python<'_>, head: PathBuf, seed: u64) -> PyResult<Self> {
         let text = head.to_string_lossy();
         let source = match text.parse::<HeadSource>() {
@@ -87,8 +87,16 @@ impl Avatar {
     /// `units` are action units of FACS and their intensities from 0 to 1: `{12: 0.8, "6_L": 0.5}`; `_L` and `_R` are the subject's left and
     /// right half. The others are turns, axis times angle in radians, float32, 3: `rotation` of everything, `neck`, `jaw`, and `eyes` (3, or
     /// 2 x 3 for left and right). A turn around +x looks down, around +y to the subject's left. `translation` is in metres.
-    #[pyo3(signature = (units=None, *, rotation=None, neck=None, jaw=None, eyes=None, translation=None))]
     #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
+    #[pyo3(signature = (
+        units: "dict[int | str, float] | None" = None,
+        *,
+        rotation: "ArrayLike | None" = None,
+        neck: "ArrayLike | None" = None,
+        jaw: "ArrayLike | None" = None,
+        eyes: "ArrayLike | None" = None,
+        translation: "ArrayLike | None" = None
+    ) -> "Gaussians")]
     fn pose(
         &self,
         py: Python<'_>,
@@ -122,6 +130,7 @@ impl Avatar {
     }
 
     /// The Gaussians at a timestep, from 0, of the motion that the person was recorded in.
+    #[pyo3(signature = (timestep: "int") -> "Gaussians")]
     fn at(&self, py: Python<'_>, timestep: usize) -> PyResult<Gaussians> {
         let motion = self.avatar.own_motion();
         let pose = motion

@@ -40,7 +40,15 @@ impl Camera {
 #[pymethods]
 impl Camera {
     #[new]
-    #[pyo3(signature = (width, height, fx, fy=None, cx=None, cy=None, camera_from_world=None))]
+    #[pyo3(signature = (
+        width: "int",
+        height: "int",
+        fx: "float",
+        fy: "float | None" = None,
+        cx: "float | None" = None,
+        cy: "float | None" = None,
+        camera_from_world: "ArrayLike | None" = None
+    ) -> "Camera")]
     fn new(
         width: usize,
         height: usize,
@@ -74,7 +82,7 @@ impl Camera {
 
     /// A camera that shows all of these Gaussians from the front: from +z, where +y is up. Outliers are ignored.
     #[staticmethod]
-    #[pyo3(signature = (gaussians, width=800, height=800))]
+    #[pyo3(signature = (gaussians: "Gaussians", width: "int" = 800, height: "int" = 800) -> "Camera")]
     fn facing(py: Python<'_>, gaussians: &Gaussians, width: usize, height: usize) -> PyResult<Self> {
         let gaussians = gaussians.inner.clone();
         let seen = compute(py, move || Surroundings::of(&gaussians))?;
@@ -87,7 +95,10 @@ impl Camera {
     ///
     /// `size` is (width, height) for formats that do not store it; by default it is that of the pictures that the file lists.
     #[staticmethod]
-    #[pyo3(signature = (path, size=None))]
+    #[pyo3(signature = (
+        path: "str | os.PathLike[str]",
+        size: "tuple[int, int] | None" = None
+    ) -> "list[Camera]")]
     fn read(py: Python<'_>, path: PathBuf, size: Option<(usize, usize)>) -> PyResult<Vec<Self>> {
         let cameras = compute(py, move || read_cameras(&path, size))?.map_err(exception)?;
         let camera = |NamedCamera { name, camera, distortion }| Self { inner: camera, name, distortion };
@@ -95,6 +106,7 @@ impl Camera {
     }
 
     /// The same view at another resolution.
+    #[pyo3(signature = (width: "int", height: "int") -> "Camera")]
     fn resized(&self, width: usize, height: usize) -> PyResult<Self> {
         let Self { name, distortion, .. } = self;
         let inner = Self::checked(self.inner.resized((width, height)))?.inner;
@@ -103,6 +115,7 @@ impl Camera {
 
     /// `count` cameras on a circle around `center` (world units), beginning with this one and `degrees / count` apart: to the right where
     /// that is positive.
+    #[pyo3(signature = (center: "ArrayLike", degrees: "float", count: "int") -> "list[Camera]")]
     fn orbit(&self, center: &Bound<'_, PyAny>, degrees: f64, count: usize) -> PyResult<Vec<Self>> {
         let center = arrays::vector::<f64, 3>(center, "center", "a point, float64 3")?;
         if !degrees.is_finite() || count > 1_000_000 {

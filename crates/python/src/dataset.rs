@@ -28,7 +28,7 @@ pub struct Dataset {
 #[pymethods]
 impl Dataset {
     #[new]
-    #[pyo3(signature = (spec, split=None))]
+    #[pyo3(signature = (spec: "str", split: "str | None" = None) -> "Dataset")]
     fn new(py: Python<'_>, spec: String, split: Option<&str>) -> PyResult<Self> {
         let parsed: DatasetSpec = spec.parse().map_err(exception)?;
         let split: Option<Split> = split

@@ -29,7 +29,7 @@ pub struct FaceFinder {
 #[pymethods]
 impl FaceFinder {
     #[new]
-    #[pyo3(signature = (models=None))]
+    #[pyo3(signature = (models: "str | os.PathLike[str] | None" = None) -> "FaceFinder")]
     fn new(py: Python<'_>, models: Option<PathBuf>) -> PyResult<Self> {
         let named = || std::env::var_os(srflow::FACE_MODELS_VARIABLE).map(PathBuf::from);
         let Some(models) = models.or_else(named).or_else(|| installed(py)) else {
@@ -42,6 +42,7 @@ impl FaceFinder {
         Ok(Self { models, finder: Arc::new(finder) })
     }
 
+    #[pyo3(signature = (frame: "ArrayLike", /) -> "list[Face]")]
     fn __call__<'py>(&self, py: Python<'py>, frame: &Bound<'py, PyAny>) -> PyResult<Vec<Bound<'py, PyDict>>> {
         let frame = arrays::image(frame, "frame")?;
         let (size, finder) = (frame.size(), self.finder.clone());
@@ -82,6 +83,7 @@ fn installed(py: Python<'_>) -> Option<PathBuf> {
 /// `frame` is uint8, H x W x 3 (RGB) or H x W; `landmarks` are dlib's 68 points or the two eyes, x and y in pixels, the left one in the picture
 /// first. Crop all frames of a clip by the landmarks of one. Returns uint8, S x S x 3; outside of the frame its border is repeated.
 #[pyfunction]
+#[pyo3(signature = (frame: "ArrayLike", landmarks: "ArrayLike") -> "NDArray[np.uint8]")]
 pub fn crop_face<'py>(
     py: Python<'py>,
     frame: &Bound<'py, PyAny>,

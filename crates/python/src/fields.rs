@@ -15,6 +15,7 @@ use crate::errors::exception;
 ///
 /// Returns float32, H x W x 2 in pixels (u to the right, v down); unknown pixels are NaN.
 #[pyfunction]
+#[pyo3(signature = (path: "str | os.PathLike[str]") -> "NDArray[np.float32]")]
 pub fn read_flow(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
     let flow = compute(py, move || srflow_field::read_flow(&path))?.map_err(exception)?;
     arrays::from_flow(py, flow)
@@ -24,6 +25,7 @@ pub fn read_flow(py: Python<'_>, path: PathBuf) -> PyResult<Bound<'_, PyAny>> {
 ///
 /// The file appears whole or not at all.
 #[pyfunction]
+#[pyo3(signature = (path: "str | os.PathLike[str]", flow: "ArrayLike") -> "None")]
 pub fn write_flow(py: Python<'_>, path: PathBuf, flow: &Bound<'_, PyAny>) -> PyResult<()> {
     let flow = arrays::flow(flow, "flow")?;
     compute(py, move || srflow_field::write_flow(&path, &flow))?.map_err(exception)
@@ -33,7 +35,7 @@ pub fn write_flow(py: Python<'_>, path: PathBuf, flow: &Bound<'_, PyAny>) -> PyR
 ///
 /// `max_flow` is the length in pixels with full saturation; by default that of the longest flow. Returns uint8, H x W x 3.
 #[pyfunction]
-#[pyo3(signature = (flow, max_flow=None))]
+#[pyo3(signature = (flow: "ArrayLike", max_flow: "float | None" = None) -> "NDArray[np.uint8]")]
 pub fn flow_to_rgb<'py>(
     py: Python<'py>,
     flow: &Bound<'py, PyAny>,
@@ -53,6 +55,7 @@ pub fn flow_to_rgb<'py>(
 /// Returns the image, uint8 H x W x 3, and bool H x W: whether the flow is known and ends inside the frame. Elsewhere the image is
 /// black.
 #[pyfunction]
+#[pyo3(signature = (frame2: "ArrayLike", flow: "ArrayLike") -> "tuple[NDArray[np.uint8], NDArray[np.bool_]]")]
 pub fn warp<'py>(
     py: Python<'py>,
     frame2: &Bound<'py, PyAny>,
@@ -68,7 +71,11 @@ pub fn warp<'py>(
 /// Elsewhere a pixel is hidden in frame 2, leaves it, or one of the flows is wrong. `pixels` is how far from the start it may end;
 /// without it the rule is UnFlow's, |f + b|^2 < 0.01 (|f|^2 + |b|^2) + 0.5.
 #[pyfunction]
-#[pyo3(signature = (forward, backward, pixels=None))]
+#[pyo3(signature = (
+    forward: "ArrayLike",
+    backward: "ArrayLike",
+    pixels: "float | None" = None
+) -> "NDArray[np.bool_]")]
 pub fn consistency<'py>(
     py: Python<'py>,
     forward: &Bound<'py, PyAny>,
@@ -86,7 +93,11 @@ pub fn consistency<'py>(
 /// Returns a dict: `epe` (mean end-point error, pixels), `px1`, `px3`, `px5` (fractions under so many pixels), `f1_all` (percentage of
 /// outliers, over 3 pixels and 5 %), `wauc` (0 to 100) and `valid_pixels`, as ptlflow defines them.
 #[pyfunction]
-#[pyo3(signature = (prediction, truth, mask=None))]
+#[pyo3(signature = (
+    prediction: "ArrayLike",
+    truth: "ArrayLike",
+    mask: "ArrayLike | None" = None
+) -> "Metrics")]
 pub fn metrics<'py>(
     py: Python<'py>,
     prediction: &Bound<'py, PyAny>,

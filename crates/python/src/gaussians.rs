@@ -44,7 +44,14 @@ fn degree(coefficients: usize) -> Option<usize> {
 #[pymethods]
 impl Gaussians {
     #[new]
-    #[pyo3(signature = (means, scales, rotations, opacities, sh, antialiased=false))]
+    #[pyo3(signature = (
+        means: "ArrayLike",
+        scales: "ArrayLike",
+        rotations: "ArrayLike",
+        opacities: "ArrayLike",
+        sh: "ArrayLike",
+        antialiased: "bool" = false
+    ) -> "Gaussians")]
     fn new(
         means: &Bound<'_, PyAny>,
         scales: &Bound<'_, PyAny>,
@@ -82,44 +89,52 @@ impl Gaussians {
 
     /// Reads a file of 3D Gaussians by its extension, in the coordinates of the file: .ply of 3D Gaussian Splatting, .splat, .spz or .glb.
     #[staticmethod]
+    #[pyo3(signature = (path: "str | os.PathLike[str]") -> "Gaussians")]
     fn read(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
         Ok(compute(py, move || read_gaussians(&path))?.map_err(exception)?.into())
     }
 
     /// Writes a file of 3D Gaussians by its extension: .ply of 3D Gaussian Splatting, .splat, .spz or .glb. Of these, .ply and .glb keep every
     /// value. The file appears whole or not at all.
+    #[pyo3(signature = (path: "str | os.PathLike[str]") -> "None")]
     fn write(&self, py: Python<'_>, path: PathBuf) -> PyResult<()> {
         let gaussians = self.inner.clone();
         compute(py, move || write_gaussians(&path, &gaussians))?.map_err(exception)
     }
 
+    /// Centers, float32, N x 3.
     #[getter]
     fn means<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         vectors(py, &self.inner.positions)
     }
 
+    /// Standard deviations along the axes, float32, N x 3.
     #[getter]
     fn scales<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         vectors(py, &self.inner.scales)
     }
 
+    /// Quaternions x, y, z, w, float32, N x 4.
     #[getter]
     fn rotations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let values = self.inner.rotations.iter().flat_map(|rotation| rotation.to_array()).collect();
         arrays::new_array::<f32>(py, values, &[self.inner.len(), 4])
     }
 
+    /// From 0 to 1, float32, N.
     #[getter]
     fn opacities<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         arrays::new_array(py, self.inner.opacities.clone(), &[self.inner.len()])
     }
 
+    /// Spherical harmonics, float32, N x coefficients x 3.
     #[getter]
     fn sh<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let shape = [self.inner.len(), self.inner.sh_len(), 3];
         arrays::new_array(py, self.inner.sh.as_flattened().to_vec(), &shape)
     }
 
+    /// Whether they were made for antialiased rasterizing.
     #[getter]
     fn antialiased(&self) -> bool {
         self.inner.antialiased

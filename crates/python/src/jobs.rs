@@ -22,7 +22,12 @@ use crate::options::{options, with_path};
 ///
 /// Returns a dict, as the command prints with `--json`: `pairs`, `made`, `bytes`, `seconds`, `stopped`, `statistics`, ...
 #[pyfunction]
-#[pyo3(signature = (out, *, callback=None, **options))]
+#[pyo3(signature = (
+    out: "str | os.PathLike[str]",
+    *,
+    callback: "Callable[[dict[str, int]], object] | None" = None,
+    **options: "Any"
+) -> "dict[str, Any]")]
 pub fn render<'py>(
     py: Python<'py>,
     out: PathBuf,
@@ -45,7 +50,13 @@ pub fn render<'py>(
 /// Returns a dict, as the command prints with `--json`: `run`, `steps`, `stopped`, `best`, `weights` (a file for `Network`), ... With
 /// `print_config=True` nothing is trained, and it is the configuration.
 #[pyfunction]
-#[pyo3(signature = (config=None, out=None, *, callback=None, **options))]
+#[pyo3(signature = (
+    config: "str | os.PathLike[str] | None" = None,
+    out: "str | os.PathLike[str] | None" = None,
+    *,
+    callback: "Callable[[dict[str, Any]], object] | None" = None,
+    **options: "Any"
+) -> "dict[str, Any]")]
 pub fn train<'py>(
     py: Python<'py>,
     config: Option<PathBuf>,

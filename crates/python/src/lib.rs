@@ -26,6 +26,7 @@ static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();
 
 /// Runs the command `srflow` with the arguments of a process, of which the first is its name. Returns its exit code.
 #[pyfunction]
+#[pyo3(signature = (arguments: "list[str]") -> "int")]
 fn run(py: Python<'_>, arguments: Vec<OsString>) -> u8 {
     py.detach(|| srflow::run(arguments))
 }

@@ -33,7 +33,15 @@ fn named<T: std::str::FromStr<Err = String>>(name: &str, value: &str) -> PyResul
 ///
 /// Returns float32, 3 x 112 x 112: u, v (pixels of 112 x 112) and strain, as `srflow mer features` writes them.
 #[pyfunction]
-#[pyo3(signature = (onset, apex, method=None, *, resize="before", strain="literature", **options))]
+#[pyo3(signature = (
+    onset: "ArrayLike",
+    apex: "ArrayLike",
+    method: "str | None" = None,
+    *,
+    resize: "str" = "before",
+    strain: "str" = "literature",
+    **options: "Any"
+) -> "NDArray[np.float32]")]
 pub fn features<'py>(
     py: Python<'py>,
     onset: &Bound<'py, PyAny>,
@@ -61,7 +69,7 @@ pub fn features<'py>(
 /// `formula` is "literature", sqrt(ux^2 + vy^2 + (uy + vx)^2 / 2) with derivatives per pixel, or "off-tanet", what the code of that network
 /// computes. Returns float32, H x W; NaN beside unknown pixels of the flow.
 #[pyfunction]
-#[pyo3(signature = (flow, formula="literature"))]
+#[pyo3(signature = (flow: "ArrayLike", formula: "str" = "literature") -> "NDArray[np.float32]")]
 pub fn strain<'py>(py: Python<'py>, flow: &Bound<'py, PyAny>, formula: &str) -> PyResult<Bound<'py, PyAny>> {
     let flow = arrays::flow(flow, "flow")?;
     let formula: StrainFormula = named("formula", formula)?;
@@ -77,7 +85,13 @@ pub fn strain<'py>(py: Python<'py>, flow: &Bound<'py, PyAny>, formula: &str) -> 
 /// geometric mean of recalls; each the mean over folds), `uf1` and `uar` (unweighted F1 and recall over all classes, of all folds pooled), and
 /// `confusion`, int64, true x predicted.
 #[pyfunction]
-#[pyo3(signature = (truth, predicted, subjects, *, classes=None))]
+#[pyo3(signature = (
+    truth: "ArrayLike",
+    predicted: "ArrayLike",
+    subjects: "Iterable[object]",
+    *,
+    classes: "int | None" = None
+) -> "Scores")]
 pub fn metrics<'py>(
     py: Python<'py>,
     truth: &Bound<'py, PyAny>,
@@ -307,8 +321,19 @@ impl Training {
 /// Returns a dict: `last`, the scores after the last epoch (those of `metrics`); `best`, each of the paper's metrics at its best epoch;
 /// `epochs`; `baseline`; `folds`; `classes`, and `predictions`, int64, N, after the last epoch in the order of the clips.
 #[pyfunction]
-#[pyo3(signature = (features, classifier=None, *, callback=None, folder=None, epochs=None, record_every=None, batch=None, learning_rate=None, seed=None))]
 #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
+#[pyo3(signature = (
+    features: "Mapping[str, Any]",
+    classifier: "Callable[[NDArray[Any], NDArray[np.int64], NDArray[Any]], ArrayLike] | str | None" = None,
+    *,
+    callback: "Callable[[dict[str, int]], object] | None" = None,
+    folder: "str | os.PathLike[str] | None" = None,
+    epochs: "int | None" = None,
+    record_every: "int | None" = None,
+    batch: "int | None" = None,
+    learning_rate: "float | None" = None,
+    seed: "int | None" = None
+) -> "Results")]
 pub fn loso<'py>(
     py: Python<'py>,
     features: &Bound<'py, PyAny>,

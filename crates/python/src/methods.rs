@@ -53,7 +53,14 @@ fn estimate<'py>(
 ///
 /// A network is loaded at each call; for several pairs, load it once with `Network`.
 #[pyfunction]
-#[pyo3(signature = (frame1, frame2, method=None, *, initial=None, **options))]
+#[pyo3(signature = (
+    frame1: "ArrayLike",
+    frame2: "ArrayLike",
+    method: "str | None" = None,
+    *,
+    initial: "ArrayLike | None" = None,
+    **options: "Any"
+) -> "NDArray[np.float32]")]
 pub fn flow<'py>(
     py: Python<'py>,
     frame1: &Bound<'py, PyAny>,
@@ -79,7 +86,11 @@ pub struct Network {
 #[pymethods]
 impl Network {
     #[new]
-    #[pyo3(signature = (name="srflow", weights=None, **options))]
+    #[pyo3(signature = (
+        name: "str" = "srflow",
+        weights: "str | os.PathLike[str] | None" = None,
+        **options: "Any"
+    ) -> "Network")]
     fn new(
         py: Python<'_>,
         name: &str,
@@ -102,7 +113,12 @@ impl Network {
     }
 
     /// The flow from `frame1` to `frame2`, as of `srflow.flow`.
-    #[pyo3(signature = (frame1, frame2, *, initial=None))]
+    #[pyo3(signature = (
+        frame1: "ArrayLike",
+        frame2: "ArrayLike",
+        *,
+        initial: "ArrayLike | None" = None
+    ) -> "NDArray[np.float32]")]
     fn __call__<'py>(
         &self,
         frame1: &Bound<'py, PyAny>,
@@ -115,7 +131,7 @@ impl Network {
     /// Flow along a video, frame by frame; what was computed from a frame is used again for the next pair.
     ///
     /// With `warm_start` a pair starts from the flow of the pair before.
-    #[pyo3(signature = (*, warm_start=false))]
+    #[pyo3(signature = (*, warm_start: "bool" = false) -> "Sequence")]
     fn sequence(&self, warm_start: bool) -> PyResult<Sequence> {
         Sequence::new(self.estimator.clone(), warm_start)
     }
@@ -160,6 +176,7 @@ impl Sequence {
 impl Sequence {
     /// Adds the next frame. Returns `None` for the first one, then a dict: `flow` from the frame before to this one (float32, H x W x 2)
     /// and, if the network predicts them, `uncertainty` (expected error in pixels) and `occlusion` (probability), float32 H x W.
+    #[pyo3(signature = (frame: "ArrayLike") -> "Estimate | None")]
     fn push<'py>(&self, frame: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyDict>>> {
         let py = frame.py();
         let frame = arrays::image(frame, "frame")?;

@@ -104,8 +104,18 @@ fn color(object: &Bound<'_, PyAny>) -> PyResult<[f32; 3]> {
 /// - with flow, `flow`: float32, H x W x 2 in pixels, blended as colour is: not divided by alpha; `flow_normalized` is divided by it.
 /// - with flow, `depth_next`: float32, expected depth of the same Gaussians in the next frame.
 #[pyfunction]
-#[pyo3(signature = (gaussians, camera, next=None, *, camera_next=None, background=None, sort_per_pixel=false, antialiased=None, pixel_convention="splat"))]
 #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
+#[pyo3(signature = (
+    gaussians: "Gaussians",
+    camera: "Camera",
+    next: "Gaussians | None" = None,
+    *,
+    camera_next: "Camera | None" = None,
+    background: "ArrayLike | str | None" = None,
+    sort_per_pixel: "bool" = false,
+    antialiased: "bool | None" = None,
+    pixel_convention: "str" = "splat"
+) -> "Frame")]
 pub fn rasterize<'py>(
     py: Python<'py>,
     gaussians: &Gaussians,
@@ -190,8 +200,19 @@ fn gradients_of(given: &Bound<'_, PyDict>, (width, height): (usize, usize)) -> P
 ///   same with absolute values summed: what adaptive density control measures.
 /// - `visible`: bool, N, whether each Gaussian can touch a pixel.
 #[pyfunction]
-#[pyo3(signature = (gradients, gaussians, camera, next=None, *, camera_next=None, background=None, sort_per_pixel=false, antialiased=None, pixel_convention="splat"))]
 #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
+#[pyo3(signature = (
+    gradients: "dict[str, Any]",
+    gaussians: "Gaussians",
+    camera: "Camera",
+    next: "Gaussians | None" = None,
+    *,
+    camera_next: "Camera | None" = None,
+    background: "ArrayLike | str | None" = None,
+    sort_per_pixel: "bool" = false,
+    antialiased: "bool | None" = None,
+    pixel_convention: "str" = "splat"
+) -> "Gradients")]
 pub fn rasterize_backward<'py>(
     py: Python<'py>,
     gradients: &Bound<'py, PyDict>,

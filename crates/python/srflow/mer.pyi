@@ -1,4 +1,4 @@
-"""Types of the functions; their documentation is in the module. `tests/test_stubs.py` holds the two together."""
+"""Types of the functions; their documentation is in the module. Written by crates/python/stubs.py."""
 
 import os
 from collections.abc import Callable, Iterable, Mapping
@@ -36,6 +36,9 @@ def features(
     **options: Any,
 ) -> NDArray[np.float32]: ...
 def strain(flow: ArrayLike, formula: str = "literature") -> NDArray[np.float32]: ...
+def metrics(
+    truth: ArrayLike, predicted: ArrayLike, subjects: Iterable[object], *, classes: int | None = None
+) -> Scores: ...
 def loso(
     features: Mapping[str, Any],
     classifier: Callable[[NDArray[Any], NDArray[np.int64], NDArray[Any]], ArrayLike] | str | None = None,
@@ -48,6 +51,3 @@ def loso(
     learning_rate: float | None = None,
     seed: int | None = None,
 ) -> Results: ...
-def metrics(
-    truth: ArrayLike, predicted: ArrayLike, subjects: Iterable[object], *, classes: int | None = None
-) -> Scores: ...

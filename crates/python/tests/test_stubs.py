@@ -1,4 +1,5 @@
 import ast
+import importlib.util
 import inspect
 import pathlib
 
@@ -57,6 +58,16 @@ def test_the_stubs_have_every_function_with_its_parameters(file, module):
                 itself = 0 if decorators == ["staticmethod"] else 1
                 expected = of_signature(getattr(item, method), itself)
                 assert parameters(node.args, itself) == expected, f"{name}.{method}"
+
+
+@pytest.mark.parametrize("file", ["_srflow.pyi", "mer.pyi"])
+def test_the_stubs_are_fresh(file):
+    script = pathlib.Path(__file__).parents[1] / "stubs.py"
+    spec = importlib.util.spec_from_file_location("stubs", script)
+    stubs = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(stubs)
+    stored = (pathlib.Path(srflow.__file__).parent / file).read_text()
+    assert stored == stubs.stub(file), "run python crates/python/stubs.py"
 
 
 def test_everything_public_is_exported():

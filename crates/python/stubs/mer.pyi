@@ -1,0 +1,25 @@
+import os
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+class Scores(TypedDict):
+    p_m: float
+    r_m: float
+    f1_m: float
+    f1_mu: float
+    g_m: float
+    uf1: float
+    uar: float
+    confusion: NDArray[np.int64]
+
+class Results(TypedDict):
+    last: dict[str, Any]
+    best: list[dict[str, Any]]
+    epochs: list[dict[str, Any]]
+    baseline: dict[str, Any]
+    folds: list[dict[str, Any]]
+    classes: list[str]
+    predictions: NDArray[np.int64]

@@ -223,7 +223,13 @@ impl Parameters<'_> {
         let found = self.inputs.get(position).and_then(|input| {
             Some((self.tensors[*input].shape.as_slice(), self.constants[*input].as_deref()?))
         });
-        found.ok_or_else(|| unknown(format!("expected weights as input {position} of an operation")))
+        let (shape, numbers) =
+            found.ok_or_else(|| unknown(format!("expected weights as input {position} of an operation")))?;
+        // Widened weights have a shape of their own, which may be another than that of the narrow ones.
+        match shape.iter().try_fold(1_usize, |len, size| len.checked_mul(*size)) {
+            Some(len) if len == numbers.len() => Ok((shape, numbers)),
+            _ => Err(unknown(format!("expected numbers for a tensor of {shape:?}, found {}", numbers.len()))),
+        }
     }
 
     /// Whole numbers of an input that the file holds.

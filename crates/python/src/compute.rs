@@ -86,8 +86,8 @@ impl<E> Reporter<E> {
     }
 }
 
-/// What the thread that waits is told.
-enum Told<E, R> {
+/// From the thread that computes to the one that waits.
+enum Message<E, R> {
     Event(E),
     Done(R),
 }
@@ -99,25 +99,25 @@ pub fn compute_reporting<E: Send + 'static, R: Send + 'static>(
     mut on_event: impl FnMut(E) -> PyResult<()>,
     work: impl FnOnce(&Reporter<E>) -> R + Send + 'static,
 ) -> PyResult<R> {
-    let ((sender, mut told), (answer, answered)) = (channel(), channel());
+    let ((sender, mut messages), (answer, answered)) = (channel(), channel());
     let stop = Arc::new(AtomicBool::new(false));
     let events = sender.clone();
     let tell = move |event| {
-        events.send(Told::Event(event)).ok()?;
+        events.send(Message::Event(event)).ok()?;
         answered.recv().ok()
     };
     let reporter = Reporter { tell: Mutex::new(Box::new(tell)), stop: stop.clone() };
     // Not the threads of `compute`: the callback may compute too, while this work waits for it.
     new_threads()?.spawn(move || {
         if let Ok(found) = catch_unwind(AssertUnwindSafe(|| work(&reporter))) {
-            _ = sender.send(Told::Done(found));
+            _ = sender.send(Message::Done(found));
         }
     });
     let mut failed: Option<PyErr> = None;
     loop {
-        let error = match wait_for(py, &mut told) {
-            Ok(Told::Done(found)) => return failed.map_or(Ok(found), Err),
-            Ok(Told::Event(event)) => {
+        let error = match wait_for(py, &mut messages) {
+            Ok(Message::Done(found)) => return failed.map_or(Ok(found), Err),
+            Ok(Message::Event(event)) => {
                 let heard = if failed.is_none() { on_event(event) } else { Ok(()) };
                 stop.fetch_or(heard.is_err(), Ordering::Relaxed);
                 _ = answer.send(());

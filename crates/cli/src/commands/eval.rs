@@ -1,4 +1,4 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
@@ -215,7 +215,7 @@ fn face_windows(
     limit: Option<usize>,
 ) -> anyhow::Result<Option<BTreeMap<String, Result<Window, String>>>> {
     let Some(mut boxes) = args.face.boxes()? else { return Ok(None) };
-    let names = scored_pairs(dataset, limit);
+    let names: BTreeSet<String> = scored_pairs(dataset, limit).into_iter().collect();
     let bar = bar(names.len() as u64, "{bar:30} {pos}/{len} faces, {eta} left");
     let mut windows = BTreeMap::new();
     for entry in dataset.entries().iter().filter(|entry| names.contains(&entry.id())) {

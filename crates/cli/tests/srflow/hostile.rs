@@ -71,30 +71,13 @@ const MOTION_OF_FOLDER: &[&str] = &[
     "DIR/out",
     "--force",
 ];
-const FACES_OF_FILE: &[&str] = &[
-    "flow",
-    "DIR/frame1.png",
-    "DIR/frame2.png",
-    "-o",
-    "DIR/out.flo",
-    "--force",
-    "--face",
-    "detect",
-    "--face-models",
-    "FILE",
-];
-const FACES_OF_FOLDER: &[&str] = &[
-    "flow",
-    "DIR/frame1.png",
-    "DIR/frame2.png",
-    "-o",
-    "DIR/out.flo",
-    "--force",
-    "--face",
-    "detect",
-    "--face-models",
-    "DIR",
-];
+/// Finding a face with these networks.
+const fn faces_by(models: &'static str) -> [&'static str; 10] {
+    let [first, second, out] = ["DIR/frame1.png", "DIR/frame2.png", "DIR/out.flo"];
+    ["flow", first, second, "-o", out, "--force", "--face", "detect", "--face-models", models]
+}
+const FACES_OF_FILE: &[&str] = &faces_by("FILE");
+const FACES_OF_FOLDER: &[&str] = &faces_by("DIR");
 const CLIPS: &str =
     "clip,subject,onset,apex,offset,class,label\nc1,s1,1,3,5,negative,fear\nc2,s2,2,,9,surprise,x\n";
 

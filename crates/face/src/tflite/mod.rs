@@ -25,6 +25,7 @@ pub(crate) struct Network {
     slots: usize,
     operations: Vec<Step>,
     outputs: Vec<usize>,
+    output_lens: Vec<usize>,
 }
 
 /// An operation, and where it takes its inputs from and puts its output.
@@ -55,13 +56,19 @@ impl Network {
         if bytes.get(4..8) != Some(b"TFL3") {
             return Err("expected a TFLite file (TFL3 from its fifth byte on)".to_owned());
         }
-        let network = read(bytes).map_err(|problem| match problem {
+        let mut network = read(bytes).map_err(|problem| match problem {
             Problem::Broken(Broken { at }) => format!("the file is damaged at byte {at}; copy it again"),
             Problem::Unknown(problem) => problem,
         })?;
         let [height, width] = network.input;
-        network.run(&vec![0.0; 3 * height * width])?;
+        let outputs = network.run(&vec![0.0; 3 * height * width])?;
+        network.output_lens = outputs.iter().map(Vec::len).collect();
         Ok(network)
+    }
+
+    /// Numbers of each output.
+    pub(crate) fn output_lens(&self) -> &[usize] {
+        &self.output_lens
     }
 
     /// Height and width of the input.
@@ -174,7 +181,14 @@ fn read(bytes: &[u8]) -> Result<Network, Problem> {
         operations.push(Step { operation, inputs: variables, output });
     }
     let outputs = graph.ints(2)?.into_iter().map(slot).collect::<Result<_, _>>()?;
-    Ok(Network { input: [height, width], input_slot, slots: tensors.len(), operations, outputs })
+    Ok(Network {
+        input: [height, width],
+        input_slot,
+        slots: tensors.len(),
+        operations,
+        outputs,
+        output_lens: Vec::new(),
+    })
 }
 
 fn described<'a>(tensor: &Table<'a>, buffers: &[Table<'a>]) -> Result<Described<'a>, Problem> {

@@ -22,7 +22,7 @@ pub enum AvatarError {
     #[error(
         "{0}. An ICT-FaceKit folder (FaceXModel) contains generic_neutral_mesh.obj, vertex_indices.json, identityNNN.obj and one OBJ per expression"
     )]
-    IctFolder(FileError),
+    IctFolder(#[source] FileError),
     /// A file is malformed.
     #[error("{}:{line}: {problem}", .path.display())]
     Malformed {
@@ -66,7 +66,11 @@ pub enum AvatarError {
     Parameters(#[from] ParametersError),
     /// The files of an avatar do not fit the head model.
     #[error("{}: {error}", .dir.display())]
-    Misfit { dir: PathBuf, error: Box<AvatarError> },
+    Misfit {
+        dir: PathBuf,
+        #[source]
+        error: Box<AvatarError>,
+    },
     /// An avatar was not trained on this capture.
     #[error("{}: not the capture that the avatar was trained on: {problem}; give the one that it was", .dir.display())]
     OtherCapture {

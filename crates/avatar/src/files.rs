@@ -90,6 +90,9 @@ pub(crate) fn last_iteration(dir: &Path) -> Result<PathBuf, FileError> {
     if dir.join(GAUSSIANS).is_file() {
         return Ok(dir.to_owned());
     }
+    let advice = "give the folder of an avatar, with point_cloud.ply and flame_param.npz, or point_cloud/iteration_N with them";
+    let no_folder = |error| FileProblem::Place { doing: "opening", error, advice };
+    std::fs::read_dir(dir).map_err(|error| no_folder(error).in_file(dir))?;
     let iterations = std::fs::read_dir(dir.join("point_cloud")).into_iter().flatten().flatten();
     let numbered = iterations.filter_map(|entry| {
         let number: u64 = entry.file_name().to_str()?.strip_prefix("iteration_")?.parse().ok()?;
@@ -99,8 +102,8 @@ pub(crate) fn last_iteration(dir: &Path) -> Result<PathBuf, FileError> {
         let problem = FileProblem::Field {
             field: "folder",
             expected: format!("the folder of an avatar, with {GAUSSIANS} and {PARAMETERS}, or point_cloud/iteration_N with them"),
-            found: if dir.is_dir() { "neither".to_owned() } else { "no folder".to_owned() },
+            found: "neither".to_owned(),
         };
-        FileError { path: dir.to_owned(), problem }
+        problem.in_file(dir)
     })
 }

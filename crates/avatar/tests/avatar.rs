@@ -287,8 +287,14 @@ fn files_of_another_head_are_refused() {
     assert!(AvatarFiles::read(folder.path()).unwrap_err().to_string().contains("flame_param.npz: opening"));
     let nowhere = AvatarFiles::read(&folder.path().join("nowhere")).unwrap_err().to_string();
     assert!(
-        nowhere.contains("with point_cloud.ply and flame_param.npz") && nowhere.contains("no folder"),
+        nowhere.contains("nowhere: opening: ") && nowhere.contains("point_cloud.ply and flame"),
         "{nowhere}"
+    );
+    std::fs::create_dir(folder.path().join("empty")).unwrap();
+    let empty = AvatarFiles::read(&folder.path().join("empty")).unwrap_err().to_string();
+    assert!(
+        empty.contains("with point_cloud.ply and flame_param.npz") && empty.ends_with("found neither"),
+        "{empty}"
     );
 }
 

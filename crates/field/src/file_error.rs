@@ -8,6 +8,7 @@ use crate::{excerpt, printable};
 #[error("{}: {problem}", printable(&.path.to_string_lossy()))]
 pub struct FileError {
     pub path: PathBuf,
+    #[source]
     pub problem: FileProblem,
 }
 
@@ -26,13 +27,15 @@ pub enum FileProblem {
     Io {
         /// The operation, e.g. `opening`.
         doing: &'static str,
+        #[source]
         error: io::Error,
     },
-    /// The operating system reported an error for an output path.
+    /// The operating system reported an error for a path that the user chose.
     #[error("{doing}: {error}; {advice}")]
     Place {
         /// The operation, e.g. `creating`.
         doing: &'static str,
+        #[source]
         error: io::Error,
         /// Advice on the path.
         advice: &'static str,

@@ -30,7 +30,11 @@ pub enum LockError {
         holder: String,
     },
     #[error("{}: locking the file: {error}", .path.display())]
-    Io { path: PathBuf, error: io::Error },
+    Io {
+        path: PathBuf,
+        #[source]
+        error: io::Error,
+    },
 }
 
 impl RunLock {

@@ -12,7 +12,11 @@ use crate::{FileError, FileKind, parse_error_in_words, read_text};
 #[derive(Debug, thiserror::Error)]
 pub enum SettingsError {
     #[error("{error}; pass a TOML file or one of the presets: {presets}")]
-    Read { error: FileError, presets: String },
+    Read {
+        #[source]
+        error: FileError,
+        presets: String,
+    },
     #[error("{file}: {reason}")]
     File {
         file: String,

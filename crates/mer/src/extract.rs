@@ -83,6 +83,7 @@ pub enum ExtractProblem {
     NoSingleFace {
         /// The onset's file.
         onset: PathBuf,
+        #[source]
         error: FaceError,
     },
     /// The flow method failed.

@@ -154,7 +154,12 @@ pub enum RunError {
     Extract(#[from] ExtractError),
     /// A fold failed.
     #[error("{set}, {method}: {error}")]
-    Training { set: String, method: String, error: LosoError },
+    Training {
+        set: String,
+        method: String,
+        #[source]
+        error: LosoError,
+    },
     /// The predictions cannot be scored.
     #[error(transparent)]
     Scores(#[from] SummaryError),

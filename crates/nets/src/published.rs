@@ -41,10 +41,14 @@ pub enum PublishedError {
     },
     /// The cached file could not be read.
     #[error("{}: {error}", .path.display())]
-    Read { path: PathBuf, error: io::Error },
+    Read {
+        path: PathBuf,
+        #[source]
+        error: io::Error,
+    },
     /// The cached file could not be opened, or the folder not created.
     #[error("{0}")]
-    File(FileError),
+    File(#[source] FileError),
 }
 
 /// Names of all published weights, such as `skflow-things`.

@@ -15,7 +15,11 @@ pub enum WeightsError {
     #[error(transparent)]
     File(#[from] FileError),
     #[error("{}: {error}", .path.display())]
-    Read { path: PathBuf, error: io::Error },
+    Read {
+        path: PathBuf,
+        #[source]
+        error: io::Error,
+    },
     /// The file is not a checkpoint.
     #[error(
         "{}: expected weights in a PyTorch (.pth, .pt, .ckpt), safetensors, burnpack, TensorFlow (.index) or Keras (.h5) file, \

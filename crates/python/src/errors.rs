@@ -1,12 +1,11 @@
 //! Errors as exceptions, with the sentences of the command line.
 
+use std::error::Error;
 use std::io;
 
 use pyo3::PyErr;
 use pyo3::exceptions::PyValueError;
-use srflow_avatar::AvatarError;
-use srflow_face::FaceError;
-use srflow_field::{FileError, FileProblem};
+use srflow_nets::PublishedError;
 use srflow_read::flow::DatasetError;
 
 /// `OSError` or one of its classes where the operating system refused something, else `ValueError`.
@@ -19,24 +18,11 @@ pub fn exception(error: impl Into<anyhow::Error>) -> PyErr {
     }
 }
 
-fn kind(cause: &(dyn std::error::Error + 'static)) -> Option<io::ErrorKind> {
-    if let Some(error) = cause.downcast_ref::<io::Error>() {
-        return Some(error.kind());
-    }
-    if let Some(DatasetError::File(error)) = cause.downcast_ref() {
-        return kind(error);
-    }
-    if let Some(AvatarError::Read(error) | AvatarError::IctFolder(error)) = cause.downcast_ref() {
-        return kind(error);
-    }
-    if let Some(FaceError::File(error)) = cause.downcast_ref() {
-        return kind(error);
-    }
-    if let Some(DatasetError::NotThere { .. }) = cause.downcast_ref() {
+fn kind(cause: &(dyn Error + 'static)) -> Option<io::ErrorKind> {
+    let dataset = matches!(cause.downcast_ref(), Some(DatasetError::NotThere { .. }));
+    let weights = matches!(cause.downcast_ref(), Some(PublishedError::Unknown { .. }));
+    if dataset || weights {
         return Some(io::ErrorKind::NotFound);
     }
-    match &cause.downcast_ref::<FileError>()?.problem {
-        FileProblem::Io { error, .. } | FileProblem::Place { error, .. } => Some(error.kind()),
-        FileProblem::Field { .. } | FileProblem::Pixel { .. } => None,
-    }
+    cause.downcast_ref::<io::Error>().map(io::Error::kind)
 }

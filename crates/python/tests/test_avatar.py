@@ -86,5 +86,7 @@ def test_heads_that_cannot_be_read_are_errors_of_their_kind(tmp_path):
         srflow.Avatar.read("nothing")
     with pytest.raises(FileNotFoundError, match="vertex_indices.json"):
         srflow.Avatar.read(f"ict:{tmp_path}")
-    with pytest.raises((FileNotFoundError, ValueError), match="point_cloud"):
+    with pytest.raises(FileNotFoundError, match="nowhere: opening: .*; give the folder of an avatar"):
+        srflow.Avatar.read(f"avatar:{tmp_path / 'nowhere'}")
+    with pytest.raises(ValueError, match="point_cloud.ply"):
         srflow.Avatar.read(tmp_path)

@@ -85,6 +85,12 @@ def test_wrong_options_of_rendering_are_errors(rendered, tmp_path):
         srflow.render(rendered[0], scenes=5, frames=1)
     with pytest.raises(TypeError, match="callback: expected a function, found int"):
         srflow.render(tmp_path / "data", callback=3)
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match="file/data: .*; a dataset needs a folder that can be created") as refused:
+        srflow.render(tmp_path / "file/data", scenes=1, frames=1)
+    assert not isinstance(refused.value, FileNotFoundError)
+    with pytest.raises(FileNotFoundError, match="--head .*nowhere"):
+        srflow.render(tmp_path / "data", head=f"ict:{tmp_path / 'nowhere'}")
     assert not (tmp_path / "data").exists()
 
 
@@ -170,8 +176,14 @@ def test_a_configuration_is_a_dict(rendered):
 def test_wrong_options_of_training_are_errors(rendered, trained, tmp_path):
     with pytest.raises(ValueError, match="required arguments were not provided: --out <DIR>"):
         srflow.train("cpu-small")
-    with pytest.raises(ValueError, match="nothing"):
+    with pytest.raises(FileNotFoundError, match="nothing: opening: .*; pass a TOML file or one of the presets: skflow, "):
         srflow.train("nothing", tmp_path / "run")
+    with pytest.raises(FileNotFoundError, match="srflow: looked for .*nowhere"):
+        srflow.train("cpu-small", tmp_path / "run", data=f"srflow:{tmp_path / 'nowhere'}", crop="64x64")
+    with pytest.raises(FileNotFoundError, match="nowhere.pth: not a file, nor the name of published weights"):
+        srflow.train("cpu-small", tmp_path / "run", weights="nowhere.pth", **training(rendered))
+    with pytest.raises(ValueError, match="nowhere/checkpoints: found no checkpoint to continue from"):
+        srflow.train(resume=tmp_path / "nowhere")
     with pytest.raises(ValueError, match="unexpected argument '--step' found"):
         srflow.train("cpu-small", tmp_path / "run", step=3)
     with pytest.raises(ValueError, match="already contains a run of 4 steps"):

@@ -216,7 +216,7 @@ impl FrameFiles {
 pub enum ManifestError {
     /// The file is missing or could not be read.
     #[error("{0}; an SRFlow dataset has a dataset.json in its folder, which `srflow render` writes")]
-    Read(FileError),
+    Read(#[source] FileError),
     /// The file does not have the format that `srflow render` writes.
     #[error("{}: {reason}", .path.display())]
     Content {

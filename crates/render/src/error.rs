@@ -43,6 +43,7 @@ pub enum RenderError {
         /// Name of the argument on the command line.
         argument: &'static str,
         path: PathBuf,
+        #[source]
         error: io::Error,
         expected: &'static str,
     },
@@ -76,10 +77,20 @@ pub enum RenderError {
     #[error(
         "{error}; {written} of {total} {units} are complete: free some space if the disk is full, and run the same command again to continue"
     )]
-    Write { error: FileError, written: u64, total: u64, units: &'static str },
+    Write {
+        #[source]
+        error: FileError,
+        written: u64,
+        total: u64,
+        units: &'static str,
+    },
     /// A folder of the dataset could not be created, listed or deleted.
     #[error("{}: {error}; a dataset needs a folder that can be created, read and written", .path.display())]
-    Io { path: PathBuf, error: io::Error },
+    Io {
+        path: PathBuf,
+        #[source]
+        error: io::Error,
+    },
     #[error(transparent)]
     Record(#[from] RecordError),
     /// The table of clips could not be written.

@@ -75,7 +75,12 @@ struct StateFile {
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
     #[error("{}: {doing}: {error}", .path.display())]
-    Io { path: PathBuf, doing: &'static str, error: std::io::Error },
+    Io {
+        path: PathBuf,
+        doing: &'static str,
+        #[source]
+        error: std::io::Error,
+    },
     #[error(transparent)]
     File(#[from] FileError),
     #[error("{}: {reason}; delete this checkpoint's folder to continue from the one before", .path.display())]

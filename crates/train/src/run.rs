@@ -28,9 +28,9 @@ const CONFIG: &str = "config.toml";
 pub enum TrainError {
     #[error(transparent)]
     Config(#[from] ConfigError),
-    #[error(transparent)]
+    #[error("{0}")]
     Data(#[from] DataError),
-    #[error(transparent)]
+    #[error("{0}")]
     Validation(#[from] ValidationError),
     #[error(transparent)]
     Weights(#[from] WeightsError),

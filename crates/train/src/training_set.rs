@@ -26,7 +26,7 @@ pub enum DataError {
          of pairs"
     )]
     NoData,
-    #[error(transparent)]
+    #[error("{0}")]
     Dataset(#[from] DatasetError),
     #[error(
         "{dataset} in {}: none of its {pairs} pairs has a true flow to learn from; {advice}", .dir.display()

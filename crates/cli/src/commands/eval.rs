@@ -22,7 +22,7 @@ use crate::output::{ensure_folder, ensure_free, latex, print_tables};
 use crate::progress::bar;
 use crate::scoring::{self, folder_name, save_flows};
 use crate::usage::wrong_usage;
-use crate::{Context, machine};
+use crate::{Context, in_words, machine};
 
 fn kinds_help() -> String {
     let lines: Vec<String> = KINDS.iter().map(|kind| format!("  {kind}\n      {}", kind.about)).collect();
@@ -233,7 +233,7 @@ fn face_windows(
                 )?,
             })
         });
-        windows.insert(name, window.map_err(|error| format!("{error:#}")));
+        windows.insert(name, window.map_err(|error| in_words(&error)));
         bar.inc(1);
     }
     bar.finish_and_clear();

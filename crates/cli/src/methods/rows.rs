@@ -8,6 +8,7 @@ use serde::Deserialize;
 use srflow_field::{FileKind, parse_error_in_words, read_text};
 
 use super::{MethodSpec, scored_method};
+use crate::in_words;
 use crate::networks::weights_file;
 
 macro_rules! tables {
@@ -122,7 +123,7 @@ impl RowsArgs {
                 if let (true, Some(weights)) = (wanted.contains(&text.name.as_str()), &spec.weights) {
                     match weights_file(spec.method.network(), weights) {
                         Ok(path) => spec.weights = Some(path.display().to_string()),
-                        Err(error) => missing.push((text.name.as_str(), format!("{:#}", error.root_cause()))),
+                        Err(error) => missing.push((text.name.as_str(), in_words(&error))),
                     }
                 }
             }

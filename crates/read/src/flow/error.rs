@@ -62,6 +62,7 @@ pub enum DatasetError {
         /// The file or folder.
         path: PathBuf,
         /// The operating system's message.
+        #[source]
         error: std::io::Error,
     },
     /// A text file does not have the expected format.

@@ -2,7 +2,8 @@
 //! corrects that flow by a U-Net, repeatedly with shared weights and with frame 2 warped, as in RAFT; uncertainty is SEA-RAFT's. From
 //! coarse to fine, the U-Net blends the start with the flow of the coarser size, so that it can fill a head with one smooth motion up to
 //! the outline. It also sees what the method of Lucas and Kanade finds between frame 1 and the warped frame 2, and decides how much
-//! of that to add. `tools/parity/srflow_net.py` is the same in PyTorch, but for the start.
+//! of that to add. The last correction of small frames is at twice their size. `tools/parity/srflow_net.py` is the same in
+//! PyTorch, but for the start and for what is done in small and in large frames.
 
 use std::sync::LazyLock;
 
@@ -26,8 +27,9 @@ use crate::blocks::{Grids, resize, resize_flow};
 use crate::estimate::{Estimate, LaplaceMixture, Request};
 use crate::facts::{Facts, IterationPresets, Start};
 use crate::features::Features;
-use crate::frames::Frames;
+use crate::frames::{Border, Frames};
 use crate::onnx;
+use crate::settings::{Allowed, Setting};
 use crate::table::{Entry, FlowNetwork};
 
 /// Pixels of the frame per pixel of the map that is corrected, along each axis: a cell.
@@ -59,9 +61,20 @@ pub(crate) const LOG_SCALE_RANGE: [f64; 2] = [-2.3, 10.0];
 /// Weights of red, green and blue in luminance.
 const LUMINANCE: [f32; 3] = [0.299, 0.587, 0.114];
 /// More warps hardly change the flow of faces, and fit more of the noise of backgrounds.
-static TV_L1: LazyLock<TvL1> = LazyLock::new(|| {
-    TvL1::new(TvL1Parameters { warps: 2, ..Default::default() }).expect("parameters within their ranges")
-});
+const WARPS: usize = 2;
+static TV_L1: LazyLock<TvL1> = LazyLock::new(|| tv_l1(TvL1Parameters::default().nscales));
+/// At the size of the frames, with a coarsest scale like that of [`TV_L1`].
+static FINE_TV_L1: LazyLock<TvL1> = LazyLock::new(|| tv_l1(TvL1Parameters::default().nscales + 3));
+
+fn tv_l1(nscales: usize) -> TvL1 {
+    let parameters = TvL1Parameters { nscales, warps: WARPS, ..Default::default() };
+    TvL1::new(parameters).expect("parameters within their ranges")
+}
+
+/// Default of the setting `fine_up_to`: frames of 362x362 pixels, for which it takes no longer than frames of 550x802 take without.
+pub(crate) const FINE_UP_TO: usize = 1 << 17;
+/// Larger frames, padded, start from what the network finds at half of their size: it was trained on frames of 440x640.
+const COARSE_ABOVE: usize = 1 << 20;
 
 pub(crate) const SRFLOW: Entry<SrFlow> = Entry {
     facts: Facts {
@@ -98,6 +111,8 @@ pub struct SrFlow {
     evidence: Conv2d,
     /// Weights of the 9 neighbouring cells of each pixel of a cell.
     mask: Conv2d,
+    /// Pixels of the largest frames, padded, whose last correction is at twice their size.
+    fine_up_to: usize,
 }
 
 /// Halves the size.
@@ -152,7 +167,24 @@ impl SrFlow {
             predict: WIDTHS.map(|channels| prediction(channels, OUTPUTS, device)).into(),
             evidence: prediction(STATE, WINDOWS, device),
             mask: conv(STATE, 9 * STRIDE * STRIDE, 1, device),
+            fine_up_to: FINE_UP_TO,
         }
+    }
+
+    /// The flow of an estimate in pixels, `[batch, 2, height, width]`.
+    fn upsampled(&self, found: &Found) -> Tensor<4> {
+        let weights = self.mask.forward(found.state.clone(), Identity);
+        convex_upsample(found.flow.clone(), weights, 1.0, STRIDE)
+    }
+
+    /// `flow`, in pixels, corrected once at twice the size of the frames, where a cell is a pixel.
+    fn finer(&self, frames: [&Tensor<4>; 2], flow: Tensor<4>) -> Tensor<4> {
+        let [batch, _, height, width] = flow.dims();
+        let [first, second] = frames.map(|frame| twice(frame.clone()));
+        let state = Tensor::zeros([batch, STATE, height, width], &flow.device());
+        let mut found = self.corrected([&first, &second], &still([&first, &second]), [flow, state]);
+        // Upsampled, as it was trained: the flow of the cells alone is less exact.
+        halved(self.upsampled(&found.pop().expect("several sizes"))) / STRIDE as f64
     }
 
     /// The estimates that follow on a flow and state, from 1/32 to 1/2 of the size.
@@ -198,6 +230,63 @@ impl SrFlow {
         }
         found
     }
+
+    /// Estimates between padded frames in -1..1, without their border.
+    fn estimate(&self, frames: [&Tensor<4>; 2], border: Border, request: &Request) -> Estimate {
+        let [batch, _, height, width] = frames[0].dims();
+        let cells = [height / STRIDE, width / STRIDE];
+        let device = frames[0].device();
+        let pixels = height * width;
+        // Training has crops of larger frames.
+        let fine = pixels <= self.fine_up_to && request.iterations > 1 && !request.every_iteration;
+        let iterations = if fine { request.iterations - 1 } else { request.iterations };
+        let mut flow = match &request.start {
+            Some(_) => request.start_flow(batch, cells, &device),
+            None if pixels > COARSE_ABOVE && !request.every_iteration => self.start_of_large(frames, request),
+            None => start(frames, border, fine),
+        };
+        let mut state = Tensor::zeros([batch, STATE, cells[0], cells[1]], &device);
+        let mut estimate = Estimate::of_flows(Vec::new());
+        let mut add = |flow: Tensor<4>, mixture: Tensor<4>| {
+            let mixture = resize(mixture, [height, width], Grids::EdgesOnEdges);
+            let part = |from| border.remove(mixture.clone().narrow(1, from, 2));
+            estimate.flows.push(border.remove(flow));
+            estimate.mixtures.push(LaplaceMixture { log_weights: part(0), log_scales: part(2) });
+        };
+        let still = still(frames);
+        for iteration in 1..=iterations {
+            // Each correction learns by its own predictions, as in RAFT.
+            let mut found = self.corrected(frames, &still, [flow.detach(), state]);
+            let finest = found.pop().expect("several sizes");
+            if request.every_iteration {
+                // Every second size is enough to teach the coarse maps.
+                for Found { flow, mixture, .. } in found.into_iter().step_by(2) {
+                    add(resize(flow, [height, width], Grids::EdgesOnEdges) * STRIDE as f64, mixture);
+                }
+            }
+            if request.every_iteration || iteration == iterations {
+                let found = self.upsampled(&finest);
+                let found = if fine { self.finer(frames, found) } else { found };
+                add(found, finest.mixture);
+            }
+            (flow, state) = (finest.flow, finest.state);
+        }
+        estimate.coarse = Some(flow);
+        estimate
+    }
+
+    /// The flow between the frames at half of their size, whose pixels are cells.
+    fn start_of_large(&self, frames: [&Tensor<4>; 2], request: &Request) -> Tensor<4> {
+        let [first, second] = frames.map(|frame| halved(frame.clone()));
+        let [_, _, height, width] = first.dims();
+        let border = Border::new([height, width], COARSEST_STRIDE);
+        let estimate = self.estimate(
+            [&border.add(first), &border.add(second)],
+            border,
+            &Request::new(request.iterations),
+        );
+        estimate.last().clone()
+    }
 }
 
 /// The pixels of frame 1 in each cell, how far their mean over the channels is from that of frame 2 where nothing moves, and the evidence
@@ -208,13 +297,23 @@ fn still([first, second]: [&Tensor<4>; 2]) -> Tensor<4> {
     Tensor::cat(vec![space_to_depth(first.clone(), STRIDE), space_to_depth(change, STRIDE), evidence], 1)
 }
 
-/// What TV-L1 finds between the means of cells, in cells, `[batch, 2, height / 2, width / 2]`. It is computed on the CPU.
-fn start([first, second]: [&Tensor<4>; 2]) -> Tensor<4> {
-    let device = first.device();
-    let cells = |frames: &Tensor<4>| {
-        let cells = avg_pool2d(frames.clone().detach(), AvgPoolOptions::new([STRIDE; 2]));
-        let [_, _, height, width] = cells.dims();
-        let numbers: Vec<f32> = cells.into_data().convert::<f32>().try_to_vec().expect("converted to f32");
+/// What TV-L1 finds, in cells, `[batch, 2, height / 2, width / 2]`: between the means of cells, or if `fine` between the pixels of the
+/// frames without their border.
+fn start(frames: [&Tensor<4>; 2], border: Border, fine: bool) -> Tensor<4> {
+    if !fine {
+        return between(&TV_L1, frames.map(|frame| halved(frame.clone())));
+    }
+    let flow = between(&FINE_TV_L1, frames.map(|frame| border.remove(frame.clone())));
+    halved(border.add(flow)) / STRIDE as f64
+}
+
+/// The flow of TV-L1 between frames, computed on the CPU.
+fn between(method: &TvL1, frames: [Tensor<4>; 2]) -> Tensor<4> {
+    let [batch, _, height, width] = frames[0].dims();
+    let device = frames[0].device();
+    let planes = |frames: Tensor<4>| {
+        let numbers: Vec<f32> =
+            frames.detach().into_data().convert::<f32>().try_to_vec().expect("converted to f32");
         let luminance = |frame: &[f32]| {
             Plane::from_fn(width, height, |x, y| {
                 let at = y * width + x;
@@ -224,15 +323,14 @@ fn start([first, second]: [&Tensor<4>; 2]) -> Tensor<4> {
         };
         numbers.chunks_exact(3 * width * height).map(luminance).collect::<Vec<Plane>>()
     };
-    let [firsts, seconds] = [first, second].map(cells);
-    let shape = [firsts.len(), 2, firsts[0].height(), firsts[0].width()];
+    let [firsts, seconds] = frames.map(planes);
     let flow = |(first, second)| {
-        let flow = TV_L1.between_planes(first, second).expect("frames of one size");
+        let flow = method.between_planes(first, second).expect("frames of one size");
         let component = |axis| flow.pixels().iter().map(move |vector: &[f32; 2]| vector[axis]);
         component(0).chain(component(1)).collect::<Vec<f32>>()
     };
     let flows: Vec<Vec<f32>> = firsts.into_par_iter().zip(seconds).map(flow).collect();
-    Tensor::from_data(TensorData::new(flows.concat(), shape), &device)
+    Tensor::from_data(TensorData::new(flows.concat(), [batch, 2, height, width]), &device)
 }
 
 /// `x` at half of the size.
@@ -254,41 +352,17 @@ impl FlowNetwork for SrFlow {
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
         assert!(request.iterations > 0, "at least one iteration");
         let (first, second, border) = frames.prepared(COARSEST_STRIDE);
-        let frames = [&first, &second];
-        let [batch, _, height, width] = first.dims();
-        let cells = [height / STRIDE, width / STRIDE];
-        let device = first.device();
-        let mut flow = match &request.start {
-            Some(_) => request.start_flow(batch, cells, &device),
-            None => start(frames),
-        };
-        let mut state = Tensor::zeros([batch, STATE, cells[0], cells[1]], &device);
-        let mut estimate = Estimate::of_flows(Vec::new());
-        let mut add = |flow: Tensor<4>, mixture: Tensor<4>| {
-            let mixture = resize(mixture, [height, width], Grids::EdgesOnEdges);
-            let part = |from| border.remove(mixture.clone().narrow(1, from, 2));
-            estimate.flows.push(border.remove(flow));
-            estimate.mixtures.push(LaplaceMixture { log_weights: part(0), log_scales: part(2) });
-        };
-        let still = still(frames);
-        for iteration in 1..=request.iterations {
-            // Each correction learns by its own predictions, as in RAFT.
-            let mut found = self.corrected(frames, &still, [flow.detach(), state]);
-            let finest = found.pop().expect("several sizes");
-            if request.every_iteration {
-                // Every second size is enough to teach the coarse maps.
-                for Found { flow, mixture, .. } in found.into_iter().step_by(2) {
-                    add(resize(flow, [height, width], Grids::EdgesOnEdges) * STRIDE as f64, mixture);
-                }
-            }
-            if request.every_iteration || iteration == request.iterations {
-                let weights = self.mask.forward(finest.state.clone(), Identity);
-                add(convex_upsample(finest.flow.clone(), weights, 1.0, STRIDE), finest.mixture);
-            }
-            (flow, state) = (finest.flow, finest.state);
-        }
-        estimate.coarse = Some(flow);
-        estimate
+        self.estimate([&first, &second], border, request)
+    }
+
+    fn settings(&mut self) -> Vec<Setting<'_>> {
+        vec![Setting {
+            name: "fine_up_to",
+            description: "pixels of the largest frames whose last iteration is at twice their size; 0 for none",
+            allowed: Allowed::Range(0..=1 << 20),
+            in_files: None,
+            value: &mut self.fine_up_to,
+        }]
     }
 }
 

@@ -155,6 +155,11 @@ fn onnxruntime_gives_the_flow_of_each_network() {
             }
             let data = folder.path().join(cases.len().to_string());
             fs::create_dir(&data).unwrap();
+            let mut network = network.clone();
+            if !fixed {
+                // Graphs for any size have nothing that only small frames get.
+                _ = network.set("fine_up_to", 0);
+            }
             for (tensor, numbers) in expected(&network, size) {
                 let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
                 fs::write(data.join(tensor), bytes).unwrap();

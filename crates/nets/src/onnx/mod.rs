@@ -187,6 +187,14 @@ impl Pair {
         Self { first, second, size, axes, sides, padded }
     }
 
+    /// Pixels of a padded frame, if its size is fixed.
+    pub(crate) fn pixels(&self) -> Option<usize> {
+        match self.padded {
+            [Length::Known(height), Length::Known(width)] => usize::try_from(height * width).ok(),
+            _ => None,
+        }
+    }
+
     /// Height and width of inputs that have the size of the frames.
     pub(crate) fn axes(&self) -> [Axis; 2] {
         self.axes

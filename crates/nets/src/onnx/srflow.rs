@@ -7,7 +7,9 @@ use srflow_ops::resize::Grids;
 use super::Pair;
 use super::graph::{Axis, Graph, Value};
 use super::operations::Beyond;
-use crate::srflow::{DIFFERENCE_SCALE, EVIDENCE, LOG_SCALE_RANGE, MIXTURE, STATE, STRIDE, WIDTHS, WINDOWS};
+use crate::srflow::{
+    DIFFERENCE_SCALE, EVIDENCE, FINE_UP_TO, LOG_SCALE_RANGE, MIXTURE, STATE, STRIDE, WIDTHS, WINDOWS,
+};
 
 const CELLS: i64 = STRIDE as i64;
 
@@ -32,20 +34,38 @@ pub(crate) fn srflow(graph: &mut Graph, pair: &Pair, iterations: usize) {
     let still = still(graph, [&pair.first, &pair.second]);
     let mut state = graph.zeros(flow.with_channels(STATE as i64));
     let mut mixture = None;
-    for iteration in 1..=iterations {
+    // Of frames of any size it is not known here whether they are small.
+    let fine = iterations > 1 && pair.pixels().is_some_and(|pixels| pixels <= FINE_UP_TO);
+    for iteration in 1..=iterations - usize::from(fine) {
         graph.begin(format!("iteration_{iteration}"));
         let found = corrected(graph, [&pair.first, &pair.second], &still, [&flow, &state]);
         (flow, state, mixture) = (found.flow, found.state, Some(found.mixture));
     }
     graph.begin("upsampling");
-    let scores = graph.conv("mask", &state, 1, Identity);
-    let flow = graph.convex_upsampled(&flow, &scores, CELLS);
+    let mut flow = upsampled(graph, &flow, &state);
+    if fine {
+        graph.begin("fine");
+        let [first, second] =
+            [&pair.first, &pair.second].map(|frame| graph.enlarged(frame, CELLS, Grids::EdgesOnEdges));
+        let still = self::still(graph, [&first, &second]);
+        let state = graph.zeros(flow.with_channels(STATE as i64));
+        let found = corrected(graph, [&first, &second], &still, [&flow, &state]);
+        let upsampled = upsampled(graph, &found.flow, &found.state);
+        let pooled = graph.pooled(&upsampled, CELLS);
+        flow = graph.scale(&pooled, 1.0 / CELLS as f32);
+    }
     pair.output_flow(graph, &flow);
     if let Some(mixture) = mixture {
         let mixture = graph.enlarged(&mixture, CELLS, Grids::EdgesOnEdges);
         let uncertainty = mean_scale(graph, &mixture);
         pair.output(graph, "uncertainty", UNCERTAINTY, &uncertainty);
     }
+}
+
+/// The flow in pixels of an estimate in cells.
+fn upsampled(graph: &mut Graph, flow: &Value, state: &Value) -> Value {
+    let scores = graph.conv("mask", state, 1, Identity);
+    graph.convex_upsampled(flow, &scores, CELLS)
 }
 
 /// The estimate that follows on a flow and state.

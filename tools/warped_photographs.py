@@ -21,12 +21,14 @@ BLOCK = 2
 NOISE_LEVELS = 1.5
 # Cut off at each side, in pixels: there, frame 1 would show what is beyond the photograph.
 MARGIN = 12
+# Frames of a photograph of this size have 32 pixels a side.
+SMALLEST_SIDE = BLOCK * (2 * MARGIN + 32)
 DRIFT_PX = (0.05, 4.0)
 BUMPS_PX = (0.1, 3.0)
 
 
 def smooth_flow(rng, height, width):
-    """height x width x 2 float32, pixels."""
+    """height x width x 2, pixels."""
     y, x = np.mgrid[:height, :width].astype(np.float64)
     side = max(height, width)
     px, py = (x - width / 2) / side, (y - height / 2) / side
@@ -74,6 +76,8 @@ def main():
             raise SystemExit(f"{path}: not a picture")
         scale = min(1.0, LONGEST_SIDE * BLOCK / max(photograph.shape[:2]))
         photograph = cv2.resize(photograph, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA).astype(np.float32)
+        if min(photograph.shape[:2]) < SMALLEST_SIDE:
+            raise SystemExit(f"{path}: expected sides of at least {SMALLEST_SIDE} pixels, found {photograph.shape[1]}x{photograph.shape[0]}")
         for number in range(PAIRS):
             rng = np.random.default_rng([args.seed, number, *path.name.encode()])
             first, second, flow = pair(rng, photograph)

@@ -287,7 +287,8 @@ fn files_of_another_head_are_refused() {
     assert!(AvatarFiles::read(folder.path()).unwrap_err().to_string().contains("flame_param.npz: opening"));
     let nowhere = AvatarFiles::read(&folder.path().join("nowhere")).unwrap_err().to_string();
     assert!(
-        nowhere.contains("nowhere: opening: ") && nowhere.contains("point_cloud.ply and flame"),
+        nowhere.contains("nowhere: opening: ")
+            && nowhere.contains("with point_cloud.ply and flame_param.npz"),
         "{nowhere}"
     );
     std::fs::create_dir(folder.path().join("empty")).unwrap();

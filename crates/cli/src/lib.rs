@@ -15,6 +15,7 @@ macro_rules! note {
 
 mod commands;
 mod face;
+mod interrupt;
 mod large_frames;
 mod library;
 mod machine;
@@ -44,12 +45,14 @@ pub use usage::UsageError;
 /// Exit codes; see the help of the command.
 const FAILED: u8 = 1;
 const WRONG_USAGE: u8 = 2;
+/// EX_TEMPFAIL of sysexits.h: job engines can be told to run the command again.
+const STOPPED: u8 = 75;
 
 /// Render facial optical-flow datasets from avatars of 3D Gaussians; estimate, train and score optical flow.
 #[derive(Parser)]
 #[command(version, propagate_version = true, arg_required_else_help = true)]
 #[command(after_help = "\
-Exit codes: 0 success, 1 failure, 2 wrong usage, 75 stopped on request (run the command again to continue). With --json \
+Exit codes: 0 success, 1 failure, 2 wrong usage, 75 stopped on request or by SIGTERM or SIGINT (run the command again to continue). With --json \
 standard output holds one JSON value: the result, or {\"error\": \"...\"} on failure.")]
 struct Cli {
     #[command(flatten)]
@@ -64,7 +67,7 @@ pub(crate) struct Context {
     /// Print the result as JSON on standard output; on failure, an object with the key `error`
     #[arg(long, global = true)]
     pub json: bool,
-    /// Number of threads (default: all cores)
+    /// Number of threads (default: all cores, or as many as control groups or SLURM_CPUS_PER_TASK allow)
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
 }
@@ -87,6 +90,7 @@ enum Command {
     Models(commands::models::Models),
     View(commands::view::View),
     Check(commands::check::Check),
+    Merge(commands::merge::Merge),
 }
 
 /// Runs the command with the arguments of a process, of which the first is its name, and returns its exit code.
@@ -103,12 +107,19 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
             return u8::try_from(error.exit_code()).unwrap_or(WRONG_USAGE);
         }
     };
-    if let Some(threads) = cli.context.threads
+    if let Some(threads) = cli.context.threads.or_else(machine::threads_of_job)
         && let Err(error) = rayon::ThreadPoolBuilder::new().num_threads(threads.into()).build_global()
     {
         return fail(&anyhow::anyhow!("starting {threads} threads: {error}"), &cli.context);
     }
     let context = cli.context;
+    let json = context.json;
+    interrupt::watch(move |text| {
+        note!("{text}");
+        if json {
+            output::print_error_json(text);
+        }
+    });
     let result: anyhow::Result<()> = match cli.command {
         Command::Demo(args) => commands::demo::run(args, &context),
         Command::Render(args) => commands::render::run(args, &context),
@@ -126,6 +137,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Models(args) => commands::models::run(args, &context),
         Command::View(args) => commands::view::run(args, &context),
         Command::Check(args) => commands::check::run(args, &context),
+        Command::Merge(args) => commands::merge::run(args, &context),
     };
     match result.and_then(|()| Ok(io::stdout().flush()?)) {
         Ok(()) => 0,

@@ -10,6 +10,14 @@ pub fn describe() -> String {
     format!("{threads} thread{plural} of {processor}, {}", std::env::consts::OS)
 }
 
+/// The threads that Slurm gives each task; fewer than the cores that a task can see where these are not bound to it. `None` outside of Slurm,
+/// and where no more is allowed than control groups do, which the pool of threads keeps to by itself.
+pub fn threads_of_job() -> Option<u16> {
+    let given: u16 = std::env::var("SLURM_CPUS_PER_TASK").ok()?.parse().ok()?;
+    let seen = std::thread::available_parallelism().ok()?.get();
+    (given > 0 && usize::from(given) < seen).then_some(given)
+}
+
 /// Peak memory of this process in bytes, on Linux; `None` elsewhere.
 pub fn peak_memory() -> Option<u64> {
     let text = std::fs::read_to_string("/proc/self/status").ok()?;

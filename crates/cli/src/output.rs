@@ -103,7 +103,7 @@ fn print_json_text(text: &str) -> anyhow::Result<()> {
 /// When standard output cannot be written to.
 pub fn exit_stopped() -> anyhow::Result<()> {
     io::stdout().flush().context(PRINTING)?;
-    std::process::exit(75)
+    std::process::exit(crate::STOPPED.into())
 }
 
 /// Prints `{"error": ...}`, unless a result was printed.

@@ -22,20 +22,20 @@ pub fn score(
 ) -> anyhow::Result<Evaluation> {
     let bar = bar(0, "{bar:30} {pos}/{len} pairs  {elapsed} elapsed, {eta} to go  {msg}");
     let mut problem: Option<anyhow::Error> = None;
-    let mut shown_every = None;
+    let mut every = None;
     let result = evaluate(dataset, methods, settings, &mut |event| match event {
         Event::Started { pairs } => {
             bar.set_length(pairs as u64);
-            shown_every = (shown > 0).then(|| pairs.div_ceil(shown).max(1));
+            every = shown_every(pairs, shown);
         }
         Event::Estimating { method, pair } => bar.set_message(format!("{method} on {pair}")),
         Event::Scored(pair) => {
             bar.inc(1);
             if problem.is_none() {
-                let shown = shown_every.is_some_and(|every| pair.index % every == every / 2);
-                problem = on_pair(pair, shown).err();
+                problem = on_pair(pair, is_shown(pair.index, every)).err();
             }
         }
+        Event::Kept => bar.inc(1),
         Event::LeftOut(failure) => {
             bar.inc(1);
             bar.suspend(|| note!("left out: {}: {}", failure.pair, failure.reason));
@@ -44,6 +44,16 @@ pub fn score(
     bar.finish_and_clear();
     let evaluation = result?;
     problem.map_or(Ok(evaluation), Err)
+}
+
+/// The distance between two pairs that are shown; `None` if none is.
+pub fn shown_every(pairs: usize, shown: usize) -> Option<usize> {
+    (shown > 0).then(|| pairs.div_ceil(shown).max(1))
+}
+
+/// Whether the pair of this index is shown.
+pub fn is_shown(index: usize, every: Option<usize>) -> bool {
+    every.is_some_and(|every| index % every == every / 2)
 }
 
 /// The folder name of a method: its name, without characters that some system does not allow.

@@ -7,14 +7,15 @@ use std::time::Instant;
 
 use srflow_field::{
     EstimateError, FlowEstimator, FlowField, FlowSequence, Image, Mask, MeanMetrics, Metrics, ScoreError,
-    score,
+    Shard, score,
 };
 use srflow_read::flow::{DatasetError, Entry, FlowDataset, Sample};
 
 use crate::crop::{CropError, Window, head_window};
-use crate::error_curve::ErrorCurve;
+use crate::error_curve::{ErrorCurve, shares_within};
 use crate::expression::Expression;
 use crate::flow_files::{FlowFileError, FlowFiles};
+use crate::kept::KeptScores;
 use crate::regions;
 use crate::results::{Evaluation, Failure, MethodScores, PairScores, Region, dataset_title};
 use crate::zero::Zero;
@@ -56,6 +57,10 @@ pub struct Settings<'a> {
     pub small_motion: Option<f32>,
     /// Also score the motion of the [`Expression`].
     pub expression: bool,
+    /// The part of the pairs to score, of those that `limit` leaves.
+    pub part: Shard,
+    /// Scores of an earlier run by the names of pairs, which are not estimated again.
+    pub kept: Option<&'a BTreeMap<String, Vec<KeptScores>>>,
 }
 
 /// What to do when a pair cannot be read, cropped or estimated.
@@ -87,12 +92,14 @@ pub enum Event<'a> {
     Scored(&'a ScoredPair<'a>),
     /// A pair was left out.
     LeftOut(&'a Failure),
+    /// The scores of an earlier run were taken for a pair.
+    Kept,
 }
 
 /// A scored pair with its inputs and results, for pictures.
 #[derive(Debug)]
 pub struct ScoredPair<'a> {
-    /// Index among the scored pairs, from 0.
+    /// Index among the pairs to be scored, from 0.
     pub index: usize,
     /// Name within its dataset.
     pub name: &'a str,
@@ -111,7 +118,7 @@ pub struct Estimate {
     /// Whether it is the baseline.
     pub baseline: bool,
     pub flow: FlowField,
-    pub scores: PairScores,
+    pub kept: KeptScores,
 }
 
 /// Errors that end an evaluation.
@@ -202,16 +209,29 @@ pub fn evaluate(
     let methods: Vec<Method> = std::iter::once(Method::Estimator(&Zero))
         .chain(methods.iter().copied().filter(|method| method.name() != Zero.name()))
         .collect();
-    let chosen = chosen(dataset, settings.limit);
+    let mut chosen = chosen(dataset, settings.limit);
+    let part = settings.part.range(chosen.len() as u64);
+    chosen.truncate(part.end as usize);
+    chosen.drain(..part.start as usize);
     let lacking = chosen.iter().filter(|entry| entry.regions.is_none()).count();
     if settings.regions && lacking > 0 {
         return Err(EvaluateError::NoRegions { dataset: title, lacking, pairs: chosen.len() });
     }
     on_event(Event::Started { pairs: chosen.len() });
 
-    let mut sums: Vec<MethodSums> = methods.iter().map(|method| MethodSums::new(method.name())).collect();
     let mut failures = Vec::new();
-    let mut scored = 0;
+    // By the index of the pair, so that sums do not depend on which pairs were scored before.
+    let mut results: BTreeMap<usize, Vec<KeptScores>> = BTreeMap::new();
+    let index_of: BTreeMap<String, usize> = chosen.iter().map(|entry| entry.id()).zip(0..).collect();
+    if let Some(kept) = settings.kept {
+        for (name, scores) in kept {
+            if let Some(&index) = index_of.get(name).filter(|_| scores.len() == methods.len()) {
+                results.insert(index, scores.clone());
+                on_event(Event::Kept);
+            }
+        }
+    }
+    chosen.retain(|entry| !results.contains_key(&index_of[&entry.id()]));
     let most = settings.batch.map_or(1, NonZeroUsize::get);
     let mut videos: Vec<Video> = methods.iter().map(|_| Video::default()).collect();
     let mut entries = chosen.into_iter().peekable();
@@ -234,16 +254,16 @@ pub fn evaluate(
         for (name, outcome) in estimate_batch(batch, &methods, &mut videos, on_event) {
             match outcome {
                 Ok((pair, estimates)) => {
+                    let index = index_of[&name];
                     let pair = ScoredPair {
-                        index: scored,
+                        index,
                         name: &name,
                         sample: &pair.sample,
                         truth: &pair.truth,
                         estimates: &estimates,
                     };
                     on_event(Event::Scored(&pair));
-                    sums.iter_mut().zip(&estimates).for_each(|(sums, estimate)| sums.add(&pair, estimate));
-                    scored += 1;
+                    results.insert(index, estimates.into_iter().map(|estimate| estimate.kept).collect());
                 }
                 Err(problem) if settings.on_failure == OnFailure::Stop => {
                     return Err(EvaluateError::Pair { pair: name, problem });
@@ -257,11 +277,20 @@ pub fn evaluate(
         }
     }
     match failures.first() {
-        Some(first) if scored == 0 => {
+        Some(first) if results.is_empty() => {
             let first = format!("{}: {}", first.pair, first.reason);
             Err(EvaluateError::NothingScored { dataset: title, first })
         }
         _ => Ok(Evaluation {
+            pairs: results.len(),
+            methods: (0..)
+                .zip(&methods)
+                .map(|(number, method)| {
+                    let mut sums = MethodSums::new(method.name());
+                    results.values().for_each(|scores: &Vec<KeptScores>| sums.add(&scores[number]));
+                    sums.finish()
+                })
+                .collect(),
             dataset: dataset.name().to_owned(),
             split: dataset.split(),
             folder: dataset.dir().display().to_string(),
@@ -269,8 +298,6 @@ pub fn evaluate(
             at_faces: settings.windows.is_some(),
             limit: settings.limit,
             small_motion: settings.small_motion,
-            pairs: scored,
-            methods: sums.into_iter().map(MethodSums::finish).collect(),
             failures,
             left_out: Vec::new(),
             improvements: Vec::new(),
@@ -449,7 +476,8 @@ fn scored(
 ) -> Result<Estimate, PairProblem> {
     let scores = scores_of(name, seconds, &flow, pair)
         .map_err(|source| PairProblem::Score { method: method.to_owned(), source })?;
-    Ok(Estimate { method: method.to_owned(), baseline: method == Zero.name(), flow, scores })
+    let kept = KeptScores { scores, within: shares_within(&flow, &pair.truth) };
+    Ok(Estimate { method: method.to_owned(), baseline: method == Zero.name(), flow, kept })
 }
 
 /// The scores of one flow in every region of the pair.
@@ -527,12 +555,12 @@ impl MethodSums {
         }
     }
 
-    fn add(&mut self, pair: &ScoredPair<'_>, estimate: &Estimate) {
+    fn add(&mut self, KeptScores { scores, within }: &KeptScores) {
         for region in Region::ALL {
-            self.regions.entry(region).or_default().add(estimate.scores.region(region));
+            self.regions.entry(region).or_default().add(scores.region(region));
         }
-        self.curve.add(&estimate.flow, pair.truth);
-        self.scores.pairs.push(estimate.scores.clone());
+        self.curve.add(within);
+        self.scores.pairs.push(scores.clone());
     }
 
     fn finish(self) -> MethodScores {

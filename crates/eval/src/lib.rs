@@ -5,6 +5,7 @@ mod error_curve;
 mod evaluate;
 mod expression;
 mod flow_files;
+mod kept;
 mod method_record;
 mod regions;
 pub mod report;
@@ -19,6 +20,7 @@ pub use evaluate::{
 };
 pub use expression::Expression;
 pub use flow_files::{FlowFileError, FlowFiles, FlowFilesError};
+pub use kept::{KeptPair, KeptScores};
 pub use method_record::MethodRecord;
 pub use results::{
     Evaluation, Failure, MethodScores, PairScores, Region, SCORES, ScoreColumn, dataset_title,

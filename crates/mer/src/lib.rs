@@ -33,7 +33,7 @@ pub use face::{FaceCrop, Landmarks};
 pub use features::{Channel, FEATURE_SIDE, FeatureError, Features, Sample};
 pub use features_file::{FeatureRecipe, write_features};
 pub use loso::{
-    Fold, FoldRecord, LabelledClip, Loso, LosoError, LosoEvent, folds, leave_one_subject_out,
+    Fold, FoldFolder, FoldRecord, LabelledClip, Loso, LosoError, LosoEvent, folds, leave_one_subject_out,
     leave_one_subject_out_by,
 };
 pub use metrics::{Confusion, Scores};
@@ -50,7 +50,7 @@ pub use results_folder::{
 };
 pub use run::{
     DataRecord, FeatureSet, RunError, RunEvent, RunFolders, RunMethod, RunResults, RunSettings, Sets,
-    compute_features, run,
+    TrainedPart, compute_features, run, run_part,
 };
 pub use strain::{StrainFormula, optical_strain, strain_colors};
 pub use summary::{Best, EpochScores, FoldScores, Summary, SummaryError};

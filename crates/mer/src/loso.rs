@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -72,6 +73,21 @@ pub struct Fold {
     pub tested: Vec<usize>,
     /// All others.
     pub training: Vec<usize>,
+}
+
+/// Where finished folds are stored, and which are run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FoldFolder<'a> {
+    pub path: &'a Path,
+    /// Numbers of the folds, by dataset and subject; those beyond the last are ignored.
+    pub part: Range<usize>,
+}
+
+impl<'a> From<&'a Path> for FoldFolder<'a> {
+    /// With all folds.
+    fn from(path: &'a Path) -> Self {
+        Self { path, part: 0..usize::MAX }
+    }
 }
 
 /// Progress, reported from any thread.
@@ -202,7 +218,7 @@ pub fn leave_one_subject_out_by<E: From<LosoError>>(
 ///
 /// Folds are distributed over the threads of the current pool. Each is computed by one thread with its own random numbers: the
 /// result is bit-identical for any number of threads. Finished folds are stored in `folder`, under names that depend on
-/// protocol, classifier and every sample, and are not run again. `stop` is asked after each epoch, from any thread;
+/// protocol, classifier and every sample, and are not run again; with a part of the folds, the result has those alone. `stop` is asked after each epoch, from any thread;
 /// a fold that has run its last epoch is still stored.
 ///
 /// # Errors
@@ -211,15 +227,19 @@ pub fn leave_one_subject_out<C: Classifier>(
     samples: &[Sample],
     classes: &Arc<[String]>,
     protocol: &Protocol,
-    folder: Option<&Path>,
+    folder: Option<FoldFolder>,
     on_event: &(dyn Fn(LosoEvent) + Sync),
     stop: &(dyn Fn() -> bool + Sync),
 ) -> Result<Loso, LosoError> {
     protocol.check()?;
     let clips: Vec<LabelledClip> = samples.iter().map(LabelledClip::from).collect();
-    let folds = folds(&clips)?;
+    let mut folds = folds(&clips)?;
     let store = match folder {
-        Some(folder) => Some(Store::open::<C>(folder, classes, protocol, &sorted(samples))?),
+        Some(FoldFolder { path, part }) => {
+            folds.truncate(part.end);
+            folds.drain(..part.start.min(folds.len()));
+            Some(Store::open::<C>(path, classes, protocol, &sorted(samples))?)
+        }
         None => None,
     };
     let examples: Vec<Example> = samples

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 use srflow_eval::MethodRecord;
-use srflow_field::{FileError, FlowEstimator};
+use srflow_field::{FileError, FlowEstimator, Shard};
 use srflow_read::micro_expression::{Clip, ClipDataset};
 
 use crate::apex::{ApexRule, fill_apexes};
@@ -13,7 +13,7 @@ use crate::cache::FeatureCache;
 use crate::classifier::ClassifierEntry;
 use crate::extract::{ExtractError, Method, Preparation, extract};
 use crate::features::Sample;
-use crate::loso::{Loso, LosoError, LosoEvent};
+use crate::loso::{FoldFolder, Loso, LosoError, LosoEvent};
 use crate::predictions::Trial;
 use crate::protocol::{Protocol, ProtocolError};
 use crate::results::Outcome;
@@ -100,6 +100,15 @@ pub struct RunFolders<'a> {
     pub features: &'a Path,
     /// Finished folds.
     pub folds: &'a Path,
+}
+
+/// A part of the folds of a run, trained.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct TrainedPart {
+    /// Folds of the part.
+    pub folds: u64,
+    /// Folds of all sets and flow methods.
+    pub all_folds: u64,
 }
 
 /// The results of a run; [`ResultsFolder::write`](crate::ResultsFolder::write) writes them to files.
@@ -201,12 +210,53 @@ pub fn run(
     folders: RunFolders,
     on_event: &(dyn Fn(RunEvent) + Sync),
 ) -> Result<RunResults, RunError> {
+    let (mut trials, mut outcomes) = (Vec::new(), Vec::new());
+    let all = Shard::WHOLE;
+    let (features, _) =
+        train_folds(datasets, &methods, &settings, folders, all, on_event, &mut |set, method, loso| {
+            outcomes.push(Outcome::of(method, set, &loso)?);
+            let Loso { classes, predictions, .. } = loso;
+            trials.push(Trial { method: method.to_owned(), set: set.to_owned(), classes, predictions });
+            Ok(())
+        })?;
+    let FeatureSet { data, clips, samples } = features;
+    let methods = methods.into_iter().map(|method| method.record).collect();
+    Ok(RunResults { settings, data, methods, clips, samples, trials, outcomes })
+}
+
+/// Trains the folds of one part of a run, and stores them in `folders`, where [`run`] finds them.
+///
+/// # Errors
+/// Those of [`run`].
+pub fn run_part(
+    datasets: Vec<ClipDataset>,
+    methods: Vec<RunMethod>,
+    settings: &RunSettings,
+    folders: RunFolders,
+    part: Shard,
+    on_event: &(dyn Fn(RunEvent) + Sync),
+) -> Result<TrainedPart, RunError> {
+    let (_, part) =
+        train_folds(datasets, &methods, settings, folders, part, on_event, &mut |_, _, _| Ok(()))?;
+    Ok(part)
+}
+
+/// Trains the folds of a part, those of all sets and methods in order. `on_trained` takes those of a set and method.
+fn train_folds(
+    datasets: Vec<ClipDataset>,
+    methods: &[RunMethod],
+    settings: &RunSettings,
+    folders: RunFolders,
+    part: Shard,
+    on_event: &(dyn Fn(RunEvent) + Sync),
+    on_trained: &mut dyn FnMut(&str, &str, Loso) -> Result<(), RunError>,
+) -> Result<(FeatureSet, TrainedPart), RunError> {
     settings.check(&datasets)?;
-    let RunSettings { classifier, preparation, protocol, classes, .. } = &settings;
+    let RunSettings { classifier, preparation, protocol, classes, .. } = settings;
     let sets = sets(&datasets, settings.sets);
     let features =
-        compute_features(datasets, &methods, settings.apex, preparation, Some(folders.features), on_event)?;
-    let FeatureSet { data, clips, samples } = features;
+        compute_features(datasets, methods, settings.apex, preparation, Some(folders.features), on_event)?;
+    let FeatureSet { data, samples, .. } = &features;
 
     let epochs = protocol.epochs as u64;
     let subjects = |members: &[String]| -> usize {
@@ -215,10 +265,12 @@ pub fn run(
     let clips_of = |members: &[String]| -> usize {
         data.iter().filter(|data| members.contains(&data.dataset)).map(|data| data.clips).sum()
     };
-    // Each clip is used in training once for each other subject.
+    let all_folds = sets.iter().map(|(_, members)| subjects(members)).sum::<usize>() * methods.len();
+    let wanted = part.range(all_folds as u64);
+    // Each clip is used in training once for each other subject; of a part, about its share.
     let in_set = |members: &[String]| (clips_of(members) * (subjects(members) - 1)) as u64 * epochs;
-    let of_all_sets: u64 = sets.iter().map(|(_, members)| in_set(members)).sum();
-    on_event(RunEvent::Training { clip_epochs: of_all_sets * methods.len() as u64 });
+    let of_all_sets = sets.iter().map(|(_, members)| in_set(members)).sum::<u64>() * methods.len() as u64;
+    on_event(RunEvent::Training { clip_epochs: of_all_sets / u64::from(part.of) });
     let on_fold = |event| match event {
         LosoEvent::Epoch { clips } => on_event(RunEvent::Trained { clip_epochs: clips as u64 }),
         LosoEvent::Fold { clips, resumed: true } => {
@@ -226,24 +278,29 @@ pub fn run(
         }
         LosoEvent::Fold { resumed: false, .. } => {}
     };
-    let (mut trials, mut outcomes) = (Vec::new(), Vec::new());
+    let mut before = 0;
     for (set, members) in &sets {
-        for (method, samples) in &samples {
+        for (method, samples) in samples {
+            let first = before;
+            before += subjects(members) as u64;
+            let within = |fold: u64| (fold.clamp(first, before) - first) as usize;
+            let of_part = within(wanted.start)..within(wanted.end);
+            if of_part.is_empty() {
+                continue;
+            }
             on_event(RunEvent::Folds { set, method });
             let of_set = samples.iter().filter(|sample| members.contains(&sample.dataset));
             let of_set: Vec<Sample> = of_set.cloned().collect();
-            let folder = Some(folders.folds);
+            let folder = Some(FoldFolder { path: folders.folds, part: of_part });
             let loso =
                 classifier.leave_one_subject_out(&of_set, classes, protocol, folder, &on_fold, &|| false);
             let loso =
                 loso.map_err(|error| RunError::Training { set: set.clone(), method: method.clone(), error })?;
-            outcomes.push(Outcome::of(method, set, &loso)?);
-            let Loso { classes, predictions, .. } = loso;
-            trials.push(Trial { method: method.clone(), set: set.clone(), classes, predictions });
+            on_trained(set, method, loso)?;
         }
     }
-    let methods = methods.into_iter().map(|method| method.record).collect();
-    Ok(RunResults { settings, data, methods, clips, samples, trials, outcomes })
+    let trained = TrainedPart { folds: wanted.end - wanted.start, all_folds: all_folds as u64 };
+    Ok((features, trained))
 }
 
 /// The training data and its provenance.

@@ -6,8 +6,8 @@ use std::sync::Mutex;
 use srflow_field::Plane;
 use srflow_field::random::Key;
 use srflow_mer::{
-    Classifier, FEATURE_SIDE, Features, Fold, LabelledClip, Loso, LosoError, LosoEvent, OffTaNet, Protocol,
-    Sample, StstNet, Summary, leave_one_subject_out, leave_one_subject_out_by, read_predictions,
+    Classifier, FEATURE_SIDE, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError, LosoEvent, OffTaNet,
+    Protocol, Sample, StstNet, Summary, leave_one_subject_out, leave_one_subject_out_by, read_predictions,
     write_predictions,
 };
 use srflow_read::micro_expression::Classes;
@@ -73,6 +73,7 @@ fn run<C: Classifier>(
     let loso = pool
         .install(|| {
             let classes = Classes::default();
+            let folder = folder.map(FoldFolder::from);
             leave_one_subject_out::<C>(samples, classes.names(), protocol, folder, &log, &|| false)
         })
         .unwrap();
@@ -218,8 +219,14 @@ fn a_run_that_is_stopped_keeps_its_finished_folds() {
     };
     let stop = || finished.load(std::sync::atomic::Ordering::Relaxed) >= 2;
     let kept = Some(folder.path());
-    let stopped =
-        leave_one_subject_out::<StstNet>(&samples, classes.names(), &protocol(2), kept, &on_event, &stop);
+    let stopped = leave_one_subject_out::<StstNet>(
+        &samples,
+        classes.names(),
+        &protocol(2),
+        kept.map(FoldFolder::from),
+        &on_event,
+        &stop,
+    );
     assert!(matches!(stopped, Err(LosoError::Stopped)));
     let (resumed, events) = run::<StstNet>(&samples, &protocol(2), kept, 2);
     assert!(folds(&events, true) >= 2);

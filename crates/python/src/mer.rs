@@ -8,8 +8,8 @@ use pyo3::exceptions::{PyKeyError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyString};
 use srflow_mer::{
-    CLASSIFIERS, ClassifierEntry, Features, Fold, LabelledClip, Loso, LosoError, LosoEvent, Outcome,
-    Prediction, Protocol, ResizeOrder, Sample, StrainFormula, Summary, features_of_frames,
+    CLASSIFIERS, ClassifierEntry, Features, Fold, FoldFolder, LabelledClip, Loso, LosoError, LosoEvent,
+    Outcome, Prediction, Protocol, ResizeOrder, Sample, StrainFormula, Summary, features_of_frames,
     leave_one_subject_out_by, optical_strain,
 };
 
@@ -466,7 +466,8 @@ fn built_in<'py>(
     let (samples, classes, folder) = (clips.samples(inputs)?, clips.classes.clone(), training.folder.clone());
     let found = compute_reporting(py, on_event, move |reporter| {
         let (on_event, stop) = (|event| reporter.report(event), || reporter.stops());
-        entry.leave_one_subject_out(&samples, &classes, &protocol, folder.as_deref(), &on_event, &stop)
+        let folder = folder.as_deref().map(FoldFolder::from);
+        entry.leave_one_subject_out(&samples, &classes, &protocol, folder, &on_event, &stop)
     })?;
     found.map_err(exception)
 }

@@ -9,6 +9,7 @@ pub mod generate;
 mod head;
 pub mod job;
 pub mod label_error;
+pub mod merge;
 pub mod mesh_error;
 mod parts;
 pub mod record;

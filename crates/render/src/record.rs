@@ -3,9 +3,11 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use srflow_field::{FileKind, read_text};
 
+use crate::RenderError;
 use crate::statistics::FlowSummary;
 use srflow_read::manifest::CameraRecord;
 
@@ -46,6 +48,33 @@ pub struct FrameRecord {
 /// What a JSON file for people to read holds.
 pub(crate) fn json_text(content: &impl Serialize) -> String {
     serde_json::to_string_pretty(content).expect("numbers, text, lists and maps by text") + "\n"
+}
+
+/// Reads a file that [`json_text`] has written.
+///
+/// # Errors
+/// When it cannot be read, or has other content.
+pub(crate) fn read_record<T: DeserializeOwned>(path: &Path) -> Result<T, RenderError> {
+    let text = read_text(path, FileKind::Json)?;
+    serde_json::from_str(&text).map_err(|error| RenderError::Malformed {
+        path: path.to_owned(),
+        reason: srflow_field::parse_error_in_words(&error),
+    })
+}
+
+/// A flow format in a record, by its file extension.
+pub(crate) mod format_name {
+    use serde::de::Error;
+    use serde::{Deserialize, Deserializer, Serializer};
+    use srflow_field::FlowFormat;
+
+    pub fn serialize<S: Serializer>(format: &FlowFormat, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(format.extension())
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<FlowFormat, D::Error> {
+        String::deserialize(deserializer)?.parse().map_err(D::Error::custom)
+    }
 }
 
 /// A record could not be read.

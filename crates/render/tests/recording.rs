@@ -6,11 +6,12 @@ mod tree;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use srflow_field::Shard;
 use srflow_field::read_image;
 use srflow_read::manifest::{Manifest, Recording};
 use srflow_render::check::check;
 use srflow_render::generate::{Background, MotionSource, Settings, generate};
-use srflow_render::job::{Request, Shard};
+use srflow_render::job::Request;
 use tree::contents;
 
 fn settings(recording: Recording) -> Settings {

@@ -5,12 +5,13 @@ mod tree;
 
 use std::path::{Path, PathBuf};
 
+use srflow_field::Shard;
 use srflow_field::{read_labels, read_mask};
 use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
 use srflow_read::manifest::Manifest;
 use srflow_read::region_map::HeadPart;
 use srflow_render::generate::{Settings, generate};
-use srflow_render::job::{Request, Shard};
+use srflow_render::job::Request;
 
 fn settings(regions: bool) -> Settings {
     Settings { regions, ..tiny::settings() }

@@ -6,10 +6,11 @@ use std::fs;
 use std::path::Path;
 use std::sync::Mutex;
 
+use srflow_field::Shard;
 use srflow_field::{read_flow, read_image, read_mask};
 use srflow_read::micro_expression::{Classes, ClipDataset, count_classes};
 use srflow_render::RenderError;
-use srflow_render::job::{Event, Request, Shard};
+use srflow_render::job::{Event, Request};
 use srflow_render::synth::{SynthReport, SynthSettings, synthesize};
 use tree::contents;
 

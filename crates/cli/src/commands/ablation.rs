@@ -14,6 +14,7 @@ use srflow_train::ablation::{
 use srflow_train::config::{Config, Source};
 
 use super::train::{Overrides, Progress, find_weights};
+use crate::interrupt::Continuable;
 use crate::made::open_made;
 use crate::output::{latex, print_tables};
 use crate::{Context, machine};
@@ -96,6 +97,7 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
     let runs = settings.runs().len();
     let mut number = 0;
     let mut progress = Progress::new();
+    let continuable = Continuable::keeping("finished runs and checkpoints are kept");
     let result = ablate(&settings, &tests, &open_made, &devices, &args.out, &mut |event| match event {
         AblationEvent::Cell { variant, seed, done } => {
             number += 1;
@@ -104,6 +106,7 @@ pub fn run(args: Ablation, context: &Context) -> anyhow::Result<()> {
         }
         AblationEvent::Training(event) => progress.show(&event),
     });
+    drop(continuable);
     progress.finish();
     let cells = result?;
     let ours = test_tables(&cells);

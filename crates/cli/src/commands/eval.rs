@@ -1,25 +1,28 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
+use std::time::UNIX_EPOCH;
 
-use anyhow::bail;
+use anyhow::{Context as _, bail};
 use clap::Args;
 use clap::builder::ArgPredicate;
 use serde::Serialize;
 use srflow_eval::report::{Figure, pair_figures, score_report};
 use srflow_eval::{
-    Evaluation, Method, MethodRecord, OnFailure, ScoredPair, Settings, TextStyle, Window, joined,
-    markdown_file, scored_pairs, window_about,
+    Evaluation, KeptPair, KeptScores, Method, MethodRecord, OnFailure, ScoredPair, Settings, TextStyle,
+    Window, joined, markdown_file, scored_pairs, window_about,
 };
 use srflow_face::FaceBox;
-use srflow_field::{Size, create_folder, write_file};
+use srflow_field::{JsonLines, Shard, Size, create_folder, read_json_lines, write_file};
 use srflow_figure::{Content, Pair, Plan, Scale, Scales, Source as Flow, Style};
-use srflow_read::flow::{DatasetSpec, FlowDataset, KINDS, Split};
+use srflow_read::flow::{DatasetSpec, Entry, FlowDataset, KINDS, Split};
 
 use crate::face::FaceArgs;
+use crate::interrupt::Continuable;
 use crate::methods::{self, MethodParameters, MethodSpec, Rows, RowsArgs, Source};
 use crate::output::{ensure_folder, ensure_free, latex, print_tables};
 use crate::progress::bar;
+use crate::rendering::{Rendered, ShardArgs};
 use crate::scoring::{self, folder_name, save_flows};
 use crate::usage::wrong_usage;
 use crate::{Context, in_words, machine};
@@ -38,6 +41,9 @@ pairs; also inside the head's mask and outside occlusions where the dataset has 
 files:DIR scores flow files of another program: one file per pair, DIR/SCENE/FRAME.EXT (DIR/FRAME.EXT where pairs have no \
 scene), in any flow format; docs/datasets.md lists the names for each dataset. --save-flow DIR writes the flow of each method in \
 this layout, into DIR/METHOD.
+
+With --out, scores are kept until all are there: the same command continues a run that was ended, and with --shard several processes \
+score parts into one shared folder, after which the command without it writes the tables.
 
 Examples:
   srflow eval --dataset srflow:srflow --method farneback tvl1 --crop 1200x1600 --out scores
@@ -98,11 +104,20 @@ pub struct Eval {
     #[arg(long)]
     force: bool,
     #[command(flatten)]
+    shard: ShardArgs,
+    #[command(flatten)]
     face: FaceArgs,
     #[command(flatten)]
     rows: RowsArgs,
     #[command(flatten)]
     parameters: MethodParameters,
+}
+
+/// What `--json` prints of a part.
+#[derive(Serialize)]
+struct ScoredPart {
+    /// Pairs that were scored, now or before.
+    pairs: usize,
 }
 
 /// The files that `--out` writes.
@@ -144,6 +159,8 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         }
         create_folder(dir)?;
     }
+    let shard = args.shard.taken()?;
+    let kept = Kept::open(&args, &dataset, &specs, shard.shard)?;
     let windows = face_windows(&args, &dataset, limit)?;
     let settings = Settings {
         windows: windows.as_ref(),
@@ -154,12 +171,21 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         regions: args.regions,
         small_motion: args.small_motion,
         expression: args.expression,
+        part: shard.shard,
+        kept: None,
     };
     if let Some(out) = &args.out {
         create_folder(out)?; // before the long work, so that an error costs nothing
     }
     let (mut figures, mut shown_pairs) = (Vec::new(), Vec::new());
+    let mut log = kept.as_ref().map(Kept::log).transpose()?;
+    let scores = kept.as_ref().map(|kept| kept.scores_without(&pictured(&args, &dataset)));
+    let settings = Settings { kept: scores.as_ref(), ..settings };
+    let continuable = kept.as_ref().map(|_| Continuable::keeping("the scores so far are kept"));
     let evaluation = scoring::score(&dataset, &scored, settings, SHOWN_PAIRS, &mut |pair, shown| {
+        if let (Some(kept), Some(log)) = (&kept, &mut log) {
+            log.append(&kept.of(pair))?;
+        }
         if let Some(dir) = &args.save_flow {
             save_flows(pair, dir)?;
         }
@@ -175,6 +201,16 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         }
         Ok(())
     })?;
+    if shard.shard != Shard::WHOLE {
+        let scored = Rendered { report: ScoredPart { pairs: evaluation.pairs }, shard };
+        if context.json {
+            return scored.print_json();
+        }
+        let (part, pairs) = (scored.shard.shard, scored.report.pairs);
+        return say!(
+            "Part {part} is complete: {pairs} pairs are scored. When all parts are, the same command without --shard writes the tables."
+        );
+    }
     if let Some(dir) = &args.figure {
         write_figure(dir, &scored, &shown_pairs)?;
     }
@@ -194,6 +230,10 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
     }
     if let Some(out) = &args.out {
         write(out, &scores, figures)?;
+        drop(continuable);
+        if let Some(kept) = kept {
+            kept.remove()?;
+        }
         if !context.json {
             say!("\nReport: {}", out.join("report.html").display())?;
         }
@@ -205,6 +245,124 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
             evaluation.pairs + count
         ),
     }
+}
+
+/// The names of the pairs that pictures or flow are written of, so that kept scores are not enough.
+fn pictured(args: &Eval, dataset: &FlowDataset) -> BTreeSet<String> {
+    let names = scored_pairs(dataset, args.limit.map(|limit| limit as usize));
+    if args.save_flow.is_some() {
+        return names.into_iter().collect();
+    }
+    let every = scoring::shown_every(names.len(), SHOWN_PAIRS);
+    let shown = (0..).zip(&names).filter(|(index, _)| scoring::is_shown(*index, every)).map(|(_, name)| name);
+    shown.chain(&args.figure_pairs).cloned().collect()
+}
+
+/// Scores that `--out` keeps until all pairs are scored.
+struct Kept {
+    folder: PathBuf,
+    file: PathBuf,
+    /// What scores depend on besides pairs.
+    evaluation: String,
+    /// Stamps of the files of pairs, by their names.
+    stamps: BTreeMap<String, String>,
+    found: Vec<KeptPair>,
+}
+
+impl Kept {
+    /// `None` without `--out`, and for methods whose flow depends on other pairs or on files, which may change.
+    fn open(
+        args: &Eval,
+        dataset: &FlowDataset,
+        specs: &[MethodSpec],
+        shard: Shard,
+    ) -> anyhow::Result<Option<Self>> {
+        let remembers =
+            |spec: &MethodSpec| spec.method.network().is_some_and(|network| network.facts().remembers);
+        let is_alone = |spec: &MethodSpec| spec.method != methods::Method::Files && !remembers(spec);
+        let cannot = match (&args.out, specs.iter().find(|spec| !is_alone(spec)), args.face.is_whole()) {
+            (None, ..) => Some("--out DIR too, into which the parts write their scores".to_owned()),
+            (_, Some(spec), _) => {
+                Some(format!("methods that estimate each pair by itself; leave out {}", spec.method.name()))
+            }
+            (.., false) => {
+                Some("whole frames or --crop; leave out --face, --face-box and --landmarks".to_owned())
+            }
+            (Some(_), None, true) => None,
+        };
+        match (cannot, &args.out) {
+            (None, Some(out)) => {
+                let records: Vec<String> = methods::records(specs, &args.parameters)?
+                    .iter()
+                    .map(|record| format!("{}: {}", record.name, record.identity()))
+                    .collect();
+                let Eval { crop, regions, small_motion, expression, .. } = args;
+                let text = format!(
+                    "srflow {} {} {:?} {crop:?} {regions} {small_motion:?} {expression} {}",
+                    env!("CARGO_PKG_VERSION"),
+                    dataset.name(),
+                    std::path::absolute(dataset.dir())?,
+                    records.join("; ")
+                );
+                let folder = out.join("scored");
+                let stamps = dataset.entries().iter().map(|entry| (entry.id(), stamp(entry))).collect();
+                let file = folder.join(format!("{}-of-{}.jsonl", shard.number, shard.of));
+                let mut kept = Self { file, folder, evaluation: text, stamps, found: Vec::new() };
+                kept.read()?;
+                Ok(Some(kept))
+            }
+            (Some(cannot), _) if shard != Shard::WHOLE => wrong_usage!("--shard needs {cannot}"),
+            _ => Ok(None),
+        }
+    }
+
+    /// Reads the scores of all parts.
+    fn read(&mut self) -> anyhow::Result<()> {
+        for entry in std::fs::read_dir(&self.folder).into_iter().flatten().flatten() {
+            let path = entry.path();
+            if path.extension().is_some_and(|extension| extension == "jsonl") {
+                let pairs: Vec<KeptPair> = read_json_lines(&path)?;
+                let current: Vec<KeptPair> = pairs.into_iter().filter(|pair| self.is_current(pair)).collect();
+                self.found.extend(current);
+            }
+        }
+        Ok(())
+    }
+
+    fn is_current(&self, pair: &KeptPair) -> bool {
+        pair.evaluation == self.evaluation && self.stamps.get(&pair.pair) == Some(&pair.files)
+    }
+
+    /// The log of this process, without scores that are of no use any more.
+    fn log(&self) -> anyhow::Result<JsonLines> {
+        create_folder(&self.folder)?;
+        Ok(JsonLines::open(&self.file, |pair: &KeptPair| self.is_current(pair))?)
+    }
+
+    fn scores_without(&self, names: &BTreeSet<String>) -> BTreeMap<String, Vec<KeptScores>> {
+        let others = self.found.iter().filter(|pair| !names.contains(&pair.pair));
+        others.map(|pair| (pair.pair.clone(), pair.methods.clone())).collect()
+    }
+
+    fn of(&self, pair: &ScoredPair) -> KeptPair {
+        KeptPair::new(pair, &self.evaluation, self.stamps.get(pair.name).cloned().unwrap_or_default())
+    }
+
+    /// Once the tables are written.
+    fn remove(self) -> anyhow::Result<()> {
+        std::fs::remove_dir_all(&self.folder).with_context(|| format!("removing {}", self.folder.display()))
+    }
+}
+
+/// Sizes and times of a pair's files.
+fn stamp(entry: &Entry) -> String {
+    let of_file = |path: &Path| {
+        let metadata = std::fs::metadata(path).ok()?;
+        let modified = metadata.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
+        Some(format!("{} {}", metadata.len(), modified.as_nanos()))
+    };
+    let stamps: Vec<String> = entry.files().map(|path| of_file(path).unwrap_or_default()).collect();
+    stamps.join(", ")
 }
 
 /// The window about the face in the first frame of each pair that is scored, by its name; `None` if faces are not asked for.

@@ -9,6 +9,7 @@ pub mod eval;
 pub mod figure;
 pub mod flow;
 pub mod mer;
+pub mod merge;
 pub mod metrics;
 pub mod models;
 pub mod rasterize;

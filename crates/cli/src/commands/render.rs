@@ -8,12 +8,12 @@ use srflow_avatar::HeadSource;
 use srflow_field::{FlowFormat, Size};
 use srflow_read::manifest::Recording;
 use srflow_render::generate::{Background, MotionSource, Report, Settings, generate};
-use srflow_render::job::{Made, Shard};
+use srflow_render::job::Made;
 use srflow_render::statistics::Statistics;
 
 use crate::Context;
 use crate::library::{Watch, parsed};
-use crate::rendering::{RenderingArgs, exit_if_stopped};
+use crate::rendering::{Rendered, RenderingArgs, exit_if_stopped};
 
 /// Render a facial optical-flow dataset with exact flow from a head avatar
 #[derive(Args)]
@@ -182,7 +182,8 @@ pub fn render(options: impl IntoIterator<Item = OsString>, watch: &Watch) -> any
     let args: Render = parsed("srflow render", options)?;
     let settings = args.settings();
     let report = args.rendering.make_watched(&args.out, watch, |request| generate(&settings, request))?;
-    Ok(summary(&args.out, &report, &settings.empty_splits()))
+    let summary = report.map(|report| summary(&args.out, report, &settings.empty_splits()));
+    Ok(serde_json::to_value(summary)?)
 }
 
 pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
@@ -191,13 +192,14 @@ pub fn run(args: Render, context: &Context) -> anyhow::Result<()> {
     for note in &notes {
         note!("note: {note}");
     }
-    let report = args.rendering.make(&args.out, "pairs", |request| generate(&settings, request))?;
+    let rendered = args.rendering.make(&args.out, "pairs", |request| generate(&settings, request))?;
+    let stopped = rendered.report.run.stopped;
     if context.json {
-        crate::output::print_json(&summary(&args.out, &report, &notes))?;
+        rendered.map(|report| summary(&args.out, report, &notes)).print_json()?;
     } else {
-        print_report(args.rendering.shard, &report)?;
+        print_report(&rendered)?;
     }
-    exit_if_stopped(report.run.stopped)
+    exit_if_stopped(stopped)
 }
 
 fn summary(out: &Path, report: &Report, notes: &[String]) -> Value {
@@ -219,7 +221,8 @@ fn pairs_per_minute(made: &Made) -> f64 {
     if made.made == 0 { 0.0 } else { 60.0 * made.made as f64 / made.seconds }
 }
 
-fn print_report(shard: Shard, report: &Report) -> anyhow::Result<()> {
+fn print_report(rendered: &Rendered<Report>) -> anyhow::Result<()> {
+    let report = &rendered.report;
     let Made { units, made, bytes, seconds, stages, stopped } = &report.run;
     say!(
         "{made} of {units} pairs rendered in {seconds:.1} s: {:.1} pairs a minute, {:.1} MB, {:.1} MB/s",
@@ -238,10 +241,7 @@ fn print_report(shard: Shard, report: &Report) -> anyhow::Result<()> {
     match &report.statistics {
         Some(statistics) => print_statistics(statistics)?,
         None if *stopped => {}
-        None => say!(
-            "\nPart {shard} is complete. Copy the parts together; `srflow render` with the same arguments and without --shard\n\
-             then writes statistics.json."
-        )?,
+        None => rendered.print_part("statistics.json")?,
     }
     Ok(())
 }

@@ -60,10 +60,10 @@ pub fn run(args: Shapes, context: &Context) -> anyhow::Result<()> {
         textures: args.textures,
         flow_format: args.flow_format,
     };
-    let report = args.rendering.make(&args.out, "pairs", |request| shapes(&settings, request))?;
-    let ShapesReport { pairs, made, bytes, seconds, stopped, is_whole } = report;
+    let rendered = args.rendering.make(&args.out, "pairs", |request| shapes(&settings, request))?;
+    let ShapesReport { pairs, made, bytes, seconds, stopped, is_whole } = rendered.report;
     if context.json {
-        crate::output::print_json(&report)?;
+        rendered.print_json()?;
     } else {
         let per_minute = if made == 0 { 0.0 } else { 60.0 * made as f64 / seconds };
         say!(
@@ -73,11 +73,7 @@ pub fn run(args: Shapes, context: &Context) -> anyhow::Result<()> {
         if is_whole {
             say!("read it with chairs:{}", args.out.display())?;
         } else if !stopped {
-            say!(
-                "Part {} is complete. Copy the parts together; `srflow shapes` with the same arguments and without --shard\n\
-                 then writes the list of the splits.",
-                args.rendering.shard
-            )?;
+            rendered.print_part("the list of the splits")?;
         }
     }
     exit_if_stopped(stopped)

@@ -11,6 +11,7 @@ use srflow_train::config::{Config, PRESETS};
 use srflow_train::training_log::{Record, StepRecord, read_log};
 use srflow_train::{Event, Outcome, RunMode, Start, config_of_run, report, train_until};
 
+use crate::interrupt::{self, Continuable};
 use crate::library::{Watch, parsed};
 use crate::made::open_made;
 use crate::networks::{note_if_ambiguous, weights_file};
@@ -269,7 +270,9 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
         return say!("{}", job.config.to_toml().trim_end());
     }
     let mut progress = Progress::new();
-    let result = job.run(&|| false, &mut |event| progress.show(&event));
+    let continuable = Continuable::saved();
+    let result = job.run(&interrupt::requested, &mut |event| progress.show(&event));
+    drop(continuable);
     progress.finish();
     let outcome = result?;
     print(&job.out, &outcome, context)?;

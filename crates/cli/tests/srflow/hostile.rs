@@ -321,7 +321,7 @@ fn training(folder: &Path) -> Vec<Sample> {
         model,
         config: TrainConfig { iterations: 1, ..TrainConfig::default() },
         checkpoint_interval: Duration::ZERO,
-        stop_after: None,
+        stop: &|_| false,
     };
     srflow_avatar::train::run(request, &mut |_| ()).unwrap();
     let sample = |(name, file)| {

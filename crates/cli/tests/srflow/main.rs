@@ -12,6 +12,7 @@ mod avatar_eval;
 mod avatar_files;
 mod avatar_train;
 mod capture;
+mod clusters;
 mod demo;
 mod eval;
 mod face;

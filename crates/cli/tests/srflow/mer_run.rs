@@ -190,6 +190,23 @@ fn predictions_that_give_no_tables_say_why() {
 
 /// A killed run leaves finished folds, and, if it was writing its results, tables without results.json.
 #[test]
+fn folds_are_trained_in_parts() {
+    let (folder, clips) = faces();
+    let [through, parted] = ["through", "parted"].map(|name| folder.path().join(name));
+    succeeds(&run(&clips, &through, &[]));
+    let part = |shard| json(&run(&clips, &parted, &["--shard", shard, "--json"]));
+    // Of three folds.
+    assert_eq!([part("1/2")["folds"].clone(), part("2/2")["folds"].clone()], [1, 2]);
+    assert!(!parted.join("results.json").exists());
+    assert_eq!(fs::read_dir(parted.join("folds")).unwrap().count(), 3);
+    let results = json(&run(&clips, &parted, &["--json"]));
+    let folds = results["outcomes"][0]["folds"].as_array().unwrap();
+    assert!(folds.iter().all(|fold| fold["resumed"] == true), "{folds:?}");
+    let predictions = |out: &Path| fs::read(out.join("predictions.csv")).unwrap();
+    assert_eq!(predictions(&parted), predictions(&through));
+}
+
+#[test]
 fn a_killed_run_goes_on_to_the_same_bytes() {
     let (folder, clips) = faces();
     let out = folder.path().join("out");

@@ -38,6 +38,7 @@ pub fn pair_figures(
     for (place, error) in &maps.errors {
         let estimate = &pair.estimates[*place];
         let epe = estimate
+            .kept
             .scores
             .whole
             .as_ref()

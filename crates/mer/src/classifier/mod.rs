@@ -4,7 +4,6 @@ mod offapexnet;
 mod offtanet;
 mod ststnet;
 
-use std::path::Path;
 use std::sync::Arc;
 
 use burn::module::Module;
@@ -17,7 +16,7 @@ pub use offtanet::OffTaNet;
 pub use ststnet::StstNet;
 
 use crate::features::{FEATURE_SIDE, Features, Sample};
-use crate::loso::{Loso, LosoError, LosoEvent, leave_one_subject_out};
+use crate::loso::{FoldFolder, Loso, LosoError, LosoEvent, leave_one_subject_out};
 use crate::protocol::Protocol;
 
 /// A network from features to one score per class. Its parameters carry the reference's names, so that
@@ -67,7 +66,7 @@ type LeaveOneSubjectOut = fn(
     &[Sample],
     &Arc<[String]>,
     &Protocol,
-    Option<&Path>,
+    Option<FoldFolder>,
     &(dyn Fn(LosoEvent) + Sync),
     &(dyn Fn() -> bool + Sync),
 ) -> Result<Loso, LosoError>;
@@ -98,7 +97,7 @@ impl ClassifierEntry {
         samples: &[Sample],
         classes: &Arc<[String]>,
         protocol: &Protocol,
-        folder: Option<&Path>,
+        folder: Option<FoldFolder>,
         on_event: &(dyn Fn(LosoEvent) + Sync),
         stop: &(dyn Fn() -> bool + Sync),
     ) -> Result<Loso, LosoError> {

@@ -71,10 +71,9 @@ pub fn capture(settings: &CaptureSettings, request: Request) -> Result<CaptureRe
     settings.validate()?;
     let performance = Performance::new(settings)?;
     let plan = Timesteps { settings, arguments: settings.arguments()?, performance: &performance };
-    let (Made { units, made, bytes, seconds, stages, stopped }, complete) = job::make(&plan, request)?;
-    if complete {
-        finish(request.dir, settings, &performance)?;
-    }
+    let (run, finished) = job::make(&plan, request, |dir| finish(dir, settings, &performance))?;
+    let Made { units, made, bytes, seconds, stages, stopped } = run;
+    let complete = finished.is_some();
     let cameras = settings.cameras;
     Ok(CaptureReport { timesteps: units, made, cameras, bytes, seconds, stages, stopped, complete })
 }

@@ -17,7 +17,7 @@ use super::settings::indices;
 use super::{CaptureSettings, MANIFEST_NAME, TRUE_FOLDER};
 use crate::RenderError;
 use crate::generate::write_alpha;
-use crate::job::{Plan, Run, Stage, unless_gone};
+use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, unless_gone};
 use crate::record::json_text;
 use crate::recording::add_noise;
 
@@ -47,24 +47,58 @@ fn files_of(timestep: u32, cameras: &[u32]) -> impl Iterator<Item = PathBuf> {
     std::iter::once(parameters_name(timestep)).chain(of_cameras)
 }
 
-impl<'a> Plan for Timesteps<'a> {
-    type Group = ();
-    type Worker = Renderer;
+/// The files about all timesteps.
+fn files_of_all() -> impl Iterator<Item = PathBuf> {
+    let lists = CaptureSplit::ALL.map(|split| format!("transforms_{split}.json"));
+    let lists: Vec<PathBuf> = lists
+        .iter()
+        .map(String::as_str)
+        .chain(["transforms.json", LANDMARKS_NAME])
+        .map(PathBuf::from)
+        .collect();
+    let truth: Vec<PathBuf> = lists.iter().map(|name| Path::new(TRUE_FOLDER).join(name)).collect();
+    lists.into_iter().chain([CANONICAL_NAME, HEAD_NAME].map(PathBuf::from)).chain(truth)
+}
 
+impl Layout for Timesteps<'_> {
     const MANIFEST: &'static str = MANIFEST_NAME;
     const UNITS: &'static str = "timesteps";
-    const LONGEST_RUN: u32 = 8;
-
-    fn manifest(&self) -> String {
-        json_text(&self.arguments)
-    }
 
     fn groups(&self) -> Vec<u32> {
         vec![self.settings.timesteps]
     }
 
-    fn is_whole(&self, dir: &Path, _group: u32, timestep: u32) -> bool {
-        files_of(timestep, &self.settings.camera_indices()).all(|file| dir.join(file).is_file())
+    fn files(&self, dir: &Path, _group: u32, timestep: u32) -> Vec<PathBuf> {
+        files_of(timestep, &self.settings.camera_indices()).map(|file| dir.join(file)).collect()
+    }
+
+    fn begun_in(&self, dir: &Path) -> Vec<(u32, u32)> {
+        let numbers = names_in(&dir.join(PARAMETERS_FOLDER)).filter_map(|name| leading_number(&name));
+        numbers.filter(|timestep| *timestep < self.settings.timesteps).map(|timestep| (0, timestep)).collect()
+    }
+
+    fn name(&self, _group: u32, timestep: u32) -> String {
+        format!("timestep {timestep}")
+    }
+
+    fn others(&self) -> Vec<PathBuf> {
+        files_of_all().collect()
+    }
+}
+
+impl<'a> Plan for Timesteps<'a> {
+    type Layout = Self;
+    type Group = ();
+    type Worker = Renderer;
+
+    const LONGEST_RUN: u32 = 8;
+
+    fn layout(&self) -> &Self {
+        self
+    }
+
+    fn manifest(&self) -> String {
+        json_text(&self.arguments)
     }
 
     fn folders(&self, dir: &Path, _run: &Run) -> Vec<PathBuf> {
@@ -81,13 +115,9 @@ impl<'a> Plan for Timesteps<'a> {
         let other: Value = serde_json::from_str(found).unwrap_or_default();
         let number = |key: &str| other[key].as_u64().unwrap_or(0);
         let cameras = indices(usize::try_from(number("cameras")).unwrap_or(0));
-        let lists = CaptureSplit::ALL.map(|split| format!("transforms_{split}.json"));
-        let lists = || lists.iter().map(String::as_str).chain(["transforms.json", LANDMARKS_NAME]);
-        let of_all = lists().chain([CANONICAL_NAME, HEAD_NAME]).map(PathBuf::from);
-        let truth = lists().map(|name| Path::new(TRUE_FOLDER).join(name));
         // The lists first: without them the capture does not count as complete.
         let remove = |file: PathBuf| unless_gone(&dir.join(&file), fs::remove_file(dir.join(&file)));
-        of_all.chain(truth).try_for_each(remove)?;
+        files_of_all().try_for_each(remove)?;
         let timesteps = u32::try_from(number("timesteps")).unwrap_or(0);
         (0..timesteps).flat_map(|timestep| files_of(timestep, &cameras)).try_for_each(remove)?;
         for folder in [IMAGES, MASKS, PARAMETERS_FOLDER, TRUE_FOLDER] {

@@ -1,6 +1,7 @@
 //! Checks an SRFlow dataset: whether every file that `srflow render` writes exists and matches the dataset's arguments, and
 //! whether the flow explains the frames.
 
+mod again;
 mod plan;
 
 use std::path::{Path, PathBuf};
@@ -16,6 +17,7 @@ use crate::camera::camera_from_record;
 use crate::job::first_difference;
 use crate::record::PairRecord;
 use crate::statistics::{BINS, FlowSummary, Statistics, bin_edges};
+pub use again::{Anew, check_anew, check_hashes};
 use plan::{Expected, problems_of_manifest, unexpected_files};
 use srflow_read::manifest::{FrameFiles, Manifest, ManifestError, STATISTICS_NAME, SceneEntry};
 use srflow_read::region_map::read_region_map;

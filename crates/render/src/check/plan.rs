@@ -69,7 +69,7 @@ fn problems_of_rig(manifest: &Manifest, planned: &[RigCamera]) -> Vec<String> {
     rig.iter().zip(planned).filter_map(wrong).collect()
 }
 
-fn is_of_this_version(manifest: &Manifest) -> bool {
+pub fn is_of_this_version(manifest: &Manifest) -> bool {
     manifest.srflow_version == env!("CARGO_PKG_VERSION")
 }
 

@@ -58,8 +58,7 @@ pub struct Report {
 pub fn generate(settings: &Settings, request: Request) -> Result<Report, RenderError> {
     let manifest = checked_plan(settings)?;
     let plan = work::Scenes { settings, rig: settings.rig(), manifest };
-    let (run, whole) = job::make(&plan, request)?;
-    let statistics = if whole { Some(write_statistics(request.dir, &plan.manifest)?) } else { None };
+    let (run, statistics) = job::make(&plan, request, |dir| write_statistics(dir, &plan.manifest))?;
     Ok(Report { run, statistics })
 }
 
@@ -88,7 +87,8 @@ fn check_length(settings: &Settings, manifest: &Manifest, avatar: &Avatar) -> Re
     Ok(())
 }
 
-fn write_statistics(dir: &Path, manifest: &Manifest) -> Result<Statistics, RenderError> {
+/// Writes the statistics of a complete dataset.
+pub(crate) fn write_statistics(dir: &Path, manifest: &Manifest) -> Result<Statistics, RenderError> {
     let mut flow = FlowSummary::default();
     for scene in &manifest.scenes {
         let records = (0..scene.pairs).into_par_iter();

@@ -4,6 +4,7 @@
 //! flow and occlusion, and every frame is posed and rendered once; only the frame after a run's last pair is rendered for its
 //! depth alone.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -19,7 +20,7 @@ use super::rig::Rig;
 use super::scene::{FrameState, Scene};
 use super::settings::Settings;
 use crate::RenderError;
-use crate::job::{Clock, Plan, Run, Stage, unless_gone};
+use crate::job::{Clock, Layout, Plan, Run, Stage, leading_number, names_in, unless_gone};
 use crate::parts::PartWeights;
 use crate::record::{PairRecord, json_text};
 use crate::recording::Exposure;
@@ -44,31 +45,67 @@ impl Scenes<'_> {
     }
 }
 
-impl<'a> Plan for Scenes<'a> {
-    type Group = Scene;
-    type Worker = Worker;
-
+impl Layout for Manifest {
     const MANIFEST: &'static str = MANIFEST_NAME;
     const UNITS: &'static str = "pairs";
-    /// One frame per run is rendered twice.
-    const LONGEST_RUN: u32 = 24;
-
-    fn manifest(&self) -> String {
-        json_text(&self.manifest)
-    }
 
     fn groups(&self) -> Vec<u32> {
-        self.manifest.scenes.iter().map(|scene| scene.pairs).collect()
+        self.scenes.iter().map(|scene| scene.pairs).collect()
     }
 
     /// A frame is written with the pair that starts at it, a scene's last frame with the last pair.
-    fn is_whole(&self, dir: &Path, group: u32, pair: u32) -> bool {
-        let (manifest, scene) = (&self.manifest, self.scene(group));
-        let PairFiles { flow, flow_backward, occlusion, record, .. } = manifest.files(dir, scene, pair);
+    fn files(&self, dir: &Path, group: u32, pair: u32) -> Vec<PathBuf> {
+        let scene = &self.scenes[group as usize];
+        let PairFiles { flow, flow_backward, occlusion, record, .. } = self.files(dir, scene, pair);
         let frames = if pair + 1 == scene.pairs { pair..pair + 2 } else { pair..pair + 1 };
-        let of_frames = frames.map(|frame| manifest.frame_files(dir, scene, frame));
-        [record, flow, occlusion].iter().chain(&flow_backward).all(|file| file.exists())
-            && of_frames.into_iter().all(|files| files.all().all(|file| file.exists()))
+        let of_frames =
+            frames.flat_map(|frame| self.frame_files(dir, scene, frame).all().cloned().collect::<Vec<_>>());
+        [record, flow, occlusion].into_iter().chain(flow_backward).chain(of_frames).collect()
+    }
+
+    fn begun_in(&self, dir: &Path) -> Vec<(u32, u32)> {
+        let groups: BTreeMap<&str, u32> =
+            (0..).zip(&self.scenes).map(|(group, scene)| (scene.name.as_str(), group)).collect();
+        let mut begun = Vec::new();
+        for split in SceneSplit::ALL {
+            let records = dir.join(split.to_string()).join("pairs");
+            for name in names_in(&records) {
+                let Some(&group) = name.to_str().and_then(|name| groups.get(name)) else { continue };
+                let scene = &self.scenes[group as usize];
+                let pairs = names_in(&records.join(&name)).filter_map(|name| leading_number(&name));
+                begun.extend(
+                    pairs
+                        .filter(|pair| scene.split == split && *pair < scene.pairs)
+                        .map(|pair| (group, pair)),
+                );
+            }
+        }
+        begun
+    }
+
+    fn name(&self, group: u32, pair: u32) -> String {
+        format!("pair {pair} of {}", self.scenes[group as usize].name)
+    }
+
+    fn others(&self) -> Vec<PathBuf> {
+        vec![STATISTICS_NAME.into()]
+    }
+}
+
+impl<'a> Plan for Scenes<'a> {
+    type Layout = Manifest;
+    type Group = Scene;
+    type Worker = Worker;
+
+    /// One frame per run is rendered twice.
+    const LONGEST_RUN: u32 = 24;
+
+    fn layout(&self) -> &Manifest {
+        &self.manifest
+    }
+
+    fn manifest(&self) -> String {
+        json_text(&self.manifest)
     }
 
     fn folders(&self, dir: &Path, run: &Run) -> Vec<PathBuf> {
@@ -436,7 +473,7 @@ mod tests {
             ..Settings::default()
         };
         let plan = Scenes { settings: &settings, rig: settings.rig(), manifest: settings.plan().unwrap() };
-        let left = || -> Vec<u32> { (0..3).filter(|&pair| !plan.is_whole(dir, 0, pair)).collect() };
+        let left = || -> Vec<u32> { (0..3).filter(|&pair| !plan.layout().is_whole(dir, 0, pair)).collect() };
         assert_eq!(left(), [0, 1, 2]);
         for folder in plan.folders(dir, &Run { group: 0, units: 0..3 }) {
             fs::create_dir_all(folder).unwrap();

@@ -10,7 +10,7 @@ use srflow_field::{
     FileKind, create_folder, excerpt, parse_error_in_words, read_text, remove_partial, write_file,
 };
 
-use super::{Plan, Run};
+use super::{HASHES_NAME, Layout as _, Plan, Run};
 use crate::RenderError;
 
 /// Minimum age of a partial file before it counts as left by an interrupted run: another shard may be working in the same
@@ -20,16 +20,28 @@ const ABANDONED_AFTER: Duration = Duration::from_secs(60);
 /// Claims `dir` for the planned dataset: a new folder, or one with the same dataset, begun before. `force` deletes another
 /// dataset there.
 pub fn claim<P: Plan>(dir: &Path, plan: &P, force: bool) -> Result<(), RenderError> {
-    let path = dir.join(P::MANIFEST);
-    let planned = plan.manifest();
+    let name = P::Layout::MANIFEST;
+    let path = dir.join(name);
+    if force && path.exists() {
+        let found = read_text(&path, FileKind::Json)?;
+        let hashes = dir.join(HASHES_NAME);
+        unless_gone(&hashes, fs::remove_file(&hashes))?;
+        plan.delete(dir, &found)?;
+        create_folder(dir)?;
+        return Ok(write_file(&path, plan.manifest())?);
+    }
+    claim_as(dir, name, &plan.manifest())
+}
+
+/// Claims `dir` for a dataset whose manifest, of this name, is `planned`.
+pub(crate) fn claim_as(dir: &Path, name: &'static str, planned: &str) -> Result<(), RenderError> {
+    let path = dir.join(name);
     if path.exists() {
         let found = read_text(&path, FileKind::Json)?;
-        if !force {
-            return difference::<P>(dir, &found, &planned)?.map_or(Ok(()), Err);
-        }
-        plan.delete(dir, &found)?;
-    } else if has_visible_entries(dir).map_err(|error| RenderError::io(dir, error))? {
-        return Err(RenderError::NotADataset { path: dir.to_owned(), manifest: P::MANIFEST });
+        return difference(&path, &found, planned)?.map_or(Ok(()), Err);
+    }
+    if has_visible_entries(dir).map_err(|error| RenderError::io(dir, error))? {
+        return Err(RenderError::NotADataset { path: dir.to_owned(), manifest: name });
     }
     create_folder(dir)?;
     Ok(write_file(&path, planned)?)
@@ -49,11 +61,11 @@ fn has_visible_entries(dir: &Path) -> io::Result<bool> {
     Ok(false)
 }
 
-/// The error that names the first field in which two manifests differ.
-fn difference<P: Plan>(dir: &Path, found: &str, planned: &str) -> Result<Option<RenderError>, RenderError> {
+/// The error that names the first field in which the manifest at `path` and the planned one differ.
+fn difference(path: &Path, found: &str, planned: &str) -> Result<Option<RenderError>, RenderError> {
     let parse = |text| {
         serde_json::from_str::<Value>(text).map_err(|error| RenderError::Malformed {
-            path: dir.join(P::MANIFEST),
+            path: path.to_owned(),
             reason: parse_error_in_words(&error),
         })
     };
@@ -61,10 +73,13 @@ fn difference<P: Plan>(dir: &Path, found: &str, planned: &str) -> Result<Option<
     if found == planned {
         return Ok(None);
     }
-    let other =
-        || (P::MANIFEST.to_owned(), "of another kind".to_owned(), "what this command writes".to_owned());
+    let other = || {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        (name, "of another kind".to_owned(), "what this command writes".to_owned())
+    };
     let (field, found, asked) = first_difference(&found, &planned).unwrap_or_else(other);
-    Ok(Some(RenderError::OtherDataset { path: dir.to_owned(), field, found, asked }))
+    let dir = path.parent().unwrap_or(path).to_owned();
+    Ok(Some(RenderError::OtherDataset { path: dir, field, found, asked }))
 }
 
 /// The name of the first field in which two objects differ, and its values, abbreviated.

@@ -5,20 +5,23 @@
 //! continued by the next, and the result has the same bytes.
 
 mod folder;
+mod hashes;
+mod layout;
 mod timing;
 mod work;
 
-use std::fmt;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::str::FromStr;
 use std::time::Instant;
 
-use serde::Serialize;
+use srflow_field::Shard;
 
 use crate::RenderError;
 
-pub(crate) use folder::{first_difference, unless_gone};
+pub(crate) use folder::{claim_as, first_difference, unless_gone};
+pub use hashes::HASHES_NAME;
+pub(crate) use hashes::{sha256, write_hashes};
+pub(crate) use layout::{Layout, leading_number, names_in};
 pub(crate) use timing::Clock;
 pub use timing::{Stage, StageTime};
 pub(crate) use work::Work;
@@ -29,25 +32,18 @@ const MAX_WORKERS: usize = 16;
 
 /// A dataset that is rendered unit by unit. Units are grouped by something costly: a scene, a subject's head.
 pub(crate) trait Plan: Sync + Sized {
+    type Layout: Layout;
     type Group: Send + Sync;
     /// The buffers of one worker.
     type Worker;
 
-    /// Name of the file that records the dataset's arguments.
-    const MANIFEST: &'static str;
-    /// What units are called, in the plural.
-    const UNITS: &'static str;
     /// Maximum number of units in a run.
     const LONGEST_RUN: u32;
 
-    /// The content of [`MANIFEST`](Self::MANIFEST).
+    fn layout(&self) -> &Self::Layout;
+
+    /// The content of [`Layout::MANIFEST`].
     fn manifest(&self) -> String;
-
-    /// The number of units of each group.
-    fn groups(&self) -> Vec<u32>;
-
-    /// Whether all files of a unit exist.
-    fn is_whole(&self, dir: &Path, group: u32, unit: u32) -> bool;
 
     /// The folders of a run's files.
     fn folders(&self, dir: &Path, run: &Run) -> Vec<PathBuf>;
@@ -107,6 +103,8 @@ pub enum Event {
     Started { units: u64, whole: u64 },
     /// One more unit is complete; this run has written so many bytes.
     Made { bytes: u64 },
+    /// The dataset is complete, and the files of so many of its units are hashed.
+    Hashed { units: u64 },
 }
 
 /// The result of one run.
@@ -126,12 +124,16 @@ pub struct Made {
     pub stopped: bool,
 }
 
-/// Renders the missing units of a shard, with the threads of the current rayon pool, and returns whether the dataset is then
-/// complete, including all other shards.
-pub(crate) fn make<P: Plan>(plan: &P, request: Request) -> Result<(Made, bool), RenderError> {
+/// Renders the missing units of a shard, with the threads of the current rayon pool. If the dataset is then complete, including all
+/// other shards, `finish` writes the files of the whole, and its result is returned.
+pub(crate) fn make<P: Plan, T>(
+    plan: &P,
+    request: Request,
+    finish: impl FnOnce(&Path) -> Result<T, RenderError>,
+) -> Result<(Made, Option<T>), RenderError> {
     let Request { dir, shard, force, on_event, .. } = request;
     folder::claim(dir, plan, force)?;
-    let groups = plan.groups();
+    let groups = plan.layout().groups();
     let part = units_of_shard(&groups, shard);
     folder::tidy(dir, plan, &part)?;
     let missing = missing(dir, plan, &part);
@@ -151,8 +153,26 @@ pub(crate) fn make<P: Plan>(plan: &P, request: Request) -> Result<(Made, bool), 
         stages: work.clock.spent(),
         stopped: made < lacking,
     };
-    let whole = self::missing(dir, plan, &units_of_shard(&groups, Shard::WHOLE)).is_empty();
-    Ok((report, whole))
+    if report.stopped || !self::missing(dir, plan, &units_of_shard(&groups, Shard::WHOLE)).is_empty() {
+        return Ok((report, None));
+    }
+    let finished = complete(dir, plan.layout(), made > 0, request.on_event, finish)?;
+    Ok((report, Some(finished)))
+}
+
+/// Writes the files of a whole dataset: those of `finish`, and the hashes of all, unless nothing has `changed` and they are there.
+pub(crate) fn complete<L: Layout, T>(
+    dir: &Path,
+    layout: &L,
+    changed: bool,
+    on_event: &(dyn Fn(Event) + Sync),
+    finish: impl FnOnce(&Path) -> Result<T, RenderError>,
+) -> Result<T, RenderError> {
+    let finished = finish(dir)?;
+    if changed || !dir.join(HASHES_NAME).exists() {
+        write_hashes(dir, layout, &|units| on_event(Event::Hashed { units }))?;
+    }
+    Ok(finished)
 }
 
 fn count(runs: &[Run]) -> u64 {
@@ -168,8 +188,7 @@ fn run_length(units: u64, longest: u32) -> u32 {
 /// The units of each group that belong to a shard: all units in order, cut into equal parts.
 fn units_of_shard(groups: &[u32], shard: Shard) -> Vec<Run> {
     let total: u64 = groups.iter().copied().map(u64::from).sum();
-    let cut = |part: u32| u64::from(part) * total / u64::from(shard.of);
-    let (from, to) = (cut(shard.number - 1), cut(shard.number));
+    let Range { start: from, end: to } = shard.range(total);
     let mut before = 0;
     let mut runs = Vec::new();
     for (group, &units) in (0..).zip(groups) {
@@ -188,7 +207,7 @@ fn units_of_shard(groups: &[u32], shard: Shard) -> Vec<Run> {
 fn missing<P: Plan>(dir: &Path, plan: &P, runs: &[Run]) -> Vec<Run> {
     let mut missing: Vec<Run> = Vec::new();
     for run in runs {
-        for unit in run.units.clone().filter(|&unit| !plan.is_whole(dir, run.group, unit)) {
+        for unit in run.units.clone().filter(|&unit| !plan.layout().is_whole(dir, run.group, unit)) {
             match missing.last_mut() {
                 Some(last) if last.group == run.group && last.units.end == unit => last.units.end = unit + 1,
                 _ => missing.push(Run { group: run.group, units: unit..unit + 1 }),
@@ -208,44 +227,6 @@ fn cut(runs: Vec<Run>, length: u32) -> Vec<Run> {
         })
     };
     runs.into_iter().flat_map(pieces).collect()
-}
-
-/// One of several parts of a dataset, which may be rendered on different machines.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct Shard {
-    /// Number of the part, from 1.
-    pub number: u32,
-    /// Number of parts.
-    pub of: u32,
-}
-
-impl Shard {
-    /// The whole dataset.
-    pub const WHOLE: Self = Self { number: 1, of: 1 };
-}
-
-impl Default for Shard {
-    fn default() -> Self {
-        Self::WHOLE
-    }
-}
-
-impl fmt::Display for Shard {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}/{}", self.number, self.of)
-    }
-}
-
-impl FromStr for Shard {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let parsed = text.split_once('/').and_then(|(number, of)| {
-            let (number, of) = (number.parse().ok()?, of.parse().ok()?);
-            (1 <= number && number <= of).then_some(Self { number, of })
-        });
-        parsed.ok_or_else(|| format!("`{text}`: expected I/N with I from 1 to N, e.g. 2/3"))
-    }
 }
 
 #[cfg(test)]
@@ -276,13 +257,5 @@ mod tests {
         let short = cut(runs.clone(), 3);
         assert_eq!(units(&short), units(&runs));
         assert_eq!(short.iter().map(|run| run.units.len()).collect::<Vec<_>>(), [3, 3, 2, 1]);
-    }
-
-    #[test]
-    fn text_forms_round_trip() {
-        assert_eq!("2/3".parse(), Ok(Shard { number: 2, of: 3 }));
-        for text in ["3/2", "0/2", "1/0", "2", "a/b", "-1/2", "1/2/3"] {
-            assert!(text.parse::<Shard>().unwrap_err().contains(text));
-        }
     }
 }

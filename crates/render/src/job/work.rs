@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use srflow_field::FileError;
 
 use super::timing::{Clock, Stage};
-use super::{Event, MAX_WORKERS, Plan, Request, Run};
+use super::{Event, Layout as _, MAX_WORKERS, Plan, Request, Run};
 use crate::RenderError;
 
 /// State shared by all workers.
@@ -138,7 +138,7 @@ impl<'a, P: Plan> Work<'a, P> {
             error,
             written: self.before + self.made(),
             total: self.total,
-            units: P::UNITS,
+            units: P::Layout::UNITS,
         })?;
         let size = std::fs::metadata(path).map_or(0, |metadata| metadata.len());
         self.bytes.fetch_add(size, Ordering::Relaxed);

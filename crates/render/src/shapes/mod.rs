@@ -19,11 +19,15 @@ mod settings;
 mod texture;
 mod work;
 
+use std::path::Path;
+
 use serde::Serialize;
 use srflow_field::write_file;
 
 pub use settings::ShapesSettings;
+use settings::validates;
 pub(crate) use texture::Texture;
+pub(crate) use work::Arguments as ShapesLayout;
 pub use work::ShapePairs;
 
 use crate::RenderError;
@@ -55,12 +59,14 @@ pub struct ShapesReport {
 /// cannot be read or written. Complete files stay, and the next call with the same settings continues.
 pub fn shapes(settings: &ShapesSettings, request: Request) -> Result<ShapesReport, RenderError> {
     let plan = ShapePairs::new(settings.clone())?;
-    let (made, is_whole) = job::make(&plan, request)?;
-    if is_whole {
-        let lines: String =
-            (0..settings.pairs).map(|pair| if settings.validates(pair) { "2\n" } else { "1\n" }).collect();
-        write_file(&request.dir.join(work::SPLIT_NAME), lines)?;
-    }
+    let (made, finished) = job::make(&plan, request, |dir| write_split(dir, settings.pairs))?;
+    let is_whole = finished.is_some();
     let job::Made { units, made, bytes, seconds, stopped, .. } = made;
     Ok(ShapesReport { pairs: units, made, bytes, seconds, stopped, is_whole })
+}
+
+/// Writes the list of the splits of a complete dataset.
+pub(crate) fn write_split(dir: &Path, pairs: u32) -> Result<(), RenderError> {
+    let lines: String = (0..pairs).map(|pair| if validates(pair) { "2\n" } else { "1\n" }).collect();
+    Ok(write_file(&dir.join(work::SPLIT_NAME), lines)?)
 }

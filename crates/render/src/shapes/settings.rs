@@ -8,7 +8,7 @@ use crate::RenderError;
 use crate::error::check_size;
 
 /// Maximum number of pairs: file names have five digits.
-const MAX_PAIRS: u32 = 99_999;
+pub(super) const MAX_PAIRS: u32 = 99_999;
 
 /// Minimum and maximum side of a frame, in pixels.
 const SIDES: std::ops::RangeInclusive<usize> = 16..=4096;
@@ -50,12 +50,12 @@ impl Default for ShapesSettings {
     }
 }
 
-impl ShapesSettings {
-    /// Whether a pair, counted from 0, is for validation.
-    pub fn validates(&self, pair: u32) -> bool {
-        pair % PAIRS_PER_VALIDATION == PAIRS_PER_VALIDATION - 1
-    }
+/// Whether a pair, counted from 0, is for validation.
+pub(super) fn validates(pair: u32) -> bool {
+    pair % PAIRS_PER_VALIDATION == PAIRS_PER_VALIDATION - 1
+}
 
+impl ShapesSettings {
     pub(super) fn validate(&self) -> Result<(), RenderError> {
         let wrong = |argument, found: String, expected: String| {
             Err(RenderError::Argument { argument, found, expected })

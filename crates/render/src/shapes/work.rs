@@ -1,6 +1,7 @@
 //! Making pairs, from the layers to the files.
 
 use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -11,12 +12,13 @@ use srflow_field::resize::resize_image_antialiased;
 use srflow_field::{FlowFormat, Image, Spares, read_image, write_flow_as, write_image_png, write_mask_png};
 use srflow_read::flow::{MadeError, MadePairs, Sample};
 
+use super::settings::MAX_PAIRS;
 use super::texture::Texture;
 use super::{ShapePair, ShapesSettings};
 use crate::RenderError;
 use crate::generate::{fingerprint, images_in};
-use crate::job::{Plan, Run, Stage, unless_gone};
-use crate::record::json_text;
+use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, unless_gone};
+use crate::record::{json_text, read_record};
 
 const SETTINGS_NAME: &str = "shapes.json";
 const DATA: &str = "data";
@@ -34,7 +36,7 @@ const LARGEST_SIDE: usize = 1024;
 
 /// The contents of `shapes.json`.
 #[derive(Debug, Serialize, Deserialize)]
-struct Arguments {
+pub(crate) struct Arguments {
     srflow_version: String,
     pairs: u32,
     width: usize,
@@ -43,7 +45,58 @@ struct Arguments {
     motion: [f32; 2],
     /// `made`, or the number and the fingerprint of the photographs.
     textures: String,
-    flow_format: String,
+    #[serde(with = "crate::record::format_name")]
+    flow_format: FlowFormat,
+}
+
+impl Arguments {
+    /// Of the dataset in a folder.
+    pub fn read(dir: &Path) -> Result<Self, RenderError> {
+        let path = dir.join(SETTINGS_NAME);
+        let arguments: Self = read_record(&path)?;
+        if arguments.pairs > MAX_PAIRS {
+            let reason = format!("{} pairs where there are at most {MAX_PAIRS}", arguments.pairs);
+            return Err(RenderError::Malformed { path, reason });
+        }
+        Ok(arguments)
+    }
+
+    pub fn pairs(&self) -> u32 {
+        self.pairs
+    }
+
+    fn flow_path(&self, dir: &Path, pair: u32) -> PathBuf {
+        dir.join(DATA).join(format!("{:05}_flow.{}", pair + 1, self.flow_format.extension()))
+    }
+}
+
+impl Layout for Arguments {
+    const MANIFEST: &'static str = SETTINGS_NAME;
+    const UNITS: &'static str = "pairs";
+
+    fn groups(&self) -> Vec<u32> {
+        vec![self.pairs]
+    }
+
+    fn files(&self, dir: &Path, _group: u32, pair: u32) -> Vec<PathBuf> {
+        let pictures = PICTURES.map(|suffix| dir.join(DATA).join(format!("{:05}{suffix}", pair + 1)));
+        std::iter::once(self.flow_path(dir, pair)).chain(pictures).collect()
+    }
+
+    fn begun_in(&self, dir: &Path) -> Vec<(u32, u32)> {
+        let flow = |name: &OsString| name.to_str().is_some_and(|name| name.contains("_flow."));
+        let numbers =
+            names_in(&dir.join(DATA)).filter(flow).filter_map(|name| leading_number(&name)?.checked_sub(1));
+        numbers.filter(|pair| *pair < self.pairs).map(|pair| (0, pair)).collect()
+    }
+
+    fn name(&self, _group: u32, pair: u32) -> String {
+        format!("pair {:05}", pair + 1)
+    }
+
+    fn others(&self) -> Vec<PathBuf> {
+        vec![SPLIT_NAME.into()]
+    }
 }
 
 type Work<'w> = crate::job::Work<'w, ShapePairs>;
@@ -51,9 +104,9 @@ type Work<'w> = crate::job::Work<'w, ShapePairs>;
 /// The pairs of a dataset of generic pairs, one group of a plan. As [`MadePairs`], without end, each is a scene of its own.
 pub struct ShapePairs {
     settings: ShapesSettings,
+    arguments: Arguments,
     /// Photographs by name.
     photographs: Vec<PathBuf>,
-    textures: String,
     /// One for each thread that has made pairs in memory.
     read: Spares<Photographs>,
 }
@@ -70,7 +123,18 @@ impl ShapePairs {
                 (files.iter().map(|(name, _)| dir.join(name)).collect(), fingerprint(&files))
             }
         };
-        Ok(Self { settings, photographs, textures, read: Spares::default() })
+        let ShapesSettings { pairs, width, height, seed, motion, flow_format, .. } = settings;
+        let arguments = Arguments {
+            srflow_version: env!("CARGO_PKG_VERSION").to_owned(),
+            pairs,
+            width,
+            height,
+            seed,
+            motion,
+            textures,
+            flow_format,
+        };
+        Ok(Self { settings, arguments, photographs, read: Spares::default() })
     }
 
     /// Pair `number`, from 0.
@@ -87,45 +151,21 @@ impl ShapePairs {
         let pair = ShapePair::random((width, height), key, motion, &mut photograph);
         unread.map_or(Ok(pair), Err)
     }
-
-    fn flow_path(&self, dir: &Path, pair: u32, format: FlowFormat) -> PathBuf {
-        dir.join(DATA).join(format!("{:05}_flow.{}", pair + 1, format.extension()))
-    }
-
-    fn pictures(dir: &Path, pair: u32) -> [PathBuf; 3] {
-        PICTURES.map(|suffix| dir.join(DATA).join(format!("{:05}{suffix}", pair + 1)))
-    }
 }
 
 impl Plan for ShapePairs {
+    type Layout = Arguments;
     type Group = ();
     type Worker = Photographs;
 
-    const MANIFEST: &'static str = SETTINGS_NAME;
-    const UNITS: &'static str = "pairs";
     const LONGEST_RUN: u32 = 16;
 
+    fn layout(&self) -> &Arguments {
+        &self.arguments
+    }
+
     fn manifest(&self) -> String {
-        let ShapesSettings { pairs, width, height, seed, motion, flow_format, .. } = self.settings;
-        json_text(&Arguments {
-            srflow_version: env!("CARGO_PKG_VERSION").to_owned(),
-            pairs,
-            width,
-            height,
-            seed,
-            motion,
-            textures: self.textures.clone(),
-            flow_format: flow_format.extension().to_owned(),
-        })
-    }
-
-    fn groups(&self) -> Vec<u32> {
-        vec![self.settings.pairs]
-    }
-
-    fn is_whole(&self, dir: &Path, _group: u32, pair: u32) -> bool {
-        let flow = self.flow_path(dir, pair, self.settings.flow_format);
-        Self::pictures(dir, pair).iter().chain([&flow]).all(|file| file.is_file())
+        json_text(&self.arguments)
     }
 
     fn folders(&self, dir: &Path, _run: &Run) -> Vec<PathBuf> {
@@ -142,11 +182,8 @@ impl Plan for ShapePairs {
         let Ok(other) = serde_json::from_str::<Arguments>(found) else { return Ok(()) };
         let split = dir.join(SPLIT_NAME);
         unless_gone(&split, fs::remove_file(&split))?;
-        for pair in 0..other.pairs {
-            let flow = other.flow_format.parse().ok().map(|format| self.flow_path(dir, pair, format));
-            for file in flow.into_iter().chain(Self::pictures(dir, pair)) {
-                unless_gone(&file, fs::remove_file(&file))?;
-            }
+        for file in (0..other.pairs).flat_map(|pair| other.files(dir, 0, pair)) {
+            unless_gone(&file, fs::remove_file(&file))?;
         }
         Ok(())
     }
@@ -171,12 +208,13 @@ impl Plan for ShapePairs {
                 break;
             }
             let pair = work.clock.time(Stage::Rasterize, || self.pair(number, photographs))?;
-            let [frame1, frame2, occlusion] = Self::pictures(work.dir, number);
+            let [frame1, frame2, occlusion] =
+                PICTURES.map(|suffix| work.dir.join(DATA).join(format!("{:05}{suffix}", number + 1)));
             work.write(Stage::Frames, &frame1, |path| write_image_png(path, &pair.frame1))?;
             work.write(Stage::Frames, &frame2, |path| write_image_png(path, &pair.frame2))?;
             work.write(Stage::Planes, &occlusion, |path| write_mask_png(path, &pair.occlusion))?;
             let flow_format = self.settings.flow_format;
-            let flow = self.flow_path(work.dir, number, flow_format);
+            let flow = self.arguments.flow_path(work.dir, number);
             work.write(Stage::Flow, &flow, |path| write_flow_as(path, &pair.flow, flow_format))?;
             work.done();
         }

@@ -23,7 +23,7 @@ use std::io::Write;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use srflow_field::{FileKind, read_text, write_atomically};
+use srflow_field::write_atomically;
 use srflow_read::micro_expression::EmotionClass;
 
 pub(crate) use clip::action_unit_sets;
@@ -31,9 +31,10 @@ pub use settings::SynthSettings;
 
 use crate::RenderError;
 use crate::job::{self, Request};
+use crate::record::read_record;
 use settings::ClipPlan;
 use srflow_read::micro_expression::{Annotation, Classes, PLAIN_NAME, write_plain};
-use work::Clips;
+pub(crate) use work::Clips;
 
 /// Name of the file with the arguments.
 const SETTINGS_NAME: &str = "synth.json";
@@ -86,9 +87,8 @@ struct ClipRecord {
 /// Before any work when a setting is out of range or the folder has another dataset; later when a file cannot be written.
 /// Complete files stay, and the next call with the same settings continues.
 pub fn synthesize(settings: &SynthSettings, request: Request) -> Result<SynthReport, RenderError> {
-    let plan = Clips { settings, clips: settings.plan()? };
-    let (made, whole) = job::make(&plan, request)?;
-    let set = if whole { Some(finish(request.dir, &plan.clips)?) } else { None };
+    let plan = Clips::new(settings.clone())?;
+    let (made, set) = job::make(&plan, request, |dir| finish(dir, &plan))?;
     let class =
         |class: EmotionClass| (class.name(), plan.clips.iter().filter(|clip| clip.class == class).count());
     Ok(SynthReport {
@@ -104,19 +104,12 @@ pub fn synthesize(settings: &SynthSettings, request: Request) -> Result<SynthRep
 }
 
 /// Writes the tables of a complete dataset; returns its number of frames and its mean flow.
-fn finish(dir: &Path, plan: &[ClipPlan]) -> Result<(usize, f64), RenderError> {
-    let records = plan.iter().map(|clip| read_record(&clip.record(dir))).collect::<Result<Vec<_>, _>>()?;
-    write_tables(dir, plan, &records)?;
+pub(crate) fn finish(dir: &Path, plan: &Clips) -> Result<(usize, f64), RenderError> {
+    let records: Vec<ClipRecord> =
+        plan.clips.iter().map(|clip| read_record(&clip.record(dir))).collect::<Result<_, _>>()?;
+    write_tables(dir, &plan.clips, &records)?;
     let mean_flow = records.iter().map(|record| record.mean_flow).sum::<f64>() / records.len().max(1) as f64;
     Ok((records.iter().map(|record| record.frames).sum(), mean_flow))
-}
-
-fn read_record(path: &Path) -> Result<ClipRecord, RenderError> {
-    let text = read_text(path, FileKind::Json)?;
-    serde_json::from_str(&text).map_err(|error| RenderError::Malformed {
-        path: path.to_owned(),
-        reason: srflow_field::parse_error_in_words(&error),
-    })
 }
 
 /// Writes `landmarks.csv` and, last, `clips.csv`.

@@ -33,7 +33,7 @@ pub struct SynthSettings {
     /// Random seed.
     pub seed: u64,
     /// File format of the true flow.
-    #[serde(with = "format_name")]
+    #[serde(with = "crate::record::format_name")]
     pub flow_format: FlowFormat,
 }
 
@@ -51,21 +51,6 @@ impl Default for SynthSettings {
             seed: 1,
             flow_format: FlowFormat::Flo,
         }
-    }
-}
-
-/// A flow format by file extension.
-mod format_name {
-    use serde::de::Error;
-    use serde::{Deserialize, Deserializer, Serializer};
-    use srflow_field::FlowFormat;
-
-    pub fn serialize<S: Serializer>(format: &FlowFormat, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(format.extension())
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<FlowFormat, D::Error> {
-        String::deserialize(deserializer)?.parse().map_err(D::Error::custom)
     }
 }
 

@@ -4,55 +4,120 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use serde::{Deserialize, Serialize};
 use srflow_avatar::{Avatar, PosedHead};
 use srflow_field::{write_file, write_flow_as, write_image_png, write_mask_png};
+use srflow_read::micro_expression::PLAIN_NAME;
 use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
 
 use super::clip::Clip;
 use super::settings::{ClipPlan, SynthSettings};
-use super::{ClipRecord, SETTINGS_NAME};
+use super::{ClipRecord, LANDMARKS_NAME, SETTINGS_NAME};
 use crate::RenderError;
-use crate::job::{Plan, Run, Stage, unless_gone};
-use crate::record::json_text;
+use crate::job::{Layout, Plan, Run, Stage, leading_number, names_in, unless_gone};
+use crate::record::{json_text, read_record};
 
 /// The background of the heads: a laboratory's grey backdrop.
 const BACKDROP: [f32; 3] = [0.55, 0.56, 0.57];
 
-type Work<'w, 'a> = crate::job::Work<'w, Clips<'a>>;
+type Work<'w> = crate::job::Work<'w, Clips>;
 
-/// A dataset of clips, grouped by subject.
-pub struct Clips<'a> {
-    pub settings: &'a SynthSettings,
-    pub clips: Vec<ClipPlan>,
+/// The contents of `synth.json`.
+#[derive(Debug, Serialize, Deserialize)]
+struct Arguments {
+    srflow_version: String,
+    #[serde(flatten)]
+    settings: SynthSettings,
 }
 
-impl Clips<'_> {
+/// A dataset of clips, grouped by subject.
+pub(crate) struct Clips {
+    arguments: Arguments,
+    pub(super) clips: Vec<ClipPlan>,
+}
+
+impl Clips {
+    pub fn new(settings: SynthSettings) -> Result<Self, RenderError> {
+        let clips = settings.plan()?;
+        let arguments = Arguments { srflow_version: env!("CARGO_PKG_VERSION").to_owned(), settings };
+        Ok(Self { arguments, clips })
+    }
+
+    /// Of the dataset in a folder.
+    pub fn read(dir: &Path) -> Result<Self, RenderError> {
+        let arguments: Arguments = read_record(&dir.join(SETTINGS_NAME))?;
+        Ok(Self { clips: arguments.settings.plan()?, arguments })
+    }
+
+    fn settings(&self) -> &SynthSettings {
+        &self.arguments.settings
+    }
+
     fn clip(&self, subject: u32, within: u32) -> &ClipPlan {
-        &self.clips[(subject * self.settings.clips_per_subject + within) as usize]
+        &self.clips[(subject * self.settings().clips_per_subject + within) as usize]
     }
 }
 
-impl<'a> Plan for Clips<'a> {
+impl Layout for Clips {
+    const MANIFEST: &'static str = SETTINGS_NAME;
+    const UNITS: &'static str = "clips";
+
+    fn groups(&self) -> Vec<u32> {
+        vec![self.settings().clips_per_subject; self.settings().subjects as usize]
+    }
+
+    /// The frames are those that exist: they are written before the record, which knows how many they are.
+    fn files(&self, dir: &Path, subject: u32, within: u32) -> Vec<PathBuf> {
+        let clip = self.clip(subject, within);
+        let folder = clip.folder(dir);
+        let mut frames: Vec<PathBuf> = names_in(&folder)
+            .filter(|name| leading_number(name).is_some())
+            .map(|name| folder.join(name))
+            .collect();
+        frames.sort();
+        let format = self.settings().flow_format;
+        [clip.record(dir), clip.flow(dir, format), clip.mask(dir)].into_iter().chain(frames).collect()
+    }
+
+    fn begun_in(&self, dir: &Path) -> Vec<(u32, u32)> {
+        let per_subject = self.settings().clips_per_subject;
+        let numbers: BTreeMap<&str, u32> =
+            self.clips.iter().map(|clip| (clip.name.as_str(), clip.number)).collect();
+        let mut begun = Vec::new();
+        for subject in names_in(dir) {
+            for record in names_in(&dir.join(&subject)) {
+                let name = Path::new(&subject).join(Path::new(&record).with_extension(""));
+                let is_record = Path::new(&record).extension().is_some_and(|extension| extension == "json");
+                if let Some(number) = name.to_str().filter(|_| is_record).and_then(|name| numbers.get(name)) {
+                    begun.push((number / per_subject, number % per_subject));
+                }
+            }
+        }
+        begun
+    }
+
+    fn name(&self, subject: u32, within: u32) -> String {
+        format!("clip {}", self.clip(subject, within).name)
+    }
+
+    fn others(&self) -> Vec<PathBuf> {
+        vec![LANDMARKS_NAME.into(), PLAIN_NAME.into()]
+    }
+}
+
+impl Plan for Clips {
+    type Layout = Self;
     type Group = Avatar;
     type Worker = Renderer;
 
-    const MANIFEST: &'static str = SETTINGS_NAME;
-    const UNITS: &'static str = "clips";
     const LONGEST_RUN: u32 = 1;
 
+    fn layout(&self) -> &Self {
+        self
+    }
+
     fn manifest(&self) -> String {
-        json_text(self.settings)
-    }
-
-    fn groups(&self) -> Vec<u32> {
-        vec![self.settings.clips_per_subject; self.settings.subjects as usize]
-    }
-
-    fn is_whole(&self, dir: &Path, subject: u32, within: u32) -> bool {
-        let clip = self.clip(subject, within);
-        [clip.record(dir), clip.flow(dir, self.settings.flow_format), clip.mask(dir)]
-            .iter()
-            .all(|file| file.is_file())
+        json_text(&self.arguments)
     }
 
     fn folders(&self, dir: &Path, run: &Run) -> Vec<PathBuf> {
@@ -86,7 +151,7 @@ impl<'a> Plan for Clips<'a> {
     }
 
     fn group(&self, subject: u32) -> Result<Avatar, RenderError> {
-        Avatar::builtin(self.settings.head_of(subject)).map_err(|error| RenderError::Head {
+        Avatar::builtin(self.settings().head_of(subject)).map_err(|error| RenderError::Head {
             who: self.clip(subject, 0).subject_name.clone(),
             reason: error.to_string(),
         })
@@ -98,7 +163,7 @@ impl<'a> Plan for Clips<'a> {
 
     fn make(
         &self,
-        work: &Work<'_, 'a>,
+        work: &Work<'_>,
         avatar: &Avatar,
         run: &Run,
         renderer: &mut Renderer,
@@ -127,7 +192,7 @@ pub struct Renderer {
 impl Renderer {
     /// Renders a clip, its flow, its mask and its record.
     fn make(&mut self, work: &Work, avatar: &Avatar, plan: &ClipPlan) -> Result<(), RenderError> {
-        let settings = work.plan.settings;
+        let settings = work.plan.settings();
         let clip = Clip::new(avatar, settings, plan)?;
         let refused = |error: RasterizeError| RenderError::Rasterize { frame: plan.name.clone(), error };
         let folder = plan.folder(work.dir);

@@ -73,7 +73,6 @@ pub enum RunMode {
 }
 
 /// A run to do.
-#[derive(Debug)]
 pub struct RunRequest<'a> {
     /// Folder of the run.
     pub dir: &'a Path,
@@ -85,8 +84,8 @@ pub struct RunRequest<'a> {
     pub config: TrainConfig,
     /// Least time between checkpoints.
     pub checkpoint_interval: Duration,
-    /// The iteration to stop after, with a checkpoint; rounded up to a line of the log.
-    pub stop_after: Option<u64>,
+    /// Whether to stop, with a checkpoint: asked with the number of iterations done, at the start and after each line of the log.
+    pub stop: &'a dyn Fn(u64) -> bool,
 }
 
 /// Progress of [`run`].
@@ -156,7 +155,7 @@ pub fn read_run_log(dir: &Path) -> Result<Vec<LogRecord>, FileError> {
 /// # Errors
 /// See [`RunError`].
 pub fn run(request: RunRequest, on_event: &mut dyn FnMut(RunEvent)) -> Result<RunOutcome, RunError> {
-    let RunRequest { dir, mode, record, capture, model, config, checkpoint_interval, stop_after } = request;
+    let RunRequest { dir, mode, record, capture, model, config, checkpoint_interval, stop } = request;
     let start = Instant::now();
     let checkpoint = dir.join(CHECKPOINT_NAME);
     if mode == RunMode::New {
@@ -176,12 +175,11 @@ pub fn run(request: RunRequest, on_event: &mut dyn FnMut(RunEvent)) -> Result<Ru
     on_event(RunEvent::Started { trainer: &trainer, iterations: config.iterations });
 
     let intervals = Intervals::of(config.iterations);
-    let stop = stop_after.unwrap_or(u64::MAX).min(config.iterations);
-    let last = stop.next_multiple_of(intervals.log).min(config.iterations);
     let avatar = |iteration: u64| dir.join(format!("point_cloud/iteration_{iteration}"));
     let (mut saved, mut saved_iteration) = (Instant::now(), done);
     let mut window = Window::default();
-    while trainer.iteration() < last {
+    let mut last = done >= config.iterations || stop(done);
+    while !last {
         let began = Instant::now();
         let report = trainer.step()?;
         let iteration = report.iteration;
@@ -211,7 +209,8 @@ pub fn run(request: RunRequest, on_event: &mut dyn FnMut(RunEvent)) -> Result<Ru
             }
             write_avatar(&trainer, &avatar(iteration), &record.head)?;
         }
-        if saved.elapsed() >= checkpoint_interval || iteration == last {
+        last = iteration == config.iterations || stop(iteration);
+        if last || saved.elapsed() >= checkpoint_interval {
             trainer.write_checkpoint(&checkpoint)?;
             preview(&trainer, &dir.join(PREVIEW_NAME))?;
             (saved, saved_iteration) = (Instant::now(), iteration);

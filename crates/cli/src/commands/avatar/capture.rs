@@ -67,13 +67,13 @@ pub fn run(args: Capture, context: &Context) -> anyhow::Result<()> {
         calibration_noise: args.calibration_noise,
         landmark_noise: args.landmark_noise,
     };
-    let report = args.rendering.make(&args.out, "timesteps", |request| capture(&settings, request))?;
+    let rendered = args.rendering.make(&args.out, "timesteps", |request| capture(&settings, request))?;
     if context.json {
-        crate::output::print_json(&report)?;
+        rendered.print_json()?;
     } else {
-        print_report(&report)?;
+        print_report(&rendered.report)?;
     }
-    exit_if_stopped(report.stopped)
+    exit_if_stopped(rendered.report.stopped)
 }
 
 fn print_report(report: &CaptureReport) -> anyhow::Result<()> {

@@ -77,7 +77,8 @@ impl Plan {
         };
         let dir = out.join(self.folder);
         let rendering = RenderingArgs { force, ..RenderingArgs::default() };
-        let report = rendering.make(&dir, "pairs", |request| generate::generate(&settings, request))?;
+        let made = rendering.make(&dir, "pairs", |request| generate::generate(&settings, request))?;
+        let report = made.report;
         let spec = DatasetSpec { kind: "srflow".to_owned(), dir: dir.clone() };
         Ok(Rendered { dir, report, dataset: FlowDataset::open(&spec, Some(Split::All))? })
     }

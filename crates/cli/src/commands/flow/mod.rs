@@ -2,7 +2,7 @@ mod extra;
 mod frames;
 mod outputs;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Instant;
@@ -14,7 +14,7 @@ use serde::Serialize;
 use srflow_eval::report::heat;
 use srflow_face::{FrameCrop, write_landmarks};
 use srflow_field::{
-    FlowEstimate, FlowEstimator, FlowField, FlowFormat, Image, create_folder, flow_colors, read_flow,
+    FlowEstimate, FlowEstimator, FlowField, FlowFormat, Image, Shard, create_folder, flow_colors, read_flow,
     write_flow, write_image_png, write_npy_plane,
 };
 
@@ -23,11 +23,13 @@ use self::frames::{Frame, Source};
 use self::outputs::Outputs;
 use crate::Context;
 use crate::face::{FaceArgs, FoundFace};
+use crate::interrupt::Continuable;
 use crate::large_frames::Resolution;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
 use crate::progress::bar;
+use crate::rendering::{Rendered, ShardArgs};
 use crate::usage::wrong_usage;
-use crate::video::VideoWriter;
+use crate::video::{VideoWriter, is_video};
 
 /// Estimate optical flow between frames
 #[derive(Args)]
@@ -38,14 +40,15 @@ Examples:
   srflow flow --method skflow --weights skflow-things.ckpt clip.mp4 -o flows/ --viz colours.mp4 --viz-max 20
   srflow flow --method raft --weights raft.pth --tile auto 4k1.png 4k2.png -o flow.flo
   srflow flow --face detect clip.mp4 -o flows/ --save-crops faces/
+  srflow flow clips/*.mp4 -o flows/ --shard auto
 
 Two frames give one file, in the format of its extension. More frames, a folder of them (in the order of their numbers), or \
 a video give a folder with the flow from each frame to the next, named after the first frame (in a video after its number, \
-from 1). Run the same command again to continue an interrupted run. Frames are read on demand: memory does not grow with \
+from 1). Several videos or folders of frames give a folder of its name each, and --shard divides them among processes or machines. Run the same command again to continue an interrupted run. Frames are read on demand: memory does not grow with \
 the length of a sequence. Videos are read and written by the program ffmpeg. With \
 --face detect the flow is that of the face, upright and cut out of all frames alike: docs/faces.md.")]
 pub struct Flow {
-    /// Two frames or more, a folder of them, or a video
+    /// Two frames or more, a folder of them, or a video; or several folders or videos
     #[arg(required = true, value_name = "FRAME")]
     frames: Vec<PathBuf>,
     /// Flow file, or folder of flow files
@@ -85,9 +88,17 @@ pub struct Flow {
     #[arg(long, value_name = "DIR")]
     save_crops: Option<PathBuf>,
     #[command(flatten)]
+    shard: ShardArgs,
+    #[command(flatten)]
     face: FaceArgs,
     #[command(flatten)]
     parameters: MethodParameters,
+}
+
+/// What `--json` prints of several sequences.
+#[derive(Serialize)]
+struct Sequences {
+    sequences: BTreeMap<String, Estimated>,
 }
 
 /// What `--json` prints.
@@ -148,6 +159,60 @@ impl Flow {
 
 pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     args.parameters.network.batch = args.batch.into();
+    let shard = args.shard.taken()?;
+    let is_sequence = |path: &PathBuf| path.is_dir() || is_video(path);
+    if args.frames.len() < 2 || !args.frames.iter().all(is_sequence) {
+        if shard.shard != Shard::WHOLE {
+            wrong_usage!("--shard divides several videos or folders of frames: give two or more");
+        }
+        let estimated = estimate(&args, context)?;
+        return if context.json { crate::output::print_json(&estimated) } else { print(&estimated) };
+    }
+    if let Some(video) = args.viz.as_deref().filter(|viz| is_video(viz)) {
+        wrong_usage!("{}: several sequences give a folder of pictures each, not one video", video.display());
+    }
+    let sequences = named(std::mem::take(&mut args.frames))?;
+    let part = shard.shard.range(sequences.len() as u64);
+    let extra = [&args.viz, &args.uncertainty, &args.occlusion, &args.save_crops].map(Clone::clone);
+    let out = args.out.clone();
+    let mut all = BTreeMap::new();
+    for (name, path) in &sequences[part.start as usize..part.end as usize] {
+        let within = |folder: &Option<PathBuf>| folder.as_ref().map(|folder| folder.join(name));
+        args.frames = vec![path.clone()];
+        args.out = out.join(name);
+        [args.viz, args.uncertainty, args.occlusion, args.save_crops] = extra.each_ref().map(within);
+        let estimated = estimate(&args, context)?;
+        if !context.json {
+            print(&estimated)?;
+        }
+        all.insert(name.clone(), estimated);
+    }
+    if context.json {
+        return Rendered { report: Sequences { sequences: all }, shard }.print_json();
+    }
+    Ok(())
+}
+
+/// The sequences by the names of their folders of flow.
+fn named(paths: Vec<PathBuf>) -> anyhow::Result<Vec<(String, PathBuf)>> {
+    let mut names = BTreeSet::new();
+    let mut sequences = Vec::new();
+    for path in paths {
+        let name = if path.is_dir() { path.file_name() } else { path.file_stem() };
+        let name = name.map(|name| name.to_string_lossy().into_owned());
+        match name.filter(|name| names.insert(name.clone())) {
+            Some(name) => sequences.push((name, path)),
+            None => wrong_usage!(
+                "{}: the flow of each video or folder goes into a folder of its name: expected a name of its own",
+                path.display()
+            ),
+        }
+    }
+    Ok(sequences)
+}
+
+/// The flow of one sequence, or pair.
+fn estimate(args: &Flow, context: &Context) -> anyhow::Result<Estimated> {
     let network = &args.parameters.network;
     if args.warm_start && network.batch > 1 {
         wrong_usage!(
@@ -155,7 +220,7 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
         );
     }
     let source = Source::open(&args.frames)?;
-    let mut outputs = Outputs::plan(&args, &source)?;
+    let mut outputs = Outputs::plan(args, &source)?;
     let method = args.method.method;
     for output in ExtraOutput::ALL {
         let is_predicted = method.network().is_some_and(|network| output.is_predicted_by(network));
@@ -176,7 +241,7 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     }
     let crop = found.as_ref().map_or(FrameCrop::Whole, |found| found.crop.clone());
     let one_by_one = args.warm_start || estimator.remembers();
-    let resumed = outputs.claim(&identity(&args, &crop)?, &source, one_by_one)?;
+    let resumed = outputs.claim(&identity(args, &crop)?, &source, one_by_one)?;
     if let Some(folder) = &args.save_crops {
         create_folder(folder)?;
     }
@@ -195,6 +260,7 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
     };
     let bar = bar(source.pairs(), template);
     bar.set_position(resumed);
+    let continuable = Continuable::counted(&bar, "flows");
     let reports = std::thread::scope(|scope| {
         let (sender, frames) = sync_channel(1);
         scope.spawn(|| {
@@ -203,41 +269,26 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
                 sender.send(frame.and_then(|frame| cropped(frame, &crop, args.save_crops.as_deref()))).is_ok()
             });
         });
-        let work = Work {
-            args: &args,
-            source: &source,
-            outputs: &outputs,
-            estimator: estimator.as_ref(),
-            bar: &bar,
-        };
+        let work =
+            Work { args, source: &source, outputs: &outputs, estimator: estimator.as_ref(), bar: &bar };
         match &args.initial_flow {
             Some(initial) => work.pair_from(&frames, &read_flow(initial)?),
             None => work.along(&frames),
         }
     });
+    drop(continuable);
     bar.finish_and_clear();
     let reports = reports?;
     outputs.finish()?;
-    if !context.json {
-        if resumed > 0 {
-            say!("{resumed} flows from the interrupted run were kept")?;
-        }
-        if let Some(file) = &landmarks {
-            say!("{}: landmarks of the face in the first frame", file.display())?;
-        }
-        for pair in &reports {
-            say!("{}  {}x{}  {:.3} s", pair.flow.display(), pair.width, pair.height, pair.seconds)?;
-        }
-        return Ok(());
-    }
     let size = reports.first().map(|pair| (pair.width, pair.height));
     let resolution = size
+        .filter(|_| context.json)
         .map(|size| args.parameters.large_frames.resolution(size, args.method.method, network))
         .transpose()?;
-    let estimated = Estimated {
+    Ok(Estimated {
         method: estimator.name().to_owned(),
         network: match args.method.method {
-            Method::Network(architecture) => Some(NetworkUsed {
+            Method::Network(architecture) if context.json => Some(NetworkUsed {
                 weights: args.method.weights.clone().or_else(|| network.weights.clone()),
                 iterations: network.iterations(architecture),
                 settings: network.settings(architecture)?,
@@ -255,8 +306,20 @@ pub fn run(mut args: Flow, context: &Context) -> anyhow::Result<()> {
         resolution,
         resumed,
         pairs: reports,
-    };
-    crate::output::print_json(&estimated)
+    })
+}
+
+fn print(estimated: &Estimated) -> anyhow::Result<()> {
+    if estimated.resumed > 0 {
+        say!("{} flows from the interrupted run were kept", estimated.resumed)?;
+    }
+    if let Some(file) = &estimated.landmarks {
+        say!("{}: landmarks of the face in the first frame", file.display())?;
+    }
+    for pair in &estimated.pairs {
+        say!("{}  {}x{}  {:.3} s", pair.flow.display(), pair.width, pair.height, pair.seconds)?;
+    }
+    Ok(())
 }
 
 fn is_zero(count: &u64) -> bool {

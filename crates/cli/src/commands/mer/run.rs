@@ -2,10 +2,10 @@ use std::path::PathBuf;
 
 use clap::Args;
 use clap::builder::{ArgPredicate, PossibleValue, PossibleValuesParser, TypedValueParser};
-use srflow_field::create_folder;
+use srflow_field::{Shard, create_folder};
 use srflow_mer::{
     CLASSIFIERS, ClassifierEntry, Preparation, Protocol, ResultsFolder, ResultsRecord, RunFolders, RunMethod,
-    RunSettings, Sets, by_set, unseen_classes,
+    RunSettings, Sets, TrainedPart, by_set, unseen_classes,
 };
 use srflow_read::micro_expression::ClipSource;
 
@@ -13,7 +13,9 @@ use super::preparation::PreparationArgs;
 use super::progress::RunProgress;
 use super::sources::{SourceArgs, kinds_help};
 use super::tables::print_scores;
+use crate::interrupt::Continuable;
 use crate::methods::{self, Method, MethodParameters, MethodSpec, Rows, RowsArgs};
+use crate::rendering::{Rendered, ShardArgs};
 use crate::{Context, machine};
 
 /// Recognize micro-expressions with leave-one-subject-out cross-validation, and write the paper's tables
@@ -30,7 +32,8 @@ trained on all others and predicts the classes of that subject's clips. docs/mer
 This takes time: with the 201 epochs of the paper's protocol, SAMM, CASME II, SMIC-HS and the composite take about five \
 hours on two CPU cores for each method. For a first look, --epochs 21 takes a tenth of that, --classifier ststnet much \
 less, and --sets each skips the composite. A run can be killed at any time: run the same command again to continue after \
-the last finished fold. Features are never computed twice.
+the last finished fold. Features are never computed twice. With --shard, several processes or machines train parts of the folds \
+into one shared folder; run the command without it when they are done, which writes the results.
 
 {}", kinds_help()))]
 pub struct Run {
@@ -70,6 +73,8 @@ pub struct Run {
     /// Seed of the initial parameters, the order of clips and dropout
     #[arg(long, value_name = "SEED", default_value_t = 0)]
     seed: u64,
+    #[command(flatten)]
+    shard: ShardArgs,
     #[command(flatten)]
     sources: SourceArgs,
     #[command(flatten)]
@@ -148,6 +153,22 @@ pub fn run(args: Run, context: &Context) -> anyhow::Result<()> {
         folds: &folder.folds(),
     };
     let progress = RunProgress::default();
+    let shard = args.shard.taken()?;
+    let _continuable = Continuable::keeping("finished folds and features are kept");
+    if shard.shard != Shard::WHOLE {
+        let (part, methods) = (shard.shard, methods.collect());
+        let trained =
+            srflow_mer::run_part(datasets, methods, &settings, folders, part, &|event| progress.show(event))?;
+        progress.finish();
+        let trained = Rendered { report: trained, shard };
+        if context.json {
+            return trained.print_json();
+        }
+        let TrainedPart { folds, all_folds } = trained.report;
+        return say!(
+            "Part {part} is complete: {folds} of {all_folds} folds. When all parts are, the same command without --shard writes the results."
+        );
+    }
     let results =
         srflow_mer::run(datasets, methods.collect(), settings, folders, &|event| progress.show(event))?;
     progress.finish();

@@ -5,7 +5,7 @@ use srflow_field::FlowFormat;
 use srflow_render::synth::{SynthReport, SynthSettings, synthesize};
 
 use crate::Context;
-use crate::rendering::{RenderingArgs, exit_if_stopped};
+use crate::rendering::{Rendered, RenderingArgs, exit_if_stopped};
 
 /// Render a labelled micro-expression dataset with the built-in heads
 #[derive(Args)]
@@ -68,28 +68,21 @@ pub fn run(args: Synth, context: &Context) -> anyhow::Result<()> {
         seed: args.seed,
         flow_format: args.flow_format,
     };
-    let report = args.rendering.make(&args.out, "clips", |request| synthesize(&settings, request))?;
+    let rendered = args.rendering.make(&args.out, "clips", |request| synthesize(&settings, request))?;
     if context.json {
-        crate::output::print_json(&report)?;
+        rendered.print_json()?;
     } else {
-        print_report(&args, &report)?;
+        print_report(&args, &rendered)?;
     }
-    exit_if_stopped(report.stopped)
+    exit_if_stopped(rendered.report.stopped)
 }
 
-fn print_report(args: &Synth, report: &SynthReport) -> anyhow::Result<()> {
+fn print_report(args: &Synth, rendered: &Rendered<SynthReport>) -> anyhow::Result<()> {
+    let report = &rendered.report;
     let SynthReport { clips, made, subjects, classes, seconds, .. } = report;
     say!("{made} of {clips} clips rendered in {seconds:.1} s")?;
     let (Some(frames), Some(mean_flow)) = (report.frames, report.mean_flow) else {
-        return if report.stopped {
-            Ok(())
-        } else {
-            say!(
-                "Part {} is complete. Copy the parts together; `srflow mer synth` with the same arguments and without --shard\n\
-                 then writes the tables.",
-                args.rendering.shard
-            )
-        };
+        return if report.stopped { Ok(()) } else { rendered.print_part("the tables") };
     };
     let classes: Vec<String> = classes.iter().map(|(class, clips)| format!("{clips} {class}")).collect();
     say!("{subjects} subjects, {frames} frames, {}", classes.join(", "))?;

@@ -18,6 +18,7 @@ use srflow_field::{Preset, SettingsError, read_settings, settings_text, with_set
 
 use super::scores::{split_table, split_words};
 use crate::commands::render::head_help;
+use crate::interrupt::{self, Continuable};
 use crate::output::{ensure_folder, exit_stopped, print_json, print_tables};
 use crate::progress::TrainingProgress;
 use crate::usage::wrong_usage;
@@ -162,10 +163,12 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
         model,
         config,
         checkpoint_interval,
-        stop_after: args.stop_after,
+        stop: &|done| args.stop_after.is_some_and(|last| done >= last) || interrupt::requested(),
     };
     let mut progress = Progress::new();
+    let continuable = Continuable::saved();
     let result = train(request, &mut |event| progress.show(&event));
+    drop(continuable);
     progress.bar.finish();
     let outcome = result?;
     if outcome.scores.is_some() {

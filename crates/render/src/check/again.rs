@@ -1,0 +1,207 @@
+//! Whether a dataset still has the bytes it was made with: by its hashes, and by rendering pairs anew.
+
+use std::collections::{BTreeSet, HashSet};
+use std::fs::{self, File};
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Component, Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use rayon::prelude::*;
+use serde::Serialize;
+use srflow_field::random::Key;
+use srflow_field::{Shard, excerpt};
+use srflow_read::manifest::Manifest;
+
+use super::Problem;
+use super::plan::is_of_this_version;
+use crate::RenderError;
+use crate::generate::{Background, Settings, generate};
+use crate::job::{HASHES_NAME, Layout, Request, sha256};
+
+/// Files hashed at once.
+const AT_ONCE: usize = 1024;
+/// The longest line of [`HASHES_NAME`], in bytes.
+const LONGEST_LINE: u64 = 4096 + 66;
+
+/// Pairs that were rendered anew.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Anew {
+    /// The seed that drew them.
+    pub seed: u64,
+    /// Their names.
+    pub pairs: Vec<String>,
+    /// Files that have the bytes of the dataset's.
+    pub equal_files: usize,
+    pub problems: Vec<Problem>,
+}
+
+/// Compares every file of the dataset in `dir` with its hash in `SHA256SUMS`. Calls `on_files` with the number of files that were read.
+/// Returns that number and the problems.
+///
+/// # Errors
+/// When `dataset.json` or the list of hashes cannot be read.
+pub fn check_hashes(dir: &Path, on_files: &dyn Fn(u64)) -> Result<(u64, Vec<Problem>), RenderError> {
+    let manifest = Manifest::read(dir)?;
+    let path = dir.join(HASHES_NAME);
+    let unread = |error| RenderError::io(&path, error);
+    let problem = |file: &Path, what: String| Problem { file: file.to_owned(), what };
+    let mut problems = Vec::new();
+    if !path.is_file() {
+        let what = "missing: datasets get it when they are complete; run `srflow render` with the same arguments again";
+        return Ok((0, vec![problem(&path, what.to_owned())]));
+    }
+    let mut reader = BufReader::new(File::open(&path).map_err(unread)?);
+    // Hashes of the names, since there may be millions.
+    let mut listed: HashSet<u64> = HashSet::new();
+    let name_hash = |file: &Path| {
+        let mut hasher = DefaultHasher::new();
+        file.hash(&mut hasher);
+        hasher.finish()
+    };
+    let (mut files, mut number) = (0, 0_u64);
+    loop {
+        let mut some: Vec<(PathBuf, String)> = Vec::new();
+        while some.len() < AT_ONCE {
+            let mut line = Vec::new();
+            if reader.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut line).map_err(unread)? == 0 {
+                break;
+            }
+            number += 1;
+            match String::from_utf8(line).ok().as_deref().and_then(hash_and_name) {
+                Some((hash, name)) => some.push((dir.join(name), hash.to_owned())),
+                None => {
+                    let what = format!(
+                        "line {number}: expected a SHA-256, two spaces and the name of a file in the dataset"
+                    );
+                    problems.push(problem(&path, what));
+                    return Ok((files, problems));
+                }
+            }
+        }
+        if some.is_empty() {
+            break;
+        }
+        let wrong = |(file, hash): &(PathBuf, String)| {
+            if !file.is_file() {
+                return Some(problem(file, "missing, or not a file".to_owned()));
+            }
+            match sha256(file) {
+                Ok(found) if found == *hash => None,
+                Ok(found) => Some(problem(file, format!("its SHA-256 is {found}, expected {hash}"))),
+                Err(error) => Some(problem(file, format!("cannot be read: {error}"))),
+            }
+        };
+        problems.extend(some.par_iter().filter_map(wrong).collect::<Vec<_>>());
+        listed.extend(some.iter().map(|(file, _)| name_hash(file)));
+        files += some.len() as u64;
+        on_files(files);
+    }
+    let of_all = manifest.others().into_iter().map(|name| dir.join(name));
+    let of_units =
+        (0..).zip(manifest.groups()).flat_map(|(group, pairs)| (0..pairs).map(move |pair| (group, pair)));
+    let of_units = of_units.flat_map(|(group, pair)| Layout::files(&manifest, dir, group, pair));
+    let unlisted = of_all.chain(of_units).filter(|file| !listed.contains(&name_hash(file)));
+    problems.extend(unlisted.map(|file| problem(&file, format!("not listed in {HASHES_NAME}"))));
+    Ok((files, problems))
+}
+
+/// A line of `sha256sum`; `None` for other text, and for names outside of the dataset.
+fn hash_and_name(line: &str) -> Option<(&str, &Path)> {
+    let (hash, name) = line.strip_suffix('\n').unwrap_or(line).split_once("  ")?;
+    let is_hash = hash.len() == 64 && hash.bytes().all(|byte| byte.is_ascii_hexdigit());
+    let name = Path::new(name);
+    let is_inside = name.components().all(|part| matches!(part, Component::Normal(_)));
+    (is_hash && is_inside && name.file_name().is_some()).then_some((hash, name))
+}
+
+/// Renders `count` pairs of the dataset in `dir` anew, drawn by `seed`, and compares the bytes of all their files. Calls `on_pair` after
+/// each.
+///
+/// # Errors
+/// When `dataset.json` cannot be read, the dataset cannot be made from it alone, or the pairs cannot be rendered into the system's folder of
+/// temporary files.
+pub fn check_anew(dir: &Path, count: u64, seed: u64, on_pair: &dyn Fn()) -> Result<Anew, RenderError> {
+    let manifest = Manifest::read(dir)?;
+    let cannot = |why: &str| RenderError::Argument {
+        argument: "--anew",
+        found: count.to_string(),
+        expected: format!(
+            "a dataset that this program can render from {} alone; {why}",
+            dir.join(Manifest::MANIFEST).display()
+        ),
+    };
+    let (settings, _) = Settings::of(&manifest).map_err(|what| cannot(&excerpt(&what)))?;
+    if !is_of_this_version(&manifest) {
+        return Err(cannot(&format!("srflow {} wrote it", excerpt(&manifest.srflow_version))));
+    }
+    let from_files = !settings.head.is_builtin()
+        || settings.motion.is_of_files()
+        || matches!(settings.background, Background::Images(_));
+    if from_files {
+        return Err(cannot("its head, motion or background came from files"));
+    }
+    let all = u32::try_from(manifest.pairs()).map_err(|_| cannot("it has too many pairs"))?;
+    let mut stream = Key::new(seed).stream("check");
+    let mut chosen = BTreeSet::new();
+    while (chosen.len() as u64) < count.min(u64::from(all)) {
+        chosen.insert(stream.below(all));
+    }
+    let mut anew = Anew { seed, pairs: Vec::new(), equal_files: 0, problems: Vec::new() };
+    let made = Temporary::new()?;
+    for number in chosen {
+        generate(
+            &settings,
+            Request { shard: Shard { number: number + 1, of: all }, ..Request::new(&made.0) },
+        )?;
+        let (group, pair) = pair_of(&manifest, number);
+        for file in Layout::files(&manifest, &made.0, group, pair) {
+            let original = dir.join(file.strip_prefix(&made.0).unwrap_or(&file));
+            // Files of a pair are small enough to be read whole.
+            match (fs::read(&file), fs::read(&original)) {
+                (Ok(new), Ok(old)) if new == old => anew.equal_files += 1,
+                (Ok(_), Ok(_)) => {
+                    let what = "its bytes are not those that this program renders on this machine".to_owned();
+                    anew.problems.push(Problem { file: original, what });
+                }
+                (_, Err(error)) | (Err(error), _) => {
+                    anew.problems.push(Problem { file: original, what: format!("cannot be read: {error}") });
+                }
+            }
+        }
+        anew.pairs.push(manifest.name(group, pair));
+        on_pair();
+    }
+    Ok(anew)
+}
+
+/// The scene of a pair, counted over all scenes, and its number within.
+fn pair_of(manifest: &Manifest, number: u32) -> (u32, u32) {
+    let mut left = number;
+    for (group, pairs) in (0..).zip(manifest.groups()) {
+        if left < pairs {
+            return (group, left);
+        }
+        left -= pairs;
+    }
+    (0, 0)
+}
+
+/// A folder that is removed when this is dropped.
+struct Temporary(PathBuf);
+
+impl Temporary {
+    fn new() -> Result<Self, RenderError> {
+        static COUNT: AtomicU64 = AtomicU64::new(0);
+        let number = COUNT.fetch_add(1, Ordering::Relaxed);
+        let path = std::env::temp_dir().join(format!("srflow-check-{}-{number}", std::process::id()));
+        fs::create_dir(&path).map_err(|error| RenderError::io(&path, error))?;
+        Ok(Self(path))
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        _ = fs::remove_dir_all(&self.0);
+    }
+}

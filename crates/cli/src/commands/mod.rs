@@ -11,6 +11,7 @@ pub mod flow;
 pub mod mer;
 pub mod metrics;
 pub mod models;
+pub mod pack;
 pub mod rasterize;
 pub mod render;
 pub mod shapes;

@@ -2,14 +2,13 @@
 
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
-use std::path::PathBuf;
 use std::time::Instant;
 
 use srflow_field::{
     EstimateError, FlowEstimator, FlowField, FlowSequence, Image, Mask, MeanMetrics, Metrics, ScoreError,
     Shard, score,
 };
-use srflow_read::flow::{DatasetError, Entry, FlowDataset, Sample};
+use srflow_read::flow::{DatasetError, Entry, EntryFile, FlowDataset, Sample};
 
 use crate::crop::{CropError, Window, head_window};
 use crate::error_curve::{ErrorCurve, shares_within};
@@ -320,7 +319,7 @@ struct Pair {
     whole: (usize, usize),
     window: Option<Window>,
     scene: String,
-    files: [PathBuf; 2],
+    files: [EntryFile; 2],
 }
 
 impl Pair {
@@ -382,7 +381,7 @@ impl Pair {
 struct Video<'a> {
     sequence: Option<Box<dyn FlowSequence + 'a>>,
     /// Scene and file of the last frame.
-    last: (String, PathBuf),
+    last: Option<(String, EntryFile)>,
 }
 
 impl<'a> Video<'a> {
@@ -393,13 +392,13 @@ impl<'a> Video<'a> {
         pair: &Pair,
     ) -> Result<(FlowField, f64), EstimateError> {
         let [first, second] = pair.files.clone();
-        if self.last != (pair.scene.clone(), first) {
+        if self.last != Some((pair.scene.clone(), first)) {
             self.sequence = None;
         }
         let start = Instant::now();
         let mut sequence = self.sequence.take().unwrap_or_else(|| estimator.sequence(false));
         let flow = sequence.push_pair(pair.frames())?.flow;
-        (self.sequence, self.last) = (Some(sequence), (pair.scene.clone(), second));
+        (self.sequence, self.last) = (Some(sequence), Some((pair.scene.clone(), second)));
         Ok((flow, start.elapsed().as_secs_f64()))
     }
 }

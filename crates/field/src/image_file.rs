@@ -1,6 +1,6 @@
 //! Images, masks and labels on disk.
 
-use std::io::{self, Cursor, Read, Seek, Write};
+use std::io::{self, BufRead, Cursor, Seek, Write};
 use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
@@ -17,11 +17,13 @@ pub const IMAGE_EXTENSIONS: [&str; 7] = ["png", "jpg", "jpeg", "ppm", "pgm", "pn
 /// # Errors
 /// When the file cannot be read, has another format, or is corrupt.
 pub fn read_image(path: &Path) -> Result<Image, FileError> {
-    read_with(path, FileKind::Image, |reader, len| {
-        let pixels = decode(&read_all(reader, len)?)?.into_rgb8();
-        let (width, height) = (pixels.width() as usize, pixels.height() as usize);
-        Ok(Image::from_buffer(width, height, pixels.as_raw().as_chunks().0.to_vec()))
-    })
+    read_with(path, FileKind::Image, |reader, len| image_of(&read_all(reader, len)?))
+}
+
+pub(crate) fn image_of(bytes: &[u8]) -> Result<Image, FileProblem> {
+    let pixels = decode(bytes)?.into_rgb8();
+    let (width, height) = (pixels.width() as usize, pixels.height() as usize);
+    Ok(Image::from_buffer(width, height, pixels.as_raw().as_chunks().0.to_vec()))
 }
 
 /// Width and height of an image file, from its header alone.
@@ -29,19 +31,20 @@ pub fn read_image(path: &Path) -> Result<Image, FileError> {
 /// # Errors
 /// When the file cannot be read, has another format, or its header is corrupt.
 pub fn read_image_size(path: &Path) -> Result<(usize, usize), FileError> {
-    read_with(path, FileKind::Image, |reader, _| {
-        let mut start = [0; 64];
-        let mut len = 0;
-        while let read @ 1.. = reader.read(&mut start[len..]).map_err(FileProblem::reading)? {
-            len += read;
-        }
-        let format = format_of(&start[..len])?;
-        reader.rewind().map_err(FileProblem::reading)?;
-        let (width, height) = ImageReader::with_format(reader, format)
-            .into_dimensions()
-            .map_err(|error| broken(format, error))?;
-        check_size(width.into(), height.into())
-    })
+    read_with(path, FileKind::Image, |reader, _| image_size_of(reader))
+}
+
+pub(crate) fn image_size_of(reader: &mut (impl BufRead + Seek)) -> Result<(usize, usize), FileProblem> {
+    let mut start = [0; 64];
+    let mut len = 0;
+    while let read @ 1.. = reader.read(&mut start[len..]).map_err(FileProblem::reading)? {
+        len += read;
+    }
+    let format = format_of(&start[..len])?;
+    reader.rewind().map_err(FileProblem::reading)?;
+    let (width, height) =
+        ImageReader::with_format(reader, format).into_dimensions().map_err(|error| broken(format, error))?;
+    check_size(width.into(), height.into())
 }
 
 /// Reads a mask from an image in any format of [`read_image`]: `true` where the luminance is over 127.
@@ -49,11 +52,13 @@ pub fn read_image_size(path: &Path) -> Result<(usize, usize), FileError> {
 /// # Errors
 /// As [`read_image`].
 pub fn read_mask(path: &Path) -> Result<Mask, FileError> {
-    read_with(path, FileKind::Image, |reader, len| {
-        let pixels = decode(&read_all(reader, len)?)?.into_luma8();
-        let (width, height) = (pixels.width() as usize, pixels.height() as usize);
-        Ok(Mask::from_buffer(width, height, pixels.as_raw().iter().map(|value| *value > 127).collect()))
-    })
+    read_with(path, FileKind::Image, |reader, len| mask_of(&read_all(reader, len)?))
+}
+
+pub(crate) fn mask_of(bytes: &[u8]) -> Result<Mask, FileProblem> {
+    let pixels = decode(bytes)?.into_luma8();
+    let (width, height) = (pixels.width() as usize, pixels.height() as usize);
+    Ok(Mask::from_buffer(width, height, pixels.as_raw().iter().map(|value| *value > 127).collect()))
 }
 
 /// Reads labels from an 8-bit grey image: the values as they are stored.
@@ -62,7 +67,11 @@ pub fn read_mask(path: &Path) -> Result<Mask, FileError> {
 /// As [`read_image`], and when the image is not grey with 8 bits. Indexed images are not: their colours are stored, and the numbers of
 /// the colours have no fixed meaning.
 pub fn read_labels(path: &Path) -> Result<Labels, FileError> {
-    read_with(path, FileKind::Image, |reader, len| match decode(&read_all(reader, len)?)? {
+    read_with(path, FileKind::Image, |reader, len| labels_of(&read_all(reader, len)?))
+}
+
+pub(crate) fn labels_of(bytes: &[u8]) -> Result<Labels, FileProblem> {
+    match decode(bytes)? {
         DynamicImage::ImageLuma8(pixels) => {
             let (width, height) = (pixels.width() as usize, pixels.height() as usize);
             Ok(Labels::from_buffer(width, height, pixels.into_raw()))
@@ -71,7 +80,7 @@ pub fn read_labels(path: &Path) -> Result<Labels, FileError> {
             let expected = "8-bit grey values, one label per pixel (convert the image)";
             Err(FileProblem::field("pixels", expected, format!("{:?}", other.color())))
         }
-    })
+    }
 }
 
 /// Reads a 16-bit grey image: the values as they are stored, 0 to 65535.
@@ -79,13 +88,17 @@ pub fn read_labels(path: &Path) -> Result<Labels, FileError> {
 /// # Errors
 /// As [`read_image`], and when the image is not grey with 16 bits.
 pub fn read_grey16(path: &Path) -> Result<Plane, FileError> {
-    read_with(path, FileKind::Image, |reader, len| match decode(&read_all(reader, len)?)? {
+    read_with(path, FileKind::Image, |reader, len| grey16_of(&read_all(reader, len)?))
+}
+
+pub(crate) fn grey16_of(bytes: &[u8]) -> Result<Plane, FileProblem> {
+    match decode(bytes)? {
         DynamicImage::ImageLuma16(pixels) => {
             let (width, height) = (pixels.width() as usize, pixels.height() as usize);
             Ok(Plane::from_buffer(width, height, pixels.iter().copied().map(f32::from).collect()))
         }
         other => Err(FileProblem::field("pixels", "16-bit grey values", format!("{:?}", other.color()))),
-    })
+    }
 }
 
 /// Writes an image as PNG with fast compression, whole or not at all (see [`write_atomically`]).

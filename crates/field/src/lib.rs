@@ -8,6 +8,7 @@ mod codec;
 mod color;
 mod estimator;
 mod excerpt;
+mod file_bytes;
 mod file_error;
 mod flow_colors;
 mod forward_interpolate;
@@ -35,10 +36,13 @@ pub use codec::hdf5::{Hdf5Array, MAGIC as HDF5_MAGIC, hdf5_arrays};
 pub use codec::npy::{Array, npy_pickle, read_npy, read_npy_plane, write_npy, write_npy_plane};
 pub use codec::npz::open_zip;
 pub use codec::npz::{Npz, NpzArray, write_npz};
-pub use codec::{FlowFormat, read_flow, read_flow_as, write_flow, write_flow_as};
+pub use codec::{
+    FlowFormat, encode_flow, encode_flow_half, read_flow, read_flow_as, write_flow, write_flow_as,
+};
 pub use color::parse_color;
 pub use estimator::{EstimateError, FlowEstimate, FlowEstimator, FlowSequence, check_frame_sizes};
 pub use excerpt::{excerpt, excerpts, is_unprintable, printable};
+pub use file_bytes::FileBytes;
 pub use file_error::{FileError, FileProblem};
 pub use flow_colors::{flow_colors, longest_flow};
 pub use forward_interpolate::forward_interpolate;

@@ -31,6 +31,8 @@ pub enum FileKind {
     Checkpoint,
     /// A network of another program for one purpose, such as finding faces, or a package with it.
     Network,
+    /// A tar of a dataset, of which parts are read.
+    Archive,
     /// A video, which another program reads piece by piece: unlimited.
     Video,
 }
@@ -53,6 +55,7 @@ impl FileKind {
             Self::Log => ("a log", GIB),
             Self::Checkpoint => ("a checkpoint", 16 * GIB),
             Self::Network => ("a network", 256 * MIB),
+            Self::Archive => ("a tar", 1024 * GIB), // Hugging Face's limit is 500 GB
             Self::Video => ("a video", u64::MAX),
         }
     }

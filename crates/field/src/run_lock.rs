@@ -21,7 +21,7 @@ pub struct RunLock {
 #[derive(Debug, thiserror::Error)]
 pub enum LockError {
     #[error(
-        "{}: another process is training in this folder: {holder}; wait until it finishes, stop it, or choose another folder",
+        "{}: another process is writing into this folder: {holder}; wait until it finishes, stop it, or choose another folder",
         .folder.display()
     )]
     Held {
@@ -53,7 +53,7 @@ impl RunLock {
                 let holder = read_note(&file).unwrap_or_else(|| "an unknown process".to_owned());
                 return Err(LockError::Held { folder: folder.to_owned(), holder });
             }
-            // The file system has no locks: training without protection is better than none.
+            // The file system has no locks: a run without protection is better than none.
             Err(TryLockError::Error(error)) if error.kind() == io::ErrorKind::Unsupported => {}
             Err(TryLockError::Error(error)) => return Err(failed(error)),
         }

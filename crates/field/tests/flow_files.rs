@@ -5,7 +5,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use proptest::prelude::*;
-use srflow_field::{FlowField, FlowFormat, read_flow, read_flow_as, write_flow, write_flow_as};
+use srflow_field::{
+    FileBytes, FlowField, FlowFormat, encode_flow, encode_flow_half, read_flow, read_flow_as, write_flow,
+    write_flow_as,
+};
 
 const FLOAT_FORMATS: [FlowFormat; 5] =
     [FlowFormat::Flo, FlowFormat::Pfm, FlowFormat::Flo5, FlowFormat::Npy, FlowFormat::Npz];
@@ -464,5 +467,50 @@ fn the_start_of_a_file_says_more_than_its_extension() {
         let path = folder.path().join("misnamed.flo");
         write_flow_as(&path, &flow, format).unwrap();
         assert_eq!(read_flow(&path).unwrap(), flow, "{format}");
+    }
+}
+
+#[test]
+fn float16_rounds_to_the_nearest_and_refuses_large_flow() {
+    let read = |bytes: &[u8]| FileBytes { name: "a.npy".as_ref(), bytes }.flow().unwrap();
+    let values = [0.0, -0.0, 0.1, -3.2109, 15.999, 16.001, 127.93, -511.7, 1e-9, f32::NAN];
+    let flow = FlowField::from_fn(values.len(), 3, |x, y| {
+        [values[x], if values[x].is_nan() { f32::NAN } else { y as f32 }]
+    });
+    let bytes = encode_flow_half(&flow).unwrap();
+    assert_eq!(bytes.len() % 64, (2 * 2 * 3 * values.len()) % 64, "the values start at a multiple of 64");
+    let found = read(&bytes);
+    assert_eq!(found.size(), flow.size());
+    for (found, value) in found.row(2).iter().zip(values) {
+        let most = match value.abs() {
+            length if length < 16.0 => 1.0 / 256.0,
+            length if length < 128.0 => 1.0 / 32.0,
+            _ => 1.0 / 8.0,
+        };
+        assert!(
+            (found[0] - value).abs() <= most || (found[0].is_nan() && value.is_nan()),
+            "{found:?} {value}"
+        );
+    }
+    // What float16 holds stays as it is, and encoding again changes nothing.
+    assert_eq!(encode_flow_half(&found).unwrap(), bytes);
+    let far = FlowField::from_fn(2, 1, |x, _| [0.0, -512.0 * x as f32]);
+    let error = encode_flow_half(&far).unwrap_err().to_string();
+    assert!(
+        error.contains("pixel (1, 0): expected components below 512 pixels") && error.contains("float32"),
+        "{error}"
+    );
+}
+
+#[test]
+fn flow_in_memory_is_flow_in_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let flow = FlowField::from_fn(7, 5, |x, y| [0.25 * x as f32 - 1.0, 0.5 * y as f32]);
+    for format in FlowFormat::ALL {
+        let path = folder.path().join(format!("a.{}", format.extension()));
+        write_flow(&path, &flow).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        assert_eq!(encode_flow(&flow, format).unwrap(), bytes, "{format}");
+        assert_eq!(FileBytes { name: &path, bytes: &bytes }.flow().unwrap(), flow, "{format}");
     }
 }

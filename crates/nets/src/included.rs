@@ -2,9 +2,9 @@
 
 use burn::tensor::Device;
 use sha2::{Digest, Sha256};
+use srflow_fetch::hexadecimal;
 use srflow_nn::{parameters_of_safetensors, with_parameters};
 
-use crate::published::hexadecimal;
 use crate::table::{Architecture, Network};
 
 /// The network with the weights that come with srflow; `None` if there are none.

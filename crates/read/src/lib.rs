@@ -4,4 +4,5 @@ pub mod augment;
 pub mod flow;
 pub mod manifest;
 pub mod micro_expression;
+pub mod packed;
 pub mod region_map;

@@ -46,13 +46,20 @@ impl HeadPart {
 /// When the file cannot be read, is not an 8-bit grey picture, or has another value.
 pub fn read_region_map(path: &Path) -> Result<Labels, FileError> {
     let map = read_labels(path)?;
+    check_region_map(&map).map_err(|problem| problem.in_file(path))?;
+    Ok(map)
+}
+
+/// # Errors
+/// When a value is neither 0 nor the label of a part.
+pub(crate) fn check_region_map(map: &Labels) -> Result<(), FileProblem> {
     let meaningless = |label: &u8| *label > 0 && HeadPart::of_label(*label).is_none();
     match map.pixels().iter().position(meaningless) {
-        None => Ok(map),
+        None => Ok(()),
         Some(place) => {
             let (x, y) = (place % map.width(), place / map.width());
             let expected = "0 (background), 1 (skin), 2 (eyes), 3 (mouth), 4 (hair) or 5 (neck)";
-            Err(FileProblem::Pixel { x, y, expected, found: map.get(x, y).to_string() }.in_file(path))
+            Err(FileProblem::Pixel { x, y, expected, found: map.get(x, y).to_string() })
         }
     }
 }

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use srflow_read::flow::{DatasetSpec, FlowDataset, KINDS, Occlusion, Split};
+use srflow_read::flow::{DatasetSpec, EntryFile, FlowDataset, KINDS, Occlusion, Split};
 use tempfile::TempDir;
 
 /// A folder that holds these files, all of them empty.
@@ -30,8 +30,8 @@ fn open(kind: &str, dir: &Path, split: Option<Split>) -> Result<FlowDataset, Str
 fn listed(dataset: &FlowDataset) -> Vec<String> {
     let seen = |path: &Path| path.strip_prefix(dataset.dir()).unwrap().display().to_string();
     let line = |entry: &srflow_read::flow::Entry| {
-        let flow = entry.flow.as_deref().map_or("none".to_owned(), seen);
-        format!("{}: {} > {} = {flow}", entry.id(), seen(&entry.frame1), seen(&entry.frame2))
+        let flow = entry.flow.as_ref().map_or("none".to_owned(), |flow| seen(&flow.path()));
+        format!("{}: {} > {} = {flow}", entry.id(), seen(&entry.frame1.path()), seen(&entry.frame2.path()))
     };
     dataset.entries().iter().map(line).collect()
 }
@@ -148,8 +148,8 @@ mod folder {
             listed(&dataset),
             ["a: a_img1.jpg > a_img2.jpg = a_flow.pfm", "b: b_img1.png > b_img2.png = b_flow.flo"]
         );
-        assert_eq!(dataset.entries()[1].mask, Some(dir.path().join("b_mask.png")));
-        assert_eq!(dataset.entries()[1].regions, Some(dir.path().join("b_regions.png")));
+        assert_eq!(dataset.entries()[1].mask, Some(dir.path().join("b_mask.png").into()));
+        assert_eq!(dataset.entries()[1].regions, Some(dir.path().join("b_regions.png").into()));
         assert_eq!(dataset.entries()[0].regions, None);
     }
 
@@ -200,12 +200,12 @@ mod folder {
                 "s10/1: frames/s10/1.png > frames/s10/2.png = flow/s10/1.png",
             ]
         );
-        assert_eq!(dataset.entries()[1].mask, Some(dir.path().join("mask/s10/0.png")));
+        assert_eq!(dataset.entries()[1].mask, Some(dir.path().join("mask/s10/0.png").into()));
         assert_eq!(
             dataset.entries()[2].occlusion,
-            Some(Occlusion::Picture(dir.path().join("occlusion/s10/1.png")))
+            Some(Occlusion::Picture(dir.path().join("occlusion/s10/1.png").into()))
         );
-        assert_eq!(dataset.entries()[2].regions, Some(dir.path().join("regions/s10/1.png")));
+        assert_eq!(dataset.entries()[2].regions, Some(dir.path().join("regions/s10/1.png").into()));
     }
 
     #[test]
@@ -400,7 +400,7 @@ mod sintel {
             ["alley_1/frame_0001", "alley_1/frame_0002", "ambush_2/frame_0001", "ambush_2/frame_0002"]
         );
         let picture = dir.path().join("training/occlusions/alley_1/frame_0002.png");
-        assert_eq!(dataset.entries()[1].occlusion, Some(Occlusion::Picture(picture)));
+        assert_eq!(dataset.entries()[1].occlusion, Some(Occlusion::Picture(picture.into())));
         assert_eq!(
             ids(&open("sintel-final", dir.path(), Some(Split::Train)).unwrap())[1..],
             ["alley_1/frame_0002"]
@@ -466,7 +466,7 @@ mod kitti {
             };
             assert_eq!(listed(&dataset), [line(0), line(1)]);
             let visible = dir.path().join("training/flow_noc/000001_10.png");
-            assert_eq!(dataset.entries()[1].occlusion, Some(Occlusion::VisibleFlow(visible)));
+            assert_eq!(dataset.entries()[1].occlusion, Some(Occlusion::VisibleFlow(visible.into())));
             assert_eq!(dataset.entries()[0].occlusion, None);
             let test = open(kind, dir.path(), Some(Split::Test)).unwrap();
             assert!(test.entries().iter().all(|entry| entry.flow.is_none()));
@@ -600,7 +600,7 @@ mod facialflownet {
             listed(&dataset)[1],
             "test/happy/012/1: image/head/test/happy/012/1.jpg > image/head/test/happy/012/2.jpg = flow/head/test/happy/012/1.flo"
         );
-        assert_eq!(dataset.entries()[1].mask, Some(dir.path().join("mask/test/happy/012/1.npy")));
+        assert_eq!(dataset.entries()[1].mask, Some(dir.path().join("mask/test/happy/012/1.npy").into()));
     }
 
     #[test]
@@ -665,7 +665,9 @@ mod srflow {
     #[test]
     fn region_maps_are_those_of_the_first_frame_of_a_pair() {
         let dir = srflow_with(true, true);
-        let map = |frame: &str| Some(dir.path().join(format!("train/regions/scene-0000/{frame}.png")));
+        let map = |frame: &str| {
+            Some(EntryFile::from(dir.path().join(format!("train/regions/scene-0000/{frame}.png"))))
+        };
         let maps = |kind| {
             let dataset = open(kind, dir.path(), Some(Split::Train)).unwrap();
             dataset.entries().iter().map(|entry| entry.regions.clone()).collect::<Vec<_>>()
@@ -674,7 +676,7 @@ mod srflow {
         assert_eq!(maps("srflow-backward"), [map("00001"), map("00002")]);
         let without = open("srflow", srflow(false).path(), Some(Split::Train)).unwrap();
         assert!(without.entries().iter().all(|entry| entry.regions.is_none()));
-        fs::remove_file(map("00001").unwrap()).unwrap();
+        fs::remove_file(map("00001").unwrap().path()).unwrap();
         assert_says(
             open("srflow", dir.path(), Some(Split::Train)),
             &["1 problem", "no train/regions/scene-0000/00001.png"],
@@ -693,9 +695,9 @@ mod srflow {
         };
         assert_eq!(listed(&dataset), [line(0, 1), line(1, 2)]);
         let entry = &dataset.entries()[1];
-        assert_eq!(entry.mask, Some(dir.path().join("train/mask/scene-0000/00001.png")));
+        assert_eq!(entry.mask, Some(dir.path().join("train/mask/scene-0000/00001.png").into()));
         let picture = dir.path().join("train/occlusion/scene-0000/00001.png");
-        assert_eq!(entry.occlusion, Some(Occlusion::Picture(picture)));
+        assert_eq!(entry.occlusion, Some(Occlusion::Picture(picture.into())));
         assert_eq!(ids(&open("srflow", dir.path(), None).unwrap()), ["scene-0001/00000"]);
         assert_eq!(open("srflow", dir.path(), Some(Split::All)).unwrap().entries().len(), 3);
     }
@@ -711,8 +713,14 @@ mod srflow {
             )
         };
         assert_eq!(listed(&dataset), [line(0, 1), line(1, 2)]);
-        assert_eq!(dataset.entries()[0].mask, Some(dir.path().join("train/mask/scene-0000/00001.png")));
-        assert_eq!(dataset.entries()[1].mask, Some(dir.path().join("train/mask/scene-0000/00002.png")));
+        assert_eq!(
+            dataset.entries()[0].mask,
+            Some(dir.path().join("train/mask/scene-0000/00001.png").into())
+        );
+        assert_eq!(
+            dataset.entries()[1].mask,
+            Some(dir.path().join("train/mask/scene-0000/00002.png").into())
+        );
         assert_says(
             open("srflow-backward", srflow(false).path(), None),
             &["dataset.json", "no backward flow", "--backward"],

@@ -179,7 +179,7 @@ impl TrainingSet {
             Data::Files { dataset, first_pairs } => {
                 let first = first_pairs[number];
                 let read = |entry: &Entry| {
-                    let name = entry.frame1.display().to_string();
+                    let name = entry.frame1.path().display().to_string();
                     self.augmented(part, name, dataset.read(entry)?, key)
                 };
                 dataset.entries()[first..first + self.pairs].iter().map(read).collect()

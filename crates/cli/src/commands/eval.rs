@@ -15,7 +15,7 @@ use srflow_eval::{
 use srflow_face::FaceBox;
 use srflow_field::{JsonLines, Shard, Size, create_folder, read_json_lines, write_file};
 use srflow_figure::{Content, Pair, Plan, Scale, Scales, Source as Flow, Style};
-use srflow_read::flow::{DatasetSpec, Entry, FlowDataset, KINDS, Split};
+use srflow_read::flow::{DatasetSpec, Entry, EntryFile, FlowDataset, KINDS, Split};
 
 use crate::face::FaceArgs;
 use crate::interrupt::Continuable;
@@ -354,14 +354,15 @@ impl Kept {
     }
 }
 
-/// Sizes and times of a pair's files.
+/// Sizes and times of a pair's files, or of the tars they are in; those on the web have none.
 fn stamp(entry: &Entry) -> String {
-    let of_file = |path: &Path| {
-        let metadata = std::fs::metadata(path).ok()?;
+    let of_file = |file: &EntryFile| {
+        let path = file.path();
+        let metadata = std::fs::metadata(file.on_disk().or(path.parent())?).ok()?;
         let modified = metadata.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
         Some(format!("{} {}", metadata.len(), modified.as_nanos()))
     };
-    let stamps: Vec<String> = entry.files().map(|path| of_file(path).unwrap_or_default()).collect();
+    let stamps: Vec<String> = entry.files().map(|file| of_file(file).unwrap_or_default()).collect();
     stamps.join(", ")
 }
 

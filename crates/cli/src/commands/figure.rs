@@ -6,8 +6,8 @@ use clap::Args;
 use serde::Serialize;
 use srflow_eval::{Window, head_window, spread};
 use srflow_field::{
-    FlowField, Mask, Size, create_folder, excerpt, excerpts, read_flow, read_image, read_image_size,
-    write_file, write_image_png,
+    FlowField, Mask, Size, create_folder, excerpt, excerpts, read_flow, read_image, write_file,
+    write_image_png,
 };
 use srflow_figure::{
     Column, Composed, Ends, Figure as Grid, Length, Pair, Plan, Scale, Scales, Style, check_text, resolve,
@@ -470,7 +470,7 @@ fn of_dataset(args: &Figure, spec: &DatasetSpec, formats: &[Format]) -> anyhow::
     let specs = args.methods(&columns);
     if let (Some(crop @ Crop { at: Some(_), .. }), entries) = (args.crop, dataset.entries()) {
         for entry in entries {
-            crop.window(&entry.id(), read_image_size(&entry.frame1)?, None)?;
+            crop.window(&entry.id(), entry.read_size()?, None)?;
         }
     }
     let sources = match specs.as_slice() {

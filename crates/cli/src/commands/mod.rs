@@ -12,6 +12,7 @@ pub mod mer;
 pub mod merge;
 pub mod metrics;
 pub mod models;
+pub mod pack;
 pub mod rasterize;
 pub mod render;
 pub mod shapes;

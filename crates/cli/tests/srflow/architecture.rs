@@ -5,11 +5,12 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
-const PIPELINE: [&str; 19] = [
+const PIPELINE: [&str; 20] = [
     "srflow-simd",
     "srflow-field",
     "srflow-splat",
     "srflow-avatar",
+    "srflow-fetch",
     "srflow-read",
     "srflow-render",
     "srflow-classical",

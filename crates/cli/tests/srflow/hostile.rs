@@ -291,7 +291,24 @@ fn samples(folder: &Path) -> Vec<Sample> {
     samples.push(Sample { name: "openface", bytes: openface.into(), file: "openface.csv", arguments: fit });
     samples.extend(heads(folder));
     samples.extend(training(folder));
+    samples.extend(packed(folder));
     samples
+}
+
+/// A tar of a packed dataset, read by its headers, and the index of one.
+fn packed(folder: &Path) -> Vec<Sample> {
+    let [made, out] = ["generic", "packed"].map(|name| folder.join(name));
+    let run = |command: &mut Command| assert!(command.output().unwrap().status.success());
+    run(crate::srflow().args(["shapes", "--pairs", "2", "--size", "32x32", "--out"]).arg(&made));
+    run(crate::srflow().arg("pack").arg(&made).arg("--out").arg(&out));
+    let read = |name: &str| fs::read(out.join(name)).unwrap();
+    fs::copy(out.join("train-000000.tar"), folder.join("train-000000.tar")).unwrap();
+    let tar = &["eval", "--dataset", "wds:FILE", "--split", "all", "--method", "farneback"];
+    let index = &["eval", "--dataset", "wds:DIR", "--split", "all", "--method", "farneback"];
+    vec![
+        Sample { name: "tar", bytes: read("train-000000.tar"), file: "all.tar", arguments: tar },
+        Sample { name: "index of tars", bytes: read("index.jsonl"), file: "index.jsonl", arguments: index },
+    ]
 }
 
 /// The files of a finished training on one small picture, which goes on from them.
@@ -794,6 +811,68 @@ fn refusal(file: &str, bytes: &[u8], arguments: &[&str]) -> String {
     let said = fs::read_to_string(path.with_extension("stderr")).unwrap();
     assert!(said.contains("error: "), "it was taken");
     said
+}
+
+/// Headers of tars and lines of an index that claim too much, or name files elsewhere.
+#[test]
+fn lying_tars_are_refused() {
+    let header = |name: &str, size: &[u8; 12], kind: u8| {
+        let mut header = [0; 512];
+        header[..name.len()].copy_from_slice(name.as_bytes());
+        header[124..136].copy_from_slice(size);
+        header[156] = kind;
+        header[148..156].fill(b' ');
+        let sum: u32 = header.iter().map(|byte| u32::from(*byte)).sum();
+        header[148..156].copy_from_slice(format!("{sum:06o}\0 ").as_bytes());
+        header
+    };
+    let read = &["eval", "--dataset", "wds:FILE", "--split", "all", "--method", "farneback"];
+    let refused = |members: &[[u8; 512]]| {
+        let bytes = [members.as_flattened(), &[0; 1024]].concat();
+        refusal("a.tar", &bytes, read)
+    };
+    let empty = b"00000000000\0";
+    let cases = [
+        (refused(&[header("a.frame1.png", b"77777777777\0", b'0')]), "found a size of 8589934591"),
+        (
+            refused(&[header(
+                "a.frame1.png",
+                &[0x80, 0, 0, 0, 0x7f, 255, 255, 255, 255, 255, 255, 255],
+                b'0',
+            )]),
+            "found a size of",
+        ),
+        (refused(&[header("a.frame1.png", b"99999999999\0", b'0')]), "a size in octal digits"),
+        (refused(&[header("../../a.frame1.png", empty, b'0')]), "found `../../a`"),
+        (refused(&[header("/etc/a.frame1.png", empty, b'0')]), "found `/etc/a`"),
+        (refused(&[header("\x1b[2J.frame1.png", empty, b'0')]), "found `\\u{1b}[2J`"),
+        (refused(&[header("a.frame1.png", empty, b'0')]), "a has no frame1 or no frame2"),
+        (refused(&[header("@LongLink", b"00007777777\0", b'L')]), "found a size of"),
+        (
+            refused(&[header("a.frame1.png", empty, b'0'), header("a.frame2.png", empty, b'0'), [7; 512]]),
+            "wrong checksum",
+        ),
+        (refused(&[header("a.frame1.png", empty, b'S')]), "sparse"),
+        (refused(&[header("notes.txt", empty, b'0')]), "expected pairs with members"),
+    ];
+    for (said, expected) in cases {
+        assert!(said.contains(expected) && said.contains("a.tar"), "{expected}: {said}");
+    }
+    let line = r#"{"key":"a","split":"test","scene":"","frame":"a","tar":"a.tar","members":{"frame1.png":{"offset":0,"size":4000000000,"sha256":"DIGEST"},"frame2.png":{"offset":0,"size":9,"sha256":"DIGEST"},"flow.npy":{"offset":0,"size":9,"sha256":"DIGEST"}}}"#;
+    let line = line.replace("DIGEST", &"0".repeat(64)) + "\n";
+    let read = &["eval", "--dataset", "wds:DIR", "--method", "farneback"];
+    // There is no such tar; a claimed size is compared with its size first.
+    for (line, expected) in [
+        (line.clone(), "a.tar"),
+        (line.replace("\"a.tar\"", "\"../a.tar\""), "found `../a.tar`"),
+        (line.replace("\"offset\":0", "\"offset\":18446744073709551615"), "inside a tar"),
+        (format!("[{line}"), "line 1"),
+        ("[".repeat(60_000) + "\n", "line 1"),
+        ("x".repeat(1 << 20), "lines of at most"),
+    ] {
+        let said = refusal("index.jsonl", line.as_bytes(), read);
+        assert!(said.contains(expected), "{expected}: {said}");
+    }
 }
 
 #[test]

@@ -29,6 +29,7 @@ mod mer_data;
 mod mer_run;
 mod metrics_and_convert;
 mod models;
+mod pack;
 mod rasterize;
 mod render_check;
 mod shapes;

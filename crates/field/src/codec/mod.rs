@@ -13,7 +13,7 @@ mod png_outline;
 mod samples;
 
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read};
+use std::io::{self, BufRead, BufReader, Cursor, Read, Seek, Write};
 use std::path::Path;
 
 use crate::{FileError, FileKind, FileProblem, FlowField, named, open_file, write_atomically};
@@ -93,19 +93,25 @@ impl FlowFormat {
 /// # Errors
 /// When the file cannot be opened, has no known format, or does not match its header.
 pub fn read_flow(path: &Path) -> Result<FlowField, FileError> {
-    read_with(path, FileKind::Flow, |reader, len| {
-        let start = reader.fill_buf().map_err(FileProblem::reading)?;
-        let format = match (FlowFormat::from_magic(start), FlowFormat::from_path(path)) {
-            (Some(FlowFormat::KittiPng), Some(FlowFormat::Png128)) => FlowFormat::Png128, // both have the same magic
-            (Some(format), _) | (None, Some(format)) => format,
-            (None, None) => {
-                let expected = format!("a flow file ({})", FlowFormat::names());
-                let found = format!("an unknown extension and unknown first bytes: {}", quote(start));
-                return Err(FileProblem::field("format", expected, found));
-            }
-        };
-        decode(format, reader, len)
-    })
+    read_with(path, FileKind::Flow, |reader, len| detect_and_decode(path, reader, len))
+}
+
+pub(crate) fn detect_and_decode(
+    name: &Path,
+    reader: &mut impl BufRead,
+    len: u64,
+) -> Result<FlowField, FileProblem> {
+    let start = reader.fill_buf().map_err(FileProblem::reading)?;
+    let format = match (FlowFormat::from_magic(start), FlowFormat::from_path(name)) {
+        (Some(FlowFormat::KittiPng), Some(FlowFormat::Png128)) => FlowFormat::Png128, // both have the same magic
+        (Some(format), _) | (None, Some(format)) => format,
+        (None, None) => {
+            let expected = format!("a flow file ({})", FlowFormat::names());
+            let found = format!("an unknown extension and unknown first bytes: {}", quote(start));
+            return Err(FileProblem::field("format", expected, found));
+        }
+    };
+    decode(format, reader, len)
 }
 
 /// Reads a flow file in the given format.
@@ -135,7 +141,34 @@ pub fn write_flow(path: &Path, flow: &FlowField) -> Result<(), FileError> {
 /// When the flow is empty or has more than 2^27 pixels, the format cannot represent a value, or the file cannot be written.
 pub fn write_flow_as(path: &Path, flow: &FlowField, format: FlowFormat) -> Result<(), FileError> {
     check_writable(flow, format).map_err(|problem| problem.in_file(path))?;
-    write_atomically(path, |writer| match format {
+    write_atomically(path, |writer| encode(flow, format, writer))
+}
+
+/// The bytes of a flow file in the given format.
+///
+/// # Errors
+/// When the flow is empty or has more than 2^27 pixels, or the format cannot represent a value.
+pub fn encode_flow(flow: &FlowField, format: FlowFormat) -> Result<Vec<u8>, FileProblem> {
+    check_writable(flow, format)?;
+    let mut bytes = Cursor::new(Vec::new());
+    encode(flow, format, &mut bytes)
+        .map_err(|error| FileProblem::Io { doing: "encoding the flow", error })?;
+    Ok(bytes.into_inner())
+}
+
+/// The bytes of a `.npy` file of shape (H, W, 2) of float16, little-endian, NaN where the flow is unknown. Components are rounded to the
+/// nearest of 11 significant bits: an error of at most 1/256 px below 16 px, 1/32 px below 128 px and 1/8 px below 512 px.
+///
+/// # Errors
+/// When the flow is empty or has more than 2^27 pixels, or a component reaches 512 px.
+pub fn encode_flow_half(flow: &FlowField) -> Result<Vec<u8>, FileProblem> {
+    check_writable(flow, FlowFormat::Npy)?;
+    npy::check_half_range(flow)?;
+    Ok(npy::encode_flow_half(flow))
+}
+
+fn encode(flow: &FlowField, format: FlowFormat, writer: &mut (impl Write + Seek)) -> io::Result<()> {
+    match format {
         FlowFormat::Flo => flo::encode(flow, writer),
         FlowFormat::KittiPng => kitti_png::encode(flow, kitti_png::KITTI, writer),
         FlowFormat::Png128 => kitti_png::encode(flow, kitti_png::PNG128, writer),
@@ -144,7 +177,7 @@ pub fn write_flow_as(path: &Path, flow: &FlowField, format: FlowFormat) -> Resul
         FlowFormat::Npy => npy::encode_flow(flow, writer),
         FlowFormat::Npz => npz::encode(flow, writer),
         FlowFormat::Npz16 => npz16::encode(flow, writer),
-    })
+    }
 }
 
 fn check_writable(flow: &FlowField, format: FlowFormat) -> Result<(), FileProblem> {

@@ -1,13 +1,16 @@
 //! NumPy's `.npy`: `\x93NUMPY`, a version, the length of a Python dictionary with `descr`, `fortran_order` and `shape`,
 //! and the values (`numpy/lib/format.py`). Versions 1 to 3 are read, with real numbers, integers (either byte order) and
-//! booleans; version 1 is written, with little-endian `f32`.
+//! booleans; version 1 is written, with little-endian `f32` or float16.
 
 use std::io::{self, Read, Write};
 use std::path::Path;
 
+use half::f16;
+use half::slice::HalfFloatSliceExt as _;
+
 use super::claim::{MAX_PIXELS, blank, check_file_size, check_size, read_all};
 use super::samples::{Endian, Sample, read_samples, write_f32_little_endian};
-use super::{check_finite_or_unknown, quote, read_with};
+use super::{check_finite_or_unknown, check_pixels, quote, read_with};
 use crate::{FileError, FileKind, FileProblem, FlowField, Plane, write_atomically};
 
 pub(super) const MAGIC: &[u8] = b"\x93NUMPY";
@@ -57,7 +60,7 @@ pub fn read_npy(path: &Path) -> Result<Array, FileError> {
 }
 
 /// The array of a file of `len` bytes.
-pub(super) fn decode(reader: &mut dyn Read, len: u64) -> Result<Array, FileProblem> {
+pub(crate) fn decode(reader: &mut dyn Read, len: u64) -> Result<Array, FileProblem> {
     let header = Header::read(reader, len)?;
     let count = header.shape.iter().try_fold(1_u64, |count, side| count.checked_mul(*side));
     let count = count.filter(|count| *count <= 4 * MAX_PIXELS).ok_or_else(|| {
@@ -179,6 +182,33 @@ pub(super) fn decode_flow(reader: &mut dyn Read, len: u64) -> Result<FlowField, 
 
 pub(super) fn encode_flow(flow: &FlowField, writer: &mut impl Write) -> io::Result<()> {
     encode(&[flow.height(), flow.width(), 2], flow.pixels().as_flattened(), writer)
+}
+
+/// # Errors
+/// When a component reaches 512 px, from where float16 has an error of more than 1/8 px.
+pub(super) fn check_half_range(flow: &FlowField) -> Result<(), FileProblem> {
+    check_pixels(
+        flow,
+        "components below 512 pixels, where float16 is within 1/8 pixel (take float32)",
+        |[u, v]| u.is_nan() || (u.abs() < 512.0 && v.abs() < 512.0),
+    )
+}
+
+/// A `.npy` file of little-endian float16.
+pub(super) fn encode_flow_half(flow: &FlowField) -> Vec<u8> {
+    let values = flow.pixels().as_flattened();
+    let mut bytes = header_bytes("<f2", &[flow.height(), flow.width(), 2]);
+    bytes.reserve_exact(2 * values.len());
+    let mut block = [f16::ZERO; 1 << 12];
+    for values in values.chunks(block.len()) {
+        let block = &mut block[..values.len()];
+        block.convert_from_f32_slice(values);
+        // One NaN everywhere: processors keep different bits of it.
+        bytes.extend(
+            block.iter().flat_map(|&value| if value.is_nan() { f16::NAN } else { value }.to_le_bytes()),
+        );
+    }
+    bytes
 }
 
 pub(super) fn encode(shape: &[usize], values: &[f32], writer: &mut impl Write) -> io::Result<()> {

@@ -43,7 +43,11 @@ impl Reader for FlyingChairs {
             return Err(listing::nothing_fits("chairs", &data, "*_img1.ppm", ""));
         }
         for pair in pairs.iter().filter(|pair| pair.flow.is_none()) {
-            gaps.push(format!("{} has no flow data/{}_flow.flo", gaps.shown(&pair.frame1), pair.frame));
+            gaps.push(format!(
+                "{} has no flow data/{}_flow.flo",
+                gaps.shown(&pair.frame1.path()),
+                pair.frame
+            ));
         }
         match wanted {
             Some(part) if gaps.is_empty() => chosen(dir, pairs, part),

@@ -1,5 +1,6 @@
 use std::path::PathBuf;
 
+use srflow_fetch::FetchError;
 use srflow_field::FileError;
 
 use super::Split;
@@ -87,6 +88,9 @@ pub enum DatasetError {
     /// A picture or flow could not be read.
     #[error(transparent)]
     File(#[from] FileError),
+    /// A part of a dataset on the web could not be read.
+    #[error(transparent)]
+    Fetch(#[from] Box<FetchError>),
     /// `dataset.json` of an SRFlow dataset could not be used.
     #[error(transparent)]
     Manifest(#[from] ManifestError),

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use super::error::DatasetError;
-use super::{Reader, chairs, clips, facialflownet, hd1k, kitti, plain, sintel, spring, srflow, things};
+use super::{Reader, chairs, clips, facialflownet, hd1k, kitti, plain, sintel, spring, srflow, things, wds};
 
 /// A kind of dataset, as in `--dataset KIND:DIR`.
 pub struct Kind {
@@ -18,7 +18,7 @@ pub struct Kind {
 }
 
 /// The kinds of dataset.
-pub static KINDS: [Kind; 10] = [
+pub static KINDS: [Kind; 11] = [
     srflow::KIND,
     plain::KIND,
     chairs::KIND,
@@ -29,6 +29,7 @@ pub static KINDS: [Kind; 10] = [
     spring::KIND,
     facialflownet::KIND,
     clips::KIND,
+    wds::KIND,
 ];
 
 impl fmt::Display for Kind {

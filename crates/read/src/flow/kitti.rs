@@ -88,13 +88,13 @@ fn entry_of(root: &Path, frame_dir: &Path, scene: &str, with_flow: bool, gaps: &
     missing.is_empty().then(|| Entry {
         scene: String::new(),
         frame: format!("{scene}_10"),
-        flow: with_flow.then_some(flow),
+        flow: with_flow.then(|| flow.into()),
         mask: None,
-        occlusion: (with_flow && visible.is_file()).then_some(Occlusion::VisibleFlow(visible)),
+        occlusion: (with_flow && visible.is_file()).then(|| Occlusion::VisibleFlow(visible.into())),
         regions: None,
         depth: None,
-        frame1,
-        frame2,
+        frame1: frame1.into(),
+        frame2: frame2.into(),
     })
 }
 

@@ -8,6 +8,7 @@ mod chairs;
 mod clips;
 mod error;
 mod facialflownet;
+mod file;
 mod gaps;
 mod hd1k;
 mod kind;
@@ -23,10 +24,12 @@ mod spring;
 mod srflow;
 mod things;
 mod triplets;
+mod wds;
 
 use std::path::{Path, PathBuf};
 
 pub use error::DatasetError;
+pub use file::EntryFile;
 pub use kind::{DatasetSpec, KINDS, Kind};
 pub use listing::{flow_files, pictures};
 pub use made::{MadeError, MadePairs, SCENES_AT_ONCE};
@@ -37,26 +40,26 @@ use gaps::Gaps;
 use sample::Truth;
 
 /// One pair of frames of a dataset: its name and its files, not decoded.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Entry {
     /// The sequence that the pair belongs to, e.g. `alley_1`; empty for single pairs.
     pub scene: String,
     /// Name of the pair within its scene: usually the stem of frame 1's file, e.g. `frame_0001`.
     pub frame: String,
     /// File of frame 1.
-    pub frame1: PathBuf,
+    pub frame1: EntryFile,
     /// File of frame 2.
-    pub frame2: PathBuf,
+    pub frame2: EntryFile,
     /// File of the true flow from frame 1 to frame 2, if published.
-    pub flow: Option<PathBuf>,
+    pub flow: Option<EntryFile>,
     /// File of the mask of the head in frame 1, if there is one.
-    pub mask: Option<PathBuf>,
+    pub mask: Option<EntryFile>,
     /// Source of the occlusions of frame 1, if there is one.
     pub occlusion: Option<Occlusion>,
     /// File of the [region map](crate::region_map) of frame 1, if there is one.
-    pub regions: Option<PathBuf>,
+    pub regions: Option<EntryFile>,
     /// File of the depth of frame 1, if there is one: see [`Entry::read_depth`].
-    pub depth: Option<PathBuf>,
+    pub depth: Option<EntryFile>,
 }
 
 impl Entry {
@@ -66,23 +69,29 @@ impl Entry {
     }
 
     /// The files of the pair.
-    pub fn files(&self) -> impl Iterator<Item = &Path> {
-        let occlusion = self.occlusion.as_ref().map(|occlusion| match occlusion {
-            Occlusion::Picture(path) | Occlusion::VisibleFlow(path) => path,
-        });
+    pub fn files(&self) -> impl Iterator<Item = &EntryFile> {
+        let occlusion = self.occlusion.as_ref().map(Occlusion::file);
         let optional =
             [self.flow.as_ref(), self.mask.as_ref(), occlusion, self.regions.as_ref(), self.depth.as_ref()];
-        [&self.frame1, &self.frame2].into_iter().chain(optional.into_iter().flatten()).map(PathBuf::as_path)
+        [&self.frame1, &self.frame2].into_iter().chain(optional.into_iter().flatten())
     }
 }
 
 /// The source of the pixels of frame 1 that are occluded in frame 2.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub enum Occlusion {
     /// A picture, white where a pixel is occluded.
-    Picture(PathBuf),
+    Picture(EntryFile),
     /// A flow file with the visible pixels only: pixels known only in the entry's own flow are occluded (KITTI).
-    VisibleFlow(PathBuf),
+    VisibleFlow(EntryFile),
+}
+
+impl Occlusion {
+    fn file(&self) -> &EntryFile {
+        match self {
+            Self::Picture(file) | Self::VisibleFlow(file) => file,
+        }
+    }
 }
 
 /// A dataset whose pairs are listed.
@@ -139,13 +148,12 @@ impl FlowDataset {
     pub fn of_pair(frame1: PathBuf, frame2: PathBuf, flow: PathBuf) -> Self {
         let dir = frame1.parent().unwrap_or(Path::new("")).to_owned();
         let frame = listing::stem(&frame1);
-        let (scene, flow) = (String::new(), Some(flow));
         let entry = Entry {
-            scene,
+            scene: String::new(),
             frame,
-            frame1,
-            frame2,
-            flow,
+            frame1: frame1.into(),
+            frame2: frame2.into(),
+            flow: Some(flow.into()),
             mask: None,
             occlusion: None,
             regions: None,
@@ -171,7 +179,7 @@ impl FlowDataset {
         &self.name
     }
 
-    /// The dataset's folder.
+    /// The dataset's folder; for tars on the web their address.
     pub fn dir(&self) -> &Path {
         &self.dir
     }

@@ -109,14 +109,14 @@ fn pairs_of_scene(
         }
         entries.push(Entry {
             scene: scene.to_owned(),
-            flow,
-            mask: masks.remove(&frame),
-            occlusion: occlusions.remove(&frame).map(Occlusion::Picture),
-            regions: regions.remove(&frame),
+            flow: flow.map(Into::into),
+            mask: masks.remove(&frame).map(Into::into),
+            occlusion: occlusions.remove(&frame).map(|path| Occlusion::Picture(path.into())),
+            regions: regions.remove(&frame).map(Into::into),
             depth: None,
             frame,
-            frame1: frame1.clone(),
-            frame2: frame2.clone(),
+            frame1: frame1.clone().into(),
+            frame2: frame2.clone().into(),
         });
     }
     for flow in flows.values() {

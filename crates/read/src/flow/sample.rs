@@ -1,15 +1,11 @@
 //! Decoding one pair.
 
-use std::path::Path;
-
 use serde::{Deserialize, Serialize};
-use srflow_field::{
-    FlowField, Image, Labels, Mask, Plane, read_flow, read_grey16, read_image, read_image_size, read_mask,
-    read_npy,
-};
+use srflow_field::{FlowField, Image, Labels, Mask, Plane};
 
+use super::file::{EntryFile, Opened};
 use super::{DatasetError, Entry, Occlusion};
-use crate::region_map::read_region_map;
+use crate::region_map::check_region_map;
 
 /// One decoded pair of frames; all parts have the same size.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,32 +50,35 @@ impl Default for Truth {
 impl Truth {
     /// Decodes the files of one pair.
     pub fn read(self, entry: &Entry) -> Result<Sample, DatasetError> {
-        let frame1 = read_image(&entry.frame1)?;
+        let occlusion = entry.occlusion.as_ref().map(Occlusion::file);
+        let optional = [entry.flow.as_ref(), entry.mask.as_ref(), occlusion].into_iter().flatten();
+        let files = Opened::of([&entry.frame1, &entry.frame2].into_iter().chain(optional))?;
+        let frame1 = files.image(&entry.frame1)?;
         let (width, height) = frame1.size();
-        let fits = |path: &Path, found: (usize, usize), samples: usize| {
+        let fits = |file: &EntryFile, found: (usize, usize), samples: usize| {
             let expected = (width * samples, height * samples);
             if found == expected {
                 return Ok(());
             }
             Err(DatasetError::SizeMismatch {
-                path: path.to_owned(),
+                path: file.path().into_owned(),
                 found,
-                frame: entry.frame1.clone(),
+                frame: entry.frame1.path().into_owned(),
                 expected,
             })
         };
-        let frame2 = read_image(&entry.frame2)?;
+        let frame2 = files.image(&entry.frame2)?;
         fits(&entry.frame2, frame2.size(), 1)?;
 
-        let read_truth = |path: &Path| {
-            let published = read_flow(path)?;
-            fits(path, published.size(), self.samples_per_pixel)?;
+        let read_truth = |file: &EntryFile| {
+            let published = files.flow(file)?;
+            fits(file, published.size(), self.samples_per_pixel)?;
             Ok::<_, DatasetError>(self.counted(published, width, height))
         };
-        let flow = entry.flow.as_deref().map(read_truth).transpose()?;
-        let mask = entry.mask.as_deref().map(read_any_mask).transpose()?;
+        let flow = entry.flow.as_ref().map(read_truth).transpose()?;
+        let mask = entry.mask.as_ref().map(|file| files.mask(file)).transpose()?;
         let occlusion = match (&entry.occlusion, &flow) {
-            (Some(Occlusion::Picture(path)), _) => Some(read_mask(path)?),
+            (Some(Occlusion::Picture(path)), _) => Some(files.mask(path)?),
             (Some(Occlusion::VisibleFlow(path)), Some(flow)) => Some(hidden(flow, &read_truth(path)?)),
             (Some(Occlusion::VisibleFlow(_)), None) | (None, _) => None,
         };
@@ -114,47 +113,48 @@ impl Entry {
     /// # Errors
     /// When the file cannot be read, is no region map, or has another size than frame 1.
     pub fn read_regions(&self) -> Result<Option<Labels>, DatasetError> {
-        let Some(path) = &self.regions else { return Ok(None) };
-        let map = read_region_map(path)?;
-        let expected = read_image_size(&self.frame1)?;
-        if map.size() == expected {
-            return Ok(Some(map));
-        }
-        let (path, frame) = (path.clone(), self.frame1.clone());
-        Err(DatasetError::SizeMismatch { path, found: map.size(), frame, expected })
+        let Some(file) = &self.regions else { return Ok(None) };
+        let files = Opened::of([file, &self.frame1])?;
+        let map = files.labels(file)?;
+        check_region_map(&map).map_err(|problem| problem.in_file(&file.path()))?;
+        self.check_size(&files, file, map.size())?;
+        Ok(Some(map))
     }
-}
 
-impl Entry {
     /// Decodes the depth of frame 1 in metres, 0 where there is none (16-bit grey PNG in tenths of a millimetre, as `srflow render
     /// --depth` writes it); `None` when there is no file.
     ///
     /// # Errors
     /// When the file cannot be read, is no 16-bit grey picture, or has another size than frame 1.
     pub fn read_depth(&self) -> Result<Option<Plane>, DatasetError> {
-        let Some(path) = &self.depth else { return Ok(None) };
-        let depth = read_grey16(path)?;
-        let expected = read_image_size(&self.frame1)?;
-        if depth.size() == expected {
-            return Ok(Some(Plane::from_fn(expected.0, expected.1, |x, y| depth.get(x, y) * 1e-4)));
-        }
-        let (path, frame) = (path.clone(), self.frame1.clone());
-        Err(DatasetError::SizeMismatch { path, found: depth.size(), frame, expected })
+        let Some(file) = &self.depth else { return Ok(None) };
+        let files = Opened::of([file, &self.frame1])?;
+        let depth = files.grey16(file)?;
+        self.check_size(&files, file, depth.size())?;
+        Ok(Some(Plane::from_fn(depth.width(), depth.height(), |x, y| depth.get(x, y) * 1e-4)))
     }
-}
 
-/// A mask from a picture, or from a `.npy` array of shape (H, W) that is `true` where it is not zero.
-fn read_any_mask(path: &Path) -> Result<Mask, DatasetError> {
-    if !path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("npy")) {
-        return Ok(read_mask(path)?);
+    /// Width and height of frame 1.
+    ///
+    /// # Errors
+    /// When its file cannot be read, or its header is corrupt.
+    pub fn read_size(&self) -> Result<(usize, usize), DatasetError> {
+        Opened::of([&self.frame1])?.image_size(&self.frame1)
     }
-    let array = read_npy(path)?;
-    let wrong = |reason| DatasetError::Format { path: path.to_owned(), reason };
-    let [height, width] = array.shape[..] else {
-        return Err(wrong(format!("shape {:?}: expected (H, W) for a mask", array.shape)));
-    };
-    let inside = array.values.iter().map(|&value| value != 0.0).collect();
-    Mask::from_pixels(width, height, inside).map_err(|error| wrong(error.to_string()))
+
+    fn check_size(
+        &self,
+        files: &Opened,
+        file: &EntryFile,
+        found: (usize, usize),
+    ) -> Result<(), DatasetError> {
+        let expected = files.image_size(&self.frame1)?;
+        if found == expected {
+            return Ok(());
+        }
+        let [path, frame] = [file, &self.frame1].map(|file| file.path().into_owned());
+        Err(DatasetError::SizeMismatch { path, found, frame, expected })
+    }
 }
 
 /// Pixels whose flow is known but not among the visible ones.

@@ -77,11 +77,11 @@ impl Sequence<'_> {
             entries.push(Entry {
                 scene: self.scene.clone(),
                 frame: super::listing::stem(frame1),
-                frame1: frame1.clone(),
-                frame2: frame2.clone(),
-                flow,
+                frame1: frame1.clone().into(),
+                frame2: frame2.clone().into(),
+                flow: flow.map(Into::into),
                 mask: None,
-                occlusion: self.occlusions.remove(&start).map(Occlusion::Picture),
+                occlusion: self.occlusions.remove(&start).map(|path| Occlusion::Picture(path.into())),
                 regions: None,
                 depth: None,
             });

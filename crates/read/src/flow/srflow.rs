@@ -6,7 +6,7 @@ use std::path::Path;
 use super::gaps::Gaps;
 use super::listing;
 use super::sequence::Direction;
-use super::{DatasetError, Entry, Kind, Occlusion, Reader, Split};
+use super::{DatasetError, Entry, EntryFile, Kind, Occlusion, Reader, Split};
 use crate::manifest::{MANIFEST_NAME, Manifest, SceneEntry, SceneSplit};
 
 pub(super) const KIND: Kind = Kind {
@@ -75,7 +75,7 @@ impl SrFlow {
         for pair in 0..scene.pairs {
             let entry = self.entry(manifest, dir, scene, pair);
             let record = manifest.files(dir, scene, pair).record;
-            let needed = entry.files().chain([record.as_path()]);
+            let needed = entry.files().filter_map(EntryFile::on_disk).chain([record.as_path()]);
             let missing: Vec<_> = needed.filter(|path| !path.is_file()).collect();
             for path in &missing {
                 gaps.push(format!("no {}", gaps.shown(path)));
@@ -97,13 +97,13 @@ impl SrFlow {
         Entry {
             scene: scene.name.clone(),
             frame: listing::stem(&first.frame),
-            frame1: first.frame,
-            frame2: second.frame,
-            flow,
-            mask: Some(first.mask),
-            occlusion: occlusion.map(Occlusion::Picture),
-            regions: first.regions,
-            depth: first.depth,
+            frame1: first.frame.into(),
+            frame2: second.frame.into(),
+            flow: flow.map(Into::into),
+            mask: Some(first.mask.into()),
+            occlusion: occlusion.map(|path| Occlusion::Picture(path.into())),
+            regions: first.regions.map(Into::into),
+            depth: first.depth.map(Into::into),
         }
     }
 }

@@ -44,17 +44,17 @@ pub fn triplets(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError>
             gaps.push(format!("{name}: no {}.*", gaps.shown(&dir.join(format!("{name}{suffix}")))));
         }
         if let (Some(frame1), Some(frame2)) = (frame1, frame2) {
-            let occlusion = occlusion.map(Occlusion::Picture);
+            let occlusion = occlusion.map(|path| Occlusion::Picture(path.into()));
             let scene = String::new();
             entries.push(Entry {
                 scene,
                 frame: name,
-                frame1,
-                frame2,
-                flow,
-                mask,
+                frame1: frame1.into(),
+                frame2: frame2.into(),
+                flow: flow.map(Into::into),
+                mask: mask.map(Into::into),
                 occlusion,
-                regions,
+                regions: regions.map(Into::into),
                 depth: None,
             });
         }

@@ -1,0 +1,306 @@
+//! `index.jsonl`: where the members of each pair are, so that any pair can be read without the ones before it.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+use srflow_field::{excerpt, parse_error_in_words};
+
+use super::is_plain;
+use super::place::Place;
+use super::tar::{LARGEST_MEMBER, SampleMembers, Span, Tar, field_of, shared};
+use crate::flow::DatasetError;
+use crate::manifest::SceneSplit;
+
+/// Name of the file in the folder of a packed dataset.
+pub(crate) const INDEX_NAME: &str = "index.jsonl";
+
+/// Longest line in bytes; a dataset with all fields has lines of 2000.
+const LONGEST_LINE: usize = 1 << 16;
+/// Bytes that are read at once.
+const CHUNK: u64 = 4 << 20;
+/// Most pairs that are listed.
+const MOST_PAIRS: usize = 1 << 24;
+
+/// A line of the index.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct IndexRecord {
+    /// First part of its members' names.
+    pub key: String,
+    pub split: SceneSplit,
+    /// Empty in datasets without scenes.
+    pub scene: String,
+    /// Name of the pair within its scene.
+    pub frame: String,
+    /// Name of the tar.
+    pub tar: String,
+    /// Where the header of its first member starts in the tar, in bytes.
+    pub offset: u64,
+    /// Size of all members with their headers, in bytes.
+    pub size: u64,
+    /// By the rest of their names, e.g. `flow.npy`.
+    pub members: BTreeMap<String, MemberRecord>,
+    /// Statistics of the flow on the head, or of the whole flow in datasets without masks.
+    pub flow: FlowStatistics,
+    /// Largest difference of a component between the packed flow and that of the dataset, in pixels.
+    pub flow_error: f32,
+}
+
+/// Where a member is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct MemberRecord {
+    /// Where its content starts in the tar, in bytes.
+    pub offset: u64,
+    /// Size of its content in bytes.
+    pub size: u64,
+    /// SHA-256 of its content in hexadecimal digits.
+    pub sha256: String,
+}
+
+/// Magnitudes of a flow.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct FlowStatistics {
+    /// How many pixels are counted.
+    pub pixels: u64,
+    /// How many of them are not visible in frame 2.
+    pub occluded: u64,
+    /// Sum of the magnitudes, in pixels.
+    pub sum: f64,
+    /// Largest magnitude, in pixels.
+    pub max: f32,
+}
+
+impl FlowStatistics {
+    /// Adds those of another pair.
+    pub fn add(&mut self, other: &Self) {
+        self.pixels += other.pixels;
+        self.occluded += other.occluded;
+        self.sum += other.sum;
+        self.max = self.max.max(other.max);
+    }
+
+    /// Mean magnitude in pixels; 0 without pixels.
+    pub fn mean(&self) -> f64 {
+        if self.pixels == 0 { 0.0 } else { self.sum / self.pixels as f64 }
+    }
+}
+
+/// What a reader needs of a line.
+#[derive(Deserialize)]
+struct ReadRecord {
+    key: String,
+    split: SceneSplit,
+    scene: String,
+    frame: String,
+    tar: String,
+    members: BTreeMap<String, MemberRecord>,
+}
+
+/// A pair of a packed dataset.
+#[derive(Debug)]
+pub(crate) struct Listing {
+    pub split: Option<SceneSplit>,
+    pub scene: String,
+    pub frame: String,
+    pub members: SampleMembers,
+}
+
+/// Reads the index of a packed dataset in the folder `dir`, a part at a time. Members of other fields than `fields` are left out.
+///
+/// # Errors
+/// When it cannot be read, or a line has other content than `srflow pack` writes.
+pub(crate) fn read_index(
+    dir: &Place,
+    fields: &[&str],
+    on_pair: &mut dyn FnMut(Listing),
+) -> Result<(), DatasetError> {
+    let place = dir.join(INDEX_NAME);
+    let mut tars: BTreeMap<String, Arc<Tar>> = BTreeMap::new();
+    let mut last = Arc::from([]);
+    let (mut number, mut pairs) = (0, 0);
+    let mut on_line = |line: &[u8]| {
+        number += 1;
+        let wrong = |reason: String| DatasetError::Format {
+            path: place.path(),
+            reason: format!("line {number}: {reason}; copy the index again, or pack the dataset again"),
+        };
+        if line.is_empty() {
+            return Ok(());
+        }
+        let record: ReadRecord =
+            serde_json::from_slice(line).map_err(|error| wrong(parse_error_in_words(&error)))?;
+        check(&record).map_err(wrong)?;
+        pairs += 1;
+        if pairs > MOST_PAIRS {
+            return Err(wrong(format!("expected at most {MOST_PAIRS} pairs, found more")));
+        }
+        let ReadRecord { key, split, scene, frame, tar, members } = record;
+        let tar = match tars.get(&tar) {
+            Some(tar) => tar.clone(),
+            None => {
+                let found = Arc::new(Tar { place: dir.join(&tar) });
+                tars.insert(tar, found.clone());
+                found
+            }
+        };
+        let (mut endings, mut spans): (Vec<Box<str>>, Vec<Span>) = Default::default();
+        for (ending, member) in members {
+            if !fields.contains(&field_of(&ending)) {
+                continue;
+            }
+            let digest = digest(&member.sha256).ok_or_else(|| {
+                wrong(format!("sha256: expected 64 hexadecimal digits, found `{}`", excerpt(&member.sha256)))
+            })?;
+            let Ok(size) = u32::try_from(member.size) else { continue }; // checked above
+            endings.push(ending.into());
+            spans.push(Span { offset: member.offset, size, sha256: Some(digest) });
+        }
+        let endings = shared(endings, &mut last);
+        let members = SampleMembers { tar, key: key.into(), endings, spans: spans.into() };
+        on_pair(Listing { split: Some(split), scene, frame, members });
+        Ok(())
+    };
+    lines(&place, &mut on_line)
+}
+
+/// # Errors
+/// What was expected, and what was found.
+fn check(record: &ReadRecord) -> Result<(), String> {
+    let plain =
+        [("key", &record.key, false), ("scene", &record.scene, true), ("frame", &record.frame, false)];
+    for (field, name, may_be_empty) in plain {
+        if !(is_plain(name) || (may_be_empty && name.is_empty())) {
+            let name = excerpt(name);
+            return Err(format!(
+                "{field}: expected letters, digits, hyphens and underscores, found `{name}`"
+            ));
+        }
+    }
+    if !record.tar.strip_suffix(".tar").is_some_and(is_plain) {
+        return Err(format!(
+            "tar: expected a name such as train-000000.tar, found `{}`",
+            excerpt(&record.tar)
+        ));
+    }
+    for (ending, member) in &record.members {
+        let is_name = ending.len() <= 40 && ending.split('.').all(is_plain);
+        if !is_name {
+            let ending = excerpt(ending);
+            return Err(format!("members: expected the end of a name such as flow.npy, found `{ending}`"));
+        }
+        let end = member.offset.checked_add(member.size);
+        if end.is_none_or(|end| end > i64::MAX as u64) || member.size > LARGEST_MEMBER.into() {
+            let MemberRecord { offset, size, .. } = member;
+            return Err(format!(
+                "{ending}: expected at most {LARGEST_MEMBER} bytes inside a tar, found {size} bytes from byte {offset}"
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// The first 16 bytes of 64 hexadecimal digits.
+fn digest(text: &str) -> Option<[u8; 16]> {
+    let digit = |byte: u8| char::from(byte).to_digit(16);
+    let mut digest = [0; 16];
+    if text.len() != 64 || !text.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+        return None;
+    }
+    for (byte, [high, low]) in digest.iter_mut().zip(text.as_bytes().as_chunks::<2>().0) {
+        *byte = (digit(*high)? << 4 | digit(*low)?) as u8;
+    }
+    Some(digest)
+}
+
+/// Calls `on_line` with each line of a file, without its line break.
+pub(crate) fn lines(
+    place: &Place,
+    on_line: &mut dyn FnMut(&[u8]) -> Result<(), DatasetError>,
+) -> Result<(), DatasetError> {
+    let wrong = |reason: String| DatasetError::Format { path: place.path(), reason };
+    let (mut pending, mut offset) = (Vec::new(), 0_u64);
+    loop {
+        let part = place.read_up_to(offset..offset + CHUNK)?;
+        offset += part.bytes.len() as u64;
+        let mut rest = &part.bytes[..];
+        loop {
+            let end = rest.iter().position(|byte| *byte == b'\n');
+            let line = &rest[..end.unwrap_or(rest.len())];
+            if pending.len() + line.len() > LONGEST_LINE {
+                return Err(wrong(format!(
+                    "expected lines of at most {LONGEST_LINE} bytes, found a longer one"
+                )));
+            }
+            let Some(end) = end else {
+                pending.extend(line);
+                break;
+            };
+            if pending.is_empty() {
+                on_line(line)?;
+            } else {
+                pending.extend(line);
+                on_line(&pending)?;
+                pending.clear();
+            }
+            rest = &rest[end + 1..];
+        }
+        if offset >= part.total || part.bytes.is_empty() {
+            break;
+        }
+    }
+    if !pending.is_empty() {
+        return Err(wrong("expected a line break at the end, found none: the file is truncated".to_owned()));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LINE: &str = r#"{"key":"a_1","split":"train","scene":"a","frame":"1","tar":"train-000000.tar","offset":0,"size":1536,"members":{"flow.npy":{"offset":512,"size":3,"sha256":"9a129038d9a00aed0cf6a7ea059ca50a9a129038d9a00aed0cf6a7ea059ca50a"}},"flow":{"pixels":1,"occluded":0,"sum":1.0,"max":1.0},"flow_error":0.0}"#;
+
+    fn read(text: impl AsRef<[u8]>) -> Result<Vec<Listing>, String> {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join(INDEX_NAME), text).unwrap();
+        let mut pairs = Vec::new();
+        let read = read_index(&Place::of(folder.path()), &["flow"], &mut |pair| pairs.push(pair));
+        read.map(|()| pairs).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn lines_are_read() {
+        let pairs = read(format!("{LINE}\n{}\n", LINE.replace("a_1", "a_2"))).unwrap();
+        let [first, second] = &pairs[..] else { panic!("{pairs:?}") };
+        assert_eq!((&*first.scene, &*first.frame, first.split), ("a", "1", Some(SceneSplit::Train)));
+        assert_eq!((&*first.members.key, &*second.members.key), ("a_1", "a_2"));
+        assert_eq!((first.members.spans[0].offset, first.members.spans[0].size), (512, 3));
+        assert!(Arc::ptr_eq(&first.members.tar, &second.members.tar));
+        let record: IndexRecord = serde_json::from_str(LINE).unwrap();
+        assert_eq!(serde_json::to_string(&record).unwrap(), LINE);
+    }
+
+    #[test]
+    fn wrong_lines_are_refused() {
+        let cases = [
+            (LINE.replace("\"a_1\"", "\"../a\""), "key: expected letters"),
+            (LINE.replace("\"scene\":\"a\"", "\"scene\":\"a/b\""), "scene: expected letters"),
+            (LINE.replace("\"frame\":\"1\"", "\"frame\":\"\""), "frame: expected letters"),
+            (LINE.replace("train-000000.tar", "../../etc/passwd"), "tar: expected a name such as"),
+            (LINE.replace("train-000000.tar", "/a.tar"), "tar: expected a name such as"),
+            (LINE.replace("flow.npy", "flow./npy"), "such as flow.npy"),
+            (LINE.replace("\"offset\":512", "\"offset\":18446744073709551615"), "inside a tar"),
+            (LINE.replace("\"size\":3", "\"size\":99999999999"), "inside a tar"),
+            (LINE.replace("\"sha256\":\"9a", "\"sha256\":\"zz"), "64 hexadecimal digits"),
+            (LINE.replace("\"split\":\"train\"", "\"split\":\"\\u001b[2J\""), "line 1"),
+            ("{".to_owned(), "line 1"),
+            ("x".repeat(LONGEST_LINE + 1), "at most 65536 bytes"),
+        ];
+        for (text, said) in cases {
+            let error = read(format!("{text}\n")).unwrap_err();
+            assert!(error.contains(said) && error.contains(INDEX_NAME), "{said}: {error}");
+            assert!(!error.contains(char::is_control), "{error:?}");
+        }
+        assert!(read(LINE).unwrap_err().contains("truncated"));
+    }
+}

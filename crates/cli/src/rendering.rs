@@ -92,7 +92,7 @@ impl RenderingArgs {
             *state = match event {
                 Event::Started { units, whole } => (whole, units, written),
                 Event::Made { bytes } => (done + 1, total, written.max(bytes)),
-                Event::Hashed { .. } => *state,
+                Event::Hashed { .. } => return,
             };
             let (done, total, bytes) = *state;
             (watch.on_progress)(json!({ "done": done, "total": total, "bytes": bytes }));

@@ -83,7 +83,7 @@ array=$(sbatch --parsable --output="$folder/logs/part-%a.log" --open-mode=append
 merge=$(sbatch --parsable --output="$folder/logs/merge.log" --dependency=afterok:"$array" merge.sh)
 echo "array $array, merge $merge"
 
-# The second task is told to end once it has made something.
+# The second task gets SIGTERM once it has made something.
 until ls part-2/data/*_flow.npz16 > /dev/null 2>&1; do sleep 0.05; done
 until scancel --signal=TERM "${array}_2"; do sleep 0.2; done
 for _ in $(seq 600); do

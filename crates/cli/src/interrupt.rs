@@ -69,7 +69,7 @@ pub fn requested() -> bool {
     REQUESTED.load(Ordering::Relaxed)
 }
 
-/// Watches for signals until the process ends. `on_dropped` is told what was left of work that is ended.
+/// Watches for signals until the process ends. `on_dropped` gets what was left of work that is ended.
 #[cfg(unix)]
 pub fn watch(on_dropped: impl Fn(&str) + Send + Clone + 'static) {
     use signal_hook::consts::{SIGINT, SIGTERM};

@@ -45,7 +45,7 @@ pub use usage::UsageError;
 /// Exit codes; see the help of the command.
 const FAILED: u8 = 1;
 const WRONG_USAGE: u8 = 2;
-/// EX_TEMPFAIL of sysexits.h: job engines can be told to run the command again.
+/// EX_TEMPFAIL of sysexits.h: job engines can be configured to run the command again.
 const STOPPED: u8 = 75;
 
 /// Render facial optical-flow datasets from avatars of 3D Gaussians; estimate, train and score optical flow.

@@ -213,7 +213,7 @@ fn known_engines() -> String {
 impl ShardChoice {
     /// The part to do; `variable` looks a variable of the environment up.
     ///
-    /// Engines are told by their variables: job arrays of Slurm, Grid Engine, LSF, PBS and Torque, indexed jobs of Kubernetes, AWS and
+    /// Engines are recognised by their variables: job arrays of Slurm, Grid Engine, LSF, PBS and Torque, indexed jobs of Kubernetes, AWS and
     /// Google Batch, Cloud Run, and processes that `srun`, `mpirun`, `torchrun` or SkyPilot started. The processes of a step of a Slurm array
     /// divide the part of their array task.
     ///

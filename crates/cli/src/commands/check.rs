@@ -4,7 +4,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use clap::Args;
 use serde::Serialize;
 use srflow_read::manifest::Manifest;
-use srflow_render::check::{Anew, CheckReport, check, check_anew, check_hashes};
+use srflow_render::check::{Anew, CheckReport, Problem, check, check_anew, check_hashes};
 
 use super::render::print_statistics;
 use crate::Context;
@@ -51,7 +51,7 @@ struct Report {
     anew: Option<Anew>,
     /// Those of hashes.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    hash_problems: Vec<srflow_render::check::Problem>,
+    hash_problems: Vec<Problem>,
 }
 
 pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
@@ -91,7 +91,7 @@ pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
 }
 
 impl Report {
-    fn problems(&self) -> impl Iterator<Item = &srflow_render::check::Problem> {
+    fn problems(&self) -> impl Iterator<Item = &Problem> {
         let of_content = self.content.iter().flat_map(|content| &content.problems);
         let of_anew = self.anew.iter().flat_map(|anew| &anew.problems);
         of_content.chain(&self.hash_problems).chain(of_anew)

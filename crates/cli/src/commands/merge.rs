@@ -31,7 +31,7 @@ pub struct Merge {
     /// Copy files rather than link them
     #[arg(long)]
     copy: bool,
-    /// Merge what is there although pairs or clips are missing; the dataset is complete when a later merge, or the command that made the
+    /// Merge although pairs or clips are missing; the dataset is complete when a later merge, or the command that made the
     /// parts, adds them
     #[arg(long)]
     partial: bool,

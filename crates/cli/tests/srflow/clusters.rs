@@ -1,6 +1,5 @@
 //! Work that job engines divide, end and start again: parts, merges, hashes, signals.
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -10,6 +9,7 @@ use serde_json::{Value, json as value};
 use srflow_field::{FlowField, write_flow};
 
 use crate::frames::{write_frames, write_pairs};
+use crate::tree::tree;
 use crate::{json, refuses, succeeds};
 
 /// A dataset of generic pairs: the fastest to make.
@@ -23,23 +23,6 @@ fn shapes(out: &Path, more: &[&str]) -> Command {
 
 fn merge(parts: &[&Path], out: &Path, more: &[&str]) -> Output {
     crate::srflow().arg("merge").args(parts).arg("--out").arg(out).args(more).output().unwrap()
-}
-
-/// Every file below a folder, including hidden ones, by relative path.
-fn tree(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    let mut folders = vec![dir.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                files.insert(path.strip_prefix(dir).unwrap().to_owned(), fs::read(path).unwrap());
-            }
-        }
-    }
-    files
 }
 
 #[test]

@@ -35,6 +35,7 @@ mod render_check;
 mod shapes;
 mod splats;
 mod train;
+mod tree;
 mod videos;
 mod view;
 

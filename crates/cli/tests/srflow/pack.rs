@@ -13,6 +13,7 @@ use std::thread;
 use serde_json::Value;
 use srflow_field::{FlowField, read_flow, write_flow};
 
+use crate::tree::tree;
 use crate::{fails, json, refuses, succeeds};
 
 /// A dataset with every kind of file: 4 pairs for training, 4 for testing. It is rendered once.
@@ -49,22 +50,6 @@ fn scores(dataset: &str, more: &[&str]) -> BTreeMap<String, f64> {
         .collect();
     assert!(!scores.is_empty(), "{report}");
     scores
-}
-
-/// Every file below a folder, including hidden ones, by relative path.
-fn tree(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    let mut folders = vec![dir.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for path in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                files.insert(path.strip_prefix(dir).unwrap().to_owned(), fs::read(path).unwrap());
-            }
-        }
-    }
-    files
 }
 
 #[test]

@@ -1,6 +1,5 @@
 //! `srflow render` and `srflow check` at a tiny size: killed, in parts, on broken data.
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -8,6 +7,7 @@ use std::sync::OnceLock;
 
 use serde_json::Value;
 
+use crate::tree::tree;
 use crate::{json, refuses, succeeds};
 
 /// The dataset of most tests: one scene of 7 pairs, since a head takes most of the time.
@@ -35,23 +35,6 @@ fn render(out: &Path, more: &[&str]) -> Output {
 fn stops(output: &Output) -> String {
     assert_eq!(output.status.code(), Some(75), "{output:?}");
     String::from_utf8(output.stderr.clone()).unwrap()
-}
-
-/// Every file below a folder, including hidden ones, by relative path.
-fn tree(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut files = BTreeMap::new();
-    let mut folders = vec![dir.to_owned()];
-    while let Some(folder) = folders.pop() {
-        for entry in fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                files.insert(path.strip_prefix(dir).unwrap().to_owned(), fs::read(path).unwrap());
-            }
-        }
-    }
-    files
 }
 
 fn assert_same_tree(a: &Path, b: &Path) {

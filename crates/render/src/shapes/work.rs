@@ -70,6 +70,11 @@ impl Arguments {
     }
 }
 
+/// The files of a pair besides its flow.
+fn pictures(dir: &Path, pair: u32) -> [PathBuf; 3] {
+    PICTURES.map(|suffix| dir.join(DATA).join(format!("{:05}{suffix}", pair + 1)))
+}
+
 impl Layout for Arguments {
     const MANIFEST: &'static str = SETTINGS_NAME;
     const UNITS: &'static str = "pairs";
@@ -79,8 +84,7 @@ impl Layout for Arguments {
     }
 
     fn files(&self, dir: &Path, _group: u32, pair: u32) -> Vec<PathBuf> {
-        let pictures = PICTURES.map(|suffix| dir.join(DATA).join(format!("{:05}{suffix}", pair + 1)));
-        std::iter::once(self.flow_path(dir, pair)).chain(pictures).collect()
+        std::iter::once(self.flow_path(dir, pair)).chain(pictures(dir, pair)).collect()
     }
 
     fn begun_in(&self, dir: &Path) -> Vec<(u32, u32)> {
@@ -208,8 +212,7 @@ impl Plan for ShapePairs {
                 break;
             }
             let pair = work.clock.time(Stage::Rasterize, || self.pair(number, photographs))?;
-            let [frame1, frame2, occlusion] =
-                PICTURES.map(|suffix| work.dir.join(DATA).join(format!("{:05}{suffix}", number + 1)));
+            let [frame1, frame2, occlusion] = pictures(work.dir, number);
             work.write(Stage::Frames, &frame1, |path| write_image_png(path, &pair.frame1))?;
             work.write(Stage::Frames, &frame2, |path| write_image_png(path, &pair.frame2))?;
             work.write(Stage::Planes, &occlusion, |path| write_mask_png(path, &pair.occlusion))?;

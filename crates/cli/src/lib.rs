@@ -25,6 +25,7 @@ mod networks;
 mod output;
 mod posed_head;
 mod progress;
+mod ranks;
 mod rendering;
 mod scoring;
 mod usage;

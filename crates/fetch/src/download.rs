@@ -1,14 +1,15 @@
 //! A published file: downloaded once, verified by SHA-256.
 
-use std::fs::File;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use sha2::{Digest, Sha256};
-use srflow_field::{FileError, FileKind, FileProblem, create_folder, open_file, write_atomically};
+use srflow_field::{
+    FileError, FileKind, FileProblem, create_folder, hexadecimal, sha256_of_file, write_atomically,
+};
 
-use crate::{USER_AGENT, hexadecimal};
+use crate::USER_AGENT;
 
 /// Limit on a download; every published file is far smaller.
 const MAX_DOWNLOAD_BYTES: u64 = 4 << 30;
@@ -33,14 +34,7 @@ pub enum DownloadError {
         expected: String,
         found: String,
     },
-    /// The cached file could not be read.
-    #[error("{}: {error}", .path.display())]
-    Read {
-        path: PathBuf,
-        #[source]
-        error: io::Error,
-    },
-    /// The cached file could not be opened, or the folder not created.
+    /// The cached file could not be read, or the folder not created.
     #[error("{0}")]
     File(#[source] FileError),
 }
@@ -67,8 +61,7 @@ pub fn download_if_missing(
         })?;
         return Ok(());
     }
-    let (file, _) = open_file(path, FileKind::Checkpoint).map_err(DownloadError::File)?;
-    let found = digest(file).map_err(|error| DownloadError::Read { path: path.to_owned(), error })?;
+    let found = hexadecimal(sha256_of_file(path, FileKind::Checkpoint).map_err(DownloadError::File)?);
     if found.starts_with(sha256) {
         return Ok(());
     }
@@ -103,7 +96,7 @@ fn fetch(
             done += count as u64;
             progress(done, len);
         }
-        let found = hexadecimal(hash);
+        let found = hexadecimal(hash.finalize());
         if found.starts_with(sha256) {
             return Ok(());
         }
@@ -115,12 +108,6 @@ fn fetch(
         FileProblem::Io { error, .. } => error.to_string(),
         problem => problem.to_string(),
     })
-}
-
-fn digest(mut file: File) -> io::Result<String> {
-    let mut hash = Sha256::new();
-    io::copy(&mut file, &mut hash)?;
-    Ok(hexadecimal(hash))
 }
 
 #[cfg(test)]

@@ -33,6 +33,8 @@ pub enum FileKind {
     Network,
     /// A tar of a dataset, of which parts are read.
     Archive,
+    /// Any file of a dataset that is published.
+    OfDataset,
     /// A video, which another program reads piece by piece: unlimited.
     Video,
 }
@@ -56,6 +58,7 @@ impl FileKind {
             Self::Checkpoint => ("a checkpoint", 16 * GIB),
             Self::Network => ("a network", 256 * MIB),
             Self::Archive => ("a tar", 1024 * GIB), // Hugging Face's limit is 500 GB
+            Self::OfDataset => ("a file of a dataset", 1024 * GIB),
             Self::Video => ("a video", u64::MAX),
         }
     }

@@ -1,10 +1,9 @@
 //! Features on disk, keyed by everything they depend on.
 
-use std::io;
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
-use srflow_field::{FileError, FileKind, FileProblem, create_folder, open_file, read_npy, write_npy};
+use srflow_field::{FileError, FileKind, create_folder, hexadecimal, read_npy, sha256_of_file, write_npy};
 
 use crate::features::{FEATURE_SIDE, Features};
 
@@ -27,22 +26,7 @@ pub struct FeatureKey(String);
 /// # Errors
 /// When the file cannot be read.
 pub fn file_digest(path: &Path) -> Result<String, FileError> {
-    Ok(hexadecimal(&sha256(path, FileKind::Checkpoint)?))
-}
-
-fn sha256(path: &Path, kind: FileKind) -> Result<Vec<u8>, FileError> {
-    let failed = |error: io::Error| FileError {
-        path: path.to_owned(),
-        problem: FileProblem::Io { doing: "reading", error },
-    };
-    let mut digest = Sha256::new();
-    let (mut file, _) = open_file(path, kind)?;
-    io::copy(&mut file, &mut digest).map_err(failed)?;
-    Ok(digest.finalize().to_vec())
-}
-
-fn hexadecimal(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+    Ok(hexadecimal(sha256_of_file(path, FileKind::Checkpoint)?))
 }
 
 impl FeatureCache {
@@ -64,9 +48,9 @@ impl FeatureCache {
         digest.update(format!("srflow features {VERSION}\n{recipe}\n"));
         for path in [onset, apex] {
             // A separate digest of each picture, so that bytes cannot move from one to the other.
-            digest.update(sha256(path, FileKind::Image)?);
+            digest.update(sha256_of_file(path, FileKind::Image)?);
         }
-        Ok(FeatureKey(hexadecimal(&digest.finalize())))
+        Ok(FeatureKey(hexadecimal(digest.finalize())))
     }
 
     /// The features of a key, if they exist and are intact.

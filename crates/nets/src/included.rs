@@ -2,7 +2,7 @@
 
 use burn::tensor::Device;
 use sha2::{Digest, Sha256};
-use srflow_fetch::hexadecimal;
+use srflow_field::hexadecimal;
 use srflow_nn::{parameters_of_safetensors, with_parameters};
 
 use crate::table::{Architecture, Network};
@@ -16,5 +16,5 @@ pub fn load_included(architecture: Architecture, device: &Device) -> Option<Netw
 
 /// The SHA-256 of the file of weights that comes with srflow, in lower-case hexadecimal.
 pub fn included_sha256(architecture: Architecture) -> Option<String> {
-    architecture.facts().included.map(|bytes| hexadecimal(Sha256::new_with_prefix(bytes)))
+    architecture.facts().included.map(|bytes| hexadecimal(Sha256::digest(bytes)))
 }

@@ -6,12 +6,12 @@ mod tree;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use srflow_field::Shard;
 use srflow_field::read_image;
+use srflow_field::{SHA256SUMS, Shard};
 use srflow_read::manifest::{Manifest, Recording};
 use srflow_render::check::check;
 use srflow_render::generate::{Background, MotionSource, Settings, generate};
-use srflow_render::job::{HASHES_NAME, Request};
+use srflow_render::job::Request;
 use tree::contents;
 
 fn settings(recording: Recording) -> Settings {
@@ -43,7 +43,7 @@ fn effects_change_frames_alone_and_no_byte_depends_on_how_they_are_rendered() {
     assert!(wild_files == contents(parts));
     assert_eq!(names(&clean_files), names(&wild_files));
     for ((path, clean), (_, wild)) in clean_files.iter().zip(&wild_files) {
-        let of_all = ["dataset.json", HASHES_NAME].map(Path::new);
+        let of_all = ["dataset.json", SHA256SUMS].map(Path::new);
         let changes = path.starts_with("train/frames") || of_all.contains(&path.as_path());
         assert_eq!(clean != wild, changes, "{}", path.display());
     }

@@ -5,13 +5,13 @@ mod tree;
 
 use std::path::{Path, PathBuf};
 
-use srflow_field::Shard;
+use srflow_field::{SHA256SUMS, Shard};
 use srflow_field::{read_labels, read_mask};
 use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
 use srflow_read::manifest::Manifest;
 use srflow_read::region_map::HeadPart;
 use srflow_render::generate::{Settings, generate};
-use srflow_render::job::{HASHES_NAME, Request};
+use srflow_render::job::Request;
 
 fn settings(regions: bool) -> Settings {
     Settings { regions, ..tiny::settings() }
@@ -34,7 +34,7 @@ fn region_maps_divide_the_mask_and_change_nothing_else() {
     let is_map = |path: &Path| path.starts_with("train/regions");
     assert_eq!(files.iter().filter(|(path, _)| is_map(path)).count(), 4, "one for each frame");
     let others = |files: Vec<(PathBuf, Vec<u8>)>| -> Vec<(PathBuf, Vec<u8>)> {
-        let of_all = |path: &Path| path.ends_with("dataset.json") || path.ends_with(HASHES_NAME);
+        let of_all = |path: &Path| path.ends_with("dataset.json") || path.ends_with(SHA256SUMS);
         files.into_iter().filter(|(path, _)| !is_map(path) && !of_all(path)).collect()
     };
     assert!(others(files) == others(tree::contents(&without)), "all other files are the same");

@@ -230,7 +230,7 @@ pub fn ablate(
             Some(cell) => cell.steps,
             None => {
                 let mode = if begun { RunMode::Resume } else { RunMode::New };
-                let outcome = train(&config, open_made, devices, &run, mode, None, &mut |event| {
+                let outcome = train(&config, open_made, devices, &run, mode, &mut |event| {
                     on_event(AblationEvent::Training(event));
                 });
                 outcome.map_err(failed)?.progress.step

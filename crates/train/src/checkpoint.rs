@@ -62,6 +62,8 @@ pub struct Checkpoint {
     /// Parameters and running statistics of the network, in the order of its [`Layout`].
     pub values: Vec<f32>,
     pub optimizer: AdamWState,
+    /// Processes that trained together.
+    pub ranks: usize,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -69,6 +71,16 @@ pub struct Checkpoint {
 struct StateFile {
     progress: Progress,
     config: String,
+    #[serde(default = "alone", skip_serializing_if = "is_alone")]
+    ranks: usize,
+}
+
+fn alone() -> usize {
+    1
+}
+
+fn is_alone(ranks: &usize) -> bool {
+    *ranks == 1
 }
 
 /// Errors of reading and writing checkpoints.
@@ -135,9 +147,9 @@ impl Checkpoints {
     /// # Errors
     /// When a file cannot be written; existing files are then left unchanged, and no partial ones remain.
     pub fn write(&self, checkpoint: &Checkpoint, layout: &Layout) -> Result<(), CheckpointError> {
-        let Checkpoint { progress, config, values, optimizer } = checkpoint;
+        let Checkpoint { progress, config, values, optimizer, ranks } = checkpoint;
         let model = self.model_bytes(layout, values);
-        let state = StateFile { progress: progress.clone(), config: config.clone() };
+        let state = StateFile { progress: progress.clone(), config: config.clone(), ranks: *ranks };
         let state = serde_json::to_string_pretty(&state).expect("plain numbers and text") + "\n";
         let averages = AVERAGES.into_iter().zip([&optimizer.mean, &optimizer.square]);
         let optimizer = averages.flat_map(|(prefix, values)| {
@@ -220,13 +232,13 @@ impl Checkpoints {
     /// When there is none, it is broken, or its tensors do not match `layout`.
     pub fn read_last(&self, layout: &Layout) -> Result<Checkpoint, CheckpointError> {
         let path = self.last()?;
-        let StateFile { progress, config } = read_state(&path)?;
+        let StateFile { progress, config, ranks } = read_state(&path)?;
         let values = read_tensors(&path.join(MODEL), layout, "", |_| true)?;
         let [mean, square] = AVERAGES.map(|prefix| {
             read_tensors(&path.join(OPTIMIZER), layout, prefix, |name| name.starts_with(prefix))
         });
         let optimizer = AdamWState { steps: progress.optimizer_steps, mean: mean?, square: square? };
-        Ok(Checkpoint { progress, config, values, optimizer })
+        Ok(Checkpoint { progress, config, values, optimizer, ranks })
     }
 
     fn model_bytes(&self, layout: &Layout, values: &[f32]) -> Vec<u8> {
@@ -351,7 +363,13 @@ mod tests {
             optimizer_steps: step,
             best: Some(Best { step: 2, epe: 0.1 + 0.2 }),
         };
-        Checkpoint { progress, config: "[training]\nseed = 3\n".to_owned(), values, optimizer }
+        Checkpoint {
+            progress,
+            config: "[training]\nseed = 3\n".to_owned(),
+            values,
+            optimizer,
+            ranks: 1 + step as usize % 2,
+        }
     }
 
     #[test]

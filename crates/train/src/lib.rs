@@ -6,7 +6,10 @@ pub mod checkpoint;
 pub mod config;
 pub mod loss;
 mod made;
+#[cfg(feature = "mpi")]
+pub mod mpi;
 mod prefetch;
+pub mod ranks;
 mod recompute;
 pub mod replica;
 mod report;
@@ -18,5 +21,5 @@ pub mod training_set;
 mod validation;
 
 pub use report::report;
-pub use run::{Event, Outcome, RunMode, Start, TrainError, config_of_run, train, train_until};
+pub use run::{Event, Outcome, RunMode, Start, TrainError, Training, config_of_run, train};
 pub use validation::ValidationError;

@@ -1,10 +1,13 @@
 //! The training loop, from the first step or the last checkpoint to the end of the run.
 
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use burn::tensor::Device;
+use serde::{Deserialize, Serialize};
 use srflow_field::{FileError, LockError, RunLock, create_folder, write_file};
 use srflow_nets::about;
 use srflow_nn::{AdamW, AdamWState, Rounding, WeightsError, clip_norm};
@@ -14,7 +17,8 @@ use crate::checkpoint::{Best, Checkpoint, CheckpointError, Checkpoints, Progress
 use crate::config::{Config, ConfigError};
 use crate::loss::LossError;
 use crate::prefetch::Prefetcher;
-use crate::replica::{PassSettings, Replicas};
+use crate::ranks::{Alone, Communicator, Ranks, share};
+use crate::replica::{BatchLosses, Pass, PassSettings, Replicas};
 use crate::schedule::OneCycle;
 use crate::training_log::{Record, SkippedRecord, StepRecord, TrainingLog, ValidationRecord};
 use crate::training_set::{DataError, OpenMade, TrainingSample, TrainingSet};
@@ -28,9 +32,9 @@ const CONFIG: &str = "config.toml";
 pub enum TrainError {
     #[error(transparent)]
     Config(#[from] ConfigError),
-    #[error("{0}")]
+    #[error(transparent)]
     Data(#[from] DataError),
-    #[error("{0}")]
+    #[error(transparent)]
     Validation(#[from] ValidationError),
     #[error(transparent)]
     Weights(#[from] WeightsError),
@@ -66,6 +70,25 @@ pub enum TrainError {
     },
     #[error("a thread that reads training pairs panicked; see its message above")]
     Worker,
+    #[error(
+        "training.batch is {batch}, for {ranks} ranks: each takes at least one sample of a batch; raise --batch, or start fewer"
+    )]
+    TooManyRanks { batch: usize, ranks: usize },
+    #[error("rank {rank} of {ranks}, counted from 0: {error}")]
+    Rank {
+        rank: usize,
+        ranks: usize,
+        #[source]
+        error: Box<TrainError>,
+    },
+    /// Another rank than this one has failed, and says more.
+    #[error("rank {rank} of {ranks}, counted from 0, has failed: {reason}")]
+    OtherRank { rank: usize, ranks: usize, reason: String },
+    #[error(
+        "{what} of rank {rank} and of rank 0 differ; all ranks need the same srflow, the same arguments and the same files, so a \
+         file system that they share"
+    )]
+    RanksDiffer { what: &'static str, rank: usize },
 }
 
 /// Progress of [`train`].
@@ -97,6 +120,11 @@ pub struct Start {
     pub frozen_batch_norm: bool,
     /// Number of trained parameters, counted as scalars.
     pub parameters: usize,
+    /// Processes that train together.
+    pub ranks: usize,
+    /// How many there were before the run was resumed, if another number: its weights then differ in rounding from those of an
+    /// uninterrupted run.
+    pub ranks_before: Option<usize>,
 }
 
 /// The result of a run.
@@ -109,6 +137,12 @@ pub struct Outcome {
     pub seconds: f64,
     /// Share of step time spent waiting for data, `0..=1`.
     pub waiting_share: f64,
+    /// Share of the time from the first step on that this rank has spent waiting for others, `0..=1`.
+    pub waiting_for_ranks_share: f64,
+    /// Share of that time spent summing the gradients of ranks, `0..=1`.
+    pub summing_share: f64,
+    /// Processes that trained together.
+    pub ranks: usize,
 }
 
 /// Whether to start a new run or resume one.
@@ -129,12 +163,22 @@ pub fn config_of_run(run: &Path) -> Result<Config, TrainError> {
     Ok(Config::parse(&text, &run.display().to_string())?)
 }
 
-/// Trains a network on `devices` in parallel, and writes `config.toml`, `log.jsonl`, `tensorboard/`, `checkpoints/`,
-/// `last.safetensors` and, with validation data, `best.safetensors` into the folder `run`.
-///
-/// Data that is made while training is opened with `open_made`. With `stop_after`, training stops after that step and writes a checkpoint. For a given configuration and number of devices,
-/// checkpoints have the same bytes whether the run was interrupted and resumed or not. `network.weights` is only read by new
-/// runs.
+/// A training: of what, on what, and where to.
+#[derive(Clone, Copy)]
+pub struct Training<'a> {
+    pub config: &'a Config,
+    /// Opens data that is made while training.
+    pub open_made: &'a OpenMade<'a>,
+    /// Devices that share each batch.
+    pub devices: &'a [Device],
+    /// Folder of the run.
+    pub run: &'a Path,
+    pub mode: RunMode,
+    /// The processes that share each batch before the devices do.
+    pub communicator: &'a dyn Communicator,
+}
+
+/// Trains a network on `devices` in parallel, in this process alone; see [`Training::until`].
 ///
 /// # Errors
 /// See [`TrainError`].
@@ -144,120 +188,177 @@ pub fn train(
     devices: &[Device],
     run: &Path,
     mode: RunMode,
-    stop_after: Option<u64>,
     on_event: &mut dyn FnMut(Event<'_>),
 ) -> Result<Outcome, TrainError> {
-    let stop = |done| stop_after.is_some_and(|last| done >= last);
-    train_until(config, open_made, devices, run, mode, &stop, on_event)
+    Training { config, open_made, devices, run, mode, communicator: &Alone }.until(&|_| false, on_event)
 }
 
-/// As [`train`], until `stop` says so: it is asked with the number of steps done, before the first step and after each. When it stops
-/// after a step, a checkpoint is written.
-///
-/// # Errors
-/// See [`TrainError`].
-pub fn train_until(
-    config: &Config,
-    open_made: &OpenMade,
-    devices: &[Device],
-    run: &Path,
-    mode: RunMode,
-    stop: &dyn Fn(u64) -> bool,
-    on_event: &mut dyn FnMut(Event<'_>),
-) -> Result<Outcome, TrainError> {
-    config.check()?;
-    let start = Instant::now();
-    let set = Arc::new(TrainingSet::open(config, open_made)?);
-    let validation = Validation::open(config)?;
-    let mut config = config.clone();
-    let weights = match mode {
-        RunMode::New => config.network.load_weights(&devices[0])?,
-        RunMode::Resume => None,
-    };
-    let config = &config;
-    let mut trainer = Trainer::new(config, devices, &set);
-    let checkpoints = Checkpoints::of_run(run).about(about(&trainer.replicas.for_estimation()));
-    if let Some(weights) = weights {
-        trainer.fill(weights);
+impl Training<'_> {
+    /// Trains, and writes `config.toml`, `log.jsonl`, `tensorboard/`, `checkpoints/`, `last.safetensors` and, with validation data,
+    /// `best.safetensors` into the folder of the run. It ends early when `stop` says so, which is asked with the number of steps done,
+    /// before the first step and after each; when it stops after a step, a checkpoint is written.
+    ///
+    /// For a given configuration and number of ranks and devices, checkpoints have the same bytes whether the run was interrupted and
+    /// resumed or not. `network.weights` is only read by new runs. All ranks read the folder of the run; the first one writes and
+    /// reports events. A rank that fails, or is asked to stop, ends all of them.
+    ///
+    /// # Errors
+    /// See [`TrainError`].
+    pub fn until(
+        &self,
+        stop: &dyn Fn(u64) -> bool,
+        on_event: &mut dyn FnMut(Event<'_>),
+    ) -> Result<Outcome, TrainError> {
+        let ranks = Ranks::new(self.communicator);
+        ranks.end(self.train(&ranks, stop, on_event))
     }
-    create_folder(run)?;
-    let _lock = RunLock::take(run)?;
-    match (mode, checkpoints.steps()?.last()) {
-        (RunMode::New, None) => {}
-        (RunMode::New, Some(&steps)) => {
-            return Err(TrainError::AnotherRun { folder: run.to_owned(), steps });
-        }
-        (RunMode::Resume, _) => trainer.restore(checkpoints.read_last(trainer.replicas.layout())?),
-    }
-    checkpoints.remove_unfinished()?;
-    let text = config.to_toml();
-    write_file(&run.join(CONFIG), &text)?;
-    let mut log = TrainingLog::open(run, trainer.progress.step)?;
-    let mut record = |record: Record, on_event: &mut dyn FnMut(Event<'_>)| {
-        let written = log.write(&record);
-        on_event(Event::Recorded(&record));
-        written
-    };
-    on_event(Event::Started(&trainer.start(config, &set, &validation)));
 
-    let batch = config.training.batch;
-    let mut prefetcher = prefetcher(&set, config, trainer.progress.step);
-    let mut step_seconds = 0.0;
-    let mut last = trainer.progress.step >= trainer.steps || stop(trainer.progress.step);
-    while !last {
-        let (began, waited_before) = (Instant::now(), prefetcher.waited());
-        let clips: Vec<Vec<TrainingSample>> = (0..batch)
-            .map(|_| prefetcher.take().ok_or(TrainError::Worker)?.map_err(Into::into))
-            .collect::<Result<_, TrainError>>()?;
-        let waited = (prefetcher.waited() - waited_before).as_secs_f64();
-        let pairs = batches(&clips);
-        let step = trainer.step(&pairs)?;
-        let seconds = began.elapsed().as_secs_f64();
-        step_seconds += seconds;
-        match step {
-            Some(step) => {
-                record(Record::Step(StepRecord { seconds, waited, ..step }), on_event)?;
+    fn train(
+        &self,
+        ranks: &Ranks,
+        stop: &dyn Fn(u64) -> bool,
+        on_event: &mut dyn FnMut(Event<'_>),
+    ) -> Result<Outcome, TrainError> {
+        let Self { devices, run, mode, .. } = *self;
+        let mut config = self.config.clone();
+        config.check()?;
+        let batch = config.training.batch;
+        if batch < ranks.count() {
+            return Err(TrainError::TooManyRanks { batch, ranks: ranks.count() });
+        }
+        let start = Instant::now();
+        let set = Arc::new(TrainingSet::open(&config, self.open_made)?);
+        let validation = if ranks.leads() { Validation::open(&config)? } else { Validation::none(&config) };
+        let weights = match mode {
+            RunMode::New => config.network.load_weights(&devices[0])?,
+            RunMode::Resume => None,
+        };
+        let config = &config;
+        let mut trainer = Trainer::new(config, devices, &set, ranks.count());
+        let checkpoints = Checkpoints::of_run(run).about(about(&trainer.replicas.for_estimation()));
+        if let Some(weights) = weights {
+            trainer.fill(weights);
+        }
+        let _lock = if ranks.leads() {
+            create_folder(run)?;
+            Some(RunLock::take(run)?)
+        } else {
+            None
+        };
+        match (mode, checkpoints.steps()?.last()) {
+            (RunMode::New, None) => {}
+            (RunMode::New, Some(&steps)) => {
+                return Err(TrainError::AnotherRun { folder: run.to_owned(), steps });
             }
-            None => {
-                let (step, in_a_row) = (trainer.progress.step, trainer.progress.skipped_in_a_row);
-                let samples = pairs[0].names.clone();
-                record(Record::Skipped(SkippedRecord { step, samples: samples.clone() }), on_event)?;
-                if in_a_row >= config.training.bad_steps {
-                    let samples = samples.join("\n  ");
-                    let last_checkpoint = last_checkpoint_in_words(&checkpoints)?;
-                    return Err(TrainError::NotFinite { step, in_a_row, samples, last_checkpoint });
+            (RunMode::Resume, _) => trainer.restore(checkpoints.read_last(trainer.replicas.layout())?),
+        }
+        let text = config.to_toml();
+        ranks.same("the configurations", || hash(&text))?;
+        ranks.same("the training data", || hash(&set.describe()))?;
+        ranks.same("the steps", || trainer.progress.step)?;
+        ranks.same("the weights", || trainer.hash())?;
+        let mut log = if ranks.leads() {
+            checkpoints.remove_unfinished()?;
+            write_file(&run.join(CONFIG), &text)?;
+            Some(TrainingLog::open(run, trainer.progress.step)?)
+        } else {
+            None
+        };
+        let mut record = |record: Record, on_event: &mut dyn FnMut(Event<'_>)| {
+            let Some(log) = &mut log else { return Ok(()) };
+            let written = log.write(&record);
+            on_event(Event::Recorded(&record));
+            written
+        };
+        if ranks.leads() {
+            on_event(Event::Started(&trainer.start(config, &set, &validation)));
+        }
+
+        let share = share(ranks.rank(), ranks.count(), batch);
+        let mut prefetcher = prefetcher(&set, config, share.clone(), trainer.progress.step);
+        let mut step_seconds = 0.0;
+        let training = Instant::now();
+        let mut last = trainer.progress.step >= trainer.steps || any(ranks, stop(trainer.progress.step))?;
+        while !last {
+            let (began, waited_before) = (Instant::now(), prefetcher.waited());
+            let clips: Vec<Vec<TrainingSample>> = share
+                .clone()
+                .map(|_| prefetcher.take().ok_or(TrainError::Worker)?.map_err(Into::into))
+                .collect::<Result<_, TrainError>>()?;
+            let waited = (prefetcher.waited() - waited_before).as_secs_f64();
+            let pairs = batches(&clips);
+            let step = trainer.step(&pairs, ranks)?;
+            let seconds = began.elapsed().as_secs_f64();
+            step_seconds += seconds;
+            match step {
+                Some(step) => {
+                    record(Record::Step(StepRecord { seconds, waited, ..step }), on_event)?;
+                }
+                None => {
+                    let (step, in_a_row) = (trainer.progress.step, trainer.progress.skipped_in_a_row);
+                    let samples = ranks.agree(Ok(pairs[0].names.clone()))?.concat();
+                    record(Record::Skipped(SkippedRecord { step, samples: samples.clone() }), on_event)?;
+                    if in_a_row >= config.training.bad_steps {
+                        let samples = samples.join("\n  ");
+                        let last_checkpoint = last_checkpoint_in_words(&checkpoints)?;
+                        return Err(TrainError::NotFinite { step, in_a_row, samples, last_checkpoint });
+                    }
                 }
             }
+            let step = trainer.progress.step;
+            let mut is_best = false;
+            if !validation.is_empty() && trainer.due(config.validation.every) {
+                is_best =
+                    trainer.validate(&validation, &checkpoints, &mut |scores| record(scores, on_event))?;
+            }
+            last = any(ranks, stop(step))? || step == trainer.steps;
+            let regular = last || trainer.due(config.checkpoints.every);
+            if regular {
+                ranks.same("the weights", || trainer.hash())?;
+            }
+            if ranks.leads() && (is_best || regular) {
+                checkpoints.write(&trainer.checkpoint(&text), trainer.replicas.layout())?;
+                checkpoints.prune(config.checkpoints.keep, trainer.progress.best.map(|best| best.step))?;
+                on_event(Event::Saved { path: &checkpoints.path(step), step });
+            }
         }
-        let step = trainer.progress.step;
-        let mut is_best = false;
-        if !validation.is_empty() && trainer.due(config.validation.every) {
-            is_best = trainer.validate(&validation, &checkpoints, &mut |scores| record(scores, on_event))?;
-        }
-        last = step == trainer.steps || stop(step);
-        if is_best || last || trainer.due(config.checkpoints.every) {
-            checkpoints.write(&trainer.checkpoint(&text), trainer.replicas.layout())?;
-            checkpoints.prune(config.checkpoints.keep, trainer.progress.best.map(|best| best.step))?;
-            on_event(Event::Saved { path: &checkpoints.path(step), step });
-        }
+        let of_all =
+            |time: Duration| time.as_secs_f64() / training.elapsed().as_secs_f64().max(f64::MIN_POSITIVE);
+        Ok(Outcome {
+            stopped: trainer.progress.step < trainer.steps,
+            progress: trainer.progress,
+            seconds: start.elapsed().as_secs_f64(),
+            waiting_share: prefetcher.waited().as_secs_f64() / f64::max(step_seconds, f64::MIN_POSITIVE),
+            waiting_for_ranks_share: of_all(ranks.times().waiting),
+            summing_share: of_all(ranks.times().summing),
+            ranks: ranks.count(),
+        })
     }
-    Ok(Outcome {
-        stopped: trainer.progress.step < trainer.steps,
-        progress: trainer.progress,
-        seconds: start.elapsed().as_secs_f64(),
-        waiting_share: prefetcher.waited().as_secs_f64() / f64::max(step_seconds, f64::MIN_POSITIVE),
-    })
 }
 
+/// Whether it is so for any rank.
+fn any(ranks: &Ranks, so: bool) -> Result<bool, TrainError> {
+    Ok(ranks.agree(Ok(so))?.contains(&true))
+}
+
+/// For comparisons between processes of one program.
+fn hash(value: &impl Hash) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    value.hash(&mut hasher);
+    hasher.finish()
+}
+
+/// Loads the samples at the places `share` of each batch.
 fn prefetcher(
     set: &Arc<TrainingSet>,
     config: &Config,
+    share: Range<usize>,
     step: u64,
 ) -> Prefetcher<Result<Vec<TrainingSample>, DataError>> {
     let (set, batch) = (set.clone(), config.training.batch);
-    let per_step = batch as u64;
+    let per_step = share.len() as u64;
     Prefetcher::new(step * per_step, config.data.workers, config.data.prefetch, move |number| {
-        set.sample(number / per_step, (number % per_step) as usize, batch)
+        set.sample(number / per_step, share.start + (number % per_step) as usize, batch)
     })
 }
 
@@ -285,10 +386,15 @@ struct Trainer {
     steps: u64,
     steps_per_epoch: u64,
     device: Device,
+    live_batch_norm: bool,
+    /// Processes that train together.
+    ranks: usize,
+    /// How many there were before the run was resumed.
+    ranks_before: usize,
 }
 
 impl Trainer {
-    fn new(config: &Config, devices: &[Device], set: &TrainingSet) -> Self {
+    fn new(config: &Config, devices: &[Device], set: &TrainingSet, ranks: usize) -> Self {
         let training = &config.training;
         let settings = PassSettings {
             loss: config.loss.clone(),
@@ -323,6 +429,9 @@ impl Trainer {
             steps,
             steps_per_epoch,
             device: devices[0].clone(),
+            live_batch_norm: live,
+            ranks,
+            ranks_before: ranks,
             replicas,
             values,
         }
@@ -340,6 +449,8 @@ impl Trainer {
             steps_per_epoch: self.steps_per_epoch,
             data: set.describe(),
             parameters: trained.iter().map(|segment| segment.range.len()).sum(),
+            ranks: self.ranks,
+            ranks_before: Some(self.ranks_before).filter(|before| *before != self.ranks),
         }
     }
 
@@ -352,6 +463,7 @@ impl Trainer {
         self.fill(checkpoint.values);
         self.optimizer_state = checkpoint.optimizer;
         self.progress = checkpoint.progress;
+        self.ranks_before = checkpoint.ranks;
     }
 
     fn checkpoint(&self, config: &str) -> Checkpoint {
@@ -360,14 +472,21 @@ impl Trainer {
             config: config.to_owned(),
             values: self.values.clone(),
             optimizer: self.optimizer_state.clone(),
+            ranks: self.ranks,
         }
     }
 
-    /// Takes a step on clips, given by the [`batches`] of their pairs, or skips it (`None`) when its loss or gradients are not
-    /// finite.
-    fn step(&mut self, pairs: &[Batch]) -> Result<Option<StepRecord>, TrainError> {
+    /// Of the parameters and the optimizer's state.
+    fn hash(&self) -> u64 {
+        let AdamWState { steps, mean, square } = &self.optimizer_state;
+        hash(&(*steps, [&self.values, mean, square].map(|values| bytemuck::cast_slice::<f32, u8>(values))))
+    }
+
+    /// Takes a step on clips, given by the [`batches`] of their pairs in this rank, or skips it (`None`) when the loss or gradients of
+    /// any rank are not finite.
+    fn step(&mut self, pairs: &[Batch], ranks: &Ranks) -> Result<Option<StepRecord>, TrainError> {
         let learning_rate = self.schedule.learning_rate(self.progress.step);
-        let mut pass = self.replicas.pass(pairs)?;
+        let mut pass = sum(ranks, self.replicas.pass(pairs)?, pairs[0].len())?;
         let norm = clip_norm(&mut pass.gradients.values, self.clip);
         let step = self.progress.step + 1;
         let epoch = self.progress.step / self.steps_per_epoch + 1;
@@ -381,6 +500,9 @@ impl Trainer {
         }
         self.progress.skipped_in_a_row = 0;
         self.replicas.collect_statistics(&mut self.values);
+        if self.live_batch_norm {
+            self.average_statistics(ranks)?;
+        }
         let layout = self.replicas.layout();
         self.optimizer.step(
             layout,
@@ -404,6 +526,19 @@ impl Trainer {
             seconds: 0.0,
             waited: 0.0,
         }))
+    }
+
+    /// Averages the running statistics of batch norm over the ranks.
+    fn average_statistics(&mut self, ranks: &Ranks) -> Result<(), TrainError> {
+        let untrained = self.replicas.layout().segments().iter().filter(|segment| !segment.trained);
+        let places: Vec<usize> = untrained.flat_map(|segment| segment.range.clone()).collect();
+        let mut statistics: Vec<f32> = places.iter().map(|&place| self.values[place]).collect();
+        ranks.agree(Ok(()))?;
+        ranks.sum(&mut statistics);
+        for (place, sum) in places.into_iter().zip(statistics) {
+            self.values[place] = sum / ranks.count() as f32;
+        }
+        Ok(())
     }
 
     /// Whether a task with an interval of `every` steps, 0 for an epoch, is due. After the last step it always is.
@@ -433,6 +568,49 @@ impl Trainer {
         checkpoints.write_best(self.replicas.layout(), &self.values)?;
         Ok(true)
     }
+}
+
+/// What a rank says of its pass over `samples` samples. Losses are bits: they may not be finite.
+#[derive(Serialize, Deserialize)]
+struct PassReport {
+    samples: usize,
+    total: u64,
+    parts: Vec<u64>,
+    epe: u64,
+    /// Of the gradients.
+    reached: Vec<bool>,
+}
+
+/// The pass over the whole batch, from each rank's over its samples.
+fn sum(ranks: &Ranks, mut pass: Pass, samples: usize) -> Result<Pass, TrainError> {
+    if ranks.count() == 1 {
+        return Ok(pass);
+    }
+    let BatchLosses { total, parts, epe } = &pass.losses;
+    let reports = ranks.agree(Ok(PassReport {
+        samples,
+        total: total.to_bits(),
+        parts: parts.iter().map(|(_, value)| value.to_bits()).collect(),
+        epe: epe.to_bits(),
+        reached: pass.gradients.reached.clone(),
+    }))?;
+    let all: usize = reports.iter().map(|report| report.samples).sum();
+    let weight = |samples: usize| samples as f64 / all as f64;
+    for gradient in &mut pass.gradients.values {
+        *gradient *= weight(samples) as f32;
+    }
+    ranks.sum(&mut pass.gradients.values);
+    let mut losses = BatchLosses::default();
+    for report in reports {
+        let names = pass.losses.parts.iter().map(|&(name, _)| name);
+        let parts = names.zip(report.parts.into_iter().map(f64::from_bits)).collect();
+        let (total, epe) = (f64::from_bits(report.total), f64::from_bits(report.epe));
+        losses.add(&BatchLosses { total, parts, epe }, weight(report.samples));
+        for (reached, other) in pass.gradients.reached.iter_mut().zip(report.reached) {
+            *reached |= other;
+        }
+    }
+    Ok(Pass { losses, ..pass })
 }
 
 #[cfg(test)]

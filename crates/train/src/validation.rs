@@ -32,6 +32,11 @@ pub enum ValidationError {
 }
 
 impl Validation {
+    /// Without datasets.
+    pub(crate) fn none(config: &Config) -> Self {
+        Self::of(config, Vec::new())
+    }
+
     /// Lists the datasets of `validation.data`, else those of `data.train` that have a split `val`.
     pub(crate) fn open(config: &Config) -> Result<Self, ValidationError> {
         let datasets = if config.validation.data.is_empty() {
@@ -49,13 +54,17 @@ impl Validation {
                 .filter_map(|source| Some(open_dataset(source.files()?, source.split, Split::Val)))
                 .collect::<Result<_, _>>()?
         };
+        Ok(Self::of(config, datasets))
+    }
+
+    fn of(config: &Config, datasets: Vec<FlowDataset>) -> Self {
         let crop = config.validation.crop.map(|crop| (crop.width, crop.height));
         let limit = (config.validation.limit > 0).then_some(config.validation.limit);
         // A checked configuration trains with at least one iteration.
         let iterations = [config.validation.iterations, config.training.iterations];
         let iterations = iterations.into_iter().find_map(NonZeroUsize::new).unwrap_or(NonZeroUsize::MIN);
         let settings = Settings { crop, limit, ..Settings::default() };
-        Ok(Self { datasets, settings, iterations })
+        Self { datasets, settings, iterations }
     }
 
     /// One line per dataset: name, split and number of pairs.
@@ -96,7 +105,7 @@ pub(crate) fn score_weights(
     weights: &Path,
     dataset: &FlowDataset,
 ) -> Result<ValidationRecord, TrainError> {
-    let validation = Validation { datasets: vec![dataset.clone()], ..Validation::open(config)? };
+    let validation = Validation::of(config, vec![dataset.clone()]);
     let network = config.network.with_settings(load_network(config.network.architecture, weights, device)?);
     let scores = validation.score(network, device)?;
     Ok(scores.into_iter().next().expect("one dataset was scored"))

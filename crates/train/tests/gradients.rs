@@ -178,8 +178,7 @@ fn clips_consist_of_consecutive_frames_with_one_augmentation() {
     assert!(error.to_string().contains("training.clip_frames"), "{error}");
 
     let run = dir.path().join("run");
-    let outcome =
-        train(&config(3), &only_files, &[Device::flex()], &run, RunMode::New, None, &mut |_| {}).unwrap();
+    let outcome = train(&config(3), &only_files, &[Device::flex()], &run, RunMode::New, &mut |_| {}).unwrap();
     assert_eq!((outcome.progress.step, outcome.progress.skipped), (1, 0));
 }
 
@@ -227,7 +226,7 @@ fn non_finite_losses_end_the_run() {
     let run = dir.path().join("run");
     let mut config = small_run(dir.path());
     let devices = [Device::flex()];
-    train(&config, &only_files, &devices, &run, RunMode::New, None, &mut |_| {}).expect("a short run");
+    train(&config, &only_files, &devices, &run, RunMode::New, &mut |_| {}).expect("a short run");
 
     let mut bytes = std::fs::read(run.join("last.safetensors")).unwrap();
     let at = bytes.len() - 4;
@@ -236,7 +235,7 @@ fn non_finite_losses_end_the_run() {
     std::fs::write(&config.network.weights, bytes).unwrap();
     let other = dir.path().join("other");
     let mut skipped = Vec::new();
-    let result = train(&config, &only_files, &devices, &other, RunMode::New, None, &mut |event| {
+    let result = train(&config, &only_files, &devices, &other, RunMode::New, &mut |event| {
         if let Event::Recorded(Record::Skipped(record)) = event {
             skipped.push(record.clone());
         }
@@ -260,7 +259,7 @@ fn non_finite_losses_leave_the_last_checkpoint_unchanged_and_name_it() {
     let run = dir.path().join("run");
     let config = small_run(dir.path());
     let devices = [Device::flex()];
-    train(&config, &only_files, &devices, &run, RunMode::New, None, &mut |_| {}).expect("a short run");
+    train(&config, &only_files, &devices, &run, RunMode::New, &mut |_| {}).expect("a short run");
     std::fs::remove_dir_all(run.join("checkpoints/step-00000004")).unwrap();
     let model = run.join("checkpoints/step-00000002/model.safetensors");
     let mut bytes = std::fs::read(&model).unwrap();
@@ -268,7 +267,7 @@ fn non_finite_losses_leave_the_last_checkpoint_unchanged_and_name_it() {
     bytes[at..].copy_from_slice(&f32::INFINITY.to_le_bytes());
     std::fs::write(&model, &bytes).unwrap();
 
-    let result = train(&config, &only_files, &devices, &run, RunMode::Resume, None, &mut |_| {});
+    let result = train(&config, &only_files, &devices, &run, RunMode::Resume, &mut |_| {});
     let Err(TrainError::NotFinite { step: 4, in_a_row: 2, last_checkpoint, .. }) = &result else {
         panic!("{result:?}")
     };
@@ -292,8 +291,7 @@ fn a_run_gives_the_same_weights_on_any_number_of_threads() {
         let weights = |threads: usize| {
             let run = dir.path().join(format!("{architecture:?}-{threads}"));
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-            let train =
-                || train(&config, &only_files, &[Device::flex()], &run, RunMode::New, None, &mut |_| {});
+            let train = || train(&config, &only_files, &[Device::flex()], &run, RunMode::New, &mut |_| {});
             pool.install(train).expect("a short run");
             std::fs::read(run.join("last.safetensors")).expect("weights")
         };

@@ -4,7 +4,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use clap::Args;
 use serde::Serialize;
 use srflow_read::manifest::Manifest;
-use srflow_render::check::{Anew, CheckReport, Problem, check, check_anew, check_hashes};
+use srflow_render::check::{CheckReport, Problem, Rerendered, check, check_hashes, check_rerendered};
 
 use super::render::print_statistics;
 use crate::Context;
@@ -16,11 +16,11 @@ use crate::progress::bar;
 Examples:
   srflow check srflow --json
   srflow check srflow --hashes
-  srflow check srflow --anew 5
+  srflow check srflow --rerender 5
 
 Opens every file, compares it with dataset.json, and compares dataset.json with its own arguments. Frame 2 is warped \
 back by the flow: on the head, where a pixel is visible in both frames, the difference to frame 1 must be small. With --hashes \
-and --anew, only those checks are made. The exit code is 1 when there is a problem.")]
+and --rerender, only those checks are made. The exit code is 1 when there is a problem.")]
 pub struct Check {
     /// Folder of a dataset written by `srflow render`
     #[arg(value_name = "DIR")]
@@ -28,11 +28,11 @@ pub struct Check {
     /// Compare every file with its hash in SHA256SUMS instead, which `sha256sum -c SHA256SUMS` does too
     #[arg(long)]
     hashes: bool,
-    /// Render N pairs anew instead, drawn at random, and compare the bytes of their files; for datasets that need no other files
+    /// Render N pairs again instead, drawn at random, and compare the bytes of their files; for datasets that need no other files
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
-    anew: Option<u64>,
-    /// Seed that draws the pairs of --anew [default: from the clock]
-    #[arg(long, value_name = "N", requires = "anew")]
+    rerender: Option<u64>,
+    /// Seed that draws the pairs of --rerender [default: from the clock]
+    #[arg(long, value_name = "N", requires = "rerender")]
     seed: Option<u64>,
 }
 
@@ -48,7 +48,7 @@ struct Report {
     #[serde(skip_serializing_if = "Option::is_none")]
     hashed_files: Option<u64>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    anew: Option<Anew>,
+    rerendered: Option<Rerendered>,
     /// Those of hashes.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     hash_problems: Vec<Problem>,
@@ -56,7 +56,8 @@ struct Report {
 
 pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
     let pairs = Manifest::read(&args.dir)?.pairs();
-    let mut report = Report { content: None, hashed_files: None, anew: None, hash_problems: Vec::new() };
+    let mut report =
+        Report { content: None, hashed_files: None, rerendered: None, hash_problems: Vec::new() };
     if args.hashes {
         let bar = bar(None, "{spinner} {pos} files hashed, {per_sec}");
         let result = check_hashes(&args.dir, &|files| bar.set_position(files));
@@ -64,15 +65,15 @@ pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
         let (files, problems) = result?;
         (report.hashed_files, report.hash_problems) = (Some(files), problems);
     }
-    if let Some(count) = args.anew {
+    if let Some(count) = args.rerender {
         let clock =
             || SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
         let bar = bar(count.min(pairs), "{wide_bar} {pos}/{len} pairs rendered, {eta} left");
-        let result = check_anew(&args.dir, count, args.seed.unwrap_or_else(clock), &|| bar.inc(1));
+        let result = check_rerendered(&args.dir, count, args.seed.unwrap_or_else(clock), &|| bar.inc(1));
         bar.finish_and_clear();
-        report.anew = Some(result?);
+        report.rerendered = Some(result?);
     }
-    if !args.hashes && args.anew.is_none() {
+    if !args.hashes && args.rerender.is_none() {
         let bar = bar(pairs, "{wide_bar} {pos}/{len} pairs, {eta} left");
         let result = check(&args.dir, &|| bar.inc(1));
         bar.finish_and_clear();
@@ -93,8 +94,8 @@ pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
 impl Report {
     fn problems(&self) -> impl Iterator<Item = &Problem> {
         let of_content = self.content.iter().flat_map(|content| &content.problems);
-        let of_anew = self.anew.iter().flat_map(|anew| &anew.problems);
-        of_content.chain(&self.hash_problems).chain(of_anew)
+        let of_rerendered = self.rerendered.iter().flat_map(|rerendered| &rerendered.problems);
+        of_content.chain(&self.hash_problems).chain(of_rerendered)
     }
 }
 
@@ -110,9 +111,9 @@ fn print_report(report: &Report) -> anyhow::Result<()> {
         let wrong = report.hash_problems.len();
         say!("{files} files compared with their hashes, {wrong} problems")?;
     }
-    if let Some(Anew { seed, pairs, equal_files, problems }) = &report.anew {
+    if let Some(Rerendered { seed, pairs, equal_files, problems }) = &report.rerendered {
         say!(
-            "{} pairs rendered anew, drawn by --seed {seed}: {equal_files} files have the same bytes, {} have not",
+            "{} pairs rendered again, drawn by --seed {seed}: {equal_files} files have the same bytes, {} have not",
             pairs.len(),
             problems.len()
         )?;

@@ -8,8 +8,9 @@ use serde_json::{Value, json};
 use srflow_field::{Preset, write_file};
 use srflow_ops::device;
 use srflow_train::config::{Config, PRESETS};
+use srflow_train::ranks::{Alone, Communicator};
 use srflow_train::training_log::{Record, StepRecord, read_log};
-use srflow_train::{Event, Outcome, RunMode, Start, config_of_run, report, train_until};
+use srflow_train::{Event, Outcome, RunMode, Start, Training, config_of_run, report};
 
 use crate::interrupt::{self, Continuable};
 use crate::library::{Watch, parsed};
@@ -17,7 +18,7 @@ use crate::made::open_made;
 use crate::networks::{note_if_ambiguous, weights_file};
 use crate::output::exit_stopped;
 use crate::progress::TrainingProgress;
-use crate::{Context, machine};
+use crate::{Context, machine, ranks};
 
 /// Train an optical flow network
 #[derive(Args)]
@@ -29,6 +30,7 @@ Examples:
   srflow train --config skflow --set training.weight_decay=1e-5 --print-config
   srflow train --config cpu-small --data shapes: --data rendered:*2 --out runs/made
   srflow train --resume runs/first
+  mpirun -n 4 srflow train --config skflow --data srflow:DIR --batch 8 --out runs/nodes
 
 docs/training.md is the guide: your own data, what the keys mean, what a run writes.")]
 pub struct Train {
@@ -190,6 +192,7 @@ impl Job {
     /// Trains, and writes the report of a run that is then complete.
     fn run(
         &mut self,
+        communicator: &dyn Communicator,
         stop: &dyn Fn() -> bool,
         on_event: &mut dyn FnMut(Event<'_>),
     ) -> anyhow::Result<Outcome> {
@@ -199,8 +202,16 @@ impl Job {
         }
         let devices = devices.iter().map(|name| device(name)).collect::<Result<Vec<_>, _>>()?;
         let stop = |done| stop_after.is_some_and(|last| done >= last) || stop();
-        let outcome = train_until(config, &open_made, &devices, out, *mode, &stop, on_event)?;
-        if !outcome.stopped {
+        let training = Training {
+            config,
+            open_made: &open_made,
+            devices: &devices,
+            run: out,
+            mode: *mode,
+            communicator,
+        };
+        let outcome = training.until(&stop, on_event)?;
+        if !outcome.stopped && communicator.rank() == 0 {
             let page = report(config, &read_log(out)?, &machine::describe()).html();
             write_file(&out.join("report.html"), page)?;
         }
@@ -221,7 +232,7 @@ pub fn train(options: impl IntoIterator<Item = OsString>, watch: &Watch) -> anyh
         return Ok(serde_json::to_value(&job.config)?);
     }
     let steps = Cell::new(0);
-    let outcome = job.run(watch.stop, &mut |event| {
+    let outcome = job.run(&Alone, watch.stop, &mut |event| {
         if let Event::Started(start) = &event {
             steps.set(start.steps);
         }
@@ -269,14 +280,25 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
         }
         return say!("{}", job.config.to_toml().trim_end());
     }
+    let communicator = ranks::start()?;
     let mut progress = Progress::new();
     let continuable = Continuable::saved();
-    let result = job.run(&interrupt::requested, &mut |event| progress.show(&event));
+    let result = job.run(&*communicator, &interrupt::requested, &mut |event| progress.show(&event));
     drop(continuable);
     progress.finish();
-    let outcome = result?;
-    print(&job.out, &outcome, context)?;
-    if outcome.stopped { exit_stopped() } else { Ok(()) }
+    let result = result.and_then(|outcome| {
+        if communicator.rank() == 0 {
+            print(&job.out, &outcome, context)?;
+        }
+        Ok(outcome.stopped)
+    });
+    if communicator.ranks() > 1
+        && let Err(error) = &result
+    {
+        ranks::exit_failed(communicator, error, context);
+    }
+    drop(communicator);
+    if result? { exit_stopped() } else { Ok(()) }
 }
 
 /// Fetches published weights if a name and not a file is given.
@@ -294,9 +316,9 @@ fn weights_of(out: &Path) -> [PathBuf; 2] {
 }
 
 fn summary(out: &Path, outcome: &Outcome) -> Value {
-    let Outcome { progress, stopped, seconds, waiting_share } = outcome;
+    let Outcome { progress, stopped, seconds, waiting_share, ranks, .. } = outcome;
     let [best, last] = weights_of(out);
-    json!({
+    let mut summary = json!({
         "run": out,
         "steps": progress.step,
         "stopped": stopped,
@@ -306,18 +328,32 @@ fn summary(out: &Path, outcome: &Outcome) -> Value {
         "seconds": seconds,
         "waiting_share": waiting_share,
         "peak_memory_bytes": machine::peak_memory(),
-    })
+    });
+    if *ranks > 1 {
+        summary["ranks"] = json!(ranks);
+        summary["waiting_for_ranks_share"] = json!(outcome.waiting_for_ranks_share);
+        summary["summing_share"] = json!(outcome.summing_share);
+    }
+    summary
 }
 
 fn print(out: &Path, outcome: &Outcome, context: &Context) -> anyhow::Result<()> {
     if context.json {
         return crate::output::print_json(&summary(out, outcome));
     }
-    let Outcome { progress, stopped, seconds, waiting_share } = outcome;
+    let Outcome { progress, stopped, seconds, waiting_share, ranks, .. } = outcome;
     let peak = machine::peak_memory();
     let [best, last] = weights_of(out);
     say!("{} steps, {} of them skipped, in {seconds:.1} s", progress.step, progress.skipped)?;
     say!("Waiting for data  {:.1}% of the time", 100.0 * waiting_share)?;
+    if *ranks > 1 {
+        say!("Ranks             {ranks}")?;
+        let [waiting, summing] =
+            [outcome.waiting_for_ranks_share, outcome.summing_share].map(|share| 100.0 * share);
+        say!(
+            "  the first one   waited for others {waiting:.1}% and summed gradients {summing:.1}% of the time"
+        )?;
+    }
     if let Some(bytes) = peak {
         say!("Peak memory       {:.2} GB", bytes as f64 / 1e9)?;
     }
@@ -375,6 +411,14 @@ impl Progress {
             self.line(
                 "batch norm: frozen at the statistics of the weights (--set network.batch_norm=live updates them)",
             );
+        }
+        if start.ranks > 1 {
+            self.line(&format!("{} ranks share each batch", start.ranks));
+        }
+        if let Some(before) = start.ranks_before {
+            self.line(&format!(
+                "the number of ranks was {before} before: the weights will differ in rounding from those of an uninterrupted run"
+            ));
         }
         let epochs = start.steps as f64 / start.steps_per_epoch as f64;
         self.line(&format!(

@@ -143,23 +143,23 @@ fn parts_of_scenes_and_of_clips_merge_too() {
     } else {
         println!("skipped: there is no sha256sum here");
     }
-    let report = json(&check(&["--hashes", "--anew", "2", "--seed", "3"]));
+    let report = json(&check(&["--hashes", "--rerender", "2", "--seed", "3"]));
     assert_eq!(report["hashed_files"], tree(&data).len() - 1);
-    assert_eq!(report["anew"]["pairs"].as_array().unwrap().len(), 2);
-    assert_eq!(report["anew"]["problems"], value!([]));
+    assert_eq!(report["rerendered"]["pairs"].as_array().unwrap().len(), 2);
+    assert_eq!(report["rerendered"]["problems"], value!([]));
 
     let problems = |more: &[&str]| -> Vec<Value> {
         let output = check(more);
         assert_eq!(output.status.code(), Some(1), "{output:?}");
         let report: Value = serde_json::from_slice(&output.stdout).unwrap();
-        let all = [&report["hash_problems"], &report["anew"]["problems"]];
+        let all = [&report["hash_problems"], &report["rerendered"]["problems"]];
         all.into_iter().flat_map(|problems| problems.as_array().cloned().unwrap_or_default()).collect()
     };
     let changed = data.join("train/alpha/scene-0000/00001.png");
     let original = fs::read(&changed).unwrap();
     fs::remove_file(&changed).unwrap(); // not through the link
     fs::write(&changed, [&original[..], b"x"].concat()).unwrap();
-    for arguments in [&["--hashes"][..], &["--anew", "9"]] {
+    for arguments in [&["--hashes"][..], &["--rerender", "9"]] {
         let found = problems(arguments);
         assert_eq!(found.len(), 1, "{found:?}");
         assert!(found[0]["file"].as_str().unwrap().ends_with("alpha/scene-0000/00001.png"), "{found:?}");

@@ -30,6 +30,7 @@ mod mer_run;
 mod metrics_and_convert;
 mod models;
 mod pack;
+mod ranks;
 mod rasterize;
 mod render_check;
 mod shapes;

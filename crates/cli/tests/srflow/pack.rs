@@ -76,6 +76,32 @@ fn scores_are_those_of_the_dataset_within_the_rounding() {
 }
 
 #[test]
+fn backward_flow_is_that_of_the_dataset() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("packed");
+    json(&pack(rendered(), &out, &["--flow", "npz16", "--json"]));
+    // Pairs have the name of their first frame in time, those of the dataset that of the frame the flow starts from.
+    let values = |dataset: String| scores(&dataset, &["--split", "all"]).into_values().collect::<Vec<f64>>();
+    let packed = values(format!("wds-backward:{}", out.display()));
+    assert_eq!(packed, values(format!("srflow-backward:{}", rendered().display())));
+    assert_ne!(packed, values(format!("wds:{}", out.display())));
+
+    let shapes = folder.path().join("shapes");
+    succeeds(
+        &crate::srflow()
+            .args(["shapes", "--pairs", "2", "--size", "64x48", "--out"])
+            .arg(&shapes)
+            .output()
+            .unwrap(),
+    );
+    let without = folder.path().join("without");
+    json(&pack(&shapes, &without, &["--json"]));
+    let dataset = format!("wds-backward:{}", without.display());
+    let output = crate::srflow().args(["eval", "--dataset", &dataset, "--split", "all"]).output().unwrap();
+    refuses(&output, 1, &["expected pairs with flow_backward", "--backward"]);
+}
+
+#[test]
 fn region_maps_are_read_too() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("packed");

@@ -11,25 +11,40 @@ use srflow_field::excerpt;
 
 use super::gaps::Gaps;
 use super::listing;
+use super::sequence::Direction;
 use super::{DatasetError, Entry, EntryFile, Kind, Occlusion, Reader, Split};
 use crate::manifest::SceneSplit;
 use crate::packed::{INDEX_NAME, Listing, Member, Place, SampleMembers, expand, read_index, scan};
 
 pub(super) const KIND: Kind = Kind {
     name: "wds",
-    options: &[],
+    options: &[Direction::CHOICES],
     about: "WebDataset tars of `srflow pack`: a folder, an http(s) address, or tars such as DIR/train-{000000..000009}.tar",
-    reader: |_| Box::new(Wds),
+    reader: |chosen| Box::new(Wds { direction: Direction::of(chosen[0]) }),
 };
 
 /// The fields that a pair is made of; others are left out of the listing.
 const FIELDS: [&str; 7] = ["depth", "flow", "frame1", "frame2", "mask", "occlusion", "regions"];
+/// Those of a pair from the second frame to the first: a sample has masks and depth of its first frame alone.
+const BACKWARD_FIELDS: [&str; 3] = ["flow_backward", "frame1", "frame2"];
 
-pub struct Wds;
+pub struct Wds {
+    /// Backward: `flow_backward`, from the second frame to the first.
+    direction: Direction,
+}
+
+impl Wds {
+    fn fields(&self) -> &'static [&'static str] {
+        match self.direction {
+            Direction::Forward => &FIELDS,
+            Direction::Backward => &BACKWARD_FIELDS,
+        }
+    }
+}
 
 impl Reader for Wds {
     fn name(&self) -> String {
-        KIND.name.to_owned()
+        format!("{}{}", KIND.name, self.direction.suffix())
     }
 
     fn default_split(&self) -> Split {
@@ -37,10 +52,10 @@ impl Reader for Wds {
     }
 
     fn pairs(&self, dir: &Path, split: Split, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError> {
-        let mut pairs = Pairs { split, counts: [0; 4], entries: Vec::new() };
+        let mut pairs = Pairs { split, direction: self.direction, counts: [0; 4], entries: Vec::new() };
         let place = Place::of(dir);
         match tars(dir, &place)? {
-            None => read_index(&place, &FIELDS, &mut |pair| pairs.add(pair, gaps))?,
+            None => read_index(&place, self.fields(), &mut |pair| pairs.add(pair, gaps))?,
             Some(tars) => {
                 for tar in tars {
                     let split = split_of(&tar);
@@ -117,6 +132,7 @@ fn named(members: SampleMembers, split: Option<SceneSplit>) -> Result<Listing, S
 /// The pairs that are found, and how many there are in each split: train, val, test, without one.
 struct Pairs {
     split: Split,
+    direction: Direction,
     counts: [u64; 4],
     entries: Vec<Entry>,
 }
@@ -146,16 +162,29 @@ impl Pairs {
             gaps.push(format!("{tar}: {} has no frame1 or no frame2", excerpt(&members.key)));
             return;
         };
-        self.entries.push(Entry {
-            scene,
-            frame,
-            frame1,
-            frame2,
-            flow: file("flow"),
-            mask: file("mask"),
-            occlusion: file("occlusion").map(Occlusion::Picture),
-            regions: file("regions"),
-            depth: file("depth"),
+        self.entries.push(match self.direction {
+            Direction::Forward => Entry {
+                scene,
+                frame,
+                frame1,
+                frame2,
+                flow: file("flow"),
+                mask: file("mask"),
+                occlusion: file("occlusion").map(Occlusion::Picture),
+                regions: file("regions"),
+                depth: file("depth"),
+            },
+            Direction::Backward => Entry {
+                scene,
+                frame,
+                frame1: frame2,
+                frame2: frame1,
+                flow: file("flow_backward"),
+                mask: None,
+                occlusion: None,
+                regions: None,
+                depth: None,
+            },
         });
     }
 
@@ -172,6 +201,10 @@ impl Pairs {
             return Err(DatasetError::NoSplit { kind, split: self.split, available: available.join(", ") });
         }
         let with_flow = self.entries.iter().any(|entry| entry.flow.is_some());
+        if self.direction == Direction::Backward && !with_flow {
+            let reason = "expected pairs with flow_backward, found none; `srflow pack` writes it for datasets of `srflow render --backward`";
+            return Err(DatasetError::Format { path: dir.to_owned(), reason: reason.to_owned() });
+        }
         fn name(entry: &Entry) -> (&str, &str) {
             (&entry.scene, &entry.frame)
         }

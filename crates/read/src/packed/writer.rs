@@ -9,11 +9,10 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use sha2::{Digest, Sha256};
-use srflow_fetch::hexadecimal;
 use srflow_field::{
-    FileBytes, FileError, FileKind, FileProblem, FlowField, FlowFormat, LockError, RunLock, create_folder,
-    encode_flow, encode_flow_half, excerpt, named, open_file, read_file, read_flow, read_json_lines,
-    remove_partial, write_atomically, write_file,
+    FileBytes, FileError, FileKind, FileProblem, FlowField, FlowFormat, LockError, RunLock, SHA256SUMS,
+    create_folder, encode_flow, encode_flow_half, excerpt, hexadecimal, named, read_file, read_flow,
+    read_json_lines, remove_partial, sha256_of_file, sha256sums_line, write_atomically, write_file,
 };
 
 use super::index::{FlowStatistics, INDEX_NAME, IndexRecord, MemberRecord, lines};
@@ -25,8 +24,6 @@ use crate::manifest::{ManifestError, SceneSplit};
 
 /// Name of the file with the arguments in a packed dataset.
 const ARGUMENTS_NAME: &str = "pack.json";
-/// Name of the file with the SHA-256 of all others.
-const HASHES_NAME: &str = "SHA256SUMS";
 /// Name of the file with a line for each tar, which is written last.
 pub(super) const TARS_NAME: &str = "tars.jsonl";
 /// Folder of the parts of the index while tars are missing.
@@ -465,7 +462,7 @@ fn clear(out: &Path, force: bool) -> Result<(), PackError> {
         let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
         let is_own = [
             ARGUMENTS_NAME,
-            HASHES_NAME,
+            SHA256SUMS,
             INDEX_NAME,
             TARS_NAME,
             PARTS,
@@ -643,7 +640,7 @@ impl Run<'_> {
         hash.update(ustar::END);
         file.write_all(&ustar::END)?;
         tar.size += ustar::END.len() as u64;
-        tar.sha256 = hexadecimal(hash);
+        tar.sha256 = hexadecimal(hash.finalize());
         Ok(tar)
     }
 }
@@ -689,7 +686,7 @@ fn pack_pair(
         })?;
         bytes.extend(header);
         let offset = bytes.len() as u64;
-        let sha256 = hexadecimal(Sha256::new_with_prefix(&content));
+        let sha256 = hexadecimal(Sha256::digest(&content));
         bytes.extend(content);
         bytes.resize(bytes.len().next_multiple_of(ustar::BLOCK as usize), 0);
         members.insert(ending, MemberRecord { offset, size, sha256 });
@@ -765,16 +762,16 @@ fn finish(
     // The hashes name this file, which must be the last one to be written.
     let mut hashes: BTreeMap<String, String> =
         tars.iter().map(|tar| (tar.name.clone(), tar.sha256.clone())).collect();
-    hashes.insert(TARS_NAME.to_owned(), hexadecimal(Sha256::new_with_prefix(&tar_lines)));
+    hashes.insert(TARS_NAME.to_owned(), hexadecimal(Sha256::digest(&tar_lines)));
     let pictures = packed.shown.iter().map(|key| card::picture(key));
     let described = [INDEX_NAME, ARGUMENTS_NAME, card::NAME].map(str::to_owned);
     for name in described.into_iter().chain(pictures) {
-        hashes.insert(name.clone(), hash_of(&out.join(name))?);
+        hashes.insert(name.clone(), digits(&out.join(name))?);
     }
     write_file(&out.join(croissant::NAME), croissant::text(&packed, &hashes))?;
-    hashes.insert(croissant::NAME.to_owned(), hash_of(&out.join(croissant::NAME))?);
-    let lines: String = hashes.iter().map(|(name, hash)| format!("{hash}  {name}\n")).collect();
-    write_file(&out.join(HASHES_NAME), lines)?;
+    hashes.insert(croissant::NAME.to_owned(), digits(&out.join(croissant::NAME))?);
+    let lines: String = hashes.iter().map(|(name, hash)| sha256sums_line(hash, name)).collect();
+    write_file(&out.join(SHA256SUMS), lines)?;
     write_file(&out.join(TARS_NAME), tar_lines)?;
     Ok(())
 }
@@ -788,9 +785,6 @@ fn remove_parts(parts: &Path) -> Result<(), FileError> {
     }
 }
 
-fn hash_of(path: &Path) -> Result<String, FileError> {
-    let (mut file, _) = open_file(path, FileKind::Archive)?;
-    let mut hash = Sha256::new();
-    io::copy(&mut file, &mut hash).map_err(|error| FileProblem::reading(error).in_file(path))?;
-    Ok(hexadecimal(hash))
+fn digits(path: &Path) -> Result<String, FileError> {
+    Ok(hexadecimal(sha256_of_file(path, FileKind::OfDataset)?))
 }

@@ -1,32 +1,34 @@
-//! Whether a dataset still has the bytes it was made with: by its hashes, and by rendering pairs anew.
+//! Whether a dataset still has the bytes it was made with: by its hashes, and by rendering pairs rerendered.
 
 use std::collections::{BTreeSet, HashSet};
 use std::fs::{self, File};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::io::{BufRead, BufReader, Read};
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 use serde::Serialize;
 use srflow_field::random::Key;
-use srflow_field::{Shard, excerpt};
+use srflow_field::{
+    FileKind, SHA256SUMS, Shard, excerpt, hexadecimal, parse_sha256sums_line, sha256_of_file,
+};
 use srflow_read::manifest::Manifest;
 
 use super::Problem;
 use super::plan::is_of_this_version;
 use crate::RenderError;
 use crate::generate::{Background, Settings, generate};
-use crate::job::{HASHES_NAME, Layout, Request, sha256};
+use crate::job::{Layout, Request};
 
 /// Files hashed at once.
 const AT_ONCE: usize = 1024;
-/// The longest line of [`HASHES_NAME`], in bytes.
+/// The longest line of [`SHA256SUMS`], in bytes.
 const LONGEST_LINE: u64 = 4096 + 66;
 
-/// Pairs that were rendered anew.
+/// Pairs that were rendered rerendered.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Anew {
+pub struct Rerendered {
     /// The seed that drew them.
     pub seed: u64,
     /// Their names.
@@ -43,7 +45,7 @@ pub struct Anew {
 /// When `dataset.json` or the list of hashes cannot be read.
 pub fn check_hashes(dir: &Path, on_files: &dyn Fn(u64)) -> Result<(u64, Vec<Problem>), RenderError> {
     let manifest = Manifest::read(dir)?;
-    let path = dir.join(HASHES_NAME);
+    let path = dir.join(SHA256SUMS);
     let unread = |error| RenderError::io(&path, error);
     let problem = |file: &Path, what: String| Problem { file: file.to_owned(), what };
     let mut problems = Vec::new();
@@ -68,7 +70,7 @@ pub fn check_hashes(dir: &Path, on_files: &dyn Fn(u64)) -> Result<(u64, Vec<Prob
                 break;
             }
             number += 1;
-            match String::from_utf8(line).ok().as_deref().and_then(hash_and_name) {
+            match String::from_utf8(line).ok().as_deref().and_then(parse_sha256sums_line) {
                 Some((hash, name)) => some.push((dir.join(name), hash.to_owned())),
                 None => {
                     let what = format!(
@@ -86,7 +88,7 @@ pub fn check_hashes(dir: &Path, on_files: &dyn Fn(u64)) -> Result<(u64, Vec<Prob
             if !file.is_file() {
                 return Some(problem(file, "missing, or not a file".to_owned()));
             }
-            match sha256(file) {
+            match sha256_of_file(file, FileKind::OfDataset).map(hexadecimal) {
                 Ok(found) if found == *hash => None,
                 Ok(found) => Some(problem(file, format!("its SHA-256 is {found}, expected {hash}"))),
                 Err(error) => Some(problem(file, format!("cannot be read: {error}"))),
@@ -102,29 +104,25 @@ pub fn check_hashes(dir: &Path, on_files: &dyn Fn(u64)) -> Result<(u64, Vec<Prob
         (0..).zip(manifest.groups()).flat_map(|(group, pairs)| (0..pairs).map(move |pair| (group, pair)));
     let of_units = of_units.flat_map(|(group, pair)| Layout::files(&manifest, dir, group, pair));
     let unlisted = of_all.chain(of_units).filter(|file| !listed.contains(&name_hash(file)));
-    problems.extend(unlisted.map(|file| problem(&file, format!("not listed in {HASHES_NAME}"))));
+    problems.extend(unlisted.map(|file| problem(&file, format!("not listed in {SHA256SUMS}"))));
     Ok((files, problems))
 }
 
-/// A line of `sha256sum`; `None` for other text, and for names outside of the dataset.
-fn hash_and_name(line: &str) -> Option<(&str, &Path)> {
-    let (hash, name) = line.strip_suffix('\n').unwrap_or(line).split_once("  ")?;
-    let is_hash = hash.len() == 64 && hash.bytes().all(|byte| byte.is_ascii_hexdigit());
-    let name = Path::new(name);
-    let is_inside = name.components().all(|part| matches!(part, Component::Normal(_)));
-    (is_hash && is_inside && name.file_name().is_some()).then_some((hash, name))
-}
-
-/// Renders `count` pairs of the dataset in `dir` anew, drawn by `seed`, and compares the bytes of all their files. Calls `on_pair` after
+/// Renders `count` pairs of the dataset in `dir` again, drawn by `seed`, and compares the bytes of all their files. Calls `on_pair` after
 /// each.
 ///
 /// # Errors
 /// When `dataset.json` cannot be read, the dataset cannot be made from it alone, or the pairs cannot be rendered into the system's folder of
 /// temporary files.
-pub fn check_anew(dir: &Path, count: u64, seed: u64, on_pair: &dyn Fn()) -> Result<Anew, RenderError> {
+pub fn check_rerendered(
+    dir: &Path,
+    count: u64,
+    seed: u64,
+    on_pair: &dyn Fn(),
+) -> Result<Rerendered, RenderError> {
     let manifest = Manifest::read(dir)?;
     let cannot = |why: &str| RenderError::Argument {
-        argument: "--anew",
+        argument: "--rerender",
         found: count.to_string(),
         expected: format!(
             "a dataset that this program can render from {} alone; {why}",
@@ -147,7 +145,7 @@ pub fn check_anew(dir: &Path, count: u64, seed: u64, on_pair: &dyn Fn()) -> Resu
     while (chosen.len() as u64) < count.min(u64::from(all)) {
         chosen.insert(stream.below(all));
     }
-    let mut anew = Anew { seed, pairs: Vec::new(), equal_files: 0, problems: Vec::new() };
+    let mut rerendered = Rerendered { seed, pairs: Vec::new(), equal_files: 0, problems: Vec::new() };
     let made = Temporary::new()?;
     for number in chosen {
         generate(
@@ -159,20 +157,22 @@ pub fn check_anew(dir: &Path, count: u64, seed: u64, on_pair: &dyn Fn()) -> Resu
             let original = dir.join(file.strip_prefix(&made.0).unwrap_or(&file));
             // Files of a pair are small enough to be read whole.
             match (fs::read(&file), fs::read(&original)) {
-                (Ok(new), Ok(old)) if new == old => anew.equal_files += 1,
+                (Ok(new), Ok(old)) if new == old => rerendered.equal_files += 1,
                 (Ok(_), Ok(_)) => {
                     let what = "its bytes are not those that this program renders on this machine".to_owned();
-                    anew.problems.push(Problem { file: original, what });
+                    rerendered.problems.push(Problem { file: original, what });
                 }
                 (_, Err(error)) | (Err(error), _) => {
-                    anew.problems.push(Problem { file: original, what: format!("cannot be read: {error}") });
+                    rerendered
+                        .problems
+                        .push(Problem { file: original, what: format!("cannot be read: {error}") });
                 }
             }
         }
-        anew.pairs.push(manifest.name(group, pair));
+        rerendered.pairs.push(manifest.name(group, pair));
         on_pair();
     }
-    Ok(anew)
+    Ok(rerendered)
 }
 
 /// The scene of a pair, counted over all scenes, and its number within.

@@ -17,7 +17,7 @@ use crate::camera::camera_from_record;
 use crate::job::first_difference;
 use crate::record::PairRecord;
 use crate::statistics::{BINS, FlowSummary, Statistics, bin_edges};
-pub use again::{Anew, check_anew, check_hashes};
+pub use again::{Rerendered, check_hashes, check_rerendered};
 use plan::{Expected, problems_of_manifest, unexpected_files};
 use srflow_read::manifest::{FrameFiles, Manifest, ManifestError, STATISTICS_NAME, SceneEntry};
 use srflow_read::region_map::read_region_map;

@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use serde_json::Value;
 use srflow_field::{
-    FileKind, create_folder, excerpt, parse_error_in_words, read_text, remove_partial, write_file,
+    FileKind, SHA256SUMS, create_folder, excerpt, parse_error_in_words, read_text, remove_partial, write_file,
 };
 
-use super::{HASHES_NAME, Layout as _, Plan, Run};
+use super::{Layout as _, Plan, Run};
 use crate::RenderError;
 
 /// Minimum age of a partial file before it counts as left by an interrupted run: another shard may be working in the same
@@ -24,7 +24,7 @@ pub fn claim<P: Plan>(dir: &Path, plan: &P, force: bool) -> Result<(), RenderErr
     let path = dir.join(name);
     if force && path.exists() {
         let found = read_text(&path, FileKind::Json)?;
-        let hashes = dir.join(HASHES_NAME);
+        let hashes = dir.join(SHA256SUMS);
         unless_gone(&hashes, fs::remove_file(&hashes))?;
         plan.delete(dir, &found)?;
         create_folder(dir)?;

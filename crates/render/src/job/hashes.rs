@@ -1,30 +1,25 @@
 //! `SHA256SUMS`: the SHA-256 of every file of a complete dataset, as `sha256sum` writes and checks them.
 
-use std::fs::File;
-use std::io::{self, Read, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use sha2::{Digest, Sha256};
-use srflow_field::write_atomically;
+use srflow_field::{FileKind, SHA256SUMS, hexadecimal, sha256_of_file, sha256sums_line, write_atomically};
 
 use super::layout::Layout;
 use crate::RenderError;
 
-/// Name of the file in a dataset's folder.
-pub const HASHES_NAME: &str = "SHA256SUMS";
-
 /// Units whose files are hashed at once.
 const AT_ONCE: u32 = 256;
 
-/// Writes [`HASHES_NAME`] into the folder of a complete dataset. Calls `on_units` with the number of units that are done.
+/// Writes [`SHA256SUMS`] into the folder of a complete dataset. Calls `on_units` with the number of units that are done.
 pub(crate) fn write_hashes<L: Layout>(
     dir: &Path,
     layout: &L,
     on_units: &dyn Fn(u64),
 ) -> Result<(), RenderError> {
     let mut failed = None;
-    let result = write_atomically(&dir.join(HASHES_NAME), |writer| {
+    let result = write_atomically(&dir.join(SHA256SUMS), |writer| {
         let mut write = |files: Vec<PathBuf>| {
             let hashes: Result<Vec<_>, _> = files.into_par_iter().map(|file| line(dir, &file)).collect();
             match hashes {
@@ -59,22 +54,8 @@ pub(crate) fn write_hashes<L: Layout>(
 
 /// The line of a file.
 fn line(dir: &Path, file: &Path) -> Result<String, RenderError> {
-    let hash = sha256(file).map_err(|error| RenderError::io(file, error))?;
+    let hash = sha256_of_file(file, FileKind::OfDataset)?;
     let name = file.strip_prefix(dir).unwrap_or(file).components();
     let name: Vec<_> = name.map(|part| part.as_os_str().to_string_lossy()).collect();
-    Ok(format!("{hash}  {}\n", name.join("/")))
-}
-
-/// The SHA-256 of a file, in hexadecimal digits.
-pub(crate) fn sha256(file: &Path) -> io::Result<String> {
-    let mut digest = Sha256::new();
-    let mut file = File::open(file)?;
-    let mut bytes = vec![0; 1 << 20];
-    loop {
-        match file.read(&mut bytes)? {
-            0 => break,
-            read => digest.update(&bytes[..read]),
-        }
-    }
-    Ok(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+    Ok(sha256sums_line(&hexadecimal(hash), &name.join("/")))
 }

@@ -14,13 +14,12 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use srflow_field::Shard;
+use srflow_field::{SHA256SUMS, Shard};
 
 use crate::RenderError;
 
 pub(crate) use folder::{claim_as, first_difference, unless_gone};
-pub use hashes::HASHES_NAME;
-pub(crate) use hashes::{sha256, write_hashes};
+pub(crate) use hashes::write_hashes;
 pub(crate) use layout::{Layout, leading_number, names_in};
 pub(crate) use timing::Clock;
 pub use timing::{Stage, StageTime};
@@ -169,7 +168,7 @@ pub(crate) fn complete<L: Layout, T>(
     finish: impl FnOnce(&Path) -> Result<T, RenderError>,
 ) -> Result<T, RenderError> {
     let finished = finish(dir)?;
-    if changed || !dir.join(HASHES_NAME).exists() {
+    if changed || !dir.join(SHA256SUMS).exists() {
         write_hashes(dir, layout, &|units| on_event(Event::Hashed { units }))?;
     }
     Ok(finished)

@@ -26,7 +26,7 @@ fn trainer(dir: &Path) -> (Trainer, Batch, Batch) {
     let batch = Batch::new(&set.sample(0, 0, 1).unwrap());
     let mut broken = batch.clone();
     broken.first[7] = f32::NAN;
-    (Trainer::new(&config, &[Device::flex()], &set), batch, broken)
+    (Trainer::new(&config, &[Device::flex()], &set, 1), batch, broken)
 }
 
 #[test]
@@ -35,11 +35,11 @@ fn a_skipped_step_changes_neither_weights_nor_optimizer() {
     let (mut steady, batch, _) = trainer(dir.path());
     let (mut disturbed, _, broken) = trainer(dir.path());
     for trainer in [&mut steady, &mut disturbed] {
-        assert!(trainer.step(std::slice::from_ref(&batch)).unwrap().is_some());
+        assert!(trainer.step(std::slice::from_ref(&batch), &Ranks::new(&Alone)).unwrap().is_some());
     }
     let before = disturbed.checkpoint("");
     for in_a_row in 1..=2 {
-        assert!(disturbed.step(std::slice::from_ref(&broken)).unwrap().is_none());
+        assert!(disturbed.step(std::slice::from_ref(&broken), &Ranks::new(&Alone)).unwrap().is_none());
         let Progress { step, skipped, skipped_in_a_row, .. } = disturbed.progress;
         assert_eq!((step, skipped, skipped_in_a_row), (1 + in_a_row, in_a_row, in_a_row));
     }
@@ -48,7 +48,7 @@ fn a_skipped_step_changes_neither_weights_nor_optimizer() {
 
     // The next step gives the same result as without the skipped ones.
     let [expected, found] = [&mut steady, &mut disturbed]
-        .map(|trainer| trainer.step(std::slice::from_ref(&batch)).unwrap().unwrap());
+        .map(|trainer| trainer.step(std::slice::from_ref(&batch), &Ranks::new(&Alone)).unwrap().unwrap());
     assert_eq!((found.loss, found.gradient_norm), (expected.loss, expected.gradient_norm));
     assert_eq!((found.step, expected.step), (4, 2));
     assert_eq!((disturbed.progress.skipped, disturbed.progress.skipped_in_a_row), (2, 0));

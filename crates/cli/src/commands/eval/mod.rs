@@ -1,22 +1,24 @@
+mod kept;
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
-use std::time::UNIX_EPOCH;
 
-use anyhow::{Context as _, bail};
+use anyhow::bail;
 use clap::Args;
 use clap::builder::ArgPredicate;
 use serde::Serialize;
 use srflow_eval::report::{Figure, pair_figures, score_report};
 use srflow_eval::{
-    Evaluation, KeptPair, KeptScores, Method, MethodRecord, OnFailure, ScoredPair, Settings, TextStyle,
-    Window, joined, markdown_file, scored_pairs, window_about,
+    Evaluation, Method, MethodRecord, OnFailure, ScoredPair, Settings, TextStyle, Window, joined,
+    markdown_file, scored_pairs, window_about,
 };
 use srflow_face::FaceBox;
-use srflow_field::{JsonLines, Shard, Size, create_folder, read_json_lines, write_file};
+use srflow_field::{Shard, Size, create_folder, write_file};
 use srflow_figure::{Content, Pair, Plan, Scale, Scales, Source as Flow, Style};
-use srflow_read::flow::{DatasetSpec, Entry, EntryFile, FlowDataset, KINDS, Split};
+use srflow_read::flow::{DatasetSpec, FlowDataset, KINDS, Split};
 
+use self::kept::Kept;
 use crate::face::FaceArgs;
 use crate::interrupt::Continuable;
 use crate::methods::{self, MethodParameters, MethodSpec, Rows, RowsArgs, Source};
@@ -256,114 +258,6 @@ fn pictured(args: &Eval, dataset: &FlowDataset) -> BTreeSet<String> {
     let every = scoring::shown_every(names.len(), SHOWN_PAIRS);
     let shown = (0..).zip(&names).filter(|(index, _)| scoring::is_shown(*index, every)).map(|(_, name)| name);
     shown.chain(&args.figure_pairs).cloned().collect()
-}
-
-/// Scores that `--out` keeps until all pairs are scored.
-struct Kept {
-    folder: PathBuf,
-    file: PathBuf,
-    /// What scores depend on besides pairs.
-    evaluation: String,
-    /// Stamps of the files of pairs, by their names.
-    stamps: BTreeMap<String, String>,
-    found: Vec<KeptPair>,
-}
-
-impl Kept {
-    /// `None` without `--out`, and for methods whose flow depends on other pairs or on files, which may change.
-    fn open(
-        args: &Eval,
-        dataset: &FlowDataset,
-        specs: &[MethodSpec],
-        shard: Shard,
-    ) -> anyhow::Result<Option<Self>> {
-        let remembers =
-            |spec: &MethodSpec| spec.method.network().is_some_and(|network| network.facts().remembers);
-        let is_alone = |spec: &MethodSpec| spec.method != methods::Method::Files && !remembers(spec);
-        let cannot = match (&args.out, specs.iter().find(|spec| !is_alone(spec)), args.face.is_whole()) {
-            (None, ..) => Some("--out DIR too, into which the parts write their scores".to_owned()),
-            (_, Some(spec), _) => {
-                Some(format!("methods that estimate each pair by itself; leave out {}", spec.method.name()))
-            }
-            (.., false) => {
-                Some("whole frames or --crop; leave out --face, --face-box and --landmarks".to_owned())
-            }
-            (Some(_), None, true) => None,
-        };
-        match (cannot, &args.out) {
-            (None, Some(out)) => {
-                let records: Vec<String> = methods::records(specs, &args.parameters)?
-                    .iter()
-                    .map(|record| format!("{}: {}", record.name, record.identity()))
-                    .collect();
-                let Eval { crop, regions, small_motion, expression, .. } = args;
-                let text = format!(
-                    "srflow {} {} {:?} {crop:?} {regions} {small_motion:?} {expression} {}",
-                    env!("CARGO_PKG_VERSION"),
-                    dataset.name(),
-                    std::path::absolute(dataset.dir())?,
-                    records.join("; ")
-                );
-                let folder = out.join("scored");
-                let stamps = dataset.entries().iter().map(|entry| (entry.id(), stamp(entry))).collect();
-                let file = folder.join(format!("{}-of-{}.jsonl", shard.number, shard.of));
-                let mut kept = Self { file, folder, evaluation: text, stamps, found: Vec::new() };
-                kept.read()?;
-                Ok(Some(kept))
-            }
-            (Some(cannot), _) if shard != Shard::WHOLE => wrong_usage!("--shard needs {cannot}"),
-            _ => Ok(None),
-        }
-    }
-
-    /// Reads the scores of all parts.
-    fn read(&mut self) -> anyhow::Result<()> {
-        for entry in std::fs::read_dir(&self.folder).into_iter().flatten().flatten() {
-            let path = entry.path();
-            if path.extension().is_some_and(|extension| extension == "jsonl") {
-                let pairs: Vec<KeptPair> = read_json_lines(&path)?;
-                let current: Vec<KeptPair> = pairs.into_iter().filter(|pair| self.is_current(pair)).collect();
-                self.found.extend(current);
-            }
-        }
-        Ok(())
-    }
-
-    fn is_current(&self, pair: &KeptPair) -> bool {
-        pair.evaluation == self.evaluation && self.stamps.get(&pair.pair) == Some(&pair.files)
-    }
-
-    /// The log of this process, without scores that are of no use any more.
-    fn log(&self) -> anyhow::Result<JsonLines> {
-        create_folder(&self.folder)?;
-        Ok(JsonLines::open(&self.file, |pair: &KeptPair| self.is_current(pair))?)
-    }
-
-    fn scores_without(&self, names: &BTreeSet<String>) -> BTreeMap<String, Vec<KeptScores>> {
-        let others = self.found.iter().filter(|pair| !names.contains(&pair.pair));
-        others.map(|pair| (pair.pair.clone(), pair.methods.clone())).collect()
-    }
-
-    fn of(&self, pair: &ScoredPair) -> KeptPair {
-        KeptPair::new(pair, &self.evaluation, self.stamps.get(pair.name).cloned().unwrap_or_default())
-    }
-
-    /// Once the tables are written.
-    fn remove(self) -> anyhow::Result<()> {
-        std::fs::remove_dir_all(&self.folder).with_context(|| format!("removing {}", self.folder.display()))
-    }
-}
-
-/// Sizes and times of a pair's files, or of the tars they are in; those on the web have none.
-fn stamp(entry: &Entry) -> String {
-    let of_file = |file: &EntryFile| {
-        let path = file.path();
-        let metadata = std::fs::metadata(file.on_disk().or(path.parent())?).ok()?;
-        let modified = metadata.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
-        Some(format!("{} {}", metadata.len(), modified.as_nanos()))
-    };
-    let stamps: Vec<String> = entry.files().map(|file| of_file(file).unwrap_or_default()).collect();
-    stamps.join(", ")
 }
 
 /// The window about the face in the first frame of each pair that is scored, by its name; `None` if faces are not asked for.

@@ -1,0 +1,122 @@
+//! Scores that are kept until all pairs have theirs, in `scored/` of `--out`.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+use std::time::UNIX_EPOCH;
+
+use anyhow::Context as _;
+use srflow_eval::{KeptPair, KeptScores, ScoredPair};
+use srflow_field::{JsonLines, Shard, create_folder, read_json_lines};
+use srflow_read::flow::{Entry, EntryFile, FlowDataset};
+
+use super::Eval;
+use crate::methods::{self, MethodSpec};
+use crate::usage::wrong_usage;
+
+/// Scores that `--out` keeps until all pairs are scored.
+pub struct Kept {
+    folder: PathBuf,
+    file: PathBuf,
+    /// What scores depend on besides pairs.
+    evaluation: String,
+    /// Stamps of the files of pairs, by their names.
+    stamps: BTreeMap<String, String>,
+    found: Vec<KeptPair>,
+}
+
+impl Kept {
+    /// `None` without `--out`, and for methods whose flow depends on other pairs or on files, which may change.
+    pub fn open(
+        args: &Eval,
+        dataset: &FlowDataset,
+        specs: &[MethodSpec],
+        shard: Shard,
+    ) -> anyhow::Result<Option<Self>> {
+        let remembers =
+            |spec: &MethodSpec| spec.method.network().is_some_and(|network| network.facts().remembers);
+        let is_alone = |spec: &MethodSpec| spec.method != methods::Method::Files && !remembers(spec);
+        let cannot = match (&args.out, specs.iter().find(|spec| !is_alone(spec)), args.face.is_whole()) {
+            (None, ..) => Some("--out DIR too, into which the parts write their scores".to_owned()),
+            (_, Some(spec), _) => {
+                Some(format!("methods that estimate each pair by itself; leave out {}", spec.method.name()))
+            }
+            (.., false) => {
+                Some("whole frames or --crop; leave out --face, --face-box and --landmarks".to_owned())
+            }
+            (Some(_), None, true) => None,
+        };
+        match (cannot, &args.out) {
+            (None, Some(out)) => {
+                let records: Vec<String> = methods::records(specs, &args.parameters)?
+                    .iter()
+                    .map(|record| format!("{}: {}", record.name, record.identity()))
+                    .collect();
+                let Eval { crop, regions, small_motion, expression, .. } = args;
+                let text = format!(
+                    "srflow {} {} {:?} {crop:?} {regions} {small_motion:?} {expression} {}",
+                    env!("CARGO_PKG_VERSION"),
+                    dataset.name(),
+                    std::path::absolute(dataset.dir())?,
+                    records.join("; ")
+                );
+                let folder = out.join("scored");
+                let stamps = dataset.entries().iter().map(|entry| (entry.id(), stamp(entry))).collect();
+                let file = folder.join(format!("{}-of-{}.jsonl", shard.number, shard.of));
+                let mut kept = Self { file, folder, evaluation: text, stamps, found: Vec::new() };
+                kept.read()?;
+                Ok(Some(kept))
+            }
+            (Some(cannot), _) if shard != Shard::WHOLE => wrong_usage!("--shard needs {cannot}"),
+            _ => Ok(None),
+        }
+    }
+
+    /// Reads the scores of all parts.
+    fn read(&mut self) -> anyhow::Result<()> {
+        for entry in std::fs::read_dir(&self.folder).into_iter().flatten().flatten() {
+            let path = entry.path();
+            if path.extension().is_some_and(|extension| extension == "jsonl") {
+                let pairs: Vec<KeptPair> = read_json_lines(&path)?;
+                let current: Vec<KeptPair> = pairs.into_iter().filter(|pair| self.is_current(pair)).collect();
+                self.found.extend(current);
+            }
+        }
+        Ok(())
+    }
+
+    fn is_current(&self, pair: &KeptPair) -> bool {
+        pair.evaluation == self.evaluation && self.stamps.get(&pair.pair) == Some(&pair.files)
+    }
+
+    /// The log of this process, without scores that are of no use any more.
+    pub fn log(&self) -> anyhow::Result<JsonLines> {
+        create_folder(&self.folder)?;
+        Ok(JsonLines::open(&self.file, |pair: &KeptPair| self.is_current(pair))?)
+    }
+
+    pub fn scores_without(&self, names: &BTreeSet<String>) -> BTreeMap<String, Vec<KeptScores>> {
+        let others = self.found.iter().filter(|pair| !names.contains(&pair.pair));
+        others.map(|pair| (pair.pair.clone(), pair.methods.clone())).collect()
+    }
+
+    pub fn of(&self, pair: &ScoredPair) -> KeptPair {
+        KeptPair::new(pair, &self.evaluation, self.stamps.get(pair.name).cloned().unwrap_or_default())
+    }
+
+    /// Once the tables are written.
+    pub fn remove(self) -> anyhow::Result<()> {
+        std::fs::remove_dir_all(&self.folder).with_context(|| format!("removing {}", self.folder.display()))
+    }
+}
+
+/// Sizes and times of a pair's files, or of the tars they are in; those on the web have none.
+fn stamp(entry: &Entry) -> String {
+    let of_file = |file: &EntryFile| {
+        let path = file.path();
+        let metadata = std::fs::metadata(file.on_disk().or(path.parent())?).ok()?;
+        let modified = metadata.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
+        Some(format!("{} {}", metadata.len(), modified.as_nanos()))
+    };
+    let stamps: Vec<String> = entry.files().map(|file| of_file(file).unwrap_or_default()).collect();
+    stamps.join(", ")
+}

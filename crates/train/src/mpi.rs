@@ -1,0 +1,122 @@
+//! Ranks that MPI has started, with `mpirun` or `srun`.
+
+use mpi::Threading;
+use mpi::datatype::{Partition, PartitionMut};
+use mpi::environment::{Universe, initialize_with_threading, library_version};
+use mpi::topology::SimpleCommunicator;
+use mpi::traits::{Communicator as _, CommunicatorCollectives as _};
+
+use crate::ranks::Communicator;
+
+/// All processes of an MPI program. Errors of MPI, such as a process that is lost, end them all.
+pub struct World {
+    world: SimpleCommunicator,
+    /// Ends MPI when it is dropped, so after `world`.
+    _universe: Universe,
+}
+
+/// MPI cannot be started.
+#[derive(Debug, thiserror::Error)]
+pub enum MpiError {
+    #[error("MPI was started before in this process, which it allows only once")]
+    Again,
+    #[error(
+        "expected {expected} processes, since the environment has the variables of {launcher}; found {found} with {library}. Start \
+         srflow with the mpirun of the MPI that it was built with, or with srun --mpi=pmix or --mpi=pmi2"
+    )]
+    Processes { expected: usize, found: usize, launcher: &'static str, library: String },
+}
+
+impl World {
+    /// Starts MPI, in which there must be as many processes as the launcher says.
+    ///
+    /// # Errors
+    /// When MPI was started before, or does not know the launcher.
+    pub fn start(launched: &crate::ranks::Launched) -> Result<Self, MpiError> {
+        // Only this thread calls MPI.
+        let (universe, _) = initialize_with_threading(Threading::Funneled).ok_or(MpiError::Again)?;
+        let world = Self { world: universe.world(), _universe: universe };
+        let found = world.ranks();
+        if found != launched.processes {
+            let library = library_version().unwrap_or_default();
+            let library = library.lines().next().unwrap_or("an unknown MPI").trim().to_owned();
+            let (expected, launcher) = (launched.processes, launched.launcher);
+            return Err(MpiError::Processes { expected, found, launcher, library });
+        }
+        Ok(world)
+    }
+}
+
+impl Drop for World {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            // The others would wait for this process.
+            self.abort(1);
+        }
+    }
+}
+
+impl Communicator for World {
+    fn rank(&self) -> usize {
+        usize::try_from(self.world.rank()).expect("ranks count from 0")
+    }
+
+    fn ranks(&self) -> usize {
+        usize::try_from(self.world.size()).expect("a positive number of processes")
+    }
+
+    fn all_gather(&self, mine: &[u8]) -> Vec<Vec<u8>> {
+        let mut sizes = vec![0; self.ranks()];
+        self.world.all_gather_into(&count(mine.len()), &mut sizes[..]);
+        let starts = starts(&sizes);
+        let mut all = vec![0; total(&sizes)];
+        let mut parts = PartitionMut::new(&mut all[..], &sizes[..], &starts[..]);
+        self.world.all_gather_varcount_into(mine, &mut parts);
+        split(&all, &sizes)
+    }
+
+    fn all_to_all(&self, parts: &[&[u8]]) -> Vec<Vec<u8>> {
+        let sent: Vec<i32> = parts.iter().map(|part| count(part.len())).collect();
+        let mut received = vec![0; sent.len()];
+        self.world.all_to_all_into(&sent[..], &mut received[..]);
+        let (from, to) = (starts(&sent), starts(&received));
+        let joined = parts.concat();
+        let mut all = vec![0; total(&received)];
+        let outgoing = Partition::new(&joined[..], &sent[..], &from[..]);
+        let mut incoming = PartitionMut::new(&mut all[..], &received[..], &to[..]);
+        self.world.all_to_all_varcount_into(&outgoing, &mut incoming);
+        split(&all, &received)
+    }
+
+    fn abort(&self, exit_code: u8) -> ! {
+        self.world.abort(exit_code.into())
+    }
+}
+
+/// MPI counts with 32 bits: 2 GiB in a message, which is 500 million parameters of a network.
+fn count(bytes: usize) -> i32 {
+    i32::try_from(bytes).expect("a message of less than 2 GiB")
+}
+
+fn starts(sizes: &[i32]) -> Vec<i32> {
+    let place = |end: &mut i32, size: &i32| {
+        let start = *end;
+        *end = end.checked_add(*size).expect("messages of less than 2 GiB");
+        Some(start)
+    };
+    sizes.iter().scan(0, place).collect()
+}
+
+fn total(sizes: &[i32]) -> usize {
+    sizes.iter().map(|&size| usize::try_from(size).expect("a size")).sum()
+}
+
+fn split(mut bytes: &[u8], sizes: &[i32]) -> Vec<Vec<u8>> {
+    let mut parts = Vec::with_capacity(sizes.len());
+    for &size in sizes {
+        let (part, rest) = bytes.split_at(usize::try_from(size).expect("a size"));
+        parts.push(part.to_vec());
+        bytes = rest;
+    }
+    parts
+}

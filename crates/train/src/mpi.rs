@@ -69,9 +69,9 @@ impl Communicator for World {
         let mut sizes = vec![0; self.ranks()];
         self.world.all_gather_into(&count(mine.len()), &mut sizes[..]);
         let starts = starts(&sizes);
-        let mut all = vec![0; total(&sizes)];
+        let mut all = room(&sizes);
         let mut parts = PartitionMut::new(&mut all[..], &sizes[..], &starts[..]);
-        self.world.all_gather_varcount_into(mine, &mut parts);
+        self.world.all_gather_varcount_into(somewhere(mine), &mut parts);
         split(&all, &sizes)
     }
 
@@ -81,8 +81,8 @@ impl Communicator for World {
         self.world.all_to_all_into(&sent[..], &mut received[..]);
         let (from, to) = (starts(&sent), starts(&received));
         let joined = parts.concat();
-        let mut all = vec![0; total(&received)];
-        let outgoing = Partition::new(&joined[..], &sent[..], &from[..]);
+        let mut all = room(&received);
+        let outgoing = Partition::new(somewhere(&joined), &sent[..], &from[..]);
         let mut incoming = PartitionMut::new(&mut all[..], &received[..], &to[..]);
         self.world.all_to_all_varcount_into(&outgoing, &mut incoming);
         split(&all, &received)
@@ -107,8 +107,18 @@ fn starts(sizes: &[i32]) -> Vec<i32> {
     sizes.iter().scan(0, place).collect()
 }
 
-fn total(sizes: &[i32]) -> usize {
-    sizes.iter().map(|&size| usize::try_from(size).expect("a size")).sum()
+/// A buffer for parts of these sizes, with an address even if they are empty; see [`somewhere`].
+fn room(sizes: &[i32]) -> Vec<u8> {
+    let bytes = sizes.iter().map(|&size| usize::try_from(size).expect("a size")).sum::<usize>();
+    let mut room = Vec::with_capacity(bytes.max(1));
+    room.resize(bytes, 0);
+    room
+}
+
+/// The same bytes; none are at an address of their own. Rust's address for no bytes is 1, by which Open MPI means `MPI_IN_PLACE`.
+fn somewhere(bytes: &[u8]) -> &[u8] {
+    static BYTE: [u8; 1] = [0];
+    if bytes.is_empty() { &BYTE[..0] } else { bytes }
 }
 
 fn split(mut bytes: &[u8], sizes: &[i32]) -> Vec<Vec<u8>> {

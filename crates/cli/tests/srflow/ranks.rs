@@ -2,8 +2,8 @@
 
 use crate::frames::write_pairs;
 
-/// Arguments of a short run on batches of three.
-fn arguments<'a>(data: &'a str, out: &'a str) -> Vec<&'a str> {
+/// Arguments of a run on batches of three.
+fn arguments<'a>(data: &'a str, out: &'a str, steps: &'a str) -> Vec<&'a str> {
     let mut arguments = vec!["train", "--data", data, "--out", out, "--network", "raft-small"];
     arguments.extend([
         "--crop",
@@ -13,7 +13,7 @@ fn arguments<'a>(data: &'a str, out: &'a str) -> Vec<&'a str> {
         "--iterations",
         "2",
         "--steps",
-        "6",
+        steps,
         "--threads",
         "1",
     ]);
@@ -31,7 +31,7 @@ fn several_processes_without_mpi_are_refused() {
     let data = format!("folder:{}", dir.path().display());
     let out = dir.path().join("run");
     let mut command = crate::srflow();
-    command.args(arguments(&data, out.to_str().unwrap())).env("OMPI_COMM_WORLD_SIZE", "4");
+    command.args(arguments(&data, out.to_str().unwrap(), "6")).env("OMPI_COMM_WORLD_SIZE", "4");
     let expected = ["mpirun of Open MPI has started 4 processes", "--features mpi", "docs/training.md"];
     refuses(&command.output().unwrap(), 1, &expected);
     assert!(!out.exists());
@@ -90,10 +90,10 @@ mod mpi {
     #[test]
     fn processes_give_the_bits_of_parts_accumulated_in_one() {
         let Folders { data, one, many, .. } = &folders();
-        let mut alone = arguments(data, one.to_str().unwrap());
+        let mut alone = arguments(data, one.to_str().unwrap(), "6");
         alone.extend(["--set", "training.accumulate=3"]);
         ends(&crate::srflow().args(alone).output().unwrap(), 0);
-        let together = mpirun("3", &arguments(data, many.to_str().unwrap())).output().unwrap();
+        let together = mpirun("3", &arguments(data, many.to_str().unwrap(), "6")).output().unwrap();
         ends(&together, 0);
         for step in [2, 4, 6] {
             assert!(weights(one, step) == weights(many, step), "step {step}");
@@ -107,19 +107,17 @@ mod mpi {
     fn processes_that_are_stopped_or_killed_are_resumed_by_others() {
         let Folders { data, one, many, .. } = &folders();
         let out = many.to_str().unwrap();
-        let mut stopping = arguments(data, out);
+        let mut stopping = arguments(data, out, "6");
         stopping.extend(["--stop-after-step", "3"]);
         ends(&mpirun("3", &stopping).output().unwrap(), 75);
         ends(&mpirun("3", &["train", "--resume", out, "--threads", "1"]).output().unwrap(), 0);
-        ends(&mpirun("3", &arguments(data, one.to_str().unwrap())).output().unwrap(), 0);
+        ends(&mpirun("3", &arguments(data, one.to_str().unwrap(), "6")).output().unwrap(), 0);
         assert!(weights(one, 6) == weights(many, 6));
 
         // One of a long run is killed.
         let lost = one.with_file_name("lost");
         let lost = lost.to_str().unwrap();
-        let mut long = arguments(data, lost);
-        long.extend(["--steps", "100000"]);
-        let mut run = mpirun("3", &long);
+        let mut run = mpirun("3", &arguments(data, lost, "100000"));
         let run = run.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
         let second = Path::new(lost).join("checkpoints/step-00000002");
         for _ in 0..600 {
@@ -151,9 +149,9 @@ mod mpi {
     fn a_process_that_fails_says_so_once_and_ends_all() {
         let Folders { data, many, .. } = &folders();
         let broken = Path::new(data.strip_prefix("folder:").unwrap()).join("p4_img2.png");
-        let broken = if broken.exists() { broken } else { panic!("{}", broken.display()) };
+        assert!(broken.exists());
         std::fs::write(&broken, "no picture").unwrap();
-        let said = ends(&mpirun("3", &arguments(data, many.to_str().unwrap())).output().unwrap(), 1);
+        let said = ends(&mpirun("3", &arguments(data, many.to_str().unwrap(), "6")).output().unwrap(), 1);
         assert!(said.contains("of 3, counted from 0: ") && said.contains("p4_img2.png"), "{said}");
         assert_eq!(said.matches("error: ").count(), 1, "{said}");
     }

@@ -20,6 +20,7 @@ use srflow_read::flow::{DatasetSpec, Entry, EntryFile, FlowDataset, KINDS, Split
 use crate::face::FaceArgs;
 use crate::interrupt::Continuable;
 use crate::methods::{self, MethodParameters, MethodSpec, Rows, RowsArgs, Source};
+use crate::opening::open_dataset;
 use crate::output::{ensure_folder, ensure_free, latex, print_tables};
 use crate::progress::bar;
 use crate::rendering::{Rendered, ShardArgs};
@@ -136,7 +137,7 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         ensure_folder(out)?;
         ensure_free(OUTPUTS.map(|name| out.join(name)), args.force)?;
     }
-    let dataset = FlowDataset::open(&args.dataset, args.split)?;
+    let dataset = open_dataset(&args.dataset, args.split)?;
     let limit = args.limit.map(|limit| limit as usize);
     let Rows { methods: specs, left_out, improvements } = args.rows.with(&args.method)?;
     let sources = methods::sources(&specs, &args.parameters, &dataset, limit)?;
@@ -357,8 +358,8 @@ impl Kept {
 /// Sizes and times of a pair's files, or of the tars they are in; those on the web have none.
 fn stamp(entry: &Entry) -> String {
     let of_file = |file: &EntryFile| {
-        let path = file.path();
-        let metadata = std::fs::metadata(file.on_disk().or(path.parent())?).ok()?;
+        let place = file.on_disk().or_else(|| Some(file.path().parent()?.to_owned()))?;
+        let metadata = std::fs::metadata(place).ok()?;
         let modified = metadata.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
         Some(format!("{} {}", metadata.len(), modified.as_nanos()))
     };

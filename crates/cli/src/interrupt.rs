@@ -33,6 +33,10 @@ impl Continuable {
     pub fn counted(bar: &ProgressBar, units: &str) -> Self {
         let (bar, units) = (bar.clone(), units.to_owned());
         Self::of(true, move || match bar.length() {
+            Some(0) => format!("no {units} were begun"),
+            Some(all) if all == bar.position() => {
+                format!("all {all} {units} are complete, the files of the whole are not")
+            }
             Some(all) => format!("{} of {all} {units} are left", all.saturating_sub(bar.position())),
             None => format!("{} {units} are done", bar.position()),
         })

@@ -22,6 +22,7 @@ mod machine;
 mod made;
 mod methods;
 mod networks;
+mod opening;
 mod output;
 mod posed_head;
 mod progress;

@@ -15,7 +15,7 @@ use srflow_render::job::{Event, Request};
 use crate::interrupt::{self, Continuable};
 use crate::library::Watch;
 use crate::output::{ensure_folder, exit_stopped, print_json};
-use crate::progress::bar;
+use crate::progress::{Lines, bar};
 use crate::usage::wrong_usage;
 
 /// Which part of the work to do.
@@ -92,7 +92,7 @@ impl RenderingArgs {
             *state = match event {
                 Event::Started { units, whole } => (whole, units, written),
                 Event::Made { bytes } => (done + 1, total, written.max(bytes)),
-                Event::Hashed { .. } => return,
+                Event::Found { .. } | Event::Compared { .. } | Event::Hashed { .. } => return,
             };
             let (done, total, bytes) = *state;
             (watch.on_progress)(json!({ "done": done, "total": total, "bytes": bytes }));
@@ -159,21 +159,33 @@ pub fn exit_if_stopped(stopped: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A bar for units that are made.
+/// A bar for units that are made; lines where it is not seen.
 pub struct Progress {
     pub bar: ProgressBar,
+    units: String,
+    lines: Lines,
     bytes: AtomicU64,
 }
 
 impl Progress {
     pub fn new(units: &str) -> Self {
         let template = format!("{{wide_bar}} {{pos}}/{{len}} {units}, {{msg}}, {{eta}} left");
-        Self { bar: bar(0, &template), bytes: AtomicU64::new(0) }
+        Self {
+            bar: bar(0, &template),
+            units: units.to_owned(),
+            lines: Lines::new(),
+            bytes: AtomicU64::new(0),
+        }
     }
 
     pub fn show(&self, event: Event) {
         match event {
+            Event::Found { units } => self.bar.set_message(format!("{units} found in the parts")),
+            Event::Compared { units } => {
+                self.bar.set_message(format!("{units} that several parts have compared"));
+            }
             Event::Started { units, whole } => {
+                self.bar.set_message("");
                 self.bar.set_length(units);
                 self.bar.set_position(whole);
                 self.bar.reset_eta();
@@ -188,5 +200,6 @@ impl Progress {
             }
             Event::Hashed { units } => self.bar.set_message(format!("{units} hashed")),
         }
+        self.lines.now_and_then(&self.bar, &self.units);
     }
 }

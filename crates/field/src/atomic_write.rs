@@ -10,6 +10,9 @@ use crate::{FileError, FileProblem};
 /// Extension of a file being written. A leftover one belongs to a process that was killed.
 pub const PARTIAL_EXTENSION: &str = "partial";
 
+/// Names that are tried for a file in progress.
+const NAMES: u32 = 1000;
+
 /// Writes a file atomically: into `.NAME.PROCESS-COUNT.partial` next to it, which is renamed when complete. When `write`
 /// fails, the partial file is removed and the old one stays.
 ///
@@ -26,9 +29,7 @@ pub fn write_atomically(
         let advice = "give the path of a file, in a folder that exists and can be written to";
         move |error| FileProblem::Place { doing, error, advice }.in_file(path)
     };
-    let partial = partial_path(path).map_err(misplaced("creating"))?;
-    let file =
-        OpenOptions::new().write(true).create_new(true).open(&partial).map_err(misplaced("creating"))?;
+    let (partial, file) = create_partial(path).map_err(misplaced("creating"))?;
     let written = fill(file, write).map_err(failed("writing"));
     let result =
         written.and_then(|()| fs::rename(&partial, path).map_err(misplaced("renaming the finished file")));
@@ -90,6 +91,19 @@ fn fill(file: File, write: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) 
     writer.flush()
 }
 
+/// The file in progress. Processes in containers have the same numbers, so another one may have the first name, or may have been killed
+/// and left it.
+fn create_partial(path: &Path) -> io::Result<(PathBuf, File)> {
+    let mut taken = 0;
+    loop {
+        let partial = partial_path(path)?;
+        match OpenOptions::new().write(true).create_new(true).open(&partial) {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists && taken < NAMES => taken += 1,
+            opened => return Ok((partial, opened?)),
+        }
+    }
+}
+
 fn partial_path(path: &Path) -> io::Result<PathBuf> {
     static COUNT: AtomicU64 = AtomicU64::new(0); // distinguishes the threads of this process
     let name = path
@@ -138,6 +152,25 @@ mod tests {
         let mut left = names(folder.path());
         left.sort();
         assert_eq!(left, [".b.bin.7-1.partial", ".d", "a.bin", "c.partial"]);
+    }
+
+    #[test]
+    fn a_name_that_another_container_has_taken_is_left_to_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.bin");
+        let taken = partial_path(&path).unwrap();
+        let number = |path: &Path| -> u64 {
+            let name = path.file_stem().unwrap().to_str().unwrap().to_owned();
+            name.rsplit_once('-').unwrap().1.parse().unwrap()
+        };
+        // Other tests count too, so all of the next names are taken.
+        for count in number(&taken)..number(&taken) + 50 {
+            let name = format!(".a.bin.{}-{count}.partial", std::process::id());
+            fs::write(folder.path().join(name), "other").unwrap();
+        }
+        write_file(&path, "new").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        assert_eq!(names(folder.path()).len(), 51);
     }
 
     #[test]

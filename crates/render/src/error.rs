@@ -47,6 +47,13 @@ pub enum RenderError {
         error: io::Error,
         expected: &'static str,
     },
+    /// The folder has no dataset.
+    #[error(
+        "{}: expected a dataset of `srflow render`, `srflow shapes` or `srflow mer synth`, found no dataset.json, shapes.json or synth.json; \
+         give the folder that one of these commands wrote",
+        .0.display()
+    )]
+    NoDataset(PathBuf),
     /// The output folder contains other files.
     #[error("{}: the folder is not empty and has no {manifest}; choose a new or empty folder", .path.display())]
     NotADataset { path: PathBuf, manifest: &'static str },

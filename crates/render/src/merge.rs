@@ -5,16 +5,17 @@ use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::Value;
-use srflow_field::{FileError, FileKind, create_folder, read_text, write_atomically};
+use srflow_field::{FileError, FileKind, create_folder, read_text, remove_partial, write_atomically};
 use srflow_read::manifest::Manifest;
 
 use crate::RenderError;
 use crate::generate::write_statistics;
-use crate::job::{Event, Layout, claim_as, complete, first_difference};
+use crate::job::{Event, Layout, claim_as, complete, first_difference, until_kept};
 use crate::record::read_record;
 use crate::shapes::{ShapesLayout, write_split};
 use crate::synth::{Clips, finish};
@@ -132,10 +133,15 @@ fn merge_of<L: Layout>(
     let units: u64 = layout.groups().into_iter().map(u64::from).sum();
 
     // By unit, so that the parts that have the same one are neighbours.
+    let count = AtomicU64::new(0);
     let in_part = |(number, part): (usize, &PathBuf)| {
         let begun = layout.begun_in(part).into_iter();
         let whole = begun.filter(|&(group, unit)| layout.is_whole(part, group, unit));
-        whole.map(|(group, unit)| (group, unit, number)).collect::<Vec<Found>>()
+        let counted = whole.inspect(|_| {
+            let units = count.fetch_add(1, Ordering::Relaxed) + 1;
+            on_event(Event::Found { units });
+        });
+        counted.map(|(group, unit)| (group, unit, number)).collect::<Vec<Found>>()
     };
     let mut found: Vec<Found> = parts.par_iter().enumerate().flat_map_iter(in_part).collect();
     found.par_sort_unstable();
@@ -164,13 +170,16 @@ fn merge_of<L: Layout>(
     }
 
     let doubled: Vec<&[Found]> = of_unit.iter().copied().filter(|parts| parts.len() > 1).collect();
+    let compared = AtomicU64::new(0);
     doubled.par_iter().try_for_each(|found| {
         let files = |part: usize| layout.files(&parts[part], found[0].0, found[0].1);
         let first = files(found[0].2);
         found[1..].iter().try_for_each(|other| {
             let others = files(other.2);
             first.iter().zip(&others).try_for_each(|(a, b)| same_bytes(a, b))
-        })
+        })?;
+        on_event(Event::Compared { units: compared.fetch_add(1, Ordering::Relaxed) + 1 });
+        Ok::<(), MergeError>(())
     })?;
 
     claim_as(out, L::MANIFEST, &read_text(&parts[0].join(L::MANIFEST), FileKind::Json)?)?;
@@ -178,13 +187,14 @@ fn merge_of<L: Layout>(
         of_unit.iter().filter(|found| !before.contains(&(found[0].0, found[0].1))).collect();
     on_event(Event::Started { units, whole: before.len() as u64 });
     let (linked, copied, bytes) = (AtomicU64::new(0), AtomicU64::new(0), AtomicU64::new(0));
+    let tidied = Mutex::default();
     wanted.par_iter().try_for_each(|found| {
         let (group, unit, part) = found[0];
         let sources = layout.files(&parts[part], group, unit);
         // The file that is written last comes last here too.
         for source in sources.iter().rev() {
             let target = out.join(source.strip_prefix(&parts[part]).unwrap_or(source));
-            match place(source, &target, copy)? {
+            match place(source, &target, copy, &tidied)? {
                 Placed::Linked => linked.fetch_add(1, Ordering::Relaxed),
                 Placed::Copied(size) => {
                     bytes.fetch_add(size, Ordering::Relaxed);
@@ -236,8 +246,13 @@ enum Placed {
     Copied(u64),
 }
 
-/// Makes `source` appear as `target`.
-fn place(source: &Path, target: &Path, copy: bool) -> Result<Placed, MergeError> {
+/// Makes `source` appear as `target`. Folders in which files were copied are `tidied`.
+fn place(
+    source: &Path,
+    target: &Path,
+    copy: bool,
+    tidied: &Mutex<BTreeSet<PathBuf>>,
+) -> Result<Placed, MergeError> {
     // A hard link to a symbolic one would be the symbolic one.
     let is_file = || fs::symlink_metadata(source).is_ok_and(|metadata| metadata.is_file());
     if !copy && is_file() {
@@ -257,13 +272,26 @@ fn place(source: &Path, target: &Path, copy: bool) -> Result<Placed, MergeError>
             Err(_) => {}
         }
     }
-    target.parent().map_or(Ok(()), create_folder)?;
+    target.parent().map_or(Ok(()), |folder| tidy(folder, tidied))?;
     let mut size = 0;
-    write_atomically(target, |writer| {
-        size = io::copy(&mut File::open(source)?, writer)?;
-        Ok(())
+    until_kept(|| {
+        write_atomically(target, |writer| {
+            size = io::copy(&mut File::open(source)?, writer)?;
+            Ok(())
+        })
     })?;
     Ok(Placed::Copied(size))
+}
+
+/// Makes a folder ready for copies, once: what a merge that was killed has left there is removed.
+fn tidy(folder: &Path, tidied: &Mutex<BTreeSet<PathBuf>>) -> Result<(), FileError> {
+    let mut tidied = tidied.lock().unwrap_or_else(PoisonError::into_inner);
+    if !tidied.contains(folder) {
+        create_folder(folder)?;
+        remove_partial(folder, |_, _| true)?;
+        tidied.insert(folder.to_owned());
+    }
+    Ok(())
 }
 
 fn same_bytes(a: &Path, b: &Path) -> Result<(), MergeError> {

@@ -148,3 +148,19 @@ fn damaged_region_maps_are_named() {
     fs::remove_file(&path).unwrap();
     assert_eq!(problems(dir), [format!("{name}: the file is missing")]);
 }
+
+#[test]
+fn a_pair_without_files_is_one_problem() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path();
+    render(dir);
+    for split in ["train", "val", "test"] {
+        _ = fs::remove_dir_all(dir.join(split));
+    }
+    let problems = problems(dir);
+    assert_eq!(problems.len() as u64, check(dir, &|| {}).unwrap().pairs);
+    assert!(
+        problems.iter().all(|problem| problem.ends_with("json: all files of this pair are missing")),
+        "{problems:?}"
+    );
+}

@@ -8,7 +8,7 @@ use srflow_render::check::{CheckReport, Problem, Rerendered, check, check_hashes
 
 use super::render::print_statistics;
 use crate::Context;
-use crate::progress::bar;
+use crate::progress::{Lines, bar};
 
 /// Open every file of a dataset and report problems
 #[derive(Args)]
@@ -22,7 +22,7 @@ Opens every file, compares it with dataset.json, and compares dataset.json with 
 back by the flow: on the head, where a pixel is visible in both frames, the difference to frame 1 must be small. With --hashes \
 and --rerender, only those checks are made. The exit code is 1 when there is a problem.")]
 pub struct Check {
-    /// Folder of a dataset written by `srflow render`
+    /// Folder of a dataset written by `srflow render`; with --hashes also by `srflow shapes` or `srflow mer synth`
     #[arg(value_name = "DIR")]
     dir: PathBuf,
     /// Compare every file with its hash in SHA256SUMS instead, which `sha256sum -c SHA256SUMS` does too
@@ -55,12 +55,16 @@ struct Report {
 }
 
 pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
-    let pairs = Manifest::read(&args.dir)?.pairs();
+    let lines = Lines::new();
     let mut report =
         Report { content: None, hashed_files: None, rerendered: None, hash_problems: Vec::new() };
     if args.hashes {
-        let bar = bar(None, "{spinner} {pos} files hashed, {per_sec}");
-        let result = check_hashes(&args.dir, &|files| bar.set_position(files));
+        let bar = bar(0, "{wide_bar} {pos}/{len} files hashed, {eta} left");
+        let result = check_hashes(&args.dir, &|files, all| {
+            bar.set_length(all);
+            bar.set_position(files);
+            lines.now_and_then(&bar, "files hashed");
+        });
         bar.finish_and_clear();
         let (files, problems) = result?;
         (report.hashed_files, report.hash_problems) = (Some(files), problems);
@@ -68,14 +72,21 @@ pub fn run(args: Check, context: &Context) -> anyhow::Result<()> {
     if let Some(count) = args.rerender {
         let clock =
             || SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_nanos() as u64);
+        let pairs = Manifest::read(&args.dir)?.pairs();
         let bar = bar(count.min(pairs), "{wide_bar} {pos}/{len} pairs rendered, {eta} left");
-        let result = check_rerendered(&args.dir, count, args.seed.unwrap_or_else(clock), &|| bar.inc(1));
+        let result = check_rerendered(&args.dir, count, args.seed.unwrap_or_else(clock), &|| {
+            bar.inc(1);
+            lines.now_and_then(&bar, "pairs rendered");
+        });
         bar.finish_and_clear();
         report.rerendered = Some(result?);
     }
     if !args.hashes && args.rerender.is_none() {
-        let bar = bar(pairs, "{wide_bar} {pos}/{len} pairs, {eta} left");
-        let result = check(&args.dir, &|| bar.inc(1));
+        let bar = bar(Manifest::read(&args.dir)?.pairs(), "{wide_bar} {pos}/{len} pairs, {eta} left");
+        let result = check(&args.dir, &|| {
+            bar.inc(1);
+            lines.now_and_then(&bar, "pairs");
+        });
         bar.finish_and_clear();
         report.content = Some(result?);
     }

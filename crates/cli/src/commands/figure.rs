@@ -16,6 +16,7 @@ use srflow_read::flow::{DatasetSpec, FlowDataset, Split};
 
 use crate::Context;
 use crate::methods::{self, Method, MethodParameters, MethodSpec};
+use crate::opening::open_dataset;
 use crate::output::{ensure_folder, ensure_free, print_json};
 use crate::progress::bar;
 use crate::usage::wrong_usage;
@@ -461,7 +462,7 @@ fn chosen(dataset: &FlowDataset, samples: &[String]) -> anyhow::Result<Vec<usize
 }
 
 fn of_dataset(args: &Figure, spec: &DatasetSpec, formats: &[Format]) -> anyhow::Result<(Plan, Vec<Pair>)> {
-    let dataset = FlowDataset::open(spec, args.split)?;
+    let dataset = open_dataset(spec, args.split)?;
     let chosen = chosen(&dataset, &args.samples)?;
     let dataset = dataset.only(&chosen);
     let names: Vec<String> = dataset.entries().iter().map(|entry| entry.id()).collect();

@@ -8,7 +8,7 @@ use srflow_read::packed::{PackError, PackEvent, PackReport, PackRequest, PackSet
 use crate::Context;
 use crate::interrupt::{self, Continuable};
 use crate::output::ensure_folder;
-use crate::progress::bar;
+use crate::progress::{Lines, bar};
 use crate::rendering::exit_if_stopped;
 use crate::usage::wrong_usage;
 
@@ -64,18 +64,23 @@ pub fn run(args: Pack, context: &Context) -> anyhow::Result<()> {
     let bar = bar(0, "{wide_bar} {pos}/{len} pairs, {msg}, {eta} left");
     let settings = PackSettings { flow: args.flow, shard_size: args.shard_size };
     let total = Cell::new(0.0);
-    let on_event = |event| match event {
-        PackEvent::Started { pairs, whole, bytes } => {
-            total.set(bytes as f64 / 1e9);
-            bar.set_length(pairs);
-            bar.set_position(whole);
-            bar.reset_eta();
-            bar.reset_elapsed();
+    let lines = Lines::new();
+    let on_event = |event| {
+        match event {
+            PackEvent::Found { pairs } => bar.set_message(format!("{pairs} found")),
+            PackEvent::Started { pairs, whole, bytes } => {
+                total.set(bytes as f64 / 1e9);
+                bar.set_length(pairs);
+                bar.set_position(whole);
+                bar.reset_eta();
+                bar.reset_elapsed();
+            }
+            PackEvent::Packed { bytes } => {
+                bar.inc(1);
+                bar.set_message(format!("{:.2} GB of about {:.2} GB", bytes as f64 / 1e9, total.get()));
+            }
         }
-        PackEvent::Packed { bytes } => {
-            bar.inc(1);
-            bar.set_message(format!("{:.2} GB of about {:.2} GB", bytes as f64 / 1e9, total.get()));
-        }
+        lines.now_and_then(&bar, "pairs");
     };
     let request = PackRequest {
         dir: &args.dir,

@@ -15,6 +15,7 @@ use srflow_splat::{SplatFormat, Up, read_gaussians};
 use srflow_view::{Answer, Pack, Page, Server, ViewedFlow, ViewedMotion, ViewedPair};
 
 use crate::methods::{self, Method, MethodParameters, MethodSpec, Source};
+use crate::opening::open_dataset;
 use crate::output::{ensure_extension, ensure_free, print_json};
 use crate::posed_head::{FRAMES_PER_SECOND, MovingHead};
 use crate::progress::bar;
@@ -151,7 +152,7 @@ fn open(args: &View) -> anyhow::Result<Opened> {
             Opened::Whole { title, main }
         }
         Thing::Dataset(spec) => {
-            let dataset = FlowDataset::open(&spec, args.split)?;
+            let dataset = open_dataset(&spec, args.split)?;
             let limit = args.limit.map(|limit| limit as usize);
             let methods = match args.method.is_empty() {
                 true => Vec::new(),
@@ -164,7 +165,7 @@ fn open(args: &View) -> anyhow::Result<Opened> {
             Opened::Pairs(Pairs { title: args.thing.clone(), kind: PairKind::Flows(files) })
         }
         Thing::Results { dataset, split, limit, methods } => {
-            let dataset = FlowDataset::open(&dataset, Some(split))?;
+            let dataset = open_dataset(&dataset, Some(split))?;
             let methods = methods::sources(&methods, &args.parameters, &dataset, limit)?;
             let title = format!("{}, {} split", args.thing, dataset.split());
             Opened::Pairs(Pairs { title, kind: PairKind::Dataset(dataset, methods) })

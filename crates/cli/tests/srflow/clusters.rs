@@ -129,6 +129,8 @@ fn parts_of_scenes_and_of_clips_merge_too() {
         let merged = at("merged");
         succeeds(&merge(&[&at("one"), &at("two")], &merged, &[]));
         assert_eq!(tree(&merged), tree(&at("whole")), "{kind}");
+        let check = crate::srflow().args(["check", "--hashes", "--json"]).arg(&merged).output().unwrap();
+        assert_eq!(json(&check)["hashed_files"], tree(&merged).len() - 1, "{kind}");
     }
 
     // The hashes are those of sha256sum, and tell every change.
@@ -310,6 +312,69 @@ fn a_signal_ends_a_run_that_the_same_command_continues() {
     assert_eq!(json(&larger(&ended).output().unwrap())["made"], 150 - made);
     assert_eq!(json(&larger(&through).output().unwrap())["made"], 150);
     assert_eq!(tree(&ended), tree(&through));
+}
+
+/// Many parts, as on a cluster: some are killed and run again, some are given to two processes at a time, and others share a folder.
+#[cfg(unix)]
+#[test]
+fn nothing_is_lost_where_parts_are_killed_and_given_twice() {
+    use std::process::{Child, Stdio};
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let pairs = ["--pairs", "96", "--size", "96x64", "--seed", "5", "--threads", "1"];
+    let part = |number: usize, out: &Path| {
+        let mut command = crate::srflow();
+        command.arg("shapes").args(pairs).args(["--shard", &format!("{number}/12"), "--out"]).arg(out);
+        command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    };
+    let ends = |child: Child| succeeds(&child.wait_with_output().unwrap());
+    succeeds(&crate::srflow().arg("shapes").args(pairs).arg("--out").arg(at("whole")).output().unwrap());
+
+    for number in 1..=8 {
+        let out = at(&format!("part-{number}"));
+        let mut first = part(number, &out).spawn().unwrap();
+        let begun = || fs::read_dir(out.join("data")).is_ok_and(|files| files.count() > number);
+        wait_for(&mut first, begun);
+        match number % 4 {
+            0 => terminate(&first),
+            1 => first.kill().unwrap(),
+            // Two processes, of which the second one begins while the first one writes.
+            _ => _ = ends(part(number, &out).spawn().unwrap()),
+        }
+        let first = first.wait_with_output().unwrap();
+        match number % 4 {
+            0 => assert_eq!(first.status.code(), Some(75), "{first:?}"),
+            1 => assert_eq!(first.status.code(), None, "{first:?}"),
+            _ => _ = succeeds(&first),
+        }
+        ends(part(number, &out).spawn().unwrap());
+    }
+    // Those that begin at the same time in one folder.
+    let shared: Vec<Child> =
+        [9, 10, 11, 12, 9, 12].map(|number| part(number, &at("shared")).spawn().unwrap()).into();
+    for child in shared {
+        ends(child);
+    }
+
+    let mut parts: Vec<PathBuf> = (1..=8).map(|number| at(&format!("part-{number}"))).collect();
+    parts.push(at("shared"));
+    let parts: Vec<&Path> = parts.iter().map(PathBuf::as_path).collect();
+    // As a merge leaves them that is killed while it hashes, and while it copies.
+    let (hashes, copy) = (".SHA256SUMS.7-1.partial", "data/.00096_img1.png.7-2.partial");
+    for (name, more, left) in [("linked", &[][..], &[hashes][..]), ("copied", &["--copy"], &[hashes, copy])] {
+        let merged = at(name);
+        succeeds(&merge(&parts[..3], &merged, &[more, &["--partial"]].concat()));
+        for file in left {
+            fs::write(merged.join(file), "half").unwrap();
+        }
+        let report = json(&merge(&parts, &merged, &[more, &["--json"]].concat()));
+        assert_eq!((&report["merged"], &report["complete"]), (&value!(72), &value!(true)));
+        assert_eq!(tree(&merged), tree(&at("whole")), "{name}");
+        let report =
+            json(&crate::srflow().args(["check", "--hashes", "--json"]).arg(&merged).output().unwrap());
+        assert_eq!(report["hashed_files"], tree(&merged).len() - 1);
+    }
 }
 
 #[cfg(unix)]

@@ -1,7 +1,9 @@
 //! The files of a pair, on disk or in a tar.
 
-use std::borrow::Cow;
+use std::collections::HashMap;
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use srflow_field::{
     Array, FileBytes, FileError, FlowField, Image, Labels, Mask, Plane, read_flow, read_grey16, read_image,
@@ -11,36 +13,56 @@ use srflow_field::{
 use super::DatasetError;
 use crate::packed::{Contents, Member};
 
-/// A file of a pair.
+/// A file of a pair. Those of a million pairs are in memory at once.
 #[derive(Debug, Clone, PartialEq)]
 pub enum EntryFile {
-    /// On disk.
-    Path(PathBuf),
+    /// On disk: its folder, which may be shared with other files, and its name there.
+    OnDisk { folder: Arc<PathBuf>, name: Box<OsStr> },
     /// A member of a tar, on disk or on the web.
     Member(Member),
 }
 
 impl From<PathBuf> for EntryFile {
     fn from(path: PathBuf) -> Self {
-        Self::Path(path)
+        let (folder, name) = match (path.parent(), path.file_name()) {
+            (Some(folder), Some(name)) => (folder.to_owned(), name.into()),
+            _ => (PathBuf::new(), path.as_os_str().into()),
+        };
+        Self::OnDisk { folder: Arc::new(folder), name }
     }
 }
 
 impl EntryFile {
     /// The name in messages: a member has that of its tar as its folder.
-    pub fn path(&self) -> Cow<'_, Path> {
+    pub fn path(&self) -> PathBuf {
         match self {
-            Self::Path(path) => Cow::Borrowed(path),
-            Self::Member(member) => Cow::Owned(member.path()),
+            Self::OnDisk { folder, name } => folder.join(&**name),
+            Self::Member(member) => member.path(),
         }
     }
 
     /// The path, if it is a file of its own on disk.
-    pub fn on_disk(&self) -> Option<&Path> {
+    pub fn on_disk(&self) -> Option<PathBuf> {
         match self {
-            Self::Path(path) => Some(path),
+            Self::OnDisk { .. } => Some(self.path()),
             Self::Member(_) => None,
         }
+    }
+}
+
+/// The folders of files that are listed, each in memory once.
+#[derive(Default)]
+pub(super) struct Folders(HashMap<PathBuf, Arc<PathBuf>>);
+
+impl Folders {
+    /// The file at `path`.
+    pub fn file(&mut self, path: PathBuf) -> EntryFile {
+        let (Some(parent), Some(name)) = (path.parent(), path.file_name()) else { return path.into() };
+        let folder = match self.0.get(parent) {
+            Some(folder) => folder.clone(),
+            None => self.0.entry(parent.to_owned()).or_insert(Arc::new(parent.to_owned())).clone(),
+        };
+        EntryFile::OnDisk { folder, name: name.into() }
     }
 }
 
@@ -53,7 +75,7 @@ impl Opened {
     /// Reads the members among the files, which must be those of one pair.
     pub fn of<'a>(files: impl IntoIterator<Item = &'a EntryFile>) -> Result<Self, DatasetError> {
         let member = |file: &'a EntryFile| match file {
-            EntryFile::Path(_) => None,
+            EntryFile::OnDisk { .. } => None,
             EntryFile::Member(member) => Some(member),
         };
         let members: Vec<&Member> = files.into_iter().filter_map(member).collect();
@@ -87,7 +109,7 @@ impl Opened {
             return self.decode(file, read_mask, |bytes| bytes.mask());
         }
         let array: Array = self.decode(file, read_npy, |bytes| bytes.npy())?;
-        let wrong = |reason| DatasetError::Format { path: path.clone().into_owned(), reason };
+        let wrong = |reason| DatasetError::Format { path: path.clone(), reason };
         let [height, width] = array.shape[..] else {
             return Err(wrong(format!("shape {:?}: expected (H, W) for a mask", array.shape)));
         };
@@ -102,7 +124,7 @@ impl Opened {
         decode: impl FnOnce(FileBytes) -> Result<T, FileError>,
     ) -> Result<T, DatasetError> {
         Ok(match file {
-            EntryFile::Path(path) => read(path)?,
+            EntryFile::OnDisk { folder, name } => read(&folder.join(&**name))?,
             EntryFile::Member(member) => {
                 decode(FileBytes { name: &member.path(), bytes: self.contents.get(member) })?
             }

@@ -2,20 +2,29 @@ use std::path::{Path, PathBuf};
 
 use super::error::DatasetError;
 
-/// Missing and extra files of a dataset, collected while listing and reported together at the end.
+/// Missing and extra files of a dataset, collected while listing and reported together at the end; and how many pairs were listed so far.
 pub struct Gaps {
     kind: String,
     dir: PathBuf,
     count: usize,
     listed: Vec<String>,
+    pairs: u64,
+    on_pairs: Box<dyn Fn(u64)>,
 }
 
 impl Gaps {
     /// How many gaps are listed; the rest are counted.
     const NAMED: usize = 8;
 
-    pub fn new(kind: String, dir: &Path) -> Self {
-        Self { kind, dir: dir.to_owned(), count: 0, listed: Vec::new() }
+    /// `on_pairs` is called with the number of pairs that were listed so far.
+    pub fn new(kind: String, dir: &Path, on_pairs: Box<dyn Fn(u64)>) -> Self {
+        Self { kind, dir: dir.to_owned(), count: 0, listed: Vec::new(), pairs: 0, on_pairs }
+    }
+
+    /// Counts pairs that were listed.
+    pub fn listed(&mut self, pairs: u64) {
+        self.pairs += pairs;
+        (self.on_pairs)(self.pairs);
     }
 
     /// `path` as shown in messages about this dataset.

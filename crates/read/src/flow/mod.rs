@@ -127,10 +127,22 @@ impl FlowDataset {
     /// # Errors
     /// When the folder does not have the layout of its kind, contains no pair, or files lack their counterparts.
     pub fn open(spec: &DatasetSpec, split: Option<Split>) -> Result<Self, DatasetError> {
+        Self::open_watched(spec, split, |_| {})
+    }
+
+    /// [`FlowDataset::open`], which calls `on_pairs` with the number of pairs that were listed so far, of datasets that may have millions.
+    ///
+    /// # Errors
+    /// Those of [`FlowDataset::open`].
+    pub fn open_watched(
+        spec: &DatasetSpec,
+        split: Option<Split>,
+        on_pairs: impl Fn(u64) + 'static,
+    ) -> Result<Self, DatasetError> {
         let reader = kind::reader_of(&spec.kind)?;
         let name = reader.name();
         let split = split.unwrap_or_else(|| reader.default_split());
-        let mut gaps = Gaps::new(name.clone(), &spec.dir);
+        let mut gaps = Gaps::new(name.clone(), &spec.dir, Box::new(on_pairs));
         let entries = reader.pairs(&spec.dir, split, &mut gaps)?;
         gaps.finish()?;
         if entries.is_empty() {
@@ -206,5 +218,25 @@ impl FlowDataset {
     /// When a file cannot be read, is corrupt, or has another size than frame 1.
     pub fn read(&self, entry: &Entry) -> Result<Sample, DatasetError> {
         self.truth.read(entry)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A list of a million pairs is in memory at once.
+    #[test]
+    fn pairs_are_small() {
+        assert!(size_of::<Entry>() <= 272, "{}", size_of::<Entry>());
+        let mut folders = file::Folders::default();
+        let [one, other] = ["d/e/1.png", "d/e/2.png"].map(|path| folders.file(path.into()));
+        let (EntryFile::OnDisk { folder, .. }, EntryFile::OnDisk { folder: same, .. }) = (&one, &other)
+        else {
+            panic!("{one:?}")
+        };
+        assert!(std::sync::Arc::ptr_eq(folder, same));
+        assert_eq!((one.path(), &other), (PathBuf::from("d/e/1.png"), &PathBuf::from("d/e/2.png").into()));
+        assert_eq!(EntryFile::from(PathBuf::from("..")).path(), PathBuf::from(".."));
     }
 }

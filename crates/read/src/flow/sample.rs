@@ -60,12 +60,7 @@ impl Truth {
             if found == expected {
                 return Ok(());
             }
-            Err(DatasetError::SizeMismatch {
-                path: file.path().into_owned(),
-                found,
-                frame: entry.frame1.path().into_owned(),
-                expected,
-            })
+            Err(DatasetError::SizeMismatch { path: file.path(), found, frame: entry.frame1.path(), expected })
         };
         let frame2 = files.image(&entry.frame2)?;
         fits(&entry.frame2, frame2.size(), 1)?;
@@ -152,7 +147,7 @@ impl Entry {
         if found == expected {
             return Ok(());
         }
-        let [path, frame] = [file, &self.frame1].map(|file| file.path().into_owned());
+        let [path, frame] = [file, &self.frame1].map(|file| file.path());
         Err(DatasetError::SizeMismatch { path, found, frame, expected })
     }
 }

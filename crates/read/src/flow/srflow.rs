@@ -1,8 +1,9 @@
 //! SRFlow as written by `srflow render`: `dataset.json` lists the scenes, their splits and their files (see
 //! [`crate::manifest`]).
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use super::file::Folders;
 use super::gaps::Gaps;
 use super::listing;
 use super::sequence::Direction;
@@ -47,47 +48,50 @@ impl Reader for SrFlow {
         if !manifest.scenes.iter().any(|scene| chosen(&scene)) {
             return Err(DatasetError::NoSplit { kind: self.name(), split, available: splits_of(&manifest) });
         }
-        let mut entries = Vec::new();
+        let mut complete = Vec::new();
         for scene in manifest.scenes.iter().filter(chosen) {
-            self.scene(&manifest, dir, scene, gaps, &mut entries)?;
+            // A pair's record is written last, so the records count the complete pairs.
+            let records = dir.join(scene.split.to_string()).join("pairs").join(&scene.name);
+            let whole = listing::files_if_there(&records, &["json"])?.len();
+            if u64::from(scene.pairs) > whole as u64 {
+                let advice = "run `srflow render` with the same arguments to render the rest";
+                gaps.push(format!("{}: {whole} of {} pairs exist; {advice}", scene.name, scene.pairs));
+            } else {
+                complete.push(scene);
+            }
+        }
+        let mut entries = Vec::new();
+        // A list that grows is in memory twice.
+        _ = entries.try_reserve_exact(complete.iter().map(|scene| scene.pairs as usize).sum());
+        let mut folders = Folders::default();
+        for scene in complete {
+            for pair in 0..scene.pairs {
+                let entry = self.entry(&manifest, dir, scene, pair, &mut folders);
+                let record = manifest.files(dir, scene, pair).record;
+                let needed = entry.files().filter_map(EntryFile::on_disk).chain([record]);
+                let missing: Vec<PathBuf> = needed.filter(|path| !path.is_file()).collect();
+                for path in &missing {
+                    gaps.push(format!("no {}", gaps.shown(path)));
+                }
+                if missing.is_empty() {
+                    entries.push(entry);
+                }
+                gaps.listed(1);
+            }
         }
         Ok(entries)
     }
 }
 
 impl SrFlow {
-    fn scene(
+    fn entry(
         &self,
         manifest: &Manifest,
         dir: &Path,
         scene: &SceneEntry,
-        gaps: &mut Gaps,
-        entries: &mut Vec<Entry>,
-    ) -> Result<(), DatasetError> {
-        // A pair's record is written last, so the records count the complete pairs.
-        let records = dir.join(scene.split.to_string()).join("pairs").join(&scene.name);
-        let whole = listing::files_if_there(&records, &["json"])?.len();
-        if u64::from(scene.pairs) > whole as u64 {
-            let advice = "run `srflow render` with the same arguments to render the rest";
-            gaps.push(format!("{}: {whole} of {} pairs exist; {advice}", scene.name, scene.pairs));
-            return Ok(());
-        }
-        for pair in 0..scene.pairs {
-            let entry = self.entry(manifest, dir, scene, pair);
-            let record = manifest.files(dir, scene, pair).record;
-            let needed = entry.files().filter_map(EntryFile::on_disk).chain([record.as_path()]);
-            let missing: Vec<_> = needed.filter(|path| !path.is_file()).collect();
-            for path in &missing {
-                gaps.push(format!("no {}", gaps.shown(path)));
-            }
-            if missing.is_empty() {
-                entries.push(entry);
-            }
-        }
-        Ok(())
-    }
-
-    fn entry(&self, manifest: &Manifest, dir: &Path, scene: &SceneEntry, pair: u32) -> Entry {
+        pair: u32,
+        folders: &mut Folders,
+    ) -> Entry {
         let files = manifest.files(dir, scene, pair);
         let (frames, flow, occlusion) = match self.direction {
             Direction::Forward => ([pair, pair.saturating_add(1)], Some(files.flow), Some(files.occlusion)),
@@ -97,13 +101,13 @@ impl SrFlow {
         Entry {
             scene: scene.name.clone(),
             frame: listing::stem(&first.frame),
-            frame1: first.frame.into(),
-            frame2: second.frame.into(),
-            flow: flow.map(Into::into),
-            mask: Some(first.mask.into()),
-            occlusion: occlusion.map(|path| Occlusion::Picture(path.into())),
-            regions: first.regions.map(Into::into),
-            depth: first.depth.map(Into::into),
+            frame1: folders.file(first.frame),
+            frame2: folders.file(second.frame),
+            flow: flow.map(|path| folders.file(path)),
+            mask: Some(folders.file(first.mask)),
+            occlusion: occlusion.map(|path| Occlusion::Picture(folders.file(path))),
+            regions: first.regions.map(|path| folders.file(path)),
+            depth: first.depth.map(|path| folders.file(path)),
         }
     }
 }

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use super::file::Folders;
 use super::gaps::Gaps;
 use super::listing;
 use super::{DatasetError, Entry, Occlusion};
@@ -31,7 +32,8 @@ pub fn triplets(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError>
     let mut names = Vec::from_iter(names);
     names.sort_by(|a, b| listing::natural_order(a, b));
     let with_flow = !found[2].is_empty();
-    let mut entries = Vec::new();
+    let mut entries = Vec::with_capacity(names.len());
+    let mut folders = Folders::default();
     for name in names {
         let [frame1, frame2, flow, mask, occlusion, regions] =
             found.each_mut().map(|files| files.remove(&name));
@@ -44,19 +46,20 @@ pub fn triplets(dir: &Path, gaps: &mut Gaps) -> Result<Vec<Entry>, DatasetError>
             gaps.push(format!("{name}: no {}.*", gaps.shown(&dir.join(format!("{name}{suffix}")))));
         }
         if let (Some(frame1), Some(frame2)) = (frame1, frame2) {
-            let occlusion = occlusion.map(|path| Occlusion::Picture(path.into()));
+            let occlusion = occlusion.map(|path| Occlusion::Picture(folders.file(path)));
             let scene = String::new();
             entries.push(Entry {
                 scene,
                 frame: name,
-                frame1: frame1.into(),
-                frame2: frame2.into(),
-                flow: flow.map(Into::into),
-                mask: mask.map(Into::into),
+                frame1: folders.file(frame1),
+                frame2: folders.file(frame2),
+                flow: flow.map(|path| folders.file(path)),
+                mask: mask.map(|path| folders.file(path)),
                 occlusion,
-                regions: regions.map(Into::into),
+                regions: regions.map(|path| folders.file(path)),
                 depth: None,
             });
+            gaps.listed(1);
         }
     }
     Ok(entries)

@@ -55,7 +55,13 @@ impl Reader for Wds {
         let mut pairs = Pairs { split, direction: self.direction, counts: [0; 4], entries: Vec::new() };
         let place = Place::of(dir);
         match tars(dir, &place)? {
-            None => read_index(&place, self.fields(), &mut |pair| pairs.add(pair, gaps))?,
+            None => read_index(&place, self.fields(), &mut |pair, about| {
+                // A list that grows is in memory twice.
+                if pairs.entries.is_empty() {
+                    _ = pairs.entries.try_reserve_exact(about);
+                }
+                pairs.add(pair, gaps);
+            })?,
             Some(tars) => {
                 for tar in tars {
                     let split = split_of(&tar);
@@ -152,6 +158,7 @@ impl Pairs {
             return;
         }
         self.counts[number] += 1;
+        gaps.listed(1);
         if chosen.is_some() && chosen != split {
             return;
         }

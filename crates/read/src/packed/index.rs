@@ -1,8 +1,10 @@
 //! `index.jsonl`: where the members of each pair are, so that any pair can be read without the ones before it.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use srflow_field::{excerpt, parse_error_in_words};
 
@@ -85,15 +87,39 @@ impl FlowStatistics {
     }
 }
 
-/// What a reader needs of a line.
+/// What a reader needs of a line; text is that of the line, which has no escapes where `srflow pack` wrote it.
 #[derive(Deserialize)]
-struct ReadRecord {
-    key: String,
+struct ReadRecord<'a> {
+    #[serde(borrow)]
+    key: Cow<'a, str>,
     split: SceneSplit,
-    scene: String,
-    frame: String,
-    tar: String,
-    members: BTreeMap<String, MemberRecord>,
+    #[serde(borrow)]
+    scene: Cow<'a, str>,
+    #[serde(borrow)]
+    frame: Cow<'a, str>,
+    #[serde(borrow)]
+    tar: Cow<'a, str>,
+    #[serde(borrow)]
+    members: BTreeMap<Ending<'a>, ReadMember<'a>>,
+}
+
+/// The end of a member's name.
+#[derive(Deserialize, PartialEq, Eq, PartialOrd, Ord)]
+#[serde(transparent)]
+struct Ending<'a>(#[serde(borrow)] Cow<'a, str>);
+
+impl AsRef<str> for Ending<'_> {
+    fn as_ref(&self) -> &str {
+        &self.0
+    }
+}
+
+#[derive(Deserialize)]
+struct ReadMember<'a> {
+    offset: u64,
+    size: u64,
+    #[serde(borrow)]
+    sha256: Cow<'a, str>,
 }
 
 /// A pair of a packed dataset.
@@ -105,62 +131,90 @@ pub(crate) struct Listing {
     pub members: SampleMembers,
 }
 
-/// Reads the index of a packed dataset in the folder `dir`, a part at a time. Members of other fields than `fields` are left out.
+/// Reads the index of a packed dataset in the folder `dir`, a part at a time. Members of other fields than `fields` are left out. Calls
+/// `on_pair` with each pair, and about how many pairs there are.
 ///
 /// # Errors
 /// When it cannot be read, or a line has other content than `srflow pack` writes.
 pub(crate) fn read_index(
     dir: &Place,
     fields: &[&str],
-    on_pair: &mut dyn FnMut(Listing),
+    on_pair: &mut dyn FnMut(Listing, usize),
 ) -> Result<(), DatasetError> {
     let place = dir.join(INDEX_NAME);
     let mut tars: BTreeMap<String, Arc<Tar>> = BTreeMap::new();
     let mut last = Arc::from([]);
-    let (mut number, mut pairs) = (0, 0);
-    let mut on_line = |line: &[u8]| {
-        number += 1;
-        let wrong = |reason: String| DatasetError::Format {
-            path: place.path(),
-            reason: format!("line {number}: {reason}; copy the index again, or pack the dataset again"),
-        };
-        if line.is_empty() {
-            return Ok(());
-        }
-        let record: ReadRecord =
-            serde_json::from_slice(line).map_err(|error| wrong(parse_error_in_words(&error)))?;
-        check(&record).map_err(wrong)?;
-        pairs += 1;
-        if pairs > MOST_PAIRS {
-            return Err(wrong(format!("expected at most {MOST_PAIRS} pairs, found more")));
-        }
-        let ReadRecord { key, split, scene, frame, tar, members } = record;
-        let tar = match tars.get(&tar) {
-            Some(tar) => tar.clone(),
-            None => {
-                let found = Arc::new(Tar { place: dir.join(&tar) });
-                tars.insert(tar, found.clone());
-                found
+    let (mut number, mut pairs, mut about) = (0, 0, None);
+    let mut on_block = |block: &[u8], total: u64| {
+        let parsed: Vec<_> = block
+            .par_split(|byte| *byte == b'\n')
+            .map(|line| (!line.is_empty()).then(|| ReadPair::parse(line, fields)).transpose())
+            .collect();
+        let about = *about.get_or_insert_with(|| {
+            let found = parsed.iter().filter(|parsed| matches!(parsed, Ok(Some(_)))).count() as u64;
+            usize::try_from(total.saturating_mul(found) / (block.len() as u64 + 1))
+                .unwrap_or(MOST_PAIRS)
+                .min(MOST_PAIRS)
+        });
+        for parsed in parsed {
+            number += 1;
+            let wrong = |reason: String| DatasetError::Format {
+                path: place.path(),
+                reason: format!("line {number}: {reason}; copy the index again, or pack the dataset again"),
+            };
+            let Some(ReadPair { record, endings, spans }) = parsed.map_err(wrong)? else { continue };
+            pairs += 1;
+            if pairs > MOST_PAIRS {
+                return Err(wrong(format!("expected at most {MOST_PAIRS} pairs, found more")));
             }
-        };
-        let (mut endings, mut spans): (Vec<Box<str>>, Vec<Span>) = Default::default();
-        for (ending, member) in members {
-            if !fields.contains(&field_of(&ending)) {
+            let ReadRecord { key, split, scene, frame, tar, .. } = record;
+            let tar = match tars.get(&*tar) {
+                Some(tar) => tar.clone(),
+                None => {
+                    let found = Arc::new(Tar { place: dir.join(&tar) });
+                    tars.insert(tar.into_owned(), found.clone());
+                    found
+                }
+            };
+            let endings = shared(&endings, &mut last);
+            let members = SampleMembers { tar, key: key.into(), endings, spans };
+            let (scene, frame) = (scene.into_owned(), frame.into_owned());
+            on_pair(Listing { split: Some(split), scene, frame, members }, about);
+        }
+        Ok(())
+    };
+    blocks(&place, &mut on_block)
+}
+
+/// A line that was read, with the members that are asked for.
+struct ReadPair<'a> {
+    /// Without its members.
+    record: ReadRecord<'a>,
+    endings: Vec<Ending<'a>>,
+    spans: Box<[Span]>,
+}
+
+impl<'a> ReadPair<'a> {
+    /// # Errors
+    /// What was expected, and what was found.
+    fn parse(line: &'a [u8], fields: &[&str]) -> Result<Self, String> {
+        let mut record: ReadRecord =
+            serde_json::from_slice(line).map_err(|error| parse_error_in_words(&error))?;
+        check(&record)?;
+        let (mut endings, mut spans) = (Vec::new(), Vec::new());
+        for (ending, member) in std::mem::take(&mut record.members) {
+            if !fields.contains(&field_of(ending.as_ref())) {
                 continue;
             }
             let digest = digest(&member.sha256).ok_or_else(|| {
-                wrong(format!("sha256: expected 64 hexadecimal digits, found `{}`", excerpt(&member.sha256)))
+                format!("sha256: expected 64 hexadecimal digits, found `{}`", excerpt(&member.sha256))
             })?;
             let Ok(size) = u32::try_from(member.size) else { continue }; // checked above
-            endings.push(ending.into());
+            endings.push(ending);
             spans.push(Span { offset: member.offset, size, sha256: Some(digest) });
         }
-        let endings = shared(endings, &mut last);
-        let members = SampleMembers { tar, key: key.into(), endings, spans: spans.into() };
-        on_pair(Listing { split: Some(split), scene, frame, members });
-        Ok(())
-    };
-    lines(&place, &mut on_line)
+        Ok(Self { record, endings, spans: spans.into() })
+    }
 }
 
 /// # Errors
@@ -182,7 +236,7 @@ fn check(record: &ReadRecord) -> Result<(), String> {
             excerpt(&record.tar)
         ));
     }
-    for (ending, member) in &record.members {
+    for (Ending(ending), member) in &record.members {
         let is_name = ending.len() <= 40 && ending.split('.').all(is_plain);
         if !is_name {
             let ending = excerpt(ending);
@@ -190,7 +244,7 @@ fn check(record: &ReadRecord) -> Result<(), String> {
         }
         let end = member.offset.checked_add(member.size);
         if end.is_none_or(|end| end > i64::MAX as u64) || member.size > LARGEST_MEMBER.into() {
-            let MemberRecord { offset, size, .. } = member;
+            let ReadMember { offset, size, .. } = member;
             return Err(format!(
                 "{ending}: expected at most {LARGEST_MEMBER} bytes inside a tar, found {size} bytes from byte {offset}"
             ));
@@ -217,32 +271,26 @@ pub(crate) fn lines(
     place: &Place,
     on_line: &mut dyn FnMut(&[u8]) -> Result<(), DatasetError>,
 ) -> Result<(), DatasetError> {
+    blocks(place, &mut |block, _| block.split(|byte| *byte == b'\n').try_for_each(&mut *on_line))
+}
+
+/// Calls `on_block` with the lines of a file, many at a time, without the last line break, and with the size of the file in bytes.
+fn blocks(
+    place: &Place,
+    on_block: &mut dyn FnMut(&[u8], u64) -> Result<(), DatasetError>,
+) -> Result<(), DatasetError> {
     let wrong = |reason: String| DatasetError::Format { path: place.path(), reason };
     let (mut pending, mut offset) = (Vec::new(), 0_u64);
     loop {
         let part = place.read_up_to(offset..offset + CHUNK)?;
         offset += part.bytes.len() as u64;
-        let mut rest = &part.bytes[..];
-        loop {
-            let end = rest.iter().position(|byte| *byte == b'\n');
-            let line = &rest[..end.unwrap_or(rest.len())];
-            if pending.len() + line.len() > LONGEST_LINE {
-                return Err(wrong(format!(
-                    "expected lines of at most {LONGEST_LINE} bytes, found a longer one"
-                )));
-            }
-            let Some(end) = end else {
-                pending.extend(line);
-                break;
-            };
-            if pending.is_empty() {
-                on_line(line)?;
-            } else {
-                pending.extend(line);
-                on_line(&pending)?;
-                pending.clear();
-            }
-            rest = &rest[end + 1..];
+        pending.extend_from_slice(&part.bytes);
+        if pending.split(|byte| *byte == b'\n').any(|line| line.len() > LONGEST_LINE) {
+            return Err(wrong(format!("expected lines of at most {LONGEST_LINE} bytes, found a longer one")));
+        }
+        if let Some(end) = pending.iter().rposition(|byte| *byte == b'\n') {
+            on_block(&pending[..end], part.total)?;
+            pending.drain(..=end);
         }
         if offset >= part.total || part.bytes.is_empty() {
             break;
@@ -264,7 +312,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join(INDEX_NAME), text).unwrap();
         let mut pairs = Vec::new();
-        let read = read_index(&Place::of(folder.path()), &["flow"], &mut |pair| pairs.push(pair));
+        let read = read_index(&Place::of(folder.path()), &["flow"], &mut |pair, _| pairs.push(pair));
         read.map(|()| pairs).map_err(|error| error.to_string())
     }
 
@@ -278,6 +326,24 @@ mod tests {
         assert!(Arc::ptr_eq(&first.members.tar, &second.members.tar));
         let record: IndexRecord = serde_json::from_str(LINE).unwrap();
         assert_eq!(serde_json::to_string(&record).unwrap(), LINE);
+    }
+
+    #[test]
+    fn an_index_is_read_in_parts() {
+        let line = |number: u32| format!("{}\n", LINE.replace("a_1", &format!("a_{number}")));
+        let pairs = 2 * CHUNK as u32 / LINE.len() as u32 + 10;
+        let text: String = (0..pairs).map(line).collect();
+        let found = read(&text).unwrap();
+        assert_eq!(found.len(), pairs as usize);
+        for (number, pair) in (0..).zip(&found) {
+            assert_eq!(*pair.members.key, format!("a_{number}"));
+        }
+        let wrong = text.replace("\"a_20001\"", "\"../a\"");
+        assert!(read(&wrong).unwrap_err().contains("line 20002: key: expected letters"));
+        assert!(read(&text[..text.len() - 1]).unwrap_err().contains("truncated"));
+        // As other programs may write text.
+        let escaped = LINE.replace("\"a_1\"", "\"\\u0061_1\"").replace("flow.npy", "flow\\u002enpy");
+        assert_eq!(&*read(format!("{escaped}\n\n")).unwrap()[0].members.key, "a_1");
     }
 
     #[test]

@@ -247,7 +247,7 @@ fn pair_of_files(scene: &str, number: u32, files: PairFiles) -> PairSource {
 }
 
 fn pair_of_entry(entry: &Entry) -> Option<PairSource> {
-    let path = |file: &EntryFile| file.on_disk().map(Path::to_owned);
+    let path = EntryFile::on_disk;
     let occlusion = match &entry.occlusion {
         Some(Occlusion::Picture(file)) => path(file),
         _ => None,

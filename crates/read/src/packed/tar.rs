@@ -50,10 +50,10 @@ pub(super) fn field_of(ending: &str) -> &str {
     ending.split('.').next().unwrap_or_default()
 }
 
-/// The list itself, or `last` if it is the same.
-pub(super) fn shared(endings: Vec<Box<str>>, last: &mut Arc<[Box<str>]>) -> Arc<[Box<str>]> {
-    if **last != *endings {
-        *last = endings.into();
+/// The list as it is kept: `last` if it is the same.
+pub(super) fn shared(endings: &[impl AsRef<str>], last: &mut Arc<[Box<str>]>) -> Arc<[Box<str>]> {
+    if !last.iter().map(|ending| &**ending).eq(endings.iter().map(AsRef::as_ref)) {
+        *last = endings.iter().map(|ending| ending.as_ref().into()).collect();
     }
     last.clone()
 }
@@ -186,7 +186,7 @@ pub(crate) fn scan(place: Place, on_sample: &mut dyn FnMut(SampleMembers)) -> Re
     let mut current: Option<(String, Vec<Box<str>>, Vec<Span>)> = None;
     let mut finish = |current: Option<(String, Vec<Box<str>>, Vec<Span>)>| {
         if let Some((key, endings, spans)) = current {
-            let (tar, endings) = (tar.clone(), shared(endings, &mut last));
+            let (tar, endings) = (tar.clone(), shared(&endings, &mut last));
             on_sample(SampleMembers { tar, key: key.into(), endings, spans: spans.into() });
         }
     };

@@ -128,6 +128,8 @@ pub struct PackRequest<'a> {
 /// Progress of [`pack`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PackEvent {
+    /// So many pairs were found in the dataset so far.
+    Found { pairs: u64 },
     /// The pairs in all, those of them in whole tars, and about how many bytes all tars will have.
     Started { pairs: u64, whole: u64, bytes: u64 },
     /// Another pair is packed; how many bytes of tars there are, those of earlier runs included.
@@ -271,7 +273,7 @@ pub fn pack(settings: PackSettings, request: &PackRequest) -> Result<PackReport,
     for folder in [out, &parts] {
         remove_partial(folder, |_, _| true)?;
     }
-    let (shards, bytes) = plan(&source, &first, settings, dir)?;
+    let (shards, bytes) = plan(&source, &first, settings, request)?;
     let pairs = shards.iter().map(|shard| shard.count).sum();
     let mut kept = shards.iter().map(|shard| whole(out, shard)).collect::<Result<Vec<_>, _>>()?;
     let whole = kept.iter().flatten().map(|tar| tar.pairs).sum();
@@ -335,15 +337,16 @@ fn plan(
     source: &Source,
     first: &PairSource,
     settings: PackSettings,
-    dir: &Path,
+    request: &PackRequest,
 ) -> Result<(Vec<Shard>, u64), PackError> {
+    let dir = request.dir;
     // Files of flow grow alike when they are converted.
     let flow = read_flow(&first.flow)?;
     let converted = encoded(settings.flow, source.flow_format(), &first.flow, &flow)?.len() as f64;
     let raw = matches!(settings.flow, PackedFlow::Npy | PackedFlow::Npy32);
     let growth = converted / fs::metadata(&first.flow).map_or(1, |metadata| metadata.len().max(1)) as f64;
     let mut missing = Missing::default();
-    let (mut shards, mut total) = (Vec::new(), 0);
+    let (mut shards, mut total, mut found) = (Vec::new(), 0, 0);
     for split in SceneSplit::ALL {
         let pairs = source.pairs(split);
         let mut bytes = 0;
@@ -359,6 +362,8 @@ fn plan(
                 let stored = missing.size(dir, path) as f64;
                 bytes += with_header(if raw { converted } else { stored * growth } as u64);
             }
+            found += 1;
+            (request.on_event)(PackEvent::Found { pairs: found });
             Ok::<_, PackError>(())
         })?;
         let count = bytes.div_ceil(settings.shard_size).clamp(1, pairs.max(1));

@@ -3,7 +3,7 @@
 use std::collections::{BTreeSet, HashSet};
 use std::fs::{self, File};
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::io::{BufRead, BufReader, Read};
+use std::io::{self, BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -20,6 +20,8 @@ use super::plan::is_of_this_version;
 use crate::RenderError;
 use crate::generate::{Background, Settings, generate};
 use crate::job::{Layout, Request};
+use crate::shapes::ShapesLayout;
+use crate::synth::Clips;
 
 /// Files hashed at once.
 const AT_ONCE: usize = 1024;
@@ -38,21 +40,39 @@ pub struct Rerendered {
     pub problems: Vec<Problem>,
 }
 
-/// Compares every file of the dataset in `dir` with its hash in `SHA256SUMS`. Calls `on_files` with the number of files that were read.
-/// Returns that number and the problems.
+/// Compares every file of the dataset in `dir`, of `srflow render`, `srflow shapes` or `srflow mer synth`, with its hash in `SHA256SUMS`.
+/// Calls `on_files` with the number of files that were read, and of all. Returns the first and the problems.
 ///
 /// # Errors
-/// When `dataset.json` or the list of hashes cannot be read.
-pub fn check_hashes(dir: &Path, on_files: &dyn Fn(u64)) -> Result<(u64, Vec<Problem>), RenderError> {
-    let manifest = Manifest::read(dir)?;
+/// When there is no such dataset, or the list of hashes cannot be read.
+pub fn check_hashes(dir: &Path, on_files: &dyn Fn(u64, u64)) -> Result<(u64, Vec<Problem>), RenderError> {
+    let has = |name: &str| dir.join(name).is_file();
+    if has(Manifest::MANIFEST) {
+        check_hashes_of(&Manifest::read(dir)?, dir, on_files)
+    } else if has(ShapesLayout::MANIFEST) {
+        check_hashes_of(&ShapesLayout::read(dir)?, dir, on_files)
+    } else if has(Clips::MANIFEST) {
+        check_hashes_of(&Clips::read(dir)?, dir, on_files)
+    } else {
+        Err(RenderError::NoDataset(dir.to_owned()))
+    }
+}
+
+fn check_hashes_of<L: Layout>(
+    layout: &L,
+    dir: &Path,
+    on_files: &dyn Fn(u64, u64),
+) -> Result<(u64, Vec<Problem>), RenderError> {
     let path = dir.join(SHA256SUMS);
     let unread = |error| RenderError::io(&path, error);
     let problem = |file: &Path, what: String| Problem { file: file.to_owned(), what };
     let mut problems = Vec::new();
     if !path.is_file() {
-        let what = "missing: datasets get it when they are complete; run `srflow render` with the same arguments again";
+        let what =
+            "missing: datasets get it when they are complete; run the command that made this one again";
         return Ok((0, vec![problem(&path, what.to_owned())]));
     }
+    let all = count_lines(&path).map_err(unread)?;
     let mut reader = BufReader::new(File::open(&path).map_err(unread)?);
     // Hashes of the names, since there may be millions.
     let mut listed: HashSet<u64> = HashSet::new();
@@ -97,15 +117,29 @@ pub fn check_hashes(dir: &Path, on_files: &dyn Fn(u64)) -> Result<(u64, Vec<Prob
         problems.extend(some.par_iter().filter_map(wrong).collect::<Vec<_>>());
         listed.extend(some.iter().map(|(file, _)| name_hash(file)));
         files += some.len() as u64;
-        on_files(files);
+        on_files(files, all);
     }
-    let of_all = manifest.others().into_iter().map(|name| dir.join(name));
+    let of_all = layout.others().into_iter().map(|name| dir.join(name));
     let of_units =
-        (0..).zip(manifest.groups()).flat_map(|(group, pairs)| (0..pairs).map(move |pair| (group, pair)));
-    let of_units = of_units.flat_map(|(group, pair)| Layout::files(&manifest, dir, group, pair));
+        (0..).zip(layout.groups()).flat_map(|(group, units)| (0..units).map(move |unit| (group, unit)));
+    let of_units = of_units.flat_map(|(group, unit)| layout.files(dir, group, unit));
     let unlisted = of_all.chain(of_units).filter(|file| !listed.contains(&name_hash(file)));
     problems.extend(unlisted.map(|file| problem(&file, format!("not listed in {SHA256SUMS}"))));
     Ok((files, problems))
+}
+
+fn count_lines(path: &Path) -> io::Result<u64> {
+    let mut reader = BufReader::new(File::open(path)?);
+    let mut lines = 0;
+    loop {
+        let bytes = reader.fill_buf()?;
+        if bytes.is_empty() {
+            return Ok(lines);
+        }
+        lines += bytes.iter().filter(|byte| **byte == b'\n').count() as u64;
+        let read = bytes.len();
+        reader.consume(read);
+    }
 }
 
 /// Renders `count` pairs of the dataset in `dir` again, drawn by `seed`, and compares the bytes of all their files. Calls `on_pair` after

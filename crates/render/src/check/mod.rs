@@ -283,6 +283,11 @@ impl PairChecker<'_> {
         let mut findings = PairFindings::default();
         let size = (manifest.arguments.width, manifest.arguments.height);
         let files = manifest.files(dir, scene, pair);
+        // One problem, so that those of a million pairs fit into memory.
+        if !files.record.exists() && !files.all().any(|file| file.exists()) {
+            findings.problem(&files.record, "all files of this pair are missing");
+            return findings;
+        }
         let mask = findings.examine_frame(&manifest.frame_files(dir, scene, pair), size);
         let frame1 = findings.read_image(&files.frame1, size);
         // The next pair reports its own first frame if it is broken.

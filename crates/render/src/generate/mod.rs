@@ -92,10 +92,11 @@ pub(crate) fn write_statistics(dir: &Path, manifest: &Manifest) -> Result<Statis
     let mut flow = FlowSummary::default();
     for scene in &manifest.scenes {
         let records = (0..scene.pairs).into_par_iter();
-        let records = records.map(|pair| PairRecord::read(&manifest.files(dir, scene, pair).record));
+        let flows = records
+            .map(|pair| PairRecord::read(&manifest.files(dir, scene, pair).record).map(|record| record.flow));
         // Summed in order, so that the last bits do not depend on the threads.
-        for record in records.collect::<Result<Vec<_>, _>>()? {
-            flow.add(&record.flow);
+        for of_pair in flows.collect::<Result<Vec<_>, _>>()? {
+            flow.add(&of_pair);
         }
     }
     let statistics = Statistics::new(manifest, flow);

@@ -336,7 +336,7 @@ impl Worker {
         };
         // The record marks the pair as complete, so it comes last.
         let known = serde_json::to_string(&known).expect("numbers, text, lists and maps by text") + "\n";
-        work.write(Stage::Records, &record, |path| write_file(path, known))
+        work.write(Stage::Records, &record, |path| write_file(path, &known))
     }
 
     fn render_backward(

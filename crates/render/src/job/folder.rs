@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use serde_json::Value;
 use srflow_field::{
-    FileKind, SHA256SUMS, create_folder, excerpt, parse_error_in_words, read_text, remove_partial, write_file,
+    FileError, FileKind, FileProblem, SHA256SUMS, create_folder, excerpt, parse_error_in_words, read_text,
+    remove_partial, write_file,
 };
 
 use super::{Layout as _, Plan, Run};
@@ -16,6 +17,9 @@ use crate::RenderError;
 /// Minimum age of a partial file before it counts as left by an interrupted run: another shard may be working in the same
 /// folder.
 const ABANDONED_AFTER: Duration = Duration::from_secs(60);
+
+/// How many processes may begin with the same part while one file of it is being written.
+const REMOVED_AT_MOST: u32 = 8;
 
 /// Claims `dir` for the planned dataset: a new folder, or one with the same dataset, begun before. `force` deletes another
 /// dataset there.
@@ -36,11 +40,14 @@ pub fn claim<P: Plan>(dir: &Path, plan: &P, force: bool) -> Result<(), RenderErr
 /// Claims `dir` for a dataset whose manifest, of this name, is `planned`.
 pub(crate) fn claim_as(dir: &Path, name: &'static str, planned: &str) -> Result<(), RenderError> {
     let path = dir.join(name);
+    let has_others =
+        !path.exists() && has_visible_entries(dir).map_err(|error| RenderError::io(dir, error))?;
+    // Another part may have begun between the two looks: it writes the manifest before anything else.
     if path.exists() {
         let found = read_text(&path, FileKind::Json)?;
         return difference(&path, &found, planned)?.map_or(Ok(()), Err);
     }
-    if has_visible_entries(dir).map_err(|error| RenderError::io(dir, error))? {
+    if has_others {
         return Err(RenderError::NotADataset { path: dir.to_owned(), manifest: name });
     }
     create_folder(dir)?;
@@ -115,10 +122,90 @@ pub fn tidy<P: Plan>(dir: &Path, plan: &P, runs: &[Run]) -> Result<(), RenderErr
     Ok(())
 }
 
+/// Writes a file, and again if another process removed it before it got its name: one that begins with the same part takes files in progress
+/// for what a killed process left.
+pub(crate) fn until_kept(mut write: impl FnMut() -> Result<(), FileError>) -> Result<(), FileError> {
+    let mut written = write();
+    for _ in 0..REMOVED_AT_MOST {
+        if !written.as_ref().is_err_and(was_removed) {
+            break;
+        }
+        written = write();
+    }
+    written
+}
+
+/// Whether a file in progress vanished from a folder that is still there.
+pub fn was_removed(error: &FileError) -> bool {
+    let vanished =
+        matches!(&error.problem, FileProblem::Place { error, .. } if error.kind() == io::ErrorKind::NotFound);
+    vanished && error.path.parent().is_some_and(Path::is_dir)
+}
+
 /// The result of removing `path`, which may already be gone.
 pub fn unless_gone(path: &Path, result: io::Result<()>) -> Result<(), RenderError> {
     match result {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(RenderError::io(path, error)),
         _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Barrier;
+
+    use super::*;
+
+    #[test]
+    fn parts_that_begin_at_once_share_a_folder() {
+        let parent = tempfile::tempdir().unwrap();
+        for round in 0..40 {
+            let dir = parent.path().join(round.to_string());
+            let start = Barrier::new(8);
+            let claimed = std::thread::scope(|scope| {
+                let begin = |number: usize| {
+                    let (dir, start) = (&dir, &start);
+                    scope.spawn(move || {
+                        start.wait();
+                        claim_as(dir, "a.json", "{}").map(|()| fs::create_dir(dir.join(number.to_string())))
+                    })
+                };
+                let threads: Vec<_> = (0..8).map(begin).collect();
+                threads.into_iter().map(|thread| thread.join().unwrap()).collect::<Vec<_>>()
+            });
+            for result in claimed {
+                result.unwrap().unwrap();
+            }
+        }
+        fs::create_dir_all(parent.path().join("other/photographs")).unwrap();
+        assert!(matches!(
+            claim_as(&parent.path().join("other"), "a.json", "{}"),
+            Err(RenderError::NotADataset { .. })
+        ));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_file_that_another_process_removed_is_written_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.bin");
+        let mut times = 0;
+        let mut write = |removed: u32| {
+            until_kept(|| {
+                write_file(&path, "a")?;
+                times += 1;
+                if times <= removed {
+                    fs::remove_file(&path).unwrap();
+                    fs::rename(folder.path().join("none"), &path).map_err(|error| {
+                        FileProblem::Place { doing: "renaming", error, advice: "" }.in_file(&path)
+                    })?;
+                }
+                Ok(())
+            })
+        };
+        write(2).unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"a");
+        assert_eq!(write(u32::MAX).unwrap_err().path, path);
+        assert!(until_kept(|| write_file(&folder.path().join("no/a.bin"), "a")).is_err());
     }
 }

@@ -14,11 +14,12 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use srflow_field::{SHA256SUMS, Shard};
+use srflow_field::{SHA256SUMS, Shard, remove_partial};
 
 use crate::RenderError;
 
-pub(crate) use folder::{claim_as, first_difference, unless_gone};
+use folder::was_removed;
+pub(crate) use folder::{claim_as, first_difference, unless_gone, until_kept};
 pub(crate) use hashes::write_hashes;
 pub(crate) use layout::{Layout, leading_number, names_in};
 pub(crate) use timing::Clock;
@@ -98,6 +99,10 @@ impl<'a> Request<'a> {
 /// Progress. Units are frame pairs or clips.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Event {
+    /// Parts are brought together: so many units were found in them so far.
+    Found { units: u64 },
+    /// The files of so many units that several parts have were compared so far.
+    Compared { units: u64 },
     /// The folder was scanned: `whole` of the shard's `units` already exist.
     Started { units: u64, whole: u64 },
     /// One more unit is complete; this run has written so many bytes.
@@ -152,7 +157,7 @@ pub(crate) fn make<P: Plan, T>(
         stages: work.clock.spent(),
         stopped: made < lacking,
     };
-    if report.stopped || !self::missing(dir, plan, &units_of_shard(&groups, Shard::WHOLE)).is_empty() {
+    if report.stopped || !is_complete(dir, plan.layout(), &groups, &part) {
         return Ok((report, None));
     }
     let finished = complete(dir, plan.layout(), made > 0, request.on_event, finish)?;
@@ -169,8 +174,13 @@ pub(crate) fn complete<L: Layout, T>(
 ) -> Result<T, RenderError> {
     let finished = finish(dir)?;
     if changed || !dir.join(SHA256SUMS).exists() {
-        write_hashes(dir, layout, &|units| on_event(Event::Hashed { units }))?;
+        match write_hashes(dir, layout, &|units| on_event(Event::Hashed { units })) {
+            // Another process has ended the same work, and removed what this one had begun.
+            Err(RenderError::File(error)) if was_removed(&error) && dir.join(SHA256SUMS).exists() => {}
+            written => written?,
+        }
     }
+    remove_partial(dir, |name, _| name.starts_with(SHA256SUMS))?;
     Ok(finished)
 }
 
@@ -216,6 +226,15 @@ fn missing<P: Plan>(dir: &Path, plan: &P, runs: &[Run]) -> Vec<Run> {
     missing
 }
 
+/// Whether all units of all parts exist. Those after `part` are asked for first: where parts are made in order, or in folders of their own,
+/// one of the first is missing, so that the time of a thousand parts does not grow with the square of the dataset.
+fn is_complete<L: Layout>(dir: &Path, layout: &L, groups: &[u32], part: &[Run]) -> bool {
+    let end = part.last().map_or((0, 0), |run| (run.group, run.units.end));
+    let all = || (0..).zip(groups).flat_map(|(group, &units)| (0..units).map(move |unit| (group, unit)));
+    let mut from_end = all().filter(|unit| *unit >= end).chain(all().filter(|unit| *unit < end));
+    from_end.all(|(group, unit)| layout.is_whole(dir, group, unit))
+}
+
 /// Splits runs into pieces of at most `length` units.
 fn cut(runs: Vec<Run>, length: u32) -> Vec<Run> {
     let pieces = |run: Run| {
@@ -248,6 +267,60 @@ mod tests {
             let sizes = || parts.iter().map(Vec::len);
             assert!(sizes().max().unwrap() - sizes().min().unwrap() <= 1);
         }
+    }
+
+    /// A dataset of one group that counts how often it is asked for a unit.
+    struct Asked {
+        units: u32,
+        whole: Range<u32>,
+        times: std::sync::atomic::AtomicU32,
+    }
+
+    impl Layout for Asked {
+        const MANIFEST: &'static str = "asked.json";
+        const UNITS: &'static str = "units";
+
+        fn groups(&self) -> Vec<u32> {
+            vec![self.units]
+        }
+
+        fn files(&self, _dir: &Path, _group: u32, _unit: u32) -> Vec<PathBuf> {
+            Vec::new()
+        }
+
+        fn is_whole(&self, _dir: &Path, _group: u32, unit: u32) -> bool {
+            self.times.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+            self.whole.contains(&unit)
+        }
+
+        fn begun_in(&self, _dir: &Path) -> Vec<(u32, u32)> {
+            Vec::new()
+        }
+
+        fn name(&self, _group: u32, unit: u32) -> String {
+            unit.to_string()
+        }
+
+        fn others(&self) -> Vec<PathBuf> {
+            Vec::new()
+        }
+    }
+
+    #[test]
+    fn a_part_does_not_look_for_all_units_of_the_others() {
+        let asked = |whole: Range<u32>, part: Range<u32>| {
+            let dataset = Asked { units: 1_000_000, whole, times: Default::default() };
+            let part = [Run { group: 0, units: part }];
+            let complete = is_complete(Path::new("d"), &dataset, &dataset.groups(), &part);
+            (complete, dataset.times.into_inner())
+        };
+        // In folders of their own, and in order in a shared one.
+        for part in [0..1000, 500_000..501_000, 999_000..1_000_000] {
+            assert_eq!(asked(part.clone(), part.clone()), (false, 1));
+        }
+        assert_eq!(asked(0..501_000, 500_000..501_000), (false, 1));
+        assert_eq!(asked(0..1_000_000, 999_000..1_000_000), (true, 1_000_000));
+        assert_eq!(asked(1..1_000_000, 999_000..1_000_000), (false, 1));
     }
 
     #[test]

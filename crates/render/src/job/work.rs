@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use srflow_field::FileError;
 
+use super::folder::until_kept;
 use super::timing::{Clock, Stage};
 use super::{Event, Layout as _, MAX_WORKERS, Plan, Request, Run};
 use crate::RenderError;
@@ -132,9 +133,10 @@ impl<'a, P: Plan> Work<'a, P> {
         &self,
         stage: Stage,
         path: &Path,
-        write: impl FnOnce(&Path) -> Result<(), FileError>,
+        mut write: impl FnMut(&Path) -> Result<(), FileError>,
     ) -> Result<(), RenderError> {
-        self.clock.time(stage, || write(path)).map_err(|error| RenderError::Write {
+        let written = self.clock.time(stage, || until_kept(|| write(path)));
+        written.map_err(|error| RenderError::Write {
             error,
             written: self.before + self.made(),
             total: self.total,

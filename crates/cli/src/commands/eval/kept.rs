@@ -112,8 +112,8 @@ impl Kept {
 /// Sizes and times of a pair's files, or of the tars they are in; those on the web have none.
 fn stamp(entry: &Entry) -> String {
     let of_file = |file: &EntryFile| {
-        let path = file.path();
-        let metadata = std::fs::metadata(file.on_disk().or(path.parent())?).ok()?;
+        let place = file.on_disk().or_else(|| Some(file.path().parent()?.to_owned()))?;
+        let metadata = std::fs::metadata(place).ok()?;
         let modified = metadata.modified().ok()?.duration_since(UNIX_EPOCH).ok()?;
         Some(format!("{} {}", metadata.len(), modified.as_nanos()))
     };

@@ -22,6 +22,7 @@ use self::kept::Kept;
 use crate::face::FaceArgs;
 use crate::interrupt::Continuable;
 use crate::methods::{self, MethodParameters, MethodSpec, Rows, RowsArgs, Source};
+use crate::opening::open_dataset;
 use crate::output::{ensure_folder, ensure_free, latex, print_tables};
 use crate::progress::bar;
 use crate::rendering::{Rendered, ShardArgs};
@@ -138,7 +139,7 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         ensure_folder(out)?;
         ensure_free(OUTPUTS.map(|name| out.join(name)), args.force)?;
     }
-    let dataset = FlowDataset::open(&args.dataset, args.split)?;
+    let dataset = open_dataset(&args.dataset, args.split)?;
     let limit = args.limit.map(|limit| limit as usize);
     let Rows { methods: specs, left_out, improvements } = args.rows.with(&args.method)?;
     let sources = methods::sources(&specs, &args.parameters, &dataset, limit)?;

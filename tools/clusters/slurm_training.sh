@@ -15,7 +15,7 @@ cat > train.sh <<JOB
 #SBATCH --ntasks=2 --cpus-per-task=1 --requeue --signal=TERM@120
 cd "$folder"
 if [ -d run/checkpoints ]; then what="--resume run"; else what="--out run ${arguments[*]}"; fi
-srun --mpi=pmix --kill-on-bad-exit=1 "$srflow" train \$what
+srun --mpi=pmix --kill-on-bad-exit=1 "$srflow" train --mpi \$what
 code=\$?
 # 75: stopped by a signal, with a checkpoint.
 if [ \$code = 75 ]; then scontrol requeue "\$SLURM_JOB_ID"; sleep 60; fi

@@ -1,25 +1,24 @@
 //! Processes that `mpirun` or `srun` has started to train together.
 
 use srflow_train::TrainError;
-use srflow_train::ranks::{Alone, Communicator, launched};
+use srflow_train::ranks::{Alone, Communicator};
 
+#[cfg(not(feature = "mpi"))]
+use crate::usage::wrong_usage;
 use crate::{Context, FAILED, fail};
 
-/// The processes that train with this one.
+/// The processes that train with this one: those that MPI knows, or none.
 ///
 /// # Errors
-/// When there are several and they cannot exchange anything.
-pub fn start() -> anyhow::Result<Box<dyn Communicator>> {
-    let Some(launched) = launched(|name| std::env::var(name).ok()) else { return Ok(Box::new(Alone)) };
+/// When this program was built without MPI, or MPI does not know the processes.
+pub fn start(mpi: bool) -> anyhow::Result<Box<dyn Communicator>> {
+    if !mpi {
+        return Ok(Box::new(Alone));
+    }
     #[cfg(feature = "mpi")]
-    return Ok(Box::new(srflow_train::mpi::World::start(&launched)?));
+    return Ok(Box::new(srflow_train::mpi::World::start(|name| std::env::var(name).ok())?));
     #[cfg(not(feature = "mpi"))]
-    anyhow::bail!(
-        "{} has started {} processes, and this srflow was built without MPI: each would train alone and write into one folder. Build \
-         it with --features mpi (docs/training.md), or start one process",
-        launched.launcher,
-        launched.processes
-    );
+    wrong_usage!("--mpi: this srflow was built without MPI; build it with --features mpi (docs/training.md)");
 }
 
 /// Ends all processes after an error, which the one that has it prints before any ends: launchers stop the others at the first that

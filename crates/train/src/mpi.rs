@@ -8,6 +8,28 @@ use mpi::traits::{Communicator as _, CommunicatorCollectives as _};
 
 use crate::ranks::Communicator;
 
+/// Variables by which launchers give a process the number of processes.
+const SIZES: [(&str, &str); 3] = [
+    ("OMPI_COMM_WORLD_SIZE", "mpirun of Open MPI"),
+    ("PMI_SIZE", "mpiexec of MPICH, Intel MPI or MVAPICH, or srun"),
+    ("SLURM_STEP_NUM_TASKS", "srun"),
+];
+
+/// A launcher of several processes, and how many it has started.
+#[derive(Debug, Clone, PartialEq, Eq)]
+struct Launched {
+    launcher: &'static str,
+    processes: usize,
+}
+
+/// The launcher that has started this process as one of several, by the variables of its environment.
+fn launched(variable: impl Fn(&str) -> Option<String>) -> Option<Launched> {
+    SIZES.iter().find_map(|&(name, launcher)| {
+        let processes = variable(name)?.parse().ok()?;
+        (processes > 1).then_some(Launched { launcher, processes })
+    })
+}
+
 /// All processes of an MPI program. Errors of MPI, such as a process that is lost, end them all.
 pub struct World {
     world: SimpleCommunicator,
@@ -28,22 +50,23 @@ pub enum MpiError {
 }
 
 impl World {
-    /// Starts MPI, in which there must be as many processes as the launcher says.
+    /// Starts MPI, in which there must be as many processes as the launcher says by the variables of the environment.
     ///
     /// # Errors
     /// When MPI was started before, or does not know the launcher.
-    pub fn start(launched: &crate::ranks::Launched) -> Result<Self, MpiError> {
+    pub fn start(variable: impl Fn(&str) -> Option<String>) -> Result<Self, MpiError> {
         // Only this thread calls MPI.
         let (universe, _) = initialize_with_threading(Threading::Funneled).ok_or(MpiError::Again)?;
         let world = Self { world: universe.world(), _universe: universe };
         let found = world.ranks();
-        if found != launched.processes {
-            let library = library_version().unwrap_or_default();
-            let library = library.lines().next().unwrap_or("an unknown MPI").trim().to_owned();
-            let (expected, launcher) = (launched.processes, launched.launcher);
-            return Err(MpiError::Processes { expected, found, launcher, library });
+        match launched(variable) {
+            Some(Launched { launcher, processes: expected }) if expected != found => {
+                let library = library_version().unwrap_or_default();
+                let library = library.lines().next().unwrap_or("an unknown MPI").trim().to_owned();
+                Err(MpiError::Processes { expected, found, launcher, library })
+            }
+            _ => Ok(world),
         }
-        Ok(world)
     }
 }
 
@@ -129,4 +152,25 @@ fn split(mut bytes: &[u8], sizes: &[i32]) -> Vec<Vec<u8>> {
         bytes = rest;
     }
     parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn launchers_are_known_by_their_variables() {
+        let with = |variables: &[(&str, &str)]| {
+            launched(|name| {
+                variables.iter().find(|(known, _)| *known == name).map(|(_, value)| (*value).to_owned())
+            })
+        };
+        assert_eq!(with(&[]), None);
+        assert_eq!(with(&[("OMPI_COMM_WORLD_SIZE", "1"), ("PMI_SIZE", "x")]), None);
+        assert_eq!(with(&[("PMI_SIZE", "8")]).map(|launched| launched.processes), Some(8));
+        // A batch script of Slurm has the number of the job's tasks, and is one process.
+        assert_eq!(with(&[("SLURM_NTASKS", "4")]), None);
+        let launched = with(&[("SLURM_STEP_NUM_TASKS", "4")]).unwrap();
+        assert_eq!(launched, Launched { launcher: "srun", processes: 4 });
+    }
 }

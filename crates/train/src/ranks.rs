@@ -57,28 +57,6 @@ impl Communicator for Alone {
     }
 }
 
-/// Variables by which launchers give a process the number of processes.
-const SIZES: [(&str, &str); 3] = [
-    ("OMPI_COMM_WORLD_SIZE", "mpirun of Open MPI"),
-    ("PMI_SIZE", "mpiexec of MPICH, Intel MPI or MVAPICH, or srun"),
-    ("SLURM_STEP_NUM_TASKS", "srun"),
-];
-
-/// A launcher of several processes, and how many it has started.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Launched {
-    pub launcher: &'static str,
-    pub processes: usize,
-}
-
-/// The launcher that has started this process as one of several, by the variables of its environment.
-pub fn launched(variable: impl Fn(&str) -> Option<String>) -> Option<Launched> {
-    SIZES.iter().find_map(|&(name, launcher)| {
-        let processes = variable(name)?.parse().ok()?;
-        (processes > 1).then_some(Launched { launcher, processes })
-    })
-}
-
 /// The share of a batch of `samples` that a rank takes: those of [`Batch::split`](crate::batch::Batch::split).
 pub(crate) fn share(rank: usize, ranks: usize, samples: usize) -> Range<usize> {
     rank * samples / ranks..(rank + 1) * samples / ranks
@@ -228,25 +206,4 @@ fn read<T: DeserializeOwned>(report: &[u8]) -> Report<T> {
 /// Numbers as the bytes of this machine.
 fn numbers(bytes: &[u8]) -> impl Iterator<Item = f32> {
     bytes.as_chunks().0.iter().map(|bytes| f32::from_ne_bytes(*bytes))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn launchers_are_known_by_their_variables() {
-        let with = |variables: &[(&str, &str)]| {
-            launched(|name| {
-                variables.iter().find(|(known, _)| *known == name).map(|(_, value)| (*value).to_owned())
-            })
-        };
-        assert_eq!(with(&[]), None);
-        assert_eq!(with(&[("OMPI_COMM_WORLD_SIZE", "1"), ("PMI_SIZE", "x")]), None);
-        assert_eq!(with(&[("PMI_SIZE", "8")]).map(|launched| launched.processes), Some(8));
-        // A batch script of Slurm has the number of the job's tasks, and is one process.
-        assert_eq!(with(&[("SLURM_NTASKS", "4")]), None);
-        let launched = with(&[("SLURM_STEP_NUM_TASKS", "4")]).unwrap();
-        assert_eq!(launched, Launched { launcher: "srun", processes: 4 });
-    }
 }

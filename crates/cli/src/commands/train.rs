@@ -18,6 +18,7 @@ use crate::made::open_made;
 use crate::networks::{note_if_ambiguous, weights_file};
 use crate::output::exit_stopped;
 use crate::progress::TrainingProgress;
+use crate::usage::wrong_usage;
 use crate::{Context, machine, ranks};
 
 /// Train an optical flow network
@@ -30,7 +31,7 @@ Examples:
   srflow train --config skflow --set training.weight_decay=1e-5 --print-config
   srflow train --config cpu-small --data shapes: --data rendered:*2 --out runs/made
   srflow train --resume runs/first
-  mpirun -n 4 srflow train --config skflow --data srflow:DIR --batch 8 --out runs/nodes
+  mpirun -n 4 srflow train --mpi --config skflow --data srflow:DIR --batch 8 --out runs/nodes
 
 docs/training.md is the guide: your own data, what the keys mean, what a run writes.")]
 pub struct Train {
@@ -52,6 +53,9 @@ pub struct Train {
     /// Device to train on; several devices share each batch
     #[arg(long, value_name = "DEVICE", default_value = "cpu")]
     device: Vec<String>,
+    /// Share every batch with the other processes that `mpirun` or `srun` has started
+    #[arg(long)]
+    mpi: bool,
     #[command(flatten)]
     overrides: Overrides,
 }
@@ -225,6 +229,9 @@ impl Job {
 /// Those of the command; [`UsageError`](crate::UsageError) for a wrong option.
 pub fn train(options: impl IntoIterator<Item = OsString>, watch: &Watch) -> anyhow::Result<Value> {
     let args: Train = parsed("srflow train", options)?;
+    if args.mpi {
+        wrong_usage!("mpi: processes train together with the command `srflow train --mpi`");
+    }
     let print_config = args.print_config;
     let mut job = args.job()?;
     if print_config {
@@ -271,7 +278,7 @@ fn as_json(event: &Event, steps: u64) -> Value {
 }
 
 pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
-    let print_config = args.print_config;
+    let (print_config, mpi) = (args.print_config, args.mpi);
     let mut job = args.job()?;
     if print_config {
         job.config.check()?;
@@ -280,7 +287,7 @@ pub fn run(args: Train, context: &Context) -> anyhow::Result<()> {
         }
         return say!("{}", job.config.to_toml().trim_end());
     }
-    let communicator = ranks::start()?;
+    let communicator = ranks::start(mpi)?;
     let mut progress = Progress::new();
     let continuable = Continuable::saved();
     let result = job.run(&*communicator, &interrupt::requested, &mut |event| progress.show(&event));

@@ -145,7 +145,7 @@ pub(crate) fn read_index(
     let mut tars: BTreeMap<String, Arc<Tar>> = BTreeMap::new();
     let mut last = Arc::from([]);
     let (mut number, mut pairs, mut about) = (0, 0, None);
-    let mut on_block = |block: &[u8], total: u64| {
+    let on_block = |block: &[u8], total: u64| {
         let parsed: Vec<_> = block
             .par_split(|byte| *byte == b'\n')
             .map(|line| (!line.is_empty()).then(|| ReadPair::parse(line, fields)).transpose())
@@ -183,7 +183,7 @@ pub(crate) fn read_index(
         }
         Ok(())
     };
-    blocks(&place, &mut on_block)
+    blocks(&place, on_block)
 }
 
 /// A line that was read, with the members that are asked for.
@@ -201,11 +201,11 @@ impl<'a> ReadPair<'a> {
         let mut record: ReadRecord =
             serde_json::from_slice(line).map_err(|error| parse_error_in_words(&error))?;
         check(&record)?;
-        let (mut endings, mut spans) = (Vec::new(), Vec::new());
-        for (ending, member) in std::mem::take(&mut record.members) {
-            if !fields.contains(&field_of(ending.as_ref())) {
-                continue;
-            }
+        let mut members = std::mem::take(&mut record.members);
+        members.retain(|ending, _| fields.contains(&field_of(ending.as_ref())));
+        // A list that grows leaves holes in memory that nothing else fits into.
+        let (mut endings, mut spans) = (Vec::new(), Vec::with_capacity(members.len()));
+        for (ending, member) in members {
             let digest = digest(&member.sha256).ok_or_else(|| {
                 format!("sha256: expected 64 hexadecimal digits, found `{}`", excerpt(&member.sha256))
             })?;
@@ -271,13 +271,13 @@ pub(crate) fn lines(
     place: &Place,
     on_line: &mut dyn FnMut(&[u8]) -> Result<(), DatasetError>,
 ) -> Result<(), DatasetError> {
-    blocks(place, &mut |block, _| block.split(|byte| *byte == b'\n').try_for_each(&mut *on_line))
+    blocks(place, |block, _| block.split(|byte| *byte == b'\n').try_for_each(&mut *on_line))
 }
 
 /// Calls `on_block` with the lines of a file, many at a time, without the last line break, and with the size of the file in bytes.
 fn blocks(
     place: &Place,
-    on_block: &mut dyn FnMut(&[u8], u64) -> Result<(), DatasetError>,
+    mut on_block: impl FnMut(&[u8], u64) -> Result<(), DatasetError>,
 ) -> Result<(), DatasetError> {
     let wrong = |reason: String| DatasetError::Format { path: place.path(), reason };
     let (mut pending, mut offset) = (Vec::new(), 0_u64);

@@ -5,8 +5,8 @@
 
 One scene of tiny frames is rendered. Datasets of 1000 to 1,000,000 pairs have its files under many names, as hard links: every folder, file and
 record is that of a rendered dataset. Their dataset.json states another version of srflow, since this one would compare the records with its own
-plan, in which no two scenes are alike. FOLDER must be new; it needs 30 GB for a million pairs, and a file system with hard
-links, and is emptied as far as it goes. Time is that of the clock, memory the largest resident set of the process.
+plan, in which no two scenes are alike. FOLDER must be new, on a file system with hard links and with 30 GB free for a million pairs; it is removed
+at the end. Time is that of the clock, memory the largest resident set of the process.
 """
 
 import argparse
@@ -58,7 +58,7 @@ def link_part(scene, part, pairs):
     return links
 
 
-def make_parts(srflow, folder, whole, scene, pairs, count, options):
+def make_parts(srflow, folder, scene, pairs, count, options):
     """Folders of the parts of a dataset, and the number of its files."""
     planned = folder / "planned"
     run([srflow, "render", "--out", planned, "--stop-after", 0, *options], folder / "plan", codes=[75])
@@ -79,7 +79,7 @@ def measure(srflow, folder, scene, pairs, count, size, seed):
     folder.mkdir()
     whole, packed, one = folder / "whole", folder / "packed", folder / "one"
     options = arguments(pairs // FRAMES, size, seed)
-    parts, files = make_parts(srflow, folder, whole, scene, pairs, count, options)
+    parts, files = make_parts(srflow, folder, scene, pairs, count, options)
     print(f"{pairs} pairs: {files} files in {count} parts", file=sys.stderr)
 
     # The last of as many parts as there are pairs, whose pair is there the second time.

@@ -1,4 +1,4 @@
-//! Whether a dataset still has the bytes it was made with: by its hashes, and by rendering pairs rerendered.
+//! Whether a dataset still has the bytes it was made with: by its hashes, and by rendering pairs again.
 
 use std::collections::{BTreeSet, HashSet};
 use std::fs::{self, File};
@@ -28,7 +28,7 @@ const AT_ONCE: usize = 1024;
 /// The longest line of [`SHA256SUMS`], in bytes.
 const LONGEST_LINE: u64 = 4096 + 66;
 
-/// Pairs that were rendered rerendered.
+/// Pairs that were rendered again.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Rerendered {
     /// The seed that drew them.

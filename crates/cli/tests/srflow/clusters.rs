@@ -335,17 +335,20 @@ fn nothing_is_lost_where_parts_are_killed_and_given_twice() {
         let out = at(&format!("part-{number}"));
         let mut first = part(number, &out).spawn().unwrap();
         let begun = || fs::read_dir(out.join("data")).is_ok_and(|files| files.count() > number);
-        wait_for(&mut first, begun);
+        while !begun() && first.try_wait().unwrap().is_none() {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
         match number % 4 {
-            0 => terminate(&first),
+            0 => _ = Command::new("kill").args(["-TERM", &first.id().to_string()]).output().unwrap(),
             1 => first.kill().unwrap(),
             // Two processes, of which the second one begins while the first one writes.
             _ => _ = ends(part(number, &out).spawn().unwrap()),
         }
         let first = first.wait_with_output().unwrap();
+        // The signal may have come after the end.
         match number % 4 {
-            0 => assert_eq!(first.status.code(), Some(75), "{first:?}"),
-            1 => assert_eq!(first.status.code(), None, "{first:?}"),
+            0 => assert!([Some(0), Some(75)].contains(&first.status.code()), "{first:?}"),
+            1 => assert!([Some(0), None].contains(&first.status.code()), "{first:?}"),
             _ => _ = succeeds(&first),
         }
         ends(part(number, &out).spawn().unwrap());

@@ -4,6 +4,7 @@ use burn::tensor::{Device, Tensor, TensorData};
 use srflow_nets::Frames;
 
 use crate::loss::LossInputs;
+use crate::ranks::share;
 use crate::training_set::TrainingSample;
 
 /// A batch in host memory, NCHW.
@@ -71,7 +72,7 @@ impl Batch {
     pub fn split(&self, parts: usize) -> Vec<Self> {
         let count = self.len();
         let parts = parts.clamp(1, count.max(1));
-        (0..parts).map(|i| self.samples(i * count / parts..(i + 1) * count / parts)).collect()
+        (0..parts).map(|i| self.samples(share(i, parts, count))).collect()
     }
 
     fn samples(&self, range: std::ops::Range<usize>) -> Self {

@@ -57,7 +57,7 @@ impl Communicator for Alone {
     }
 }
 
-/// The share of a batch of `samples` that a rank takes: those of [`Batch::split`](crate::batch::Batch::split).
+/// The share of a batch of `samples` that a rank takes: the part of its number in [`Batch::split`](crate::batch::Batch::split).
 pub(crate) fn share(rank: usize, ranks: usize, samples: usize) -> Range<usize> {
     rank * samples / ranks..(rank + 1) * samples / ranks
 }

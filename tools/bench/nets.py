@@ -4,12 +4,15 @@
     pip install ptlflow==0.4.2
     cargo build --release -p srflow-nets --example timing
     python3 tools/bench/nets.py [--networks raft gma skflow] [--sizes 800x512] [--iterations 32] [--threads 2] [--repeats 3]
+                                [--ours f32 bf16] [--theirs f32 bf16 compiled compiled-bf16]
 
-Weights are random, as ptlflow makes a new model (a fixed seed), saved and loaded by both. The second frame is the first,
+PyTorch may run as it is (f32), under autocast (bf16), and with the block that is iterated compiled by `torch.compile`, which needs a
+C++ compiler. Weights are random, as ptlflow makes a new model (a fixed seed), saved and loaded by both. The second frame is the first,
 a made texture, moved by a smooth flow of a few pixels. Each side runs in a process of its own; times are those of
-estimating, model and frames already in memory, the median of the repeats (each process runs all of its own); memory is
-the most that the process ever held. Prints a Markdown table: seconds and GB of both, how many times as fast ours is, and
-mean and largest difference of the two flows in pixels, beside the mean length of the flow.
+estimating, model and frames already in memory, the median of the repeats (each process runs all of its own, and what is compiled
+once more at first); memory is the most that the process ever held. Prints a Markdown table for each network and size: seconds and GB,
+how many times as fast ours is as the fastest of theirs, and mean and largest distance in pixels from their f32 flow, and of our bf16
+from our f32, beside the mean length of the flow.
 """
 
 import argparse
@@ -66,9 +69,10 @@ def run(command, environment):
     return lines, usage.ru_maxrss * 1024 / 1e9
 
 
-def reference(network, iterations, threads, repeats, weights, pixels, out, height, width):
+def reference(mode, network, iterations, threads, repeats, weights, pixels, out, height, width):
     """What the process of ptlflow's side does."""
     import torch
+
 
     torch.set_num_threads(threads)
     model = new_model(network).eval()
@@ -80,19 +84,22 @@ def reference(network, iterations, threads, repeats, weights, pixels, out, heigh
     # An error of its own, before the system stops whatever it chooses.
     limit = int(0.85 * os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+    if mode.startswith("compiled"):
+        model.update_block = torch.compile(model.update_block)
+        repeats += 1
     pair = np.fromfile(pixels, "<f4").reshape(1, 2, 3, height, width)[:, :, ::-1].copy()  # ptlflow takes BGR
     images = torch.from_numpy(pair)
     for _ in range(repeats):
         start = time.perf_counter()
         try:
-            with torch.no_grad():
+            with torch.no_grad(), torch.autocast("cpu", torch.bfloat16, enabled=mode.endswith("bf16")):
                 flow = model({"images": images})["flows"]
         except (MemoryError, RuntimeError) as error:
             if "memory" not in str(error) and not isinstance(error, MemoryError):
                 raise
             sys.exit(OUT_OF_MEMORY)
         print(time.perf_counter() - start)
-    flow.numpy().astype("<f4").tofile(out)
+    flow.float().numpy().astype("<f4").tofile(out)
 
 
 def save_weights(network, path):
@@ -108,49 +115,79 @@ def main():
     parser.add_argument("--iterations", type=int, default=0, help="0: as many as ptlflow's default for each network")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--ours", nargs="+", default=["f32"], choices=["f32", "bf16"])
+    parser.add_argument("--theirs", nargs="+", default=["f32"], choices=["f32", "bf16", "compiled", "compiled-bf16"])
     parser.add_argument("--timing", default=str(ROOT / "target/release/examples/timing"), help="our side")
-    parser.add_argument("--side", nargs=9, help=argparse.SUPPRESS)
+    parser.add_argument("--side", nargs=10, help=argparse.SUPPRESS)
     parser.add_argument("--weights", nargs=2, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.side:
-        network, iterations, threads, repeats, weights, pixels, out, height, width = args.side
-        reference(network, int(iterations), int(threads), int(repeats), weights, pixels, out, int(height), int(width))
+        mode, network, iterations, threads, repeats, weights, pixels, out, height, width = args.side
+        reference(
+            mode, network, int(iterations), int(threads), int(repeats), weights, pixels, out, int(height), int(width)
+        )
         return
     if args.weights:
         save_weights(*args.weights)
         return
 
     environment = dict(os.environ, RAYON_NUM_THREADS=str(args.threads), OMP_NUM_THREADS=str(args.threads))
-    print(f"{platform.machine()}, {args.threads} threads, {args.iterations or 'default'} iterations, median of {args.repeats}\n")
-    print("| network | width x height | ours | ptlflow | times as fast | ours, GB | ptlflow, GB | difference, px | largest | mean flow |")
-    print("|---|---|---|---|---|---|---|---|---|---|")
+    print(f"{platform.machine()}, {args.threads} threads, {args.iterations or 'default'} iterations, median of {args.repeats}")
     with tempfile.TemporaryDirectory() as folder:
-        weights, pixels, ours, theirs = (str(Path(folder) / name) for name in ("weights.pth", "frames", "ours", "theirs"))
+        weights, pixels, out = (str(Path(folder) / name) for name in ("weights.pth", "frames", "flow"))
         for network in args.networks:
             run([sys.executable, __file__, "--weights", network, weights], environment)
             for size in args.sizes:
                 width, height = map(int, size.split("x"))
                 frames(height, width).tofile(pixels)
-                common = [str(args.repeats), weights, pixels]
-                lines, our_memory = run(
-                    [args.timing, network.replace("_", "-"), f"{height}x{width}", str(args.iterations), *common, ours],
-                    environment,
-                )
-                our_seconds = statistics.median(float(line.split()[0]) for line in lines if line.endswith(" s"))
-                side = [network, str(args.iterations), str(args.threads), *common, theirs, str(height), str(width)]
-                lines, their_memory = run([sys.executable, __file__, "--side", *side], environment)
-                if not lines:
-                    print(f"| {network} | {size} | {our_seconds:.2f} s | out of memory | | {our_memory:.2f} | over {their_memory:.0f} | | | |", flush=True)
-                    continue
-                their_seconds = statistics.median(map(float, lines[-args.repeats :]))
-                a, b = (np.fromfile(path, "<f4").reshape(2, height, width) for path in (ours, theirs))
-                difference = np.linalg.norm(a - b, axis=0)
-                print(
-                    f"| {network} | {size} | {our_seconds:.2f} s | {their_seconds:.2f} s | {their_seconds / our_seconds:.2f} | "
-                    f"{our_memory:.2f} | {their_memory:.2f} | {difference.mean():.1e} | {difference.max():.1e} | "
-                    f"{np.linalg.norm(b, axis=0).mean():.2f} |",
-                    flush=True,
-                )
+                common = [str(args.repeats), weights, pixels, out]
+
+                def flow():
+                    return np.fromfile(out, "<f4").reshape(2, height, width)
+
+                ours, theirs = {}, {}
+                for precision in args.ours:
+                    name = network.replace("_", "-") + ("@bf16" if precision == "bf16" else "")
+                    lines, memory = run([args.timing, name, f"{height}x{width}", str(args.iterations), *common], environment)
+                    seconds = statistics.median(float(line.split()[0]) for line in lines if line.endswith(" s"))
+                    ours[precision] = seconds, memory, flow()
+                for mode in args.theirs:
+                    side = [mode, network, str(args.iterations), str(args.threads), *common, str(height), str(width)]
+                    lines, memory = run([sys.executable, __file__, "--side", *side], environment)
+                    if lines:
+                        theirs[mode] = statistics.median(map(float, lines[-args.repeats :])), memory, flow()
+                    else:
+                        theirs[mode] = None, memory, None
+                table(network, size, ours, theirs)
+
+
+def table(network, size, ours, theirs):
+    """Prints the rows of one network and size."""
+    best = min((seconds for seconds, _, _ in theirs.values() if seconds), default=None)
+    truth = next((flow for _, _, flow in theirs.values() if flow is not None), None)
+    print(f"\n{network}, {size}\n")
+    print("| | seconds | GB | theirs at best / this | distance to their f32, px | largest | to our f32 | largest | mean flow |")
+    print("|---|---|---|---|---|---|---|---|---|")
+
+    def distance(flow, other):
+        if flow is None or other is None or flow is other:
+            return " | "
+        far = np.linalg.norm(flow - other, axis=0)
+        return f"{far.mean():.1e} | {far.max():.1e}"
+
+    own = ours.get("f32", (None, None, None))[2]
+    for side, results in (("srflow", ours), ("PyTorch", theirs)):
+        for mode, (seconds, memory, flow) in results.items():
+            if seconds is None:
+                print(f"| {side} {mode} | out of memory | over {memory:.0f} | | | | | | |", flush=True)
+                continue
+            ratio = f"{best / seconds:.2f}" if best and side == "srflow" else ""
+            near = distance(flow, own) if side == "srflow" else " | "
+            print(
+                f"| {side} {mode} | {seconds:.2f} | {memory:.2f} | {ratio} | {distance(flow, truth)} | {near} | "
+                f"{np.linalg.norm(flow, axis=0).mean():.2f} |",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@
     pip install ptlflow==0.4.2
     cargo build --release
     python3 tools/bench/train_step.py [--network skflow] [--crop 256x192] [--batch 1] [--iterations 6] [--threads 2]
+                                     [--theirs bf16] [--set training.precision=bf16]
 
 PyTorch's step is the forward pass in training mode, SKFlow's sequence loss, the backward pass, the clipping of gradients and
 AdamW, on random frames that are in memory. srflow's is the same and everything around it, as its log tells: reading and
@@ -34,6 +35,9 @@ def theirs(args, width, height):
     torch.manual_seed(1)
     model = ptlflow.get_model(args.network.replace("-", "_")).train()
     model.iters = args.iterations
+    if args.theirs.startswith("compiled"):
+        model.update_block = torch.compile(model.update_block)
+    autocast = torch.autocast("cpu", torch.bfloat16, enabled=args.theirs.endswith("bf16"))
     optimizer = torch.optim.AdamW(model.parameters(), lr=1e-4, weight_decay=1e-4, eps=1e-8)
     images = torch.rand(args.batch, 2, 3, height, width)
     truth = 4 * torch.rand(args.batch, 2, height, width) - 2
@@ -41,7 +45,8 @@ def theirs(args, width, height):
     for _ in range(args.steps):
         start = time.perf_counter()
         optimizer.zero_grad()
-        predictions = model({"images": images})["flow_preds"]
+        with autocast:
+            predictions = [flow.float() for flow in model({"images": images})["flow_preds"]]
         last = len(predictions) - 1
         loss = sum(0.8 ** (last - i) * (flow - truth).abs().mean() for i, flow in enumerate(predictions))
         loss.backward()
@@ -84,6 +89,10 @@ def main():
     parser.add_argument("--iterations", type=int, default=6)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--steps", type=int, default=6, help="the first is not counted")
+    parser.add_argument(
+        "--theirs", default="f32", choices=["f32", "bf16", "compiled", "compiled-bf16"],
+        help="autocast to bf16, the block that is iterated compiled by torch.compile, or both",
+    )
     parser.add_argument("--set", action="append", default=[], help="passed on to srflow train")
     parser.add_argument("--only", choices=["srflow", "torch"])
     parser.add_argument("--srflow", default=str(ROOT / "target/release/srflow"))

@@ -1,5 +1,6 @@
 //! Measures seconds per pair of frames with random parameters and frames:
-//! `cargo run --release -p srflow-nets --example timing -- raft 512x800 32` (network, HEIGHTxWIDTH, iterations).
+//! `cargo run --release -p srflow-nets --example timing -- raft 512x800 32` (network, HEIGHTxWIDTH, iterations);
+//! `raft@bf16` multiplies bfloat16.
 //! With 0 iterations it uses the network's default. `RAYON_NUM_THREADS` sets the number of threads.
 //!
 //! More arguments, used by `tools/bench/nets.py`: repeats, weights, a file with both frames, and a file for the flow. The files
@@ -10,7 +11,7 @@ use std::time::Instant;
 
 use burn::tensor::{Device, Distribution, Tensor, TensorData};
 use srflow_nets::{Architecture, Frames, Request, load_network};
-use srflow_ops::ReusingAllocator;
+use srflow_ops::{Precision, ReusingAllocator, with_precision};
 
 #[global_allocator]
 static ALLOCATOR: ReusingAllocator = ReusingAllocator::new();
@@ -28,6 +29,11 @@ fn main() {
     };
     let (height, width) = size.split_once('x').expect("HEIGHTxWIDTH");
     let shape = [1, 3, height.parse().expect("height"), width.parse().expect("width")];
+    let (network, precision) = match network.split_once('@') {
+        Some((network, "bf16")) => (network, Precision::Bf16),
+        Some((_, other)) => panic!("{other}: bf16 or nothing"),
+        None => (network.as_str(), Precision::F32),
+    };
     let architecture = Architecture::from_name(network).expect("a network");
     let request = Request::new(match iterations.parse().expect("iterations") {
         0 => architecture.facts().iterations.default,
@@ -48,7 +54,7 @@ fn main() {
     }
     for repeat in 0..repeats {
         let start = Instant::now();
-        let estimate = network.forward(frames.clone(), &request);
+        let estimate = with_precision(precision, || network.forward(frames.clone(), &request));
         println!("{:.4} s", start.elapsed().as_secs_f64());
         if let ([_, _, _, flow], true) = (rest, repeat + 1 == repeats) {
             let numbers: Vec<f32> = estimate.last().clone().into_data().try_to_vec().expect("f32");

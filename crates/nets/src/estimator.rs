@@ -9,6 +9,8 @@ use srflow_field::{
     forward_interpolate,
 };
 
+use srflow_ops::{Precision, with_precision};
+
 use crate::shots::is_cut;
 use crate::{Estimate, Facts, Features, Frames, Memory, Network, Request, Start};
 
@@ -18,12 +20,18 @@ pub struct NetworkEstimator {
     network: Network,
     iterations: NonZeroUsize,
     device: Device,
+    precision: Precision,
 }
 
 impl NetworkEstimator {
     /// An estimator with `network`, whose parameters must be on `device`. `name` is for tables and errors.
     pub fn new(name: impl Into<String>, network: Network, iterations: NonZeroUsize, device: Device) -> Self {
-        Self { name: name.into(), network, iterations, device }
+        Self { name: name.into(), network, iterations, device, precision: Precision::F32 }
+    }
+
+    /// The same, multiplying at a precision on the CPU; see [`with_precision`].
+    pub fn with_precision(self, precision: Precision) -> Self {
+        Self { precision, ..self }
     }
 
     fn facts(&self) -> &'static Facts {
@@ -36,7 +44,7 @@ impl NetworkEstimator {
 
     fn encoded(&self, frame: &Image) -> EncodedFrame {
         let frame = self.canvas(frame.size()).extended(frame);
-        let features = self.network.features(self.tensor(&[&frame]));
+        let features = with_precision(self.precision, || self.network.features(self.tensor(&[&frame])));
         EncodedFrame { frame, features }
     }
 
@@ -97,7 +105,7 @@ impl NetworkEstimator {
         let frames = Frames { first: self.tensor(&images[..pairs]), second: self.tensor(&images[second..]) };
         let request =
             Request { start, features: Some(features), memory, ..Request::new(self.iterations.get()) };
-        self.network.forward(frames, &request)
+        with_precision(self.precision, || self.network.forward(frames, &request))
     }
 
     /// The flows of a batch, cropped to the size of the frames.

@@ -9,6 +9,7 @@ use srflow_nets::{
     Architecture, Frames, Network, NetworkEstimator, Padding, Request, Scaled, TileSize, Tiled, Tiling,
 };
 use srflow_nn::{parameters, with_parameters};
+use srflow_ops::Precision;
 
 const ITERATIONS: usize = 3;
 
@@ -349,4 +350,25 @@ fn a_nan_flow_is_an_error() {
     let network = network().map(&mut Broken);
     let error = estimator(&network).estimate(&frame((128, 128), 0), &frame((128, 128), 1)).expect_err("NaN");
     assert!(error.to_string().contains("raft-small: computed NaN instead of a flow"), "{error}");
+}
+
+/// The weights that come with srflow: random ones would amplify what rounding changes.
+#[test]
+fn bfloat16_moves_a_trained_flow_little_and_the_same_way_in_a_sequence() {
+    let device = Device::flex();
+    let network = srflow_nets::load_included(Architecture::SrFlow, &device).expect("weights");
+    let of = |precision| {
+        let iterations = NonZeroUsize::new(2).expect("some");
+        NetworkEstimator::new("srflow", network.clone(), iterations, device.clone()).with_precision(precision)
+    };
+    let frames = video((160, 120), 3);
+    let exact = flows_of(&of(Precision::F32), false, &frames);
+    let near = flows_of(&of(Precision::Bf16), false, &frames);
+    for (pair, (exact, near)) in exact.iter().zip(&near).enumerate() {
+        let lengths = exact.pixels().iter().zip(near.pixels()).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]));
+        let mean = lengths.sum::<f32>() / exact.pixels().len() as f32;
+        assert!(mean > 0.0 && mean < 0.02, "pair {pair}: {mean} px");
+        let alone = of(Precision::Bf16).estimate(&frames[pair], &frames[pair + 1]).expect("a flow");
+        assert_eq!(&alone, near, "pair {pair}");
+    }
 }

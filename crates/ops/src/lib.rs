@@ -12,6 +12,7 @@ mod device;
 mod flex;
 mod map_shape;
 mod operation;
+mod precision;
 mod reusing_allocator;
 mod sums;
 #[cfg(test)]
@@ -21,6 +22,7 @@ mod weight_cache;
 pub use activation::Activation;
 pub use device::{DeviceError, device, device_kinds};
 pub use map_shape::MapShape;
+pub use precision::{Precision, fastest_precision, precision, with_precision};
 pub use reusing_allocator::ReusingAllocator;
 pub use weight_cache::WeightCache;
 

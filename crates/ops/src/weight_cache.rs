@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 
 use burn::backend::TensorMetadata;
 use burn::backend::flex::FlexTensor;
-use srflow_simd::Isa;
+use srflow_simd::{Isa, Packed, Precision};
 
 use crate::flex::CpuTensor;
 
@@ -30,6 +30,7 @@ pub(crate) enum Pass {
 pub(crate) struct Packing {
     pub(crate) pass: Pass,
     pub(crate) isa: Isa,
+    pub(crate) precision: Precision,
     pub(crate) stride: [usize; 2],
     pub(crate) padding: [usize; 2],
 }
@@ -41,7 +42,7 @@ struct Kept {
     start: usize,
     shape: Vec<usize>,
     packing: Packing,
-    made: Arc<Vec<f32>>,
+    made: Arc<Packed>,
 }
 
 impl fmt::Debug for WeightCache {
@@ -56,8 +57,8 @@ impl WeightCache {
         &self,
         packing: Packing,
         weight: &FlexTensor,
-        make: impl FnOnce(&[f32]) -> Vec<f32>,
-    ) -> Arc<Vec<f32>> {
+        make: impl FnOnce(&[f32]) -> Packed,
+    ) -> Arc<Packed> {
         let start = weight.layout().start_offset();
         let shape = weight.shape().to_vec();
         let memory: Arc<dyn Any + Send + Sync> = weight.data_arc();
@@ -91,11 +92,22 @@ mod tests {
     use super::*;
 
     fn forward() -> Packing {
-        Packing { pass: Pass::Forward, isa: Isa::best(), stride: [1, 1], padding: [0, 0] }
+        let (isa, precision) = (Isa::best(), Precision::F32);
+        Packing { pass: Pass::Forward, isa, precision, stride: [1, 1], padding: [0, 0] }
     }
 
     fn weight(values: [f32; 4]) -> FlexTensor {
         FlexTensor::from_data(TensorData::new(values.to_vec(), [2, 2]))
+    }
+
+    /// What a cache gives for a weight, where `make` makes numbers.
+    fn get(
+        cache: &WeightCache,
+        packing: Packing,
+        weight: &FlexTensor,
+        make: impl FnOnce(&[f32]) -> Vec<f32>,
+    ) -> Vec<f32> {
+        cache.get(packing, weight, |weight| Packed::of_numbers(make(weight))).numbers().to_vec()
     }
 
     #[test]
@@ -103,24 +115,24 @@ mod tests {
         let cache = WeightCache::default();
         let mut first = weight([1., 2., 3., 4.]);
         let twice = |values: &[f32]| values.iter().map(|x| 2.0 * x).collect();
-        assert_eq!(*cache.get(forward(), &first, twice), [2., 4., 6., 8.]);
+        assert_eq!(get(&cache, forward(), &first, twice), [2., 4., 6., 8.]);
         let not_again = |_: &[f32]| unreachable!("the weight is the same");
-        assert_eq!(*cache.clone().get(forward(), &first.clone(), not_again), [2., 4., 6., 8.]);
+        assert_eq!(get(&cache.clone(), forward(), &first.clone(), not_again), [2., 4., 6., 8.]);
         let thrice = |values: &[f32]| values.iter().map(|x| 3.0 * x).collect();
         assert_eq!(
-            *cache.get(Packing { pass: Pass::Backward, ..forward() }, &first, thrice),
+            get(&cache, Packing { pass: Pass::Backward, ..forward() }, &first, thrice),
             [3., 6., 9., 12.]
         );
-        assert_eq!(*cache.get(forward(), &first, not_again), [2., 4., 6., 8.]);
+        assert_eq!(get(&cache, forward(), &first, not_again), [2., 4., 6., 8.]);
 
         first.storage_mut::<f32>()[0] = 5.0;
-        assert_eq!(*cache.get(forward(), &first, twice), [10., 4., 6., 8.]);
+        assert_eq!(get(&cache, forward(), &first, twice), [10., 4., 6., 8.]);
         drop(first);
-        assert_eq!(*cache.get(forward(), &weight([0., 1., 0., 1.]), twice), [0., 2., 0., 2.]);
+        assert_eq!(get(&cache, forward(), &weight([0., 1., 0., 1.]), twice), [0., 2., 0., 2.]);
     }
 
     #[test]
-    fn another_stride_padding_or_instruction_set_makes_it_again() {
+    fn another_stride_padding_precision_or_instruction_set_makes_it_again() {
         let cache = WeightCache::default();
         let weight = weight([1., 2., 3., 4.]);
         let portable = Isa::to_test().next().expect("the portable one");
@@ -129,11 +141,16 @@ mod tests {
             Packing { stride: [2, 1], ..forward() },
             Packing { padding: [0, 1], ..forward() },
             Packing { isa: portable, padding: [1, 1], ..forward() },
+            Packing { precision: Precision::Bf16, ..forward() },
         ]
         .into_iter()
         .enumerate()
         {
-            assert_eq!(*cache.get(packing, &weight, |_| vec![number as f32]), [number as f32], "{packing:?}");
+            assert_eq!(
+                get(&cache, packing, &weight, |_| vec![number as f32]),
+                [number as f32],
+                "{packing:?}"
+            );
         }
     }
 
@@ -142,9 +159,9 @@ mod tests {
         let cache = WeightCache::default();
         let whole = weight([1., 2., 3., 4.]);
         let copy = |values: &[f32]| values.to_vec();
-        assert_eq!(*cache.get(forward(), &whole.narrow(0, 0, 1), copy), [1., 2.]);
-        assert_eq!(*cache.get(forward(), &whole.narrow(0, 1, 1), copy), [3., 4.]);
-        assert_eq!(*cache.get(forward(), &whole.transpose(0, 1), copy), [1., 3., 2., 4.]);
-        assert_eq!(*cache.get(forward(), &whole, copy), [1., 2., 3., 4.]);
+        assert_eq!(get(&cache, forward(), &whole.narrow(0, 0, 1), copy), [1., 2.]);
+        assert_eq!(get(&cache, forward(), &whole.narrow(0, 1, 1), copy), [3., 4.]);
+        assert_eq!(get(&cache, forward(), &whole.transpose(0, 1), copy), [1., 3., 2., 4.]);
+        assert_eq!(get(&cache, forward(), &whole, copy), [1., 2., 3., 4.]);
     }
 }

@@ -1,5 +1,6 @@
 use std::arch::x86_64::*;
 
+use crate::bf16::UPPER;
 use crate::vector::each;
 use crate::{MAX_LANES, Simd};
 
@@ -26,6 +27,26 @@ fn first(_: Avx2, count: usize) -> __m256i {
     unsafe {
         let lane = _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7);
         _mm256_cmpgt_epi32(_mm256_set1_epi32(count as i32), lane)
+    }
+}
+
+/// [`crate::bf16::rounded`] in each lane.
+#[inline(always)]
+fn rounded(_: Avx2, x: __m256) -> __m256i {
+    // SAFETY: the token is the proof.
+    unsafe {
+        let bits = _mm256_castps_si256(x);
+        let last = _mm256_and_si256(_mm256_srli_epi32::<16>(bits), _mm256_set1_epi32(1));
+        let up = _mm256_add_epi32(_mm256_add_epi32(bits, _mm256_set1_epi32(0x7FFF)), last);
+        let negative = _mm256_set1_ps(-0.0);
+        let sign = _mm256_and_ps(x, negative);
+        let small =
+            _mm256_cmp_ps::<_CMP_LT_OQ>(_mm256_andnot_ps(negative, x), _mm256_set1_ps(f32::MIN_POSITIVE));
+        let nan = _mm256_cmp_ps::<_CMP_UNORD_Q>(x, x);
+        let quiet = _mm256_or_si256(bits, _mm256_set1_epi32(0x0040_0000));
+        let rounded = _mm256_blendv_ps(_mm256_castsi256_ps(up), sign, small);
+        let rounded = _mm256_blendv_ps(rounded, _mm256_castsi256_ps(quiet), nan);
+        _mm256_and_si256(_mm256_castps_si256(rounded), _mm256_set1_epi32(UPPER as i32))
     }
 }
 
@@ -59,7 +80,21 @@ impl Simd for Avx2 {
         and(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_and_ps(a, b) };
         and_not(a: __m256, b: __m256) -> __m256 = unsafe { _mm256_andnot_ps(b, a) };
         select(mask: __m256, a: __m256, b: __m256) -> __m256 = unsafe { _mm256_blendv_ps(b, a, mask) };
+        firsts(pairs: __m256) -> __m256 = unsafe {
+            _mm256_castsi256_ps(_mm256_slli_epi32::<16>(_mm256_castps_si256(pairs)))
+        };
+        seconds(pairs: __m256) -> __m256 = unsafe {
+            _mm256_and_ps(pairs, _mm256_castsi256_ps(_mm256_set1_epi32(UPPER as i32)))
+        };
         bits(mask: __m256) -> u16 = unsafe { _mm256_movemask_ps(mask) as u16 };
+    }
+
+    #[inline(always)]
+    fn pair(self, first: __m256, second: __m256) -> __m256 {
+        unsafe {
+            let first = _mm256_srli_epi32::<16>(rounded(self, first));
+            _mm256_castsi256_ps(_mm256_or_si256(first, rounded(self, second)))
+        }
     }
 
     #[inline(always)]

@@ -1,5 +1,6 @@
 use std::arch::x86_64::*;
 
+use crate::bf16::UPPER;
 use crate::vector::each;
 use crate::{Avx2, MAX_LANES, Simd};
 
@@ -16,6 +17,22 @@ impl Avx512 {
             && is_x86_feature_detected!("avx512dq")
             && is_x86_feature_detected!("avx512vl"))
         .then_some(Self(()))
+    }
+}
+
+/// [`crate::bf16::rounded`] in each lane.
+#[inline(always)]
+fn rounded(_: Avx512, x: __m512) -> __m512i {
+    // SAFETY: the token is the proof.
+    unsafe {
+        let bits = _mm512_castps_si512(x);
+        let last = _mm512_and_si512(_mm512_srli_epi32::<16>(bits), _mm512_set1_epi32(1));
+        let up = _mm512_add_epi32(_mm512_add_epi32(bits, _mm512_set1_epi32(0x7FFF)), last);
+        let small = _mm512_cmp_ps_mask::<_CMP_LT_OQ>(_mm512_abs_ps(x), _mm512_set1_ps(f32::MIN_POSITIVE));
+        let nan = _mm512_cmp_ps_mask::<_CMP_UNORD_Q>(x, x);
+        let rounded = _mm512_mask_and_epi32(up, small, bits, _mm512_set1_epi32(i32::MIN));
+        let rounded = _mm512_mask_or_epi32(rounded, nan, bits, _mm512_set1_epi32(0x0040_0000));
+        _mm512_and_si512(rounded, _mm512_set1_epi32(UPPER as i32))
     }
 }
 
@@ -49,8 +66,22 @@ impl Simd for Avx512 {
         and(a: __mmask16, b: __mmask16) -> __mmask16 = a & b;
         and_not(a: __mmask16, b: __mmask16) -> __mmask16 = a & !b;
         select(mask: __mmask16, a: __m512, b: __m512) -> __m512 = unsafe { _mm512_mask_blend_ps(mask, b, a) };
+        firsts(pairs: __m512) -> __m512 = unsafe {
+            _mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_castps_si512(pairs)))
+        };
+        seconds(pairs: __m512) -> __m512 = unsafe {
+            _mm512_and_ps(pairs, _mm512_castsi512_ps(_mm512_set1_epi32(UPPER as i32)))
+        };
         bits(mask: __mmask16) -> u16 = mask;
         sum(v: __m512) -> f32 = unsafe { _mm512_reduce_add_ps(v) };
+    }
+
+    #[inline(always)]
+    fn pair(self, first: __m512, second: __m512) -> __m512 {
+        unsafe {
+            let first = _mm512_srli_epi32::<16>(rounded(self, first));
+            _mm512_castsi512_ps(_mm512_or_si512(first, rounded(self, second)))
+        }
     }
 
     #[inline(always)]

@@ -18,8 +18,10 @@ mod activation;
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+mod bf16;
 mod functions;
 mod isa;
+mod packed;
 mod portable;
 mod product;
 mod shared_mut;
@@ -30,9 +32,13 @@ pub use activation::{Activation, Keeps, activate, activated, activation_backward
 pub use avx2::Avx2;
 #[cfg(target_arch = "x86_64")]
 pub use avx512::Avx512;
+#[cfg(target_arch = "x86_64")]
+pub use bf16::Avx512Bf16;
+pub use bf16::{Multiply, Numbers, Pair, PairsInSteps, Precision, pair_neighbours, pair_up};
 pub use functions::{exp, exp2, ln_1p};
 pub use isa::Isa;
+pub use packed::{Left, Packed};
 pub use portable::Portable;
-pub use product::{Output, Product, Start, Steps, multiply, multiply_diagonal, pack_rows, panel_columns};
+pub use product::{Output, Product, Start, Steps, multiply, multiply_diagonal, panel_columns};
 pub use shared_mut::{SharedMut, fill_columns, fill_pieces};
 pub use vector::{MAX_LANES, Simd};

@@ -1,6 +1,7 @@
 use std::array;
 
 use crate::Simd;
+use crate::bf16::{UPPER, rounded};
 use crate::vector::each;
 
 /// Plain Rust: loops over eight elements, which the compiler vectorizes.
@@ -73,5 +74,8 @@ impl Simd for Portable {
         select(mask: M, a: F, b: F) -> F = array::from_fn(|i| if mask[i] { a[i] } else { b[i] });
         bits(mask: M) -> u16 = (0..8).fold(0, |bits, i| bits | u16::from(mask[i]) << i);
         sum(v: F) -> f32 = v.iter().sum();
+        pair(a: F, b: F) -> F = array::from_fn(|i| f32::from_bits(rounded(a[i]) >> 16 | rounded(b[i])));
+        firsts(pairs: F) -> F = pairs.map(|pair| f32::from_bits(pair.to_bits() << 16));
+        seconds(pairs: F) -> F = pairs.map(|pair| f32::from_bits(pair.to_bits() & UPPER));
     }
 }

@@ -3,9 +3,13 @@
 //! The right side is stored in panels: [`VECTORS`] vectors of columns wide, all rows, one row after another. Addresses are
 //! read in order, and the data of a register tile lies in the first cache levels.
 
+use std::cell::Cell;
 use std::marker::PhantomData;
 
-use crate::{Activation, Isa, MAX_LANES, Simd, dispatch};
+use crate::bf16::pair_rows;
+use crate::{
+    Activation, Isa, Left, MAX_LANES, Multiply, Numbers, Pair, Precision, Simd, dispatch, dispatch_pairs,
+};
 
 /// Vectors in one row of a panel.
 const VECTORS: usize = 3;
@@ -14,56 +18,6 @@ const MAX_ROWS: usize = 8;
 
 pub fn panel_columns(isa: Isa) -> usize {
     VECTORS * isa.lanes()
-}
-
-/// Reorders a left side `[rows, depth]` for [`Product::left`]: blocks of a register tile's rows (the last may have fewer),
-/// each stored as `[depth, rows of the block]`.
-pub fn pack_rows(isa: Isa, matrix: &[f32], depth: usize, packed: &mut [f32]) {
-    let block = isa.tile_rows();
-    assert_eq!(matrix.len(), packed.len());
-    if packed.is_empty() {
-        return;
-    }
-    for (to, from) in packed.chunks_mut(block * depth).zip(matrix.chunks(block * depth)) {
-        pack_block(isa, from, depth, to);
-    }
-}
-
-dispatch! {
-    /// One block of [`pack_rows`].
-    fn pack_block = pack_block_kernel(from: &[f32], depth: usize, to: &mut [f32])
-}
-
-#[inline(always)]
-fn pack_block_kernel<S: Simd>(s: S, from: &[f32], depth: usize, to: &mut [f32]) {
-    let rows = from.len() / depth;
-    let mut first = 0;
-    if rows * 2 == S::LANES {
-        // Two vectors of each row make a square.
-        let mut square = [0.0; MAX_LANES * MAX_LANES];
-        while first + 2 * S::LANES <= depth {
-            let mut sources = [std::ptr::null(); MAX_LANES];
-            for row in 0..rows {
-                let values = &from[row * depth + first..][..2 * S::LANES];
-                sources[row] = values.as_ptr();
-                sources[rows + row] = values[S::LANES..].as_ptr();
-            }
-            // SAFETY: each source is one vector long, and the square holds its columns.
-            unsafe { s.transpose(&sources, square.as_mut_ptr(), S::LANES) }
-            let (left, right) = to[first * rows..][..2 * S::LANES * rows].split_at_mut(S::LANES * rows);
-            let halves = left.chunks_exact_mut(rows).zip(right.chunks_exact_mut(rows));
-            for ((left, right), values) in halves.zip(square.chunks_exact(S::LANES)) {
-                left.copy_from_slice(&values[..rows]);
-                right.copy_from_slice(&values[rows..]);
-            }
-            first += 2 * S::LANES;
-        }
-    }
-    for (row, values) in from.chunks_exact(depth).enumerate() {
-        for (i, &value) in values.iter().enumerate().skip(first) {
-            to[i * rows + row] = value;
-        }
-    }
 }
 
 /// The initial value of the sums of a [`Product`].
@@ -104,8 +58,8 @@ impl Steps {
 /// `activation(start + left * right + add)`, computed for the columns of one or more panels.
 #[derive(Debug, Clone, Copy)]
 pub struct Product<'a> {
-    /// `rows * depth` elements in the order of [`pack_rows`].
-    pub left: &'a [f32],
+    /// Its precision is that of the product: for [`Precision::Bf16`] the right side is rounded on the way.
+    pub left: Left<'a>,
     pub rows: usize,
     pub depth: usize,
     /// Whole panels, each `depth` rows of [`panel_columns`].
@@ -121,10 +75,9 @@ pub struct Product<'a> {
 
 impl Product<'_> {
     /// Panics when the kernels would read or write out of bounds.
-    fn check(&self, isa: Isa, left: usize, out: &Output) {
+    fn check(&self, isa: Isa, out: &Output) {
         let width = panel_columns(isa);
         let Self { rows, depth, columns, .. } = *self;
-        assert!(self.left.len() >= left, "left side: {} elements of {left}", self.left.len());
         let right = Steps { row: width, panel: self.right_panel };
         let right = right.extent(depth, columns.next_multiple_of(width), width);
         assert!(self.right.len() >= right, "right side: {} elements of {right}", self.right.len());
@@ -200,42 +153,110 @@ impl<'a> Output<'a> {
 
 /// Computes a product. Panics when a slice is too short, or when it starts from an output that was never written.
 pub fn multiply(isa: Isa, product: &Product, out: &mut Output) {
-    let Some(left) = product.rows.checked_mul(product.depth) else { panic!("a matrix larger than memory") };
-    product.check(isa, left, out);
-    // SAFETY: the bounds of every read and write were checked.
-    unsafe { multiply_unchecked(isa, product, out) }
-    out.mark_filled(product.rows, product.columns);
+    let Product { rows, depth, columns, .. } = *product;
+    let Some(left) = rows.checked_mul(product.left.precision().packed(depth)) else {
+        panic!("a matrix larger than memory")
+    };
+    assert!(product.left.len() >= left, "left side: {} elements of {left}", product.left.len());
+    product.check(isa, out);
+    match product.left {
+        Left::F32(left) => {
+            let sides = Sides {
+                left: left.as_ptr(),
+                right: product.right.as_ptr(),
+                panel: product.right_panel,
+                depth,
+            };
+            // SAFETY: the bounds of every read and write were checked.
+            unsafe { multiply_unchecked(isa, product, &sides, out) }
+        }
+        Left::Bf16(left) => with_pairs(isa, product, |right, panel| {
+            let depth = Precision::Bf16.packed(depth);
+            let sides = Sides { left: left.as_ptr().cast(), right: right.as_ptr().cast(), panel, depth };
+            // SAFETY: as above, with half as many rows on the right.
+            unsafe { multiply_pairs_unchecked(isa, product, &sides, out) }
+        }),
+    }
+    out.mark_filled(rows, columns);
 }
 
-/// [`multiply`] with a diagonal matrix: `left` holds one factor per row, and `right` has as many rows. It cannot start from
-/// the output.
-pub fn multiply_diagonal(isa: Isa, product: &Product, out: &mut Output) {
+/// [`multiply`] with a diagonal matrix: `factors` takes the place of the left side, and there are as many rows on the right. It
+/// cannot start from the output.
+pub fn multiply_diagonal(isa: Isa, factors: &[f32], product: &Product, out: &mut Output) {
     assert_eq!(product.rows, product.depth, "a diagonal matrix is square");
-    product.check(isa, product.rows, out);
+    assert!(factors.len() >= product.rows, "factors of {} rows: {}", product.rows, factors.len());
+    product.check(isa, out);
     // SAFETY: the bounds of every read and write were checked.
-    unsafe { multiply_diagonal_unchecked(isa, product, out) }
+    unsafe { multiply_diagonal_unchecked(isa, factors, product, out) }
     out.mark_filled(product.rows, product.columns);
 }
 
-dispatch! {
-    /// # Safety
-    /// The bounds of the product and its output were checked.
-    unsafe fn multiply_unchecked = multiply_kernel(product: &Product, output: &Output)
+/// What a register tile multiplies: the elements of both sides are numbers, or else [`Pair`]s of them.
+struct Sides {
+    /// In the order of [`Packed`](crate::Packed).
+    left: *const f32,
+    /// Panels of `depth` rows.
+    right: *const f32,
+    /// Elements from one panel to the next.
+    panel: usize,
+    /// Elements of a row of the left side.
+    depth: usize,
+}
+
+/// Calls `of` with the right side as pairs, and the number of them from one panel to the next.
+fn with_pairs(isa: Isa, product: &Product, of: impl FnOnce(&[Pair], usize)) {
+    thread_local! {
+        static PAIRS: Cell<Vec<Pair>> = const { Cell::new(Vec::new()) };
+    }
+    let width = panel_columns(isa);
+    let panels = product.columns.div_ceil(width);
+    let panel = Precision::Bf16.packed(product.depth) * width;
+    let mut pairs = PAIRS.take();
+    if pairs.len() < panels * panel {
+        pairs.resize(panels * panel, Pair::default());
+    }
+    if panel > 0 {
+        for (number, pairs) in pairs.chunks_exact_mut(panel).take(panels).enumerate() {
+            let rows = &product.right[number * product.right_panel..][..product.depth * width];
+            pair_rows(isa, rows, width, pairs);
+        }
+    }
+    of(&pairs, panel);
+    PAIRS.set(pairs);
 }
 
 dispatch! {
     /// # Safety
-    /// The bounds of the product and its output were checked.
-    unsafe fn multiply_diagonal_unchecked = multiply_diagonal_kernel(product: &Product, output: &Output)
+    /// The bounds of the product, its sides and its output were checked.
+    unsafe fn multiply_unchecked = multiply_numbers(product: &Product, sides: &Sides, output: &Output)
+}
+
+dispatch_pairs! {
+    /// # Safety
+    /// As for [`multiply_unchecked`]; the elements of the sides are pairs.
+    unsafe fn multiply_pairs_unchecked = multiply_kernel(product: &Product, sides: &Sides, output: &Output)
+}
+
+dispatch! {
+    /// # Safety
+    /// The bounds of the factors, the product and its output were checked.
+    unsafe fn multiply_diagonal_unchecked =
+        multiply_diagonal_kernel(factors: &[f32], product: &Product, output: &Output)
 }
 
 #[inline(always)]
-unsafe fn multiply_diagonal_kernel<S: Simd>(s: S, product: &Product, output: &Output) {
+unsafe fn multiply_numbers<S: Simd>(s: S, product: &Product, sides: &Sides, output: &Output) {
+    // SAFETY: the caller checked the bounds.
+    unsafe { multiply_kernel(s, Numbers, product, sides, output) }
+}
+
+#[inline(always)]
+unsafe fn multiply_diagonal_kernel<S: Simd>(s: S, factors: &[f32], product: &Product, output: &Output) {
     let width = VECTORS * S::LANES;
     for panel in 0..product.columns.div_ceil(width) {
         let columns = width.min(product.columns - panel * width);
         for row in 0..product.rows {
-            let factor = s.splat(product.left[row]);
+            let factor = s.splat(factors[row]);
             let start = match product.start {
                 Start::PerRow(start) => s.splat(start[row]),
                 Start::Zero => s.splat(0.0),
@@ -262,7 +283,13 @@ unsafe fn multiply_diagonal_kernel<S: Simd>(s: S, product: &Product, output: &Ou
 }
 
 #[inline(always)]
-unsafe fn multiply_kernel<S: Simd>(s: S, product: &Product, output: &Output) {
+unsafe fn multiply_kernel<S: Simd, M: Multiply<S>>(
+    s: S,
+    how: M,
+    product: &Product,
+    sides: &Sides,
+    output: &Output,
+) {
     let width = VECTORS * S::LANES;
     let mut first = 0;
     while first < product.rows {
@@ -274,7 +301,7 @@ unsafe fn multiply_kernel<S: Simd>(s: S, product: &Product, output: &Output) {
                 ($($rows:literal)*) => {
                     match rows {
                         // SAFETY: the caller checked the bounds.
-                        $($rows => unsafe { tile::<S, $rows>(s, product, output, first, panel, columns) },)*
+                        $($rows => unsafe { tile::<S, M, $rows>(s, how, product, sides, output, [first, panel, columns]) },)*
                         _ => unreachable!("a tile has 1 to 8 rows"),
                     }
                 };
@@ -290,13 +317,13 @@ unsafe fn multiply_kernel<S: Simd>(s: S, product: &Product, output: &Output) {
 struct Tile([f32; MAX_ROWS * VECTORS * MAX_LANES]);
 
 #[inline(always)]
-unsafe fn tile<S: Simd, const ROWS: usize>(
+unsafe fn tile<S: Simd, M: Multiply<S>, const ROWS: usize>(
     s: S,
+    how: M,
     product: &Product,
+    sides: &Sides,
     output: &Output,
-    first: usize,
-    panel: usize,
-    columns: usize,
+    [first, panel, columns]: [usize; 3],
 ) {
     let mut tile = Tile([0.0; MAX_ROWS * VECTORS * MAX_LANES]);
     // SAFETY: the caller checked the bounds; a tile holds the rows' vectors.
@@ -318,12 +345,12 @@ unsafe fn tile<S: Simd, const ROWS: usize>(
                 });
             }
         }
-        let left = product.left.as_ptr().add(first * product.depth);
-        let right = product.right.as_ptr().add(panel * product.right_panel);
+        let left = sides.left.add(first * sides.depth);
+        let right = sides.right.add(panel * sides.panel);
         match columns.div_ceil(S::LANES) {
-            1 => accumulate::<S, ROWS, 1>(s, left, right, product.depth, values),
-            2 => accumulate::<S, ROWS, 2>(s, left, right, product.depth, values),
-            _ => accumulate::<S, ROWS, VECTORS>(s, left, right, product.depth, values),
+            1 => accumulate::<S, M, ROWS, 1>(s, how, left, right, sides.depth, values),
+            2 => accumulate::<S, M, ROWS, 2>(s, how, left, right, sides.depth, values),
+            _ => accumulate::<S, M, ROWS, VECTORS>(s, how, left, right, sides.depth, values),
         }
         if let Some((add, steps)) = product.add {
             let add = add.as_ptr().add(at(steps));
@@ -371,8 +398,9 @@ fn each_vector<S: Simd, const ROWS: usize>(columns: usize, mut of: impl FnMut(us
 
 /// `values += left * right` for the first `V` vectors of each row, held in registers throughout.
 #[inline(always)]
-unsafe fn accumulate<S: Simd, const ROWS: usize, const V: usize>(
+unsafe fn accumulate<S: Simd, M: Multiply<S>, const ROWS: usize, const V: usize>(
     s: S,
+    how: M,
     mut left: *const f32,
     mut right: *const f32,
     depth: usize,
@@ -383,7 +411,7 @@ unsafe fn accumulate<S: Simd, const ROWS: usize, const V: usize>(
         let mut sums = [[s.splat(0.0); V]; ROWS];
         for row in 0..ROWS {
             for v in 0..V {
-                sums[row][v] = s.load(values.add((row * VECTORS + v) * S::LANES));
+                sums[row][v] = how.begin(s, s.load(values.add((row * VECTORS + v) * S::LANES)));
             }
         }
         for _ in 0..depth {
@@ -394,7 +422,7 @@ unsafe fn accumulate<S: Simd, const ROWS: usize, const V: usize>(
             for row in 0..ROWS {
                 let weight = s.splat(*left.add(row));
                 for v in 0..V {
-                    sums[row][v] = s.mul_add(weight, columns[v], sums[row][v]);
+                    sums[row][v] = how.add(s, weight, columns[v], sums[row][v]);
                 }
             }
             left = left.add(ROWS);
@@ -411,6 +439,8 @@ unsafe fn accumulate<S: Simd, const ROWS: usize, const V: usize>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Packed;
+    use crate::bf16::add_products;
 
     const ROWS: usize = 11;
     const DEPTH: usize = 7;
@@ -438,12 +468,11 @@ mod tests {
             for columns in [1, width - 1, width, 2 * width + 5] {
                 let (left, right) = (numbers(ROWS * DEPTH, 1), numbers(DEPTH * columns, 2));
                 let (start, add) = (numbers(ROWS, 3), numbers(ROWS * columns, 4));
-                let mut packed = vec![0.0; left.len()];
-                pack_rows(isa, &left, DEPTH, &mut packed);
+                let packed = Packed::rows(isa, Precision::F32, &left, DEPTH);
                 let panels = panels(isa, &right, columns);
                 let steps = Steps { row: columns, panel: width };
                 let product = Product {
-                    left: &packed,
+                    left: packed.part(0),
                     rows: ROWS,
                     depth: DEPTH,
                     right: &panels,
@@ -463,13 +492,51 @@ mod tests {
                     assert!((f64::from(*found) - expected).abs() < 1e-5, "{isa:?}: {found} for {expected}");
                 }
 
-                let diagonal = Product { left: &start[..DEPTH], rows: DEPTH, ..product };
+                let diagonal = Product { rows: DEPTH, ..product };
                 let mut out = vec![f32::NAN; DEPTH * columns];
-                multiply_diagonal(isa, &diagonal, &mut Output::new(&mut out, steps));
+                multiply_diagonal(isa, &start[..DEPTH], &diagonal, &mut Output::new(&mut out, steps));
                 for (i, found) in out.iter().enumerate() {
                     let factor = f64::from(start[i / columns]);
                     let expected = factor * f64::from(right[i]) + factor + f64::from(add[i]);
                     assert!((f64::from(*found) - expected.max(0.0)).abs() < 1e-5, "{isa:?}: {found}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn products_of_bfloat16_have_the_bits_of_their_definition() {
+        for isa in Isa::to_test() {
+            let width = panel_columns(isa);
+            // The last one makes sums that are not normal numbers.
+            for (columns, scale) in [(1, 1.0), (width, 3.0), (2 * width + 5, 1.0), (width, 3e-20)] {
+                let scaled = |numbers: Vec<f32>| numbers.into_iter().map(|x| x * scale).collect::<Vec<f32>>();
+                let (left, right) = (scaled(numbers(ROWS * DEPTH, 1)), scaled(numbers(DEPTH * columns, 2)));
+                let start: Vec<f32> = scaled(scaled(numbers(ROWS, 3)));
+                let packed = Packed::rows(isa, Precision::Bf16, &left, DEPTH);
+                let steps = Steps { row: columns, panel: width };
+                let product = Product {
+                    left: packed.part(0),
+                    rows: ROWS,
+                    depth: DEPTH,
+                    right: &panels(isa, &right, columns),
+                    right_panel: DEPTH * width,
+                    start: Start::PerRow(&start),
+                    add: None,
+                    activation: Activation::Identity,
+                    columns,
+                };
+                let mut out = vec![f32::NAN; ROWS * columns];
+                multiply(isa, &product, &mut Output::new(&mut out, steps));
+                for (i, found) in out.iter().enumerate() {
+                    let (row, x) = (i / columns, i % columns);
+                    let factor = |k: usize| if k < DEPTH { left[row * DEPTH + k] } else { 0.0 };
+                    let other = |k: usize| if k < DEPTH { right[k * columns + x] } else { 0.0 };
+                    let expected = (0..DEPTH).step_by(2).fold(start[row], |sum, k| {
+                        let pair = Pair::new(factor(k), factor(k + 1));
+                        add_products(sum, pair, Pair::new(other(k), other(k + 1)))
+                    });
+                    assert_eq!(found.to_bits(), expected.to_bits(), "{isa:?}: {found} for {expected}");
                 }
             }
         }
@@ -487,7 +554,7 @@ mod tests {
             let (left, right) = (vec![0.0; left], vec![0.0; right]);
             let (start, add, mut out) = (vec![0.0; start], vec![0.0; add], vec![0.0; out]);
             let product = Product {
-                left: &left,
+                left: Left::F32(&left),
                 rows: ROWS,
                 depth: DEPTH,
                 right: &right,

@@ -114,7 +114,7 @@ pub fn fill_columns<T>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Activation, Product, Start, multiply};
+    use crate::{Activation, Left, Product, Start, multiply};
 
     #[test]
     fn pieces_become_one_vector() {
@@ -149,7 +149,7 @@ mod tests {
                 let right = vec![own.start as f32; panel_columns(isa) * 10];
                 let columns = columns.min(own.len());
                 let product = Product {
-                    left: &left,
+                    left: Left::F32(&left),
                     rows,
                     depth: 1,
                     right: &right,

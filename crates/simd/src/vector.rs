@@ -93,6 +93,12 @@ pub trait Simd: Copy + Send + Sync + 'static {
     fn sqrt(self, a: Self::Vector) -> Self::Vector;
     /// `-|a|`.
     fn negative(self, a: Self::Vector) -> Self::Vector;
+    /// Both numbers of each lane in bfloat16, `first` in the lower half: [`Pair`](crate::Pair)s in the lanes of a vector.
+    fn pair(self, first: Self::Vector, second: Self::Vector) -> Self::Vector;
+    /// The first numbers of the pairs in a vector.
+    fn firsts(self, pairs: Self::Vector) -> Self::Vector;
+    /// The second numbers of the pairs in a vector.
+    fn seconds(self, pairs: Self::Vector) -> Self::Vector;
     /// `a * 2^n`, where `rounded` is `n + 1.5 * 2^23`; `a` and the result must be normal numbers.
     fn scale_by_power_of_two(self, a: Self::Vector, rounded: Self::Vector) -> Self::Vector;
 

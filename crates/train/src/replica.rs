@@ -11,6 +11,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use srflow_nets::{Network, Request};
 use srflow_nn::{HostGradients, Layout, filled, numbers, with_batch_statistics};
+use srflow_ops::{Precision, with_precision};
 
 use crate::batch::Batch;
 use crate::loss::{LossConfig, LossError, Losses, Prediction, losses};
@@ -26,6 +27,8 @@ pub struct PassSettings {
     pub accumulate: usize,
     /// Keep only the hidden states, and recompute the rest in the backward pass.
     pub recompute: bool,
+    /// What is multiplied on the CPU.
+    pub precision: Precision,
 }
 
 /// Result of a pass over a batch.
@@ -193,13 +196,16 @@ fn split(pairs: &[Batch], parts: usize) -> Vec<Vec<Batch>> {
 
 impl Replica {
     fn pass(&self, share: &[Batch], layout: &Layout, settings: &PassSettings) -> Result<Pass, LossError> {
-        let mut pass = Pass { gradients: HostGradients::zero(layout), losses: BatchLosses::default() };
-        for part in split(share, settings.accumulate) {
-            let weight = part[0].len() as f64 / share[0].len() as f64;
-            let losses = self.add_gradients(&part, layout, settings, weight as f32, &mut pass.gradients)?;
-            pass.losses.add(&losses, weight);
-        }
-        Ok(pass)
+        with_precision(settings.precision, || {
+            let mut pass = Pass { gradients: HostGradients::zero(layout), losses: BatchLosses::default() };
+            for part in split(share, settings.accumulate) {
+                let weight = part[0].len() as f64 / share[0].len() as f64;
+                let losses =
+                    self.add_gradients(&part, layout, settings, weight as f32, &mut pass.gradients)?;
+                pass.losses.add(&losses, weight);
+            }
+            Ok(pass)
+        })
     }
 
     /// Adds the gradients of the mean loss of `pairs`, times `weight`, to `sum`.

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use srflow_field::{FileError, LockError, RunLock, create_folder, write_file};
 use srflow_nets::about;
 use srflow_nn::{AdamW, AdamWState, Rounding, WeightsError, clip_norm};
+use srflow_ops::Precision;
 
 use crate::batch::Batch;
 use crate::checkpoint::{Best, Checkpoint, CheckpointError, Checkpoints, Progress};
@@ -68,6 +69,8 @@ pub enum TrainError {
         /// A sentence that names the last checkpoint.
         last_checkpoint: String,
     },
+    #[error("training.precision is {}, which is for the CPU alone: leave it out, or train on the CPU", .precision.name())]
+    PrecisionOfDevice { precision: Precision },
     #[error("a thread that reads training pairs panicked; see its message above")]
     Worker,
     #[error(
@@ -225,6 +228,10 @@ impl Training<'_> {
         let batch = config.training.batch;
         if batch < ranks.count() {
             return Err(TrainError::TooManyRanks { batch, ranks: ranks.count() });
+        }
+        let precision = config.training.precision;
+        if precision != Precision::F32 && devices.iter().any(|device| *device != Device::flex()) {
+            return Err(TrainError::PrecisionOfDevice { precision });
         }
         let start = Instant::now();
         let set = Arc::new(TrainingSet::open(&config, self.open_made)?);
@@ -401,6 +408,7 @@ impl Trainer {
             iterations: training.iterations,
             accumulate: training.accumulate,
             recompute: training.recompute,
+            precision: training.precision,
         };
         let network = &config.network;
         let live = network.has_live_batch_norm();

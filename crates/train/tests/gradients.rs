@@ -5,6 +5,7 @@ use std::path::Path;
 use burn::tensor::Device;
 use srflow_field::{FlowField, Image, Mask, write_flow, write_image_png};
 use srflow_nets::Architecture;
+use srflow_ops::Precision;
 use srflow_read::flow::Sample;
 use srflow_train::batch::Batch;
 use srflow_train::config::Config;
@@ -53,6 +54,14 @@ fn pass(
     pass_of_clips(architecture, devices, accumulate, recompute, std::slice::from_ref(batch))
 }
 
+fn pass_at(precision: Precision, architecture: Architecture, batch: &Batch) -> Pass {
+    let loss = LossConfig::default();
+    let settings = PassSettings { loss, iterations: 3, accumulate: 1, recompute: false, precision };
+    let (replicas, _) =
+        Replicas::new(|device| architecture.init(device), &[Device::flex()], 3, false, settings);
+    replicas.pass(std::slice::from_ref(batch)).expect("a loss")
+}
+
 fn pass_of_clips(
     architecture: Architecture,
     devices: usize,
@@ -64,7 +73,7 @@ fn pass_of_clips(
     let sequence = SEQUENCE_LOSSES.iter().find(|loss| loss.needs_mixture() == has_mixture);
     let sequence = sequence.expect("losses of both kinds");
     let loss = LossConfig { sequence, tvr: 0.05, fdr: 0.05, igvar: 0.1, ..LossConfig::default() };
-    let settings = PassSettings { loss, iterations: 3, accumulate, recompute };
+    let settings = PassSettings { loss, iterations: 3, accumulate, recompute, precision: Precision::F32 };
     let devices = vec![Device::flex(); devices];
     let (replicas, mut values) =
         Replicas::new(|device| architecture.init(device), &devices, 3, false, settings);
@@ -93,6 +102,24 @@ fn gradients_do_not_depend_on_the_number_of_devices() {
     assert_same(&one, &pass(Architecture::RaftSmall, 2, 1, false, &batch).0, 1e-4);
     // More devices than pairs.
     assert_same(&one, &pass(Architecture::RaftSmall, 4, 1, false, &batch).0, 1e-4);
+}
+
+/// Forward and backward: a descent goes nearly the same way.
+#[test]
+fn products_of_bfloat16_turn_the_gradient_a_little() {
+    let batch = batch(2);
+    for architecture in [Architecture::RaftSmall, Architecture::SkFlow] {
+        let [exact, near] =
+            [Precision::F32, Precision::Bf16].map(|precision| pass_at(precision, architecture, &batch));
+        let product = |a: &Pass, b: &Pass| -> f64 {
+            let pairs = a.gradients.values.iter().zip(&b.gradients.values);
+            pairs.map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
+        };
+        let cosine = product(&exact, &near) / (product(&exact, &exact) * product(&near, &near)).sqrt();
+        assert!(cosine > 0.98 && cosine < 1.0 - 1e-9, "{}: cosine {cosine}", architecture.name());
+        let apart = (exact.losses.total - near.losses.total).abs() / exact.losses.total;
+        assert!(apart < 0.02, "{}: losses {apart} apart", architecture.name());
+    }
 }
 
 /// The attention of GMA and SKFlow is initialized without effect (`gamma` is 0): all its other gradients are zero.

@@ -4,6 +4,7 @@ use srflow_classical::TvL1Parameters;
 use srflow_eval::MethodRecord;
 use srflow_mer::file_digest;
 use srflow_nets::included_sha256;
+use srflow_ops::Precision;
 
 use super::labels::labels;
 use super::{Method, MethodParameters, MethodSpec, distinct};
@@ -27,6 +28,9 @@ fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> any
         Method::TvL1 => (format!("{:?}", tvl1.or(TvL1Parameters::default())), None),
         Method::Network(architecture) => {
             let mut own = format!("{} iterations on {}", network.iterations(architecture), network.device);
+            if network.precision() != Precision::F32 {
+                own += &format!(" at {}", network.precision().name());
+            }
             for (name, value) in network.settings(architecture)? {
                 own += &format!(", {name}={value}");
             }

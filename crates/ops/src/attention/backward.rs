@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use srflow_simd::{Output, SharedMut, Start, Steps, panel_columns};
 
 use super::AttentionWeights;
-use super::panels::{BLOCK, Group, PANELS, blocks, channels_as_rows};
+use super::panels::{BLOCK, ChannelsAsRows, Group, PANELS, blocks};
 use super::softmax::to_score_gradients;
 use super::weights::{Gathering, Pairs};
 
@@ -46,18 +46,18 @@ impl AttentionWeights {
         of_log_sums: &[f32],
         strip_bytes: usize,
     ) -> [Vec<f32>; 2] {
-        let (isa, pixels) = (self.isa, self.pixels);
+        let Self { isa, precision, pixels, .. } = *self;
         let width = panel_columns(isa);
         let (mut d_queries, mut d_keys) = (vec![0.0; queries.len()], vec![0.0; keys.len()]);
         if gathered.is_empty() && of_log_sums.iter().all(|&gradient| gradient == 0.0) {
             return [d_queries, d_keys];
         }
         let products: Vec<Pairs> =
-            gathered.iter().map(|of| Pairs::new(isa, of.grad, of.values, pixels)).collect();
+            gathered.iter().map(|of| Pairs::new(isa, precision, of.grad, of.values, pixels)).collect();
         let means = self.mean_gradients(gathered, of_log_sums);
-        let packed_keys = channels_as_rows(isa, keys, pixels, BLOCK);
+        let packed_keys = ChannelsAsRows::new(isa, precision, keys, pixels, BLOCK);
         // A group of queries is one block for the keys.
-        let packed_queries = channels_as_rows(isa, queries, pixels, PANELS * width);
+        let packed_queries = ChannelsAsRows::new(isa, precision, queries, pixels, PANELS * width);
 
         let steps = Steps { row: pixels, panel: width };
         let groups = Group::count(isa, pixels);
@@ -66,7 +66,7 @@ impl AttentionWeights {
         let mut strip = vec![0.0; strip_groups * group_len];
         for first_group in (0..groups).step_by(strip_groups) {
             let strip_groups = strip_groups.min(groups - first_group);
-            let of_queries = Gathering { isa, pixels, values: &packed_keys };
+            let of_queries = Gathering { isa, values: &packed_keys };
             let out = SharedMut::new(&mut d_queries);
             strip.par_chunks_mut(group_len).take(strip_groups).enumerate().for_each_init(
                 || vec![0.0; PANELS * BLOCK * width],
@@ -81,7 +81,7 @@ impl AttentionWeights {
                     }
                 },
             );
-            let of_keys = Gathering { isa, pixels, values: &packed_queries };
+            let of_keys = Gathering { isa, values: &packed_queries };
             let out = SharedMut::new(&mut d_keys);
             (0..groups).into_par_iter().for_each_init(
                 || vec![0.0; PANELS * width * PANELS * width],

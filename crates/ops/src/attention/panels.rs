@@ -1,7 +1,7 @@
 //! Memory layout of attention's operands, and the split of the work into pieces.
 
 use rayon::prelude::*;
-use srflow_simd::{Isa, pack_rows, panel_columns};
+use srflow_simd::{Isa, Left, Packed, Precision, panel_columns};
 
 /// Panels of pixels in one piece of work.
 pub(super) const PANELS: usize = 4;
@@ -36,34 +36,30 @@ pub(super) fn from_panels(isa: Isa, panels: &[f32], pixels: usize) -> Vec<f32> {
     matrix
 }
 
-/// Packs `[channels, pixels]` as a left side with one row per pixel: what [`pack_rows`] makes of the transposed matrix.
-pub(super) fn pixels_as_rows(isa: Isa, matrix: &[f32], pixels: usize) -> Vec<f32> {
-    let channels = matrix.len() / pixels;
-    let mut packed = vec![0.0; matrix.len()];
-    packed.par_chunks_mut(BLOCK * channels).enumerate().for_each(|(block, packed)| {
-        for (tile, packed) in packed.chunks_mut(isa.tile_rows() * channels).enumerate() {
-            let (first, rows) = (block * BLOCK + tile * isa.tile_rows(), packed.len() / channels);
-            for (to, plane) in packed.chunks_exact_mut(rows).zip(matrix.chunks_exact(pixels)) {
-                to.copy_from_slice(&plane[first..first + rows]);
-            }
-        }
-    });
-    packed
+/// `[channels, pixels]` as left sides with one row per channel, one side for each block of pixels.
+#[derive(Debug)]
+pub(super) struct ChannelsAsRows {
+    pub(super) channels: usize,
+    block: usize,
+    packed: Packed,
 }
 
-/// Packs `[channels, pixels]` as a left side with one row per channel, in blocks of `block` pixels.
-pub(super) fn channels_as_rows(isa: Isa, matrix: &[f32], pixels: usize, block: usize) -> Vec<f32> {
-    let channels = matrix.len() / pixels;
-    let mut packed = vec![0.0; matrix.len()];
-    packed.par_chunks_mut(block * channels).enumerate().for_each(|(number, packed)| {
-        let depth = packed.len() / channels;
-        let mut rows = Vec::with_capacity(packed.len());
-        for plane in matrix.chunks_exact(pixels) {
-            rows.extend_from_slice(&plane[number * block..][..depth]);
-        }
-        pack_rows(isa, &rows, depth, packed);
-    });
-    packed
+impl ChannelsAsRows {
+    pub(super) fn new(isa: Isa, precision: Precision, matrix: &[f32], pixels: usize, block: usize) -> Self {
+        let channels = matrix.len() / pixels;
+        let depths: Vec<usize> = (0..pixels).step_by(block).map(|first| block.min(pixels - first)).collect();
+        let packed = Packed::parts(isa, precision, channels, &depths, |number, rows| {
+            for (to, plane) in rows.chunks_exact_mut(depths[number]).zip(matrix.chunks_exact(pixels)) {
+                to.copy_from_slice(&plane[number * block..][..to.len()]);
+            }
+        });
+        Self { channels, block, packed }
+    }
+
+    /// The block that begins with a pixel.
+    pub(super) fn from_pixel(&self, first: usize) -> Left<'_> {
+        self.packed.part(first / self.block)
+    }
 }
 
 /// The columns of panels from `first` on, at most [`PANELS`] of them.

@@ -102,19 +102,12 @@ dispatch! {
 fn weigh_kernel<S: Simd>(s: S, scores: &mut [f32], width: usize, normal: Normal) {
     let rows = scores.len() / width;
     assert!(width.is_multiple_of(S::LANES));
-    let mut weigh = |at: usize, maximum: S::Vector, inverse_sum: S::Vector| {
-        // SAFETY: `at` is the position of a whole vector in a row.
-        unsafe {
-            let at = scores.as_mut_ptr().add(at);
-            s.store(at, s.mul(exp(s, s.sub(s.load(at), maximum)), inverse_sum));
-        }
-    };
     match normal {
         Normal::OfColumns { maxima, inverse_sums } => {
             for x in (0..width).step_by(S::LANES) {
                 let (maximum, inverse_sum) = (s.read(&maxima[x..]), s.read(&inverse_sums[x..]));
                 for row in 0..rows {
-                    weigh(row * width + x, maximum, inverse_sum);
+                    weigh_vector(s, &mut scores[row * width + x..], maximum, inverse_sum);
                 }
             }
         }
@@ -122,11 +115,17 @@ fn weigh_kernel<S: Simd>(s: S, scores: &mut [f32], width: usize, normal: Normal)
             for row in 0..rows {
                 let (maximum, inverse_sum) = (s.splat(maxima[row]), s.splat(inverse_sums[row]));
                 for x in (0..width).step_by(S::LANES) {
-                    weigh(row * width + x, maximum, inverse_sum);
+                    weigh_vector(s, &mut scores[row * width + x..], maximum, inverse_sum);
                 }
             }
         }
     }
+}
+
+/// Not a closure, which is not always compiled for the instruction set of its caller.
+#[inline(always)]
+fn weigh_vector<S: Simd>(s: S, scores: &mut [f32], maximum: S::Vector, inverse_sum: S::Vector) {
+    s.write(s.mul(exp(s, s.sub(s.read(scores), maximum)), inverse_sum), scores);
 }
 
 dispatch! {

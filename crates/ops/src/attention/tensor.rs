@@ -14,6 +14,7 @@ use super::weights::AttentionWeights;
 use super::{Windows, windowed_attention, windowed_attention_backward};
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Composition, Operation, apply};
+use crate::precision::precision;
 
 /// The largest piece of a matrix of all pairs, for devices without the kernel.
 const PIECE_BYTES: usize = 64 << 20;
@@ -71,12 +72,13 @@ impl Operation<2> for Weigh {
     fn cpu(&self, [queries, keys]: [CpuTensor; 2]) -> Vec<CpuTensor> {
         let Self(prepared) = self;
         let [batch, _, height, width] = queries.dims();
+        let precision = precision();
         let images = prepared.images.get_or_init(|| {
             let (q, k) = (queries.slice(), keys.slice());
             let kept_bytes = prepared.kept_bytes / batch;
             let weights = |n| {
-                let (queries, keys) = (image(q, batch, n), image(k, batch, n));
-                AttentionWeights::new(Isa::best(), queries, keys, height * width, kept_bytes)
+                let pair = [image(q, batch, n), image(k, batch, n)];
+                AttentionWeights::new(Isa::best(), precision, pair, height * width, kept_bytes)
             };
             let weights = (0..batch).into_par_iter().map(weights).collect();
             Images { weights, queries, keys }

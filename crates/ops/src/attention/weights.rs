@@ -4,16 +4,18 @@ use std::sync::OnceLock;
 
 use rayon::prelude::*;
 use srflow_simd::{
-    Activation, Isa, Output, Product, SharedMut, Start, Steps, fill_columns, multiply, panel_columns,
+    Activation, Isa, Output, Packed, Precision, Product, SharedMut, Start, Steps, fill_columns, multiply,
+    panel_columns,
 };
 
-use super::panels::{BLOCK, Group, PANELS, blocks, channels_as_rows, pixels_as_rows, to_panels};
+use super::panels::{BLOCK, ChannelsAsRows, Group, PANELS, blocks, to_panels};
 use super::softmax::{Normal, add_to_sums, weigh};
 
 /// The attention weights between all pixels of one image.
 #[derive(Debug)]
 pub(crate) struct AttentionWeights {
     pub(super) isa: Isa,
+    pub(super) precision: Precision,
     pub(super) pixels: usize,
     sums: Sums,
     kept_bytes: usize,
@@ -38,8 +40,8 @@ pub(super) struct Pairs {
     channels: usize,
     /// Panel by panel, `[channels, columns]`.
     columns: Vec<f32>,
-    /// `[pixels, channels]` as `pack_rows` orders it.
-    rows: Vec<f32>,
+    /// `[pixels, channels]`.
+    rows: Packed,
 }
 
 /// Weights with the queries in the columns of panels and the keys in rows, or vice versa.
@@ -60,12 +62,12 @@ enum Queries {
 
 impl Pairs {
     /// Of `[channels, pixels]` each.
-    pub(super) fn new(isa: Isa, columns: &[f32], rows: &[f32], pixels: usize) -> Self {
+    pub(super) fn new(isa: Isa, precision: Precision, columns: &[f32], rows: &[f32], pixels: usize) -> Self {
         Self {
             isa,
             channels: columns.len() / pixels,
             columns: to_panels(isa, columns, pixels),
-            rows: pixels_as_rows(isa, rows, pixels),
+            rows: Packed::columns(isa, precision, rows, pixels),
         }
     }
 
@@ -79,7 +81,7 @@ impl Pairs {
     ) {
         let width = panel_columns(self.isa);
         let product = Product {
-            left: &self.rows[first * self.channels..],
+            left: self.rows.part(0).from_row(first, self.channels),
             rows: len,
             depth: self.channels,
             right: &self.columns[group.first * self.channels * width..],
@@ -96,9 +98,8 @@ impl Pairs {
 /// Values to be summed with weights.
 pub(super) struct Gathering<'a> {
     pub(super) isa: Isa,
-    pub(super) pixels: usize,
-    /// All values as [`channels_as_rows`] packs them.
-    pub(super) values: &'a [f32],
+    /// In the blocks that are added.
+    pub(super) values: &'a ChannelsAsRows,
 }
 
 impl Gathering<'_> {
@@ -112,10 +113,9 @@ impl Gathering<'_> {
         step: usize,
         out: &mut Output,
     ) {
-        let channels = self.values.len() / self.pixels;
         let product = Product {
-            left: &self.values[first * channels..],
-            rows: channels,
+            left: self.values.from_pixel(first),
+            rows: self.values.channels,
             depth: len,
             right: weights,
             right_panel: step,
@@ -176,11 +176,17 @@ fn panels_within(isa: Isa, pixels: usize, kept_bytes: usize) -> usize {
 impl AttentionWeights {
     /// From queries and keys, each `[channels, pixels]`. Keeps at most `kept_bytes` of weights, and as many again for the
     /// gradients. Panics when the length of a slice does not match.
-    pub(crate) fn new(isa: Isa, queries: &[f32], keys: &[f32], pixels: usize, kept_bytes: usize) -> Self {
+    pub(crate) fn new(
+        isa: Isa,
+        precision: Precision,
+        [queries, keys]: [&[f32]; 2],
+        pixels: usize,
+        kept_bytes: usize,
+    ) -> Self {
         assert!(pixels > 0 && queries.len().is_multiple_of(pixels), "queries of {pixels} pixels");
         assert_eq!(queries.len(), keys.len(), "as many keys as queries");
         let width = panel_columns(isa);
-        let scores = Pairs::new(isa, queries, keys, pixels);
+        let scores = Pairs::new(isa, precision, queries, keys, pixels);
         let panel_len = pixels * width;
         let kept_panels = panels_within(isa, pixels, kept_bytes);
         let columns = pixels.div_ceil(width) * width;
@@ -233,14 +239,20 @@ impl AttentionWeights {
         // SAFETY: each group writes its panels, all pixels of them.
         let kept = unsafe { SharedMut::fill_new(kept_panels * panel_len, fill) };
         let by_query = Side { scores, queries: Queries::InColumns, kept, kept_panels };
-        Self { isa, pixels, sums, kept_bytes, by_query, by_key: OnceLock::new() }
+        Self { isa, precision, pixels, sums, kept_bytes, by_query, by_key: OnceLock::new() }
     }
 
     /// Of sums that are known; nothing is kept.
-    pub(super) fn of_sums(isa: Isa, queries: &[f32], keys: &[f32], pixels: usize, sums: Sums) -> Self {
-        let scores = Pairs::new(isa, queries, keys, pixels);
+    pub(super) fn of_sums(
+        isa: Isa,
+        precision: Precision,
+        [queries, keys]: [&[f32]; 2],
+        pixels: usize,
+        sums: Sums,
+    ) -> Self {
+        let scores = Pairs::new(isa, precision, queries, keys, pixels);
         let by_query = Side { scores, queries: Queries::InColumns, kept: Vec::new(), kept_panels: 0 };
-        Self { isa, pixels, sums, kept_bytes: 0, by_query, by_key: OnceLock::new() }
+        Self { isa, precision, pixels, sums, kept_bytes: 0, by_query, by_key: OnceLock::new() }
     }
 
     /// `ln sum_j exp(q_i . k_j)` for each pixel.
@@ -262,10 +274,10 @@ impl AttentionWeights {
     }
 
     fn new_by_key(&self, queries: &[f32], keys: &[f32]) -> Side {
-        let (isa, pixels) = (self.isa, self.pixels);
+        let Self { isa, precision, pixels, .. } = *self;
         let panel_len = pixels * panel_columns(isa);
         let kept_panels = panels_within(isa, pixels, self.kept_bytes);
-        let (scores, queries) = (Pairs::new(isa, keys, queries, pixels), Queries::InRows);
+        let (scores, queries) = (Pairs::new(isa, precision, keys, queries, pixels), Queries::InRows);
         let group_len = PANELS * panel_len;
         let mut kept = vec![0.0; kept_panels * panel_len];
         kept.par_chunks_mut(group_len.max(1)).enumerate().for_each(|(number, kept)| {
@@ -332,12 +344,12 @@ impl AttentionWeights {
     }
 
     fn gather_from(&self, side: &Side, values: &[f32]) -> Vec<f32> {
-        let (isa, pixels) = (self.isa, self.pixels);
+        let Self { isa, precision, pixels, .. } = *self;
         assert!(values.len().is_multiple_of(pixels), "values of {pixels} pixels");
-        let packed = channels_as_rows(isa, values, pixels, BLOCK);
-        let gathering = Gathering { isa, pixels, values: &packed };
+        let values = ChannelsAsRows::new(isa, precision, values, pixels, BLOCK);
+        let gathering = Gathering { isa, values: &values };
         let width = panel_columns(isa);
-        let sizes = [1, values.len() / pixels, pixels];
+        let sizes = [1, values.channels, pixels];
         let scratch = || vec![0.0; PANELS * BLOCK * width];
         fill_columns(isa, sizes, PANELS * width, scratch, |scratch, _, own, out| {
             let group = Group::of(isa, own.start / (PANELS * width), pixels);

@@ -5,13 +5,14 @@ use std::borrow::Cow;
 use std::ops::Range;
 
 use rayon::prelude::*;
-use srflow_simd::{Isa, Output, SharedMut, Start, Steps, panel_columns};
+use srflow_simd::{Isa, Output, Precision, SharedMut, Start, Steps, panel_columns};
 
 use super::backward::Gathered;
-use super::panels::{BLOCK, Group, PANELS, blocks, channels_as_rows, from_panels};
+use super::panels::{BLOCK, ChannelsAsRows, Group, PANELS, blocks, from_panels};
 use super::softmax::{exponentiate, scale_columns};
 use super::weights::{AttentionWeights, Gathering, Pairs, Sums, invert};
 use crate::MapShape;
+use crate::precision::precision;
 
 /// A partition of an image into rectangular windows. Pixels attend only to pixels of their window.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -145,7 +146,7 @@ fn in_windows<const I: usize, const N: usize>(
 /// `out_i = sum_j softmax_j(q_i . k_j) v_j` over the pixels of the window of `i`, and the softmax statistics for
 /// [`windowed_attention_backward`], `[batch, 2, height, width]`.
 ///
-/// Queries and keys are of `shape`, values of any number of channels. Panics when the length of a slice does not match, or the
+/// Queries and keys are of `shape`, values of any number of channels. At the [`crate::precision()`]. Panics when the length of a slice does not match, or the
 /// windows are not of these images.
 pub fn windowed_attention(
     queries: &[f32],
@@ -155,9 +156,11 @@ pub fn windowed_attention(
     windows: &Windows,
 ) -> [Vec<f32>; 2] {
     check([queries, keys], [values], shape, windows);
+    let precision = precision();
     let channels = [values.len() / shape.with_channels(1).elements(), 2];
     in_windows(windows, shape.batch, [queries, keys, values], channels, |[queries, keys, values], pixels| {
-        let (out, Sums { maxima, inverse_sums }) = attend(Isa::best(), &queries, &keys, &values, pixels);
+        let (out, Sums { maxima, inverse_sums }) =
+            attend(Isa::best(), precision, [&queries, &keys, &values], pixels);
         [out, [&maxima[..pixels], &inverse_sums[..pixels]].concat()]
     })
 }
@@ -174,14 +177,14 @@ pub fn windowed_attention_backward(
 ) -> [Vec<f32>; 3] {
     check([queries, keys], [values, out, grad], shape, windows);
     assert_eq!(statistics.len(), shape.with_channels(2).elements(), "statistics of {shape:?}");
-    let isa = Isa::best();
+    let (isa, precision) = (Isa::best(), precision());
     let inputs = [queries, keys, values, out, statistics, grad];
     let backward = |[queries, keys, values, out, statistics, grad]: [Cow<[f32]>; 6], pixels: usize| {
         let mut sums = Sums::of_nothing(pixels.next_multiple_of(panel_columns(isa)));
         let (maxima, inverse_sums) = statistics.split_at(pixels);
         sums.maxima[..pixels].copy_from_slice(maxima);
         sums.inverse_sums[..pixels].copy_from_slice(inverse_sums);
-        let weights = AttentionWeights::of_sums(isa, &queries, &keys, pixels, sums);
+        let weights = AttentionWeights::of_sums(isa, precision, [&queries, &keys], pixels, sums);
         let gathered = Gathered { values: &values, gathered: &out, grad: &grad };
         let [d_queries, d_keys] = weights.backward(&queries, &keys, &[gathered], &vec![0.0; pixels]);
         let d_values = if of_values { weights.gather_backward(&queries, &keys, &grad) } else { Vec::new() };
@@ -206,16 +209,15 @@ fn check<const N: usize>(pairs: [&[f32]; 2], others: [&[f32]; N], shape: &MapSha
 /// Attention between all pixels of a window, `[channels, pixels]` like its inputs, and the softmax statistics.
 pub(super) fn attend(
     isa: Isa,
-    queries: &[f32],
-    keys: &[f32],
-    values: &[f32],
+    precision: Precision,
+    [queries, keys, values]: [&[f32]; 3],
     pixels: usize,
 ) -> (Vec<f32>, Sums) {
     let width = panel_columns(isa);
     let channels = values.len() / pixels;
-    let pairs = Pairs::new(isa, queries, keys, pixels);
-    let values = channels_as_rows(isa, values, pixels, BLOCK);
-    let gathering = Gathering { isa, pixels, values: &values };
+    let pairs = Pairs::new(isa, precision, queries, keys, pixels);
+    let values = ChannelsAsRows::new(isa, precision, values, pixels, BLOCK);
+    let gathering = Gathering { isa, values: &values };
     let columns = pixels.next_multiple_of(width);
     let mut sums = Sums::of_nothing(columns);
     let mut out = vec![0.0; channels * columns];

@@ -1,10 +1,11 @@
 use rayon::prelude::*;
-use srflow_simd::{Activation, Isa, pack_rows};
+use srflow_simd::{Activation, Isa, Packed, Precision};
 
 use super::Epilogue;
-use super::forward::{convolve_packed, pack};
+use super::forward::{convolve_packed, pack, possible};
 use super::panels::{self, Reads};
 use crate::convolution::Conv2dShape;
+use crate::precision::precision;
 use crate::sums::sum;
 
 /// Gradient of the bias: `grad` (`[N, channels, H, W]`, each plane of `pixels` elements) summed over images and pixels;
@@ -33,7 +34,8 @@ pub fn conv2d_backward_input(grad: &[f32], weight: &[f32], shape: &Conv2dShape) 
 
 /// [`conv2d_backward_input`] with a chosen instruction set.
 pub(super) fn backward_input_with(isa: Isa, grad: &[f32], weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
-    backward_input_packed(isa, grad, &pack_backward(isa, weight, shape), &Epilogue::default(), shape)
+    let packed = pack_backward(isa, precision(), weight, shape);
+    backward_input_packed(isa, grad, &packed, &Epilogue::default(), shape)
 }
 
 /// The single convolution that computes the gradient of the input, if there is one.
@@ -49,22 +51,20 @@ fn as_convolution(shape: &Conv2dShape) -> Option<Conv2dShape> {
     })
 }
 
-/// The weights in the layout of [`backward_input_packed`].
-pub(crate) fn pack_backward(isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
+/// The weights in the layout of [`backward_input_packed`], for products of a precision where that is [`possible`].
+pub(crate) fn pack_backward(isa: Isa, precision: Precision, weight: &[f32], shape: &Conv2dShape) -> Packed {
     assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
-    match as_convolution(shape) {
-        Some(backward) => pack(isa, &turn_around(weight, shape, [0, 0]), &backward),
-        None => {
-            remainders(shape).flat_map(|remainder| pack_remainder(isa, weight, shape, remainder)).collect()
-        }
+    if let Some(backward) = as_convolution(shape) {
+        return pack(isa, precision, &turn_around(weight, shape, [0, 0]), &backward);
     }
-}
-
-fn pack_remainder(isa: Isa, weight: &[f32], shape: &Conv2dShape, remainder: [usize; 2]) -> Vec<f32> {
-    let turned = turn_around(weight, shape, remainder);
-    let mut packed = vec![0.0; turned.len()];
-    pack_rows(isa, &turned, turned.len() / shape.in_channels.max(1), &mut packed);
-    packed
+    let each: Vec<[usize; 2]> = remainders(shape).collect();
+    let depth =
+        |remainder: &[usize; 2]| shape.out_channels * taps_of(shape, *remainder).iter().product::<usize>();
+    let depths: Vec<usize> = each.iter().map(depth).collect();
+    let precision = possible(precision, [shape.in_channels, shape.out_channels]);
+    Packed::parts(isa, precision, shape.in_channels, &depths, |number, rows| {
+        rows.copy_from_slice(&turn_around(weight, shape, each[number]));
+    })
 }
 
 /// [`conv2d_backward_input`], then the epilogue, whose bias is one number for each input channel, with weights from
@@ -72,7 +72,7 @@ fn pack_remainder(isa: Isa, weight: &[f32], shape: &Conv2dShape, remainder: [usi
 pub(crate) fn backward_input_packed(
     isa: Isa,
     grad: &[f32],
-    packed: &[f32],
+    packed: &Packed,
     epilogue: &Epilogue,
     shape: &Conv2dShape,
 ) -> Vec<f32> {
@@ -97,14 +97,11 @@ pub(crate) fn backward_input_packed(
     let activation = if epilogue.residual.is_some() { Activation::Identity } else { epilogue.activation };
     let of_remainder = Epilogue { residual: None, activation, ..*epilogue };
     let mut out = vec![0.0; shape.input_len()];
-    let mut rest = packed;
-    for remainder in remainders(shape) {
-        let taps = taps_of(shape, remainder);
-        let (own, others) = rest.split_at(shape.in_channels * shape.out_channels * taps[0] * taps[1]);
+    for (number, remainder) in remainders(shape).enumerate() {
+        let (weights, taps) = (packed.part(number), taps_of(shape, remainder));
         let pixels = Pixels::of(shape, remainder);
-        let sums = panels::convolve(isa, grad, own, &of_remainder, &pixels.reads(shape, taps));
+        let sums = panels::convolve(isa, grad, weights, &of_remainder, &pixels.reads(shape, taps));
         pixels.place(&sums, shape, &mut out);
-        rest = others;
     }
     if epilogue.residual.is_some() {
         let rows = out.par_chunks_mut(width).enumerate();

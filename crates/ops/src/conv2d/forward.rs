@@ -1,12 +1,15 @@
 use rayon::prelude::*;
-use srflow_simd::{Isa, SharedMut, Simd, dispatch, pack_rows};
+use srflow_simd::{Isa, Packed, Precision, SharedMut, Simd, dispatch};
 
 use super::Epilogue;
 use super::panels::{self, Reads};
 use super::winograd::{self, Scheme};
 use crate::convolution::Conv2dShape;
 use crate::pointwise::{Add, Layer, Map, pointwise};
+use crate::precision::precision;
 
+/// Convolutions of fewer channels than these, in or out, multiply `f32` always.
+const FEW: usize = 16;
 /// Output channels of a register tile.
 const BLOCK: usize = 8;
 /// Vectors of pixels of a register tile.
@@ -14,7 +17,7 @@ const VECTORS: usize = 3;
 /// Output rows per task: enough to reuse the weights in the first-level cache, few enough to balance the load.
 const BAND_ROWS: usize = 8;
 
-/// Convolution of `input` with `weight`, then the epilogue; `[N, C_out, H_out, W_out]`.
+/// Convolution of `input` with `weight`, then the epilogue; `[N, C_out, H_out, W_out]`. At the [`crate::precision()`].
 ///
 /// The order of an element's sum depends on `shape` alone, and each step is a fused multiply-add, so the result does not depend
 /// on the number of threads or the instruction set. Panics when the length of a slice does not match `shape`.
@@ -30,7 +33,7 @@ pub(super) fn conv2d_with(
     epilogue: &Epilogue,
     shape: &Conv2dShape,
 ) -> Vec<f32> {
-    convolve_packed(isa, input, &pack(isa, weight, shape), epilogue, shape)
+    convolve_packed(isa, input, &pack(isa, precision(), weight, shape), epilogue, shape)
 }
 
 /// The algorithm of a convolution.
@@ -60,25 +63,28 @@ impl Method {
     }
 }
 
-/// The weights in the layout of [`convolve_packed`].
-pub(crate) fn pack(isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
+/// The weights in the layout of [`convolve_packed`], for products of a precision where that is [`possible`].
+pub(crate) fn pack(isa: Isa, precision: Precision, weight: &[f32], shape: &Conv2dShape) -> Packed {
     assert_eq!(weight.len(), shape.weight_len(), "weight of {shape:?}");
+    let precision = possible(precision, [shape.in_channels, shape.out_channels]);
+    let depth = shape.in_channels * shape.taps();
     match Method::of(shape) {
-        Method::Pointwise | Method::Panels => {
-            let mut packed = vec![0.0; weight.len()];
-            pack_rows(isa, weight, shape.in_channels * shape.taps(), &mut packed);
-            packed
-        }
-        Method::Winograd(scheme) => scheme.pack(isa, weight, shape),
-        Method::Direct => pack_weights(weight, shape.out_channels, shape.in_channels * shape.taps()),
+        Method::Pointwise | Method::Panels => Packed::rows(isa, precision, weight, depth),
+        Method::Winograd(scheme) => scheme.pack(isa, precision, weight, shape),
+        Method::Direct => Packed::of_numbers(pack_weights(weight, shape.out_channels, depth)),
     }
+}
+
+/// `f32` for convolutions of few channels, whatever is wanted: what goes in or comes out is a frame, a flow, or little else.
+pub(crate) fn possible(wanted: Precision, channels: [usize; 2]) -> Precision {
+    if channels.iter().any(|&channels| channels < FEW) { Precision::F32 } else { wanted }
 }
 
 /// [`conv2d`] with weights from [`pack`] for the same instruction set and shape.
 pub(crate) fn convolve_packed(
     isa: Isa,
     input: &[f32],
-    packed: &[f32],
+    packed: &Packed,
     epilogue: &Epilogue,
     shape: &Conv2dShape,
 ) -> Vec<f32> {
@@ -90,7 +96,7 @@ pub(crate) fn convolve_packed(
     match Method::of(shape) {
         Method::Pointwise => {
             let layer = Layer {
-                map: Map::Dense(packed),
+                map: Map::Dense { weights: packed.part(0), outputs: shape.out_channels },
                 bias: epilogue.bias,
                 add: epilogue.residual.map_or(Add::Nothing, Add::Planes),
                 activation: epilogue.activation,
@@ -98,8 +104,8 @@ pub(crate) fn convolve_packed(
             pointwise(isa, input, [shape.batch, shape.in_channels, shape.input[0] * shape.input[1]], &[layer])
         }
         Method::Winograd(scheme) => winograd::convolve(isa, scheme, input, packed, epilogue, shape),
-        Method::Panels => panels::convolve(isa, input, packed, epilogue, &Reads::of(shape)),
-        Method::Direct => convolve_directly(isa, input, packed, epilogue, shape),
+        Method::Panels => panels::convolve(isa, input, packed.part(0), epilogue, &Reads::of(shape)),
+        Method::Direct => convolve_directly(isa, input, packed.numbers(), epilogue, shape),
     }
 }
 

@@ -20,8 +20,8 @@ pub(crate) use backward::backward_input_packed;
 use backward::pack_backward;
 pub use backward::{conv2d_backward_bias, conv2d_backward_input};
 pub use forward::conv2d;
-pub(crate) use forward::convolve_packed;
 use forward::pack;
+pub(crate) use forward::{convolve_packed, possible};
 pub use weight_gradient::conv2d_backward_weight;
 
 /// Applied to a sum before it is stored: `activation(sum + bias + residual)`.

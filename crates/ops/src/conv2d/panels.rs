@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use srflow_simd::{Isa, Product, Start, Steps, fill_columns, multiply, panel_columns};
+use srflow_simd::{Isa, Left, Product, Start, Steps, fill_columns, multiply, panel_columns};
 
 use super::Epilogue;
 use crate::convolution::Conv2dShape;
@@ -43,11 +43,11 @@ impl Reads {
     }
 }
 
-/// Convolution with weights `[out_channels, in_channels * taps]` in the order of [`srflow_simd::pack_rows`], then the epilogue.
+/// Convolution with weights `[out_channels, in_channels * taps]`, then the epilogue.
 pub(super) fn convolve(
     isa: Isa,
     input: &[f32],
-    packed: &[f32],
+    weights: Left,
     epilogue: &Epilogue,
     reads: &Reads,
 ) -> Vec<f32> {
@@ -60,7 +60,7 @@ pub(super) fn convolve(
         gather(&input[n * image..][..image], reads, own.clone(), panel, taps);
         let at = n * reads.out_channels * pixels + own.start;
         let product = Product {
-            left: packed,
+            left: weights,
             rows: reads.out_channels,
             depth,
             right: taps,

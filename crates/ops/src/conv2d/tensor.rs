@@ -3,13 +3,14 @@
 use std::sync::Arc;
 
 use burn::tensor::Tensor;
-use srflow_simd::Isa;
+use srflow_simd::{Isa, Packed};
 
 use super::{pack, pack_backward};
 use crate::WeightCache;
 pub use crate::convolution::Epilogue;
 use crate::convolution::{Conv2dShape, Kernels, convolve};
 use crate::flex::CpuTensor;
+use crate::precision::precision;
 use crate::weight_cache::{Packing, Pass};
 
 /// How a kernel moves over its input.
@@ -30,12 +31,12 @@ impl Conv2dOptions {
     }
 
     /// The weight in the order of the dense kernels.
-    pub(crate) fn packed(&self, pass: Pass, weight: &CpuTensor, shape: &Conv2dShape) -> Arc<Vec<f32>> {
-        let isa = Isa::best();
-        let packing = Packing { pass, isa, stride: shape.stride, padding: shape.padding };
+    pub(crate) fn packed(&self, pass: Pass, weight: &CpuTensor, shape: &Conv2dShape) -> Arc<Packed> {
+        let (isa, precision) = (Isa::best(), precision());
+        let packing = Packing { pass, isa, precision, stride: shape.stride, padding: shape.padding };
         self.cache.get(packing, weight.tensor(), |weight| match pass {
-            Pass::Forward => pack(isa, weight, shape),
-            Pass::Backward => pack_backward(isa, weight, shape),
+            Pass::Forward => pack(isa, precision, weight, shape),
+            Pass::Backward => pack_backward(isa, precision, weight, shape),
         })
     }
 }

@@ -1,4 +1,4 @@
-use srflow_simd::Isa;
+use srflow_simd::{Isa, Pair, Precision};
 
 use super::backward::backward_input_with;
 use super::forward::conv2d_with;
@@ -8,6 +8,7 @@ use crate::convolution::reference::{self, Operands};
 use crate::convolution::tests::{Residual, case};
 use crate::convolution::{Conv2dShape, Kernels};
 use crate::operation::tests::{ACTIVATIONS, Case};
+use crate::precision::with_precision;
 use crate::test_values::{assert_close, values, wide, with_threads};
 
 fn shape(
@@ -100,7 +101,7 @@ fn each_instruction_set_computes_the_definition() {
             check("output", &conv2d_with(isa, &input, &weight, &epilogue, &shape), &out);
             check("input gradient", &backward_input_with(isa, &grad, &weight, &shape), &d_input);
             // Each element is a sum over all pixels of all images.
-            let found = backward_weight_with(isa, &input, &grad, &shape);
+            let found = backward_weight_with(isa, Precision::F32, &input, &grad, &shape);
             assert_close(&format!("weight gradient, {isa:?}, {shape:?}"), &found, &d_weight, 2e-5);
         }
     }
@@ -130,6 +131,64 @@ fn check_that_results_do_not_depend_on_the_machine(shape: Conv2dShape) {
     let outputs: Vec<_> =
         Isa::to_test().map(|isa| conv2d_with(isa, &input, &weight, &Epilogue::default(), &shape)).collect();
     assert!(outputs.windows(2).all(|pair| pair[0] == pair[1]));
+}
+
+/// Numbers as bfloat16 has them.
+fn rounded(values: &[f32]) -> Vec<f64> {
+    values.iter().map(|&x| f64::from(Pair::new(x, 0.0).factors()[0])).collect()
+}
+
+/// Products of bfloat16 are those of rounded operands. Winograd's way rounds what it transformed: its error is about one percent
+/// of the typical result.
+#[test]
+fn at_bfloat16_each_instruction_set_computes_the_definition_of_rounded_numbers() {
+    let direct = [
+        shape([16, 19], [9, 33], [1, 1], 1, [0, 0]),
+        shape([21, 24], [11, 14], [3, 3], 2, [1, 1]),
+        shape([16, 16], [8, 49], [2, 5], 1, [0, 2]),
+    ];
+    let transformed = shapes_of_few_products();
+    for (shape, exact) in direct
+        .into_iter()
+        .map(|shape| (shape, true))
+        .chain(transformed.into_iter().map(|shape| (shape, false)))
+    {
+        let input = values(shape.input_len(), 1);
+        let weight = values(shape.weight_len(), 2);
+        let bias = values(shape.out_channels, 3);
+        let grad = values(shape.output_len(), 4);
+        let epilogue = Epilogue { bias: Some(&bias), residual: None, activation: Activation::Identity };
+        let [near_input, near_weight, near_grad] = [&input, &weight, &grad].map(|values| rounded(values));
+        let operands = Operands {
+            input: &near_input,
+            weight: &near_weight,
+            bias: &wide(&bias),
+            residual: None,
+            activation: Activation::Identity,
+        };
+        let expected = [
+            reference::convolve(&operands, &shape),
+            reference::backward_input(&near_grad, &near_weight, &shape),
+            reference::backward_weight(&near_input, &near_grad, &shape),
+        ];
+        let found = |isa| {
+            with_precision(Precision::Bf16, || {
+                [
+                    conv2d_with(isa, &input, &weight, &epilogue, &shape),
+                    backward_input_with(isa, &grad, &weight, &shape),
+                    backward_weight_with(isa, Precision::Bf16, &input, &grad, &shape),
+                ]
+            })
+        };
+        let first = found(Isa::to_test().next().expect("the portable one"));
+        for (number, (found, expected)) in first.iter().zip(&expected).enumerate() {
+            let tolerance = if exact || number == 2 { 2e-5 } else { 3e-2 };
+            assert_close(&format!("result {number} of {shape:?}"), found, expected, tolerance);
+        }
+        for isa in Isa::to_test() {
+            assert!(found(isa)[..2] == first[..2], "{isa:?}: other bits, {shape:?}");
+        }
+    }
 }
 
 #[test]

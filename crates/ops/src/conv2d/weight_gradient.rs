@@ -2,14 +2,14 @@
 
 use std::ops::Range;
 
-use rayon::prelude::*;
 use srflow_simd::{
-    Activation, Isa, MAX_LANES, Product, Simd, Start, dispatch, fill_columns, multiply, pack_rows,
+    Activation, Isa, MAX_LANES, Packed, Precision, Product, Simd, Start, dispatch, fill_columns, multiply,
     panel_columns,
 };
 
-use super::forward::Padded;
+use super::forward::{Padded, possible};
 use crate::convolution::Conv2dShape;
+use crate::precision::precision;
 
 /// Pixels whose products are accumulated before the sums are stored: a panel of patches must fit in the second-level cache.
 const BLOCK_PIXELS: usize = 256;
@@ -19,11 +19,17 @@ const BLOCK_PIXELS: usize = 256;
 /// Pixels are summed in blocks of fixed size, in order, so the result does not depend on the number of threads. Panics when the
 /// length of a slice does not match `shape`.
 pub fn conv2d_backward_weight(input: &[f32], grad: &[f32], shape: &Conv2dShape) -> Vec<f32> {
-    backward_weight_with(Isa::best(), input, grad, shape)
+    backward_weight_with(Isa::best(), precision(), input, grad, shape)
 }
 
 /// [`conv2d_backward_weight`] with a chosen instruction set.
-pub(super) fn backward_weight_with(isa: Isa, input: &[f32], grad: &[f32], shape: &Conv2dShape) -> Vec<f32> {
+pub(super) fn backward_weight_with(
+    isa: Isa,
+    precision: Precision,
+    input: &[f32],
+    grad: &[f32],
+    shape: &Conv2dShape,
+) -> Vec<f32> {
     shape.check_dense();
     assert_eq!(input.len(), shape.input_len(), "input of {shape:?}");
     assert_eq!(grad.len(), shape.output_len(), "gradient of {shape:?}");
@@ -32,7 +38,13 @@ pub(super) fn backward_weight_with(isa: Isa, input: &[f32], grad: &[f32], shape:
     }
     let patches = Patches::of(input, shape);
     let blocks = blocks(shape);
-    let left = packed_gradient(isa, grad, shape, &blocks);
+    let left = packed_gradient(
+        isa,
+        possible(precision, [shape.in_channels, shape.out_channels]),
+        grad,
+        shape,
+        &blocks,
+    );
     let columns = shape.in_channels * patches.taps.len();
     let width = panel_columns(isa);
     let longest = blocks.iter().map(Block::pixels).max().unwrap_or(0);
@@ -45,7 +57,7 @@ pub(super) fn backward_weight_with(isa: Isa, input: &[f32], grad: &[f32], shape:
             for (number, block) in blocks.iter().enumerate() {
                 transpose(isa, &patches, block, own.clone(), width, panel);
                 let product = Product {
-                    left: &left[shape.out_channels * block.before..],
+                    left: left.part(number),
                     rows: shape.out_channels,
                     depth: block.pixels(),
                     right: panel,
@@ -66,8 +78,6 @@ struct Block {
     image: usize,
     rows: Range<usize>,
     columns: Range<usize>,
-    /// Number of pixels in the previous blocks.
-    before: usize,
 }
 
 impl Block {
@@ -82,44 +92,38 @@ fn blocks(shape: &Conv2dShape) -> Vec<Block> {
     let rows_together = (BLOCK_PIXELS / width).max(1);
     let columns_together = width.min(BLOCK_PIXELS);
     let mut blocks = Vec::new();
-    let mut before = 0;
     for image in 0..shape.batch {
         for top in (0..height).step_by(rows_together) {
             for left in (0..width).step_by(columns_together) {
                 let rows = top..height.min(top + rows_together);
                 let columns = left..width.min(left + columns_together);
-                let block = Block { image, rows, columns, before };
-                before += block.pixels();
-                blocks.push(block);
+                blocks.push(Block { image, rows, columns });
             }
         }
     }
     blocks
 }
 
-/// The output's gradient, block by block in the layout of [`Product::left`].
-fn packed_gradient(isa: Isa, grad: &[f32], shape: &Conv2dShape, blocks: &[Block]) -> Vec<f32> {
+/// The output's gradient, block by block.
+fn packed_gradient(
+    isa: Isa,
+    precision: Precision,
+    grad: &[f32],
+    shape: &Conv2dShape,
+    blocks: &[Block],
+) -> Packed {
     let [height, width] = shape.output();
     let channels = shape.out_channels;
-    let mut packed = vec![0.0; grad.len()];
-    let mut rest = packed.as_mut_slice();
-    let mut targets = Vec::with_capacity(blocks.len());
-    for block in blocks {
-        let (target, others) = rest.split_at_mut(channels * block.pixels());
-        targets.push((block, target));
-        rest = others;
-    }
-    targets.into_par_iter().for_each_init(Vec::new, |rows, (block, target)| {
-        rows.clear();
-        for channel in 0..channels {
+    let depths: Vec<usize> = blocks.iter().map(Block::pixels).collect();
+    Packed::parts(isa, precision, channels, &depths, |number, matrix| {
+        let block = &blocks[number];
+        let rows = matrix.chunks_exact_mut(block.columns.len());
+        for (at, to) in rows.enumerate() {
+            let (channel, row) = (at / block.rows.len(), block.rows.start + at % block.rows.len());
             let plane = &grad[(block.image * channels + channel) * height * width..][..height * width];
-            for row in block.rows.clone() {
-                rows.extend_from_slice(&plane[row * width..][block.columns.clone()]);
-            }
+            to.copy_from_slice(&plane[row * width..][block.columns.clone()]);
         }
-        pack_rows(isa, rows, block.pixels(), target);
-    });
-    packed
+    })
 }
 
 /// The factors of the weight's elements: for each input channel and tap an image of the output's size.

@@ -12,6 +12,7 @@ use crate::conv2d::{self, conv2d_backward_bias, conv2d_backward_weight, tensor::
 use crate::depthwise::{self, depthwise_backward_weight};
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Composition, Operation, apply, array};
+use crate::precision::precision;
 use crate::weight_cache::Pass;
 
 pub mod reference;
@@ -122,7 +123,7 @@ impl<const N: usize> Operation<N> for Convolution {
                         conv2d::backward_input_packed(isa, grad, &packed, &epilogue, shape)
                     }
                     Kernels::Depthwise => {
-                        depthwise::backward_input_with(isa, grad, weight.slice(), add, shape)
+                        depthwise::backward_input_with(isa, precision(), [grad, weight.slice()], add, shape)
                     }
                 })
             },

@@ -1,13 +1,16 @@
+use std::ops::Range;
+
 use rayon::prelude::*;
-use srflow_simd::{Isa, Simd, dispatch};
+use srflow_simd::{Isa, Multiply, Numbers, Pair, Precision, Simd, dispatch, dispatch_pairs, pair_up};
 
 use super::FeaturePyramid;
 use super::pyramid::{Level, channels_first, channels_last};
+use crate::precision::precision;
 
 /// Window of the correlation pyramid around `coords`: `[batch, levels * (2 radius + 1)^2, height, width]`.
 ///
 /// `first` is the feature map of the first image, `[batch, height, width, channels]`; `coords` are positions in the second
-/// image, `[batch, 2, height, width]`, x then y, in pixels of the finest level. Products are divided by `sqrt(channels)`;
+/// image, `[batch, 2, height, width]`, x then y, in pixels of the finest level. At the [`crate::precision()`]. Products are divided by `sqrt(channels)`;
 /// outside the second image they are zero. The order of a window's entries is the reference's; see
 /// [`super::reference::correlation_lookup`]. Panics when the length of a slice does not match.
 pub fn correlation_lookup(
@@ -17,12 +20,13 @@ pub fn correlation_lookup(
     [height, width]: [usize; 2],
     radius: usize,
 ) -> Vec<f32> {
-    lookup_with(Isa::best(), first, second, coords, [height, width], radius)
+    lookup_with(Isa::best(), precision(), first, second, coords, [height, width], radius)
 }
 
-/// [`correlation_lookup`] with a chosen instruction set.
+/// [`correlation_lookup`] with a chosen instruction set and precision.
 pub(super) fn lookup_with(
     isa: Isa,
+    precision: Precision,
     first: &[f32],
     second: &FeaturePyramid,
     coords: &[f32],
@@ -30,6 +34,13 @@ pub(super) fn lookup_with(
     radius: usize,
 ) -> Vec<f32> {
     let windows = Windows::new(first, second, coords, [height, width], radius);
+    let paired = precision == Precision::Bf16 && second.channels.is_multiple_of(2);
+    let levels = second.levels.iter().map(|level| &*level.features);
+    let features = if paired {
+        Features::Pairs { first: pairs(first), levels: levels.map(pairs).collect() }
+    } else {
+        Features::Numbers { first, levels: levels.collect() }
+    };
     let entries = windows.entries();
     let pixels = height * width;
     // Row by row, with a pixel's entries adjacent; transposed at the end.
@@ -39,7 +50,7 @@ pub(super) fn lookup_with(
         for (group, out) in out.chunks_mut(GROUP * entries).enumerate() {
             let first = row * width + group * GROUP;
             let count = out.len() / entries;
-            for (number, level) in second.levels.iter().enumerate() {
+            for number in 0..second.levels.len() {
                 let windows_of_group = [0, 1, 2, 3].map(|i| windows.window(first + i.min(count - 1), number));
                 // Neighbours mostly have nearly the same window, and can share loads.
                 let common = Common::of(&windows_of_group);
@@ -47,7 +58,14 @@ pub(super) fn lookup_with(
                 for start in (0..count).step_by(together) {
                     let of = &windows_of_group[start..start + together];
                     let common = Common::of(of);
-                    common.products(isa, &windows, first + start, together, level, &mut products);
+                    common.products(
+                        isa,
+                        &features,
+                        second,
+                        number,
+                        first + start..first + start + together,
+                        &mut products,
+                    );
                     for (i, window) in of.iter().enumerate() {
                         let at = (start + i) * entries + number * windows.side() * windows.side();
                         let out = &mut out[at..at + windows.side() * windows.side()];
@@ -59,6 +77,21 @@ pub(super) fn lookup_with(
         }
     });
     channels_first(&out, second.batch, entries)
+}
+
+/// What is multiplied: the features of the first image, and of each level of the second.
+enum Features<'a> {
+    Numbers { first: &'a [f32], levels: Vec<&'a [f32]> },
+    Pairs { first: Vec<Pair>, levels: Vec<Vec<Pair>> },
+}
+
+/// Neighbouring channels as pairs; there is an even number of them.
+fn pairs(features: &[f32]) -> Vec<Pair> {
+    const PIECE: usize = 1 << 14;
+    let mut pairs = vec![Pair::default(); features.len() / 2];
+    let pieces = pairs.par_chunks_mut(PIECE).zip(features.par_chunks(2 * PIECE));
+    pieces.for_each(|(pairs, features)| pair_up(features, pairs));
+    pairs
 }
 
 /// Neighbouring pixels whose windows are looked up together.
@@ -102,18 +135,19 @@ impl Common {
         (window.top - self.top) as usize * self.columns + (window.left - self.left) as usize
     }
 
-    /// The products of `count` pixels from `first` on, one rectangle after another, zero outside the level.
+    /// The products of `pixels`, one rectangle after another, zero outside the level of a number.
     fn products(
         &self,
         isa: Isa,
-        windows: &Windows,
-        first: usize,
-        count: usize,
-        level: &Level,
+        features: &Features,
+        second: &FeaturePyramid,
+        number: usize,
+        pixels: Range<usize>,
         products: &mut Vec<f32>,
     ) {
+        let level = &second.levels[number];
         products.clear();
-        products.resize(count * self.len(), 0.0);
+        products.resize(pixels.len() * self.len(), 0.0);
         let columns = within(self.left, level.width, self.columns);
         for row in within(self.top, level.height, self.rows) {
             if columns.is_empty() {
@@ -122,14 +156,17 @@ impl Common {
             let y = (self.top + row as i64) as usize;
             let x = (self.left + columns.start as i64) as usize;
             let at = (self.image * level.height + y) * level.width + x;
-            let task = Dots {
-                first: &windows.first[first * windows.channels..][..count * windows.channels],
-                second: &level.features[at * windows.channels..][..columns.len() * windows.channels],
-                channels: windows.channels,
-                step: self.len(),
-            };
             let out = &mut products[row * self.columns + columns.start..];
-            dots(isa, &task, out)
+            let of = [pixels.clone(), at..at + columns.len()];
+            match features {
+                Features::Numbers { first, levels } => {
+                    dots(isa, &Dots::new(first, levels[number], of, second.channels, self.len()), out);
+                }
+                Features::Pairs { first, levels } => {
+                    let task = Dots::new(first, &levels[number], of, second.channels / 2, self.len());
+                    dots_of_pairs(isa, &task, out);
+                }
+            }
         }
     }
 }
@@ -346,35 +383,92 @@ impl Window {
     }
 }
 
-/// Features of neighbouring pixels of the first image, and of the second.
-struct Dots<'a> {
-    first: &'a [f32],
-    second: &'a [f32],
+/// Features of neighbouring pixels of the first image, and of the second: numbers, or [`Pair`]s of them.
+struct Dots<'a, E> {
+    first: &'a [E],
+    second: &'a [E],
+    /// Elements of a pixel.
     channels: usize,
-    /// Elements from the products of one pixel of the first image to those of the next.
+    /// From the products of one pixel of the first image to those of the next.
     step: usize,
 }
 
+impl<'a, E> Dots<'a, E> {
+    /// Of ranges of pixels.
+    fn new(first: &'a [E], second: &'a [E], pixels: [Range<usize>; 2], channels: usize, step: usize) -> Self {
+        let [first, second] = [(first, &pixels[0]), (second, &pixels[1])]
+            .map(|(features, pixels)| &features[pixels.start * channels..pixels.end * channels]);
+        Self { first, second, channels, step }
+    }
+
+    /// Panics when the products of some pixels do not fit.
+    fn check(&self, out: &[f32]) {
+        let [pixels, positions] = [self.first, self.second].map(|features| features.len() / self.channels);
+        assert!(pixels > 0 && out.len() >= (pixels - 1) * self.step + positions);
+    }
+
+    fn addresses(&self) -> Addresses {
+        let [pixels, positions] = [self.first, self.second].map(|features| features.len() / self.channels);
+        let (first, second) = (self.first.as_ptr().cast(), self.second.as_ptr().cast());
+        Addresses { first, second, pixels, positions, channels: self.channels, step: self.step }
+    }
+}
+
+/// [`Dots`] whose elements the kernel knows.
+struct Addresses {
+    first: *const f32,
+    second: *const f32,
+    pixels: usize,
+    positions: usize,
+    channels: usize,
+    step: usize,
+}
+
+/// The dot product of each feature of `first` with each of `second`.
+fn dots(isa: Isa, task: &Dots<f32>, out: &mut [f32]) {
+    task.check(out);
+    // SAFETY: the products fit, and the features are as many as the slices hold.
+    unsafe { dots_unchecked(isa, &task.addresses(), out) }
+}
+
+/// [`dots`] of pairs.
+fn dots_of_pairs(isa: Isa, task: &Dots<Pair>, out: &mut [f32]) {
+    task.check(out);
+    // SAFETY: as above; a pair has the size and alignment of an `f32`.
+    unsafe { dots_of_pairs_unchecked(isa, &task.addresses(), out) }
+}
+
 dispatch! {
-    /// The dot product of each feature of `first` with each of `second`.
-    fn dots = dots_kernel(task: &Dots, out: &mut [f32])
+    /// # Safety
+    /// The addresses are those of [`Dots`] whose products fit.
+    unsafe fn dots_unchecked = dots_of_numbers(task: &Addresses, out: &mut [f32])
+}
+
+dispatch_pairs! {
+    /// # Safety
+    /// As for [`dots_unchecked`], of pairs.
+    unsafe fn dots_of_pairs_unchecked = dots_kernel(task: &Addresses, out: &mut [f32])
 }
 
 #[inline(always)]
-fn dots_kernel<S: Simd>(s: S, task: &Dots, out: &mut [f32]) {
-    let pixels = task.first.len() / task.channels;
-    let positions = task.second.len() / task.channels;
-    assert!(out.len() >= (pixels - 1) * task.step + positions);
+unsafe fn dots_of_numbers<S: Simd>(s: S, task: &Addresses, out: &mut [f32]) {
+    // SAFETY: guaranteed by the caller.
+    unsafe { dots_kernel(s, Numbers, task, out) }
+}
+
+#[inline(always)]
+unsafe fn dots_kernel<S: Simd, M: Multiply<S>>(s: S, how: M, task: &Addresses, out: &mut [f32]) {
+    let Addresses { pixels, positions, .. } = *task;
     let mut done = 0;
-    // SAFETY: by the assertion above, `COUNT` features from `done` on lie in `second`, `PIXELS` in `first`.
+    // SAFETY: guaranteed by the caller: `COUNT` features from `done` on lie in `second`, `PIXELS` in `first`.
     unsafe {
         if pixels == GROUP {
             while positions - done >= 4 {
-                dots_of::<S, GROUP, 4>(s, task, 0, done, out);
+                dots_of::<S, M, GROUP, 4>(s, how, task, 0, done, out);
                 done += 4;
             }
             while done < positions {
-                dots_of::<S, GROUP, 1>(s, task, 0, done, out);
+                dots_of::<S, M, GROUP, 1>(s, how, task, 0, done, out);
                 done += 1;
             }
             return;
@@ -382,11 +476,11 @@ fn dots_kernel<S: Simd>(s: S, task: &Dots, out: &mut [f32]) {
         for pixel in 0..pixels {
             done = 0;
             while positions - done >= 8 {
-                dots_of::<S, 1, 8>(s, task, pixel, done, out);
+                dots_of::<S, M, 1, 8>(s, how, task, pixel, done, out);
                 done += 8;
             }
             while done < positions {
-                dots_of::<S, 1, 1>(s, task, pixel, done, out);
+                dots_of::<S, M, 1, 1>(s, how, task, pixel, done, out);
                 done += 1;
             }
         }
@@ -394,9 +488,10 @@ fn dots_kernel<S: Simd>(s: S, task: &Dots, out: &mut [f32]) {
 }
 
 #[inline(always)]
-unsafe fn dots_of<S: Simd, const PIXELS: usize, const COUNT: usize>(
+unsafe fn dots_of<S: Simd, M: Multiply<S>, const PIXELS: usize, const COUNT: usize>(
     s: S,
-    task: &Dots,
+    how: M,
+    task: &Addresses,
     pixel: usize,
     from: usize,
     out: &mut [f32],
@@ -404,8 +499,8 @@ unsafe fn dots_of<S: Simd, const PIXELS: usize, const COUNT: usize>(
     let channels = task.channels;
     // SAFETY: guaranteed by the caller.
     unsafe {
-        let first = task.first.as_ptr().add(pixel * channels);
-        let second = task.second.as_ptr().add(from * channels);
+        let first = task.first.add(pixel * channels);
+        let second = task.second.add(from * channels);
         let mut sums = [[s.splat(0.0); COUNT]; PIXELS];
         let mut c = 0;
         while c + S::LANES <= channels {
@@ -416,7 +511,7 @@ unsafe fn dots_of<S: Simd, const PIXELS: usize, const COUNT: usize>(
             for p in 0..PIXELS {
                 let a = s.load(first.add(p * channels + c));
                 for i in 0..COUNT {
-                    sums[p][i] = s.mul_add(a, features[i], sums[p][i]);
+                    sums[p][i] = how.add(s, a, features[i], sums[p][i]);
                 }
             }
             c += S::LANES;
@@ -427,7 +522,7 @@ unsafe fn dots_of<S: Simd, const PIXELS: usize, const COUNT: usize>(
                 let a = s.load_first(first.add(p * channels + c), count);
                 for i in 0..COUNT {
                     let feature = s.load_first(second.add(i * channels + c), count);
-                    sums[p][i] = s.mul_add(a, feature, sums[p][i]);
+                    sums[p][i] = how.add(s, a, feature, sums[p][i]);
                 }
             }
         }

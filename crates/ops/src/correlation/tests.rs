@@ -1,7 +1,7 @@
 use std::ops::Range;
 
 use burn::tensor::Tensor;
-use srflow_simd::Isa;
+use srflow_simd::{Isa, Precision};
 
 use super::lookup::lookup_with;
 use super::pyramid::{channels_first, channels_last};
@@ -33,8 +33,11 @@ fn each_instruction_set_computes_the_definition() {
         let pyramid = FeaturePyramid::new(&second, maps, levels);
         let first = channels_last(&first, batch, channels);
         for isa in Isa::to_test() {
-            let found = lookup_with(isa, &first, &pyramid, &coords, [height, width], radius);
+            let found = lookup_with(isa, Precision::F32, &first, &pyramid, &coords, [height, width], radius);
             assert_close(&format!("{isa:?}, {shape:?}"), &found, &expected, 1e-5);
+            // Errors of features of bfloat16, and few of them to average.
+            let found = lookup_with(isa, Precision::Bf16, &first, &pyramid, &coords, [height, width], radius);
+            assert_close(&format!("bfloat16, {isa:?}, {shape:?}"), &found, &expected, 4e-3);
         }
         let [d_first, d_second] = reference::correlation_lookup_backward(
             &wide_first,

@@ -1,9 +1,10 @@
 use rayon::prelude::*;
-use srflow_simd::{Isa, Simd, dispatch};
+use srflow_simd::{Isa, Precision, Simd, dispatch};
 
 use super::forward::{depthwise_with, pad};
 use crate::conv2d::Epilogue;
 use crate::convolution::Conv2dShape;
+use crate::precision::precision;
 
 /// Kernel rows and columns whose weight gradients are summed together in registers.
 const TAPS_DOWN: usize = 4;
@@ -12,14 +13,14 @@ const TAPS_ACROSS: usize = 5;
 /// Gradient of the input given `grad`, that of the output: the convolution of `grad` with the flipped kernel. Panics when the
 /// length of a slice does not match `shape`, or the padding is not smaller than the kernel.
 pub fn depthwise_backward_input(grad: &[f32], weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
-    backward_input_with(Isa::best(), grad, weight, None, shape)
+    backward_input_with(Isa::best(), precision(), [grad, weight], None, shape)
 }
 
 /// [`depthwise_backward_input`], plus `add`, with a chosen instruction set.
 pub(crate) fn backward_input_with(
     isa: Isa,
-    grad: &[f32],
-    weight: &[f32],
+    precision: Precision,
+    [grad, weight]: [&[f32]; 2],
     add: Option<&[f32]>,
     shape: &Conv2dShape,
 ) -> Vec<f32> {
@@ -38,7 +39,8 @@ pub(crate) fn backward_input_with(
         padding: [0, 1].map(|i| shape.kernel[i] - 1 - shape.padding[i]),
         ..*shape
     };
-    depthwise_with(isa, grad, &turned, &Epilogue { residual: add, ..Epilogue::default() }, &backward)
+    let epilogue = Epilogue { residual: add, ..Epilogue::default() };
+    depthwise_with(isa, precision, grad, &turned, &epilogue, &backward)
 }
 
 /// Gradient of the weight given the input and `grad`, the gradient of the output; `[C, 1, kernel]`. It does not depend on the

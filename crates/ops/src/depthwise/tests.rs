@@ -1,4 +1,4 @@
-use srflow_simd::{Activation, Isa};
+use srflow_simd::{Activation, Isa, Pair, Precision};
 
 use super::backward::{backward_input_with, backward_weight_with};
 use super::forward::depthwise_with;
@@ -54,9 +54,45 @@ fn each_instruction_set_computes_the_definition() {
             let check = |what: &str, found: &[f32], expected: &[f64]| {
                 assert_close(&format!("{what}, {isa:?}, {shape:?}"), found, expected, TOLERANCE);
             };
-            check("output", &depthwise_with(isa, &input, &weight, &epilogue, &shape), &out);
-            check("input gradient", &backward_input_with(isa, &grad, &weight, None, &shape), &d_input);
+            check("output", &depthwise_with(isa, Precision::F32, &input, &weight, &epilogue, &shape), &out);
+            check(
+                "input gradient",
+                &backward_input_with(isa, Precision::F32, [&grad, &weight], None, &shape),
+                &d_input,
+            );
             check("weight gradient", &backward_weight_with(isa, &input, &grad, &shape), &d_weight);
+        }
+    }
+}
+
+#[test]
+fn at_bfloat16_each_instruction_set_computes_the_definition_of_rounded_numbers() {
+    for shape in shapes().into_iter().filter(|shape| shape.kernel[1] > 1) {
+        let (input, weight) = (values(shape.input_len(), 1), values(shape.weight_len(), 2));
+        let (bias, grad) = (values(shape.out_channels, 3), values(shape.output_len(), 4));
+        let epilogue = Epilogue { bias: Some(&bias), residual: None, activation: Activation::Identity };
+        let [near_input, near_weight, near_grad] = [&input, &weight, &grad].map(|values| {
+            let near = |x: &f32| f64::from(Pair::new(*x, 0.0).factors()[0]);
+            values.iter().map(near).collect::<Vec<f64>>()
+        });
+        let operands = Operands {
+            input: &near_input,
+            weight: &near_weight,
+            bias: &wide(&bias),
+            residual: None,
+            activation: Activation::Identity,
+        };
+        let out = reference::convolve(&operands, &shape);
+        let d_input = reference::backward_input(&near_grad, &near_weight, &shape);
+        let found = |isa| {
+            let out = depthwise_with(isa, Precision::Bf16, &input, &weight, &epilogue, &shape);
+            [out, backward_input_with(isa, Precision::Bf16, [&grad, &weight], None, &shape)]
+        };
+        let first = found(Isa::best());
+        assert_close(&format!("output, {shape:?}"), &first[0], &out, TOLERANCE);
+        assert_close(&format!("input gradient, {shape:?}"), &first[1], &d_input, TOLERANCE);
+        for isa in Isa::to_test() {
+            assert!(found(isa) == first, "{isa:?}: other bits, {shape:?}");
         }
     }
 }
@@ -76,7 +112,7 @@ fn results_do_not_depend_on_threads_and_outputs_not_on_the_instruction_set() {
     };
     assert!(run(1) == run(3));
     let outputs: Vec<_> = Isa::to_test()
-        .map(|isa| depthwise_with(isa, &input, &weight, &Epilogue::default(), &shape))
+        .map(|isa| depthwise_with(isa, Precision::F32, &input, &weight, &Epilogue::default(), &shape))
         .collect();
     assert!(outputs.windows(2).all(|pair| pair[0] == pair[1]));
 }

@@ -4,11 +4,9 @@
 //! Intermediate results, often wider than input and output, never leave the cache. [`mod@reference`] is the definition.
 
 use srflow_simd::{
-    Activation, Isa, Output, Product, Start, Steps, fill_columns, multiply, multiply_diagonal, panel_columns,
+    Activation, Isa, Left, Output, Product, Start, Steps, fill_columns, multiply, multiply_diagonal,
+    panel_columns,
 };
-
-/// A matrix product on slices, or one with a diagonal matrix.
-type Multiply = fn(Isa, &Product, &mut Output);
 
 pub mod reference;
 pub mod tensor;
@@ -19,8 +17,8 @@ const PANELS: usize = 2;
 /// Weights of a layer.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Map<'a> {
-    /// `[outputs, inputs]`, in the layout of [`srflow_simd::pack_rows`].
-    Dense(&'a [f32]),
+    /// `[outputs, inputs]`.
+    Dense { weights: Left<'a>, outputs: usize },
     /// A factor for each channel.
     Scale(&'a [f32]),
 }
@@ -78,9 +76,9 @@ pub(crate) fn pointwise(
                     Some((&planes[at..], Steps { row: pixels, panel: width }))
                 }
             };
-            let (multiply, left): (Multiply, &[f32]) = match layer.map {
-                Map::Dense(weights) => (multiply, weights),
-                Map::Scale(factors) => (multiply_diagonal, factors),
+            let left = match layer.map {
+                Map::Dense { weights, .. } => weights,
+                Map::Scale(factors) => Left::F32(factors),
             };
             let product = Product {
                 left,
@@ -93,11 +91,13 @@ pub(crate) fn pointwise(
                 activation: layer.activation,
                 columns: if after.is_empty() { own.len() } else { piece },
             };
+            let into = |out: &mut Output| match layer.map {
+                Map::Dense { .. } => multiply(isa, &product, out),
+                Map::Scale(factors) => multiply_diagonal(isa, factors, &product, out),
+            };
             match after.first_mut() {
-                Some(state) => {
-                    multiply(isa, &product, &mut Output::new(state, steps_of(channels[number + 1])));
-                }
-                None => multiply(isa, &product, out),
+                Some(state) => into(&mut Output::new(state, steps_of(channels[number + 1]))),
+                None => into(out),
             }
         }
     })
@@ -109,10 +109,7 @@ fn check(inputs: usize, layers: &[Layer]) -> Vec<usize> {
     let mut channels = vec![inputs];
     for (number, layer) in layers.iter().enumerate() {
         let outputs = match layer.map {
-            Map::Dense(weights) => {
-                assert!(weights.len().is_multiple_of(channels[number]), "input channels of layer {number}");
-                weights.len() / channels[number]
-            }
+            Map::Dense { outputs, .. } => outputs,
             Map::Scale(scale) => {
                 assert_eq!(scale.len(), channels[number], "factors of layer {number}");
                 scale.len()

@@ -1,13 +1,15 @@
 //! A chain of pointwise layers on tensors, with gradients.
 
 use burn::tensor::Tensor;
-use srflow_simd::{Isa, pack_rows};
+use srflow_simd::{Isa, Packed};
 
 use super::{Add, Layer, Map, pointwise};
+use crate::conv2d::possible;
 use crate::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use crate::depthwise::tensor::depthwise;
 use crate::flex::CpuTensor;
 use crate::operation::array;
+use crate::precision::precision;
 use crate::weight_cache::{Packing, Pass};
 use crate::{Activation, WeightCache};
 
@@ -76,22 +78,25 @@ fn fused<const N: usize>(
     operands: &[[CpuTensor; 2]; N],
     options: [&LayerOptions; N],
 ) -> Tensor<4> {
-    let isa = Isa::best();
-    let packing = Packing { pass: Pass::Forward, isa, stride: [1, 1], padding: [0, 0] };
+    let (isa, precision) = (Isa::best(), precision());
+    let packing = Packing { pass: Pass::Forward, isa, precision, stride: [1, 1], padding: [0, 0] };
     let packed: [_; N] = std::array::from_fn(|i| {
         let [weight, _] = &operands[i];
         let [_, depth, _, _] = weight.dims();
         options[i].cache.get(packing, weight.tensor(), |weight| {
             if options[i].scale {
-                return weight.to_vec();
+                return Packed::of_numbers(weight.to_vec());
             }
-            let mut packed = vec![0.0; weight.len()];
-            pack_rows(isa, weight, depth, &mut packed);
-            packed
+            let outputs = weight.len() / depth;
+            Packed::rows(isa, possible(precision, [depth, outputs]), weight, depth)
         })
     });
     let layers: [Layer; N] = std::array::from_fn(|i| Layer {
-        map: if options[i].scale { Map::Scale(&packed[i]) } else { Map::Dense(&packed[i]) },
+        map: if options[i].scale {
+            Map::Scale(packed[i].numbers())
+        } else {
+            Map::Dense { weights: packed[i].part(0), outputs: operands[i][0].dims::<4>()[0] }
+        },
         bias: Some(operands[i][1].slice()),
         add: options[i].add_input_of.map_or(Add::Nothing, Add::InputOf),
         activation: options[i].activation,

@@ -1,5 +1,5 @@
 use burn::tensor::Tensor;
-use srflow_simd::pack_rows;
+use srflow_simd::{Packed, Precision};
 
 use super::*;
 use crate::operation::tests::Case;
@@ -37,18 +37,20 @@ fn layers(seed: u32) -> Vec<reference::Layer> {
     ]
 }
 
-fn run(isa: Isa, input: &[f32], layers: &[reference::Layer], planes: Option<&[f32]>) -> Vec<f32> {
+fn run(
+    isa: Isa,
+    precision: Precision,
+    input: &[f32],
+    layers: &[reference::Layer],
+    planes: Option<&[f32]>,
+) -> Vec<f32> {
     let narrow = |values: &[f64]| -> Vec<f32> { values.iter().map(|&x| x as f32).collect() };
     let mut inputs = 19;
     let mut operands = Vec::new();
     for layer in layers {
         let weights = match &layer.map {
-            reference::Map::Dense(matrix) => {
-                let mut packed = vec![0.0; matrix.len()];
-                pack_rows(isa, &narrow(matrix), inputs, &mut packed);
-                packed
-            }
-            reference::Map::Scale(factors) => narrow(factors),
+            reference::Map::Dense(matrix) => Packed::rows(isa, precision, &narrow(matrix), inputs),
+            reference::Map::Scale(factors) => Packed::of_numbers(narrow(factors)),
         };
         inputs = layer.bias.len();
         operands.push((weights, narrow(&layer.bias)));
@@ -59,8 +61,8 @@ fn run(isa: Isa, input: &[f32], layers: &[reference::Layer], planes: Option<&[f3
         .enumerate()
         .map(|(i, (layer, (weights, bias)))| Layer {
             map: match layer.map {
-                reference::Map::Dense(_) => Map::Dense(weights),
-                reference::Map::Scale(_) => Map::Scale(weights),
+                reference::Map::Dense(_) => Map::Dense { weights: weights.part(0), outputs: bias.len() },
+                reference::Map::Scale(_) => Map::Scale(weights.numbers()),
             },
             bias: Some(bias),
             add: match (layer.add_input_of, planes) {
@@ -107,7 +109,7 @@ fn each_instruction_set_computes_the_definition() {
         for isa in Isa::to_test() {
             assert_close(
                 &format!("{count} layers, {isa:?}"),
-                &run(isa, &input, layers, None),
+                &run(isa, Precision::F32, &input, layers, None),
                 &expected,
                 3e-6,
             );
@@ -125,7 +127,12 @@ fn planes_are_added_to_the_last_sums() {
     let mut sums = expected(&wide(&input), &layers, PIXELS);
     sums.iter_mut().zip(&planes).for_each(|(sum, &plane)| *sum += f64::from(plane));
     for isa in Isa::to_test() {
-        assert_close(&format!("{isa:?}"), &run(isa, &input, &layers, Some(&planes)), &sums, 3e-6);
+        assert_close(
+            &format!("{isa:?}"),
+            &run(isa, Precision::F32, &input, &layers, Some(&planes)),
+            &sums,
+            3e-6,
+        );
     }
 }
 
@@ -133,7 +140,7 @@ fn planes_are_added_to_the_last_sums() {
 fn results_do_not_depend_on_threads() {
     let input = values(2 * 19 * PIXELS, 10);
     let layers = layers(11);
-    let with = |threads| with_threads(threads, || run(Isa::best(), &input, &layers, None));
+    let with = |threads| with_threads(threads, || run(Isa::best(), Precision::F32, &input, &layers, None));
     assert!(with(1) == with(3));
 }
 

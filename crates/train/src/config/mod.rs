@@ -14,6 +14,7 @@ use serde::{Deserialize, Serialize};
 use srflow_field::Size;
 use srflow_nets::{Architecture, Network, load_to_train};
 use srflow_nn::{Layout, WeightsError};
+use srflow_ops::Precision;
 
 use crate::loss::LossConfig;
 pub use augmentation::{AugmentationConfig, AugmentationKind};
@@ -99,6 +100,9 @@ pub struct TrainingConfig {
     /// Store only the hidden state of each iteration and recompute the rest in the backward pass: less memory, more time, the
     /// same gradients.
     pub recompute: bool,
+    /// What networks multiply on the CPU, forward and backward: `f32` or `bf16`. Sums, weights, loss and norms are `f32`.
+    #[serde(with = "text::precision")]
+    pub precision: Precision,
     /// The peak learning rate of the one-cycle schedule.
     pub learning_rate: f64,
     /// Share of the cycle in which the learning rate rises.
@@ -219,6 +223,7 @@ impl Default for TrainingConfig {
             accumulate: 1,
             iterations: 12,
             recompute: false,
+            precision: Precision::F32,
             learning_rate: 1.25e-4,
             rising: 0.05,
             extra_steps: 100,

@@ -194,6 +194,22 @@ pub(super) mod architecture {
     }
 }
 
+/// Serde for precisions by name.
+pub(super) mod precision {
+    use serde::{Deserialize, Deserializer, Serializer, de::Error};
+    use srflow_ops::Precision;
+
+    pub fn serialize<S: Serializer>(value: &Precision, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(value.name())
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Precision, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        let known = [Precision::F32, Precision::Bf16].into_iter().find(|precision| precision.name() == name);
+        known.ok_or_else(|| Error::custom(format!("`{name}` is not a precision; expected f32 or bf16")))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -6,8 +6,8 @@
 
 use rayon::prelude::*;
 use srflow_simd::{
-    Activation, Isa, MAX_LANES, Output, Product, SharedMut, Simd, Start, Steps, dispatch, multiply,
-    pack_rows, panel_columns,
+    Activation, Isa, MAX_LANES, Output, Packed, Precision, Product, SharedMut, Simd, Start, Steps, dispatch,
+    multiply, panel_columns,
 };
 
 use super::Epilogue;
@@ -15,10 +15,13 @@ use crate::convolution::Conv2dShape;
 
 mod transforms;
 
-use transforms::{OUTPUTS, WEIGHTS_3, WEIGHTS_5, input_3, input_5, output_3, output_5};
+use transforms::{OUTPUTS, WEIGHTS_5, input_3, input_5, output_3, output_5, weights_3};
 
 /// Fewer channels do not pay for the transforms.
 const FEWEST_CHANNELS: usize = 16;
+/// Elements between the matrices of two positions: the numbers of channels are often such that, one right after another, they would
+/// all lie in the same few lines of the cache.
+const APART: usize = 16;
 /// Pairs of input and output channels. Transformed weights take up to four times the memory of the weights; networks have more
 /// pairs only in maps of so few pixels that the products saved are not worth it.
 const MOST_PAIRS: usize = 1 << 19;
@@ -62,14 +65,14 @@ impl Scheme {
     /// Positions of a transformed tile, down and across.
     fn positions(self) -> [usize; 2] {
         match self {
-            Scheme::Square => [WEIGHTS_3.len(), WEIGHTS_3.len()],
+            Scheme::Square => [6, 6],
             Scheme::Row => [1, WEIGHTS_5.len()],
             Scheme::Column => [WEIGHTS_5.len(), 1],
         }
     }
 
-    /// The transformed weights, for each position in the layout of [`pack_rows`].
-    pub(super) fn pack(self, isa: Isa, weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
+    /// The transformed weights, a left side for each position.
+    pub(super) fn pack(self, isa: Isa, precision: Precision, weight: &[f32], shape: &Conv2dShape) -> Packed {
         let pairs = shape.out_channels * shape.in_channels;
         let [down, across] = self.positions();
         // Tap by tap, so that each position is a sum of whole planes.
@@ -80,11 +83,12 @@ impl Scheme {
                 *to = value;
             }
         });
-        let mut packed = vec![0.0; down * across * pairs];
-        packed.par_chunks_mut(pairs).enumerate().for_each(|(position, packed)| {
+        let weights_3 = weights_3(precision == Precision::Bf16);
+        let depths = vec![shape.in_channels; down * across];
+        Packed::parts(isa, precision, shape.out_channels, &depths, |position, transformed| {
             let factors: Vec<f64> = match self {
                 Scheme::Square => {
-                    let (rows, columns) = (WEIGHTS_3[position / across], WEIGHTS_3[position % across]);
+                    let (rows, columns) = (weights_3[position / across], weights_3[position % across]);
                     rows.iter().flat_map(|row| columns.iter().map(move |column| row * column)).collect()
                 }
                 Scheme::Row | Scheme::Column => WEIGHTS_5[position].to_vec(),
@@ -97,10 +101,8 @@ impl Scheme {
                     }
                 }
             }
-            let transformed: Vec<f32> = sums.iter().map(|&sum| sum as f32).collect();
-            pack_rows(isa, &transformed, shape.in_channels, packed);
-        });
-        packed
+            transformed.iter_mut().zip(sums).for_each(|(to, sum)| *to = sum as f32);
+        })
     }
 }
 
@@ -109,23 +111,26 @@ pub(super) fn convolve(
     isa: Isa,
     scheme: Scheme,
     input: &[f32],
-    packed: &[f32],
+    packed: &Packed,
     epilogue: &Epilogue,
     shape: &Conv2dShape,
 ) -> Vec<f32> {
     let [height, width] = shape.output();
     let [down, across] = scheme.positions();
     let positions = down * across;
+    let bf16 = packed.precision() == Precision::Bf16;
     let [tile_height, tile_width] = scheme.tile();
     let grid = [height.div_ceil(tile_height), width.div_ceil(tile_width)];
     let panel = panel_columns(isa);
     let panels = (grid[0] * grid[1]).div_ceil(panel);
     let source = SourceRows::new(isa, scheme, shape);
+    let [input_step, output_step] =
+        [shape.in_channels, shape.out_channels].map(|channels| channels * panel + APART);
     let fill = |target: SharedMut| {
         let scratch = || Scratch {
             source: vec![0.0; source.rows * source.row],
-            transformed: vec![0.0; positions * shape.in_channels * panel],
-            products: vec![0.0; positions * shape.out_channels * panel + isa.lanes()],
+            transformed: vec![0.0; positions * input_step],
+            products: vec![0.0; positions * output_step + isa.lanes()],
         };
         (0..shape.batch * panels).into_par_iter().for_each_init(scratch, |scratch, task| {
             let (n, first) = (task / panels, task % panels * panel);
@@ -136,31 +141,31 @@ pub(super) fn convolve(
                 let plane = &input[(n * shape.in_channels + channel) * plane..][..plane];
                 let task = InputTask {
                     scheme,
+                    bf16,
                     source: &source,
                     plane,
                     size: shape.input,
                     padding: shape.padding,
                     runs: &runs,
-                    out_step: shape.in_channels * panel,
+                    out_step: input_step,
                 };
                 let out = &mut scratch.transformed[channel * panel..];
                 // SAFETY: the source contains the rows of every run, the output every position.
                 unsafe { transform_input(isa, &task, &mut scratch.source, out) }
             }
             for position in 0..positions {
-                let pairs = shape.in_channels * shape.out_channels;
                 let product = Product {
-                    left: &packed[position * pairs..][..pairs],
+                    left: packed.part(position),
                     rows: shape.out_channels,
                     depth: shape.in_channels,
-                    right: &scratch.transformed[position * shape.in_channels * panel..],
+                    right: &scratch.transformed[position * input_step..],
                     right_panel: shape.in_channels * panel,
                     start: Start::Zero,
                     add: None,
                     activation: Activation::Identity,
                     columns: tiles,
                 };
-                let out = &mut scratch.products[position * shape.out_channels * panel..];
+                let out = &mut scratch.products[position * output_step..];
                 let steps = Steps { row: panel, panel: shape.out_channels * panel };
                 multiply(isa, &product, &mut Output::new(out, steps));
             }
@@ -168,8 +173,9 @@ pub(super) fn convolve(
                 let at = (n * shape.out_channels + channel) * height * width;
                 let task = OutputTask {
                     scheme,
+                    bf16,
                     products: &scratch.products[channel * panel..],
-                    step: shape.out_channels * panel,
+                    step: output_step,
                     runs: &runs,
                     size: [height, width],
                     bias: epilogue.bias.map_or(0.0, |bias| bias[channel]),
@@ -244,6 +250,8 @@ impl SourceRows {
 
 struct InputTask<'a> {
     scheme: Scheme,
+    /// Whether the products are of bfloat16.
+    bf16: bool,
     source: &'a SourceRows,
     plane: &'a [f32],
     size: [usize; 2],
@@ -285,29 +293,8 @@ unsafe fn transform_input_kernel<S: Simd>(s: S, task: &InputTask, rows: &mut [f3
                 let from = rows.as_ptr().add(x);
                 let to = out.as_mut_ptr().add(run.at + x);
                 match task.scheme {
-                    Scheme::Square => {
-                        let mut down = [[s.splat(0.0); 6]; 6];
-                        for x in 0..6 {
-                            let from = from.add(x % OUTPUTS * source.phase + x / OUTPUTS);
-                            let mut column = [s.splat(0.0); 6];
-                            for (y, v) in column.iter_mut().enumerate() {
-                                *v = s.load(from.add(y * source.row));
-                            }
-                            let column = input_3(s, column);
-                            for y in 0..6 {
-                                down[y][x] = column[y];
-                            }
-                        }
-                        for (y, row) in down.into_iter().enumerate() {
-                            store_positions::<S, 6>(
-                                s,
-                                to.add(6 * y * task.out_step),
-                                task.out_step,
-                                lanes,
-                                input_3(s, row),
-                            );
-                        }
-                    }
+                    Scheme::Square if task.bf16 => input_square::<S, true>(s, task, from, to, lanes),
+                    Scheme::Square => input_square::<S, false>(s, task, from, to, lanes),
                     Scheme::Row => {
                         let mut row = [s.splat(0.0); 8];
                         for (x, v) in row.iter_mut().enumerate() {
@@ -324,6 +311,37 @@ unsafe fn transform_input_kernel<S: Simd>(s: S, task: &InputTask, rows: &mut [f3
                     }
                 }
             }
+        }
+    }
+}
+
+/// The tiles of neighbouring columns, from the first of their rows at `from`.
+#[inline(always)]
+unsafe fn input_square<S: Simd, const BF16: bool>(
+    s: S,
+    task: &InputTask,
+    from: *const f32,
+    to: *mut f32,
+    lanes: usize,
+) {
+    let source = task.source;
+    let mut down = [[s.splat(0.0); 6]; 6];
+    // SAFETY: guaranteed by the caller.
+    unsafe {
+        for x in 0..6 {
+            let from = from.add(x % OUTPUTS * source.phase + x / OUTPUTS);
+            let mut column = [s.splat(0.0); 6];
+            for (y, v) in column.iter_mut().enumerate() {
+                *v = s.load(from.add(y * source.row));
+            }
+            let column = input_3::<S, BF16>(s, column);
+            for y in 0..6 {
+                down[y][x] = column[y];
+            }
+        }
+        for (y, row) in down.into_iter().enumerate() {
+            let to = to.add(6 * y * task.out_step);
+            store_positions::<S, 6>(s, to, task.out_step, lanes, input_3::<S, BF16>(s, row));
         }
     }
 }
@@ -345,11 +363,8 @@ unsafe fn store_positions<S: Simd, const N: usize>(
     }
 }
 
-/// Maximum number of columns of a run, padded for whole vectors.
-const LINE: usize = 4 * MAX_LANES * OUTPUTS;
-
 /// Copies `columns` columns of a row, zero-padded by `padding` on both sides, from padded column `first` on, in the layout of
-/// [`SourceRows`].
+/// [`SourceRows`]. What it writes beyond them belongs to no tile.
 #[inline(always)]
 unsafe fn fill_row<S: Simd>(
     s: S,
@@ -360,38 +375,48 @@ unsafe fn fill_row<S: Simd>(
     phase: usize,
     to: &mut [f32],
 ) {
-    let zeros = padding.saturating_sub(first).min(columns);
-    let start = (first + zeros).saturating_sub(padding).min(from.len());
-    let count = (columns - zeros).min(from.len() - start);
-    let fill = |to: &mut [f32]| {
-        to[..zeros].fill(0.0);
-        to[zeros..zeros + count].copy_from_slice(&from[start..start + count]);
-        to[zeros + count..columns].fill(0.0);
-    };
+    let first = first as isize - padding as isize;
     if phase == 0 {
-        return fill(to);
+        for x in (0..columns).step_by(S::LANES) {
+            s.write(read_padded(s, from, first + x as isize), &mut to[x..]);
+        }
+        return;
     }
-    let mut line = [0.0; LINE];
-    fill(&mut line);
     for block in 0..columns.div_ceil(OUTPUTS * S::LANES) {
-        // SAFETY: the line and the row are padded for whole vectors.
-        unsafe {
-            let at = line[block * OUTPUTS * S::LANES..][..OUTPUTS * S::LANES].as_ptr();
-            let mut v = [s.splat(0.0); OUTPUTS];
-            for (i, v) in v.iter_mut().enumerate() {
-                *v = s.load(at.add(i * S::LANES));
-            }
-            let v = s.deinterleave(v);
-            for remainder in 0..OUTPUTS {
-                let at = remainder * phase + block * S::LANES;
-                s.store(to[at..at + S::LANES].as_mut_ptr(), v[remainder]);
-            }
+        let first = first + (block * OUTPUTS * S::LANES) as isize;
+        let mut v = [s.splat(0.0); OUTPUTS];
+        for (i, v) in v.iter_mut().enumerate() {
+            *v = read_padded(s, from, first + (i * S::LANES) as isize);
+        }
+        let v = s.deinterleave(v);
+        for remainder in 0..OUTPUTS {
+            s.write(v[remainder], &mut to[remainder * phase + block * S::LANES..]);
         }
     }
 }
 
+/// A vector of a row from element `at` on, with zeros where the row has no elements.
+#[inline(always)]
+fn read_padded<S: Simd>(s: S, row: &[f32], at: isize) -> S::Vector {
+    if at >= 0 {
+        return match row.get(at as usize..) {
+            Some(rest) => s.read_first(rest),
+            None => s.splat(0.0),
+        };
+    }
+    let zeros = at.unsigned_abs();
+    if zeros >= S::LANES {
+        return s.splat(0.0);
+    }
+    let mut shifted = [0.0; 2 * MAX_LANES];
+    s.write(s.read_first(row), &mut shifted[zeros..]);
+    s.read(&shifted)
+}
+
 struct OutputTask<'a> {
     scheme: Scheme,
+    /// Whether the products are of bfloat16.
+    bf16: bool,
     products: &'a [f32],
     /// Elements from one position to the next.
     step: usize,
@@ -426,17 +451,14 @@ unsafe fn transform_output_kernel<S: Simd>(s: S, task: &OutputTask) {
                 let end = width.min(x + lanes * tile_width);
                 match task.scheme {
                     Scheme::Square => {
-                        let mut across = [[s.splat(0.0); 6]; OUTPUTS];
-                        for p in 0..6 {
-                            let column = load_positions::<S, 6>(s, from.add(p * task.step), 6 * task.step);
-                            let column = output_3(s, column);
-                            for i in 0..OUTPUTS {
-                                across[i][p] = column[i];
-                            }
-                        }
-                        for (i, row) in across.into_iter().enumerate() {
+                        let rows = if task.bf16 {
+                            output_square::<S, true>(s, from, task.step)
+                        } else {
+                            output_square::<S, false>(s, from, task.step)
+                        };
+                        for (i, row) in rows.into_iter().enumerate() {
                             if y + i < height {
-                                finish_row(s, task, y + i, x, end, output_3(s, row));
+                                finish_row(s, task, y + i, x, end, row);
                             }
                         }
                     }
@@ -456,6 +478,29 @@ unsafe fn transform_output_kernel<S: Simd>(s: S, task: &OutputTask) {
             }
         }
     }
+}
+
+/// The outputs of neighbouring tiles.
+#[inline(always)]
+unsafe fn output_square<S: Simd, const BF16: bool>(
+    s: S,
+    from: *const f32,
+    step: usize,
+) -> [[S::Vector; OUTPUTS]; OUTPUTS] {
+    let mut across = [[s.splat(0.0); 6]; OUTPUTS];
+    for p in 0..6 {
+        // SAFETY: guaranteed by the caller.
+        let column = unsafe { load_positions::<S, 6>(s, from.add(p * step), 6 * step) };
+        let column = output_3::<S, BF16>(s, column);
+        for i in 0..OUTPUTS {
+            across[i][p] = column[i];
+        }
+    }
+    let mut rows = [[s.splat(0.0); OUTPUTS]; OUTPUTS];
+    for i in 0..OUTPUTS {
+        rows[i] = output_3::<S, BF16>(s, across[i]);
+    }
+    rows
 }
 
 #[inline(always)]

@@ -101,6 +101,22 @@ fn a_pair_gives_a_flow_and_a_report() {
     assert_eq!(read("pair/own.flo"), read("pair/flow.flo"));
 }
 
+/// Also where the processor has no instructions for bfloat16.
+#[test]
+fn products_of_bfloat16_change_the_flow_a_little() {
+    let of = |precision: &str, out: &str| {
+        let pair = ["video/0.png", "video/1.png", "-o", out, "--json"];
+        let more = if precision.is_empty() { vec![] } else { vec!["--precision", precision] };
+        json(&flow(&[&pair[..], &more].concat()))["network"]["precision"].as_str().unwrap().to_owned()
+    };
+    assert_eq!(of("", "pair/f32.flo"), "f32");
+    assert_eq!(of("bf16", "pair/bf16.flo"), "bf16");
+    let chosen = of("auto", "pair/auto.flo");
+    assert_eq!(read("pair/auto.flo"), read(&format!("pair/{chosen}.flo")));
+    let (far, long) = compare(&read("pair/f32.flo"), &read("pair/bf16.flo"));
+    assert!(far > 0.0 && far < 0.1 * long, "{far} px apart of {long}");
+}
+
 /// In a file beside the flow of a pair, and in a folder along a sequence, with pictures if the flow has them.
 #[test]
 fn uncertainty_is_written_beside_the_flow() {
@@ -323,6 +339,8 @@ fn errors_name_the_problem() {
     refused(&with(one, &["--iters", "0"]), 2, &["--iters"]);
     refused(&with(one, &["--device", "gpu"]), 2, &["--device", "cpu, cuda, vulkan"]);
     refused(&with(one, &["--device", "cpu:7"]), 2, &["--device", "cpu:7"]);
+    refused(&with(one, &["--precision", "f16"]), 2, &["--precision", "f32, bf16, auto"]);
+    refused(&["--method", "tvl1", "--precision", "bf16"], 2, &["--precision is for networks"]);
     refused(&with(one, &["--tile", "64x64"]), 2, &["128 pixels"]);
     refused(&with(one, &["--tile", "large"]), 2, &["WIDTHxHEIGHT in pixels, or auto"]);
     refused(&with(one, &["--scale", "0"]), 2, &["factor"]);

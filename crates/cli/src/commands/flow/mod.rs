@@ -128,6 +128,8 @@ struct NetworkUsed {
     #[serde(skip_serializing_if = "Option::is_none")]
     levels: Option<usize>,
     device: String,
+    /// What is multiplied: `auto` says here what it chose.
+    precision: &'static str,
     batch: usize,
     warm_start: bool,
 }
@@ -297,6 +299,7 @@ fn estimate(args: &Flow, context: &Context) -> anyhow::Result<Estimated> {
                     None => None,
                 },
                 device: network.device.clone(),
+                precision: network.precision().name(),
                 batch: network.batch,
                 warm_start: args.warm_start,
             }),

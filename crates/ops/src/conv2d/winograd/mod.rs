@@ -4,6 +4,8 @@
 //! Tiles of the input are transformed, multiplied position by position (one matrix product over the channels for each of 36 or 8
 //! positions), and transformed back. Each block of tiles passes through all three steps before the next begins.
 
+use std::cell::Cell;
+
 use rayon::prelude::*;
 use srflow_simd::{
     Activation, Isa, MAX_LANES, Output, Packed, Precision, Product, SharedMut, Simd, Start, Steps, dispatch,
@@ -127,12 +129,9 @@ pub(super) fn convolve(
     let [input_step, output_step] =
         [shape.in_channels, shape.out_channels].map(|channels| channels * panel + APART);
     let fill = |target: SharedMut| {
-        let scratch = || Scratch {
-            source: vec![0.0; source.rows * source.row],
-            transformed: vec![0.0; positions * input_step],
-            products: vec![0.0; positions * output_step + isa.lanes()],
-        };
-        (0..shape.batch * panels).into_par_iter().for_each_init(scratch, |scratch, task| {
+        let sizes = [source.rows * source.row, positions * input_step, positions * output_step + isa.lanes()];
+        (0..shape.batch * panels).into_par_iter().for_each(|task| {
+            let mut scratch = Scratch::take(sizes);
             let (n, first) = (task / panels, task % panels * panel);
             let tiles = panel.min(grid[0] * grid[1] - first);
             let runs = runs(first, tiles, grid[1]);
@@ -151,7 +150,7 @@ pub(super) fn convolve(
                 };
                 let out = &mut scratch.transformed[channel * panel..];
                 // SAFETY: the source contains the rows of every run, the output every position.
-                unsafe { transform_input(isa, &task, &mut scratch.source, out) }
+                unsafe { transform_input(isa, &task, &mut scratch.source[..sizes[0]], out) }
             }
             for position in 0..positions {
                 let product = Product {
@@ -186,16 +185,42 @@ pub(super) fn convolve(
                 // SAFETY: the products contain every position, the output the channel's plane.
                 unsafe { transform_output(isa, &task) }
             }
+            scratch.put_back();
         });
     };
     // SAFETY: the panels cover every tile, and all outputs of each tile that are inside are written.
     unsafe { SharedMut::fill_new(shape.output_len(), fill) }
 }
 
+/// What a task writes before it reads it. Each thread keeps its own: rayon would make one for every few tasks, and clearing them took
+/// several percent of the time.
+#[derive(Default)]
 struct Scratch {
     source: Vec<f32>,
     transformed: Vec<f32>,
     products: Vec<f32>,
+}
+
+impl Scratch {
+    /// This thread's, each part at least as long as asked for.
+    fn take(sizes: [usize; 3]) -> Self {
+        let mut scratch = SCRATCH.take();
+        let parts = [&mut scratch.source, &mut scratch.transformed, &mut scratch.products];
+        for (part, size) in parts.into_iter().zip(sizes) {
+            if part.len() < size {
+                part.resize(size, 0.0);
+            }
+        }
+        scratch
+    }
+
+    fn put_back(self) {
+        SCRATCH.set(self);
+    }
+}
+
+thread_local! {
+    static SCRATCH: Cell<Scratch> = Cell::default();
 }
 
 /// Neighbouring tiles of one row of tiles.

@@ -22,7 +22,11 @@ impl Refined {
     }
 
     fn refined(&self, [frame1, frame2]: [&Image; 2], flow: &FlowField) -> Result<FlowField, EstimateError> {
-        self.refinement.estimate_from(frame1, frame2, flow)
+        Ok(self.refinement.estimate_from(frame1, frame2, flow)?.flow)
+    }
+
+    fn refine(&self, pair: [&Image; 2], estimate: FlowEstimate) -> Result<FlowEstimate, EstimateError> {
+        Ok(FlowEstimate { flow: self.refined(pair, &estimate.flow)?, ..estimate })
     }
 }
 
@@ -35,9 +39,9 @@ impl FlowEstimator for Refined {
         self.refined([frame1, frame2], &self.estimator.estimate(frame1, frame2)?)
     }
 
-    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
-        let flows = self.estimator.estimate_pairs(pairs)?;
-        pairs.iter().zip(&flows).map(|(pair, flow)| self.refined(*pair, flow)).collect()
+    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowEstimate>, EstimateError> {
+        let estimates = self.estimator.estimate_pairs(pairs)?;
+        pairs.iter().zip(estimates).map(|(pair, estimate)| self.refine(*pair, estimate)).collect()
     }
 
     fn estimate_from(
@@ -45,8 +49,8 @@ impl FlowEstimator for Refined {
         frame1: &Image,
         frame2: &Image,
         initial: &FlowField,
-    ) -> Result<FlowField, EstimateError> {
-        self.refined([frame1, frame2], &self.estimator.estimate_from(frame1, frame2, initial)?)
+    ) -> Result<FlowEstimate, EstimateError> {
+        self.refine([frame1, frame2], self.estimator.estimate_from(frame1, frame2, initial)?)
     }
 
     fn remembers(&self) -> bool {
@@ -64,18 +68,13 @@ struct RefinedSequence<'a> {
     last: Option<Image>,
 }
 
-impl RefinedSequence<'_> {
-    fn refine(&self, pair: [&Image; 2], estimate: FlowEstimate) -> Result<FlowEstimate, EstimateError> {
-        Ok(FlowEstimate { flow: self.refined.refined(pair, &estimate.flow)?, ..estimate })
-    }
-}
-
 impl FlowSequence for RefinedSequence<'_> {
     fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowEstimate>, EstimateError> {
         let estimates = self.sequence.push(frames)?;
         let video: Vec<&Image> = self.last.iter().chain(frames).collect();
         let pairs = video.windows(2).zip(estimates);
-        let refined = pairs.map(|(pair, estimate)| self.refine([pair[0], pair[1]], estimate)).collect();
+        let refined =
+            pairs.map(|(pair, estimate)| self.refined.refine([pair[0], pair[1]], estimate)).collect();
         self.last = frames.last().cloned().or(self.last.take());
         refined
     }
@@ -83,6 +82,6 @@ impl FlowSequence for RefinedSequence<'_> {
     fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowEstimate, EstimateError> {
         let estimate = self.sequence.push_pair(pair)?;
         self.last = Some(pair[1].clone());
-        self.refine(pair, estimate)
+        self.refined.refine(pair, estimate)
     }
 }

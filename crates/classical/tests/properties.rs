@@ -108,7 +108,7 @@ fn an_initial_flow_leads_where_the_pyramid_does_not_reach() {
     for estimator in [&farneback as &dyn FlowEstimator, &tvl1] {
         let from_zero = estimator.estimate(&first, &second).unwrap();
         let initial = FlowField::filled(200, 150, [u + 0.4, v - 0.4]);
-        let from_near = estimator.estimate_from(&first, &second, &initial).unwrap();
+        let from_near = estimator.estimate_from(&first, &second, &initial).unwrap().flow;
         assert!(mean_distance(&from_zero, [u, v], 40) > 10.0, "{}", estimator.name());
         let distance = mean_distance(&from_near, [u, v], 40);
         assert!(distance < 0.1, "{}: {distance} px", estimator.name());
@@ -181,7 +181,8 @@ fn refinement_comes_nearer_to_the_true_motion() {
     assert_eq!(refined.name(), "half");
     // As pairs, and along a video, in whatever portions it comes.
     let pairs = [[&frames[0], &frames[1]], [&frames[1], &frames[2]]];
-    let pairs = refined.estimate_pairs(&pairs).unwrap();
+    let pairs: Vec<FlowField> =
+        refined.estimate_pairs(&pairs).unwrap().into_iter().map(|estimate| estimate.flow).collect();
     assert_eq!(pairs[0], alone);
     let mut sequence = refined.sequence(false);
     let mut along = sequence.push(&frames[..1]).unwrap();

@@ -2,14 +2,13 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::{Args, ValueEnum};
 use srflow_nets::{
-    Architecture, Claim, Network, NetworkEstimator, SettingError, claim, find_weights, load_included,
-    load_network, weights_folder,
+    Architecture, Claim, Iterations, Network, NetworkEstimator, SettingError, claim, find_weights,
+    load_included, load_network, weights_folder,
 };
 use srflow_ops::{Precision, device, device_kinds, fastest_precision};
 
@@ -34,9 +33,8 @@ pub struct NetworkArgs {
     /// `srflow models` lists them
     #[arg(long, value_name = "FILE|NAME")]
     pub weights: Option<String>,
-    /// Refinement iterations [default: the network's own, see `srflow models`]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1000))]
-    iters: Option<u16>,
+    #[arg(long, value_name = "N|auto[:PX]", help = iterations_help())]
+    iters: Option<Iterations>,
     /// Setting that is not stored in the weights, for every network that has it; `srflow models` lists them
     #[arg(long = "set", value_name = "NAME=VALUE", value_parser = setting)]
     settings: Vec<(String, usize)>,
@@ -77,6 +75,14 @@ fn setting(text: &str) -> Result<(String, usize), String> {
     Ok((name.to_owned(), value))
 }
 
+fn iterations_help() -> String {
+    format!(
+        "Refinement iterations; auto does the network's own number at most, and stops once the flow moves less than {} px, auto:PX \
+         less than PX [default: the network's own, see `srflow models`]",
+        Iterations::STILL_PX
+    )
+}
+
 fn device_help() -> String {
     format!("Device to compute on; this build has {}", device_kinds().join(", "))
 }
@@ -110,7 +116,7 @@ impl NetworkArgs {
     }
 
     /// The same for a method with iterations and settings of its own.
-    pub fn of(&self, iterations: Option<u16>, settings: &[(String, usize)]) -> Self {
+    pub fn of(&self, iterations: Option<Iterations>, settings: &[(String, usize)]) -> Self {
         let settings = self.settings.iter().chain(settings).cloned().collect();
         Self { iters: iterations.or(self.iters), settings, ..self.clone() }
     }
@@ -128,10 +134,24 @@ impl NetworkArgs {
         }
     }
 
-    /// Refinement iterations of a network; 1 for one that does not refine.
+    /// Refinement iterations of a network, at most; 1 for one that does not refine.
     pub fn iterations(&self, architecture: Architecture) -> usize {
-        let facts = architecture.facts();
-        self.iters.filter(|_| facts.refines()).map_or(facts.iterations.default, usize::from)
+        self.refinement(architecture).most(architecture.facts()).get()
+    }
+
+    /// The movement of the flow in pixels of the frames, below which a network does no more iterations; `None` if it does all.
+    pub fn still_px(&self, architecture: Architecture) -> Option<f32> {
+        self.refinement(architecture).still_px(architecture.facts())
+    }
+
+    /// Whether a network that refines its flow is to stop by itself.
+    pub fn is_auto(&self, architecture: Architecture) -> bool {
+        let auto = matches!(self.refinement(architecture), Iterations::UntilStill { .. });
+        auto && architecture.facts().refines()
+    }
+
+    fn refinement(&self, architecture: Architecture) -> Iterations {
+        self.iters.unwrap_or_else(|| Iterations::default_of(architecture.facts()))
     }
 
     /// The settings of a network, with the given values or the defaults.
@@ -213,7 +233,7 @@ impl NetworkArgs {
         }
     }
 
-    /// The network with its weights: its own, or those of `--weights`.
+    /// The network with its weights: its own, or those of `--weights`; for frames that are scaled by `scale` first.
     ///
     /// # Errors
     /// When there are no weights, they do not fit, or the device does not exist.
@@ -222,6 +242,7 @@ impl NetworkArgs {
         architecture: Architecture,
         weights: Option<&str>,
         label: String,
+        scale: f64,
     ) -> anyhow::Result<NetworkEstimator> {
         let device = match device(&self.device) {
             Ok(device) => device,
@@ -242,7 +263,7 @@ impl NetworkArgs {
             }
         };
         self.set(&mut network)?;
-        let iterations = NonZeroUsize::new(self.iterations(architecture)).context("no iterations")?;
+        let iterations = self.refinement(architecture).scaled(scale);
         let estimator = NetworkEstimator::new(label, network, iterations, device);
         Ok(estimator.with_precision(self.precision()))
     }

@@ -5,8 +5,8 @@ use std::num::NonZeroUsize;
 use std::time::Instant;
 
 use srflow_field::{
-    EstimateError, FlowEstimator, FlowField, FlowSequence, Image, Mask, MeanMetrics, Metrics, ScoreError,
-    Shard, score,
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Mask, MeanMetrics, Metrics,
+    ScoreError, Shard, score,
 };
 use srflow_read::flow::{DatasetError, Entry, EntryFile, FlowDataset, Sample};
 
@@ -56,6 +56,8 @@ pub struct Settings<'a> {
     pub small_motion: Option<f32>,
     /// Also score the motion of the [`Expression`].
     pub expression: bool,
+    /// Also keep the refinement iterations of each pair, for methods that have some.
+    pub iterations: bool,
     /// The part of the pairs to score, of those that `limit` leaves.
     pub part: Shard,
     /// Scores of an earlier run by the names of pairs, which are not estimated again.
@@ -315,6 +317,8 @@ struct Pair {
     regions: Vec<(Region, Mask)>,
     /// Whether the motion of the expression is scored.
     expression: bool,
+    /// Whether iterations are kept.
+    iterations: bool,
     /// Width and height of the frames before cropping.
     whole: (usize, usize),
     window: Option<Window>,
@@ -360,6 +364,7 @@ impl Pair {
             truth,
             regions,
             expression: settings.expression,
+            iterations: settings.iterations,
             whole,
             window,
             scene: entry.scene.clone(),
@@ -385,21 +390,21 @@ struct Video<'a> {
 }
 
 impl<'a> Video<'a> {
-    /// The flow of the next pair, and the seconds it took.
-    fn timed_flow(
+    /// The estimate of the next pair, and the seconds it took.
+    fn timed(
         &mut self,
         estimator: &'a dyn FlowEstimator,
         pair: &Pair,
-    ) -> Result<(FlowField, f64), EstimateError> {
+    ) -> Result<(FlowEstimate, f64), EstimateError> {
         let [first, second] = pair.files.clone();
         if self.last != Some((pair.scene.clone(), first)) {
             self.sequence = None;
         }
         let start = Instant::now();
         let mut sequence = self.sequence.take().unwrap_or_else(|| estimator.sequence(false));
-        let flow = sequence.push_pair(pair.frames())?.flow;
+        let estimate = sequence.push_pair(pair.frames())?;
         (self.sequence, self.last) = (Some(sequence), Some((pair.scene.clone(), second)));
-        Ok((flow, start.elapsed().as_secs_f64()))
+        Ok((estimate, start.elapsed().as_secs_f64()))
     }
 }
 
@@ -419,27 +424,31 @@ fn estimate_batch<'a>(
         on_event(Event::Estimating { method, pair });
         let failed = |source| PairProblem::Estimate { method: method.to_owned(), source };
         let unread = |source| PairProblem::File { method: method.to_owned(), source };
-        let flows: Vec<Result<(FlowField, Option<f64>), PairProblem>> = match source {
+        let found: Vec<Result<(FlowEstimate, Option<f64>), PairProblem>> = match source {
             Method::Estimator(estimator) if estimator.remembers() => {
-                let timed = pairs().map(|(_, pair)| video.timed_flow(*estimator, pair));
-                timed.map(|flow| flow.map(|(flow, seconds)| (flow, Some(seconds))).map_err(failed)).collect()
+                let timed = pairs().map(|(_, pair)| video.timed(*estimator, pair));
+                timed
+                    .map(|found| found.map(|(found, seconds)| (found, Some(seconds))).map_err(failed))
+                    .collect()
             }
             Method::Estimator(estimator) => {
                 let frames: Vec<[&Image; 2]> = pairs().map(|(_, pair)| pair.frames()).collect();
-                let timed = timed_flows(*estimator, &frames).into_iter();
-                timed.map(|flow| flow.map(|(flow, seconds)| (flow, Some(seconds))).map_err(failed)).collect()
+                let timed = timed(*estimator, &frames).into_iter();
+                timed
+                    .map(|found| found.map(|(found, seconds)| (found, Some(seconds))).map_err(failed))
+                    .collect()
             }
             Method::Files(files) => {
                 let read = |(name, pair): (&String, &Pair)| files.read(name, pair.whole, pair.window);
-                pairs().map(|pair| read(pair).map(|flow| (flow, None)).map_err(unread)).collect()
+                pairs().map(|pair| read(pair).map(|flow| (flow.into(), None)).map_err(unread)).collect()
             }
         };
-        let mut flows = flows.into_iter();
+        let mut found = found.into_iter();
         for (name, outcome) in &mut batch {
             if let Ok((pair, estimates)) = outcome
-                && let Some(flow) = flows.next()
+                && let Some(found) = found.next()
             {
-                match flow.and_then(|(flow, seconds)| scored(name, method, pair, flow, seconds)) {
+                match found.and_then(|(found, seconds)| scored(name, method, pair, found, seconds)) {
                     Ok(estimate) => estimates.push(estimate),
                     Err(problem) => *outcome = Err(problem),
                 }
@@ -449,20 +458,20 @@ fn estimate_batch<'a>(
     batch
 }
 
-/// The flow of each pair and the seconds it took. When a batch fails, its pairs are estimated one by one, so that only
+/// The estimate of each pair and the seconds it took. When a batch fails, its pairs are estimated one by one, so that only
 /// those at fault fail.
-fn timed_flows(
+fn timed(
     estimator: &dyn FlowEstimator,
     pairs: &[[&Image; 2]],
-) -> Vec<Result<(FlowField, f64), EstimateError>> {
+) -> Vec<Result<(FlowEstimate, f64), EstimateError>> {
     let start = Instant::now();
     match estimator.estimate_pairs(pairs) {
-        Ok(flows) => {
+        Ok(estimates) => {
             let seconds = start.elapsed().as_secs_f64() / pairs.len() as f64;
-            flows.into_iter().map(|flow| Ok((flow, seconds))).collect()
+            estimates.into_iter().map(|estimate| Ok((estimate, seconds))).collect()
         }
         Err(problem) if pairs.len() == 1 => vec![Err(problem)],
-        Err(_) => pairs.chunks(1).flat_map(|pair| timed_flows(estimator, pair)).collect(),
+        Err(_) => pairs.chunks(1).flat_map(|pair| timed(estimator, pair)).collect(),
     }
 }
 
@@ -470,11 +479,12 @@ fn scored(
     name: &str,
     method: &str,
     pair: &Pair,
-    flow: FlowField,
+    FlowEstimate { flow, iterations, .. }: FlowEstimate,
     seconds: Option<f64>,
 ) -> Result<Estimate, PairProblem> {
     let scores = scores_of(name, seconds, &flow, pair)
         .map_err(|source| PairProblem::Score { method: method.to_owned(), source })?;
+    let scores = PairScores { iterations: iterations.filter(|_| pair.iterations), ..scores };
     let kept = KeptScores { scores, within: shares_within(&flow, &pair.truth) };
     Ok(Estimate { method: method.to_owned(), baseline: method == Zero.name(), flow, kept })
 }
@@ -493,6 +503,7 @@ fn scores_of(
     Ok(PairScores {
         pair: name.to_owned(),
         seconds,
+        iterations: None,
         whole: score(flow, &pair.truth, None)?,
         head: found.remove(&Region::Head),
         visible: found.remove(&Region::Visible),
@@ -571,10 +582,17 @@ impl MethodSums {
             visible: means.remove(&Region::Visible),
             regions: means,
             expression: Expression::mean(self.scores.pairs.iter().filter_map(|pair| pair.expression)),
+            iterations: mean(self.scores.pairs.iter().filter_map(|pair| pair.iterations)),
             within: self.curve.mean(),
             ..self.scores
         }
     }
+}
+
+/// `None` of no numbers.
+fn mean(numbers: impl Iterator<Item = f32>) -> Option<f64> {
+    let (sum, count) = numbers.fold((0.0, 0), |(sum, count), number| (sum + f64::from(number), count + 1));
+    (count > 0).then(|| sum / f64::from(count))
 }
 
 #[cfg(test)]

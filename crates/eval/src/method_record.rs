@@ -15,9 +15,12 @@ pub struct MethodRecord {
     pub weights: Option<String>,
     /// SHA-256 of that file, in hexadecimal digits.
     pub sha256: Option<String>,
-    /// Number of refinement iterations of a network.
+    /// Refinement iterations of a network, at most.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub iterations: Option<usize>,
+    /// The movement of the flow in pixels, below which a network does no more iterations; `None` if it always does all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub still_px: Option<f32>,
     /// The device of a network.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub device: Option<String>,

@@ -60,6 +60,9 @@ pub struct MethodScores {
     /// The same of the motion of the expression, if it was asked for; the mean is over the pairs that show one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expression: Option<Expression>,
+    /// Mean over pairs of the refinement iterations, if they were asked for and the method has some.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub iterations: Option<f64>,
     /// Mean over pairs of the share of pixels whose end-point error is at most 0.05, 0.10, ... 5 px.
     pub within: Vec<f64>,
     pub pairs: Vec<PairScores>,
@@ -72,6 +75,9 @@ pub struct PairScores {
     pub pair: String,
     /// Wall-clock seconds of the estimation alone; `None` for flow files.
     pub seconds: Option<f64>,
+    /// Refinement iterations, if they were asked for and the method has some; the mean over tiles.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub iterations: Option<f32>,
     /// Over all pixels with ground truth.
     pub whole: Option<Metrics>,
     /// Inside the head's mask.
@@ -186,11 +192,12 @@ pub fn improvement_percent(better: Better, own: f64, other: f64) -> Option<f64> 
 }
 
 impl Evaluation {
-    /// The paper's Table II for one region, with the median seconds per pair appended; `None` when the dataset has no such
-    /// region.
+    /// The paper's Table II for one region, with the median seconds per pair appended, and the mean iterations where there are some;
+    /// `None` when the dataset has no such region.
     pub fn table(&self, region: Region) -> Option<Table> {
         self.methods.iter().find_map(|method| method.region(region))?;
-        let seconds = Column::plain("seconds", "s/pair", 3);
+        let iterations = self.counts_iterations().then(|| Column::plain("iterations", "iterations", 1));
+        let columns = [Column::plain("seconds", "s/pair", 3)].into_iter().chain(iterations.clone());
         let row = |method: &MethodScores| {
             let metrics = method.region(region);
             let scores = SCORES.iter().map(|(.., value)| metrics.map(value));
@@ -198,6 +205,7 @@ impl Evaluation {
                 name: method.name.clone(),
                 values: scores
                     .chain(std::iter::once(method.median_seconds().filter(|_| !method.baseline)))
+                    .chain(iterations.as_ref().map(|_| method.iterations))
                     .collect(),
                 baseline: method.baseline,
             }
@@ -207,10 +215,15 @@ impl Evaluation {
         let limit = limit.map_or(String::new(), |limit| format!(" (true flow under {limit} px)"));
         Some(Table {
             title: format!("{}, {}{crop}, {}{limit}", self.title(), self.pairs_in_words(), region.words()),
-            columns: score_columns().into_iter().chain([seconds]).collect(),
+            columns: score_columns().into_iter().chain(columns).collect(),
             rows: self.methods.iter().map(row).collect(),
             notes: self.left_out.clone(),
         })
+    }
+
+    /// Whether iterations were asked for and a method has some.
+    fn counts_iterations(&self) -> bool {
+        self.methods.iter().any(|method| method.iterations.is_some())
     }
 
     /// See [`dataset_title`].
@@ -323,13 +336,17 @@ impl Evaluation {
 
     /// Comma-separated values at full precision: one line per method and region, the mean over pairs.
     pub fn csv(&self) -> String {
-        let mut lines = vec![score_head(["median_seconds", "pairs"])];
+        let counts = self.counts_iterations();
+        let mut lines = vec![score_head(
+            ["median_seconds", "pairs"].into_iter().chain(counts.then_some("mean_iterations")),
+        )];
         for method in &self.methods {
             for region in Region::ALL {
                 let Some(metrics) = method.region(region) else { continue };
-                let seconds = method.median_seconds().map_or(String::new(), |seconds| seconds.to_string());
+                let seconds = shown(method.median_seconds());
                 let mut line = score_fields(&method.name, region, metrics);
                 line.extend([seconds, self.pairs.to_string()]);
+                line.extend(counts.then(|| shown(method.iterations)));
                 lines.push(line);
             }
         }
@@ -338,14 +355,16 @@ impl Evaluation {
 
     /// Comma-separated values at full precision: one line per method, region and pair.
     pub fn pairs_csv(&self) -> String {
-        let mut lines = vec![score_head(["seconds", "pair"])];
+        let counts = self.counts_iterations();
+        let mut lines =
+            vec![score_head(["seconds", "pair"].into_iter().chain(counts.then_some("iterations")))];
         for method in &self.methods {
             for pair in &method.pairs {
                 for region in Region::ALL {
                     let Some(metrics) = pair.region(region) else { continue };
                     let mut line = score_fields(&method.name, region, metrics);
-                    let seconds = pair.seconds.map_or(String::new(), |seconds| seconds.to_string());
-                    line.extend([seconds, pair.pair.clone()]);
+                    line.extend([shown(pair.seconds), pair.pair.clone()]);
+                    line.extend(counts.then(|| shown(pair.iterations)));
                     lines.push(line);
                 }
             }
@@ -395,8 +414,13 @@ pub fn dataset_title(dataset: &str, split: Split) -> String {
     }
 }
 
-/// Names of the fields of [`score_fields`], and of two more.
-fn score_head(more: [&str; 2]) -> Vec<String> {
+/// A field; empty without a number.
+fn shown(number: Option<impl ToString>) -> String {
+    number.map_or(String::new(), |number| number.to_string())
+}
+
+/// Names of the fields of [`score_fields`], and of others.
+fn score_head(more: impl Iterator<Item = &'static str>) -> Vec<String> {
     let scores = SCORES.iter().map(|(key, ..)| *key);
     let names = ["method", "region"].into_iter().chain(scores).chain(["valid_pixels"]).chain(more);
     names.map(str::to_owned).collect()

@@ -302,16 +302,16 @@ impl FlowEstimator for Counting {
     }
 
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        Ok(self.estimate_pairs(&[[frame1, frame2]])?.remove(0))
+        Ok(self.estimate_pairs(&[[frame1, frame2]])?.remove(0).flow)
     }
 
-    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
+    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowEstimate>, EstimateError> {
         self.0.lock().unwrap().push(pairs.len());
         let flow = |[frame1, _]: &[&Image; 2]| match frame1.get(0, 0) {
             REFUSED => {
                 Err(EstimateError::Unsupported { method: "counting".into(), reason: "refused".into() })
             }
-            _ => Knowing { left: [0.25, 0.0], right: [0.5, 0.0] }.estimate(frame1, frame1),
+            _ => Ok(Knowing { left: [0.25, 0.0], right: [0.5, 0.0] }.estimate(frame1, frame1)?.into()),
         };
         pairs.iter().map(flow).collect()
     }
@@ -355,6 +355,60 @@ fn scores_do_not_depend_on_how_many_pairs_are_estimated_at_once() {
         assert_eq!(counts, expected, "batch {batch}");
         assert_eq!(together, alone, "batch {batch}");
     }
+}
+
+/// One iteration in the first call, two in the second, and so on.
+struct Iterating(Mutex<f32>);
+
+impl FlowEstimator for Iterating {
+    fn name(&self) -> &str {
+        "iterating"
+    }
+
+    fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
+        Ok(self.estimate_pairs(&[[frame1, frame2]])?.remove(0).flow)
+    }
+
+    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowEstimate>, EstimateError> {
+        let estimate = |[frame1, _]: &[&Image; 2]| {
+            let mut iterations = self.0.lock().unwrap();
+            *iterations += 1.0;
+            let flow = FlowField::new(frame1.width(), frame1.height());
+            FlowEstimate { iterations: Some(*iterations), ..flow.into() }
+        };
+        Ok(pairs.iter().map(estimate).collect())
+    }
+}
+
+#[test]
+fn the_mean_number_of_iterations_is_in_the_tables_if_asked_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dataset(dir.path(), 4);
+    let run = |iterations| {
+        let settings = Settings { iterations, ..Settings::default() };
+        run(&dataset, &Iterating(Mutex::new(0.0)), settings).unwrap()
+    };
+    let evaluation = run(true);
+    let numbers: Vec<_> = evaluation.methods[1].pairs.iter().map(|pair| pair.iterations).collect();
+    assert_eq!(numbers, [1.0, 2.0, 3.0, 4.0].map(Some));
+    assert_eq!((evaluation.methods[0].iterations, evaluation.methods[1].iterations), (None, Some(2.5)));
+    let table = evaluation.table(Region::Whole).unwrap();
+    assert_eq!(table.columns.last().unwrap().header, "iterations");
+    assert_eq!([0, 1].map(|row| table.rows[row].values.last().copied().unwrap()), [None, Some(2.5)]);
+    let fields = |csv: &str| -> Vec<String> {
+        csv.lines().map(|line| line.rsplit(',').next().unwrap().to_owned()).collect()
+    };
+    let scores = fields(&evaluation.csv());
+    assert!(scores[0] == "mean_iterations" && scores[1].is_empty() && scores.last().unwrap() == "2.5");
+    let pairs = fields(&evaluation.pairs_csv());
+    assert!(pairs[0] == "iterations" && pairs[1].is_empty() && pairs.last().unwrap() == "4");
+    let json = serde_json::to_string(&evaluation).unwrap();
+    assert_eq!(serde_json::from_str::<Evaluation>(&json).unwrap(), evaluation);
+
+    let without = run(false);
+    assert_eq!(without.table(Region::Whole).unwrap().columns.len(), table.columns.len() - 1);
+    assert!(!serde_json::to_string(&without).unwrap().contains("iterations"));
+    assert!(!(without.csv() + &without.pairs_csv()).contains("iterations"));
 }
 
 /// Moves everything by as many pixels as it has seen pairs of a video.

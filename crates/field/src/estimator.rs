@@ -9,11 +9,13 @@ pub struct FlowEstimate {
     pub uncertainty: Option<Plane>,
     /// Probability that a pixel of the first frame is hidden in the second.
     pub occlusion: Option<Plane>,
+    /// Refinement iterations of a network that refines its flow; the mean over tiles.
+    pub iterations: Option<f32>,
 }
 
 impl From<FlowField> for FlowEstimate {
     fn from(flow: FlowField) -> Self {
-        Self { flow, uncertainty: None, occlusion: None }
+        Self { flow, uncertainty: None, occlusion: None, iterations: None }
     }
 }
 
@@ -28,15 +30,16 @@ pub trait FlowEstimator: Send + Sync {
     /// When the frames differ in size or the method cannot work at that size.
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError>;
 
-    /// The flow of each pair; all pairs have one size. Methods that support batches estimate them at once.
+    /// The flow of each pair; all pairs have one size. Methods that support batches estimate them at once. Uncertainty and occlusion,
+    /// which take time, come from a [`sequence`](Self::sequence) alone.
     ///
     /// # Errors
     /// As [`estimate`](Self::estimate), when any of the pairs fails.
-    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
-        pairs.iter().map(|[frame1, frame2]| self.estimate(frame1, frame2)).collect()
+    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowEstimate>, EstimateError> {
+        pairs.iter().map(|[frame1, frame2]| Ok(self.estimate(frame1, frame2)?.into())).collect()
     }
 
-    /// Like [`estimate`](Self::estimate), starting from an initial flow of the frames' size.
+    /// Like [`estimate_pairs`](Self::estimate_pairs) of one pair, starting from an initial flow of the frames' size.
     ///
     /// # Errors
     /// Those of `estimate`, and when the method cannot start from a flow.
@@ -45,7 +48,7 @@ pub trait FlowEstimator: Send + Sync {
         _frame1: &Image,
         _frame2: &Image,
         _initial: &FlowField,
-    ) -> Result<FlowField, EstimateError> {
+    ) -> Result<FlowEstimate, EstimateError> {
         Err(EstimateError::Unsupported {
             method: self.name().to_owned(),
             reason: "cannot start from an initial flow; leave it out".to_owned(),
@@ -96,7 +99,7 @@ impl<E: FlowEstimator + ?Sized> FlowSequence for PairByPair<'_, E> {
         let mut last = before.as_ref();
         for frame in frames {
             if let Some(last) = last {
-                flows.push(self.next([last, frame])?.into());
+                flows.push(self.next([last, frame])?);
             }
             last = Some(frame);
         }
@@ -105,22 +108,22 @@ impl<E: FlowEstimator + ?Sized> FlowSequence for PairByPair<'_, E> {
     }
 
     fn push_pair(&mut self, pair: [&Image; 2]) -> Result<FlowEstimate, EstimateError> {
-        let flow = self.next(pair)?;
+        let estimate = self.next(pair)?;
         self.last = Some(pair[1].clone());
-        Ok(flow.into())
+        Ok(estimate)
     }
 }
 
 impl<E: FlowEstimator + ?Sized> PairByPair<'_, E> {
-    fn next(&mut self, [first, second]: [&Image; 2]) -> Result<FlowField, EstimateError> {
-        let flow = match &self.flow {
+    fn next(&mut self, [first, second]: [&Image; 2]) -> Result<FlowEstimate, EstimateError> {
+        let estimate = match &self.flow {
             Some(before) => self.estimator.estimate_from(first, second, &forward_interpolate(before))?,
-            None => self.estimator.estimate(first, second)?,
+            None => self.estimator.estimate(first, second)?.into(),
         };
         if self.warm_start {
-            self.flow = Some(flow.clone());
+            self.flow = Some(estimate.flow.clone());
         }
-        Ok(flow)
+        Ok(estimate)
     }
 }
 

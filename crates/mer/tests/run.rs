@@ -66,6 +66,7 @@ fn record() -> MethodRecord {
         weights: None,
         sha256: None,
         iterations: None,
+        still_px: None,
         device: None,
     }
 }

@@ -166,7 +166,6 @@ impl FlowNetwork for Ccmr {
     }
 
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
-        assert!(request.iterations > 0, "at least one iteration");
         let (first, second, border) = frames.prepared(PADDING);
         let [batch, _, height, width] = first.dims();
         let device = first.device();
@@ -176,7 +175,8 @@ impl FlowNetwork for Ccmr {
         let coarsest = [height, width].map(|side| side / COARSEST_STRIDE);
         let mut flow = request.start_flow(batch, coarsest, &device);
         let block = &self.update_block;
-        let iterations = self.iterations(request.iterations);
+        let most = self.iterations(request.iterations);
+        let mut iterations = None;
         let mut flows = Vec::new();
         let mut last = None;
         let levels = contexts.into_iter().zip(self.cnet.outputs()).zip(firsts.into_iter().zip(seconds));
@@ -198,9 +198,10 @@ impl FlowNetwork for Ccmr {
             let upsample =
                 |hidden: &Divided, flow| convex_upsample_of_strips(strips, &block.mask, hidden, flow);
             let grid = pixel_grid([batch, rows, columns], &device);
-            for iteration in 1..=iterations[number] {
+            let mut refinement = request.refinement(most[number], border);
+            loop {
                 // The first iteration of a level also trains the upsampling from the level before.
-                if iteration > 1 || number == 0 {
+                if refinement.done() > 0 || number == 0 {
                     flow = flow.detach();
                 }
                 let positions = grid.clone() + flow.clone();
@@ -220,19 +221,25 @@ impl FlowNetwork for Ccmr {
                     }
                 };
                 hidden = next;
+                let end = refinement.ends_with(&change);
                 flow = flow + change;
-                if request.every_iteration || [number + 1, iteration] == [self.levels, iterations[number]] {
+                if request.every_iteration || (end && number + 1 == self.levels) {
                     let whole = upsampled_to(height, upsample(&hidden, flow.clone()));
                     flows.push(border.remove(whole.clone()));
                     last = Some(whole);
                 }
+                if end {
+                    break;
+                }
             }
+            iterations = Some(refinement.done());
             if number + 1 < self.levels {
                 flow = upsample(&hidden, flow.detach());
             }
         }
         Estimate {
             coarse: last.map(|flow| resize_flow(flow, coarsest, Grids::CornersOnCorners)),
+            iterations,
             ..Estimate::of_flows(flows)
         }
     }

@@ -260,7 +260,6 @@ impl FlowNetwork for DpFlow {
     }
 
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
-        assert!(request.iterations > 0, "at least one iteration");
         let [batch, _, height, width] = frames.first.dims();
         let levels = self.levels_for([height, width]);
         let (first, second, border) = frames.prepared(padding(levels));
@@ -271,25 +270,32 @@ impl FlowNetwork for DpFlow {
         let coarsest = [height, width].map(|side| side / padding(levels));
         let mut flow = request.start_flow(batch, coarsest, &device);
         let mut estimate = Estimate::of_flows(Vec::new());
+        let mut iterations = None;
         for (number, [first, second]) in self.fnet.pyramid(stems).into_iter().enumerate() {
             let [_, _, rows, columns] = first.dims();
             let Level { correlation, context, mut hidden } = Level::new(first, second);
             let grid = pixel_grid([batch, rows, columns], &device);
             flow = resize_flow(flow, [rows, columns], GRIDS);
-            for iteration in 1..=request.iterations {
+            let mut refinement = request.refinement(request.iterations, border);
+            loop {
                 flow = flow.detach();
                 let windows = correlation.windows(grid.clone() + flow.clone(), RADIUS);
                 let [next, change] = self.update_block.step(hidden, &context, flow.clone(), windows);
                 hidden = next;
-                flow = flow + change.clone().narrow(1, 0, 2);
-                let last = number + 1 == levels && iteration == request.iterations;
-                if request.every_iteration || last {
+                let moved = change.clone().narrow(1, 0, 2);
+                let last = refinement.ends_with(&moved);
+                flow = flow + moved;
+                if request.every_iteration || (last && number + 1 == levels) {
                     let found = Found { flow: flow.clone(), mixture: change.narrow(1, 2, 4) };
                     self.push_upsampled(&mut estimate, &hidden, found, [height, width], border);
                 }
+                if last {
+                    break;
+                }
             }
+            iterations = Some(refinement.done());
         }
-        Estimate { coarse: Some(resize_flow(flow, coarsest, GRIDS)), ..estimate }
+        Estimate { coarse: Some(resize_flow(flow, coarsest, GRIDS)), iterations, ..estimate }
     }
 
     fn padding(&self) -> Option<Padding> {

@@ -10,6 +10,11 @@ use crate::features::Features;
 pub struct Request {
     /// Refinement iterations; ignored by networks without refinement.
     pub iterations: usize,
+    /// Stop refining earlier, after two iterations in a row in each of which at most 1 in 1000 coarse pixels moved by this many pixels
+    /// of the frame or more, in every pair of the batch. The result is that of a request for as many [`iterations`](Self::iterations);
+    /// a network with levels stops at each by itself. Ignored with [`every_iteration`](Self::every_iteration), and by the network
+    /// `srflow`, whose two iterations by default leave none to save.
+    pub still_px: Option<f32>,
     /// Coarse flow to start from, such as the [`Estimate::coarse`] of the previous pair, warped forward; zero by default. For
     /// networks with [`Start::Coarse`](crate::Start::Coarse) or [`Start::CoarsestLevel`](crate::Start::CoarsestLevel).
     pub start: Option<Tensor<4>>,
@@ -26,7 +31,15 @@ pub struct Request {
 impl Request {
     /// A request for the last flow only, starting from zero.
     pub fn new(iterations: usize) -> Self {
-        Self { iterations, start: None, every_iteration: false, features: None, encoded: None, memory: None }
+        Self {
+            iterations,
+            still_px: None,
+            start: None,
+            every_iteration: false,
+            features: None,
+            encoded: None,
+            memory: None,
+        }
     }
 
     /// The flow to start from, `[batch, 2, height, width]` in coarse pixels, where `size` is height and width. Panics when it
@@ -70,12 +83,23 @@ pub struct Estimate {
     pub hidden: Option<Tensor<4>>,
     /// State for the next pair of the video; for networks with [`Facts::remembers`](crate::Facts::remembers).
     pub memory: Option<Memory>,
+    /// Refinement iterations that were done, as [`Request::iterations`] counts them: those of the finest level, where each level has its
+    /// own, and the sum over levels, where they share them. `None` for a network without refinement.
+    pub iterations: Option<usize>,
 }
 
 impl Estimate {
     /// An estimate with flows only.
     pub(crate) fn of_flows(flows: Vec<Tensor<4>>) -> Self {
-        Self { flows, mixtures: Vec::new(), occlusion: None, coarse: None, hidden: None, memory: None }
+        Self {
+            flows,
+            mixtures: Vec::new(),
+            occlusion: None,
+            coarse: None,
+            hidden: None,
+            memory: None,
+            iterations: None,
+        }
     }
 
     /// The last flow.

@@ -1,7 +1,5 @@
 //! Networks as [`FlowEstimator`]s.
 
-use std::num::NonZeroUsize;
-
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
 use srflow_field::{
@@ -12,21 +10,27 @@ use srflow_field::{
 use srflow_ops::{Precision, with_precision};
 
 use crate::shots::is_cut;
-use crate::{Estimate, Facts, Features, Frames, Memory, Network, Request, Start};
+use crate::{Estimate, Facts, Features, Frames, Iterations, Memory, Network, Request, Start};
 
 /// A [`Network`] that estimates flow between images of any size.
 pub struct NetworkEstimator {
     name: String,
     network: Network,
-    iterations: NonZeroUsize,
+    iterations: Iterations,
     device: Device,
     precision: Precision,
 }
 
 impl NetworkEstimator {
     /// An estimator with `network`, whose parameters must be on `device`. `name` is for tables and errors.
-    pub fn new(name: impl Into<String>, network: Network, iterations: NonZeroUsize, device: Device) -> Self {
-        Self { name: name.into(), network, iterations, device, precision: Precision::F32 }
+    pub fn new(
+        name: impl Into<String>,
+        network: Network,
+        iterations: impl Into<Iterations>,
+        device: Device,
+    ) -> Self {
+        let (name, iterations) = (name.into(), iterations.into());
+        Self { name, network, iterations, device, precision: Precision::F32 }
     }
 
     /// The same, multiplying at a precision on the CPU; see [`with_precision`].
@@ -103,9 +107,15 @@ impl NetworkEstimator {
         let images: Vec<&Image> = frames.iter().map(|encoded| &encoded.frame).collect();
         let second = frames.len() - pairs;
         let frames = Frames { first: self.tensor(&images[..pairs]), second: self.tensor(&images[second..]) };
-        let request =
-            Request { start, features: Some(features), memory, ..Request::new(self.iterations.get()) };
+        let most = self.iterations.most(self.facts()).get();
+        let still_px = self.still_px();
+        let request = Request { still_px, start, features: Some(features), memory, ..Request::new(most) };
         with_precision(self.precision, || self.network.forward(frames, &request))
+    }
+
+    /// With which pairs are estimated one by one, so that none refines longer because of another.
+    fn still_px(&self) -> Option<f32> {
+        self.iterations.still_px(self.facts())
     }
 
     /// The flows of a batch, cropped to the size of the frames.
@@ -124,15 +134,22 @@ impl NetworkEstimator {
         Ok((0..pairs).map(field).collect())
     }
 
+    /// The flows of a batch, cropped to the size of the frames, with the number of iterations.
+    fn flows(&self, estimate: &Estimate, canvas: Canvas) -> Result<Vec<FlowEstimate>, EstimateError> {
+        let iterations = estimate.iterations.map(|number| number as f32);
+        let flows = self.fields(estimate.last(), canvas)?.into_iter();
+        Ok(flows.map(|flow| FlowEstimate { iterations, ..flow.into() }).collect())
+    }
+
     /// The estimates of a batch, cropped to the size of the frames.
     fn estimates(&self, estimate: &Estimate, canvas: Canvas) -> Result<Vec<FlowEstimate>, EstimateError> {
         let uncertainty =
             estimate.mixtures.last().map(|mixture| mixture.mean_scale(self.facts().log_scale_range));
         let mut uncertainty = self.planes(uncertainty, canvas)?.into_iter();
         let mut occlusion = self.planes(estimate.occlusion.clone(), canvas)?.into_iter();
-        let flows = self.fields(estimate.last(), canvas)?;
+        let flows = self.flows(estimate, canvas)?;
         let with_planes =
-            |flow| FlowEstimate { flow, uncertainty: uncertainty.next(), occlusion: occlusion.next() };
+            |flow| FlowEstimate { uncertainty: uncertainty.next(), occlusion: occlusion.next(), ..flow };
         Ok(flows.into_iter().map(with_planes).collect())
     }
 
@@ -211,10 +228,10 @@ impl FlowEstimator for NetworkEstimator {
     }
 
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        Ok(self.estimate_pairs(&[[frame1, frame2]])?.remove(0))
+        Ok(self.estimate_pairs(&[[frame1, frame2]])?.remove(0).flow)
     }
 
-    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
+    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowEstimate>, EstimateError> {
         self.between(pairs, None)
     }
 
@@ -223,7 +240,7 @@ impl FlowEstimator for NetworkEstimator {
         frame1: &Image,
         frame2: &Image,
         initial: &FlowField,
-    ) -> Result<FlowField, EstimateError> {
+    ) -> Result<FlowEstimate, EstimateError> {
         check_frame_sizes(frame1.size(), [initial.size()])?;
         Ok(self.between(&[[frame1, frame2]], Some(initial))?.remove(0))
     }
@@ -243,18 +260,21 @@ impl NetworkEstimator {
         &self,
         pairs: &[[&Image; 2]],
         initial: Option<&FlowField>,
-    ) -> Result<Vec<FlowField>, EstimateError> {
+    ) -> Result<Vec<FlowEstimate>, EstimateError> {
         let Some([first, _]) = pairs.first() else { return Ok(Vec::new()) };
         let canvas = self.canvas(first.size());
         check_frame_sizes(canvas.size, pairs.as_flattened().iter().map(|frame| frame.size()))?;
         if canvas.is_empty() {
-            return Ok(vec![FlowField::new(canvas.size.0, canvas.size.1); pairs.len()]);
+            return Ok(vec![FlowField::new(canvas.size.0, canvas.size.1).into(); pairs.len()]);
+        }
+        if pairs.len() > 1 && self.still_px().is_some() {
+            return pairs.iter().map(|pair| Ok(self.between(&[*pair], None)?.remove(0))).collect();
         }
         let start = initial.map(|initial| self.coarse(initial, canvas)).transpose()?;
         let encoded: Vec<EncodedFrame> =
             [0, 1].iter().flat_map(|of| pairs.iter().map(|pair| self.encoded(pair[*of]))).collect();
         let estimate = self.forward(&encoded, pairs.len(), start, None);
-        self.fields(estimate.last(), canvas)
+        self.flows(&estimate, canvas)
     }
 }
 
@@ -290,8 +310,8 @@ impl FlowSequence for NetworkSequence<'_> {
         if self.warm_start {
             self.estimator.start_stride(self.estimator.padding(canvas))?;
         }
-        // Warm start and memory need the result of the previous pair.
-        let sequential = self.warm_start || self.estimator.remembers();
+        // Warm start and memory need the result of the previous pair; see also `still_px`.
+        let sequential = self.warm_start || self.estimator.remembers() || self.estimator.still_px().is_some();
         let at_once = if sequential { 1 } else { frames.len() };
         let mut estimates = Vec::with_capacity(frames.len());
         for frames in frames.chunks(at_once) {

@@ -1,5 +1,7 @@
 //! Input frames of networks.
 
+use std::ops::Range;
+
 use burn::tensor::Tensor;
 use burn::tensor::ops::PadMode;
 
@@ -44,6 +46,16 @@ impl Border {
             return x;
         }
         x.narrow(2, self.before[0], self.size[0]).narrow(3, self.before[1], self.size[1])
+    }
+
+    /// Height and width with the padding.
+    pub(crate) fn padded(&self) -> [usize; 2] {
+        self.padded
+    }
+
+    /// Rows and columns of the coarse pixels, squares of `stride` pixels, that are not padding alone.
+    pub(crate) fn coarse_inside(&self, stride: usize) -> [Range<usize>; 2] {
+        [0, 1].map(|i| self.before[i] / stride..(self.before[i] + self.size[i]).div_ceil(stride))
     }
 }
 

@@ -105,7 +105,6 @@ impl<N: Recurrent> FlowNetwork for N {
     }
 
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
-        assert!(request.iterations > 0, "at least one iteration");
         let encoders = self.encoders();
         let (first, second, border) = frames.prepared(STRIDE);
         let (mut hidden, context, [first, second]) = match &request.encoded {
@@ -124,18 +123,24 @@ impl<N: Recurrent> FlowNetwork for N {
         let [batch, _, height, width] = hidden.dims();
         let grid = pixel_grid([batch, height, width], &hidden.device());
         let mut flow = request.start_flow(batch, [height, width], &grid.device());
-        let (mut flows, mut memory) = (Vec::new(), None);
-        for iteration in 1..=request.iterations {
+        let mut flows = Vec::new();
+        let mut refinement = request.refinement(request.iterations, border);
+        let memory = loop {
             flow = flow.detach();
             let windows = correlation.windows(grid.clone() + flow.clone(), encoders.radius);
             let refined = step(hidden, flow.clone(), windows);
-            (hidden, memory) = (refined.hidden, refined.memory);
+            hidden = refined.hidden;
+            let last = refinement.ends_with(&refined.change);
             flow = flow + refined.change;
-            if request.every_iteration || iteration == request.iterations {
+            if request.every_iteration || last {
                 flows.push(border.remove(self.upsample(&hidden, flow.clone())));
             }
-        }
-        Estimate { coarse: Some(flow), hidden: Some(hidden), memory, ..Estimate::of_flows(flows) }
+            if last {
+                break refined.memory;
+            }
+        };
+        let iterations = Some(refinement.done());
+        Estimate { coarse: Some(flow), hidden: Some(hidden), memory, iterations, ..Estimate::of_flows(flows) }
     }
 }
 

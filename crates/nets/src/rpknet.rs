@@ -236,12 +236,12 @@ impl FlowNetwork for RpkNet {
     }
 
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
-        assert!(request.iterations > 0, "at least one iteration");
         let (first, second, border) = frames.prepared(COARSEST_STRIDE);
         let [batch, _, height, width] = first.dims();
         let [firsts, seconds] =
             request.features_of([first, second], Features::into_levels, |frames| self.pyramid(frames));
-        let iterations = request.iterations.div_ceil(LEVELS);
+        let of_level = request.iterations.div_ceil(LEVELS);
+        let mut iterations = 0;
         let mut flows = Vec::new();
         let mut hidden = None;
         let mut flow: Option<Tensor<4>> = None;
@@ -258,13 +258,15 @@ impl FlowNetwork for RpkNet {
                 ),
                 _ => (level.hidden, request.start_flow(batch, size, &grid.device())),
             };
-            for iteration in 1..=iterations {
+            let mut refinement = request.refinement(of_level, border);
+            loop {
                 now = now.detach();
                 let windows = level.correlation.windows(grid.clone() + now.clone(), RADIUS);
                 let [next, change] = self.update_block.step(state, &level.context, now.clone(), windows);
                 state = next;
+                let last = refinement.ends_with(&change);
                 now = now + change;
-                if request.every_iteration || (finest && iteration == iterations) {
+                if request.every_iteration || (finest && last) {
                     let fine = if finest {
                         upsample_by(&self.update_block.mask.weights(&state), now.clone())
                     } else {
@@ -272,12 +274,17 @@ impl FlowNetwork for RpkNet {
                     };
                     flows.push(border.remove(fine));
                 }
+                if last {
+                    break;
+                }
             }
+            iterations += refinement.done();
             (hidden, flow) = (Some(state), Some(now));
         }
         let coarsest = [height / COARSEST_STRIDE, width / COARSEST_STRIDE];
         Estimate {
             coarse: flow.map(|flow| resize_flow(flow, coarsest, Grids::CornersOnCorners)),
+            iterations: Some(iterations),
             ..Estimate::of_flows(flows)
         }
     }

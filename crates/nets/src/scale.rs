@@ -45,17 +45,17 @@ impl FlowEstimator for Scaled {
     }
 
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        Ok(self.estimate_pairs(&[[frame1, frame2]])?.remove(0))
+        Ok(self.estimate_pairs(&[[frame1, frame2]])?.remove(0).flow)
     }
 
-    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
+    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowEstimate>, EstimateError> {
         let Some([first, _]) = pairs.first() else { return Ok(Vec::new()) };
         check_frame_sizes(first.size(), pairs.as_flattened().iter().map(|frame| frame.size()))?;
         let scaled: Vec<[Image; 2]> =
             pairs.iter().map(|pair| pair.map(|frame| self.resized_frame(frame))).collect();
         let scaled: Vec<[&Image; 2]> = scaled.iter().map(|pair| pair.each_ref()).collect();
-        let flows = self.estimator.estimate_pairs(&scaled)?;
-        Ok(flows.iter().map(|flow| resize_flow_antialiased(flow, first.size())).collect())
+        let estimates = self.estimator.estimate_pairs(&scaled)?;
+        Ok(estimates.into_iter().map(|estimate| resized(estimate, first.size())).collect())
     }
 
     fn estimate_from(
@@ -63,15 +63,15 @@ impl FlowEstimator for Scaled {
         frame1: &Image,
         frame2: &Image,
         initial: &FlowField,
-    ) -> Result<FlowField, EstimateError> {
+    ) -> Result<FlowEstimate, EstimateError> {
         check_frame_sizes(frame1.size(), [frame2.size(), initial.size()])?;
         let initial = resize_flow_antialiased(initial, scaled_size(initial.size(), self.factor));
-        let flow = self.estimator.estimate_from(
+        let estimate = self.estimator.estimate_from(
             &self.resized_frame(frame1),
             &self.resized_frame(frame2),
             &initial,
         )?;
-        Ok(resize_flow_antialiased(&flow, frame1.size()))
+        Ok(resized(estimate, frame1.size()))
     }
 
     fn remembers(&self) -> bool {
@@ -120,6 +120,7 @@ fn resized(estimate: FlowEstimate, size: (usize, usize)) -> FlowEstimate {
         flow: resize_flow_antialiased(&estimate.flow, size),
         uncertainty: estimate.uncertainty.map(|plane| resize_plane_antialiased(&plane, size, gain)),
         occlusion: estimate.occlusion.map(|plane| resize_plane_antialiased(&plane, size, 1.0)),
+        iterations: estimate.iterations,
     }
 }
 
@@ -149,8 +150,9 @@ mod tests {
             flow: FlowField::filled(50, 31, [1.0, 1.0]),
             uncertainty: Some(Plane::filled(50, 31, 3.0)),
             occlusion: Some(Plane::filled(50, 31, 0.25)),
+            iterations: Some(2.5),
         };
-        let FlowEstimate { flow, uncertainty, occlusion } = resized(estimate.clone(), (100, 62));
+        let FlowEstimate { flow, uncertainty, occlusion, iterations } = resized(estimate.clone(), (100, 62));
         let near = |plane: Option<Plane>, expected: f32| {
             let plane = plane.expect("kept");
             assert_eq!(plane.size(), (100, 62));
@@ -163,6 +165,7 @@ mod tests {
         assert_eq!(flow.size(), (100, 62));
         near(uncertainty, 6.0);
         near(occlusion, 0.25);
+        assert_eq!(iterations, Some(2.5));
         assert_eq!(resized(estimate.clone(), (50, 31)), estimate);
     }
 

@@ -211,7 +211,6 @@ impl FlowNetwork for SeaRaft {
     }
 
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
-        assert!(request.iterations > 0, "at least one iteration");
         let (first, second, border) = frames.prepared(STRIDE);
         let (mut hidden, context, [first, second]) = match &request.encoded {
             Some(encoded) => encoded.of_pair(),
@@ -238,17 +237,23 @@ impl FlowNetwork for SeaRaft {
                 flow
             }
         };
-        for iteration in 1..=request.iterations {
+        let mut refinement = request.refinement(request.iterations, border);
+        loop {
             flow = flow.detach();
             let windows = correlation.windows(grid.clone() + flow.clone(), RADIUS);
             hidden = self.update_block.forward(hidden, &context, flow.clone(), windows);
             let change = self.change(hidden.clone());
+            let last = refinement.ends_with(&change.flow);
             flow = flow + change.flow.clone();
-            if request.every_iteration || iteration == request.iterations {
+            if request.every_iteration || last {
                 self.push_upsampled(&mut estimate, &hidden, Change { flow: flow.clone(), ..change }, border);
             }
+            if last {
+                break;
+            }
         }
-        Estimate { coarse: Some(flow), hidden: Some(hidden), ..estimate }
+        let iterations = Some(refinement.done());
+        Estimate { coarse: Some(flow), hidden: Some(hidden), iterations, ..estimate }
     }
 }
 

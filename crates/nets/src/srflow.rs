@@ -271,8 +271,7 @@ impl SrFlow {
             }
             (flow, state) = (finest.flow, finest.state);
         }
-        estimate.coarse = Some(flow);
-        estimate
+        Estimate { coarse: Some(flow), iterations: Some(request.iterations), ..estimate }
     }
 
     /// The flow between the frames at half of their size, whose pixels are cells.

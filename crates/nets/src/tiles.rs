@@ -237,6 +237,7 @@ impl<'a> Blend<'a> {
             flow: FlowField::new(width, height),
             uncertainty: blank(&of.uncertainty),
             occlusion: blank(&of.occlusion),
+            iterations: of.iterations.map(|_| 0.0),
         };
         Self { tiles, sums, weights: vec![0.0; width * height] }
     }
@@ -246,6 +247,9 @@ impl<'a> Blend<'a> {
         let (across, down) = (&self.tiles.across, &self.tiles.down);
         let (column, row) = (number % across.len(), number / across.len());
         let (width, height) = self.tiles.size;
+        if let (Some(sum), Some(iterations)) = (&mut self.sums.iterations, estimate.iterations) {
+            *sum += iterations;
+        }
         let (along, below) = (weights(across, column, width), weights(down, row, height));
         for (y, below) in below.iter().enumerate() {
             let start = (down[row] + y) * self.tiles.frame.0 + across[column];
@@ -279,6 +283,9 @@ impl<'a> Blend<'a> {
         for plane in [&mut self.sums.uncertainty, &mut self.sums.occlusion].into_iter().flatten() {
             plane.pixels_mut().iter_mut().zip(&self.weights).for_each(|(sum, total)| *sum /= total);
         }
+        if let Some(sum) = &mut self.sums.iterations {
+            *sum /= self.tiles.count() as f32;
+        }
         self.sums
     }
 }
@@ -305,18 +312,17 @@ impl Tiled {
     fn blended(
         &self,
         pairs: &[[&Image; 2]],
-        estimate: impl Fn(&[[&Image; 2]], (usize, usize)) -> Result<Vec<FlowField>, EstimateError>,
-    ) -> Result<Vec<FlowField>, EstimateError> {
+        estimate: impl Fn(&[[&Image; 2]], (usize, usize)) -> Result<Vec<FlowEstimate>, EstimateError>,
+    ) -> Result<Vec<FlowEstimate>, EstimateError> {
         let Some([first, _]) = pairs.first() else { return Ok(Vec::new()) };
         check_frame_sizes(first.size(), pairs.as_flattened().iter().map(|frame| frame.size()))?;
         let tiles = self.tiles(first.size())?;
-        let blended = tiles.blended(|_, corner| {
+        tiles.blended(|_, corner| {
             let cut: Vec<[Image; 2]> =
                 pairs.iter().map(|pair| pair.map(|frame| tiles.cut(frame, corner))).collect();
             let cut: Vec<[&Image; 2]> = cut.iter().map(|pair| pair.each_ref()).collect();
-            Ok(estimate(&cut, corner)?.into_iter().map(FlowEstimate::from).collect())
-        });
-        Ok(blended?.into_iter().map(|estimate| estimate.flow).collect())
+            estimate(&cut, corner)
+        })
     }
 }
 
@@ -326,10 +332,10 @@ impl FlowEstimator for Tiled {
     }
 
     fn estimate(&self, frame1: &Image, frame2: &Image) -> Result<FlowField, EstimateError> {
-        Ok(self.estimate_pairs(&[[frame1, frame2]])?.remove(0))
+        Ok(self.estimate_pairs(&[[frame1, frame2]])?.remove(0).flow)
     }
 
-    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
+    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowEstimate>, EstimateError> {
         self.blended(pairs, |tiles, _| self.estimator.estimate_pairs(tiles))
     }
 
@@ -338,16 +344,16 @@ impl FlowEstimator for Tiled {
         frame1: &Image,
         frame2: &Image,
         initial: &FlowField,
-    ) -> Result<FlowField, EstimateError> {
+    ) -> Result<FlowEstimate, EstimateError> {
         check_frame_sizes(frame1.size(), [initial.size()])?;
-        let flows = self.blended(&[[frame1, frame2]], |tiles, (left, top)| {
+        let estimates = self.blended(&[[frame1, frame2]], |tiles, (left, top)| {
             let estimate = |[tile1, tile2]: &[&Image; 2]| {
                 let initial = initial.crop(left, top, tile1.width(), tile1.height());
                 self.estimator.estimate_from(tile1, tile2, &initial)
             };
             tiles.iter().map(estimate).collect()
         });
-        Ok(flows?.remove(0))
+        Ok(estimates?.remove(0))
     }
 
     fn remembers(&self) -> bool {
@@ -473,12 +479,14 @@ mod tests {
             flow: Places.estimate(&frame, &frame).expect("flow"),
             uncertainty: Some(part(0)),
             occlusion: None,
+            iterations: None,
         };
         let blended = tiles.blended(|_, (left, top)| {
             let (width, height) = tiles.size();
             let cut = |plane: &Plane| plane.crop(left, top, width, height);
             let flow = whole.flow.crop(left, top, width, height);
-            Ok(vec![FlowEstimate { flow, uncertainty: whole.uncertainty.as_ref().map(cut), occlusion: None }])
+            let uncertainty = whole.uncertainty.as_ref().map(cut);
+            Ok(vec![FlowEstimate { flow, uncertainty, ..whole.clone() }])
         });
         let blended = blended.expect("blended").remove(0);
         let (found, expected) = (blended.uncertainty.expect("kept"), part(0));

@@ -251,6 +251,7 @@ impl FlowNetwork for UniMatch {
                 self.backbone.forward_scales(standardized(frames, border))
             });
         let mut flows = Vec::new();
+        let mut iterations = None;
         let mut push = |fine: Tensor<4>| flows.push(border.remove(fine));
         let mut coarser = None;
         let last = self.scales.len() - 1;
@@ -272,14 +273,16 @@ impl FlowNetwork for UniMatch {
                 }
                 if let (Some(proj), Some(block), Some(pair)) = (&self.refine_proj, &self.refine, to_refine) {
                     let start = proj.forward(features, Identity);
-                    flow = refine(block, pair, start, flow, request, |mask, hidden, flow| {
-                        push(unscaled_convex_upsample(mask, hidden, flow, stride));
-                    });
+                    let (refined, done) =
+                        refine(block, pair, start, flow, (request, border), |mask, hidden, flow| {
+                            push(unscaled_convex_upsample(mask, hidden, flow, stride));
+                        });
+                    (flow, iterations) = (refined, Some(done));
                 }
             }
             coarser = Some(flow);
         }
-        Estimate { coarse: coarser, ..Estimate::of_flows(flows) }
+        Estimate { coarse: coarser, iterations, ..Estimate::of_flows(flows) }
     }
 
     fn settings(&mut self) -> Vec<Setting<'_>> {
@@ -298,32 +301,36 @@ impl FlowNetwork for UniMatch {
     }
 }
 
-/// Flow after the refinements, all of which use the same hidden state (the first half of `start`) and context. Calls `push` with
-/// mask, hidden state and flow for each flow that is requested at full size.
+/// Flow after the refinements, all of which use the same hidden state (the first half of `start`) and context, and their number.
+/// Calls `push` with mask, hidden state and flow for each flow that is requested at full size.
 fn refine(
     block: &UpdateBlock,
     [first, second]: [Tensor<4>; 2],
     start: Tensor<4>,
     mut flow: Tensor<4>,
-    request: &Request,
+    (request, border): (&Request, Border),
     mut push: impl FnMut(&ConvexMask, &Tensor<4>, Tensor<4>),
-) -> Tensor<4> {
-    assert!(request.iterations > 0, "at least one iteration");
+) -> (Tensor<4>, usize) {
     let [batch, _, height, width] = flow.dims();
     let grid = pixel_grid([batch, height, width], &flow.device());
     let correlation = Correlation::new(first, second, 1);
     let hidden = start.clone().narrow(1, 0, HIDDEN).tanh();
     let gru = block.gru.prepared(&relu(start.narrow(1, HIDDEN, HIDDEN)));
-    for iteration in 1..=request.iterations {
+    let mut refinement = request.refinement(request.iterations, border);
+    loop {
         flow = flow.detach();
         let windows = row_by_row(correlation.windows(grid.clone() + flow.clone(), REFINEMENT_RADIUS));
         let hidden = gru.step(hidden.clone(), block.encoder.forward(flow.clone(), windows));
-        flow = flow + block.flow_head.forward(hidden.clone());
-        if request.every_iteration || iteration == request.iterations {
+        let change = block.flow_head.forward(hidden.clone());
+        let last = refinement.ends_with(&change);
+        flow = flow + change;
+        if request.every_iteration || last {
             push(&block.mask, &hidden, flow.clone());
         }
+        if last {
+            return (flow, refinement.done());
+        }
     }
-    flow
 }
 
 /// Reorders correlation windows, which are stored column by column as in RAFT, row by row.

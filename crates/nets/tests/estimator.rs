@@ -4,9 +4,12 @@ use std::num::NonZeroUsize;
 
 use burn::module::{Module, ModuleMapper, Param};
 use burn::tensor::{Device, Tensor, TensorData};
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, Plane, forward_interpolate};
+use srflow_field::{
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, Image, Plane, forward_interpolate,
+};
 use srflow_nets::{
-    Architecture, Frames, Network, NetworkEstimator, Padding, Request, Scaled, TileSize, Tiled, Tiling,
+    Architecture, Frames, Iterations, Network, NetworkEstimator, Padding, Request, Scaled, TileSize, Tiled,
+    Tiling,
 };
 use srflow_nn::{parameters, with_parameters};
 use srflow_ops::Precision;
@@ -112,8 +115,8 @@ fn batches_give_the_flow_of_each_pair() {
     for estimator in [&estimator(&network) as &dyn FlowEstimator, &tiled, &scaled] {
         let flows = estimator.estimate_pairs(&pairs).expect("flows");
         assert_eq!(flows.len(), pairs.len());
-        for (flow, [first, second]) in flows.iter().zip(pairs) {
-            assert_near(flow, &estimator.estimate(first, second).expect("flow"), "one of several");
+        for (estimate, [first, second]) in flows.iter().zip(pairs) {
+            assert_near(&estimate.flow, &estimator.estimate(first, second).expect("flow"), "one of several");
         }
         assert!(estimator.estimate_pairs(&[]).expect("nothing").is_empty());
         let smaller = frame((160, 140), 0);
@@ -238,7 +241,7 @@ fn an_initial_flow_is_reduced_to_the_coarse_start() {
         let whole = field(network.forward(frames, &request).last().clone());
         let corner = ((whole.width() - size.0) / 2, (whole.height() - size.1) / 2);
         let expected = whole.crop(corner.0, corner.1, size.0, size.1);
-        assert_near(&found.expect("flow"), &expected, &format!("{size:?}"));
+        assert_near(&found.expect("flow").flow, &expected, &format!("{size:?}"));
     }
     let (first, second) = (frame((130, 128), 0), frame((130, 128), 1));
     let error = estimator.estimate_from(&first, &second, &FlowField::new(128, 128)).expect_err("other size");
@@ -284,6 +287,62 @@ fn tiles_and_scales_give_the_same_flow_in_a_sequence() {
         let warm = flows_of(estimator, true, &frames);
         assert_near(&warm[0], &flows[0], "nothing to start from");
         assert!(warm[1] != flows[1], "each tile starts from its own flow");
+    }
+}
+
+fn until_still(network: &Network, still_px: f32) -> NetworkEstimator {
+    let iterations = Iterations::UntilStill { still_px };
+    NetworkEstimator::new("raft-small", network.clone(), iterations, Device::flex())
+}
+
+/// Nothing moves by a thousand pixels, least of all between a frame and itself.
+#[test]
+fn a_still_pair_takes_two_iterations() {
+    let network = network();
+    let frame = frame((136, 128), 0);
+    let found = until_still(&network, 1000.0).estimate_pairs(&[[&frame, &frame]]).expect("flow").remove(0);
+    let two = NonZeroUsize::new(2).expect("some");
+    let fixed = NetworkEstimator::new("two", network, two, Device::flex());
+    assert_eq!(found, fixed.estimate_pairs(&[[&frame, &frame]]).expect("flow").remove(0));
+    assert_eq!(found.iterations, Some(2.0));
+}
+
+/// Alone, in a batch, along a video, and in tiles, of which the mean number is given.
+#[test]
+fn a_pair_takes_as_many_iterations_as_it_needs_whatever_its_mates() {
+    let network = network();
+    let frames = [frame((200, 128), 0), frame((200, 128), 0), frame((200, 128), 3), frame((200, 128), 4)];
+    let pairs: Vec<[&Image; 2]> = frames.windows(2).map(|pair| [&pair[0], &pair[1]]).collect();
+    // How far the first two iterations move the flow at most.
+    let moved = |[first, second]: &[&Image; 2]| -> f32 {
+        let flow = |iterations| {
+            let pair = Frames { first: tensor(first), second: tensor(second) };
+            field(network.forward(pair, &Request::new(iterations)).coarse.expect("a coarse flow") * 8.0)
+        };
+        let (one, two) = (flow(1), flow(2));
+        let changes =
+            two.pixels().iter().zip(one.pixels()).map(|(to, from)| [to[0] - from[0], to[1] - from[1]]);
+        one.pixels().iter().copied().chain(changes).map(|[u, v]| u.hypot(v)).fold(0.0, f32::max)
+    };
+    let moved: Vec<f32> = pairs.iter().map(moved).collect();
+    let [least, most] = [f32::min, f32::max].map(|of| moved.iter().copied().reduce(of).expect("some"));
+    let still_px = 0.5 * (least + most);
+    let estimator = until_still(&network, still_px);
+    let of = |pair: [&Image; 2]| estimator.estimate_pairs(&[pair]).expect("flow").remove(0);
+    let alone: Vec<FlowEstimate> = pairs.iter().map(|pair| of(*pair)).collect();
+    let default = network.architecture().facts().iterations.default as f32;
+    for (estimate, moved) in alone.iter().zip(&moved) {
+        let number = estimate.iterations.expect("some");
+        assert!((2.0..=default).contains(&number), "{number} of {default}");
+        assert_eq!(number == 2.0, *moved < still_px, "{number}: {moved} px, still below {still_px}");
+    }
+    assert_eq!(estimator.estimate_pairs(&pairs).expect("flows"), alone, "in a batch");
+    assert_eq!(estimator.sequence(false).push(&frames).expect("flows"), alone, "along a video");
+    let tiled = Tiled::new(Box::new(until_still(&network, still_px)), tiling(128, 128, 64));
+    let tiles = [0, 72].map(|left| pairs[1].map(|frame| frame.crop(left, 0, 128, 128)));
+    let mean = tiles.map(|pair| of(pair.each_ref()).iterations.expect("some")).iter().sum::<f32>() / 2.0;
+    for found in [tiled.estimate_pairs(&pairs), tiled.sequence(false).push(&frames)] {
+        assert_eq!(found.expect("flows")[1].iterations, Some(mean), "in tiles");
     }
 }
 

@@ -1,8 +1,10 @@
 //! Options of requests, and gradients by finite differences.
 
+use std::collections::BTreeSet;
+
 use burn::tensor::{Device, Tensor, TensorData};
 use srflow_golden::numbers;
-use srflow_nets::{Architecture, Frames, Network, Request};
+use srflow_nets::{Architecture, Estimate, Frames, Network, Request};
 use srflow_nn::{HostGradients, Layout, Parameters, parameter_infos, with_parameters};
 
 /// Pseudorandom values in -1..1.
@@ -81,6 +83,117 @@ fn the_initial_flow_comes_before_those_of_the_iterations() {
     assert!(same(alone.last(), &all.flows[1]) && !same(alone.last(), &all.flows[0]));
     assert!(same(&alone.mixtures[0].log_scales, &all.mixtures[1].log_scales));
     assert!(!same(&alone.mixtures[0].log_scales, &all.mixtures[0].log_scales));
+}
+
+/// Everything that two estimates are made of.
+fn assert_same(found: &Estimate, expected: &Estimate, what: &str) {
+    let tensors = |estimate: &Estimate| -> Vec<Vec<f32>> {
+        assert_eq!(estimate.flows.len(), 1, "{what}");
+        let mixtures =
+            estimate.mixtures.iter().flat_map(|mixture| [&mixture.log_weights, &mixture.log_scales]);
+        let rest = [&estimate.coarse, &estimate.hidden].into_iter().flatten();
+        estimate.flows.iter().chain(mixtures).chain(rest).map(|tensor| numbers(tensor.clone())).collect()
+    };
+    assert_eq!(found.iterations, expected.iterations, "{what}");
+    assert!(tensors(found) == tensors(expected), "{what}");
+}
+
+/// The number of iterations is that of the rule applied to the flows of each number of iterations, and the result that of a request for
+/// this number.
+#[test]
+fn refinement_stops_once_the_flow_is_still() {
+    const MOST: usize = 6;
+    let device = Device::flex();
+    let zero = || Some(Tensor::<4>::zeros([1, 2, 8, 9], &device));
+    let mut counts = BTreeSet::new();
+    for architecture in [
+        Architecture::Raft,
+        Architecture::RaftSmall,
+        Architecture::Gma,
+        Architecture::SkFlow,
+        Architecture::MemFlow,
+        Architecture::SeaRaftS,
+    ] {
+        let network = network(architecture, &device);
+        let fixed: Vec<Estimate> = (1..=MOST)
+            .map(|number| {
+                network.forward(frames(&device), &Request { start: zero(), ..Request::new(number) })
+            })
+            .collect();
+        let coarse = |estimate: &Estimate| numbers(estimate.coarse.clone().expect("a coarse flow"));
+        let flows: Vec<Vec<f32>> =
+            std::iter::once(vec![0.0; 2 * 8 * 9]).chain(fixed.iter().map(coarse)).collect();
+        // How far each iteration moves the flow at most. Of 72 coarse pixels, none may move.
+        let moves: Vec<f32> = flows
+            .windows(2)
+            .map(|pair| {
+                let change: Vec<f32> = pair[1].iter().zip(&pair[0]).map(|(a, b)| 8.0 * (a - b)).collect();
+                let (u, v) = change.split_at(8 * 9);
+                u.iter().zip(v).map(|(u, v)| u.hypot(*v)).fold(0.0, f32::max)
+            })
+            .collect();
+        let limits = moves.iter().map(|px| 1.001 * px).chain([1e-9, 1e6]);
+        for px in limits {
+            let still = |number: &usize| moves[number - 2] < px && moves[number - 1] < px;
+            let expected = (2..MOST).find(still).unwrap_or(MOST);
+            let request = Request { still_px: Some(px), start: zero(), ..Request::new(MOST) };
+            let found = network.forward(frames(&device), &request);
+            let what = format!("{architecture:?}, {px} px of {moves:?}");
+            assert_eq!(found.iterations, Some(expected), "{what}");
+            assert_same(&found, &fixed[expected - 1], &what);
+            counts.insert(expected);
+        }
+    }
+    assert!(counts.len() > 2, "also between the fewest and the most: {counts:?}");
+}
+
+/// Every network that refines its flow: all iterations or two at each level, and for a network with one level any number.
+#[test]
+fn every_refinement_can_stop() {
+    let device = Device::flex();
+    let refining = Architecture::ALL.into_iter().filter(|architecture| architecture.facts().refines());
+    for architecture in refining {
+        let mut network = network(architecture, &device);
+        // RPKNet's are those of three levels together.
+        let (most, fewest) = match architecture {
+            Architecture::RpkNet => (9, 6),
+            _ => (architecture.facts().iterations.default.min(5), 2),
+        };
+        let of = |network: &Network, still_px: Option<f32>, number: usize| {
+            let request = Request { still_px, ..Request::new(number) };
+            network.forward(frames(&device), &request)
+        };
+        let (never, soon) = (of(&network, Some(1e-9), most), of(&network, Some(1e6), most));
+        assert_eq!((never.iterations, soon.iterations), (Some(most), Some(fewest)), "{architecture:?}");
+        assert_same(&never, &of(&network, None, most), architecture.name());
+        assert_same(&soon, &of(&network, None, fewest), architecture.name());
+        // Iterations at its only level for the number of a request.
+        let at_level = |number: usize| match architecture {
+            Architecture::Ccmr => Some((8 * number).div_ceil(15)),
+            Architecture::CcmrP => Some((8 * number).div_ceil(10)),
+            Architecture::UniMatchSc2Ref6 => Some(number),
+            _ => None,
+        };
+        if at_level(1).is_none() {
+            continue;
+        }
+        _ = network.set("levels", 1); // UniMatch has no such setting
+        for px in [64.0, 16.0, 4.0, 1.0, 0.25] {
+            let found = of(&network, Some(px), most);
+            let number = (1..=most).find(|number| at_level(*number) == found.iterations).expect("a number");
+            assert_same(&found, &of(&network, None, number), &format!("{architecture:?}, {px} px"));
+        }
+    }
+}
+
+/// Training compares the flows of as many iterations for every sample.
+#[test]
+fn every_iteration_is_returned_although_the_flow_is_still() {
+    let device = Device::flex();
+    let network = network(Architecture::RaftSmall, &device);
+    let request = Request { every_iteration: true, still_px: Some(1e6), ..Request::new(4) };
+    let all = network.forward(frames(&device), &request);
+    assert_eq!((all.flows.len(), all.iterations), (4, Some(4)));
 }
 
 /// DPFlow has a level more for each doubling of the diagonal, unless it is set; the coarsest has a pixel for each multiple of the

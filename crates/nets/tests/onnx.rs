@@ -94,7 +94,7 @@ fn expected(network: &Network, size: Size) -> BTreeMap<&'static str, Vec<f32>> {
         return found;
     }
     let start = start_flow(size);
-    let flow = estimator.estimate_from(&first, &second, &start).unwrap();
+    let flow = estimator.estimate_from(&first, &second, &start).unwrap().flow;
     // Below the smallest side the estimator pads before the network does.
     if size.width.min(size.height) >= facts.smallest_side {
         let Start::Coarse(stride) = facts.start else { panic!("starts from a coarse flow") };

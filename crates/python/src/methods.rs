@@ -37,7 +37,7 @@ fn estimate<'py>(
     let (frame1, frame2) = (arrays::image(frame1, "frame1")?, arrays::image(frame2, "frame2")?);
     let initial = initial.map(|initial| arrays::flow(initial, "initial")).transpose()?;
     let found = compute(py, move || match initial {
-        Some(initial) => estimator.estimate_from(&frame1, &frame2, &initial),
+        Some(initial) => estimator.estimate_from(&frame1, &frame2, &initial).map(|estimate| estimate.flow),
         None => estimator.estimate(&frame1, &frame2),
     })?;
     arrays::from_flow(py, found.map_err(exception)?)
@@ -175,7 +175,8 @@ impl Sequence {
 #[pymethods]
 impl Sequence {
     /// Adds the next frame. Returns `None` for the first one, then a dict: `flow` from the frame before to this one (float32, H x W x 2)
-    /// and, if the network predicts them, `uncertainty` (expected error in pixels) and `occlusion` (probability), float32 H x W.
+    /// and, if the network predicts them, `uncertainty` (expected error in pixels) and `occlusion` (probability), float32 H x W;
+    /// `iterations` is the number of refinements of a network that refines its flow, which `iters="auto"` leaves to it.
     #[pyo3(signature = (frame: "ArrayLike") -> "Estimate | None")]
     fn push<'py>(&self, frame: &Bound<'py, PyAny>) -> PyResult<Option<Bound<'py, PyDict>>> {
         let py = frame.py();
@@ -199,6 +200,9 @@ impl Sequence {
         }
         if let Some(occlusion) = estimate.occlusion {
             dict.set_item("occlusion", arrays::from_plane(py, occlusion)?)?;
+        }
+        if let Some(iterations) = estimate.iterations {
+            dict.set_item("iterations", iterations)?;
         }
         Ok(Some(dict))
     }

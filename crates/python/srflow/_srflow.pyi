@@ -33,6 +33,7 @@ class Estimate(TypedDict, total=False):
     flow: NDArray[np.float32]
     uncertainty: NDArray[np.float32]
     occlusion: NDArray[np.float32]
+    iterations: float
 
 class Frame(TypedDict, total=False):
     color: NDArray[np.float32]

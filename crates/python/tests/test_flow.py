@@ -108,6 +108,7 @@ def test_a_network_is_loaded_once_and_gives_the_same_flow(frames):
     assert repr(network) == 'srflow.Network("srflow")'
     assert np.array_equal(flow, srflow.flow(first, second, iters=1))
     assert not np.array_equal(flow, srflow.flow(first, second))
+    assert np.array_equal(srflow.Network(iters="auto")(first, second), srflow.flow(first, second))
     assert error_of(network(first, second, initial=np.full((64, 96, 2), motion)), motion) < 0.3
 
 
@@ -120,6 +121,7 @@ def test_a_sequence_gives_the_flow_of_each_pair_and_its_uncertainty(frames):
         found = sequence.push(after)
         assert np.array_equal(found["flow"], network(before, after))
         assert found["uncertainty"].shape == (64, 96) and found["uncertainty"].min() > 0
+        assert found["iterations"] == 2
     with pytest.raises(ValueError, match="differ in size"):
         sequence.push(first[:32])
 

@@ -12,7 +12,9 @@ mod update;
 mod window;
 
 use srflow_field::resize::{resize_linear_of_two, shrink_area};
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, check_frame_sizes, luminance};
+use srflow_field::{
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, Image, check_frame_sizes, luminance,
+};
 
 use crate::ParameterError;
 use crate::planar::PlanarFlow;
@@ -155,8 +157,8 @@ impl FlowEstimator for Farneback {
         frame1: &Image,
         frame2: &Image,
         initial: &FlowField,
-    ) -> Result<FlowField, EstimateError> {
+    ) -> Result<FlowEstimate, EstimateError> {
         check_frame_sizes(frame1.size(), [frame2.size(), initial.size()])?;
-        Ok(self.flow(frame1, frame2, Some(initial)))
+        Ok(self.flow(frame1, frame2, Some(initial)).into())
     }
 }

@@ -11,7 +11,9 @@ mod state;
 mod warp;
 
 use srflow_field::resize::{resize_linear, resize_linear_by};
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, Plane, check_frame_sizes, luminance};
+use srflow_field::{
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, Image, Plane, check_frame_sizes, luminance,
+};
 
 use crate::ParameterError;
 use crate::planar::PlanarFlow;
@@ -207,8 +209,8 @@ impl FlowEstimator for TvL1 {
         frame1: &Image,
         frame2: &Image,
         initial: &FlowField,
-    ) -> Result<FlowField, EstimateError> {
+    ) -> Result<FlowEstimate, EstimateError> {
         check_frame_sizes(frame1.size(), [frame2.size(), initial.size()])?;
-        Ok(self.flow([frame1, frame2].map(luminance), Some(initial)))
+        Ok(self.flow([frame1, frame2].map(luminance), Some(initial)).into())
     }
 }

@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 use std::path::Path;
 
-use srflow_field::{EstimateError, FlowEstimator, FlowField, FlowSequence, Image};
+use srflow_field::{EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image};
 
 use super::{Method, MethodSpec};
 
@@ -64,7 +64,7 @@ impl FlowEstimator for Labelled {
         self.estimator.estimate(frame1, frame2)
     }
 
-    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowField>, EstimateError> {
+    fn estimate_pairs(&self, pairs: &[[&Image; 2]]) -> Result<Vec<FlowEstimate>, EstimateError> {
         self.estimator.estimate_pairs(pairs)
     }
 
@@ -73,7 +73,7 @@ impl FlowEstimator for Labelled {
         frame1: &Image,
         frame2: &Image,
         initial: &FlowField,
-    ) -> Result<FlowField, EstimateError> {
+    ) -> Result<FlowEstimate, EstimateError> {
         self.estimator.estimate_from(frame1, frame2, initial)
     }
 

@@ -12,7 +12,7 @@ use clap::Args;
 use srflow_classical::{Farneback, FarnebackParameters, Refined, TvL1, TvL1Parameters};
 use srflow_eval::{FlowFiles, Zero};
 use srflow_field::{FlowEstimator, FlowField, Image};
-use srflow_nets::{Architecture, Scaled, Tiled};
+use srflow_nets::{Architecture, Iterations, Scaled, Tiled};
 use srflow_read::flow::FlowDataset;
 
 use crate::large_frames::LargeFrames;
@@ -89,7 +89,7 @@ impl Method {
 }
 
 /// A method as `--method` names it: `tvl1`, `skflow`, `skflow=WEIGHTS`, `files:DIR`, `LABEL:skflow=WEIGHTS`.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct MethodSpec {
     /// Name in tables.
     pub label: Option<String>,
@@ -97,7 +97,7 @@ pub struct MethodSpec {
     /// Its own weights, a file or a published name; for files their folder.
     pub weights: Option<String>,
     /// Refinements of its own, for a network.
-    pub iterations: Option<u16>,
+    pub iterations: Option<Iterations>,
     /// Settings of its own, for a network.
     pub settings: Vec<(String, usize)>,
 }
@@ -376,7 +376,8 @@ fn built(
         Method::TvL1 => Box::new(TvL1::new(parameters.tvl1.or(TvL1Parameters::default()))?),
         Method::Network(architecture) => {
             let network = parameters.network.of(spec.iterations, &spec.settings);
-            Box::new(network.estimator(architecture, spec.weights.as_deref(), label.clone())?)
+            let scale = large_frames.scale.unwrap_or(1.0);
+            Box::new(network.estimator(architecture, spec.weights.as_deref(), label.clone(), scale)?)
         }
         Method::Files => wrong_usage!("files:DIR estimates nothing"),
     };
@@ -393,6 +394,16 @@ fn built(
         None => scaled,
     };
     Ok(if estimator.name() == label { estimator } else { Box::new(Labelled { label, estimator }) })
+}
+
+/// Whether one of the methods refines its flow until it is still, so that pairs differ in their iterations.
+pub fn any_auto(specs: &[MethodSpec], parameters: &MethodParameters) -> bool {
+    let network = &parameters.network;
+    specs.iter().any(|spec| {
+        spec.method
+            .network()
+            .is_some_and(|architecture| network.of(spec.iterations, &[]).is_auto(architecture))
+    })
 }
 
 impl FarnebackArgs {

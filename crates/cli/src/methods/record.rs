@@ -27,7 +27,12 @@ fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> any
         Method::Farneback => (format!("{:?}", farneback.parameters()), None),
         Method::TvL1 => (format!("{:?}", tvl1.or(TvL1Parameters::default())), None),
         Method::Network(architecture) => {
-            let mut own = format!("{} iterations on {}", network.iterations(architecture), network.device);
+            let most = network.iterations(architecture);
+            let iterations = match network.still_px(architecture) {
+                Some(px) => format!("at most {most} iterations, until the flow moves less than {px} px,"),
+                None => format!("{most} iterations"),
+            };
+            let mut own = format!("{iterations} on {}", network.device);
             if network.precision() != Precision::F32 {
                 own += &format!(" at {}", network.precision().name());
             }
@@ -43,6 +48,7 @@ fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> any
         Method::Network(architecture) => Some(network_of(architecture)).unzip(),
         _ => (None, None),
     };
+    let still_px = spec.method.network().and_then(|architecture| network.still_px(architecture));
     if large_frames.given() {
         own += &format!(", {large_frames:?}");
     }
@@ -61,6 +67,7 @@ fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> any
         sha256,
         weights,
         iterations,
+        still_px,
         device,
     })
 }
@@ -87,6 +94,15 @@ mod tests {
         let plain = of(&MethodParameters::default());
         assert_eq!(plain[0], plain[1], "neither name nor place of the weights");
         assert!(plain[0] != plain[2] && plain[0] != plain[3]);
+        let mut specs_of_auto = specs.clone();
+        let mut identities = vec![plain[0].clone()];
+        for iterations in ["12", "auto", "auto:0.02"] {
+            specs_of_auto[0].iterations = Some(iterations.parse().unwrap());
+            let record = records(&specs_of_auto, &MethodParameters::default()).unwrap().remove(0);
+            assert_eq!(record.still_px.is_some(), iterations.starts_with("auto"));
+            assert!(!identities.contains(&record.identity()), "{iterations}");
+            identities.push(record.identity());
+        }
         let mut parameters = MethodParameters::default();
         parameters.tvl1.tau = Some(0.125);
         let changed = of(&parameters);

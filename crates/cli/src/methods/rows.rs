@@ -4,8 +4,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
 use clap::Args;
-use serde::Deserialize;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer};
 use srflow_field::{FileKind, parse_error_in_words, read_text};
+use srflow_nets::Iterations;
 
 use super::{MethodSpec, scored_method};
 use crate::in_words;
@@ -66,11 +68,21 @@ struct RowText {
     method: String,
     /// A file in the folder of weights, or the name of published ones.
     weights: Option<String>,
-    iterations: Option<u16>,
+    #[serde(default, deserialize_with = "iterations")]
+    iterations: Option<Iterations>,
     #[serde(default)]
     settings: std::collections::BTreeMap<String, usize>,
     /// The row that this one is held against.
     improves_on: Option<String>,
+}
+
+/// A number, or text as after `--iters`.
+fn iterations<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Iterations>, D::Error> {
+    let text = match toml::Value::deserialize(deserializer)? {
+        toml::Value::String(text) => text,
+        other => other.to_string(),
+    };
+    text.parse().map(Some).map_err(D::Error::custom)
 }
 
 impl RowsArgs {
@@ -242,7 +254,7 @@ mod tests {
         let rows = args.with(&[super::super::Method::TvL1.into()]).unwrap();
         let names: Vec<_> = rows.methods.iter().map(|spec| spec.label.as_deref()).collect();
         assert_eq!(names, [Some("Theirs"), None]);
-        assert_eq!(rows.methods[0].iterations, Some(3));
+        assert_eq!(rows.methods[0].iterations, Some("3".parse().unwrap()));
         assert_eq!(rows.left_out.len(), 2);
     }
 }

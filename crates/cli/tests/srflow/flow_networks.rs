@@ -336,7 +336,14 @@ fn errors_name_the_problem() {
     refused(&with("broken.ckpt", &[]), 1, &["broken.ckpt"]);
     refused(&["--method", "raft", "--weights", "one.safetensors"], 1, &["one.safetensors", "fnet"]);
     let one = "one.safetensors";
-    refused(&with(one, &["--iters", "0"]), 2, &["--iters"]);
+    for wrong in
+        ["--iters=0", "--iters=-1", "--iters=x", "--iters=auto:", "--iters=auto:0", "--iters=auto:nan"]
+    {
+        let found = wrong.replace("--iters=", "found `") + "`";
+        refused(&with(one, &[wrong]), 2, &["--iters", "auto:0.01", &found]);
+    }
+    let one_pass = ["--method", "unimatch-sc2=unimatch-sc2.safetensors", "--iters", "auto"];
+    refused(&one_pass, 2, &["--iters is for networks that refine their flow", "unimatch-sc2"]);
     refused(&with(one, &["--device", "gpu"]), 2, &["--device", "cpu, cuda, vulkan"]);
     refused(&with(one, &["--device", "cpu:7"]), 2, &["--device", "cpu:7"]);
     refused(&with(one, &["--precision", "f16"]), 2, &["--precision", "f32, bf16, auto"]);
@@ -391,6 +398,39 @@ fn scores_are_the_same_however_many_pairs_at_once() {
     }
     let tvl1 = ["eval", "--dataset", "folder:three-pairs", "--method", "tvl1", "--batch", "2"];
     refuses(&srflow(&tvl1), 2, &["--batch is for networks"]);
+}
+
+/// The flow is that of the number of iterations that was done, which reports and tables say.
+#[test]
+fn auto_stops_once_the_flow_is_still() {
+    let arguments = |iters: &'static str, out: &'static str| {
+        let method = ["flow", "--method", "raft-small=one.safetensors", "--iters", iters];
+        [&method[..], &["video/0.png", "video/1.png", "-o", out]].concat()
+    };
+    let report = |iters, out| json(&srflow(&[&arguments(iters, out)[..], &["--json"]].concat()));
+    let auto = report("auto:1000", "auto/auto.flo");
+    assert_eq!(auto["network"]["iterations"], 32, "at most");
+    assert_eq!(auto["network"]["still_px"], 1000.0);
+    assert_eq!(auto["pairs"][0]["iterations"], 2.0);
+    let fixed = report("2", "auto/fixed.flo");
+    assert!(fixed["network"].get("still_px").is_none() && fixed["pairs"][0].get("iterations").is_none());
+    assert_eq!(read("auto/auto.flo"), read("auto/fixed.flo"));
+    let text = succeeds(&srflow(&arguments("auto:1000", "auto/text.flo")));
+    assert!(text.contains(" s  2 iterations"), "{text}");
+
+    write_pairs(&data().join("auto-pairs"), 2, SIZE, 2.0);
+    let methods = ["raft-small=one.safetensors", "unimatch-sc2=unimatch-sc2.safetensors", "farneback"];
+    let eval = ["eval", "--dataset", "folder:auto-pairs", "--batch", "2", "--iters", "auto:1000", "--method"];
+    let eval = [&eval[..], &methods].concat();
+    let scores = json(&srflow(&[&eval[..], &["--json"]].concat()));
+    let iterations: Vec<_> =
+        scores["methods"].as_array().unwrap().iter().map(|method| method["iterations"].as_f64()).collect();
+    assert_eq!(iterations, [None, Some(2.0), None, None]);
+    let made_by = scores["made_by"].as_array().unwrap();
+    let still_px: Vec<_> = made_by.iter().map(|method| method["still_px"].as_f64()).collect();
+    assert_eq!(still_px, [Some(1000.0), None, None]);
+    let text = succeeds(&srflow(&eval));
+    assert!(text.contains("iterations") && text.contains(" 2.0"), "{text}");
 }
 
 /// Fake `ffmpeg` and `ffprobe` that always return three frames, and save their input.

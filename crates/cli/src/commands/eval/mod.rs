@@ -174,6 +174,7 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         regions: args.regions,
         small_motion: args.small_motion,
         expression: args.expression,
+        iterations: methods::any_auto(&specs, &args.parameters),
         part: shard.shard,
         kept: None,
     };

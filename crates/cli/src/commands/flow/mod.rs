@@ -121,7 +121,11 @@ struct Estimated {
 #[derive(Serialize)]
 struct NetworkUsed {
     weights: Option<String>,
+    /// At most.
     iterations: usize,
+    /// Of `--iters auto`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    still_px: Option<f32>,
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     settings: BTreeMap<&'static str, usize>,
     /// In which the flow of an input of this size is refined.
@@ -147,6 +151,9 @@ struct EstimatedPair {
     height: usize,
     /// Time of estimation, without reading and writing; in a batch, an equal share.
     seconds: f64,
+    /// Those that `--iters auto` did; the mean over tiles.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    iterations: Option<f32>,
 }
 
 impl Flow {
@@ -271,8 +278,14 @@ fn estimate(args: &Flow, context: &Context) -> anyhow::Result<Estimated> {
                 sender.send(frame.and_then(|frame| cropped(frame, &crop, args.save_crops.as_deref()))).is_ok()
             });
         });
-        let work =
-            Work { args, source: &source, outputs: &outputs, estimator: estimator.as_ref(), bar: &bar };
+        let work = Work {
+            args,
+            source: &source,
+            outputs: &outputs,
+            estimator: estimator.as_ref(),
+            counts_iterations: method.network().is_some_and(|architecture| network.is_auto(architecture)),
+            bar: &bar,
+        };
         match &args.initial_flow {
             Some(initial) => work.pair_from(&frames, &read_flow(initial)?),
             None => work.along(&frames),
@@ -293,6 +306,7 @@ fn estimate(args: &Flow, context: &Context) -> anyhow::Result<Estimated> {
             Method::Network(architecture) if context.json => Some(NetworkUsed {
                 weights: args.method.weights.clone().or_else(|| network.weights.clone()),
                 iterations: network.iterations(architecture),
+                still_px: network.still_px(architecture),
                 settings: network.settings(architecture)?,
                 levels: match &resolution {
                     Some(input) => network.init(architecture)?.levels([input.tile_height, input.tile_width]),
@@ -320,7 +334,11 @@ fn print(estimated: &Estimated) -> anyhow::Result<()> {
         say!("{}: landmarks of the face in the first frame", file.display())?;
     }
     for pair in &estimated.pairs {
-        say!("{}  {}x{}  {:.3} s", pair.flow.display(), pair.width, pair.height, pair.seconds)?;
+        let iterations = match pair.iterations {
+            Some(number) => format!("  {} iterations", (10.0 * number).round() / 10.0),
+            None => String::new(),
+        };
+        say!("{}  {}x{}  {:.3} s{iterations}", pair.flow.display(), pair.width, pair.height, pair.seconds)?;
     }
     Ok(())
 }
@@ -370,6 +388,8 @@ struct Work<'a> {
     source: &'a Source,
     outputs: &'a Outputs,
     estimator: &'a dyn FlowEstimator,
+    /// Whether pairs may differ in their iterations.
+    counts_iterations: bool,
     bar: &'a ProgressBar,
 }
 
@@ -385,12 +405,12 @@ impl Work<'_> {
              give a flow of the frames' size"
         );
         let start = Instant::now();
-        let flow = self
+        let estimate = self
             .estimator
             .estimate_from(&first.image, &second.image, initial)
             .with_context(|| format!("{} and {}", first.label, second.label))?;
         let seconds = start.elapsed().as_secs_f64();
-        Ok(vec![self.write((&first.label, &first.stem), &second.label, &flow.into(), seconds, &mut None)?])
+        Ok(vec![self.write((&first.label, &first.stem), &second.label, &estimate, seconds, &mut None)?])
     }
 
     /// A sequence, `--batch` pairs at a time.
@@ -473,6 +493,7 @@ impl Work<'_> {
             width: flow.width(),
             height: flow.height(),
             seconds,
+            iterations: estimate.iterations.filter(|_| self.counts_iterations),
         })
     }
 }

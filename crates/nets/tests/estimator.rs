@@ -338,7 +338,7 @@ fn a_pair_takes_as_many_iterations_as_it_needs_whatever_its_mates() {
     }
     assert_eq!(estimator.estimate_pairs(&pairs).expect("flows"), alone, "in a batch");
     assert_eq!(estimator.sequence(false).push(&frames).expect("flows"), alone, "along a video");
-    let tiled = Tiled::new(Box::new(until_still(&network, still_px)), tiling(128, 128, 64));
+    let tiled = Tiled::new(Box::new(until_still(&network, still_px)), tiling(128, 128, 48));
     let tiles = [0, 72].map(|left| pairs[1].map(|frame| frame.crop(left, 0, 128, 128)));
     let mean = tiles.map(|pair| of(pair.each_ref()).iterations.expect("some")).iter().sum::<f32>() / 2.0;
     for found in [tiled.estimate_pairs(&pairs), tiled.sequence(false).push(&frames)] {

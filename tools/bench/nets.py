@@ -116,7 +116,7 @@ def main():
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--ours", nargs="+", default=["f32"], choices=["f32", "bf16"])
-    parser.add_argument("--theirs", nargs="+", default=["f32"], choices=["f32", "bf16", "compiled", "compiled-bf16"])
+    parser.add_argument("--theirs", nargs="*", default=["f32"], choices=["f32", "bf16", "compiled", "compiled-bf16"])
     parser.add_argument("--timing", default=str(ROOT / "target/release/examples/timing"), help="our side")
     parser.add_argument("--side", nargs=10, help=argparse.SUPPRESS)
     parser.add_argument("--weights", nargs=2, help=argparse.SUPPRESS)

@@ -236,7 +236,10 @@ impl Multiply<Avx512> for Avx512Bf16 {
     #[inline(always)]
     fn add(self, _: Avx512, left: __m512, right: __m512, sums: __m512) -> __m512 {
         // SAFETY: the token is the proof; a vector of pairs may be seen as one of numbers of 16 bits.
-        unsafe { _mm512_dpbf16_ps(sums, std::mem::transmute(left), std::mem::transmute(right)) }
+        unsafe {
+            let left = std::mem::transmute::<__m512, __m512bh>(left);
+            _mm512_dpbf16_ps(sums, left, std::mem::transmute::<__m512, __m512bh>(right))
+        }
     }
 }
 

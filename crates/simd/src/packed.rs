@@ -40,7 +40,7 @@ impl<'a> Left<'a> {
     }
 
     /// Without the first `rows` of `depth` factors, which must be whole blocks.
-    pub fn from_row(self, rows: usize, depth: usize) -> Self {
+    pub fn after_rows(self, rows: usize, depth: usize) -> Self {
         let skipped = rows * self.precision().packed(depth);
         match self {
             Left::F32(numbers) => Left::F32(&numbers[skipped..]),
@@ -167,7 +167,7 @@ impl Packed {
 
     /// Numbers in any order, for kernels that are not products.
     pub fn of_numbers(numbers: Vec<f32>) -> Self {
-        Self { parts: vec![0..numbers.len()], elements: Elements::F32(numbers) }
+        Self { parts: std::iter::once(0..numbers.len()).collect(), elements: Elements::F32(numbers) }
     }
 
     /// What [`Self::of_numbers`] was given. Panics when these are pairs.

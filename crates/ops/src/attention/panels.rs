@@ -57,7 +57,7 @@ impl ChannelsAsRows {
     }
 
     /// The block that begins with a pixel.
-    pub(super) fn from_pixel(&self, first: usize) -> Left<'_> {
+    pub(super) fn block_at(&self, first: usize) -> Left<'_> {
         self.packed.part(first / self.block)
     }
 }

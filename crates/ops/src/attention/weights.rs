@@ -81,7 +81,7 @@ impl Pairs {
     ) {
         let width = panel_columns(self.isa);
         let product = Product {
-            left: self.rows.part(0).from_row(first, self.channels),
+            left: self.rows.part(0).after_rows(first, self.channels),
             rows: len,
             depth: self.channels,
             right: &self.columns[group.first * self.channels * width..],
@@ -114,7 +114,7 @@ impl Gathering<'_> {
         out: &mut Output,
     ) {
         let product = Product {
-            left: self.values.from_pixel(first),
+            left: self.values.block_at(first),
             rows: self.values.channels,
             depth: len,
             right: weights,

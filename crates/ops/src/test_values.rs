@@ -1,5 +1,7 @@
 //! Shared by the tests of operations: pseudo-random values, comparisons and numbers of threads.
 
+use srflow_simd::Pair;
+
 /// Pseudo-random values in -1..1.
 pub(crate) fn values(count: usize, seed: u32) -> Vec<f32> {
     (0..count as u32)
@@ -13,6 +15,11 @@ pub(crate) fn values(count: usize, seed: u32) -> Vec<f32> {
 /// The same numbers in f64, in which the definitions compute.
 pub(crate) fn wide(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&x| f64::from(x)).collect()
+}
+
+/// The numbers that bfloat16 makes of these.
+pub(crate) fn rounded(values: &[f32]) -> Vec<f64> {
+    values.iter().map(|&x| f64::from(Pair::new(x, 0.0).factors()[0])).collect()
 }
 
 /// The magnitude of the largest number.

@@ -146,8 +146,8 @@ fn in_windows<const I: usize, const N: usize>(
 /// `out_i = sum_j softmax_j(q_i . k_j) v_j` over the pixels of the window of `i`, and the softmax statistics for
 /// [`windowed_attention_backward`], `[batch, 2, height, width]`.
 ///
-/// Queries and keys are of `shape`, values of any number of channels. At the [`crate::precision()`]. Panics when the length of a slice does not match, or the
-/// windows are not of these images.
+/// Queries and keys are of `shape`, values of any number of channels. At the [`crate::precision()`]. Panics when the length of a slice
+/// does not match, or the windows are not of these images.
 pub fn windowed_attention(
     queries: &[f32],
     keys: &[f32],

@@ -1,4 +1,4 @@
-use srflow_simd::{Isa, Pair, Precision};
+use srflow_simd::{Isa, Precision};
 
 use super::backward::backward_input_with;
 use super::forward::conv2d_with;
@@ -9,7 +9,7 @@ use crate::convolution::tests::{Residual, case};
 use crate::convolution::{Conv2dShape, Kernels};
 use crate::operation::tests::{ACTIVATIONS, Case};
 use crate::precision::with_precision;
-use crate::test_values::{assert_close, values, wide, with_threads};
+use crate::test_values::{assert_close, rounded, values, wide, with_threads};
 
 fn shape(
     channels: [usize; 2],
@@ -131,11 +131,6 @@ fn check_that_results_do_not_depend_on_the_machine(shape: Conv2dShape) {
     let outputs: Vec<_> =
         Isa::to_test().map(|isa| conv2d_with(isa, &input, &weight, &Epilogue::default(), &shape)).collect();
     assert!(outputs.windows(2).all(|pair| pair[0] == pair[1]));
-}
-
-/// Numbers as bfloat16 has them.
-fn rounded(values: &[f32]) -> Vec<f64> {
-    values.iter().map(|&x| f64::from(Pair::new(x, 0.0).factors()[0])).collect()
 }
 
 /// Products of bfloat16 are those of rounded operands. Winograd's way rounds what it transformed: its error is about one percent

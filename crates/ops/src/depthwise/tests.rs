@@ -1,4 +1,4 @@
-use srflow_simd::{Activation, Isa, Pair, Precision};
+use srflow_simd::{Activation, Isa, Precision};
 
 use super::backward::{backward_input_with, backward_weight_with};
 use super::forward::depthwise_with;
@@ -8,7 +8,7 @@ use crate::convolution::reference::{self, Operands};
 use crate::convolution::tests::{Residual, case};
 use crate::convolution::{Conv2dShape, Kernels};
 use crate::operation::tests::Case;
-use crate::test_values::{assert_close, values, wide, with_threads};
+use crate::test_values::{assert_close, rounded, values, wide, with_threads};
 
 const TOLERANCE: f64 = 2e-6;
 
@@ -71,10 +71,7 @@ fn at_bfloat16_each_instruction_set_computes_the_definition_of_rounded_numbers()
         let (input, weight) = (values(shape.input_len(), 1), values(shape.weight_len(), 2));
         let (bias, grad) = (values(shape.out_channels, 3), values(shape.output_len(), 4));
         let epilogue = Epilogue { bias: Some(&bias), residual: None, activation: Activation::Identity };
-        let [near_input, near_weight, near_grad] = [&input, &weight, &grad].map(|values| {
-            let near = |x: &f32| f64::from(Pair::new(*x, 0.0).factors()[0]);
-            values.iter().map(near).collect::<Vec<f64>>()
-        });
+        let [near_input, near_weight, near_grad] = [&input, &weight, &grad].map(|values| rounded(values));
         let operands = Operands {
             input: &near_input,
             weight: &near_weight,

@@ -83,7 +83,8 @@ fn iterations_help() -> String {
     )
 }
 
-fn device_help() -> String {
+/// The help of `--device`.
+pub fn device_help() -> String {
     format!("Device to compute on; this build has {}", device_kinds().join(", "))
 }
 

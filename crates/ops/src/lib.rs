@@ -20,10 +20,11 @@ mod test_values;
 mod weight_cache;
 
 pub use activation::Activation;
-pub use device::{DeviceError, device, device_kinds};
+pub use device::device;
 pub use map_shape::MapShape;
 pub use precision::{Precision, fastest_precision, precision, with_precision};
 pub use reusing_allocator::ReusingAllocator;
+pub use srflow_device::{DeviceError, device_kinds};
 pub use weight_cache::WeightCache;
 
 pub mod activation;

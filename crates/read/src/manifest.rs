@@ -85,6 +85,9 @@ pub struct Arguments {
     /// Imaging effects on the frames.
     #[serde(default, skip_serializing_if = "Recording::is_none")]
     pub recording: Recording,
+    /// `cuda` or `vulkan` if frames and flow were rasterized on a GPU, whose rounding differs from the CPU's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub device: Option<String>,
 }
 
 /// The motion of datasets that name none.
@@ -363,6 +366,7 @@ mod tests {
                 motion: "curves".into(),
                 regions: true,
                 recording: Recording::none(),
+                device: None,
             },
             rig: vec![],
             scenes: vec![SceneEntry {

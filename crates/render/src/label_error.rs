@@ -8,7 +8,7 @@ use serde::Serialize;
 use srflow_avatar::capture::{Capture, CaptureSplit, CaptureView};
 use srflow_avatar::{Avatar, HeadPose, PosedHead};
 use srflow_read::region_map::HeadPart;
-use srflow_splat::{Camera, Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
+use srflow_splat::{Camera, DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs, RasterizeError};
 
 use crate::RenderError;
 use crate::capture::TrueCapture;
@@ -23,13 +23,13 @@ pub struct MovingHead<'a> {
 }
 
 /// The true flow of a head beside the flow of its avatar. Keeps its buffers.
-#[derive(Debug, Default)]
+#[derive(Default)]
 pub struct FlowComparison {
     truth: Frame,
     avatar: Frame,
     /// Of the true head.
     parts: PartWeights,
-    rasterizer: Rasterizer,
+    rasterizer: DeviceRasterizer,
     head: PosedHead,
     now: Gaussians,
     next: Gaussians,

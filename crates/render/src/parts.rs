@@ -3,7 +3,7 @@
 use srflow_avatar::{Avatar, Region};
 use srflow_field::Plane;
 use srflow_read::region_map::HeadPart;
-use srflow_splat::{Camera, Frame, Gaussians, Options, Outputs, RasterizeError, Rasterizer, SH_0};
+use srflow_splat::{Camera, DeviceRasterizer, Frame, Gaussians, Options, Outputs, RasterizeError, SH_0};
 
 /// Parts are rendered in the three channels of a colour, this many times. Skin has none: its weight is what the others leave of
 /// alpha.
@@ -35,7 +35,7 @@ impl PartWeights {
     /// When the Gaussians or the camera are refused.
     pub fn render(
         &mut self,
-        rasterizer: &mut Rasterizer,
+        rasterizer: &mut DeviceRasterizer,
         avatar: &Avatar,
         gaussians: &mut Gaussians,
         camera: &Camera,

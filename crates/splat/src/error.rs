@@ -49,6 +49,12 @@ pub enum RasterizeError {
         /// Height of the image in pixels.
         height: usize,
     },
+    /// [`Sorting::PerPixel`](crate::Sorting::PerPixel) on another device than the CPU.
+    #[error("Gaussians are sorted per pixel on the CPU only: use the device cpu, or global sorting")]
+    SortingOnDevice,
+    /// The device's driver failed.
+    #[error("the device failed: {0}; use the device cpu, or smaller images if its memory is too small")]
+    Device(String),
     /// A camera cannot be rendered.
     #[error(transparent)]
     Camera(#[from] CameraError),

@@ -9,11 +9,14 @@
 mod backward;
 mod blending;
 mod camera;
+mod device;
 mod error;
 mod files;
 mod frame;
 mod gaussians;
 pub mod gltf;
+#[cfg(feature = "cube")]
+mod gpu;
 mod gradients;
 mod ordering;
 mod pixel_order;
@@ -28,6 +31,7 @@ pub use backward::Rendering;
 pub use camera::{
     Camera, MAX_PIXELS, MAX_SIDE, NEAR, NamedCamera, PixelConvention, Surroundings, read_cameras,
 };
+pub use device::{Device, DeviceRasterizer};
 pub use error::{CameraError, RasterizeError};
 pub use files::{
     SPLAT_FORMATS, SplatFormat, Up, read_bound_ply, read_gaussians, read_ply, write_bound_ply,

@@ -92,8 +92,8 @@ pub(crate) struct View {
     /// Of the camera, in the world.
     pub position: DVec3,
     /// Bounds of the direction at which the Jacobian is taken; see the notes in [`crate::reference`].
-    clamp_min: DVec2,
-    clamp_max: DVec2,
+    pub clamp_min: DVec2,
+    pub clamp_max: DVec2,
     /// See [`Gaussians::antialiased`].
     pub antialiased: bool,
 }

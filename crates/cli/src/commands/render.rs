@@ -10,9 +10,11 @@ use srflow_read::manifest::Recording;
 use srflow_render::generate::{Background, MotionSource, Report, Settings, generate};
 use srflow_render::job::Made;
 use srflow_render::statistics::Statistics;
+use srflow_splat::Device;
 
 use crate::Context;
 use crate::library::{Watch, parsed};
+use crate::networks::device_help;
 use crate::rendering::{Rendered, RenderingArgs, exit_if_stopped};
 
 /// Render a facial optical-flow dataset with exact flow from a head avatar
@@ -69,6 +71,8 @@ pub struct Render {
     /// [default: curves]
     #[arg(long, value_name = "MOTION")]
     motion: Option<MotionSource>,
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = Device::named, help = device_help())]
+    device: Device,
     #[command(flatten)]
     rendering: RenderingArgs,
     // Last: its heading holds for all that follow.
@@ -170,6 +174,7 @@ impl Render {
             motion: self.motion.clone().unwrap_or(preset.motion),
             regions: self.regions,
             recording: self.effects.recording(preset.recording),
+            device: self.device.clone(),
         }
     }
 }

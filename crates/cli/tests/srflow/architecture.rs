@@ -5,9 +5,10 @@ use std::process::Command;
 use serde_json::Value;
 
 /// The pipeline, first to last, as ARCHITECTURE.md lists it.
-const PIPELINE: [&str; 20] = [
+const PIPELINE: [&str; 21] = [
     "srflow-simd",
     "srflow-field",
+    "srflow-device",
     "srflow-splat",
     "srflow-avatar",
     "srflow-fetch",

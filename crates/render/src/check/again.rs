@@ -167,6 +167,9 @@ pub fn check_rerendered(
     if !is_of_this_version(&manifest) {
         return Err(cannot(&format!("srflow {} wrote it", excerpt(&manifest.srflow_version))));
     }
+    if let Some(device) = &manifest.arguments.device {
+        return Err(cannot(&format!("it was rasterized on a GPU ({})", excerpt(device))));
+    }
     let from_files = !settings.head.is_builtin()
         || settings.motion.is_of_files()
         || matches!(settings.background, Background::Images(_));

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use srflow_avatar::HeadSource;
 use srflow_field::FlowFormat;
 use srflow_field::random::Key;
+use srflow_splat::Device;
 
 use super::background::{self, Background};
 use super::{FULL_SIZE, MotionSource, Rig};
@@ -48,6 +49,8 @@ pub struct Settings {
     pub regions: bool,
     /// Imaging effects on the frames.
     pub recording: Recording,
+    /// What rasterizes.
+    pub device: Device,
 }
 
 impl Default for Settings {
@@ -68,6 +71,7 @@ impl Default for Settings {
             motion: MotionSource::Curves,
             regions: false,
             recording: Recording::none(),
+            device: Device::cpu(),
         }
     }
 }
@@ -122,7 +126,7 @@ impl Settings {
         SceneEntry { name: format!("scene-{number:04}"), split, subject, pairs, background }
     }
 
-    /// The settings of an existing dataset, except for the folders of the head and the backgrounds; and the manifest that they
+    /// The settings of an existing dataset, except for the folders of the head and the backgrounds and the device; and the manifest that they
     /// give, with the background images named in `manifest`.
     ///
     /// # Errors
@@ -168,6 +172,7 @@ impl Settings {
             },
             regions: arguments.regions,
             recording: arguments.recording,
+            device: Device::cpu(),
         };
         settings.validate().map_err(|error| error.to_string())?;
         let images = matches!(settings.background, Background::Images(_));
@@ -275,6 +280,7 @@ impl Settings {
             },
             regions: self.regions,
             recording: self.recording,
+            device: Some(self.device.kind()).filter(|kind| *kind != Device::cpu().kind()).map(str::to_owned),
         })
     }
 }

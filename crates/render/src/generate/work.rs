@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use srflow_avatar::PosedHead;
 use srflow_field::{longest_flow, write_file, write_flow_as, write_image_png, write_mask_png};
-use srflow_splat::{Frame, Gaussians, Next, Options, Outputs, RasterizeError, Rasterizer};
+use srflow_splat::{DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs, RasterizeError};
 
 use super::background::{self, Background};
 use super::occlusion::{occlusion, surface_into};
@@ -165,7 +165,7 @@ fn scene_folder(dir: &Path, scene: &SceneEntry, kind: &str) -> PathBuf {
 /// The buffers of one worker, reused for every frame: about 0.3 GB at 2200x3208.
 #[derive(Default)]
 pub(super) struct Worker {
-    rasterizer: Rasterizer,
+    rasterizer: DeviceRasterizer,
     options: Options,
     head: PosedHead,
     gaussians: Gaussians,
@@ -189,7 +189,11 @@ impl Worker {
             Background::Colour(colour) => colour.map(|channel| f32::from(channel) / 255.0),
             Background::Images(_) | Background::Procedural => [0.0; 3],
         };
-        Self { options: Options { background, ..Options::default() }, ..Self::default() }
+        Self {
+            rasterizer: DeviceRasterizer::new(&settings.device),
+            options: Options { background, ..Options::default() },
+            ..Self::default()
+        }
     }
 
     fn make_run(&mut self, work: &Work, scene: &Scene, run: &Run) -> Result<(), RenderError> {

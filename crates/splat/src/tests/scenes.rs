@@ -3,7 +3,13 @@
 use glam::{DMat3, DMat4, DVec3, EulerRot, Quat, Vec3};
 use srflow_field::random::{Key, Stream};
 
-use crate::{Camera, FrameGradients, Gaussians};
+use crate::{Camera, Device, FrameGradients, Gaussians};
+
+/// The device that `SRFLOW_TEST_DEVICE` names, which the tests run on besides the CPU.
+pub(crate) fn test_device() -> Option<Device> {
+    let name = std::env::var("SRFLOW_TEST_DEVICE").ok()?;
+    Some(Device::named(&name).unwrap_or_else(|error| panic!("SRFLOW_TEST_DEVICE: {error}")))
+}
 
 /// A camera at the origin, looking along z; the image size is not a multiple of a tile, the principal point is off-centre.
 pub(crate) fn camera() -> Camera {

@@ -2,14 +2,14 @@
 
 use glam::{DVec3, Quat, Vec3};
 
-use super::scenes::{camera, jittered, moved, push, push_each, random, single};
+use super::scenes::{camera, jittered, moved, push, push_each, random, single, test_device};
 use crate::reference::{self, Pixel};
-use crate::{Camera, Frame, Gaussians, Next, Options, Rasterizer, Sorting};
+use crate::{Camera, Device, DeviceRasterizer, Frame, Gaussians, Next, Options, Sorting, Statistics};
 
 const BACKGROUND: [f32; 3] = [0.1, 0.5, 0.9];
 
-/// Both renderings; without `next` nothing moves.
-fn both(gaussians: &Gaussians, camera: &Camera, next: Option<Next<'_>>) -> (Frame, Vec<Pixel>) {
+/// The rendering of each device, that of the CPU first, and of the twin; without `next` nothing moves.
+fn both(gaussians: &Gaussians, camera: &Camera, next: Option<Next<'_>>) -> (Vec<Frame>, Vec<Pixel>) {
     both_with(&Options::default(), gaussians, camera, next)
 }
 
@@ -18,20 +18,34 @@ fn both_with(
     gaussians: &Gaussians,
     camera: &Camera,
     next: Option<Next<'_>>,
-) -> (Frame, Vec<Pixel>) {
+) -> (Vec<Frame>, Vec<Pixel>) {
     let next = next.or(Some(Next { gaussians, camera }));
     let options = Options { background: BACKGROUND, ..*options };
-    let mut frame = Frame::new();
-    Rasterizer::new().render(gaussians, camera, next, &options, &mut frame).unwrap();
-    (frame, reference::render(gaussians, camera, next, &options).unwrap())
+    let mut devices = vec![Device::cpu()];
+    if options.sorting == Sorting::Global {
+        devices.extend(test_device());
+    }
+    let frames = devices.iter().map(|device| {
+        let mut frame = Frame::new();
+        DeviceRasterizer::new(device).render(gaussians, camera, next, &options, &mut frame).unwrap();
+        frame
+    });
+    (frames.collect(), reference::render(gaussians, camera, next, &options).unwrap())
 }
 
-/// Compares the two: colour within 2/255 everywhere, flow within 0.01 px and depths within 1e-3 wherever alpha is over one
+/// Compares each frame with the twin: colour within 2/255 everywhere, flow within 0.01 px and depths within 1e-3 wherever alpha is over one
 /// half. Returns the number of pixels with such alpha.
 #[track_caller]
-fn assert_close(frame: &Frame, pixels: &[Pixel]) -> usize {
+fn assert_close(frames: &[Frame], pixels: &[Pixel]) -> usize {
+    for frame in frames {
+        assert_one_close(frame, pixels);
+    }
+    pixels.iter().filter(|pixel| pixel.alpha > 0.5).count()
+}
+
+#[track_caller]
+fn assert_one_close(frame: &Frame, pixels: &[Pixel]) {
     assert_eq!((frame.width * frame.height, frame.color.len()), (pixels.len(), pixels.len()));
-    let mut covered = 0;
     for (i, pixel) in pixels.iter().enumerate() {
         let (x, y) = (i % frame.width, i / frame.width);
         for channel in 0..3 {
@@ -44,11 +58,14 @@ fn assert_close(frame: &Frame, pixels: &[Pixel]) -> usize {
             assert!((f64::from(byte) - slow.clamp(0.0, 1.0) * 255.0).abs() < 2.5, "byte at ({x}, {y})");
         }
         let alpha = frame.alpha.pixels()[i];
-        assert!((f64::from(alpha) - pixel.alpha).abs() < 1.0 / 255.0, "alpha at ({x}, {y})");
+        assert!(
+            (f64::from(alpha) - pixel.alpha).abs() < 1.0 / 255.0,
+            "alpha at ({x}, {y}): {alpha}, twin {}",
+            pixel.alpha
+        );
         if pixel.alpha <= 0.5 {
             continue;
         }
-        covered += 1;
         let depths =
             [(frame.depth.pixels()[i], pixel.depth), (frame.depth_next.pixels()[i], pixel.depth_next)];
         for (fast, slow) in depths {
@@ -58,7 +75,6 @@ fn assert_close(frame: &Frame, pixels: &[Pixel]) -> usize {
             assert!((f64::from(*fast) - slow).abs() < 0.01, "flow at ({x}, {y}): {fast}, twin {slow}");
         }
     }
-    covered
 }
 
 #[test]
@@ -74,11 +90,16 @@ fn random_scenes_agree() {
         let next = Next { gaussians: &next, camera: &second };
         let sorting = if seed >= 32 { Sorting::PerPixel } else { Sorting::Global };
         let options = Options { sorting, ..Options::default() };
-        let (frame, pixels) = both_with(&options, &gaussians, &first, Some(next));
-        covered += assert_close(&frame, &pixels);
-        let blended: u64 = pixels.iter().map(|pixel| u64::from(pixel.blended)).sum();
-        let difference = frame.statistics.blended.abs_diff(blended);
-        assert!(difference * 10_000 <= blended, "{} pairs blended, twin {blended}", frame.statistics.blended);
+        let (frames, pixels) = both_with(&options, &gaussians, &first, Some(next));
+        covered += assert_close(&frames, &pixels);
+        let twin: u64 = pixels.iter().map(|pixel| u64::from(pixel.blended)).sum();
+        for Statistics { visible, blended, without_displacement } in
+            frames.iter().map(|frame| frame.statistics)
+        {
+            assert!(blended.abs_diff(twin) * 10_000 <= twin, "{blended} pairs blended, twin {twin}");
+            let Statistics { visible: expected, without_displacement: still, .. } = frames[0].statistics;
+            assert_eq!((visible, without_displacement), (expected, still));
+        }
     }
     assert!(covered > 60_000, "only {covered} pixels were covered");
 }
@@ -87,20 +108,22 @@ fn random_scenes_agree() {
 fn empty_scene_is_background() {
     let gaussians = Gaussians::default();
     let camera = camera();
-    let (frame, pixels) = both(&gaussians, &camera, Some(Next { gaussians: &gaussians, camera: &camera }));
-    assert_eq!(assert_close(&frame, &pixels), 0);
-    assert!(frame.color.iter().all(|color| *color == BACKGROUND));
-    assert!(frame.image.pixels().iter().all(|pixel| *pixel == [26, 128, 230]));
-    assert!(frame.depth.pixels().iter().chain(frame.alpha.pixels()).all(|value| *value == 0.0));
-    assert!(frame.flow.pixels().iter().all(|flow| *flow == [0.0; 2]));
+    let (frames, pixels) = both(&gaussians, &camera, Some(Next { gaussians: &gaussians, camera: &camera }));
+    assert_eq!(assert_close(&frames, &pixels), 0);
+    for frame in frames {
+        assert!(frame.color.iter().all(|color| *color == BACKGROUND));
+        assert!(frame.image.pixels().iter().all(|pixel| *pixel == [26, 128, 230]));
+        assert!(frame.depth.pixels().iter().chain(frame.alpha.pixels()).all(|value| *value == 0.0));
+        assert!(frame.flow.pixels().iter().all(|flow| *flow == [0.0; 2]));
+    }
 }
 
 #[test]
 fn gaussians_behind_the_near_plane_are_not_drawn() {
     for depth in [-3.0, -0.2, 0.0, 0.1, 0.199_999] {
-        let (frame, pixels) = both(&single(Vec3::new(0.0, 0.0, depth), 5.0, 1.0), &camera(), None);
-        assert_close(&frame, &pixels);
-        assert_eq!(frame.statistics.visible, 0, "depth {depth}");
+        let (frames, pixels) = both(&single(Vec3::new(0.0, 0.0, depth), 5.0, 1.0), &camera(), None);
+        assert_close(&frames, &pixels);
+        assert!(frames.iter().all(|frame| frame.statistics.visible == 0), "depth {depth}");
     }
 }
 
@@ -119,8 +142,8 @@ fn needles_agree_at_every_angle() {
             0.95,
             [0.9; 3],
         );
-        let (frame, pixels) = both(&gaussians, &camera, None);
-        assert!(assert_close(&frame, &pixels) > 300, "angle {angle}");
+        let (frames, pixels) = both(&gaussians, &camera, None);
+        assert!(assert_close(&frames, &pixels) > 300, "angle {angle}");
     }
 }
 
@@ -140,8 +163,8 @@ fn huge_gaussians_and_those_across_the_border_agree() {
     }
     push(&mut gaussians, Vec3::new(0.0, 0.0, 50.0), Vec3::splat(1e6), Quat::IDENTITY, 0.9, [0.7; 3]);
     push(&mut gaussians, Vec3::new(1e7, 0.0, 5.0), Vec3::splat(1e7), Quat::IDENTITY, 0.9, [0.3; 3]);
-    let (frame, pixels) = both(&gaussians, &camera(), None);
-    assert_eq!(assert_close(&frame, &pixels), pixels.len());
+    let (frames, pixels) = both(&gaussians, &camera(), None);
+    assert_eq!(assert_close(&frames, &pixels), pixels.len());
 }
 
 #[test]
@@ -151,10 +174,12 @@ fn equal_depths_are_drawn_in_order_of_index() {
         let color = if i == 0 { [1.0, 0.0, 0.0] } else { [0.0, 0.0, 1.0] };
         push(&mut gaussians, Vec3::new(0.0, 0.0, 1.0), Vec3::splat(0.2), Quat::IDENTITY, 0.9, color);
     }
-    let (frame, pixels) = both(&gaussians, &camera(), None);
-    assert_close(&frame, &pixels);
-    let center = frame.color[31 * frame.width + 37];
-    assert!(center[0] > 0.85 && center[2] < 0.15, "the first is in front: {center:?}");
+    let (frames, pixels) = both(&gaussians, &camera(), None);
+    assert_close(&frames, &pixels);
+    for frame in frames {
+        let center = frame.color[31 * frame.width + 37];
+        assert!(center[0] > 0.85 && center[2] < 0.15, "the first is in front: {center:?}");
+    }
 }
 
 #[test]
@@ -170,11 +195,11 @@ fn a_pixel_is_done_before_its_transmittance_falls_under_the_limit() {
             [0.5; 3],
         );
     }
-    let (frame, pixels) = both(&gaussians, &camera(), None);
-    assert_close(&frame, &pixels);
+    let (frames, pixels) = both(&gaussians, &camera(), None);
+    assert_close(&frames, &pixels);
     // The first leaves a transmittance of 0.01 (alpha is clamped to 0.99), the second would leave less than 1e-4.
     assert!(pixels.iter().all(|pixel| pixel.blended == 1));
-    assert_eq!(frame.statistics.blended, pixels.len() as u64);
+    assert!(frames.iter().all(|frame| frame.statistics.blended == pixels.len() as u64));
 }
 
 #[test]
@@ -205,9 +230,9 @@ fn parameters_that_are_not_finite_hide_a_gaussian_and_nothing_else() {
                 [1.0, 0.2, 0.1],
             );
             let next = Next { gaussians: &gaussians, camera: &camera() };
-            let (frame, pixels) = both(&gaussians, &camera(), Some(next));
-            assert_close(&frame, &pixels);
-            assert_eq!(frame, expected, "parameter {parameter} = {bad}");
+            let (frames, pixels) = both(&gaussians, &camera(), Some(next));
+            assert_close(&frames, &pixels);
+            assert_eq!(frames, expected, "parameter {parameter} = {bad}");
         }
     }
 }
@@ -227,9 +252,10 @@ fn extreme_but_finite_parameters_do_no_harm() {
                 gaussians.antialiased = antialiased;
                 let options = Options { sorting, ..Options::default() };
                 let next = Next { gaussians: &next, camera: &camera() };
-                let (frame, _) = both_with(&options, &gaussians, &camera(), Some(next));
-                assert!(frame.alpha.pixels().iter().all(|alpha| (0.0..=1.0).contains(alpha)), "{a} {b}");
-                assert!(frame.flow.pixels().iter().flatten().all(|value| !value.is_nan()), "{a} {b}");
+                for frame in both_with(&options, &gaussians, &camera(), Some(next)).0 {
+                    assert!(frame.alpha.pixels().iter().all(|alpha| (0.0..=1.0).contains(alpha)), "{a} {b}");
+                    assert!(frame.flow.pixels().iter().flatten().all(|value| !value.is_nan()), "{a} {b}");
+                }
             }
         }
     }

@@ -84,6 +84,11 @@ macro_rules! networks {
         }
 
         impl Network {
+            /// The same parameters on another device.
+            pub fn on(self, device: &Device) -> Self {
+                self.to_device(device)
+            }
+
             pub fn architecture(&self) -> Architecture {
                 match self {
                     $(Self::$variant(_) => Architecture::$variant,)*

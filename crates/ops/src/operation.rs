@@ -100,7 +100,7 @@ impl<T> Backprop<T> {
         (array(self.saved), self.grad)
     }
 
-    fn map<U>(self, of: impl Fn(T) -> U) -> Backprop<U> {
+    pub(crate) fn map<U>(self, of: impl Fn(T) -> U) -> Backprop<U> {
         let saved = self.saved.into_iter().map(&of).collect();
         Backprop { saved, grad: of(self.grad), nodes: self.nodes }
     }

@@ -46,6 +46,22 @@ impl Device {
         name.pick(vec![Self::cpu()])
     }
 
+    /// The devices of a kind on this machine: how each is called here, and what its driver calls it.
+    pub fn all(kind: &'static str) -> Vec<(String, String)> {
+        let name = |number: usize| if number == 0 { kind.to_owned() } else { format!("{kind}:{number}") };
+        let names = (0..).map(name);
+        names.map_while(|name| Self::named(&name).ok().map(|device| (name, device.name()))).collect()
+    }
+
+    /// What its driver calls it.
+    pub fn name(&self) -> String {
+        #[cfg(feature = "cube")]
+        if let Some(gpu) = &self.gpu {
+            return gpu.client().properties().identity.name.clone();
+        }
+        "processor".to_owned()
+    }
+
     /// `cpu`, `cuda` or `vulkan`.
     pub fn kind(&self) -> &'static str {
         self.kind

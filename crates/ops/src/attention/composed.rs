@@ -1,4 +1,4 @@
-//! Attention composed of Burn's operations, for devices without a kernel: the matrix of all pairs, cut into pieces.
+//! Attention without gradients composed of Burn's operations, for devices without a kernel: the matrix of all pairs, cut into pieces.
 
 use burn::tensor::Tensor;
 use burn::tensor::activation::softmax;
@@ -60,7 +60,7 @@ impl ImagePieces {
     pub(super) fn log_sums(&self) -> Tensor<4> {
         let of_piece = |number| {
             let scores = self.scores(number);
-            let largest = scores.clone().max_dim(1).detach();
+            let largest = scores.clone().max_dim(1);
             (scores - largest.clone()).exp().sum_dim(1).log() + largest
         };
         Tensor::cat((0..self.pieces()).map(of_piece).collect(), 3)

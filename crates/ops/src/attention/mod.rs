@@ -15,6 +15,7 @@ use crate::precision::precision;
 mod backward;
 mod composed;
 mod panels;
+mod recomputed;
 pub mod reference;
 mod softmax;
 pub mod tensor;

@@ -10,6 +10,7 @@ use srflow_simd::Isa;
 use super::backward::Gathered;
 use super::composed::ImagePieces;
 use super::image;
+use super::recomputed::{GatherInPieces, LogSumsInPieces};
 use super::weights::AttentionWeights;
 use super::{Windows, windowed_attention, windowed_attention_backward};
 use crate::flex::CpuTensor;
@@ -156,7 +157,7 @@ impl Operation<2> for Gather {
 /// Which pixels of an image take how much of which: `softmax_j(q_i . k_j)`.
 ///
 /// On the CPU the pairs are computed block by block in the cache, for the gradients once more. Elsewhere the matrix is cut
-/// into pieces; with gradients all of them stand in memory, since backward needs them.
+/// into pieces, which with gradients are computed for each gathering, and for its gradients once more.
 #[derive(Debug)]
 pub struct Attention {
     size: [usize; 4],
@@ -167,11 +168,12 @@ pub struct Attention {
 enum Way {
     Kernel { log_sums: Box<Tensor<4>>, prepared: Prepared },
     Pieces(Vec<ImagePieces>),
+    Recomputed { inputs: Box<[Tensor<4>; 2]>, piece_bytes: usize },
 }
 
 impl Attention {
     /// From queries and keys, each `[batch, channels, height, width]`. Weights that take no more than `kept_bytes` are kept
-    /// from one gathering to the next (with gradients elsewhere than on the CPU, all are). Panics when the sizes differ.
+    /// from one gathering to the next (with gradients elsewhere than on the CPU, none are). Panics when the sizes differ.
     pub fn new(queries: Tensor<4>, keys: Tensor<4>, kept_bytes: usize) -> Self {
         if queries.device() != Device::flex() {
             return Self::in_pieces(queries, keys, kept_bytes, PIECE_BYTES);
@@ -191,7 +193,10 @@ impl Attention {
         piece_bytes: usize,
     ) -> Self {
         let (size @ [batch, _, _, _], autodiff) = Self::check(&queries, &keys);
-        let kept_bytes = if autodiff { usize::MAX } else { kept_bytes / batch };
+        if autodiff {
+            return Self { size, way: Way::Recomputed { inputs: Box::new([queries, keys]), piece_bytes } };
+        }
+        let kept_bytes = kept_bytes / batch;
         let image = |x: &Tensor<4>, n| x.clone().narrow(0, n, 1);
         let pieces = |n| ImagePieces::new(image(&queries, n), image(&keys, n), kept_bytes, piece_bytes);
         let images = (0..batch).map(pieces);
@@ -214,6 +219,10 @@ impl Attention {
                 let of_image = |image: &ImagePieces| image.log_sums().reshape([1, 1, height, width]);
                 Tensor::cat(images.iter().map(of_image).collect(), 0)
             }
+            Way::Recomputed { inputs, piece_bytes } => apply(
+                LogSumsInPieces { piece_bytes: *piece_bytes },
+                inputs.as_ref().clone().map(Tensor::into_dispatch),
+            ),
         }
     }
 
@@ -230,6 +239,11 @@ impl Attention {
                 let images = images.iter().enumerate();
                 let gathered = images.map(|(n, image)| image.gather(values.clone().narrow(0, n, 1)));
                 Tensor::cat(gathered.collect(), 0)
+            }
+            Way::Recomputed { inputs, piece_bytes } => {
+                let [queries, keys] = inputs.as_ref().clone();
+                let inputs = [queries, keys, values].map(Tensor::into_dispatch);
+                apply(GatherInPieces { piece_bytes: *piece_bytes }, inputs)
             }
         }
     }
@@ -269,8 +283,7 @@ impl Operation<3> for Windowed {
 /// `out_i = sum_j softmax_j(q_i . k_j) v_j` over the pixels `j` of the window of pixel `i`.
 ///
 /// Queries and keys are `[batch, channels, height, width]`, values and output `[batch, value channels, height, width]`. No
-/// weight is stored on the CPU; elsewhere they are computed in pieces, all of which stand in memory if there are gradients.
-/// Panics when the sizes do not fit.
+/// weight is stored on the CPU; elsewhere they are computed in pieces. Panics when the sizes do not fit.
 pub fn attention(queries: Tensor<4>, keys: Tensor<4>, values: Tensor<4>, windows: &Windows) -> Tensor<4> {
     let ([batch, _, height, width], [of, _, rows, columns]) = (queries.dims(), values.dims());
     assert_eq!(queries.dims(), keys.dims(), "attention: as many keys as queries");

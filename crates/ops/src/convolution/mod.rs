@@ -4,6 +4,8 @@
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, TensorMetadata};
 use burn::tensor::{Shape, Tensor};
+#[cfg(feature = "cube")]
+use burn_cubecl::{CubeBackend, tensor::CubeTensor};
 use srflow_simd::Isa;
 
 use crate::Activation;
@@ -72,17 +74,23 @@ impl<const N: usize> Composition<N> for Convolution {
             |[input, weight], grad, add, shape| {
                 let (input, weight) = (input.clone(), weight.clone());
                 let d_input = B::conv2d_x_backward(input, weight, grad.clone(), shape.options());
-                add.cloned().into_iter().fold(d_input, B::float_add)
+                plus::<B>(d_input, add)
             },
             |[input, weight], grad, shape| {
                 B::conv2d_weight_backward(input.clone(), weight.clone(), grad.clone(), shape.options())
             },
-            |grad, shape| {
-                let sums = [0, 2, 3].into_iter().fold(grad.clone(), B::float_sum_dim);
-                B::float_reshape(sums, [shape.out_channels].into())
-            },
+            bias_gradient::<B>,
         )
     }
+}
+
+fn plus<B: Backend>(sum: FloatTensor<B>, more: Option<&FloatTensor<B>>) -> FloatTensor<B> {
+    more.cloned().into_iter().fold(sum, B::float_add)
+}
+
+fn bias_gradient<B: Backend>(grad: &FloatTensor<B>, shape: &Conv2dShape) -> FloatTensor<B> {
+    let sums = [0, 2, 3].into_iter().fold(grad.clone(), B::float_sum_dim);
+    B::float_reshape(sums, [shape.out_channels].into())
 }
 
 impl<const N: usize> Operation<N> for Convolution {
@@ -137,6 +145,23 @@ impl<const N: usize> Operation<N> for Convolution {
                 let (channels, pixels) = (shape.out_channels, shape.output().iter().product());
                 CpuTensor::new(conv2d_backward_bias(grad.slice(), channels, pixels), [channels])
             },
+        )
+    }
+
+    #[cfg(feature = "cube")]
+    fn cube_backward(&self, back: Backprop<CubeTensor>) -> [Option<CubeTensor>; N] {
+        if !matches!(self.kernels, Kernels::Depthwise) || self.options.stride != [1, 1] {
+            return self.composed_backward::<CubeBackend>(back);
+        }
+        gradients(
+            back,
+            |[input, weight]| self.shape(input.shape(), weight.shape()),
+            |[_, weight], grad, add, shape| {
+                let d_input = depthwise::cube::backward_input(grad, weight, shape);
+                plus::<CubeBackend>(d_input, add)
+            },
+            |[input, _], grad, shape| depthwise::cube::backward_weight(input, grad, shape),
+            bias_gradient::<CubeBackend>,
         )
     }
 }

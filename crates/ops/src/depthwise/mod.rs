@@ -6,6 +6,8 @@
 //! with as many groups as channels.
 
 mod backward;
+#[cfg(feature = "cube")]
+pub(crate) mod cube;
 mod forward;
 pub mod tensor;
 

@@ -6,11 +6,13 @@ const RUN: usize = 512;
 const LANES: usize = 16;
 
 /// The sum of `of` each value.
+#[inline(always)]
 pub(crate) fn sum(values: &[f32], of: impl Fn(f32) -> f32) -> f64 {
     sum_pairs(values, values, |x, _| of(x))
 }
 
 /// The sum of `of` each pair of values.
+#[inline(always)]
 pub(crate) fn sum_pairs(a: &[f32], b: &[f32], of: impl Fn(f32, f32) -> f32) -> f64 {
     let mut total = 0.0;
     for (a, b) in a.chunks(RUN).zip(b.chunks(RUN)) {

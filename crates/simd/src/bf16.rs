@@ -32,8 +32,8 @@ impl Precision {
         }
     }
 
-    /// Elements of a packed row of `depth` factors.
-    pub(crate) fn packed(self, depth: usize) -> usize {
+    /// Elements that hold so many factors of a sum.
+    pub fn packed(self, depth: usize) -> usize {
         match self {
             Self::F32 => depth,
             Self::Bf16 => depth.div_ceil(2),
@@ -144,8 +144,9 @@ dispatch! {
     fn pair_rows_by_integers = pair_rows_kernel(rows: &[f32], width: usize, pairs: &mut [Pair])
 }
 
-/// [`pair_rows_by_integers`] with the processor's own rounding where it has that.
-pub(crate) fn pair_rows(isa: Isa, rows: &[f32], width: usize, pairs: &mut [Pair]) {
+/// Rounds rows of `width` numbers, two at a time, to rows of pairs; a missing last row counts as zeros. Panics when the width is not one of
+/// whole vectors, or when there is no room for the pairs.
+pub fn pair_rows(isa: Isa, rows: &[f32], width: usize, pairs: &mut [Pair]) {
     #[cfg(target_arch = "x86_64")]
     if let Some(native) = Avx512Bf16::of(isa) {
         // SAFETY: the token is the proof that the processor has the instructions.
@@ -194,6 +195,12 @@ pub trait Multiply<S: Simd>: Copy {
 
     /// `sums` plus the products of the elements in each lane.
     fn add(self, s: S, left: S::Vector, right: S::Vector, sums: S::Vector) -> S::Vector;
+
+    /// [`Simd::pair`], with the processor's own rounding where it has that.
+    #[inline(always)]
+    fn pair(self, s: S, first: S::Vector, second: S::Vector) -> S::Vector {
+        s.pair(first, second)
+    }
 }
 
 /// `f32` times `f32`.
@@ -240,6 +247,11 @@ impl Multiply<Avx512> for Avx512Bf16 {
             let left = std::mem::transmute::<__m512, __m512bh>(left);
             _mm512_dpbf16_ps(sums, left, std::mem::transmute::<__m512, __m512bh>(right))
         }
+    }
+
+    #[inline(always)]
+    fn pair(self, _: Avx512, first: __m512, second: __m512) -> __m512 {
+        self.pair_lanes(first, second)
     }
 }
 
@@ -302,7 +314,7 @@ impl Avx512Bf16 {
     }
 
     #[inline(always)]
-    fn pair(self, first: __m512, second: __m512) -> __m512 {
+    fn pair_lanes(self, first: __m512, second: __m512) -> __m512 {
         // SAFETY: as above.
         unsafe {
             // The lower half has the first factors, the upper one the second.
@@ -317,13 +329,13 @@ impl Avx512Bf16 {
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512bf16,avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,popcnt")]
 fn native_pair_rows(native: Avx512Bf16, rows: &[f32], width: usize, pairs: &mut [Pair]) {
-    each_pair_of_rows(native.0, rows, width, pairs, |first, second| native.pair(first, second));
+    each_pair_of_rows(native.0, rows, width, pairs, |first, second| native.pair_lanes(first, second));
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx512bf16,avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,popcnt")]
 fn native_pair_neighbours(native: Avx512Bf16, numbers: &[f32], pairs: &mut [Pair]) {
-    each_with_its_neighbour(native.0, numbers, pairs, |first, second| native.pair(first, second));
+    each_with_its_neighbour(native.0, numbers, pairs, |first, second| native.pair_lanes(first, second));
 }
 
 /// Whether the instructions compute what [`add_products`] and [`Pair::new`] define, on numbers where other orders and other
@@ -345,7 +357,8 @@ fn is_as_defined(native: Avx512Bf16) -> bool {
         let lowest = if test % 2 == 0 { [120, 120, 115] } else { [61, 61, 0] };
         let mut numbers = |kind: usize| [0; 16].map(|_| next(12, lowest[kind]));
         let [a, c, b, d, sums] = [numbers(0), numbers(0), numbers(1), numbers(1), numbers(2)];
-        let (pairs, others) = (native.pair(s.read(&a), s.read(&c)), native.pair(s.read(&b), s.read(&d)));
+        let (pairs, others) =
+            (native.pair_lanes(s.read(&a), s.read(&c)), native.pair_lanes(s.read(&b), s.read(&d)));
         let (mut found, mut found_pairs) = ([0.0; 16], [0.0; 16]);
         s.write(native.add(s, pairs, others, s.read(&sums)), &mut found);
         s.write(pairs, &mut found_pairs);

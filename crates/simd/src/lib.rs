@@ -24,6 +24,7 @@ mod isa;
 mod packed;
 mod portable;
 mod product;
+mod scratch;
 mod shared_mut;
 mod vector;
 
@@ -34,11 +35,14 @@ pub use avx2::Avx2;
 pub use avx512::Avx512;
 #[cfg(target_arch = "x86_64")]
 pub use bf16::Avx512Bf16;
-pub use bf16::{Multiply, Numbers, Pair, PairsInSteps, Precision, pair_neighbours, pair_up};
+pub use bf16::{Multiply, Numbers, Pair, PairsInSteps, Precision, pair_neighbours, pair_rows, pair_up};
 pub use functions::{exp, exp2, ln_1p};
 pub use isa::Isa;
 pub use packed::{Left, Packed};
 pub use portable::Portable;
-pub use product::{Output, Product, Start, Steps, multiply, multiply_diagonal, panel_columns};
+pub use product::{
+    Output, Product, Right, Start, Steps, multiply, multiply_diagonal, multiply_to_pairs, panel_columns,
+};
+pub use scratch::{Element, Scratch};
 pub use shared_mut::{SharedMut, fill_columns, fill_pieces};
 pub use vector::{MAX_LANES, Simd};

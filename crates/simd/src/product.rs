@@ -3,12 +3,11 @@
 //! The right side is stored in panels: [`VECTORS`] vectors of columns wide, all rows, one row after another. Addresses are
 //! read in order, and the data of a register tile lies in the first cache levels.
 
-use std::cell::Cell;
 use std::marker::PhantomData;
 
-use crate::bf16::pair_rows;
 use crate::{
-    Activation, Isa, Left, MAX_LANES, Multiply, Numbers, Pair, Precision, Simd, dispatch, dispatch_pairs,
+    Activation, Isa, Left, MAX_LANES, Multiply, Numbers, Pair, Precision, Scratch, Simd, dispatch,
+    dispatch_pairs, pair_rows,
 };
 
 /// Vectors in one row of a panel.
@@ -55,15 +54,40 @@ impl Steps {
     }
 }
 
+/// Whole panels of the right side of a [`Product`], each with rows of [`panel_columns`].
+#[derive(Debug, Clone, Copy)]
+pub enum Right<'a> {
+    /// A row for each factor.
+    F32(&'a [f32]),
+    /// A row for every two factors, as [`pair_rows`] makes them.
+    Bf16(&'a [Pair]),
+}
+
+impl Right<'_> {
+    /// Elements of each panel's column.
+    fn rows(self, depth: usize) -> usize {
+        match self {
+            Right::F32(_) => depth,
+            Right::Bf16(_) => Precision::Bf16.packed(depth),
+        }
+    }
+
+    fn len(self) -> usize {
+        match self {
+            Right::F32(numbers) => numbers.len(),
+            Right::Bf16(pairs) => pairs.len(),
+        }
+    }
+}
+
 /// `activation(start + left * right + add)`, computed for the columns of one or more panels.
 #[derive(Debug, Clone, Copy)]
 pub struct Product<'a> {
-    /// Its precision is that of the product: for [`Precision::Bf16`] the right side is rounded on the way.
+    /// Its precision is that of the product: for [`Precision::Bf16`] a right side of `f32` is rounded on the way.
     pub left: Left<'a>,
     pub rows: usize,
     pub depth: usize,
-    /// Whole panels, each `depth` rows of [`panel_columns`].
-    pub right: &'a [f32],
+    pub right: Right<'a>,
     /// Elements from one panel to the next.
     pub right_panel: usize,
     pub start: Start<'a>,
@@ -76,32 +100,34 @@ pub struct Product<'a> {
 impl Product<'_> {
     /// Panics when the kernels would read or write out of bounds.
     fn check(&self, isa: Isa, out: &Output) {
-        let width = panel_columns(isa);
-        let Self { rows, depth, columns, .. } = *self;
-        let right = Steps { row: width, panel: self.right_panel };
-        let right = right.extent(depth, columns.next_multiple_of(width), width);
-        assert!(self.right.len() >= right, "right side: {} elements of {right}", self.right.len());
-        match self.start {
-            Start::Zero => {}
-            Start::PerRow(start) => assert!(start.len() >= rows, "starts of {rows} rows: {}", start.len()),
-            Start::Output => {
-                let [filled_rows, filled_columns] = out.filled;
-                assert!(
-                    filled_rows >= rows && filled_columns >= columns,
-                    "an output that is not written yet"
-                );
-            }
-        }
-        if let Some((add, steps)) = self.add {
-            let len = steps.extent(rows, columns, width);
-            assert!(add.len() >= len, "addend: {} elements of {len}", add.len());
+        let Self { rows, columns, .. } = *self;
+        self.check_inputs(isa);
+        if let Start::Output = self.start {
+            let [filled_rows, filled_columns] = out.filled;
+            assert!(filled_rows >= rows && filled_columns >= columns, "an output that is not written yet");
         }
         assert!(
             rows <= out.limit[0] && columns <= out.limit[1],
             "more than these rows and columns of the output"
         );
-        let len = out.steps.extent(rows, columns, width);
+        let len = out.steps.extent(rows, columns, panel_columns(isa));
         assert!(out.len >= len, "output: {} elements of {len}", out.len);
+    }
+
+    /// Panics when the kernels would read out of bounds, of the left side and the output apart.
+    fn check_inputs(&self, isa: Isa) {
+        let width = panel_columns(isa);
+        let Self { rows, depth, columns, .. } = *self;
+        let right = Steps { row: width, panel: self.right_panel };
+        let right = right.extent(self.right.rows(depth), columns.next_multiple_of(width), width);
+        assert!(self.right.len() >= right, "right side: {} elements of {right}", self.right.len());
+        if let Start::PerRow(start) = self.start {
+            assert!(start.len() >= rows, "starts of {rows} rows: {}", start.len());
+        }
+        if let Some((add, steps)) = self.add {
+            let len = steps.extent(rows, columns, width);
+            assert!(add.len() >= len, "addend: {} elements of {len}", add.len());
+        }
     }
 }
 
@@ -151,33 +177,38 @@ impl<'a> Output<'a> {
     }
 }
 
-/// Computes a product. Panics when a slice is too short, or when it starts from an output that was never written.
+/// Computes a product. Panics when a slice is too short, when it starts from an output that was never written, or when `f32` is to
+/// be multiplied by pairs.
 pub fn multiply(isa: Isa, product: &Product, out: &mut Output) {
-    let Product { rows, depth, columns, .. } = *product;
-    let Some(left) = rows.checked_mul(product.left.precision().packed(depth)) else {
-        panic!("a matrix larger than memory")
-    };
-    assert!(product.left.len() >= left, "left side: {} elements of {left}", product.left.len());
     product.check(isa, out);
-    match product.left {
-        Left::F32(left) => {
-            let sides = Sides {
-                left: left.as_ptr(),
-                right: product.right.as_ptr(),
-                panel: product.right_panel,
-                depth,
-            };
-            // SAFETY: the bounds of every read and write were checked.
-            unsafe { multiply_unchecked(isa, product, &sides, out) }
+    with_sides(isa, product, |sides| {
+        // SAFETY: the bounds of every read and write were checked.
+        match product.left {
+            Left::F32(_) => unsafe { multiply_unchecked(isa, product, sides, out) },
+            Left::Bf16(_) => unsafe { multiply_pairs_unchecked(isa, product, sides, out) },
         }
-        Left::Bf16(left) => with_pairs(isa, product, |right, panel| {
-            let depth = Precision::Bf16.packed(depth);
-            let sides = Sides { left: left.as_ptr().cast(), right: right.as_ptr().cast(), panel, depth };
-            // SAFETY: as above, with half as many rows on the right.
-            unsafe { multiply_pairs_unchecked(isa, product, &sides, out) }
-        }),
-    }
-    out.mark_filled(rows, columns);
+    });
+    out.mark_filled(product.rows, product.columns);
+}
+
+/// Computes a product of bfloat16 whose output is a right side in turn: its rows two by two, as [`pair_rows`] rounds them, in panels
+/// `panel` elements apart. Panics as [`multiply`], when the product is of `f32`, starts from its output, or has a panel that is not
+/// whole.
+pub fn multiply_to_pairs(isa: Isa, product: &Product, out: &mut [Pair], panel: usize) {
+    let width = panel_columns(isa);
+    assert!(product.columns.is_multiple_of(width), "{} columns: panels of {width}", product.columns);
+    assert!(!matches!(product.start, Start::Output), "a product of pairs never starts from its output");
+    product.check_inputs(isa);
+    let steps = Steps { row: width, panel };
+    let len = steps.extent(Precision::Bf16.packed(product.rows), product.columns, width);
+    assert!(out.len() >= len, "output: {} pairs of {len}", out.len());
+    // SAFETY: the memory is borrowed for as long as the output is used; a pair has the size and alignment of an `f32`.
+    let out = unsafe { Output::from_raw(out.as_mut_ptr().cast(), out.len(), steps, true) };
+    with_sides(isa, product, |sides| match product.left {
+        Left::F32(_) => panic!("a product of numbers gives no pairs"),
+        // SAFETY: the bounds of every read and write were checked.
+        Left::Bf16(_) => unsafe { multiply_pairs_to_pairs_unchecked(isa, product, sides, &out) },
+    });
 }
 
 /// [`multiply`] with a diagonal matrix: `factors` takes the place of the left side, and there are as many rows on the right. It
@@ -185,6 +216,7 @@ pub fn multiply(isa: Isa, product: &Product, out: &mut Output) {
 pub fn multiply_diagonal(isa: Isa, factors: &[f32], product: &Product, out: &mut Output) {
     assert_eq!(product.rows, product.depth, "a diagonal matrix is square");
     assert!(factors.len() >= product.rows, "factors of {} rows: {}", product.rows, factors.len());
+    assert!(matches!(product.right, Right::F32(_)), "factors times pairs");
     product.check(isa, out);
     // SAFETY: the bounds of every read and write were checked.
     unsafe { multiply_diagonal_unchecked(isa, factors, product, out) }
@@ -203,26 +235,34 @@ struct Sides {
     depth: usize,
 }
 
-/// Calls `of` with the right side as pairs, and the number of them from one panel to the next.
-fn with_pairs(isa: Isa, product: &Product, of: impl FnOnce(&[Pair], usize)) {
-    thread_local! {
-        static PAIRS: Cell<Vec<Pair>> = const { Cell::new(Vec::new()) };
-    }
-    let width = panel_columns(isa);
-    let panels = product.columns.div_ceil(width);
-    let panel = Precision::Bf16.packed(product.depth) * width;
-    let mut pairs = PAIRS.take();
-    if pairs.len() < panels * panel {
-        pairs.resize(panels * panel, Pair::default());
-    }
-    if panel > 0 {
-        for (number, pairs) in pairs.chunks_exact_mut(panel).take(panels).enumerate() {
-            let rows = &product.right[number * product.right_panel..][..product.depth * width];
-            pair_rows(isa, rows, width, pairs);
+/// Calls `of` with both sides of a product, the right one rounded if the left is. Panics when the left one is too short, or when the
+/// right one is rounded and the left is not.
+fn with_sides(isa: Isa, product: &Product, of: impl FnOnce(&Sides)) {
+    let Product { rows, depth, right_panel, .. } = *product;
+    let precision = product.left.precision();
+    let Some(left) = rows.checked_mul(precision.packed(depth)) else { panic!("a matrix larger than memory") };
+    assert!(product.left.len() >= left, "left side: {} elements of {left}", product.left.len());
+    let depth = precision.packed(depth);
+    match (product.left, product.right) {
+        (Left::F32(left), Right::F32(right)) => {
+            of(&Sides { left: left.as_ptr(), right: right.as_ptr(), panel: right_panel, depth });
+        }
+        (Left::F32(_), Right::Bf16(_)) => panic!("numbers times pairs"),
+        (Left::Bf16(left), Right::Bf16(right)) => {
+            let (left, right) = (left.as_ptr().cast(), right.as_ptr().cast());
+            of(&Sides { left, right, panel: right_panel, depth });
+        }
+        (Left::Bf16(left), Right::F32(right)) => {
+            let width = panel_columns(isa);
+            let (panels, panel) = (product.columns.div_ceil(width), depth * width);
+            let mut pairs = Scratch::<Pair>::of(panels * panel);
+            for (number, pairs) in pairs.chunks_exact_mut(panel.max(1)).enumerate() {
+                let rows = &right[number * right_panel..][..product.depth * width];
+                pair_rows(isa, rows, width, pairs);
+            }
+            of(&Sides { left: left.as_ptr().cast(), right: pairs.as_ptr().cast(), panel, depth });
         }
     }
-    of(&pairs, panel);
-    PAIRS.set(pairs);
 }
 
 dispatch! {
@@ -234,7 +274,13 @@ dispatch! {
 dispatch_pairs! {
     /// # Safety
     /// As for [`multiply_unchecked`]; the elements of the sides are pairs.
-    unsafe fn multiply_pairs_unchecked = multiply_kernel(product: &Product, sides: &Sides, output: &Output)
+    unsafe fn multiply_pairs_unchecked = multiply_to_numbers(product: &Product, sides: &Sides, output: &Output)
+}
+
+dispatch_pairs! {
+    /// # Safety
+    /// As for [`multiply_pairs_unchecked`]; the output has room for pairs of rows, whole panels of them.
+    unsafe fn multiply_pairs_to_pairs_unchecked = multiply_to_pairs_kernel(product: &Product, sides: &Sides, output: &Output)
 }
 
 dispatch! {
@@ -247,11 +293,36 @@ dispatch! {
 #[inline(always)]
 unsafe fn multiply_numbers<S: Simd>(s: S, product: &Product, sides: &Sides, output: &Output) {
     // SAFETY: the caller checked the bounds.
-    unsafe { multiply_kernel(s, Numbers, product, sides, output) }
+    unsafe { multiply_kernel::<S, Numbers, false>(s, Numbers, product, sides, output) }
+}
+
+#[inline(always)]
+unsafe fn multiply_to_numbers<S: Simd, M: Multiply<S>>(
+    s: S,
+    how: M,
+    product: &Product,
+    sides: &Sides,
+    output: &Output,
+) {
+    // SAFETY: the caller checked the bounds.
+    unsafe { multiply_kernel::<S, M, false>(s, how, product, sides, output) }
+}
+
+#[inline(always)]
+unsafe fn multiply_to_pairs_kernel<S: Simd, M: Multiply<S>>(
+    s: S,
+    how: M,
+    product: &Product,
+    sides: &Sides,
+    output: &Output,
+) {
+    // SAFETY: the caller checked the bounds.
+    unsafe { multiply_kernel::<S, M, true>(s, how, product, sides, output) }
 }
 
 #[inline(always)]
 unsafe fn multiply_diagonal_kernel<S: Simd>(s: S, factors: &[f32], product: &Product, output: &Output) {
+    let Right::F32(right) = product.right else { unreachable!("checked by the caller") };
     let width = VECTORS * S::LANES;
     for panel in 0..product.columns.div_ceil(width) {
         let columns = width.min(product.columns - panel * width);
@@ -264,7 +335,7 @@ unsafe fn multiply_diagonal_kernel<S: Simd>(s: S, factors: &[f32], product: &Pro
             };
             // SAFETY: the caller checked the bounds.
             unsafe {
-                let right = product.right.as_ptr().add(panel * product.right_panel + row * width);
+                let right = right.as_ptr().add(panel * product.right_panel + row * width);
                 let out = output.start.add(panel * output.steps.panel + row * output.steps.row);
                 for x in (0..columns).step_by(S::LANES) {
                     let lanes = S::LANES.min(columns - x);
@@ -282,8 +353,9 @@ unsafe fn multiply_diagonal_kernel<S: Simd>(s: S, factors: &[f32], product: &Pro
     }
 }
 
+/// If `PAIRS`, the rows of the output are rounded two by two.
 #[inline(always)]
-unsafe fn multiply_kernel<S: Simd, M: Multiply<S>>(
+unsafe fn multiply_kernel<S: Simd, M: Multiply<S>, const PAIRS: bool>(
     s: S,
     how: M,
     product: &Product,
@@ -301,7 +373,7 @@ unsafe fn multiply_kernel<S: Simd, M: Multiply<S>>(
                 ($($rows:literal)*) => {
                     match rows {
                         // SAFETY: the caller checked the bounds.
-                        $($rows => unsafe { tile::<S, M, $rows>(s, how, product, sides, output, [first, panel, columns]) },)*
+                        $($rows => unsafe { tile::<S, M, $rows, PAIRS>(s, how, product, sides, output, [first, panel, columns]) },)*
                         _ => unreachable!("a tile has 1 to 8 rows"),
                     }
                 };
@@ -317,7 +389,7 @@ unsafe fn multiply_kernel<S: Simd, M: Multiply<S>>(
 struct Tile([f32; MAX_ROWS * VECTORS * MAX_LANES]);
 
 #[inline(always)]
-unsafe fn tile<S: Simd, M: Multiply<S>, const ROWS: usize>(
+unsafe fn tile<S: Simd, M: Multiply<S>, const ROWS: usize, const PAIRS: bool>(
     s: S,
     how: M,
     product: &Product,
@@ -329,7 +401,6 @@ unsafe fn tile<S: Simd, M: Multiply<S>, const ROWS: usize>(
     // SAFETY: the caller checked the bounds; a tile holds the rows' vectors.
     unsafe {
         let at = |steps: Steps| first * steps.row + panel * steps.panel;
-        let out = output.start.add(at(output.steps));
         let values = tile.0.as_mut_ptr();
         match product.start {
             Start::Zero => {}
@@ -339,6 +410,7 @@ unsafe fn tile<S: Simd, M: Multiply<S>, const ROWS: usize>(
                 }
             }
             Start::Output => {
+                let out = output.start.add(at(output.steps));
                 each_vector::<S, ROWS>(columns, |i, row, x, lanes| {
                     let value = s.load_first(out.add(row * output.steps.row + x), lanes);
                     s.store(values.add(i * S::LANES), value);
@@ -375,6 +447,18 @@ unsafe fn tile<S: Simd, M: Multiply<S>, const ROWS: usize>(
             };
         }
         apply!(Relu LeakyRelu Gelu Tanh Sigmoid);
+        if PAIRS {
+            let Steps { row, panel: step } = output.steps;
+            let out = output.start.add(first / 2 * row + panel * step);
+            for i in 0..ROWS.div_ceil(2) * VECTORS {
+                let (y, v) = (i / VECTORS, i % VECTORS);
+                let value = |row: usize| s.load(values.add((row * VECTORS + v) * S::LANES));
+                // Beyond the last row the tile is zero.
+                s.store(out.add(y * row + v * S::LANES), how.pair(s, value(2 * y), value(2 * y + 1)));
+            }
+            return;
+        }
+        let out = output.start.add(at(output.steps));
         each_vector::<S, ROWS>(columns, |i, row, x, lanes| {
             let value = s.load(values.add(i * S::LANES));
             let to = out.add(row * output.steps.row + x);
@@ -475,7 +559,7 @@ mod tests {
                     left: packed.part(0),
                     rows: ROWS,
                     depth: DEPTH,
-                    right: &panels,
+                    right: Right::F32(&panels),
                     right_panel: DEPTH * width,
                     start: Start::PerRow(&start),
                     add: Some((&add, steps)),
@@ -519,7 +603,7 @@ mod tests {
                     left: packed.part(0),
                     rows: ROWS,
                     depth: DEPTH,
-                    right: &panels(isa, &right, columns),
+                    right: Right::F32(&panels(isa, &right, columns)),
                     right_panel: DEPTH * width,
                     start: Start::PerRow(&start),
                     add: None,
@@ -542,6 +626,55 @@ mod tests {
         }
     }
 
+    /// Rounding before or after a product, in the kernel or outside of it, gives the same bits.
+    #[test]
+    fn pairs_on_the_right_and_in_the_output_are_those_of_rounding() {
+        for isa in Isa::to_test() {
+            let width = panel_columns(isa);
+            let columns = 2 * width;
+            let (left, right) = (numbers(ROWS * DEPTH, 1), numbers(DEPTH * columns, 2));
+            let (start, add) = (numbers(ROWS, 3), numbers(ROWS * columns, 4));
+            let packed = Packed::rows(isa, Precision::Bf16, &left, DEPTH);
+            let (panels, steps) = (panels(isa, &right, columns), Steps { row: width, panel: ROWS * width });
+            let product = Product {
+                left: packed.part(0),
+                rows: ROWS,
+                depth: DEPTH,
+                right: Right::F32(&panels),
+                right_panel: DEPTH * width,
+                start: Start::PerRow(&start),
+                add: Some((&add, steps)),
+                activation: Activation::Gelu,
+                columns,
+            };
+            let rounded = |panels: &[f32], rows: usize| {
+                let panel = Precision::Bf16.packed(rows) * width;
+                let mut pairs = vec![Pair::default(); 2 * panel];
+                for (pairs, panel) in pairs.chunks_exact_mut(panel).zip(panels.chunks_exact(rows * width)) {
+                    pair_rows(isa, panel, width, pairs);
+                }
+                (pairs, panel)
+            };
+            let mut expected = vec![f32::NAN; ROWS * columns];
+            multiply(isa, &product, &mut Output::new(&mut expected, steps));
+
+            let (pairs, panel) = rounded(&panels, DEPTH);
+            let of_pairs = Product { right: Right::Bf16(&pairs), right_panel: panel, ..product };
+            let mut found = vec![f32::NAN; ROWS * columns];
+            multiply(isa, &of_pairs, &mut Output::new(&mut found, steps));
+            assert_eq!(found, expected, "{isa:?}");
+
+            let (expected, panel) = rounded(&expected, ROWS);
+            let mut found = vec![Pair::new(f32::NAN, f32::NAN); 2 * panel];
+            multiply_to_pairs(isa, &of_pairs, &mut found, panel);
+            assert_eq!(found, expected, "{isa:?}");
+            let short = std::panic::catch_unwind(move || {
+                multiply_to_pairs(isa, &of_pairs, &mut found[1..], panel);
+            });
+            assert!(short.is_err(), "{isa:?}: an output that is too short");
+        }
+    }
+
     /// Every slice panics when it is one element too short; nothing is read or written out of bounds.
     #[test]
     fn slices_that_are_too_short_are_refused() {
@@ -557,7 +690,7 @@ mod tests {
                 left: Left::F32(&left),
                 rows: ROWS,
                 depth: DEPTH,
-                right: &right,
+                right: Right::F32(&right),
                 right_panel: DEPTH * width,
                 start: Start::PerRow(&start),
                 add: Some((&add, steps)),

@@ -114,7 +114,7 @@ pub fn fill_columns<T>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Activation, Left, Product, Start, multiply};
+    use crate::{Activation, Left, Product, Right, Start, multiply};
 
     #[test]
     fn pieces_become_one_vector() {
@@ -152,7 +152,7 @@ mod tests {
                     left: Left::F32(&left),
                     rows,
                     depth: 1,
-                    right: &right,
+                    right: Right::F32(&right),
                     right_panel: panel_columns(isa),
                     start,
                     add: None,

@@ -7,7 +7,7 @@
 //! sides; so a strip of them (some queries, all keys) is stored, used for both, and replaced by the next.
 
 use rayon::prelude::*;
-use srflow_simd::{Output, SharedMut, Start, Steps, panel_columns};
+use srflow_simd::{Output, Right, Scratch, SharedMut, Start, Steps, panel_columns};
 
 use super::AttentionWeights;
 use super::panels::{BLOCK, ChannelsAsRows, Group, PANELS, blocks};
@@ -69,7 +69,7 @@ impl AttentionWeights {
             let of_queries = Gathering { isa, values: &packed_keys };
             let out = SharedMut::new(&mut d_queries);
             strip.par_chunks_mut(group_len).take(strip_groups).enumerate().for_each_init(
-                || vec![0.0; PANELS * BLOCK * width],
+                || Scratch::of(PANELS * BLOCK * width),
                 |scratch, (number, gradients)| {
                     let group = Group::of(isa, first_group + number, pixels);
                     // SAFETY: the group's pixels are this task's.
@@ -77,14 +77,14 @@ impl AttentionWeights {
                     for block @ (first, _) in blocks(pixels) {
                         let gradients = &mut gradients[first * width..];
                         self.score_gradients(&products, &means, group, block, gradients, scratch);
-                        of_queries.add(group, block, gradients, pixels * width, &mut out);
+                        of_queries.add(group, block, Right::F32(gradients), pixels * width, &mut out);
                     }
                 },
             );
             let of_keys = Gathering { isa, values: &packed_queries };
             let out = SharedMut::new(&mut d_keys);
             (0..groups).into_par_iter().for_each_init(
-                || vec![0.0; PANELS * width * PANELS * width],
+                || Scratch::of(PANELS * width * PANELS * width),
                 |transposed, number| {
                     let group = Group::of(isa, number, pixels);
                     // SAFETY: the group's pixels are this task's.
@@ -93,7 +93,7 @@ impl AttentionWeights {
                         let from = Group::of(isa, first_group + number, pixels);
                         transpose(gradients, pixels, from, group, width, transposed);
                         let block = (from.first * width, from.columns);
-                        of_keys.add(group, block, transposed, PANELS * width * width, &mut out);
+                        of_keys.add(group, block, Right::F32(transposed), PANELS * width * width, &mut out);
                     }
                 },
             );

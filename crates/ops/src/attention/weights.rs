@@ -4,8 +4,8 @@ use std::sync::OnceLock;
 
 use rayon::prelude::*;
 use srflow_simd::{
-    Activation, Isa, Output, Packed, Precision, Product, SharedMut, Start, Steps, fill_columns, multiply,
-    panel_columns,
+    Activation, Isa, Output, Packed, Pair, Precision, Product, Right, Scratch, Start, Steps, fill_columns,
+    multiply, pair_rows, panel_columns,
 };
 
 use super::panels::{BLOCK, ChannelsAsRows, Group, PANELS, blocks, to_panels};
@@ -49,9 +49,15 @@ pub(super) struct Pairs {
 struct Side {
     scores: Pairs,
     queries: Queries,
-    /// The weights of the first panels, which are kept, each `[pixels, columns of the panel]`.
-    kept: Vec<f32>,
+    kept: Kept,
     kept_panels: usize,
+}
+
+/// The weights of the first panels, each `[pixels, columns of the panel]`, as they are multiplied with values.
+#[derive(Debug)]
+enum Kept {
+    F32(Vec<f32>),
+    Bf16(Vec<Pair>),
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -84,7 +90,7 @@ impl Pairs {
             left: self.rows.part(0).after_rows(first, self.channels),
             rows: len,
             depth: self.channels,
-            right: &self.columns[group.first * self.channels * width..],
+            right: Right::F32(&self.columns[group.first * self.channels * width..]),
             right_panel: self.channels * width,
             start,
             add: None,
@@ -109,7 +115,7 @@ impl Gathering<'_> {
         &self,
         group: Group,
         (first, len): (usize, usize),
-        weights: &[f32],
+        weights: Right,
         step: usize,
         out: &mut Output,
     ) {
@@ -167,10 +173,16 @@ pub(super) fn invert(sums: &mut [f32], maxima: &[f32]) {
 }
 
 /// Number of panels of `pixels` that fit in `kept_bytes`: all, or whole groups.
-fn panels_within(isa: Isa, pixels: usize, kept_bytes: usize) -> usize {
+fn panels_within(isa: Isa, precision: Precision, pixels: usize, kept_bytes: usize) -> usize {
     let panels = pixels.div_ceil(panel_columns(isa));
-    let within = kept_bytes / size_of::<f32>() / (pixels * panel_columns(isa));
+    let panel_bytes = panel_len(isa, precision, pixels) * size_of::<f32>();
+    let within = kept_bytes / panel_bytes;
     if within >= panels { panels } else { within / PANELS * PANELS }
+}
+
+/// Elements of a kept panel; a number takes as much room as a pair.
+fn panel_len(isa: Isa, precision: Precision, pixels: usize) -> usize {
+    precision.packed(pixels) * panel_columns(isa)
 }
 
 impl AttentionWeights {
@@ -187,58 +199,29 @@ impl AttentionWeights {
         assert_eq!(queries.len(), keys.len(), "as many keys as queries");
         let width = panel_columns(isa);
         let scores = Pairs::new(isa, precision, queries, keys, pixels);
-        let panel_len = pixels * width;
-        let kept_panels = panels_within(isa, pixels, kept_bytes);
         let columns = pixels.div_ceil(width) * width;
         let mut sums = Sums::of_nothing(columns);
-        let fill = |kept: SharedMut| {
-            let maxima = sums.maxima.par_chunks_mut(PANELS * width);
-            let groups = maxima.zip(sums.inverse_sums.par_chunks_mut(PANELS * width));
-            groups.enumerate().for_each_init(
-                || vec![0.0; PANELS * BLOCK * width],
-                |scratch, (number, (maxima, sums))| {
-                    let group = Group::of(isa, number, pixels);
-                    let keep = group.first < kept_panels;
-                    for block @ (first, len) in blocks(pixels) {
-                        let (scratch, step) = (scratch.as_mut_slice(), BLOCK * width);
-                        if keep {
-                            let at = group.first * panel_len + first * width;
-                            // SAFETY: kept weights of this group belong to this task.
-                            let mut out = unsafe { kept.output(at, Steps { row: width, panel: panel_len }) };
-                            scores.multiply(group, block, Start::Zero, &mut out);
-                        } else {
-                            let mut out = Output::new(scratch, Steps { row: width, panel: step });
-                            scores.multiply(group, block, Start::Zero, &mut out);
-                        }
-                        for panel in 0..group.panels {
-                            let columns = panel * width..(panel + 1) * width;
-                            let scores = if keep {
-                                let at = kept.at((group.first + panel) * panel_len + first * width);
-                                // SAFETY: these rows of the panel were just written, and belong to this task.
-                                unsafe { std::slice::from_raw_parts(at, len * width) }
-                            } else {
-                                &scratch[panel * step..][..len * width]
-                            };
-                            add_to_sums(isa, scores, &mut maxima[columns.clone()], &mut sums[columns]);
-                        }
-                    }
-                    invert(sums, maxima);
-                    for panel in 0..if keep { group.panels } else { 0 } {
+        let maxima = sums.maxima.par_chunks_mut(PANELS * width);
+        let groups = maxima.zip(sums.inverse_sums.par_chunks_mut(PANELS * width));
+        groups.enumerate().for_each_init(
+            || Scratch::of(PANELS * BLOCK * width),
+            |scratch, (number, (maxima, sums))| {
+                let group = Group::of(isa, number, pixels);
+                let step = BLOCK * width;
+                for block in blocks(pixels) {
+                    let mut out = Output::new(scratch, Steps { row: width, panel: step });
+                    scores.multiply(group, block, Start::Zero, &mut out);
+                    for panel in 0..group.panels {
                         let columns = panel * width..(panel + 1) * width;
-                        let normal = Normal::OfColumns {
-                            maxima: &maxima[columns.clone()],
-                            inverse_sums: &sums[columns],
-                        };
-                        let at = kept.at((group.first + panel) * panel_len);
-                        // SAFETY: all blocks of the panel were written above, and belong to this task.
-                        weigh(isa, unsafe { std::slice::from_raw_parts_mut(at, panel_len) }, width, normal);
+                        let scores = &scratch[panel * step..][..block.1 * width];
+                        add_to_sums(isa, scores, &mut maxima[columns.clone()], &mut sums[columns]);
                     }
-                },
-            );
-        };
-        // SAFETY: each group writes its panels, all pixels of them.
-        let kept = unsafe { SharedMut::fill_new(kept_panels * panel_len, fill) };
-        let by_query = Side { scores, queries: Queries::InColumns, kept, kept_panels };
+                }
+                invert(sums, maxima);
+            },
+        );
+        let by_query = Side::new(precision, scores, Queries::InColumns);
+        let by_query = by_query.kept(isa, precision, &sums, pixels, kept_bytes);
         Self { isa, precision, pixels, sums, kept_bytes, by_query, by_key: OnceLock::new() }
     }
 
@@ -251,7 +234,7 @@ impl AttentionWeights {
         sums: Sums,
     ) -> Self {
         let scores = Pairs::new(isa, precision, queries, keys, pixels);
-        let by_query = Side { scores, queries: Queries::InColumns, kept: Vec::new(), kept_panels: 0 };
+        let by_query = Side::new(precision, scores, Queries::InColumns);
         Self { isa, precision, pixels, sums, kept_bytes: 0, by_query, by_key: OnceLock::new() }
     }
 
@@ -275,44 +258,8 @@ impl AttentionWeights {
 
     fn new_by_key(&self, queries: &[f32], keys: &[f32]) -> Side {
         let Self { isa, precision, pixels, .. } = *self;
-        let panel_len = pixels * panel_columns(isa);
-        let kept_panels = panels_within(isa, pixels, self.kept_bytes);
-        let (scores, queries) = (Pairs::new(isa, precision, keys, queries, pixels), Queries::InRows);
-        let group_len = PANELS * panel_len;
-        let mut kept = vec![0.0; kept_panels * panel_len];
-        kept.par_chunks_mut(group_len.max(1)).enumerate().for_each(|(number, kept)| {
-            let group = Group::of(isa, number, pixels);
-            for block @ (first, _) in blocks(pixels) {
-                self.compute(
-                    &scores,
-                    queries,
-                    group,
-                    block,
-                    &mut kept[first * panel_columns(isa)..],
-                    panel_len,
-                );
-            }
-        });
-        Side { scores, queries, kept, kept_panels }
-    }
-
-    /// Computes the weights of the block's pixels and a group's: `[block, columns]`, panel after panel, `step` elements apart.
-    fn compute(
-        &self,
-        scores: &Pairs,
-        queries: Queries,
-        group: Group,
-        block: (usize, usize),
-        out: &mut [f32],
-        step: usize,
-    ) {
-        let width = panel_columns(self.isa);
-        let steps = Steps { row: width, panel: step };
-        scores.multiply(group, block, Start::Zero, &mut Output::new(out, steps));
-        for panel in 0..group.panels {
-            let normal = self.sums.of(queries, group, block, panel, width);
-            weigh(self.isa, &mut out[panel * step..][..block.1 * width], width, normal);
-        }
+        let side = Side::new(precision, Pairs::new(isa, precision, keys, queries, pixels), Queries::InRows);
+        side.kept(isa, precision, &self.sums, pixels, self.kept_bytes)
     }
 
     /// The weights of the block's pixels and a group's, and the number of elements from one panel to the next: kept, or else
@@ -323,24 +270,38 @@ impl AttentionWeights {
         group: Group,
         block: (usize, usize),
         scratch: &'a mut [f32],
-    ) -> (&'a [f32], usize) {
-        let width = panel_columns(self.isa);
+    ) -> (Right<'a>, usize) {
+        let Self { isa, precision, pixels, .. } = *self;
         if group.first < side.kept_panels {
-            let panel_len = self.pixels * width;
-            return (&side.kept[group.first * panel_len + block.0 * width..], panel_len);
+            let step = panel_len(isa, precision, pixels);
+            let at = group.first * step + precision.packed(block.0) * panel_columns(isa);
+            let kept = match &side.kept {
+                Kept::F32(kept) => Right::F32(&kept[at..]),
+                Kept::Bf16(kept) => Right::Bf16(&kept[at..]),
+            };
+            return (kept, step);
         }
-        self.compute(&side.scores, side.queries, group, block, scratch, BLOCK * width);
-        (scratch, BLOCK * width)
+        let step = BLOCK * panel_columns(isa);
+        side.compute(isa, &self.sums, group, block, scratch, step);
+        (Right::F32(scratch), step)
     }
 
-    /// [`Self::of_block`] with the queries in columns.
+    /// The weights of the block's pixels and a group's with the queries in columns, in `f32`, and the number of elements from one panel
+    /// to the next.
     pub(super) fn of_queries<'a>(
         &'a self,
         group: Group,
         block: (usize, usize),
         scratch: &'a mut [f32],
     ) -> (&'a [f32], usize) {
-        self.of_block(&self.by_query, group, block, scratch)
+        let side = &self.by_query;
+        let width = panel_columns(self.isa);
+        if let (Kept::F32(kept), true) = (&side.kept, group.first < side.kept_panels) {
+            let step = self.pixels * width;
+            return (&kept[group.first * step + block.0 * width..], step);
+        }
+        side.compute(self.isa, &self.sums, group, block, scratch, BLOCK * width);
+        (scratch, BLOCK * width)
     }
 
     fn gather_from(&self, side: &Side, values: &[f32]) -> Vec<f32> {
@@ -350,7 +311,7 @@ impl AttentionWeights {
         let gathering = Gathering { isa, values: &values };
         let width = panel_columns(isa);
         let sizes = [1, values.channels, pixels];
-        let scratch = || vec![0.0; PANELS * BLOCK * width];
+        let scratch = || Scratch::of(PANELS * BLOCK * width);
         fill_columns(isa, sizes, PANELS * width, scratch, |scratch, _, own, out| {
             let group = Group::of(isa, own.start / (PANELS * width), pixels);
             for block in blocks(pixels) {
@@ -363,7 +324,83 @@ impl AttentionWeights {
     /// Size in bytes of the kept weights.
     #[cfg(test)]
     pub(super) fn kept_bytes(&self) -> usize {
-        let by_key = self.by_key.get().map_or(0, |side| side.kept.len());
-        (self.by_query.kept.len() + by_key) * size_of::<f32>()
+        let of = |side: &Side| match &side.kept {
+            Kept::F32(kept) => size_of_val(&kept[..]),
+            Kept::Bf16(kept) => size_of_val(&kept[..]),
+        };
+        of(&self.by_query) + self.by_key.get().map_or(0, of)
+    }
+}
+
+impl Side {
+    /// Nothing of it is kept.
+    fn new(precision: Precision, scores: Pairs, queries: Queries) -> Self {
+        let kept = match precision {
+            Precision::F32 => Kept::F32(Vec::new()),
+            Precision::Bf16 => Kept::Bf16(Vec::new()),
+        };
+        Self { scores, queries, kept, kept_panels: 0 }
+    }
+
+    /// Keeps what fits in `kept_bytes`.
+    fn kept(mut self, isa: Isa, precision: Precision, sums: &Sums, pixels: usize, kept_bytes: usize) -> Self {
+        let width = panel_columns(isa);
+        let (step, panels) =
+            (panel_len(isa, precision, pixels), panels_within(isa, precision, pixels, kept_bytes));
+        let group_len = (PANELS * step).max(1);
+        match precision {
+            Precision::F32 => {
+                let mut kept = vec![0.0; panels * step];
+                kept.par_chunks_mut(group_len).enumerate().for_each(|(number, kept)| {
+                    let group = Group::of(isa, number, pixels);
+                    for block @ (first, _) in blocks(pixels) {
+                        self.compute(isa, sums, group, block, &mut kept[first * width..], step);
+                    }
+                });
+                self.kept = Kept::F32(kept);
+            }
+            Precision::Bf16 => {
+                let mut kept = vec![Pair::default(); panels * step];
+                let scratch = || Scratch::of(PANELS * BLOCK * width);
+                let groups = kept.par_chunks_mut(group_len).enumerate();
+                groups.for_each_init(scratch, |scratch, (number, kept)| {
+                    let group = Group::of(isa, number, pixels);
+                    for block @ (first, len) in blocks(pixels) {
+                        self.compute(isa, sums, group, block, scratch, BLOCK * width);
+                        let at = precision.packed(first) * width;
+                        let panels = scratch.chunks_exact(BLOCK * width).zip(kept.chunks_exact_mut(step));
+                        for (weights, kept) in panels {
+                            pair_rows(isa, &weights[..len * width], width, &mut kept[at..]);
+                        }
+                    }
+                });
+                self.kept = Kept::Bf16(kept);
+            }
+        }
+        self.kept_panels = panels;
+        self
+    }
+
+    /// Computes the weights of the block's pixels and a group's: `[block, columns]`, panel after panel, `step` elements apart.
+    fn compute(
+        &self,
+        isa: Isa,
+        sums: &Sums,
+        group: Group,
+        block: (usize, usize),
+        out: &mut [f32],
+        step: usize,
+    ) {
+        let width = panel_columns(isa);
+        self.scores.multiply(
+            group,
+            block,
+            Start::Zero,
+            &mut Output::new(out, Steps { row: width, panel: step }),
+        );
+        for panel in 0..group.panels {
+            let normal = sums.of(self.queries, group, block, panel, width);
+            weigh(isa, &mut out[panel * step..][..block.1 * width], width, normal);
+        }
     }
 }

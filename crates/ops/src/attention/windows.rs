@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use std::ops::Range;
 
 use rayon::prelude::*;
-use srflow_simd::{Isa, Output, Precision, SharedMut, Start, Steps, panel_columns};
+use srflow_simd::{Isa, Output, Precision, Right, Scratch, SharedMut, Start, Steps, panel_columns};
 
 use super::backward::Gathered;
 use super::panels::{BLOCK, ChannelsAsRows, Group, PANELS, blocks, from_panels};
@@ -224,7 +224,7 @@ pub(super) fn attend(
     let statistics = sums.maxima.par_chunks_mut(PANELS * width);
     let statistics = statistics.zip(sums.inverse_sums.par_chunks_mut(PANELS * width));
     out.par_chunks_mut(PANELS * channels * width).zip(statistics).enumerate().for_each_init(
-        || (vec![0.0; PANELS * BLOCK * width], vec![0.0; PANELS * width]),
+        || (Scratch::of(PANELS * BLOCK * width), Scratch::of(PANELS * width)),
         |(scores, factors), (number, (out, (maxima, sums)))| {
             let group = Group::of(isa, number, pixels);
             let step = BLOCK * width;
@@ -246,7 +246,7 @@ pub(super) fn attend(
                     scale(out, channels, factors, width);
                 }
                 let mut output = Output::new(out, Steps { row: width, panel: channels * width });
-                gathering.add(group, block, scores, step, &mut output);
+                gathering.add(group, block, Right::F32(scores), step, &mut output);
             }
             invert(sums, maxima);
             scale(out, channels, sums, width);

@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use srflow_simd::{Isa, Left, Product, Start, Steps, fill_columns, multiply, panel_columns};
+use srflow_simd::{Isa, Left, Product, Right, Scratch, Start, Steps, fill_columns, multiply, panel_columns};
 
 use super::Epilogue;
 use crate::convolution::Conv2dShape;
@@ -55,7 +55,7 @@ pub(super) fn convolve(
     let depth = reads.depth();
     let panel = panel_columns(isa);
     let image = reads.in_channels * reads.input[0] * reads.input[1];
-    let scratch = || vec![0.0; depth * panel];
+    let scratch = || Scratch::of(depth * panel);
     fill_columns(isa, [reads.batch, reads.out_channels, pixels], panel, scratch, |taps, n, own, out| {
         gather(&input[n * image..][..image], reads, own.clone(), panel, taps);
         let at = n * reads.out_channels * pixels + own.start;
@@ -63,7 +63,7 @@ pub(super) fn convolve(
             left: weights,
             rows: reads.out_channels,
             depth,
-            right: taps,
+            right: Right::F32(taps),
             right_panel: depth * panel,
             start: epilogue.bias.map_or(Start::Zero, Start::PerRow),
             add: epilogue.residual.map(|residual| (&residual[at..], Steps { row: pixels, panel })),

@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use srflow_simd::{
-    Activation, Isa, MAX_LANES, Packed, Precision, Product, Simd, Start, dispatch, fill_columns, multiply,
-    panel_columns,
+    Activation, Isa, MAX_LANES, Packed, Precision, Product, Right, Scratch, Simd, Start, dispatch,
+    fill_columns, multiply, panel_columns,
 };
 
 use super::forward::{Padded, possible};
@@ -52,7 +52,7 @@ pub(super) fn backward_weight_with(
         isa,
         [1, shape.out_channels, columns],
         width,
-        || vec![0.0; longest * width],
+        || Scratch::of(longest * width),
         |panel, _, own, out| {
             for (number, block) in blocks.iter().enumerate() {
                 transpose(isa, &patches, block, own.clone(), width, panel);
@@ -60,7 +60,7 @@ pub(super) fn backward_weight_with(
                     left: left.part(number),
                     rows: shape.out_channels,
                     depth: block.pixels(),
-                    right: panel,
+                    right: Right::F32(panel),
                     right_panel: block.pixels() * width,
                     start: if number == 0 { Start::Zero } else { Start::Output },
                     add: None,

@@ -23,8 +23,8 @@ const GROUP: usize = 8;
 /// Numbers in a cube's shared memory: 16 KiB, which every device has.
 const SHARED: usize = 4096;
 
-pub(super) fn lookup(lookup: Lookup, inputs: [CubeTensor; 3]) -> CubeTensor {
-    let Lookup { second: [second_height, second_width], levels, radius } = lookup;
+pub(super) fn lookup(lookup: &Lookup, inputs: [CubeTensor; 3]) -> CubeTensor {
+    let Lookup { second: [second_height, second_width], levels, radius, .. } = *lookup;
     let [first, second, coords] = inputs.map(contiguous);
     let [batch, height, width, channels] = first.shape().dims();
     let (side, reach) = (2 * radius + 1, 2 * radius + 2);
@@ -52,8 +52,8 @@ pub(super) fn lookup(lookup: Lookup, inputs: [CubeTensor; 3]) -> CubeTensor {
 }
 
 /// Gradients of both maps.
-pub(super) fn lookup_backward(lookup: Lookup, inputs: [CubeTensor; 3], grad: CubeTensor) -> [CubeTensor; 2] {
-    let Lookup { second: [second_height, second_width], levels, radius } = lookup;
+pub(super) fn lookup_backward(lookup: &Lookup, inputs: [CubeTensor; 3], grad: CubeTensor) -> [CubeTensor; 2] {
+    let Lookup { second: [second_height, second_width], levels, radius, .. } = *lookup;
     let ([first, second, coords], grad) = (inputs.map(contiguous), contiguous(grad));
     let [batch, height, width, channels] = first.shape().dims();
     let (d_first, d_second) = (empty(&first, first.shape()), zeros(&second, second.shape()));

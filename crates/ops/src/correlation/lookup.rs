@@ -1,10 +1,13 @@
 use std::ops::Range;
+use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
-use srflow_simd::{Isa, Multiply, Numbers, Pair, Precision, Simd, dispatch, dispatch_pairs, pair_up};
+use srflow_simd::{
+    Isa, Multiply, Numbers, Pair, Precision, Scratch, SharedMut, Simd, dispatch, dispatch_pairs, pair_up,
+};
 
 use super::FeaturePyramid;
-use super::pyramid::{Level, channels_first, channels_last};
+use super::pyramid::{Level, channels_last};
 use crate::precision::precision;
 
 /// Window of the correlation pyramid around `coords`: `[batch, levels * (2 radius + 1)^2, height, width]`.
@@ -20,15 +23,32 @@ pub fn correlation_lookup(
     [height, width]: [usize; 2],
     radius: usize,
 ) -> Vec<f32> {
-    lookup_with(Isa::best(), precision(), first, second, coords, [height, width], radius)
+    lookup_with(Isa::best(), precision(), first, second, &Paired::default(), coords, [height, width], radius)
 }
 
-/// [`correlation_lookup`] with a chosen instruction set and precision.
+/// The features of both images as [`Pair`]s of neighbouring channels, made at the first lookup that multiplies bfloat16.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Paired {
+    first: Arc<OnceLock<Vec<Pair>>>,
+    /// Of each level.
+    second: Arc<OnceLock<Vec<Vec<Pair>>>>,
+}
+
+impl Paired {
+    /// Those of another first map and the same second one.
+    pub(super) fn of_second(&self) -> Self {
+        Self { first: Arc::default(), second: self.second.clone() }
+    }
+}
+
+/// [`correlation_lookup`] with a chosen instruction set and precision. `kept` belongs to these features.
+#[expect(clippy::too_many_arguments, reason = "those of the lookup, and how")]
 pub(super) fn lookup_with(
     isa: Isa,
     precision: Precision,
     first: &[f32],
     second: &FeaturePyramid,
+    kept: &Paired,
     coords: &[f32],
     [height, width]: [usize; 2],
     radius: usize,
@@ -37,52 +57,79 @@ pub(super) fn lookup_with(
     let paired = precision == Precision::Bf16 && second.channels.is_multiple_of(2);
     let levels = second.levels.iter().map(|level| &*level.features);
     let features = if paired {
-        Features::Pairs { first: pairs(first), levels: levels.map(pairs).collect() }
+        let levels = || levels.map(pairs).collect();
+        Features::Pairs {
+            first: kept.first.get_or_init(|| pairs(first)),
+            levels: kept.second.get_or_init(levels),
+        }
     } else {
         Features::Numbers { first, levels: levels.collect() }
     };
     let entries = windows.entries();
     let pixels = height * width;
-    // Row by row, with a pixel's entries adjacent; transposed at the end.
-    let mut out = vec![0.0; second.batch * pixels * entries];
-    out.par_chunks_mut((width * entries).max(1)).enumerate().for_each(|(row, out)| {
-        let mut products = Vec::new();
-        for (group, out) in out.chunks_mut(GROUP * entries).enumerate() {
-            let first = row * width + group * GROUP;
-            let count = out.len() / entries;
-            for number in 0..second.levels.len() {
-                let windows_of_group = [0, 1, 2, 3].map(|i| windows.window(first + i.min(count - 1), number));
-                // Neighbours mostly have nearly the same window, and can share loads.
-                let common = Common::of(&windows_of_group);
-                let together = if common.is_small() { count } else { 1 };
-                for start in (0..count).step_by(together) {
-                    let of = &windows_of_group[start..start + together];
-                    let common = Common::of(of);
-                    common.products(
-                        isa,
-                        &features,
-                        second,
-                        number,
-                        first + start..first + start + together,
-                        &mut products,
-                    );
-                    for (i, window) in of.iter().enumerate() {
-                        let at = (start + i) * entries + number * windows.side() * windows.side();
-                        let out = &mut out[at..at + windows.side() * windows.side()];
-                        let products = &products[i * common.len()..][common.offset(window)..];
-                        window.interpolate(products, common.columns, windows.scale, out);
+    let fill = |out: SharedMut| {
+        let scratch = || (Scratch::of(width * entries), Vec::new());
+        (0..second.batch * height).into_par_iter().for_each_init(scratch, |(windows_of_row, products), row| {
+            for group in (0..width).step_by(GROUP) {
+                let first = row * width + group;
+                let count = GROUP.min(width - group);
+                for number in 0..second.levels.len() {
+                    let windows_of_group =
+                        [0, 1, 2, 3].map(|i| windows.window(first + i.min(count - 1), number));
+                    // Neighbours mostly have nearly the same window, and can share loads.
+                    let common = Common::of(&windows_of_group);
+                    let together = if common.is_small() { count } else { 1 };
+                    for start in (0..count).step_by(together) {
+                        let of = &windows_of_group[start..start + together];
+                        let common = Common::of(of);
+                        let pixels = first + start..first + start + together;
+                        common.products(isa, &features, second, number, pixels, products);
+                        for (i, window) in of.iter().enumerate() {
+                            let side = windows.side();
+                            let at = (group + start + i) * entries + number * side * side;
+                            let products = &products[i * common.len()..][common.offset(window)..];
+                            let out = &mut windows_of_row[at..at + side * side];
+                            window.interpolate(products, common.columns, windows.scale, out);
+                        }
                     }
                 }
             }
+            let (n, y) = (row / height, row % height);
+            // SAFETY: this row of every entry is this task's.
+            unsafe { put_row(windows_of_row, &out, n * entries * pixels + y * width, [entries, pixels]) }
+        });
+    };
+    // SAFETY: each task writes its row of all entries.
+    unsafe { SharedMut::fill_new(second.batch * pixels * entries, fill) }
+}
+
+/// Writes the entries of a row's pixels, `[width, entries]`, to a row of each entry's plane; the first begins at element `first`, and
+/// planes are `pixels` elements apart.
+///
+/// # Safety
+/// The row of each plane belongs to the calling task alone.
+unsafe fn put_row(from: &[f32], out: &SharedMut, first: usize, [entries, pixels]: [usize; 2]) {
+    /// As many numbers as a line of the cache has.
+    const BLOCK: usize = 16;
+    let width = from.len() / entries;
+    for start in (0..entries).step_by(BLOCK) {
+        let block = BLOCK.min(entries - start);
+        // Both ends are checked to lie in the output.
+        let to = out.at(first + start * pixels);
+        out.at(first + (start + block - 1) * pixels + width - 1);
+        for (x, from) in from.chunks_exact(entries).enumerate() {
+            for (entry, &value) in from[start..start + block].iter().enumerate() {
+                // SAFETY: inside, and of this task.
+                unsafe { to.add(entry * pixels + x).write(value) }
+            }
         }
-    });
-    channels_first(&out, second.batch, entries)
+    }
 }
 
 /// What is multiplied: the features of the first image, and of each level of the second.
 enum Features<'a> {
     Numbers { first: &'a [f32], levels: Vec<&'a [f32]> },
-    Pairs { first: Vec<Pair>, levels: Vec<Vec<Pair>> },
+    Pairs { first: &'a [Pair], levels: &'a [Vec<Pair>] },
 }
 
 /// Neighbouring channels as pairs; there is an even number of them.

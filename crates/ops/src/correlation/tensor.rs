@@ -8,23 +8,29 @@ use burn::tensor::ops::AvgPoolOptions;
 #[cfg(feature = "cube")]
 use burn_cubecl::tensor::CubeTensor;
 
+use srflow_simd::Isa;
+
+use super::lookup::{Paired, lookup_with};
 use super::pyramid::level_sizes;
-use super::{FeaturePyramid, correlation_lookup, correlation_lookup_backward};
+use super::{FeaturePyramid, correlation_lookup_backward};
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Composition, Operation, apply};
+use crate::precision::precision;
 
 /// Of the first map or some rows of it, `[batch, height, width, channels]`, the second's pyramid, packed as [`Correlation`] does,
 /// and positions, `[batch, 2, height, width]`, which have no gradient.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) struct Lookup {
     /// Height and width of the second map.
     pub(super) second: [usize; 2],
     pub(super) levels: usize,
     pub(super) radius: usize,
+    /// Of these maps, on the CPU.
+    paired: Paired,
 }
 
 impl Lookup {
-    fn pyramid(self, packed: &[f32], [batch, _, _, channels]: [usize; 4]) -> FeaturePyramid<'_> {
+    fn pyramid<'a>(&self, packed: &'a [f32], [batch, _, _, channels]: [usize; 4]) -> FeaturePyramid<'a> {
         let [height, width] = self.second;
         FeaturePyramid::of_packed(packed, [batch, height, width, channels], self.levels)
     }
@@ -34,10 +40,19 @@ impl Composition<3> for Lookup {}
 
 impl Operation<3> for Lookup {
     fn cpu(&self, [first, second, coords]: [CpuTensor; 3]) -> Vec<CpuTensor> {
-        let Self { levels, radius, .. } = *self;
+        let Self { levels, radius, ref paired, .. } = *self;
         let shape @ [batch, height, width, _] = first.dims();
         let pyramid = self.pyramid(second.slice(), shape);
-        let out = correlation_lookup(first.slice(), &pyramid, coords.slice(), [height, width], radius);
+        let out = lookup_with(
+            Isa::best(),
+            precision(),
+            first.slice(),
+            &pyramid,
+            paired,
+            coords.slice(),
+            [height, width],
+            radius,
+        );
         vec![CpuTensor::new(out, [batch, levels * (2 * radius + 1) * (2 * radius + 1), height, width])]
     }
 
@@ -58,13 +73,13 @@ impl Operation<3> for Lookup {
 
     #[cfg(feature = "cube")]
     fn cube(&self, inputs: [CubeTensor; 3]) -> Vec<CubeTensor> {
-        vec![super::cube::lookup(*self, inputs)]
+        vec![super::cube::lookup(self, inputs)]
     }
 
     #[cfg(feature = "cube")]
     fn cube_backward(&self, back: Backprop<CubeTensor>) -> [Option<CubeTensor>; 3] {
         let (inputs, grad) = back.into_parts();
-        let [d_first, d_second] = super::cube::lookup_backward(*self, inputs, grad);
+        let [d_first, d_second] = super::cube::lookup_backward(self, inputs, grad);
         [Some(d_first), Some(d_second), None]
     }
 }
@@ -79,6 +94,7 @@ pub struct Correlation {
     /// The levels of the second map's pyramid one after another, each `[batch, height, width, channels]`.
     second: Tensor<1>,
     levels: usize,
+    paired: Paired,
 }
 
 impl Correlation {
@@ -100,12 +116,13 @@ impl Correlation {
             pyramid.push(channels_last(level.clone()));
         }
         let first = channels_last(first).reshape([batch, height, width, channels]);
-        Self { first, size: [height, width], second: Tensor::cat(pyramid, 0), levels }
+        Self { first, size: [height, width], second: Tensor::cat(pyramid, 0), levels, paired: Paired::default() }
     }
 
     /// Of these rows of the first map.
     pub fn of_rows(&self, rows: Range<usize>) -> Self {
-        Self { first: self.first.clone().narrow(1, rows.start, rows.len()), ..self.clone() }
+        let first = self.first.clone().narrow(1, rows.start, rows.len());
+        Self { first, paired: self.paired.of_second(), ..self.clone() }
     }
 
     /// Windows of `radius` around `coords` (`[batch, 2, height, width]`: x, then y, in pixels of the feature map):
@@ -120,6 +137,7 @@ impl Correlation {
             self.second.clone().into_dispatch(),
             coords.detach().into_dispatch(),
         ];
-        apply(Lookup { second: self.size, levels: self.levels, radius }, inputs)
+        let paired = self.paired.clone();
+        apply(Lookup { second: self.size, levels: self.levels, radius, paired }, inputs)
     }
 }

@@ -3,7 +3,7 @@ use std::ops::Range;
 use burn::tensor::Tensor;
 use srflow_simd::{Isa, Precision};
 
-use super::lookup::lookup_with;
+use super::lookup::{Paired, lookup_with};
 use super::pyramid::{channels_first, channels_last};
 use super::reference::LookupShape;
 use super::*;
@@ -33,10 +33,10 @@ fn each_instruction_set_computes_the_definition() {
         let pyramid = FeaturePyramid::new(&second, maps, levels);
         let first = channels_last(&first, batch, channels);
         for isa in Isa::to_test() {
-            let found = lookup_with(isa, Precision::F32, &first, &pyramid, &coords, [height, width], radius);
+            let found = lookup_with(isa, Precision::F32, &first, &pyramid, &Paired::default(), &coords, [height, width], radius);
             assert_close(&format!("{isa:?}, {shape:?}"), &found, &expected, 1e-5);
             // Errors of features of bfloat16, and few of them to average.
-            let found = lookup_with(isa, Precision::Bf16, &first, &pyramid, &coords, [height, width], radius);
+            let found = lookup_with(isa, Precision::Bf16, &first, &pyramid, &Paired::default(), &coords, [height, width], radius);
             assert_close(&format!("bfloat16, {isa:?}, {shape:?}"), &found, &expected, 4e-3);
         }
         let [d_first, d_second] = reference::correlation_lookup_backward(

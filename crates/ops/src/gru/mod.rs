@@ -6,6 +6,7 @@
 //! gates.
 
 use rayon::prelude::*;
+use srflow_simd::fill_pieces;
 
 use crate::MapShape;
 
@@ -33,6 +34,13 @@ fn halves<'a>(gates: &'a [f32], shape: &MapShape) -> impl Iterator<Item = (&'a [
     gates.chunks_exact(2 * image).map(move |both| both.split_at(image))
 }
 
+/// The update gates and the reset gates of a plane of the hidden state.
+fn gates_of<'a>(gates: &'a [f32], plane: usize, shape: &MapShape) -> [&'a [f32]; 2] {
+    let (n, channel) = (plane / shape.channels, plane % shape.channels);
+    let first = 2 * n * shape.channels + channel;
+    [first, first + shape.channels].map(|plane| &gates[plane * shape.pixels()..][..shape.pixels()])
+}
+
 /// Elements per task.
 const PIECE: usize = 16 << 10;
 
@@ -40,17 +48,13 @@ const PIECE: usize = 16 << 10;
 /// does not fit.
 pub fn reset(gates: &[f32], hidden: &[f32], shape: &MapShape) -> Vec<f32> {
     check(shape, gates, &[hidden]);
-    let mut out = vec![0.0; hidden.len()];
-    let images = out.chunks_mut(image_of(shape)).zip(hidden.chunks(image_of(shape)));
-    for ((out, hidden), (_, reset)) in images.zip(halves(gates, shape)) {
-        let pieces = out.par_chunks_mut(PIECE).zip(hidden.par_chunks(PIECE)).zip(reset.par_chunks(PIECE));
-        pieces.for_each(|((out, hidden), reset)| {
-            for ((out, hidden), reset) in out.iter_mut().zip(hidden).zip(reset) {
-                *out = reset * hidden;
-            }
-        });
-    }
-    out
+    let pixels = shape.pixels();
+    fill_pieces(hidden.len(), pixels, || (), |(), plane, out| {
+        let out = out.write_copy_of_slice(&hidden[plane * pixels..][..pixels]);
+        let [_, reset] = gates_of(gates, plane, shape);
+        out.iter_mut().zip(reset).for_each(|(out, reset)| *out *= reset);
+        out
+    })
 }
 
 /// Gradients of gates and hidden state from that of [`reset`]'s output. `shape` is the hidden state's. Panics when a slice
@@ -78,18 +82,14 @@ pub fn reset_backward(gates: &[f32], hidden: &[f32], grad: &[f32], shape: &MapSh
 /// does not fit.
 pub fn update(gates: &[f32], hidden: &[f32], candidate: &[f32], shape: &MapShape) -> Vec<f32> {
     check(shape, gates, &[hidden, candidate]);
-    let mut out = vec![0.0; hidden.len()];
-    let image = image_of(shape);
-    let ins = hidden.chunks(image).zip(candidate.chunks(image)).zip(halves(gates, shape));
-    for (out, ((hidden, candidate), (update, _))) in out.chunks_mut(image).zip(ins) {
-        let ins = hidden.par_chunks(PIECE).zip(candidate.par_chunks(PIECE)).zip(update.par_chunks(PIECE));
-        out.par_chunks_mut(PIECE).zip(ins).for_each(|(out, ((hidden, candidate), update))| {
-            for i in 0..out.len() {
-                out[i] = hidden[i] + update[i] * (candidate[i] - hidden[i]);
-            }
-        });
-    }
-    out
+    let pixels = shape.pixels();
+    fill_pieces(hidden.len(), pixels, || (), |(), plane, out| {
+        let out = out.write_copy_of_slice(&hidden[plane * pixels..][..pixels]);
+        let [update, _] = gates_of(gates, plane, shape);
+        let ins = candidate[plane * pixels..].iter().zip(update);
+        out.iter_mut().zip(ins).for_each(|(out, (candidate, update))| *out += update * (candidate - *out));
+        out
+    })
 }
 
 /// Gradients of gates, hidden state and candidate from that of [`update`]'s output. `shape` is the hidden state's. Panics when a slice

@@ -3,7 +3,7 @@
 //! definition.
 
 use rayon::prelude::*;
-use srflow_simd::{Isa, activate};
+use srflow_simd::{Isa, activate, fill_pieces, multiversioned};
 
 use crate::Activation;
 use crate::sums::{sum, sum_pairs};
@@ -20,17 +20,14 @@ pub(crate) const EPSILON: f64 = 1e-5;
 pub fn instance_norm(input: &[f32], pixels: usize, epsilon: f64, activation: Activation) -> Vec<f32> {
     assert!(pixels > 0 && input.len().is_multiple_of(pixels), "planes of {pixels} pixels");
     let isa = Isa::best();
-    let mut out = vec![0.0; input.len()];
-    out.par_chunks_mut(pixels).zip(input.par_chunks(pixels)).for_each(|(to, from)| {
-        let (mean, scale) = statistics(from, epsilon);
-        for (to, from) in to.iter_mut().zip(from) {
-            *to = (from - mean) * scale;
-        }
+    fill_pieces(input.len(), pixels, || (), |(), plane, out| {
+        let out = out.write_copy_of_slice(&input[plane * pixels..][..pixels]);
+        normalize(out, epsilon);
         if activation != Activation::Identity {
-            activate(isa, activation, None, to);
+            activate(isa, activation, None, out);
         }
-    });
-    out
+        out
+    })
 }
 
 /// Gradient of the input of a normalization without activation, given `grad`, that of its output.
@@ -52,7 +49,16 @@ pub fn instance_norm_backward(input: &[f32], grad: &[f32], pixels: usize, epsilo
     out
 }
 
+multiversioned! {
+    /// `(x - mean) / sqrt(variance + epsilon)` of a plane.
+    fn normalize(plane: &mut [f32], epsilon: f64) {
+        let (mean, scale) = statistics(plane, epsilon);
+        plane.iter_mut().for_each(|x| *x = (*x - mean) * scale);
+    }
+}
+
 /// The mean of a plane, and the inverse of its standard deviation.
+#[inline(always)]
 fn statistics(plane: &[f32], epsilon: f64) -> (f32, f32) {
     let count = plane.len() as f64;
     let mean = (sum(plane, |x| x) / count) as f32;

@@ -4,8 +4,8 @@
 //! Intermediate results, often wider than input and output, never leave the cache. [`mod@reference`] is the definition.
 
 use srflow_simd::{
-    Activation, Isa, Left, Output, Product, Start, Steps, fill_columns, multiply, multiply_diagonal,
-    panel_columns,
+    Activation, Isa, Left, Output, Pair, Precision, Product, Right, Scratch, Start, Steps, fill_columns,
+    multiply, multiply_diagonal, multiply_to_pairs, panel_columns,
 };
 
 pub mod reference;
@@ -60,17 +60,20 @@ pub(crate) fn pointwise(
     }
     let width = panel_columns(isa);
     let piece = PANELS * width;
-    let scratch = || -> Vec<Vec<f32>> {
-        channels[..layers.len()].iter().map(|channels| vec![0.0; channels * piece]).collect()
+    let scratch = || -> Vec<State> {
+        (0..layers.len()).map(|number| State::before(layers, number, channels[number], piece)).collect()
     };
+    let steps_of = |channels: usize| Steps { row: width, panel: channels * width };
     fill_columns(isa, [batch, outputs, pixels], piece, scratch, |states, n, own, out| {
-        gather(&input[n * inputs * pixels..][..inputs * pixels], pixels, own.clone(), width, &mut states[0]);
+        let image = &input[n * inputs * pixels..][..inputs * pixels];
+        if let State::Numbers(first) = &mut states[0] {
+            gather(image, pixels, own.clone(), width, first);
+        }
         for (number, layer) in layers.iter().enumerate() {
             let (before, after) = states.split_at_mut(number + 1);
-            let steps_of = |channels: usize| Steps { row: width, panel: channels * width };
             let add = match layer.add {
                 Add::Nothing => None,
-                Add::InputOf(layer) => Some((before[layer].as_slice(), steps_of(channels[layer]))),
+                Add::InputOf(layer) => Some((before[layer].numbers(), steps_of(channels[layer]))),
                 Add::Planes(planes) => {
                     let at = n * outputs * pixels + own.start;
                     Some((&planes[at..], Steps { row: pixels, panel: width }))
@@ -80,12 +83,13 @@ pub(crate) fn pointwise(
                 Map::Dense { weights, .. } => weights,
                 Map::Scale(factors) => Left::F32(factors),
             };
+            let (right, right_panel) = before[number].right(channels[number], width);
             let product = Product {
                 left,
                 rows: channels[number + 1],
                 depth: channels[number],
-                right: &before[number],
-                right_panel: channels[number] * width,
+                right,
+                right_panel,
                 start: layer.bias.map_or(Start::Zero, Start::PerRow),
                 add,
                 activation: layer.activation,
@@ -96,11 +100,56 @@ pub(crate) fn pointwise(
                 Map::Scale(factors) => multiply_diagonal(isa, factors, &product, out),
             };
             match after.first_mut() {
-                Some(state) => into(&mut Output::new(state, steps_of(channels[number + 1]))),
+                Some(State::Pairs(state)) => {
+                    let panel = Precision::Bf16.packed(channels[number + 1]) * width;
+                    multiply_to_pairs(isa, &product, state, panel);
+                }
+                Some(State::Numbers(state)) => {
+                    into(&mut Output::new(state, steps_of(channels[number + 1])));
+                }
                 None => into(out),
             }
         }
     })
+}
+
+/// The input of a layer: `[channels, columns]` panel by panel.
+enum State {
+    Numbers(Scratch),
+    /// Where a product of bfloat16 alone reads what another one wrote.
+    Pairs(Scratch<Pair>),
+}
+
+impl State {
+    /// Of layer `number`, for `columns` columns.
+    fn before(layers: &[Layer], number: usize, channels: usize, columns: usize) -> Self {
+        let of_pairs = |layer: &Layer| matches!(layer.map, Map::Dense { weights: Left::Bf16(_), .. });
+        let is_added = |layer: &Layer| matches!(layer.add, Add::InputOf(other) if other == number);
+        if number > 0
+            && of_pairs(&layers[number - 1])
+            && of_pairs(&layers[number])
+            && !layers.iter().any(is_added)
+        {
+            return Self::Pairs(Scratch::of(Precision::Bf16.packed(channels) * columns));
+        }
+        Self::Numbers(Scratch::of(channels * columns))
+    }
+
+    /// Panics when they are pairs.
+    fn numbers(&self) -> &[f32] {
+        match self {
+            Self::Numbers(numbers) => numbers,
+            Self::Pairs(_) => panic!("an addend is kept as numbers"),
+        }
+    }
+
+    /// All of it, and the elements from one panel to the next.
+    fn right(&self, channels: usize, width: usize) -> (Right<'_>, usize) {
+        match self {
+            Self::Numbers(numbers) => (Right::F32(numbers), channels * width),
+            Self::Pairs(pairs) => (Right::Bf16(pairs), Precision::Bf16.packed(channels) * width),
+        }
+    }
 }
 
 /// Number of channels before each layer and after the last.

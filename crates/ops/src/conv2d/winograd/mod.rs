@@ -4,12 +4,10 @@
 //! Tiles of the input are transformed, multiplied position by position (one matrix product over the channels for each of 36 or 8
 //! positions), and transformed back. Each block of tiles passes through all three steps before the next begins.
 
-use std::cell::Cell;
-
 use rayon::prelude::*;
 use srflow_simd::{
-    Activation, Isa, MAX_LANES, Output, Packed, Precision, Product, SharedMut, Simd, Start, Steps, dispatch,
-    multiply, panel_columns,
+    Activation, Isa, MAX_LANES, Multiply, Numbers, Output, Packed, Pair, Precision, Product, Right, Scratch,
+    SharedMut, Simd, Start, Steps, dispatch, dispatch_pairs, multiply, panel_columns,
 };
 
 use super::Epilogue;
@@ -126,45 +124,59 @@ pub(super) fn convolve(
     let panel = panel_columns(isa);
     let panels = (grid[0] * grid[1]).div_ceil(panel);
     let source = SourceRows::new(isa, scheme, shape);
-    let [input_step, output_step] =
-        [shape.in_channels, shape.out_channels].map(|channels| channels * panel + APART);
+    // Two channels are a row of pairs.
+    let input_rows = if bf16 { shape.in_channels.div_ceil(2) } else { shape.in_channels };
+    let [input_step, output_step] = [input_rows, shape.out_channels].map(|rows| rows * panel + APART);
     let fill = |target: SharedMut| {
-        let sizes = [source.rows * source.row, positions * input_step, positions * output_step + isa.lanes()];
         (0..shape.batch * panels).into_par_iter().for_each(|task| {
-            let mut scratch = Scratch::take(sizes);
+            let mut rows = Scratch::of(2 * source.rows * source.row);
+            let (mut numbers, mut pairs) = if bf16 {
+                (Scratch::of(0), Scratch::<Pair>::of(positions * input_step))
+            } else {
+                (Scratch::of(positions * input_step), Scratch::of(0))
+            };
+            let mut products = Scratch::of(positions * output_step + isa.lanes());
             let (n, first) = (task / panels, task % panels * panel);
             let tiles = panel.min(grid[0] * grid[1] - first);
             let runs = runs(first, tiles, grid[1]);
             let plane = shape.input[0] * shape.input[1];
-            for channel in 0..shape.in_channels {
-                let plane = &input[(n * shape.in_channels + channel) * plane..][..plane];
+            let image = &input[n * shape.in_channels * plane..][..shape.in_channels * plane];
+            for row in 0..input_rows {
+                let of = |channel: usize| image.get(channel * plane..(channel + 1) * plane);
                 let task = InputTask {
                     scheme,
-                    bf16,
                     source: &source,
-                    plane,
+                    planes: if bf16 { [of(2 * row), of(2 * row + 1)] } else { [of(row), None] },
                     size: shape.input,
                     padding: shape.padding,
                     runs: &runs,
                     out_step: input_step,
                 };
-                let out = &mut scratch.transformed[channel * panel..];
-                // SAFETY: the source contains the rows of every run, the output every position.
-                unsafe { transform_input(isa, &task, &mut scratch.source[..sizes[0]], out) }
+                let rows = &mut rows;
+                // SAFETY: the source contains the rows of every run of two planes, the output every position.
+                unsafe {
+                    if bf16 {
+                        let out = pairs[row * panel..].as_mut_ptr().cast();
+                        transform_input_to_pairs(isa, &task, rows, out);
+                    } else {
+                        transform_input(isa, &task, rows, numbers[row * panel..].as_mut_ptr());
+                    }
+                }
             }
             for position in 0..positions {
+                let at = position * input_step;
                 let product = Product {
                     left: packed.part(position),
                     rows: shape.out_channels,
                     depth: shape.in_channels,
-                    right: &scratch.transformed[position * input_step..],
-                    right_panel: shape.in_channels * panel,
+                    right: if bf16 { Right::Bf16(&pairs[at..]) } else { Right::F32(&numbers[at..]) },
+                    right_panel: input_rows * panel,
                     start: Start::Zero,
                     add: None,
                     activation: Activation::Identity,
                     columns: tiles,
                 };
-                let out = &mut scratch.products[position * output_step..];
+                let out = &mut products[position * output_step..];
                 let steps = Steps { row: panel, panel: shape.out_channels * panel };
                 multiply(isa, &product, &mut Output::new(out, steps));
             }
@@ -173,7 +185,7 @@ pub(super) fn convolve(
                 let task = OutputTask {
                     scheme,
                     bf16,
-                    products: &scratch.products[channel * panel..],
+                    products: &products[channel * panel..],
                     step: output_step,
                     runs: &runs,
                     size: [height, width],
@@ -185,42 +197,10 @@ pub(super) fn convolve(
                 // SAFETY: the products contain every position, the output the channel's plane.
                 unsafe { transform_output(isa, &task) }
             }
-            scratch.put_back();
         });
     };
     // SAFETY: the panels cover every tile, and all outputs of each tile that are inside are written.
     unsafe { SharedMut::fill_new(shape.output_len(), fill) }
-}
-
-/// What a task writes before it reads it. Each thread keeps its own: rayon would make one for every few tasks, and clearing them took
-/// several percent of the time.
-#[derive(Default)]
-struct Scratch {
-    source: Vec<f32>,
-    transformed: Vec<f32>,
-    products: Vec<f32>,
-}
-
-impl Scratch {
-    /// This thread's, each part at least as long as asked for.
-    fn take(sizes: [usize; 3]) -> Self {
-        let mut scratch = SCRATCH.take();
-        let parts = [&mut scratch.source, &mut scratch.transformed, &mut scratch.products];
-        for (part, size) in parts.into_iter().zip(sizes) {
-            if part.len() < size {
-                part.resize(size, 0.0);
-            }
-        }
-        scratch
-    }
-
-    fn put_back(self) {
-        SCRATCH.set(self);
-    }
-}
-
-thread_local! {
-    static SCRATCH: Cell<Scratch> = Cell::default();
 }
 
 /// Neighbouring tiles of one row of tiles.
@@ -275,10 +255,9 @@ impl SourceRows {
 
 struct InputTask<'a> {
     scheme: Scheme,
-    /// Whether the products are of bfloat16.
-    bf16: bool,
     source: &'a SourceRows,
-    plane: &'a [f32],
+    /// A channel, or the two of a row of pairs; a missing one is zero.
+    planes: [Option<&'a [f32]>; 2],
     size: [usize; 2],
     padding: [usize; 2],
     runs: &'a [Run],
@@ -287,103 +266,159 @@ struct InputTask<'a> {
 }
 
 dispatch! {
-    /// Transforms the tiles of the runs; `rows` is scratch.
+    /// Transforms the tiles of the runs of the first plane; `rows` is scratch.
     ///
     /// # Safety
-    /// `rows` is as long as the task's [`SourceRows`] require; `out` contains every position.
-    unsafe fn transform_input = transform_input_kernel(task: &InputTask, rows: &mut [f32], out: &mut [f32])
+    /// `rows` is twice as long as the task's [`SourceRows`] require; `out` contains every position.
+    unsafe fn transform_input = transform_input_to_numbers(task: &InputTask, rows: &mut [f32], out: *mut f32)
+}
+
+dispatch_pairs! {
+    /// Transforms the tiles of the runs of both planes to pairs.
+    ///
+    /// # Safety
+    /// As for [`transform_input`].
+    unsafe fn transform_input_to_pairs = transform_input_kernel(task: &InputTask, rows: &mut [f32], out: *mut f32)
 }
 
 #[inline(always)]
-unsafe fn transform_input_kernel<S: Simd>(s: S, task: &InputTask, rows: &mut [f32], out: &mut [f32]) {
+unsafe fn transform_input_to_numbers<S: Simd>(s: S, task: &InputTask, rows: &mut [f32], out: *mut f32) {
+    // SAFETY: guaranteed by the caller.
+    unsafe { transform_input_kernel(s, Numbers, task, rows, out) }
+}
+
+#[inline(always)]
+unsafe fn transform_input_kernel<S: Simd, M: Multiply<S>>(
+    s: S,
+    how: M,
+    task: &InputTask,
+    rows: &mut [f32],
+    out: *mut f32,
+) {
     let source = task.source;
     let [tile_height, tile_width] = task.scheme.tile();
     let [height, width] = task.size;
+    let (first, second) = rows.split_at_mut(source.rows * source.row);
+    let mut before = Transformed([0.0; 36 * MAX_LANES]);
+    let before = before.0.as_mut_ptr();
     for run in task.runs {
         let columns = run.len * tile_width + source.reach;
-        for (i, row) in rows.chunks_exact_mut(source.row).enumerate() {
-            match (run.row * tile_height + i).checked_sub(task.padding[0]).filter(|&y| y < height) {
-                // SAFETY: guaranteed by the caller.
-                Some(y) => unsafe {
-                    let from = &task.plane[y * width..][..width];
-                    fill_row(s, from, run.column * tile_width, task.padding[1], columns, source.phase, row)
-                },
-                None => row.fill(0.0),
+        for (plane, rows) in task.planes.into_iter().zip([&mut *first, &mut *second]).take(M::FACTORS) {
+            for (i, row) in rows.chunks_exact_mut(source.row).take(source.rows).enumerate() {
+                let y = (run.row * tile_height + i).checked_sub(task.padding[0]).filter(|&y| y < height);
+                match plane.zip(y) {
+                    // SAFETY: guaranteed by the caller.
+                    Some((plane, y)) => unsafe {
+                        let from = &plane[y * width..][..width];
+                        fill_row(
+                            s,
+                            from,
+                            run.column * tile_width,
+                            task.padding[1],
+                            columns,
+                            source.phase,
+                            row,
+                        )
+                    },
+                    None => row.fill(0.0),
+                }
             }
         }
         for x in (0..run.len).step_by(S::LANES) {
             let lanes = S::LANES.min(run.len - x);
-            // SAFETY: guaranteed by the caller.
+            // SAFETY: guaranteed by the caller; all positions of a tile fit before the second plane's.
             unsafe {
-                let from = rows.as_ptr().add(x);
-                let to = out.as_mut_ptr().add(run.at + x);
-                match task.scheme {
-                    Scheme::Square if task.bf16 => input_square::<S, true>(s, task, from, to, lanes),
-                    Scheme::Square => input_square::<S, false>(s, task, from, to, lanes),
-                    Scheme::Row => {
-                        let mut row = [s.splat(0.0); 8];
-                        for (x, v) in row.iter_mut().enumerate() {
-                            *v = s.load(from.add(x % OUTPUTS * source.phase + x / OUTPUTS));
-                        }
-                        store_positions::<S, 8>(s, to, task.out_step, lanes, input_5(s, row));
-                    }
-                    Scheme::Column => {
-                        let mut column = [s.splat(0.0); 8];
-                        for (y, v) in column.iter_mut().enumerate() {
-                            *v = s.load(from.add(y * source.row));
-                        }
-                        store_positions::<S, 8>(s, to, task.out_step, lanes, input_5(s, column));
-                    }
+                let out = Positions { first: out.add(run.at + x), step: task.out_step, lanes, before };
+                if M::FACTORS == 2 {
+                    let kept = Positions { first: before, step: S::LANES, lanes: S::LANES, before };
+                    transform_tiles::<S, M, false>(s, how, task, first.as_ptr().add(x), &kept);
+                    transform_tiles::<S, M, true>(s, how, task, second.as_ptr().add(x), &out);
+                } else {
+                    transform_tiles::<S, M, false>(s, how, task, first.as_ptr().add(x), &out);
                 }
             }
         }
     }
 }
 
-/// The tiles of neighbouring columns, from the first of their rows at `from`.
+/// The transformed tiles of neighbouring columns, one position after another.
+#[repr(align(64))]
+struct Transformed([f32; 36 * MAX_LANES]);
+
+/// Where transformed tiles of neighbouring columns are stored.
+struct Positions {
+    first: *mut f32,
+    /// Elements from one position to the next.
+    step: usize,
+    lanes: usize,
+    /// [`Transformed`] tiles of the plane before, for pairs.
+    before: *const f32,
+}
+
+/// Transforms the tiles of neighbouring columns, from the first of their rows at `from`. If `PAIRS`, what is stored are pairs with the
+/// tiles of the plane before.
 #[inline(always)]
-unsafe fn input_square<S: Simd, const BF16: bool>(
+unsafe fn transform_tiles<S: Simd, M: Multiply<S>, const PAIRS: bool>(
     s: S,
+    how: M,
     task: &InputTask,
     from: *const f32,
-    to: *mut f32,
-    lanes: usize,
+    to: &Positions,
 ) {
     let source = task.source;
-    let mut down = [[s.splat(0.0); 6]; 6];
+    let input = |d| if M::FACTORS == 2 { input_3::<S, true>(s, d) } else { input_3::<S, false>(s, d) };
     // SAFETY: guaranteed by the caller.
     unsafe {
-        for x in 0..6 {
-            let from = from.add(x % OUTPUTS * source.phase + x / OUTPUTS);
-            let mut column = [s.splat(0.0); 6];
-            for (y, v) in column.iter_mut().enumerate() {
-                *v = s.load(from.add(y * source.row));
+        match task.scheme {
+            Scheme::Square => {
+                let mut down = [[s.splat(0.0); 6]; 6];
+                for x in 0..6 {
+                    let from = from.add(x % OUTPUTS * source.phase + x / OUTPUTS);
+                    let mut column = [s.splat(0.0); 6];
+                    for (y, v) in column.iter_mut().enumerate() {
+                        *v = s.load(from.add(y * source.row));
+                    }
+                    let column = input(column);
+                    for y in 0..6 {
+                        down[y][x] = column[y];
+                    }
+                }
+                for (y, row) in down.into_iter().enumerate() {
+                    store_positions::<S, M, 6, PAIRS>(s, how, to, 6 * y, input(row));
+                }
             }
-            let column = input_3::<S, BF16>(s, column);
-            for y in 0..6 {
-                down[y][x] = column[y];
+            Scheme::Row => {
+                let mut row = [s.splat(0.0); 8];
+                for (x, v) in row.iter_mut().enumerate() {
+                    *v = s.load(from.add(x % OUTPUTS * source.phase + x / OUTPUTS));
+                }
+                store_positions::<S, M, 8, PAIRS>(s, how, to, 0, input_5(s, row));
             }
-        }
-        for (y, row) in down.into_iter().enumerate() {
-            let to = to.add(6 * y * task.out_step);
-            store_positions::<S, 6>(s, to, task.out_step, lanes, input_3::<S, BF16>(s, row));
+            Scheme::Column => {
+                let mut column = [s.splat(0.0); 8];
+                for (y, v) in column.iter_mut().enumerate() {
+                    *v = s.load(from.add(y * source.row));
+                }
+                store_positions::<S, M, 8, PAIRS>(s, how, to, 0, input_5(s, column));
+            }
         }
     }
 }
 
 #[inline(always)]
-unsafe fn store_positions<S: Simd, const N: usize>(
+unsafe fn store_positions<S: Simd, M: Multiply<S>, const N: usize, const PAIRS: bool>(
     s: S,
-    to: *mut f32,
-    step: usize,
-    lanes: usize,
+    how: M,
+    positions: &Positions,
+    first: usize,
     v: [S::Vector; N],
 ) {
-    for (position, v) in v.into_iter().enumerate() {
+    for (position, v) in (first..).zip(v) {
         // SAFETY: guaranteed by the caller.
         unsafe {
-            let to = to.add(position * step);
-            if lanes == S::LANES { s.store(to, v) } else { s.store_first(to, v, lanes) }
+            let v = if PAIRS { how.pair(s, s.load(positions.before.add(position * S::LANES)), v) } else { v };
+            let to = positions.first.add(position * positions.step);
+            if positions.lanes == S::LANES { s.store(to, v) } else { s.store_first(to, v, positions.lanes) }
         }
     }
 }

@@ -10,6 +10,8 @@ use rayon::prelude::*;
 use crate::MapShape;
 
 mod composed;
+#[cfg(feature = "cube")]
+mod cube;
 pub mod reference;
 pub mod tensor;
 

@@ -5,7 +5,7 @@ use srflow_simd::{Isa, Multiply, Numbers, Pair, Precision, Simd, dispatch, dispa
 
 use super::FeaturePyramid;
 use super::pyramid::{Level, channels_first, channels_last};
-use crate::precision::precision;
+use crate::precision::cpu_precision;
 
 /// Window of the correlation pyramid around `coords`: `[batch, levels * (2 radius + 1)^2, height, width]`.
 ///
@@ -20,7 +20,7 @@ pub fn correlation_lookup(
     [height, width]: [usize; 2],
     radius: usize,
 ) -> Vec<f32> {
-    lookup_with(Isa::best(), precision(), first, second, coords, [height, width], radius)
+    lookup_with(Isa::best(), cpu_precision(), first, second, coords, [height, width], radius)
 }
 
 /// [`correlation_lookup`] with a chosen instruction set and precision.

@@ -1,12 +1,16 @@
 //! Attention with gradients composed of a backend's own operations, for devices without a kernel: the weights of some queries at a time,
 //! computed for the forward pass and once more for the gradients, so that the matrix of all pairs never stands in memory.
 
+#[cfg(feature = "cube")]
+use burn::backend::ops::FloatTensorOps as _;
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, Flex, TensorMetadata};
 use burn::tensor::Shape;
 #[cfg(feature = "cube")]
 use burn_cubecl::{CubeBackend, tensor::CubeTensor};
 
+#[cfg(feature = "cube")]
+use super::composed::weight_scale;
 #[cfg(feature = "cube")]
 use crate::cube::{magnified, product};
 use crate::flex::CpuTensor;
@@ -34,12 +38,14 @@ struct Products<B: Backend> {
     of_values: Product<B>,
     /// Of which the first may be small: a gradient.
     of_gradients: Product<B>,
+    /// Of values or a gradient, and weights, of which any may be small, but not all of a sum.
+    of_weights: Product<B>,
 }
 
 impl<B: Backend> Products<B> {
     /// In `f32`.
     fn plain() -> Self {
-        Self { of_values: B::float_matmul, of_gradients: B::float_matmul }
+        Self { of_values: B::float_matmul, of_gradients: B::float_matmul, of_weights: B::float_matmul }
     }
 }
 
@@ -47,7 +53,19 @@ impl<B: Backend> Products<B> {
 impl Products<CubeBackend> {
     /// At the precision of the thread.
     fn at_precision() -> Self {
-        Self { of_values: product, of_gradients: |grad, other| magnified(grad, |grad| product(grad, other)) }
+        Self {
+            of_values: product,
+            of_gradients: |grad, other| magnified(grad, |grad| product(grad, other)),
+            of_weights: |of, weights| {
+                let scale = weight_scale();
+                if scale == 1.0 {
+                    return product(of, weights);
+                }
+                let weights = CubeBackend::float_mul_scalar(weights, scale.into());
+                let sums = magnified(of, |of| product(of, weights));
+                CubeBackend::float_mul_scalar(sums, scale.recip().into())
+            },
+        }
     }
 }
 
@@ -129,7 +147,7 @@ impl GatherInPieces {
         let (pieces, values) = (Pieces::new(products, queries, keys, self.piece_bytes), matrix::<B>(values));
         let gathered = pieces.joined(|first| {
             let weights = B::softmax(pieces.scores(first), 2);
-            (pieces.products.of_values)(values.clone(), transposed::<B>(weights))
+            (pieces.products.of_weights)(values.clone(), transposed::<B>(weights))
         });
         vec![B::float_reshape(gathered, shape)]
     }
@@ -148,7 +166,7 @@ impl GatherInPieces {
         let mut of_values: Option<FloatTensor<B>> = None;
         let [of_queries, of_keys] = pieces.backward(|first, weights| {
             let grad = pieces.columns(&grad, first);
-            let more = (pieces.products.of_gradients)(grad.clone(), weights.clone());
+            let more = (pieces.products.of_weights)(grad.clone(), weights.clone());
             of_values = Some(match of_values.take() {
                 Some(sum) => B::float_add(sum, more),
                 None => more,

@@ -84,6 +84,29 @@ pub(crate) fn adds_in_one_step(client: &Client) -> bool {
     client.properties().atomic_type_usage(Type::atomic(FloatKind::F32)).contains(AtomicUsage::Add)
 }
 
+/// The sum of the numbers of all `units` threads of the cube, for each of them, added in a fixed order. `sums` is shared memory for one
+/// number of each; `units` must be a power of two.
+#[cube]
+#[allow(clippy::manual_is_multiple_of)] // Kernels have no such method.
+pub(crate) fn sum_of_threads(sums: &mut [f32], own: f32, #[comptime] units: usize) -> f32 {
+    let unit = UNIT_POS as usize;
+    sums[unit] = own;
+    sync_cube();
+    let mut distance = 1usize;
+    while distance < units {
+        if unit % (2 * distance) == 0 {
+            let other = sums[unit + distance];
+            sums[unit] += other;
+        }
+        sync_cube();
+        distance *= 2;
+    }
+    let sum = sums[0];
+    // Before another call writes to it.
+    sync_cube();
+    sum
+}
+
 /// Addition to a number that other threads add to. The order of additions varies between runs.
 #[cube]
 pub(crate) trait AtomicAdd: Send + Sync + 'static {

@@ -5,7 +5,7 @@ use burn::backend::TensorMetadata;
 use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
-use crate::cube::{contiguous, cubes, empty};
+use crate::cube::{contiguous, cubes, empty, sum_of_threads};
 
 /// Threads per cube.
 const UNITS: usize = 256;
@@ -48,27 +48,6 @@ pub(super) fn instance_norm_backward(input: CubeTensor, grad: CubeTensor, epsilo
     out
 }
 
-/// The sum of the numbers of all threads of the cube, for each of them; `sums` is shared memory for one number of each.
-#[cube]
-fn sum_of_threads(sums: &mut [f32], own: f32) -> f32 {
-    let unit = UNIT_POS as usize;
-    sums[unit] = own;
-    sync_cube();
-    let mut distance = 1usize;
-    while distance < UNITS {
-        if unit % (2 * distance) == 0 {
-            let other = sums[unit + distance];
-            sums[unit] += other;
-        }
-        sync_cube();
-        distance *= 2;
-    }
-    let sum = sums[0];
-    // Before another call writes to it.
-    sync_cube();
-    sum
-}
-
 /// The mean of the plane that begins at `start`, and the inverse of its standard deviation.
 #[cube]
 fn statistics(
@@ -87,7 +66,7 @@ fn statistics(
         at += UNITS;
     }
     let count = f32::cast_from(pixels);
-    let mean = origin + sum_of_threads(sums, own) / count;
+    let mean = origin + sum_of_threads(sums, own, UNITS) / count;
     let mut own = 0.0f32;
     let mut at = UNIT_POS as usize;
     while at < pixels {
@@ -95,7 +74,7 @@ fn statistics(
         own += distance * distance;
         at += UNITS;
     }
-    let variance = sum_of_threads(sums, own) / count;
+    let variance = sum_of_threads(sums, own, UNITS) / count;
     (mean, 1.0f32 / (variance + epsilon).sqrt())
 }
 
@@ -140,8 +119,8 @@ fn gradient_kernel(input: &Tensor<f32>, grad: &Tensor<f32>, out: &mut Tensor<f32
         at += UNITS;
     }
     let count = f32::cast_from(pixels);
-    let shift = sum_of_threads(&mut sums, own) / count;
-    let stretch = sum_of_threads(&mut sums, own_along) / count;
+    let shift = sum_of_threads(&mut sums, own, UNITS) / count;
+    let stretch = sum_of_threads(&mut sums, own_along, UNITS) / count;
     let mut at = UNIT_POS as usize;
     while at < pixels {
         let normal = (input[start + at] - mean) * scale;

@@ -142,7 +142,7 @@ fn list(context: &Context) -> anyhow::Result<()> {
         return print_json(&devices);
     }
     for Listed { device, name, precisions } in devices {
-        println!("{device:<10} {name} ({})", precisions.join(", "));
+        say!("{device:<10} {name} ({})", precisions.join(", "))?;
     }
     Ok(())
 }
@@ -188,16 +188,16 @@ fn network(args: &NetworkAction, context: &Context) -> anyhow::Result<()> {
             "precision": precision.name(), "times": times, "against_cpu": difference,
         }));
     }
-    println!(
+    say!(
         "{}, {iterations} iterations, {parameters} parameters, products of {}",
         args.network,
         precision.name()
-    );
-    print(&times);
+    )?;
+    print(&times)?;
     if let Some(Difference { mean_px, max_px, mean_length_px }) = difference {
-        println!(
+        say!(
             "flow against the CPU's: {mean_px:.2e} px on average, {max_px:.2e} px at most, mean length {mean_length_px:.2} px"
-        );
+        )?;
     }
     Ok(())
 }
@@ -225,26 +225,27 @@ fn rasterizer(timing: &Timing, context: &Context) -> anyhow::Result<()> {
         }));
     }
     let millions = statistics.blended as f64 * 1e-6;
-    println!(
+    say!(
         "{} Gaussians, {} visible, {millions:.1} million pairs blended",
         pair.gaussians[0].len(),
         statistics.visible
-    );
-    print(&times);
+    )?;
+    print(&times)?;
     if let Some((levels, Difference { mean_px, max_px, .. })) = difference {
-        println!(
+        say!(
             "against the CPU's: colours {levels} of 255 levels at most; flow {mean_px:.2e} px on average, {max_px:.2e} px at most"
-        );
+        )?;
     }
     Ok(())
 }
 
-fn print(times: &Times) {
+fn print(times: &Times) -> anyhow::Result<()> {
     let Times { device, device_name, width, height, median_seconds, seconds } = times;
-    println!(
+    say!(
         "{device} ({device_name}), {width}x{height}: median {median_seconds:.4} s, at first {:.4} s",
         seconds[0]
-    );
+    )?;
+    Ok(())
 }
 
 /// Between two flows, and the mean length of the second.

@@ -10,7 +10,7 @@ use srflow_nets::{
     Architecture, Claim, Iterations, Network, NetworkEstimator, SettingError, claim, find_weights,
     load_included, load_network, weights_folder,
 };
-use srflow_ops::{Precision, device, device_kinds, fastest_precision};
+use srflow_ops::{Device, Precision, check_precision, device, device_kinds, fastest_precision};
 
 use crate::progress::bar;
 use crate::usage::wrong_usage;
@@ -38,8 +38,8 @@ pub struct NetworkArgs {
     /// Setting that is not stored in the weights, for every network that has it; `srflow models` lists them
     #[arg(long = "set", value_name = "NAME=VALUE", value_parser = setting)]
     settings: Vec<(String, usize)>,
-    /// What networks multiply on the CPU: `bf16` is up to twice as fast where the processor has AVX512-BF16, and less exact; `auto` is
-    /// bf16 there, and f32 elsewhere. Sums, softmax, norms and flow are f32 always
+    /// What networks multiply: `bf16` on the CPU is up to twice as fast where the processor has AVX512-BF16, `f16` or `bf16` on a GPU where
+    /// it has units for matrices of them, and both are less exact; `auto` takes them only there. Sums, softmax, norms and flow are f32 always
     #[arg(long, value_name = "PRECISION", default_value_t)]
     precision: PrecisionArg,
     /// Pairs estimated at once, where a command supports it.
@@ -52,9 +52,10 @@ pub struct NetworkArgs {
 
 /// `--precision`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
-enum PrecisionArg {
+pub enum PrecisionArg {
     #[default]
     F32,
+    F16,
     Bf16,
     Auto,
 }
@@ -63,9 +64,40 @@ impl fmt::Display for PrecisionArg {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::F32 => "f32",
+            Self::F16 => "f16",
             Self::Bf16 => "bf16",
             Self::Auto => "auto",
         })
+    }
+}
+
+impl PrecisionArg {
+    /// On the named device.
+    ///
+    /// # Errors
+    /// When the device does not exist, or does not multiply at this precision.
+    pub fn on(self, name: &str) -> anyhow::Result<Precision> {
+        let wanted = match self {
+            Self::F32 => return Ok(Precision::F32),
+            Self::Auto => return Ok(fastest_precision(&opened(name)?)),
+            Self::F16 => Precision::F16,
+            Self::Bf16 => Precision::Bf16,
+        };
+        if let Err(error) = check_precision(&opened(name)?, wanted) {
+            wrong_usage!("--precision with --device {name}: {error}");
+        }
+        Ok(wanted)
+    }
+}
+
+/// The device that `--device` names.
+///
+/// # Errors
+/// When it does not exist.
+fn opened(name: &str) -> anyhow::Result<Device> {
+    match device(name) {
+        Ok(device) => Ok(device),
+        Err(error) => wrong_usage!("--device: {error}"),
     }
 }
 
@@ -127,12 +159,11 @@ impl NetworkArgs {
     }
 
     /// What is multiplied.
-    pub fn precision(&self) -> Precision {
-        match self.precision {
-            PrecisionArg::Auto if self.on_cpu() => fastest_precision(),
-            PrecisionArg::F32 | PrecisionArg::Auto => Precision::F32,
-            PrecisionArg::Bf16 => Precision::Bf16,
-        }
+    ///
+    /// # Errors
+    /// When the device does not exist, or does not multiply it.
+    pub fn precision(&self) -> anyhow::Result<Precision> {
+        self.precision.on(&self.device)
     }
 
     /// Refinement iterations of a network, at most; 1 for one that does not refine.
@@ -245,16 +276,7 @@ impl NetworkArgs {
         label: String,
         scale: f64,
     ) -> anyhow::Result<NetworkEstimator> {
-        let device = match device(&self.device) {
-            Ok(device) => device,
-            Err(error) => wrong_usage!("--device: {error}"),
-        };
-        if self.precision() != Precision::F32 && !self.on_cpu() {
-            wrong_usage!(
-                "--precision bf16 is for the CPU, not for --device {}: leave one of them out",
-                self.device
-            );
-        }
+        let (device, precision) = (opened(&self.device)?, self.precision()?);
         let mut network = match self.weights_of(architecture, weights)? {
             Weights::Included => load_included(architecture, &device).context("no weights")?,
             Weights::File(path) => {
@@ -266,7 +288,7 @@ impl NetworkArgs {
         self.set(&mut network)?;
         let iterations = self.refinement(architecture).scaled(scale);
         let estimator = NetworkEstimator::new(label, network, iterations, device);
-        Ok(estimator.with_precision(self.precision()))
+        Ok(estimator.with_precision(precision))
     }
 }
 

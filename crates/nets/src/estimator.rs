@@ -33,7 +33,7 @@ impl NetworkEstimator {
         Self { name, network, iterations, device, precision: Precision::F32 }
     }
 
-    /// The same, multiplying at a precision on the CPU; see [`with_precision`].
+    /// The same, multiplying at a precision that its device has; see [`with_precision`].
     pub fn with_precision(self, precision: Precision) -> Self {
         Self { precision, ..self }
     }

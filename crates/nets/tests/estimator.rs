@@ -431,3 +431,32 @@ fn bfloat16_moves_a_trained_flow_little_and_the_same_way_in_a_sequence() {
         assert_eq!(&alone, near, "pair {pair}");
     }
 }
+
+/// On the device of `SRFLOW_TEST_DEVICE`, at what it multiplies; see docs/devices.md.
+#[test]
+fn sixteen_bits_move_a_trained_flow_little_on_a_device() {
+    let Ok(name) = std::env::var("SRFLOW_TEST_DEVICE") else {
+        eprintln!("skipped: SRFLOW_TEST_DEVICE names no device");
+        return;
+    };
+    let device = srflow_ops::device(&name).expect("the device of SRFLOW_TEST_DEVICE");
+    let network = srflow_nets::load_included(Architecture::SrFlow, &device).expect("weights");
+    let frames = video((160, 120), 2);
+    let of = |precision| {
+        let iterations = NonZeroUsize::new(2).expect("some");
+        let estimator = NetworkEstimator::new("srflow", network.clone(), iterations, device.clone());
+        estimator.with_precision(precision).estimate(&frames[0], &frames[1]).expect("a flow")
+    };
+    let exact = of(Precision::F32);
+    for precision in srflow_ops::precisions(&device) {
+        let near = of(precision);
+        let lengths = exact.pixels().iter().zip(near.pixels()).map(|(a, b)| (a[0] - b[0]).hypot(a[1] - b[1]));
+        let mean = lengths.sum::<f32>() / exact.pixels().len() as f32;
+        let limit = if precision == Precision::F16 { 0.005 } else { 0.02 };
+        assert!(
+            mean < limit && (mean > 0.0) == (precision != Precision::F32),
+            "{}: {mean} px",
+            precision.name()
+        );
+    }
+}

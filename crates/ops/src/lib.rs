@@ -20,9 +20,12 @@ mod test_values;
 mod weight_cache;
 
 pub use activation::Activation;
+pub use burn::tensor::Device;
 pub use device::device;
 pub use map_shape::MapShape;
-pub use precision::{Precision, fastest_precision, precision, with_precision};
+pub use precision::{
+    Precision, PrecisionError, check_precision, fastest_precision, precision, precisions, with_precision,
+};
 pub use reusing_allocator::ReusingAllocator;
 pub use srflow_device::{DeviceError, device_kinds};
 pub use weight_cache::WeightCache;

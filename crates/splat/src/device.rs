@@ -32,15 +32,15 @@ impl Device {
         let name = DeviceName::parse(name)?;
         #[cfg(feature = "cube")]
         {
-            use cubecl::{Device, RuntimeId};
-            let runtime = match name.kind {
-                "cuda" => RuntimeId::Cuda,
-                "vulkan" => RuntimeId::Wgpu,
+            let devices = match name.kind {
+                #[cfg(feature = "cuda")]
+                "cuda" => cuda_devices(),
+                #[cfg(feature = "vulkan")]
+                "vulkan" => vulkan_devices(),
                 _ => return name.pick(vec![Self::cpu()]),
             };
-            let devices = Device::enumerate_all().into_iter().filter(|device| device.runtime() == runtime);
             let kind = name.kind;
-            name.pick(devices.map(|device| Self { kind, gpu: Some(device) }).collect())
+            name.pick(devices.into_iter().map(|device| Self { kind, gpu: Some(device) }).collect())
         }
         #[cfg(not(feature = "cube"))]
         name.pick(vec![Self::cpu()])
@@ -66,6 +66,24 @@ impl Device {
     pub fn kind(&self) -> &'static str {
         self.kind
     }
+}
+
+#[cfg(feature = "cuda")]
+fn cuda_devices() -> Vec<cubecl::Device> {
+    let all = cubecl::Device::enumerate_all().into_iter();
+    all.filter(|device| device.runtime() == cubecl::RuntimeId::Cuda).collect()
+}
+
+/// Those of Vulkan alone: left to choose, CubeCL takes OpenGL where Vulkan has no driver or software only. In the order in which Burn
+/// numbers them.
+#[cfg(feature = "vulkan")]
+fn vulkan_devices() -> Vec<cubecl::Device> {
+    use cubecl::device::WgpuDeviceKind::{Cpu, DiscreteGpu, IntegratedGpu, Other, VirtualGpu};
+    let numbered =
+        |kind: fn(usize) -> _| (0..).map_while(move |number| cubecl::Device::vulkan(kind(number)).ok());
+    let software = cubecl::Device::vulkan(Cpu).ok();
+    let gpus = numbered(DiscreteGpu).chain(numbered(IntegratedGpu)).chain(numbered(VirtualGpu));
+    gpus.chain(software).chain(numbered(Other)).collect()
 }
 
 /// Rasterizes on a [`Device`]. Unlike those of a [`Rasterizer`], its renderings cannot be differentiated.

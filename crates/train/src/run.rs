@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use srflow_field::{FileError, LockError, RunLock, create_folder, write_file};
 use srflow_nets::about;
 use srflow_nn::{AdamW, AdamWState, Rounding, WeightsError, clip_norm};
-use srflow_ops::Precision;
+use srflow_ops::{PrecisionError, check_precision};
 
 use crate::batch::Batch;
 use crate::checkpoint::{Best, Checkpoint, CheckpointError, Checkpoints, Progress};
@@ -69,8 +69,8 @@ pub enum TrainError {
         /// A sentence that names the last checkpoint.
         last_checkpoint: String,
     },
-    #[error("training.precision is {}, which is for the CPU alone: leave it out, or train on the CPU", .precision.name())]
-    PrecisionOfDevice { precision: Precision },
+    #[error("training.precision: {0}")]
+    Precision(#[from] PrecisionError),
     #[error("a thread that reads training pairs panicked; see its message above")]
     Worker,
     #[error(
@@ -229,9 +229,8 @@ impl Training<'_> {
         if batch < ranks.count() {
             return Err(TrainError::TooManyRanks { batch, ranks: ranks.count() });
         }
-        let precision = config.training.precision;
-        if precision != Precision::F32 && devices.iter().any(|device| *device != Device::flex()) {
-            return Err(TrainError::PrecisionOfDevice { precision });
+        for device in devices {
+            check_precision(device, config.training.precision)?;
         }
         let start = Instant::now();
         let set = Arc::new(TrainingSet::open(&config, self.open_made)?);

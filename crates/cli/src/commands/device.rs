@@ -9,11 +9,11 @@ use serde_json::json;
 use srflow_avatar::{Avatar, HeadPose, PosedHead};
 use srflow_field::{FlowEstimator as _, FlowField, Image, Size};
 use srflow_nets::{Architecture, NetworkEstimator, load_included, load_network};
-use srflow_ops::device_kinds;
+use srflow_ops::{DeviceError, Precision, device_kinds, precisions};
 use srflow_splat::{Camera, Device, DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs};
 
 use crate::Context;
-use crate::networks::device_help;
+use crate::networks::{PrecisionArg, device_help};
 use crate::output::print_json;
 use crate::usage::wrong_usage;
 
@@ -53,6 +53,9 @@ struct NetworkAction {
     /// File of weights
     #[arg(long, value_name = "FILE")]
     weights: Option<PathBuf>,
+    /// What the network multiplies on the device; on the CPU, with --against-cpu, f32
+    #[arg(long, value_name = "PRECISION", default_value_t)]
+    precision: PrecisionArg,
     #[command(flatten)]
     timing: Timing,
 }
@@ -66,7 +69,7 @@ struct RasterizerAction {
 
 #[derive(Args)]
 struct Timing {
-    #[arg(long, value_name = "DEVICE", default_value = "cpu", help = device_help())]
+    #[arg(long, value_name = "DEVICE", default_value = "cpu", value_parser = known, help = device_help())]
     device: String,
     /// Size of the frames, WIDTHxHEIGHT
     #[arg(long, value_name = "SIZE", default_value = "800x512")]
@@ -77,6 +80,11 @@ struct Timing {
     /// Also compute on the CPU, and print the differences
     #[arg(long)]
     against_cpu: bool,
+}
+
+/// The name of a device that exists.
+fn known(name: &str) -> Result<String, DeviceError> {
+    Device::named(name).map(|_| name.to_owned())
 }
 
 /// What one thing took on a device.
@@ -125,16 +133,28 @@ pub fn run(args: DeviceArgs, context: &Context) -> anyhow::Result<()> {
 }
 
 fn list(context: &Context) -> anyhow::Result<()> {
-    let devices: Vec<(String, String)> = device_kinds().into_iter().flat_map(Device::all).collect();
+    let mut devices = Vec::new();
+    for (device, name) in device_kinds().into_iter().flat_map(Device::all) {
+        let precisions = precisions(&srflow_ops::device(&device)?).into_iter().map(Precision::name);
+        devices.push(Listed { device, name, precisions: precisions.collect() });
+    }
     if context.json {
-        let devices: Vec<_> =
-            devices.iter().map(|(device, name)| json!({ "device": device, "name": name })).collect();
         return print_json(&devices);
     }
-    for (device, name) in devices {
-        println!("{device:<10} {name}");
+    for Listed { device, name, precisions } in devices {
+        say!("{device:<10} {name} ({})", precisions.join(", "))?;
     }
     Ok(())
+}
+
+/// A device of this machine.
+#[derive(Serialize)]
+struct Listed {
+    device: String,
+    /// What its driver calls it.
+    name: String,
+    /// At which networks multiply on it.
+    precisions: Vec<&'static str>,
 }
 
 fn network(args: &NetworkAction, context: &Context) -> anyhow::Result<()> {
@@ -154,7 +174,8 @@ fn network(args: &NetworkAction, context: &Context) -> anyhow::Result<()> {
     let iterations = args.iters.unwrap_or(own);
     let estimator = |network, device| NetworkEstimator::new(&args.network, network, iterations, device);
     let Frames { first, second, .. } = frames(&Device::cpu(), args.timing.size)?;
-    let there = estimator(on_cpu.clone().on(&device), device);
+    let precision = args.precision.on(&args.timing.device)?;
+    let there = estimator(on_cpu.clone().on(&device), device).with_precision(precision);
     let (times, flow) = args.timing.time(|| Ok(there.estimate(&first.image, &second)?))?;
     let difference = if args.timing.against_cpu {
         Some(Difference::of(&flow, &estimator(on_cpu, cpu).estimate(&first.image, &second)?))
@@ -163,16 +184,20 @@ fn network(args: &NetworkAction, context: &Context) -> anyhow::Result<()> {
     };
     if context.json {
         return print_json(&json!({
-            "network": args.network, "parameters": parameters, "iterations": iterations, "times": times,
-            "against_cpu": difference,
+            "network": args.network, "parameters": parameters, "iterations": iterations,
+            "precision": precision.name(), "times": times, "against_cpu": difference,
         }));
     }
-    println!("{}, {iterations} iterations, {parameters} parameters", args.network);
-    print(&times);
+    say!(
+        "{}, {iterations} iterations, {parameters} parameters, products of {}",
+        args.network,
+        precision.name()
+    )?;
+    print(&times)?;
     if let Some(Difference { mean_px, max_px, mean_length_px }) = difference {
-        println!(
+        say!(
             "flow against the CPU's: {mean_px:.2e} px on average, {max_px:.2e} px at most, mean length {mean_length_px:.2} px"
-        );
+        )?;
     }
     Ok(())
 }
@@ -200,26 +225,27 @@ fn rasterizer(timing: &Timing, context: &Context) -> anyhow::Result<()> {
         }));
     }
     let millions = statistics.blended as f64 * 1e-6;
-    println!(
+    say!(
         "{} Gaussians, {} visible, {millions:.1} million pairs blended",
         pair.gaussians[0].len(),
         statistics.visible
-    );
-    print(&times);
+    )?;
+    print(&times)?;
     if let Some((levels, Difference { mean_px, max_px, .. })) = difference {
-        println!(
+        say!(
             "against the CPU's: colours {levels} of 255 levels at most; flow {mean_px:.2e} px on average, {max_px:.2e} px at most"
-        );
+        )?;
     }
     Ok(())
 }
 
-fn print(times: &Times) {
+fn print(times: &Times) -> anyhow::Result<()> {
     let Times { device, device_name, width, height, median_seconds, seconds } = times;
-    println!(
+    say!(
         "{device} ({device_name}), {width}x{height}: median {median_seconds:.4} s, at first {:.4} s",
         seconds[0]
-    );
+    )?;
+    Ok(())
 }
 
 /// Between two flows, and the mean length of the second.

@@ -33,8 +33,9 @@ fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> any
                 None => format!("{most} iterations"),
             };
             let mut own = format!("{iterations} on {}", network.device);
-            if network.precision() != Precision::F32 {
-                own += &format!(" at {}", network.precision().name());
+            let precision = network.precision()?;
+            if precision != Precision::F32 {
+                own += &format!(" at {}", precision.name());
             }
             for (name, value) in network.settings(architecture)? {
                 own += &format!(", {name}={value}");

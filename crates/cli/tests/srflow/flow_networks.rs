@@ -346,7 +346,8 @@ fn errors_name_the_problem() {
     refused(&one_pass, 2, &["--iters is for networks that refine their flow", "unimatch-sc2"]);
     refused(&with(one, &["--device", "gpu"]), 2, &["--device", "cpu, cuda, vulkan"]);
     refused(&with(one, &["--device", "cpu:7"]), 2, &["--device", "cpu:7"]);
-    refused(&with(one, &["--precision", "f16"]), 2, &["--precision", "f32, bf16, auto"]);
+    refused(&with(one, &["--precision", "half"]), 2, &["--precision", "f32, f16, bf16, auto"]);
+    refused(&with(one, &["--precision", "f16"]), 2, &["--precision", "--device cpu", "it has f32, bf16"]);
     refused(&["--method", "tvl1", "--precision", "bf16"], 2, &["--precision is for networks"]);
     refused(&with(one, &["--tile", "64x64"]), 2, &["128 pixels"]);
     refused(&with(one, &["--tile", "large"]), 2, &["WIDTHxHEIGHT in pixels, or auto"]);

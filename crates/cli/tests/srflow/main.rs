@@ -14,6 +14,7 @@ mod avatar_train;
 mod capture;
 mod clusters;
 mod demo;
+mod device;
 mod eval;
 mod face;
 mod figure;

@@ -4,6 +4,13 @@ use burn::tensor::Tensor;
 use burn::tensor::activation::softmax;
 
 use crate::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
+use crate::precision::{Precision, precision};
+
+/// What weights are multiplied by before they are rounded to the precision of this thread: among many keys each may be less than the
+/// smallest number of `f16` that every device keeps, 6e-5.
+pub(super) fn weight_scale() -> f32 {
+    if precision() == Precision::F16 { 32768.0 } else { 1.0 }
+}
 
 #[derive(Debug)]
 pub(super) struct ImagePieces {
@@ -13,6 +20,8 @@ pub(super) struct ImagePieces {
     keys: Tensor<4>,
     /// Pixels in a piece.
     piece: usize,
+    /// Of [`weight_scale`], when they were computed.
+    scale: f32,
     /// All pieces, if they fit in memory.
     kept: Vec<Tensor<4>>,
 }
@@ -32,6 +41,7 @@ impl ImagePieces {
             queries: queries.reshape([1, channels, 1, pixels]),
             keys: keys.reshape([channels, pixels]).transpose().reshape([pixels, channels, 1, 1]),
             piece: (piece_bytes / row_bytes).clamp(1, pixels),
+            scale: weight_scale(),
             kept: Vec::new(),
         };
         if pixels * row_bytes <= kept_bytes {
@@ -44,9 +54,10 @@ impl ImagePieces {
         self.queries.dims()[3].div_ceil(self.piece)
     }
 
-    /// Attention weights of the pixels of piece `number`: `[1, pixels, 1, columns]`, columns summing to one.
+    /// Attention weights of the pixels of piece `number`: `[1, pixels, 1, columns]`, columns summing to `scale`.
     fn compute(&self, number: usize) -> Tensor<4> {
-        softmax(self.scores(number), 1)
+        let weights = softmax(self.scores(number), 1);
+        if self.scale == 1.0 { weights } else { weights * self.scale }
     }
 
     /// `[1, pixels, 1, columns]`.
@@ -74,6 +85,7 @@ impl ImagePieces {
             let weights = self.kept.get(number).cloned().unwrap_or_else(|| self.compute(number));
             product(weights, weight.clone())
         });
-        Tensor::cat(pieces.collect(), 3).reshape(dims)
+        let gathered = Tensor::cat(pieces.collect(), 3).reshape(dims);
+        if self.scale == 1.0 { gathered } else { gathered / self.scale }
     }
 }

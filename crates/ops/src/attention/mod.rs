@@ -10,7 +10,7 @@ use srflow_simd::Isa;
 use backward::Gathered;
 use weights::AttentionWeights;
 
-use crate::precision::precision;
+use crate::precision::cpu_precision;
 
 mod backward;
 mod composed;
@@ -50,7 +50,7 @@ fn image(values: &[f32], batch: usize, n: usize) -> &[f32] {
 /// output `[batch, value channels, pixels]`. Panics when the length of a slice does not match.
 pub fn attention(queries: &[f32], keys: &[f32], values: &[f32], sizes: [usize; 3]) -> Vec<f32> {
     let gather = |[queries, keys]: [&[f32]; 2], [values]: [&[f32]; 1]| {
-        AttentionWeights::new(Isa::best(), precision(), [queries, keys], sizes[2], 0).gather(values)
+        AttentionWeights::new(Isa::best(), cpu_precision(), [queries, keys], sizes[2], 0).gather(values)
     };
     each_image([values], [queries, keys], sizes, gather).concat()
 }
@@ -66,7 +66,7 @@ pub fn attention_backward(
 ) -> [Vec<f32>; 3] {
     assert_eq!(values.len(), grad.len(), "a gradient for each output");
     let backward = |[queries, keys]: [&[f32]; 2], [values, grad]: [&[f32]; 2]| {
-        let weights = AttentionWeights::new(Isa::best(), precision(), [queries, keys], sizes[2], 0);
+        let weights = AttentionWeights::new(Isa::best(), cpu_precision(), [queries, keys], sizes[2], 0);
         let gathered = weights.gather(values);
         let gathered = Gathered { values, gathered: &gathered, grad };
         let [d_queries, d_keys] = weights.backward(queries, keys, &[gathered], &vec![0.0; sizes[2]]);

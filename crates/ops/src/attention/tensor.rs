@@ -15,7 +15,7 @@ use super::weights::AttentionWeights;
 use super::{Windows, windowed_attention, windowed_attention_backward};
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Composition, Operation, apply};
-use crate::precision::precision;
+use crate::precision::cpu_precision;
 
 /// The largest piece of a matrix of all pairs, for devices without the kernel.
 const PIECE_BYTES: usize = 64 << 20;
@@ -73,7 +73,7 @@ impl Operation<2> for Weigh {
     fn cpu(&self, [queries, keys]: [CpuTensor; 2]) -> Vec<CpuTensor> {
         let Self(prepared) = self;
         let [batch, _, height, width] = queries.dims();
-        let precision = precision();
+        let precision = cpu_precision();
         let images = prepared.images.get_or_init(|| {
             let (q, k) = (queries.slice(), keys.slice());
             let kept_bytes = prepared.kept_bytes / batch;

@@ -12,7 +12,7 @@ use super::panels::{BLOCK, ChannelsAsRows, Group, PANELS, blocks, from_panels};
 use super::softmax::{exponentiate, scale_columns};
 use super::weights::{AttentionWeights, Gathering, Pairs, Sums, invert};
 use crate::MapShape;
-use crate::precision::precision;
+use crate::precision::cpu_precision;
 
 /// A partition of an image into rectangular windows. Pixels attend only to pixels of their window.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -156,7 +156,7 @@ pub fn windowed_attention(
     windows: &Windows,
 ) -> [Vec<f32>; 2] {
     check([queries, keys], [values], shape, windows);
-    let precision = precision();
+    let precision = cpu_precision();
     let channels = [values.len() / shape.with_channels(1).elements(), 2];
     in_windows(windows, shape.batch, [queries, keys, values], channels, |[queries, keys, values], pixels| {
         let (out, Sums { maxima, inverse_sums }) =
@@ -177,7 +177,7 @@ pub fn windowed_attention_backward(
 ) -> [Vec<f32>; 3] {
     check([queries, keys], [values, out, grad], shape, windows);
     assert_eq!(statistics.len(), shape.with_channels(2).elements(), "statistics of {shape:?}");
-    let (isa, precision) = (Isa::best(), precision());
+    let (isa, precision) = (Isa::best(), cpu_precision());
     let inputs = [queries, keys, values, out, statistics, grad];
     let backward = |[queries, keys, values, out, statistics, grad]: [Cow<[f32]>; 6], pixels: usize| {
         let mut sums = Sums::of_nothing(pixels.next_multiple_of(panel_columns(isa)));

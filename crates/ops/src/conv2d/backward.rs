@@ -5,7 +5,7 @@ use super::Epilogue;
 use super::forward::{convolve_packed, pack, possible};
 use super::panels::{self, Reads};
 use crate::convolution::Conv2dShape;
-use crate::precision::precision;
+use crate::precision::cpu_precision;
 use crate::sums::sum;
 
 /// Gradient of the bias: `grad` (`[N, channels, H, W]`, each plane of `pixels` elements) summed over images and pixels;
@@ -34,12 +34,12 @@ pub fn conv2d_backward_input(grad: &[f32], weight: &[f32], shape: &Conv2dShape) 
 
 /// [`conv2d_backward_input`] with a chosen instruction set.
 pub(super) fn backward_input_with(isa: Isa, grad: &[f32], weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
-    let packed = pack_backward(isa, precision(), weight, shape);
+    let packed = pack_backward(isa, cpu_precision(), weight, shape);
     backward_input_packed(isa, grad, &packed, &Epilogue::default(), shape)
 }
 
 /// The single convolution that computes the gradient of the input, if there is one.
-fn as_convolution(shape: &Conv2dShape) -> Option<Conv2dShape> {
+pub(crate) fn as_convolution(shape: &Conv2dShape) -> Option<Conv2dShape> {
     shape.check_dense();
     let one = shape.stride == [1, 1] && shape.kernel.iter().zip(shape.padding).all(|(&k, p)| p < k);
     one.then(|| Conv2dShape {

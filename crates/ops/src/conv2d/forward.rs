@@ -6,7 +6,7 @@ use super::panels::{self, Reads};
 use super::winograd::{self, Scheme};
 use crate::convolution::Conv2dShape;
 use crate::pointwise::{Add, Layer, Map, pointwise};
-use crate::precision::precision;
+use crate::precision::cpu_precision;
 
 /// Convolutions of fewer channels than these, in or out, multiply `f32` always.
 const FEW: usize = 16;
@@ -33,7 +33,7 @@ pub(super) fn conv2d_with(
     epilogue: &Epilogue,
     shape: &Conv2dShape,
 ) -> Vec<f32> {
-    convolve_packed(isa, input, &pack(isa, precision(), weight, shape), epilogue, shape)
+    convolve_packed(isa, input, &pack(isa, cpu_precision(), weight, shape), epilogue, shape)
 }
 
 /// The algorithm of a convolution.
@@ -75,9 +75,9 @@ pub(crate) fn pack(isa: Isa, precision: Precision, weight: &[f32], shape: &Conv2
     }
 }
 
-/// `f32` for convolutions of few channels, whatever is wanted: what goes in or comes out is a frame, a flow, or little else.
-pub(crate) fn possible(wanted: Precision, channels: [usize; 2]) -> Precision {
-    if channels.iter().any(|&channels| channels < FEW) { Precision::F32 } else { wanted }
+/// The default, `f32`, for convolutions of few channels, whatever precision is wanted: what goes in or comes out is a frame, a flow, or little else.
+pub(crate) fn possible<P: Default>(wanted: P, channels: [usize; 2]) -> P {
+    if channels.iter().any(|&channels| channels < FEW) { P::default() } else { wanted }
 }
 
 /// [`conv2d`] with weights from [`pack`] for the same instruction set and shape.

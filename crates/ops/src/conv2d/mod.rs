@@ -16,6 +16,8 @@ pub mod tensor;
 mod weight_gradient;
 mod winograd;
 
+#[cfg(feature = "cube")]
+pub(crate) use backward::as_convolution;
 pub(crate) use backward::backward_input_packed;
 use backward::pack_backward;
 pub use backward::{conv2d_backward_bias, conv2d_backward_input};

@@ -10,7 +10,7 @@ use crate::WeightCache;
 pub use crate::convolution::Epilogue;
 use crate::convolution::{Conv2dShape, Kernels, convolve};
 use crate::flex::CpuTensor;
-use crate::precision::precision;
+use crate::precision::cpu_precision;
 use crate::weight_cache::{Packing, Pass};
 
 /// How a kernel moves over its input.
@@ -32,7 +32,7 @@ impl Conv2dOptions {
 
     /// The weight in the order of the dense kernels.
     pub(crate) fn packed(&self, pass: Pass, weight: &CpuTensor, shape: &Conv2dShape) -> Arc<Packed> {
-        let (isa, precision) = (Isa::best(), precision());
+        let (isa, precision) = (Isa::best(), cpu_precision());
         let packing = Packing { pass, isa, precision, stride: shape.stride, padding: shape.padding };
         self.cache.get(packing, weight.tensor(), |weight| match pass {
             Pass::Forward => pack(isa, precision, weight, shape),

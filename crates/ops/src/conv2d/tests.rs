@@ -167,7 +167,7 @@ fn at_bfloat16_each_instruction_set_computes_the_definition_of_rounded_numbers()
             reference::backward_weight(&near_input, &near_grad, &shape),
         ];
         let found = |isa| {
-            with_precision(Precision::Bf16, || {
+            with_precision(crate::Precision::Bf16, || {
                 [
                     conv2d_with(isa, &input, &weight, &epilogue, &shape),
                     backward_input_with(isa, &grad, &weight, &shape),
@@ -235,5 +235,29 @@ pub(crate) fn cases() -> Vec<Case> {
         let shape = shape([16, 17], [6, 7], kernel, 1, kernel.map(|size| size / 2));
         case(shape, Activation::Tanh, Residual::Other)
     }));
+    cases
+}
+
+/// Kernels, strides and paddings of networks, with many channels; the last has too few to be rounded.
+pub(crate) fn cases_of_16_bits() -> Vec<Case> {
+    let shapes = [
+        shape([32, 19], [9, 33], [1, 1], 1, [0, 0]),
+        shape([64, 32], [9, 12], [3, 3], 1, [1, 1]),
+        shape([21, 24], [11, 14], [3, 3], 2, [1, 1]),
+        shape([16, 17], [9, 13], [1, 5], 1, [0, 2]),
+        shape([16, 16], [9, 7], [3, 2], 1, [0, 1]),
+        shape([16, 16], [9, 7], [1, 1], 2, [0, 0]),
+        shape([2, 16], [9, 7], [3, 3], 1, [1, 1]),
+    ];
+    let mut cases: Vec<Case> = shapes
+        .into_iter()
+        .map(|shape| case(Kernels::Dense, shape, Activation::Identity, Residual::None))
+        .collect();
+    cases.push(case(
+        Kernels::Dense,
+        shape([16, 16], [6, 7], [3, 3], 1, [1, 1]),
+        Activation::Relu,
+        Residual::Input,
+    ));
     cases
 }

@@ -9,7 +9,7 @@ use srflow_simd::{
 
 use super::forward::{Padded, possible};
 use crate::convolution::Conv2dShape;
-use crate::precision::precision;
+use crate::precision::cpu_precision;
 
 /// Pixels whose products are accumulated before the sums are stored: a panel of patches must fit in the second-level cache.
 const BLOCK_PIXELS: usize = 256;
@@ -19,7 +19,7 @@ const BLOCK_PIXELS: usize = 256;
 /// Pixels are summed in blocks of fixed size, in order, so the result does not depend on the number of threads. Panics when the
 /// length of a slice does not match `shape`.
 pub fn conv2d_backward_weight(input: &[f32], grad: &[f32], shape: &Conv2dShape) -> Vec<f32> {
-    backward_weight_with(Isa::best(), precision(), input, grad, shape)
+    backward_weight_with(Isa::best(), cpu_precision(), input, grad, shape)
 }
 
 /// [`conv2d_backward_weight`] with a chosen instruction set.

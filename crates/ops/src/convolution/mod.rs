@@ -1,6 +1,8 @@
 //! Convolutions that end with `activation(sum + bias + residual)`, dense and depthwise, as one operation. [`mod@reference`] is
 //! the definition.
 
+#[cfg(feature = "cube")]
+use burn::backend::ops::{FloatTensorOps as _, ModuleOps as _};
 use burn::backend::tensor::FloatTensor;
 use burn::backend::{Backend, TensorMetadata};
 use burn::tensor::{Shape, Tensor};
@@ -14,9 +16,16 @@ use crate::conv2d::{self, conv2d_backward_bias, conv2d_backward_weight, tensor::
 use crate::depthwise::{self, depthwise_backward_weight};
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Composition, Operation, apply, array};
-use crate::precision::precision;
+use crate::precision::cpu_precision;
 use crate::weight_cache::Pass;
+#[cfg(feature = "cube")]
+use crate::{
+    conv2d::possible,
+    precision::{Precision, precision},
+};
 
+#[cfg(feature = "cube")]
+mod cube;
 pub mod reference;
 mod shape;
 #[cfg(test)]
@@ -53,6 +62,15 @@ impl Convolution {
             stride: self.options.stride,
             padding: self.options.padding,
         }
+    }
+}
+
+#[cfg(feature = "cube")]
+impl Convolution {
+    /// Whether another device than the CPU multiplies numbers of 16 bits.
+    fn in_16_bits(&self, shape: &Conv2dShape) -> bool {
+        let wanted = possible(precision(), [shape.in_channels, shape.out_channels]);
+        matches!(self.kernels, Kernels::Dense) && wanted != Precision::F32
     }
 }
 
@@ -130,9 +148,13 @@ impl<const N: usize> Operation<N> for Convolution {
                         let packed = self.options.packed(Pass::Backward, weight, shape);
                         conv2d::backward_input_packed(isa, grad, &packed, &epilogue, shape)
                     }
-                    Kernels::Depthwise => {
-                        depthwise::backward_input_with(isa, precision(), [grad, weight.slice()], add, shape)
-                    }
+                    Kernels::Depthwise => depthwise::backward_input_with(
+                        isa,
+                        cpu_precision(),
+                        [grad, weight.slice()],
+                        add,
+                        shape,
+                    ),
                 })
             },
             |[input, weight], grad, shape| {
@@ -149,18 +171,48 @@ impl<const N: usize> Operation<N> for Convolution {
     }
 
     #[cfg(feature = "cube")]
-    fn cube_backward(&self, back: Backprop<CubeTensor>) -> [Option<CubeTensor>; N] {
-        if !matches!(self.kernels, Kernels::Depthwise) || self.options.stride != [1, 1] {
-            return self.composed_backward::<CubeBackend>(back);
+    fn cube(&self, inputs: [CubeTensor; N]) -> Vec<CubeTensor> {
+        let shape = self.shape(inputs[0].shape(), inputs[1].shape());
+        if !self.in_16_bits(&shape) {
+            return self.composed::<CubeBackend>(inputs);
         }
+        let mut inputs = Vec::from(inputs);
+        let residual = inputs.drain(3..).next();
+        let [input, weight, bias] = array(inputs);
+        let bias = CubeBackend::float_reshape(bias, [1, shape.out_channels, 1, 1].into());
+        let sums = CubeBackend::float_add(cube::sums(input, weight, &shape), bias);
+        vec![activate_tensor::<CubeBackend>(plus::<CubeBackend>(sums, residual.as_ref()), self.activation)]
+    }
+
+    #[cfg(feature = "cube")]
+    fn cube_backward(&self, back: Backprop<CubeTensor>) -> [Option<CubeTensor>; N] {
         gradients(
             back,
             |[input, weight]| self.shape(input.shape(), weight.shape()),
-            |[_, weight], grad, add, shape| {
-                let d_input = depthwise::cube::backward_input(grad, weight, shape);
+            |[input, weight], grad, add, shape| {
+                let d_input = match self.kernels {
+                    Kernels::Depthwise if shape.stride == [1, 1] => {
+                        Some(depthwise::cube::backward_input(grad, weight, shape))
+                    }
+                    _ if self.in_16_bits(shape) => cube::backward_input(grad, weight, shape),
+                    _ => None,
+                };
+                let d_input = d_input.unwrap_or_else(|| {
+                    let (input, weight) = (input.clone(), weight.clone());
+                    CubeBackend::conv2d_x_backward(input, weight, grad.clone(), shape.options())
+                });
                 plus::<CubeBackend>(d_input, add)
             },
-            |[input, _], grad, shape| depthwise::cube::backward_weight(input, grad, shape),
+            |[input, weight], grad, shape| match self.kernels {
+                Kernels::Depthwise if shape.stride == [1, 1] => {
+                    depthwise::cube::backward_weight(input, grad, shape)
+                }
+                _ if self.in_16_bits(shape) => cube::backward_weight(input, grad, shape),
+                _ => {
+                    let (input, weight) = (input.clone(), weight.clone());
+                    CubeBackend::conv2d_weight_backward(input, weight, grad.clone(), shape.options())
+                }
+            },
             bias_gradient::<CubeBackend>,
         )
     }

@@ -8,7 +8,7 @@ use srflow_simd::{
 
 use super::FeaturePyramid;
 use super::pyramid::{Level, channels_last};
-use crate::precision::precision;
+use crate::precision::cpu_precision;
 
 /// Window of the correlation pyramid around `coords`: `[batch, levels * (2 radius + 1)^2, height, width]`.
 ///
@@ -23,7 +23,8 @@ pub fn correlation_lookup(
     [height, width]: [usize; 2],
     radius: usize,
 ) -> Vec<f32> {
-    lookup_with(Isa::best(), precision(), first, second, &Paired::default(), coords, [height, width], radius)
+    let (isa, precision) = (Isa::best(), cpu_precision());
+    lookup_with(isa, precision, first, second, &Paired::default(), coords, [height, width], radius)
 }
 
 /// The features of both images as [`Pair`]s of neighbouring channels, made at the first lookup that multiplies bfloat16.

@@ -15,7 +15,7 @@ use super::pyramid::level_sizes;
 use super::{FeaturePyramid, correlation_lookup_backward};
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Composition, Operation, apply};
-use crate::precision::precision;
+use crate::precision::cpu_precision;
 
 /// Of the first map or some rows of it, `[batch, height, width, channels]`, the second's pyramid, packed as [`Correlation`] does,
 /// and positions, `[batch, 2, height, width]`, which have no gradient.
@@ -45,7 +45,7 @@ impl Operation<3> for Lookup {
         let pyramid = self.pyramid(second.slice(), shape);
         let out = lookup_with(
             Isa::best(),
-            precision(),
+            cpu_precision(),
             first.slice(),
             &pyramid,
             paired,

@@ -4,7 +4,7 @@ use srflow_simd::{Isa, Precision, Simd, dispatch};
 use super::forward::{depthwise_with, pad};
 use crate::conv2d::Epilogue;
 use crate::convolution::Conv2dShape;
-use crate::precision::precision;
+use crate::precision::cpu_precision;
 
 /// Kernel rows and columns whose weight gradients are summed together in registers.
 const TAPS_DOWN: usize = 4;
@@ -13,7 +13,7 @@ const TAPS_ACROSS: usize = 5;
 /// Gradient of the input given `grad`, that of the output: the convolution of `grad` with the flipped kernel. Panics when the
 /// length of a slice does not match `shape`, or the padding is not smaller than the kernel.
 pub fn depthwise_backward_input(grad: &[f32], weight: &[f32], shape: &Conv2dShape) -> Vec<f32> {
-    backward_input_with(Isa::best(), precision(), [grad, weight], None, shape)
+    backward_input_with(Isa::best(), cpu_precision(), [grad, weight], None, shape)
 }
 
 /// [`depthwise_backward_input`], plus `add`, with a chosen instruction set.

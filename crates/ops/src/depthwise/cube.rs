@@ -4,7 +4,7 @@ use burn_cubecl::cubecl::{self, prelude::*};
 use burn_cubecl::tensor::CubeTensor;
 
 use crate::convolution::Conv2dShape;
-use crate::cube::{contiguous, cubes, empty, threads};
+use crate::cube::{contiguous, cubes, empty, sum_of_threads, threads};
 
 /// Threads per cube of [`weight_kernel`].
 const UNITS: usize = 128;
@@ -90,6 +90,7 @@ fn input_kernel(
 /// One cube per channel and row of the kernel. Each thread goes through some of the pixels of all images, for all columns of the row;
 /// then the sums of the threads are added in a fixed order. Layouts as in [`input_kernel`].
 #[cube(launch)]
+#[allow(clippy::manual_is_multiple_of)] // Kernels have no such method.
 fn weight_kernel(
     input: &Tensor<f32>,
     grad: &Tensor<f32>,
@@ -134,20 +135,9 @@ fn weight_kernel(
     let mut shared = Shared::<[f32]>::new_slice(comptime!(UNITS));
     #[unroll]
     for column in 0..kernel_width {
-        shared[unit] = sums[column];
-        sync_cube();
-        let mut distance = 1usize;
-        while distance < UNITS {
-            if unit % (2 * distance) == 0 {
-                let other = shared[unit + distance];
-                shared[unit] += other;
-            }
-            sync_cube();
-            distance *= 2;
-        }
+        let sum = sum_of_threads(&mut shared, sums[column], UNITS);
         if unit == 0 {
-            out[(channel * kernel_height + row) * kernel_width + column] = shared[0];
+            out[(channel * kernel_height + row) * kernel_width + column] = sum;
         }
-        sync_cube();
     }
 }

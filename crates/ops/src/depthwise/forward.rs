@@ -4,7 +4,7 @@ use srflow_simd::{
 
 use crate::conv2d::Epilogue;
 use crate::convolution::Conv2dShape;
-use crate::precision::precision;
+use crate::precision::cpu_precision;
 
 /// Output rows of a register tile.
 const ROWS: usize = 4;
@@ -17,7 +17,7 @@ const VECTORS: usize = 4;
 /// result does not depend on the number of threads or the instruction set. At the [`crate::precision()`]. Panics when the length of a
 /// slice does not match `shape`, or that is not depthwise with stride 1.
 pub fn depthwise(input: &[f32], weight: &[f32], epilogue: &Epilogue, shape: &Conv2dShape) -> Vec<f32> {
-    depthwise_with(Isa::best(), precision(), input, weight, epilogue, shape)
+    depthwise_with(Isa::best(), cpu_precision(), input, weight, epilogue, shape)
 }
 
 /// [`depthwise`] with a chosen instruction set.

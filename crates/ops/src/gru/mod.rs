@@ -11,6 +11,8 @@ use srflow_simd::fill_pieces;
 use crate::MapShape;
 
 mod composed;
+#[cfg(feature = "cube")]
+mod cube;
 pub mod reference;
 pub mod tensor;
 

@@ -1,6 +1,8 @@
 //! The unit's steps on tensors: [`reset`] and [`update`] with gradients.
 
 use burn::tensor::Tensor;
+#[cfg(feature = "cube")]
+use burn_cubecl::tensor::CubeTensor;
 
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Operation, apply};
@@ -24,6 +26,17 @@ impl Operation<2> for Reset {
             super::reset_backward(gates.slice(), hidden.slice(), grad.slice(), &hidden.map_shape());
         [gates.like(d_gates), hidden.like(d_hidden)].map(Some)
     }
+
+    #[cfg(feature = "cube")]
+    fn cube(&self, inputs: [CubeTensor; 2]) -> Vec<CubeTensor> {
+        vec![super::cube::reset(inputs)]
+    }
+
+    #[cfg(feature = "cube")]
+    fn cube_backward(&self, back: Backprop<CubeTensor>) -> [Option<CubeTensor>; 2] {
+        let (inputs, grad) = back.into_parts();
+        super::cube::reset_backward(inputs, grad).map(Some)
+    }
 }
 
 impl Operation<3> for Update {
@@ -38,6 +51,17 @@ impl Operation<3> for Update {
         let [d_gates, d_hidden, d_candidate] =
             super::update_backward(gates.slice(), hidden.slice(), candidate.slice(), grad.slice(), &shape);
         [gates.like(d_gates), hidden.like(d_hidden), candidate.like(d_candidate)].map(Some)
+    }
+
+    #[cfg(feature = "cube")]
+    fn cube(&self, inputs: [CubeTensor; 3]) -> Vec<CubeTensor> {
+        vec![super::cube::update(inputs)]
+    }
+
+    #[cfg(feature = "cube")]
+    fn cube_backward(&self, back: Backprop<CubeTensor>) -> [Option<CubeTensor>; 3] {
+        let (inputs, grad) = back.into_parts();
+        super::cube::update_backward(inputs, grad).map(Some)
     }
 }
 

@@ -9,6 +9,8 @@ use crate::Activation;
 use crate::sums::{sum, sum_pairs};
 
 pub(crate) mod composed;
+#[cfg(feature = "cube")]
+mod cube;
 pub mod reference;
 pub mod tensor;
 

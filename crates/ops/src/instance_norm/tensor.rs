@@ -1,9 +1,13 @@
 //! The normalizations on tensors: [`instance_norm`] and [`group_norm`] with their gradients.
 
 use burn::tensor::Tensor;
+#[cfg(feature = "cube")]
+use burn_cubecl::{CubeBackend, tensor::CubeTensor};
 
 use super::EPSILON;
 use crate::Activation;
+#[cfg(feature = "cube")]
+use crate::activation::activate_tensor;
 use crate::flex::CpuTensor;
 use crate::operation::{Backprop, Operation, apply};
 
@@ -27,6 +31,24 @@ impl Operation<1> for InstanceNorm {
         let ([input], grad) = back.into_parts();
         let pixels = input.map_shape().pixels();
         [Some(input.like(super::instance_norm_backward(input.slice(), grad.slice(), pixels, self.epsilon)))]
+    }
+
+    #[cfg(feature = "cube")]
+    fn cube(&self, [input]: [CubeTensor; 1]) -> Vec<CubeTensor> {
+        let (below, then) = match self.activation {
+            Activation::Identity => (1.0, Activation::Identity),
+            Activation::Relu => (0.0, Activation::Identity),
+            Activation::LeakyRelu => (Activation::LEAK, Activation::Identity),
+            other => (1.0, other),
+        };
+        let normal = super::cube::instance_norm(input, self.epsilon, below);
+        vec![activate_tensor::<CubeBackend>(normal, then)]
+    }
+
+    #[cfg(feature = "cube")]
+    fn cube_backward(&self, back: Backprop<CubeTensor>) -> [Option<CubeTensor>; 1] {
+        let ([input], grad) = back.into_parts();
+        [Some(super::cube::instance_norm_backward(input, grad, self.epsilon))]
     }
 }
 

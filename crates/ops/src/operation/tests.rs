@@ -7,6 +7,7 @@ use std::sync::LazyLock;
 use burn::tensor::{Device, TensorData};
 
 use super::*;
+use crate::precision::{Precision, precisions, with_precision};
 use crate::test_values::{assert_close, values, wide, with_threads};
 
 /// A test for each operation: the cases beside its definition.
@@ -39,6 +40,27 @@ operations! {
     space_to_depth: crate::space_to_depth::tests::cases,
     convex_upsample: crate::upsample::tests::cases,
     warp: crate::warp::tests::cases,
+}
+
+/// Which loses digits to the products' factors alone: exact sums of products of convolutions show that these are added in `f32`. The
+/// weights of attention are rounded, to 11 bits or 8.
+#[test]
+fn devices_multiply_16_bits_and_add_up_in_f32() {
+    let Some(device) = DEVICE.as_ref() else {
+        eprintln!("skipped: SRFLOW_TEST_DEVICE names no device");
+        return;
+    };
+    for precision in precisions(device).into_iter().filter(|precision| *precision != Precision::F32) {
+        for case in crate::conv2d::tests::cases_of_16_bits() {
+            case.check_at(device, precision, TOLERANCE);
+        }
+        let tolerance = if precision == Precision::F16 { 2e-3 } else { 2e-2 };
+        for case in
+            crate::attention::tests::cases().into_iter().chain(crate::attention::tests::windowed_cases())
+        {
+            case.check_at(device, precision, tolerance);
+        }
+    }
 }
 
 pub(crate) const ACTIVATIONS: [Activation; 6] = [
@@ -167,6 +189,35 @@ impl Case {
             with_threads(threads, || self.gradients(&self.kernel, &Device::flex(), &all, &grad))
         });
         assert!(one == three, "{}: the same on any number of threads", self.name);
+    }
+
+    /// Holds what `device` computes at a precision of 16 bits to the definition, within a share of the largest number for the output
+    /// and for gradients. Inputs and the gradient of the output are made numbers of 16 bits, so that nothing is lost where only they are
+    /// multiplied and sums are `f32`.
+    fn check_at(mut self, device: &Device, precision: Precision, tolerance: f64) {
+        // Numbers that each type of 16 bits has.
+        let short = |x: f32| (x * 64.0).round() / 64.0;
+        self.inputs.iter_mut().flatten().for_each(|x| *x = short(*x));
+        let inputs: Vec<Vec<f64>> = self.inputs.iter().map(|values| wide(values)).collect();
+        let expected = (self.forward)(&inputs);
+        let mut grad: Vec<f32> = values(expected.len(), 77).into_iter().map(short).collect();
+        grad[0] = 1.0;
+        let gradients = (self.backward)(&inputs, &wide(&grad));
+        let what = format!("{}, {}", self.name, precision.name());
+        with_precision(precision, || {
+            let plain = (self.kernel)(self.tensors(device, &[]).1);
+            assert_close(&format!("{what}: output"), &numbers(plain), &expected, tolerance);
+            // The gradient's scale must not matter, as small as it may be.
+            for scale in [1.0, 2.0_f32.powi(-30)] {
+                let all: Vec<usize> = (0..gradients.len()).collect();
+                let grad: Vec<f32> = grad.iter().map(|x| x * scale).collect();
+                let (_, found) = self.gradients(&self.kernel, device, &all, &grad);
+                for (input, (found, expected)) in found.into_iter().zip(&gradients).enumerate() {
+                    let found: Vec<f32> = found.expect("wanted").iter().map(|x| x / scale).collect();
+                    assert_close(&format!("{what}: gradient of input {input}"), &found, expected, tolerance);
+                }
+            }
+        });
     }
 
     /// Leaves of a graph, flat, and the inputs made of them.

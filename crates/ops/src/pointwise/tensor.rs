@@ -9,7 +9,7 @@ use crate::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use crate::depthwise::tensor::depthwise;
 use crate::flex::CpuTensor;
 use crate::operation::array;
-use crate::precision::precision;
+use crate::precision::cpu_precision;
 use crate::weight_cache::{Packing, Pass};
 use crate::{Activation, WeightCache};
 
@@ -78,7 +78,7 @@ fn fused<const N: usize>(
     operands: &[[CpuTensor; 2]; N],
     options: [&LayerOptions; N],
 ) -> Tensor<4> {
-    let (isa, precision) = (Isa::best(), precision());
+    let (isa, precision) = (Isa::best(), cpu_precision());
     let packing = Packing { pass: Pass::Forward, isa, precision, stride: [1, 1], padding: [0, 0] };
     let packed: [_; N] = std::array::from_fn(|i| {
         let [weight, _] = &operands[i];

@@ -3,6 +3,8 @@
 
 mod backward;
 mod composed;
+#[cfg(feature = "cube")]
+mod cube;
 mod forward;
 pub mod reference;
 pub mod tensor;

@@ -1,6 +1,10 @@
 //! The upsampling on tensors: [`convex_upsample`] with gradients.
 
+#[cfg(feature = "cube")]
+use burn::backend::TensorMetadata;
 use burn::tensor::{Shape, Tensor};
+#[cfg(feature = "cube")]
+use burn_cubecl::tensor::CubeTensor;
 
 use super::{NEIGHBOURS, UpsampleShape};
 use crate::flex::CpuTensor;
@@ -34,6 +38,12 @@ impl Operation<2> for ConvexUpsample {
         let [d_flow, d_mask] =
             super::convex_upsample_backward(flow.slice(), mask.slice(), self.scale, grad.slice(), &shape);
         [flow.like(d_flow), mask.like(d_mask)].map(Some)
+    }
+
+    #[cfg(feature = "cube")]
+    fn cube(&self, inputs: [CubeTensor; 2]) -> Vec<CubeTensor> {
+        let shape = self.shape(inputs[0].shape());
+        vec![super::cube::convex_upsample(inputs, self.scale, &shape)]
     }
 }
 

@@ -100,7 +100,8 @@ pub struct TrainingConfig {
     /// Store only the hidden state of each iteration and recompute the rest in the backward pass: less memory, more time, the
     /// same gradients.
     pub recompute: bool,
-    /// What networks multiply on the CPU, forward and backward: `f32` or `bf16`. Sums, weights, loss and norms are `f32`.
+    /// What networks multiply, forward and backward: `f32`, `bf16` on the CPU, or what the device has of `f16` and `bf16`. Sums, weights,
+    /// loss and norms are `f32`.
     #[serde(with = "text::precision")]
     pub precision: Precision,
     /// The peak learning rate of the one-cycle schedule.

@@ -205,8 +205,8 @@ pub(super) mod precision {
 
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Precision, D::Error> {
         let name = String::deserialize(deserializer)?;
-        let known = [Precision::F32, Precision::Bf16].into_iter().find(|precision| precision.name() == name);
-        known.ok_or_else(|| Error::custom(format!("`{name}` is not a precision; expected f32 or bf16")))
+        let known = Precision::ALL.into_iter().find(|precision| precision.name() == name);
+        known.ok_or_else(|| Error::custom(format!("`{name}` is not a precision; expected f32, f16 or bf16")))
     }
 }
 

@@ -313,7 +313,7 @@ fn estimate(args: &Flow, context: &Context) -> anyhow::Result<Estimated> {
                     None => None,
                 },
                 device: network.device.clone(),
-                precision: network.precision().name(),
+                precision: network.precision()?.name(),
                 batch: network.batch,
                 warm_start: args.warm_start,
             }),

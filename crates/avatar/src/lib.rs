@@ -4,6 +4,7 @@
 
 mod arkit;
 mod avatar;
+mod avatars;
 mod binding;
 mod builtin;
 pub mod capture;
@@ -31,6 +32,7 @@ mod unit_name;
 mod unit_table;
 
 pub use avatar::{Avatar, AvatarError, PosedHead};
+pub use avatars::Avatars;
 pub use binding::{
     BindingError, BoundGaussians, BoundGradients, TriangleFrame, TriangleFrameGradient, vertex_gradients,
 };

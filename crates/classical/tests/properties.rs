@@ -2,7 +2,7 @@
 
 use srflow_classical::{Farneback, FarnebackParameters, Refined, TvL1, TvL1Parameters};
 use srflow_field::random::Key;
-use srflow_field::{EstimateError, FlowEstimator, FlowField, Image};
+use srflow_field::{EstimateError, FlowEstimator, FlowField, Image, forward_interpolate};
 
 fn estimators() -> Vec<Box<dyn FlowEstimator>> {
     let farneback = |parameters| Box::new(Farneback::new(parameters).unwrap()) as Box<dyn FlowEstimator>;
@@ -191,4 +191,35 @@ fn refinement_comes_nearer_to_the_true_motion() {
     let along: Vec<FlowField> = along.into_iter().map(|estimate| estimate.flow).collect();
     assert_eq!(along, pairs);
     assert_eq!(refined.sequence(false).push_pair([&frames[1], &frames[2]]).unwrap().flow, pairs[1]);
+}
+
+#[test]
+fn a_video_gives_the_flow_of_its_pairs() {
+    let frames: Vec<Image> = (0..4).map(|time| texture(70, 90, (-1.5 * time as f32, time as f32))).collect();
+    for estimator in estimators() {
+        let pairs: Vec<FlowField> =
+            frames.windows(2).map(|pair| estimator.estimate(&pair[0], &pair[1]).unwrap()).collect();
+        let along = |portions: [&[Image]; 3], warm_start| -> Vec<FlowField> {
+            let mut sequence = estimator.sequence(warm_start);
+            let estimates = portions.into_iter().flat_map(|frames| sequence.push(frames).unwrap());
+            estimates.map(|estimate| estimate.flow).collect()
+        };
+        assert_eq!(along([&frames[..1], &[], &frames[1..]], false), pairs, "{}", estimator.name());
+        // From the flow of the pair before.
+        let mut warm = vec![pairs[0].clone()];
+        for pair in frames.windows(2).skip(1) {
+            let start = forward_interpolate(&warm[warm.len() - 1]);
+            warm.push(estimator.estimate_from(&pair[0], &pair[1], &start).unwrap().flow);
+        }
+        assert_eq!(along([&frames[..2], &frames[2..3], &frames[3..]], true), warm, "{}", estimator.name());
+
+        let mut sequence = estimator.sequence(false);
+        let second = sequence.push_pair([&frames[1], &frames[2]]).unwrap();
+        assert_eq!(second.flow, pairs[1]);
+        assert_eq!(sequence.push(&frames[3..]).unwrap()[0].flow, pairs[2]);
+        // A frame of another size has no flow to it, and begins another video.
+        assert!(sequence.push(&[texture(71, 90, (0.0, 0.0))]).is_err());
+        assert!(sequence.push(&frames[..1]).unwrap().is_empty());
+        assert_eq!(sequence.push(&frames[1..2]).unwrap()[0].flow, pairs[0]);
+    }
 }

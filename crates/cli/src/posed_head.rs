@@ -1,9 +1,10 @@
 //! Arguments for a head avatar in a pose, in place of a file of Gaussians.
 
 use std::str::FromStr;
+use std::sync::Arc;
 
 use clap::Args;
-use srflow_avatar::{Avatar, HeadModel, HeadPose, HeadSource, Motion, PoseParameters, Side};
+use srflow_avatar::{Avatar, HeadModel, HeadParameters, HeadPose, HeadSource, Motion, PoseParameters, Side};
 use srflow_field::random::Key;
 use srflow_render::generate::MotionSource;
 
@@ -78,7 +79,7 @@ impl ActionUnits {
 
 /// An avatar that was read or made, and what moves it.
 pub struct MovingHead {
-    pub avatar: Avatar,
+    pub avatar: Arc<Avatar>,
     /// `None` for random motion.
     recorded: Option<Vec<PoseParameters>>,
     seed: u64,
@@ -128,7 +129,24 @@ impl MovingHead {
     pub fn open(head: &HeadSource, motion: Option<&MotionSource>, seed: u64) -> anyhow::Result<Self> {
         // Before the head, which takes longer to make.
         let recorded = motion.map_or(Ok(None), MotionSource::read)?;
-        let avatar = head.avatar(seed)?;
+        Self::of(Arc::new(head.avatar(seed)?), motion, recorded, seed)
+    }
+
+    /// A head that was made before, with its own motion or a random one.
+    ///
+    /// # Errors
+    /// When its own motion does not fit.
+    pub fn made(avatar: Arc<Avatar>, seed: u64) -> anyhow::Result<Self> {
+        Self::of(avatar, None, None, seed)
+    }
+
+    /// `recorded` is what was read of `motion`.
+    fn of(
+        avatar: Arc<Avatar>,
+        motion: Option<&MotionSource>,
+        recorded: Option<HeadParameters>,
+        seed: u64,
+    ) -> anyhow::Result<Self> {
         let default = if avatar.own_motion().is_empty() { MotionSource::Curves } else { MotionSource::Own };
         let source = motion.unwrap_or(&default);
         if *source == MotionSource::Mixed {

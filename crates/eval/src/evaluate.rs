@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 use std::time::Instant;
 
+use rayon::prelude::*;
 use srflow_field::{
     EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, Mask, MeanMetrics, Metrics,
     ScoreError, Shard, score,
@@ -50,6 +51,9 @@ pub struct Settings<'a> {
     pub on_failure: OnFailure,
     /// Pairs of one size that a method estimates at once, where it can; `None` for one.
     pub batch: Option<NonZeroUsize>,
+    /// Read the next pair while methods estimate, not only while they are scored: for methods that leave the CPU idle. The times of those that
+    /// do not are then longer.
+    pub read_ahead: bool,
     /// Also score the regions of [region maps](srflow_read::region_map), which all pairs must have.
     pub regions: bool,
     /// Also score the pixels whose true flow is shorter than this many pixels; of the head, where there are masks.
@@ -190,7 +194,8 @@ pub enum PairProblem {
 /// mean of a region is over the pairs that show it. The [`Zero`] baseline always comes first.
 ///
 /// Pairs, or batches of pairs of one size, run one after another, each method on the current rayon pool; a method's time is
-/// that of estimation alone, divided evenly over the pairs of a batch. One pair or batch is in memory at a time. A method that
+/// that of estimation alone, divided evenly over the pairs of a batch. While one pair or batch is scored, the next is read: two are in memory
+/// at a time, and without `read_ahead` nothing else runs during an estimation. A method that
 /// [remembers](FlowEstimator::remembers) estimates the pairs one by one, and starts a new sequence when a pair does not begin
 /// with the last frame of the previous pair, in the same scene.
 ///
@@ -233,49 +238,46 @@ pub fn evaluate(
         }
     }
     chosen.retain(|entry| !results.contains_key(&index_of[&entry.id()]));
-    let most = settings.batch.map_or(1, NonZeroUsize::get);
     let mut videos: Vec<Video> = methods.iter().map(|_| Video::default()).collect();
-    let mut entries = chosen.into_iter().peekable();
-    let mut next: Option<Outcome<Pair>> = None;
-    while next.is_some() || entries.peek().is_some() {
-        let mut batch: Vec<Outcome<Pair>> = next.take().into_iter().collect();
-        while batch.len() < most
-            && let Some(entry) = entries.next()
-        {
-            let read = (entry.id(), Pair::read(dataset, entry, settings));
-            let size = |(_, pair): &Outcome<Pair>| pair.as_ref().ok().map(Pair::size);
-            let sizes: Vec<_> = batch.iter().chain([&read]).filter_map(size).collect();
-            if sizes.iter().all(|size| *size == sizes[0]) {
-                batch.push(read);
-            } else {
-                next = Some(read);
-                break;
+    let mut batches = Batches { dataset, settings, entries: chosen.into_iter(), next: None };
+    let mut next = batches.next();
+    while let Some(batch) = next.take() {
+        let read = || next = batches.next();
+        rayon::in_place_scope(|scope| {
+            let (at_once, later) = if settings.read_ahead { (Some(read), None) } else { (None, Some(read)) };
+            if let Some(mut read) = at_once {
+                scope.spawn(move |_| read());
             }
-        }
-        for (name, outcome) in estimate_batch(batch, &methods, &mut videos, on_event) {
-            match outcome {
-                Ok((pair, estimates)) => {
-                    let index = index_of[&name];
-                    let pair = ScoredPair {
-                        index,
-                        name: &name,
-                        sample: &pair.sample,
-                        truth: &pair.truth,
-                        estimates: &estimates,
-                    };
-                    on_event(Event::Scored(&pair));
-                    results.insert(index, estimates.into_iter().map(|estimate| estimate.kept).collect());
-                }
-                Err(problem) if settings.on_failure == OnFailure::Stop => {
-                    return Err(EvaluateError::Pair { pair: name, problem });
-                }
-                Err(problem) => {
-                    let failure = Failure { pair: name, reason: problem.to_string() };
-                    on_event(Event::LeftOut(&failure));
-                    failures.push(failure);
+            let estimated = estimate_batch(batch, &methods, &mut videos, on_event);
+            if let Some(mut read) = later {
+                scope.spawn(move |_| read());
+            }
+            for (name, outcome) in estimated {
+                match outcome.and_then(|estimated| scored_pair(&name, &methods, estimated)) {
+                    Ok((pair, estimates)) => {
+                        let index = index_of[&name];
+                        let pair = ScoredPair {
+                            index,
+                            name: &name,
+                            sample: &pair.sample,
+                            truth: &pair.truth,
+                            estimates: &estimates,
+                        };
+                        on_event(Event::Scored(&pair));
+                        results.insert(index, estimates.into_iter().map(|estimate| estimate.kept).collect());
+                    }
+                    Err(problem) if settings.on_failure == OnFailure::Stop => {
+                        return Err(EvaluateError::Pair { pair: name, problem });
+                    }
+                    Err(problem) => {
+                        let failure = Failure { pair: name, reason: problem.to_string() };
+                        on_event(Event::LeftOut(&failure));
+                        failures.push(failure);
+                    }
                 }
             }
-        }
+            Ok(())
+        })?;
     }
     match failures.first() {
         Some(first) if results.is_empty() => {
@@ -308,6 +310,38 @@ pub fn evaluate(
 
 /// A pair's name and its outcome.
 type Outcome<T> = (String, Result<T, PairProblem>);
+
+/// Reads pairs, in batches of pairs of one size.
+struct Batches<'a, E> {
+    dataset: &'a FlowDataset,
+    settings: Settings<'a>,
+    entries: E,
+    /// Of another size than the pairs before it.
+    next: Option<Outcome<Pair>>,
+}
+
+impl<'a, E: Iterator<Item = &'a Entry>> Iterator for Batches<'a, E> {
+    type Item = Vec<Outcome<Pair>>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let most = self.settings.batch.map_or(1, NonZeroUsize::get);
+        let mut batch: Vec<Outcome<Pair>> = self.next.take().into_iter().collect();
+        while batch.len() < most
+            && let Some(entry) = self.entries.next()
+        {
+            let read = (entry.id(), Pair::read(self.dataset, entry, self.settings));
+            let size = |(_, pair): &Outcome<Pair>| pair.as_ref().ok().map(Pair::size);
+            let sizes: Vec<_> = batch.iter().chain([&read]).filter_map(size).collect();
+            if sizes.iter().all(|size| *size == sizes[0]) {
+                batch.push(read);
+            } else {
+                self.next = Some(read);
+                break;
+            }
+        }
+        (!batch.is_empty()).then_some(batch)
+    }
+}
 
 /// A sample, cropped, with its ground truth taken out.
 struct Pair {
@@ -408,18 +442,36 @@ impl<'a> Video<'a> {
     }
 }
 
-/// Runs every method on pairs of one size. A pair that fails with one method is not passed to the next.
+/// A pair with what the methods found for it, in their order.
+struct Estimated {
+    pair: Pair,
+    /// With the seconds that each took.
+    found: Vec<(FlowEstimate, Option<f64>)>,
+    /// Why the method after those failed.
+    failed: Option<PairProblem>,
+    /// Whether the next method gets the pair.
+    goes_on: bool,
+}
+
+/// Runs every method on pairs of one size. A pair that fails with one method, or whose flow of it cannot be scored, is not passed to the
+/// next.
 fn estimate_batch<'a>(
     batch: Vec<Outcome<Pair>>,
     methods: &[Method<'a>],
     videos: &mut [Video<'a>],
     on_event: &mut dyn FnMut(Event<'_>),
-) -> Vec<Outcome<(Pair, Vec<Estimate>)>> {
-    let mut batch: Vec<Outcome<(Pair, Vec<Estimate>)>> =
-        batch.into_iter().map(|(name, pair)| (name, pair.map(|pair| (pair, Vec::new())))).collect();
+) -> Vec<Outcome<Estimated>> {
+    let start = |pair| Estimated { pair, found: Vec::new(), failed: None, goes_on: true };
+    let mut batch: Vec<Outcome<Estimated>> =
+        batch.into_iter().map(|(name, pair)| (name, pair.map(start))).collect();
     for (source, video) in methods.iter().zip(videos) {
         let method = source.name();
-        let pairs = || batch.iter().filter_map(|(name, pair)| Some((name, &pair.as_ref().ok()?.0)));
+        let pairs = || {
+            let outcomes = batch.iter().filter_map(|(name, outcome)| Some((name, outcome.as_ref().ok()?)));
+            outcomes
+                .filter(|(_, estimated)| estimated.goes_on)
+                .map(|(name, estimated)| (name, &estimated.pair))
+        };
         let Some((pair, _)) = pairs().next() else { break };
         on_event(Event::Estimating { method, pair });
         let failed = |source| PairProblem::Estimate { method: method.to_owned(), source };
@@ -443,19 +495,37 @@ fn estimate_batch<'a>(
                 pairs().map(|pair| read(pair).map(|flow| (flow.into(), None)).map_err(unread)).collect()
             }
         };
-        let mut found = found.into_iter();
-        for (name, outcome) in &mut batch {
-            if let Ok((pair, estimates)) = outcome
-                && let Some(found) = found.next()
-            {
-                match found.and_then(|(found, seconds)| scored(name, method, pair, found, seconds)) {
-                    Ok(estimate) => estimates.push(estimate),
-                    Err(problem) => *outcome = Err(problem),
+        let passed = batch.iter_mut().filter_map(|(_, outcome)| outcome.as_mut().ok());
+        for (estimated, found) in passed.filter(|estimated| estimated.goes_on).zip(found) {
+            match found {
+                Ok((estimate, seconds)) => {
+                    // Flow that was estimated can be scored.
+                    estimated.goes_on = matches!(source, Method::Estimator(_))
+                        || score(&estimate.flow, &estimated.pair.truth, None).is_ok();
+                    estimated.found.push((estimate, seconds));
+                }
+                Err(problem) => {
+                    (estimated.failed, estimated.goes_on) = (Some(problem), false);
                 }
             }
         }
     }
     batch
+}
+
+/// The scores of every method on a pair.
+fn scored_pair(
+    name: &str,
+    methods: &[Method<'_>],
+    Estimated { pair, found, failed, .. }: Estimated,
+) -> Result<(Pair, Vec<Estimate>), PairProblem> {
+    let found: Vec<_> = methods.iter().map(|method| method.name()).zip(found).collect();
+    let scored =
+        found.into_par_iter().map(|(method, (found, seconds))| scored(name, method, &pair, found, seconds));
+    // Collected first, so that of several problems the first is reported.
+    let scored: Vec<Result<Estimate, PairProblem>> = scored.collect();
+    let estimates = scored.into_iter().collect::<Result<_, _>>()?;
+    failed.map_or(Ok((pair, estimates)), Err)
 }
 
 /// The estimate of each pair and the seconds it took. When a batch fails, its pairs are estimated one by one, so that only

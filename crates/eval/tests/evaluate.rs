@@ -575,3 +575,32 @@ fn flow_files_that_do_not_fit_are_named() {
     let error = find(Some(1)).unwrap_err().to_string();
     assert!(error.contains("pair0.npy") && error.contains("pair0.pfm"), "{error}");
 }
+
+/// Of the problems of a pair, that of the first method counts, and the methods after it do not get the pair.
+#[test]
+fn a_pair_whose_flow_cannot_be_scored_goes_to_no_further_method() {
+    let dir = tempfile::tempdir().unwrap();
+    let dataset = dataset(&dir.path().join("pairs"), 3);
+    let files = dir.path().join("flows");
+    std::fs::create_dir(&files).unwrap();
+    for pair in 0..3 {
+        let flow = FlowField::filled(SIZE.0, SIZE.1, [if pair == 1 { f32::NAN } else { 0.5 }; 2]);
+        write_flow(&files.join(format!("pair{pair}.npy")), &flow).unwrap();
+    }
+    let theirs = FlowFiles::find("theirs".into(), &files, &dataset, None).unwrap();
+    for (read_ahead, batch, estimated) in [(false, 3, vec![2]), (true, 1, vec![1, 1])] {
+        let counting = Counting(Mutex::default());
+        let methods = [Method::Files(&theirs), Method::Estimator(&counting)];
+        let settings = Settings {
+            on_failure: OnFailure::LeaveOut,
+            batch: NonZeroUsize::new(batch),
+            read_ahead,
+            ..Settings::default()
+        };
+        let evaluation = evaluate(&dataset, &methods, settings, &mut |_| {}).unwrap();
+        assert_eq!(counting.0.into_inner().unwrap(), estimated);
+        assert_eq!((evaluation.pairs, evaluation.failures.len()), (2, 1));
+        let reason = &evaluation.failures[0].reason;
+        assert!(reason.contains("the flow of theirs could not be scored"), "{reason}");
+    }
+}

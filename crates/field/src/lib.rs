@@ -30,6 +30,7 @@ mod sha256;
 mod shard;
 mod size;
 mod spares;
+mod stages;
 mod warp;
 
 pub use atomic_write::{PARTIAL_EXTENSION, create_folder, remove_partial, write_atomically, write_file};
@@ -66,4 +67,5 @@ pub use sha256::{SHA256SUMS, hexadecimal, parse_sha256sums_line, sha256_of_file,
 pub use shard::{Shard, ShardChoice, ShardError, TakenShard};
 pub use size::Size;
 pub use spares::Spares;
+pub use stages::in_stages;
 pub use warp::{Tolerance, forward_backward_check, warp};

@@ -1,7 +1,7 @@
 //! Values that were made recently, shared by threads.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, TryLockError};
 
 type Place<V> = Arc<Mutex<Option<Arc<V>>>>;
 
@@ -26,12 +26,21 @@ impl<K: PartialEq, V> Recent<K, V> {
         let place = self.place(key);
         // Only this value is locked while it is made.
         let mut place = lock(&place);
-        if let Some(value) = &*place {
-            return Ok(value.clone());
-        }
-        let value = Arc::new(make()?);
-        *place = Some(value.clone());
-        Ok(value)
+        found_or_made(&mut place, make)
+    }
+
+    /// As [`get`](Self::get), but `None` instead of waiting while another thread makes the value.
+    ///
+    /// # Errors
+    /// That of `make`.
+    pub fn try_get<E>(&self, key: K, make: impl FnOnce() -> Result<V, E>) -> Result<Option<Arc<V>>, E> {
+        let place = self.place(key);
+        let mut place = match place.try_lock() {
+            Ok(place) => place,
+            Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
+            Err(TryLockError::WouldBlock) => return Ok(None),
+        };
+        found_or_made(&mut place, make).map(Some)
     }
 
     fn place(&self, key: K) -> Place<V> {
@@ -45,6 +54,15 @@ impl<K: PartialEq, V> Recent<K, V> {
         }
         place
     }
+}
+
+fn found_or_made<V, E>(place: &mut Option<Arc<V>>, make: impl FnOnce() -> Result<V, E>) -> Result<Arc<V>, E> {
+    if let Some(value) = place {
+        return Ok(value.clone());
+    }
+    let value = Arc::new(make()?);
+    *place = Some(value.clone());
+    Ok(value)
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -82,6 +100,22 @@ mod tests {
             }
         });
         assert_eq!(made.load(Ordering::SeqCst), 1);
+    }
+
+    #[test]
+    fn who_cannot_wait_gets_what_is_not_being_made() {
+        let recent = Recent::new(2);
+        let made = recent.get(1, || {
+            std::thread::scope(|scope| {
+                let other = || {
+                    assert!(recent.try_get(1, || Ok::<_, ()>(7)).unwrap().is_none());
+                    *recent.try_get(2, || Ok::<_, ()>(20)).unwrap().unwrap()
+                };
+                Ok::<_, ()>(scope.spawn(other).join().unwrap() / 2)
+            })
+        });
+        assert_eq!(made.as_deref(), Ok(&10));
+        assert_eq!(recent.try_get(1, || Err("made before")), Ok(Some(Arc::new(10))));
     }
 
     #[test]

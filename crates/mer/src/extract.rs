@@ -7,11 +7,11 @@ use rayon::prelude::*;
 use srflow_face::{FaceError, FrameCrop};
 use srflow_field::resize::{resize_cubic, resize_flow_area};
 use srflow_field::{
-    EstimateError, FileError, FlowEstimator, FlowField, Image, Plane, named, printable, read_image,
+    EstimateError, FileError, FlowEstimator, FlowField, Image, Plane, in_stages, named, printable, read_image,
 };
 use srflow_read::micro_expression::Clip;
 
-use crate::cache::FeatureCache;
+use crate::cache::{FeatureCache, FeatureKey};
 use crate::face::FaceCrop;
 use crate::features::{FEATURE_SIDE, FeatureError, Features, Sample};
 use crate::strain::{StrainFormula, optical_strain};
@@ -128,29 +128,67 @@ fn components(flow: &FlowField) -> [Plane; 2] {
     [0, 1].map(|component| Plane::from_fn(flow.width(), flow.height(), |x, y| flow.get(x, y)[component]))
 }
 
-/// Features of one clip with the given apex, from the cache if possible.
-fn features_of_clip(
-    clip: &Clip,
-    apex: u64,
-    method: &Method,
-    preparation: &Preparation,
-    cache: Option<&FeatureCache>,
-) -> Result<(Features, bool), ExtractProblem> {
-    let file = |number| clip.frame(number).ok_or(ExtractProblem::NoFrame(number));
-    let (onset, apex) = (file(clip.annotation.onset)?, file(apex)?);
-    let crop = preparation.face.of_clip(&clip.dataset, &clip.annotation)?;
-    let compute = || {
-        let [first, second] = read_faces(onset, apex, &crop)?;
-        features_of_frames(&first, &second, method.estimator, preparation.resize, preparation.strain)
-    };
-    let Some(cache) = cache else { return Ok((compute()?, false)) };
-    let key = cache.key(onset, apex, &recipe(method, &crop, preparation))?;
-    if let Some(features) = cache.get(&key) {
-        return Ok((features, true));
+/// What is known of a clip before the flow is estimated.
+enum Prepared {
+    /// Features in the cache.
+    Cached(Features),
+    /// The faces in its onset and apex frames, and the key for the cache.
+    Faces([Image; 2], Option<FeatureKey>),
+}
+
+/// Features of a clip, and the key under which they are to be cached; `None` for those that are.
+type Computed = (Features, Option<FeatureKey>);
+
+/// How features of clips are computed.
+struct Extraction<'a> {
+    method: &'a Method<'a>,
+    preparation: &'a Preparation,
+    cache: Option<&'a FeatureCache>,
+}
+
+impl Extraction<'_> {
+    /// Looks into the cache, and if that has no features reads the faces.
+    fn prepared(&self, clip: &Clip) -> Result<Prepared, ExtractProblem> {
+        let apex = clip.annotation.apex.ok_or(ExtractProblem::NoApex)?;
+        let file = |number| clip.frame(number).ok_or(ExtractProblem::NoFrame(number));
+        let (onset, apex) = (file(clip.annotation.onset)?, file(apex)?);
+        let crop = self.preparation.face.of_clip(&clip.dataset, &clip.annotation)?;
+        let recipe = || recipe(self.method, &crop, self.preparation);
+        let key = self.cache.map(|cache| cache.key(onset, apex, &recipe())).transpose()?;
+        match self.cache.zip(key.as_ref()).and_then(|(cache, key)| cache.get(key)) {
+            Some(features) => Ok(Prepared::Cached(features)),
+            None => Ok(Prepared::Faces(read_faces(onset, apex, &crop)?, key)),
+        }
     }
-    let features = compute()?;
-    cache.put(&key, &features)?;
-    Ok((features, false))
+
+    fn computed(&self, prepared: Prepared) -> Result<Computed, ExtractProblem> {
+        let ([onset, apex], key) = match prepared {
+            Prepared::Cached(features) => return Ok((features, None)),
+            Prepared::Faces(faces, key) => (faces, key),
+        };
+        let Preparation { resize, strain, .. } = *self.preparation;
+        Ok((features_of_frames(&onset, &apex, self.method.estimator, resize, strain)?, key))
+    }
+
+    /// Keeps new features, and reports them.
+    fn sample(
+        &self,
+        clip: &Clip,
+        (features, key): Computed,
+        on_clip: &(dyn Fn(Extracted) + Sync),
+    ) -> Result<Sample, ExtractProblem> {
+        if let (Some(cache), Some(key)) = (self.cache, &key) {
+            cache.put(key, &features)?;
+        }
+        on_clip(Extracted { clip: &clip.id(), cached: self.cache.is_some() && key.is_none() });
+        Ok(Sample {
+            dataset: clip.dataset.clone(),
+            subject: clip.annotation.subject.clone(),
+            clip: clip.annotation.clip.clone(),
+            class: clip.annotation.class,
+            features,
+        })
+    }
 }
 
 /// The faces in a clip's onset and apex frames, cropped as for features but at full resolution.
@@ -168,7 +206,8 @@ pub(crate) fn faces_of_clip(clip: &Clip, face: &FaceCrop) -> Result<[Image; 2], 
 }
 
 fn read_faces(onset: &Path, apex: &Path, crop: &FrameCrop) -> Result<[Image; 2], ExtractProblem> {
-    let (first, second) = (read_image(onset)?, read_image(apex)?);
+    let (first, second) = rayon::join(|| read_image(onset), || read_image(apex));
+    let (first, second) = (first?, second?);
     if first.size() != second.size() || first.pixels().is_empty() {
         return Err(ExtractProblem::Sizes {
             onset: onset.to_owned(),
@@ -206,29 +245,33 @@ pub fn extract(
     cache: Option<&FeatureCache>,
     on_clip: &(dyn Fn(Extracted) + Sync),
 ) -> Result<Vec<Sample>, ExtractError> {
-    let of = |clip: &Clip| {
-        let name = clip.id();
-        let Some(apex) = clip.annotation.apex else {
-            return Err(ExtractError { clip: name, problem: ExtractProblem::NoApex });
-        };
-        match features_of_clip(clip, apex, method, preparation, cache) {
-            Ok((features, cached)) => {
-                on_clip(Extracted { clip: &name, cached });
-                Ok(Sample {
-                    dataset: clip.dataset.clone(),
-                    subject: clip.annotation.subject.clone(),
-                    clip: clip.annotation.clip.clone(),
-                    class: clip.annotation.class,
-                    features,
-                })
-            }
-            Err(problem) => Err(ExtractError { clip: name, problem }),
-        }
+    let extraction = Extraction { method, preparation, cache };
+    let of = |clip: &Clip, problem| ExtractError { clip: clip.id(), problem };
+    if preparation.resize == ResizeOrder::After {
+        // Large frames occupy all threads one pair at a time, while the next is read.
+        let mut samples = Vec::with_capacity(clips.len());
+        in_stages(
+            1,
+            |give| {
+                let read = |clip| Ok((clip, extraction.prepared(clip).map_err(|problem| of(clip, problem))?));
+                _ = clips.iter().map(read).all(give);
+            },
+            |(clip, prepared)| {
+                Ok((clip, extraction.computed(prepared).map_err(|problem| of(clip, problem))?))
+            },
+            |(clip, computed)| {
+                let sample = extraction.sample(clip, computed, on_clip);
+                samples.push(sample.map_err(|problem| of(clip, problem))?);
+                Ok(())
+            },
+        )?;
+        return Ok(samples);
+    }
+    let sample = |clip: &Clip| {
+        let computed = extraction.prepared(clip).and_then(|prepared| extraction.computed(prepared));
+        let sample = computed.and_then(|computed| extraction.sample(clip, computed, on_clip));
+        sample.map_err(|problem| of(clip, problem))
     };
-    let results: Vec<Result<Sample, ExtractError>> = match preparation.resize {
-        ResizeOrder::Before => clips.par_iter().map(of).collect(),
-        // Large frames occupy all threads one pair at a time, with the memory of one pair.
-        ResizeOrder::After => clips.iter().map(of).collect(),
-    };
+    let results: Vec<Result<Sample, ExtractError>> = clips.par_iter().map(sample).collect();
     results.into_iter().collect()
 }

@@ -251,23 +251,33 @@ impl Buckets {
 }
 
 /// Points with minimum distances. Distances vary several times between face and scalp, so there is one grid per octave: a
-/// query visits a few dozen cells whatever the distance.
+/// query visits at most 27 cells whatever the distance.
 struct Crowd {
     narrowest: f32,
+    points: Vec<Vec3>,
     /// Grids with cells as wide as the smallest distance, twice that, and so on.
     octaves: Vec<Grid>,
 }
 
-type Grid = HashMap<IVec3, Vec<Vec3>, std::hash::BuildHasherDefault<CellHasher>>;
+/// The points in each cell, as a list from the last that was added.
+#[derive(Default)]
+struct Grid {
+    last: HashMap<IVec3, u32, std::hash::BuildHasherDefault<CellHasher>>,
+    /// The point before each point in its cell; [`NONE`] for the first.
+    before: Vec<u32>,
+}
+
+const NONE: u32 = u32::MAX;
 
 impl Crowd {
     fn new(narrowest: f32, widest: f32) -> Self {
-        let narrowest = narrowest.max(1e-5);
-        let mut octaves = vec![Grid::default()];
-        while narrowest * (1 << octaves.len()) as f32 <= widest && octaves.len() < 16 {
-            octaves.push(Grid::default());
+        let mut crowd = Self { narrowest: narrowest.max(1e-5), points: Vec::new(), octaves: Vec::new() };
+        while crowd.octaves.is_empty()
+            || crowd.side(crowd.octaves.len() - 1) <= widest && crowd.octaves.len() < 16
+        {
+            crowd.octaves.push(Grid::default());
         }
-        Self { narrowest, octaves }
+        crowd
     }
 
     /// Inserts the point unless another is nearer than `distance`.
@@ -275,28 +285,47 @@ impl Crowd {
         if distance <= 0.0 {
             return false;
         }
-        let fits = |octave: &usize| self.side(*octave) <= distance;
-        let octave = (0..self.octaves.len()).rev().find(fits).unwrap_or(0);
+        let wider = |octave: &usize| self.side(*octave) > distance;
+        let octave = (0..self.octaves.len()).find(wider).unwrap_or(self.octaves.len() - 1);
         let side = self.side(octave);
-        let low = ((p - distance) / side).floor().as_ivec3();
-        let high = ((p + distance) / side).floor().as_ivec3();
+        let cell = |p: Vec3| (p / side).floor().as_ivec3();
+        // Most points have a neighbour in their own cell.
+        let own = cell(p);
+        if self.has_near(octave, own, p, distance) {
+            return false;
+        }
+        let (low, high) = (cell(p - distance), cell(p + distance));
         for x in low.x..=high.x {
             for y in low.y..=high.y {
                 for z in low.z..=high.z {
-                    let neighbours = self.octaves[octave].get(&IVec3::new(x, y, z));
-                    if neighbours
-                        .is_some_and(|c| c.iter().any(|q| q.distance_squared(p) < distance * distance))
-                    {
+                    let other = IVec3::new(x, y, z);
+                    if other != own && self.has_near(octave, other, p, distance) {
                         return false;
                     }
                 }
             }
         }
+        let number = self.points.len() as u32;
+        self.points.push(p);
         for octave in 0..self.octaves.len() {
             let cell = (p / self.side(octave)).floor().as_ivec3();
-            self.octaves[octave].entry(cell).or_default().push(p);
+            let Grid { last, before } = &mut self.octaves[octave];
+            before.push(last.insert(cell, number).unwrap_or(NONE));
         }
         true
+    }
+
+    /// Whether a point in this cell is nearer to `p` than `distance`.
+    fn has_near(&self, octave: usize, cell: IVec3, p: Vec3, distance: f32) -> bool {
+        let Grid { last, before } = &self.octaves[octave];
+        let mut number = last.get(&cell).copied().unwrap_or(NONE);
+        while let Some(q) = self.points.get(number as usize) {
+            if q.distance_squared(p) < distance * distance {
+                return true;
+            }
+            number = before[number as usize];
+        }
+        false
     }
 
     fn side(&self, octave: usize) -> f32 {

@@ -13,7 +13,8 @@ mod window;
 
 use srflow_field::resize::{resize_linear_of_two, shrink_area};
 use srflow_field::{
-    EstimateError, FlowEstimate, FlowEstimator, FlowField, Image, check_frame_sizes, luminance,
+    EstimateError, FlowEstimate, FlowEstimator, FlowField, FlowSequence, Image, check_frame_sizes,
+    forward_interpolate, luminance,
 };
 
 use crate::ParameterError;
@@ -101,29 +102,42 @@ impl Farneback {
     }
 
     fn flow(&self, frame1: &Image, frame2: &Image, initial: Option<&FlowField>) -> FlowField {
-        let frames = [luminance(frame1), luminance(frame2)];
-        let sizes = self.level_sizes(frame1.width(), frame1.height());
+        let [first, second] = [frame1, frame2].map(|frame| self.expanded(frame));
+        self.between(&first, &second, initial)
+    }
+
+    fn expanded(&self, frame: &Image) -> Expanded {
+        let size = frame.size();
+        let frame = luminance(frame);
+        let levels = self.level_sizes(size).into_iter().map(|(scale, size)| {
+            let expansion = Expansion::of(&pyramid::level(&frame, size, scale), &self.kernel);
+            (scale, expansion)
+        });
+        Expanded { size, levels: levels.collect() }
+    }
+
+    /// The flow between frames of one size.
+    fn between(&self, first: &Expanded, second: &Expanded, initial: Option<&FlowField>) -> FlowField {
         let mut flow: Option<PlanarFlow> = None;
-        for (scale, width, height) in sizes.into_iter().rev() {
+        for ((scale, first), (_, second)) in first.levels.iter().zip(&second.levels).rev() {
+            let size = (first.width, first.height);
             let start = match (flow, initial) {
                 (Some(coarser), _) => {
                     let gain = (1.0 / self.parameters.pyr_scale) as f32;
-                    coarser.map(|plane| resize_linear_of_two(plane, (width, height), gain))
+                    coarser.map(|plane| resize_linear_of_two(plane, size, gain))
                 }
                 (None, Some(initial)) => {
-                    PlanarFlow::from(initial).map(|plane| shrink_area(plane, (width, height), scale as f32))
+                    PlanarFlow::from(initial).map(|plane| shrink_area(plane, size, *scale as f32))
                 }
-                (None, None) => PlanarFlow::zero(width, height),
+                (None, None) => PlanarFlow::zero(size.0, size.1),
             };
-            let expand = |frame| Expansion::of(&pyramid::level(frame, (width, height), scale), &self.kernel);
-            let [first, second] = frames.each_ref().map(expand);
-            flow = Some(iterate((&first, &second), &start, &self.window, self.parameters.iterations));
+            flow = Some(iterate((first, second), &start, &self.window, self.parameters.iterations));
         }
         flow.map_or_else(|| FlowField::new(0, 0), FlowField::from)
     }
 
     /// Scale, width and height of each level, the full size first.
-    fn level_sizes(&self, width: usize, height: usize) -> Vec<(f64, usize, usize)> {
+    fn level_sizes(&self, (width, height): (usize, usize)) -> Vec<(f64, (usize, usize))> {
         let mut levels = Vec::new();
         let mut scale = 1.0;
         for level in 0..=self.parameters.levels {
@@ -131,15 +145,18 @@ impl Farneback {
             if level > 0 && level_width.min(level_height) < SMALLEST_SIDE {
                 break;
             }
-            levels.push((
-                scale,
-                level_width.round_ties_even() as usize,
-                level_height.round_ties_even() as usize,
-            ));
+            let size = (level_width.round_ties_even() as usize, level_height.round_ties_even() as usize);
+            levels.push((scale, size));
             scale *= self.parameters.pyr_scale;
         }
         levels
     }
+}
+
+/// What the method computes of a single frame: its expansion at the scale of each level, the full size first.
+struct Expanded {
+    size: (usize, usize),
+    levels: Vec<(f64, Expansion)>,
 }
 
 impl FlowEstimator for Farneback {
@@ -160,5 +177,52 @@ impl FlowEstimator for Farneback {
     ) -> Result<FlowEstimate, EstimateError> {
         check_frame_sizes(frame1.size(), [frame2.size(), initial.size()])?;
         Ok(self.flow(frame1, frame2, Some(initial)).into())
+    }
+
+    /// Expands each frame once for its two pairs.
+    fn sequence(&self, warm_start: bool) -> Box<dyn FlowSequence + '_> {
+        Box::new(Video { farneback: self, warm_start, last: None, flow: None })
+    }
+}
+
+struct Video<'a> {
+    farneback: &'a Farneback,
+    warm_start: bool,
+    last: Option<Expanded>,
+    /// The flow of the previous pair, for a warm start.
+    flow: Option<FlowField>,
+}
+
+impl FlowSequence for Video<'_> {
+    fn push(&mut self, frames: &[Image]) -> Result<Vec<FlowEstimate>, EstimateError> {
+        let mut estimates = Vec::with_capacity(frames.len());
+        for frame in frames {
+            if let Some(last) = self.last.take() {
+                check_frame_sizes(last.size, [frame.size()])?;
+                estimates.push(self.next(&last, frame));
+            } else {
+                self.last = Some(self.farneback.expanded(frame));
+            }
+        }
+        Ok(estimates)
+    }
+
+    fn push_pair(&mut self, [first, second]: [&Image; 2]) -> Result<FlowEstimate, EstimateError> {
+        check_frame_sizes(first.size(), [second.size()])?;
+        let first = self.farneback.expanded(first);
+        Ok(self.next(&first, second))
+    }
+}
+
+impl Video<'_> {
+    fn next(&mut self, first: &Expanded, second: &Image) -> FlowEstimate {
+        let second = self.farneback.expanded(second);
+        let initial = self.flow.as_ref().map(forward_interpolate);
+        let flow = self.farneback.between(first, &second, initial.as_ref());
+        if self.warm_start {
+            self.flow = Some(flow.clone());
+        }
+        self.last = Some(second);
+        flow.into()
     }
 }

@@ -1,5 +1,6 @@
 //! One scored pair as pictures: the frame and the ground truth, and the flow and error of every method.
 
+use rayon::prelude::*;
 use srflow_field::{FlowField, Image, Plane, flow_colors};
 use srflow_read::flow::Sample;
 
@@ -27,15 +28,14 @@ pub fn pair_figures(
 
     let panel = |picture, title: &str, note: String| Panel::new(picture, title, note);
     let flow_picture = |flow: &FlowField, alt: &str| Picture::jpeg(&maps.colors(flow), alt);
-    let mut all = vec![vec![
-        panel(
-            Picture::jpeg(&shrink_image(&pair.sample.frame1, max_width), "frame 1")?,
-            "Frame 1",
-            pair.name.to_owned(),
-        ),
-        panel(flow_picture(&maps.truth, "true flow")?, "Truth", String::new()),
-    ]];
-    for (place, error) in &maps.errors {
+    let of_truth = || -> Result<Vec<Panel>, PictureError> {
+        let frame = Picture::jpeg(&shrink_image(&pair.sample.frame1, max_width), "frame 1")?;
+        Ok(vec![
+            panel(frame, "Frame 1", pair.name.to_owned()),
+            panel(flow_picture(&maps.truth, "true flow")?, "Truth", String::new()),
+        ])
+    };
+    let of_method = |(place, error): &(usize, Plane)| -> Result<Vec<Panel>, PictureError> {
         let estimate = &pair.estimates[*place];
         let epe = estimate
             .kept
@@ -44,11 +44,14 @@ pub fn pair_figures(
             .as_ref()
             .map_or(String::new(), |metrics| format!("EPE {:.3} px", metrics.epe));
         let flow = shrink_flow(&estimate.flow, max_width);
-        all.push(vec![
+        Ok(vec![
             panel(flow_picture(&flow, "estimated flow")?, &estimate.method, String::new()),
             panel(Picture::jpeg(&heat(error, maps.largest as f32), "end-point error")?, "Error", epe),
-        ]);
-    }
+        ])
+    };
+    let of_methods = || maps.errors.par_iter().map(of_method).collect::<Result<Vec<_>, _>>();
+    let (of_truth, of_methods) = rayon::join(of_truth, of_methods);
+    let all = [vec![of_truth?], of_methods?].concat();
     // Portrait pictures go side by side; landscape ones need half the page.
     let upright = 5 * pair.truth.height() > 4 * pair.truth.width();
     let pictures = match upright {
@@ -76,11 +79,11 @@ struct PairMaps {
 impl PairMaps {
     /// At most `max_width` pixels wide.
     fn new(pair: &ScoredPair<'_>, max_width: usize) -> Self {
-        let truth = shrink_flow(pair.truth, max_width);
-        let methods = pair.estimates.iter().enumerate().filter(|(_, estimate)| !estimate.baseline);
+        let methods = pair.estimates.par_iter().enumerate().filter(|(_, estimate)| !estimate.baseline);
         let error = |flow| shrink_plane(&error_map(flow, pair.truth), max_width);
-        let errors: Vec<(usize, Plane)> =
-            methods.map(|(place, estimate)| (place, error(&estimate.flow))).collect();
+        let errors = methods.map(|(place, estimate)| (place, error(&estimate.flow)));
+        let (truth, errors): (_, Vec<(usize, Plane)>) =
+            rayon::join(|| shrink_flow(pair.truth, max_width), || errors.collect());
         let longest = flow_scale(&truth);
         let largest = error_scale(&errors.iter().map(|(_, error)| error).collect::<Vec<_>>());
         Self { truth, errors, longest, largest }

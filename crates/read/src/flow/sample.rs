@@ -47,13 +47,36 @@ impl Default for Truth {
     }
 }
 
+/// What a file says about occlusion.
+enum Hidden {
+    Mask(Mask),
+    /// The flow of the pixels that are visible.
+    VisibleFlow(FlowField),
+}
+
 impl Truth {
-    /// Decodes the files of one pair.
+    /// Decodes the files of one pair, with the threads of the current rayon pool.
     pub fn read(self, entry: &Entry) -> Result<Sample, DatasetError> {
         let occlusion = entry.occlusion.as_ref().map(Occlusion::file);
         let optional = [entry.flow.as_ref(), entry.mask.as_ref(), occlusion].into_iter().flatten();
         let files = Opened::of([&entry.frame1, &entry.frame2].into_iter().chain(optional))?;
-        let frame1 = files.image(&entry.frame1)?;
+        let frame = |file| files.image(file);
+        let ((frame1, frame2), (flow, (mask, occlusion))) = rayon::join(
+            || rayon::join(|| frame(&entry.frame1), || frame(&entry.frame2)),
+            || {
+                let masks = || {
+                    let mask = entry.mask.as_ref().map(|file| files.mask(file));
+                    let occlusion = entry.occlusion.as_ref().map(|occlusion| match occlusion {
+                        Occlusion::Picture(file) => files.mask(file).map(Hidden::Mask),
+                        Occlusion::VisibleFlow(file) => files.flow(file).map(Hidden::VisibleFlow),
+                    });
+                    (mask, occlusion)
+                };
+                rayon::join(|| entry.flow.as_ref().map(|file| files.flow(file)), masks)
+            },
+        );
+        // Of several files that are broken, the first is reported.
+        let frame1 = frame1?;
         let (width, height) = frame1.size();
         let fits = |file: &EntryFile, found: (usize, usize), samples: usize| {
             let expected = (width * samples, height * samples);
@@ -62,20 +85,21 @@ impl Truth {
             }
             Err(DatasetError::SizeMismatch { path: file.path(), found, frame: entry.frame1.path(), expected })
         };
-        let frame2 = files.image(&entry.frame2)?;
+        let frame2 = frame2?;
         fits(&entry.frame2, frame2.size(), 1)?;
 
-        let read_truth = |file: &EntryFile| {
-            let published = files.flow(file)?;
+        let truth = |file: &EntryFile, published: FlowField| {
             fits(file, published.size(), self.samples_per_pixel)?;
             Ok::<_, DatasetError>(self.counted(published, width, height))
         };
-        let flow = entry.flow.as_ref().map(read_truth).transpose()?;
-        let mask = entry.mask.as_ref().map(|file| files.mask(file)).transpose()?;
-        let occlusion = match (&entry.occlusion, &flow) {
-            (Some(Occlusion::Picture(path)), _) => Some(files.mask(path)?),
-            (Some(Occlusion::VisibleFlow(path)), Some(flow)) => Some(hidden(flow, &read_truth(path)?)),
-            (Some(Occlusion::VisibleFlow(_)), None) | (None, _) => None,
+        let flow = entry.flow.as_ref().zip(flow).map(|(file, found)| truth(file, found?)).transpose()?;
+        let mask = mask.transpose()?;
+        let occlusion = match (&entry.occlusion, occlusion.transpose()?, &flow) {
+            (Some(occlusion), Some(Hidden::VisibleFlow(visible)), Some(flow)) => {
+                Some(hidden(flow, &truth(occlusion.file(), visible)?))
+            }
+            (_, Some(Hidden::Mask(mask)), _) => Some(mask),
+            (_, Some(Hidden::VisibleFlow(_)) | None, _) => None,
         };
         if let (Some(path), Some(mask)) = (&entry.mask, &mask) {
             fits(path, mask.size(), 1)?;

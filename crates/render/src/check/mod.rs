@@ -25,6 +25,9 @@ use srflow_read::region_map::read_region_map;
 /// Maximum number of pairs examined at once, each with about 0.3 GB at 2200x3208.
 const MAX_AT_ONCE: usize = 16;
 
+/// Pairs that one thread examines in a row: the second frame of one is the first of the next.
+const RUN: u32 = 6;
+
 /// Flow is wrong when warping by it leaves more than this multiple of the difference without warping, plus one level. Flow
 /// with the wrong sign doubles the difference.
 const WORST_RATIO: f64 = 1.05;
@@ -105,17 +108,21 @@ pub fn check(dir: &Path, on_pair: &(dyn Fn() + Sync)) -> Result<CheckReport, Man
         let expected = Expected::of_scene(&manifest, number, scene);
         let checker = PairChecker { dir, manifest: &manifest, scene, expected: expected.as_ref() };
         // In groups, to limit the pairs in memory; summed up in order, so that the result does not depend on the threads.
-        for first in (0..scene.pairs).step_by(at_once as usize) {
-            let group = first..scene.pairs.min(first + at_once);
-            let found: Vec<PairFindings> = group
-                .into_par_iter()
-                .map(|pair| {
-                    let findings = checker.examine(pair);
+        let length = RUN.min(scene.pairs.div_ceil(at_once).max(1));
+        for first in (0..scene.pairs).step_by((at_once * length) as usize) {
+            let runs = (0..at_once).map(|run| first.saturating_add(run * length));
+            let runs: Vec<u32> = runs.filter(|first| *first < scene.pairs).collect();
+            let examine = |first: u32| -> Vec<PairFindings> {
+                let mut frame = None;
+                let examine = |pair| {
+                    let findings = checker.examine(pair, &mut frame);
                     on_pair();
                     findings
-                })
-                .collect();
-            for findings in found {
+                };
+                (first..scene.pairs.min(first.saturating_add(length))).map(examine).collect()
+            };
+            let found: Vec<Vec<PairFindings>> = runs.into_par_iter().map(examine).collect();
+            for findings in found.into_iter().flatten() {
                 report.sound += u64::from(findings.problems.is_empty());
                 report.problems.extend(findings.problems);
                 report.residual.add(&findings.residual);
@@ -278,8 +285,10 @@ struct PairChecker<'a> {
 }
 
 impl PairChecker<'_> {
-    fn examine(&self, pair: u32) -> PairFindings {
+    /// `frame` is the first frame, if the pair before has read it as its second, and then the second of this one.
+    fn examine(&self, pair: u32, frame: &mut Option<Image>) -> PairFindings {
         let Self { dir, manifest, scene, .. } = *self;
+        let known = frame.take();
         let mut findings = PairFindings::default();
         let size = (manifest.arguments.width, manifest.arguments.height);
         let files = manifest.files(dir, scene, pair);
@@ -289,7 +298,7 @@ impl PairChecker<'_> {
             return findings;
         }
         let mask = findings.examine_frame(&manifest.frame_files(dir, scene, pair), size);
-        let frame1 = findings.read_image(&files.frame1, size);
+        let frame1 = known.or_else(|| findings.read_image(&files.frame1, size));
         // The next pair reports its own first frame if it is broken.
         let mut of_frame2 = PairFindings::default();
         let of_last = pair + 1 == scene.pairs;
@@ -324,6 +333,7 @@ impl PairChecker<'_> {
             let back = residual((&frame2, &frame1), &backward, |i| mask2.pixels()[i]);
             findings.explains(back, path);
         }
+        *frame = Some(frame2);
         findings
     }
 

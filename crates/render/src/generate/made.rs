@@ -2,13 +2,14 @@
 
 use std::ops::Range;
 
+use srflow_avatar::Avatars;
 use srflow_field::{Recent, Spares};
 use srflow_read::flow::{MadeError, MadePairs, SCENES_AT_ONCE, Sample};
 use srflow_read::manifest::SceneSplit;
 
 use super::background::{self, Background};
 use super::rig::Rig;
-use super::scene::Scene;
+use super::scene::{Scene, subject};
 use super::settings::Settings;
 use super::work::Worker;
 use crate::RenderError;
@@ -33,7 +34,7 @@ impl ScenePairs {
     /// # Errors
     /// As [`generate`](super::generate) before any work; and when the pairs per scene are not a whole number.
     pub fn new(settings: Settings) -> Result<Self, RenderError> {
-        super::checked_plan(&settings)?;
+        super::checked_plan(&settings, &Avatars::keeping(1))?;
         if settings.frames.fract() != 0.0 {
             return Err(RenderError::Argument {
                 argument: "--frames",
@@ -58,7 +59,9 @@ impl ScenePairs {
     fn scene(&self, number: u32) -> Result<Scene, RenderError> {
         let background = background::chosen(&self.backgrounds, number, self.settings.seed);
         let entry = self.settings.entry(number, SceneSplit::Train, self.pairs, background);
-        Scene::new(&self.settings, &self.rig, number, &entry)
+        // Scenes are kept with their avatars.
+        let avatar = subject(&Avatars::keeping(1), &self.settings.head, &entry)?;
+        Scene::new(&self.settings, &self.rig, number, &entry, avatar)
     }
 }
 

@@ -18,7 +18,7 @@ mod work;
 use std::path::Path;
 
 use rayon::prelude::*;
-use srflow_avatar::Avatar;
+use srflow_avatar::{Avatar, Avatars};
 use srflow_field::write_file;
 
 use crate::RenderError;
@@ -56,18 +56,30 @@ pub struct Report {
 /// Before any work when a setting is wrong or the folder has another dataset; later when a file cannot be written or a
 /// background image cannot be read. Complete files stay, and the next call with the same settings continues.
 pub fn generate(settings: &Settings, request: Request) -> Result<Report, RenderError> {
-    let manifest = checked_plan(settings)?;
-    let plan = work::Scenes { settings, rig: settings.rig(), manifest };
+    generate_with(settings, request, &Avatars::keeping(1))
+}
+
+/// As [`generate`], with the avatars that were made before of the same subjects.
+///
+/// # Errors
+/// Those of [`generate`].
+pub fn generate_with(
+    settings: &Settings,
+    request: Request,
+    avatars: &Avatars,
+) -> Result<Report, RenderError> {
+    let manifest = checked_plan(settings, avatars)?;
+    let plan = work::Scenes { settings, avatars, rig: settings.rig(), manifest };
     let (run, statistics) = job::make(&plan, request, |dir| write_statistics(dir, &plan.manifest))?;
     Ok(Report { run, statistics })
 }
 
 /// The plan, once the files of head and motion have been read: fails before anything is made.
-fn checked_plan(settings: &Settings) -> Result<Manifest, RenderError> {
+fn checked_plan(settings: &Settings, avatars: &Avatars) -> Result<Manifest, RenderError> {
     let manifest = settings.plan()?;
     let from_files = !settings.head.is_builtin() || settings.motion.is_of_files();
     if let (true, Some(entry)) = (from_files, manifest.scenes.first()) {
-        let avatar = scene::subject(&settings.head, entry)?;
+        let avatar = scene::subject(avatars, &settings.head, entry)?;
         check_length(settings, &manifest, &avatar)?;
     }
     Ok(manifest)

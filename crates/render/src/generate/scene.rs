@@ -1,8 +1,10 @@
 //! A scene: one moving subject in front of a moving camera. Frames can be computed in any order.
 
+use std::sync::Arc;
+
 use glam::{EulerRot, Quat, Vec3};
 use srflow_avatar::{
-    Avatar, HeadModel, HeadPose, HeadSource, MicroExpression, Moment, Motion, PoseParameters, Side,
+    Avatar, Avatars, HeadModel, HeadPose, HeadSource, MicroExpression, Moment, Motion, PoseParameters, Side,
 };
 use srflow_field::Image;
 use srflow_field::random::{Key, Stream};
@@ -54,7 +56,7 @@ const SUBJECT_TURN: [f32; 3] = [22.0, 11.0, 8.0];
 /// One moving subject in front of a moving camera.
 pub(super) struct Scene {
     pub entry: SceneEntry,
-    pub avatar: Avatar,
+    pub avatar: Arc<Avatar>,
     /// The background, unless it is a colour.
     pub background: Option<Image>,
     recorder: Option<Recorder>,
@@ -121,15 +123,25 @@ impl Pace {
     }
 }
 
-pub(super) fn subject(head: &HeadSource, entry: &SceneEntry) -> Result<Avatar, RenderError> {
-    head.avatar(entry.subject)
+pub(super) fn subject(
+    avatars: &Avatars,
+    head: &HeadSource,
+    entry: &SceneEntry,
+) -> Result<Arc<Avatar>, RenderError> {
+    avatars
+        .get(head, entry.subject)
         .map_err(|error| RenderError::Head { who: entry.name.clone(), reason: error.to_string() })
 }
 
 impl Scene {
-    /// Scene `number` of a dataset.
-    pub fn new(settings: &Settings, rig: &Rig, number: u32, entry: &SceneEntry) -> Result<Self, RenderError> {
-        let avatar = subject(&settings.head, entry)?;
+    /// Scene `number` of a dataset, of the [`subject`] of its entry.
+    pub fn new(
+        settings: &Settings,
+        rig: &Rig,
+        number: u32,
+        entry: &SceneEntry,
+        avatar: Arc<Avatar>,
+    ) -> Result<Self, RenderError> {
         let key = Key::new(settings.seed).scene(number);
         let size = (settings.width, settings.height);
         let background = background::behind(&settings.background, entry.background.as_deref(), size, key)?;

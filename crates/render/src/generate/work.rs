@@ -9,7 +9,7 @@ use std::fs;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
-use srflow_avatar::PosedHead;
+use srflow_avatar::{Avatars, PosedHead};
 use srflow_field::{longest_flow, write_file, write_flow_as, write_image_png, write_mask_png};
 use srflow_splat::{DeviceRasterizer, Frame, Gaussians, Next, Options, Outputs, RasterizeError};
 
@@ -17,7 +17,7 @@ use super::background::{self, Background};
 use super::occlusion::{occlusion, surface_into};
 use super::pictures::{write_alpha, write_depth, write_regions};
 use super::rig::Rig;
-use super::scene::{FrameState, Scene};
+use super::scene::{self, FrameState, Scene};
 use super::settings::Settings;
 use crate::RenderError;
 use crate::job::{Clock, Layout, Plan, Run, Stage, leading_number, names_in, unless_gone};
@@ -35,6 +35,7 @@ type Work<'w, 'a> = crate::job::Work<'w, Scenes<'a>>;
 /// A dataset whose units are frame pairs, in scenes.
 pub(super) struct Scenes<'a> {
     pub settings: &'a Settings,
+    pub avatars: &'a Avatars,
     pub manifest: Manifest,
     pub rig: Rig,
 }
@@ -140,7 +141,9 @@ impl<'a> Plan for Scenes<'a> {
     }
 
     fn group(&self, number: u32) -> Result<Scene, RenderError> {
-        Scene::new(self.settings, &self.rig, number, self.scene(number))
+        let entry = self.scene(number);
+        let avatar = scene::subject(self.avatars, &self.settings.head, entry)?;
+        Scene::new(self.settings, &self.rig, number, entry, avatar)
     }
 
     fn worker(&self) -> Worker {
@@ -476,7 +479,8 @@ mod tests {
             regions: true,
             ..Settings::default()
         };
-        let plan = Scenes { settings: &settings, rig: settings.rig(), manifest: settings.plan().unwrap() };
+        let (avatars, manifest) = (Avatars::keeping(1), settings.plan().unwrap());
+        let plan = Scenes { settings: &settings, avatars: &avatars, rig: settings.rig(), manifest };
         let left = || -> Vec<u32> { (0..3).filter(|&pair| !plan.layout().is_whole(dir, 0, pair)).collect() };
         assert_eq!(left(), [0, 1, 2]);
         for folder in plan.folders(dir, &Run { group: 0, units: 0..3 }) {

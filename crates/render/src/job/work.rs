@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use srflow_field::FileError;
+use srflow_field::{FileError, Recent};
 
 use super::folder::until_kept;
 use super::timing::{Clock, Stage};
@@ -23,8 +23,8 @@ pub(crate) struct Work<'a, P: Plan> {
     stop: &'a (dyn Fn() -> bool + Sync),
     on_event: &'a (dyn Fn(Event) + Sync),
     pub clock: Clock,
-    /// The group that was started last.
-    current: Mutex<Option<(u32, Arc<P::Group>)>>,
+    /// The group that is rendered, and the next.
+    groups: Recent<u32, P::Group>,
     next_run: AtomicUsize,
     begun: AtomicU64,
     made: AtomicU64,
@@ -50,7 +50,7 @@ impl<'a, P: Plan> Work<'a, P> {
             stop,
             on_event,
             clock: Clock::default(),
-            current: Mutex::default(),
+            groups: Recent::new(2),
             next_run: AtomicUsize::new(0),
             begun: AtomicU64::new(0),
             made: AtomicU64::new(0),
@@ -100,18 +100,22 @@ impl<'a, P: Plan> Work<'a, P> {
         Ok(())
     }
 
-    /// The group, shared by its workers. Runs are taken in order: at most one group is started at a time.
+    /// The group, shared by its workers. Runs are taken in order: at most two groups are started at a time.
     fn group(&self, number: u32) -> Result<Arc<P::Group>, RenderError> {
-        let mut current = lock(&self.current);
-        if let Some((at, group)) = &*current
-            && *at == number
-        {
-            return Ok(Arc::clone(group));
+        let make = |number| self.clock.time(Stage::Heads, || self.plan.group(number));
+        if let Some(group) = self.groups.try_get(number, || make(number))? {
+            return Ok(group);
         }
-        *current = None; // frees the previous group, unless a worker still uses it
-        let group = Arc::new(self.clock.time(Stage::Heads, || self.plan.group(number))?);
-        *current = Some((number, Arc::clone(&group)));
-        Ok(group)
+        // Another worker is making the group. Meanwhile this one makes the next; whoever renders that group is told what is wrong with it.
+        if let Some(next) = self.group_after(number) {
+            _ = self.groups.try_get(next, || make(next));
+        }
+        self.groups.get(number, || make(number))
+    }
+
+    /// The group of the first run that is not of this group or one before.
+    fn group_after(&self, number: u32) -> Option<u32> {
+        self.runs.iter().map(|run| run.group).find(|group| *group > number)
     }
 
     /// Whether to render another unit.

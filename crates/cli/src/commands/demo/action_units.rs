@@ -1,6 +1,7 @@
 //! Every action unit of a head: the face at rest, at full intensity, and the flow between the two.
 
 use glam::{DVec3, Vec3};
+use rayon::prelude::*;
 use srflow_avatar::{Avatar, HeadPose, PosedHead, Side, unit_name};
 use srflow_eval::report::{ActionCard, Picture, flow_scale, shrink_flow, shrink_image};
 use srflow_field::{Image, flow_colors};
@@ -20,18 +21,18 @@ const ZOOM: f64 = 2.1;
 /// # Errors
 /// When a picture cannot be rendered or encoded.
 pub fn cards(avatar: &Avatar, background: [u8; 3]) -> anyhow::Result<Vec<ActionCard>> {
-    let mut studio = Studio::before(avatar, background);
-    let (mut head, mut rest, mut full) = (PosedHead::default(), Gaussians::default(), Gaussians::default());
+    let (mut head, mut rest) = (PosedHead::default(), Gaussians::default());
     avatar.gaussians_into(&HeadPose::default(), &mut head, &mut rest);
     let rest_vertices = head.vertices().to_vec();
-    let at_rest = Picture::jpeg(&studio.photograph(&rest)?, "the face at rest")?;
+    let studio = || (Studio::before(avatar, background), PosedHead::default(), Gaussians::default());
+    let at_rest = Picture::jpeg(&studio().0.photograph(&rest)?, "the face at rest")?;
 
     let mut numbers: Vec<u8> = avatar.model().action_units.iter().map(|unit| unit.number).collect();
     numbers.sort_unstable();
     numbers.dedup();
-    let card = |number: u8| {
+    let card = |(studio, head, full): &mut (Studio, PosedHead, Gaussians), number: u8| {
         let pose = avatar.model().pose_of_action_units(&[(number, Side::Both, 1.0)])?;
-        avatar.gaussians_into(&pose, &mut head, &mut full);
+        avatar.gaussians_into(&pose, head, full);
         let furthest = furthest_millimetres(&rest_vertices, head.vertices());
         let name = unit_name(number).unwrap_or("");
         let alt = format!("action unit {number}, {name}");
@@ -39,11 +40,11 @@ pub fn cards(avatar: &Avatar, background: [u8; 3]) -> anyhow::Result<Vec<ActionC
             title: format!("AU {number}"),
             note: format!("{name}, up to {furthest:.1} mm"),
             rest: at_rest.clone(),
-            full: Picture::jpeg(&studio.photograph(&full)?, &alt)?,
-            flow: Picture::jpeg(&studio.flow(&rest, &full)?, &format!("flow of {alt}"))?,
+            full: Picture::jpeg(&studio.photograph(full)?, &alt)?,
+            flow: Picture::jpeg(&studio.flow(&rest, full)?, &format!("flow of {alt}"))?,
         })
     };
-    numbers.into_iter().map(card).collect()
+    numbers.into_par_iter().map_init(studio, card).collect()
 }
 
 /// One camera that looks at a face, and its rasterizer.

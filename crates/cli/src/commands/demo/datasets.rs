@@ -4,13 +4,14 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use srflow_avatar::HeadSource;
+use rayon::prelude::*;
+use srflow_avatar::{Avatars, HeadSource};
 use srflow_eval::head_window;
 use srflow_eval::report::{
     Film, Panel, Picture, flow_scale, sample_panels, shrink_flow, shrink_image, shrink_mask,
 };
-use srflow_field::{FlowField, FlowFormat, Image, Size, flow_colors};
-use srflow_read::flow::{DatasetSpec, FlowDataset, Sample, Split};
+use srflow_field::{FlowField, Image, Size, flow_colors};
+use srflow_read::flow::{DatasetSpec, Entry, FlowDataset, Sample, Split};
 use srflow_read::manifest::Manifest;
 use srflow_render::generate::{self, Background, Report, Settings};
 
@@ -20,7 +21,7 @@ use crate::rendering::RenderingArgs;
 pub const BACKGROUND: [u8; 3] = [0xdd, 0xda, 0xd4];
 
 /// Number of heads, one scene each.
-const HEADS: u32 = 3;
+pub const HEADS: u32 = 3;
 
 /// Three heads at full size. With eight pairs, the first pair moves no faster than faces do.
 pub fn stills(size: Size) -> Plan {
@@ -61,8 +62,15 @@ impl Plan {
     /// Renders the dataset, or the missing part of it, with a bar on standard error if that is a terminal.
     ///
     /// # Errors
-    /// Those of [`generate::generate`] and of opening the result.
-    pub fn render(self, out: &Path, head: &HeadSource, seed: u64, force: bool) -> anyhow::Result<Rendered> {
+    /// Those of [`generate::generate_with`] and of opening the result.
+    pub fn render(
+        self,
+        out: &Path,
+        head: &HeadSource,
+        avatars: &Avatars,
+        seed: u64,
+        force: bool,
+    ) -> anyhow::Result<Rendered> {
         let settings = Settings {
             head: head.clone(),
             scenes: HEADS,
@@ -71,13 +79,13 @@ impl Plan {
             height: self.size.height,
             splits: [0.0, 0.0, 1.0],
             seed,
-            flow_format: FlowFormat::Npz,
             background: Background::Colour(BACKGROUND),
             ..Settings::default()
         };
         let dir = out.join(self.folder);
         let rendering = RenderingArgs { force, ..RenderingArgs::default() };
-        let made = rendering.make(&dir, "pairs", |request| generate::generate(&settings, request))?;
+        let made =
+            rendering.make(&dir, "pairs", |request| generate::generate_with(&settings, request, avatars))?;
         let report = made.report;
         let spec = DatasetSpec { kind: "srflow".to_owned(), dir: dir.clone() };
         Ok(Rendered { dir, report, dataset: FlowDataset::open(&spec, Some(Split::All))? })
@@ -89,7 +97,7 @@ impl Plan {
         let head = if head.is_builtin() { String::new() } else { format!(" --head {head}") };
         let [r, g, b] = BACKGROUND;
         format!(
-            "srflow render --out {} --scenes {} --frames {} --size {size} --splits 0,0,1{head} --seed {seed} --flow-format npz \\
+            "srflow render --out {} --scenes {} --frames {} --size {size} --splits 0,0,1{head} --seed {seed} \\
              --background '#{r:02x}{g:02x}{b:02x}'",
             self.folder, HEADS, self.frames
         )
@@ -126,17 +134,10 @@ pub struct Still {
 /// # Errors
 /// When a file cannot be read or a picture cannot be encoded.
 pub fn portraits(rendered: &Rendered) -> anyhow::Result<Vec<Still>> {
-    let mut stills = Vec::new();
-    let mut scene = None;
-    for entry in rendered.dataset.entries() {
-        if scene == Some(&entry.scene) {
-            continue;
-        }
-        scene = Some(&entry.scene);
-        let sample = rendered.dataset.read(entry)?;
-        stills.push(still(&sample, &format!("head {}", stills.len() + 1))?);
-    }
-    Ok(stills)
+    let mut firsts: Vec<&Entry> = rendered.dataset.entries().iter().collect();
+    firsts.dedup_by_key(|entry| &entry.scene);
+    let still = |(number, entry)| still(&rendered.dataset.read(entry)?, &format!("head {}", number + 1));
+    firsts.into_par_iter().enumerate().map(still).collect()
 }
 
 fn still(sample: &Sample, name: &str) -> anyhow::Result<Still> {
@@ -176,25 +177,29 @@ pub fn films(rendered: &Rendered) -> anyhow::Result<(Vec<Film>, f64)> {
     const WIDTH: usize = 366;
     let entries = rendered.dataset.entries();
     let scene = entries.first().map(|entry| entry.scene.clone()).unwrap_or_default();
-    let (mut frames, mut flows, mut hidden) = (Vec::new(), Vec::new(), Vec::new());
-    for entry in entries.iter().filter(|entry| entry.scene == scene) {
+    let of_scene = entries.par_iter().filter(|entry| entry.scene == scene).map(|entry| {
         let sample = rendered.dataset.read(entry)?;
-        frames.push(shrink_image(&sample.frame1, WIDTH));
-        flows.extend(sample.flow.as_ref().map(|flow| shrink_flow(flow, WIDTH)));
-        hidden.extend(sample.occlusion.as_ref().map(|mask| shrink_mask(mask, WIDTH)));
+        let flow = sample.flow.as_ref().map(|flow| shrink_flow(flow, WIDTH));
+        let hidden = sample.occlusion.as_ref().map(|mask| {
+            let share = shrink_mask(mask, WIDTH);
+            Image::from_fn(share.width(), share.height(), |x, y| [(share.get(x, y) * 255.0) as u8; 3])
+        });
+        Ok((shrink_image(&sample.frame1, WIDTH), flow, hidden))
+    });
+    let of_scene: Vec<(Image, Option<FlowField>, Option<Image>)> = of_scene.collect::<anyhow::Result<_>>()?;
+    let (mut frames, mut flows, mut hidden) = (Vec::new(), Vec::new(), Vec::new());
+    for (frame, flow, occlusion) in of_scene {
+        frames.push(frame);
+        flows.extend(flow);
+        hidden.extend(occlusion);
     }
     let longest = flows.iter().map(flow_scale).fold(0.1, f64::max);
     let flows: Vec<Image> = flows.iter().map(|flow| flow_colors(flow, Some(longest as f32))).collect();
-    let hidden: Vec<Image> = hidden
-        .iter()
-        .map(|share| {
-            Image::from_fn(share.width(), share.height(), |x, y| [(share.get(x, y) * 255.0) as u8; 3])
-        })
-        .collect();
-    let films = vec![
-        Film::new(&frames, "Frames", "the rendered frames")?,
-        Film::new(&flows, "Flow", "the motion of every pixel to the next frame")?,
-        Film::new(&hidden, "Occlusion", "pixels that the next frame hides")?,
+    let films = [
+        (frames, "Frames", "the rendered frames"),
+        (flows, "Flow", "the motion of every pixel to the next frame"),
+        (hidden, "Occlusion", "pixels that the next frame hides"),
     ];
-    Ok((films, longest))
+    let films = films.into_par_iter().map(|(frames, title, note)| Film::new(&frames, title, note));
+    Ok((films.collect::<Result<_, _>>()?, longest))
 }

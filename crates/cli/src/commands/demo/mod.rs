@@ -11,7 +11,7 @@ use std::process::Command;
 use anyhow::Context as _;
 use clap::Args;
 use serde_json::json;
-use srflow_avatar::HeadSource;
+use srflow_avatar::{Avatars, HeadSource};
 use srflow_eval::report::{Figure, pair_figures};
 use srflow_eval::{Evaluation, Settings};
 use srflow_field::{FlowEstimator, Size, write_file};
@@ -78,21 +78,27 @@ pub fn run(args: Demo, context: &Context) -> anyhow::Result<()> {
     let estimators = methods::estimators(&shown, &MethodParameters::default())?;
 
     let (stills_plan, clips_plan) = (datasets::stills(args.size), datasets::clips(args.size));
+    // Both datasets and the action units show the same heads.
+    let avatars = Avatars::keeping(datasets::HEADS as usize);
     let mut stages = Stages::of(if photographs.is_some() { 6 } else { 5 });
     let (stills, heads) = stages.run("Rendering three heads", || {
-        let stills = stills_plan.render(&args.out, &args.head, args.seed, args.force)?;
+        let stills = stills_plan.render(&args.out, &args.head, &avatars, args.seed, args.force)?;
         let heads = datasets::portraits(&stills)?;
         Ok((stills, heads))
     })?;
     let (clips, films) = stages.run("Rendering the heads in motion", || {
-        let clips = clips_plan.render(&args.out, &args.head, args.seed, args.force)?;
+        let clips = clips_plan.render(&args.out, &args.head, &avatars, args.seed, args.force)?;
         let films = datasets::films(&clips)?;
         Ok((clips, films))
     })?;
     let (gaussians, avatar, cards) = stages.run("Showing every action unit", || {
-        let head = MovingHead::open(&args.head, None, stills.first_subject()?)?;
-        let cards = action_units::cards(&head.avatar, datasets::BACKGROUND)?;
-        Ok((head.avatar.bound().len(), avatar_page(&head, "The first head")?.html(), cards))
+        let subject = stills.first_subject()?;
+        let head = MovingHead::made(avatars.get(&args.head, subject)?, subject)?;
+        let (cards, page) = rayon::join(
+            || action_units::cards(&head.avatar, datasets::BACKGROUND),
+            || Ok::<_, anyhow::Error>(avatar_page(&head, "The first head")?.html()),
+        );
+        Ok((head.avatar.bound().len(), page?, cards?))
     })?;
     let at_full_size = stages.run("Estimating and scoring at full size", || {
         score(&stills.dataset, &estimators, Some(paper_crop(args.size)), 3)

@@ -171,6 +171,7 @@ pub fn run(mut args: Eval, context: &Context) -> anyhow::Result<()> {
         limit,
         on_failure: if args.keep_going { OnFailure::LeaveOut } else { OnFailure::Stop },
         batch: NonZeroUsize::new(args.batch.into()),
+        read_ahead: !args.parameters.network.on_cpu(),
         regions: args.regions,
         small_motion: args.small_motion,
         expression: args.expression,

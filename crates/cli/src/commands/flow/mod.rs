@@ -4,18 +4,17 @@ mod outputs;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::Instant;
 
-use anyhow::{Context as _, ensure};
+use anyhow::{Context as _, anyhow, ensure};
 use clap::Args;
 use indicatif::ProgressBar;
 use serde::Serialize;
 use srflow_eval::report::heat;
 use srflow_face::{FrameCrop, write_landmarks};
 use srflow_field::{
-    FlowEstimate, FlowEstimator, FlowField, FlowFormat, Image, Shard, create_folder, flow_colors, read_flow,
-    write_flow, write_image_png, write_npy_plane,
+    FlowEstimate, FlowEstimator, FlowField, FlowFormat, FlowSequence, Shard, create_folder, flow_colors,
+    in_stages, read_flow, write_flow, write_image_png, write_npy_plane,
 };
 
 use self::extra::ExtraOutput;
@@ -149,7 +148,7 @@ struct EstimatedPair {
     extra: BTreeMap<&'static str, PathBuf>,
     width: usize,
     height: usize,
-    /// Time of estimation, without reading and writing; in a batch, an equal share.
+    /// Time of estimation, while other frames are read and written; in a batch, an equal share.
     seconds: f64,
     /// Those that `--iters auto` did; the mean over tiles.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -262,6 +261,7 @@ fn estimate(args: &Flow, context: &Context) -> anyhow::Result<Estimated> {
         }
         _ => None,
     };
+    let initial = args.initial_flow.as_deref().map(read_flow).transpose()?;
 
     let template = match source.pairs() {
         Some(_) => "{bar:30} {pos}/{len} flows, {per_sec}, {eta} left",
@@ -270,27 +270,15 @@ fn estimate(args: &Flow, context: &Context) -> anyhow::Result<Estimated> {
     let bar = bar(source.pairs(), template);
     bar.set_position(resumed);
     let continuable = Continuable::counted(&bar, "flows");
-    let reports = std::thread::scope(|scope| {
-        let (sender, frames) = sync_channel(1);
-        scope.spawn(|| {
-            let sender = sender; // dropped after the last frame
-            source.read(resumed, |frame| {
-                sender.send(frame.and_then(|frame| cropped(frame, &crop, args.save_crops.as_deref()))).is_ok()
-            });
-        });
-        let work = Work {
-            args,
-            source: &source,
-            outputs: &outputs,
-            estimator: estimator.as_ref(),
-            counts_iterations: method.network().is_some_and(|architecture| network.is_auto(architecture)),
-            bar: &bar,
-        };
-        match &args.initial_flow {
-            Some(initial) => work.pair_from(&frames, &read_flow(initial)?),
-            None => work.along(&frames),
-        }
-    });
+    let work = Work {
+        args,
+        source: &source,
+        outputs: &outputs,
+        estimator: estimator.as_ref(),
+        counts_iterations: method.network().is_some_and(|architecture| network.is_auto(architecture)),
+        bar: &bar,
+    };
+    let reports = work.run(resumed, &crop, initial.as_ref());
     drop(continuable);
     bar.finish_and_clear();
     let reports = reports?;
@@ -380,7 +368,9 @@ fn cropped(frame: Frame, crop: &FrameCrop, folder: Option<&Path>) -> anyhow::Res
     Ok(Frame { image, ..frame })
 }
 
-type Frames = Receiver<anyhow::Result<Frame>>;
+/// Batches of frames that wait to be estimated, and of flows that wait to be written: a frame takes about as long to decode as its flow to
+/// encode, and both less than the estimation.
+const AHEAD: usize = 1;
 
 /// From frames to files.
 struct Work<'a> {
@@ -393,11 +383,76 @@ struct Work<'a> {
     bar: &'a ProgressBar,
 }
 
+/// An estimated pair, to be written.
+struct Pair {
+    /// The frames.
+    labels: [String; 2],
+    /// Of the first frame.
+    stem: String,
+    estimate: FlowEstimate,
+    /// Time of estimation.
+    seconds: f64,
+}
+
 impl Work<'_> {
+    /// Estimates the pairs of a sequence, except the first `resumed`, `--batch` at a time; or one pair, starting from an initial flow. Frames
+    /// are decoded and flows encoded meanwhile.
+    fn run(
+        &self,
+        resumed: u64,
+        crop: &FrameCrop,
+        initial: Option<&FlowField>,
+    ) -> anyhow::Result<Vec<EstimatedPair>> {
+        let mut sequence = self.estimator.sequence(self.args.warm_start);
+        let mut last = None;
+        let estimate = |frames: Vec<Frame>| match initial {
+            Some(initial) => self.pair_from(frames, initial),
+            None => self.next(sequence.as_mut(), &mut last, frames),
+        };
+        let (mut video, mut reports) = (None, Vec::new());
+        in_stages(
+            AHEAD,
+            |give| self.read(resumed, crop, give),
+            estimate,
+            |pairs| {
+                for pair in pairs {
+                    reports.push(self.write(pair, &mut video)?);
+                }
+                Ok(())
+            },
+        )?;
+        video.map_or(Ok(()), VideoWriter::finish)?;
+        Ok(reports)
+    }
+
+    /// The frames, except the first `skip`, in batches: the first has one frame more, as it takes two for a pair.
+    fn read(&self, skip: u64, crop: &FrameCrop, give: &mut dyn FnMut(anyhow::Result<Vec<Frame>>) -> bool) {
+        let batch = self.args.parameters.network.batch;
+        let (mut frames, mut wanted, mut more) = (Vec::new(), batch + 1, true);
+        self.source.read(skip, |frame| {
+            match frame.and_then(|frame| cropped(frame, crop, self.args.save_crops.as_deref())) {
+                Ok(frame) => frames.push(frame),
+                Err(error) => {
+                    frames.clear();
+                    give(Err(error));
+                    more = false;
+                }
+            }
+            if frames.len() == wanted {
+                more = give(Ok(std::mem::take(&mut frames)));
+                wanted = batch;
+            }
+            more
+        });
+        if more && !frames.is_empty() {
+            give(Ok(frames));
+        }
+    }
+
     /// Two frames, starting from an initial flow.
-    fn pair_from(&self, frames: &Frames, initial: &FlowField) -> anyhow::Result<Vec<EstimatedPair>> {
-        let next = || frames.recv().context("the thread that reads frames ended early")?;
-        let (first, second) = (next()?, next()?);
+    fn pair_from(&self, frames: Vec<Frame>, initial: &FlowField) -> anyhow::Result<Vec<Pair>> {
+        let [first, second] = <[Frame; 2]>::try_from(frames)
+            .map_err(|frames| anyhow!("expected two frames to start from a flow, found {}", frames.len()))?;
         let ((width, height), (initial_width, initial_height)) = (first.image.size(), initial.size());
         ensure!(
             (initial_width, initial_height) == (width, height),
@@ -410,63 +465,49 @@ impl Work<'_> {
             .estimate_from(&first.image, &second.image, initial)
             .with_context(|| format!("{} and {}", first.label, second.label))?;
         let seconds = start.elapsed().as_secs_f64();
-        Ok(vec![self.write((&first.label, &first.stem), &second.label, &estimate, seconds, &mut None)?])
+        Ok(vec![Pair { labels: [first.label, second.label], stem: first.stem, estimate, seconds }])
     }
 
-    /// A sequence, `--batch` pairs at a time.
-    fn along(&self, frames: &Frames) -> anyhow::Result<Vec<EstimatedPair>> {
-        let mut sequence = self.estimator.sequence(self.args.warm_start);
-        let batch = self.args.parameters.network.batch;
-        let mut video = None;
-        let mut reports = Vec::new();
-        // Names of the frame before those that are pushed, and of the pushed ones.
-        let mut names: Vec<(String, String)> = Vec::new();
-        loop {
-            let wanted = if names.is_empty() { batch + 1 } else { batch };
-            let mut images: Vec<Image> = Vec::with_capacity(wanted);
-            for frame in frames.iter().take(wanted) {
-                let Frame { label, stem, image } = frame?;
-                names.push((label, stem));
-                images.push(image);
-            }
-            if images.is_empty() {
-                break;
-            }
-            let start = Instant::now();
-            let estimates = sequence.push(&images).with_context(|| self.labels(&names))?;
-            let seconds = start.elapsed().as_secs_f64() / estimates.len().max(1) as f64;
-            for (pair, estimate) in names.windows(2).zip(&estimates) {
-                let (label, stem) = &pair[0];
-                reports.push(self.write((label, stem), &pair[1].0, estimate, seconds, &mut video)?);
-            }
-            names.drain(..names.len() - 1);
+    /// The pairs that end at `frames`. `last` has the names of the frame before them, and then of the last.
+    fn next(
+        &self,
+        sequence: &mut (dyn FlowSequence + '_),
+        last: &mut Option<[String; 2]>,
+        frames: Vec<Frame>,
+    ) -> anyhow::Result<Vec<Pair>> {
+        let (mut names, mut images) = (Vec::from_iter(last.take()), Vec::with_capacity(frames.len()));
+        for Frame { label, stem, image } in frames {
+            names.push([label, stem]);
+            images.push(image);
         }
-        video.map_or(Ok(()), VideoWriter::finish)?;
-        Ok(reports)
+        let start = Instant::now();
+        let estimates = sequence.push(&images).with_context(|| self.labels(&names))?;
+        let seconds = start.elapsed().as_secs_f64() / estimates.len().max(1) as f64;
+        let pairs = names.windows(2).zip(estimates).map(|(pair, estimate)| {
+            let [[first, stem], [second, _]] = [&pair[0], &pair[1]];
+            Pair { labels: [first.clone(), second.clone()], stem: stem.clone(), estimate, seconds }
+        });
+        let pairs = pairs.collect();
+        *last = names.pop();
+        Ok(pairs)
     }
 
-    fn labels(&self, names: &[(String, String)]) -> String {
+    fn labels(&self, names: &[[String; 2]]) -> String {
         match names {
-            [(first, _), .., (last, _)] => format!("{first} to {last}"),
-            [(one, _)] => one.clone(),
+            [[first, _], .., [last, _]] => format!("{first} to {last}"),
+            [[one, _]] => one.clone(),
             [] => String::new(),
         }
     }
 
-    fn write(
-        &self,
-        (label, stem): (&str, &str),
-        next: &str,
-        estimate: &FlowEstimate,
-        seconds: f64,
-        video: &mut Option<VideoWriter>,
-    ) -> anyhow::Result<EstimatedPair> {
-        self.outputs.check_pair(stem)?;
-        let files = self.outputs.pair(stem);
+    fn write(&self, pair: Pair, video: &mut Option<VideoWriter>) -> anyhow::Result<EstimatedPair> {
+        let Pair { labels: [frame1, frame2], stem, estimate, seconds } = pair;
+        self.outputs.check_pair(&stem)?;
+        let files = self.outputs.pair(&stem);
         let flow = &estimate.flow;
         write_flow(&files.flow, flow)?;
         for (output, plane_files) in &files.extra {
-            let plane = output.of(estimate).with_context(|| output.missing(self.estimator.name()))?;
+            let plane = output.of(&estimate).with_context(|| output.missing(self.estimator.name()))?;
             write_npy_plane(&plane_files.npy, plane)?;
             if let Some(png) = &plane_files.png {
                 write_image_png(png, &heat(plane, output.brightest(plane, self.args.viz_max)))?;
@@ -485,8 +526,8 @@ impl Work<'_> {
         }
         self.bar.inc(1);
         Ok(EstimatedPair {
-            frame1: label.to_owned(),
-            frame2: next.to_owned(),
+            frame1,
+            frame2,
             flow: files.flow,
             viz: files.viz,
             extra: files.extra.into_iter().map(|(output, files)| (output.name(), files.npy)).collect(),

@@ -181,12 +181,11 @@ impl<'a> Output<'a> {
 /// be multiplied by pairs.
 pub fn multiply(isa: Isa, product: &Product, out: &mut Output) {
     product.check(isa, out);
-    with_sides(isa, product, |sides| {
+    with_sides(isa, product, |sides| match product.left {
         // SAFETY: the bounds of every read and write were checked.
-        match product.left {
-            Left::F32(_) => unsafe { multiply_unchecked(isa, product, sides, out) },
-            Left::Bf16(_) => unsafe { multiply_pairs_unchecked(isa, product, sides, out) },
-        }
+        Left::F32(_) => unsafe { multiply_unchecked(isa, product, sides, out) },
+        // SAFETY: as above.
+        Left::Bf16(_) => unsafe { multiply_pairs_unchecked(isa, product, sides, out) },
     });
     out.mark_filled(product.rows, product.columns);
 }

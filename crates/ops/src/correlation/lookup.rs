@@ -70,35 +70,38 @@ pub(super) fn lookup_with(
     let pixels = height * width;
     let fill = |out: SharedMut| {
         let scratch = || (Scratch::of(width * entries), Vec::new());
-        (0..second.batch * height).into_par_iter().for_each_init(scratch, |(windows_of_row, products), row| {
-            for group in (0..width).step_by(GROUP) {
-                let first = row * width + group;
-                let count = GROUP.min(width - group);
-                for number in 0..second.levels.len() {
-                    let windows_of_group =
-                        [0, 1, 2, 3].map(|i| windows.window(first + i.min(count - 1), number));
-                    // Neighbours mostly have nearly the same window, and can share loads.
-                    let common = Common::of(&windows_of_group);
-                    let together = if common.is_small() { count } else { 1 };
-                    for start in (0..count).step_by(together) {
-                        let of = &windows_of_group[start..start + together];
-                        let common = Common::of(of);
-                        let pixels = first + start..first + start + together;
-                        common.products(isa, &features, second, number, pixels, products);
-                        for (i, window) in of.iter().enumerate() {
-                            let side = windows.side();
-                            let at = (group + start + i) * entries + number * side * side;
-                            let products = &products[i * common.len()..][common.offset(window)..];
-                            let out = &mut windows_of_row[at..at + side * side];
-                            window.interpolate(products, common.columns, windows.scale, out);
+        (0..second.batch * height).into_par_iter().for_each_init(
+            scratch,
+            |(windows_of_row, products), row| {
+                for group in (0..width).step_by(GROUP) {
+                    let first = row * width + group;
+                    let count = GROUP.min(width - group);
+                    for number in 0..second.levels.len() {
+                        let windows_of_group =
+                            [0, 1, 2, 3].map(|i| windows.window(first + i.min(count - 1), number));
+                        // Neighbours mostly have nearly the same window, and can share loads.
+                        let common = Common::of(&windows_of_group);
+                        let together = if common.is_small() { count } else { 1 };
+                        for start in (0..count).step_by(together) {
+                            let of = &windows_of_group[start..start + together];
+                            let common = Common::of(of);
+                            let pixels = first + start..first + start + together;
+                            common.products(isa, &features, second, number, pixels, products);
+                            for (i, window) in of.iter().enumerate() {
+                                let side = windows.side();
+                                let at = (group + start + i) * entries + number * side * side;
+                                let products = &products[i * common.len()..][common.offset(window)..];
+                                let out = &mut windows_of_row[at..at + side * side];
+                                window.interpolate(products, common.columns, windows.scale, out);
+                            }
                         }
                     }
                 }
-            }
-            let (n, y) = (row / height, row % height);
-            // SAFETY: this row of every entry is this task's.
-            unsafe { put_row(windows_of_row, &out, n * entries * pixels + y * width, [entries, pixels]) }
-        });
+                let (n, y) = (row / height, row % height);
+                // SAFETY: this row of every entry is this task's.
+                unsafe { put_row(windows_of_row, &out, n * entries * pixels + y * width, [entries, pixels]) }
+            },
+        );
     };
     // SAFETY: each task writes its row of all entries.
     unsafe { SharedMut::fill_new(second.batch * pixels * entries, fill) }

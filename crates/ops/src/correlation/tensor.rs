@@ -116,7 +116,13 @@ impl Correlation {
             pyramid.push(channels_last(level.clone()));
         }
         let first = channels_last(first).reshape([batch, height, width, channels]);
-        Self { first, size: [height, width], second: Tensor::cat(pyramid, 0), levels, paired: Paired::default() }
+        Self {
+            first,
+            size: [height, width],
+            second: Tensor::cat(pyramid, 0),
+            levels,
+            paired: Paired::default(),
+        }
     }
 
     /// Of these rows of the first map.

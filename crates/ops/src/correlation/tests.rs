@@ -33,10 +33,28 @@ fn each_instruction_set_computes_the_definition() {
         let pyramid = FeaturePyramid::new(&second, maps, levels);
         let first = channels_last(&first, batch, channels);
         for isa in Isa::to_test() {
-            let found = lookup_with(isa, Precision::F32, &first, &pyramid, &Paired::default(), &coords, [height, width], radius);
+            let found = lookup_with(
+                isa,
+                Precision::F32,
+                &first,
+                &pyramid,
+                &Paired::default(),
+                &coords,
+                [height, width],
+                radius,
+            );
             assert_close(&format!("{isa:?}, {shape:?}"), &found, &expected, 1e-5);
             // Errors of features of bfloat16, and few of them to average.
-            let found = lookup_with(isa, Precision::Bf16, &first, &pyramid, &Paired::default(), &coords, [height, width], radius);
+            let found = lookup_with(
+                isa,
+                Precision::Bf16,
+                &first,
+                &pyramid,
+                &Paired::default(),
+                &coords,
+                [height, width],
+                radius,
+            );
             assert_close(&format!("bfloat16, {isa:?}, {shape:?}"), &found, &expected, 4e-3);
         }
         let [d_first, d_second] = reference::correlation_lookup_backward(

@@ -22,14 +22,19 @@ pub(crate) const EPSILON: f64 = 1e-5;
 pub fn instance_norm(input: &[f32], pixels: usize, epsilon: f64, activation: Activation) -> Vec<f32> {
     assert!(pixels > 0 && input.len().is_multiple_of(pixels), "planes of {pixels} pixels");
     let isa = Isa::best();
-    fill_pieces(input.len(), pixels, || (), |(), plane, out| {
-        let out = out.write_copy_of_slice(&input[plane * pixels..][..pixels]);
-        normalize(out, epsilon);
-        if activation != Activation::Identity {
-            activate(isa, activation, None, out);
-        }
-        out
-    })
+    fill_pieces(
+        input.len(),
+        pixels,
+        || (),
+        |(), plane, out| {
+            let out = out.write_copy_of_slice(&input[plane * pixels..][..pixels]);
+            normalize(out, epsilon);
+            if activation != Activation::Identity {
+                activate(isa, activation, None, out);
+            }
+            out
+        },
+    )
 }
 
 /// Gradient of the input of a normalization without activation, given `grad`, that of its output.

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use crate::functions::{erf, exp, tanh};
-use crate::{Isa, Simd, dispatch, fill_pieces};
+use crate::{Isa, Simd, copy_pieces, dispatch};
 
 /// A function applied to each element.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
@@ -154,17 +154,9 @@ fn activate_kernel<S: Simd>(s: S, activation: Activation, residual: Option<&[f32
 pub fn activated(activation: Activation, sums: &[f32], residual: Option<&[f32]>) -> Vec<f32> {
     let isa = Isa::best();
     assert!(residual.is_none_or(|residual| residual.len() == sums.len()), "addends of {activation:?}");
-    fill_pieces(
-        sums.len(),
-        PIECE,
-        || (),
-        |(), number, out| {
-            let first = number * PIECE;
-            let out = out.write_copy_of_slice(&sums[first..][..out.len()]);
-            activate(isa, activation, residual.map(|residual| &residual[first..]), out);
-            out
-        },
-    )
+    copy_pieces(sums, PIECE, |number, out| {
+        activate(isa, activation, residual.map(|residual| &residual[number * PIECE..]), out);
+    })
 }
 
 /// Multiplies gradients of an activation's outputs by its derivative; `kept` holds the values that

@@ -81,6 +81,20 @@ pub fn fill_pieces<T>(
     out
 }
 
+/// A copy of `from` whose pieces of `piece` elements (the last may be shorter) `change` changes in parallel, given their numbers.
+pub fn copy_pieces(from: &[f32], piece: usize, change: impl Fn(usize, &mut [f32]) + Send + Sync) -> Vec<f32> {
+    fill_pieces(
+        from.len(),
+        piece,
+        || (),
+        |(), number, out| {
+            let out = out.write_copy_of_slice(&from[number * piece..][..out.len()]);
+            change(number, out);
+            out
+        },
+    )
+}
+
 /// A new `[images, rows, columns]`, filled in parallel in pieces of `width` columns and all rows of an image. `fill` gets
 /// the image, the columns, and the [`Output`] into which it must multiply (see [`crate::multiply`]) each of them. Each
 /// thread has its own `scratch`.
@@ -129,6 +143,14 @@ mod tests {
         );
         assert_eq!(filled, (0..10).map(|i| i as f32).collect::<Vec<_>>());
         assert!(fill_pieces(0, 0, || (), |(), _, _| unreachable!("there are none")).is_empty());
+    }
+
+    #[test]
+    fn pieces_are_copied_before_they_are_changed() {
+        let numbers = [1.0, 2.0, 3.0, 4.0, 5.0];
+        let changed = copy_pieces(&numbers, 2, |number, piece| piece[0] += 10.0 * number as f32);
+        assert_eq!(changed, [1.0, 2.0, 13.0, 4.0, 25.0]);
+        assert!(copy_pieces(&[], 0, |_, _| unreachable!("there are none")).is_empty());
     }
 
     #[test]

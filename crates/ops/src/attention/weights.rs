@@ -220,8 +220,7 @@ impl AttentionWeights {
                 invert(sums, maxima);
             },
         );
-        let by_query = Side::new(precision, scores, Queries::InColumns);
-        let by_query = by_query.kept(isa, precision, &sums, pixels, kept_bytes);
+        let by_query = Side::new(scores, Queries::InColumns).keeping(&sums, pixels, kept_bytes);
         Self { isa, precision, pixels, sums, kept_bytes, by_query, by_key: OnceLock::new() }
     }
 
@@ -234,7 +233,7 @@ impl AttentionWeights {
         sums: Sums,
     ) -> Self {
         let scores = Pairs::new(isa, precision, queries, keys, pixels);
-        let by_query = Side::new(precision, scores, Queries::InColumns);
+        let by_query = Side::new(scores, Queries::InColumns);
         Self { isa, precision, pixels, sums, kept_bytes: 0, by_query, by_key: OnceLock::new() }
     }
 
@@ -258,8 +257,8 @@ impl AttentionWeights {
 
     fn new_by_key(&self, queries: &[f32], keys: &[f32]) -> Side {
         let Self { isa, precision, pixels, .. } = *self;
-        let side = Side::new(precision, Pairs::new(isa, precision, keys, queries, pixels), Queries::InRows);
-        side.kept(isa, precision, &self.sums, pixels, self.kept_bytes)
+        let side = Side::new(Pairs::new(isa, precision, keys, queries, pixels), Queries::InRows);
+        side.keeping(&self.sums, pixels, self.kept_bytes)
     }
 
     /// The weights of the block's pixels and a group's, and the number of elements from one panel to the next: kept, or else
@@ -271,23 +270,15 @@ impl AttentionWeights {
         block: (usize, usize),
         scratch: &'a mut [f32],
     ) -> (Right<'a>, usize) {
-        let Self { isa, precision, pixels, .. } = *self;
-        if group.first < side.kept_panels {
-            let step = panel_len(isa, precision, pixels);
-            let at = group.first * step + precision.packed(block.0) * panel_columns(isa);
-            let kept = match &side.kept {
-                Kept::F32(kept) => Right::F32(&kept[at..]),
-                Kept::Bf16(kept) => Right::Bf16(&kept[at..]),
-            };
-            return (kept, step);
+        if let Some(kept) = side.of_kept(self.pixels, group, block) {
+            return kept;
         }
-        let step = BLOCK * panel_columns(isa);
-        side.compute(isa, &self.sums, group, block, scratch, step);
+        let step = BLOCK * panel_columns(self.isa);
+        side.compute(&self.sums, group, block, scratch, step);
         (Right::F32(scratch), step)
     }
 
-    /// The weights of the block's pixels and a group's with the queries in columns, in `f32`, and the number of elements from one panel
-    /// to the next.
+    /// [`Self::of_block`] with the queries in columns, in `f32`: pairs that are kept are not used.
     pub(super) fn of_queries<'a>(
         &'a self,
         group: Group,
@@ -295,13 +286,12 @@ impl AttentionWeights {
         scratch: &'a mut [f32],
     ) -> (&'a [f32], usize) {
         let side = &self.by_query;
-        let width = panel_columns(self.isa);
-        if let (Kept::F32(kept), true) = (&side.kept, group.first < side.kept_panels) {
-            let step = self.pixels * width;
-            return (&kept[group.first * step + block.0 * width..], step);
+        if let Some((Right::F32(kept), step)) = side.of_kept(self.pixels, group, block) {
+            return (kept, step);
         }
-        side.compute(self.isa, &self.sums, group, block, scratch, BLOCK * width);
-        (scratch, BLOCK * width)
+        let step = BLOCK * panel_columns(self.isa);
+        side.compute(&self.sums, group, block, scratch, step);
+        (scratch, step)
     }
 
     fn gather_from(&self, side: &Side, values: &[f32]) -> Vec<f32> {
@@ -334,30 +324,27 @@ impl AttentionWeights {
 
 impl Side {
     /// Nothing of it is kept.
-    fn new(precision: Precision, scores: Pairs, queries: Queries) -> Self {
-        let kept = match precision {
-            Precision::F32 => Kept::F32(Vec::new()),
-            Precision::Bf16 => Kept::Bf16(Vec::new()),
-        };
-        Self { scores, queries, kept, kept_panels: 0 }
+    fn new(scores: Pairs, queries: Queries) -> Self {
+        Self { scores, queries, kept: Kept::F32(Vec::new()), kept_panels: 0 }
     }
 
     /// Keeps what fits in `kept_bytes`.
-    fn kept(mut self, isa: Isa, precision: Precision, sums: &Sums, pixels: usize, kept_bytes: usize) -> Self {
+    fn keeping(mut self, sums: &Sums, pixels: usize, kept_bytes: usize) -> Self {
+        let (isa, precision) = (self.scores.isa, self.scores.rows.precision());
         let width = panel_columns(isa);
-        let (step, panels) =
-            (panel_len(isa, precision, pixels), panels_within(isa, precision, pixels, kept_bytes));
+        let step = panel_len(isa, precision, pixels);
+        let panels = panels_within(isa, precision, pixels, kept_bytes);
         let group_len = (PANELS * step).max(1);
-        match precision {
+        self.kept = match precision {
             Precision::F32 => {
                 let mut kept = vec![0.0; panels * step];
                 kept.par_chunks_mut(group_len).enumerate().for_each(|(number, kept)| {
                     let group = Group::of(isa, number, pixels);
                     for block @ (first, _) in blocks(pixels) {
-                        self.compute(isa, sums, group, block, &mut kept[first * width..], step);
+                        self.compute(sums, group, block, &mut kept[first * width..], step);
                     }
                 });
-                self.kept = Kept::F32(kept);
+                Kept::F32(kept)
             }
             Precision::Bf16 => {
                 let mut kept = vec![Pair::default(); panels * step];
@@ -366,7 +353,7 @@ impl Side {
                 groups.for_each_init(scratch, |scratch, (number, kept)| {
                     let group = Group::of(isa, number, pixels);
                     for block @ (first, len) in blocks(pixels) {
-                        self.compute(isa, sums, group, block, scratch, BLOCK * width);
+                        self.compute(sums, group, block, scratch, BLOCK * width);
                         let at = precision.packed(first) * width;
                         let panels = scratch.chunks_exact(BLOCK * width).zip(kept.chunks_exact_mut(step));
                         for (weights, kept) in panels {
@@ -374,30 +361,34 @@ impl Side {
                         }
                     }
                 });
-                self.kept = Kept::Bf16(kept);
+                Kept::Bf16(kept)
             }
-        }
+        };
         self.kept_panels = panels;
         self
     }
 
+    /// The kept weights of the block's pixels and a group's, and the number of elements from one panel to the next.
+    fn of_kept(&self, pixels: usize, group: Group, (first, _): (usize, usize)) -> Option<(Right<'_>, usize)> {
+        if group.first >= self.kept_panels {
+            return None;
+        }
+        let (isa, precision) = (self.scores.isa, self.scores.rows.precision());
+        let step = panel_len(isa, precision, pixels);
+        let at = group.first * step + precision.packed(first) * panel_columns(isa);
+        let kept = match &self.kept {
+            Kept::F32(kept) => Right::F32(&kept[at..]),
+            Kept::Bf16(kept) => Right::Bf16(&kept[at..]),
+        };
+        Some((kept, step))
+    }
+
     /// Computes the weights of the block's pixels and a group's: `[block, columns]`, panel after panel, `step` elements apart.
-    fn compute(
-        &self,
-        isa: Isa,
-        sums: &Sums,
-        group: Group,
-        block: (usize, usize),
-        out: &mut [f32],
-        step: usize,
-    ) {
+    fn compute(&self, sums: &Sums, group: Group, block: (usize, usize), out: &mut [f32], step: usize) {
+        let isa = self.scores.isa;
         let width = panel_columns(isa);
-        self.scores.multiply(
-            group,
-            block,
-            Start::Zero,
-            &mut Output::new(out, Steps { row: width, panel: step }),
-        );
+        let mut output = Output::new(out, Steps { row: width, panel: step });
+        self.scores.multiply(group, block, Start::Zero, &mut output);
         for panel in 0..group.panels {
             let normal = sums.of(self.queries, group, block, panel, width);
             weigh(isa, &mut out[panel * step..][..block.1 * width], width, normal);

@@ -32,29 +32,15 @@ fn each_instruction_set_computes_the_definition() {
         let expected = reference::correlation_lookup(&wide_first, &wide_second, &wide_coords, &shape);
         let pyramid = FeaturePyramid::new(&second, maps, levels);
         let first = channels_last(&first, batch, channels);
+        let lookup = |isa, precision| {
+            let kept = Paired::default();
+            lookup_with(isa, precision, &first, &pyramid, &kept, &coords, [height, width], radius)
+        };
         for isa in Isa::to_test() {
-            let found = lookup_with(
-                isa,
-                Precision::F32,
-                &first,
-                &pyramid,
-                &Paired::default(),
-                &coords,
-                [height, width],
-                radius,
-            );
+            let found = lookup(isa, Precision::F32);
             assert_close(&format!("{isa:?}, {shape:?}"), &found, &expected, 1e-5);
             // Errors of features of bfloat16, and few of them to average.
-            let found = lookup_with(
-                isa,
-                Precision::Bf16,
-                &first,
-                &pyramid,
-                &Paired::default(),
-                &coords,
-                [height, width],
-                radius,
-            );
+            let found = lookup(isa, Precision::Bf16);
             assert_close(&format!("bfloat16, {isa:?}, {shape:?}"), &found, &expected, 4e-3);
         }
         let [d_first, d_second] = reference::correlation_lookup_backward(

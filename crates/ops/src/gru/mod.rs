@@ -6,7 +6,7 @@
 //! gates.
 
 use rayon::prelude::*;
-use srflow_simd::fill_pieces;
+use srflow_simd::copy_pieces;
 
 use crate::MapShape;
 
@@ -50,18 +50,10 @@ const PIECE: usize = 16 << 10;
 /// does not fit.
 pub fn reset(gates: &[f32], hidden: &[f32], shape: &MapShape) -> Vec<f32> {
     check(shape, gates, &[hidden]);
-    let pixels = shape.pixels();
-    fill_pieces(
-        hidden.len(),
-        pixels,
-        || (),
-        |(), plane, out| {
-            let out = out.write_copy_of_slice(&hidden[plane * pixels..][..pixels]);
-            let [_, reset] = gates_of(gates, plane, shape);
-            out.iter_mut().zip(reset).for_each(|(out, reset)| *out *= reset);
-            out
-        },
-    )
+    copy_pieces(hidden, shape.pixels(), |plane, out| {
+        let [_, reset] = gates_of(gates, plane, shape);
+        out.iter_mut().zip(reset).for_each(|(out, reset)| *out *= reset);
+    })
 }
 
 /// Gradients of gates and hidden state from that of [`reset`]'s output. `shape` is the hidden state's. Panics when a slice
@@ -89,21 +81,13 @@ pub fn reset_backward(gates: &[f32], hidden: &[f32], grad: &[f32], shape: &MapSh
 /// does not fit.
 pub fn update(gates: &[f32], hidden: &[f32], candidate: &[f32], shape: &MapShape) -> Vec<f32> {
     check(shape, gates, &[hidden, candidate]);
-    let pixels = shape.pixels();
-    fill_pieces(
-        hidden.len(),
-        pixels,
-        || (),
-        |(), plane, out| {
-            let out = out.write_copy_of_slice(&hidden[plane * pixels..][..pixels]);
-            let [update, _] = gates_of(gates, plane, shape);
-            let ins = candidate[plane * pixels..].iter().zip(update);
-            out.iter_mut()
-                .zip(ins)
-                .for_each(|(out, (candidate, update))| *out += update * (candidate - *out));
-            out
-        },
-    )
+    copy_pieces(hidden, shape.pixels(), |plane, out| {
+        let [update, _] = gates_of(gates, plane, shape);
+        let candidate = &candidate[plane * shape.pixels()..];
+        for ((out, candidate), update) in out.iter_mut().zip(candidate).zip(update) {
+            *out += update * (candidate - *out);
+        }
+    })
 }
 
 /// Gradients of gates, hidden state and candidate from that of [`update`]'s output. `shape` is the hidden state's. Panics when a slice

@@ -3,7 +3,7 @@
 //! definition.
 
 use rayon::prelude::*;
-use srflow_simd::{Isa, activate, fill_pieces, multiversioned};
+use srflow_simd::{Isa, activate, copy_pieces, multiversioned};
 
 use crate::Activation;
 use crate::sums::{sum, sum_pairs};
@@ -22,19 +22,12 @@ pub(crate) const EPSILON: f64 = 1e-5;
 pub fn instance_norm(input: &[f32], pixels: usize, epsilon: f64, activation: Activation) -> Vec<f32> {
     assert!(pixels > 0 && input.len().is_multiple_of(pixels), "planes of {pixels} pixels");
     let isa = Isa::best();
-    fill_pieces(
-        input.len(),
-        pixels,
-        || (),
-        |(), plane, out| {
-            let out = out.write_copy_of_slice(&input[plane * pixels..][..pixels]);
-            normalize(out, epsilon);
-            if activation != Activation::Identity {
-                activate(isa, activation, None, out);
-            }
-            out
-        },
-    )
+    copy_pieces(input, pixels, |_, plane| {
+        normalize(plane, epsilon);
+        if activation != Activation::Identity {
+            activate(isa, activation, None, plane);
+        }
+    })
 }
 
 /// Gradient of the input of a normalization without activation, given `grad`, that of its output.

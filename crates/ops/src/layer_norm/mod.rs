@@ -2,7 +2,7 @@
 //! [`mod@reference`] is the definition.
 
 use rayon::prelude::*;
-use srflow_simd::{Isa, activate, fill_pieces, multiversioned};
+use srflow_simd::{Isa, activate, copy_pieces, multiversioned};
 
 use crate::{Activation, MapShape};
 
@@ -21,20 +21,13 @@ pub fn layer_norm(input: &[f32], shape: &MapShape, epsilon: f64, activation: Act
     let moments = of_pixels(shape, [input], |image, own, [mean, scale, _, _]| {
         standardize(image[0], pixels, epsilon, own, mean, scale);
     });
-    fill_pieces(
-        input.len(),
-        pixels,
-        || (),
-        |(), plane, out| {
-            let out = out.write_copy_of_slice(&input[plane * pixels..][..pixels]);
-            let [mean, scale, _, _] = moments.of_image(plane / channels);
-            normalize(out, mean, scale);
-            if activation != Activation::Identity {
-                activate(isa, activation, None, out);
-            }
-            out
-        },
-    )
+    copy_pieces(input, pixels, |plane, out| {
+        let [mean, scale, _, _] = moments.of_image(plane / channels);
+        normalize(out, mean, scale);
+        if activation != Activation::Identity {
+            activate(isa, activation, None, out);
+        }
+    })
 }
 
 /// Gradient of the input of a normalization without activation, from `grad`, that of its output. Panics as [`layer_norm`].
@@ -44,17 +37,10 @@ pub fn layer_norm_backward(input: &[f32], grad: &[f32], shape: &MapShape, epsilo
         standardize(input, pixels, epsilon, own, mean, scale);
         shift_and_stretch([input, grad], pixels, own, [mean, scale], shift, stretch);
     });
-    fill_pieces(
-        input.len(),
-        pixels,
-        || (),
-        |(), plane, out| {
-            let out = out.write_copy_of_slice(&input[plane * pixels..][..pixels]);
-            let grad = &grad[plane * pixels..][..pixels];
-            normalize_backward(out, grad, moments.of_image(plane / channels));
-            out
-        },
-    )
+    copy_pieces(input, pixels, |plane, out| {
+        let grad = &grad[plane * pixels..][..pixels];
+        normalize_backward(out, grad, moments.of_image(plane / channels));
+    })
 }
 
 /// Four numbers for each pixel: mean and one over the standard deviation of its channels; the mean of its gradients, and of

@@ -106,7 +106,7 @@ impl<'a, P: Plan> Work<'a, P> {
         if let Some(group) = self.groups.try_get(number, || make(number))? {
             return Ok(group);
         }
-        // Another worker is making the group. Meanwhile this one makes the next; whoever renders that group is told what is wrong with it.
+        // Another worker is making the group. Meanwhile this one makes the next, whose error is reported when it is rendered.
         if let Some(next) = self.group_after(number) {
             _ = self.groups.try_get(next, || make(next));
         }

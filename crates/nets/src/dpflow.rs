@@ -2,9 +2,10 @@
 //! and up again, with a number of levels that depends on the size of the frames; flow is refined from the coarsest level to the
 //! finest. Parity with the reference: `PARITY.md`.
 
-use burn::module::{Initializer, Module, Param};
+use burn::module::{Module, Param};
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
+use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, Conv2dConfig, ConvTranspose2d, ConvTranspose2dConfig};
 use srflow_ops::Activation::{self, Gelu, Identity, Relu, Tanh};
 use srflow_ops::WeightCache;

@@ -2,9 +2,10 @@
 //! FlowNet 2.0 (Ilg et al., CVPR 2017: <https://arxiv.org/abs/1612.01925>), which stacks them. Encoders down to 1/64 of the size,
 //! and a decoder that predicts flow at 1/64 to 1/4 of it. Parity with the reference: `PARITY.md`.
 
-use burn::module::{Initializer, Module};
+use burn::module::Module;
 use burn::tensor::activation::leaky_relu;
 use burn::tensor::{Device, Tensor};
+use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, Conv2dConfig, ConvTranspose2d, ConvTranspose2dConfig, NoParameters};
 use srflow_ops::Activation::{self, Identity, LeakyRelu};
 use srflow_ops::correlation::tensor::Correlation;

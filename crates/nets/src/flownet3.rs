@@ -2,9 +2,10 @@
 //! Generic Network for Disparity, Optical Flow or Scene Flow*, ECCV 2018): <https://arxiv.org/abs/1808.01838>. FlowNetC followed by
 //! two FlowNetS, each of which corrects flow and occlusions of the previous network. Parity with the reference: `PARITY.md`.
 
-use burn::module::{Initializer, Module};
+use burn::module::Module;
 use burn::tensor::activation::{relu, softmax};
 use burn::tensor::{Device, Tensor};
+use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, ConvTranspose2d};
 use srflow_ops::Activation::{Identity, LeakyRelu};
 use srflow_ops::warp::tensor::warp_replicated;

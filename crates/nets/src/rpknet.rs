@@ -2,8 +2,9 @@
 //! encoder computes all levels of a feature pyramid with parts of the same kernels, and flow is refined from the coarsest level to
 //! the finest. Parity with the reference: `PARITY.md`.
 
-use burn::module::{Initializer, Module, Param};
+use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
+use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation::{self, Gelu, Identity, Relu, Sigmoid, Tanh};
 use srflow_ops::activation::tensor::activated_sum;

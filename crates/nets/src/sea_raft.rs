@@ -2,8 +2,9 @@
 //! frames, refines it with ConvNeXt blocks, and predicts a mixture of Laplace distributions of its error. Parity with the
 //! reference: `PARITY.md`.
 
-use burn::module::{Initializer, Module, Param};
+use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
+use srflow_nn::Initializer;
 use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, LayerNorm, Linear, LinearConfig, NoParameters};
 use srflow_ops::Activation::{Gelu, Identity, Relu};
 use srflow_ops::WeightCache;

@@ -7,13 +7,14 @@
 
 use std::sync::LazyLock;
 
-use burn::module::{Initializer, Module};
+use burn::module::Module;
 use burn::tensor::module::avg_pool2d;
 use burn::tensor::ops::AvgPoolOptions;
 use burn::tensor::{Device, Tensor, TensorData};
 use rayon::prelude::*;
 use srflow_classical::{TvL1, TvL1Parameters};
 use srflow_field::Plane;
+use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation::{Identity, LeakyRelu};
 use srflow_ops::lucas_kanade::tensor::lucas_kanade;

@@ -2,9 +2,10 @@
 //! Affective Computing 2022): <https://arxiv.org/abs/2105.01256>. FlowNetS that encodes both frames alone up to an eighth of the
 //! size, and predicts flow up to half the size. Parity with the reference: `PARITY.md`.
 
-use burn::module::{Initializer, Module};
+use burn::module::Module;
 use burn::tensor::ops::PadMode;
 use burn::tensor::{Device, Tensor};
+use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, ConvTranspose2d};
 use srflow_ops::Activation::{Identity, LeakyRelu, Relu};
 

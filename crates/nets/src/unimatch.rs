@@ -5,10 +5,11 @@
 
 use std::f64::consts::PI;
 
-use burn::module::{Initializer, Module};
+use burn::module::Module;
 use burn::tensor::activation::{relu, softmax};
 use burn::tensor::ops::PadMode;
 use burn::tensor::{Device, Tensor, TensorData};
+use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, Conv2dConfig, LayerNorm, Linear, LinearConfig, NoParameters};
 use srflow_ops::Activation::{Gelu, Identity};
 use srflow_ops::attention::Windows;

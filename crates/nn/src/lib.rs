@@ -2,6 +2,7 @@
 
 mod checkpoint;
 mod host;
+mod initializer;
 pub mod layers;
 mod optimizer;
 mod parameters;
@@ -12,6 +13,7 @@ pub use checkpoint::{
     read_safetensors, safetensors_bytes, save_pytorch, searchable_text,
 };
 pub use host::{HostGradients, Layout, Segment, filled, numbers};
+pub use initializer::Initializer;
 pub use layers::with_batch_statistics;
 pub use optimizer::{AdamW, AdamWState, ModuleAdamW, Rounding, clip_norm, norm};
 pub use parameters::{

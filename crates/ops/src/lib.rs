@@ -14,6 +14,7 @@ mod map_shape;
 mod operation;
 mod precision;
 mod reusing_allocator;
+mod scoped;
 mod sums;
 #[cfg(test)]
 mod test_values;

@@ -6,6 +6,8 @@ use burn::backend::{Backend as _, DTypeUsage, Dispatch};
 use burn::tensor::{DType, Device};
 use srflow_simd::Isa;
 
+use crate::scoped;
+
 /// The numbers that products multiply. Sums are `f32` always.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Precision {
@@ -94,15 +96,7 @@ thread_local! {
 /// on the CPU also the lookup of correlations. Sums are `f32`, and so is all else: what goes in and comes out, norms, softmax,
 /// activations, flow and its lookups, and convolutions of few channels. What [`check_precision`] refuses is undefined here.
 pub fn with_precision<T>(precision: Precision, of: impl FnOnce() -> T) -> T {
-    /// Also after a panic.
-    struct Restore(Precision);
-    impl Drop for Restore {
-        fn drop(&mut self) {
-            PRECISION.set(self.0);
-        }
-    }
-    let _restore = Restore(PRECISION.replace(precision));
-    of()
+    scoped::with(&PRECISION, precision, of)
 }
 
 /// The precision of this thread: `f32` outside of [`with_precision`].

@@ -37,6 +37,10 @@ fn record(spec: &MethodSpec, name: String, parameters: &MethodParameters) -> any
             if precision != Precision::F32 {
                 own += &format!(" at {}", precision.name());
             }
+            let tolerance = network.attention_tolerance(architecture);
+            if tolerance > 0.0 {
+                own += &format!(", attention within {tolerance}");
+            }
             for (name, value) in network.settings(architecture)? {
                 own += &format!(", {name}={value}");
             }

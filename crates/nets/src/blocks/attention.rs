@@ -1,8 +1,9 @@
 //! Global motion aggregation (Jiang et al. 2021, `gma_utils.py`): attention that propagates motion between pixels with similar
 //! context. One head and content only, as in the published networks.
 
-use burn::module::{Initializer, Module, Param};
+use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
+use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation;
 use srflow_ops::attention::tensor::Attention as AttentionMap;

@@ -1,9 +1,10 @@
 //! Cross-covariance attention of XCiT (El-Nouby et al., NeurIPS 2021: <https://arxiv.org/abs/2106.09681>) as used in CCMR
 //! (`xcit.py`): channels attend to channels, so memory and time are linear in the number of pixels.
 
-use burn::module::{Initializer, Module, Param};
+use burn::module::{Module, Param};
 use burn::tensor::activation::softmax;
 use burn::tensor::{Device, Tensor, TensorData};
+use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, Conv2dConfig, GroupNorm, LayerNorm, Linear, LinearConfig};
 use srflow_ops::Activation::{Gelu, Identity};
 use srflow_ops::WeightCache;

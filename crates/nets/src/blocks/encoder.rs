@@ -1,9 +1,10 @@
 //! Feature and context encoder of RAFT (`extractor.py`), which reduces the size to 1/8, and encoder of UniMatch (`backbone.py`),
 //! which reduces it to 1/8 or 1/4.
 
-use burn::module::{Initializer, Module, Param};
+use burn::module::{Module, Param};
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Tensor};
+use srflow_nn::Initializer;
 use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, GroupNorm, NoParameters};
 use srflow_ops::activation::tensor::activated_sum;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
@@ -208,8 +209,7 @@ impl Encoder {
 impl TridentConv {
     fn new(channels: usize, scales: usize, device: &Device) -> Self {
         let initializer = Initializer::KaimingUniform { gain: std::f64::consts::SQRT_2, fan_out_only: false };
-        let fan = Some(9 * channels);
-        Self { weight: initializer.init_with([channels, channels, 3, 3], fan, fan, device), scales }
+        Self { weight: initializer.init([channels, channels, 3, 3], device), scales }
     }
 
     fn forward(&self, x: &Tensor<4>) -> Vec<Tensor<4>> {

@@ -1,6 +1,6 @@
 //! PyTorch's `BatchNorm2d` and its running statistics.
 
-use burn::module::{Flag, Initializer, Module, ModuleMapper, Param, RunningState};
+use burn::module::{Flag, Module, ModuleMapper, Param, RunningState};
 use burn::tensor::activation::{gelu, leaky_relu, relu, sigmoid};
 use burn::tensor::{Device, Tensor};
 use srflow_ops::batch_norm::tensor::batch_norm;
@@ -8,6 +8,7 @@ use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::{Activation, WeightCache};
 
 use super::Conv2d;
+use crate::Initializer;
 
 /// Added to the variance; PyTorch's default.
 const EPSILON: f64 = 1e-5;

@@ -1,12 +1,14 @@
 //! Convolutions with the parameters of PyTorch's `Conv2d`.
 
 use burn::config::Config;
-use burn::module::{Initializer, Module, Param};
+use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::pointwise::tensor::{LayerOptions, PointwiseLayer};
 use srflow_ops::{Activation, WeightCache};
+
+use crate::Initializer;
 
 /// Configuration of a [`Conv2d`].
 #[derive(Config, Debug)]
@@ -59,13 +61,11 @@ impl Conv2dConfig {
     /// A layer with random parameters, drawn when they are first read.
     pub fn init(&self, device: &Device) -> Conv2d {
         let [inputs, outputs] = self.channels;
-        let taps = self.kernel[0] * self.kernel[1];
         let group = if self.depthwise { 1 } else { inputs };
-        let fans = (Some(group * taps), Some(outputs * taps));
         let shape = [outputs, group, self.kernel[0], self.kernel[1]];
         Conv2d {
-            weight: self.initializer.init_with(shape, fans.0, fans.1, device),
-            bias: self.bias.then(|| self.bias_initializer.init_with([outputs], fans.0, fans.1, device)),
+            weight: self.initializer.init(shape, device),
+            bias: self.bias.then(|| self.bias_initializer.init_bias(outputs, &shape, device)),
             stride: self.stride,
             padding: self.padding.unwrap_or(self.kernel.map(|side| side / 2)),
             depthwise: self.depthwise,

@@ -1,13 +1,14 @@
 //! Transposed convolutions with the parameters of PyTorch's `ConvTranspose2d`.
 
 use burn::config::Config;
-use burn::module::{Initializer, Module, Param};
+use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
 use srflow_ops::conv_transpose2d::tensor::conv_transpose2d;
 use srflow_ops::conv2d::tensor::Conv2dOptions;
 use srflow_ops::{Activation, WeightCache};
 
 use super::conv::{bias_initializer, weight_initializer};
+use crate::Initializer;
 
 /// Configuration of a [`ConvTranspose2d`].
 #[derive(Config, Debug)]
@@ -47,13 +48,11 @@ impl ConvTranspose2dConfig {
     /// A layer with random parameters, drawn when they are first read.
     pub fn init(&self, device: &Device) -> ConvTranspose2d {
         let [inputs, outputs] = self.channels;
-        let taps = self.kernel[0] * self.kernel[1];
-        // PyTorch computes the fan-in from the second axis of the weight, which is the outputs here.
-        let fans = (Some(outputs * taps), Some(inputs * taps));
+        // PyTorch, too, computes the fan-in from the second axis of the weight, which is the outputs here.
         let shape = [inputs, outputs, self.kernel[0], self.kernel[1]];
-        let bias = || self.bias_initializer.init_with([outputs], fans.0, fans.1, device);
+        let bias = || self.bias_initializer.init_bias(outputs, &shape, device);
         ConvTranspose2d {
-            weight: self.initializer.init_with(shape, fans.0, fans.1, device),
+            weight: self.initializer.init(shape, device),
             bias: self.bias.then(bias),
             stride: self.stride,
             padding: self.padding,

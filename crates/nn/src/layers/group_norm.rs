@@ -1,9 +1,11 @@
-use burn::module::{Initializer, Module, Param};
+use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
 use srflow_ops::Activation;
 use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::instance_norm::tensor::group_norm;
+
+use crate::Initializer;
 
 /// Added to the variance; PyTorch's default.
 const EPSILON: f64 = 1e-5;

@@ -1,9 +1,11 @@
-use burn::module::{Initializer, Module, Param};
+use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
 use srflow_ops::Activation;
 use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::layer_norm::tensor::layer_norm;
+
+use crate::Initializer;
 
 /// PyTorch's `LayerNorm` over the channels of each pixel.
 #[derive(Module, Debug)]

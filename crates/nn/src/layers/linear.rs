@@ -1,11 +1,12 @@
 use burn::config::Config;
-use burn::module::{Initializer, Module, Param};
+use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor};
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::pointwise::tensor::{LayerOptions, PointwiseLayer};
 use srflow_ops::{Activation, WeightCache};
 
 use super::conv::{bias_initializer, weight_initializer};
+use crate::Initializer;
 
 /// Configuration of a [`Linear`].
 #[derive(Config, Debug)]
@@ -32,10 +33,10 @@ impl LinearConfig {
     /// A layer with random parameters, drawn when they are first read.
     pub fn init(&self, device: &Device) -> Linear {
         let Self { inputs, outputs, bias, .. } = *self;
-        let fans = (Some(inputs), Some(outputs));
+        let shape = [outputs, inputs];
         Linear {
-            weight: self.initializer.init_with([outputs, inputs], fans.0, fans.1, device),
-            bias: bias.then(|| bias_initializer().init_with([outputs], fans.0, fans.1, device)),
+            weight: self.initializer.init(shape, device),
+            bias: bias.then(|| bias_initializer().init_bias(outputs, &shape, device)),
             cache: WeightCache::default(),
         }
     }

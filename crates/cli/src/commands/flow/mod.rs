@@ -133,6 +133,9 @@ struct NetworkUsed {
     device: String,
     /// What is multiplied: `auto` says here what it chose.
     precision: &'static str,
+    /// What attention may leave out of the weights of a pixel.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attention_tolerance: Option<f32>,
     batch: usize,
     warm_start: bool,
 }
@@ -302,6 +305,8 @@ fn estimate(args: &Flow, context: &Context) -> anyhow::Result<Estimated> {
                 },
                 device: network.device.clone(),
                 precision: network.precision()?.name(),
+                attention_tolerance: Some(network.attention_tolerance(architecture))
+                    .filter(|&share| share > 0.0),
                 batch: network.batch,
                 warm_start: args.warm_start,
             }),

@@ -8,6 +8,7 @@ use burn::tensor::{Device, Tensor};
 use srflow_nn::layers::Conv2d;
 use srflow_ops::Activation::{self, Identity, Relu, Tanh};
 use srflow_ops::WeightCache;
+use srflow_ops::concatenate;
 use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::correlation::tensor::Correlation;
 
@@ -210,7 +211,7 @@ impl FlowNetwork for Ccmr {
                         let windows = correlation.windows(positions, RADIUS);
                         let motion = block.encoder.forward(flow.clone(), windows);
                         let gathered = aggregator.gather(&attending, motion.clone());
-                        let next = gru.step(hidden.whole(), Tensor::cat(vec![motion, gathered], 1));
+                        let next = gru.step(hidden.whole(), concatenate(vec![motion, gathered]));
                         let change = block.flow_head.forward(next.clone());
                         (Divided::of_whole(next), change)
                     }
@@ -297,7 +298,7 @@ impl UpdateBlock {
             hidden.free_above(rows.start);
             let attending = attending.part(attending_map);
             let gathered = aggregator.gather_strip(&attending, motion.clone(), &sums, height * width);
-            let input = Tensor::cat(vec![motion, gathered], 1);
+            let input = concatenate(vec![motion, gathered]);
             let hidden = self.gru.step(&context(map), hidden.rows(rows), input);
             [hidden.clone(), self.flow_head.forward(hidden)]
         };

@@ -10,6 +10,7 @@ use srflow_nn::layers::{Conv2d, Conv2dConfig, ConvTranspose2d, ConvTranspose2dCo
 use srflow_ops::Activation::{self, Gelu, Identity, Relu, Tanh};
 use srflow_ops::WeightCache;
 use srflow_ops::activation::tensor::activated_sum;
+use srflow_ops::concatenate;
 use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::instance_norm::tensor::group_norm;
 use srflow_ops::layer_norm::tensor::layer_norm;
@@ -395,7 +396,7 @@ impl Encoder {
 
 /// Concatenates channels.
 fn cat(a: Tensor<4>, b: Tensor<4>) -> Tensor<4> {
-    Tensor::cat(vec![a, b], 1)
+    concatenate(vec![a, b])
 }
 
 impl UpdateBlock {

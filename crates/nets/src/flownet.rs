@@ -8,6 +8,7 @@ use burn::tensor::{Device, Tensor};
 use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, Conv2dConfig, ConvTranspose2d, ConvTranspose2dConfig, NoParameters};
 use srflow_ops::Activation::{self, Identity, LeakyRelu};
+use srflow_ops::concatenate;
 use srflow_ops::correlation::tensor::Correlation;
 
 use crate::MemoryNeed;
@@ -198,7 +199,7 @@ impl FlowNet {
     pub(crate) fn correlating(&self, first: Tower, second: Tensor<4>) -> Vec<Tensor<4>> {
         let correlation = leaky_relu(correlation(first.conv3.clone(), second), f64::from(Activation::LEAK));
         let redirected = self.conv_redir.as_ref().map(|conv| conv.0.forward(first.conv3, LeakyRelu));
-        let joined = Tensor::cat(redirected.into_iter().chain([correlation]).collect(), 1);
+        let joined = concatenate(redirected.into_iter().chain([correlation]).collect());
         self.refined(first.conv2, self.conv3_1.0.forward(joined, LeakyRelu))
     }
 
@@ -218,7 +219,7 @@ impl FlowNet {
             (map2, &self.deconv2, &self.upsampled_flow3_to_2, &self.predict_flow2),
         ] {
             let coarser = deconv.0.forward(map, LeakyRelu);
-            map = Tensor::cat(vec![finer, coarser, upsampled.forward(flow, Identity)], 1);
+            map = concatenate(vec![finer, coarser, upsampled.forward(flow, Identity)]);
             flow = predict.forward(map.clone(), Identity);
             flows.push(flow.clone());
         }
@@ -238,7 +239,7 @@ impl FlowNetwork for FlowNet {
     fn forward(&self, frames: Frames, request: &Request) -> Estimate {
         let size = frames.size();
         let flows = if self.conv_redir.is_none() {
-            self.simple(Tensor::cat(vec![prepared(frames.first), prepared(frames.second)], 1))
+            self.simple(concatenate(vec![prepared(frames.first), prepared(frames.second)]))
         } else {
             let [first, second] = towers(self, frames, request);
             self.correlating(first, second.conv3)

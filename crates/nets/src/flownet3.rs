@@ -8,6 +8,7 @@ use burn::tensor::{Device, Tensor};
 use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, ConvTranspose2d};
 use srflow_ops::Activation::{Identity, LeakyRelu};
+use srflow_ops::concatenate;
 use srflow_ops::warp::tensor::warp_replicated;
 
 use crate::MemoryNeed;
@@ -218,7 +219,7 @@ impl Net {
         let Tower { conv2, conv3 } = first;
         let correlation = relu(correlation(conv3.clone(), second));
         let redirected = self.encoder.conv_redir.as_ref().map(|conv| conv.forward(conv3, LeakyRelu));
-        let joined = Tensor::cat(redirected.into_iter().chain([correlation]).collect(), 1);
+        let joined = concatenate(redirected.into_iter().chain([correlation]).collect());
         self.predictions(joined, vec![conv2])
     }
 
@@ -247,7 +248,7 @@ impl Net {
         for (refine, finer) in refines.zip([map5, map4, map3].into_iter().chain(finer)) {
             let coarser = refine.deconv.forward(map, LeakyRelu);
             let upsampled = resized_constant(prediction, &coarser);
-            map = Tensor::cat(vec![finer, coarser, upsampled], 1);
+            map = concatenate(vec![finer, coarser, upsampled]);
             prediction = refine.predict.forward(map.clone(), Identity);
             predictions.push(Prediction::of_channels(&prediction));
         }
@@ -290,16 +291,13 @@ impl FlowNetwork for FlowNet3 {
             }
             let flow = resize(finest.flow.clone(), resized, Grids::FirstOnFirst);
             let visibility = softmax(resized_constant(finest.occlusion, &first), 1);
-            let input = Tensor::cat(
-                vec![
-                    first.clone(),
-                    second.clone(),
-                    flow.clone() * INPUT_FLOW_SCALE,
-                    warped(second.clone(), flow),
-                    visibility.clone(),
-                ],
-                1,
-            );
+            let input = concatenate(vec![
+                first.clone(),
+                second.clone(),
+                flow.clone() * INPUT_FLOW_SCALE,
+                warped(second.clone(), flow),
+                visibility.clone(),
+            ]);
             let mut corrections = net.simple(input, &first);
             if !request.every_iteration {
                 corrections.drain(..corrections.len() - 1);

@@ -4,6 +4,7 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
+use srflow_ops::concatenate;
 use srflow_ops::warp::tensor::warp;
 
 use crate::MemoryNeed;
@@ -80,5 +81,5 @@ fn stacked_input([first, second]: &[Tensor<4>; 2], flow: Tensor<4>) -> Tensor<4>
     let squares = (first.clone() - warped.clone()).square().sum_dim(1);
     // The gradient of the square root is infinite at zero; the reference uses a gradient of zero there.
     let brightness = squares.clamp_min(1e-30).sqrt();
-    Tensor::cat(vec![first.clone(), second.clone(), warped, flow / FLOW_SCALE, brightness], 1)
+    concatenate(vec![first.clone(), second.clone(), warped, flow / FLOW_SCALE, brightness])
 }

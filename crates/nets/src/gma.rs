@@ -3,6 +3,7 @@
 
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
+use srflow_ops::concatenate;
 
 use crate::blocks::{
     Aggregate, Attention, ConvexMask, Encoder, EncoderConfig, FlowHead, MotionEncoder, NormKind, SepConvGru,
@@ -86,7 +87,7 @@ impl Recurrent for Gma {
         move |hidden, flow, windows| {
             let motion = block.encoder.forward(flow, windows);
             let global = block.aggregator.forward(&attention, motion.clone());
-            let hidden = gru.step(hidden, Tensor::cat(vec![motion, global], 1));
+            let hidden = gru.step(hidden, concatenate(vec![motion, global]));
             Refined { change: block.flow_head.forward(hidden.clone()), hidden, memory: None }
         }
     }

@@ -3,6 +3,7 @@
 
 use burn::tensor::activation::relu;
 use burn::tensor::{Device, Int, Tensor};
+use srflow_ops::concatenate;
 use srflow_ops::correlation::tensor::Correlation;
 
 use crate::MemoryNeed;
@@ -149,5 +150,5 @@ pub(crate) fn pixel_grid([batch, height, width]: [usize; 3], device: &Device) ->
     let axis = |len: usize| Tensor::<1, Int>::arange(0..len as i64, device).float();
     let x = axis(width).reshape([1, 1, 1, width]).expand([batch, 1, height, width]);
     let y = axis(height).reshape([1, 1, height, 1]).expand([batch, 1, height, width]);
-    Tensor::cat(vec![x, y], 1)
+    concatenate(vec![x, y])
 }

@@ -8,6 +8,7 @@ use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation::{self, Gelu, Identity, Relu, Sigmoid, Tanh};
 use srflow_ops::activation::tensor::activated_sum;
+use srflow_ops::concatenate;
 use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::depthwise::tensor::depthwise;
 use srflow_ops::instance_norm::tensor::group_norm;
@@ -331,7 +332,7 @@ impl UpGate {
     fn forward(&self, coarser: Tensor<4>, own: Tensor<4>, norm: Norm) -> Tensor<4> {
         let [_, _, height, width] = own.dims();
         let coarser = resize(coarser, [height, width], Grids::CornersOnCorners).tanh();
-        let x = self.conv.forward(Tensor::cat(vec![coarser.clone(), own.clone()], 1), Relu);
+        let x = self.conv.forward(concatenate(vec![coarser.clone(), own.clone()]), Relu);
         let y = norm.of(self.res.conv1.forward(x.clone(), Identity), Relu);
         let y = norm.of(self.res.conv2.forward(y, Identity), Identity);
         let gate = activated_sum(x, y, Sigmoid);
@@ -349,7 +350,7 @@ impl UpdateBlock {
         windows: Tensor<4>,
     ) -> [Tensor<4>; 2] {
         let motion = self.encoder.forward(flow, windows);
-        let input = Tensor::cat(vec![context.clone(), motion], 1);
+        let input = concatenate(vec![context.clone(), motion]);
         for gru in &self.gru_list {
             hidden = gru.step(hidden, &input, |stage, x, activation| {
                 stage.forward(x, HIDDEN, Norm::Layer, activation)

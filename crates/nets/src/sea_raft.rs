@@ -9,6 +9,7 @@ use srflow_nn::layers::{BatchNorm, Conv2d, Conv2dConfig, LayerNorm, Linear, Line
 use srflow_ops::Activation::{Gelu, Identity, Relu};
 use srflow_ops::WeightCache;
 use srflow_ops::activation::tensor::activated_sum;
+use srflow_ops::concatenate;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::correlation::tensor::Correlation;
 
@@ -173,7 +174,7 @@ impl SeaRaft {
 
     /// The initial hidden state, and the context, which is constant over the iterations.
     fn hidden_and_context(&self, first: Tensor<4>, second: Tensor<4>) -> [Tensor<4>; 2] {
-        let both = self.cnet.forward(Tensor::cat(vec![first, second], 1));
+        let both = self.cnet.forward(concatenate(vec![first, second]));
         let both = self.init_conv.forward(both, Identity);
         [both.clone().narrow(1, 0, HIDDEN), both.narrow(1, HIDDEN, CONTEXT)]
     }
@@ -269,7 +270,7 @@ impl UpdateBlock {
     ) -> Tensor<4> {
         let motion = self.encoder.forward(flow, windows);
         self.refine.iter().fold(hidden, |hidden, block| {
-            block.forward(Tensor::cat(vec![hidden, context.clone(), motion.clone()], 1))
+            block.forward(concatenate(vec![hidden, context.clone(), motion.clone()]))
         })
     }
 }

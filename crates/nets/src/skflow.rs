@@ -5,6 +5,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use srflow_nn::layers::{Conv2d, Conv2dConfig, NoParameters};
 use srflow_ops::Activation::{self, Gelu, Identity};
+use srflow_ops::concatenate;
 use srflow_ops::pointwise::tensor::pointwise_layers;
 
 use crate::blocks::{
@@ -140,7 +141,7 @@ impl UpdateBlock {
         motion: Tensor<4>,
         global: Tensor<4>,
     ) -> [Tensor<4>; 2] {
-        let hidden = self.gru.forward(Tensor::cat(vec![hidden, context, motion, global], 1));
+        let hidden = self.gru.forward(concatenate(vec![hidden, context, motion, global]));
         [hidden.clone(), self.flow_head.forward(hidden)]
     }
 }
@@ -149,8 +150,8 @@ impl MotionEncoder {
     pub(crate) fn forward(&self, flow: Tensor<4>, windows: Tensor<4>) -> Tensor<4> {
         let correlation = self.convc2.forward(self.convc1.forward_activated(windows));
         let motion = self.convf2.forward(self.convf1.forward(flow.clone(), Identity));
-        let out = self.conv.forward(Tensor::cat(vec![correlation, motion], 1));
-        Tensor::cat(vec![out, flow], 1)
+        let out = self.conv.forward(concatenate(vec![correlation, motion]));
+        concatenate(vec![out, flow])
     }
 }
 

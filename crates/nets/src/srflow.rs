@@ -17,6 +17,7 @@ use srflow_field::Plane;
 use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation::{Identity, LeakyRelu};
+use srflow_ops::concatenate;
 use srflow_ops::lucas_kanade::tensor::lucas_kanade;
 use srflow_ops::lucas_kanade::{CELL, LucasKanade, PER_WINDOW};
 use srflow_ops::space_to_depth::tensor::space_to_depth;
@@ -202,7 +203,7 @@ impl SrFlow {
         let difference = space_to_depth((first.clone() - warped) * DIFFERENCE_SCALE, STRIDE);
         let seen = vec![still.clone(), difference, evidence.clone(), flow.clone(), state];
         // From fine to coarse, with the flow at each size.
-        let mut maps = vec![self.enter.forward(Tensor::cat(seen, 1), LeakyRelu)];
+        let mut maps = vec![self.enter.forward(concatenate(seen), LeakyRelu)];
         let mut starts = vec![flow];
         for step in &self.down {
             maps.push(step.forward(maps[maps.len() - 1].clone()));
@@ -215,7 +216,7 @@ impl SrFlow {
                 Some(coarser) => {
                     let (state, flow) = (twice(coarser.state.clone()), twice(coarser.flow.clone()));
                     let seen = vec![state, map, flow.clone() - start.clone()];
-                    (self.up[level].forward(Tensor::cat(seen, 1), LeakyRelu), flow)
+                    (self.up[level].forward(concatenate(seen), LeakyRelu), flow)
                 }
             };
             let predicted = self.predict[level].forward(state.clone(), Identity);
@@ -294,7 +295,7 @@ impl SrFlow {
 fn still([first, second]: [&Tensor<4>; 2]) -> Tensor<4> {
     let change = (first.clone() - second.clone()).mean_dim(1) * DIFFERENCE_SCALE;
     let evidence = lucas_kanade(EVIDENCE, first.clone(), second.clone());
-    Tensor::cat(vec![space_to_depth(first.clone(), STRIDE), space_to_depth(change, STRIDE), evidence], 1)
+    concatenate(vec![space_to_depth(first.clone(), STRIDE), space_to_depth(change, STRIDE), evidence])
 }
 
 /// What TV-L1 finds, in cells, `[batch, 2, height / 2, width / 2]`: between the means of cells, or if `fine` between the pixels of the

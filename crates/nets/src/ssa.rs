@@ -8,6 +8,7 @@ use burn::tensor::{Device, Tensor};
 use srflow_nn::Initializer;
 use srflow_nn::layers::{Conv2d, ConvTranspose2d};
 use srflow_ops::Activation::{Identity, LeakyRelu, Relu};
+use srflow_ops::concatenate;
 
 use crate::MemoryNeed;
 use crate::blocks::{Grids, resize, resize_flow};
@@ -130,7 +131,7 @@ impl Ssa {
     /// Flows of a 32nd of the size to half the size, each in its own pixels.
     fn flows(&self, first: Tower, second: Tensor<4>) -> Vec<Tensor<4>> {
         let redirected = self.conv_redir.forward(first.conv3.clone(), LeakyRelu);
-        let joined = Tensor::cat(vec![redirected, first.conv3, second], 1);
+        let joined = concatenate(vec![redirected, first.conv3, second]);
         let map3 = self.conv3_1.forward(joined, LeakyRelu);
         let map4 = self.conv4_1.forward(halved(&self.conv4, map3.clone()), LeakyRelu);
         let map5 = self.conv5_1.forward(halved(&self.conv5, map4.clone()), LeakyRelu);
@@ -146,7 +147,7 @@ impl Ssa {
         let refined = levels.into_iter().map(|(finer, deconv, join, predict)| {
             let [_, _, height, width] = finer.dims();
             let larger = resize_flow(flow.clone(), [height, width], Grids::FirstOnFirst);
-            let joined = Tensor::cat(vec![finer, deconv.forward(map.clone(), LeakyRelu), larger], 1);
+            let joined = concatenate(vec![finer, deconv.forward(map.clone(), LeakyRelu), larger]);
             map = match join {
                 Some(join) => join.forward(joined, Relu),
                 None => joined,

@@ -84,7 +84,7 @@ macro_rules! networks {
         }
 
         impl Network {
-            /// The same parameters on another device.
+            /// The same parameters on another device. Clones share the running statistics of batch norms, which move for all of them.
             pub fn on(self, device: &Device) -> Self {
                 self.to_device(device)
             }

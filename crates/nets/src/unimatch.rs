@@ -14,6 +14,7 @@ use srflow_nn::layers::{Conv2d, Conv2dConfig, LayerNorm, Linear, LinearConfig, N
 use srflow_ops::Activation::{Gelu, Identity};
 use srflow_ops::attention::Windows;
 use srflow_ops::attention::tensor::attention;
+use srflow_ops::concatenate;
 use srflow_ops::conv2d::tensor::{Conv2dOptions, Epilogue, conv2d};
 use srflow_ops::correlation::tensor::Correlation;
 use srflow_ops::pointwise::tensor::pointwise_layers;
@@ -269,7 +270,7 @@ impl FlowNetwork for UniMatch {
             }
             if scale == last {
                 if let Some(mask) = &self.upsampler {
-                    let x = Tensor::cat(vec![flow.clone(), features.clone()], 1);
+                    let x = concatenate(vec![flow.clone(), features.clone()]);
                     push(unscaled_convex_upsample(mask, &x, flow.clone(), stride));
                 }
                 if let (Some(proj), Some(block), Some(pair)) = (&self.refine_proj, &self.refine, to_refine) {
@@ -437,7 +438,7 @@ fn positions([height, width]: [usize; 2], splits: usize, device: &Device) -> Ten
     let by_row = Tensor::<4>::from_data(TensorData::new(along(height), [1, half, height, 1]), device);
     let by_column = Tensor::<4>::from_data(TensorData::new(along(width), [1, half, 1, width]), device);
     let whole = [1, half, height, width];
-    Tensor::cat(vec![by_row.expand(whole), by_column.expand(whole)], 1)
+    concatenate(vec![by_row.expand(whole), by_column.expand(whole)])
 }
 
 impl TransformerBlock {

@@ -6,6 +6,7 @@
 // Kernels walk several arrays in step by one index, as their equations do.
 #![allow(clippy::needless_range_loop)]
 
+mod concatenate;
 #[cfg(feature = "cube")]
 mod cube;
 mod device;
@@ -22,6 +23,7 @@ mod weight_cache;
 
 pub use activation::Activation;
 pub use burn::tensor::Device;
+pub use concatenate::concatenate;
 pub use device::device;
 pub use map_shape::MapShape;
 pub use precision::{

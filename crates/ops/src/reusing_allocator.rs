@@ -15,6 +15,10 @@ const KEPT_BYTES: usize = 384 << 20;
 const SIZES: usize = 8 * usize::BITS as usize;
 /// Alignment of every block that may be kept: a cache line.
 const ALIGNMENT: usize = 64;
+/// A kept block may serve tensors of as many smaller classes: those that need at least two thirds of it.
+const SMALLER: usize = 4;
+/// Most blocks that serve tensors of a smaller class at once.
+const LENT: usize = 64;
 /// Blocks of at least this size use huge pages.
 const HUGE: usize = 4 << 20;
 const HUGE_PAGE: usize = 2 << 20;
@@ -23,6 +27,7 @@ const HUGE_PAGE: usize = 2 << 20;
 ///
 /// Free blocks are kept while they total at most 384 MiB, or while free and used blocks together total at most five quarters of the
 /// peak use, and at most 384 MiB more than it: a training step frees most of its memory, and the next one allocates the same sizes again, though not all at once.
+/// Where a new block would exceed that, one of a slightly larger size takes its place if there is one.
 #[derive(Debug)]
 pub struct ReusingAllocator {
     kept: Mutex<Kept>,
@@ -46,6 +51,9 @@ struct Kept {
     last: [*mut Free; SIZES],
     oldest: *mut Free,
     newest: *mut Free,
+    /// The first `lent_count` are blocks in use by tensors of a smaller class: their address and size.
+    lent: [(*mut u8, usize); LENT],
+    lent_count: usize,
     bytes: usize,
     in_use: usize,
     most_in_use: usize,
@@ -58,8 +66,16 @@ impl ReusingAllocator {
     /// Initially empty.
     pub const fn new() -> Self {
         let none = ptr::null_mut();
-        let kept =
-            Kept { last: [none; SIZES], oldest: none, newest: none, bytes: 0, in_use: 0, most_in_use: 0 };
+        let kept = Kept {
+            last: [none; SIZES],
+            oldest: none,
+            newest: none,
+            lent: [(ptr::null_mut(), 0); LENT],
+            lent_count: 0,
+            bytes: 0,
+            in_use: 0,
+            most_in_use: 0,
+        };
         Self { kept: Mutex::new(kept) }
     }
 
@@ -83,18 +99,56 @@ impl Default for ReusingAllocator {
 }
 
 impl Kept {
-    /// Takes a block of this size, if there is one; in either case the size counts as in use from now on.
+    /// Takes a block for a tensor of this size, if there is one; in either case the size counts as in use from now on.
     fn take(&mut self, size: usize) -> Option<*mut u8> {
-        self.in_use += size;
-        self.most_in_use = self.most_in_use.max(self.in_use);
-        let block = self.last[size_number(size)];
+        let number = size_number(size);
+        let exact = self.last[number];
+        let block = if exact.is_null() && self.bytes > self.allowed(self.in_use + size) {
+            self.larger(number)
+        } else {
+            exact
+        };
         // SAFETY: the lists contain only free blocks.
-        (!block.is_null()).then(|| unsafe { self.unlink(block) })
+        let taken = (!block.is_null()).then(|| unsafe { ((*block).size, self.unlink(block)) });
+        let (held, address) = taken.unzip();
+        self.in_use += held.unwrap_or(size);
+        self.most_in_use = self.most_in_use.max(self.in_use);
+        if let (Some(held), Some(address)) = (held, address)
+            && held != size
+        {
+            self.lent[self.lent_count] = (address, held);
+            self.lent_count += 1;
+        }
+        address
+    }
+
+    /// A free block that is slightly larger than this class, or null.
+    fn larger(&self, number: usize) -> *mut Free {
+        let mut blocks = self.last.iter().skip(number + 1).take(SMALLER).filter(|block| !block.is_null());
+        if self.lent_count < LENT {
+            blocks.next().copied().unwrap_or(ptr::null_mut())
+        } else {
+            ptr::null_mut()
+        }
+    }
+
+    /// The size of a block in use by a tensor of class `size`; it no longer counts as lent.
+    fn returned(&mut self, address: *mut u8, size: usize) -> usize {
+        let lent = &self.lent[..self.lent_count];
+        let Some(at) = lent.iter().position(|&(block, _)| block == address) else { return size };
+        self.lent_count -= 1;
+        self.lent.swap(at, self.lent_count);
+        self.lent[self.lent_count].1
+    }
+
+    /// Bytes that may be kept while so many are in use.
+    fn allowed(&self, in_use: usize) -> usize {
+        let most = self.most_in_use.max(in_use);
+        KEPT_BYTES.max(most + KEPT_BYTES.min(most / 4) - in_use)
     }
 
     fn take_surplus(&mut self) -> Option<(*mut u8, usize)> {
-        let allowed = KEPT_BYTES.max(self.most_in_use + KEPT_BYTES.min(self.most_in_use / 4) - self.in_use);
-        if self.bytes <= allowed || self.oldest.is_null() {
+        if self.bytes <= self.allowed(self.in_use) || self.oldest.is_null() {
             return None;
         }
         // SAFETY: as in `take`.
@@ -104,11 +158,12 @@ impl Kept {
         }
     }
 
-    /// Keeps a block that was in use.
+    /// Keeps a block that was in use by a tensor of class `size`.
     ///
     /// # Safety
-    /// It is free, has this size and the alignment of blocks.
+    /// [`Kept::take`] returned it for that size, or it was new and has that size; it is free.
     unsafe fn push(&mut self, address: *mut u8, size: usize) {
+        let size = self.returned(address, size);
         self.in_use -= size;
         self.bytes += size;
         let block = address.cast::<Free>();
@@ -342,6 +397,39 @@ mod tests {
             assert!(held() <= most + most / 4, "another size takes the place of what is kept");
             allocator.dealloc(large, other);
             assert!(held() <= most + most / 4);
+        }
+    }
+
+    #[test]
+    fn at_the_limit_a_slightly_larger_block_serves_instead_of_a_new_one() {
+        let allocator = ReusingAllocator::new();
+        let layout = |mebibytes: usize| Layout::from_size_align(mebibytes << 20, 64).expect("valid");
+        let totals = || allocator.with_kept(|kept| (kept.bytes, kept.in_use, kept.lent_count));
+        // SAFETY: as above.
+        unsafe {
+            let take = |size| -> Vec<*mut u8> { (0..10).map(|_| allocator.alloc(layout(size))).collect() };
+            let free = |blocks: &[*mut u8], size| {
+                blocks.iter().for_each(|&block| allocator.dealloc(block, layout(size)));
+            };
+            let large = take(120);
+            free(&large, 120);
+            assert_eq!(totals(), (1200 << 20, 0, 0));
+            // 384 MiB may be new; then five blocks of 120 MiB serve as 80.
+            let small = take(80);
+            let lent = small.iter().filter(|block| large.contains(block)).count();
+            assert_eq!((lent, totals().2), (6, 6));
+            small.iter().for_each(|block| block.write_bytes(1, 80 << 20));
+            let grown = allocator.realloc(small[9], layout(80), 75 << 20);
+            assert_eq!(grown, small[9], "still long enough");
+            free(&small, 80);
+            assert_eq!((totals().1, totals().2), (0, 0));
+            let again = take(120);
+            assert!(
+                again.iter().filter(|block| large.contains(block)).count() >= lent,
+                "they are whole again"
+            );
+            free(&again, 120);
+            assert_eq!(totals().1, 0);
         }
     }
 }

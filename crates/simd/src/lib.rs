@@ -44,5 +44,5 @@ pub use product::{
     Output, Product, Right, Start, Steps, multiply, multiply_diagonal, multiply_to_pairs, panel_columns,
 };
 pub use scratch::{Element, Scratch};
-pub use shared_mut::{SharedMut, copy_pieces, fill_columns, fill_pieces};
+pub use shared_mut::{SharedMut, copy_pieces, fill_columns, fill_pieces, zeros};
 pub use vector::{MAX_LANES, Simd};

@@ -95,6 +95,20 @@ pub fn copy_pieces(from: &[f32], piece: usize, change: impl Fn(usize, &mut [f32]
     )
 }
 
+/// Zeros, written on all cores: the first write to new memory is slow, as the system clears each page.
+pub fn zeros(len: usize) -> Vec<f32> {
+    fill_pieces(
+        len,
+        1 << 16,
+        || (),
+        |(), _, piece| {
+            piece.fill(MaybeUninit::new(0.0));
+            // SAFETY: every element was just written.
+            unsafe { piece.assume_init_mut() }
+        },
+    )
+}
+
 /// A new `[images, rows, columns]`, filled in parallel in pieces of `width` columns and all rows of an image. `fill` gets
 /// the image, the columns, and the [`Output`] into which it must multiply (see [`crate::multiply`]) each of them. Each
 /// thread has its own `scratch`.
@@ -151,6 +165,16 @@ mod tests {
         let changed = copy_pieces(&numbers, 2, |number, piece| piece[0] += 10.0 * number as f32);
         assert_eq!(changed, [1.0, 2.0, 13.0, 4.0, 25.0]);
         assert!(copy_pieces(&[], 0, |_, _| unreachable!("there are none")).is_empty());
+    }
+
+    #[test]
+    fn zeros_are_zero() {
+        // In memory that was not.
+        for len in [0, 3, (1 << 16) + 5, 1 << 20] {
+            drop(vec![1.0_f32; len]);
+            let found = zeros(len);
+            assert!(found.len() == len && found.iter().all(|x| x.to_bits() == 0));
+        }
     }
 
     #[test]

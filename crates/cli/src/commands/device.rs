@@ -175,13 +175,11 @@ fn network(args: &NetworkAction, context: &Context) -> anyhow::Result<()> {
     let estimator = |network, device| NetworkEstimator::new(&args.network, network, iterations, device);
     let Frames { first, second, .. } = frames(&Device::cpu(), args.timing.size)?;
     let precision = args.precision.on(&args.timing.device)?;
-    let there = estimator(on_cpu.clone().on(&device), device).with_precision(precision);
+    let here = estimator(on_cpu.clone(), cpu);
+    let expected = args.timing.against_cpu.then(|| here.estimate(&first.image, &second)).transpose()?;
+    let there = estimator(on_cpu.on(&device), device).with_precision(precision);
     let (times, flow) = args.timing.time(|| Ok(there.estimate(&first.image, &second)?))?;
-    let difference = if args.timing.against_cpu {
-        Some(Difference::of(&flow, &estimator(on_cpu, cpu).estimate(&first.image, &second)?))
-    } else {
-        None
-    };
+    let difference = expected.map(|expected| Difference::of(&flow, &expected));
     if context.json {
         return print_json(&json!({
             "network": args.network, "parameters": parameters, "iterations": iterations,

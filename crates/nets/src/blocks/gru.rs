@@ -3,6 +3,7 @@
 use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use srflow_nn::layers::{Conv2d, Conv2dConfig};
+use srflow_ops::concatenate;
 use srflow_ops::conv2d::tensor::Epilogue;
 use srflow_ops::gru::tensor::{reset, update};
 use srflow_ops::{Activation, WeightCache};
@@ -84,9 +85,9 @@ impl ConvGru {
             let update = sum(input.clone(), &[&self.convz], Activation::Sigmoid);
             return update * sum(input, &[&self.convq], Activation::Tanh);
         };
-        let both = Tensor::cat(vec![hidden.clone(), input.clone()], 1);
+        let both = concatenate(vec![hidden.clone(), input.clone()]);
         let gates = sum(both, &[&self.convz, &self.convr], Activation::Sigmoid);
-        let both = Tensor::cat(vec![reset(gates.clone(), hidden.clone()), input], 1);
+        let both = concatenate(vec![reset(gates.clone(), hidden.clone()), input]);
         update(gates, hidden, sum(both, &[&self.convq], Activation::Tanh))
     }
 }
@@ -103,10 +104,10 @@ impl<S: Module> StageGru<S> {
         input: &Tensor<4>,
         sum: impl Fn(&S, Tensor<4>, Activation) -> Tensor<4>,
     ) -> Tensor<4> {
-        let with = |hidden: &Tensor<4>| Tensor::cat(vec![hidden.clone(), input.clone()], 1);
+        let with = |hidden: &Tensor<4>| concatenate(vec![hidden.clone(), input.clone()]);
         let both = with(&hidden);
         let gates = [&self.convz, &self.convr].map(|stage| sum(stage, both.clone(), Activation::Sigmoid));
-        let gates = Tensor::cat(gates.into(), 1);
+        let gates = concatenate(gates.into());
         let candidate = with(&reset(gates.clone(), hidden.clone()));
         update(gates, hidden, sum(&self.convq, candidate, Activation::Tanh))
     }
@@ -184,7 +185,7 @@ impl<'a> PreparedStep<'a> {
 
     fn forward(&self, hidden: Tensor<4>, input: Tensor<4>) -> Tensor<4> {
         let sum = |state: Tensor<4>, weight: &Tensor<4>, cache, context: &Tensor<4>, activation| {
-            let x = Tensor::cat(vec![state, input.clone()], 1);
+            let x = concatenate(vec![state, input.clone()]);
             self.conv.apply(x, weight.clone(), cache, Epilogue::with(activation).residual(context.clone()))
         };
         let gates = sum(

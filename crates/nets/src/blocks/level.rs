@@ -2,6 +2,7 @@
 
 use burn::tensor::Tensor;
 use burn::tensor::activation::relu;
+use srflow_ops::concatenate;
 use srflow_ops::correlation::tensor::Correlation;
 
 /// What refinements at a level read of a pair of frames, from the feature map of each: two thirds of the channels are correlated,
@@ -20,7 +21,7 @@ impl Level {
         let half = (channels - matched) / 2;
         let both = |from: usize| {
             let [first, second] = [&first, &second].map(|map| map.clone().narrow(1, matched + from, half));
-            Tensor::cat(vec![first, second], 1)
+            concatenate(vec![first, second])
         };
         let (context, hidden) = (relu(both(0)), both(half).tanh());
         let [first, second] = [first, second].map(|map| map.narrow(1, 0, matched));

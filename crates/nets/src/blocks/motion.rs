@@ -4,6 +4,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 use srflow_nn::layers::{Conv2d, Conv2dConfig};
 use srflow_ops::Activation::{Identity, Relu};
+use srflow_ops::concatenate;
 
 use crate::recurrent::LEVELS;
 
@@ -45,8 +46,8 @@ impl MotionEncoder {
     pub(crate) fn forward(&self, flow: Tensor<4>, windows: Tensor<4>) -> Tensor<4> {
         let correlation = self.convc2.forward(self.convc1.forward(windows, Relu), Relu);
         let motion = self.convf2.forward(self.convf1.forward(flow.clone(), Relu), Relu);
-        let out = self.conv.forward(Tensor::cat(vec![correlation, motion], 1), Relu);
-        Tensor::cat(vec![out, flow], 1)
+        let out = self.conv.forward(concatenate(vec![correlation, motion]), Relu);
+        concatenate(vec![out, flow])
     }
 }
 
@@ -72,8 +73,8 @@ impl SmallMotionEncoder {
     pub(crate) fn forward(&self, flow: Tensor<4>, windows: Tensor<4>) -> Tensor<4> {
         let correlation = self.convc1.forward(windows, Relu);
         let motion = self.convf2.forward(self.convf1.forward(flow.clone(), Relu), Relu);
-        let out = self.conv.forward(Tensor::cat(vec![correlation, motion], 1), Relu);
-        Tensor::cat(vec![out, flow], 1)
+        let out = self.conv.forward(concatenate(vec![correlation, motion]), Relu);
+        concatenate(vec![out, flow])
     }
 }
 

@@ -1,5 +1,5 @@
 use rayon::prelude::*;
-use srflow_simd::{Isa, Packed, Precision, SharedMut, Simd, dispatch};
+use srflow_simd::{Isa, Packed, Precision, SharedMut, Simd, dispatch, zeros};
 
 use super::Epilogue;
 use super::panels::{self, Reads};
@@ -117,7 +117,7 @@ fn convolve_directly(
     shape: &Conv2dShape,
 ) -> Vec<f32> {
     let [height, width] = shape.output();
-    let mut out = vec![0.0; shape.output_len()];
+    let mut out = zeros(shape.output_len());
     let blocks = shape.out_channels.div_ceil(BLOCK);
     let padded = Padded::of(input, shape);
     let plan = Plan {
@@ -219,7 +219,7 @@ impl<'a> Padded<'a> {
         let columns = phase * stride;
         let row = shape.in_channels * columns;
         let image = (height + 2 * pad_y) * row;
-        let mut copy = vec![0.0; shape.batch * image];
+        let mut copy = zeros(shape.batch * image);
         copy.par_chunks_mut(row).enumerate().for_each(|(i, to)| {
             let (n, y) = (i / (height + 2 * pad_y), i % (height + 2 * pad_y));
             let Some(y) = y.checked_sub(pad_y).filter(|&y| y < height) else { return };

@@ -2,6 +2,7 @@
 //! windows around each cell of 2x2 pixels, regularized by the noise. [`mod@reference`] is the definition.
 
 use rayon::prelude::*;
+use srflow_simd::zeros;
 
 use crate::MapShape;
 
@@ -37,7 +38,7 @@ impl LucasKanade {
         assert_eq!(first.len(), shape.elements(), "first frames of {shape:?}");
         assert_eq!(second.len(), shape.elements(), "second frames of {shape:?}");
         let cells = in_cells(shape);
-        let mut out = vec![0.0; cells.elements()];
+        let mut out = zeros(cells.elements());
         if out.is_empty() {
             return out;
         }

@@ -1,6 +1,7 @@
 //! Resizing by linear interpolation along rows and columns. [`mod@reference`] is the definition.
 
 use rayon::prelude::*;
+use srflow_simd::zeros;
 
 use crate::MapShape;
 
@@ -58,7 +59,7 @@ impl Places {
 /// `input`, maps of `shape`, resized to height and width `size`. Panics when the length of the slice does not match the shape.
 pub fn resize(input: &[f32], shape: MapShape, size: [usize; 2], grids: Grids) -> Vec<f32> {
     assert_eq!(input.len(), shape.elements(), "input of {shape:?}");
-    let mut out = vec![0.0; shape.planes() * size[0] * size[1]];
+    let mut out = zeros(shape.planes() * size[0] * size[1]);
     if out.is_empty() {
         return out;
     }

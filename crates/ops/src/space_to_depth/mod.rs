@@ -1,6 +1,7 @@
 //! The pixels of square blocks as channels: PyTorch's `pixel_unshuffle`. [`mod@reference`] is the definition.
 
 use rayon::prelude::*;
+use srflow_simd::zeros;
 
 use crate::MapShape;
 
@@ -19,7 +20,7 @@ fn in_blocks(shape: MapShape, side: usize) -> MapShape {
 /// `[batch, channels * side^2, height / side, width / side]`. Panics when the sizes do not fit.
 pub fn space_to_depth(input: &[f32], shape: MapShape, side: usize) -> Vec<f32> {
     assert_eq!(input.len(), shape.elements(), "input of {shape:?}");
-    let mut out = vec![0.0; input.len()];
+    let mut out = zeros(input.len());
     if out.is_empty() {
         return out;
     }

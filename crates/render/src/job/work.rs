@@ -2,7 +2,7 @@
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use srflow_field::{FileError, Recent};
 
@@ -91,26 +91,30 @@ impl<'a, P: Plan> Work<'a, P> {
 
     fn work(&self) -> Result<(), RenderError> {
         let mut worker = self.plan.worker();
-        while !self.stopped.load(Ordering::Relaxed)
-            && let Some(run) = self.runs.get(self.next_run.fetch_add(1, Ordering::Relaxed))
-        {
-            let group = self.group(run.group)?;
+        while !self.stopped.load(Ordering::Relaxed) {
+            let number = self.next_run.fetch_add(1, Ordering::Relaxed);
+            let Some(run) = self.runs.get(number) else { break };
+            if self.is_second(number)
+                && let Some(next) = self.group_after(run.group)
+            {
+                // While others make and render this group, so that nobody waits for the next. Its error is reported when it is rendered.
+                _ = self.groups.try_get(next, || self.made_group(next));
+            }
+            let group = self.groups.get(run.group, || self.made_group(run.group))?;
             self.plan.make(self, &group, run, &mut worker)?;
         }
         Ok(())
     }
 
-    /// The group, shared by its workers. Runs are taken in order: at most two groups are started at a time.
-    fn group(&self, number: u32) -> Result<Arc<P::Group>, RenderError> {
-        let make = |number| self.clock.time(Stage::Heads, || self.plan.group(number));
-        if let Some(group) = self.groups.try_get(number, || make(number))? {
-            return Ok(group);
-        }
-        // Another worker is making the group. Meanwhile this one makes the next, whose error is reported when it is rendered.
-        if let Some(next) = self.group_after(number) {
-            _ = self.groups.try_get(next, || make(next));
-        }
-        self.groups.get(number, || make(number))
+    fn made_group(&self, number: u32) -> Result<P::Group, RenderError> {
+        self.clock.time(Stage::Heads, || self.plan.group(number))
+    }
+
+    /// Whether a run is the second of its group. Runs are taken in order.
+    fn is_second(&self, number: usize) -> bool {
+        let group = |number: usize| self.runs.get(number).map(|run| run.group);
+        let before = |count| number.checked_sub(count).and_then(group);
+        before(1) == group(number) && before(2) != group(number)
     }
 
     /// The group of the first run that is not of this group or one before.

@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "mismatch")]
+    #[should_panic(expected = "different shapes")]
     fn maps_of_other_sizes_are_refused() {
         concatenate(vec![maps([1, 2, 3, 4], &Device::flex()), maps([1, 2, 4, 3], &Device::flex())]);
     }

@@ -331,7 +331,7 @@ fn export(args: Export, context: &Context) -> anyhow::Result<()> {
     };
     kind.check(&args)?;
     ensure!(*force || !out.exists(), "{}: the file exists; give --force to overwrite it", out.display());
-    let device = Default::default();
+    let device = srflow_ops::device("cpu")?;
     let named = Architecture::from_name(weights).filter(|_| !Path::new(weights).exists());
     let network = match named.and_then(|named| load_included(named, &device)) {
         Some(network) => network,

@@ -1,4 +1,4 @@
-use burn::tensor::Tensor;
+use burn::tensor::{Device, Tensor};
 use srflow_simd::{Precision, panel_columns};
 
 use super::concentrated::StripOrder;
@@ -446,7 +446,7 @@ fn attention_within_a_tolerance_has_the_order_of_the_image() {
         let channels = numbers.len() / pixels;
         Tensor::<4>::from_data(
             burn::tensor::TensorData::new(numbers, [1, channels, height, width]),
-            &Default::default(),
+            &Device::flex(),
         )
     };
     let [queries, keys] = concentrated([height, width], 3000.0).map(image);

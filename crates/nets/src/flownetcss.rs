@@ -75,7 +75,7 @@ fn stacked_input([first, second]: &[Tensor<4>; 2], flow: Tensor<4>) -> Tensor<4>
     let [batch, _, height, width] = first.dims();
     let flow = full_size(flow, [height, width]);
     let ones = Tensor::ones([batch, 1, height, width], &first.device());
-    let warped = warp(Tensor::cat(vec![second.clone(), ones], 1), flow.clone());
+    let warped = warp(concatenate(vec![second.clone(), ones]), flow.clone());
     let inside = warped.clone().narrow(1, 3, 1).detach().greater_equal_elem(INSIDE).float();
     let warped = warped.narrow(1, 0, 3) * inside;
     let squares = (first.clone() - warped.clone()).square().sum_dim(1);

@@ -482,7 +482,7 @@ impl TransformerLayer {
         let message = self.merge.forward_pixels(attention(queries, keys, values, windows), Identity);
         match (&self.mlp, &self.norm2) {
             (Some((widen, _, narrow)), Some(norm)) => {
-                let message = Tensor::cat(vec![x.clone(), self.norm1.forward(message)], 1);
+                let message = concatenate(vec![x.clone(), self.norm1.forward(message)]);
                 let message = pointwise_layers(message, [widen.layer(Gelu), narrow.layer(Identity)]);
                 norm.forward_add(message, x)
             }

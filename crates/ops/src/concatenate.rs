@@ -8,12 +8,15 @@ use crate::flex::CpuTensor;
 /// `Tensor::cat` of maps `[batch, channels, height, width]` along their channels, on all cores where they are on the CPU and outside a
 /// graph. Panics when there are none, or their other sizes differ.
 pub fn concatenate(maps: Vec<Tensor<4>>) -> Tensor<4> {
-    let [batch, _, height, width] = maps.first().expect("at least one tensor").dims();
-    let fit =
-        maps.iter().all(|map| matches!(map.dims(), [b, _, h, w] if [b, h, w] == [batch, height, width]));
+    let size = |map: &Tensor<4>| {
+        let [batch, _, height, width] = map.dims();
+        [batch, height, width]
+    };
+    let fit = maps.windows(2).all(|pair| size(&pair[0]) == size(&pair[1]));
     let parts: Option<Vec<CpuTensor>> = maps.iter().map(CpuTensor::of).collect();
     let Some(parts) = parts.filter(|parts| fit && parts.len() > 1) else { return Tensor::cat(maps, 1) };
 
+    let [batch, height, width] = size(&maps[0]);
     let parts: Vec<(usize, &[f32])> =
         parts.iter().map(|part| (part.map_shape().channels, part.slice())).collect();
     let channels: usize = parts.iter().map(|(channels, _)| channels).sum();

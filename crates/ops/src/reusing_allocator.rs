@@ -109,27 +109,25 @@ impl Kept {
             exact
         };
         // SAFETY: the lists contain only free blocks.
-        let taken = (!block.is_null()).then(|| unsafe { ((*block).size, self.unlink(block)) });
-        let (held, address) = taken.unzip();
-        self.in_use += held.unwrap_or(size);
+        let held = unsafe { block.as_ref() }.map_or(size, |block| block.size);
+        self.in_use += held;
         self.most_in_use = self.most_in_use.max(self.in_use);
-        if let (Some(held), Some(address)) = (held, address)
-            && held != size
-        {
+        if block.is_null() {
+            return None;
+        }
+        // SAFETY: as above.
+        let address = unsafe { self.unlink(block) };
+        if held != size {
             self.lent[self.lent_count] = (address, held);
             self.lent_count += 1;
         }
-        address
+        Some(address)
     }
 
-    /// A free block that is slightly larger than this class, or null.
+    /// A free block that is slightly larger than this class and may be lent, or null.
     fn larger(&self, number: usize) -> *mut Free {
-        let mut blocks = self.last.iter().skip(number + 1).take(SMALLER).filter(|block| !block.is_null());
-        if self.lent_count < LENT {
-            blocks.next().copied().unwrap_or(ptr::null_mut())
-        } else {
-            ptr::null_mut()
-        }
+        let larger = self.last.iter().skip(number + 1).take(SMALLER).find(|block| !block.is_null());
+        larger.filter(|_| self.lent_count < LENT).copied().unwrap_or(ptr::null_mut())
     }
 
     /// The size of a block in use by a tensor of class `size`; it no longer counts as lent.

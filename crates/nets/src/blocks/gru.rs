@@ -176,7 +176,7 @@ impl<'a> PreparedStep<'a> {
             conv: update,
             gates_weight: Tensor::cat(vec![changing(update.weight()), changing(reset.weight())], 0),
             gates_cache: WeightCache::default(),
-            gates_context: Tensor::cat(vec![of_context(update), of_context(reset)], 1),
+            gates_context: concatenate(vec![of_context(update), of_context(reset)]),
             candidate_weight: changing(candidate.weight()),
             candidate_cache: WeightCache::default(),
             candidate_context: of_context(candidate),

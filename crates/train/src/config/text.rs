@@ -206,13 +206,22 @@ pub(super) mod precision {
     pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Precision, D::Error> {
         let name = String::deserialize(deserializer)?;
         let known = Precision::ALL.into_iter().find(|precision| precision.name() == name);
-        known.ok_or_else(|| Error::custom(format!("`{name}` is not a precision; expected f32, f16 or bf16")))
+        known.ok_or_else(|| {
+            Error::custom(format!("`{name}` is not a precision; expected `f32`, `f16` or `bf16`"))
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_unknown_precision_is_told_which_there_are() {
+        let text = "[training]\nprecision = \"bf17\"";
+        let error = crate::config::Config::parse(text, "run.toml").unwrap_err().to_string();
+        assert!(error.contains("`bf17` is not a precision; expected `f32`, `f16` or `bf16`"), "{error}");
+    }
 
     #[test]
     fn sources_are_parsed_from_the_end() {
